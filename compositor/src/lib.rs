@@ -1,0 +1,1 @@
+//! The wall: divides frames among render servers, composes their samples and shows them.

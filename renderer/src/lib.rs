@@ -1,0 +1,6 @@
+//! The render server: loads a model, builds the paper's grid over it, and traces its share of each frame.
+//!
+//! In reading order: [`mesh`] is what is traced; [`ply`] reads one, [`statue`] makes one, [`scene`] names and loads one.
+
+pub mod cli;
+pub mod mesh;

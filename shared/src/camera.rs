@@ -1,0 +1,183 @@
+//! The camera of the paper, the rays that it makes, and the motions that steer it.
+
+use glam::{DVec3, Vec3};
+use serde::{Deserialize, Serialize};
+
+use crate::division::FrameSize;
+
+/// The paper's camera: an eye and a view plane, in world space.
+///
+/// Points of the view plane are `ll + s·u + t·v` with s and t in 0..1: `ll` is its lower-left corner, `u` runs along its
+/// bottom edge to the right, `v` along its left edge upwards.
+/// `f64` in memory, in files and on the wire: single precision moves thousands of pixels on CAD models.
+///
+/// Invariant: every component is finite and the plane has an area that the eye does not lie in; [`Camera::new`] checks it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "CameraVectors", into = "CameraVectors")]
+pub struct Camera {
+    eye: DVec3,
+    ll: DVec3,
+    u: DVec3,
+    v: DVec3,
+}
+
+/// A camera's vectors as they stand in a file or in a message, not yet checked.
+#[derive(Clone, Copy, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CameraVectors {
+    eye: DVec3,
+    ll: DVec3,
+    u: DVec3,
+    v: DVec3,
+}
+
+/// Why vectors make no camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CameraError {
+    /// A component is NaN, infinite, or too large for the `f32` rays made from it.
+    #[error("a component of eye, ll, u or v is not a finite number below 1e18")]
+    NotFinite,
+    /// `u` and `v` are zero or parallel.
+    #[error("the view plane has no area: u and v must be nonzero and not parallel")]
+    NoArea,
+    /// The eye lies in the view plane.
+    #[error("the eye lies in the view plane: move ll away from eye")]
+    EyeInPlane,
+}
+
+/// Why a file holds no camera.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}a camera file has four lines: eye, ll, u and v, each = [x, y, z]")]
+pub struct CameraFileError(#[from] toml::de::Error);
+
+/// Rays leave the range in which `f32` squares stay finite beyond this.
+const LARGEST_COMPONENT: f64 = 1e18;
+
+impl TryFrom<CameraVectors> for Camera {
+    type Error = CameraError;
+
+    fn try_from(CameraVectors { eye, ll, u, v }: CameraVectors) -> Result<Self, CameraError> {
+        Self::new(eye, ll, u, v)
+    }
+}
+
+impl From<Camera> for CameraVectors {
+    fn from(Camera { eye, ll, u, v }: Camera) -> Self {
+        Self { eye, ll, u, v }
+    }
+}
+
+impl Camera {
+    /// Takes vectors in world space.
+    pub fn new(eye: DVec3, ll: DVec3, u: DVec3, v: DVec3) -> Result<Self, CameraError> {
+        let usable = |p: DVec3| p.abs().max_element() < LARGEST_COMPONENT && p.is_finite();
+        if ![eye, ll, u, v].into_iter().all(usable) {
+            return Err(CameraError::NotFinite);
+        }
+        // Relative to the edges' lengths, so that models in any unit are judged alike.
+        let area = u.normalize_or_zero().cross(v.normalize_or_zero());
+        if area.length() < 1e-9 {
+            return Err(CameraError::NoArea);
+        }
+        let distance = (ll - eye).dot(area.normalize()).abs();
+        if distance < 1e-9 * u.length().max(v.length()) {
+            return Err(CameraError::EyeInPlane);
+        }
+        Ok(Self { eye, ll, u, v })
+    }
+
+    /// A camera at `eye` that looks at `target`; its view plane passes through `target`.
+    ///
+    /// `up` need not be perpendicular to the view, and may even be parallel to it: then some other up is taken.
+    /// `fov_y` is the vertical field of view in radians, `aspect` the width of the view plane over its height: the
+    /// canvas's, which is not the frame's, since samples need not be square.
+    pub fn look_at(eye: DVec3, target: DVec3, up: DVec3, fov_y: f64, aspect: f64) -> Result<Self, CameraError> {
+        let forward = target - eye;
+        let distance = forward.length();
+        let forward = forward / distance;
+        let across = forward.cross(up);
+        let right = if across.length() > 1e-6 * up.length() { across } else { forward.any_orthogonal_vector() };
+        let right = right.normalize();
+        let half_height = distance * (fov_y * 0.5).tan();
+        let u = right * (2.0 * half_height * aspect);
+        let v = right.cross(forward) * (2.0 * half_height);
+        Self::new(eye, target - (u + v) * 0.5, u, v)
+    }
+
+    /// Reads the text of a camera file; see [`Camera::to_toml`].
+    pub fn from_toml(text: &str) -> Result<Self, CameraFileError> {
+        Ok(toml::from_str(text)?)
+    }
+
+    /// Writes a camera file: `eye`, `ll`, `u` and `v`, each `= [x, y, z]`, exact to the last bit.
+    pub fn to_toml(&self) -> String {
+        let line = |name: &str, p: DVec3| format!("{name} = [{:?}, {:?}, {:?}]\n", p.x, p.y, p.z);
+        line("eye", self.eye) + &line("ll", self.ll) + &line("u", self.u) + &line("v", self.v)
+    }
+
+    /// The eye, in world space.
+    pub fn eye(&self) -> DVec3 {
+        self.eye
+    }
+
+    /// The lower-left corner of the view plane, in world space.
+    pub fn ll(&self) -> DVec3 {
+        self.ll
+    }
+
+    /// The bottom edge of the view plane, to the right.
+    pub fn u(&self) -> DVec3 {
+        self.u
+    }
+
+    /// The left edge of the view plane, upwards.
+    pub fn v(&self) -> DVec3 {
+        self.v
+    }
+
+    /// The middle of the view plane, in world space.
+    pub fn target(&self) -> DVec3 {
+        self.ll + (self.u + self.v) * 0.5
+    }
+
+    /// The rays of this camera for a frame of the given size.
+    pub fn rays(&self, size: FrameSize) -> CameraRays {
+        CameraRays {
+            eye: self.eye.as_vec3(),
+            a: (self.ll - self.eye).as_vec3(),
+            du: (self.u / f64::from(size.xres())).as_vec3(),
+            dv: (self.v / f64::from(size.yres())).as_vec3(),
+        }
+    }
+}
+
+/// What the rays of one frame are made from, in single precision.
+///
+/// The convention is that of the peers that Raywall is measured against, bit for bit: differences are taken in `f64`
+/// and rounded once; then [`CameraRays::direction`] adds in `f32` without fused multiplication.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraRays {
+    /// The origin of every ray, in world space.
+    pub eye: Vec3,
+    /// From the eye to the lower-left corner of the view plane.
+    pub a: Vec3,
+    /// One sample's step to the right.
+    pub du: Vec3,
+    /// One sample's step up.
+    pub dv: Vec3,
+}
+
+impl CameraRays {
+    /// The direction through the centre of sample (i, j), row j = 0 at the bottom; not normalised: t = 1 lies on the
+    /// view plane.
+    #[inline]
+    pub fn direction(&self, i: u32, j: u32) -> Vec3 {
+        self.direction_through(i as f32 + 0.5, j as f32 + 0.5)
+    }
+
+    /// The direction through the point (x, y) of the view plane, in samples from its lower-left corner.
+    #[inline]
+    pub fn direction_through(&self, x: f32, y: f32) -> Vec3 {
+        (self.a + self.du * x) + self.dv * y
+    }
+}
