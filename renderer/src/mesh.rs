@@ -32,18 +32,18 @@ impl Aabb {
 
     /// The smallest box around this one and a point.
     #[must_use]
-    pub fn extend(mut self, point: [f32; 3]) -> Self {
-        for axis in 0..3 {
-            self.min[axis] = self.min[axis].min(point[axis]);
-            self.max[axis] = self.max[axis].max(point[axis]);
-        }
-        self
+    pub fn extend(self, point: [f32; 3]) -> Self {
+        self.union(Self { min: point, max: point })
     }
 
     /// The smallest box around both.
     #[must_use]
-    pub fn union(self, other: Self) -> Self {
-        self.extend(other.min).extend(other.max)
+    pub fn union(mut self, other: Self) -> Self {
+        for axis in 0..3 {
+            self.min[axis] = self.min[axis].min(other.min[axis]);
+            self.max[axis] = self.max[axis].max(other.max[axis]);
+        }
+        self
     }
 
     /// Whether nothing is inside.
