@@ -1,5 +1,9 @@
 //! The camera of the paper, the rays that it makes, and the motions that steer it.
 
+mod motion;
+
+pub use motion::UpAxis;
+
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
@@ -179,5 +183,54 @@ impl CameraRays {
     #[inline]
     pub fn direction_through(&self, x: f32, y: f32) -> Vec3 {
         (self.a + self.du * x) + self.dv * y
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_file_keeps_every_bit() {
+        let camera = Camera::new(
+            DVec3::new(0.1, 1.0 / 3.0, -1e-17),
+            DVec3::new(-0.867_890_688_775_879_5, 5e10, 0.3),
+            DVec3::new(0.7, 1e-300, 0.0),
+            DVec3::new(0.0, 0.7, 1.0),
+        )
+        .unwrap();
+        assert_eq!(Camera::from_toml(&camera.to_toml()).unwrap(), camera);
+    }
+
+    #[test]
+    fn a_camera_file_that_is_wrong_says_where() {
+        let error = Camera::from_toml("eye = [0, 0, 0]\nll = [0, 0]\n").unwrap_err().to_string();
+        assert!(error.contains("line 2"), "{error}");
+        let error = Camera::from_toml("eye = [0,0,1]\nll = [0,0,0]\nu = [1,0,0]\nv = [2,0,0]").unwrap_err().to_string();
+        assert!(error.contains("no area"), "{error}");
+    }
+
+    #[test]
+    fn vectors_that_make_no_rays_are_refused() {
+        let (eye, ll, u, v) = (DVec3::Z, DVec3::ZERO, DVec3::X, DVec3::Y);
+        assert_eq!(Camera::new(eye * f64::NAN, ll, u, v), Err(CameraError::NotFinite));
+        assert_eq!(Camera::new(eye * 1e19, ll, u, v), Err(CameraError::NotFinite));
+        assert_eq!(Camera::new(eye, ll, u, DVec3::ZERO), Err(CameraError::NoArea));
+        assert_eq!(Camera::new(DVec3::X, ll, u, v), Err(CameraError::EyeInPlane));
+    }
+
+    #[test]
+    fn rays_are_made_by_the_stated_arithmetic() {
+        let camera =
+            Camera::new(DVec3::new(0.1, 0.2, 3.0), DVec3::new(-1.0, -0.7, 0.3), DVec3::X * 1.9, DVec3::Y * 1.1)
+                .unwrap();
+        let rays = camera.rays(FrameSize::PAPER);
+        for axis in 0..3 {
+            let a = (camera.ll()[axis] - camera.eye()[axis]) as f32;
+            let du = (camera.u()[axis] / 1024.0) as f32;
+            let dv = (camera.v()[axis] / 512.0) as f32;
+            let expected = (a + du * 700.5) + dv * 33.5;
+            assert_eq!(rays.direction(700, 33)[axis].to_bits(), expected.to_bits());
+        }
     }
 }

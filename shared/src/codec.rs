@@ -1,1 +1,235 @@
-//! Codec.
+//! Messages as bytes.
+//!
+//! | bytes | what |
+//! |---|---|
+//! | 4 | length of the body, little endian |
+//! | 1 | kind: 0 control, 1 samples |
+//! | … | body |
+//!
+//! The body of samples is frame (8 bytes), work (4), first unit (4), number of units (4), all little endian, then RGB.
+//! Whoever reads takes the five bytes of the [`Header`] first, and so knows the size before it allocates anything.
+
+use serde::{Serialize, de::DeserializeOwned};
+
+use crate::protocol::{CHUNK_BYTES, Chunk, FrameId, WorkId};
+
+/// Bytes of a [`Header`].
+pub const HEADER_BYTES: usize = 5;
+
+/// Bytes of a chunk's body before its samples.
+pub const CHUNK_HEADER_BYTES: usize = 20;
+
+/// The largest body until the handshake is accepted: a stranger can make its peer hold no more.
+pub const HANDSHAKE_LIMIT: usize = 1024;
+
+/// The largest body of a control message after the handshake: room for the tile runs of a wall-sized frame.
+pub const CONTROL_LIMIT: usize = 256 * 1024;
+
+/// The largest body of samples.
+pub const CHUNK_LIMIT: usize = CHUNK_HEADER_BYTES + CHUNK_BYTES;
+
+/// Why bytes are no message.
+#[derive(Debug, thiserror::Error)]
+pub enum CodecError {
+    /// The length is beyond what this kind may have here.
+    #[error("a message of {n_bytes} bytes, where {limit} is the most")]
+    TooLong {
+        /// As announced.
+        n_bytes: usize,
+        /// As allowed.
+        limit: usize,
+    },
+    /// A kind that does not exist, or not in this direction.
+    #[error("a message of unknown kind {0}")]
+    UnknownKind(u8),
+    /// The body does not decode.
+    #[error("a malformed message: {0}")]
+    Malformed(#[from] bincode::error::DecodeError),
+    /// Bytes remain behind the message.
+    #[error("a message with {0} bytes too many")]
+    Trailing(usize),
+    /// A chunk's header is cut.
+    #[error("a chunk of {0} bytes: too short for its header")]
+    ShortChunk(usize),
+}
+
+/// What kind of body follows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A bincode message.
+    Control,
+    /// A [`Chunk`].
+    Samples,
+}
+
+/// What stands before each body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Header {
+    /// What follows.
+    pub kind: Kind,
+    /// How many bytes of it.
+    pub n_bytes: usize,
+}
+
+impl Header {
+    /// Reads a header and holds it against the limits: of control messages as given, of samples [`CHUNK_LIMIT`].
+    ///
+    /// Samples are refused while `control_limit` is [`HANDSHAKE_LIMIT`]: nobody has asked for any yet.
+    pub fn parse(bytes: [u8; HEADER_BYTES], control_limit: usize) -> Result<Self, CodecError> {
+        let [length @ .., kind] = bytes;
+        let n_bytes = u32::from_le_bytes(length) as usize;
+        let (kind, limit) = match kind {
+            0 => (Kind::Control, control_limit),
+            1 if control_limit > HANDSHAKE_LIMIT => (Kind::Samples, CHUNK_LIMIT),
+            unknown => return Err(CodecError::UnknownKind(unknown)),
+        };
+        if n_bytes > limit {
+            return Err(CodecError::TooLong { n_bytes, limit });
+        }
+        Ok(Self { kind, n_bytes })
+    }
+
+    fn write(kind: Kind, n_bytes: usize, out: &mut Vec<u8>) {
+        let length = u32::try_from(n_bytes).expect("every body is below its limit");
+        out.extend(length.to_le_bytes());
+        out.push(match kind {
+            Kind::Control => 0,
+            Kind::Samples => 1,
+        });
+    }
+}
+
+fn config() -> impl bincode::config::Config {
+    bincode::config::standard().with_limit::<CONTROL_LIMIT>()
+}
+
+/// Appends a control message with its header.
+///
+/// # Errors
+/// A message longer than [`CONTROL_LIMIT`], which the peer would refuse; `out` is then as it was.
+pub fn encode(message: &impl Serialize, out: &mut Vec<u8>) -> Result<(), CodecError> {
+    let body =
+        bincode::serde::encode_to_vec(message, config()).expect("messages hold nothing that bincode cannot write");
+    if body.len() > CONTROL_LIMIT {
+        return Err(CodecError::TooLong { n_bytes: body.len(), limit: CONTROL_LIMIT });
+    }
+    Header::write(Kind::Control, body.len(), out);
+    out.extend(body);
+    Ok(())
+}
+
+/// Reads the body of a control message.
+pub fn decode<M: DeserializeOwned>(body: &[u8]) -> Result<M, CodecError> {
+    let (message, n_read) = bincode::serde::decode_from_slice(body, config())?;
+    match body.len() - n_read {
+        0 => Ok(message),
+        n_trailing => Err(CodecError::Trailing(n_trailing)),
+    }
+}
+
+impl<'a> Chunk<'a> {
+    /// Appends the chunk with its header.
+    pub fn encode(&self, out: &mut Vec<u8>) {
+        Header::write(Kind::Samples, CHUNK_HEADER_BYTES + self.rgb.len(), out);
+        out.extend(self.frame.0.to_le_bytes());
+        for number in [self.work_id.0, self.first_unit, self.n_units] {
+            out.extend(number.to_le_bytes());
+        }
+        out.extend(self.rgb);
+    }
+
+    /// Reads the body of samples; the samples stay where they are.
+    pub fn decode(body: &'a [u8]) -> Result<Self, CodecError> {
+        let short = || CodecError::ShortChunk(body.len());
+        let (frame, rest) = body.split_first_chunk().ok_or_else(short)?;
+        let (work_id, rest) = rest.split_first_chunk().ok_or_else(short)?;
+        let (first_unit, rest) = rest.split_first_chunk().ok_or_else(short)?;
+        let (n_units, rgb) = rest.split_first_chunk().ok_or_else(short)?;
+        Ok(Self {
+            frame: FrameId(u64::from_le_bytes(*frame)),
+            work_id: WorkId(u32::from_le_bytes(*work_id)),
+            first_unit: u32::from_le_bytes(*first_unit),
+            n_units: u32::from_le_bytes(*n_units),
+            rgb,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::{
+        camera::Camera,
+        division::{Division, FrameSize},
+        protocol::{Picture, SampleRange, ToServer, ToWall, View},
+        scene::SceneId,
+    };
+
+    fn render_frame() -> ToServer {
+        let camera = Camera::look_at(glam::DVec3::Z, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 16.0 / 9.0).unwrap();
+        let picture = Picture {
+            scene: SceneId::Mesh { blake3: [7; 32] },
+            camera,
+            size: FrameSize::PAPER,
+            view: View::Shaded,
+            samples: SampleRange::CENTRE,
+        };
+        ToServer::RenderFrame { frame: FrameId(9), work_id: WorkId(3), picture, work: Division::Tiled.work(2, 12) }
+    }
+
+    #[test]
+    fn a_message_comes_out_as_it_went_in() {
+        let mut bytes = vec![];
+        encode(&render_frame(), &mut bytes).unwrap();
+        let (header, body) = bytes.split_first_chunk().unwrap();
+        assert_eq!(Header::parse(*header, CONTROL_LIMIT).unwrap(), Header { kind: Kind::Control, n_bytes: body.len() });
+        assert_eq!(decode::<ToServer>(body).unwrap(), render_frame());
+    }
+
+    #[test]
+    fn a_chunk_is_a_header_and_its_bytes() {
+        let chunk = Chunk { frame: FrameId(1), work_id: WorkId(2), first_unit: 3, n_units: 1, rgb: &[10, 20, 30] };
+        let mut bytes = vec![];
+        chunk.encode(&mut bytes);
+        assert_eq!(
+            bytes,
+            [23, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3, 0, 0, 0, 1, 0, 0, 0, 10, 20, 30],
+            "the layout is part of the protocol's version"
+        );
+        assert_eq!(Chunk::decode(&bytes[HEADER_BYTES..]).unwrap(), chunk);
+    }
+
+    #[test]
+    fn sizes_are_refused_before_anything_is_allocated() {
+        let header = |n_bytes: u32, kind: u8| {
+            let [a, b, c, d] = n_bytes.to_le_bytes();
+            [a, b, c, d, kind]
+        };
+        assert!(Header::parse(header(1024, 0), HANDSHAKE_LIMIT).is_ok());
+        assert!(matches!(Header::parse(header(1025, 0), HANDSHAKE_LIMIT), Err(CodecError::TooLong { .. })));
+        assert!(matches!(Header::parse(header(10, 1), HANDSHAKE_LIMIT), Err(CodecError::UnknownKind(1))));
+        assert!(matches!(Header::parse(header(u32::MAX, 1), CONTROL_LIMIT), Err(CodecError::TooLong { .. })));
+        assert!(matches!(Header::parse(header(0, 2), CONTROL_LIMIT), Err(CodecError::UnknownKind(2))));
+    }
+
+    #[test]
+    fn a_camera_that_makes_no_rays_is_no_message() {
+        let mut bytes = vec![];
+        encode(&render_frame(), &mut bytes).unwrap();
+        let body = &mut bytes[HEADER_BYTES..];
+        let eye_z = body.windows(8).position(|window| window == 1f64.to_le_bytes()).unwrap();
+        body[eye_z..eye_z + 8].copy_from_slice(&f64::NAN.to_le_bytes());
+        assert!(matches!(decode::<ToServer>(body), Err(CodecError::Malformed(_))));
+    }
+
+    proptest! {
+        #[test]
+        fn random_bytes_never_panic(body in proptest::collection::vec(any::<u8>(), 0..600)) {
+            let _ = decode::<ToServer>(&body);
+            let _ = decode::<ToWall>(&body);
+            let _ = Chunk::decode(&body);
+        }
+    }
+}

@@ -313,10 +313,16 @@ impl Work {
         check(self.part.index, self.part.parts)?;
         let strided = |machine: u32, machines: u32, units: Units| {
             check(machine, machines)?;
-            Ok((units, Source::Strided { first: machine, step: machines }, units.count().saturating_sub(machine).div_ceil(machines)))
+            Ok((
+                units,
+                Source::Strided { first: machine, step: machines },
+                units.count().saturating_sub(machine).div_ceil(machines),
+            ))
         };
         let (units, source, n_picked) = match &self.picked {
-            Picked::Interleaved { machine, machines } => strided(*machine, *machines, Division::Interleaved.units(size))?,
+            Picked::Interleaved { machine, machines } => {
+                strided(*machine, *machines, Division::Interleaved.units(size))?
+            }
             Picked::Tiled { machine, machines } => strided(*machine, *machines, Division::Tiled.units(size))?,
             Picked::TileRuns(runs) => {
                 let units = Division::Tiled.units(size);
@@ -391,5 +397,95 @@ impl Share<'_> {
     #[inline]
     pub fn samples(&self, k: u32) -> UnitSamples {
         self.units.samples(self.unit(k))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// How often each sample of a frame is in the given works.
+    fn coverage(works: &[Work], size: FrameSize) -> Vec<u32> {
+        let mut times = vec![0; size.n_samples() as usize];
+        for work in works {
+            let share = work.share(size).unwrap();
+            for (i, j) in (0..share.count()).flat_map(|k| share.samples(k).iter()) {
+                times[(j * size.xres() + i) as usize] += 1;
+            }
+        }
+        times
+    }
+
+    #[test]
+    fn the_papers_example_holds() {
+        let size = FrameSize::PAPER;
+        let interleaved = Division::Interleaved.work(1, 12);
+        assert_eq!(interleaved.share(size).unwrap().unit(1), 13);
+        let tiled = Division::Tiled.work(0, 12);
+        let share = tiled.share(size).unwrap();
+        assert_eq!(share.unit(1), 12);
+        assert_eq!(share.samples(1), UnitSamples { columns: 96..104, rows: 0..8 });
+        assert_eq!(share.samples(1).iter().nth(9), Some((97, 1)));
+    }
+
+    #[test]
+    fn works_that_do_not_fit_are_refused() {
+        let size = FrameSize::new(16, 16).unwrap();
+        assert!(Division::Tiled.work(3, 3).share(size).is_err());
+        assert!(Division::Interleaved.work(0, 0).share(size).is_err());
+        assert!(
+            Work { picked: Picked::Tiled { machine: 0, machines: 1 }, part: Part { index: 1, parts: 1 } }
+                .share(size)
+                .is_err()
+        );
+        let runs = |runs: &[(u32, u32)]| Work {
+            picked: Picked::TileRuns(runs.iter().map(|&(first, count)| TileRun { first, count }).collect()),
+            part: Part::WHOLE,
+        };
+        assert_eq!(runs(&[(3, 1), (0, 2)]).share(size).unwrap().count(), 3);
+        assert!(runs(&[(3, 2)]).share(size).is_err());
+        assert!(runs(&[(u32::MAX, 2)]).share(size).is_err());
+        assert!(runs(&[(0, 0)]).share(size).is_err());
+        assert_eq!(runs(&[(0, 4), (1, 1)]).share(size).unwrap_err(), WorkError::TooManyTiles);
+    }
+
+    #[test]
+    fn machines_beyond_the_units_have_nothing_to_do() {
+        let size = FrameSize::new(3, 1).unwrap();
+        assert_eq!(Division::Interleaved.work(3, 9).share(size).unwrap().count(), 0);
+        assert_eq!(Division::Tiled.work(8, 9).share(size).unwrap().count(), 0);
+    }
+
+    proptest! {
+        #[test]
+        fn every_division_covers_every_sample_once(
+            xres in 1..70u32, yres in 1..50u32, machines in 1..20u32, tiled: bool, lost in 0..20u32, parts in 1..6u32,
+        ) {
+            let size = FrameSize::new(xres, yres).unwrap();
+            let division = if tiled { Division::Tiled } else { Division::Interleaved };
+            let mut works: Vec<_> = (0..machines).map(|machine| division.work(machine, machines)).collect();
+            prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
+            // A lost machine's share is divided again, and so is a part of that.
+            let lost = works.swap_remove((lost % machines) as usize);
+            works.extend((0..parts).map(|index| lost.part(index, parts).unwrap()));
+            let lost_again = works.pop().unwrap();
+            works.extend((0..3).map(|index| lost_again.part(index, 3).unwrap()));
+            prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
+        }
+
+        #[test]
+        fn tile_runs_cover_what_they_name(xres in 1..70u32, yres in 1..50u32, cut in 0..100u32, parts in 1..4u32) {
+            let size = FrameSize::new(xres, yres).unwrap();
+            let n_tiles = Division::Tiled.units(size).count();
+            let cut = cut % n_tiles;
+            let runs = [TileRun { first: cut, count: n_tiles - cut }, TileRun { first: 0, count: cut }];
+            let picked = Picked::TileRuns(runs.into_iter().filter(|run| run.count > 0).collect());
+            let works: Vec<_> = (0..parts)
+                .map(|index| Work { picked: picked.clone(), part: Part { index, parts } })
+                .collect();
+            prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
+        }
     }
 }

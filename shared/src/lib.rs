@@ -2,12 +2,11 @@
 //!
 //! Everything here is a pure function or plain data: no socket, no clock, no thread.
 //! In reading order: [`camera`] makes rays, [`division`] says who renders which of them, [`scene`] names what is
-//! rendered, [`srgb`] encodes what comes out, [`protocol`] says all of it on the wire.
+//! rendered, [`srgb`] encodes what comes out, [`protocol`] says all of it on the wire, [`codec`] in bytes.
 
 pub mod camera;
+pub mod codec;
 pub mod division;
 pub mod protocol;
 pub mod scene;
 pub mod srgb;
-
-mod codec;

@@ -1,1 +1,245 @@
-//! Messages.
+//! The messages between the wall and its render servers.
+//!
+//! Both sides open with [`PREAMBLE`]. Then each message is a length, a kind and a body: control messages are bincode,
+//! samples are a fixed header followed by raw RGB bytes, which no serializer touches; [`crate::codec`] does both.
+//!
+//! The order of a conversation: the server says [`ToWall::Hello`], the wall [`ToServer::Welcome`]; the wall names a
+//! scene ([`ToServer::LoadScene`]) and hears how far it is ([`ToWall::SceneState`]); then it asks for shares of frames
+//! ([`ToServer::RenderFrame`]) and gets [`Chunk`]s and a [`ToWall::WorkDone`] for each. Heartbeats flow all along.
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use crate::{
+    camera::Camera,
+    division::{FrameSize, Work},
+    scene::SceneId,
+};
+
+/// The version of everything below; a change to any message changes it.
+pub const PROTOCOL_VERSION: u8 = 1;
+
+/// The first bytes that either side sends: "RAYWALL" and the version.
+pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
+
+/// How often either side says that it lives.
+pub const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(50);
+
+/// A peer that was silent for this long is lost, however slow its work may be.
+pub const HEARTBEAT_TIMEOUT: Duration = Duration::from_millis(250);
+
+/// How long a peer may take from connecting to a finished handshake.
+pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// The most RGB bytes in one chunk: small enough that heartbeats are never stuck behind one.
+pub const CHUNK_BYTES: usize = 64 * 1024;
+
+/// The longest name a render server can have, in bytes.
+pub const LONGEST_NAME: usize = 64;
+
+/// The port of the wall unless another is set.
+pub const DEFAULT_PORT: u16 = 7117;
+
+/// The number of a frame: counts up from 1 while a wall runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct FrameId(pub u64);
+
+/// The number of a piece of work: unique among all that a wall gives out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct WorkId(pub u32);
+
+/// What the samples of a frame show.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum View {
+    /// The model, lit.
+    #[default]
+    Shaded,
+    /// The geometric normals, as colours.
+    Normals,
+}
+
+impl View {
+    /// Every view, in the order in which a key steps through them.
+    pub const ALL: [Self; 2] = [Self::Shaded, Self::Normals];
+
+    /// The name on command lines and on screen.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Shaded => "shaded",
+            Self::Normals => "normals",
+        }
+    }
+}
+
+impl std::str::FromStr for View {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let names = || Self::ALL.map(Self::name).join(" or ");
+        Self::ALL
+            .into_iter()
+            .find(|view| view.name() == text)
+            .ok_or_else(|| format!("\"{text}\" is no view: it is {}", names()))
+    }
+}
+
+/// Which samples of each pixel are averaged: numbers `first` to `first + count − 1`, in linear light.
+///
+/// Sample 0 goes through the pixel's centre; where the others go is a pure function of pixel and sample number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct SampleRange {
+    /// The first sample's number.
+    pub first: u32,
+    /// How many; from 1 to [`SampleRange::LARGEST_COUNT`].
+    pub count: u32,
+}
+
+impl SampleRange {
+    /// One sample through the centre of each pixel.
+    pub const CENTRE: Self = Self { first: 0, count: 1 };
+
+    /// More samples than this are split over several frames.
+    pub const LARGEST_COUNT: u32 = 256;
+}
+
+/// Everything that decides the samples of a frame: two equal pictures are equal bits.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Picture {
+    /// What is rendered.
+    pub scene: SceneId,
+    /// From where.
+    pub camera: Camera,
+    /// At which resolution.
+    pub size: FrameSize,
+    /// What the samples show.
+    pub view: View,
+    /// Which samples of each pixel.
+    pub samples: SampleRange,
+}
+
+/// What the wall says to a render server.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ToServer {
+    /// The answer to [`ToWall::Hello`].
+    Welcome,
+    /// The wall does not take this server, and closes the connection.
+    Refused {
+        /// Why, and what to do.
+        reason: String,
+    },
+    /// Get this scene ready.
+    LoadScene {
+        /// Which scene.
+        scene: SceneId,
+        /// Where a server on the wall's own machine finds it; other servers use what they were started with.
+        path: Option<String>,
+    },
+    /// Render a share of a frame.
+    RenderFrame {
+        /// Which frame.
+        frame: FrameId,
+        /// The number of this work, repeated in every answer.
+        work_id: WorkId,
+        /// The whole picture.
+        picture: Picture,
+        /// The share of it.
+        work: Work,
+    },
+    /// Answers to this frame are no longer wanted.
+    Cancel {
+        /// Which frame.
+        frame: FrameId,
+    },
+    /// The wall lives; to be answered with the same number.
+    Ping {
+        /// Microseconds on the wall's clock.
+        sent_us: u64,
+    },
+}
+
+/// What a render server says to the wall.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ToWall {
+    /// The first message.
+    Hello {
+        /// The server's name on screen, at most [`LONGEST_NAME`] bytes.
+        name: String,
+        /// Threads that it traces with.
+        threads: u32,
+    },
+    /// How far the scene is; sent after every change, and a few times a second while loading.
+    SceneState {
+        /// Which scene.
+        scene: SceneId,
+        /// How far.
+        state: SceneState,
+    },
+    /// All chunks of a work are sent.
+    WorkDone {
+        /// Which frame.
+        frame: FrameId,
+        /// Which work.
+        work_id: WorkId,
+        /// How long it took.
+        timings: WorkTimings,
+    },
+    /// The server lives.
+    Heartbeat,
+    /// The answer to a ping.
+    Pong {
+        /// As in the ping.
+        sent_us: u64,
+    },
+}
+
+/// How far a render server is with a scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum SceneState {
+    /// Loading or building.
+    Loading {
+        /// 0 to 1.
+        progress: f32,
+    },
+    /// Frames of it can be asked for.
+    Ready {
+        /// Triangles that can be hit.
+        triangles: u64,
+        /// Bytes of mesh and structure in memory.
+        bytes: u64,
+    },
+    /// The server has no such scene.
+    Missing {
+        /// Why, and what to do.
+        reason: String,
+    },
+}
+
+/// Where the time of one work went on the server.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WorkTimings {
+    /// From reading the request to the first ray, in microseconds.
+    pub queued_us: u32,
+    /// From the first ray to the last sample, in microseconds.
+    pub trace_us: u32,
+    /// CPU time of all tracing threads, in microseconds.
+    pub trace_cpu_us: u32,
+    /// Waiting for the network to take the chunks, in microseconds.
+    pub send_us: u32,
+}
+
+/// Samples of some units of a work. Idempotent: all answers to the same work are the same bits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Chunk<'a> {
+    /// Which frame.
+    pub frame: FrameId,
+    /// Which work.
+    pub work_id: WorkId,
+    /// The place of the first unit in the work.
+    pub first_unit: u32,
+    /// How many units follow each other.
+    pub n_units: u32,
+    /// Their samples, RGB, sRGB-encoded, at most [`CHUNK_BYTES`].
+    pub rgb: &'a [u8],
+}

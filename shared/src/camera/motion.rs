@@ -1,0 +1,306 @@
+//! Steering: each motion makes a camera from a camera. None ever makes a degenerate one: a step too far is not taken.
+
+use glam::{DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+
+use super::Camera;
+
+/// Vertical field of view of [`Camera::view_all`], in radians: 40°, about what a person sees of a wall at a comfortable
+/// distance.
+const FOV_Y: f64 = 0.7;
+
+/// How near the view may come to straight up or down, in radians; beyond, left and right would change places.
+const POLE_MARGIN: f64 = 0.02;
+
+/// Which axis of the model points up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum UpAxis {
+    /// x.
+    X,
+    /// y, as most scans have it.
+    #[default]
+    Y,
+    /// z, as most CAD models have it.
+    Z,
+}
+
+impl UpAxis {
+    /// Every axis, in the order in which a key steps through them.
+    pub const ALL: [Self; 3] = [Self::Y, Self::Z, Self::X];
+
+    /// The unit vector along it.
+    pub fn direction(self) -> DVec3 {
+        match self {
+            Self::X => DVec3::X,
+            Self::Y => DVec3::Y,
+            Self::Z => DVec3::Z,
+        }
+    }
+
+    /// The name on command lines and on screen.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::X => "x",
+            Self::Y => "y",
+            Self::Z => "z",
+        }
+    }
+
+    /// The next in [`UpAxis::ALL`].
+    #[must_use]
+    pub fn next(self) -> Self {
+        match self {
+            Self::Y => Self::Z,
+            Self::Z => Self::X,
+            Self::X => Self::Y,
+        }
+    }
+}
+
+impl std::str::FromStr for UpAxis {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        Self::ALL
+            .into_iter()
+            .find(|axis| axis.name() == text)
+            .ok_or_else(|| format!("\"{text}\" is no axis: it is x, y or z"))
+    }
+}
+
+impl Camera {
+    /// A camera that sees a whole box, from the front, a little from the right and above.
+    ///
+    /// `min` and `max` are the box's corners in world space; `aspect` is the canvas's width over its height.
+    /// A box that is empty, or has no extent, is looked at as if it were a small cube.
+    pub fn view_all(min: DVec3, max: DVec3, up: UpAxis, aspect: f64) -> Self {
+        let (centre, half) = if min.cmple(max).all() && min.is_finite() && max.is_finite() {
+            ((min + max) * 0.5, (max - min) * 0.5)
+        } else {
+            (DVec3::ZERO, DVec3::ONE)
+        };
+        // A point is seen from a distance at which f32 rays still tell it from its surroundings.
+        let half =
+            half.max(DVec3::splat((half.max_element() * 1e-3).max(centre.abs().max_element() * 1e-5).max(1e-12)));
+        let up_direction = up.direction();
+        // For y up the front is +z, as in most scans; for z up it is −y, as in most CAD models.
+        let front = match up {
+            UpAxis::Y => DVec3::Z,
+            UpAxis::Z => -DVec3::Y,
+            UpAxis::X => DVec3::Z,
+        };
+        let side = up_direction.cross(front);
+        let towards_eye = (front + side * 0.35 + up_direction * 0.25).normalize();
+        let right = up_direction.cross(towards_eye).normalize();
+        let top = towards_eye.cross(right);
+        let tan_y = (FOV_Y * 0.5).tan();
+        let distance = (0..8)
+            .map(|corner| {
+                let sign = |bit: u32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
+                let offset = half * DVec3::new(sign(0), sign(1), sign(2));
+                let across = (offset.dot(right).abs() / aspect).max(offset.dot(top).abs());
+                across / tan_y + offset.dot(towards_eye)
+            })
+            .fold(0.0, f64::max);
+        Self::look_at(centre + towards_eye * (distance * 1.04), centre, up_direction, FOV_Y, aspect)
+            .unwrap_or_else(|_| Self::beyond_f32(aspect))
+    }
+
+    /// Where a box lies so far out that no ray reaches it in `f32`, nothing can be seen from anywhere.
+    fn beyond_f32(aspect: f64) -> Self {
+        let half_height = (FOV_Y * 0.5).tan();
+        let u = DVec3::X * (2.0 * half_height * aspect);
+        let v = DVec3::Y * (2.0 * half_height);
+        Self { eye: DVec3::Z, ll: (u + v) * -0.5, u, v }
+    }
+
+    /// Turns around `pivot`: `yaw` about the up axis, `pitch` about the camera's right, both in radians.
+    ///
+    /// Positive angles carry the eye to the right and upwards. The view never passes the poles.
+    #[must_use]
+    pub fn orbit(&self, pivot: DVec3, up: UpAxis, yaw: f64, pitch: f64) -> Self {
+        let up = up.direction();
+        let right = self.u.normalize();
+        let backward = self.backward();
+        let elevation = backward.dot(up).clamp(-1.0, 1.0).asin();
+        let highest = std::f64::consts::FRAC_PI_2 - POLE_MARGIN;
+        // A camera that is already beyond the margin (from a file, or after a change of axis) may stay there.
+        let (lowest, highest) = ((-highest).min(elevation), highest.max(elevation));
+        let pitch = (elevation + pitch).clamp(lowest, highest) - elevation;
+        let turn = DQuat::from_axis_angle(up, yaw) * DQuat::from_axis_angle(right, -pitch);
+        self.rotated(pivot, turn)
+    }
+
+    /// Looks around from where the eye is: `yaw` about the up axis, `pitch` about the camera's right, in radians.
+    #[must_use]
+    pub fn look_around(&self, up: UpAxis, yaw: f64, pitch: f64) -> Self {
+        self.orbit(self.eye, up, yaw, pitch)
+    }
+
+    /// Moves sideways so that a point at `distance` from the eye follows the cursor: `right` and `up` are fractions of
+    /// the view plane's width and height.
+    #[must_use]
+    pub fn pan(&self, distance: f64, right: f64, up: f64) -> Self {
+        let scale = distance / self.plane_distance();
+        self.moved(-(self.u * right + self.v * up) * scale)
+    }
+
+    /// Moves the eye towards `point` until its distance is `factor` times what it was: below 1 is nearer.
+    #[must_use]
+    pub fn dolly(&self, point: DVec3, factor: f64) -> Self {
+        self.moved((self.eye - point) * (factor - 1.0))
+    }
+
+    /// Moves by distances in world units along the camera's own right, up and forward.
+    #[must_use]
+    pub fn fly(&self, right: f64, up: f64, forward: f64) -> Self {
+        self.moved(self.u.normalize() * right + self.v.normalize() * up - self.backward() * forward)
+    }
+
+    /// Makes `up` point upwards in the picture, keeping eye and target.
+    #[must_use]
+    pub fn upright(&self, up: UpAxis) -> Self {
+        let height = self.v.length();
+        let fov_y = 2.0 * (height * 0.5 / (self.target() - self.eye).length()).atan();
+        Self::look_at(self.eye, self.target(), up.direction(), fov_y, self.u.length() / height).unwrap_or(*self)
+    }
+
+    /// The same view on a canvas of another aspect, its height unchanged.
+    #[must_use]
+    pub fn with_aspect(&self, aspect: f64) -> Self {
+        let u = self.u * (aspect * self.v.length() / self.u.length());
+        Self::new(self.eye, self.ll + (self.u - u) * 0.5, u, self.v).unwrap_or(*self)
+    }
+
+    /// The unit vector from the view plane to the eye, perpendicular to the plane.
+    fn backward(&self) -> DVec3 {
+        let normal = self.u.cross(self.v).normalize();
+        if normal.dot(self.eye - self.ll) < 0.0 { -normal } else { normal }
+    }
+
+    /// How far the eye is from the view plane.
+    fn plane_distance(&self) -> f64 {
+        (self.eye - self.ll).dot(self.backward())
+    }
+
+    fn moved(&self, by: DVec3) -> Self {
+        Self::new(self.eye + by, self.ll + by, self.u, self.v).unwrap_or(*self)
+    }
+
+    fn rotated(&self, pivot: DVec3, turn: DQuat) -> Self {
+        let about = |point: DVec3| pivot + turn * (point - pivot);
+        Self::new(about(self.eye), about(self.ll), turn * self.u, turn * self.v).unwrap_or(*self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    /// Where a point appears on the view plane, (0, 0) lower left to (1, 1) upper right.
+    fn project(camera: &Camera, point: DVec3) -> (f64, f64) {
+        let (u, v) = (camera.u(), camera.v());
+        let normal = u.cross(v);
+        let ray = point - camera.eye();
+        let on_plane = camera.eye() + ray * ((camera.ll() - camera.eye()).dot(normal) / ray.dot(normal)) - camera.ll();
+        (on_plane.dot(u) / u.length_squared(), on_plane.dot(v) / v.length_squared())
+    }
+
+    fn front() -> Camera {
+        Camera::view_all(DVec3::splat(-1.0), DVec3::splat(1.0), UpAxis::Y, 16.0 / 9.0)
+    }
+
+    #[test]
+    fn view_all_sees_every_corner_and_fills_the_canvas() {
+        let boxes = [(DVec3::ZERO, DVec3::ONE), (DVec3::new(5e5, 0.0, -3.0), DVec3::new(5e5 + 1.0, 20.0, 1.0))];
+        for ((min, max), up) in boxes.into_iter().flat_map(|b| UpAxis::ALL.map(|up| (b, up))) {
+            let camera = Camera::view_all(min, max, up, 16.0 / 9.0);
+            let mut largest: f64 = 0.0;
+            for corner in 0..8 {
+                let pick = |bit: usize| if corner >> bit & 1 == 0 { min[bit] } else { max[bit] };
+                let (x, y) = project(&camera, DVec3::new(pick(0), pick(1), pick(2)));
+                assert!((0.0..=1.0).contains(&x) && (0.0..=1.0).contains(&y), "{x} {y}");
+                largest = largest.max((x - 0.5).abs()).max((y - 0.5).abs());
+            }
+            // A long box seen end on is nearer at one end, so it cannot fill the canvas about its centre.
+            assert!(largest > 0.25, "the box fills only {largest} of the half canvas");
+        }
+    }
+
+    #[test]
+    fn view_all_survives_boxes_without_extent() {
+        for (min, max) in [
+            (DVec3::INFINITY, DVec3::NEG_INFINITY),
+            (DVec3::ONE, DVec3::ONE),
+            (DVec3::splat(1e17), DVec3::splat(1e17)),
+            (DVec3::splat(-1e18), DVec3::splat(1e18)),
+            (DVec3::ZERO, DVec3::X),
+        ] {
+            let camera = Camera::view_all(min, max, UpAxis::Z, 1.0);
+            assert!(camera.u().length() > 0.0);
+        }
+    }
+
+    #[test]
+    fn orbiting_right_shows_the_right_side() {
+        let camera = front().orbit(DVec3::ZERO, UpAxis::Y, 0.3, 0.0);
+        assert!(camera.eye().dot(front().u()) > front().eye().dot(front().u()));
+    }
+
+    #[test]
+    fn a_full_turn_comes_back() {
+        let mut camera = front();
+        for _ in 0..360 {
+            camera = camera.orbit(DVec3::ZERO, UpAxis::Y, 1f64.to_radians(), 0.0);
+        }
+        assert!((camera.eye() - front().eye()).length() < 1e-9);
+    }
+
+    #[test]
+    fn orbiting_up_stops_before_the_pole() {
+        let mut camera = front();
+        for _ in 0..100 {
+            camera = camera.orbit(DVec3::ZERO, UpAxis::Y, 0.0, 0.1);
+        }
+        let elevation = camera.eye().normalize().dot(DVec3::Y).asin();
+        assert!((elevation - (std::f64::consts::FRAC_PI_2 - POLE_MARGIN)).abs() < 1e-6, "{elevation}");
+    }
+
+    #[test]
+    fn a_panned_point_follows_the_cursor() {
+        let camera = front();
+        let before = project(&camera, DVec3::ZERO);
+        let after = project(&camera.pan(camera.plane_distance(), 0.1, 0.2), DVec3::ZERO);
+        assert!((after.0 - before.0 - 0.1).abs() < 1e-12 && (after.1 - before.1 - 0.2).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_dolly_keeps_its_point_in_place_on_the_canvas() {
+        let point = DVec3::new(0.5, 0.25, 0.0);
+        let (before, after) = (project(&front(), point), project(&front().dolly(point, 0.5), point));
+        assert!((after.0 - before.0).abs() < 1e-12 && (after.1 - before.1).abs() < 1e-12);
+    }
+
+    proptest! {
+        #[test]
+        fn no_motion_makes_a_degenerate_camera(
+            steps in proptest::collection::vec((0..6u8, -1e3..1e3f64, -1e3..1e3f64), 1..40),
+        ) {
+            let mut camera = front();
+            for (kind, a, b) in steps {
+                camera = match kind {
+                    0 => camera.orbit(DVec3::ZERO, UpAxis::Z, a, b),
+                    1 => camera.pan(a, b, a),
+                    2 => camera.dolly(DVec3::ZERO, a.abs()),
+                    3 => camera.fly(a, b, 1e17 * a),
+                    4 => camera.upright(UpAxis::X),
+                    _ => camera.with_aspect(a),
+                };
+                prop_assert!(Camera::new(camera.eye(), camera.ll(), camera.u(), camera.v()).is_ok());
+            }
+        }
+    }
+}
