@@ -3,4 +3,11 @@
 //! In reading order: [`mesh`] is what is traced; [`ply`] reads one, [`statue`] makes one, [`scene`] names and loads one.
 
 pub mod cli;
+mod exact;
+pub mod grid;
+pub mod image;
 pub mod mesh;
+pub mod ray;
+pub mod shade;
+pub mod tracer;
+pub mod triangle;

@@ -1,0 +1,92 @@
+//! The paper's multi-level grid: cells over the scene's bounds, and macrocells that skip what is empty.
+//!
+//! Cells are nested: a dense array of bricks, each a tree of nodes of 4×4×4 children with one bit per child.
+//! A node's mask of occupied children is a macrocell's bit array, so the masks are the macrocell levels.
+//! The finest level has the paper's resolution; a node that holds next to nothing is not divided that far, and one that
+//! holds too much is divided further, so that a detailed object in a large plain scene costs no more than one alone.
+//!
+//! In reading order: [`resolution`] says how many cells; [`overlap`] which cells a triangle touches; [`build`] makes
+//! the grid; [`walk`] follows single rays through it.
+
+mod build;
+mod overlap;
+mod resolution;
+mod walk;
+
+use resolution::CellSpace;
+
+/// Levels of nodes from a brick down to the cells of the paper's resolution: a brick has 16×16×16 of them.
+const NOMINAL_LEVELS: u32 = 2;
+
+/// Levels of nodes in a brick at most. Integer coordinates count cells of the deepest level.
+const LEVELS: u32 = 5;
+
+/// Finest cells along a brick.
+const BRICK_SIZE: u32 = 1 << (2 * LEVELS);
+
+/// What a grid is built like.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GridOptions {
+    /// The paper's ρ: cells per triangle.
+    pub density: f64,
+}
+
+impl GridOptions {
+    /// The densities that can be asked for.
+    pub const DENSITIES: std::ops::RangeInclusive<f64> = 1.0 / 64.0..=4096.0;
+}
+
+impl Default for GridOptions {
+    fn default() -> Self {
+        Self { density: 32.0 }
+    }
+}
+
+/// A grid over the triangles of one mesh.
+///
+/// Invariant: every point of a triangle lies in cells that list it, by a margin of [`overlap::DILATION`] around each
+/// cell; [`walk`] relies on it for rays that pass exactly between cells.
+#[derive(Debug)]
+pub struct Grid {
+    space: CellSpace,
+    /// Bricks per axis.
+    dims: [u32; 3],
+    /// For each brick, x fastest: [`Grid::EMPTY`], or a leaf with [`Grid::LEAF`] set, or a node.
+    bricks: Vec<u32>,
+    nodes: Vec<Node>,
+    /// Where each leaf's references begin; one more at the end.
+    leaf_starts: Vec<u32>,
+    /// Triangles by their number in the mesh, leaf after leaf, ascending within one.
+    references: Vec<u32>,
+}
+
+/// A cube of 4×4×4 children, child (x, y, z) at bit 16·z + 4·y + x.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Node {
+    /// Children with triangles in them.
+    occupied: u64,
+    /// Those of them that are nodes again; the others are leaves.
+    divided: u64,
+    /// The first divided child; the others follow in the order of their bits.
+    first_node: u32,
+    /// The first leaf; the others follow likewise.
+    first_leaf: u32,
+}
+
+impl Grid {
+    const EMPTY: u32 = u32::MAX;
+    const LEAF: u32 = 1 << 31;
+
+    /// Bytes of the structure, the mesh not counted.
+    pub fn n_bytes(&self) -> usize {
+        size_of_val(&*self.bricks)
+            + size_of_val(&*self.nodes)
+            + size_of_val(&*self.leaf_starts)
+            + size_of_val(&*self.references)
+    }
+
+    /// How many cells hold triangles, and how many references to triangles they hold in all.
+    pub fn n_leaves_and_references(&self) -> (usize, usize) {
+        (self.leaf_starts.len() - 1, self.references.len())
+    }
+}

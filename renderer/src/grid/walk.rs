@@ -1,0 +1,160 @@
+//! Single rays through the grid.
+//!
+//! After Amanatides and Woo, "A Fast Voxel Traversal Algorithm for Ray Tracing" (1987), with steps as large as the
+//! largest empty cube around the ray's point. Everything is computed in `f64` from the ray itself, never accumulated,
+//! so that rounding stays far below the margin by which cells are enlarged.
+
+use glam::DVec3;
+
+use super::{BRICK_SIZE, Grid, LEVELS, overlap};
+use crate::{
+    mesh::Mesh,
+    ray::{Hit, Ray},
+    triangle,
+};
+
+/// The nearest hit so far, with its t still in `f64`.
+#[derive(Clone, Copy)]
+struct Nearest {
+    triangle: u32,
+    t: f64,
+}
+
+impl Grid {
+    /// The nearest triangle along a ray; of several at the same t the first in the file.
+    pub fn intersect(&self, mesh: &Mesh, ray: &Ray) -> Hit {
+        let mut nearest = Nearest { triangle: u32::MAX, t: f64::INFINITY };
+        self.walk(ray, |references, t_exit| {
+            for &triangle in references {
+                let Some(t) = mesh.corners(triangle as usize).and_then(|corners| triangle::intersect(ray, &corners))
+                else {
+                    continue;
+                };
+                if t < nearest.t || (t == nearest.t && triangle < nearest.triangle) {
+                    nearest = Nearest { triangle, t };
+                }
+            }
+            nearest.t <= t_exit
+        });
+        if nearest.triangle == u32::MAX { Hit::MISS } else { Hit { triangle: nearest.triangle, t: nearest.t as f32 } }
+    }
+
+    /// Whether a ray hits any triangle.
+    pub fn occluded(&self, mesh: &Mesh, ray: &Ray) -> bool {
+        let mut occluded = false;
+        self.walk(ray, |references, _| {
+            occluded = references.iter().any(|&triangle| {
+                mesh.corners(triangle as usize).is_some_and(|corners| triangle::intersect(ray, &corners).is_some())
+            });
+            occluded
+        });
+        occluded
+    }
+
+    /// Calls `visit` with the triangles of each leaf along the ray, nearest leaf first, and the t at which the ray
+    /// leaves it, until `visit` returns true.
+    fn walk(&self, ray: &Ray, mut visit: impl FnMut(&[u32], f64) -> bool) {
+        let origin = self.space.point(ray.origin.as_dvec3()).to_array();
+        let direction = self.space.direction(ray.direction.as_dvec3()).to_array();
+        let dims = self.dims.map(|n| (n * BRICK_SIZE) as i32);
+        if !origin.iter().chain(&direction).all(|x| x.is_finite()) || direction == [0.0; 3] {
+            return;
+        }
+        if DVec3::from_array(origin).abs().max_element() > FARTHEST_ORIGIN {
+            visit(&self.references, f64::INFINITY);
+            return;
+        }
+        let inverse = direction.map(|d| 1.0 / d);
+
+        let (mut t_enter, mut t_end) = (f64::from(ray.t_min), f64::from(ray.t_max));
+        for axis in 0..3 {
+            let (low, high) =
+                (-overlap::DILATION - origin[axis], f64::from(dims[axis]) + overlap::DILATION - origin[axis]);
+            if direction[axis] == 0.0 {
+                if low > 0.0 || high < 0.0 {
+                    return;
+                }
+            } else {
+                let (a, b) = (low * inverse[axis], high * inverse[axis]);
+                t_enter = t_enter.max(a.min(b));
+                t_end = t_end.min(a.max(b));
+            }
+        }
+        if t_enter > t_end {
+            return;
+        }
+
+        let at = |t: f64, axis: usize| (origin[axis] + t * direction[axis]).floor() as i32;
+        let mut cell = [0, 1, 2].map(|axis| at(t_enter, axis).clamp(0, dims[axis] - 1));
+        loop {
+            let (references, shift) = self.locate(cell);
+            // The cube around the cell that has the same content, and where the ray leaves it.
+            let low = cell.map(|x| x >> shift << shift);
+            let size = 1 << shift;
+            let (mut t_exit, mut exit_axis) = (f64::INFINITY, 3);
+            for axis in 0..3 {
+                let plane = if direction[axis] > 0.0 { low[axis] + size } else { low[axis] };
+                let t = (f64::from(plane) - origin[axis]) * inverse[axis];
+                if direction[axis] != 0.0 && t < t_exit {
+                    (t_exit, exit_axis) = (t, axis);
+                }
+            }
+            if references.is_some_and(|references| visit(references, t_exit)) || exit_axis == 3 || t_exit > t_end {
+                return;
+            }
+            // The axis of exit always steps, and no axis steps back, so the walk ends whatever rounding does.
+            for axis in 0..3 {
+                let forward = direction[axis] > 0.0;
+                cell[axis] = if axis == exit_axis {
+                    if forward { low[axis] + size } else { low[axis] - 1 }
+                } else if direction[axis] == 0.0 {
+                    cell[axis]
+                } else {
+                    let inside = at(t_exit, axis).clamp(low[axis], low[axis] + size - 1);
+                    if forward { inside.max(cell[axis]) } else { inside.min(cell[axis]) }
+                };
+            }
+            if !(0..dims[exit_axis]).contains(&cell[exit_axis]) {
+                return;
+            }
+        }
+    }
+
+    /// The leaf around a finest cell, if there is one, and the size (log₂ in finest cells) of the cube around the cell
+    /// in which that holds.
+    #[inline]
+    fn locate(&self, cell: [i32; 3]) -> (Option<&[u32]>, u32) {
+        let cell = cell.map(|x| x as u32);
+        let mut shift = 2 * LEVELS;
+        let [x, y, z] = cell.map(|x| (x >> shift) as usize);
+        let brick = self.bricks[(z * self.dims[1] as usize + y) * self.dims[0] as usize + x];
+        if brick == Self::EMPTY {
+            return (None, shift);
+        }
+        if brick & Self::LEAF != 0 {
+            return (Some(self.leaf(brick & !Self::LEAF)), shift);
+        }
+        let mut node = &self.nodes[brick as usize];
+        loop {
+            shift -= 2;
+            let child = overlap::child(cell.map(|x| x >> shift & 3));
+            if node.occupied >> child & 1 == 0 {
+                return (None, shift);
+            }
+            let before = (1 << child) - 1;
+            if node.divided >> child & 1 == 0 {
+                let leaf = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
+                return (Some(self.leaf(leaf)), shift);
+            }
+            node = &self.nodes[(node.first_node + (node.divided & before).count_ones()) as usize];
+        }
+    }
+
+    fn leaf(&self, leaf: u32) -> &[u32] {
+        let leaf = leaf as usize;
+        &self.references[self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize]
+    }
+}
+
+/// Beyond this, in finest cells, rounding could exceed the margin around cells; every triangle is tested then.
+const FARTHEST_ORIGIN: f64 = (1u64 << 34) as f64;

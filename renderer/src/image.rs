@@ -1,0 +1,72 @@
+//! Writes pictures as PNG.
+
+use std::{
+    fs::File,
+    io::{self, BufWriter, Write},
+    path::Path,
+};
+
+use shared::division::FrameSize;
+
+/// Writes an RGB8 picture, sRGB-encoded, bottom row first as frames are.
+///
+/// The file appears only when it is whole.
+pub fn write_png(path: &Path, size: FrameSize, rgb: &[u8]) -> io::Result<()> {
+    write_whole(path, |out| {
+        let mut encoder = png::Encoder::new(out, size.xres(), size.yres());
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+        let mut writer = encoder.write_header()?;
+        let rows: Vec<u8> = rgb.rchunks_exact(3 * size.xres() as usize).flatten().copied().collect();
+        writer.write_image_data(&rows)?;
+        Ok(writer.finish()?)
+    })
+}
+
+/// Writes a file beside its place, and puts it there when it is whole.
+pub fn write_whole(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    let mut beside = path.as_os_str().to_owned();
+    beside.push(format!(".{}.part", std::process::id()));
+    let beside = Path::new(&beside);
+    let written = File::create(beside).and_then(|file| {
+        let mut out = BufWriter::new(file);
+        write(&mut out)?;
+        out.flush()
+    });
+    let placed = written.and_then(|()| std::fs::rename(beside, path));
+    if placed.is_err() {
+        // The first error is what matters; the remains may not even exist.
+        let _ = std::fs::remove_file(beside);
+    }
+    placed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_bottom_row_is_the_last_in_the_file() {
+        let path = std::env::temp_dir().join(format!("rows-{}.png", std::process::id()));
+        let size = FrameSize::new(2, 2).unwrap();
+        let bottom_first = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12];
+        write_png(&path, size, &bottom_first).unwrap();
+        let mut reader = png::Decoder::new(io::BufReader::new(File::open(&path).unwrap())).read_info().unwrap();
+        let mut pixels = [0; 12];
+        reader.next_frame(&mut pixels).unwrap();
+        assert_eq!(pixels, [7, 8, 9, 10, 11, 12, 1, 2, 3, 4, 5, 6]);
+        std::fs::remove_file(path).unwrap();
+    }
+
+    #[test]
+    fn what_cannot_be_written_leaves_nothing_behind() {
+        let folder = std::env::temp_dir();
+        let path = folder.join(format!("half-{}.png", std::process::id()));
+        write_whole(&path, |_| Err(io::Error::other("disk full"))).unwrap_err();
+        let left = std::fs::read_dir(folder).unwrap().flatten();
+        let name = format!("half-{}", std::process::id());
+        assert!(!left.map(|entry| entry.file_name()).any(|file| file.to_string_lossy().starts_with(&name)));
+        assert!(write_png(Path::new("/no/such/folder/a.png"), FrameSize::PAPER, &[]).is_err());
+    }
+}

@@ -1,0 +1,134 @@
+//! From hits to light: what the samples look like.
+//!
+//! Only + − × ÷ √ are used, in a fixed order, so that every machine computes the same bits.
+
+use glam::Vec3;
+use shared::{camera::Camera, division::FrameSize, protocol::View, srgb};
+
+use crate::{mesh::Mesh, ray::Hit};
+
+/// Lights a mesh as seen by one camera: a light at the eye shows form, a sky above it shows which way is up.
+pub struct Shader<'a> {
+    mesh: &'a Mesh,
+    view: View,
+    /// The camera's up, of unit length, in world space.
+    up: Vec3,
+    /// A direction from above the eye's left shoulder, of unit length, in world space.
+    key: Vec3,
+    n_rows: f32,
+}
+
+/// Linear light of surfaces without colours of their own: unglazed clay.
+const CLAY: Vec3 = Vec3::new(0.62, 0.58, 0.53);
+
+/// Linear light of the background, at the bottom and at the top.
+const BACKGROUND: [Vec3; 2] = [Vec3::new(0.055, 0.058, 0.066), Vec3::new(0.011, 0.014, 0.021)];
+
+/// Light from the eye, from the key light, from the sky and from the ground.
+const EYE_LIGHT: Vec3 = Vec3::new(0.36, 0.36, 0.36);
+const KEY_LIGHT: Vec3 = Vec3::new(0.60, 0.57, 0.52);
+const SKY_LIGHT: Vec3 = Vec3::new(0.34, 0.38, 0.44);
+const GROUND_LIGHT: Vec3 = Vec3::new(0.12, 0.10, 0.085);
+
+impl<'a> Shader<'a> {
+    /// Makes ready for one frame.
+    pub fn new(mesh: &'a Mesh, camera: &Camera, size: FrameSize, view: View) -> Self {
+        let [right, up] = [camera.u(), camera.v()].map(|edge| unit(edge.normalize().as_vec3()));
+        let towards_eye = unit(right.cross(up));
+        Self { mesh, view, up, key: unit(towards_eye + up * 0.9 - right * 0.7), n_rows: size.yres() as f32 }
+    }
+
+    /// The linear light that one ray brings back. `row` counts from the bottom, in samples.
+    #[inline]
+    pub fn light(&self, direction: Vec3, hit: Hit, row: f32) -> Vec3 {
+        if hit.is_miss() {
+            let height = row / self.n_rows;
+            return BACKGROUND[0] * (1.0 - height) + BACKGROUND[1] * height;
+        }
+        let triangle = hit.triangle as usize;
+        let Some([a, b, c]) = self.mesh.corners(triangle).map(|corners| corners.map(Vec3::from_array)) else {
+            return Vec3::ZERO;
+        };
+        let normal = unit((b - a).cross(c - a));
+        // Scans are seen from both sides: the normal is turned towards the ray's origin.
+        let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
+        match self.view {
+            View::Normals => (normal + 1.0) * 0.5,
+            View::Shaded => {
+                let eye = normal.dot(-unit(direction)).max(0.0);
+                let key = normal.dot(self.key).max(0.0);
+                let sky = 0.5 + 0.5 * normal.dot(self.up);
+                let light = EYE_LIGHT * eye + KEY_LIGHT * key + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
+                self.albedo(triangle) * light
+            }
+        }
+    }
+
+    /// The mean of the corners' colours.
+    fn albedo(&self, triangle: usize) -> Vec3 {
+        if self.mesh.colors.is_empty() {
+            return CLAY;
+        }
+        let colour = |vertex: u32| Vec3::from_array(self.mesh.colors[vertex as usize].map(srgb::decode));
+        let [a, b, c] = self.mesh.triangles[triangle].map(colour);
+        (a + b + c) / 3.0
+    }
+}
+
+/// The vector of unit length, or zero. Scaled first, so that squares neither overflow nor vanish.
+fn unit(v: Vec3) -> Vec3 {
+    let largest = v.abs().max_element();
+    if largest == 0.0 || !largest.is_finite() {
+        return Vec3::ZERO;
+    }
+    let v = v / largest;
+    v / v.length()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+
+    fn shader(mesh: &Mesh, view: View) -> Shader<'_> {
+        let camera = Camera::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap();
+        Shader::new(mesh, &camera, FrameSize::PAPER, view)
+    }
+
+    fn facing_mesh() -> Mesh {
+        Mesh {
+            vertices: vec![[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]],
+            triangles: vec![[0, 1, 2], [2, 1, 0]],
+            ..Mesh::default()
+        }
+    }
+
+    #[test]
+    fn both_sides_look_alike() {
+        let mesh = facing_mesh();
+        for view in View::ALL {
+            let shader = shader(&mesh, view);
+            let [front, back] = [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, 0.0));
+            assert_eq!(front, back);
+        }
+        let normals = shader(&mesh, View::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0);
+        assert_eq!(normals, Vec3::new(0.5, 0.5, 1.0));
+    }
+
+    #[test]
+    fn vertex_colours_tint_the_light() {
+        let red = Mesh { colors: vec![[255, 0, 0]; 3], ..facing_mesh() };
+        let light = shader(&red, View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0);
+        assert!(light.x > 0.5 && light.y == 0.0 && light.z == 0.0, "{light}");
+    }
+
+    #[test]
+    fn triangles_of_any_size_have_light() {
+        for scale in [1e-18f32, 1e-6, 1.0, 1e6, 1e18] {
+            let mut mesh = facing_mesh();
+            mesh.vertices.iter_mut().flatten().for_each(|x| *x *= scale);
+            let light = shader(&mesh, View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0);
+            assert!(light.is_finite() && light.min_element() > 0.1, "{scale}: {light}");
+        }
+    }
+}

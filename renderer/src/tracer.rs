@@ -1,0 +1,219 @@
+//! Traces and shades a share of a frame.
+
+use std::ops::Range;
+
+use glam::Vec3;
+use rayon::prelude::*;
+use shared::{
+    camera::{Camera, CameraRays},
+    division::{FrameSize, Share},
+    protocol::{SampleRange, View},
+    srgb,
+};
+
+use crate::{
+    grid::{Grid, GridOptions},
+    mesh::Mesh,
+    ray::{Hit, Ray},
+    shade::Shader,
+};
+
+/// A mesh with its grid: all that rays need.
+pub struct Scene {
+    mesh: Mesh,
+    grid: Grid,
+}
+
+/// How a scene is made ready.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SceneOptions {
+    /// The grid's.
+    pub grid: GridOptions,
+}
+
+/// A picture of a scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameRequest {
+    /// From where.
+    pub camera: Camera,
+    /// At which resolution.
+    pub size: FrameSize,
+    /// What the samples show.
+    pub view: View,
+    /// Which samples of each pixel.
+    pub samples: SampleRange,
+}
+
+impl Scene {
+    /// Builds the grid, on the threads of the rayon pool that this is called in.
+    /// `progress` is told now and then what part is done, from 0 to 1, from any thread.
+    pub fn build(mesh: Mesh, options: &SceneOptions, progress: &(dyn Fn(f32) + Sync)) -> Self {
+        let grid = Grid::build(&mesh, &options.grid, progress);
+        Self { mesh, grid }
+    }
+
+    /// The mesh.
+    pub fn mesh(&self) -> &Mesh {
+        &self.mesh
+    }
+
+    /// The grid.
+    pub fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// The nearest triangle along a ray.
+    pub fn intersect(&self, ray: &Ray) -> Hit {
+        self.grid.intersect(&self.mesh, ray)
+    }
+
+    /// Whether a ray hits any triangle.
+    pub fn occluded(&self, ray: &Ray) -> bool {
+        self.grid.occluded(&self.mesh, ray)
+    }
+
+    /// Renders the share's units `units` (places in the share, not numbers in the frame), on the calling thread.
+    ///
+    /// Appends their samples to `rgb`, sRGB-encoded, in the order of [`Share::samples`]. The bits depend on nothing but
+    /// scene, request and sample, so several threads may render parts of one share.
+    pub fn render(&self, request: &FrameRequest, share: &Share<'_>, units: Range<u32>, rgb: &mut Vec<u8>) {
+        let rays = request.camera.rays(request.size);
+        let shader = Shader::new(&self.mesh, &request.camera, request.size, request.view);
+        for unit in units {
+            for (i, j) in share.samples(unit).iter() {
+                let light = self.mean_light(&rays, &shader, request.samples, i, j);
+                rgb.extend(light.to_array().map(srgb::encode));
+            }
+        }
+    }
+
+    /// [`Scene::render`] on all threads of the rayon pool that this is called in.
+    pub fn render_parallel(&self, request: &FrameRequest, share: &Share<'_>) -> Vec<u8> {
+        let parts: Vec<_> = unit_ranges(share, SAMPLES_PER_TASK)
+            .into_par_iter()
+            .map(|units| {
+                let mut rgb = Vec::new();
+                self.render(request, share, units, &mut rgb);
+                rgb
+            })
+            .collect();
+        parts.concat()
+    }
+
+    /// Traces the share's units `units` through the centres of their samples, on the calling thread; appends the hits in
+    /// the order of [`Share::samples`].
+    pub fn trace(&self, rays: &CameraRays, share: &Share<'_>, units: Range<u32>, hits: &mut Vec<Hit>) {
+        for unit in units {
+            let hit = |(i, j)| self.intersect(&Ray::new(rays.eye, rays.direction(i, j)));
+            hits.extend(share.samples(unit).iter().map(hit));
+        }
+    }
+
+    fn mean_light(&self, rays: &CameraRays, shader: &Shader<'_>, samples: SampleRange, i: u32, j: u32) -> Vec3 {
+        let mut sum = Vec3::ZERO;
+        for index in 0..samples.count {
+            let (x, y) = sample_point(i, j, samples.first.wrapping_add(index));
+            let direction = rays.direction_through(x, y);
+            let hit = self.intersect(&Ray::new(rays.eye, direction));
+            sum += shader.light(direction, hit, y);
+        }
+        sum / samples.count as f32
+    }
+}
+
+/// Samples of one task: enough that starting it costs nothing, few enough that threads end together.
+const SAMPLES_PER_TASK: u32 = 2048;
+
+/// Cuts a share into runs of units with about `n_samples` each.
+pub fn unit_ranges(share: &Share<'_>, n_samples: u32) -> Vec<Range<u32>> {
+    if share.count() == 0 {
+        return Vec::new();
+    }
+    let step = (n_samples / share.samples(0).count()).max(1);
+    (0..share.count()).step_by(step as usize).map(|first| first..(first + step).min(share.count())).collect()
+}
+
+/// Where sample number `sample` of pixel (i, j) pierces the view plane, in samples from its lower-left corner.
+///
+/// Sample 0 is the pixel's centre; the others follow the R₂ sequence (Roberts, "The Unreasonable Effectiveness of
+/// Quasirandom Sequences", 2018), shifted differently in each pixel, so that neighbours do not share a pattern.
+pub fn sample_point(i: u32, j: u32, sample: u32) -> (f32, f32) {
+    if sample == 0 {
+        return (i as f32 + 0.5, j as f32 + 0.5);
+    }
+    // 2³² over the plastic number and over its square.
+    let along = |step: u32, seed: u32| {
+        let place = hash(i ^ hash(j ^ seed)).wrapping_add(step.wrapping_mul(sample));
+        // 23 bits, so that neither the half step nor the product is rounded.
+        ((place >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0)
+    };
+    (i as f32 + along(3_242_174_889, 1), j as f32 + along(2_447_445_414, 2))
+}
+
+/// A mixing of bits: "lowbias32" of Wellons, "Prospecting for Hash Functions" (2018).
+fn hash(mut x: u32) -> u32 {
+    x = (x ^ x >> 16).wrapping_mul(0x7feb_352d);
+    x = (x ^ x >> 15).wrapping_mul(0x846c_a68b);
+    x ^ x >> 16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use shared::division::Division;
+
+    fn tetrahedron() -> Scene {
+        let mesh = Mesh {
+            vertices: vec![[-1.0, -1.0, -1.0], [1.0, 1.0, -1.0], [1.0, -1.0, 1.0], [-1.0, 1.0, 1.0]],
+            triangles: vec![[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]],
+            ..Mesh::default()
+        };
+        Scene::build(mesh, &SceneOptions::default(), &|_| ())
+    }
+
+    fn request(first: u32, count: u32) -> FrameRequest {
+        FrameRequest {
+            camera: Camera::look_at(DVec3::new(1.0, 2.0, 5.0), DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap(),
+            size: FrameSize::new(37, 21).unwrap(),
+            view: View::Shaded,
+            samples: SampleRange { first, count },
+        }
+    }
+
+    #[test]
+    fn the_samples_do_not_depend_on_the_division() {
+        let scene = tetrahedron();
+        let request = request(0, 3);
+        let mut frames = Vec::new();
+        for (division, machines) in [(Division::Tiled, 1), (Division::Tiled, 3), (Division::Interleaved, 5)] {
+            let mut frame = vec![0; 37 * 21 * 3];
+            for machine in 0..machines {
+                let work = division.work(machine, machines);
+                let share = work.share(request.size).unwrap();
+                let rgb = scene.render_parallel(&request, &share);
+                let places = (0..share.count()).flat_map(|unit| share.samples(unit).iter());
+                for ((i, j), color) in places.zip(rgb.chunks_exact(3)) {
+                    let at = (j * 37 + i) as usize * 3;
+                    frame[at..at + 3].copy_from_slice(color);
+                }
+            }
+            frames.push(frame);
+        }
+        assert!(frames.iter().all(|frame| frame == &frames[0]));
+        assert!(frames[0].chunks_exact(3).any(|color| color[0] > 100), "the model is seen");
+    }
+
+    #[test]
+    fn sample_points_fill_their_pixel() {
+        assert_eq!(sample_point(3, 4, 0), (3.5, 4.5));
+        let mut seen = [false; 16];
+        for sample in 1..=64 {
+            let (x, y) = sample_point(7, 1000, sample);
+            assert!((7.0..=8.0).contains(&x) && (1000.0..=1001.0).contains(&y), "{x} {y}");
+            seen[((x - 7.0) * 4.0) as usize % 4 * 4 + ((y - 1000.0) * 4.0) as usize % 4] = true;
+        }
+        assert_eq!(seen, [true; 16], "64 samples leave no sixteenth of a pixel empty");
+        assert_ne!(sample_point(7, 1, 1).0.fract(), sample_point(8, 1, 1).0.fract());
+    }
+}
