@@ -7,6 +7,7 @@ mod exact;
 pub mod grid;
 pub mod image;
 pub mod mesh;
+pub mod ply;
 pub mod ray;
 pub mod shade;
 pub mod tracer;

@@ -1,0 +1,110 @@
+//! What ply-rs fills row by row. Properties come named by their role: see [`super::header::Element::def`].
+
+use ply_rs::ply::{BeginList, Property, PropertyAccess, PropertyAccessResult};
+
+/// A row of which nothing is kept.
+pub(super) struct Skipped;
+
+impl PropertyAccess for Skipped {
+    fn new() -> Self {
+        Self
+    }
+}
+
+/// A row of `vertex`.
+pub(super) struct Vertex {
+    pub(super) position: [f32; 3],
+    pub(super) color: [u8; 3],
+}
+
+impl PropertyAccess for Vertex {
+    fn new() -> Self {
+        Self { position: [0.0; 3], color: [0; 3] }
+    }
+
+    fn set_float(&mut self, role: &str, value: f32) -> PropertyAccessResult {
+        match role {
+            "x" => self.position[0] = value,
+            "y" => self.position[1] = value,
+            "z" => self.position[2] = value,
+            _ => return self.set_property(role, Property::Float(value)),
+        }
+        PropertyAccessResult::Set
+    }
+
+    fn set_property(&mut self, role: &str, value: Property) -> PropertyAccessResult {
+        let (coordinate, color) = match value {
+            Property::Char(v) => (f32::from(v), v.max(0).unsigned_abs()),
+            Property::UChar(v) => (f32::from(v), v),
+            Property::Short(v) => (f32::from(v), v.clamp(0, 255) as u8),
+            Property::UShort(v) => (f32::from(v), ((u32::from(v) * 255 + 32767) / 65535) as u8),
+            Property::Int(v) => (v as f32, v.clamp(0, 255) as u8),
+            Property::UInt(v) => (v as f32, v.min(255) as u8),
+            // `as` saturates, and takes NaN to 0.
+            Property::Float(v) => (v, (v * 255.0).round() as u8),
+            Property::Double(v) => (v as f32, (v * 255.0).round() as u8),
+            _ => return PropertyAccessResult::Ignored,
+        };
+        match role {
+            "x" => self.position[0] = coordinate,
+            "y" => self.position[1] = coordinate,
+            "z" => self.position[2] = coordinate,
+            "r" => self.color[0] = color,
+            "g" => self.color[1] = color,
+            "b" => self.color[2] = color,
+            _ => return PropertyAccessResult::Ignored,
+        }
+        PropertyAccessResult::Set
+    }
+}
+
+/// A row of `face` or `tristrips`.
+pub(super) struct Corners {
+    /// An index that is no `u32` is [`u32::MAX`], which no vertex has.
+    indices: Vec<u32>,
+}
+
+impl Corners {
+    pub(super) fn indices(&self) -> &[u32] {
+        &self.indices
+    }
+}
+
+impl PropertyAccess for Corners {
+    fn new() -> Self {
+        Self { indices: Vec::new() }
+    }
+
+    fn begin_list_uint(&mut self, role: &str, _len: usize) -> BeginList<'_, u32> {
+        if role == "i" { BeginList::Fill(&mut self.indices) } else { BeginList::UseSetter }
+    }
+
+    fn set_property(&mut self, role: &str, value: Property) -> PropertyAccessResult {
+        if role != "i" {
+            return PropertyAccessResult::Ignored;
+        }
+        self.indices = match value {
+            Property::ListChar(list) => indices(list, |v| v.try_into().ok()),
+            Property::ListUChar(list) => indices(list, |v| Some(v.into())),
+            Property::ListShort(list) => indices(list, |v| v.try_into().ok()),
+            Property::ListUShort(list) => indices(list, |v| Some(v.into())),
+            Property::ListInt(list) => indices(list, |v| v.try_into().ok()),
+            Property::ListUInt(list) => list,
+            Property::ListFloat(list) => indices(list, |v| index_from_f64(v.into())),
+            Property::ListDouble(list) => indices(list, index_from_f64),
+            _ => return PropertyAccessResult::Ignored,
+        };
+        PropertyAccessResult::Set
+    }
+}
+
+/// The index that a number with a point stands for, if it does.
+pub(super) fn index_from_f64(value: f64) -> Option<u32> {
+    let index = value as u32;
+    (f64::from(index) == value).then_some(index)
+}
+
+fn indices<T>(list: Vec<T>, index: impl Fn(T) -> Option<u32>) -> Vec<u32> {
+    // In place where `T` is as wide as `u32`.
+    list.into_iter().map(|value| index(value).unwrap_or(u32::MAX)).collect()
+}

@@ -1,0 +1,284 @@
+//! The reader against files written by hand.
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn parse(bytes: &[u8]) -> Result<Mesh, Problem> {
+    read_from(bytes, bytes.len() as u64)
+}
+
+/// Parses, or shows what the reader says of it.
+fn mesh(bytes: impl AsRef<[u8]>) -> Mesh {
+    parse(bytes.as_ref()).unwrap_or_else(|problem| panic!("{problem}"))
+}
+
+fn complaint(bytes: impl AsRef<[u8]>) -> String {
+    let text = parse(bytes.as_ref()).map(|mesh| panic!("read {mesh:?}")).unwrap_err().to_string();
+    assert!(!text.contains('\n'), "{text}");
+    text
+}
+
+const TRIANGLE: &str = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+    element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+
+const CORNERS: [[f32; 3]; 3] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+
+/// A number in each of PLY's scalar types, as bytes of one endianness.
+fn scalar(name: &str, value: i8, big: bool) -> Vec<u8> {
+    let mut bytes = match name {
+        "char" | "int8" | "uchar" | "uint8" => vec![value as u8],
+        "short" | "int16" | "ushort" | "uint16" => i16::from(value).to_le_bytes().to_vec(),
+        "int" | "int32" | "uint" | "uint32" => i32::from(value).to_le_bytes().to_vec(),
+        "float" | "float32" => f32::from(value).to_le_bytes().to_vec(),
+        "double" | "float64" => f64::from(value).to_le_bytes().to_vec(),
+        _ => unreachable!("{name}"),
+    };
+    if big {
+        bytes.reverse();
+    }
+    bytes
+}
+
+const SCALARS: [&str; 16] = [
+    "char", "int8", "uchar", "uint8", "short", "int16", "ushort", "uint16", "int", "int32", "uint", "uint32", "float",
+    "float32", "double", "float64",
+];
+
+#[test]
+fn ascii_triangle() {
+    let mesh = mesh(TRIANGLE);
+    assert_eq!((mesh.vertices, mesh.triangles, mesh.n_rejected), (CORNERS.to_vec(), vec![[0, 1, 2]], 0));
+    assert!(mesh.colors.is_empty());
+}
+
+#[test]
+fn every_scalar_type_is_read_in_every_encoding() {
+    for scalar_name in SCALARS {
+        for (format, big) in [("ascii", None), ("binary_little_endian", Some(false)), ("binary_big_endian", Some(true))]
+        {
+            let count_name =
+                if scalar_name.contains("float") || scalar_name == "double" { "uchar" } else { scalar_name };
+            let mut bytes = format!(
+                "ply\nformat {format} 1.0\nelement vertex 3\nproperty {scalar_name} x\nproperty {scalar_name} y\n\
+                 property {scalar_name} z\nelement face 1\nproperty list {count_name} {scalar_name} vertex_index\n\
+                 end_header\n"
+            )
+            .into_bytes();
+            for (name, values) in
+                [(scalar_name, &[0, 0, 0, 1, 0, 0, 0, 1, 0][..]), (count_name, &[3]), (scalar_name, &[2, 0, 1])]
+            {
+                for &value in values {
+                    match big {
+                        Some(big) => bytes.extend(scalar(name, value, big)),
+                        None => bytes.extend(format!("{value}\n").bytes()),
+                    }
+                }
+            }
+            let mesh = mesh(&bytes);
+            assert_eq!(mesh.vertices, CORNERS, "{format} {scalar_name}");
+            assert_eq!(mesh.triangles, [[2, 0, 1]], "{format} {scalar_name}");
+        }
+    }
+}
+
+#[test]
+fn colors_of_every_type_become_srgb_bytes() {
+    for (scalar, names, values, expected) in [
+        ("uchar", ["red", "green", "blue"], "7 128 255", [7, 128, 255]),
+        ("uchar", ["diffuse_red", "diffuse_green", "diffuse_blue"], "7 128 255", [7, 128, 255]),
+        ("ushort", ["red", "green", "blue"], "257 32896 65535", [1, 128, 255]),
+        ("int", ["red", "green", "blue"], "-3 128 300", [0, 128, 255]),
+        ("float", ["red", "green", "blue"], "0.0 0.5 1.0", [0, 128, 255]),
+        ("double", ["red", "green", "blue"], "nan 0.2 7", [0, 51, 255]),
+    ] {
+        let [red, green, blue] = names;
+        let text = format!(
+            "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
+             property {scalar} {red}\nproperty {scalar} {green}\nproperty {scalar} {blue}\nend_header\n0 0 0 {values}\n"
+        );
+        assert_eq!(mesh(text).colors, [expected], "{scalar}");
+    }
+}
+
+#[test]
+fn two_of_three_colors_are_no_color() {
+    let text = TRIANGLE.replace("property float z\n", "property float z\nproperty uchar red\nproperty uchar green\n");
+    assert!(mesh(text.replace("0 0\n", "0 0 9 9\n").replace("1 0\n", "1 0 9 9\n")).colors.is_empty());
+}
+
+#[test]
+fn polygons_are_fanned_in_order() {
+    let text = TRIANGLE.replace("vertex 3", "vertex 5").replace("face 1", "face 4");
+    let text = text.replace("3 0 1 2\n", "2 2 2\n3 3 3\n5 4 3 2 1 0\n2 0 1\n0\n4 0 1 2 3\n");
+    assert_eq!(mesh(text).triangles, [[4, 3, 2], [4, 2, 1], [4, 1, 0], [0, 1, 2], [0, 2, 3]]);
+}
+
+#[test]
+fn strips_are_unrolled_facing_one_way() {
+    let text = TRIANGLE.replace("face 1", "tristrips 1").replace("vertex 3", "vertex 4");
+    let text = text.replace("3 0 1 2\n", "1 1 0\n9 0 1 2 3 -1 3 2 1 0\n");
+    let mesh = mesh(text);
+    assert_eq!(mesh.triangles, [[0, 1, 2], [2, 1, 3], [3, 2, 1], [1, 2, 0]]);
+    assert_eq!(mesh.n_rejected, 0);
+}
+
+#[test]
+fn faces_may_come_first() {
+    let text = "ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int vertex_indices\nelement vertex 3\n\
+        property float x\nproperty float y\nproperty float z\nend_header\n3 0 1 2\n0 0 0\n1 0 0\n0 1 0\n";
+    assert_eq!(mesh(text), mesh(TRIANGLE));
+}
+
+#[test]
+fn unknown_elements_and_properties_are_skipped() {
+    let text = "ply\nformat ascii 1.0\nelement camera 2\nproperty double f\nproperty list int float k\n\
+        element nothing 7\nelement vertex 3\nproperty list uchar uchar tags\nproperty float x\nproperty float odd[<1]\n\
+        property float y\nproperty float y\nproperty float z\nelement face 1\nproperty list uchar float texcoord\n\
+        property list uchar int vertex_indices\nproperty uchar red\nend_header\n0.5 0\n1e3 2 nan 8\n\
+        0 0 9 0 9 0\n1 7 1 9 0 9 0\n2 8 8 0 9 1 9 0\n0 3 0 1 2 200\n";
+    assert_eq!(mesh(text), mesh(TRIANGLE));
+}
+
+#[test]
+fn header_may_have_any_line_ends_indents_and_comments() {
+    let expected = mesh(TRIANGLE);
+    let commented = TRIANGLE.replace("element", "comment gr\u{fc}n 'end_header'\n\n obj_info x\n \telement ");
+    for text in [TRIANGLE.replace('\n', "\r\n"), TRIANGLE.replace('\n', "\r"), commented] {
+        assert_eq!(mesh(text), expected);
+    }
+    let mut latin1 = b"ply\ncomment \xfc\xff\n".to_vec();
+    latin1.extend(&TRIANGLE.as_bytes()[4..]);
+    assert_eq!(mesh(latin1), expected);
+}
+
+#[test]
+fn binary_begins_right_after_the_header_whatever_ends_its_lines() {
+    let text = "ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty char x\nproperty char y\n\
+        property char z\nend_header\n";
+    for line_end in ["\n", "\r\n", "\r"] {
+        let mut bytes = text.replace('\n', line_end).into_bytes();
+        bytes.extend(b"\n\r\n\r\n\r");
+        assert_eq!(mesh(bytes).vertices, [[10.0, 13.0, 10.0], [13.0, 10.0, 13.0]]);
+    }
+}
+
+#[test]
+fn ascii_rows_may_wrap_and_lines_may_hold_more() {
+    let text = TRIANGLE.replace("1 0 0\n", "\n  1\n0\t0 99 99\r\n").replace("3 0 1 2\n", "3\n0 1 2");
+    assert_eq!(mesh(text), mesh(TRIANGLE));
+}
+
+#[test]
+fn numbers_are_read_as_other_programs_write_them() {
+    let text = TRIANGLE.replace("0 0 0\n", ".0 0. -0e5\n").replace("1 0 0\n", "+1.E0 0 -.0\n");
+    assert_eq!(mesh(text.replace("3 0 1 2", "3.0 0.0 1.0 2")), mesh(TRIANGLE));
+}
+
+#[test]
+fn triangles_that_cannot_be_traced_keep_their_place() {
+    for bad in ["nan", "-nan", "inf", "-Infinity", "1e39", "-1.9e18", "1.#QNAN", "-1.#IND", "nan(ind)"] {
+        let text = TRIANGLE.replace("vertex 3", "vertex 4").replace("3 0 1 2\n", &format!("7 {bad} 7\n4 0 1 2 3\n"));
+        let mesh = mesh(text);
+        assert_eq!(mesh.triangles, [[0, 1, 2], Mesh::REJECTED], "{bad}");
+        assert_eq!(mesh.n_rejected, 1, "{bad}");
+    }
+    for bad in ["3", "-1", "4294967295", "4294967296", "1e30", "0.5", "nan"] {
+        let text =
+            TRIANGLE.replace("face 1", "face 3").replace("3 0 1 2\n", &format!("3 0 1 2\n3 0 {bad} 1\n3 2 1 0\n"));
+        let mesh = mesh(text);
+        assert_eq!(mesh.triangles, [[0, 1, 2], Mesh::REJECTED, [2, 1, 0]], "{bad}");
+        assert_eq!(mesh.n_rejected, 1, "{bad}");
+    }
+}
+
+#[test]
+fn files_without_faces_or_vertices_have_no_triangles() {
+    for text in [
+        "ply\nformat ascii 1.0\nend_header\n",
+        "ply\nformat ascii 1.0\nelement vertex 0\nelement face 0\nend_header",
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty int x\nproperty int y\nproperty int z\nend_header\n1 2 3",
+    ] {
+        assert!(mesh(text).triangles.is_empty());
+    }
+}
+
+#[test]
+fn complaints_say_what_and_where() {
+    let with = |from: &str, to: &str| complaint(TRIANGLE.replace(from, to));
+    for (text, expected) in [
+        (complaint(""), "is no PLY file: it does not begin with a line `ply`"),
+        (complaint("plywood\n"), "is no PLY file: it does not begin with a line `ply`"),
+        (complaint("ply\nformat ascii 1.0\n"), "ends inside its header: no line `end_header`"),
+        (complaint("ply\nend_header\n"), "its header is not understood: No format line found."),
+        (with("property float y", "property bool y"), "header line 5 is not understood: `property bool y`"),
+        (with("property float y", "remark y"), "header line 5 is not understood: `remark y`"),
+        (with("vertex 3", "vertex -3"), "header line 3 is not understood: `element vertex -3`"),
+        (
+            with("vertex 3", "vertex 18446744073709551617"),
+            "header line 3 is not understood: `element vertex 18446744073709551617`",
+        ),
+        (with("element face 1", "element vertex 1"), "declares element `vertex` twice"),
+        (with("property float y\n", ""), "its element `vertex` has no coordinate y"),
+        (with("vertex_indices", "vertices"), "its element `face` has no list vertex_indices"),
+        (with("list uchar int", "int"), "its element `face` has no list vertex_indices"),
+        (
+            with("vertex 3", "vertex 9999999"),
+            "is cut short, or its header is wrong: 9999999 rows of `vertex` need at least 59999994 bytes, 26 are left",
+        ),
+        (with("1 0 0", "1 O 0"), "row 1 of element `vertex`: `O` is no number"),
+        (with("3 0 1 2", "3 0 1"), "row 0 of element `face`: the file ends here"),
+        (with("3 0 1 2", "-3 0 1 2"), "row 0 of element `face`: `-3` is no length of a list"),
+    ] {
+        assert_eq!(text, expected);
+    }
+}
+
+#[test]
+fn headers_without_end_are_given_up() {
+    let mut endless = b"ply\ncomment ".to_vec();
+    endless.resize(3 << 20, b'x');
+    assert_eq!(complaint(endless), "has no line `end_header` in its first 1024 KB");
+}
+
+#[test]
+fn huge_claims_are_refused_at_once() {
+    let header = |count: &str, n: &str| {
+        format!(
+            "ply\nformat binary_big_endian 1.0\nelement empty {n}\nelement face 1\nproperty list {count} int vertex_indices\n\
+             end_header\n"
+        )
+    };
+    let mut bytes = header("int", "18446744073709551615").into_bytes();
+    bytes.extend((-1i32).to_be_bytes());
+    assert_eq!(complaint(&bytes), "row 0 of element `face`: List length cannot be negative (i32).");
+    let mut bytes = header("uint", "1").into_bytes();
+    bytes.extend(u32::MAX.to_be_bytes());
+    assert_eq!(complaint(&bytes), "row 0 of element `face`: the file ends here");
+}
+
+#[test]
+fn a_written_mesh_reads_back_the_same() {
+    let colored = Mesh {
+        vertices: CORNERS.to_vec(),
+        triangles: vec![[2, 1, 0], Mesh::REJECTED, [0, 1, 2]],
+        colors: vec![[1, 2, 3], [4, 5, 6], [7, 8, 9]],
+        n_rejected: 1,
+    };
+    for mesh in [Mesh { colors: Vec::new(), ..colored.clone() }, colored, Mesh::default()] {
+        let mut bytes = Vec::new();
+        write::write_to(&mut bytes, &mesh).unwrap();
+        assert_eq!(parse(&bytes).unwrap(), mesh);
+    }
+}
+
+proptest! {
+    #[test]
+    fn damaged_files_never_panic(at in 0..TRIANGLE.len(), byte: u8, cut in 0..TRIANGLE.len()) {
+        let mut bytes = TRIANGLE.as_bytes().to_vec();
+        bytes[at] = byte;
+        let _ = parse(&bytes);
+        bytes.truncate(cut);
+        let _ = parse(&bytes);
+    }
+}
