@@ -8,6 +8,7 @@ pub mod grid;
 pub mod image;
 pub mod mesh;
 pub mod ply;
+pub mod progress;
 pub mod ray;
 pub mod shade;
 pub mod tracer;

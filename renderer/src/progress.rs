@@ -1,0 +1,53 @@
+//! Progress of long work, shown on a terminal.
+
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// A bar on standard error that is gone when it is dropped; nothing where standard error is no terminal.
+pub struct Progress {
+    bar: ProgressBar,
+}
+
+impl Progress {
+    /// Begins to show `task`, as in "reading dragon.ply".
+    pub fn new(task: impl Into<String>) -> Self {
+        // indicatif draws on standard error, and only if that is a terminal.
+        let bar = ProgressBar::new(STEPS);
+        if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {percent:>3} %") {
+            bar.set_style(style);
+        }
+        bar.set_message(task.into());
+        bar.enable_steady_tick(Duration::from_millis(100));
+        Self { bar }
+    }
+
+    /// Shows how much is done, 0 to 1. May be called from any thread, as often as one likes.
+    pub fn set(&self, fraction: f32) {
+        self.bar.set_position((fraction * STEPS as f32) as u64);
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+const STEPS: u64 = 1000;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_fraction_can_be_shown_from_any_thread() {
+        let progress = Progress::new("testing");
+        std::thread::scope(|scope| {
+            let progress = &progress;
+            for fraction in [-1.0, 0.0, 0.5, 1.0, 2.0, f32::NAN] {
+                scope.spawn(move || progress.set(fraction));
+            }
+        });
+    }
+}
