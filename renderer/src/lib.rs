@@ -11,5 +11,6 @@ pub mod ply;
 pub mod progress;
 pub mod ray;
 pub mod shade;
+pub mod statue;
 pub mod tracer;
 pub mod triangle;
