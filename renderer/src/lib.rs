@@ -10,6 +10,7 @@ pub mod mesh;
 pub mod ply;
 pub mod progress;
 pub mod ray;
+pub mod scene;
 pub mod shade;
 pub mod statue;
 pub mod tracer;
