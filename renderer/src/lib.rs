@@ -4,6 +4,7 @@
 
 pub mod cli;
 mod exact;
+pub mod generate;
 pub mod grid;
 pub mod image;
 pub mod mesh;
