@@ -1,0 +1,44 @@
+//! The GPU's part: one texture of the frame's samples, shown by every projector of the wall.
+//!
+//! In reading order: [`context`] finds the GPU, [`frame_texture`] holds the frame, [`present`] draws it on a target,
+//! [`offscreen`] and [`surface`] are targets, [`timer`] measures, and [`present_cpu`] is the stage's twin for tests.
+
+pub mod context;
+pub mod frame_texture;
+pub mod offscreen;
+pub mod picture;
+pub mod present;
+pub mod present_cpu;
+pub mod surface;
+pub mod timer;
+
+pub use context::{Gpu, GpuError};
+pub use offscreen::Offscreen;
+pub use picture::Picture;
+pub use present::{Present, Target};
+pub use surface::WallSurface;
+
+#[cfg(test)]
+mod tests {
+    use naga::valid::{Capabilities, ValidationFlags, Validator};
+
+    #[test]
+    fn every_shader_is_valid() {
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../shaders");
+        let mut n_shaders = 0;
+        for entry in std::fs::read_dir(folder).expect(folder) {
+            let path = entry.expect(folder).path();
+            if path.extension().is_some_and(|extension| extension == "wgsl") {
+                n_shaders += 1;
+                let source = std::fs::read_to_string(&path).expect("a shader is UTF-8");
+                let module = naga::front::wgsl::parse_str(&source).unwrap_or_else(|error| {
+                    panic!("{}", error.emit_to_string_with_path(&source, &path.to_string_lossy()))
+                });
+                Validator::new(ValidationFlags::all(), Capabilities::default())
+                    .validate(&module)
+                    .unwrap_or_else(|error| panic!("{}: {}", path.display(), error.emit_to_string(&source)));
+            }
+        }
+        assert!(n_shaders > 0, "no shaders in {folder}");
+    }
+}

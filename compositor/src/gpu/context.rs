@@ -1,0 +1,211 @@
+//! Finds a GPU and keeps what goes wrong on it.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// An adapter, its device and its queue.
+pub struct Gpu {
+    /// Where resources are made.
+    pub device: wgpu::Device,
+    /// Where work is submitted.
+    pub queue: wgpu::Queue,
+    adapter: wgpu::Adapter,
+    problem: Arc<Mutex<Option<GpuError>>>,
+}
+
+/// Why the GPU cannot do what was asked.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum GpuError {
+    /// The machine has no usable driver.
+    #[error(
+        "no graphics driver found (Vulkan, Metal or Direct3D 12): without a graphics card a software driver will do, \
+         install mesa-vulkan-drivers (Debian, Fedora) or vulkan-swrast (Arch)"
+    )]
+    NoDriver,
+    /// There are drivers, but none can show pictures in this window.
+    #[error("none of the graphics drivers found can show pictures in this window: {0}")]
+    NoDriverForWindow(String),
+    /// `WGPU_ADAPTER_NAME` names something else.
+    #[error("WGPU_ADAPTER_NAME={wanted} matches none of the graphics adapters found: {found}")]
+    NoSuchAdapter {
+        /// The variable's value.
+        wanted: String,
+        /// The names of those found.
+        found: String,
+    },
+    /// The driver refuses.
+    #[error("the graphics driver gives no device: {0}")]
+    NoDevice(String),
+    /// A window system refuses.
+    #[error("the window takes no pictures: {0}")]
+    NoSurface(String),
+    /// A picture or a frame is larger than the GPU's textures.
+    #[error(
+        "{what} of {width}×{height} pixels is larger than the {limit} a side that {adapter} takes: make it smaller"
+    )]
+    TooLarge {
+        /// What it is.
+        what: &'static str,
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+        /// The longest side.
+        limit: u32,
+        /// The adapter's name.
+        adapter: String,
+    },
+    /// The bytes are not those of a frame of this size.
+    #[error("{n_bytes} bytes are no frame of {size} samples, 4 bytes each")]
+    NotAFrame {
+        /// How many there are.
+        n_bytes: usize,
+        /// What they should be.
+        size: shared::division::FrameSize,
+    },
+    /// The device went away, by a fault of the driver or by being unplugged.
+    #[error("the graphics device is lost: {0}: start again")]
+    Lost(String),
+    /// Memory ran out, or the driver or this program did something wrong.
+    #[error("the graphics device failed: {0}")]
+    Failed(String),
+}
+
+impl Gpu {
+    /// The connection to the system's drivers. `WGPU_BACKEND` chooses among Vulkan, Metal and Direct3D 12.
+    pub fn instance() -> wgpu::Instance {
+        wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env())
+    }
+
+    /// The best adapter, for work without a window.
+    ///
+    /// `WGPU_ADAPTER_NAME` chooses by a part of the name, `WGPU_POWER_PREF` (low, high) by power.
+    pub fn headless() -> Result<Self, GpuError> {
+        pollster::block_on(Self::open(&Self::instance(), None))
+    }
+
+    /// The best adapter that can show pictures in a window; chosen as in [`Gpu::headless`].
+    pub fn for_surface(instance: &wgpu::Instance, surface: &wgpu::Surface<'_>) -> Result<Self, GpuError> {
+        pollster::block_on(Self::open(instance, Some(surface)))
+    }
+
+    async fn open(instance: &wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self, GpuError> {
+        let adapter = choose_adapter(instance, surface).await?;
+        let offered = adapter.limits();
+        let required_limits = wgpu::Limits {
+            max_buffer_size: offered.max_buffer_size,
+            ..wgpu::Limits::downlevel_defaults().using_resolution(offered)
+        };
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("wall"),
+            required_features: adapter.features() & wgpu::Features::TIMESTAMP_QUERY,
+            required_limits,
+            ..Default::default()
+        };
+        let (device, queue) =
+            adapter.request_device(&descriptor).await.map_err(|error| GpuError::NoDevice(error.to_string()))?;
+
+        let problem = Arc::new(Mutex::new(None));
+        let failed = Arc::clone(&problem);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            keep_first(&failed, GpuError::Failed(one_line(&error.to_string())));
+        }));
+        let lost = Arc::clone(&problem);
+        device.set_device_lost_callback(move |reason, message| {
+            // A device that is dropped is reported as destroyed.
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                keep_first(&lost, GpuError::Lost(one_line(&message)));
+            }
+        });
+        Ok(Self { device, queue, adapter, problem })
+    }
+
+    /// The adapter that was chosen.
+    pub fn adapter(&self) -> &wgpu::Adapter {
+        &self.adapter
+    }
+
+    /// The adapter's name and the interface that leads to it, such as "llvmpipe (LLVM 15.0.6, 256 bits), vulkan".
+    pub fn name(&self) -> String {
+        let info = self.adapter.get_info();
+        format!("{}, {}", info.name, info.backend)
+    }
+
+    /// Whether the adapter computes on the CPU, as lavapipe does.
+    pub fn is_software(&self) -> bool {
+        self.adapter.get_info().device_type == wgpu::DeviceType::Cpu
+    }
+
+    /// The first failure since the last call, of any use of this GPU; also of those that only came up meanwhile.
+    ///
+    /// Nothing fails where it is called: whoever draws asks once a frame, and after work whose result counts.
+    pub fn check(&self) -> Result<(), GpuError> {
+        match self.problem.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            Some(problem) => Err(problem),
+            None => Ok(()),
+        }
+    }
+
+    /// Waits until the GPU has done all that was submitted.
+    pub fn wait(&self) -> Result<(), GpuError> {
+        self.device
+            .poll(wgpu::PollType::wait_indefinitely())
+            .map_err(|error| GpuError::Failed(one_line(&error.to_string())))?;
+        self.check()
+    }
+
+    /// Refuses pictures that no texture can hold.
+    pub fn check_size(&self, what: &'static str, [width, height]: [u32; 2]) -> Result<(), GpuError> {
+        let limit = self.device.limits().max_texture_dimension_2d;
+        if width.max(height) <= limit {
+            Ok(())
+        } else {
+            Err(GpuError::TooLarge { what, width, height, limit, adapter: self.adapter.get_info().name })
+        }
+    }
+}
+
+fn keep_first(problem: &Mutex<Option<GpuError>>, error: GpuError) {
+    let mut problem = problem.lock().unwrap_or_else(PoisonError::into_inner);
+    if problem.is_some() {
+        tracing::debug!("a further failure of the graphics device: {error}");
+    } else {
+        *problem = Some(error);
+    }
+}
+
+async fn choose_adapter(
+    instance: &wgpu::Instance,
+    surface: Option<&wgpu::Surface<'_>>,
+) -> Result<wgpu::Adapter, GpuError> {
+    let named = std::env::var("WGPU_ADAPTER_NAME").ok().filter(|name| !name.is_empty());
+    if let Some(wanted) = named {
+        let adapters = instance.enumerate_adapters(wgpu::Backends::all()).await;
+        let found: Vec<_> = adapters.iter().map(|adapter| adapter.get_info().name).collect();
+        let usable = |adapter: &wgpu::Adapter| {
+            adapter.get_info().name.to_lowercase().contains(&wanted.to_lowercase())
+                && surface.is_none_or(|surface| adapter.is_surface_supported(surface))
+        };
+        return match adapters.into_iter().find(usable) {
+            Some(adapter) => Ok(adapter),
+            None if found.is_empty() => Err(GpuError::NoDriver),
+            None => Err(GpuError::NoSuchAdapter { wanted, found: found.join("; ") }),
+        };
+    }
+    let options = wgpu::RequestAdapterOptions {
+        power_preference: wgpu::PowerPreference::from_env().unwrap_or(wgpu::PowerPreference::HighPerformance),
+        compatible_surface: surface,
+        ..Default::default()
+    };
+    match instance.request_adapter(&options).await {
+        Ok(adapter) => Ok(adapter),
+        Err(error) => {
+            let any = instance.enumerate_adapters(wgpu::Backends::all()).await;
+            if any.is_empty() { Err(GpuError::NoDriver) } else { Err(GpuError::NoDriverForWindow(error.to_string())) }
+        }
+    }
+}
+
+/// Drivers and validators report on many lines; a log line and an exit message have one.
+fn one_line(text: &str) -> String {
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,89 @@
+//! The wall without a window: drawn at any resolution into memory.
+
+use super::context::{Gpu, GpuError};
+use super::picture::Picture;
+use super::present::Target;
+
+/// A picture on the GPU that can be read back.
+pub struct Offscreen {
+    texture: wgpu::Texture,
+    view: wgpu::TextureView,
+    size: [u32; 2],
+}
+
+/// Rows are read back at once up to about this many bytes, so that the largest wall needs no second copy in full.
+const BAND_BYTES: u32 = 64 << 20;
+
+impl Offscreen {
+    /// The format to give to [`super::Present::new`].
+    pub const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
+
+    /// Room for a picture of `size`: columns, rows.
+    pub fn new(gpu: &Gpu, size: [u32; 2]) -> Result<Self, GpuError> {
+        gpu.check_size("a picture", size)?;
+        let size = size.map(|side| side.max(1));
+        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("offscreen"),
+            size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: Self::FORMAT,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
+            view_formats: &[],
+        });
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        Ok(Self { texture, view, size })
+    }
+
+    /// What [`super::Present::draw`] draws on.
+    pub fn target(&self) -> Target<'_> {
+        Target { view: &self.view, size: self.size }
+    }
+
+    /// Waits for all that was submitted, and copies the picture back.
+    pub fn read(&self, gpu: &Gpu) -> Result<Picture, GpuError> {
+        let [width, height] = self.size;
+        let padded_row_bytes = (4 * width).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
+        let band_rows = (BAND_BYTES / padded_row_bytes).clamp(1, height);
+        let band_bytes = u64::from(band_rows) * u64::from(padded_row_bytes);
+        let mut rgb = Vec::with_capacity(3 * width as usize * height as usize);
+        for top in (0..height).step_by(band_rows as usize) {
+            let n_rows = band_rows.min(height - top);
+            // A buffer for each band: none is ever mapped twice.
+            let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("readback"),
+                size: band_bytes,
+                usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+                mapped_at_creation: false,
+            });
+            let mut encoder = gpu.device.create_command_encoder(&Default::default());
+            encoder.copy_texture_to_buffer(
+                wgpu::TexelCopyTextureInfo {
+                    origin: wgpu::Origin3d { x: 0, y: top, z: 0 },
+                    ..self.texture.as_image_copy()
+                },
+                wgpu::TexelCopyBufferInfo {
+                    buffer: &buffer,
+                    layout: wgpu::TexelCopyBufferLayout {
+                        offset: 0,
+                        bytes_per_row: Some(padded_row_bytes),
+                        rows_per_image: None,
+                    },
+                },
+                wgpu::Extent3d { width, height: n_rows, depth_or_array_layers: 1 },
+            );
+            gpu.queue.submit([encoder.finish()]);
+            gpu.check()?;
+            buffer.map_async(wgpu::MapMode::Read, .., |_outcome| {});
+            gpu.wait()?;
+            // A mapping that failed has no range to get.
+            let bytes = buffer.get_mapped_range(..).map_err(|error| GpuError::Failed(error.to_string()))?;
+            for row in bytes.chunks_exact(padded_row_bytes as usize).take(n_rows as usize) {
+                let (pixels, _) = row[..4 * width as usize].as_chunks::<4>();
+                rgb.extend(pixels.iter().flat_map(|&[r, g, b, _]| [r, g, b]));
+            }
+        }
+        Ok(Picture { size: self.size, rgb })
+    }
+}

@@ -1,0 +1,213 @@
+//! The stage that shows the frame on the wall; paired with `shaders/present.wgsl`.
+
+use shared::division::FrameSize;
+use wgpu::util::DeviceExt;
+
+use super::context::{Gpu, GpuError};
+use super::frame_texture::FrameTexture;
+use super::timer::DrawTimer;
+use crate::wall::{CanvasRect, PixelRect, Projector, output_size};
+
+/// Draws the newest frame on any target: a window, an offscreen wall, one output of several.
+///
+/// Every projector is a quad that samples its part of the frame, bilinearly and in linear light.
+pub struct Present {
+    pipeline: wgpu::RenderPipeline,
+    frame_layout: wgpu::BindGroupLayout,
+    bilinear: wgpu::Sampler,
+    frame: Option<(FrameTexture, wgpu::BindGroup)>,
+    timer: Option<DrawTimer>,
+}
+
+/// A picture to draw on, in the format that [`Present::new`] was given.
+pub struct Target<'a> {
+    /// The picture.
+    pub view: &'a wgpu::TextureView,
+    /// Its columns and rows.
+    pub size: [u32; 2],
+}
+
+/// One projector on one target. Matches `Projector` in `shaders/present.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+struct ProjectorInstance {
+    clip: [f32; 4],
+    origin_px: [f32; 2],
+    origin_frame: [f32; 2],
+    frame_per_px: [f32; 2],
+}
+
+const _: () = assert!(size_of::<ProjectorInstance>() == 40);
+
+const INSTANCE_ATTRIBUTES: [wgpu::VertexAttribute; 4] =
+    wgpu::vertex_attr_array![0 => Float32x4, 1 => Float32x2, 2 => Float32x2, 3 => Float32x2];
+
+impl Present {
+    /// The stage for targets of one format. Formats without sRGB get values encoded by the shader.
+    pub fn new(gpu: &Gpu, target_format: wgpu::TextureFormat) -> Self {
+        let device = &gpu.device;
+        let shader = device.create_shader_module(wgpu::include_wgsl!("../../../shaders/present.wgsl"));
+        let frame_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("frame"),
+            entries: &[
+                fragment_binding(
+                    0,
+                    wgpu::BindingType::Texture {
+                        sample_type: wgpu::TextureSampleType::Float { filterable: true },
+                        view_dimension: wgpu::TextureViewDimension::D2,
+                        multisampled: false,
+                    },
+                ),
+                fragment_binding(1, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
+            ],
+        });
+        let bilinear = device.create_sampler(&wgpu::SamplerDescriptor {
+            label: Some("bilinear"),
+            mag_filter: wgpu::FilterMode::Linear,
+            min_filter: wgpu::FilterMode::Linear,
+            ..Default::default()
+        });
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label: Some("present"),
+            bind_group_layouts: &[Some(&frame_layout)],
+            immediate_size: 0,
+        });
+        let fragment = if target_format.is_srgb() { "fragment_linear" } else { "fragment_encoded" };
+        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some("present"),
+            layout: Some(&layout),
+            vertex: wgpu::VertexState {
+                module: &shader,
+                entry_point: Some("vertex"),
+                compilation_options: Default::default(),
+                buffers: &[Some(wgpu::VertexBufferLayout {
+                    array_stride: size_of::<ProjectorInstance>() as u64,
+                    step_mode: wgpu::VertexStepMode::Instance,
+                    attributes: &INSTANCE_ATTRIBUTES,
+                })],
+            },
+            primitive: wgpu::PrimitiveState { topology: wgpu::PrimitiveTopology::TriangleStrip, ..Default::default() },
+            depth_stencil: None,
+            multisample: Default::default(),
+            fragment: Some(wgpu::FragmentState {
+                module: &shader,
+                entry_point: Some(fragment),
+                compilation_options: Default::default(),
+                targets: &[Some(target_format.into())],
+            }),
+            multiview_mask: None,
+            cache: None,
+        });
+        Self { pipeline, frame_layout, bilinear, frame: None, timer: DrawTimer::new(gpu) }
+    }
+
+    /// Takes a whole frame, as [`FrameTexture::upload`] does; its resolution may differ from the last one's.
+    pub fn upload(&mut self, gpu: &Gpu, size: FrameSize, rgba: &[u8]) -> Result<(), GpuError> {
+        match &self.frame {
+            Some((texture, _)) if texture.size() == size => texture.upload(gpu, rgba),
+            _ => {
+                let texture = FrameTexture::new(gpu, size)?;
+                texture.upload(gpu, rgba)?;
+                let bind_group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                    label: Some("frame"),
+                    layout: &self.frame_layout,
+                    entries: &[
+                        wgpu::BindGroupEntry {
+                            binding: 0,
+                            resource: wgpu::BindingResource::TextureView(texture.view()),
+                        },
+                        wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&self.bilinear) },
+                    ],
+                });
+                self.frame = Some((texture, bind_group));
+                Ok(())
+            }
+        }
+    }
+
+    /// Draws the frame over all of `target` through `projectors`, and black around them and before any frame.
+    ///
+    /// The output that holds all `projectors` is scaled to fit the target whole, centred.
+    pub fn draw(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        target: &Target<'_>,
+        projectors: &[Projector],
+    ) {
+        let frame = self.frame.as_ref().map(|(_, bind_group)| {
+            let instances: Vec<_> = projectors_on(target.size, projectors)
+                .map(|(projector, quad)| ProjectorInstance::new(projector, quad, target.size))
+                .collect();
+            // Made anew for each draw: half a kilobyte, and several targets in one submission cannot disturb each other.
+            let instance_buffer = gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+                label: Some("projectors"),
+                contents: bytemuck::cast_slice(&instances),
+                usage: wgpu::BufferUsages::VERTEX,
+            });
+            (bind_group, instance_buffer, instances.len() as u32)
+        });
+
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            label: Some("present"),
+            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                view: target.view,
+                depth_slice: None,
+                resolve_target: None,
+                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
+            })],
+            timestamp_writes: self.timer.as_ref().and_then(DrawTimer::pass_timestamps),
+            ..Default::default()
+        });
+        if let Some((bind_group, instance_buffer, n_instances)) = frame {
+            pass.set_pipeline(&self.pipeline);
+            pass.set_bind_group(0, bind_group, &[]);
+            pass.set_vertex_buffer(0, instance_buffer.slice(..));
+            pass.draw(0..4, 0..n_instances);
+        }
+        drop(pass);
+        if let Some(timer) = &mut self.timer {
+            timer.read_after(encoder);
+        }
+    }
+
+    /// How long the GPU took for the newest draw that it has finished, in milliseconds; `None` where GPUs do not tell.
+    pub fn draw_ms(&mut self, gpu: &Gpu) -> Option<f64> {
+        self.timer.as_mut()?.newest_ms(gpu)
+    }
+}
+
+/// Each projector's quad on a target: left, top, right and bottom in pixels, not whole when the wall is scaled.
+fn projectors_on(target_size: [u32; 2], projectors: &[Projector]) -> impl Iterator<Item = (&Projector, [f64; 4])> {
+    let content = output_size(projectors);
+    let wall = PixelRect::fitted(content, target_size);
+    let x_scale = f64::from(wall.width) / f64::from(content[0].max(1));
+    let y_scale = f64::from(wall.height) / f64::from(content[1].max(1));
+    projectors.iter().map(move |projector| {
+        let PixelRect { x, y, width, height } = projector.output;
+        // Edges, not extents, are scaled: neighbours share the same numbers, and no seam opens.
+        let x_of = |edge: u32| f64::from(wall.x) + f64::from(edge) * x_scale;
+        let y_of = |edge: u32| f64::from(wall.y) + f64::from(edge) * y_scale;
+        (projector, [x_of(x), y_of(y), x_of(x + width), y_of(y + height)])
+    })
+}
+
+impl ProjectorInstance {
+    fn new(projector: &Projector, [left, top, right, bottom]: [f64; 4], target_size: [u32; 2]) -> Self {
+        let [target_width, target_height] = target_size.map(f64::from);
+        let clip_x = |x: f64| (2.0 * x / target_width - 1.0) as f32;
+        let clip_y = |y: f64| (1.0 - 2.0 * y / target_height) as f32;
+        // The frame covers the canvas, so a place on the canvas is the same place in the frame.
+        let CanvasRect { left: frame_left, bottom: frame_bottom, width, height } = projector.canvas;
+        Self {
+            clip: [clip_x(left), clip_y(bottom), clip_x(right), clip_y(top)],
+            origin_px: [left as f32, top as f32],
+            origin_frame: [frame_left as f32, (frame_bottom + height) as f32],
+            frame_per_px: [(width / (right - left)) as f32, (-height / (bottom - top)) as f32],
+        }
+    }
+}
+
+fn fragment_binding(binding: u32, ty: wgpu::BindingType) -> wgpu::BindGroupLayoutEntry {
+    wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::FRAGMENT, ty, count: None }
+}

@@ -1,0 +1,179 @@
+//! The window as a target: the wall in its sRGB view, the overlay in its plain view.
+
+use super::context::{Gpu, GpuError};
+use super::present::Target;
+
+/// A window's swapchain, kept in step with its size and made anew when it is lost.
+pub struct WallSurface {
+    surface: wgpu::Surface<'static>,
+    /// Makes the surface again after it was lost.
+    create: Box<dyn Fn() -> Result<wgpu::Surface<'static>, wgpu::CreateSurfaceError>>,
+    config: wgpu::SurfaceConfiguration,
+    wall_format: wgpu::TextureFormat,
+    overlay_format: wgpu::TextureFormat,
+    /// Whether the swapchain has the size and state of `config`.
+    is_configured: bool,
+}
+
+/// The picture that the window shows next.
+pub struct SurfaceFrame {
+    texture: wgpu::SurfaceTexture,
+    wall_view: wgpu::TextureView,
+    overlay_view: wgpu::TextureView,
+    size: [u32; 2],
+}
+
+impl WallSurface {
+    /// A surface on `window` (an `Arc<Window>`, say) of `size` pixels, and the GPU that can draw on it.
+    pub fn new<W>(window: W, size: [u32; 2]) -> Result<(Gpu, Self), GpuError>
+    where
+        W: Into<wgpu::SurfaceTarget<'static>> + Clone + 'static,
+    {
+        let instance = Gpu::instance();
+        let create = {
+            let instance = instance.clone();
+            move || instance.create_surface(window.clone())
+        };
+        let surface = create().map_err(|error| no_surface(&error))?;
+        let gpu = Gpu::for_surface(&instance, &surface)?;
+
+        let capabilities = surface.get_capabilities(gpu.adapter());
+        let is_plain_8_bit = |format: &&wgpu::TextureFormat| {
+            matches!(format, wgpu::TextureFormat::Bgra8Unorm | wgpu::TextureFormat::Rgba8Unorm)
+        };
+        let Some(&format) = capabilities.formats.iter().find(is_plain_8_bit).or(capabilities.formats.first()) else {
+            return Err(GpuError::NoSurface(format!("{} offers no format for it", gpu.name())));
+        };
+        let downlevel = gpu.adapter().get_downlevel_capabilities().flags;
+        let has_views = downlevel.contains(wgpu::DownlevelFlags::SURFACE_VIEW_FORMATS);
+        let [wall_format, overlay_format] =
+            if has_views { [format.add_srgb_suffix(), format.remove_srgb_suffix()] } else { [format; 2] };
+        let mut view_formats = vec![wall_format, overlay_format];
+        view_formats.retain(|&view_format| view_format != format);
+
+        // Mailbox shows the newest picture without tearing and without making the wall wait for the display.
+        let present_mode = if capabilities.present_modes.contains(&wgpu::PresentMode::Mailbox) {
+            wgpu::PresentMode::Mailbox
+        } else {
+            wgpu::PresentMode::Fifo
+        };
+        let config = wgpu::SurfaceConfiguration {
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT,
+            format,
+            color_space: wgpu::SurfaceColorSpace::Auto,
+            width: size[0],
+            height: size[1],
+            present_mode,
+            // A picture in waiting is a picture late.
+            desired_maximum_frame_latency: 1,
+            alpha_mode: wgpu::CompositeAlphaMode::Auto,
+            view_formats,
+        };
+        gpu.check_size("a window", size)?;
+        let create = Box::new(create);
+        Ok((gpu, Self { surface, create, config, wall_format, overlay_format, is_configured: false }))
+    }
+
+    /// The format of [`SurfaceFrame::target`]: what to give to [`super::Present::new`].
+    pub fn wall_format(&self) -> wgpu::TextureFormat {
+        self.wall_format
+    }
+
+    /// The format of [`SurfaceFrame::overlay_view`]: what to give to egui's renderer.
+    pub fn overlay_format(&self) -> wgpu::TextureFormat {
+        self.overlay_format
+    }
+
+    /// How pictures are handed to the display.
+    pub fn present_mode(&self) -> wgpu::PresentMode {
+        self.config.present_mode
+    }
+
+    /// Columns and rows of the next picture.
+    pub fn size(&self) -> [u32; 2] {
+        [self.config.width, self.config.height]
+    }
+
+    /// Takes the window's new size; the swapchain follows with the next [`WallSurface::acquire`].
+    pub fn resize(&mut self, size: [u32; 2]) {
+        if size != self.size() {
+            [self.config.width, self.config.height] = size;
+            self.is_configured = false;
+        }
+    }
+
+    /// The next picture to draw, or `None` when there is nothing to draw on now: the window is empty or hidden, or the
+    /// display is late. Ask again with the next event.
+    ///
+    /// # Errors
+    ///
+    /// The window is larger than the GPU's textures, or the device or the window is gone.
+    pub fn acquire(&mut self, gpu: &Gpu) -> Result<Option<SurfaceFrame>, GpuError> {
+        if self.size().contains(&0) {
+            return Ok(None);
+        }
+        gpu.check_size("a window", self.size())?;
+        // A second try with a fresh swapchain; what fails twice waits for the next event.
+        for _ in 0..2 {
+            if !self.is_configured {
+                self.surface.configure(&gpu.device, &self.config);
+                gpu.check()?;
+                self.is_configured = true;
+            }
+            match self.surface.get_current_texture() {
+                wgpu::CurrentSurfaceTexture::Success(texture) => return Ok(Some(self.frame(texture))),
+                wgpu::CurrentSurfaceTexture::Suboptimal(texture) => {
+                    self.is_configured = false;
+                    return Ok(Some(self.frame(texture)));
+                }
+                wgpu::CurrentSurfaceTexture::Timeout | wgpu::CurrentSurfaceTexture::Occluded => return Ok(None),
+                wgpu::CurrentSurfaceTexture::Outdated => self.is_configured = false,
+                wgpu::CurrentSurfaceTexture::Lost => {
+                    gpu.check()?;
+                    self.surface = (self.create)().map_err(|error| no_surface(&error))?;
+                    self.is_configured = false;
+                }
+                wgpu::CurrentSurfaceTexture::Validation => {
+                    self.is_configured = false;
+                    gpu.check()?;
+                }
+            }
+        }
+        Ok(None)
+    }
+
+    fn frame(&self, texture: wgpu::SurfaceTexture) -> SurfaceFrame {
+        let view = |format| {
+            texture.texture.create_view(&wgpu::TextureViewDescriptor { format: Some(format), ..Default::default() })
+        };
+        let [wall_view, overlay_view] = [self.wall_format, self.overlay_format].map(view);
+        let size = [texture.texture.width(), texture.texture.height()];
+        SurfaceFrame { texture, wall_view, overlay_view, size }
+    }
+}
+
+impl SurfaceFrame {
+    /// Where [`super::Present::draw`] draws the wall.
+    pub fn target(&self) -> Target<'_> {
+        Target { view: &self.wall_view, size: self.size }
+    }
+
+    /// Where the overlay is drawn, over the wall, in encoded values.
+    pub fn overlay_view(&self) -> &wgpu::TextureView {
+        &self.overlay_view
+    }
+
+    /// Columns and rows.
+    pub fn size(&self) -> [u32; 2] {
+        self.size
+    }
+
+    /// Shows the picture, after what draws it was submitted.
+    pub fn present(self, gpu: &Gpu) {
+        gpu.queue.present(self.texture);
+    }
+}
+
+fn no_surface(error: &wgpu::CreateSurfaceError) -> GpuError {
+    GpuError::NoSurface(error.to_string())
+}

@@ -1,0 +1,86 @@
+//! How long the GPU takes for a draw, where it offers timestamps.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::context::Gpu;
+
+/// Times one render pass at a time, and never waits: draws that come while a time is on its way are not timed.
+pub(super) struct DrawTimer {
+    timestamps: wgpu::QuerySet,
+    resolved: wgpu::Buffer,
+    readback: wgpu::Buffer,
+    /// What the GPU is still to deliver.
+    on_its_way: Option<Arc<AtomicBool>>,
+    newest_ms: Option<f64>,
+}
+
+/// Two timestamps of 64 bits.
+const N_BYTES: u64 = 16;
+
+impl DrawTimer {
+    pub(super) fn new(gpu: &Gpu) -> Option<Self> {
+        let device = &gpu.device;
+        if !device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
+            return None;
+        }
+        let buffer = |label, usage| {
+            device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: N_BYTES,
+                usage: usage | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
+            })
+        };
+        Some(Self {
+            timestamps: device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("draw"),
+                ty: wgpu::QueryType::Timestamp,
+                count: 2,
+            }),
+            resolved: buffer("timestamps", wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC),
+            readback: buffer("timestamps read back", wgpu::BufferUsages::MAP_READ),
+            on_its_way: None,
+            newest_ms: None,
+        })
+    }
+
+    /// For the pass to be timed.
+    pub(super) fn pass_timestamps(&self) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
+        self.on_its_way.is_none().then_some(wgpu::RenderPassTimestampWrites {
+            query_set: &self.timestamps,
+            beginning_of_pass_write_index: Some(0),
+            end_of_pass_write_index: Some(1),
+        })
+    }
+
+    /// Right after that pass, into the same encoder.
+    pub(super) fn read_after(&mut self, encoder: &mut wgpu::CommandEncoder) {
+        if self.on_its_way.is_none() {
+            encoder.resolve_query_set(&self.timestamps, 0..2, &self.resolved, 0);
+            encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.readback, 0, N_BYTES);
+            let arrived = Arc::new(AtomicBool::new(false));
+            self.on_its_way = Some(Arc::clone(&arrived));
+            encoder.map_buffer_on_submit(&self.readback, wgpu::MapMode::Read, .., move |_outcome| {
+                arrived.store(true, Ordering::Release);
+            });
+        }
+    }
+
+    pub(super) fn newest_ms(&mut self, gpu: &Gpu) -> Option<f64> {
+        // A lost device is told by `Gpu::check`.
+        let _ = gpu.device.poll(wgpu::PollType::Poll);
+        if self.on_its_way.as_ref().is_some_and(|arrived| arrived.load(Ordering::Acquire)) {
+            self.on_its_way = None;
+            // A mapping that failed has no range to get.
+            if let Ok(bytes) = self.readback.get_mapped_range(..)
+                && let &[begin, end] = bytemuck::cast_slice::<u8, u64>(&bytes)
+            {
+                let period_ms = f64::from(gpu.queue.get_timestamp_period()) / 1e6;
+                self.newest_ms = Some(end.saturating_sub(begin) as f64 * period_ms);
+            }
+            self.readback.unmap();
+        }
+        self.newest_ms
+    }
+}

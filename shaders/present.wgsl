@@ -1,0 +1,56 @@
+// Shows the frame on the wall: one quad for each projector, which samples its part of the frame.
+//
+// Paired with compositor/src/gpu/present.rs; its twin on the CPU is compositor/src/gpu/present_cpu.rs.
+
+// The frame's samples, row 0 at the bottom. The view is sRGB, so the filter mixes linear light.
+@group(0) @binding(0) var frame: texture_2d<f32>;
+// Bilinear, clamped to the edge.
+@group(0) @binding(1) var bilinear: sampler;
+
+// One projector on the target. Matches `ProjectorInstance` in present.rs.
+struct Projector {
+    // The quad's left, bottom, right and top in clip coordinates.
+    @location(0) clip: vec4f,
+    // The quad's upper-left corner in pixels of the target.
+    @location(1) origin_px: vec2f,
+    // The same corner in the frame, whose lower-left corner is (0, 0) and whose upper-right corner is (1, 1).
+    @location(2) origin_frame: vec2f,
+    // How far one pixel to the right and one pixel down go in the frame.
+    @location(3) frame_per_px: vec2f,
+}
+
+struct Quad {
+    @builtin(position) position: vec4f,
+    @location(0) @interpolate(flat) origin_px: vec2f,
+    @location(1) @interpolate(flat) origin_frame: vec2f,
+    @location(2) @interpolate(flat) frame_per_px: vec2f,
+}
+
+@vertex
+fn vertex(@builtin(vertex_index) corner: u32, projector: Projector) -> Quad {
+    // A strip: lower left, lower right, upper left, upper right.
+    let x = select(projector.clip.x, projector.clip.z, (corner & 1u) == 1u);
+    let y = select(projector.clip.y, projector.clip.w, corner >= 2u);
+    return Quad(vec4f(x, y, 0.0, 1.0), projector.origin_px, projector.origin_frame, projector.frame_per_px);
+}
+
+// From the pixel's centre, not interpolated: rasterizers shift corners of scaled walls by up to 1/512 of a pixel,
+// which beside black is several steps of 8 bits.
+fn frame_at(quad: Quad) -> vec3f {
+    let at = quad.origin_frame + (quad.position.xy - quad.origin_px) * quad.frame_per_px;
+    return textureSampleLevel(frame, bilinear, at, 0.0).rgb;
+}
+
+// For targets that encode sRGB themselves.
+@fragment
+fn fragment_linear(quad: Quad) -> @location(0) vec4f {
+    return vec4f(frame_at(quad), 1.0);
+}
+
+// For surfaces that offer no sRGB view.
+@fragment
+fn fragment_encoded(quad: Quad) -> @location(0) vec4f {
+    let linear = frame_at(quad);
+    let curve = 1.055 * pow(linear, vec3f(1.0 / 2.4)) - 0.055;
+    return vec4f(select(curve, linear * 12.92, linear <= vec3f(0.0031308)), 1.0);
+}
