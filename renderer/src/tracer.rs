@@ -72,13 +72,18 @@ impl Scene {
         self.grid.occluded(&self.mesh, ray)
     }
 
+    /// What turns the hits of a frame into light.
+    pub fn shader(&self, request: &FrameRequest) -> Shader<'_> {
+        Shader::new(&self.mesh, &request.camera, request.size, request.view)
+    }
+
     /// Renders the share's units `units` (places in the share, not numbers in the frame), on the calling thread.
     ///
     /// Appends their samples to `rgb`, sRGB-encoded, in the order of [`Share::samples`]. The bits depend on nothing but
     /// scene, request and sample, so several threads may render parts of one share.
     pub fn render(&self, request: &FrameRequest, share: &Share<'_>, units: Range<u32>, rgb: &mut Vec<u8>) {
         let rays = request.camera.rays(request.size);
-        let shader = Shader::new(&self.mesh, &request.camera, request.size, request.view);
+        let shader = self.shader(request);
         for unit in units {
             for (i, j) in share.samples(unit).iter() {
                 let light = self.mean_light(&rays, &shader, request.samples, i, j);

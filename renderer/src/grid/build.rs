@@ -170,7 +170,7 @@ impl Builder<'_> {
         let mut bricks = Vec::with_capacity(starts.len() - 1);
         let mut whole = Piece::with_capacity(pieces.iter().map(|(_, piece)| piece));
         for (roots, piece) in pieces {
-            let offset = whole.append(piece);
+            let offset = whole.append(&piece);
             bricks.extend(roots.into_iter().map(|root| match root {
                 Grid::EMPTY => Grid::EMPTY,
                 leaf if leaf & Grid::LEAF != 0 => leaf + offset.leaf,
@@ -291,7 +291,7 @@ impl Builder<'_> {
                 })
                 .collect();
             for (index, (root, subtree)) in subtrees.into_iter().enumerate() {
-                let offset = piece.append(subtree);
+                let offset = piece.append(&subtree);
                 piece.nodes[node.first_node as usize + index] = root.moved(&offset);
             }
         } else {
@@ -370,7 +370,7 @@ impl Piece {
         self.leaf_ends.push(self.references.len() as u32);
     }
 
-    fn append(&mut self, other: Self) -> Offset {
+    fn append(&mut self, other: &Self) -> Offset {
         let offset = Offset { node: self.nodes.len() as u32, leaf: self.leaf_ends.len() as u32 };
         let base = self.references.len() as u32;
         self.nodes.extend(other.nodes.iter().map(|node| node.moved(&offset)));

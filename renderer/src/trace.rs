@@ -1,0 +1,306 @@
+//! `renderer trace`: traces frames without a network, and measures them.
+
+use std::{
+    num::{NonZero, ParseFloatError},
+    path::{Path, PathBuf},
+    sync::Mutex,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context, Result};
+use clap::Args;
+use cpu_time::ThreadTime;
+use glam::Vec3;
+use rayon::prelude::*;
+use serde::Serialize;
+use shared::{
+    camera::{Camera, UpAxis},
+    division::{Division, FrameSize, Share},
+    protocol::{SampleRange, View},
+};
+
+use crate::{
+    grid::GridOptions,
+    image,
+    progress::Progress,
+    ray::Hit,
+    scene::{self, SceneSource},
+    statue,
+    tracer::{FrameRequest, Scene, SceneOptions, unit_ranges},
+};
+
+/// What to trace, and what to write.
+#[derive(Args, Debug)]
+pub struct TraceArgs {
+    /// A PLY file; without it the built-in statue is traced
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+
+    /// A camera file with eye, ll, u and v; without it the whole model is seen
+    #[arg(long, value_name = "FILE")]
+    camera: Option<PathBuf>,
+
+    /// Which axis of the model points up, when the whole model is seen: x, y or z
+    #[arg(long, value_name = "AXIS", default_value = "y")]
+    up: UpAxis,
+
+    /// Samples across and down
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value_t = FrameSize::PAPER)]
+    size: FrameSize,
+
+    /// Threads that build and trace; without it as many as there are cores
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+
+    /// How often the frame is traced, for measuring
+    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    frames: u32,
+
+    /// The paper's ρ: cells of the grid per triangle
+    #[arg(long, value_name = "RHO", default_value_t = GridOptions::default().density, value_parser = density)]
+    density: f64,
+
+    /// What the picture shows: shaded or normals
+    #[arg(long, value_name = "VIEW", default_value = "shaded")]
+    view: View,
+
+    /// Write the picture, as PNG
+    #[arg(long, value_name = "FILE")]
+    image: Option<PathBuf>,
+
+    /// Write the hits: per sample, bottom row first, little endian, the triangle in file order as u32 (0xffffffff for
+    /// none) and t as f32 in units of the ray's direction (infinite for none)
+    #[arg(long, value_name = "FILE")]
+    hits: Option<PathBuf>,
+
+    /// Print the measurements as one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+fn density(text: &str) -> Result<f64, String> {
+    let range = GridOptions::DENSITIES;
+    let density = text.parse().map_err(|error: ParseFloatError| error.to_string())?;
+    if range.contains(&density) {
+        Ok(density)
+    } else {
+        Err(format!("the density must be from {} to {} cells per triangle", range.start(), range.end()))
+    }
+}
+
+/// What was measured. Times of frames are in milliseconds, one entry per frame.
+#[derive(Debug, Serialize)]
+struct Report {
+    triangles: usize,
+    vertices: usize,
+    rejected: usize,
+    load_seconds: f64,
+    build_seconds: f64,
+    mesh_bytes: usize,
+    structure_bytes: usize,
+    /// `None` where the system does not tell.
+    peak_rss_bytes: Option<u64>,
+    hits: usize,
+    /// Samples of a frame over the median of `frame_ms`.
+    mrays_per_second: f64,
+    /// Wall time of tracing.
+    frame_ms: Vec<f64>,
+    /// CPU time of all threads for making rays, following them and writing the hits.
+    frame_cpu_ms: Vec<f64>,
+    /// CPU time of all threads for shading the hits.
+    shade_cpu_ms: Vec<f64>,
+}
+
+/// Loads, builds, traces, and writes what was asked for.
+pub fn run(args: &TraceArgs) -> Result<()> {
+    let n_threads = args.threads.map_or_else(|| std::thread::available_parallelism().map_or(1, NonZero::get), usize::from);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(n_threads)
+        .thread_name(|index| format!("trace-{index}"))
+        .build()
+        .context("cannot start the tracing threads")?;
+    pool.install(|| run_in_pool(args))
+}
+
+fn run_in_pool(args: &TraceArgs) -> Result<()> {
+    // What is asked for is checked before a large model is read.
+    let camera = args.camera.as_deref().map(read_camera).transpose()?;
+    let (source, name) = match &args.model {
+        Some(path) => (SceneSource::Ply(path.clone()), path.display().to_string()),
+        None => (SceneSource::Statue { triangles: statue::DEFAULT_TRIANGLES }, "the statue".to_owned()),
+    };
+    let (mesh, load_seconds) = timed(|| {
+        let progress = Progress::new(format!("loading {name}"));
+        scene::load(&source, &|done| progress.set(done))
+    });
+    let mesh = mesh?.mesh;
+    let (scene, build_seconds) = timed(|| {
+        let progress = Progress::new("building the grid");
+        let options = SceneOptions { grid: GridOptions { density: args.density } };
+        Scene::build(mesh, &options, &|done| progress.set(done))
+    });
+
+    let camera = camera.unwrap_or_else(|| {
+        let bounds = scene.mesh().bounds();
+        let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
+        Camera::view_all(min, max, args.up, CANVAS_ASPECT)
+    });
+    let request = FrameRequest { camera, size: args.size, view: args.view, samples: SampleRange::CENTRE };
+    let work = Division::Tiled.work(0, 1);
+    let share = work.share(args.size)?;
+
+    let (mut frame_ms, mut frame_cpu_ms, mut shade_cpu_ms) = (Vec::new(), Vec::new(), Vec::new());
+    let mut frame = Frame::default();
+    for _ in 0..args.frames {
+        let start = Instant::now();
+        let trace_cpu = frame.trace(&scene, &request, &share);
+        frame_ms.push(milliseconds(start.elapsed()));
+        frame_cpu_ms.push(milliseconds(trace_cpu));
+        shade_cpu_ms.push(milliseconds(frame.shade(&scene, &request)));
+    }
+
+    let report = Report {
+        triangles: scene.mesh().triangles.len(),
+        vertices: scene.mesh().vertices.len(),
+        rejected: scene.mesh().n_rejected,
+        load_seconds,
+        build_seconds,
+        mesh_bytes: scene.mesh().n_bytes(),
+        structure_bytes: scene.grid().n_bytes(),
+        peak_rss_bytes: peak_rss_bytes(),
+        hits: frame.hits.iter().filter(|hit| !hit.is_miss()).count(),
+        mrays_per_second: f64::from(args.size.n_samples()) / median(&frame_ms) / 1e3,
+        frame_ms,
+        frame_cpu_ms,
+        shade_cpu_ms,
+    };
+    if let Some(path) = &args.image {
+        image::write_png(path, args.size, &frame.rgb).with_context(|| cannot_write(path))?;
+    }
+    if let Some(path) = &args.hits {
+        image::write_whole(path, |out| {
+            frame.hits.iter().try_for_each(|hit| {
+                out.write_all(&hit.triangle.to_le_bytes())?;
+                out.write_all(&hit.t.to_le_bytes())
+            })
+        })
+        .with_context(|| cannot_write(path))?;
+    }
+    if args.json {
+        println!("{}", serde_json::to_string(&report)?);
+    } else {
+        print(&report, args.size);
+    }
+    Ok(())
+}
+
+/// The wall's canvas is 16:9 whatever the number of samples on it.
+const CANVAS_ASPECT: f64 = 16.0 / 9.0;
+
+/// The hits and the colours of one frame, row by row from the bottom.
+#[derive(Default)]
+struct Frame {
+    hits: Vec<Hit>,
+    rgb: Vec<u8>,
+}
+
+impl Frame {
+    /// Traces all samples; returns the CPU time of all threads.
+    fn trace(&mut self, scene: &Scene, request: &FrameRequest, share: &Share<'_>) -> Duration {
+        let rays = request.camera.rays(request.size);
+        let xres = request.size.xres() as usize;
+        self.hits.resize(request.size.n_samples() as usize, Hit::MISS);
+        let total = Mutex::new(Duration::ZERO);
+        // A task is a row of tiles: its hits lie together in the frame.
+        let rows_of_tiles = shared::division::TILE_SIZE as usize;
+        let tiles_per_row = request.size.xres().div_ceil(shared::division::TILE_SIZE);
+        self.hits.par_chunks_mut(xres * rows_of_tiles).enumerate().for_each(|(row, hits)| {
+            let start = ThreadTime::now();
+            let first_j = row as u32 * shared::division::TILE_SIZE;
+            let mut tile_hits = Vec::with_capacity(64);
+            for tile in row as u32 * tiles_per_row..(row as u32 + 1) * tiles_per_row {
+                tile_hits.clear();
+                scene.trace(&rays, share, tile..tile + 1, &mut tile_hits);
+                for ((i, j), &hit) in share.samples(tile).iter().zip(&tile_hits) {
+                    hits[(j - first_j) as usize * xres + i as usize] = hit;
+                }
+            }
+            add_time(&total, start);
+        });
+        total.into_inner().unwrap_or_default()
+    }
+
+    /// Shades all hits; returns the CPU time of all threads.
+    fn shade(&mut self, scene: &Scene, request: &FrameRequest) -> Duration {
+        let rays = request.camera.rays(request.size);
+        let shader = scene.shader(request);
+        let xres = request.size.xres() as usize;
+        self.rgb.resize(3 * self.hits.len(), 0);
+        let total = Mutex::new(Duration::ZERO);
+        let rows = self.rgb.par_chunks_mut(3 * xres).zip(self.hits.par_chunks(xres));
+        rows.enumerate().for_each(|(j, (rgb, hits))| {
+            let start = ThreadTime::now();
+            for (i, (rgb, &hit)) in rgb.chunks_exact_mut(3).zip(hits).enumerate() {
+                let light = shader.light(rays.direction(i as u32, j as u32), hit, j as f32 + 0.5);
+                rgb.copy_from_slice(&light.to_array().map(shared::srgb::encode));
+            }
+            add_time(&total, start);
+        });
+        total.into_inner().unwrap_or_default()
+    }
+}
+
+fn add_time(total: &Mutex<Duration>, start: ThreadTime) {
+    if let Ok(mut total) = total.lock() {
+        *total += start.elapsed();
+    }
+}
+
+/// Reads and checks a camera file.
+pub fn read_camera(path: &Path) -> Result<Camera> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read the camera {}", path.display()))?;
+    Camera::from_toml(&text).with_context(|| format!("{} is no camera", path.display()))
+}
+
+fn cannot_write(path: &Path) -> String {
+    format!("cannot write {}", path.display())
+}
+
+fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
+    let start = Instant::now();
+    let result = work();
+    (result, start.elapsed().as_secs_f64())
+}
+
+fn milliseconds(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[sorted.len() / 2]
+}
+
+/// The most memory that this process ever had, as Linux tells it.
+fn peak_rss_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
+}
+
+fn print(report: &Report, size: FrameSize) {
+    let megabytes = |bytes: usize| bytes as f64 / 1e6;
+    println!("triangles   {} ({} rejected), {} vertices", report.triangles, report.rejected, report.vertices);
+    println!("load        {:.2} s", report.load_seconds);
+    println!("build       {:.2} s", report.build_seconds);
+    println!("memory      mesh {:.1} MB, grid {:.1} MB", megabytes(report.mesh_bytes), megabytes(report.structure_bytes));
+    println!("frame       {size} samples, {} hits", report.hits);
+    println!(
+        "median      {:.2} ms, {:.2} ms of CPU; shading {:.2} ms of CPU",
+        median(&report.frame_ms),
+        median(&report.frame_cpu_ms),
+        median(&report.shade_cpu_ms)
+    );
+    println!("speed       {:.2} million rays a second", report.mrays_per_second);
+}
