@@ -3,6 +3,7 @@
 use clap::{Parser, Subcommand};
 
 use crate::generate::{self, GenerateArgs};
+use crate::trace::{self, TraceArgs};
 
 /// Render server of the display wall
 #[derive(Debug, Parser)]
@@ -19,12 +20,15 @@ pub enum Command {
     /// Write a built-in model to a file
     #[command(subcommand_required = true)]
     Generate(GenerateArgs),
+    /// Trace frames without a network, and measure them
+    Trace(TraceArgs),
 }
 
 /// Does it.
 pub fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Generate(args) => generate::run(&args),
+        Command::Trace(args) => trace::run(&args),
     }
 }
 

@@ -11,6 +11,8 @@
 mod build;
 mod overlap;
 mod resolution;
+#[cfg(test)]
+mod tests;
 mod walk;
 
 use resolution::CellSpace;

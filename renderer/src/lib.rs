@@ -14,5 +14,6 @@ pub mod ray;
 pub mod scene;
 pub mod shade;
 pub mod statue;
+pub mod trace;
 pub mod tracer;
 pub mod triangle;

@@ -19,16 +19,16 @@ pub struct Shader<'a> {
 }
 
 /// Linear light of surfaces without colours of their own: unglazed clay.
-const CLAY: Vec3 = Vec3::new(0.62, 0.58, 0.53);
+const CLAY: Vec3 = Vec3::new(0.60, 0.55, 0.49);
 
 /// Linear light of the background, at the bottom and at the top.
 const BACKGROUND: [Vec3; 2] = [Vec3::new(0.055, 0.058, 0.066), Vec3::new(0.011, 0.014, 0.021)];
 
 /// Light from the eye, from the key light, from the sky and from the ground.
-const EYE_LIGHT: Vec3 = Vec3::new(0.36, 0.36, 0.36);
-const KEY_LIGHT: Vec3 = Vec3::new(0.60, 0.57, 0.52);
-const SKY_LIGHT: Vec3 = Vec3::new(0.34, 0.38, 0.44);
-const GROUND_LIGHT: Vec3 = Vec3::new(0.12, 0.10, 0.085);
+const EYE_LIGHT: Vec3 = Vec3::new(0.26, 0.26, 0.26);
+const KEY_LIGHT: Vec3 = Vec3::new(0.62, 0.58, 0.52);
+const SKY_LIGHT: Vec3 = Vec3::new(0.19, 0.22, 0.27);
+const GROUND_LIGHT: Vec3 = Vec3::new(0.055, 0.045, 0.04);
 
 impl<'a> Shader<'a> {
     /// Makes ready for one frame.

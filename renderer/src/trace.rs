@@ -26,7 +26,7 @@ use crate::{
     ray::Hit,
     scene::{self, SceneSource},
     statue,
-    tracer::{FrameRequest, Scene, SceneOptions, unit_ranges},
+    tracer::{FrameRequest, Scene, SceneOptions},
 };
 
 /// What to trace, and what to write.
@@ -113,7 +113,8 @@ struct Report {
 
 /// Loads, builds, traces, and writes what was asked for.
 pub fn run(args: &TraceArgs) -> Result<()> {
-    let n_threads = args.threads.map_or_else(|| std::thread::available_parallelism().map_or(1, NonZero::get), usize::from);
+    let n_threads =
+        args.threads.map_or_else(|| std::thread::available_parallelism().map_or(1, NonZero::get), usize::from);
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(n_threads)
         .thread_name(|index| format!("trace-{index}"))
@@ -294,7 +295,11 @@ fn print(report: &Report, size: FrameSize) {
     println!("triangles   {} ({} rejected), {} vertices", report.triangles, report.rejected, report.vertices);
     println!("load        {:.2} s", report.load_seconds);
     println!("build       {:.2} s", report.build_seconds);
-    println!("memory      mesh {:.1} MB, grid {:.1} MB", megabytes(report.mesh_bytes), megabytes(report.structure_bytes));
+    println!(
+        "memory      mesh {:.1} MB, grid {:.1} MB",
+        megabytes(report.mesh_bytes),
+        megabytes(report.structure_bytes)
+    );
     println!("frame       {size} samples, {} hits", report.hits);
     println!(
         "median      {:.2} ms, {:.2} ms of CPU; shading {:.2} ms of CPU",

@@ -1,0 +1,243 @@
+//! The grid against brute force: every triangle tested, in plain `f64`.
+
+use glam::Vec3;
+use proptest::prelude::*;
+
+use super::{Grid, GridOptions};
+use crate::{
+    mesh::Mesh,
+    ray::{Hit, Ray},
+};
+
+/// Where a ray hits a triangle: plane first, then the point against each edge. Independent of [`crate::triangle`].
+///
+/// Second: how far the point is inside the nearest edge, relative to the triangle's size; around 0 rounding decides.
+fn intersect_in_f64(ray: &Ray, corners: [[f32; 3]; 3]) -> Option<(f64, f64)> {
+    let [a, b, c] = corners.map(|corner| Vec3::from_array(corner).as_dvec3());
+    let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
+    let normal = (b - a).cross(c - a);
+    let t = (a - origin).dot(normal) / direction.dot(normal);
+    let point = origin + direction * t;
+    let size = normal.length();
+    let inside = [(a, b), (b, c), (c, a)]
+        .into_iter()
+        .map(|(p, q)| (q - p).cross(point - p).dot(normal) / (size * size))
+        .fold(f64::INFINITY, f64::min);
+    (t.is_finite() && inside.is_finite() && t >= f64::from(ray.t_min)).then_some((t, inside))
+}
+
+/// Checks the grid's hit against all triangles. Where the truth hangs on rounding, either answer is right.
+fn check(mesh: &Mesh, grid: &Grid, ray: &Ray) {
+    const MARGIN: f64 = 1e-9;
+    let hit = grid.intersect(mesh, ray);
+    let candidates: Vec<_> = (0..mesh.triangles.len())
+        .filter_map(|triangle| Some((triangle as u32, intersect_in_f64(ray, mesh.corners(triangle)?)?)))
+        .collect();
+    let nearest_certain = candidates
+        .iter()
+        .filter(|(_, (_, inside))| *inside > MARGIN)
+        .map(|(_, (t, _))| *t)
+        .fold(f64::INFINITY, f64::min);
+    let close = |a: f64, b: f64| (a - b).abs() <= 1e-6 * (1.0 + a.abs().max(b.abs()));
+    if hit.is_miss() {
+        assert!(nearest_certain.is_infinite(), "{ray:?} misses the hit at {nearest_certain}");
+    } else {
+        let (_, (t, inside)) =
+            *candidates.iter().find(|(triangle, _)| *triangle == hit.triangle).unwrap_or_else(|| {
+                panic!("{ray:?} hits {hit:?}, which it does not even approach");
+            });
+        assert!(
+            inside > -MARGIN && close(t, f64::from(hit.t)),
+            "{ray:?} hits {hit:?}; truly {t} and inside by {inside}"
+        );
+        assert!(t <= nearest_certain || close(t, nearest_certain), "{ray:?} hits {hit:?} behind {nearest_certain}");
+    }
+    assert_eq!(grid.occluded(mesh, ray), !hit.is_miss(), "{ray:?}");
+}
+
+fn build(mesh: &Mesh) -> Grid {
+    Grid::build(mesh, &GridOptions::default(), &|_| ())
+}
+
+/// Triangles that share nothing.
+fn soup(corners: Vec<[[f32; 3]; 3]>) -> Mesh {
+    let n = corners.len() as u32;
+    Mesh {
+        vertices: corners.into_iter().flatten().collect(),
+        triangles: (0..n).map(|triangle| [0, 1, 2].map(|corner| 3 * triangle + corner)).collect(),
+        ..Mesh::default()
+    }
+}
+
+/// The surface of a box of n×n×n unit cubes, in triangles of half a unit square, with corners at integers.
+fn cube(n: i32) -> Mesh {
+    let mut corners = Vec::new();
+    for axis in 0..3 {
+        for (u, v, side) in (0..n).flat_map(|u| (0..n).flat_map(move |v| [(u, v, 0), (u, v, n)])) {
+            let at = |u: i32, v: i32| {
+                let mut p = [0.0; 3];
+                (p[axis], p[(axis + 1) % 3], p[(axis + 2) % 3]) = (side as f32, u as f32, v as f32);
+                p
+            };
+            corners.push([at(u, v), at(u + 1, v), at(u + 1, v + 1)]);
+            corners.push([at(u, v), at(u + 1, v + 1), at(u, v + 1)]);
+        }
+    }
+    soup(corners)
+}
+
+/// Numbers that lie on cell boundaries of small grids, and some that do not.
+fn coordinate() -> impl Strategy<Value = f32> {
+    prop_oneof![
+        (-8i32..=8).prop_map(|n| n as f32),
+        (-32i32..=32).prop_map(|n| n as f32 / 4.0),
+        -8.0f32..8.0,
+        Just(0.0),
+        Just(-0.0),
+    ]
+}
+
+fn point() -> impl Strategy<Value = [f32; 3]> {
+    [coordinate(), coordinate(), coordinate()]
+}
+
+fn ray() -> impl Strategy<Value = Ray> {
+    (point(), point(), prop_oneof![Just(1.0f32), Just(1e4), Just(1e-4)])
+        .prop_map(|(origin, direction, far)| Ray::new(Vec3::from_array(origin) * far, Vec3::from_array(direction)))
+}
+
+proptest! {
+    #[test]
+    fn random_triangles_are_hit_as_by_brute_force(
+        corners in proptest::collection::vec([point(), point(), point()], 1..60),
+        rays in proptest::collection::vec(ray(), 64),
+    ) {
+        let mesh = soup(corners);
+        let grid = build(&mesh);
+        rays.iter().for_each(|ray| check(&mesh, &grid, ray));
+    }
+
+    #[test]
+    fn flat_scenes_are_hit_as_by_brute_force(
+        corners in proptest::collection::vec([point(), point(), point()], 1..60),
+        rays in proptest::collection::vec(ray(), 64),
+        axis in 0usize..3,
+    ) {
+        let flat = |mut corner: [f32; 3]| {
+            corner[axis] = 3.0;
+            corner
+        };
+        let mesh = soup(corners.into_iter().map(|triangle| triangle.map(flat)).collect());
+        let grid = build(&mesh);
+        rays.iter().for_each(|ray| check(&mesh, &grid, ray));
+    }
+
+    #[test]
+    fn rays_between_corners_of_a_box_are_hit_as_by_brute_force(
+        from in [-2i32..=8, -2i32..=8, -2i32..=8],
+        to in [0i32..=12, 0i32..=12, 0i32..=12],
+    ) {
+        let mesh = cube(6);
+        let grid = build(&mesh);
+        let origin = Vec3::from_array(from.map(|x| x as f32));
+        let target = Vec3::from_array(to.map(|x| x as f32 / 2.0));
+        check(&mesh, &grid, &Ray::new(origin, target - origin));
+    }
+}
+
+#[test]
+fn no_ray_leaves_a_closed_box() {
+    let mesh = cube(4);
+    let grid = build(&mesh);
+    let inside = Vec3::new(1.0, 2.0, 2.5);
+    for (x, y, z) in (0..=16).flat_map(|x| (0..=16).flat_map(move |y| (0..=16).map(move |z| (x, y, z)))) {
+        let target = Vec3::new(x as f32, y as f32, z as f32) / 4.0;
+        if target != inside {
+            let ray = Ray::new(inside, target - inside);
+            assert!(!grid.intersect(&mesh, &ray).is_miss(), "{ray:?}");
+            // Once more from far outside, towards the inside.
+            let ray = Ray::new(inside + (target - inside) * 1024.0, inside - target);
+            assert!(!grid.intersect(&mesh, &ray).is_miss(), "{ray:?}");
+        }
+    }
+}
+
+#[test]
+fn the_first_of_equal_triangles_wins() {
+    let triangle = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+    let mesh = soup(vec![[[5.0; 3], [6.0, 5.0, 5.0], [5.0, 6.0, 5.0]], triangle, triangle, triangle]);
+    let ray = Ray::new(Vec3::new(0.25, 0.25, 4.0), Vec3::NEG_Z);
+    assert_eq!(build(&mesh).intersect(&mesh, &ray), Hit { triangle: 1, t: 4.0 });
+}
+
+#[test]
+fn nothing_at_all_is_never_hit() {
+    let rejected = Mesh { vertices: vec![], triangles: vec![Mesh::REJECTED; 3], n_rejected: 3, ..Mesh::default() };
+    let point = soup(vec![[[1.0; 3]; 3]]);
+    for mesh in [Mesh::default(), rejected, point] {
+        let grid = build(&mesh);
+        for direction in [Vec3::ONE, Vec3::X, -Vec3::Z, Vec3::ZERO] {
+            assert!(grid.intersect(&mesh, &Ray::new(Vec3::ZERO, direction)).is_miss());
+        }
+    }
+}
+
+#[test]
+fn triangles_of_every_size_and_place_are_found() {
+    for scale in [1e-30f32, 1e-10, 1.0, 1e10, 1e18] {
+        for offset in [0.0f32, 1.0, 1e3] {
+            let at = |x: f32, y: f32| [(x + offset) * scale, (y + offset) * scale, offset * scale];
+            let mesh = soup((0..20).map(|k| [at(k as f32, 0.0), at(k as f32 + 1.0, 0.0), at(k as f32, 1.0)]).collect());
+            if !mesh.vertices.iter().all(|&v| Mesh::is_usable(v)) {
+                continue;
+            }
+            let grid = build(&mesh);
+            for k in 0..20 {
+                let target = Vec3::from_array(at(k as f32 + 0.25, 0.25));
+                for back in [1.0f32, 100.0] {
+                    let direction = Vec3::new(0.0, 0.0, -scale);
+                    let ray = Ray::new(target - direction * back, direction);
+                    assert_eq!(grid.intersect(&mesh, &ray).triangle, k, "scale {scale}, offset {offset}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_nothing() {
+    let mesh = crate::statue::generate(60_000, &|_| ());
+    let with_threads = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap().install(|| build(&mesh));
+    let one = with_threads(1);
+    for n in [2, 5] {
+        let several = with_threads(n);
+        assert!(one.bricks == several.bricks && one.nodes == several.nodes);
+        assert!(one.leaf_starts == several.leaf_starts && one.references == several.references);
+    }
+}
+
+#[test]
+fn large_triangles_do_not_fill_memory() {
+    let mut state = 1u64;
+    let mut random = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f32
+    };
+    let mesh = soup((0..20_000).map(|_| [0; 3].map(|_| [0; 3].map(|_| random()))).collect());
+    let grid = build(&mesh);
+    let (_, references) = grid.n_leaves_and_references();
+    assert!(references < 70 * 20_000 * 4, "{references} references");
+    let ray = Ray::new(Vec3::ZERO, Vec3::ONE);
+    check(&mesh, &grid, &ray);
+}
+
+#[test]
+fn directions_are_followed_from_far_away() {
+    let mesh = cube(4);
+    let grid = build(&mesh);
+    for distance in [1e3f32, 1e7, 1e12, 1e18] {
+        let ray = Ray::new(Vec3::new(1.7, 2.3, distance), Vec3::new(0.0, 0.0, -distance));
+        let hit = grid.intersect(&mesh, &ray);
+        assert!((ray.direction.as_dvec3() * f64::from(hit.t)).is_finite() && !hit.is_miss(), "{distance}");
+    }
+}
