@@ -11,9 +11,9 @@
 struct Projector {
     // The quad's left, bottom, right and top in clip coordinates.
     @location(0) clip: vec4f,
-    // The quad's upper-left corner in pixels of the target.
+    // A point at the quad's upper-left corner, in whole pixels of the target.
     @location(1) origin_px: vec2f,
-    // The same corner in the frame, whose lower-left corner is (0, 0) and whose upper-right corner is (1, 1).
+    // The same point in the frame, whose lower-left corner is (0, 0) and whose upper-right corner is (1, 1).
     @location(2) origin_frame: vec2f,
     // How far one pixel to the right and one pixel down go in the frame.
     @location(3) frame_per_px: vec2f,

@@ -83,21 +83,18 @@ fn wall(columns: u32, rows: u32, pixels: [u32; 2]) -> Wall {
     Wall::from_toml("test", &text).unwrap()
 }
 
-/// The wall as the GPU draws it on a target of `size`.
-fn draw(gpu: &Gpu, present: &mut Present, wall: &Wall, size: [u32; 2]) -> Picture {
-    let offscreen = Offscreen::new(gpu, size).unwrap();
+/// Draws the wall on `offscreen` and reads it back.
+fn draw(gpu: &Gpu, present: &mut Present, wall: &Wall, offscreen: &Offscreen) -> Picture {
     let mut encoder = gpu.device.create_command_encoder(&Default::default());
     present.draw(gpu, &mut encoder, &offscreen.target(), wall.projectors());
     gpu.queue.submit([encoder.finish()]);
     offscreen.read(gpu).unwrap()
 }
 
-/// Draws on GPU and CPU and compares every channel of every pixel.
-fn check_twins(gpu: &Gpu, present: &mut Present, frame: &Frame, wall: &Wall, size: [u32; 2], what: &str) {
-    present.upload(gpu, frame.size, &frame.rgba).unwrap();
-    let shown = draw(gpu, present, wall, size);
+/// Compares every channel of every pixel with what the CPU makes of the same frame.
+fn check_twin(gpu: &Gpu, shown: &Picture, what: &str, frame: &Frame, wall: &Wall) {
+    let size = shown.size;
     let expected = present_cpu::present(frame.size, &frame.rgba, wall.projectors(), size);
-    assert_eq!(shown.size, expected.size);
     // One step of 8 bits is the sRGB curve's rounding. Graphics cards round the filter's weights as well, to 1/256 on
     // either axis: a step of light that is many steps of 8 bits beside black.
     let is_near = |&(shown, expected): &(&u8, &u8)| {
@@ -115,28 +112,156 @@ fn check_twins(gpu: &Gpu, present: &mut Present, frame: &Frame, wall: &Wall, siz
 #[test]
 fn the_paper_s_wall_equals_its_cpu_twin() {
     let gpu = gpu();
-    let mut present = Present::new(&gpu, Offscreen::FORMAT);
+    let mut present = Present::new(&gpu);
     let wall = Wall::paper();
+    let offscreen = Offscreen::new(&gpu, wall.output_size()).unwrap();
     for (what, frame) in Frame::all([1024, 512]) {
-        check_twins(&gpu, &mut present, &frame, &wall, wall.output_size(), what);
+        present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+        check_twin(&gpu, &draw(&gpu, &mut present, &wall, &offscreen), what, &frame, &wall);
     }
 }
 
 #[test]
 fn walls_targets_and_resolutions_of_any_shape_equal_their_cpu_twin() {
     let gpu = gpu();
-    let mut present = Present::new(&gpu, Offscreen::FORMAT);
-    let walls =
-        [Wall::paper(), wall(1, 1, [640, 360]), wall(3, 5, [37, 11]), wall(7, 1, [1, 9]), wall(1, 2, [2048, 500])];
-    let frame_sizes = [[1, 1], [7, 5], [1000, 3], [3, 1000], [64, 36], [1024, 512], [2048, 1000]];
-    let target_sizes = [[1, 1], [640, 360], [333, 500], [500, 111], [64, 3]];
-    for wall in &walls {
-        for frame_size in frame_sizes {
-            for (what, frame) in Frame::all(frame_size) {
-                for size in target_sizes.into_iter().chain([wall.output_size()]).filter(|size| size[0] < 4096) {
-                    check_twins(&gpu, &mut present, &frame, wall, size, what);
+    let mut present = Present::new(&gpu);
+    let walls = [Wall::paper(), wall(1, 1, [640, 360]), wall(3, 5, [37, 11]), wall(7, 1, [1, 9])];
+    let frame_sizes = [[1, 1], [7, 5], [1000, 3], [3, 1000], [64, 36], [1024, 512]];
+    let target_sizes = [[1, 1], [640, 360], [333, 500], [500, 111], [64, 3], [16384, 2]];
+    let targets = target_sizes.map(|size| Offscreen::new(&gpu, size).unwrap());
+    for frame_size in frame_sizes {
+        for (what, frame) in Frame::all(frame_size) {
+            present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+            for wall in &walls {
+                for target in &targets {
+                    check_twin(&gpu, &draw(&gpu, &mut present, wall, target), what, &frame, wall);
                 }
             }
         }
     }
+}
+
+#[test]
+fn a_wall_as_fine_as_its_frame_shows_every_sample_as_it_is() {
+    let gpu = gpu();
+    let mut present = Present::new(&gpu);
+    let wall = wall(3, 2, [111, 70]);
+    let frame = Frame::noise(wall.output_size());
+    present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+    let shown = draw(&gpu, &mut present, &wall, &Offscreen::new(&gpu, wall.output_size()).unwrap());
+    let [width, height] = shown.size;
+    for (i, j) in (0..height).flat_map(|j| (0..width).map(move |i| (i, j))) {
+        let first = 4 * (j * width + i) as usize;
+        // Row 0 of a frame is at the bottom, row 0 of a picture at the top.
+        assert_eq!(shown.pixel(i, height - 1 - j), frame.rgba[first..first + 3], "sample ({i}, {j})");
+    }
+}
+
+#[test]
+fn surfaces_without_an_srgb_view_show_the_same() {
+    let gpu = gpu();
+    let mut present = Present::new(&gpu);
+    let wall = wall(2, 2, [160, 90]);
+    for (what, frame) in Frame::all([97, 51]) {
+        present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+        // Both kinds in turn: one stage serves targets of several formats.
+        for has_srgb_view in [false, true, false] {
+            let offscreen = Offscreen::with_srgb_view(&gpu, [400, 300], has_srgb_view).unwrap();
+            check_twin(&gpu, &draw(&gpu, &mut present, &wall, &offscreen), what, &frame, &wall);
+        }
+    }
+}
+
+#[test]
+fn several_targets_in_one_submission_each_show_their_own() {
+    let gpu = gpu();
+    let mut present = Present::new(&gpu);
+    let frame = Frame::gradient([64, 32]);
+    present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+    let walls = [Wall::paper(), wall(2, 1, [50, 80]), wall(1, 3, [90, 20])];
+    let targets = [[320, 180], [200, 100], [31, 64]].map(|size| Offscreen::new(&gpu, size).unwrap());
+    let mut encoder = gpu.device.create_command_encoder(&Default::default());
+    for (wall, target) in walls.iter().zip(&targets) {
+        present.draw(&gpu, &mut encoder, &target.target(), wall.projectors());
+    }
+    gpu.queue.submit([encoder.finish()]);
+    for (wall, target) in walls.iter().zip(&targets) {
+        check_twin(&gpu, &target.read(&gpu).unwrap(), "gradient", &frame, wall);
+    }
+}
+
+#[test]
+fn the_wall_is_black_before_any_frame_and_without_projectors() {
+    let gpu = gpu();
+    let mut present = Present::new(&gpu);
+    let offscreen = Offscreen::new(&gpu, [64, 36]).unwrap();
+    assert!(draw(&gpu, &mut present, &Wall::paper(), &offscreen).rgb.iter().all(|&byte| byte == 0));
+
+    let frame = Frame::checker([8, 8]);
+    present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+    let mut encoder = gpu.device.create_command_encoder(&Default::default());
+    present.draw(&gpu, &mut encoder, &offscreen.target(), &[]);
+    gpu.queue.submit([encoder.finish()]);
+    assert!(offscreen.read(&gpu).unwrap().rgb.iter().all(|&byte| byte == 0));
+}
+
+#[test]
+fn what_no_texture_can_hold_is_refused_in_one_line() {
+    let gpu = gpu();
+    let limit = gpu.device.limits().max_texture_dimension_2d;
+    let error = Offscreen::new(&gpu, [limit + 1, 4]).err().expect("wider than any texture").to_string();
+    assert!(error.contains(&limit.to_string()) && !error.contains('\n'), "{error}");
+
+    let mut present = Present::new(&gpu);
+    let error = present.upload(&gpu, FrameSize::new(4, 4).unwrap(), &[0; 63]).unwrap_err().to_string();
+    assert!(error.contains("63 bytes are no frame of 4x4"), "{error}");
+    gpu.check().expect("nothing reached the driver");
+}
+
+#[test]
+fn a_fault_on_the_gpu_is_an_error_and_no_panic() {
+    let gpu = gpu();
+    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: None,
+        size: u64::MAX,
+        usage: wgpu::BufferUsages::VERTEX,
+        mapped_at_creation: false,
+    });
+    drop(buffer);
+    let error = gpu.check().unwrap_err().to_string();
+    assert!(error.starts_with("the graphics device failed: ") && !error.contains('\n'), "{error}");
+    gpu.check().expect("a fault is told once");
+}
+
+#[test]
+fn a_lost_device_is_an_error_and_no_panic() {
+    let gpu = Gpu::headless().unwrap();
+    let mut present = Present::new(&gpu);
+    let offscreen = Offscreen::new(&gpu, [64, 36]).unwrap();
+    gpu.device.destroy();
+    let frame = Frame::checker([8, 8]);
+    let _ = present.upload(&gpu, frame.size, &frame.rgba);
+    let mut encoder = gpu.device.create_command_encoder(&Default::default());
+    present.draw(&gpu, &mut encoder, &offscreen.target(), Wall::paper().projectors());
+    gpu.queue.submit([encoder.finish()]);
+    let error = offscreen.read(&gpu).unwrap_err().to_string();
+    assert!(error.starts_with("the graphics device "), "{error}");
+}
+
+#[test]
+fn the_gpu_tells_how_long_a_draw_took() {
+    let gpu = gpu();
+    if !gpu.device.features().contains(wgpu::Features::TIMESTAMP_QUERY) {
+        return;
+    }
+    let mut present = Present::new(&gpu);
+    let frame = Frame::noise([512, 256]);
+    let offscreen = Offscreen::new(&gpu, [2048, 1152]).unwrap();
+    assert_eq!(present.draw_ms(&gpu), None);
+    present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+    let start = std::time::Instant::now();
+    draw(&gpu, &mut present, &Wall::paper(), &offscreen);
+    let elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
+    let draw_ms = present.draw_ms(&gpu).expect("a time after the draw was waited for");
+    assert!(draw_ms > 0.0 && draw_ms < elapsed_ms, "{draw_ms} of {elapsed_ms} ms");
 }

@@ -15,11 +15,13 @@ pub struct Offscreen {
 const BAND_BYTES: u32 = 64 << 20;
 
 impl Offscreen {
-    /// The format to give to [`super::Present::new`].
-    pub const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8UnormSrgb;
-
     /// Room for a picture of `size`: columns, rows.
     pub fn new(gpu: &Gpu, size: [u32; 2]) -> Result<Self, GpuError> {
+        Self::with_srgb_view(gpu, size, true)
+    }
+
+    /// The same, drawn on as a surface that offers an sRGB view is, or as one that does not.
+    pub fn with_srgb_view(gpu: &Gpu, size: [u32; 2], has_srgb_view: bool) -> Result<Self, GpuError> {
         gpu.check_size("a picture", size)?;
         let size = size.map(|side| side.max(1));
         let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
@@ -28,7 +30,7 @@ impl Offscreen {
             mip_level_count: 1,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
-            format: Self::FORMAT,
+            format: if has_srgb_view { wgpu::TextureFormat::Rgba8UnormSrgb } else { wgpu::TextureFormat::Rgba8Unorm },
             usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
             view_formats: &[],
         });
@@ -38,7 +40,7 @@ impl Offscreen {
 
     /// What [`super::Present::draw`] draws on.
     pub fn target(&self) -> Target<'_> {
-        Target { view: &self.view, size: self.size }
+        Target { view: &self.view, format: self.texture.format(), size: self.size }
     }
 
     /// Waits for all that was submitted, and copies the picture back.

@@ -1,7 +1,6 @@
 //! The stage that shows the frame on the wall; paired with `shaders/present.wgsl`.
 
 use shared::division::FrameSize;
-use wgpu::util::DeviceExt;
 
 use super::context::{Gpu, GpuError};
 use super::frame_texture::FrameTexture;
@@ -12,17 +11,22 @@ use crate::wall::{CanvasRect, PixelRect, Projector, output_size};
 ///
 /// Every projector is a quad that samples its part of the frame, bilinearly and in linear light.
 pub struct Present {
-    pipeline: wgpu::RenderPipeline,
+    shader: wgpu::ShaderModule,
+    layout: wgpu::PipelineLayout,
+    /// One for each format of the targets so far: a window and a screenshot may differ.
+    pipelines: Vec<(wgpu::TextureFormat, wgpu::RenderPipeline)>,
     frame_layout: wgpu::BindGroupLayout,
     bilinear: wgpu::Sampler,
     frame: Option<(FrameTexture, wgpu::BindGroup)>,
     timer: Option<DrawTimer>,
 }
 
-/// A picture to draw on, in the format that [`Present::new`] was given.
+/// A picture to draw on.
 pub struct Target<'a> {
     /// The picture.
     pub view: &'a wgpu::TextureView,
+    /// The view's format. Those without sRGB get values encoded by the shader.
+    pub format: wgpu::TextureFormat,
     /// Its columns and rows.
     pub size: [u32; 2],
 }
@@ -43,8 +47,8 @@ const INSTANCE_ATTRIBUTES: [wgpu::VertexAttribute; 4] =
     wgpu::vertex_attr_array![0 => Float32x4, 1 => Float32x2, 2 => Float32x2, 3 => Float32x2];
 
 impl Present {
-    /// The stage for targets of one format. Formats without sRGB get values encoded by the shader.
-    pub fn new(gpu: &Gpu, target_format: wgpu::TextureFormat) -> Self {
+    /// The stage, without a frame yet.
+    pub fn new(gpu: &Gpu) -> Self {
         let device = &gpu.device;
         let shader = device.create_shader_module(wgpu::include_wgsl!("../../../shaders/present.wgsl"));
         let frame_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
@@ -72,33 +76,7 @@ impl Present {
             bind_group_layouts: &[Some(&frame_layout)],
             immediate_size: 0,
         });
-        let fragment = if target_format.is_srgb() { "fragment_linear" } else { "fragment_encoded" };
-        let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some("present"),
-            layout: Some(&layout),
-            vertex: wgpu::VertexState {
-                module: &shader,
-                entry_point: Some("vertex"),
-                compilation_options: Default::default(),
-                buffers: &[Some(wgpu::VertexBufferLayout {
-                    array_stride: size_of::<ProjectorInstance>() as u64,
-                    step_mode: wgpu::VertexStepMode::Instance,
-                    attributes: &INSTANCE_ATTRIBUTES,
-                })],
-            },
-            primitive: wgpu::PrimitiveState { topology: wgpu::PrimitiveTopology::TriangleStrip, ..Default::default() },
-            depth_stencil: None,
-            multisample: Default::default(),
-            fragment: Some(wgpu::FragmentState {
-                module: &shader,
-                entry_point: Some(fragment),
-                compilation_options: Default::default(),
-                targets: &[Some(target_format.into())],
-            }),
-            multiview_mask: None,
-            cache: None,
-        });
-        Self { pipeline, frame_layout, bilinear, frame: None, timer: DrawTimer::new(gpu) }
+        Self { shader, layout, pipelines: Vec::new(), frame_layout, bilinear, frame: None, timer: DrawTimer::new(gpu) }
     }
 
     /// Takes a whole frame, as [`FrameTexture::upload`] does; its resolution may differ from the last one's.
@@ -135,16 +113,19 @@ impl Present {
         target: &Target<'_>,
         projectors: &[Projector],
     ) {
-        let frame = self.frame.as_ref().map(|(_, bind_group)| {
+        let pipeline = self.pipeline(gpu, target.format);
+        let frame = self.frame.as_ref().filter(|_| !projectors.is_empty()).map(|(_, bind_group)| {
             let instances: Vec<_> = projectors_on(target.size, projectors)
                 .map(|(projector, quad)| ProjectorInstance::new(projector, quad, target.size))
                 .collect();
             // Made anew for each draw: half a kilobyte, and several targets in one submission cannot disturb each other.
-            let instance_buffer = gpu.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            let instance_buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("projectors"),
-                contents: bytemuck::cast_slice(&instances),
-                usage: wgpu::BufferUsages::VERTEX,
+                size: size_of_val(&*instances) as u64,
+                usage: wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST,
+                mapped_at_creation: false,
             });
+            gpu.queue.write_buffer(&instance_buffer, 0, bytemuck::cast_slice(&instances));
             (bind_group, instance_buffer, instances.len() as u32)
         });
 
@@ -160,7 +141,7 @@ impl Present {
             ..Default::default()
         });
         if let Some((bind_group, instance_buffer, n_instances)) = frame {
-            pass.set_pipeline(&self.pipeline);
+            pass.set_pipeline(&pipeline);
             pass.set_bind_group(0, bind_group, &[]);
             pass.set_vertex_buffer(0, instance_buffer.slice(..));
             pass.draw(0..4, 0..n_instances);
@@ -174,6 +155,41 @@ impl Present {
     /// How long the GPU took for the newest draw that it has finished, in milliseconds; `None` where GPUs do not tell.
     pub fn draw_ms(&mut self, gpu: &Gpu) -> Option<f64> {
         self.timer.as_mut()?.newest_ms(gpu)
+    }
+
+    /// The pipeline for targets of a format, made when the format first comes up.
+    fn pipeline(&mut self, gpu: &Gpu, format: wgpu::TextureFormat) -> wgpu::RenderPipeline {
+        if let Some((_, pipeline)) = self.pipelines.iter().find(|(made_for, _)| *made_for == format) {
+            return pipeline.clone();
+        }
+        let fragment = if format.is_srgb() { "fragment_linear" } else { "fragment_encoded" };
+        let pipeline = gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+            label: Some("present"),
+            layout: Some(&self.layout),
+            vertex: wgpu::VertexState {
+                module: &self.shader,
+                entry_point: Some("vertex"),
+                compilation_options: Default::default(),
+                buffers: &[Some(wgpu::VertexBufferLayout {
+                    array_stride: size_of::<ProjectorInstance>() as u64,
+                    step_mode: wgpu::VertexStepMode::Instance,
+                    attributes: &INSTANCE_ATTRIBUTES,
+                })],
+            },
+            primitive: wgpu::PrimitiveState { topology: wgpu::PrimitiveTopology::TriangleStrip, ..Default::default() },
+            depth_stencil: None,
+            multisample: Default::default(),
+            fragment: Some(wgpu::FragmentState {
+                module: &self.shader,
+                entry_point: Some(fragment),
+                compilation_options: Default::default(),
+                targets: &[Some(format.into())],
+            }),
+            multiview_mask: None,
+            cache: None,
+        });
+        self.pipelines.push((format, pipeline.clone()));
+        pipeline
     }
 }
 
@@ -198,12 +214,17 @@ impl ProjectorInstance {
         let clip_x = |x: f64| (2.0 * x / target_width - 1.0) as f32;
         let clip_y = |y: f64| (1.0 - 2.0 * y / target_height) as f32;
         // The frame covers the canvas, so a place on the canvas is the same place in the frame.
-        let CanvasRect { left: frame_left, bottom: frame_bottom, width, height } = projector.canvas;
+        let CanvasRect { left: canvas_left, bottom: canvas_bottom, width, height } = projector.canvas;
+        let frame_per_px = [width / (right - left), -height / (bottom - top)];
+        // Whole pixels, which f32 holds exactly; the corner of a scaled wall would be rounded.
+        let origin_px = [left.floor(), top.floor()];
+        let frame_x = canvas_left + (origin_px[0] - left) * frame_per_px[0];
+        let frame_y = canvas_bottom + height + (origin_px[1] - top) * frame_per_px[1];
         Self {
             clip: [clip_x(left), clip_y(bottom), clip_x(right), clip_y(top)],
-            origin_px: [left as f32, top as f32],
-            origin_frame: [frame_left as f32, (frame_bottom + height) as f32],
-            frame_per_px: [(width / (right - left)) as f32, (-height / (bottom - top)) as f32],
+            origin_px: origin_px.map(|px| px as f32),
+            origin_frame: [frame_x as f32, frame_y as f32],
+            frame_per_px: frame_per_px.map(|step| step as f32),
         }
     }
 }

@@ -19,6 +19,7 @@ pub struct WallSurface {
 pub struct SurfaceFrame {
     texture: wgpu::SurfaceTexture,
     wall_view: wgpu::TextureView,
+    wall_format: wgpu::TextureFormat,
     overlay_view: wgpu::TextureView,
     size: [u32; 2],
 }
@@ -72,11 +73,6 @@ impl WallSurface {
         gpu.check_size("a window", size)?;
         let create = Box::new(create);
         Ok((gpu, Self { surface, create, config, wall_format, overlay_format, is_configured: false }))
-    }
-
-    /// The format of [`SurfaceFrame::target`]: what to give to [`super::Present::new`].
-    pub fn wall_format(&self) -> wgpu::TextureFormat {
-        self.wall_format
     }
 
     /// The format of [`SurfaceFrame::overlay_view`]: what to give to egui's renderer.
@@ -148,14 +144,14 @@ impl WallSurface {
         };
         let [wall_view, overlay_view] = [self.wall_format, self.overlay_format].map(view);
         let size = [texture.texture.width(), texture.texture.height()];
-        SurfaceFrame { texture, wall_view, overlay_view, size }
+        SurfaceFrame { texture, wall_view, wall_format: self.wall_format, overlay_view, size }
     }
 }
 
 impl SurfaceFrame {
     /// Where [`super::Present::draw`] draws the wall.
     pub fn target(&self) -> Target<'_> {
-        Target { view: &self.wall_view, size: self.size }
+        Target { view: &self.wall_view, format: self.wall_format, size: self.size }
     }
 
     /// Where the overlay is drawn, over the wall, in encoded values.
