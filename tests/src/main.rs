@@ -2,3 +2,5 @@
 
 #[cfg(test)]
 mod pictures;
+#[cfg(test)]
+mod references;

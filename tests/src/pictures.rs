@@ -4,8 +4,16 @@ use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 
 use compositor::gpu::{Gpu, Offscreen, Picture, Present, present_cpu};
 use compositor::wall::Wall;
-use shared::division::FrameSize;
+use glam::DVec3;
+use renderer::mesh::Aabb;
+use renderer::statue;
+use renderer::tracer::{FrameRequest, Scene, SceneOptions};
+use shared::camera::{Camera, UpAxis};
+use shared::division::{Division, FrameSize};
+use shared::protocol::{SampleRange, View};
 use shared::srgb;
+
+use crate::references;
 
 /// One GPU for all tests of the binary, and one test on it at a time: a software GPU uses every core.
 static GPU: LazyLock<Result<Mutex<Gpu>, String>> =
@@ -264,4 +272,42 @@ fn the_gpu_tells_how_long_a_draw_took() {
     let elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
     let draw_ms = present.draw_ms(&gpu).expect("a time after the draw was waited for");
     assert!(draw_ms > 0.0 && draw_ms < elapsed_ms, "{draw_ms} of {elapsed_ms} ms");
+}
+
+/// Compares what the GPU shows on a target of `size` with the stored picture.
+fn check_reference(name: &str, frame: &Frame, wall: &Wall, size: [u32; 2]) {
+    let gpu = gpu();
+    let mut present = Present::new(&gpu);
+    present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+    let shown = draw(&gpu, &mut present, wall, &Offscreen::new(&gpu, size).unwrap());
+    references::check(name, &shown);
+}
+
+#[test]
+fn the_statue_on_the_wall_looks_as_it_did() {
+    let mesh = statue::generate(statue::DEFAULT_TRIANGLES, &|_| {});
+    let scene = Scene::build(mesh, &SceneOptions::default(), &|_| {});
+    let wall = Wall::paper();
+    let Aabb { min, max } = scene.mesh().bounds();
+    let [min, max] = [min, max].map(|corner| DVec3::from_array(corner.map(f64::from)));
+    let camera = Camera::view_all(min, max, UpAxis::Y, wall.aspect());
+    let size = FrameSize::PAPER;
+    let request = FrameRequest { camera, size, view: View::Shaded, samples: SampleRange::CENTRE };
+    let work = Division::Interleaved.work(0, 1);
+    let rgb = scene.render_parallel(&request, &work.share(size).unwrap());
+    let frame = Frame::new([size.xres(), size.yres()], |i, j| {
+        let first = 3 * (j * size.xres() + i) as usize;
+        [rgb[first], rgb[first + 1], rgb[first + 2]]
+    });
+    check_reference("wall-statue", &frame, &wall, [1024, 576]);
+}
+
+#[test]
+fn hot_samples_on_a_letterboxed_wall_look_as_they_did() {
+    check_reference("hot-samples", &Frame::hot_samples([16, 8]), &wall(3, 2, [100, 80]), [480, 400]);
+}
+
+#[test]
+fn a_gradient_looks_as_it_did() {
+    check_reference("gradient", &Frame::gradient([64, 32]), &Wall::paper(), [512, 288]);
 }

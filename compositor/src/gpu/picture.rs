@@ -1,8 +1,10 @@
 //! Pictures in memory, and as PNG files.
 
-use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::fs::File;
+use std::io::{self, BufReader, Write};
 use std::path::{Path, PathBuf};
+
+use renderer::image::write_whole;
 
 /// A picture in sRGB-encoded R, G, B bytes, row by row from the top left.
 #[derive(Clone, PartialEq, Eq)]
@@ -13,12 +15,25 @@ pub struct Picture {
     pub rgb: Vec<u8>,
 }
 
-/// Why a picture could not be written.
+/// Why there is no picture in a file.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot write the picture {path}: {source}")]
-pub struct PictureError {
-    path: PathBuf,
-    source: png::EncodingError,
+pub enum PictureError {
+    /// It cannot be written.
+    #[error("cannot write the picture {path}: {source}")]
+    Unwritable {
+        /// Where to.
+        path: PathBuf,
+        /// Why not.
+        source: io::Error,
+    },
+    /// It cannot be read.
+    #[error("cannot read {path} as a PNG of 8-bit RGB: {source}")]
+    Unreadable {
+        /// Where from.
+        path: PathBuf,
+        /// Why not.
+        source: io::Error,
+    },
 }
 
 impl Picture {
@@ -28,23 +43,22 @@ impl Picture {
         [self.rgb[first], self.rgb[first + 1], self.rgb[first + 2]]
     }
 
-    /// Writes a PNG, so that `path` holds a whole picture or what it held before.
+    /// Writes a PNG; `path` holds a whole picture or what it held before.
     pub fn write_png(&self, path: &Path) -> Result<(), PictureError> {
-        let mut partial = path.as_os_str().to_owned();
-        partial.push(format!(".{}.part", std::process::id()));
-        let partial = PathBuf::from(partial);
-        let written = self.encode_to(&partial).and_then(|()| Ok(fs::rename(&partial, path)?));
-        written.map_err(|source| {
-            // What is left of it is worth nothing, and the first failure is the one to tell.
-            let _ = fs::remove_file(&partial);
-            PictureError { path: path.to_owned(), source }
-        })
+        write_whole(path, |out| self.encode(out))
+            .map_err(|source| PictureError::Unwritable { path: path.to_owned(), source })
     }
 
-    fn encode_to(&self, path: &Path) -> Result<(), png::EncodingError> {
-        let mut file = BufWriter::new(File::create(path)?);
+    /// Reads a PNG as [`Picture::write_png`] writes them.
+    pub fn read_png(path: &Path) -> Result<Self, PictureError> {
+        File::open(path)
+            .and_then(|file| Self::decode(BufReader::new(file)))
+            .map_err(|source| PictureError::Unreadable { path: path.to_owned(), source })
+    }
+
+    fn encode(&self, out: &mut dyn Write) -> io::Result<()> {
         let [width, height] = self.size;
-        let mut encoder = png::Encoder::new(&mut file, width, height);
+        let mut encoder = png::Encoder::new(out, width, height);
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
         encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
@@ -52,8 +66,18 @@ impl Picture {
         encoder.set_compression(png::Compression::Fast);
         let mut writer = encoder.write_header()?;
         writer.write_image_data(&self.rgb)?;
-        writer.finish()?;
-        Ok(file.flush()?)
+        Ok(writer.finish()?)
+    }
+
+    fn decode(file: BufReader<File>) -> io::Result<Self> {
+        let mut reader = png::Decoder::new(file).read_info()?;
+        if reader.output_color_type() != (png::ColorType::Rgb, png::BitDepth::Eight) {
+            return Err(io::Error::other("it has another kind of pixels"));
+        }
+        let n_bytes = reader.output_buffer_size().ok_or_else(|| io::Error::other("it is too large"))?;
+        let mut rgb = vec![0; n_bytes];
+        let info = reader.next_frame(&mut rgb)?;
+        Ok(Self { size: [info.width, info.height], rgb })
     }
 }
 
@@ -65,6 +89,8 @@ impl std::fmt::Debug for Picture {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]
@@ -75,11 +101,7 @@ mod tests {
         let picture = Picture { size: [3, 2], rgb: (0..18).map(|byte| byte * 14).collect() };
         picture.write_png(&path).unwrap();
         picture.write_png(&path).unwrap();
-
-        let mut reader = png::Decoder::new(std::io::BufReader::new(File::open(&path).unwrap())).read_info().unwrap();
-        let mut rgb = vec![0; reader.output_buffer_size().unwrap()];
-        let info = reader.next_frame(&mut rgb).unwrap();
-        assert_eq!(([info.width, info.height], rgb), (picture.size, picture.rgb));
+        assert_eq!(Picture::read_png(&path).unwrap(), picture);
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 1, "no partial files are left");
         fs::remove_dir_all(&folder).unwrap();
     }
@@ -89,5 +111,12 @@ mod tests {
         let picture = Picture { size: [1, 1], rgb: vec![0; 3] };
         let error = picture.write_png(Path::new("no/such/folder/a.png")).unwrap_err().to_string();
         assert!(error.contains("no/such/folder/a.png"), "{error}");
+    }
+
+    #[test]
+    fn what_is_no_picture_is_refused() {
+        let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
+        let error = Picture::read_png(&manifest).unwrap_err().to_string();
+        assert!(error.contains("Cargo.toml as a PNG of 8-bit RGB"), "{error}");
     }
 }

@@ -1,0 +1,77 @@
+//! Stored pictures, and what counts as the same picture.
+
+use std::path::{Path, PathBuf};
+
+use compositor::gpu::Picture;
+use nv_flip::{DEFAULT_PIXELS_PER_DEGREE, FlipImageRgb8, FlipPool, flip, magma_lut};
+
+/// The FLIP difference (Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", 2020) that no pixel may
+/// have, from 0 to 1: rounding of every byte stays below it, one 8×8 tile out of place goes far beyond.
+const LARGEST_FLIP: f32 = 0.1;
+
+/// Holds a picture against `tests/references/NAME.png`; panics with how to look and how to accept it.
+pub(crate) fn check(name: &str, picture: &Picture) {
+    let reference_path = folder().join(format!("{name}.png"));
+    let output = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let picture_path = output.join(format!("{name}.png"));
+    let fail = |problem: &str| -> ! {
+        picture.write_png(&picture_path).expect("the folder of test output");
+        let [picture, reference] = [&picture_path, &reference_path].map(|path| path.display());
+        panic!("{name}: {problem}\nlook at the picture: {picture}\nif it is right: cp {picture} {reference}");
+    };
+    let reference = match Picture::read_png(&reference_path) {
+        Ok(reference) => reference,
+        Err(error) => fail(&error.to_string()),
+    };
+    if reference.size != picture.size {
+        fail(&format!("it has {:?} pixels, its reference {:?}", picture.size, reference.size));
+    }
+    let (largest, map) = flip_difference(&reference, picture);
+    if largest > LARGEST_FLIP {
+        let map_path = output.join(format!("{name}.differences.png"));
+        map.write_png(&map_path).expect("the folder of test output");
+        let map = map_path.display();
+        fail(&format!("its FLIP difference from the reference is up to {largest:.3}, more than {LARGEST_FLIP}: {map}"));
+    }
+}
+
+/// The largest difference of a pixel, and a map of all.
+fn flip_difference(reference: &Picture, picture: &Picture) -> (f32, Picture) {
+    let image = |picture: &Picture| FlipImageRgb8::with_data(picture.size[0], picture.size[1], &picture.rgb);
+    let errors = flip(image(reference), image(picture), DEFAULT_PIXELS_PER_DEGREE);
+    let map = errors.apply_color_lut(&magma_lut());
+    let map = Picture { size: [map.width(), map.height()], rgb: map.to_vec() };
+    (FlipPool::from_image(&errors).max_value(), map)
+}
+
+fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("references")
+}
+
+#[test]
+fn references_stay_small() {
+    for entry in std::fs::read_dir(folder()).expect("tests/references") {
+        let entry = entry.expect("tests/references");
+        let n_bytes = entry.metadata().expect("a reference").len();
+        assert!(n_bytes <= 200_000, "{} has {n_bytes} bytes", entry.path().display());
+    }
+}
+
+#[test]
+fn one_tile_out_of_place_is_another_picture() {
+    let reference = Picture::read_png(&folder().join("wall-statue.png")).unwrap();
+    let mut picture = reference.clone();
+    // One step of 8 bits everywhere is the same picture.
+    picture.rgb.iter_mut().for_each(|byte| *byte ^= 1);
+    let (rounded, _) = flip_difference(&reference, &picture);
+    assert!(rounded > 0.0 && rounded < LARGEST_FLIP, "{rounded}");
+
+    let [width, height] = picture.size;
+    for y in 0..8 {
+        let row = |top: u32| 3 * ((top + y) * width + width / 2 - 4) as usize;
+        let (from, to) = (row(height / 2), row(height / 2 + 8));
+        picture.rgb.copy_within(from..from + 24, to);
+    }
+    let (misplaced, _) = flip_difference(&reference, &picture);
+    assert!(misplaced > 2.0 * LARGEST_FLIP, "{misplaced}");
+}
