@@ -1,4 +1,16 @@
 //! The wall: divides frames among render servers, composes their samples and shows them.
+//!
+//! In reading order: [`args`] is the command line and [`run`] starts a wall from it; [`model`] is what is shown, [`wall`]
+//! where, [`farm`] has it rendered by others, [`local`] by processes of this machine; [`gpu`] draws it, [`headless`] shows
+//! it without a window; [`stats`] and [`report`] say what all of it took.
 
+pub mod args;
+pub mod farm;
 pub mod gpu;
+pub mod headless;
+pub mod local;
+pub mod model;
+pub mod report;
+pub mod run;
+pub mod stats;
 pub mod wall;

@@ -1,0 +1,133 @@
+//! The farm: render servers that connect over TCP, and the frames that they render together.
+//!
+//! [`Farm::start`] listens and runs the farm on the caller's tokio runtime. The rest of the wall steers it through
+//! [`Farm::want`] and takes finished frames from [`Farm::take_frame`]; neither ever waits.
+
+mod connection;
+mod frame_buffer;
+mod scheduler;
+mod service;
+
+use std::{
+    io,
+    net::SocketAddr,
+    path::PathBuf,
+    sync::{Arc, Mutex, PoisonError},
+    time::Instant,
+};
+
+use shared::{division::Division, protocol::Picture};
+use tokio::{
+    net::TcpListener,
+    sync::{Notify, watch},
+};
+
+use crate::stats::{FarmStatus, FrameStats};
+
+/// What the wall wants to see: always the latest, whatever was wanted before.
+#[derive(Clone, Debug)]
+pub struct Wanted {
+    /// The picture, once there is a scene to render.
+    pub picture: Option<Picture>,
+    /// Where render servers on this machine find the scene.
+    pub scene_path: Option<PathBuf>,
+    /// How frames are divided.
+    pub division: Division,
+    /// No frame starts with fewer render servers ready.
+    pub min_renderers: u32,
+    /// Render frame after frame, even if nothing changed.
+    pub repeat: bool,
+    /// When the camera moved to where it is.
+    pub moved_at: Instant,
+}
+
+/// A whole frame.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// What it shows.
+    pub picture: Picture,
+    /// Samples as red, green, blue, 255 in memory order, row by row, the bottom row first.
+    pub rgba: Vec<u32>,
+    /// How it came about.
+    pub stats: FrameStats,
+    /// When its camera was set.
+    pub moved_at: Instant,
+}
+
+/// A running farm. Dropping it ends it, and with it every connection.
+#[derive(Debug)]
+pub struct Farm {
+    address: SocketAddr,
+    wanted: watch::Sender<Wanted>,
+    status: watch::Receiver<FarmStatus>,
+    finished: Arc<FinishedFrame>,
+    service: tokio::task::JoinHandle<()>,
+}
+
+impl Farm {
+    /// Serves render servers that connect to `listener`; must be called within a tokio runtime.
+    ///
+    /// `wake` is called from the farm's threads whenever there is a frame to take or the status has changed.
+    pub fn start(listener: TcpListener, wanted: Wanted, wake: impl Fn() + Send + Sync + 'static) -> io::Result<Self> {
+        let address = listener.local_addr()?;
+        let finished = Arc::new(FinishedFrame::default());
+        let (wanted, wanted_receiver) = watch::channel(wanted);
+        let (status_sender, status) = watch::channel(FarmStatus::default());
+        let service = service::Service::new(wanted_receiver, status_sender, Arc::clone(&finished), Box::new(wake));
+        let service = tokio::spawn(service.run(listener));
+        Ok(Self { address, wanted, status, finished, service })
+    }
+
+    /// The address that the farm listens on, with its real port.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Changes what the wall wants to see.
+    pub fn want(&self, change: impl FnOnce(&mut Wanted)) {
+        self.wanted.send_modify(change);
+    }
+
+    /// What the wall wants to see now.
+    pub fn wanted(&self) -> Wanted {
+        self.wanted.borrow().clone()
+    }
+
+    /// Takes the finished frame, if there is one; the farm finishes no other before.
+    pub fn take_frame(&self) -> Option<Frame> {
+        self.finished.take()
+    }
+
+    /// The farm as it is now.
+    pub fn status(&self) -> FarmStatus {
+        self.status.borrow().clone()
+    }
+}
+
+impl Drop for Farm {
+    fn drop(&mut self) {
+        self.service.abort();
+    }
+}
+
+/// Where a finished frame waits for the wall to take it. Holding one frame is what keeps the farm from outrunning the
+/// wall, and every frame from being shown less or more than once.
+#[derive(Debug, Default)]
+struct FinishedFrame {
+    frame: Mutex<Option<Frame>>,
+    taken: Notify,
+}
+
+impl FinishedFrame {
+    fn put(&self, frame: Frame) {
+        *self.frame.lock().unwrap_or_else(PoisonError::into_inner) = Some(frame);
+    }
+
+    fn take(&self) -> Option<Frame> {
+        let frame = self.frame.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if frame.is_some() {
+            self.taken.notify_one();
+        }
+        frame
+    }
+}

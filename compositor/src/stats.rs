@@ -1,0 +1,105 @@
+//! What is measured about the farm and about each frame: for the overlay, and for `--stats`.
+
+use std::net::SocketAddr;
+
+use serde::Serialize;
+use shared::{
+    division::{Division, FrameSize},
+    protocol::SceneState,
+};
+
+/// The number of a render server: counts up from 1 in the order of joining while a wall runs, never used twice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+pub struct NodeId(pub u32);
+
+/// A render server as the overlay shows it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NodeStatus {
+    /// Its number.
+    pub id: NodeId,
+    /// Its name, as it gave it.
+    pub name: String,
+    /// Where it connected from.
+    pub address: SocketAddr,
+    /// Threads that it traces with.
+    pub threads: u32,
+    /// How far it is with the wall's scene; `None` until it has said anything about it.
+    pub scene: Option<SceneState>,
+    /// The last round trip of a ping, in milliseconds.
+    pub round_trip_ms: Option<f64>,
+}
+
+/// The farm between frames.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FarmStatus {
+    /// Every connected render server, in the order of joining.
+    pub nodes: Vec<NodeStatus>,
+    /// How many render servers were lost since the wall started.
+    pub n_lost: u32,
+    /// What happened last that an operator should know, with its cure.
+    pub message: Option<String>,
+}
+
+/// Where one render server's time in one frame went.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct NodeFrameStats {
+    /// Its number.
+    pub id: NodeId,
+    /// Its name.
+    pub name: String,
+    /// How much of the frame's units it was given, 0 to 1.
+    pub share: f64,
+    /// From its first ray to its last sample.
+    pub trace_ms: f64,
+    /// CPU time of all its tracing threads.
+    pub trace_cpu_ms: f64,
+    /// From sending its work to having its last sample, less tracing: both ways over the network and waiting in queues.
+    pub network_ms: f64,
+    /// From having its last sample to the end of the frame.
+    pub idle_ms: f64,
+    /// Samples and their headers.
+    pub bytes_in: u64,
+    /// Requests.
+    pub bytes_out: u64,
+}
+
+/// How a frame came about in the farm.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FrameStats {
+    /// Its number.
+    pub frame: u64,
+    /// Its resolution.
+    #[serde(serialize_with = "serialize_size")]
+    pub size: FrameSize,
+    /// How it was divided.
+    pub division: Division,
+    /// From the first request to the last sample in its place.
+    pub render_ms: f64,
+    /// Time spent placing samples, summed over the receiving threads.
+    pub place_ms: f64,
+    /// 1, and one more each time work was given out again.
+    pub attempts: u32,
+    /// Bytes received.
+    pub bytes_in: u64,
+    /// Bytes sent.
+    pub bytes_out: u64,
+    /// Each render server that took part.
+    pub nodes: Vec<NodeFrameStats>,
+}
+
+fn serialize_size<S: serde::Serializer>(size: &FrameSize, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(size)
+}
+
+/// Where the time of showing a frame went.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct DisplayStats {
+    /// Handing the samples to the GPU.
+    pub upload_ms: f64,
+    /// Scaling them over the wall.
+    pub draw_ms: f64,
+    /// Handing the picture to the screen; 0 without one.
+    pub present_ms: f64,
+    /// From the camera's motion to its picture.
+    pub latency_ms: f64,
+}
