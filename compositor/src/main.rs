@@ -1,3 +1,16 @@
-//! The `compositor` program.
+//! The wall.
 
-fn main() {}
+use std::process::ExitCode;
+
+use clap::Parser;
+use compositor::args::{Args, Command};
+
+fn main() -> ExitCode {
+    let args = Args::parse();
+    renderer::cli::start_logging();
+    let result = match args.command {
+        Some(Command::Renderer(command)) => renderer::cli::run(command),
+        None => compositor::run::run(&args.wall),
+    };
+    renderer::cli::exit_code(result)
+}

@@ -29,6 +29,13 @@ pub struct NodeStatus {
     pub round_trip_ms: Option<f64>,
 }
 
+impl NodeStatus {
+    /// Whether it can render frames of the wall's scene.
+    pub fn is_ready(&self) -> bool {
+        matches!(self.scene, Some(SceneState::Ready { .. }))
+    }
+}
+
 /// The farm between frames.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FarmStatus {
@@ -61,6 +68,19 @@ pub struct NodeFrameStats {
     pub bytes_in: u64,
     /// Requests.
     pub bytes_out: u64,
+}
+
+impl NodeFrameStats {
+    /// Adds what the same render server did for another piece of work of the frame.
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.share += other.share;
+        self.trace_ms += other.trace_ms;
+        self.trace_cpu_ms += other.trace_cpu_ms;
+        self.network_ms += other.network_ms;
+        self.idle_ms = self.idle_ms.min(other.idle_ms);
+        self.bytes_in += other.bytes_in;
+        self.bytes_out += other.bytes_out;
+    }
 }
 
 /// How a frame came about in the farm.

@@ -1,9 +1,14 @@
 //! The command line of the `renderer` program; the wall runs the same for its local render servers.
 
+use std::{io::IsTerminal, process::ExitCode};
+
 use clap::{Parser, Subcommand};
 
-use crate::generate::{self, GenerateArgs};
-use crate::trace::{self, TraceArgs};
+use crate::{
+    connect::{self, ConnectArgs},
+    generate::{self, GenerateArgs},
+    trace::{self, TraceArgs},
+};
 
 /// Render server of the display wall
 #[derive(Debug, Parser)]
@@ -17,6 +22,8 @@ pub struct Cli {
 /// What the program can do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Render for a wall until told to stop
+    Connect(ConnectArgs),
     /// Write a built-in model to a file
     #[command(subcommand_required = true)]
     Generate(GenerateArgs),
@@ -27,8 +34,32 @@ pub enum Command {
 /// Does it.
 pub fn run(command: Command) -> anyhow::Result<()> {
     match command {
+        Command::Connect(args) => connect::run(args),
         Command::Generate(args) => generate::run(&args),
         Command::Trace(args) => trace::run(&args),
+    }
+}
+
+/// Logs to standard error: what a person should know, or what the variable RUST_LOG asks for.
+pub fn start_logging() {
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,renderer=info,compositor=info"));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_target(false)
+        .init();
+}
+
+/// Prints an error as one line that names the whole chain of causes.
+pub fn exit_code(result: anyhow::Result<()>) -> ExitCode {
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
     }
 }
 

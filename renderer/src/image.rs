@@ -8,6 +8,11 @@ use std::{
 
 use shared::division::FrameSize;
 
+/// BLAKE3 of a frame's samples, RGB, row by row from the bottom, as hexadecimal digits: equal hashes are equal pictures.
+pub fn samples_hash(rgb: &[u8]) -> String {
+    blake3::hash(rgb).to_hex().to_string()
+}
+
 /// Writes an RGB8 picture, sRGB-encoded, bottom row first as frames are.
 ///
 /// The file appears only when it is whole.

@@ -3,6 +3,7 @@
 //! In reading order: [`mesh`] is what is traced; [`ply`] reads one, [`statue`] makes one, [`scene`] names and loads one.
 
 pub mod cli;
+pub mod connect;
 mod exact;
 pub mod generate;
 pub mod grid;
@@ -12,8 +13,12 @@ pub mod ply;
 pub mod progress;
 pub mod ray;
 pub mod scene;
+mod session;
 pub mod shade;
+mod stage;
 pub mod statue;
 pub mod trace;
 pub mod tracer;
 pub mod triangle;
+pub mod wire;
+mod work;

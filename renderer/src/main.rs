@@ -6,12 +6,7 @@ use clap::Parser;
 use renderer::cli::{self, Cli};
 
 fn main() -> ExitCode {
-    match cli::run(Cli::parse().command) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            // `:#` puts the whole chain of causes on one line.
-            eprintln!("error: {error:#}");
-            ExitCode::FAILURE
-        }
-    }
+    let command = Cli::parse().command;
+    cli::start_logging();
+    cli::exit_code(cli::run(command))
 }

@@ -1,6 +1,6 @@
 //! Loads what is to be traced, and names it.
 
-use std::path::PathBuf;
+use std::{fmt, path::PathBuf};
 
 use shared::scene::SceneId;
 
@@ -23,6 +23,15 @@ pub enum SceneSource {
     },
     /// A PLY file.
     Ply(PathBuf),
+}
+
+impl fmt::Display for SceneSource {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Statue { .. } => f.write_str("the built-in statue"),
+            Self::Ply(path) => write!(f, "{}", path.display()),
+        }
+    }
 }
 
 /// A mesh and its name.

@@ -62,6 +62,16 @@ impl Scene {
         &self.grid
     }
 
+    /// Triangles that can be hit.
+    pub fn n_triangles(&self) -> usize {
+        self.mesh.triangles.len() - self.mesh.n_rejected
+    }
+
+    /// Bytes of mesh and grid in memory.
+    pub fn n_bytes(&self) -> usize {
+        self.mesh.n_bytes() + self.grid.n_bytes()
+    }
+
     /// The nearest triangle along a ray.
     pub fn intersect(&self, ray: &Ray) -> Hit {
         self.grid.intersect(&self.mesh, ray)

@@ -1,0 +1,128 @@
+//! The command line of the wall.
+
+use std::{net::SocketAddr, path::PathBuf};
+
+use shared::{
+    division::{Division, FrameSize},
+    protocol::{DEFAULT_PORT, View},
+};
+
+/// Shows a scanned model on a display wall, ray traced by render servers.
+///
+/// Without arguments: the built-in statue on a wall of 4×3 projectors, traced by two local render servers.
+#[derive(Debug, clap::Parser)]
+#[command(version, args_conflicts_with_subcommands = true)]
+pub struct Args {
+    /// What the program is when it is not the wall
+    #[command(subcommand)]
+    pub command: Option<Command>,
+    /// The wall's own arguments
+    #[command(flatten)]
+    pub wall: WallArgs,
+}
+
+/// Programs beside the wall.
+#[derive(Debug, clap::Subcommand)]
+pub enum Command {
+    /// The render server: the same as the program `renderer`
+    #[command(subcommand)]
+    Renderer(renderer::cli::Command),
+}
+
+/// How a wall is run.
+#[derive(Clone, Debug, clap::Args)]
+pub struct WallArgs {
+    /// The PLY file to show [default: the built-in statue]
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Triangles of the built-in statue
+    #[arg(long, value_name = "N", default_value_t = 1_000_000, conflicts_with = "model",
+        value_parser = clap::value_parser!(u32).range(100..=100_000_000))]
+    pub triangles: u32,
+    /// The wall file [default: the paper's 4×3 projectors]
+    #[arg(long, value_name = "FILE.toml")]
+    pub wall: Option<PathBuf>,
+    /// The camera file [default: one that sees all]
+    #[arg(long, value_name = "FILE.toml")]
+    pub camera: Option<PathBuf>,
+    /// The address to wait for render servers on; port 0 takes a free one
+    #[arg(long, value_name = "ADDR", default_value_t = SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))]
+    pub listen: SocketAddr,
+    /// Listen on the network although nothing is encrypted and nobody is authenticated
+    #[arg(long)]
+    pub insecure: bool,
+    /// Render servers to start on this machine [default: 2; 0 with --listen]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=256))]
+    pub local: Option<u32>,
+    /// Wait for this many render servers before the first frame; 0 with --headless shows blank frames
+    /// [default: as many as --local, at least 1]
+    #[arg(long, value_name = "K")]
+    pub min_renderers: Option<u32>,
+    /// How frames are divided among render servers: interleaved or tiled
+    #[arg(long, value_name = "D", default_value = Division::default().name())]
+    pub division: Division,
+    /// What the samples show: shaded or normals
+    #[arg(long, value_name = "V", default_value = View::default().name())]
+    pub view: View,
+    /// Samples of a frame
+    #[arg(long, value_name = "WxH", default_value_t = FrameSize::PAPER)]
+    pub size: FrameSize,
+    /// Fill the screen
+    #[arg(long)]
+    pub fullscreen: bool,
+    /// No window: render frames, print a table of timings, and end
+    #[arg(long)]
+    pub headless: bool,
+    /// End after this many whole frames [default with --headless: 10]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub frames: Option<u32>,
+    /// Write the wall, without overlay, to this file at the end
+    #[arg(long, value_name = "FILE.png")]
+    pub screenshot: Option<PathBuf>,
+    /// Write every frame's figures to this file at the end
+    #[arg(long, value_name = "FILE.json")]
+    pub stats: Option<PathBuf>,
+}
+
+impl WallArgs {
+    /// How many local render servers are started.
+    pub fn n_local(&self) -> u32 {
+        let is_for_others = !self.listen.ip().is_loopback() || self.listen.port() != DEFAULT_PORT;
+        self.local.unwrap_or(if is_for_others { 0 } else { 2 })
+    }
+
+    /// How many render servers the first frame waits for.
+    pub fn min_renderers(&self) -> u32 {
+        self.min_renderers.unwrap_or_else(|| self.n_local().max(1))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::{CommandFactory, Parser};
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Args::command().debug_assert();
+    }
+
+    #[test]
+    fn without_arguments_two_local_render_servers_are_started() {
+        let args = Args::parse_from(["compositor"]);
+        assert_eq!((args.wall.n_local(), args.wall.min_renderers()), (2, 2));
+    }
+
+    #[test]
+    fn a_wall_for_other_machines_starts_none() {
+        let args = Args::parse_from(["compositor", "--listen", "0.0.0.0:7117"]);
+        assert_eq!((args.wall.n_local(), args.wall.min_renderers()), (0, 1));
+    }
+
+    #[test]
+    fn the_wall_is_its_own_render_server() {
+        let args = Args::parse_from(["compositor", "renderer", "connect", "127.0.0.1:1", "--local"]);
+        assert!(matches!(args.command, Some(Command::Renderer(renderer::cli::Command::Connect(_)))));
+    }
+}

@@ -1,0 +1,234 @@
+//! One render server's connection: handshake, heartbeats, and samples put in place as they arrive.
+
+use std::{
+    collections::HashMap,
+    net::SocketAddr,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use renderer::wire::{Incoming, MessageReader, MessageWriter, WireError};
+use shared::{
+    codec::{CHUNK_HEADER_BYTES, HEADER_BYTES},
+    division::Work,
+    protocol::{
+        Chunk, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME, SceneState, ToServer,
+        ToWall, WorkId, WorkTimings,
+    },
+    scene::SceneId,
+};
+use tokio::{
+    io::{AsyncRead, AsyncWrite},
+    sync::mpsc,
+    time::{MissedTickBehavior, interval, timeout},
+};
+
+use super::{
+    frame_buffer::{FrameBuffer, PlaceError},
+    scheduler::Placed,
+};
+use crate::stats::NodeId;
+
+/// What a connection tells the farm.
+#[derive(Debug)]
+pub(super) enum Report {
+    /// Hands are shaken.
+    Joined { name: String, threads: u32, outgoing: mpsc::Sender<Vec<u8>>, desk: Arc<Desk> },
+    /// How far the render server is with a scene.
+    Scene { scene: SceneId, state: SceneState },
+    /// Samples are in their places.
+    Placed { frame: FrameId, work_id: WorkId, units: Placed },
+    /// A work is answered.
+    WorkDone { frame: FrameId, work_id: WorkId, timings: WorkTimings },
+    /// A ping came back.
+    RoundTrip(Duration),
+    /// The connection has ended: by the peer's will, or for a reason.
+    Ended(Result<(), ConnectionError>),
+}
+
+/// Why the wall drops a render server.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ConnectionError {
+    #[error("{0}")]
+    Wire(#[from] WireError),
+    #[error("no handshake within {} s", HANDSHAKE_TIMEOUT.as_secs())]
+    NoHandshake,
+    #[error("it spoke out of turn")]
+    OutOfTurn,
+    #[error("its name is longer than {LONGEST_NAME} bytes")]
+    LongName,
+    #[error("it sent samples that do not fit their work: {0}")]
+    Misplaced(#[from] PlaceError),
+    #[error("it called a work done of which it has sent {sent} of {n_units} units")]
+    Incomplete { sent: u32, n_units: u32 },
+    #[error("it does not read what it is sent")]
+    Clogged,
+}
+
+/// The works that a render server has been given and not yet answered.
+#[derive(Debug, Default)]
+pub(super) struct Desk(Mutex<HashMap<WorkId, Assignment>>);
+
+/// A work and where its samples go.
+#[derive(Debug)]
+pub(super) struct Assignment {
+    pub(super) frame: FrameId,
+    pub(super) work: Work,
+    pub(super) buffer: Arc<FrameBuffer>,
+    pub(super) n_placed: u32,
+}
+
+impl Desk {
+    fn lock(&self) -> MutexGuard<'_, HashMap<WorkId, Assignment>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn put(&self, work_id: WorkId, assignment: Assignment) {
+        self.lock().insert(work_id, assignment);
+    }
+
+    /// Forgets the works of a frame: late answers to them are dropped.
+    pub(super) fn clear(&self, frame: FrameId) {
+        self.lock().retain(|_, assignment| assignment.frame != frame);
+    }
+
+    /// Puts a chunk in its place. `None` if its work is not, or no longer, wanted.
+    fn place(&self, chunk: Chunk<'_>) -> Result<Option<Placed>, ConnectionError> {
+        let started_at = Instant::now();
+        let mut assignments = self.lock();
+        let Some(assignment) = assignments.get_mut(&chunk.work_id).filter(|given| given.frame == chunk.frame) else {
+            return Ok(None);
+        };
+        let share = assignment.work.share(assignment.buffer.size()).expect("the wall gives out works that fit");
+        let Chunk { first_unit: first, n_units: count, rgb, .. } = chunk;
+        assignment.buffer.place(&share, first, count, rgb)?;
+        assignment.n_placed = assignment.n_placed.saturating_add(count);
+        let n_bytes = (HEADER_BYTES + CHUNK_HEADER_BYTES + rgb.len()) as u64;
+        Ok(Some(Placed { first, count, n_bytes, place_time: started_at.elapsed() }))
+    }
+
+    /// Takes a finished work off the desk; whether it was still there.
+    fn finish(&self, work_id: WorkId) -> Result<bool, ConnectionError> {
+        let Some(assignment) = self.lock().remove(&work_id) else { return Ok(false) };
+        let share = assignment.work.share(assignment.buffer.size()).expect("the wall gives out works that fit");
+        let (sent, n_units) = (assignment.n_placed, share.count());
+        if sent < n_units { Err(ConnectionError::Incomplete { sent, n_units }) } else { Ok(true) }
+    }
+}
+
+/// Where a connection's reports go.
+#[derive(Clone, Debug)]
+pub(super) struct Reporter {
+    pub(super) node: NodeId,
+    pub(super) address: SocketAddr,
+    pub(super) farm: mpsc::Sender<(NodeId, SocketAddr, Report)>,
+}
+
+impl Reporter {
+    async fn send(&self, report: Report) {
+        // The farm is gone only when the wall ends, and this connection with it.
+        let _ = self.farm.send((self.node, self.address, report)).await;
+    }
+}
+
+/// Requests that a render server may leave unread before it is dropped.
+const LONGEST_QUEUE: usize = 64;
+
+/// Runs a connection from its first byte to its end.
+pub(super) async fn serve(
+    input: impl AsyncRead + Unpin,
+    output: impl AsyncWrite + Unpin,
+    reporter: Reporter,
+    started_at: Instant,
+) {
+    let mut reader = MessageReader::new(input, HANDSHAKE_TIMEOUT);
+    let mut writer = MessageWriter::new(output);
+    let ended = match timeout(HANDSHAKE_TIMEOUT, shake_hands(&mut reader, &mut writer)).await {
+        Err(_) => Err(ConnectionError::NoHandshake),
+        Ok(Err(error)) => Err(error),
+        Ok(Ok((name, threads))) => {
+            let (outgoing, requests) = mpsc::channel(LONGEST_QUEUE);
+            let desk = Arc::new(Desk::default());
+            reader.accept(HEARTBEAT_TIMEOUT);
+            reporter.send(Report::Joined { name, threads, outgoing, desk: Arc::clone(&desk) }).await;
+            tokio::select! {
+                ended = receive(&mut reader, &desk, &reporter, started_at) => ended,
+                ended = transmit(&mut writer, requests, started_at) => ended,
+            }
+        }
+    };
+    reporter.send(Report::Ended(ended)).await;
+}
+
+async fn shake_hands(
+    reader: &mut MessageReader<impl AsyncRead + Unpin, ToWall>,
+    writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
+) -> Result<(String, u32), ConnectionError> {
+    // The wall's preamble goes out in any case: a render server of another version learns of it.
+    writer.flush().await.map_err(WireError::from)?;
+    reader.read_preamble().await?;
+    let Some(Incoming::Control(ToWall::Hello { name, threads })) = reader.read().await? else {
+        return Err(ConnectionError::OutOfTurn);
+    };
+    if name.len() > LONGEST_NAME {
+        return Err(ConnectionError::LongName);
+    }
+    writer.send(&ToServer::Welcome).await?;
+    // Names are shown: nothing in them may disturb a log or the overlay.
+    Ok((name.chars().filter(|letter| !letter.is_control()).collect(), threads))
+}
+
+async fn receive(
+    reader: &mut MessageReader<impl AsyncRead + Unpin, ToWall>,
+    desk: &Desk,
+    reporter: &Reporter,
+    started_at: Instant,
+) -> Result<(), ConnectionError> {
+    while let Some(incoming) = reader.read().await? {
+        match incoming {
+            Incoming::Samples(chunk) => {
+                let (frame, work_id) = (chunk.frame, chunk.work_id);
+                if let Some(units) = desk.place(chunk)? {
+                    reporter.send(Report::Placed { frame, work_id, units }).await;
+                }
+            }
+            Incoming::Control(ToWall::WorkDone { frame, work_id, timings }) => {
+                if desk.finish(work_id)? {
+                    reporter.send(Report::WorkDone { frame, work_id, timings }).await;
+                }
+            }
+            Incoming::Control(ToWall::SceneState { scene, state }) => {
+                reporter.send(Report::Scene { scene, state }).await;
+            }
+            Incoming::Control(ToWall::Pong { sent_us }) => {
+                let sent_at = Duration::from_micros(sent_us);
+                reporter.send(Report::RoundTrip(started_at.elapsed().saturating_sub(sent_at))).await;
+            }
+            Incoming::Control(ToWall::Heartbeat) => {}
+            Incoming::Control(ToWall::Hello { .. }) => return Err(ConnectionError::OutOfTurn),
+        }
+    }
+    Ok(())
+}
+
+async fn transmit(
+    writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
+    mut requests: mpsc::Receiver<Vec<u8>>,
+    started_at: Instant,
+) -> Result<(), ConnectionError> {
+    let mut heartbeat = interval(HEARTBEAT_INTERVAL);
+    heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            request = requests.recv() => match request {
+                Some(request) => writer.push_encoded(&request),
+                None => return Err(ConnectionError::Clogged),
+            },
+            _ = heartbeat.tick() => {
+                let sent_us = started_at.elapsed().as_micros() as u64;
+                writer.push(&ToServer::Ping { sent_us }).map_err(WireError::from)?;
+            }
+        }
+        writer.flush().await.map_err(WireError::from)?;
+    }
+}

@@ -1,0 +1,189 @@
+//! A frame while its samples come in.
+
+use std::time::Duration;
+
+use shared::{
+    division::{Division, Share, Work},
+    protocol::{FrameId, Picture, WorkId, WorkTimings},
+};
+
+use super::{Placed, Time, coverage::Coverage};
+use crate::stats::{FrameStats, NodeFrameStats, NodeId};
+
+/// Work is late when it has taken this many times as long as the slowest finished work of the frame…
+const LATE_FACTOR: u32 = 3;
+
+/// …and at least this long: below it, giving it out again costs more than waiting.
+const LATE_AT_LEAST: Duration = Duration::from_millis(30);
+
+/// A frame, who renders what of it, and what has come.
+#[derive(Debug)]
+pub(super) struct FrameInFlight {
+    pub(super) id: FrameId,
+    pub(super) picture: Picture,
+    /// 1, and one more each time work was given out again.
+    pub(super) attempts: u32,
+    division: Division,
+    started_at: Time,
+    coverage: Coverage,
+    works: Vec<GivenWork>,
+}
+
+/// A work, to whom it was given, and what became of it.
+#[derive(Debug)]
+struct GivenWork {
+    id: WorkId,
+    node: NodeId,
+    name: String,
+    work: Work,
+    sent_at: Time,
+    state: WorkState,
+    n_bytes: u64,
+    place_time: Duration,
+}
+
+#[derive(Debug)]
+enum WorkState {
+    AtWork,
+    /// Late, and given to others as well.
+    Doubled,
+    Done {
+        at: Time,
+        timings: WorkTimings,
+    },
+    /// Its node is lost, and nobody else has it yet.
+    Lost,
+    /// Its node is lost, and others have it.
+    GivenOn,
+}
+
+impl FrameInFlight {
+    pub(super) fn new(id: FrameId, picture: Picture, division: Division, now: Time) -> Self {
+        let coverage = Coverage::new(division.units(picture.size));
+        Self { id, picture, attempts: 1, division, started_at: now, coverage, works: Vec::new() }
+    }
+
+    pub(super) fn give(&mut self, now: Time, id: WorkId, node: NodeId, name: String, work: Work) {
+        let state = WorkState::AtWork;
+        let given = GivenWork { id, node, name, work, sent_at: now, state, n_bytes: 0, place_time: Duration::ZERO };
+        self.works.push(given);
+    }
+
+    pub(super) fn place(&mut self, node: NodeId, work_id: WorkId, units: Placed) {
+        let Some(given) = self.works.iter_mut().find(|given| given.id == work_id && given.node == node) else { return };
+        given.n_bytes += units.n_bytes;
+        given.place_time += units.place_time;
+        self.coverage.cover(&share(&given.work, self.picture), units.first, units.count);
+    }
+
+    pub(super) fn finish(&mut self, now: Time, node: NodeId, work_id: WorkId, timings: WorkTimings) {
+        let Some(given) = self.works.iter_mut().find(|given| given.id == work_id && given.node == node) else { return };
+        // A render server that says "done" without having sent everything does not make the frame whole.
+        if self.coverage.has_all_of(&share(&given.work, self.picture)) {
+            given.state = WorkState::Done { at: now, timings };
+        } else {
+            given.state = WorkState::Lost;
+        }
+    }
+
+    pub(super) fn lose(&mut self, node: NodeId) {
+        for given in self.works.iter_mut().filter(|given| given.node == node) {
+            given.state = match given.state {
+                WorkState::AtWork => WorkState::Lost,
+                WorkState::Doubled => WorkState::GivenOn,
+                _ => continue,
+            };
+        }
+    }
+
+    /// Works whose nodes are lost and of which samples are missing: whoever calls this gives them to others.
+    pub(super) fn take_lost_work(&mut self) -> Vec<Work> {
+        let mut missing = Vec::new();
+        for given in self.works.iter_mut().filter(|given| matches!(given.state, WorkState::Lost)) {
+            given.state = WorkState::GivenOn;
+            if !self.coverage.has_all_of(&share(&given.work, self.picture)) {
+                missing.push(given.work.clone());
+            }
+        }
+        missing
+    }
+
+    /// The oldest work that is late: whoever calls this gives it to others as well.
+    pub(super) fn take_late_work(&mut self, now: Time) -> Option<Work> {
+        let slowest = self.works.iter().filter_map(|given| match given.state {
+            WorkState::Done { at, .. } => Some(at - given.sent_at),
+            _ => None,
+        });
+        let late_after = (slowest.max()? * LATE_FACTOR).max(LATE_AT_LEAST);
+        let is_late = |given: &&mut GivenWork| {
+            matches!(given.state, WorkState::AtWork) && now.saturating_sub(given.sent_at) > late_after
+        };
+        let late = self.works.iter_mut().find(is_late)?;
+        late.state = WorkState::Doubled;
+        Some(late.work.clone())
+    }
+
+    pub(super) fn is_at_work(&self, node: NodeId) -> bool {
+        self.nodes_at_work().any(|at_work| at_work == node)
+    }
+
+    pub(super) fn nodes_at_work(&self) -> impl Iterator<Item = NodeId> {
+        let is_at_work = |given: &&GivenWork| matches!(given.state, WorkState::AtWork | WorkState::Doubled);
+        self.works.iter().filter(is_at_work).map(|given| given.node)
+    }
+
+    /// Whether every sample is in its place, and everybody whose answer counts has said how long it took.
+    pub(super) fn is_whole(&self) -> bool {
+        self.coverage.is_whole() && !self.works.iter().any(|given| matches!(given.state, WorkState::AtWork))
+    }
+
+    pub(super) fn stats(&self, now: Time) -> FrameStats {
+        let n_units = f64::from(self.division.units(self.picture.size).count());
+        let mut nodes: Vec<NodeFrameStats> = Vec::new();
+        for given in &self.works {
+            let share = f64::from(share(&given.work, self.picture).count()) / n_units;
+            let (tracing, network, idle) = match given.state {
+                WorkState::Done { at, timings } => {
+                    let tracing = Duration::from_micros(timings.trace_us.into());
+                    ((tracing, timings.trace_cpu_us), (at - given.sent_at).saturating_sub(tracing), now - at)
+                }
+                _ => Default::default(),
+            };
+            let of_this = NodeFrameStats {
+                id: given.node,
+                name: given.name.clone(),
+                share,
+                trace_ms: milliseconds(tracing.0),
+                trace_cpu_ms: f64::from(tracing.1) / 1e3,
+                network_ms: milliseconds(network),
+                idle_ms: milliseconds(idle),
+                bytes_in: given.n_bytes,
+                bytes_out: 0,
+            };
+            match nodes.iter_mut().find(|node| node.id == given.node) {
+                Some(node) => node.add(&of_this),
+                None => nodes.push(of_this),
+            }
+        }
+        FrameStats {
+            frame: self.id.0,
+            size: self.picture.size,
+            division: self.division,
+            render_ms: milliseconds(now - self.started_at),
+            place_ms: milliseconds(self.works.iter().map(|given| given.place_time).sum()),
+            attempts: self.attempts,
+            bytes_in: nodes.iter().map(|node| node.bytes_in).sum(),
+            bytes_out: 0,
+            nodes,
+        }
+    }
+}
+
+/// The share behind a work that the scheduler made itself.
+fn share(work: &Work, picture: Picture) -> Share<'_> {
+    work.share(picture.size).expect("the scheduler makes works that fit their frame")
+}
+
+fn milliseconds(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}

@@ -1,0 +1,334 @@
+//! The scheduler under invented time, latency, speed and death.
+
+use std::collections::VecDeque;
+
+use proptest::prelude::*;
+use shared::{
+    camera::Camera,
+    division::FrameSize,
+    protocol::{SampleRange, View},
+    scene::SceneId,
+};
+
+use super::*;
+
+const A: NodeId = NodeId(1);
+const B: NodeId = NodeId(2);
+const C: NodeId = NodeId(3);
+
+fn picture(eye_x: f64, triangles: u32) -> Picture {
+    let eye = glam::DVec3::new(eye_x, 0.0, 5.0);
+    Picture {
+        scene: SceneId::Statue { triangles },
+        camera: Camera::look_at(eye, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0).unwrap(),
+        size: FrameSize::new(40, 24).unwrap(),
+        view: View::Shaded,
+        samples: SampleRange::CENTRE,
+    }
+}
+
+fn wanted(division: Division) -> Wanted {
+    Wanted { picture: Some(picture(0.0, 1000)), division, min_renderers: 1, repeat: false }
+}
+
+/// A work that was sent to a node.
+#[derive(Clone, Debug)]
+struct Sent {
+    node: NodeId,
+    frame: FrameId,
+    work_id: WorkId,
+    work: Work,
+    size: FrameSize,
+}
+
+/// A farm without computers: answers come when the test says so.
+struct Farm {
+    scheduler: Scheduler,
+    now: Time,
+    at_work: VecDeque<Sent>,
+    shown: Vec<FrameStats>,
+    cancelled: Vec<NodeId>,
+    /// How often each sample of the open frame was placed.
+    placed: Vec<u32>,
+}
+
+impl Farm {
+    fn new(wanted: Wanted) -> Self {
+        let scheduler = Scheduler::new(wanted);
+        Self { scheduler, now: Time::ZERO, at_work: VecDeque::new(), shown: vec![], cancelled: vec![], placed: vec![] }
+    }
+
+    fn with_nodes(wanted: Wanted, nodes: &[NodeId]) -> Self {
+        let min_renderers = nodes.len() as u32;
+        let mut farm = Self::new(Wanted { min_renderers, ..wanted.clone() });
+        nodes.iter().for_each(|&node| farm.join(node));
+        farm.on(Event::Wanted(wanted));
+        farm
+    }
+
+    fn on(&mut self, event: Event) {
+        for action in self.scheduler.on_event(self.now, event) {
+            match action {
+                Action::Open { picture, .. } => self.placed = vec![0; picture.size.n_samples() as usize],
+                Action::Render { node, frame, work_id, picture, work } => {
+                    work.share(picture.size).expect("works fit their frame");
+                    self.at_work.push_back(Sent { node, frame, work_id, work, size: picture.size });
+                }
+                Action::Cancel { node, .. } => {
+                    self.cancelled.push(node);
+                    self.at_work.retain(|sent| sent.node != node);
+                }
+                Action::Show { stats, .. } => {
+                    assert!(self.placed.iter().all(|&times| times > 0), "a frame with holes is shown");
+                    self.shown.push(stats);
+                }
+                Action::Discard { .. } => self.at_work.clear(),
+            }
+        }
+    }
+
+    fn join(&mut self, node: NodeId) {
+        self.on(Event::Joined { node, name: format!("node {}", node.0) });
+        self.on(Event::SceneReady { node, ready: true });
+    }
+
+    fn lose(&mut self, node: NodeId) {
+        self.at_work.retain(|sent| sent.node != node);
+        self.on(Event::Lost { node });
+    }
+
+    fn place(&mut self, sent: &Sent, first: u32, count: u32) {
+        let share = sent.work.share(sent.size).unwrap();
+        for (i, j) in (first..first + count).flat_map(|k| share.samples(k).iter()) {
+            self.placed[(j * sent.size.xres() + i) as usize] += 1;
+        }
+        let units = Placed { first, count, n_bytes: 3, place_time: Time::ZERO };
+        self.on(Event::Placed { node: sent.node, frame: sent.frame, work_id: sent.work_id, units });
+    }
+
+    /// A node answers the whole of its oldest work.
+    fn answer(&mut self, node: NodeId) {
+        let at = self.at_work.iter().position(|sent| sent.node == node).expect("the node has work");
+        let sent = self.at_work.remove(at).unwrap();
+        let n_units = sent.work.share(sent.size).unwrap().count();
+        self.place(&sent, 0, n_units);
+        let timings = WorkTimings { trace_us: 1000, ..WorkTimings::default() };
+        self.on(Event::WorkDone { node, frame: sent.frame, work_id: sent.work_id, timings });
+    }
+
+    fn pass(&mut self, milliseconds: u64) {
+        self.now += Duration::from_millis(milliseconds);
+        self.on(Event::Tick);
+    }
+}
+
+#[test]
+fn a_frame_is_shown_once_all_have_answered() {
+    for division in Division::ALL {
+        let mut farm = Farm::with_nodes(wanted(division), &[A, B, C]);
+        farm.pass(4);
+        farm.answer(B);
+        farm.answer(A);
+        assert!(farm.shown.is_empty());
+        farm.pass(6);
+        farm.answer(C);
+        let [stats] = &farm.shown[..] else { panic!("{} frames", farm.shown.len()) };
+        assert_eq!((stats.render_ms, stats.attempts), (10.0, 1));
+        let idle: Vec<_> = stats.nodes.iter().map(|node| node.idle_ms).collect();
+        assert_eq!(idle, [6.0, 6.0, 0.0]);
+        assert!((stats.nodes.iter().map(|node| node.share).sum::<f64>() - 1.0).abs() < 1e-12);
+        assert_eq!(stats.nodes[2].network_ms, 9.0, "ten less one of tracing");
+    }
+}
+
+#[test]
+fn nothing_is_rendered_until_enough_are_ready() {
+    let mut farm = Farm::new(Wanted { min_renderers: 2, ..wanted(Division::Tiled) });
+    farm.join(A);
+    farm.on(Event::Joined { node: B, name: "b".into() });
+    assert!(farm.at_work.is_empty());
+    farm.on(Event::SceneReady { node: B, ready: true });
+    assert_eq!(farm.at_work.len(), 2);
+}
+
+#[test]
+fn a_resting_wall_renders_nothing() {
+    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    farm.answer(A);
+    farm.on(Event::FrameTaken);
+    farm.pass(1000);
+    farm.on(Event::Wanted(wanted(Division::Tiled)));
+    assert!(farm.at_work.is_empty() && !farm.scheduler.has_frame_in_flight());
+}
+
+#[test]
+fn the_share_of_a_lost_node_goes_to_the_others() {
+    for division in Division::ALL {
+        let mut farm = Farm::with_nodes(wanted(division), &[A, B, C]);
+        farm.answer(A);
+        farm.lose(B);
+        assert_eq!(farm.at_work.len(), 3, "C's own share, and B's in two parts");
+        farm.answer(C);
+        farm.answer(A);
+        assert!(farm.shown.is_empty());
+        farm.answer(C);
+        assert_eq!(farm.shown[0].attempts, 2);
+    }
+}
+
+#[test]
+fn the_last_node_may_die_and_another_finishes_its_frame() {
+    let mut farm = Farm::with_nodes(wanted(Division::Interleaved), &[A]);
+    let sent = farm.at_work[0].clone();
+    farm.place(&sent, 0, 100);
+    farm.lose(A);
+    farm.pass(10_000);
+    assert!(farm.at_work.is_empty());
+    farm.join(B);
+    farm.answer(B);
+    assert_eq!(farm.shown.len(), 1);
+    assert_eq!(farm.shown[0].frame, 1, "it is the same frame");
+}
+
+#[test]
+fn a_node_that_dies_after_its_last_sample_costs_nothing() {
+    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A, B]);
+    let sent = farm.at_work[0].clone();
+    let n_units = sent.work.share(sent.size).unwrap().count();
+    farm.place(&sent, 0, n_units);
+    farm.lose(sent.node);
+    farm.answer(B);
+    assert_eq!((farm.shown.len(), farm.shown[0].attempts), (1, 1));
+}
+
+#[test]
+fn who_joins_gets_work_in_the_next_frame() {
+    let mut farm = Farm::with_nodes(Wanted { repeat: true, ..wanted(Division::Tiled) }, &[A]);
+    farm.join(B);
+    assert!(farm.at_work.iter().all(|sent| sent.node == A));
+    farm.answer(A);
+    assert!(farm.at_work.iter().any(|sent| sent.node == B));
+}
+
+#[test]
+fn late_work_is_done_by_an_idle_node_too() {
+    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A, B]);
+    farm.pass(20);
+    farm.answer(A);
+    farm.pass(40);
+    assert_eq!(farm.at_work.len(), 1, "60 ms is three times 20, not more");
+    farm.pass(1);
+    assert_eq!(farm.at_work.len(), 2);
+    farm.answer(A);
+    assert_eq!(farm.shown.len(), 1, "the first answer wins");
+    assert_eq!(farm.cancelled, [B]);
+}
+
+#[test]
+fn a_slow_node_is_not_a_lost_one() {
+    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    farm.pass(60_000);
+    farm.answer(A);
+    assert_eq!((farm.shown.len(), farm.shown[0].attempts), (1, 1));
+}
+
+#[test]
+fn the_next_frame_is_rendered_but_not_shown_before_the_last_is_taken() {
+    let mut farm = Farm::with_nodes(Wanted { repeat: true, ..wanted(Division::Tiled) }, &[A]);
+    farm.answer(A);
+    farm.answer(A);
+    assert_eq!(farm.shown.len(), 1);
+    farm.on(Event::FrameTaken);
+    assert_eq!(farm.shown.len(), 2);
+    assert_eq!((farm.shown[0].frame, farm.shown[1].frame), (1, 2));
+}
+
+#[test]
+fn only_the_newest_camera_is_rendered_next() {
+    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    for eye_x in 1..5 {
+        farm.on(Event::Wanted(Wanted { picture: Some(picture(eye_x.into(), 1000)), ..wanted(Division::Tiled) }));
+    }
+    farm.answer(A);
+    farm.on(Event::FrameTaken);
+    assert_eq!(farm.scheduler.frame.as_ref().unwrap().picture, picture(4.0, 1000));
+    farm.answer(A);
+    assert_eq!(farm.shown.len(), 2);
+}
+
+#[test]
+fn a_division_is_switched_between_two_frames() {
+    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    farm.answer(A);
+    farm.on(Event::FrameTaken);
+    farm.on(Event::Wanted(wanted(Division::Interleaved)));
+    farm.answer(A);
+    assert_eq!(farm.shown[1].division, Division::Interleaved);
+}
+
+#[test]
+fn another_scene_ends_the_frame_and_asks_everybody_again() {
+    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A, B]);
+    farm.on(Event::Wanted(Wanted { picture: Some(picture(0.0, 2000)), ..wanted(Division::Tiled) }));
+    assert_eq!(farm.cancelled, [A, B]);
+    assert!(farm.at_work.is_empty());
+    farm.on(Event::SceneReady { node: B, ready: true });
+    farm.answer(B);
+    assert_eq!(farm.shown.len(), 1);
+}
+
+proptest! {
+    /// Whatever happens, in whatever order: no frame has holes, frames are shown in order, and once the chaos is over the
+    /// frame gets finished.
+    #[test]
+    fn every_frame_is_whole_whatever_happens(
+        events in proptest::collection::vec((0..6u8, 1..6u32, 0..40u64), 0..200), interleaved: bool,
+    ) {
+        let division = if interleaved { Division::Interleaved } else { Division::Tiled };
+        let mut farm = Farm::new(Wanted { repeat: true, ..wanted(division) });
+        let mut alive = std::collections::BTreeSet::new();
+        for (kind, node, milliseconds) in events {
+            let node = NodeId(node);
+            farm.now += Duration::from_millis(milliseconds);
+            match kind {
+                0 => {
+                    if alive.insert(node) {
+                        farm.join(node);
+                    }
+                }
+                1 => {
+                    if alive.remove(&node) {
+                        farm.lose(node);
+                    }
+                }
+                2 => farm.on(Event::FrameTaken),
+                3 => {
+                    // Part of an answer, perhaps of the same units twice.
+                    if let Some(sent) = farm.at_work.iter().find(|sent| sent.node == node).cloned() {
+                        let n_units = sent.work.share(sent.size).unwrap().count();
+                        farm.place(&sent, 0, n_units.min(milliseconds as u32));
+                    }
+                }
+                _ => {
+                    if farm.at_work.iter().any(|sent| sent.node == node) {
+                        farm.answer(node);
+                    }
+                }
+            }
+            farm.pass(0);
+        }
+        let n_shown = farm.shown.len();
+        farm.on(Event::FrameTaken);
+        if alive.insert(NodeId(99)) {
+            farm.join(NodeId(99));
+        }
+        for _ in 0..200 {
+            let Some(sent) = farm.at_work.front() else { break };
+            let node = sent.node;
+            farm.answer(node);
+            farm.on(Event::FrameTaken);
+        }
+        prop_assert!(farm.shown.len() > n_shown);
+        prop_assert!(farm.shown.is_sorted_by_key(|stats| stats.frame));
+    }
+}

@@ -1,0 +1,293 @@
+//! The farm's thin edge: accepts connections, feeds the scheduler, and carries out what it says.
+
+use std::{
+    collections::{BTreeMap, HashMap},
+    net::SocketAddr,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use shared::{
+    codec,
+    protocol::{FrameId, Picture, SceneState, ToServer, WorkId},
+};
+use tokio::{
+    net::{TcpListener, TcpStream},
+    sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch},
+    task::JoinSet,
+    time::{MissedTickBehavior, interval},
+};
+
+use super::{
+    FinishedFrame, Frame, Wanted,
+    connection::{self, Assignment, Desk, Report, Reporter},
+    frame_buffer::FrameBuffer,
+    scheduler::{self, Action, Event, Scheduler},
+};
+use crate::stats::{FarmStatus, FrameStats, NodeId, NodeStatus};
+
+/// Connections at a time, strangers included: far more than a wall has nodes, few enough to bound what they can hold.
+const MOST_CONNECTIONS: usize = 1024;
+
+/// Reports that wait for the farm; when it is full, receiving threads wait.
+const LONGEST_REPORT_QUEUE: usize = 1024;
+
+/// How often the scheduler looks for late work while a frame is in flight.
+const TICK: Duration = Duration::from_millis(10);
+
+/// A connected render server.
+#[derive(Debug)]
+struct Node {
+    outgoing: mpsc::Sender<Vec<u8>>,
+    desk: Arc<Desk>,
+}
+
+/// A frame whose samples are coming in.
+#[derive(Debug)]
+struct OpenFrame {
+    picture: Picture,
+    buffer: Arc<FrameBuffer>,
+    moved_at: Instant,
+    bytes_out: HashMap<NodeId, u64>,
+}
+
+/// The farm while it runs.
+pub(super) struct Service {
+    started_at: Instant,
+    wanted: watch::Receiver<Wanted>,
+    status: watch::Sender<FarmStatus>,
+    finished: Arc<FinishedFrame>,
+    wake: Box<dyn Fn() + Send + Sync>,
+    scheduler: Scheduler,
+    nodes: BTreeMap<NodeId, Node>,
+    frames: HashMap<FrameId, OpenFrame>,
+}
+
+impl Service {
+    pub(super) fn new(
+        mut wanted: watch::Receiver<Wanted>,
+        status: watch::Sender<FarmStatus>,
+        finished: Arc<FinishedFrame>,
+        wake: Box<dyn Fn() + Send + Sync>,
+    ) -> Self {
+        let scheduler = Scheduler::new(for_scheduler(&wanted.borrow_and_update()));
+        let started_at = Instant::now();
+        Self { started_at, wanted, status, finished, wake, scheduler, nodes: BTreeMap::new(), frames: HashMap::new() }
+    }
+
+    /// Runs until the task is aborted or the wall is gone.
+    pub(super) async fn run(mut self, listener: TcpListener) {
+        let (reports_in, mut reports) = mpsc::channel(LONGEST_REPORT_QUEUE);
+        let free = Arc::new(Semaphore::new(MOST_CONNECTIONS));
+        let mut connections = JoinSet::new();
+        let mut last_node = NodeId(0);
+        let mut tick = interval(TICK);
+        tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let finished = Arc::clone(&self.finished);
+        loop {
+            tokio::select! {
+                accepted = accept(&listener, &free) => {
+                    let (stream, address, permit) = accepted;
+                    last_node.0 += 1;
+                    let reporter = Reporter { node: last_node, address, farm: reports_in.clone() };
+                    connections.spawn(run_connection(stream, permit, reporter, self.started_at));
+                }
+                Some(_) = connections.join_next(), if !connections.is_empty() => {}
+                Some((node, address, report)) = reports.recv() => self.on_report(node, address, report),
+                changed = self.wanted.changed() => match changed {
+                    Ok(()) => self.on_wanted(),
+                    Err(_) => return,
+                },
+                () = finished.taken.notified() => self.happen(Event::FrameTaken),
+                _ = tick.tick(), if self.scheduler.has_frame_in_flight() => self.happen(Event::Tick),
+            }
+        }
+    }
+
+    fn on_wanted(&mut self) {
+        let wanted = self.wanted.borrow_and_update().clone();
+        let scene = wanted.picture.map(|picture| picture.scene);
+        let is_new_scene = scene != self.scheduler.scene();
+        self.happen(Event::Wanted(for_scheduler(&wanted)));
+        if is_new_scene {
+            self.status.send_modify(|status| status.nodes.iter_mut().for_each(|node| node.scene = None));
+            let nodes: Vec<_> = self.nodes.keys().copied().collect();
+            nodes.into_iter().for_each(|node| self.ask_for_scene(node));
+        }
+    }
+
+    fn on_report(&mut self, id: NodeId, address: SocketAddr, report: Report) {
+        match report {
+            Report::Joined { name, threads, outgoing, desk } => {
+                tracing::info!("render server {name} joined from {address} with {threads} threads");
+                self.nodes.insert(id, Node { outgoing, desk });
+                let joined = NodeStatus { id, name: name.clone(), address, threads, scene: None, round_trip_ms: None };
+                self.status.send_modify(|status| status.nodes.push(joined));
+                self.happen(Event::Joined { node: id, name });
+                self.ask_for_scene(id);
+                (self.wake)();
+            }
+            Report::Scene { scene, state } => {
+                if self.scheduler.scene() != Some(scene) {
+                    return;
+                }
+                let ready = matches!(state, SceneState::Ready { .. });
+                self.on_scene_state(id, state);
+                self.happen(Event::SceneReady { node: id, ready });
+                (self.wake)();
+            }
+            Report::Placed { frame, work_id, units } => self.happen(Event::Placed { node: id, frame, work_id, units }),
+            Report::WorkDone { frame, work_id, timings } => {
+                self.happen(Event::WorkDone { node: id, frame, work_id, timings });
+            }
+            Report::RoundTrip(round_trip) => {
+                // A resting wall stays at rest: this alone wakes nobody.
+                self.change_node(id, |node| node.round_trip_ms = Some(round_trip.as_secs_f64() * 1e3));
+            }
+            Report::Ended(reason) => self.on_ended(id, address, reason),
+        }
+    }
+
+    fn on_scene_state(&self, id: NodeId, state: SceneState) {
+        self.status.send_modify(|status| {
+            let Some(node) = status.nodes.iter_mut().find(|node| node.id == id) else { return };
+            if let SceneState::Missing { reason } = &state {
+                tracing::warn!("render server {} does not have the model: {reason}", node.name);
+                status.message = Some(format!("{}: {reason}", node.name));
+            }
+            node.scene = Some(state);
+        });
+    }
+
+    fn on_ended(&mut self, id: NodeId, address: SocketAddr, reason: Result<(), connection::ConnectionError>) {
+        if self.nodes.remove(&id).is_none() {
+            if let Err(reason) = reason {
+                tracing::warn!("connection from {address} dropped: {reason}");
+            }
+            return;
+        }
+        self.status.send_modify(|status| {
+            let name = status.nodes.iter().find(|node| node.id == id).map_or("", |node| &node.name).to_owned();
+            let reason = reason.map_or_else(|error| error.to_string(), |()| "it closed the connection".to_owned());
+            tracing::warn!("render server {name} at {address} lost: {reason}");
+            status.nodes.retain(|node| node.id != id);
+            status.n_lost += 1;
+            status.message = Some(format!("{name} lost: {reason}"));
+        });
+        self.happen(Event::Lost { node: id });
+        (self.wake)();
+    }
+
+    fn change_node(&self, id: NodeId, change: impl FnOnce(&mut NodeStatus)) {
+        self.status.send_modify(|status| {
+            if let Some(node) = status.nodes.iter_mut().find(|node| node.id == id) {
+                change(node);
+            }
+        });
+    }
+
+    /// Tells a render server which scene to get ready.
+    fn ask_for_scene(&mut self, id: NodeId) {
+        let Some(scene) = self.scheduler.scene() else { return };
+        let is_local = self.status.borrow().nodes.iter().any(|node| node.id == id && node.address.ip().is_loopback());
+        let path = self.wanted.borrow().scene_path.as_ref().filter(|_| is_local).map(|path| path.display().to_string());
+        self.send(id, &ToServer::LoadScene { scene, path });
+    }
+
+    fn happen(&mut self, event: Event) {
+        let actions = self.scheduler.on_event(self.started_at.elapsed(), event);
+        actions.into_iter().for_each(|action| self.carry_out(action));
+    }
+
+    fn carry_out(&mut self, action: Action) {
+        match action {
+            Action::Open { frame, picture } => {
+                let buffer = Arc::new(FrameBuffer::new(picture.size));
+                let moved_at = self.wanted.borrow().moved_at;
+                self.frames.insert(frame, OpenFrame { picture, buffer, moved_at, bytes_out: HashMap::new() });
+            }
+            Action::Render { node, frame, work_id, picture, work } => {
+                self.put_on_desk(node, frame, work_id, &work);
+                let n_bytes = self.send(node, &ToServer::RenderFrame { frame, work_id, picture, work });
+                if let Some(open) = self.frames.get_mut(&frame) {
+                    *open.bytes_out.entry(node).or_default() += n_bytes;
+                }
+            }
+            Action::Cancel { node, frame } => {
+                if let Some(node) = self.nodes.get(&node) {
+                    node.desk.clear(frame);
+                }
+                self.send(node, &ToServer::Cancel { frame });
+            }
+            Action::Show { frame, stats } => {
+                if let Some(open) = self.frames.remove(&frame) {
+                    self.finished.put(open.finish(stats));
+                    (self.wake)();
+                }
+            }
+            Action::Discard { frame } => {
+                self.frames.remove(&frame);
+            }
+        }
+    }
+
+    fn put_on_desk(&self, node: NodeId, frame: FrameId, work_id: WorkId, work: &shared::division::Work) {
+        if let (Some(node), Some(open)) = (self.nodes.get(&node), self.frames.get(&frame)) {
+            let buffer = Arc::clone(&open.buffer);
+            node.desk.put(work_id, Assignment { frame, work: work.clone(), buffer, n_placed: 0 });
+        }
+    }
+
+    /// Queues a message, and says how many bytes it has. A render server that leaves its queue unread loses it, and by
+    /// that its connection.
+    fn send(&mut self, id: NodeId, message: &ToServer) -> u64 {
+        let mut bytes = Vec::new();
+        codec::encode(message, &mut bytes).expect("the wall's requests are short");
+        let n_bytes = bytes.len() as u64;
+        if let Some(node) = self.nodes.get_mut(&id)
+            && let Err(mpsc::error::TrySendError::Full(_)) = node.outgoing.try_send(bytes)
+        {
+            // Closing the queue ends the connection's task, which reports the end.
+            (node.outgoing, _) = mpsc::channel(1);
+        }
+        n_bytes
+    }
+}
+
+impl OpenFrame {
+    fn finish(self, mut stats: FrameStats) -> Frame {
+        for node in &mut stats.nodes {
+            node.bytes_out = self.bytes_out.get(&node.id).copied().unwrap_or(0);
+        }
+        stats.bytes_out = self.bytes_out.values().sum();
+        Frame { picture: self.picture, rgba: self.buffer.into_rgba(), stats, moved_at: self.moved_at }
+    }
+}
+
+fn for_scheduler(wanted: &Wanted) -> scheduler::Wanted {
+    let Wanted { picture, division, min_renderers, repeat, .. } = *wanted;
+    scheduler::Wanted { picture, division, min_renderers, repeat }
+}
+
+/// The next connection, once there is room for one.
+async fn accept(listener: &TcpListener, free: &Arc<Semaphore>) -> (TcpStream, SocketAddr, OwnedSemaphorePermit) {
+    loop {
+        let permit = Arc::clone(free).acquire_owned().await.expect("the semaphore is never closed");
+        match listener.accept().await {
+            Ok((stream, address)) => return (stream, address, permit),
+            Err(error) => {
+                // Out of file descriptors, or the peer is gone already: neither ends the wall.
+                tracing::warn!("cannot accept a connection: {error}");
+                tokio::time::sleep(Duration::from_millis(100)).await;
+            }
+        }
+    }
+}
+
+async fn run_connection(mut stream: TcpStream, permit: OwnedSemaphorePermit, reporter: Reporter, started_at: Instant) {
+    // Requests are small and wanted at once.
+    let _ = stream.set_nodelay(true);
+    let (input, output) = stream.split();
+    connection::serve(input, output, reporter, started_at).await;
+    drop(permit);
+}

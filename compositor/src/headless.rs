@@ -1,0 +1,132 @@
+//! The wall without a window: renders frames, draws them on an offscreen wall, and reports.
+
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+
+use crate::{
+    farm::{Farm, Frame},
+    gpu::{Gpu, Offscreen, Present},
+    report::Report,
+    stats::DisplayStats,
+    wall::Wall,
+};
+
+/// Where the farm's wake-up call arrives.
+pub type Wakeups = std::sync::mpsc::Receiver<()>;
+
+/// How long the farm may be silent before the operator is told what it waits for.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// An offscreen wall.
+pub struct Headless {
+    gpu: Gpu,
+    present: Present,
+    offscreen: Offscreen,
+    wall: Wall,
+}
+
+impl Headless {
+    /// Finds a GPU and makes room for the wall's pixels.
+    pub fn new(wall: Wall) -> anyhow::Result<Self> {
+        let gpu = Gpu::headless()?;
+        tracing::info!("drawing on {}", gpu.name());
+        let offscreen = Offscreen::new(&gpu, wall.output_size())?;
+        let present = Present::new(&gpu, Offscreen::FORMAT);
+        Ok(Self { gpu, present, offscreen, wall })
+    }
+
+    /// Shows `n_frames` of the farm's frames, each once.
+    pub fn show_frames(&mut self, farm: &Farm, wakeups: &Wakeups, n_frames: u32) -> anyhow::Result<Report> {
+        let mut report = Report::default();
+        let mut ended_at = Instant::now();
+        while report.n_frames() < n_frames as usize {
+            let Some(frame) = farm.take_frame() else {
+                wait(farm, wakeups)?;
+                continue;
+            };
+            let display = self.show(Some(&frame))?;
+            report.add(Some(&frame), display, milliseconds(ended_at.elapsed()));
+            ended_at = Instant::now();
+        }
+        Ok(report)
+    }
+
+    /// Shows blank frames: what the display alone can do.
+    pub fn show_blank_frames(&mut self, size: shared::division::FrameSize, n_frames: u32) -> anyhow::Result<Report> {
+        let mut report = Report::default();
+        let blank = vec![u32::from_ne_bytes([0, 0, 0, 255]); size.n_samples() as usize];
+        for _ in 0..n_frames {
+            let started_at = Instant::now();
+            let (upload, draw) = self.upload_and_draw(size, &blank)?;
+            let display = DisplayStats {
+                upload_ms: milliseconds(upload),
+                draw_ms: milliseconds(draw),
+                latency_ms: milliseconds(started_at.elapsed()),
+                ..DisplayStats::default()
+            };
+            report.add(None, display, milliseconds(started_at.elapsed()));
+        }
+        Ok(report)
+    }
+
+    /// The wall as it is now, for a screenshot.
+    pub fn write_screenshot(&self, path: &std::path::Path) -> anyhow::Result<()> {
+        let picture = self.offscreen.read(&self.gpu)?;
+        picture.write_png(path).with_context(|| format!("no screenshot {}", path.display()))
+    }
+
+    fn show(&mut self, frame: Option<&Frame>) -> anyhow::Result<DisplayStats> {
+        let Some(frame) = frame else { return Ok(DisplayStats::default()) };
+        let (upload, draw) = self.upload_and_draw(frame.picture.size, &frame.rgba)?;
+        Ok(DisplayStats {
+            upload_ms: milliseconds(upload),
+            draw_ms: milliseconds(draw),
+            present_ms: 0.0,
+            latency_ms: milliseconds(frame.moved_at.elapsed()),
+        })
+    }
+
+    fn upload_and_draw(
+        &mut self,
+        size: shared::division::FrameSize,
+        rgba: &[u32],
+    ) -> anyhow::Result<(Duration, Duration)> {
+        let started_at = Instant::now();
+        self.present.upload(&self.gpu, size, bytemuck::cast_slice(rgba))?;
+        self.gpu.wait()?;
+        let upload = started_at.elapsed();
+        let started_at = Instant::now();
+        let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        self.present.draw(&self.gpu, &mut encoder, &self.offscreen.target(), self.wall.projectors());
+        self.gpu.queue.submit([encoder.finish()]);
+        // Without a screen, a frame counts when the GPU has drawn it.
+        self.gpu.wait()?;
+        self.gpu.check()?;
+        Ok((upload, started_at.elapsed()))
+    }
+}
+
+/// Waits for the farm to have news; says what is missing when that takes long.
+fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<()> {
+    use std::sync::mpsc::RecvTimeoutError::{Disconnected, Timeout};
+    match wakeups.recv_timeout(PATIENCE) {
+        Ok(()) => Ok(()),
+        Err(Disconnected) => anyhow::bail!("the farm has ended"),
+        Err(Timeout) => {
+            let status = farm.status();
+            let n_ready = status.nodes.iter().filter(|node| node.is_ready()).count();
+            let n_needed = farm.wanted().min_renderers.max(1);
+            tracing::info!(
+                "{n_ready} of {n_needed} render servers are ready, {} connected; start one with: renderer connect {}",
+                status.nodes.len(),
+                farm.address()
+            );
+            Ok(())
+        }
+    }
+}
+
+fn milliseconds(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}

@@ -1,0 +1,123 @@
+//! What a run measured: the table that is printed, and the file that `--stats` writes.
+
+use std::{fmt::Write, path::Path};
+
+use anyhow::Context;
+use serde::Serialize;
+
+use crate::{
+    farm::Frame,
+    stats::{DisplayStats, FrameStats},
+};
+
+/// Every shown frame of a run.
+#[derive(Debug, Default, Serialize)]
+pub struct Report {
+    frames: Vec<ShownFrame>,
+}
+
+/// A frame that was shown, with every figure of the overlay.
+#[derive(Debug, Serialize)]
+struct ShownFrame {
+    /// BLAKE3 of the samples, RGB, row by row from the bottom: equal hashes are equal pictures.
+    samples_blake3: Option<String>,
+    /// `None` for a frame without samples.
+    #[serde(flatten)]
+    farm: Option<FrameStats>,
+    display: DisplayStats,
+    /// From the end of the frame before to the end of this one.
+    frame_ms: f64,
+}
+
+impl Report {
+    /// Adds a frame that was shown.
+    pub fn add(&mut self, frame: Option<&Frame>, display: DisplayStats, frame_ms: f64) {
+        let samples_blake3 = frame.map(|frame| samples_hash(&frame.rgba));
+        let farm = frame.map(|frame| frame.stats.clone());
+        self.frames.push(ShownFrame { samples_blake3, farm, display, frame_ms });
+    }
+
+    /// How many frames were shown.
+    pub fn n_frames(&self) -> usize {
+        self.frames.len()
+    }
+
+    /// Writes all of it as JSON.
+    pub fn write(&self, path: &Path) -> anyhow::Result<()> {
+        let text = serde_json::to_string_pretty(self).context("figures are plain numbers")?;
+        std::fs::write(path, text).with_context(|| format!("cannot write --stats {}", path.display()))
+    }
+
+    /// Medians and 95th percentiles, for a person.
+    pub fn table(&self) -> String {
+        let mut table = format!("{} frames{:>30}{:>10}\n", self.frames.len(), "median ms", "p95 ms");
+        let mut row = |name: &str, values: Vec<f64>| {
+            if !values.is_empty() {
+                let (median, p95) = (quantile(&values, 0.5), quantile(&values, 0.95));
+                // Writing to a string cannot fail.
+                let _ = writeln!(table, "{name:<28}{median:>10.2}{p95:>10.2}");
+            }
+        };
+        let farm = |value: fn(&FrameStats) -> f64| {
+            self.frames.iter().filter_map(|frame| frame.farm.as_ref()).map(value).collect::<Vec<_>>()
+        };
+        let display = |value: fn(&DisplayStats) -> f64| self.frames.iter().map(|frame| value(&frame.display)).collect();
+        row("render", farm(|stats| stats.render_ms));
+        row("place (all threads)", farm(|stats| stats.place_ms));
+        row("upload", display(|stats| stats.upload_ms));
+        row("draw", display(|stats| stats.draw_ms));
+        row("whole frame", self.frames.iter().map(|frame| frame.frame_ms).collect());
+        for (id, name) in self.nodes() {
+            let of_node = |value: fn(&crate::stats::NodeFrameStats) -> f64| {
+                let all = self.frames.iter().filter_map(|frame| frame.farm.as_ref()).flat_map(|stats| &stats.nodes);
+                all.filter(|node| node.id == id).map(value).collect::<Vec<_>>()
+            };
+            row(&format!("{name}: trace"), of_node(|node| node.trace_ms));
+            row(&format!("{name}: network"), of_node(|node| node.network_ms));
+            row(&format!("{name}: idle"), of_node(|node| node.idle_ms));
+        }
+        let bytes_in = farm(|stats| stats.bytes_in as f64);
+        let bytes_out = farm(|stats| stats.bytes_out as f64);
+        if !bytes_in.is_empty() {
+            let _ = writeln!(
+                table,
+                "bytes a frame: {:.0} in, {:.0} out",
+                quantile(&bytes_in, 0.5),
+                quantile(&bytes_out, 0.5)
+            );
+        }
+        table
+    }
+
+    fn nodes(&self) -> Vec<(crate::stats::NodeId, String)> {
+        let mut nodes: Vec<_> = self
+            .frames
+            .iter()
+            .filter_map(|frame| frame.farm.as_ref())
+            .flat_map(|stats| &stats.nodes)
+            .map(|node| (node.id, node.name.clone()))
+            .collect();
+        nodes.sort();
+        nodes.dedup();
+        nodes
+    }
+}
+
+/// BLAKE3 of the samples as they came: RGB, row by row from the bottom.
+fn samples_hash(rgba: &[u32]) -> String {
+    let rgb: Vec<u8> = rgba
+        .iter()
+        .flat_map(|sample| {
+            let [r, g, b, _] = sample.to_ne_bytes();
+            [r, g, b]
+        })
+        .collect();
+    renderer::image::samples_hash(&rgb)
+}
+
+/// The value below which a fraction of the values lies; the nearest rank.
+fn quantile(values: &[f64], fraction: f64) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted[((sorted.len() - 1) as f64 * fraction).round() as usize]
+}

@@ -1,0 +1,126 @@
+//! Starts a wall from its command line: model, farm, local render servers, and then a window or none.
+
+use std::{net::SocketAddr, path::Path, sync::mpsc, time::Instant};
+
+use anyhow::{Context, bail};
+use renderer::{progress::Progress, scene::SceneSource};
+use shared::{
+    camera::{Camera, UpAxis},
+    protocol::{Picture, SampleRange},
+};
+use tokio::{net::TcpListener, runtime::Runtime};
+
+use crate::{
+    args::WallArgs,
+    farm::{Farm, Wanted},
+    headless::Headless,
+    local::LocalServers,
+    model::Model,
+    wall::Wall,
+};
+
+/// Runs a wall to its end.
+pub fn run(args: &WallArgs) -> anyhow::Result<()> {
+    let wall = match &args.wall {
+        Some(path) => Wall::load(path)?,
+        None => Wall::paper(),
+    };
+    let camera = args.camera.as_deref().map(load_camera).transpose()?;
+    if args.headless { run_headless(args, wall, camera) } else { bail!("no window yet: use --headless") }
+}
+
+fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Result<()> {
+    let n_frames = args.frames.unwrap_or(10);
+    let aspect = wall.aspect();
+    // First what fails at once: an operator learns of it before a model of minutes is read.
+    let runtime = network_threads()?;
+    let listener = listen(&runtime, args)?;
+    let mut headless = Headless::new(wall)?;
+    let report = if args.min_renderers() == 0 {
+        headless.show_blank_frames(args.size, n_frames)?
+    } else {
+        let (farm, wakeups) = start_farm(&runtime, listener, args)?;
+        let _servers = LocalServers::start(args.n_local(), farm.address())?;
+        let model = load_model(scene_source(args))?;
+        let camera = camera.unwrap_or_else(|| Camera::view_all(model.bounds.0, model.bounds.1, UpAxis::Y, aspect));
+        farm.want(|wanted| want_model(wanted, &model, camera, args));
+        headless.show_frames(&farm, &wakeups, n_frames)?
+    };
+    println!("{}", report.table());
+    if let Some(path) = &args.screenshot {
+        headless.write_screenshot(path)?;
+        println!("wrote {}", path.display());
+    }
+    if let Some(path) = &args.stats {
+        report.write(path)?;
+    }
+    Ok(())
+}
+
+fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, args: &WallArgs) {
+    let (size, view) = (args.size, args.view);
+    wanted.picture = Some(Picture { scene: model.scene, camera, size, view, samples: SampleRange::CENTRE });
+    wanted.scene_path = model.path();
+    wanted.moved_at = Instant::now();
+}
+
+/// The farm, wanting nothing yet, and where it wakes a wall without a window.
+fn start_farm(runtime: &Runtime, listener: TcpListener, args: &WallArgs) -> anyhow::Result<(Farm, mpsc::Receiver<()>)> {
+    let wanted = Wanted {
+        picture: None,
+        scene_path: None,
+        division: args.division,
+        min_renderers: args.min_renderers(),
+        repeat: true,
+        moved_at: Instant::now(),
+    };
+    let (wake, wakeups) = mpsc::sync_channel(1);
+    let _guard = runtime.enter();
+    let farm = Farm::start(listener, wanted, move || {
+        // A call that is still waiting to be heard is enough.
+        let _ = wake.try_send(());
+    })?;
+    Ok((farm, wakeups))
+}
+
+fn network_threads() -> anyhow::Result<Runtime> {
+    tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .thread_name("network")
+        .enable_all()
+        .build()
+        .context("the network threads do not start")
+}
+
+fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
+    let address: SocketAddr = args.listen;
+    if !address.ip().is_loopback() && !args.insecure {
+        bail!(
+            "--listen {address} is open to the network, and nothing is encrypted or authenticated yet: \
+             add --insecure if you trust everybody on it"
+        );
+    }
+    let listener = runtime.block_on(TcpListener::bind(address)).with_context(|| {
+        format!("cannot listen on {address}: is another wall running? --listen {}:0 takes a free port", address.ip())
+    })?;
+    // Scripts and people read where to connect to.
+    println!("listening on {}", listener.local_addr()?);
+    Ok(listener)
+}
+
+fn scene_source(args: &WallArgs) -> SceneSource {
+    match &args.model {
+        Some(path) => SceneSource::Ply(path.clone()),
+        None => SceneSource::Statue { triangles: args.triangles },
+    }
+}
+
+fn load_model(source: SceneSource) -> anyhow::Result<Model> {
+    let bar = Progress::new(format!("loading {source}"));
+    Ok(Model::load(source, &|fraction| bar.set(fraction))?)
+}
+
+fn load_camera(path: &Path) -> anyhow::Result<Camera> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read --camera {}", path.display()))?;
+    Camera::from_toml(&text).with_context(|| format!("--camera {} is no camera", path.display()))
+}

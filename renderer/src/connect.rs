@@ -1,0 +1,167 @@
+//! `renderer connect`: serves a wall until it is told to stop, and finds it again when it restarts.
+
+use std::{
+    io,
+    net::{IpAddr, SocketAddr},
+    path::PathBuf,
+    sync::Arc,
+    time::Duration,
+};
+
+use anyhow::{Context, bail};
+use shared::protocol::{DEFAULT_PORT, LONGEST_NAME};
+use tokio::{
+    net::{TcpStream, lookup_host},
+    time::{sleep, timeout},
+};
+
+use crate::{
+    session::{self, SessionEnd},
+    stage::Stage,
+};
+
+/// The pause before the first attempt to connect again; it doubles up to [`LONGEST_PAUSE`].
+const SHORTEST_PAUSE: Duration = Duration::from_millis(100);
+
+/// Short enough that a wall that restarts has its nodes back at once.
+const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+
+/// How long the wall's machine may take to answer.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Connects to a wall and renders what it asks for.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ConnectArgs {
+    /// The wall, as HOST or HOST:PORT
+    #[arg(value_name = "HOST:PORT")]
+    pub wall: String,
+    /// The PLY file that the wall shows; needed where the wall's own path does not reach
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Threads to trace with [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub threads: Option<u32>,
+    /// The name that the wall shows [default: this machine's]
+    #[arg(long, value_name = "NAME")]
+    pub name: Option<String>,
+    /// Talk to a wall on another machine although nothing is encrypted and nobody is authenticated
+    #[arg(long)]
+    pub insecure: bool,
+    /// Started by a wall on its own machine: read the files that it names, and end when it ends
+    #[arg(long, hide = true)]
+    pub local: bool,
+}
+
+/// Runs until the process is told to stop.
+///
+/// # Errors
+/// Arguments that cannot work; with `--local` also the end of the wall.
+pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
+    let name = name(args.name)?;
+    let n_threads = args.threads.map_or_else(num_cores, |n| n as usize);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(n_threads)
+        .thread_name(|index| format!("trace-{index}"))
+        .build()
+        .context("the tracing threads do not start")?;
+    let stage = Stage::start(Arc::new(pool), args.model, args.local)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        // One thread reads, writes and keeps the heart beating; it is never one that traces.
+        .worker_threads(1)
+        .thread_name("network")
+        .enable_all()
+        .build()
+        .context("the network thread does not start")?;
+    runtime.block_on(async {
+        tokio::select! {
+            ended = keep_connected(&args.wall, args.insecure, args.local, &name, &stage) => ended,
+            signal = stop_signal() => signal.context("cannot listen for signals"),
+        }
+    })
+}
+
+async fn keep_connected(wall: &str, insecure: bool, local: bool, name: &str, stage: &Stage) -> anyhow::Result<()> {
+    let host = if wall.contains(':') { wall.to_owned() } else { format!("{wall}:{DEFAULT_PORT}") };
+    let mut pause = SHORTEST_PAUSE;
+    let mut last_failure = String::new();
+    loop {
+        let failure = match connect(&host, insecure).await? {
+            Ok(mut stream) => {
+                tracing::info!("connected to the wall at {host}");
+                let (input, output) = stream.split();
+                let SessionEnd { was_welcome, reason } = session::run(input, output, name, stage).await;
+                if was_welcome {
+                    pause = SHORTEST_PAUSE;
+                    last_failure.clear();
+                }
+                reason.map_or_else(|error| error.to_string(), |()| "the wall closed the connection".to_owned())
+            }
+            Err(error) => error.to_string(),
+        };
+        if local {
+            return Ok(());
+        }
+        // A wall that is away for hours is reported once.
+        if failure != last_failure {
+            tracing::warn!("{host}: {failure}; trying again until it answers");
+            last_failure = failure;
+        }
+        sleep(pause).await;
+        pause = (pause * 2).min(LONGEST_PAUSE);
+    }
+}
+
+/// Connects once. The outer error is one that trying again does not cure.
+async fn connect(host: &str, insecure: bool) -> anyhow::Result<io::Result<TcpStream>> {
+    let addresses: Vec<SocketAddr> = match lookup_host(host).await {
+        Ok(addresses) => addresses.collect(),
+        Err(error) if error.kind() == io::ErrorKind::InvalidInput => {
+            bail!("\"{host}\" is no address: write it as HOST:PORT, such as wall.example:{DEFAULT_PORT}")
+        }
+        Err(error) => return Ok(Err(error)),
+    };
+    if !insecure && let Some(address) = addresses.iter().find(|address| !is_loopback(address.ip())) {
+        bail!(
+            "{address} is another machine, and nothing is encrypted or authenticated yet: \
+             add --insecure if you trust everybody on the network between"
+        );
+    }
+    let connecting = timeout(CONNECT_TIMEOUT, TcpStream::connect(&*addresses)).await;
+    let stream = connecting.unwrap_or_else(|_| Err(io::Error::new(io::ErrorKind::TimedOut, "no answer")));
+    // Samples of a finished block are wanted at once.
+    Ok(stream.inspect(|stream| drop(stream.set_nodelay(true))))
+}
+
+fn is_loopback(address: IpAddr) -> bool {
+    address.to_canonical().is_loopback()
+}
+
+fn name(given: Option<String>) -> anyhow::Result<String> {
+    let name = given.unwrap_or_else(|| {
+        let of_machine =
+            std::fs::read_to_string("/proc/sys/kernel/hostname").or_else(|_| std::env::var("COMPUTERNAME"));
+        of_machine.map_or_else(|_| "renderer".to_owned(), |name| name.trim().chars().take(16).collect())
+    });
+    if name.is_empty() || name.len() > LONGEST_NAME {
+        bail!("--name \"{name}\": a name has 1 to {LONGEST_NAME} bytes");
+    }
+    Ok(name)
+}
+
+fn num_cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Waits for Ctrl-C or, on Unix, SIGTERM.
+async fn stop_signal() -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
+        tokio::select! {
+            interrupted = tokio::signal::ctrl_c() => interrupted,
+            _ = terminate.recv() => Ok(()),
+        }
+    }
+    #[cfg(not(unix))]
+    tokio::signal::ctrl_c().await
+}

@@ -1,0 +1,186 @@
+//! One conversation with a wall, from the handshake to its end.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
+    time::{Duration, Instant},
+};
+
+use shared::{
+    codec,
+    protocol::{FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, SceneState, ToServer, ToWall},
+};
+use tokio::{
+    io::{AsyncRead, AsyncWrite},
+    sync::mpsc,
+    time::{MissedTickBehavior, interval},
+};
+
+use crate::{
+    stage::Stage,
+    wire::{Incoming, MessageReader, MessageWriter, WireError},
+    work::{self, Job},
+};
+
+/// How long the wall may be silent: longer than the wall waits for us, since it has a screen to serve.
+const WALL_SILENCE: Duration = Duration::from_secs(2);
+
+/// Encoded messages that wait for the network; when it is full, tracing threads wait.
+const LONGEST_QUEUE: usize = 64;
+
+/// Bytes that are written in one go.
+const BATCH_BYTES: usize = 256 * 1024;
+
+/// How a conversation ended.
+#[derive(Debug)]
+pub(crate) struct SessionEnd {
+    /// Whether the wall had accepted this server.
+    pub(crate) was_welcome: bool,
+    /// By the wall's will, or why.
+    pub(crate) reason: Result<(), SessionError>,
+}
+
+/// Why a conversation with a wall fails.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum SessionError {
+    #[error("{0}")]
+    Wire(#[from] WireError),
+    #[error("the wall refuses: {0}")]
+    Refused(String),
+    #[error("the wall spoke out of turn")]
+    OutOfTurn,
+}
+
+/// Runs a conversation over any stream.
+pub(crate) async fn run(
+    input: impl AsyncRead + Unpin,
+    output: impl AsyncWrite + Unpin,
+    name: &str,
+    stage: &Stage,
+) -> SessionEnd {
+    let mut reader = MessageReader::new(input, HANDSHAKE_TIMEOUT);
+    let mut writer = MessageWriter::new(output);
+    if let Err(error) = shake_hands(&mut reader, &mut writer, name, stage.pool().current_num_threads()).await {
+        return SessionEnd { was_welcome: false, reason: Err(error) };
+    }
+    reader.accept(WALL_SILENCE);
+    let (outbox, outgoing) = mpsc::channel(LONGEST_QUEUE);
+    let (jobs, inbox) = mpsc::unbounded_channel();
+    let mut conversation = Conversation { stage, outbox: outbox.clone(), jobs, unfinished: Vec::new() };
+    let worker = tokio::task::spawn_blocking({
+        let pool = Arc::clone(stage.pool());
+        move || work::run(inbox, &pool, &outbox)
+    });
+    let reason = tokio::select! {
+        reason = conversation.listen(&mut reader) => reason,
+        reason = conversation_writer(&mut writer, outgoing, stage) => reason,
+    };
+    // What is still being traced is for nobody.
+    conversation.unfinished.iter().for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
+    drop(conversation);
+    // The worker ends with its inbox and outbox; a panic in it is a defect, and ends the program as one.
+    worker.await.expect("tracing does not panic");
+    SessionEnd { was_welcome: true, reason }
+}
+
+async fn shake_hands(
+    reader: &mut MessageReader<impl AsyncRead + Unpin, ToServer>,
+    writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
+    name: &str,
+    n_threads: usize,
+) -> Result<(), SessionError> {
+    writer.send(&ToWall::Hello { name: name.to_owned(), threads: n_threads as u32 }).await?;
+    reader.read_preamble().await?;
+    match reader.read().await? {
+        Some(Incoming::Control(ToServer::Welcome)) => Ok(()),
+        Some(Incoming::Control(ToServer::Refused { reason })) => Err(SessionError::Refused(reason)),
+        _ => Err(SessionError::OutOfTurn),
+    }
+}
+
+struct Conversation<'a> {
+    stage: &'a Stage,
+    outbox: mpsc::Sender<Vec<u8>>,
+    jobs: mpsc::UnboundedSender<Job>,
+    /// Works given and perhaps not finished, with their switches.
+    unfinished: Vec<(FrameId, Arc<AtomicBool>)>,
+}
+
+impl Conversation<'_> {
+    async fn listen(
+        &mut self,
+        reader: &mut MessageReader<impl AsyncRead + Unpin, ToServer>,
+    ) -> Result<(), SessionError> {
+        while let Some(incoming) = reader.read().await? {
+            let Incoming::Control(message) = incoming else { return Err(SessionError::OutOfTurn) };
+            match message {
+                ToServer::LoadScene { scene, path } => self.stage.order(scene, path),
+                ToServer::RenderFrame { frame, work_id, picture, work } => {
+                    let Some(scene) = self.stage.scene(picture.scene) else {
+                        // The wall has moved on to another scene, and back; it hears when this one is ready.
+                        let reason = format!("it does not have {} any more", picture.scene);
+                        let state = SceneState::Missing { reason };
+                        self.say(&ToWall::SceneState { scene: picture.scene, state }).await;
+                        continue;
+                    };
+                    let cancelled = Arc::new(AtomicBool::new(false));
+                    self.unfinished.retain(|(_, cancelled)| Arc::strong_count(cancelled) > 1);
+                    self.unfinished.push((frame, Arc::clone(&cancelled)));
+                    let job = Job { frame, work_id, picture, work, scene, cancelled, received_at: Instant::now() };
+                    // The worker lives as long as this conversation.
+                    let _ = self.jobs.send(job);
+                }
+                ToServer::Cancel { frame } => {
+                    let of_frame = self.unfinished.iter().filter(|(of, _)| *of == frame);
+                    of_frame.for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
+                }
+                ToServer::Ping { sent_us } => self.say(&ToWall::Pong { sent_us }).await,
+                ToServer::Refused { reason } => return Err(SessionError::Refused(reason)),
+                ToServer::Welcome => return Err(SessionError::OutOfTurn),
+            }
+        }
+        Ok(())
+    }
+
+    async fn say(&self, message: &ToWall) {
+        // A writer that has ended ends the conversation.
+        let _ = self.outbox.send(encoded(message)).await;
+    }
+}
+
+async fn conversation_writer(
+    writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
+    mut outgoing: mpsc::Receiver<Vec<u8>>,
+    stage: &Stage,
+) -> Result<(), SessionError> {
+    let mut progressed = stage.progressed();
+    progressed.mark_changed();
+    let mut heartbeat = interval(HEARTBEAT_INTERVAL);
+    heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        tokio::select! {
+            Some(message) = outgoing.recv() => writer.push_encoded(&message),
+            Ok(()) = progressed.changed() => {
+                let progressed = progressed.borrow_and_update().clone();
+                if let Some((scene, state)) = progressed {
+                    writer.push_encoded(&encoded(&ToWall::SceneState { scene, state }));
+                }
+            }
+            _ = heartbeat.tick() => writer.push_encoded(&encoded(&ToWall::Heartbeat)),
+        }
+        while writer.n_queued() < BATCH_BYTES
+            && let Ok(message) = outgoing.try_recv()
+        {
+            writer.push_encoded(&message);
+        }
+        writer.flush().await.map_err(WireError::from)?;
+    }
+}
+
+fn encoded(message: &ToWall) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    codec::encode(message, &mut bytes).expect("a render server's messages are short");
+    bytes
+}

@@ -1,0 +1,185 @@
+//! The scene that a render server has at hand: one at a time, loaded and built on a thread of its own.
+
+use std::{
+    path::PathBuf,
+    sync::{Arc, Mutex, PoisonError, mpsc},
+};
+
+use anyhow::Context;
+use rayon::ThreadPool;
+use shared::{protocol::SceneState, scene::SceneId};
+use tokio::sync::watch;
+
+use crate::{
+    progress::Progress,
+    scene::{self, SceneSource},
+    tracer::{Scene, SceneOptions},
+};
+
+/// What the stage is asked to show, and where it may be found.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Order {
+    scene: SceneId,
+    path: Option<PathBuf>,
+}
+
+/// The scene at hand, if any; shared by those who load and those who trace.
+#[derive(Clone, Default)]
+struct AtHand(Arc<Mutex<Option<Named>>>);
+
+/// A scene and its identity.
+type Named = (SceneId, Arc<Scene>);
+
+impl AtHand {
+    fn get(&self, id: SceneId) -> Option<Arc<Scene>> {
+        let at_hand = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        at_hand.as_ref().filter(|(at_hand, _)| *at_hand == id).map(|(_, scene)| Arc::clone(scene))
+    }
+
+    fn set(&self, scene: Option<Named>) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = scene;
+    }
+}
+
+/// How far the stage is with the scene last asked for.
+pub(crate) type Progressed = Option<(SceneId, SceneState)>;
+
+/// A render server's scene and the thread that loads it.
+pub(crate) struct Stage {
+    pool: Arc<ThreadPool>,
+    at_hand: AtHand,
+    orders: mpsc::Sender<Order>,
+    progressed: watch::Receiver<Progressed>,
+}
+
+impl Stage {
+    /// Starts the loading thread; it begins with `model`, if one is given, before any wall asks.
+    ///
+    /// `trusts_paths`: whether files that the wall names are read.
+    pub(crate) fn start(pool: Arc<ThreadPool>, model: Option<PathBuf>, trusts_paths: bool) -> anyhow::Result<Self> {
+        let (orders, inbox) = mpsc::channel();
+        let (progress, progressed) = watch::channel(None);
+        let at_hand = AtHand::default();
+        let loader = Loader { pool: Arc::clone(&pool), at_hand: at_hand.clone(), model, trusts_paths, progress };
+        std::thread::Builder::new()
+            .name("load".to_owned())
+            .spawn(move || loader.run(&inbox))
+            .context("the loading thread does not start")?;
+        Ok(Self { pool, at_hand, orders, progressed })
+    }
+
+    /// The threads that trace.
+    pub(crate) fn pool(&self) -> &Arc<ThreadPool> {
+        &self.pool
+    }
+
+    /// The scene, if it is the one at hand.
+    pub(crate) fn scene(&self, id: SceneId) -> Option<Arc<Scene>> {
+        self.at_hand.get(id)
+    }
+
+    /// Gets another scene ready.
+    pub(crate) fn order(&self, scene: SceneId, path: Option<String>) {
+        // The loading thread ends only with the stage.
+        let _ = self.orders.send(Order { scene, path: path.map(PathBuf::from) });
+    }
+
+    /// Follows the loading.
+    pub(crate) fn progressed(&self) -> watch::Receiver<Progressed> {
+        self.progressed.clone()
+    }
+}
+
+struct Loader {
+    pool: Arc<ThreadPool>,
+    at_hand: AtHand,
+    model: Option<PathBuf>,
+    trusts_paths: bool,
+    progress: watch::Sender<Progressed>,
+}
+
+impl Loader {
+    fn run(self, orders: &mpsc::Receiver<Order>) {
+        if let Some(model) = self.model.clone()
+            && let Err(reason) = self.load(None, &SceneSource::Ply(model))
+        {
+            // Not the end: a wall may want a scene that needs no file.
+            tracing::error!("{reason}");
+        }
+        while let Ok(mut order) = orders.recv() {
+            // Only the last of several counts.
+            while let Ok(later) = orders.try_recv() {
+                order = later;
+            }
+            let state = match self.fulfil(&order) {
+                Ok(scene) => SceneState::Ready { triangles: scene.n_triangles() as u64, bytes: scene.n_bytes() as u64 },
+                Err(reason) => SceneState::Missing { reason },
+            };
+            self.progress.send_replace(Some((order.scene, state)));
+        }
+    }
+
+    /// Gets a scene ready, from wherever it can be had. The error says why not, and what to do.
+    fn fulfil(&self, order: &Order) -> Result<Arc<Scene>, String> {
+        if let Some(scene) = self.at_hand.get(order.scene) {
+            return Ok(scene);
+        }
+        let sources = match order.scene {
+            SceneId::Statue { triangles } => vec![SceneSource::Statue { triangles }],
+            SceneId::Mesh { .. } => {
+                let named = order.path.iter().filter(|_| self.trusts_paths);
+                named.chain(&self.model).cloned().map(SceneSource::Ply).collect()
+            }
+        };
+        let mut reason = format!("it has no {}: start it with --model FILE, the file that the wall shows", order.scene);
+        for source in sources {
+            match self.load(Some(order.scene), &source) {
+                Ok((id, scene)) if id == order.scene => return Ok(scene),
+                Ok((id, _)) => {
+                    reason = format!("{source} is {id}, the wall shows {}: give it the wall's own file", order.scene);
+                }
+                Err(error) => reason = error,
+            }
+        }
+        Err(reason)
+    }
+
+    /// Loads and builds; what was at hand before goes first, so that two scenes never lie in memory together.
+    fn load(&self, ordered: Option<SceneId>, source: &SceneSource) -> Result<(SceneId, Arc<Scene>), String> {
+        let tell = |progress: f32| {
+            if let Some(scene) = ordered {
+                self.tell(scene, progress);
+            }
+        };
+        self.at_hand.set(None);
+        tracing::info!("loading {source}");
+        let bar = Progress::new(format!("loading {source}"));
+        let (id, scene) = self.pool.install(|| -> Result<_, String> {
+            let loaded = scene::load(source, &|fraction| {
+                bar.set(fraction * 0.5);
+                tell(fraction * 0.5);
+            })
+            .map_err(|error| error.to_string())?;
+            let scene = Scene::build(loaded.mesh, &SceneOptions::default(), &|fraction| {
+                bar.set(0.5 + fraction * 0.5);
+                tell(0.5 + fraction * 0.5);
+            });
+            Ok((loaded.id, Arc::new(scene)))
+        })?;
+        tracing::info!("{source} is ready: {} triangles in {} MB", scene.n_triangles(), scene.n_bytes() / 1_000_000);
+        self.at_hand.set(Some((id, Arc::clone(&scene))));
+        Ok((id, scene))
+    }
+
+    /// Reports progress in steps of one per cent, so that the network is not kept busy with it.
+    fn tell(&self, scene: SceneId, progress: f32) {
+        self.progress.send_if_modified(|last| {
+            let is_step = !matches!(last, Some((of, SceneState::Loading { progress: told }))
+                if *of == scene && (progress - *told).abs() < 0.01);
+            if is_step {
+                *last = Some((scene, SceneState::Loading { progress }));
+            }
+            is_step
+        });
+    }
+}

@@ -1,0 +1,160 @@
+//! Messages over any stream of bytes: a socket, a pipe of a test, and later an encrypted channel.
+
+use std::{io, marker::PhantomData, time::Duration};
+
+use serde::{Serialize, de::DeserializeOwned};
+use shared::{
+    codec::{self, CONTROL_LIMIT, CodecError, HANDSHAKE_LIMIT, HEADER_BYTES, Header, Kind},
+    protocol::{Chunk, PREAMBLE, PROTOCOL_VERSION},
+};
+use tokio::{
+    io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt},
+    time::timeout,
+};
+
+/// Why a conversation ends, other than by the peer's own will.
+#[derive(Debug, thiserror::Error)]
+pub enum WireError {
+    /// The stream broke, perhaps in mid-message.
+    #[error("{0}")]
+    Io(#[from] io::Error),
+    /// The peer sent no message of this protocol.
+    #[error("{0}")]
+    Codec(#[from] CodecError),
+    /// The peer is no Raywall program.
+    #[error("the peer speaks another protocol")]
+    NotRaywall,
+    /// The peer is a Raywall program of another version.
+    #[error("the peer speaks protocol {0}, this program speaks {PROTOCOL_VERSION}: build both from one commit")]
+    OtherVersion(u8),
+    /// Not a byte came for so long.
+    #[error("the peer was silent for {} ms", .0.as_millis())]
+    Silent(Duration),
+}
+
+/// A message as it was read.
+#[derive(Debug)]
+pub enum Incoming<'a, M> {
+    /// A control message.
+    Control(M),
+    /// Samples, still in the reader's buffer.
+    Samples(Chunk<'a>),
+}
+
+/// Reads messages of type `M`.
+#[derive(Debug)]
+pub struct MessageReader<S, M> {
+    stream: S,
+    body: Vec<u8>,
+    control_limit: usize,
+    silence: Duration,
+    message: PhantomData<M>,
+}
+
+impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
+    /// Reads from `stream`, for a start within the limits for strangers; a peer that sends no byte for `silence` is an
+    /// error.
+    pub fn new(stream: S, silence: Duration) -> Self {
+        Self { stream, body: Vec::new(), control_limit: HANDSHAKE_LIMIT, silence, message: PhantomData }
+    }
+
+    /// The peer has shaken hands: it may send messages of full size, and must not fall silent for `silence`.
+    pub fn accept(&mut self, silence: Duration) {
+        self.control_limit = CONTROL_LIMIT;
+        self.silence = silence;
+    }
+
+    /// Reads the peer's first bytes.
+    pub async fn read_preamble(&mut self) -> Result<(), WireError> {
+        let mut preamble = [0; PREAMBLE.len()];
+        // The peer may say less than this and wait: what differs is an error at its first byte.
+        for at in 0..preamble.len() {
+            self.fill(&mut preamble[at..=at]).await?;
+            let is_version = at + 1 == preamble.len();
+            if preamble[at] != PREAMBLE[at] {
+                return Err(if is_version { WireError::OtherVersion(preamble[at]) } else { WireError::NotRaywall });
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads the next message; `None` when the peer has closed the stream between two messages.
+    pub async fn read(&mut self) -> Result<Option<Incoming<'_, M>>, WireError> {
+        let mut header = [0; HEADER_BYTES];
+        let n_read = self.read_some(&mut header).await?;
+        if n_read == 0 {
+            return Ok(None);
+        }
+        self.fill(&mut header[n_read..]).await?;
+        let Header { kind, n_bytes } = Header::parse(header, self.control_limit)?;
+        let mut body = std::mem::take(&mut self.body);
+        body.resize(n_bytes, 0);
+        self.fill(&mut body).await?;
+        self.body = body;
+        Ok(Some(match kind {
+            Kind::Control => Incoming::Control(codec::decode(&self.body)?),
+            Kind::Samples => Incoming::Samples(Chunk::decode(&self.body)?),
+        }))
+    }
+
+    /// Fills `bytes`, however slowly they come: only silence is an error.
+    async fn fill(&mut self, mut bytes: &mut [u8]) -> Result<(), WireError> {
+        while !bytes.is_empty() {
+            let n_read = self.read_some(bytes).await?;
+            if n_read == 0 {
+                return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the connection closed in mid-message").into());
+            }
+            bytes = &mut bytes[n_read..];
+        }
+        Ok(())
+    }
+
+    async fn read_some(&mut self, bytes: &mut [u8]) -> Result<usize, WireError> {
+        let silent = |_| WireError::Silent(self.silence);
+        Ok(timeout(self.silence, self.stream.read(bytes)).await.map_err(silent)??)
+    }
+}
+
+/// Writes messages.
+#[derive(Debug)]
+pub struct MessageWriter<S> {
+    stream: S,
+    out: Vec<u8>,
+}
+
+impl<S: AsyncWrite + Unpin> MessageWriter<S> {
+    /// Writes to `stream`; the preamble goes before the first message.
+    pub fn new(stream: S) -> Self {
+        Self { stream, out: PREAMBLE.to_vec() }
+    }
+
+    /// Queues a control message.
+    pub fn push(&mut self, message: &impl Serialize) -> Result<(), CodecError> {
+        codec::encode(message, &mut self.out)
+    }
+
+    /// Queues a message that is already encoded.
+    pub fn push_encoded(&mut self, bytes: &[u8]) {
+        self.out.extend_from_slice(bytes);
+    }
+
+    /// Bytes queued and not yet sent.
+    pub fn n_queued(&self) -> usize {
+        self.out.len()
+    }
+
+    /// Sends what is queued, and says how many bytes that was.
+    pub async fn flush(&mut self) -> io::Result<usize> {
+        self.stream.write_all(&self.out).await?;
+        self.stream.flush().await?;
+        let n_bytes = self.out.len();
+        self.out.clear();
+        Ok(n_bytes)
+    }
+
+    /// Queues and sends one control message.
+    pub async fn send(&mut self, message: &impl Serialize) -> Result<usize, WireError> {
+        self.push(message)?;
+        Ok(self.flush().await?)
+    }
+}
