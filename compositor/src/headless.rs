@@ -32,7 +32,7 @@ impl Headless {
         let gpu = Gpu::headless()?;
         tracing::info!("drawing on {}", gpu.name());
         let offscreen = Offscreen::new(&gpu, wall.output_size())?;
-        let present = Present::new(&gpu, Offscreen::FORMAT);
+        let present = Present::new(&gpu);
         Ok(Self { gpu, present, offscreen, wall })
     }
 
