@@ -49,7 +49,8 @@ impl Offscreen {
         let padded_row_bytes = (4 * width).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let band_rows = (BAND_BYTES / padded_row_bytes).clamp(1, height);
         let band_bytes = u64::from(band_rows) * u64::from(padded_row_bytes);
-        let mut rgb = Vec::with_capacity(3 * width as usize * height as usize);
+        let mut rgb = vec![0; 3 * width as usize * height as usize];
+        let mut rgb_rows = rgb.chunks_exact_mut(3 * width as usize);
         for top in (0..height).step_by(band_rows as usize) {
             let n_rows = band_rows.min(height - top);
             // A buffer for each band: none is ever mapped twice.
@@ -81,9 +82,13 @@ impl Offscreen {
             gpu.wait()?;
             // A mapping that failed has no range to get.
             let bytes = buffer.get_mapped_range(..).map_err(|error| GpuError::Failed(error.to_string()))?;
-            for row in bytes.chunks_exact(padded_row_bytes as usize).take(n_rows as usize) {
-                let (pixels, _) = row[..4 * width as usize].as_chunks::<4>();
-                rgb.extend(pixels.iter().flat_map(|&[r, g, b, _]| [r, g, b]));
+            let rgba_rows = bytes.chunks_exact(padded_row_bytes as usize).take(n_rows as usize);
+            for (rgba_row, rgb_row) in rgba_rows.zip(&mut rgb_rows) {
+                let (rgba_pixels, _) = rgba_row.as_chunks::<4>();
+                let (rgb_pixels, _) = rgb_row.as_chunks_mut::<3>();
+                for ([r, g, b, _], rgb_pixel) in rgba_pixels.iter().zip(rgb_pixels) {
+                    *rgb_pixel = [*r, *g, *b];
+                }
             }
         }
         Ok(Picture { size: self.size, rgb })
