@@ -1,6 +1,8 @@
 //! All integration tests, in one binary.
 
 #[cfg(test)]
+mod accuracy;
+#[cfg(test)]
 mod pictures;
 #[cfg(test)]
 mod references;
