@@ -8,6 +8,7 @@ pub mod args;
 pub mod farm;
 pub mod gpu;
 pub mod headless;
+pub mod input;
 pub mod local;
 pub mod model;
 pub mod report;
