@@ -11,6 +11,7 @@ pub mod headless;
 pub mod input;
 pub mod local;
 pub mod model;
+pub mod overlay;
 pub mod report;
 pub mod run;
 pub mod stats;

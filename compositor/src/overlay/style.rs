@@ -1,0 +1,158 @@
+//! How the overlay looks: calm, dark, readable from across a room.
+
+use egui::{Color32, FontFamily, FontId, Frame, Layout, RichText, TextStyle, Ui};
+
+/// What asks for attention without alarm.
+pub(super) const ACCENT: Color32 = Color32::from_rgb(122, 200, 255);
+/// Ready, as it should be.
+pub(super) const GOOD: Color32 = Color32::from_rgb(126, 211, 136);
+/// On its way.
+pub(super) const BUSY: Color32 = Color32::from_rgb(240, 196, 92);
+/// Needs somebody.
+pub(super) const BAD: Color32 = Color32::from_rgb(255, 128, 112);
+const TEXT: Color32 = Color32::from_gray(225);
+const WEAK: Color32 = Color32::from_gray(160);
+
+/// Space inside the panels in points.
+pub(super) const PANEL_PADDING: f32 = 14.0;
+
+/// What a box is about.
+#[derive(Clone, Copy)]
+pub(super) enum Tone {
+    /// Something goes on.
+    Note,
+    /// Something needs somebody.
+    Warning,
+}
+
+/// Sets colours and sizes; once for each context.
+pub fn apply_style(context: &egui::Context) {
+    context.set_theme(egui::Theme::Dark);
+    context.all_styles_mut(|style| {
+        let sizes = [
+            (TextStyle::Heading, 24.0, FontFamily::Proportional),
+            (TextStyle::Body, 14.5, FontFamily::Proportional),
+            (TextStyle::Button, 14.5, FontFamily::Proportional),
+            (TextStyle::Monospace, 14.0, FontFamily::Monospace),
+            (TextStyle::Small, 12.0, FontFamily::Proportional),
+        ];
+        style.text_styles = sizes.map(|(name, size, family)| (name, FontId::new(size, family))).into();
+        style.interaction.selectable_labels = false;
+        style.spacing.button_padding = egui::vec2(8.0, 3.0);
+        style.spacing.item_spacing = egui::vec2(8.0, 4.0);
+        let visuals = &mut style.visuals;
+        visuals.override_text_color = None;
+        visuals.widgets.noninteractive.fg_stroke.color = TEXT;
+        visuals.widgets.inactive.fg_stroke.color = TEXT;
+        visuals.weak_text_color = Some(WEAK);
+        visuals.selection.bg_fill = Color32::from_rgb(38, 96, 140);
+    });
+}
+
+/// How much larger than usual everything is drawn, for a window of so many physical pixels.
+///
+/// A wall is seen from farther away than a screen of its resolution, so text keeps its share of the height; in a small
+/// window it stays legible instead.
+pub fn zoom(size: [u32; 2], scale_factor: f64) -> f32 {
+    let height_in_points = f64::from(size[1]) / scale_factor;
+    (height_in_points / 800.0).clamp(0.9, 6.0) as f32
+}
+
+pub(super) fn panel_frame() -> Frame {
+    Frame::new().fill(Color32::from_rgba_unmultiplied(14, 17, 22, 218)).corner_radius(10.0).inner_margin(PANEL_PADDING)
+}
+
+/// A box that stands out from the panel.
+pub(super) fn box_of<R>(ui: &mut Ui, tone: Tone, add: impl FnOnce(&mut Ui) -> R) {
+    let colour = match tone {
+        Tone::Note => ACCENT,
+        Tone::Warning => BUSY,
+    };
+    ui.add_space(4.0);
+    Frame::new()
+        .fill(colour.gamma_multiply(0.12))
+        .stroke(egui::Stroke::new(1.0, colour.gamma_multiply(0.6)))
+        .corner_radius(6.0)
+        .inner_margin(10.0)
+        .show(ui, |ui| {
+            ui.set_width(ui.available_width());
+            add(ui)
+        });
+}
+
+/// The head of a part of the panel, and the unit of its figures.
+pub(super) fn section(ui: &mut Ui, name: &str, unit: &str) {
+    ui.add_space(6.0);
+    ui.separator();
+    ui.horizontal(|ui| {
+        ui.label(RichText::new(name).strong().color(ACCENT));
+        ui.with_layout(Layout::right_to_left(egui::Align::Center), |ui| ui.label(RichText::new(unit).small().weak()));
+    });
+}
+
+/// Figures side by side, each under its name.
+pub(super) fn metrics<const N: usize>(ui: &mut Ui, figures: &[(&str, String); N]) {
+    ui.columns_const(|columns: &mut [Ui; N]| {
+        for (column, (name, value)) in columns.iter_mut().zip(figures) {
+            column.spacing_mut().item_spacing.y = 0.0;
+            column.label(RichText::new(*name).small().weak());
+            let spoken = format!("{name} {value}");
+            column
+                .label(RichText::new(value).strong())
+                .widget_info(|| egui::WidgetInfo::labeled(egui::Role::Label, true, &spoken));
+        }
+    });
+}
+
+/// Milliseconds, without the unit.
+pub(super) fn ms(ms: f64) -> String {
+    if ms < 99.95 { format!("{ms:.1}") } else { format!("{ms:.0}") }
+}
+
+/// Bytes in the unit that leaves three digits.
+pub(super) fn bytes(bytes: u64) -> String {
+    let bytes = bytes as f64;
+    match bytes {
+        ..1e3 => format!("{bytes} B"),
+        ..1e4 => format!("{:.1} KB", bytes / 1e3),
+        ..1e6 => format!("{:.0} KB", bytes / 1e3),
+        ..1e7 => format!("{:.1} MB", bytes / 1e6),
+        _ => format!("{:.0} MB", bytes / 1e6),
+    }
+}
+
+/// A number with its thousands apart.
+pub(super) fn grouped(number: usize) -> String {
+    let digits = number.to_string();
+    let mut grouped = String::new();
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
+            grouped.push(' ');
+        }
+        grouped.push(digit);
+    }
+    grouped
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_keep_about_three_digits() {
+        assert_eq!([ms(0.04), ms(9.96), ms(99.96)], ["0.0", "10.0", "100"]);
+        assert_eq!(
+            [999, 1000, 10_400, 786_432, 1_572_864, 99_000_000].map(bytes),
+            ["999 B", "1.0 KB", "10 KB", "786 KB", "1.6 MB", "99 MB"]
+        );
+        assert_eq!([0, 999, 1000, 10_000_000].map(grouped), ["0", "999", "1 000", "10 000 000"]);
+    }
+
+    #[test]
+    fn text_grows_with_the_wall_and_stays_legible_in_a_small_window() {
+        assert_eq!(zoom([4096, 2304], 1.0), 2.88);
+        assert_eq!(zoom([1422, 800], 1.0), 1.0);
+        assert_eq!(zoom([2844, 1600], 2.0), 1.0);
+        assert_eq!(zoom([640, 360], 1.0), 0.9);
+    }
+}
