@@ -5,6 +5,7 @@
 //! it without a window; [`stats`] and [`report`] say what all of it took.
 
 pub mod args;
+pub mod display_environment;
 pub mod farm;
 pub mod gpu;
 pub mod headless;
