@@ -15,5 +15,6 @@ pub mod model;
 pub mod overlay;
 pub mod report;
 pub mod run;
+pub mod screensaver;
 pub mod stats;
 pub mod wall;
