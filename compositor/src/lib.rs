@@ -18,3 +18,4 @@ pub mod run;
 pub mod screensaver;
 pub mod stats;
 pub mod wall;
+pub mod window;

@@ -1,6 +1,6 @@
 //! Starts a wall from its command line: model, farm, local render servers, and then a window or none.
 
-use std::{net::SocketAddr, path::Path, sync::mpsc, time::Instant};
+use std::{cell::RefCell, net::SocketAddr, ops::ControlFlow, path::Path, rc::Rc, sync::mpsc, time::Instant};
 
 use anyhow::{Context, bail};
 use renderer::{progress::Progress, scene::SceneSource};
@@ -16,7 +16,9 @@ use crate::{
     headless::Headless,
     local::LocalServers,
     model::Model,
+    report::Report,
     wall::Wall,
+    window::{OnShown, WindowLoop, WindowOptions},
 };
 
 /// Runs a wall to its end.
@@ -26,7 +28,7 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
         None => Wall::paper(),
     };
     let camera = args.camera.as_deref().map(load_camera).transpose()?;
-    if args.headless { run_headless(args, wall, camera) } else { bail!("no window yet: use --headless") }
+    if args.headless { run_headless(args, wall, camera) } else { run_window(args, wall, camera) }
 }
 
 fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Result<()> {
@@ -39,7 +41,11 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::
     let report = if args.min_renderers() == 0 {
         headless.show_blank_frames(args.size, n_frames)?
     } else {
-        let (farm, wakeups) = start_farm(&runtime, listener, args)?;
+        let (wake, wakeups) = mpsc::sync_channel(1);
+        let farm = start_farm(&runtime, listener, args, args.min_renderers(), move || {
+            // A call that is still waiting to be heard is enough.
+            let _ = wake.try_send(());
+        })?;
         let _servers = LocalServers::start(args.n_local(), farm.address())?;
         let model = load_model(scene_source(args))?;
         let camera = camera.unwrap_or_else(|| Camera::view_all(model.bounds.0, model.bounds.1, UpAxis::Y, aspect));
@@ -64,23 +70,75 @@ fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, args: &WallArg
     wanted.moved_at = Instant::now();
 }
 
-/// The farm, wanting nothing yet, and where it wakes a wall without a window.
-fn start_farm(runtime: &Runtime, listener: TcpListener, args: &WallArgs) -> anyhow::Result<(Farm, mpsc::Receiver<()>)> {
+fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Result<()> {
+    let window = WindowLoop::new()?;
+    let runtime = network_threads()?;
+    let listener = listen(&runtime, args)?;
+    // A wall that people look at goes on with one render server; frames that are counted wait for all.
+    let n_needed = if args.frames.is_some() { args.min_renderers() } else { args.min_renderers.unwrap_or(1) };
+    let waker = window.waker();
+    let farm = start_farm(&runtime, listener, args, n_needed, move || waker.wake())?;
+    let _servers = LocalServers::start(args.n_local(), farm.address())?;
+    let options = WindowOptions {
+        wall,
+        source: scene_source(args),
+        camera,
+        up: UpAxis::default(),
+        size: args.size,
+        view: args.view,
+        fullscreen: args.fullscreen,
+        overlay: true,
+        screenshot_folder: ".".into(),
+        screenshot_at_end: args.screenshot.clone(),
+    };
+    let report = Rc::new(RefCell::new(Report::default()));
+    let on_shown = watch_frames(args, Rc::clone(&report));
+    window.run(options, &farm, on_shown)?;
+    if let Some(path) = &args.stats {
+        report.borrow().write(path)?;
+    }
+    Ok(())
+}
+
+/// Counts frames for `--frames`, and keeps their figures for `--stats`; a wall that runs for days keeps none unasked.
+fn watch_frames(args: &WallArgs, report: Rc<RefCell<Report>>) -> OnShown {
+    let (n_frames, keeps_figures) = (args.frames, args.stats.is_some());
+    let mut n_shown = 0;
+    let mut shown_at = Instant::now();
+    Box::new(move |frame, display| {
+        let frame_ms = shown_at.elapsed().as_secs_f64() * 1e3;
+        shown_at = Instant::now();
+        if keeps_figures {
+            report.borrow_mut().add(Some(frame), *display, frame_ms);
+        }
+        n_shown += 1;
+        if n_frames.is_some_and(|n_frames| n_shown >= n_frames) {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    })
+}
+
+/// The farm, wanting nothing yet; `wake` is called when it has news.
+fn start_farm(
+    runtime: &Runtime,
+    listener: TcpListener,
+    args: &WallArgs,
+    min_renderers: u32,
+    wake: impl Fn() + Send + Sync + 'static,
+) -> anyhow::Result<Farm> {
     let wanted = Wanted {
         picture: None,
         scene_path: None,
         division: args.division,
-        min_renderers: args.min_renderers(),
-        repeat: true,
+        min_renderers,
+        // Frames that are counted come one after another; a window renders when something changes.
+        repeat: args.headless || args.frames.is_some(),
         moved_at: Instant::now(),
     };
-    let (wake, wakeups) = mpsc::sync_channel(1);
     let _guard = runtime.enter();
-    let farm = Farm::start(listener, wanted, move || {
-        // A call that is still waiting to be heard is enough.
-        let _ = wake.try_send(());
-    })?;
-    Ok((farm, wakeups))
+    Ok(Farm::start(listener, wanted, wake)?)
 }
 
 fn network_threads() -> anyhow::Result<Runtime> {

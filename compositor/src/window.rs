@@ -1,0 +1,150 @@
+//! The wall in a window, under mouse and keyboard.
+//!
+//! Everything here runs on the main thread and only when something happened: an event of the window, a [`Waker`] of
+//! another thread, or a moment that was waited for. A resting wall costs nothing.
+
+mod app;
+mod frame_rate;
+mod model_loader;
+mod screen;
+mod screenshots;
+
+use std::{net::SocketAddr, ops::ControlFlow, path::PathBuf};
+
+use anyhow::Context;
+use renderer::scene::SceneSource;
+use shared::{
+    camera::{Camera, UpAxis},
+    division::FrameSize,
+    protocol::View,
+};
+use winit::event_loop::{EventLoop, EventLoopProxy};
+
+use crate::{
+    display_environment,
+    farm::{Farm, Frame},
+    stats::DisplayStats,
+    wall::Wall,
+};
+
+/// What the window shows and how.
+#[derive(Clone, Debug)]
+pub struct WindowOptions {
+    /// The wall that the window shows, whole and scaled to fit.
+    pub wall: Wall,
+    /// The first model; others come by being dropped on the window.
+    pub source: SceneSource,
+    /// The camera on the first model; without one all of it is seen.
+    pub camera: Option<Camera>,
+    /// The axis that points up.
+    pub up: UpAxis,
+    /// The resolution of the frames.
+    pub size: FrameSize,
+    /// What the samples show at first.
+    pub view: View,
+    /// Whether the window fills the screen from the start.
+    pub fullscreen: bool,
+    /// Whether the overlay is shown at first.
+    pub overlay: bool,
+    /// Where screenshots go.
+    pub screenshot_folder: PathBuf,
+    /// Where the wall is written to when the window closes.
+    pub screenshot_at_end: Option<PathBuf>,
+}
+
+/// Told of every new frame once it is on screen; breaks to close the window.
+pub type OnShown = Box<dyn FnMut(&Frame, &DisplayStats) -> ControlFlow<()>>;
+
+/// Wakes the window from other threads: there is a frame to take, or something else to look at.
+#[derive(Clone, Debug)]
+pub struct Waker(EventLoopProxy<()>);
+
+impl Waker {
+    /// Makes the window look.
+    pub fn wake(&self) {
+        // A window that is closed needs no waking.
+        let _ = self.0.send_event(());
+    }
+}
+
+/// The connection to the display; the window itself opens with [`WindowLoop::run`].
+#[derive(Debug)]
+pub struct WindowLoop(EventLoop<()>);
+
+impl WindowLoop {
+    /// Connects to the display; on the main thread, and once in a program.
+    ///
+    /// # Errors
+    ///
+    /// No display, or something that windows need is not installed.
+    pub fn new() -> anyhow::Result<Self> {
+        display_environment::check()?;
+        let event_loop = EventLoop::with_user_event().build().with_context(|| {
+            let display = |name| std::env::var(name).unwrap_or_default();
+            format!(
+                "no window can be opened (DISPLAY={}, WAYLAND_DISPLAY={}): check that the display runs and lets this \
+                 user in, or use --headless",
+                display("DISPLAY"),
+                display("WAYLAND_DISPLAY")
+            )
+        })?;
+        Ok(Self(event_loop))
+    }
+
+    /// For [`Farm::start`].
+    pub fn waker(&self) -> Waker {
+        Waker(self.0.create_proxy())
+    }
+
+    /// Opens the window and shows what `farm` renders until the window is closed.
+    ///
+    /// # Errors
+    ///
+    /// No GPU can draw on the window, the GPU fails, or the first model cannot be read; each with its cure.
+    pub fn run(self, options: WindowOptions, farm: &Farm, on_shown: OnShown) -> anyhow::Result<()> {
+        let waker = self.waker();
+        let mut app = app::App::new(options, farm, on_shown, waker);
+        self.0.run_app(&mut app).context("the display connection failed")?;
+        app.into_outcome()
+    }
+}
+
+/// The command that makes a render server join the wall that listens on `address`, and a note on where.
+fn join_hint(address: SocketAddr) -> crate::overlay::JoinHint {
+    let port = address.port();
+    let (host, note) = if address.ip().is_loopback() {
+        let note =
+            format!("It must run on this machine. For others, start the wall with --listen 0.0.0.0:{port} --insecure.");
+        (address.ip().to_string(), note)
+    } else {
+        let host = if address.ip().is_unspecified() { host_name() } else { address.ip().to_string() };
+        (host, "On this machine, or on any that reaches it.".to_owned())
+    };
+    let host = if host.contains(':') { format!("[{host}]") } else { host };
+    crate::overlay::JoinHint { command: format!("renderer connect {host}:{port}"), note }
+}
+
+/// What others call this machine, as far as it knows.
+fn host_name() -> String {
+    std::fs::read_to_string("/proc/sys/kernel/hostname")
+        .ok()
+        .map(|name| name.trim().to_owned())
+        .filter(|name| !name.is_empty())
+        .unwrap_or_else(|| "THIS-MACHINE".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_to_join_can_be_typed_as_it_stands() {
+        let hint = |address: &str| join_hint(address.parse().expect(address));
+        assert_eq!(hint("127.0.0.1:7117").command, "renderer connect 127.0.0.1:7117");
+        assert!(hint("127.0.0.1:7117").note.contains("--listen 0.0.0.0:7117 --insecure"));
+        assert_eq!(hint("10.1.2.3:80").command, "renderer connect 10.1.2.3:80");
+        assert_eq!(hint("[fe80::1]:80").command, "renderer connect [fe80::1]:80");
+        let any = hint("0.0.0.0:7117").command;
+        assert!(any.ends_with(":7117") && !any.contains("0.0.0.0"), "{any}");
+    }
+}

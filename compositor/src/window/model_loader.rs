@@ -1,0 +1,111 @@
+//! Reads models on a thread of its own, one at a time.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicU32, Ordering},
+        mpsc,
+    },
+    thread,
+};
+
+use renderer::scene::SceneSource;
+
+use super::Waker;
+use crate::model::Model;
+
+/// Reads the latest model that was asked for.
+pub(super) struct ModelLoader {
+    waker: Waker,
+    running: Option<Loading>,
+    /// What to read next: only the latest wish counts.
+    next: Option<SceneSource>,
+}
+
+struct Loading {
+    name: String,
+    /// The bits of an `f32`, 0 to 1.
+    progress: Arc<AtomicU32>,
+    outcome: mpsc::Receiver<Result<Model, String>>,
+}
+
+impl ModelLoader {
+    /// Calls `waker` whenever there is something new to [`ModelLoader::poll`].
+    pub(super) fn new(waker: Waker) -> Self {
+        Self { waker, running: None, next: None }
+    }
+
+    /// Reads a model as soon as the one before is done.
+    pub(super) fn load(&mut self, source: SceneSource) {
+        self.next = Some(source);
+        self.start_next();
+    }
+
+    /// What is being read, and how far: 0 to 1.
+    pub(super) fn progress(&self) -> Option<(String, f32)> {
+        let loading = self.running.as_ref()?;
+        Some((loading.name.clone(), f32::from_bits(loading.progress.load(Ordering::Relaxed))))
+    }
+
+    /// The model, or why there is none, once that is known.
+    pub(super) fn poll(&mut self) -> Option<Result<Model, String>> {
+        let outcome = match self.running.as_ref()?.outcome.try_recv() {
+            Ok(outcome) => outcome,
+            Err(mpsc::TryRecvError::Empty) => return None,
+            Err(mpsc::TryRecvError::Disconnected) => {
+                Err("reading the model failed unexpectedly: see the log above, and try another file".to_owned())
+            }
+        };
+        self.running = None;
+        self.start_next();
+        Some(outcome)
+    }
+
+    fn start_next(&mut self) {
+        if self.running.is_some() {
+            return;
+        }
+        let Some(source) = self.next.take() else { return };
+        let (sender, outcome) = mpsc::channel();
+        let progress = Arc::new(AtomicU32::new(0));
+        self.running = Some(Loading { name: name_of(&source), progress: Arc::clone(&progress), outcome });
+        let waker = self.waker.clone();
+        let load = move || {
+            let tell = |fraction: f32| {
+                let percent = |fraction: f32| (fraction * 100.0) as u32;
+                let before = f32::from_bits(progress.swap(fraction.to_bits(), Ordering::Relaxed));
+                if percent(before) != percent(fraction) {
+                    waker.wake();
+                }
+            };
+            let model = Model::load(source, &tell).map_err(|error| error.to_string());
+            // Nobody waits for it once the window is closed.
+            let _ = sender.send(model);
+        };
+        let waker = self.waker.clone();
+        let spawned = thread::Builder::new().name("model loader".to_owned()).spawn(move || {
+            // Woken even when the sender is dropped by a panic.
+            let _wake = WakeOnDrop(waker);
+            load();
+        });
+        if let Err(error) = spawned {
+            tracing::error!("no thread to read the model on: {error}");
+        }
+    }
+}
+
+struct WakeOnDrop(Waker);
+
+impl Drop for WakeOnDrop {
+    fn drop(&mut self) {
+        self.0.wake();
+    }
+}
+
+/// What people call a model.
+pub(super) fn name_of(source: &SceneSource) -> String {
+    match source {
+        SceneSource::Ply(path) => path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
+        SceneSource::Statue { .. } => "built-in statue".to_owned(),
+    }
+}

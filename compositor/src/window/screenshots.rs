@@ -1,0 +1,91 @@
+//! Writes pictures of the wall to numbered files.
+
+use std::{
+    fs::File,
+    io,
+    path::{Path, PathBuf},
+    sync::mpsc,
+    thread,
+};
+
+use super::Waker;
+use crate::gpu::Picture;
+
+/// Pictures on their way to files, compressed on threads of their own.
+pub(super) struct Screenshots {
+    folder: PathBuf,
+    waker: Waker,
+    sender: mpsc::Sender<Result<String, String>>,
+    written: mpsc::Receiver<Result<String, String>>,
+}
+
+/// More pictures than this in one folder are surely a mistake.
+const MOST_FILES: u32 = 9999;
+
+impl Screenshots {
+    pub(super) fn new(folder: PathBuf, waker: Waker) -> Self {
+        let (sender, written) = mpsc::channel();
+        Self { folder, waker, sender, written }
+    }
+
+    /// Writes a picture to the next free file; what came of it is told by [`Screenshots::poll`].
+    pub(super) fn write(&self, picture: Picture) {
+        let (folder, waker, sender) = (self.folder.clone(), self.waker.clone(), self.sender.clone());
+        let write = move || {
+            let outcome = free_file(&folder)
+                .map_err(|error| format!("no screenshot: cannot write in {}: {error}", folder.display()))
+                .and_then(|path| match picture.write_png(&path) {
+                    Ok(()) => {
+                        let path = std::path::absolute(&path).unwrap_or(path);
+                        Ok(format!("Screenshot written to {}", path.display()))
+                    }
+                    Err(error) => {
+                        // Only the empty file that kept the name.
+                        let _ = std::fs::remove_file(&path);
+                        Err(error.to_string())
+                    }
+                });
+            // Nobody waits for it once the window is closed.
+            let _ = sender.send(outcome);
+            waker.wake();
+        };
+        if let Err(error) = thread::Builder::new().name("screenshot".to_owned()).spawn(write) {
+            tracing::error!("no thread to write the screenshot on: {error}");
+        }
+    }
+
+    /// What came of a picture, in words, once that is known.
+    pub(super) fn poll(&self) -> Option<Result<String, String>> {
+        self.written.try_recv().ok()
+    }
+}
+
+/// Makes the first of `wall-0001.png`, `wall-0002.png` … that does not exist.
+fn free_file(folder: &Path) -> io::Result<PathBuf> {
+    for number in 1..=MOST_FILES {
+        let path = folder.join(format!("wall-{number:04}.png"));
+        match File::create_new(&path) {
+            Ok(_) => return Ok(path),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Err(io::Error::other(format!("there are {MOST_FILES} screenshots already: move some away")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_file_is_ever_written_over() {
+        let folder = std::env::temp_dir().join(format!("raywall-screenshots-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join("wall-0002.png"), "mine").unwrap();
+        let names: Vec<_> = (0..3).map(|_| free_file(&folder).unwrap()).collect();
+        assert_eq!(names, ["wall-0001.png", "wall-0003.png", "wall-0004.png"].map(|name| folder.join(name)));
+        assert_eq!(std::fs::read(folder.join("wall-0002.png")).unwrap(), b"mine");
+        std::fs::remove_dir_all(&folder).unwrap();
+        assert!(free_file(&folder).is_err());
+    }
+}

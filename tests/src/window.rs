@@ -1,0 +1,177 @@
+//! A real window on a real X server, under real keys and a real mouse.
+
+use std::{fs, path::Path, process::Command, time::Duration};
+
+use crate::{
+    process::{Program, wait_until},
+    x_session::{Screenshot, XSession},
+};
+
+const SCREEN: [usize; 2] = [1280, 720];
+/// What the wall says, with its log turned up, of each frame on screen.
+const SHOWN: &str = "on screen";
+
+/// A wall of two local render servers in a window.
+struct Wall {
+    session: XSession,
+    program: Program,
+    window: String,
+}
+
+impl Wall {
+    /// A small statue in small frames, on screen.
+    fn start(arguments: &[&str]) -> Self {
+        let session = XSession::start(SCREEN);
+        let mut command = Program::command("compositor");
+        command.args(["--listen", "127.0.0.1:0", "--local", "2", "--triangles", "5000", "--size", "256x128"]);
+        command.args(arguments).env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
+        command.env("RUST_LOG", "info,compositor=debug");
+        let mut program = Program::start(command);
+        program.wait_for(SHOWN);
+        let window = session.wait_for_window("Raywall");
+        Self { session, program, window }
+    }
+
+    /// Does something that makes the wall show a new frame, and waits for it to be on screen.
+    fn after(&mut self, act: impl FnOnce(&XSession)) -> Screenshot {
+        let n_shown = self.program.count(SHOWN);
+        act(&self.session);
+        self.program.wait_for_count(SHOWN, n_shown + 1);
+        self.session.steady_screenshot()
+    }
+
+    /// Quits by key; gives back all that the program said.
+    fn quit(self) -> String {
+        self.session.key("ctrl+q");
+        let (status, said) = self.program.wait();
+        assert_eq!(status.code(), Some(0), "{said}");
+        said
+    }
+}
+
+#[test]
+fn the_heuristic_s_key_switches_the_division_while_the_wall_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let stats = folder.path().join("stats.json");
+    let mut wall = Wall::start(&["--division", "tiled", "--stats", stats.to_str().unwrap()]);
+    wall.after(|session| session.key("h"));
+    wall.quit();
+    let stats: serde_json::Value = serde_json::from_str(&fs::read_to_string(stats).unwrap()).unwrap();
+    let frames = stats["frames"].as_array().unwrap();
+    assert_eq!(frames.first().unwrap()["division"], "tiled");
+    assert_eq!(frames.last().unwrap()["division"], "interleaved");
+    let samples = |frame: &serde_json::Value| frame["samples_blake3"].as_str().unwrap().to_owned();
+    assert_eq!(samples(frames.first().unwrap()), samples(frames.last().unwrap()), "the division shows in the picture");
+}
+
+#[test]
+fn dragging_turns_the_model_and_dragging_back_turns_it_back() {
+    let mut wall = Wall::start(&[]);
+    // The overlay's figures change with every frame.
+    wall.session.key("o");
+    let front = wall.session.steady_screenshot();
+    assert!(front.brighter_than(120) > 0.03, "no model is to be seen");
+    let middle = [SCREEN[0] as i32 / 2, SCREEN[1] as i32 / 2];
+    let turned = wall.after(|session| session.drag(middle, [160, 0]));
+    assert!(front.difference(&turned, 16) > 0.02, "the model did not turn");
+    let back = wall.after(|session| session.drag([middle[0] + 160, middle[1]], [-160, 0]));
+    let difference = front.difference(&back, 16);
+    assert!(difference < 0.002, "{difference} of the pixels differ after turning back");
+    let fitted = wall.after(|session| {
+        session.drag(middle, [60, 60]);
+        session.key("f");
+    });
+    assert!(front.difference(&fitted, 0) == 0.0, "view all is not the view at the start");
+    wall.quit();
+}
+
+#[test]
+fn f11_fills_the_screen_and_escape_gives_it_back() {
+    let wall = Wall::start(&[]);
+    let windowed = wall.session.geometry(&wall.window);
+    let screen = [0, 0, SCREEN[0] as i32, SCREEN[1] as i32];
+    assert_ne!(windowed, screen);
+    wall.session.key("F11");
+    wait_until("the window fills the screen", || wall.session.geometry(&wall.window) == screen);
+    wall.session.key("o");
+    // Sky, not desktop, in every corner: the wall has the screen's shape.
+    wait_until("the wall fills the screen", || corners(&wall.session.screenshot()).iter().all(|&pixel| pixel != [0; 3]));
+    wall.session.key("Escape");
+    wait_until("the window is as it was", || wall.session.geometry(&wall.window)[2..] == windowed[2..]);
+    wall.quit();
+}
+
+#[test]
+fn a_screenshot_is_the_whole_wall_without_overlay() {
+    let folder = tempfile::tempdir().unwrap();
+    let last = folder.path().join("last.png");
+    let wall = Wall::start(&["--fullscreen", "--screenshot", last.to_str().unwrap()]);
+    wall.quit();
+    let decoder = png::Decoder::new(std::io::BufReader::new(fs::File::open(last).unwrap()));
+    let reader = decoder.read_info().unwrap();
+    assert_eq!((reader.info().width, reader.info().height), (4096, 2304));
+}
+
+#[test]
+fn a_resting_wall_costs_the_main_thread_nothing() {
+    let wall = Wall::start(&[]);
+    wall.session.steady_screenshot();
+    // Until the frame rate has given way to "at rest".
+    std::thread::sleep(Duration::from_millis(1500));
+    let before = main_thread_ticks(wall.program.id());
+    std::thread::sleep(Duration::from_secs(2));
+    let ticks = main_thread_ticks(wall.program.id()) - before;
+    assert!(ticks <= 4, "{ticks} of 200 ticks of CPU time at rest");
+    wall.quit();
+}
+
+#[test]
+fn what_a_window_lacks_is_told_in_one_line() {
+    let session = XSession::start([64, 64]);
+    let folder = tempfile::tempdir().unwrap();
+    // Found before the real one, and no library.
+    for name in ["libxkbcommon-x11.so.0", "libxkbcommon-x11.so"] {
+        fs::write(folder.path().join(name), "").unwrap();
+    }
+    let check = |expected: &str, prepare: &dyn Fn(&mut Command)| {
+        let mut command = Program::command("compositor");
+        command.args(["--listen", "127.0.0.1:0", "--triangles", "100"]).env_remove("WAYLAND_DISPLAY");
+        command.env("DISPLAY", session.display());
+        prepare(&mut command);
+        let (status, said) = Program::start(command).wait();
+        let last = said.lines().last().unwrap_or_default();
+        assert!(last.contains(expected), "expected \"{expected}\"\n{said}");
+        assert!(status.code().is_some_and(|code| code != 0 && code != 101), "{status}\n{said}");
+        assert!(!said.contains("panicked"), "{said}");
+    };
+    check("neither WAYLAND_DISPLAY nor DISPLAY is set", &|command| {
+        command.env_remove("DISPLAY");
+    });
+    check("no window can be opened (DISPLAY=:9999", &|command| {
+        command.env("DISPLAY", ":9999");
+    });
+    check("apt install libxkbcommon-x11-0 (Debian", &|command| {
+        command.env("LD_LIBRARY_PATH", folder.path());
+    });
+    check("install mesa-vulkan-drivers", &|command| {
+        let no_driver = Path::new("/no/driver.json");
+        command.env("VK_DRIVER_FILES", no_driver).env("VK_ICD_FILENAMES", no_driver);
+    });
+    check("no/such.ply", &|command| {
+        command.args(["--model", "no/such.ply"]);
+    });
+}
+
+fn corners(screenshot: &Screenshot) -> [[u8; 3]; 4] {
+    let [width, height] = screenshot.size;
+    [(2, 2), (width - 3, 2), (2, height - 3), (width - 3, height - 3)]
+        .map(|(x, y)| screenshot.rgb.as_chunks::<3>().0[y * width + x])
+}
+
+/// CPU time of a process's main thread, in hundredths of a second.
+fn main_thread_ticks(id: u32) -> u64 {
+    let stat = fs::read_to_string(format!("/proc/{id}/task/{id}/stat")).unwrap();
+    // After the name in parentheses, utime and stime are the 12th and 13th.
+    let fields: Vec<_> = stat.rsplit_once(')').unwrap().1.split_whitespace().collect();
+    fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap()
+}

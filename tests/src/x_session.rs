@@ -1,0 +1,171 @@
+//! A screen of its own for a test: Xvfb with the window manager openbox, driven by xdotool.
+//!
+//! A window manager is needed: without one, fullscreen is ignored and keys are lost.
+
+use std::{
+    io::{BufRead, BufReader},
+    process::{Child, Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use crate::process::{GENEROUS, wait_until};
+
+/// A running X server and its window manager; both end with it.
+pub(crate) struct XSession {
+    display: String,
+    size: [usize; 2],
+    _window_manager: Ending,
+    _server: Ending,
+}
+
+/// What is on the screen: R, G, B of each pixel, row by row from the top left.
+#[derive(Clone, PartialEq, Eq)]
+pub(crate) struct Screenshot {
+    pub(crate) size: [usize; 2],
+    pub(crate) rgb: Vec<u8>,
+}
+
+impl XSession {
+    /// A screen of so many pixels on a free display.
+    pub(crate) fn start(size: [usize; 2]) -> Self {
+        let screen = format!("{}x{}x24", size[0], size[1]);
+        let mut server = Command::new("Xvfb")
+            .args(["-displayfd", "1", "-screen", "0", &screen, "-nolisten", "tcp"])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap_or_else(|error| missing("Xvfb", &error));
+        let mut number = String::new();
+        let stdout = server.stdout.take().expect("piped above");
+        let server = Ending(server);
+        BufReader::new(stdout).read_line(&mut number).expect("Xvfb says its display's number");
+        let display = format!(":{}", number.trim());
+        let window_manager = Command::new("openbox")
+            .env("DISPLAY", &display)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap_or_else(|error| missing("openbox", &error));
+        let session = Self { display, size, _window_manager: Ending(window_manager), _server: server };
+        // Only a window manager answers this.
+        wait_until("the window manager runs", || session.try_xdotool(&["get_desktop"]).is_some());
+        session
+    }
+
+    /// The value of `DISPLAY` for programs on this screen.
+    pub(crate) fn display(&self) -> &str {
+        &self.display
+    }
+
+    /// Runs xdotool, and gives back what it prints.
+    pub(crate) fn xdotool(&self, arguments: &[&str]) -> String {
+        self.try_xdotool(arguments).unwrap_or_else(|| panic!("xdotool {arguments:?} failed"))
+    }
+
+    /// Waits for a window with this in its title, gives it the keyboard, and returns its number.
+    pub(crate) fn wait_for_window(&self, title: &str) -> String {
+        let mut window = String::new();
+        wait_until(&format!("a window \"{title}\" opens"), || {
+            let found = self.try_xdotool(&["search", "--onlyvisible", "--name", title]).unwrap_or_default();
+            window = found.lines().last().unwrap_or_default().to_owned();
+            !window.is_empty()
+        });
+        self.xdotool(&["windowactivate", "--sync", &window]);
+        window
+    }
+
+    /// Presses and lets go of keys, as xdotool names them.
+    pub(crate) fn key(&self, key: &str) {
+        self.xdotool(&["key", key]);
+    }
+
+    /// Drags from a point of the screen by some pixels, in steps as a hand does.
+    pub(crate) fn drag(&self, from: [i32; 2], by: [i32; 2]) {
+        const STEPS: i32 = 10;
+        let at = |step: i32| [0, 1].map(|axis: usize| (from[axis] + by[axis] * step / STEPS).to_string());
+        let [x, y] = at(0);
+        self.xdotool(&["mousemove", "--sync", &x, &y, "mousedown", "1"]);
+        for step in 1..=STEPS {
+            let [x, y] = at(step);
+            self.xdotool(&["mousemove", "--sync", &x, &y]);
+        }
+        self.xdotool(&["mouseup", "1"]);
+    }
+
+    /// Left, top, width and height of a window on the screen.
+    pub(crate) fn geometry(&self, window: &str) -> [i32; 4] {
+        let shell = self.xdotool(&["getwindowgeometry", "--shell", window]);
+        let value = |name: &str| {
+            let line = shell.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix('='));
+            line.and_then(|value| value.parse().ok()).unwrap_or_else(|| panic!("no {name} in {shell}"))
+        };
+        ["X", "Y", "WIDTH", "HEIGHT"].map(value)
+    }
+
+    /// What is on the screen now.
+    pub(crate) fn screenshot(&self) -> Screenshot {
+        let output = Command::new("import")
+            .args(["-display", &self.display, "-window", "root", "-depth", "8", "rgb:-"])
+            .output()
+            .unwrap_or_else(|error| missing("import", &error));
+        let expected = 3 * self.size[0] * self.size[1];
+        assert_eq!(output.stdout.len(), expected, "import: {}", String::from_utf8_lossy(&output.stderr));
+        Screenshot { size: self.size, rgb: output.stdout }
+    }
+
+    /// What is on the screen once it stays the same for a while.
+    pub(crate) fn steady_screenshot(&self) -> Screenshot {
+        let start = Instant::now();
+        let mut before = self.screenshot();
+        loop {
+            thread::sleep(Duration::from_millis(300));
+            let now = self.screenshot();
+            if now == before {
+                return now;
+            }
+            assert!(start.elapsed() < GENEROUS, "the screen never comes to rest");
+            before = now;
+        }
+    }
+
+    fn try_xdotool(&self, arguments: &[&str]) -> Option<String> {
+        let output = Command::new("xdotool")
+            .env("DISPLAY", &self.display)
+            .args(arguments)
+            .output()
+            .unwrap_or_else(|error| missing("xdotool", &error));
+        output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+    }
+}
+
+impl Screenshot {
+    /// The fraction of pixels of which a channel differs by more than `tolerance`.
+    pub(crate) fn difference(&self, other: &Self, tolerance: u8) -> f64 {
+        assert_eq!(self.size, other.size);
+        let (a, b) = (self.rgb.as_chunks::<3>().0, other.rgb.as_chunks::<3>().0);
+        let differs = |(a, b): &(&[u8; 3], &[u8; 3])| a.iter().zip(*b).any(|(a, b)| a.abs_diff(*b) > tolerance);
+        a.iter().zip(b).filter(differs).count() as f64 / a.len() as f64
+    }
+
+    /// The fraction of pixels as bright as a lit model, on any channel no darker than `least`.
+    pub(crate) fn brighter_than(&self, least: u8) -> f64 {
+        let pixels = self.rgb.as_chunks::<3>().0;
+        pixels.iter().filter(|pixel| pixel.iter().all(|&channel| channel > least)).count() as f64 / pixels.len() as f64
+    }
+}
+
+/// A child process that ends with this.
+struct Ending(Child);
+
+impl Drop for Ending {
+    fn drop(&mut self) {
+        // One that has ended by itself is only waited for.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn missing(program: &str, error: &std::io::Error) -> ! {
+    panic!("{program} does not start ({error}); `make test` installs it: apt install xvfb openbox xdotool imagemagick")
+}
