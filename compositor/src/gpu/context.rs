@@ -88,6 +88,11 @@ impl Gpu {
         pollster::block_on(Self::open(instance, Some(surface)))
     }
 
+    /// Whether the system has nothing to draw with at all.
+    pub(super) fn has_no_driver(instance: &wgpu::Instance) -> bool {
+        pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all())).is_empty()
+    }
+
     async fn open(instance: &wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self, GpuError> {
         let adapter = choose_adapter(instance, surface).await?;
         let offered = adapter.limits();

@@ -35,7 +35,9 @@ impl WallSurface {
             let instance = instance.clone();
             move || instance.create_surface(window.clone())
         };
-        let surface = create().map_err(|error| no_surface(&error))?;
+        // Without any driver there is not even a way to make surfaces.
+        let surface = create()
+            .map_err(|error| if Gpu::has_no_driver(&instance) { GpuError::NoDriver } else { no_surface(&error) })?;
         let gpu = Gpu::for_surface(&instance, &surface)?;
 
         let capabilities = surface.get_capabilities(gpu.adapter());
