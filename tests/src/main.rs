@@ -5,4 +5,10 @@ mod accuracy;
 #[cfg(test)]
 mod pictures;
 #[cfg(test)]
+mod process;
+#[cfg(test)]
 mod references;
+#[cfg(all(test, target_os = "linux"))]
+mod window;
+#[cfg(all(test, target_os = "linux"))]
+mod x_session;

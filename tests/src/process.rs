@@ -24,14 +24,22 @@ impl Program {
         let tests = std::env::current_exe().expect("tests know where they lie");
         let folder: PathBuf = tests.ancestors().nth(2).expect("target/release/deps").to_owned();
         let path = folder.join(name);
-        assert!(path.is_file(), "{} is not built: cargo build --release builds it, as `make test` does", path.display());
+        assert!(
+            path.is_file(),
+            "{} is not built: cargo build --release builds it, as `make test` does",
+            path.display()
+        );
         Command::new(path)
     }
 
     /// Starts it and listens to all that it says.
     pub(crate) fn start(mut command: Command) -> Self {
-        let mut child =
-            command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the program starts");
+        let mut child = command
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program starts");
         let said = Arc::new(Mutex::new(String::new()));
         let streams: [Box<dyn Read + Send>; 2] =
             [Box::new(child.stdout.take().expect("piped")), Box::new(child.stderr.take().expect("piped"))];

@@ -9,7 +9,7 @@ use crate::{
 
 const SCREEN: [usize; 2] = [1280, 720];
 /// What the wall says, with its log turned up, of each frame on screen.
-const SHOWN: &str = "on screen";
+const SHOWN: &str = "is on screen";
 
 /// A wall of two local render servers in a window.
 struct Wall {
@@ -95,7 +95,9 @@ fn f11_fills_the_screen_and_escape_gives_it_back() {
     wait_until("the window fills the screen", || wall.session.geometry(&wall.window) == screen);
     wall.session.key("o");
     // Sky, not desktop, in every corner: the wall has the screen's shape.
-    wait_until("the wall fills the screen", || corners(&wall.session.screenshot()).iter().all(|&pixel| pixel != [0; 3]));
+    wait_until("the wall fills the screen", || {
+        corners(&wall.session.screenshot()).iter().all(|&pixel| pixel != [0; 3])
+    });
     wall.session.key("Escape");
     wait_until("the window is as it was", || wall.session.geometry(&wall.window)[2..] == windowed[2..]);
     wall.quit();
@@ -135,7 +137,7 @@ fn what_a_window_lacks_is_told_in_one_line() {
     }
     let check = |expected: &str, prepare: &dyn Fn(&mut Command)| {
         let mut command = Program::command("compositor");
-        command.args(["--listen", "127.0.0.1:0", "--triangles", "100"]).env_remove("WAYLAND_DISPLAY");
+        command.args(["--listen", "127.0.0.1:0"]).env_remove("WAYLAND_DISPLAY");
         command.env("DISPLAY", session.display());
         prepare(&mut command);
         let (status, said) = Program::start(command).wait();
@@ -170,8 +172,9 @@ fn corners(screenshot: &Screenshot) -> [[u8; 3]; 4] {
 
 /// CPU time of a process's main thread, in hundredths of a second.
 fn main_thread_ticks(id: u32) -> u64 {
-    let stat = fs::read_to_string(format!("/proc/{id}/task/{id}/stat")).unwrap();
+    let stat = fs::read_to_string(format!("/proc/{id}/task/{id}/stat")).expect("the wall runs");
     // After the name in parentheses, utime and stime are the 12th and 13th.
-    let fields: Vec<_> = stat.rsplit_once(')').unwrap().1.split_whitespace().collect();
-    fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap()
+    let (_, fields) = stat.rsplit_once(')').expect("a name in parentheses");
+    let ticks = |field: usize| fields.split_whitespace().nth(field).and_then(|ticks| ticks.parse::<u64>().ok());
+    ticks(11).zip(ticks(12)).map(|(user, system)| user + system).expect("numbers of ticks")
 }
