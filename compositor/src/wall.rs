@@ -239,6 +239,8 @@ const _: () = assert!(Wall::LARGEST_SIDE == FrameSize::LARGEST);
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     fn config(name: &str) -> Wall {
@@ -329,5 +331,39 @@ mod tests {
         assert_eq!(fitted([16384, 1], [100, 100]), (0, 49, 100, 1));
         assert_eq!(fitted([4096, 2304], [0, 0]), (0, 0, 0, 0));
         assert_eq!(fitted([1, 1], [u32::MAX, 7]), (2_147_483_644, 0, 7, 7));
+    }
+
+    proptest! {
+        #[test]
+        fn any_text_is_a_wall_or_an_error(text in "[\\[\\]a-z_=0-9.,\" \n\u{e9}-]{0,80}") {
+            let _ = Wall::from_toml("a.toml", &text);
+            let _ = Wall::from_toml("a.toml", &format!("canvas_m = [4.0, 2.25]\n[grid]\n{text}"));
+        }
+
+        #[test]
+        fn any_grid_is_refused_or_covers_its_output_once(
+            columns in 0_u32..80, rows in 0_u32..80, width in 0_u32..20_000, height in 0_u32..20_000,
+        ) {
+            let text = format!(
+                "canvas_m = [4.0, 2.25]\n[grid]\ncolumns = {columns}\nrows = {rows}\npixels = [{width}, {height}]"
+            );
+            if let Ok(wall) = Wall::from_toml("a.toml", &text) {
+                let [output_width, output_height] = wall.output_size();
+                prop_assert!(output_width.max(output_height) <= Wall::LARGEST_SIDE);
+                let n_pixels = |rect: PixelRect| u64::from(rect.width) * u64::from(rect.height);
+                let covered: u64 = wall.projectors().iter().map(|projector| n_pixels(projector.output)).sum();
+                prop_assert_eq!(covered, u64::from(output_width) * u64::from(output_height));
+            }
+        }
+
+        #[test]
+        fn a_fitted_wall_lies_in_its_target_and_touches_two_edges(
+            content in any::<[u32; 2]>(), target in prop::array::uniform2(1_u32..100_000),
+        ) {
+            let PixelRect { x, y, width, height } = PixelRect::fitted(content, target);
+            prop_assert!(width >= 1 && height >= 1);
+            prop_assert!(x + width <= target[0] && y + height <= target[1]);
+            prop_assert!(width == target[0] || height == target[1]);
+        }
     }
 }

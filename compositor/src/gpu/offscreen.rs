@@ -11,8 +11,8 @@ pub struct Offscreen {
     size: [u32; 2],
 }
 
-/// Rows are read back at once up to about this many bytes, so that the largest wall needs no second copy in full.
-const BAND_BYTES: u32 = 64 << 20;
+/// Rows are read back at once up to about this many bytes, so that no wall needs a second copy in full.
+const BAND_BYTES: u32 = 16 << 20;
 
 impl Offscreen {
     /// Room for a picture of `size`: columns, rows.
