@@ -5,6 +5,8 @@ mod accuracy;
 #[cfg(test)]
 mod pictures;
 #[cfg(test)]
+mod ply_suite;
+#[cfg(test)]
 mod process;
 #[cfg(test)]
 mod references;
