@@ -25,7 +25,6 @@ pub enum Command {
     /// Render for a wall until told to stop
     Connect(ConnectArgs),
     /// Write a built-in model to a file
-    #[command(subcommand_required = true)]
     Generate(GenerateArgs),
     /// Trace frames without a network, and measure them
     Trace(TraceArgs),
