@@ -32,14 +32,6 @@ impl Wall {
         Self { session, program, window }
     }
 
-    /// Does something that makes the wall show a new frame, and waits for it to be on screen.
-    fn after(&mut self, act: impl FnOnce(&XSession)) -> Screenshot {
-        let n_shown = self.program.count(SHOWN);
-        act(&self.session);
-        self.program.wait_for_count(SHOWN, n_shown + 1);
-        self.session.steady_screenshot()
-    }
-
     /// Quits by key; gives back all that the program said.
     fn quit(self) -> String {
         self.session.key("ctrl+q");
@@ -54,7 +46,9 @@ fn the_heuristic_s_key_switches_the_division_while_the_wall_runs() {
     let folder = tempfile::tempdir().unwrap();
     let stats = folder.path().join("stats.json");
     let mut wall = Wall::start(&["--division", "tiled", "--stats", stats.to_str().unwrap()]);
-    wall.after(|session| session.key("h"));
+    let n_shown = wall.program.count(SHOWN);
+    wall.session.key("h");
+    wall.program.wait_for_count(SHOWN, n_shown + 1);
     wall.quit();
     let stats: serde_json::Value = serde_json::from_str(&fs::read_to_string(stats).unwrap()).unwrap();
     let frames = stats["frames"].as_array().unwrap();
@@ -66,22 +60,21 @@ fn the_heuristic_s_key_switches_the_division_while_the_wall_runs() {
 
 #[test]
 fn dragging_turns_the_model_and_dragging_back_turns_it_back() {
-    let mut wall = Wall::start(&[]);
+    let wall = Wall::start(&[]);
     // The overlay's figures change with every frame.
     wall.session.key("o");
     let front = wall.session.steady_screenshot();
     assert!(front.brighter_than(120) > 0.03, "no model is to be seen");
     let middle = [SCREEN[0] as i32 / 2, SCREEN[1] as i32 / 2];
-    let turned = wall.after(|session| session.drag(middle, [160, 0]));
-    assert!(front.difference(&turned, 16) > 0.02, "the model did not turn");
-    let back = wall.after(|session| session.drag([middle[0] + 160, middle[1]], [-160, 0]));
-    let difference = front.difference(&back, 16);
-    assert!(difference < 0.002, "{difference} of the pixels differ after turning back");
-    let fitted = wall.after(|session| {
-        session.drag(middle, [60, 60]);
-        session.key("f");
-    });
-    assert!(front.difference(&fitted, 0) == 0.0, "view all is not the view at the start");
+    let difference = || front.difference(&wall.session.screenshot(), 16);
+    wall.session.drag(middle, [160, 0]);
+    wait_until("the model has turned", || difference() > 0.02);
+    wall.session.drag([middle[0] + 160, middle[1]], [-160, 0]);
+    wait_until("the model has turned back", || difference() < 0.002);
+    wall.session.drag(middle, [60, 60]);
+    wait_until("the model has turned again", || difference() > 0.02);
+    wall.session.key("f");
+    wait_until("all is seen as at the start", || wall.session.screenshot() == front);
     wall.quit();
 }
 

@@ -85,10 +85,10 @@ impl XSession {
         const STEPS: i32 = 10;
         let at = |step: i32| [0, 1].map(|axis: usize| (from[axis] + by[axis] * step / STEPS).to_string());
         let [x, y] = at(0);
-        self.xdotool(&["mousemove", "--sync", &x, &y, "mousedown", "1"]);
+        self.xdotool(&["mousemove", &x, &y, "mousedown", "1"]);
         for step in 1..=STEPS {
             let [x, y] = at(step);
-            self.xdotool(&["mousemove", "--sync", &x, &y]);
+            self.xdotool(&["mousemove", &x, &y]);
         }
         self.xdotool(&["mouseup", "1"]);
     }
