@@ -163,7 +163,7 @@ fn waiting(ui: &mut Ui, model: &OverlayModel) {
     if model.status.nodes.is_empty() {
         box_of(ui, Tone::Warning, |ui| {
             ui.label(RichText::new("No render server is connected.").strong());
-            ui.label("Start one:");
+            ui.label("Start one with:");
             ui.label(RichText::new(&model.join.command).monospace().color(style::ACCENT));
             ui.label(RichText::new(&model.join.note).small());
         });
@@ -204,7 +204,7 @@ fn timings(ui: &mut Ui, model: &OverlayModel) {
 fn switches(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     ui.add_space(6.0);
     egui::Grid::new("switches").num_columns(2).show(ui, |ui| {
-        ui.label("division (H)");
+        ui.horizontal(|ui| ui.label("division (H)"));
         ui.horizontal(|ui| {
             for division in Division::ALL {
                 if ui.selectable_label(division == model.division, division.name()).clicked() {
@@ -213,7 +213,7 @@ fn switches(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
             }
         });
         ui.end_row();
-        ui.label("view (V)");
+        ui.horizontal(|ui| ui.label("view (V)"));
         ui.horizontal(|ui| {
             for view in View::ALL {
                 if ui.selectable_label(view == model.view, view.name()).clicked() {

@@ -9,7 +9,11 @@ mod model_loader;
 mod screen;
 mod screenshots;
 
-use std::{net::SocketAddr, ops::ControlFlow, path::PathBuf};
+use std::{
+    net::SocketAddr,
+    ops::ControlFlow,
+    path::{Path, PathBuf},
+};
 
 use anyhow::Context;
 use renderer::scene::SceneSource;
@@ -23,6 +27,7 @@ use winit::event_loop::{EventLoop, EventLoopProxy};
 use crate::{
     display_environment,
     farm::{Farm, Frame},
+    overlay::JoinHint,
     stats::DisplayStats,
     wall::Wall,
 };
@@ -109,19 +114,36 @@ impl WindowLoop {
     }
 }
 
-/// The command that makes a render server join the wall that listens on `address`, and a note on where.
-fn join_hint(address: SocketAddr) -> crate::overlay::JoinHint {
+/// The command that makes a render server join the wall that listens on `address` and shows `model`, if that is a
+/// file; and a note on where.
+fn join_hint(address: SocketAddr, model: Option<&Path>) -> JoinHint {
     let port = address.port();
-    let (host, note) = if address.ip().is_loopback() {
+    let (host, insecure, mut note) = if address.ip().is_loopback() {
         let note =
-            format!("It must run on this machine. For others, start the wall with --listen 0.0.0.0:{port} --insecure.");
-        (address.ip().to_string(), note)
+            format!("On this machine. For others to reach the wall, start it with --listen 0.0.0.0:{port} --insecure.");
+        (address.ip().to_string(), "", note)
     } else {
         let host = if address.ip().is_unspecified() { host_name() } else { address.ip().to_string() };
-        (host, "On this machine, or on any that reaches it.".to_owned())
+        (host, " --insecure", "On this machine, or on any that reaches it.".to_owned())
     };
     let host = if host.contains(':') { format!("[{host}]") } else { host };
-    crate::overlay::JoinHint { command: format!("renderer connect {host}:{port}"), note }
+    let mut command = format!("renderer connect {host}:{port}{insecure}");
+    if let Some(path) = model {
+        let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        command += &format!(" --model {}", shell_word(&path.to_string_lossy()));
+        note += " The model is read from the render server's own disk.";
+    }
+    JoinHint { command, note }
+}
+
+/// Text as one word of a shell's command line.
+fn shell_word(text: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-+=:@,".contains(c);
+    if !text.is_empty() && text.chars().all(is_plain) {
+        text.to_owned()
+    } else {
+        format!("'{}'", text.replace('\'', r"'\''"))
+    }
 }
 
 /// What others call this machine, as far as it knows.
@@ -139,12 +161,14 @@ mod tests {
 
     #[test]
     fn the_command_to_join_can_be_typed_as_it_stands() {
-        let hint = |address: &str| join_hint(address.parse().expect(address));
+        let hint = |address: &str| join_hint(address.parse().expect(address), None);
         assert_eq!(hint("127.0.0.1:7117").command, "renderer connect 127.0.0.1:7117");
         assert!(hint("127.0.0.1:7117").note.contains("--listen 0.0.0.0:7117 --insecure"));
-        assert_eq!(hint("10.1.2.3:80").command, "renderer connect 10.1.2.3:80");
-        assert_eq!(hint("[fe80::1]:80").command, "renderer connect [fe80::1]:80");
+        assert_eq!(hint("10.1.2.3:80").command, "renderer connect 10.1.2.3:80 --insecure");
+        assert_eq!(hint("[fe80::1]:80").command, "renderer connect [fe80::1]:80 --insecure");
         let any = hint("0.0.0.0:7117").command;
-        assert!(any.ends_with(":7117") && !any.contains("0.0.0.0"), "{any}");
+        assert!(any.ends_with(":7117 --insecure") && !any.contains("0.0.0.0"), "{any}");
+        let with_model = join_hint(([127, 0, 0, 1], 80).into(), Some(Path::new("/models/it's a dragon.ply")));
+        assert_eq!(with_model.command, r"renderer connect 127.0.0.1:80 --model '/models/it'\''s a dragon.ply'");
     }
 }

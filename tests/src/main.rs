@@ -13,4 +13,6 @@ mod references;
 #[cfg(all(test, target_os = "linux"))]
 mod window;
 #[cfg(all(test, target_os = "linux"))]
+mod x_drop;
+#[cfg(all(test, target_os = "linux"))]
 mod x_session;

@@ -4,6 +4,7 @@ use std::{fs, path::Path, process::Command, time::Duration};
 
 use crate::{
     process::{Program, wait_until},
+    x_drop::drop_file,
     x_session::{Screenshot, XSession},
 };
 
@@ -30,6 +31,14 @@ impl Wall {
         program.wait_for(SHOWN);
         let window = session.wait_for_window("Raywall");
         Self { session, program, window }
+    }
+
+    /// Hides the overlay, whose figures change with every frame; gives back what is seen then.
+    fn hide_overlay(&self) -> Screenshot {
+        let before = self.session.steady_screenshot();
+        self.session.key("o");
+        wait_until("the overlay is gone", || before.difference(&self.session.screenshot(), 4) > 0.05);
+        self.session.steady_screenshot()
     }
 
     /// Quits by key; gives back all that the program said.
@@ -61,9 +70,7 @@ fn the_heuristic_s_key_switches_the_division_while_the_wall_runs() {
 #[test]
 fn dragging_turns_the_model_and_dragging_back_turns_it_back() {
     let wall = Wall::start(&[]);
-    // The overlay's figures change with every frame.
-    wall.session.key("o");
-    let front = wall.session.steady_screenshot();
+    let front = wall.hide_overlay();
     assert!(front.brighter_than(120) > 0.03, "no model is to be seen");
     let middle = [SCREEN[0] as i32 / 2, SCREEN[1] as i32 / 2];
     let difference = || front.difference(&wall.session.screenshot(), 16);
@@ -105,6 +112,27 @@ fn a_screenshot_is_the_whole_wall_without_overlay() {
     let decoder = png::Decoder::new(std::io::BufReader::new(fs::File::open(last).unwrap()));
     let reader = decoder.read_info().unwrap();
     assert_eq!((reader.info().width, reader.info().height), (4096, 2304));
+}
+
+#[test]
+fn a_dropped_model_is_shown_and_a_broken_one_leaves_it_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let (good, broken) = (folder.path().join("a good model.ply"), folder.path().join("broken.ply"));
+    let generate = Program::command("renderer").args(["generate", "statue", "--triangles", "200"]).arg(&good).output();
+    assert!(generate.unwrap().status.success());
+    fs::write(&broken, "ply\nformat ascii 1.0\nelement vertex 3\n").unwrap();
+    let mut wall = Wall::start(&[]);
+    let statue = wall.hide_overlay();
+    drop_file(wall.session.display(), &wall.window, &good);
+    wall.session.wait_for_window("a good model.ply");
+    wait_until("the dropped model is seen", || statue.difference(&wall.session.screenshot(), 16) > 0.005);
+    let dropped = wall.session.steady_screenshot();
+    drop_file(wall.session.display(), &wall.window, &broken);
+    wall.program.wait_for("broken.ply");
+    assert!(dropped == wall.session.steady_screenshot(), "the model went away");
+    wall.session.key("o");
+    wait_until("the overlay is back", || dropped.difference(&wall.session.screenshot(), 16) > 0.05);
+    wall.quit();
 }
 
 #[test]

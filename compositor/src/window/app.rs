@@ -93,7 +93,7 @@ impl<'a> App<'a> {
         let now = Instant::now();
         let overlay = OverlayModel {
             panel: options.overlay,
-            join: join_hint(farm.address()),
+            join: join_hint(farm.address(), None),
             min_renderers: farm.wanted().min_renderers,
             ..Default::default()
         };
@@ -207,6 +207,7 @@ impl<'a> App<'a> {
         if let Some(screen) = &self.screen {
             screen.window.set_title(&format!("{name} – Raywall"));
         }
+        self.overlay.join = join_hint(self.farm.address(), model.path().as_deref());
         self.error = None;
         self.model = Some(model);
         self.want_picture();
