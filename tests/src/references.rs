@@ -68,8 +68,9 @@ fn one_tile_out_of_place_is_another_picture() {
 
     let [width, height] = picture.size;
     for y in 0..8 {
+        // In the face: where the stone is smooth, a misplaced tile could not be seen by anyone.
         let row = |top: u32| 3 * ((top + y) * width + width / 2 - 4) as usize;
-        let (from, to) = (row(height / 2), row(height / 2 + 8));
+        let (from, to) = (row(height / 4), row(height / 4 + 8));
         picture.rgb.copy_within(from..from + 24, to);
     }
     let (misplaced, _) = flip_difference(&reference, &picture);
