@@ -12,6 +12,7 @@ pub mod headless;
 pub mod input;
 pub mod local;
 pub mod model;
+pub mod navigator;
 pub mod overlay;
 pub mod report;
 pub mod run;

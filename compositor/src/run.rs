@@ -93,7 +93,13 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Re
     };
     let report = Rc::new(RefCell::new(Report::default()));
     let on_shown = watch_frames(args, Rc::clone(&report));
-    window.run(options, &farm, on_shown)?;
+    let outcome = window.run(options, &farm, on_shown);
+    // Before its local render servers end: their loss is no news then.
+    drop(farm);
+    outcome?;
+    if args.frames.is_some() {
+        println!("{}", report.borrow().table());
+    }
     if let Some(path) = &args.stats {
         report.borrow().write(path)?;
     }
@@ -102,7 +108,7 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Re
 
 /// Counts frames for `--frames`, and keeps their figures for `--stats`; a wall that runs for days keeps none unasked.
 fn watch_frames(args: &WallArgs, report: Rc<RefCell<Report>>) -> OnShown {
-    let (n_frames, keeps_figures) = (args.frames, args.stats.is_some());
+    let (n_frames, keeps_figures) = (args.frames, args.stats.is_some() || args.frames.is_some());
     let mut n_shown = 0;
     let mut shown_at = Instant::now();
     Box::new(move |frame, display| {

@@ -1,0 +1,143 @@
+//! What is on screen, and what time alone changes of it.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use winit::event_loop::ActiveEventLoop;
+
+use super::App;
+use crate::{navigator::Navigator, overlay::OverlayModel, stats::DisplayStats};
+
+/// The cursor of a fullscreen wall disappears when it has rested for so long.
+const CURSOR_REST: Duration = Duration::from_secs(2);
+/// While a key to fly is held, the camera moves so often.
+const FLY_INTERVAL: Duration = Duration::from_millis(16);
+/// Flying with Shift is so much faster.
+const FAST: f64 = 4.0;
+/// When there is nothing to draw on, a frame that waits is tried again after this.
+const RETRY_INTERVAL: Duration = Duration::from_millis(100);
+/// The overlay shows what the last frame took after this, unless another frame comes first.
+const SETTLE_TIME: Duration = Duration::from_millis(100);
+/// A note that needs nobody stays on screen for so long.
+const NOTE_LIFE: Duration = Duration::from_secs(8);
+
+impl App<'_> {
+    pub(super) fn overlay_is_visible(&self) -> bool {
+        self.overlay.panel || self.overlay.help
+    }
+
+    pub(super) fn redraw(&self) {
+        if let Some(screen) = &self.screen {
+            screen.window.request_redraw();
+        }
+    }
+
+    /// Brings the overlay's figures up to date, and says whether that is worth drawing.
+    pub(super) fn overlay_changed(&mut self) -> bool {
+        let before = self.overlay.clone();
+        self.update_overlay(Instant::now());
+        // A ping that took another time is no reason to draw a resting wall again.
+        self.overlay_is_visible() && without_pings(before) != without_pings(self.overlay.clone())
+    }
+
+    pub(super) fn update_overlay(&mut self, now: Instant) {
+        let wanted = self.farm.wanted();
+        self.note.take_if(|(_, since)| now.duration_since(*since) >= NOTE_LIFE);
+        self.overlay.status = self.farm.status();
+        self.overlay.division = wanted.division;
+        self.overlay.min_renderers = wanted.min_renderers;
+        self.overlay.view = self.view;
+        self.overlay.frame = self.frame.as_ref().map(|frame| frame.stats.clone());
+        self.overlay.up = self.navigator.as_ref().map_or(self.options.up, Navigator::up);
+        self.overlay.loading = self.loader.progress();
+        self.overlay.frames_per_second = self.rate.per_second(now);
+        self.overlay.note = self.note.as_ref().map(|(note, _)| note.clone());
+        let status = &self.overlay.status;
+        let is_dismissed = (&status.message, status.n_lost) == (&self.dismissed.0, self.dismissed.1);
+        let farm_message = status.message.clone().filter(|_| !is_dismissed);
+        self.overlay.messages = self.error.clone().into_iter().chain(farm_message).collect();
+    }
+
+    pub(super) fn draw(&mut self, event_loop: &ActiveEventLoop) {
+        self.take_frame();
+        self.update_overlay(Instant::now());
+        let Some(screen) = &mut self.screen else { return };
+        let new_frame = self.frame.as_ref().filter(|_| self.frame_is_new);
+        let drawn = match screen.draw(&self.options.wall, new_frame, &self.overlay) {
+            Ok(Some(drawn)) => drawn,
+            Ok(None) => {
+                self.repaint_at = self.frame_is_new.then(|| Instant::now() + RETRY_INTERVAL);
+                return;
+            }
+            Err(error) => return self.fail(event_loop, error),
+        };
+        let now = Instant::now();
+        self.repaint_at = now.checked_add(drawn.repaint_after);
+        self.overlay_areas = drawn.overlay.areas;
+        if self.frame_is_new
+            && let Some(frame) = &self.frame
+        {
+            self.frame_is_new = false;
+            self.rate.count(now);
+            let latency_ms = now.duration_since(frame.moved_at).as_secs_f64() * 1e3;
+            let stats = DisplayStats { latency_ms, ..drawn.stats };
+            tracing::debug!("frame {} is on screen, {latency_ms:.1} ms after the camera", frame.stats.frame);
+            self.overlay.display = Some(stats);
+            // What showing it took is known only now.
+            self.repaint_at = self.repaint_at.into_iter().chain([now + SETTLE_TIME]).min();
+            if (self.on_shown)(frame, &stats).is_break() {
+                event_loop.exit();
+            }
+        }
+        for command in drawn.overlay.commands {
+            self.obey(event_loop, command);
+        }
+    }
+
+    /// Does what time has come for, and says when to look again.
+    pub(super) fn pass_time(&mut self) -> Option<Instant> {
+        let now = Instant::now();
+        let mut next = Vec::new();
+        let speed = if self.modifiers.shift_key() { FAST } else { 1.0 };
+        if let Some(navigator) = self.navigator.as_mut().filter(|navigator| navigator.is_flying()) {
+            let elapsed = now.duration_since(self.flown_at);
+            if elapsed >= FLY_INTERVAL {
+                self.flown_at = now;
+                if navigator.fly(elapsed.as_secs_f64(), speed) {
+                    self.want_picture();
+                }
+            }
+            next.push(self.flown_at + FLY_INTERVAL);
+        }
+        if let Some(window) = self.screen.as_ref().map(|screen| Arc::clone(&screen.window))
+            && window.fullscreen().is_some()
+            && self.cursor_is_visible
+        {
+            let hide_at = self.cursor_moved_at + CURSOR_REST;
+            if now >= hide_at {
+                self.show_cursor(&window, false);
+            } else {
+                next.push(hide_at);
+            }
+        }
+        if self.overlay_is_visible() {
+            let rests_at = self.overlay.frames_per_second.and_then(|_| self.rate.rests_at());
+            let note_ends_at = self.overlay.note.as_ref().and(self.note.as_ref()).map(|(_, since)| *since + NOTE_LIFE);
+            for moment in [rests_at, note_ends_at, self.repaint_at].into_iter().flatten() {
+                if now >= moment {
+                    self.redraw();
+                } else {
+                    next.push(moment);
+                }
+            }
+        }
+        next.into_iter().min()
+    }
+}
+
+fn without_pings(mut model: OverlayModel) -> OverlayModel {
+    model.status.nodes.iter_mut().for_each(|node| node.round_trip_ms = None);
+    model
+}

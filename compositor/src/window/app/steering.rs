@@ -1,0 +1,222 @@
+//! What a person does: keys, mouse and commands.
+
+use std::{path::Path, sync::Arc, time::Instant};
+
+use glam::DVec2;
+use shared::{division::Division, protocol::View};
+use winit::{
+    dpi::PhysicalPosition,
+    event::{ElementState, KeyEvent, MouseButton, MouseScrollDelta, WindowEvent},
+    event_loop::ActiveEventLoop,
+    window::{Fullscreen, Window},
+};
+
+use super::App;
+use crate::{
+    input::{self, Action, Command, Key},
+    navigator::{Drag, Navigator},
+    screensaver::ScreensaverHold,
+    wall::PixelRect,
+    window::screen::Screen,
+};
+
+/// Pixels that a touchpad scrolls for what a wheel does with one notch.
+const PIXELS_PER_NOTCH: f64 = 50.0;
+
+impl App<'_> {
+    pub(super) fn key(&mut self, event_loop: &ActiveEventLoop, event: &KeyEvent) {
+        let pressed = event.state == ElementState::Pressed;
+        // A key that was pressed before Ctrl is let go as the key that it was.
+        let Some(key) = Key::from_winit(&event.logical_key, pressed && self.modifiers.control_key()) else { return };
+        match input::action(key) {
+            Some(Action::Fly(direction)) => {
+                let Some(navigator) = &mut self.navigator else { return };
+                if !pressed {
+                    navigator.let_go(direction);
+                } else if !event.repeat {
+                    if !navigator.is_flying() {
+                        self.flown_at = Instant::now();
+                    }
+                    navigator.hold(direction);
+                }
+            }
+            Some(Action::Ask(command)) if pressed && !event.repeat => self.obey(event_loop, command),
+            _ => {}
+        }
+    }
+
+    pub(super) fn obey(&mut self, event_loop: &ActiveEventLoop, command: Command) {
+        match command {
+            Command::ViewAll => self.steer(Navigator::view_all),
+            Command::NextUpAxis => self.steer(Navigator::next_up_axis),
+            Command::NextDivision => self.set_division(next(&Division::ALL, self.farm.wanted().division)),
+            Command::SetDivision(division) => self.set_division(division),
+            Command::NextView => self.set_view(next(&View::ALL, self.view)),
+            Command::SetView(view) => self.set_view(view),
+            Command::ToggleOverlay => self.overlay.panel = !self.overlay.panel,
+            Command::ToggleHelp => self.overlay.help = !self.overlay.help,
+            Command::ToggleFullscreen | Command::LeaveFullscreen => {
+                if let Some(window) = self.screen.as_ref().map(|screen| Arc::clone(&screen.window)) {
+                    let fill = command == Command::ToggleFullscreen && window.fullscreen().is_none();
+                    self.set_fullscreen(&window, fill);
+                }
+            }
+            Command::Screenshot => self.take_screenshot(),
+            Command::DismissMessage => {
+                self.error = None;
+                self.note = None;
+                let status = self.farm.status();
+                self.dismissed = (status.message, status.n_lost);
+            }
+            Command::Quit => event_loop.exit(),
+        }
+        self.redraw();
+    }
+
+    fn steer(&mut self, motion: fn(&mut Navigator)) {
+        if let Some(navigator) = &mut self.navigator {
+            motion(navigator);
+            self.want_picture();
+        }
+    }
+
+    fn set_division(&mut self, division: Division) {
+        tracing::info!("dividing frames {}", division.name());
+        self.farm.want(|wanted| {
+            wanted.division = division;
+            wanted.moved_at = Instant::now();
+        });
+    }
+
+    fn set_view(&mut self, view: View) {
+        self.view = view;
+        self.want_picture();
+    }
+
+    pub(super) fn set_fullscreen(&mut self, window: &Window, fill: bool) {
+        window.set_fullscreen(fill.then_some(Fullscreen::Borderless(None)));
+        self.screensaver = fill.then(ScreensaverHold::new).flatten();
+        self.cursor_moved_at = Instant::now();
+        self.show_cursor(window, true);
+    }
+
+    pub(super) fn show_cursor(&mut self, window: &Window, visible: bool) {
+        if visible != self.cursor_is_visible {
+            window.set_cursor_visible(visible);
+            self.cursor_is_visible = visible;
+        }
+    }
+
+    fn take_screenshot(&mut self) {
+        let (Some(screen), Some(_)) = (&mut self.screen, &self.frame) else {
+            self.error = Some("no screenshot: nothing has been rendered yet".to_owned());
+            return;
+        };
+        match screen.picture(&self.options.wall) {
+            Ok(picture) => self.screenshots.write(picture),
+            Err(error) => self.error = Some(format!("no screenshot: {error}")),
+        }
+    }
+
+    pub(super) fn write_last_picture(&mut self, path: &Path) -> anyhow::Result<()> {
+        let (Some(screen), Some(_)) = (&mut self.screen, &self.frame) else {
+            anyhow::bail!("no screenshot {}: the window was closed before anything was rendered", path.display());
+        };
+        screen.picture(&self.options.wall)?.write_png(path)?;
+        tracing::info!("wrote {}", path.display());
+        Ok(())
+    }
+
+    pub(super) fn cursor_moved(&mut self, event: &WindowEvent, position: PhysicalPosition<f64>) {
+        let was_over_overlay = self.cursor_is_over_overlay();
+        self.cursor = position;
+        self.cursor_moved_at = Instant::now();
+        if let Some(window) = self.screen.as_ref().map(|screen| Arc::clone(&screen.window)) {
+            self.show_cursor(&window, true);
+        }
+        let point = self.point_on_canvas();
+        if self.navigator.as_mut().is_some_and(|navigator| navigator.move_to(point)) {
+            self.want_picture();
+        }
+        let is_over_overlay = was_over_overlay || self.cursor_is_over_overlay();
+        if self.overlay_is_pressed || (is_over_overlay && !self.is_dragging()) {
+            self.tell_overlay(event);
+        }
+    }
+
+    pub(super) fn mouse_button(&mut self, event: &WindowEvent, state: ElementState, button: MouseButton) {
+        // Who has seen a button go down sees it come up.
+        let is_for_overlay = self.overlay_is_pressed || (self.cursor_is_over_overlay() && !self.is_dragging());
+        if is_for_overlay {
+            self.overlay_is_pressed = state == ElementState::Pressed;
+            return self.tell_overlay(event);
+        }
+        let Some(navigator) = &mut self.navigator else { return };
+        match (state, button, self.modifiers.shift_key()) {
+            (ElementState::Released, ..) => navigator.release(),
+            (_, MouseButton::Left, false) => navigator.press(Drag::Orbit),
+            (_, MouseButton::Left, true) | (_, MouseButton::Middle, _) => navigator.press(Drag::Pan),
+            (_, MouseButton::Right, _) => navigator.press(Drag::Dolly),
+            _ => {}
+        }
+    }
+
+    fn is_dragging(&self) -> bool {
+        self.navigator.as_ref().is_some_and(Navigator::is_dragging)
+    }
+
+    pub(super) fn wheel(&mut self, event: &WindowEvent, delta: MouseScrollDelta) {
+        if self.cursor_is_over_overlay() {
+            return self.tell_overlay(event);
+        }
+        let notches = match delta {
+            MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
+            MouseScrollDelta::PixelDelta(pixels) => pixels.y / PIXELS_PER_NOTCH,
+        };
+        if self.navigator.as_mut().is_some_and(|navigator| navigator.wheel(notches)) {
+            self.want_picture();
+        }
+    }
+
+    /// The cursor as a fraction of the canvas, (0, 0) lower left.
+    fn point_on_canvas(&self) -> DVec2 {
+        let size = self.screen.as_ref().map_or([1, 1], Screen::size);
+        let wall = PixelRect::fitted(self.options.wall.output_size(), size);
+        let x = (self.cursor.x - f64::from(wall.x)) / f64::from(wall.width.max(1));
+        let y = (self.cursor.y - f64::from(wall.y)) / f64::from(wall.height.max(1));
+        DVec2::new(x, 1.0 - y)
+    }
+
+    fn cursor_is_over_overlay(&self) -> bool {
+        let Some(screen) = &self.screen else { return false };
+        let scale = f64::from(screen.pixels_per_point());
+        let point = egui::pos2((self.cursor.x / scale) as f32, (self.cursor.y / scale) as f32);
+        self.overlay_areas.iter().any(|area| area.contains(point))
+    }
+
+    pub(super) fn tell_overlay(&mut self, event: &WindowEvent) {
+        if self.overlay_is_visible()
+            && let Some(screen) = &mut self.screen
+        {
+            screen.overlay_event(event);
+            screen.window.request_redraw();
+        }
+    }
+}
+
+/// The one after `current`, and after the last the first.
+fn next<T: Copy + PartialEq>(all: &[T], current: T) -> T {
+    let index = all.iter().position(|&one| one == current).map_or(0, |index| index + 1);
+    all[index % all.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_steps_through_all_choices() {
+        assert_eq!(next(&[1, 2, 3], 1), 2);
+        assert_eq!(next(&[1, 2, 3], 3), 1);
+    }
+}
