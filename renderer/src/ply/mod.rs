@@ -31,8 +31,7 @@ use crate::mesh::Mesh;
 pub struct PlyError {
     /// The file.
     pub path: PathBuf,
-    /// What is wrong with it.
-    #[source]
+    /// What is wrong with it. Not the error's source: it is in the text already.
     pub problem: Problem,
 }
 
@@ -43,7 +42,7 @@ pub enum Problem {
     #[error("cannot be read: {0}")]
     Io(#[from] io::Error),
     /// A folder, a pipe: the header's counts could not be held against its size.
-    #[error("is no ordinary file: write it to one first")]
+    #[error("is a folder or a pipe: name an ordinary file")]
     NotAFile,
     /// Another format.
     #[error("is no PLY file: it does not begin with a line `ply`")]
