@@ -104,6 +104,20 @@ fn f11_fills_the_screen_and_escape_gives_it_back() {
 }
 
 #[test]
+fn a_fullscreen_wall_holds_the_screensaver_off_until_it_ends() {
+    let wall = Wall::start(&["--fullscreen"]);
+    wall.session.make_screensaver_impatient();
+    for _ in 0..6 {
+        std::thread::sleep(Duration::from_millis(500));
+        assert!(!wall.session.screensaver_is_on(), "the screensaver started");
+    }
+    wall.session.key("ctrl+q");
+    let Wall { session, program, .. } = wall;
+    program.wait();
+    wait_until("the screensaver starts after the wall has ended", || session.screensaver_is_on());
+}
+
+#[test]
 fn a_screenshot_is_the_whole_wall_without_overlay() {
     let folder = tempfile::tempdir().unwrap();
     let last = folder.path().join("last.png");

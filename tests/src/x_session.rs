@@ -9,6 +9,15 @@ use std::{
     time::{Duration, Instant},
 };
 
+use x11rb::{
+    connection::Connection,
+    protocol::{
+        screensaver::{ConnectionExt as _, State},
+        xproto::{Blanking, ConnectionExt as _, Exposures},
+    },
+    wrapper::ConnectionExt as _,
+};
+
 use crate::process::{GENEROUS, wait_until};
 
 /// A running X server and its window manager; both end with it.
@@ -127,6 +136,21 @@ impl XSession {
             assert!(start.elapsed() < GENEROUS, "the screen never comes to rest");
             before = now;
         }
+    }
+
+    /// Makes the screensaver start after a second without keys and mouse.
+    pub(crate) fn make_screensaver_impatient(&self) {
+        let (connection, _) = x11rb::connect(Some(&self.display)).expect("the X server runs");
+        connection.set_screen_saver(1, 0, Blanking::PREFERRED, Exposures::ALLOWED).expect("sent");
+        connection.sync().expect("the X server runs");
+    }
+
+    /// Whether the screensaver has started.
+    pub(crate) fn screensaver_is_on(&self) -> bool {
+        let (connection, screen) = x11rb::connect(Some(&self.display)).expect("the X server runs");
+        let root = connection.setup().roots[screen].root;
+        let info = connection.screensaver_query_info(root).expect("sent").reply().expect("Xvfb has a screensaver");
+        State::from(info.state) == State::ON
     }
 
     fn try_xdotool(&self, arguments: &[&str]) -> Option<String> {
