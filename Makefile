@@ -1,0 +1,35 @@
+# The commands of the README. Everything is built in one profile: programs, tests and measurements run the same code.
+
+CARGO ?= cargo
+
+.PHONY: run test setup setup-test format clippy docs bench
+
+# The wall, on the built-in model with two local render servers; without a display the same, to wall.png.
+run: setup
+	$(CARGO) build --release
+	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
+		$(CARGO) run --release; \
+	else \
+		$(CARGO) run --release -- --headless --frames 20 --screenshot wall.png; \
+	fi
+
+# Everything that CI checks. The programs are built first: the tests run them as a person would.
+test: setup-test format clippy docs
+	$(CARGO) build --release
+	$(CARGO) test --release --workspace
+
+format:
+	$(CARGO) fmt --all --check
+
+clippy:
+	$(CARGO) clippy --release --workspace --all-targets -- -D warnings
+
+docs:
+	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --workspace --no-deps --document-private-items
+
+# What the system lacks, shown in one line and installed if you agree. YES=1 and CI do not ask.
+setup:
+	@sh tests/setup.sh run
+
+setup-test:
+	@sh tests/setup.sh test

@@ -1,0 +1,79 @@
+#!/bin/sh
+# setup.sh run|test: finds what this system lacks for building and running the wall (run), or for its tests too (test),
+# shows the one line that installs it, asks, and installs. YES=1 and CI do not ask.
+set -eu
+
+purpose=${1:-run}
+
+has_command() { command -v "$1" >/dev/null 2>&1; }
+has_library() {
+    # ldconfig lies in /sbin, which is not on every PATH.
+    PATH="$PATH:/sbin:/usr/sbin" ldconfig -p 2>/dev/null | grep -q "$1"
+}
+has_vulkan_driver() {
+    has_library libvulkan.so.1 && [ -n "$(find /usr/share/vulkan/icd.d /etc/vulkan/icd.d -name '*.json' 2>/dev/null)" ]
+}
+
+if has_command apt-get; then manager=apt
+elif has_command dnf; then manager=dnf
+elif has_command pacman; then manager=pacman
+else manager=none
+fi
+
+missing=
+# need NAME-ON-APT NAME-ON-DNF NAME-ON-PACMAN
+need() {
+    case $manager in
+        apt) missing="$missing $1" ;;
+        dnf) missing="$missing $2" ;;
+        *) missing="$missing $3" ;;
+    esac
+}
+
+has_command cc || need "gcc libc6-dev" gcc gcc
+# lavapipe, Vulkan on the CPU, comes with the drivers of Mesa.
+has_vulkan_driver || need "mesa-vulkan-drivers libvulkan1" "mesa-vulkan-drivers vulkan-loader" "vulkan-swrast vulkan-icd-loader"
+has_library libxkbcommon-x11.so.0 || need libxkbcommon-x11-0 libxkbcommon-x11 libxkbcommon-x11
+has_library libX11-xcb.so.1 || need libx11-xcb1 libX11-xcb libx11
+has_library libXcursor.so.1 || need libxcursor1 libXcursor libxcursor
+has_library libXi.so.6 || need libxi6 libXi libxi
+if [ "$purpose" = test ]; then
+    # FLIP, by which pictures are compared, is C++.
+    has_command c++ || need g++ gcc-c++ gcc
+    has_command Xvfb || need xvfb xorg-x11-server-Xvfb xorg-server-xvfb
+    has_command openbox || need openbox openbox openbox
+    has_command xdotool || need xdotool xdotool xdotool
+    has_command import || need imagemagick ImageMagick imagemagick
+fi
+has_command cargo || {
+    echo "setup: there is no cargo: install Rust 1.95 or later from https://rustup.rs" >&2
+    exit 1
+}
+
+[ -n "$missing" ] || exit 0
+
+sudo=
+[ "$(id -u)" = 0 ] || sudo="sudo "
+case $manager in
+    apt) update="${sudo}apt-get update -q" install="${sudo}apt-get install -y --no-install-recommends$missing" ;;
+    dnf) update=: install="${sudo}dnf install -y$missing" ;;
+    pacman) update=: install="${sudo}pacman -S --needed --noconfirm$missing" ;;
+    none)
+        echo "setup: install the equivalent of these packages of Debian, then run this again:$missing" >&2
+        exit 1
+        ;;
+esac
+
+echo "This system lacks:$missing"
+echo "To install it: $install"
+if [ "${YES:-}" != 1 ] && [ -z "${CI:-}" ]; then
+    printf 'Install now? [Y/n] '
+    read -r answer || answer=n
+    case $answer in
+        "" | y | Y | yes) ;;
+        *) exit 1 ;;
+    esac
+fi
+if [ $manager = apt ]; then export DEBIAN_FRONTEND=noninteractive; fi
+$update >/dev/null
+$install
