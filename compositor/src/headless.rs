@@ -12,8 +12,17 @@ use crate::{
     wall::Wall,
 };
 
-/// Where the farm's wake-up call arrives.
-pub type Wakeups = std::sync::mpsc::Receiver<()>;
+/// What a wall without a window waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wakeup {
+    /// The farm has news.
+    Farm,
+    /// The operator wants it to end.
+    Stop,
+}
+
+/// Where wake-up calls arrive.
+pub type Wakeups = std::sync::mpsc::Receiver<Wakeup>;
 
 /// How long the farm may be silent before the operator is told what it waits for.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -41,13 +50,20 @@ impl Headless {
         let mut report = Report::default();
         let mut ended_at = Instant::now();
         while report.n_frames() < n_frames as usize {
+            // Looked at before each frame: a farm that is faster than the display never makes the wall wait.
+            if wakeups.try_recv() == Ok(Wakeup::Stop) {
+                break;
+            }
             let Some(frame) = farm.take_frame() else {
-                wait(farm, wakeups)?;
+                if wait(farm, wakeups)? == Wakeup::Stop {
+                    break;
+                }
                 continue;
             };
             let display = self.show(Some(&frame))?;
             report.add(Some(&frame), display, milliseconds(ended_at.elapsed()));
             ended_at = Instant::now();
+            tracing::debug!("frame shown: {}", frame.stats.frame);
         }
         Ok(report)
     }
@@ -107,11 +123,11 @@ impl Headless {
     }
 }
 
-/// Waits for the farm to have news; says what is missing when that takes long.
-fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<()> {
+/// Waits for news; says what is missing when that takes long.
+fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Wakeup> {
     use std::sync::mpsc::RecvTimeoutError::{Disconnected, Timeout};
     match wakeups.recv_timeout(PATIENCE) {
-        Ok(()) => Ok(()),
+        Ok(wakeup) => Ok(wakeup),
         Err(Disconnected) => anyhow::bail!("the farm has ended"),
         Err(Timeout) => {
             let status = farm.status();
@@ -122,7 +138,7 @@ fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<()> {
                 status.nodes.len(),
                 farm.address()
             );
-            Ok(())
+            Ok(Wakeup::Farm)
         }
     }
 }

@@ -13,7 +13,7 @@ use tokio::{net::TcpListener, runtime::Runtime};
 use crate::{
     args::WallArgs,
     farm::{Farm, Wanted},
-    headless::Headless,
+    headless::{Headless, Wakeup, Wakeups},
     local::LocalServers,
     model::Model,
     report::Report,
@@ -41,12 +41,13 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::
     let report = if args.min_renderers() == 0 {
         headless.show_blank_frames(args.size, n_frames)?
     } else {
-        let (wake, wakeups) = mpsc::sync_channel(1);
+        // Before the farm, so that it ends after it, and nobody takes the end for a loss.
+        let _servers = LocalServers::start(args.n_local(), listener.local_addr()?)?;
+        let (wake, wakeups) = wakeups(&runtime);
         let farm = start_farm(&runtime, listener, args, args.min_renderers(), move || {
             // A call that is still waiting to be heard is enough.
-            let _ = wake.try_send(());
+            let _ = wake.try_send(Wakeup::Farm);
         })?;
-        let _servers = LocalServers::start(args.n_local(), farm.address())?;
         let model = load_model(scene_source(args))?;
         let camera = camera.unwrap_or_else(|| Camera::view_all(model.bounds.0, model.bounds.1, UpAxis::Y, aspect));
         farm.want(|wanted| want_model(wanted, &model, camera, args));
@@ -77,8 +78,9 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Re
     // A wall that people look at goes on with one render server; frames that are counted wait for all.
     let n_needed = if args.frames.is_some() { args.min_renderers() } else { args.min_renderers.unwrap_or(1) };
     let waker = window.waker();
+    // Before the farm, so that it ends after it, and nobody takes the end for a loss.
+    let _servers = LocalServers::start(args.n_local(), listener.local_addr()?)?;
     let farm = start_farm(&runtime, listener, args, n_needed, move || waker.wake())?;
-    let _servers = LocalServers::start(args.n_local(), farm.address())?;
     let options = WindowOptions {
         wall,
         source: scene_source(args),
@@ -145,6 +147,20 @@ fn start_farm(
     };
     let _guard = runtime.enter();
     Ok(Farm::start(listener, wanted, wake)?)
+}
+
+/// Wake-up calls for a wall without a window; a signal to stop is one of them.
+fn wakeups(runtime: &Runtime) -> (mpsc::SyncSender<Wakeup>, Wakeups) {
+    // Room for one of each kind.
+    let (wake, wakeups) = mpsc::sync_channel(2);
+    let stop = wake.clone();
+    runtime.spawn(async move {
+        if renderer::connect::stop_signal().await.is_ok() {
+            // On a thread that may wait: the wall may be drawing.
+            let _ = tokio::task::spawn_blocking(move || stop.send(Wakeup::Stop)).await;
+        }
+    });
+    (wake, wakeups)
 }
 
 fn network_threads() -> anyhow::Result<Runtime> {

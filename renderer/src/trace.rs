@@ -36,6 +36,11 @@ pub struct TraceArgs {
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
 
+    /// Triangles of the built-in statue
+    #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES, conflicts_with = "model",
+        value_parser = clap::value_parser!(u32).range(100..=100_000_000))]
+    triangles: u32,
+
     /// A camera file with eye, ll, u and v; without it the whole model is seen
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
@@ -128,7 +133,7 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
     let camera = args.camera.as_deref().map(read_camera).transpose()?;
     let (source, name) = match &args.model {
         Some(path) => (SceneSource::Ply(path.clone()), path.display().to_string()),
-        None => (SceneSource::Statue { triangles: statue::DEFAULT_TRIANGLES }, "the statue".to_owned()),
+        None => (SceneSource::Statue { triangles: args.triangles }, "the statue".to_owned()),
     };
     let (mesh, load_seconds) = timed(|| {
         let progress = Progress::new(format!("loading {name}"));

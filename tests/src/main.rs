@@ -3,6 +3,10 @@
 #[cfg(test)]
 mod accuracy;
 #[cfg(test)]
+mod bad_input;
+#[cfg(test)]
+mod farm;
+#[cfg(test)]
 mod pictures;
 #[cfg(test)]
 mod ply_suite;

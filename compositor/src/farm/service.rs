@@ -155,6 +155,9 @@ impl Service {
                 tracing::warn!("render server {} does not have the model: {reason}", node.name);
                 status.message = Some(format!("{}: {reason}", node.name));
             }
+            if matches!(state, SceneState::Ready { .. }) && !node.is_ready() {
+                tracing::info!("render server {} is ready", node.name);
+            }
             node.scene = Some(state);
         });
     }

@@ -1,0 +1,90 @@
+//! What a user gets wrong ends with one clear line, a cure in it, and a failure; never with a panic.
+
+use std::{net::TcpListener, process::Command};
+
+use crate::process::Program;
+
+/// Runs a program that must fail, and gives back the line that says why.
+fn fails(command: Command) -> String {
+    let shown = format!("{command:?}");
+    let (status, said) = Program::start(command).wait();
+    assert!(status.code().is_some_and(|code| code != 0), "{shown} ends with {status}\n{said}");
+    assert!(!said.contains("panicked"), "{shown}\n{said}");
+    let lines: Vec<&str> =
+        said.lines().filter(|line| line.starts_with("error: ") && !line.contains("XDG_RUNTIME_DIR")).collect();
+    let [line] = lines[..] else { panic!("not one line of error: {shown}\n{said}") };
+    line.to_owned()
+}
+
+fn compositor(args: &[&str]) -> Command {
+    let mut command = Program::command("compositor");
+    command.args(["--headless", "--listen", "127.0.0.1:0", "--local", "1", "--triangles", "1000", "--frames", "1"]);
+    command.args(args);
+    command
+}
+
+fn renderer(args: &[&str]) -> Command {
+    let mut command = Program::command("renderer");
+    command.args(args);
+    command
+}
+
+#[test]
+fn files_that_are_missing_or_wrong_are_named_with_the_cure() {
+    let folder = tempfile::tempdir().unwrap();
+    let bad = folder.path().join("bad");
+    std::fs::write(&bad, "neither PLY nor TOML\n").unwrap();
+    let bad = bad.to_str().unwrap();
+    let mut model = Program::command("compositor");
+    model.args(["--headless", "--listen", "127.0.0.1:0", "--local", "1", "--model", "no/such.ply"]);
+    assert!(fails(model).contains("no/such.ply: cannot be read"));
+    let mut model = Program::command("compositor");
+    model.args(["--headless", "--listen", "127.0.0.1:0", "--local", "1", "--model", bad]);
+    assert!(fails(model).contains(bad));
+    assert!(fails(compositor(&["--wall", "no/such.toml"])).contains("no/such.toml"));
+    assert!(fails(compositor(&["--wall", bad])).contains("line 1"));
+    assert!(fails(compositor(&["--camera", "no/such.toml"])).contains("no/such.toml"));
+    let line = fails(compositor(&["--camera", bad]));
+    assert!(line.contains("eye, ll, u and v"), "{line}");
+    assert!(fails(renderer(&["trace", "--model", bad])).contains(bad));
+    assert!(
+        fails(renderer(&["trace", "--triangles", "1000", "--size", "8x8", "--camera", bad]))
+            .contains("eye, ll, u and v")
+    );
+}
+
+#[test]
+fn values_out_of_range_name_the_range() {
+    assert!(fails(compositor(&["--size", "0x512"])).contains("from 1 to 16384"));
+    assert!(fails(compositor(&["--size", "wide"])).contains("1024x512"));
+    assert!(fails(compositor(&["--division", "random"])).contains("interleaved or tiled"));
+    assert!(fails(renderer(&["connect", "127.0.0.1:1", "--threads", "0"])).contains("1..=1024"));
+}
+
+#[test]
+fn a_port_in_use_is_said_so() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let line = fails(compositor(&["--listen", &taken.local_addr().unwrap().to_string()]));
+    assert!(line.contains("is another wall running?"), "{line}");
+}
+
+#[test]
+fn the_open_network_needs_a_word() {
+    assert!(fails(compositor(&["--listen", "0.0.0.0:0"])).contains("--insecure"));
+    assert!(fails(renderer(&["connect", "192.0.2.1:7117"])).contains("--insecure"));
+    assert!(fails(renderer(&["connect", "no port:here"])).contains("HOST:PORT"));
+}
+
+#[test]
+fn without_a_vulkan_driver_the_cure_is_named() {
+    let mut command = compositor(&[]);
+    command.env("VK_DRIVER_FILES", "/no/such.json").env("VK_ICD_FILENAMES", "/no/such.json");
+    let line = fails(command);
+    assert!(line.contains("mesa-vulkan-drivers"), "{line}");
+}
+
+#[test]
+fn a_screenshot_that_cannot_be_written_is_a_failure() {
+    let line = fails(compositor(&["--screenshot", "/no/such/folder/wall.png"]));
+    assert!(line.contains("/no/such/folder/wall.png"), "{line}");
+}

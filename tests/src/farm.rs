@@ -1,0 +1,336 @@
+//! Walls and render servers as real processes over real sockets: the picture is right whoever renders it, and whoever
+//! dies.
+
+use std::{
+    io::{Read, Write},
+    net::{Shutdown, TcpStream},
+    path::{Path, PathBuf},
+    process::Command,
+    time::Duration,
+};
+
+use glam::DVec3;
+use serde_json::Value;
+use shared::{camera::Camera, protocol::PREAMBLE};
+use tempfile::TempDir;
+
+use crate::process::{Program, wait_until};
+
+/// Triangles of the statue in these tests: small, but every part of the picture shows some.
+const TRIANGLES: &str = "20000";
+
+/// Files of one test.
+struct Files {
+    folder: TempDir,
+}
+
+impl Files {
+    /// A wall of a few pixels, and a camera that sees the statue.
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let wall = "canvas_m = [4.0, 2.25]\n[grid]\ncolumns = 2\nrows = 1\npixels = [64, 72]\n";
+        std::fs::write(folder.path().join("wall.toml"), wall).unwrap();
+        let camera =
+            Camera::look_at(DVec3::new(1.0, 1.5, 4.0), DVec3::new(0.0, 0.9, 0.0), DVec3::Y, 0.6, 16.0 / 9.0).unwrap();
+        std::fs::write(folder.path().join("camera.toml"), camera.to_toml()).unwrap();
+        Self { folder }
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn wall(&self, size: &str) -> Command {
+        let mut command = Program::command("compositor");
+        command
+            .args(["--headless", "--listen", "127.0.0.1:0", "--triangles", TRIANGLES, "--size", size])
+            .arg("--wall")
+            .arg(self.path("wall.toml"))
+            .arg("--camera")
+            .arg(self.path("camera.toml"))
+            .arg("--stats")
+            .arg(self.path("stats.json"))
+            .env("RUST_LOG", "compositor=debug");
+        command
+    }
+
+    /// What `renderer trace` shows, alone: the truth for all farms.
+    fn traced_hash(&self, size: &str) -> String {
+        let image = self.path("traced.png");
+        let mut command = Program::command("renderer");
+        command.args(["trace", "--triangles", TRIANGLES, "--size", size, "--camera"]);
+        command.arg(self.path("camera.toml")).arg("--image").arg(&image);
+        let (status, said) = Program::start(command).wait();
+        assert!(status.success(), "{said}");
+        hash_of_png(&image)
+    }
+
+    fn frames(&self) -> Vec<Value> {
+        let stats: Value = serde_json::from_slice(&std::fs::read(self.path("stats.json")).unwrap()).unwrap();
+        stats["frames"].as_array().unwrap().clone()
+    }
+}
+
+/// The hash of a picture's samples as `--stats` gives it: bottom row first.
+fn hash_of_png(path: &Path) -> String {
+    let mut reader =
+        png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path).unwrap())).read_info().unwrap();
+    let mut rgb = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut rgb).unwrap();
+    assert_eq!(info.color_type, png::ColorType::Rgb);
+    let bottom_up: Vec<u8> = rgb.chunks(info.width as usize * 3).rev().flatten().copied().collect();
+    renderer::image::samples_hash(&bottom_up)
+}
+
+/// A wall that renders frame after frame until the test ends it.
+struct RunningWall {
+    files: Files,
+    program: Program,
+    address: String,
+    expected: String,
+}
+
+const SIZE: &str = "256x128";
+
+impl RunningWall {
+    fn start(min_renderers: usize) -> Self {
+        let files = Files::new();
+        let expected = files.traced_hash(SIZE);
+        let mut command = files.wall(SIZE);
+        command.args(["--frames", "1000000", "--local", "0", "--min-renderers", &min_renderers.to_string()]);
+        let mut program = Program::start(command);
+        program.wait_for("listening on ");
+        let said = program.said();
+        let address = said.split("listening on ").nth(1).unwrap().split_whitespace().next().unwrap().to_owned();
+        Self { files, program, address, expected }
+    }
+
+    fn join(&self, name: &str) -> Program {
+        let mut command = Program::command("renderer");
+        command.args(["connect", &self.address, "--name", name, "--threads", "1"]);
+        Program::start(command)
+    }
+
+    fn connect(&self) -> TcpStream {
+        let stream = TcpStream::connect(&self.address).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+        stream
+    }
+
+    /// Waits until so many more frames are shown.
+    fn wait_for_frames(&mut self, n_more: usize) {
+        let n_frames = self.program.count("frame shown") + n_more;
+        self.program.wait_for_count("frame shown", n_frames);
+    }
+
+    /// Ends the wall as an operator does, and checks every frame that it has shown.
+    fn end(self) -> (Vec<Value>, String) {
+        signal("TERM", &self.program);
+        let (status, said) = self.program.wait();
+        assert!(status.success(), "{said}");
+        let frames = self.files.frames();
+        assert!(!frames.is_empty());
+        for (number, frame) in frames.iter().enumerate() {
+            assert_eq!(frame["samples_blake3"], self.expected.as_str(), "frame {number} shows something else");
+            assert_eq!(frame["frame"], number + 1, "every frame is shown once, in order");
+        }
+        (frames, said)
+    }
+}
+
+fn signal(name: &str, program: &Program) {
+    let status = Command::new("kill").args([&format!("-{name}"), &program.id().to_string()]).status().unwrap();
+    assert!(status.success());
+}
+
+fn nodes_of(frame: &Value) -> Vec<&str> {
+    frame["nodes"].as_array().unwrap().iter().map(|node| node["name"].as_str().unwrap()).collect()
+}
+
+#[test]
+fn any_number_of_renderers_gives_the_samples_that_one_gives_alone() {
+    let files = Files::new();
+    let size = "83x45";
+    let expected = files.traced_hash(size);
+    for n_renderers in [1, 2, 3, 7, 12] {
+        for division in ["interleaved", "tiled"] {
+            let mut command = files.wall(size);
+            command.args(["--local", &n_renderers.to_string(), "--frames", "2", "--division", division]);
+            let (status, said) = Program::start(command).wait();
+            assert!(status.success(), "{said}");
+            for frame in files.frames() {
+                assert_eq!(frame["samples_blake3"], expected.as_str(), "{n_renderers} renderers, {division}");
+                assert_eq!(nodes_of(&frame).len(), n_renderers);
+                assert_eq!((&frame["division"], &frame["attempts"]), (&division.into(), &1.into()));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_killed_renderer_costs_no_sample() {
+    let mut wall = RunningWall::start(2);
+    let (_staying, killed) = (wall.join("staying"), wall.join("killed"));
+    wall.wait_for_frames(5);
+    signal("KILL", &killed);
+    wall.program.wait_for("killed at");
+    wall.wait_for_frames(5);
+    let (frames, _) = wall.end();
+    assert_eq!(nodes_of(&frames[0]).len(), 2);
+    assert_eq!(nodes_of(frames.last().unwrap()), ["staying"]);
+}
+
+#[test]
+fn a_stopped_renderer_is_lost_and_comes_back() {
+    let mut wall = RunningWall::start(2);
+    let (_staying, stopped) = (wall.join("staying"), wall.join("stopped"));
+    wall.wait_for_frames(3);
+    signal("STOP", &stopped);
+    wall.program.wait_for("stopped at");
+    assert!(wall.program.said().contains("silent for 250 ms"), "{}", wall.program.said());
+    wall.wait_for_frames(3);
+    signal("CONT", &stopped);
+    wall.program.wait_for_count("render server stopped joined", 2);
+    wall.wait_for_frames(10);
+    let (frames, _) = wall.end();
+    assert_eq!(nodes_of(frames.last().unwrap()).len(), 2, "who comes back gets work");
+}
+
+#[test]
+fn a_newcomer_gets_work() {
+    let mut wall = RunningWall::start(1);
+    let _first = wall.join("first");
+    wall.wait_for_frames(3);
+    let _second = wall.join("second");
+    wall.program.wait_for("render server second is ready");
+    wall.wait_for_frames(3);
+    let (frames, _) = wall.end();
+    assert_eq!(nodes_of(&frames[0]), ["first"]);
+    let last = frames.last().unwrap();
+    assert_eq!(nodes_of(last), ["first", "second"]);
+    assert!(last["nodes"][1]["share"].as_f64().unwrap() > 0.4);
+}
+
+#[test]
+fn a_wall_that_restarts_finds_its_renderers_again() {
+    let mut wall = RunningWall::start(1);
+    let mut renderer = wall.join("faithful");
+    wall.wait_for_frames(2);
+    let address = wall.address.clone();
+    wall.end();
+    let files = Files::new();
+    let mut command = files.wall(SIZE);
+    command.args(["--listen", &address, "--local", "0", "--min-renderers", "1", "--frames", "3"]);
+    // The later --listen wins.
+    let (status, said) = Program::start(command).wait();
+    assert!(status.success(), "{said}");
+    assert_eq!(files.frames().len(), 3);
+    signal("TERM", &renderer);
+    renderer.wait_for("connected to the wall");
+    assert!(renderer.wait().0.success(), "a renderer that is told to stop has not failed");
+}
+
+#[test]
+fn strangers_are_dropped_with_a_clear_line_and_the_wall_goes_on() {
+    let mut wall = RunningWall::start(1);
+    let _renderer = wall.join("good");
+    wall.wait_for_frames(2);
+
+    let mut other_version = PREAMBLE;
+    other_version[7] += 1;
+    wall.connect().write_all(&other_version).unwrap();
+    wall.program.wait_for("build both from one commit");
+
+    wall.connect().write_all(b"GET / HTTP/1.1\r\n\r\n").unwrap();
+    wall.program.wait_for("the peer speaks another protocol");
+
+    let mut oversized = PREAMBLE.to_vec();
+    oversized.extend(1_000_000_u32.to_le_bytes());
+    oversized.push(0);
+    wall.connect().write_all(&oversized).unwrap();
+    wall.program.wait_for("a message of 1000000 bytes, where 1024 is the most");
+
+    let mut garbage = PREAMBLE.to_vec();
+    garbage.extend(100_u32.to_le_bytes());
+    garbage.extend([0; 1]);
+    garbage.extend((0..100_u32).map(|byte| (byte.wrapping_mul(2_654_435_761) >> 24) as u8));
+    wall.connect().write_all(&garbage).unwrap();
+    wall.program.wait_for("malformed message");
+
+    // Half open: it says nothing and never goes away by itself.
+    let mut silent = wall.connect();
+    wall.program.wait_for("no handshake within");
+    let mut rest = Vec::new();
+    silent.read_to_end(&mut rest).unwrap();
+    assert_eq!(rest, PREAMBLE, "the wall has closed the connection");
+
+    // Cut in mid-message.
+    let mut cut = wall.connect();
+    cut.write_all(&garbage[..20]).unwrap();
+    cut.shutdown(Shutdown::Write).unwrap();
+    wall.program.wait_for("closed in mid-message");
+
+    wall.wait_for_frames(3);
+    let (frames, _) = wall.end();
+    assert!(frames.iter().all(|frame| nodes_of(frame) == ["good"]));
+}
+
+#[test]
+fn a_renderer_without_the_model_is_told_what_to_do() {
+    let files = Files::new();
+    let mut generate = Program::command("renderer");
+    generate.args(["generate", "statue", "--triangles", "2000"]).arg(files.path("other.ply"));
+    assert!(Program::start(generate).wait().0.success());
+    let mut generate = Program::command("renderer");
+    generate.args(["generate", "statue", "--triangles", "3000"]).arg(files.path("model.ply"));
+    assert!(Program::start(generate).wait().0.success());
+
+    let mut command = Program::command("compositor");
+    command
+        .args(["--headless", "--listen", "127.0.0.1:0", "--local", "0", "--frames", "2", "--size", "64x32", "--model"])
+        .arg(files.path("model.ply"))
+        .arg("--wall")
+        .arg(files.path("wall.toml"));
+    let mut wall = Program::start(command);
+    wall.wait_for("listening on ");
+    let said = wall.said();
+    let address = said.split("listening on ").nth(1).unwrap().split_whitespace().next().unwrap();
+    let join = |model: &str| {
+        let mut command = Program::command("renderer");
+        command.args(["connect", address, "--name", model, "--threads", "1", "--model"]).arg(files.path(model));
+        Program::start(command)
+    };
+    let _other = join("other.ply");
+    wall.wait_for("give it the wall's own file");
+    let _right = join("model.ply");
+    let (status, said) = wall.wait();
+    assert!(status.success(), "{said}");
+}
+
+#[test]
+fn local_renderers_end_with_a_wall_that_is_killed() {
+    let files = Files::new();
+    let mut command = files.wall("64x32");
+    command.args(["--local", "2", "--frames", "1000000"]);
+    let mut wall = Program::start(command);
+    wall.wait_for("frame shown");
+    let parent = wall.id().to_string();
+    let children = || {
+        let output = Command::new("ps").args(["-e", "-o", "ppid=,pid=,args="]).output().unwrap();
+        String::from_utf8_lossy(&output.stdout)
+            .lines()
+            .filter(|line| line.contains("renderer connect"))
+            .map(str::to_owned)
+            .collect::<Vec<_>>()
+    };
+    let of_wall: Vec<String> = children()
+        .into_iter()
+        .filter(|line| line.split_whitespace().next() == Some(&parent))
+        .map(|line| line.split_whitespace().nth(1).unwrap().to_owned())
+        .collect();
+    assert_eq!(of_wall.len(), 2);
+    signal("KILL", &wall);
+    wait_until("the local render servers end", || {
+        !children().iter().any(|line| of_wall.iter().any(|pid| line.split_whitespace().nth(1) == Some(pid)))
+    });
+}
