@@ -11,7 +11,7 @@ use shared::{
 ///
 /// Without arguments: the built-in statue on a wall of 4×3 projectors, traced by two local render servers.
 #[derive(Debug, clap::Parser)]
-#[command(version, args_conflicts_with_subcommands = true)]
+#[command(version, args_conflicts_with_subcommands = true, args_override_self = true)]
 pub struct Args {
     /// What the program is when it is not the wall
     #[command(subcommand)]

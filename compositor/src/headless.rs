@@ -110,6 +110,8 @@ impl Headless {
     ) -> anyhow::Result<(Duration, Duration)> {
         let started_at = Instant::now();
         self.present.upload(&self.gpu, size, bytemuck::cast_slice(rgba))?;
+        // Without a submission the samples would stay on this side until the draw.
+        self.gpu.queue.submit([]);
         self.gpu.wait()?;
         let upload = started_at.elapsed();
         let started_at = Instant::now();

@@ -27,7 +27,7 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
         Some(path) => Wall::load(path)?,
         None => Wall::paper(),
     };
-    let camera = args.camera.as_deref().map(load_camera).transpose()?;
+    let camera = args.camera.as_deref().map(renderer::trace::read_camera).transpose()?;
     if args.headless { run_headless(args, wall, camera) } else { run_window(args, wall, camera) }
 }
 
@@ -198,9 +198,4 @@ fn scene_source(args: &WallArgs) -> SceneSource {
 fn load_model(source: SceneSource) -> anyhow::Result<Model> {
     let bar = Progress::new(format!("loading {source}"));
     Ok(Model::load(source, &|fraction| bar.set(fraction))?)
-}
-
-fn load_camera(path: &Path) -> anyhow::Result<Camera> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read --camera {}", path.display()))?;
-    Camera::from_toml(&text).with_context(|| format!("--camera {} is no camera", path.display()))
 }

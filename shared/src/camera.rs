@@ -50,9 +50,12 @@ pub enum CameraError {
 }
 
 /// Why a file holds no camera.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}a camera file has four lines: eye, ll, u and v, each = [x, y, z]")]
-pub struct CameraFileError(#[from] toml::de::Error);
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}: {problem}; a camera file has four lines: eye, ll, u and v, each = [x, y, z]")]
+pub struct CameraFileError {
+    line: usize,
+    problem: String,
+}
 
 /// Rays leave the range in which `f32` squares stay finite beyond this.
 const LARGEST_COMPONENT: f64 = 1e18;
@@ -110,7 +113,13 @@ impl Camera {
 
     /// Reads the text of a camera file; see [`Camera::to_toml`].
     pub fn from_toml(text: &str) -> Result<Self, CameraFileError> {
-        Ok(toml::from_str(text)?)
+        toml::from_str(text).map_err(|error: toml::de::Error| {
+            let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or("");
+            CameraFileError {
+                line: 1 + before.matches('\n').count(),
+                problem: error.message().trim().replace('\n', ", "),
+            }
+        })
     }
 
     /// Writes a camera file: `eye`, `ll`, `u` and `v`, each `= [x, y, z]`, exact to the last bit.

@@ -141,7 +141,8 @@ pub(super) async fn serve(
     reporter: Reporter,
     started_at: Instant,
 ) {
-    let mut reader = MessageReader::new(input, HANDSHAKE_TIMEOUT);
+    // The handshake as a whole has a limit; silence in it needs none of its own.
+    let mut reader = MessageReader::new(input, 2 * HANDSHAKE_TIMEOUT);
     let mut writer = MessageWriter::new(output);
     let ended = match timeout(HANDSHAKE_TIMEOUT, shake_hands(&mut reader, &mut writer)).await {
         Err(_) => Err(ConnectionError::NoHandshake),
