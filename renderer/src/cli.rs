@@ -42,7 +42,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
 /// Logs to standard error: what a person should know, or what the variable RUST_LOG asks for.
 pub fn start_logging() {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,renderer=info,compositor=info"));
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,winit=error,renderer=info,compositor=info"));
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr)

@@ -17,6 +17,9 @@ use shared::{
 use self::frame::FrameInFlight;
 use crate::stats::{FrameStats, NodeId};
 
+/// Lost work is divided into parts of no fewer samples: many deaths in one frame do not crumble it.
+const SMALLEST_PART: u32 = 256;
+
 /// Time since the wall started.
 pub(super) type Time = Duration;
 
@@ -88,8 +91,8 @@ pub(super) struct Scheduler {
     wanted: Wanted,
     /// Whether `wanted` differs from what was last asked for.
     is_stale: bool,
-    /// Whether a finished frame waits to be taken.
-    is_waiting_to_be_taken: bool,
+    /// What the finished frame shows that waits to be taken, if one does.
+    waiting: Option<Picture>,
     frame: Option<FrameInFlight>,
     last_frame: FrameId,
     last_work: WorkId,
@@ -101,7 +104,7 @@ impl Scheduler {
             nodes: BTreeMap::new(),
             wanted,
             is_stale: true,
-            is_waiting_to_be_taken: false,
+            waiting: None,
             frame: None,
             last_frame: FrameId(0),
             last_work: WorkId(0),
@@ -137,7 +140,7 @@ impl Scheduler {
                 }
             }
             Event::Wanted(wanted) => self.want(wanted, &mut actions),
-            Event::FrameTaken => self.is_waiting_to_be_taken = false,
+            Event::FrameTaken => self.waiting = None,
             Event::Tick => {}
         }
         self.show_if_whole(now, &mut actions);
@@ -228,11 +231,18 @@ impl Scheduler {
     }
 
     fn give_parts(&mut self, frame: &mut FrameInFlight, now: Time, nodes: &[NodeId], work: &Work) -> Vec<Action> {
-        let parts = nodes.len() as u32;
-        let divided = (0..parts).zip(nodes).map(|(index, &node)| Some((node, work.part(index, parts)?)));
-        // After some thirty divisions the numbers no longer fit; then one node does it all.
-        let given = divided.collect::<Option<Vec<_>>>().unwrap_or_else(|| vec![(nodes[0], work.clone())]);
-        given.into_iter().map(|(node, work)| self.give(frame, now, node, work)).collect()
+        let share = work.share(frame.picture.size).expect("the scheduler makes works that fit their frame");
+        let n_samples: u32 = (0..share.count()).map(|k| share.samples(k).count()).sum();
+        let parts = (nodes.len() as u32).min(n_samples / SMALLEST_PART).max(1);
+        // Those who got a part of the last work are not the first to get one of this.
+        let mut nodes = nodes.iter().cycle().skip(self.last_work.0 as usize % nodes.len());
+        (0..parts)
+            .map(|index| {
+                let part = work.part(index, parts).expect("parts hold units, so there are no more than the frame has");
+                let &node = nodes.next().expect("nodes go round");
+                self.give(frame, now, node, part)
+            })
+            .collect()
     }
 
     fn give(&mut self, frame: &mut FrameInFlight, now: Time, node: NodeId, work: Work) -> Action {
@@ -242,17 +252,20 @@ impl Scheduler {
         Action::Render { node, frame: frame.id, work_id: self.last_work, picture: frame.picture, work }
     }
 
-    /// Shows a whole frame as soon as the one before it is taken: the next is rendered while one is displayed, and none
-    /// is lost.
+    /// Shows a whole frame as soon as the one before it is taken, so that the next is rendered while one is displayed.
+    ///
+    /// A frame that waits while the camera moves on is superseded: the newer one takes its place. Frames of the same
+    /// picture are each shown.
     fn show_if_whole(&mut self, now: Time, actions: &mut Vec<Action>) {
-        if self.is_waiting_to_be_taken {
+        let Some(frame) = &mut self.frame else { return };
+        if !frame.is_whole(now) || self.waiting == Some(frame.picture) {
             return;
         }
-        let Some(frame) = self.frame.take_if(|frame| frame.is_whole()) else { return };
+        let Some(frame) = self.frame.take() else { return };
         // Whoever still works on it does what another has done already.
         actions.extend(frame.nodes_at_work().map(|node| Action::Cancel { node, frame: frame.id }));
         actions.push(Action::Show { frame: frame.id, stats: frame.stats(now) });
-        self.is_waiting_to_be_taken = true;
+        self.waiting = Some(frame.picture);
     }
 }
 

@@ -175,7 +175,8 @@ impl Service {
             tracing::warn!("render server {name} at {address} lost: {reason}");
             status.nodes.retain(|node| node.id != id);
             status.n_lost += 1;
-            status.message = Some(format!("{name} lost: {reason}"));
+            status.message =
+                Some(format!("{name} lost: {reason}. The others render its share; start it again to have it back."));
         });
         self.happen(Event::Lost { node: id });
         (self.wake)();

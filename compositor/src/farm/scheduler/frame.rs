@@ -25,6 +25,7 @@ pub(super) struct FrameInFlight {
     pub(super) attempts: u32,
     division: Division,
     started_at: Time,
+    whole_at: Option<Time>,
     coverage: Coverage,
     works: Vec<GivenWork>,
 }
@@ -60,7 +61,7 @@ enum WorkState {
 impl FrameInFlight {
     pub(super) fn new(id: FrameId, picture: Picture, division: Division, now: Time) -> Self {
         let coverage = Coverage::new(division.units(picture.size));
-        Self { id, picture, attempts: 1, division, started_at: now, coverage, works: Vec::new() }
+        Self { id, picture, attempts: 1, division, started_at: now, whole_at: None, coverage, works: Vec::new() }
     }
 
     pub(super) fn give(&mut self, now: Time, id: WorkId, node: NodeId, name: String, work: Work) {
@@ -133,11 +134,18 @@ impl FrameInFlight {
     }
 
     /// Whether every sample is in its place, and everybody whose answer counts has said how long it took.
-    pub(super) fn is_whole(&self) -> bool {
-        self.coverage.is_whole() && !self.works.iter().any(|given| matches!(given.state, WorkState::AtWork))
+    pub(super) fn is_whole(&mut self, now: Time) -> bool {
+        let is_whole =
+            self.coverage.is_whole() && !self.works.iter().any(|given| matches!(given.state, WorkState::AtWork));
+        if is_whole {
+            self.whole_at.get_or_insert(now);
+        }
+        is_whole
     }
 
+    /// What the frame took until it was whole, not until somebody had time to look at it.
     pub(super) fn stats(&self, now: Time) -> FrameStats {
+        let now = self.whole_at.unwrap_or(now);
         let n_units = f64::from(self.division.units(self.picture.size).count());
         let mut nodes: Vec<NodeFrameStats> = Vec::new();
         for given in &self.works {
@@ -145,7 +153,11 @@ impl FrameInFlight {
             let (tracing, network, idle) = match given.state {
                 WorkState::Done { at, timings } => {
                     let tracing = Duration::from_micros(timings.trace_us.into());
-                    ((tracing, timings.trace_cpu_us), (at - given.sent_at).saturating_sub(tracing), now - at)
+                    (
+                        (tracing, timings.trace_cpu_us),
+                        (at - given.sent_at).saturating_sub(tracing),
+                        now.saturating_sub(at),
+                    )
                 }
                 _ => Default::default(),
             };

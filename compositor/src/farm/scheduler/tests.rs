@@ -21,7 +21,7 @@ fn picture(eye_x: f64, triangles: u32) -> Picture {
     Picture {
         scene: SceneId::Statue { triangles },
         camera: Camera::look_at(eye, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0).unwrap(),
-        size: FrameSize::new(40, 24).unwrap(),
+        size: FrameSize::new(80, 48).unwrap(),
         view: View::Shaded,
         samples: SampleRange::CENTRE,
     }
@@ -241,6 +241,26 @@ fn the_next_frame_is_rendered_but_not_shown_before_the_last_is_taken() {
     farm.on(Event::FrameTaken);
     assert_eq!(farm.shown.len(), 2);
     assert_eq!((farm.shown[0].frame, farm.shown[1].frame), (1, 2));
+}
+
+#[test]
+fn waiting_to_be_shown_is_not_rendering() {
+    let mut farm = Farm::with_nodes(Wanted { repeat: true, ..wanted(Division::Tiled) }, &[A]);
+    farm.answer(A);
+    farm.pass(5);
+    farm.answer(A);
+    farm.pass(100);
+    farm.on(Event::FrameTaken);
+    assert_eq!((farm.shown[1].render_ms, farm.shown[1].nodes[0].idle_ms), (5.0, 0.0));
+}
+
+#[test]
+fn a_newer_camera_supersedes_a_frame_that_waits_to_be_shown() {
+    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    farm.answer(A);
+    farm.on(Event::Wanted(Wanted { picture: Some(picture(1.0, 1000)), ..wanted(Division::Tiled) }));
+    farm.answer(A);
+    assert_eq!(farm.shown.len(), 2, "the second takes the place of the first");
 }
 
 #[test]
