@@ -6,15 +6,20 @@
 //! holds too much is divided further, so that a detailed object in a large plain scene costs no more than one alone.
 //!
 //! In reading order: [`resolution`] says how many cells; [`overlap`] which cells a triangle touches; [`build`] makes
-//! the grid; [`walk`] follows single rays through it.
+//! the grid; [`walk`] follows single rays through it, [`packet`] many
+//! together, whose triangles [`cull`] sorts out.
 
 mod build;
+#[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
+mod cull;
 mod overlap;
+mod packet;
 mod resolution;
 #[cfg(test)]
 mod tests;
 mod walk;
 
+pub use packet::{InstructionSet, Packet, PacketScratch};
 use resolution::CellSpace;
 
 /// Levels of nodes from a brick down to the cells of the paper's resolution: a brick has 16×16×16 of them.

@@ -15,6 +15,7 @@ pub mod ray;
 pub mod scene;
 mod session;
 pub mod shade;
+mod simd;
 mod stage;
 pub mod statue;
 pub mod trace;

@@ -12,7 +12,7 @@ use shared::{
 };
 
 use crate::{
-    grid::{Grid, GridOptions},
+    grid::{Grid, GridOptions, InstructionSet, Packet, PacketScratch},
     mesh::Mesh,
     ray::{Hit, Ray},
     shade::Shader,
@@ -22,6 +22,7 @@ use crate::{
 pub struct Scene {
     mesh: Mesh,
     grid: Grid,
+    instructions: InstructionSet,
 }
 
 /// How a scene is made ready.
@@ -49,7 +50,7 @@ impl Scene {
     /// `progress` is told now and then what part is done, from 0 to 1, from any thread.
     pub fn build(mesh: Mesh, options: &SceneOptions, progress: &(dyn Fn(f32) + Sync)) -> Self {
         let grid = Grid::build(&mesh, &options.grid, progress);
-        Self { mesh, grid }
+        Self { mesh, grid, instructions: InstructionSet::best() }
     }
 
     /// The mesh.
@@ -94,12 +95,21 @@ impl Scene {
     pub fn render(&self, request: &FrameRequest, share: &Share<'_>, units: Range<u32>, rgb: &mut Vec<u8>) {
         let rays = request.camera.rays(request.size);
         let shader = self.shader(request);
-        for unit in units {
-            for (i, j) in share.samples(unit).iter() {
-                let light = self.mean_light(&rays, &shader, request.samples, i, j);
-                rgb.extend(light.to_array().map(srgb::encode));
+        let mut scratch = PacketScratch::default();
+        for_each_block(share, units, |block| {
+            let mut lights = [Vec3::ZERO; 64];
+            for index in 0..request.samples.count {
+                let sample = request.samples.first.wrapping_add(index);
+                let (directions, hits) = self.trace_block(&rays, block, sample, &mut scratch);
+                for (lane, &(i, j)) in block.iter().enumerate() {
+                    let (_, y) = sample_point(i, j, sample);
+                    lights[lane] += shader.light(directions[lane], hits[lane], y);
+                }
             }
-        }
+            for light in &lights[..block.len()] {
+                rgb.extend((*light / request.samples.count as f32).to_array().map(srgb::encode));
+            }
+        });
     }
 
     /// [`Scene::render`] on all threads of the rayon pool that this is called in.
@@ -118,21 +128,75 @@ impl Scene {
     /// Traces the share's units `units` through the centres of their samples, on the calling thread; appends the hits in
     /// the order of [`Share::samples`].
     pub fn trace(&self, rays: &CameraRays, share: &Share<'_>, units: Range<u32>, hits: &mut Vec<Hit>) {
-        for unit in units {
-            let hit = |(i, j)| self.intersect(&Ray::new(rays.eye, rays.direction(i, j)));
-            hits.extend(share.samples(unit).iter().map(hit));
-        }
+        let mut scratch = PacketScratch::default();
+        for_each_block(share, units, |block| {
+            hits.extend_from_slice(&self.trace_block(rays, block, 0, &mut scratch).1[..block.len()]);
+        });
     }
 
-    fn mean_light(&self, rays: &CameraRays, shader: &Shader<'_>, samples: SampleRange, i: u32, j: u32) -> Vec3 {
-        let mut sum = Vec3::ZERO;
-        for index in 0..samples.count {
-            let (x, y) = sample_point(i, j, samples.first.wrapping_add(index));
+    /// The rays through sample number `sample` of up to 64 pixels, and what they hit.
+    fn trace_block(
+        &self,
+        rays: &CameraRays,
+        block: &[(u32, u32)],
+        sample: u32,
+        scratch: &mut PacketScratch,
+    ) -> ([Vec3; 64], [Hit; 64]) {
+        // The lanes of a whole tile are ordered by quarters, so that lanes side by side are pixels side by side.
+        let is_tile = block.len() == 64 && block[63].0 == block[0].0 + 7 && block[63].1 == block[0].1 + 7;
+        let place = |lane: usize| if is_tile { QUARTERS[lane] } else { lane.min(block.len() - 1) };
+        let mut packet = Packet {
+            origin: rays.eye,
+            directions: [[0.0; 64]; 3],
+            active: u64::MAX >> (64 - block.len()),
+            t_min: 0.0,
+            t_max: f32::MAX,
+        };
+        let mut directions = [Vec3::ZERO; 64];
+        for lane in 0..64 {
+            let (i, j) = block[place(lane)];
+            let (x, y) = sample_point(i, j, sample);
             let direction = rays.direction_through(x, y);
-            let hit = self.intersect(&Ray::new(rays.eye, direction));
-            sum += shader.light(direction, hit, y);
+            directions[place(lane)] = direction;
+            for axis in 0..3 {
+                packet.directions[axis][lane] = direction[axis];
+            }
         }
-        sum / samples.count as f32
+        let in_lanes = self.grid.intersect_packet(&self.mesh, &packet, self.instructions, scratch);
+        let mut hits = [Hit::MISS; 64];
+        for lane in 0..block.len() {
+            hits[place(lane)] = in_lanes[lane];
+        }
+        (directions, hits)
+    }
+}
+
+/// The place of each lane in a tile of 8×8 samples, row by row: quarters of 4×4 one after the other.
+const QUARTERS: [usize; 64] = {
+    let mut places = [0; 64];
+    let mut lane = 0;
+    while lane < 64 {
+        let x = lane % 4 + 4 * (lane / 16 % 2);
+        let y = lane / 4 % 4 + 4 * (lane / 32);
+        places[lane] = 8 * y + x;
+        lane += 1;
+    }
+    places
+};
+
+/// Calls `visit` with the samples of the units, in order, in blocks of at most 64: a tile, or as many single samples.
+fn for_each_block(share: &Share<'_>, units: Range<u32>, mut visit: impl FnMut(&[(u32, u32)])) {
+    let mut block = Vec::with_capacity(64);
+    for unit in units {
+        let samples = share.samples(unit);
+        if block.len() + samples.count() as usize > 64 {
+            visit(&block);
+            block.clear();
+        }
+        block.extend(samples.iter());
+    }
+    if !block.is_empty() {
+        visit(&block);
     }
 }
 

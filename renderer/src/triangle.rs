@@ -5,9 +5,7 @@
 //! exact arithmetic. So a closed mesh has no leak, whatever the triangles' size and distance, and every kernel that
 //! proposes candidates leads to the same picture.
 
-use glam::{DVec3, Vec3};
-
-use crate::{exact::ExactSum, ray::Ray};
+use crate::{exact::ExactSum, ray::Ray, simd::Real};
 
 /// Where a ray hits a triangle, as t in `f64`, or `None` if it does not within `t_min..=t_max`.
 ///
@@ -15,40 +13,96 @@ use crate::{exact::ExactSum, ray::Ray};
 /// t is that of Möller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection" (1997), in `f64`.
 #[inline]
 pub fn intersect(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
-    let origin = ray.origin.as_dvec3();
-    let direction = ray.direction.as_dvec3();
-    let [a, b, c] = corners.map(|corner| Vec3::from_array(corner).as_dvec3());
-    let from_origin = [a - origin, b - origin, c - origin];
-    let edges = [b - a, c - b, a - c];
-
-    // The determinant |direction, p, q| for the edge from p to q, seen from the origin, is direction·(p × (q − p)).
-    // Eight roundings lie between the inputs and it, each of at most 2⁻⁵³ of the sum of absolute products.
-    let largest = |vectors: [DVec3; 3]| vectors.into_iter().map(|v| v.abs().max_element()).fold(0.0, f64::max);
-    let sum_of_products = 2.0 * direction.abs().element_sum() * largest(from_origin) * largest(edges);
-    let error_bound = sum_of_products * (16.0 * f64::EPSILON);
-    let sides = [0, 1, 2].map(|edge| direction.dot(from_origin[edge].cross(edges[edge])));
-    if sides.iter().any(|&side| side > error_bound) && sides.iter().any(|&side| side < -error_bound) {
+    let double = |vector: [f32; 3]| vector.map(f64::from);
+    let decision = decide(double(ray.origin.to_array()), double(ray.direction.to_array()), corners.map(double));
+    if decision.certain_miss == 1 {
         return None;
     }
-    if sides.iter().any(|side| side.abs() <= error_bound) && !hits_exactly(ray, corners) {
-        return None;
-    }
-
-    let (edge_ab, edge_ac) = (edges[0], c - a);
-    let p = direction.cross(edge_ac);
-    let determinant = edge_ab.dot(p);
-    let to_origin = origin - a;
-    let t = if determinant == 0.0 {
-        // A sliver too thin for `f64`: it lies along the ray, and any of its corners tells where.
-        from_origin[0].dot(direction) / direction.length_squared()
-    } else {
-        edge_ac.dot(to_origin.cross(edge_ab)) / determinant
-    };
+    let t = if decision.uncertain == 1 { intersect_exactly(ray, corners)? } else { decision.t };
     (f64::from(ray.t_min)..=f64::from(ray.t_max)).contains(&t).then_some(t)
 }
 
-/// Whether the sides of the three edges agree, in exact arithmetic.
+/// What `f64` can tell of one or several pairs of ray and triangle, with a bit for each in the masks.
+pub(crate) struct Decision<R> {
+    /// The ray passes the triangle.
+    pub(crate) certain_miss: u32,
+    /// The answer is that of [`intersect_exactly`]. Bits of certain misses mean nothing.
+    pub(crate) uncertain: u32,
+    /// Where the ray meets the triangle's plane, unless uncertain.
+    pub(crate) t: R,
+}
+
+type Vector<R> = [R; 3];
+
+/// The routine itself, for one pair in `f64` or for as many as there are lanes, with the same bits.
+///
+/// No closures here: they would not be compiled for the caller's instruction set.
+#[inline(always)]
+pub(crate) fn decide<R: Real>(origin: Vector<R>, direction: Vector<R>, [a, b, c]: [Vector<R>; 3]) -> Decision<R> {
+    let (a_from_origin, b_from_origin, c_from_origin) = (sub(a, origin), sub(b, origin), sub(c, origin));
+    let (edge_ab, edge_bc, edge_ac) = (sub(b, a), sub(c, b), sub(c, a));
+    let edge_ca = sub(a, c);
+
+    // The determinant |direction, p, q| for the edge from p to q, seen from the origin, is direction·(p × (q − p)).
+    // Eight roundings lie between the inputs and it, each of at most 2⁻⁵³ of the sum of absolute products.
+    let sum = direction[0].abs().add(direction[1].abs()).add(direction[2].abs());
+    let from_origin = largest(a_from_origin).max(largest(b_from_origin)).max(largest(c_from_origin));
+    let edges = largest(edge_ab).max(largest(edge_bc)).max(largest(edge_ac));
+    let error_bound = sum.mul(from_origin).mul(edges).mul(R::splat(32.0 * f64::EPSILON));
+    let side_ab = dot(direction, cross(a_from_origin, edge_ab));
+    let side_bc = dot(direction, cross(b_from_origin, edge_bc));
+    let side_ca = dot(direction, cross(c_from_origin, edge_ca));
+    let minus_bound = R::splat(0.0).sub(error_bound);
+    let left = error_bound.below(side_ab) | error_bound.below(side_bc) | error_bound.below(side_ca);
+    let right = side_ab.below(minus_bound) | side_bc.below(minus_bound) | side_ca.below(minus_bound);
+    let determinant = dot(edge_ab, cross(direction, edge_ac));
+    let t = dot(edge_ac, cross(sub(origin, a), edge_ab)).div(determinant);
+    let decided = error_bound.below(side_ab.abs())
+        & error_bound.below(side_bc.abs())
+        & error_bound.below(side_ca.abs())
+        & R::splat(0.0).below(determinant.abs());
+    Decision { certain_miss: left & right, uncertain: !decided & ((1 << R::LANES) - 1), t }
+}
+
+#[inline(always)]
+fn sub<R: Real>(a: Vector<R>, b: Vector<R>) -> Vector<R> {
+    [a[0].sub(b[0]), a[1].sub(b[1]), a[2].sub(b[2])]
+}
+
+#[inline(always)]
+fn dot<R: Real>(a: Vector<R>, b: Vector<R>) -> R {
+    a[0].mul(b[0]).add(a[1].mul(b[1])).add(a[2].mul(b[2]))
+}
+
+#[inline(always)]
+fn cross<R: Real>(a: Vector<R>, b: Vector<R>) -> Vector<R> {
+    [a[1].mul(b[2]).sub(b[1].mul(a[2])), a[2].mul(b[0]).sub(b[2].mul(a[0])), a[0].mul(b[1]).sub(b[0].mul(a[1]))]
+}
+
+#[inline(always)]
+fn largest<R: Real>(vector: Vector<R>) -> R {
+    vector[0].abs().max(vector[1].abs()).max(vector[2].abs())
+}
+
+/// The t of a hit that `f64` cannot decide, or `None` for a miss; the range of t is not looked at.
 #[cold]
+pub(crate) fn intersect_exactly(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
+    if !hits_exactly(ray, corners) {
+        return None;
+    }
+    let [a, b, c] = corners.map(|corner| corner.map(f64::from));
+    let (origin, direction) = (ray.origin.to_array().map(f64::from), ray.direction.to_array().map(f64::from));
+    let (edge_ab, edge_ac) = (sub(b, a), sub(c, a));
+    let determinant = dot(edge_ab, cross(direction, edge_ac));
+    Some(if determinant == 0.0 {
+        // A sliver too thin for `f64`: it lies along the ray, and any of its corners tells where.
+        dot(sub(a, origin), direction) / dot(direction, direction)
+    } else {
+        dot(edge_ac, cross(sub(origin, a), edge_ab)) / determinant
+    })
+}
+
+/// Whether the sides of the three edges agree, in exact arithmetic.
 fn hits_exactly(ray: &Ray, &[a, b, c]: &[[f32; 3]; 3]) -> bool {
     let sides = [(a, b), (b, c), (c, a)].map(|(p, q)| side_exactly(ray, p, q));
     let any = |sign: f64| sides.contains(&sign);
@@ -71,6 +125,8 @@ fn side_exactly(ray: &Ray, p: [f32; 3], q: [f32; 3]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use glam::Vec3;
+
     use super::*;
 
     const TRIANGLE: [[f32; 3]; 3] = [[0.0, 0.0, 5.0], [4.0, 0.0, 5.0], [0.0, 4.0, 5.0]];

@@ -53,6 +53,11 @@ impl CellSpace {
         (world - self.origin) * self.cells_per_unit
     }
 
+    /// A length in world units.
+    pub(super) fn length(&self, cells: f64) -> f64 {
+        cells / self.cells_per_unit
+    }
+
     pub(super) fn direction(&self, world: DVec3) -> DVec3 {
         world * self.cells_per_unit
     }

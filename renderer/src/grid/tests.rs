@@ -3,11 +3,14 @@
 use glam::Vec3;
 use proptest::prelude::*;
 
-use super::{Grid, GridOptions};
+use super::{Grid, GridOptions, InstructionSet, Packet, PacketScratch};
 use crate::{
     mesh::Mesh,
     ray::{Hit, Ray},
 };
+
+/// What rounding may decide either way.
+const MARGIN: f64 = 1e-9;
 
 /// Where a ray hits a triangle: plane first, then the point against each edge. Independent of [`crate::triangle`].
 ///
@@ -23,19 +26,18 @@ fn intersect_in_f64(ray: &Ray, corners: [[f32; 3]; 3]) -> Option<(f64, f64)> {
         .into_iter()
         .map(|(p, q)| (q - p).cross(point - p).dot(normal) / (size * size))
         .fold(f64::INFINITY, f64::min);
-    (t.is_finite() && inside.is_finite() && t >= f64::from(ray.t_min)).then_some((t, inside))
+    (t.is_finite() && inside.is_finite() && t >= f64::from(ray.t_min) - MARGIN).then_some((t, inside))
 }
 
 /// Checks the grid's hit against all triangles. Where the truth hangs on rounding, either answer is right.
 fn check(mesh: &Mesh, grid: &Grid, ray: &Ray) {
-    const MARGIN: f64 = 1e-9;
     let hit = grid.intersect(mesh, ray);
     let candidates: Vec<_> = (0..mesh.triangles.len())
         .filter_map(|triangle| Some((triangle as u32, intersect_in_f64(ray, mesh.corners(triangle)?)?)))
         .collect();
     let nearest_certain = candidates
         .iter()
-        .filter(|(_, (_, inside))| *inside > MARGIN)
+        .filter(|(_, (t, inside))| *inside > MARGIN && *t > f64::from(ray.t_min) + MARGIN)
         .map(|(_, (t, _))| *t)
         .fold(f64::INFINITY, f64::min);
     let close = |a: f64, b: f64| (a - b).abs() <= 1e-6 * (1.0 + a.abs().max(b.abs()));
@@ -239,5 +241,85 @@ fn directions_are_followed_from_far_away() {
         let ray = Ray::new(Vec3::new(1.7, 2.3, distance), Vec3::new(0.0, 0.0, -distance));
         let hit = grid.intersect(&mesh, &ray);
         assert!((ray.direction.as_dvec3() * f64::from(hit.t)).is_finite() && !hit.is_miss(), "{distance}");
+    }
+}
+
+/// Checks that packets of every instruction set hit what single rays hit, bit for bit.
+fn check_packet(mesh: &Mesh, grid: &Grid, packet: &Packet) {
+    let single: Vec<_> = (0..64).map(|lane| grid.intersect(mesh, &packet.ray(lane))).collect();
+    for instructions in InstructionSet::available() {
+        let hits = grid.intersect_packet(mesh, packet, instructions, &mut PacketScratch::default());
+        for lane in (0..64).filter(|lane| packet.active >> lane & 1 == 1) {
+            let (hit, expected) = (hits[lane], single[lane]);
+            let same = hit.triangle == expected.triangle && hit.t.to_bits() == expected.t.to_bits();
+            assert!(same, "{instructions:?}: ray {lane} from {} hits {hit:?} instead of {expected:?}", packet.origin);
+        }
+    }
+}
+
+/// Rays from a point through an 8×8 raster around another.
+#[expect(clippy::needless_range_loop, reason = "a lane indexes three arrays at once")]
+fn raster(origin: Vec3, target: Vec3, spacing: f32, active: u64) -> Packet {
+    let forward = target - origin;
+    let right = forward.any_orthogonal_vector().normalize() * spacing;
+    let up = right.cross(forward).normalize() * spacing;
+    let mut directions = [[0.0; 64]; 3];
+    for lane in 0..64 {
+        let direction = forward + right * (lane % 8) as f32 + up * (lane / 8) as f32;
+        (0..3).for_each(|axis| directions[axis][lane] = direction[axis]);
+    }
+    Packet { origin, directions, active, t_min: 0.0, t_max: f32::MAX }
+}
+
+proptest! {
+    #[test]
+    fn packets_hit_what_single_rays_hit(
+        corners in proptest::collection::vec([point(), point(), point()], 1..200),
+        origin in point(),
+        target in point(),
+        (far, spacing) in prop_oneof![Just((1.0f32, 0.25f32)), Just((30.0, 1.0)), Just((1e5, 0.01)), Just((1e-3, 2.0))],
+        active in prop_oneof![Just(u64::MAX), 1..=u64::MAX],
+    ) {
+        let mesh = soup(corners);
+        let grid = build(&mesh);
+        let (origin, target) = (Vec3::from_array(origin) * far, Vec3::from_array(target));
+        if origin != target {
+            check_packet(&mesh, &grid, &raster(origin, target, spacing, active));
+        }
+    }
+
+    #[test]
+    fn packets_of_unrelated_rays_hit_what_single_rays_hit(
+        corners in proptest::collection::vec([point(), point(), point()], 1..60),
+        origin in point(),
+        directions in proptest::collection::vec(point(), 64),
+    ) {
+        let mesh = soup(corners);
+        let grid = build(&mesh);
+        let mut packet = raster(Vec3::from_array(origin), Vec3::ZERO, 1.0, u64::MAX);
+        for (lane, direction) in directions.iter().enumerate() {
+            (0..3).for_each(|axis| packet.directions[axis][lane] = direction[axis]);
+        }
+        check_packet(&mesh, &grid, &packet);
+        // Once more with one that they all share.
+        packet.directions[2] = [5.0; 64];
+        check_packet(&mesh, &grid, &packet);
+    }
+}
+
+#[test]
+fn packets_hit_a_scan_from_near_and_far() {
+    let mesh = crate::statue::generate(60_000, &|_| ());
+    let grid = build(&mesh);
+    let bounds = mesh.bounds();
+    let (low, high) = (Vec3::from_array(bounds.min), Vec3::from_array(bounds.max));
+    let (centre, size) = ((low + high) * 0.5, (high - low).max_element());
+    for (index, distance) in [0.1, 0.6, 1.5, 10.0, 1e4, 1e9].into_iter().enumerate() {
+        for step in 0..20 {
+            let angle = step as f32 * 0.7 + index as f32;
+            let origin = centre + Vec3::new(angle.cos(), (angle * 3.1).sin() * 0.4, angle.sin()) * (size * distance);
+            let target = low + (high - low) * Vec3::new(0.3, step as f32 / 40.0, 0.6);
+            check_packet(&mesh, &grid, &raster(origin, target, size / 300.0, u64::MAX));
+        }
     }
 }

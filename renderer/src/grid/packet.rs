@@ -1,0 +1,430 @@
+//! Packets of 64 rays with a common origin through the grid.
+//!
+//! After Wald et al., "Ray Tracing Animated Scenes using Coherent Grid Traversal" (2006): the grid is cut into slabs
+//! across the packet's major axis k, and the packet's least and largest slopes bound the cells (u, v) that it can meet
+//! in a slab. Slabs are as thick as a brick, then as a node's children, and so on down; a node's mask gives all occupied
+//! children within the bounds at once.
+//!
+//! Triangles on the way are culled many at a time, see [`super::cull`], and what is left is decided by
+//! [`crate::triangle`]: the hits are those of single rays, bit for bit.
+
+use glam::Vec3;
+
+use super::{
+    BRICK_SIZE, Grid, LEVELS,
+    cull::{Culler, Kernel},
+};
+#[cfg(target_arch = "x86_64")]
+use crate::simd::{Avx2, Avx512};
+use crate::{
+    mesh::Mesh,
+    ray::{Hit, Ray},
+    simd::Plain,
+};
+
+/// Rays with a common origin, in world space.
+pub struct Packet {
+    /// Where they begin.
+    pub origin: Vec3,
+    /// Their directions, component by component. Rays 16·n to 16·n + 15 are culled together, or half as many: they
+    /// should lie close to each other. Entries of no ray must repeat another's direction.
+    pub directions: [[f32; 64]; 3],
+    /// A bit for each entry that is a ray.
+    pub active: u64,
+    /// The first t that counts.
+    pub t_min: f32,
+    /// The last t that counts.
+    pub t_max: f32,
+}
+
+impl Packet {
+    /// One ray of a packet.
+    pub fn ray(&self, lane: usize) -> Ray {
+        let [x, y, z] = &self.directions;
+        let direction = Vec3::new(x[lane], y[lane], z[lane]);
+        Ray { origin: self.origin, direction, t_min: self.t_min, t_max: self.t_max }
+    }
+}
+
+/// The instructions that a packet is traced with. They change the time, never a hit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InstructionSet {
+    /// What every machine has.
+    Plain,
+    /// AVX2 and FMA.
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    /// AVX-512 F.
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl InstructionSet {
+    /// All that this machine has, the fastest last.
+    pub fn available() -> Vec<Self> {
+        let mut available = vec![Self::Plain];
+        #[cfg(target_arch = "x86_64")]
+        {
+            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+                available.push(Self::Avx2);
+            }
+            if is_x86_feature_detected!("avx512f") {
+                available.push(Self::Avx512);
+            }
+        }
+        available
+    }
+
+    /// The fastest that this machine has.
+    pub fn best() -> Self {
+        Self::available().pop().unwrap_or(Self::Plain)
+    }
+}
+
+/// Memory that the packets of one thread use one after the other.
+#[derive(Default)]
+pub struct PacketScratch {
+    /// The nodes that a packet meets in the slab at hand, level by level; the first level has bricks.
+    entries: [Vec<Entry>; LEVELS as usize + 1],
+}
+
+/// A node within a packet's bounds.
+#[derive(Clone, Copy)]
+struct Entry {
+    node: u32,
+    /// Its lowest corner across the major axis, in finest cells.
+    u: i32,
+    v: i32,
+}
+
+impl Grid {
+    /// The nearest triangle along each ray of a packet; entries of no ray are undefined.
+    pub fn intersect_packet(
+        &self,
+        mesh: &Mesh,
+        packet: &Packet,
+        instructions: InstructionSet,
+        scratch: &mut PacketScratch,
+    ) -> [Hit; 64] {
+        let marched = match instructions {
+            InstructionSet::Plain => self.march::<Plain>(mesh, packet, scratch),
+            // SAFETY: the caller names only what `InstructionSet::available` has found.
+            #[cfg(target_arch = "x86_64")]
+            InstructionSet::Avx2 => unsafe { self.march_avx2(mesh, packet, scratch) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            InstructionSet::Avx512 => unsafe { self.march_avx512(mesh, packet, scratch) },
+        };
+        marched.unwrap_or_else(|| {
+            std::array::from_fn(|lane| match packet.active >> lane & 1 {
+                0 => Hit::MISS,
+                _ => self.intersect(mesh, &packet.ray(lane)),
+            })
+        })
+    }
+
+    /// A packet of one ray: slower than following the ray from cell to cell, but right from however far away.
+    pub(super) fn march_alone(&self, mesh: &Mesh, &Ray { origin, direction, t_min, t_max }: &Ray) -> Hit {
+        let directions = direction.to_array().map(|d| [d; 64]);
+        let packet = Packet { origin, directions, active: 1, t_min, t_max };
+        self.march::<Plain>(mesh, &packet, &mut PacketScratch::default()).map_or(Hit::MISS, |hits| hits[0])
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
+    fn march_avx2(&self, mesh: &Mesh, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
+        self.march::<Avx2>(mesh, packet, scratch)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
+    fn march_avx512(&self, mesh: &Mesh, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
+        self.march::<Avx512>(mesh, packet, scratch)
+    }
+
+    /// The way of a packet, or `None` if its rays do not all advance along one axis.
+    #[inline(always)]
+    fn march<S: Kernel>(&self, mesh: &Mesh, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
+        let axis = major_axis(packet)?;
+        let axes = [axis, (axis + 1) % 3, (axis + 2) % 3];
+        let forward = packet.directions[axis][0] > 0.0;
+        let origin = self.space.point(packet.origin.as_dvec3());
+        if !origin.is_finite() {
+            return None;
+        }
+        let mut culler = Culler::new::<S>(mesh, packet, axes, if forward { 1.0 } else { -1.0 });
+        let mut frustum = Frustum {
+            origin: [origin[axes[0]], origin[axes[1]], origin[axes[2]]],
+            forward,
+            slopes: culler.slopes,
+            size: [f64::from(self.dims[axes[1]] * BRICK_SIZE), f64::from(self.dims[axes[2]] * BRICK_SIZE)],
+            margin: origin.abs().max_element() * (16.0 * f64::EPSILON),
+        };
+        let bricks_along_k = self.dims[axis] as i32;
+        let first_depth = frustum.first_depth();
+        let first_k = first_depth - frustum.margin;
+        let k = frustum.origin[0] + if forward { first_k } else { -first_k };
+        let mut brick_k = (k / f64::from(BRICK_SIZE)).floor() as i32;
+        if (forward && brick_k >= bricks_along_k) || (!forward && brick_k < 0) || !first_depth.is_finite() {
+            return Some(culler.hits());
+        }
+        brick_k = brick_k.clamp(0, bricks_along_k - 1);
+
+        while (0..bricks_along_k).contains(&brick_k) {
+            let low = brick_k * BRICK_SIZE as i32;
+            brick_k += if forward { 1 } else { -1 };
+            let (near, far) = frustum.depths(low, BRICK_SIZE as i32);
+            let Some(bounds) = frustum.cells(near, far) else {
+                if near > first_depth {
+                    break;
+                }
+                continue;
+            };
+            self.enter_bricks::<S>(&mut culler, &mut scratch.entries[1], axes, low, bounds);
+            if scratch.entries[1].is_empty() {
+                if culler.touched {
+                    if culler.settle::<S>(self.space.length(far)) {
+                        return Some(culler.hits());
+                    }
+                    frustum.slopes = culler.slopes;
+                }
+                continue;
+            }
+
+            // Depth first through the levels: lows and steps say which quarter of each level's slab is next.
+            let mut level = 1;
+            let mut lows = [low; LEVELS as usize + 1];
+            let mut steps = [0; LEVELS as usize + 1];
+            while level > 0 {
+                if steps[level] == 4 {
+                    level -= 1;
+                    continue;
+                }
+                let quarter = if forward { steps[level] } else { 3 - steps[level] };
+                steps[level] += 1;
+                let shift = 2 * (LEVELS - level as u32);
+                let low = lows[level] + (quarter << shift);
+                let (near, far) = frustum.depths(low, 1 << shift);
+                if far < 0.0 {
+                    continue;
+                }
+                let Some(bounds) = frustum.cells(near, far) else { continue };
+                let (above, below) = scratch.entries.split_at_mut(level + 1);
+                let children = below.first_mut();
+                self.enter_children::<S>(&mut culler, &above[level], children, axes, quarter as u32, shift, bounds);
+                if level < LEVELS as usize && !below[0].is_empty() {
+                    level += 1;
+                    (lows[level], steps[level]) = (low, 0);
+                } else if culler.touched {
+                    if culler.settle::<S>(self.space.length(far)) {
+                        return Some(culler.hits());
+                    }
+                    frustum.slopes = culler.slopes;
+                }
+            }
+        }
+        culler.settle::<S>(f64::INFINITY);
+        Some(culler.hits())
+    }
+
+    /// Adds the triangles of leaf bricks to the culler, and the nodes of others to the entries.
+    #[inline(always)]
+    fn enter_bricks<S: Kernel>(
+        &self,
+        culler: &mut Culler<'_>,
+        entries: &mut Vec<Entry>,
+        axes: [usize; 3],
+        low: i32,
+        bounds: CellBounds,
+    ) {
+        entries.clear();
+        let shift = 2 * LEVELS;
+        let strides = [1, self.dims[0] as usize, self.dims[0] as usize * self.dims[1] as usize];
+        let first = (low >> shift) as usize * strides[axes[0]];
+        for v in bounds.v[0] >> shift..=bounds.v[1] >> shift {
+            for u in bounds.u[0] >> shift..=bounds.u[1] >> shift {
+                let brick = self.bricks[first + u as usize * strides[axes[1]] + v as usize * strides[axes[2]]];
+                if brick == Self::EMPTY {
+                    continue;
+                }
+                if brick & Self::LEAF == 0 {
+                    entries.push(Entry { node: brick, u: u << shift, v: v << shift });
+                } else {
+                    culler.touched = true;
+                    for &triangle in self.leaf(brick & !Self::LEAF) {
+                        culler.add::<S>(triangle);
+                    }
+                }
+            }
+        }
+    }
+
+    /// The same for the children of nodes in one quarter of their slab.
+    #[inline(always)]
+    #[expect(clippy::too_many_arguments, reason = "inlined into the loop whose variables these are")]
+    fn enter_children<S: Kernel>(
+        &self,
+        culler: &mut Culler<'_>,
+        entries: &[Entry],
+        children: Option<&mut Vec<Entry>>,
+        axes: [usize; 3],
+        quarter: u32,
+        shift: u32,
+        bounds: CellBounds,
+    ) {
+        // The deepest nodes have leaves only, so what is pushed for them is nothing.
+        let mut none = Vec::new();
+        let children = children.unwrap_or(&mut none);
+        children.clear();
+        let slab = PLANES[axes[0]] << (quarter << (2 * axes[0]));
+        for entry in entries {
+            let node = &self.nodes[entry.node as usize];
+            let u = [(bounds.u[0] - entry.u) >> shift, (bounds.u[1] - entry.u) >> shift];
+            let v = [(bounds.v[0] - entry.v) >> shift, (bounds.v[1] - entry.v) >> shift];
+            if u[0] > 3 || u[1] < 0 || v[0] > 3 || v[1] < 0 {
+                continue;
+            }
+            let within = slab & planes(axes[1], u[0].max(0), u[1].min(3)) & planes(axes[2], v[0].max(0), v[1].min(3));
+            let mut leaves = node.occupied & !node.divided & within;
+            if leaves != 0 {
+                culler.touched = true;
+            }
+            while leaves != 0 {
+                let before = (leaves & leaves.wrapping_neg()) - 1;
+                leaves &= leaves - 1;
+                let leaf = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
+                for &triangle in self.leaf(leaf) {
+                    culler.add::<S>(triangle);
+                }
+            }
+            let mut nodes = node.divided & within;
+            while nodes != 0 {
+                let bit = nodes.trailing_zeros();
+                let before = (nodes & nodes.wrapping_neg()) - 1;
+                nodes &= nodes - 1;
+                children.push(Entry {
+                    node: node.first_node + (node.divided & before).count_ones(),
+                    u: entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32,
+                    v: entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32,
+                });
+            }
+        }
+    }
+}
+
+/// For each axis the children of a node that have coordinate 0 along it; shifted by 4^axis for each further one.
+const PLANES: [u64; 3] = [0x1111_1111_1111_1111, 0x000f_000f_000f_000f, 0xffff];
+
+/// The children of a node with coordinates `first..=last` along an axis.
+#[inline(always)]
+fn planes(axis: usize, first: i32, last: i32) -> u64 {
+    const RANGES: [[[u64; 4]; 4]; 3] = {
+        let mut ranges = [[[0; 4]; 4]; 3];
+        let mut axis = 0;
+        while axis < 3 {
+            let mut first = 0;
+            while first < 4 {
+                let mut last = first;
+                let mut mask = 0;
+                while last < 4 {
+                    mask |= PLANES[axis] << (last << (2 * axis));
+                    ranges[axis][first][last] = mask;
+                    last += 1;
+                }
+                first += 1;
+            }
+            axis += 1;
+        }
+        ranges
+    };
+    RANGES[axis][first as usize & 3][last as usize & 3]
+}
+
+/// The axis along which the packet advances most, if all rays advance the same way.
+#[inline(always)]
+fn major_axis(packet: &Packet) -> Option<usize> {
+    let [x, y, z] = [packet.directions[0][0].abs(), packet.directions[1][0].abs(), packet.directions[2][0].abs()];
+    let axis = if x >= y && x >= z {
+        0
+    } else if y >= z {
+        1
+    } else {
+        2
+    };
+    let along = &packet.directions[axis];
+    let mut same = true;
+    for lane in 0..64 {
+        same &= along[lane] * along[0].signum() > 0.0 && along[lane].is_finite();
+    }
+    same.then_some(axis)
+}
+
+/// Finest cells across the major axis: first and last.
+#[derive(Clone, Copy)]
+struct CellBounds {
+    u: [i32; 2],
+    v: [i32; 2],
+}
+
+/// The region that a packet's rays pass, in finest cells along k, u and v.
+struct Frustum {
+    origin: [f64; 3],
+    forward: bool,
+    /// Least and largest du/dk, least and largest dv/dk.
+    slopes: [f32; 4],
+    /// The grid's size along u and v.
+    size: [f64; 2],
+    /// What rounding can do to a place, when the origin is far away.
+    margin: f64,
+}
+
+impl Frustum {
+    /// The depths at which a slab begins and ends, counted from the origin along the way.
+    #[inline(always)]
+    fn depths(&self, low: i32, size: i32) -> (f64, f64) {
+        let (low, high) = (f64::from(low), f64::from(low + size));
+        if self.forward {
+            (low - self.origin[0] - self.margin, high - self.origin[0] + self.margin)
+        } else {
+            (self.origin[0] - high - self.margin, self.origin[0] - low + self.margin)
+        }
+    }
+
+    /// The cells of the grid that lie within the frustum from one depth to another, if any do.
+    #[inline(always)]
+    fn cells(&self, near: f64, far: f64) -> Option<CellBounds> {
+        let near = near.max(0.0);
+        Some(CellBounds { u: self.span(0, near, far)?, v: self.span(1, near, far)? })
+    }
+
+    #[inline(always)]
+    fn span(&self, axis: usize, near: f64, far: f64) -> Option<[i32; 2]> {
+        let (low, high) = (f64::from(self.slopes[2 * axis]), f64::from(self.slopes[2 * axis + 1]));
+        let from = self.origin[axis + 1] - self.margin + low * if low < 0.0 { far } else { near };
+        let to = self.origin[axis + 1] + self.margin + high * if high < 0.0 { near } else { far };
+        if to < 0.0 || from > self.size[axis] {
+            return None;
+        }
+        let last = self.size[axis] as i32 - 1;
+        Some([(from.floor() as i32).clamp(0, last), (to.floor() as i32).clamp(0, last)])
+    }
+
+    /// A depth before which the frustum does not meet the grid.
+    #[inline(always)]
+    fn first_depth(&self) -> f64 {
+        let mut depth = 0.0f64;
+        for axis in 0..2 {
+            let (low, high) = (f64::from(self.slopes[2 * axis]), f64::from(self.slopes[2 * axis + 1]));
+            let origin = self.origin[axis + 1];
+            let (distance, slope) = if origin + self.margin < 0.0 {
+                (-origin - self.margin, high)
+            } else if origin - self.margin > self.size[axis] {
+                (origin - self.margin - self.size[axis], -low)
+            } else {
+                continue;
+            };
+            depth = depth.max(if slope > 0.0 { distance / slope } else { f64::INFINITY });
+        }
+        (depth * (1.0 - 1e-9) - self.margin).max(0.0)
+    }
+}

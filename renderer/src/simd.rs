@@ -1,0 +1,430 @@
+//! Vectors of numbers for the packet kernel: AVX-512, AVX2, and a plain form of the same for any machine.
+//!
+//! Single precision only culls, so its `mul_add` may round once or twice. Double precision decides: [`Real`] has no
+//! fused operation, and every implementation of it gives the bits that `f64` gives.
+
+/// Numbers of double precision, one or several at once.
+pub(crate) trait Real: Copy {
+    /// How many.
+    const LANES: usize;
+    fn splat(x: f64) -> Self;
+    /// The first [`Real::LANES`] numbers, made double.
+    fn load(from: &[f32; 8]) -> Self;
+    fn store(self, to: &mut [f64; 8]);
+    fn add(self, other: Self) -> Self;
+    fn sub(self, other: Self) -> Self;
+    fn mul(self, other: Self) -> Self;
+    fn div(self, other: Self) -> Self;
+    fn max(self, other: Self) -> Self;
+    fn abs(self) -> Self;
+    /// A bit for each lane where self < other; not for NaN.
+    fn below(self, other: Self) -> u32;
+}
+
+impl Real for f64 {
+    const LANES: usize = 1;
+    #[inline(always)]
+    fn splat(x: f64) -> Self {
+        x
+    }
+    #[inline(always)]
+    fn load(from: &[f32; 8]) -> Self {
+        f64::from(from[0])
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [f64; 8]) {
+        to[0] = self;
+    }
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self + other
+    }
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        self - other
+    }
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self * other
+    }
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        self / other
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        if self > other { self } else { other }
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        f64::abs(self)
+    }
+    #[inline(always)]
+    fn below(self, other: Self) -> u32 {
+        u32::from(self < other)
+    }
+}
+
+/// An instruction set: single-precision vectors of [`Simd::LANES`] numbers, and what goes with them.
+pub(crate) trait Simd: Copy {
+    /// How many numbers in a vector: 8 or 16.
+    const LANES: usize;
+    /// Double-precision numbers of the same machine.
+    type Double: Real;
+    fn splat(x: f32) -> Self;
+    /// The first [`Simd::LANES`] numbers of a slice that has as many.
+    fn load(from: &[f32]) -> Self;
+    /// Writes to the beginning of a slice that has room.
+    fn store(self, to: &mut [f32]);
+    /// The least of all.
+    fn least(self) -> f32;
+    /// The greatest of all.
+    fn greatest(self) -> f32;
+    /// `table[indices[lane]]` for each lane; indices must lie inside the table.
+    fn gather(table: &[f32], indices: &[u32; 16]) -> Self;
+    fn add(self, other: Self) -> Self;
+    fn sub(self, other: Self) -> Self;
+    fn mul(self, other: Self) -> Self;
+    fn div(self, other: Self) -> Self;
+    fn min(self, other: Self) -> Self;
+    fn max(self, other: Self) -> Self;
+    fn abs(self) -> Self;
+    /// self·factor + summand, rounded once or twice.
+    fn mul_add(self, factor: Self, summand: Self) -> Self;
+    /// self·factor − subtrahend, rounded once or twice.
+    fn mul_sub(self, factor: Self, subtrahend: Self) -> Self;
+    /// A bit for each lane where self ≤ other; not for NaN.
+    fn up_to(self, other: Self) -> u32;
+    /// A bit for each lane where self < other; not for NaN.
+    fn below(self, other: Self) -> u32;
+}
+
+/// Eight numbers in plain code.
+#[derive(Clone, Copy)]
+pub(crate) struct Plain([f32; 8]);
+
+impl Plain {
+    #[inline(always)]
+    fn zip(self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
+        Self(std::array::from_fn(|lane| f(self.0[lane], other.0[lane])))
+    }
+
+    #[inline(always)]
+    fn compare(self, other: Self, f: impl Fn(f32, f32) -> bool) -> u32 {
+        (0..8).fold(0, |mask, lane| mask | u32::from(f(self.0[lane], other.0[lane])) << lane)
+    }
+}
+
+impl Simd for Plain {
+    const LANES: usize = 8;
+    type Double = f64;
+    #[inline(always)]
+    fn splat(x: f32) -> Self {
+        Self([x; 8])
+    }
+    #[inline(always)]
+    fn load(from: &[f32]) -> Self {
+        Self(std::array::from_fn(|lane| from[lane]))
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [f32]) {
+        to[..8].copy_from_slice(&self.0);
+    }
+    #[inline(always)]
+    fn least(self) -> f32 {
+        self.0.into_iter().fold(f32::INFINITY, f32::min)
+    }
+    #[inline(always)]
+    fn greatest(self) -> f32 {
+        self.0.into_iter().fold(f32::NEG_INFINITY, f32::max)
+    }
+    #[inline(always)]
+    fn gather(table: &[f32], indices: &[u32; 16]) -> Self {
+        Self(std::array::from_fn(|lane| table[indices[lane] as usize]))
+    }
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self.zip(other, |a, b| a + b)
+    }
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        self.zip(other, |a, b| a - b)
+    }
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self.zip(other, |a, b| a * b)
+    }
+    #[inline(always)]
+    fn div(self, other: Self) -> Self {
+        self.zip(other, |a, b| a / b)
+    }
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        self.zip(other, |a, b| if a < b { a } else { b })
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        self.zip(other, |a, b| if a > b { a } else { b })
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        Self(self.0.map(f32::abs))
+    }
+    #[inline(always)]
+    fn mul_add(self, factor: Self, summand: Self) -> Self {
+        self.mul(factor).add(summand)
+    }
+    #[inline(always)]
+    fn mul_sub(self, factor: Self, subtrahend: Self) -> Self {
+        self.mul(factor).sub(subtrahend)
+    }
+    #[inline(always)]
+    fn up_to(self, other: Self) -> u32 {
+        self.compare(other, |a, b| a <= b)
+    }
+    #[inline(always)]
+    fn below(self, other: Self) -> u32 {
+        self.compare(other, |a, b| a < b)
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+pub(crate) use x86::{Avx2, Avx512};
+
+#[cfg(target_arch = "x86_64")]
+mod x86 {
+    use std::arch::x86_64::*;
+
+    use super::{Real, Simd};
+
+    /// Eight numbers in an AVX2 register. Made only inside functions that enable `avx2` and `fma`.
+    #[derive(Clone, Copy)]
+    pub(crate) struct Avx2(__m256);
+
+    /// Four numbers in an AVX2 register.
+    #[derive(Clone, Copy)]
+    pub(crate) struct Avx2Double(__m256d);
+
+    /// Sixteen numbers in an AVX-512 register. Made only inside functions that enable `avx512f`.
+    #[derive(Clone, Copy)]
+    pub(crate) struct Avx512(__m512);
+
+    /// Eight numbers in an AVX-512 register.
+    #[derive(Clone, Copy)]
+    pub(crate) struct Avx512Double(__m512d);
+
+    /// Methods that are one instruction each.
+    macro_rules! instructions {
+        ($($name:ident($($argument:ident),*) = $intrinsic:expr;)*) => {
+            $(#[inline(always)]
+            fn $name(self $(, $argument: Self)*) -> Self {
+                // SAFETY: values of this type exist only where the instruction set was found at run time.
+                Self(unsafe { $intrinsic(self.0 $(, $argument.0)*) })
+            })*
+        };
+    }
+
+    impl Simd for Avx2 {
+        const LANES: usize = 8;
+        type Double = Avx2Double;
+        #[inline(always)]
+        fn splat(x: f32) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { _mm256_set1_ps(x) })
+        }
+        #[inline(always)]
+        fn load(from: &[f32]) -> Self {
+            let from: &[f32; 8] = from[..8].try_into().expect("eight numbers");
+            // SAFETY: as above, and eight numbers are there.
+            Self(unsafe { _mm256_loadu_ps(from.as_ptr()) })
+        }
+        #[inline(always)]
+        fn store(self, to: &mut [f32]) {
+            let to: &mut [f32; 8] = (&mut to[..8]).try_into().expect("eight numbers");
+            // SAFETY: as above, and there is room for eight.
+            unsafe { _mm256_storeu_ps(to.as_mut_ptr(), self.0) };
+        }
+        #[inline(always)]
+        fn least(self) -> f32 {
+            // SAFETY: as above.
+            unsafe {
+                let four = _mm_min_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
+                let two = _mm_min_ps(four, _mm_movehl_ps(four, four));
+                _mm_cvtss_f32(_mm_min_ss(two, _mm_shuffle_ps::<1>(two, two)))
+            }
+        }
+        #[inline(always)]
+        fn greatest(self) -> f32 {
+            // SAFETY: as above.
+            unsafe {
+                let four = _mm_max_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
+                let two = _mm_max_ps(four, _mm_movehl_ps(four, four));
+                _mm_cvtss_f32(_mm_max_ss(two, _mm_shuffle_ps::<1>(two, two)))
+            }
+        }
+        #[inline(always)]
+        fn gather(table: &[f32], indices: &[u32; 16]) -> Self {
+            debug_assert!(indices[..8].iter().all(|&index| (index as usize) < table.len()));
+            // SAFETY: as above; the caller's indices lie inside the table.
+            Self(unsafe {
+                let indices = _mm256_loadu_si256(indices.as_ptr().cast());
+                _mm256_i32gather_ps::<4>(table.as_ptr(), indices)
+            })
+        }
+        instructions! {
+            add(other) = _mm256_add_ps;
+            sub(other) = _mm256_sub_ps;
+            mul(other) = _mm256_mul_ps;
+            div(other) = _mm256_div_ps;
+            min(other) = _mm256_min_ps;
+            max(other) = _mm256_max_ps;
+            mul_add(factor, summand) = _mm256_fmadd_ps;
+            mul_sub(factor, subtrahend) = _mm256_fmsub_ps;
+        }
+        #[inline(always)]
+        fn abs(self) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { _mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0) })
+        }
+        #[inline(always)]
+        fn up_to(self, other: Self) -> u32 {
+            // SAFETY: as above.
+            unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(self.0, other.0)) as u32 }
+        }
+        #[inline(always)]
+        fn below(self, other: Self) -> u32 {
+            // SAFETY: as above.
+            unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(self.0, other.0)) as u32 }
+        }
+    }
+
+    impl Real for Avx2Double {
+        const LANES: usize = 4;
+        #[inline(always)]
+        fn splat(x: f64) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { _mm256_set1_pd(x) })
+        }
+        #[inline(always)]
+        fn load(from: &[f32; 8]) -> Self {
+            // SAFETY: as above, and eight numbers are there.
+            Self(unsafe { _mm256_cvtps_pd(_mm_loadu_ps(from.as_ptr())) })
+        }
+        #[inline(always)]
+        fn store(self, to: &mut [f64; 8]) {
+            // SAFETY: as above, and there is room for eight.
+            unsafe { _mm256_storeu_pd(to.as_mut_ptr(), self.0) };
+        }
+        instructions! {
+            add(other) = _mm256_add_pd;
+            sub(other) = _mm256_sub_pd;
+            mul(other) = _mm256_mul_pd;
+            div(other) = _mm256_div_pd;
+            max(other) = _mm256_max_pd;
+        }
+        #[inline(always)]
+        fn abs(self) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { _mm256_andnot_pd(_mm256_set1_pd(-0.0), self.0) })
+        }
+        #[inline(always)]
+        fn below(self, other: Self) -> u32 {
+            // SAFETY: as above.
+            unsafe { _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LT_OQ>(self.0, other.0)) as u32 }
+        }
+    }
+
+    impl Simd for Avx512 {
+        const LANES: usize = 16;
+        type Double = Avx512Double;
+        #[inline(always)]
+        fn splat(x: f32) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { _mm512_set1_ps(x) })
+        }
+        #[inline(always)]
+        fn load(from: &[f32]) -> Self {
+            let from: &[f32; 16] = from[..16].try_into().expect("sixteen numbers");
+            // SAFETY: as above, and sixteen numbers are there.
+            Self(unsafe { _mm512_loadu_ps(from.as_ptr()) })
+        }
+        #[inline(always)]
+        fn store(self, to: &mut [f32]) {
+            let to: &mut [f32; 16] = (&mut to[..16]).try_into().expect("sixteen numbers");
+            // SAFETY: as above, and there is room for sixteen.
+            unsafe { _mm512_storeu_ps(to.as_mut_ptr(), self.0) };
+        }
+        #[inline(always)]
+        fn least(self) -> f32 {
+            // SAFETY: as above.
+            unsafe { _mm512_reduce_min_ps(self.0) }
+        }
+        #[inline(always)]
+        fn greatest(self) -> f32 {
+            // SAFETY: as above.
+            unsafe { _mm512_reduce_max_ps(self.0) }
+        }
+        #[inline(always)]
+        fn gather(table: &[f32], indices: &[u32; 16]) -> Self {
+            debug_assert!(indices.iter().all(|&index| (index as usize) < table.len()));
+            // SAFETY: as above; the caller's indices lie inside the table.
+            Self(unsafe {
+                let indices = _mm512_loadu_si512(indices.as_ptr().cast());
+                _mm512_i32gather_ps::<4>(indices, table.as_ptr())
+            })
+        }
+        instructions! {
+            add(other) = _mm512_add_ps;
+            sub(other) = _mm512_sub_ps;
+            mul(other) = _mm512_mul_ps;
+            div(other) = _mm512_div_ps;
+            min(other) = _mm512_min_ps;
+            max(other) = _mm512_max_ps;
+            abs() = _mm512_abs_ps;
+            mul_add(factor, summand) = _mm512_fmadd_ps;
+            mul_sub(factor, subtrahend) = _mm512_fmsub_ps;
+        }
+        #[inline(always)]
+        fn up_to(self, other: Self) -> u32 {
+            // SAFETY: as above.
+            u32::from(unsafe { _mm512_cmp_ps_mask::<_CMP_LE_OQ>(self.0, other.0) })
+        }
+        #[inline(always)]
+        fn below(self, other: Self) -> u32 {
+            // SAFETY: as above.
+            u32::from(unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(self.0, other.0) })
+        }
+    }
+
+    impl Real for Avx512Double {
+        const LANES: usize = 8;
+        #[inline(always)]
+        fn splat(x: f64) -> Self {
+            // SAFETY: as above.
+            Self(unsafe { _mm512_set1_pd(x) })
+        }
+        #[inline(always)]
+        fn load(from: &[f32; 8]) -> Self {
+            // SAFETY: as above, and eight numbers are there.
+            Self(unsafe { _mm512_cvtps_pd(_mm256_loadu_ps(from.as_ptr())) })
+        }
+        #[inline(always)]
+        fn store(self, to: &mut [f64; 8]) {
+            // SAFETY: as above, and there is room for eight.
+            unsafe { _mm512_storeu_pd(to.as_mut_ptr(), self.0) };
+        }
+        instructions! {
+            add(other) = _mm512_add_pd;
+            sub(other) = _mm512_sub_pd;
+            mul(other) = _mm512_mul_pd;
+            div(other) = _mm512_div_pd;
+            max(other) = _mm512_max_pd;
+            abs() = _mm512_abs_pd;
+        }
+        #[inline(always)]
+        fn below(self, other: Self) -> u32 {
+            // SAFETY: as above.
+            u32::from(unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(self.0, other.0) })
+        }
+    }
+}
