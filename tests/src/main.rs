@@ -13,6 +13,8 @@ mod ply_suite;
 #[cfg(test)]
 mod process;
 #[cfg(test)]
+mod readme;
+#[cfg(test)]
 mod references;
 #[cfg(all(test, target_os = "linux"))]
 mod window;
