@@ -78,6 +78,14 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Re
     // A wall that people look at goes on with one render server; frames that are counted wait for all.
     let n_needed = if args.frames.is_some() { args.min_renderers() } else { args.min_renderers.unwrap_or(1) };
     let waker = window.waker();
+    runtime.spawn({
+        let waker = window.waker();
+        async move {
+            if renderer::connect::stop_signal().await.is_ok() {
+                waker.close();
+            }
+        }
+    });
     // Before the farm, so that it ends after it, and nobody takes the end for a loss.
     let _servers = LocalServers::start(args.n_local(), listener.local_addr()?)?;
     let farm = start_farm(&runtime, listener, args, n_needed, move || waker.wake())?;

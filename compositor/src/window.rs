@@ -60,21 +60,35 @@ pub struct WindowOptions {
 /// Told of every new frame once it is on screen; breaks to close the window.
 pub type OnShown = Box<dyn FnMut(&Frame, &DisplayStats) -> ControlFlow<()>>;
 
-/// Wakes the window from other threads: there is a frame to take, or something else to look at.
+/// What other threads want of the window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Call {
+    /// There is a frame to take, or something else to look at.
+    Look,
+    /// The wall is to end.
+    Close,
+}
+
+/// Calls the window from other threads.
 #[derive(Clone, Debug)]
-pub struct Waker(EventLoopProxy<()>);
+pub struct Waker(EventLoopProxy<Call>);
 
 impl Waker {
     /// Makes the window look.
     pub fn wake(&self) {
         // A window that is closed needs no waking.
-        let _ = self.0.send_event(());
+        let _ = self.0.send_event(Call::Look);
+    }
+
+    /// Closes the window as an operator would.
+    pub fn close(&self) {
+        let _ = self.0.send_event(Call::Close);
     }
 }
 
 /// The connection to the display; the window itself opens with [`WindowLoop::run`].
 #[derive(Debug)]
-pub struct WindowLoop(EventLoop<()>);
+pub struct WindowLoop(EventLoop<Call>);
 
 impl WindowLoop {
     /// Connects to the display; on the main thread, and once in a program.

@@ -224,6 +224,17 @@ mod tests {
         assert!(matches!(decode::<ToServer>(body), Err(CodecError::Malformed(_))));
     }
 
+    #[test]
+    fn a_pixel_of_endless_samples_is_no_message() {
+        for (count, is_message) in [(0, false), (1, true), (256, true), (257, false), (u32::MAX, false)] {
+            let mut bytes = vec![];
+            let ToServer::RenderFrame { frame, work_id, picture, work } = render_frame() else { unreachable!() };
+            let picture = Picture { samples: SampleRange { first: 0, count }, ..picture };
+            encode(&ToServer::RenderFrame { frame, work_id, picture, work }, &mut bytes).unwrap();
+            assert_eq!(decode::<ToServer>(&bytes[HEADER_BYTES..]).is_ok(), is_message, "{count}");
+        }
+    }
+
     proptest! {
         #[test]
         fn random_bytes_never_panic(body in proptest::collection::vec(any::<u8>(), 0..600)) {

@@ -88,7 +88,10 @@ impl std::str::FromStr for View {
 /// Which samples of each pixel are averaged: numbers `first` to `first + count − 1`, in linear light.
 ///
 /// Sample 0 goes through the pixel's centre; where the others go is a pure function of pixel and sample number.
+///
+/// Invariant on the wire: at least one and at most [`SampleRange::LARGEST_COUNT`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "(u32, u32)", into = "(u32, u32)")]
 pub struct SampleRange {
     /// The first sample's number.
     pub first: u32,
@@ -102,6 +105,26 @@ impl SampleRange {
 
     /// More samples than this are split over several frames.
     pub const LARGEST_COUNT: u32 = 256;
+}
+
+/// Why two numbers are no range of samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0} samples a pixel: from 1 to {max} are possible", max = SampleRange::LARGEST_COUNT)]
+pub struct SampleRangeError(u32);
+
+impl TryFrom<(u32, u32)> for SampleRange {
+    type Error = SampleRangeError;
+
+    fn try_from((first, count): (u32, u32)) -> Result<Self, SampleRangeError> {
+        let is_valid = (1..=Self::LARGEST_COUNT).contains(&count);
+        if is_valid { Ok(Self { first, count }) } else { Err(SampleRangeError(count)) }
+    }
+}
+
+impl From<SampleRange> for (u32, u32) {
+    fn from(SampleRange { first, count }: SampleRange) -> Self {
+        (first, count)
+    }
 }
 
 /// Everything that decides the samples of a frame: two equal pictures are equal bits.

@@ -130,7 +130,7 @@ impl RunningWall {
 
     /// Ends the wall as an operator does, and checks every frame that it has shown.
     fn end(self) -> (Vec<Value>, String) {
-        signal("TERM", &self.program);
+        self.program.signal("TERM");
         let (status, said) = self.program.wait();
         assert!(status.success(), "{said}");
         let frames = self.files.frames();
@@ -141,11 +141,6 @@ impl RunningWall {
         }
         (frames, said)
     }
-}
-
-fn signal(name: &str, program: &Program) {
-    let status = Command::new("kill").args([&format!("-{name}"), &program.id().to_string()]).status().unwrap();
-    assert!(status.success());
 }
 
 fn nodes_of(frame: &Value) -> Vec<&str> {
@@ -178,7 +173,7 @@ fn a_killed_renderer_costs_no_sample() {
     let (_staying, killed) = (wall.join("staying"), wall.join("killed"));
     wall.wait_for_ready(2);
     wall.wait_for_frames(5);
-    signal("KILL", &killed);
+    killed.signal("KILL");
     wall.program.wait_for("killed at");
     wall.wait_for_frames(5);
     let (frames, _) = wall.end();
@@ -192,11 +187,11 @@ fn a_stopped_renderer_is_lost_and_comes_back() {
     let (_staying, stopped) = (wall.join("staying"), wall.join("stopped"));
     wall.wait_for_ready(2);
     wall.wait_for_frames(3);
-    signal("STOP", &stopped);
+    stopped.signal("STOP");
     wall.program.wait_for("stopped at");
     assert!(wall.program.said().contains("silent for 250 ms"), "{}", wall.program.said());
     wall.wait_for_frames(3);
-    signal("CONT", &stopped);
+    stopped.signal("CONT");
     wall.program.wait_for_count("render server stopped is ready", 2);
     wall.wait_for_frames(10);
     let (frames, _) = wall.end();
@@ -232,7 +227,7 @@ fn a_wall_that_restarts_finds_its_renderers_again() {
     let (status, said) = Program::start(command).wait();
     assert!(status.success(), "{said}");
     assert_eq!(files.frames().len(), 3);
-    signal("TERM", &renderer);
+    renderer.signal("TERM");
     renderer.wait_for("connected to the wall");
     assert!(renderer.wait().0.success(), "a renderer that is told to stop has not failed");
 }
@@ -336,7 +331,7 @@ fn local_renderers_end_with_a_wall_that_is_killed() {
         .map(|line| line.split_whitespace().nth(1).unwrap().to_owned())
         .collect();
     assert_eq!(of_wall.len(), 2);
-    signal("KILL", &wall);
+    wall.signal("KILL");
     wait_until("the local render servers end", || {
         !children().iter().any(|line| of_wall.iter().any(|pid| line.split_whitespace().nth(1) == Some(pid)))
     });

@@ -61,6 +61,12 @@ impl Program {
         self.child.id()
     }
 
+    /// Sends it a signal, by name: KILL, STOP, CONT, TERM.
+    pub(crate) fn signal(&self, name: &str) {
+        let status = Command::new("kill").args([&format!("-{name}"), &self.id().to_string()]).status();
+        assert!(status.is_ok_and(|status| status.success()), "the program cannot be signalled");
+    }
+
     /// All that it said so far.
     pub(crate) fn said(&self) -> String {
         self.said.lock().expect("nobody panics with it").clone()

@@ -68,6 +68,17 @@ fn the_heuristic_s_key_switches_the_division_while_the_wall_runs() {
 }
 
 #[test]
+fn a_wall_that_is_told_to_stop_ends_as_if_by_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let stats = folder.path().join("stats.json");
+    let wall = Wall::start(&["--stats", stats.to_str().unwrap()]);
+    wall.program.signal("TERM");
+    let (status, said) = wall.program.wait();
+    assert_eq!(status.code(), Some(0), "{said}");
+    assert!(stats.is_file(), "the figures are written all the same");
+}
+
+#[test]
 fn dragging_turns_the_model_and_dragging_back_turns_it_back() {
     let wall = Wall::start(&[]);
     let front = wall.hide_overlay();

@@ -17,7 +17,7 @@ use winit::{
 };
 
 use super::{
-    OnShown, Waker, WindowOptions,
+    Call, OnShown, Waker, WindowOptions,
     frame_rate::FrameRate,
     join_hint,
     model_loader::{ModelLoader, name_of},
@@ -218,7 +218,7 @@ impl<'a> App<'a> {
     }
 }
 
-impl ApplicationHandler for App<'_> {
+impl ApplicationHandler<Call> for App<'_> {
     fn resumed(&mut self, event_loop: &ActiveEventLoop) {
         if self.screen.is_none() {
             match self.open(event_loop) {
@@ -228,8 +228,11 @@ impl ApplicationHandler for App<'_> {
         }
     }
 
-    fn user_event(&mut self, event_loop: &ActiveEventLoop, (): ()) {
-        self.look_around(event_loop);
+    fn user_event(&mut self, event_loop: &ActiveEventLoop, call: Call) {
+        match call {
+            Call::Look => self.look_around(event_loop),
+            Call::Close => event_loop.exit(),
+        }
     }
 
     fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
