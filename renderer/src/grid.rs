@@ -2,8 +2,8 @@
 //!
 //! Cells are nested: a dense array of bricks, each a tree of nodes of 4×4×4 children with one bit per child.
 //! A node's mask of occupied children is a macrocell's bit array, so the masks are the macrocell levels.
-//! The finest level has the paper's resolution; a node that holds next to nothing is not divided that far, and one that
-//! holds too much is divided further, so that a detailed object in a large plain scene costs no more than one alone.
+//! The paper's resolution sets the size of the bricks; each is divided only where it holds too much, and there as often
+//! as needed, so that a detailed object in a large plain scene costs no more than one alone.
 //!
 //! In reading order: [`resolution`] says how many cells; [`overlap`] which cells a triangle touches; [`build`] makes
 //! the grid; [`walk`] follows single rays through it, [`packet`] many
@@ -22,8 +22,10 @@ mod walk;
 pub use packet::{InstructionSet, Packet, PacketScratch};
 use resolution::CellSpace;
 
-/// Levels of nodes from a brick down to the cells of the paper's resolution: a brick has 16×16×16 of them.
-const NOMINAL_LEVELS: u32 = 2;
+use crate::traced::TracedMesh;
+
+/// Cells of the paper's resolution along a brick.
+const CELLS_PER_BRICK: u32 = 32;
 
 /// Levels of nodes in a brick at most. Integer coordinates count cells of the deepest level.
 const LEVELS: u32 = 5;
@@ -49,7 +51,7 @@ impl Default for GridOptions {
     }
 }
 
-/// A grid over the triangles of one mesh.
+/// A mesh and a grid over its triangles.
 ///
 /// Invariant: every point of a triangle lies in cells that list it, by a margin of [`overlap::DILATION`] around each
 /// cell; [`walk`] relies on it for rays that pass exactly between cells.
@@ -63,8 +65,9 @@ pub struct Grid {
     nodes: Vec<Node>,
     /// Where each leaf's references begin; one more at the end.
     leaf_starts: Vec<u32>,
-    /// Triangles by their number in the mesh, leaf after leaf, ascending within one.
+    /// Triangles by their place in the mesh, leaf after leaf.
     references: Vec<u32>,
+    mesh: TracedMesh,
 }
 
 /// A cube of 4×4×4 children, child (x, y, z) at bit 16·z + 4·y + x.
@@ -83,6 +86,11 @@ struct Node {
 impl Grid {
     const EMPTY: u32 = u32::MAX;
     const LEAF: u32 = 1 << 31;
+
+    /// The mesh, in the order of the cells.
+    pub fn mesh(&self) -> &TracedMesh {
+        &self.mesh
+    }
 
     /// Bytes of the structure, the mesh not counted.
     pub fn n_bytes(&self) -> usize {

@@ -19,6 +19,7 @@ mod simd;
 mod stage;
 pub mod statue;
 pub mod trace;
+pub mod traced;
 pub mod tracer;
 pub mod triangle;
 pub mod wire;

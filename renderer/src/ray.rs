@@ -24,10 +24,10 @@ impl Ray {
     }
 }
 
-/// The nearest triangle along a ray, as it stands in a hit buffer: eight bytes, little endian.
+/// The nearest triangle along a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
-    /// Its number in the file.
+    /// Which one: within the renderer its place in the [`crate::traced::TracedMesh`], outside its number in the file.
     pub triangle: u32,
     /// Where, in units of the ray's direction.
     pub t: f32,

@@ -5,11 +5,11 @@
 use glam::Vec3;
 use shared::{camera::Camera, division::FrameSize, protocol::View, srgb};
 
-use crate::{mesh::Mesh, ray::Hit};
+use crate::{ray::Hit, traced::TracedMesh};
 
 /// Lights a mesh as seen by one camera: a light at the eye shows form, a sky above it shows which way is up.
 pub struct Shader<'a> {
-    mesh: &'a Mesh,
+    mesh: &'a TracedMesh,
     view: View,
     /// The camera's up, of unit length, in world space.
     up: Vec3,
@@ -32,7 +32,7 @@ const GROUND_LIGHT: Vec3 = Vec3::new(0.055, 0.045, 0.04);
 
 impl<'a> Shader<'a> {
     /// Makes ready for one frame.
-    pub fn new(mesh: &'a Mesh, camera: &Camera, size: FrameSize, view: View) -> Self {
+    pub fn new(mesh: &'a TracedMesh, camera: &Camera, size: FrameSize, view: View) -> Self {
         let [right, up] = [camera.u(), camera.v()].map(|edge| unit(edge.normalize().as_vec3()));
         let towards_eye = unit(right.cross(up));
         Self { mesh, view, up, key: unit(towards_eye + up * 0.9 - right * 0.7), n_rows: size.yres() as f32 }
@@ -45,10 +45,7 @@ impl<'a> Shader<'a> {
             let height = row / self.n_rows;
             return BACKGROUND[0] * (1.0 - height) + BACKGROUND[1] * height;
         }
-        let triangle = hit.triangle as usize;
-        let Some([a, b, c]) = self.mesh.corners(triangle).map(|corners| corners.map(Vec3::from_array)) else {
-            return Vec3::ZERO;
-        };
+        let [a, b, c] = self.mesh.corners(hit.triangle).map(Vec3::from_array);
         let normal = unit((b - a).cross(c - a));
         // Scans are seen from both sides: the normal is turned towards the ray's origin.
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
@@ -59,18 +56,15 @@ impl<'a> Shader<'a> {
                 let key = normal.dot(self.key).max(0.0);
                 let sky = 0.5 + 0.5 * normal.dot(self.up);
                 let light = EYE_LIGHT * eye + KEY_LIGHT * key + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
-                self.albedo(triangle) * light
+                self.albedo(hit.triangle) * light
             }
         }
     }
 
     /// The mean of the corners' colours.
-    fn albedo(&self, triangle: usize) -> Vec3 {
-        if self.mesh.colors.is_empty() {
-            return CLAY;
-        }
-        let colour = |vertex: u32| Vec3::from_array(self.mesh.colors[vertex as usize].map(srgb::decode));
-        let [a, b, c] = self.mesh.triangles[triangle].map(colour);
+    fn albedo(&self, place: u32) -> Vec3 {
+        let Some(colors) = self.mesh.corner_colors(place) else { return CLAY };
+        let [a, b, c] = colors.map(|color| Vec3::from_array(color.map(srgb::decode)));
         (a + b + c) / 3.0
     }
 }
@@ -87,10 +81,17 @@ fn unit(v: Vec3) -> Vec3 {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use glam::DVec3;
 
-    fn shader(mesh: &Mesh, view: View) -> Shader<'_> {
+    use super::*;
+    use crate::mesh::Mesh;
+
+    fn traced(mesh: Mesh) -> TracedMesh {
+        let mut order: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+        TracedMesh::new(mesh, &mut order)
+    }
+
+    fn shader(mesh: &TracedMesh, view: View) -> Shader<'_> {
         let camera = Camera::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap();
         Shader::new(mesh, &camera, FrameSize::PAPER, view)
     }
@@ -105,7 +106,7 @@ mod tests {
 
     #[test]
     fn both_sides_look_alike() {
-        let mesh = facing_mesh();
+        let mesh = traced(facing_mesh());
         for view in View::ALL {
             let shader = shader(&mesh, view);
             let [front, back] = [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, 0.0));
@@ -117,7 +118,7 @@ mod tests {
 
     #[test]
     fn vertex_colours_tint_the_light() {
-        let red = Mesh { colors: vec![[255, 0, 0]; 3], ..facing_mesh() };
+        let red = traced(Mesh { colors: vec![[255, 0, 0]; 3], ..facing_mesh() });
         let light = shader(&red, View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0);
         assert!(light.x > 0.5 && light.y == 0.0 && light.z == 0.0, "{light}");
     }
@@ -127,7 +128,7 @@ mod tests {
         for scale in [1e-18f32, 1e-6, 1.0, 1e6, 1e18] {
             let mut mesh = facing_mesh();
             mesh.vertices.iter_mut().flatten().for_each(|x| *x *= scale);
-            let light = shader(&mesh, View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0);
+            let light = shader(&traced(mesh), View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0);
             assert!(light.is_finite() && light.min_element() > 0.1, "{scale}: {light}");
         }
     }

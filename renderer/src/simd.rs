@@ -71,6 +71,16 @@ pub(crate) trait Simd: Copy {
     const LANES: usize;
     /// Double-precision numbers of the same machine.
     type Double: Real;
+    /// Hints that `slice[index]` will be read soon.
+    #[inline(always)]
+    fn prefetch<T>(slice: &[T], index: usize) {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: a hint, which never faults; SSE is part of the architecture.
+        unsafe {
+            use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+            _mm_prefetch::<_MM_HINT_T0>(slice.as_ptr().wrapping_add(index).cast());
+        }
+    }
     fn splat(x: f32) -> Self;
     /// The first [`Simd::LANES`] numbers of a slice that has as many.
     fn load(from: &[f32]) -> Self;
@@ -80,8 +90,12 @@ pub(crate) trait Simd: Copy {
     fn least(self) -> f32;
     /// The greatest of all.
     fn greatest(self) -> f32;
+    /// As many indices.
+    type Indices: Copy;
+    /// For each corner of the triangles at some places 3 × its vertex. Places must lie inside the mesh.
+    fn corner_offsets(triangles: &[[u32; 3]], places: &[u32; 16]) -> [Self::Indices; 3];
     /// `table[indices[lane]]` for each lane; indices must lie inside the table.
-    fn gather(table: &[f32], indices: &[u32; 16]) -> Self;
+    fn gather(table: &[f32], indices: Self::Indices) -> Self;
     fn add(self, other: Self) -> Self;
     fn sub(self, other: Self) -> Self;
     fn mul(self, other: Self) -> Self;
@@ -138,8 +152,13 @@ impl Simd for Plain {
     fn greatest(self) -> f32 {
         self.0.into_iter().fold(f32::NEG_INFINITY, f32::max)
     }
+    type Indices = [u32; 8];
     #[inline(always)]
-    fn gather(table: &[f32], indices: &[u32; 16]) -> Self {
+    fn corner_offsets(triangles: &[[u32; 3]], places: &[u32; 16]) -> [[u32; 8]; 3] {
+        std::array::from_fn(|corner| std::array::from_fn(|lane| 3 * triangles[places[lane] as usize][corner]))
+    }
+    #[inline(always)]
+    fn gather(table: &[f32], indices: [u32; 8]) -> Self {
         Self(std::array::from_fn(|lane| table[indices[lane] as usize]))
     }
     #[inline(always)]
@@ -227,6 +246,7 @@ mod x86 {
     impl Simd for Avx2 {
         const LANES: usize = 8;
         type Double = Avx2Double;
+        type Indices = __m256i;
         #[inline(always)]
         fn splat(x: f32) -> Self {
             // SAFETY: as above.
@@ -263,13 +283,23 @@ mod x86 {
             }
         }
         #[inline(always)]
-        fn gather(table: &[f32], indices: &[u32; 16]) -> Self {
-            debug_assert!(indices[..8].iter().all(|&index| (index as usize) < table.len()));
+        fn corner_offsets(triangles: &[[u32; 3]], places: &[u32; 16]) -> [__m256i; 3] {
+            let table: *const i32 = triangles.as_ptr().cast();
+            // SAFETY: as above; the caller's places lie inside the mesh.
+            unsafe {
+                let three = _mm256_set1_epi32(3);
+                let first = _mm256_mullo_epi32(_mm256_loadu_si256(places.as_ptr().cast()), three);
+                [
+                    _mm256_mullo_epi32(_mm256_i32gather_epi32::<4>(table, first), three),
+                    _mm256_mullo_epi32(_mm256_i32gather_epi32::<4>(table.add(1), first), three),
+                    _mm256_mullo_epi32(_mm256_i32gather_epi32::<4>(table.add(2), first), three),
+                ]
+            }
+        }
+        #[inline(always)]
+        fn gather(table: &[f32], indices: __m256i) -> Self {
             // SAFETY: as above; the caller's indices lie inside the table.
-            Self(unsafe {
-                let indices = _mm256_loadu_si256(indices.as_ptr().cast());
-                _mm256_i32gather_ps::<4>(table.as_ptr(), indices)
-            })
+            Self(unsafe { _mm256_i32gather_ps::<4>(table.as_ptr(), indices) })
         }
         instructions! {
             add(other) = _mm256_add_ps;
@@ -337,6 +367,7 @@ mod x86 {
     impl Simd for Avx512 {
         const LANES: usize = 16;
         type Double = Avx512Double;
+        type Indices = __m512i;
         #[inline(always)]
         fn splat(x: f32) -> Self {
             // SAFETY: as above.
@@ -365,13 +396,23 @@ mod x86 {
             unsafe { _mm512_reduce_max_ps(self.0) }
         }
         #[inline(always)]
-        fn gather(table: &[f32], indices: &[u32; 16]) -> Self {
-            debug_assert!(indices.iter().all(|&index| (index as usize) < table.len()));
+        fn corner_offsets(triangles: &[[u32; 3]], places: &[u32; 16]) -> [__m512i; 3] {
+            let table: *const i32 = triangles.as_ptr().cast();
+            // SAFETY: as above; the caller's places lie inside the mesh.
+            unsafe {
+                let three = _mm512_set1_epi32(3);
+                let first = _mm512_mullo_epi32(_mm512_loadu_si512(places.as_ptr().cast()), three);
+                [
+                    _mm512_mullo_epi32(_mm512_i32gather_epi32::<4>(first, table), three),
+                    _mm512_mullo_epi32(_mm512_i32gather_epi32::<4>(first, table.add(1)), three),
+                    _mm512_mullo_epi32(_mm512_i32gather_epi32::<4>(first, table.add(2)), three),
+                ]
+            }
+        }
+        #[inline(always)]
+        fn gather(table: &[f32], indices: __m512i) -> Self {
             // SAFETY: as above; the caller's indices lie inside the table.
-            Self(unsafe {
-                let indices = _mm512_loadu_si512(indices.as_ptr().cast());
-                _mm512_i32gather_ps::<4>(indices, table.as_ptr())
-            })
+            Self(unsafe { _mm512_i32gather_ps::<4>(indices, table.as_ptr()) })
         }
         instructions! {
             add(other) = _mm512_add_ps;

@@ -140,6 +140,7 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         scene::load(&source, &|done| progress.set(done))
     });
     let mesh = mesh?.mesh;
+    let (triangles, vertices, rejected) = (mesh.triangles.len(), mesh.vertices.len(), mesh.n_rejected);
     let (scene, build_seconds) = timed(|| {
         let progress = Progress::new("building the grid");
         let options = SceneOptions { grid: GridOptions { density: args.density } };
@@ -166,9 +167,9 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
     }
 
     let report = Report {
-        triangles: scene.mesh().triangles.len(),
-        vertices: scene.mesh().vertices.len(),
-        rejected: scene.mesh().n_rejected,
+        triangles,
+        vertices,
+        rejected,
         load_seconds,
         build_seconds,
         mesh_bytes: scene.mesh().n_bytes(),
@@ -206,7 +207,10 @@ const CANVAS_ASPECT: f64 = 16.0 / 9.0;
 /// The hits and the colours of one frame, row by row from the bottom.
 #[derive(Default)]
 struct Frame {
+    /// With the triangles' numbers in the file, as they are written.
     hits: Vec<Hit>,
+    /// The places of the same triangles in the mesh, for shading.
+    places: Vec<u32>,
     rgb: Vec<u8>,
 }
 
@@ -216,11 +220,14 @@ impl Frame {
         let rays = request.camera.rays(request.size);
         let xres = request.size.xres() as usize;
         self.hits.resize(request.size.n_samples() as usize, Hit::MISS);
+        self.places.resize(self.hits.len(), u32::MAX);
         let total = Mutex::new(Duration::ZERO);
         // A task is a row of tiles: its hits lie together in the frame.
         let rows_of_tiles = shared::division::TILE_SIZE as usize;
         let tiles_per_row = request.size.xres().div_ceil(shared::division::TILE_SIZE);
-        self.hits.par_chunks_mut(xres * rows_of_tiles).enumerate().for_each(|(row, hits)| {
+        let rows_of_hits = self.hits.par_chunks_mut(xres * rows_of_tiles);
+        let rows_of_places = self.places.par_chunks_mut(xres * rows_of_tiles);
+        rows_of_hits.zip(rows_of_places).enumerate().for_each(|(row, (hits, places))| {
             let start = ThreadTime::now();
             let first_j = row as u32 * shared::division::TILE_SIZE;
             let mut tile_hits = Vec::with_capacity(64);
@@ -228,7 +235,8 @@ impl Frame {
                 tile_hits.clear();
                 scene.trace(&rays, share, tile..tile + 1, &mut tile_hits);
                 for ((i, j), &hit) in share.samples(tile).iter().zip(&tile_hits) {
-                    hits[(j - first_j) as usize * xres + i as usize] = hit;
+                    let at = (j - first_j) as usize * xres + i as usize;
+                    (hits[at], places[at]) = (scene.in_file_order(hit), hit.triangle);
                 }
             }
             add_time(&total, start);
@@ -243,10 +251,11 @@ impl Frame {
         let xres = request.size.xres() as usize;
         self.rgb.resize(3 * self.hits.len(), 0);
         let total = Mutex::new(Duration::ZERO);
-        let rows = self.rgb.par_chunks_mut(3 * xres).zip(self.hits.par_chunks(xres));
-        rows.enumerate().for_each(|(j, (rgb, hits))| {
+        let rows = self.rgb.par_chunks_mut(3 * xres).zip(self.hits.par_chunks(xres)).zip(self.places.par_chunks(xres));
+        rows.enumerate().for_each(|(j, ((rgb, hits), places))| {
             let start = ThreadTime::now();
-            for (i, (rgb, &hit)) in rgb.chunks_exact_mut(3).zip(hits).enumerate() {
+            for (i, ((rgb, hit), &triangle)) in rgb.chunks_exact_mut(3).zip(hits).zip(places).enumerate() {
+                let hit = Hit { triangle, t: hit.t };
                 let light = shader.light(rays.direction(i as u32, j as u32), hit, j as f32 + 0.5);
                 rgb.copy_from_slice(&light.to_array().map(shared::srgb::encode));
             }

@@ -14,13 +14,13 @@ use shared::{
 use crate::{
     grid::{Grid, GridOptions, InstructionSet, Packet, PacketScratch},
     mesh::Mesh,
-    ray::{Hit, Ray},
+    ray::Hit,
     shade::Shader,
+    traced::TracedMesh,
 };
 
 /// A mesh with its grid: all that rays need.
 pub struct Scene {
-    mesh: Mesh,
     grid: Grid,
     instructions: InstructionSet,
 }
@@ -49,13 +49,13 @@ impl Scene {
     /// Builds the grid, on the threads of the rayon pool that this is called in.
     /// `progress` is told now and then what part is done, from 0 to 1, from any thread.
     pub fn build(mesh: Mesh, options: &SceneOptions, progress: &(dyn Fn(f32) + Sync)) -> Self {
-        let grid = Grid::build(&mesh, &options.grid, progress);
-        Self { mesh, grid, instructions: InstructionSet::best() }
+        let grid = Grid::build(mesh, &options.grid, progress);
+        Self { grid, instructions: InstructionSet::best() }
     }
 
-    /// The mesh.
-    pub fn mesh(&self) -> &Mesh {
-        &self.mesh
+    /// The mesh, in the grid's order.
+    pub fn mesh(&self) -> &TracedMesh {
+        self.grid.mesh()
     }
 
     /// The grid.
@@ -65,27 +65,23 @@ impl Scene {
 
     /// Triangles that can be hit.
     pub fn n_triangles(&self) -> usize {
-        self.mesh.triangles.len() - self.mesh.n_rejected
+        self.mesh().n_triangles()
     }
 
     /// Bytes of mesh and grid in memory.
     pub fn n_bytes(&self) -> usize {
-        self.mesh.n_bytes() + self.grid.n_bytes()
+        self.mesh().n_bytes() + self.grid.n_bytes()
     }
 
-    /// The nearest triangle along a ray.
-    pub fn intersect(&self, ray: &Ray) -> Hit {
-        self.grid.intersect(&self.mesh, ray)
-    }
-
-    /// Whether a ray hits any triangle.
-    pub fn occluded(&self, ray: &Ray) -> bool {
-        self.grid.occluded(&self.mesh, ray)
+    /// The same hit, with the triangle's number in the file instead of its place in the mesh.
+    #[inline]
+    pub fn in_file_order(&self, hit: Hit) -> Hit {
+        if hit.is_miss() { hit } else { Hit { triangle: self.mesh().number(hit.triangle), ..hit } }
     }
 
     /// What turns the hits of a frame into light.
     pub fn shader(&self, request: &FrameRequest) -> Shader<'_> {
-        Shader::new(&self.mesh, &request.camera, request.size, request.view)
+        Shader::new(self.mesh(), &request.camera, request.size, request.view)
     }
 
     /// Renders the share's units `units` (places in the share, not numbers in the frame), on the calling thread.
@@ -162,7 +158,7 @@ impl Scene {
                 packet.directions[axis][lane] = direction[axis];
             }
         }
-        let in_lanes = self.grid.intersect_packet(&self.mesh, &packet, self.instructions, scratch);
+        let in_lanes = self.grid.intersect_packet(&packet, self.instructions, scratch);
         let mut hits = [Hit::MISS; 64];
         for lane in 0..block.len() {
             hits[place(lane)] = in_lanes[lane];

@@ -9,11 +9,11 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::{
-    BRICK_SIZE, Grid, GridOptions, LEVELS, NOMINAL_LEVELS, Node,
+    BRICK_SIZE, CELLS_PER_BRICK, Grid, GridOptions, LEVELS, Node,
     overlap::{self, DILATION},
     resolution::{CellSpace, resolution},
 };
-use crate::mesh::Mesh;
+use crate::{mesh::Mesh, traced::TracedMesh};
 
 /// Triangles that one task puts into bricks.
 const TRIANGLES_PER_TASK: usize = 1 << 14;
@@ -21,29 +21,27 @@ const TRIANGLES_PER_TASK: usize = 1 << 14;
 /// References that one task divides, and above which the children of one node are divided in parallel.
 const REFERENCES_PER_TASK: usize = 1 << 15;
 
-/// Nodes above the paper's resolution that hold no more than this are not divided.
-const FEW: usize = 2;
-
-/// Cells of the paper's resolution that hold more than this are divided further.
-const MANY: usize = 16;
+/// Cubes that hold no more than this are not divided. Packets test 16 triangles as fast as they find one more leaf, so
+/// the fastest is far above what single rays would like; memory falls with it.
+const LEAF_SIZE: usize = 48;
 
 impl Grid {
-    /// Builds the grid of a mesh. `progress` is told now and then what part is done, from 0 to 1, from any thread.
-    pub fn build(mesh: &Mesh, options: &GridOptions, progress: &(dyn Fn(f32) + Sync)) -> Self {
+    /// Builds the grid of a mesh, and orders the mesh by it. `progress` is told now and then what part is done, from 0 to 1, from any thread.
+    pub fn build(mesh: Mesh, options: &GridOptions, progress: &(dyn Fn(f32) + Sync)) -> Self {
         let bounds = mesh.bounds();
         if bounds.is_empty() {
-            return Self::empty();
+            return Self::empty(mesh);
         }
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
         let corner = |corner: [f32; 3]| Vec3::from_array(corner).as_dvec3();
         let (cells, cell_size) = resolution(corner(bounds.max) - corner(bounds.min), n_triangles, options.density);
 
-        let mut bricks_in_cells = 1 << (2 * NOMINAL_LEVELS);
+        let mut bricks_in_cells = CELLS_PER_BRICK;
         // Room for triangles that each lie in several bricks; large ones are met with larger bricks.
         let most = (4 * n_triangles as u64 + (1 << 16)).min(u64::from(u32::MAX));
         let (builder, counts) = loop {
             let builder = Builder {
-                mesh,
+                mesh: &mesh,
                 space: CellSpace::new(&bounds, cell_size * f64::from(bricks_in_cells) / f64::from(BRICK_SIZE)),
                 dims: cells.map(|n| n.div_ceil(bricks_in_cells)),
                 n_triangles,
@@ -56,10 +54,16 @@ impl Grid {
         progress(0.15);
         let (starts, references) = builder.fill(counts);
         progress(0.3);
-        builder.divide(&starts, references, &|done| progress(0.3 + 0.7 * done))
+        let (space, dims) = (builder.space, builder.dims);
+        let (bricks, piece) = builder.divide(&starts, references, &|done| progress(0.3 + 0.6 * done));
+        let Piece { nodes, leaf_ends, mut references } = piece;
+        let mut leaf_starts = leaf_ends;
+        leaf_starts.insert(0, 0);
+        let mesh = TracedMesh::new(mesh, &mut references);
+        Self { space, dims, bricks, nodes, leaf_starts, references, mesh }
     }
 
-    fn empty() -> Self {
+    fn empty(mesh: Mesh) -> Self {
         Self {
             space: CellSpace::new(&crate::mesh::Aabb { min: [0.0; 3], max: [0.0; 3] }, 1.0),
             dims: [1; 3],
@@ -67,6 +71,7 @@ impl Grid {
             nodes: Vec::new(),
             leaf_starts: vec![0],
             references: Vec::new(),
+            mesh: TracedMesh::new(mesh, &mut []),
         }
     }
 }
@@ -136,7 +141,7 @@ impl Builder<'_> {
         (starts, references)
     }
 
-    fn divide(&self, starts: &[u32], mut references: Vec<u32>, progress: &(dyn Fn(f32) + Sync)) -> Grid {
+    fn divide(&self, starts: &[u32], mut references: Vec<u32>, progress: &(dyn Fn(f32) + Sync)) -> (Vec<u32>, Piece) {
         let total = references.len();
         let mut tasks = Vec::new();
         let mut rest = &mut *references;
@@ -177,17 +182,7 @@ impl Builder<'_> {
                 node => node + offset.node,
             }));
         }
-        let mut leaf_starts = Vec::with_capacity(whole.leaf_ends.len() + 1);
-        leaf_starts.push(0);
-        leaf_starts.append(&mut whole.leaf_ends);
-        Grid {
-            space: self.space,
-            dims: self.dims,
-            bricks,
-            nodes: whole.nodes,
-            leaf_starts,
-            references: whole.references,
-        }
+        (bricks, whole)
     }
 
     /// Adds one brick to a piece of the grid; returns its entry there.
@@ -217,8 +212,7 @@ impl Builder<'_> {
 
     /// Distributes a cube's triangles among its children, if that pays.
     fn plan(&self, references: &[u32], cube: &Cube) -> Option<Plan> {
-        let enough = if cube.level < NOMINAL_LEVELS { FEW } else { MANY };
-        if references.len() <= enough || cube.level == LEVELS {
+        if references.len() <= LEAF_SIZE || cube.level == LEVELS {
             return None;
         }
         let scale = 1.0 / f64::from(cube.child_size());

@@ -10,9 +10,9 @@ use super::packet::Packet;
 #[cfg(target_arch = "x86_64")]
 use crate::simd::{Avx2, Avx512};
 use crate::{
-    mesh::Mesh,
     ray::{Hit, Ray},
     simd::{Plain, Real, Simd},
+    traced::TracedMesh,
     triangle,
 };
 
@@ -28,6 +28,9 @@ const UNDERFLOW_MARGIN: f32 = 1e-36;
 /// Triangles remembered as already tested, a power of two.
 const N_RECENT: usize = 256;
 
+/// Triangles that can wait for their test, a power of two.
+const N_WAITING: usize = 256;
+
 /// The bounds of a group of rays: as many as a vector has lanes.
 #[derive(Clone, Copy, Default)]
 struct Group {
@@ -39,6 +42,7 @@ struct Group {
 
 /// A packet on its way, with the nearest hits so far.
 pub(super) struct Culler<'a> {
+    mesh: &'a TracedMesh,
     triangles: &'a [[u32; 3]],
     /// Coordinates of all vertices.
     coordinates: &'a [f32],
@@ -62,7 +66,7 @@ pub(super) struct Culler<'a> {
     nearest_t: [f64; 64],
     nearest_triangle: [u32; 64],
     /// Triangles that wait until a vector is full.
-    waiting: [u32; 16],
+    waiting: [u32; N_WAITING],
     n_waiting: usize,
     recent: [u32; N_RECENT],
     /// Pairs that wait for a decision: ray and triangle.
@@ -75,6 +79,8 @@ pub(super) struct Culler<'a> {
 /// Triangles made ready for the rays, one in each lane.
 #[repr(align(64))]
 struct Prepared {
+    /// Their places in the mesh.
+    places: [u32; 16],
     /// Normals of the planes through the origin and the three edges.
     normals: [[[f32; 16]; 3]; 3],
     side_margin: [f32; 16],
@@ -88,10 +94,11 @@ struct Prepared {
 impl<'a> Culler<'a> {
     /// Takes a packet whose active rays all have the sign `sign` along `axes[0]`, and duplicates in the other entries.
     #[inline(always)]
-    pub(super) fn new<S: Simd>(mesh: &'a Mesh, packet: &'a Packet, axes: [usize; 3], sign: f32) -> Self {
+    pub(super) fn new<S: Simd>(mesh: &'a TracedMesh, packet: &'a Packet, axes: [usize; 3], sign: f32) -> Self {
         let mut culler = Self {
-            triangles: &mesh.triangles,
-            coordinates: bytemuck::cast_slice(&mesh.vertices),
+            mesh,
+            triangles: mesh.triangles(),
+            coordinates: bytemuck::cast_slice(mesh.vertices()),
             packet,
             axes,
             sign,
@@ -104,7 +111,7 @@ impl<'a> Culler<'a> {
             live: 0,
             nearest_t: [f64::INFINITY; 64],
             nearest_triangle: [u32::MAX; 64],
-            waiting: [0; 16],
+            waiting: [0; N_WAITING],
             n_waiting: 0,
             recent: [u32::MAX; N_RECENT],
             candidates: [(0, 0); 8],
@@ -154,18 +161,38 @@ impl<'a> Culler<'a> {
         self.slopes = bounds;
     }
 
-    /// Tests a triangle soon, unless it was tested lately.
+    /// Whether a ray may pass between these slopes that could still have a nearer hit beyond a depth.
     #[inline(always)]
-    pub(super) fn add<S: Kernel>(&mut self, triangle: u32) {
-        let recent = &mut self.recent[triangle as usize % N_RECENT];
-        if *recent == triangle {
-            return;
+    pub(super) fn passes<S: Simd>(&self, u: [f32; 2], v: [f32; 2]) -> bool {
+        let (u_low, u_high) = (S::splat(u[0] - u[0].abs() * SLOPE_MARGIN), S::splat(u[1] + u[1].abs() * SLOPE_MARGIN));
+        let (v_low, v_high) = (S::splat(v[0] - v[0].abs() * SLOPE_MARGIN), S::splat(v[1] + v[1].abs() * SLOPE_MARGIN));
+        let mut any = 0;
+        for group in 0..64 / S::LANES {
+            let u = S::load(&self.u[group * S::LANES..]);
+            let v = S::load(&self.v[group * S::LANES..]);
+            any |= u_low.up_to(u) & u.up_to(u_high) & v_low.up_to(v) & v.up_to(v_high);
         }
-        *recent = triangle;
-        self.waiting[self.n_waiting] = triangle;
-        self.n_waiting += 1;
-        if self.n_waiting == S::LANES {
-            S::test(self);
+        any != 0
+    }
+
+    /// Tests triangles soon, unless they were tested lately.
+    #[inline(always)]
+    pub(super) fn add<S: Kernel>(&mut self, triangles: &[u32]) {
+        self.touched = true;
+        for some in triangles.chunks(N_WAITING / 2) {
+            if self.n_waiting + some.len() > N_WAITING {
+                S::test(self);
+            }
+            let mut n_waiting = self.n_waiting;
+            for &triangle in some {
+                // Without a branch: whether a triangle was met before cannot be predicted.
+                let recent = &mut self.recent[triangle as usize % N_RECENT];
+                S::prefetch(self.triangles, triangle as usize);
+                self.waiting[n_waiting % N_WAITING] = triangle;
+                n_waiting += usize::from(*recent != triangle);
+                *recent = triangle;
+            }
+            self.n_waiting = n_waiting;
         }
     }
 
@@ -210,20 +237,30 @@ impl<'a> Culler<'a> {
     #[inline(always)]
     fn test_waiting<S: Simd>(&mut self) {
         let mut prepared = Prepared {
+            places: [0; 16],
             normals: [[[0.0; 16]; 3]; 3],
             side_margin: [0.0; 16],
             u: [[0.0; 16]; 2],
             v: [[0.0; 16]; 2],
             depth: [0.0; 16],
         };
-        let triangles_left = self.prepare::<S>(&mut prepared);
+        let n_waiting = self.n_waiting;
         self.n_waiting = 0;
-        if triangles_left == 0 {
-            return;
-        }
-        for group in 0..64 / S::LANES {
-            if self.live >> group & 1 == 1 {
-                self.test_group::<S>(&prepared, triangles_left, group);
+        let mut first = 0;
+        while first < n_waiting {
+            let n = (n_waiting - first).min(S::LANES);
+            for lane in 0..S::LANES {
+                prepared.places[lane] = self.waiting[first + if lane < n { lane } else { 0 }];
+            }
+            first += n;
+            let left = self.prepare::<S>(&mut prepared) & ((1 << n) - 1);
+            if left == 0 {
+                continue;
+            }
+            for group in 0..64 / S::LANES {
+                if self.live >> group & 1 == 1 {
+                    self.test_group::<S>(&prepared, left, group);
+                }
             }
         }
         if self.n_candidates > 0 {
@@ -231,22 +268,16 @@ impl<'a> Culler<'a> {
         }
     }
 
-    /// Gathers the waiting triangles; returns a bit for each that some ray may hit.
+    /// Gathers triangles; returns a bit for each that some ray may hit.
     #[inline(always)]
-    fn prepare<S: Simd>(&mut self, prepared: &mut Prepared) -> u32 {
+    fn prepare<S: Simd>(&self, prepared: &mut Prepared) -> u32 {
         let [k, u, v] = self.axes;
-        let mut indices = [[0; 16]; 3];
-        for lane in 0..S::LANES {
-            let triangle = self.waiting[if lane < self.n_waiting { lane } else { 0 }];
-            for corner in 0..3 {
-                indices[corner][lane] = 3 * self.triangles[triangle as usize][corner];
-            }
-        }
         let mut corners = [[S::splat(0.0); 3]; 3];
         let mut from_origin = corners;
+        let offsets = S::corner_offsets(self.triangles, &prepared.places);
         for corner in 0..3 {
             for axis in 0..3 {
-                corners[corner][axis] = S::gather(&self.coordinates[axis..], &indices[corner]);
+                corners[corner][axis] = S::gather(&self.coordinates[axis..], offsets[corner]);
                 from_origin[corner][axis] = corners[corner][axis].sub(S::splat(self.packet.origin[axis]));
             }
         }
@@ -269,7 +300,7 @@ impl<'a> Culler<'a> {
             & S::splat(u_low).up_to(u_bounds[1])
             & v_bounds[0].up_to(S::splat(v_high))
             & S::splat(v_low).up_to(v_bounds[1]);
-        let left = (within | unbounded) & zero.up_to(farthest) & ((1 << self.n_waiting) - 1);
+        let left = (within | unbounded) & zero.up_to(farthest);
         if left == 0 {
             return 0;
         }
@@ -331,21 +362,13 @@ impl<'a> Culler<'a> {
             return;
         }
         let first = group * S::LANES;
-        let (u, v) = (S::load(&self.u[first..]), S::load(&self.v[first..]));
+        let limits = S::load(&self.limits[first..]);
         let directions = &self.packet.directions;
         let direction =
             [S::load(&directions[0][first..]), S::load(&directions[1][first..]), S::load(&directions[2][first..])];
         while left != 0 {
             let lane = left.trailing_zeros() as usize;
             left &= left - 1;
-            let mut rays = S::splat(prepared.u[0][lane]).up_to(u)
-                & u.up_to(S::splat(prepared.u[1][lane]))
-                & S::splat(prepared.v[0][lane]).up_to(v)
-                & v.up_to(S::splat(prepared.v[1][lane]))
-                & S::splat(prepared.depth[lane]).up_to(S::load(&self.limits[first..]));
-            if rays == 0 {
-                continue;
-            }
             let mut sides = [direction[0]; 3];
             for edge in 0..3 {
                 let normal = &prepared.normals[edge];
@@ -357,11 +380,12 @@ impl<'a> Culler<'a> {
             let margin = prepared.side_margin[lane];
             let low = sides[0].min(sides[1]).min(sides[2]);
             let high = sides[0].max(sides[1]).max(sides[2]);
-            rays &= !(low.below(S::splat(-margin)) & S::splat(margin).below(high));
+            let mut rays = S::splat(prepared.depth[lane]).up_to(limits)
+                & !(low.below(S::splat(-margin)) & S::splat(margin).below(high));
             while rays != 0 {
                 let ray = first + rays.trailing_zeros() as usize;
                 rays &= rays - 1;
-                self.candidates[self.n_candidates] = (ray as u8, self.waiting[lane]);
+                self.candidates[self.n_candidates] = (ray as u8, prepared.places[lane]);
                 self.n_candidates += 1;
                 if self.n_candidates == S::Double::LANES {
                     self.decide::<S>();
@@ -414,8 +438,10 @@ impl<'a> Culler<'a> {
                 }
             }
             let ray = ray as usize;
-            let nearest = (self.nearest_t[ray], self.nearest_triangle[ray]);
-            if range.contains(&t) && (t < nearest.0 || t == nearest.0 && triangle < nearest.1) {
+            let nearest = self.nearest_t[ray];
+            if range.contains(&t)
+                && (t < nearest || t == nearest && self.is_before(triangle, self.nearest_triangle[ray]))
+            {
                 self.nearest_t[ray] = t;
                 self.nearest_triangle[ray] = triangle;
                 let depth = t * f64::from(self.packet.directions[self.axes[0]][ray].abs());
@@ -428,12 +454,17 @@ impl<'a> Culler<'a> {
         self.n_candidates = 0;
     }
 
+    /// Of triangles at the same t the first in the file wins.
+    #[cold]
+    #[inline(never)]
+    fn is_before(&self, triangle: u32, other: u32) -> bool {
+        self.mesh.number(triangle) < self.mesh.number(other)
+    }
+
     #[cold]
     #[inline(never)]
     fn decide_exactly(&self, direction: Vec3, triangle: u32) -> Option<f64> {
-        let vertices: &[[f32; 3]] = bytemuck::cast_slice(self.coordinates);
-        let corners = self.triangles[triangle as usize].map(|vertex| vertices[vertex as usize]);
-        triangle::intersect_exactly(&Ray::new(self.packet.origin, direction), &corners)
+        triangle::intersect_exactly(&Ray::new(self.packet.origin, direction), &self.mesh.corners(triangle))
     }
 }
 

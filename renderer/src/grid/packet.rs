@@ -13,11 +13,11 @@ use glam::Vec3;
 use super::{
     BRICK_SIZE, Grid, LEVELS,
     cull::{Culler, Kernel},
+    overlap::DILATION,
 };
 #[cfg(target_arch = "x86_64")]
 use crate::simd::{Avx2, Avx512};
 use crate::{
-    mesh::Mesh,
     ray::{Hit, Ray},
     simd::Plain,
 };
@@ -86,6 +86,8 @@ impl InstructionSet {
 pub struct PacketScratch {
     /// The nodes that a packet meets in the slab at hand, level by level; the first level has bricks.
     entries: [Vec<Entry>; LEVELS as usize + 1],
+    /// The leaves that a packet meets in the slab at hand.
+    leaves: Vec<u32>,
 }
 
 /// A node within a packet's bounds.
@@ -101,50 +103,49 @@ impl Grid {
     /// The nearest triangle along each ray of a packet; entries of no ray are undefined.
     pub fn intersect_packet(
         &self,
-        mesh: &Mesh,
         packet: &Packet,
         instructions: InstructionSet,
         scratch: &mut PacketScratch,
     ) -> [Hit; 64] {
         let marched = match instructions {
-            InstructionSet::Plain => self.march::<Plain>(mesh, packet, scratch),
+            InstructionSet::Plain => self.march::<Plain>(packet, scratch),
             // SAFETY: the caller names only what `InstructionSet::available` has found.
             #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx2 => unsafe { self.march_avx2(mesh, packet, scratch) },
+            InstructionSet::Avx2 => unsafe { self.march_avx2(packet, scratch) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx512 => unsafe { self.march_avx512(mesh, packet, scratch) },
+            InstructionSet::Avx512 => unsafe { self.march_avx512(packet, scratch) },
         };
         marched.unwrap_or_else(|| {
             std::array::from_fn(|lane| match packet.active >> lane & 1 {
                 0 => Hit::MISS,
-                _ => self.intersect(mesh, &packet.ray(lane)),
+                _ => self.intersect(&packet.ray(lane)),
             })
         })
     }
 
     /// A packet of one ray: slower than following the ray from cell to cell, but right from however far away.
-    pub(super) fn march_alone(&self, mesh: &Mesh, &Ray { origin, direction, t_min, t_max }: &Ray) -> Hit {
+    pub(super) fn march_alone(&self, &Ray { origin, direction, t_min, t_max }: &Ray) -> Hit {
         let directions = direction.to_array().map(|d| [d; 64]);
         let packet = Packet { origin, directions, active: 1, t_min, t_max };
-        self.march::<Plain>(mesh, &packet, &mut PacketScratch::default()).map_or(Hit::MISS, |hits| hits[0])
+        self.march::<Plain>(&packet, &mut PacketScratch::default()).map_or(Hit::MISS, |hits| hits[0])
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn march_avx2(&self, mesh: &Mesh, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
-        self.march::<Avx2>(mesh, packet, scratch)
+    fn march_avx2(&self, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
+        self.march::<Avx2>(packet, scratch)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn march_avx512(&self, mesh: &Mesh, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
-        self.march::<Avx512>(mesh, packet, scratch)
+    fn march_avx512(&self, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
+        self.march::<Avx512>(packet, scratch)
     }
 
     /// The way of a packet, or `None` if its rays do not all advance along one axis.
     #[inline(always)]
-    fn march<S: Kernel>(&self, mesh: &Mesh, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
+    fn march<S: Kernel>(&self, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
         let axis = major_axis(packet)?;
         let axes = [axis, (axis + 1) % 3, (axis + 2) % 3];
         let forward = packet.directions[axis][0] > 0.0;
@@ -152,7 +153,7 @@ impl Grid {
         if !origin.is_finite() {
             return None;
         }
-        let mut culler = Culler::new::<S>(mesh, packet, axes, if forward { 1.0 } else { -1.0 });
+        let mut culler = Culler::new::<S>(&self.mesh, packet, axes, if forward { 1.0 } else { -1.0 });
         let mut frustum = Frustum {
             origin: [origin[axes[0]], origin[axes[1]], origin[axes[2]]],
             forward,
@@ -211,7 +212,18 @@ impl Grid {
                 let Some(bounds) = frustum.cells(near, far) else { continue };
                 let (above, below) = scratch.entries.split_at_mut(level + 1);
                 let children = below.first_mut();
-                self.enter_children::<S>(&mut culler, &above[level], children, axes, quarter as u32, shift, bounds);
+                let narrow = frustum.narrow(near, far, 1 << shift);
+                self.enter_children::<S>(
+                    &mut culler,
+                    &above[level],
+                    children,
+                    axes,
+                    quarter as u32,
+                    shift,
+                    bounds,
+                    narrow,
+                    &mut scratch.leaves,
+                );
                 if level < LEVELS as usize && !below[0].is_empty() {
                     level += 1;
                     (lows[level], steps[level]) = (low, 0);
@@ -250,10 +262,7 @@ impl Grid {
                 if brick & Self::LEAF == 0 {
                     entries.push(Entry { node: brick, u: u << shift, v: v << shift });
                 } else {
-                    culler.touched = true;
-                    for &triangle in self.leaf(brick & !Self::LEAF) {
-                        culler.add::<S>(triangle);
-                    }
+                    culler.add::<S>(self.leaf(brick & !Self::LEAF));
                 }
             }
         }
@@ -271,11 +280,14 @@ impl Grid {
         quarter: u32,
         shift: u32,
         bounds: CellBounds,
+        narrow: Option<Narrow<'_>>,
+        found: &mut Vec<u32>,
     ) {
         // The deepest nodes have leaves only, so what is pushed for them is nothing.
         let mut none = Vec::new();
         let children = children.unwrap_or(&mut none);
         children.clear();
+        found.clear();
         let slab = PLANES[axes[0]] << (quarter << (2 * axes[0]));
         for entry in entries {
             let node = &self.nodes[entry.node as usize];
@@ -286,16 +298,21 @@ impl Grid {
             }
             let within = slab & planes(axes[1], u[0].max(0), u[1].min(3)) & planes(axes[2], v[0].max(0), v[1].min(3));
             let mut leaves = node.occupied & !node.divided & within;
-            if leaves != 0 {
-                culler.touched = true;
-            }
             while leaves != 0 {
+                let bit = leaves.trailing_zeros();
                 let before = (leaves & leaves.wrapping_neg()) - 1;
                 leaves &= leaves - 1;
-                let leaf = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
-                for &triangle in self.leaf(leaf) {
-                    culler.add::<S>(triangle);
+                if let Some(cells) = &narrow {
+                    let u = entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32;
+                    let v = entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32;
+                    let size = f64::from(1u32 << shift);
+                    if !culler.passes::<S>(cells.slopes(0, u, size), cells.slopes(1, v, size)) {
+                        continue;
+                    }
                 }
+                let leaf = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
+                S::prefetch(&self.leaf_starts, leaf as usize);
+                found.push(leaf);
             }
             let mut nodes = node.divided & within;
             while nodes != 0 {
@@ -308,6 +325,13 @@ impl Grid {
                     v: entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32,
                 });
             }
+        }
+        // One after the other, so that memory is waited for only once.
+        for &leaf in &*found {
+            S::prefetch(&self.references, self.leaf_starts[leaf as usize] as usize);
+        }
+        for &leaf in &*found {
+            culler.add::<S>(self.leaf(leaf));
         }
     }
 }
@@ -406,7 +430,18 @@ impl Frustum {
             return None;
         }
         let last = self.size[axis] as i32 - 1;
-        Some([(from.floor() as i32).clamp(0, last), (to.floor() as i32).clamp(0, last)])
+        Some([(from.max(0.0) as i32).min(last), (to as i32).min(last)])
+    }
+
+    /// A slab in which cells of this size may slip between the rays.
+    #[inline(always)]
+    fn narrow(&self, near: f64, far: f64, size: u32) -> Option<Narrow<'_>> {
+        let width = f64::from(self.slopes[1] - self.slopes[0]) * near;
+        (near > f64::from(size) * 1e-3 && width > NARROW * f64::from(size)).then(|| Narrow {
+            frustum: self,
+            nearer: 1.0 / near,
+            farther: 1.0 / far,
+        })
     }
 
     /// A depth before which the frustum does not meet the grid.
@@ -426,5 +461,31 @@ impl Frustum {
             depth = depth.max(if slope > 0.0 { distance / slope } else { f64::INFINITY });
         }
         (depth * (1.0 - 1e-9) - self.margin).max(0.0)
+    }
+}
+
+/// How many cells must fit across a packet before it pays to look for cells between its rays.
+const NARROW: f64 = 2.0;
+
+/// A slab that lies wholly before the origin.
+#[derive(Clone, Copy)]
+struct Narrow<'a> {
+    frustum: &'a Frustum,
+    /// Inverse depths of its sides.
+    nearer: f64,
+    farther: f64,
+}
+
+impl Narrow<'_> {
+    /// The slopes between which a cell of the slab is seen, from its lowest place along u (0) or v (1).
+    #[inline(always)]
+    fn slopes(&self, axis: usize, low: i32, size: f64) -> [f32; 2] {
+        let margin = DILATION + self.frustum.margin;
+        let low = f64::from(low) - self.frustum.origin[axis + 1];
+        let (low, high) = (low - margin, low + size + margin);
+        [
+            (low * if low < 0.0 { self.nearer } else { self.farther }) as f32,
+            (high * if high < 0.0 { self.farther } else { self.nearer }) as f32,
+        ]
     }
 }

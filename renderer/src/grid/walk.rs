@@ -6,7 +6,6 @@
 
 use super::{BRICK_SIZE, Grid, LEVELS, overlap};
 use crate::{
-    mesh::Mesh,
     ray::{Hit, Ray},
     triangle,
 };
@@ -20,18 +19,16 @@ struct Nearest {
 
 impl Grid {
     /// The nearest triangle along a ray; of several at the same t the first in the file.
-    pub fn intersect(&self, mesh: &Mesh, ray: &Ray) -> Hit {
+    pub fn intersect(&self, ray: &Ray) -> Hit {
         if self.is_far(ray) {
-            return self.march_alone(mesh, ray);
+            return self.march_alone(ray);
         }
         let mut nearest = Nearest { triangle: u32::MAX, t: f64::INFINITY };
         self.walk(ray, |references, t_exit| {
             for &triangle in references {
-                let Some(t) = mesh.corners(triangle as usize).and_then(|corners| triangle::intersect(ray, &corners))
-                else {
-                    continue;
-                };
-                if t < nearest.t || (t == nearest.t && triangle < nearest.triangle) {
+                let Some(t) = triangle::intersect(ray, &self.mesh.corners(triangle)) else { continue };
+                let number = |place| self.mesh.number(place);
+                if t < nearest.t || (t == nearest.t && number(triangle) < number(nearest.triangle)) {
                     nearest = Nearest { triangle, t };
                 }
             }
@@ -41,15 +38,14 @@ impl Grid {
     }
 
     /// Whether a ray hits any triangle.
-    pub fn occluded(&self, mesh: &Mesh, ray: &Ray) -> bool {
+    pub fn occluded(&self, ray: &Ray) -> bool {
         if self.is_far(ray) {
-            return !self.march_alone(mesh, ray).is_miss();
+            return !self.march_alone(ray).is_miss();
         }
         let mut occluded = false;
         self.walk(ray, |references, _| {
-            occluded = references.iter().any(|&triangle| {
-                mesh.corners(triangle as usize).is_some_and(|corners| triangle::intersect(ray, &corners).is_some())
-            });
+            let hits = |&triangle: &u32| triangle::intersect(ray, &self.mesh.corners(triangle)).is_some();
+            occluded = references.iter().any(hits);
             occluded
         });
         occluded
