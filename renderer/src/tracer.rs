@@ -92,7 +92,11 @@ impl Scene {
         let rays = request.camera.rays(request.size);
         let shader = self.shader(request);
         let mut scratch = PacketScratch::default();
-        for_each_block(share, units, |block| {
+        let samples: Vec<_> = units.clone().flat_map(|unit| share.samples(unit).iter()).collect();
+        let first = rgb.len();
+        rgb.resize(first + 3 * samples.len(), 0);
+        let (pixels, _) = rgb[first..].as_chunks_mut::<3>();
+        for_each_block(share, units, &samples, |block, places| {
             let mut lights = [Vec3::ZERO; 64];
             for index in 0..request.samples.count {
                 let sample = request.samples.first.wrapping_add(index);
@@ -102,8 +106,8 @@ impl Scene {
                     lights[lane] += shader.light(directions[lane], hits[lane], y);
                 }
             }
-            for light in &lights[..block.len()] {
-                rgb.extend((*light / request.samples.count as f32).to_array().map(srgb::encode));
+            for (light, place) in lights.iter().zip(places) {
+                pixels[place] = (*light / request.samples.count as f32).to_array().map(srgb::encode);
             }
         });
     }
@@ -125,8 +129,14 @@ impl Scene {
     /// the order of [`Share::samples`].
     pub fn trace(&self, rays: &CameraRays, share: &Share<'_>, units: Range<u32>, hits: &mut Vec<Hit>) {
         let mut scratch = PacketScratch::default();
-        for_each_block(share, units, |block| {
-            hits.extend_from_slice(&self.trace_block(rays, block, 0, &mut scratch).1[..block.len()]);
+        let samples: Vec<_> = units.clone().flat_map(|unit| share.samples(unit).iter()).collect();
+        let first = hits.len();
+        hits.resize(first + samples.len(), Hit::MISS);
+        for_each_block(share, units, &samples, |block, places| {
+            let (_, of_block) = self.trace_block(rays, block, 0, &mut scratch);
+            for (hit, place) in of_block.into_iter().zip(places) {
+                hits[first + place] = hit;
+            }
         });
     }
 
@@ -180,19 +190,49 @@ const QUARTERS: [usize; 64] = {
     places
 };
 
-/// Calls `visit` with the samples of the units, in order, in blocks of at most 64: a tile, or as many single samples.
-fn for_each_block(share: &Share<'_>, units: Range<u32>, mut visit: impl FnMut(&[(u32, u32)])) {
-    let mut block = Vec::with_capacity(64);
-    for unit in units {
-        let samples = share.samples(unit);
-        if block.len() + samples.count() as usize > 64 {
-            visit(&block);
-            block.clear();
+/// Calls `visit` with blocks of at most 64 samples that lie close together, and with their places among `samples`, which
+/// are those of `units` in order: a tile is a block; single samples are gathered from patches of the frame.
+fn for_each_block(
+    share: &Share<'_>,
+    units: Range<u32>,
+    samples: &[(u32, u32)],
+    mut visit: impl FnMut(&[(u32, u32)], &mut dyn Iterator<Item = usize>),
+) {
+    let (Some(&(_, first_row)), Some(&(_, last_row))) = (samples.first(), samples.last()) else { return };
+    if samples.len() > units.len() {
+        let mut place = 0;
+        for n_samples in units.map(|unit| share.samples(unit).count() as usize) {
+            visit(&samples[place..place + n_samples], &mut (place..place + n_samples));
+            place += n_samples;
         }
-        block.extend(samples.iter());
+        return;
     }
-    if !block.is_empty() {
-        visit(&block);
+    // A patch holds about 64 samples of the share and is as square as the rows at hand allow. Patches are numbered row
+    // by row from the first row at hand; samples are brought into their order by counting.
+    let area = share.spread().saturating_mul(64);
+    let height = area.isqrt().clamp(1, last_row.abs_diff(first_row) + 1);
+    let width = (area / height).max(1);
+    let patches_per_row = share.units().size().xres().div_ceil(width);
+    let patch = |(i, j): (u32, u32)| (j.abs_diff(first_row) / height * patches_per_row + i / width) as usize;
+    let n_patches = samples.iter().map(|&sample| patch(sample) + 1).max().unwrap_or(0);
+    let mut ends = vec![0; n_patches + 1];
+    samples.iter().for_each(|&sample| ends[patch(sample) + 1] += 1);
+    (0..n_patches).for_each(|index| ends[index + 1] += ends[index]);
+    let mut places = vec![0; samples.len()];
+    for (place, &sample) in samples.iter().enumerate() {
+        let end = &mut ends[patch(sample)];
+        places[*end] = place;
+        *end += 1;
+    }
+    let mut block = Vec::with_capacity(64);
+    let mut first = 0;
+    for &end in &ends[..n_patches] {
+        for places in places[first..end].chunks(64) {
+            block.clear();
+            block.extend(places.iter().map(|&place| samples[place]));
+            visit(&block, &mut places.iter().copied());
+        }
+        first = end;
     }
 }
 

@@ -166,6 +166,11 @@ pub struct Units {
 }
 
 impl Units {
+    /// The frame's size.
+    pub fn size(self) -> FrameSize {
+        self.size
+    }
+
     /// How many units the frame has.
     pub fn count(self) -> u32 {
         match self.kind {
@@ -377,6 +382,14 @@ impl Share<'_> {
     /// The frame's units, of which this share holds some.
     pub fn units(&self) -> Units {
         self.units
+    }
+
+    /// How many of the frame's samples there are to each of this share's, where it has any: 1 within tiles.
+    pub fn spread(&self) -> u32 {
+        match (&self.source, self.units.kind) {
+            (Source::Strided { step, .. }, UnitKind::Sample) => step.saturating_mul(self.part.parts),
+            _ => 1,
+        }
     }
 
     /// The frame's number of the share's `k`-th unit; `k` must be below [`Share::count`].
