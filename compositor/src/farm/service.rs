@@ -61,6 +61,8 @@ pub(super) struct Service {
     scheduler: Scheduler,
     nodes: BTreeMap<NodeId, Node>,
     frames: HashMap<FrameId, OpenFrame>,
+    /// When the camera of the last frame was set.
+    last_moved_at: Option<Instant>,
 }
 
 impl Service {
@@ -72,7 +74,17 @@ impl Service {
     ) -> Self {
         let scheduler = Scheduler::new(for_scheduler(&wanted.borrow_and_update()));
         let started_at = Instant::now();
-        Self { started_at, wanted, status, finished, wake, scheduler, nodes: BTreeMap::new(), frames: HashMap::new() }
+        Self {
+            started_at,
+            wanted,
+            status,
+            finished,
+            wake,
+            scheduler,
+            nodes: BTreeMap::new(),
+            frames: HashMap::new(),
+            last_moved_at: None,
+        }
     }
 
     /// Runs until the task is aborted or the wall is gone.
@@ -208,6 +220,9 @@ impl Service {
             Action::Open { frame, picture } => {
                 let buffer = Arc::new(FrameBuffer::new(picture.size));
                 let moved_at = self.wanted.borrow().moved_at;
+                // A frame that no motion asked for is as old as its beginning.
+                let is_first_since = self.last_moved_at.replace(moved_at) != Some(moved_at);
+                let moved_at = if is_first_since { moved_at } else { Instant::now() };
                 self.frames.insert(frame, OpenFrame { picture, buffer, moved_at, bytes_out: HashMap::new() });
             }
             Action::Render { node, frame, work_id, picture, work } => {
