@@ -1,21 +1,21 @@
 //! `renderer trace`: traces frames without a network, and measures them.
 
+mod cameras;
+mod frame;
+
 use std::{
     num::{NonZero, ParseFloatError},
     path::{Path, PathBuf},
-    sync::Mutex,
     time::{Duration, Instant},
 };
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
-use cpu_time::ThreadTime;
 use glam::Vec3;
-use rayon::prelude::*;
 use serde::Serialize;
 use shared::{
     camera::{Camera, UpAxis},
-    division::{Division, FrameSize, Share},
+    division::FrameSize,
     protocol::{SampleRange, View},
 };
 
@@ -23,11 +23,12 @@ use crate::{
     grid::GridOptions,
     image,
     progress::Progress,
-    ray::Hit,
     scene::{self, SceneSource},
     statue,
     tracer::{FrameRequest, Scene, SceneOptions},
 };
+
+use frame::Frame;
 
 /// What to trace, and what to write.
 #[derive(Args, Debug)]
@@ -44,6 +45,19 @@ pub struct TraceArgs {
     /// A camera file with eye, ll, u and v; without it the whole model is seen
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
+
+    /// Trace one frame for each camera file whose path stands on a line of standard input, and answer each with a line
+    /// of JSON; the only value is -
+    #[arg(long, value_name = "-", conflicts_with_all = ["camera", "frames", "image", "hits"])]
+    cameras: Option<String>,
+
+    /// Also trace a ray from each hit to the light
+    #[arg(long)]
+    shadow_rays: bool,
+
+    /// Where the light of the shadow rays stands, in world space
+    #[arg(long, value_name = "X,Y,Z", default_value = "3,5,4", value_parser = point, allow_negative_numbers = true)]
+    light: Vec3,
 
     /// Which axis of the model points up, when the whole model is seen: x, y or z
     #[arg(long, value_name = "AXIS", default_value = "y")]
@@ -93,6 +107,14 @@ fn density(text: &str) -> Result<f64, String> {
     }
 }
 
+fn point(text: &str) -> Result<Vec3, String> {
+    let numbers: Result<Vec<f32>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+    match numbers.as_deref() {
+        Ok(&[x, y, z]) if x.is_finite() && y.is_finite() && z.is_finite() => Ok(Vec3::new(x, y, z)),
+        _ => Err("a point is three finite numbers, as in 3,5,4".to_owned()),
+    }
+}
+
 /// What was measured. Times of frames are in milliseconds, one entry per frame.
 #[derive(Debug, Serialize)]
 struct Report {
@@ -106,7 +128,11 @@ struct Report {
     /// `None` where the system does not tell.
     peak_rss_bytes: Option<u64>,
     hits: usize,
-    /// Samples of a frame over the median of `frame_ms`.
+    /// Rays from hits to the light.
+    shadow_rays: usize,
+    /// Hits that the light does not reach.
+    shadowed: usize,
+    /// Rays of a frame over the median of `frame_ms`.
     mrays_per_second: f64,
     /// Wall time of tracing.
     frame_ms: Vec<f64>,
@@ -130,6 +156,10 @@ pub fn run(args: &TraceArgs) -> Result<()> {
 
 fn run_in_pool(args: &TraceArgs) -> Result<()> {
     // What is asked for is checked before a large model is read.
+    if let Some(source) = &args.cameras {
+        ensure!(source == "-", "--cameras {source}: cameras are only read from standard input, which is written as -");
+    }
+    let light = args.shadow_rays.then_some(args.light);
     let camera = args.camera.as_deref().map(read_camera).transpose()?;
     let (source, name) = match &args.model {
         Some(path) => (SceneSource::Ply(path.clone()), path.display().to_string()),
@@ -153,16 +183,17 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         Camera::view_all(min, max, args.up, CANVAS_ASPECT)
     });
     let request = FrameRequest { camera, size: args.size, view: args.view, samples: SampleRange::CENTRE };
-    let work = Division::Tiled.work(0, 1);
-    let share = work.share(args.size)?;
+    if args.cameras.is_some() {
+        return cameras::run(&scene, &request, light, std::io::stdin().lock(), std::io::stdout().lock());
+    }
 
     let (mut frame_ms, mut frame_cpu_ms, mut shade_cpu_ms) = (Vec::new(), Vec::new(), Vec::new());
     let mut frame = Frame::default();
+    let mut cost = frame::Cost::default();
     for _ in 0..args.frames {
-        let start = Instant::now();
-        let trace_cpu = frame.trace(&scene, &request, &share);
-        frame_ms.push(milliseconds(start.elapsed()));
-        frame_cpu_ms.push(milliseconds(trace_cpu));
+        cost = frame.trace(&scene, &request, light);
+        frame_ms.push(milliseconds(cost.wall));
+        frame_cpu_ms.push(milliseconds(cost.cpu));
         shade_cpu_ms.push(milliseconds(frame.shade(&scene, &request)));
     }
 
@@ -175,8 +206,10 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         mesh_bytes: scene.mesh().n_bytes(),
         structure_bytes: scene.grid().n_bytes(),
         peak_rss_bytes: peak_rss_bytes(),
-        hits: frame.hits.iter().filter(|hit| !hit.is_miss()).count(),
-        mrays_per_second: f64::from(args.size.n_samples()) / median(&frame_ms) / 1e3,
+        hits: frame.n_hits(),
+        shadow_rays: cost.n_shadow_rays,
+        shadowed: cost.n_shadowed,
+        mrays_per_second: (args.size.n_samples() as usize + cost.n_shadow_rays) as f64 / median(&frame_ms) / 1e3,
         frame_ms,
         frame_cpu_ms,
         shade_cpu_ms,
@@ -203,73 +236,6 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
 
 /// The wall's canvas is 16:9 whatever the number of samples on it.
 const CANVAS_ASPECT: f64 = 16.0 / 9.0;
-
-/// The hits and the colours of one frame, row by row from the bottom.
-#[derive(Default)]
-struct Frame {
-    /// With the triangles' numbers in the file, as they are written.
-    hits: Vec<Hit>,
-    /// The places of the same triangles in the mesh, for shading.
-    places: Vec<u32>,
-    rgb: Vec<u8>,
-}
-
-impl Frame {
-    /// Traces all samples; returns the CPU time of all threads.
-    fn trace(&mut self, scene: &Scene, request: &FrameRequest, share: &Share<'_>) -> Duration {
-        let rays = request.camera.rays(request.size);
-        let xres = request.size.xres() as usize;
-        self.hits.resize(request.size.n_samples() as usize, Hit::MISS);
-        self.places.resize(self.hits.len(), u32::MAX);
-        let total = Mutex::new(Duration::ZERO);
-        // A task is a row of tiles: its hits lie together in the frame.
-        let rows_of_tiles = shared::division::TILE_SIZE as usize;
-        let tiles_per_row = request.size.xres().div_ceil(shared::division::TILE_SIZE);
-        let rows_of_hits = self.hits.par_chunks_mut(xres * rows_of_tiles);
-        let rows_of_places = self.places.par_chunks_mut(xres * rows_of_tiles);
-        rows_of_hits.zip(rows_of_places).enumerate().for_each(|(row, (hits, places))| {
-            let start = ThreadTime::now();
-            let first_j = row as u32 * shared::division::TILE_SIZE;
-            let mut tile_hits = Vec::with_capacity(64);
-            for tile in row as u32 * tiles_per_row..(row as u32 + 1) * tiles_per_row {
-                tile_hits.clear();
-                scene.trace(&rays, share, tile..tile + 1, &mut tile_hits);
-                for ((i, j), &hit) in share.samples(tile).iter().zip(&tile_hits) {
-                    let at = (j - first_j) as usize * xres + i as usize;
-                    (hits[at], places[at]) = (scene.in_file_order(hit), hit.triangle);
-                }
-            }
-            add_time(&total, start);
-        });
-        total.into_inner().unwrap_or_default()
-    }
-
-    /// Shades all hits; returns the CPU time of all threads.
-    fn shade(&mut self, scene: &Scene, request: &FrameRequest) -> Duration {
-        let rays = request.camera.rays(request.size);
-        let shader = scene.shader(request);
-        let xres = request.size.xres() as usize;
-        self.rgb.resize(3 * self.hits.len(), 0);
-        let total = Mutex::new(Duration::ZERO);
-        let rows = self.rgb.par_chunks_mut(3 * xres).zip(self.hits.par_chunks(xres)).zip(self.places.par_chunks(xres));
-        rows.enumerate().for_each(|(j, ((rgb, hits), places))| {
-            let start = ThreadTime::now();
-            for (i, ((rgb, hit), &triangle)) in rgb.chunks_exact_mut(3).zip(hits).zip(places).enumerate() {
-                let hit = Hit { triangle, t: hit.t };
-                let light = shader.light(rays.direction(i as u32, j as u32), hit, j as f32 + 0.5);
-                rgb.copy_from_slice(&light.to_array().map(shared::srgb::encode));
-            }
-            add_time(&total, start);
-        });
-        total.into_inner().unwrap_or_default()
-    }
-}
-
-fn add_time(total: &Mutex<Duration>, start: ThreadTime) {
-    if let Ok(mut total) = total.lock() {
-        *total += start.elapsed();
-    }
-}
 
 /// Reads and checks a camera file.
 pub fn read_camera(path: &Path) -> Result<Camera> {

@@ -1,0 +1,136 @@
+//! One whole frame, traced and shaded in parallel, with the CPU time that it took.
+
+use std::{
+    sync::Mutex,
+    time::{Duration, Instant},
+};
+
+use cpu_time::ThreadTime;
+use glam::Vec3;
+use rayon::prelude::*;
+use shared::{
+    camera::CameraRays,
+    division::{Division, TILE_SIZE},
+    srgb,
+};
+
+use crate::{
+    ray::{Hit, Ray},
+    tracer::{FrameRequest, Scene},
+};
+
+/// The hits and the colours of one frame, row by row from the bottom.
+#[derive(Default)]
+pub(super) struct Frame {
+    /// With the triangles' numbers in the file, as they are written.
+    pub(super) hits: Vec<Hit>,
+    /// The places of the same triangles in the mesh, for shading.
+    places: Vec<u32>,
+    /// Colours, sRGB-encoded.
+    pub(super) rgb: Vec<u8>,
+}
+
+/// What tracing a frame took.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Cost {
+    /// Wall time.
+    pub(super) wall: Duration,
+    /// CPU time of all threads.
+    pub(super) cpu: Duration,
+    /// Shadow rays that were traced.
+    pub(super) n_shadow_rays: usize,
+    /// Hits that the light does not reach, because they face away from it or something is in between.
+    pub(super) n_shadowed: usize,
+}
+
+impl Frame {
+    /// Traces all samples, and from each hit a shadow ray to the light if there is one.
+    pub(super) fn trace(&mut self, scene: &Scene, request: &FrameRequest, light: Option<Vec3>) -> Cost {
+        let rays = request.camera.rays(request.size);
+        let xres = request.size.xres() as usize;
+        let work = Division::Tiled.work(0, 1);
+        let Ok(share) = work.share(request.size) else { return Cost::default() };
+        self.hits.resize(request.size.n_samples() as usize, Hit::MISS);
+        self.places.resize(self.hits.len(), u32::MAX);
+
+        let start = Instant::now();
+        let total = Mutex::new(Cost::default());
+        // A task is a row of tiles: its hits lie together in the frame.
+        let tiles_per_row = request.size.xres().div_ceil(TILE_SIZE);
+        let samples_per_row = xres * TILE_SIZE as usize;
+        let rows = self.hits.par_chunks_mut(samples_per_row).zip(self.places.par_chunks_mut(samples_per_row));
+        rows.enumerate().for_each(|(row, (hits, places))| {
+            let start = ThreadTime::now();
+            let mut cost = Cost::default();
+            let first_j = row as u32 * TILE_SIZE;
+            let mut tile_hits = Vec::with_capacity(64);
+            for tile in row as u32 * tiles_per_row..(row as u32 + 1) * tiles_per_row {
+                tile_hits.clear();
+                scene.trace(&rays, &share, tile..tile + 1, &mut tile_hits);
+                for ((i, j), &hit) in share.samples(tile).iter().zip(&tile_hits) {
+                    let at = (j - first_j) as usize * xres + i as usize;
+                    (hits[at], places[at]) = (scene.in_file_order(hit), hit.triangle);
+                    if let Some(light) = light.filter(|_| !hit.is_miss()) {
+                        cost.trace_shadow(scene, &rays, rays.direction(i, j), hit, light);
+                    }
+                }
+            }
+            cost.cpu = start.elapsed();
+            add(&total, cost);
+        });
+        Cost { wall: start.elapsed(), ..total.into_inner().unwrap_or_default() }
+    }
+
+    /// Shades all hits; returns the CPU time of all threads.
+    pub(super) fn shade(&mut self, scene: &Scene, request: &FrameRequest) -> Duration {
+        let rays = request.camera.rays(request.size);
+        let shader = scene.shader(request);
+        let xres = request.size.xres() as usize;
+        self.rgb.resize(3 * self.hits.len(), 0);
+        let total = Mutex::new(Cost::default());
+        let rows = self.rgb.par_chunks_mut(3 * xres).zip(self.hits.par_chunks(xres)).zip(self.places.par_chunks(xres));
+        rows.enumerate().for_each(|(j, ((rgb, hits), places))| {
+            let start = ThreadTime::now();
+            for (i, ((rgb, hit), &triangle)) in rgb.chunks_exact_mut(3).zip(hits).zip(places).enumerate() {
+                let hit = Hit { triangle, t: hit.t };
+                let light = shader.light(rays.direction(i as u32, j as u32), hit, j as f32 + 0.5);
+                rgb.copy_from_slice(&light.to_array().map(srgb::encode));
+            }
+            add(&total, Cost { cpu: start.elapsed(), ..Cost::default() });
+        });
+        total.into_inner().unwrap_or_default().cpu
+    }
+
+    /// How many samples hit something.
+    pub(super) fn n_hits(&self) -> usize {
+        self.hits.iter().filter(|hit| !hit.is_miss()).count()
+    }
+}
+
+impl Cost {
+    /// A shadow ray by the convention of the peers that Raywall is measured against: from the hit to the light, any hit
+    /// with t in 1e-4..1 counts, and a surface that faces away from the light is dark without a ray.
+    fn trace_shadow(&mut self, scene: &Scene, rays: &CameraRays, direction: Vec3, hit: Hit, light: Vec3) {
+        let origin = rays.eye + direction * hit.t;
+        let to_light = light - origin;
+        let [a, b, c] = scene.mesh().corners(hit.triangle).map(Vec3::from_array);
+        let normal = (b - a).cross(c - a);
+        let faces_eye = normal.dot(direction) < 0.0;
+        let cosine = normal.dot(to_light);
+        if (faces_eye && cosine <= 0.0) || (!faces_eye && cosine >= 0.0) {
+            self.n_shadowed += 1;
+            return;
+        }
+        self.n_shadow_rays += 1;
+        let ray = Ray { origin, direction: to_light, t_min: 1e-4, t_max: 1.0 };
+        self.n_shadowed += usize::from(scene.grid().occluded(&ray));
+    }
+}
+
+fn add(total: &Mutex<Cost>, cost: Cost) {
+    if let Ok(mut total) = total.lock() {
+        total.cpu += cost.cpu;
+        total.n_shadow_rays += cost.n_shadow_rays;
+        total.n_shadowed += cost.n_shadowed;
+    }
+}
