@@ -6,12 +6,14 @@
 //! as needed, so that a detailed object in a large plain scene costs no more than one alone.
 //!
 //! In reading order: [`resolution`] says how many cells; [`overlap`] which cells a triangle touches; [`build`] makes
-//! the grid; [`walk`] follows single rays through it, [`packet`] many
-//! together, whose triangles [`cull`] sorts out.
+//! the grid; [`walk`] follows single rays through it with [`filter`] before each
+//! leaf, [`packet`] follows many rays together, whose triangles [`cull`] sorts out.
 
 mod build;
 #[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
 mod cull;
+#[expect(clippy::needless_range_loop, reason = "an axis or a corner indexes several arrays at once")]
+mod filter;
 mod overlap;
 mod packet;
 mod resolution;
@@ -68,6 +70,7 @@ pub struct Grid {
     /// Triangles by their place in the mesh, leaf after leaf.
     references: Vec<u32>,
     mesh: TracedMesh,
+    instructions: InstructionSet,
 }
 
 /// A cube of 4×4×4 children, child (x, y, z) at bit 16·z + 4·y + x.
@@ -86,6 +89,16 @@ struct Node {
 impl Grid {
     const EMPTY: u32 = u32::MAX;
     const LEAF: u32 = 1 << 31;
+
+    /// The same grid, followed with other instructions: for tests and measurements. They change no hit.
+    ///
+    /// Panics if this machine does not have them.
+    #[must_use]
+    pub fn with_instructions(mut self, instructions: InstructionSet) -> Self {
+        assert!(InstructionSet::available().contains(&instructions), "this machine has no {instructions:?}");
+        self.instructions = instructions;
+        self
+    }
 
     /// The mesh, in the order of the cells.
     pub fn mesh(&self) -> &TracedMesh {

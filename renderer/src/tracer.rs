@@ -12,7 +12,7 @@ use shared::{
 };
 
 use crate::{
-    grid::{Grid, GridOptions, InstructionSet, Packet, PacketScratch},
+    grid::{Grid, GridOptions, Packet, PacketScratch},
     mesh::Mesh,
     ray::Hit,
     shade::Shader,
@@ -22,7 +22,6 @@ use crate::{
 /// A mesh with its grid: all that rays need.
 pub struct Scene {
     grid: Grid,
-    instructions: InstructionSet,
 }
 
 /// How a scene is made ready.
@@ -50,7 +49,7 @@ impl Scene {
     /// `progress` is told now and then what part is done, from 0 to 1, from any thread.
     pub fn build(mesh: Mesh, options: &SceneOptions, progress: &(dyn Fn(f32) + Sync)) -> Self {
         let grid = Grid::build(mesh, &options.grid, progress);
-        Self { grid, instructions: InstructionSet::best() }
+        Self { grid }
     }
 
     /// The mesh, in the grid's order.
@@ -168,7 +167,7 @@ impl Scene {
                 packet.directions[axis][lane] = direction[axis];
             }
         }
-        let in_lanes = self.grid.intersect_packet(&packet, self.instructions, scratch);
+        let in_lanes = self.grid.intersect_packet(&packet, scratch);
         let mut hits = [Hit::MISS; 64];
         for lane in 0..block.len() {
             hits[place(lane)] = in_lanes[lane];

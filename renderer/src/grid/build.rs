@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::{
-    BRICK_SIZE, CELLS_PER_BRICK, Grid, GridOptions, LEVELS, Node,
+    BRICK_SIZE, CELLS_PER_BRICK, Grid, GridOptions, InstructionSet, LEVELS, Node,
     overlap::{self, DILATION},
     resolution::{CellSpace, resolution},
 };
@@ -60,7 +60,8 @@ impl Grid {
         let mut leaf_starts = leaf_ends;
         leaf_starts.insert(0, 0);
         let mesh = TracedMesh::new(mesh, &mut references);
-        Self { space, dims, bricks, nodes, leaf_starts, references, mesh }
+        let instructions = InstructionSet::best();
+        Self { space, dims, bricks, nodes, leaf_starts, references, mesh, instructions }
     }
 
     fn empty(mesh: Mesh) -> Self {
@@ -72,6 +73,7 @@ impl Grid {
             leaf_starts: vec![0],
             references: Vec::new(),
             mesh: TracedMesh::new(mesh, &mut []),
+            instructions: InstructionSet::best(),
         }
     }
 }

@@ -20,10 +20,10 @@ use crate::{
 const SLOPE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
 
 /// The same for the sides of edges, relative to the sum of absolute products: eight roundings, doubled.
-const SIDE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
+pub(super) const SIDE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
 
 /// More than the absolute error where products leave the range of normal numbers.
-const UNDERFLOW_MARGIN: f32 = 1e-36;
+pub(super) const UNDERFLOW_MARGIN: f32 = 1e-36;
 
 /// Triangles remembered as already tested, a power of two.
 const N_RECENT: usize = 256;

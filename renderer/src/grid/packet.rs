@@ -101,15 +101,10 @@ struct Entry {
 
 impl Grid {
     /// The nearest triangle along each ray of a packet; entries of no ray are undefined.
-    pub fn intersect_packet(
-        &self,
-        packet: &Packet,
-        instructions: InstructionSet,
-        scratch: &mut PacketScratch,
-    ) -> [Hit; 64] {
-        let marched = match instructions {
+    pub fn intersect_packet(&self, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
+        let marched = match self.instructions {
             InstructionSet::Plain => self.march::<Plain>(packet, scratch),
-            // SAFETY: the caller names only what `InstructionSet::available` has found.
+            // SAFETY: a grid holds only what `InstructionSet::available` has found.
             #[cfg(target_arch = "x86_64")]
             InstructionSet::Avx2 => unsafe { self.march_avx2(packet, scratch) },
             // SAFETY: as above.

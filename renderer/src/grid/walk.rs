@@ -4,7 +4,7 @@
 //! largest empty cube around the ray's point. Everything is computed in `f64` from the ray itself, never accumulated,
 //! so that rounding stays far below the margin by which cells are enlarged.
 
-use super::{BRICK_SIZE, Grid, LEVELS, overlap};
+use super::{BRICK_SIZE, Grid, LEVELS, filter, overlap};
 use crate::{
     ray::{Hit, Ray},
     triangle,
@@ -25,11 +25,16 @@ impl Grid {
         }
         let mut nearest = Nearest { triangle: u32::MAX, t: f64::INFINITY };
         self.walk(ray, |references, t_exit| {
-            for &triangle in references {
-                let Some(t) = triangle::intersect(ray, &self.mesh.corners(triangle)) else { continue };
-                let number = |place| self.mesh.number(place);
-                if t < nearest.t || (t == nearest.t && number(triangle) < number(nearest.triangle)) {
-                    nearest = Nearest { triangle, t };
+            for triangles in references.chunks(filter::BATCH) {
+                let mut left = filter::may_hit(self.instructions, &self.mesh, ray, triangles);
+                while left != 0 {
+                    let triangle = triangles[left.trailing_zeros() as usize];
+                    left &= left - 1;
+                    let Some(t) = triangle::intersect(ray, &self.mesh.corners(triangle)) else { continue };
+                    let number = |place| self.mesh.number(place);
+                    if t < nearest.t || (t == nearest.t && number(triangle) < number(nearest.triangle)) {
+                        nearest = Nearest { triangle, t };
+                    }
                 }
             }
             nearest.t <= t_exit
@@ -44,8 +49,14 @@ impl Grid {
         }
         let mut occluded = false;
         self.walk(ray, |references, _| {
-            let hits = |&triangle: &u32| triangle::intersect(ray, &self.mesh.corners(triangle)).is_some();
-            occluded = references.iter().any(hits);
+            for triangles in references.chunks(filter::BATCH) {
+                let mut left = filter::may_hit(self.instructions, &self.mesh, ray, triangles);
+                while left != 0 {
+                    let triangle = triangles[left.trailing_zeros() as usize];
+                    left &= left - 1;
+                    occluded |= triangle::intersect(ray, &self.mesh.corners(triangle)).is_some();
+                }
+            }
             occluded
         });
         occluded

@@ -1,0 +1,92 @@
+//! Which triangles of a leaf a single ray may hit, told for many triangles at once.
+//!
+//! It only drops what certainly misses, with rounding accounted for; [`crate::triangle`] decides the rest.
+
+#[cfg(target_arch = "x86_64")]
+use crate::simd::{Avx2, Avx512};
+use crate::{
+    grid::{
+        InstructionSet,
+        cull::{SIDE_MARGIN, UNDERFLOW_MARGIN},
+    },
+    ray::Ray,
+    simd::{Plain, Simd},
+    traced::TracedMesh,
+};
+
+/// Triangles that are filtered together.
+pub(super) const BATCH: usize = 16;
+
+/// A bit for each of up to [`BATCH`] triangles that the ray may hit.
+#[inline]
+pub(super) fn may_hit(instructions: InstructionSet, mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> u32 {
+    match instructions {
+        InstructionSet::Plain => may_hit_generic::<Plain>(mesh, ray, triangles),
+        // SAFETY: a grid holds only what `InstructionSet::available` has found.
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx2 => unsafe { may_hit_avx2(mesh, ray, triangles) },
+        // SAFETY: as above.
+        #[cfg(target_arch = "x86_64")]
+        InstructionSet::Avx512 => unsafe { may_hit_avx512(mesh, ray, triangles) },
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
+fn may_hit_avx2(mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> u32 {
+    may_hit_generic::<Avx2>(mesh, ray, triangles)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
+fn may_hit_avx512(mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> u32 {
+    may_hit_generic::<Avx512>(mesh, ray, triangles)
+}
+
+/// No closures here: they would not be compiled for the caller's instruction set.
+#[inline(always)]
+fn may_hit_generic<S: Simd>(mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> u32 {
+    let coordinates: &[f32] = bytemuck::cast_slice(mesh.vertices());
+    let reach = [ray.direction.x.abs(), ray.direction.y.abs(), ray.direction.z.abs()];
+    let underflow = UNDERFLOW_MARGIN * (1.0 + reach[0] + reach[1] + reach[2]);
+    let mut all = 0;
+    let mut first = 0;
+    while first < triangles.len().min(BATCH) {
+        let mut places = [triangles[first]; 16];
+        let n = (triangles.len() - first).min(S::LANES);
+        places[..n].copy_from_slice(&triangles[first..first + n]);
+        let offsets = S::corner_offsets(mesh.triangles(), &places);
+        let zero = S::splat(0.0);
+        let mut corners = [[zero; 3]; 3];
+        for corner in 0..3 {
+            for axis in 0..3 {
+                corners[corner][axis] = S::gather(&coordinates[axis..], offsets[corner]);
+            }
+        }
+        // The side of the edge from p to q is direction·(p × (q − p)), seen from the origin.
+        let (mut low, mut high, mut products) = (S::splat(f32::INFINITY), S::splat(f32::NEG_INFINITY), zero);
+        for edge in 0..3 {
+            let (from, to) = (corners[edge], corners[(edge + 1) % 3]);
+            let (mut p, mut e) = ([zero; 3], [zero; 3]);
+            for axis in 0..3 {
+                p[axis] = from[axis].sub(S::splat(ray.origin[axis]));
+                e[axis] = to[axis].sub(from[axis]);
+            }
+            let mut side = zero;
+            let mut sum = zero;
+            for axis in 0..3 {
+                let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+                let minor = p[next].mul_sub(e[last], p[last].mul(e[next]));
+                side = minor.mul_add(S::splat(ray.direction[axis]), side);
+                let absolute = p[next].abs().mul_add(e[last].abs(), p[last].abs().mul(e[next].abs()));
+                sum = absolute.mul_add(S::splat(reach[axis]), sum);
+            }
+            (low, high, products) = (low.min(side), high.max(side), products.max(sum));
+        }
+        let margin = products.mul_add(S::splat(SIDE_MARGIN), S::splat(underflow));
+        let misses = low.below(zero.sub(margin)) & margin.below(high);
+        all |= (!misses & ((1 << n) - 1)) << first;
+        first += S::LANES;
+    }
+    all
+}
