@@ -7,6 +7,7 @@ use clap::{Parser, Subcommand};
 use crate::{
     connect::{self, ConnectArgs},
     generate::{self, GenerateArgs},
+    key::{self, KeyArgs},
     trace::{self, TraceArgs},
 };
 
@@ -26,6 +27,8 @@ pub enum Command {
     Connect(ConnectArgs),
     /// Write a built-in model to a file
     Generate(GenerateArgs),
+    /// Make a key file, which lets render servers and walls on other machines trust each other
+    Key(KeyArgs),
     /// Trace frames without a network, and measure them
     Trace(TraceArgs),
 }
@@ -35,6 +38,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Connect(args) => connect::run(args),
         Command::Generate(args) => generate::run(&args),
+        Command::Key(args) => key::run(&args),
         Command::Trace(args) => trace::run(&args),
     }
 }

@@ -23,6 +23,10 @@ pub const PROTOCOL_VERSION: u8 = 1;
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
 
+/// The first bytes of a side that has a key, before its Noise handshake: "RAYLOCK" and the version. What follows
+/// encrypted is the same conversation, from its [`PREAMBLE`] on.
+pub const SECURE_PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'L', b'O', b'C', b'K', PROTOCOL_VERSION];
+
 /// How often either side says that it lives.
 pub const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(50);
 
