@@ -48,6 +48,9 @@ pub struct WallArgs {
     /// The address to wait for render servers on; port 0 takes a free one
     #[arg(long, value_name = "ADDR", default_value_t = SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))]
     pub listen: SocketAddr,
+    /// The key file: only render servers with a copy of it are let in, and everything is encrypted
+    #[arg(long, value_name = "FILE", conflicts_with = "insecure")]
+    pub key: Option<PathBuf>,
     /// Listen on the network although nothing is encrypted and nobody is authenticated
     #[arg(long)]
     pub insecure: bool,

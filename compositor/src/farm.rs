@@ -16,6 +16,7 @@ use std::{
     time::Instant,
 };
 
+use renderer::key::Key;
 use shared::{division::Division, protocol::Picture};
 use tokio::{
     net::TcpListener,
@@ -65,15 +66,21 @@ pub struct Farm {
 }
 
 impl Farm {
-    /// Serves render servers that connect to `listener`; must be called within a tokio runtime.
+    /// Serves render servers that connect to `listener`, with a key only those that have it too; must be called within a
+    /// tokio runtime.
     ///
     /// `wake` is called from the farm's threads whenever there is a frame to take or the status has changed.
-    pub fn start(listener: TcpListener, wanted: Wanted, wake: impl Fn() + Send + Sync + 'static) -> io::Result<Self> {
+    pub fn start(
+        listener: TcpListener,
+        key: Option<Key>,
+        wanted: Wanted,
+        wake: impl Fn() + Send + Sync + 'static,
+    ) -> io::Result<Self> {
         let address = listener.local_addr()?;
         let finished = Arc::new(FinishedFrame::default());
         let (wanted, wanted_receiver) = watch::channel(wanted);
         let (status_sender, status) = watch::channel(FarmStatus::default());
-        let service = service::Service::new(wanted_receiver, status_sender, Arc::clone(&finished), Box::new(wake));
+        let service = service::Service::new(key, wanted_receiver, status_sender, Arc::clone(&finished), Box::new(wake));
         let service = tokio::spawn(service.run(listener));
         Ok(Self { address, wanted, status, finished, service })
     }

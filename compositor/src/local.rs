@@ -2,6 +2,7 @@
 
 use std::{
     net::SocketAddr,
+    path::Path,
     process::{Child, Command, Stdio},
 };
 
@@ -14,8 +15,9 @@ pub struct LocalServers {
 }
 
 impl LocalServers {
-    /// Starts `n_servers` that share this machine's cores and connect to a wall at `address`.
-    pub fn start(n_servers: u32, address: SocketAddr) -> anyhow::Result<Self> {
+    /// Starts `n_servers` that share this machine's cores and connect to a wall at `address` with its key file, if it has
+    /// one.
+    pub fn start(n_servers: u32, address: SocketAddr, key: Option<&Path>) -> anyhow::Result<Self> {
         let mut servers = Self::default();
         let program = std::env::current_exe().context("this program does not know where it lies")?;
         let n_cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
@@ -23,8 +25,14 @@ impl LocalServers {
         let ip = if address.ip().is_unspecified() { loopback_like(address) } else { address.ip() };
         let address = SocketAddr::new(ip, address.port());
         for number in 1..=n_servers {
-            let child = Command::new(&program)
-                .args(["renderer", "connect", &address.to_string(), "--local", "--insecure"])
+            let mut command = Command::new(&program);
+            command.args(["renderer", "connect", &address.to_string(), "--local"]);
+            match key {
+                Some(key) => command.arg("--key").arg(key),
+                // The wall may listen on an address of this machine that is not loopback.
+                None => command.arg("--insecure"),
+            };
+            let child = command
                 .args(["--name", &format!("local-{number}")])
                 .args(["--threads", &(n_cores / n_servers).max(1).to_string()])
                 .stdin(Stdio::null())

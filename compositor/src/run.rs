@@ -3,7 +3,11 @@
 use std::{cell::RefCell, net::SocketAddr, ops::ControlFlow, rc::Rc, sync::mpsc, time::Instant};
 
 use anyhow::{Context, bail};
-use renderer::{progress::Progress, scene::SceneSource};
+use renderer::{
+    key::{Key, making_line},
+    progress::Progress,
+    scene::SceneSource,
+};
 use shared::{
     camera::{Camera, UpAxis},
     protocol::{Picture, SampleRange},
@@ -36,15 +40,16 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::
     let aspect = wall.aspect();
     // First what fails at once: an operator learns of it before a model of minutes is read.
     let runtime = network_threads()?;
+    let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
     let mut headless = Headless::new(wall)?;
     let report = if args.min_renderers() == 0 {
         headless.show_blank_frames(args.size, n_frames)?
     } else {
         // Before the farm, so that it ends after it, and nobody takes the end for a loss.
-        let _servers = LocalServers::start(args.n_local(), listener.local_addr()?)?;
+        let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref())?;
         let (wake, wakeups) = wakeups(&runtime);
-        let farm = start_farm(&runtime, listener, args, args.min_renderers(), move || {
+        let farm = start_farm(&runtime, listener, key, args, args.min_renderers(), move || {
             // A call that is still waiting to be heard is enough.
             let _ = wake.try_send(Wakeup::Farm);
         })?;
@@ -74,6 +79,7 @@ fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, args: &WallArg
 fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Result<()> {
     let window = WindowLoop::new()?;
     let runtime = network_threads()?;
+    let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
     // A wall that people look at goes on with one render server; frames that are counted wait for all.
     let n_needed = if args.frames.is_some() { args.min_renderers() } else { args.min_renderers.unwrap_or(1) };
@@ -87,8 +93,8 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Re
         }
     });
     // Before the farm, so that it ends after it, and nobody takes the end for a loss.
-    let _servers = LocalServers::start(args.n_local(), listener.local_addr()?)?;
-    let farm = start_farm(&runtime, listener, args, n_needed, move || waker.wake())?;
+    let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref())?;
+    let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;
     let options = WindowOptions {
         wall,
         source: scene_source(args),
@@ -140,6 +146,7 @@ fn watch_frames(args: &WallArgs, report: Rc<RefCell<Report>>) -> OnShown {
 fn start_farm(
     runtime: &Runtime,
     listener: TcpListener,
+    key: Option<Key>,
     args: &WallArgs,
     min_renderers: u32,
     wake: impl Fn() + Send + Sync + 'static,
@@ -154,7 +161,7 @@ fn start_farm(
         moved_at: Instant::now(),
     };
     let _guard = runtime.enter();
-    Ok(Farm::start(listener, wanted, wake)?)
+    Ok(Farm::start(listener, key, wanted, wake)?)
 }
 
 /// Wake-up calls for a wall without a window; a signal to stop is one of them.
@@ -182,10 +189,11 @@ fn network_threads() -> anyhow::Result<Runtime> {
 
 fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
     let address: SocketAddr = args.listen;
-    if !address.ip().is_loopback() && !args.insecure {
+    if !address.ip().to_canonical().is_loopback() && args.key.is_none() && !args.insecure {
         bail!(
-            "--listen {address} is open to the network, and nothing is encrypted or authenticated yet: \
-             add --insecure if you trust everybody on it"
+            "--listen {address} is open to the network: make a key with `{}`, copy it to the render servers and \
+             give it to both sides with --key wall.key, or add --insecure if you trust everybody on the network",
+            making_line("wall.key".as_ref())
         );
     }
     let listener = runtime.block_on(TcpListener::bind(address)).with_context(|| {

@@ -16,6 +16,7 @@ use tokio::{
 };
 
 use crate::{
+    key::{Key, making_line},
     session::{self, SessionEnd},
     stage::Stage,
 };
@@ -44,6 +45,9 @@ pub struct ConnectArgs {
     /// The name that the wall shows [default: this machine's]
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
+    /// The wall's key file: nobody else is talked to, and everything is encrypted
+    #[arg(long, value_name = "FILE", conflicts_with = "insecure")]
+    pub key: Option<PathBuf>,
     /// Talk to a wall on another machine although nothing is encrypted and nobody is authenticated
     #[arg(long)]
     pub insecure: bool,
@@ -58,6 +62,11 @@ pub struct ConnectArgs {
 /// Arguments that cannot work; with `--local` also the end of the wall.
 pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
     let name = name(args.name)?;
+    let trust = match &args.key {
+        Some(path) => Trust::Key(Key::read(path)?),
+        None if args.insecure => Trust::Everybody,
+        None => Trust::ThisMachine,
+    };
     let n_threads = args.threads.map_or_else(num_cores, |n| n as usize);
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(n_threads)
@@ -74,22 +83,40 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         .context("the network thread does not start")?;
     runtime.block_on(async {
         tokio::select! {
-            ended = keep_connected(&args.wall, args.insecure, args.local, &name, &stage) => ended,
+            ended = keep_connected(&args.wall, &trust, args.local, &name, &stage) => ended,
             signal = stop_signal() => signal.context("cannot listen for signals"),
         }
     })
 }
 
-async fn keep_connected(wall: &str, insecure: bool, local: bool, name: &str, stage: &Stage) -> anyhow::Result<()> {
+/// Which walls are talked to.
+#[derive(Debug)]
+enum Trust {
+    /// Those on this machine, unencrypted.
+    ThisMachine,
+    /// Those that have the key, encrypted.
+    Key(Key),
+    /// All, unencrypted: `--insecure`.
+    Everybody,
+}
+
+impl Trust {
+    fn key(&self) -> Option<&Key> {
+        if let Self::Key(key) = self { Some(key) } else { None }
+    }
+}
+
+async fn keep_connected(wall: &str, trust: &Trust, local: bool, name: &str, stage: &Stage) -> anyhow::Result<()> {
     let host = if wall.contains(':') { wall.to_owned() } else { format!("{wall}:{DEFAULT_PORT}") };
     let mut pause = SHORTEST_PAUSE;
     let mut last_failure = String::new();
     loop {
-        let failure = match connect(&host, insecure).await? {
+        let failure = match connect(&host, trust).await? {
             Ok(mut stream) => {
-                tracing::info!("connected to the wall at {host}");
+                let how = if trust.key().is_some() { "with a key" } else { "unencrypted" };
+                tracing::info!("connected to the wall at {host}, {how}");
                 let (input, output) = stream.split();
-                let SessionEnd { was_welcome, reason } = session::run(input, output, name, stage).await;
+                let SessionEnd { was_welcome, reason } = session::run(input, output, trust.key(), name, stage).await;
                 if was_welcome {
                     pause = SHORTEST_PAUSE;
                     last_failure.clear();
@@ -112,7 +139,7 @@ async fn keep_connected(wall: &str, insecure: bool, local: bool, name: &str, sta
 }
 
 /// Connects once. The outer error is one that trying again does not cure.
-async fn connect(host: &str, insecure: bool) -> anyhow::Result<io::Result<TcpStream>> {
+async fn connect(host: &str, trust: &Trust) -> anyhow::Result<io::Result<TcpStream>> {
     let addresses: Vec<SocketAddr> = match lookup_host(host).await {
         Ok(addresses) => addresses.collect(),
         Err(error) if error.kind() == io::ErrorKind::InvalidInput => {
@@ -120,10 +147,13 @@ async fn connect(host: &str, insecure: bool) -> anyhow::Result<io::Result<TcpStr
         }
         Err(error) => return Ok(Err(error)),
     };
-    if !insecure && let Some(address) = addresses.iter().find(|address| !is_loopback(address.ip())) {
+    if matches!(trust, Trust::ThisMachine)
+        && let Some(address) = addresses.iter().find(|address| !is_loopback(address.ip()))
+    {
         bail!(
-            "{address} is another machine, and nothing is encrypted or authenticated yet: \
-             add --insecure if you trust everybody on the network between"
+            "{address} is another machine: give --key a copy of the wall's key file, which `{}` makes, \
+             or add --insecure if you trust everybody on the network between",
+            making_line("wall.key".as_ref())
         );
     }
     let connecting = timeout(CONNECT_TIMEOUT, TcpStream::connect(&*addresses)).await;

@@ -15,10 +15,12 @@ use shared::{
 use tokio::{
     io::{AsyncRead, AsyncWrite},
     sync::mpsc,
-    time::{MissedTickBehavior, interval},
+    time::{MissedTickBehavior, interval, timeout},
 };
 
 use crate::{
+    key::Key,
+    secure::{self, SecureError},
     stage::Stage,
     wire::{Incoming, MessageReader, MessageWriter, WireError},
     work::{self, Job},
@@ -47,14 +49,32 @@ pub(crate) struct SessionEnd {
 pub(crate) enum SessionError {
     #[error("{0}")]
     Wire(#[from] WireError),
+    #[error("{0}")]
+    Secure(#[from] SecureError),
     #[error("the wall refuses: {0}")]
     Refused(String),
     #[error("the wall spoke out of turn")]
     OutOfTurn,
 }
 
-/// Runs a conversation over any stream.
+/// Runs a conversation over any stream; with a key, encrypted.
 pub(crate) async fn run(
+    input: impl AsyncRead + Unpin,
+    output: impl AsyncWrite + Unpin,
+    key: Option<&Key>,
+    name: &str,
+    stage: &Stage,
+) -> SessionEnd {
+    let Some(key) = key else { return converse(input, output, name, stage).await };
+    let silent = |_| Err(SessionError::from(WireError::Silent(HANDSHAKE_TIMEOUT)));
+    let connecting = timeout(HANDSHAKE_TIMEOUT, secure::connect(input, output, key));
+    match connecting.await.map_or_else(silent, |channel| Ok(channel?)) {
+        Ok((input, output)) => converse(input, output, name, stage).await,
+        Err(error) => SessionEnd { was_welcome: false, reason: Err(error) },
+    }
+}
+
+async fn converse(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
     name: &str,

@@ -1,11 +1,11 @@
-//! Messages over any stream of bytes: a socket, a pipe of a test, and later an encrypted channel.
+//! Messages over any stream of bytes: a socket, an encrypted channel ([`crate::secure`]), a pipe of a test.
 
 use std::{io, marker::PhantomData, time::Duration};
 
 use serde::{Serialize, de::DeserializeOwned};
 use shared::{
     codec::{self, CONTROL_LIMIT, CodecError, HANDSHAKE_LIMIT, HEADER_BYTES, Header, Kind},
-    protocol::{Chunk, PREAMBLE, PROTOCOL_VERSION},
+    protocol::{Chunk, PREAMBLE, PROTOCOL_VERSION, SECURE_PREAMBLE},
 };
 use tokio::{
     io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt},
@@ -27,6 +27,9 @@ pub enum WireError {
     /// The peer is a Raywall program of another version.
     #[error("the peer speaks protocol {0}, this program speaks {PROTOCOL_VERSION}: build both from one commit")]
     OtherVersion(u8),
+    /// The peer has a key, and this side has none.
+    #[error("the peer encrypts with a key, and this side was given none: give it the peer's key file with --key FILE")]
+    Encrypted,
     /// Not a byte came for so long.
     #[error("the peer was silent for {} ms", .0.as_millis())]
     Silent(Duration),
@@ -72,7 +75,11 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
             self.fill(&mut preamble[at..=at]).await?;
             let is_version = at + 1 == preamble.len();
             if preamble[at] != PREAMBLE[at] {
-                return Err(if is_version { WireError::OtherVersion(preamble[at]) } else { WireError::NotRaywall });
+                return Err(match preamble[at] {
+                    version if is_version => WireError::OtherVersion(version),
+                    _ if preamble[..=at] == SECURE_PREAMBLE[..=at] => WireError::Encrypted,
+                    _ => WireError::NotRaywall,
+                });
             }
         }
         Ok(())

@@ -69,10 +69,43 @@ fn a_port_in_use_is_said_so() {
 }
 
 #[test]
-fn the_open_network_needs_a_word() {
-    assert!(fails(compositor(&["--listen", "0.0.0.0:0"])).contains("--insecure"));
-    assert!(fails(renderer(&["connect", "192.0.2.1:7117"])).contains("--insecure"));
+fn the_open_network_needs_a_key_or_a_word() {
+    for line in [fails(compositor(&["--listen", "0.0.0.0:0"])), fails(renderer(&["connect", "192.0.2.1:7117"]))] {
+        assert!(line.contains("--insecure"), "{line}");
+        // The line that is shown is one that can be typed.
+        let folder = tempfile::tempdir().unwrap();
+        let words: Vec<&str> = line.split('`').nth(1).unwrap().split(' ').collect();
+        let made = Command::new(words[0]).args(&words[1..]).current_dir(folder.path()).output().unwrap();
+        assert!(made.status.success(), "{line}\n{made:?}");
+        let key = folder.path().join("wall.key");
+        let key = key.to_str().unwrap();
+        assert!(fails(renderer(&["key", key])).contains("never overwritten"));
+        assert!(fails(compositor(&["--key", key, "--camera", "no/such.toml"])).contains("no/such.toml"));
+    }
     assert!(fails(renderer(&["connect", "no port:here"])).contains("HOST:PORT"));
+}
+
+#[test]
+fn a_key_file_that_is_missing_or_wrong_is_named_with_the_cure() {
+    let folder = tempfile::tempdir().unwrap();
+    let short = folder.path().join("short.key");
+    std::fs::write(&short, "0123\n").unwrap();
+    let short = short.to_str().unwrap();
+    let check = |path: &str, expected: &str| {
+        for command in [compositor(&["--key", path]), renderer(&["connect", "127.0.0.1:1", "--key", path])] {
+            let line = fails(command);
+            assert!(line.contains(path) && line.contains(expected), "{line}");
+        }
+    };
+    check("no/such.key", " key no/such.key` makes a key");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        std::fs::set_permissions(short, std::fs::Permissions::from_mode(0o644)).unwrap();
+        check(short, "`chmod 600 ");
+        std::fs::set_permissions(short, std::fs::Permissions::from_mode(0o600)).unwrap();
+    }
+    check(short, "64 hexadecimal digits");
 }
 
 #[test]

@@ -20,13 +20,13 @@ use crate::process::{Program, wait_until};
 const TRIANGLES: &str = "20000";
 
 /// Files of one test.
-struct Files {
+pub(crate) struct Files {
     folder: TempDir,
 }
 
 impl Files {
     /// A wall of a few pixels, and a camera that sees the statue.
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let wall = "canvas_m = [4.0, 2.25]\n[grid]\ncolumns = 2\nrows = 1\npixels = [64, 72]\n";
         std::fs::write(folder.path().join("wall.toml"), wall).unwrap();
@@ -36,11 +36,11 @@ impl Files {
         Self { folder }
     }
 
-    fn path(&self, name: &str) -> PathBuf {
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
-    fn wall(&self, size: &str) -> Command {
+    pub(crate) fn wall(&self, size: &str) -> Command {
         let mut command = Program::command("compositor");
         command
             .args(["--headless", "--listen", "127.0.0.1:0", "--triangles", TRIANGLES, "--size", size])
@@ -55,7 +55,7 @@ impl Files {
     }
 
     /// What `renderer trace` shows, alone: the truth for all farms.
-    fn traced_hash(&self, size: &str) -> String {
+    pub(crate) fn traced_hash(&self, size: &str) -> String {
         let image = self.path("traced.png");
         let mut command = Program::command("renderer");
         command.args(["trace", "--triangles", TRIANGLES, "--size", size, "--camera"]);
@@ -65,7 +65,7 @@ impl Files {
         hash_of_png(&image)
     }
 
-    fn frames(&self) -> Vec<Value> {
+    pub(crate) fn frames(&self) -> Vec<Value> {
         let stats: Value = serde_json::from_slice(&std::fs::read(self.path("stats.json")).unwrap()).unwrap();
         stats["frames"].as_array().unwrap().clone()
     }
@@ -83,21 +83,26 @@ fn hash_of_png(path: &Path) -> String {
 }
 
 /// A wall that renders frame after frame until the test ends it.
-struct RunningWall {
+pub(crate) struct RunningWall {
     files: Files,
-    program: Program,
-    address: String,
+    pub(crate) program: Program,
+    pub(crate) address: String,
     expected: String,
 }
 
 const SIZE: &str = "256x128";
 
 impl RunningWall {
-    fn start() -> Self {
+    pub(crate) fn start() -> Self {
+        Self::start_with(&[])
+    }
+
+    /// A wall with more arguments than all have.
+    pub(crate) fn start_with(args: &[&str]) -> Self {
         let files = Files::new();
         let expected = files.traced_hash(SIZE);
         let mut command = files.wall(SIZE);
-        command.args(["--frames", "1000000", "--local", "0", "--min-renderers", "1"]);
+        command.args(["--frames", "1000000", "--local", "0", "--min-renderers", "1"]).args(args);
         let mut program = Program::start(command);
         program.wait_for("listening on ");
         let said = program.said();
@@ -105,31 +110,36 @@ impl RunningWall {
         Self { files, program, address, expected }
     }
 
-    fn join(&self, name: &str) -> Program {
+    pub(crate) fn join(&self, name: &str) -> Program {
+        Self::join_at(&self.address, name, &[])
+    }
+
+    /// A render server that finds the wall behind an address, with more arguments than all have.
+    pub(crate) fn join_at(address: &str, name: &str, args: &[&str]) -> Program {
         let mut command = Program::command("renderer");
-        command.args(["connect", &self.address, "--name", name, "--threads", "1"]);
+        command.args(["connect", address, "--name", name, "--threads", "1"]).args(args);
         Program::start(command)
     }
 
-    fn connect(&self) -> TcpStream {
+    pub(crate) fn connect(&self) -> TcpStream {
         let stream = TcpStream::connect(&self.address).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
         stream
     }
 
     /// Waits until so many render servers have become ready.
-    fn wait_for_ready(&mut self, n_ready: usize) {
+    pub(crate) fn wait_for_ready(&mut self, n_ready: usize) {
         self.program.wait_for_count(" is ready", n_ready);
     }
 
     /// Waits until so many more frames are shown.
-    fn wait_for_frames(&mut self, n_more: usize) {
+    pub(crate) fn wait_for_frames(&mut self, n_more: usize) {
         let n_frames = self.program.count("frame shown") + n_more;
         self.program.wait_for_count("frame shown", n_frames);
     }
 
     /// Ends the wall as an operator does, and checks every frame that it has shown.
-    fn end(self) -> (Vec<Value>, String) {
+    pub(crate) fn end(self) -> (Vec<Value>, String) {
         self.program.signal("TERM");
         let (status, said) = self.program.wait();
         assert!(status.success(), "{said}");
@@ -143,7 +153,7 @@ impl RunningWall {
     }
 }
 
-fn nodes_of(frame: &Value) -> Vec<&str> {
+pub(crate) fn nodes_of(frame: &Value) -> Vec<&str> {
     frame["nodes"].as_array().unwrap().iter().map(|node| node["name"].as_str().unwrap()).collect()
 }
 

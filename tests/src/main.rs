@@ -16,6 +16,8 @@ mod process;
 mod readme;
 #[cfg(test)]
 mod references;
+#[cfg(test)]
+mod trust;
 #[cfg(all(test, target_os = "linux"))]
 mod window;
 #[cfg(all(test, target_os = "linux"))]

@@ -7,7 +7,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use renderer::wire::{Incoming, MessageReader, MessageWriter, WireError};
+use renderer::{
+    key::Key,
+    secure::{self, SecureError},
+    wire::{Incoming, MessageReader, MessageWriter, WireError},
+};
 use shared::{
     codec::{CHUNK_HEADER_BYTES, HEADER_BYTES},
     division::Work,
@@ -20,7 +24,7 @@ use shared::{
 use tokio::{
     io::{AsyncRead, AsyncWrite},
     sync::mpsc,
-    time::{MissedTickBehavior, interval, timeout},
+    time::{MissedTickBehavior, interval, timeout_at},
 };
 
 use super::{
@@ -51,6 +55,8 @@ pub(super) enum Report {
 pub(super) enum ConnectionError {
     #[error("{0}")]
     Wire(#[from] WireError),
+    #[error("{0}")]
+    Secure(#[from] SecureError),
     #[error("no handshake within {} s", HANDSHAKE_TIMEOUT.as_secs())]
     NoHandshake,
     #[error("it spoke out of turn")]
@@ -134,31 +140,47 @@ impl Reporter {
 /// Requests that a render server may leave unread before it is dropped.
 const LONGEST_QUEUE: usize = 64;
 
-/// Runs a connection from its first byte to its end.
+/// Runs a connection from its first byte to its end; with a key, encrypted.
 pub(super) async fn serve(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
+    key: Option<&Key>,
     reporter: Reporter,
     started_at: Instant,
 ) {
+    // The handshakes have one limit together, however slowly they go on.
+    let deadline = tokio::time::Instant::now() + HANDSHAKE_TIMEOUT;
+    let ended = match key {
+        None => converse(input, output, &reporter, started_at, deadline).await,
+        Some(key) => match timeout_at(deadline, secure::accept(input, output, key)).await {
+            Err(_) => Err(ConnectionError::NoHandshake),
+            Ok(Err(error)) => Err(error.into()),
+            Ok(Ok((input, output))) => converse(input, output, &reporter, started_at, deadline).await,
+        },
+    };
+    reporter.send(Report::Ended(ended)).await;
+}
+
+async fn converse(
+    input: impl AsyncRead + Unpin,
+    output: impl AsyncWrite + Unpin,
+    reporter: &Reporter,
+    started_at: Instant,
+    deadline: tokio::time::Instant,
+) -> Result<(), ConnectionError> {
     // The handshake as a whole has a limit; silence in it needs none of its own.
     let mut reader = MessageReader::new(input, 2 * HANDSHAKE_TIMEOUT);
     let mut writer = MessageWriter::new(output);
-    let ended = match timeout(HANDSHAKE_TIMEOUT, shake_hands(&mut reader, &mut writer)).await {
-        Err(_) => Err(ConnectionError::NoHandshake),
-        Ok(Err(error)) => Err(error),
-        Ok(Ok((name, threads))) => {
-            let (outgoing, requests) = mpsc::channel(LONGEST_QUEUE);
-            let desk = Arc::new(Desk::default());
-            reader.accept(HEARTBEAT_TIMEOUT);
-            reporter.send(Report::Joined { name, threads, outgoing, desk: Arc::clone(&desk) }).await;
-            tokio::select! {
-                ended = receive(&mut reader, &desk, &reporter, started_at) => ended,
-                ended = transmit(&mut writer, requests, started_at) => ended,
-            }
-        }
-    };
-    reporter.send(Report::Ended(ended)).await;
+    let shaking_hands = timeout_at(deadline, shake_hands(&mut reader, &mut writer));
+    let (name, threads) = shaking_hands.await.map_err(|_| ConnectionError::NoHandshake)??;
+    let (outgoing, requests) = mpsc::channel(LONGEST_QUEUE);
+    let desk = Arc::new(Desk::default());
+    reader.accept(HEARTBEAT_TIMEOUT);
+    reporter.send(Report::Joined { name, threads, outgoing, desk: Arc::clone(&desk) }).await;
+    tokio::select! {
+        ended = receive(&mut reader, &desk, reporter, started_at) => ended,
+        ended = transmit(&mut writer, requests, started_at) => ended,
+    }
 }
 
 async fn shake_hands(

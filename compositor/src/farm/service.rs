@@ -7,6 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use renderer::key::Key;
 use shared::{
     codec,
     protocol::{FrameId, Picture, SceneState, ToServer, WorkId},
@@ -54,6 +55,7 @@ struct OpenFrame {
 /// The farm while it runs.
 pub(super) struct Service {
     started_at: Instant,
+    key: Option<Key>,
     wanted: watch::Receiver<Wanted>,
     status: watch::Sender<FarmStatus>,
     finished: Arc<FinishedFrame>,
@@ -67,6 +69,7 @@ pub(super) struct Service {
 
 impl Service {
     pub(super) fn new(
+        key: Option<Key>,
         mut wanted: watch::Receiver<Wanted>,
         status: watch::Sender<FarmStatus>,
         finished: Arc<FinishedFrame>,
@@ -76,6 +79,7 @@ impl Service {
         let started_at = Instant::now();
         Self {
             started_at,
+            key,
             wanted,
             status,
             finished,
@@ -102,7 +106,7 @@ impl Service {
                     let (stream, address, permit) = accepted;
                     last_node.0 += 1;
                     let reporter = Reporter { node: last_node, address, farm: reports_in.clone() };
-                    connections.spawn(run_connection(stream, permit, reporter, self.started_at));
+                    connections.spawn(run_connection(stream, permit, self.key.clone(), reporter, self.started_at));
                 }
                 Some(_) = connections.join_next(), if !connections.is_empty() => {}
                 Some((node, address, report)) = reports.recv() => self.on_report(node, address, report),
@@ -303,10 +307,16 @@ async fn accept(listener: &TcpListener, free: &Arc<Semaphore>) -> (TcpStream, So
     }
 }
 
-async fn run_connection(mut stream: TcpStream, permit: OwnedSemaphorePermit, reporter: Reporter, started_at: Instant) {
+async fn run_connection(
+    mut stream: TcpStream,
+    permit: OwnedSemaphorePermit,
+    key: Option<Key>,
+    reporter: Reporter,
+    started_at: Instant,
+) {
     // Requests are small and wanted at once.
     let _ = stream.set_nodelay(true);
     let (input, output) = stream.split();
-    connection::serve(input, output, reporter, started_at).await;
+    connection::serve(input, output, key.as_ref(), reporter, started_at).await;
     drop(permit);
 }

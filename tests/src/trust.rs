@@ -1,0 +1,243 @@
+//! Walls and render servers with keys, as real processes: the same pictures, and no way in for anybody else.
+
+use std::{
+    io::{Read, Write},
+    net::{Shutdown, TcpListener, TcpStream},
+    path::Path,
+    sync::{Arc, Mutex},
+    thread,
+};
+
+use renderer::key::Key;
+use shared::protocol::{PREAMBLE, SECURE_PREAMBLE};
+use tempfile::TempDir;
+
+use crate::{
+    farm::{Files, RunningWall, nodes_of},
+    process::Program,
+};
+
+/// A folder with two keys, `wall.key` and `other.key`.
+struct Keys(TempDir);
+
+impl Keys {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["wall.key", "other.key"] {
+            Key::random().unwrap().write(&folder.path().join(name)).unwrap();
+        }
+        Self(folder)
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    fn wall(&self) -> RunningWall {
+        RunningWall::start_with(&["--key", &self.path("wall.key")])
+    }
+
+    fn join(&self, address: &str, name: &str, key: &str) -> Program {
+        RunningWall::join_at(address, name, &["--key", &self.path(key)])
+    }
+}
+
+#[test]
+fn a_key_changes_no_sample_on_any_address() {
+    let (keys, files) = (Keys::new(), Files::new());
+    let size = "83x45";
+    let expected = files.traced_hash(size);
+    for (listen, division) in [("127.0.0.1:0", "interleaved"), ("0.0.0.0:0", "tiled"), ("[::1]:0", "interleaved")] {
+        if listen.starts_with('[') && TcpListener::bind(listen).is_err() {
+            continue; // a machine without IPv6
+        }
+        let mut command = files.wall(size);
+        command.args(["--listen", listen, "--key", &keys.path("wall.key")]);
+        command.args(["--local", "3", "--frames", "2", "--division", division]);
+        command.env("RUST_LOG", "compositor=debug,renderer=info");
+        let (status, said) = Program::start(command).wait();
+        assert!(status.success(), "{said}");
+        assert_eq!(said.matches(", with a key").count(), 3, "{said}");
+        for frame in files.frames() {
+            assert_eq!(frame["samples_blake3"], expected.as_str(), "{listen}");
+            assert_eq!(nodes_of(&frame).len(), 3);
+        }
+    }
+}
+
+#[test]
+fn nobody_without_the_key_gets_in_and_each_learns_the_cure() {
+    let keys = Keys::new();
+    let mut wall = keys.wall();
+    let _good = keys.join(&wall.address, "good", "wall.key");
+    wall.wait_for_frames(3);
+
+    let mut other = keys.join(&wall.address, "other", "other.key");
+    wall.program.wait_for("the peer has another key: start both sides with --key and copies of one key file");
+    other.wait_for("the peer refuses this side's key: start both sides with --key and copies of one key file");
+    drop(other);
+
+    let mut keyless = wall.join("keyless");
+    wall.program.wait_for("the peer has no key, and this side has one: start the peer with a copy of it, --key FILE");
+    keyless.wait_for("this side was given none: give it the peer's key file with --key FILE");
+    drop(keyless);
+
+    wall.connect().write_all(b"GET / HTTP/1.1\r\n\r\n").unwrap();
+    wall.program.wait_for("the peer speaks another protocol");
+
+    let mut reflected = wall.connect();
+    let mut preamble = [0; SECURE_PREAMBLE.len()];
+    reflected.read_exact(&mut preamble).unwrap();
+    assert_eq!(preamble, SECURE_PREAMBLE);
+    reflected.write_all(&preamble).unwrap();
+    reflected.write_all(&[0; 48]).unwrap();
+    wall.program.wait_for_count("the peer has another key", 2);
+
+    wall.wait_for_frames(3);
+    let (frames, said) = wall.end();
+    assert!(frames.iter().all(|frame| nodes_of(frame) == ["good"]));
+    assert_eq!(said.matches(" joined from ").count(), 1, "{said}");
+}
+
+#[test]
+fn a_wall_without_a_key_and_a_renderer_with_one_learn_the_cure() {
+    let keys = Keys::new();
+    let mut wall = RunningWall::start();
+    let _good = wall.join("good");
+    wall.wait_for_frames(3);
+    let mut keyed = keys.join(&wall.address, "keyed", "wall.key");
+    wall.program.wait_for("this side was given none: give it the peer's key file with --key FILE");
+    keyed.wait_for("the peer has no key, and this side has one: start the peer with a copy of it, --key FILE");
+    wall.wait_for_frames(3);
+    let (frames, _) = wall.end();
+    assert!(frames.iter().all(|frame| nodes_of(frame) == ["good"]));
+}
+
+#[test]
+fn bytes_that_are_changed_or_replayed_on_the_way_cost_a_connection_and_no_sample() {
+    let keys = Keys::new();
+    let mut wall = keys.wall();
+    let _good = keys.join(&wall.address, "good", "wall.key");
+    wall.wait_for_frames(3);
+    // In the middle of samples, after some frames.
+    let between = Between::start(&wall.address, 200_000);
+    let mut far = keys.join(&between.address, "far", "wall.key");
+    wall.program.wait_for("encrypted bytes were changed, repeated, swapped or forged on the way");
+    far.wait_for("trying again until it answers");
+    wall.program.wait_for_count("render server far is ready", 2);
+    wall.wait_for_frames(3);
+
+    // All that the render server said in its first connection, once more.
+    let recording = between.recording.lock().unwrap().clone();
+    assert!(recording.len() > 200_000);
+    let mut replay = wall.connect();
+    // The wall closes in the midst of it.
+    let _ = replay.write_all(&recording);
+    wall.program.wait_for("the peer repeats what another machine has said, and does not have the key");
+
+    wall.wait_for_frames(3);
+    let (frames, said) = wall.end();
+    assert_eq!(nodes_of(frames.last().unwrap()), ["good", "far"]);
+    assert_eq!(said.matches(" joined from ").count(), 3, "{said}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn strangers_hold_a_few_kilobytes_for_the_time_of_a_handshake() {
+    let keys = Keys::new();
+    let mut wall = keys.wall();
+    let _good = keys.join(&wall.address, "good", "wall.key");
+    wall.wait_for_frames(20);
+    let resident_kb = || {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", wall.program.id())).unwrap();
+        let line = status.lines().find(|line| line.starts_with("VmRSS")).unwrap();
+        line.split_whitespace().nth(1).unwrap().parse::<i64>().unwrap()
+    };
+    let before_kb = resident_kb();
+    let n_strangers = 300;
+    let strangers: Vec<TcpStream> = (0..n_strangers)
+        .map(|number| {
+            let mut stranger = wall.connect();
+            // Every other one goes on for as long as the wall lets it.
+            let opening: &[u8] = if number % 2 == 0 { &SECURE_PREAMBLE } else { &PREAMBLE[..3] };
+            stranger.write_all(opening).unwrap();
+            stranger
+        })
+        .collect();
+    let held_kb = resident_kb() - before_kb;
+    assert!(held_kb < n_strangers * 16, "{n_strangers} strangers hold {held_kb} KB");
+    wall.program.wait_for_count("no handshake within 2 s", n_strangers as usize);
+    for mut stranger in strangers {
+        let mut heard = Vec::new();
+        stranger.read_to_end(&mut heard).unwrap();
+        assert_eq!(heard, SECURE_PREAMBLE, "the wall has closed the connection");
+    }
+    wall.wait_for_frames(3);
+    let (frames, _) = wall.end();
+    assert!(frames.iter().all(|frame| nodes_of(frame) == ["good"]));
+}
+
+/// Somebody on the way to a wall, who records the first connection and changes one byte of it.
+struct Between {
+    address: String,
+    recording: Arc<Mutex<Vec<u8>>>,
+}
+
+impl Between {
+    /// Passes connections on to `wall`; the byte at `change_at` of what the first one sends there is changed.
+    fn start(wall: &str, change_at: usize) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap().to_string();
+        let recording = Arc::new(Mutex::new(Vec::new()));
+        let (wall, into) = (wall.to_owned(), Arc::clone(&recording));
+        thread::spawn(move || {
+            for (number, server) in listener.incoming().map_while(Result::ok).enumerate() {
+                // The wall has ended.
+                let Ok(wall) = TcpStream::connect(&wall) else { return };
+                let (to_server, from_wall) = (server.try_clone().unwrap(), wall.try_clone().unwrap());
+                thread::spawn(move || pass_on(from_wall, to_server, |_| {}));
+                let recording = (number == 0).then(|| Arc::clone(&into));
+                thread::spawn(move || {
+                    pass_on(server, wall, |bytes| {
+                        let Some(recording) = &recording else { return };
+                        let mut recording = recording.lock().unwrap();
+                        let at = recording.len();
+                        recording.extend_from_slice(bytes);
+                        if (at..at + bytes.len()).contains(&change_at) {
+                            bytes[change_at - at] ^= 0x10;
+                        }
+                    });
+                });
+            }
+        });
+        Self { address, recording }
+    }
+}
+
+fn pass_on(mut from: TcpStream, mut to: TcpStream, mut change: impl FnMut(&mut [u8])) {
+    let mut bytes = vec![0; 64 * 1024];
+    while let Ok(n_bytes @ 1..) = from.read(&mut bytes) {
+        change(&mut bytes[..n_bytes]);
+        if to.write_all(&bytes[..n_bytes]).is_err() {
+            break;
+        }
+    }
+    // Either end of a connection is the end of both.
+    let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_new_key_file_is_for_its_owner_alone() {
+    use std::os::unix::fs::PermissionsExt;
+    let keys = Keys::new();
+    let path = keys.path("new.key");
+    let mut command = Program::command("renderer");
+    command.args(["key", &path]);
+    let (status, said) = Program::start(command).wait();
+    assert!(status.success() && said.contains(&format!("start both with --key {path}")), "{said}");
+    let text = std::fs::read_to_string(&path).unwrap();
+    assert!(!said.contains(text.trim()), "the key itself is not shown");
+    assert_eq!(std::fs::metadata(Path::new(&path)).unwrap().permissions().mode() & 0o777, 0o600);
+    Key::read(Path::new(&path)).unwrap();
+}
