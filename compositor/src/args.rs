@@ -45,9 +45,9 @@ pub struct WallArgs {
     /// The camera file [default: one that sees all]
     #[arg(long, value_name = "FILE.toml")]
     pub camera: Option<PathBuf>,
-    /// The address to wait for render servers on; port 0 takes a free one
-    #[arg(long, value_name = "ADDR", default_value_t = SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))]
-    pub listen: SocketAddr,
+    /// The address to wait for render servers on; port 0 takes a free one [default: 127.0.0.1:7117]
+    #[arg(long, value_name = "ADDR")]
+    pub listen: Option<SocketAddr>,
     /// The key file: only render servers with a copy of it are let in, and everything is encrypted
     #[arg(long, value_name = "FILE", conflicts_with = "insecure")]
     pub key: Option<PathBuf>,
@@ -90,8 +90,12 @@ pub struct WallArgs {
 impl WallArgs {
     /// How many local render servers are started.
     pub fn n_local(&self) -> u32 {
-        let is_for_others = !self.listen.ip().is_loopback() || self.listen.port() != DEFAULT_PORT;
-        self.local.unwrap_or(if is_for_others { 0 } else { 2 })
+        self.local.unwrap_or(if self.listen.is_some() { 0 } else { 2 })
+    }
+
+    /// Where the wall waits for render servers.
+    pub fn listen(&self) -> SocketAddr {
+        self.listen.unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))
     }
 
     /// How many render servers the first frame waits for.

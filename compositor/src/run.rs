@@ -188,7 +188,7 @@ fn network_threads() -> anyhow::Result<Runtime> {
 }
 
 fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
-    let address: SocketAddr = args.listen;
+    let address = args.listen();
     if !address.ip().to_canonical().is_loopback() && args.key.is_none() && !args.insecure {
         bail!(
             "--listen {address} is open to the network: make a key with `{}`, copy it to the render servers and \
