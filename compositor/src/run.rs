@@ -1,6 +1,6 @@
 //! Starts a wall from its command line: model, farm, local render servers, and then a window or none.
 
-use std::{cell::RefCell, net::SocketAddr, ops::ControlFlow, rc::Rc, sync::mpsc, time::Instant};
+use std::{cell::RefCell, ops::ControlFlow, rc::Rc, sync::mpsc, time::Instant};
 
 use anyhow::{Context, bail};
 use renderer::{
