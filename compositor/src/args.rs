@@ -61,7 +61,7 @@ pub struct WallArgs {
     /// [default: as many as --local, at least 1]
     #[arg(long, value_name = "K")]
     pub min_renderers: Option<u32>,
-    /// How frames are divided among render servers: interleaved or tiled
+    /// How frames are divided among render servers: interleaved, tiled or dynamic
     #[arg(long, value_name = "D", default_value = Division::default().name())]
     pub division: Division,
     /// What the samples show: shaded or normals

@@ -178,6 +178,7 @@ fn timings(ui: &mut Ui, model: &OverlayModel) {
     section(ui, "Frame", "ms");
     let (frame, display) = (model.frame.as_ref(), model.display);
     let ms = |value: Option<f64>| value.map_or_else(|| "–".to_owned(), style::ms);
+    let text = |value: Option<String>| value.unwrap_or_else(|| "–".to_owned());
     metrics(
         ui,
         &[
@@ -186,9 +187,9 @@ fn timings(ui: &mut Ui, model: &OverlayModel) {
             ("upload", ms(display.map(|display| display.upload_ms))),
             ("draw", ms(display.map(|display| display.draw_ms))),
             ("present", ms(display.map(|display| display.present_ms))),
+            ("imbalance", text(frame.map(|frame| format!("×{:.2}", frame.imbalance)))),
         ],
     );
-    let text = |value: Option<String>| value.unwrap_or_else(|| "–".to_owned());
     metrics(
         ui,
         &[

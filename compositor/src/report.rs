@@ -63,6 +63,7 @@ impl Report {
         };
         let display = |value: fn(&DisplayStats) -> f64| self.frames.iter().map(|frame| value(&frame.display)).collect();
         row("render", farm(|stats| stats.render_ms));
+        row("busiest node over mean (no ms)", farm(|stats| stats.imbalance));
         row("place (all threads)", farm(|stats| stats.place_ms));
         row("upload", display(|stats| stats.upload_ms));
         row("draw", display(|stats| stats.draw_ms));

@@ -60,6 +60,8 @@ pub struct NodeFrameStats {
     pub trace_ms: f64,
     /// CPU time of all its tracing threads.
     pub trace_cpu_ms: f64,
+    /// CPU time of each of its tracing threads on average: how busy it was, whatever else its machine had to do.
+    pub busy_ms: f64,
     /// From sending its work to having its last sample, less tracing: both ways over the network and waiting in queues.
     pub network_ms: f64,
     /// From having its last sample to the end of the frame.
@@ -76,6 +78,7 @@ impl NodeFrameStats {
         self.share += other.share;
         self.trace_ms += other.trace_ms;
         self.trace_cpu_ms += other.trace_cpu_ms;
+        self.busy_ms += other.busy_ms;
         self.network_ms += other.network_ms;
         self.idle_ms = self.idle_ms.min(other.idle_ms);
         self.bytes_in += other.bytes_in;
@@ -97,6 +100,8 @@ pub struct FrameStats {
     pub render_ms: f64,
     /// Time spent placing samples, summed over the receiving threads.
     pub place_ms: f64,
+    /// The busy time of the busiest render server over the mean of all: 1 is a perfect division.
+    pub imbalance: f64,
     /// 1, and one more each time work was given out again.
     pub attempts: u32,
     /// Bytes received.
@@ -105,6 +110,12 @@ pub struct FrameStats {
     pub bytes_out: u64,
     /// Each render server that took part.
     pub nodes: Vec<NodeFrameStats>,
+}
+
+/// The largest of some times over their mean; 1 when there are none.
+pub(crate) fn max_over_mean(times: impl Iterator<Item = f64> + Clone) -> f64 {
+    let (sum, count) = (times.clone().sum::<f64>(), times.clone().count());
+    if sum > 0.0 { times.fold(0.0, f64::max) * count as f64 / sum } else { 1.0 }
 }
 
 fn serialize_size<S: serde::Serializer>(size: &FrameSize, serializer: S) -> Result<S::Ok, S::Error> {

@@ -12,8 +12,8 @@ use cpu_time::ThreadTime;
 use rayon::{ThreadPool, prelude::*};
 use shared::{
     codec::{self, CHUNK_HEADER_BYTES, HEADER_BYTES},
-    division::{Share, TILE_SIZE, Work},
-    protocol::{CHUNK_BYTES, Chunk, FrameId, Picture, ToWall, WorkId, WorkTimings},
+    division::{Share, Work},
+    protocol::{BlockCosts, CHUNK_BYTES, Chunk, FrameId, Picture, ToWall, WorkId, WorkTimings},
 };
 use tokio::sync::mpsc;
 
@@ -47,11 +47,11 @@ pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, out
                 continue;
             }
         };
-        let timings = pool.install(|| job.render(&share, outbox));
+        let (timings, costs) = pool.install(|| job.render(&share, outbox));
         if !job.cancelled.load(Relaxed) {
-            let done = ToWall::WorkDone { frame: job.frame, work_id: job.work_id, timings };
+            let done = ToWall::WorkDone { frame: job.frame, work_id: job.work_id, timings, costs };
             let mut bytes = Vec::new();
-            codec::encode(&done, &mut bytes).expect("timings are short");
+            codec::encode(&done, &mut bytes).expect("timings and costs are short");
             // Without a writer the conversation is over, and so are its jobs.
             let _ = outbox.blocking_send(bytes);
         }
@@ -59,22 +59,33 @@ pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, out
 }
 
 impl Job {
-    fn render(&self, share: &Share<'_>, outbox: &mpsc::Sender<Vec<u8>>) -> WorkTimings {
+    fn render(&self, share: &Share<'_>, outbox: &mpsc::Sender<Vec<u8>>) -> (WorkTimings, BlockCosts) {
         let started_at = Instant::now();
         let (cpu_us, send_us) = (AtomicU64::new(0), AtomicU64::new(0));
         let Picture { camera, size, view, samples, .. } = self.picture;
         let request = FrameRequest { camera, size, view, samples };
-        let n_per_block = block_units(share, rayon::current_num_threads() as u32);
+        let (n_per_block, n_per_cost) = block_units(share, rayon::current_num_threads() as u32);
         let n_blocks = share.count().div_ceil(n_per_block);
-        (0..n_blocks).into_par_iter().for_each(|block| {
+        let costs = (0..n_blocks).into_par_iter().map(|block| {
+            let mut costs = Vec::new();
             if self.cancelled.load(Relaxed) {
-                return;
+                return costs;
             }
             let cpu_started = ThreadTime::now();
             let first = block * n_per_block;
             let units = first..(first + n_per_block).min(share.count());
             let mut rgb = Vec::new();
-            self.scene.render(&request, share, units.clone(), &mut rgb);
+            let mut measured_until = cpu_started;
+            for first in units.clone().step_by(n_per_cost as usize) {
+                let measured = first..(first + n_per_cost).min(units.end);
+                self.scene.render(&request, share, measured, &mut rgb);
+                if share.is_on_curve() {
+                    let now = ThreadTime::now();
+                    let cpu = now.duration_since(measured_until);
+                    costs.push(u32::try_from(cpu.as_nanos()).unwrap_or(u32::MAX));
+                    measured_until = now;
+                }
+            }
             let chunk = Chunk {
                 frame: self.frame,
                 work_id: self.work_id,
@@ -90,25 +101,60 @@ impl Job {
                 self.cancelled.store(true, Relaxed);
             }
             send_us.fetch_add(sending_since.elapsed().as_micros() as u64, Relaxed);
+            costs
         });
-        WorkTimings {
+        let cpu_ns = costs.collect::<Vec<_>>().concat();
+        let timings = WorkTimings {
             queued_us: microseconds(started_at - self.received_at),
             trace_us: microseconds(started_at.elapsed()),
             trace_cpu_us: u32::try_from(cpu_us.into_inner()).unwrap_or(u32::MAX),
             send_us: u32::try_from(send_us.into_inner()).unwrap_or(u32::MAX),
-        }
+        };
+        (timings, BlockCosts { block_units: n_per_cost, cpu_ns })
     }
 }
 
-/// How many units of a share make a block, so that it fits one chunk.
-fn block_units(share: &Share<'_>, n_threads: u32) -> u32 {
-    let n_samples = if share.count() == 0 { 1 } else { share.samples(0).count() };
-    let largest_unit = if n_samples == 1 { 1 } else { TILE_SIZE * TILE_SIZE };
+/// How many units of a share make a block, so that it fits one chunk; and how many of those are measured together.
+fn block_units(share: &Share<'_>, n_threads: u32) -> (u32, u32) {
+    let largest_unit = share.units().whole_unit_samples();
     let most = CHUNK_BYTES as u32 / (3 * largest_unit);
     let fewest = (SMALLEST_BLOCK / largest_unit).max(1);
-    share.count().div_ceil(n_threads * BLOCKS_PER_THREAD).clamp(fewest, most)
+    let n_per_block = share.count().div_ceil(n_threads * BLOCKS_PER_THREAD).clamp(fewest, most);
+    if !share.is_on_curve() {
+        return (n_per_block, n_per_block);
+    }
+    // A block has whole numbers of measurements, so that they are equally long throughout the share.
+    let n_per_cost = BlockCosts::block_units(share).min(most);
+    (n_per_block.next_multiple_of(n_per_cost).min(most / n_per_cost * n_per_cost), n_per_cost)
 }
 
 fn microseconds(duration: Duration) -> u32 {
     u32::try_from(duration.as_micros()).unwrap_or(u32::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use shared::division::{Division, FrameSize};
+
+    use super::*;
+
+    #[test]
+    fn blocks_fit_chunks_and_hold_whole_measurements() {
+        for (xres, yres) in [(1, 1), (83, 45), (1024, 512), (4096, 2304), (16384, 16384)] {
+            let size = FrameSize::new(xres, yres).unwrap();
+            for (division, machines, n_threads) in
+                Division::ALL.into_iter().flat_map(|division| [(division, 1, 1), (division, 12, 1), (division, 3, 64)])
+            {
+                let work = division.work(0, machines);
+                let share = work.share(size).unwrap();
+                let (n_per_block, n_per_cost) = block_units(&share, n_threads);
+                assert_eq!(n_per_block % n_per_cost, 0);
+                let n_samples = n_per_block * share.units().whole_unit_samples();
+                assert!(n_per_block > 0 && n_samples as usize * 3 <= CHUNK_BYTES);
+                if share.is_on_curve() {
+                    assert!(share.count().div_ceil(n_per_cost) <= BlockCosts::MOST_BLOCKS);
+                }
+            }
+        }
+    }
 }

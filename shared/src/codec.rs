@@ -163,7 +163,7 @@ mod tests {
     use crate::{
         camera::Camera,
         division::{Division, FrameSize},
-        protocol::{Picture, SampleRange, ToServer, ToWall, View},
+        protocol::{BlockCosts, Picture, SampleRange, ToServer, ToWall, View, WorkTimings},
         scene::SceneId,
     };
 
@@ -199,6 +199,31 @@ mod tests {
             "the layout is part of the protocol's version"
         );
         assert_eq!(Chunk::decode(&bytes[HEADER_BYTES..]).unwrap(), chunk);
+    }
+
+    #[test]
+    fn the_costs_of_the_largest_work_fit_a_message() {
+        let work = Division::Dynamic.work(0, 1);
+        let share = work.share(FrameSize::new(FrameSize::LARGEST, FrameSize::LARGEST).unwrap()).unwrap();
+        let (n_units, block_units) = (share.count(), BlockCosts::block_units(&share));
+        let cpu_ns = vec![u32::MAX; n_units.div_ceil(block_units) as usize];
+        let costs = BlockCosts { block_units, cpu_ns };
+        assert!(costs.fit(n_units) && !costs.fit(n_units - block_units) && !costs.fit(n_units + 1));
+        let (frame, work_id, timings) = (FrameId(u64::MAX), WorkId(u32::MAX), WorkTimings::default());
+        let done = ToWall::WorkDone { frame, work_id, timings, costs };
+        let mut bytes = vec![];
+        encode(&done, &mut bytes).unwrap();
+        assert_eq!(decode::<ToWall>(&bytes[HEADER_BYTES..]).unwrap(), done);
+    }
+
+    #[test]
+    fn costs_that_do_not_fit_are_told_apart() {
+        assert!(BlockCosts::default().fit(0) && BlockCosts::default().fit(9));
+        let costs = |block_units, n_blocks| BlockCosts { block_units, cpu_ns: vec![1; n_blocks] };
+        assert!(costs(4, 3).fit(9) && !costs(4, 2).fit(9) && !costs(4, 4).fit(9) && !costs(0, 1).fit(9));
+        let blocks: Vec<_> = costs(4, 3).blocks(9).map(|(units, _)| units).collect();
+        assert_eq!(blocks, [0..4, 4..8, 8..9]);
+        assert_eq!(costs(u32::MAX, 1).blocks(9).next(), Some((0..9, 1)));
     }
 
     #[test]

@@ -1,12 +1,15 @@
 //! Sort-first division: who renders which samples of a frame.
 //!
-//! A frame is cut into *units*, numbered from 0: single samples (interleaved) or 8×8 tiles (tiled).
+//! A frame is cut into *units*, numbered from 0: single samples (interleaved) or 8×8 tiles (tiled, and dynamic, where they
+//! are numbered along a [`curve`]).
 //! [`Work`] picks some of a frame's units in a fixed order, and [`Units::samples`] lists the samples of a unit in a fixed
 //! order: together they are the one statement of where the bytes of an answer belong.
 
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
+
+use crate::curve;
 
 /// The side of a tile in samples: the paper's, and one tile is one packet of 64 rays.
 pub const TILE_SIZE: u32 = 8;
@@ -76,8 +79,12 @@ impl FrameSize {
         self.xres.div_ceil(TILE_SIZE)
     }
 
+    fn y_tiles(self) -> u32 {
+        self.yres.div_ceil(TILE_SIZE)
+    }
+
     fn n_tiles(self) -> u32 {
-        self.x_tiles() * self.yres.div_ceil(TILE_SIZE)
+        self.x_tiles() * self.y_tiles()
     }
 }
 
@@ -98,7 +105,7 @@ impl std::fmt::Display for FrameSize {
     }
 }
 
-/// The paper's heuristics for dividing a frame among machines.
+/// How a frame is divided among machines: by one of the paper's two heuristics, or by what its tiles cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Division {
@@ -107,17 +114,20 @@ pub enum Division {
     /// Tile t of 8×8 samples goes to machine t mod M.
     #[default]
     Tiled,
+    /// Runs of tiles along a [`curve`], as long as the last frame's costs and the machines' speeds suggest.
+    Dynamic,
 }
 
 impl Division {
     /// Every division, in the order in which a key steps through them.
-    pub const ALL: [Self; 2] = [Self::Interleaved, Self::Tiled];
+    pub const ALL: [Self; 3] = [Self::Interleaved, Self::Tiled, Self::Dynamic];
 
     /// The name on command lines and on screen.
     pub fn name(self) -> &'static str {
         match self {
             Self::Interleaved => "interleaved",
             Self::Tiled => "tiled",
+            Self::Dynamic => "dynamic",
         }
     }
 
@@ -126,15 +136,18 @@ impl Division {
         let kind = match self {
             Self::Interleaved => UnitKind::Sample,
             Self::Tiled => UnitKind::Tile,
+            Self::Dynamic => UnitKind::CurveTile,
         };
         Units { kind, size }
     }
 
-    /// The work of one machine among several.
+    /// The work of one machine among several of which nothing is known; for [`Division::Dynamic`] every so-many-th tile of
+    /// the curve, so that each sees all of the picture.
     pub fn work(self, machine: u32, machines: u32) -> Work {
         let picked = match self {
             Self::Interleaved => Picked::Interleaved { machine, machines },
             Self::Tiled => Picked::Tiled { machine, machines },
+            Self::Dynamic => Picked::Curve { machine, machines },
         };
         Work { picked, part: Part::WHOLE }
     }
@@ -147,7 +160,7 @@ impl std::str::FromStr for Division {
         Self::ALL
             .into_iter()
             .find(|division| division.name() == text)
-            .ok_or_else(|| format!("\"{text}\" is no division: it is interleaved or tiled"))
+            .ok_or_else(|| format!("\"{text}\" is no division: it is interleaved, tiled or dynamic"))
     }
 }
 
@@ -156,9 +169,10 @@ impl std::str::FromStr for Division {
 enum UnitKind {
     Sample,
     Tile,
+    CurveTile,
 }
 
-/// The units of one frame, numbered row by row from the bottom left.
+/// The units of one frame, numbered row by row from the bottom left, or along the curve from there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Units {
     kind: UnitKind,
@@ -175,7 +189,15 @@ impl Units {
     pub fn count(self) -> u32 {
         match self.kind {
             UnitKind::Sample => self.size.n_samples(),
-            UnitKind::Tile => self.size.n_tiles(),
+            UnitKind::Tile | UnitKind::CurveTile => self.size.n_tiles(),
+        }
+    }
+
+    /// How many samples a unit has that the frame does not cut off.
+    pub fn whole_unit_samples(self) -> u32 {
+        match self.kind {
+            UnitKind::Sample => 1,
+            UnitKind::Tile | UnitKind::CurveTile => TILE_SIZE * TILE_SIZE,
         }
     }
 
@@ -185,11 +207,13 @@ impl Units {
     /// by the frame.
     pub fn samples(self, unit: u32) -> UnitSamples {
         let FrameSize { xres, yres } = self.size;
-        let (side, per_row) = match self.kind {
-            UnitKind::Sample => (1, xres),
-            UnitKind::Tile => (TILE_SIZE, self.size.x_tiles()),
+        let x_tiles = self.size.x_tiles();
+        let (side, (column, row)) = match self.kind {
+            UnitKind::Sample => (1, (unit % xres, unit / xres)),
+            UnitKind::Tile => (TILE_SIZE, (unit % x_tiles, unit / x_tiles)),
+            UnitKind::CurveTile => (TILE_SIZE, curve::tile_at(unit, x_tiles, self.size.y_tiles())),
         };
-        let (i, j) = (unit % per_row * side, unit / per_row * side);
+        let (i, j) = (column * side, row * side);
         UnitSamples { columns: i..(i + side).min(xres), rows: j..(j + side).min(yres) }
     }
 }
@@ -244,6 +268,15 @@ pub enum Picked {
     },
     /// Runs of tiles, in the order given.
     TileRuns(Vec<TileRun>),
+    /// The tiles that are number t along the [`curve`], t mod machines = machine, ascending.
+    Curve {
+        /// Which machine, from 0.
+        machine: u32,
+        /// How many machines.
+        machines: u32,
+    },
+    /// A run of tiles along the [`curve`]; it may be empty.
+    CurveRun(TileRun),
 }
 
 /// Tiles `first`, `first + 1`, …
@@ -289,7 +322,7 @@ pub enum WorkError {
         /// How many there are.
         count: u32,
     },
-    /// A run of tiles leaves the frame, or is empty.
+    /// A run of tiles leaves the frame, or is one of several and empty.
     #[error("tile run {first}+{count} does not lie in a frame of {n_tiles} tiles")]
     RunOutside {
         /// The run's first tile.
@@ -333,6 +366,15 @@ impl Work {
                 let units = Division::Tiled.units(size);
                 let (ends, n_picked) = run_ends(runs, units.count())?;
                 (units, Source::Runs { runs, ends }, n_picked)
+            }
+            Picked::Curve { machine, machines } => strided(*machine, *machines, Division::Dynamic.units(size))?,
+            Picked::CurveRun(TileRun { first, count }) => {
+                let units = Division::Dynamic.units(size);
+                let (first, count, n_tiles) = (*first, *count, units.count());
+                if first.checked_add(count).is_none_or(|end| end > n_tiles) {
+                    return Err(WorkError::RunOutside { first, count, n_tiles });
+                }
+                (units, Source::Strided { first, step: 1 }, count)
             }
         };
         let count = n_picked.saturating_sub(self.part.index).div_ceil(self.part.parts);
@@ -390,6 +432,16 @@ impl Share<'_> {
             (Source::Strided { step, .. }, UnitKind::Sample) => step.saturating_mul(self.part.parts),
             _ => 1,
         }
+    }
+
+    /// Whether the units are tiles numbered along the curve: those of which render servers report what they cost.
+    pub fn is_on_curve(&self) -> bool {
+        self.units.kind == UnitKind::CurveTile
+    }
+
+    /// Whether each unit's number is that of the one before and 1.
+    pub fn is_run(&self) -> bool {
+        self.part.parts == 1 && matches!(self.source, Source::Strided { step: 1, .. })
     }
 
     /// The frame's number of the share's `k`-th unit; `k` must be below [`Share::count`].
@@ -462,6 +514,10 @@ mod tests {
         assert!(runs(&[(u32::MAX, 2)]).share(size).is_err());
         assert!(runs(&[(0, 0)]).share(size).is_err());
         assert_eq!(runs(&[(0, 4), (1, 1)]).share(size).unwrap_err(), WorkError::TooManyTiles);
+        let run = |first, count| Work { picked: Picked::CurveRun(TileRun { first, count }), part: Part::WHOLE };
+        assert_eq!(run(4, 0).share(size).unwrap().count(), 0);
+        assert!(run(3, 2).share(size).is_err());
+        assert!(run(u32::MAX, 2).share(size).is_err());
     }
 
     #[test]
@@ -474,10 +530,11 @@ mod tests {
     proptest! {
         #[test]
         fn every_division_covers_every_sample_once(
-            xres in 1..70u32, yres in 1..50u32, machines in 1..20u32, tiled: bool, lost in 0..20u32, parts in 1..6u32,
+            xres in 1..70u32, yres in 1..50u32, machines in 1..20u32, division in 0..3usize,
+            lost in 0..20u32, parts in 1..6u32,
         ) {
             let size = FrameSize::new(xres, yres).unwrap();
-            let division = if tiled { Division::Tiled } else { Division::Interleaved };
+            let division = Division::ALL[division];
             let mut works: Vec<_> = (0..machines).map(|machine| division.work(machine, machines)).collect();
             prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
             // A lost machine's share is divided again, and so is a part of that.
@@ -497,6 +554,22 @@ mod tests {
             let picked = Picked::TileRuns(runs.into_iter().filter(|run| run.count > 0).collect());
             let works: Vec<_> = (0..parts)
                 .map(|index| Work { picked: picked.clone(), part: Part { index, parts } })
+                .collect();
+            prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
+        }
+
+        #[test]
+        fn runs_of_the_curve_cover_every_sample_once(
+            xres in 1..200u32, yres in 1..200u32, cuts in proptest::collection::vec(0..1000u32, 0..6), parts in 1..4u32,
+        ) {
+            let size = FrameSize::new(xres, yres).unwrap();
+            let n_tiles = Division::Dynamic.units(size).count();
+            let mut cuts: Vec<_> = cuts.iter().map(|cut| cut * n_tiles / 1000).chain([0, n_tiles]).collect();
+            cuts.sort_unstable();
+            let runs = cuts.windows(2).map(|ends| TileRun { first: ends[0], count: ends[1] - ends[0] });
+            let works: Vec<_> = runs
+                .flat_map(|run| (0..parts).map(move |index| (run, Part { index, parts })))
+                .map(|(run, part)| Work { picked: Picked::CurveRun(run), part })
                 .collect();
             prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
         }

@@ -7,18 +7,18 @@
 //! scene ([`ToServer::LoadScene`]) and hears how far it is ([`ToWall::SceneState`]); then it asks for shares of frames
 //! ([`ToServer::RenderFrame`]) and gets [`Chunk`]s and a [`ToWall::WorkDone`] for each. Heartbeats flow all along.
 
-use std::time::Duration;
+use std::{ops::Range, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
 use crate::{
     camera::Camera,
-    division::{FrameSize, Work},
+    division::{FrameSize, Share, Work},
     scene::SceneId,
 };
 
 /// The version of everything below; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 1;
+pub const PROTOCOL_VERSION: u8 = 2;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -211,6 +211,8 @@ pub enum ToWall {
         work_id: WorkId,
         /// How long it took.
         timings: WorkTimings,
+        /// Where in the work the time went.
+        costs: BlockCosts,
     },
     /// The server lives.
     Heartbeat,
@@ -254,6 +256,54 @@ pub struct WorkTimings {
     pub trace_cpu_us: u32,
     /// Waiting for the network to take the chunks, in microseconds.
     pub send_us: u32,
+}
+
+/// What the tiles of a work cost, in blocks of tiles that follow each other in the work.
+///
+/// Empty for a work whose units are not tiles along the curve: nobody would use it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BlockCosts {
+    /// Tiles in each block but the last, which has what remains.
+    pub block_units: u32,
+    /// CPU time of each block's rays, in nanoseconds.
+    pub cpu_ns: Vec<u32>,
+}
+
+impl BlockCosts {
+    /// The most blocks of one work: their costs fit a control message with room to spare.
+    pub const MOST_BLOCKS: u32 = 32 * 1024;
+
+    /// The most tiles in a block, if [`BlockCosts::MOST_BLOCKS`] allows: some hundred microseconds of tracing, of which
+    /// reading the clock is a small part.
+    pub const LARGEST_BLOCK: u32 = 8;
+
+    /// How many blocks a work should have at least, if it has as many tiles: cuts are placed to a part of one.
+    const FEWEST_BLOCKS: u32 = 64;
+
+    /// How many tiles make a block of a share; tiles that do not lie side by side have little in common, and are measured
+    /// one by one.
+    pub fn block_units(share: &Share<'_>) -> u32 {
+        let n_units = share.count();
+        let largest = if share.is_run() { Self::LARGEST_BLOCK } else { 1 };
+        (n_units / Self::FEWEST_BLOCKS).clamp(1, largest).max(n_units.div_ceil(Self::MOST_BLOCKS))
+    }
+
+    /// Whether these are the blocks of a work of `n_units` units, or none at all.
+    pub fn fit(&self, n_units: u32) -> bool {
+        let n_blocks = n_units.checked_div(self.block_units).map(|_| n_units.div_ceil(self.block_units));
+        self.cpu_ns.is_empty() || n_blocks.is_some_and(|n_blocks| n_blocks as usize == self.cpu_ns.len())
+    }
+
+    /// The places in the work of each block's tiles, and what the block cost in nanoseconds.
+    ///
+    /// Invariant: the costs [fit](BlockCosts::fit) a work of `n_units` units.
+    pub fn blocks(&self, n_units: u32) -> impl Iterator<Item = (Range<u32>, u32)> {
+        let starts = (0..n_units).step_by(self.block_units.max(1) as usize);
+        starts.zip(&self.cpu_ns).map(move |(first, &cpu_ns)| {
+            let end = first.saturating_add(self.block_units).min(n_units);
+            (first..end, cpu_ns)
+        })
+    }
 }
 
 /// Samples of some units of a work. Idempotent: all answers to the same work are the same bits.

@@ -163,9 +163,9 @@ fn any_number_of_renderers_gives_the_samples_that_one_gives_alone() {
     let size = "83x45";
     let expected = files.traced_hash(size);
     for n_renderers in [1, 2, 3, 7, 12] {
-        for division in ["interleaved", "tiled"] {
+        for division in ["interleaved", "tiled", "dynamic"] {
             let mut command = files.wall(size);
-            command.args(["--local", &n_renderers.to_string(), "--frames", "2", "--division", division]);
+            command.args(["--local", &n_renderers.to_string(), "--frames", "3", "--division", division]);
             let (status, said) = Program::start(command).wait();
             assert!(status.success(), "{said}");
             for frame in files.frames() {

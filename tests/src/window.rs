@@ -62,7 +62,7 @@ fn the_heuristic_s_key_switches_the_division_while_the_wall_runs() {
     let stats: serde_json::Value = serde_json::from_str(&fs::read_to_string(stats).unwrap()).unwrap();
     let frames = stats["frames"].as_array().unwrap();
     assert_eq!(frames.first().unwrap()["division"], "tiled");
-    assert_eq!(frames.last().unwrap()["division"], "interleaved");
+    assert_eq!(frames.last().unwrap()["division"], "dynamic");
     let samples = |frame: &serde_json::Value| frame["samples_blake3"].as_str().unwrap().to_owned();
     assert_eq!(samples(frames.first().unwrap()), samples(frames.last().unwrap()), "the division shows in the picture");
 }

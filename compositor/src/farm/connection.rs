@@ -16,8 +16,8 @@ use shared::{
     codec::{CHUNK_HEADER_BYTES, HEADER_BYTES},
     division::Work,
     protocol::{
-        Chunk, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME, SceneState, ToServer,
-        ToWall, WorkId, WorkTimings,
+        BlockCosts, Chunk, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME, SceneState,
+        ToServer, ToWall, WorkId, WorkTimings,
     },
     scene::SceneId,
 };
@@ -43,7 +43,7 @@ pub(super) enum Report {
     /// Samples are in their places.
     Placed { frame: FrameId, work_id: WorkId, units: Placed },
     /// A work is answered.
-    WorkDone { frame: FrameId, work_id: WorkId, timings: WorkTimings },
+    WorkDone { frame: FrameId, work_id: WorkId, timings: WorkTimings, costs: BlockCosts },
     /// A ping came back.
     RoundTrip(Duration),
     /// The connection has ended: by the peer's will, or for a reason.
@@ -67,6 +67,8 @@ pub(super) enum ConnectionError {
     Misplaced(#[from] PlaceError),
     #[error("it called a work done of which it has sent {sent} of {n_units} units")]
     Incomplete { sent: u32, n_units: u32 },
+    #[error("it says what {n_blocks} blocks of {block_units} units cost in a work of {n_units}")]
+    MisfitCosts { n_blocks: usize, block_units: u32, n_units: u32 },
     #[error("it does not read what it is sent")]
     Clogged,
 }
@@ -114,11 +116,18 @@ impl Desk {
     }
 
     /// Takes a finished work off the desk; whether it was still there.
-    fn finish(&self, work_id: WorkId) -> Result<bool, ConnectionError> {
+    fn finish(&self, work_id: WorkId, costs: &BlockCosts) -> Result<bool, ConnectionError> {
         let Some(assignment) = self.lock().remove(&work_id) else { return Ok(false) };
         let share = assignment.work.share(assignment.buffer.size()).expect("the wall gives out works that fit");
         let (sent, n_units) = (assignment.n_placed, share.count());
-        if sent < n_units { Err(ConnectionError::Incomplete { sent, n_units }) } else { Ok(true) }
+        if sent < n_units {
+            return Err(ConnectionError::Incomplete { sent, n_units });
+        }
+        if !costs.fit(n_units) {
+            let (n_blocks, block_units) = (costs.cpu_ns.len(), costs.block_units);
+            return Err(ConnectionError::MisfitCosts { n_blocks, block_units, n_units });
+        }
+        Ok(true)
     }
 }
 
@@ -215,9 +224,9 @@ async fn receive(
                     reporter.send(Report::Placed { frame, work_id, units }).await;
                 }
             }
-            Incoming::Control(ToWall::WorkDone { frame, work_id, timings }) => {
-                if desk.finish(work_id)? {
-                    reporter.send(Report::WorkDone { frame, work_id, timings }).await;
+            Incoming::Control(ToWall::WorkDone { frame, work_id, timings, costs }) => {
+                if desk.finish(work_id, &costs)? {
+                    reporter.send(Report::WorkDone { frame, work_id, timings, costs }).await;
                 }
             }
             Incoming::Control(ToWall::SceneState { scene, state }) => {

@@ -3,6 +3,7 @@
 //! Events go in with the time at which they happened, actions come out. There is no clock, no socket and no thread in
 //! here, so tests invent all three.
 
+mod balance;
 mod coverage;
 mod frame;
 
@@ -10,11 +11,11 @@ use std::{collections::BTreeMap, time::Duration};
 
 use shared::{
     division::{Division, Work},
-    protocol::{FrameId, Picture, WorkId, WorkTimings},
+    protocol::{BlockCosts, FrameId, Picture, WorkId, WorkTimings},
     scene::SceneId,
 };
 
-use self::frame::FrameInFlight;
+use self::{balance::Balance, frame::FrameInFlight};
 use crate::stats::{FrameStats, NodeId};
 
 /// Lost work is divided into parts of no fewer samples: many deaths in one frame do not crumble it.
@@ -27,7 +28,7 @@ pub(super) type Time = Duration;
 #[derive(Clone, Debug)]
 pub(super) enum Event {
     /// A render server has shaken hands.
-    Joined { node: NodeId, name: String },
+    Joined { node: NodeId, name: String, threads: u32 },
     /// It has, or no longer has, the scene that the wall wants.
     SceneReady { node: NodeId, ready: bool },
     /// Its connection is gone.
@@ -35,7 +36,7 @@ pub(super) enum Event {
     /// Units of a work are in their places in the frame buffer.
     Placed { node: NodeId, frame: FrameId, work_id: WorkId, units: Placed },
     /// It has answered all of a work.
-    WorkDone { node: NodeId, frame: FrameId, work_id: WorkId, timings: WorkTimings },
+    WorkDone { node: NodeId, frame: FrameId, work_id: WorkId, timings: WorkTimings, costs: BlockCosts },
     /// The wall wants another picture, or the same divided otherwise.
     Wanted(Wanted),
     /// The wall has taken the finished frame.
@@ -81,6 +82,8 @@ pub(super) enum Action {
 #[derive(Clone, Debug)]
 struct Node {
     name: String,
+    /// At least 1.
+    threads: u32,
     ready: bool,
 }
 
@@ -94,6 +97,7 @@ pub(super) struct Scheduler {
     /// What the finished frame shows that waits to be taken, if one does.
     waiting: Option<Picture>,
     frame: Option<FrameInFlight>,
+    balance: Balance,
     last_frame: FrameId,
     last_work: WorkId,
 }
@@ -106,6 +110,7 @@ impl Scheduler {
             is_stale: true,
             waiting: None,
             frame: None,
+            balance: Balance::default(),
             last_frame: FrameId(0),
             last_work: WorkId(0),
         }
@@ -115,8 +120,8 @@ impl Scheduler {
     pub(super) fn on_event(&mut self, now: Time, event: Event) -> Vec<Action> {
         let mut actions = Vec::new();
         match event {
-            Event::Joined { node, name } => {
-                self.nodes.insert(node, Node { name, ready: false });
+            Event::Joined { node, name, threads } => {
+                self.nodes.insert(node, Node { name, threads: threads.max(1), ready: false });
             }
             Event::SceneReady { node, ready } => {
                 if let Some(node) = self.nodes.get_mut(&node) {
@@ -125,6 +130,7 @@ impl Scheduler {
             }
             Event::Lost { node } => {
                 self.nodes.remove(&node);
+                self.balance.lose(node);
                 if let Some(frame) = &mut self.frame {
                     frame.lose(node);
                 }
@@ -134,9 +140,9 @@ impl Scheduler {
                     in_flight.place(node, work_id, units);
                 }
             }
-            Event::WorkDone { node, frame, work_id, timings } => {
+            Event::WorkDone { node, frame, work_id, timings, costs } => {
                 if let Some(in_flight) = self.in_flight(frame) {
-                    in_flight.finish(now, node, work_id, timings);
+                    in_flight.finish(now, node, work_id, timings, costs);
                 }
             }
             Event::Wanted(wanted) => self.want(wanted, &mut actions),
@@ -197,8 +203,18 @@ impl Scheduler {
         let mut frame = FrameInFlight::new(self.last_frame, picture, division, now);
         actions.push(Action::Open { frame: frame.id, picture });
         let machines = nodes.len() as u32;
-        for (machine, node) in (0..).zip(nodes) {
-            let work = division.work(machine, machines);
+        let balanced = match division {
+            Division::Dynamic => {
+                let threads: Vec<_> = nodes.iter().map(|&node| (node, self.nodes[&node].threads)).collect();
+                self.balance.divide(&picture, &threads)
+            }
+            Division::Interleaved | Division::Tiled => {
+                self.balance.forget_costs();
+                None
+            }
+        };
+        let works = balanced.unwrap_or_else(|| (0..machines).map(|machine| division.work(machine, machines)).collect());
+        for (node, work) in nodes.into_iter().zip(works) {
             actions.push(self.give(&mut frame, now, node, work));
         }
         self.frame = Some(frame);
@@ -247,8 +263,8 @@ impl Scheduler {
 
     fn give(&mut self, frame: &mut FrameInFlight, now: Time, node: NodeId, work: Work) -> Action {
         self.last_work.0 = self.last_work.0.wrapping_add(1);
-        let name = self.nodes.get(&node).map(|node| node.name.clone()).unwrap_or_default();
-        frame.give(now, self.last_work, node, name, work.clone());
+        let of_node = self.nodes.get(&node).map_or((String::new(), 1), |node| (node.name.clone(), node.threads));
+        frame.give(now, self.last_work, node, of_node, work.clone());
         Action::Render { node, frame: frame.id, work_id: self.last_work, picture: frame.picture, work }
     }
 
@@ -262,6 +278,9 @@ impl Scheduler {
             return;
         }
         let Some(frame) = self.frame.take() else { return };
+        if frame.division == Division::Dynamic {
+            self.balance.learn(&frame.picture, &frame.measured().collect::<Vec<_>>());
+        }
         // Whoever still works on it does what another has done already.
         actions.extend(frame.nodes_at_work().map(|node| Action::Cancel { node, frame: frame.id }));
         actions.push(Action::Show { frame: frame.id, stats: frame.stats(now) });

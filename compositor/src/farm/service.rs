@@ -139,7 +139,7 @@ impl Service {
                 self.nodes.insert(id, Node { outgoing, desk });
                 let joined = NodeStatus { id, name: name.clone(), address, threads, scene: None, round_trip_ms: None };
                 self.status.send_modify(|status| status.nodes.push(joined));
-                self.happen(Event::Joined { node: id, name });
+                self.happen(Event::Joined { node: id, name, threads });
                 self.ask_for_scene(id);
                 (self.wake)();
             }
@@ -153,8 +153,8 @@ impl Service {
                 (self.wake)();
             }
             Report::Placed { frame, work_id, units } => self.happen(Event::Placed { node: id, frame, work_id, units }),
-            Report::WorkDone { frame, work_id, timings } => {
-                self.happen(Event::WorkDone { node: id, frame, work_id, timings });
+            Report::WorkDone { frame, work_id, timings, costs } => {
+                self.happen(Event::WorkDone { node: id, frame, work_id, timings, costs });
             }
             Report::RoundTrip(round_trip) => {
                 // A resting wall stays at rest: this alone wakes nobody.

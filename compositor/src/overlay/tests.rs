@@ -42,6 +42,7 @@ fn running() -> OverlayModel {
         division: Division::Tiled,
         render_ms: 23.46,
         place_ms: 1.5,
+        imbalance: 1.6,
         attempts: 1,
         bytes_in: 1_573_000,
         bytes_out: 420,
@@ -52,6 +53,7 @@ fn running() -> OverlayModel {
                 share,
                 trace_ms,
                 trace_cpu_ms: trace_ms,
+                busy_ms: trace_ms,
                 network_ms: 1.25,
                 idle_ms: 3.5,
                 bytes_in: 786_500,
@@ -94,6 +96,7 @@ fn every_figure_has_its_name() {
             "resolution 1024x512",
             "received 1.6 MB",
             "sent 420 B",
+            "imbalance ×1.60",
             "attempts 1",
             "1 000 000 triangles, y up",
         ] {

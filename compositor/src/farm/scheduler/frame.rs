@@ -4,11 +4,11 @@ use std::time::Duration;
 
 use shared::{
     division::{Division, Share, Work},
-    protocol::{FrameId, Picture, WorkId, WorkTimings},
+    protocol::{BlockCosts, FrameId, Picture, WorkId, WorkTimings},
 };
 
-use super::{Placed, Time, coverage::Coverage};
-use crate::stats::{FrameStats, NodeFrameStats, NodeId};
+use super::{Placed, Time, balance::Measured, coverage::Coverage};
+use crate::stats::{FrameStats, NodeFrameStats, NodeId, max_over_mean};
 
 /// Work is late when it has taken this many times as long as the slowest finished work of the frame…
 const LATE_FACTOR: u32 = 3;
@@ -23,7 +23,7 @@ pub(super) struct FrameInFlight {
     pub(super) picture: Picture,
     /// 1, and one more each time work was given out again.
     pub(super) attempts: u32,
-    division: Division,
+    pub(super) division: Division,
     started_at: Time,
     whole_at: Option<Time>,
     coverage: Coverage,
@@ -36,6 +36,7 @@ struct GivenWork {
     id: WorkId,
     node: NodeId,
     name: String,
+    threads: u32,
     work: Work,
     sent_at: Time,
     state: WorkState,
@@ -51,6 +52,7 @@ enum WorkState {
     Done {
         at: Time,
         timings: WorkTimings,
+        costs: BlockCosts,
     },
     /// Its node is lost, and nobody else has it yet.
     Lost,
@@ -64,10 +66,18 @@ impl FrameInFlight {
         Self { id, picture, attempts: 1, division, started_at: now, whole_at: None, coverage, works: Vec::new() }
     }
 
-    pub(super) fn give(&mut self, now: Time, id: WorkId, node: NodeId, name: String, work: Work) {
-        let state = WorkState::AtWork;
-        let given = GivenWork { id, node, name, work, sent_at: now, state, n_bytes: 0, place_time: Duration::ZERO };
-        self.works.push(given);
+    pub(super) fn give(&mut self, now: Time, id: WorkId, node: NodeId, (name, threads): (String, u32), work: Work) {
+        self.works.push(GivenWork {
+            id,
+            node,
+            name,
+            threads,
+            work,
+            sent_at: now,
+            state: WorkState::AtWork,
+            n_bytes: 0,
+            place_time: Duration::ZERO,
+        });
     }
 
     pub(super) fn place(&mut self, node: NodeId, work_id: WorkId, units: Placed) {
@@ -77,11 +87,11 @@ impl FrameInFlight {
         self.coverage.cover(&share(&given.work, self.picture), units.first, units.count);
     }
 
-    pub(super) fn finish(&mut self, now: Time, node: NodeId, work_id: WorkId, timings: WorkTimings) {
+    pub(super) fn finish(&mut self, now: Time, node: NodeId, work_id: WorkId, timings: WorkTimings, costs: BlockCosts) {
         let Some(given) = self.works.iter_mut().find(|given| given.id == work_id && given.node == node) else { return };
         // A render server that says "done" without having sent everything does not make the frame whole.
         if self.coverage.has_all_of(&share(&given.work, self.picture)) {
-            given.state = WorkState::Done { at: now, timings };
+            given.state = WorkState::Done { at: now, timings, costs };
         } else {
             given.state = WorkState::Lost;
         }
@@ -143,6 +153,18 @@ impl FrameInFlight {
         is_whole
     }
 
+    /// What became of each work, as far as render servers that are still there have shown it.
+    pub(super) fn measured(&self) -> impl Iterator<Item = Measured<'_>> {
+        self.works.iter().filter_map(|given| {
+            let costs = match &given.state {
+                WorkState::Done { costs, .. } => Some(costs),
+                WorkState::Doubled => None,
+                _ => return None,
+            };
+            Some(Measured { node: given.node, share: share(&given.work, self.picture), costs })
+        })
+    }
+
     /// What the frame took until it was whole, not until somebody had time to look at it.
     pub(super) fn stats(&self, now: Time) -> FrameStats {
         let now = self.whole_at.unwrap_or(now);
@@ -151,7 +173,7 @@ impl FrameInFlight {
         for given in &self.works {
             let share = f64::from(share(&given.work, self.picture).count()) / n_units;
             let (tracing, network, idle) = match given.state {
-                WorkState::Done { at, timings } => {
+                WorkState::Done { at, timings, .. } => {
                     let tracing = Duration::from_micros(timings.trace_us.into());
                     (
                         (tracing, timings.trace_cpu_us),
@@ -167,6 +189,7 @@ impl FrameInFlight {
                 share,
                 trace_ms: milliseconds(tracing.0),
                 trace_cpu_ms: f64::from(tracing.1) / 1e3,
+                busy_ms: f64::from(tracing.1) / 1e3 / f64::from(given.threads),
                 network_ms: milliseconds(network),
                 idle_ms: milliseconds(idle),
                 bytes_in: given.n_bytes,
@@ -183,6 +206,7 @@ impl FrameInFlight {
             division: self.division,
             render_ms: milliseconds(now - self.started_at),
             place_ms: milliseconds(self.works.iter().map(|given| given.place_time).sum()),
+            imbalance: max_over_mean(nodes.iter().map(|node| node.busy_ms)),
             attempts: self.attempts,
             bytes_in: nodes.iter().map(|node| node.bytes_in).sum(),
             bytes_out: 0,

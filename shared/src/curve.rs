@@ -1,0 +1,106 @@
+//! An order of a rectangle's tiles in which those that follow each other lie side by side.
+//!
+//! The generalised Hilbert curve of Červený ("gilbert", 2018, github.com/jakubcerveny/gilbert): a rectangle is cut in two
+//! or three smaller ones, each of which is entered beside the place where the one before is left, until one is a single
+//! row. Unlike Hilbert's own curve it fills a rectangle of any sides, each tile once. A run of it is a compact region, so
+//! its rays meet the same part of the scene.
+
+use glam::IVec2;
+
+/// The column and row of the `index`-th tile along the curve through `columns` × `rows` tiles; `index` must be below their
+/// product, and the product within `i32`.
+///
+/// Takes a number of steps that grows with the logarithm of the sides.
+pub fn tile_at(index: u32, columns: u32, rows: u32) -> (u32, u32) {
+    debug_assert!(index < columns * rows, "tile {index} of {columns}×{rows}");
+    let mut index = index as i32;
+    let (across, up) = (IVec2::X * columns as i32, IVec2::Y * rows as i32);
+    // The rectangle that holds the tile: the corner where the curve enters, the side along which it leaves, the other.
+    let mut corner = IVec2::ZERO;
+    let (mut along, mut beside) = if columns >= rows { (across, up) } else { (up, across) };
+    let tile = loop {
+        let (length, width) = (side(along), side(beside));
+        if width == 1 {
+            break corner + along.signum() * index;
+        }
+        if length == 1 {
+            break corner + beside.signum() * index;
+        }
+        if 2 * length > 3 * width {
+            // Long: two parts, one behind the other.
+            let first = even_half(along);
+            let n_first = side(first) * width;
+            if index < n_first {
+                along = first;
+            } else {
+                index -= n_first;
+                corner += first;
+                along -= first;
+            }
+        } else {
+            // Stout: up, along, and down again.
+            let half = along >> 1;
+            let first = even_half(beside);
+            let n_first = side(first) * side(half);
+            let n_second = length * (width - side(first));
+            if index < n_first {
+                (along, beside) = (first, half);
+            } else if index < n_first + n_second {
+                index -= n_first;
+                corner += first;
+                beside -= first;
+            } else {
+                index -= n_first + n_second;
+                corner += along - along.signum() + first - beside.signum();
+                (along, beside) = (-first, half - along);
+            }
+        }
+    };
+    (tile.x as u32, tile.y as u32)
+}
+
+/// The length of a side, which is parallel to an axis.
+fn side(side: IVec2) -> i32 {
+    (side.x + side.y).abs()
+}
+
+/// Half of a side; even if it can be, since the curve crosses even sides without a diagonal step.
+fn even_half(whole: IVec2) -> IVec2 {
+    let half = whole >> 1;
+    if side(half) % 2 == 1 && side(whole) > 2 { half + whole.signum() } else { half }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_curve_of_two_by_two_is_hilbert_s() {
+        let tiles: Vec<_> = (0..4).map(|index| tile_at(index, 2, 2)).collect();
+        assert_eq!(tiles, [(0, 0), (0, 1), (1, 1), (1, 0)]);
+    }
+
+    #[test]
+    fn every_tile_comes_once_and_beside_the_one_before() {
+        for (columns, rows) in (1..=33).flat_map(|columns| (1..=33).map(move |rows| (columns, rows))) {
+            let mut seen = vec![false; (columns * rows) as usize];
+            let mut last: Option<(u32, u32)> = None;
+            let mut n_diagonal = 0;
+            for (x, y) in (0..columns * rows).map(|index| tile_at(index, columns, rows)) {
+                assert!(x < columns && y < rows, "{columns}×{rows}");
+                assert!(!std::mem::replace(&mut seen[(y * columns + x) as usize], true), "{columns}×{rows}: {x} {y}");
+                let (dx, dy) = last.map_or((0, 1), |(i, j)| (x.abs_diff(i), y.abs_diff(j)));
+                assert!(dx <= 1 && dy <= 1, "{columns}×{rows}: a jump to {x} {y}");
+                n_diagonal += dx * dy;
+                last = Some((x, y));
+            }
+            assert!(n_diagonal <= 1, "{columns}×{rows}: {n_diagonal} diagonal steps");
+        }
+    }
+
+    #[test]
+    fn the_largest_frame_has_a_last_tile() {
+        let (x, y) = tile_at(2048 * 2048 - 1, 2048, 2048);
+        assert!(x < 2048 && y < 2048);
+    }
+}
