@@ -76,7 +76,7 @@ fn unit(v: Vec3) -> Vec3 {
         return Vec3::ZERO;
     }
     let v = v / largest;
-    v / v.length()
+    v * (1.0 / v.length())
 }
 
 #[cfg(test)]
