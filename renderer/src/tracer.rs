@@ -6,7 +6,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 use shared::{
     camera::{Camera, CameraRays},
-    division::{FrameSize, Share},
+    division::{FrameSize, Share, UnitSamples},
     protocol::{SampleRange, View},
     srgb,
 };
@@ -91,7 +91,7 @@ impl Scene {
         let rays = request.camera.rays(request.size);
         let shader = self.shader(request);
         let mut scratch = PacketScratch::default();
-        let samples: Vec<_> = units.clone().flat_map(|unit| share.samples(unit).iter()).collect();
+        let samples = samples_of(share, units.clone());
         let first = rgb.len();
         rgb.resize(first + 3 * samples.len(), 0);
         let (pixels, _) = rgb[first..].as_chunks_mut::<3>();
@@ -128,7 +128,7 @@ impl Scene {
     /// the order of [`Share::samples`].
     pub fn trace(&self, rays: &CameraRays, share: &Share<'_>, units: Range<u32>, hits: &mut Vec<Hit>) {
         let mut scratch = PacketScratch::default();
-        let samples: Vec<_> = units.clone().flat_map(|unit| share.samples(unit).iter()).collect();
+        let samples = samples_of(share, units.clone());
         let first = hits.len();
         hits.resize(first + samples.len(), Hit::MISS);
         for_each_block(share, units, &samples, |block, places| {
@@ -174,6 +174,18 @@ impl Scene {
         }
         (directions, hits)
     }
+}
+
+/// All samples of some units, in the order of [`Share::samples`].
+fn samples_of(share: &Share<'_>, units: Range<u32>) -> Vec<(u32, u32)> {
+    let mut samples = Vec::with_capacity(units.len());
+    for unit in units {
+        let UnitSamples { columns, rows } = share.samples(unit);
+        for j in rows {
+            samples.extend(columns.clone().map(|i| (i, j)));
+        }
+    }
+    samples
 }
 
 /// The place of each lane in a tile of 8×8 samples, row by row: quarters of 4×4 one after the other.

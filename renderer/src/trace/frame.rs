@@ -63,15 +63,21 @@ impl Frame {
             let start = ThreadTime::now();
             let mut cost = Cost::default();
             let first_j = row as u32 * TILE_SIZE;
-            let mut tile_hits = Vec::with_capacity(64);
-            for tile in row as u32 * tiles_per_row..(row as u32 + 1) * tiles_per_row {
-                tile_hits.clear();
-                scene.trace(&rays, &share, tile..tile + 1, &mut tile_hits);
-                for ((i, j), &hit) in share.samples(tile).iter().zip(&tile_hits) {
-                    let at = (j - first_j) as usize * xres + i as usize;
-                    (hits[at], places[at]) = (scene.in_file_order(hit), hit.triangle);
-                    if let Some(light) = light.filter(|_| !hit.is_miss()) {
-                        cost.trace_shadow(scene, &rays, rays.direction(i, j), hit, light);
+            let tiles = row as u32 * tiles_per_row..(row as u32 + 1) * tiles_per_row;
+            let mut in_tiles = Vec::with_capacity(hits.len());
+            scene.trace(&rays, &share, tiles.clone(), &mut in_tiles);
+            let mut in_tiles = &*in_tiles;
+            for samples in tiles.map(|tile| share.samples(tile)) {
+                for j in samples.rows {
+                    let (of_row, others) = in_tiles.split_at(samples.columns.len());
+                    in_tiles = others;
+                    let first = (j - first_j) as usize * xres + samples.columns.start as usize;
+                    for (offset, (i, &hit)) in samples.columns.clone().zip(of_row).enumerate() {
+                        hits[first + offset] = scene.in_file_order(hit);
+                        places[first + offset] = hit.triangle;
+                        if let Some(light) = light.filter(|_| !hit.is_miss()) {
+                            cost.trace_shadow(scene, &rays, rays.direction(i, j), hit, light);
+                        }
                     }
                 }
             }
