@@ -264,3 +264,30 @@ async fn transmit(
         writer.flush().await.map_err(WireError::from)?;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use shared::division::{Division, FrameSize};
+
+    use super::*;
+
+    #[test]
+    fn a_work_is_finished_by_all_its_samples_and_costs_that_fit_it() {
+        let (frame, work_id, size) = (FrameId(1), WorkId(2), FrameSize::new(32, 8).unwrap());
+        let finish = |n_units: u32, costs: &BlockCosts| {
+            let (work, buffer) = (Division::Dynamic.work(0, 1), Arc::new(FrameBuffer::new(size)));
+            let desk = Desk::default();
+            desk.put(work_id, Assignment { frame, work, buffer, n_placed: 0 });
+            let rgb = vec![7; 3 * 64 * n_units as usize];
+            desk.place(Chunk { frame, work_id, first_unit: 0, n_units, rgb: &rgb }).unwrap();
+            desk.finish(work_id, costs)
+        };
+        let costs = |block_units, n_blocks| BlockCosts { block_units, cpu_ns: vec![1; n_blocks] };
+        assert!(finish(4, &costs(3, 2)).unwrap());
+        assert!(finish(4, &BlockCosts::default()).unwrap());
+        assert!(matches!(finish(3, &costs(3, 2)), Err(ConnectionError::Incomplete { sent: 3, n_units: 4 })));
+        for misfit in [costs(3, 1), costs(3, 3), costs(0, 4), costs(u32::MAX, 2)] {
+            assert!(matches!(finish(4, &misfit), Err(ConnectionError::MisfitCosts { n_units: 4, .. })));
+        }
+    }
+}
