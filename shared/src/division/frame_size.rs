@@ -1,0 +1,96 @@
+//! The resolution of a frame.
+
+use serde::{Deserialize, Serialize};
+
+use super::TILE_SIZE;
+
+/// The resolution of a frame in samples.
+///
+/// Invariant: at least 1×1 and at most [`FrameSize::LARGEST`] on either side, so that a sample's index fits in `u32`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "(u32, u32)", into = "(u32, u32)")]
+pub struct FrameSize {
+    xres: u32,
+    yres: u32,
+}
+
+/// Why two numbers make no frame size.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a frame of {0}×{1} samples: each side must be from 1 to {max}", max = FrameSize::LARGEST)]
+pub struct FrameSizeError(u32, u32);
+
+impl TryFrom<(u32, u32)> for FrameSize {
+    type Error = FrameSizeError;
+
+    fn try_from((xres, yres): (u32, u32)) -> Result<Self, FrameSizeError> {
+        Self::new(xres, yres)
+    }
+}
+
+impl From<FrameSize> for (u32, u32) {
+    fn from(size: FrameSize) -> Self {
+        (size.xres, size.yres)
+    }
+}
+
+impl FrameSize {
+    /// The largest side: what GPUs take as a texture, and the bound on what a message can make a peer allocate.
+    pub const LARGEST: u32 = 16384;
+
+    /// The paper's frame.
+    pub const PAPER: Self = Self { xres: 1024, yres: 512 };
+
+    /// A frame of `xres` × `yres` samples.
+    pub fn new(xres: u32, yres: u32) -> Result<Self, FrameSizeError> {
+        let valid = 1..=Self::LARGEST;
+        if valid.contains(&xres) && valid.contains(&yres) {
+            Ok(Self { xres, yres })
+        } else {
+            Err(FrameSizeError(xres, yres))
+        }
+    }
+
+    /// Samples in a row.
+    pub fn xres(self) -> u32 {
+        self.xres
+    }
+
+    /// Rows.
+    pub fn yres(self) -> u32 {
+        self.yres
+    }
+
+    /// Samples in all.
+    pub fn n_samples(self) -> u32 {
+        self.xres * self.yres
+    }
+
+    pub(super) fn x_tiles(self) -> u32 {
+        self.xres.div_ceil(TILE_SIZE)
+    }
+
+    pub(super) fn y_tiles(self) -> u32 {
+        self.yres.div_ceil(TILE_SIZE)
+    }
+
+    pub(super) fn n_tiles(self) -> u32 {
+        self.x_tiles() * self.y_tiles()
+    }
+}
+
+impl std::str::FromStr for FrameSize {
+    type Err = String;
+
+    /// Reads `1024x512`.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let sides = text.split_once(['x', '×']).and_then(|(x, y)| Some((x.parse().ok()?, y.parse().ok()?)));
+        let (xres, yres) = sides.ok_or_else(|| format!("\"{text}\" is no size: write it as 1024x512"))?;
+        Self::new(xres, yres).map_err(|error| error.to_string())
+    }
+}
+
+impl std::fmt::Display for FrameSize {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{}", self.xres, self.yres)
+    }
+}
