@@ -32,14 +32,14 @@ pub enum Picked {
     },
     /// Runs of tiles, in the order given.
     TileRuns(Vec<TileRun>),
-    /// The tiles that are number t along the [`curve`], t mod machines = machine, ascending.
+    /// The tiles that are number t along the [`curve`](crate::curve), t mod machines = machine, ascending.
     Curve {
         /// Which machine, from 0.
         machine: u32,
         /// How many machines.
         machines: u32,
     },
-    /// A run of tiles along the [`curve`]; it may be empty.
+    /// A run of tiles along the [`curve`](crate::curve); it may be empty.
     CurveRun(TileRun),
 }
 
