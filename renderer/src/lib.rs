@@ -1,6 +1,9 @@
 //! The render server: loads a model, builds the paper's grid over it, and traces its share of each frame.
 //!
 //! In reading order: [`mesh`] is what is traced; [`ply`] reads one, [`statue`] makes one, [`scene`] names and loads one.
+//! [`grid`] finds the triangles along [`ray`]s, [`triangle`] decides whether they are hit, [`tracer`] does it for shares
+//! of frames, [`shade`] makes light of hits. [`connect`], [`trace`], [`generate`] and [`key`] are the commands of
+//! [`cli`]; [`wire`] and [`secure`] are how a render server talks.
 
 pub mod cli;
 pub mod connect;

@@ -3,20 +3,43 @@
 //! Samples must not depend on who renders them, and `powf` differs between platforms.
 //! So the curve is made from + − × ÷ alone: x^2.4 = x²·(x²)^(1/5), and the fifth root by Newton's iteration.
 
-use std::sync::LazyLock;
-
 /// Linear light of each encoded value.
-static DECODED: LazyLock<[f32; 256]> =
-    LazyLock::new(|| std::array::from_fn(|value| decode_exact(value as f64 / 255.0) as f32));
+static DECODED: [f32; 256] = {
+    let mut decoded = [0.0; 256];
+    let mut value = 0;
+    while value < 256 {
+        decoded[value] = decode_exact(value as f64 / 255.0) as f32;
+        value += 1;
+    }
+    decoded
+};
 
-/// The linear light half way (in encoded values) between a value and the next: where rounding changes.
-static THRESHOLDS: LazyLock<[f32; 255]> =
-    LazyLock::new(|| std::array::from_fn(|value| decode_exact((value as f64 + 0.5) / 255.0) as f32));
+/// The linear light half way (in encoded values) between a value and the next, where rounding changes; above the last
+/// value nothing is.
+static THRESHOLDS: [f32; 256] = {
+    let mut thresholds = [f32::INFINITY; 256];
+    let mut value = 0;
+    while value < 255 {
+        thresholds[value] = decode_exact((value as f64 + 0.5) / 255.0) as f32;
+        value += 1;
+    }
+    thresholds
+};
 
 /// The first value that a bucket of linear light can have; buckets are [`N_BUCKETS`] equal steps.
-static FIRST_VALUE: LazyLock<[u8; N_BUCKETS]> = LazyLock::new(|| {
-    std::array::from_fn(|bucket| THRESHOLDS.partition_point(|&t| t <= bucket as f32 / N_BUCKETS as f32) as u8)
-});
+static FIRST_VALUE: [u8; N_BUCKETS] = {
+    let mut first_value = [0; N_BUCKETS];
+    let mut value = 0;
+    let mut bucket = 0;
+    while bucket < N_BUCKETS {
+        while THRESHOLDS[value] <= bucket as f32 / N_BUCKETS as f32 {
+            value += 1;
+        }
+        first_value[bucket] = value as u8;
+        bucket += 1;
+    }
+    first_value
+};
 
 /// A power of two, so that a bucket's number is exact.
 const N_BUCKETS: usize = 4096;
@@ -37,14 +60,14 @@ pub fn encode(linear: f32) -> u8 {
         return 255;
     }
     let mut value = FIRST_VALUE[(linear * N_BUCKETS as f32) as usize];
-    while THRESHOLDS.get(usize::from(value)).is_some_and(|&threshold| threshold <= linear) {
+    while THRESHOLDS[usize::from(value)] <= linear {
         value += 1;
     }
     value
 }
 
 /// IEC 61966-2-1, encoded to linear, both 0 to 1.
-fn decode_exact(encoded: f64) -> f64 {
+const fn decode_exact(encoded: f64) -> f64 {
     if encoded <= 0.04045 {
         return encoded / 12.92;
     }
@@ -52,8 +75,10 @@ fn decode_exact(encoded: f64) -> f64 {
     let square = x * x;
     let mut root = 1.0;
     // From 1, for arguments above 0.008, twelve steps reach the last bit; more change nothing.
-    for _ in 0..16 {
+    let mut step = 0;
+    while step < 16 {
         root -= (root * root * root * root * root - square) / (5.0 * root * root * root * root);
+        step += 1;
     }
     square * root
 }
