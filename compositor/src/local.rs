@@ -35,7 +35,8 @@ impl LocalServers {
             let child = command
                 .args(["--name", &format!("local-{number}")])
                 .args(["--threads", &(n_cores / n_servers).max(1).to_string()])
-                .stdin(Stdio::null())
+                // Held open as long as this process lives: its end is theirs.
+                .stdin(Stdio::piped())
                 .stdout(Stdio::null())
                 .spawn()
                 .with_context(|| format!("cannot start a local render server ({})", program.display()))?;

@@ -83,8 +83,9 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         .context("the network thread does not start")?;
     runtime.block_on(async {
         tokio::select! {
-            ended = keep_connected(&args.wall, &trust, args.local, &name, &stage) => ended,
+            ended = keep_connected(&args.wall, &trust, &name, &stage) => ended,
             signal = stop_signal() => signal.context("cannot listen for signals"),
+            () = end_of_input(), if args.local => Ok(()),
         }
     })
 }
@@ -106,7 +107,7 @@ impl Trust {
     }
 }
 
-async fn keep_connected(wall: &str, trust: &Trust, local: bool, name: &str, stage: &Stage) -> anyhow::Result<()> {
+async fn keep_connected(wall: &str, trust: &Trust, name: &str, stage: &Stage) -> anyhow::Result<()> {
     let host = if wall.contains(':') { wall.to_owned() } else { format!("{wall}:{DEFAULT_PORT}") };
     let mut pause = SHORTEST_PAUSE;
     let mut last_failure = String::new();
@@ -125,9 +126,6 @@ async fn keep_connected(wall: &str, trust: &Trust, local: bool, name: &str, stag
             }
             Err(error) => error.to_string(),
         };
-        if local {
-            return Ok(());
-        }
         // A wall that is away for hours is reported once.
         if failure != last_failure {
             tracing::warn!("{host}: {failure}; trying again until it answers");
@@ -180,6 +178,17 @@ fn name(given: Option<String>) -> anyhow::Result<String> {
 
 fn num_cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Waits for the end of standard input: of a pipe whose other end the wall's process holds, however that ends.
+async fn end_of_input() {
+    let (ended, end) = tokio::sync::oneshot::channel();
+    std::thread::spawn(move || {
+        // What comes is for nobody; an error is an end, too.
+        let _ = io::copy(&mut io::stdin(), &mut io::sink());
+        let _ = ended.send(());
+    });
+    let _ = end.await;
 }
 
 /// Waits until the process is told to stop: by Ctrl-C or, on Unix, SIGTERM.

@@ -319,6 +319,19 @@ fn a_renderer_without_the_model_is_told_what_to_do() {
     assert!(status.success(), "{said}");
 }
 
+/// The local render servers that run: the number of their wall's process, and their own.
+fn local_renderers() -> Vec<(u32, u32)> {
+    let output = Command::new("ps").args(["-e", "-o", "ppid=,pid=,args="]).output().unwrap();
+    let lines = String::from_utf8_lossy(&output.stdout).into_owned();
+    let number = |line: &str, at: usize| line.split_whitespace().nth(at).unwrap().parse().unwrap();
+    let is_one = |line: &&str| line.contains("renderer connect") && line.contains("--local");
+    lines.lines().filter(is_one).map(|line| (number(line, 0), number(line, 1))).collect()
+}
+
+fn local_renderers_of(wall: &Program) -> Vec<u32> {
+    local_renderers().into_iter().filter(|&(parent, _)| parent == wall.id()).map(|(_, pid)| pid).collect()
+}
+
 #[test]
 fn local_renderers_end_with_a_wall_that_is_killed() {
     let files = Files::new();
@@ -326,23 +339,25 @@ fn local_renderers_end_with_a_wall_that_is_killed() {
     command.args(["--local", "2", "--frames", "1000000"]);
     let mut wall = Program::start(command);
     wall.wait_for("frame shown");
-    let parent = wall.id().to_string();
-    let children = || {
-        let output = Command::new("ps").args(["-e", "-o", "ppid=,pid=,args="]).output().unwrap();
-        String::from_utf8_lossy(&output.stdout)
-            .lines()
-            .filter(|line| line.contains("renderer connect"))
-            .map(str::to_owned)
-            .collect::<Vec<_>>()
-    };
-    let of_wall: Vec<String> = children()
-        .into_iter()
-        .filter(|line| line.split_whitespace().next() == Some(&parent))
-        .map(|line| line.split_whitespace().nth(1).unwrap().to_owned())
-        .collect();
-    assert_eq!(of_wall.len(), 2);
+    let pids = local_renderers_of(&wall);
+    assert_eq!(pids.len(), 2);
     wall.signal("KILL");
-    wait_until("the local render servers end", || {
-        !children().iter().any(|line| of_wall.iter().any(|pid| line.split_whitespace().nth(1) == Some(pid)))
-    });
+    wait_until("the local render servers end", || !local_renderers().iter().any(|(_, pid)| pids.contains(pid)));
+}
+
+#[test]
+fn a_local_renderer_that_was_lost_comes_back() {
+    let files = Files::new();
+    let mut command = files.wall("64x32");
+    command.args(["--local", "1", "--frames", "1000000"]);
+    let mut wall = Program::start(command);
+    wall.wait_for("frame shown");
+    let pid = local_renderers_of(&wall)[0].to_string();
+    let kill = |signal: &str| assert!(Command::new("kill").args([signal, &pid]).status().unwrap().success());
+    kill("-STOP");
+    wall.wait_for("silent for 250 ms");
+    kill("-CONT");
+    wall.wait_for_count("local-1 is ready", 2);
+    let n_shown = wall.count("frame shown");
+    wall.wait_for_count("frame shown", n_shown + 3);
 }
