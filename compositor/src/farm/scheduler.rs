@@ -127,6 +127,10 @@ impl Scheduler {
                 if let Some(node) = self.nodes.get_mut(&node) {
                     node.ready = ready;
                 }
+                // Whoever does not have the scene does not render it, whatever it was given.
+                if let (false, Some(frame)) = (ready, &mut self.frame) {
+                    frame.lose(node);
+                }
             }
             Event::Lost { node } => {
                 self.nodes.remove(&node);

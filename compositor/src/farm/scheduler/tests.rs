@@ -228,6 +228,17 @@ fn late_work_is_done_by_an_idle_node_too() {
 }
 
 #[test]
+fn who_no_longer_has_the_scene_does_not_hold_up_the_frame() {
+    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    farm.at_work.clear();
+    farm.on(Event::SceneReady { node: A, ready: false });
+    assert!(farm.at_work.is_empty());
+    farm.on(Event::SceneReady { node: A, ready: true });
+    farm.answer(A);
+    assert_eq!(farm.shown.len(), 1);
+}
+
+#[test]
 fn a_slow_node_is_not_a_lost_one() {
     let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
     farm.pass(60_000);
