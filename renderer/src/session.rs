@@ -10,6 +10,7 @@ use std::{
 
 use shared::{
     codec,
+    printable::printable,
     protocol::{FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, SceneState, ToServer, ToWall},
 };
 use tokio::{
@@ -32,6 +33,9 @@ const WALL_SILENCE: Duration = Duration::from_secs(2);
 /// Encoded messages that wait for the network; when it is full, tracing threads wait.
 const LONGEST_QUEUE: usize = 64;
 
+/// Works that a wall may ask for before the first is done: its own share, and parts of those of many lost ones.
+const MOST_WORKS: usize = 256;
+
 /// Bytes that are written in one go.
 const BATCH_BYTES: usize = 256 * 1024;
 
@@ -53,6 +57,8 @@ pub(crate) enum SessionError {
     Secure(#[from] SecureError),
     #[error("the wall refuses: {0}")]
     Refused(String),
+    #[error("the wall asks for more than {MOST_WORKS} works at once")]
+    TooMuchWork,
     #[error("the wall spoke out of turn")]
     OutOfTurn,
 }
@@ -115,7 +121,7 @@ async fn shake_hands(
     reader.read_preamble().await?;
     match reader.read().await? {
         Some(Incoming::Control(ToServer::Welcome)) => Ok(()),
-        Some(Incoming::Control(ToServer::Refused { reason })) => Err(SessionError::Refused(reason)),
+        Some(Incoming::Control(ToServer::Refused { reason })) => Err(SessionError::Refused(printable(&reason))),
         _ => Err(SessionError::OutOfTurn),
     }
 }
@@ -147,6 +153,9 @@ impl Conversation<'_> {
                     };
                     let cancelled = Arc::new(AtomicBool::new(false));
                     self.unfinished.retain(|(_, cancelled)| Arc::strong_count(cancelled) > 1);
+                    if self.unfinished.len() >= MOST_WORKS {
+                        return Err(SessionError::TooMuchWork);
+                    }
                     self.unfinished.push((frame, Arc::clone(&cancelled)));
                     let job = Job { frame, work_id, picture, work, scene, cancelled, received_at: Instant::now() };
                     // The worker lives as long as this conversation.
@@ -157,7 +166,7 @@ impl Conversation<'_> {
                     of_frame.for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
                 }
                 ToServer::Ping { sent_us } => self.say(&ToWall::Pong { sent_us }).await,
-                ToServer::Refused { reason } => return Err(SessionError::Refused(reason)),
+                ToServer::Refused { reason } => return Err(SessionError::Refused(printable(&reason))),
                 ToServer::Welcome => return Err(SessionError::OutOfTurn),
             }
         }

@@ -8,6 +8,7 @@ pub mod camera;
 pub mod codec;
 pub mod curve;
 pub mod division;
+pub mod printable;
 pub mod protocol;
 pub mod scene;
 pub mod srgb;

@@ -15,6 +15,7 @@ use renderer::{
 use shared::{
     codec::{CHUNK_HEADER_BYTES, HEADER_BYTES},
     division::Work,
+    printable::printable,
     protocol::{
         BlockCosts, Chunk, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME, SceneState,
         ToServer, ToWall, WorkId, WorkTimings,
@@ -116,8 +117,12 @@ impl Desk {
     }
 
     /// Takes a finished work off the desk; whether it was still there.
-    fn finish(&self, work_id: WorkId, costs: &BlockCosts) -> Result<bool, ConnectionError> {
-        let Some(assignment) = self.lock().remove(&work_id) else { return Ok(false) };
+    fn finish(&self, frame: FrameId, work_id: WorkId, costs: &BlockCosts) -> Result<bool, ConnectionError> {
+        let mut assignments = self.lock();
+        if assignments.get(&work_id).is_none_or(|assignment| assignment.frame != frame) {
+            return Ok(false);
+        }
+        let Some(assignment) = assignments.remove(&work_id) else { return Ok(false) };
         let share = assignment.work.share(assignment.buffer.size()).expect("the wall gives out works that fit");
         let (sent, n_units) = (assignment.n_placed, share.count());
         if sent < n_units {
@@ -207,7 +212,8 @@ async fn shake_hands(
     }
     writer.send(&ToServer::Welcome).await?;
     // Names are shown: nothing in them may disturb a log or the overlay.
-    Ok((name.chars().filter(|letter| !letter.is_control()).collect(), threads))
+    let name = printable(&name);
+    Ok((if name.is_empty() { "nameless".to_owned() } else { name }, threads))
 }
 
 async fn receive(
@@ -225,7 +231,7 @@ async fn receive(
                 }
             }
             Incoming::Control(ToWall::WorkDone { frame, work_id, timings, costs }) => {
-                if desk.finish(work_id, &costs)? {
+                if desk.finish(frame, work_id, &costs)? {
                     reporter.send(Report::WorkDone { frame, work_id, timings, costs }).await;
                 }
             }
@@ -280,7 +286,7 @@ mod tests {
             desk.put(work_id, Assignment { frame, work, buffer, n_placed: 0 });
             let rgb = vec![7; 3 * 64 * n_units as usize];
             desk.place(Chunk { frame, work_id, first_unit: 0, n_units, rgb: &rgb }).unwrap();
-            desk.finish(work_id, costs)
+            desk.finish(frame, work_id, costs)
         };
         let costs = |block_units, n_blocks| BlockCosts { block_units, cpu_ns: vec![1; n_blocks] };
         assert!(finish(4, &costs(3, 2)).unwrap());

@@ -10,6 +10,7 @@ use std::{
 use renderer::key::Key;
 use shared::{
     codec,
+    printable::printable,
     protocol::{FrameId, Picture, SceneState, ToServer, WorkId},
 };
 use tokio::{
@@ -168,6 +169,7 @@ impl Service {
         self.status.send_modify(|status| {
             let Some(node) = status.nodes.iter_mut().find(|node| node.id == id) else { return };
             if let SceneState::Missing { reason } = &state {
+                let reason = printable(reason);
                 tracing::warn!("render server {} does not have the model: {reason}", node.name);
                 status.message = Some(format!("{}: {reason}", node.name));
             }
@@ -224,8 +226,8 @@ impl Service {
             Action::Open { frame, picture } => {
                 let buffer = Arc::new(FrameBuffer::new(picture.size));
                 let moved_at = self.wanted.borrow().moved_at;
-                // A frame that no motion asked for is as old as its beginning.
-                let is_first_since = self.last_moved_at.replace(moved_at) != Some(moved_at);
+                // A frame that no motion asked for is as old as its beginning; so is the first, before which models load.
+                let is_first_since = self.last_moved_at.replace(moved_at).is_some_and(|last| last != moved_at);
                 let moved_at = if is_first_since { moved_at } else { Instant::now() };
                 self.frames.insert(frame, OpenFrame { picture, buffer, moved_at, bytes_out: HashMap::new() });
             }
