@@ -136,9 +136,10 @@ fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Wakeup> {
             let n_ready = status.nodes.iter().filter(|node| node.is_ready()).count();
             let n_needed = farm.wanted().min_renderers.max(1);
             tracing::info!(
-                "{n_ready} of {n_needed} render servers are ready, {} connected; start one with: renderer connect {}",
+                "{n_ready} of {n_needed} render servers are ready, {} connected; start one with: renderer connect {}{}",
                 status.nodes.len(),
-                farm.address()
+                farm.address(),
+                status.message.map(|message| format!("; last: {message}")).unwrap_or_default()
             );
             Ok(Wakeup::Farm)
         }

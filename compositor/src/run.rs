@@ -4,6 +4,7 @@ use std::{cell::RefCell, ops::ControlFlow, rc::Rc, sync::mpsc, time::Instant};
 
 use anyhow::{Context, bail};
 use renderer::{
+    cli::say,
     key::{Key, making_line},
     progress::Progress,
     scene::SceneSource,
@@ -58,13 +59,17 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::
         farm.want(|wanted| want_model(wanted, &model, camera, args));
         headless.show_frames(&farm, &wakeups, n_frames)?
     };
-    println!("{}", report.table());
-    if let Some(path) = &args.screenshot {
-        headless.write_screenshot(path)?;
-        println!("wrote {}", path.display());
-    }
+    say(report.table())?;
+    // Figures first: a picture that cannot be written costs no measurement.
     if let Some(path) = &args.stats {
         report.write(path)?;
+    }
+    if report.n_frames() == 0 {
+        bail!("stopped before the first frame: nothing is shown, and no screenshot written");
+    }
+    if let Some(path) = &args.screenshot {
+        headless.write_screenshot(path)?;
+        say(format_args!("wrote {}", path.display()))?;
     }
     Ok(())
 }
@@ -114,7 +119,7 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Re
     drop(farm);
     outcome?;
     if args.frames.is_some() {
-        println!("{}", report.borrow().table());
+        say(report.borrow().table())?;
     }
     if let Some(path) = &args.stats {
         report.borrow().write(path)?;
@@ -200,7 +205,7 @@ fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
         format!("cannot listen on {address}: is another wall running? --listen {}:0 takes a free port", address.ip())
     })?;
     // Scripts and people read where to connect to.
-    println!("listening on {}", listener.local_addr()?);
+    say(format_args!("listening on {}", listener.local_addr()?))?;
     Ok(listener)
 }
 

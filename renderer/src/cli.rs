@@ -1,6 +1,12 @@
 //! The command line of the `renderer` program; the wall runs the same for its local render servers.
 
-use std::{io::IsTerminal, process::ExitCode};
+use std::{
+    fmt::Display,
+    io::{ErrorKind, IsTerminal, Write},
+    process::ExitCode,
+};
+
+use anyhow::Context;
 
 use clap::{Parser, Subcommand};
 
@@ -53,6 +59,14 @@ pub fn start_logging() {
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .init();
+}
+
+/// Prints a line to standard output. Nobody listening any more is no error; a full disk is.
+pub fn say(line: impl Display) -> anyhow::Result<()> {
+    match writeln!(std::io::stdout(), "{line}") {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("cannot write to standard output"),
+        _ => Ok(()),
+    }
 }
 
 /// Prints an error as one line that names the whole chain of causes.

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::{Args, Subcommand};
 
+use crate::cli::say;
 use crate::progress::Progress;
 use crate::{ply, statue};
 
@@ -36,6 +37,6 @@ pub fn run(args: &GenerateArgs) -> anyhow::Result<()> {
         statue::generate(*triangles, &|fraction| progress.set(fraction))
     };
     ply::write(out, &mesh).with_context(|| format!("cannot write {}", out.display()))?;
-    println!("{}: {} vertices, {} triangles", out.display(), mesh.vertices.len(), mesh.triangles.len());
+    say(format_args!("{}: {} vertices, {} triangles", out.display(), mesh.vertices.len(), mesh.triangles.len()))?;
     Ok(())
 }

@@ -4,6 +4,7 @@ mod cameras;
 mod frame;
 
 use std::{
+    io::Read,
     num::{NonZero, ParseFloatError},
     path::{Path, PathBuf},
     time::{Duration, Instant},
@@ -20,6 +21,7 @@ use shared::{
 };
 
 use crate::{
+    cli::say,
     grid::GridOptions,
     image,
     progress::Progress,
@@ -227,9 +229,9 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         .with_context(|| cannot_write(path))?;
     }
     if args.json {
-        println!("{}", serde_json::to_string(&report)?);
+        say(serde_json::to_string(&report)?)?;
     } else {
-        print(&report, args.size);
+        say(table(&report, args.size))?;
     }
     Ok(())
 }
@@ -239,7 +241,11 @@ const CANVAS_ASPECT: f64 = 16.0 / 9.0;
 
 /// Reads and checks a camera file.
 pub fn read_camera(path: &Path) -> Result<Camera> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read the camera {}", path.display()))?;
+    let mut text = String::new();
+    // A limit, for a device or a model named by mistake would be read for ever.
+    std::fs::File::open(path)
+        .and_then(|file| file.take(1 << 20).read_to_string(&mut text))
+        .with_context(|| format!("cannot read the camera {}", path.display()))?;
     Camera::from_toml(&text).with_context(|| format!("{} is no camera", path.display()))
 }
 
@@ -270,22 +276,25 @@ fn peak_rss_bytes() -> Option<u64> {
     Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
 }
 
-fn print(report: &Report, size: FrameSize) {
+fn table(report: &Report, size: FrameSize) -> String {
     let megabytes = |bytes: usize| bytes as f64 / 1e6;
-    println!("triangles   {} ({} rejected), {} vertices", report.triangles, report.rejected, report.vertices);
-    println!("load        {:.2} s", report.load_seconds);
-    println!("build       {:.2} s", report.build_seconds);
-    println!(
-        "memory      mesh {:.1} MB, grid {:.1} MB",
-        megabytes(report.mesh_bytes),
-        megabytes(report.structure_bytes)
-    );
-    println!("frame       {size} samples, {} hits", report.hits);
-    println!(
-        "median      {:.2} ms, {:.2} ms of CPU; shading {:.2} ms of CPU",
-        median(&report.frame_ms),
-        median(&report.frame_cpu_ms),
-        median(&report.shade_cpu_ms)
-    );
-    println!("speed       {:.2} million rays a second", report.mrays_per_second);
+    [
+        format!("triangles   {} ({} rejected), {} vertices", report.triangles, report.rejected, report.vertices),
+        format!("load        {:.2} s", report.load_seconds),
+        format!("build       {:.2} s", report.build_seconds),
+        format!(
+            "memory      mesh {:.1} MB, grid {:.1} MB",
+            megabytes(report.mesh_bytes),
+            megabytes(report.structure_bytes)
+        ),
+        format!("frame       {size} samples, {} hits", report.hits),
+        format!(
+            "median      {:.2} ms, {:.2} ms of CPU; shading {:.2} ms of CPU",
+            median(&report.frame_ms),
+            median(&report.frame_cpu_ms),
+            median(&report.shade_cpu_ms)
+        ),
+        format!("speed       {:.2} million rays a second", report.mrays_per_second),
+    ]
+    .join("\n")
 }

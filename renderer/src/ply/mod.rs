@@ -118,11 +118,12 @@ pub enum Problem {
 /// `progress` is told the fraction of the file read so far, 0 to 1.
 pub fn read(path: &Path, progress: &(dyn Fn(f32) + Sync)) -> Result<Mesh, PlyError> {
     let open = || -> Result<Mesh, Problem> {
-        let file = File::open(path)?;
-        let metadata = file.metadata()?;
-        if !metadata.is_file() {
+        // Asked before opening: to open a pipe is to wait for somebody to write to it.
+        if !std::fs::metadata(path)?.is_file() {
             return Err(Problem::NotAFile);
         }
+        let file = File::open(path)?;
+        let metadata = file.metadata()?;
         let metered = Metered { inner: file, n_read: 0, n_bytes: metadata.len(), progress };
         read_from(BufReader::with_capacity(BUFFER_BYTES, metered), metadata.len())
     };

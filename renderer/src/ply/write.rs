@@ -1,31 +1,13 @@
 //! Writes a mesh as a binary little-endian PLY.
 
-use std::fs::{self, File};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::Path;
 
-use crate::mesh::Mesh;
+use crate::{image::write_whole, mesh::Mesh};
 
 /// Writes all of the mesh or leaves what `path` held before: it becomes a file of that name only when it is complete.
 pub fn write(path: &Path, mesh: &Mesh) -> io::Result<()> {
-    let Some(name) = path.file_name() else {
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, "names no file"));
-    };
-    let mut partial_name = name.to_owned();
-    partial_name.push(format!(".{}.partial", std::process::id()));
-    let partial = path.with_file_name(partial_name);
-    let written = write_new(&partial, mesh).and_then(|()| fs::rename(&partial, path));
-    if written.is_err() {
-        // There may be nothing to remove; what went wrong first is what counts.
-        let _ = fs::remove_file(&partial);
-    }
-    written
-}
-
-fn write_new(path: &Path, mesh: &Mesh) -> io::Result<()> {
-    let mut writer = BufWriter::with_capacity(1 << 20, File::create_new(path)?);
-    write_to(&mut writer, mesh)?;
-    writer.into_inner()?.sync_all()
+    write_whole(path, |mut out| write_to(&mut out, mesh))
 }
 
 /// Rejected triangles are written with the indices −1, so that they are rejected again and keep their place.
