@@ -40,6 +40,8 @@ has_library libXi.so.6 || need libxi6 libXi libxi
 if [ "$purpose" = test ]; then
     # FLIP, by which pictures are compared, is C++.
     has_command c++ || need g++ gcc-c++ gcc
+    # Tests look for processes and signal them.
+    has_command ps && has_command kill || need procps procps-ng procps-ng
     has_command Xvfb || need xvfb xorg-x11-server-Xvfb xorg-server-xvfb
     has_command openbox || need openbox openbox openbox
     has_command xdotool || need xdotool xdotool xdotool
