@@ -158,21 +158,6 @@ impl Camera {
         self.moved(self.u.normalize() * right + self.v.normalize() * up - self.backward() * forward)
     }
 
-    /// Makes `up` point upwards in the picture, keeping eye and target.
-    #[must_use]
-    pub fn upright(&self, up: UpAxis) -> Self {
-        let height = self.v.length();
-        let fov_y = 2.0 * (height * 0.5 / (self.target() - self.eye).length()).atan();
-        Self::look_at(self.eye, self.target(), up.direction(), fov_y, self.u.length() / height).unwrap_or(*self)
-    }
-
-    /// The same view on a canvas of another aspect, its height unchanged.
-    #[must_use]
-    pub fn with_aspect(&self, aspect: f64) -> Self {
-        let u = self.u * (aspect * self.v.length() / self.u.length());
-        Self::new(self.eye, self.ll + (self.u - u) * 0.5, u, self.v).unwrap_or(*self)
-    }
-
     /// The unit vector from the view plane to the eye, perpendicular to the plane.
     fn backward(&self) -> DVec3 {
         let normal = self.u.cross(self.v).normalize();
@@ -287,7 +272,7 @@ mod tests {
     proptest! {
         #[test]
         fn no_motion_makes_a_degenerate_camera(
-            steps in proptest::collection::vec((0..6u8, -1e3..1e3f64, -1e3..1e3f64), 1..40),
+            steps in proptest::collection::vec((0..5u8, -1e3..1e3f64, -1e3..1e3f64), 1..40),
         ) {
             let mut camera = front();
             for (kind, a, b) in steps {
@@ -296,8 +281,7 @@ mod tests {
                     1 => camera.pan(a, b, a),
                     2 => camera.dolly(DVec3::ZERO, a.abs()),
                     3 => camera.fly(a, b, 1e17 * a),
-                    4 => camera.upright(UpAxis::X),
-                    _ => camera.with_aspect(a),
+                    _ => camera.look_around(UpAxis::X, a, b),
                 };
                 prop_assert!(Camera::new(camera.eye(), camera.ll(), camera.u(), camera.v()).is_ok());
             }
