@@ -23,6 +23,7 @@ mod walk;
 
 pub use packet::{InstructionSet, Packet, PacketScratch};
 use resolution::CellSpace;
+pub use walk::RayCost;
 
 use crate::traced::TracedMesh;
 

@@ -178,6 +178,21 @@ fn the_first_of_equal_triangles_wins() {
 }
 
 #[test]
+fn a_ray_s_cost_counts_cells_and_tests_up_to_the_hit() {
+    let grid = build(&cube(12));
+    let towards = Ray::new(Vec3::new(-5.0, 4.3, 6.6), Vec3::X);
+    let onto_it = grid.cost(&towards);
+    // From just behind the first face to the second, through the hollow.
+    let through_it = grid.cost(&Ray { t_min: 5.5, ..towards });
+    let beside_it = grid.cost(&Ray { origin: towards.origin + Vec3::Y * 50.0, ..towards });
+    assert!(onto_it.n_cells > 0 && onto_it.n_tests > 0, "{onto_it:?}");
+    assert!(through_it.n_cells > onto_it.n_cells, "{through_it:?} {onto_it:?}");
+    assert_eq!(beside_it, super::RayCost::default());
+    let (_, n_references) = grid.n_leaves_and_references();
+    assert!((through_it.n_tests as usize) < n_references / 4, "{through_it:?} of {n_references}");
+}
+
+#[test]
 fn nothing_at_all_is_never_hit() {
     let rejected = Mesh { vertices: vec![], triangles: vec![Mesh::REJECTED; 3], n_rejected: 3, ..Mesh::default() };
     let point = soup(vec![[[1.0; 3]; 3]]);

@@ -10,6 +10,15 @@ use crate::{
     triangle,
 };
 
+/// The two parts of a ray's cost, which the paper's figure 3 shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RayCost {
+    /// Cells that the ray passes, empty cubes that it skips whole counted once.
+    pub n_cells: u32,
+    /// Triangles that it is tested against.
+    pub n_tests: u32,
+}
+
 /// The nearest hit so far, with its t still in `f64`.
 #[derive(Clone, Copy)]
 struct Nearest {
@@ -23,8 +32,20 @@ impl Grid {
         if self.is_far(ray) {
             return self.march_alone(ray);
         }
+        let nearest = self.nearest(ray).0;
+        if nearest.triangle == u32::MAX { Hit::MISS } else { Hit { triangle: nearest.triangle, t: nearest.t as f32 } }
+    }
+
+    /// What [`Grid::intersect`] costs a ray that is followed alone.
+    pub fn cost(&self, ray: &Ray) -> RayCost {
+        self.nearest(ray).1
+    }
+
+    fn nearest(&self, ray: &Ray) -> (Nearest, RayCost) {
         let mut nearest = Nearest { triangle: u32::MAX, t: f64::INFINITY };
-        self.walk(ray, |references, t_exit| {
+        let mut n_tests = 0;
+        let n_cells = self.walk(ray, |references, t_exit| {
+            n_tests += references.len() as u32;
             for triangles in references.chunks(filter::BATCH) {
                 let mut left = filter::may_hit(self.instructions, &self.mesh, ray, triangles);
                 while left != 0 {
@@ -39,7 +60,7 @@ impl Grid {
             }
             nearest.t <= t_exit
         });
-        if nearest.triangle == u32::MAX { Hit::MISS } else { Hit { triangle: nearest.triangle, t: nearest.t as f32 } }
+        (nearest, RayCost { n_cells, n_tests })
     }
 
     /// Whether a ray hits any triangle.
@@ -68,13 +89,13 @@ impl Grid {
     }
 
     /// Calls `visit` with the triangles of each leaf along the ray, nearest leaf first, and the t at which the ray
-    /// leaves it, until `visit` returns true.
-    fn walk(&self, ray: &Ray, mut visit: impl FnMut(&[u32], f64) -> bool) {
+    /// leaves it, until `visit` returns true. Returns how many cells and empty cubes the ray passed.
+    fn walk(&self, ray: &Ray, mut visit: impl FnMut(&[u32], f64) -> bool) -> u32 {
         let origin = self.space.point(ray.origin.as_dvec3()).to_array();
         let direction = self.space.direction(ray.direction.as_dvec3()).to_array();
         let dims = self.dims.map(|n| (n * BRICK_SIZE) as i32);
         if !origin.iter().chain(&direction).all(|x| x.is_finite()) || direction == [0.0; 3] {
-            return;
+            return 0;
         }
         let inverse = direction.map(|d| 1.0 / d);
 
@@ -84,7 +105,7 @@ impl Grid {
                 (-overlap::DILATION - origin[axis], f64::from(dims[axis]) + overlap::DILATION - origin[axis]);
             if direction[axis] == 0.0 {
                 if low > 0.0 || high < 0.0 {
-                    return;
+                    return 0;
                 }
             } else {
                 let (a, b) = (low * inverse[axis], high * inverse[axis]);
@@ -93,12 +114,14 @@ impl Grid {
             }
         }
         if t_enter > t_end {
-            return;
+            return 0;
         }
 
         let at = |t: f64, axis: usize| (origin[axis] + t * direction[axis]).floor() as i32;
         let mut cell = [0, 1, 2].map(|axis| at(t_enter, axis).clamp(0, dims[axis] - 1));
+        let mut n_cells = 0;
         loop {
+            n_cells += 1;
             let (references, shift) = self.locate(cell);
             // The cube around the cell that has the same content, and where the ray leaves it.
             let low = cell.map(|x| x >> shift << shift);
@@ -112,7 +135,7 @@ impl Grid {
                 }
             }
             if references.is_some_and(|references| visit(references, t_exit)) || exit_axis == 3 || t_exit > t_end {
-                return;
+                return n_cells;
             }
             // The axis of exit always steps, and no axis steps back, so the walk ends whatever rounding does.
             for axis in 0..3 {
@@ -127,7 +150,7 @@ impl Grid {
                 };
             }
             if !(0..dims[exit_axis]).contains(&cell[exit_axis]) {
-                return;
+                return n_cells;
             }
         }
     }
