@@ -7,6 +7,7 @@ mod connection;
 mod frame_buffer;
 mod scheduler;
 mod service;
+mod unit_set;
 
 use std::{
     io,

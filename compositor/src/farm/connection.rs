@@ -31,6 +31,7 @@ use tokio::{
 use super::{
     frame_buffer::{FrameBuffer, PlaceError},
     scheduler::Placed,
+    unit_set::UnitSet,
 };
 use crate::stats::NodeId;
 
@@ -66,7 +67,7 @@ pub(super) enum ConnectionError {
     LongName,
     #[error("it sent samples that do not fit their work: {0}")]
     Misplaced(#[from] PlaceError),
-    #[error("it called a work done of which it has sent {sent} of {n_units} units")]
+    #[error("it called a work done of which only {sent} of {n_units} units have come")]
     Incomplete { sent: u32, n_units: u32 },
     #[error("it says what {n_blocks} blocks of {block_units} units cost in a work of {n_units}")]
     MisfitCosts { n_blocks: usize, block_units: u32, n_units: u32 },
@@ -84,7 +85,15 @@ pub(super) struct Assignment {
     pub(super) frame: FrameId,
     pub(super) work: Work,
     pub(super) buffer: Arc<FrameBuffer>,
-    pub(super) n_placed: u32,
+    came: UnitSet,
+}
+
+impl Assignment {
+    /// A work of which nothing has come.
+    pub(super) fn new(frame: FrameId, work: Work, buffer: Arc<FrameBuffer>) -> Self {
+        let n_units = work.share(buffer.size()).expect("the wall gives out works that fit").count();
+        Self { frame, work, buffer, came: UnitSet::new(n_units) }
+    }
 }
 
 impl Desk {
@@ -101,7 +110,7 @@ impl Desk {
         self.lock().retain(|_, assignment| assignment.frame != frame);
     }
 
-    /// Puts a chunk in its place. `None` if its work is not, or no longer, wanted.
+    /// Puts a chunk in its place. `None` if its work is not, or no longer, wanted, and if all of it had come before.
     fn place(&self, chunk: Chunk<'_>) -> Result<Option<Placed>, ConnectionError> {
         let started_at = Instant::now();
         let mut assignments = self.lock();
@@ -111,7 +120,9 @@ impl Desk {
         let share = assignment.work.share(assignment.buffer.size()).expect("the wall gives out works that fit");
         let Chunk { first_unit: first, n_units: count, rgb, .. } = chunk;
         assignment.buffer.place(&share, first, count, rgb)?;
-        assignment.n_placed = assignment.n_placed.saturating_add(count);
+        if assignment.came.insert(first..first + count) == 0 {
+            return Ok(None);
+        }
         let n_bytes = (HEADER_BYTES + CHUNK_HEADER_BYTES + rgb.len()) as u64;
         Ok(Some(Placed { first, count, n_bytes, place_time: started_at.elapsed() }))
     }
@@ -124,7 +135,8 @@ impl Desk {
         }
         let Some(assignment) = assignments.remove(&work_id) else { return Ok(false) };
         let share = assignment.work.share(assignment.buffer.size()).expect("the wall gives out works that fit");
-        let (sent, n_units) = (assignment.n_placed, share.count());
+        let n_units = share.count();
+        let sent = n_units - assignment.came.n_missing();
         if sent < n_units {
             return Err(ConnectionError::Incomplete { sent, n_units });
         }
@@ -280,18 +292,24 @@ mod tests {
     #[test]
     fn a_work_is_finished_by_all_its_samples_and_costs_that_fit_it() {
         let (frame, work_id, size) = (FrameId(1), WorkId(2), FrameSize::new(32, 8).unwrap());
-        let finish = |n_units: u32, costs: &BlockCosts| {
+        let finish_with = |chunks: &[(u32, u32)], costs: &BlockCosts| {
             let (work, buffer) = (Division::Dynamic.work(0, 1), Arc::new(FrameBuffer::new(size)));
             let desk = Desk::default();
-            desk.put(work_id, Assignment { frame, work, buffer, n_placed: 0 });
-            let rgb = vec![7; 3 * 64 * n_units as usize];
-            desk.place(Chunk { frame, work_id, first_unit: 0, n_units, rgb: &rgb }).unwrap();
+            desk.put(work_id, Assignment::new(frame, work, buffer));
+            for &(first_unit, n_units) in chunks {
+                let rgb = vec![7; 3 * 64 * n_units as usize];
+                desk.place(Chunk { frame, work_id, first_unit, n_units, rgb: &rgb }).unwrap();
+            }
             desk.finish(frame, work_id, costs)
         };
+        let finish = |n_units, costs: &BlockCosts| finish_with(&[(0, n_units)], costs);
         let costs = |block_units, n_blocks| BlockCosts { block_units, cpu_ns: vec![1; n_blocks] };
         assert!(finish(4, &costs(3, 2)).unwrap());
         assert!(finish(4, &BlockCosts::default()).unwrap());
         assert!(matches!(finish(3, &costs(3, 2)), Err(ConnectionError::Incomplete { sent: 3, n_units: 4 })));
+        let repeated = finish_with(&[(0, 2), (0, 2), (1, 1)], &BlockCosts::default());
+        assert!(matches!(repeated, Err(ConnectionError::Incomplete { sent: 2, n_units: 4 })), "twice is not more");
+        assert!(finish_with(&[(2, 2), (0, 3)], &BlockCosts::default()).unwrap());
         for misfit in [costs(3, 1), costs(3, 3), costs(0, 4), costs(u32::MAX, 2)] {
             assert!(matches!(finish(4, &misfit), Err(ConnectionError::MisfitCosts { n_units: 4, .. })));
         }

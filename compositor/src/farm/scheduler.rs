@@ -15,7 +15,7 @@ use shared::{
     scene::SceneId,
 };
 
-use self::{balance::Balance, frame::FrameInFlight};
+use self::{balance::Balance, coverage::Piece, frame::FrameInFlight};
 use crate::stats::{FrameStats, NodeId};
 
 /// Lost work is divided into parts of no fewer samples: many deaths in one frame do not crumble it.
@@ -219,7 +219,8 @@ impl Scheduler {
         };
         let works = balanced.unwrap_or_else(|| (0..machines).map(|machine| division.work(machine, machines)).collect());
         for (node, work) in nodes.into_iter().zip(works) {
-            actions.push(self.give(&mut frame, now, node, work));
+            let piece = frame.add(work);
+            actions.push(self.give(&mut frame, now, node, piece));
         }
         self.frame = Some(frame);
     }
@@ -250,25 +251,26 @@ impl Scheduler {
         self.frame = Some(frame);
     }
 
-    fn give_parts(&mut self, frame: &mut FrameInFlight, now: Time, nodes: &[NodeId], work: &Work) -> Vec<Action> {
-        let share = work.share(frame.picture.size).expect("the scheduler makes works that fit their frame");
+    fn give_parts(&mut self, frame: &mut FrameInFlight, now: Time, nodes: &[NodeId], piece: &Piece) -> Vec<Action> {
+        let share = piece.work.share(frame.picture.size).expect("the scheduler makes works that fit their frame");
         let n_samples: u32 = (0..share.count()).map(|k| share.samples(k).count()).sum();
         let parts = (nodes.len() as u32).min(n_samples / SMALLEST_PART).max(1);
         // Those who got a part of the last work are not the first to get one of this.
         let mut nodes = nodes.iter().cycle().skip(self.last_work.0 as usize % nodes.len());
         (0..parts)
             .map(|index| {
-                let part = work.part(index, parts).expect("parts hold units, so there are no more than the frame has");
+                let part = piece.part(index, parts).expect("parts hold units, so there are no more than the frame has");
                 let &node = nodes.next().expect("nodes go round");
                 self.give(frame, now, node, part)
             })
             .collect()
     }
 
-    fn give(&mut self, frame: &mut FrameInFlight, now: Time, node: NodeId, work: Work) -> Action {
+    fn give(&mut self, frame: &mut FrameInFlight, now: Time, node: NodeId, piece: Piece) -> Action {
+        let work = piece.work.clone();
         self.last_work.0 = self.last_work.0.wrapping_add(1);
         let of_node = self.nodes.get(&node).map_or((String::new(), 1), |node| (node.name.clone(), node.threads));
-        frame.give(now, self.last_work, node, of_node, work.clone());
+        frame.give(now, self.last_work, node, of_node, piece);
         Action::Render { node, frame: frame.id, work_id: self.last_work, picture: frame.picture, work }
     }
 

@@ -1,7 +1,7 @@
 //! The farm's thin edge: accepts connections, feeds the scheduler, and carries out what it says.
 
 use std::{
-    collections::{BTreeMap, HashMap},
+    collections::{BTreeMap, HashMap, VecDeque},
     net::SocketAddr,
     sync::Arc,
     time::{Duration, Instant},
@@ -15,8 +15,8 @@ use shared::{
 };
 use tokio::{
     net::{TcpListener, TcpStream},
-    sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch},
-    task::JoinSet,
+    sync::{mpsc, watch},
+    task::{AbortHandle, JoinSet},
     time::{MissedTickBehavior, interval},
 };
 
@@ -28,8 +28,12 @@ use super::{
 };
 use crate::stats::{FarmStatus, FrameStats, NodeId, NodeStatus};
 
-/// Connections at a time, strangers included: far more than a wall has nodes, few enough to bound what they can hold.
-const MOST_CONNECTIONS: usize = 1024;
+/// Render servers at a time: more than a wall has, few enough for the files that a process may open.
+const MOST_NODES: usize = 512;
+
+/// Connections at a time that have not shaken hands. The next one displaces the oldest: a render server needs a few round
+/// trips, so a flood of strangers neither takes its place nor keeps it out.
+const MOST_STRANGERS: usize = 64;
 
 /// Reports that wait for the farm; when it is full, receiving threads wait.
 const LONGEST_REPORT_QUEUE: usize = 1024;
@@ -62,6 +66,8 @@ pub(super) struct Service {
     finished: Arc<FinishedFrame>,
     wake: Box<dyn Fn() + Send + Sync>,
     scheduler: Scheduler,
+    /// Connections that have not shaken hands, the oldest first.
+    strangers: VecDeque<(NodeId, AbortHandle)>,
     nodes: BTreeMap<NodeId, Node>,
     frames: HashMap<FrameId, OpenFrame>,
     /// When the camera of the last frame was set.
@@ -86,6 +92,7 @@ impl Service {
             finished,
             wake,
             scheduler,
+            strangers: VecDeque::new(),
             nodes: BTreeMap::new(),
             frames: HashMap::new(),
             last_moved_at: None,
@@ -95,7 +102,6 @@ impl Service {
     /// Runs until the task is aborted or the wall is gone.
     pub(super) async fn run(mut self, listener: TcpListener) {
         let (reports_in, mut reports) = mpsc::channel(LONGEST_REPORT_QUEUE);
-        let free = Arc::new(Semaphore::new(MOST_CONNECTIONS));
         let mut connections = JoinSet::new();
         let mut last_node = NodeId(0);
         let mut tick = interval(TICK);
@@ -103,11 +109,14 @@ impl Service {
         let finished = Arc::clone(&self.finished);
         loop {
             tokio::select! {
-                accepted = accept(&listener, &free) => {
-                    let (stream, address, permit) = accepted;
+                (stream, address) = accept(&listener) => {
                     last_node.0 += 1;
                     let reporter = Reporter { node: last_node, address, farm: reports_in.clone() };
-                    connections.spawn(run_connection(stream, permit, self.key.clone(), reporter, self.started_at));
+                    let connection = run_connection(stream, self.key.clone(), reporter, self.started_at);
+                    self.strangers.push_back((last_node, connections.spawn(connection)));
+                    if self.strangers.len() > MOST_STRANGERS && let Some((_, oldest)) = self.strangers.pop_front() {
+                        oldest.abort();
+                    }
                 }
                 Some(_) = connections.join_next(), if !connections.is_empty() => {}
                 Some((node, address, report)) = reports.recv() => self.on_report(node, address, report),
@@ -136,6 +145,15 @@ impl Service {
     fn on_report(&mut self, id: NodeId, address: SocketAddr, report: Report) {
         match report {
             Report::Joined { name, threads, outgoing, desk } => {
+                // One that was displaced a moment before is gone.
+                if !self.is_stranger_no_more(id) {
+                    return;
+                }
+                if self.nodes.len() >= MOST_NODES {
+                    tracing::warn!("render server {name} at {address} refused: {MOST_NODES} are the most");
+                    // Without its queue the connection ends.
+                    return;
+                }
                 tracing::info!("render server {name} joined from {address} with {threads} threads");
                 self.nodes.insert(id, Node { outgoing, desk });
                 let joined = NodeStatus { id, name: name.clone(), address, threads, scene: None, round_trip_ms: None };
@@ -165,6 +183,12 @@ impl Service {
         }
     }
 
+    /// Whether the connection was one of those that have not shaken hands.
+    fn is_stranger_no_more(&mut self, id: NodeId) -> bool {
+        let place = self.strangers.iter().position(|&(stranger, _)| stranger == id);
+        place.and_then(|place| self.strangers.remove(place)).is_some()
+    }
+
     fn on_scene_state(&self, id: NodeId, state: SceneState) {
         self.status.send_modify(|status| {
             let Some(node) = status.nodes.iter_mut().find(|node| node.id == id) else { return };
@@ -181,6 +205,7 @@ impl Service {
     }
 
     fn on_ended(&mut self, id: NodeId, address: SocketAddr, reason: Result<(), connection::ConnectionError>) {
+        self.is_stranger_no_more(id);
         if self.nodes.remove(&id).is_none() {
             if let Err(reason) = reason {
                 tracing::warn!("connection from {address} dropped: {reason}");
@@ -259,7 +284,7 @@ impl Service {
     fn put_on_desk(&self, node: NodeId, frame: FrameId, work_id: WorkId, work: &shared::division::Work) {
         if let (Some(node), Some(open)) = (self.nodes.get(&node), self.frames.get(&frame)) {
             let buffer = Arc::clone(&open.buffer);
-            node.desk.put(work_id, Assignment { frame, work: work.clone(), buffer, n_placed: 0 });
+            node.desk.put(work_id, Assignment::new(frame, work.clone(), buffer));
         }
     }
 
@@ -294,12 +319,10 @@ fn for_scheduler(wanted: &Wanted) -> scheduler::Wanted {
     scheduler::Wanted { picture, division, min_renderers, repeat }
 }
 
-/// The next connection, once there is room for one.
-async fn accept(listener: &TcpListener, free: &Arc<Semaphore>) -> (TcpStream, SocketAddr, OwnedSemaphorePermit) {
+async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
     loop {
-        let permit = Arc::clone(free).acquire_owned().await.expect("the semaphore is never closed");
         match listener.accept().await {
-            Ok((stream, address)) => return (stream, address, permit),
+            Ok(accepted) => return accepted,
             Err(error) => {
                 // Out of file descriptors, or the peer is gone already: neither ends the wall.
                 tracing::warn!("cannot accept a connection: {error}");
@@ -309,16 +332,9 @@ async fn accept(listener: &TcpListener, free: &Arc<Semaphore>) -> (TcpStream, So
     }
 }
 
-async fn run_connection(
-    mut stream: TcpStream,
-    permit: OwnedSemaphorePermit,
-    key: Option<Key>,
-    reporter: Reporter,
-    started_at: Instant,
-) {
+async fn run_connection(mut stream: TcpStream, key: Option<Key>, reporter: Reporter, started_at: Instant) {
     // Requests are small and wanted at once.
     let _ = stream.set_nodelay(true);
     let (input, output) = stream.split();
     connection::serve(input, output, key.as_ref(), reporter, started_at).await;
-    drop(permit);
 }

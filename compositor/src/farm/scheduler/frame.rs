@@ -7,7 +7,11 @@ use shared::{
     protocol::{BlockCosts, FrameId, Picture, WorkId, WorkTimings},
 };
 
-use super::{Placed, Time, balance::Measured, coverage::Coverage};
+use super::{
+    Placed, Time,
+    balance::Measured,
+    coverage::{Coverage, Piece},
+};
 use crate::stats::{FrameStats, NodeFrameStats, NodeId, max_over_mean};
 
 /// Work is late when it has taken this many times as long as the slowest finished work of the frame…
@@ -37,7 +41,7 @@ struct GivenWork {
     node: NodeId,
     name: String,
     threads: u32,
-    work: Work,
+    piece: Piece,
     sent_at: Time,
     state: WorkState,
     n_bytes: u64,
@@ -62,17 +66,23 @@ enum WorkState {
 
 impl FrameInFlight {
     pub(super) fn new(id: FrameId, picture: Picture, division: Division, now: Time) -> Self {
-        let coverage = Coverage::new(division.units(picture.size));
+        let coverage = Coverage::default();
         Self { id, picture, attempts: 1, division, started_at: now, whole_at: None, coverage, works: Vec::new() }
     }
 
-    pub(super) fn give(&mut self, now: Time, id: WorkId, node: NodeId, (name, threads): (String, u32), work: Work) {
+    /// Adds one of the works that the frame is divided into at its beginning.
+    pub(super) fn add(&mut self, work: Work) -> Piece {
+        let n_units = share(&work, self.picture).count();
+        self.coverage.add(work, n_units)
+    }
+
+    pub(super) fn give(&mut self, now: Time, id: WorkId, node: NodeId, (name, threads): (String, u32), piece: Piece) {
         self.works.push(GivenWork {
             id,
             node,
             name,
             threads,
-            work,
+            piece,
             sent_at: now,
             state: WorkState::AtWork,
             n_bytes: 0,
@@ -84,13 +94,13 @@ impl FrameInFlight {
         let Some(given) = self.works.iter_mut().find(|given| given.id == work_id && given.node == node) else { return };
         given.n_bytes += units.n_bytes;
         given.place_time += units.place_time;
-        self.coverage.cover(&share(&given.work, self.picture), units.first, units.count);
+        self.coverage.cover(&given.piece, units.first..units.first + units.count);
     }
 
     pub(super) fn finish(&mut self, now: Time, node: NodeId, work_id: WorkId, timings: WorkTimings, costs: BlockCosts) {
         let Some(given) = self.works.iter_mut().find(|given| given.id == work_id && given.node == node) else { return };
         // A render server that says "done" without having sent everything does not make the frame whole.
-        if self.coverage.has_all_of(&share(&given.work, self.picture)) {
+        if self.coverage.has_all_of(&given.piece) {
             given.state = WorkState::Done { at: now, timings, costs };
         } else {
             given.state = WorkState::Lost;
@@ -108,19 +118,19 @@ impl FrameInFlight {
     }
 
     /// Works whose nodes are lost and of which samples are missing: whoever calls this gives them to others.
-    pub(super) fn take_lost_work(&mut self) -> Vec<Work> {
+    pub(super) fn take_lost_work(&mut self) -> Vec<Piece> {
         let mut missing = Vec::new();
         for given in self.works.iter_mut().filter(|given| matches!(given.state, WorkState::Lost)) {
             given.state = WorkState::GivenOn;
-            if !self.coverage.has_all_of(&share(&given.work, self.picture)) {
-                missing.push(given.work.clone());
+            if !self.coverage.has_all_of(&given.piece) {
+                missing.push(given.piece.clone());
             }
         }
         missing
     }
 
     /// The oldest work that is late: whoever calls this gives it to others as well.
-    pub(super) fn take_late_work(&mut self, now: Time) -> Option<Work> {
+    pub(super) fn take_late_work(&mut self, now: Time) -> Option<Piece> {
         let slowest = self.works.iter().filter_map(|given| match given.state {
             WorkState::Done { at, .. } => Some(at - given.sent_at),
             _ => None,
@@ -131,7 +141,7 @@ impl FrameInFlight {
         };
         let late = self.works.iter_mut().find(is_late)?;
         late.state = WorkState::Doubled;
-        Some(late.work.clone())
+        Some(late.piece.clone())
     }
 
     pub(super) fn is_at_work(&self, node: NodeId) -> bool {
@@ -161,7 +171,7 @@ impl FrameInFlight {
                 WorkState::Doubled => None,
                 _ => return None,
             };
-            Some(Measured { node: given.node, share: share(&given.work, self.picture), costs })
+            Some(Measured { node: given.node, share: share(&given.piece.work, self.picture), costs })
         })
     }
 
@@ -171,7 +181,7 @@ impl FrameInFlight {
         let n_units = f64::from(self.division.units(self.picture.size).count());
         let mut nodes: Vec<NodeFrameStats> = Vec::new();
         for given in &self.works {
-            let share = f64::from(share(&given.work, self.picture).count()) / n_units;
+            let share = f64::from(share(&given.piece.work, self.picture).count()) / n_units;
             let (tracing, network, idle) = match given.state {
                 WorkState::Done { at, timings, .. } => {
                     let tracing = Duration::from_micros(timings.trace_us.into());
