@@ -1,7 +1,7 @@
 //! `renderer trace`: traces frames without a network, and measures them.
 
 mod cameras;
-mod frame;
+pub mod frame;
 
 use std::{
     io::Read,
@@ -30,7 +30,7 @@ use crate::{
     tracer::{FrameRequest, Scene, SceneOptions},
 };
 
-use frame::Frame;
+use frame::{Frame, FrameOptions, Kernel};
 
 /// What to trace, and what to write.
 #[derive(Args, Debug)]
@@ -52,6 +52,10 @@ pub struct TraceArgs {
     /// of JSON; the only value is -
     #[arg(long, value_name = "-", conflicts_with_all = ["camera", "frames", "image", "hits"])]
     cameras: Option<String>,
+
+    /// Follow the rays of a tile together, or each alone
+    #[arg(long, value_name = "KERNEL", value_enum, default_value_t)]
+    kernel: Kernel,
 
     /// Also trace a ray from each hit to the light
     #[arg(long)]
@@ -161,7 +165,7 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
     if let Some(source) = &args.cameras {
         ensure!(source == "-", "--cameras {source}: cameras are only read from standard input, which is written as -");
     }
-    let light = args.shadow_rays.then_some(args.light);
+    let options = FrameOptions { kernel: args.kernel, light: args.shadow_rays.then_some(args.light) };
     let camera = args.camera.as_deref().map(read_camera).transpose()?;
     let (source, name) = match &args.model {
         Some(path) => (SceneSource::Ply(path.clone()), path.display().to_string()),
@@ -186,14 +190,14 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
     });
     let request = FrameRequest { camera, size: args.size, view: args.view, samples: SampleRange::CENTRE };
     if args.cameras.is_some() {
-        return cameras::run(&scene, &request, light, std::io::stdin().lock(), std::io::stdout().lock());
+        return cameras::run(&scene, &request, &options, std::io::stdin().lock(), std::io::stdout().lock());
     }
 
     let (mut frame_ms, mut frame_cpu_ms, mut shade_cpu_ms) = (Vec::new(), Vec::new(), Vec::new());
     let mut frame = Frame::default();
     let mut cost = frame::Cost::default();
     for _ in 0..args.frames {
-        cost = frame.trace(&scene, &request, light);
+        cost = frame.trace(&scene, &request, &options);
         frame_ms.push(milliseconds(cost.wall));
         frame_cpu_ms.push(milliseconds(cost.cpu));
         shade_cpu_ms.push(milliseconds(frame.shade(&scene, &request)));
@@ -220,13 +224,7 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         image::write_png(path, args.size, &frame.rgb).with_context(|| cannot_write(path))?;
     }
     if let Some(path) = &args.hits {
-        image::write_whole(path, |out| {
-            frame.hits.iter().try_for_each(|hit| {
-                out.write_all(&hit.triangle.to_le_bytes())?;
-                out.write_all(&hit.t.to_le_bytes())
-            })
-        })
-        .with_context(|| cannot_write(path))?;
+        image::write_whole(path, |out| frame.write_hits(out)).with_context(|| cannot_write(path))?;
     }
     if args.json {
         say(serde_json::to_string(&report)?)?;

@@ -7,6 +7,8 @@ mod bad_input;
 #[cfg(test)]
 mod farm;
 #[cfg(test)]
+mod measuring;
+#[cfg(test)]
 mod pictures;
 #[cfg(test)]
 mod ply_suite;

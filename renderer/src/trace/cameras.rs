@@ -6,10 +6,12 @@ use std::{
 };
 
 use anyhow::{Context, Result};
-use glam::Vec3;
 use serde::Serialize;
 
-use super::{frame::Frame, milliseconds, read_camera};
+use super::{
+    frame::{Frame, FrameOptions},
+    milliseconds, read_camera,
+};
 use crate::tracer::{FrameRequest, Scene};
 
 /// One line of the answer.
@@ -29,7 +31,7 @@ struct FrameReport {
 pub(super) fn run(
     scene: &Scene,
     request: &FrameRequest,
-    light: Option<Vec3>,
+    options: &FrameOptions,
     paths: impl BufRead,
     mut answers: impl Write,
 ) -> Result<()> {
@@ -40,7 +42,7 @@ pub(super) fn run(
             continue;
         }
         let request = FrameRequest { camera: read_camera(Path::new(path.trim()))?, ..*request };
-        let cost = frame.trace(scene, &request, light);
+        let cost = frame.trace(scene, &request, options);
         let n_rays = request.size.n_samples() as usize + cost.n_shadow_rays;
         let report = FrameReport {
             frame_ms: milliseconds(cost.wall),

@@ -1,10 +1,12 @@
 //! One whole frame, traced and shaded in parallel, with the CPU time that it took.
 
 use std::{
+    io,
     sync::Mutex,
     time::{Duration, Instant},
 };
 
+use clap::ValueEnum;
 use cpu_time::ThreadTime;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -21,31 +23,51 @@ use crate::{
 
 /// The hits and the colours of one frame, row by row from the bottom.
 #[derive(Default)]
-pub(super) struct Frame {
+pub struct Frame {
     /// With the triangles' numbers in the file, as they are written.
-    pub(super) hits: Vec<Hit>,
+    pub hits: Vec<Hit>,
     /// The places of the same triangles in the mesh, for shading.
     places: Vec<u32>,
     /// Colours, sRGB-encoded.
-    pub(super) rgb: Vec<u8>,
+    pub rgb: Vec<u8>,
+}
+
+/// How the primary rays of a measured frame are followed: to the same hits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Kernel {
+    /// The 64 rays of a tile together
+    #[default]
+    Packet,
+    /// One after the other, as if they had nothing in common
+    Single,
+}
+
+/// What is traced for a measured frame.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FrameOptions {
+    /// How primary rays are followed.
+    pub kernel: Kernel,
+    /// Where the light of the shadow rays stands, in world space; without one there are no shadow rays.
+    pub light: Option<Vec3>,
 }
 
 /// What tracing a frame took.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Cost {
+pub struct Cost {
     /// Wall time.
-    pub(super) wall: Duration,
+    pub wall: Duration,
     /// CPU time of all threads.
-    pub(super) cpu: Duration,
+    pub cpu: Duration,
     /// Shadow rays that were traced.
-    pub(super) n_shadow_rays: usize,
+    pub n_shadow_rays: usize,
     /// Hits that the light does not reach, because they face away from it or something is in between.
-    pub(super) n_shadowed: usize,
+    pub n_shadowed: usize,
 }
 
 impl Frame {
-    /// Traces all samples, and from each hit a shadow ray to the light if there is one.
-    pub(super) fn trace(&mut self, scene: &Scene, request: &FrameRequest, light: Option<Vec3>) -> Cost {
+    /// Traces all samples through their centres, and from each hit a shadow ray to the light if there is one, on the
+    /// threads of the rayon pool that this is called in.
+    pub fn trace(&mut self, scene: &Scene, request: &FrameRequest, options: &FrameOptions) -> Cost {
         let rays = request.camera.rays(request.size);
         let xres = request.size.xres() as usize;
         let work = Division::Tiled.work(0, 1);
@@ -65,7 +87,15 @@ impl Frame {
             let first_j = row as u32 * TILE_SIZE;
             let tiles = row as u32 * tiles_per_row..(row as u32 + 1) * tiles_per_row;
             let mut in_tiles = Vec::with_capacity(hits.len());
-            scene.trace(&rays, &share, tiles.clone(), &mut in_tiles);
+            match options.kernel {
+                Kernel::Packet => scene.trace(&rays, &share, tiles.clone(), &mut in_tiles),
+                Kernel::Single => in_tiles.extend(
+                    tiles
+                        .clone()
+                        .flat_map(|tile| share.samples(tile).iter())
+                        .map(|(i, j)| scene.grid().intersect(&Ray::new(rays.eye, rays.direction(i, j)))),
+                ),
+            }
             let mut in_tiles = &*in_tiles;
             for samples in tiles.map(|tile| share.samples(tile)) {
                 for j in samples.rows {
@@ -75,7 +105,7 @@ impl Frame {
                     for (offset, (i, &hit)) in samples.columns.clone().zip(of_row).enumerate() {
                         hits[first + offset] = scene.in_file_order(hit);
                         places[first + offset] = hit.triangle;
-                        if let Some(light) = light.filter(|_| !hit.is_miss()) {
+                        if let Some(light) = options.light.filter(|_| !hit.is_miss()) {
                             cost.trace_shadow(scene, &rays, rays.direction(i, j), hit, light);
                         }
                     }
@@ -88,7 +118,7 @@ impl Frame {
     }
 
     /// Shades all hits; returns the CPU time of all threads.
-    pub(super) fn shade(&mut self, scene: &Scene, request: &FrameRequest) -> Duration {
+    pub fn shade(&mut self, scene: &Scene, request: &FrameRequest) -> Duration {
         let rays = request.camera.rays(request.size);
         let shader = scene.shader(request);
         let xres = request.size.xres() as usize;
@@ -107,8 +137,17 @@ impl Frame {
         total.into_inner().unwrap_or_default().cpu
     }
 
+    /// Writes the hits: per sample, little endian, the triangle in file order as `u32` (0xffffffff for none) and t as
+    /// `f32` in units of the ray's direction (infinite for none).
+    pub fn write_hits(&self, out: &mut dyn io::Write) -> io::Result<()> {
+        self.hits.iter().try_for_each(|hit| {
+            out.write_all(&hit.triangle.to_le_bytes())?;
+            out.write_all(&hit.t.to_le_bytes())
+        })
+    }
+
     /// How many samples hit something.
-    pub(super) fn n_hits(&self) -> usize {
+    pub fn n_hits(&self) -> usize {
         self.hits.iter().filter(|hit| !hit.is_miss()).count()
     }
 }

@@ -1,0 +1,191 @@
+//! Raywall as a peer among other ray tracers: frames on demand, taken in turn with theirs, so that other work on the
+//! machine hits all alike.
+//!
+//! `peer_bench --model FILE.ply` answers lines on standard input with lines of JSON:
+//!
+//! - `frame KERNEL THREADS N SHADOW CAMERA`: traces N frames; KERNEL is `packet` or `single`, SHADOW is 1 for a shadow
+//!   ray from each hit, else 0
+//! - `dump KERNEL FILE CAMERA`: writes the hits of a frame, as `renderer trace --hits` does
+//! - `quit`
+//!
+//! Camera files have lines of a name and numbers: `eye`, `ll`, `u`, `v` and `light` in world space, and `res`, the
+//! samples across and down.
+
+use std::{
+    collections::{HashMap, hash_map::Entry},
+    io::BufRead,
+    num::NonZero,
+    path::{Path, PathBuf},
+    process::ExitCode,
+    time::Instant,
+};
+
+use anyhow::{Context, Result, bail, ensure};
+use clap::{Parser, ValueEnum};
+use cpu_time::ProcessTime;
+use glam::DVec3;
+use rayon::ThreadPool;
+use renderer::{
+    cli::{self, say},
+    grid::GridOptions,
+    image,
+    scene::{self, SceneSource},
+    trace::frame::{Frame, FrameOptions, Kernel},
+    tracer::{FrameRequest, Scene, SceneOptions},
+};
+use serde_json::json;
+use shared::{
+    camera::Camera,
+    division::FrameSize,
+    protocol::{SampleRange, View},
+};
+
+/// Traces frames on demand, for comparisons with other ray tracers
+#[derive(Parser)]
+struct Args {
+    /// A PLY file
+    #[arg(long, alias = "ply", value_name = "FILE")]
+    model: PathBuf,
+
+    /// Cells of the grid per triangle
+    #[arg(long, value_name = "RHO", default_value_t = GridOptions::default().density)]
+    density: f64,
+
+    /// Threads that build; without it as many as there are cores
+    #[arg(long, value_name = "N")]
+    build_threads: Option<NonZero<usize>>,
+}
+
+fn main() -> ExitCode {
+    cli::exit_code(serve())
+}
+
+fn serve() -> Result<()> {
+    let args = Args::parse();
+    let densities = GridOptions::DENSITIES;
+    ensure!(densities.contains(&args.density), "the density must be from {} to {}", densities.start(), densities.end());
+    let n_build_threads = args.build_threads.map_or_else(std::thread::available_parallelism, Ok)?.get();
+    let started = Instant::now();
+    let mesh = scene::load(&SceneSource::Ply(args.model.clone()), &|_| ())?.mesh;
+    let load_s = started.elapsed().as_secs_f64();
+    let (n_triangles, n_vertices) = (mesh.triangles.len(), mesh.vertices.len());
+    let options = SceneOptions { grid: GridOptions { density: args.density } };
+    let pool = thread_pool(n_build_threads)?;
+    let (started, started_cpu) = (Instant::now(), ProcessTime::now());
+    let scene = pool.install(|| Scene::build(mesh, &options, &|_| ()));
+    let engine = format!("raywall, density {}", args.density);
+    say(json!({
+        "event": "ready", "engine": engine, "ply": args.model, "tris": n_triangles, "verts": n_vertices,
+        "load_s": load_s, "build_threads": n_build_threads, "build_s": started.elapsed().as_secs_f64(),
+        "build_cpu_s": started_cpu.elapsed().as_secs_f64(), "mem_bytes": scene.grid().n_bytes(),
+        "mesh_bytes": scene.mesh().n_bytes(),
+    }))?;
+
+    let mut server = Server { scene, engine, pools: HashMap::new(), frame: Frame::default() };
+    for line in std::io::stdin().lock().lines() {
+        let line = line.context("cannot read the next line")?;
+        let words: Vec<&str> = line.split_whitespace().collect();
+        match words[..] {
+            [] => (),
+            ["quit"] => break,
+            ["frame", kernel, n_threads, n_frames, shadow, camera] => {
+                let n_frames = n_frames.parse::<NonZero<u32>>().context("frames")?.get();
+                let n_threads = n_threads.parse::<NonZero<usize>>().context("threads")?.get();
+                server.trace(kernel, n_threads, n_frames, shadow == "1", Path::new(camera))?;
+            }
+            ["dump", kernel, file, camera] => server.dump(kernel, Path::new(file), Path::new(camera))?,
+            _ => bail!("\"{line}\" is no order: see the head of peer_bench.rs"),
+        }
+    }
+    Ok(())
+}
+
+struct Server {
+    scene: Scene,
+    engine: String,
+    /// By their number of threads.
+    pools: HashMap<usize, ThreadPool>,
+    frame: Frame,
+}
+
+impl Server {
+    fn trace(&mut self, kernel: &str, n_threads: usize, n_frames: u32, shadow: bool, camera: &Path) -> Result<()> {
+        let PeerCamera { request, light } = PeerCamera::read(camera)?;
+        let light = shadow.then_some(light.as_vec3());
+        let options = FrameOptions { kernel: named_kernel(kernel)?, light };
+        let pool = match self.pools.entry(n_threads) {
+            Entry::Occupied(pool) => pool.into_mut(),
+            Entry::Vacant(place) => place.insert(thread_pool(n_threads)?),
+        };
+        let costs: Vec<_> =
+            (0..n_frames).map(|_| pool.install(|| self.frame.trace(&self.scene, &request, &options))).collect();
+        let last = costs[costs.len() - 1];
+        say(json!({
+            "event": "frames", "engine": self.engine, "mode": kernel, "threads": n_threads,
+            "shadow": u8::from(shadow), "cam": camera,
+            "ms": costs.iter().map(|cost| cost.wall.as_secs_f64() * 1e3).collect::<Vec<_>>(),
+            "cpu_ms": costs.iter().map(|cost| cost.cpu.as_secs_f64() * 1e3).collect::<Vec<_>>(),
+            "rays": request.size.n_samples() as usize + last.n_shadow_rays, "hits": self.frame.n_hits(),
+            "shadow_rays": last.n_shadow_rays, "shadowed": last.n_shadowed,
+        }))
+    }
+
+    fn dump(&mut self, kernel: &str, file: &Path, camera: &Path) -> Result<()> {
+        let options = FrameOptions { kernel: named_kernel(kernel)?, light: None };
+        self.frame.trace(&self.scene, &PeerCamera::read(camera)?.request, &options);
+        image::write_whole(file, |out| self.frame.write_hits(out))
+            .with_context(|| format!("cannot write {}", file.display()))?;
+        say(json!({ "event": "dumped" }))
+    }
+}
+
+fn named_kernel(name: &str) -> Result<Kernel> {
+    Kernel::from_str(name, false).map_err(|_| anyhow::anyhow!("\"{name}\" is no kernel: it is packet or single"))
+}
+
+fn thread_pool(n_threads: usize) -> Result<ThreadPool> {
+    rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().context("cannot start the tracing threads")
+}
+
+/// A camera as the peers read it.
+struct PeerCamera {
+    request: FrameRequest,
+    light: DVec3,
+}
+
+impl PeerCamera {
+    fn read(path: &Path) -> Result<Self> {
+        let text =
+            std::fs::read_to_string(path).with_context(|| format!("cannot read the camera {}", path.display()))?;
+        Self::parse(&text).with_context(|| format!("{} is no camera", path.display()))
+    }
+
+    fn parse(text: &str) -> Result<Self> {
+        let [mut eye, mut ll, mut u, mut v] = [None; 4];
+        let mut light = DVec3::new(3.0, 5.0, 4.0);
+        let mut size = FrameSize::PAPER;
+        for line in text.lines() {
+            let mut words = line.split_whitespace();
+            let Some(name) = words.next() else { continue };
+            let numbers = words.map(str::parse).collect::<Result<Vec<f64>, _>>().with_context(|| line.to_owned())?;
+            if name == "res" {
+                ensure!(numbers.len() == 2, "res needs two numbers");
+                size = FrameSize::new(numbers[0] as u32, numbers[1] as u32)?;
+                continue;
+            }
+            ensure!(numbers.len() == 3, "{name} needs three numbers");
+            let point = DVec3::from_slice(&numbers);
+            match name {
+                "eye" => eye = Some(point),
+                "ll" => ll = Some(point),
+                "u" => u = Some(point),
+                "v" => v = Some(point),
+                "light" => light = point,
+                _ => bail!("\"{name}\" is none of eye, ll, u, v, light and res"),
+            }
+        }
+        let (Some(eye), Some(ll), Some(u), Some(v)) = (eye, ll, u, v) else { bail!("it lacks one of eye, ll, u, v") };
+        let camera = Camera::new(eye, ll, u, v)?;
+        Ok(Self { request: FrameRequest { camera, size, view: View::Shaded, samples: SampleRange::CENTRE }, light })
+    }
+}

@@ -1,0 +1,105 @@
+//! The programs that measure: what they say is what they traced.
+
+use std::{
+    io::Write,
+    path::Path,
+    process::{Command, Output, Stdio},
+};
+
+use serde_json::Value;
+
+use crate::process::Program;
+
+/// Runs a program to its end, with lines on its standard input.
+fn run(mut command: Command, input: &str) -> Output {
+    let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("the program starts");
+    child.stdin.take().expect("piped").write_all(input.as_bytes()).expect("the program reads");
+    child.wait_with_output().expect("the program ends")
+}
+
+fn answers(output: &Output) -> Vec<Value> {
+    assert!(output.status.success(), "{output:?}");
+    let lines = str::from_utf8(&output.stdout).expect("UTF-8").lines();
+    lines.map(|line| serde_json::from_str(line).expect("a line of JSON")).collect()
+}
+
+/// A small model in a folder, with a camera in both forms.
+fn prepare(folder: &Path) {
+    let mut generate = Program::command("renderer");
+    generate.args(["generate", "statue", "--triangles", "3000"]).arg(folder.join("statue.ply"));
+    assert!(run(generate, "").status.success());
+    let camera = [("eye", "0.3 0.9 4"), ("ll", "-1.6 0.1 0"), ("u", "3.2 0 0"), ("v", "0 1.8 0")];
+    let peers: String = camera.iter().map(|(name, numbers)| format!("{name} {numbers}\n")).collect();
+    std::fs::write(folder.join("view.cam"), peers + "light 2 4 3\nres 203 101\n").unwrap();
+    let ours: String =
+        camera.iter().map(|(name, numbers)| format!("{name} = [{}]\n", numbers.replace(' ', ", "))).collect();
+    std::fs::write(folder.join("view.toml"), ours).unwrap();
+}
+
+#[test]
+fn a_peer_among_others_traces_what_trace_traces() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    prepare(folder);
+    let [model, camera, hits] = ["statue.ply", "view.toml", "trace.hits"].map(|name| folder.join(name));
+    let mut trace = Program::command("renderer");
+    trace.args(["trace", "--size", "203x101", "--light", "2,4,3", "--shadow-rays", "--json"]);
+    trace.arg("--model").arg(&model).arg("--camera").arg(&camera).arg("--hits").arg(&hits);
+    let traced = answers(&run(trace, "")).remove(0);
+
+    let mut peer = Program::command("examples/peer_bench");
+    peer.arg("--model").arg(&model).current_dir(folder);
+    let input = "frame packet 2 3 0 view.cam\nframe single 1 2 1 view.cam\n\
+        dump packet packet.hits view.cam\ndump single single.hits view.cam\nquit\nnever read\n";
+    let answers = answers(&run(peer, input));
+    let [ready, primary, shadows, _, _] = &answers[..] else { panic!("{answers:?}") };
+    assert_eq!(ready["tris"], traced["triangles"]);
+    assert_eq!(ready["mem_bytes"], traced["structure_bytes"]);
+    assert_eq!(primary["cpu_ms"].as_array().unwrap().len(), 3);
+    assert_eq!([&primary["rays"], &primary["hits"]], [&Value::from(203 * 101), &traced["hits"]]);
+    assert!(traced["hits"].as_u64().unwrap() > 1000 && traced["shadow_rays"].as_u64().unwrap() > 500);
+    for what in ["hits", "shadow_rays", "shadowed"] {
+        assert_eq!(shadows[what], traced[what], "{what}");
+    }
+    let traced = std::fs::read(hits).unwrap();
+    for dumped in ["packet.hits", "single.hits"] {
+        assert!(std::fs::read(folder.join(dumped)).unwrap() == traced, "{dumped} differs");
+    }
+}
+
+#[test]
+fn frames_on_demand_answer_each_camera_with_a_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    prepare(folder);
+    let mut trace = Program::command("renderer");
+    trace.args(["trace", "--model", "statue.ply", "--size", "203x101", "--cameras", "-"]).current_dir(folder);
+    let answers = answers(&run(trace, "view.toml\n\n view.toml\n"));
+    let [first, second] = &answers[..] else { panic!("{answers:?}") };
+    assert_eq!(first["hits"], second["hits"]);
+    assert!(first["hits"].as_u64().unwrap() > 1000 && first["frame_cpu_ms"].as_f64().unwrap() > 0.0);
+}
+
+#[test]
+fn a_wrong_order_or_camera_ends_with_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    prepare(folder);
+    std::fs::write(folder.join("flat.cam"), "eye 0 0 1\nll 0 0 0\nu 1 0 0\nv 2 0 0\n").unwrap();
+    let orders = [
+        ("frame", "is no order"),
+        ("frame plücker 1 1 0 view.cam", "packet or single"),
+        ("frame packet 1 0 0 view.cam", "frames"),
+        ("frame packet 1 1 0 none.cam", "none.cam"),
+        ("frame packet 1 1 0 flat.cam", "no area"),
+        ("frame packet 1 1 0 statue.ply", "statue.ply"),
+    ];
+    for (order, expected) in orders {
+        let mut peer = Program::command("examples/peer_bench");
+        peer.args(["--model", "statue.ply"]).current_dir(folder).stderr(Stdio::piped());
+        let output = run(peer, &format!("{order}\n"));
+        let said = str::from_utf8(&output.stderr).unwrap();
+        assert!(!output.status.success() && said.contains(expected) && !said.contains("panicked"), "{order}: {said}");
+        assert_eq!(said.trim().lines().count(), 1, "{said}");
+    }
+}
