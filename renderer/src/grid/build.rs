@@ -91,6 +91,12 @@ impl Builder<'_> {
         Some(corners.map(|corner| self.space.point(Vec3::from_array(corner).as_dvec3())))
     }
 
+    /// Whether two of a triangle's corners are one point, so that no ray hits it: a polygon can have millions of these in
+    /// one place, where nothing would tell them apart.
+    fn is_seen_by_no_ray(&self, triangle: u32) -> bool {
+        self.mesh.corners(triangle as usize).is_none_or(|[a, b, c]| a == b || b == c || c == a)
+    }
+
     /// Calls `visit` with the brick and the triangle of every pair that touches, in parallel.
     /// It stops early when a task's call returns false.
     fn for_each_in_brick(&self, after_task: impl Fn() -> bool + Sync, visit: impl Fn(usize, u32) + Sync) -> bool {
@@ -99,6 +105,9 @@ impl Builder<'_> {
         (0..n_tasks).into_par_iter().all(|task| {
             let end = ((task + 1) * TRIANGLES_PER_TASK).min(self.mesh.triangles.len());
             for triangle in (task * TRIANGLES_PER_TASK) as u32..end as u32 {
+                if self.is_seen_by_no_ray(triangle) {
+                    continue;
+                }
                 let Some(corners) = self.corners(triangle) else { continue };
                 overlap::for_each_cube(&corners.map(|c| c * scale), DILATION * scale, self.dims, |[x, y, z]| {
                     let brick = (z as usize * self.dims[1] as usize + y as usize) * self.dims[0] as usize + x as usize;

@@ -357,3 +357,13 @@ fn packets_hit_a_scan_from_near_and_far() {
         }
     }
 }
+
+#[test]
+fn a_polygon_of_one_corner_a_million_times_costs_nothing() {
+    let mut mesh = cube(1);
+    let triangles = mesh.triangles.len();
+    mesh.triangles.extend((0..1_000_000).map(|index| [index % 2, 1, index % 2]));
+    let grid = build(&mesh);
+    assert_eq!(grid.mesh().n_triangles(), triangles, "triangles without area are in no cell");
+    check(&mesh, &grid, &Ray::new(Vec3::new(0.3, 0.4, 9.0), -Vec3::Z));
+}
