@@ -5,6 +5,7 @@ use std::{net::SocketAddr, path::PathBuf};
 use shared::{
     division::{Division, FrameSize},
     protocol::{DEFAULT_PORT, View},
+    scene::SceneId,
 };
 
 /// Shows a scanned model on a display wall, ray traced by render servers.
@@ -37,7 +38,7 @@ pub struct WallArgs {
     pub model: Option<PathBuf>,
     /// Triangles of the built-in statue
     #[arg(long, value_name = "N", default_value_t = 1_000_000, conflicts_with = "model",
-        value_parser = clap::value_parser!(u32).range(100..=100_000_000))]
+        value_parser = clap::value_parser!(u32).range(100..=i64::from(SceneId::LARGEST_STATUE)))]
     pub triangles: u32,
     /// The wall file [default: the paper's 4×3 projectors]
     #[arg(long, value_name = "FILE.toml")]

@@ -13,6 +13,7 @@ pub mod grid;
 pub mod image;
 pub mod key;
 pub mod mesh;
+pub mod path_bytes;
 pub mod ply;
 pub mod progress;
 pub mod ray;

@@ -11,6 +11,7 @@ use shared::{protocol::SceneState, scene::SceneId};
 use tokio::sync::watch;
 
 use crate::{
+    path_bytes,
     progress::Progress,
     scene::{self, SceneSource},
     tracer::{Scene, SceneOptions},
@@ -79,9 +80,9 @@ impl Stage {
     }
 
     /// Gets another scene ready.
-    pub(crate) fn order(&self, scene: SceneId, path: Option<String>) {
+    pub(crate) fn order(&self, scene: SceneId, path: Option<Vec<u8>>) {
         // The loading thread ends only with the stage.
-        let _ = self.orders.send(Order { scene, path: path.map(PathBuf::from) });
+        let _ = self.orders.send(Order { scene, path: path.map(path_bytes::from_bytes) });
     }
 
     /// Follows the loading.

@@ -204,7 +204,9 @@ mod tests {
     #[test]
     fn the_costs_of_the_largest_work_fit_a_message() {
         let work = Division::Dynamic.work(0, 1);
-        let share = work.share(FrameSize::new(FrameSize::LARGEST, FrameSize::LARGEST).unwrap()).unwrap();
+        let share = work
+            .share(FrameSize::new(FrameSize::LARGEST, FrameSize::MOST_SAMPLES / FrameSize::LARGEST).unwrap())
+            .unwrap();
         let (n_units, block_units) = (share.count(), BlockCosts::block_units(&share));
         let cpu_ns = vec![u32::MAX; n_units.div_ceil(block_units) as usize];
         let costs = BlockCosts { block_units, cpu_ns };
@@ -247,6 +249,21 @@ mod tests {
         let eye_z = body.windows(8).position(|window| window == 1f64.to_le_bytes()).unwrap();
         body[eye_z..eye_z + 8].copy_from_slice(&f64::NAN.to_le_bytes());
         assert!(matches!(decode::<ToServer>(body), Err(CodecError::Malformed(_))));
+    }
+
+    #[test]
+    fn a_frame_or_a_statue_that_fills_the_memory_is_no_message() {
+        let is_message = |message: &ToServer| {
+            let mut bytes = vec![];
+            encode(message, &mut bytes).unwrap();
+            decode::<ToServer>(&bytes[HEADER_BYTES..]).is_ok()
+        };
+        for (triangles, fits) in [(SceneId::LARGEST_STATUE, true), (SceneId::LARGEST_STATUE + 1, false)] {
+            let scene = SceneId::Statue { triangles };
+            assert_eq!(is_message(&ToServer::LoadScene { scene, path: None }), fits, "{triangles}");
+        }
+        assert!(FrameSize::new(8192, 8192).is_ok() && FrameSize::new(16384, 4096).is_ok());
+        assert!(FrameSize::new(16384, 4097).is_err() && FrameSize::new(16384, 16384).is_err());
     }
 
     #[test]

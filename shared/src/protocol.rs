@@ -160,8 +160,9 @@ pub enum ToServer {
     LoadScene {
         /// Which scene.
         scene: SceneId,
-        /// Where a server on the wall's own machine finds it; other servers use what they were started with.
-        path: Option<String>,
+        /// Where a server on the wall's own machine finds it, in the bytes of its system's paths; other servers use what
+        /// they were started with.
+        path: Option<Vec<u8>>,
     },
     /// Render a share of a frame.
     RenderFrame {

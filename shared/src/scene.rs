@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, de};
 
 /// Names a scene by its content, so that no render server ever mixes another model into the picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -10,6 +10,9 @@ pub enum SceneId {
     /// The built-in statue with about this many triangles: the same bits on every machine.
     Statue {
         /// As asked for; the generator makes the nearest number that it can.
+        ///
+        /// Invariant on the wire: at most [`SceneId::LARGEST_STATUE`].
+        #[serde(deserialize_with = "statue_triangles")]
         triangles: u32,
     },
     /// The BLAKE3 hash of a mesh: its vertices, indices and colours, little endian.
@@ -17,6 +20,19 @@ pub enum SceneId {
         /// The hash.
         blake3: [u8; 32],
     },
+}
+
+impl SceneId {
+    /// The most triangles of a statue that a message can ask for: some GB in the memory of a render server.
+    pub const LARGEST_STATUE: u32 = 100_000_000;
+}
+
+fn statue_triangles<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
+    let triangles = u32::deserialize(deserializer)?;
+    if triangles > SceneId::LARGEST_STATUE {
+        return Err(de::Error::custom("a statue of more triangles than a message may ask for"));
+    }
+    Ok(triangles)
 }
 
 impl fmt::Display for SceneId {

@@ -361,3 +361,22 @@ fn a_local_renderer_that_was_lost_comes_back() {
     let n_shown = wall.count("frame shown");
     wall.wait_for_count("frame shown", n_shown + 3);
 }
+
+#[cfg(unix)]
+#[test]
+fn a_model_whose_name_is_no_text_is_found_by_local_renderers() {
+    use std::os::unix::ffi::OsStrExt;
+    let files = Files::new();
+    let model = files.folder.path().join(std::ffi::OsStr::from_bytes(b"b\xfcste.ply"));
+    let mut generate = Program::command("renderer");
+    generate.args(["generate", "statue", "--triangles", "1000"]).arg(&model);
+    assert!(generate.status().unwrap().success());
+    let mut command = Program::command("compositor");
+    command
+        .args(["--headless", "--listen", "127.0.0.1:0", "--local", "1", "--frames", "1", "--size", "64x32", "--wall"])
+        .arg(files.path("wall.toml"))
+        .arg("--model")
+        .arg(&model);
+    let (status, said) = Program::start(command).wait();
+    assert!(status.success() && said.contains("local-1 is ready"), "{said}");
+}

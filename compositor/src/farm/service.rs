@@ -7,7 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use renderer::key::Key;
+use renderer::{key::Key, path_bytes};
 use shared::{
     codec,
     printable::printable,
@@ -237,7 +237,7 @@ impl Service {
     fn ask_for_scene(&mut self, id: NodeId) {
         let Some(scene) = self.scheduler.scene() else { return };
         let is_local = self.status.borrow().nodes.iter().any(|node| node.id == id && node.address.ip().is_loopback());
-        let path = self.wanted.borrow().scene_path.as_ref().filter(|_| is_local).map(|path| path.display().to_string());
+        let path = self.wanted.borrow().scene_path.as_ref().filter(|_| is_local).map(|path| path_bytes::to_bytes(path));
         self.send(id, &ToServer::LoadScene { scene, path });
     }
 

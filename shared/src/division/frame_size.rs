@@ -6,7 +6,7 @@ use super::TILE_SIZE;
 
 /// The resolution of a frame in samples.
 ///
-/// Invariant: at least 1×1 and at most [`FrameSize::LARGEST`] on either side, so that a sample's index fits in `u32`.
+/// Invariant: at least 1×1, at most [`FrameSize::LARGEST`] on either side and [`FrameSize::MOST_SAMPLES`] in all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "(u32, u32)", into = "(u32, u32)")]
 pub struct FrameSize {
@@ -16,7 +16,8 @@ pub struct FrameSize {
 
 /// Why two numbers make no frame size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("a frame of {0}×{1} samples: each side must be from 1 to {max}", max = FrameSize::LARGEST)]
+#[error("a frame of {0}×{1} samples: each side must be from 1 to {max}, and their product at most {most}",
+    max = FrameSize::LARGEST, most = FrameSize::MOST_SAMPLES)]
 pub struct FrameSizeError(u32, u32);
 
 impl TryFrom<(u32, u32)> for FrameSize {
@@ -34,8 +35,11 @@ impl From<FrameSize> for (u32, u32) {
 }
 
 impl FrameSize {
-    /// The largest side: what GPUs take as a texture, and the bound on what a message can make a peer allocate.
+    /// The largest side: what GPUs take as a texture.
     pub const LARGEST: u32 = 16384;
+
+    /// The most samples: seven times the paper's wall, and the bound on what a message can make a peer allocate.
+    pub const MOST_SAMPLES: u32 = 1 << 26;
 
     /// The paper's frame.
     pub const PAPER: Self = Self { xres: 1024, yres: 512 };
@@ -43,7 +47,7 @@ impl FrameSize {
     /// A frame of `xres` × `yres` samples.
     pub fn new(xres: u32, yres: u32) -> Result<Self, FrameSizeError> {
         let valid = 1..=Self::LARGEST;
-        if valid.contains(&xres) && valid.contains(&yres) {
+        if valid.contains(&xres) && valid.contains(&yres) && xres * yres <= Self::MOST_SAMPLES {
             Ok(Self { xres, yres })
         } else {
             Err(FrameSizeError(xres, yres))
