@@ -29,6 +29,10 @@ clippy:
 docs:
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --workspace --no-deps --document-private-items
 
+# How fast the grid is built and followed, on generated models: a minute or two.
+bench:
+	$(CARGO) bench -p renderer --bench grid
+
 # What the system lacks, shown in one line and installed if you agree. YES=1 and CI do not ask.
 setup:
 	@sh tests/setup.sh run

@@ -1,0 +1,199 @@
+//! How fast the grid is built, and how fast rays are followed through it, on generated models.
+//!
+//! `make bench` prints times on the machine's clock and what they come to a second. All run on one thread, except
+//! building.
+
+use std::{hint::black_box, sync::LazyLock};
+
+use divan::{Bencher, counter::ItemsCount};
+use glam::{DVec3, Vec3};
+use renderer::{
+    mesh::{Aabb, Mesh},
+    ray::{Hit, Ray},
+    statue,
+    tracer::{Scene, SceneOptions},
+    triangle,
+};
+use shared::{
+    camera::{Camera, CameraRays, UpAxis},
+    division::{Division, FrameSize, Share},
+};
+
+fn main() {
+    divan::main();
+}
+
+/// The models: one surface, as scans are; triangles of one size all over the place; both in one, of very different size.
+#[derive(Clone, Copy, Debug)]
+enum Model {
+    Statue,
+    Soup,
+    StatueInSoup,
+}
+
+const MODELS: [Model; 3] = [Model::Statue, Model::Soup, Model::StatueInSoup];
+
+/// Triangles of each model.
+const N_TRIANGLES: u32 = 200_000;
+
+const FRAME: (u32, u32) = (512, 256);
+
+impl Model {
+    fn mesh(self) -> Mesh {
+        match self {
+            Self::Statue => statue::generate(N_TRIANGLES, &|_| ()),
+            Self::Soup => soup(N_TRIANGLES, 1.0, 0.01),
+            Self::StatueInSoup => {
+                let mut mesh = statue::generate(N_TRIANGLES / 2, &|_| ());
+                let soup = soup(N_TRIANGLES / 2, 1000.0, 5.0);
+                let first = mesh.vertices.len() as u32;
+                mesh.vertices.extend(soup.vertices);
+                mesh.triangles.extend(soup.triangles.iter().map(|corners| corners.map(|corner| corner + first)));
+                mesh
+            }
+        }
+    }
+
+    fn stage(self) -> &'static Stage {
+        static STAGES: [LazyLock<Stage>; 3] = [
+            LazyLock::new(|| Stage::new(Model::Statue)),
+            LazyLock::new(|| Stage::new(Model::Soup)),
+            LazyLock::new(|| Stage::new(Model::StatueInSoup)),
+        ];
+        &STAGES[self as usize]
+    }
+}
+
+/// Triangles in random places of a cube around the origin.
+fn soup(n_triangles: u32, extent: f32, edge: f32) -> Mesh {
+    // Steele and Vigna, "Computationally easy, spectrally good multipliers for congruential generators" (2022).
+    let mut state = 1u64;
+    let mut random = || {
+        state = state.wrapping_mul(0xd134_2543_de82_ef95).wrapping_add(1);
+        (state >> 40) as f32 / (1u64 << 24) as f32 - 0.5
+    };
+    let mut point = |size: f32| Vec3::new(random(), random(), random()) * size;
+    let mut mesh = Mesh::default();
+    for triangle in 0..n_triangles {
+        let centre = point(extent);
+        mesh.vertices.extend([(); 3].map(|()| (centre + point(edge)).to_array()));
+        mesh.triangles.push([0, 1, 2].map(|corner| 3 * triangle + corner));
+    }
+    mesh
+}
+
+/// A model ready to be traced, with the hits of one camera.
+struct Stage {
+    scene: Scene,
+    rays: CameraRays,
+    size: FrameSize,
+    hits: Vec<Hit>,
+}
+
+impl Stage {
+    fn new(model: Model) -> Self {
+        let mesh = model.mesh();
+        // The statue is what is looked at wherever it stands.
+        let seen = match model {
+            Model::StatueInSoup => Model::Statue.stage().scene.mesh().bounds(),
+            Model::Statue | Model::Soup => mesh.bounds(),
+        };
+        let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
+        let Aabb { min, max } = seen;
+        let [min, max] = [min, max].map(|corner| DVec3::from_array(corner.map(f64::from)));
+        let size = FrameSize::new(FRAME.0, FRAME.1).expect("a frame of samples");
+        let rays = Camera::view_all(min, max, UpAxis::Y, 16.0 / 9.0).rays(size);
+        let mut hits = Vec::new();
+        with_tiles(size, |share| scene.trace(&rays, share, 0..share.count(), &mut hits));
+        Self { scene, rays, size, hits }
+    }
+
+    fn directions(&self) -> Vec<Vec3> {
+        let mut directions = Vec::new();
+        with_tiles(self.size, |share| {
+            let samples = (0..share.count()).flat_map(|tile| share.samples(tile).iter());
+            directions.extend(samples.map(|(i, j)| self.rays.direction(i, j)));
+        });
+        directions
+    }
+}
+
+fn with_tiles(size: FrameSize, mut visit: impl FnMut(&Share<'_>)) {
+    let work = Division::Tiled.work(0, 1);
+    visit(&work.share(size).expect("a whole frame"));
+}
+
+/// Building, on all cores.
+#[divan::bench(args = MODELS, sample_count = 10, sample_size = 1)]
+fn build(bencher: Bencher, model: Model) {
+    bencher
+        .counter(ItemsCount::new(N_TRIANGLES))
+        .with_inputs(|| model.mesh())
+        .bench_values(|mesh| Scene::build(mesh, &SceneOptions::default(), &|_| ()));
+}
+
+/// Camera rays in packets of 64, with the best instructions of this machine.
+#[divan::bench(args = MODELS, sample_count = 20, sample_size = 1)]
+fn packets(bencher: Bencher, model: Model) {
+    let stage = model.stage();
+    let mut hits = Vec::with_capacity(stage.hits.len());
+    bencher.counter(ItemsCount::new(stage.hits.len())).bench_local(|| {
+        hits.clear();
+        with_tiles(stage.size, |share| stage.scene.trace(&stage.rays, share, 0..share.count(), &mut hits));
+        hits.len()
+    });
+}
+
+/// The same rays one after the other.
+#[divan::bench(args = MODELS, sample_count = 10, sample_size = 1)]
+fn single_rays(bencher: Bencher, model: Model) {
+    let stage = model.stage();
+    let directions = stage.directions();
+    bencher.counter(ItemsCount::new(directions.len())).bench_local(|| {
+        for &direction in &directions {
+            black_box(stage.scene.grid().intersect(&Ray::new(stage.rays.eye, direction)));
+        }
+    });
+}
+
+/// Rays from the hits to a light above them: does anything stand in between?
+#[divan::bench(args = MODELS, sample_count = 10, sample_size = 1)]
+fn occlusion(bencher: Bencher, model: Model) {
+    let stage = model.stage();
+    let Aabb { min, max } = stage.scene.mesh().bounds();
+    let [min, max] = [min, max].map(Vec3::from_array);
+    let light = max + (max - min);
+    let hits = stage.directions().into_iter().zip(&stage.hits).filter(|(_, hit)| !hit.is_miss());
+    let shadow_rays: Vec<_> = hits
+        .map(|(direction, hit)| {
+            let origin = stage.rays.eye + direction * hit.t;
+            Ray { origin, direction: light - origin, t_min: 1e-4, t_max: 1.0 }
+        })
+        .collect();
+    bencher
+        .counter(ItemsCount::new(shadow_rays.len()))
+        .bench_local(|| shadow_rays.iter().filter(|ray| stage.scene.grid().occluded(ray)).count());
+}
+
+/// Pairs of ray and triangle: through its middle, beside it, and through an edge, which is decided exactly.
+#[divan::bench(args = ["hit", "miss", "edge"], sample_count = 100)]
+fn intersection(bencher: Bencher, what: &str) {
+    const N_PAIRS: u32 = 1024;
+    let mesh = soup(N_PAIRS, 1.0, 0.1);
+    let origin = Vec3::new(0.0, 0.0, 4.0);
+    let pairs: Vec<_> = (0..N_PAIRS as usize)
+        .filter_map(|triangle| mesh.corners(triangle))
+        .map(|corners| {
+            let [a, b, c] = corners.map(Vec3::from_array);
+            let target = match what {
+                "hit" => (a + b + c) / 3.0,
+                "miss" => a + (a - b) + (a - c),
+                _ => a,
+            };
+            (Ray::new(origin, target - origin), corners)
+        })
+        .collect();
+    bencher.counter(ItemsCount::new(N_PAIRS)).bench_local(|| {
+        pairs.iter().filter(|(ray, corners)| triangle::intersect(black_box(ray), corners).is_some()).count()
+    });
+}
