@@ -65,6 +65,9 @@ pub struct WallArgs {
     /// How frames are divided among render servers: interleaved, tiled or dynamic
     #[arg(long, value_name = "D", default_value = Division::default().name())]
     pub division: Division,
+    /// Frames rendered at a time, 1 to 3: with one, render servers wait for each other after each frame
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=3))]
+    pub in_flight: u32,
     /// What the samples show: shaded or normals
     #[arg(long, value_name = "V", default_value = View::default().name())]
     pub view: View,

@@ -39,6 +39,8 @@ pub struct Wanted {
     pub min_renderers: u32,
     /// Render frame after frame, even if nothing changed.
     pub repeat: bool,
+    /// How many frames are rendered at a time, so that render servers do not wait for the wall; at least 1.
+    pub in_flight: u32,
     /// When the camera moved to where it is.
     pub moved_at: Instant,
 }

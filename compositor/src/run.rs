@@ -163,6 +163,7 @@ fn start_farm(
         min_renderers,
         // Frames that are counted come one after another; a window renders when something changes.
         repeat: args.headless || args.frames.is_some(),
+        in_flight: args.in_flight,
         moved_at: Instant::now(),
     };
     let _guard = runtime.enter();

@@ -7,7 +7,10 @@ mod balance;
 mod coverage;
 mod frame;
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{
+    collections::{BTreeMap, BTreeSet, VecDeque},
+    time::Duration,
+};
 
 use shared::{
     division::{Division, Work},
@@ -61,6 +64,8 @@ pub(super) struct Wanted {
     pub(super) division: Division,
     pub(super) min_renderers: u32,
     pub(super) repeat: bool,
+    /// How many frames are rendered at a time; at least 1.
+    pub(super) in_flight: u32,
 }
 
 /// What is to be done.
@@ -85,6 +90,8 @@ struct Node {
     /// At least 1.
     threads: u32,
     ready: bool,
+    /// When it last had nothing to do, as far as is known: what it was given before, it began then.
+    free_at: Time,
 }
 
 /// The state of the farm.
@@ -96,7 +103,8 @@ pub(super) struct Scheduler {
     is_stale: bool,
     /// What the finished frame shows that waits to be taken, if one does.
     waiting: Option<Picture>,
-    frame: Option<FrameInFlight>,
+    /// Frames being rendered, in the order in which they will be shown.
+    frames: VecDeque<FrameInFlight>,
     balance: Balance,
     last_frame: FrameId,
     last_work: WorkId,
@@ -109,7 +117,7 @@ impl Scheduler {
             wanted,
             is_stale: true,
             waiting: None,
-            frame: None,
+            frames: VecDeque::new(),
             balance: Balance::default(),
             last_frame: FrameId(0),
             last_work: WorkId(0),
@@ -121,23 +129,21 @@ impl Scheduler {
         let mut actions = Vec::new();
         match event {
             Event::Joined { node, name, threads } => {
-                self.nodes.insert(node, Node { name, threads: threads.max(1), ready: false });
+                self.nodes.insert(node, Node { name, threads: threads.max(1), ready: false, free_at: now });
             }
             Event::SceneReady { node, ready } => {
                 if let Some(node) = self.nodes.get_mut(&node) {
                     node.ready = ready;
                 }
                 // Whoever does not have the scene does not render it, whatever it was given.
-                if let (false, Some(frame)) = (ready, &mut self.frame) {
-                    frame.lose(node);
+                if !ready {
+                    self.frames.iter_mut().for_each(|frame| frame.lose(node));
                 }
             }
             Event::Lost { node } => {
                 self.nodes.remove(&node);
                 self.balance.lose(node);
-                if let Some(frame) = &mut self.frame {
-                    frame.lose(node);
-                }
+                self.frames.iter_mut().for_each(|frame| frame.lose(node));
             }
             Event::Placed { node, frame, work_id, units } => {
                 if let Some(in_flight) = self.in_flight(frame) {
@@ -145,24 +151,28 @@ impl Scheduler {
                 }
             }
             Event::WorkDone { node, frame, work_id, timings, costs } => {
+                let since = self.nodes.get(&node).map_or(Time::ZERO, |node| node.free_at);
                 if let Some(in_flight) = self.in_flight(frame) {
-                    in_flight.finish(now, node, work_id, timings, costs);
+                    in_flight.finish(now, since, node, work_id, timings, costs);
                 }
+                self.set_free(now, [node]);
             }
-            Event::Wanted(wanted) => self.want(wanted, &mut actions),
+            Event::Wanted(wanted) => self.want(now, wanted, &mut actions),
             Event::FrameTaken => self.waiting = None,
             Event::Tick => {}
         }
-        self.show_if_whole(now, &mut actions);
-        self.start_frame(now, &mut actions);
-        self.divide_lost_work(now, &mut actions);
+        while self.show_if_whole(now, &mut actions) {}
+        while self.start_frame(now, &mut actions) {}
+        for index in 0..self.frames.len() {
+            self.divide_lost_work(index, now, &mut actions);
+        }
         self.double_late_work(now, &mut actions);
         actions
     }
 
     /// Whether ticks are worth sending.
     pub(super) fn has_frame_in_flight(&self) -> bool {
-        self.frame.is_some()
+        !self.frames.is_empty()
     }
 
     /// The scene that render servers must have.
@@ -171,39 +181,73 @@ impl Scheduler {
     }
 
     fn in_flight(&mut self, frame: FrameId) -> Option<&mut FrameInFlight> {
-        self.frame.as_mut().filter(|in_flight| in_flight.id == frame)
+        self.frames.iter_mut().find(|in_flight| in_flight.id == frame)
     }
 
-    fn want(&mut self, wanted: Wanted, actions: &mut Vec<Action>) {
-        if wanted.picture.map(|picture| picture.scene) != self.scene() {
-            self.nodes.values_mut().for_each(|node| node.ready = false);
-            if let Some(frame) = self.frame.take() {
-                actions.extend(frame.nodes_at_work().map(|node| Action::Cancel { node, frame: frame.id }));
-                actions.push(Action::Discard { frame: frame.id });
+    fn set_free(&mut self, now: Time, nodes: impl IntoIterator<Item = NodeId>) {
+        for node in nodes {
+            if let Some(node) = self.nodes.get_mut(&node) {
+                node.free_at = now;
             }
         }
-        self.is_stale |= (wanted.picture, wanted.division) != (self.wanted.picture, self.wanted.division);
+    }
+
+    fn want(&mut self, now: Time, wanted: Wanted, actions: &mut Vec<Action>) {
+        let is_other_scene = wanted.picture.map(|picture| picture.scene) != self.scene();
+        let is_other = (wanted.picture, wanted.division) != (self.wanted.picture, self.wanted.division);
+        if is_other_scene {
+            self.nodes.values_mut().for_each(|node| node.ready = false);
+        }
         self.wanted = wanted;
+        self.is_stale |= is_other;
+        // The first frame in flight is finished in any case, or a camera that moves all the time would never be seen; and
+        // so is what somebody has begun to render.
+        let is_superseded =
+            |frame: &FrameInFlight, is_first: bool| is_other_scene || is_other && !is_first && !frame.has_begun();
+        let mut index = 0;
+        while let Some(frame) = self.frames.get(index) {
+            if is_superseded(frame, index == 0) {
+                self.cancel(now, index, actions);
+            } else {
+                index += 1;
+            }
+        }
+    }
+
+    fn cancel(&mut self, now: Time, index: usize, actions: &mut Vec<Action>) {
+        let Some(frame) = self.frames.remove(index) else { return };
+        self.end(now, &frame, actions);
+        actions.push(Action::Discard { frame: frame.id });
+    }
+
+    /// Tells whoever still works on a frame that nobody waits for it.
+    fn end(&mut self, now: Time, frame: &FrameInFlight, actions: &mut Vec<Action>) {
+        actions.extend(frame.nodes_at_work().map(|node| Action::Cancel { node, frame: frame.id }));
+        self.set_free(now, frame.nodes_at_work());
     }
 
     fn ready_nodes(&self) -> Vec<NodeId> {
         self.nodes.iter().filter(|(_, node)| node.ready).map(|(&id, _)| id).collect()
     }
 
-    /// Starts the next frame, if one is wanted and there is room and somebody to render it.
-    fn start_frame(&mut self, now: Time, actions: &mut Vec<Action>) {
-        let Some(picture) = self.wanted.picture else { return };
+    /// Starts the next frame, if one is wanted and there is room and somebody to render it; whether it did.
+    fn start_frame(&mut self, now: Time, actions: &mut Vec<Action>) -> bool {
+        let Some(picture) = self.wanted.picture else { return false };
         let is_due = self.is_stale || self.wanted.repeat;
-        if !is_due || self.frame.is_some() {
-            return;
+        if !is_due || self.frames.len() >= self.wanted.in_flight.max(1) as usize {
+            return false;
+        }
+        // A moving camera's frame is divided by what the last one cost: measured, that is worth more than not waiting.
+        let division = self.wanted.division;
+        if division == Division::Dynamic && self.frames.back().is_some_and(|last| last.picture != picture) {
+            return false;
         }
         let nodes = self.ready_nodes();
         if nodes.is_empty() || nodes.len() < self.wanted.min_renderers as usize {
-            return;
+            return false;
         }
         self.is_stale = false;
         self.last_frame.0 += 1;
-        let division = self.wanted.division;
         let mut frame = FrameInFlight::new(self.last_frame, picture, division, now);
         actions.push(Action::Open { frame: frame.id, picture });
         let machines = nodes.len() as u32;
@@ -222,48 +266,52 @@ impl Scheduler {
             let piece = frame.add(work);
             actions.push(self.give(&mut frame, now, node, piece));
         }
-        self.frame = Some(frame);
+        self.frames.push_back(frame);
+        true
     }
 
     /// Divides the shares of lost render servers among the others, those that joined since included.
-    fn divide_lost_work(&mut self, now: Time, actions: &mut Vec<Action>) {
-        let Some(mut frame) = self.frame.take() else { return };
+    fn divide_lost_work(&mut self, index: usize, now: Time, actions: &mut Vec<Action>) {
         let nodes = self.ready_nodes();
         if !nodes.is_empty() {
-            for lost in frame.take_lost_work() {
-                frame.attempts += 1;
-                actions.extend(self.give_parts(&mut frame, now, &nodes, &lost));
-            }
+            let lost = self.frames[index].take_lost_work();
+            lost.iter().for_each(|lost| self.give_parts(index, now, &nodes, lost, actions));
         }
-        self.frame = Some(frame);
     }
 
     /// Gives work that is late to render servers that have nothing left to do, too; the first answer wins.
     fn double_late_work(&mut self, now: Time, actions: &mut Vec<Action>) {
-        let Some(mut frame) = self.frame.take() else { return };
-        let idle: Vec<_> = self.ready_nodes().into_iter().filter(|&node| !frame.is_at_work(node)).collect();
-        if !idle.is_empty()
-            && let Some(late) = frame.take_late_work(now)
-        {
-            frame.attempts += 1;
-            actions.extend(self.give_parts(&mut frame, now, &idle, &late));
+        let at_work: BTreeSet<_> = self.frames.iter().flat_map(FrameInFlight::nodes_at_work).collect();
+        let idle: Vec<_> = self.ready_nodes().into_iter().filter(|node| !at_work.contains(node)).collect();
+        if idle.is_empty() {
+            return;
         }
-        self.frame = Some(frame);
+        // What a render server was given for a later frame has not been begun, and so is not late.
+        let mut busy = BTreeSet::new();
+        for index in 0..self.frames.len() {
+            let nodes = &self.nodes;
+            let begun_at = |node| nodes.get(&node).filter(|_| !busy.contains(&node)).map(|node| node.free_at);
+            if let Some(late) = self.frames[index].take_late_work(now, begun_at) {
+                return self.give_parts(index, now, &idle, &late, actions);
+            }
+            busy.extend(self.frames[index].nodes_at_work());
+        }
     }
 
-    fn give_parts(&mut self, frame: &mut FrameInFlight, now: Time, nodes: &[NodeId], piece: &Piece) -> Vec<Action> {
+    fn give_parts(&mut self, index: usize, now: Time, nodes: &[NodeId], piece: &Piece, actions: &mut Vec<Action>) {
+        let Some(mut frame) = self.frames.remove(index) else { return };
+        frame.attempts += 1;
         let share = piece.work.share(frame.picture.size).expect("the scheduler makes works that fit their frame");
         let n_samples: u32 = (0..share.count()).map(|k| share.samples(k).count()).sum();
         let parts = (nodes.len() as u32).min(n_samples / SMALLEST_PART).max(1);
         // Those who got a part of the last work are not the first to get one of this.
         let mut nodes = nodes.iter().cycle().skip(self.last_work.0 as usize % nodes.len());
-        (0..parts)
-            .map(|index| {
-                let part = piece.part(index, parts).expect("parts hold units, so there are no more than the frame has");
-                let &node = nodes.next().expect("nodes go round");
-                self.give(frame, now, node, part)
-            })
-            .collect()
+        for part in 0..parts {
+            let part = piece.part(part, parts).expect("parts hold units, so there are no more than the frame has");
+            let &node = nodes.next().expect("nodes go round");
+            actions.push(self.give(&mut frame, now, node, part));
+        }
+        self.frames.insert(index, frame);
     }
 
     fn give(&mut self, frame: &mut FrameInFlight, now: Time, node: NodeId, piece: Piece) -> Action {
@@ -274,23 +322,29 @@ impl Scheduler {
         Action::Render { node, frame: frame.id, work_id: self.last_work, picture: frame.picture, work }
     }
 
-    /// Shows a whole frame as soon as the one before it is taken, so that the next is rendered while one is displayed.
+    /// Shows the first frame once it is whole and the one before it is taken, so that the next are rendered while one is
+    /// displayed; whether it did.
     ///
     /// A frame that waits while the camera moves on is superseded: the newer one takes its place. Frames of the same
     /// picture are each shown.
-    fn show_if_whole(&mut self, now: Time, actions: &mut Vec<Action>) {
-        let Some(frame) = &mut self.frame else { return };
-        if !frame.is_whole(now) || self.waiting == Some(frame.picture) {
-            return;
+    fn show_if_whole(&mut self, now: Time, actions: &mut Vec<Action>) -> bool {
+        // Each notes when it became whole, whether or not it is its turn.
+        for frame in &mut self.frames {
+            frame.is_whole(now);
         }
-        let Some(frame) = self.frame.take() else { return };
+        let is_shown = |frame: &mut FrameInFlight| frame.is_whole(now) && self.waiting != Some(frame.picture);
+        if !self.frames.front_mut().is_some_and(is_shown) {
+            return false;
+        }
+        let Some(frame) = self.frames.pop_front() else { return false };
         if frame.division == Division::Dynamic {
             self.balance.learn(&frame.picture, &frame.measured().collect::<Vec<_>>());
         }
         // Whoever still works on it does what another has done already.
-        actions.extend(frame.nodes_at_work().map(|node| Action::Cancel { node, frame: frame.id }));
+        self.end(now, &frame, actions);
         actions.push(Action::Show { frame: frame.id, stats: frame.stats(now) });
         self.waiting = Some(frame.picture);
+        true
     }
 }
 

@@ -315,8 +315,8 @@ impl OpenFrame {
 }
 
 fn for_scheduler(wanted: &Wanted) -> scheduler::Wanted {
-    let Wanted { picture, division, min_renderers, repeat, .. } = *wanted;
-    scheduler::Wanted { picture, division, min_renderers, repeat }
+    let Wanted { picture, division, min_renderers, repeat, in_flight, .. } = *wanted;
+    scheduler::Wanted { picture, division, min_renderers, repeat, in_flight }
 }
 
 async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {

@@ -55,6 +55,8 @@ enum WorkState {
     Doubled,
     Done {
         at: Time,
+        /// From when its node had received it and had nothing else to do.
+        took: Duration,
         timings: WorkTimings,
         costs: BlockCosts,
     },
@@ -97,11 +99,21 @@ impl FrameInFlight {
         self.coverage.cover(&given.piece, units.first..units.first + units.count);
     }
 
-    pub(super) fn finish(&mut self, now: Time, node: NodeId, work_id: WorkId, timings: WorkTimings, costs: BlockCosts) {
+    /// A work is answered by a node that had nothing else to do since some time.
+    pub(super) fn finish(
+        &mut self,
+        now: Time,
+        since: Time,
+        node: NodeId,
+        work_id: WorkId,
+        timings: WorkTimings,
+        costs: BlockCosts,
+    ) {
         let Some(given) = self.works.iter_mut().find(|given| given.id == work_id && given.node == node) else { return };
         // A render server that says "done" without having sent everything does not make the frame whole.
         if self.coverage.has_all_of(&given.piece) {
-            given.state = WorkState::Done { at: now, timings, costs };
+            let took = now.saturating_sub(given.sent_at.max(since));
+            given.state = WorkState::Done { at: now, took, timings, costs };
         } else {
             given.state = WorkState::Lost;
         }
@@ -130,22 +142,27 @@ impl FrameInFlight {
     }
 
     /// The oldest work that is late: whoever calls this gives it to others as well.
-    pub(super) fn take_late_work(&mut self, now: Time) -> Option<Piece> {
+    ///
+    /// `free_at`: since when a node had nothing to do but works of this frame; `None` if it still has.
+    pub(super) fn take_late_work(&mut self, now: Time, free_at: impl Fn(NodeId) -> Option<Time>) -> Option<Piece> {
         let slowest = self.works.iter().filter_map(|given| match given.state {
-            WorkState::Done { at, .. } => Some(at - given.sent_at),
+            WorkState::Done { took, .. } => Some(took),
             _ => None,
         });
         let late_after = (slowest.max()? * LATE_FACTOR).max(LATE_AT_LEAST);
         let is_late = |given: &&mut GivenWork| {
-            matches!(given.state, WorkState::AtWork) && now.saturating_sub(given.sent_at) > late_after
+            matches!(given.state, WorkState::AtWork)
+                && free_at(given.node)
+                    .is_some_and(|free_at| now.saturating_sub(given.sent_at.max(free_at)) > late_after)
         };
         let late = self.works.iter_mut().find(is_late)?;
         late.state = WorkState::Doubled;
         Some(late.piece.clone())
     }
 
-    pub(super) fn is_at_work(&self, node: NodeId) -> bool {
-        self.nodes_at_work().any(|at_work| at_work == node)
+    /// Whether anything of it has come.
+    pub(super) fn has_begun(&self) -> bool {
+        self.works.iter().any(|given| given.n_bytes > 0)
     }
 
     pub(super) fn nodes_at_work(&self) -> impl Iterator<Item = NodeId> {
@@ -183,13 +200,9 @@ impl FrameInFlight {
         for given in &self.works {
             let share = f64::from(share(&given.piece.work, self.picture).count()) / n_units;
             let (tracing, network, idle) = match given.state {
-                WorkState::Done { at, timings, .. } => {
+                WorkState::Done { at, took, timings, .. } => {
                     let tracing = Duration::from_micros(timings.trace_us.into());
-                    (
-                        (tracing, timings.trace_cpu_us),
-                        (at - given.sent_at).saturating_sub(tracing),
-                        now.saturating_sub(at),
-                    )
+                    ((tracing, timings.trace_cpu_us), took.saturating_sub(tracing), now.saturating_sub(at))
                 }
                 _ => Default::default(),
             };

@@ -1,6 +1,8 @@
 //! The scheduler under invented time, latency, speed and death.
 
-use std::collections::VecDeque;
+mod in_flight;
+
+use std::collections::{BTreeMap, VecDeque};
 
 use proptest::prelude::*;
 use shared::{
@@ -28,7 +30,7 @@ fn picture(eye_x: f64, triangles: u32) -> Picture {
 }
 
 fn wanted(division: Division) -> Wanted {
-    Wanted { picture: Some(picture(0.0, 1000)), division, min_renderers: 1, repeat: false }
+    Wanted { picture: Some(picture(0.0, 1000)), division, min_renderers: 1, repeat: false, in_flight: 1 }
 }
 
 /// A work that was sent to a node.
@@ -48,14 +50,21 @@ struct Farm {
     at_work: VecDeque<Sent>,
     shown: Vec<FrameStats>,
     cancelled: Vec<NodeId>,
-    /// How often each sample of the open frame was placed.
-    placed: Vec<u32>,
+    /// How often each sample of the open frames was placed.
+    placed: BTreeMap<FrameId, Vec<u32>>,
 }
 
 impl Farm {
     fn new(wanted: Wanted) -> Self {
         let scheduler = Scheduler::new(wanted);
-        Self { scheduler, now: Time::ZERO, at_work: VecDeque::new(), shown: vec![], cancelled: vec![], placed: vec![] }
+        Self {
+            scheduler,
+            now: Time::ZERO,
+            at_work: VecDeque::new(),
+            shown: vec![],
+            cancelled: vec![],
+            placed: BTreeMap::new(),
+        }
     }
 
     fn with_nodes(wanted: Wanted, nodes: &[NodeId]) -> Self {
@@ -69,20 +78,29 @@ impl Farm {
     fn on(&mut self, event: Event) {
         for action in self.scheduler.on_event(self.now, event) {
             match action {
-                Action::Open { picture, .. } => self.placed = vec![0; picture.size.n_samples() as usize],
+                Action::Open { frame, picture } => {
+                    self.placed.insert(frame, vec![0; picture.size.n_samples() as usize]);
+                    let in_flight = self.scheduler.wanted.in_flight as usize;
+                    assert!(self.placed.len() <= in_flight, "more than {in_flight} frames in flight");
+                }
                 Action::Render { node, frame, work_id, picture, work } => {
                     work.share(picture.size).expect("works fit their frame");
                     self.at_work.push_back(Sent { node, frame, work_id, work, size: picture.size });
                 }
-                Action::Cancel { node, .. } => {
+                Action::Cancel { node, frame } => {
                     self.cancelled.push(node);
-                    self.at_work.retain(|sent| sent.node != node);
+                    self.at_work.retain(|sent| (sent.node, sent.frame) != (node, frame));
                 }
-                Action::Show { stats, .. } => {
-                    assert!(self.placed.iter().all(|&times| times > 0), "a frame with holes is shown");
+                Action::Show { frame, stats } => {
+                    let placed = self.placed.remove(&frame).expect("a frame is shown once");
+                    assert!(placed.iter().all(|&times| times > 0), "a frame with holes is shown");
+                    assert!(self.at_work.iter().all(|sent| sent.frame != frame), "somebody still works on it");
                     self.shown.push(stats);
                 }
-                Action::Discard { .. } => self.at_work.clear(),
+                Action::Discard { frame } => {
+                    self.placed.remove(&frame).expect("only an open frame is discarded");
+                    assert!(self.at_work.iter().all(|sent| sent.frame != frame), "somebody still works on it");
+                }
             }
         }
     }
@@ -100,7 +118,8 @@ impl Farm {
     fn place(&mut self, sent: &Sent, first: u32, count: u32) {
         let share = sent.work.share(sent.size).unwrap();
         for (i, j) in (first..first + count).flat_map(|k| share.samples(k).iter()) {
-            self.placed[(j * sent.size.xres() + i) as usize] += 1;
+            let placed = self.placed.get_mut(&sent.frame).expect("nobody works on a frame that is not open");
+            placed[(j * sent.size.xres() + i) as usize] += 1;
         }
         let units = Placed { first, count, n_bytes: 3, place_time: Time::ZERO };
         self.on(Event::Placed { node: sent.node, frame: sent.frame, work_id: sent.work_id, units });
@@ -285,7 +304,7 @@ fn only_the_newest_camera_is_rendered_next() {
     }
     farm.answer(A);
     farm.on(Event::FrameTaken);
-    assert_eq!(farm.scheduler.frame.as_ref().unwrap().picture, picture(4.0, 1000));
+    assert_eq!(farm.scheduler.frames[0].picture, picture(4.0, 1000));
     farm.answer(A);
     assert_eq!(farm.shown.len(), 2);
 }
@@ -313,56 +332,63 @@ fn another_scene_ends_the_frame_and_asks_everybody_again() {
 
 proptest! {
     /// Whatever happens, in whatever order: no frame has holes, frames are shown in order, and once the chaos is over the
-    /// frame gets finished.
+    /// picture that was wanted last is finished.
     #[test]
     fn every_frame_is_whole_whatever_happens(
-        events in proptest::collection::vec((0..6u8, 1..6u32, 0..40u64), 0..200), division in 0..3usize,
+        events in proptest::collection::vec((0..7u8, 1..6u32, 0..40u64), 0..200), division in 0..3usize,
+        in_flight in 1..4u32,
     ) {
-        let division = Division::ALL[division];
-        let mut farm = Farm::new(Wanted { repeat: true, ..wanted(division) });
-        let mut alive = std::collections::BTreeSet::new();
+        let wanted = Wanted { repeat: true, in_flight, ..wanted(Division::ALL[division]) };
+        let mut farm = Farm::new(wanted.clone());
+        let mut alive = BTreeSet::new();
         for (kind, node, milliseconds) in events {
-            let node = NodeId(node);
+            let id = NodeId(node);
             farm.now += Duration::from_millis(milliseconds);
             match kind {
                 0 => {
-                    if alive.insert(node) {
-                        farm.join(node);
+                    if alive.insert(id) {
+                        farm.join(id);
                     }
                 }
                 1 => {
-                    if alive.remove(&node) {
-                        farm.lose(node);
+                    if alive.remove(&id) {
+                        farm.lose(id);
                     }
                 }
                 2 => farm.on(Event::FrameTaken),
                 3 => {
                     // Part of an answer, perhaps of the same units twice.
-                    if let Some(sent) = farm.at_work.iter().find(|sent| sent.node == node).cloned() {
+                    if let Some(sent) = farm.at_work.iter().find(|sent| sent.node == id).cloned() {
                         let n_units = sent.work.share(sent.size).unwrap().count();
                         farm.place(&sent, 0, n_units.min(milliseconds as u32));
                     }
                 }
+                4 => {
+                    let picture = Some(picture(node.into(), 1000));
+                    farm.on(Event::Wanted(Wanted { picture, ..wanted.clone() }));
+                }
                 _ => {
-                    if farm.at_work.iter().any(|sent| sent.node == node) {
-                        farm.answer(node);
+                    if farm.at_work.iter().any(|sent| sent.node == id) {
+                        farm.answer(id);
                     }
                 }
             }
             farm.pass(0);
         }
         let n_shown = farm.shown.len();
+        farm.on(Event::Wanted(Wanted { picture: Some(picture(99.0, 1000)), ..wanted }));
         farm.on(Event::FrameTaken);
         if alive.insert(NodeId(99)) {
             farm.join(NodeId(99));
         }
         for _ in 0..200 {
-            let Some(sent) = farm.at_work.front() else { break };
-            let node = sent.node;
-            farm.answer(node);
             farm.on(Event::FrameTaken);
+            if let Some(sent) = farm.at_work.front() {
+                farm.answer(sent.node);
+            }
         }
         prop_assert!(farm.shown.len() > n_shown);
-        prop_assert!(farm.shown.is_sorted_by_key(|stats| stats.frame));
+        prop_assert!(farm.shown.windows(2).all(|pair| pair[0].frame < pair[1].frame), "each once, in order");
+        prop_assert!(farm.scheduler.frames.iter().all(|frame| frame.picture == picture(99.0, 1000)));
     }
 }

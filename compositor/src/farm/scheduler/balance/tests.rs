@@ -35,7 +35,7 @@ fn picture() -> Picture {
 
 fn wanted(min_renderers: usize) -> Wanted {
     let min_renderers = min_renderers as u32;
-    Wanted { picture: Some(picture()), division: Division::Dynamic, min_renderers, repeat: true }
+    Wanted { picture: Some(picture()), division: Division::Dynamic, min_renderers, repeat: true, in_flight: 1 }
 }
 
 fn picture_from(eye_x: f64) -> Picture {
@@ -106,9 +106,11 @@ impl Cluster {
                 Action::Render { node, frame, work_id, picture, work } => {
                     self.pend(node, frame, work_id, &work, picture.size);
                 }
-                Action::Cancel { node, .. } => self.pending.retain(|pending| pending.node != node),
+                Action::Cancel { node, frame } => {
+                    self.pending.retain(|pending| (pending.node, pending.frame) != (node, frame));
+                }
                 Action::Show { stats, .. } => self.shown.push(stats),
-                Action::Discard { .. } => self.pending.clear(),
+                Action::Discard { .. } => {}
             }
         }
     }
@@ -188,6 +190,14 @@ fn equal_nodes_are_equally_busy() {
         let most = if n_nodes <= 12 { 1.05 } else { 1.10 };
         check(&format!("still, {n_nodes} nodes"), &cluster.render(40), most, most + 0.05);
     }
+}
+
+#[test]
+fn frames_in_flight_do_not_unbalance_each_other() {
+    let mut cluster = Cluster::new(still, &[1.0; 12]);
+    cluster.on(Event::Wanted(Wanted { in_flight: 3, ..wanted(12) }));
+    cluster.render(3);
+    check("still, 12 nodes, 3 frames in flight", &cluster.render(40), 1.05, 1.10);
 }
 
 #[test]
