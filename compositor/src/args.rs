@@ -4,7 +4,7 @@ use std::{net::SocketAddr, path::PathBuf};
 
 use shared::{
     division::{Division, FrameSize},
-    protocol::{DEFAULT_PORT, View},
+    protocol::{DEFAULT_PORT, RayTree, View},
     scene::SceneId,
 };
 
@@ -71,6 +71,9 @@ pub struct WallArgs {
     /// What the samples show: shaded or normals
     #[arg(long, value_name = "V", default_value = View::default().name())]
     pub view: View,
+    /// By which rays the picture is lit: primary, shadows (and a ray to a light), or ambient (and short rays all around)
+    #[arg(long, value_name = "RAYS", default_value = RayTree::default().name())]
+    pub rays: RayTree,
     /// Samples of a frame
     #[arg(long, value_name = "WxH", default_value_t = FrameSize::PAPER)]
     pub size: FrameSize,

@@ -1,6 +1,9 @@
 //! Keys and mouse, in words: what they ask of the wall.
 
-use shared::{division::Division, protocol::View};
+use shared::{
+    division::Division,
+    protocol::{RayTree, View},
+};
 use winit::keyboard::NamedKey;
 
 /// What a person can ask of the wall, by key or on the overlay.
@@ -18,6 +21,10 @@ pub enum Command {
     NextView,
     /// Show this view.
     SetView(View),
+    /// Light the picture by more rays, or by fewest again.
+    NextRays,
+    /// Light the picture by these rays.
+    SetRays(RayTree),
     /// Show or hide the overlay.
     ToggleOverlay,
     /// Show or hide keys and mouse.
@@ -135,6 +142,7 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('u')], Ask(NextUpAxis), "next up axis: y, z, x"),
         row(&[Letter('h')], Ask(NextDivision), "next heuristic: interleaved, tiled, dynamic"),
         row(&[Letter('v')], Ask(NextView), "next view: shaded, normals"),
+        row(&[Letter('r')], Ask(NextRays), "next rays: primary, shadows, ambient"),
         row(&[Letter('o')], Ask(ToggleOverlay), "overlay on or off"),
         row(&[Named(NamedKey::F1)], Ask(ToggleHelp), "this help on or off"),
         row(&[Letter('p'), Named(NamedKey::F12)], Ask(Screenshot), "screenshot of the wall"),

@@ -7,7 +7,11 @@ mod style;
 pub use style::{apply_style, zoom};
 
 use egui::{Align, Align2, Layout, RichText, Ui};
-use shared::{camera::UpAxis, division::Division, protocol::View};
+use shared::{
+    camera::UpAxis,
+    division::Division,
+    protocol::{RayTree, View},
+};
 
 use crate::{
     input::Command,
@@ -34,6 +38,8 @@ pub struct OverlayModel {
     pub division: Division,
     /// The view in force.
     pub view: View,
+    /// The rays in force.
+    pub rays: RayTree,
     /// The axis that points up.
     pub up: UpAxis,
     /// The model on the wall.
@@ -219,6 +225,15 @@ fn switches(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
             for view in View::ALL {
                 if ui.selectable_label(view == model.view, view.name()).clicked() {
                     commands.push(Command::SetView(view));
+                }
+            }
+        });
+        ui.end_row();
+        ui.horizontal(|ui| ui.label("rays (R)"));
+        ui.horizontal(|ui| {
+            for rays in RayTree::ALL {
+                if ui.selectable_label(rays == model.rays, rays.name()).clicked() {
+                    commands.push(Command::SetRays(rays));
                 }
             }
         });

@@ -75,8 +75,14 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::
 }
 
 fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, args: &WallArgs) {
-    let (size, view) = (args.size, args.view);
-    wanted.picture = Some(Picture { scene: model.scene, camera, size, view, samples: SampleRange::CENTRE });
+    wanted.picture = Some(Picture {
+        scene: model.scene,
+        camera,
+        size: args.size,
+        view: args.view,
+        rays: args.rays,
+        samples: SampleRange::CENTRE,
+    });
     wanted.scene_path = model.path();
     wanted.moved_at = Instant::now();
 }
@@ -107,6 +113,7 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Re
         up: UpAxis::default(),
         size: args.size,
         view: args.view,
+        rays: args.rays,
         fullscreen: args.fullscreen,
         overlay: true,
         screenshot_folder: ".".into(),

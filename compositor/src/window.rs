@@ -20,7 +20,7 @@ use renderer::scene::SceneSource;
 use shared::{
     camera::{Camera, UpAxis},
     division::FrameSize,
-    protocol::View,
+    protocol::{RayTree, View},
 };
 use winit::event_loop::{EventLoop, EventLoopProxy};
 
@@ -47,6 +47,8 @@ pub struct WindowOptions {
     pub size: FrameSize,
     /// What the samples show at first.
     pub view: View,
+    /// By which rays they are lit.
+    pub rays: RayTree,
     /// Whether the window fills the screen from the start.
     pub fullscreen: bool,
     /// Whether the overlay is shown at first.

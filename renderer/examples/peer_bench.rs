@@ -37,7 +37,7 @@ use serde_json::json;
 use shared::{
     camera::Camera,
     division::FrameSize,
-    protocol::{SampleRange, View},
+    protocol::{RayTree, SampleRange, View},
 };
 
 /// Traces frames on demand, for comparisons with other ray tracers
@@ -186,6 +186,7 @@ impl PeerCamera {
         }
         let (Some(eye), Some(ll), Some(u), Some(v)) = (eye, ll, u, v) else { bail!("it lacks one of eye, ll, u, v") };
         let camera = Camera::new(eye, ll, u, v)?;
-        Ok(Self { request: FrameRequest { camera, size, view: View::Shaded, samples: SampleRange::CENTRE }, light })
+        let (view, rays, samples) = (View::Shaded, RayTree::Primary, SampleRange::CENTRE);
+        Ok(Self { request: FrameRequest { camera, size, view, rays, samples }, light })
     }
 }

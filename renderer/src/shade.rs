@@ -5,7 +5,7 @@
 use glam::Vec3;
 use shared::{camera::Camera, division::FrameSize, protocol::View, srgb};
 
-use crate::{ray::Hit, traced::TracedMesh};
+use crate::{ray::Hit, secondary::Reach, traced::TracedMesh};
 
 /// Lights a mesh as seen by one camera: a light at the eye shows form, a sky above it shows which way is up.
 pub struct Shader<'a> {
@@ -13,8 +13,6 @@ pub struct Shader<'a> {
     view: View,
     /// The camera's up, of unit length, in world space.
     up: Vec3,
-    /// A direction from above the eye's left shoulder, of unit length, in world space.
-    key: Vec3,
     n_rows: f32,
 }
 
@@ -33,14 +31,13 @@ const GROUND_LIGHT: Vec3 = Vec3::new(0.055, 0.045, 0.04);
 impl<'a> Shader<'a> {
     /// Makes ready for one frame.
     pub fn new(mesh: &'a TracedMesh, camera: &Camera, size: FrameSize, view: View) -> Self {
-        let [right, up] = [camera.u(), camera.v()].map(|edge| unit(edge.normalize().as_vec3()));
-        let towards_eye = unit(right.cross(up));
-        Self { mesh, view, up, key: unit(towards_eye + up * 0.9 - right * 0.7), n_rows: size.yres() as f32 }
+        let up = unit(camera.v().normalize().as_vec3());
+        Self { mesh, view, up, n_rows: size.yres() as f32 }
     }
 
-    /// The linear light that one ray brings back. `row` counts from the bottom, in samples.
+    /// The linear light that one ray brings back, of what reaches its hit. `row` counts from the bottom, in samples.
     #[inline]
-    pub fn light(&self, direction: Vec3, hit: Hit, row: f32) -> Vec3 {
+    pub fn light(&self, direction: Vec3, hit: Hit, row: f32, reach: &Reach) -> Vec3 {
         if hit.is_miss() {
             let height = row / self.n_rows;
             return BACKGROUND[0] * (1.0 - height) + BACKGROUND[1] * height;
@@ -53,10 +50,10 @@ impl<'a> Shader<'a> {
             View::Normals => (normal + 1.0) * 0.5,
             View::Shaded => {
                 let eye = normal.dot(-unit(direction)).max(0.0);
-                let key = normal.dot(self.key).max(0.0);
+                let key = normal.dot(reach.key_direction).max(0.0) * reach.key;
                 let sky = 0.5 + 0.5 * normal.dot(self.up);
-                let light = EYE_LIGHT * eye + KEY_LIGHT * key + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
-                self.albedo(hit.triangle) * light
+                let around = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
+                self.albedo(hit.triangle) * (KEY_LIGHT * key + around * reach.open)
             }
         }
     }
@@ -96,6 +93,9 @@ mod tests {
         Shader::new(mesh, &camera, FrameSize::PAPER, view)
     }
 
+    /// All the light that there is, with the key light at the eye's side.
+    const REACH: Reach = Reach { key_direction: Vec3::new(-0.48, 0.6, 0.64), key: 1.0, open: 1.0 };
+
     fn facing_mesh() -> Mesh {
         Mesh {
             vertices: vec![[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]],
@@ -109,17 +109,17 @@ mod tests {
         let mesh = traced(facing_mesh());
         for view in View::ALL {
             let shader = shader(&mesh, view);
-            let [front, back] = [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, 0.0));
+            let [front, back] = [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, 0.0, &REACH));
             assert_eq!(front, back);
         }
-        let normals = shader(&mesh, View::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0);
+        let normals = shader(&mesh, View::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
         assert_eq!(normals, Vec3::new(0.5, 0.5, 1.0));
     }
 
     #[test]
     fn vertex_colours_tint_the_light() {
         let red = traced(Mesh { colors: vec![[255, 0, 0]; 3], ..facing_mesh() });
-        let light = shader(&red, View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0);
+        let light = shader(&red, View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
         assert!(light.x > 0.5 && light.y == 0.0 && light.z == 0.0, "{light}");
     }
 
@@ -128,7 +128,7 @@ mod tests {
         for scale in [1e-18f32, 1e-6, 1.0, 1e6, 1e18] {
             let mut mesh = facing_mesh();
             mesh.vertices.iter_mut().flatten().for_each(|x| *x *= scale);
-            let light = shader(&traced(mesh), View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0);
+            let light = shader(&traced(mesh), View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
             assert!(light.is_finite() && light.min_element() > 0.1, "{scale}: {light}");
         }
     }

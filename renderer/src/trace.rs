@@ -17,7 +17,7 @@ use serde::Serialize;
 use shared::{
     camera::{Camera, UpAxis},
     division::FrameSize,
-    protocol::{SampleRange, View},
+    protocol::{RayTree, SampleRange, View},
 };
 
 use crate::{
@@ -88,6 +88,10 @@ pub struct TraceArgs {
     /// What the picture shows: shaded or normals
     #[arg(long, value_name = "VIEW", default_value = "shaded")]
     view: View,
+
+    /// By which rays the picture is lit: primary, shadows or ambient
+    #[arg(long, value_name = "RAYS", default_value = RayTree::default().name())]
+    rays: RayTree,
 
     /// Write the picture, as PNG
     #[arg(long, value_name = "FILE")]
@@ -188,7 +192,8 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
         Camera::view_all(min, max, args.up, CANVAS_ASPECT)
     });
-    let request = FrameRequest { camera, size: args.size, view: args.view, samples: SampleRange::CENTRE };
+    let request =
+        FrameRequest { camera, size: args.size, view: args.view, rays: args.rays, samples: SampleRange::CENTRE };
     if args.cameras.is_some() {
         return cameras::run(&scene, &request, &options, std::io::stdin().lock(), std::io::stdout().lock());
     }

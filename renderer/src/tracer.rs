@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use shared::{
     camera::{Camera, CameraRays},
     division::{FrameSize, Share, UnitSamples},
-    protocol::{SampleRange, View},
+    protocol::{RayTree, SampleRange, View},
     srgb,
 };
 
@@ -15,6 +15,7 @@ use crate::{
     grid::{Grid, GridOptions, Packet, PacketScratch},
     mesh::Mesh,
     ray::Hit,
+    secondary::SecondaryRays,
     shade::Shader,
     traced::TracedMesh,
 };
@@ -40,6 +41,8 @@ pub struct FrameRequest {
     pub size: FrameSize,
     /// What the samples show.
     pub view: View,
+    /// By which rays they are lit.
+    pub rays: RayTree,
     /// Which samples of each pixel.
     pub samples: SampleRange,
 }
@@ -83,13 +86,18 @@ impl Scene {
         Shader::new(self.mesh(), &request.camera, request.size, request.view)
     }
 
+    /// What finds the lights that reach the hits of a frame.
+    pub fn secondary_rays(&self, request: &FrameRequest) -> SecondaryRays<'_> {
+        SecondaryRays::new(&self.grid, request)
+    }
+
     /// Renders the share's units `units` (places in the share, not numbers in the frame), on the calling thread.
     ///
     /// Appends their samples to `rgb`, sRGB-encoded, in the order of [`Share::samples`]. The bits depend on nothing but
     /// scene, request and sample, so several threads may render parts of one share.
     pub fn render(&self, request: &FrameRequest, share: &Share<'_>, units: Range<u32>, rgb: &mut Vec<u8>) {
         let rays = request.camera.rays(request.size);
-        let shader = self.shader(request);
+        let (shader, secondary) = (self.shader(request), self.secondary_rays(request));
         let mut scratch = PacketScratch::default();
         let samples = samples_of(share, units.clone());
         let first = rgb.len();
@@ -100,9 +108,10 @@ impl Scene {
             for index in 0..request.samples.count {
                 let sample = request.samples.first.wrapping_add(index);
                 let (directions, hits) = self.trace_block(&rays, block, sample, &mut scratch);
+                let reach = secondary.reach(block, sample, &directions, &hits, &mut scratch);
                 for (lane, &(i, j)) in block.iter().enumerate() {
                     let (_, y) = sample_point(i, j, sample);
-                    lights[lane] += shader.light(directions[lane], hits[lane], y);
+                    lights[lane] += shader.light(directions[lane], hits[lane], y, &reach[lane]);
                 }
             }
             for (light, place) in lights.iter().zip(places) {
@@ -147,9 +156,7 @@ impl Scene {
         sample: u32,
         scratch: &mut PacketScratch,
     ) -> ([Vec3; 64], [Hit; 64]) {
-        // The lanes of a whole tile are ordered by quarters, so that lanes side by side are pixels side by side.
-        let is_tile = block.len() == 64 && block[63].0 == block[0].0 + 7 && block[63].1 == block[0].1 + 7;
-        let place = |lane: usize| if is_tile { QUARTERS[lane] } else { lane.min(block.len() - 1) };
+        let places = lane_places(block);
         let mut packet = Packet {
             origin: rays.eye,
             directions: [[0.0; 64]; 3],
@@ -159,10 +166,10 @@ impl Scene {
         };
         let mut directions = [Vec3::ZERO; 64];
         for lane in 0..64 {
-            let (i, j) = block[place(lane)];
+            let (i, j) = block[places[lane]];
             let (x, y) = sample_point(i, j, sample);
             let direction = rays.direction_through(x, y);
-            directions[place(lane)] = direction;
+            directions[places[lane]] = direction;
             for axis in 0..3 {
                 packet.directions[axis][lane] = direction[axis];
             }
@@ -170,7 +177,7 @@ impl Scene {
         let in_lanes = self.grid.intersect_packet(&packet, scratch);
         let mut hits = [Hit::MISS; 64];
         for lane in 0..block.len() {
-            hits[place(lane)] = in_lanes[lane];
+            hits[places[lane]] = in_lanes[lane];
         }
         (directions, hits)
     }
@@ -186,6 +193,14 @@ fn samples_of(share: &Share<'_>, units: Range<u32>) -> Vec<(u32, u32)> {
         }
     }
     samples
+}
+
+/// The sample of a block that each lane of a packet follows; lanes beyond the samples repeat the last.
+///
+/// The lanes of a whole tile are ordered by quarters, so that lanes side by side are pixels side by side.
+pub(crate) fn lane_places(block: &[(u32, u32)]) -> [usize; 64] {
+    let is_tile = block.len() == 64 && block[63].0 == block[0].0 + 7 && block[63].1 == block[0].1 + 7;
+    if is_tile { QUARTERS } else { std::array::from_fn(|lane| lane.min(block.len() - 1)) }
 }
 
 /// The place of each lane in a tile of 8×8 samples, row by row: quarters of 4×4 one after the other.
@@ -277,7 +292,7 @@ pub fn sample_point(i: u32, j: u32, sample: u32) -> (f32, f32) {
 }
 
 /// A mixing of bits: "lowbias32" of Wellons, "Prospecting for Hash Functions" (2018).
-fn hash(mut x: u32) -> u32 {
+pub(crate) fn hash(mut x: u32) -> u32 {
     x = (x ^ x >> 16).wrapping_mul(0x7feb_352d);
     x = (x ^ x >> 15).wrapping_mul(0x846c_a68b);
     x ^ x >> 16
@@ -286,6 +301,7 @@ fn hash(mut x: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::grid::InstructionSet;
     use glam::DVec3;
     use shared::division::Division;
 
@@ -303,21 +319,40 @@ mod tests {
             camera: Camera::look_at(DVec3::new(1.0, 2.0, 5.0), DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap(),
             size: FrameSize::new(37, 21).unwrap(),
             view: View::Shaded,
+            rays: RayTree::Primary,
             samples: SampleRange { first, count },
         }
     }
 
     #[test]
     fn the_samples_do_not_depend_on_the_division() {
-        let scene = tetrahedron();
-        let request = request(0, 3);
+        check_divisions(&tetrahedron(), &request(0, 3));
+    }
+
+    #[test]
+    fn neither_division_nor_instructions_change_a_ray_tree() {
+        let mesh = crate::statue::generate(3000, &|_| ());
+        let camera = Camera::look_at(DVec3::new(0.6, 1.5, 2.5), DVec3::Y, DVec3::Y, 0.5, 2.0).unwrap();
+        for rays in RayTree::ALL {
+            let request = FrameRequest { camera, rays, ..request(1, 2) };
+            let frames = InstructionSet::available().into_iter().map(|instructions| {
+                let grid = Grid::build(mesh.clone(), &GridOptions::default(), &|_| ()).with_instructions(instructions);
+                check_divisions(&Scene { grid }, &request)
+            });
+            let frames: Vec<_> = frames.collect();
+            assert!(frames.iter().all(|frame| frame == &frames[0]), "{rays:?}");
+        }
+    }
+
+    /// Renders a frame in several ways and gives it back.
+    fn check_divisions(scene: &Scene, request: &FrameRequest) -> Vec<u8> {
         let mut frames = Vec::new();
         for (division, machines) in [(Division::Tiled, 1), (Division::Tiled, 3), (Division::Interleaved, 5)] {
             let mut frame = vec![0; 37 * 21 * 3];
             for machine in 0..machines {
                 let work = division.work(machine, machines);
                 let share = work.share(request.size).unwrap();
-                let rgb = scene.render_parallel(&request, &share);
+                let rgb = scene.render_parallel(request, &share);
                 let places = (0..share.count()).flat_map(|unit| share.samples(unit).iter());
                 for ((i, j), color) in places.zip(rgb.chunks_exact(3)) {
                     let at = (j * 37 + i) as usize * 3;
@@ -328,6 +363,7 @@ mod tests {
         }
         assert!(frames.iter().all(|frame| frame == &frames[0]));
         assert!(frames[0].chunks_exact(3).any(|color| color[0] > 100), "the model is seen");
+        frames.swap_remove(0)
     }
 
     #[test]

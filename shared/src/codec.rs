@@ -163,7 +163,7 @@ mod tests {
     use crate::{
         camera::Camera,
         division::{Division, FrameSize},
-        protocol::{BlockCosts, Picture, SampleRange, ToServer, ToWall, View, WorkTimings},
+        protocol::{BlockCosts, Picture, RayTree, SampleRange, ToServer, ToWall, View, WorkTimings},
         scene::SceneId,
     };
 
@@ -174,6 +174,7 @@ mod tests {
             camera,
             size: FrameSize::PAPER,
             view: View::Shaded,
+            rays: RayTree::Shadows,
             samples: SampleRange::CENTRE,
         };
         ToServer::RenderFrame { frame: FrameId(9), work_id: WorkId(3), picture, work: Division::Tiled.work(2, 12) }

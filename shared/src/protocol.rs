@@ -18,7 +18,7 @@ use crate::{
 };
 
 /// The version of everything below; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 2;
+pub const PROTOCOL_VERSION: u8 = 3;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -89,6 +89,44 @@ impl std::str::FromStr for View {
     }
 }
 
+/// The rays that a picture is made of: each kind includes those before it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RayTree {
+    /// Rays from the eye only.
+    #[default]
+    Primary,
+    /// From each hit a ray to the key light.
+    Shadows,
+    /// From each hit short rays all around, which find what lies close by.
+    Ambient,
+}
+
+impl RayTree {
+    /// Every ray tree, in the order in which a key steps through them.
+    pub const ALL: [Self; 3] = [Self::Primary, Self::Shadows, Self::Ambient];
+
+    /// The name on command lines and on screen.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Primary => "primary",
+            Self::Shadows => "shadows",
+            Self::Ambient => "ambient",
+        }
+    }
+}
+
+impl std::str::FromStr for RayTree {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        Self::ALL
+            .into_iter()
+            .find(|rays| rays.name() == text)
+            .ok_or_else(|| format!("\"{text}\" is no kind of rays: it is primary, shadows or ambient"))
+    }
+}
+
 /// Which samples of each pixel are averaged: numbers `first` to `first + count − 1`, in linear light.
 ///
 /// Sample 0 goes through the pixel's centre; where the others go is a pure function of pixel and sample number.
@@ -142,6 +180,8 @@ pub struct Picture {
     pub size: FrameSize,
     /// What the samples show.
     pub view: View,
+    /// By which rays they are lit.
+    pub rays: RayTree,
     /// Which samples of each pixel.
     pub samples: SampleRange,
 }

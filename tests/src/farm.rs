@@ -56,10 +56,15 @@ impl Files {
 
     /// What `renderer trace` shows, alone: the truth for all farms.
     pub(crate) fn traced_hash(&self, size: &str) -> String {
+        self.traced_hash_with(size, &[])
+    }
+
+    /// The same with more arguments.
+    pub(crate) fn traced_hash_with(&self, size: &str, args: &[&str]) -> String {
         let image = self.path("traced.png");
         let mut command = Program::command("renderer");
         command.args(["trace", "--triangles", TRIANGLES, "--size", size, "--camera"]);
-        command.arg(self.path("camera.toml")).arg("--image").arg(&image);
+        command.arg(self.path("camera.toml")).arg("--image").arg(&image).args(args);
         let (status, said) = Program::start(command).wait();
         assert!(status.success(), "{said}");
         hash_of_png(&image)

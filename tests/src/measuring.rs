@@ -8,7 +8,7 @@ use std::{
 
 use serde_json::Value;
 
-use crate::process::Program;
+use crate::{farm::Files, process::Program};
 
 /// Runs a program to its end, with lines on its standard input.
 fn run(mut command: Command, input: &str) -> Output {
@@ -102,4 +102,25 @@ fn a_wrong_order_or_camera_ends_with_one_line() {
         assert!(!output.status.success() && said.contains(expected) && !said.contains("panicked"), "{order}: {said}");
         assert_eq!(said.trim().lines().count(), 1, "{said}");
     }
+}
+
+#[test]
+fn a_wall_lights_its_picture_as_trace_does_whatever_the_rays() {
+    const SIZE: &str = "96x48";
+    let files = Files::new();
+    let mut hashes = Vec::new();
+    for (rays, division) in [("primary", "tiled"), ("shadows", "interleaved"), ("ambient", "dynamic")] {
+        let expected = files.traced_hash_with(SIZE, &["--rays", rays]);
+        let mut wall = files.wall(SIZE);
+        wall.args(["--local", "2", "--frames", "2", "--rays", rays, "--division", division]);
+        let (status, said) = Program::start(wall).wait();
+        assert!(status.success(), "{said}");
+        for frame in files.frames() {
+            assert_eq!(frame["samples_blake3"], expected.as_str(), "{rays}, {division}");
+        }
+        hashes.push(expected);
+    }
+    hashes.sort_unstable();
+    hashes.dedup();
+    assert_eq!(hashes.len(), 3, "each has its own look");
 }

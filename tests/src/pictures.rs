@@ -10,7 +10,7 @@ use renderer::statue;
 use renderer::tracer::{FrameRequest, Scene, SceneOptions};
 use shared::camera::{Camera, UpAxis};
 use shared::division::{Division, FrameSize};
-use shared::protocol::{SampleRange, View};
+use shared::protocol::{RayTree, SampleRange, View};
 use shared::srgb;
 
 use crate::references;
@@ -293,7 +293,8 @@ fn the_statue_on_the_wall_looks_as_it_did() {
     let [min, max] = [min, max].map(|corner| DVec3::from_array(corner.map(f64::from)));
     let camera = Camera::view_all(min, max, UpAxis::Y, wall.aspect());
     let size = FrameSize::PAPER;
-    let request = FrameRequest { camera, size, view: View::Shaded, samples: SampleRange::CENTRE };
+    let (view, rays, samples) = (View::Shaded, RayTree::default(), SampleRange::CENTRE);
+    let request = FrameRequest { camera, size, view, rays, samples };
     let work = Division::Interleaved.work(0, 1);
     let rgb = scene.render_parallel(&request, &work.share(size).unwrap());
     let frame = Frame::new([size.xres(), size.yres()], |i, j| {

@@ -158,6 +158,12 @@ fn the_view_can_be_switched() {
 }
 
 #[test]
+fn the_rays_can_be_switched() {
+    let commands = commands_of(&running(), |harness| harness.get_by_label("shadows").click());
+    assert_eq!(commands, [Command::SetRays(RayTree::Shadows)]);
+}
+
+#[test]
 fn without_render_servers_the_wall_says_how_to_start_one() {
     let mut model = running();
     model.status.nodes.clear();

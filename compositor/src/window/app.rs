@@ -6,7 +6,7 @@ mod steering;
 use std::time::Instant;
 
 use renderer::scene::SceneSource;
-use shared::protocol::{Picture, SampleRange, View};
+use shared::protocol::{Picture, RayTree, SampleRange, View};
 use winit::{
     application::ApplicationHandler,
     dpi::{PhysicalPosition, PhysicalSize},
@@ -45,6 +45,7 @@ pub(super) struct App<'a> {
     model: Option<Model>,
     navigator: Option<Navigator>,
     view: View,
+    rays: RayTree,
     screenshots: Screenshots,
 
     overlay: OverlayModel,
@@ -91,6 +92,7 @@ impl<'a> App<'a> {
             model: None,
             navigator: None,
             view: options.view,
+            rays: options.rays,
             overlay,
             overlay_areas: Vec::new(),
             overlay_is_pressed: false,
@@ -208,6 +210,7 @@ impl<'a> App<'a> {
             camera: navigator.camera(),
             size: self.options.size,
             view: self.view,
+            rays: self.rays,
             samples: SampleRange::CENTRE,
         };
         self.farm.want(|wanted| {

@@ -126,8 +126,10 @@ impl<'a> Culler<'a> {
             let v = S::load(&directions[axes[2]][first..]).div(depth);
             u.store(&mut culler.u[first..]);
             v.store(&mut culler.v[first..]);
+            let limits = depth.mul(S::splat(packet.t_max * (1.0 + 1e-6)));
+            limits.store(&mut culler.limits[first..]);
             culler.groups[group] =
-                Group { u: [u.least(), u.greatest()], v: [v.least(), v.greatest()], limit: f32::INFINITY };
+                Group { u: [u.least(), u.greatest()], v: [v.least(), v.greatest()], limit: limits.greatest() };
             for axis in 0..3 {
                 let reach = S::load(&directions[axis][first..]).abs().greatest();
                 culler.reach[axis] = culler.reach[axis].max(reach);

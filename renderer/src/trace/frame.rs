@@ -17,6 +17,7 @@ use shared::{
 };
 
 use crate::{
+    grid::PacketScratch,
     ray::{Hit, Ray},
     tracer::{FrameRequest, Scene},
 };
@@ -120,17 +121,33 @@ impl Frame {
     /// Shades all hits; returns the CPU time of all threads.
     pub fn shade(&mut self, scene: &Scene, request: &FrameRequest) -> Duration {
         let rays = request.camera.rays(request.size);
-        let shader = scene.shader(request);
+        let (shader, secondary) = (scene.shader(request), scene.secondary_rays(request));
         let xres = request.size.xres() as usize;
         self.rgb.resize(3 * self.hits.len(), 0);
         let total = Mutex::new(Cost::default());
-        let rows = self.rgb.par_chunks_mut(3 * xres).zip(self.hits.par_chunks(xres)).zip(self.places.par_chunks(xres));
-        rows.enumerate().for_each(|(j, ((rgb, hits), places))| {
+        let samples_per_row = xres * TILE_SIZE as usize;
+        let rows = self.rgb.par_chunks_mut(3 * samples_per_row);
+        let rows = rows.zip(self.hits.par_chunks(samples_per_row)).zip(self.places.par_chunks(samples_per_row));
+        rows.enumerate().for_each(|(row, ((rgb, hits), places))| {
             let start = ThreadTime::now();
-            for (i, ((rgb, hit), &triangle)) in rgb.chunks_exact_mut(3).zip(hits).zip(places).enumerate() {
-                let hit = Hit { triangle, t: hit.t };
-                let light = shader.light(rays.direction(i as u32, j as u32), hit, j as f32 + 0.5);
-                rgb.copy_from_slice(&light.to_array().map(srgb::encode));
+            let mut scratch = PacketScratch::default();
+            let (xres, first_j) = (xres as u32, row as u32 * TILE_SIZE);
+            let n_rows = (hits.len() as u32).div_ceil(xres);
+            for first_i in (0..xres).step_by(TILE_SIZE as usize) {
+                let columns = first_i..(first_i + TILE_SIZE).min(xres);
+                let tile: Vec<_> = (0..n_rows).flat_map(|j| columns.clone().map(move |i| (i, first_j + j))).collect();
+                let at = |(i, j): (u32, u32)| ((j - first_j) * xres + i) as usize;
+                let mut directions = [Vec3::ZERO; 64];
+                let mut of_tile = [Hit::MISS; 64];
+                for (lane, &(i, j)) in tile.iter().enumerate() {
+                    directions[lane] = rays.direction(i, j);
+                    of_tile[lane] = Hit { triangle: places[at((i, j))], t: hits[at((i, j))].t };
+                }
+                let reach = secondary.reach(&tile, 0, &directions, &of_tile, &mut scratch);
+                for (lane, &(i, j)) in tile.iter().enumerate() {
+                    let light = shader.light(directions[lane], of_tile[lane], j as f32 + 0.5, &reach[lane]);
+                    rgb[3 * at((i, j))..][..3].copy_from_slice(&light.to_array().map(srgb::encode));
+                }
             }
             add(&total, Cost { cpu: start.elapsed(), ..Cost::default() });
         });

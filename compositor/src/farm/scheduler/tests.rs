@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use shared::{
     camera::Camera,
     division::FrameSize,
-    protocol::{SampleRange, View},
+    protocol::{RayTree, SampleRange, View},
     scene::SceneId,
 };
 
@@ -25,6 +25,7 @@ fn picture(eye_x: f64, triangles: u32) -> Picture {
         camera: Camera::look_at(eye, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0).unwrap(),
         size: FrameSize::new(80, 48).unwrap(),
         view: View::Shaded,
+        rays: RayTree::Primary,
         samples: SampleRange::CENTRE,
     }
 }

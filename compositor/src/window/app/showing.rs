@@ -49,6 +49,7 @@ impl App<'_> {
         self.overlay.division = wanted.division;
         self.overlay.min_renderers = wanted.min_renderers;
         self.overlay.view = self.view;
+        self.overlay.rays = self.rays;
         self.overlay.frame = self.frame.as_ref().map(|frame| frame.stats.clone());
         self.overlay.up = self.navigator.as_ref().map_or(self.options.up, Navigator::up);
         self.overlay.loading = self.loader.progress();

@@ -3,7 +3,10 @@
 use std::{path::Path, sync::Arc, time::Instant};
 
 use glam::DVec2;
-use shared::{division::Division, protocol::View};
+use shared::{
+    division::Division,
+    protocol::{RayTree, View},
+};
 use winit::{
     dpi::PhysicalPosition,
     event::{ElementState, KeyEvent, MouseButton, MouseScrollDelta, WindowEvent},
@@ -53,6 +56,8 @@ impl App<'_> {
             Command::SetDivision(division) => self.set_division(division),
             Command::NextView => self.set_view(next(&View::ALL, self.view)),
             Command::SetView(view) => self.set_view(view),
+            Command::NextRays => self.set_rays(next(&RayTree::ALL, self.rays)),
+            Command::SetRays(rays) => self.set_rays(rays),
             Command::ToggleOverlay => self.overlay.panel = !self.overlay.panel,
             Command::ToggleHelp => self.overlay.help = !self.overlay.help,
             Command::ToggleFullscreen | Command::LeaveFullscreen => {
@@ -90,6 +95,11 @@ impl App<'_> {
 
     fn set_view(&mut self, view: View) {
         self.view = view;
+        self.want_picture();
+    }
+
+    fn set_rays(&mut self, rays: RayTree) {
+        self.rays = rays;
         self.want_picture();
     }
 

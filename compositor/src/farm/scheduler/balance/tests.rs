@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use shared::{
     camera::Camera,
-    protocol::{FrameId, SampleRange, View, WorkId, WorkTimings},
+    protocol::{FrameId, RayTree, SampleRange, View, WorkId, WorkTimings},
 };
 
 use super::*;
@@ -45,6 +45,7 @@ fn picture_from(eye_x: f64) -> Picture {
             .unwrap(),
         size: SIZE.try_into().unwrap(),
         view: View::Shaded,
+        rays: RayTree::Primary,
         samples: SampleRange::CENTRE,
     }
 }
