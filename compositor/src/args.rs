@@ -2,6 +2,7 @@
 
 use std::{net::SocketAddr, path::PathBuf};
 
+use renderer::scene_args::SceneArgs;
 use shared::{
     division::{Division, FrameSize},
     protocol::{DEFAULT_PORT, RayTree, View},
@@ -92,6 +93,9 @@ pub struct WallArgs {
     /// Write every frame's figures to this file at the end
     #[arg(long, value_name = "FILE.json")]
     pub stats: Option<PathBuf>,
+    /// How the local render servers make scenes ready
+    #[command(flatten)]
+    pub scene: SceneArgs,
 }
 
 impl WallArgs {

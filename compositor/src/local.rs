@@ -7,6 +7,7 @@ use std::{
 };
 
 use anyhow::Context;
+use renderer::scene_args::SceneArgs;
 
 /// Render servers that end with the wall.
 #[derive(Debug, Default)]
@@ -15,9 +16,9 @@ pub struct LocalServers {
 }
 
 impl LocalServers {
-    /// Starts `n_servers` that share this machine's cores and connect to a wall at `address` with its key file, if it has
-    /// one.
-    pub fn start(n_servers: u32, address: SocketAddr, key: Option<&Path>) -> anyhow::Result<Self> {
+    /// Starts `n_servers` that share this machine's cores, connect to a wall at `address` with its key file, if it has
+    /// one, and make scenes ready as `scene` says.
+    pub fn start(n_servers: u32, address: SocketAddr, key: Option<&Path>, scene: &SceneArgs) -> anyhow::Result<Self> {
         let mut servers = Self::default();
         let program = std::env::current_exe().context("this program does not know where it lies")?;
         let n_cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
@@ -34,6 +35,7 @@ impl LocalServers {
             };
             let child = command
                 .args(["--name", &format!("local-{number}")])
+                .args(scene.to_arguments())
                 .args(["--threads", &(n_cores / n_servers).max(1).to_string()])
                 // Held open as long as this process lives: its end is theirs.
                 .stdin(Stdio::piped())

@@ -48,7 +48,7 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::
         headless.show_blank_frames(args.size, n_frames)?
     } else {
         // Before the farm, so that it ends after it, and nobody takes the end for a loss.
-        let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref())?;
+        let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
         let (wake, wakeups) = wakeups(&runtime);
         let farm = start_farm(&runtime, listener, key, args, args.min_renderers(), move || {
             // A call that is still waiting to be heard is enough.
@@ -104,7 +104,7 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Re
         }
     });
     // Before the farm, so that it ends after it, and nobody takes the end for a loss.
-    let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref())?;
+    let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;
     let options = WindowOptions {
         wall,

@@ -27,11 +27,11 @@ use glam::DVec3;
 use rayon::ThreadPool;
 use renderer::{
     cli::{self, say},
-    grid::GridOptions,
     image,
     scene::{self, SceneSource},
+    scene_args::SceneArgs,
     trace::frame::{Frame, FrameOptions, Kernel},
-    tracer::{FrameRequest, Scene, SceneOptions},
+    tracer::{FrameRequest, Scene},
 };
 use serde_json::json;
 use shared::{
@@ -47,9 +47,9 @@ struct Args {
     #[arg(long, alias = "ply", value_name = "FILE")]
     model: PathBuf,
 
-    /// Cells of the grid per triangle
-    #[arg(long, value_name = "RHO", default_value_t = GridOptions::default().density)]
-    density: f64,
+    /// How the scene is made ready
+    #[command(flatten)]
+    scene: SceneArgs,
 
     /// Threads that build; without it as many as there are cores
     #[arg(long, value_name = "N")]
@@ -62,18 +62,16 @@ fn main() -> ExitCode {
 
 fn serve() -> Result<()> {
     let args = Args::parse();
-    let densities = GridOptions::DENSITIES;
-    ensure!(densities.contains(&args.density), "the density must be from {} to {}", densities.start(), densities.end());
     let n_build_threads = args.build_threads.map_or_else(std::thread::available_parallelism, Ok)?.get();
     let started = Instant::now();
     let mesh = scene::load(&SceneSource::Ply(args.model.clone()), &|_| ())?.mesh;
     let load_s = started.elapsed().as_secs_f64();
     let (n_triangles, n_vertices) = (mesh.triangles.len(), mesh.vertices.len());
-    let options = SceneOptions { grid: GridOptions { density: args.density } };
+    let options = args.scene.options();
     let pool = thread_pool(n_build_threads)?;
     let (started, started_cpu) = (Instant::now(), ProcessTime::now());
     let scene = pool.install(|| Scene::build(mesh, &options, &|_| ()));
-    let engine = format!("raywall, density {}", args.density);
+    let engine = format!("raywall, {}, density {}", options.grid.storage, scene.grid().figures().density);
     say(json!({
         "event": "ready", "engine": engine, "ply": args.model, "tris": n_triangles, "verts": n_vertices,
         "load_s": load_s, "build_threads": n_build_threads, "build_s": started.elapsed().as_secs_f64(),

@@ -17,6 +17,7 @@ use tokio::{
 
 use crate::{
     key::{Key, making_line},
+    scene_args::SceneArgs,
     session::{self, SessionEnd},
     stage::Stage,
 };
@@ -51,6 +52,9 @@ pub struct ConnectArgs {
     /// Talk to a wall on another machine although nothing is encrypted and nobody is authenticated
     #[arg(long)]
     pub insecure: bool,
+    /// How scenes are made ready
+    #[command(flatten)]
+    pub scene: SceneArgs,
     /// Started by a wall on its own machine: read the files that it names, and end when it ends
     #[arg(long, hide = true)]
     pub local: bool,
@@ -73,7 +77,7 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         .thread_name(|index| format!("trace-{index}"))
         .build()
         .context("the tracing threads do not start")?;
-    let stage = Stage::start(Arc::new(pool), args.model, args.local)?;
+    let stage = Stage::start(Arc::new(pool), args.model, args.scene.options(), args.local)?;
     let runtime = tokio::runtime::Builder::new_multi_thread()
         // One thread reads, writes and keeps the heart beating; it is never one that traces.
         .worker_threads(1)

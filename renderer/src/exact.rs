@@ -37,6 +37,11 @@ impl ExactSum {
         }
     }
 
+    /// The sum, rounded.
+    pub(crate) fn value(&self) -> f64 {
+        self.components.iter().sum()
+    }
+
     /// A number with the sign of the sum; zero only if the sum is.
     pub(crate) fn signum(&self) -> f64 {
         self.components.last().map_or(0.0, |largest| largest.signum())

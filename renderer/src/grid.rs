@@ -5,24 +5,38 @@
 //! The paper's resolution sets the size of the bricks; each is divided only where it holds too much, and there as often
 //! as needed, so that a detailed object in a large plain scene costs no more than one alone.
 //!
-//! In reading order: [`resolution`] says how many cells; [`overlap`] which cells a triangle touches; [`build`] makes
-//! the grid; [`walk`] follows single rays through it with [`filter`] before each
-//! leaf, [`packet`] follows many rays together, whose triangles [`cull`] sorts out.
+//! That is the default; [`options`] says what else can be asked for. [`uniform`] is the paper's own grid, of cells of one
+//! size, with [`row_displacement`] that compresses it and [`macrocells`] over it.
+//!
+//! In reading order: [`resolution`] says how many cells; [`overlap`] which cells a triangle touches; [`scatter`] puts
+//! triangles into cells; [`build`] makes the grid; [`walk`] follows single rays through it with [`filter`] before each
+//! list, [`packet`] follows many rays together, whose triangles [`cull`] sorts out.
+
+use std::time::Duration;
 
 mod build;
 #[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
 mod cull;
+mod figures;
 #[expect(clippy::needless_range_loop, reason = "an axis or a corner indexes several arrays at once")]
 mod filter;
+mod macrocells;
+mod options;
 mod overlap;
 mod packet;
 mod resolution;
+mod row_displacement;
+mod scatter;
 #[cfg(test)]
 mod tests;
+mod uniform;
 mod walk;
 
+pub use figures::GridFigures;
+pub use options::{GridOptions, Storage};
 pub use packet::{InstructionSet, Packet, PacketScratch};
 use resolution::CellSpace;
+use uniform::Uniform;
 pub use walk::RayCost;
 
 use crate::traced::TracedMesh;
@@ -35,24 +49,6 @@ const LEVELS: u32 = 5;
 
 /// Finest cells along a brick.
 const BRICK_SIZE: u32 = 1 << (2 * LEVELS);
-
-/// What a grid is built like.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GridOptions {
-    /// The paper's ρ: cells per triangle.
-    pub density: f64,
-}
-
-impl GridOptions {
-    /// The densities that can be asked for.
-    pub const DENSITIES: std::ops::RangeInclusive<f64> = 1.0 / 64.0..=4096.0;
-}
-
-impl Default for GridOptions {
-    fn default() -> Self {
-        Self { density: 32.0 }
-    }
-}
 
 /// A mesh and a grid over its triangles.
 ///
@@ -70,6 +66,14 @@ pub struct Grid {
     leaf_starts: Vec<u32>,
     /// Triangles by their place in the mesh, leaf after leaf.
     references: Vec<u32>,
+    /// The largest empty cube that a single ray may skip whole, log₂ in finest cells.
+    largest_skip: u32,
+    /// The paper's uniform grid in place of the tree, which is empty then.
+    uniform: Option<Uniform>,
+    /// How long the places of the rows took to find, with row displacement.
+    placement: Duration,
+    /// Cells per triangle.
+    density: f64,
     mesh: TracedMesh,
     instructions: InstructionSet,
 }
@@ -108,14 +112,15 @@ impl Grid {
 
     /// Bytes of the structure, the mesh not counted.
     pub fn n_bytes(&self) -> usize {
-        size_of_val(&*self.bricks)
-            + size_of_val(&*self.nodes)
-            + size_of_val(&*self.leaf_starts)
-            + size_of_val(&*self.references)
+        self.figures().n_bytes()
     }
+}
 
-    /// How many cells hold triangles, and how many references to triangles they hold in all.
-    pub fn n_leaves_and_references(&self) -> (usize, usize) {
-        (self.leaf_starts.len() - 1, self.references.len())
-    }
+/// The numbers of the bits that are set, ascending.
+fn bits(mut mask: u64) -> impl Iterator<Item = u32> {
+    std::iter::from_fn(move || {
+        let bit = mask.trailing_zeros();
+        mask &= mask.wrapping_sub(1);
+        (bit < 64).then_some(bit)
+    })
 }

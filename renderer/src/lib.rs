@@ -2,8 +2,9 @@
 //!
 //! In reading order: [`mesh`] is what is traced; [`ply`] reads one, [`statue`] makes one, [`scene`] names and loads one.
 //! [`grid`] finds the triangles along [`ray`]s, [`triangle`] decides whether they are hit, [`tracer`] does it for shares
-//! of frames, [`secondary`] finds the lights that reach a hit, [`shade`] makes light of hits. [`connect`], [`trace`], [`generate`] and [`key`] are the commands of
-//! [`cli`]; [`wire`] and [`secure`] are how a render server talks.
+//! of frames, [`secondary`] finds the lights that reach a hit, [`shade`] makes light of hits. [`connect`], [`trace`],
+//! [`generate`] and [`key`] are the commands of [`cli`], with [`scene_args`]; [`wire`] and [`secure`] are how a render
+//! server talks.
 
 pub mod cli;
 pub mod connect;
@@ -18,6 +19,7 @@ pub mod ply;
 pub mod progress;
 pub mod ray;
 pub mod scene;
+pub mod scene_args;
 pub mod secondary;
 pub mod secure;
 mod session;

@@ -57,11 +57,17 @@ impl Stage {
     /// Starts the loading thread; it begins with `model`, if one is given, before any wall asks.
     ///
     /// `trusts_paths`: whether files that the wall names are read.
-    pub(crate) fn start(pool: Arc<ThreadPool>, model: Option<PathBuf>, trusts_paths: bool) -> anyhow::Result<Self> {
+    pub(crate) fn start(
+        pool: Arc<ThreadPool>,
+        model: Option<PathBuf>,
+        options: SceneOptions,
+        trusts_paths: bool,
+    ) -> anyhow::Result<Self> {
         let (orders, inbox) = mpsc::channel();
         let (progress, progressed) = watch::channel(None);
         let at_hand = AtHand::default();
-        let loader = Loader { pool: Arc::clone(&pool), at_hand: at_hand.clone(), model, trusts_paths, progress };
+        let loader =
+            Loader { pool: Arc::clone(&pool), at_hand: at_hand.clone(), model, options, trusts_paths, progress };
         std::thread::Builder::new()
             .name("load".to_owned())
             .spawn(move || loader.run(&inbox))
@@ -95,6 +101,7 @@ struct Loader {
     pool: Arc<ThreadPool>,
     at_hand: AtHand,
     model: Option<PathBuf>,
+    options: SceneOptions,
     trusts_paths: bool,
     progress: watch::Sender<Progressed>,
 }
@@ -161,7 +168,7 @@ impl Loader {
                 tell(fraction * 0.5);
             })
             .map_err(|error| error.to_string())?;
-            let scene = Scene::build(loaded.mesh, &SceneOptions::default(), &|fraction| {
+            let scene = Scene::build(loaded.mesh, &self.options, &|fraction| {
                 bar.set(0.5 + fraction * 0.5);
                 tell(0.5 + fraction * 0.5);
             });

@@ -5,7 +5,7 @@ pub mod frame;
 
 use std::{
     io::Read,
-    num::{NonZero, ParseFloatError},
+    num::NonZero,
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
@@ -22,12 +22,13 @@ use shared::{
 
 use crate::{
     cli::say,
-    grid::GridOptions,
+    grid::GridFigures,
     image,
     progress::Progress,
     scene::{self, SceneSource},
+    scene_args::SceneArgs,
     statue,
-    tracer::{FrameRequest, Scene, SceneOptions},
+    tracer::{FrameRequest, Scene},
 };
 
 use frame::{Frame, FrameOptions, Kernel};
@@ -81,10 +82,6 @@ pub struct TraceArgs {
     #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
 
-    /// The paper's ρ: cells of the grid per triangle
-    #[arg(long, value_name = "RHO", default_value_t = GridOptions::default().density, value_parser = density)]
-    density: f64,
-
     /// What the picture shows: shaded or normals
     #[arg(long, value_name = "VIEW", default_value = "shaded")]
     view: View,
@@ -105,16 +102,10 @@ pub struct TraceArgs {
     /// Print the measurements as one JSON object
     #[arg(long)]
     json: bool,
-}
 
-fn density(text: &str) -> Result<f64, String> {
-    let range = GridOptions::DENSITIES;
-    let density = text.parse().map_err(|error: ParseFloatError| error.to_string())?;
-    if range.contains(&density) {
-        Ok(density)
-    } else {
-        Err(format!("the density must be from {} to {} cells per triangle", range.start(), range.end()))
-    }
+    /// How the scene is made ready
+    #[command(flatten)]
+    scene: SceneArgs,
 }
 
 fn point(text: &str) -> Result<Vec3, String> {
@@ -135,6 +126,7 @@ struct Report {
     build_seconds: f64,
     mesh_bytes: usize,
     structure_bytes: usize,
+    grid: GridFigures,
     /// `None` where the system does not tell.
     peak_rss_bytes: Option<u64>,
     hits: usize,
@@ -183,8 +175,7 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
     let (triangles, vertices, rejected) = (mesh.triangles.len(), mesh.vertices.len(), mesh.n_rejected);
     let (scene, build_seconds) = timed(|| {
         let progress = Progress::new("building the grid");
-        let options = SceneOptions { grid: GridOptions { density: args.density } };
-        Scene::build(mesh, &options, &|done| progress.set(done))
+        Scene::build(mesh, &args.scene.options(), &|done| progress.set(done))
     });
 
     let camera = camera.unwrap_or_else(|| {
@@ -216,6 +207,7 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         build_seconds,
         mesh_bytes: scene.mesh().n_bytes(),
         structure_bytes: scene.grid().n_bytes(),
+        grid: scene.grid().figures(),
         peak_rss_bytes: peak_rss_bytes(),
         hits: frame.n_hits(),
         shadow_rays: cost.n_shadow_rays,

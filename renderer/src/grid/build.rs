@@ -3,20 +3,25 @@
 //! The result does not depend on the number of threads: bricks are divided by rules that look at nothing but the brick,
 //! and put together in order.
 
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+use std::{
+    sync::atomic::{AtomicU64, Ordering::Relaxed},
+    time::Duration,
+};
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::{
-    BRICK_SIZE, CELLS_PER_BRICK, Grid, GridOptions, InstructionSet, LEVELS, Node,
+    BRICK_SIZE, CELLS_PER_BRICK, Grid, GridOptions, InstructionSet, LEVELS, Node, Storage,
     overlap::{self, DILATION},
     resolution::{CellSpace, resolution},
+    scatter::Scatter,
+    uniform::Uniform,
 };
-use crate::{mesh::Mesh, traced::TracedMesh};
-
-/// Triangles that one task puts into bricks.
-const TRIANGLES_PER_TASK: usize = 1 << 14;
+use crate::{
+    mesh::{Aabb, Mesh},
+    traced::TracedMesh,
+};
 
 /// References that one task divides, and above which the children of one node are divided in parallel.
 const REFERENCES_PER_TASK: usize = 1 << 15;
@@ -30,7 +35,10 @@ impl Grid {
     pub fn build(mesh: Mesh, options: &GridOptions, progress: &(dyn Fn(f32) + Sync)) -> Self {
         let bounds = mesh.bounds();
         if bounds.is_empty() {
-            return Self::empty(mesh);
+            return Self::empty(TracedMesh::new(mesh, &mut []));
+        }
+        if options.storage != Storage::Masks {
+            return Self::uniform(mesh, &bounds, options, u64::MAX);
         }
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
         let corner = |corner: [f32; 3]| Vec3::from_array(corner).as_dvec3();
@@ -39,119 +47,99 @@ impl Grid {
         let mut bricks_in_cells = CELLS_PER_BRICK;
         // Room for triangles that each lie in several bricks; large ones are met with larger bricks.
         let most = (4 * n_triangles as u64 + (1 << 16)).min(u64::from(u32::MAX));
-        let (builder, counts) = loop {
-            let builder = Builder {
+        let brick = |dims: [u32; 3], [x, y, z]: [u32; 3]| {
+            (z as usize * dims[1] as usize + y as usize) * dims[0] as usize + x as usize
+        };
+        let (scatter, counts) = loop {
+            let scatter = Scatter {
                 mesh: &mesh,
                 space: CellSpace::new(&bounds, cell_size * f64::from(bricks_in_cells) / f64::from(BRICK_SIZE)),
+                cube_size: BRICK_SIZE,
                 dims: cells.map(|n| n.div_ceil(bricks_in_cells)),
-                n_triangles,
             };
-            if let Some(counts) = builder.count(most) {
-                break (builder, counts);
+            let n_bricks = scatter.dims.iter().map(|&n| n as usize).product();
+            if let Some(counts) = scatter.count(n_bricks, most, |cube| brick(scatter.dims, cube)) {
+                break (scatter, counts);
             }
             bricks_in_cells *= 2;
         };
         progress(0.15);
-        let (starts, references) = builder.fill(counts);
+        let (starts, references) = scatter.fill(counts, |cube| brick(scatter.dims, cube));
         progress(0.3);
-        let (space, dims) = (builder.space, builder.dims);
+        let (space, dims) = (scatter.space, scatter.dims);
+        let builder = Builder { scatter, n_triangles };
         let (bricks, piece) = builder.divide(&starts, references, &|done| progress(0.3 + 0.6 * done));
         let Piece { nodes, leaf_ends, mut references } = piece;
         let mut leaf_starts = leaf_ends;
         leaf_starts.insert(0, 0);
         let mesh = TracedMesh::new(mesh, &mut references);
         let instructions = InstructionSet::best();
-        Self { space, dims, bricks, nodes, leaf_starts, references, mesh, instructions }
+        Self {
+            space,
+            dims,
+            bricks,
+            nodes,
+            leaf_starts,
+            references,
+            largest_skip: largest_skip(options.macrocell_levels),
+            uniform: None,
+            placement: Duration::ZERO,
+            density: options.density,
+            mesh,
+            instructions,
+        }
     }
 
-    fn empty(mesh: Mesh) -> Self {
+    /// The paper's uniform grid. One that would take too much memory is made coarser.
+    fn uniform(mut mesh: Mesh, bounds: &Aabb, options: &GridOptions, most_bytes: u64) -> Self {
+        let extent = Vec3::from_array(bounds.max).as_dvec3() - Vec3::from_array(bounds.min).as_dvec3();
+        let n_triangles = mesh.triangles.len() - mesh.n_rejected;
+        let mut density = options.density;
+        let (space, mut uniform, placement) = loop {
+            let (dims, cell_size) = resolution(extent, n_triangles, density);
+            let space = CellSpace::new(bounds, cell_size);
+            let scatter = Scatter { mesh: &mesh, space, cube_size: 1, dims };
+            // The coarsest grid of all is taken whatever it needs.
+            let most_bytes = if dims == [1; 3] { u64::MAX } else { most_bytes };
+            if let Some((uniform, placement)) = Uniform::build(&scatter, options, most_bytes) {
+                break (space, uniform, placement);
+            }
+            density /= 2.0;
+        };
+        let traced = TracedMesh::new(std::mem::take(&mut mesh), uniform.references_mut());
+        Self { space, uniform: Some(uniform), placement, density, ..Self::empty(traced) }
+    }
+
+    fn empty(mesh: TracedMesh) -> Self {
         Self {
-            space: CellSpace::new(&crate::mesh::Aabb { min: [0.0; 3], max: [0.0; 3] }, 1.0),
+            space: CellSpace::new(&Aabb { min: [0.0; 3], max: [0.0; 3] }, 1.0),
             dims: [1; 3],
             bricks: vec![Self::EMPTY],
             nodes: Vec::new(),
             leaf_starts: vec![0],
             references: Vec::new(),
-            mesh: TracedMesh::new(mesh, &mut []),
+            largest_skip: largest_skip(0),
+            uniform: None,
+            placement: Duration::ZERO,
+            density: 0.0,
+            mesh,
             instructions: InstructionSet::best(),
         }
     }
 }
 
+/// The largest empty cube that may be skipped whole, log₂ in finest cells: half a cell of the paper's without
+/// macrocells, and four times as much for each level of them.
+fn largest_skip(macrocell_levels: u8) -> u32 {
+    2 * (LEVELS - 3) + 2 * u32::from(macrocell_levels)
+}
+
 struct Builder<'a> {
-    mesh: &'a Mesh,
-    space: CellSpace,
-    dims: [u32; 3],
+    scatter: Scatter<'a>,
     n_triangles: usize,
 }
 
 impl Builder<'_> {
-    fn corners(&self, triangle: u32) -> Option<[DVec3; 3]> {
-        let corners = self.mesh.corners(triangle as usize)?;
-        Some(corners.map(|corner| self.space.point(Vec3::from_array(corner).as_dvec3())))
-    }
-
-    /// Whether two of a triangle's corners are one point, so that no ray hits it: a polygon can have millions of these in
-    /// one place, where nothing would tell them apart.
-    fn is_seen_by_no_ray(&self, triangle: u32) -> bool {
-        self.mesh.corners(triangle as usize).is_none_or(|[a, b, c]| a == b || b == c || c == a)
-    }
-
-    /// Calls `visit` with the brick and the triangle of every pair that touches, in parallel.
-    /// It stops early when a task's call returns false.
-    fn for_each_in_brick(&self, after_task: impl Fn() -> bool + Sync, visit: impl Fn(usize, u32) + Sync) -> bool {
-        let n_tasks = self.mesh.triangles.len().div_ceil(TRIANGLES_PER_TASK);
-        let scale = 1.0 / f64::from(BRICK_SIZE);
-        (0..n_tasks).into_par_iter().all(|task| {
-            let end = ((task + 1) * TRIANGLES_PER_TASK).min(self.mesh.triangles.len());
-            for triangle in (task * TRIANGLES_PER_TASK) as u32..end as u32 {
-                if self.is_seen_by_no_ray(triangle) {
-                    continue;
-                }
-                let Some(corners) = self.corners(triangle) else { continue };
-                overlap::for_each_cube(&corners.map(|c| c * scale), DILATION * scale, self.dims, |[x, y, z]| {
-                    let brick = (z as usize * self.dims[1] as usize + y as usize) * self.dims[0] as usize + x as usize;
-                    visit(brick, triangle);
-                });
-            }
-            after_task()
-        })
-    }
-
-    /// References of each brick, or `None` if there are more than `most` in all.
-    fn count(&self, most: u64) -> Option<Vec<AtomicU32>> {
-        let n_bricks = self.dims.iter().map(|&n| n as usize).product();
-        let counts: Vec<_> = (0..n_bricks).map(|_| AtomicU32::new(0)).collect();
-        let total = AtomicU64::new(0);
-        self.for_each_in_brick(
-            || total.load(Relaxed) <= most,
-            |brick, _| {
-                counts[brick].fetch_add(1, Relaxed);
-                total.fetch_add(1, Relaxed);
-            },
-        )
-        .then_some(counts)
-    }
-
-    /// The triangles of each brick, ascending, and where each brick's begin.
-    fn fill(&self, counts: Vec<AtomicU32>) -> (Vec<u32>, Vec<u32>) {
-        let mut starts = Vec::with_capacity(counts.len() + 1);
-        let mut total = 0;
-        for count in &counts {
-            starts.push(total);
-            total += count.swap(total, Relaxed);
-        }
-        starts.push(total);
-        let next = counts;
-        let filled: Vec<_> = (0..total).map(|_| AtomicU32::new(0)).collect();
-        self.for_each_in_brick(
-            || true,
-            |brick, triangle| filled[next[brick].fetch_add(1, Relaxed) as usize].store(triangle, Relaxed),
-        );
-        let references = filled.into_iter().map(AtomicU32::into_inner).collect();
-        (starts, references)
-    }
-
     fn divide(&self, starts: &[u32], mut references: Vec<u32>, progress: &(dyn Fn(f32) + Sync)) -> (Vec<u32>, Piece) {
         let total = references.len();
         let mut tasks = Vec::new();
@@ -202,7 +190,7 @@ impl Builder<'_> {
             return Grid::EMPTY;
         }
         references.sort_unstable();
-        let [x_dim, y_dim, _] = self.dims.map(|n| n as usize);
+        let [x_dim, y_dim, _] = self.scatter.dims.map(|n| n as usize);
         let corner = [brick % x_dim, brick / x_dim % y_dim, brick / x_dim / y_dim].map(|b| b as u32 * BRICK_SIZE);
         // Small scenes can afford more references for each triangle, and large triangles need them.
         let per_triangle = ((1 << 24) / self.n_triangles).clamp(6, 64);
@@ -232,9 +220,9 @@ impl Builder<'_> {
         let masks: Vec<u64> = references
             .iter()
             .map(|&triangle| {
-                let corners = self.corners(triangle).expect("a rejected triangle is in no brick");
+                let corners = self.scatter.corners(triangle).expect("a rejected triangle is in no brick");
                 let mask = overlap::children(&corners.map(|c| (c - corner) * scale), DILATION * scale);
-                bits(mask).for_each(|child| starts[child as usize + 1] += 1);
+                super::bits(mask).for_each(|child| starts[child as usize + 1] += 1);
                 mask
             })
             .collect();
@@ -250,7 +238,7 @@ impl Builder<'_> {
         let mut next = starts;
         let mut distributed = vec![0; total];
         for (&triangle, &mask) in references.iter().zip(&masks) {
-            for child in bits(mask) {
+            for child in super::bits(mask) {
                 distributed[next[child as usize] as usize] = triangle;
                 next[child as usize] += 1;
             }
@@ -389,13 +377,4 @@ impl Node {
     fn moved(self, offset: &Offset) -> Self {
         Self { first_node: self.first_node + offset.node, first_leaf: self.first_leaf + offset.leaf, ..self }
     }
-}
-
-/// The numbers of the bits that are set, ascending.
-fn bits(mut mask: u64) -> impl Iterator<Item = u32> {
-    std::iter::from_fn(move || {
-        let bit = mask.trailing_zeros();
-        mask &= mask.wrapping_sub(1);
-        (bit < 64).then_some(bit)
-    })
 }

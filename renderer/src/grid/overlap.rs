@@ -108,6 +108,7 @@ pub(super) fn child([x, y, z]: [u32; 3]) -> u32 {
 }
 
 /// Calls `visit` with every unit cube within 0..dims that the triangle touches.
+#[inline]
 pub(super) fn for_each_cube(corners: &[DVec3; 3], dilation: f64, dims: [u32; 3], mut visit: impl FnMut([u32; 3])) {
     let [a, b, c] = *corners;
     let low = a.min(b).min(c) - dilation;
@@ -118,15 +119,47 @@ pub(super) fn for_each_cube(corners: &[DVec3; 3], dilation: f64, dims: [u32; 3],
     if first == last {
         return visit(first);
     }
-    let span = f64::from(dims[0].max(dims[1]).max(dims[2]));
-    let triangle = TriangleOverlap::new(corners, dilation, span);
-    for z in first[2]..=last[2] {
-        for y in first[1]..=last[1] {
-            for x in first[0]..=last[0] {
+    let size = [0, 1, 2].map(|axis| last[axis] - first[axis] + 1);
+    let longest = size[0].max(size[1]).max(size[2]);
+    if longest > 4 {
+        // Blocks of 4×4×4 cubes, and blocks of those, so that space beside a large triangle is left out at once.
+        let block = 4u32.pow((longest - 1).ilog(4));
+        return descend(corners, dilation, first, block, last, &mut visit);
+    }
+    let corner = DVec3::from_array(first.map(f64::from));
+    let triangle = TriangleOverlap::new(&corners.map(|c| c - corner), dilation, 4.0);
+    for z in 0..size[2] {
+        for y in 0..size[1] {
+            for x in 0..size[0] {
                 if triangle.meets([x, y, z]) {
-                    visit([x, y, z]);
+                    visit([first[0] + x, first[1] + y, first[2] + z]);
                 }
             }
+        }
+    }
+}
+
+/// Visits the unit cubes from `first` to `last` that lie in the 4×4×4 blocks at `first`, each of `block`³ cubes.
+fn descend(
+    corners: &[DVec3; 3],
+    dilation: f64,
+    first: [u32; 3],
+    block: u32,
+    last: [u32; 3],
+    visit: &mut impl FnMut([u32; 3]),
+) {
+    let corner = DVec3::from_array(first.map(f64::from));
+    let scale = 1.0 / f64::from(block);
+    for child in super::bits(children(&corners.map(|c| (c - corner) * scale), dilation * scale)) {
+        let place = [child & 3, child >> 2 & 3, child >> 4];
+        let low = [0, 1, 2].map(|axis| first[axis] + place[axis] * block);
+        if (0..3).any(|axis| low[axis] > last[axis]) {
+            continue;
+        }
+        if block == 1 {
+            visit(low);
+        } else {
+            descend(corners, dilation, low, block / 4, last, visit);
         }
     }
 }

@@ -103,6 +103,7 @@ impl Grid {
     /// The nearest triangle along each ray of a packet; entries of no ray are undefined.
     pub fn intersect_packet(&self, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
         let marched = match self.instructions {
+            _ if self.uniform.is_some() => None,
             InstructionSet::Plain => self.march::<Plain>(packet, scratch),
             // SAFETY: a grid holds only what `InstructionSet::available` has found.
             #[cfg(target_arch = "x86_64")]
@@ -117,13 +118,6 @@ impl Grid {
                 _ => self.intersect(&packet.ray(lane)),
             })
         })
-    }
-
-    /// A packet of one ray: slower than following the ray from cell to cell, but right from however far away.
-    pub(super) fn march_alone(&self, &Ray { origin, direction, t_min, t_max }: &Ray) -> Hit {
-        let directions = direction.to_array().map(|d| [d; 64]);
-        let packet = Packet { origin, directions, active: 1, t_min, t_max };
-        self.march::<Plain>(&packet, &mut PacketScratch::default()).map_or(Hit::MISS, |hits| hits[0])
     }
 
     #[cfg(target_arch = "x86_64")]

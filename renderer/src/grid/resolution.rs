@@ -39,18 +39,22 @@ pub(super) fn resolution(extent: DVec3, n_triangles: usize, density: f64) -> ([u
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CellSpace {
     /// The grid's lowest corner, in world space.
-    origin: DVec3,
+    origin: [f32; 3],
     /// Finest cells in one world unit.
     cells_per_unit: f64,
 }
 
 impl CellSpace {
     pub(super) fn new(bounds: &Aabb, cell_size: f64) -> Self {
-        Self { origin: DVec3::from_array(bounds.min.map(f64::from)), cells_per_unit: 1.0 / cell_size }
+        Self { origin: bounds.min, cells_per_unit: 1.0 / cell_size }
+    }
+
+    pub(super) fn origin(&self) -> [f32; 3] {
+        self.origin
     }
 
     pub(super) fn point(&self, world: DVec3) -> DVec3 {
-        (world - self.origin) * self.cells_per_unit
+        (world - DVec3::from_array(self.origin.map(f64::from))) * self.cells_per_unit
     }
 
     /// A length in world units.

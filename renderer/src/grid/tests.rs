@@ -3,7 +3,9 @@
 use glam::Vec3;
 use proptest::prelude::*;
 
-use super::{Grid, GridOptions, InstructionSet, Packet, PacketScratch};
+use super::{
+    Grid, GridOptions, InstructionSet, Packet, PacketScratch, Storage, overlap::DILATION, uniform::Uniform, walk::Cells,
+};
 use crate::{
     mesh::Mesh,
     ray::{Hit, Ray},
@@ -66,6 +68,26 @@ fn build(mesh: &Mesh) -> Grid {
     Grid::build(mesh.clone(), &GridOptions::default(), &|_| ())
 }
 
+/// A grid in every mode, the default first.
+fn build_modes(mesh: &Mesh) -> Vec<Grid> {
+    let modes = [(Storage::Masks, 3), (Storage::Masks, 0)]
+        .into_iter()
+        .chain([Storage::Plain, Storage::RowDisplacement].into_iter().flat_map(|storage| [(storage, 0), (storage, 2)]));
+    modes
+        .map(|(storage, macrocell_levels)| {
+            let options = GridOptions { storage, macrocell_levels, ..GridOptions::default() };
+            Grid::build(mesh.clone(), &options, &|_| ())
+        })
+        .collect()
+}
+
+/// [`check`] in every mode.
+fn check_all(mesh: &Mesh, rays: &[Ray]) {
+    for grid in build_modes(mesh) {
+        rays.iter().for_each(|ray| check(mesh, &grid, ray));
+    }
+}
+
 /// Triangles that share nothing.
 fn soup(corners: Vec<[[f32; 3]; 3]>) -> Mesh {
     let n = corners.len() as u32;
@@ -120,8 +142,7 @@ proptest! {
         rays in proptest::collection::vec(ray(), 64),
     ) {
         let mesh = soup(corners);
-        let grid = build(&mesh);
-        rays.iter().for_each(|ray| check(&mesh, &grid, ray));
+        check_all(&mesh, &rays);
     }
 
     #[test]
@@ -135,8 +156,7 @@ proptest! {
             corner
         };
         let mesh = soup(corners.into_iter().map(|triangle| triangle.map(flat)).collect());
-        let grid = build(&mesh);
-        rays.iter().for_each(|ray| check(&mesh, &grid, ray));
+        check_all(&mesh, &rays);
     }
 
     #[test]
@@ -145,26 +165,27 @@ proptest! {
         to in [0i32..=12, 0i32..=12, 0i32..=12],
     ) {
         let mesh = cube(6);
-        let grid = build(&mesh);
         let origin = Vec3::from_array(from.map(|x| x as f32));
         let target = Vec3::from_array(to.map(|x| x as f32 / 2.0));
-        check(&mesh, &grid, &Ray::new(origin, target - origin));
+        check_all(&mesh, &[Ray::new(origin, target - origin)]);
     }
 }
 
 #[test]
 fn no_ray_leaves_a_closed_box() {
     let mesh = cube(4);
-    let grid = build(&mesh);
+    let grids = build_modes(&mesh);
     let inside = Vec3::new(1.0, 2.0, 2.5);
     for (x, y, z) in (0..=16).flat_map(|x| (0..=16).flat_map(move |y| (0..=16).map(move |z| (x, y, z)))) {
         let target = Vec3::new(x as f32, y as f32, z as f32) / 4.0;
         if target != inside {
-            let ray = Ray::new(inside, target - inside);
-            assert!(!grid.intersect(&ray).is_miss(), "{ray:?}");
             // Once more from far outside, towards the inside.
-            let ray = Ray::new(inside + (target - inside) * 1024.0, inside - target);
-            assert!(!grid.intersect(&ray).is_miss(), "{ray:?}");
+            let inwards = Ray::new(inside + (target - inside) * 1024.0, inside - target);
+            for (grid, ray) in
+                grids.iter().flat_map(|grid| [(grid, Ray::new(inside, target - inside)), (grid, inwards)])
+            {
+                assert!(!grid.intersect(&ray).is_miss(), "{ray:?}");
+            }
         }
     }
 }
@@ -179,7 +200,12 @@ fn the_first_of_equal_triangles_wins() {
 
 #[test]
 fn a_ray_s_cost_counts_cells_and_tests_up_to_the_hit() {
-    let grid = build(&cube(12));
+    for grid in build_modes(&cube(12)) {
+        check_cost(&grid);
+    }
+}
+
+fn check_cost(grid: &Grid) {
     let towards = Ray::new(Vec3::new(-5.0, 4.3, 6.6), Vec3::X);
     let onto_it = grid.cost(&towards);
     // From just behind the first face to the second, through the hollow.
@@ -188,7 +214,7 @@ fn a_ray_s_cost_counts_cells_and_tests_up_to_the_hit() {
     assert!(onto_it.n_cells > 0 && onto_it.n_tests > 0, "{onto_it:?}");
     assert!(through_it.n_cells > onto_it.n_cells, "{through_it:?} {onto_it:?}");
     assert_eq!(beside_it, super::RayCost::default());
-    let (_, n_references) = grid.n_leaves_and_references();
+    let n_references = grid.figures().references;
     assert!((through_it.n_tests as usize) < n_references / 4, "{through_it:?} of {n_references}");
 }
 
@@ -197,9 +223,10 @@ fn nothing_at_all_is_never_hit() {
     let rejected = Mesh { vertices: vec![], triangles: vec![Mesh::REJECTED; 3], n_rejected: 3, ..Mesh::default() };
     let point = soup(vec![[[1.0; 3]; 3]]);
     for mesh in [Mesh::default(), rejected, point] {
-        let grid = build(&mesh);
-        for direction in [Vec3::ONE, Vec3::X, -Vec3::Z, Vec3::ZERO] {
-            assert!(grid.intersect(&Ray::new(Vec3::ZERO, direction)).is_miss());
+        for grid in build_modes(&mesh) {
+            for direction in [Vec3::ONE, Vec3::X, -Vec3::Z, Vec3::ZERO] {
+                assert!(grid.intersect(&Ray::new(Vec3::ZERO, direction)).is_miss());
+            }
         }
     }
 }
@@ -213,17 +240,12 @@ fn triangles_of_every_size_and_place_are_found() {
             if !mesh.vertices.iter().all(|&v| Mesh::is_usable(v)) {
                 continue;
             }
-            let grid = build(&mesh);
-            for k in 0..20 {
+            for (grid, k) in build_modes(&mesh).iter().flat_map(|grid| (0..20).map(move |k| (grid, k))) {
                 let target = Vec3::from_array(at(k as f32 + 0.25, 0.25));
                 for back in [1.0f32, 100.0] {
                     let direction = Vec3::new(0.0, 0.0, -scale);
                     let ray = Ray::new(target - direction * back, direction);
-                    assert_eq!(
-                        in_file_order(&grid, grid.intersect(&ray)).triangle,
-                        k,
-                        "scale {scale}, offset {offset}"
-                    );
+                    assert_eq!(in_file_order(grid, grid.intersect(&ray)).triangle, k, "scale {scale}, offset {offset}");
                 }
             }
         }
@@ -233,12 +255,39 @@ fn triangles_of_every_size_and_place_are_found() {
 #[test]
 fn the_number_of_threads_changes_nothing() {
     let mesh = crate::statue::generate(60_000, &|_| ());
-    let with_threads = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap().install(|| build(&mesh));
+    let with_threads =
+        |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap().install(|| build_modes(&mesh));
     let one = with_threads(1);
     for n in [2, 5] {
-        let several = with_threads(n);
-        assert!(one.bricks == several.bricks && one.nodes == several.nodes);
-        assert!(one.leaf_starts == several.leaf_starts && one.references == several.references);
+        for (one, several) in one.iter().zip(with_threads(n)) {
+            assert!(one.bricks == several.bricks && one.nodes == several.nodes);
+            assert!(one.leaf_starts == several.leaf_starts && one.references == several.references);
+            assert!(one.uniform == several.uniform);
+        }
+    }
+}
+
+#[test]
+fn rays_along_the_border_stay_inside() {
+    // In the margin around the grid, where macrocells reach beyond it.
+    let at = |p: f32| [[p, p, p], [p + 0.1, p, p], [p, p + 0.1, p]];
+    for n in 2..12 {
+        let mesh = soup((0..n).map(|k| at(if k == 0 { 0.0 } else { 9.0 + k as f32 / n as f32 })).collect());
+        for grid in build_modes(&mesh) {
+            let dims = match &grid.uniform {
+                None => grid.dims(),
+                Some(Uniform::Plain(uniform)) => uniform.dims(),
+                Some(Uniform::RowDisplacement(uniform)) => uniform.dims(),
+            };
+            for (axis, n_cells) in dims.into_iter().enumerate() {
+                let mut ray = Ray::new(Vec3::splat(9.5), Vec3::ZERO);
+                ray.origin[axis] = grid.space.length(f64::from(n_cells) + 0.5 * DILATION) as f32;
+                ray.direction[axis] = 1e-9;
+                ray.origin[(axis + 1) % 3] = -1.0;
+                ray.direction[(axis + 1) % 3] = 1.0;
+                check(&mesh, &grid, &ray);
+            }
+        }
     }
 }
 
@@ -251,7 +300,7 @@ fn large_triangles_do_not_fill_memory() {
     };
     let mesh = soup((0..20_000).map(|_| [0; 3].map(|_| [0; 3].map(|_| random()))).collect());
     let grid = build(&mesh);
-    let (_, references) = grid.n_leaves_and_references();
+    let references = grid.figures().references;
     assert!(references < 70 * 20_000 * 4, "{references} references");
     let ray = Ray::new(Vec3::ZERO, Vec3::ONE);
     check(&mesh, &grid, &ray);
@@ -260,33 +309,49 @@ fn large_triangles_do_not_fill_memory() {
 #[test]
 fn directions_are_followed_from_far_away() {
     let mesh = cube(4);
-    let grid = build(&mesh);
-    for distance in [1e3f32, 1e7, 1e12, 1e18] {
-        let ray = Ray::new(Vec3::new(1.7, 2.3, distance), Vec3::new(0.0, 0.0, -distance));
-        let hit = grid.intersect(&ray);
-        assert!((ray.direction.as_dvec3() * f64::from(hit.t)).is_finite() && !hit.is_miss(), "{distance}");
+    for grid in build_modes(&mesh) {
+        for distance in [1e3f32, 1e7, 1e12, 1e18] {
+            let ray = Ray::new(Vec3::new(1.7, 2.3, distance), Vec3::new(0.0, 0.0, -distance));
+            assert_eq!(grid.intersect(&ray).t, (distance - 4.0) / distance, "{distance}");
+            // As far away and not towards the box, or beside it.
+            let aside = Ray { direction: Vec3::new(1.0, 0.0, -distance), ..ray };
+            for ray in [Ray { direction: -ray.direction, ..ray }, Ray { origin: ray.origin * 2.0, ..aside }, aside] {
+                assert_eq!(grid.intersect(&ray).is_miss(), !grid.occluded(&ray));
+            }
+            assert!(!grid.occluded(&Ray { direction: -ray.direction, ..ray }));
+            assert!(!grid.occluded(&Ray { origin: ray.origin + Vec3::X * 9.0, ..ray }));
+        }
     }
 }
 
-/// Checks that with every instruction set packets and single rays hit the same, bit for bit.
+/// Checks that with every instruction set and in every mode packets and single rays hit the same, bit for bit.
+///
+/// Places in the mesh differ from mode to mode, so triangles are compared by their numbers in the file.
 fn check_packet(grids: &[Grid], packet: &Packet) {
-    let single: Vec<_> = (0..64).map(|lane| grids[0].intersect(&packet.ray(lane))).collect();
+    let single: Vec<_> = (0..64).map(|lane| in_file_order(&grids[0], grids[0].intersect(&packet.ray(lane)))).collect();
     for grid in grids {
         let hits = grid.intersect_packet(packet, &mut PacketScratch::default());
         for lane in (0..64).filter(|lane| packet.active >> lane & 1 == 1) {
+            assert_eq!(grid.occluded(&packet.ray(lane)), !single[lane].is_miss());
             for hit in [hits[lane], grid.intersect(&packet.ray(lane))] {
+                let hit = in_file_order(grid, hit);
                 let expected = single[lane];
                 let same = hit.triangle == expected.triangle && hit.t.to_bits() == expected.t.to_bits();
                 let (instructions, origin) = (grid.instructions, packet.origin);
-                assert!(same, "{instructions:?}: ray {lane} from {origin} hits {hit:?} instead of {expected:?}");
+                let storage = grid.figures().storage;
+                assert!(
+                    same,
+                    "{storage}, {instructions:?}: ray {lane} from {origin} hits {hit:?} instead of {expected:?}"
+                );
             }
         }
     }
 }
 
-/// A grid for each instruction set of this machine, the plain one first.
+/// A grid for each instruction set of this machine, the plain one first, and one in every mode.
 fn build_all(mesh: &Mesh) -> Vec<Grid> {
-    InstructionSet::available().into_iter().map(|set| build(mesh).with_instructions(set)).collect()
+    let sets = InstructionSet::available().into_iter();
+    sets.map(|set| build(mesh).with_instructions(set)).chain(build_modes(mesh)).collect()
 }
 
 /// Rays from a point through an 8×8 raster around another.

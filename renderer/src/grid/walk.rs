@@ -4,11 +4,24 @@
 //! largest empty cube around the ray's point. Everything is computed in `f64` from the ray itself, never accumulated,
 //! so that rounding stays far below the margin by which cells are enlarged.
 
-use super::{BRICK_SIZE, Grid, LEVELS, filter, overlap};
+use glam::DVec3;
+
+use super::{BRICK_SIZE, Grid, LEVELS, filter, overlap, resolution::CellSpace, uniform::Uniform};
 use crate::{
+    exact::ExactSum,
     ray::{Hit, Ray},
     triangle,
 };
+
+/// What rays walk through.
+pub(super) trait Cells {
+    /// Finest cells per axis.
+    fn dims(&self) -> [i32; 3];
+
+    /// The list of triangles around a finest cell, if there is one, and the size (log₂ in finest cells) of the cube
+    /// around the cell in which that holds.
+    fn locate(&self, cell: [i32; 3]) -> (Option<&[u32]>, u32);
+}
 
 /// The two parts of a ray's cost, which the paper's figure 3 shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -29,9 +42,6 @@ struct Nearest {
 impl Grid {
     /// The nearest triangle along a ray; of several at the same t the first in the file.
     pub fn intersect(&self, ray: &Ray) -> Hit {
-        if self.is_far(ray) {
-            return self.march_alone(ray);
-        }
         let nearest = self.nearest(ray).0;
         if nearest.triangle == u32::MAX { Hit::MISS } else { Hit { triangle: nearest.triangle, t: nearest.t as f32 } }
     }
@@ -65,9 +75,6 @@ impl Grid {
 
     /// Whether a ray hits any triangle.
     pub fn occluded(&self, ray: &Ray) -> bool {
-        if self.is_far(ray) {
-            return !self.march_alone(ray).is_miss();
-        }
         let mut occluded = false;
         self.walk(ray, |references, _| {
             for triangles in references.chunks(filter::BATCH) {
@@ -83,105 +90,14 @@ impl Grid {
         occluded
     }
 
-    /// Whether the ray's origin is so far away that rounding could exceed the margin around cells.
-    fn is_far(&self, ray: &Ray) -> bool {
-        self.space.point(ray.origin.as_dvec3()).abs().max_element() > FARTHEST_ORIGIN
-    }
-
-    /// Calls `visit` with the triangles of each leaf along the ray, nearest leaf first, and the t at which the ray
-    /// leaves it, until `visit` returns true. Returns how many cells and empty cubes the ray passed.
-    fn walk(&self, ray: &Ray, mut visit: impl FnMut(&[u32], f64) -> bool) -> u32 {
-        let origin = self.space.point(ray.origin.as_dvec3()).to_array();
-        let direction = self.space.direction(ray.direction.as_dvec3()).to_array();
-        let dims = self.dims.map(|n| (n * BRICK_SIZE) as i32);
-        if !origin.iter().chain(&direction).all(|x| x.is_finite()) || direction == [0.0; 3] {
-            return 0;
-        }
-        let inverse = direction.map(|d| 1.0 / d);
-
-        let (mut t_enter, mut t_end) = (f64::from(ray.t_min), f64::from(ray.t_max));
-        for axis in 0..3 {
-            let (low, high) =
-                (-overlap::DILATION - origin[axis], f64::from(dims[axis]) + overlap::DILATION - origin[axis]);
-            if direction[axis] == 0.0 {
-                if low > 0.0 || high < 0.0 {
-                    return 0;
-                }
-            } else {
-                let (a, b) = (low * inverse[axis], high * inverse[axis]);
-                t_enter = t_enter.max(a.min(b));
-                t_end = t_end.min(a.max(b));
-            }
-        }
-        if t_enter > t_end {
-            return 0;
-        }
-
-        let at = |t: f64, axis: usize| (origin[axis] + t * direction[axis]).floor() as i32;
-        let mut cell = [0, 1, 2].map(|axis| at(t_enter, axis).clamp(0, dims[axis] - 1));
-        let mut n_cells = 0;
-        loop {
-            n_cells += 1;
-            let (references, shift) = self.locate(cell);
-            // The cube around the cell that has the same content, and where the ray leaves it.
-            let low = cell.map(|x| x >> shift << shift);
-            let size = 1 << shift;
-            let (mut t_exit, mut exit_axis) = (f64::INFINITY, 3);
-            for axis in 0..3 {
-                let plane = if direction[axis] > 0.0 { low[axis] + size } else { low[axis] };
-                let t = (f64::from(plane) - origin[axis]) * inverse[axis];
-                if direction[axis] != 0.0 && t < t_exit {
-                    (t_exit, exit_axis) = (t, axis);
-                }
-            }
-            if references.is_some_and(|references| visit(references, t_exit)) || exit_axis == 3 || t_exit > t_end {
-                return n_cells;
-            }
-            // The axis of exit always steps, and no axis steps back, so the walk ends whatever rounding does.
-            for axis in 0..3 {
-                let forward = direction[axis] > 0.0;
-                cell[axis] = if axis == exit_axis {
-                    if forward { low[axis] + size } else { low[axis] - 1 }
-                } else if direction[axis] == 0.0 {
-                    cell[axis]
-                } else {
-                    let inside = at(t_exit, axis).clamp(low[axis], low[axis] + size - 1);
-                    if forward { inside.max(cell[axis]) } else { inside.min(cell[axis]) }
-                };
-            }
-            if !(0..dims[exit_axis]).contains(&cell[exit_axis]) {
-                return n_cells;
-            }
-        }
-    }
-
-    /// The leaf around a finest cell, if there is one, and the size (log₂ in finest cells) of the cube around the cell
-    /// in which that holds.
-    #[inline]
-    fn locate(&self, cell: [i32; 3]) -> (Option<&[u32]>, u32) {
-        let cell = cell.map(|x| x as u32);
-        let mut shift = 2 * LEVELS;
-        let [x, y, z] = cell.map(|x| (x >> shift) as usize);
-        let brick = self.bricks[(z * self.dims[1] as usize + y) * self.dims[0] as usize + x];
-        if brick == Self::EMPTY {
-            return (None, shift);
-        }
-        if brick & Self::LEAF != 0 {
-            return (Some(self.leaf(brick & !Self::LEAF)), shift);
-        }
-        let mut node = &self.nodes[brick as usize];
-        loop {
-            shift -= 2;
-            let child = overlap::child(cell.map(|x| x >> shift & 3));
-            if node.occupied >> child & 1 == 0 {
-                return (None, shift);
-            }
-            let before = (1 << child) - 1;
-            if node.divided >> child & 1 == 0 {
-                let leaf = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
-                return (Some(self.leaf(leaf)), shift);
-            }
-            node = &self.nodes[(node.first_node + (node.divided & before).count_ones()) as usize];
+    /// Calls `visit` with each list of triangles along the ray, nearest first, and the t at which the ray leaves its
+    /// cell, until `visit` returns true. Returns how many cells and empty cubes the ray passed.
+    #[inline(always)]
+    fn walk(&self, ray: &Ray, visit: impl FnMut(&[u32], f64) -> bool) -> u32 {
+        match &self.uniform {
+            None => walk(self, &self.space, ray, visit),
+            Some(Uniform::Plain(grid)) => walk(grid, &self.space, ray, visit),
+            Some(Uniform::RowDisplacement(grid)) => walk(grid, &self.space, ray, visit),
         }
     }
 
@@ -192,5 +108,165 @@ impl Grid {
     }
 }
 
+impl Cells for Grid {
+    fn dims(&self) -> [i32; 3] {
+        self.dims.map(|n| (n * BRICK_SIZE) as i32)
+    }
+
+    #[inline]
+    fn locate(&self, cell: [i32; 3]) -> (Option<&[u32]>, u32) {
+        let cell = cell.map(|x| x as u32);
+        let mut shift = 2 * LEVELS;
+        let [x, y, z] = cell.map(|x| (x >> shift) as usize);
+        let brick = self.bricks[(z * self.dims[1] as usize + y) * self.dims[0] as usize + x];
+        if brick == Self::EMPTY {
+            return (None, shift.min(self.largest_skip));
+        }
+        if brick & Self::LEAF != 0 {
+            return (Some(self.leaf(brick & !Self::LEAF)), shift);
+        }
+        let mut node = &self.nodes[brick as usize];
+        loop {
+            shift -= 2;
+            let child = overlap::child(cell.map(|x| x >> shift & 3));
+            if node.occupied >> child & 1 == 0 {
+                return (None, shift.min(self.largest_skip));
+            }
+            let before = (1 << child) - 1;
+            if node.divided >> child & 1 == 0 {
+                let leaf = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
+                return (Some(self.leaf(leaf)), shift);
+            }
+            node = &self.nodes[(node.first_node + (node.divided & before).count_ones()) as usize];
+        }
+    }
+}
+
+/// [`Grid::walk`] for one kind of cells.
+#[inline(always)]
+fn walk<C: Cells>(cells: &C, space: &CellSpace, ray: &Ray, mut visit: impl FnMut(&[u32], f64) -> bool) -> u32 {
+    let dims = cells.dims();
+    let Some(Way { origin, direction, t_base, slack }) = Way::new(space, ray, dims) else { return 0 };
+    let inverse = direction.map(|d| 1.0 / d);
+
+    let (mut t_enter, mut t_end) = (f64::from(ray.t_min) - t_base - slack, f64::from(ray.t_max) - t_base + slack);
+    for axis in 0..3 {
+        let (low, high) = (-overlap::DILATION - origin[axis], f64::from(dims[axis]) + overlap::DILATION - origin[axis]);
+        if direction[axis] == 0.0 {
+            if low > 0.0 || high < 0.0 {
+                return 0;
+            }
+        } else {
+            let (a, b) = (low * inverse[axis], high * inverse[axis]);
+            t_enter = t_enter.max(a.min(b));
+            t_end = t_end.min(a.max(b));
+        }
+    }
+    if t_enter > t_end {
+        return 0;
+    }
+
+    let at = |t: f64, axis: usize| (origin[axis] + t * direction[axis]).floor() as i32;
+    let mut cell = [0, 1, 2].map(|axis| at(t_enter, axis).clamp(0, dims[axis] - 1));
+    let mut n_cells = 0;
+    loop {
+        n_cells += 1;
+        let (references, shift) = cells.locate(cell);
+        // The cube around the cell that has the same content, and where the ray leaves it.
+        let low = cell.map(|x| x >> shift << shift);
+        let size = 1 << shift;
+        let (mut t_exit, mut exit_axis) = (f64::INFINITY, 3);
+        for axis in 0..3 {
+            let plane = if direction[axis] > 0.0 { low[axis] + size } else { low[axis] };
+            let t = (f64::from(plane) - origin[axis]) * inverse[axis];
+            if direction[axis] != 0.0 && t < t_exit {
+                (t_exit, exit_axis) = (t, axis);
+            }
+        }
+        if references.is_some_and(|references| visit(references, t_exit + t_base - slack))
+            || exit_axis == 3
+            || t_exit > t_end
+        {
+            return n_cells;
+        }
+        // The axis of exit always steps, and no axis steps back, so the walk ends whatever rounding does.
+        for axis in 0..3 {
+            let forward = direction[axis] > 0.0;
+            if axis == exit_axis {
+                cell[axis] = if forward { low[axis] + size } else { low[axis] - 1 };
+            } else if shift > 0 && direction[axis] != 0.0 {
+                // Macrocells may reach beyond the grid, and so may the ray by the cells' margin.
+                let last = (low[axis] + size).min(dims[axis]) - 1;
+                let inside = at(t_exit, axis).clamp(low[axis], last);
+                cell[axis] = if forward { inside.max(cell[axis]) } else { inside.min(cell[axis]) };
+            }
+        }
+        if !(0..dims[exit_axis]).contains(&cell[exit_axis]) {
+            return n_cells;
+        }
+    }
+}
+
+/// A ray in finest cells, from a point of it that is not far from the grid.
+struct Way {
+    origin: [f64; 3],
+    direction: [f64; 3],
+    /// The ray's t at that point.
+    t_base: f64,
+    /// What rounding can do to a t.
+    slack: f64,
+}
+
+impl Way {
+    /// `None` where a ray cannot be followed, or passes the grid by far.
+    #[inline]
+    fn new(space: &CellSpace, ray: &Ray, dims: [i32; 3]) -> Option<Self> {
+        let origin = space.point(ray.origin.as_dvec3());
+        let direction = space.direction(ray.direction.as_dvec3());
+        if !origin.is_finite() || !direction.is_finite() || direction == DVec3::ZERO {
+            return None;
+        }
+        let way = Self { origin: origin.to_array(), direction: direction.to_array(), t_base: 0.0, slack: 0.0 };
+        if origin.abs().max_element() <= FARTHEST_ORIGIN { Some(way) } else { way.nearer(space, ray, dims) }
+    }
+
+    /// The same way from a point close to the grid.
+    ///
+    /// It goes to where the ray comes nearest, with a t of so few bits that the point can be told exactly; what remains
+    /// to go, as t has few bits, is gone likewise.
+    #[cold]
+    fn nearer(mut self, space: &CellSpace, ray: &Ray, dims: [i32; 3]) -> Option<Self> {
+        let direction = DVec3::from_array(self.direction);
+        let centre = DVec3::from_array(dims.map(|n| f64::from(n) * 0.5));
+        let mut place = DVec3::from_array(self.origin);
+        let mut steps = Vec::new();
+        for _ in 0..MOST_STEPS {
+            let step = ((centre - place).dot(direction) / direction.length_squared()) as f32;
+            if step == 0.0 || !step.is_finite() {
+                return None;
+            }
+            steps.push(step);
+            let from_low = [0, 1, 2].map(|axis| {
+                let mut sum = ExactSum::default();
+                steps.iter().for_each(|&step| sum.add_product(step, ray.direction[axis], 1.0));
+                sum.add_product(ray.origin[axis], 1.0, 1.0);
+                sum.add_product(-space.origin()[axis], 1.0, 1.0);
+                sum.value()
+            });
+            place = space.direction(DVec3::from_array(from_low));
+            if place.abs().max_element() <= FARTHEST_ORIGIN {
+                self.origin = place.to_array();
+                self.t_base = steps.iter().map(|&step| f64::from(step)).sum();
+                self.slack = self.t_base.abs() * 1e-9;
+                return Some(self);
+            }
+        }
+        None
+    }
+}
+
 /// In finest cells: 2⁻⁵³ of this is well below the margin around cells.
 const FARTHEST_ORIGIN: f64 = (1u64 << 34) as f64;
+
+/// Each step comes nearer by 23 bits, and the range of `f32` has 277.
+const MOST_STEPS: usize = 16;

@@ -1,0 +1,66 @@
+//! What a grid is and takes, in numbers.
+
+use serde::Serialize;
+
+use super::{Grid, Storage};
+
+/// Sizes of a grid and its parts, the mesh not counted.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct GridFigures {
+    /// The name of how cells are kept.
+    pub storage: &'static str,
+    /// Cells per triangle, less than was asked for where memory does not allow more.
+    pub density: f64,
+    /// Cells in all, empty or not; with masks those that the paper's formula gives.
+    pub cells: u64,
+    /// Cells that hold triangles.
+    pub lists: usize,
+    /// Triangles in all lists.
+    pub references: usize,
+    /// Bytes of the macrocells: with masks those of the whole tree.
+    pub macrocell_bytes: usize,
+    /// Row displacement's bit for each cell.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub d_bytes: Option<usize>,
+    /// Row displacement's offset for each row.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub o_bytes: Option<usize>,
+    /// Bytes of where lists begin: row displacement's H.
+    pub list_bytes: usize,
+    /// Bytes of the lists.
+    pub reference_bytes: usize,
+    /// Four bytes for each cell, against D + O + H.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub compression_ratio: Option<f64>,
+    /// The time it took to displace all rows.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub placement_seconds: Option<f64>,
+}
+
+impl GridFigures {
+    /// Bytes in all.
+    pub fn n_bytes(&self) -> usize {
+        let index_bytes = self.d_bytes.unwrap_or(0) + self.o_bytes.unwrap_or(0);
+        self.macrocell_bytes + index_bytes + self.list_bytes + self.reference_bytes
+    }
+}
+
+impl Grid {
+    /// What the grid is and takes.
+    pub fn figures(&self) -> GridFigures {
+        let figures = match &self.uniform {
+            Some(uniform) => uniform.figures(self.placement),
+            None => GridFigures {
+                storage: Storage::Masks.name(),
+                cells: self.dims.iter().map(|&n| u64::from(n * super::CELLS_PER_BRICK)).product(),
+                lists: self.leaf_starts.len() - 1,
+                references: self.references.len(),
+                macrocell_bytes: size_of_val(&*self.bricks) + size_of_val(&*self.nodes),
+                list_bytes: size_of_val(&*self.leaf_starts),
+                reference_bytes: size_of_val(&*self.references),
+                ..GridFigures::default()
+            },
+        };
+        GridFigures { density: self.density, ..figures }
+    }
+}

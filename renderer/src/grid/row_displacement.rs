@@ -1,0 +1,232 @@
+//! Row displacement: the offsets of a grid's cells, compressed to those that are needed.
+//!
+//! After Lagae and Dutré, "Compact, Fast and Robust Grids for Ray Tracing" (2008). A row is a line of cells.
+//! All rows lie on top of each other in one array of slots, H, each displaced by an offset O so that no two occupied
+//! cells share a slot; a bit for each cell, D, says whether it is occupied, so that slots need no names.
+
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+
+use super::uniform::CellIndex;
+
+/// Slots at the end that are tried for a row, in words of 64 bits. Trying all would take time quadratic in the number
+/// of rows, for a few per cent of slots.
+const WINDOW_WORDS: usize = 512;
+
+/// Which cells are occupied, and the slot of each of those.
+#[derive(Debug, PartialEq)]
+pub(super) struct RowDisplacement {
+    lines: Lines,
+    /// D: a bit for each cell, row after row.
+    occupied: Vec<u64>,
+    /// O: for each row, what added to a cell's place in it (modulo 2³²) gives the slot.
+    offsets: Vec<u32>,
+    n_slots: usize,
+}
+
+/// How cells lie in rows: along the shortest axis, as short rows fit closer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Lines {
+    /// The rows' own axis, and the two across, of which the first comes faster.
+    axes: [usize; 3],
+    /// Cells along these.
+    dims: [usize; 3],
+}
+
+impl Lines {
+    fn new(dims: [u32; 3]) -> Self {
+        let along = (0..3).min_by_key(|&axis| dims[axis]).unwrap_or(0);
+        let axes = [along, (along + 1) % 3, (along + 2) % 3];
+        Self { axes, dims: axes.map(|axis| dims[axis] as usize) }
+    }
+
+    fn n_rows(&self) -> usize {
+        self.dims[1] * self.dims[2]
+    }
+
+    /// The row of a cell, and its place there.
+    #[inline]
+    fn row(&self, cell: [u32; 3]) -> (usize, u32) {
+        let [along, fast, slow] = self.axes;
+        (cell[slow] as usize * self.dims[1] + cell[fast] as usize, cell[along])
+    }
+
+    /// The number of a cell, row after row.
+    #[inline]
+    fn number(&self, cell: [u32; 3]) -> usize {
+        let (row, along) = self.row(cell);
+        row * self.dims[0] + along as usize
+    }
+
+    fn cell(&self, number: usize) -> [u32; 3] {
+        let mut cell = [0; 3];
+        let [along, fast, _] = self.dims;
+        let place = [number % along, number / along % fast, number / along / fast];
+        (0..3).for_each(|axis| cell[self.axes[axis]] = place[axis] as u32);
+        cell
+    }
+}
+
+/// Occupied cells, as they are found by many threads.
+pub(super) struct Occupied {
+    lines: Lines,
+    bits: Vec<AtomicU64>,
+}
+
+impl Occupied {
+    pub(super) fn new(dims: [u32; 3]) -> Self {
+        let lines = Lines::new(dims);
+        let n_cells = lines.n_rows() * lines.dims[0];
+        Self { lines, bits: (0..n_cells.div_ceil(64)).map(|_| AtomicU64::new(0)).collect() }
+    }
+
+    #[inline]
+    pub(super) fn insert(&self, cell: [u32; 3]) {
+        let number = self.lines.number(cell);
+        let (word, bit) = (&self.bits[number / 64], 1 << (number % 64));
+        // Most cells are met by several triangles, and to read is cheaper.
+        if word.load(Relaxed) & bit == 0 {
+            word.fetch_or(bit, Relaxed);
+        }
+    }
+}
+
+impl RowDisplacement {
+    /// What D and O will take.
+    pub(super) fn predicted_bytes(dims: [u32; 3]) -> u64 {
+        let [along, fast, slow] = Lines::new(dims).dims.map(|n| n as u64);
+        (along * fast * slow).div_ceil(8) + 4 * fast * slow
+    }
+
+    /// Finds the first place for each row among the last slots.
+    ///
+    /// Lagae and Dutré begin with the longest rows; here each row follows its neighbour, which resembles it, so that
+    /// they interlock: that fills 90 % of the slots where the other order fills 60 %.
+    pub(super) fn new(Occupied { lines, bits }: Occupied) -> Self {
+        let occupied: Vec<_> = bits.into_iter().map(AtomicU64::into_inner).collect();
+        let length = lines.dims[0];
+        let mut slots = Slots::default();
+        let mut cells = Vec::new();
+        let offsets = (0..lines.n_rows())
+            .map(|row| {
+                cells.clear();
+                for first in (0..length).step_by(64) {
+                    let mut word = word_at(&occupied, row * length + first);
+                    if length - first < 64 {
+                        word &= (1 << (length - first)) - 1;
+                    }
+                    cells.extend(super::bits(word).map(|bit| first as u32 + bit));
+                }
+                let Some(&first) = cells.first() else { return 0 };
+                cells.iter_mut().for_each(|place| *place -= first);
+                (slots.place(&cells) as u32).wrapping_sub(first)
+            })
+            .collect();
+        Self { lines, occupied, offsets, n_slots: slots.end }
+    }
+
+    /// Bytes of D and of O.
+    pub(super) fn n_bytes(&self) -> [usize; 2] {
+        [size_of_val(&*self.occupied), size_of_val(&*self.offsets)]
+    }
+
+    /// The occupied cells.
+    pub(super) fn cells(&self) -> impl Iterator<Item = [u32; 3]> {
+        let (words, lines) = (self.occupied.iter().enumerate(), self.lines);
+        words.flat_map(move |(word, &bits)| super::bits(bits).map(move |bit| lines.cell(64 * word + bit as usize)))
+    }
+}
+
+impl CellIndex for RowDisplacement {
+    fn n_slots(&self) -> usize {
+        self.n_slots
+    }
+
+    #[inline]
+    fn slot(&self, cell: [u32; 3]) -> Option<usize> {
+        let number = self.lines.number(cell);
+        let (row, along) = self.lines.row(cell);
+        (self.occupied[number / 64] >> (number % 64) & 1 == 1).then(|| self.offsets[row].wrapping_add(along) as usize)
+    }
+}
+
+/// 64 bits from any place on; those beyond the end are 0.
+#[inline]
+fn word_at(words: &[u64], first: usize) -> u64 {
+    let word = |index: usize| words.get(index).copied().unwrap_or(0);
+    let (index, shift) = (first / 64, first % 64);
+    if shift == 0 { word(index) } else { word(index) >> shift | word(index + 1) << (64 - shift) }
+}
+
+/// The slots that are taken.
+#[derive(Default)]
+struct Slots {
+    taken: Vec<u64>,
+    /// Behind the last one taken.
+    end: usize,
+}
+
+impl Slots {
+    /// Takes the first place that is free for a row, given by its occupied cells, the first of which is 0.
+    fn place(&mut self, cells: &[u32]) -> usize {
+        let mut first = (self.end / 64).saturating_sub(WINDOW_WORDS) * 64;
+        let place = loop {
+            // A bit for each of 64 places where some cell would meet a slot that is taken.
+            let mut conflicts = 0;
+            for &x in cells {
+                conflicts |= word_at(&self.taken, first + x as usize);
+                if conflicts == u64::MAX {
+                    break;
+                }
+            }
+            if conflicts != u64::MAX {
+                break first + conflicts.trailing_ones() as usize;
+            }
+            first += 64;
+        };
+        for &x in cells {
+            let slot = place + x as usize;
+            self.end = self.end.max(slot + 1);
+            if self.taken.len() <= slot / 64 {
+                self.taken.resize(slot / 64 + 1, 0);
+            }
+            self.taken[slot / 64] |= 1 << (slot % 64);
+        }
+        place
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_occupied_cell_has_a_slot_of_its_own() {
+        let mut state = 3u64;
+        for dims in [[1, 1, 1], [5, 3, 2], [64, 9, 4], [60, 40, 30], [1, 300, 7]] {
+            let cells = (0..dims[2]).flat_map(|z| (0..dims[1]).flat_map(move |y| (0..dims[0]).map(move |x| [x, y, z])));
+            let occupied = Occupied::new(dims);
+            let mut expected = Vec::new();
+            for cell in cells.clone() {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                if state >> 61 == 0 {
+                    occupied.insert(cell);
+                    expected.push(cell);
+                }
+            }
+            let rows = RowDisplacement::new(occupied);
+            let mut taken = vec![false; rows.n_slots()];
+            for cell in cells {
+                let slot = rows.slot(cell);
+                assert_eq!(slot.is_some(), expected.contains(&cell));
+                if let Some(slot) = slot {
+                    assert!(!std::mem::replace(&mut taken[slot], true), "{dims:?}: slot {slot} twice");
+                }
+            }
+            let mut found: Vec<_> = rows.cells().collect();
+            found.sort_unstable_by_key(|&[x, y, z]| [z, y, x]);
+            assert_eq!(found, expected);
+            let (n_cells, n_slots) = (expected.len(), rows.n_slots());
+            assert!(n_cells * 10 >= n_slots * 6, "{dims:?}: {n_cells} cells in {n_slots} slots");
+        }
+    }
+}

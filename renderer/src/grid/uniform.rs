@@ -1,0 +1,177 @@
+//! The paper's uniform grid: cells of one size, a list of triangles for each, and macrocells over them.
+
+use std::time::{Duration, Instant};
+
+use super::{
+    GridOptions, Storage,
+    figures::GridFigures,
+    macrocells::Macrocells,
+    row_displacement::{Occupied, RowDisplacement},
+    scatter::{self, Scatter},
+    walk::Cells,
+};
+
+/// Where the list of each cell stands.
+pub(super) trait CellIndex: Sync {
+    /// How many lists there are.
+    fn n_slots(&self) -> usize;
+
+    /// The list of a cell, or `None` if the cell is known to be empty. No two cells share one.
+    fn slot(&self, cell: [u32; 3]) -> Option<usize>;
+}
+
+/// Every cell has a list, and those of most are empty.
+#[derive(Debug, PartialEq)]
+pub(super) struct Plain {
+    dims: [u32; 3],
+}
+
+impl CellIndex for Plain {
+    fn n_slots(&self) -> usize {
+        self.dims.iter().map(|&n| n as usize).product()
+    }
+
+    #[inline]
+    fn slot(&self, [x, y, z]: [u32; 3]) -> Option<usize> {
+        Some((z as usize * self.dims[1] as usize + y as usize) * self.dims[0] as usize + x as usize)
+    }
+}
+
+/// Lists of triangles, found by an index of cells.
+#[derive(Debug, PartialEq)]
+pub(super) struct UniformGrid<I> {
+    dims: [u32; 3],
+    index: I,
+    /// Where each list begins; one more at the end.
+    starts: Vec<u32>,
+    /// Triangles by their place in the mesh, list after list.
+    pub(super) references: Vec<u32>,
+    macrocells: Macrocells,
+}
+
+impl<I: CellIndex> Cells for UniformGrid<I> {
+    fn dims(&self) -> [i32; 3] {
+        self.dims.map(|n| n as i32)
+    }
+
+    #[inline]
+    fn locate(&self, cell: [i32; 3]) -> (Option<&[u32]>, u32) {
+        let cell = cell.map(|x| x as u32);
+        if let Some(shift) = self.macrocells.empty_around(cell) {
+            return (None, shift);
+        }
+        let list = self.index.slot(cell).map(|slot| {
+            let [first, end] = [self.starts[slot], self.starts[slot + 1]];
+            &self.references[first as usize..end as usize]
+        });
+        (list, 0)
+    }
+}
+
+/// A uniform grid with one of the two indices.
+#[derive(Debug, PartialEq)]
+pub(super) enum Uniform {
+    Plain(UniformGrid<Plain>),
+    RowDisplacement(UniformGrid<RowDisplacement>),
+}
+
+impl Uniform {
+    /// Builds the grid that is asked for, or `None` if it would take more than `most_bytes`.
+    /// Second: how long the places of the rows took to find.
+    pub(super) fn build(scatter: &Scatter<'_>, options: &GridOptions, most_bytes: u64) -> Option<(Self, Duration)> {
+        let n_levels = options.macrocell_levels;
+        Some(if options.storage == Storage::Plain {
+            (Self::Plain(UniformGrid::plain(scatter, n_levels, most_bytes)?), Duration::ZERO)
+        } else {
+            let (grid, placement) = UniformGrid::row_displacement(scatter, n_levels, most_bytes)?;
+            (Self::RowDisplacement(grid), placement)
+        })
+    }
+
+    pub(super) fn references_mut(&mut self) -> &mut [u32] {
+        match self {
+            Self::Plain(grid) => &mut grid.references,
+            Self::RowDisplacement(grid) => &mut grid.references,
+        }
+    }
+
+    /// What it is and takes, without mesh and density.
+    pub(super) fn figures(&self, placement: Duration) -> GridFigures {
+        match self {
+            Self::Plain(grid) => GridFigures { storage: Storage::Plain.name(), ..grid.figures() },
+            Self::RowDisplacement(grid) => {
+                let [d_bytes, o_bytes] = grid.index.n_bytes();
+                let figures = grid.figures();
+                let displaced_bytes = d_bytes + o_bytes + figures.list_bytes;
+                GridFigures {
+                    storage: Storage::RowDisplacement.name(),
+                    d_bytes: Some(d_bytes),
+                    o_bytes: Some(o_bytes),
+                    compression_ratio: Some(4.0 * figures.cells as f64 / displaced_bytes as f64),
+                    placement_seconds: Some(placement.as_secs_f64()),
+                    ..figures
+                }
+            }
+        }
+    }
+}
+
+impl UniformGrid<Plain> {
+    /// Builds the grid, or `None` if it would take more than `most_bytes`.
+    pub(super) fn plain(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<Self> {
+        let index = Plain { dims: scatter.dims };
+        let mut grid = Self::fill(scatter, index, most_bytes)?;
+        let [x_dim, y_dim, _] = grid.dims.map(|n| n as usize);
+        let occupied = grid.starts.windows(2).enumerate().filter(|(_, bounds)| bounds[0] < bounds[1]);
+        let place = |cell: usize| [cell % x_dim, cell / x_dim % y_dim, cell / x_dim / y_dim].map(|x| x as u32);
+        grid.macrocells = Macrocells::new(grid.dims, macrocell_levels, occupied.map(|(cell, _)| place(cell)));
+        Some(grid)
+    }
+}
+
+impl UniformGrid<RowDisplacement> {
+    /// Builds the grid, or `None` if it would take more than `most_bytes`. Second: how long the rows' places took to find.
+    pub(super) fn row_displacement(
+        scatter: &Scatter<'_>,
+        macrocell_levels: u8,
+        most_bytes: u64,
+    ) -> Option<(Self, Duration)> {
+        let dims = scatter.dims;
+        let left = most_bytes.checked_sub(RowDisplacement::predicted_bytes(dims))?;
+        let occupied = Occupied::new(dims);
+        scatter.for_each(left / REFERENCE_BYTES, |cell, _| occupied.insert(cell))?;
+        let started_at = Instant::now();
+        let index = RowDisplacement::new(occupied);
+        let placement = started_at.elapsed();
+        let mut grid = Self::fill(scatter, index, left)?;
+        grid.macrocells = Macrocells::new(dims, macrocell_levels, grid.index.cells());
+        Some((grid, placement))
+    }
+}
+
+impl<I: CellIndex> UniformGrid<I> {
+    /// The lists, without macrocells as yet.
+    fn fill(scatter: &Scatter<'_>, index: I, most_bytes: u64) -> Option<Self> {
+        let left = most_bytes.checked_sub(4 * index.n_slots() as u64)?.min(REFERENCE_BYTES * u64::from(u32::MAX));
+        let slot = |cell| index.slot(cell).expect("no triangle lies in an empty cell");
+        let counts = scatter.count(index.n_slots(), left / REFERENCE_BYTES, slot)?;
+        let (starts, mut references) = scatter.fill(counts, slot);
+        scatter::sort_lists(&starts, &mut references);
+        Some(Self { dims: scatter.dims, index, starts, references, macrocells: Macrocells::default() })
+    }
+
+    fn figures(&self) -> GridFigures {
+        GridFigures {
+            cells: self.dims.iter().map(|&n| u64::from(n)).product(),
+            lists: self.starts.windows(2).filter(|bounds| bounds[0] < bounds[1]).count(),
+            references: self.references.len(),
+            macrocell_bytes: self.macrocells.n_bytes(),
+            list_bytes: size_of_val(&*self.starts),
+            reference_bytes: size_of_val(&*self.references),
+            ..GridFigures::default()
+        }
+    }
+}
+
+/// Bytes of one triangle in a list.
+const REFERENCE_BYTES: u64 = size_of::<u32>() as u64;

@@ -1,0 +1,106 @@
+//! How a scene is made ready, as it is said on the command lines of all programs that do so.
+
+use std::num::ParseFloatError;
+
+use crate::{
+    grid::{GridOptions, Storage},
+    tracer::SceneOptions,
+};
+
+/// How mesh and grid are kept. None of it changes a picture.
+#[derive(Clone, Copy, Debug, clap::Args)]
+#[command(next_help_heading = "The grid, which changes time and memory but no picture")]
+pub struct SceneArgs {
+    /// The paper's ρ: cells of the grid per triangle
+    #[arg(long, value_name = "RHO", default_value_t = GridOptions::default().density, value_parser = density)]
+    density: f64,
+
+    /// How the grid is kept: plain or row-displacement, the paper's uniform grid, or masks, a tree divided where it holds
+    /// much
+    #[arg(long, value_name = "HOW", default_value_t = Storage::default())]
+    storage: Storage,
+
+    /// Sizes of empty macrocells that a single ray may skip
+    #[arg(long, value_name = "N", default_value_t = GridOptions::default().macrocell_levels, value_parser = macrocell_levels)]
+    macrocell_levels: u8,
+}
+
+impl SceneArgs {
+    /// What they ask for.
+    pub fn options(&self) -> SceneOptions {
+        let Self { density, storage, macrocell_levels } = *self;
+        SceneOptions { grid: GridOptions { density, macrocell_levels, storage } }
+    }
+
+    /// The same on another program's command line.
+    pub fn to_arguments(&self) -> [String; 3] {
+        [
+            format!("--density={}", self.density),
+            format!("--storage={}", self.storage),
+            format!("--macrocell-levels={}", self.macrocell_levels),
+        ]
+    }
+}
+
+fn density(text: &str) -> Result<f64, String> {
+    let range = GridOptions::DENSITIES;
+    let density = text.parse().map_err(|error: ParseFloatError| error.to_string())?;
+    if range.contains(&density) {
+        Ok(density)
+    } else {
+        Err(format!("the density must be from {} to {} cells per triangle", range.start(), range.end()))
+    }
+}
+
+fn macrocell_levels(text: &str) -> Result<u8, String> {
+    let range = GridOptions::MACROCELL_LEVELS;
+    let levels = text.parse().ok().filter(|levels| range.contains(levels));
+    levels.ok_or_else(|| format!("there are from {} to {} levels of macrocells", range.start(), range.end()))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Program {
+        #[command(flatten)]
+        scene: SceneArgs,
+    }
+
+    fn parse(arguments: &[&str]) -> Result<SceneArgs, clap::Error> {
+        Program::try_parse_from(["program"].iter().chain(arguments)).map(|program| program.scene)
+    }
+
+    #[test]
+    fn nothing_asked_for_is_the_default() {
+        assert_eq!(parse(&[]).unwrap().options(), SceneOptions::default());
+    }
+
+    #[test]
+    fn arguments_survive_being_handed_on() {
+        let asked = ["--density", "0.1", "--storage", "row-displacement", "--macrocell-levels", "1"];
+        let options = parse(&asked).unwrap();
+        let handed_on = options.to_arguments();
+        let again = parse(&handed_on.iter().map(String::as_str).collect::<Vec<_>>()).unwrap();
+        assert_eq!(again.options(), options.options());
+        assert_ne!(again.options(), SceneOptions::default());
+    }
+
+    #[test]
+    fn what_is_out_of_range_is_told_the_range() {
+        for (arguments, told) in [
+            (["--density", "0"], "from 0.015625 to 4096 cells per triangle"),
+            (["--density", "NaN"], "from 0.015625 to 4096 cells per triangle"),
+            (["--density", "5000"], "from 0.015625 to 4096 cells per triangle"),
+            (["--macrocell-levels", "4"], "from 0 to 3 levels"),
+            (["--macrocell-levels", "-1"], "unexpected argument"),
+            (["--storage", "hash"], "it is plain, row-displacement or masks"),
+        ] {
+            let error = parse(&arguments).unwrap_err().to_string();
+            assert!(error.contains(told), "{arguments:?}: {error}");
+        }
+    }
+}
