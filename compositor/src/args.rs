@@ -69,7 +69,7 @@ pub struct WallArgs {
     /// Frames rendered at a time, 1 to 3: with one, render servers wait for each other after each frame
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=3))]
     pub in_flight: u32,
-    /// What the samples show: shaded or normals
+    /// What the samples show: shaded, normals or cost
     #[arg(long, value_name = "V", default_value = View::default().name())]
     pub view: View,
     /// By which rays the picture is lit: primary, shadows (and a ray to a light), or ambient (and short rays all around)

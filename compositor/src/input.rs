@@ -141,7 +141,7 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('f')], Ask(ViewAll), "view all of the model"),
         row(&[Letter('u')], Ask(NextUpAxis), "next up axis: y, z, x"),
         row(&[Letter('h')], Ask(NextDivision), "next heuristic: interleaved, tiled, dynamic"),
-        row(&[Letter('v')], Ask(NextView), "next view: shaded, normals"),
+        row(&[Letter('v')], Ask(NextView), "next view: shaded, normals, cost"),
         row(&[Letter('r')], Ask(NextRays), "next rays: primary, shadows, ambient"),
         row(&[Letter('o')], Ask(ToggleOverlay), "overlay on or off"),
         row(&[Named(NamedKey::F1)], Ask(ToggleHelp), "this help on or off"),

@@ -2,9 +2,9 @@
 //!
 //! In reading order: [`mesh`] is what is traced; [`ply`] reads one, [`statue`] makes one, [`scene`] names and loads one.
 //! [`grid`] finds the triangles along [`ray`]s, [`triangle`] decides whether they are hit, [`tracer`] does it for shares
-//! of frames, [`secondary`] finds the lights that reach a hit, [`shade`] makes light of hits. [`connect`], [`trace`],
-//! [`generate`] and [`key`] are the commands of [`cli`], with [`scene_args`]; [`wire`] and [`secure`] are how a render
-//! server talks.
+//! of frames, [`secondary`] finds the lights that reach a hit, [`shade`] makes light of hits, [`lighting`] all of it
+//! for a block of samples. [`connect`], [`trace`], [`generate`] and [`key`] are the commands of [`cli`], with
+//! [`scene_args`]; [`wire`] and [`secure`] are how a render server talks.
 
 pub mod cli;
 pub mod connect;
@@ -13,6 +13,7 @@ pub mod generate;
 pub mod grid;
 pub mod image;
 pub mod key;
+pub mod lighting;
 pub mod mesh;
 pub mod path_bytes;
 pub mod ply;

@@ -264,7 +264,7 @@ mod tests {
 
     /// What reaches every hit of a frame, with the ray's direction and the hit.
     fn reach(scene: &Scene, request: &FrameRequest) -> Vec<(Vec3, Hit, Reach)> {
-        let secondary = scene.secondary_rays(request);
+        let secondary = SecondaryRays::new(scene.grid(), request);
         let rays = request.camera.rays(request.size);
         let mut scratch = PacketScratch::default();
         let mut all = Vec::new();
@@ -312,7 +312,7 @@ mod tests {
                     let (u, v) = (u * (4.0 / distance), v * (4.0 / distance));
                     request.camera = Camera::new(eye, centre - (u + v) * 0.5, u, v).unwrap();
                 }
-                let secondary = scene.secondary_rays(&request);
+                let secondary = SecondaryRays::new(scene.grid(), &request);
                 let all = reach(&scene, &request);
                 assert!(all.len() > 1000, "the ball is seen");
                 for (direction, hit, reach) in all {
@@ -339,7 +339,8 @@ mod tests {
             };
             let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
             let at = |p: [f64; 3]| DVec3::from_array(p) + DVec3::splat(f64::from(offset));
-            let mut secondary = scene.secondary_rays(&request(at([0.0, 1.0, 5.0]), at([0.0; 3]), RayTree::Shadows));
+            let request = request(at([0.0, 1.0, 5.0]), at([0.0; 3]), RayTree::Shadows);
+            let mut secondary = SecondaryRays::new(scene.grid(), &request);
             secondary.key_light = at([0.3, 1.5, 3.0]).as_vec3();
             // Contact begins within a few units in the last place of the largest coordinate.
             let nearest = 100.0 * f64::from(f32::EPSILON) * (f64::from(offset) + 2.0);
@@ -375,7 +376,7 @@ mod tests {
         let mesh = statue::generate(2000, &|_| ());
         let scene = Scene::build(mesh.clone(), &SceneOptions::default(), &|_| ());
         let request = request(DVec3::new(0.5, 1.2, 3.0), DVec3::Y, RayTree::Shadows);
-        let secondary = scene.secondary_rays(&request);
+        let secondary = SecondaryRays::new(scene.grid(), &request);
         let light = secondary.key_light.as_dvec3();
         let (mut n_dark, mut n_lit, mut n_wrong) = (0, 0, 0);
         for (direction, hit, reach) in reach(&scene, &request) {
@@ -401,7 +402,8 @@ mod tests {
             ..Mesh::default()
         };
         let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
-        let secondary = scene.secondary_rays(&request(DVec3::new(0.0, 3.0, 6.0), DVec3::Y, RayTree::Ambient));
+        let request = request(DVec3::new(0.0, 3.0, 6.0), DVec3::Y, RayTree::Ambient);
+        let secondary = SecondaryRays::new(scene.grid(), &request);
         let openness = |height: f64| {
             let surface = Surface { point: DVec3::new(0.0, height, secondary.lift), normal: DVec3::Z };
             let samples = (0..256).map(|sample| secondary.openness(&surface, (3, 4), sample));

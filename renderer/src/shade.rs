@@ -5,7 +5,7 @@
 use glam::Vec3;
 use shared::{camera::Camera, division::FrameSize, protocol::View, srgb};
 
-use crate::{ray::Hit, secondary::Reach, traced::TracedMesh};
+use crate::{grid::RayCost, ray::Hit, secondary::Reach, traced::TracedMesh};
 
 /// Lights a mesh as seen by one camera: a light at the eye shows form, a sky above it shows which way is up.
 pub struct Shader<'a> {
@@ -47,7 +47,8 @@ impl<'a> Shader<'a> {
         // Scans are seen from both sides: the normal is turned towards the ray's origin.
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
         match self.view {
-            View::Normals => (normal + 1.0) * 0.5,
+            // What a ray costs has nothing to do with where it ends: see [`cost`].
+            View::Normals | View::Cost => (normal + 1.0) * 0.5,
             View::Shaded => {
                 let eye = normal.dot(-unit(direction)).max(0.0);
                 let key = normal.dot(reach.key_direction).max(0.0) * reach.key;
@@ -65,6 +66,17 @@ impl<'a> Shader<'a> {
         (a + b + c) / 3.0
     }
 }
+
+/// The colour of what a ray costs: cells in red, tests in green, each half as bright as possible at [`HALF_CELLS`] and
+/// [`HALF_TESTS`], so that no cost is too high to be told from a higher one.
+pub fn cost(cost: RayCost) -> Vec3 {
+    let brightness = |count: u32, half: f32| count as f32 / (count as f32 + half);
+    Vec3::new(brightness(cost.n_cells, HALF_CELLS), brightness(cost.n_tests, HALF_TESTS), 0.0)
+}
+
+/// Well above what most rays cost, so that pictures of scans are dark with bright outlines.
+const HALF_CELLS: f32 = 64.0;
+const HALF_TESTS: f32 = 256.0;
 
 /// The vector of unit length, or zero. Scaled first, so that squares neither overflow nor vanish.
 fn unit(v: Vec3) -> Vec3 {
@@ -114,6 +126,16 @@ mod tests {
         }
         let normals = shader(&mesh, View::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
         assert_eq!(normals, Vec3::new(0.5, 0.5, 1.0));
+    }
+
+    #[test]
+    fn what_costs_more_is_brighter() {
+        let light = |n_cells, n_tests| cost(RayCost { n_cells, n_tests });
+        assert_eq!(light(0, 0), Vec3::ZERO);
+        for (less, more) in [(0, 1), (10, 11), (1000, 1100), (100_000, u32::MAX)] {
+            assert!(light(less, 7).x < light(more, 7).x && light(7, less).y < light(7, more).y);
+        }
+        assert!(light(u32::MAX, u32::MAX).max_element() <= 1.0);
     }
 
     #[test]

@@ -82,7 +82,7 @@ pub struct TraceArgs {
     #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
 
-    /// What the picture shows: shaded or normals
+    /// What the picture shows: shaded, normals, or cost (cells passed in red, triangles tested in green)
     #[arg(long, value_name = "VIEW", default_value = "shaded")]
     view: View,
 
@@ -142,6 +142,12 @@ struct Report {
     frame_cpu_ms: Vec<f64>,
     /// CPU time of all threads for shading the hits.
     shade_cpu_ms: Vec<f64>,
+    /// Cells that the primary rays of a frame pass when each is followed alone, and triangles that they are tested
+    /// against: all of them, and per ray.
+    cell_traversals: u64,
+    triangle_tests: u64,
+    cell_traversals_per_ray: f64,
+    triangle_tests_per_ray: f64,
 }
 
 /// Loads, builds, traces, and writes what was asked for.
@@ -199,6 +205,9 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         shade_cpu_ms.push(milliseconds(frame.shade(&scene, &request)));
     }
 
+    // Counting follows each ray alone, so it is done only for those who see the figures.
+    let cost_sum = if args.json { frame::cost_sum(&scene, &request) } else { frame::CostSum::default() };
+    let per_ray = |sum: u64| sum as f64 / f64::from(args.size.n_samples());
     let report = Report {
         triangles,
         vertices,
@@ -216,6 +225,10 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         frame_ms,
         frame_cpu_ms,
         shade_cpu_ms,
+        cell_traversals: cost_sum.n_cells,
+        triangle_tests: cost_sum.n_tests,
+        cell_traversals_per_ray: per_ray(cost_sum.n_cells),
+        triangle_tests_per_ray: per_ray(cost_sum.n_tests),
     };
     if let Some(path) = &args.image {
         image::write_png(path, args.size, &frame.rgb).with_context(|| cannot_write(path))?;

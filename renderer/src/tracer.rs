@@ -13,10 +13,9 @@ use shared::{
 
 use crate::{
     grid::{Grid, GridOptions, Packet, PacketScratch},
+    lighting::Lighting,
     mesh::Mesh,
     ray::Hit,
-    secondary::SecondaryRays,
-    shade::Shader,
     traced::TracedMesh,
 };
 
@@ -82,13 +81,8 @@ impl Scene {
     }
 
     /// What turns the hits of a frame into light.
-    pub fn shader(&self, request: &FrameRequest) -> Shader<'_> {
-        Shader::new(self.mesh(), &request.camera, request.size, request.view)
-    }
-
-    /// What finds the lights that reach the hits of a frame.
-    pub fn secondary_rays(&self, request: &FrameRequest) -> SecondaryRays<'_> {
-        SecondaryRays::new(&self.grid, request)
+    pub fn lighting(&self, request: &FrameRequest) -> Lighting<'_> {
+        Lighting::new(&self.grid, request)
     }
 
     /// Renders the share's units `units` (places in the share, not numbers in the frame), on the calling thread.
@@ -97,7 +91,7 @@ impl Scene {
     /// scene, request and sample, so several threads may render parts of one share.
     pub fn render(&self, request: &FrameRequest, share: &Share<'_>, units: Range<u32>, rgb: &mut Vec<u8>) {
         let rays = request.camera.rays(request.size);
-        let (shader, secondary) = (self.shader(request), self.secondary_rays(request));
+        let lighting = self.lighting(request);
         let mut scratch = PacketScratch::default();
         let samples = samples_of(share, units.clone());
         let first = rgb.len();
@@ -108,11 +102,8 @@ impl Scene {
             for index in 0..request.samples.count {
                 let sample = request.samples.first.wrapping_add(index);
                 let (directions, hits) = self.trace_block(&rays, block, sample, &mut scratch);
-                let reach = secondary.reach(block, sample, &directions, &hits, &mut scratch);
-                for (lane, &(i, j)) in block.iter().enumerate() {
-                    let (_, y) = sample_point(i, j, sample);
-                    lights[lane] += shader.light(directions[lane], hits[lane], y, &reach[lane]);
-                }
+                let of_sample = lighting.of_block(block, sample, &directions, &hits, &mut scratch);
+                lights.iter_mut().zip(of_sample).for_each(|(sum, light)| *sum += light);
             }
             for (light, place) in lights.iter().zip(places) {
                 pixels[place] = (*light / request.samples.count as f32).to_array().map(srgb::encode);

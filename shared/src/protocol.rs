@@ -18,7 +18,7 @@ use crate::{
 };
 
 /// The version of everything below; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 3;
+pub const PROTOCOL_VERSION: u8 = 4;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -62,17 +62,20 @@ pub enum View {
     Shaded,
     /// The geometric normals, as colours.
     Normals,
+    /// What each ray costs: cells passed in red, triangles tested in green.
+    Cost,
 }
 
 impl View {
     /// Every view, in the order in which a key steps through them.
-    pub const ALL: [Self; 2] = [Self::Shaded, Self::Normals];
+    pub const ALL: [Self; 3] = [Self::Shaded, Self::Normals, Self::Cost];
 
     /// The name on command lines and on screen.
     pub fn name(self) -> &'static str {
         match self {
             Self::Shaded => "shaded",
             Self::Normals => "normals",
+            Self::Cost => "cost",
         }
     }
 }
@@ -81,11 +84,10 @@ impl std::str::FromStr for View {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let names = || Self::ALL.map(Self::name).join(" or ");
         Self::ALL
             .into_iter()
             .find(|view| view.name() == text)
-            .ok_or_else(|| format!("\"{text}\" is no view: it is {}", names()))
+            .ok_or_else(|| format!("\"{text}\" is no view: it is shaded, normals or cost"))
     }
 }
 

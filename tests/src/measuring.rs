@@ -6,7 +6,9 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
+use compositor::gpu::Picture;
 use serde_json::Value;
+use shared::srgb;
 
 use crate::{farm::Files, process::Program};
 
@@ -123,4 +125,31 @@ fn a_wall_lights_its_picture_as_trace_does_whatever_the_rays() {
     hashes.sort_unstable();
     hashes.dedup();
     assert_eq!(hashes.len(), 3, "each has its own look");
+}
+
+#[test]
+fn the_cost_view_shows_what_the_counters_count() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    prepare(folder);
+    let trace = |size: &str| {
+        let mut trace = Program::command("renderer");
+        trace.args(["trace", "--model", "statue.ply", "--camera", "view.toml", "--view", "cost", "--json"]);
+        trace.args(["--image", "cost.png", "--size", size]).current_dir(folder);
+        let report = answers(&run(trace, "")).remove(0);
+        let count = |name: &str| report[name].as_u64().unwrap();
+        let counts = (count("cell_traversals"), count("triangle_tests"));
+        let per_ray = ["cell_traversals_per_ray", "triangle_tests_per_ray"].map(|name| report[name].as_f64().unwrap());
+        (counts, per_ray, Picture::read_png(&folder.join("cost.png")).unwrap())
+    };
+    // With one ray the picture is its cost.
+    let ((n_cells, n_tests), per_ray, picture) = trace("1x1");
+    let brightness = |count: u64, half: f32| srgb::encode(count as f32 / (count as f32 + half));
+    assert!(n_cells > 0 && n_tests > 0, "the ray through the middle meets the statue");
+    assert_eq!(picture.rgb, [brightness(n_cells, 64.0), brightness(n_tests, 256.0), 0]);
+    assert_eq!(per_ray, [n_cells as f64, n_tests as f64]);
+    let ((n_cells, n_tests), per_ray, picture) = trace("40x20");
+    assert_eq!(per_ray.map(|mean| (mean * 800.0).round() as u64), [n_cells, n_tests]);
+    let n_dark = picture.rgb.chunks(3).filter(|color| color == &[0; 3]).count();
+    assert!((1..800).contains(&n_dark), "{n_dark} rays cost nothing");
 }

@@ -121,7 +121,7 @@ impl Frame {
     /// Shades all hits; returns the CPU time of all threads.
     pub fn shade(&mut self, scene: &Scene, request: &FrameRequest) -> Duration {
         let rays = request.camera.rays(request.size);
-        let (shader, secondary) = (scene.shader(request), scene.secondary_rays(request));
+        let lighting = scene.lighting(request);
         let xres = request.size.xres() as usize;
         self.rgb.resize(3 * self.hits.len(), 0);
         let total = Mutex::new(Cost::default());
@@ -143,10 +143,9 @@ impl Frame {
                     directions[lane] = rays.direction(i, j);
                     of_tile[lane] = Hit { triangle: places[at((i, j))], t: hits[at((i, j))].t };
                 }
-                let reach = secondary.reach(&tile, 0, &directions, &of_tile, &mut scratch);
-                for (lane, &(i, j)) in tile.iter().enumerate() {
-                    let light = shader.light(directions[lane], of_tile[lane], j as f32 + 0.5, &reach[lane]);
-                    rgb[3 * at((i, j))..][..3].copy_from_slice(&light.to_array().map(srgb::encode));
+                let lights = lighting.of_block(&tile, 0, &directions, &of_tile, &mut scratch);
+                for (&sample, light) in tile.iter().zip(lights) {
+                    rgb[3 * at(sample)..][..3].copy_from_slice(&light.to_array().map(srgb::encode));
                 }
             }
             add(&total, Cost { cpu: start.elapsed(), ..Cost::default() });
@@ -167,6 +166,30 @@ impl Frame {
     pub fn n_hits(&self) -> usize {
         self.hits.iter().filter(|hit| !hit.is_miss()).count()
     }
+}
+
+/// What the primary rays of a frame cost when each is followed alone.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CostSum {
+    /// Cells that they pass.
+    pub n_cells: u64,
+    /// Triangles that they are tested against.
+    pub n_tests: u64,
+}
+
+/// Counts what the primary rays of a frame cost, on the threads of the rayon pool that this is called in.
+pub fn cost_sum(scene: &Scene, request: &FrameRequest) -> CostSum {
+    let rays = request.camera.rays(request.size);
+    let of_row = |j: u32| {
+        (0..request.size.xres()).fold(CostSum::default(), |sum, i| {
+            let cost = scene.grid().cost(&Ray::new(rays.eye, rays.direction(i, j)));
+            CostSum { n_cells: sum.n_cells + u64::from(cost.n_cells), n_tests: sum.n_tests + u64::from(cost.n_tests) }
+        })
+    };
+    (0..request.size.yres())
+        .into_par_iter()
+        .map(of_row)
+        .reduce(CostSum::default, |a, b| CostSum { n_cells: a.n_cells + b.n_cells, n_tests: a.n_tests + b.n_tests })
 }
 
 impl Cost {
