@@ -68,8 +68,9 @@ impl Mesh {
     /// The corners of a triangle, or `None` if it was rejected.
     #[inline]
     pub fn corners(&self, triangle: usize) -> Option<[[f32; 3]; 3]> {
-        let indices = self.triangles[triangle];
-        (indices != Self::REJECTED).then(|| indices.map(|index| self.vertices[index as usize]))
+        let [a, b, c] = self.triangles[triangle];
+        let vertex = |index: u32| self.vertices[index as usize];
+        ([a, b, c] != Self::REJECTED).then(|| [vertex(a), vertex(b), vertex(c)])
     }
 
     /// The bounds of all triangles that can be traced.

@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{
@@ -215,19 +215,21 @@ impl Builder<'_> {
             return None;
         }
         let scale = 1.0 / f64::from(cube.child_size());
-        let corner = DVec3::from_array(cube.corner.map(f64::from));
+        let mut counts = [0u32; 64];
+        let mut masks = Vec::with_capacity(references.len());
+        for &triangle in references {
+            let corners = self.scatter.corners(triangle).expect("a rejected triangle is in no brick");
+            let mask = overlap::children(&overlap::corners_in(&corners, cube.corner, scale), DILATION * scale);
+            let mut left = mask;
+            while left != 0 {
+                counts[left.trailing_zeros() as usize] += 1;
+                left &= left - 1;
+            }
+            masks.push(mask);
+        }
         let mut starts = [0; 65];
-        let masks: Vec<u64> = references
-            .iter()
-            .map(|&triangle| {
-                let corners = self.scatter.corners(triangle).expect("a rejected triangle is in no brick");
-                let mask = overlap::children(&corners.map(|c| (c - corner) * scale), DILATION * scale);
-                super::bits(mask).for_each(|child| starts[child as usize + 1] += 1);
-                mask
-            })
-            .collect();
         for child in 0..64 {
-            starts[child + 1] += starts[child];
+            starts[child + 1] = starts[child] + counts[child];
         }
         // A ray through the cube meets a child with probability 1/16 on average (the ratio of their surfaces), so
         // dividing saves tests only while the children hold less than 16 times as much; half of that pays the steps.
@@ -238,9 +240,12 @@ impl Builder<'_> {
         let mut next = starts;
         let mut distributed = vec![0; total];
         for (&triangle, &mask) in references.iter().zip(&masks) {
-            for child in super::bits(mask) {
-                distributed[next[child as usize] as usize] = triangle;
-                next[child as usize] += 1;
+            let mut left = mask;
+            while left != 0 {
+                let place = &mut next[left.trailing_zeros() as usize];
+                distributed[*place as usize] = triangle;
+                *place += 1;
+                left &= left - 1;
             }
         }
         Some(Plan { starts, references: distributed })
@@ -312,7 +317,7 @@ impl Cube {
     }
 
     fn child(&self, child: u32, plan: &Plan) -> Self {
-        let place = [child & 3, child >> 2 & 3, child >> 4];
+        let place = overlap::place(child);
         let share = plan.of(child).len() as u128 * self.most_references as u128 / plan.references.len() as u128;
         Self {
             corner: [0, 1, 2].map(|axis| self.corner[axis] + place[axis] * self.child_size()),

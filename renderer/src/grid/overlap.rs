@@ -9,97 +9,106 @@ use glam::DVec3;
 /// How far boxes are enlarged, in finest cells: much more than traversal's rounding, and of no weight for speed.
 pub(super) const DILATION: f64 = 1.0 / 8192.0;
 
-/// A triangle made ready to be tested against unit cubes whose corners are integers.
-struct TriangleOverlap {
-    normal: DVec3,
-    plane_low: f64,
-    plane_high: f64,
-    plane_slack: f64,
-    /// For each edge and each projection (y, z), (z, x), (x, y): the inward normal and the offset.
-    edges: [[EdgeFunction; 3]; 3],
-}
+/// The numbers of a node's children are sums of these: one for each step along x, y and z.
+const STRIDES: [u32; 3] = [1, 4, 16];
 
-#[derive(Clone, Copy)]
-struct EdgeFunction {
-    normal: [f64; 2],
-    offset: f64,
-}
-
-impl TriangleOverlap {
-    /// Corners in a space where the boxes are unit cubes within 0..span; `dilation` in the same unit.
-    #[inline]
-    fn new(corners: &[DVec3; 3], dilation: f64, span: f64) -> Self {
-        let [a, b, c] = *corners;
-        let edge_vectors = [b - a, c - b, a - c];
-        let normal = edge_vectors[0].cross(edge_vectors[1]);
-        let side = 1.0 + 2.0 * dilation;
-        let reach = edge_vectors.iter().map(|e| e.abs().max_element()).fold(2.0 * span, f64::max);
-        // What rounding can do to the sums below, for corners within reach.
-        let edge_slack = reach * reach * (16.0 * f64::EPSILON);
-        let plane_slack = edge_slack * reach;
-
-        // The cube's corner is p − dilation; the corners nearest and farthest along the normal bound its distances.
-        let at_corner = normal.dot(a + DVec3::splat(dilation));
-        let farther = side * (normal.x.max(0.0) + normal.y.max(0.0) + normal.z.max(0.0));
-        let nearer = side * (normal.x.min(0.0) + normal.y.min(0.0) + normal.z.min(0.0));
-
-        let edges = [0, 1, 2].map(|edge| {
-            [0, 1, 2].map(|axis| {
-                let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-                let sign = if normal[axis] < 0.0 { -1.0 } else { 1.0 };
-                let inward = [-edge_vectors[edge][v] * sign, edge_vectors[edge][u] * sign];
-                let from = corners[edge];
-                let at_corner = inward[0] * (from[u] + dilation) + inward[1] * (from[v] + dilation);
-                let reach_of_box = side * (inward[0].max(0.0) + inward[1].max(0.0));
-                EdgeFunction { normal: inward, offset: reach_of_box - at_corner + edge_slack }
-            })
-        });
-        Self { normal, plane_low: nearer - at_corner, plane_high: farther - at_corner, plane_slack, edges }
-    }
-
-    /// Whether the cube from (x, y, z) to (x + 1, y + 1, z + 1), enlarged, meets the triangle; within its bounds.
-    #[inline]
-    fn meets(&self, cube: [u32; 3]) -> bool {
-        let p = cube.map(f64::from);
-        let distance = self.normal.dot(DVec3::from_array(p));
-        if distance + self.plane_low > self.plane_slack || distance + self.plane_high < -self.plane_slack {
-            return false;
-        }
-        self.edges.iter().all(|projections| {
-            projections.iter().enumerate().all(|(axis, edge)| {
-                edge.normal[0] * p[(axis + 1) % 3] + edge.normal[1] * p[(axis + 2) % 3] + edge.offset >= 0.0
-            })
-        })
-    }
-}
+/// The four children of a row along x, y and z.
+const ROWS: [u64; 3] = [0xf, 0x1111, 0x0001_0001_0001_0001];
 
 /// The children of a node that a triangle touches, as a mask with bit 16·z + 4·y + x.
 ///
 /// Corners are in a space where the node spans 0..4 and its children are unit cubes.
+//
+// No closures here: they are not inlined, and this is where most of the time of a build goes.
 #[inline]
 pub(super) fn children(corners: &[DVec3; 3], dilation: f64) -> u64 {
     let [a, b, c] = *corners;
-    let low = a.min(b).min(c) - dilation;
-    let high = a.max(b).max(c) + dilation;
+    let (low, high) = (a.min(b).min(c) - dilation, a.max(b).max(c) + dilation);
     if low.max_element() > 4.0 || high.min_element() < 0.0 {
         return 0;
     }
-    let first = low.to_array().map(|x| x.clamp(0.0, 3.0) as u32);
-    let last = high.to_array().map(|x| x.clamp(0.0, 3.0) as u32);
-    if first == last {
-        return 1 << child(first);
+    let first = low.clamp(DVec3::ZERO, LAST).as_uvec3().to_array();
+    let last = high.clamp(DVec3::ZERO, LAST).as_uvec3().to_array();
+    let mut mask = block(first, last);
+    // Axes along which the triangle does not stay between two neighbouring planes.
+    let mut is_thick = [false; 3];
+    for axis in 0..3 {
+        is_thick[axis] = low[axis] < f64::from(first[axis]) || high[axis] > f64::from(first[axis] + 1);
     }
-    let triangle = TriangleOverlap::new(corners, dilation, 4.0);
-    let mut mask = 0;
-    for z in first[2]..=last[2] {
-        for y in first[1]..=last[1] {
-            for x in first[0]..=last[0] {
-                mask |= u64::from(triangle.meets([x, y, z])) << child([x, y, z]);
+    let n_thick = is_thick[0] as u32 + is_thick[1] as u32 + is_thick[2] as u32;
+    // A triangle in a row of cubes touches all from the first to the last.
+    if n_thick <= 1 {
+        return mask;
+    }
+
+    let edges = [b - a, c - b, a - c];
+    let normal = edges[0].cross(edges[1]);
+    let longest_edge = edges[0].abs().max(edges[1].abs()).max(edges[2].abs()).max_element();
+    let side = 1.0 + 2.0 * dilation;
+    // What rounding can do to the sums below, for corners within reach.
+    let reach = longest_edge.max(8.0);
+    let edge_slack = reach * reach * (16.0 * f64::EPSILON);
+
+    for axis in 0..3 {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        // In a layer of cubes only the view across it tells; in a row as seen from the side, all cubes are met.
+        if n_thick == 2 && is_thick[axis] {
+            continue;
+        }
+        // The inward normals of the edges as seen along the axis, and the distances of the cubes' inmost corners.
+        let sign = if normal[axis] < 0.0 { -1.0 } else { 1.0 };
+        let (mut along_u, mut along_v, mut offset) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+        for edge in 0..3 {
+            let (inward_u, inward_v) = (-edges[edge][v] * sign, edges[edge][u] * sign);
+            let from = corners[edge] + dilation;
+            let at_corner = inward_u * from[u] + inward_v * from[v];
+            let reach_of_cube = side * (inward_u.max(0.0) + inward_v.max(0.0));
+            (along_u[edge], along_v[edge]) = (inward_u, inward_v);
+            offset[edge] = reach_of_cube - at_corner + edge_slack;
+        }
+        let mut seen = 0;
+        for place_v in first[v]..=last[v] {
+            for place_u in first[u]..=last[u] {
+                let (x, y) = (f64::from(place_u), f64::from(place_v));
+                let met = (along_u[0] * x + along_v[0] * y + offset[0] >= 0.0)
+                    & (along_u[1] * x + along_v[1] * y + offset[1] >= 0.0)
+                    & (along_u[2] * x + along_v[2] * y + offset[2] >= 0.0);
+                seen |= (u64::from(met) * ROWS[axis]) << (place_u * STRIDES[u] + place_v * STRIDES[v]);
             }
         }
+        mask &= seen;
+    }
+    if n_thick == 2 {
+        return mask;
+    }
+
+    // The cube's corners nearest and farthest along the normal bound its distances from the plane.
+    let slack = edge_slack * reach;
+    let at_corner = normal.dot(a + dilation);
+    let farther = side * normal.max(DVec3::ZERO).element_sum() - at_corner + slack;
+    let nearer = side * normal.min(DVec3::ZERO).element_sum() - at_corner - slack;
+    let mut left = mask;
+    while left != 0 {
+        let child = left.trailing_zeros();
+        left &= left - 1;
+        let [x, y, z] = place(child);
+        let distance = normal.x * f64::from(x) + normal.y * f64::from(y) + normal.z * f64::from(z);
+        mask &= !(u64::from(distance + nearer > 0.0 || distance + farther < 0.0) << child);
     }
     mask
 }
+
+/// All children from one to another.
+#[inline]
+fn block(first: [u32; 3], last: [u32; 3]) -> u64 {
+    let along_x = (0xf << first[0]) & (0xf >> (3 - last[0]));
+    let along_y = (0xffff << (4 * first[1])) & (0xffff >> (4 * (3 - last[1])));
+    let along_z = (u64::MAX << (16 * first[2])) & (u64::MAX >> (16 * (3 - last[2])));
+    (along_x * 0x1111_1111_1111_1111) & (along_y * ROWS[2]) & along_z
+}
+
+/// The place of a node's last child.
+const LAST: DVec3 = DVec3::splat(3.0);
 
 /// The number of a child by its place.
 #[inline]
@@ -107,39 +116,37 @@ pub(super) fn child([x, y, z]: [u32; 3]) -> u32 {
     z << 4 | y << 2 | x
 }
 
+/// The place of a child by its number.
+#[inline]
+pub(super) fn place(child: u32) -> [u32; 3] {
+    [child & 3, child >> 2 & 3, child >> 4]
+}
+
+/// Corners in a space whose origin lies at `corner`, scaled.
+#[inline]
+pub(super) fn corners_in(corners: &[DVec3; 3], corner: [u32; 3], scale: f64) -> [DVec3; 3] {
+    let corner = DVec3::new(f64::from(corner[0]), f64::from(corner[1]), f64::from(corner[2]));
+    [(corners[0] - corner) * scale, (corners[1] - corner) * scale, (corners[2] - corner) * scale]
+}
+
 /// Calls `visit` with every unit cube within 0..dims that the triangle touches.
 #[inline]
 pub(super) fn for_each_cube(corners: &[DVec3; 3], dilation: f64, dims: [u32; 3], mut visit: impl FnMut([u32; 3])) {
     let [a, b, c] = *corners;
-    let low = a.min(b).min(c) - dilation;
-    let high = a.max(b).max(c) + dilation;
-    let clamp = |x: f64, axis: usize| x.clamp(0.0, f64::from(dims[axis] - 1)) as u32;
-    let first = [0, 1, 2].map(|axis| clamp(low[axis], axis));
-    let last = [0, 1, 2].map(|axis| clamp(high[axis], axis));
+    let end = DVec3::new(f64::from(dims[0] - 1), f64::from(dims[1] - 1), f64::from(dims[2] - 1));
+    let low = (a.min(b).min(c) - dilation).clamp(DVec3::ZERO, end);
+    let high = (a.max(b).max(c) + dilation).clamp(DVec3::ZERO, end);
+    let (first, last) = (low.as_uvec3().to_array(), high.as_uvec3().to_array());
     if first == last {
         return visit(first);
     }
-    let size = [0, 1, 2].map(|axis| last[axis] - first[axis] + 1);
-    let longest = size[0].max(size[1]).max(size[2]);
-    if longest > 4 {
-        // Blocks of 4×4×4 cubes, and blocks of those, so that space beside a large triangle is left out at once.
-        let block = 4u32.pow((longest - 1).ilog(4));
-        return descend(corners, dilation, first, block, last, &mut visit);
-    }
-    let corner = DVec3::from_array(first.map(f64::from));
-    let triangle = TriangleOverlap::new(&corners.map(|c| c - corner), dilation, 4.0);
-    for z in 0..size[2] {
-        for y in 0..size[1] {
-            for x in 0..size[0] {
-                if triangle.meets([x, y, z]) {
-                    visit([first[0] + x, first[1] + y, first[2] + z]);
-                }
-            }
-        }
-    }
+    // Blocks of 4×4×4 cubes, and blocks of those, so that space beside a large triangle is left out at once.
+    let longest = (last[0] - first[0]).max(last[1] - first[1]).max(last[2] - first[2]);
+    descend(corners, dilation, first, 4u32.pow(longest.ilog(4)), last, &mut visit);
 }
 
 /// Visits the unit cubes from `first` to `last` that lie in the 4×4×4 blocks at `first`, each of `block`³ cubes.
+#[inline]
 fn descend(
     corners: &[DVec3; 3],
     dilation: f64,
@@ -148,12 +155,13 @@ fn descend(
     last: [u32; 3],
     visit: &mut impl FnMut([u32; 3]),
 ) {
-    let corner = DVec3::from_array(first.map(f64::from));
     let scale = 1.0 / f64::from(block);
-    for child in super::bits(children(&corners.map(|c| (c - corner) * scale), dilation * scale)) {
-        let place = [child & 3, child >> 2 & 3, child >> 4];
-        let low = [0, 1, 2].map(|axis| first[axis] + place[axis] * block);
-        if (0..3).any(|axis| low[axis] > last[axis]) {
+    let mut left = children(&corners_in(corners, first, scale), dilation * scale);
+    while left != 0 {
+        let [x, y, z] = place(left.trailing_zeros());
+        left &= left - 1;
+        let low = [first[0] + x * block, first[1] + y * block, first[2] + z * block];
+        if low[0] > last[0] || low[1] > last[1] || low[2] > last[2] {
             continue;
         }
         if block == 1 {

@@ -33,8 +33,12 @@ impl Scatter<'_> {
     /// No ray hits the latter, and a polygon can have millions of these in one place, where nothing would tell them apart.
     #[inline]
     pub(super) fn corners(&self, triangle: u32) -> Option<[DVec3; 3]> {
-        let corners = self.mesh.corners(triangle as usize).filter(|[a, b, c]| a != b && b != c && c != a)?;
-        Some(corners.map(|corner| self.space.point(Vec3::from_array(corner).as_dvec3())))
+        let [a, b, c] = self.mesh.corners(triangle as usize)?;
+        if a == b || b == c || c == a {
+            return None;
+        }
+        let point = |corner| self.space.point(Vec3::from_array(corner).as_dvec3());
+        Some([point(a), point(b), point(c)])
     }
 
     /// Calls `visit` with the cube and the triangle of every pair that touches, in parallel and in any order.
@@ -48,10 +52,15 @@ impl Scatter<'_> {
             let mut n_pairs = 0;
             for triangle in (task * TRIANGLES_PER_TASK) as u32..end as u32 {
                 let Some(corners) = self.corners(triangle) else { continue };
-                overlap::for_each_cube(&corners.map(|c| c * scale), DILATION * scale, self.dims, |cube| {
-                    n_pairs += 1;
-                    visit(cube, triangle);
-                });
+                overlap::for_each_cube(
+                    &overlap::corners_in(&corners, [0; 3], scale),
+                    DILATION * scale,
+                    self.dims,
+                    |cube| {
+                        n_pairs += 1;
+                        visit(cube, triangle);
+                    },
+                );
                 if n_pairs > PAIRS_PER_REPORT {
                     if total.fetch_add(n_pairs, Relaxed) > most {
                         return false;
