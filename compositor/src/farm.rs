@@ -24,6 +24,7 @@ use tokio::{
     sync::{Notify, watch},
 };
 
+pub use self::frame_buffer::Samples;
 use crate::stats::{FarmStatus, FrameStats};
 
 /// What the wall wants to see: always the latest, whatever was wanted before.
@@ -50,8 +51,8 @@ pub struct Wanted {
 pub struct Frame {
     /// What it shows.
     pub picture: Picture,
-    /// Samples as red, green, blue, 255 in memory order, row by row, the bottom row first.
-    pub rgba: Vec<u32>,
+    /// Its samples.
+    pub rgba: Samples,
     /// How it came about.
     pub stats: FrameStats,
     /// When its camera was set.

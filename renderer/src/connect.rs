@@ -16,6 +16,7 @@ use tokio::{
 };
 
 use crate::{
+    canned::Canned,
     key::{Key, making_line},
     scene_args::SceneArgs,
     session::{self, SessionEnd},
@@ -55,6 +56,12 @@ pub struct ConnectArgs {
     /// How scenes are made ready
     #[command(flatten)]
     pub scene: SceneArgs,
+    /// Measure the wall, not rendering: answer at once with noise, whatever the scene
+    #[arg(long, conflicts_with_all = ["model", "replay"])]
+    pub blank: bool,
+    /// Measure the wall, not rendering: answer at once with this picture, whatever the scene
+    #[arg(long, value_name = "FILE.png", conflicts_with = "model")]
+    pub replay: Option<PathBuf>,
     /// Started by a wall on its own machine: read the files that it names, and end when it ends
     #[arg(long, hide = true)]
     pub local: bool,
@@ -77,14 +84,18 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         .thread_name(|index| format!("trace-{index}"))
         .build()
         .context("the tracing threads do not start")?;
-    let stage = Stage::start(Arc::new(pool), args.model, args.scene.options(), args.local)?;
-    let runtime = tokio::runtime::Builder::new_multi_thread()
-        // One thread reads, writes and keeps the heart beating; it is never one that traces.
-        .worker_threads(1)
-        .thread_name("network")
+    let pool = Arc::new(pool);
+    let stage = match &args.replay {
+        Some(picture) => Stage::canned(pool, Canned::read(picture)?),
+        None if args.blank => Stage::canned(pool, Canned::noise()),
+        None => Stage::start(pool, args.model, args.scene.options(), args.local)?,
+    };
+    // This thread reads, writes and keeps the heart beating; it is never one that traces.
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .thread_name("work")
         .enable_all()
         .build()
-        .context("the network thread does not start")?;
+        .context("the network does not start")?;
     runtime.block_on(async {
         tokio::select! {
             ended = keep_connected(&args.wall, &trust, &name, &stage) => ended,

@@ -6,6 +6,7 @@
 //! for a block of samples. [`connect`], [`trace`], [`generate`] and [`key`] are the commands of [`cli`], with
 //! [`scene_args`]; [`wire`] and [`secure`] are how a render server talks.
 
+mod canned;
 pub mod cli;
 pub mod connect;
 mod exact;

@@ -36,8 +36,8 @@ const LONGEST_QUEUE: usize = 64;
 /// Works that a wall may ask for before the first is done: its own share, and parts of those of many lost ones.
 const MOST_WORKS: usize = 256;
 
-/// Bytes that are written in one go.
-const BATCH_BYTES: usize = 256 * 1024;
+/// Messages that are written before it is looked whether the heart must beat.
+const LONGEST_BATCH: usize = 16;
 
 /// How a conversation ended.
 #[derive(Debug)]
@@ -126,9 +126,17 @@ async fn shake_hands(
     }
 }
 
+/// An encoded message on its way to the wall.
+#[derive(Debug)]
+pub(crate) struct Outgoing {
+    pub(crate) bytes: Vec<u8>,
+    /// Set when the wall no longer wants it.
+    pub(crate) cancelled: Option<Arc<AtomicBool>>,
+}
+
 struct Conversation<'a> {
     stage: &'a Stage,
-    outbox: mpsc::Sender<Vec<u8>>,
+    outbox: mpsc::Sender<Outgoing>,
     jobs: mpsc::UnboundedSender<Job>,
     /// Works given and perhaps not finished, with their switches.
     unfinished: Vec<(FrameId, Arc<AtomicBool>)>,
@@ -144,7 +152,7 @@ impl Conversation<'_> {
             match message {
                 ToServer::LoadScene { scene, path } => self.stage.order(scene, path),
                 ToServer::RenderFrame { frame, work_id, picture, work } => {
-                    let Some(scene) = self.stage.scene(picture.scene) else {
+                    let Some(subject) = self.stage.subject(picture.scene) else {
                         // The wall has moved on to another scene, and back; it hears when this one is ready.
                         let reason = format!("it does not have {} any more", picture.scene);
                         let state = SceneState::Missing { reason };
@@ -157,7 +165,7 @@ impl Conversation<'_> {
                         return Err(SessionError::TooMuchWork);
                     }
                     self.unfinished.push((frame, Arc::clone(&cancelled)));
-                    let job = Job { frame, work_id, picture, work, scene, cancelled, received_at: Instant::now() };
+                    let job = Job { frame, work_id, picture, work, subject, cancelled, received_at: Instant::now() };
                     // The worker lives as long as this conversation.
                     let _ = self.jobs.send(job);
                 }
@@ -175,13 +183,13 @@ impl Conversation<'_> {
 
     async fn say(&self, message: &ToWall) {
         // A writer that has ended ends the conversation.
-        let _ = self.outbox.send(encoded(message)).await;
+        let _ = self.outbox.send(Outgoing { bytes: encoded(message), cancelled: None }).await;
     }
 }
 
 async fn conversation_writer(
     writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
-    mut outgoing: mpsc::Receiver<Vec<u8>>,
+    mut outgoing: mpsc::Receiver<Outgoing>,
     stage: &Stage,
 ) -> Result<(), SessionError> {
     let mut progressed = stage.progressed();
@@ -189,20 +197,26 @@ async fn conversation_writer(
     let mut heartbeat = interval(HEARTBEAT_INTERVAL);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
-        tokio::select! {
-            Some(message) = outgoing.recv() => writer.push_encoded(&message),
+        let first = tokio::select! {
+            Some(message) = outgoing.recv() => Some(message),
             Ok(()) = progressed.changed() => {
                 let progressed = progressed.borrow_and_update().clone();
                 if let Some((scene, state)) = progressed {
                     writer.push_encoded(&encoded(&ToWall::SceneState { scene, state }));
                 }
+                None
             }
-            _ = heartbeat.tick() => writer.push_encoded(&encoded(&ToWall::Heartbeat)),
-        }
-        while writer.n_queued() < BATCH_BYTES
-            && let Ok(message) = outgoing.try_recv()
-        {
-            writer.push_encoded(&message);
+            _ = heartbeat.tick() => {
+                writer.push_encoded(&encoded(&ToWall::Heartbeat));
+                None
+            }
+        };
+        let more = std::iter::from_fn(|| outgoing.try_recv().ok()).take(LONGEST_BATCH);
+        for Outgoing { bytes, cancelled } in first.into_iter().chain(more) {
+            // A link that is slow is not kept busy with what nobody wants.
+            if cancelled.is_none_or(|cancelled| !cancelled.load(Relaxed)) {
+                writer.write_encoded(&bytes).await.map_err(WireError::from)?;
+            }
         }
         writer.flush().await.map_err(WireError::from)?;
     }

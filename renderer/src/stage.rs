@@ -11,6 +11,7 @@ use shared::{protocol::SceneState, scene::SceneId};
 use tokio::sync::watch;
 
 use crate::{
+    canned::Canned,
     path_bytes,
     progress::Progress,
     scene::{self, SceneSource},
@@ -45,12 +46,22 @@ impl AtHand {
 /// How far the stage is with the scene last asked for.
 pub(crate) type Progressed = Option<(SceneId, SceneState)>;
 
-/// A render server's scene and the thread that loads it.
+/// What frames show.
+#[derive(Clone)]
+pub(crate) enum Subject {
+    /// A scene, traced.
+    Scene(Arc<Scene>),
+    /// A picture, whatever scene the wall asks for.
+    Canned(Arc<Canned>),
+}
+
+/// A render server's scene and the thread that loads it; or a picture in place of all scenes.
 pub(crate) struct Stage {
     pool: Arc<ThreadPool>,
+    canned: Option<Arc<Canned>>,
     at_hand: AtHand,
     orders: mpsc::Sender<Order>,
-    progressed: watch::Receiver<Progressed>,
+    progress: watch::Sender<Progressed>,
 }
 
 impl Stage {
@@ -64,15 +75,28 @@ impl Stage {
         trusts_paths: bool,
     ) -> anyhow::Result<Self> {
         let (orders, inbox) = mpsc::channel();
-        let (progress, progressed) = watch::channel(None);
+        let (progress, _) = watch::channel(None);
         let at_hand = AtHand::default();
-        let loader =
-            Loader { pool: Arc::clone(&pool), at_hand: at_hand.clone(), model, options, trusts_paths, progress };
+        let loader = Loader {
+            pool: Arc::clone(&pool),
+            at_hand: at_hand.clone(),
+            model,
+            options,
+            trusts_paths,
+            progress: progress.clone(),
+        };
         std::thread::Builder::new()
             .name("load".to_owned())
             .spawn(move || loader.run(&inbox))
             .context("the loading thread does not start")?;
-        Ok(Self { pool, at_hand, orders, progressed })
+        Ok(Self { pool, canned: None, at_hand, orders, progress })
+    }
+
+    /// A stage that shows this picture, whatever it is asked for; nothing is loaded.
+    pub(crate) fn canned(pool: Arc<ThreadPool>, canned: Canned) -> Self {
+        let (orders, _) = mpsc::channel();
+        let (progress, _) = watch::channel(None);
+        Self { pool, canned: Some(Arc::new(canned)), at_hand: AtHand::default(), orders, progress }
     }
 
     /// The threads that trace.
@@ -80,20 +104,28 @@ impl Stage {
         &self.pool
     }
 
-    /// The scene, if it is the one at hand.
-    pub(crate) fn scene(&self, id: SceneId) -> Option<Arc<Scene>> {
-        self.at_hand.get(id)
+    /// What frames of a scene show, if it is the one at hand.
+    pub(crate) fn subject(&self, id: SceneId) -> Option<Subject> {
+        match &self.canned {
+            Some(canned) => Some(Subject::Canned(Arc::clone(canned))),
+            None => self.at_hand.get(id).map(Subject::Scene),
+        }
     }
 
     /// Gets another scene ready.
     pub(crate) fn order(&self, scene: SceneId, path: Option<Vec<u8>>) {
+        if let Some(canned) = &self.canned {
+            let state = SceneState::Ready { triangles: 0, bytes: canned.n_bytes() as u64 };
+            self.progress.send_replace(Some((scene, state)));
+            return;
+        }
         // The loading thread ends only with the stage.
         let _ = self.orders.send(Order { scene, path: path.map(path_bytes::from_bytes) });
     }
 
     /// Follows the loading.
     pub(crate) fn progressed(&self) -> watch::Receiver<Progressed> {
-        self.progressed.clone()
+        self.progress.subscribe()
     }
 }
 

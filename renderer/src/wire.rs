@@ -49,6 +49,9 @@ pub enum Incoming<'a, M> {
 pub struct MessageReader<S, M> {
     stream: S,
     body: Vec<u8>,
+    /// What came of the next message's header.
+    ahead: [u8; HEADER_BYTES],
+    n_ahead: usize,
     control_limit: usize,
     silence: Duration,
     message: PhantomData<M>,
@@ -58,7 +61,15 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
     /// Reads from `stream`, for a start within the limits for strangers; a peer that sends no byte for `silence` is an
     /// error.
     pub fn new(stream: S, silence: Duration) -> Self {
-        Self { stream, body: Vec::new(), control_limit: HANDSHAKE_LIMIT, silence, message: PhantomData }
+        Self {
+            stream,
+            body: Vec::new(),
+            ahead: [0; HEADER_BYTES],
+            n_ahead: 0,
+            control_limit: HANDSHAKE_LIMIT,
+            silence,
+            message: PhantomData,
+        }
     }
 
     /// The peer has shaken hands: it may send messages of full size, and must not fall silent for `silence`.
@@ -87,21 +98,32 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
 
     /// Reads the next message; `None` when the peer has closed the stream between two messages.
     pub async fn read(&mut self) -> Result<Option<Incoming<'_, M>>, WireError> {
-        let mut header = [0; HEADER_BYTES];
-        let n_read = self.read_some(&mut header).await?;
+        let mut header = self.ahead;
+        let mut n_read = std::mem::take(&mut self.n_ahead);
         if n_read == 0 {
-            return Ok(None);
+            n_read = self.read_some(&mut header).await?;
+            if n_read == 0 {
+                return Ok(None);
+            }
         }
         self.fill(&mut header[n_read..]).await?;
         let Header { kind, n_bytes } = Header::parse(header, self.control_limit)?;
         let mut body = std::mem::take(&mut self.body);
-        body.resize(n_bytes, 0);
-        self.fill(&mut body).await?;
+        // Never shorter again, so that nothing is cleared only to be read over.
+        body.resize(body.len().max(n_bytes + HEADER_BYTES), 0);
+        self.n_ahead = self.fill_and_more(&mut body[..n_bytes + HEADER_BYTES], n_bytes).await?;
+        self.ahead.copy_from_slice(&body[n_bytes..n_bytes + HEADER_BYTES]);
         self.body = body;
+        let body = &self.body[..n_bytes];
         Ok(Some(match kind {
-            Kind::Control => Incoming::Control(codec::decode(&self.body)?),
-            Kind::Samples => Incoming::Samples(Chunk::decode(&self.body)?),
+            Kind::Control => Incoming::Control(codec::decode(body)?),
+            Kind::Samples => Incoming::Samples(Chunk::decode(body)?),
         }))
+    }
+
+    /// Whether the beginning of the next message has come already.
+    pub fn has_more(&self) -> bool {
+        self.n_ahead > 0
     }
 
     /// Fills `bytes`, however slowly they come: only silence is an error.
@@ -109,11 +131,24 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
         while !bytes.is_empty() {
             let n_read = self.read_some(bytes).await?;
             if n_read == 0 {
-                return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the connection closed in mid-message").into());
+                return Err(cut());
             }
             bytes = &mut bytes[n_read..];
         }
         Ok(())
+    }
+
+    /// Fills the first `n_needed` bytes and, where more have come, those behind; says how many of those.
+    async fn fill_and_more(&mut self, bytes: &mut [u8], n_needed: usize) -> Result<usize, WireError> {
+        let mut n_filled = 0;
+        while n_filled < n_needed {
+            let n_read = self.read_some(&mut bytes[n_filled..]).await?;
+            if n_read == 0 {
+                return Err(cut());
+            }
+            n_filled += n_read;
+        }
+        Ok(n_filled - n_needed)
     }
 
     async fn read_some(&mut self, bytes: &mut [u8]) -> Result<usize, WireError> {
@@ -121,6 +156,13 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
         Ok(timeout(self.silence, self.stream.read(bytes)).await.map_err(silent)??)
     }
 }
+
+fn cut() -> WireError {
+    io::Error::new(io::ErrorKind::UnexpectedEof, "the connection closed in mid-message").into()
+}
+
+/// A message of so many bytes is given to the system at once: copying it behind others would cost as much.
+const WORTH_A_CALL: usize = 8 * 1024;
 
 /// Writes messages.
 #[derive(Debug)]
@@ -145,9 +187,15 @@ impl<S: AsyncWrite + Unpin> MessageWriter<S> {
         self.out.extend_from_slice(bytes);
     }
 
-    /// Bytes queued and not yet sent.
-    pub fn n_queued(&self) -> usize {
-        self.out.len()
+    /// Queues a message that is already encoded if it is short, and else sends it behind what is queued, without copying it.
+    pub async fn write_encoded(&mut self, bytes: &[u8]) -> io::Result<()> {
+        if bytes.len() < WORTH_A_CALL {
+            self.push_encoded(bytes);
+            return Ok(());
+        }
+        self.stream.write_all(&self.out).await?;
+        self.out.clear();
+        self.stream.write_all(bytes).await
     }
 
     /// Sends what is queued, and says how many bytes that was.

@@ -1,6 +1,7 @@
 //! Works off the shares that a wall asks for: one at a time, each by all tracing threads, samples sent as they are done.
 
 use std::{
+    ops::Range,
     sync::{
         Arc,
         atomic::{AtomicBool, AtomicU64, Ordering::Relaxed},
@@ -17,7 +18,12 @@ use shared::{
 };
 use tokio::sync::mpsc;
 
-use crate::tracer::{FrameRequest, Scene};
+use crate::{
+    canned::Canned,
+    session::Outgoing,
+    stage::Subject,
+    tracer::{FrameRequest, Scene},
+};
 
 /// Blocks of a share for each thread: enough that the threads end together.
 const BLOCKS_PER_THREAD: u32 = 8;
@@ -31,14 +37,14 @@ pub(crate) struct Job {
     pub(crate) work_id: WorkId,
     pub(crate) picture: Picture,
     pub(crate) work: Work,
-    pub(crate) scene: Arc<Scene>,
+    pub(crate) subject: Subject,
     /// Set when nobody wants the answer any more.
     pub(crate) cancelled: Arc<AtomicBool>,
     pub(crate) received_at: Instant,
 }
 
 /// Works off jobs in order until no more can come.
-pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, outbox: &mpsc::Sender<Vec<u8>>) {
+pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, outbox: &mpsc::Sender<Outgoing>) {
     while let Some(job) = jobs.blocking_recv() {
         let share = match job.work.share(job.picture.size) {
             Ok(share) => share,
@@ -47,19 +53,22 @@ pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, out
                 continue;
             }
         };
-        let (timings, costs) = pool.install(|| job.render(&share, outbox));
+        let (timings, costs) = match &job.subject {
+            Subject::Scene(scene) => pool.install(|| job.render(scene, &share, outbox)),
+            Subject::Canned(canned) => job.replay(canned, &share, outbox),
+        };
         if !job.cancelled.load(Relaxed) {
             let done = ToWall::WorkDone { frame: job.frame, work_id: job.work_id, timings, costs };
             let mut bytes = Vec::new();
             codec::encode(&done, &mut bytes).expect("timings and costs are short");
             // Without a writer the conversation is over, and so are its jobs.
-            let _ = outbox.blocking_send(bytes);
+            let _ = outbox.blocking_send(Outgoing { bytes, cancelled: Some(job.cancelled) });
         }
     }
 }
 
 impl Job {
-    fn render(&self, share: &Share<'_>, outbox: &mpsc::Sender<Vec<u8>>) -> (WorkTimings, BlockCosts) {
+    fn render(&self, scene: &Scene, share: &Share<'_>, outbox: &mpsc::Sender<Outgoing>) -> (WorkTimings, BlockCosts) {
         let started_at = Instant::now();
         let (cpu_us, send_us) = (AtomicU64::new(0), AtomicU64::new(0));
         let Picture { camera, size, view, rays, samples, .. } = self.picture;
@@ -78,7 +87,7 @@ impl Job {
             let mut measured_until = cpu_started;
             for first in units.clone().step_by(n_per_cost as usize) {
                 let measured = first..(first + n_per_cost).min(units.end);
-                self.scene.render(&request, share, measured, &mut rgb);
+                scene.render(&request, share, measured, &mut rgb);
                 if share.is_on_curve() {
                     let now = ThreadTime::now();
                     let cpu = now.duration_since(measured_until);
@@ -86,20 +95,10 @@ impl Job {
                     measured_until = now;
                 }
             }
-            let chunk = Chunk {
-                frame: self.frame,
-                work_id: self.work_id,
-                first_unit: units.start,
-                n_units: units.len() as u32,
-                rgb: &rgb,
-            };
-            let mut message = Vec::with_capacity(HEADER_BYTES + CHUNK_HEADER_BYTES + rgb.len());
-            chunk.encode(&mut message);
+            let message = self.chunk(units, &rgb);
             cpu_us.fetch_add(cpu_started.elapsed().as_micros() as u64, Relaxed);
             let sending_since = Instant::now();
-            if outbox.blocking_send(message).is_err() {
-                self.cancelled.store(true, Relaxed);
-            }
+            self.send(message, outbox);
             send_us.fetch_add(sending_since.elapsed().as_micros() as u64, Relaxed);
             costs
         });
@@ -111,6 +110,34 @@ impl Job {
             send_us: u32::try_from(send_us.into_inner()).unwrap_or(u32::MAX),
         };
         (timings, BlockCosts { block_units: n_per_cost, cpu_ns })
+    }
+
+    /// Sends a picture's samples in place of traced ones.
+    fn replay(&self, canned: &Canned, share: &Share<'_>, outbox: &mpsc::Sender<Outgoing>) -> (WorkTimings, BlockCosts) {
+        let started_at = Instant::now();
+        for chunk in &*canned.chunks(&self.work, share) {
+            if self.cancelled.load(Relaxed) {
+                break;
+            }
+            self.send(self.chunk(chunk.units.clone(), &chunk.rgb), outbox);
+        }
+        let queued_us = microseconds(started_at - self.received_at);
+        (WorkTimings { queued_us, ..WorkTimings::default() }, BlockCosts::default())
+    }
+
+    fn chunk(&self, units: Range<u32>, rgb: &[u8]) -> Vec<u8> {
+        let Self { frame, work_id, .. } = *self;
+        let chunk = Chunk { frame, work_id, first_unit: units.start, n_units: units.len() as u32, rgb };
+        let mut message = Vec::with_capacity(HEADER_BYTES + CHUNK_HEADER_BYTES + rgb.len());
+        chunk.encode(&mut message);
+        message
+    }
+
+    fn send(&self, bytes: Vec<u8>, outbox: &mpsc::Sender<Outgoing>) {
+        // Without a writer the conversation is over.
+        if outbox.blocking_send(Outgoing { bytes, cancelled: Some(Arc::clone(&self.cancelled)) }).is_err() {
+            self.cancelled.store(true, Relaxed);
+        }
     }
 }
 

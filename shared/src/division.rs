@@ -121,6 +121,7 @@ impl Units {
     ///
     /// Within a unit samples are ordered row by row from the bottom left; tiles at the right and upper edge are cut off
     /// by the frame.
+    #[inline]
     pub fn samples(self, unit: u32) -> UnitSamples {
         let (xres, yres) = self.size.into();
         let x_tiles = self.size.x_tiles();
@@ -145,6 +146,7 @@ pub struct UnitSamples {
 
 impl UnitSamples {
     /// How many samples.
+    #[inline]
     pub fn count(&self) -> u32 {
         self.columns.len() as u32 * self.rows.len() as u32
     }

@@ -229,6 +229,18 @@ fn a_newcomer_gets_work() {
 }
 
 #[test]
+fn a_picture_can_be_replayed_in_place_of_tracing() {
+    let mut wall = RunningWall::start();
+    let picture = wall.files.path("traced.png");
+    let replay = ["--replay", picture.to_str().unwrap()];
+    let _first = RunningWall::join_at(&wall.address, "first", &replay);
+    let _second = RunningWall::join_at(&wall.address, "second", &replay);
+    wall.wait_for_ready(2);
+    wall.wait_for_frames(10);
+    wall.end();
+}
+
+#[test]
 fn a_wall_that_restarts_finds_its_renderers_again() {
     let mut wall = RunningWall::start();
     let mut renderer = wall.join("faithful");

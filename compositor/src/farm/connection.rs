@@ -234,16 +234,63 @@ async fn receive(
     reporter: &Reporter,
     started_at: Instant,
 ) -> Result<(), ConnectionError> {
-    while let Some(incoming) = reader.read().await? {
+    let mut placed = PlacedRun::default();
+    let received = receive_until_end(reader, desk, reporter, started_at, &mut placed).await;
+    // What is in its place need not be rendered again, even if this was the last that came.
+    placed.report(reporter).await;
+    received
+}
+
+/// Units that were placed one chunk after the other, and not yet reported: the farm hears of what comes together at once.
+#[derive(Debug, Default)]
+struct PlacedRun(Option<(FrameId, WorkId, Placed)>);
+
+impl PlacedRun {
+    async fn add(&mut self, frame: FrameId, work_id: WorkId, units: Placed, reporter: &Reporter) {
+        match &mut self.0 {
+            Some((of_frame, of_work, run))
+                if (*of_frame, *of_work, run.first + run.count) == (frame, work_id, units.first) =>
+            {
+                run.count += units.count;
+                run.n_bytes += units.n_bytes;
+                run.place_time += units.place_time;
+            }
+            _ => {
+                self.report(reporter).await;
+                self.0 = Some((frame, work_id, units));
+            }
+        }
+    }
+
+    async fn report(&mut self, reporter: &Reporter) {
+        if let Some((frame, work_id, units)) = self.0.take() {
+            reporter.send(Report::Placed { frame, work_id, units }).await;
+        }
+    }
+}
+
+async fn receive_until_end(
+    reader: &mut MessageReader<impl AsyncRead + Unpin, ToWall>,
+    desk: &Desk,
+    reporter: &Reporter,
+    started_at: Instant,
+    placed: &mut PlacedRun,
+) -> Result<(), ConnectionError> {
+    loop {
+        if !reader.has_more() {
+            placed.report(reporter).await;
+        }
+        let Some(incoming) = reader.read().await? else { return Ok(()) };
         match incoming {
             Incoming::Samples(chunk) => {
                 let (frame, work_id) = (chunk.frame, chunk.work_id);
                 if let Some(units) = desk.place(chunk)? {
-                    reporter.send(Report::Placed { frame, work_id, units }).await;
+                    placed.add(frame, work_id, units, reporter).await;
                 }
             }
             Incoming::Control(ToWall::WorkDone { frame, work_id, timings, costs }) => {
                 if desk.finish(frame, work_id, &costs)? {
+                    placed.report(reporter).await;
                     reporter.send(Report::WorkDone { frame, work_id, timings, costs }).await;
                 }
             }
@@ -258,7 +305,6 @@ async fn receive(
             Incoming::Control(ToWall::Hello { .. }) => return Err(ConnectionError::OutOfTurn),
         }
     }
-    Ok(())
 }
 
 async fn transmit(
@@ -288,12 +334,13 @@ mod tests {
     use shared::division::{Division, FrameSize};
 
     use super::*;
+    use crate::farm::frame_buffer::SpareBuffers;
 
     #[test]
     fn a_work_is_finished_by_all_its_samples_and_costs_that_fit_it() {
         let (frame, work_id, size) = (FrameId(1), WorkId(2), FrameSize::new(32, 8).unwrap());
         let finish_with = |chunks: &[(u32, u32)], costs: &BlockCosts| {
-            let (work, buffer) = (Division::Dynamic.work(0, 1), Arc::new(FrameBuffer::new(size)));
+            let (work, buffer) = (Division::Dynamic.work(0, 1), Arc::new(SpareBuffers::default().take(size)));
             let desk = Desk::default();
             desk.put(work_id, Assignment::new(frame, work, buffer));
             for &(first_unit, n_units) in chunks {

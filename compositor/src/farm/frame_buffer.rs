@@ -1,11 +1,59 @@
 //! The samples of one frame, put in place by many threads at once.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicU32, Ordering::Relaxed},
+use std::{
+    ops::{Deref, Range},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicU32, Ordering::Relaxed},
+    },
 };
 
-use shared::division::{FrameSize, Share};
+use shared::division::{FrameSize, Share, TILE_SIZE};
+
+/// Buffers that wait for their next frame: the system takes longer to find and clear memory than samples take to arrive.
+#[derive(Clone, Debug, Default)]
+pub(super) struct SpareBuffers(Arc<Mutex<Vec<Vec<u32>>>>);
+
+/// Frames in flight, one that waits, one that is shown, and one more.
+const MOST_SPARE: usize = 6;
+
+impl SpareBuffers {
+    /// A buffer for a frame; what is in it is of no frame.
+    pub(super) fn take(&self, size: FrameSize) -> FrameBuffer {
+        let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        spare.retain(|rgba| rgba.len() == size.n_samples() as usize);
+        let rgba = spare.pop().unwrap_or_else(|| vec![0; size.n_samples() as usize]);
+        FrameBuffer { size, rgba: rgba.into_iter().map(AtomicU32::new).collect() }
+    }
+
+    fn put(&self, rgba: Vec<u32>) {
+        let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if spare.len() < MOST_SPARE {
+            spare.push(rgba);
+        }
+    }
+}
+
+/// The samples of a whole frame: red, green, blue, 255 in memory order, row by row, the bottom row first.
+#[derive(Clone, Debug)]
+pub struct Samples {
+    rgba: Vec<u32>,
+    spare: SpareBuffers,
+}
+
+impl Deref for Samples {
+    type Target = [u32];
+
+    fn deref(&self) -> &[u32] {
+        &self.rgba
+    }
+}
+
+impl Drop for Samples {
+    fn drop(&mut self) {
+        self.spare.put(std::mem::take(&mut self.rgba));
+    }
+}
 
 /// A frame's samples while they arrive.
 ///
@@ -42,46 +90,85 @@ pub(super) enum PlaceError {
 }
 
 impl FrameBuffer {
-    pub(super) fn new(size: FrameSize) -> Self {
-        Self { size, rgba: (0..size.n_samples()).map(|_| AtomicU32::new(0)).collect() }
-    }
-
     pub(super) fn size(&self) -> FrameSize {
         self.size
     }
 
     /// Puts the samples of units `first..first + count` of a share of this frame in their places.
+    ///
+    /// # Errors
+    /// Units that the share does not have, and bytes that are not theirs; some may be in place then.
     pub(super) fn place(&self, share: &Share<'_>, first: u32, count: u32, rgb: &[u8]) -> Result<(), PlaceError> {
         let n_units = share.count();
-        if first.checked_add(count).is_none_or(|end| end > n_units) {
+        let Some(end) = first.checked_add(count).filter(|&end| end <= n_units) else {
             return Err(PlaceError::NoSuchUnits { first, count, n_units });
+        };
+        let units = first..end;
+        let is_placed = match share.single_samples(units.clone()) {
+            Some(samples) => self.place_samples(samples, rgb),
+            None => self.place_blocks(share, units.clone(), rgb),
+        };
+        is_placed.ok_or_else(|| {
+            let n_samples = units.map(|k| share.samples(k).count() as usize).sum();
+            PlaceError::WrongLength { n_bytes: rgb.len(), n_samples }
+        })
+    }
+
+    /// Puts single samples in their places. `None` if the bytes are too many or too few.
+    fn place_samples(&self, samples: impl ExactSizeIterator<Item = u32>, rgb: &[u8]) -> Option<()> {
+        let (pixels, rest) = rgb.as_chunks::<3>();
+        if !rest.is_empty() || pixels.len() != samples.len() {
+            return None;
         }
-        let units = first..first + count;
-        let n_samples = units.clone().map(|k| share.samples(k).count() as usize).sum();
-        if rgb.len() != 3 * n_samples {
-            return Err(PlaceError::WrongLength { n_bytes: rgb.len(), n_samples });
+        for (sample, &[r, g, b]) in samples.zip(pixels) {
+            self.rgba[sample as usize].store(u32::from_ne_bytes([r, g, b, 255]), Relaxed);
         }
-        let (pixels, _) = rgb.as_chunks::<3>();
-        let mut pixels = pixels.iter();
+        Some(())
+    }
+
+    /// Puts blocks of samples in their places. `None` if the bytes are too many or too few.
+    fn place_blocks(&self, share: &Share<'_>, units: Range<u32>, mut rgb: &[u8]) -> Option<()> {
         for block in units.map(|k| share.samples(k)) {
             for j in block.rows {
                 let row = j * self.size.xres();
                 let cells = &self.rgba[(row + block.columns.start) as usize..(row + block.columns.end) as usize];
-                for (cell, &[r, g, b]) in cells.iter().zip(&mut pixels) {
-                    cell.store(u32::from_ne_bytes([r, g, b, 255]), Relaxed);
-                }
+                let (pixels, after) = rgb.split_at_checked(3 * cells.len())?;
+                rgb = after;
+                put_row(cells, pixels);
             }
         }
-        Ok(())
+        rgb.is_empty().then_some(())
     }
 
-    /// The samples, once the scheduler has seen all of them placed.
-    pub(super) fn into_rgba(self: Arc<Self>) -> Vec<u32> {
-        match Arc::try_unwrap(self) {
+    /// The samples, once the scheduler has seen all of them placed; the buffer goes back when they are no longer needed.
+    pub(super) fn into_samples(self: Arc<Self>, spare: SpareBuffers) -> Samples {
+        let rgba = match Arc::try_unwrap(self) {
             Ok(buffer) => buffer.rgba.into_iter().map(AtomicU32::into_inner).collect(),
             // A late second answer is still being placed; it changes no bit.
             Err(shared) => shared.rgba.iter().map(|cell| cell.load(Relaxed)).collect(),
+        };
+        Samples { rgba, spare }
+    }
+}
+
+fn put_row(cells: &[AtomicU32], pixels: &[u8]) {
+    const N: usize = TILE_SIZE as usize;
+    let whole = (<&[AtomicU32; N]>::try_from(cells), <&[u8; 3 * N]>::try_from(pixels));
+    let (pixels, _) = match whole {
+        // Nearly all rows; the compiler knows their length, and takes four bytes at a time.
+        (Ok(cells), Ok(pixels)) => {
+            for x in 0..N - 1 {
+                let with_next: u32 = bytemuck::pod_read_unaligned(&pixels[3 * x..3 * x + 4]);
+                cells[x].store(with_next | u32::from_ne_bytes([0, 0, 0, 255]), Relaxed);
+            }
+            let bytes = [pixels[3 * N - 3], pixels[3 * N - 2], pixels[3 * N - 1], 255];
+            cells[N - 1].store(u32::from_ne_bytes(bytes), Relaxed);
+            return;
         }
+        _ => pixels.as_chunks::<3>(),
+    };
+    for (cell, &[r, g, b]) in cells.iter().zip(pixels) {
+        cell.store(u32::from_ne_bytes([r, g, b, 255]), Relaxed);
     }
 }
 
@@ -95,7 +182,8 @@ mod tests {
     fn samples_of_every_machine_end_up_in_their_places() {
         let size = FrameSize::new(19, 11).unwrap();
         for division in Division::ALL {
-            let buffer = Arc::new(FrameBuffer::new(size));
+            let spare = SpareBuffers::default();
+            let buffer = Arc::new(spare.take(size));
             for machine in 0..3 {
                 let work = division.work(machine, 3);
                 let share = work.share(size).unwrap();
@@ -107,18 +195,24 @@ mod tests {
             }
             let expected: Vec<u32> =
                 (0..11).flat_map(|j| (0..19).map(move |i| u32::from_ne_bytes([i, j, 7, 255]))).collect();
-            assert_eq!(buffer.into_rgba(), expected);
+            assert_eq!(*buffer.into_samples(spare.clone()), expected);
+            assert_eq!(spare.0.lock().unwrap().len(), 1, "the buffer waits for the next frame");
         }
     }
 
     #[test]
     fn bytes_that_do_not_fit_are_refused() {
         let size = FrameSize::new(16, 8).unwrap();
-        let buffer = FrameBuffer::new(size);
+        let buffer = SpareBuffers::default().take(size);
         let work = Division::Tiled.work(0, 1);
         let share = work.share(size).unwrap();
         assert!(buffer.place(&share, 1, 1, &[0; 192]).is_ok());
         assert!(matches!(buffer.place(&share, 1, 1, &[0; 191]), Err(PlaceError::WrongLength { .. })));
+        assert!(matches!(buffer.place(&share, 1, 1, &[0; 193]), Err(PlaceError::WrongLength { n_samples: 64, .. })));
+        let single = Division::Interleaved.work(0, 1);
+        let single = single.share(size).unwrap();
+        assert!(buffer.place(&single, 126, 2, &[0; 6]).is_ok());
+        assert!(matches!(buffer.place(&single, 126, 2, &[0; 7]), Err(PlaceError::WrongLength { .. })));
         assert!(matches!(buffer.place(&share, 1, 2, &[0; 384]), Err(PlaceError::NoSuchUnits { .. })));
         assert!(matches!(buffer.place(&share, u32::MAX, 2, &[]), Err(PlaceError::NoSuchUnits { .. })));
     }

@@ -23,7 +23,7 @@ use tokio::{
 use super::{
     FinishedFrame, Frame, Wanted,
     connection::{self, Assignment, Desk, Report, Reporter},
-    frame_buffer::FrameBuffer,
+    frame_buffer::{FrameBuffer, SpareBuffers},
     scheduler::{self, Action, Event, Scheduler},
 };
 use crate::stats::{FarmStatus, FrameStats, NodeId, NodeStatus};
@@ -70,6 +70,7 @@ pub(super) struct Service {
     strangers: VecDeque<(NodeId, AbortHandle)>,
     nodes: BTreeMap<NodeId, Node>,
     frames: HashMap<FrameId, OpenFrame>,
+    spare_buffers: SpareBuffers,
     /// When the camera of the last frame was set.
     last_moved_at: Option<Instant>,
 }
@@ -95,6 +96,7 @@ impl Service {
             strangers: VecDeque::new(),
             nodes: BTreeMap::new(),
             frames: HashMap::new(),
+            spare_buffers: SpareBuffers::default(),
             last_moved_at: None,
         }
     }
@@ -249,7 +251,7 @@ impl Service {
     fn carry_out(&mut self, action: Action) {
         match action {
             Action::Open { frame, picture } => {
-                let buffer = Arc::new(FrameBuffer::new(picture.size));
+                let buffer = Arc::new(self.spare_buffers.take(picture.size));
                 let moved_at = self.wanted.borrow().moved_at;
                 // A frame that no motion asked for is as old as its beginning; so is the first, before which models load.
                 let is_first_since = self.last_moved_at.replace(moved_at).is_some_and(|last| last != moved_at);
@@ -271,7 +273,7 @@ impl Service {
             }
             Action::Show { frame, stats } => {
                 if let Some(open) = self.frames.remove(&frame) {
-                    self.finished.put(open.finish(stats));
+                    self.finished.put(open.finish(stats, self.spare_buffers.clone()));
                     (self.wake)();
                 }
             }
@@ -305,12 +307,12 @@ impl Service {
 }
 
 impl OpenFrame {
-    fn finish(self, mut stats: FrameStats) -> Frame {
+    fn finish(self, mut stats: FrameStats, spare: SpareBuffers) -> Frame {
         for node in &mut stats.nodes {
             node.bytes_out = self.bytes_out.get(&node.id).copied().unwrap_or(0);
         }
         stats.bytes_out = self.bytes_out.values().sum();
-        Frame { picture: self.picture, rgba: self.buffer.into_rgba(), stats, moved_at: self.moved_at }
+        Frame { picture: self.picture, rgba: self.buffer.into_samples(spare), stats, moved_at: self.moved_at }
     }
 }
 

@@ -55,16 +55,19 @@ impl FrameSize {
     }
 
     /// Samples in a row.
+    #[inline]
     pub fn xres(self) -> u32 {
         self.xres
     }
 
     /// Rows.
+    #[inline]
     pub fn yres(self) -> u32 {
         self.yres
     }
 
     /// Samples in all.
+    #[inline]
     pub fn n_samples(self) -> u32 {
         self.xres * self.yres
     }

@@ -1,5 +1,7 @@
 //! Shares of a frame: what one machine is given, and parts of that.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use super::{Division, FrameSize, UnitKind, UnitSamples, Units};
@@ -220,6 +222,12 @@ impl Share<'_> {
                 runs[run].first + (picked - (ends[run] - runs[run].count))
             }
         }
+    }
+
+    /// The numbers of samples, row by row from the bottom left, that units are; `None` if units are blocks of samples.
+    #[inline]
+    pub fn single_samples(&self, units: Range<u32>) -> Option<impl ExactSizeIterator<Item = u32>> {
+        (self.units.kind == UnitKind::Sample).then(|| units.map(|k| self.unit(k)))
     }
 
     /// The samples of the share's `k`-th unit.
