@@ -33,7 +33,7 @@ mod uniform;
 mod walk;
 
 pub use figures::GridFigures;
-pub use options::{GridOptions, Storage};
+pub use options::{GridOptions, MeshLayout, Storage};
 pub use packet::{InstructionSet, Packet, PacketScratch};
 use resolution::CellSpace;
 use uniform::Uniform;
@@ -103,6 +103,10 @@ impl Grid {
         assert!(InstructionSet::available().contains(&instructions), "this machine has no {instructions:?}");
         self.instructions = instructions;
         self
+    }
+
+    fn with_mesh_layout(self, layout: MeshLayout) -> Self {
+        if layout == MeshLayout::Indexed { self } else { Self { mesh: self.mesh.into_flat(), ..self } }
     }
 
     /// The mesh, in the order of the cells.

@@ -1,5 +1,7 @@
 //! A triangle mesh as it comes from a file: indexed, in file order, with what cannot be traced marked.
 
+use rayon::prelude::*;
+
 /// A triangle mesh, in world space.
 ///
 /// Invariant: every triangle's indices lie within `vertices` and point at usable vertices, or it is [`Mesh::REJECTED`]:
@@ -75,10 +77,9 @@ impl Mesh {
 
     /// The bounds of all triangles that can be traced.
     pub fn bounds(&self) -> Aabb {
-        (0..self.triangles.len())
-            .filter_map(|triangle| self.corners(triangle))
-            .flatten()
-            .fold(Aabb::EMPTY, Aabb::extend)
+        let extend = |bounds: Aabb, triangle| self.corners(triangle).into_iter().flatten().fold(bounds, Aabb::extend);
+        let parts = (0..self.triangles.len()).into_par_iter().fold(|| Aabb::EMPTY, extend);
+        parts.reduce(|| Aabb::EMPTY, Aabb::union)
     }
 
     /// Bytes of the mesh in memory.

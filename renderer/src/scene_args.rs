@@ -3,7 +3,7 @@
 use std::num::ParseFloatError;
 
 use crate::{
-    grid::{GridOptions, Storage},
+    grid::{GridOptions, MeshLayout, Storage},
     tracer::SceneOptions,
 };
 
@@ -23,21 +23,26 @@ pub struct SceneArgs {
     /// Sizes of empty macrocells that a single ray may skip
     #[arg(long, value_name = "N", default_value_t = GridOptions::default().macrocell_levels, value_parser = macrocell_levels)]
     macrocell_levels: u8,
+
+    /// How the mesh is kept: indexed, vertices once and three numbers for each triangle, or flat, three corners for each
+    #[arg(long, value_name = "HOW", default_value_t = MeshLayout::default())]
+    mesh: MeshLayout,
 }
 
 impl SceneArgs {
     /// What they ask for.
     pub fn options(&self) -> SceneOptions {
-        let Self { density, storage, macrocell_levels } = *self;
-        SceneOptions { grid: GridOptions { density, macrocell_levels, storage } }
+        let Self { density, storage, macrocell_levels, mesh } = *self;
+        SceneOptions { grid: GridOptions { density, macrocell_levels, storage, mesh } }
     }
 
     /// The same on another program's command line.
-    pub fn to_arguments(&self) -> [String; 3] {
+    pub fn to_arguments(&self) -> [String; 4] {
         [
             format!("--density={}", self.density),
             format!("--storage={}", self.storage),
             format!("--macrocell-levels={}", self.macrocell_levels),
+            format!("--mesh={}", self.mesh),
         ]
     }
 }
@@ -81,7 +86,7 @@ mod tests {
 
     #[test]
     fn arguments_survive_being_handed_on() {
-        let asked = ["--density", "0.1", "--storage", "row-displacement", "--macrocell-levels", "1"];
+        let asked = ["--density", "0.1", "--storage", "row-displacement", "--macrocell-levels", "1", "--mesh", "flat"];
         let options = parse(&asked).unwrap();
         let handed_on = options.to_arguments();
         let again = parse(&handed_on.iter().map(String::as_str).collect::<Vec<_>>()).unwrap();
@@ -97,6 +102,7 @@ mod tests {
             (["--density", "5000"], "from 0.015625 to 4096 cells per triangle"),
             (["--macrocell-levels", "4"], "from 0 to 3 levels"),
             (["--macrocell-levels", "-1"], "unexpected argument"),
+            (["--mesh", "round"], "it is indexed or flat"),
             (["--storage", "hash"], "it is plain, row-displacement or masks"),
         ] {
             let error = parse(&arguments).unwrap_err().to_string();

@@ -94,6 +94,8 @@ pub(crate) trait Simd: Copy {
     type Indices: Copy;
     /// For each corner of the triangles at some places 3 × its vertex. Places must lie inside the mesh.
     fn corner_offsets(triangles: &[[u32; 3]], places: &[u32; 16]) -> [Self::Indices; 3];
+    /// The same where each triangle has three vertices of its own.
+    fn flat_corner_offsets(places: &[u32; 16]) -> [Self::Indices; 3];
     /// `table[indices[lane]]` for each lane; indices must lie inside the table.
     fn gather(table: &[f32], indices: Self::Indices) -> Self;
     fn add(self, other: Self) -> Self;
@@ -153,6 +155,15 @@ impl Simd for Plain {
         self.0.into_iter().fold(f32::NEG_INFINITY, f32::max)
     }
     type Indices = [u32; 8];
+    #[inline(always)]
+    fn flat_corner_offsets(places: &[u32; 16]) -> [[u32; 8]; 3] {
+        let mut offsets = [[0; 8]; 3];
+        for lane in 0..8 {
+            let first = 9 * places[lane];
+            (offsets[0][lane], offsets[1][lane], offsets[2][lane]) = (first, first + 3, first + 6);
+        }
+        offsets
+    }
     #[inline(always)]
     fn corner_offsets(triangles: &[[u32; 3]], places: &[u32; 16]) -> [[u32; 8]; 3] {
         std::array::from_fn(|corner| std::array::from_fn(|lane| 3 * triangles[places[lane] as usize][corner]))
@@ -283,6 +294,16 @@ mod x86 {
             }
         }
         #[inline(always)]
+        fn flat_corner_offsets(places: &[u32; 16]) -> [__m256i; 3] {
+            // SAFETY: as above, and sixteen places are there.
+            unsafe {
+                let places = _mm256_loadu_si256(places.as_ptr().cast());
+                let first = _mm256_mullo_epi32(places, _mm256_set1_epi32(9));
+                let second = _mm256_add_epi32(first, _mm256_set1_epi32(3));
+                [first, second, _mm256_add_epi32(second, _mm256_set1_epi32(3))]
+            }
+        }
+        #[inline(always)]
         fn corner_offsets(triangles: &[[u32; 3]], places: &[u32; 16]) -> [__m256i; 3] {
             let table: *const i32 = triangles.as_ptr().cast();
             // SAFETY: as above; the caller's places lie inside the mesh.
@@ -394,6 +415,16 @@ mod x86 {
         fn greatest(self) -> f32 {
             // SAFETY: as above.
             unsafe { _mm512_reduce_max_ps(self.0) }
+        }
+        #[inline(always)]
+        fn flat_corner_offsets(places: &[u32; 16]) -> [__m512i; 3] {
+            // SAFETY: as above, and sixteen places are there.
+            unsafe {
+                let places = _mm512_loadu_si512(places.as_ptr().cast());
+                let first = _mm512_mullo_epi32(places, _mm512_set1_epi32(9));
+                let second = _mm512_add_epi32(first, _mm512_set1_epi32(3));
+                [first, second, _mm512_add_epi32(second, _mm512_set1_epi32(3))]
+            }
         }
         #[inline(always)]
         fn corner_offsets(triangles: &[[u32; 3]], places: &[u32; 16]) -> [__m512i; 3] {

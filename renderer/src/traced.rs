@@ -1,13 +1,20 @@
 //! The copy of a mesh that rays meet: what lies close together in space lies close together in memory.
 
-use crate::mesh::{Aabb, Mesh};
+use rayon::prelude::*;
+
+use crate::{
+    mesh::{Aabb, Mesh},
+    simd::Simd,
+};
 
 /// A mesh in the order of a grid's cells, without what cannot be hit.
 ///
 /// Triangles are named by their *place* here; [`TracedMesh::number`] gives a triangle's number in the file.
 #[derive(Debug)]
 pub struct TracedMesh {
+    /// Positions; without indices three for each triangle.
     vertices: Vec<[f32; 3]>,
+    /// The vertices of each triangle; empty in a flat mesh.
     triangles: Vec<[u32; 3]>,
     /// Numbers in the file, by place.
     numbers: Vec<u32>,
@@ -23,31 +30,46 @@ impl TracedMesh {
         let Mesh { vertices, triangles, colors, .. } = mesh;
         let mut numbers = Vec::new();
         let mut places = Renumbering::new(triangles.len());
-        for reference in references {
-            *reference = places.place(*reference, |number| numbers.push(number));
+        for &reference in &*references {
+            places.place(reference, |number| numbers.push(number));
         }
+        let Renumbering { places, .. } = places;
+        let to_places = || references.par_iter_mut().for_each(|reference| *reference = places[*reference as usize]);
         let mut kept = Vec::new();
-        let mut places = Renumbering::new(vertices.len());
-        let triangles = numbers
-            .iter()
-            .map(|&number| triangles[number as usize].map(|vertex| places.place(vertex, |vertex| kept.push(vertex))))
-            .collect();
+        let of_places = || {
+            let mut places = Renumbering::new(vertices.len());
+            let mut place = |vertex| places.place(vertex, |vertex| kept.push(vertex));
+            let vertices_of = |&number: &u32| triangles[number as usize];
+            numbers.iter().map(vertices_of).map(|[a, b, c]| [place(a), place(b), place(c)]).collect()
+        };
+        let ((), triangles) = rayon::join(to_places, of_places);
+        let is_colored = !colors.is_empty();
         Self {
-            vertices: kept.iter().map(|&vertex| vertices[vertex as usize]).collect(),
+            vertices: kept.par_iter().map(|&vertex| vertices[vertex as usize]).collect(),
             triangles,
             numbers,
-            colors: if colors.is_empty() {
-                colors
-            } else {
-                kept.iter().map(|&vertex| colors[vertex as usize]).collect()
-            },
+            colors: kept.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
+            bounds,
+        }
+    }
+
+    /// The same mesh with three corners of its own for each triangle, and no indices.
+    #[must_use]
+    pub(crate) fn into_flat(self) -> Self {
+        let Self { vertices, triangles, numbers, colors, bounds } = self;
+        let is_colored = !colors.is_empty();
+        Self {
+            vertices: triangles.par_iter().flatten_iter().map(|&vertex| vertices[vertex as usize]).collect(),
+            colors: triangles.iter().flatten().filter(|_| is_colored).map(|&v| colors[v as usize]).collect(),
+            triangles: Vec::new(),
+            numbers,
             bounds,
         }
     }
 
     /// How many triangles can be hit.
     pub fn n_triangles(&self) -> usize {
-        self.triangles.len()
+        self.numbers.len()
     }
 
     /// The number in the file of the triangle at a place.
@@ -59,14 +81,24 @@ impl TracedMesh {
     /// The corners of the triangle at a place, in world space.
     #[inline]
     pub fn corners(&self, place: u32) -> [[f32; 3]; 3] {
-        self.triangles[place as usize].map(|vertex| self.vertices[vertex as usize])
+        self.indices(place).map(|vertex| self.vertices[vertex as usize])
+    }
+
+    /// The vertices of the triangle at a place.
+    #[inline]
+    pub(crate) fn indices(&self, place: u32) -> [u32; 3] {
+        if self.triangles.is_empty() {
+            [3 * place, 3 * place + 1, 3 * place + 2]
+        } else {
+            self.triangles[place as usize]
+        }
     }
 
     /// The sRGB colours of the corners of the triangle at a place, if the mesh has colours.
     #[inline]
     pub fn corner_colors(&self, place: u32) -> Option<[[u8; 3]; 3]> {
         let color = |vertex: u32| self.colors[vertex as usize];
-        (!self.colors.is_empty()).then(|| self.triangles[place as usize].map(color))
+        (!self.colors.is_empty()).then(|| self.indices(place).map(color))
     }
 
     /// The bounds of all triangles, in world space.
@@ -84,6 +116,16 @@ impl TracedMesh {
 
     pub(crate) fn triangles(&self) -> &[[u32; 3]] {
         &self.triangles
+    }
+
+    /// For each corner of the triangles at some places 3 × its vertex. Places must lie inside the mesh.
+    #[inline(always)]
+    pub(crate) fn corner_offsets<S: Simd>(&self, places: &[u32; 16]) -> [S::Indices; 3] {
+        if self.triangles.is_empty() {
+            S::flat_corner_offsets(places)
+        } else {
+            S::corner_offsets(&self.triangles, places)
+        }
     }
 
     pub(crate) fn vertices(&self) -> &[[f32; 3]] {

@@ -38,7 +38,7 @@ impl Grid {
             return Self::empty(TracedMesh::new(mesh, &mut []));
         }
         if options.storage != Storage::Masks {
-            return Self::uniform(mesh, &bounds, options, u64::MAX);
+            return Self::uniform(mesh, &bounds, options, u64::MAX).with_mesh_layout(options.mesh);
         }
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
         let corner = |corner: [f32; 3]| Vec3::from_array(corner).as_dvec3();
@@ -88,6 +88,7 @@ impl Grid {
             mesh,
             instructions,
         }
+        .with_mesh_layout(options.mesh)
     }
 
     /// The paper's uniform grid. One that would take too much memory is made coarser.

@@ -276,7 +276,7 @@ impl<'a> Culler<'a> {
         let [k, u, v] = self.axes;
         let mut corners = [[S::splat(0.0); 3]; 3];
         let mut from_origin = corners;
-        let offsets = S::corner_offsets(self.triangles, &prepared.places);
+        let offsets = self.mesh.corner_offsets::<S>(&prepared.places);
         for corner in 0..3 {
             for axis in 0..3 {
                 corners[corner][axis] = S::gather(&self.coordinates[axis..], offsets[corner]);
@@ -405,7 +405,7 @@ impl<'a> Culler<'a> {
             for axis in 0..3 {
                 directions[axis][slot] = self.packet.directions[axis][ray as usize];
             }
-            let indices = self.triangles[triangle as usize];
+            let indices = self.mesh.indices(triangle);
             for corner in 0..3 {
                 let vertex = 3 * indices[corner] as usize;
                 for axis in 0..3 {

@@ -55,7 +55,7 @@ fn may_hit_generic<S: Simd>(mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> 
         let mut places = [triangles[first]; 16];
         let n = (triangles.len() - first).min(S::LANES);
         places[..n].copy_from_slice(&triangles[first..first + n]);
-        let offsets = S::corner_offsets(mesh.triangles(), &places);
+        let offsets = mesh.corner_offsets::<S>(&places);
         let zero = S::splat(0.0);
         let mut corners = [[zero; 3]; 3];
         for corner in 0..3 {

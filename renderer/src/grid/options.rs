@@ -11,6 +11,8 @@ pub struct GridOptions {
     pub macrocell_levels: u8,
     /// How cells are kept.
     pub storage: Storage,
+    /// How triangles are kept.
+    pub mesh: MeshLayout,
 }
 
 /// How cells are kept in memory.
@@ -25,6 +27,41 @@ pub enum Storage {
     Masks,
 }
 
+/// How the triangles of a traced mesh are kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum MeshLayout {
+    /// Vertices once, and for each triangle the numbers of its three.
+    #[default]
+    Indexed,
+    /// Three corners of its own for each triangle.
+    Flat,
+}
+
+impl MeshLayout {
+    /// As it is written on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Indexed => "indexed",
+            Self::Flat => "flat",
+        }
+    }
+}
+
+impl fmt::Display for MeshLayout {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for MeshLayout {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        let found = [Self::Indexed, Self::Flat].into_iter().find(|layout| layout.name() == name);
+        found.ok_or_else(|| format!("\"{name}\" is no way to keep a mesh: it is indexed or flat"))
+    }
+}
+
 impl GridOptions {
     /// The densities that can be asked for.
     pub const DENSITIES: RangeInclusive<f64> = 1.0 / 64.0..=4096.0;
@@ -35,7 +72,12 @@ impl GridOptions {
 
 impl Default for GridOptions {
     fn default() -> Self {
-        Self { density: 32.0, macrocell_levels: *Self::MACROCELL_LEVELS.end(), storage: Storage::default() }
+        Self {
+            density: 32.0,
+            macrocell_levels: *Self::MACROCELL_LEVELS.end(),
+            storage: Storage::default(),
+            mesh: MeshLayout::default(),
+        }
     }
 }
 

@@ -4,7 +4,8 @@ use glam::Vec3;
 use proptest::prelude::*;
 
 use super::{
-    Grid, GridOptions, InstructionSet, Packet, PacketScratch, Storage, overlap::DILATION, uniform::Uniform, walk::Cells,
+    Grid, GridOptions, InstructionSet, MeshLayout, Packet, PacketScratch, Storage, overlap::DILATION, uniform::Uniform,
+    walk::Cells,
 };
 use crate::{
     mesh::Mesh,
@@ -70,12 +71,11 @@ fn build(mesh: &Mesh) -> Grid {
 
 /// A grid in every mode, the default first.
 fn build_modes(mesh: &Mesh) -> Vec<Grid> {
-    let modes = [(Storage::Masks, 3), (Storage::Masks, 0)]
-        .into_iter()
-        .chain([Storage::Plain, Storage::RowDisplacement].into_iter().flat_map(|storage| [(storage, 0), (storage, 2)]));
+    let storages = [Storage::Masks, Storage::Plain, Storage::RowDisplacement].into_iter();
+    let modes = storages.flat_map(|storage| [(storage, 3, MeshLayout::Indexed), (storage, 0, MeshLayout::Flat)]);
     modes
-        .map(|(storage, macrocell_levels)| {
-            let options = GridOptions { storage, macrocell_levels, ..GridOptions::default() };
+        .map(|(storage, macrocell_levels, layout)| {
+            let options = GridOptions { storage, macrocell_levels, mesh: layout, ..GridOptions::default() };
             Grid::build(mesh.clone(), &options, &|_| ())
         })
         .collect()
@@ -348,10 +348,15 @@ fn check_packet(grids: &[Grid], packet: &Packet) {
     }
 }
 
-/// A grid for each instruction set of this machine, the plain one first, and one in every mode.
+/// A grid for each instruction set of this machine and each layout of the mesh, the plain ones first, and one in every
+/// mode.
 fn build_all(mesh: &Mesh) -> Vec<Grid> {
     let sets = InstructionSet::available().into_iter();
-    sets.map(|set| build(mesh).with_instructions(set)).chain(build_modes(mesh)).collect()
+    let of_set = |set| {
+        [MeshLayout::Indexed, MeshLayout::Flat]
+            .map(|layout| build(mesh).with_instructions(set).with_mesh_layout(layout))
+    };
+    sets.flat_map(of_set).chain(build_modes(mesh)).collect()
 }
 
 /// Rays from a point through an 8×8 raster around another.
