@@ -5,7 +5,8 @@
 //! The paper's resolution sets the size of the bricks; each is divided only where it holds too much, and there as often
 //! as needed, so that a detailed object in a large plain scene costs no more than one alone.
 //!
-//! That is the default; [`options`] says what else can be asked for. [`uniform`] is the paper's own grid, of cells of one
+//! That is the default; [`options`] says what else can be asked for, and [`budget`] within how much
+//! memory. [`uniform`] is the paper's own grid, of cells of one
 //! size, with [`row_displacement`] that compresses it and [`macrocells`] over it.
 //!
 //! In reading order: [`resolution`] says how many cells; [`overlap`] which cells a triangle touches; [`scatter`] puts
@@ -14,6 +15,7 @@
 
 use std::time::Duration;
 
+mod budget;
 mod build;
 #[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
 mod cull;
@@ -32,6 +34,7 @@ mod tests;
 mod uniform;
 mod walk;
 
+pub use budget::{MemoryBudget, MemoryShortage};
 pub use figures::GridFigures;
 pub use options::{GridOptions, MeshLayout, Storage};
 pub use packet::{InstructionSet, Packet, PacketScratch};
@@ -74,6 +77,7 @@ pub struct Grid {
     placement: Duration,
     /// Cells per triangle.
     density: f64,
+    shortage: Option<MemoryShortage>,
     mesh: TracedMesh,
     instructions: InstructionSet,
 }
@@ -112,6 +116,11 @@ impl Grid {
     /// The mesh, in the order of the cells.
     pub fn mesh(&self) -> &TracedMesh {
         &self.mesh
+    }
+
+    /// What the memory budget did to the grid, if it was too small for the one that was asked for.
+    pub fn shortage(&self) -> Option<MemoryShortage> {
+        self.shortage
     }
 
     /// Bytes of the structure, the mesh not counted.

@@ -3,7 +3,7 @@
 use std::num::ParseFloatError;
 
 use crate::{
-    grid::{GridOptions, MeshLayout, Storage},
+    grid::{GridOptions, MemoryBudget, MeshLayout, Storage},
     tracer::SceneOptions,
 };
 
@@ -27,22 +27,27 @@ pub struct SceneArgs {
     /// How the mesh is kept: indexed, vertices once and three numbers for each triangle, or flat, three corners for each
     #[arg(long, value_name = "HOW", default_value_t = MeshLayout::default())]
     mesh: MeshLayout,
+
+    /// Memory that making a scene ready may take, as in 512M or 1.5G; where it is too little the grid is made coarser
+    #[arg(long, value_name = "SIZE", default_value_t = MemoryBudget::default())]
+    memory_budget: MemoryBudget,
 }
 
 impl SceneArgs {
     /// What they ask for.
     pub fn options(&self) -> SceneOptions {
-        let Self { density, storage, macrocell_levels, mesh } = *self;
-        SceneOptions { grid: GridOptions { density, macrocell_levels, storage, mesh } }
+        let Self { density, storage, macrocell_levels, mesh, memory_budget } = *self;
+        SceneOptions { grid: GridOptions { density, macrocell_levels, storage, mesh, memory_budget } }
     }
 
     /// The same on another program's command line.
-    pub fn to_arguments(&self) -> [String; 4] {
+    pub fn to_arguments(&self) -> [String; 5] {
         [
             format!("--density={}", self.density),
             format!("--storage={}", self.storage),
             format!("--macrocell-levels={}", self.macrocell_levels),
             format!("--mesh={}", self.mesh),
+            format!("--memory-budget={}", self.memory_budget),
         ]
     }
 }
@@ -86,7 +91,18 @@ mod tests {
 
     #[test]
     fn arguments_survive_being_handed_on() {
-        let asked = ["--density", "0.1", "--storage", "row-displacement", "--macrocell-levels", "1", "--mesh", "flat"];
+        let asked = [
+            "--density",
+            "0.1",
+            "--storage",
+            "row-displacement",
+            "--macrocell-levels",
+            "1",
+            "--mesh",
+            "flat",
+            "--memory-budget",
+            "0.123G",
+        ];
         let options = parse(&asked).unwrap();
         let handed_on = options.to_arguments();
         let again = parse(&handed_on.iter().map(String::as_str).collect::<Vec<_>>()).unwrap();
@@ -102,6 +118,7 @@ mod tests {
             (["--density", "5000"], "from 0.015625 to 4096 cells per triangle"),
             (["--macrocell-levels", "4"], "from 0 to 3 levels"),
             (["--macrocell-levels", "-1"], "unexpected argument"),
+            (["--memory-budget", "1K"], "from 16M to 1000G"),
             (["--mesh", "round"], "it is indexed or flat"),
             (["--storage", "hash"], "it is plain, row-displacement or masks"),
         ] {

@@ -207,6 +207,9 @@ impl Loader {
             Ok((loaded.id, Arc::new(scene)))
         })?;
         tracing::info!("{source} is ready: {} triangles in {} MB", scene.n_triangles(), scene.n_bytes() / 1_000_000);
+        if let Some(shortage) = scene.grid().shortage() {
+            tracing::warn!("{source}: {shortage}");
+        }
         self.at_hand.set(Some((id, Arc::clone(&scene))));
         Ok((id, scene))
     }

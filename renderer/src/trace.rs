@@ -183,6 +183,9 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         let progress = Progress::new("building the grid");
         Scene::build(mesh, &args.scene.options(), &|done| progress.set(done))
     });
+    if let Some(shortage) = scene.grid().shortage() {
+        tracing::warn!("{name}: {shortage}");
+    }
 
     let camera = camera.unwrap_or_else(|| {
         let bounds = scene.mesh().bounds();

@@ -24,6 +24,18 @@ pub struct TracedMesh {
 }
 
 impl TracedMesh {
+    /// Bytes that a mesh takes at most while it is put in order, as loaded and as traced, the references not counted.
+    pub(crate) fn peak_bytes(mesh: &Mesh, is_flat: bool) -> u64 {
+        let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
+        let color_bytes = size_of_val(&*mesh.colors) as u64;
+        // With numbers in the file, and new numbers of triangles and vertices in both directions.
+        let indexed = 16 * n_triangles + 12 * n_vertices + color_bytes;
+        let ordering = mesh.n_bytes() as u64 + indexed + 4 * n_triangles + 8 * n_vertices;
+        let flat_corner_bytes = if mesh.colors.is_empty() { 12 } else { 15 };
+        let flattening = indexed + 3 * flat_corner_bytes * n_triangles;
+        if is_flat { ordering.max(flattening) } else { ordering }
+    }
+
     /// Orders a mesh by the first mention of each triangle in `references`, and makes the references places.
     pub(crate) fn new(mesh: Mesh, references: &mut [u32]) -> Self {
         let bounds = mesh.bounds();

@@ -4,7 +4,7 @@
 //! and put together in order.
 
 use std::{
-    sync::atomic::{AtomicU64, Ordering::Relaxed},
+    sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed},
     time::Duration,
 };
 
@@ -12,7 +12,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{
-    BRICK_SIZE, CELLS_PER_BRICK, Grid, GridOptions, InstructionSet, LEVELS, Node, Storage,
+    BRICK_SIZE, CELLS_PER_BRICK, Grid, GridOptions, InstructionSet, LEVELS, MemoryShortage, MeshLayout, Node, Storage,
     overlap::{self, DILATION},
     resolution::{CellSpace, resolution},
     scatter::Scatter,
@@ -30,16 +30,43 @@ const REFERENCES_PER_TASK: usize = 1 << 15;
 /// the fastest is far above what single rays would like; memory falls with it.
 const LEAF_SIZE: usize = 48;
 
+/// What one reference takes with its part of leaves and nodes, while pieces are put together.
+const TREE_BYTES_PER_REFERENCE: u64 = 5;
+
+/// What the program takes before it has a scene.
+pub(super) const PROGRAM_BYTES: u64 = 40_000_000;
+
 impl Grid {
-    /// Builds the grid of a mesh, and orders the mesh by it. `progress` is told now and then what part is done, from 0 to 1, from any thread.
+    /// Builds the grid of a mesh, and orders the mesh by it.
+    ///
+    /// `progress` is told now and then what part is done, from 0 to 1, from any thread. A grid that would need more
+    /// memory than the options allow is made coarser; [`Grid::shortage`] says so.
     pub fn build(mesh: Mesh, options: &GridOptions, progress: &(dyn Fn(f32) + Sync)) -> Self {
         let bounds = mesh.bounds();
         if bounds.is_empty() {
             return Self::empty(TracedMesh::new(mesh, &mut []));
         }
-        if options.storage != Storage::Masks {
-            return Self::uniform(mesh, &bounds, options, u64::MAX).with_mesh_layout(options.mesh);
-        }
+        let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh, options.mesh == MeshLayout::Flat);
+        let most_bytes = options.memory_budget.left_beside(mesh_bytes);
+        let grid = match options.storage {
+            Storage::Masks => Self::masks(mesh, &bounds, options, most_bytes, progress),
+            Storage::Plain | Storage::RowDisplacement => Self::uniform(mesh, &bounds, options, most_bytes),
+        };
+        let (budget, all_bytes) = (options.memory_budget, mesh_bytes + grid.n_bytes() as u64);
+        let (is_coarser, is_too_much) = (grid.shortage.is_some(), budget.is_less_than(all_bytes));
+        let needed_bytes = is_too_much.then_some(all_bytes);
+        let shortage = (is_coarser || is_too_much).then_some(MemoryShortage { budget, is_coarser, needed_bytes });
+        Self { shortage, ..grid }.with_mesh_layout(options.mesh)
+    }
+
+    /// The tree of masks. Where it would take too much memory cubes stay undivided.
+    fn masks(
+        mesh: Mesh,
+        bounds: &Aabb,
+        options: &GridOptions,
+        most_bytes: u64,
+        progress: &(dyn Fn(f32) + Sync),
+    ) -> Self {
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
         let corner = |corner: [f32; 3]| Vec3::from_array(corner).as_dvec3();
         let (cells, cell_size) = resolution(corner(bounds.max) - corner(bounds.min), n_triangles, options.density);
@@ -53,13 +80,17 @@ impl Grid {
         let (scatter, counts) = loop {
             let scatter = Scatter {
                 mesh: &mesh,
-                space: CellSpace::new(&bounds, cell_size * f64::from(bricks_in_cells) / f64::from(BRICK_SIZE)),
+                space: CellSpace::new(bounds, cell_size * f64::from(bricks_in_cells) / f64::from(BRICK_SIZE)),
                 cube_size: BRICK_SIZE,
                 dims: cells.map(|n| n.div_ceil(bricks_in_cells)),
             };
-            let n_bricks = scatter.dims.iter().map(|&n| n as usize).product();
-            if let Some(counts) = scatter.count(n_bricks, most, |cube| brick(scatter.dims, cube)) {
-                break (scatter, counts);
+            let n_bricks: usize = scatter.dims.iter().map(|&n| n as usize).product();
+            let is_coarsest = scatter.dims == [1; 3];
+            if is_coarsest || n_bricks as u64 <= most_bytes / 32 {
+                let most = if is_coarsest { u64::MAX } else { most };
+                if let Some(counts) = scatter.count(n_bricks, most, |cube| brick(scatter.dims, cube)) {
+                    break (scatter, counts);
+                }
             }
             bricks_in_cells *= 2;
         };
@@ -67,8 +98,22 @@ impl Grid {
         let (starts, references) = scatter.fill(counts, |cube| brick(scatter.dims, cube));
         progress(0.3);
         let (space, dims) = (scatter.space, scatter.dims);
-        let builder = Builder { scatter, n_triangles };
+        // Small scenes can afford more references for each triangle, and large triangles need them.
+        let wanted = ((1 << 24) / n_triangles as u64).clamp(6, 64) * references.len() as u64;
+        let affordable = (most_bytes / TREE_BYTES_PER_REFERENCE).min(u64::from(u32::MAX));
+        let builder = Builder {
+            scatter,
+            n_in_bricks: references.len() as u64,
+            most_references: wanted.min(affordable),
+            is_short: affordable < wanted,
+            gave_up: AtomicBool::new(false),
+        };
         let (bricks, piece) = builder.divide(&starts, references, &|done| progress(0.3 + 0.6 * done));
+        let shortage = builder.gave_up.into_inner().then_some(MemoryShortage {
+            budget: options.memory_budget,
+            is_coarser: true,
+            needed_bytes: None,
+        });
         let Piece { nodes, leaf_ends, mut references } = piece;
         let mut leaf_starts = leaf_ends;
         leaf_starts.insert(0, 0);
@@ -85,14 +130,14 @@ impl Grid {
             uniform: None,
             placement: Duration::ZERO,
             density: options.density,
+            shortage,
             mesh,
             instructions,
         }
-        .with_mesh_layout(options.mesh)
     }
 
     /// The paper's uniform grid. One that would take too much memory is made coarser.
-    fn uniform(mut mesh: Mesh, bounds: &Aabb, options: &GridOptions, most_bytes: u64) -> Self {
+    fn uniform(mesh: Mesh, bounds: &Aabb, options: &GridOptions, most_bytes: u64) -> Self {
         let extent = Vec3::from_array(bounds.max).as_dvec3() - Vec3::from_array(bounds.min).as_dvec3();
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
         let mut density = options.density;
@@ -107,8 +152,13 @@ impl Grid {
             }
             density /= 2.0;
         };
-        let traced = TracedMesh::new(std::mem::take(&mut mesh), uniform.references_mut());
-        Self { space, uniform: Some(uniform), placement, density, ..Self::empty(traced) }
+        let traced = TracedMesh::new(mesh, uniform.references_mut());
+        let shortage = (density < options.density).then_some(MemoryShortage {
+            budget: options.memory_budget,
+            is_coarser: true,
+            needed_bytes: None,
+        });
+        Self { space, uniform: Some(uniform), placement, density, shortage, ..Self::empty(traced) }
     }
 
     fn empty(mesh: TracedMesh) -> Self {
@@ -123,6 +173,7 @@ impl Grid {
             uniform: None,
             placement: Duration::ZERO,
             density: 0.0,
+            shortage: None,
             mesh,
             instructions: InstructionSet::best(),
         }
@@ -137,7 +188,14 @@ fn largest_skip(macrocell_levels: u8) -> u32 {
 
 struct Builder<'a> {
     scatter: Scatter<'a>,
-    n_triangles: usize,
+    /// References of all bricks, before they are divided.
+    n_in_bricks: u64,
+    /// What all leaves may hold in all.
+    most_references: u64,
+    /// Whether that is little for want of memory.
+    is_short: bool,
+    /// Whether a cube stays undivided because of that.
+    gave_up: AtomicBool,
 }
 
 impl Builder<'_> {
@@ -193,9 +251,8 @@ impl Builder<'_> {
         references.sort_unstable();
         let [x_dim, y_dim, _] = self.scatter.dims.map(|n| n as usize);
         let corner = [brick % x_dim, brick / x_dim % y_dim, brick / x_dim / y_dim].map(|b| b as u32 * BRICK_SIZE);
-        // Small scenes can afford more references for each triangle, and large triangles need them.
-        let per_triangle = ((1 << 24) / self.n_triangles).clamp(6, 64);
-        let cube = Cube { corner, level: 0, most_references: references.len() * per_triangle + 64 };
+        let share = references.len() as u128 * u128::from(self.most_references) / u128::from(self.n_in_bricks);
+        let cube = Cube { corner, level: 0, most_references: share as usize };
         match self.plan(references, &cube) {
             None => {
                 piece.push_leaf(references);
@@ -235,7 +292,13 @@ impl Builder<'_> {
         // A ray through the cube meets a child with probability 1/16 on average (the ratio of their surfaces), so
         // dividing saves tests only while the children hold less than 16 times as much; half of that pays the steps.
         let total = starts[64] as usize;
-        if total > cube.most_references || total >= 8 * references.len() {
+        if total >= 8 * references.len() {
+            return None;
+        }
+        if total > cube.most_references {
+            if self.is_short {
+                self.gave_up.store(true, Relaxed);
+            }
             return None;
         }
         let mut next = starts;

@@ -2,6 +2,8 @@
 
 use std::{fmt, ops::RangeInclusive, str::FromStr};
 
+use super::budget::MemoryBudget;
+
 /// What a grid is built like. None of it changes a hit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridOptions {
@@ -13,6 +15,8 @@ pub struct GridOptions {
     pub storage: Storage,
     /// How triangles are kept.
     pub mesh: MeshLayout,
+    /// What may be taken while the scene is made ready; the grid is made coarser to stay within it.
+    pub memory_budget: MemoryBudget,
 }
 
 /// How cells are kept in memory.
@@ -77,6 +81,7 @@ impl Default for GridOptions {
             macrocell_levels: *Self::MACROCELL_LEVELS.end(),
             storage: Storage::default(),
             mesh: MeshLayout::default(),
+            memory_budget: MemoryBudget::default(),
         }
     }
 }

@@ -4,12 +4,13 @@ use glam::Vec3;
 use proptest::prelude::*;
 
 use super::{
-    Grid, GridOptions, InstructionSet, MeshLayout, Packet, PacketScratch, Storage, overlap::DILATION, uniform::Uniform,
-    walk::Cells,
+    Grid, GridOptions, InstructionSet, MeshLayout, Packet, PacketScratch, Storage, build::PROGRAM_BYTES,
+    overlap::DILATION, uniform::Uniform, walk::Cells,
 };
 use crate::{
     mesh::Mesh,
     ray::{Hit, Ray},
+    traced::TracedMesh,
 };
 
 /// What rounding may decide either way.
@@ -304,6 +305,44 @@ fn large_triangles_do_not_fill_memory() {
     assert!(references < 70 * 20_000 * 4, "{references} references");
     let ray = Ray::new(Vec3::ZERO, Vec3::ONE);
     check(&mesh, &grid, &ray);
+}
+
+#[test]
+fn a_grid_stays_within_its_memory_and_hits_the_same() {
+    let mesh = crate::statue::generate(60_000, &|_| ());
+    let bounds = mesh.bounds();
+    let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh, false);
+    let unlimited = build(&mesh);
+    assert_eq!(unlimited.shortage(), None);
+    let (low, high) = (Vec3::from_array(bounds.min), Vec3::from_array(bounds.max));
+    let packet = raster(high + (high - low) * 0.3, (low + high) * 0.5, (high - low).length() / 40.0, u64::MAX);
+    for storage in Storage::ALL {
+        for left in [300_000, 600_000, 1_000_000] {
+            let memory_budget = (mesh_bytes + left).to_string().parse().unwrap();
+            let options = GridOptions { storage, memory_budget, ..GridOptions::default() };
+            let grid = Grid::build(mesh.clone(), &options, &|_| ());
+            let shortage = grid.shortage().expect("the whole grid takes more").to_string();
+            assert!(shortage.contains("coarser than asked for"), "{storage} with {left}: {shortage}");
+            assert!(grid.n_bytes() as u64 <= left, "{storage}: {} in {left} bytes", grid.n_bytes());
+            for lane in 0..64 {
+                let [limited, free] = [&grid, &unlimited].map(|g| in_file_order(g, g.intersect(&packet.ray(lane))));
+                assert_eq!(limited, free);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_mesh_beyond_the_budget_gets_a_grid_and_a_line_that_says_so() {
+    let mesh = crate::statue::generate(500_000, &|_| ());
+    for storage in Storage::ALL {
+        let options = GridOptions { storage, memory_budget: "16M".parse().unwrap(), ..GridOptions::default() };
+        let grid = Grid::build(mesh.clone(), &options, &|_| ());
+        let shortage = grid.shortage().unwrap().to_string();
+        assert!(shortage.contains("M, more than --memory-budget 16M"), "{storage}: {shortage}");
+        assert!(grid.n_bytes() * 4 <= TracedMesh::peak_bytes(&mesh, false) as usize + PROGRAM_BYTES as usize);
+        assert!(grid.figures().lists > 10_000, "{storage} is not starved");
+    }
 }
 
 #[test]

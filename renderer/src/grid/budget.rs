@@ -1,0 +1,117 @@
+//! How much memory a scene may take, and what is said when it is too little.
+
+use std::{fmt, ops::RangeInclusive, str::FromStr};
+
+/// Bytes that a process may take while it makes a scene ready: the mesh as it was loaded, the mesh as it is traced, and
+/// the grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct MemoryBudget(u64);
+
+impl MemoryBudget {
+    /// The budgets that can be asked for.
+    pub const RANGE: RangeInclusive<Self> = Self(16_000_000)..=Self(1_000_000_000_000);
+
+    /// What a grid may take beside a mesh. A mesh that is too large by itself gets a grid of a quarter of its size: the
+    /// budget cannot be kept then, and a smaller grid would save little and be slow.
+    pub(super) fn left_beside(self, mesh_bytes: u64) -> u64 {
+        if mesh_bytes < self.0 { self.0 - mesh_bytes } else { mesh_bytes / 4 }
+    }
+
+    /// Whether so many bytes are too many.
+    pub(super) fn is_less_than(self, n_bytes: u64) -> bool {
+        self.0 < n_bytes
+    }
+}
+
+impl Default for MemoryBudget {
+    /// What each of the paper's machines had.
+    fn default() -> Self {
+        Self(1_000_000_000)
+    }
+}
+
+/// Letters behind a number of bytes, the largest first.
+const UNITS: [(char, u64); 3] = [('G', 1_000_000_000), ('M', 1_000_000), ('K', 1_000)];
+
+impl fmt::Display for MemoryBudget {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match UNITS.iter().find(|&&(_, unit)| self.0.is_multiple_of(unit)) {
+            Some((letter, unit)) => write!(f, "{}{letter}", self.0 / unit),
+            None => write!(f, "{}", self.0),
+        }
+    }
+}
+
+impl FromStr for MemoryBudget {
+    type Err = String;
+
+    /// Reads whole or decimal numbers of bytes, as in 512M or 1.5G.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let letter = text.chars().last().unwrap_or(' ').to_ascii_uppercase();
+        let unit = UNITS.iter().find(|(unit, _)| *unit == letter);
+        let number = if unit.is_some() { &text[..text.len() - 1] } else { text };
+        let bytes = number.parse::<f64>().map_err(|_| format!("\"{text}\" is no size: write it as 512M or 1.5G"))?;
+        let budget = Self((bytes * unit.map_or(1.0, |(_, unit)| *unit as f64)).round() as u64);
+        let range = Self::RANGE;
+        if range.contains(&budget) {
+            Ok(budget)
+        } else {
+            Err(format!("the memory budget must be from {} to {}", range.start(), range.end()))
+        }
+    }
+}
+
+/// What a memory budget did to a grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MemoryShortage {
+    pub(super) budget: MemoryBudget,
+    /// Whether the grid was made coarser.
+    pub(super) is_coarser: bool,
+    /// Bytes that it takes to make the scene ready, if that is more than the budget nevertheless.
+    pub(super) needed_bytes: Option<u64>,
+}
+
+impl fmt::Display for MemoryShortage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let budget = self.budget;
+        let coarser = if self.is_coarser { "the grid is coarser than asked for, and " } else { "" };
+        match self.needed_bytes {
+            None => write!(f, "the grid is coarser than asked for, to stay within --memory-budget {budget}"),
+            Some(bytes) => {
+                let megabytes = bytes.div_ceil(1_000_000);
+                write!(f, "{coarser}making the scene ready takes {megabytes}M, more than --memory-budget {budget}")
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_read_and_written() {
+        for (text, bytes, written) in [
+            ("1G", 1_000_000_000, "1G"),
+            ("512M", 512_000_000, "512M"),
+            ("1.5g", 1_500_000_000, "1500M"),
+            ("123456789", 123_456_789, "123456789"),
+            ("16000k", 16_000_000, "16M"),
+        ] {
+            let budget: MemoryBudget = text.parse().unwrap();
+            assert_eq!((budget.0, budget.to_string().as_str()), (bytes, written));
+            assert_eq!(written.parse(), Ok(budget));
+        }
+    }
+
+    #[test]
+    fn wrong_sizes_are_told_what_is_right() {
+        for text in ["1K", "0", "-5G", "NaN", "NaNG", "2000G", "infG"] {
+            let error = text.parse::<MemoryBudget>().unwrap_err();
+            assert_eq!(error, "the memory budget must be from 16M to 1000G", "{text}");
+        }
+        for text in ["", "G", "1T", "1 GB", "1GB", "ä"] {
+            assert!(text.parse::<MemoryBudget>().unwrap_err().contains("no size: write it as 512M"), "{text}");
+        }
+    }
+}
