@@ -9,6 +9,8 @@ use shared::{
     scene::SceneId,
 };
 
+use crate::bench::BenchArgs;
+
 /// Shows a scanned model on a display wall, ray traced by render servers.
 ///
 /// Without arguments: the built-in statue on a wall of 4×3 projectors, traced by two local render servers.
@@ -26,6 +28,8 @@ pub struct Args {
 /// Programs beside the wall.
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
+    /// The paper's experiment: bytes and time per frame by division and number of render servers
+    Bench(BenchArgs),
     /// The render server: the same as the program `renderer`
     #[command(subcommand)]
     Renderer(renderer::cli::Command),

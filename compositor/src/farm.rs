@@ -5,6 +5,7 @@
 
 mod connection;
 mod frame_buffer;
+pub(crate) mod replay;
 mod scheduler;
 mod service;
 mod unit_set;

@@ -60,7 +60,7 @@ impl Headless {
                 }
                 continue;
             };
-            let display = self.show(Some(&frame))?;
+            let display = self.show(&frame)?;
             report.add(Some(&frame), display, milliseconds(ended_at.elapsed()));
             ended_at = Instant::now();
             tracing::debug!("frame shown: {}", frame.stats.frame);
@@ -71,19 +71,25 @@ impl Headless {
     /// Shows blank frames: what the display alone can do.
     pub fn show_blank_frames(&mut self, size: shared::division::FrameSize, n_frames: u32) -> anyhow::Result<Report> {
         let mut report = Report::default();
-        let blank = vec![u32::from_ne_bytes([0, 0, 0, 255]); size.n_samples() as usize];
         for _ in 0..n_frames {
             let started_at = Instant::now();
-            let (upload, draw) = self.upload_and_draw(size, &blank)?;
-            let display = DisplayStats {
-                upload_ms: milliseconds(upload),
-                draw_ms: milliseconds(draw),
-                latency_ms: milliseconds(started_at.elapsed()),
-                ..DisplayStats::default()
-            };
+            let display = self.show_blank(size)?;
             report.add(None, display, milliseconds(started_at.elapsed()));
         }
         Ok(report)
+    }
+
+    /// Shows one blank frame.
+    pub fn show_blank(&mut self, size: shared::division::FrameSize) -> anyhow::Result<DisplayStats> {
+        let blank = vec![u32::from_ne_bytes([0, 0, 0, 255]); size.n_samples() as usize];
+        let started_at = Instant::now();
+        let (upload, draw) = self.upload_and_draw(size, &blank)?;
+        Ok(DisplayStats {
+            upload_ms: milliseconds(upload),
+            draw_ms: milliseconds(draw),
+            latency_ms: milliseconds(started_at.elapsed()),
+            ..DisplayStats::default()
+        })
     }
 
     /// The wall as it is now, for a screenshot.
@@ -92,8 +98,8 @@ impl Headless {
         picture.write_png(path).with_context(|| format!("no screenshot {}", path.display()))
     }
 
-    fn show(&mut self, frame: Option<&Frame>) -> anyhow::Result<DisplayStats> {
-        let Some(frame) = frame else { return Ok(DisplayStats::default()) };
+    /// Shows one frame.
+    pub fn show(&mut self, frame: &Frame) -> anyhow::Result<DisplayStats> {
         let (upload, draw) = self.upload_and_draw(frame.picture.size, &frame.rgba)?;
         Ok(DisplayStats {
             upload_ms: milliseconds(upload),
@@ -126,7 +132,7 @@ impl Headless {
 }
 
 /// Waits for news; says what is missing when that takes long.
-fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Wakeup> {
+pub(crate) fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Wakeup> {
     use std::sync::mpsc::RecvTimeoutError::{Disconnected, Timeout};
     match wakeups.recv_timeout(PATIENCE) {
         Ok(wakeup) => Ok(wakeup),

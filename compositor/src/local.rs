@@ -2,7 +2,7 @@
 
 use std::{
     net::SocketAddr,
-    path::Path,
+    path::{Path, PathBuf},
     process::{Child, Command, Stdio},
 };
 
@@ -10,8 +10,12 @@ use anyhow::Context;
 use renderer::scene_args::SceneArgs;
 
 /// Render servers that end with the wall.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct LocalServers {
+    program: PathBuf,
+    wall: SocketAddr,
+    key: Option<PathBuf>,
+    scene: SceneArgs,
     children: Vec<Child>,
 }
 
@@ -19,32 +23,41 @@ impl LocalServers {
     /// Starts `n_servers` that share this machine's cores, connect to a wall at `address` with its key file, if it has
     /// one, and make scenes ready as `scene` says.
     pub fn start(n_servers: u32, address: SocketAddr, key: Option<&Path>, scene: &SceneArgs) -> anyhow::Result<Self> {
-        let mut servers = Self::default();
-        let program = std::env::current_exe().context("this program does not know where it lies")?;
+        let mut servers = Self::none(address, key, scene)?;
         let n_cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
+        (0..n_servers).try_for_each(|_| servers.add((n_cores / n_servers).max(1)))?;
+        Ok(servers)
+    }
+
+    /// None yet.
+    pub fn none(address: SocketAddr, key: Option<&Path>, scene: &SceneArgs) -> anyhow::Result<Self> {
+        let program = std::env::current_exe().context("this program does not know where it lies")?;
         // A wall that listens on every address is reached on loopback.
         let ip = if address.ip().is_unspecified() { loopback_like(address) } else { address.ip() };
-        let address = SocketAddr::new(ip, address.port());
-        for number in 1..=n_servers {
-            let mut command = Command::new(&program);
-            command.args(["renderer", "connect", &address.to_string(), "--local"]);
-            match key {
-                Some(key) => command.arg("--key").arg(key),
-                // The wall may listen on an address of this machine that is not loopback.
-                None => command.arg("--insecure"),
-            };
-            let child = command
-                .args(["--name", &format!("local-{number}")])
-                .args(scene.to_arguments())
-                .args(["--threads", &(n_cores / n_servers).max(1).to_string()])
-                // Held open as long as this process lives: its end is theirs.
-                .stdin(Stdio::piped())
-                .stdout(Stdio::null())
-                .spawn()
-                .with_context(|| format!("cannot start a local render server ({})", program.display()))?;
-            servers.children.push(child);
-        }
-        Ok(servers)
+        let wall = SocketAddr::new(ip, address.port());
+        Ok(Self { program, wall, key: key.map(Path::to_owned), scene: *scene, children: Vec::new() })
+    }
+
+    /// Starts one more, with so many threads.
+    pub fn add(&mut self, n_threads: u32) -> anyhow::Result<()> {
+        let mut command = Command::new(&self.program);
+        command.args(["renderer", "connect", &self.wall.to_string(), "--local"]);
+        match &self.key {
+            Some(key) => command.arg("--key").arg(key),
+            // The wall may listen on an address of this machine that is not loopback.
+            None => command.arg("--insecure"),
+        };
+        let child = command
+            .args(["--name", &format!("local-{}", self.children.len() + 1)])
+            .args(self.scene.to_arguments())
+            .args(["--threads", &n_threads.to_string()])
+            // Held open as long as this process lives: its end is theirs.
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .spawn()
+            .with_context(|| format!("cannot start a local render server ({})", self.program.display()))?;
+        self.children.push(child);
+        Ok(())
     }
 }
 

@@ -10,6 +10,7 @@ fn main() -> ExitCode {
     renderer::cli::start_logging();
     let result = match args.command {
         Some(Command::Renderer(command)) => renderer::cli::run(command),
+        Some(Command::Bench(args)) => compositor::bench::run(&args),
         None => compositor::run::run(&args.wall),
     };
     renderer::cli::exit_code(result)

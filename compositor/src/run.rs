@@ -178,7 +178,7 @@ fn start_farm(
 }
 
 /// Wake-up calls for a wall without a window; a signal to stop is one of them.
-fn wakeups(runtime: &Runtime) -> (mpsc::SyncSender<Wakeup>, Wakeups) {
+pub(crate) fn wakeups(runtime: &Runtime) -> (mpsc::SyncSender<Wakeup>, Wakeups) {
     // Room for one of each kind.
     let (wake, wakeups) = mpsc::sync_channel(2);
     let stop = wake.clone();
@@ -191,7 +191,7 @@ fn wakeups(runtime: &Runtime) -> (mpsc::SyncSender<Wakeup>, Wakeups) {
     (wake, wakeups)
 }
 
-fn network_threads() -> anyhow::Result<Runtime> {
+pub(crate) fn network_threads() -> anyhow::Result<Runtime> {
     tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .thread_name("network")

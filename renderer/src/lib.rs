@@ -34,4 +34,4 @@ pub mod traced;
 pub mod tracer;
 pub mod triangle;
 pub mod wire;
-mod work;
+pub mod work;

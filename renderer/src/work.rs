@@ -142,7 +142,7 @@ impl Job {
 }
 
 /// How many units of a share make a block, so that it fits one chunk; and how many of those are measured together.
-fn block_units(share: &Share<'_>, n_threads: u32) -> (u32, u32) {
+pub fn block_units(share: &Share<'_>, n_threads: u32) -> (u32, u32) {
     let largest_unit = share.units().whole_unit_samples();
     let most = CHUNK_BYTES as u32 / (3 * largest_unit);
     let fewest = (SMALLEST_BLOCK / largest_unit).max(1);

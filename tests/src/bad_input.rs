@@ -62,6 +62,21 @@ fn values_out_of_range_name_the_range() {
 }
 
 #[test]
+fn an_experiment_that_cannot_be_is_refused() {
+    let bench = |args: &[&str]| {
+        let mut command = Program::command("compositor");
+        command.arg("bench").args(args);
+        fails(command)
+    };
+    assert!(bench(&["--out", "x", "--nodes", "0..65"]).contains("from 0 to 64"));
+    assert!(bench(&["--out", "x", "--nodes", "twelve"]).contains("0..12"));
+    assert!(bench(&["--out", "x", "--predict", "9999"]).contains("from 0 to 1024"));
+    assert!(bench(&["--out", "x", "--seconds", "0"]).contains("from 0.01 to 3600"));
+    assert!(bench(&["--out", "x", "--predict-size", "0x1"]).contains("from 1 to 16384"));
+    assert!(bench(&["--out", "/proc/no/such", "--nodes", "none"]).contains("cannot make the folder /proc/no/such"));
+}
+
+#[test]
 fn a_port_in_use_is_said_so() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let line = fails(compositor(&["--listen", &taken.local_addr().unwrap().to_string()]));

@@ -5,6 +5,8 @@ mod accuracy;
 #[cfg(test)]
 mod bad_input;
 #[cfg(test)]
+mod bench;
+#[cfg(test)]
 mod farm;
 #[cfg(test)]
 mod measuring;

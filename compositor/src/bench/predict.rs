@@ -1,0 +1,180 @@
+//! What a cluster of one-core machines would do: shares really traced one by one on this machine, replayed through the
+//! wall's scheduler and a model of the link.
+
+use std::time::Duration;
+
+use glam::DVec3;
+use shared::{
+    camera::UpAxis,
+    division::{Division, FrameSize},
+    protocol::Picture,
+};
+
+use super::{
+    results::{Check, Measured, Predicted, quantile},
+    shares::ShareTracer,
+};
+use crate::farm::replay::{Cluster, Link, ReplayedFrame, period, replay};
+
+/// Frames in which the dynamic division finds its balance; they do not count.
+const N_FIRST: usize = 4;
+
+/// How far the camera goes around the model from one frame to the next, in radians: one degree, at 60 frames a second
+/// once around in six seconds.
+const YAW_PER_FRAME: f64 = std::f64::consts::PI / 180.0;
+
+/// One way through a switch of an idle network.
+const LATENCY: Duration = Duration::from_micros(100);
+
+/// The paper's link as its authors measured it, and a fast one; megabits a second.
+const LINKS_MBIT_PER_S: [f64; 2] = [680.0, 10_000.0];
+
+/// How many times as long a slow node takes.
+const SLOW: f64 = 3.0;
+
+/// One curve of the prediction: frames of one size, divided in one way among some nodes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Scenario {
+    pub(super) size: FrameSize,
+    pub(super) is_moving: bool,
+    pub(super) division: Division,
+    pub(super) n_nodes: u32,
+    /// Nodes with a third of the others' speed.
+    pub(super) n_slow: u32,
+}
+
+/// All that is predicted for frames of one size; the cluster of one node, with which others are compared, comes first.
+pub(super) fn scenarios(size: FrameSize, node_counts: &[u32]) -> Vec<Scenario> {
+    let mut scenarios = Vec::new();
+    for is_moving in [false, true] {
+        // The static divisions see neither costs nor motion: one camera tells all about them.
+        let divisions = if is_moving { &[Division::Dynamic][..] } else { &Division::ALL };
+        for &division in divisions {
+            let counts = [1].iter().chain(node_counts.iter().filter(|&&n_nodes| n_nodes > 1));
+            scenarios.extend(counts.map(|&n_nodes| Scenario { size, is_moving, division, n_nodes, n_slow: 0 }));
+            if division == Division::Dynamic && node_counts.contains(&12) {
+                scenarios.push(Scenario { size, is_moving, division, n_nodes: 12, n_slow: 1 });
+            }
+        }
+    }
+    scenarios
+}
+
+/// The picture and the way around the model.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Path {
+    pub(super) picture: Picture,
+    /// What the camera goes around, in world space.
+    pub(super) centre: DVec3,
+    /// Frames rendered at a time.
+    pub(super) in_flight: u32,
+}
+
+impl Path {
+    fn picture(&self, scenario: &Scenario, n_shown: usize) -> Picture {
+        let yaw = if scenario.is_moving { n_shown as f64 * YAW_PER_FRAME } else { 0.0 };
+        let camera = self.picture.camera.orbit(self.centre, UpAxis::Y, yaw, 0.0);
+        Picture { camera, size: scenario.size, ..self.picture }
+    }
+}
+
+/// Predicts one scenario for each link; `None` when `is_stopped` says so. `alone_ms` gives what one node takes for a frame
+/// of this scenario behind a link.
+pub(super) fn predict(
+    scenario: &Scenario,
+    path: &Path,
+    n_frames: usize,
+    tracer: &mut ShareTracer<'_>,
+    alone_ms: impl Fn(f64) -> Option<f64>,
+    is_stopped: impl Fn() -> bool,
+) -> Option<Vec<Predicted>> {
+    let slowness: Vec<f64> =
+        (0..scenario.n_nodes).map(|node| if node < scenario.n_slow { SLOW } else { 1.0 }).collect();
+    let speed: f64 = slowness.iter().map(|slowness| 1.0 / slowness).sum();
+    // One node does the same for a still camera again and again.
+    let n_frames = if scenario.n_nodes == 1 && !scenario.is_moving { 1 } else { n_frames };
+    LINKS_MBIT_PER_S
+        .into_iter()
+        .map(|mbit_per_s| {
+            let link = Link { bits_per_second: mbit_per_s * 1e6, latency: LATENCY };
+            let cluster =
+                Cluster { slowness: slowness.clone(), link, division: scenario.division, in_flight: path.in_flight };
+            let trace = |works: &[_]| tracer.trace(works, &is_stopped);
+            let frames = replay(&cluster, N_FIRST + n_frames, |n_shown| path.picture(scenario, n_shown), trace);
+            let counted = frames.get(N_FIRST..N_FIRST + n_frames)?;
+            let frame_ms = milliseconds(period(&frames, N_FIRST)?);
+            let mean = |value: &dyn Fn(&ReplayedFrame) -> f64| counted.iter().map(value).sum::<f64>() / n_frames as f64;
+            let compute_ms = mean(&|frame| {
+                let cpu_ms = |node: &crate::stats::NodeFrameStats| node.trace_cpu_ms / slowness[node.id.0 as usize];
+                frame.stats.nodes.iter().map(cpu_ms).sum::<f64>() / speed
+            });
+            let bytes_in = mean(&|frame| frame.stats.bytes_in as f64);
+            let link_ms = milliseconds(link.time_for(bytes_in as u64));
+            let imbalance = |part| quantile(counted.iter().map(|frame| frame.stats.imbalance), part);
+            let alone_ms = if scenario.n_nodes == 1 { frame_ms } else { alone_ms(mbit_per_s)? };
+            Some(Predicted {
+                division: scenario.division,
+                n_nodes: scenario.n_nodes,
+                n_slow: scenario.n_slow,
+                size: scenario.size.to_string(),
+                is_moving: scenario.is_moving,
+                mbit_per_s,
+                n_frames,
+                frame_ms,
+                compute_ms,
+                link_ms,
+                binds: if compute_ms >= link_ms { "compute" } else { "link" },
+                over_bound: frame_ms / compute_ms.max(link_ms),
+                efficiency: alone_ms / (frame_ms * speed),
+                imbalance_median: imbalance(0.5),
+                imbalance_p95: imbalance(0.95),
+                bytes_in,
+            })
+        })
+        .collect()
+}
+
+/// Predicts what was measured on this machine without display, where the link is the loopback.
+pub(super) fn check(
+    measured: &Measured,
+    path: &Path,
+    tracer: &mut ShareTracer<'_>,
+    is_stopped: impl Fn() -> bool,
+) -> Option<Check> {
+    let division = measured.division?;
+    let link = Link { bits_per_second: f64::INFINITY, latency: Duration::from_micros(50) };
+    let cluster = Cluster { slowness: vec![1.0; measured.n_nodes as usize], link, division, in_flight: path.in_flight };
+    let trace = |works: &[_]| tracer.trace(works, &is_stopped);
+    let frames = replay(&cluster, N_FIRST + 4, |_| path.picture, trace);
+    let predicted_ms = milliseconds(period(&frames, N_FIRST)?);
+    let measured_ms = measured.frame_ms_median;
+    Some(Check {
+        division,
+        n_nodes: measured.n_nodes,
+        measured_ms,
+        measured_busy_ms: measured.busiest_ms_median,
+        predicted_ms,
+        predicted_over_measured: predicted_ms / measured_ms,
+    })
+}
+
+fn milliseconds(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_node_comes_before_those_that_are_compared_with_it() {
+        let scenarios = scenarios(FrameSize::PAPER, &[12, 64]);
+        for (index, scenario) in scenarios.iter().enumerate() {
+            let alone = |other: &Scenario| {
+                (other.division, other.is_moving, other.n_nodes) == (scenario.division, scenario.is_moving, 1)
+            };
+            assert!(scenarios[..=index].iter().any(alone), "{scenario:?}");
+        }
+        assert_eq!(scenarios.iter().filter(|scenario| scenario.n_slow == 1).count(), 2);
+    }
+}

@@ -1,0 +1,102 @@
+//! What shares of frames cost: each is really traced, alone, on one thread, as a render server traces it.
+
+use std::{collections::HashMap, rc::Rc};
+
+use cpu_time::ThreadTime;
+use renderer::{
+    tracer::{FrameRequest, Scene},
+    work::block_units,
+};
+use shared::{
+    codec::{CHUNK_HEADER_BYTES, HEADER_BYTES},
+    division::Work,
+    protocol::{BlockCosts, Chunk, FrameId, Picture, WorkId},
+};
+
+use crate::farm::replay::{TracedChunk, TracedShare};
+
+/// How often shares are traced, all of a frame in turn; of each part the fastest counts. The first time fills the caches
+/// with what a render server has in them from the frame before, and what else this machine does disturbs hardly anything
+/// each time.
+const N_PASSES: usize = 4;
+
+/// Traces shares, and remembers what they cost: the same share is asked for again for each link.
+pub(super) struct ShareTracer<'a> {
+    scene: &'a Scene,
+    known: HashMap<String, Rc<TracedShare>>,
+}
+
+impl<'a> ShareTracer<'a> {
+    pub(super) fn new(scene: &'a Scene) -> Self {
+        Self { scene, known: HashMap::new() }
+    }
+
+    /// Traces all that is not known; `None` when `is_stopped` says so.
+    pub(super) fn trace(
+        &mut self,
+        works: &[(Picture, Work)],
+        is_stopped: impl Fn() -> bool,
+    ) -> Option<Vec<Rc<TracedShare>>> {
+        // Pictures and works hold floats and have no hash; what they print is exact.
+        let keys: Vec<_> = works.iter().map(|work| format!("{work:?}")).collect();
+        let new: Vec<_> = (0..works.len()).filter(|&index| !self.known.contains_key(&keys[index])).collect();
+        let mut traced: Vec<Option<TracedShare>> = vec![None; new.len()];
+        for _ in 0..N_PASSES {
+            for (&index, so_far) in new.iter().zip(&mut traced) {
+                if is_stopped() {
+                    return None;
+                }
+                let (picture, work) = &works[index];
+                let once_more = trace(self.scene, picture, work);
+                *so_far = Some(match so_far.take() {
+                    Some(so_far) => so_far.fastest(&once_more),
+                    None => once_more,
+                });
+            }
+        }
+        let new = new.into_iter().map(|index| keys[index].clone());
+        self.known.extend(new.zip(traced.into_iter().flatten().map(Rc::new)));
+        Some(keys.iter().map(|key| Rc::clone(&self.known[key])).collect())
+    }
+}
+
+impl TracedShare {
+    /// Of each part the time of the faster of two tracings.
+    fn fastest(mut self, other: &Self) -> Self {
+        self.chunks.iter_mut().zip(&other.chunks).for_each(|(chunk, other)| chunk.cpu = chunk.cpu.min(other.cpu));
+        self.costs.cpu_ns.iter_mut().zip(&other.costs.cpu_ns).for_each(|(ns, other)| *ns = (*ns).min(*other));
+        self
+    }
+}
+
+/// Traces a share on the calling thread, in the chunks and with the clocks of a render server.
+fn trace(scene: &Scene, picture: &Picture, work: &Work) -> TracedShare {
+    let Picture { camera, size, view, rays, samples, .. } = *picture;
+    let request = FrameRequest { camera, size, view, rays, samples };
+    let share = work.share(size).expect("the scheduler makes works that fit their frame");
+    let (n_per_chunk, n_per_cost) = block_units(&share, 1);
+    let mut traced =
+        TracedShare { costs: BlockCosts { block_units: n_per_cost, ..BlockCosts::default() }, chunks: vec![] };
+    for first_unit in (0..share.count()).step_by(n_per_chunk as usize) {
+        let started_at = ThreadTime::now();
+        let mut measured_until = started_at;
+        let end = (first_unit + n_per_chunk).min(share.count());
+        let mut rgb = Vec::new();
+        for first in (first_unit..end).step_by(n_per_cost as usize) {
+            scene.render(&request, &share, first..(first + n_per_cost).min(end), &mut rgb);
+            if share.is_on_curve() {
+                let now = ThreadTime::now();
+                let cpu_ns = now.duration_since(measured_until).as_nanos();
+                traced.costs.cpu_ns.push(u32::try_from(cpu_ns).unwrap_or(u32::MAX));
+                measured_until = now;
+            }
+        }
+        let n_units = end - first_unit;
+        let (frame, work_id) = (FrameId(0), WorkId(0));
+        let mut message = Vec::with_capacity(HEADER_BYTES + CHUNK_HEADER_BYTES + rgb.len());
+        Chunk { frame, work_id, first_unit, n_units, rgb: &rgb }.encode(&mut message);
+        let (n_bytes, cpu) = (message.len() as u64, started_at.elapsed());
+        traced.chunks.push(TracedChunk { first_unit, n_units, n_bytes, cpu });
+    }
+    traced
+}
