@@ -11,6 +11,7 @@ use anyhow::Context;
 use clap::{Parser, Subcommand};
 
 use crate::{
+    chart::{self, ChartArgs},
     connect::{self, ConnectArgs},
     generate::{self, GenerateArgs},
     key::{self, KeyArgs},
@@ -29,6 +30,8 @@ pub struct Cli {
 /// What the program can do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Measure speed against accuracy of ways to intersect rays with triangles, and draw a chart
+    Chart(ChartArgs),
     /// Render for a wall until told to stop
     Connect(ConnectArgs),
     /// Write a built-in model to a file
@@ -42,6 +45,7 @@ pub enum Command {
 /// Does it.
 pub fn run(command: Command) -> anyhow::Result<()> {
     match command {
+        Command::Chart(args) => chart::run(&args),
         Command::Connect(args) => connect::run(args),
         Command::Generate(args) => generate::run(&args),
         Command::Key(args) => key::run(&args),

@@ -21,7 +21,7 @@ mod build;
 mod cull;
 mod figures;
 #[expect(clippy::needless_range_loop, reason = "an axis or a corner indexes several arrays at once")]
-mod filter;
+pub(crate) mod filter;
 mod macrocells;
 mod options;
 mod overlap;

@@ -15,11 +15,11 @@ use crate::{
 };
 
 /// Triangles that are filtered together.
-pub(super) const BATCH: usize = 16;
+pub(crate) const BATCH: usize = 16;
 
 /// A bit for each of up to [`BATCH`] triangles that the ray may hit.
 #[inline]
-pub(super) fn may_hit(instructions: InstructionSet, mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> u32 {
+pub(crate) fn may_hit(instructions: InstructionSet, mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> u32 {
     match instructions {
         InstructionSet::Plain => may_hit_generic::<Plain>(mesh, ray, triangles),
         // SAFETY: a grid holds only what `InstructionSet::available` has found.

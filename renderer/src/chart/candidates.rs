@@ -1,0 +1,247 @@
+//! Which triangles each ray of a frame may hit, found by projecting every triangle onto the view plane.
+
+use glam::{DMat3, DVec3, Vec3};
+use shared::{
+    camera::{Camera, CameraRays},
+    division::FrameSize,
+};
+
+use crate::{mesh::Mesh, ray::Ray};
+
+/// Where model and eye stand when they are measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Placement {
+    /// As they are.
+    Near,
+    /// The eye drawn back to [`FAR`] times the model's size, with the same things in view.
+    EyeFar,
+    /// Model and eye together moved away from the origin by [`FAR`] times the model's size.
+    ModelMoved,
+}
+
+/// Far, in sizes of the model.
+const FAR: f64 = 1e4;
+
+impl Placement {
+    pub(super) const ALL: [Self; 3] = [Self::Near, Self::EyeFar, Self::ModelMoved];
+
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Near => "near",
+            Self::EyeFar => "eye-far",
+            Self::ModelMoved => "model-moved",
+        }
+    }
+
+    pub(super) fn title(self) -> &'static str {
+        match self {
+            Self::Near => "near: model and eye as they are",
+            Self::EyeFar => "far: the eye 10⁴ times the model's size away",
+            Self::ModelMoved => "moved: model and eye 10⁴ times the model's size away from the origin",
+        }
+    }
+}
+
+/// A model with an eye, ready to be measured.
+pub(super) struct Placed {
+    /// Instead of the mesh's, where it was moved.
+    vertices: Option<Vec<[f32; 3]>>,
+    pub(super) camera: Camera,
+}
+
+impl Placed {
+    /// Puts the model and a camera somewhere; the error says why that is impossible.
+    pub(super) fn new(mesh: &Mesh, camera: &Camera, placement: Placement) -> Result<Self, String> {
+        let bounds = mesh.bounds();
+        let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
+        let (centre, size) = ((min + max) * 0.5, (max - min).length());
+        match placement {
+            Placement::Near => Ok(Self { vertices: None, camera: *camera }),
+            Placement::EyeFar => {
+                let forward = camera.u().cross(camera.v()).normalize();
+                let depth = |point: DVec3| (point - camera.eye()).dot(forward);
+                // The view plane is put into the model before the eye leaves it.
+                let scale = depth(centre) / depth(camera.ll());
+                if scale <= 0.0 {
+                    return Err("the model's middle lies behind the eye".to_owned());
+                }
+                let ll = camera.eye() + (camera.ll() - camera.eye()) * scale;
+                let (u, v) = (camera.u() * scale, camera.v() * scale);
+                let middle = ll + (u + v) * 0.5;
+                let back = (camera.eye() - middle).normalize();
+                let camera = Camera::new(middle + back * (FAR * size), ll, u, v).map_err(|error| error.to_string())?;
+                Ok(Self { vertices: None, camera })
+            }
+            Placement::ModelMoved => {
+                let offset = DVec3::new(1.0, 1.0, 1.0).normalize() * (FAR * size) - centre;
+                let camera = Camera::new(camera.eye() + offset, camera.ll() + offset, camera.u(), camera.v())
+                    .map_err(|error| error.to_string())?;
+                let moved = |&vertex: &[f32; 3]| (Vec3::from_array(vertex).as_dvec3() + offset).as_vec3().to_array();
+                Ok(Self { vertices: Some(mesh.vertices.iter().map(moved).collect()), camera })
+            }
+        }
+    }
+
+    /// The corners of a triangle, or `None` if it cannot be traced.
+    pub(super) fn corners(&self, mesh: &Mesh, triangle: usize) -> Option<[[f32; 3]; 3]> {
+        let vertices = self.vertices.as_ref().unwrap_or(&mesh.vertices);
+        let indices = mesh.triangles[triangle];
+        let corners = |indices: [u32; 3]| indices.map(|index| vertices[index as usize]);
+        (indices != Mesh::REJECTED).then(|| corners(indices))
+    }
+}
+
+/// The candidates of all rays of a frame.
+pub(super) struct Candidates {
+    rays: CameraRays,
+    size: FrameSize,
+    /// Where the candidates of each sample end, row by row.
+    ends: Vec<u32>,
+    /// Triangles by their number, ascending for each sample.
+    triangles: Vec<u32>,
+}
+
+/// More pairs of ray and triangle than this are not kept: 1 GB of them would be the whole of a node's memory.
+const MOST_PAIRS: u64 = 100_000_000;
+
+/// How far outside a triangle's bounds rays may pass it and still be candidates, in samples: more than any method's error
+/// where it is of any use, and as much as the cells of a grid add.
+const MARGIN: f64 = 0.25;
+
+impl Candidates {
+    /// Finds them; the error says why there are none to be had.
+    pub(super) fn find(mesh: &Mesh, placed: &Placed, size: FrameSize) -> Result<Self, String> {
+        let rays = placed.camera.rays(size);
+        let mut counts = vec![0u32; size.n_samples() as usize];
+        let mut n_pairs = 0;
+        for_each_pair(mesh, placed, &rays, size, |sample, _| {
+            counts[sample] += 1;
+            n_pairs += 1;
+            n_pairs <= MOST_PAIRS
+        });
+        if n_pairs > MOST_PAIRS {
+            return Err(format!("more than {MOST_PAIRS} pairs of ray and triangle: choose a smaller --size"));
+        }
+        let mut ends = Vec::with_capacity(counts.len());
+        let mut sum = 0;
+        for count in counts {
+            ends.push(sum);
+            sum += count;
+        }
+        let mut triangles = vec![0; sum as usize];
+        for_each_pair(mesh, placed, &rays, size, |sample, triangle| {
+            triangles[ends[sample] as usize] = triangle;
+            ends[sample] += 1;
+            true
+        });
+        Ok(Self { rays, size, ends, triangles })
+    }
+
+    /// Pairs of ray and triangle.
+    pub(super) fn n_pairs(&self) -> usize {
+        self.triangles.len()
+    }
+
+    /// Rays that have candidates.
+    pub(super) fn n_rays(&self) -> usize {
+        let begins = [0].iter().chain(&self.ends);
+        begins.zip(&self.ends).filter(|(begin, end)| begin < end).count()
+    }
+
+    /// How many chunks of `n` samples there are.
+    pub(super) fn n_chunks(&self, n: usize) -> usize {
+        self.ends.len().div_ceil(n)
+    }
+
+    /// Samples that have candidates, in runs of `n` at most: each run's rays with their candidates.
+    pub(super) fn chunks(&self, n: usize) -> impl Iterator<Item = Vec<(Ray, &[u32])>> {
+        let xres = self.size.xres();
+        (0..self.size.n_samples()).step_by(n).map(move |first| {
+            let samples = first..(first + n as u32).min(self.size.n_samples());
+            let with_candidates = samples.map(move |sample| {
+                let begin = if sample == 0 { 0 } else { self.ends[sample as usize - 1] };
+                let candidates = &self.triangles[begin as usize..self.ends[sample as usize] as usize];
+                let ray = Ray::new(self.rays.eye, self.rays.direction(sample % xres, sample / xres));
+                (ray, candidates)
+            });
+            with_candidates.filter(|(_, candidates)| !candidates.is_empty()).collect()
+        })
+    }
+}
+
+/// Calls `visit` with sample and triangle of each pair, triangle by triangle, until it returns false.
+fn for_each_pair(
+    mesh: &Mesh,
+    placed: &Placed,
+    rays: &CameraRays,
+    size: FrameSize,
+    mut visit: impl FnMut(usize, u32) -> bool,
+) {
+    let origin = rays.eye.as_dvec3();
+    // A point is eye + s·(a + x·du + y·dv), and (s, s·x, s·y) is linear in it.
+    let plane = DMat3::from_cols(rays.a.as_dvec3(), rays.du.as_dvec3(), rays.dv.as_dvec3()).inverse();
+    let (xres, yres) = (size.xres(), size.yres());
+    for triangle in 0..mesh.triangles.len() {
+        let Some(corners) = placed.corners(mesh, triangle) else { continue };
+        let projected = corners.map(|corner| plane * (Vec3::from_array(corner).as_dvec3() - origin));
+        if projected.iter().all(|p| p.x <= 0.0) {
+            continue;
+        }
+        let crosses_eye = projected.iter().any(|p| p.x <= 0.0);
+        let span = |axis: usize, n: u32| {
+            if crosses_eye {
+                return 0..n;
+            }
+            let places = projected.map(|p| p[axis] / p.x);
+            let low = places.into_iter().fold(f64::INFINITY, f64::min) - MARGIN - 0.5;
+            let high = places.into_iter().fold(f64::NEG_INFINITY, f64::max) + MARGIN - 0.5;
+            // Centres of samples lie halfway between whole numbers.
+            low.ceil().clamp(0.0, f64::from(n)) as u32..(high.floor() + 1.0).clamp(0.0, f64::from(n)) as u32
+        };
+        for j in span(2, yres) {
+            for i in span(1, xres) {
+                if !visit((j * xres + i) as usize, triangle as u32) {
+                    return;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        chart::reference::{Truth, truth},
+        statue,
+        tracer::{Scene, SceneOptions},
+    };
+
+    #[test]
+    fn the_truth_among_the_candidates_is_what_the_grid_finds_wherever_the_model_stands() {
+        let mesh = statue::generate(5000, &|_| ());
+        let camera = Camera::look_at(DVec3::new(0.4, 1.2, 4.0), DVec3::Y * 0.9, DVec3::Y, 0.5, 2.0).unwrap();
+        let size = FrameSize::new(100, 50).unwrap();
+        for placement in Placement::ALL {
+            let placed = Placed::new(&mesh, &camera, placement).unwrap();
+            let candidates = Candidates::find(&mesh, &placed, size).unwrap();
+            let moved = Mesh { vertices: placed.vertices.clone().unwrap_or(mesh.vertices.clone()), ..mesh.clone() };
+            let scene = Scene::build(moved, &SceneOptions::default(), &|_| ());
+            let (mut n_hits, mut n_unknown) = (0, 0);
+            for (ray, triangles) in candidates.chunks(777).flatten() {
+                let corners = triangles.iter().map(|&triangle| placed.corners(&mesh, triangle as usize).unwrap());
+                let hit = scene.grid().intersect(&ray);
+                match truth(&ray, corners) {
+                    Truth::Miss => assert!(hit.is_miss(), "{placement:?} {ray:?} {hit:?}"),
+                    Truth::Unknown => n_unknown += 1,
+                    Truth::Nearest(t) => {
+                        n_hits += 1;
+                        assert!((f64::from(hit.t) - t).abs() <= 1e-7 * t, "{placement:?} {ray:?} {hit:?} {t}");
+                    }
+                }
+            }
+            assert!(n_hits > 500 && n_unknown < n_hits / 50, "{placement:?}: {n_hits} hits, {n_unknown} unknown");
+        }
+    }
+}

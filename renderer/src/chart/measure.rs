@@ -1,0 +1,171 @@
+//! Speed and error of all methods, in one run: they take turns on the same rays and candidates, a few microseconds each,
+//! so that whatever else the machine does hits all alike.
+
+use std::time::Duration;
+
+use cpu_time::ThreadTime;
+
+use super::{
+    candidates::{Candidates, Placed},
+    methods::{Answer, Method},
+    reference::{self, Truth, Verdict},
+};
+use crate::{mesh::Mesh, ray::Ray, traced::TracedMesh};
+
+/// What was measured of one method.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Measurement {
+    cpu: Duration,
+    n_rays: u64,
+    /// Rays that the reference could decide.
+    pub(super) n_compared: u64,
+    /// Rays that pass an edge more closely than it could tell.
+    pub(super) n_undecided: u64,
+    /// Hits that are missed.
+    pub(super) n_lost: u64,
+    /// Misses that are hit.
+    pub(super) n_invented: u64,
+    /// Hits of a triangle that lies behind the nearest, or is none at all.
+    pub(super) n_other_triangle: u64,
+    /// Relative errors of depth where both hit.
+    depth_errors: Vec<f32>,
+}
+
+/// Triangles at depths that differ by less are equally near, as where faces of two solids coincide.
+const SAME_DEPTH: f64 = 1e-12;
+
+/// Rays that all methods take in turn before the next: their candidates fit the second cache.
+const CHUNK: usize = 1024;
+
+/// Measures all methods, in the order of [`Method::ALL`]. `progress` is told what part is done, 0 to 1.
+pub(super) fn measure(
+    mesh: &Mesh,
+    placed: &Placed,
+    candidates: &Candidates,
+    n_repeats: usize,
+    progress: &dyn Fn(f32),
+) -> Vec<Measurement> {
+    let mut measurements = vec![Measurement::default(); Method::ALL.len()];
+    let n_chunks = candidates.n_chunks(CHUNK);
+    for (index, chunk) in candidates.chunks(CHUNK).enumerate() {
+        progress(index as f32 / n_chunks as f32);
+        if !chunk.is_empty() {
+            Chunk::new(mesh, placed, &chunk).measure(n_repeats, &mut measurements);
+        }
+    }
+    measurements
+}
+
+/// Some rays with their candidates side by side in memory.
+struct Chunk {
+    rays: Vec<Ray>,
+    /// One triangle for each pair.
+    mesh: TracedMesh,
+    candidates: Vec<u32>,
+    ends: Vec<usize>,
+}
+
+impl Chunk {
+    fn new(mesh: &Mesh, placed: &Placed, rays: &[(Ray, &[u32])]) -> Self {
+        let mut pairs = Mesh::default();
+        let mut ends = Vec::with_capacity(rays.len());
+        for (_, triangles) in rays {
+            for corners in triangles.iter().filter_map(|&triangle| placed.corners(mesh, triangle as usize)) {
+                let first = pairs.vertices.len() as u32;
+                pairs.vertices.extend(corners);
+                pairs.triangles.push([first, first + 1, first + 2]);
+            }
+            ends.push(pairs.triangles.len());
+        }
+        let mut candidates: Vec<u32> = (0..pairs.triangles.len() as u32).collect();
+        let mesh = TracedMesh::new(pairs, &mut candidates);
+        Self { rays: rays.iter().map(|&(ray, _)| ray).collect(), mesh, candidates, ends }
+    }
+
+    fn measure(&self, n_repeats: usize, measurements: &mut [Measurement]) {
+        let mut times = vec![Vec::with_capacity(n_repeats); Method::ALL.len()];
+        let mut answers = vec![Vec::with_capacity(self.rays.len()); Method::ALL.len()];
+        for repeat in 0..n_repeats {
+            for turn in 0..Method::ALL.len() {
+                let index = (turn + repeat) % Method::ALL.len();
+                answers[index].clear();
+                let started = ThreadTime::now();
+                Method::ALL[index].run(&self.mesh, &self.rays, &self.candidates, &self.ends, &mut answers[index]);
+                times[index].push(started.elapsed());
+            }
+        }
+        let truths: Vec<_> = (0..self.rays.len()).map(|ray| self.truth(ray)).collect();
+        for ((measurement, times), answers) in measurements.iter_mut().zip(&mut times).zip(&answers) {
+            times.sort_unstable();
+            measurement.cpu += times[times.len() / 2];
+            measurement.n_rays += self.rays.len() as u64;
+            for (ray, (&truth, &answer)) in truths.iter().zip(answers).enumerate() {
+                self.compare(measurement, ray, truth, answer);
+            }
+        }
+    }
+
+    fn truth(&self, ray: usize) -> Truth {
+        let first = if ray == 0 { 0 } else { self.ends[ray - 1] };
+        let candidates = &self.candidates[first..self.ends[ray]];
+        reference::truth(&self.rays[ray], candidates.iter().map(|&place| self.mesh.corners(place)))
+    }
+
+    fn compare(&self, measurement: &mut Measurement, ray: usize, truth: Truth, answer: Answer) {
+        if truth == Truth::Unknown {
+            measurement.n_undecided += 1;
+            return;
+        }
+        measurement.n_compared += 1;
+        match (truth, answer) {
+            (Truth::Nearest(_), None) => measurement.n_lost += 1,
+            (Truth::Nearest(nearest), Some((place, t))) => {
+                let verdict = reference::verdict(&self.rays[ray], &self.mesh.corners(place));
+                let is_nearest = matches!(verdict, Verdict::Hit(t) if t <= nearest * (1.0 + SAME_DEPTH));
+                measurement.n_other_triangle += u64::from(!is_nearest);
+                if nearest > 0.0 {
+                    measurement.depth_errors.push(((t - nearest).abs() / nearest) as f32);
+                }
+            }
+            (_, Some(_)) => measurement.n_invented += 1,
+            (_, None) => {}
+        }
+    }
+}
+
+impl Measurement {
+    /// Adds what was measured of the same method elsewhere.
+    pub(super) fn add(&mut self, other: &Self) {
+        self.cpu += other.cpu;
+        self.n_rays += other.n_rays;
+        self.n_compared += other.n_compared;
+        self.n_undecided += other.n_undecided;
+        self.n_lost += other.n_lost;
+        self.n_invented += other.n_invented;
+        self.n_other_triangle += other.n_other_triangle;
+        self.depth_errors.extend_from_slice(&other.depth_errors);
+    }
+
+    /// CPU time of one ray with all its candidates, in nanoseconds.
+    pub(super) fn cpu_ns_per_ray(&self) -> f64 {
+        self.cpu.as_secs_f64() * 1e9 / self.n_rays as f64
+    }
+
+    /// Rays that hit what they should.
+    pub(super) fn n_hits(&self) -> usize {
+        self.depth_errors.len()
+    }
+
+    pub(super) fn n_wrong(&self) -> u64 {
+        self.n_lost + self.n_invented + self.n_other_triangle
+    }
+
+    /// The relative errors of depth that half, 99.9 % and all of the hits do not exceed.
+    pub(super) fn depth_error_quantiles(&self) -> [f64; 3] {
+        let mut sorted = self.depth_errors.clone();
+        sorted.sort_by(f32::total_cmp);
+        let n = sorted.len();
+        let places = [n / 2, n * 999 / 1000, n.saturating_sub(1)];
+        places.map(|place| sorted.get(place).map_or(0.0, |&error| f64::from(error)))
+    }
+}

@@ -1,0 +1,231 @@
+//! The methods that the chart compares: Raywall's own, and its rivals as they stand in the literature.
+//!
+//! Rivals are plain: no margins, no second look. They are used for nothing but the chart.
+
+use std::ops::{Add, Div, Mul, Sub};
+
+use serde::Serialize;
+
+use crate::{
+    grid::{InstructionSet, filter},
+    ray::Ray,
+    traced::TracedMesh,
+    triangle,
+};
+
+/// A way to decide whether a ray hits a triangle, and where.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub(super) enum Method {
+    /// Volumes of tetrahedra between the ray's origin and the edges' ends, in `f32`.
+    OriginEdgesF32,
+    /// Möller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection" (1997), in `f32`.
+    MollerTrumboreF32,
+    /// Plücker coordinates of edges relative to the ray's origin, in `f32`, as in Embree's robust mode.
+    PluckerF32,
+    /// Raywall: candidates are filtered in `f32`, many at a time; [`triangle::intersect`] decides what is left.
+    Raywall,
+    /// Möller and Trumbore in `f64`.
+    MollerTrumboreF64,
+}
+
+/// What a method says of one ray: the place of the nearest triangle, and t.
+pub(super) type Answer = Option<(u32, f64)>;
+
+impl Method {
+    pub(super) const ALL: [Self; 5] =
+        [Self::OriginEdgesF32, Self::MollerTrumboreF32, Self::PluckerF32, Self::Raywall, Self::MollerTrumboreF64];
+
+    /// The name in the table.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::OriginEdgesF32 => "origin-edges-f32",
+            Self::MollerTrumboreF32 => "moller-trumbore-f32",
+            Self::PluckerF32 => "plucker-f32",
+            Self::Raywall => "raywall",
+            Self::MollerTrumboreF64 => "moller-trumbore-f64",
+        }
+    }
+
+    /// The name on the chart.
+    pub(super) fn label(self) -> &'static str {
+        match self {
+            Self::OriginEdgesF32 => "origin edges f32",
+            Self::MollerTrumboreF32 => "Möller–Trumbore f32",
+            Self::PluckerF32 => "Plücker f32",
+            Self::Raywall => "Raywall",
+            Self::MollerTrumboreF64 => "Möller–Trumbore f64",
+        }
+    }
+
+    /// The nearest candidate along each ray; of several at the same t the first. `candidates` are places in the mesh, and
+    /// `ends` says where those of each ray end.
+    pub(super) fn run(
+        self,
+        mesh: &TracedMesh,
+        rays: &[Ray],
+        candidates: &[u32],
+        ends: &[usize],
+        out: &mut Vec<Answer>,
+    ) {
+        match self {
+            Self::OriginEdgesF32 => one_by_one(mesh, rays, candidates, ends, out, origin_edges),
+            Self::MollerTrumboreF32 => one_by_one(mesh, rays, candidates, ends, out, |ray, corners| {
+                moller_trumbore::<f32>(ray.origin.to_array(), ray.direction.to_array(), *corners).map(f64::from)
+            }),
+            Self::PluckerF32 => one_by_one(mesh, rays, candidates, ends, out, plucker),
+            Self::Raywall => raywall(mesh, rays, candidates, ends, out),
+            Self::MollerTrumboreF64 => one_by_one(mesh, rays, candidates, ends, out, |ray, corners| {
+                let double = |vector: [f32; 3]| vector.map(f64::from);
+                moller_trumbore::<f64>(
+                    double(ray.origin.to_array()),
+                    double(ray.direction.to_array()),
+                    corners.map(double),
+                )
+            }),
+        }
+    }
+}
+
+fn one_by_one(
+    mesh: &TracedMesh,
+    rays: &[Ray],
+    candidates: &[u32],
+    ends: &[usize],
+    out: &mut Vec<Answer>,
+    intersect: impl Fn(&Ray, &[[f32; 3]; 3]) -> Option<f64>,
+) {
+    let mut first = 0;
+    for (ray, &end) in rays.iter().zip(ends) {
+        let mut nearest: Answer = None;
+        for &place in &candidates[first..end] {
+            if let Some(t) = intersect(ray, &mesh.corners(place))
+                && nearest.is_none_or(|(_, nearest_t)| t < nearest_t)
+            {
+                nearest = Some((place, t));
+            }
+        }
+        out.push(nearest);
+        first = end;
+    }
+}
+
+/// As single rays do it on their way through the grid, with t rounded to `f32` as in a hit.
+fn raywall(mesh: &TracedMesh, rays: &[Ray], candidates: &[u32], ends: &[usize], out: &mut Vec<Answer>) {
+    let instructions = InstructionSet::best();
+    let mut first = 0;
+    for (ray, &end) in rays.iter().zip(ends) {
+        let mut nearest: Answer = None;
+        for batch in candidates[first..end].chunks(filter::BATCH) {
+            let mut left = filter::may_hit(instructions, mesh, ray, batch);
+            while left != 0 {
+                let place = batch[left.trailing_zeros() as usize];
+                left &= left - 1;
+                let Some(t) = triangle::intersect(ray, &mesh.corners(place)) else { continue };
+                if nearest.is_none_or(|(_, nearest_t)| t < nearest_t) {
+                    nearest = Some((place, t));
+                }
+            }
+        }
+        out.push(nearest.map(|(place, t)| (place, f64::from(t as f32))));
+        first = end;
+    }
+}
+
+fn moller_trumbore<R>(origin: [R; 3], direction: [R; 3], [a, b, c]: [[R; 3]; 3]) -> Option<R>
+where
+    R: Copy + From<u8> + PartialOrd + Add<Output = R> + Sub<Output = R> + Mul<Output = R> + Div<Output = R>,
+{
+    let (zero, one) = (R::from(0), R::from(1));
+    let (edge_ab, edge_ac) = (sub(b, a), sub(c, a));
+    let p = cross(direction, edge_ac);
+    let determinant = dot(edge_ab, p);
+    if determinant == zero {
+        return None;
+    }
+    let inverse = one / determinant;
+    let to_origin = sub(origin, a);
+    let u = dot(to_origin, p) * inverse;
+    let q = cross(to_origin, edge_ab);
+    let v = dot(direction, q) * inverse;
+    let t = dot(edge_ac, q) * inverse;
+    (u >= zero && v >= zero && u + v <= one && t >= zero).then_some(t)
+}
+
+fn plucker(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
+    let direction = ray.direction.to_array();
+    let [v0, v1, v2] = corners.map(|corner| sub(corner, ray.origin.to_array()));
+    let edges = [(v2, v0), (v0, v1), (v1, v2)];
+    let sides = edges.map(|(from, to)| dot(direction, cross(sub(from, to), add(from, to))));
+    is_one_side(sides)?;
+    let normal = cross(sub(v2, v0), sub(v1, v0));
+    distance(dot(normal, v0), dot(normal, direction))
+}
+
+fn origin_edges(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
+    let direction = ray.direction.to_array();
+    let [v0, v1, v2] = corners.map(|corner| sub(corner, ray.origin.to_array()));
+    let normals = [(v0, v1), (v1, v2), (v2, v0)].map(|(from, to)| cross(from, to));
+    let sides = normals.map(|normal| dot(direction, normal));
+    is_one_side(sides)?;
+    // The plane's normal is the sum of those through the edges.
+    let normal = add(add(normals[0], normals[1]), normals[2]);
+    distance(dot(normal, v0), sides[0] + sides[1] + sides[2])
+}
+
+fn is_one_side(sides: [f32; 3]) -> Option<()> {
+    (sides.iter().all(|&side| side >= 0.0) || sides.iter().all(|&side| side <= 0.0)).then_some(())
+}
+
+fn distance(numerator: f32, determinant: f32) -> Option<f64> {
+    let t = numerator / determinant;
+    (determinant != 0.0 && t >= 0.0).then_some(f64::from(t))
+}
+
+fn add<R: Copy + Add<Output = R>>(a: [R; 3], b: [R; 3]) -> [R; 3] {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+}
+
+fn sub<R: Copy + Sub<Output = R>>(a: [R; 3], b: [R; 3]) -> [R; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+fn dot<R: Copy + Add<Output = R> + Mul<Output = R>>(a: [R; 3], b: [R; 3]) -> R {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross<R: Copy + Sub<Output = R> + Mul<Output = R>>(a: [R; 3], b: [R; 3]) -> [R; 3] {
+    [a[1] * b[2] - b[1] * a[2], a[2] * b[0] - b[2] * a[0], a[0] * b[1] - b[0] * a[1]]
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::mesh::Mesh;
+
+    #[test]
+    fn all_methods_agree_where_nothing_is_hard() {
+        let mesh = Mesh {
+            vertices: vec![[-1.0, -1.0, 5.0], [3.0, -1.0, 5.0], [-1.0, 3.0, 5.0], [-1.0, -1.0, 7.0], [3.0, 3.0, 7.0]],
+            triangles: vec![[1, 4, 3], [0, 1, 2], [2, 1, 0]],
+            ..Mesh::default()
+        };
+        let mesh = TracedMesh::new(mesh, &mut [0, 1, 2]);
+        let rays = [[0.1, 0.1, 1.0], [0.2, 0.1, 1.0], [0.3, 0.2, 1.0], [-0.5, 0.0, 1.0], [0.1, 0.1, -1.0]]
+            .map(|direction| Ray::new(Vec3::ZERO, Vec3::from_array(direction)));
+        for method in Method::ALL {
+            let mut answers = Vec::new();
+            method.run(&mesh, &rays, &[0, 1, 2, 0, 2, 1, 0, 1, 0, 1, 2], &[3, 6, 8, 9, 11], &mut answers);
+            let near = |answer: Answer| answer.map(|(place, t)| (place, (t * 1e4).round() / 1e4));
+            let answers: Vec<_> = answers.into_iter().map(near).collect();
+            assert_eq!(answers[..2], [Some((1, 5.0)), Some((2, 5.0))], "{method:?}: the first of equals");
+            assert_eq!(answers[3..], [None, None], "{method:?}");
+            assert!(
+                answers[2].is_some_and(|(place, t)| place == 0 && (5.0..7.0).contains(&t)),
+                "{method:?} {answers:?}"
+            );
+        }
+    }
+}
