@@ -2,7 +2,7 @@
 
 CARGO ?= cargo
 
-.PHONY: run test setup setup-test format clippy docs bench
+.PHONY: run test setup setup-test format clippy docs bench test-slurm
 
 # NODEVICE_SELECT keeps a layer of Mesa from complaining about the session that a headless machine does not have.
 
@@ -32,6 +32,11 @@ docs:
 # How fast the grid is built and followed, on generated models: a minute or two.
 bench:
 	$(CARGO) bench -p renderer --bench grid
+
+# A real Slurm on this machine starts render servers; as root, for it installs and runs Slurm's daemons.
+test-slurm:
+	$(CARGO) build --release
+	@sh tests/slurm.sh
 
 # What the system lacks, shown in one line and installed if you agree. YES=1 and CI do not ask.
 setup:
