@@ -10,7 +10,7 @@ use super::uniform::CellIndex;
 
 /// Slots at the end that are tried for a row, in words of 64 bits. Trying all would take time quadratic in the number
 /// of rows, for a few per cent of slots.
-const WINDOW_WORDS: usize = 512;
+const WINDOW_WORDS: usize = 256;
 
 /// Which cells are occupied, and the slot of each of those.
 #[derive(Debug, PartialEq)]

@@ -166,7 +166,7 @@ fn walk<C: Cells>(cells: &C, space: &CellSpace, ray: &Ray, mut visit: impl FnMut
         return 0;
     }
 
-    let at = |t: f64, axis: usize| (origin[axis] + t * direction[axis]).floor() as i32;
+    let at = |t: f64, axis: usize| floor(origin[axis] + t * direction[axis]);
     let mut cell = [0, 1, 2].map(|axis| at(t_enter, axis).clamp(0, dims[axis] - 1));
     let mut n_cells = 0;
     loop {
@@ -205,6 +205,13 @@ fn walk<C: Cells>(cells: &C, space: &CellSpace, ray: &Ray, mut visit: impl FnMut
             return n_cells;
         }
     }
+}
+
+/// Without the call that `f64::floor` is where SSE4.1 may be missing.
+#[inline(always)]
+fn floor(x: f64) -> i32 {
+    let truncated = x as i32;
+    truncated.saturating_sub(i32::from(f64::from(truncated) > x))
 }
 
 /// A ray in finest cells, from a point of it that is not far from the grid.
