@@ -138,33 +138,19 @@ impl<'a> SecondaryRays<'a> {
         scratch: &mut PacketScratch,
     ) {
         let light = self.key_light.as_dvec3();
-        let mut packet =
-            Packet { origin: self.key_light, directions: [[0.0; 64]; 3], active: 0, t_min: 0.0, t_max: 1.0 };
-        let mut last = None;
-        for (lane, &place) in places.iter().enumerate() {
+        let mut directions = [None; 64];
+        for (direction, &place) in directions.iter_mut().zip(places) {
             let Some(Surface { point, normal }) = &surfaces[place] else { continue };
             let to_point = *point - light;
             reach[place].key_direction = (-to_point * (1.0 / to_point.length())).as_vec3();
             reach[place].key = 0.0;
             if normal.dot(to_point) < -self.lift {
-                set_direction(&mut packet, lane, to_point.as_vec3());
-                packet.active |= 1 << lane;
-                last = Some(lane);
+                *direction = Some(to_point.as_vec3());
             }
         }
-        let Some(last) = last else { return };
-        // The others repeat the next ray, which lies close to it.
-        let mut next = lane_direction(&packet, last);
-        for lane in (0..64).rev() {
-            if packet.active >> lane & 1 == 1 {
-                next = lane_direction(&packet, lane);
-            } else {
-                set_direction(&mut packet, lane, next);
-            }
-        }
-        let hits = self.grid.intersect_packet(&packet, scratch);
+        let hidden = hidden(self.grid, self.key_light, &directions, 1.0, scratch);
         for (lane, &place) in places.iter().enumerate() {
-            if packet.active >> lane & 1 == 1 && hits[lane].is_miss() {
+            if directions[lane].is_some() && hidden >> lane & 1 == 0 {
                 reach[place].key = 1.0;
             }
         }
@@ -212,14 +198,26 @@ fn key_light(grid: &Grid, eye: DVec3, sideways: DVec3, centre: DVec3, radius: f6
     (base + step * part).as_vec3()
 }
 
-fn lane_direction(packet: &Packet, lane: usize) -> Vec3 {
-    Vec3::from_array(packet.directions.map(|component| component[lane]))
-}
-
-fn set_direction(packet: &mut Packet, lane: usize, direction: Vec3) {
-    for axis in 0..3 {
-        packet.directions[axis][lane] = direction[axis];
+/// A bit for each ray from `origin` that hits something up to `t_max`.
+pub(crate) fn hidden(
+    grid: &Grid,
+    origin: Vec3,
+    directions: &[Option<Vec3>; 64],
+    t_max: f32,
+    scratch: &mut PacketScratch,
+) -> u64 {
+    let Some(mut next) = directions.iter().rev().find_map(|direction| *direction) else { return 0 };
+    let mut packet = Packet { origin, directions: [[0.0; 64]; 3], active: 0, t_min: 0.0, t_max };
+    for (lane, direction) in directions.iter().enumerate().rev() {
+        // Entries of no ray repeat the next, which lies close to them.
+        next = direction.unwrap_or(next);
+        for axis in 0..3 {
+            packet.directions[axis][lane] = next[axis];
+        }
+        packet.active |= u64::from(direction.is_some()) << lane;
     }
+    let hits = grid.intersect_packet(&packet, scratch);
+    (0..64).filter(|&lane| !hits[lane].is_miss()).fold(0, |hidden, lane| hidden | 1 << lane) & packet.active
 }
 
 /// Two vectors of unit length at right angles to a normal and to each other: Duff et al., "Building an Orthonormal Basis,

@@ -2,6 +2,7 @@
 
 mod cameras;
 pub mod frame;
+mod shadows;
 
 use std::{
     io::Read,

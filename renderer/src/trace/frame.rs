@@ -11,11 +11,11 @@ use cpu_time::ThreadTime;
 use glam::Vec3;
 use rayon::prelude::*;
 use shared::{
-    camera::CameraRays,
     division::{Division, TILE_SIZE},
     srgb,
 };
 
+use super::shadows::ShadowCaster;
 use crate::{
     grid::PacketScratch,
     ray::{Hit, Ray},
@@ -98,18 +98,21 @@ impl Frame {
                 ),
             }
             let mut in_tiles = &*in_tiles;
+            let mut scratch = PacketScratch::default();
             for samples in tiles.map(|tile| share.samples(tile)) {
-                for j in samples.rows {
-                    let (of_row, others) = in_tiles.split_at(samples.columns.len());
-                    in_tiles = others;
-                    let first = (j - first_j) as usize * xres + samples.columns.start as usize;
-                    for (offset, (i, &hit)) in samples.columns.clone().zip(of_row).enumerate() {
-                        hits[first + offset] = scene.in_file_order(hit);
-                        places[first + offset] = hit.triangle;
-                        if let Some(light) = options.light.filter(|_| !hit.is_miss()) {
-                            cost.trace_shadow(scene, &rays, rays.direction(i, j), hit, light);
-                        }
-                    }
+                let (of_tile, others) = in_tiles.split_at(samples.count() as usize);
+                in_tiles = others;
+                for ((i, j), &hit) in samples.iter().zip(of_tile) {
+                    let place = (j - first_j) as usize * xres + i as usize;
+                    hits[place] = scene.in_file_order(hit);
+                    places[place] = hit.triangle;
+                }
+                if let Some(light) = options.light {
+                    let block: Vec<_> = samples.iter().collect();
+                    let caster = ShadowCaster { scene, rays: &rays, light, kernel: options.kernel };
+                    let (n_rays, n_hidden) = caster.cast(&block, of_tile, &mut scratch);
+                    cost.n_shadow_rays += n_rays;
+                    cost.n_shadowed += n_hidden;
                 }
             }
             cost.cpu = start.elapsed();
@@ -190,26 +193,6 @@ pub fn cost_sum(scene: &Scene, request: &FrameRequest) -> CostSum {
         .into_par_iter()
         .map(of_row)
         .reduce(CostSum::default, |a, b| CostSum { n_cells: a.n_cells + b.n_cells, n_tests: a.n_tests + b.n_tests })
-}
-
-impl Cost {
-    /// A shadow ray by the convention of the peers that Raywall is measured against: from the hit to the light, any hit
-    /// with t in 1e-4..1 counts, and a surface that faces away from the light is dark without a ray.
-    fn trace_shadow(&mut self, scene: &Scene, rays: &CameraRays, direction: Vec3, hit: Hit, light: Vec3) {
-        let origin = rays.eye + direction * hit.t;
-        let to_light = light - origin;
-        let [a, b, c] = scene.mesh().corners(hit.triangle).map(Vec3::from_array);
-        let normal = (b - a).cross(c - a);
-        let faces_eye = normal.dot(direction) < 0.0;
-        let cosine = normal.dot(to_light);
-        if (faces_eye && cosine <= 0.0) || (!faces_eye && cosine >= 0.0) {
-            self.n_shadowed += 1;
-            return;
-        }
-        self.n_shadow_rays += 1;
-        let ray = Ray { origin, direction: to_light, t_min: 1e-4, t_max: 1.0 };
-        self.n_shadowed += usize::from(scene.grid().occluded(&ray));
-    }
 }
 
 fn add(total: &Mutex<Cost>, cost: Cost) {
