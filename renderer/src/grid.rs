@@ -10,11 +10,13 @@
 //! size, with [`row_displacement`] that compresses it and [`macrocells`] over it.
 //!
 //! In reading order: [`resolution`] says how many cells; [`overlap`] which cells a triangle touches; [`scatter`] puts
-//! triangles into cells; [`build`] makes the grid; [`walk`] follows single rays through it with [`filter`] before each
+//! triangles into cells; [`build`] makes the grid; [`boxes`] bounds the triangles; [`walk`] follows single rays through it with [`filter`] before each
 //! list, [`packet`] follows many rays together, whose triangles [`cull`] sorts out.
 
 use std::time::Duration;
 
+#[expect(clippy::needless_range_loop, reason = "an axis indexes several arrays at once")]
+mod boxes;
 mod budget;
 mod build;
 #[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
@@ -69,6 +71,8 @@ pub struct Grid {
     leaf_starts: Vec<u32>,
     /// Triangles by their place in the mesh, leaf after leaf.
     references: Vec<u32>,
+    /// Small bounds of the triangle of each reference.
+    boxes: boxes::Boxes,
     /// The largest empty cube that a single ray may skip whole, log₂ in finest cells.
     largest_skip: u32,
     /// The paper's uniform grid in place of the tree, which is empty then.

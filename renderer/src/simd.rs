@@ -84,6 +84,8 @@ pub(crate) trait Simd: Copy {
     fn splat(x: f32) -> Self;
     /// The first [`Simd::LANES`] numbers of a slice that has as many.
     fn load(from: &[f32]) -> Self;
+    /// The first [`Simd::LANES`] numbers of a slice of at least 16, as they are.
+    fn load_bytes(from: &[u8]) -> Self;
     /// Writes to the beginning of a slice that has room.
     fn store(self, to: &mut [f32]);
     /// The least of all.
@@ -141,6 +143,10 @@ impl Simd for Plain {
     #[inline(always)]
     fn load(from: &[f32]) -> Self {
         Self(std::array::from_fn(|lane| from[lane]))
+    }
+    #[inline(always)]
+    fn load_bytes(from: &[u8]) -> Self {
+        Self(std::array::from_fn(|lane| f32::from(from[lane])))
     }
     #[inline(always)]
     fn store(self, to: &mut [f32]) {
@@ -268,6 +274,12 @@ mod x86 {
             let from: &[f32; 8] = from[..8].try_into().expect("eight numbers");
             // SAFETY: as above, and eight numbers are there.
             Self(unsafe { _mm256_loadu_ps(from.as_ptr()) })
+        }
+        #[inline(always)]
+        fn load_bytes(from: &[u8]) -> Self {
+            let from: &[u8; 16] = from[..16].try_into().expect("sixteen numbers");
+            // SAFETY: as above, and eight numbers are there.
+            Self(unsafe { _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64(from.as_ptr().cast()))) })
         }
         #[inline(always)]
         fn store(self, to: &mut [f32]) {
@@ -399,6 +411,12 @@ mod x86 {
             let from: &[f32; 16] = from[..16].try_into().expect("sixteen numbers");
             // SAFETY: as above, and sixteen numbers are there.
             Self(unsafe { _mm512_loadu_ps(from.as_ptr()) })
+        }
+        #[inline(always)]
+        fn load_bytes(from: &[u8]) -> Self {
+            let from: &[u8; 16] = from[..16].try_into().expect("sixteen numbers");
+            // SAFETY: as above, and sixteen numbers are there.
+            Self(unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128(from.as_ptr().cast()))) })
         }
         #[inline(always)]
         fn store(self, to: &mut [f32]) {

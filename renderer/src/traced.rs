@@ -26,14 +26,20 @@ pub struct TracedMesh {
 impl TracedMesh {
     /// Bytes that a mesh takes at most while it is put in order, as loaded and as traced, the references not counted.
     pub(crate) fn peak_bytes(mesh: &Mesh, is_flat: bool) -> u64 {
+        // With new numbers of triangles and vertices in both directions.
+        let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
+        let ordering = mesh.n_bytes() as u64 + Self::bytes_in_order(mesh, false) + 4 * n_triangles + 8 * n_vertices;
+        ordering.max(Self::bytes_in_order(mesh, is_flat))
+    }
+
+    /// Bytes that a mesh takes at most once it is in order, the references not counted.
+    pub(crate) fn bytes_in_order(mesh: &Mesh, is_flat: bool) -> u64 {
         let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
         let color_bytes = size_of_val(&*mesh.colors) as u64;
-        // With numbers in the file, and new numbers of triangles and vertices in both directions.
+        // With numbers in the file.
         let indexed = 16 * n_triangles + 12 * n_vertices + color_bytes;
-        let ordering = mesh.n_bytes() as u64 + indexed + 4 * n_triangles + 8 * n_vertices;
         let flat_corner_bytes = if mesh.colors.is_empty() { 12 } else { 15 };
-        let flattening = indexed + 3 * flat_corner_bytes * n_triangles;
-        if is_flat { ordering.max(flattening) } else { ordering }
+        if is_flat { indexed + 3 * flat_corner_bytes * n_triangles } else { indexed }
     }
 
     /// Orders a mesh by the first mention of each triangle in `references`, and makes the references places.
@@ -126,8 +132,24 @@ impl TracedMesh {
             + size_of_val(&*self.colors)
     }
 
-    pub(crate) fn triangles(&self) -> &[[u32; 3]] {
-        &self.triangles
+    /// Hints that the triangle at a place will be read soon.
+    #[inline(always)]
+    pub(crate) fn prefetch<S: Simd>(&self, place: u32) {
+        if self.triangles.is_empty() {
+            S::prefetch(&self.vertices, 3 * place as usize);
+        } else {
+            S::prefetch(&self.triangles, place as usize);
+        }
+    }
+
+    /// Hints that the corners of the triangle at a place will be read soon; the triangle itself is read now.
+    #[inline(always)]
+    pub(crate) fn prefetch_corners<S: Simd>(&self, place: u32) {
+        if let Some(&[a, b, c]) = self.triangles.get(place as usize) {
+            S::prefetch(&self.vertices, a as usize);
+            S::prefetch(&self.vertices, b as usize);
+            S::prefetch(&self.vertices, c as usize);
+        }
     }
 
     /// For each corner of the triangles at some places 3 × its vertex. Places must lie inside the mesh.

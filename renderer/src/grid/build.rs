@@ -13,6 +13,7 @@ use rayon::prelude::*;
 
 use super::{
     BRICK_SIZE, CELLS_PER_BRICK, Grid, GridOptions, InstructionSet, LEVELS, MemoryShortage, MeshLayout, Node, Storage,
+    boxes::Boxes,
     overlap::{self, DILATION},
     resolution::{CellSpace, resolution},
     scatter::Scatter,
@@ -26,12 +27,15 @@ use crate::{
 /// References that one task divides, and above which the children of one node are divided in parallel.
 const REFERENCES_PER_TASK: usize = 1 << 15;
 
-/// Cubes that hold no more than this are not divided. Packets test 16 triangles as fast as they find one more leaf, so
-/// the fastest is far above what single rays would like; memory falls with it.
-const LEAF_SIZE: usize = 48;
+/// Cubes that hold no more than this are not divided: the boxes of 16 triangles are tested faster than one more leaf is
+/// found. Between 128 and 512 speed is flat; memory falls with it.
+const LEAF_SIZE: usize = 256;
 
-/// What one reference takes with its part of leaves and nodes, while pieces are put together.
+/// What one reference takes with its part of leaves and nodes.
 const TREE_BYTES_PER_REFERENCE: u64 = 5;
+
+/// What its box takes, which is measured when the mesh as it was loaded is gone.
+const BOX_BYTES_PER_REFERENCE: u64 = 6;
 
 /// What the program takes before it has a scene.
 pub(super) const PROGRAM_BYTES: u64 = 40_000_000;
@@ -46,13 +50,18 @@ impl Grid {
         if bounds.is_empty() {
             return Self::empty(TracedMesh::new(mesh, &mut []));
         }
-        let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh, options.mesh == MeshLayout::Flat);
+        let is_flat = options.mesh == MeshLayout::Flat;
+        let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh, is_flat);
+        let mesh_bytes_in_order = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh, is_flat);
         let most_bytes = options.memory_budget.left_beside(mesh_bytes);
         let grid = match options.storage {
             Storage::Masks => Self::masks(mesh, &bounds, options, most_bytes, progress),
             Storage::Plain | Storage::RowDisplacement => Self::uniform(mesh, &bounds, options, most_bytes),
         };
-        let (budget, all_bytes) = (options.memory_budget, mesh_bytes + grid.n_bytes() as u64);
+        // Boxes come when the mesh as it was loaded is gone.
+        let (grid_bytes, box_bytes) = (grid.n_bytes() as u64, grid.boxes.n_bytes() as u64);
+        let all_bytes = (mesh_bytes + grid_bytes - box_bytes).max(mesh_bytes_in_order + grid_bytes);
+        let budget = options.memory_budget;
         let (is_coarser, is_too_much) = (grid.shortage.is_some(), budget.is_less_than(all_bytes));
         let needed_bytes = is_too_much.then_some(all_bytes);
         let shortage = (is_coarser || is_too_much).then_some(MemoryShortage { budget, is_coarser, needed_bytes });
@@ -100,7 +109,11 @@ impl Grid {
         let (space, dims) = (scatter.space, scatter.dims);
         // Small scenes can afford more references for each triangle, and large triangles need them.
         let wanted = ((1 << 24) / n_triangles as u64).clamp(6, 64) * references.len() as u64;
-        let affordable = (most_bytes / TREE_BYTES_PER_REFERENCE).min(u64::from(u32::MAX));
+        let mesh_bytes = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh, options.mesh == MeshLayout::Flat);
+        let most_bytes_in_order = options.memory_budget.left_beside(mesh_bytes);
+        let affordable = (most_bytes / TREE_BYTES_PER_REFERENCE)
+            .min(most_bytes_in_order / (TREE_BYTES_PER_REFERENCE + BOX_BYTES_PER_REFERENCE))
+            .min(u64::from(u32::MAX));
         let builder = Builder {
             scatter,
             n_in_bricks: references.len() as u64,
@@ -119,6 +132,7 @@ impl Grid {
         leaf_starts.insert(0, 0);
         let mesh = TracedMesh::new(mesh, &mut references);
         let instructions = InstructionSet::best();
+        let boxes = Boxes::new(&space, dims, &bricks, &nodes, &leaf_starts, &references, &mesh);
         Self {
             space,
             dims,
@@ -126,6 +140,7 @@ impl Grid {
             nodes,
             leaf_starts,
             references,
+            boxes,
             largest_skip: largest_skip(options.macrocell_levels),
             uniform: None,
             placement: Duration::ZERO,
@@ -169,6 +184,7 @@ impl Grid {
             nodes: Vec::new(),
             leaf_starts: vec![0],
             references: Vec::new(),
+            boxes: Boxes::default(),
             largest_skip: largest_skip(0),
             uniform: None,
             placement: Duration::ZERO,

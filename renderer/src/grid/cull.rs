@@ -6,7 +6,11 @@
 
 use glam::Vec3;
 
-use super::packet::Packet;
+use super::{
+    Grid,
+    boxes::LeafBoxes,
+    packet::{Leaf, Packet},
+};
 #[cfg(target_arch = "x86_64")]
 use crate::simd::{Avx2, Avx512};
 use crate::{
@@ -43,14 +47,16 @@ struct Group {
 /// A packet on its way, with the nearest hits so far.
 pub(super) struct Culler<'a> {
     mesh: &'a TracedMesh,
-    triangles: &'a [[u32; 3]],
+    references: &'a [u32],
     /// Coordinates of all vertices.
     coordinates: &'a [f32],
     packet: &'a Packet,
     /// The major axis and the two others.
-    axes: [usize; 3],
+    pub(super) axes: [usize; 3],
     /// The sign of all directions along the major axis.
-    sign: f32,
+    pub(super) sign: f32,
+    /// Finest cells in a world unit, rounded up.
+    cells_per_unit: f32,
     /// Slopes of the rays against the major axis.
     u: [f32; 64],
     v: [f32; 64],
@@ -72,8 +78,19 @@ pub(super) struct Culler<'a> {
     /// Pairs that wait for a decision: ray and triangle.
     candidates: [(u8, u32); 8],
     n_candidates: usize,
+    pairs: &'a mut Vec<Pair>,
     /// Whether triangles were met since [`Culler::settle`].
     pub(super) touched: bool,
+}
+
+/// A ray that passes the box of a triangle.
+#[derive(Clone, Copy)]
+pub(super) struct Pair {
+    ray: u32,
+    /// A reference, and later the triangle's place.
+    triangle: u32,
+    /// Where the box begins, in finest cells.
+    near: f32,
 }
 
 /// Triangles made ready for the rays, one in each lane.
@@ -94,10 +111,20 @@ struct Prepared {
 impl<'a> Culler<'a> {
     /// Takes a packet whose active rays all have the sign `sign` along `axes[0]`, and duplicates in the other entries.
     #[inline(always)]
-    pub(super) fn new<S: Simd>(mesh: &'a TracedMesh, packet: &'a Packet, axes: [usize; 3], sign: f32) -> Self {
+    pub(super) fn new<S: Simd>(
+        grid: &'a Grid,
+        packet: &'a Packet,
+        axes: [usize; 3],
+        sign: f32,
+        pairs: &'a mut Vec<Pair>,
+    ) -> Self {
+        let mesh = &grid.mesh;
+        pairs.clear();
         let mut culler = Self {
             mesh,
-            triangles: mesh.triangles(),
+            references: &grid.references,
+            cells_per_unit: (grid.space.cells_per_unit() * (1.0 + 1e-6)) as f32,
+            pairs,
             coordinates: bytemuck::cast_slice(mesh.vertices()),
             packet,
             axes,
@@ -163,38 +190,106 @@ impl<'a> Culler<'a> {
         self.slopes = bounds;
     }
 
-    /// Whether a ray may pass between these slopes that could still have a nearer hit beyond a depth.
+    /// A bit for each ray that may pass between these slopes and could still have a nearer hit beyond a depth.
     #[inline(always)]
-    pub(super) fn passes<S: Simd>(&self, u: [f32; 2], v: [f32; 2]) -> bool {
+    pub(super) fn passing<S: Simd>(&self, u: [f32; 2], v: [f32; 2], depth: f32) -> u64 {
         let (u_low, u_high) = (S::splat(u[0] - u[0].abs() * SLOPE_MARGIN), S::splat(u[1] + u[1].abs() * SLOPE_MARGIN));
         let (v_low, v_high) = (S::splat(v[0] - v[0].abs() * SLOPE_MARGIN), S::splat(v[1] + v[1].abs() * SLOPE_MARGIN));
-        let mut any = 0;
+        let depth = S::splat(depth);
+        let mut rays = 0;
         for group in 0..64 / S::LANES {
-            let u = S::load(&self.u[group * S::LANES..]);
-            let v = S::load(&self.v[group * S::LANES..]);
-            any |= u_low.up_to(u) & u.up_to(u_high) & v_low.up_to(v) & v.up_to(v_high);
+            let first = group * S::LANES;
+            let u = S::load(&self.u[first..]);
+            let v = S::load(&self.v[first..]);
+            let passing = u_low.up_to(u)
+                & u.up_to(u_high)
+                & v_low.up_to(v)
+                & v.up_to(v_high)
+                & depth.up_to(S::load(&self.limits[first..]));
+            rays |= u64::from(passing) << first;
         }
-        any != 0
+        rays
     }
 
-    /// Tests triangles soon, unless they were tested lately.
+    /// Tests soon what some rays may hit of a leaf, whose references begin at `first_reference`.
     #[inline(always)]
-    pub(super) fn add<S: Kernel>(&mut self, triangles: &[u32]) {
-        self.touched = true;
-        for some in triangles.chunks(N_WAITING / 2) {
-            if self.n_waiting + some.len() > N_WAITING {
+    pub(super) fn pair<S: Simd>(&mut self, boxes: &LeafBoxes<'_>, first_reference: usize, rays: u64) {
+        let mut first = 0;
+        while first < boxes.n() {
+            let bounds = boxes.bounds::<S>(first);
+            let mut near = [0.0; 16];
+            bounds.near.store(&mut near);
+            let within = u32::MAX >> (32 - (boxes.n() - first).min(S::LANES));
+            let mut left = rays;
+            while left != 0 {
+                let ray = left.trailing_zeros() as usize;
+                left &= left - 1;
+                let (u, v) = (self.u[ray], self.v[ray]);
+                let mut passed = bounds.passed_by([u, u, v, v], self.limits[ray] * self.cells_per_unit) & within;
+                while passed != 0 {
+                    let lane = passed.trailing_zeros() as usize;
+                    passed &= passed - 1;
+                    let triangle = (first_reference + first + lane) as u32;
+                    self.pairs.push(Pair { ray: ray as u32, triangle, near: near[lane] });
+                }
+            }
+            first += S::LANES;
+        }
+    }
+
+    /// Decides all pairs.
+    #[inline(always)]
+    pub(super) fn decide_pairs<S: Simd>(&mut self) {
+        let mut pairs = std::mem::take(self.pairs);
+        // One after the other, so that memory is waited for only once.
+        for pair in &mut pairs {
+            pair.triangle = self.references[pair.triangle as usize];
+            self.mesh.prefetch::<S>(pair.triangle);
+        }
+        for pair in &pairs {
+            self.mesh.prefetch_corners::<S>(pair.triangle);
+        }
+        for pair in &pairs {
+            if pair.near > self.limits[pair.ray as usize] * self.cells_per_unit {
+                continue;
+            }
+            self.candidates[self.n_candidates] = (pair.ray as u8, pair.triangle);
+            self.n_candidates += 1;
+            if self.n_candidates == S::Double::LANES {
+                self.decide::<S>();
+            }
+        }
+        if self.n_candidates > 0 {
+            self.decide::<S>();
+        }
+        pairs.clear();
+        *self.pairs = pairs;
+    }
+
+    /// Tests the triangles of a leaf soon that the packet may hit, unless they were tested lately.
+    #[inline(always)]
+    pub(super) fn add<S: Kernel>(&mut self, boxes: &LeafBoxes<'_>, triangles: &[u32]) {
+        let mut first = 0;
+        while first < triangles.len() {
+            let n = (triangles.len() - first).min(S::LANES);
+            if self.n_waiting + n > N_WAITING {
                 S::test(self);
             }
+            let bounds = boxes.bounds::<S>(first);
+            let mut passed = bounds.passed_by(self.slopes, f32::INFINITY) & (u32::MAX >> (32 - n));
             let mut n_waiting = self.n_waiting;
-            for &triangle in some {
+            while passed != 0 {
+                let triangle = triangles[first + passed.trailing_zeros() as usize];
+                passed &= passed - 1;
                 // Without a branch: whether a triangle was met before cannot be predicted.
                 let recent = &mut self.recent[triangle as usize % N_RECENT];
-                S::prefetch(self.triangles, triangle as usize);
+                self.mesh.prefetch::<S>(triangle);
                 self.waiting[n_waiting % N_WAITING] = triangle;
                 n_waiting += usize::from(*recent != triangle);
                 *recent = triangle;
             }
             self.n_waiting = n_waiting;
+            first += S::LANES;
         }
     }
 
@@ -248,6 +343,9 @@ impl<'a> Culler<'a> {
         };
         let n_waiting = self.n_waiting;
         self.n_waiting = 0;
+        for &triangle in &self.waiting[..n_waiting] {
+            self.mesh.prefetch_corners::<S>(triangle);
+        }
         let mut first = 0;
         while first < n_waiting {
             let n = (n_waiting - first).min(S::LANES);
@@ -484,11 +582,17 @@ fn slope_bounds<S: Simd>(places: [S; 3], inverse_depths: [S; 3]) -> [S; 2] {
 pub(super) trait Kernel: Simd {
     /// [`Culler::test_waiting`].
     fn test(culler: &mut Culler<'_>);
+    /// [`Grid::test_leaves`].
+    fn test_leaves(grid: &Grid, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>);
 }
 
 impl Kernel for Plain {
     fn test(culler: &mut Culler<'_>) {
         culler.test_waiting::<Self>();
+    }
+
+    fn test_leaves(grid: &Grid, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
+        grid.test_leaves::<Self>(culler, origin, leaves);
     }
 }
 
@@ -503,6 +607,16 @@ impl Kernel for Avx2 {
         // SAFETY: this type is used only where the instructions were found.
         unsafe { test(culler) }
     }
+
+    #[inline(always)]
+    fn test_leaves(grid: &Grid, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
+        #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
+        fn test_leaves(grid: &Grid, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
+            grid.test_leaves::<Avx2>(culler, origin, leaves);
+        }
+        // SAFETY: as above.
+        unsafe { test_leaves(grid, culler, origin, leaves) }
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -515,5 +629,15 @@ impl Kernel for Avx512 {
         }
         // SAFETY: this type is used only where the instructions were found.
         unsafe { test(culler) }
+    }
+
+    #[inline(always)]
+    fn test_leaves(grid: &Grid, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
+        #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
+        fn test_leaves(grid: &Grid, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
+            grid.test_leaves::<Avx512>(culler, origin, leaves);
+        }
+        // SAFETY: as above.
+        unsafe { test_leaves(grid, culler, origin, leaves) }
     }
 }

@@ -32,6 +32,9 @@ pub struct GridFigures {
     /// Four bytes for each cell, against D + O + H.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub compression_ratio: Option<f64>,
+    /// With masks: bytes of the triangles' bounds.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub box_bytes: Option<usize>,
     /// The time it took to displace all rows.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub placement_seconds: Option<f64>,
@@ -40,7 +43,7 @@ pub struct GridFigures {
 impl GridFigures {
     /// Bytes in all.
     pub fn n_bytes(&self) -> usize {
-        let index_bytes = self.d_bytes.unwrap_or(0) + self.o_bytes.unwrap_or(0);
+        let index_bytes = self.d_bytes.unwrap_or(0) + self.o_bytes.unwrap_or(0) + self.box_bytes.unwrap_or(0);
         self.macrocell_bytes + index_bytes + self.list_bytes + self.reference_bytes
     }
 }
@@ -58,6 +61,7 @@ impl Grid {
                 macrocell_bytes: size_of_val(&*self.bricks) + size_of_val(&*self.nodes),
                 list_bytes: size_of_val(&*self.leaf_starts),
                 reference_bytes: size_of_val(&*self.references),
+                box_bytes: Some(self.boxes.n_bytes()),
                 ..GridFigures::default()
             },
         };

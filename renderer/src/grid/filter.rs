@@ -1,4 +1,4 @@
-//! Which triangles of a leaf a single ray may hit, told for many triangles at once.
+//! Which triangles of a list a single ray may hit, told for many triangles at once.
 //!
 //! It only drops what certainly misses, with rounding accounted for; [`crate::triangle`] decides the rest.
 
@@ -7,7 +7,9 @@ use crate::simd::{Avx2, Avx512};
 use crate::{
     grid::{
         InstructionSet,
+        boxes::LeafBoxes,
         cull::{SIDE_MARGIN, UNDERFLOW_MARGIN},
+        walk::List,
     },
     ray::Ray,
     simd::{Plain, Simd},
@@ -16,6 +18,101 @@ use crate::{
 
 /// Triangles that are filtered together.
 pub(crate) const BATCH: usize = 16;
+
+/// A ray, ready to meet lists of triangles.
+pub(super) struct Filter<'a> {
+    instructions: InstructionSet,
+    mesh: &'a TracedMesh,
+    ray: &'a Ray,
+    /// The axis along which the ray advances most, and the two others.
+    axes: [usize; 3],
+    /// The ray's slopes across that axis.
+    u: f32,
+    v: f32,
+}
+
+impl<'a> Filter<'a> {
+    #[inline]
+    pub(super) fn new(instructions: InstructionSet, mesh: &'a TracedMesh, ray: &'a Ray) -> Self {
+        let [x, y, z] = ray.direction.to_array().map(f32::abs);
+        let k = if x >= y && x >= z {
+            0
+        } else if y >= z {
+            1
+        } else {
+            2
+        };
+        let axes = [k, (k + 1) % 3, (k + 2) % 3];
+        let depth = ray.direction[k].abs();
+        Self { instructions, mesh, ray, axes, u: ray.direction[axes[1]] / depth, v: ray.direction[axes[2]] / depth }
+    }
+
+    /// Calls `visit` with each triangle of a list that the ray may hit. The list's cell has `size` finest cells along an
+    /// edge, and its lowest corner at `corner_from_origin`.
+    #[inline(always)]
+    pub(super) fn for_each(
+        &self,
+        list: &List<'_>,
+        corner_from_origin: [f64; 3],
+        size: i32,
+        mut visit: impl FnMut(u32),
+    ) {
+        let backward = self.ray.direction[self.axes[0]] < 0.0;
+        let corner = self.axes.map(|axis| corner_from_origin[axis]);
+        let boxes = (!list.boxes.is_empty()).then(|| LeafBoxes::new(list.boxes, self.axes, backward, corner, size));
+        for (batch, triangles) in list.triangles.chunks(BATCH).enumerate() {
+            let mut left = match &boxes {
+                Some(boxes) => self.passed(boxes, batch * BATCH),
+                None => may_hit(self.instructions, self.mesh, self.ray, triangles),
+            };
+            while left != 0 {
+                visit(triangles[left.trailing_zeros() as usize]);
+                left &= left - 1;
+            }
+        }
+    }
+
+    /// A bit for each of the [`BATCH`] boxes from number `first` on that the ray may pass.
+    #[inline]
+    fn passed(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
+        match self.instructions {
+            InstructionSet::Plain => self.passed_generic::<Plain>(boxes, first),
+            // SAFETY: a grid holds only what `InstructionSet::available` has found.
+            #[cfg(target_arch = "x86_64")]
+            InstructionSet::Avx2 => unsafe { self.passed_avx2(boxes, first) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            InstructionSet::Avx512 => unsafe { self.passed_avx512(boxes, first) },
+        }
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
+    fn passed_avx2(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
+        self.passed_generic::<Avx2>(boxes, first)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
+    fn passed_avx512(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
+        self.passed_generic::<Avx512>(boxes, first)
+    }
+
+    #[inline(always)]
+    fn passed_generic<S: Simd>(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
+        let slopes = [self.u, self.u, self.v, self.v];
+        let mut all = 0;
+        let mut done = 0;
+        while done < BATCH {
+            all |= boxes.bounds::<S>(first + done).passed_by(slopes, f32::INFINITY) << done;
+            done += S::LANES;
+            if first + done >= boxes.n() {
+                break;
+            }
+        }
+        all & (u32::MAX >> (32 - (boxes.n() - first).min(BATCH)))
+    }
+}
 
 /// A bit for each of up to [`BATCH`] triangles that the ray may hit.
 #[inline]

@@ -12,7 +12,8 @@ use glam::Vec3;
 
 use super::{
     BRICK_SIZE, Grid, LEVELS,
-    cull::{Culler, Kernel},
+    boxes::LeafBoxes,
+    cull::{Culler, Kernel, Pair},
     overlap::DILATION,
 };
 #[cfg(target_arch = "x86_64")]
@@ -86,8 +87,10 @@ impl InstructionSet {
 pub struct PacketScratch {
     /// The nodes that a packet meets in the slab at hand, level by level; the first level has bricks.
     entries: [Vec<Entry>; LEVELS as usize + 1],
-    /// The leaves that a packet meets in the slab at hand.
-    leaves: Vec<u32>,
+    /// The leaves that a packet met, whose triangles wait for their test.
+    leaves: Vec<Leaf>,
+    /// Pairs of ray and triangle that wait for a decision.
+    pairs: Vec<Pair>,
 }
 
 /// A node within a packet's bounds.
@@ -97,6 +100,17 @@ struct Entry {
     /// Its lowest corner across the major axis, in finest cells.
     u: i32,
     v: i32,
+}
+
+/// A leaf that some rays pass.
+#[derive(Clone, Copy)]
+pub(super) struct Leaf {
+    number: u32,
+    /// Its lowest corner along the major axis and across, and its size, in finest cells.
+    low: [i32; 3],
+    size: i32,
+    /// The rays that may pass it.
+    rays: u64,
 }
 
 impl Grid {
@@ -142,12 +156,13 @@ impl Grid {
         if !origin.is_finite() {
             return None;
         }
-        let mut culler = Culler::new::<S>(&self.mesh, packet, axes, if forward { 1.0 } else { -1.0 });
-        let mut frustum = Frustum {
+        let mut culler = Culler::new::<S>(self, packet, axes, if forward { 1.0 } else { -1.0 }, &mut scratch.pairs);
+        let frustum = Frustum {
             origin: [origin[axes[0]], origin[axes[1]], origin[axes[2]]],
             forward,
             slopes: culler.slopes,
             size: [f64::from(self.dims[axes[1]] * BRICK_SIZE), f64::from(self.dims[axes[2]] * BRICK_SIZE)],
+            cell_length: self.space.length(1.0),
             margin: origin.abs().max_element() * (16.0 * f64::EPSILON),
         };
         let bricks_along_k = self.dims[axis] as i32;
@@ -160,6 +175,8 @@ impl Grid {
         }
         brick_k = brick_k.clamp(0, bricks_along_k - 1);
 
+        let mut covered = 0.0;
+        scratch.leaves.clear();
         while (0..bricks_along_k).contains(&brick_k) {
             let low = brick_k * BRICK_SIZE as i32;
             brick_k += if forward { 1 } else { -1 };
@@ -170,13 +187,13 @@ impl Grid {
                 }
                 continue;
             };
-            self.enter_bricks::<S>(&mut culler, &mut scratch.entries[1], axes, low, bounds);
+            self.enter_bricks(&mut scratch.leaves, &mut scratch.entries[1], axes, low, bounds);
+            if !scratch.leaves.is_empty() {
+                S::test_leaves(self, &mut culler, &frustum.origin, &mut scratch.leaves);
+            }
             if scratch.entries[1].is_empty() {
-                if culler.touched {
-                    if culler.settle::<S>(self.space.length(far)) {
-                        return Some(culler.hits());
-                    }
-                    frustum.slopes = culler.slopes;
+                if culler.touched && culler.settle::<S>(self.space.length(far)) {
+                    return Some(culler.hits());
                 }
                 continue;
             }
@@ -202,37 +219,77 @@ impl Grid {
                 let (above, below) = scratch.entries.split_at_mut(level + 1);
                 let children = below.first_mut();
                 let narrow = frustum.narrow(near, far, 1 << shift);
+                let n_before = scratch.leaves.len();
                 self.enter_children::<S>(
-                    &mut culler,
+                    &culler,
                     &above[level],
                     children,
                     axes,
                     quarter as u32,
+                    low,
                     shift,
                     bounds,
                     narrow,
                     &mut scratch.leaves,
                 );
+                if scratch.leaves.len() > n_before {
+                    let area = frustum.area(far).max(1.0);
+                    covered += (scratch.leaves.len() - n_before) as f64 * f64::from(1u32 << shift).powi(2) / area;
+                    if covered >= COVER || scratch.leaves.len() >= MOST_LEAVES {
+                        covered = 0.0;
+                        S::test_leaves(self, &mut culler, &frustum.origin, &mut scratch.leaves);
+                    }
+                }
                 if level < LEVELS as usize && !below[0].is_empty() {
                     level += 1;
                     (lows[level], steps[level]) = (low, 0);
-                } else if culler.touched {
-                    if culler.settle::<S>(self.space.length(far)) {
-                        return Some(culler.hits());
-                    }
-                    frustum.slopes = culler.slopes;
+                } else if culler.touched && culler.settle::<S>(self.space.length(far)) {
+                    return Some(culler.hits());
                 }
             }
         }
+        S::test_leaves(self, &mut culler, &frustum.origin, &mut scratch.leaves);
         culler.settle::<S>(f64::INFINITY);
         Some(culler.hits())
     }
 
+    /// Tests the triangles of leaves.
+    #[inline(always)]
+    pub(super) fn test_leaves<S: Kernel>(&self, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
+        // One after the other, so that memory is waited for only once.
+        for leaf in &*leaves {
+            let references = self.references_of(leaf.number);
+            self.boxes.prefetch::<S>(references.clone());
+            let mut at = references.start;
+            while at < references.end {
+                S::prefetch(&self.references, at);
+                at += 16;
+            }
+        }
+        for leaf in &*leaves {
+            let references = self.references_of(leaf.number);
+            let mut corner_from_origin = [0.0; 3];
+            for place in 0..3 {
+                corner_from_origin[place] = f64::from(leaf.low[place]) - origin[place];
+            }
+            let bytes = self.boxes.of_leaf(references.clone());
+            let boxes = LeafBoxes::new(bytes, culler.axes, culler.sign < 0.0, corner_from_origin, leaf.size);
+            if references.len() >= MANY_TRIANGLES_PER_RAY * leaf.rays.count_ones() as usize {
+                culler.pair::<S>(&boxes, references.start, leaf.rays);
+            } else {
+                culler.add::<S>(&boxes, &self.references[references]);
+            }
+        }
+        leaves.clear();
+        culler.decide_pairs::<S>();
+        culler.touched = true;
+    }
+
     /// Adds the triangles of leaf bricks to the culler, and the nodes of others to the entries.
     #[inline(always)]
-    fn enter_bricks<S: Kernel>(
+    fn enter_bricks(
         &self,
-        culler: &mut Culler<'_>,
+        leaves: &mut Vec<Leaf>,
         entries: &mut Vec<Entry>,
         axes: [usize; 3],
         low: i32,
@@ -251,7 +308,12 @@ impl Grid {
                 if brick & Self::LEAF == 0 {
                     entries.push(Entry { node: brick, u: u << shift, v: v << shift });
                 } else {
-                    culler.add::<S>(self.leaf(brick & !Self::LEAF));
+                    leaves.push(Leaf {
+                        number: brick & !Self::LEAF,
+                        low: [low, u << shift, v << shift],
+                        size: BRICK_SIZE as i32,
+                        rays: u64::MAX,
+                    });
                 }
             }
         }
@@ -262,21 +324,21 @@ impl Grid {
     #[expect(clippy::too_many_arguments, reason = "inlined into the loop whose variables these are")]
     fn enter_children<S: Kernel>(
         &self,
-        culler: &mut Culler<'_>,
+        culler: &Culler<'_>,
         entries: &[Entry],
         children: Option<&mut Vec<Entry>>,
         axes: [usize; 3],
         quarter: u32,
+        low: i32,
         shift: u32,
         bounds: CellBounds,
         narrow: Option<Narrow<'_>>,
-        found: &mut Vec<u32>,
+        found: &mut Vec<Leaf>,
     ) {
         // The deepest nodes have leaves only, so what is pushed for them is nothing.
         let mut none = Vec::new();
         let children = children.unwrap_or(&mut none);
         children.clear();
-        found.clear();
         let slab = PLANES[axes[0]] << (quarter << (2 * axes[0]));
         for entry in entries {
             let node = &self.nodes[entry.node as usize];
@@ -291,17 +353,19 @@ impl Grid {
                 let bit = leaves.trailing_zeros();
                 let before = (leaves & leaves.wrapping_neg()) - 1;
                 leaves &= leaves - 1;
+                let u = entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32;
+                let v = entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32;
+                let mut rays = u64::MAX;
                 if let Some(cells) = &narrow {
-                    let u = entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32;
-                    let v = entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32;
                     let size = f64::from(1u32 << shift);
-                    if !culler.passes::<S>(cells.slopes(0, u, size), cells.slopes(1, v, size)) {
+                    rays = culler.passing::<S>(cells.slopes(0, u, size), cells.slopes(1, v, size), cells.depth);
+                    if rays == 0 {
                         continue;
                     }
                 }
-                let leaf = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
-                S::prefetch(&self.leaf_starts, leaf as usize);
-                found.push(leaf);
+                let number = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
+                S::prefetch(&self.leaf_starts, number as usize);
+                found.push(Leaf { number, low: [low, u, v], size: 1 << shift, rays });
             }
             let mut nodes = node.divided & within;
             while nodes != 0 {
@@ -314,13 +378,6 @@ impl Grid {
                     v: entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32,
                 });
             }
-        }
-        // One after the other, so that memory is waited for only once.
-        for &leaf in &*found {
-            S::prefetch(&self.references, self.leaf_starts[leaf as usize] as usize);
-        }
-        for &leaf in &*found {
-            culler.add::<S>(self.leaf(leaf));
         }
     }
 }
@@ -387,6 +444,8 @@ struct Frustum {
     slopes: [f32; 4],
     /// The grid's size along u and v.
     size: [f64; 2],
+    /// The side of a finest cell, in world units.
+    cell_length: f64,
     /// What rounding can do to a place, when the origin is far away.
     margin: f64,
 }
@@ -422,12 +481,20 @@ impl Frustum {
         Some([(from.max(0.0) as i32).min(last), (to as i32).min(last)])
     }
 
+    /// The area of its section at a depth.
+    #[inline(always)]
+    fn area(&self, depth: f64) -> f64 {
+        let [u_low, u_high, v_low, v_high] = self.slopes;
+        f64::from(u_high - u_low) * f64::from(v_high - v_low) * (depth * depth)
+    }
+
     /// A slab in which cells of this size may slip between the rays.
     #[inline(always)]
     fn narrow(&self, near: f64, far: f64, size: u32) -> Option<Narrow<'_>> {
         let width = f64::from(self.slopes[1] - self.slopes[0]) * near;
         (near > f64::from(size) * 1e-3 && width > NARROW * f64::from(size)).then(|| Narrow {
             frustum: self,
+            depth: (near * self.cell_length * (1.0 - 1e-6)) as f32,
             nearer: 1.0 / near,
             farther: 1.0 / far,
         })
@@ -453,13 +520,24 @@ impl Frustum {
     }
 }
 
+/// From so many triangles for each ray on, the rays are tested one by one against a leaf's boxes.
+const MANY_TRIANGLES_PER_RAY: usize = 8;
+
+/// Leaves wait until together they cover as much as the packet, for then they may well end it.
+const COVER: f64 = 1.0;
+
+/// Leaves that wait at most.
+const MOST_LEAVES: usize = 64;
+
 /// How many cells must fit across a packet before it pays to look for cells between its rays.
-const NARROW: f64 = 2.0;
+const NARROW: f64 = 1.0;
 
 /// A slab that lies wholly before the origin.
 #[derive(Clone, Copy)]
 struct Narrow<'a> {
     frustum: &'a Frustum,
+    /// Depth of the nearer side, in world units.
+    depth: f32,
     /// Inverse depths of its sides.
     nearer: f64,
     farther: f64,

@@ -57,6 +57,11 @@ impl CellSpace {
         (world - DVec3::from_array(self.origin.map(f64::from))) * self.cells_per_unit
     }
 
+    /// Finest cells in a world unit.
+    pub(super) fn cells_per_unit(&self) -> f64 {
+        self.cells_per_unit
+    }
+
     /// A length in world units.
     pub(super) fn length(&self, cells: f64) -> f64 {
         cells / self.cells_per_unit

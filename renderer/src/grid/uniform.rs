@@ -8,7 +8,7 @@ use super::{
     macrocells::Macrocells,
     row_displacement::{Occupied, RowDisplacement},
     scatter::{self, Scatter},
-    walk::Cells,
+    walk::{Cells, List},
 };
 
 /// Where the list of each cell stands.
@@ -55,14 +55,14 @@ impl<I: CellIndex> Cells for UniformGrid<I> {
     }
 
     #[inline]
-    fn locate(&self, cell: [i32; 3]) -> (Option<&[u32]>, u32) {
+    fn locate(&self, cell: [i32; 3]) -> (Option<List<'_>>, u32) {
         let cell = cell.map(|x| x as u32);
         if let Some(shift) = self.macrocells.empty_around(cell) {
             return (None, shift);
         }
         let list = self.index.slot(cell).map(|slot| {
             let [first, end] = [self.starts[slot], self.starts[slot + 1]];
-            &self.references[first as usize..end as usize]
+            List { triangles: &self.references[first as usize..end as usize], boxes: &[] }
         });
         (list, 0)
     }

@@ -4,9 +4,11 @@
 //! largest empty cube around the ray's point. Everything is computed in `f64` from the ray itself, never accumulated,
 //! so that rounding stays far below the margin by which cells are enlarged.
 
+use std::ops::Range;
+
 use glam::DVec3;
 
-use super::{BRICK_SIZE, Grid, LEVELS, filter, overlap, resolution::CellSpace, uniform::Uniform};
+use super::{BRICK_SIZE, Grid, LEVELS, filter::Filter, overlap, resolution::CellSpace, uniform::Uniform};
 use crate::{
     exact::ExactSum,
     ray::{Hit, Ray},
@@ -20,7 +22,27 @@ pub(super) trait Cells {
 
     /// The list of triangles around a finest cell, if there is one, and the size (log₂ in finest cells) of the cube
     /// around the cell in which that holds.
-    fn locate(&self, cell: [i32; 3]) -> (Option<&[u32]>, u32);
+    fn locate(&self, cell: [i32; 3]) -> (Option<List<'_>>, u32);
+}
+
+/// The triangles of a cell.
+#[derive(Clone, Copy)]
+pub(super) struct List<'a> {
+    /// By their places in the mesh.
+    pub(super) triangles: &'a [u32],
+    /// Their boxes, or nothing in grids that have none.
+    pub(super) boxes: &'a [u8],
+}
+
+/// A cell with triangles that a ray passes.
+struct Visit<'a> {
+    list: List<'a>,
+    /// The cell's lowest corner less the ray's origin, or less another point of the ray, in finest cells.
+    corner_from_origin: [f64; 3],
+    /// In finest cells.
+    size: i32,
+    /// The ray's t where it leaves the cell.
+    t_exit: f64,
 }
 
 /// The two parts of a ray's cost, which the paper's figure 3 shows.
@@ -53,22 +75,18 @@ impl Grid {
 
     fn nearest(&self, ray: &Ray) -> (Nearest, RayCost) {
         let mut nearest = Nearest { triangle: u32::MAX, t: f64::INFINITY };
+        let filter = Filter::new(self.instructions, &self.mesh, ray);
         let mut n_tests = 0;
-        let n_cells = self.walk(ray, |references, t_exit| {
-            n_tests += references.len() as u32;
-            for triangles in references.chunks(filter::BATCH) {
-                let mut left = filter::may_hit(self.instructions, &self.mesh, ray, triangles);
-                while left != 0 {
-                    let triangle = triangles[left.trailing_zeros() as usize];
-                    left &= left - 1;
-                    let Some(t) = triangle::intersect(ray, &self.mesh.corners(triangle)) else { continue };
-                    let number = |place| self.mesh.number(place);
-                    if t < nearest.t || (t == nearest.t && number(triangle) < number(nearest.triangle)) {
-                        nearest = Nearest { triangle, t };
-                    }
+        let n_cells = self.walk(ray, |visit| {
+            filter.for_each(&visit.list, visit.corner_from_origin, visit.size, |triangle| {
+                n_tests += 1;
+                let Some(t) = triangle::intersect(ray, &self.mesh.corners(triangle)) else { return };
+                let number = |place| self.mesh.number(place);
+                if t < nearest.t || (t == nearest.t && number(triangle) < number(nearest.triangle)) {
+                    nearest = Nearest { triangle, t };
                 }
-            }
-            nearest.t <= t_exit
+            });
+            nearest.t <= visit.t_exit
         });
         (nearest, RayCost { n_cells, n_tests })
     }
@@ -76,24 +94,19 @@ impl Grid {
     /// Whether a ray hits any triangle.
     pub fn occluded(&self, ray: &Ray) -> bool {
         let mut occluded = false;
-        self.walk(ray, |references, _| {
-            for triangles in references.chunks(filter::BATCH) {
-                let mut left = filter::may_hit(self.instructions, &self.mesh, ray, triangles);
-                while left != 0 {
-                    let triangle = triangles[left.trailing_zeros() as usize];
-                    left &= left - 1;
-                    occluded |= triangle::intersect(ray, &self.mesh.corners(triangle)).is_some();
-                }
-            }
+        let filter = Filter::new(self.instructions, &self.mesh, ray);
+        self.walk(ray, |visit| {
+            filter.for_each(&visit.list, visit.corner_from_origin, visit.size, |triangle| {
+                occluded = occluded || triangle::intersect(ray, &self.mesh.corners(triangle)).is_some();
+            });
             occluded
         });
         occluded
     }
 
-    /// Calls `visit` with each list of triangles along the ray, nearest first, and the t at which the ray leaves its
-    /// cell, until `visit` returns true. Returns how many cells and empty cubes the ray passed.
+    /// Calls `visit` with each list of triangles along the ray, nearest first, until `visit` returns true. Returns how many cells and empty cubes the ray passed.
     #[inline(always)]
-    fn walk(&self, ray: &Ray, visit: impl FnMut(&[u32], f64) -> bool) -> u32 {
+    fn walk(&self, ray: &Ray, visit: impl FnMut(Visit<'_>) -> bool) -> u32 {
         match &self.uniform {
             None => walk(self, &self.space, ray, visit),
             Some(Uniform::Plain(grid)) => walk(grid, &self.space, ray, visit),
@@ -102,9 +115,16 @@ impl Grid {
     }
 
     #[inline(always)]
-    pub(super) fn leaf(&self, leaf: u32) -> &[u32] {
+    fn leaf(&self, leaf: u32) -> List<'_> {
+        let references = self.references_of(leaf);
+        List { triangles: &self.references[references.clone()], boxes: self.boxes.of_leaf(references) }
+    }
+
+    /// Which references are those of a leaf.
+    #[inline(always)]
+    pub(super) fn references_of(&self, leaf: u32) -> Range<usize> {
         let leaf = leaf as usize;
-        &self.references[self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize]
+        self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize
     }
 }
 
@@ -114,7 +134,7 @@ impl Cells for Grid {
     }
 
     #[inline]
-    fn locate(&self, cell: [i32; 3]) -> (Option<&[u32]>, u32) {
+    fn locate(&self, cell: [i32; 3]) -> (Option<List<'_>>, u32) {
         let cell = cell.map(|x| x as u32);
         let mut shift = 2 * LEVELS;
         let [x, y, z] = cell.map(|x| (x >> shift) as usize);
@@ -144,7 +164,7 @@ impl Cells for Grid {
 
 /// [`Grid::walk`] for one kind of cells.
 #[inline(always)]
-fn walk<C: Cells>(cells: &C, space: &CellSpace, ray: &Ray, mut visit: impl FnMut(&[u32], f64) -> bool) -> u32 {
+fn walk<C: Cells>(cells: &C, space: &CellSpace, ray: &Ray, mut visit: impl FnMut(Visit<'_>) -> bool) -> u32 {
     let dims = cells.dims();
     let Some(Way { origin, direction, t_base, slack }) = Way::new(space, ray, dims) else { return 0 };
     let inverse = direction.map(|d| 1.0 / d);
@@ -171,7 +191,7 @@ fn walk<C: Cells>(cells: &C, space: &CellSpace, ray: &Ray, mut visit: impl FnMut
     let mut n_cells = 0;
     loop {
         n_cells += 1;
-        let (references, shift) = cells.locate(cell);
+        let (list, shift) = cells.locate(cell);
         // The cube around the cell that has the same content, and where the ray leaves it.
         let low = cell.map(|x| x >> shift << shift);
         let size = 1 << shift;
@@ -183,10 +203,13 @@ fn walk<C: Cells>(cells: &C, space: &CellSpace, ray: &Ray, mut visit: impl FnMut
                 (t_exit, exit_axis) = (t, axis);
             }
         }
-        if references.is_some_and(|references| visit(references, t_exit + t_base - slack))
-            || exit_axis == 3
-            || t_exit > t_end
-        {
+        if let Some(list) = list {
+            let corner_from_origin = [0, 1, 2].map(|axis| f64::from(low[axis]) - origin[axis]);
+            if visit(Visit { list, corner_from_origin, size, t_exit: t_exit + t_base - slack }) {
+                return n_cells;
+            }
+        }
+        if exit_axis == 3 || t_exit > t_end {
             return n_cells;
         }
         // The axis of exit always steps, and no axis steps back, so the walk ends whatever rounding does.
