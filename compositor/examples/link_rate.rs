@@ -18,7 +18,7 @@ use compositor::farm::{Farm, Wanted};
 use shared::{
     camera::Camera,
     division::{Division, FrameSize},
-    protocol::{Picture, RayTree, SampleRange, View},
+    protocol::{Encoding, Picture, RayTree, SampleRange, View},
     scene::SceneId,
 };
 use tokio::net::TcpListener;
@@ -44,6 +44,18 @@ struct Args {
     /// Leave iperf3 out
     #[arg(long)]
     alone: bool,
+    /// Render servers answer with this picture in place of noise
+    #[arg(long, value_name = "FILE.png")]
+    replay: Option<std::path::PathBuf>,
+    /// Where to listen; in a network namespace, say, with a link of so many Mbit/s
+    #[arg(long, default_value = "127.0.0.1:0")]
+    listen: std::net::SocketAddr,
+    /// What to start render servers with, such as "ip netns exec other"
+    #[arg(long, default_value = "")]
+    through: String,
+    /// How samples travel: raw or lz4; without it, as each link is measured to be faster
+    #[arg(long)]
+    encoding: Option<Encoding>,
     /// Measure only this division
     #[arg(long)]
     division: Option<Division>,
@@ -58,12 +70,14 @@ struct Rate {
     wall_ms: f64,
     servers_ms: f64,
     place_ms: f64,
+    /// Bytes received per frame, in parts of the samples'.
+    encoded: f64,
 }
 
 fn main() -> anyhow::Result<()> {
     let args = Args::parse();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
-    let listener = runtime.block_on(TcpListener::bind("127.0.0.1:0"))?;
+    let listener = runtime.block_on(TcpListener::bind(args.listen))?;
     let camera = Camera::look_at(glam::DVec3::Z, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0)?;
     let picture = Picture {
         scene: SceneId::Statue { triangles: 100 },
@@ -80,6 +94,7 @@ fn main() -> anyhow::Result<()> {
         min_renderers: args.nodes,
         repeat: true,
         in_flight: args.in_flight,
+        encoding: args.encoding,
         moved_at: Instant::now(),
     };
     let (wake, woken) = mpsc::sync_channel(1);
@@ -88,7 +103,7 @@ fn main() -> anyhow::Result<()> {
         let _ = wake.try_send(());
     })?;
     drop(guard);
-    let servers = Servers::start(&farm, args.nodes)?;
+    let servers = Servers::start(&farm, &args)?;
     let divisions: Vec<_> = args.division.map_or_else(|| Division::ALL.to_vec(), |division| vec![division]);
     let mut rates = vec![vec![]; divisions.len()];
     let mut iperf = vec![];
@@ -104,20 +119,24 @@ fn main() -> anyhow::Result<()> {
     }
     let iperf = median(&iperf, |&rate| rate);
     println!("{} connections, {} a frame, {} in flight", args.nodes, args.size, args.in_flight);
-    println!("{:<12}{:>9}{:>9}{:>10}{:>30}", "", "Gbit/s", "of iperf", "frames/s", "CPU ms a frame: wall, placing,");
-    println!("{:<12}{:>9}{:>9}{:>10}{:>30}", "", "", "", "", "render servers");
+    println!(
+        "{:<12}{:>9}{:>9}{:>10}{:>30}{:>8}",
+        "", "samples", "of", "frames", "CPU ms a frame:      render", "bytes"
+    );
+    println!("{:<12}{:>9}{:>9}{:>10}{:>30}{:>8}", "", "Gbit/s", "iperf3", "per s", "wall  placing  servers", "sent");
     println!("{:<12}{iperf:>9.2}", "iperf3");
     for (division, rates) in divisions.iter().zip(&rates) {
         let of = |figure: fn(&Rate) -> f64| median(rates, figure);
         let gbit_per_s = of(|rate| rate.gbit_per_s);
         println!(
-            "{:<12}{gbit_per_s:>9.2}{:>8.0}%{:>10.0}{:>12.2}{:>9.2}{:>9.2}",
+            "{:<12}{gbit_per_s:>9.2}{:>8.0}%{:>10.0}{:>12.2}{:>9.2}{:>9.2}{:>8.2}",
             division.name(),
             100.0 * gbit_per_s / iperf,
             of(|rate| rate.frames_per_s),
             of(|rate| rate.wall_ms),
             of(|rate| rate.place_ms),
             of(|rate| rate.servers_ms),
+            of(|rate| rate.encoded),
         );
     }
     let n_cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -151,12 +170,13 @@ fn measure(
         while next()?.stats.division != division {}
     }
     let (wall_s, servers_s, started_at) = (cpu_s(std::process::id())?, servers.cpu_s()?, Instant::now());
-    let (mut n_frames, mut n_bytes, mut place_ms) = (0.0, 0.0, 0.0);
+    let (mut n_frames, mut n_bytes, mut place_ms, mut n_received) = (0.0, 0.0, 0.0, 0.0);
     while started_at.elapsed() < duration {
         let frame = next()?;
         n_frames += 1.0;
         n_bytes += 3.0 * f64::from(frame.picture.size.n_samples());
         place_ms += frame.stats.place_ms;
+        n_received += frame.stats.bytes_in as f64;
     }
     let seconds = started_at.elapsed().as_secs_f64();
     Ok(Rate {
@@ -165,6 +185,7 @@ fn measure(
         wall_ms: (cpu_s(std::process::id())? - wall_s) * 1e3 / n_frames,
         servers_ms: (servers.cpu_s()? - servers_s) * 1e3 / n_frames,
         place_ms: place_ms / n_frames,
+        encoded: n_received / n_bytes,
     })
 }
 
@@ -172,13 +193,25 @@ fn measure(
 struct Servers(Vec<Child>);
 
 impl Servers {
-    fn start(farm: &Farm, n_servers: u32) -> anyhow::Result<Self> {
+    fn start(farm: &Farm, args: &Args) -> anyhow::Result<Self> {
         let example = std::env::current_exe()?;
         let folder = example.parent().and_then(|examples| examples.parent()).context("an example lies in a folder")?;
         let mut servers = Self(vec![]);
-        for number in 1..=n_servers {
-            let mut command = Command::new(folder.join("renderer"));
-            command.args(["connect", &farm.address().to_string(), "--blank", "--threads", "1"]);
+        for number in 1..=args.nodes {
+            let program = folder.join("renderer");
+            let mut words = args.through.split_whitespace();
+            let mut command = match words.next() {
+                Some(first) => Command::new(first),
+                None => Command::new(&program),
+            };
+            if !args.through.is_empty() {
+                command.args(words).arg(&program);
+            }
+            command.args(["connect", &farm.address().to_string(), "--insecure", "--threads", "1"]);
+            match &args.replay {
+                Some(picture) => command.arg("--replay").arg(picture),
+                None => command.arg("--blank"),
+            };
             command.args(["--name", &format!("blank-{number}")]).env("RUST_LOG", "warn");
             servers.0.push(command.spawn().context("the program `renderer` is not built: cargo build --release")?);
         }

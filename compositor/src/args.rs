@@ -5,7 +5,7 @@ use std::{net::SocketAddr, path::PathBuf};
 use renderer::scene_args::SceneArgs;
 use shared::{
     division::{Division, FrameSize},
-    protocol::{DEFAULT_PORT, RayTree, View},
+    protocol::{DEFAULT_PORT, Encoding, RayTree, View},
     scene::SceneId,
 };
 
@@ -73,6 +73,9 @@ pub struct WallArgs {
     /// Frames rendered at a time, 1 to 3: with one, render servers wait for each other after each frame
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=3))]
     pub in_flight: u32,
+    /// How samples travel: raw or lz4 [default: whichever each link is measured to be faster with]
+    #[arg(long, value_name = "E")]
+    pub encoding: Option<Encoding>,
     /// What the samples show: shaded, normals or cost
     #[arg(long, value_name = "V", default_value = View::default().name())]
     pub view: View,

@@ -18,7 +18,7 @@ use renderer::{cli::say, mesh::Mesh, progress::Progress, scene::SceneSource, sce
 use shared::{
     camera::{Camera, UpAxis},
     division::{Division, FrameSize},
-    protocol::{Picture, RayTree, SampleRange, View},
+    protocol::{Encoding, Picture, RayTree, SampleRange, View},
     scene::SceneId,
 };
 
@@ -167,6 +167,8 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
         min_renderers: 1,
         repeat: true,
         in_flight: args.in_flight,
+        // The figures count the samples' own bytes, measured and predicted.
+        encoding: Some(Encoding::Raw),
         moved_at: std::time::Instant::now(),
     };
     let mut outcome = Ok(());

@@ -19,7 +19,10 @@ use std::{
 };
 
 use renderer::key::Key;
-use shared::{division::Division, protocol::Picture};
+use shared::{
+    division::Division,
+    protocol::{Encoding, Picture},
+};
 use tokio::{
     net::TcpListener,
     sync::{Notify, watch},
@@ -43,6 +46,8 @@ pub struct Wanted {
     pub repeat: bool,
     /// How many frames are rendered at a time, so that render servers do not wait for the wall; at least 1.
     pub in_flight: u32,
+    /// How samples travel; `None`: whichever way each link is measured to be faster with.
+    pub encoding: Option<Encoding>,
     /// When the camera moved to where it is.
     pub moved_at: Instant,
 }

@@ -171,6 +171,7 @@ fn start_farm(
         // Frames that are counted come one after another; a window renders when something changes.
         repeat: args.headless || args.frames.is_some(),
         in_flight: args.in_flight,
+        encoding: args.encoding,
         moved_at: Instant::now(),
     };
     let _guard = runtime.enter();

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use serde::Serialize;
 use shared::{
     division::{Division, FrameSize},
-    protocol::SceneState,
+    protocol::{Encoding, SceneState},
 };
 
 /// The number of a render server: counts up from 1 in the order of joining while a wall runs, never used twice.
@@ -25,6 +25,8 @@ pub struct NodeStatus {
     pub threads: u32,
     /// How far it is with the wall's scene; `None` until it has said anything about it.
     pub scene: Option<SceneState>,
+    /// How often a render server of this name, on this machine, was lost since the wall started.
+    pub n_failures: u32,
     /// The last round trip of a ping, in milliseconds.
     pub round_trip_ms: Option<f64>,
 }
@@ -43,6 +45,8 @@ pub struct FarmStatus {
     pub nodes: Vec<NodeStatus>,
     /// How many render servers were lost since the wall started.
     pub n_lost: u32,
+    /// How many frames became whole although a render server was lost or late.
+    pub n_healed: u32,
     /// What happened last that an operator should know, with its cure.
     pub message: Option<String>,
 }
@@ -66,6 +70,12 @@ pub struct NodeFrameStats {
     pub network_ms: f64,
     /// From having its last sample to the end of the frame.
     pub idle_ms: f64,
+    /// Works of others that it was given as well, because those were lost or late.
+    pub taken_over: u32,
+    /// How its samples travelled.
+    pub encoding: Encoding,
+    /// How fast they came while it had work, in megabits a second; 0 if others were faster.
+    pub mbit_per_s: f64,
     /// Samples and their headers.
     pub bytes_in: u64,
     /// Requests.
@@ -81,6 +91,8 @@ impl NodeFrameStats {
         self.busy_ms += other.busy_ms;
         self.network_ms += other.network_ms;
         self.idle_ms = self.idle_ms.min(other.idle_ms);
+        self.taken_over += other.taken_over;
+        self.mbit_per_s = self.mbit_per_s.max(other.mbit_per_s);
         self.bytes_in += other.bytes_in;
         self.bytes_out += other.bytes_out;
     }

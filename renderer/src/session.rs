@@ -151,7 +151,7 @@ impl Conversation<'_> {
             let Incoming::Control(message) = incoming else { return Err(SessionError::OutOfTurn) };
             match message {
                 ToServer::LoadScene { scene, path } => self.stage.order(scene, path),
-                ToServer::RenderFrame { frame, work_id, picture, work } => {
+                ToServer::RenderFrame { frame, work_id, picture, work, encoding } => {
                     let Some(subject) = self.stage.subject(picture.scene) else {
                         // The wall has moved on to another scene, and back; it hears when this one is ready.
                         let reason = format!("it does not have {} any more", picture.scene);
@@ -165,7 +165,16 @@ impl Conversation<'_> {
                         return Err(SessionError::TooMuchWork);
                     }
                     self.unfinished.push((frame, Arc::clone(&cancelled)));
-                    let job = Job { frame, work_id, picture, work, subject, cancelled, received_at: Instant::now() };
+                    let job = Job {
+                        frame,
+                        work_id,
+                        picture,
+                        work,
+                        encoding,
+                        subject,
+                        cancelled,
+                        received_at: Instant::now(),
+                    };
                     // The worker lives as long as this conversation.
                     let _ = self.jobs.send(job);
                 }

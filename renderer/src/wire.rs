@@ -40,8 +40,13 @@ pub enum WireError {
 pub enum Incoming<'a, M> {
     /// A control message.
     Control(M),
-    /// Samples, still in the reader's buffer.
-    Samples(Chunk<'a>),
+    /// Samples, still in the reader's buffer, however they travelled.
+    Samples {
+        /// What they are.
+        chunk: Chunk<'a>,
+        /// Bytes of the message.
+        n_bytes: usize,
+    },
 }
 
 /// Reads messages of type `M`.
@@ -49,6 +54,7 @@ pub enum Incoming<'a, M> {
 pub struct MessageReader<S, M> {
     stream: S,
     body: Vec<u8>,
+    unpacked: Vec<u8>,
     /// What came of the next message's header.
     ahead: [u8; HEADER_BYTES],
     n_ahead: usize,
@@ -64,6 +70,7 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
         Self {
             stream,
             body: Vec::new(),
+            unpacked: Vec::new(),
             ahead: [0; HEADER_BYTES],
             n_ahead: 0,
             control_limit: HANDSHAKE_LIMIT,
@@ -117,7 +124,10 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
         let body = &self.body[..n_bytes];
         Ok(Some(match kind {
             Kind::Control => Incoming::Control(codec::decode(body)?),
-            Kind::Samples => Incoming::Samples(Chunk::decode(body)?),
+            Kind::Samples(encoding) => {
+                let chunk = Chunk::decode(body)?.unpack(encoding, &mut self.unpacked)?;
+                Incoming::Samples { chunk, n_bytes: HEADER_BYTES + n_bytes }
+            }
         }))
     }
 

@@ -14,7 +14,7 @@ use rayon::{ThreadPool, prelude::*};
 use shared::{
     codec::{self, CHUNK_HEADER_BYTES, HEADER_BYTES},
     division::{Share, Work},
-    protocol::{BlockCosts, CHUNK_BYTES, Chunk, FrameId, Picture, ToWall, WorkId, WorkTimings},
+    protocol::{BlockCosts, CHUNK_BYTES, Chunk, Encoding, FrameId, Picture, ToWall, WorkId, WorkTimings},
 };
 use tokio::sync::mpsc;
 
@@ -37,6 +37,7 @@ pub(crate) struct Job {
     pub(crate) work_id: WorkId,
     pub(crate) picture: Picture,
     pub(crate) work: Work,
+    pub(crate) encoding: Encoding,
     pub(crate) subject: Subject,
     /// Set when nobody wants the answer any more.
     pub(crate) cancelled: Arc<AtomicBool>,
@@ -129,7 +130,7 @@ impl Job {
         let Self { frame, work_id, .. } = *self;
         let chunk = Chunk { frame, work_id, first_unit: units.start, n_units: units.len() as u32, rgb };
         let mut message = Vec::with_capacity(HEADER_BYTES + CHUNK_HEADER_BYTES + rgb.len());
-        chunk.encode(&mut message);
+        chunk.encode(self.encoding, &mut message);
         message
     }
 

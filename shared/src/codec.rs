@@ -3,15 +3,16 @@
 //! | bytes | what |
 //! |---|---|
 //! | 4 | length of the body, little endian |
-//! | 1 | kind: 0 control, 1 samples |
+//! | 1 | kind: 0 control, 1 samples, 2 samples as an LZ4 block |
 //! | … | body |
 //!
-//! The body of samples is frame (8 bytes), work (4), first unit (4), number of units (4), all little endian, then RGB.
+//! The body of samples is frame (8 bytes), work (4), first unit (4), number of units (4), all little endian, then RGB, or an LZ4
+//! block that unpacks to it.
 //! Whoever reads takes the five bytes of the [`Header`] first, and so knows the size before it allocates anything.
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::protocol::{CHUNK_BYTES, Chunk, FrameId, WorkId};
+use crate::protocol::{CHUNK_BYTES, Chunk, Encoding, FrameId, WorkId};
 
 /// Bytes of a [`Header`].
 pub const HEADER_BYTES: usize = 5;
@@ -51,6 +52,9 @@ pub enum CodecError {
     /// A chunk's header is cut.
     #[error("a chunk of {0} bytes: too short for its header")]
     ShortChunk(usize),
+    /// Samples do not unpack, or to more than a chunk has.
+    #[error("samples that do not unpack: {0}")]
+    Unpack(#[from] lz4_flex::block::DecompressError),
 }
 
 /// What kind of body follows.
@@ -58,8 +62,8 @@ pub enum CodecError {
 pub enum Kind {
     /// A bincode message.
     Control,
-    /// A [`Chunk`].
-    Samples,
+    /// A [`Chunk`], its samples encoded.
+    Samples(Encoding),
 }
 
 /// What stands before each body.
@@ -80,7 +84,8 @@ impl Header {
         let n_bytes = u32::from_le_bytes(length) as usize;
         let (kind, limit) = match kind {
             0 => (Kind::Control, control_limit),
-            1 if control_limit > HANDSHAKE_LIMIT => (Kind::Samples, CHUNK_LIMIT),
+            1 if control_limit > HANDSHAKE_LIMIT => (Kind::Samples(Encoding::Raw), CHUNK_LIMIT),
+            2 if control_limit > HANDSHAKE_LIMIT => (Kind::Samples(Encoding::Lz4), CHUNK_LIMIT),
             unknown => return Err(CodecError::UnknownKind(unknown)),
         };
         if n_bytes > limit {
@@ -94,7 +99,8 @@ impl Header {
         out.extend(length.to_le_bytes());
         out.push(match kind {
             Kind::Control => 0,
-            Kind::Samples => 1,
+            Kind::Samples(Encoding::Raw) => 1,
+            Kind::Samples(Encoding::Lz4) => 2,
         });
     }
 }
@@ -128,14 +134,38 @@ pub fn decode<M: DeserializeOwned>(body: &[u8]) -> Result<M, CodecError> {
 }
 
 impl<'a> Chunk<'a> {
-    /// Appends the chunk with its header.
-    pub fn encode(&self, out: &mut Vec<u8>) {
-        Header::write(Kind::Samples, CHUNK_HEADER_BYTES + self.rgb.len(), out);
+    /// Appends the chunk with its header. Samples that encoding would make longer stay as they are.
+    pub fn encode(&self, encoding: Encoding, out: &mut Vec<u8>) {
+        let packed = match encoding {
+            Encoding::Raw => None,
+            Encoding::Lz4 => Some(lz4_flex::block::compress(self.rgb)).filter(|packed| packed.len() < self.rgb.len()),
+        };
+        let (encoding, samples) = packed.as_deref().map_or((Encoding::Raw, self.rgb), |packed| (encoding, packed));
+        Header::write(Kind::Samples(encoding), CHUNK_HEADER_BYTES + samples.len(), out);
         out.extend(self.frame.0.to_le_bytes());
         for number in [self.work_id.0, self.first_unit, self.n_units] {
             out.extend(number.to_le_bytes());
         }
-        out.extend(self.rgb);
+        out.extend(samples);
+    }
+
+    /// The same chunk with its samples unpacked into `room`, which is made to hold a chunk's samples and never more.
+    ///
+    /// # Errors
+    /// Bytes that are no LZ4 block of at most [`CHUNK_BYTES`].
+    pub fn unpack<'b>(&self, encoding: Encoding, room: &'b mut Vec<u8>) -> Result<Chunk<'b>, CodecError>
+    where
+        'a: 'b,
+    {
+        let rgb = match encoding {
+            Encoding::Raw => self.rgb,
+            Encoding::Lz4 => {
+                room.resize(CHUNK_BYTES, 0);
+                let n_bytes = lz4_flex::block::decompress_into(self.rgb, room)?;
+                &room[..n_bytes]
+            }
+        };
+        Ok(Chunk { rgb, ..*self })
     }
 
     /// Reads the body of samples; the samples stay where they are.
@@ -177,7 +207,13 @@ mod tests {
             rays: RayTree::Shadows,
             samples: SampleRange::CENTRE,
         };
-        ToServer::RenderFrame { frame: FrameId(9), work_id: WorkId(3), picture, work: Division::Tiled.work(2, 12) }
+        ToServer::RenderFrame {
+            frame: FrameId(9),
+            work_id: WorkId(3),
+            picture,
+            work: Division::Tiled.work(2, 12),
+            encoding: Encoding::Lz4,
+        }
     }
 
     #[test]
@@ -193,7 +229,7 @@ mod tests {
     fn a_chunk_is_a_header_and_its_bytes() {
         let chunk = Chunk { frame: FrameId(1), work_id: WorkId(2), first_unit: 3, n_units: 1, rgb: &[10, 20, 30] };
         let mut bytes = vec![];
-        chunk.encode(&mut bytes);
+        chunk.encode(Encoding::Raw, &mut bytes);
         assert_eq!(
             bytes,
             [23, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 2, 0, 0, 0, 3, 0, 0, 0, 1, 0, 0, 0, 10, 20, 30],
@@ -239,7 +275,7 @@ mod tests {
         assert!(matches!(Header::parse(header(1025, 0), HANDSHAKE_LIMIT), Err(CodecError::TooLong { .. })));
         assert!(matches!(Header::parse(header(10, 1), HANDSHAKE_LIMIT), Err(CodecError::UnknownKind(1))));
         assert!(matches!(Header::parse(header(u32::MAX, 1), CONTROL_LIMIT), Err(CodecError::TooLong { .. })));
-        assert!(matches!(Header::parse(header(0, 2), CONTROL_LIMIT), Err(CodecError::UnknownKind(2))));
+        assert!(matches!(Header::parse(header(0, 3), CONTROL_LIMIT), Err(CodecError::UnknownKind(3))));
     }
 
     #[test]
@@ -271,9 +307,11 @@ mod tests {
     fn a_pixel_of_endless_samples_is_no_message() {
         for (count, is_message) in [(0, false), (1, true), (256, true), (257, false), (u32::MAX, false)] {
             let mut bytes = vec![];
-            let ToServer::RenderFrame { frame, work_id, picture, work } = render_frame() else { unreachable!() };
+            let ToServer::RenderFrame { frame, work_id, picture, work, encoding } = render_frame() else {
+                unreachable!()
+            };
             let picture = Picture { samples: SampleRange { first: 0, count }, ..picture };
-            encode(&ToServer::RenderFrame { frame, work_id, picture, work }, &mut bytes).unwrap();
+            encode(&ToServer::RenderFrame { frame, work_id, picture, work, encoding }, &mut bytes).unwrap();
             assert_eq!(decode::<ToServer>(&bytes[HEADER_BYTES..]).is_ok(), is_message, "{count}");
         }
     }
@@ -283,7 +321,42 @@ mod tests {
         fn random_bytes_never_panic(body in proptest::collection::vec(any::<u8>(), 0..600)) {
             let _ = decode::<ToServer>(&body);
             let _ = decode::<ToWall>(&body);
-            let _ = Chunk::decode(&body);
+            let _ = Chunk::decode(&body).map(|chunk| {
+                let mut room = Vec::new();
+                let _ = chunk.unpack(Encoding::Lz4, &mut room);
+                assert!(room.capacity() <= CHUNK_BYTES);
+            });
         }
+
+        #[test]
+        fn encoded_samples_come_out_as_they_went_in(
+            noise in proptest::collection::vec(any::<u8>(), 0..3000), repeats in 1..20usize, cut in any::<proptest::sample::Index>(),
+        ) {
+            let rgb = noise.repeat(repeats);
+            let chunk = Chunk { frame: FrameId(1), work_id: WorkId(2), first_unit: 3, n_units: 4, rgb: &rgb };
+            for encoding in [Encoding::Raw, Encoding::Lz4] {
+                let mut bytes = vec![];
+                chunk.encode(encoding, &mut bytes);
+                prop_assert!(bytes.len() <= HEADER_BYTES + CHUNK_HEADER_BYTES + rgb.len(), "never longer");
+                let (header, body) = bytes.split_first_chunk().unwrap();
+                let Header { kind: Kind::Samples(encoding), n_bytes } = Header::parse(*header, CONTROL_LIMIT).unwrap() else {
+                    panic!("samples are samples");
+                };
+                prop_assert_eq!(n_bytes, body.len());
+                let mut room = Vec::new();
+                prop_assert_eq!(Chunk::decode(body).unwrap().unpack(encoding, &mut room).unwrap(), chunk);
+                // Cut, it is something else or nothing.
+                let cut = CHUNK_HEADER_BYTES + cut.index(body.len() - CHUNK_HEADER_BYTES + 1);
+                let _ = Chunk::decode(&body[..cut]).unwrap().unpack(encoding, &mut room);
+            }
+        }
+
+        #[test]
+        fn a_block_that_unpacks_to_more_than_a_chunk_is_refused(n_bytes in CHUNK_BYTES - 3..CHUNK_BYTES + 1000) {
+            let packed = lz4_flex::block::compress(&vec![7; n_bytes]);
+            let chunk = Chunk { frame: FrameId(1), work_id: WorkId(2), first_unit: 3, n_units: 4, rgb: &packed };
+            let mut room = Vec::new();
+            prop_assert_eq!(chunk.unpack(Encoding::Lz4, &mut room).is_ok(), n_bytes <= CHUNK_BYTES);
+            prop_assert!(room.capacity() <= CHUNK_BYTES);        }
     }
 }

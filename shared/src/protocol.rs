@@ -18,7 +18,7 @@ use crate::{
 };
 
 /// The version of everything below; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 4;
+pub const PROTOCOL_VERSION: u8 = 5;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -171,6 +171,47 @@ impl From<SampleRange> for (u32, u32) {
     }
 }
 
+/// How samples travel; what arrives is the same.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Encoding {
+    /// As they are.
+    #[default]
+    Raw,
+    /// As an LZ4 block, where that is shorter.
+    Lz4,
+}
+
+impl Encoding {
+    /// The name on screen.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Raw => "raw",
+            Self::Lz4 => "LZ4",
+        }
+    }
+
+    /// The one that this is not.
+    pub fn other(self) -> Self {
+        match self {
+            Self::Raw => Self::Lz4,
+            Self::Lz4 => Self::Raw,
+        }
+    }
+}
+
+impl std::str::FromStr for Encoding {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "raw" => Ok(Self::Raw),
+            "lz4" => Ok(Self::Lz4),
+            _ => Err(format!("\"{text}\" is no encoding: it is raw or lz4")),
+        }
+    }
+}
+
 /// Everything that decides the samples of a frame: two equal pictures are equal bits.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Picture {
@@ -216,6 +257,8 @@ pub enum ToServer {
         picture: Picture,
         /// The share of it.
         work: Work,
+        /// How the samples are to travel.
+        encoding: Encoding,
     },
     /// Answers to this frame are no longer wanted.
     Cancel {

@@ -10,7 +10,7 @@ use renderer::{
 use shared::{
     codec::{CHUNK_HEADER_BYTES, HEADER_BYTES},
     division::Work,
-    protocol::{BlockCosts, Chunk, FrameId, Picture, WorkId},
+    protocol::{BlockCosts, Chunk, Encoding, FrameId, Picture, WorkId},
 };
 
 use crate::farm::replay::{TracedChunk, TracedShare};
@@ -94,7 +94,7 @@ fn trace(scene: &Scene, picture: &Picture, work: &Work) -> TracedShare {
         let n_units = end - first_unit;
         let (frame, work_id) = (FrameId(0), WorkId(0));
         let mut message = Vec::with_capacity(HEADER_BYTES + CHUNK_HEADER_BYTES + rgb.len());
-        Chunk { frame, work_id, first_unit, n_units, rgb: &rgb }.encode(&mut message);
+        Chunk { frame, work_id, first_unit, n_units, rgb: &rgb }.encode(Encoding::Raw, &mut message);
         let (n_bytes, cpu) = (message.len() as u64, started_at.elapsed());
         traced.chunks.push(TracedChunk { first_unit, n_units, n_bytes, cpu });
     }

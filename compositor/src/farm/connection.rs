@@ -13,7 +13,6 @@ use renderer::{
     wire::{Incoming, MessageReader, MessageWriter, WireError},
 };
 use shared::{
-    codec::{CHUNK_HEADER_BYTES, HEADER_BYTES},
     division::Work,
     printable::printable,
     protocol::{
@@ -111,7 +110,7 @@ impl Desk {
     }
 
     /// Puts a chunk in its place. `None` if its work is not, or no longer, wanted, and if all of it had come before.
-    fn place(&self, chunk: Chunk<'_>) -> Result<Option<Placed>, ConnectionError> {
+    fn place(&self, chunk: Chunk<'_>, n_bytes: usize) -> Result<Option<Placed>, ConnectionError> {
         let started_at = Instant::now();
         let mut assignments = self.lock();
         let Some(assignment) = assignments.get_mut(&chunk.work_id).filter(|given| given.frame == chunk.frame) else {
@@ -123,8 +122,7 @@ impl Desk {
         if assignment.came.insert(first..first + count) == 0 {
             return Ok(None);
         }
-        let n_bytes = (HEADER_BYTES + CHUNK_HEADER_BYTES + rgb.len()) as u64;
-        Ok(Some(Placed { first, count, n_bytes, place_time: started_at.elapsed() }))
+        Ok(Some(Placed { first, count, n_bytes: n_bytes as u64, place_time: started_at.elapsed() }))
     }
 
     /// Takes a finished work off the desk; whether it was still there.
@@ -282,9 +280,9 @@ async fn receive_until_end(
         }
         let Some(incoming) = reader.read().await? else { return Ok(()) };
         match incoming {
-            Incoming::Samples(chunk) => {
+            Incoming::Samples { chunk, n_bytes } => {
                 let (frame, work_id) = (chunk.frame, chunk.work_id);
-                if let Some(units) = desk.place(chunk)? {
+                if let Some(units) = desk.place(chunk, n_bytes)? {
                     placed.add(frame, work_id, units, reporter).await;
                 }
             }
@@ -345,7 +343,7 @@ mod tests {
             desk.put(work_id, Assignment::new(frame, work, buffer));
             for &(first_unit, n_units) in chunks {
                 let rgb = vec![7; 3 * 64 * n_units as usize];
-                desk.place(Chunk { frame, work_id, first_unit, n_units, rgb: &rgb }).unwrap();
+                desk.place(Chunk { frame, work_id, first_unit, n_units, rgb: &rgb }, rgb.len()).unwrap();
             }
             desk.finish(frame, work_id, costs)
         };

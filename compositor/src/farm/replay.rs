@@ -13,7 +13,7 @@ use std::{
 use shared::{
     codec,
     division::{Division, Work},
-    protocol::{BlockCosts, FrameId, Picture, ToWall, WorkId, WorkTimings},
+    protocol::{BlockCosts, Encoding, FrameId, Picture, ToWall, WorkId, WorkTimings},
 };
 
 use super::scheduler::{Action, Event, Placed, Scheduler, Time, Wanted};
@@ -119,6 +119,7 @@ fn wanted(cluster: &Cluster, picture: Picture) -> Wanted {
         min_renderers,
         repeat: true,
         in_flight: cluster.in_flight,
+        encoding: Some(Encoding::Raw),
     }
 }
 
@@ -289,7 +290,7 @@ where
         while let Some(event) = events.pop_front() {
             for action in self.scheduler.on_event(self.now, event) {
                 match action {
-                    Action::Render { node, frame, work_id, picture, work } => {
+                    Action::Render { node, frame, work_id, picture, work, .. } => {
                         let job = Job { frame, work_id, picture, work };
                         self.given.push(job.clone());
                         self.schedule(self.cluster.link.latency, Happening::Asked(node, job));

@@ -6,6 +6,7 @@
 mod balance;
 mod coverage;
 mod frame;
+mod link;
 
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
@@ -14,11 +15,11 @@ use std::{
 
 use shared::{
     division::{Division, Work},
-    protocol::{BlockCosts, FrameId, Picture, WorkId, WorkTimings},
+    protocol::{BlockCosts, Encoding, FrameId, Picture, WorkId, WorkTimings},
     scene::SceneId,
 };
 
-use self::{balance::Balance, coverage::Piece, frame::FrameInFlight};
+use self::{balance::Balance, coverage::Piece, frame::FrameInFlight, link::Link};
 use crate::stats::{FrameStats, NodeId};
 
 /// Lost work is divided into parts of no fewer samples: many deaths in one frame do not crumble it.
@@ -66,6 +67,8 @@ pub(super) struct Wanted {
     pub(super) repeat: bool,
     /// How many frames are rendered at a time; at least 1.
     pub(super) in_flight: u32,
+    /// How samples travel, if not as measured to be best.
+    pub(super) encoding: Option<Encoding>,
 }
 
 /// What is to be done.
@@ -74,7 +77,7 @@ pub(super) enum Action {
     /// Have a buffer ready for the answers to this frame.
     Open { frame: FrameId, picture: Picture },
     /// Send this work.
-    Render { node: NodeId, frame: FrameId, work_id: WorkId, picture: Picture, work: Work },
+    Render { node: NodeId, frame: FrameId, work_id: WorkId, picture: Picture, work: Work, encoding: Encoding },
     /// Tell a render server that it may stop.
     Cancel { node: NodeId, frame: FrameId },
     /// Every sample is in its place: show the frame.
@@ -92,6 +95,7 @@ struct Node {
     ready: bool,
     /// When it last had nothing to do, as far as is known: what it was given before, it began then.
     free_at: Time,
+    link: Link,
 }
 
 /// The state of the farm.
@@ -129,7 +133,10 @@ impl Scheduler {
         let mut actions = Vec::new();
         match event {
             Event::Joined { node, name, threads } => {
-                self.nodes.insert(node, Node { name, threads: threads.max(1), ready: false, free_at: now });
+                self.nodes.insert(
+                    node,
+                    Node { name, threads: threads.max(1), ready: false, free_at: now, link: Link::default() },
+                );
             }
             Event::SceneReady { node, ready } => {
                 if let Some(node) = self.nodes.get_mut(&node) {
@@ -153,7 +160,10 @@ impl Scheduler {
             Event::WorkDone { node, frame, work_id, timings, costs } => {
                 let since = self.nodes.get(&node).map_or(Time::ZERO, |node| node.free_at);
                 if let Some(in_flight) = self.in_flight(frame) {
-                    in_flight.finish(now, since, node, work_id, timings, costs);
+                    let answered = in_flight.finish(now, since, node, work_id, timings, costs);
+                    if let (Some((encoding, n_samples, took)), Some(node)) = (answered, self.nodes.get_mut(&node)) {
+                        node.link.learn(encoding, n_samples, took);
+                    }
                 }
                 self.set_free(now, [node]);
             }
@@ -301,9 +311,7 @@ impl Scheduler {
     fn give_parts(&mut self, index: usize, now: Time, nodes: &[NodeId], piece: &Piece, actions: &mut Vec<Action>) {
         let Some(mut frame) = self.frames.remove(index) else { return };
         frame.attempts += 1;
-        let share = piece.work.share(frame.picture.size).expect("the scheduler makes works that fit their frame");
-        let n_samples: u32 = (0..share.count()).map(|k| share.samples(k).count()).sum();
-        let parts = (nodes.len() as u32).min(n_samples / SMALLEST_PART).max(1);
+        let parts = (nodes.len() as u32).min(frame.n_samples(&piece.work) / SMALLEST_PART).max(1);
         // Those who got a part of the last work are not the first to get one of this.
         let mut nodes = nodes.iter().cycle().skip(self.last_work.0 as usize % nodes.len());
         for part in 0..parts {
@@ -317,9 +325,14 @@ impl Scheduler {
     fn give(&mut self, frame: &mut FrameInFlight, now: Time, node: NodeId, piece: Piece) -> Action {
         let work = piece.work.clone();
         self.last_work.0 = self.last_work.0.wrapping_add(1);
-        let of_node = self.nodes.get(&node).map_or((String::new(), 1), |node| (node.name.clone(), node.threads));
-        frame.give(now, self.last_work, node, of_node, piece);
-        Action::Render { node, frame: frame.id, work_id: self.last_work, picture: frame.picture, work }
+        let n_samples = frame.n_samples(&work);
+        let encoding = |link: &mut Link| self.wanted.encoding.unwrap_or_else(|| link.choose(n_samples));
+        let (of_node, encoding) = match self.nodes.get_mut(&node) {
+            Some(node) => ((node.name.clone(), node.threads), encoding(&mut node.link)),
+            None => ((String::new(), 1), Encoding::Raw),
+        };
+        frame.give(now, self.last_work, node, of_node, piece, encoding);
+        Action::Render { node, frame: frame.id, work_id: self.last_work, picture: frame.picture, work, encoding }
     }
 
     /// Shows the first frame once it is whole and the one before it is taken, so that the next are rendered while one is

@@ -2,7 +2,7 @@
 
 use std::{
     collections::{BTreeMap, HashMap, VecDeque},
-    net::SocketAddr,
+    net::{IpAddr, SocketAddr},
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -69,6 +69,8 @@ pub(super) struct Service {
     /// Connections that have not shaken hands, the oldest first.
     strangers: VecDeque<(NodeId, AbortHandle)>,
     nodes: BTreeMap<NodeId, Node>,
+    /// How often render servers were lost, by name and machine.
+    failures: HashMap<(String, IpAddr), u32>,
     frames: HashMap<FrameId, OpenFrame>,
     spare_buffers: SpareBuffers,
     /// When the camera of the last frame was set.
@@ -95,6 +97,7 @@ impl Service {
             scheduler,
             strangers: VecDeque::new(),
             nodes: BTreeMap::new(),
+            failures: HashMap::new(),
             frames: HashMap::new(),
             spare_buffers: SpareBuffers::default(),
             last_moved_at: None,
@@ -158,7 +161,16 @@ impl Service {
                 }
                 tracing::info!("render server {name} joined from {address} with {threads} threads");
                 self.nodes.insert(id, Node { outgoing, desk });
-                let joined = NodeStatus { id, name: name.clone(), address, threads, scene: None, round_trip_ms: None };
+                let n_failures = self.failures.get(&(name.clone(), address.ip())).copied().unwrap_or(0);
+                let joined = NodeStatus {
+                    id,
+                    name: name.clone(),
+                    address,
+                    threads,
+                    scene: None,
+                    n_failures,
+                    round_trip_ms: None,
+                };
                 self.status.send_modify(|status| status.nodes.push(joined));
                 self.happen(Event::Joined { node: id, name, threads });
                 self.ask_for_scene(id);
@@ -218,6 +230,11 @@ impl Service {
             let name = status.nodes.iter().find(|node| node.id == id).map_or("", |node| &node.name).to_owned();
             let reason = reason.map_or_else(|error| error.to_string(), |()| "it closed the connection".to_owned());
             tracing::warn!("render server {name} at {address} lost: {reason}");
+            let failed = (name.clone(), address.ip());
+            // Who takes a new name each time is not remembered for ever.
+            if self.failures.len() < MOST_NODES || self.failures.contains_key(&failed) {
+                *self.failures.entry(failed).or_default() += 1;
+            }
             status.nodes.retain(|node| node.id != id);
             status.n_lost += 1;
             status.message =
@@ -258,9 +275,9 @@ impl Service {
                 let moved_at = if is_first_since { moved_at } else { Instant::now() };
                 self.frames.insert(frame, OpenFrame { picture, buffer, moved_at, bytes_out: HashMap::new() });
             }
-            Action::Render { node, frame, work_id, picture, work } => {
+            Action::Render { node, frame, work_id, picture, work, encoding } => {
                 self.put_on_desk(node, frame, work_id, &work);
-                let n_bytes = self.send(node, &ToServer::RenderFrame { frame, work_id, picture, work });
+                let n_bytes = self.send(node, &ToServer::RenderFrame { frame, work_id, picture, work, encoding });
                 if let Some(open) = self.frames.get_mut(&frame) {
                     *open.bytes_out.entry(node).or_default() += n_bytes;
                 }
@@ -272,6 +289,9 @@ impl Service {
                 self.send(node, &ToServer::Cancel { frame });
             }
             Action::Show { frame, stats } => {
+                if stats.attempts > 1 {
+                    self.status.send_modify(|status| status.n_healed += 1);
+                }
                 if let Some(open) = self.frames.remove(&frame) {
                     self.finished.put(open.finish(stats, self.spare_buffers.clone()));
                     (self.wake)();
@@ -317,8 +337,8 @@ impl OpenFrame {
 }
 
 fn for_scheduler(wanted: &Wanted) -> scheduler::Wanted {
-    let Wanted { picture, division, min_renderers, repeat, in_flight, .. } = *wanted;
-    scheduler::Wanted { picture, division, min_renderers, repeat, in_flight }
+    let Wanted { picture, division, min_renderers, repeat, in_flight, encoding, .. } = *wanted;
+    scheduler::Wanted { picture, division, min_renderers, repeat, in_flight, encoding }
 }
 
 async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {

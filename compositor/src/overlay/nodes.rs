@@ -12,11 +12,11 @@ pub(super) fn n_ready(status: &FarmStatus) -> usize {
 }
 
 pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
-    let FarmStatus { nodes, n_lost, .. } = &model.status;
+    let FarmStatus { nodes, n_lost, n_healed, .. } = &model.status;
     if nodes.is_empty() {
         return;
     }
-    let lost = if *n_lost > 0 { format!(", {n_lost} lost") } else { String::new() };
+    let lost = if *n_lost > 0 { format!(", {n_lost} lost, {n_healed} frames healed") } else { String::new() };
     style::section(ui, &format!("Render servers: {} of {} ready{lost}", n_ready(&model.status), nodes.len()), "ms");
     for node in nodes {
         let frame = model.frame.as_ref().and_then(|frame| frame.nodes.iter().find(|stats| stats.id == node.id));
@@ -43,6 +43,7 @@ fn row(ui: &mut Ui, node: &NodeStatus, frame: Option<&NodeFrameStats>) {
             ("trace", of_frame(|frame| style::ms(frame.trace_ms))),
             ("network", of_frame(|frame| style::ms(frame.network_ms))),
             ("idle", of_frame(|frame| style::ms(frame.idle_ms))),
+            ("Mbit/s", of_frame(|frame| format!("{:.0} {}", frame.mbit_per_s, frame.encoding.name()))),
             ("bytes", of_frame(|frame| style::bytes(frame.bytes_in + frame.bytes_out))),
             ("ping", node.round_trip_ms.map_or_else(|| "–".to_owned(), style::ms)),
         ],
@@ -51,7 +52,11 @@ fn row(ui: &mut Ui, node: &NodeStatus, frame: Option<&NodeFrameStats>) {
 
 fn where_and_how(node: &NodeStatus) -> String {
     let threads = if node.threads == 1 { "thread" } else { "threads" };
-    format!("{}, {} {threads}", node.address, node.threads)
+    let failures = match node.n_failures {
+        0 => String::new(),
+        n_failures => format!(", lost {n_failures} times"),
+    };
+    format!("{}, {} {threads}{failures}", node.address, node.threads)
 }
 
 /// The state in a word, its colour, and what to do about it.

@@ -4,7 +4,10 @@ use std::cell::RefCell;
 
 use egui::accesskit::Toggled;
 use egui_kittest::{Harness, kittest::NodeT, kittest::Queryable};
-use shared::{division::FrameSize, protocol::SceneState};
+use shared::{
+    division::FrameSize,
+    protocol::{Encoding, SceneState},
+};
 
 use super::*;
 use crate::stats::{NodeFrameStats, NodeId, NodeStatus};
@@ -30,6 +33,7 @@ fn node(id: u32, name: &str, scene: Option<SceneState>) -> NodeStatus {
         address: ([10, 0, 0, id as u8], 40_000).into(),
         threads: 8,
         scene,
+        n_failures: 0,
         round_trip_ms: Some(0.25),
     }
 }
@@ -56,6 +60,9 @@ fn running() -> OverlayModel {
                 busy_ms: trace_ms,
                 network_ms: 1.25,
                 idle_ms: 3.5,
+                taken_over: 0,
+                encoding: Encoding::Lz4,
+                mbit_per_s: 612.0,
                 bytes_in: 786_500,
                 bytes_out: 210,
             })
@@ -72,6 +79,7 @@ fn running() -> OverlayModel {
                 node(1, "north", Some(SceneState::Ready { triangles: 1_000_000, bytes: 1 })),
                 node(2, "south", Some(SceneState::Ready { triangles: 1_000_000, bytes: 1 })),
             ],
+            n_healed: 3,
             n_lost: 0,
             message: None,
         },
@@ -115,7 +123,7 @@ fn every_render_server_has_its_row() {
     model.status.n_lost = 2;
     commands_of(&model, |harness| {
         for label in [
-            "Render servers: 1 of 4 ready, 2 lost",
+            "Render servers: 1 of 4 ready, 2 lost, 3 frames healed",
             "north",
             "10.0.0.1:40000, 8 threads",
             "share 75 %",

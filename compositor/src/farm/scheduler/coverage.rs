@@ -39,6 +39,11 @@ impl Coverage {
         Piece { share: self.shares.len() - 1, work, n_units }
     }
 
+    /// How many works the frame was first divided into.
+    pub(super) fn n_shares(&self) -> usize {
+        self.shares.len()
+    }
+
     /// Marks units of a piece, by their places in it.
     pub(super) fn cover(&mut self, piece: &Piece, units: Range<u32>) {
         let share = &mut self.shares[piece.share];

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use shared::{
     division::{Division, Share, Work},
-    protocol::{BlockCosts, FrameId, Picture, WorkId, WorkTimings},
+    protocol::{BlockCosts, Encoding, FrameId, Picture, WorkId, WorkTimings},
 };
 
 use super::{
@@ -42,6 +42,7 @@ struct GivenWork {
     name: String,
     threads: u32,
     piece: Piece,
+    encoding: Encoding,
     sent_at: Time,
     state: WorkState,
     n_bytes: u64,
@@ -78,13 +79,22 @@ impl FrameInFlight {
         self.coverage.add(work, n_units)
     }
 
-    pub(super) fn give(&mut self, now: Time, id: WorkId, node: NodeId, (name, threads): (String, u32), piece: Piece) {
+    pub(super) fn give(
+        &mut self,
+        now: Time,
+        id: WorkId,
+        node: NodeId,
+        (name, threads): (String, u32),
+        piece: Piece,
+        encoding: Encoding,
+    ) {
         self.works.push(GivenWork {
             id,
             node,
             name,
             threads,
             piece,
+            encoding,
             sent_at: now,
             state: WorkState::AtWork,
             n_bytes: 0,
@@ -99,7 +109,8 @@ impl FrameInFlight {
         self.coverage.cover(&given.piece, units.first..units.first + units.count);
     }
 
-    /// A work is answered by a node that had nothing else to do since some time.
+    /// A work is answered by a node that had nothing else to do since some time. How it travelled, how many samples it
+    /// has, and how long it took.
     pub(super) fn finish(
         &mut self,
         now: Time,
@@ -108,15 +119,21 @@ impl FrameInFlight {
         work_id: WorkId,
         timings: WorkTimings,
         costs: BlockCosts,
-    ) {
-        let Some(given) = self.works.iter_mut().find(|given| given.id == work_id && given.node == node) else { return };
+    ) -> Option<(Encoding, u32, Duration)> {
+        let given = self.works.iter_mut().find(|given| given.id == work_id && given.node == node)?;
         // A render server that says "done" without having sent everything does not make the frame whole.
-        if self.coverage.has_all_of(&given.piece) {
-            let took = now.saturating_sub(given.sent_at.max(since));
-            given.state = WorkState::Done { at: now, took, timings, costs };
-        } else {
+        if !self.coverage.has_all_of(&given.piece) {
             given.state = WorkState::Lost;
+            return None;
         }
+        let took = now.saturating_sub(given.sent_at.max(since));
+        given.state = WorkState::Done { at: now, took, timings, costs };
+        Some((given.encoding, n_samples(&share(&given.piece.work, self.picture)), took))
+    }
+
+    /// How many samples a work of this frame has.
+    pub(super) fn n_samples(&self, work: &Work) -> u32 {
+        n_samples(&share(work, self.picture))
     }
 
     pub(super) fn lose(&mut self, node: NodeId) {
@@ -197,7 +214,7 @@ impl FrameInFlight {
         let now = self.whole_at.unwrap_or(now);
         let n_units = f64::from(self.division.units(self.picture.size).count());
         let mut nodes: Vec<NodeFrameStats> = Vec::new();
-        for given in &self.works {
+        for (index, given) in self.works.iter().enumerate() {
             let share = f64::from(share(&given.piece.work, self.picture).count()) / n_units;
             let (tracing, network, idle) = match given.state {
                 WorkState::Done { at, took, timings, .. } => {
@@ -215,6 +232,9 @@ impl FrameInFlight {
                 busy_ms: f64::from(tracing.1) / 1e3 / f64::from(given.threads),
                 network_ms: milliseconds(network),
                 idle_ms: milliseconds(idle),
+                taken_over: u32::from(index >= self.coverage.n_shares()),
+                encoding: given.encoding,
+                mbit_per_s: megabits(given),
                 bytes_in: given.n_bytes,
                 bytes_out: 0,
             };
@@ -241,6 +261,20 @@ impl FrameInFlight {
 /// The share behind a work that the scheduler made itself.
 fn share(work: &Work, picture: Picture) -> Share<'_> {
     work.share(picture.size).expect("the scheduler makes works that fit their frame")
+}
+
+/// How fast a work's samples came, from when its node had nothing else to do: with tracing and encoding.
+fn megabits(given: &GivenWork) -> f64 {
+    match given.state {
+        WorkState::Done { took, .. } if !took.is_zero() => given.n_bytes as f64 * 8e-6 / took.as_secs_f64(),
+        _ => 0.0,
+    }
+}
+
+/// How many samples a share has.
+fn n_samples(share: &Share<'_>) -> u32 {
+    let whole = share.units().whole_unit_samples();
+    if whole == 1 { share.count() } else { (0..share.count()).map(|k| share.samples(k).count()).sum() }
 }
 
 fn milliseconds(duration: Duration) -> f64 {

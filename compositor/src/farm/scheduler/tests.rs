@@ -31,7 +31,14 @@ fn picture(eye_x: f64, triangles: u32) -> Picture {
 }
 
 fn wanted(division: Division) -> Wanted {
-    Wanted { picture: Some(picture(0.0, 1000)), division, min_renderers: 1, repeat: false, in_flight: 1 }
+    Wanted {
+        picture: Some(picture(0.0, 1000)),
+        division,
+        min_renderers: 1,
+        repeat: false,
+        in_flight: 1,
+        encoding: None,
+    }
 }
 
 /// A work that was sent to a node.
@@ -84,7 +91,7 @@ impl Farm {
                     let in_flight = self.scheduler.wanted.in_flight as usize;
                     assert!(self.placed.len() <= in_flight, "more than {in_flight} frames in flight");
                 }
-                Action::Render { node, frame, work_id, picture, work } => {
+                Action::Render { node, frame, work_id, picture, work, .. } => {
                     work.share(picture.size).expect("works fit their frame");
                     self.at_work.push_back(Sent { node, frame, work_id, work, size: picture.size });
                 }

@@ -35,7 +35,14 @@ fn picture() -> Picture {
 
 fn wanted(min_renderers: usize) -> Wanted {
     let min_renderers = min_renderers as u32;
-    Wanted { picture: Some(picture()), division: Division::Dynamic, min_renderers, repeat: true, in_flight: 1 }
+    Wanted {
+        picture: Some(picture()),
+        division: Division::Dynamic,
+        min_renderers,
+        repeat: true,
+        in_flight: 1,
+        encoding: None,
+    }
 }
 
 fn picture_from(eye_x: f64) -> Picture {
@@ -104,7 +111,7 @@ impl Cluster {
         for action in self.scheduler.on_event(self.now, event) {
             match action {
                 Action::Open { .. } => {}
-                Action::Render { node, frame, work_id, picture, work } => {
+                Action::Render { node, frame, work_id, picture, work, .. } => {
                     self.pend(node, frame, work_id, &work, picture.size);
                 }
                 Action::Cancel { node, frame } => {

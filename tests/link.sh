@@ -1,0 +1,26 @@
+#!/bin/sh
+# What the wall takes over links of limited rate: two network namespaces with a link between them, for which one must be
+# root. Needs `cargo build --release` with --example link_rate, and the dragon, or any picture of 1024x512 samples:
+#
+#     sh tests/link.sh picture.png
+set -e
+picture=$1
+far=raywall-far
+measure() {
+    target/release/examples/link_rate --alone --listen 10.99.0.1:0 --through "ip netns exec $far" --replay "$picture" "$@"
+}
+trap 'ip netns del $far' EXIT
+ip netns add $far
+ip link add raywall-near type veth peer name raywall-peer
+ip link set raywall-peer netns $far
+ip addr add 10.99.0.1/24 dev raywall-near
+ip link set raywall-near up
+ip netns exec $far ip addr add 10.99.0.2/24 dev raywall-peer
+ip netns exec $far ip link set raywall-peer up
+for rate in 680mbit 10gbit; do
+    ip netns exec $far tc qdisc replace dev raywall-peer root tbf rate $rate burst 256kb latency 20ms
+    echo "== $rate, raw"
+    measure --encoding raw
+    echo "== $rate, as measured to be faster"
+    measure
+done
