@@ -2,7 +2,7 @@
 
 CARGO ?= cargo
 
-.PHONY: run test setup setup-test format clippy docs bench test-slurm
+.PHONY: run test soak setup setup-test format clippy docs bench test-slurm
 
 # NODEVICE_SELECT keeps a layer of Mesa from complaining about the session that a headless machine does not have.
 
@@ -19,6 +19,11 @@ run: setup
 test: setup-test format clippy docs
 	$(CARGO) build --release
 	$(CARGO) test --release --workspace
+
+# Ten minutes of render servers that join, freeze, wake and die at random; twenty seconds of it are in the tests.
+soak: setup-test
+	$(CARGO) build --release
+	RAYWALL_CHURN_SECONDS=600 $(CARGO) test --release -p tests --test wall -- churn --nocapture
 
 format:
 	$(CARGO) fmt --all --check

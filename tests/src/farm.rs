@@ -76,15 +76,19 @@ impl Files {
     }
 }
 
-/// The hash of a picture's samples as `--stats` gives it: bottom row first.
+/// The hash of a picture's samples as `--stats` gives it.
 fn hash_of_png(path: &Path) -> String {
+    renderer::image::samples_hash(&samples_of_png(path))
+}
+
+/// A picture's samples as frames have them: bottom row first.
+fn samples_of_png(path: &Path) -> Vec<u8> {
     let mut reader =
         png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path).unwrap())).read_info().unwrap();
     let mut rgb = vec![0; reader.output_buffer_size().unwrap()];
     let info = reader.next_frame(&mut rgb).unwrap();
     assert_eq!(info.color_type, png::ColorType::Rgb);
-    let bottom_up: Vec<u8> = rgb.chunks(info.width as usize * 3).rev().flatten().copied().collect();
-    renderer::image::samples_hash(&bottom_up)
+    rgb.chunks(info.width as usize * 3).rev().flatten().copied().collect()
 }
 
 /// A wall that renders frame after frame until the test ends it.
@@ -104,15 +108,25 @@ impl RunningWall {
 
     /// A wall with more arguments than all have.
     pub(crate) fn start_with(args: &[&str]) -> Self {
+        Self::start_sized(SIZE, args)
+    }
+
+    /// The same with frames of another size.
+    pub(crate) fn start_sized(size: &str, args: &[&str]) -> Self {
         let files = Files::new();
-        let expected = files.traced_hash(SIZE);
-        let mut command = files.wall(SIZE);
+        let expected = files.traced_hash(size);
+        let mut command = files.wall(size);
         command.args(["--frames", "1000000", "--local", "0", "--min-renderers", "1"]).args(args);
         let mut program = Program::start(command);
         program.wait_for("listening on ");
         let said = program.said();
         let address = said.split("listening on ").nth(1).unwrap().split_whitespace().next().unwrap().to_owned();
         Self { files, program, address, expected }
+    }
+
+    /// The samples that every frame must show: RGB, the bottom row first.
+    pub(crate) fn expected_samples(&self) -> Vec<u8> {
+        samples_of_png(&self.files.path("traced.png"))
     }
 
     pub(crate) fn join(&self, name: &str) -> Program {

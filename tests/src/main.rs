@@ -7,7 +7,11 @@ mod bad_input;
 #[cfg(test)]
 mod bench;
 #[cfg(test)]
+mod churn;
+#[cfg(test)]
 mod farm;
+#[cfg(test)]
+mod liars;
 #[cfg(test)]
 mod measuring;
 #[cfg(test)]

@@ -1,0 +1,183 @@
+//! Render servers that break the rules: each costs a connection with one clear line, and no frame a sample.
+
+use std::{
+    io::{Read, Write},
+    net::TcpStream,
+    thread,
+};
+
+use shared::{
+    codec::{self, HEADER_BYTES},
+    division::{FrameSize, Work},
+    protocol::{BlockCosts, Chunk, Encoding, FrameId, PREAMBLE, SceneState, ToServer, ToWall, WorkId, WorkTimings},
+};
+
+use crate::farm::RunningWall;
+
+/// A work that the wall asks for.
+struct Asked {
+    frame: FrameId,
+    work_id: WorkId,
+    work: Work,
+    size: FrameSize,
+}
+
+impl Asked {
+    /// The right answer, from the picture's samples: one chunk for each 64 units.
+    fn chunks(&self, rgb: &[u8]) -> Vec<Vec<u8>> {
+        let share = self.work.share(self.size).unwrap();
+        let sample = |(i, j): (u32, u32)| {
+            let at = 3 * (j * self.size.xres() + i) as usize;
+            [rgb[at], rgb[at + 1], rgb[at + 2]]
+        };
+        let units = (0..share.count()).step_by(64).map(|first| first..(first + 64).min(share.count()));
+        units
+            .map(|units| {
+                let samples: Vec<u8> = units.clone().flat_map(|k| share.samples(k).iter()).flat_map(sample).collect();
+                self.chunk(units.start, units.len() as u32, &samples)
+            })
+            .collect()
+    }
+
+    fn chunk(&self, first_unit: u32, n_units: u32, rgb: &[u8]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let chunk = Chunk { frame: self.frame, work_id: self.work_id, first_unit, n_units, rgb };
+        chunk.encode(Encoding::Raw, &mut bytes);
+        bytes
+    }
+
+    fn done(&self) -> Vec<u8> {
+        let (timings, costs) = (WorkTimings::default(), BlockCosts::default());
+        message(&ToWall::WorkDone { frame: self.frame, work_id: self.work_id, timings, costs })
+    }
+}
+
+fn message(message: &ToWall) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    codec::encode(message, &mut bytes).unwrap();
+    bytes
+}
+
+/// Joins a wall, and answers each work with the bytes that `answer` makes, until the wall has had enough; the others of a
+/// frame wait for it, as they do for everybody.
+fn lie(stream: &mut TcpStream, name: &str, mut answer: impl FnMut(&Asked) -> Vec<u8>) -> std::io::Result<()> {
+    stream.write_all(&PREAMBLE)?;
+    stream.write_all(&message(&ToWall::Hello { name: name.to_owned(), threads: 1 }))?;
+    stream.read_exact(&mut [0; PREAMBLE.len()])?;
+    loop {
+        let mut header = [0; HEADER_BYTES];
+        stream.read_exact(&mut header)?;
+        let mut body = vec![0; u32::from_le_bytes([header[0], header[1], header[2], header[3]]) as usize];
+        stream.read_exact(&mut body)?;
+        match codec::decode(&body).unwrap() {
+            ToServer::LoadScene { scene, .. } => {
+                let state = SceneState::Ready { triangles: 1, bytes: 1 };
+                stream.write_all(&message(&ToWall::SceneState { scene, state }))?;
+            }
+            ToServer::RenderFrame { frame, work_id, picture, work, .. } => {
+                stream.write_all(&answer(&Asked { frame, work_id, work, size: picture.size }))?;
+            }
+            ToServer::Ping { sent_us } => stream.write_all(&message(&ToWall::Pong { sent_us }))?,
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn who_breaks_the_rules_is_dropped_and_costs_no_sample() {
+    type Lie = fn(&Asked) -> Vec<u8>;
+    let lies: [(&str, Lie, &str); 8] = [
+        ("short", |asked| asked.chunk(0, 1, &[0; 2]), "sent samples that do not fit their work"),
+        ("long", |asked| asked.chunk(0, 1, &[0; 65_000]), "sent samples that do not fit their work"),
+        ("beyond", |asked| asked.chunk(u32::MAX, 2, &[0; 384]), "sent samples that do not fit their work"),
+        ("idle", Asked::done, "called a work done of which only 0 of"),
+        (
+            "repeating",
+            |asked| [asked.chunk(0, 1, &[0; 192]), asked.chunk(0, 1, &[0; 192]), asked.done()].concat(),
+            "called a work done of which only 1 of",
+        ),
+        (
+            "packed",
+            |asked| {
+                // A block that announces ever more of what it has not.
+                let mut bytes = asked.chunk(0, 1, &[0xff; 192]);
+                bytes[HEADER_BYTES - 1] = 2;
+                bytes
+            },
+            "samples that do not unpack",
+        ),
+        ("huge", |_| vec![0xff, 0xff, 0xff, 0xff, 1], "a message of 4294967295 bytes"),
+        ("talking", |_| message(&ToWall::Hello { name: "again".into(), threads: 1 }), "it spoke out of turn"),
+    ];
+    let mut wall = RunningWall::start_with(&["--division", "tiled"]);
+    let _honest = wall.join("honest");
+    wall.wait_for_frames(2);
+    for (name, answer, reason) in lies {
+        let mut stream = wall.connect();
+        let liar = thread::spawn(move || lie(&mut stream, name, answer));
+        wall.program.wait_for(&format!("render server {name} at "));
+        // Whoever reads or writes on notices.
+        let _ = liar.join().unwrap();
+        let said = wall.program.said();
+        let line = said.lines().find(|line| line.contains(&format!("render server {name} at "))).unwrap();
+        assert!(line.contains(reason), "{line}");
+    }
+    // Cut in the middle of a chunk.
+    let mut stream = wall.connect();
+    let closing = stream.try_clone().unwrap();
+    let cut = thread::spawn(move || {
+        let mut is_sent = false;
+        lie(&mut stream, "cut", |asked| {
+            if std::mem::replace(&mut is_sent, true) {
+                return Vec::new();
+            }
+            let mut bytes = asked.chunk(0, 1, &[0; 192]);
+            bytes.truncate(100);
+            // The bytes go out, and then the connection.
+            let closing = closing.try_clone().unwrap();
+            thread::spawn(move || {
+                thread::sleep(std::time::Duration::from_millis(50));
+                closing.shutdown(std::net::Shutdown::Both)
+            });
+            bytes
+        })
+    });
+    wall.program.wait_for("closed in mid-message");
+    let _ = cut.join().unwrap();
+    wall.wait_for_frames(3);
+    wall.end();
+}
+
+#[test]
+fn old_answers_and_answers_given_twice_change_nothing() {
+    let mut wall = RunningWall::start_with(&["--division", "tiled"]);
+    let rgb = wall.expected_samples();
+    let _honest = wall.join("honest");
+    wall.wait_for_frames(2);
+    let mut stream = wall.connect();
+    let mut last: Option<Asked> = None;
+    let mut n_works = 0;
+    thread::spawn(move || {
+        lie(&mut stream, "confused", |asked| {
+            n_works += 1;
+            let mut bytes = asked.chunks(&rgb).concat();
+            // The last frame's work once more, with nonsense in it, before and after being done with this one; and this
+            // one twice.
+            if let Some(last) = &last {
+                bytes = [last.chunk(0, 1, &[n_works as u8; 192]), bytes, last.done()].concat();
+            }
+            bytes.extend(asked.chunks(&rgb).concat());
+            bytes.extend(asked.done());
+            bytes.extend(asked.chunk(0, 1, &[n_works as u8; 192]));
+            bytes.extend(asked.done());
+            let Asked { frame, work_id, size, .. } = *asked;
+            last = Some(Asked { frame, work_id, work: asked.work.clone(), size });
+            bytes
+        })
+    });
+    wall.program.wait_for("render server confused is ready");
+    wall.wait_for_frames(20);
+    let (frames, said) = wall.end();
+    assert!(!said.contains("confused at") || !said.contains("lost"), "{said}");
+    assert_eq!(crate::farm::nodes_of(frames.last().unwrap()), ["honest", "confused"]);
+}
