@@ -4,7 +4,7 @@
 //! where, [`farm`] has it rendered by others, [`local`] by processes of this machine; [`gpu`] draws it.
 //! [`window`] shows it: [`input`] and [`navigator`] are what keys and mouse do, [`overlay`] is what an operator reads,
 //! [`display_environment`] and [`screensaver`] deal with the session around. [`headless`] shows it without a window.
-//! [`stats`] and [`report`] say what all of it took; [`bench`] is the paper's experiment.
+//! [`stats`] and [`report`] say what all of it took; [`mod@bench`] is the paper's experiment.
 
 pub mod args;
 pub mod bench;
