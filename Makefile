@@ -2,7 +2,7 @@
 
 CARGO ?= cargo
 
-.PHONY: run test soak setup setup-test format clippy docs bench test-slurm
+.PHONY: run test soak setup setup-test format clippy docs bench fuzz test-slurm
 
 # NODEVICE_SELECT keeps a layer of Mesa from complaining about the session that a headless machine does not have.
 
@@ -37,6 +37,21 @@ docs:
 # How fast the grid is built and followed, on generated models: a minute or two.
 bench:
 	$(CARGO) bench -p renderer --bench grid
+
+# Every decoder on invented inputs, FUZZ_RUNS each (of the slow one, records, a fiftieth); what is found lies in
+# target/fuzz-found, and new inputs worth keeping in target/fuzz-corpus. RUSTC_BOOTSTRAP lets a stable compiler sanitize.
+FUZZ_RUNS ?= 2500000
+FUZZ_TARGETS ?= camera placement ply protocol records wall
+CARGO_FUZZ = RUSTC_BOOTSTRAP=1 $(CARGO) fuzz run --fuzz-dir tests/fuzz --target-dir target/fuzz
+fuzz: setup-test
+	@$(CARGO) fuzz --version >/dev/null 2>&1 || $(CARGO) install cargo-fuzz --locked
+	@for target in $(FUZZ_TARGETS); do \
+		runs=$(FUZZ_RUNS); [ $$target != records ] || runs=$$((runs / 50)); \
+		mkdir -p target/fuzz-corpus/$$target target/fuzz-found && \
+		$(CARGO_FUZZ) $$target $(CURDIR)/target/fuzz-corpus/$$target $(CURDIR)/tests/corpus/$$target -- -runs=$$runs -max_len=2048 \
+			-timeout=10 -rss_limit_mb=2048 -artifact_prefix=$(CURDIR)/target/fuzz-found/$$target- -verbosity=0 || exit 1; \
+		echo "$$target: $$runs inputs"; \
+	done
 
 # A real Slurm on this machine starts render servers; as root, for it installs and runs Slurm's daemons.
 test-slurm:

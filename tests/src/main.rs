@@ -9,7 +9,18 @@ mod bench;
 #[cfg(test)]
 mod churn;
 #[cfg(test)]
+mod cluster;
+#[cfg(test)]
+#[allow(unreachable_pub, reason = "tests/fuzz has it in a library")]
+mod decoders;
+#[cfg(test)]
 mod farm;
+#[cfg(test)]
+#[path = "../../compositor/src/farm/frame_buffer.rs"]
+#[allow(unreachable_pub, reason = "it is a part of the compositor, and no other way leads to it")]
+mod frame_buffer;
+#[cfg(test)]
+mod fuzzing;
 #[cfg(test)]
 mod liars;
 #[cfg(test)]
@@ -32,3 +43,6 @@ mod window;
 mod x_drop;
 #[cfg(all(test, target_os = "linux"))]
 mod x_session;
+
+#[cfg(test)]
+use compositor::wall;

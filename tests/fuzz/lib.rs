@@ -1,0 +1,10 @@
+//! What is fuzzed: see `tests/src/decoders.rs`.
+
+#[path = "../src/decoders.rs"]
+pub mod decoders;
+#[path = "../../compositor/src/farm/frame_buffer.rs"]
+#[allow(dead_code)]
+mod frame_buffer;
+#[path = "../../compositor/src/wall.rs"]
+#[allow(dead_code)]
+mod wall;

@@ -1,0 +1,198 @@
+//! What every decoder must survive, whatever bytes it gets: no panic, no endless loop, no memory without bounds, and what
+//! it does accept keeps its promises.
+//!
+//! `make fuzz` calls these with what libFuzzer invents, `make test` with the kept corpus and mutations of it.
+
+use renderer::{key::Key, mesh::Mesh, ply, secure};
+use serde::{Serialize, de::DeserializeOwned};
+use shared::{
+    camera::Camera,
+    codec::{self, CONTROL_LIMIT, HANDSHAKE_LIMIT, HEADER_BYTES, Header},
+    division::{FrameSize, Part, Picked, TileRun, Work},
+    protocol::{CHUNK_BYTES, Chunk, Encoding, ToServer, ToWall},
+};
+use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex, split};
+
+use crate::{frame_buffer::SpareBuffers, wall::Wall};
+
+/// A decoder under test.
+pub type Decoder = fn(&[u8]);
+
+/// All of them, by the names of their folders in `tests/corpus` and their targets in `tests/fuzz`.
+pub const ALL: [(&str, Decoder); 6] = [
+    ("camera", camera),
+    ("placement", placement),
+    ("ply", ply),
+    ("protocol", protocol),
+    ("records", records),
+    ("wall", wall),
+];
+
+/// The protocol's codec: a header and the message behind it, in both directions.
+pub fn protocol(data: &[u8]) {
+    let Some((&header, rest)) = data.split_first_chunk::<HEADER_BYTES>() else { return };
+    for limit in [HANDSHAKE_LIMIT, CONTROL_LIMIT] {
+        // Whatever the length says, the body is what is there: the wire reads no more than the limit.
+        let _ = Header::parse(header, limit).map(|header| assert!(header.n_bytes <= CONTROL_LIMIT));
+    }
+    if let Some(ToServer::RenderFrame { picture, work, .. }) = round_trip::<ToServer>(rest) {
+        let _ = work.share(picture.size).map(|share| {
+            let last = share.count().checked_sub(1);
+            last.map(|last| assert!(share.unit(last) < share.units().count()))
+        });
+    }
+    if let Some(ToWall::WorkDone { costs, .. }) = round_trip::<ToWall>(rest)
+        && costs.fit(1000)
+    {
+        assert!(costs.blocks(1000).all(|(units, _)| units.end <= 1000));
+    }
+    if let Ok(chunk) = Chunk::decode(rest) {
+        let mut bytes = Vec::new();
+        chunk.encode(Encoding::Raw, &mut bytes);
+        assert_eq!(&bytes[HEADER_BYTES..], rest);
+        let mut room = Vec::new();
+        let _ = chunk.unpack(Encoding::Lz4, &mut room).map(|chunk| assert!(chunk.rgb.len() <= CHUNK_BYTES));
+    }
+}
+
+/// What is decoded is encoded to something that decodes to the same.
+fn round_trip<M: Serialize + DeserializeOwned>(body: &[u8]) -> Option<M> {
+    let message: M = codec::decode(body).ok()?;
+    let mut bytes = Vec::new();
+    codec::encode(&message, &mut bytes).expect("a message is no longer than it came");
+    let again: M = codec::decode(&bytes[HEADER_BYTES..]).expect("a message decodes");
+    let mut bytes_again = Vec::new();
+    codec::encode(&again, &mut bytes_again).expect("the same message");
+    // Bytes, for a number may be NaN.
+    assert_eq!(bytes, bytes_again);
+    Some(message)
+}
+
+/// Samples of chunks, put in their places.
+pub fn placement(data: &[u8]) {
+    let Some((&[kind, x, y, machine, machines, part, parts, first, count, fill], rgb)) = data.split_first_chunk()
+    else {
+        return;
+    };
+    let Ok(size) = FrameSize::new(x.into(), y.into()) else { return };
+    let (machine, machines) = (u32::from(machine), u32::from(machines));
+    let run = TileRun { first: machine, count: machines };
+    let picked = match kind % 5 {
+        0 => Picked::Interleaved { machine, machines },
+        1 => Picked::Tiled { machine, machines },
+        2 => Picked::Curve { machine, machines },
+        3 => Picked::CurveRun(run),
+        _ => Picked::TileRuns(vec![run, TileRun { first: 0, count: 1 }]),
+    };
+    let work = Work { picked, part: Part { index: part.into(), parts: parts.into() } };
+    let Ok(share) = work.share(size) else { return };
+    let spare = SpareBuffers::default();
+    let buffer = std::sync::Arc::new(spare.take(size));
+    // Numbers as they are, or as large as they can be.
+    let wide = |byte: u8| if byte == u8::MAX { u32::MAX } else { u32::from(byte) };
+    let _ = buffer.place(&share, wide(first), wide(count), rgb);
+    let whole: Vec<u8> = vec![fill; 3 * (0..share.count()).map(|k| share.samples(k).count() as usize).sum::<usize>()];
+    buffer.place(&share, 0, share.count(), &whole).expect("all of a share fits");
+    assert_eq!(buffer.size(), size);
+    let samples = buffer.into_samples(spare);
+    let n_filled = samples.iter().filter(|&&sample| sample == u32::from_ne_bytes([fill, fill, fill, 255])).count();
+    // Runs may overlap.
+    assert!(kind % 5 == 4 || n_filled >= whole.len() / 3, "{n_filled} samples are in place of {}", whole.len() / 3);
+}
+
+/// A camera file.
+pub fn camera(data: &[u8]) {
+    let text = String::from_utf8_lossy(data);
+    if let Ok(camera) = Camera::from_toml(&text) {
+        assert_eq!(Camera::from_toml(&camera.to_toml()), Ok(camera));
+    }
+}
+
+/// A wall file.
+pub fn wall(data: &[u8]) {
+    let text = String::from_utf8_lossy(data);
+    match Wall::from_toml("wall.toml", &text) {
+        Ok(wall) => assert!(wall.output_size().iter().all(|side| (1..=Wall::LARGEST_SIDE).contains(side))),
+        Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
+    }
+}
+
+/// A PLY file.
+pub fn ply(data: &[u8]) {
+    let Ok(mesh) = ply::read_from(data, data.len() as u64) else { return };
+    let is_sound = |triangle: &[u32; 3]| triangle.iter().all(|&index| (index as usize) < mesh.vertices.len());
+    let n_rejected = mesh.triangles.iter().filter(|&&triangle| triangle == Mesh::REJECTED).count();
+    assert_eq!(n_rejected, mesh.n_rejected);
+    assert!(mesh.triangles.iter().all(|triangle| *triangle == Mesh::REJECTED || is_sound(triangle)));
+    assert!(mesh.colors.is_empty() || mesh.colors.len() == mesh.vertices.len());
+}
+
+/// The encrypted channel: a stranger's handshake, or the records of a friend with somebody between.
+pub fn records(data: &[u8]) {
+    let runtime = tokio::runtime::Builder::new_current_thread().build().expect("no more than one thread");
+    let Some((&kind, data)) = data.split_first() else { return };
+    runtime.block_on(async {
+        if kind % 4 == 0 {
+            let (mut stranger, wall) = duplex(1 << 16);
+            let (input, output) = split(wall);
+            let said = &data[..data.len().min(1 << 15)];
+            stranger.write_all(said).await.expect("there is room");
+            stranger.shutdown().await.expect("a pipe ends");
+            let key = Key::random().expect("random numbers");
+            assert!(secure::accept(input, output, &key).await.is_err(), "a stranger is let in");
+        } else {
+            tampered(data).await;
+        }
+    });
+}
+
+/// Whatever is done to records on their way, what is heard is how what was said begins.
+async fn tampered(tampering: &[u8]) {
+    let key = Key::random().expect("random numbers");
+    let (server_end, mut server_wire) = duplex(1 << 18);
+    let (wall_end, mut wall_wire) = duplex(1 << 18);
+    let (server_in, server_out) = split(server_end);
+    let (wall_in, wall_out) = split(wall_end);
+    let between = async {
+        forward(&mut server_wire, &mut wall_wire, 56).await;
+        forward(&mut wall_wire, &mut server_wire, 56).await;
+        forward(&mut server_wire, &mut wall_wire, 16).await;
+    };
+    let (server, wall, ()) =
+        tokio::join!(secure::connect(server_in, server_out, &key), secure::accept(wall_in, wall_out, &key), between);
+    let ((_, mut speaker), (mut listener, _wall_out)) = (server.expect("a friend"), wall.expect("a friend"));
+    let said: Vec<u8> = (0..40_000_u32).map(|index| (index * 7) as u8).collect();
+    for part in said.chunks(20_000) {
+        speaker.write_all(part).await.expect("there is room");
+        speaker.flush().await.expect("there is room");
+    }
+    speaker.shutdown().await.expect("a pipe ends");
+    let mut sealed = Vec::new();
+    server_wire.read_to_end(&mut sealed).await.expect("all of it is there");
+    for &[what, high, low] in tampering.as_chunks::<3>().0.iter().take(16) {
+        if sealed.is_empty() {
+            break;
+        }
+        let at = (usize::from(high) << 8 | usize::from(low)) % sealed.len();
+        match what % 5 {
+            0 => sealed[at] ^= 1 << (what >> 5),
+            1 => sealed.truncate(at),
+            2 => sealed.extend_from_within(..at),
+            3 => sealed.rotate_left(at),
+            _ => sealed[at..].fill(what),
+        }
+    }
+    sealed.truncate(1 << 17);
+    wall_wire.write_all(&sealed).await.expect("there is room");
+    wall_wire.shutdown().await.expect("a pipe ends");
+    let mut heard = Vec::new();
+    let ended = listener.read_to_end(&mut heard).await;
+    assert!(said.starts_with(&heard), "what was never said is heard");
+    assert!(!tampering.is_empty() || ended.is_ok() && heard == said, "nothing was done, and not all is heard");
+}
+
+async fn forward(from: &mut DuplexStream, to: &mut DuplexStream, n_bytes: usize) {
+    let mut bytes = vec![0; n_bytes];
+    from.read_exact(&mut bytes).await.expect("a handshake");
+    to.write_all(&bytes).await.expect("there is room");
+}
