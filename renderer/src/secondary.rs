@@ -207,7 +207,7 @@ pub(crate) fn hidden(
     scratch: &mut PacketScratch,
 ) -> u64 {
     let Some(mut next) = directions.iter().rev().find_map(|direction| *direction) else { return 0 };
-    let mut packet = Packet { origin, directions: [[0.0; 64]; 3], active: 0, t_min: 0.0, t_max };
+    let mut packet = Packet { origin, directions: [[0.0; 64]; 3], active: 0, t_min: 0.0, t_max, any_hit: true };
     for (lane, direction) in directions.iter().enumerate().rev() {
         // Entries of no ray repeat the next, which lies close to them.
         next = direction.unwrap_or(next);

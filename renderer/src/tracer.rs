@@ -154,6 +154,7 @@ impl Scene {
             active: u64::MAX >> (64 - block.len()),
             t_min: 0.0,
             t_max: f32::MAX,
+            any_hit: false,
         };
         let mut directions = [Vec3::ZERO; 64];
         for lane in 0..64 {

@@ -546,7 +546,9 @@ impl<'a> Culler<'a> {
                 self.nearest_triangle[ray] = triangle;
                 let depth = t * f64::from(self.packet.directions[self.axes[0]][ray].abs());
                 let limit = (depth * (1.0 + 1e-6)) as f32;
-                if limit < self.limits[ray] {
+                if self.packet.any_hit {
+                    self.limits[ray] = f32::NEG_INFINITY;
+                } else if limit < self.limits[ray] {
                     self.limits[ray] = limit;
                 }
             }

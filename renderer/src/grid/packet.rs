@@ -36,6 +36,8 @@ pub struct Packet {
     pub t_min: f32,
     /// The last t that counts.
     pub t_max: f32,
+    /// Whether any hit of a ray will do in place of the nearest, as for shadows.
+    pub any_hit: bool,
 }
 
 impl Packet {
@@ -372,11 +374,15 @@ impl Grid {
                 let bit = nodes.trailing_zeros();
                 let before = (nodes & nodes.wrapping_neg()) - 1;
                 nodes &= nodes - 1;
-                children.push(Entry {
-                    node: node.first_node + (node.divided & before).count_ones(),
-                    u: entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32,
-                    v: entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32,
-                });
+                let u = entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32;
+                let v = entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32;
+                if let Some(cells) = &narrow {
+                    let size = f64::from(1u32 << shift);
+                    if culler.passing::<S>(cells.slopes(0, u, size), cells.slopes(1, v, size), cells.depth) == 0 {
+                        continue;
+                    }
+                }
+                children.push(Entry { node: node.first_node + (node.divided & before).count_ones(), u, v });
             }
         }
     }

@@ -416,7 +416,7 @@ fn raster(origin: Vec3, target: Vec3, spacing: f32, active: u64) -> Packet {
         let direction = forward + right * (lane % 8) as f32 + up * (lane / 8) as f32;
         (0..3).for_each(|axis| directions[axis][lane] = direction[axis]);
     }
-    Packet { origin, directions, active, t_min: 0.0, t_max: f32::MAX }
+    Packet { origin, directions, active, t_min: 0.0, t_max: f32::MAX, any_hit: false }
 }
 
 proptest! {
