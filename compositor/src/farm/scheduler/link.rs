@@ -21,6 +21,9 @@ const LONGEST_PAUSE: u32 = 1024;
 /// How many times as fast the other encoding must be.
 const CLEARLY: f64 = 1.05;
 
+/// A trial whose work is so many times as slow ends there: eight works that each take ten times as long would be felt.
+const HOPELESSLY: f64 = 2.0;
+
 /// Smaller works tell more about latency than about rates.
 const SMALLEST_WORK: u32 = 4096;
 
@@ -73,15 +76,20 @@ impl Link {
             rates.pop_front();
         }
         let [best, other] = &self.rates;
-        if other.len() < TRIAL || best.is_empty() {
+        let (Some(newest), false) = (other.back(), best.is_empty()) else {
+            return;
+        };
+        let is_hopeless = newest * HOPELESSLY < median(best);
+        if other.len() < TRIAL && !is_hopeless {
             return;
         }
-        let is_better = median(other) > CLEARLY * median(best);
+        let is_better = !is_hopeless && median(other) > CLEARLY * median(best);
         self.rates[1].clear();
+        self.n_of_trial = 0;
         if is_better {
             self.best = self.best.other();
             self.rates[0].clear();
-            (self.pause, self.n_of_trial) = (SHORTEST_PAUSE, 0);
+            self.pause = SHORTEST_PAUSE;
         } else {
             self.pause = (self.pause * 2).min(LONGEST_PAUSE);
         }
