@@ -92,14 +92,10 @@ pub(crate) trait Simd: Copy {
     fn least(self) -> f32;
     /// The greatest of all.
     fn greatest(self) -> f32;
-    /// As many indices.
-    type Indices: Copy;
-    /// For each corner of the triangles at some places 3 × its vertex. Places must lie inside the mesh.
-    fn corner_offsets(triangles: &[[u32; 3]], places: &[u32; 16]) -> [Self::Indices; 3];
-    /// The same where each triangle has three vertices of its own.
-    fn flat_corner_offsets(places: &[u32; 16]) -> [Self::Indices; 3];
-    /// `table[indices[lane]]` for each lane; indices must lie inside the table.
-    fn gather(table: &[f32], indices: Self::Indices) -> Self;
+    /// x, y and z of [`Simd::LANES`] vertices, from the coordinates of all, three for each and at least one number more.
+    ///
+    /// Four coordinates are loaded for each vertex and three kept: several times as fast as the gathering instructions.
+    fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3];
     fn add(self, other: Self) -> Self;
     fn sub(self, other: Self) -> Self;
     fn mul(self, other: Self) -> Self;
@@ -160,23 +156,9 @@ impl Simd for Plain {
     fn greatest(self) -> f32 {
         self.0.into_iter().fold(f32::NEG_INFINITY, f32::max)
     }
-    type Indices = [u32; 8];
     #[inline(always)]
-    fn flat_corner_offsets(places: &[u32; 16]) -> [[u32; 8]; 3] {
-        let mut offsets = [[0; 8]; 3];
-        for lane in 0..8 {
-            let first = 9 * places[lane];
-            (offsets[0][lane], offsets[1][lane], offsets[2][lane]) = (first, first + 3, first + 6);
-        }
-        offsets
-    }
-    #[inline(always)]
-    fn corner_offsets(triangles: &[[u32; 3]], places: &[u32; 16]) -> [[u32; 8]; 3] {
-        std::array::from_fn(|corner| std::array::from_fn(|lane| 3 * triangles[places[lane] as usize][corner]))
-    }
-    #[inline(always)]
-    fn gather(table: &[f32], indices: [u32; 8]) -> Self {
-        Self(std::array::from_fn(|lane| table[indices[lane] as usize]))
+    fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
+        std::array::from_fn(|axis| Self(std::array::from_fn(|lane| coordinates[3 * vertices[lane] as usize + axis])))
     }
     #[inline(always)]
     fn add(self, other: Self) -> Self {
@@ -260,10 +242,18 @@ mod x86 {
         };
     }
 
+    /// The three coordinates of a vertex and the one that follows.
+    #[inline(always)]
+    fn vertex(coordinates: &[f32], vertex: u32) -> __m128 {
+        let first = 3 * vertex as usize;
+        let four: &[f32; 4] = coordinates[first..first + 4].try_into().expect("four numbers");
+        // SAFETY: four numbers are there, and SSE is part of the architecture.
+        unsafe { _mm_loadu_ps(four.as_ptr()) }
+    }
+
     impl Simd for Avx2 {
         const LANES: usize = 8;
         type Double = Avx2Double;
-        type Indices = __m256i;
         #[inline(always)]
         fn splat(x: f32) -> Self {
             // SAFETY: as above.
@@ -306,33 +296,23 @@ mod x86 {
             }
         }
         #[inline(always)]
-        fn flat_corner_offsets(places: &[u32; 16]) -> [__m256i; 3] {
-            // SAFETY: as above, and sixteen places are there.
+        fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
+            // SAFETY: as above.
             unsafe {
-                let places = _mm256_loadu_si256(places.as_ptr().cast());
-                let first = _mm256_mullo_epi32(places, _mm256_set1_epi32(9));
-                let second = _mm256_add_epi32(first, _mm256_set1_epi32(3));
-                [first, second, _mm256_add_epi32(second, _mm256_set1_epi32(3))]
-            }
-        }
-        #[inline(always)]
-        fn corner_offsets(triangles: &[[u32; 3]], places: &[u32; 16]) -> [__m256i; 3] {
-            let table: *const i32 = triangles.as_ptr().cast();
-            // SAFETY: as above; the caller's places lie inside the mesh.
-            unsafe {
-                let three = _mm256_set1_epi32(3);
-                let first = _mm256_mullo_epi32(_mm256_loadu_si256(places.as_ptr().cast()), three);
+                let mut rows = [_mm256_setzero_ps(); 4];
+                for lane in 0..4 {
+                    let (low, high) = (vertex(coordinates, vertices[lane]), vertex(coordinates, vertices[lane + 4]));
+                    rows[lane] = _mm256_insertf128_ps::<1>(_mm256_castps128_ps256(low), high);
+                }
+                let [a, b, c, d] = rows;
+                let (xy_ab, zw_ab) = (_mm256_unpacklo_ps(a, b), _mm256_unpackhi_ps(a, b));
+                let (xy_cd, zw_cd) = (_mm256_unpacklo_ps(c, d), _mm256_unpackhi_ps(c, d));
                 [
-                    _mm256_mullo_epi32(_mm256_i32gather_epi32::<4>(table, first), three),
-                    _mm256_mullo_epi32(_mm256_i32gather_epi32::<4>(table.add(1), first), three),
-                    _mm256_mullo_epi32(_mm256_i32gather_epi32::<4>(table.add(2), first), three),
+                    Self(_mm256_shuffle_ps::<0x44>(xy_ab, xy_cd)),
+                    Self(_mm256_shuffle_ps::<0xee>(xy_ab, xy_cd)),
+                    Self(_mm256_shuffle_ps::<0x44>(zw_ab, zw_cd)),
                 ]
             }
-        }
-        #[inline(always)]
-        fn gather(table: &[f32], indices: __m256i) -> Self {
-            // SAFETY: as above; the caller's indices lie inside the table.
-            Self(unsafe { _mm256_i32gather_ps::<4>(table.as_ptr(), indices) })
         }
         instructions! {
             add(other) = _mm256_add_ps;
@@ -400,7 +380,6 @@ mod x86 {
     impl Simd for Avx512 {
         const LANES: usize = 16;
         type Double = Avx512Double;
-        type Indices = __m512i;
         #[inline(always)]
         fn splat(x: f32) -> Self {
             // SAFETY: as above.
@@ -435,33 +414,25 @@ mod x86 {
             unsafe { _mm512_reduce_max_ps(self.0) }
         }
         #[inline(always)]
-        fn flat_corner_offsets(places: &[u32; 16]) -> [__m512i; 3] {
-            // SAFETY: as above, and sixteen places are there.
+        fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
+            // SAFETY: as above.
             unsafe {
-                let places = _mm512_loadu_si512(places.as_ptr().cast());
-                let first = _mm512_mullo_epi32(places, _mm512_set1_epi32(9));
-                let second = _mm512_add_epi32(first, _mm512_set1_epi32(3));
-                [first, second, _mm512_add_epi32(second, _mm512_set1_epi32(3))]
-            }
-        }
-        #[inline(always)]
-        fn corner_offsets(triangles: &[[u32; 3]], places: &[u32; 16]) -> [__m512i; 3] {
-            let table: *const i32 = triangles.as_ptr().cast();
-            // SAFETY: as above; the caller's places lie inside the mesh.
-            unsafe {
-                let three = _mm512_set1_epi32(3);
-                let first = _mm512_mullo_epi32(_mm512_loadu_si512(places.as_ptr().cast()), three);
+                let mut rows = [_mm512_setzero_ps(); 4];
+                for lane in 0..4 {
+                    let first = _mm512_castps128_ps512(vertex(coordinates, vertices[lane]));
+                    let second = _mm512_insertf32x4::<1>(first, vertex(coordinates, vertices[lane + 4]));
+                    let third = _mm512_insertf32x4::<2>(second, vertex(coordinates, vertices[lane + 8]));
+                    rows[lane] = _mm512_insertf32x4::<3>(third, vertex(coordinates, vertices[lane + 12]));
+                }
+                let [a, b, c, d] = rows;
+                let (xy_ab, zw_ab) = (_mm512_unpacklo_ps(a, b), _mm512_unpackhi_ps(a, b));
+                let (xy_cd, zw_cd) = (_mm512_unpacklo_ps(c, d), _mm512_unpackhi_ps(c, d));
                 [
-                    _mm512_mullo_epi32(_mm512_i32gather_epi32::<4>(first, table), three),
-                    _mm512_mullo_epi32(_mm512_i32gather_epi32::<4>(first, table.add(1)), three),
-                    _mm512_mullo_epi32(_mm512_i32gather_epi32::<4>(first, table.add(2)), three),
+                    Self(_mm512_shuffle_ps::<0x44>(xy_ab, xy_cd)),
+                    Self(_mm512_shuffle_ps::<0xee>(xy_ab, xy_cd)),
+                    Self(_mm512_shuffle_ps::<0x44>(zw_ab, zw_cd)),
                 ]
             }
-        }
-        #[inline(always)]
-        fn gather(table: &[f32], indices: __m512i) -> Self {
-            // SAFETY: as above; the caller's indices lie inside the table.
-            Self(unsafe { _mm512_i32gather_ps::<4>(indices, table.as_ptr()) })
         }
         instructions! {
             add(other) = _mm512_add_ps;

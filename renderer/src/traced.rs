@@ -13,6 +13,7 @@ use crate::{
 #[derive(Debug)]
 pub struct TracedMesh {
     /// Positions; without indices three for each triangle.
+    /// One more than the triangles mention, see [`TracedMesh::coordinates`].
     vertices: Vec<[f32; 3]>,
     /// The vertices of each triangle; empty in a flat mesh.
     triangles: Vec<[u32; 3]>,
@@ -63,7 +64,7 @@ impl TracedMesh {
         let ((), triangles) = rayon::join(to_places, of_places);
         let is_colored = !colors.is_empty();
         Self {
-            vertices: kept.par_iter().map(|&vertex| vertices[vertex as usize]).collect(),
+            vertices: padded(kept.par_iter().map(|&vertex| vertices[vertex as usize])),
             triangles,
             numbers,
             colors: kept.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
@@ -77,7 +78,10 @@ impl TracedMesh {
         let Self { vertices, triangles, numbers, colors, bounds } = self;
         let is_colored = !colors.is_empty();
         Self {
-            vertices: triangles.par_iter().flatten_iter().map(|&vertex| vertices[vertex as usize]).collect(),
+            vertices: padded((0..3 * triangles.len()).into_par_iter().map(|corner| {
+                let vertex = triangles[corner / 3][corner % 3];
+                vertices[vertex as usize]
+            })),
             colors: triangles.iter().flatten().filter(|_| is_colored).map(|&v| colors[v as usize]).collect(),
             triangles: Vec::new(),
             numbers,
@@ -152,19 +156,31 @@ impl TracedMesh {
         }
     }
 
-    /// For each corner of the triangles at some places 3 × its vertex. Places must lie inside the mesh.
+    /// For each corner of the triangles at some places, and for each axis, its coordinates.
     #[inline(always)]
-    pub(crate) fn corner_offsets<S: Simd>(&self, places: &[u32; 16]) -> [S::Indices; 3] {
-        if self.triangles.is_empty() {
-            S::flat_corner_offsets(places)
-        } else {
-            S::corner_offsets(&self.triangles, places)
+    pub(crate) fn corners_in_lanes<S: Simd>(&self, places: &[u32; 16]) -> [[S; 3]; 3] {
+        let mut vertices = [[0; 16]; 3];
+        for lane in 0..S::LANES {
+            let [a, b, c] = self.indices(places[lane]);
+            (vertices[0][lane], vertices[1][lane], vertices[2][lane]) = (a, b, c);
         }
+        let coordinates = self.coordinates();
+        let [a, b, c] = &vertices;
+        [S::transpose(coordinates, a), S::transpose(coordinates, b), S::transpose(coordinates, c)]
     }
 
-    pub(crate) fn vertices(&self) -> &[[f32; 3]] {
-        &self.vertices
+    /// The coordinates of all vertices, one vertex after the other, and three more.
+    pub(crate) fn coordinates(&self) -> &[f32] {
+        bytemuck::cast_slice(&self.vertices)
     }
+}
+
+/// Vertices and one more, so that vectors can be loaded from the last.
+fn padded(vertices: impl IndexedParallelIterator<Item = [f32; 3]>) -> Vec<[f32; 3]> {
+    let mut padded = Vec::with_capacity(vertices.len() + 1);
+    padded.par_extend(vertices);
+    padded.push([0.0; 3]);
+    padded
 }
 
 /// New numbers, given in the order of first mention.

@@ -125,7 +125,7 @@ impl<'a> Culler<'a> {
             references: &grid.references,
             cells_per_unit: (grid.space.cells_per_unit() * (1.0 + 1e-6)) as f32,
             pairs,
-            coordinates: bytemuck::cast_slice(mesh.vertices()),
+            coordinates: mesh.coordinates(),
             packet,
             axes,
             sign,
@@ -372,12 +372,10 @@ impl<'a> Culler<'a> {
     #[inline(always)]
     fn prepare<S: Simd>(&self, prepared: &mut Prepared) -> u32 {
         let [k, u, v] = self.axes;
-        let mut corners = [[S::splat(0.0); 3]; 3];
+        let corners = self.mesh.corners_in_lanes::<S>(&prepared.places);
         let mut from_origin = corners;
-        let offsets = self.mesh.corner_offsets::<S>(&prepared.places);
         for corner in 0..3 {
             for axis in 0..3 {
-                corners[corner][axis] = S::gather(&self.coordinates[axis..], offsets[corner]);
                 from_origin[corner][axis] = corners[corner][axis].sub(S::splat(self.packet.origin[axis]));
             }
         }

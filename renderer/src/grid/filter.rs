@@ -143,7 +143,6 @@ fn may_hit_avx512(mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> u32 {
 /// No closures here: they would not be compiled for the caller's instruction set.
 #[inline(always)]
 fn may_hit_generic<S: Simd>(mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> u32 {
-    let coordinates: &[f32] = bytemuck::cast_slice(mesh.vertices());
     let reach = [ray.direction.x.abs(), ray.direction.y.abs(), ray.direction.z.abs()];
     let underflow = UNDERFLOW_MARGIN * (1.0 + reach[0] + reach[1] + reach[2]);
     let mut all = 0;
@@ -152,14 +151,8 @@ fn may_hit_generic<S: Simd>(mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> 
         let mut places = [triangles[first]; 16];
         let n = (triangles.len() - first).min(S::LANES);
         places[..n].copy_from_slice(&triangles[first..first + n]);
-        let offsets = mesh.corner_offsets::<S>(&places);
+        let corners = mesh.corners_in_lanes::<S>(&places);
         let zero = S::splat(0.0);
-        let mut corners = [[zero; 3]; 3];
-        for corner in 0..3 {
-            for axis in 0..3 {
-                corners[corner][axis] = S::gather(&coordinates[axis..], offsets[corner]);
-            }
-        }
         // The side of the edge from p to q is direction·(p × (q − p)), seen from the origin.
         let (mut low, mut high, mut products) = (S::splat(f32::INFINITY), S::splat(f32::NEG_INFINITY), zero);
         for edge in 0..3 {
