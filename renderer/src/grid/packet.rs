@@ -178,6 +178,7 @@ impl Grid {
         brick_k = brick_k.clamp(0, bricks_along_k - 1);
 
         let mut covered = 0.0;
+        let mut waiting_from = 0.0f64;
         scratch.leaves.clear();
         while (0..bricks_along_k).contains(&brick_k) {
             let low = brick_k * BRICK_SIZE as i32;
@@ -235,6 +236,9 @@ impl Grid {
                     &mut scratch.leaves,
                 );
                 if scratch.leaves.len() > n_before {
+                    if n_before == 0 {
+                        waiting_from = near;
+                    }
                     let area = frustum.area(far).max(1.0);
                     covered += (scratch.leaves.len() - n_before) as f64 * f64::from(1u32 << shift).powi(2) / area;
                     if covered >= COVER || scratch.leaves.len() >= MOST_LEAVES {
@@ -245,8 +249,12 @@ impl Grid {
                 if level < LEVELS as usize && !below[0].is_empty() {
                     level += 1;
                     (lows[level], steps[level]) = (low, 0);
-                } else if culler.touched && culler.settle::<S>(self.space.length(far)) {
-                    return Some(culler.hits());
+                } else if culler.touched {
+                    // What waits may lie before what was tested since.
+                    let tested_to = if scratch.leaves.is_empty() { far } else { waiting_from.min(far) };
+                    if culler.settle::<S>(self.space.length(tested_to)) {
+                        return Some(culler.hits());
+                    }
                 }
             }
         }

@@ -474,6 +474,30 @@ fn packets_hit_a_scan_from_near_and_far() {
     }
 }
 
+/// Leaves of many triangles and of few at all depths, some behind each other in one leaf.
+#[test]
+fn packets_hit_an_uneven_soup_from_within_and_without() {
+    let mut state = 1u64;
+    let mut random = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f32 / (1u64 << 24) as f32
+    };
+    let triangle = |_| {
+        let size = 0.4 * random().powi(6) + 0.002;
+        let corner = [random(), random(), random()];
+        std::array::from_fn(|_| corner.map(|x| x + size * random()))
+    };
+    let mesh = soup((0..20_000).map(triangle).collect());
+    let grids = build_all(&mesh);
+    for step in 0..20 {
+        let from = Vec3::new(random(), random(), random());
+        let origin = if step % 3 == 0 { from } else { Vec3::splat(0.5) + (from - 0.5) * 6.0 };
+        let target = Vec3::new(random(), random(), random());
+        let spacing = [0.0003, 0.003, 0.03][step % 3];
+        check_packet(&grids, &raster(origin, target, spacing, u64::MAX));
+    }
+}
+
 #[test]
 fn a_polygon_of_one_corner_a_million_times_costs_nothing() {
     let mut mesh = cube(1);
