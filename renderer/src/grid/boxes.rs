@@ -113,7 +113,7 @@ pub(super) struct LeafBoxes<'a> {
 /// Some boxes, in finest cells from the rays' origin: depth along k and bounds across it.
 #[derive(Clone, Copy)]
 pub(super) struct Bounds<S> {
-    pub(super) near: S,
+    near: S,
     far: S,
     u: [S; 2],
     v: [S; 2],

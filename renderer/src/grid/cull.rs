@@ -8,7 +8,7 @@ use glam::Vec3;
 
 use super::{
     Grid,
-    boxes::LeafBoxes,
+    boxes::{Bounds, LeafBoxes},
     packet::{Leaf, Packet},
 };
 #[cfg(target_arch = "x86_64")]
@@ -29,6 +29,10 @@ pub(super) const SIDE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
 /// More than the absolute error where products leave the range of normal numbers.
 pub(super) const UNDERFLOW_MARGIN: f32 = 1e-36;
 
+/// From so many triangles for each ray on, a leaf's boxes are tested against its rays one by one: in a scan seen from
+/// afar most triangles lie between the rays.
+const MANY_TRIANGLES_PER_RAY: usize = 5;
+
 /// Triangles remembered as already tested, a power of two.
 const N_RECENT: usize = 256;
 
@@ -47,7 +51,6 @@ struct Group {
 /// A packet on its way, with the nearest hits so far.
 pub(super) struct Culler<'a> {
     mesh: &'a TracedMesh,
-    references: &'a [u32],
     /// Coordinates of all vertices.
     coordinates: &'a [f32],
     packet: &'a Packet,
@@ -67,6 +70,8 @@ pub(super) struct Culler<'a> {
     groups: [Group; 8],
     /// Bounds of the slopes of all rays without a final answer: least and largest u, least and largest v.
     pub(super) slopes: [f32; 4],
+    /// The farthest limit of all rays without a final answer, in finest cells.
+    farthest: f32,
     /// A bit for each group that has rays without a final answer.
     live: u32,
     nearest_t: [f64; 64],
@@ -78,19 +83,8 @@ pub(super) struct Culler<'a> {
     /// Pairs that wait for a decision: ray and triangle.
     candidates: [(u8, u32); 8],
     n_candidates: usize,
-    pairs: &'a mut Vec<Pair>,
     /// Whether triangles were met since [`Culler::settle`].
     pub(super) touched: bool,
-}
-
-/// A ray that passes the box of a triangle.
-#[derive(Clone, Copy)]
-pub(super) struct Pair {
-    ray: u32,
-    /// A reference, and later the triangle's place.
-    triangle: u32,
-    /// Where the box begins, in finest cells.
-    near: f32,
 }
 
 /// Triangles made ready for the rays, one in each lane.
@@ -111,20 +105,11 @@ struct Prepared {
 impl<'a> Culler<'a> {
     /// Takes a packet whose active rays all have the sign `sign` along `axes[0]`, and duplicates in the other entries.
     #[inline(always)]
-    pub(super) fn new<S: Simd>(
-        grid: &'a Grid,
-        packet: &'a Packet,
-        axes: [usize; 3],
-        sign: f32,
-        pairs: &'a mut Vec<Pair>,
-    ) -> Self {
+    pub(super) fn new<S: Simd>(grid: &'a Grid, packet: &'a Packet, axes: [usize; 3], sign: f32) -> Self {
         let mesh = &grid.mesh;
-        pairs.clear();
         let mut culler = Self {
             mesh,
-            references: &grid.references,
             cells_per_unit: (grid.space.cells_per_unit() * (1.0 + 1e-6)) as f32,
-            pairs,
             coordinates: mesh.coordinates(),
             packet,
             axes,
@@ -135,6 +120,7 @@ impl<'a> Culler<'a> {
             reach: [0.0; 3],
             groups: [Group::default(); 8],
             slopes: [0.0; 4],
+            farthest: f32::INFINITY,
             live: 0,
             nearest_t: [f64::INFINITY; 64],
             nearest_triangle: [u32::MAX; 64],
@@ -211,64 +197,12 @@ impl<'a> Culler<'a> {
         rays
     }
 
-    /// Tests soon what some rays may hit of a leaf, whose references begin at `first_reference`.
+    /// Tests the triangles of a leaf soon that the rays may hit, unless they were tested lately.
+    ///
+    /// `rays` are those that may pass the leaf, or all.
     #[inline(always)]
-    pub(super) fn pair<S: Simd>(&mut self, boxes: &LeafBoxes<'_>, first_reference: usize, rays: u64) {
-        let mut first = 0;
-        while first < boxes.n() {
-            let bounds = boxes.bounds::<S>(first);
-            let mut near = [0.0; 16];
-            bounds.near.store(&mut near);
-            let within = u32::MAX >> (32 - (boxes.n() - first).min(S::LANES));
-            let mut left = rays;
-            while left != 0 {
-                let ray = left.trailing_zeros() as usize;
-                left &= left - 1;
-                let (u, v) = (self.u[ray], self.v[ray]);
-                let mut passed = bounds.passed_by([u, u, v, v], self.limits[ray] * self.cells_per_unit) & within;
-                while passed != 0 {
-                    let lane = passed.trailing_zeros() as usize;
-                    passed &= passed - 1;
-                    let triangle = (first_reference + first + lane) as u32;
-                    self.pairs.push(Pair { ray: ray as u32, triangle, near: near[lane] });
-                }
-            }
-            first += S::LANES;
-        }
-    }
-
-    /// Decides all pairs.
-    #[inline(always)]
-    pub(super) fn decide_pairs<S: Simd>(&mut self) {
-        let mut pairs = std::mem::take(self.pairs);
-        // One after the other, so that memory is waited for only once.
-        for pair in &mut pairs {
-            pair.triangle = self.references[pair.triangle as usize];
-            self.mesh.prefetch::<S>(pair.triangle);
-        }
-        for pair in &pairs {
-            self.mesh.prefetch_corners::<S>(pair.triangle);
-        }
-        for pair in &pairs {
-            if pair.near > self.limits[pair.ray as usize] * self.cells_per_unit {
-                continue;
-            }
-            self.candidates[self.n_candidates] = (pair.ray as u8, pair.triangle);
-            self.n_candidates += 1;
-            if self.n_candidates == S::Double::LANES {
-                self.decide::<S>();
-            }
-        }
-        if self.n_candidates > 0 {
-            self.decide::<S>();
-        }
-        pairs.clear();
-        *self.pairs = pairs;
-    }
-
-    /// Tests the triangles of a leaf soon that the packet may hit, unless they were tested lately.
-    #[inline(always)]
-    pub(super) fn add<S: Kernel>(&mut self, boxes: &LeafBoxes<'_>, triangles: &[u32]) {
+    pub(super) fn add<S: Kernel>(&mut self, boxes: &LeafBoxes<'_>, triangles: &[u32], rays: u64) {
+        let ray_by_ray = triangles.len() >= MANY_TRIANGLES_PER_RAY * rays.count_ones() as usize;
         let mut first = 0;
         while first < triangles.len() {
             let n = (triangles.len() - first).min(S::LANES);
@@ -276,7 +210,10 @@ impl<'a> Culler<'a> {
                 S::test(self);
             }
             let bounds = boxes.bounds::<S>(first);
-            let mut passed = bounds.passed_by(self.slopes, f32::INFINITY) & (u32::MAX >> (32 - n));
+            let mut passed = bounds.passed_by(self.slopes, self.farthest) & (u32::MAX >> (32 - n));
+            if ray_by_ray && passed != 0 {
+                passed &= self.passed_by_any(&bounds, rays);
+            }
             let mut n_waiting = self.n_waiting;
             while passed != 0 {
                 let triangle = triangles[first + passed.trailing_zeros() as usize];
@@ -293,6 +230,20 @@ impl<'a> Culler<'a> {
         }
     }
 
+    /// A bit for each box that one of some rays may pass.
+    #[inline(always)]
+    fn passed_by_any<S: Simd>(&self, bounds: &Bounds<S>, rays: u64) -> u32 {
+        let mut passed = 0;
+        let mut left = rays;
+        while left != 0 {
+            let ray = left.trailing_zeros() as usize;
+            left &= left - 1;
+            let (u, v) = (self.u[ray], self.v[ray]);
+            passed |= bounds.passed_by([u, u, v, v], self.limits[ray] * self.cells_per_unit);
+        }
+        passed
+    }
+
     /// Ends the search up to a depth along the major axis, in world units. Returns true when no ray needs more.
     #[inline(always)]
     pub(super) fn settle<S: Kernel>(&mut self, depth: f64) -> bool {
@@ -301,6 +252,7 @@ impl<'a> Culler<'a> {
             S::test(self);
         }
         let reached = S::splat((depth * (1.0 - 1e-6)) as f32);
+        let mut farthest = f32::NEG_INFINITY;
         for group in 0..64 / S::LANES {
             if self.live >> group & 1 == 0 {
                 continue;
@@ -310,11 +262,11 @@ impl<'a> Culler<'a> {
             if limits.up_to(reached) == all {
                 self.live &= !(1 << group);
             } else {
-                let limits = &self.limits[group * S::LANES..(group + 1) * S::LANES];
-                self.groups[group].limit =
-                    limits.iter().fold(f32::NEG_INFINITY, |far, &x| if x > far { x } else { far });
+                self.groups[group].limit = limits.greatest();
+                farthest = farthest.max(limits.greatest());
             }
         }
+        self.farthest = farthest * self.cells_per_unit;
         self.live == 0
     }
 
@@ -538,7 +490,10 @@ impl<'a> Culler<'a> {
             let ray = ray as usize;
             let nearest = self.nearest_t[ray];
             if range.contains(&t)
-                && (t < nearest || t == nearest && self.is_before(triangle, self.nearest_triangle[ray]))
+                && (t < nearest
+                    || t == nearest
+                        && triangle != self.nearest_triangle[ray]
+                        && self.is_before(triangle, self.nearest_triangle[ray]))
             {
                 self.nearest_t[ray] = t;
                 self.nearest_triangle[ray] = triangle;

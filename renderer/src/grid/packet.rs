@@ -13,7 +13,7 @@ use glam::Vec3;
 use super::{
     BRICK_SIZE, Grid, LEVELS,
     boxes::LeafBoxes,
-    cull::{Culler, Kernel, Pair},
+    cull::{Culler, Kernel},
     overlap::DILATION,
 };
 #[cfg(target_arch = "x86_64")]
@@ -91,8 +91,6 @@ pub struct PacketScratch {
     entries: [Vec<Entry>; LEVELS as usize + 1],
     /// The leaves that a packet met, whose triangles wait for their test.
     leaves: Vec<Leaf>,
-    /// Pairs of ray and triangle that wait for a decision.
-    pairs: Vec<Pair>,
 }
 
 /// A node within a packet's bounds.
@@ -158,7 +156,7 @@ impl Grid {
         if !origin.is_finite() {
             return None;
         }
-        let mut culler = Culler::new::<S>(self, packet, axes, if forward { 1.0 } else { -1.0 }, &mut scratch.pairs);
+        let mut culler = Culler::new::<S>(self, packet, axes, if forward { 1.0 } else { -1.0 });
         let frustum = Frustum {
             origin: [origin[axes[0]], origin[axes[1]], origin[axes[2]]],
             forward,
@@ -284,14 +282,9 @@ impl Grid {
             }
             let bytes = self.boxes.of_leaf(references.clone());
             let boxes = LeafBoxes::new(bytes, culler.axes, culler.sign < 0.0, corner_from_origin, leaf.size);
-            if references.len() >= MANY_TRIANGLES_PER_RAY * leaf.rays.count_ones() as usize {
-                culler.pair::<S>(&boxes, references.start, leaf.rays);
-            } else {
-                culler.add::<S>(&boxes, &self.references[references]);
-            }
+            culler.add::<S>(&boxes, &self.references[references], leaf.rays);
         }
         leaves.clear();
-        culler.decide_pairs::<S>();
         culler.touched = true;
     }
 
@@ -533,9 +526,6 @@ impl Frustum {
         (depth * (1.0 - 1e-9) - self.margin).max(0.0)
     }
 }
-
-/// From so many triangles for each ray on, the rays are tested one by one against a leaf's boxes.
-const MANY_TRIANGLES_PER_RAY: usize = 8;
 
 /// Leaves wait until together they cover as much as the packet, for then they may well end it.
 const COVER: f64 = 1.0;
