@@ -1,14 +1,16 @@
 //! The camera under mouse and keys. Pure: no window, no clock.
 
+use std::sync::Arc;
+
 use glam::{DVec2, DVec3};
-use shared::camera::{Camera, UpAxis};
+use shared::camera::{Camera, CameraPath, Transition, UpAxis};
 
 use crate::input::Direction;
 
 /// What a drag with the mouse does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Drag {
-    /// Turns around the middle of the model.
+    /// Turns around the point that is looked at: the middle of the model unless another is chosen.
     Orbit,
     /// Moves the model with the cursor.
     Pan,
@@ -28,6 +30,22 @@ pub struct Navigator {
     cursor: DVec2,
     drag: Option<Drag>,
     held: Vec<Direction>,
+    /// The point to orbit around, if not the middle of the model.
+    focus: Option<DVec3>,
+    /// The surface that lies under the cursor, once somebody has said where.
+    under_cursor: Option<DVec3>,
+    motion: Option<Motion>,
+    /// Steps by which flying is faster than usual.
+    speed: i32,
+}
+
+/// What moves the camera by itself.
+#[derive(Clone, Debug)]
+enum Motion {
+    /// On the way to another view.
+    Transition { way: Box<Transition>, seconds: f64 },
+    /// Along a path.
+    Play { path: Arc<CameraPath>, seconds: f64, repeats: bool },
 }
 
 /// A drag over the canvas's whole height turns the model by half a turn.
@@ -38,6 +56,16 @@ const DOLLY_FACTOR_PER_HEIGHT: f64 = 8.0;
 const DOLLY_FACTOR_PER_NOTCH: f64 = 1.15;
 /// Flying crosses the model in this many seconds.
 const SECONDS_TO_CROSS: f64 = 2.5;
+/// A step of speed makes flying so much faster.
+const SPEED_FACTOR: f64 = 1.5;
+/// No more steps than this either way: a fiftieth of the usual speed, or fifty times as fast.
+const MOST_SPEED_STEPS: i32 = 10;
+/// The way to another view takes so long.
+const TRANSITION_SECONDS: f64 = 0.6;
+/// Going to a point of the model leaves this part of the distance to it.
+const GO_TO_PART: f64 = 0.4;
+/// Nearer to a surface than this part of the model's size, the wheel goes through it.
+const THROUGH: f64 = 1e-3;
 /// After a pause, no step is longer than this: one slow frame must not throw the eye through the model.
 const LONGEST_STEP_SECONDS: f64 = 0.1;
 /// Nearer than this part of the model's size, pan and dolly go on as if the middle of the model were this far.
@@ -47,7 +75,19 @@ impl Navigator {
     /// Sees all of a box, given by its corners in world space, on a canvas of `aspect`, its width over its height.
     pub fn new(bounds: (DVec3, DVec3), up: UpAxis, aspect: f64) -> Self {
         let camera = Camera::view_all(bounds.0, bounds.1, up, aspect);
-        Self { camera, bounds, up, aspect, cursor: DVec2::splat(0.5), drag: None, held: Vec::new() }
+        Self {
+            camera,
+            bounds,
+            up,
+            aspect,
+            cursor: DVec2::splat(0.5),
+            drag: None,
+            held: Vec::new(),
+            focus: None,
+            under_cursor: None,
+            motion: None,
+            speed: 0,
+        }
     }
 
     /// The same, seen through another camera.
@@ -66,15 +106,27 @@ impl Navigator {
         self.up
     }
 
-    /// Looks at another model, all of it; drags and keys that are held stay so.
-    pub fn set_bounds(&mut self, bounds: (DVec3, DVec3)) {
-        self.bounds = bounds;
-        self.view_all();
+    /// Where the camera will rest: where it is, unless it is on its way to another view.
+    pub fn destination(&self) -> Camera {
+        match &self.motion {
+            Some(Motion::Transition { way, .. }) => way.end(),
+            Some(Motion::Play { .. }) | None => self.camera,
+        }
     }
 
-    /// Sees all of the model.
+    /// Looks at another model at once, all of it; drags and keys that are held stay so.
+    pub fn set_bounds(&mut self, bounds: (DVec3, DVec3), up: UpAxis) {
+        self.bounds = bounds;
+        self.up = up;
+        self.focus = None;
+        self.motion = None;
+        self.set_camera(self.all_seen());
+    }
+
+    /// Goes to where all of the model is seen.
     pub fn view_all(&mut self) {
-        self.camera = Camera::view_all(self.bounds.0, self.bounds.1, self.up, self.aspect);
+        self.focus = None;
+        self.go_to(self.all_seen());
     }
 
     /// Takes the next axis as up.
@@ -85,8 +137,67 @@ impl Navigator {
         self.view_all();
     }
 
+    /// Goes to another view.
+    pub fn go_to(&mut self, camera: Camera) {
+        let (start, end) = ((self.camera, self.depth_of(&self.camera)), (camera, self.depth_of(&camera)));
+        let way = Box::new(Transition::new(start, end, self.up));
+        self.motion = (camera != self.camera).then_some(Motion::Transition { way, seconds: 0.0 });
+    }
+
+    /// Goes nearer to a point of the model, in world space, until it is in the middle, to orbit around it from then on.
+    pub fn go_to_point(&mut self, point: DVec3) {
+        if !point.is_finite() {
+            return;
+        }
+        let distance = (point - self.camera.eye()).length();
+        let nearer = self.camera.dolly(point, GO_TO_PART);
+        // In the middle: moved sideways, so that the picture does not turn.
+        let (forward, plane_distance) = view_plane(&nearer);
+        let depth = (point - nearer.eye()).dot(forward);
+        let middle = nearer.eye() + (nearer.target() - nearer.eye()) * (depth / plane_distance);
+        let aside = point - middle;
+        let right = nearer.u().normalize();
+        let up = nearer.v().normalize();
+        // Solved for both edges, which need not be perpendicular.
+        let (a, b, c) = (right.dot(up), aside.dot(right), aside.dot(up));
+        let by_up = (c - a * b) / (1.0 - a * a);
+        self.focus = Some(point);
+        if distance > 0.0 && depth > 0.0 && by_up.is_finite() {
+            self.go_to(nearer.fly(b - a * by_up, by_up, 0.0));
+        }
+    }
+
+    /// Says where the surface under the cursor is, in world space; `None`: nowhere.
+    pub fn set_under_cursor(&mut self, point: Option<DVec3>) {
+        self.under_cursor = point.filter(|point| point.is_finite());
+    }
+
+    /// Whether it would help to know the surface under the cursor.
+    pub fn needs_surface(&self) -> bool {
+        self.under_cursor.is_none()
+    }
+
+    /// Follows a path from its beginning; for ever, if it `repeats`.
+    pub fn play(&mut self, path: Arc<CameraPath>, repeats: bool) {
+        self.up = path.up();
+        self.focus = None;
+        self.set_camera(path.at(0.0));
+        self.motion = Some(Motion::Play { path, seconds: 0.0, repeats });
+    }
+
+    /// Whether the camera follows a path.
+    pub fn is_playing(&self) -> bool {
+        matches!(self.motion, Some(Motion::Play { .. }))
+    }
+
+    /// Stays where the camera is.
+    pub fn stop(&mut self) {
+        self.motion = None;
+    }
+
     /// A mouse button went down.
     pub fn press(&mut self, drag: Drag) {
+        self.motion = None;
         self.drag = Some(drag);
     }
 
@@ -102,8 +213,14 @@ impl Navigator {
 
     /// The cursor moved to a point on the canvas, or beyond its edge; says whether the camera moved with it.
     pub fn move_to(&mut self, point: DVec2) -> bool {
+        if !point.is_finite() {
+            return false;
+        }
         let by = point - self.cursor;
         self.cursor = point;
+        if by != DVec2::ZERO {
+            self.under_cursor = None;
+        }
         let before = self.camera;
         match self.drag {
             None => {}
@@ -125,13 +242,18 @@ impl Navigator {
     /// The wheel turned, positive away from the person: nearer to what is under the cursor.
     pub fn wheel(&mut self, notches: f64) -> bool {
         let before = self.camera;
-        let notches = notches.clamp(-20.0, 20.0);
-        self.camera = self.camera.dolly(self.point_under(self.cursor), DOLLY_FACTOR_PER_NOTCH.powf(-notches));
+        self.motion = None;
+        let notches = if notches.is_finite() { notches.clamp(-20.0, 20.0) } else { 0.0 };
+        let eye = self.camera.eye();
+        let surface = self.under_cursor.filter(|point| (*point - eye).length() > self.size() * THROUGH);
+        let point = surface.unwrap_or_else(|| self.point_under(self.cursor));
+        self.camera = self.camera.dolly(point, DOLLY_FACTOR_PER_NOTCH.powf(-notches));
         self.camera != before
     }
 
     /// A key to fly with went down.
     pub fn hold(&mut self, direction: Direction) {
+        self.motion = None;
         if !self.held.contains(&direction) {
             self.held.push(direction);
         }
@@ -149,27 +271,79 @@ impl Navigator {
     }
 
     /// Whether time moves the camera.
-    pub fn is_flying(&self) -> bool {
-        !self.held.is_empty()
+    pub fn is_moving(&self) -> bool {
+        !self.held.is_empty() || self.motion.is_some()
     }
 
-    /// Flies on for some seconds, `speed` times as fast as usual; says whether the camera moved.
-    pub fn fly(&mut self, seconds: f64, speed: f64) -> bool {
+    /// Flies faster from now on, by so many steps, or slower; says how many times as fast as usual that is.
+    pub fn change_speed(&mut self, steps: i32) -> f64 {
+        self.speed = self.speed.saturating_add(steps).clamp(-MOST_SPEED_STEPS, MOST_SPEED_STEPS);
+        SPEED_FACTOR.powi(self.speed)
+    }
+
+    /// Lets some seconds pass: flies on, `speed` times as fast as chosen, goes on to another view, or follows a path.
+    /// Says whether the camera moved.
+    pub fn advance(&mut self, seconds: f64, speed: f64) -> bool {
         let before = self.camera;
-        let step = self.size() / SECONDS_TO_CROSS * seconds.clamp(0.0, LONGEST_STEP_SECONDS) * speed;
+        let seconds = if seconds > 0.0 { seconds } else { 0.0 };
+        match &mut self.motion {
+            Some(Motion::Transition { way, seconds: passed }) => {
+                *passed += seconds;
+                let fraction = *passed / TRANSITION_SECONDS;
+                let camera = way.at(fraction);
+                if fraction >= 1.0 {
+                    self.motion = None;
+                }
+                self.set_camera(camera);
+            }
+            Some(Motion::Play { path, seconds: passed, repeats }) => {
+                *passed += seconds;
+                let duration = path.duration_seconds();
+                let is_over = *passed >= duration;
+                if is_over && *repeats && duration > 0.0 {
+                    *passed %= duration;
+                }
+                let camera = path.at(*passed);
+                if is_over && !*repeats {
+                    self.motion = None;
+                }
+                self.set_camera(camera);
+            }
+            None => self.fly(seconds, speed),
+        }
+        self.camera != before
+    }
+
+    fn fly(&mut self, seconds: f64, speed: f64) {
+        // From far away the model is reached in the same time.
+        let (size, distance) = (self.size(), (self.camera.eye() - self.pivot()).length());
+        let per_second = size.max(distance - size) / SECONDS_TO_CROSS;
+        let step = per_second * seconds.min(LONGEST_STEP_SECONDS) * speed * SPEED_FACTOR.powi(self.speed);
         let held = |direction| if self.held.contains(&direction) { step } else { 0.0 };
-        self.camera = self.camera.fly(
+        let camera = self.camera.fly(
             held(Direction::Right) - held(Direction::Left),
             held(Direction::Up) - held(Direction::Down),
             held(Direction::Forward) - held(Direction::Backward),
         );
-        self.camera != before
+        self.set_camera(camera);
     }
 
-    /// The middle of the model, or of space if the model has none.
+    fn set_camera(&mut self, camera: Camera) {
+        if camera != self.camera {
+            self.camera = camera;
+            self.under_cursor = None;
+        }
+    }
+
+    fn all_seen(&self) -> Camera {
+        Camera::view_all(self.bounds.0, self.bounds.1, self.up, self.aspect)
+    }
+
+    /// The point to orbit around: one that was chosen, the middle of the model, or of space if the model has none.
     fn pivot(&self) -> DVec3 {
         let (min, max) = self.bounds;
-        if min.cmple(max).all() { (min + max) * 0.5 } else { DVec3::ZERO }
+        let middle = if min.cmple(max).all() { (min + max) * 0.5 } else { DVec3::ZERO };
+        self.focus.unwrap_or(middle)
     }
 
     /// The length of the box's diagonal in world units.
@@ -179,161 +353,33 @@ impl Navigator {
         if size > 0.0 && size.is_finite() { size } else { 1.0 }
     }
 
-    /// How far the pivot lies in front of the eye, perpendicular to the view plane, and never too near to move by.
     fn depth(&self) -> f64 {
-        let (normal, _) = self.view_plane();
-        (self.pivot() - self.camera.eye()).dot(normal).max(self.size() * NEAREST)
+        self.depth_of(&self.camera)
+    }
+
+    /// How far the pivot lies in front of an eye, perpendicular to the view plane, and never too near to move by.
+    fn depth_of(&self, camera: &Camera) -> f64 {
+        let (forward, _) = view_plane(camera);
+        // A point that somebody chose was worth going near to.
+        let nearest = if self.focus.is_some() { THROUGH } else { NEAREST };
+        (self.pivot() - camera.eye()).dot(forward).max(self.size() * nearest)
     }
 
     /// The point at the pivot's depth that is seen at a point of the canvas.
     fn point_under(&self, point: DVec2) -> DVec3 {
-        let (_, distance) = self.view_plane();
+        let (_, distance) = view_plane(&self.camera);
         let eye = self.camera.eye();
         let on_plane = self.camera.ll() + self.camera.u() * point.x + self.camera.v() * point.y;
         eye + (on_plane - eye) * (self.depth() / distance)
     }
-
-    /// The unit vector from the eye to the view plane, perpendicular to it, and their distance.
-    fn view_plane(&self) -> (DVec3, f64) {
-        let normal = self.camera.u().cross(self.camera.v()).normalize();
-        let distance = (self.camera.ll() - self.camera.eye()).dot(normal);
-        (normal * distance.signum(), distance.abs())
-    }
 }
+
+/// The unit vector from the eye to the view plane, perpendicular to it, and their distance.
+fn view_plane(camera: &Camera) -> (DVec3, f64) {
+    let normal = camera.u().cross(camera.v()).normalize();
+    let distance = (camera.ll() - camera.eye()).dot(normal);
+    (normal * distance.signum(), distance.abs())
+}
+
 #[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-
-    const ASPECT: f64 = 16.0 / 9.0;
-
-    fn navigator() -> Navigator {
-        Navigator::new((DVec3::ZERO, DVec3::new(1.0, 2.0, 1.0)), UpAxis::Y, ASPECT)
-    }
-
-    /// Where a point appears on the canvas.
-    fn seen_at(camera: &Camera, point: DVec3) -> DVec2 {
-        let normal = camera.u().cross(camera.v());
-        let ray = point - camera.eye();
-        let on_plane = camera.eye() + ray * ((camera.ll() - camera.eye()).dot(normal) / ray.dot(normal)) - camera.ll();
-        DVec2::new(
-            on_plane.dot(camera.u()) / camera.u().length_squared(),
-            on_plane.dot(camera.v()) / camera.v().length_squared(),
-        )
-    }
-
-    #[test]
-    fn the_mouse_moves_nothing_unless_a_button_is_down() {
-        let mut navigator = navigator();
-        assert!(!navigator.move_to(DVec2::new(0.1, 0.9)));
-        navigator.press(Drag::Orbit);
-        assert!(navigator.move_to(DVec2::new(0.2, 0.9)));
-        navigator.release();
-        assert!(!navigator.move_to(DVec2::new(0.5, 0.5)));
-    }
-
-    #[test]
-    fn an_orbited_model_follows_the_hand() {
-        let mut navigator = navigator();
-        // The point of the model that faces the eye.
-        let front = navigator.pivot() + (navigator.camera().eye() - navigator.pivot()).normalize() * 0.1;
-        let before = seen_at(&navigator.camera(), front);
-        navigator.press(Drag::Orbit);
-        navigator.move_to(DVec2::new(0.55, 0.55));
-        let after = seen_at(&navigator.camera(), front);
-        assert!(after.x > before.x && after.y > before.y, "{before} {after}");
-        let middle = seen_at(&navigator.camera(), navigator.pivot());
-        assert!((middle - DVec2::splat(0.5)).length() < 1e-9, "the pivot moved to {middle}");
-    }
-
-    #[test]
-    fn a_panned_model_stays_under_the_cursor() {
-        let mut navigator = navigator();
-        navigator.press(Drag::Pan);
-        navigator.move_to(DVec2::new(0.7, 0.4));
-        let middle = seen_at(&navigator.camera(), navigator.pivot());
-        assert!((middle - DVec2::new(0.7, 0.4)).length() < 1e-9, "{middle}");
-    }
-
-    #[test]
-    fn the_wheel_keeps_what_is_under_the_cursor_there() {
-        let mut navigator = navigator();
-        navigator.move_to(DVec2::new(0.3, 0.6));
-        let point = navigator.point_under(DVec2::new(0.3, 0.6));
-        let depth = navigator.depth();
-        assert!(navigator.wheel(3.0));
-        assert!(navigator.depth() < depth);
-        assert!((seen_at(&navigator.camera(), point) - DVec2::new(0.3, 0.6)).length() < 1e-9);
-        assert!(navigator.wheel(-3.0));
-        assert!((navigator.depth() - depth).abs() < 1e-9);
-    }
-
-    #[test]
-    fn the_wheel_goes_through_the_model_rather_than_stop_at_its_middle() {
-        let mut navigator = navigator();
-        (0..200).for_each(|_| _ = navigator.wheel(1.0));
-        let (forward, _) = navigator.view_plane();
-        assert!((navigator.camera().eye() - navigator.pivot()).dot(forward) > navigator.size() * 0.5);
-    }
-
-    #[test]
-    fn flying_takes_time_and_opposite_keys_cancel() {
-        let mut navigator = navigator();
-        let eye = navigator.camera().eye();
-        assert!(!navigator.fly(0.05, 1.0));
-        navigator.hold(Direction::Forward);
-        navigator.hold(Direction::Forward);
-        assert!(navigator.is_flying() && navigator.fly(0.05, 1.0));
-        let step = (navigator.camera().eye() - eye).length();
-        assert!((step - navigator.size() * 0.02).abs() < 1e-9, "{step}");
-        navigator.hold(Direction::Backward);
-        assert!(!navigator.fly(0.05, 1.0));
-        navigator.let_go(Direction::Backward);
-        navigator.fly(3600.0, 1.0);
-        assert!((navigator.camera().eye() - eye).length() < navigator.size() * 0.1, "a pause threw the eye away");
-        navigator.let_go_of_all();
-        assert!(!navigator.is_flying());
-    }
-
-    #[test]
-    fn view_all_and_up_axis_start_afresh() {
-        let mut navigator = navigator();
-        let camera = navigator.camera();
-        navigator.press(Drag::Orbit);
-        navigator.move_to(DVec2::new(0.9, 0.1));
-        navigator.view_all();
-        assert_eq!(navigator.camera(), camera);
-        for _ in UpAxis::ALL {
-            navigator.next_up_axis();
-            let up = navigator.up().direction();
-            assert!(navigator.camera().v().dot(up) > 0.0);
-        }
-        assert_eq!(navigator.camera(), camera);
-    }
-
-    proptest! {
-        #[test]
-        fn nothing_that_a_person_does_breaks_the_camera(
-            corner in -1e6..1e6f64, size in prop_oneof![Just(0.0), 1e-6..1e6f64, Just(f64::NEG_INFINITY)],
-            steps in proptest::collection::vec((0..7u8, -2.0..2.0f64, -2.0..2.0f64), 1..60),
-        ) {
-            let bounds = (DVec3::splat(corner), DVec3::splat(corner + size));
-            let mut navigator = Navigator::new(bounds, UpAxis::Z, ASPECT);
-            for (kind, a, b) in steps {
-                match kind {
-                    0 => navigator.press(Drag::Orbit),
-                    1 => navigator.press(Drag::Pan),
-                    2 => navigator.press(Drag::Dolly),
-                    3 => _ = navigator.wheel(a * 20.0),
-                    4 => { navigator.hold(Direction::Forward); navigator.fly(a, 4.0); }
-                    5 => navigator.next_up_axis(),
-                    _ => navigator.release(),
-                }
-                navigator.move_to(DVec2::new(a, b));
-                let camera = navigator.camera();
-                prop_assert!(Camera::new(camera.eye(), camera.ll(), camera.u(), camera.v()).is_ok());
-            }
-        }
-    }
-}
+mod tests;

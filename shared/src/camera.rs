@@ -1,8 +1,12 @@
-//! The camera of the paper, the rays that it makes, and the motions that steer it.
+//! The camera of the paper, the rays that it makes, the motions that steer it, and the paths that it follows.
 
 mod motion;
+mod path;
+mod pose;
 
 pub use motion::UpAxis;
+pub use path::{CameraPath, CameraPathError, CameraRecorder};
+pub use pose::Transition;
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -49,12 +53,14 @@ pub enum CameraError {
     EyeInPlane,
 }
 
-/// Why a file holds no camera.
+/// Why a file holds no camera, or no path.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("line {line}: {problem}; a camera file has four lines: eye, ll, u and v, each = [x, y, z]")]
+#[error("line {line}: {problem}; {format}")]
 pub struct CameraFileError {
     line: usize,
     problem: String,
+    /// What such a file looks like.
+    format: &'static str,
 }
 
 /// Rays leave the range in which `f32` squares stay finite beyond this.
@@ -118,6 +124,7 @@ impl Camera {
             CameraFileError {
                 line: 1 + before.matches('\n').count(),
                 problem: error.message().trim().replace('\n', ", "),
+                format: "a camera file has four lines: eye, ll, u and v, each = [x, y, z]",
             }
         })
     }

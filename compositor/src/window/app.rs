@@ -66,7 +66,7 @@ pub(super) struct App<'a> {
     cursor_moved_at: Instant,
     cursor_is_visible: bool,
     modifiers: ModifiersState,
-    flown_at: Instant,
+    moved_at: Instant,
     screensaver: Option<ScreensaverHold>,
     repaint_at: Option<Instant>,
 }
@@ -106,7 +106,7 @@ impl<'a> App<'a> {
             cursor_moved_at: now,
             cursor_is_visible: true,
             modifiers: ModifiersState::empty(),
-            flown_at: now,
+            moved_at: now,
             screensaver: None,
             repaint_at: None,
             options,
@@ -173,7 +173,7 @@ impl<'a> App<'a> {
         let name = name_of(&model.source);
         tracing::info!("showing {name}: {} triangles", model.n_triangles);
         match &mut self.navigator {
-            Some(navigator) => navigator.set_bounds(model.bounds),
+            Some(navigator) => navigator.set_bounds(model.bounds, navigator.up()),
             None => {
                 let navigator = Navigator::new(model.bounds, self.options.up, self.options.wall.aspect());
                 self.navigator = Some(match self.options.camera {

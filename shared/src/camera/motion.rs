@@ -159,13 +159,13 @@ impl Camera {
     }
 
     /// The unit vector from the view plane to the eye, perpendicular to the plane.
-    fn backward(&self) -> DVec3 {
+    pub(super) fn backward(&self) -> DVec3 {
         let normal = self.u.cross(self.v).normalize();
         if normal.dot(self.eye - self.ll) < 0.0 { -normal } else { normal }
     }
 
     /// How far the eye is from the view plane.
-    fn plane_distance(&self) -> f64 {
+    pub(super) fn plane_distance(&self) -> f64 {
         (self.eye - self.ll).dot(self.backward())
     }
 

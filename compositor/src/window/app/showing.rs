@@ -102,15 +102,15 @@ impl App<'_> {
         let now = Instant::now();
         let mut next = Vec::new();
         let speed = if self.modifiers.shift_key() { FAST } else { 1.0 };
-        if let Some(navigator) = self.navigator.as_mut().filter(|navigator| navigator.is_flying()) {
-            let elapsed = now.duration_since(self.flown_at);
+        if let Some(navigator) = self.navigator.as_mut().filter(|navigator| navigator.is_moving()) {
+            let elapsed = now.duration_since(self.moved_at);
             if elapsed >= FLY_INTERVAL {
-                self.flown_at = now;
-                if navigator.fly(elapsed.as_secs_f64(), speed) {
+                self.moved_at = now;
+                if navigator.advance(elapsed.as_secs_f64(), speed) {
                     self.want_picture();
                 }
             }
-            next.push(self.flown_at + FLY_INTERVAL);
+            next.push(self.moved_at + FLY_INTERVAL);
         }
         if let Some(window) = self.screen.as_ref().map(|screen| Arc::clone(&screen.window))
             && window.fullscreen().is_some()

@@ -37,8 +37,8 @@ impl App<'_> {
                 if !pressed {
                     navigator.let_go(direction);
                 } else if !event.repeat {
-                    if !navigator.is_flying() {
-                        self.flown_at = Instant::now();
+                    if !navigator.is_moving() {
+                        self.moved_at = Instant::now();
                     }
                     navigator.hold(direction);
                 }
@@ -80,6 +80,9 @@ impl App<'_> {
 
     fn steer(&mut self, motion: fn(&mut Navigator)) {
         if let Some(navigator) = &mut self.navigator {
+            if !navigator.is_moving() {
+                self.moved_at = Instant::now();
+            }
             motion(navigator);
             self.want_picture();
         }

@@ -1,0 +1,266 @@
+//! What a person can do to the camera, and what no person can.
+
+use proptest::prelude::*;
+
+use super::*;
+
+const ASPECT: f64 = 16.0 / 9.0;
+
+fn navigator() -> Navigator {
+    Navigator::new((DVec3::ZERO, DVec3::new(1.0, 2.0, 1.0)), UpAxis::Y, ASPECT)
+}
+
+/// Where a point appears on the canvas.
+fn seen_at(camera: &Camera, point: DVec3) -> DVec2 {
+    let normal = camera.u().cross(camera.v());
+    let ray = point - camera.eye();
+    let on_plane = camera.eye() + ray * ((camera.ll() - camera.eye()).dot(normal) / ray.dot(normal)) - camera.ll();
+    DVec2::new(
+        on_plane.dot(camera.u()) / camera.u().length_squared(),
+        on_plane.dot(camera.v()) / camera.v().length_squared(),
+    )
+}
+
+#[test]
+fn the_mouse_moves_nothing_unless_a_button_is_down() {
+    let mut navigator = navigator();
+    assert!(!navigator.move_to(DVec2::new(0.1, 0.9)));
+    navigator.press(Drag::Orbit);
+    assert!(navigator.move_to(DVec2::new(0.2, 0.9)));
+    navigator.release();
+    assert!(!navigator.move_to(DVec2::new(0.5, 0.5)));
+}
+
+#[test]
+fn an_orbited_model_follows_the_hand() {
+    let mut navigator = navigator();
+    // The point of the model that faces the eye.
+    let front = navigator.pivot() + (navigator.camera().eye() - navigator.pivot()).normalize() * 0.1;
+    let before = seen_at(&navigator.camera(), front);
+    navigator.press(Drag::Orbit);
+    navigator.move_to(DVec2::new(0.55, 0.55));
+    let after = seen_at(&navigator.camera(), front);
+    assert!(after.x > before.x && after.y > before.y, "{before} {after}");
+    let middle = seen_at(&navigator.camera(), navigator.pivot());
+    assert!((middle - DVec2::splat(0.5)).length() < 1e-9, "the pivot moved to {middle}");
+}
+
+#[test]
+fn a_panned_model_stays_under_the_cursor() {
+    let mut navigator = navigator();
+    navigator.press(Drag::Pan);
+    navigator.move_to(DVec2::new(0.7, 0.4));
+    let middle = seen_at(&navigator.camera(), navigator.pivot());
+    assert!((middle - DVec2::new(0.7, 0.4)).length() < 1e-9, "{middle}");
+}
+
+#[test]
+fn the_wheel_keeps_what_is_under_the_cursor_there() {
+    let mut navigator = navigator();
+    navigator.move_to(DVec2::new(0.3, 0.6));
+    let point = navigator.point_under(DVec2::new(0.3, 0.6));
+    let depth = navigator.depth();
+    assert!(navigator.wheel(3.0));
+    assert!(navigator.depth() < depth);
+    assert!((seen_at(&navigator.camera(), point) - DVec2::new(0.3, 0.6)).length() < 1e-9);
+    assert!(navigator.wheel(-3.0));
+    assert!((navigator.depth() - depth).abs() < 1e-9);
+}
+
+#[test]
+fn the_wheel_goes_through_the_model_rather_than_stop_at_its_middle() {
+    let mut navigator = navigator();
+    (0..200).for_each(|_| _ = navigator.wheel(1.0));
+    let (forward, _) = view_plane(&navigator.camera());
+    assert!((navigator.camera().eye() - navigator.pivot()).dot(forward) > navigator.size() * 0.5);
+}
+
+#[test]
+fn flying_takes_time_and_opposite_keys_cancel() {
+    let mut navigator = navigator();
+    let eye = navigator.camera().eye();
+    assert!(!navigator.advance(0.05, 1.0));
+    navigator.hold(Direction::Forward);
+    navigator.hold(Direction::Forward);
+    assert!(navigator.is_moving() && navigator.advance(0.05, 1.0));
+    let step = (navigator.camera().eye() - eye).length();
+    assert!((step - navigator.size() * 0.02).abs() < 1e-9, "{step}");
+    navigator.hold(Direction::Backward);
+    assert!(!navigator.advance(0.05, 1.0));
+    navigator.let_go(Direction::Backward);
+    navigator.advance(3600.0, 1.0);
+    assert!((navigator.camera().eye() - eye).length() < navigator.size() * 0.1, "a pause threw the eye away");
+    navigator.let_go_of_all();
+    assert!(!navigator.is_moving());
+}
+
+#[test]
+fn speed_fits_the_model_and_the_person() {
+    let step = |size: f64, steps: i32| {
+        let mut navigator = Navigator::new((DVec3::ZERO, DVec3::splat(size)), UpAxis::Y, ASPECT);
+        navigator.change_speed(steps);
+        navigator.hold(Direction::Left);
+        let eye = navigator.camera().eye();
+        navigator.advance(0.05, 1.0);
+        (navigator.camera().eye() - eye).length()
+    };
+    assert!((step(1e6, 0) / step(1e-3, 0) / 1e9 - 1.0).abs() < 1e-9);
+    assert!((step(1.0, 2) / step(1.0, 0) - 2.25).abs() < 1e-9);
+    assert_eq!(step(1.0, i32::MAX), step(1.0, 10));
+    // However far away, the model comes nearer by the same part.
+    let mut far = navigator();
+    far.press(Drag::Dolly);
+    (0..6).for_each(|step| _ = far.move_to(DVec2::new(0.5, f64::from(-step))));
+    far.hold(Direction::Forward);
+    let distance = |navigator: &Navigator| (navigator.camera().eye() - navigator.pivot()).length();
+    let before = distance(&far);
+    assert!(before > 1e3 * far.size());
+    far.advance(0.1, 1.0);
+    assert!(distance(&far) < 0.97 * before);
+}
+
+/// Lets all transitions end.
+fn arrive(navigator: &mut Navigator) {
+    navigator.advance(TRANSITION_SECONDS, 1.0);
+    assert!(!navigator.is_moving());
+}
+
+#[test]
+fn view_all_and_up_axis_start_afresh() {
+    let mut navigator = navigator();
+    let camera = navigator.camera();
+    navigator.press(Drag::Orbit);
+    navigator.move_to(DVec2::new(0.9, 0.1));
+    let turned = navigator.camera();
+    navigator.view_all();
+    assert_eq!((navigator.camera(), navigator.destination()), (turned, camera));
+    arrive(&mut navigator);
+    assert_eq!(navigator.camera(), camera);
+    for _ in UpAxis::ALL {
+        navigator.next_up_axis();
+        arrive(&mut navigator);
+        let up = navigator.up().direction();
+        assert!(navigator.camera().v().dot(up) > 0.0);
+    }
+    assert_eq!(navigator.camera(), camera);
+}
+
+#[test]
+fn a_transition_is_smooth_and_a_hand_stops_it() {
+    let mut navigator = navigator();
+    let (start, end) = (navigator.camera(), navigator.camera().orbit(DVec3::Y, UpAxis::Y, 2.0, 0.5));
+    navigator.go_to(end);
+    let mut longest: f64 = 0.0;
+    let mut before = start.eye();
+    for _ in 0..60 {
+        navigator.advance(TRANSITION_SECONDS / 60.0, 1.0);
+        longest = longest.max((navigator.camera().eye() - before).length());
+        before = navigator.camera().eye();
+    }
+    assert_eq!(navigator.camera(), end);
+    let way = (end.eye() - start.eye()).length();
+    assert!(longest < 0.06 * way, "a step of {longest} on a way of {way}");
+    navigator.go_to(start);
+    navigator.advance(TRANSITION_SECONDS / 2.0, 1.0);
+    navigator.press(Drag::Orbit);
+    let camera = navigator.camera();
+    assert!(!navigator.advance(1.0, 1.0) && navigator.camera() == camera);
+}
+
+#[test]
+fn a_point_that_is_gone_to_comes_nearer_into_the_middle_and_is_orbited() {
+    let mut navigator = navigator();
+    let point = DVec3::new(0.9, 1.5, 0.8);
+    let distance = |camera: &Camera| (point - camera.eye()).dot(view_plane(camera).0);
+    let before = distance(&navigator.camera());
+    navigator.go_to_point(point);
+    arrive(&mut navigator);
+    let camera = navigator.camera();
+    assert!((seen_at(&camera, point) - DVec2::splat(0.5)).length() < 1e-9);
+    assert!(distance(&camera) < before * 0.5 && distance(&camera) > 0.0);
+    navigator.press(Drag::Orbit);
+    navigator.move_to(DVec2::new(0.1, 0.3));
+    assert!((seen_at(&navigator.camera(), point) - DVec2::splat(0.5)).length() < 1e-9);
+    navigator.release();
+    // All of it is seen again around the middle of the model.
+    navigator.view_all();
+    arrive(&mut navigator);
+    assert_eq!(navigator.pivot(), DVec3::new(0.5, 1.0, 0.5));
+}
+
+#[test]
+fn the_wheel_goes_to_the_surface_under_the_cursor() {
+    let mut navigator = navigator();
+    let at = DVec2::new(0.4, 0.7);
+    navigator.move_to(at);
+    assert!(navigator.needs_surface());
+    // Much nearer than the middle of the model.
+    let eye = navigator.camera().eye();
+    let surface = eye + (navigator.point_under(at) - eye) * 0.3;
+    navigator.set_under_cursor(Some(surface));
+    let distance = (surface - eye).length();
+    (0..10).for_each(|_| _ = navigator.wheel(1.0));
+    let left = (surface - navigator.camera().eye()).length();
+    assert!((left / distance - DOLLY_FACTOR_PER_NOTCH.powi(-10)).abs() < 1e-9, "{left} of {distance}");
+    assert!((seen_at(&navigator.camera(), surface) - at).length() < 1e-9);
+    // What lies under the cursor is another thing once the cursor has moved.
+    navigator.move_to(DVec2::splat(0.5));
+    assert!(navigator.needs_surface());
+}
+
+#[test]
+fn a_path_is_played_in_its_own_time_once_or_again_and_again() {
+    let mut navigator = navigator();
+    let turned = |yaw: f64| navigator.camera().orbit(DVec3::Y, UpAxis::Y, yaw, 0.0);
+    let keys = vec![(0.0, turned(0.0)), (1.0, turned(0.5)), (4.0, turned(2.0))];
+    let path = Arc::new(CameraPath::new(keys, UpAxis::Z).unwrap());
+    navigator.play(Arc::clone(&path), false);
+    assert!(navigator.is_playing() && navigator.up() == UpAxis::Z);
+    navigator.advance(1.0, 1.0);
+    assert_eq!(navigator.camera(), path.at(1.0));
+    navigator.advance(7.0, 1.0);
+    assert_eq!(navigator.camera(), path.at(4.0));
+    assert!(!navigator.is_moving());
+    navigator.play(Arc::clone(&path), true);
+    navigator.advance(5.0, 1.0);
+    assert_eq!(navigator.camera(), path.at(1.0));
+    navigator.wheel(1.0);
+    assert!(!navigator.is_moving());
+}
+
+proptest! {
+    #[test]
+    fn nothing_that_a_person_does_breaks_the_camera(
+        corner in -1e6..1e6f64, size in prop_oneof![Just(0.0), 1e-6..1e6f64, Just(f64::NEG_INFINITY)],
+        steps in proptest::collection::vec(
+            (0..13u8, prop_oneof![-2.0..2.0f64, Just(f64::NAN), -1e18..1e18f64], -2.0..2.0f64), 1..60),
+    ) {
+        let bounds = (DVec3::splat(corner), DVec3::splat(corner + size));
+        let mut navigator = Navigator::new(bounds, UpAxis::Z, ASPECT);
+        let first = navigator.camera();
+        for (kind, a, b) in steps {
+            match kind {
+                0 => navigator.press(Drag::Orbit),
+                1 => navigator.press(Drag::Pan),
+                2 => navigator.press(Drag::Dolly),
+                3 => _ = navigator.wheel(a * 20.0),
+                4 => { navigator.hold(Direction::Forward); navigator.advance(a, 4.0); }
+                5 => navigator.next_up_axis(),
+                6 => navigator.go_to(first.orbit(DVec3::ZERO, UpAxis::X, a, b)),
+                7 => navigator.go_to_point(DVec3::new(a, b, corner)),
+                8 => navigator.set_under_cursor(Some(DVec3::new(b, a, corner))),
+                9 => {
+                    let keys = vec![(0.0, navigator.camera()), (0.5, first), (1.0, navigator.destination())];
+                    navigator.play(Arc::new(CameraPath::new(keys, UpAxis::Y).unwrap()), b > 0.0);
+                }
+                10 => _ = navigator.change_speed(a as i32),
+                11 => navigator.set_bounds((DVec3::splat(b), DVec3::splat(a)), UpAxis::X),
+                _ => navigator.release(),
+            }
+            navigator.move_to(DVec2::new(a, b));
+            navigator.advance(b, 1.0);
+            let camera = navigator.camera();
+            prop_assert!(Camera::new(camera.eye(), camera.ll(), camera.u(), camera.v()).is_ok());
+        }
+    }
+}
