@@ -20,8 +20,10 @@ use std::{
 
 use renderer::key::Key;
 use shared::{
+    camera::Camera,
     division::Division,
     protocol::{Encoding, Picture},
+    scene::SceneId,
 };
 use tokio::{
     net::TcpListener,
@@ -65,11 +67,23 @@ pub struct Frame {
     pub moved_at: Instant,
 }
 
+/// A question about the model: what is seen at one point of the canvas.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Probe {
+    /// Each question has its own, from 1.
+    pub number: u32,
+    /// What is looked at, and from where; `None` asks nothing.
+    pub view: Option<(SceneId, Camera)>,
+    /// Which point of the view plane, as parts of its edges u and v.
+    pub at: [f32; 2],
+}
+
 /// A running farm. Dropping it ends it, and with it every connection.
 #[derive(Debug)]
 pub struct Farm {
     address: SocketAddr,
     wanted: watch::Sender<Wanted>,
+    probe: watch::Sender<Probe>,
     status: watch::Receiver<FarmStatus>,
     finished: Arc<FinishedFrame>,
     service: tokio::task::JoinHandle<()>,
@@ -89,10 +103,11 @@ impl Farm {
         let address = listener.local_addr()?;
         let finished = Arc::new(FinishedFrame::default());
         let (wanted, wanted_receiver) = watch::channel(wanted);
+        let (probe, probes) = watch::channel(Probe::default());
         let (status_sender, status) = watch::channel(FarmStatus::default());
         let service = service::Service::new(key, wanted_receiver, status_sender, Arc::clone(&finished), Box::new(wake));
-        let service = tokio::spawn(service.run(listener));
-        Ok(Self { address, wanted, status, finished, service })
+        let service = tokio::spawn(service.run(listener, probes));
+        Ok(Self { address, wanted, probe, status, finished, service })
     }
 
     /// The address that the farm listens on, with its real port.
@@ -108,6 +123,12 @@ impl Farm {
     /// What the wall wants to see now.
     pub fn wanted(&self) -> Wanted {
         self.wanted.borrow().clone()
+    }
+
+    /// Asks a render server what is seen at a point; the answer comes with the [`FarmStatus`], and to the last question
+    /// only. There is none while nobody has the scene.
+    pub fn probe(&self, probe: Probe) {
+        self.probe.send_replace(probe);
     }
 
     /// Takes the finished frame, if there is one; the farm finishes no other before.

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use serde::Serialize;
 use shared::{
     division::{Division, FrameSize},
-    protocol::{Encoding, SceneState},
+    protocol::{Encoding, ProbeHit, SceneState},
 };
 
 /// The number of a render server: counts up from 1 in the order of joining while a wall runs, never used twice.
@@ -49,6 +49,17 @@ pub struct FarmStatus {
     pub n_healed: u32,
     /// What happened last that an operator should know, with its cure.
     pub message: Option<String>,
+    /// The last answer to a question about the model.
+    pub probed: Option<Probed>,
+}
+
+/// What a render server says is seen at a point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Probed {
+    /// The question's number.
+    pub number: u32,
+    /// The triangle, if there is any.
+    pub hit: Option<ProbeHit>,
 }
 
 /// Where one render server's time in one frame went.

@@ -22,7 +22,7 @@ use tokio::{
 use crate::{
     key::Key,
     secure::{self, SecureError},
-    stage::Stage,
+    stage::{Stage, Subject},
     wire::{Incoming, MessageReader, MessageWriter, WireError},
     work::{self, Job},
 };
@@ -183,6 +183,12 @@ impl Conversation<'_> {
                     of_frame.for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
                 }
                 ToServer::Ping { sent_us } => self.say(&ToWall::Pong { sent_us }).await,
+                ToServer::Probe { number, scene, camera, at } => {
+                    // A single ray takes less time than handing it to another thread.
+                    if let Some(Subject::Scene(scene)) = self.stage.subject(scene) {
+                        self.say(&ToWall::Probed { number, hit: scene.probe(&camera, at) }).await;
+                    }
+                }
                 ToServer::Refused { reason } => return Err(SessionError::Refused(printable(&reason))),
                 ToServer::Welcome => return Err(SessionError::OutOfTurn),
             }

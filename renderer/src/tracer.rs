@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use shared::{
     camera::{Camera, CameraRays},
     division::{FrameSize, Share, UnitSamples},
-    protocol::{RayTree, SampleRange, View},
+    protocol::{ProbeHit, RayTree, SampleRange, View},
     srgb,
 };
 
@@ -15,7 +15,7 @@ use crate::{
     grid::{Grid, GridOptions, Packet, PacketScratch},
     lighting::Lighting,
     mesh::Mesh,
-    ray::Hit,
+    ray::{Hit, Ray},
     traced::TracedMesh,
 };
 
@@ -78,6 +78,17 @@ impl Scene {
     #[inline]
     pub fn in_file_order(&self, hit: Hit) -> Hit {
         if hit.is_miss() { hit } else { Hit { triangle: self.mesh().number(hit.triangle), ..hit } }
+    }
+
+    /// The nearest triangle at a point of the view plane, given as parts of its edges u and v: by the same arithmetic as
+    /// in frames, so that it is the triangle that is seen.
+    pub fn probe(&self, camera: &Camera, at: [f32; 2]) -> Option<ProbeHit> {
+        let direction = camera.rays(FrameSize::ONE).direction_through(at[0], at[1]);
+        if !direction.is_finite() {
+            return None;
+        }
+        let hit = self.in_file_order(self.grid.intersect(&Ray::new(camera.eye().as_vec3(), direction)));
+        (!hit.is_miss()).then_some(ProbeHit { triangle: hit.triangle, t: hit.t })
     }
 
     /// What turns the hits of a frame into light.
@@ -319,6 +330,29 @@ mod tests {
     #[test]
     fn the_samples_do_not_depend_on_the_division() {
         check_divisions(&tetrahedron(), &request(0, 3));
+    }
+
+    #[test]
+    fn a_probe_finds_what_a_frame_shows() {
+        let (scene, request) = (tetrahedron(), request(0, 1));
+        let (rays, size) = (request.camera.rays(request.size), request.size);
+        let (mut n_hits, mut n_other) = (0, 0);
+        for (i, j) in (0..size.yres()).flat_map(|j| (0..size.xres()).map(move |i| (i, j))) {
+            let seen = scene.in_file_order(scene.grid.intersect(&Ray::new(rays.eye, rays.direction(i, j))));
+            let at = [(i as f32 + 0.5) / size.xres() as f32, (j as f32 + 0.5) / size.yres() as f32];
+            let probed = scene.probe(&request.camera, at);
+            n_hits += u32::from(probed.is_some());
+            // The rays differ in their last bits, which only on an edge is another triangle.
+            let is_same = match probed {
+                None => seen.is_miss(),
+                Some(hit) => hit.triangle == seen.triangle && (hit.t - seen.t).abs() < 1e-5 * seen.t,
+            };
+            n_other += u32::from(!is_same);
+        }
+        assert!(n_hits > 80 && n_other <= 2, "{n_hits} hits, {n_other} of them others");
+        for at in [[f32::NAN, 0.5], [f32::INFINITY, 0.0], [f32::MAX, f32::MAX], [-9.0, 0.5]] {
+            assert_eq!(scene.probe(&request.camera, at), None);
+        }
     }
 
     #[test]

@@ -5,7 +5,8 @@
 //!
 //! The order of a conversation: the server says [`ToWall::Hello`], the wall [`ToServer::Welcome`]; the wall names a
 //! scene ([`ToServer::LoadScene`]) and hears how far it is ([`ToWall::SceneState`]); then it asks for shares of frames
-//! ([`ToServer::RenderFrame`]) and gets [`Chunk`]s and a [`ToWall::WorkDone`] for each. Heartbeats flow all along.
+//! ([`ToServer::RenderFrame`]) and gets [`Chunk`]s and a [`ToWall::WorkDone`] for each. Heartbeats flow all along, and now
+//! and then a [`ToServer::Probe`] and its answer.
 
 use std::{ops::Range, time::Duration};
 
@@ -18,7 +19,7 @@ use crate::{
 };
 
 /// The version of everything below; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 5;
+pub const PROTOCOL_VERSION: u8 = 6;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -270,6 +271,17 @@ pub enum ToServer {
         /// Microseconds on the wall's clock.
         sent_us: u64,
     },
+    /// Say what is seen at one point of the view plane; one ray, and not a part of any frame.
+    Probe {
+        /// The number of the question, repeated in the answer.
+        number: u32,
+        /// What is looked at.
+        scene: SceneId,
+        /// From where.
+        camera: Camera,
+        /// Which point of the view plane, as parts of its edges u and v.
+        at: [f32; 2],
+    },
 }
 
 /// What a render server says to the wall.
@@ -307,6 +319,22 @@ pub enum ToWall {
         /// As in the ping.
         sent_us: u64,
     },
+    /// The answer to a probe; none comes from a server that does not have the scene.
+    Probed {
+        /// As in the probe.
+        number: u32,
+        /// The nearest triangle there, if any.
+        hit: Option<ProbeHit>,
+    },
+}
+
+/// A triangle that is seen at a point of the view plane.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ProbeHit {
+    /// Its number in the file, from 0.
+    pub triangle: u32,
+    /// Where it is hit, in units of the way from the eye to the point of the view plane.
+    pub t: f32,
 }
 
 /// How far a render server is with a scene.

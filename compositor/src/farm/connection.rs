@@ -16,8 +16,8 @@ use shared::{
     division::Work,
     printable::printable,
     protocol::{
-        BlockCosts, Chunk, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME, SceneState,
-        ToServer, ToWall, WorkId, WorkTimings,
+        BlockCosts, Chunk, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME, ProbeHit,
+        SceneState, ToServer, ToWall, WorkId, WorkTimings,
     },
     scene::SceneId,
 };
@@ -47,6 +47,8 @@ pub(super) enum Report {
     WorkDone { frame: FrameId, work_id: WorkId, timings: WorkTimings, costs: BlockCosts },
     /// A ping came back.
     RoundTrip(Duration),
+    /// A probe is answered.
+    Probed { number: u32, hit: Option<ProbeHit> },
     /// The connection has ended: by the peer's will, or for a reason.
     Ended(Result<(), ConnectionError>),
 }
@@ -299,6 +301,7 @@ async fn receive_until_end(
                 let sent_at = Duration::from_micros(sent_us);
                 reporter.send(Report::RoundTrip(started_at.elapsed().saturating_sub(sent_at))).await;
             }
+            Incoming::Control(ToWall::Probed { number, hit }) => reporter.send(Report::Probed { number, hit }).await,
             Incoming::Control(ToWall::Heartbeat) => {}
             Incoming::Control(ToWall::Hello { .. }) => return Err(ConnectionError::OutOfTurn),
         }

@@ -21,12 +21,12 @@ use tokio::{
 };
 
 use super::{
-    FinishedFrame, Frame, Wanted,
+    FinishedFrame, Frame, Probe, Wanted,
     connection::{self, Assignment, Desk, Report, Reporter},
     frame_buffer::{FrameBuffer, SpareBuffers},
     scheduler::{self, Action, Event, Scheduler},
 };
-use crate::stats::{FarmStatus, FrameStats, NodeId, NodeStatus};
+use crate::stats::{FarmStatus, FrameStats, NodeId, NodeStatus, Probed};
 
 /// Render servers at a time: more than a wall has, few enough for the files that a process may open.
 const MOST_NODES: usize = 512;
@@ -75,6 +75,8 @@ pub(super) struct Service {
     spare_buffers: SpareBuffers,
     /// When the camera of the last frame was set.
     last_moved_at: Option<Instant>,
+    /// Whom the last question about the model was put to, and its number.
+    asked: Option<(NodeId, u32)>,
 }
 
 impl Service {
@@ -101,11 +103,12 @@ impl Service {
             frames: HashMap::new(),
             spare_buffers: SpareBuffers::default(),
             last_moved_at: None,
+            asked: None,
         }
     }
 
     /// Runs until the task is aborted or the wall is gone.
-    pub(super) async fn run(mut self, listener: TcpListener) {
+    pub(super) async fn run(mut self, listener: TcpListener, mut probes: watch::Receiver<Probe>) {
         let (reports_in, mut reports) = mpsc::channel(LONGEST_REPORT_QUEUE);
         let mut connections = JoinSet::new();
         let mut last_node = NodeId(0);
@@ -129,6 +132,10 @@ impl Service {
                     Ok(()) => self.on_wanted(),
                     Err(_) => return,
                 },
+                Ok(()) = probes.changed() => {
+                    let probe = *probes.borrow_and_update();
+                    self.on_probe(probe);
+                }
                 () = finished.taken.notified() => self.happen(Event::FrameTaken),
                 _ = tick.tick(), if self.scheduler.has_frame_in_flight() => self.happen(Event::Tick),
             }
@@ -144,6 +151,17 @@ impl Service {
             self.status.send_modify(|status| status.nodes.iter_mut().for_each(|node| node.scene = None));
             let nodes: Vec<_> = self.nodes.keys().copied().collect();
             nodes.into_iter().for_each(|node| self.ask_for_scene(node));
+        }
+    }
+
+    /// Hands a question to the first who can answer it. Nobody waits for the answer: if its render server dies, the person
+    /// who asked sees none, and asks again.
+    fn on_probe(&mut self, Probe { number, view, at }: Probe) {
+        let Some((scene, camera)) = view.filter(|&(scene, _)| self.scheduler.scene() == Some(scene)) else { return };
+        let ready = self.status.borrow().nodes.iter().find(|node| node.is_ready()).map(|node| node.id);
+        self.asked = ready.map(|id| (id, number));
+        if let Some(id) = ready {
+            self.send(id, &ToServer::Probe { number, scene, camera, at });
         }
     }
 
@@ -193,6 +211,12 @@ impl Service {
                 // A resting wall stays at rest: this alone wakes nobody.
                 self.change_node(id, |node| node.round_trip_ms = Some(round_trip.as_secs_f64() * 1e3));
             }
+            // Once, and by whom it was asked.
+            Report::Probed { number, hit } if self.asked.take_if(|asked| *asked == (id, number)).is_some() => {
+                self.status.send_modify(|status| status.probed = Some(Probed { number, hit }));
+                (self.wake)();
+            }
+            Report::Probed { .. } => {}
             Report::Ended(reason) => self.on_ended(id, address, reason),
         }
     }

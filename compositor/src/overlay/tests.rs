@@ -82,6 +82,7 @@ fn running() -> OverlayModel {
             n_healed: 3,
             n_lost: 0,
             message: None,
+            probed: None,
         },
         model: Some(ModelSummary { name: "statue".to_owned(), n_triangles: 1_000_000, n_rejected: 0 }),
         min_renderers: 1,

@@ -44,6 +44,9 @@ impl FrameSize {
     /// The paper's frame.
     pub const PAPER: Self = Self { xres: 1024, yres: 512 };
 
+    /// A frame of a single sample.
+    pub const ONE: Self = Self { xres: 1, yres: 1 };
+
     /// A frame of `xres` × `yres` samples.
     pub fn new(xres: u32, yres: u32) -> Result<Self, FrameSizeError> {
         let valid = 1..=Self::LARGEST;
