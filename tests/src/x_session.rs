@@ -39,8 +39,9 @@ impl XSession {
     /// A screen of so many pixels on a free display.
     pub(crate) fn start(size: [usize; 2]) -> Self {
         let screen = format!("{}x{}x24", size[0], size[1]);
+        // Without -noreset the screen starts afresh, and throws everybody out, whenever its last client leaves.
         let mut server = Command::new("Xvfb")
-            .args(["-displayfd", "1", "-screen", "0", &screen, "-nolisten", "tcp"])
+            .args(["-displayfd", "1", "-screen", "0", &screen, "-nolisten", "tcp", "-noreset"])
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()
