@@ -3,16 +3,45 @@
 use std::{
     ops::{Deref, Range},
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex, OnceLock, PoisonError,
         atomic::{AtomicU32, Ordering::Relaxed},
     },
 };
 
-use shared::division::{FrameSize, Share, TILE_SIZE};
+use shared::{
+    curve,
+    division::{Division, FrameSize, Share, TILE_SIZE},
+};
 
 /// Buffers that wait for their next frame: the system takes longer to find and clear memory than samples take to arrive.
 #[derive(Clone, Debug, Default)]
-pub(super) struct SpareBuffers(Arc<Mutex<Vec<Vec<u32>>>>);
+pub(super) struct SpareBuffers(Arc<Mutex<Spare>>);
+
+#[derive(Debug, Default)]
+struct Spare {
+    rgba: Vec<Vec<u32>>,
+    curve: Option<Arc<Curve>>,
+}
+
+/// Where the tiles along the curve lie in frames of one size: to follow the curve to a tile takes longer than to put its
+/// samples in their places.
+#[derive(Debug)]
+struct Curve {
+    size: FrameSize,
+    /// Numbers of tiles, row by row from the bottom left; found when the first is asked for.
+    tiles: OnceLock<Vec<u32>>,
+}
+
+impl Curve {
+    fn tile(&self, index: u32) -> u32 {
+        let (columns, rows) = (self.size.x_tiles(), self.size.y_tiles());
+        let number = |index| {
+            let (column, row) = curve::tile_at(index, columns, rows);
+            row * columns + column
+        };
+        self.tiles.get_or_init(|| (0..columns * rows).map(number).collect())[index as usize]
+    }
+}
 
 /// Frames in flight, one that waits, one that is shown, and one more.
 const MOST_SPARE: usize = 6;
@@ -21,15 +50,18 @@ impl SpareBuffers {
     /// A buffer for a frame; what is in it is of no frame.
     pub(super) fn take(&self, size: FrameSize) -> FrameBuffer {
         let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        spare.retain(|rgba| rgba.len() == size.n_samples() as usize);
-        let rgba = spare.pop().unwrap_or_else(|| vec![0; size.n_samples() as usize]);
-        FrameBuffer { size, rgba: rgba.into_iter().map(AtomicU32::new).collect() }
+        spare.rgba.retain(|rgba| rgba.len() == size.n_samples() as usize);
+        let rgba = spare.rgba.pop().unwrap_or_else(|| vec![0; size.n_samples() as usize]);
+        let known = spare.curve.take().filter(|curve| curve.size == size);
+        let curve = known.unwrap_or_else(|| Arc::new(Curve { size, tiles: OnceLock::new() }));
+        spare.curve = Some(Arc::clone(&curve));
+        FrameBuffer { size, rgba: rgba.into_iter().map(AtomicU32::new).collect(), curve }
     }
 
     fn put(&self, rgba: Vec<u32>) {
         let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if spare.len() < MOST_SPARE {
-            spare.push(rgba);
+        if spare.rgba.len() < MOST_SPARE {
+            spare.rgba.push(rgba);
         }
     }
 }
@@ -64,6 +96,7 @@ pub(super) struct FrameBuffer {
     size: FrameSize,
     /// Red, green, blue, 255 in memory order, row by row, the bottom row first.
     rgba: Vec<AtomicU32>,
+    curve: Arc<Curve>,
 }
 
 /// Bytes that do not fit the units that they claim to be.
@@ -128,7 +161,12 @@ impl FrameBuffer {
 
     /// Puts blocks of samples in their places. `None` if the bytes are too many or too few.
     fn place_blocks(&self, share: &Share<'_>, units: Range<u32>, mut rgb: &[u8]) -> Option<()> {
-        for block in units.map(|k| share.samples(k)) {
+        let tiles = Division::Tiled.units(self.size);
+        let block = |k| match share.is_on_curve() {
+            true => tiles.samples(self.curve.tile(share.unit(k))),
+            false => share.samples(k),
+        };
+        for block in units.map(block) {
             for j in block.rows {
                 let row = j * self.size.xres();
                 let cells = &self.rgba[(row + block.columns.start) as usize..(row + block.columns.end) as usize];
@@ -196,7 +234,7 @@ mod tests {
             let expected: Vec<u32> =
                 (0..11).flat_map(|j| (0..19).map(move |i| u32::from_ne_bytes([i, j, 7, 255]))).collect();
             assert_eq!(*buffer.into_samples(spare.clone()), expected);
-            assert_eq!(spare.0.lock().unwrap().len(), 1, "the buffer waits for the next frame");
+            assert_eq!(spare.0.lock().unwrap().rgba.len(), 1, "the buffer waits for the next frame");
         }
     }
 

@@ -75,11 +75,13 @@ impl FrameSize {
         self.xres * self.yres
     }
 
-    pub(super) fn x_tiles(self) -> u32 {
+    /// Columns of tiles; the last may be cut off.
+    pub fn x_tiles(self) -> u32 {
         self.xres.div_ceil(TILE_SIZE)
     }
 
-    pub(super) fn y_tiles(self) -> u32 {
+    /// Rows of tiles; the last may be cut off.
+    pub fn y_tiles(self) -> u32 {
         self.yres.div_ceil(TILE_SIZE)
     }
 

@@ -227,7 +227,13 @@ impl Share<'_> {
     /// The numbers of samples, row by row from the bottom left, that units are; `None` if units are blocks of samples.
     #[inline]
     pub fn single_samples(&self, units: Range<u32>) -> Option<impl ExactSizeIterator<Item = u32>> {
-        (self.units.kind == UnitKind::Sample).then(|| units.map(|k| self.unit(k)))
+        if self.units.kind != UnitKind::Sample {
+            return None;
+        }
+        // They are one step apart: what picks them is not asked for each.
+        let first = if units.is_empty() { 0 } else { self.unit(units.start) };
+        let step = if units.len() < 2 { 0 } else { self.unit(units.start + 1) - first };
+        Some((0..units.len() as u32).map(move |k| first + k * step))
     }
 
     /// The samples of the share's `k`-th unit.
