@@ -7,7 +7,7 @@ use renderer::{key::Key, mesh::Mesh, ply, secure};
 use serde::{Serialize, de::DeserializeOwned};
 use shared::{
     camera::Camera,
-    codec::{self, CONTROL_LIMIT, HANDSHAKE_LIMIT, HEADER_BYTES, Header},
+    codec::{self, CONTROL_LIMIT, HANDSHAKE_LIMIT, HEADER_BYTES, Header, Kind},
     division::{FrameSize, Part, Picked, TileRun, Work},
     protocol::{CHUNK_BYTES, Chunk, Encoding, ToServer, ToWall},
 };
@@ -51,8 +51,23 @@ pub fn protocol(data: &[u8]) {
         chunk.encode(Encoding::Raw, &mut bytes);
         assert_eq!(&bytes[HEADER_BYTES..], rest);
         let mut room = Vec::new();
-        let _ = chunk.unpack(Encoding::Lz4, &mut room).map(|chunk| assert!(chunk.rgb.len() <= CHUNK_BYTES));
+        let unpacked = chunk.unpack(Encoding::Lz4, &mut room).ok();
+        unpacked.into_iter().for_each(|chunk| assert!(chunk.rgb.len() <= CHUNK_BYTES));
+        if chunk.rgb.len() <= CHUNK_BYTES {
+            travels_as_lz4(&chunk);
+        }
     }
+}
+
+/// Samples arrive as they were, however they travel.
+fn travels_as_lz4(chunk: &Chunk<'_>) {
+    let (mut bytes, mut room) = (Vec::new(), Vec::new());
+    chunk.encode(Encoding::Lz4, &mut bytes);
+    let (header, body) = bytes.split_first_chunk::<HEADER_BYTES>().expect("a header comes first");
+    let header = Header::parse(*header, CONTROL_LIMIT).expect("a header as it is written");
+    let Kind::Samples(encoding) = header.kind else { panic!("samples are {:?}", header.kind) };
+    let arrived = Chunk::decode(body).expect("a chunk").unpack(encoding, &mut room).expect("it unpacks").rgb.to_vec();
+    assert_eq!(arrived, chunk.rgb);
 }
 
 /// What is decoded is encoded to something that decodes to the same.
