@@ -13,10 +13,7 @@ use std::{
 
 use anyhow::{Context, ensure};
 use clap::Parser;
-use compositor::{
-    farm::{Farm, Frame, Wanted},
-    stats::NodeId,
-};
+use compositor::farm::{Farm, Frame, Wanted};
 use shared::{
     camera::Camera,
     division::{Division, FrameSize},
@@ -67,8 +64,8 @@ impl Wall {
         }
     }
 
-    fn id(&self, name: &str) -> Option<NodeId> {
-        self.farm.status().nodes.iter().find(|node| node.name == name).map(|node| node.id)
+    fn is_heard(&self, name: &str) -> bool {
+        self.farm.status().nodes.iter().any(|node| node.name == name && !node.is_silent)
     }
 
     fn last_frame(&self) -> u64 {
@@ -160,7 +157,7 @@ fn main() -> anyhow::Result<()> {
         let is_frozen = round % 2 == 1;
         let failed_at = Instant::now();
         victim.signal(if is_frozen { "STOP" } else { "KILL" })?;
-        let noticed_at = wall.wait_until("it is noticed", |wall| wall.id(&victim.name).is_none())?;
+        let noticed_at = wall.wait_until("it is noticed", |wall| !wall.is_heard(&victim.name))?;
         let last = wall.last_frame();
         let healed_at = wall.wait_until("a frame is whole", |wall| wall.last_frame() > last)?;
         let (detection_ms, healing_ms) = &mut lost[usize::from(is_frozen)];

@@ -8,6 +8,7 @@ mod frame_buffer;
 pub(crate) mod replay;
 mod scheduler;
 mod service;
+mod silence;
 mod unit_set;
 
 use std::{

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::{
     farm::Frame,
-    stats::{DisplayStats, FrameStats},
+    stats::{DisplayStats, FrameStats, NodeFrameStats, NodeId},
 };
 
 /// Every shown frame of a run.
@@ -68,14 +68,18 @@ impl Report {
         row("upload", display(|stats| stats.upload_ms));
         row("draw", display(|stats| stats.draw_ms));
         row("whole frame", self.frames.iter().map(|frame| frame.frame_ms).collect());
-        for (id, name) in self.nodes() {
-            let of_node = |value: fn(&crate::stats::NodeFrameStats) -> f64| {
-                let all = self.frames.iter().filter_map(|frame| frame.farm.as_ref()).flat_map(|stats| &stats.nodes);
-                all.filter(|node| node.id == id).map(value).collect::<Vec<_>>()
-            };
+        let nodes = self.nodes();
+        for (id, name) in &nodes {
+            let of_node = |value: fn(&NodeFrameStats) -> f64| self.frames_of(*id).map(value).collect::<Vec<_>>();
             row(&format!("{name}: trace"), of_node(|node| node.trace_ms));
             row(&format!("{name}: network"), of_node(|node| node.network_ms));
             row(&format!("{name}: idle"), of_node(|node| node.idle_ms));
+        }
+        for (id, name) in &nodes {
+            let _ = writeln!(table, "{}", self.node_line(*id, name));
+        }
+        if let Some(last) = self.frames.iter().filter_map(|frame| frame.farm.as_ref()).next_back() {
+            let _ = writeln!(table, "render servers lost: {}, frames healed: {}", last.n_lost, last.n_healed);
         }
         let bytes_in = farm(|stats| stats.bytes_in as f64);
         let bytes_out = farm(|stats| stats.bytes_out as f64);
@@ -90,7 +94,33 @@ impl Report {
         table
     }
 
-    fn nodes(&self) -> Vec<(crate::stats::NodeId, String)> {
+    /// Who a render server is, and what it did in all.
+    fn node_line(&self, id: NodeId, name: &str) -> String {
+        let of_node = |value: fn(&NodeFrameStats) -> f64| {
+            let values: Vec<_> = self.frames_of(id).map(value).collect();
+            quantile(&values, 0.5)
+        };
+        let n_taken_over: u32 = self.frames_of(id).map(|node| node.taken_over).sum();
+        let last = self.frames_of(id).filter(|node| node.address.is_some()).last();
+        let known = last.map_or_else(String::new, |node| {
+            let address = node.address.map(|address| format!(" at {address}")).unwrap_or_default();
+            let ping = node.round_trip_ms.map(|ms| format!(", ping {ms:.2} ms")).unwrap_or_default();
+            format!("{address}: {}{ping}, lost {} times before", node.encoding.name(), node.n_failures)
+        });
+        format!(
+            "{name}{known}; share {:.0} %, {:.0} Mbit/s, {n_taken_over} works of others",
+            100.0 * of_node(|node| node.share),
+            of_node(|node| node.mbit_per_s)
+        )
+    }
+
+    /// The frames that a render server took part in.
+    fn frames_of(&self, id: NodeId) -> impl Iterator<Item = &NodeFrameStats> {
+        let frames = self.frames.iter().filter_map(|frame| frame.farm.as_ref());
+        frames.flat_map(|stats| &stats.nodes).filter(move |node| node.id == id)
+    }
+
+    fn nodes(&self) -> Vec<(NodeId, String)> {
         let mut nodes: Vec<_> = self
             .frames
             .iter()

@@ -25,6 +25,8 @@ pub struct NodeStatus {
     pub threads: u32,
     /// How far it is with the wall's scene; `None` until it has said anything about it.
     pub scene: Option<SceneState>,
+    /// Whether nothing has come from it for a moment: others have its work until it is heard again.
+    pub is_silent: bool,
     /// How often a render server of this name, on this machine, was lost since the wall started.
     pub n_failures: u32,
     /// The last round trip of a ping, in milliseconds.
@@ -32,9 +34,9 @@ pub struct NodeStatus {
 }
 
 impl NodeStatus {
-    /// Whether it can render frames of the wall's scene.
+    /// Whether it is given frames of the wall's scene to render.
     pub fn is_ready(&self) -> bool {
-        matches!(self.scene, Some(SceneState::Ready { .. }))
+        !self.is_silent && matches!(self.scene, Some(SceneState::Ready { .. }))
     }
 }
 
@@ -69,6 +71,12 @@ pub struct NodeFrameStats {
     pub id: NodeId,
     /// Its name.
     pub name: String,
+    /// Where it connected from; `None` where nothing is connected, as in predictions.
+    pub address: Option<SocketAddr>,
+    /// How often a render server of this name, on its machine, had been lost until then.
+    pub n_failures: u32,
+    /// The last round trip of a ping until then, in milliseconds.
+    pub round_trip_ms: Option<f64>,
     /// How much of the frame's units it was given, 0 to 1.
     pub share: f64,
     /// From its first ray to its last sample.
@@ -127,6 +135,10 @@ pub struct FrameStats {
     pub imbalance: f64,
     /// 1, and one more each time work was given out again.
     pub attempts: u32,
+    /// How many render servers had been lost until then.
+    pub n_lost: u32,
+    /// How many frames had become whole although a render server was lost or late, this one included.
+    pub n_healed: u32,
     /// Bytes received.
     pub bytes_in: u64,
     /// Bytes sent.

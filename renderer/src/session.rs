@@ -5,13 +5,13 @@ use std::{
         Arc,
         atomic::{AtomicBool, Ordering::Relaxed},
     },
-    time::{Duration, Instant},
+    time::Instant,
 };
 
 use shared::{
     codec,
     printable::printable,
-    protocol::{FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, SceneState, ToServer, ToWall},
+    protocol::{FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, SILENCE_LIMIT, SceneState, ToServer, ToWall},
 };
 use tokio::{
     io::{AsyncRead, AsyncWrite},
@@ -26,9 +26,6 @@ use crate::{
     wire::{Incoming, MessageReader, MessageWriter, WireError},
     work::{self, Job},
 };
-
-/// How long the wall may be silent: longer than the wall waits for us, since it has a screen to serve.
-const WALL_SILENCE: Duration = Duration::from_secs(2);
 
 /// Encoded messages that wait for the network; when it is full, tracing threads wait.
 const LONGEST_QUEUE: usize = 64;
@@ -91,7 +88,7 @@ async fn converse(
     if let Err(error) = shake_hands(&mut reader, &mut writer, name, stage.pool().current_num_threads()).await {
         return SessionEnd { was_welcome: false, reason: Err(error) };
     }
-    reader.accept(WALL_SILENCE);
+    reader.accept(SILENCE_LIMIT);
     let (outbox, outgoing) = mpsc::channel(LONGEST_QUEUE);
     let (jobs, inbox) = mpsc::unbounded_channel();
     let mut conversation = Conversation { stage, outbox: outbox.clone(), jobs, unfinished: Vec::new() };

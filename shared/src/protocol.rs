@@ -31,8 +31,11 @@ pub const SECURE_PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'L', b'O', b'C', b'K', 
 /// How often either side says that it lives.
 pub const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(50);
 
-/// A peer that was silent for this long is lost, however slow its work may be.
+/// A render server that was silent for this long gets no more work, and others get what it has.
 pub const HEARTBEAT_TIMEOUT: Duration = Duration::from_millis(250);
+
+/// A peer that was silent for this long is lost: longer than a slow link takes to send lost packets again.
+pub const SILENCE_LIMIT: Duration = Duration::from_secs(2);
 
 /// How long a peer may take from connecting to a finished handshake.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(2);

@@ -1,9 +1,16 @@
-//! What a cluster is started with, and two hosts: network namespaces with a slow link between them.
+//! What a cluster is started with, and slow links: of this test's own making, and between network namespaces.
 
-use std::{path::Path, process::Command};
+use std::{
+    io::{Read, Write},
+    net::{Shutdown, TcpListener, TcpStream},
+    path::Path,
+    process::Command,
+    thread,
+    time::{Duration, Instant},
+};
 
 use crate::{
-    farm::Files,
+    farm::{Files, RunningWall, nodes_of},
     process::{GENEROUS, Program},
 };
 
@@ -36,15 +43,67 @@ fn the_slurm_script_is_one_that_a_shell_takes_and_says_what_it_lacks() {
     assert!(said.contains("give the address of the wall"), "{said}");
 }
 
-/// Two namespaces, each a host, and a link of 20 Mbit/s from the node to the wall; they go when this is dropped.
+/// An address that leads to a wall by a link of 1 Mbit/s in each direction.
+fn slow_way_to(wall: &str) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let wall = wall.to_owned();
+    thread::spawn(move || {
+        for server in listener.incoming().map_while(Result::ok) {
+            // The wall has ended.
+            let Ok(wall) = TcpStream::connect(&wall) else { return };
+            let (to_server, from_wall) = (server.try_clone().unwrap(), wall.try_clone().unwrap());
+            thread::spawn(move || pass_slowly(from_wall, to_server));
+            thread::spawn(move || pass_slowly(server, wall));
+        }
+    });
+    address
+}
+
+fn pass_slowly(mut from: TcpStream, mut to: TcpStream) {
+    // A packet's worth every 10 ms; what is kept up by a sleep that was too long is not made up for.
+    let mut bytes = [0; 1250];
+    while let Ok(n_bytes @ 1..) = from.read(&mut bytes) {
+        thread::sleep(Duration::from_millis(10).mul_f64(n_bytes as f64 / bytes.len() as f64));
+        if to.write_all(&bytes[..n_bytes]).is_err() {
+            break;
+        }
+    }
+    let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
+}
+
+#[test]
+fn a_link_of_one_megabit_is_slow_and_not_dead() {
+    let mut wall = RunningWall::start_with(&["--encoding", "raw", "--in-flight", "1"]);
+    let _far = RunningWall::join_at(&slow_way_to(&wall.address), "far", &[]);
+    wall.wait_for_ready(1);
+    // Each frame of 98 KB occupies the link for 0.8 s, more than three times what silence is allowed.
+    let started_at = Instant::now();
+    wall.wait_for_frames(3);
+    assert!(started_at.elapsed() > Duration::from_secs(1), "the link does not limit");
+    // One that is near does not wait for it for ever.
+    let _near = wall.join("near");
+    wall.wait_for_ready(2);
+    wall.wait_for_frames(6);
+    let (frames, said) = wall.end();
+    assert!(!said.contains("silent"), "{said}");
+    let last = frames.last().unwrap();
+    assert_eq!((nodes_of(last).len(), &last["n_lost"]), (2, &0.into()));
+    let far = last["nodes"].as_array().unwrap().iter().find(|node| node["name"] == "far").unwrap();
+    assert!(far["round_trip_ms"].as_f64().is_some() && far["address"].is_string(), "{far}");
+    // With its share given to the near one as well, a frame does not take half of what it takes the far one alone.
+    assert!(last["attempts"].as_u64().unwrap() > 1 && last["render_ms"].as_f64().unwrap() < 400.0, "{last}");
+}
+
+/// Two namespaces, each a host, and a link of limited rate from the node to the wall; they go when this is dropped.
 struct TwoHosts {
     wall: String,
     node: String,
 }
 
 impl TwoHosts {
-    fn new() -> Result<Self, String> {
-        let id = std::process::id();
+    fn new(rate: &str) -> Result<Self, String> {
+        let id = format!("{}-{rate}", std::process::id());
         let hosts = Self { wall: format!("wall{id}"), node: format!("node{id}") };
         let Self { wall, node } = &hosts;
         run(&format!("ip netns add {wall}"))?;
@@ -55,7 +114,7 @@ impl TwoHosts {
             run(&format!("ip -n {host} link set eth0 up"))?;
             run(&format!("ip -n {host} link set lo up"))?;
         }
-        run(&format!("ip netns exec {node} tc qdisc add dev eth0 root tbf rate 20mbit burst 32kb latency 100ms"))?;
+        run(&format!("ip netns exec {node} tc qdisc add dev eth0 root tbf rate {rate} burst 32kb latency 100ms"))?;
         Ok(hosts)
     }
 
@@ -76,10 +135,9 @@ impl Drop for TwoHosts {
     }
 }
 
-#[cfg(target_os = "linux")]
-#[test]
-fn a_node_behind_a_slow_link_renders_the_right_frames_with_a_key() {
-    let hosts = match TwoHosts::new() {
+/// A node behind a link of so many Mbit/s renders so many frames, with a key.
+fn renders_behind(mbit_per_s: u32, n_frames: u32) {
+    let hosts = match TwoHosts::new(&format!("{mbit_per_s}mbit")) {
         Ok(hosts) => hosts,
         Err(reason) => return println!("skipped: no network namespaces with a limited rate here: {reason}"),
     };
@@ -94,7 +152,7 @@ fn a_node_behind_a_slow_link_renders_the_right_frames_with_a_key() {
     };
     let mut wall = Program::command("compositor");
     wall.args(["--headless", "--listen", "10.77.0.1:7117", "--triangles", "20000", "--size", "256x128"])
-        .args(["--local", "0", "--frames", "12", "--wall"])
+        .args(["--local", "0", "--encoding", "raw", "--frames", &n_frames.to_string(), "--wall"])
         .arg(files.path("wall.toml"))
         .arg("--camera")
         .arg(files.path("camera.toml"))
@@ -104,13 +162,28 @@ fn a_node_behind_a_slow_link_renders_the_right_frames_with_a_key() {
     wall.wait_for("listening on ");
     let mut node = Program::command("renderer");
     node.args(["connect", "10.77.0.1:7117", "--name", "far", "--threads", "1"]);
-    let started_at = std::time::Instant::now();
+    let started_at = Instant::now();
     let _node = Program::start(TwoHosts::on(&hosts.node, &with_key(node, &key)));
     let (status, said) = wall.wait();
     assert!(status.success() && started_at.elapsed() < GENEROUS, "{said}");
     let frames = files.frames();
-    assert!(frames.iter().all(|frame| frame["samples_blake3"] == *expected));
+    assert!(frames.iter().all(|frame| frame["samples_blake3"] == *expected && frame["n_lost"] == 0), "{said}");
     // The link does limit: no more bytes came than it passes in this time, and in its buffer.
     let n_bytes: f64 = frames.iter().map(|frame| frame["bytes_in"].as_f64().unwrap()).sum();
-    assert!(n_bytes * 8.0 < 20e6 * started_at.elapsed().as_secs_f64() + 8.0 * 65_536.0, "{n_bytes} bytes");
+    assert!(
+        n_bytes * 8.0 < f64::from(mbit_per_s) * 1e6 * started_at.elapsed().as_secs_f64() + 8.0 * 65_536.0,
+        "{n_bytes} bytes"
+    );
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_node_behind_a_slow_link_renders_the_right_frames_with_a_key() {
+    renders_behind(20, 12);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_node_behind_a_very_slow_link_renders_the_right_frames_with_a_key() {
+    renders_behind(1, 4);
 }

@@ -217,14 +217,31 @@ fn a_stopped_renderer_is_lost_and_comes_back() {
     wall.wait_for_ready(2);
     wall.wait_for_frames(3);
     stopped.signal("STOP");
-    wall.program.wait_for("stopped at");
-    assert!(wall.program.said().contains("silent for 250 ms"), "{}", wall.program.said());
+    wall.program.wait_for("stopped is silent for 250 ms");
     wall.wait_for_frames(3);
+    wall.program.wait_for("stopped at");
+    assert!(wall.program.said().contains("the peer was silent for 2000 ms"), "{}", wall.program.said());
     stopped.signal("CONT");
     wall.program.wait_for_count("render server stopped is ready", 2);
     wall.wait_for_frames(10);
     let (frames, _) = wall.end();
     assert_eq!(nodes_of(frames.last().unwrap()).len(), 2, "who comes back gets work");
+}
+
+#[test]
+fn a_renderer_that_is_silent_for_a_moment_is_heard_again() {
+    let mut wall = RunningWall::start();
+    let (_staying, stopped) = (wall.join("staying"), wall.join("stopped"));
+    wall.wait_for_ready(2);
+    wall.wait_for_frames(3);
+    stopped.signal("STOP");
+    wall.program.wait_for("stopped is silent for 250 ms");
+    stopped.signal("CONT");
+    wall.program.wait_for("stopped is heard again");
+    wall.wait_for_frames(6);
+    let (frames, said) = wall.end();
+    let last = frames.last().unwrap();
+    assert_eq!((nodes_of(last).len(), &last["n_lost"]), (2, &0.into()), "{said}");
 }
 
 #[test]
@@ -386,7 +403,7 @@ fn a_local_renderer_that_was_lost_comes_back() {
     let pid = local_renderers_of(&wall)[0].to_string();
     let kill = |signal: &str| assert!(Command::new("kill").args([signal, &pid]).status().unwrap().success());
     kill("-STOP");
-    wall.wait_for("silent for 250 ms");
+    wall.wait_for("silent for 2000 ms");
     kill("-CONT");
     wall.wait_for_count("local-1 is ready", 2);
     let n_shown = wall.count("frame shown");

@@ -17,7 +17,7 @@ use shared::{
     printable::printable,
     protocol::{
         BlockCosts, Chunk, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME, ProbeHit,
-        SceneState, ToServer, ToWall, WorkId, WorkTimings,
+        SILENCE_LIMIT, SceneState, ToServer, ToWall, WorkId, WorkTimings,
     },
     scene::SceneId,
 };
@@ -30,6 +30,7 @@ use tokio::{
 use super::{
     frame_buffer::{FrameBuffer, PlaceError},
     scheduler::Placed,
+    silence::{self, LastHeard},
     unit_set::UnitSet,
 };
 use crate::stats::NodeId;
@@ -45,6 +46,8 @@ pub(super) enum Report {
     Placed { frame: FrameId, work_id: WorkId, units: Placed },
     /// A work is answered.
     WorkDone { frame: FrameId, work_id: WorkId, timings: WorkTimings, costs: BlockCosts },
+    /// It has been silent for a moment, or is heard again.
+    Silent(bool),
     /// A ping came back.
     RoundTrip(Duration),
     /// A probe is answered.
@@ -174,14 +177,16 @@ pub(super) async fn serve(
     reporter: Reporter,
     started_at: Instant,
 ) {
+    let heard = LastHeard::now();
+    let input = heard.listen(input);
     // The handshakes have one limit together, however slowly they go on.
     let deadline = tokio::time::Instant::now() + HANDSHAKE_TIMEOUT;
     let ended = match key {
-        None => converse(input, output, &reporter, started_at, deadline).await,
+        None => converse(input, output, &reporter, &heard, started_at, deadline).await,
         Some(key) => match timeout_at(deadline, secure::accept(input, output, key)).await {
             Err(_) => Err(ConnectionError::NoHandshake),
             Ok(Err(error)) => Err(error.into()),
-            Ok(Ok((input, output))) => converse(input, output, &reporter, started_at, deadline).await,
+            Ok(Ok((input, output))) => converse(input, output, &reporter, &heard, started_at, deadline).await,
         },
     };
     reporter.send(Report::Ended(ended)).await;
@@ -191,6 +196,7 @@ async fn converse(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
     reporter: &Reporter,
+    heard: &LastHeard,
     started_at: Instant,
     deadline: tokio::time::Instant,
 ) -> Result<(), ConnectionError> {
@@ -201,11 +207,12 @@ async fn converse(
     let (name, threads) = shaking_hands.await.map_err(|_| ConnectionError::NoHandshake)??;
     let (outgoing, requests) = mpsc::channel(LONGEST_QUEUE);
     let desk = Arc::new(Desk::default());
-    reader.accept(HEARTBEAT_TIMEOUT);
+    reader.accept(SILENCE_LIMIT);
     reporter.send(Report::Joined { name, threads, outgoing, desk: Arc::clone(&desk) }).await;
     tokio::select! {
         ended = receive(&mut reader, &desk, reporter, started_at) => ended,
         ended = transmit(&mut writer, requests, started_at) => ended,
+        () = silence::watch(heard, HEARTBEAT_TIMEOUT, |is_silent| reporter.send(Report::Silent(is_silent))) => Ok(()),
     }
 }
 

@@ -35,6 +35,8 @@ pub(super) enum Event {
     Joined { node: NodeId, name: String, threads: u32 },
     /// It has, or no longer has, the scene that the wall wants.
     SceneReady { node: NodeId, ready: bool },
+    /// Nothing comes from it any more, though its connection is there; or it is heard again.
+    Silent { node: NodeId, is_silent: bool },
     /// Its connection is gone.
     Lost { node: NodeId },
     /// Units of a work are in their places in the frame buffer.
@@ -93,6 +95,7 @@ struct Node {
     /// At least 1.
     threads: u32,
     ready: bool,
+    is_silent: bool,
     /// When it last had nothing to do, as far as is known: what it was given before, it began then.
     free_at: Time,
     link: Link,
@@ -135,7 +138,14 @@ impl Scheduler {
             Event::Joined { node, name, threads } => {
                 self.nodes.insert(
                     node,
-                    Node { name, threads: threads.max(1), ready: false, free_at: now, link: Link::default() },
+                    Node {
+                        name,
+                        threads: threads.max(1),
+                        ready: false,
+                        is_silent: false,
+                        free_at: now,
+                        link: Link::default(),
+                    },
                 );
             }
             Event::SceneReady { node, ready } => {
@@ -146,6 +156,12 @@ impl Scheduler {
                 if !ready {
                     self.frames.iter_mut().for_each(|frame| frame.lose(node));
                 }
+            }
+            Event::Silent { node, is_silent } => {
+                if let Some(node) = self.nodes.get_mut(&node) {
+                    node.is_silent = is_silent;
+                }
+                self.frames.iter_mut().for_each(|frame| frame.hush(node, is_silent));
             }
             Event::Lost { node } => {
                 self.nodes.remove(&node);
@@ -237,7 +253,7 @@ impl Scheduler {
     }
 
     fn ready_nodes(&self) -> Vec<NodeId> {
-        self.nodes.iter().filter(|(_, node)| node.ready).map(|(&id, _)| id).collect()
+        self.nodes.iter().filter(|(_, node)| node.ready && !node.is_silent).map(|(&id, _)| id).collect()
     }
 
     /// Starts the next frame, if one is wanted and there is room and somebody to render it; whether it did.
@@ -280,7 +296,7 @@ impl Scheduler {
         true
     }
 
-    /// Divides the shares of lost render servers among the others, those that joined since included.
+    /// Divides the shares of lost and silent render servers among the others, those that joined since included.
     fn divide_lost_work(&mut self, index: usize, now: Time, actions: &mut Vec<Action>) {
         let nodes = self.ready_nodes();
         if !nodes.is_empty() {

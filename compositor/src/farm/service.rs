@@ -11,7 +11,7 @@ use renderer::{key::Key, path_bytes};
 use shared::{
     codec,
     printable::printable,
-    protocol::{FrameId, Picture, SceneState, ToServer, WorkId},
+    protocol::{FrameId, HEARTBEAT_TIMEOUT, Picture, SceneState, ToServer, WorkId},
 };
 use tokio::{
     net::{TcpListener, TcpStream},
@@ -186,6 +186,7 @@ impl Service {
                     address,
                     threads,
                     scene: None,
+                    is_silent: false,
                     n_failures,
                     round_trip_ms: None,
                 };
@@ -206,6 +207,11 @@ impl Service {
             Report::Placed { frame, work_id, units } => self.happen(Event::Placed { node: id, frame, work_id, units }),
             Report::WorkDone { frame, work_id, timings, costs } => {
                 self.happen(Event::WorkDone { node: id, frame, work_id, timings, costs });
+            }
+            Report::Silent(is_silent) => {
+                self.on_silent(id, is_silent);
+                self.happen(Event::Silent { node: id, is_silent });
+                (self.wake)();
             }
             Report::RoundTrip(round_trip) => {
                 // A resting wall stays at rest: this alone wakes nobody.
@@ -239,6 +245,19 @@ impl Service {
                 tracing::info!("render server {} is ready", node.name);
             }
             node.scene = Some(state);
+        });
+    }
+
+    fn on_silent(&self, id: NodeId, is_silent: bool) {
+        self.change_node(id, |node| {
+            node.is_silent = is_silent;
+            let name = &node.name;
+            if is_silent {
+                let milliseconds = HEARTBEAT_TIMEOUT.as_millis();
+                tracing::warn!("render server {name} is silent for {milliseconds} ms: the others render its share");
+            } else {
+                tracing::info!("render server {name} is heard again");
+            }
         });
     }
 
@@ -317,7 +336,8 @@ impl Service {
                     self.status.send_modify(|status| status.n_healed += 1);
                 }
                 if let Some(open) = self.frames.remove(&frame) {
-                    self.finished.put(open.finish(stats, self.spare_buffers.clone()));
+                    let frame = open.finish(stats, &self.status.borrow(), self.spare_buffers.clone());
+                    self.finished.put(frame);
                     (self.wake)();
                 }
             }
@@ -351,9 +371,15 @@ impl Service {
 }
 
 impl OpenFrame {
-    fn finish(self, mut stats: FrameStats, spare: SpareBuffers) -> Frame {
+    fn finish(self, mut stats: FrameStats, farm: &FarmStatus, spare: SpareBuffers) -> Frame {
+        (stats.n_lost, stats.n_healed) = (farm.n_lost, farm.n_healed);
         for node in &mut stats.nodes {
             node.bytes_out = self.bytes_out.get(&node.id).copied().unwrap_or(0);
+            // One that died meanwhile is no longer known.
+            if let Some(known) = farm.nodes.iter().find(|known| known.id == node.id) {
+                node.address = Some(known.address);
+                (node.n_failures, node.round_trip_ms) = (known.n_failures, known.round_trip_ms);
+            }
         }
         stats.bytes_out = self.bytes_out.values().sum();
         Frame { picture: self.picture, rgba: self.buffer.into_samples(spare), stats, moved_at: self.moved_at }

@@ -62,6 +62,7 @@ fn where_and_how(node: &NodeStatus) -> String {
 /// The state in a word, its colour, and what to do about it.
 fn state(node: &NodeStatus) -> (String, Color32, Option<&str>) {
     match &node.scene {
+        _ if node.is_silent => ("silent".to_owned(), style::BUSY, None),
         None => ("connected".to_owned(), style::BUSY, None),
         Some(SceneState::Loading { progress }) => (format!("loading {:.0} %", progress * 100.0), style::BUSY, None),
         Some(SceneState::Ready { .. }) => ("ready".to_owned(), style::GOOD, None),

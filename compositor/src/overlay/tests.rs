@@ -33,6 +33,7 @@ fn node(id: u32, name: &str, scene: Option<SceneState>) -> NodeStatus {
         address: ([10, 0, 0, id as u8], 40_000).into(),
         threads: 8,
         scene,
+        is_silent: false,
         n_failures: 0,
         round_trip_ms: Some(0.25),
     }
@@ -48,12 +49,17 @@ fn running() -> OverlayModel {
         place_ms: 1.5,
         imbalance: 1.6,
         attempts: 1,
+        n_lost: 0,
+        n_healed: 0,
         bytes_in: 1_573_000,
         bytes_out: 420,
         nodes: nodes
             .map(|((name, share, trace_ms), id)| NodeFrameStats {
                 id: NodeId(id),
                 name: name.to_owned(),
+                address: None,
+                n_failures: 0,
+                round_trip_ms: None,
                 share,
                 trace_ms,
                 trace_cpu_ms: trace_ms,

@@ -52,7 +52,9 @@ struct GivenWork {
 #[derive(Debug)]
 enum WorkState {
     AtWork,
-    /// Late, and given to others as well.
+    /// Its node is silent, and nobody else has it yet.
+    Silent,
+    /// Late, or its node is silent, and given to others as well.
     Doubled,
     Done {
         at: Time,
@@ -131,26 +133,42 @@ impl FrameInFlight {
         Some((given.encoding, n_samples(&share(&given.piece.work, self.picture)), took))
     }
 
-    /// How many samples a work of this frame has.
+    /// About how many samples a work of this frame has.
     pub(super) fn n_samples(&self, work: &Work) -> u32 {
         n_samples(&share(work, self.picture))
+    }
+
+    /// A node is silent: it may still answer, but nobody waits for it. Or it is heard again, and what nobody else has
+    /// is its own as before.
+    pub(super) fn hush(&mut self, node: NodeId, is_silent: bool) {
+        for given in self.works.iter_mut().filter(|given| given.node == node) {
+            match given.state {
+                WorkState::AtWork if is_silent => given.state = WorkState::Silent,
+                WorkState::Silent if !is_silent => given.state = WorkState::AtWork,
+                _ => {}
+            }
+        }
     }
 
     pub(super) fn lose(&mut self, node: NodeId) {
         for given in self.works.iter_mut().filter(|given| given.node == node) {
             given.state = match given.state {
-                WorkState::AtWork => WorkState::Lost,
+                WorkState::AtWork | WorkState::Silent => WorkState::Lost,
                 WorkState::Doubled => WorkState::GivenOn,
                 _ => continue,
             };
         }
     }
 
-    /// Works whose nodes are lost and of which samples are missing: whoever calls this gives them to others.
+    /// Works whose nodes are lost or silent and of which samples are missing: whoever calls this gives them to others.
     pub(super) fn take_lost_work(&mut self) -> Vec<Piece> {
         let mut missing = Vec::new();
-        for given in self.works.iter_mut().filter(|given| matches!(given.state, WorkState::Lost)) {
-            given.state = WorkState::GivenOn;
+        for given in &mut self.works {
+            given.state = match given.state {
+                WorkState::Lost => WorkState::GivenOn,
+                WorkState::Silent => WorkState::Doubled,
+                _ => continue,
+            };
             if !self.coverage.has_all_of(&given.piece) {
                 missing.push(given.piece.clone());
             }
@@ -183,7 +201,8 @@ impl FrameInFlight {
     }
 
     pub(super) fn nodes_at_work(&self) -> impl Iterator<Item = NodeId> {
-        let is_at_work = |given: &&GivenWork| matches!(given.state, WorkState::AtWork | WorkState::Doubled);
+        let is_at_work =
+            |given: &&GivenWork| matches!(given.state, WorkState::AtWork | WorkState::Silent | WorkState::Doubled);
         self.works.iter().filter(is_at_work).map(|given| given.node)
     }
 
@@ -209,7 +228,8 @@ impl FrameInFlight {
         })
     }
 
-    /// What the frame took until it was whole, not until somebody had time to look at it.
+    /// What the frame took until it was whole, not until somebody had time to look at it. What only connections know is
+    /// left open.
     pub(super) fn stats(&self, now: Time) -> FrameStats {
         let now = self.whole_at.unwrap_or(now);
         let n_units = f64::from(self.division.units(self.picture.size).count());
@@ -226,6 +246,9 @@ impl FrameInFlight {
             let of_this = NodeFrameStats {
                 id: given.node,
                 name: given.name.clone(),
+                address: None,
+                n_failures: 0,
+                round_trip_ms: None,
                 share,
                 trace_ms: milliseconds(tracing.0),
                 trace_cpu_ms: f64::from(tracing.1) / 1e3,
@@ -251,6 +274,8 @@ impl FrameInFlight {
             place_ms: milliseconds(self.works.iter().map(|given| given.place_time).sum()),
             imbalance: max_over_mean(nodes.iter().map(|node| node.busy_ms)),
             attempts: self.attempts,
+            n_lost: 0,
+            n_healed: 0,
             bytes_in: nodes.iter().map(|node| node.bytes_in).sum(),
             bytes_out: 0,
             nodes,
@@ -271,10 +296,10 @@ fn megabits(given: &GivenWork) -> f64 {
     }
 }
 
-/// How many samples a share has.
+/// How many samples a share has; tiles that the frame's edge cuts off count as whole ones.
 fn n_samples(share: &Share<'_>) -> u32 {
-    let whole = share.units().whole_unit_samples();
-    if whole == 1 { share.count() } else { (0..share.count()).map(|k| share.samples(k).count()).sum() }
+    let units = share.units();
+    units.size().n_samples().min(share.count().saturating_mul(units.whole_unit_samples()))
 }
 
 fn milliseconds(duration: Duration) -> f64 {

@@ -1,6 +1,7 @@
 //! The scheduler under invented time, latency, speed and death.
 
 mod in_flight;
+mod silence;
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -343,7 +344,7 @@ proptest! {
     /// picture that was wanted last is finished.
     #[test]
     fn every_frame_is_whole_whatever_happens(
-        events in proptest::collection::vec((0..7u8, 1..6u32, 0..40u64), 0..200), division in 0..3usize,
+        events in proptest::collection::vec((0..8u8, 1..6u32, 0..40u64), 0..200), division in 0..3usize,
         in_flight in 1..4u32,
     ) {
         let wanted = Wanted { repeat: true, in_flight, ..wanted(Division::ALL[division]) };
@@ -375,6 +376,8 @@ proptest! {
                     let picture = Some(picture(node.into(), 1000));
                     farm.on(Event::Wanted(Wanted { picture, ..wanted.clone() }));
                 }
+                // It may answer all the same.
+                5 => farm.on(Event::Silent { node: id, is_silent: milliseconds % 2 == 0 }),
                 _ => {
                     if farm.at_work.iter().any(|sent| sent.node == id) {
                         farm.answer(id);

@@ -1,0 +1,121 @@
+//! How long ago a connection's peer was last heard: what is silent for a moment is given no work, but is not lost.
+
+use std::{
+    io,
+    pin::Pin,
+    sync::{
+        Arc,
+        atomic::{AtomicU64, Ordering::Relaxed},
+    },
+    task::{Context, Poll},
+    time::{Duration, Instant},
+};
+
+use tokio::io::{AsyncRead, ReadBuf};
+
+/// When a byte last came.
+#[derive(Clone, Debug)]
+pub(super) struct LastHeard {
+    since: Instant,
+    /// Nanoseconds from then.
+    at_ns: Arc<AtomicU64>,
+}
+
+impl LastHeard {
+    /// Now.
+    pub(super) fn now() -> Self {
+        Self { since: Instant::now(), at_ns: Arc::default() }
+    }
+
+    /// A stream that notes when its bytes come. It must be the outermost: a record that is decrypted as a whole is no
+    /// sign of life before all of it is there.
+    pub(super) fn listen<S>(&self, stream: S) -> Listened<S> {
+        Listened { stream, heard: self.clone() }
+    }
+
+    /// How long it has been silent.
+    pub(super) fn silence(&self) -> Duration {
+        self.since.elapsed().saturating_sub(Duration::from_nanos(self.at_ns.load(Relaxed)))
+    }
+
+    fn note(&self) {
+        self.at_ns.store(self.since.elapsed().as_nanos() as u64, Relaxed);
+    }
+}
+
+/// A stream whose bytes are noted as they come.
+#[derive(Debug)]
+pub(super) struct Listened<S> {
+    stream: S,
+    heard: LastHeard,
+}
+
+impl<S: AsyncRead + Unpin> AsyncRead for Listened<S> {
+    fn poll_read(mut self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        let n_before = bytes.filled().len();
+        let polled = Pin::new(&mut self.stream).poll_read(context, bytes);
+        if bytes.filled().len() > n_before {
+            self.heard.note();
+        }
+        polled
+    }
+}
+
+/// Calls `tell` with true whenever the peer has been silent for `limit`, and with false when it is heard again. Never ends.
+pub(super) async fn watch<F: Future<Output = ()>>(heard: &LastHeard, limit: Duration, tell: impl Fn(bool) -> F) {
+    let mut is_silent = false;
+    loop {
+        let silence = heard.silence();
+        if (silence >= limit) != is_silent {
+            is_silent = !is_silent;
+            tell(is_silent).await;
+        }
+        // One that is heard again is wanted back at once.
+        let pause = if is_silent { limit / 25 } else { limit.saturating_sub(silence).max(limit / 250) };
+        tokio::time::sleep(pause).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::RefCell;
+
+    use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
+
+    use super::*;
+
+    #[test]
+    fn silence_and_its_end_are_told_once_each() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+        let limit = Duration::from_millis(60);
+        let told = RefCell::new(Vec::new());
+        runtime.block_on(async {
+            let heard = LastHeard::now();
+            let (mut peer, stream) = duplex(64);
+            let mut stream = heard.listen(stream);
+            let read = async {
+                let mut bytes = [0; 8];
+                while stream.read(&mut bytes).await.is_ok_and(|n_read| n_read > 0) {}
+            };
+            // A byte now and then is life, however few they are.
+            let speak = async {
+                for pause_ms in [5, 5, 300, 5, 5] {
+                    peer.write_all(&[0]).await.unwrap();
+                    tokio::time::sleep(Duration::from_millis(pause_ms)).await;
+                }
+                drop(peer);
+            };
+            let tell = |is_silent| {
+                told.borrow_mut().push(is_silent);
+                std::future::ready(())
+            };
+            tokio::select! {
+                _ = async { tokio::join!(read, speak) } => {}
+                () = watch(&heard, limit, tell) => {}
+            }
+        });
+        // On a busy machine a short pause may have become a long one.
+        let told = told.into_inner();
+        assert!(told.len() >= 2 && told.iter().enumerate().all(|(index, &is_silent)| is_silent == (index % 2 == 0)));
+    }
+}
