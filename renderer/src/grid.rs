@@ -1,17 +1,12 @@
 //! The paper's multi-level grid: cells over the scene's bounds, and macrocells that skip what is empty.
 //!
-//! Cells are nested: a dense array of bricks, each a tree of nodes of 4×4×4 children with one bit per child.
-//! A node's mask of occupied children is a macrocell's bit array, so the masks are the macrocell levels.
-//! The paper's resolution sets the size of the bricks; each is divided only where it holds too much, and there as often
-//! as needed, so that a detailed object in a large plain scene costs no more than one alone.
+//! [`tree`] is the default, cells within cells down to where there is little; [`uniform`] is the paper's own grid, of
+//! cells of one size, with [`row_displacement`] that compresses it and [`macrocells`] over it.
 //!
-//! That is the default; [`options`] says what else can be asked for, and [`budget`] within how much
-//! memory. [`uniform`] is the paper's own grid, of cells of one
-//! size, with [`row_displacement`] that compresses it and [`macrocells`] over it.
-//!
-//! In reading order: [`resolution`] says how many cells; [`overlap`] which cells a triangle touches; [`scatter`] puts
-//! triangles into cells; [`build`] makes the grid; [`boxes`] bounds the triangles; [`walk`] follows single rays through it with [`filter`] before each
-//! list, [`packet`] follows many rays together, whose triangles [`cull`] sorts out.
+//! In reading order: [`options`] says what can be asked for, and [`budget`] within how much memory; [`resolution`] how
+//! many cells; [`overlap`] which cells a triangle touches; [`scatter`] puts triangles into cells; [`build`] makes the
+//! grid, [`divide`] the tree; [`boxes`] bounds the triangles. [`walk`] follows single rays, with [`filter`] before each
+//! list; [`packet`] follows many rays together through their [`frustum`], and [`cull`] sorts out what they may hit.
 
 use std::time::Duration;
 
@@ -21,39 +16,39 @@ mod budget;
 mod build;
 #[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
 mod cull;
+mod divide;
 mod figures;
 #[expect(clippy::needless_range_loop, reason = "an axis or a corner indexes several arrays at once")]
 pub(crate) mod filter;
+mod frustum;
+mod instructions;
+mod kernel;
 mod macrocells;
 mod options;
 mod overlap;
 mod packet;
+mod prepared;
 mod resolution;
 mod row_displacement;
 mod scatter;
 #[cfg(test)]
 mod tests;
+mod tree;
 mod uniform;
 mod walk;
 
 pub use budget::{MemoryBudget, MemoryShortage};
 pub use figures::GridFigures;
+pub use instructions::InstructionSet;
 pub use options::{GridOptions, MeshLayout, Storage};
-pub use packet::{InstructionSet, Packet, PacketScratch};
+pub use packet::{Packet, PacketScratch};
 use resolution::CellSpace;
-use uniform::Uniform;
+use row_displacement::RowDisplacement;
+use tree::Tree;
+use uniform::{Plain, UniformGrid};
 pub use walk::RayCost;
 
 use crate::traced::TracedMesh;
-
-/// Cells of the paper's resolution along a brick.
-const CELLS_PER_BRICK: u32 = 32;
-
-/// Levels of nodes in a brick at most. Integer coordinates count cells of the deepest level.
-const LEVELS: u32 = 5;
-
-/// Finest cells along a brick.
-const BRICK_SIZE: u32 = 1 << (2 * LEVELS);
 
 /// A mesh and a grid over its triangles.
 ///
@@ -62,23 +57,7 @@ const BRICK_SIZE: u32 = 1 << (2 * LEVELS);
 #[derive(Debug)]
 pub struct Grid {
     space: CellSpace,
-    /// Bricks per axis.
-    dims: [u32; 3],
-    /// For each brick, x fastest: [`Grid::EMPTY`], or a leaf with [`Grid::LEAF`] set, or a node.
-    bricks: Vec<u32>,
-    nodes: Vec<Node>,
-    /// Where each leaf's references begin; one more at the end.
-    leaf_starts: Vec<u32>,
-    /// Triangles by their place in the mesh, leaf after leaf.
-    references: Vec<u32>,
-    /// Small bounds of the triangle of each reference.
-    boxes: boxes::Boxes,
-    /// The largest empty cube that a single ray may skip whole, log₂ in finest cells.
-    largest_skip: u32,
-    /// The paper's uniform grid in place of the tree, which is empty then.
-    uniform: Option<Uniform>,
-    /// How long the places of the rows took to find, with row displacement.
-    placement: Duration,
+    structure: Structure,
     /// Cells per triangle.
     density: f64,
     shortage: Option<MemoryShortage>,
@@ -86,23 +65,30 @@ pub struct Grid {
     instructions: InstructionSet,
 }
 
-/// A cube of 4×4×4 children, child (x, y, z) at bit 16·z + 4·y + x.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-struct Node {
-    /// Children with triangles in them.
-    occupied: u64,
-    /// Those of them that are nodes again; the others are leaves.
-    divided: u64,
-    /// The first divided child; the others follow in the order of their bits.
-    first_node: u32,
-    /// The first leaf; the others follow likewise.
-    first_leaf: u32,
+/// How the cells are kept.
+#[derive(Debug)]
+enum Structure {
+    Tree(Tree),
+    Plain(UniformGrid<Plain>),
+    RowDisplacement {
+        grid: UniformGrid<RowDisplacement>,
+        /// How long the places of the rows took to find.
+        placement: Duration,
+    },
+}
+
+impl Structure {
+    /// The triangles of all lists.
+    fn references_mut(&mut self) -> &mut [u32] {
+        match self {
+            Self::Tree(tree) => &mut tree.references,
+            Self::Plain(grid) => &mut grid.references,
+            Self::RowDisplacement { grid, .. } => &mut grid.references,
+        }
+    }
 }
 
 impl Grid {
-    const EMPTY: u32 = u32::MAX;
-    const LEAF: u32 = 1 << 31;
-
     /// The same grid, followed with other instructions: for tests and measurements. They change no hit.
     ///
     /// Panics if this machine does not have them.

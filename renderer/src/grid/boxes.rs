@@ -10,7 +10,10 @@ use std::ops::Range;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::{BRICK_SIZE, Grid, Node, resolution::CellSpace};
+use super::{
+    resolution::CellSpace,
+    tree::{BRICK_SIZE, Node, Tree},
+};
 use crate::{simd::Simd, traced::TracedMesh};
 
 /// Steps along a cube. What remains of a byte's 256 values reaches beyond the cube on both sides.
@@ -28,7 +31,7 @@ const PADDING: usize = 16;
 /// The boxes of all references, in their order.
 ///
 /// A leaf with n references from number r on has 6·n bytes from number 6·r on: n least x, n greatest x, then y and z.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, PartialEq)]
 pub(super) struct Boxes {
     bytes: Vec<u8>,
 }
@@ -191,11 +194,11 @@ fn cubes(dims: [u32; 3], bricks: &[u32], nodes: &[Node], n_leaves: usize) -> Vec
         let index = index as u32;
         let place = [index % dims[0], index / dims[0] % dims[1], index / dims[0] / dims[1]];
         let cube = Cube { corner: place.map(|along| along * BRICK_SIZE), size: BRICK_SIZE };
-        if brick == Grid::EMPTY {
+        if brick == Tree::EMPTY {
             continue;
         }
-        if brick & Grid::LEAF != 0 {
-            cubes[(brick & !Grid::LEAF) as usize] = cube;
+        if brick & Tree::LEAF != 0 {
+            cubes[(brick & !Tree::LEAF) as usize] = cube;
         } else {
             waiting.push((brick, cube));
         }

@@ -9,25 +9,16 @@ use glam::Vec3;
 use super::{
     Grid,
     boxes::{Bounds, LeafBoxes},
-    packet::{Leaf, Packet},
+    kernel::Kernel,
+    packet::Packet,
+    prepared::{Bundle, Prepared, SLOPE_MARGIN},
 };
-#[cfg(target_arch = "x86_64")]
-use crate::simd::{Avx2, Avx512};
 use crate::{
     ray::{Hit, Ray},
-    simd::{Plain, Real, Simd},
+    simd::{Real, Simd},
     traced::TracedMesh,
     triangle,
 };
-
-/// What single precision can lose, relative: four roundings of 2⁻²⁴ in a slope, with as much again to spare.
-const SLOPE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
-
-/// The same for the sides of edges, relative to the sum of absolute products: eight roundings, doubled.
-pub(super) const SIDE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
-
-/// More than the absolute error where products leave the range of normal numbers.
-pub(super) const UNDERFLOW_MARGIN: f32 = 1e-36;
 
 /// From so many triangles for each ray on, a leaf's boxes are tested against its rays one by one: in a scan seen from
 /// afar most triangles lie between the rays.
@@ -54,10 +45,7 @@ pub(super) struct Culler<'a> {
     /// Coordinates of all vertices.
     coordinates: &'a [f32],
     packet: &'a Packet,
-    /// The major axis and the two others.
-    pub(super) axes: [usize; 3],
-    /// The sign of all directions along the major axis.
-    pub(super) sign: f32,
+    pub(super) bundle: Bundle,
     /// Finest cells in a world unit, rounded up.
     cells_per_unit: f32,
     /// Slopes of the rays against the major axis.
@@ -65,11 +53,7 @@ pub(super) struct Culler<'a> {
     v: [f32; 64],
     /// Depth along the major axis beyond which a triangle cannot matter to a ray any more, in world units.
     limits: [f32; 64],
-    /// The largest absolute components of all directions.
-    reach: [f32; 3],
     groups: [Group; 8],
-    /// Bounds of the slopes of all rays without a final answer: least and largest u, least and largest v.
-    pub(super) slopes: [f32; 4],
     /// The farthest limit of all rays without a final answer, in finest cells.
     farthest: f32,
     /// A bit for each group that has rays without a final answer.
@@ -87,21 +71,6 @@ pub(super) struct Culler<'a> {
     pub(super) touched: bool,
 }
 
-/// Triangles made ready for the rays, one in each lane.
-#[repr(align(64))]
-struct Prepared {
-    /// Their places in the mesh.
-    places: [u32; 16],
-    /// Normals of the planes through the origin and the three edges.
-    normals: [[[f32; 16]; 3]; 3],
-    side_margin: [f32; 16],
-    /// Bounds of the slopes.
-    u: [[f32; 16]; 2],
-    v: [[f32; 16]; 2],
-    /// The least depth along the major axis.
-    depth: [f32; 16],
-}
-
 impl<'a> Culler<'a> {
     /// Takes a packet whose active rays all have the sign `sign` along `axes[0]`, and duplicates in the other entries.
     #[inline(always)]
@@ -112,14 +81,11 @@ impl<'a> Culler<'a> {
             cells_per_unit: (grid.space.cells_per_unit() * (1.0 + 1e-6)) as f32,
             coordinates: mesh.coordinates(),
             packet,
-            axes,
-            sign,
+            bundle: Bundle { origin: packet.origin.to_array(), axes, sign, slopes: [0.0; 4], reach: [0.0; 3] },
             u: [0.0; 64],
             v: [0.0; 64],
             limits: [f32::INFINITY; 64],
-            reach: [0.0; 3],
             groups: [Group::default(); 8],
-            slopes: [0.0; 4],
             farthest: f32::INFINITY,
             live: 0,
             nearest_t: [f64::INFINITY; 64],
@@ -145,7 +111,7 @@ impl<'a> Culler<'a> {
                 Group { u: [u.least(), u.greatest()], v: [v.least(), v.greatest()], limit: limits.greatest() };
             for axis in 0..3 {
                 let reach = S::load(&directions[axis][first..]).abs().greatest();
-                culler.reach[axis] = culler.reach[axis].max(reach);
+                culler.bundle.reach[axis] = culler.bundle.reach[axis].max(reach);
             }
             let any = packet.active >> first & ((1 << S::LANES) - 1) != 0;
             culler.live |= u32::from(any) << group;
@@ -173,7 +139,7 @@ impl<'a> Culler<'a> {
             bounds[index] -= bounds[index].abs() * SLOPE_MARGIN;
             bounds[index + 1] += bounds[index + 1].abs() * SLOPE_MARGIN;
         }
-        self.slopes = bounds;
+        self.bundle.slopes = bounds;
     }
 
     /// A bit for each ray that may pass between these slopes and could still have a nearer hit beyond a depth.
@@ -210,7 +176,7 @@ impl<'a> Culler<'a> {
                 S::test(self);
             }
             let bounds = boxes.bounds::<S>(first);
-            let mut passed = bounds.passed_by(self.slopes, self.farthest) & (u32::MAX >> (32 - n));
+            let mut passed = bounds.passed_by(self.bundle.slopes, self.farthest) & (u32::MAX >> (32 - n));
             if ray_by_ray && passed != 0 {
                 passed &= self.passed_by_any(&bounds, rays);
             }
@@ -284,15 +250,8 @@ impl<'a> Culler<'a> {
 
     /// Tests the waiting triangles against all rays.
     #[inline(always)]
-    fn test_waiting<S: Simd>(&mut self) {
-        let mut prepared = Prepared {
-            places: [0; 16],
-            normals: [[[0.0; 16]; 3]; 3],
-            side_margin: [0.0; 16],
-            u: [[0.0; 16]; 2],
-            v: [[0.0; 16]; 2],
-            depth: [0.0; 16],
-        };
+    pub(super) fn test_waiting<S: Simd>(&mut self) {
+        let mut prepared = Prepared::default();
         let n_waiting = self.n_waiting;
         self.n_waiting = 0;
         for &triangle in &self.waiting[..n_waiting] {
@@ -305,7 +264,7 @@ impl<'a> Culler<'a> {
                 prepared.places[lane] = self.waiting[first + if lane < n { lane } else { 0 }];
             }
             first += n;
-            let left = self.prepare::<S>(&mut prepared) & ((1 << n) - 1);
+            let left = prepared.prepare::<S>(self.mesh, &self.bundle) & ((1 << n) - 1);
             if left == 0 {
                 continue;
             }
@@ -318,84 +277,6 @@ impl<'a> Culler<'a> {
         if self.n_candidates > 0 {
             self.decide::<S>();
         }
-    }
-
-    /// Gathers triangles; returns a bit for each that some ray may hit.
-    #[inline(always)]
-    fn prepare<S: Simd>(&self, prepared: &mut Prepared) -> u32 {
-        let [k, u, v] = self.axes;
-        let corners = self.mesh.corners_in_lanes::<S>(&prepared.places);
-        let mut from_origin = corners;
-        for corner in 0..3 {
-            for axis in 0..3 {
-                from_origin[corner][axis] = corners[corner][axis].sub(S::splat(self.packet.origin[axis]));
-            }
-        }
-        let zero = S::splat(0.0);
-        let [a, b, c] = &from_origin;
-
-        // Bounds in slopes and depth.
-        let sign = S::splat(self.sign);
-        let depths = [a[k].mul(sign), b[k].mul(sign), c[k].mul(sign)];
-        let nearest = depths[0].min(depths[1]).min(depths[2]);
-        let farthest = depths[0].max(depths[1]).max(depths[2]);
-        let one = S::splat(1.0);
-        let inverse = [one.div(depths[0]), one.div(depths[1]), one.div(depths[2])];
-        let u_bounds = slope_bounds([a[u], b[u], c[u]], inverse);
-        let v_bounds = slope_bounds([a[v], b[v], c[v]], inverse);
-        // Triangles that reach behind the origin have no such bounds.
-        let unbounded = nearest.below(S::splat(1e-30));
-        let [u_low, u_high, v_low, v_high] = self.slopes;
-        let within = u_bounds[0].up_to(S::splat(u_high))
-            & S::splat(u_low).up_to(u_bounds[1])
-            & v_bounds[0].up_to(S::splat(v_high))
-            & S::splat(v_low).up_to(v_bounds[1]);
-        let left = (within | unbounded) & zero.up_to(farthest);
-        if left == 0 {
-            return 0;
-        }
-        u_bounds[0].store(&mut prepared.u[0]);
-        u_bounds[1].store(&mut prepared.u[1]);
-        v_bounds[0].store(&mut prepared.v[0]);
-        v_bounds[1].store(&mut prepared.v[1]);
-        nearest.mul(S::splat(1.0 - SLOPE_MARGIN)).store(&mut prepared.depth);
-        let mut without_bounds = left & unbounded;
-        while without_bounds != 0 {
-            let lane = without_bounds.trailing_zeros() as usize;
-            without_bounds &= without_bounds - 1;
-            for bounds in [&mut prepared.u, &mut prepared.v] {
-                bounds[0][lane] = f32::NEG_INFINITY;
-                bounds[1][lane] = f32::INFINITY;
-            }
-            prepared.depth[lane] = 0.0;
-        }
-
-        // The planes through the origin and the edges: p × (q − p) for the edge from p to q.
-        let mut reach_of_corners = [zero; 3];
-        let mut reach_of_edges = [zero; 3];
-        for edge in 0..3 {
-            let (from, to) = (edge, (edge + 1) % 3);
-            let mut e = [zero; 3];
-            for axis in 0..3 {
-                e[axis] = corners[to][axis].sub(corners[from][axis]);
-                reach_of_edges[axis] = reach_of_edges[axis].max(e[axis].abs());
-                reach_of_corners[axis] = reach_of_corners[axis].max(from_origin[from][axis].abs());
-            }
-            let p = &from_origin[from];
-            p[1].mul_sub(e[2], p[2].mul(e[1])).store(&mut prepared.normals[edge][0]);
-            p[2].mul_sub(e[0], p[0].mul(e[2])).store(&mut prepared.normals[edge][1]);
-            p[0].mul_sub(e[1], p[1].mul(e[0])).store(&mut prepared.normals[edge][2]);
-        }
-        let mut products = zero;
-        for axis in 0..3 {
-            let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
-            let minor =
-                reach_of_corners[next].mul_add(reach_of_edges[last], reach_of_corners[last].mul(reach_of_edges[next]));
-            products = minor.mul_add(S::splat(self.reach[axis]), products);
-        }
-        let underflow = UNDERFLOW_MARGIN * (1.0 + self.reach[0] + self.reach[1] + self.reach[2]);
-        products.mul_add(S::splat(SIDE_MARGIN), S::splat(underflow)).store(&mut prepared.side_margin);
-        left
     }
 
     /// Tests prepared triangles against one group of rays.
@@ -497,7 +378,7 @@ impl<'a> Culler<'a> {
             {
                 self.nearest_t[ray] = t;
                 self.nearest_triangle[ray] = triangle;
-                let depth = t * f64::from(self.packet.directions[self.axes[0]][ray].abs());
+                let depth = t * f64::from(self.packet.directions[self.bundle.axes[0]][ray].abs());
                 let limit = (depth * (1.0 + 1e-6)) as f32;
                 if self.packet.any_hit {
                     self.limits[ray] = f32::NEG_INFINITY;
@@ -520,79 +401,5 @@ impl<'a> Culler<'a> {
     #[inline(never)]
     fn decide_exactly(&self, direction: Vec3, triangle: u32) -> Option<f64> {
         triangle::intersect_exactly(&Ray::new(self.packet.origin, direction), &self.mesh.corners(triangle))
-    }
-}
-
-/// Bounds of three corners' slopes, from their places along an axis and their inverse depths.
-#[inline(always)]
-fn slope_bounds<S: Simd>(places: [S; 3], inverse_depths: [S; 3]) -> [S; 2] {
-    let slopes = [places[0].mul(inverse_depths[0]), places[1].mul(inverse_depths[1]), places[2].mul(inverse_depths[2])];
-    let low = slopes[0].min(slopes[1]).min(slopes[2]);
-    let high = slopes[0].max(slopes[1]).max(slopes[2]);
-    let margin = low.abs().max(high.abs()).mul_add(S::splat(SLOPE_MARGIN), S::splat(UNDERFLOW_MARGIN));
-    [low.sub(margin), high.add(margin)]
-}
-
-/// An instruction set with the test compiled for it, once, whoever calls it.
-pub(super) trait Kernel: Simd {
-    /// [`Culler::test_waiting`].
-    fn test(culler: &mut Culler<'_>);
-    /// [`Grid::test_leaves`].
-    fn test_leaves(grid: &Grid, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>);
-}
-
-impl Kernel for Plain {
-    fn test(culler: &mut Culler<'_>) {
-        culler.test_waiting::<Self>();
-    }
-
-    fn test_leaves(grid: &Grid, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
-        grid.test_leaves::<Self>(culler, origin, leaves);
-    }
-}
-
-#[cfg(target_arch = "x86_64")]
-impl Kernel for Avx2 {
-    #[inline(always)]
-    fn test(culler: &mut Culler<'_>) {
-        #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-        fn test(culler: &mut Culler<'_>) {
-            culler.test_waiting::<Avx2>();
-        }
-        // SAFETY: this type is used only where the instructions were found.
-        unsafe { test(culler) }
-    }
-
-    #[inline(always)]
-    fn test_leaves(grid: &Grid, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
-        #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-        fn test_leaves(grid: &Grid, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
-            grid.test_leaves::<Avx2>(culler, origin, leaves);
-        }
-        // SAFETY: as above.
-        unsafe { test_leaves(grid, culler, origin, leaves) }
-    }
-}
-
-#[cfg(target_arch = "x86_64")]
-impl Kernel for Avx512 {
-    #[inline(always)]
-    fn test(culler: &mut Culler<'_>) {
-        #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-        fn test(culler: &mut Culler<'_>) {
-            culler.test_waiting::<Avx512>();
-        }
-        // SAFETY: this type is used only where the instructions were found.
-        unsafe { test(culler) }
-    }
-
-    #[inline(always)]
-    fn test_leaves(grid: &Grid, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
-        #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-        fn test_leaves(grid: &Grid, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
-            grid.test_leaves::<Avx512>(culler, origin, leaves);
-        }
-        // SAFETY: as above.
-        unsafe { test_leaves(grid, culler, origin, leaves) }
     }
 }

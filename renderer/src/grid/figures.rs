@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::{Grid, Storage};
+use super::{Grid, Structure};
 
 /// Sizes of a grid and its parts, the mesh not counted.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -51,19 +51,10 @@ impl GridFigures {
 impl Grid {
     /// What the grid is and takes.
     pub fn figures(&self) -> GridFigures {
-        let figures = match &self.uniform {
-            Some(uniform) => uniform.figures(self.placement),
-            None => GridFigures {
-                storage: Storage::Masks.name(),
-                cells: self.dims.iter().map(|&n| u64::from(n * super::CELLS_PER_BRICK)).product(),
-                lists: self.leaf_starts.len() - 1,
-                references: self.references.len(),
-                macrocell_bytes: size_of_val(&*self.bricks) + size_of_val(&*self.nodes),
-                list_bytes: size_of_val(&*self.leaf_starts),
-                reference_bytes: size_of_val(&*self.references),
-                box_bytes: Some(self.boxes.n_bytes()),
-                ..GridFigures::default()
-            },
+        let figures = match &self.structure {
+            Structure::Tree(tree) => tree.figures(),
+            Structure::Plain(grid) => grid.figures(),
+            Structure::RowDisplacement { grid, placement } => grid.figures(*placement),
         };
         GridFigures { density: self.density, ..figures }
     }

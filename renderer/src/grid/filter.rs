@@ -8,7 +8,7 @@ use crate::{
     grid::{
         InstructionSet,
         boxes::LeafBoxes,
-        cull::{SIDE_MARGIN, UNDERFLOW_MARGIN},
+        prepared::{SIDE_MARGIN, UNDERFLOW_MARGIN},
         walk::List,
     },
     ray::Ray,

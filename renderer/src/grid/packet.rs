@@ -11,10 +11,12 @@
 use glam::Vec3;
 
 use super::{
-    BRICK_SIZE, Grid, LEVELS,
+    Grid, InstructionSet, Structure,
     boxes::LeafBoxes,
-    cull::{Culler, Kernel},
-    overlap::DILATION,
+    cull::Culler,
+    frustum::{CellBounds, Frustum, Narrow},
+    kernel::Kernel,
+    tree::{BRICK_SIZE, LEVELS, Tree},
 };
 #[cfg(target_arch = "x86_64")]
 use crate::simd::{Avx2, Avx512};
@@ -46,41 +48,6 @@ impl Packet {
         let [x, y, z] = &self.directions;
         let direction = Vec3::new(x[lane], y[lane], z[lane]);
         Ray { origin: self.origin, direction, t_min: self.t_min, t_max: self.t_max }
-    }
-}
-
-/// The instructions that a packet is traced with. They change the time, never a hit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum InstructionSet {
-    /// What every machine has.
-    Plain,
-    /// AVX2 and FMA.
-    #[cfg(target_arch = "x86_64")]
-    Avx2,
-    /// AVX-512 F.
-    #[cfg(target_arch = "x86_64")]
-    Avx512,
-}
-
-impl InstructionSet {
-    /// All that this machine has, the fastest last.
-    pub fn available() -> Vec<Self> {
-        let mut available = vec![Self::Plain];
-        #[cfg(target_arch = "x86_64")]
-        {
-            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-                available.push(Self::Avx2);
-            }
-            if is_x86_feature_detected!("avx512f") {
-                available.push(Self::Avx512);
-            }
-        }
-        available
-    }
-
-    /// The fastest that this machine has.
-    pub fn best() -> Self {
-        Self::available().pop().unwrap_or(Self::Plain)
     }
 }
 
@@ -116,15 +83,17 @@ pub(super) struct Leaf {
 impl Grid {
     /// The nearest triangle along each ray of a packet; entries of no ray are undefined.
     pub fn intersect_packet(&self, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
-        let marched = match self.instructions {
-            _ if self.uniform.is_some() => None,
-            InstructionSet::Plain => self.march::<Plain>(packet, scratch),
-            // SAFETY: a grid holds only what `InstructionSet::available` has found.
-            #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx2 => unsafe { self.march_avx2(packet, scratch) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx512 => unsafe { self.march_avx512(packet, scratch) },
+        let marched = match &self.structure {
+            Structure::Tree(tree) => match self.instructions {
+                InstructionSet::Plain => self.march::<Plain>(tree, packet, scratch),
+                // SAFETY: a grid holds only what `InstructionSet::available` has found.
+                #[cfg(target_arch = "x86_64")]
+                InstructionSet::Avx2 => unsafe { self.march_avx2(tree, packet, scratch) },
+                // SAFETY: as above.
+                #[cfg(target_arch = "x86_64")]
+                InstructionSet::Avx512 => unsafe { self.march_avx512(tree, packet, scratch) },
+            },
+            Structure::Plain(_) | Structure::RowDisplacement { .. } => None,
         };
         marched.unwrap_or_else(|| {
             std::array::from_fn(|lane| match packet.active >> lane & 1 {
@@ -136,19 +105,19 @@ impl Grid {
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn march_avx2(&self, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
-        self.march::<Avx2>(packet, scratch)
+    fn march_avx2(&self, tree: &Tree, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
+        self.march::<Avx2>(tree, packet, scratch)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn march_avx512(&self, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
-        self.march::<Avx512>(packet, scratch)
+    fn march_avx512(&self, tree: &Tree, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
+        self.march::<Avx512>(tree, packet, scratch)
     }
 
     /// The way of a packet, or `None` if its rays do not all advance along one axis.
     #[inline(always)]
-    fn march<S: Kernel>(&self, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
+    fn march<S: Kernel>(&self, tree: &Tree, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
         let axis = major_axis(packet)?;
         let axes = [axis, (axis + 1) % 3, (axis + 2) % 3];
         let forward = packet.directions[axis][0] > 0.0;
@@ -160,12 +129,12 @@ impl Grid {
         let frustum = Frustum {
             origin: [origin[axes[0]], origin[axes[1]], origin[axes[2]]],
             forward,
-            slopes: culler.slopes,
-            size: [f64::from(self.dims[axes[1]] * BRICK_SIZE), f64::from(self.dims[axes[2]] * BRICK_SIZE)],
+            slopes: culler.bundle.slopes,
+            size: [f64::from(tree.dims[axes[1]] * BRICK_SIZE), f64::from(tree.dims[axes[2]] * BRICK_SIZE)],
             cell_length: self.space.length(1.0),
             margin: origin.abs().max_element() * (16.0 * f64::EPSILON),
         };
-        let bricks_along_k = self.dims[axis] as i32;
+        let bricks_along_k = tree.dims[axis] as i32;
         let first_depth = frustum.first_depth();
         let first_k = first_depth - frustum.margin;
         let k = frustum.origin[0] + if forward { first_k } else { -first_k };
@@ -188,9 +157,9 @@ impl Grid {
                 }
                 continue;
             };
-            self.enter_bricks(&mut scratch.leaves, &mut scratch.entries[1], axes, low, bounds);
+            tree.enter_bricks(&mut scratch.leaves, &mut scratch.entries[1], axes, low, bounds);
             if !scratch.leaves.is_empty() {
-                S::test_leaves(self, &mut culler, &frustum.origin, &mut scratch.leaves);
+                S::test_leaves(tree, &mut culler, &frustum.origin, &mut scratch.leaves);
             }
             if scratch.entries[1].is_empty() {
                 if culler.touched && culler.settle::<S>(self.space.length(far)) {
@@ -221,7 +190,7 @@ impl Grid {
                 let children = below.first_mut();
                 let narrow = frustum.narrow(near, far, 1 << shift);
                 let n_before = scratch.leaves.len();
-                self.enter_children::<S>(
+                tree.enter_children::<S>(
                     &culler,
                     &above[level],
                     children,
@@ -241,7 +210,7 @@ impl Grid {
                     covered += (scratch.leaves.len() - n_before) as f64 * f64::from(1u32 << shift).powi(2) / area;
                     if covered >= COVER || scratch.leaves.len() >= MOST_LEAVES {
                         covered = 0.0;
-                        S::test_leaves(self, &mut culler, &frustum.origin, &mut scratch.leaves);
+                        S::test_leaves(tree, &mut culler, &frustum.origin, &mut scratch.leaves);
                     }
                 }
                 if level < LEVELS as usize && !below[0].is_empty() {
@@ -256,11 +225,13 @@ impl Grid {
                 }
             }
         }
-        S::test_leaves(self, &mut culler, &frustum.origin, &mut scratch.leaves);
+        S::test_leaves(tree, &mut culler, &frustum.origin, &mut scratch.leaves);
         culler.settle::<S>(f64::INFINITY);
         Some(culler.hits())
     }
+}
 
+impl Tree {
     /// Tests the triangles of leaves.
     #[inline(always)]
     pub(super) fn test_leaves<S: Kernel>(&self, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
@@ -281,7 +252,8 @@ impl Grid {
                 corner_from_origin[place] = f64::from(leaf.low[place]) - origin[place];
             }
             let bytes = self.boxes.of_leaf(references.clone());
-            let boxes = LeafBoxes::new(bytes, culler.axes, culler.sign < 0.0, corner_from_origin, leaf.size);
+            let boxes =
+                LeafBoxes::new(bytes, culler.bundle.axes, culler.bundle.sign < 0.0, corner_from_origin, leaf.size);
             culler.add::<S>(&boxes, &self.references[references], leaf.rays);
         }
         leaves.clear();
@@ -436,127 +408,8 @@ fn major_axis(packet: &Packet) -> Option<usize> {
     same.then_some(axis)
 }
 
-/// Finest cells across the major axis: first and last.
-#[derive(Clone, Copy)]
-struct CellBounds {
-    u: [i32; 2],
-    v: [i32; 2],
-}
-
-/// The region that a packet's rays pass, in finest cells along k, u and v.
-struct Frustum {
-    origin: [f64; 3],
-    forward: bool,
-    /// Least and largest du/dk, least and largest dv/dk.
-    slopes: [f32; 4],
-    /// The grid's size along u and v.
-    size: [f64; 2],
-    /// The side of a finest cell, in world units.
-    cell_length: f64,
-    /// What rounding can do to a place, when the origin is far away.
-    margin: f64,
-}
-
-impl Frustum {
-    /// The depths at which a slab begins and ends, counted from the origin along the way.
-    #[inline(always)]
-    fn depths(&self, low: i32, size: i32) -> (f64, f64) {
-        let (low, high) = (f64::from(low), f64::from(low + size));
-        if self.forward {
-            (low - self.origin[0] - self.margin, high - self.origin[0] + self.margin)
-        } else {
-            (self.origin[0] - high - self.margin, self.origin[0] - low + self.margin)
-        }
-    }
-
-    /// The cells of the grid that lie within the frustum from one depth to another, if any do.
-    #[inline(always)]
-    fn cells(&self, near: f64, far: f64) -> Option<CellBounds> {
-        let near = near.max(0.0);
-        Some(CellBounds { u: self.span(0, near, far)?, v: self.span(1, near, far)? })
-    }
-
-    #[inline(always)]
-    fn span(&self, axis: usize, near: f64, far: f64) -> Option<[i32; 2]> {
-        let (low, high) = (f64::from(self.slopes[2 * axis]), f64::from(self.slopes[2 * axis + 1]));
-        let from = self.origin[axis + 1] - self.margin + low * if low < 0.0 { far } else { near };
-        let to = self.origin[axis + 1] + self.margin + high * if high < 0.0 { near } else { far };
-        if to < 0.0 || from > self.size[axis] {
-            return None;
-        }
-        let last = self.size[axis] as i32 - 1;
-        Some([(from.max(0.0) as i32).min(last), (to as i32).min(last)])
-    }
-
-    /// The area of its section at a depth.
-    #[inline(always)]
-    fn area(&self, depth: f64) -> f64 {
-        let [u_low, u_high, v_low, v_high] = self.slopes;
-        f64::from(u_high - u_low) * f64::from(v_high - v_low) * (depth * depth)
-    }
-
-    /// A slab in which cells of this size may slip between the rays.
-    #[inline(always)]
-    fn narrow(&self, near: f64, far: f64, size: u32) -> Option<Narrow<'_>> {
-        let width = f64::from(self.slopes[1] - self.slopes[0]) * near;
-        (near > f64::from(size) * 1e-3 && width > NARROW * f64::from(size)).then(|| Narrow {
-            frustum: self,
-            depth: (near * self.cell_length * (1.0 - 1e-6)) as f32,
-            nearer: 1.0 / near,
-            farther: 1.0 / far,
-        })
-    }
-
-    /// A depth before which the frustum does not meet the grid.
-    #[inline(always)]
-    fn first_depth(&self) -> f64 {
-        let mut depth = 0.0f64;
-        for axis in 0..2 {
-            let (low, high) = (f64::from(self.slopes[2 * axis]), f64::from(self.slopes[2 * axis + 1]));
-            let origin = self.origin[axis + 1];
-            let (distance, slope) = if origin + self.margin < 0.0 {
-                (-origin - self.margin, high)
-            } else if origin - self.margin > self.size[axis] {
-                (origin - self.margin - self.size[axis], -low)
-            } else {
-                continue;
-            };
-            depth = depth.max(if slope > 0.0 { distance / slope } else { f64::INFINITY });
-        }
-        (depth * (1.0 - 1e-9) - self.margin).max(0.0)
-    }
-}
-
 /// Leaves wait until together they cover as much as the packet, for then they may well end it.
 const COVER: f64 = 1.0;
 
 /// Leaves that wait at most.
 const MOST_LEAVES: usize = 64;
-
-/// How many cells must fit across a packet before it pays to look for cells between its rays.
-const NARROW: f64 = 1.0;
-
-/// A slab that lies wholly before the origin.
-#[derive(Clone, Copy)]
-struct Narrow<'a> {
-    frustum: &'a Frustum,
-    /// Depth of the nearer side, in world units.
-    depth: f32,
-    /// Inverse depths of its sides.
-    nearer: f64,
-    farther: f64,
-}
-
-impl Narrow<'_> {
-    /// The slopes between which a cell of the slab is seen, from its lowest place along u (0) or v (1).
-    #[inline(always)]
-    fn slopes(&self, axis: usize, low: i32, size: f64) -> [f32; 2] {
-        let margin = DILATION + self.frustum.margin;
-        let low = f64::from(low) - self.frustum.origin[axis + 1];
-        let (low, high) = (low - margin, low + size + margin);
-        [
-            (low * if low < 0.0 { self.nearer } else { self.farther }) as f32,
-            (high * if high < 0.0 { self.farther } else { self.nearer }) as f32,
-        ]
-    }
-}

@@ -4,8 +4,8 @@ use glam::Vec3;
 use proptest::prelude::*;
 
 use super::{
-    Grid, GridOptions, InstructionSet, MeshLayout, Packet, PacketScratch, Storage, build::PROGRAM_BYTES,
-    overlap::DILATION, uniform::Uniform, walk::Cells,
+    Grid, GridOptions, InstructionSet, MeshLayout, Packet, PacketScratch, Storage, Structure, build::PROGRAM_BYTES,
+    overlap::DILATION, walk::Cells,
 };
 use crate::{
     mesh::Mesh,
@@ -261,9 +261,14 @@ fn the_number_of_threads_changes_nothing() {
     let one = with_threads(1);
     for n in [2, 5] {
         for (one, several) in one.iter().zip(with_threads(n)) {
-            assert!(one.bricks == several.bricks && one.nodes == several.nodes);
-            assert!(one.leaf_starts == several.leaf_starts && one.references == several.references);
-            assert!(one.uniform == several.uniform);
+            match (&one.structure, &several.structure) {
+                (Structure::Tree(one), Structure::Tree(several)) => assert!(one == several),
+                (Structure::Plain(one), Structure::Plain(several)) => assert!(one == several),
+                (Structure::RowDisplacement { grid: one, .. }, Structure::RowDisplacement { grid: several, .. }) => {
+                    assert!(one == several);
+                }
+                _ => panic!("the number of threads decides nothing"),
+            }
         }
     }
 }
@@ -275,10 +280,10 @@ fn rays_along_the_border_stay_inside() {
     for n in 2..12 {
         let mesh = soup((0..n).map(|k| at(if k == 0 { 0.0 } else { 9.0 + k as f32 / n as f32 })).collect());
         for grid in build_modes(&mesh) {
-            let dims = match &grid.uniform {
-                None => grid.dims(),
-                Some(Uniform::Plain(uniform)) => uniform.dims(),
-                Some(Uniform::RowDisplacement(uniform)) => uniform.dims(),
+            let dims = match &grid.structure {
+                Structure::Tree(tree) => tree.dims(),
+                Structure::Plain(grid) => grid.dims(),
+                Structure::RowDisplacement { grid, .. } => grid.dims(),
             };
             for (axis, n_cells) in dims.into_iter().enumerate() {
                 let mut ray = Ray::new(Vec3::splat(9.5), Vec3::ZERO);

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use super::{
-    GridOptions, Storage,
+    Storage,
     figures::GridFigures,
     macrocells::Macrocells,
     row_displacement::{Occupied, RowDisplacement},
@@ -68,57 +68,9 @@ impl<I: CellIndex> Cells for UniformGrid<I> {
     }
 }
 
-/// A uniform grid with one of the two indices.
-#[derive(Debug, PartialEq)]
-pub(super) enum Uniform {
-    Plain(UniformGrid<Plain>),
-    RowDisplacement(UniformGrid<RowDisplacement>),
-}
-
-impl Uniform {
-    /// Builds the grid that is asked for, or `None` if it would take more than `most_bytes`.
-    /// Second: how long the places of the rows took to find.
-    pub(super) fn build(scatter: &Scatter<'_>, options: &GridOptions, most_bytes: u64) -> Option<(Self, Duration)> {
-        let n_levels = options.macrocell_levels;
-        Some(if options.storage == Storage::Plain {
-            (Self::Plain(UniformGrid::plain(scatter, n_levels, most_bytes)?), Duration::ZERO)
-        } else {
-            let (grid, placement) = UniformGrid::row_displacement(scatter, n_levels, most_bytes)?;
-            (Self::RowDisplacement(grid), placement)
-        })
-    }
-
-    pub(super) fn references_mut(&mut self) -> &mut [u32] {
-        match self {
-            Self::Plain(grid) => &mut grid.references,
-            Self::RowDisplacement(grid) => &mut grid.references,
-        }
-    }
-
-    /// What it is and takes, without mesh and density.
-    pub(super) fn figures(&self, placement: Duration) -> GridFigures {
-        match self {
-            Self::Plain(grid) => GridFigures { storage: Storage::Plain.name(), ..grid.figures() },
-            Self::RowDisplacement(grid) => {
-                let [d_bytes, o_bytes] = grid.index.n_bytes();
-                let figures = grid.figures();
-                let displaced_bytes = d_bytes + o_bytes + figures.list_bytes;
-                GridFigures {
-                    storage: Storage::RowDisplacement.name(),
-                    d_bytes: Some(d_bytes),
-                    o_bytes: Some(o_bytes),
-                    compression_ratio: Some(4.0 * figures.cells as f64 / displaced_bytes as f64),
-                    placement_seconds: Some(placement.as_secs_f64()),
-                    ..figures
-                }
-            }
-        }
-    }
-}
-
 impl UniformGrid<Plain> {
     /// Builds the grid, or `None` if it would take more than `most_bytes`.
-    pub(super) fn plain(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<Self> {
+    pub(super) fn build(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<Self> {
         let index = Plain { dims: scatter.dims };
         let mut grid = Self::fill(scatter, index, most_bytes)?;
         let [x_dim, y_dim, _] = grid.dims.map(|n| n as usize);
@@ -127,15 +79,16 @@ impl UniformGrid<Plain> {
         grid.macrocells = Macrocells::new(grid.dims, macrocell_levels, occupied.map(|(cell, _)| place(cell)));
         Some(grid)
     }
+
+    /// What it is and takes, without mesh and density.
+    pub(super) fn figures(&self) -> GridFigures {
+        GridFigures { storage: Storage::Plain.name(), ..self.sizes() }
+    }
 }
 
 impl UniformGrid<RowDisplacement> {
     /// Builds the grid, or `None` if it would take more than `most_bytes`. Second: how long the rows' places took to find.
-    pub(super) fn row_displacement(
-        scatter: &Scatter<'_>,
-        macrocell_levels: u8,
-        most_bytes: u64,
-    ) -> Option<(Self, Duration)> {
+    pub(super) fn build(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<(Self, Duration)> {
         let dims = scatter.dims;
         let left = most_bytes.checked_sub(RowDisplacement::predicted_bytes(dims))?;
         let occupied = Occupied::new(dims);
@@ -146,6 +99,21 @@ impl UniformGrid<RowDisplacement> {
         let mut grid = Self::fill(scatter, index, left)?;
         grid.macrocells = Macrocells::new(dims, macrocell_levels, grid.index.cells());
         Some((grid, placement))
+    }
+
+    /// What it is and takes, without mesh and density.
+    pub(super) fn figures(&self, placement: Duration) -> GridFigures {
+        let [d_bytes, o_bytes] = self.index.n_bytes();
+        let sizes = self.sizes();
+        let displaced_bytes = d_bytes + o_bytes + sizes.list_bytes;
+        GridFigures {
+            storage: Storage::RowDisplacement.name(),
+            d_bytes: Some(d_bytes),
+            o_bytes: Some(o_bytes),
+            compression_ratio: Some(4.0 * sizes.cells as f64 / displaced_bytes as f64),
+            placement_seconds: Some(placement.as_secs_f64()),
+            ..sizes
+        }
     }
 }
 
@@ -160,7 +128,7 @@ impl<I: CellIndex> UniformGrid<I> {
         Some(Self { dims: scatter.dims, index, starts, references, macrocells: Macrocells::default() })
     }
 
-    fn figures(&self) -> GridFigures {
+    fn sizes(&self) -> GridFigures {
         GridFigures {
             cells: self.dims.iter().map(|&n| u64::from(n)).product(),
             lists: self.starts.windows(2).filter(|bounds| bounds[0] < bounds[1]).count(),

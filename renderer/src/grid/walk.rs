@@ -4,11 +4,9 @@
 //! largest empty cube around the ray's point. Everything is computed in `f64` from the ray itself, never accumulated,
 //! so that rounding stays far below the margin by which cells are enlarged.
 
-use std::ops::Range;
-
 use glam::DVec3;
 
-use super::{BRICK_SIZE, Grid, LEVELS, filter::Filter, overlap, resolution::CellSpace, uniform::Uniform};
+use super::{Grid, Structure, filter::Filter, overlap, resolution::CellSpace};
 use crate::{
     exact::ExactSum,
     ray::{Hit, Ray},
@@ -104,60 +102,14 @@ impl Grid {
         occluded
     }
 
-    /// Calls `visit` with each list of triangles along the ray, nearest first, until `visit` returns true. Returns how many cells and empty cubes the ray passed.
+    /// Calls `visit` with each list of triangles along the ray, nearest first, until `visit` returns true. Returns how
+    /// many cells and empty cubes the ray passed.
     #[inline(always)]
     fn walk(&self, ray: &Ray, visit: impl FnMut(Visit<'_>) -> bool) -> u32 {
-        match &self.uniform {
-            None => walk(self, &self.space, ray, visit),
-            Some(Uniform::Plain(grid)) => walk(grid, &self.space, ray, visit),
-            Some(Uniform::RowDisplacement(grid)) => walk(grid, &self.space, ray, visit),
-        }
-    }
-
-    #[inline(always)]
-    fn leaf(&self, leaf: u32) -> List<'_> {
-        let references = self.references_of(leaf);
-        List { triangles: &self.references[references.clone()], boxes: self.boxes.of_leaf(references) }
-    }
-
-    /// Which references are those of a leaf.
-    #[inline(always)]
-    pub(super) fn references_of(&self, leaf: u32) -> Range<usize> {
-        let leaf = leaf as usize;
-        self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize
-    }
-}
-
-impl Cells for Grid {
-    fn dims(&self) -> [i32; 3] {
-        self.dims.map(|n| (n * BRICK_SIZE) as i32)
-    }
-
-    #[inline]
-    fn locate(&self, cell: [i32; 3]) -> (Option<List<'_>>, u32) {
-        let cell = cell.map(|x| x as u32);
-        let mut shift = 2 * LEVELS;
-        let [x, y, z] = cell.map(|x| (x >> shift) as usize);
-        let brick = self.bricks[(z * self.dims[1] as usize + y) * self.dims[0] as usize + x];
-        if brick == Self::EMPTY {
-            return (None, shift.min(self.largest_skip));
-        }
-        if brick & Self::LEAF != 0 {
-            return (Some(self.leaf(brick & !Self::LEAF)), shift);
-        }
-        let mut node = &self.nodes[brick as usize];
-        loop {
-            shift -= 2;
-            let child = overlap::child(cell.map(|x| x >> shift & 3));
-            if node.occupied >> child & 1 == 0 {
-                return (None, shift.min(self.largest_skip));
-            }
-            let before = (1 << child) - 1;
-            if node.divided >> child & 1 == 0 {
-                let leaf = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
-                return (Some(self.leaf(leaf)), shift);
-            }
-            node = &self.nodes[(node.first_node + (node.divided & before).count_ones()) as usize];
+        match &self.structure {
+            Structure::Tree(tree) => walk(tree, &self.space, ray, visit),
+            Structure::Plain(grid) => walk(grid, &self.space, ray, visit),
+            Structure::RowDisplacement { grid, .. } => walk(grid, &self.space, ray, visit),
         }
     }
 }
