@@ -4,8 +4,9 @@ use std::{net::SocketAddr, path::PathBuf};
 
 use renderer::scene_args::SceneArgs;
 use shared::{
+    camera::UpAxis,
     division::{Division, FrameSize},
-    protocol::{DEFAULT_PORT, Encoding, RayTree, View},
+    protocol::{DEFAULT_PORT, Encoding, RayTree, SampleRange, View},
     scene::SceneId,
 };
 
@@ -51,6 +52,22 @@ pub struct WallArgs {
     /// The camera file [default: one that sees all]
     #[arg(long, value_name = "FILE.toml")]
     pub camera: Option<PathBuf>,
+    /// The model's axis that points up: x, y or z [default: the one kept with the model's views, or y]
+    #[arg(long, value_name = "AXIS")]
+    pub up: Option<UpAxis>,
+    /// A recorded camera path: followed again and again, or with --headless once, a frame for each picture of a film
+    #[arg(long, value_name = "FILE.toml", conflicts_with = "camera")]
+    pub path: Option<PathBuf>,
+    /// Pictures of a second of film, with --headless and --path
+    #[arg(long, value_name = "F", default_value_t = 30.0, requires = "path", value_parser = pictures_per_second)]
+    pub fps: f64,
+    /// Write each picture of the film to this folder, the whole wall in its full resolution, with --headless and --path
+    #[arg(long, value_name = "FOLDER", requires = "path", requires = "headless")]
+    pub pictures: Option<PathBuf>,
+    /// Rays averaged for each sample, in linear light: 1 to 256
+    #[arg(long, value_name = "N", default_value_t = 1,
+        value_parser = clap::value_parser!(u32).range(1..=i64::from(SampleRange::LARGEST_COUNT)))]
+    pub samples: u32,
     /// The address to wait for render servers on; port 0 takes a free one [default: 127.0.0.1:7117]
     #[arg(long, value_name = "ADDR")]
     pub listen: Option<SocketAddr>,
@@ -88,6 +105,10 @@ pub struct WallArgs {
     /// Fill the screen
     #[arg(long)]
     pub fullscreen: bool,
+    /// Fill the screen, let visitors steer and nothing else, and go back to the path or the whole model when they have
+    /// gone; Ctrl+L unlocks
+    #[arg(long, conflicts_with = "headless")]
+    pub kiosk: bool,
     /// No window: render frames, print a table of timings, and end
     #[arg(long)]
     pub headless: bool,
@@ -105,7 +126,17 @@ pub struct WallArgs {
     pub scene: SceneArgs,
 }
 
+fn pictures_per_second(text: &str) -> Result<f64, String> {
+    let fps = text.parse().ok().filter(|fps| (0.01..=1000.0).contains(fps));
+    fps.ok_or_else(|| "from 0.01 to 1000 pictures a second are possible".to_owned())
+}
+
 impl WallArgs {
+    /// Which samples of each pixel are averaged.
+    pub fn sample_range(&self) -> SampleRange {
+        SampleRange { first: 0, count: self.samples }
+    }
+
     /// How many local render servers are started.
     pub fn n_local(&self) -> u32 {
         self.local.unwrap_or(if self.listen.is_some() { 0 } else { 2 })

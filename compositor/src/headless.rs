@@ -1,5 +1,7 @@
 //! The wall without a window: renders frames, draws them on an offscreen wall, and reports.
 
+mod film;
+
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -11,6 +13,8 @@ use crate::{
     stats::DisplayStats,
     wall::Wall,
 };
+
+pub use film::Film;
 
 /// What a wall without a window waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -11,6 +11,20 @@ use winit::keyboard::NamedKey;
 pub enum Command {
     /// See the whole model.
     ViewAll,
+    /// Go to the view of this number.
+    GoToView(u8),
+    /// Give this view this number.
+    KeepView(u8),
+    /// Begin to record the camera's path, or end it.
+    ToggleRecording,
+    /// Follow the camera path, or stop.
+    TogglePlaying,
+    /// Fly faster by so many steps, or slower.
+    ChangeSpeed(i32),
+    /// Say what lies under the cursor.
+    Inspect,
+    /// Go near to what lies under the cursor, and orbit around it.
+    GoToCursor,
     /// Take the next axis as up, and see the whole model.
     NextUpAxis,
     /// Divide frames by the next heuristic.
@@ -35,10 +49,20 @@ pub enum Command {
     LeaveFullscreen,
     /// Write the wall to a file.
     Screenshot,
+    /// Let visitors steer and nothing else, or let everybody do everything again.
+    ToggleLock,
     /// Forget the message on screen.
     DismissMessage,
     /// End the wall.
     Quit,
+}
+
+impl Command {
+    /// Whether visitors of a locked wall may ask for it.
+    pub fn is_for_visitors(self) -> bool {
+        use Command::*;
+        matches!(self, ViewAll | GoToView(_) | TogglePlaying | ChangeSpeed(_) | GoToCursor | ToggleLock)
+    }
 }
 
 /// Where to fly while a key is held.
@@ -74,6 +98,10 @@ pub enum Key {
     Letter(char),
     /// A lower-case letter together with Ctrl.
     Ctrl(char),
+    /// A digit from 1 to 9: what its row asks for, it asks for with its number.
+    AnyDigit,
+    /// The same together with Ctrl.
+    CtrlAnyDigit,
     /// A key that makes no letter.
     Named(NamedKey),
 }
@@ -97,6 +125,8 @@ impl std::fmt::Display for Key {
         match self {
             Self::Letter(letter) => write!(f, "{}", letter.to_ascii_uppercase()),
             Self::Ctrl(letter) => write!(f, "Ctrl+{}", letter.to_ascii_uppercase()),
+            Self::AnyDigit => f.write_str("1 to 9"),
+            Self::CtrlAnyDigit => f.write_str("Ctrl+1 to 9"),
             Self::Named(NamedKey::ArrowUp) => f.write_str("Up"),
             Self::Named(NamedKey::ArrowDown) => f.write_str("Down"),
             Self::Named(NamedKey::ArrowLeft) => f.write_str("Left"),
@@ -138,7 +168,15 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('d'), Named(NamedKey::ArrowRight)], Fly(Right), "fly right"),
         row(&[Letter('e')], Fly(Up), "fly up"),
         row(&[Letter('q')], Fly(Down), "fly down"),
+        row(&[Letter('+')], Ask(ChangeSpeed(1)), "fly faster from now on"),
+        row(&[Letter('-')], Ask(ChangeSpeed(-1)), "fly slower from now on"),
         row(&[Letter('f')], Ask(ViewAll), "view all of the model"),
+        row(&[Letter('g')], Ask(GoToCursor), "go to what is under the cursor, and orbit around it"),
+        row(&[Letter('i')], Ask(Inspect), "what is under the cursor: triangle, point, distance"),
+        row(&[AnyDigit], Ask(GoToView(0)), "go to a kept view"),
+        row(&[CtrlAnyDigit], Ask(KeepView(0)), "keep this view beside the model"),
+        row(&[Letter('c')], Ask(ToggleRecording), "record the camera, or end recording"),
+        row(&[Named(NamedKey::Space)], Ask(TogglePlaying), "play the recorded camera path, or stop"),
         row(&[Letter('u')], Ask(NextUpAxis), "next up axis: y, z, x"),
         row(&[Letter('h')], Ask(NextDivision), "next heuristic: interleaved, tiled, dynamic"),
         row(&[Letter('v')], Ask(NextView), "next view: shaded, normals, cost"),
@@ -148,22 +186,36 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('p'), Named(NamedKey::F12)], Ask(Screenshot), "screenshot of the wall"),
         row(&[Named(NamedKey::F11)], Ask(ToggleFullscreen), "fullscreen on or off"),
         row(&[Named(NamedKey::Escape)], Ask(LeaveFullscreen), "leave fullscreen"),
+        row(&[Ctrl('l')], Ask(ToggleLock), "lock for visitors, who can only steer, or unlock"),
         row(&[Ctrl('q')], Ask(Quit), "quit"),
     ]
 };
 
 /// The mouse, in words: gesture and effect.
 pub const MOUSE: &[(&str, &str)] = &[
-    ("Left drag", "orbit around the model"),
+    ("Left drag", "orbit around the model, or around the point gone to"),
     ("Middle drag or Shift + left drag", "pan"),
-    ("Right drag or wheel", "dolly: nearer or farther"),
+    ("Right drag", "dolly: nearer or farther"),
+    ("Wheel", "nearer to what is under the cursor, or farther"),
+    ("Click", "what is there: triangle, point, distance"),
+    ("Double click", "go there, and orbit around it"),
     ("Shift while flying", "fly four times as fast"),
     ("Drop a PLY file", "open it"),
 ];
 
 /// What a key does, if anything.
 pub fn action(key: Key) -> Option<Action> {
-    KEYS.iter().find(|binding| binding.keys.contains(&key)).map(|binding| binding.action)
+    let (key, number) = match key {
+        Key::Letter(digit @ '1'..='9') => (Key::AnyDigit, digit as u8 - b'0'),
+        Key::Ctrl(digit @ '1'..='9') => (Key::CtrlAnyDigit, digit as u8 - b'0'),
+        other => (other, 0),
+    };
+    let binding = KEYS.iter().find(|binding| binding.keys.contains(&key))?;
+    Some(match binding.action {
+        Action::Ask(Command::GoToView(_)) => Action::Ask(Command::GoToView(number)),
+        Action::Ask(Command::KeepView(_)) => Action::Ask(Command::KeepView(number)),
+        other => other,
+    })
 }
 
 #[cfg(test)]
@@ -190,12 +242,29 @@ mod tests {
         let f11 = winit::keyboard::Key::Named(NamedKey::F11);
         assert_eq!(pressed(f11, false), Some(Action::Ask(Command::ToggleFullscreen)));
         assert_eq!(pressed(letter("ж"), false), None);
+        assert_eq!(pressed(letter("7"), false), Some(Action::Ask(Command::GoToView(7))));
+        assert_eq!(pressed(letter("1"), true), Some(Action::Ask(Command::KeepView(1))));
+        assert_eq!(pressed(letter("0"), true), None);
+    }
+
+    #[test]
+    fn visitors_can_neither_end_nor_change_the_wall() {
+        let commands = KEYS.iter().filter_map(|binding| match binding.action {
+            Action::Ask(command) => Some(command),
+            Action::Fly(_) => None,
+        });
+        let allowed: Vec<_> = commands.filter(|command| command.is_for_visitors()).collect();
+        use Command::*;
+        assert_eq!(
+            allowed,
+            [ChangeSpeed(1), ChangeSpeed(-1), ViewAll, GoToCursor, GoToView(0), TogglePlaying, ToggleLock]
+        );
     }
 
     #[test]
     fn names_of_keys_are_those_on_the_caps() {
         let names: Vec<_> = KEYS.iter().map(KeyBinding::names).collect();
-        for name in ["W or Up", "P or F12", "Ctrl+Q", "Esc", "F11"] {
+        for name in ["W or Up", "P or F12", "Ctrl+Q", "Esc", "F11", "1 to 9", "Space"] {
             assert!(names.iter().any(|shown| shown == name), "{name} is not among {names:?}");
         }
     }

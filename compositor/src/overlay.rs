@@ -6,7 +6,10 @@ mod style;
 
 pub use style::{apply_style, zoom};
 
+use std::fmt;
+
 use egui::{Align, Align2, Layout, RichText, Ui};
+use glam::DVec3;
 use shared::{
     camera::UpAxis,
     division::Division,
@@ -46,6 +49,14 @@ pub struct OverlayModel {
     pub model: Option<ModelSummary>,
     /// The model that is being read, and how far: 0 to 1.
     pub loading: Option<(String, f32)>,
+    /// Whether the camera's path is being recorded.
+    pub is_recording: bool,
+    /// Whether the camera follows a path.
+    pub is_playing: bool,
+    /// The numbers of the views that are kept with the model.
+    pub views: Vec<u8>,
+    /// What lay under the cursor when somebody asked.
+    pub pick: Option<Pick>,
     /// What was done, for a moment.
     pub note: Option<String>,
     /// What an operator should know, each with its cure.
@@ -54,6 +65,31 @@ pub struct OverlayModel {
     pub join: JoinHint,
     /// No frame starts with fewer render servers ready.
     pub min_renderers: u32,
+}
+
+impl OverlayModel {
+    /// Whether there is anything to see.
+    pub fn is_visible(&self) -> bool {
+        self.panel || self.help || self.note.is_some()
+    }
+}
+
+/// A point of the model that somebody asked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pick {
+    /// The triangle's number in the file, from 0.
+    pub triangle: u32,
+    /// The point, in the model's own coordinates.
+    pub point: DVec3,
+    /// From the eye to the point, in the model's own unit.
+    pub distance: f64,
+}
+
+impl fmt::Display for Pick {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { triangle, point, distance } = self;
+        write!(f, "Triangle {triangle} at ({:.6}, {:.6}, {:.6}), {distance:.6} from the eye", point.x, point.y, point.z)
+    }
 }
 
 /// The model on the wall, in words.
@@ -116,6 +152,11 @@ pub fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
     if model.help {
         panel(area("help", Align2::RIGHT_TOP, -MARGIN), help::WIDTH, &mut |ui, commands| help::show(ui, commands));
     }
+    if let Some(note) = &model.note {
+        // Below everything, where it moves nothing.
+        let area = egui::Area::new(egui::Id::unique("note")).anchor(Align2::CENTER_BOTTOM, [0.0, -MARGIN]);
+        area.interactable(false).show(ui.ctx(), |ui| style::panel_frame().show(ui, |ui| ui.label(note)));
+    }
     output
 }
 
@@ -128,9 +169,6 @@ fn figures(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
                 commands.push(Command::DismissMessage);
             }
         });
-    }
-    if let Some(note) = &model.note {
-        box_of(ui, Tone::Note, |ui| ui.label(note));
     }
     waiting(ui, model);
     timings(ui, model);

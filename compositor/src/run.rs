@@ -10,15 +10,16 @@ use renderer::{
     scene::SceneSource,
 };
 use shared::{
-    camera::{Camera, UpAxis},
-    protocol::{Picture, SampleRange},
+    camera::{Camera, CameraPath},
+    protocol::Picture,
 };
 use tokio::{net::TcpListener, runtime::Runtime};
 
 use crate::{
     args::WallArgs,
     farm::{Farm, Wanted},
-    headless::{Headless, Wakeup, Wakeups},
+    headless::{Film, Headless, Wakeup, Wakeups},
+    kept::{self, Kept},
     local::LocalServers,
     model::Model,
     report::Report,
@@ -33,10 +34,11 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
         None => Wall::paper(),
     };
     let camera = args.camera.as_deref().map(renderer::trace::read_camera).transpose()?;
-    if args.headless { run_headless(args, wall, camera) } else { run_window(args, wall, camera) }
+    let path = args.path.as_deref().map(kept::read_path).transpose().map_err(anyhow::Error::msg)?;
+    if args.headless { run_headless(args, wall, camera, path) } else { run_window(args, wall, camera, path) }
 }
 
-fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Result<()> {
+fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<CameraPath>) -> anyhow::Result<()> {
     let n_frames = args.frames.unwrap_or(10);
     let aspect = wall.aspect();
     // First what fails at once: an operator learns of it before a model of minutes is read.
@@ -55,9 +57,22 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::
             let _ = wake.try_send(Wakeup::Farm);
         })?;
         let model = load_model(scene_source(args))?;
-        let camera = camera.unwrap_or_else(|| Camera::view_all(model.bounds.0, model.bounds.1, UpAxis::Y, aspect));
+        let film = path.map(|path| Film {
+            path,
+            fps: args.fps,
+            most: args.frames.unwrap_or(u32::MAX),
+            folder: args.pictures.clone(),
+        });
+        let camera = camera.or_else(|| film.as_ref().map(|film| film.path.at(0.0))).unwrap_or_else(|| {
+            let kept_up = || Kept::read(&model.source).views().and_then(|views| views.up);
+            let up = args.up.or_else(kept_up).unwrap_or_default();
+            Camera::view_all(model.bounds.0, model.bounds.1, up, aspect)
+        });
         farm.want(|wanted| want_model(wanted, &model, camera, args));
-        headless.show_frames(&farm, &wakeups, n_frames)?
+        match film {
+            Some(film) => headless.show_film(&farm, &wakeups, &film)?,
+            None => headless.show_frames(&farm, &wakeups, n_frames)?,
+        }
     };
     say(report.table())?;
     // Figures first: a picture that cannot be written costs no measurement.
@@ -81,13 +96,13 @@ fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, args: &WallArg
         size: args.size,
         view: args.view,
         rays: args.rays,
-        samples: SampleRange::CENTRE,
+        samples: args.sample_range(),
     });
     wanted.scene_path = model.path();
     wanted.moved_at = Instant::now();
 }
 
-fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Result<()> {
+fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<CameraPath>) -> anyhow::Result<()> {
     let window = WindowLoop::new()?;
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
@@ -110,12 +125,15 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>) -> anyhow::Re
         wall,
         source: scene_source(args),
         camera,
-        up: UpAxis::default(),
+        up: args.up,
+        path,
+        kiosk: args.kiosk,
+        samples: args.sample_range(),
         size: args.size,
         view: args.view,
         rays: args.rays,
-        fullscreen: args.fullscreen,
-        overlay: true,
+        fullscreen: args.fullscreen || args.kiosk,
+        overlay: !args.kiosk,
         screenshot_folder: ".".into(),
         screenshot_at_end: args.screenshot.clone(),
     };

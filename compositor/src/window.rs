@@ -5,6 +5,7 @@
 
 mod app;
 mod frame_rate;
+mod jobs;
 mod model_loader;
 mod screen;
 mod screenshots;
@@ -18,9 +19,9 @@ use std::{
 use anyhow::Context;
 use renderer::scene::SceneSource;
 use shared::{
-    camera::{Camera, UpAxis},
+    camera::{Camera, CameraPath, UpAxis},
     division::FrameSize,
-    protocol::{RayTree, View},
+    protocol::{RayTree, SampleRange, View},
 };
 use winit::event_loop::{EventLoop, EventLoopProxy};
 
@@ -41,14 +42,20 @@ pub struct WindowOptions {
     pub source: SceneSource,
     /// The camera on the first model; without one all of it is seen.
     pub camera: Option<Camera>,
-    /// The axis that points up.
-    pub up: UpAxis,
+    /// The axis that points up; without one that kept with the model's views, or y.
+    pub up: Option<UpAxis>,
+    /// A path to follow from the start, again and again.
+    pub path: Option<CameraPath>,
+    /// Whether visitors can only steer, and the wall goes back to its path, or to the whole model, when they have gone.
+    pub kiosk: bool,
     /// The resolution of the frames.
     pub size: FrameSize,
     /// What the samples show at first.
     pub view: View,
     /// By which rays they are lit.
     pub rays: RayTree,
+    /// Which samples of each pixel are averaged.
+    pub samples: SampleRange,
     /// Whether the window fills the screen from the start.
     pub fullscreen: bool,
     /// Whether the overlay is shown at first.

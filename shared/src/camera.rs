@@ -3,10 +3,12 @@
 mod motion;
 mod path;
 mod pose;
+mod views;
 
 pub use motion::UpAxis;
 pub use path::{CameraPath, CameraPathError, CameraRecorder};
 pub use pose::Transition;
+pub use views::Views;
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -61,6 +63,14 @@ pub struct CameraFileError {
     problem: String,
     /// What such a file looks like.
     format: &'static str,
+}
+
+impl CameraFileError {
+    /// A problem at a byte of a text; `format` says what the file should look like.
+    fn at(text: &str, offset: usize, problem: &str, format: &'static str) -> Self {
+        let line = 1 + text.get(..offset).unwrap_or("").matches('\n').count();
+        Self { line, problem: problem.trim().replace('\n', ", "), format }
+    }
 }
 
 /// Rays leave the range in which `f32` squares stay finite beyond this.
@@ -120,12 +130,8 @@ impl Camera {
     /// Reads the text of a camera file; see [`Camera::to_toml`].
     pub fn from_toml(text: &str) -> Result<Self, CameraFileError> {
         toml::from_str(text).map_err(|error: toml::de::Error| {
-            let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or("");
-            CameraFileError {
-                line: 1 + before.matches('\n').count(),
-                problem: error.message().trim().replace('\n', ", "),
-                format: "a camera file has four lines: eye, ll, u and v, each = [x, y, z]",
-            }
+            let format = "a camera file has four lines: eye, ll, u and v, each = [x, y, z]";
+            CameraFileError::at(text, error.span().map_or(0, |span| span.start), error.message(), format)
         })
     }
 

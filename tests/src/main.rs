@@ -16,6 +16,8 @@ mod decoders;
 #[cfg(test)]
 mod farm;
 #[cfg(test)]
+mod film;
+#[cfg(test)]
 #[path = "../../compositor/src/farm/frame_buffer.rs"]
 #[allow(unreachable_pub, reason = "it is a part of the compositor, and no other way leads to it")]
 mod frame_buffer;

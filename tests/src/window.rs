@@ -2,6 +2,8 @@
 
 use std::{fs, path::Path, process::Command, time::Duration};
 
+use shared::camera::{CameraPath, Views};
+
 use crate::{
     process::{Program, wait_until},
     x_drop::drop_file,
@@ -22,10 +24,15 @@ struct Wall {
 impl Wall {
     /// A small statue in small frames, on screen.
     fn start(arguments: &[&str]) -> Self {
+        Self::start_in(Path::new("."), arguments)
+    }
+
+    /// The same, with what is kept beside the model in a folder.
+    fn start_in(folder: &Path, arguments: &[&str]) -> Self {
         let session = XSession::start(SCREEN);
         let mut command = Program::command("compositor");
         command.args(["--listen", "127.0.0.1:0", "--local", "2", "--triangles", "5000", "--size", "256x128"]);
-        command.args(arguments).env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
+        command.current_dir(folder).args(arguments).env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
         command.env("RUST_LOG", "info,compositor=debug");
         let mut program = Program::start(command);
         program.wait_for(SHOWN);
@@ -93,6 +100,88 @@ fn dragging_turns_the_model_and_dragging_back_turns_it_back() {
     wait_until("the model has turned again", || difference() > 0.02);
     wall.session.key("f");
     wait_until("all is seen as at the start", || wall.session.screenshot() == front);
+    wall.quit();
+}
+
+#[test]
+fn a_view_that_is_kept_is_gone_to_by_this_wall_and_the_next() {
+    let folder = tempfile::tempdir().unwrap();
+    let middle = [SCREEN[0] as i32 / 2, SCREEN[1] as i32 / 2];
+    let wall = Wall::start_in(folder.path(), &[]);
+    let front = wall.hide_overlay();
+    wall.session.drag(middle, [120, 60]);
+    wait_until("the model has turned", || front.difference(&wall.session.screenshot(), 16) > 0.02);
+    let turned = wall.session.steady_screenshot();
+    wall.session.key("ctrl+3");
+    wall.session.key("f");
+    wait_until("all is seen, and the note is gone", || wall.session.screenshot() == front);
+    wall.session.key("3");
+    wait_until("the view is there again", || wall.session.screenshot() == turned);
+    wall.quit();
+    let views = Views::from_toml(&fs::read_to_string(folder.path().join("statue.views.toml")).unwrap()).unwrap();
+    assert_eq!(views.numbers().collect::<Vec<_>>(), [3]);
+    let wall = Wall::start_in(folder.path(), &[]);
+    assert!(wall.hide_overlay() == front);
+    wall.session.key("3");
+    wait_until("the next wall has the view", || wall.session.screenshot() == turned);
+    wall.quit();
+}
+
+#[test]
+fn a_path_that_is_recorded_is_played() {
+    let folder = tempfile::tempdir().unwrap();
+    let wall = Wall::start_in(folder.path(), &[]);
+    let front = wall.hide_overlay();
+    wall.session.key("c");
+    wall.session.drag([SCREEN[0] as i32 / 2, SCREEN[1] as i32 / 2], [200, 0]);
+    wait_until("the model has turned", || front.difference(&wall.session.screenshot(), 16) > 0.02);
+    wall.session.key("c");
+    let file = folder.path().join("statue.path.toml");
+    wait_until("the path is kept", || file.is_file());
+    wait_until("the note is gone", || wall.session.steady_screenshot() != front);
+    wall.session.key("f");
+    wait_until("all is seen again", || wall.session.screenshot() == front);
+    let path = CameraPath::from_toml(&fs::read_to_string(&file).unwrap()).unwrap();
+    assert!(path.duration_seconds() > 0.05 && path.keys().len() > 2, "{path:?}");
+    wall.session.key("space");
+    wait_until("the camera has followed the path", || front.difference(&wall.session.screenshot(), 16) > 0.02);
+    let end = wall.session.steady_screenshot();
+    wall.session.key("f");
+    wait_until("all is seen once more", || wall.session.screenshot() == front);
+    wall.session.key("space");
+    wait_until("the path ends where it ended", || wall.session.screenshot() == end);
+    wall.quit();
+}
+
+#[test]
+fn a_click_says_which_triangle_is_there_and_a_double_click_goes_to_it() {
+    let mut wall = Wall::start(&[]);
+    let front = wall.hide_overlay();
+    let middle = [SCREEN[0] / 2, SCREEN[1] / 2].map(|side| side.to_string());
+    wall.session.xdotool(&["mousemove", &middle[0], &middle[1], "click", "1"]);
+    wall.program.wait_for("Triangle ");
+    // Later than the second click of a double click could be.
+    std::thread::sleep(Duration::from_millis(600));
+    wall.session.xdotool(&["click", "--repeat", "2", "--delay", "60", "1"]);
+    wait_until("the statue is nearer", || front.difference(&wall.session.screenshot(), 16) > 0.1);
+    wall.quit();
+}
+
+#[test]
+fn visitors_of_a_locked_wall_can_steer_and_nothing_else() {
+    let mut wall = Wall::start(&["--kiosk"]);
+    let screen = [0, 0, SCREEN[0] as i32, SCREEN[1] as i32];
+    wait_until("the window fills the screen", || wall.session.geometry(&wall.window) == screen);
+    let front = wall.session.steady_screenshot();
+    for key in ["o", "F1", "v", "h", "Escape", "ctrl+q", "p"] {
+        wall.session.key(key);
+    }
+    wall.session.drag([600, 300], [100, 50]);
+    wait_until("visitors turn the model", || front.difference(&wall.session.screenshot(), 16) > 0.02);
+    wall.session.key("f");
+    wait_until("nothing else has changed", || wall.session.screenshot() == front);
+    wall.session.key("ctrl+l");
+    wall.program.wait_for("Unlocked");
     wall.quit();
 }
 

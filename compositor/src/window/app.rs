@@ -1,12 +1,14 @@
 //! What happens in the window: events in, wishes to the farm and pictures out.
 
+mod probing;
 mod showing;
 mod steering;
+mod touring;
 
-use std::time::Instant;
+use std::{sync::Arc, time::Instant};
 
 use renderer::scene::SceneSource;
-use shared::protocol::{Picture, RayTree, SampleRange, View};
+use shared::protocol::{Picture, RayTree, View};
 use winit::{
     application::ApplicationHandler,
     dpi::{PhysicalPosition, PhysicalSize},
@@ -19,13 +21,14 @@ use winit::{
 use super::{
     Call, OnShown, Waker, WindowOptions,
     frame_rate::FrameRate,
+    jobs::Jobs,
     join_hint,
     model_loader::{ModelLoader, name_of},
     screen::Screen,
-    screenshots::Screenshots,
 };
 use crate::{
     farm::{Farm, Frame},
+    kept::Kept,
     model::Model,
     navigator::Navigator,
     overlay::{ModelSummary, OverlayModel},
@@ -43,10 +46,15 @@ pub(super) struct App<'a> {
 
     loader: ModelLoader,
     model: Option<Model>,
+    kept: Option<Kept>,
     navigator: Option<Navigator>,
+    recording: Option<touring::Recording>,
+    probing: probing::Probing,
+    /// Visitors can only steer.
+    is_locked: bool,
     view: View,
     rays: RayTree,
-    screenshots: Screenshots,
+    jobs: Jobs,
 
     overlay: OverlayModel,
     overlay_areas: Vec<egui::Rect>,
@@ -64,9 +72,14 @@ pub(super) struct App<'a> {
 
     cursor: PhysicalPosition<f64>,
     cursor_moved_at: Instant,
+    /// Where the mouse button went down on the model, until it is dragged.
+    pressed_at: Option<PhysicalPosition<f64>>,
+    /// When somebody last did something.
+    touched_at: Instant,
     cursor_is_visible: bool,
     modifiers: ModifiersState,
-    moved_at: Instant,
+    /// When time last moved the camera.
+    stepped_at: Instant,
     screensaver: Option<ScreensaverHold>,
     repaint_at: Option<Instant>,
 }
@@ -83,14 +96,18 @@ impl<'a> App<'a> {
         let mut loader = ModelLoader::new(waker.clone());
         loader.load(options.source.clone());
         Self {
-            screenshots: Screenshots::new(options.screenshot_folder.clone(), waker),
+            jobs: Jobs::new(waker),
             farm,
             on_shown,
             outcome: Ok(()),
             screen: None,
             loader,
             model: None,
+            kept: None,
             navigator: None,
+            recording: None,
+            probing: probing::Probing::default(),
+            is_locked: options.kiosk,
             view: options.view,
             rays: options.rays,
             overlay,
@@ -104,9 +121,11 @@ impl<'a> App<'a> {
             rate: FrameRate::default(),
             cursor: PhysicalPosition::default(),
             cursor_moved_at: now,
+            pressed_at: None,
+            touched_at: now,
             cursor_is_visible: true,
             modifiers: ModifiersState::empty(),
-            moved_at: now,
+            stepped_at: now,
             screensaver: None,
             repaint_at: None,
             options,
@@ -143,7 +162,7 @@ impl<'a> App<'a> {
     fn look_around(&mut self, event_loop: &ActiveEventLoop) {
         while let Some(outcome) = self.loader.poll() {
             match outcome {
-                Ok(model) => self.show_model(model),
+                Ok((model, kept)) => self.show_model(model, kept),
                 Err(problem) if self.model.is_none() => return self.fail(event_loop, anyhow::anyhow!(problem)),
                 Err(problem) => {
                     tracing::error!("{problem}");
@@ -151,44 +170,56 @@ impl<'a> App<'a> {
                 }
             }
         }
-        while let Some(outcome) = self.screenshots.poll() {
+        while let Some(outcome) = self.jobs.poll() {
             match outcome {
-                Ok(note) => {
-                    tracing::info!("{note}");
-                    self.note = Some((note, Instant::now()));
-                }
+                Ok(None) => {}
+                Ok(Some(note)) => self.say(note),
                 Err(problem) => {
                     tracing::error!("{problem}");
                     self.error = Some(problem);
                 }
             }
         }
+        self.take_probed();
         self.take_frame();
         if self.overlay_changed() || self.frame_is_new {
             self.redraw();
         }
     }
 
-    fn show_model(&mut self, model: Model) {
+    fn show_model(&mut self, model: Model, kept: Kept) {
         let name = name_of(&model.source);
         tracing::info!("showing {name}: {} triangles", model.n_triangles);
+        let up = self.options.up.or_else(|| kept.views().and_then(|views| views.up)).unwrap_or_default();
+        let problem = kept.problem().map(str::to_owned);
+        self.recording = None;
+        self.kept = Some(kept);
         match &mut self.navigator {
-            Some(navigator) => navigator.set_bounds(model.bounds, navigator.up()),
+            Some(navigator) => navigator.set_bounds(model.bounds, up),
             None => {
-                let navigator = Navigator::new(model.bounds, self.options.up, self.options.wall.aspect());
+                let navigator = Navigator::new(model.bounds, up, self.options.wall.aspect());
                 self.navigator = Some(match self.options.camera {
                     Some(camera) => navigator.with_camera(camera),
                     None => navigator,
                 });
+                if let (Some(path), Some(kept)) = (self.options.path.take(), &mut self.kept) {
+                    let path = Arc::new(path);
+                    kept.keep_path(Arc::clone(&path));
+                    self.play(path, true);
+                }
             }
         }
+        self.overlay.pick = None;
         self.overlay.model =
             Some(ModelSummary { name: name.clone(), n_triangles: model.n_triangles, n_rejected: model.n_rejected });
         if let Some(screen) = &self.screen {
             screen.window.set_title(&format!("{name} – Raywall"));
         }
         self.overlay.join = join_hint(self.farm.address(), model.path().as_deref());
-        self.error = None;
+        if let Some(problem) = &problem {
+            tracing::warn!("{problem}");
+        }
+        self.error = problem;
         self.model = Some(model);
         self.want_picture();
     }
@@ -203,7 +234,8 @@ impl<'a> App<'a> {
         }
     }
 
-    fn want_picture(&self) {
+    fn want_picture(&mut self) {
+        self.record_camera();
         let (Some(model), Some(navigator)) = (&self.model, &self.navigator) else { return };
         let picture = Picture {
             scene: model.scene,
@@ -211,7 +243,7 @@ impl<'a> App<'a> {
             size: self.options.size,
             view: self.view,
             rays: self.rays,
-            samples: SampleRange::CENTRE,
+            samples: self.options.samples,
         };
         self.farm.want(|wanted| {
             wanted.picture = Some(picture);
@@ -263,7 +295,7 @@ impl ApplicationHandler<Call> for App<'_> {
             WindowEvent::CursorLeft { .. } => self.tell_overlay(&event),
             WindowEvent::MouseInput { state, button, .. } => self.mouse_button(&event, *state, *button),
             WindowEvent::MouseWheel { delta, .. } => self.wheel(&event, *delta),
-            WindowEvent::DroppedFile(path) => {
+            WindowEvent::DroppedFile(path) if !self.is_locked => {
                 self.loader.load(SceneSource::Ply(path.clone()));
                 self.redraw();
             }

@@ -12,7 +12,7 @@ use std::{
 use renderer::scene::SceneSource;
 
 use super::Waker;
-use crate::model::Model;
+use crate::{kept::Kept, model::Model};
 
 /// Reads the latest model that was asked for.
 pub(super) struct ModelLoader {
@@ -26,7 +26,7 @@ struct Loading {
     name: String,
     /// The bits of an `f32`, 0 to 1.
     progress: Arc<AtomicU32>,
-    outcome: mpsc::Receiver<Result<Model, String>>,
+    outcome: mpsc::Receiver<Result<(Model, Kept), String>>,
 }
 
 impl ModelLoader {
@@ -47,8 +47,8 @@ impl ModelLoader {
         Some((loading.name.clone(), f32::from_bits(loading.progress.load(Ordering::Relaxed))))
     }
 
-    /// The model, or why there is none, once that is known.
-    pub(super) fn poll(&mut self) -> Option<Result<Model, String>> {
+    /// The model and what is kept beside it, or why there is none, once that is known.
+    pub(super) fn poll(&mut self) -> Option<Result<(Model, Kept), String>> {
         let outcome = match self.running.as_ref()?.outcome.try_recv() {
             Ok(outcome) => outcome,
             Err(mpsc::TryRecvError::Empty) => return None,
@@ -78,7 +78,8 @@ impl ModelLoader {
                     waker.wake();
                 }
             };
-            let model = Model::load(source, &tell).map_err(|error| error.to_string());
+            let kept = Kept::read(&source);
+            let model = Model::load(source, &tell).map(|model| (model, kept)).map_err(|error| error.to_string());
             // Nobody waits for it once the window is closed.
             let _ = sender.send(model);
         };

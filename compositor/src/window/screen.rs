@@ -92,8 +92,7 @@ impl Screen {
         let start = Instant::now();
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         self.present.draw(&self.gpu, &mut encoder, &target.target(), wall.projectors());
-        let is_visible = model.panel || model.help;
-        let (overlay, repaint_after) = if is_visible {
+        let (overlay, repaint_after) = if model.is_visible() {
             self.draw_overlay(&mut encoder, target.overlay_view(), target.size(), model)
         } else {
             (OverlayOutput::default(), Duration::MAX)

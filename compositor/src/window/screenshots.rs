@@ -4,60 +4,25 @@ use std::{
     fs::File,
     io,
     path::{Path, PathBuf},
-    sync::mpsc,
-    thread,
 };
 
-use super::Waker;
+use super::jobs::Outcome;
 use crate::gpu::Picture;
-
-/// Pictures on their way to files, compressed on threads of their own.
-pub(super) struct Screenshots {
-    folder: PathBuf,
-    waker: Waker,
-    sender: mpsc::Sender<Result<String, String>>,
-    written: mpsc::Receiver<Result<String, String>>,
-}
 
 /// More pictures than this in one folder are surely a mistake.
 const MOST_FILES: u32 = 9999;
 
-impl Screenshots {
-    pub(super) fn new(folder: PathBuf, waker: Waker) -> Self {
-        let (sender, written) = mpsc::channel();
-        Self { folder, waker, sender, written }
+/// Writes a picture to the next free file of a folder.
+pub(super) fn write(folder: &Path, picture: &Picture) -> Outcome {
+    let path =
+        free_file(folder).map_err(|error| format!("no screenshot: cannot write in {}: {error}", folder.display()))?;
+    if let Err(error) = picture.write_png(&path) {
+        // Only the empty file that kept the name.
+        let _ = std::fs::remove_file(&path);
+        return Err(error.to_string());
     }
-
-    /// Writes a picture to the next free file; what came of it is told by [`Screenshots::poll`].
-    pub(super) fn write(&self, picture: Picture) {
-        let (folder, waker, sender) = (self.folder.clone(), self.waker.clone(), self.sender.clone());
-        let write = move || {
-            let outcome = free_file(&folder)
-                .map_err(|error| format!("no screenshot: cannot write in {}: {error}", folder.display()))
-                .and_then(|path| match picture.write_png(&path) {
-                    Ok(()) => {
-                        let path = std::path::absolute(&path).unwrap_or(path);
-                        Ok(format!("Screenshot written to {}", path.display()))
-                    }
-                    Err(error) => {
-                        // Only the empty file that kept the name.
-                        let _ = std::fs::remove_file(&path);
-                        Err(error.to_string())
-                    }
-                });
-            // Nobody waits for it once the window is closed.
-            let _ = sender.send(outcome);
-            waker.wake();
-        };
-        if let Err(error) = thread::Builder::new().name("screenshot".to_owned()).spawn(write) {
-            tracing::error!("no thread to write the screenshot on: {error}");
-        }
-    }
-
-    /// What came of a picture, in words, once that is known.
-    pub(super) fn poll(&self) -> Option<Result<String, String>> {
-        self.written.try_recv().ok()
-    }
+    let path = std::path::absolute(&path).unwrap_or(path);
+    Ok(Some(format!("Screenshot written to {}", path.display())))
 }
 
 /// Makes the first of `wall-0001.png`, `wall-0002.png` … that does not exist.

@@ -93,9 +93,10 @@ impl CameraPath {
         let n_begun = self.keys.partition_point(|&(at, _)| at <= seconds);
         let Some(index) = n_begun.checked_sub(1) else { return self.keys[0].1 };
         let (start, camera) = self.keys[index];
-        let Some(&(end, _)) = self.keys.get(index + 1) else { return camera };
+        let Some(&(end, next)) = self.keys.get(index + 1) else { return camera };
         let (from, to) = (&self.poses[index], &self.poses[index + 1]);
-        if seconds == start || !from.joins(to) {
+        // A camera that rests is the same to the last bit, and so its picture is not rendered again.
+        if seconds == start || camera == next || !from.joins(to) {
             return camera;
         }
         let step = end - start;
@@ -112,20 +113,19 @@ impl CameraPath {
 
     /// Reads the text of a path file; see [`CameraPath::to_toml`].
     pub fn from_toml(text: &str) -> Result<Self, CameraFileError> {
-        let at = |offset: usize, problem: String| CameraFileError {
-            line: 1 + text.get(..offset).unwrap_or("").matches('\n').count(),
-            problem: problem.trim().replace('\n', ", "),
-            format: "a path file has up = \"x\", \"y\" or \"z\", and for each camera a [[key]] with seconds, eye, ll, u \
-                     and v",
+        let at = |offset, problem: &str| {
+            let format = "a path file has up = \"x\", \"y\" or \"z\", and for each camera a [[key]] with seconds, eye, \
+                          ll, u and v";
+            CameraFileError::at(text, offset, problem, format)
         };
-        let file: PathFile = toml::from_str(text)
-            .map_err(|error| at(error.span().map_or(0, |span| span.start), error.message().to_owned()))?;
+        let file: PathFile =
+            toml::from_str(text).map_err(|error| at(error.span().map_or(0, |span| span.start), error.message()))?;
         let mut keys = Vec::with_capacity(file.key.len());
         let mut starts = Vec::with_capacity(file.key.len());
         for key in file.key {
             let start = key.span().start;
             let KeyInFile { seconds, eye, ll, u, v } = key.into_inner();
-            keys.push((seconds, Camera::new(eye, ll, u, v).map_err(|error| at(start, error.to_string()))?));
+            keys.push((seconds, Camera::new(eye, ll, u, v).map_err(|error| at(start, &error.to_string()))?));
             starts.push(start);
         }
         Self::new(keys, file.up).map_err(|error| {
@@ -133,7 +133,7 @@ impl CameraPath {
                 CameraPathError::OutOfOrder(number) => starts[number - 1],
                 CameraPathError::NoKeys | CameraPathError::TooManyKeys => 0,
             };
-            at(start, error.to_string())
+            at(start, &error.to_string())
         })
     }
 

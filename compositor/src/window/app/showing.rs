@@ -8,7 +8,7 @@ use std::{
 use winit::event_loop::ActiveEventLoop;
 
 use super::App;
-use crate::{navigator::Navigator, overlay::OverlayModel, stats::DisplayStats};
+use crate::{kept::Kept, navigator::Navigator, overlay::OverlayModel, stats::DisplayStats};
 
 /// The cursor of a fullscreen wall disappears when it has rested for so long.
 const CURSOR_REST: Duration = Duration::from_secs(2);
@@ -25,7 +25,7 @@ const NOTE_LIFE: Duration = Duration::from_secs(8);
 
 impl App<'_> {
     pub(super) fn overlay_is_visible(&self) -> bool {
-        self.overlay.panel || self.overlay.help
+        self.overlay.is_visible()
     }
 
     pub(super) fn redraw(&self) {
@@ -51,7 +51,11 @@ impl App<'_> {
         self.overlay.view = self.view;
         self.overlay.rays = self.rays;
         self.overlay.frame = self.frame.as_ref().map(|frame| frame.stats.clone());
-        self.overlay.up = self.navigator.as_ref().map_or(self.options.up, Navigator::up);
+        self.overlay.up = self.navigator.as_ref().map(Navigator::up).unwrap_or_default();
+        self.overlay.is_recording = self.recording.is_some();
+        self.overlay.is_playing = self.navigator.as_ref().is_some_and(Navigator::is_playing);
+        self.overlay.views =
+            self.kept.as_ref().and_then(Kept::views).map(|views| views.numbers().collect()).unwrap_or_default();
         self.overlay.loading = self.loader.progress();
         self.overlay.frames_per_second = self.rate.per_second(now);
         self.overlay.note = self.note.as_ref().map(|(note, _)| note.clone());
@@ -100,17 +104,17 @@ impl App<'_> {
     /// Does what time has come for, and says when to look again.
     pub(super) fn pass_time(&mut self) -> Option<Instant> {
         let now = Instant::now();
-        let mut next = Vec::new();
+        let mut next: Vec<Instant> = self.mind_the_kiosk(now).into_iter().collect();
         let speed = if self.modifiers.shift_key() { FAST } else { 1.0 };
         if let Some(navigator) = self.navigator.as_mut().filter(|navigator| navigator.is_moving()) {
-            let elapsed = now.duration_since(self.moved_at);
+            let elapsed = now.duration_since(self.stepped_at);
             if elapsed >= FLY_INTERVAL {
-                self.moved_at = now;
+                self.stepped_at = now;
                 if navigator.advance(elapsed.as_secs_f64(), speed) {
                     self.want_picture();
                 }
             }
-            next.push(self.moved_at + FLY_INTERVAL);
+            next.push(self.stepped_at + FLY_INTERVAL);
         }
         if let Some(window) = self.screen.as_ref().map(|screen| Arc::clone(&screen.window))
             && window.fullscreen().is_some()

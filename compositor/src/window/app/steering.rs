@@ -14,15 +14,17 @@ use winit::{
     window::{Fullscreen, Window},
 };
 
-use super::App;
+use super::{App, probing::Purpose};
 use crate::{
     input::{self, Action, Command, Key},
     navigator::{Drag, Navigator},
     screensaver::ScreensaverHold,
     wall::PixelRect,
-    window::screen::Screen,
+    window::{screen::Screen, screenshots},
 };
 
+/// A mouse that moves less than this while its button is down has clicked.
+const CLICK_PIXELS: f64 = 4.0;
 /// Pixels that a touchpad scrolls for what a wheel does with one notch.
 const PIXELS_PER_NOTCH: f64 = 50.0;
 
@@ -30,6 +32,7 @@ impl App<'_> {
     pub(super) fn key(&mut self, event_loop: &ActiveEventLoop, event: &KeyEvent) {
         let pressed = event.state == ElementState::Pressed;
         // A key that was pressed before Ctrl is let go as the key that it was.
+        self.touched_at = Instant::now();
         let Some(key) = Key::from_winit(&event.logical_key, pressed && self.modifiers.control_key()) else { return };
         match input::action(key) {
             Some(Action::Fly(direction)) => {
@@ -38,7 +41,7 @@ impl App<'_> {
                     navigator.let_go(direction);
                 } else if !event.repeat {
                     if !navigator.is_moving() {
-                        self.moved_at = Instant::now();
+                        self.stepped_at = Instant::now();
                     }
                     navigator.hold(direction);
                 }
@@ -49,8 +52,19 @@ impl App<'_> {
     }
 
     pub(super) fn obey(&mut self, event_loop: &ActiveEventLoop, command: Command) {
+        self.touched_at = Instant::now();
+        if self.is_locked && !command.is_for_visitors() {
+            return;
+        }
         match command {
             Command::ViewAll => self.steer(Navigator::view_all),
+            Command::GoToView(number) => self.go_to_view(number),
+            Command::KeepView(number) => self.keep_view(number),
+            Command::ToggleRecording => self.toggle_recording(),
+            Command::TogglePlaying => self.toggle_playing(),
+            Command::ChangeSpeed(steps) => self.change_speed(steps),
+            Command::Inspect => self.probe(Purpose::Inspect),
+            Command::GoToCursor => self.probe(Purpose::GoTo),
             Command::NextUpAxis => self.steer(Navigator::next_up_axis),
             Command::NextDivision => self.set_division(next(&Division::ALL, self.farm.wanted().division)),
             Command::SetDivision(division) => self.set_division(division),
@@ -67,6 +81,7 @@ impl App<'_> {
                 }
             }
             Command::Screenshot => self.take_screenshot(),
+            Command::ToggleLock => self.toggle_lock(),
             Command::DismissMessage => {
                 self.error = None;
                 self.note = None;
@@ -78,13 +93,15 @@ impl App<'_> {
         self.redraw();
     }
 
-    fn steer(&mut self, motion: fn(&mut Navigator)) {
-        if let Some(navigator) = &mut self.navigator {
-            if !navigator.is_moving() {
-                self.moved_at = Instant::now();
-            }
-            motion(navigator);
-            self.want_picture();
+    /// Locks the wall for visitors and hides what is not for them, or unlocks it.
+    fn toggle_lock(&mut self) {
+        self.is_locked = !self.is_locked;
+        if self.is_locked {
+            (self.overlay.panel, self.overlay.help) = (false, false);
+            self.overlay.pick = None;
+            self.say("Locked: visitors can steer; Ctrl+L unlocks");
+        } else {
+            self.say("Unlocked");
         }
     }
 
@@ -126,7 +143,10 @@ impl App<'_> {
             return;
         };
         match screen.picture(&self.options.wall) {
-            Ok(picture) => self.screenshots.write(picture),
+            Ok(picture) => {
+                let folder = self.options.screenshot_folder.clone();
+                self.jobs.add(move || screenshots::write(&folder, &picture));
+            }
             Err(error) => self.error = Some(format!("no screenshot: {error}")),
         }
     }
@@ -144,6 +164,8 @@ impl App<'_> {
         let was_over_overlay = self.cursor_is_over_overlay();
         self.cursor = position;
         self.cursor_moved_at = Instant::now();
+        self.touched_at = self.cursor_moved_at;
+        self.pressed_at.take_if(|from| (from.x - position.x).hypot(from.y - position.y) > CLICK_PIXELS);
         if let Some(window) = self.screen.as_ref().map(|screen| Arc::clone(&screen.window)) {
             self.show_cursor(&window, true);
         }
@@ -164,9 +186,17 @@ impl App<'_> {
             self.overlay_is_pressed = state == ElementState::Pressed;
             return self.tell_overlay(event);
         }
+        self.touched_at = Instant::now();
+        let is_click = state == ElementState::Released && self.pressed_at.take().is_some();
+        self.pressed_at = (state == ElementState::Pressed && button == MouseButton::Left).then_some(self.cursor);
         let Some(navigator) = &mut self.navigator else { return };
         match (state, button, self.modifiers.shift_key()) {
-            (ElementState::Released, ..) => navigator.release(),
+            (ElementState::Released, ..) => {
+                navigator.release();
+                if is_click && !self.is_locked {
+                    self.click();
+                }
+            }
             (_, MouseButton::Left, false) => navigator.press(Drag::Orbit),
             (_, MouseButton::Left, true) | (_, MouseButton::Middle, _) => navigator.press(Drag::Pan),
             (_, MouseButton::Right, _) => navigator.press(Drag::Dolly),
@@ -186,13 +216,18 @@ impl App<'_> {
             MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
             MouseScrollDelta::PixelDelta(pixels) => pixels.y / PIXELS_PER_NOTCH,
         };
+        self.touched_at = Instant::now();
+        // The first notch goes by the model's middle; the answer is here before the next.
+        if self.navigator.as_ref().is_some_and(Navigator::needs_surface) {
+            self.probe(Purpose::Approach);
+        }
         if self.navigator.as_mut().is_some_and(|navigator| navigator.wheel(notches)) {
             self.want_picture();
         }
     }
 
     /// The cursor as a fraction of the canvas, (0, 0) lower left.
-    fn point_on_canvas(&self) -> DVec2 {
+    pub(super) fn point_on_canvas(&self) -> DVec2 {
         let size = self.screen.as_ref().map_or([1, 1], Screen::size);
         let wall = PixelRect::fitted(self.options.wall.output_size(), size);
         let x = (self.cursor.x - f64::from(wall.x)) / f64::from(wall.width.max(1));

@@ -1,0 +1,126 @@
+//! Going to views and along camera paths, and keeping them.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use shared::camera::{CameraPath, CameraRecorder, UpAxis};
+
+use super::App;
+use crate::{
+    kept::{self, Kept},
+    navigator::Navigator,
+};
+
+/// A wall in a kiosk that nobody has touched for so long goes back to its path, or to the whole model.
+const KIOSK_PATIENCE: Duration = Duration::from_secs(60);
+
+/// A path that is being recorded.
+pub(super) struct Recording {
+    since: Instant,
+    recorder: CameraRecorder,
+}
+
+impl App<'_> {
+    /// Changes the camera, or sets it in motion.
+    pub(super) fn steer(&mut self, motion: impl FnOnce(&mut Navigator)) {
+        let Some(navigator) = &mut self.navigator else { return };
+        if !navigator.is_moving() {
+            self.stepped_at = Instant::now();
+        }
+        motion(navigator);
+        self.want_picture();
+    }
+
+    pub(super) fn say(&mut self, note: impl Into<String>) {
+        let note = note.into();
+        tracing::info!("{note}");
+        self.note = Some((note, Instant::now()));
+    }
+
+    pub(super) fn go_to_view(&mut self, number: u8) {
+        match self.kept.as_ref().and_then(Kept::views).and_then(|views| views.get(number)) {
+            Some(camera) => self.steer(|navigator| navigator.go_to(camera)),
+            None => self.say(format!("There is no view {number}: Ctrl+{number} keeps this one")),
+        }
+    }
+
+    pub(super) fn keep_view(&mut self, number: u8) {
+        let (Some(kept), Some(navigator)) = (&mut self.kept, &self.navigator) else { return };
+        match kept.keep_view(number, navigator.destination(), navigator.up()) {
+            Ok((file, text)) => {
+                self.jobs.add(move || kept::write_views(&file, &text).map(|()| None));
+                self.say(format!("View {number} is kept: key {number} goes there"));
+            }
+            Err(problem) => self.error = Some(problem),
+        }
+    }
+
+    pub(super) fn toggle_recording(&mut self) {
+        if self.recording.is_some() {
+            return self.end_recording();
+        }
+        let Some(navigator) = &self.navigator else { return };
+        self.recording = Some(Recording { since: Instant::now(), recorder: CameraRecorder::new(navigator.camera()) });
+        self.say("Recording the camera: C ends it");
+    }
+
+    fn end_recording(&mut self) {
+        let Some(Recording { recorder, .. }) = self.recording.take() else { return };
+        let up = self.navigator.as_ref().map_or_else(UpAxis::default, Navigator::up);
+        let (Some(path), Some(kept)) = (recorder.finish(up), &mut self.kept) else {
+            return self.say("The camera did not move: nothing is recorded");
+        };
+        let path = Arc::new(path);
+        let file = kept.keep_path(Arc::clone(&path));
+        let told = format!("Camera path of {:.1} s: Space plays it", path.duration_seconds());
+        self.jobs.add(move || kept::write_path(&file, &path).map(|()| None));
+        self.say(told);
+    }
+
+    /// Notes where the camera is, if its path is recorded.
+    pub(super) fn record_camera(&mut self) {
+        let (Some(recording), Some(navigator)) = (&mut self.recording, &self.navigator) else { return };
+        if !recording.recorder.look(recording.since.elapsed().as_secs_f64(), navigator.camera()) {
+            self.end_recording();
+        }
+    }
+
+    pub(super) fn toggle_playing(&mut self) {
+        if self.navigator.as_ref().is_some_and(Navigator::is_playing) {
+            return self.steer(Navigator::stop);
+        }
+        match self.kept.as_ref().and_then(Kept::path) {
+            Some(path) => self.play(path, self.options.kiosk),
+            None => self.say("There is no camera path: C begins to record one"),
+        }
+    }
+
+    pub(super) fn play(&mut self, path: Arc<CameraPath>, repeats: bool) {
+        self.steer(|navigator| navigator.play(path, repeats));
+    }
+
+    pub(super) fn change_speed(&mut self, steps: i32) {
+        let Some(navigator) = &mut self.navigator else { return };
+        let factor = navigator.change_speed(steps);
+        self.say(format!("Flying {factor:.2} times as fast as usual"));
+    }
+
+    /// In a kiosk, goes back to the beginning when everybody has gone; says when that will be.
+    pub(super) fn mind_the_kiosk(&mut self, now: Instant) -> Option<Instant> {
+        if !self.options.kiosk || !self.is_locked || self.navigator.as_ref().is_none_or(Navigator::is_moving) {
+            return None;
+        }
+        let bored_at = self.touched_at + KIOSK_PATIENCE;
+        if now < bored_at {
+            return Some(bored_at);
+        }
+        self.touched_at = now;
+        match self.kept.as_ref().and_then(Kept::path) {
+            Some(path) => self.play(path, true),
+            None => self.steer(Navigator::view_all),
+        }
+        Some(now + KIOSK_PATIENCE)
+    }
+}
