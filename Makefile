@@ -2,7 +2,7 @@
 
 CARGO ?= cargo
 
-.PHONY: run test soak setup setup-test format clippy docs bench fuzz test-slurm
+.PHONY: run test soak stability setup setup-test format clippy docs bench fuzz test-slurm
 
 # NODEVICE_SELECT keeps a layer of Mesa from complaining about the session that a headless machine does not have.
 
@@ -24,6 +24,11 @@ test: setup-test format clippy docs
 soak: setup-test
 	$(CARGO) build --release
 	RAYWALL_CHURN_SECONDS=600 $(CARGO) test --release -p tests --test wall -- churn --nocapture
+
+# Every way to intersect rays with triangles, where it fails: ten million rays a case; a hundredth of them is in the tests.
+STABILITY_RAYS ?= 10000000
+stability:
+	$(CARGO) run --release -p renderer -- stability --rays $(STABILITY_RAYS)
 
 format:
 	$(CARGO) fmt --all --check

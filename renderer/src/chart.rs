@@ -1,10 +1,10 @@
 //! `renderer chart`: speed against accuracy of the ways to intersect rays with triangles, measured on any model.
 
-mod candidates;
+pub(crate) mod candidates;
 mod draw;
 mod measure;
-mod methods;
-mod reference;
+pub(crate) mod methods;
+pub(crate) mod reference;
 mod table;
 
 use std::{

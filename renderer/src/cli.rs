@@ -15,6 +15,7 @@ use crate::{
     connect::{self, ConnectArgs},
     generate::{self, GenerateArgs},
     key::{self, KeyArgs},
+    stability::{self, StabilityArgs},
     trace::{self, TraceArgs},
 };
 
@@ -38,6 +39,8 @@ pub enum Command {
     Generate(GenerateArgs),
     /// Make a key file, which lets render servers and walls on other machines trust each other
     Key(KeyArgs),
+    /// Try the ways to intersect rays with triangles where they fail
+    Stability(StabilityArgs),
     /// Trace frames without a network, and measure them
     Trace(TraceArgs),
 }
@@ -49,6 +52,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Connect(args) => connect::run(args),
         Command::Generate(args) => generate::run(&args),
         Command::Key(args) => key::run(&args),
+        Command::Stability(args) => stability::run(&args),
         Command::Trace(args) => trace::run(&args),
     }
 }

@@ -3,8 +3,8 @@
 //! In reading order: [`mesh`] is what is traced; [`ply`] reads one, [`statue`] makes one, [`scene`] names and loads one.
 //! [`grid`] finds the triangles along [`ray`]s, [`triangle`] decides whether they are hit, [`tracer`] does it for shares
 //! of frames, [`secondary`] finds the lights that reach a hit, [`shade`] makes light of hits, [`lighting`] all of it
-//! for a block of samples. [`connect`], [`trace`], [`chart`], [`generate`] and [`key`] are the commands of [`cli`], with
-//! [`scene_args`]; [`wire`] and [`secure`] are how a render server talks.
+//! for a block of samples. [`connect`], [`trace`], [`chart`], [`stability`], [`generate`] and [`key`] are the commands of
+//! [`cli`], with [`scene_args`]; [`wire`] and [`secure`] are how a render server talks.
 
 mod canned;
 pub mod chart;
@@ -28,6 +28,7 @@ pub mod secure;
 mod session;
 pub mod shade;
 mod simd;
+pub mod stability;
 mod stage;
 pub mod statue;
 pub mod trace;

@@ -83,6 +83,12 @@ impl<'a> SecondaryRays<'a> {
         }
     }
 
+    /// The same with the key light in another place, for tests.
+    #[must_use]
+    pub(crate) fn with_key_light(self, key_light: Vec3) -> Self {
+        Self { key_light, ..self }
+    }
+
     /// What reaches the hits of a block of samples, which are lanes of the arrays; lanes without a hit are undefined.
     pub fn reach(
         &self,

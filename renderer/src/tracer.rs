@@ -54,6 +54,16 @@ impl Scene {
         Self { grid }
     }
 
+    /// A scene of a grid that is already there.
+    pub(crate) fn of_grid(grid: Grid) -> Self {
+        Self { grid }
+    }
+
+    /// The grid alone.
+    pub(crate) fn into_grid(self) -> Grid {
+        self.grid
+    }
+
     /// The mesh, in the grid's order.
     pub fn mesh(&self) -> &TracedMesh {
         self.grid.mesh()

@@ -11,7 +11,7 @@ use crate::{mesh::Mesh, ray::Ray};
 /// Where model and eye stand when they are measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub(super) enum Placement {
+pub(crate) enum Placement {
     /// As they are.
     Near,
     /// The eye drawn back to [`FAR`] times the model's size, with the same things in view.
@@ -24,9 +24,9 @@ pub(super) enum Placement {
 const FAR: f64 = 1e4;
 
 impl Placement {
-    pub(super) const ALL: [Self; 3] = [Self::Near, Self::EyeFar, Self::ModelMoved];
+    pub(crate) const ALL: [Self; 3] = [Self::Near, Self::EyeFar, Self::ModelMoved];
 
-    pub(super) fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Near => "near",
             Self::EyeFar => "eye-far",
@@ -34,7 +34,7 @@ impl Placement {
         }
     }
 
-    pub(super) fn title(self) -> &'static str {
+    pub(crate) fn title(self) -> &'static str {
         match self {
             Self::Near => "near: model and eye as they are",
             Self::EyeFar => "far: the eye 10⁴ times the model's size away",
@@ -44,15 +44,15 @@ impl Placement {
 }
 
 /// A model with an eye, ready to be measured.
-pub(super) struct Placed {
+pub(crate) struct Placed {
     /// Instead of the mesh's, where it was moved.
     vertices: Option<Vec<[f32; 3]>>,
-    pub(super) camera: Camera,
+    pub(crate) camera: Camera,
 }
 
 impl Placed {
     /// Puts the model and a camera somewhere; the error says why that is impossible.
-    pub(super) fn new(mesh: &Mesh, camera: &Camera, placement: Placement) -> Result<Self, String> {
+    pub(crate) fn new(mesh: &Mesh, camera: &Camera, placement: Placement) -> Result<Self, String> {
         let bounds = mesh.bounds();
         let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
         let (centre, size) = ((min + max) * 0.5, (max - min).length());
@@ -84,7 +84,7 @@ impl Placed {
     }
 
     /// The corners of a triangle, or `None` if it cannot be traced.
-    pub(super) fn corners(&self, mesh: &Mesh, triangle: usize) -> Option<[[f32; 3]; 3]> {
+    pub(crate) fn corners(&self, mesh: &Mesh, triangle: usize) -> Option<[[f32; 3]; 3]> {
         let vertices = self.vertices.as_ref().unwrap_or(&mesh.vertices);
         let indices = mesh.triangles[triangle];
         let corners = |indices: [u32; 3]| indices.map(|index| vertices[index as usize]);
@@ -93,7 +93,7 @@ impl Placed {
 }
 
 /// The candidates of all rays of a frame.
-pub(super) struct Candidates {
+pub(crate) struct Candidates {
     rays: CameraRays,
     size: FrameSize,
     /// Where the candidates of each sample end, row by row.
@@ -111,7 +111,7 @@ const MARGIN: f64 = 0.25;
 
 impl Candidates {
     /// Finds them; the error says why there are none to be had.
-    pub(super) fn find(mesh: &Mesh, placed: &Placed, size: FrameSize) -> Result<Self, String> {
+    pub(crate) fn find(mesh: &Mesh, placed: &Placed, size: FrameSize) -> Result<Self, String> {
         let rays = placed.camera.rays(size);
         let mut counts = vec![0u32; size.n_samples() as usize];
         let mut n_pairs = 0;
@@ -139,33 +139,38 @@ impl Candidates {
     }
 
     /// Pairs of ray and triangle.
-    pub(super) fn n_pairs(&self) -> usize {
+    pub(crate) fn n_pairs(&self) -> usize {
         self.triangles.len()
     }
 
     /// Rays that have candidates.
-    pub(super) fn n_rays(&self) -> usize {
+    pub(crate) fn n_rays(&self) -> usize {
         let begins = [0].iter().chain(&self.ends);
         begins.zip(&self.ends).filter(|(begin, end)| begin < end).count()
     }
 
     /// How many chunks of `n` samples there are.
-    pub(super) fn n_chunks(&self, n: usize) -> usize {
+    pub(crate) fn n_chunks(&self, n: usize) -> usize {
         self.ends.len().div_ceil(n)
     }
 
     /// Samples that have candidates, in runs of `n` at most: each run's rays with their candidates.
-    pub(super) fn chunks(&self, n: usize) -> impl Iterator<Item = Vec<(Ray, &[u32])>> {
+    pub(crate) fn chunks(&self, n: usize) -> impl Iterator<Item = Vec<(Ray, &[u32])>> {
+        self.samples(n).map(|samples| samples.into_iter().map(|(_, _, ray, candidates)| (ray, candidates)).collect())
+    }
+
+    /// The same with column and row of each sample.
+    pub(crate) fn samples(&self, n: usize) -> impl Iterator<Item = Vec<(u32, u32, Ray, &[u32])>> {
         let xres = self.size.xres();
         (0..self.size.n_samples()).step_by(n).map(move |first| {
             let samples = first..(first + n as u32).min(self.size.n_samples());
             let with_candidates = samples.map(move |sample| {
                 let begin = if sample == 0 { 0 } else { self.ends[sample as usize - 1] };
                 let candidates = &self.triangles[begin as usize..self.ends[sample as usize] as usize];
-                let ray = Ray::new(self.rays.eye, self.rays.direction(sample % xres, sample / xres));
-                (ray, candidates)
+                let (i, j) = (sample % xres, sample / xres);
+                (i, j, Ray::new(self.rays.eye, self.rays.direction(i, j)), candidates)
             });
-            with_candidates.filter(|(_, candidates)| !candidates.is_empty()).collect()
+            with_candidates.filter(|(.., candidates)| !candidates.is_empty()).collect()
         })
     }
 }

@@ -16,7 +16,7 @@ use crate::{
 /// A way to decide whether a ray hits a triangle, and where.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub(super) enum Method {
+pub(crate) enum Method {
     /// Volumes of tetrahedra between the ray's origin and the edges' ends, in `f32`.
     OriginEdgesF32,
     /// Möller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection" (1997), in `f32`.
@@ -30,14 +30,14 @@ pub(super) enum Method {
 }
 
 /// What a method says of one ray: the place of the nearest triangle, and t.
-pub(super) type Answer = Option<(u32, f64)>;
+pub(crate) type Answer = Option<(u32, f64)>;
 
 impl Method {
-    pub(super) const ALL: [Self; 5] =
+    pub(crate) const ALL: [Self; 5] =
         [Self::OriginEdgesF32, Self::MollerTrumboreF32, Self::PluckerF32, Self::Raywall, Self::MollerTrumboreF64];
 
     /// The name in the table.
-    pub(super) fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Self::OriginEdgesF32 => "origin-edges-f32",
             Self::MollerTrumboreF32 => "moller-trumbore-f32",
@@ -48,7 +48,7 @@ impl Method {
     }
 
     /// The name on the chart.
-    pub(super) fn label(self) -> &'static str {
+    pub(crate) fn label(self) -> &'static str {
         match self {
             Self::OriginEdgesF32 => "origin edges f32",
             Self::MollerTrumboreF32 => "Möller–Trumbore f32",
@@ -58,9 +58,20 @@ impl Method {
         }
     }
 
+    /// Where a ray hits a triangle, as t, or `None` if it does not.
+    pub(crate) fn intersect(self, ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
+        match self {
+            Self::OriginEdgesF32 => origin_edges(ray, corners),
+            Self::MollerTrumboreF32 => moller_trumbore_f32(ray, corners),
+            Self::PluckerF32 => plucker(ray, corners),
+            Self::Raywall => triangle::intersect(ray, corners),
+            Self::MollerTrumboreF64 => moller_trumbore_f64(ray, corners),
+        }
+    }
+
     /// The nearest candidate along each ray; of several at the same t the first. `candidates` are places in the mesh, and
     /// `ends` says where those of each ray end.
-    pub(super) fn run(
+    pub(crate) fn run(
         self,
         mesh: &TracedMesh,
         rays: &[Ray],
@@ -70,19 +81,10 @@ impl Method {
     ) {
         match self {
             Self::OriginEdgesF32 => one_by_one(mesh, rays, candidates, ends, out, origin_edges),
-            Self::MollerTrumboreF32 => one_by_one(mesh, rays, candidates, ends, out, |ray, corners| {
-                moller_trumbore::<f32>(ray.origin.to_array(), ray.direction.to_array(), *corners).map(f64::from)
-            }),
+            Self::MollerTrumboreF32 => one_by_one(mesh, rays, candidates, ends, out, moller_trumbore_f32),
             Self::PluckerF32 => one_by_one(mesh, rays, candidates, ends, out, plucker),
             Self::Raywall => raywall(mesh, rays, candidates, ends, out),
-            Self::MollerTrumboreF64 => one_by_one(mesh, rays, candidates, ends, out, |ray, corners| {
-                let double = |vector: [f32; 3]| vector.map(f64::from);
-                moller_trumbore::<f64>(
-                    double(ray.origin.to_array()),
-                    double(ray.direction.to_array()),
-                    corners.map(double),
-                )
-            }),
+            Self::MollerTrumboreF64 => one_by_one(mesh, rays, candidates, ends, out, moller_trumbore_f64),
         }
     }
 }
@@ -130,6 +132,15 @@ fn raywall(mesh: &TracedMesh, rays: &[Ray], candidates: &[u32], ends: &[usize], 
         out.push(nearest.map(|(place, t)| (place, f64::from(t as f32))));
         first = end;
     }
+}
+
+fn moller_trumbore_f32(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
+    moller_trumbore(ray.origin.to_array(), ray.direction.to_array(), *corners).map(f64::from)
+}
+
+fn moller_trumbore_f64(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
+    let double = |vector: [f32; 3]| vector.map(f64::from);
+    moller_trumbore(double(ray.origin.to_array()), double(ray.direction.to_array()), corners.map(double))
 }
 
 fn moller_trumbore<R>(origin: [R; 3], direction: [R; 3], [a, b, c]: [[R; 3]; 3]) -> Option<R>

@@ -9,7 +9,7 @@ use crate::ray::Ray;
 
 /// What the reference says of a ray and a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Verdict {
+pub(crate) enum Verdict {
     Miss,
     Hit(f64),
     /// The ray passes an edge, or lies in the plane, more closely than `f64` can tell.
@@ -18,7 +18,7 @@ pub(super) enum Verdict {
 
 /// What the reference says of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) enum Truth {
+pub(crate) enum Truth {
     Miss,
     Nearest(f64),
     Unknown,
@@ -28,7 +28,7 @@ pub(super) enum Truth {
 const ROUNDING: f64 = 32.0 * f64::EPSILON;
 
 /// One ray, one triangle.
-pub(super) fn verdict(ray: &Ray, corners: &[[f32; 3]; 3]) -> Verdict {
+pub(crate) fn verdict(ray: &Ray, corners: &[[f32; 3]; 3]) -> Verdict {
     let [a, b, c] = corners.map(|corner| Vec3::from_array(corner).as_dvec3());
     let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
     let normal = (b - a).cross(c - a);
@@ -73,7 +73,7 @@ pub(super) fn verdict(ray: &Ray, corners: &[[f32; 3]; 3]) -> Verdict {
 }
 
 /// One ray, and all triangles that it may hit.
-pub(super) fn truth(ray: &Ray, candidates: impl Iterator<Item = [[f32; 3]; 3]>) -> Truth {
+pub(crate) fn truth(ray: &Ray, candidates: impl Iterator<Item = [[f32; 3]; 3]>) -> Truth {
     let mut truth = Truth::Miss;
     for corners in candidates {
         match verdict(ray, &corners) {

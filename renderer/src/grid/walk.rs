@@ -102,6 +102,15 @@ impl Grid {
         occluded
     }
 
+    /// Calls `visit` with the place of each triangle in the cells along the whole ray, of the nearest cell first, and of
+    /// some several times: what another way to intersect rays with triangles is tried on.
+    pub(crate) fn for_each_candidate(&self, ray: &Ray, mut visit: impl FnMut(u32)) {
+        self.walk(ray, |cell| {
+            cell.list.triangles.iter().copied().for_each(&mut visit);
+            false
+        });
+    }
+
     /// Calls `visit` with each list of triangles along the ray, nearest first, until `visit` returns true. Returns how
     /// many cells and empty cubes the ray passed.
     #[inline(always)]

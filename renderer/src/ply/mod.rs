@@ -23,6 +23,7 @@ use self::assembly::Assembly;
 use self::element::{Corners, Skipped, Vertex};
 use self::header::{Element, Header, Kind};
 pub use self::write::write;
+pub(crate) use self::write::write_to;
 use crate::mesh::Mesh;
 
 /// Why a file gives no mesh.

@@ -267,7 +267,7 @@ fn a_written_mesh_reads_back_the_same() {
     };
     for mesh in [Mesh { colors: Vec::new(), ..colored.clone() }, colored, Mesh::default()] {
         let mut bytes = Vec::new();
-        write::write_to(&mut bytes, &mesh).unwrap();
+        write_to(&mut bytes, &mesh).unwrap();
         assert_eq!(parse(&bytes).unwrap(), mesh);
     }
 }

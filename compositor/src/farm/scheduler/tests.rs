@@ -1,5 +1,6 @@
 //! The scheduler under invented time, latency, speed and death.
 
+mod edges;
 mod in_flight;
 mod silence;
 

@@ -1,0 +1,175 @@
+//! `renderer stability`: the ways to intersect rays with triangles where they fail, one case after the other.
+//!
+//! The truth is always found another way: in whole numbers ([`exact`]), from the shape of a closed surface ([`closed`],
+//! [`shadows`]), in `f64` triangle by triangle ([`cameras`]), or by changing what must change nothing ([`invariance`]).
+
+mod cameras;
+mod closed;
+mod contenders;
+mod exact;
+mod hostile;
+mod invariance;
+mod lattice;
+mod random;
+mod replay;
+mod shadows;
+mod solids;
+mod stadium;
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use clap::Args;
+
+use crate::{cli::say, progress::Progress, trace::read_camera};
+use closed::Aim;
+use contenders::{Contender, Tally};
+
+/// How much to try, or what to try again.
+#[derive(Args, Debug)]
+pub struct StabilityArgs {
+    /// Rays of each case
+    #[arg(long, value_name = "N", default_value_t = 10_000_000, value_parser = clap::value_parser!(u64).range(10_000..=1_000_000_000_000))]
+    rays: u64,
+
+    /// Try a mesh (PLY) and a camera instead, as a failed test has left them
+    #[arg(long, num_args = 2, value_names = ["MESH", "CAMERA"])]
+    replay: Option<Vec<PathBuf>>,
+}
+
+/// A situation in which methods fail.
+struct Case {
+    name: &'static str,
+    /// Given about how many rays to trace, and whether times may be measured.
+    run: fn(u64, bool) -> Tally,
+}
+
+const CASES: &[Case] = &[
+    Case { name: "inside a sphere, centred at 0", run: |n, _| closed::sphere([0.0; 3], 2.0, Aim::Anywhere, n) },
+    Case { name: "… at 10³", run: |n, _| closed::sphere([1e3, -1e3, 1e3], 2.0, Aim::Anywhere, n) },
+    Case {
+        name: "… at 1.5·10⁵", run: |n, _| closed::sphere([148_376.0, 1234.0, -223_423.0], 2.0, Aim::Anywhere, n)
+    },
+    Case { name: "… at 10⁷", run: |n, _| closed::sphere([1e7, 1e7, -1e7], 2.0, Aim::Anywhere, n) },
+    Case { name: "… at its vertices and edge midpoints", run: |n, _| every_sphere(Aim::VerticesAndEdges, n) },
+    Case { name: "coordinates from 10⁻⁸ to 10⁸", run: |n, _| coordinates(n) },
+    Case { name: "along axes, with +0 and −0", run: |n, _| lattice::solids_and_soups(lattice::Aim::Axes, n) },
+    Case { name: "within planes between cells", run: |n, _| closed::cell_planes(n) },
+    Case { name: "along edges", run: |n, _| lattice::solids_and_soups(lattice::Aim::Edges, n) },
+    Case {
+        name: "through corners and edge midpoints",
+        run: |n, _| lattice::solids_and_soups(lattice::Aim::Corners, n),
+    },
+    Case {
+        name: "from vertices, edges and faces",
+        run: |n, _| lattice::solids_and_soups(lattice::Aim::FromSurfaces, n),
+    },
+    Case { name: "from 10⁶ extents away", run: |n, _| lattice::solids_and_soups(lattice::Aim::Far, n) },
+    Case { name: "flat scenes, on each axis", run: |n, _| sum([0, 1, 2].map(|axis| lattice::flat(&[axis], n / 3))) },
+    Case {
+        name: "a line, a point",
+        run: |n, _| sum([lattice::flat(&[0, 2], n / 2), lattice::flat(&[0, 1, 2], n / 2)]),
+    },
+    Case { name: "no triangle, one triangle", run: |n, _| lattice::few(n) },
+    Case { name: "NaN, infinite and 10³⁰ vertices", run: |n, _| hostile::bad_vertices(n) },
+    Case { name: "denormal coordinates", run: |n, _| lattice::denormal(n) },
+    Case { name: "duplicates, triangles without area", run: |n, _| lattice::duplicates(n) },
+    Case { name: "10⁵ coincident triangles", run: |n, _| hostile::coincident(n) },
+    Case { name: "slivers of 1:10⁶", run: |n, _| closed::slivers(n) },
+    Case { name: "scaled by 2^±20 and 2^±40", run: |n, _| invariance::scale(n) },
+    Case { name: "translated", run: |n, _| invariance::translation(n) },
+    Case { name: "a teapot in a stadium", run: stadium::teapot },
+    Case { name: "shadow rays: acne", run: |n, _| shadows::acne(n) },
+    Case { name: "shadow rays: lost contact", run: |n, _| shadows::contact(n) },
+    Case { name: "NaN, infinite and huge rays", run: |n, _| hostile::odd_rays(n) },
+    Case { name: "instructions, threads, divisions, storage", run: |n, _| invariance::one_hash(n) },
+    Case { name: "camera rays against f64", run: |n, _| cameras::against_f64(n) },
+    Case { name: "degenerate cameras", run: |n, _| cameras::degenerate(n) },
+];
+
+fn sum(tallies: impl IntoIterator<Item = Tally>) -> Tally {
+    tallies.into_iter().fold(Tally::default(), |mut sum, tally| {
+        sum += tally;
+        sum
+    })
+}
+
+fn every_sphere(aim: Aim, n_rays: u64) -> Tally {
+    let centres = [[0.0; 3], [1e3, -1e3, 1e3], [148_376.0, 1234.0, -223_423.0], [1e7, 1e7, -1e7]];
+    sum(centres.map(|centre| closed::sphere(centre, 2.0, aim, n_rays / 4)))
+}
+
+fn coordinates(n_rays: u64) -> Tally {
+    let decades = -8..=8;
+    sum(decades.map(|decade| {
+        let scale = 10f64.powi(decade);
+        closed::sphere([3.0 * scale, -2.0 * scale, scale], scale, Aim::Anywhere, n_rays / 17)
+    }))
+}
+
+/// Tries all cases and prints the table; the default failing anywhere is an error.
+pub fn run(args: &StabilityArgs) -> Result<()> {
+    if let Some([mesh, camera]) = args.replay.as_deref() {
+        return replay::run(mesh, &read_camera(camera)?);
+    }
+    say(head())?;
+    let mut failures = Vec::new();
+    for case in CASES {
+        let tally = {
+            let _progress = Progress::new(case.name);
+            (case.run)(args.rays, true)
+        };
+        say(line(case.name, &tally))?;
+        if let Some(failure) = &tally.first_failure {
+            failures.push(format!("{}: {failure}", case.name));
+        }
+    }
+    if failures.is_empty() { Ok(()) } else { bail!("the default fails: {}", failures.join("; ")) }
+}
+
+/// The table is Markdown, so that it can be kept as it is printed.
+fn head() -> String {
+    let names = Contender::ALL.map(Contender::name).join(" | ");
+    format!("| wrong of a million rays | rays | {names} |\n|---|---:{}|", "|---:".repeat(Contender::ALL.len()))
+}
+
+fn line(name: &str, tally: &Tally) -> String {
+    let cells = tally.wrong.map(|wrong| match wrong {
+        None => String::new(),
+        Some(0) => "0".to_owned(),
+        Some(wrong) => per_million(wrong as f64 * 1e6 / tally.n_rays as f64),
+    });
+    format!("| {name} | {} | {} |", per_million(tally.n_rays as f64), cells.join(" | "))
+}
+
+/// Two digits, for more would not be the same in the next version.
+fn per_million(x: f64) -> String {
+    if x >= 99.5 {
+        let unit = 10f64.powf(x.log10().floor() - 1.0);
+        format!("{:.0}", (x / unit).round() * unit)
+    } else {
+        format!("{x:.1}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_fails_nowhere() {
+        for case in CASES {
+            let tally = (case.run)(100_000, false);
+            assert!(tally.n_rays > 0, "{}: nothing was tried", case.name);
+            assert_eq!(tally.first_failure, None, "{}", case.name);
+        }
+    }
+
+    #[test]
+    fn a_method_that_is_known_to_fail_is_seen_to() {
+        let tally = every_sphere(Aim::VerticesAndEdges, 40_000);
+        let of_rivals = Contender::ALL.iter().zip(tally.wrong).filter(|(contender, _)| !contender.is_default());
+        let wrong: Vec<_> = of_rivals.map(|(_, wrong)| wrong).collect();
+        assert!(wrong[0].is_some_and(|wrong| wrong > 100), "Möller and Trumbore's test leaks in f32: {wrong:?}");
+    }
+}

@@ -1,0 +1,193 @@
+//! Cameras: their rays against rays in `f64`, and such as nobody would make on purpose.
+
+use glam::{DMat3, DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+use shared::{
+    camera::{Camera, UpAxis},
+    division::FrameSize,
+};
+
+use super::{
+    contenders::{Answer, Bundle, Contender, Tally, tally},
+    solids,
+};
+use crate::{
+    chart::{
+        candidates::{Candidates, Placed, Placement},
+        reference::{self, Truth},
+    },
+    grid::{Grid, GridOptions, PacketScratch},
+    mesh::Mesh,
+    ray::Ray,
+    statue,
+};
+
+/// Closer to an edge than this, in pixels, rounding a ray to `f32` may decide.
+const NEAR_EDGE: f64 = 1e-3;
+
+/// Of a thousand pixels one may have a depth that is off by more than this, relative to it.
+const DEPTH_P999: f64 = 1e-6;
+
+/// Pictures of the statue against what a camera sees whose rays nobody rounds.
+pub(super) fn against_f64(n_rays: u64) -> Tally {
+    let mesh = statue::generate(100_000, &|_| ());
+    let grid = Grid::build(mesh.clone(), &GridOptions::default(), &|_| ());
+    let bounds = mesh.bounds();
+    let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
+    let full = Camera::view_all(min, max, UpAxis::Y, 16.0 / 9.0);
+    let looks = [(0.5, 1.9, 2.0, 2.6), (-2.0, 2.8, 1.5, 2.4), (3.0, 4.0, -3.0, 1.7)];
+    let look = |&(x, y, z, up): &(f64, f64, f64, f64)| {
+        Camera::look_at(DVec3::new(x, y, z), DVec3::Y * up, DVec3::Y, 0.5, 16.0 / 9.0).ok()
+    };
+    let cameras: Vec<_> = [full].into_iter().chain(looks.iter().filter_map(look)).collect();
+    let height = (n_rays / 2 / cameras.len() as u64).isqrt().clamp(64, 1024) as u32;
+    let Ok(size) = FrameSize::new(2 * height, height) else { return Tally::default() };
+    let mut sum = Tally::default();
+    for camera in cameras {
+        sum += picture(&mesh, &grid, &camera, size);
+    }
+    sum
+}
+
+fn picture(mesh: &Mesh, grid: &Grid, camera: &Camera, size: FrameSize) -> Tally {
+    let Ok(placed) = Placed::new(mesh, camera, Placement::Near) else { return Tally::default() };
+    let Ok(candidates) = Candidates::find(mesh, &placed, size) else { return Tally::default() };
+    let (eye, xres, yres) = (camera.eye(), f64::from(size.xres()), f64::from(size.yres()));
+    // A point is eye + s·((ll − eye) + x·u/xres + y·v/yres), and s is its t.
+    let plane = DMat3::from_cols(camera.ll() - eye, camera.u() / xres, camera.v() / yres).inverse();
+    let project = |corner: [f32; 3]| plane * (Vec3::from_array(corner).as_dvec3() - eye);
+    let chunks: Vec<_> = candidates.samples(64).collect();
+    let tallies = chunks.into_par_iter().map_init(PacketScratch::default, |scratch, chunk| {
+        let mut tally = Tally::default();
+        let directions = chunk.iter().map(|&(_, _, ray, _)| ray.direction).collect();
+        let Some(&(_, _, Ray { origin, .. }, _)) = chunk.first() else { return (tally, [0; 6]) };
+        let truths: Vec<_> = chunk
+            .iter()
+            .map(|&(i, j, _, triangles)| {
+                let pixel = DVec2::new(f64::from(i) + 0.5, f64::from(j) + 0.5);
+                let corners = triangles.iter().filter_map(|&triangle| mesh.corners(triangle as usize));
+                truth(pixel, corners.map(|corners| corners.map(project)))
+            })
+            .collect();
+        let bundle = Bundle { origin, directions };
+        let mut far_off = [0; Contender::ALL.len()];
+        tally.n_rays = truths.iter().flatten().count() as u64;
+        for (&contender, far_off) in Contender::ALL.iter().zip(&mut far_off) {
+            for (answer, truth) in contender.trace(grid, &bundle, scratch).into_iter().zip(&truths) {
+                let Some(depth) = *truth else { continue };
+                let is_right = answer.is_some() == depth.is_some();
+                tally.count(contender, is_right, || format!("{answer:?} instead of {depth:?}"));
+                if let (Some((_, t)), Some(depth)) = (answer, depth) {
+                    *far_off += u64::from((t - depth).abs() > DEPTH_P999 * depth);
+                }
+            }
+        }
+        (tally, far_off)
+    });
+    let add = |(mut sum, mut far_off): (Tally, [u64; 6]), (tally, others): (Tally, [u64; 6])| {
+        sum += tally;
+        far_off.iter_mut().zip(others).for_each(|(sum, other)| *sum += other);
+        (sum, far_off)
+    };
+    let (mut tally, far_off) = tallies.reduce(Default::default, add);
+    for (contender, far_off) in Contender::ALL.into_iter().zip(far_off) {
+        let is_right = far_off * 1000 <= tally.n_rays;
+        tally.count(contender, is_right, || format!("the depths of {far_off} pixels are off"));
+    }
+    tally
+}
+
+/// The depth of the nearest triangle at a pixel, of triangles as (s, s·x, s·y); `None` where an edge is too near to tell.
+fn truth(pixel: DVec2, triangles: impl Iterator<Item = [DVec3; 3]>) -> Option<Option<f64>> {
+    let mut nearest: Option<f64> = None;
+    for corners in triangles {
+        if corners.iter().any(|corner| corner.x <= 0.0) {
+            return None;
+        }
+        let [a, b, c] = corners.map(|corner| DVec2::new(corner.y, corner.z) / corner.x - pixel);
+        let areas = [(b, c), (c, a), (a, b)].map(|(p, q)| p.perp_dot(q));
+        if [(b, c), (c, a), (a, b)].into_iter().any(|(p, q)| distance_of_origin(p, q) < NEAR_EDGE) {
+            return None;
+        }
+        if areas.iter().all(|&area| area > 0.0) || areas.iter().all(|&area| area < 0.0) {
+            // What is linear on the view plane is 1/s.
+            let inverse: f64 = areas.iter().zip(corners).map(|(area, corner)| area / corner.x).sum();
+            let depth = areas.iter().sum::<f64>() / inverse;
+            nearest = Some(nearest.map_or(depth, |nearest| nearest.min(depth)));
+        }
+    }
+    Some(nearest)
+}
+
+/// From the origin to the segment from p to q.
+fn distance_of_origin(p: DVec2, q: DVec2) -> f64 {
+    let along = q - p;
+    let part = (-p.dot(along) / along.length_squared()).clamp(0.0, 1.0);
+    if part.is_nan() { p.length() } else { (p + along * part).length() }
+}
+
+/// Cameras in the model, mirrored, upside down, and a million times as wide as high, or the other way round.
+pub(super) fn degenerate(n_rays: u64) -> Tally {
+    let mesh = solids::sphere([0.3, -0.2, 0.1], 1.0, 8);
+    let grid = Grid::build(mesh.clone(), &GridOptions::default(), &|_| ());
+    let (eye, ll) = (DVec3::new(1.0, 1.5, 4.0), DVec3::new(-1.4, -1.3, 0.0));
+    let (u, v) = (DVec3::X * 3.2, DVec3::Y * 2.4);
+    let inside = DVec3::new(0.3, -0.1, 0.2);
+    let on_surface = Vec3::from_array(mesh.vertices[40]).as_dvec3();
+    let cameras = [
+        Camera::new(eye, ll, u, v),
+        Camera::new(eye, ll + u, -u, v),
+        Camera::new(eye, ll + v, u, -v),
+        Camera::new(eye, ll, v, u),
+        Camera::new(inside, inside - (u + v) * 0.5 + DVec3::NEG_Z, u, v),
+        Camera::new(on_surface, on_surface - (u + v) * 0.5 + DVec3::NEG_Z, u, v),
+        Camera::new(eye, ll, u, v * 1e-6),
+        Camera::new(eye, ll, u * 1e-6, v),
+        Camera::new(eye, ll - u * 5e5, u * 1e6, v),
+        Camera::new(eye, ll + DVec3::Z * 3.9, u, v),
+    ];
+    let n_cameras = cameras.len() as u64;
+    let mut sum = Tally::default();
+    for camera in cameras {
+        let Ok(camera) = camera else {
+            sum.count(Contender::Single, false, || "a camera is refused that sees something".to_owned());
+            continue;
+        };
+        sum += rays_of(&mesh, &grid, &camera, n_rays / n_cameras / COSTLY);
+    }
+    let nan = DVec3::new(0.0, f64::NAN, 0.0);
+    let wrong =
+        [(eye, ll, u * 0.0, v), (eye, ll, u, u * 2.0), (ll, ll, u, v), (ll + u * 3.0, ll, u, v), (nan, ll, u, v)];
+    for (eye, ll, u, v) in wrong {
+        let is_refused = Camera::new(eye, ll, u, v).is_err();
+        sum.count(Contender::Single, is_refused, || format!("a camera is not refused: {eye} {ll} {u} {v}"));
+    }
+    sum
+}
+
+/// The reference tests each ray with each triangle, so there are fewer rays.
+const COSTLY: u64 = 4;
+
+/// All rays of a camera against [`reference::truth`], triangle by triangle, where it can tell.
+pub(super) fn rays_of(mesh: &Mesh, grid: &Grid, camera: &Camera, n_rays: u64) -> Tally {
+    let height = ((n_rays / 2).isqrt() as u32 / 8 * 8).clamp(8, 1024);
+    let Ok(size) = FrameSize::new(2 * height, height) else { return Tally::default() };
+    let rays = camera.rays(size);
+    let triangles: Vec<_> = (0..mesh.triangles.len()).filter_map(|triangle| mesh.corners(triangle)).collect();
+    let tiles_per_row = size.xres() / 8;
+    tally(
+        grid,
+        u64::from(size.n_samples() / 64),
+        |tile| {
+            let (i, j) = (tile as u32 % tiles_per_row * 8, tile as u32 / tiles_per_row * 8);
+            let directions = (0..64).map(|place| rays.direction(i + place % 8, j + place / 8)).collect();
+            Bundle { origin: rays.eye, directions }
+        },
+        |ray| reference::truth(ray, triangles.iter().copied()),
+        |_, truth, answer: Answer| match (truth, answer) {
+            (Truth::Unknown, _) | (Truth::Miss, None) => true,
+            (Truth::Nearest(depth), Some((_, t))) => (t - depth).abs() <= 1e-4 * depth.max(1e-6),
+            _ => false,
+        },
+    )
+}

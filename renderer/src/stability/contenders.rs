@@ -1,0 +1,173 @@
+//! Who is tried: every method of the chart on the grid's candidates, and the grid itself.
+
+use std::ops::AddAssign;
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::{
+    chart::methods::Method,
+    grid::{Grid, Packet, PacketScratch},
+    ray::{Hit, Ray},
+};
+
+/// What is said of a ray: the number in the file of the nearest triangle, and t.
+pub(super) type Answer = Option<(u32, f64)>;
+
+/// A way to find the nearest triangle along rays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Contender {
+    /// One triangle after the other, all that the grid has in the cells along the ray.
+    Rival(Method),
+    /// Raywall's rays that are followed alone, and whether anything is hit at all.
+    Single,
+    /// Raywall's packets.
+    Packets,
+}
+
+impl Contender {
+    pub(super) const ALL: [Self; 6] = [
+        Self::Rival(Method::MollerTrumboreF32),
+        Self::Rival(Method::PluckerF32),
+        Self::Rival(Method::OriginEdgesF32),
+        Self::Rival(Method::MollerTrumboreF64),
+        Self::Single,
+        Self::Packets,
+    ];
+
+    /// The head of its column.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Self::Rival(method) => method.label(),
+            Self::Single => "Raywall, single rays",
+            Self::Packets => "Raywall, packets",
+        }
+    }
+
+    /// Whether it must be right always.
+    pub(super) fn is_default(self) -> bool {
+        !matches!(self, Self::Rival(_))
+    }
+
+    /// The nearest triangle along each ray of a bundle.
+    pub(super) fn trace(self, grid: &Grid, bundle: &Bundle, scratch: &mut PacketScratch) -> Vec<Answer> {
+        match self {
+            Self::Rival(method) => bundle.rays().map(|ray| rival(method, grid, &ray)).collect(),
+            Self::Single => bundle.rays().map(|ray| answer(grid, grid.intersect(&ray))).collect(),
+            Self::Packets => {
+                let hits = grid.intersect_packet(&bundle.packet(), scratch);
+                hits.iter().take(bundle.directions.len()).map(|&hit| answer(grid, hit)).collect()
+            }
+        }
+    }
+}
+
+fn rival(method: Method, grid: &Grid, ray: &Ray) -> Answer {
+    let mut nearest: Answer = None;
+    grid.for_each_candidate(ray, |place| {
+        if let Some(t) = method.intersect(ray, &grid.mesh().corners(place))
+            && nearest.is_none_or(|(_, nearest_t)| t < nearest_t)
+        {
+            nearest = Some((place, t));
+        }
+    });
+    nearest.map(|(place, t)| (grid.mesh().number(place), t))
+}
+
+fn answer(grid: &Grid, hit: Hit) -> Answer {
+    (!hit.is_miss()).then(|| (grid.mesh().number(hit.triangle), f64::from(hit.t)))
+}
+
+/// From 1 to 64 rays with a common origin, in world space.
+#[derive(Clone, Debug)]
+pub(super) struct Bundle {
+    pub(super) origin: Vec3,
+    pub(super) directions: Vec<Vec3>,
+}
+
+impl Bundle {
+    pub(super) fn rays(&self) -> impl Iterator<Item = Ray> {
+        self.directions.iter().map(|&direction| Ray::new(self.origin, direction))
+    }
+
+    fn packet(&self) -> Packet {
+        let n_rays = self.directions.len();
+        let last = self.directions[n_rays - 1];
+        let lane = |lane: usize| self.directions.get(lane).copied().unwrap_or(last);
+        Packet {
+            origin: self.origin,
+            directions: [0, 1, 2].map(|axis| std::array::from_fn(|index| lane(index)[axis])),
+            active: u64::MAX >> (64 - n_rays),
+            t_min: 0.0,
+            t_max: f32::MAX,
+            any_hit: false,
+        }
+    }
+}
+
+/// Rays that were traced, and how many of them each contender got wrong, in the order of [`Contender::ALL`].
+#[derive(Clone, Debug, Default)]
+pub(super) struct Tally {
+    pub(super) n_rays: u64,
+    /// `None` for those that the case does not concern.
+    pub(super) wrong: [Option<u64>; Contender::ALL.len()],
+    /// Of the default.
+    pub(super) first_failure: Option<String>,
+}
+
+impl Tally {
+    /// Counts one answer; `what` says what it was, should it be wrong.
+    pub(super) fn count(&mut self, contender: Contender, is_right: bool, what: impl FnOnce() -> String) {
+        let place = Contender::ALL.iter().position(|&other| other == contender);
+        let wrong = &mut self.wrong[place.expect("a contender")];
+        *wrong = Some(wrong.unwrap_or(0) + u64::from(!is_right));
+        if !is_right && contender.is_default() && self.first_failure.is_none() {
+            self.first_failure = Some(format!("{}: {}", contender.name(), what()));
+        }
+    }
+}
+
+impl AddAssign for Tally {
+    fn add_assign(&mut self, other: Self) {
+        self.n_rays += other.n_rays;
+        for (sum, wrong) in self.wrong.iter_mut().zip(other.wrong) {
+            *sum = match (*sum, wrong) {
+                (None, wrong) => wrong,
+                (sum, None) => sum,
+                (Some(sum), Some(wrong)) => Some(sum + wrong),
+            };
+        }
+        self.first_failure = self.first_failure.take().or(other.first_failure);
+    }
+}
+
+/// Has all contenders trace the bundles number 0 to `n_bundles` on all threads. `truth` tells what is right of a ray,
+/// and `is_right` whether an answer agrees with it.
+pub(super) fn tally<T>(
+    grid: &Grid,
+    n_bundles: u64,
+    bundle: impl Fn(u64) -> Bundle + Sync,
+    truth: impl Fn(&Ray) -> T + Sync,
+    is_right: impl Fn(&Ray, &T, Answer) -> bool + Sync,
+) -> Tally {
+    let one = |scratch: &mut PacketScratch, index: u64| {
+        let bundle = bundle(index);
+        let rays: Vec<_> = bundle.rays().map(|ray| (ray, truth(&ray))).collect();
+        let mut tally = Tally { n_rays: rays.len() as u64, ..Tally::default() };
+        for contender in Contender::ALL {
+            let answers = contender.trace(grid, &bundle, scratch);
+            for ((ray, truth), answer) in rays.iter().zip(answers) {
+                // What ends rays early must agree with what finds the nearest.
+                let agrees = contender != Contender::Single || grid.occluded(ray) == answer.is_some();
+                let is_right = agrees && is_right(ray, truth, answer);
+                tally.count(contender, is_right, || format!("{ray:?} is answered {answer:?}"));
+            }
+        }
+        tally
+    };
+    let tallies = (0..n_bundles).into_par_iter().map_init(PacketScratch::default, one);
+    tallies.reduce(Tally::default, |mut sum, tally| {
+        sum += tally;
+        sum
+    })
+}

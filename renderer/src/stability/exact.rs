@@ -1,0 +1,86 @@
+//! The truth where all numbers are whole: in integers, without any rounding, triangle by triangle.
+
+use super::{contenders::Answer, solids::Lattice};
+
+/// What a ray hits, truly.
+pub(super) struct Truth {
+    /// All triangles that it hits, with t.
+    hits: Vec<(u32, f64)>,
+    /// The least t, or infinity.
+    nearest: f64,
+}
+
+/// How far a t may be off, relative to it: no method is wrong for that alone.
+const DEPTH_TOLERANCE: f64 = 1e-4;
+
+/// Triangles whose t differ by less are equally near: quotients of whole numbers are rounded once.
+const SAME_DEPTH: f64 = 1e-9;
+
+/// A ray hits a triangle if no two edges are passed on opposite sides and at least one is passed at all; not if it lies
+/// in its plane. Coordinates up to 2²⁴ are far from the end of `i128`.
+pub(super) fn truth(lattice: &Lattice, origin: [i32; 3], direction: [i32; 3]) -> Truth {
+    let wide = |vector: [i32; 3]| vector.map(i128::from);
+    let (origin, direction) = (wide(origin), wide(direction));
+    let mut hits = Vec::new();
+    for (number, corners) in lattice.iter().enumerate() {
+        let [a, b, c] = corners.map(|corner| minus(wide(corner), origin));
+        let sides = [(a, b), (b, c), (c, a)].map(|(from, to)| dot(direction, cross(from, to)));
+        let (any_left, any_right) = (sides.iter().any(|&side| side > 0), sides.iter().any(|&side| side < 0));
+        if any_left == any_right {
+            continue;
+        }
+        let normal = cross(minus(b, a), minus(c, a));
+        let t = dot(normal, a) as f64 / dot(normal, direction) as f64;
+        if t >= 0.0 {
+            hits.push((number as u32, t));
+        }
+    }
+    let nearest = hits.iter().fold(f64::INFINITY, |nearest, &(_, t)| nearest.min(t));
+    Truth { hits, nearest }
+}
+
+impl Truth {
+    /// Whether an answer names a nearest triangle, and where it is.
+    pub(super) fn allows(&self, answer: Answer) -> bool {
+        let Some((number, t)) = answer else { return self.hits.is_empty() };
+        let is_near = |truly: f64, tolerance: f64| (t - truly).abs() <= tolerance * truly.max(1e-2);
+        self.hits.iter().any(|&(other, truly)| {
+            other == number && truly <= self.nearest * (1.0 + SAME_DEPTH) && is_near(truly, DEPTH_TOLERANCE)
+        })
+    }
+}
+
+fn minus(a: [i128; 3], b: [i128; 3]) -> [i128; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+fn dot(a: [i128; 3], b: [i128; 3]) -> i128 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: [i128; 3], b: [i128; 3]) -> [i128; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn edges_belong_to_triangles_and_planes_do_not() {
+        let lattice = vec![[[0, 0, 5], [4, 0, 5], [0, 4, 5]], [[0, 0, 9], [4, 0, 9], [0, 4, 9]], [[1, 1, 4]; 3]];
+        for (direction, hits) in [([1, 1, 5], 2), ([0, 0, 1], 2), ([4, 0, 5], 1), ([3, 3, 5], 0), ([9, 9, 5], 0)] {
+            let truth = truth(&lattice, [0; 3], direction);
+            assert_eq!(truth.hits.len(), hits, "{direction:?}");
+            assert_eq!(truth.allows(None), hits == 0, "{direction:?}");
+        }
+        assert!(truth(&lattice, [0; 3], [1, 1, 5]).allows(Some((0, 1.00001))));
+        for wrong in [Some((0, 1.001)), Some((1, 1.8)), Some((2, 1.0)), None] {
+            assert!(!truth(&lattice, [0; 3], [1, 1, 5]).allows(wrong), "{wrong:?}");
+        }
+        let in_plane = truth(&lattice, [-1, 1, 5], [1, 0, 0]);
+        assert!(in_plane.allows(None) && !in_plane.allows(Some((0, 1.0))));
+        let from_it = truth(&lattice, [1, 1, 5], [0, 0, 1]);
+        assert!(from_it.allows(Some((0, 0.0))) && !from_it.allows(Some((1, 4.0))));
+    }
+}

@@ -1,0 +1,116 @@
+//! What no honest program sends: vertices and rays that are no numbers, and many triangles in one place.
+
+use glam::Vec3;
+
+use super::{
+    contenders::{Bundle, Contender, Tally, tally},
+    lattice::{self, Aim},
+    random::Random,
+    solids,
+};
+use crate::{
+    grid::{Grid, GridOptions, PacketScratch},
+    ply,
+    ray::Ray,
+};
+
+/// Triangles with corners that cannot be traced, among others, as they come from a file.
+pub(super) fn bad_vertices(n_rays: u64) -> Tally {
+    let mut sum = Tally::default();
+    for seed in 0..8 {
+        let mut random = Random::new(500 + seed);
+        let scene = lattice::scaled(&solids::soup(&mut random, 20, 4), 4);
+        let mut mesh = solids::mesh_of(&scene, 1.0);
+        let (n_triangles, n_vertices) = (mesh.triangles.len(), mesh.vertices.len() as u32);
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e30, -1e30] {
+            for axis in 0..3 {
+                let mut vertex = [1.0; 3];
+                vertex[axis] = bad;
+                let number = mesh.vertices.len() as u32;
+                mesh.vertices.push(vertex);
+                mesh.triangles.extend([[number, 0, 1], [2, number, number], [number, n_vertices, 5]]);
+            }
+        }
+        let mut file = Vec::new();
+        let written = ply::write_to(&mut file, &mesh);
+        let read = written.ok().and_then(|()| ply::read_from(&*file, file.len() as u64).ok()).unwrap_or_default();
+        let all_rejected = read.n_rejected + n_triangles == mesh.triangles.len();
+        let mut tally = lattice::one(&scene, read, 1.0, Aim::All, n_rays / 8, seed);
+        tally.count(Contender::Single, all_rejected, || "a bad vertex was taken for a good one".to_owned());
+        sum += tally;
+    }
+    sum
+}
+
+/// A hundred thousand triangles in one place: the first is hit, in bounded time and memory.
+pub(super) fn coincident(n_rays: u64) -> Tally {
+    const N: usize = 100_000;
+    let triangle = [[0, 0, 5], [16, 0, 5], [0, 16, 5]];
+    let mesh = solids::mesh_of(&vec![triangle; N], 1.0);
+    let grid = Grid::build(mesh, &GridOptions::default(), &|_| ());
+    // Each tests all of the triangles.
+    let mut tally = tally(
+        &grid,
+        n_rays / 1_000_000 + 1,
+        |index| {
+            let mut random = Random::new(index);
+            let direction = |_| Vec3::new(random.whole(1, 7) as f32, random.whole(1, 7) as f32, 5.0);
+            Bundle { origin: Vec3::ZERO, directions: (0..32).map(direction).collect() }
+        },
+        |_| (),
+        |_, (), answer| answer.is_some_and(|(number, t)| number == 0 && (t - 1.0).abs() < 1e-6),
+    );
+    let is_small = grid.shortage().is_none() && grid.n_bytes() < 200 * N;
+    tally.count(Contender::Single, is_small, || format!("the grid takes {} bytes", grid.n_bytes()));
+    tally
+}
+
+/// Components that no ray should have.
+const ODD: [f32; 10] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN, 1e-45, -1e-45, -0.0, 0.0, 1.0];
+
+/// Rays with odd components end, and hit nothing unless all of them are finite.
+pub(super) fn odd_rays(n_rays: u64) -> Tally {
+    let scene = lattice::scaled(&solids::soup(&mut Random::new(600), 40, 4), 4);
+    let grid = Grid::build(solids::mesh_of(&scene, 1.0), &GridOptions::default(), &|_| ());
+    let triangles: Vec<_> = (0..grid.mesh().n_triangles() as u32).map(|place| grid.mesh().corners(place)).collect();
+    let mut sum = Tally::default();
+    let mut scratch = PacketScratch::default();
+    for index in 0..n_rays.div_ceil(8) {
+        let mut random = Random::new(index);
+        let mut vector = || Vec3::from_array([(); 3].map(|()| *random.choose(&ODD)));
+        let bundle = Bundle { origin: vector(), directions: (0..8).map(|_| vector()).collect() };
+        for contender in Contender::ALL {
+            let answers = match contender {
+                // Methods without a grid that would have dropped the ray before.
+                Contender::Rival(method) => {
+                    let hits = |ray: Ray| triangles.iter().find_map(|corners| method.intersect(&ray, corners));
+                    bundle.rays().map(|ray| hits(ray).map(|t| (0, t))).collect()
+                }
+                _ => contender.trace(&grid, &bundle, &mut scratch),
+            };
+            for (ray, answer) in bundle.rays().zip(answers) {
+                let is_finite = ray.origin.is_finite() && ray.direction.is_finite();
+                let is_right = match answer {
+                    Some((_, t)) => is_finite && t.is_finite(),
+                    None => true,
+                };
+                sum.count(contender, is_right, || format!("{ray:?} is answered {answer:?}"));
+            }
+        }
+        for ray in bundle.rays() {
+            sum.n_rays += 1;
+            let is_short = grid.cost(&ray).n_cells <= MOST_CELLS;
+            sum.count(Contender::Single, is_short, || format!("{ray:?} passes {:?}", grid.cost(&ray)));
+            for t_max in [f32::NAN, f32::INFINITY, -1.0] {
+                let odd = Ray { t_max, ..ray };
+                let may_hit = t_max == f32::INFINITY && ray.origin.is_finite() && ray.direction.is_finite();
+                let is_right = may_hit || (grid.intersect(&odd).is_miss() && !grid.occluded(&odd));
+                sum.count(Contender::Single, is_right, || format!("{odd:?} hits something"));
+            }
+        }
+    }
+    sum
+}
+
+/// More than a ray can pass of this scene, which has some hundred cells along each axis at the very most.
+const MOST_CELLS: u32 = 10_000;

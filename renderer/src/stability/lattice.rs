@@ -1,0 +1,180 @@
+//! Scenes and rays in whole numbers, where the truth is exact: rays along axes, planes and edges, through corners, from
+//! surfaces and from far away.
+
+use glam::Vec3;
+
+use super::{
+    contenders::{Bundle, Tally, tally},
+    exact,
+    random::Random,
+    solids::{self, Lattice},
+};
+use crate::{
+    grid::{Grid, GridOptions},
+    mesh::Mesh,
+    ray::Ray,
+};
+
+/// How rays meet a scene.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Aim {
+    /// Along an axis; the other two components are +0 or −0.
+    Axes,
+    /// Along an edge of a triangle, and from the same place at other corners.
+    Edges,
+    /// At corners and middles of edges.
+    Corners,
+    /// From a corner, the middle of an edge, or within a triangle, into any direction.
+    FromSurfaces,
+    /// From a million times the scene's size away, at corners, middles of edges, and anywhere.
+    Far,
+    /// Each of these.
+    All,
+}
+
+/// Whole numbers up to this make scenes.
+const SIZE: i32 = 16;
+
+/// Random soups, and boxes with corners at whole numbers.
+pub(super) fn solids_and_soups(aim: Aim, n_rays: u64) -> Tally {
+    let soups = (0..12).map(|seed| {
+        let mut random = Random::new(seed);
+        // Multiples of four, so that middles of edges and of triangles are whole.
+        scaled(&solids::soup(&mut random, 4 + 3 * seed as usize, SIZE / 4), 4)
+    });
+    let boxes = [1, 2, 4].map(|n| scaled(&solids::cube(n), SIZE / n));
+    let scenes: Vec<_> = soups.chain(boxes).collect();
+    many(&scenes, 1.0, aim, n_rays)
+}
+
+/// Some scenes, with a share of the rays for each.
+pub(super) fn many(scenes: &[Lattice], unit: f32, aim: Aim, n_rays: u64) -> Tally {
+    let mut sum = Tally::default();
+    for (scene, seed) in scenes.iter().zip(0..) {
+        sum += one(scene, solids::mesh_of(scene, unit), unit, aim, n_rays / scenes.len() as u64, seed);
+    }
+    sum
+}
+
+/// Rays at a mesh that begins with the triangles of `scene`; others must never be hit.
+pub(super) fn one(scene: &Lattice, mesh: Mesh, unit: f32, aim: Aim, n_rays: u64, seed: u64) -> Tally {
+    let grid = Grid::build(mesh, &GridOptions::default(), &|_| ());
+    let whole = |vector: Vec3| (vector / unit).to_array().map(|x| x as i32);
+    tally(
+        &grid,
+        n_rays.div_ceil(N_DIRECTIONS as u64),
+        |index| bundle(scene, unit, aim, &mut Random::new(index << 8 | seed)),
+        |ray: &Ray| exact::truth(scene, whole(ray.origin), whole(ray.direction)),
+        |_, truth, answer| truth.allows(answer),
+    )
+}
+
+/// Rays of a bundle: few, for what is special is the origin as often as the direction.
+const N_DIRECTIONS: usize = 8;
+
+fn bundle(scene: &Lattice, unit: f32, aim: Aim, random: &mut Random) -> Bundle {
+    let aim = match aim {
+        Aim::All => *random.choose(&[Aim::Axes, Aim::Edges, Aim::Corners, Aim::FromSurfaces]),
+        aim => aim,
+    };
+    let nowhere = [[0; 3]; 3];
+    let triangle = |random: &mut Random| if scene.is_empty() { nowhere } else { *random.choose(scene) };
+    let anywhere = |random: &mut Random| [(); 3].map(|()| random.whole(-2, SIZE + 2));
+    let [a, b, c] = triangle(random);
+    let origin = match aim {
+        Aim::Axes | Aim::Corners | Aim::All => {
+            // Often in a plane that a corner lies in.
+            let mut origin = anywhere(random);
+            let axis = random.whole(0, 5) as usize;
+            if axis < 3 {
+                origin[axis] = a[axis];
+            }
+            origin
+        }
+        Aim::Edges => along(a, b, random.whole(-3, 1)),
+        Aim::FromSurfaces => match random.whole(0, 2) {
+            0 => a,
+            1 => middle(a, b),
+            _ => middle(middle(a, b), c),
+        },
+        Aim::Far => {
+            let step = [(); 3].map(|()| random.whole(-16, 16));
+            [0, 1, 2].map(|axis| a[axis] + step[axis] * 1_000_000)
+        }
+    };
+    let directions = (0..N_DIRECTIONS).map(|lane| {
+        let [p, q, _] = triangle(random);
+        let direction = match aim {
+            Aim::Axes => {
+                let mut direction = [0; 3];
+                direction[random.whole(0, 2) as usize] = *random.choose(&[-3, -1, 1, 2]);
+                direction
+            }
+            Aim::Edges if lane == 0 => minus(b, a),
+            Aim::Edges if lane == 1 => minus(a, b),
+            Aim::FromSurfaces => [(); 3].map(|()| random.whole(-8, 8)),
+            Aim::Far if lane % 4 == 3 => minus(anywhere(random), origin),
+            _ if lane % 2 == 0 => minus(p, origin),
+            _ => minus(middle(p, q), origin),
+        };
+        let direction = if direction == [0; 3] { [0, 0, 1] } else { direction };
+        let signed = direction.map(|x| if x == 0 && random.bits() & 1 == 1 { -0.0 } else { x as f32 * unit });
+        Vec3::from_array(signed)
+    });
+    let directions = directions.collect();
+    Bundle { origin: Vec3::from_array(origin.map(|x| x as f32 * unit)), directions }
+}
+
+pub(super) fn scaled(lattice: &Lattice, factor: i32) -> Lattice {
+    lattice.iter().map(|triangle| triangle.map(|corner| corner.map(|x| x * factor))).collect()
+}
+
+fn along(a: [i32; 3], b: [i32; 3], steps: i32) -> [i32; 3] {
+    [0, 1, 2].map(|axis| a[axis] + steps * (b[axis] - a[axis]))
+}
+
+fn middle(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
+    [0, 1, 2].map(|axis| (a[axis] + b[axis]) / 2)
+}
+
+fn minus(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
+    [0, 1, 2].map(|axis| a[axis] - b[axis])
+}
+
+/// What has no extent along one axis, two, or three.
+pub(super) fn flat(axes: &[usize], n_rays: u64) -> Tally {
+    let scenes = (0..8).map(|seed| {
+        let mut soup = scaled(&solids::soup(&mut Random::new(100 + seed), 20, SIZE / 4), 4);
+        for corner in soup.iter_mut().flatten() {
+            axes.iter().for_each(|&axis| corner[axis] = 8);
+        }
+        soup
+    });
+    many(&scenes.collect::<Vec<_>>(), 1.0, Aim::All, n_rays)
+}
+
+/// No triangle, and one.
+pub(super) fn few(n_rays: u64) -> Tally {
+    let ones = (0..15).map(|seed| scaled(&solids::soup(&mut Random::new(200 + seed), 1, SIZE / 4), 4));
+    many(&[vec![]].into_iter().chain(ones).collect::<Vec<_>>(), 1.0, Aim::All, n_rays)
+}
+
+/// Triangles several times, and among them such without area.
+pub(super) fn duplicates(n_rays: u64) -> Tally {
+    let scenes = (0..8).map(|seed| {
+        let soup = scaled(&solids::soup(&mut Random::new(300 + seed), 12, SIZE / 4), 4);
+        let no_area = soup.iter().map(|&[a, b, _]| [a, b, middle(a, b)]);
+        let points = soup.iter().map(|&[a, _, _]| [a; 3]);
+        [&*soup, &*no_area.collect::<Vec<_>>(), &*soup, &*points.collect::<Vec<_>>()].concat()
+    });
+    many(&scenes.collect::<Vec<_>>(), 1.0, Aim::All, n_rays)
+}
+
+/// Coordinates below the smallest normal number.
+pub(super) fn denormal(n_rays: u64) -> Tally {
+    let scenes = (0..8).map(|seed| scaled(&solids::soup(&mut Random::new(400 + seed), 20, SIZE / 4), 4));
+    many(&scenes.collect::<Vec<_>>(), DENORMAL_UNIT, Aim::All, n_rays)
+}
+
+/// 2⁻¹⁴⁰: sixteen of them still are 2⁻¹³⁶.
+const DENORMAL_UNIT: f32 = f32::from_bits(1 << 9);

@@ -1,0 +1,161 @@
+//! Shadow rays that leave the surface that they start from: no acne, no lost contact.
+
+use glam::{DVec3, Vec3};
+use shared::{
+    camera::Camera,
+    division::FrameSize,
+    protocol::{RayTree, SampleRange, View},
+};
+
+use super::{
+    contenders::{Contender, Tally},
+    solids,
+};
+use crate::{
+    chart::methods::Method,
+    grid::{Grid, GridOptions, PacketScratch},
+    mesh::Mesh,
+    ray::{Hit, Ray},
+    secondary::SecondaryRays,
+    tracer::FrameRequest,
+};
+
+/// What rivals add to t where a shadow ray starts, as is usual: this part of the way to the light.
+const USUAL_EPSILON: f32 = 1e-4;
+
+/// A ball, which shades itself where it faces away from the light and nowhere else.
+pub(super) fn acne(n_rays: u64) -> Tally {
+    let places = [(0.0, 1.0), (1000.0, 1.0), (0.0, 1e-6), (-1e6, 1e6), (3.0, 1e6)];
+    let mut sum = Tally::default();
+    for (centre, radius) in places {
+        let mesh = solids::sphere([centre; 3], radius, 40);
+        let centre = DVec3::splat(centre);
+        let eye = centre + DVec3::new(0.5, 0.6, 1.0) * (1.5 * radius);
+        let Ok(camera) = Camera::look_at(eye, centre, DVec3::Y, 0.9, 2.0) else { continue };
+        let light = centre + DVec3::new(-1.0, 3.0, 2.0) * radius;
+        // Near the border between light and shade the triangles' own angles tell.
+        let expect = |point: DVec3, normal: DVec3| {
+            let cosine = normal.dot((light - point).normalize());
+            (cosine.abs() > 1e-3 && (point - centre).length() < 1.1 * radius).then_some(cosine > 0.0)
+        };
+        sum += light_of(mesh, &camera, light, n_rays / places.len() as u64, expect);
+    }
+    sum
+}
+
+/// A wall on a floor: the floor behind the wall is dark up to the wall's foot, and bright before it.
+pub(super) fn contact(n_rays: u64) -> Tally {
+    let offsets = [0.0, 100.0, 1e4];
+    let mut sum = Tally::default();
+    for offset in offsets {
+        let quad = |corners: [[f32; 3]; 4]| corners.map(|corner| corner.map(|x| x + offset));
+        let floor = quad([[-2.0, 0.0, -2.0], [2.0, 0.0, -2.0], [2.0, 0.0, 2.0], [-2.0, 0.0, 2.0]]);
+        let wall = quad([[-2.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 1.0, 0.0], [-2.0, 1.0, 0.0]]);
+        let mesh = Mesh {
+            vertices: [floor, wall].concat(),
+            triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]],
+            ..Mesh::default()
+        };
+        let offset = f64::from(offset);
+        let at = |x: f64, y: f64, z: f64| DVec3::new(x, y, z) + DVec3::splat(offset);
+        let light = at(0.3, 1.5, 3.0);
+        // Within a few units in the last place of the largest coordinate nobody can tell on which side a point lies.
+        let nearest = 100.0 * f64::from(f32::EPSILON) * (offset + 2.0);
+        let expect = |point: DVec3, normal: DVec3| {
+            let z = point.z - offset;
+            (normal.y > 0.5 && z.abs() > nearest && z.abs() < 1.0).then_some(z > 0.0)
+        };
+        // From above: the strip on both sides of the wall's foot, ever narrower.
+        for width in [1.0, 1e-2, 1e-3] {
+            let (eye, ll) = (at(0.1, 4.0, -0.5 * width), at(-1.0, 2.0, -width));
+            let Ok(camera) = Camera::new(eye, ll, DVec3::X * 2.0, DVec3::NEG_Z * width) else { continue };
+            let n_rays = n_rays / (3 * offsets.len() as u64);
+            sum += light_of(mesh.clone(), &camera, light, n_rays / 2, expect);
+            let before =
+                Camera::new(at(0.1, 4.0, 0.5 * width), at(-1.0, 2.0, width), DVec3::X * 2.0, DVec3::NEG_Z * width);
+            if let Ok(before) = before {
+                sum += light_of(mesh.clone(), &before, light, n_rays / 2, expect);
+            }
+        }
+    }
+    sum
+}
+
+/// Compares whether the light reaches what a camera sees with what `expect` says of points and their normals, where it
+/// knows.
+fn light_of(
+    mesh: Mesh,
+    camera: &Camera,
+    light: DVec3,
+    n_rays: u64,
+    expect: impl Fn(DVec3, DVec3) -> Option<bool>,
+) -> Tally {
+    let grid = Grid::build(mesh, &GridOptions::default(), &|_| ());
+    let side = 8 * ((n_rays / 2).isqrt() as u32 / 8).clamp(4, 256);
+    let Ok(size) = FrameSize::new(2 * side, side) else { return Tally::default() };
+    let samples = SampleRange::CENTRE;
+    let request = FrameRequest { camera: *camera, size, view: View::Shaded, rays: RayTree::Shadows, samples };
+    let light = light.as_vec3();
+    let secondary = SecondaryRays::new(&grid, &request).with_key_light(light);
+    let rays = camera.rays(size);
+    let mut scratch = PacketScratch::default();
+    let mut tally = Tally::default();
+    for tile in 0..size.n_samples() / 64 {
+        let (first_i, first_j) = (tile % (size.xres() / 8) * 8, tile / (size.xres() / 8) * 8);
+        let block: Vec<_> = (0..64).map(|place| (first_i + place % 8, first_j + place / 8)).collect();
+        let directions: [Vec3; 64] = std::array::from_fn(|lane| rays.direction(block[lane].0, block[lane].1));
+        let hits = directions.map(|direction| grid.intersect(&Ray::new(rays.eye, direction)));
+        let reach = secondary.reach(&block, 0, &directions, &hits, &mut scratch);
+        for lane in (0..64).filter(|&lane| !hits[lane].is_miss()) {
+            let ray = Ray::new(rays.eye, directions[lane]);
+            let (point, normal) = surface(&grid, &ray, hits[lane]);
+            let Some(is_lit) = expect(point, normal) else { continue };
+            tally.n_rays += 1;
+            tally.count(Contender::Packets, (reach[lane].key == 1.0) == is_lit, || {
+                format!("{point} should be {}", if is_lit { "lit" } else { "dark" })
+            });
+            for contender in Contender::ALL {
+                let Contender::Rival(method) = contender else { continue };
+                let says_lit = reaches_light(&grid, method, &ray, light);
+                tally.count(contender, says_lit == Some(is_lit), String::new);
+            }
+        }
+    }
+    tally
+}
+
+/// Where a ray hits a triangle's plane, and the plane's normal towards the ray, in `f64`.
+fn surface(grid: &Grid, ray: &Ray, hit: Hit) -> (DVec3, DVec3) {
+    let [a, b, c] = grid.mesh().corners(hit.triangle).map(|corner| Vec3::from_array(corner).as_dvec3());
+    let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
+    let normal = (b - a).cross(c - a).normalize();
+    let t = (a - origin).dot(normal) / direction.dot(normal);
+    (origin + direction * t, if normal.dot(direction) > 0.0 { -normal } else { normal })
+}
+
+/// As it is usually done: the point is the ray's at t, and the shadow ray starts a little later. `None` where the method
+/// sees nothing.
+fn reaches_light(grid: &Grid, method: Method, ray: &Ray, light: Vec3) -> Option<bool> {
+    let mut nearest: Option<(u32, f64)> = None;
+    grid.for_each_candidate(ray, |place| {
+        if let Some(t) = method.intersect(ray, &grid.mesh().corners(place))
+            && nearest.is_none_or(|(_, nearest_t)| t < nearest_t)
+        {
+            nearest = Some((place, t));
+        }
+    });
+    let (place, t) = nearest?;
+    let point = ray.origin + ray.direction * t as f32;
+    let [a, b, c] = grid.mesh().corners(place).map(Vec3::from_array);
+    let normal = (b - a).cross(c - a);
+    if normal.dot(light - point) * normal.dot(-ray.direction) <= 0.0 {
+        return Some(false);
+    }
+    let shadow = Ray { t_min: USUAL_EPSILON, t_max: 1.0, ..Ray::new(point, light - point) };
+    let mut is_lit = true;
+    grid.for_each_candidate(&shadow, |place| {
+        let t = method.intersect(&shadow, &grid.mesh().corners(place));
+        is_lit &= !t.is_some_and(|t| (f64::from(shadow.t_min)..=1.0).contains(&t));
+    });
+    Some(is_lit)
+}
