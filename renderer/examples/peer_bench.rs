@@ -131,7 +131,7 @@ impl Server {
     fn dump(&mut self, kernel: &str, file: &Path, camera: &Path) -> Result<()> {
         let options = FrameOptions { kernel: named_kernel(kernel)?, light: None };
         self.frame.trace(&self.scene, &PeerCamera::read(camera)?.request, &options);
-        image::write_whole(file, |out| self.frame.write_hits(out))
+        image::write_whole(file, |out| self.frame.write_hits(&self.scene, out))
             .with_context(|| format!("cannot write {}", file.display()))?;
         say(json!({ "event": "dumped" }))
     }

@@ -238,7 +238,7 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         image::write_png(path, args.size, &frame.rgb).with_context(|| cannot_write(path))?;
     }
     if let Some(path) = &args.hits {
-        image::write_whole(path, |out| frame.write_hits(out)).with_context(|| cannot_write(path))?;
+        image::write_whole(path, |out| frame.write_hits(&scene, out)).with_context(|| cannot_write(path))?;
     }
     if args.json {
         say(serde_json::to_string(&report)?)?;

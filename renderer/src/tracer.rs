@@ -122,7 +122,11 @@ impl Scene {
             let mut lights = [Vec3::ZERO; 64];
             for index in 0..request.samples.count {
                 let sample = request.samples.first.wrapping_add(index);
-                let (directions, hits) = self.trace_block(&rays, block, sample, &mut scratch);
+                let (hits, [x, y, z]) = self.trace_block(&rays, block, sample, &mut scratch);
+                let mut directions = [Vec3::ZERO; 64];
+                for (lane, &place) in lane_places(block).iter().enumerate() {
+                    directions[place] = Vec3::new(x[lane], y[lane], z[lane]);
+                }
                 let of_sample = lighting.of_block(block, sample, &directions, &hits, &mut scratch);
                 lights.iter_mut().zip(of_sample).for_each(|(sum, light)| *sum += light);
             }
@@ -153,46 +157,41 @@ impl Scene {
         let first = hits.len();
         hits.resize(first + samples.len(), Hit::MISS);
         for_each_block(share, units, &samples, |block, places| {
-            let (_, of_block) = self.trace_block(rays, block, 0, &mut scratch);
+            let (of_block, _) = self.trace_block(rays, block, 0, &mut scratch);
             for (hit, place) in of_block.into_iter().zip(places) {
                 hits[first + place] = hit;
             }
         });
     }
 
-    /// The rays through sample number `sample` of up to 64 pixels, and what they hit.
+    /// What the rays through sample number `sample` of up to 64 pixels hit, and their directions in the packet's lanes.
     fn trace_block(
         &self,
         rays: &CameraRays,
         block: &[(u32, u32)],
         sample: u32,
         scratch: &mut PacketScratch,
-    ) -> ([Vec3; 64], [Hit; 64]) {
+    ) -> ([Hit; 64], [[f32; 64]; 3]) {
         let places = lane_places(block);
-        let mut packet = Packet {
+        let (mut x, mut y) = ([0.0; 64], [0.0; 64]);
+        for lane in 0..64 {
+            let (i, j) = block[places[lane]];
+            (x[lane], y[lane]) = sample_point(i, j, sample);
+        }
+        let packet = Packet {
             origin: rays.eye,
-            directions: [[0.0; 64]; 3],
+            directions: rays.directions_through(&x, &y),
             active: u64::MAX >> (64 - block.len()),
             t_min: 0.0,
             t_max: f32::MAX,
             any_hit: false,
         };
-        let mut directions = [Vec3::ZERO; 64];
-        for lane in 0..64 {
-            let (i, j) = block[places[lane]];
-            let (x, y) = sample_point(i, j, sample);
-            let direction = rays.direction_through(x, y);
-            directions[places[lane]] = direction;
-            for axis in 0..3 {
-                packet.directions[axis][lane] = direction[axis];
-            }
-        }
         let in_lanes = self.grid.intersect_packet(&packet, scratch);
         let mut hits = [Hit::MISS; 64];
         for lane in 0..block.len() {
             hits[places[lane]] = in_lanes[lane];
         }
-        (directions, hits)
+        (hits, packet.directions)
     }
 }
 

@@ -206,6 +206,19 @@ impl CameraRays {
     pub fn direction_through(&self, x: f32, y: f32) -> Vec3 {
         (self.a + self.du * x) + self.dv * y
     }
+
+    /// [`CameraRays::direction_through`] many points: component by component, so that compilers find the vectors.
+    #[inline]
+    pub fn directions_through<const N: usize>(&self, x: &[f32; N], y: &[f32; N]) -> [[f32; N]; 3] {
+        let mut directions = [[0.0; N]; 3];
+        for (axis, along) in directions.iter_mut().enumerate() {
+            let (a, du, dv) = (self.a[axis], self.du[axis], self.dv[axis]);
+            for ((direction, x), y) in along.iter_mut().zip(x).zip(y) {
+                *direction = (a + du * x) + dv * y;
+            }
+        }
+        directions
+    }
 }
 
 #[cfg(test)]

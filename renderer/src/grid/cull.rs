@@ -88,8 +88,8 @@ impl<'a> Culler<'a> {
             groups: [Group::default(); 8],
             farthest: f32::INFINITY,
             live: 0,
-            nearest_t: [f64::INFINITY; 64],
-            nearest_triangle: [u32::MAX; 64],
+            nearest_t: [f64::from(Hit::MISS.t); 64],
+            nearest_triangle: [Hit::MISS.triangle; 64],
             waiting: [0; N_WAITING],
             n_waiting: 0,
             recent: [u32::MAX; N_RECENT],
@@ -239,13 +239,8 @@ impl<'a> Culler<'a> {
     /// The hits, when all is settled.
     #[inline(always)]
     pub(super) fn hits(&self) -> [Hit; 64] {
-        let mut hits = [Hit::MISS; 64];
-        for lane in 0..64 {
-            if self.nearest_triangle[lane] != u32::MAX {
-                hits[lane] = Hit { triangle: self.nearest_triangle[lane], t: self.nearest_t[lane] as f32 };
-            }
-        }
-        hits
+        // What was never hit has the triangle and the t of a miss.
+        std::array::from_fn(|lane| Hit { triangle: self.nearest_triangle[lane], t: self.nearest_t[lane] as f32 })
     }
 
     /// Tests the waiting triangles against all rays.

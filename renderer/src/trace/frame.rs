@@ -25,10 +25,8 @@ use crate::{
 /// The hits and the colours of one frame, row by row from the bottom.
 #[derive(Default)]
 pub struct Frame {
-    /// With the triangles' numbers in the file, as they are written.
-    pub hits: Vec<Hit>,
-    /// The places of the same triangles in the mesh, for shading.
-    places: Vec<u32>,
+    /// With the triangles' places in the mesh; their numbers in the file would have to be fetched from far away.
+    hits: Vec<Hit>,
     /// Colours, sRGB-encoded.
     pub rgb: Vec<u8>,
 }
@@ -74,15 +72,13 @@ impl Frame {
         let work = Division::Tiled.work(0, 1);
         let Ok(share) = work.share(request.size) else { return Cost::default() };
         self.hits.resize(request.size.n_samples() as usize, Hit::MISS);
-        self.places.resize(self.hits.len(), u32::MAX);
 
         let start = Instant::now();
         let total = Mutex::new(Cost::default());
         // A task is a row of tiles: its hits lie together in the frame.
         let tiles_per_row = request.size.xres().div_ceil(TILE_SIZE);
         let samples_per_row = xres * TILE_SIZE as usize;
-        let rows = self.hits.par_chunks_mut(samples_per_row).zip(self.places.par_chunks_mut(samples_per_row));
-        rows.enumerate().for_each(|(row, (hits, places))| {
+        self.hits.par_chunks_mut(samples_per_row).enumerate().for_each(|(row, hits)| {
             let start = ThreadTime::now();
             let mut cost = Cost::default();
             let first_j = row as u32 * TILE_SIZE;
@@ -103,9 +99,7 @@ impl Frame {
                 let (of_tile, others) = in_tiles.split_at(samples.count() as usize);
                 in_tiles = others;
                 for ((i, j), &hit) in samples.iter().zip(of_tile) {
-                    let place = (j - first_j) as usize * xres + i as usize;
-                    hits[place] = scene.in_file_order(hit);
-                    places[place] = hit.triangle;
+                    hits[(j - first_j) as usize * xres + i as usize] = hit;
                 }
                 if let Some(light) = options.light {
                     let block: Vec<_> = samples.iter().collect();
@@ -130,8 +124,7 @@ impl Frame {
         let total = Mutex::new(Cost::default());
         let samples_per_row = xres * TILE_SIZE as usize;
         let rows = self.rgb.par_chunks_mut(3 * samples_per_row);
-        let rows = rows.zip(self.hits.par_chunks(samples_per_row)).zip(self.places.par_chunks(samples_per_row));
-        rows.enumerate().for_each(|(row, ((rgb, hits), places))| {
+        rows.zip(self.hits.par_chunks(samples_per_row)).enumerate().for_each(|(row, (rgb, hits))| {
             let start = ThreadTime::now();
             let mut scratch = PacketScratch::default();
             let (xres, first_j) = (xres as u32, row as u32 * TILE_SIZE);
@@ -144,7 +137,7 @@ impl Frame {
                 let mut of_tile = [Hit::MISS; 64];
                 for (lane, &(i, j)) in tile.iter().enumerate() {
                     directions[lane] = rays.direction(i, j);
-                    of_tile[lane] = Hit { triangle: places[at((i, j))], t: hits[at((i, j))].t };
+                    of_tile[lane] = hits[at((i, j))];
                 }
                 let lights = lighting.of_block(&tile, 0, &directions, &of_tile, &mut scratch);
                 for (&sample, light) in tile.iter().zip(lights) {
@@ -158,8 +151,9 @@ impl Frame {
 
     /// Writes the hits: per sample, little endian, the triangle in file order as `u32` (0xffffffff for none) and t as
     /// `f32` in units of the ray's direction (infinite for none).
-    pub fn write_hits(&self, out: &mut dyn io::Write) -> io::Result<()> {
-        self.hits.iter().try_for_each(|hit| {
+    pub fn write_hits(&self, scene: &Scene, out: &mut dyn io::Write) -> io::Result<()> {
+        self.hits.iter().try_for_each(|&hit| {
+            let hit = scene.in_file_order(hit);
             out.write_all(&hit.triangle.to_le_bytes())?;
             out.write_all(&hit.t.to_le_bytes())
         })
