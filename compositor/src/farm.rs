@@ -25,6 +25,7 @@ use shared::{
     division::Division,
     protocol::{Encoding, Picture},
     scene::SceneId,
+    structure::Structure,
 };
 use tokio::{
     net::TcpListener,
@@ -85,6 +86,7 @@ pub struct Farm {
     address: SocketAddr,
     wanted: watch::Sender<Wanted>,
     probe: watch::Sender<Probe>,
+    structure: watch::Sender<Option<Structure>>,
     status: watch::Receiver<FarmStatus>,
     finished: Arc<FinishedFrame>,
     service: tokio::task::JoinHandle<()>,
@@ -105,10 +107,11 @@ impl Farm {
         let finished = Arc::new(FinishedFrame::default());
         let (wanted, wanted_receiver) = watch::channel(wanted);
         let (probe, probes) = watch::channel(Probe::default());
+        let (structure, structures) = watch::channel(None);
         let (status_sender, status) = watch::channel(FarmStatus::default());
         let service = service::Service::new(key, wanted_receiver, status_sender, Arc::clone(&finished), Box::new(wake));
-        let service = tokio::spawn(service.run(listener, probes));
-        Ok(Self { address, wanted, probe, status, finished, service })
+        let service = tokio::spawn(service.run(listener, probes, structures));
+        Ok(Self { address, wanted, probe, structure, status, finished, service })
     }
 
     /// The address that the farm listens on, with its real port.
@@ -130,6 +133,12 @@ impl Farm {
     /// only. There is none while nobody has the scene.
     pub fn probe(&self, probe: Probe) {
         self.probe.send_replace(probe);
+    }
+
+    /// Has every render server keep the scene in another structure, those that join later too; the last frame stays until
+    /// the first is ready. `None`: as each was started.
+    pub fn set_structure(&self, structure: Option<Structure>) {
+        self.structure.send_replace(structure);
     }
 
     /// Takes the finished frame, if there is one; the farm finishes no other before.

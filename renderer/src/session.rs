@@ -147,7 +147,7 @@ impl Conversation<'_> {
         while let Some(incoming) = reader.read().await? {
             let Incoming::Control(message) = incoming else { return Err(SessionError::OutOfTurn) };
             match message {
-                ToServer::LoadScene { scene, path } => self.stage.order(scene, path),
+                ToServer::LoadScene { scene, path, structure } => self.stage.order(scene, path, structure),
                 ToServer::RenderFrame { frame, work_id, picture, work, encoding } => {
                     let Some(subject) = self.stage.subject(picture.scene) else {
                         // The wall has moved on to another scene, and back; it hears when this one is ready.

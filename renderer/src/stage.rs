@@ -7,7 +7,7 @@ use std::{
 
 use anyhow::Context;
 use rayon::ThreadPool;
-use shared::{protocol::SceneState, scene::SceneId};
+use shared::{protocol::SceneState, scene::SceneId, structure::Structure};
 use tokio::sync::watch;
 
 use crate::{
@@ -19,10 +19,11 @@ use crate::{
 };
 
 /// What the stage is asked to show, and where it may be found.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 struct Order {
     scene: SceneId,
     path: Option<PathBuf>,
+    structure: Option<Structure>,
 }
 
 /// The scene at hand, if any; shared by those who load and those who trace.
@@ -82,6 +83,7 @@ impl Stage {
             at_hand: at_hand.clone(),
             model,
             options,
+            structure: None,
             trusts_paths,
             progress: progress.clone(),
         };
@@ -112,15 +114,15 @@ impl Stage {
         }
     }
 
-    /// Gets another scene ready.
-    pub(crate) fn order(&self, scene: SceneId, path: Option<Vec<u8>>) {
+    /// Gets another scene ready, or the same in another structure.
+    pub(crate) fn order(&self, scene: SceneId, path: Option<Vec<u8>>, structure: Option<Structure>) {
         if let Some(canned) = &self.canned {
             let state = SceneState::Ready { triangles: 0, bytes: canned.n_bytes() as u64 };
             self.progress.send_replace(Some((scene, state)));
             return;
         }
         // The loading thread ends only with the stage.
-        let _ = self.orders.send(Order { scene, path: path.map(path_bytes::from_bytes) });
+        let _ = self.orders.send(Order { scene, path: path.map(path_bytes::from_bytes), structure });
     }
 
     /// Follows the loading.
@@ -133,13 +135,16 @@ struct Loader {
     pool: Arc<ThreadPool>,
     at_hand: AtHand,
     model: Option<PathBuf>,
+    /// As the server was started.
     options: SceneOptions,
+    /// The structure of the scene at hand, if a wall had a say in it.
+    structure: Option<Structure>,
     trusts_paths: bool,
     progress: watch::Sender<Progressed>,
 }
 
 impl Loader {
-    fn run(self, orders: &mpsc::Receiver<Order>) {
+    fn run(mut self, orders: &mpsc::Receiver<Order>) {
         if let Some(model) = self.model.clone()
             && let Err(reason) = self.load(None, &SceneSource::Ply(model))
         {
@@ -160,10 +165,11 @@ impl Loader {
     }
 
     /// Gets a scene ready, from wherever it can be had. The error says why not, and what to do.
-    fn fulfil(&self, order: &Order) -> Result<Arc<Scene>, String> {
-        if let Some(scene) = self.at_hand.get(order.scene) {
+    fn fulfil(&mut self, order: &Order) -> Result<Arc<Scene>, String> {
+        if let Some(scene) = self.at_hand.get(order.scene).filter(|_| self.structure == order.structure) {
             return Ok(scene);
         }
+        self.structure = order.structure;
         let sources = match order.scene {
             SceneId::Statue { triangles } => vec![SceneSource::Statue { triangles }],
             SceneId::Mesh { .. } => {
@@ -200,7 +206,7 @@ impl Loader {
                 tell(fraction * 0.5);
             })
             .map_err(|error| error.to_string())?;
-            let scene = Scene::build(loaded.mesh, &self.options, &|fraction| {
+            let scene = Scene::build(loaded.mesh, &self.wanted_options(), &|fraction| {
                 bar.set(0.5 + fraction * 0.5);
                 tell(0.5 + fraction * 0.5);
             });
@@ -212,6 +218,15 @@ impl Loader {
         }
         self.at_hand.set(Some((id, Arc::clone(&scene))));
         Ok((id, scene))
+    }
+
+    /// How the scene is to be kept: as the server was started, but for what a wall has said.
+    fn wanted_options(&self) -> SceneOptions {
+        let mut options = self.options;
+        if let Some(Structure { storage, density }) = self.structure {
+            (options.grid.storage, options.grid.density) = (storage, density);
+        }
+        options
     }
 
     /// Reports progress in steps of one per cent, so that the network is not kept busy with it.

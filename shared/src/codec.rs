@@ -297,7 +297,7 @@ mod tests {
         };
         for (triangles, fits) in [(SceneId::LARGEST_STATUE, true), (SceneId::LARGEST_STATUE + 1, false)] {
             let scene = SceneId::Statue { triangles };
-            assert_eq!(is_message(&ToServer::LoadScene { scene, path: None }), fits, "{triangles}");
+            assert_eq!(is_message(&ToServer::LoadScene { scene, path: None, structure: None }), fits, "{triangles}");
         }
         assert!(FrameSize::new(8192, 8192).is_ok() && FrameSize::new(16384, 4096).is_ok());
         assert!(FrameSize::new(16384, 4097).is_err() && FrameSize::new(16384, 16384).is_err());

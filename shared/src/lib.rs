@@ -2,7 +2,7 @@
 //!
 //! Everything here is a pure function or plain data: no socket, no clock, no thread.
 //! In reading order: [`camera`] makes rays, [`division`] says who renders which of them, [`curve`] in which order,
-//! [`scene`] names what is rendered, [`srgb`] encodes what comes out, [`protocol`] says all of it on the wire, [`codec`] in bytes.
+//! [`scene`] names what is rendered and [`structure`] how it is kept, [`srgb`] encodes what comes out, [`protocol`] says all of it on the wire, [`codec`] in bytes.
 
 pub mod camera;
 pub mod codec;
@@ -12,3 +12,4 @@ pub mod printable;
 pub mod protocol;
 pub mod scene;
 pub mod srgb;
+pub mod structure;

@@ -16,10 +16,11 @@ use crate::{
     camera::Camera,
     division::{FrameSize, Share, Work},
     scene::SceneId,
+    structure::Structure,
 };
 
 /// The version of everything below; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 6;
+pub const PROTOCOL_VERSION: u8 = 7;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -250,6 +251,8 @@ pub enum ToServer {
         /// Where a server on the wall's own machine finds it, in the bytes of its system's paths; other servers use what
         /// they were started with.
         path: Option<Vec<u8>>,
+        /// How its grid is to be kept, if somebody at the wall has said so; else as the server was started.
+        structure: Option<Structure>,
     },
     /// Render a share of a frame.
     RenderFrame {

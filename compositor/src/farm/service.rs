@@ -12,6 +12,7 @@ use shared::{
     codec,
     printable::printable,
     protocol::{FrameId, HEARTBEAT_TIMEOUT, Picture, SceneState, ToServer, WorkId},
+    structure::Structure,
 };
 use tokio::{
     net::{TcpListener, TcpStream},
@@ -77,6 +78,8 @@ pub(super) struct Service {
     last_moved_at: Option<Instant>,
     /// Whom the last question about the model was put to, and its number.
     asked: Option<(NodeId, u32)>,
+    /// How render servers are to keep the scene, if not as they were started.
+    structure: Option<Structure>,
 }
 
 impl Service {
@@ -104,11 +107,17 @@ impl Service {
             spare_buffers: SpareBuffers::default(),
             last_moved_at: None,
             asked: None,
+            structure: None,
         }
     }
 
     /// Runs until the task is aborted or the wall is gone.
-    pub(super) async fn run(mut self, listener: TcpListener, mut probes: watch::Receiver<Probe>) {
+    pub(super) async fn run(
+        mut self,
+        listener: TcpListener,
+        mut probes: watch::Receiver<Probe>,
+        mut structures: watch::Receiver<Option<Structure>>,
+    ) {
         let (reports_in, mut reports) = mpsc::channel(LONGEST_REPORT_QUEUE);
         let mut connections = JoinSet::new();
         let mut last_node = NodeId(0);
@@ -132,6 +141,10 @@ impl Service {
                     Ok(()) => self.on_wanted(),
                     Err(_) => return,
                 },
+                Ok(()) = structures.changed() => {
+                    let structure = *structures.borrow_and_update();
+                    self.on_structure(structure);
+                }
                 Ok(()) = probes.changed() => {
                     let probe = *probes.borrow_and_update();
                     self.on_probe(probe);
@@ -152,6 +165,20 @@ impl Service {
             let nodes: Vec<_> = self.nodes.keys().copied().collect();
             nodes.into_iter().for_each(|node| self.ask_for_scene(node));
         }
+    }
+
+    /// Has everybody build the scene anew. Nobody is given work until he has done so.
+    fn on_structure(&mut self, structure: Option<Structure>) {
+        if self.structure == structure {
+            return;
+        }
+        self.structure = structure;
+        self.status.send_modify(|status| status.nodes.iter_mut().for_each(|node| node.scene = None));
+        for node in self.nodes.keys().copied().collect::<Vec<_>>() {
+            self.happen(Event::SceneReady { node, ready: false });
+            self.ask_for_scene(node);
+        }
+        (self.wake)();
     }
 
     /// Hands a question to the first who can answer it. Nobody waits for the answer: if its render server dies, the person
@@ -300,7 +327,8 @@ impl Service {
         let Some(scene) = self.scheduler.scene() else { return };
         let is_local = self.status.borrow().nodes.iter().any(|node| node.id == id && node.address.ip().is_loopback());
         let path = self.wanted.borrow().scene_path.as_ref().filter(|_| is_local).map(|path| path_bytes::to_bytes(path));
-        self.send(id, &ToServer::LoadScene { scene, path });
+        let structure = self.structure;
+        self.send(id, &ToServer::LoadScene { scene, path, structure });
     }
 
     fn happen(&mut self, event: Event) {

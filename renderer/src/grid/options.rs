@@ -2,6 +2,9 @@
 
 use std::{fmt, ops::RangeInclusive, str::FromStr};
 
+pub use shared::structure::Storage;
+use shared::structure::Structure;
+
 use super::budget::MemoryBudget;
 
 /// What a grid is built like. None of it changes a hit.
@@ -17,18 +20,6 @@ pub struct GridOptions {
     pub mesh: MeshLayout,
     /// What may be taken while the scene is made ready; the grid is made coarser to stay within it.
     pub memory_budget: MemoryBudget,
-}
-
-/// How cells are kept in memory.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Storage {
-    /// The paper's uniform grid: an offset for each cell.
-    Plain,
-    /// The same with the offsets compressed, after Lagae and Dutré (2008).
-    RowDisplacement,
-    /// A tree of bit masks, divided where it holds much. The only one that packets follow.
-    #[default]
-    Masks,
 }
 
 /// How the triangles of a traced mesh are kept.
@@ -68,7 +59,7 @@ impl FromStr for MeshLayout {
 
 impl GridOptions {
     /// The densities that can be asked for.
-    pub const DENSITIES: RangeInclusive<f64> = 1.0 / 64.0..=4096.0;
+    pub const DENSITIES: RangeInclusive<f64> = Structure::DENSITIES;
 
     /// The numbers of macrocell levels that can be asked for.
     pub const MACROCELL_LEVELS: RangeInclusive<u8> = 0..=3;
@@ -83,34 +74,5 @@ impl Default for GridOptions {
             mesh: MeshLayout::default(),
             memory_budget: MemoryBudget::default(),
         }
-    }
-}
-
-impl Storage {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Plain, Self::RowDisplacement, Self::Masks];
-
-    /// As it is written on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Plain => "plain",
-            Self::RowDisplacement => "row-displacement",
-            Self::Masks => "masks",
-        }
-    }
-}
-
-impl fmt::Display for Storage {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for Storage {
-    type Err = String;
-
-    fn from_str(name: &str) -> Result<Self, String> {
-        let found = Self::ALL.into_iter().find(|storage| storage.name() == name);
-        found.ok_or_else(|| format!("\"{name}\" is no storage: it is plain, row-displacement or masks"))
     }
 }
