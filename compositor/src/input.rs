@@ -3,8 +3,11 @@
 use shared::{
     division::Division,
     protocol::{RayTree, View},
+    structure::Storage,
 };
 use winit::keyboard::NamedKey;
+
+use crate::overlay::Tint;
 
 /// What a person can ask of the wall, by key or on the overlay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,6 +26,26 @@ pub enum Command {
     ChangeSpeed(i32),
     /// Say what lies under the cursor.
     Inspect,
+    /// Tint the picture by the next of who rendered it, what it cost, or nothing.
+    NextTint,
+    /// Tint the picture by this.
+    SetTint(Tint),
+    /// Have render servers keep the grid in the next of the storages.
+    NextStorage,
+    /// Have render servers keep the grid in this storage; without one, as they were started.
+    SetStorage(Option<Storage>),
+    /// Have render servers build the next denser grid, and after the densest the coarsest.
+    NextDensity,
+    /// Have render servers build a grid of so many cells a triangle.
+    SetDensity(u32),
+    /// Show or hide the files that can be opened.
+    ToggleFiles,
+    /// Mark this entry of the files.
+    Choose(usize),
+    /// Open this entry of the files.
+    OpenEntry(usize),
+    /// Show the files of the folder above.
+    OpenParent,
     /// Go near to what lies under the cursor, and orbit around it.
     GoToCursor,
     /// Take the next axis as up, and see the whole model.
@@ -181,6 +204,10 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('h')], Ask(NextDivision), "next heuristic: interleaved, tiled, dynamic"),
         row(&[Letter('v')], Ask(NextView), "next view: shaded, normals, cost"),
         row(&[Letter('r')], Ask(NextRays), "next rays: primary, shadows, ambient"),
+        row(&[Letter('t')], Ask(NextTint), "next tint: none, who rendered it, CPU time"),
+        row(&[Letter('k')], Ask(NextStorage), "next storage of the grid"),
+        row(&[Letter('j')], Ask(NextDensity), "next density of the grid"),
+        row(&[Ctrl('o')], Ask(ToggleFiles), "open another model"),
         row(&[Letter('o')], Ask(ToggleOverlay), "overlay on or off"),
         row(&[Named(NamedKey::F1)], Ask(ToggleHelp), "this help on or off"),
         row(&[Letter('p'), Named(NamedKey::F12)], Ask(Screenshot), "screenshot of the wall"),

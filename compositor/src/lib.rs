@@ -1,8 +1,8 @@
 //! The wall: divides frames among render servers, composes their samples and shows them.
 //!
 //! In reading order: [`args`] is the command line and [`run`] starts a wall from it; [`model`] is what is shown, [`kept`]
-//! what lies in files beside it, [`wall`] where, [`farm`] has it rendered by others, [`local`] by processes of this machine; [`gpu`] draws it.
-//! [`window`] shows it: [`input`] and [`navigator`] are what keys and mouse do, [`overlay`] is what an operator reads,
+//! what lies in files beside it, [`wall`] where, [`farm`] has it rendered by others, [`local`] by processes of this
+//! machine; [`gpu`] draws it. [`window`] shows it: [`input`] and [`navigator`] are what keys and mouse do, [`overlay`] is what an operator reads,
 //! [`display_environment`] and [`screensaver`] deal with the session around. [`headless`] shows it without a window.
 //! [`stats`] and [`report`] say what all of it took; [`mod@bench`] is the paper's experiment.
 

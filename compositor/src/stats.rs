@@ -1,11 +1,11 @@
 //! What is measured about the farm and about each frame: for the overlay, and for `--stats`.
 
-use std::net::SocketAddr;
+use std::{net::SocketAddr, sync::Arc};
 
 use serde::Serialize;
 use shared::{
-    division::{Division, FrameSize},
-    protocol::{Encoding, ProbeHit, SceneState},
+    division::{Division, FrameSize, Work},
+    protocol::{BlockCosts, Encoding, ProbeHit, SceneState},
 };
 
 /// The number of a render server: counts up from 1 in the order of joining while a wall runs, never used twice.
@@ -145,6 +145,22 @@ pub struct FrameStats {
     pub bytes_out: u64,
     /// Each render server that took part.
     pub nodes: Vec<NodeFrameStats>,
+    /// The works that were answered: together, who rendered what.
+    #[serde(skip)]
+    pub works: Arc<[FrameWork]>,
+}
+
+/// A work of a frame, who did it, and what it cost.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameWork {
+    /// Who.
+    pub node: NodeId,
+    /// Which units.
+    pub work: Work,
+    /// CPU time of all tracing threads, in nanoseconds.
+    pub trace_cpu_ns: u64,
+    /// Where in the work that went, if it was measured.
+    pub costs: BlockCosts,
 }
 
 /// The largest of some times over their mean; 1 when there are none.

@@ -166,6 +166,21 @@ impl Camera {
         self.ll + (self.u + self.v) * 0.5
     }
 
+    /// Where a point is seen, as parts of the edges u and v; `None` if it lies beside the eye or behind it.
+    pub fn seen_at(&self, point: DVec3) -> Option<[f64; 2]> {
+        // Solved for t, s and p in eye + t·(point − eye) = ll + s·u + p·v.
+        let normal = self.u.cross(self.v);
+        let (ray, to_plane) = (point - self.eye, self.ll - self.eye);
+        let t = to_plane.dot(normal) / ray.dot(normal);
+        if !(t.is_finite() && t > 0.0) {
+            return None;
+        }
+        let on_plane = ray * t - to_plane;
+        let area = normal.length_squared();
+        let (s, p) = (on_plane.cross(self.v).dot(normal) / area, self.u.cross(on_plane).dot(normal) / area);
+        Some([s, p])
+    }
+
     /// The rays of this camera for a frame of the given size.
     pub fn rays(&self, size: FrameSize) -> CameraRays {
         CameraRays {
@@ -252,6 +267,20 @@ mod tests {
         assert_eq!(Camera::new(eye * 1e19, ll, u, v), Err(CameraError::NotFinite));
         assert_eq!(Camera::new(eye, ll, u, DVec3::ZERO), Err(CameraError::NoArea));
         assert_eq!(Camera::new(DVec3::X, ll, u, v), Err(CameraError::EyeInPlane));
+    }
+
+    #[test]
+    fn a_point_is_seen_where_its_ray_goes() {
+        let (u, v) = (DVec3::new(2.0, 0.5, 0.0), DVec3::new(0.3, 1.0, -0.2));
+        let camera = Camera::new(DVec3::new(0.1, 0.2, 3.0), DVec3::new(-1.0, -0.7, 0.3), u, v).unwrap();
+        for (s, p, t) in [(0.0, 0.0, 1.0), (0.3, 0.9, 0.1), (-1.0, 2.0, 7.0)] {
+            let point = camera.eye() + (camera.ll() + u * s + v * p - camera.eye()) * t;
+            let seen = camera.seen_at(point).unwrap();
+            assert!((seen[0] - s).abs() < 1e-12 && (seen[1] - p).abs() < 1e-12, "{seen:?}");
+            assert_eq!(camera.seen_at(camera.eye() * 2.0 - point), None, "behind the eye");
+        }
+        assert_eq!(camera.seen_at(camera.eye() + u), None, "beside the eye");
+        assert_eq!(camera.seen_at(camera.eye()), None);
     }
 
     #[test]

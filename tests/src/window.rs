@@ -29,7 +29,12 @@ impl Wall {
 
     /// The same, with what is kept beside the model in a folder.
     fn start_in(folder: &Path, arguments: &[&str]) -> Self {
-        let session = XSession::start(SCREEN);
+        Self::start_on(SCREEN, folder, arguments)
+    }
+
+    /// The same on a screen of so many pixels.
+    fn start_on(screen: [usize; 2], folder: &Path, arguments: &[&str]) -> Self {
+        let session = XSession::start(screen);
         let mut command = Program::command("compositor");
         command.args(["--listen", "127.0.0.1:0", "--local", "2", "--triangles", "5000", "--size", "256x128"]);
         command.current_dir(folder).args(arguments).env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
@@ -46,6 +51,13 @@ impl Wall {
         self.session.key("o");
         wait_until("the overlay is gone", || before.difference(&self.session.screenshot(), 4) > 0.05);
         self.session.steady_screenshot()
+    }
+
+    /// Presses a key, and waits until a frame that comes of it is on screen.
+    fn key_and_frame(&mut self, key: &str) {
+        let n_shown = self.program.count(SHOWN);
+        self.session.key(key);
+        self.program.wait_for_count(SHOWN, n_shown + 1);
     }
 
     /// Quits by key; gives back all that the program said.
@@ -186,6 +198,75 @@ fn visitors_of_a_locked_wall_can_steer_and_nothing_else() {
 }
 
 #[test]
+fn a_session_from_opening_a_model_to_leaving() {
+    let folder = tempfile::tempdir().unwrap();
+    let (model, stats) = (folder.path().join("a model.ply"), folder.path().join("stats.json"));
+    let generate = Program::command("renderer").args(["generate", "statue", "--triangles", "300"]).arg(&model).output();
+    assert!(generate.unwrap().status.success());
+    let mut wall = Wall::start_in(folder.path(), &["--division", "tiled", "--stats", stats.to_str().unwrap()]);
+    let statue = wall.hide_overlay();
+    wall.session.key("ctrl+o");
+    wait_until("the files are listed", || statue.difference(&wall.session.screenshot(), 4) > 0.02);
+    let _ = wall.session.steady_screenshot();
+    wall.session.key("Return");
+    wall.session.wait_for_window("a model.ply");
+    wait_until("the model is seen", || statue.difference(&wall.session.screenshot(), 16) > 0.005);
+    let opened = wall.session.steady_screenshot();
+    wall.session.drag([SCREEN[0] as i32 / 2, SCREEN[1] as i32 / 2], [-150, 40]);
+    wait_until("it is orbited", || opened.difference(&wall.session.screenshot(), 16) > 0.02);
+    wall.key_and_frame("h");
+    let shaded = wall.session.steady_screenshot();
+    // Frames that come after it are rendered by the grids that it asks for.
+    let n_ready = wall.program.count("is ready");
+    wall.session.key("k");
+    wall.program.wait_for("Grids become masks, 32 cells a triangle");
+    wall.program.wait_for_count("is ready", n_ready + 2);
+    wall.key_and_frame("v");
+    wait_until("normals are seen", || shaded.difference(&wall.session.screenshot(), 16) > 0.05);
+    let normals = wall.session.steady_screenshot();
+    wall.session.key("t");
+    wait_until("tiles have their render servers' colours", || normals.difference(&wall.session.screenshot(), 16) > 0.5);
+    wall.session.key("p");
+    wait_until("the screenshot is written", || folder.path().join("wall-0001.png").is_file());
+    wall.quit();
+    let picture = compositor::gpu::Picture::read_png(&folder.path().join("wall-0001.png")).unwrap();
+    assert_eq!(picture.size, [4096, 2304]);
+    let stats: serde_json::Value = serde_json::from_str(&fs::read_to_string(stats).unwrap()).unwrap();
+    let last = stats["frames"].as_array().unwrap().last().unwrap();
+    assert_eq!((&last["division"], last["nodes"].as_array().unwrap().len()), (&"dynamic".into(), 2));
+}
+
+#[test]
+fn a_window_can_be_minimised_and_made_small_and_large() {
+    let mut wall = Wall::start(&[]);
+    let before = wall.hide_overlay();
+    wall.session.xdotool(&["windowminimize", "--sync", &wall.window]);
+    std::thread::sleep(Duration::from_millis(500));
+    wall.session.xdotool(&["windowmap", &wall.window]);
+    wall.session.xdotool(&["windowactivate", "--sync", &wall.window]);
+    wait_until("the wall is there again", || wall.session.screenshot() == before);
+    for size in [["1", "1"], ["333", "777"], ["1200", "190"], ["1024", "576"]] {
+        wall.session.xdotool(&["windowsize", &wall.window, size[0], size[1]]);
+        wall.key_and_frame("h");
+        wall.session.key("o");
+        wall.session.key("o");
+    }
+    wall.quit();
+}
+
+#[test]
+fn a_wall_of_a_single_pixel_shows_it() {
+    let mut wall = Wall::start_on([1, 1], Path::new("."), &["--fullscreen"]);
+    for key in ["v", "v", "h"] {
+        wall.key_and_frame(key);
+    }
+    wall.session.key("t");
+    wall.session.key("F1");
+    wait_until("the pixel is drawn", || wall.session.screenshot().rgb != [0; 3]);
+    wall.quit();
+}
+
+#[test]
 fn f11_fills_the_screen_and_escape_gives_it_back() {
     let wall = Wall::start(&[]);
     let windowed = wall.session.geometry(&wall.window);
@@ -243,7 +324,8 @@ fn a_dropped_model_is_shown_and_a_broken_one_leaves_it_there() {
     let dropped = wall.session.steady_screenshot();
     drop_file(wall.session.display(), &wall.window, &broken);
     wall.program.wait_for("broken.ply");
-    assert!(dropped == wall.session.steady_screenshot(), "the model went away");
+    wait_until("the message is seen", || dropped != wall.session.screenshot());
+    wait_until("the model is still there", || dropped == wall.session.screenshot());
     wall.session.key("o");
     wait_until("the overlay is back", || dropped.difference(&wall.session.screenshot(), 16) > 0.05);
     wall.quit();

@@ -6,7 +6,7 @@ use super::style;
 use crate::input::{Command, KEYS, MOUSE};
 
 /// The panel's width in points.
-pub(super) const WIDTH: f32 = 420.0;
+pub(super) const WIDTH: f32 = 790.0;
 
 pub(super) fn show(ui: &mut Ui, commands: &mut Vec<Command>) {
     ui.horizontal(|ui| {
@@ -18,14 +18,20 @@ pub(super) fn show(ui: &mut Ui, commands: &mut Vec<Command>) {
         });
     });
     ui.separator();
-    egui::Grid::new("keys").num_columns(2).spacing([18.0, 5.0]).show(ui, |ui| {
-        for binding in KEYS {
-            row(ui, &binding.names(), binding.help);
-        }
-        for (gesture, effect) in MOUSE {
-            row(ui, gesture, effect);
-        }
+    // Side by side: one below the other they would be higher than a window.
+    let (left, right) = KEYS.split_at((KEYS.len() + MOUSE.len()).div_ceil(2));
+    ui.horizontal_top(|ui| {
+        columns("keys").show(ui, |ui| left.iter().for_each(|binding| row(ui, &binding.names(), binding.help)));
+        ui.add_space(18.0);
+        columns("more keys and mouse").show(ui, |ui| {
+            right.iter().for_each(|binding| row(ui, &binding.names(), binding.help));
+            MOUSE.iter().for_each(|(gesture, effect)| row(ui, gesture, effect));
+        });
     });
+}
+
+fn columns(name: &str) -> egui::Grid {
+    egui::Grid::new(name).num_columns(2).spacing([14.0, 5.0])
 }
 
 fn row(ui: &mut Ui, what: &str, effect: &str) {

@@ -1,9 +1,9 @@
 //! One row for each render server: who it is, how it is, and where its time in the newest frame went.
 
-use egui::{Align, Color32, Layout, RichText, Ui};
+use egui::{Align, Color32, Label, Layout, RichText, Ui};
 use shared::protocol::SceneState;
 
-use super::{OverlayModel, style};
+use super::{OverlayModel, Tint, style, tint::node_colour};
 use crate::stats::{FarmStatus, NodeFrameStats, NodeStatus};
 
 /// How many render servers can be given work.
@@ -17,24 +17,85 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
         return;
     }
     let lost = if *n_lost > 0 { format!(", {n_lost} lost, {n_healed} frames healed") } else { String::new() };
-    style::section(ui, &format!("Render servers: {} of {} ready{lost}", n_ready(&model.status), nodes.len()), "ms");
+    style::section(ui, &format!("Render servers: {} of {} ready{lost}", n_ready(&model.status), nodes.len()), "");
+    let frame_of =
+        |node: &NodeStatus| model.frame.as_ref().and_then(|frame| frame.nodes.iter().find(|stats| stats.id == node.id));
+    let longest_ms = nodes.iter().filter_map(frame_of).map(|frame| times(frame).iter().sum()).fold(0.0, f64::max);
+    style::legend(ui, "ms in the newest frame", &[("tracing", TRACE), ("network", NETWORK), ("idle", IDLE)]);
     for node in nodes {
-        let frame = model.frame.as_ref().and_then(|frame| frame.nodes.iter().find(|stats| stats.id == node.id));
-        row(ui, node, frame);
+        let swatch = (model.tint == Tint::Nodes).then(|| node_colour(node.id));
+        let is_compact = nodes.len() > MOST_WITH_FIGURES;
+        let head = row(ui, is_compact, node, swatch, frame_of(node), longest_ms);
+        if is_compact {
+            head.on_hover_ui(|ui| {
+                ui.label(where_and_how(node, frame_of(node)));
+                details(ui, node, frame_of(node));
+            });
+        } else {
+            details(ui, node, frame_of(node));
+        }
     }
 }
 
-fn row(ui: &mut Ui, node: &NodeStatus, frame: Option<&NodeFrameStats>) {
+/// With more render servers than this, each has one line, and its figures are shown while the mouse rests on it.
+const MOST_WITH_FIGURES: usize = 4;
+/// Names in lines, in points.
+const COMPACT_NAME_WIDTH: f32 = 84.0;
+const TRACE: Color32 = style::ACCENT;
+const NETWORK: Color32 = style::BUSY;
+const IDLE: Color32 = Color32::from_gray(95);
+
+fn times(frame: &NodeFrameStats) -> [f64; 3] {
+    [frame.trace_ms, frame.network_ms, frame.idle_ms]
+}
+
+fn row(
+    ui: &mut Ui,
+    is_compact: bool,
+    node: &NodeStatus,
+    swatch: Option<Color32>,
+    frame: Option<&NodeFrameStats>,
+    longest_ms: f64,
+) -> egui::Response {
     let (state, colour, reason) = state(node);
-    ui.add_space(4.0);
-    ui.horizontal(|ui| {
-        ui.label(RichText::new(&node.name).strong());
-        ui.label(RichText::new(where_and_how(node)).small().weak());
-        ui.with_layout(Layout::right_to_left(Align::Center), |ui| ui.label(RichText::new(state).color(colour)));
+    let [trace, network, idle] = frame.map_or([0.0; 3], times);
+    let bar = |ui: &mut Ui| {
+        let spoken = format!("{}: tracing {trace:.1} ms, network {network:.1} ms, idle {idle:.1} ms", node.name);
+        style::stacked_bar(ui, &[(trace, TRACE), (network, NETWORK), (idle, IDLE)], longest_ms, &spoken);
+    };
+    let head = ui.horizontal(|ui| {
+        if let Some(swatch) = swatch {
+            let (rect, _) = ui.allocate_exact_size(egui::Vec2::splat(10.0), egui::Sense::hover());
+            ui.painter().rect_filled(rect, 2.0, swatch);
+        }
+        let name = RichText::new(&node.name).strong();
+        if is_compact {
+            let (size, layout) = (egui::vec2(COMPACT_NAME_WIDTH, 16.0), Layout::left_to_right(Align::Center));
+            ui.allocate_ui_with_layout(size, layout, |ui| {
+                ui.set_min_width(COMPACT_NAME_WIDTH);
+                ui.add(Label::new(name).truncate());
+            });
+        } else {
+            ui.label(name);
+            ui.label(RichText::new(where_and_how(node, frame)).small().weak());
+        }
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            ui.label(RichText::new(state).color(colour));
+            if is_compact {
+                bar(ui);
+            }
+        });
     });
     if let Some(reason) = reason {
         ui.label(RichText::new(reason).color(style::BUSY));
     }
+    if !is_compact {
+        bar(ui);
+    }
+    head.response
+}
+
+fn details(ui: &mut Ui, node: &NodeStatus, frame: Option<&NodeFrameStats>) {
     let of_frame = |figure: fn(&NodeFrameStats) -> String| frame.map_or_else(|| "–".to_owned(), figure);
     style::metrics(
         ui,
@@ -43,20 +104,21 @@ fn row(ui: &mut Ui, node: &NodeStatus, frame: Option<&NodeFrameStats>) {
             ("trace", of_frame(|frame| style::ms(frame.trace_ms))),
             ("network", of_frame(|frame| style::ms(frame.network_ms))),
             ("idle", of_frame(|frame| style::ms(frame.idle_ms))),
-            ("Mbit/s", of_frame(|frame| format!("{:.0} {}", frame.mbit_per_s, frame.encoding.name()))),
+            ("Mbit/s", of_frame(|frame| format!("{:.0}", frame.mbit_per_s))),
             ("bytes", of_frame(|frame| style::bytes(frame.bytes_in + frame.bytes_out))),
             ("ping", node.round_trip_ms.map_or_else(|| "–".to_owned(), style::ms)),
         ],
     );
 }
 
-fn where_and_how(node: &NodeStatus) -> String {
+fn where_and_how(node: &NodeStatus, frame: Option<&NodeFrameStats>) -> String {
     let threads = if node.threads == 1 { "thread" } else { "threads" };
     let failures = match node.n_failures {
         0 => String::new(),
         n_failures => format!(", lost {n_failures} times"),
     };
-    format!("{}, {} {threads}{failures}", node.address, node.threads)
+    let encoding = frame.map(|frame| format!(", {}", frame.encoding.name())).unwrap_or_default();
+    format!("{}, {} {threads}{encoding}{failures}", node.address, node.threads)
 }
 
 /// The state in a word, its colour, and what to do about it.

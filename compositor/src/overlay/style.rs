@@ -90,11 +90,40 @@ pub(super) fn section(ui: &mut Ui, name: &str, unit: &str) {
     });
 }
 
+/// A line of small text, and what its colours mean.
+pub(super) fn legend(ui: &mut Ui, text: &str, colours: &[(&str, Color32)]) {
+    ui.horizontal(|ui| {
+        ui.label(RichText::new(text).small().weak());
+        ui.with_layout(Layout::right_to_left(egui::Align::Center), |ui| {
+            for (name, colour) in colours.iter().rev() {
+                ui.label(RichText::new(*name).small().color(*colour));
+            }
+        });
+    });
+}
+
+/// Parts of a whole side by side, each in its colour; `spoken` says them in words.
+pub(super) fn stacked_bar(ui: &mut Ui, parts: &[(f64, Color32)], whole: f64, spoken: &str) {
+    let size = egui::vec2(ui.available_width(), 9.0);
+    let (rect, response) = ui.allocate_exact_size(size, egui::Sense::hover());
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Meter, true, spoken));
+    ui.painter().rect_filled(rect, 2.0, Color32::from_white_alpha(14));
+    let mut left = rect.min.x;
+    for &(part, colour) in parts {
+        let width = if whole > 0.0 { (part / whole).clamp(0.0, 1.0) as f32 * rect.width() } else { 0.0 };
+        let right = (left + width).min(rect.max.x);
+        let bar = egui::Rect::from_min_max(egui::pos2(left, rect.min.y), egui::pos2(right, rect.max.y));
+        ui.painter().rect_filled(bar, 2.0, colour);
+        left = right;
+    }
+}
+
 /// Figures side by side, each under its name.
 pub(super) fn metrics<const N: usize>(ui: &mut Ui, figures: &[(&str, String); N]) {
     ui.columns_const(|columns: &mut [Ui; N]| {
         for (column, (name, value)) in columns.iter_mut().zip(figures) {
             column.spacing_mut().item_spacing.y = 0.0;
+            column.style_mut().wrap_mode = Some(egui::TextWrapMode::Extend);
             column.label(RichText::new(*name).small().weak());
             let spoken = format!("{name} {value}");
             column

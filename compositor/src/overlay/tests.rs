@@ -4,9 +4,11 @@ use std::cell::RefCell;
 
 use egui::accesskit::Toggled;
 use egui_kittest::{Harness, kittest::NodeT, kittest::Queryable};
+use glam::DVec3;
 use shared::{
     division::FrameSize,
     protocol::{Encoding, SceneState},
+    structure::Storage,
 };
 
 use super::*;
@@ -39,7 +41,7 @@ fn node(id: u32, name: &str, scene: Option<SceneState>) -> NodeStatus {
     }
 }
 
-fn running() -> OverlayModel {
+pub(super) fn running() -> OverlayModel {
     let nodes = [("north", 0.75, 20.0), ("south", 0.25, 5.0)].into_iter().zip(1..);
     let frame = FrameStats {
         frame: 7,
@@ -73,6 +75,7 @@ fn running() -> OverlayModel {
                 bytes_out: 210,
             })
             .collect(),
+        works: Default::default(),
     };
     let display = DisplayStats { upload_ms: 0.5, draw_ms: 2.25, present_ms: 0.125, latency_ms: 41.0 };
     OverlayModel {
@@ -82,7 +85,7 @@ fn running() -> OverlayModel {
         frames_per_second: Some(24.25),
         status: FarmStatus {
             nodes: vec![
-                node(1, "north", Some(SceneState::Ready { triangles: 1_000_000, bytes: 1 })),
+                node(1, "north", Some(SceneState::Ready { triangles: 1_000_000, bytes: 39_000_000 })),
                 node(2, "south", Some(SceneState::Ready { triangles: 1_000_000, bytes: 1 })),
             ],
             n_healed: 3,
@@ -90,7 +93,12 @@ fn running() -> OverlayModel {
             message: None,
             probed: None,
         },
-        model: Some(ModelSummary { name: "statue".to_owned(), n_triangles: 1_000_000, n_rejected: 0 }),
+        model: Some(ModelSummary {
+            name: "statue".to_owned(),
+            n_triangles: 1_000_000,
+            n_rejected: 0,
+            extent: DVec3::new(1.0, 1.9, 1.0),
+        }),
         min_renderers: 1,
         ..Default::default()
     }
@@ -132,7 +140,7 @@ fn every_render_server_has_its_row() {
         for label in [
             "Render servers: 1 of 4 ready, 2 lost, 3 frames healed",
             "north",
-            "10.0.0.1:40000, 8 threads",
+            "10.0.0.1:40000, 8 threads, LZ4",
             "share 75 %",
             "trace 20.0",
             "ready",
@@ -227,6 +235,8 @@ fn help_lists_every_key_and_every_gesture() {
             harness.get_by_label(gesture);
             harness.get_by_label(effect);
         }
+        let last = harness.get_by_label(crate::input::MOUSE[crate::input::MOUSE.len() - 1].1).rect();
+        assert!(last.max.y < 768.0, "{last:?} is below the edge of a window as high as most");
         harness.get_by_label("Close (F1)").click();
     });
     assert_eq!(commands, [Command::ToggleHelp]);
@@ -252,4 +262,120 @@ fn more_render_servers_than_fit_are_scrolled() {
     drop(harness);
     let areas = areas.into_inner();
     assert!(areas[0].max.y <= 900.0 && areas[0].height() > 700.0, "{areas:?}");
+}
+
+#[test]
+fn every_bar_says_its_figures() {
+    commands_of(&running(), |harness| {
+        harness.get_by_label("north: tracing 20.0 ms, network 1.2 ms, idle 3.5 ms");
+        harness.get_by_label("south: tracing 5.0 ms, network 1.2 ms, idle 3.5 ms");
+    });
+}
+
+#[test]
+fn a_dozen_render_servers_fit_without_scrolling() {
+    let mut model = running();
+    model.status.nodes = (1..=12)
+        .map(|id| node(id, &format!("node-{id}"), Some(SceneState::Ready { triangles: 9, bytes: 9 })))
+        .collect();
+    for frame in 0..50 {
+        model.history.add(FrameTimes { render_ms: 20.0, latency_ms: 30.0 + f64::from(frame) });
+    }
+    commands_of(&model, |harness| {
+        harness.get_by_label("Last frames, to 100 ms");
+        let last = harness.get_by_label_contains("node-12: tracing");
+        assert!(last.rect().max.y < 880.0, "{:?}", last.rect());
+        harness.get_by_label("Record (C)").click();
+    });
+}
+
+#[test]
+fn the_model_its_views_and_what_was_clicked_are_told() {
+    let pick = Pick { triangle: 123_456, point: DVec3::new(0.25, -1.5, 30.0), distance: 2.5 };
+    let model = OverlayModel { views: vec![1, 4], pick: Some(pick), is_playing: true, ..running() };
+    let commands = commands_of(&model, |harness| {
+        harness.get_by_label("Triangle 123 456 at (0.2500, -1.5000, 30.000), 2.5000 from the eye");
+        harness.get_by_label("1.0000 × 1.9000 × 1.0000 in its own unit");
+        harness.get_by_label("39 MB in memory, 39 bytes a triangle");
+        harness.get_by_label("view 4").click();
+        harness.run();
+        harness.get_by_label("Stop (Space)").click();
+        harness.run();
+        harness.get_by_label("Open (Ctrl+O)").click();
+    });
+    assert_eq!(commands, [Command::GoToView(4), Command::TogglePlaying, Command::ToggleFiles]);
+}
+
+#[test]
+fn the_tint_can_be_switched() {
+    let commands = commands_of(&running(), |harness| harness.get_by_label("who").click());
+    assert_eq!(commands, [Command::SetTint(Tint::Nodes)]);
+}
+
+#[test]
+fn files_are_listed_and_can_be_opened() {
+    let entry = |name: &str, bytes| FileEntry { name: name.to_owned(), bytes };
+    let entries = vec![entry("scans", None), entry("dragon.ply", Some(23_000_000))];
+    let files = FileList { folder: "/models".to_owned(), entries, chosen: 1, problem: None };
+    let model = OverlayModel { files: Some(files), help: true, ..running() };
+    let commands = commands_of(&model, |harness| {
+        harness.get_by_label("/models");
+        harness.get_by_label("23 MB");
+        let chosen = harness.get_by_label("dragon.ply").accesskit_node().toggled();
+        assert_eq!(chosen, Some(Toggled::True));
+        harness.get_by_label("scans/").click();
+        harness.run();
+        harness.get_by_label("Close (Esc)").click();
+    });
+    assert_eq!(commands, [Command::OpenEntry(0), Command::ToggleFiles]);
+    let problem = Some("This folder cannot be read".to_owned());
+    let model = OverlayModel { files: Some(FileList { problem, ..FileList::default() }), ..OverlayModel::default() };
+    commands_of(&model, |harness| {
+        harness.get_by_label("This folder cannot be read");
+    });
+}
+
+#[test]
+fn a_note_is_seen_without_the_panel_and_is_in_nobody_s_way() {
+    let model = OverlayModel { note: Some("View 3 is kept".to_owned()), ..OverlayModel::default() };
+    let areas = RefCell::new(Vec::new());
+    let mut harness =
+        Harness::builder().with_size([800.0, 600.0]).build_ui(|ui| *areas.borrow_mut() = show(ui, &model).areas);
+    harness.run();
+    let note = harness.get_by_label("View 3 is kept").rect();
+    assert!(note.min.y > 540.0 && (note.center().x - 400.0).abs() < 1.0, "{note:?}");
+    drop(harness);
+    assert!(areas.into_inner().is_empty(), "the mouse is still the model's");
+}
+
+#[test]
+fn no_window_is_too_small_for_any_panel() {
+    let files =
+        Some(FileList { entries: vec![FileEntry { name: "a.ply".to_owned(), bytes: Some(1) }], ..FileList::default() });
+    let place =
+        Place { canvas: egui::Rect::from_min_max(egui::Pos2::ZERO, egui::pos2(1.0, 1.0)), window: egui::Rect::ZERO };
+    let model = OverlayModel { files, tint: Tint::Cost, places: vec![place], note: Some("a".to_owned()), ..running() };
+    for side in [1.0, 17.0, 64.0] {
+        let mut harness = Harness::builder().with_size([side, side]).with_context_setup(apply_style).build_ui(|ui| {
+            show(ui, &model);
+        });
+        harness.run();
+    }
+}
+
+#[test]
+fn storage_and_density_can_be_switched() {
+    let structure = Some(Structure { storage: Storage::RowDisplacement, density: 8.0 });
+    let commands = commands_of(&OverlayModel { structure, ..running() }, |harness| {
+        let toggled = |label| harness.get_by_label(label).accesskit_node().toggled();
+        let expected = [Some(Toggled::True), Some(Toggled::True), Some(Toggled::False), Some(Toggled::False)];
+        assert_eq!(["row-displacement", "8", "as started", "32"].map(toggled), expected);
+        harness.get_by_label("plain").click();
+        harness.run();
+        harness.get_by_label("128").click();
+        harness.run();
+        harness.get_by_label("as started").click();
+    });
+    let expected = [Command::SetStorage(Some(Storage::Plain)), Command::SetDensity(128), Command::SetStorage(None)];
+    assert_eq!(commands, expected);
 }

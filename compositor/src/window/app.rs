@@ -1,5 +1,6 @@
 //! What happens in the window: events in, wishes to the farm and pictures out.
 
+mod opening;
 mod probing;
 mod showing;
 mod steering;
@@ -50,6 +51,7 @@ pub(super) struct App<'a> {
     navigator: Option<Navigator>,
     recording: Option<touring::Recording>,
     probing: probing::Probing,
+    browser: opening::Browser,
     /// Visitors can only steer.
     is_locked: bool,
     view: View,
@@ -107,6 +109,7 @@ impl<'a> App<'a> {
             navigator: None,
             recording: None,
             probing: probing::Probing::default(),
+            browser: opening::Browser::new(&options.source),
             is_locked: options.kiosk,
             view: options.view,
             rays: options.rays,
@@ -166,7 +169,7 @@ impl<'a> App<'a> {
                 Err(problem) if self.model.is_none() => return self.fail(event_loop, anyhow::anyhow!(problem)),
                 Err(problem) => {
                     tracing::error!("{problem}");
-                    self.error = Some(problem);
+                    self.complain(problem);
                 }
             }
         }
@@ -176,11 +179,12 @@ impl<'a> App<'a> {
                 Ok(Some(note)) => self.say(note),
                 Err(problem) => {
                     tracing::error!("{problem}");
-                    self.error = Some(problem);
+                    self.complain(problem);
                 }
             }
         }
         self.take_probed();
+        self.take_listing();
         self.take_frame();
         if self.overlay_changed() || self.frame_is_new {
             self.redraw();
@@ -210,8 +214,12 @@ impl<'a> App<'a> {
             }
         }
         self.overlay.pick = None;
-        self.overlay.model =
-            Some(ModelSummary { name: name.clone(), n_triangles: model.n_triangles, n_rejected: model.n_rejected });
+        self.overlay.model = Some(ModelSummary {
+            name: name.clone(),
+            n_triangles: model.n_triangles,
+            n_rejected: model.n_rejected,
+            extent: model.bounds.1 - model.bounds.0,
+        });
         if let Some(screen) = &self.screen {
             screen.window.set_title(&format!("{name} – Raywall"));
         }

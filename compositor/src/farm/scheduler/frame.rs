@@ -12,7 +12,7 @@ use super::{
     balance::Measured,
     coverage::{Coverage, Piece},
 };
-use crate::stats::{FrameStats, NodeFrameStats, NodeId, max_over_mean};
+use crate::stats::{FrameStats, FrameWork, NodeFrameStats, NodeId, max_over_mean};
 
 /// Work is late when it has taken this many times as long as the slowest finished work of the frame…
 const LATE_FACTOR: u32 = 3;
@@ -279,7 +279,21 @@ impl FrameInFlight {
             bytes_in: nodes.iter().map(|node| node.bytes_in).sum(),
             bytes_out: 0,
             nodes,
+            works: self.answered().collect(),
         }
+    }
+
+    /// The works that were answered, each with what it cost.
+    fn answered(&self) -> impl Iterator<Item = FrameWork> {
+        self.works.iter().filter_map(|given| match &given.state {
+            WorkState::Done { timings, costs, .. } => Some(FrameWork {
+                node: given.node,
+                work: given.piece.work.clone(),
+                trace_cpu_ns: 1000 * u64::from(timings.trace_cpu_us),
+                costs: costs.clone(),
+            }),
+            _ => None,
+        })
     }
 }
 

@@ -8,7 +8,13 @@ use std::{
 use winit::event_loop::ActiveEventLoop;
 
 use super::App;
-use crate::{kept::Kept, navigator::Navigator, overlay::OverlayModel, stats::DisplayStats};
+use crate::{
+    kept::Kept,
+    navigator::Navigator,
+    overlay::{FrameTimes, OverlayModel, Place},
+    stats::DisplayStats,
+    wall::PixelRect,
+};
 
 /// The cursor of a fullscreen wall disappears when it has rested for so long.
 const CURSOR_REST: Duration = Duration::from_secs(2);
@@ -51,6 +57,7 @@ impl App<'_> {
         self.overlay.view = self.view;
         self.overlay.rays = self.rays;
         self.overlay.frame = self.frame.as_ref().map(|frame| frame.stats.clone());
+        self.place_on_wall();
         self.overlay.up = self.navigator.as_ref().map(Navigator::up).unwrap_or_default();
         self.overlay.is_recording = self.recording.is_some();
         self.overlay.is_playing = self.navigator.as_ref().is_some_and(Navigator::is_playing);
@@ -63,6 +70,42 @@ impl App<'_> {
         let is_dismissed = (&status.message, status.n_lost) == (&self.dismissed.0, self.dismissed.1);
         let farm_message = status.message.clone().filter(|_| !is_dismissed);
         self.overlay.messages = self.error.clone().into_iter().chain(farm_message).collect();
+    }
+
+    /// Says where the overlay finds the canvas, and on it the point that somebody asked for.
+    fn place_on_wall(&mut self) {
+        let Some(screen) = &self.screen else { return };
+        let (wall, scale) = (&self.options.wall, screen.pixels_per_point());
+        let whole = PixelRect::fitted(wall.output_size(), screen.size());
+        let [width, height] = wall.output_size().map(|side| side as f32);
+        let rect = |x: f32, y: f32, width: f32, height: f32| {
+            egui::Rect::from_min_size(egui::pos2(x, y), egui::vec2(width, height))
+        };
+        let places = wall.projectors().iter().map(|projector| {
+            let (part, output) = (projector.canvas, projector.output);
+            let (x, y) = (output.x as f32 / width, output.y as f32 / height);
+            let (in_x, in_y) = (output.width as f32 / width, output.height as f32 / height);
+            Place {
+                canvas: rect(
+                    part.left as f32,
+                    (1.0 - part.bottom - part.height) as f32,
+                    part.width as f32,
+                    part.height as f32,
+                ),
+                window: rect(
+                    (whole.x as f32 + x * whole.width as f32) / scale,
+                    (whole.y as f32 + y * whole.height as f32) / scale,
+                    in_x * whole.width as f32 / scale,
+                    in_y * whole.height as f32 / scale,
+                ),
+            }
+        });
+        self.overlay.places = places.collect();
+        let pick = self.overlay.pick.zip(self.frame.as_ref());
+        self.overlay.pick_on_canvas = pick.and_then(|(pick, frame)| {
+            let [x, y] = frame.picture.camera.seen_at(pick.point)?;
+            Some(egui::pos2(x as f32, (1.0 - y) as f32))
+        });
     }
 
     pub(super) fn draw(&mut self, event_loop: &ActiveEventLoop) {
@@ -87,6 +130,7 @@ impl App<'_> {
             self.frame_is_new = false;
             self.rate.count(now);
             let latency_ms = now.duration_since(frame.moved_at).as_secs_f64() * 1e3;
+            self.overlay.history.add(FrameTimes { render_ms: frame.stats.render_ms, latency_ms });
             let stats = DisplayStats { latency_ms, ..drawn.stats };
             tracing::debug!("frame {} is on screen, {latency_ms:.1} ms after the camera", frame.stats.frame);
             self.overlay.display = Some(stats);

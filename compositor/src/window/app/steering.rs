@@ -6,6 +6,7 @@ use glam::DVec2;
 use shared::{
     division::Division,
     protocol::{RayTree, View},
+    structure::{Storage, Structure},
 };
 use winit::{
     dpi::PhysicalPosition,
@@ -18,6 +19,7 @@ use super::{App, probing::Purpose};
 use crate::{
     input::{self, Action, Command, Key},
     navigator::{Drag, Navigator},
+    overlay::{DENSITIES, STORAGES, Tint},
     screensaver::ScreensaverHold,
     wall::PixelRect,
     window::{screen::Screen, screenshots},
@@ -34,6 +36,9 @@ impl App<'_> {
         // A key that was pressed before Ctrl is let go as the key that it was.
         self.touched_at = Instant::now();
         let Some(key) = Key::from_winit(&event.logical_key, pressed && self.modifiers.control_key()) else { return };
+        if pressed && let Some(command) = self.files_key(key) {
+            return self.obey(event_loop, command);
+        }
         match input::action(key) {
             Some(Action::Fly(direction)) => {
                 let Some(navigator) = &mut self.navigator else { return };
@@ -64,6 +69,22 @@ impl App<'_> {
             Command::TogglePlaying => self.toggle_playing(),
             Command::ChangeSpeed(steps) => self.change_speed(steps),
             Command::Inspect => self.probe(Purpose::Inspect),
+            Command::NextTint => self.overlay.tint = next(&Tint::ALL, self.overlay.tint),
+            Command::SetTint(tint) => self.overlay.tint = tint,
+            Command::NextStorage => {
+                let storage = self.overlay.structure.map(|structure| structure.storage);
+                self.set_storage(next(&STORAGES, storage));
+            }
+            Command::SetStorage(storage) => self.set_storage(storage),
+            Command::NextDensity => {
+                let density = self.overlay.structure.unwrap_or_default().density;
+                self.set_density(next(&DENSITIES, density as u32));
+            }
+            Command::SetDensity(density) => self.set_density(density),
+            Command::ToggleFiles => self.toggle_files(),
+            Command::Choose(index) => self.choose(index),
+            Command::OpenEntry(index) => self.open_entry(index),
+            Command::OpenParent => self.open_parent(),
             Command::GoToCursor => self.probe(Purpose::GoTo),
             Command::NextUpAxis => self.steer(Navigator::next_up_axis),
             Command::NextDivision => self.set_division(next(&Division::ALL, self.farm.wanted().division)),
@@ -98,6 +119,7 @@ impl App<'_> {
         self.is_locked = !self.is_locked;
         if self.is_locked {
             (self.overlay.panel, self.overlay.help) = (false, false);
+            (self.overlay.files, self.overlay.tint) = (None, Tint::None);
             self.overlay.pick = None;
             self.say("Locked: visitors can steer; Ctrl+L unlocks");
         } else {
@@ -110,6 +132,25 @@ impl App<'_> {
         self.farm.want(|wanted| {
             wanted.division = division;
             wanted.moved_at = Instant::now();
+        });
+    }
+
+    fn set_storage(&mut self, storage: Option<Storage>) {
+        let density = self.overlay.structure.unwrap_or_default().density;
+        self.set_structure(storage.map(|storage| Structure { storage, density }));
+    }
+
+    fn set_density(&mut self, density: u32) {
+        let storage = self.overlay.structure.unwrap_or_default().storage;
+        self.set_structure(Some(Structure { storage, density: density.into() }));
+    }
+
+    fn set_structure(&mut self, structure: Option<Structure>) {
+        self.overlay.structure = structure;
+        self.farm.set_structure(structure);
+        self.say(match structure {
+            Some(Structure { storage, density }) => format!("Grids become {storage}, {density} cells a triangle"),
+            None => "Grids become as the render servers were started".to_owned(),
         });
     }
 
@@ -139,7 +180,7 @@ impl App<'_> {
 
     fn take_screenshot(&mut self) {
         let (Some(screen), Some(_)) = (&mut self.screen, &self.frame) else {
-            self.error = Some("no screenshot: nothing has been rendered yet".to_owned());
+            self.complain("no screenshot: nothing has been rendered yet".to_owned());
             return;
         };
         match screen.picture(&self.options.wall) {
@@ -147,7 +188,7 @@ impl App<'_> {
                 let folder = self.options.screenshot_folder.clone();
                 self.jobs.add(move || screenshots::write(&folder, &picture));
             }
-            Err(error) => self.error = Some(format!("no screenshot: {error}")),
+            Err(error) => self.complain(format!("no screenshot: {error}")),
         }
     }
 

@@ -39,6 +39,14 @@ impl App<'_> {
         self.note = Some((note, Instant::now()));
     }
 
+    /// Tells of a problem: on the panel until it is dismissed, and without the panel for a while.
+    pub(super) fn complain(&mut self, problem: String) {
+        if !self.overlay.panel && !self.is_locked {
+            self.note = Some((problem.clone(), Instant::now()));
+        }
+        self.error = Some(problem);
+    }
+
     pub(super) fn go_to_view(&mut self, number: u8) {
         match self.kept.as_ref().and_then(Kept::views).and_then(|views| views.get(number)) {
             Some(camera) => self.steer(|navigator| navigator.go_to(camera)),
@@ -53,7 +61,7 @@ impl App<'_> {
                 self.jobs.add(move || kept::write_views(&file, &text).map(|()| None));
                 self.say(format!("View {number} is kept: key {number} goes there"));
             }
-            Err(problem) => self.error = Some(problem),
+            Err(problem) => self.complain(problem),
         }
     }
 

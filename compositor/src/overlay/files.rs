@@ -1,0 +1,68 @@
+//! Opening a model: the folders and PLY files of one folder, chosen by mouse or by keys.
+
+use egui::{Align, Layout, RichText, Ui};
+
+use super::style;
+use crate::input::Command;
+
+/// The panel's width in points.
+pub(super) const WIDTH: f32 = 420.0;
+
+/// What a folder holds that can be chosen.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FileList {
+    /// The folder, in words.
+    pub folder: String,
+    /// Folders first, then files, each by name.
+    pub entries: Vec<FileEntry>,
+    /// The entry that Enter opens.
+    pub chosen: usize,
+    /// Why the folder cannot be read.
+    pub problem: Option<String>,
+}
+
+/// A folder or a file that can be chosen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FileEntry {
+    /// Its name in its folder.
+    pub name: String,
+    /// Its bytes; `None` for a folder.
+    pub bytes: Option<u64>,
+}
+
+pub(super) fn show(ui: &mut Ui, files: &FileList, commands: &mut Vec<Command>) {
+    ui.horizontal(|ui| {
+        ui.label(RichText::new("Open a model").heading().strong());
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            if ui.button("Close (Esc)").clicked() {
+                commands.push(Command::ToggleFiles);
+            }
+        });
+    });
+    ui.label(RichText::new(&files.folder).small().weak());
+    ui.label(RichText::new("Up and Down choose, Enter opens, Backspace is the folder above").small().weak());
+    ui.separator();
+    if let Some(problem) = &files.problem {
+        ui.label(RichText::new(problem).color(style::BUSY));
+    } else if files.entries.is_empty() {
+        ui.label("No PLY file is in this folder.");
+    }
+    for (index, entry) in files.entries.iter().enumerate() {
+        let name = if entry.bytes.is_some() { entry.name.clone() } else { format!("{}/", entry.name) };
+        let is_chosen = index == files.chosen;
+        ui.horizontal(|ui| {
+            let label = ui.selectable_label(is_chosen, name);
+            if label.clicked() {
+                commands.push(Command::OpenEntry(index));
+            }
+            if is_chosen {
+                label.scroll_to_me(None);
+            }
+            if let Some(bytes) = entry.bytes {
+                ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+                    ui.label(RichText::new(style::bytes(bytes)).small().weak());
+                });
+            }
+        });
+    }
+}

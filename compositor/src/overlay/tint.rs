@@ -1,0 +1,241 @@
+//! Colours over the picture: who rendered each part of it, or what each part cost.
+
+use std::ops::RangeInclusive;
+
+use egui::{Color32, ColorImage, LayerId, Pos2, Rect, TextureHandle, TextureOptions, Ui, ecolor::Hsva};
+use shared::division::{FrameSize, Share, TILE_SIZE};
+
+use super::OverlayModel;
+use crate::stats::{FrameStats, FrameWork, NodeId};
+
+/// What the picture is tinted by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Tint {
+    /// Nothing.
+    #[default]
+    None,
+    /// Who rendered it: a colour for each render server.
+    Nodes,
+    /// CPU time: from blue over yellow to red.
+    Cost,
+}
+
+impl Tint {
+    /// Every tint, in the order in which a key steps through them.
+    pub const ALL: [Self; 3] = [Self::None, Self::Nodes, Self::Cost];
+
+    /// The name on screen.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Nodes => "who",
+            Self::Cost => "time",
+        }
+    }
+}
+
+/// Where a part of the canvas is seen in the window.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// The part of the canvas, whose upper-left corner is (0, 0) and whose lower-right corner is (1, 1).
+    pub canvas: Rect,
+    /// Where it is in the window, in points.
+    pub window: Rect,
+}
+
+impl Place {
+    /// Where a point of the canvas is in the window, (0, 0) upper left; `None` if it is not in this part.
+    fn of(&self, point: Pos2) -> Option<Pos2> {
+        let part = (point - self.canvas.min) / self.canvas.size();
+        self.canvas.contains(point).then(|| self.window.lerp_inside(part))
+    }
+}
+
+/// The colour of a render server: as different as can be from those that joined before and after.
+pub(super) fn node_colour(NodeId(id): NodeId) -> Color32 {
+    // Steps of the golden ratio around the circle of hues, and every second eight of them darker.
+    let value = if id.wrapping_sub(1) / 8 % 2 == 0 { 0.95 } else { 0.55 };
+    Hsva::new((id as f32 * 0.618_034).fract(), 0.9, value, 1.0).into()
+}
+
+/// How much of the picture is left to be seen through the tint.
+const OPACITY: f32 = 0.45;
+
+/// Draws the tint over the picture, under all panels.
+pub(super) fn show(ui: &Ui, model: &OverlayModel) {
+    let (Some(frame), tint) = (&model.frame, model.tint) else { return };
+    if tint == Tint::None || frame.works.is_empty() {
+        return;
+    }
+    let id = egui::Id::unique("tint");
+    let cached: Option<(u64, Tint, TextureHandle)> = ui.data(|data| data.get_temp(id));
+    let texture = match cached {
+        Some((number, of, texture)) if (number, of) == (frame.frame, tint) => texture,
+        _ => {
+            let texture = ui.ctx().load_texture("tint", image(tint, frame), TextureOptions::NEAREST);
+            ui.data_mut(|data| data.insert_temp(id, (frame.frame, tint, texture.clone())));
+            texture
+        }
+    };
+    // The last tiles may reach beyond the frame.
+    let texels = texture.size_vec2();
+    let unit = if texels == size_vec(frame.size) { 1.0 } else { TILE_SIZE as f32 };
+    let frame_in_texture = size_vec(frame.size) / (texels * unit);
+    let painter = ui.ctx().layer_painter(LayerId::background());
+    for place in &model.places {
+        // Frames and textures of them begin at the bottom.
+        let corner = |x: f32, y: f32| (egui::vec2(x, 1.0 - y) * frame_in_texture).to_pos2();
+        let uv = Rect {
+            min: corner(place.canvas.min.x, place.canvas.min.y),
+            max: corner(place.canvas.max.x, place.canvas.max.y),
+        };
+        painter.image(texture.id(), place.window, uv, Color32::WHITE.gamma_multiply(OPACITY));
+    }
+}
+
+/// Marks the point that somebody asked for.
+pub(super) fn mark_pick(ui: &Ui, model: &OverlayModel) {
+    let Some(point) = model.pick_on_canvas else { return };
+    let Some(at) = model.places.iter().find_map(|place| place.of(point)) else { return };
+    let painter = ui.ctx().layer_painter(LayerId::background());
+    painter.circle_stroke(at, 9.0, egui::Stroke::new(4.0, Color32::from_black_alpha(160)));
+    painter.circle_stroke(at, 9.0, egui::Stroke::new(2.0, super::style::ACCENT));
+    painter.circle_filled(at, 1.5, super::style::ACCENT);
+}
+
+fn size_vec(size: FrameSize) -> egui::Vec2 {
+    egui::vec2(size.xres() as f32, size.yres() as f32)
+}
+
+/// One texel for each unit of the frame, the bottom row first: tiles, or samples where the frame is divided by samples.
+fn image(tint: Tint, frame: &FrameStats) -> ColorImage {
+    let size = frame.size;
+    let shares = || frame.works.iter().filter_map(|work| Some((work, work.work.share(size).ok()?)));
+    let is_by_tiles = shares().any(|(_, share)| share.units().whole_unit_samples() > 1);
+    let unit = if is_by_tiles { TILE_SIZE } else { 1 };
+    let texels = [size.xres().div_ceil(unit), size.yres().div_ceil(unit)].map(|side| side as usize);
+    let mut image = ColorImage::filled(texels, Color32::TRANSPARENT);
+    let mut set = |share: &Share<'_>, k: u32, colour: Color32| {
+        let samples = share.samples(k);
+        let (column, row) = (samples.columns.start / unit, samples.rows.start / unit);
+        if let Some(texel) = image.pixels.get_mut(row as usize * texels[0] + column as usize) {
+            *texel = colour;
+        }
+    };
+    match tint {
+        Tint::None => {}
+        Tint::Nodes => {
+            for (work, share) in shares() {
+                (0..share.count()).for_each(|k| set(&share, k, node_colour(work.node)));
+            }
+        }
+        Tint::Cost => {
+            let costs: Vec<_> = shares().map(|(work, share)| unit_costs(work, &share)).collect();
+            let range = usual_range(costs.iter().flatten().copied());
+            for ((_, share), costs) in shares().zip(&costs) {
+                (0..).zip(costs).for_each(|(k, &cost)| set(&share, k, heat(cost, &range)));
+            }
+        }
+    }
+    image
+}
+
+/// CPU time of each unit of a work in nanoseconds: as its block was measured, or the work's mean.
+fn unit_costs(work: &FrameWork, share: &Share<'_>) -> Vec<f32> {
+    let n_units = share.count();
+    let mean = work.trace_cpu_ns as f32 / n_units.max(1) as f32;
+    let mut costs = vec![mean; n_units as usize];
+    if work.costs.fit(n_units) {
+        for (units, cpu_ns) in work.costs.blocks(n_units) {
+            let each = cpu_ns as f32 / units.len().max(1) as f32;
+            units.for_each(|k| costs[k as usize] = each);
+        }
+    }
+    costs
+}
+
+/// From nothing to what all but a hundredth stay below: one tile during which a node was interrupted does not make all
+/// others look free.
+fn usual_range(costs: impl Iterator<Item = f32>) -> RangeInclusive<f32> {
+    let mut sorted: Vec<f32> = costs.collect();
+    sorted.sort_by(f32::total_cmp);
+    0.0..=sorted.get(sorted.len().saturating_sub(1) * 99 / 100).copied().unwrap_or(0.0)
+}
+
+/// Blue, yellow, red.
+fn heat(cost: f32, range: &RangeInclusive<f32>) -> Color32 {
+    let extent = range.end() - range.start();
+    let part = if extent > 0.0 { ((cost - range.start()) / extent).clamp(0.0, 1.0) } else { 0.0 };
+    let stops = [[30.0, 60.0, 200.0], [250.0, 220.0, 60.0], [230.0, 40.0, 30.0]];
+    let (index, within) = if part < 0.5 { (0, part * 2.0) } else { (1, part * 2.0 - 1.0) };
+    let [r, g, b] = [0, 1, 2].map(|channel: usize| {
+        let (from, to): (f32, f32) = (stops[index][channel], stops[index + 1][channel]);
+        (from + (to - from) * within) as u8
+    });
+    Color32::from_rgb(r, g, b)
+}
+
+#[cfg(test)]
+mod tests {
+    use shared::{division::Division, protocol::BlockCosts};
+
+    use super::*;
+    use crate::overlay::tests::running;
+
+    fn frame(division: Division, size: [u32; 2], machines: u32) -> FrameStats {
+        let works = (0..machines).map(|machine| FrameWork {
+            node: NodeId(machine + 1),
+            work: division.work(machine, machines),
+            trace_cpu_ns: 1000 * (u64::from(machine) + 1),
+            costs: BlockCosts::default(),
+        });
+        let size = FrameSize::new(size[0], size[1]).unwrap();
+        FrameStats { size, works: works.collect(), ..running().frame.unwrap() }
+    }
+
+    #[test]
+    fn each_unit_has_the_colour_of_who_rendered_it() {
+        let tiled = image(Tint::Nodes, &frame(Division::Tiled, [20, 9], 4));
+        assert_eq!(tiled.size, [3, 2]);
+        let expected: Vec<_> = (0..6).map(|tile| node_colour(NodeId(tile % 4 + 1))).collect();
+        assert_eq!(tiled.pixels, expected);
+        let interleaved = image(Tint::Nodes, &frame(Division::Interleaved, [5, 2], 3));
+        assert_eq!(interleaved.size, [5, 2]);
+        let expected: Vec<_> = (0..10).map(|sample| node_colour(NodeId(sample % 3 + 1))).collect();
+        assert_eq!(interleaved.pixels, expected);
+    }
+
+    #[test]
+    fn measured_blocks_have_their_own_colours_and_others_the_mean() {
+        let mut frame = frame(Division::Dynamic, [32, 8], 1);
+        assert_eq!(image(Tint::Cost, &frame).pixels, vec![heat(1.0, &(0.0..=1.0)); 4], "one cost for all");
+        let mut works = frame.works.to_vec();
+        works[0].costs = BlockCosts { block_units: 2, cpu_ns: vec![100, 900] };
+        frame.works = works.into();
+        let mut colours = image(Tint::Cost, &frame).pixels;
+        colours.sort_by_key(Color32::to_array);
+        let mut expected = [50.0, 50.0, 450.0, 450.0].map(|cost| heat(cost, &(0.0..=450.0)));
+        expected.sort_by_key(Color32::to_array);
+        assert_eq!(colours, expected);
+    }
+
+    #[test]
+    fn neighbours_in_the_list_of_nodes_differ_in_colour() {
+        let colours: Vec<_> = (1..=12).map(|id| node_colour(NodeId(id))).collect();
+        let distance = |a: Color32, b: Color32| {
+            let channels = a.to_array().into_iter().zip(b.to_array());
+            channels.map(|(a, b)| u32::from(a.abs_diff(b))).sum::<u32>()
+        };
+        for (index, &colour) in colours.iter().enumerate() {
+            assert!(colours[..index].iter().all(|&other| distance(colour, other) > 60), "{index}: {colours:?}");
+        }
+    }
+
+    #[test]
+    fn a_point_of_the_canvas_is_found_on_its_projector() {
+        let rect = |x: f32, width: f32| Rect::from_min_size(egui::pos2(x, 0.0), egui::vec2(width, 1.0));
+        let right = Place { canvas: rect(0.5, 0.5), window: rect(100.0, 20.0) };
+        assert_eq!(right.of(egui::pos2(0.75, 0.5)), Some(egui::pos2(110.0, 0.5)));
+        assert_eq!(right.of(egui::pos2(0.25, 0.5)), None);
+    }
+}
