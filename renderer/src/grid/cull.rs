@@ -142,15 +142,18 @@ impl<'a> Culler<'a> {
         self.bundle.slopes = bounds;
     }
 
-    /// A bit for each ray that may pass between these slopes and could still have a nearer hit beyond a depth.
+    /// A bit for each of some rays that may pass between these slopes and could still have a nearer hit beyond a depth.
     #[inline(always)]
-    pub(super) fn passing<S: Simd>(&self, u: [f32; 2], v: [f32; 2], depth: f32) -> u64 {
+    pub(super) fn passing<S: Simd>(&self, among: u64, u: [f32; 2], v: [f32; 2], depth: f32) -> u64 {
         let (u_low, u_high) = (S::splat(u[0] - u[0].abs() * SLOPE_MARGIN), S::splat(u[1] + u[1].abs() * SLOPE_MARGIN));
         let (v_low, v_high) = (S::splat(v[0] - v[0].abs() * SLOPE_MARGIN), S::splat(v[1] + v[1].abs() * SLOPE_MARGIN));
         let depth = S::splat(depth);
         let mut rays = 0;
         for group in 0..64 / S::LANES {
             let first = group * S::LANES;
+            if among >> first & ((1 << S::LANES) - 1) == 0 {
+                continue;
+            }
             let u = S::load(&self.u[first..]);
             let v = S::load(&self.v[first..]);
             let passing = u_low.up_to(u)
@@ -160,7 +163,7 @@ impl<'a> Culler<'a> {
                 & depth.up_to(S::load(&self.limits[first..]));
             rays |= u64::from(passing) << first;
         }
-        rays
+        rays & among
     }
 
     /// Tests the triangles of a leaf soon that the rays may hit, unless they were tested lately.

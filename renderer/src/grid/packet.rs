@@ -67,6 +67,8 @@ struct Entry {
     /// Its lowest corner across the major axis, in finest cells.
     u: i32,
     v: i32,
+    /// The rays that may pass it.
+    rays: u64,
 }
 
 /// A leaf that some rays pass.
@@ -281,7 +283,7 @@ impl Tree {
                     continue;
                 }
                 if brick & Self::LEAF == 0 {
-                    entries.push(Entry { node: brick, u: u << shift, v: v << shift });
+                    entries.push(Entry { node: brick, u: u << shift, v: v << shift, rays: u64::MAX });
                 } else {
                     leaves.push(Leaf {
                         number: brick & !Self::LEAF,
@@ -330,10 +332,11 @@ impl Tree {
                 leaves &= leaves - 1;
                 let u = entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32;
                 let v = entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32;
-                let mut rays = u64::MAX;
+                let mut rays = entry.rays;
                 if let Some(cells) = &narrow {
                     let size = f64::from(1u32 << shift);
-                    rays = culler.passing::<S>(cells.slopes(0, u, size), cells.slopes(1, v, size), cells.depth);
+                    let (u, v) = (cells.slopes(0, u, size), cells.slopes(1, v, size));
+                    rays = culler.passing::<S>(rays, u, v, cells.depth);
                     if rays == 0 {
                         continue;
                     }
@@ -349,13 +352,16 @@ impl Tree {
                 nodes &= nodes - 1;
                 let u = entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32;
                 let v = entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32;
+                let mut rays = entry.rays;
                 if let Some(cells) = &narrow {
                     let size = f64::from(1u32 << shift);
-                    if culler.passing::<S>(cells.slopes(0, u, size), cells.slopes(1, v, size), cells.depth) == 0 {
+                    let (u, v) = (cells.slopes(0, u, size), cells.slopes(1, v, size));
+                    rays = culler.passing::<S>(rays, u, v, cells.depth);
+                    if rays == 0 {
                         continue;
                     }
                 }
-                children.push(Entry { node: node.first_node + (node.divided & before).count_ones(), u, v });
+                children.push(Entry { node: node.first_node + (node.divided & before).count_ones(), u, v, rays });
             }
         }
     }
