@@ -31,6 +31,8 @@ need() {
 }
 
 has_command cc || need "gcc libc6-dev" gcc gcc
+# FLIP, by which pictures are compared, is C++.
+has_command c++ || need g++ gcc-c++ gcc
 # lavapipe, Vulkan on the CPU, comes with the drivers of Mesa.
 has_vulkan_driver || need "mesa-vulkan-drivers libvulkan1" "mesa-vulkan-drivers vulkan-loader" "vulkan-swrast vulkan-icd-loader"
 has_library libxkbcommon-x11.so.0 || need libxkbcommon-x11-0 libxkbcommon-x11 libxkbcommon-x11
@@ -38,8 +40,6 @@ has_library libX11-xcb.so.1 || need libx11-xcb1 libX11-xcb libx11
 has_library libXcursor.so.1 || need libxcursor1 libXcursor libxcursor
 has_library libXi.so.6 || need libxi6 libXi libxi
 if [ "$purpose" = test ]; then
-    # FLIP, by which pictures are compared, is C++.
-    has_command c++ || need g++ gcc-c++ gcc
     # Tests look for processes and signal them.
     has_command ps && has_command kill || need procps procps-ng procps-ng
     has_command Xvfb || need xvfb xorg-x11-server-Xvfb xorg-server-xvfb

@@ -1,41 +1,41 @@
-//! `renderer chart`: speed against accuracy of the ways to intersect rays with triangles, measured on any model.
+//! `renderer chart`: what speed costs in accuracy, in sharpness and in memory, measured on any model.
 
 pub(crate) mod candidates;
-mod draw;
+mod figure;
+mod kernel;
+mod labels;
 mod measure;
+mod memory;
 pub(crate) mod methods;
+mod peers;
+mod picture;
 pub(crate) mod reference;
-mod table;
 
-use std::{
-    io::Write,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use glam::Vec3;
+use serde::Serialize;
 use serde_json::json;
 use shared::{
     camera::{Camera, UpAxis},
     division::FrameSize,
 };
 
+pub use self::figure::register_fonts;
+use self::{figure::Figure, peers::Peer};
 use crate::{
     cli::say,
-    grid::InstructionSet,
+    grid::{InstructionSet, MemoryBudget},
     image,
     mesh::Mesh,
     progress::Progress,
     scene::{self, SceneSource},
     statue,
     trace::read_camera,
+    tracer::{Scene, SceneOptions},
 };
-use candidates::{Candidates, Placed, Placement};
-use draw::Panel;
-use measure::Measurement;
-use methods::Method;
-use table::Row;
 
 /// What to measure, and where to write it.
 #[derive(Args, Debug)]
@@ -53,26 +53,58 @@ pub struct ChartArgs {
     #[arg(long, value_name = "FILE")]
     camera: Vec<PathBuf>,
 
-    /// The folder for chart.svg, chart.csv and chart.json; it is made if it is not there
+    /// The folder for the charts, as SVG and PNG, and the figures, as CSV and JSON; it is made if it is not there
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
-    /// Samples across and down [default: 1024x512; with --quick 256x128]
+    /// Which charts: kernel (speed against depth errors and wrong pixels), memory (speed against bytes and build time),
+    /// image (time against sharpness), with commas between them
+    #[arg(long, value_name = "CHARTS", value_enum, value_delimiter = ',', default_values_t = Chart::ALL)]
+    charts: Vec<Chart>,
+
+    /// Samples across and down of the kernel and memory charts [default: 1024x512; with --quick 256x128]
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     size: Option<FrameSize>,
 
-    /// Fewer rays and repetitions: a minute at most, with more noise
+    /// Memory that making a scene ready may take; what does not fit is left out
+    #[arg(long, value_name = "SIZE", default_value_t = MemoryBudget::default())]
+    memory_budget: MemoryBudget,
+
+    /// A CSV file with points of other ray tracers, which are drawn too: columns name, cpu_ns_per_ray, depth_error_p999,
+    /// wrong_per_million, bytes_per_triangle, build_seconds, cpu_ms, flip, psnr; all but the name may be missing
+    #[arg(long, value_name = "FILE")]
+    points: Option<PathBuf>,
+
+    /// Fewer rays, settings and repetitions: about a minute for a million triangles, with more noise
     #[arg(long)]
     quick: bool,
 }
 
-/// How often each method takes its turn; the median counts.
-const N_REPEATS: usize = 9;
-const N_REPEATS_QUICK: usize = 3;
+/// What can be charted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Chart {
+    Kernel,
+    Memory,
+    Image,
+}
 
-/// Measures, and writes what it has after each view.
+impl Chart {
+    const ALL: [Self; 3] = [Self::Kernel, Self::Memory, Self::Image];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Kernel => "kernel",
+            Self::Memory => "memory",
+            Self::Image => "image",
+        }
+    }
+}
+
+/// Measures, and writes what it has after each step.
 pub fn run(args: &ChartArgs) -> Result<()> {
+    // What is asked for is checked before a large model is read.
     let cameras = args.camera.iter().map(|path| Ok((name_of(path), read_camera(path)?))).collect::<Result<Vec<_>>>()?;
+    let peers = args.points.as_deref().map(peers::read).transpose()?.unwrap_or_default();
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let (source, name) = match &args.model {
         Some(path) => (SceneSource::Ply(path.clone()), name_of(path)),
@@ -83,29 +115,30 @@ pub fn run(args: &ChartArgs) -> Result<()> {
         scene::load(&source, &|done| progress.set(done))?.mesh
     };
     let cameras = if cameras.is_empty() { vec![("whole model".to_owned(), view_all(&mesh))] } else { cameras };
-    let quick_size = if args.quick { FrameSize::new(256, 128).ok() } else { None };
-    let size = args.size.or(quick_size).unwrap_or(FrameSize::PAPER);
-    let n_repeats = if args.quick { N_REPEATS_QUICK } else { N_REPEATS };
-
-    let mut results = Results {
+    let mut session = Session {
+        args,
         name,
         mesh,
-        size,
-        rows: Vec::new(),
-        pooled: Default::default(),
-        n_pairs: 0,
-        n_rays: 0,
-        skipped: Vec::new(),
+        cameras,
+        peers,
+        kernel: kernel::Results::default(),
+        image: Vec::new(),
+        memory: Vec::new(),
+        left_out: Vec::new(),
     };
-    for (camera_name, camera) in &cameras {
-        for placement in Placement::ALL {
-            results.measure(camera_name, camera, placement, n_repeats)?;
-            results.write(&args.out)?;
+    for &chart in &args.charts {
+        match chart {
+            Chart::Kernel => session.chart_kernel()?,
+            Chart::Memory => session.chart_memory()?,
+            Chart::Image => session.chart_image()?,
+        }
+        if session.is_charted(chart) {
+            say(format_args!("wrote {}", args.out.join(format!("{}.svg", chart.name())).display()))?;
         }
     }
-    ensure!(!results.rows.is_empty(), "nothing was measured: {}", results.skipped.join("; "));
-    say(results.table())?;
-    say(format_args!("wrote {}", args.out.join("chart.svg").display()))
+    let is_any = args.charts.iter().any(|&chart| session.is_charted(chart));
+    ensure!(is_any, "nothing was measured: {}", session.left_out.join("; "));
+    Ok(())
 }
 
 fn name_of(path: &Path) -> String {
@@ -118,122 +151,165 @@ fn view_all(mesh: &Mesh) -> Camera {
     Camera::view_all(min, max, UpAxis::Y, 16.0 / 9.0)
 }
 
-/// What was measured so far.
-struct Results {
+/// A run, with what was measured so far.
+struct Session<'a> {
+    args: &'a ChartArgs,
+    /// The model's.
     name: String,
     mesh: Mesh,
-    size: FrameSize,
-    rows: Vec<Row>,
-    /// Over all cameras, by placement and method.
-    pooled: [Option<Vec<Measurement>>; Placement::ALL.len()],
-    /// All pairs of ray and candidate, and all rays that have candidates.
-    n_pairs: usize,
-    n_rays: usize,
+    cameras: Vec<(String, Camera)>,
+    peers: Vec<Peer>,
+    kernel: kernel::Results,
+    image: Vec<picture::Row>,
+    memory: Vec<memory::Row>,
     /// What could not be measured, and why.
-    skipped: Vec<String>,
+    left_out: Vec<String>,
 }
 
-impl Results {
-    /// Measures one view; one that nothing can be measured on is noted.
-    fn measure(&mut self, camera_name: &str, camera: &Camera, placement: Placement, n_repeats: usize) -> Result<()> {
-        let progress = Progress::new(format!("measuring {camera_name}, {}", placement.name()));
-        let measured = Placed::new(&self.mesh, camera, placement).and_then(|placed| {
-            let candidates = Candidates::find(&self.mesh, &placed, self.size)?;
-            let measured = measure::measure(&self.mesh, &placed, &candidates, n_repeats, &|done| progress.set(done));
-            let sees_something = measured.iter().any(|measurement| measurement.n_hits() > 0);
-            if sees_something {
-                Ok((measured, candidates.n_pairs(), candidates.n_rays()))
-            } else {
-                Err("the camera sees nothing of the model".to_owned())
-            }
-        });
-        drop(progress);
-        let measured = match measured {
-            Ok((measured, n_pairs, n_rays)) => {
-                self.n_pairs += n_pairs;
-                self.n_rays += n_rays;
-                measured
-            }
-            Err(reason) => {
-                let line = format!("{camera_name}, {}: {reason}", placement.name());
-                tracing::warn!("left out {line}");
-                self.skipped.push(line);
-                return Ok(());
-            }
+impl Session<'_> {
+    fn chart_kernel(&mut self) -> Result<()> {
+        let quick = self.args.quick;
+        let effort = kernel::Effort {
+            size: self.size()?,
+            n_repeats: if quick { 3 } else { 9 },
+            decades: if quick { vec![0, 2, 4, 6] } else { (0..=6).collect() },
         };
-        for (&method, measurement) in Method::ALL.iter().zip(&measured) {
-            self.rows.push(Row::new(camera_name, placement, method, measurement));
+        for (name, camera) in self.cameras.clone() {
+            for placement in effort.placements() {
+                let progress = Progress::new(format!("measuring {name}, {placement}"));
+                let measured =
+                    self.kernel.measure(&self.mesh, (&name, &camera), placement, &effort, &|done| progress.set(done));
+                drop(progress);
+                if let Err(reason) = measured {
+                    self.leave_out(format!("{name}, {placement}: {reason}"));
+                }
+                if !self.kernel.rows.is_empty() {
+                    let title = format!("Rays against triangles: speed and accuracy on {}", self.name);
+                    let reading = "Further left is faster, further down more accurate; dashed is the Pareto front. \
+                        Depth: 99.9 % of hits are within the dot, the bar goes from the median to the worst.";
+                    let figure = self.kernel.figure(title, self.notes(effort.size, reading), &self.peers);
+                    self.write(Chart::Kernel, &self.kernel.rows, &figure)?;
+                }
+            }
         }
-        match &mut self.pooled[placement as usize] {
-            Some(pooled) => pooled.iter_mut().zip(&measured).for_each(|(sum, measurement)| sum.add(measurement)),
-            none => *none = Some(measured),
-        }
-        Ok(())
+        if self.kernel.rows.is_empty() { Ok(()) } else { say(self.kernel.table()) }
     }
 
-    fn panels(&self) -> Vec<Panel> {
-        let pooled = Placement::ALL.into_iter().zip(&self.pooled);
-        pooled
-            .filter_map(|(placement, measured)| {
-                let of_methods = Method::ALL.into_iter().zip(measured.as_ref()?);
-                let rows = of_methods.map(|(method, measurement)| Row::new("all", placement, method, measurement));
-                Some(Panel { placement, rows: rows.collect() })
-            })
-            .collect()
+    fn chart_memory(&mut self) -> Result<()> {
+        let quick = self.args.quick;
+        let effort = memory::Effort {
+            size: self.size()?,
+            n_repeats: if quick { 3 } else { 7 },
+            densities: if quick { vec![4.0, 32.0, 128.0] } else { (0..8).map(|n| f64::from(1 << n)).collect() },
+            uniform_densities: if quick { vec![4.0, 32.0] } else { vec![1.0, 4.0, 32.0] },
+            memory_budget: self.args.memory_budget,
+        };
+        let progress = Progress::new("measuring ways to keep the scene");
+        let cameras = self.cameras.iter().map(|(_, camera)| *camera).collect();
+        let mesh = std::mem::take(&mut self.mesh);
+        let standard = memory::Standard::new(&mesh, cameras, &effort);
+        let settings = effort.settings();
+        for (index, setting) in settings.iter().enumerate() {
+            progress.set(index as f32 / settings.len() as f32);
+            match standard.measure(setting, &effort)? {
+                Ok(row) => self.memory.push(row),
+                Err(reason) => self.leave_out(format!("{}: {reason}", setting.name())),
+            }
+            if !self.memory.is_empty() {
+                let title = format!("Keeping a scene: speed, memory and time to build on {}", self.name);
+                let reading = "Further left is smaller or sooner ready, further down faster; dashed is the Pareto front. \
+                    All hit the same, bit for bit.";
+                let figure =
+                    memory::figure(title, self.notes_of(&mesh, effort.size, reading), &self.memory, &self.peers);
+                self.write(Chart::Memory, &self.memory, &figure)?;
+            }
+        }
+        drop(progress);
+        drop(standard);
+        self.mesh = mesh;
+        say(memory::table(&self.memory))
+    }
+
+    fn chart_image(&mut self) -> Result<()> {
+        let quick = self.args.quick;
+        let sizes: &[(u32, u32)] = if quick {
+            &[(512, 256), (1024, 512), (2048, 1152)]
+        } else {
+            &[(512, 256), (1024, 512), (2048, 1152), (4096, 2304)]
+        };
+        let sizes = sizes.iter().map(|&(xres, yres)| FrameSize::new(xres, yres)).collect::<Result<Vec<_>, _>>()?;
+        let native = sizes[sizes.len() - 1];
+        let n_reference_samples = if quick { 16 } else { 64 };
+        let samples = if quick { vec![1, 4, 16] } else { vec![1, 2, 4, 8, 16] };
+        let effort = picture::Effort { native, n_reference_samples, sizes, samples };
+        let scene = {
+            let progress = Progress::new("building the grid");
+            let grid = crate::grid::GridOptions { memory_budget: self.args.memory_budget, ..Default::default() };
+            Scene::build(self.mesh.clone(), &SceneOptions { grid }, &|done| progress.set(done))
+        };
+        let reading = format!(
+            "Further left is faster, further down closer to a picture of {native} pixels with {n_reference_samples} samples each; \
+             dashed is the Pareto front."
+        );
+        for (name, camera) in self.cameras.clone() {
+            let progress = Progress::new(format!("comparing pictures of {name}"));
+            picture::measure(&scene, (&name, &camera), &effort, |row, done| {
+                progress.set(done);
+                let Some(row) = row else { return Ok(()) };
+                self.image.push(row);
+                let title = format!("Resolution and samples: time and sharpness on {}", self.name);
+                let figure = picture::figure(title, self.notes(native, &reading), &self.image, &self.peers);
+                self.write(Chart::Image, &self.image, &figure)
+            })?;
+        }
+        say(picture::table(&self.image))
+    }
+
+    fn is_charted(&self, chart: Chart) -> bool {
+        match chart {
+            Chart::Kernel => !self.kernel.rows.is_empty(),
+            Chart::Memory => !self.memory.is_empty(),
+            Chart::Image => !self.image.is_empty(),
+        }
+    }
+
+    fn size(&self) -> Result<FrameSize> {
+        let quick = if self.args.quick { Some(FrameSize::new(256, 128)?) } else { None };
+        Ok(self.args.size.or(quick).unwrap_or(FrameSize::PAPER))
+    }
+
+    fn leave_out(&mut self, line: String) {
+        tracing::warn!("left out {line}");
+        self.left_out.push(line);
+    }
+
+    fn notes(&self, size: FrameSize, reading: &str) -> Vec<String> {
+        self.notes_of(&self.mesh, size, reading)
+    }
+
+    fn notes_of(&self, mesh: &Mesh, size: FrameSize, reading: &str) -> Vec<String> {
+        let (n_triangles, instructions) = (mesh.triangles.len(), InstructionSet::best());
+        let n_cameras = self.cameras.len();
+        let views = if n_cameras == 1 { "1 view".to_owned() } else { format!("{n_cameras} views") };
+        vec![format!("{n_triangles} triangles, {size}, {views}, {instructions:?}"), reading.to_owned()]
     }
 
     /// Replaces the files by what is known now.
-    fn write(&self, folder: &Path) -> Result<()> {
-        let panels = self.panels();
-        let subtitle = format!(
-            "{} triangles, {} samples a view, {} candidates a ray on average, {:?}",
-            self.mesh.triangles.len(),
-            self.size,
-            self.n_pairs.checked_div(self.n_rays).unwrap_or(0),
-            InstructionSet::best()
-        );
-        let reading = "Further left is faster, further down more accurate; dashed is the Pareto front. \
-            Depth: 99.9 % of hits are within ●, the bar goes from the median to the worst.";
-        let title = format!("Rays against triangles: speed and accuracy on {}", self.name);
+    fn write(&self, chart: Chart, rows: &[impl Serialize], figure: &Figure) -> Result<()> {
+        let folder = &self.args.out;
+        let mut csv = csv::Writer::from_writer(Vec::new());
+        rows.iter().try_for_each(|row| csv.serialize(row))?;
+        let csv = csv.into_inner()?;
         let json = json!({
-            "model": self.name, "triangles": self.mesh.triangles.len(), "size": self.size.to_string(),
-            "instructions": format!("{:?}", InstructionSet::best()), "rows": self.rows, "left_out": self.skipped,
+            "model": self.name, "instructions": format!("{:?}", InstructionSet::best()), "kernel": self.kernel.rows,
+            "memory": self.memory, "image": self.image, "points": self.peers, "left_out": self.left_out,
         });
-        let svg = if panels.is_empty() { None } else { Some(draw::svg(&title, [&subtitle, reading], &panels)?) };
-        let files = [
-            ("chart.csv", Some(table::to_csv(&self.rows))),
-            ("chart.json", Some(serde_json::to_string_pretty(&json)?)),
-            ("chart.svg", svg),
-        ];
-        for (name, content) in files {
+        let json = serde_json::to_string_pretty(&json)?;
+        for (name, content) in [(format!("{}.csv", chart.name()), &*csv), ("chart.json".to_owned(), json.as_bytes())] {
             let path = folder.join(name);
-            let Some(content) = content else { continue };
-            image::write_whole(&path, |out: &mut dyn Write| out.write_all(content.as_bytes()))
+            image::write_whole(&path, |out| out.write_all(content))
                 .with_context(|| format!("cannot write {}", path.display()))?;
         }
-        Ok(())
-    }
-
-    /// For people: all methods at all placements.
-    fn table(&self) -> String {
-        let mut lines = vec![format!(
-            "{:12} {:20} {:>9} {:>10} {:>10} {:>10} {:>8} {:>9} {:>9}",
-            "placement", "method", "ns/ray", "p50", "p99.9", "max", "wrong", "compared", "undecided"
-        )];
-        for row in self.panels().iter().flat_map(|panel| &panel.rows) {
-            lines.push(format!(
-                "{:12} {:20} {:9.1} {:10.1e} {:10.1e} {:10.1e} {:8} {:9} {:9}",
-                row.placement.name(),
-                row.method.label(),
-                row.cpu_ns_per_ray,
-                row.depth_error_p50,
-                row.depth_error_p999,
-                row.depth_error_max,
-                row.wrong_pixels,
-                row.compared,
-                row.undecided
-            ));
-        }
-        lines.join("\n")
+        figure.write(folder, chart.name())
     }
 }

@@ -144,7 +144,7 @@ fn line(name: &str, tally: &Tally) -> String {
 
 /// Two digits, for more would not be the same in the next version.
 fn per_million(x: f64) -> String {
-    if x >= 99.5 {
+    if x >= 9.95 {
         let unit = 10f64.powf(x.log10().floor() - 1.0);
         format!("{:.0}", (x / unit).round() * unit)
     } else {

@@ -184,6 +184,7 @@ fn write(path: &Path, panels: &[Panel]) -> anyhow::Result<()> {
 type DrawResult = Result<(), Box<dyn std::error::Error>>;
 
 fn draw_panels(svg: &mut String, panels: &[Panel]) -> DrawResult {
+    renderer::chart::register_fonts();
     let root = SVGBackend::with_string(svg, (PANEL.0 * panels.len() as u32, PANEL.1)).into_drawing_area();
     root.fill(&WHITE)?;
     for (area, panel) in root.split_evenly((1, panels.len())).iter().zip(panels) {

@@ -1,5 +1,7 @@
 //! Which triangles each ray of a frame may hit, found by projecting every triangle onto the view plane.
 
+use std::fmt;
+
 use glam::{DMat3, DVec3, Vec3};
 use shared::{
     camera::{Camera, CameraRays},
@@ -9,13 +11,12 @@ use shared::{
 use crate::{mesh::Mesh, ray::Ray};
 
 /// Where model and eye stand when they are measured.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Placement {
     /// As they are.
     Near,
-    /// The eye drawn back to [`FAR`] times the model's size, with the same things in view.
-    EyeFar,
+    /// The eye drawn back to 10 to the power of so much times the model's size, with the same things in view.
+    EyeFar(u8),
     /// Model and eye together moved away from the origin by [`FAR`] times the model's size.
     ModelMoved,
 }
@@ -23,23 +24,19 @@ pub(crate) enum Placement {
 /// Far, in sizes of the model.
 const FAR: f64 = 1e4;
 
-impl Placement {
-    pub(crate) const ALL: [Self; 3] = [Self::Near, Self::EyeFar, Self::ModelMoved];
-
-    pub(crate) fn name(self) -> &'static str {
+impl fmt::Display for Placement {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Near => "near",
-            Self::EyeFar => "eye-far",
-            Self::ModelMoved => "model-moved",
+            Self::Near => f.write_str("near"),
+            Self::EyeFar(decade) => write!(f, "eye-far-1e{decade}"),
+            Self::ModelMoved => f.write_str("model-moved"),
         }
     }
+}
 
-    pub(crate) fn title(self) -> &'static str {
-        match self {
-            Self::Near => "near: model and eye as they are",
-            Self::EyeFar => "far: the eye 10⁴ times the model's size away",
-            Self::ModelMoved => "moved: model and eye 10⁴ times the model's size away from the origin",
-        }
+impl serde::Serialize for Placement {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
     }
 }
 
@@ -58,7 +55,7 @@ impl Placed {
         let (centre, size) = ((min + max) * 0.5, (max - min).length());
         match placement {
             Placement::Near => Ok(Self { vertices: None, camera: *camera }),
-            Placement::EyeFar => {
+            Placement::EyeFar(decade) => {
                 let forward = camera.u().cross(camera.v()).normalize();
                 let depth = |point: DVec3| (point - camera.eye()).dot(forward);
                 // The view plane is put into the model before the eye leaves it.
@@ -70,7 +67,8 @@ impl Placed {
                 let (u, v) = (camera.u() * scale, camera.v() * scale);
                 let middle = ll + (u + v) * 0.5;
                 let back = (camera.eye() - middle).normalize();
-                let camera = Camera::new(middle + back * (FAR * size), ll, u, v).map_err(|error| error.to_string())?;
+                let camera = Camera::new(middle + back * (10f64.powi(i32::from(decade)) * size), ll, u, v)
+                    .map_err(|error| error.to_string())?;
                 Ok(Self { vertices: None, camera })
             }
             Placement::ModelMoved => {
@@ -136,17 +134,6 @@ impl Candidates {
             true
         });
         Ok(Self { rays, size, ends, triangles })
-    }
-
-    /// Pairs of ray and triangle.
-    pub(crate) fn n_pairs(&self) -> usize {
-        self.triangles.len()
-    }
-
-    /// Rays that have candidates.
-    pub(crate) fn n_rays(&self) -> usize {
-        let begins = [0].iter().chain(&self.ends);
-        begins.zip(&self.ends).filter(|(begin, end)| begin < end).count()
     }
 
     /// How many chunks of `n` samples there are.
@@ -228,7 +215,7 @@ mod tests {
         let mesh = statue::generate(5000, &|_| ());
         let camera = Camera::look_at(DVec3::new(0.4, 1.2, 4.0), DVec3::Y * 0.9, DVec3::Y, 0.5, 2.0).unwrap();
         let size = FrameSize::new(100, 50).unwrap();
-        for placement in Placement::ALL {
+        for placement in [Placement::Near, Placement::EyeFar(1), Placement::EyeFar(4), Placement::ModelMoved] {
             let placed = Placed::new(&mesh, &camera, placement).unwrap();
             let candidates = Candidates::find(&mesh, &placed, size).unwrap();
             let moved = Mesh { vertices: placed.vertices.clone().unwrap_or(mesh.vertices.clone()), ..mesh.clone() };

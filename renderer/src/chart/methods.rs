@@ -36,17 +36,6 @@ impl Method {
     pub(crate) const ALL: [Self; 5] =
         [Self::OriginEdgesF32, Self::MollerTrumboreF32, Self::PluckerF32, Self::Raywall, Self::MollerTrumboreF64];
 
-    /// The name in the table.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::OriginEdgesF32 => "origin-edges-f32",
-            Self::MollerTrumboreF32 => "moller-trumbore-f32",
-            Self::PluckerF32 => "plucker-f32",
-            Self::Raywall => "raywall",
-            Self::MollerTrumboreF64 => "moller-trumbore-f64",
-        }
-    }
-
     /// The name on the chart.
     pub(crate) fn label(self) -> &'static str {
         match self {

@@ -1,0 +1,283 @@
+//! Speed and error of ways to intersect rays with triangles, near by, far away and moved.
+
+use anyhow::Result;
+use serde::Serialize;
+use shared::{camera::Camera, division::FrameSize};
+
+use super::{
+    candidates::{Candidates, Placed, Placement},
+    figure::{Axis, COLORS, Figure, PEER_COLOR, Plot, Point, Series, power, significant, whole_decades},
+    measure::{self, Measurement},
+    methods::Method,
+    peers::Peer,
+};
+use crate::mesh::Mesh;
+
+/// How much is measured.
+pub(super) struct Effort {
+    pub(super) size: FrameSize,
+    /// How often each method takes its turn; the median counts.
+    pub(super) n_repeats: usize,
+    /// Powers of ten: distances of the eye to the model, in sizes of the model.
+    pub(super) decades: Vec<u8>,
+}
+
+impl Effort {
+    pub(super) fn placements(&self) -> Vec<Placement> {
+        let far = self.decades.iter().map(|&decade| Placement::EyeFar(decade));
+        [Placement::Near, Placement::ModelMoved].into_iter().chain(far).collect()
+    }
+}
+
+/// A line of the table: one method on one view, or on all.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Row {
+    camera: String,
+    placement: Placement,
+    method: Method,
+    cpu_ns_per_ray: f64,
+    depth_error_p50: f64,
+    depth_error_p999: f64,
+    depth_error_max: f64,
+    wrong_pixels: u64,
+    lost: u64,
+    invented: u64,
+    other_triangle: u64,
+    compared: u64,
+    undecided: u64,
+}
+
+impl Row {
+    fn new(camera: &str, placement: Placement, method: Method, measurement: &Measurement) -> Self {
+        let [depth_error_p50, depth_error_p999, depth_error_max] = measurement.depth_error_quantiles();
+        Self {
+            camera: camera.to_owned(),
+            placement,
+            method,
+            cpu_ns_per_ray: measurement.cpu_ns_per_ray(),
+            depth_error_p50,
+            depth_error_p999,
+            depth_error_max,
+            wrong_pixels: measurement.n_wrong(),
+            lost: measurement.n_lost,
+            invented: measurement.n_invented,
+            other_triangle: measurement.n_other_triangle,
+            compared: measurement.n_compared,
+            undecided: measurement.n_undecided,
+        }
+    }
+}
+
+/// What was measured so far.
+#[derive(Default)]
+pub(super) struct Results {
+    pub(super) rows: Vec<Row>,
+    /// Over all cameras, placement by placement, by method.
+    pooled: Vec<(Placement, Vec<Measurement>)>,
+}
+
+impl Results {
+    /// Measures one view; the error says why nothing can be measured on it.
+    pub(super) fn measure(
+        &mut self,
+        mesh: &Mesh,
+        (name, camera): (&str, &Camera),
+        placement: Placement,
+        effort: &Effort,
+        progress: &dyn Fn(f32),
+    ) -> Result<(), String> {
+        let placed = Placed::new(mesh, camera, placement)?;
+        let candidates = Candidates::find(mesh, &placed, effort.size)?;
+        let measured = measure::measure(mesh, &placed, &candidates, effort.n_repeats, progress);
+        if measured.iter().all(|measurement| measurement.n_hits() == 0) {
+            return Err("the camera sees nothing of the model".to_owned());
+        }
+        let of_methods = Method::ALL.iter().zip(&measured);
+        self.rows.extend(of_methods.map(|(&method, measurement)| Row::new(name, placement, method, measurement)));
+        match self.pooled.iter_mut().find(|(other, _)| *other == placement) {
+            Some((_, pooled)) => pooled.iter_mut().zip(&measured).for_each(|(sum, measurement)| sum.add(measurement)),
+            None => self.pooled.push((placement, measured)),
+        }
+        Ok(())
+    }
+
+    /// All methods at all placements, over all cameras.
+    fn summary(&self) -> Vec<(Placement, Vec<Row>)> {
+        let rows = |(placement, measured): &(Placement, Vec<Measurement>)| {
+            let of_methods = Method::ALL.into_iter().zip(measured);
+            let rows = of_methods.map(|(method, measurement)| Row::new("all", *placement, method, measurement));
+            (*placement, rows.collect())
+        };
+        self.pooled.iter().map(rows).collect()
+    }
+
+    /// The chart.
+    pub(super) fn figure(&self, title: String, notes: Vec<String>, peers: &[Peer]) -> Figure {
+        let summary = self.summary();
+        let all = || summary.iter().flat_map(|(_, rows)| rows);
+        let fixed = || all().filter(|row| !matches!(row.placement, Placement::EyeFar(_)));
+        let depth = whole_decades(fixed().flat_map(|row| [row.depth_error_p50, row.depth_error_max]).map(decades), 1.5);
+        let mut rows = Vec::new();
+        for (placement, of_placement) in &summary {
+            let peers = if *placement == Placement::Near { peers } else { &[] };
+            let title = match placement {
+                Placement::Near => "near: model and eye as they are",
+                Placement::ModelMoved => "moved: model and eye 10 000 times the model's size away from the origin",
+                Placement::EyeFar(_) => continue,
+            };
+            rows.push((340, vec![depth_plot(title, of_placement, peers, &depth), wrong_plot(of_placement, peers)]));
+        }
+        let far: Vec<_> = summary.iter().filter(|(placement, _)| matches!(placement, Placement::EyeFar(_))).collect();
+        if far.len() > 1 {
+            let depth = |row: &Row| decades(row.depth_error_p999);
+            rows.push((
+                360,
+                vec![
+                    over_distance("CPU ns per ray", &far, significant, |row| row.cpu_ns_per_ray.log10()),
+                    over_distance("relative depth error, 99.9 % are within", &far, power, depth),
+                    over_distance("wrong pixels in a million", &far, none_or_power, decades_per_million),
+                ],
+            ));
+        }
+        Figure { title, notes, rows }
+    }
+
+    /// For people: all methods at all placements.
+    pub(super) fn table(&self) -> String {
+        let mut lines = vec![format!(
+            "{:12} {:20} {:>9} {:>10} {:>10} {:>10} {:>8} {:>9} {:>9}",
+            "placement", "method", "ns/ray", "p50", "p99.9", "max", "wrong", "compared", "undecided"
+        )];
+        for row in self.summary().iter().flat_map(|(_, rows)| rows) {
+            lines.push(format!(
+                "{:12} {:20} {:9.1} {:10.1e} {:10.1e} {:10.1e} {:8} {:9} {:9}",
+                row.placement.to_string(),
+                row.method.label(),
+                row.cpu_ns_per_ray,
+                row.depth_error_p50,
+                row.depth_error_p999,
+                row.depth_error_max,
+                row.wrong_pixels,
+                row.compared,
+                row.undecided
+            ));
+        }
+        lines.join("\n")
+    }
+}
+
+fn single(name: &str, color: plotters::style::RGBColor, is_hollow: bool, point: Point) -> Series {
+    Series { name: name.to_owned(), color, is_hollow, is_joined: false, points: vec![point] }
+}
+
+fn method_color(method: Method) -> plotters::style::RGBColor {
+    let index = Method::ALL.iter().position(|&other| other == method);
+    COLORS[index.unwrap_or(0)]
+}
+
+fn speed_axis() -> Axis {
+    Axis { title: "CPU ns per ray", label: significant, range: None }
+}
+
+fn depth_plot(title: &str, rows: &[Row], peers: &[Peer], range: &std::ops::Range<f64>) -> Plot {
+    let of_methods = rows.iter().map(|row| {
+        let bar = Some(decades(row.depth_error_p50)..decades(row.depth_error_max));
+        let (x, y) = (row.cpu_ns_per_ray.log10(), decades(row.depth_error_p999));
+        single(row.method.label(), method_color(row.method), false, Point { label: String::new(), x, y, bar })
+    });
+    let of_peers = peers.iter().filter_map(|peer| {
+        let (x, y) = (peer.cpu_ns_per_ray?.log10(), decades(peer.depth_error_p999?));
+        Some(single(&peer.name, PEER_COLOR, true, Point { label: String::new(), x, y, bar: None }))
+    });
+    Plot {
+        title: title.to_owned(),
+        x: speed_axis(),
+        y: Axis { title: "relative depth error", label: power, range: Some(range.clone()) },
+        series: of_methods.chain(of_peers).collect(),
+        has_front: true,
+    }
+}
+
+fn wrong_plot(rows: &[Row], peers: &[Peer]) -> Plot {
+    let of_methods = rows.iter().map(|row| {
+        let (x, y) = (row.cpu_ns_per_ray.log10(), decades_per_million(row));
+        single(row.method.label(), method_color(row.method), false, Point { label: String::new(), x, y, bar: None })
+    });
+    let of_peers = peers.iter().filter_map(|peer| {
+        let wrong = peer.wrong_per_million?;
+        let (x, y) = (peer.cpu_ns_per_ray?.log10(), if wrong == 0.0 { NONE } else { wrong.log10().max(0.0) });
+        Some(single(&peer.name, PEER_COLOR, true, Point { label: String::new(), x, y, bar: None }))
+    });
+    Plot {
+        title: format!("{} pixels compared", rows.first().map_or(0, |row| row.compared)),
+        x: speed_axis(),
+        y: Axis { title: "wrong pixels in a million", label: none_or_power, range: Some(NONE - 0.4..7.4) },
+        series: of_methods.chain(of_peers).collect(),
+        has_front: true,
+    }
+}
+
+/// A curve for each method, over the distance of the eye.
+fn over_distance(
+    title: &'static str,
+    far: &[&(Placement, Vec<Row>)],
+    label: fn(f64) -> String,
+    value: impl Fn(&Row) -> f64,
+) -> Plot {
+    let series: Vec<_> = Method::ALL
+        .into_iter()
+        .map(|method| {
+            let point = |(placement, rows): &&(Placement, Vec<Row>)| {
+                let Placement::EyeFar(decade) = *placement else { return None };
+                let row = rows.iter().find(|row| row.method == method)?;
+                Some(Point { label: String::new(), x: f64::from(decade), y: value(row), bar: None })
+            };
+            Series {
+                name: method.label().to_owned(),
+                color: method_color(method),
+                is_hollow: false,
+                is_joined: true,
+                points: far.iter().filter_map(point).collect(),
+            }
+        })
+        .collect();
+    let values = || series.iter().flat_map(|series| &series.points).map(|point| point.y);
+    let (least, most) = values().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
+    // Where less than two decades are shown, they are not filled up.
+    let y = if most - least < 2.0 { least - 0.1..most + 0.1 } else { whole_decades(values(), 0.5) };
+    let last = series.iter().flat_map(|series| &series.points).map(|point| point.x).fold(0.0, f64::max);
+    Plot {
+        title: "far: the eye is drawn back".to_owned(),
+        x: Axis {
+            title: "distance of the eye, in sizes of the model",
+            label: |decade| if decade > 6.5 { String::new() } else { power(decade) },
+            range: Some(-0.2..last + 3.2),
+        },
+        y: Axis { title, label, range: Some(y.start - 0.1..y.end) },
+        series,
+        has_front: false,
+    }
+}
+
+/// Errors below what `f64` resolves are shown as that.
+fn decades(error: f64) -> f64 {
+    error.max(1e-17).log10()
+}
+
+/// Where no wrong pixel at all is shown: one decade below one in a million.
+const NONE: f64 = -1.0;
+
+fn decades_per_million(row: &Row) -> f64 {
+    if row.wrong_pixels == 0 {
+        return NONE;
+    }
+    (row.wrong_pixels as f64 * 1e6 / row.compared as f64).log10().max(0.0)
+}
+
+fn none_or_power(decade: f64) -> String {
+    match decade.round() {
+        NONE => "none".to_owned(),
+        decade @ 0.0..=6.0 => power(decade),
+        _ => String::new(),
+    }
+}

@@ -1,0 +1,289 @@
+//! What resolution, samples and scaling do to the wall's picture, and what they cost.
+
+use anyhow::Result;
+use cpu_time::ThreadTime;
+use nv_flip::{DEFAULT_PIXELS_PER_DEGREE, FlipImageRgb8, FlipPool};
+use plotters::style::RGBColor;
+use rayon::prelude::*;
+use serde::Serialize;
+use shared::{
+    camera::Camera,
+    division::{Division, FrameSize},
+    protocol::{RayTree, SampleRange, View},
+    srgb,
+};
+
+use super::{
+    figure::{Axis, COLORS, Figure, PEER_COLOR, Plot, Point, Series, significant},
+    peers::Peer,
+};
+use crate::tracer::{FrameRequest, Scene, unit_ranges};
+
+/// How much is measured.
+pub(super) struct Effort {
+    /// The wall's.
+    pub(super) native: FrameSize,
+    /// Samples a pixel of the picture that all are compared with.
+    pub(super) n_reference_samples: u32,
+    /// Resolutions of the frame, the native one last.
+    pub(super) sizes: Vec<FrameSize>,
+    pub(super) samples: Vec<u32>,
+}
+
+/// How a frame is scaled to the wall.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum Scaling {
+    Nearest,
+    /// In linear light, as the wall does it.
+    Bilinear,
+}
+
+/// A line of the table: one setting from one camera.
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Row {
+    camera: String,
+    size: String,
+    samples: u32,
+    scaling: Scaling,
+    /// Tracing and shading, all threads together.
+    cpu_ms: f64,
+    /// Mean FLIP difference, 0 to 1.
+    flip: f64,
+    /// In decibels; infinite for equal pictures.
+    psnr: f64,
+}
+
+/// The first sample of the reference: far from those of the frames, so that none is compared with itself.
+const FIRST_REFERENCE_SAMPLE: u32 = 1 << 20;
+
+/// Measures all settings from one camera. `done` is given each row, and what part is done.
+pub(super) fn measure(
+    scene: &Scene,
+    (name, camera): (&str, &Camera),
+    effort: &Effort,
+    mut done: impl FnMut(Option<Row>, f32) -> Result<()>,
+) -> Result<()> {
+    let native = effort.native;
+    let range = SampleRange { first: FIRST_REFERENCE_SAMPLE, count: effort.n_reference_samples };
+    // What is left to do goes by the rays and by the comparisons, of which each takes about as long as a few rays a pixel.
+    let rays = |size: FrameSize, n_samples: u32| f64::from(size.n_samples()) * f64::from(n_samples);
+    let comparison = rays(native, 8);
+    let n_scalings = |size: FrameSize| if size == native { 1.0 } else { 2.0 };
+    let cost = |size: FrameSize, n_samples: u32| rays(size, n_samples) + comparison * n_scalings(size);
+    let settings = || effort.sizes.iter().flat_map(|&size| effort.samples.iter().map(move |&n| (size, n)));
+    let of_reference = rays(native, range.count);
+    let total = of_reference + settings().map(|(size, n_samples)| cost(size, n_samples)).sum::<f64>();
+
+    let (reference, _) = render(scene, camera, native, range);
+    let mut n_done = of_reference;
+    done(None, (n_done / total) as f32)?;
+    for (size, n_samples) in settings() {
+        let samples = SampleRange { first: 0, count: n_samples };
+        // Small frames are so quick that one time says little.
+        let n_repeats = if rays(size, n_samples) < 4e6 { 3 } else { 1 };
+        let mut frames: Vec<_> = (0..n_repeats).map(|_| render(scene, camera, size, samples)).collect();
+        frames.sort_by(|(_, a), (_, b)| a.total_cmp(b));
+        let (rgb, cpu_ms) = frames.swap_remove(n_repeats / 2);
+        let scalings: &[_] = if size == native { &[Scaling::Nearest] } else { &[Scaling::Nearest, Scaling::Bilinear] };
+        n_done += cost(size, n_samples);
+        for &scaling in scalings {
+            let scaled = scale(&rgb, size, native, scaling);
+            let (flip, psnr) = (flip(&reference, &scaled, native), psnr(&reference, &scaled));
+            let (camera, size) = (name.to_owned(), size.to_string());
+            let row = Row { camera, size, samples: n_samples, scaling, cpu_ms, flip, psnr };
+            done(Some(row), (n_done / total) as f32)?;
+        }
+    }
+    Ok(())
+}
+
+/// A frame row by row from the bottom, and CPU milliseconds of all threads for it.
+fn render(scene: &Scene, camera: &Camera, size: FrameSize, samples: SampleRange) -> (Vec<u8>, f64) {
+    let request = FrameRequest { camera: *camera, size, view: View::Shaded, rays: RayTree::Primary, samples };
+    let work = Division::Tiled.work(0, 1);
+    let Ok(share) = work.share(size) else { return (Vec::new(), 0.0) };
+    let parts = unit_ranges(&share, 2048).into_par_iter().map(|units| {
+        let started = ThreadTime::now();
+        let mut rgb = Vec::new();
+        scene.render(&request, &share, units.clone(), &mut rgb);
+        (units, rgb, started.elapsed().as_secs_f64() * 1e3)
+    });
+    let parts: Vec<_> = parts.collect();
+    let mut rows = vec![0; 3 * size.n_samples() as usize];
+    let mut cpu_ms = 0.0;
+    for (units, rgb, cpu) in parts {
+        cpu_ms += cpu;
+        let places = units.flat_map(|unit| share.samples(unit).iter());
+        for ((i, j), color) in places.zip(rgb.chunks_exact(3)) {
+            let at = 3 * (j * size.xres() + i) as usize;
+            rows[at..at + 3].copy_from_slice(color);
+        }
+    }
+    (rows, cpu_ms)
+}
+
+/// A frame as the wall shows it.
+fn scale(rgb: &[u8], from: FrameSize, to: FrameSize, scaling: Scaling) -> Vec<u8> {
+    let (xres, yres) = (from.xres() as usize, from.yres() as usize);
+    let linear: Vec<f32> = rgb.iter().map(|&byte| srgb::decode(byte)).collect();
+    let at = |i: usize, j: usize| 3 * (j.min(yres - 1) * xres + i.min(xres - 1));
+    // The lower of two neighbours, and how far the pixel's centre is on the way to the next.
+    let place = |pixel: usize, n_pixels: u32, n: usize| {
+        let centre = (pixel as f32 + 0.5) * n as f32 / n_pixels as f32;
+        let beyond = (centre - 0.5).max(0.0);
+        (centre as usize, beyond as usize, beyond.fract())
+    };
+    let mut out = vec![0; 3 * to.n_samples() as usize];
+    out.par_chunks_mut(3 * to.xres() as usize).enumerate().for_each(|(y, row)| {
+        let (nearest_j, j, part_j) = place(y, to.yres(), yres);
+        for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
+            let (nearest_i, i, part_i) = place(x, to.xres(), xres);
+            match scaling {
+                Scaling::Nearest => {
+                    let at = at(nearest_i, nearest_j);
+                    pixel.copy_from_slice(&rgb[at..at + 3]);
+                }
+                Scaling::Bilinear => {
+                    let corners = [at(i, j), at(i + 1, j), at(i, j + 1), at(i + 1, j + 1)];
+                    for (channel, byte) in pixel.iter_mut().enumerate() {
+                        let [a, b, c, d] = corners.map(|corner| linear[corner + channel]);
+                        let (low, high) = (a + (b - a) * part_i, c + (d - c) * part_i);
+                        *byte = srgb::encode(low + (high - low) * part_j);
+                    }
+                }
+            }
+        }
+    });
+    out
+}
+
+/// The mean FLIP difference: Andersson et al., "FLIP: A Difference Evaluator for Alternating Images" (2020).
+fn flip(reference: &[u8], picture: &[u8], size: FrameSize) -> f64 {
+    let image = |rgb: &[u8]| FlipImageRgb8::with_data(size.xres(), size.yres(), rgb);
+    let errors = nv_flip::flip(image(reference), image(picture), DEFAULT_PIXELS_PER_DEGREE);
+    f64::from(FlipPool::from_image(&errors).mean())
+}
+
+/// Peak signal-to-noise ratio.
+fn psnr(reference: &[u8], picture: &[u8]) -> f64 {
+    let squares = reference.iter().zip(picture).map(|(&a, &b)| u64::from(a.abs_diff(b)).pow(2));
+    let mean = squares.sum::<u64>() as f64 / reference.len() as f64;
+    10.0 * (255.0 * 255.0 / mean).log10()
+}
+
+/// The chart, of the means over all cameras.
+pub(super) fn figure(title: String, notes: Vec<String>, rows: &[Row], peers: &[Peer]) -> Figure {
+    let flip = plot(rows, "FLIP difference from the picture of many samples (mean)", significant, |row| {
+        row.flip.max(1e-6).log10()
+    });
+    // Negative, so that down is better.
+    let psnr = plot(rows, "PSNR in dB", |decibels| format!("{:.0}", -decibels), |row| -row.psnr.min(99.0));
+    let of_peers = |value: fn(&Peer) -> Option<f64>| {
+        let point = move |peer: &Peer| {
+            let (x, y) = (peer.cpu_ms?.log10(), value(peer)?);
+            let points = vec![Point { label: String::new(), x, y, bar: None }];
+            Some(Series { name: peer.name.clone(), color: PEER_COLOR, is_hollow: true, is_joined: false, points })
+        };
+        peers.iter().filter_map(point).collect::<Vec<_>>()
+    };
+    let [mut flip, mut psnr] = [flip, psnr];
+    flip.series.extend(of_peers(|peer| Some(peer.flip?.log10())));
+    psnr.series.extend(of_peers(|peer| Some(-peer.psnr?)));
+    Figure { title, notes, rows: vec![(560, vec![flip]), (560, vec![psnr])] }
+}
+
+fn plot(rows: &[Row], title: &'static str, label: fn(f64) -> String, value: impl Fn(&Row) -> f64) -> Plot {
+    let mut names: Vec<(&str, Scaling)> = Vec::new();
+    for row in rows {
+        if !names.contains(&(&row.size, row.scaling)) {
+            names.push((&row.size, row.scaling));
+        }
+    }
+    let sizes: Vec<&str> = names.iter().fold(Vec::new(), |mut sizes, (size, _)| {
+        if !sizes.contains(size) {
+            sizes.push(size);
+        }
+        sizes
+    });
+    let series = names.iter().map(|&(size, scaling)| {
+        let of_series = || rows.iter().filter(|row| row.size == size && row.scaling == scaling);
+        let mut samples: Vec<_> = of_series().map(|row| row.samples).collect();
+        samples.sort_unstable();
+        samples.dedup();
+        let point = |&n: &u32| {
+            let of_point: Vec<_> = of_series().filter(|row| row.samples == n).collect();
+            let mean = |value: &dyn Fn(&Row) -> f64| {
+                of_point.iter().map(|row| value(row)).sum::<f64>() / of_point.len() as f64
+            };
+            Point { label: n.to_string(), x: mean(&|row| row.cpu_ms.log10()), y: mean(&|row| value(row)), bar: None }
+        };
+        let is_native = Some(&size) == sizes.last();
+        let scaling_name = match scaling {
+            _ if is_native => "native",
+            Scaling::Nearest => "nearest",
+            Scaling::Bilinear => "bilinear",
+        };
+        let color: RGBColor = COLORS[sizes.iter().position(|&other| other == size).unwrap_or(0) % COLORS.len()];
+        Series {
+            name: format!("{size} {scaling_name}"),
+            color,
+            is_hollow: scaling == Scaling::Nearest && !is_native,
+            is_joined: true,
+            points: samples.iter().map(point).collect(),
+        }
+    });
+    Plot {
+        title: "numbers at points are samples a pixel; hollow points are scaled to the nearest sample, filled ones bilinearly".to_owned(),
+        x: Axis { title: "CPU ms per frame", label: significant, range: None },
+        y: Axis { title, label, range: None },
+        series: series.collect(),
+        has_front: true,
+    }
+}
+
+/// For people.
+pub(super) fn table(rows: &[Row]) -> String {
+    let mut lines = vec![format!(
+        "{:12} {:>10} {:>7} {:9} {:>9} {:>8} {:>7}",
+        "camera", "size", "samples", "scaling", "CPU ms", "FLIP", "PSNR"
+    )];
+    for row in rows {
+        let Row { camera, size, samples, scaling, cpu_ms, flip, psnr } = row;
+        let scaling = format!("{scaling:?}").to_lowercase();
+        lines.push(format!("{camera:12} {size:>10} {samples:7} {scaling:9} {cpu_ms:9.1} {flip:8.5} {psnr:7.2}"));
+    }
+    lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn size(xres: u32, yres: u32) -> FrameSize {
+        FrameSize::new(xres, yres).unwrap()
+    }
+
+    #[test]
+    fn scaling_to_its_own_size_changes_nothing_and_bilinear_mixes_linear_light() {
+        let rgb: Vec<u8> = (0..4 * 3 * 3).map(|n| (n * 37 % 256) as u8).collect();
+        for scaling in [Scaling::Nearest, Scaling::Bilinear] {
+            assert_eq!(scale(&rgb, size(4, 3), size(4, 3), scaling), rgb, "{scaling:?}");
+        }
+        let black_and_white = [[0; 3], [255; 3]].concat();
+        let nearest = scale(&black_and_white, size(2, 1), size(4, 1), Scaling::Nearest);
+        assert_eq!(nearest.iter().step_by(3).copied().collect::<Vec<_>>(), [0, 0, 255, 255]);
+        let bilinear = scale(&black_and_white, size(2, 1), size(4, 1), Scaling::Bilinear);
+        let expected = [0.0, 0.25, 0.75, 1.0].map(srgb::encode);
+        assert_eq!(bilinear.iter().step_by(3).copied().collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn differences_are_measured() {
+        let grey = vec![100; 64 * 64 * 3];
+        let other = vec![110; 64 * 64 * 3];
+        assert_eq!((flip(&grey, &grey, size(64, 64)), psnr(&grey, &grey)), (0.0, f64::INFINITY));
+        assert!((psnr(&grey, &other) - 28.13).abs() < 0.01, "20·log10(25.5)");
+        assert!((0.005..0.3).contains(&flip(&grey, &other, size(64, 64))));
+    }
+}
