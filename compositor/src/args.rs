@@ -10,7 +10,7 @@ use shared::{
     scene::SceneId,
 };
 
-use crate::bench::BenchArgs;
+use crate::{bench::BenchArgs, check::CheckArgs};
 
 /// Shows a scanned model on a display wall, ray traced by render servers.
 ///
@@ -31,6 +31,8 @@ pub struct Args {
 pub enum Command {
     /// The paper's experiment: bytes and time per frame by division and number of render servers
     Bench(BenchArgs),
+    /// Checks a wall file, draws the wall, and prints the file with every default filled in
+    Check(CheckArgs),
     /// The render server: the same as the program `renderer`
     #[command(subcommand)]
     Renderer(renderer::cli::Command),
@@ -99,9 +101,9 @@ pub struct WallArgs {
     /// By which rays the picture is lit: primary, shadows (and a ray to a light), or ambient (and short rays all around)
     #[arg(long, value_name = "RAYS", default_value = RayTree::default().name())]
     pub rays: RayTree,
-    /// Samples of a frame
-    #[arg(long, value_name = "WxH", default_value_t = FrameSize::PAPER)]
-    pub size: FrameSize,
+    /// Samples of a frame [default: what the wall file says, or 1024x512]
+    #[arg(long, value_name = "WxH")]
+    pub size: Option<FrameSize>,
     /// Fill the screen
     #[arg(long)]
     pub fullscreen: bool,

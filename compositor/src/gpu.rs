@@ -1,11 +1,13 @@
 //! The GPU's part: one texture of the frame's samples, shown by every projector of the wall.
 //!
 //! In reading order: [`context`] finds the GPU, [`frame_texture`] holds the frame, [`present`] draws it on a target,
-//! [`offscreen`] and [`surface`] are targets, [`timer`] measures, and [`present_cpu`] is the stage's twin for tests.
+//! `optics` what of it is warped or blended, [`offscreen`] and [`surface`] are targets, [`timer`] measures, and
+//! [`present_cpu`] is the stage's twin for tests.
 
 pub mod context;
 pub mod frame_texture;
 pub mod offscreen;
+mod optics;
 pub mod picture;
 pub mod present;
 pub mod present_cpu;

@@ -126,7 +126,7 @@ impl Headless {
         let upload = started_at.elapsed();
         let started_at = Instant::now();
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.present.draw(&self.gpu, &mut encoder, &self.offscreen.target(), self.wall.projectors());
+        self.present.draw(&self.gpu, &mut encoder, &self.offscreen.target(), &self.wall, self.wall.whole_output());
         self.gpu.queue.submit([encoder.finish()]);
         // Without a screen, a frame counts when the GPU has drawn it.
         self.gpu.wait()?;

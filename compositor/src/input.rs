@@ -72,6 +72,10 @@ pub enum Command {
     LeaveFullscreen,
     /// Write the wall to a file.
     Screenshot,
+    /// Show the next test pattern instead of frames, and after the last frames again.
+    NextPattern,
+    /// Write the corners of all projectors into the wall's file.
+    SaveCorners,
     /// Let visitors steer and nothing else, or let everybody do everything again.
     ToggleLock,
     /// Forget the message on screen.
@@ -213,6 +217,8 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('p'), Named(NamedKey::F12)], Ask(Screenshot), "screenshot of the wall"),
         row(&[Named(NamedKey::F11)], Ask(ToggleFullscreen), "fullscreen on or off"),
         row(&[Named(NamedKey::Escape)], Ask(LeaveFullscreen), "leave fullscreen"),
+        row(&[Letter('t')], Ask(NextPattern), "next test pattern: align, names, pixels, overlap, gamma, focus"),
+        row(&[Ctrl('s')], Ask(SaveCorners), "save the corners that were moved on the wall"),
         row(&[Ctrl('l')], Ask(ToggleLock), "lock for visitors, who can only steer, or unlock"),
         row(&[Ctrl('q')], Ask(Quit), "quit"),
     ]

@@ -2,12 +2,16 @@
 //!
 //! In reading order: [`args`] is the command line and [`run`] starts a wall from it; [`model`] is what is shown, [`kept`]
 //! what lies in files beside it, [`wall`] where, [`farm`] has it rendered by others, [`local`] by processes of this
-//! machine; [`gpu`] draws it. [`window`] shows it: [`input`] and [`navigator`] are what keys and mouse do, [`overlay`] is what an operator reads,
+//! machine; [`gpu`] draws it.
+//! [`window`] shows it: [`input`] and [`navigator`] are what keys and mouse do, [`overlay`] is what an operator reads,
 //! [`display_environment`] and [`screensaver`] deal with the session around. [`headless`] shows it without a window.
-//! [`stats`] and [`report`] say what all of it took; [`mod@bench`] is the paper's experiment.
+//! [`stats`] and [`report`] say what all of it took; [`mod@bench`] is the paper's experiment, [`check`] looks at wall
+//! files, and with [`alignment`] walls are set up.
 
+pub mod alignment;
 pub mod args;
 pub mod bench;
+pub mod check;
 pub mod display_environment;
 pub mod farm;
 pub mod gpu;

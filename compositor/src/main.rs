@@ -11,6 +11,7 @@ fn main() -> ExitCode {
     let result = match args.command {
         Some(Command::Renderer(command)) => renderer::cli::run(command),
         Some(Command::Bench(args)) => compositor::bench::run(&args),
+        Some(Command::Check(args)) => compositor::check::run(&args),
         None => compositor::run::run(&args.wall),
     };
     renderer::cli::exit_code(result)

@@ -11,6 +11,7 @@ use renderer::{
 };
 use shared::{
     camera::{Camera, CameraPath},
+    division::FrameSize,
     protocol::Picture,
 };
 use tokio::{net::TcpListener, runtime::Runtime};
@@ -33,6 +34,10 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
         Some(path) => Wall::load(path)?,
         None => Wall::paper(),
     };
+    let wall = match args.size {
+        Some(size) => wall.with_frame_size(size),
+        None => wall,
+    };
     let camera = args.camera.as_deref().map(renderer::trace::read_camera).transpose()?;
     let path = args.path.as_deref().map(kept::read_path).transpose().map_err(anyhow::Error::msg)?;
     if args.headless { run_headless(args, wall, camera, path) } else { run_window(args, wall, camera, path) }
@@ -40,14 +45,14 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
 
 fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<CameraPath>) -> anyhow::Result<()> {
     let n_frames = args.frames.unwrap_or(10);
-    let aspect = wall.aspect();
+    let (aspect, size) = (wall.aspect(), wall.frame_size());
     // First what fails at once: an operator learns of it before a model of minutes is read.
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
     let mut headless = Headless::new(wall)?;
     let report = if args.min_renderers() == 0 {
-        headless.show_blank_frames(args.size, n_frames)?
+        headless.show_blank_frames(size, n_frames)?
     } else {
         // Before the farm, so that it ends after it, and nobody takes the end for a loss.
         let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
@@ -68,7 +73,7 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
             let up = args.up.or_else(kept_up).unwrap_or_default();
             Camera::view_all(model.bounds.0, model.bounds.1, up, aspect)
         });
-        farm.want(|wanted| want_model(wanted, &model, camera, args));
+        farm.want(|wanted| want_model(wanted, &model, camera, size, args));
         match film {
             Some(film) => headless.show_film(&farm, &wakeups, &film)?,
             None => headless.show_frames(&farm, &wakeups, n_frames)?,
@@ -89,11 +94,11 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
     Ok(())
 }
 
-fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, args: &WallArgs) {
+fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) {
     wanted.picture = Some(Picture {
         scene: model.scene,
         camera,
-        size: args.size,
+        size,
         view: args.view,
         rays: args.rays,
         samples: args.sample_range(),
@@ -122,14 +127,15 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<
     let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;
     let options = WindowOptions {
-        wall,
+        wall_file: args.wall.clone(),
         source: scene_source(args),
         camera,
         up: args.up,
         path,
         kiosk: args.kiosk,
         samples: args.sample_range(),
-        size: args.size,
+        size: wall.frame_size(),
+        wall,
         view: args.view,
         rays: args.rays,
         fullscreen: args.fullscreen || args.kiosk,

@@ -38,6 +38,8 @@ use crate::{
 pub struct WindowOptions {
     /// The wall that the window shows, whole and scaled to fit.
     pub wall: Wall,
+    /// Where the wall's file is, if it is not the default: its corners are saved there.
+    pub wall_file: Option<PathBuf>,
     /// The first model; others come by being dropped on the window.
     pub source: SceneSource,
     /// The camera on the first model; without one all of it is seen.

@@ -5,6 +5,6 @@ pub mod decoders;
 #[path = "../../compositor/src/farm/frame_buffer.rs"]
 #[allow(dead_code)]
 mod frame_buffer;
-#[path = "../../compositor/src/wall.rs"]
+#[path = "../../compositor/src/wall/mod.rs"]
 #[allow(dead_code)]
 mod wall;

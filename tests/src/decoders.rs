@@ -127,7 +127,12 @@ pub fn camera(data: &[u8]) {
 pub fn wall(data: &[u8]) {
     let text = String::from_utf8_lossy(data);
     match Wall::from_toml("wall.toml", &text) {
-        Ok(wall) => assert!(wall.output_size().iter().all(|side| (1..=Wall::LARGEST_SIDE).contains(side))),
+        Ok(wall) => {
+            assert!(wall.output_size().iter().all(|side| (1..=Wall::LARGEST_SIDE).contains(side)));
+            let printed = wall.to_toml();
+            let again = Wall::from_toml("printed.toml", &printed).expect("what is printed is a wall file");
+            assert_eq!(again.to_toml(), printed);
+        }
         Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
     }
 }

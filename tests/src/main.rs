@@ -2,6 +2,8 @@
 
 #[cfg(test)]
 mod accuracy;
+#[cfg(all(test, target_os = "linux"))]
+mod aligning;
 #[cfg(test)]
 mod bad_input;
 #[cfg(test)]
@@ -28,6 +30,8 @@ mod liars;
 #[cfg(test)]
 mod measuring;
 #[cfg(test)]
+mod optics;
+#[cfg(test)]
 mod pictures;
 #[cfg(test)]
 mod ply_suite;
@@ -37,6 +41,8 @@ mod process;
 mod readme;
 #[cfg(test)]
 mod references;
+#[cfg(test)]
+mod room;
 #[cfg(test)]
 mod trust;
 #[cfg(all(test, target_os = "linux"))]

@@ -35,6 +35,18 @@ pub(crate) fn check(name: &str, picture: &Picture) {
     }
 }
 
+/// Holds a picture against one that was computed another way; on failure both and the map of differences are written.
+pub(crate) fn check_same(name: &str, expected: &Picture, picture: &Picture) {
+    let (largest, map) = flip_difference(expected, picture);
+    if largest > LARGEST_FLIP {
+        let output = Path::new(env!("CARGO_TARGET_TMPDIR"));
+        for (what, picture) in [("expected", expected), ("shown", picture), ("differences", &map)] {
+            picture.write_png(&output.join(format!("{name}.{what}.png"))).expect("the folder of test output");
+        }
+        panic!("{name}: a FLIP difference of {largest:.3}, more than {LARGEST_FLIP}: see {}", output.display());
+    }
+}
+
 /// The largest difference of a pixel, and a map of all.
 fn flip_difference(reference: &Picture, picture: &Picture) -> (f32, Picture) {
     let image = |picture: &Picture| FlipImageRgb8::with_data(picture.size[0], picture.size[1], &picture.rgb);

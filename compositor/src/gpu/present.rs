@@ -4,17 +4,20 @@ use shared::division::FrameSize;
 
 use super::context::{Gpu, GpuError};
 use super::frame_texture::FrameTexture;
+use super::optics::OpticsStage;
 use super::timer::DrawTimer;
-use crate::wall::{CanvasRect, PixelRect, Projector, output_size};
+use crate::wall::{CanvasRect, PixelRect, Projector, Wall};
 
 /// Draws the newest frame on any target: a window, an offscreen wall, one output of several.
 ///
-/// Every projector is a quad that samples its part of the frame, bilinearly and in linear light.
+/// Every projector is a quad that samples its part of the frame, bilinearly and in linear light. Those that are warped,
+/// overlap others, or have a light of their own are drawn by [`super::optics`] in the same pass.
 pub struct Present {
     shader: wgpu::ShaderModule,
     layout: wgpu::PipelineLayout,
     /// One for each format of the targets so far: a window and a screenshot may differ.
     pipelines: Vec<(wgpu::TextureFormat, wgpu::RenderPipeline)>,
+    optics: OpticsStage,
     frame_layout: wgpu::BindGroupLayout,
     bilinear: wgpu::Sampler,
     frame: Option<(FrameTexture, wgpu::BindGroup)>,
@@ -76,7 +79,9 @@ impl Present {
             bind_group_layouts: &[Some(&frame_layout)],
             immediate_size: 0,
         });
-        Self { shader, layout, pipelines: Vec::new(), frame_layout, bilinear, frame: None, timer: DrawTimer::new(gpu) }
+        let optics = OpticsStage::new(gpu, &frame_layout);
+        let timer = DrawTimer::new(gpu);
+        Self { shader, layout, pipelines: Vec::new(), optics, frame_layout, bilinear, frame: None, timer }
     }
 
     /// Takes a whole frame, as [`FrameTexture::upload`] does; its resolution may differ from the last one's.
@@ -103,31 +108,28 @@ impl Present {
         }
     }
 
-    /// Draws the frame over all of `target` through `projectors`, and black around them and before any frame.
+    /// Draws a part of the wall over all of `target`, and black around it and before any frame.
     ///
-    /// The output that holds all `projectors` is scaled to fit the target whole, centred.
+    /// `part` is a rectangle of the output that spans all projectors, and holds each of them whole or none of it; it is
+    /// scaled to fit the target whole, centred.
     pub fn draw(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
         target: &Target<'_>,
-        projectors: &[Projector],
+        wall: &Wall,
+        part: PixelRect,
     ) {
         let pipeline = self.pipeline(gpu, target.format);
-        let frame = self.frame.as_ref().filter(|_| !projectors.is_empty()).map(|(_, bind_group)| {
-            let instances: Vec<_> = projectors_on(target.size, projectors)
-                .map(|(projector, quad)| ProjectorInstance::new(projector, quad, target.size))
-                .collect();
-            // Made anew for each draw: half a kilobyte, and several targets in one submission cannot disturb each other.
-            let instance_buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some("projectors"),
-                size: size_of_val(&*instances) as u64,
-                usage: wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST,
-                mapped_at_creation: false,
-            });
-            gpu.queue.write_buffer(&instance_buffer, 0, bytemuck::cast_slice(&instances));
-            (bind_group, instance_buffer, instances.len() as u32)
-        });
+        let (plain, corrected): (Vec<_>, Vec<_>) =
+            quads(wall, part, target.size).partition(|(projector_idx, _)| wall.is_plain(*projector_idx));
+        let instances: Vec<_> = plain
+            .into_iter()
+            .map(|(index, quad)| ProjectorInstance::new(&wall.projectors()[index], quad, target.size))
+            .collect();
+        // Made anew for each draw: half a kilobyte, and several targets in one submission cannot disturb each other.
+        let instance_buffer = (!instances.is_empty()).then(|| vertex_buffer(gpu, &instances));
+        let corrected = self.optics.prepare(gpu, target, wall, &corrected);
 
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("present"),
@@ -140,11 +142,16 @@ impl Present {
             timestamp_writes: self.timer.as_ref().and_then(DrawTimer::pass_timestamps),
             ..Default::default()
         });
-        if let Some((bind_group, instance_buffer, n_instances)) = frame {
-            pass.set_pipeline(&pipeline);
-            pass.set_bind_group(0, bind_group, &[]);
-            pass.set_vertex_buffer(0, instance_buffer.slice(..));
-            pass.draw(0..4, 0..n_instances);
+        if let Some((_, frame)) = &self.frame {
+            pass.set_bind_group(0, frame, &[]);
+            if let Some(instance_buffer) = &instance_buffer {
+                pass.set_pipeline(&pipeline);
+                pass.set_vertex_buffer(0, instance_buffer.slice(..));
+                pass.draw(0..4, 0..instances.len() as u32);
+            }
+            if let Some(corrected) = &corrected {
+                corrected.draw(&mut pass);
+            }
         }
         drop(pass);
         if let Some(timer) = &mut self.timer {
@@ -193,26 +200,44 @@ impl Present {
     }
 }
 
-/// Each projector's quad on a target: left, top, right and bottom in pixels, not whole when the wall is scaled.
-fn projectors_on(target_size: [u32; 2], projectors: &[Projector]) -> impl Iterator<Item = (&Projector, [f64; 4])> {
-    let content = output_size(projectors);
-    let wall = PixelRect::fitted(content, target_size);
-    let x_scale = f64::from(wall.width) / f64::from(content[0].max(1));
-    let y_scale = f64::from(wall.height) / f64::from(content[1].max(1));
-    projectors.iter().map(move |projector| {
+fn vertex_buffer<T: bytemuck::NoUninit>(gpu: &Gpu, instances: &[T]) -> wgpu::Buffer {
+    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("projectors"),
+        size: size_of_val(instances) as u64,
+        usage: wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    });
+    gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(instances));
+    buffer
+}
+
+/// The quads on a target of the projectors in a part of the wall: left, top, right and bottom in pixels, not whole when
+/// the wall is scaled.
+fn quads(wall: &Wall, part: PixelRect, target_size: [u32; 2]) -> impl Iterator<Item = (usize, [f64; 4])> {
+    let fitted = PixelRect::fitted([part.width, part.height], target_size);
+    let x_scale = f64::from(fitted.width) / f64::from(part.width.max(1));
+    let y_scale = f64::from(fitted.height) / f64::from(part.height.max(1));
+    let shown = wall.projectors().iter().enumerate().filter(move |(_, projector)| part.holds(&projector.output));
+    shown.map(move |(index, projector)| {
         let PixelRect { x, y, width, height } = projector.output;
         // Edges, not extents, are scaled: neighbours share the same numbers, and no seam opens.
-        let x_of = |edge: u32| f64::from(wall.x) + f64::from(edge) * x_scale;
-        let y_of = |edge: u32| f64::from(wall.y) + f64::from(edge) * y_scale;
-        (projector, [x_of(x), y_of(y), x_of(x + width), y_of(y + height)])
+        let x_of = |edge: u32| f64::from(fitted.x) + f64::from(edge - part.x) * x_scale;
+        let y_of = |edge: u32| f64::from(fitted.y) + f64::from(edge - part.y) * y_scale;
+        (index, [x_of(x), y_of(y), x_of(x + width), y_of(y + height)])
     })
 }
 
+/// A quad's left, bottom, right and top in clip coordinates.
+pub(super) fn clip_of([left, top, right, bottom]: [f64; 4], target_size: [u32; 2]) -> [f32; 4] {
+    let [target_width, target_height] = target_size.map(f64::from);
+    let clip_x = |x: f64| (2.0 * x / target_width - 1.0) as f32;
+    let clip_y = |y: f64| (1.0 - 2.0 * y / target_height) as f32;
+    [clip_x(left), clip_y(bottom), clip_x(right), clip_y(top)]
+}
+
 impl ProjectorInstance {
-    fn new(projector: &Projector, [left, top, right, bottom]: [f64; 4], target_size: [u32; 2]) -> Self {
-        let [target_width, target_height] = target_size.map(f64::from);
-        let clip_x = |x: f64| (2.0 * x / target_width - 1.0) as f32;
-        let clip_y = |y: f64| (1.0 - 2.0 * y / target_height) as f32;
+    fn new(projector: &Projector, quad: [f64; 4], target_size: [u32; 2]) -> Self {
+        let [left, top, right, bottom] = quad;
         // The frame covers the canvas, so a place on the canvas is the same place in the frame.
         let CanvasRect { left: canvas_left, bottom: canvas_bottom, width, height } = projector.canvas;
         let frame_per_px = [width / (right - left), -height / (bottom - top)];
@@ -221,7 +246,7 @@ impl ProjectorInstance {
         let frame_x = canvas_left + (origin_px[0] - left) * frame_per_px[0];
         let frame_y = canvas_bottom + height + (origin_px[1] - top) * frame_per_px[1];
         Self {
-            clip: [clip_x(left), clip_y(bottom), clip_x(right), clip_y(top)],
+            clip: clip_of(quad, target_size),
             origin_px: origin_px.map(|px| px as f32),
             origin_frame: [frame_x as f32, frame_y as f32],
             frame_per_px: frame_per_px.map(|step| step as f32),

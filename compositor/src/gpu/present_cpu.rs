@@ -1,44 +1,81 @@
 //! The twin of the present stage on the CPU, in f64: the truth that tests hold the GPU against.
 
+use glam::DVec2;
 use shared::division::FrameSize;
 use shared::srgb;
 
 use super::picture::Picture;
-use crate::wall::{PixelRect, Projector, output_size};
+use crate::wall::blend::{Share, share};
+use crate::wall::homography::apply;
+use crate::wall::{PixelRect, Projector, Wall};
 
 /// What [`super::Present::draw`] shows of a frame on a target of `target_size`.
 ///
 /// `rgba` holds the frame's samples as [`super::frame_texture::FrameTexture::upload`] takes them.
-pub fn present(size: FrameSize, rgba: &[u8], projectors: &[Projector], target_size: [u32; 2]) -> Picture {
-    let content = output_size(projectors);
-    let wall = PixelRect::fitted(content, target_size);
+pub fn present(size: FrameSize, rgba: &[u8], wall: &Wall, part: PixelRect, target_size: [u32; 2]) -> Picture {
+    let fitted = PixelRect::fitted([part.width, part.height], target_size);
+    let scale =
+        DVec2::new(f64::from(part.width) / f64::from(fitted.width), f64::from(part.height) / f64::from(fitted.height));
     let [width, height] = target_size;
     let mut rgb = vec![0; 3 * width as usize * height as usize];
     for (pixel, encoded) in rgb.chunks_exact_mut(3).enumerate() {
         let [x, y] = [pixel as u32 % width, pixel as u32 / width];
         // From the pixel's centre to the output that spans the projectors, in pixels of that output.
-        let x_output = (f64::from(x) + 0.5 - f64::from(wall.x)) * f64::from(content[0]) / f64::from(wall.width);
-        let y_output = (f64::from(y) + 0.5 - f64::from(wall.y)) * f64::from(content[1]) / f64::from(wall.height);
-        // Later projectors are drawn over earlier ones.
-        if let Some(projector) =
-            projectors.iter().rev().find(|projector| contains(projector.output, x_output, y_output))
-        {
-            let PixelRect { x, y, width, height } = projector.output;
-            let from_left = (x_output - f64::from(x)) / f64::from(width);
-            let from_top = (y_output - f64::from(y)) / f64::from(height);
-            let canvas = projector.canvas;
-            let canvas_x = canvas.left + from_left * canvas.width;
-            let canvas_y = canvas.bottom + (1.0 - from_top) * canvas.height;
-            let linear = bilinear(size, rgba, canvas_x * f64::from(size.xres()), canvas_y * f64::from(size.yres()));
-            encoded.copy_from_slice(&linear.map(|light| srgb::encode(light as f32)));
+        let from_fitted = DVec2::new(f64::from(x) - f64::from(fitted.x), f64::from(y) - f64::from(fitted.y)) + 0.5;
+        let output = DVec2::new(f64::from(part.x), f64::from(part.y)) + from_fitted * scale;
+        let shown = |projector: &&Projector| part.holds(&projector.output) && projector.output.contains(output);
+        if let Some(projector_idx) = wall.projectors().iter().position(|projector| shown(&projector)) {
+            let value = if wall.is_plain(projector_idx) {
+                plain(size, rgba, &wall.projectors()[projector_idx], output)
+            } else {
+                corrected(size, rgba, wall, projector_idx, output, scale)
+            };
+            encoded.copy_from_slice(&value);
         }
     }
     Picture { size: target_size, rgb }
 }
 
-fn contains(rect: PixelRect, x: f64, y: f64) -> bool {
-    (0.0..f64::from(rect.width)).contains(&(x - f64::from(rect.x)))
-        && (0.0..f64::from(rect.height)).contains(&(y - f64::from(rect.y)))
+/// A pixel of a projector that shows its part of the frame as it is.
+fn plain(size: FrameSize, rgba: &[u8], projector: &Projector, output: DVec2) -> [u8; 3] {
+    let linear = frame_at(size, rgba, projector, raster_of(projector, output));
+    linear.map(|light| srgb::encode(light as f32))
+}
+
+/// A pixel of a projector that is warped, overlaps others, or has a light of its own; `pixel` is its width and height
+/// in pixels of the output.
+fn corrected(size: FrameSize, rgba: &[u8], wall: &Wall, projector_idx: usize, output: DVec2, pixel: DVec2) -> [u8; 3] {
+    let projector = &wall.projectors()[projector_idx];
+    let Some(place_from_raster) = projector.raster_from_place().map(|map| map.inverse()) else { return [0; 3] };
+    let place_of = |output: DVec2| apply(place_from_raster, raster_of(projector, output));
+    let Some(place) = place_of(output) else { return [0; 3] };
+
+    // The size of the pixel on the place, by what a hundredth of it makes there.
+    let step = |direction: DVec2| place_of(output + direction * pixel / 100.0).map(|it| (it - place) * 100.0);
+    let (Some(per_column), Some(per_row)) = (step(DVec2::X), step(DVec2::Y)) else { return [0; 3] };
+    let extent = DVec2::new(per_column.x.hypot(per_row.x), per_column.y.hypot(per_row.y));
+    let covered = (place.min(1.0 - place) / extent + 0.5).clamp(DVec2::ZERO, DVec2::ONE);
+
+    let Share { weight, leak } = share(wall.neighbours(projector_idx), place);
+    let share = covered.x * covered.y * weight;
+    let linear = frame_at(size, rgba, projector, place.clamp(DVec2::ZERO, DVec2::ONE));
+    std::array::from_fn(|channel| {
+        let light = share * (wall.black() + (1.0 - wall.black()) * linear[channel] - leak).max(0.0);
+        let drive = (light * projector.gain[channel] / (1.0 - projector.black_level)).clamp(0.0, 1.0);
+        (projector.gamma.encode(drive) * 255.0).round() as u8
+    })
+}
+
+/// A point of the output in units of a projector's pixels.
+fn raster_of(projector: &Projector, output: DVec2) -> DVec2 {
+    let PixelRect { x, y, width, height } = projector.output;
+    (output - DVec2::new(f64::from(x), f64::from(y))) / DVec2::new(f64::from(width), f64::from(height))
+}
+
+/// Linear light of the frame at a point of a projector's place.
+fn frame_at(size: FrameSize, rgba: &[u8], projector: &Projector, place: DVec2) -> [f64; 3] {
+    let canvas = projector.canvas.canvas_of(place);
+    bilinear(size, rgba, canvas.x * f64::from(size.xres()), canvas.y * f64::from(size.yres()))
 }
 
 /// Linear light at a point of the frame, in samples from its lower-left corner; sample (i, j) has its centre at

@@ -1,5 +1,6 @@
 //! What happens in the window: events in, wishes to the farm and pictures out.
 
+mod aligning;
 mod opening;
 mod probing;
 mod showing;
@@ -28,6 +29,7 @@ use super::{
     screen::Screen,
 };
 use crate::{
+    alignment::Alignment,
     farm::{Farm, Frame},
     kept::Kept,
     model::Model,
@@ -40,6 +42,9 @@ use crate::{
 /// The window's state.
 pub(super) struct App<'a> {
     options: WindowOptions,
+    alignment: Alignment,
+    /// The pattern on screen is not what it should be now.
+    pattern_is_stale: bool,
     farm: &'a Farm,
     on_shown: OnShown,
     outcome: anyhow::Result<()>,
@@ -128,6 +133,8 @@ impl<'a> App<'a> {
             touched_at: now,
             cursor_is_visible: true,
             modifiers: ModifiersState::empty(),
+            alignment: Alignment::new(options.wall_file.clone()),
+            pattern_is_stale: false,
             stepped_at: now,
             screensaver: None,
             repaint_at: None,

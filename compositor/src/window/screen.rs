@@ -9,6 +9,7 @@ use egui_wgpu::ScreenDescriptor;
 use winit::{event::WindowEvent, window::Window};
 
 use crate::{
+    alignment,
     farm::Frame,
     gpu::{Gpu, GpuError, Offscreen, Picture, Present, WallSurface},
     overlay::{self, OverlayModel, OverlayOutput},
@@ -22,6 +23,8 @@ pub(super) struct Screen {
     gpu: Gpu,
     surface: WallSurface,
     present: Present,
+    /// What is shown instead of frames, and the wall to show it with.
+    pattern: Option<(Present, Wall)>,
     egui: egui_winit::State,
     egui_renderer: egui_wgpu::Renderer,
     /// What egui has not yet been able to hand to the GPU.
@@ -50,7 +53,16 @@ impl Screen {
         let largest_texture = gpu.device.limits().max_texture_dimension_2d as usize;
         let egui = egui_winit::State::new(context, egui::ViewportId::ROOT, &window, None, None, Some(largest_texture));
         let egui_renderer = egui_wgpu::Renderer::new(&gpu.device, surface.overlay_format(), Default::default());
-        Ok(Self { window, gpu, surface, present, egui, egui_renderer, textures: egui::TexturesDelta::default() })
+        Ok(Self {
+            window,
+            gpu,
+            surface,
+            present,
+            pattern: None,
+            egui,
+            egui_renderer,
+            textures: egui::TexturesDelta::default(),
+        })
     }
 
     /// Columns and rows of the window.
@@ -91,7 +103,11 @@ impl Screen {
         }
         let start = Instant::now();
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
-        self.present.draw(&self.gpu, &mut encoder, &target.target(), wall.projectors());
+        let (present, wall) = match &mut self.pattern {
+            Some((present, wall)) => (present, &*wall),
+            None => (&mut self.present, wall),
+        };
+        present.draw(&self.gpu, &mut encoder, &target.target(), wall, wall.whole_output());
         let (overlay, repaint_after) = if model.is_visible() {
             self.draw_overlay(&mut encoder, target.overlay_view(), target.size(), model)
         } else {
@@ -111,9 +127,21 @@ impl Screen {
     pub(super) fn picture(&mut self, wall: &Wall) -> Result<Picture, GpuError> {
         let offscreen = Offscreen::new(&self.gpu, wall.output_size())?;
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
-        self.present.draw(&self.gpu, &mut encoder, &offscreen.target(), wall.projectors());
+        self.present.draw(&self.gpu, &mut encoder, &offscreen.target(), wall, wall.whole_output());
         self.gpu.queue.submit([encoder.finish()]);
         offscreen.read(&self.gpu)
+    }
+
+    /// Shows a test pattern from now on, or frames again.
+    pub(super) fn show_pattern(&mut self, pattern: Option<alignment::Shown>) -> Result<(), GpuError> {
+        let Some(alignment::Shown { size, rgba, wall }) = pattern else {
+            self.pattern = None;
+            return Ok(());
+        };
+        let mut present = self.pattern.take().map_or_else(|| Present::new(&self.gpu), |(present, _)| present);
+        present.upload(&self.gpu, size, &rgba)?;
+        self.pattern = Some((present, wall));
+        Ok(())
     }
 
     fn draw_overlay(

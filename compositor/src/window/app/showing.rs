@@ -110,6 +110,7 @@ impl App<'_> {
 
     pub(super) fn draw(&mut self, event_loop: &ActiveEventLoop) {
         self.take_frame();
+        self.refresh_pattern();
         self.update_overlay(Instant::now());
         let Some(screen) = &mut self.screen else { return };
         let new_frame = self.frame.as_ref().filter(|_| self.frame_is_new);

@@ -35,6 +35,9 @@ impl App<'_> {
         let pressed = event.state == ElementState::Pressed;
         // A key that was pressed before Ctrl is let go as the key that it was.
         self.touched_at = Instant::now();
+        if self.align_key(event) {
+            return;
+        }
         let Some(key) = Key::from_winit(&event.logical_key, pressed && self.modifiers.control_key()) else { return };
         if pressed && let Some(command) = self.files_key(key) {
             return self.obey(event_loop, command);
@@ -102,6 +105,8 @@ impl App<'_> {
                 }
             }
             Command::Screenshot => self.take_screenshot(),
+            Command::NextPattern => self.next_pattern(),
+            Command::SaveCorners => self.save_corners(),
             Command::ToggleLock => self.toggle_lock(),
             Command::DismissMessage => {
                 self.error = None;
@@ -210,6 +215,7 @@ impl App<'_> {
         if let Some(window) = self.screen.as_ref().map(|screen| Arc::clone(&screen.window)) {
             self.show_cursor(&window, true);
         }
+        self.align_cursor();
         let point = self.point_on_canvas();
         if self.navigator.as_mut().is_some_and(|navigator| navigator.move_to(point)) {
             self.want_picture();
@@ -228,6 +234,9 @@ impl App<'_> {
             return self.tell_overlay(event);
         }
         self.touched_at = Instant::now();
+        if self.align_button(state, button) {
+            return;
+        }
         let is_click = state == ElementState::Released && self.pressed_at.take().is_some();
         self.pressed_at = (state == ElementState::Pressed && button == MouseButton::Left).then_some(self.cursor);
         let Some(navigator) = &mut self.navigator else { return };

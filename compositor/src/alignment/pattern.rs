@@ -1,0 +1,256 @@
+//! Test patterns: what they show, and what each is good for.
+
+use glam::DVec2;
+use shared::{division::FrameSize, srgb};
+
+use super::{Corner, sheet::Sheet};
+use crate::wall::{
+    PixelRect, Projector, Wall,
+    homography::{UNIT_SQUARE, apply},
+};
+
+/// What can be shown instead of frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pattern {
+    /// A grid of the canvas through each projector's warp, and the corners to drag. Projectors are not blended: where
+    /// they overlap, lines of both are seen, and lie over each other when the wall is aligned.
+    Align,
+    /// Each projector's name, number and pixels, as it shows them itself.
+    Names,
+    /// Every pixel in a checkerboard by the corners, every 32nd in a grid: scaling anywhere on the way shows.
+    Pixels,
+    /// White: each projector's share of it, which ramps down where others overlap.
+    Overlap,
+    /// Stripes of black and white lines beside greys: they look alike where the projector's gamma is written.
+    Gamma,
+    /// Fine lines and small text, to focus by.
+    Focus,
+}
+
+/// A test pattern, ready for the present stage.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Shown {
+    /// The samples of the frame to upload.
+    pub size: FrameSize,
+    /// Four bytes a sample, as frames have them, bottom row first.
+    pub rgba: Vec<u8>,
+    /// The wall to draw it with.
+    pub wall: Wall,
+}
+
+const WHITE: [u8; 3] = [255; 3];
+const GREY: [u8; 3] = [120; 3];
+const DIM: [u8; 3] = [45; 3];
+const ORANGE: [u8; 3] = [255, 150, 30];
+
+impl Pattern {
+    /// In the order in which a key steps through them.
+    pub const ALL: [Self; 6] = [Self::Align, Self::Names, Self::Pixels, Self::Overlap, Self::Gamma, Self::Focus];
+
+    /// What people call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Align => "align",
+            Self::Names => "names",
+            Self::Pixels => "pixels",
+            Self::Overlap => "overlap",
+            Self::Gamma => "gamma",
+            Self::Focus => "focus",
+        }
+    }
+
+    /// What it is for and what to do, in one line.
+    pub fn help(self) -> &'static str {
+        match self {
+            Self::Align => {
+                "drag a corner, or Tab and arrows (Shift: finer); lines of neighbours must meet; Ctrl+S saves"
+            }
+            Self::Names => "which projector is which; the triangle is at its first pixel",
+            Self::Pixels => "the checkerboards must be even: if not, something scales the picture",
+            Self::Overlap => "white must look even all over the wall: if not, look at gamma, then at gain",
+            Self::Gamma => "from afar, the stripes look like the grey under the right gamma",
+            Self::Focus => "lines and letters must be sharp in the middle and in the corners",
+        }
+    }
+
+    /// The one after `current`, and none after the last.
+    pub fn next(current: Option<Self>) -> Option<Self> {
+        let next = current.map_or(0, |current| 1 + Self::ALL.iter().position(|&it| it == current).unwrap_or(0));
+        Self::ALL.get(next).copied()
+    }
+
+    /// What to upload and how to draw it.
+    ///
+    /// # Errors
+    ///
+    /// The wall has more pixels than a frame may have samples.
+    pub fn shown(self, wall: &Wall, selected: Option<Corner>) -> anyhow::Result<Shown> {
+        if self == Self::Overlap {
+            return Ok(Shown { size: FrameSize::new(1, 1)?, rgba: vec![255; 4], wall: wall.clone() });
+        }
+        let [width, height] = wall.output_size();
+        let too_large =
+            |error| anyhow::anyhow!("no test pattern {}: it would have {width}×{height} pixels, {error}", self.name());
+        let size = FrameSize::new(width, height).map_err(too_large)?;
+        let mut sheet = Sheet::new(wall.output_size());
+        for (index, projector) in wall.projectors().iter().enumerate() {
+            sheet.clip_to(projector.output);
+            match self {
+                Self::Align => align(&mut sheet, wall, index, selected.filter(|corner| corner.projector_idx == index)),
+                Self::Names => names(&mut sheet, index, projector),
+                Self::Pixels => pixels(&mut sheet, projector.output),
+                Self::Gamma => gamma(&mut sheet, projector),
+                Self::Focus => focus(&mut sheet, projector.output),
+                Self::Overlap => {}
+            }
+        }
+        Ok(Shown { size, rgba: sheet.into_frame(), wall: Wall::of_one_output([width, height]) })
+    }
+}
+
+/// Where a point of a projector's place is, in pixels of the output that spans all projectors.
+pub(super) fn to_output(projector: &Projector, place: DVec2) -> Option<DVec2> {
+    let PixelRect { x, y, width, height } = projector.output;
+    let raster = apply(projector.raster_from_place()?, place)?;
+    Some(DVec2::new(f64::from(x), f64::from(y)) + raster * DVec2::new(f64::from(width), f64::from(height)))
+}
+
+fn align(sheet: &mut Sheet, wall: &Wall, index: usize, selected: Option<Corner>) {
+    let projector = &wall.projectors()[index];
+    let at = |place: DVec2| to_output(projector, place);
+    let mut line = |from: DVec2, to: DVec2, thickness: f64, colour: [u8; 3]| {
+        if let (Some(from), Some(to)) = (at(from), at(to)) {
+            sheet.line(from, to, thickness, colour);
+        }
+    };
+    // Lines of the canvas, the same for all projectors: an eighth of its shorter side apart, from its middle.
+    let [width_m, height_m] = wall.canvas_m();
+    let step_m = width_m.min(height_m) / 8.0;
+    for (axis, side_m) in [width_m, height_m].into_iter().enumerate() {
+        let n_lines = (side_m / 2.0 / step_m).floor() as i32;
+        for n in -n_lines..=n_lines {
+            let part = 0.5 + f64::from(n) * step_m / side_m;
+            let [from, to] = if axis == 0 {
+                [DVec2::new(part, 0.0), DVec2::new(part, 1.0)]
+            } else {
+                [DVec2::new(0.0, part), DVec2::new(1.0, part)]
+            };
+            if let Some((from, to)) = within_place(projector.canvas.place_of(from), projector.canvas.place_of(to)) {
+                line(from, to, 2.0, if n == 0 { WHITE } else { GREY });
+            }
+        }
+    }
+    for corner in 0..4 {
+        line(UNIT_SQUARE[corner], UNIT_SQUARE[(corner + 1) % 4], 3.0, WHITE);
+    }
+    for (corner_idx, corner) in UNIT_SQUARE.into_iter().enumerate() {
+        let Some(place) = at(corner) else { continue };
+        let is_selected = selected.is_some_and(|selected| selected.corner_idx == corner_idx);
+        let colour = if is_selected { ORANGE } else { WHITE };
+        sheet.square(place, if is_selected { 34.0 } else { 22.0 }, colour);
+    }
+    let Some(centre) = at(DVec2::splat(0.5)) else { return };
+    let size = text_size(projector);
+    sheet.text(centre, size, WHITE, &format!("{} {}", index + 1, projector.name));
+    if let Some(Corner { corner_idx, .. }) = selected {
+        let [x, y] = projector.warp_px[corner_idx];
+        let corner = ["upper left", "upper right", "lower right", "lower left"][corner_idx];
+        let below = centre + DVec2::new(0.0, 1.2 * size);
+        sheet.text(below, 0.6 * size, ORANGE, &format!("{corner}: {x:+.2} right, {y:+.2} down"));
+    }
+}
+
+/// The part of a line across the canvas, along one of its axes, that lies in a place.
+fn within_place(from: DVec2, to: DVec2) -> Option<(DVec2, DVec2)> {
+    let is_within = |a: f64, b: f64| a != b || (0.0..=1.0).contains(&a);
+    let clamped = (from.clamp(DVec2::ZERO, DVec2::ONE), to.clamp(DVec2::ZERO, DVec2::ONE));
+    (is_within(from.x, to.x) && is_within(from.y, to.y)).then_some(clamped)
+}
+
+fn names(sheet: &mut Sheet, index: usize, projector: &Projector) {
+    let PixelRect { x, y, width, height } = projector.output;
+    let origin = DVec2::new(f64::from(x), f64::from(y));
+    let size = DVec2::new(f64::from(width), f64::from(height));
+    sheet.frame(projector.output, 3, WHITE);
+    // At the first pixel, its longer leg along the first row.
+    let leg = 0.12 * size.min_element();
+    for n in 0..leg as u32 {
+        let across = f64::from(n) + 0.5;
+        sheet.line(origin + DVec2::new(0.0, across), origin + DVec2::new(2.0 * (leg - across), across), 1.0, ORANGE);
+    }
+    let centre = origin + size / 2.0;
+    let text = text_size(projector);
+    sheet.text(centre - DVec2::new(0.0, 1.5 * text), 2.2 * text, WHITE, &(index + 1).to_string());
+    sheet.text(centre + DVec2::new(0.0, 0.4 * text), text, WHITE, &projector.name);
+    let output = projector.monitor.as_ref().map(|monitor| format!("{monitor}, ")).unwrap_or_default();
+    let pixels = format!("{output}{width} × {height} pixels at {x}, {y}");
+    sheet.text(centre + DVec2::new(0.0, 1.5 * text), 0.6 * text, GREY, &pixels);
+}
+
+fn pixels(sheet: &mut Sheet, output: PixelRect) {
+    let PixelRect { x, y, width, height } = output;
+    for column in (0..width).step_by(32) {
+        sheet.fill(PixelRect { x: x + column, width: 1, ..output }, DIM);
+    }
+    for row in (0..height).step_by(32) {
+        sheet.fill(PixelRect { y: y + row, height: 1, ..output }, DIM);
+    }
+    let side = (width.min(height) / 4).max(1);
+    let [right, bottom] = [x + width - side.min(width), y + height - side.min(height)];
+    let middle = [x + (width - side.min(width)) / 2, y + (height - side.min(height)) / 2];
+    for [x, y] in [[x, y], [right, y], [right, bottom], [x, bottom], middle] {
+        sheet.each_pixel(
+            PixelRect { x, y, width: side, height: side },
+            |x, y| if (x + y) % 2 == 0 { WHITE } else { [0; 3] },
+        );
+    }
+    sheet.frame(output, 1, ORANGE);
+}
+
+fn gamma(sheet: &mut Sheet, projector: &Projector) {
+    let output = projector.output;
+    // From afar lines of black and white are half of white's light, and so is a grey whose value is encoded rightly.
+    sheet.each_pixel(output, |_, y| if y % 2 == 0 { WHITE } else { [0; 3] });
+    let half_srgb = (f64::from(srgb::encode(0.5)), "srgb".to_owned());
+    let half_of = |gamma: f64| (255.0 * 0.5_f64.powf(1.0 / gamma), format!("{gamma}"));
+    let greys = [half_of(1.6), half_of(1.8), half_of(2.0), half_srgb, half_of(2.2), half_of(2.4), half_of(2.6)];
+    let n_fields = greys.len() as u32;
+    let [width, height] = [output.width / (2 * n_fields + 1), output.height / 3];
+    for (n, (value, name)) in (0..).zip(greys) {
+        let field = PixelRect { x: output.x + (2 * n + 1) * width, y: output.y + height, width, height };
+        sheet.fill(field, [value.round() as u8; 3]);
+        let below = DVec2::new(
+            f64::from(field.x) + f64::from(width) / 2.0,
+            f64::from(field.y + height) - 0.1 * f64::from(height),
+        );
+        sheet.text(below, (0.45 * f64::from(width)).min(0.12 * f64::from(height)), [0; 3], &name);
+    }
+}
+
+fn focus(sheet: &mut Sheet, output: PixelRect) {
+    let PixelRect { x, y, width, height } = output;
+    let side = (width.min(height) / 5).max(1);
+    let [right, bottom] = [x + width - side.min(width), y + height - side.min(height)];
+    let middle = [x + (width - side.min(width)) / 2, y + (height - side.min(height)) / 2];
+    for [x, y] in [[x, y], [right, y], [right, bottom], [x, bottom], middle] {
+        // Upright lines left, level ones right, of one pixel above and two below.
+        sheet.each_pixel(PixelRect { x, y, width: side, height: side }, |column, row| {
+            let along = if column - x < side / 2 { column } else { row };
+            let thickness = if row - y < side / 2 { 1 } else { 2 };
+            if along / thickness % 2 == 0 { WHITE } else { [0; 3] }
+        });
+    }
+    let column = f64::from(x) + 0.5 * f64::from(width);
+    for (n, size) in (0..).zip([8.0, 10.0, 13.0, 18.0]) {
+        let row = f64::from(y) + (0.18 + 0.05 * f64::from(n)) * f64::from(height);
+        sheet.text(DVec2::new(column, row), size, WHITE, "sphinx of black quartz, judge my vow 0123456789");
+    }
+    sheet.frame(output, 1, GREY);
+}
+
+/// Letters that are read from where one stands and fit into the projector's pixels.
+fn text_size(projector: &Projector) -> f64 {
+    let PixelRect { width, height, .. } = projector.output;
+    let n_letters = projector.name.chars().count().max(8) as f64 + 3.0;
+    (f64::from(width) / (0.62 * n_letters)).min(f64::from(height) / 8.0).max(6.0)
+}

@@ -1,0 +1,69 @@
+//! Changes one value of a wall file that a person wrote, and leaves all else as it is: order, comments, spaces.
+
+use std::path::Path;
+
+use serde::Deserialize;
+use toml::Spanned;
+
+use crate::wall::{Wall, WallError, read_text};
+
+/// What is looked for in the file; the rest is not of interest here.
+#[derive(Deserialize)]
+struct Names {
+    #[serde(default)]
+    projector: Vec<Named>,
+}
+
+#[derive(Deserialize)]
+struct Named {
+    name: Spanned<String>,
+    warp_px: Option<Spanned<toml::Value>>,
+}
+
+/// Writes the corners of all projectors of `wall` into the file that it came from.
+///
+/// # Errors
+///
+/// The file cannot be read or written, is no longer the file of this wall, or is written in a way that leaves no place
+/// for the corners; the file is then as it was.
+pub fn save_warps(path: &Path, wall: &Wall) -> anyhow::Result<()> {
+    let unreadable = |source| WallError::Unreadable { path: path.display().to_string(), source };
+    let old_text = read_text(path).map_err(unreadable)?;
+    let old = Wall::from_toml(&path.display().to_string(), &old_text)?;
+    let mut text = old_text;
+    for (projector, old_projector) in wall.projectors().iter().zip(old.projectors()) {
+        if projector.warp_px != old_projector.warp_px {
+            text = with_warp(&text, &projector.name, projector.warp_px);
+        }
+    }
+    // Whatever the file looks like: what is written is read as these very projectors, or it is not written.
+    let written = Wall::from_toml(&path.display().to_string(), &text);
+    anyhow::ensure!(
+        written.is_ok_and(|written| written.projectors() == wall.projectors()),
+        "{}: the corners cannot be put into this file: give each projector a [[projector]] table with its name on a \
+         line of its own, and do not change the file while the wall runs",
+        path.display()
+    );
+    renderer::image::write_whole(path, |out| out.write_all(text.as_bytes()))
+        .map_err(|error| anyhow::anyhow!("{}: the corners cannot be saved: {error}", path.display()))
+}
+
+/// The text of a wall file with other corners of one projector.
+fn with_warp(text: &str, name: &str, warp_px: [[f64; 2]; 4]) -> String {
+    let names = toml::from_str::<Names>(text).map(|names| names.projector).unwrap_or_default();
+    match names.iter().find(|named| named.name.get_ref() == name) {
+        Some(Named { warp_px: Some(old), .. }) => {
+            let (before, after) = (&text[..old.span().start], &text[old.span().end..]);
+            format!("{before}{warp_px:?}{after}")
+        }
+        Some(Named { name, .. }) => {
+            let line_end = text[name.span().end..].find('\n').map_or(text.len(), |length| name.span().end + length);
+            let (before, after) = text.split_at(line_end);
+            format!("{before}\nwarp_px = {warp_px:?}{after}")
+        }
+        None => {
+            let name = toml::Value::String(name.to_owned());
+            format!("{}\n\n[[projector]]\nname = {name}\nwarp_px = {warp_px:?}\n", text.trim_end())
+        }
+    }
+}

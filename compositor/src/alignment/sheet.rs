@@ -1,0 +1,149 @@
+//! A picture to draw test patterns on, pixel by pixel.
+
+use egui::epaint::{
+    Color32, FontId,
+    text::{FontDefinitions, Fonts, TextOptions},
+};
+use glam::DVec2;
+
+use crate::wall::PixelRect;
+
+/// Pixels of all projectors, black at first.
+pub(super) struct Sheet {
+    size: [u32; 2],
+    /// Row by row from the bottom left, as frames have them.
+    pixels: Vec<[u8; 4]>,
+    clip: PixelRect,
+    fonts: Fonts,
+}
+
+impl Sheet {
+    pub(super) fn new(size: [u32; 2]) -> Self {
+        let [width, height] = size;
+        let fonts = Fonts::new(TextOptions::default(), FontDefinitions::default());
+        let clip = PixelRect { x: 0, y: 0, width, height };
+        Self { size, pixels: vec![[0, 0, 0, 255]; width as usize * height as usize], clip, fonts }
+    }
+
+    /// From now on nothing is drawn outside of these pixels.
+    pub(super) fn clip_to(&mut self, clip: PixelRect) {
+        self.clip = clip;
+    }
+
+    /// The pixels as samples of a frame.
+    pub(super) fn into_frame(self) -> Vec<u8> {
+        self.pixels.into_flattened()
+    }
+
+    /// A pixel by its column and its row from the top.
+    fn pixel(&mut self, x: u32, y: u32) -> &mut [u8; 4] {
+        let [width, height] = self.size.map(|side| side as usize);
+        &mut self.pixels[(height - 1 - y as usize) * width + x as usize]
+    }
+
+    /// Gives each pixel of a rectangle the colour that a rule says.
+    pub(super) fn each_pixel(&mut self, rect: PixelRect, colour: impl Fn(u32, u32) -> [u8; 3]) {
+        let end =
+            |from: u32, extent: u32, clip_from: u32, clip_extent: u32| (from + extent).min(clip_from + clip_extent);
+        let (left, top) = (rect.x.max(self.clip.x), rect.y.max(self.clip.y));
+        let right = end(rect.x, rect.width, self.clip.x, self.clip.width);
+        let bottom = end(rect.y, rect.height, self.clip.y, self.clip.height);
+        for y in top..bottom {
+            for x in left..right {
+                let [r, g, b] = colour(x, y);
+                *self.pixel(x, y) = [r, g, b, 255];
+            }
+        }
+    }
+
+    pub(super) fn fill(&mut self, rect: PixelRect, colour: [u8; 3]) {
+        self.each_pixel(rect, |_, _| colour);
+    }
+
+    /// The outermost pixels of a rectangle.
+    pub(super) fn frame(&mut self, rect: PixelRect, thickness: u32, colour: [u8; 3]) {
+        let PixelRect { x, y, width, height } = rect;
+        let thickness = thickness.min(width).min(height);
+        self.fill(PixelRect { height: thickness, ..rect }, colour);
+        self.fill(PixelRect { y: y + height - thickness, height: thickness, ..rect }, colour);
+        self.fill(PixelRect { width: thickness, ..rect }, colour);
+        self.fill(PixelRect { x: x + width - thickness, width: thickness, ..rect }, colour);
+    }
+
+    /// A square around a point.
+    pub(super) fn square(&mut self, centre: DVec2, side: f64, colour: [u8; 3]) {
+        let half = DVec2::splat(side / 2.0);
+        let (from, to) = ((centre - half).round().max(DVec2::ZERO), (centre + half).round().max(DVec2::ZERO));
+        // What lies beyond the sheet is clipped, and floats become the nearest integers.
+        let [x, y, right, bottom] = [from.x as u32, from.y as u32, to.x as u32, to.y as u32];
+        self.fill(PixelRect { x, y, width: right - x, height: bottom - y }, colour);
+    }
+
+    /// A line between two points, with soft edges.
+    pub(super) fn line(&mut self, from: DVec2, to: DVec2, thickness: f64, colour: [u8; 3]) {
+        let along = to - from;
+        let is_steep = along.y.abs() > along.x.abs();
+        // Column by column, or row by row where it is steep: the pixels on either side of its middle.
+        let (main, cross) = if is_steep { (1, 0) } else { (0, 1) };
+        let (from, to) = if along[main] < 0.0 { (to, from) } else { (from, to) };
+        let extent = to[main] - from[main];
+        if extent <= 0.0 {
+            return;
+        }
+        let slope = (to[cross] - from[cross]) / extent;
+        let half = thickness / 2.0 * (1.0 + slope * slope).sqrt();
+        let clip = self.clip;
+        let limits = [[clip.x, clip.x + clip.width], [clip.y, clip.y + clip.height]].map(|it| it.map(f64::from));
+        let first = from[main].max(limits[main][0]).floor();
+        let last = to[main].min(limits[main][1]).ceil();
+        let mut position = first;
+        while position < last {
+            let middle = from[cross] + slope * (position + 0.5 - from[main]);
+            let mut other = (middle - half - 0.5).floor().max(limits[cross][0]);
+            while other < (middle + half + 0.5).min(limits[cross][1]) {
+                let covered = (half + 0.5 - (other + 0.5 - middle).abs()).clamp(0.0, 1.0);
+                let [x, y] = if is_steep { [other, position] } else { [position, other] };
+                self.mix(x, y, colour, covered);
+                other += 1.0;
+            }
+            position += 1.0;
+        }
+    }
+
+    /// One line of text, centred on a point; letters are `size` pixels high, with the space between lines.
+    pub(super) fn text(&mut self, centre: DVec2, size: f64, colour: [u8; 3], text: &str) {
+        let font = FontId::proportional(size as f32);
+        let galley = self.fonts.with_pixels_per_point(1.0).layout_no_wrap(text.to_owned(), font, Color32::WHITE);
+        let atlas = self.fonts.texture_atlas().image();
+        let origin = centre - DVec2::new(f64::from(galley.size().x), f64::from(galley.size().y)) / 2.0;
+        let glyphs = galley.rows.iter().flat_map(|placed| placed.row.glyphs.iter().map(|glyph| (placed.pos, glyph)));
+        let covered: Vec<(DVec2, f64)> = glyphs
+            .flat_map(|(row_at, glyph)| {
+                let at = row_at + glyph.pos.to_vec2() + glyph.uv_rect.offset;
+                let at = (origin + DVec2::new(f64::from(at.x), f64::from(at.y))).round();
+                let ([left, top], [right, bottom]) = (glyph.uv_rect.min, glyph.uv_rect.max);
+                let texels = (top..bottom).flat_map(move |y| (left..right).map(move |x| (x, y)));
+                texels.map(move |(x, y)| {
+                    let covered = f64::from(atlas[(usize::from(x), usize::from(y))].a()) / 255.0;
+                    (at + DVec2::new(f64::from(x - left), f64::from(y - top)), covered)
+                })
+            })
+            .collect();
+        for (at, covered) in covered {
+            self.mix(at.x, at.y, colour, covered);
+        }
+    }
+
+    /// Paints over a part of a pixel, unless it is outside.
+    fn mix(&mut self, x: f64, y: f64, colour: [u8; 3], covered: f64) {
+        let clip = self.clip;
+        let is_inside = (f64::from(clip.x)..f64::from(clip.x + clip.width)).contains(&x)
+            && (f64::from(clip.y)..f64::from(clip.y + clip.height)).contains(&y);
+        if is_inside {
+            let pixel = self.pixel(x as u32, y as u32);
+            for (channel, value) in pixel.iter_mut().zip(colour) {
+                *channel = (f64::from(*channel) * (1.0 - covered) + f64::from(value) * covered).round() as u8;
+            }
+        }
+    }
+}

@@ -1,0 +1,157 @@
+//! Patterns and corners, without a window.
+
+use std::{fs, path::Path};
+
+use super::*;
+use crate::wall::{PixelRect, Rotation};
+
+fn shipped(name: &str) -> Wall {
+    Wall::load(&shipped_path(name)).expect("shipped wall file")
+}
+
+fn shipped_path(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../wall-config").join(name)
+}
+
+fn aligning(file: Option<PathBuf>) -> Alignment {
+    let mut alignment = Alignment::new(file);
+    alignment.show(Some(Pattern::Align));
+    alignment
+}
+
+#[test]
+fn a_key_steps_through_all_patterns_and_back_to_frames() {
+    let mut alignment = Alignment::new(None);
+    for pattern in Pattern::ALL {
+        alignment.next_pattern();
+        assert_eq!(alignment.pattern(), Some(pattern));
+        assert!(!pattern.help().is_empty());
+    }
+    alignment.next_pattern();
+    assert_eq!(alignment.pattern(), None);
+    assert!(alignment.shown(&Wall::paper()).is_none());
+}
+
+#[test]
+fn every_pattern_lights_every_projector_and_no_pixel_of_another() {
+    let wall = shipped("two-monitors.toml");
+    for pattern in Pattern::ALL.into_iter().filter(|&pattern| pattern != Pattern::Overlap) {
+        let shown = pattern.shown(&wall, None).expect("a small wall");
+        assert_eq!([shown.size.xres(), shown.size.yres()], wall.output_size());
+        let is_lit = |x: u32, y: u32| {
+            let first = 4 * ((shown.size.yres() - 1 - y) * shown.size.xres() + x) as usize;
+            shown.rgba[first..first + 3] != [0; 3]
+        };
+        for projector in wall.projectors() {
+            let PixelRect { x, y, width, height } = projector.output;
+            assert!((y..y + height).any(|y| (x..x + width).any(|x| is_lit(x, y))), "{}", pattern.name());
+        }
+        // Below the lower monitor there is nothing.
+        assert!(!(2560..4480).any(|x| (1080..1440).any(|y| is_lit(x, y))), "{}", pattern.name());
+    }
+}
+
+#[test]
+fn tiny_projectors_have_patterns_too() {
+    let text = "canvas_m = [1.0, 1.0]\n[grid]\ncolumns = 3\nrows = 2\npixels = [1, 2]\n";
+    let wall = Wall::from_toml("tiny", text).expect("a wall of six pixels");
+    for pattern in Pattern::ALL {
+        pattern.shown(&wall, Some(Corner { projector_idx: 5, corner_idx: 2 })).expect("six pixels are enough");
+    }
+}
+
+#[test]
+fn more_pixels_than_a_frame_may_have_are_refused_in_one_line() {
+    let text = "canvas_m = [1.0, 1.0]\n[grid]\ncolumns = 1\nrows = 1\npixels = [16384, 16384]\n";
+    let wall = Wall::from_toml("huge", text).expect("a large wall");
+    let error = Pattern::Names.shown(&wall, None).expect_err("too large").to_string();
+    assert!(error.contains("16384×16384") && !error.contains('\n'), "{error}");
+    assert!(Pattern::Overlap.shown(&wall, None).is_ok(), "one sample serves any wall");
+}
+
+#[test]
+fn a_dragged_corner_follows_the_cursor_however_the_projector_hangs() {
+    for (rotation, expected) in [
+        (Rotation::None, [10.0, 4.0]),
+        (Rotation::Right, [-4.0, 10.0]),
+        (Rotation::Half, [-10.0, -4.0]),
+        (Rotation::Left, [4.0, -10.0]),
+    ] {
+        let degrees = rotation.degrees();
+        let text = format!(
+            "canvas_m = [1.0, 1.0]\n[optics]\nrotation = {degrees}\n[grid]\ncolumns = 1\nrows = 1\npixels = [400, 300]\n"
+        );
+        let wall = Wall::from_toml("turned", &text).expect("one projector");
+        let mut alignment = aligning(None);
+        let start = corner_px(&wall.projectors()[0], 0).expect("in front");
+        assert!(alignment.press(&wall, start + 3.0), "{degrees}");
+        let cursor = start + 3.0 + DVec2::new(10.0, 4.0);
+        let moved = alignment.drag_to(&wall, cursor).expect("a small step");
+        assert_eq!(moved.projectors()[0].warp_px[0], expected, "{degrees}");
+        let corner = corner_px(&moved.projectors()[0], 0).expect("in front");
+        assert!((corner - (start + DVec2::new(10.0, 4.0))).length() < 1e-9, "{degrees}: {corner}");
+    }
+}
+
+#[test]
+fn corners_are_grabbed_near_by_and_nowhere_else() {
+    let wall = Wall::paper();
+    let mut alignment = aligning(None);
+    assert!(!alignment.press(&wall, DVec2::new(500.0, 400.0)));
+    assert!(alignment.drag_to(&wall, DVec2::ZERO).is_none());
+    assert!(alignment.press(&wall, DVec2::new(1030.0, 5.0)));
+    alignment.release();
+    assert!(!alignment.is_dragging() && alignment.selected().is_some());
+    alignment.next_corner(&wall);
+    assert!(alignment.moved(&wall, DVec2::new(1.0, 0.0)).is_some());
+    assert!(alignment.moved(&wall, DVec2::new(f64::NAN, 0.0)).is_none());
+    assert!(alignment.moved(&wall, DVec2::new(-5000.0, 0.0)).is_none(), "a picture that crosses itself");
+}
+
+#[test]
+fn saved_corners_are_read_again_and_all_else_in_the_file_stays() {
+    let folder = std::env::temp_dir().join(format!("corners-{}", std::process::id()));
+    fs::create_dir_all(&folder).expect("a folder");
+    for name in ["paper-4x3.toml", "blended-4x3.toml", "two-monitors.toml", "laptop.toml"] {
+        let file = folder.join(name);
+        fs::copy(shipped_path(name), &file).expect("a copy");
+        let mut wall = Wall::load(&file).expect("shipped");
+        let mut alignment = aligning(Some(file.clone()));
+        // The second projector has corners of its own in one file, and not even a table in others.
+        for _ in 0..6 {
+            alignment.next_corner(&wall);
+        }
+        wall = alignment.moved(&wall, DVec2::new(-3.35, 2.0)).expect("a small step");
+        alignment.save(&wall).expect("saved");
+        alignment.next_corner(&wall);
+        wall = alignment.moved(&wall, DVec2::new(-1.0, -2.0)).expect("a small step");
+        alignment.save(&wall).expect("saved over the last");
+        assert_eq!(Wall::load(&file).expect("still a wall file"), wall, "{name}");
+        let (before, after) = (fs::read_to_string(shipped_path(name)), fs::read_to_string(&file));
+        let (before, after) = (before.expect("text"), after.expect("text"));
+        let is_kept = |line: &&str| line.starts_with("warp_px") || after.lines().any(|it| it == *line);
+        assert!(before.lines().all(|line| is_kept(&line)), "{name}\n{after}");
+        assert!(after.lines().count() <= before.lines().count() + 5, "{name}\n{after}");
+    }
+    fs::remove_dir_all(&folder).expect("removed");
+}
+
+#[test]
+fn corners_that_have_no_place_leave_the_file_as_it_was() {
+    let folder = std::env::temp_dir().join(format!("no-corners-{}", std::process::id()));
+    fs::create_dir_all(&folder).expect("a folder");
+    let file = folder.join("inline.toml");
+    let text =
+        "canvas_m = [1.0, 1.0]\nprojector = [{ name = \"a\", pixels = [40, 30], at_m = [0, 0], size_m = [1, 1] }]\n";
+    fs::write(&file, text).expect("written");
+    let wall = Wall::load(&file).expect("a wall file");
+    let mut alignment = aligning(Some(file.clone()));
+    alignment.next_corner(&wall);
+    let moved = alignment.moved(&wall, DVec2::new(1.0, 1.0)).expect("a small step");
+    let error = alignment.save(&moved).expect_err("no place").to_string();
+    assert!(error.contains("[[projector]]") && !error.contains('\n'), "{error}");
+    assert_eq!(fs::read_to_string(&file).expect("text"), text);
+    fs::remove_dir_all(&folder).expect("removed");
+    let error = Alignment::new(None).save(&wall).expect_err("no file").to_string();
+    assert!(error.contains("--wall FILE"), "{error}");
+}

@@ -1,0 +1,180 @@
+//! Looks at a wall file before anybody climbs a ladder: is it right, what does it leave to defaults, how does it look?
+
+mod drawing;
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use glam::{DVec2, DVec4};
+use renderer::{cli::say, image::write_whole};
+
+use crate::wall::{Wall, homography::apply};
+
+/// Checks a wall file, draws the wall, and prints the file with every default filled in.
+#[derive(Clone, Debug, clap::Args)]
+pub struct CheckArgs {
+    /// The wall file
+    pub file: PathBuf,
+    /// Where the drawing goes [default: the wall file's name with .svg, in this folder]
+    #[arg(long, value_name = "FILE.svg")]
+    pub svg: Option<PathBuf>,
+}
+
+/// Does what the arguments ask for.
+///
+/// # Errors
+///
+/// The file is no wall file, or the drawing cannot be written; each with its cure.
+pub fn run(args: &CheckArgs) -> anyhow::Result<()> {
+    let wall = Wall::load(&args.file)?;
+    let svg_path = args.svg.clone().unwrap_or_else(|| {
+        let stem = args.file.file_stem().unwrap_or_else(|| "wall".as_ref());
+        PathBuf::from(stem).with_extension("svg")
+    });
+    let svg = drawing::draw(&wall, &args.file.display().to_string());
+    write_whole(&svg_path, |out| out.write_all(svg.as_bytes())).with_context(|| {
+        format!("cannot write the drawing {}: --svg FILE.svg puts it elsewhere", svg_path.display())
+    })?;
+    for line in summary(&wall) {
+        say(format_args!("# {line}"))?;
+    }
+    say(format_args!("# drawn in {}\n", svg_path.display()))?;
+    say(wall.to_toml().trim_end())
+}
+
+/// What an operator wants to know of a wall at a glance.
+fn summary(wall: &Wall) -> Vec<String> {
+    let [width, height] = wall.output_size();
+    let [width_m, height_m] = wall.canvas_m();
+    let n_projectors = wall.projectors().len();
+    let (lit, shared) = lit_parts(wall);
+    let frame = wall.frame_size();
+    let [sample_width_mm, sample_height_mm] =
+        [1e3 * width_m / f64::from(frame.xres()), 1e3 * height_m / f64::from(frame.yres())];
+    let mut lines = vec![
+        format!("{n_projectors} projectors or screens on {width_m} m × {height_m} m, {width}×{height} pixels in all"),
+        format!("{:.1} % of the canvas is lit, {:.1} % by several of them", 100.0 * lit, 100.0 * shared),
+        format!("a sample of a {frame} frame is {sample_width_mm:.2} mm × {sample_height_mm:.2} mm"),
+    ];
+    if wall.black() > 0.0 {
+        lines.push(format!("all black is lifted to {:.4} of white, where most projectors overlap", wall.black()));
+    }
+    for (monitor, part) in wall.monitors() {
+        lines.push(format!("output {monitor} shows {}×{} pixels", part.width, part.height));
+    }
+    let is_cut = |index: &usize| {
+        wall.projectors()[*index].warp_px != [[0.0; 2]; 4] && n_projectors > 1 && wall.neighbours(*index).len() == 1
+    };
+    if let Some(index) = (0..n_projectors).find(is_cut) {
+        lines.push(format!(
+            "\"{}\" is warped and overlaps no other: its edges are cut at whole pixels, and an overlap would hide them",
+            wall.projectors()[index].name
+        ));
+    }
+    let falls_short = |index: &usize| wall.neighbours(*index)[0].raster_edges != DVec4::ZERO;
+    if let Some(index) = (0..n_projectors).find(falls_short) {
+        lines.push(format!(
+            "the pixels of \"{}\" do not reach all of its place: move its corners inwards, or make its place smaller",
+            wall.projectors()[index].name
+        ));
+    }
+    lines
+}
+
+/// The parts of the canvas that at least one projector lights, and that at least two do.
+fn lit_parts(wall: &Wall) -> (f64, f64) {
+    /// Points of a side: a part of a thousandth is not missed.
+    const SIDE: u32 = 2500;
+    let mut n_lit = vec![0_u8; (SIDE * SIDE) as usize];
+    for projector in wall.projectors() {
+        let Some(raster_from_place) = projector.raster_from_place() else { continue };
+        let canvas = projector.canvas;
+        let steps = |from: f64, extent: f64| {
+            let step = |edge: f64| (edge * f64::from(SIDE) - 0.5).clamp(-1.0, f64::from(SIDE));
+            (step(from).ceil().max(0.0) as u32)..(step(from + extent).floor() + 1.0) as u32
+        };
+        for j in steps(canvas.bottom, canvas.height) {
+            for i in steps(canvas.left, canvas.width) {
+                let point = DVec2::new(f64::from(i) + 0.5, f64::from(j) + 0.5) / f64::from(SIDE);
+                let is_lit = apply(raster_from_place, canvas.place_of(point))
+                    .is_some_and(|raster| raster.cmpge(DVec2::ZERO).all() && raster.cmple(DVec2::ONE).all());
+                let count = &mut n_lit[(j * SIDE + i) as usize];
+                *count = count.saturating_add(u8::from(is_lit));
+            }
+        }
+    }
+    let part = |least: u8| n_lit.iter().filter(|&&count| count >= least).count() as f64 / f64::from(SIDE * SIDE);
+    (part(1), part(2))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    fn shipped(name: &str) -> Wall {
+        Wall::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../wall-config").join(name)).expect("shipped wall file")
+    }
+
+    #[test]
+    fn the_summary_says_what_is_lit() {
+        let lines = summary(&shipped("paper-4x3.toml"));
+        assert_eq!(lines[0], "12 projectors or screens on 4 m × 2.25 m, 4096×2304 pixels in all");
+        assert_eq!(lines[1], "100.0 % of the canvas is lit, 0.0 % by several of them");
+        let lines = summary(&shipped("blended-4x3.toml"));
+        assert!(lines[1].starts_with("100.0 % of the canvas is lit, 14."), "{lines:?}");
+        assert!(lines[3].starts_with("all black is lifted to 0.0090 of white"), "{lines:?}");
+        let lines = summary(&shipped("lcd-5x3.toml"));
+        assert!(lines[1].starts_with("98.9 % of the canvas is lit, 0.0 %"), "{lines:?}");
+        let lines = summary(&shipped("two-monitors.toml"));
+        assert_eq!(lines[3..], ["output HDMI-1 shows 2560×1440 pixels", "output DP-1 shows 1920×1080 pixels"]);
+    }
+
+    #[test]
+    fn the_summary_says_what_to_mend() {
+        let warped = |warp_px: &str, overlap: &str| {
+            let text = format!(
+                "canvas_m = [2.0, 1.0]\n[grid]\ncolumns = 2\nrows = 1\npixels = [100, 100]\n{overlap}\n\
+                 [[projector]]\nname = \"row 1 column 2\"\nwarp_px = {warp_px}"
+            );
+            summary(&Wall::from_toml("warped", &text).expect("a wall")).join("\n")
+        };
+        let (inwards, outwards) = ("[[2, 2], [-2, 2], [-2, -2], [2, -2]]", "[[0, 0], [3, 0], [0, 0], [0, 0]]");
+        let overlap = "overlap = [0.2, 0.0]";
+        assert!(warped(inwards, "").contains("\"row 1 column 2\" is warped and overlaps no other"));
+        assert!(warped(outwards, overlap).contains("the pixels of \"row 1 column 2\" do not reach"));
+        let lines = warped(inwards, overlap);
+        assert!(!lines.contains("warped") && !lines.contains("reach"), "{lines}");
+    }
+
+    #[test]
+    fn every_projector_is_in_the_drawing_by_name() {
+        for name in ["paper-4x3.toml", "blended-4x3.toml", "lcd-5x3.toml", "two-monitors.toml", "laptop.toml"] {
+            let wall = shipped(name);
+            let svg = drawing::draw(&wall, name);
+            for projector in wall.projectors() {
+                assert!(svg.contains(&format!(">{}<", projector.name)), "{name}: {}", projector.name);
+            }
+        }
+    }
+
+    #[test]
+    fn the_drawing_in_the_readme_is_what_is_drawn() {
+        let reference_path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/references/check-blended-4x3.svg");
+        let svg = drawing::draw(&shipped("blended-4x3.toml"), "wall-config/blended-4x3.toml");
+        let is_the_same = std::fs::read_to_string(&reference_path).is_ok_and(|reference| reference == svg);
+        assert!(
+            is_the_same,
+            "look at what `compositor check wall-config/blended-4x3.toml --svg {}` makes of it",
+            reference_path.display()
+        );
+    }
+
+    #[test]
+    fn names_cannot_break_the_drawing() {
+        let text = "canvas_m = [1.0, 1.0]\n[[projector]]\nname = \"<b>&\\\"\"\npixels = [4, 4]\nat_m = [0, 0]\nsize_m = [1, 1]";
+        let svg = drawing::draw(&Wall::from_toml("a.toml", text).unwrap(), "a&b");
+        assert!(svg.contains("&lt;b&gt;&amp;\"") && !svg.contains("<b>"), "{svg}");
+    }
+}

@@ -1,0 +1,245 @@
+//! Who gives how much of the light where projectors overlap, and how dark the darkest black of all of them is.
+
+use glam::{DMat3, DVec2, DVec4};
+
+use super::homography::{UNIT_SQUARE, apply};
+use super::projector::{CanvasRect, Projector};
+
+/// What a projector knows of one that lights a part of the same canvas, or of itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Neighbour {
+    /// Which of the wall's projectors it is.
+    pub projector_idx: usize,
+    /// Whether it gives a share of the picture there. If not, only its black does any harm.
+    pub blends: bool,
+    /// Its black level.
+    pub black_level: f64,
+    /// A point of the projector's place, in units of that place, is at `place_origin + place_scale * point` in the
+    /// neighbour's place.
+    pub place_scale: DVec2,
+    /// See `place_scale`.
+    pub place_origin: DVec2,
+    /// From the projector's place to the neighbour's pixels, as [`Projector::raster_from_place`] counts both.
+    pub raster_from_place: DMat3,
+    /// The columns and rows of those pixels.
+    pub raster_size: DVec2,
+    /// Which edges of its place its light fades towards, 1 or 0: left, upper, right, lower. Not those on the canvas's
+    /// own edges, beyond which nobody takes over.
+    pub place_edges: DVec4,
+    /// The same for the edges of its pixels: those that cut the place.
+    pub raster_edges: DVec4,
+    /// Beyond this rectangle of the projector's place, least and greatest corner, it makes no difference.
+    pub reach: [DVec2; 2],
+}
+
+/// What one projector does at one point of its place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Share {
+    /// Its part of the picture's light, from 0 to 1. All projectors' parts add up to 1.
+    pub weight: f64,
+    /// The light of all projectors' black there.
+    pub leak: f64,
+}
+
+/// The most neighbours that a projector may have.
+pub const MOST_NEIGHBOURS: usize = 24;
+
+/// No distance from an edge counts as less than this, in units of the place or the pixels: where all weights vanish, they
+/// keep their ratios. A tenth of a pixel of the largest projectors.
+pub const LEAST_DISTANCE: f64 = 1e-5;
+
+/// The neighbours of each projector, itself first; or a projector that has too many, and how many.
+pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usize, usize)> {
+    let maps: Vec<Option<DMat3>> = projectors.iter().map(Projector::raster_from_place).collect();
+    let boxes: Vec<_> = projectors.iter().map(|projector| bounds(&lit_corners(projector))).collect();
+    let of = |projector_idx: usize| {
+        let projector = &projectors[projector_idx];
+        let neighbour = |other_idx: usize| {
+            let other = &projectors[other_idx];
+            let leaks = other.black_level > 0.0 && boxes[other_idx].is_some_and(|it| boxes_meet(it, box_of(projector)));
+            let blends = other_idx == projector_idx || overlap(projector, other);
+            if !blends && !leaks {
+                return None;
+            }
+            let (place, other_place) = (projector.canvas, other.canvas);
+            let place_origin = other_place.place_of(place.canvas_of(DVec2::ZERO));
+            let place_scale = DVec2::new(place.width / other_place.width, place.height / other_place.height);
+            let other_from_place = DMat3::from_translation(place_origin) * DMat3::from_scale(place_scale);
+            Some(Neighbour {
+                projector_idx: other_idx,
+                blends,
+                black_level: other.black_level,
+                place_scale,
+                place_origin,
+                raster_from_place: maps[other_idx]? * other_from_place,
+                raster_size: DVec2::new(f64::from(other.output.width), f64::from(other.output.height)),
+                place_edges: inner_edges(other.canvas),
+                raster_edges: cutting_edges(maps[other_idx]?),
+                reach: reach(projector, other, boxes[other_idx].filter(|_| leaks)),
+            })
+        };
+        let others = (0..projectors.len()).filter(|&other_idx| other_idx != projector_idx);
+        let all: Vec<_> = std::iter::once(projector_idx).chain(others).filter_map(neighbour).collect();
+        if all.len() <= MOST_NEIGHBOURS + 1 { Ok(all) } else { Err((projector_idx, all.len() - 1)) }
+    };
+    (0..projectors.len()).map(of).collect()
+}
+
+/// What a projector with these `neighbours`, itself first, does at a point of its place.
+///
+/// The weight of a projector is the product of the distances from the edges that it fades towards, over the sum of all
+/// these products: continuous, and for a regular wall the same along the whole of an edge.
+pub fn share(neighbours: &[Neighbour], place: DVec2) -> Share {
+    // Pixels that an edge of the place cuts count as within.
+    let within = place.clamp(DVec2::ZERO, DVec2::ONE);
+    let emphasis = |neighbour: &Neighbour| {
+        let place = neighbour.place_origin + neighbour.place_scale * within;
+        match apply(neighbour.raster_from_place, within) {
+            Some(raster) if neighbour.blends => {
+                distances(place, neighbour.place_edges) * distances(raster, neighbour.raster_edges)
+            }
+            _ => 0.0,
+        }
+    };
+    // A pixel at the edge gives its light on both sides of it.
+    let leak = |neighbour: &Neighbour| {
+        let covered = apply(neighbour.raster_from_place, place).map_or(DVec2::ZERO, |raster| {
+            (raster.min(1.0 - raster) * neighbour.raster_size + 0.5).clamp(DVec2::ZERO, DVec2::ONE)
+        });
+        neighbour.black_level * covered.x * covered.y
+    };
+    let own = neighbours.first().map_or(0.0, emphasis);
+    let all: f64 = neighbours.iter().map(emphasis).sum();
+    Share { weight: if all > 0.0 { own / all } else { 0.0 }, leak: neighbours.iter().map(leak).sum() }
+}
+
+/// Where on a projector's place another gives a share of the picture, or of its black if it `lights` that part of the
+/// canvas, and two pixels more.
+fn reach(projector: &Projector, other: &Projector, lights: Option<[DVec2; 2]>) -> [DVec2; 2] {
+    let [mut least, mut greatest] = box_of(other);
+    if let Some([lit_least, lit_greatest]) = lights {
+        (least, greatest) = (least.min(lit_least), greatest.max(lit_greatest));
+    }
+    let margin = 2.0 * pixel_of(projector).max(pixel_of(other));
+    let corners = [least - margin, greatest + margin].map(|corner| projector.canvas.place_of(corner));
+    [corners[0].min(corners[1]), corners[0].max(corners[1])]
+}
+
+/// The product of a point's distances from those edges of the unit square that count, 0 beyond them.
+fn distances(point: DVec2, edges: DVec4) -> f64 {
+    let all = distances_from_edges(point);
+    if all.cmplt(DVec4::splat(-LEAST_DISTANCE)).any() {
+        return 0.0;
+    }
+    let counted = DVec4::ONE + edges * (all.max(DVec4::splat(LEAST_DISTANCE)) - 1.0);
+    counted.element_product()
+}
+
+/// A point's distances from the edges of the unit square: left, upper, right, lower.
+fn distances_from_edges(point: DVec2) -> DVec4 {
+    DVec4::new(point.x, point.y, 1.0 - point.x, 1.0 - point.y)
+}
+
+/// Which edges of a place are not edges of the canvas.
+fn inner_edges(CanvasRect { left, bottom, width, height }: CanvasRect) -> DVec4 {
+    let is_inner = |gap: f64| f64::from(u8::from(gap > 1e-6));
+    DVec4::new(left, 1.0 - bottom - height, 1.0 - left - width, bottom).map(is_inner)
+}
+
+/// Which edges of a projector's pixels have a part of its place, more than a rounding error, beyond them.
+fn cutting_edges(raster_from_place: DMat3) -> DVec4 {
+    let corners = UNIT_SQUARE.map(|corner| apply(raster_from_place, corner).map_or(DVec4::ZERO, distances_from_edges));
+    let nearest = corners.into_iter().fold(DVec4::INFINITY, DVec4::min);
+    nearest.map(|distance| f64::from(u8::from(distance < -LEAST_DISTANCE)))
+}
+
+/// The light of black where most of it adds up: what the whole wall is lifted to.
+pub fn wall_black(projectors: &[Projector], neighbours: &[Vec<Neighbour>]) -> f64 {
+    let corners: Vec<Option<[DVec2; 4]>> = projectors.iter().map(shrunk_corners).collect();
+    let canvas = UNIT_SQUARE;
+    let mut most: f64 = 0.0;
+    for all in neighbours {
+        // Where most polygons overlap, that overlap has corners: those of polygons, or points where two edges cross.
+        let polygons: Vec<(&[DVec2; 4], f64)> = all
+            .iter()
+            .filter_map(|neighbour| Some((corners[neighbour.projector_idx].as_ref()?, neighbour.black_level)))
+            .filter(|(_, black_level)| *black_level > 0.0)
+            .collect();
+        let outlines = || polygons.iter().map(|(polygon, _)| *polygon).chain([&canvas]);
+        let crossings = outlines()
+            .enumerate()
+            .flat_map(|(index, polygon)| outlines().skip(index + 1).flat_map(move |other| crossings(polygon, other)));
+        for point in outlines().flatten().copied().chain(crossings) {
+            let is_on_canvas = point.cmpge(DVec2::splat(-1e-9)).all() && point.cmple(DVec2::splat(1.0 + 1e-9)).all();
+            if is_on_canvas {
+                let leaks = polygons.iter().filter(|(polygon, _)| contains(polygon, point));
+                most = most.max(leaks.map(|(_, black_level)| black_level).sum());
+            }
+        }
+    }
+    most
+}
+
+/// Whether both light a part of the canvas that is more than a pixel wide and high: what merely touches is no overlap.
+fn overlap(a: &Projector, b: &Projector) -> bool {
+    let ([a_min, a_max], [b_min, b_max]) = (box_of(a), box_of(b));
+    let shared = a_max.min(b_max) - a_min.max(b_min);
+    shared.cmpgt(pixel_of(a).max(pixel_of(b))).all()
+}
+
+/// The width and height of a pixel on the canvas, but for the warp.
+fn pixel_of(projector: &Projector) -> DVec2 {
+    let [columns, rows] = projector.upright_size().map(f64::from);
+    DVec2::new(projector.canvas.width / columns, projector.canvas.height / rows)
+}
+
+fn box_of(projector: &Projector) -> [DVec2; 2] {
+    let CanvasRect { left, bottom, width, height } = projector.canvas;
+    [DVec2::new(left, bottom), DVec2::new(left + width, bottom + height)]
+}
+
+fn boxes_meet([a_min, a_max]: [DVec2; 2], [b_min, b_max]: [DVec2; 2]) -> bool {
+    a_min.cmple(b_max).all() && b_min.cmple(a_max).all()
+}
+
+/// The corners of what a projector's pixels light on the canvas, in order.
+fn lit_corners(projector: &Projector) -> Option<[DVec2; 4]> {
+    Some(projector.raster_corners_in_place()?.map(|corner| projector.canvas.canvas_of(corner)))
+}
+
+/// The same, half a pixel smaller all around: projectors that touch do not overlap.
+fn shrunk_corners(projector: &Projector) -> Option<[DVec2; 4]> {
+    let corners = lit_corners(projector)?;
+    let centre = (corners[0] + corners[1] + corners[2] + corners[3]) / 4.0;
+    let [columns, rows] = projector.upright_size().map(f64::from);
+    Some(corners.map(|corner| corner.lerp(centre, 1.0 / columns.min(rows).max(2.0))))
+}
+
+fn bounds(corners: &Option<[DVec2; 4]>) -> Option<[DVec2; 2]> {
+    let corners = corners.as_ref()?;
+    let fold = |pick: fn(DVec2, DVec2) -> DVec2| corners.iter().copied().reduce(pick);
+    Some([fold(DVec2::min)?, fold(DVec2::max)?])
+}
+
+fn edges(polygon: &[DVec2; 4]) -> impl Iterator<Item = (DVec2, DVec2)> {
+    (0..4).map(|index| (polygon[index], polygon[(index + 1) % 4]))
+}
+
+fn crossings<'a>(a: &'a [DVec2; 4], b: &'a [DVec2; 4]) -> impl Iterator<Item = DVec2> + 'a {
+    edges(a).flat_map(move |(a0, a1)| {
+        edges(b).filter_map(move |(b0, b1)| {
+            let (along_a, along_b) = (a1 - a0, b1 - b0);
+            let area = along_a.perp_dot(along_b);
+            let [s, t] = [(b0 - a0).perp_dot(along_b) / area, (b0 - a0).perp_dot(along_a) / area];
+            // Parallel edges give no numbers from 0 to 1.
+            let is_on_both = (0.0..=1.0).contains(&s) && (0.0..=1.0).contains(&t);
+            is_on_both.then(|| a0 + s * along_a)
+        })
+    })
+}
+
+/// Whether a convex polygon of either orientation has a point in it or on its edge.
+fn contains(polygon: &[DVec2; 4], point: DVec2) -> bool {
+    let sides = || edges(polygon).map(|(from, to)| (to - from).perp_dot(point - from));
+    sides().all(|side| side >= -1e-12) || sides().all(|side| side <= 1e-12)
+}

@@ -1,0 +1,317 @@
+//! The wall's geometry: which projector lights which part of the canvas, from which pixels, and with what light.
+//!
+//! In reading order: [`projector`] is one of them, [`homography`] how it stands askew, [`blend`] what several do where
+//! they overlap; `file` reads walls and writes them.
+
+pub mod blend;
+mod file;
+pub mod homography;
+pub mod projector;
+
+use std::io::Read;
+use std::path::Path;
+
+use shared::division::FrameSize;
+
+use blend::Neighbour;
+pub use projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
+
+/// A canvas and the projectors that light it.
+///
+/// Every projector shows its own part of one frame, which covers the whole canvas.
+///
+/// Invariant: there is at least one projector, [`Wall::output_size`] is at most [`Wall::LARGEST_SIDE`] either way, no
+/// two projectors have the same pixels or name, each lies on the canvas, and its corners make a picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Wall {
+    canvas_m: [f64; 2],
+    frame_size: FrameSize,
+    projectors: Vec<Projector>,
+    neighbours: Vec<Vec<Neighbour>>,
+    black: f64,
+}
+
+/// Why a file makes no wall.
+#[derive(Debug, thiserror::Error)]
+pub enum WallError {
+    /// The file cannot be read.
+    #[error("{path}: {source}: --wall takes a file like those in wall-config/")]
+    Unreadable {
+        /// As given.
+        path: String,
+        /// Why not.
+        source: std::io::Error,
+    },
+    /// The file is no TOML, has other keys, or describes a wall that cannot be.
+    #[error("{path}:{line}: {problem}")]
+    Invalid {
+        /// As given.
+        path: String,
+        /// From 1.
+        line: usize,
+        /// What is wrong there, and what would be right.
+        problem: String,
+    },
+}
+
+/// What keeps projectors from being a wall.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error("{problem}")]
+pub struct Impossible {
+    /// The projector that it is about; `None` for all of them.
+    pub projector_idx: Option<usize>,
+    /// The key of the wall file that would have to change.
+    pub key: &'static str,
+    /// What is wrong, and what would be right.
+    pub problem: String,
+}
+
+impl Wall {
+    /// The longest side of the spanning output in pixels: what GPUs take as one texture.
+    pub const LARGEST_SIDE: u32 = 16384;
+
+    /// The paper's wall: 4×3 projectors of 1024×768 pixels on a canvas of 4.00 m × 2.25 m.
+    pub fn paper() -> Self {
+        let projectors = file::grid(4, 3, [1024, 768], [0.0; 2]);
+        Self::new([4.0, 2.25], FrameSize::PAPER, projectors).expect("twelve projectors side by side")
+    }
+
+    /// A wall of these projectors, on a canvas whose sides are some length of metres.
+    pub fn new(canvas_m: [f64; 2], frame_size: FrameSize, projectors: Vec<Projector>) -> Result<Self, Impossible> {
+        let wrong = |projector_idx, key, problem| Err(Impossible { projector_idx, key, problem });
+        if projectors.is_empty() {
+            return wrong(None, "projector", "a wall has at least one projector: add [grid] or [[projector]]".into());
+        }
+        check_pixels(&projectors)?;
+        check_monitors(&projectors)?;
+        for (index, projector) in projectors.iter().enumerate() {
+            let Projector { name, canvas, warp_px, .. } = projector;
+            if projectors[..index].iter().any(|other| other.name == *name) {
+                return wrong(
+                    Some(index),
+                    "name",
+                    format!("there are two projectors \"{name}\": give one another name"),
+                );
+            }
+            // A hair for what rounding does to metres.
+            let on_canvas = |from: f64, extent: f64| from >= -1e-6 && extent >= 1e-4 && from + extent <= 1.0 + 1e-6;
+            if !on_canvas(canvas.left, canvas.width) || !on_canvas(canvas.bottom, canvas.height) {
+                let [width_m, height_m] = canvas_m;
+                let problem = format!(
+                    "\"{name}\" does not lie on the canvas of {width_m} m × {height_m} m: at_m is its lower-left corner, \
+                     size_m its width and height, both from the canvas's lower-left corner"
+                );
+                return wrong(Some(index), "at_m", problem);
+            }
+            let corners = projector.raster_corners_in_place();
+            if !corners
+                .is_some_and(|corners| corners.iter().all(|corner| corner.abs().max_element() <= FARTHEST_CORNER))
+            {
+                let problem = format!(
+                    "\"{name}\" with warp_px = {warp_px:?} makes no picture: its corners (upper left, upper right, lower \
+                     right, lower left, each moved to the right and down) must keep their order and a sensible distance"
+                );
+                return wrong(Some(index), "warp_px", problem);
+            }
+        }
+        let neighbours = blend::neighbours(&projectors).map_err(|(index, n_neighbours)| Impossible {
+            projector_idx: Some(index),
+            key: "at_m",
+            problem: format!(
+                "\"{}\" overlaps {n_neighbours} others, and {} are possible: move them apart",
+                projectors[index].name,
+                blend::MOST_NEIGHBOURS
+            ),
+        })?;
+        let black = blend::wall_black(&projectors, &neighbours);
+        if black > MOST_BLACK {
+            let problem = format!(
+                "where most projectors overlap their black adds up to {black:.3} of white, and more than {MOST_BLACK} \
+                 leaves no picture: measure black_level again"
+            );
+            return wrong(None, "black_level", problem);
+        }
+        Ok(Self { canvas_m, frame_size, projectors, neighbours, black })
+    }
+
+    /// One projector that shows frames of its own size as they are.
+    pub fn of_one_output([width, height]: [u32; 2]) -> Self {
+        let projectors =
+            file::grid(1, 1, [width.clamp(1, Self::LARGEST_SIDE), height.clamp(1, Self::LARGEST_SIDE)], [0.0; 2]);
+        Self::new([1.0; 2], FrameSize::PAPER, projectors).expect("one projector of any size")
+    }
+
+    /// Reads a wall file; see `wall-config/`.
+    pub fn load(path: &Path) -> Result<Self, WallError> {
+        let name = path.display().to_string();
+        match read_text(path) {
+            Ok(text) => Self::from_toml(&name, &text),
+            Err(source) => Err(WallError::Unreadable { path: name, source }),
+        }
+    }
+
+    /// Reads the text of a wall file; `path` is what messages call it.
+    pub fn from_toml(path: &str, text: &str) -> Result<Self, WallError> {
+        file::parse(text).map_err(|(offset, problem)| {
+            let before = text.get(..offset).unwrap_or(text);
+            let problem = problem.trim().replace('\n', ", ");
+            WallError::Invalid { path: path.to_owned(), line: 1 + before.matches('\n').count(), problem }
+        })
+    }
+
+    /// The text of a wall file that leaves nothing to defaults.
+    pub fn to_toml(&self) -> String {
+        file::write(self)
+    }
+
+    /// The same wall with other corners of one projector, as [`Projector::warp_px`] has them.
+    pub fn with_warp(&self, projector_idx: usize, warp_px: [[f64; 2]; 4]) -> Result<Self, Impossible> {
+        let mut projectors = self.projectors.clone();
+        if let Some(projector) = projectors.get_mut(projector_idx) {
+            projector.warp_px = warp_px;
+        }
+        Self::new(self.canvas_m, self.frame_size, projectors)
+    }
+
+    /// The same wall with frames of another resolution.
+    pub fn with_frame_size(self, frame_size: FrameSize) -> Self {
+        Self { frame_size, ..self }
+    }
+
+    /// Width and height of the canvas in metres.
+    pub fn canvas_m(&self) -> [f64; 2] {
+        self.canvas_m
+    }
+
+    /// The canvas's width over its height: the aspect of what the camera sees, whatever the shape of samples and pixels.
+    pub fn aspect(&self) -> f64 {
+        self.canvas_m[0] / self.canvas_m[1]
+    }
+
+    /// The resolution of frames that suits the wall.
+    pub fn frame_size(&self) -> FrameSize {
+        self.frame_size
+    }
+
+    /// The projectors; those of a grid row by row from the top left.
+    pub fn projectors(&self) -> &[Projector] {
+        &self.projectors
+    }
+
+    /// Who else lights a part of a projector's place, itself first.
+    pub fn neighbours(&self, projector_idx: usize) -> &[Neighbour] {
+        &self.neighbours[projector_idx]
+    }
+
+    /// The light of the darkest picture everywhere: what several projectors' black adds up to where most of them overlap.
+    pub fn black(&self) -> f64 {
+        self.black
+    }
+
+    /// Whether a projector shows its part of the frame as it is: upright, alone there, with sRGB's light.
+    pub fn is_plain(&self, projector_idx: usize) -> bool {
+        let Projector { gamma, gain, .. } = &self.projectors[projector_idx];
+        self.projectors[projector_idx].is_upright()
+            && self.neighbours[projector_idx].len() == 1
+            && self.black == 0.0
+            && *gamma == Gamma::Srgb
+            && *gain == [1.0; 3]
+    }
+
+    /// Width and height in pixels of the output that spans all projectors.
+    pub fn output_size(&self) -> [u32; 2] {
+        self.projectors.iter().fold([0, 0], |[width, height], Projector { output, .. }| {
+            [width.max(output.x + output.width), height.max(output.y + output.height)]
+        })
+    }
+
+    /// All of that output.
+    pub fn whole_output(&self) -> PixelRect {
+        let [width, height] = self.output_size();
+        PixelRect { x: 0, y: 0, width, height }
+    }
+
+    /// The monitors that the projectors name, and the part of the spanning output that each shows; none if they name
+    /// none.
+    pub fn monitors(&self) -> Vec<(&str, PixelRect)> {
+        monitors(&self.projectors)
+    }
+}
+
+/// Corners of pixels lie at most so many of their place's sides away from it.
+const FARTHEST_CORNER: f64 = 10.0;
+/// Projectors whose black adds up to more show no picture worth the name.
+const MOST_BLACK: f64 = 0.5;
+/// Wall files are read up to this many bytes: a device or a model named by mistake would be read for ever.
+const LARGEST_FILE: u64 = 1 << 20;
+
+/// The text of a file that may be a wall's.
+pub(crate) fn read_text(path: &Path) -> std::io::Result<String> {
+    let mut text = String::new();
+    std::fs::File::open(path)?.take(LARGEST_FILE).read_to_string(&mut text)?;
+    Ok(text)
+}
+
+/// Every projector has pixels, all of them fit in one picture, and none belongs to two projectors.
+fn check_pixels(projectors: &[Projector]) -> Result<(), Impossible> {
+    for (index, Projector { name, output, .. }) in projectors.iter().enumerate() {
+        let wrong = |key, problem| Err(Impossible { projector_idx: Some(index), key, problem });
+        let fits = |from: u32, extent: u32| {
+            extent >= 1 && from.checked_add(extent).is_some_and(|end| end <= Wall::LARGEST_SIDE)
+        };
+        if !fits(output.x, output.width) || !fits(output.y, output.height) {
+            let problem = format!(
+                "\"{name}\" has {}×{} pixels from column {} and row {} of the picture that spans all projectors: each \
+                 needs at least one, and that picture has at most {} a side",
+                output.width,
+                output.height,
+                output.x,
+                output.y,
+                Wall::LARGEST_SIDE
+            );
+            return wrong("pixels", problem);
+        }
+        if let Some(other) = projectors[..index].iter().find(|other| other.output.overlaps(output)) {
+            let problem = format!("\"{name}\" and \"{}\" have pixels in common: change pixels_at of one", other.name);
+            return wrong("pixels_at", problem);
+        }
+    }
+    Ok(())
+}
+
+fn monitors(projectors: &[Projector]) -> Vec<(&str, PixelRect)> {
+    let mut all: Vec<(&str, PixelRect)> = Vec::new();
+    for projector in projectors {
+        let Some(monitor) = projector.monitor.as_deref() else { continue };
+        match all.iter_mut().find(|(name, _)| *name == monitor) {
+            Some((_, part)) => *part = part.union(&projector.output),
+            None => all.push((monitor, projector.output)),
+        }
+    }
+    all
+}
+
+/// Either no projector names its monitor, or each does, and its pixels lie in no other monitor's part.
+fn check_monitors(projectors: &[Projector]) -> Result<(), Impossible> {
+    let all = monitors(projectors);
+    for (index, Projector { name, monitor, output, .. }) in projectors.iter().enumerate() {
+        let wrong = |problem| Err(Impossible { projector_idx: Some(index), key: "output", problem });
+        if monitor.is_none() && !all.is_empty() {
+            return wrong(format!("\"{name}\" has no output, others have: give one to all, or to none"));
+        }
+        let is_within =
+            |(other, part): &&(&str, PixelRect)| monitor.as_deref() != Some(*other) && part.overlaps(output);
+        if let Some((other, _)) = all.iter().find(is_within) {
+            return wrong(format!(
+                "\"{name}\" has pixels in the rectangle that output \"{other}\" shows: change its pixels_at"
+            ));
+        }
+    }
+    Ok(())
+}
+
+// Frames and walls meet in the same textures.
+const _: () = assert!(Wall::LARGEST_SIDE == FrameSize::LARGEST);
+
+#[cfg(test)]
+mod tests;

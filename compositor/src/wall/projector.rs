@@ -1,0 +1,314 @@
+//! One projector: what it lights, from which pixels, and how it renders light.
+
+use glam::{DMat3, DVec2};
+use serde::Deserialize;
+
+use super::homography::{UNIT_SQUARE, apply, square_to_quad};
+
+/// One projector of the wall, or one screen.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Projector {
+    /// What people call it: on the wall, in messages, and in its file.
+    pub name: String,
+    /// The monitor that it is for the window system; named for all projectors or for none.
+    pub monitor: Option<String>,
+    /// The part of the canvas that it lights.
+    pub canvas: CanvasRect,
+    /// Its pixels in the output that spans all projectors.
+    pub output: PixelRect,
+    /// How far it is turned clockwise, seen from the audience.
+    pub rotation: Rotation,
+    /// Whether it shows mirror images, before it is turned.
+    pub flip: Flip,
+    /// How far inwards or outwards the picture's corners lie from those of its pixels: upper left, upper right, lower
+    /// right, lower left, each to the right and down in pixels, as seen on the wall.
+    pub warp_px: [[f64; 2]; 4],
+    /// What light it makes of a value.
+    pub gamma: Gamma,
+    /// The light that it gives for black, as a part of white.
+    pub black_level: f64,
+    /// By what its red, green and blue are dimmed to match the dimmest projector.
+    pub gain: [f64; 3],
+}
+
+/// Quarter turns clockwise.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Rotation {
+    /// Upright.
+    #[default]
+    None,
+    /// Its upper edge is on the right.
+    Right,
+    /// Upside down, as projectors that hang from ceilings.
+    Half,
+    /// Its upper edge is on the left.
+    Left,
+}
+
+/// Mirror images.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Flip {
+    /// None.
+    #[default]
+    None,
+    /// Left and right are exchanged, as in projection from behind.
+    Horizontal,
+    /// Top and bottom are exchanged.
+    Vertical,
+}
+
+/// The light of a value v from 0 to 1, black level apart.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Gamma {
+    /// The curve of sRGB.
+    #[default]
+    Srgb,
+    /// v to this power.
+    Power(f64),
+}
+
+/// A rectangle of the canvas, whose lower-left corner is (0, 0) and whose upper-right corner is (1, 1).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CanvasRect {
+    /// Left edge.
+    pub left: f64,
+    /// Lower edge.
+    pub bottom: f64,
+    /// Extent to the right.
+    pub width: f64,
+    /// Extent upwards.
+    pub height: f64,
+}
+
+/// A rectangle of pixels, counted from the upper-left corner of a picture or a window.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PixelRect {
+    /// Left edge.
+    pub x: u32,
+    /// Upper edge.
+    pub y: u32,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+impl Projector {
+    /// An upright projector without any correction.
+    pub fn plain(name: String, canvas: CanvasRect, output: PixelRect) -> Self {
+        Self {
+            name,
+            monitor: None,
+            canvas,
+            output,
+            rotation: Rotation::None,
+            flip: Flip::None,
+            warp_px: [[0.0; 2]; 4],
+            gamma: Gamma::Srgb,
+            black_level: 0.0,
+            gain: [1.0; 3],
+        }
+    }
+
+    /// Whether its pixels are the canvas's rows and columns.
+    pub fn is_upright(&self) -> bool {
+        self.rotation == Rotation::None && self.flip == Flip::None && self.warp_px == [[0.0; 2]; 4]
+    }
+
+    /// Columns and rows as seen on the wall.
+    pub fn upright_size(&self) -> [u32; 2] {
+        let PixelRect { width, height, .. } = self.output;
+        if matches!(self.rotation, Rotation::Right | Rotation::Left) { [height, width] } else { [width, height] }
+    }
+
+    /// From its place, whose upper-left corner is (0, 0) and lower-right corner (1, 1) as seen on the wall, to its
+    /// pixels, whose upper-left corner is (0, 0) and lower-right corner (1, 1) as they are stored.
+    ///
+    /// `None` if the warped corners make no picture: crossed, folded, or mirrored.
+    pub fn raster_from_place(&self) -> Option<DMat3> {
+        let upright_px = DVec2::from(self.upright_size().map(f64::from));
+        let corner = |index: usize| UNIT_SQUARE[index] + DVec2::from(self.warp_px[index]) / upright_px;
+        let upright_from_place = square_to_quad([corner(0), corner(1), corner(2), corner(3)])?;
+        Some(self.raster_from_upright() * upright_from_place)
+    }
+
+    /// From pixels as seen on the wall to pixels as they are stored, both from (0, 0) to (1, 1).
+    fn raster_from_upright(&self) -> DMat3 {
+        let affine = |x: [f64; 2], y: [f64; 2], origin: [f64; 2]| {
+            DMat3::from_cols(DVec2::from(x).extend(0.0), DVec2::from(y).extend(0.0), DVec2::from(origin).extend(1.0))
+        };
+        let unturned = match self.rotation {
+            Rotation::None => DMat3::IDENTITY,
+            Rotation::Right => affine([0.0, -1.0], [1.0, 0.0], [0.0, 1.0]),
+            Rotation::Half => affine([-1.0, 0.0], [0.0, -1.0], [1.0, 1.0]),
+            Rotation::Left => affine([0.0, 1.0], [-1.0, 0.0], [1.0, 0.0]),
+        };
+        let unflipped = match self.flip {
+            Flip::None => DMat3::IDENTITY,
+            Flip::Horizontal => affine([-1.0, 0.0], [0.0, 1.0], [1.0, 0.0]),
+            Flip::Vertical => affine([1.0, 0.0], [0.0, -1.0], [0.0, 1.0]),
+        };
+        unflipped * unturned
+    }
+
+    /// The corners of its pixels on its place, in the units of [`Projector::raster_from_place`]; `None` where the
+    /// projector would have to light what lies behind it.
+    pub fn raster_corners_in_place(&self) -> Option<[DVec2; 4]> {
+        let place_from_raster = self.raster_from_place()?.inverse();
+        let corners = UNIT_SQUARE.map(|corner| apply(place_from_raster, corner));
+        let [Some(a), Some(b), Some(c), Some(d)] = corners else { return None };
+        Some([a, b, c, d])
+    }
+}
+
+impl Rotation {
+    /// From degrees clockwise, if they make quarter turns.
+    pub fn from_degrees(degrees: u32) -> Option<Self> {
+        Some(match degrees {
+            0 => Self::None,
+            90 => Self::Right,
+            180 => Self::Half,
+            270 => Self::Left,
+            _ => return None,
+        })
+    }
+
+    /// Clockwise.
+    pub fn degrees(self) -> u32 {
+        match self {
+            Self::None => 0,
+            Self::Right => 90,
+            Self::Half => 180,
+            Self::Left => 270,
+        }
+    }
+}
+
+impl Gamma {
+    /// The value that makes `light`, from 0 to 1.
+    pub fn encode(self, light: f64) -> f64 {
+        match self {
+            Self::Srgb if light <= 0.003_130_8 => 12.92 * light,
+            Self::Srgb => 1.055 * light.powf(1.0 / 2.4) - 0.055,
+            Self::Power(gamma) => light.powf(1.0 / gamma),
+        }
+    }
+}
+
+impl CanvasRect {
+    /// A point of the canvas in units of this rectangle, whose upper-left corner is (0, 0), lower-right corner (1, 1).
+    pub fn place_of(&self, point: DVec2) -> DVec2 {
+        DVec2::new((point.x - self.left) / self.width, 1.0 - (point.y - self.bottom) / self.height)
+    }
+
+    /// The point of the canvas at a place in units of this rectangle.
+    pub fn canvas_of(&self, place: DVec2) -> DVec2 {
+        DVec2::new(self.left + place.x * self.width, self.bottom + (1.0 - place.y) * self.height)
+    }
+}
+
+impl PixelRect {
+    /// The largest rectangle of the shape of `content` that lies in a picture of size `target`, centred there.
+    ///
+    /// Sides and margins are whole pixels, and at least one pixel is left of a side when the target has any.
+    pub fn fitted(content: [u32; 2], target: [u32; 2]) -> Self {
+        let [content_width, content_height] = content.map(|side| u64::from(side.max(1)));
+        let [target_width, target_height] = target.map(u64::from);
+        let rounded = |numerator: u64, denominator: u64| (numerator + denominator / 2) / denominator;
+        let (width, height) = if target_width * content_height <= target_height * content_width {
+            let height = rounded(target_width * content_height, content_width);
+            (target_width, height.clamp(1, target_height.max(1)).min(target_height))
+        } else {
+            let width = rounded(target_height * content_width, content_height);
+            (width.clamp(1, target_width.max(1)).min(target_width), target_height)
+        };
+        let [x, y] = [(target_width - width) / 2, (target_height - height) / 2];
+        // None exceeds the target's sides, which are u32.
+        let [x, y, width, height] = [x, y, width, height].map(|side| side as u32);
+        Self { x, y, width, height }
+    }
+
+    /// Whether the two share a pixel.
+    pub fn overlaps(&self, other: &Self) -> bool {
+        let apart = |a: u32, a_extent: u32, b: u32, b_extent: u32| a >= b + b_extent || b >= a + a_extent;
+        !apart(self.x, self.width, other.x, other.width) && !apart(self.y, self.height, other.y, other.height)
+    }
+
+    /// The smallest rectangle that holds both.
+    pub fn union(&self, other: &Self) -> Self {
+        let [x, y] = [self.x.min(other.x), self.y.min(other.y)];
+        let right = (self.x + self.width).max(other.x + other.width);
+        let bottom = (self.y + self.height).max(other.y + other.height);
+        Self { x, y, width: right - x, height: bottom - y }
+    }
+
+    /// Whether a point, in pixels, lies in it.
+    pub fn contains(&self, point: DVec2) -> bool {
+        (0.0..f64::from(self.width)).contains(&(point.x - f64::from(self.x)))
+            && (0.0..f64::from(self.height)).contains(&(point.y - f64::from(self.y)))
+    }
+
+    /// Whether all of `other` lies in it.
+    pub fn holds(&self, other: &Self) -> bool {
+        let within = |a: u32, a_extent: u32, b: u32, b_extent: u32| a <= b && b + b_extent <= a + a_extent;
+        within(self.x, self.width, other.x, other.width) && within(self.y, self.height, other.y, other.height)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn turned_and_flipped_projectors_have_their_corners_where_people_see_them() {
+        let check = |degrees: u32, flip: Flip, expected: [[f64; 2]; 4]| {
+            let rect = CanvasRect { left: 0.0, bottom: 0.0, width: 1.0, height: 1.0 };
+            let output = PixelRect { x: 0, y: 0, width: 40, height: 30 };
+            let rotation = Rotation::from_degrees(degrees).expect("a quarter turn");
+            assert_eq!(rotation.degrees(), degrees);
+            let projector = Projector { rotation, flip, ..Projector::plain("a".into(), rect, output) };
+            // Where the pixels' upper-left, upper-right, lower-right and lower-left corners are seen.
+            let seen = projector.raster_corners_in_place().expect("no warp");
+            assert_eq!(seen.map(|corner| corner.to_array()), expected, "{degrees} {flip:?}");
+        };
+        check(0, Flip::None, [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]);
+        check(90, Flip::None, [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]]);
+        check(180, Flip::None, [[1.0, 1.0], [0.0, 1.0], [0.0, 0.0], [1.0, 0.0]]);
+        check(270, Flip::None, [[0.0, 1.0], [0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]);
+        check(0, Flip::Horizontal, [[1.0, 0.0], [0.0, 0.0], [0.0, 1.0], [1.0, 1.0]]);
+        check(0, Flip::Vertical, [[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]]);
+        // Mirrored first: its upper-left pixel goes to the upper right, and is turned from there to the lower right.
+        check(90, Flip::Horizontal, [[1.0, 1.0], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0]]);
+    }
+
+    #[test]
+    fn a_wall_is_fitted_whole_centred_and_never_empty() {
+        let fitted = |content, target| {
+            let PixelRect { x, y, width, height } = PixelRect::fitted(content, target);
+            (x, y, width, height)
+        };
+        assert_eq!(fitted([4096, 2304], [4096, 2304]), (0, 0, 4096, 2304));
+        assert_eq!(fitted([4096, 2304], [1024, 768]), (0, 96, 1024, 576));
+        assert_eq!(fitted([4096, 2304], [2000, 720]), (360, 0, 1280, 720));
+        assert_eq!(fitted([4096, 2304], [1, 1]), (0, 0, 1, 1));
+        assert_eq!(fitted([4096, 2304], [1, 700]), (0, 349, 1, 1));
+        assert_eq!(fitted([16384, 1], [100, 100]), (0, 49, 100, 1));
+        assert_eq!(fitted([4096, 2304], [0, 0]), (0, 0, 0, 0));
+        assert_eq!(fitted([1, 1], [u32::MAX, 7]), (2_147_483_644, 0, 7, 7));
+    }
+
+    proptest! {
+        #[test]
+        fn a_fitted_wall_lies_in_its_target_and_touches_two_edges(
+            content in any::<[u32; 2]>(), target in prop::array::uniform2(1_u32..100_000),
+        ) {
+            let PixelRect { x, y, width, height } = PixelRect::fitted(content, target);
+            prop_assert!(width >= 1 && height >= 1);
+            prop_assert!(x + width <= target[0] && y + height <= target[1]);
+            prop_assert!(width == target[0] || height == target[1]);
+        }
+    }
+}

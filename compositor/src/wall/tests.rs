@@ -1,0 +1,228 @@
+//! Wall files, and what they say of walls.
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn config(name: &str) -> Wall {
+    Wall::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../wall-config").join(name)).expect("shipped wall file")
+}
+
+fn problem(text: &str) -> String {
+    Wall::from_toml("a.toml", text).expect_err(text).to_string()
+}
+
+#[test]
+fn the_default_is_the_paper_s_file() {
+    assert_eq!(config("paper-4x3.toml"), Wall::paper());
+    assert_eq!(Wall::paper().output_size(), [4096, 2304]);
+    assert_eq!(Wall::paper().projectors().len(), 12);
+    assert_eq!(Wall::paper().aspect(), 16.0 / 9.0);
+}
+
+#[test]
+fn the_laptop_s_file_fits_a_laptop() {
+    assert_eq!(config("laptop.toml").output_size(), [1280, 720]);
+}
+
+const SHIPPED: [&str; 5] = ["paper-4x3.toml", "blended-4x3.toml", "lcd-5x3.toml", "two-monitors.toml", "laptop.toml"];
+
+#[test]
+fn what_is_printed_with_all_defaults_is_the_same_wall() {
+    for name in SHIPPED {
+        let wall = config(name);
+        let text = wall.to_toml();
+        let printed = Wall::from_toml("printed", &text).unwrap();
+        assert_eq!(printed.to_toml(), text, "{name}");
+        for (projector, printed) in wall.projectors().iter().zip(printed.projectors()) {
+            let sides = |CanvasRect { left, bottom, width, height }| [left, bottom, width, height];
+            let differ = std::iter::zip(sides(projector.canvas), sides(printed.canvas)).map(|(a, b)| (a - b).abs());
+            assert!(differ.fold(0.0, f64::max) < 1e-8, "{name}");
+            assert_eq!(Projector { canvas: projector.canvas, ..printed.clone() }, *projector, "{name}");
+        }
+    }
+}
+
+#[test]
+fn screens_with_bezels_fill_the_canvas_but_for_the_gaps() {
+    let wall = config("lcd-5x3.toml");
+    let [width_m, height_m] = wall.canvas_m();
+    let [first, second, ..] = wall.projectors() else { panic!("fifteen screens") };
+    let gap_m = (second.canvas.left - first.canvas.left - first.canvas.width) * width_m;
+    assert!((gap_m - 0.0055).abs() < 1e-12, "{gap_m}");
+    let last = wall.projectors().last().expect("fifteen screens");
+    assert!((last.canvas.left + last.canvas.width - 1.0).abs() < 1e-12 && last.canvas.bottom == 0.0);
+    // The pixels of a Full HD panel are squares.
+    let pixel_m = [first.canvas.width * width_m / 1920.0, first.canvas.height * height_m / 1080.0];
+    assert!((pixel_m[0] / pixel_m[1] - 1.0).abs() < 1e-3, "{pixel_m:?}");
+    assert!((0..15).all(|index| wall.is_plain(index)), "nothing overlaps");
+}
+
+#[test]
+fn overlapping_projectors_share_what_the_file_says() {
+    let wall = config("blended-4x3.toml");
+    let [first, second, ..] = wall.projectors() else { panic!("twelve projectors") };
+    let shared = first.canvas.left + first.canvas.width - second.canvas.left;
+    assert!((shared / first.canvas.width - 0.1).abs() < 1e-12);
+    // Itself, and those to the right, below, and both.
+    assert_eq!(wall.neighbours(0).iter().map(|neighbour| neighbour.projector_idx).collect::<Vec<_>>(), [0, 1, 4, 5]);
+    // Where the old lamp meets three others.
+    assert!((wall.black() - (3.0 * 0.002 + 0.003)).abs() < 1e-12, "{}", wall.black());
+    assert!(!(0..12).any(|index| wall.is_plain(index)));
+}
+
+#[test]
+fn shares_of_light_add_up_everywhere_and_vanish_at_inner_edges() {
+    let wall = config("blended-4x3.toml");
+    for step in 0..10_000_u32 {
+        let point = glam::DVec2::new(f64::from(step % 100) + 0.5, f64::from(step / 100) + 0.5) / 100.0;
+        let weights = (0..12).map(|index| {
+            let place = wall.projectors()[index].canvas.place_of(point);
+            let is_within = place.cmpge(glam::DVec2::ZERO).all() && place.cmple(glam::DVec2::ONE).all();
+            if is_within { blend::share(wall.neighbours(index), place).weight } else { 0.0 }
+        });
+        let sum: f64 = weights.sum();
+        assert!((sum - 1.0).abs() < 1e-9, "{sum} at {point}");
+    }
+    let at_right_edge = blend::share(wall.neighbours(0), glam::DVec2::new(1.0, 0.5)).weight;
+    assert!(at_right_edge < 1e-3, "{at_right_edge}");
+}
+
+#[test]
+fn a_projector_that_many_others_overlap_is_refused() {
+    let one = |index: u32| {
+        let x = index * 4;
+        format!(
+            "[[projector]]\nname = \"{index}\"\npixels = [4, 4]\npixels_at = [{x}, 0]\nat_m = [0, 0]\nsize_m = [1, 1]\n"
+        )
+    };
+    let text: String = std::iter::once("canvas_m = [4.0, 2.25]\n".to_owned()).chain((0..40).map(one)).collect();
+    assert!(problem(&text).contains("overlaps 39 others, and 24 are possible"), "{}", problem(&text));
+}
+
+#[test]
+fn outputs_show_the_pixels_of_their_own_projectors() {
+    let wall = config("two-monitors.toml");
+    let [left, right] = wall.monitors()[..] else { panic!("two monitors") };
+    assert_eq!(left, ("HDMI-1", PixelRect { x: 0, y: 0, width: 2560, height: 1440 }));
+    assert_eq!(right, ("DP-1", PixelRect { x: 2560, y: 0, width: 1920, height: 1080 }));
+    assert!(Wall::paper().monitors().is_empty());
+}
+
+#[test]
+fn projectors_cover_canvas_and_output_once() {
+    let wall = config("laptop.toml");
+    let [upper_left, upper_right, lower_left, _] = wall.projectors() else { panic!("four projectors") };
+    assert_eq!(upper_left.output, PixelRect { x: 0, y: 0, width: 640, height: 360 });
+    assert_eq!(upper_right.output, PixelRect { x: 640, y: 0, width: 640, height: 360 });
+    assert_eq!(upper_left.canvas, CanvasRect { left: 0.0, bottom: 0.5, width: 0.5, height: 0.5 });
+    assert_eq!(lower_left.canvas, CanvasRect { left: 0.0, bottom: 0.0, width: 0.5, height: 0.5 });
+    let area: f64 = Wall::paper().projectors().iter().map(|p| p.canvas.width * p.canvas.height).sum();
+    assert!((area - 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn what_cannot_be_a_wall_is_refused_with_line_and_cure() {
+    let grid = |columns: &str, rows: &str, pixels: &str| {
+        format!("canvas_m = [4.0, 2.25]\n[grid]\ncolumns = {columns}\nrows = {rows}\npixels = {pixels}\n")
+    };
+    let refined = |lines: &str| grid("4", "3", "[1024, 768]\n[[projector]]") + lines;
+    let explicit = |lines: &str| format!("canvas_m = [4.0, 2.25]\n[[projector]]\n{lines}");
+    let cases = [
+        (grid("0", "3", "[1024, 768]"), 3, "columns = 0: a wall has from 1 to 64"),
+        (grid("4", "65", "[1024, 768]"), 4, "rows = 65"),
+        (grid("4", "-3", "[1024, 768]"), 4, "invalid value"),
+        (grid("4", "4294967296", "[1024, 768]"), 4, "invalid value"),
+        (grid("4", "3", "[0, 768]"), 5, "each may have from 1 to 4096"),
+        (grid("4", "3", "[4097, 768]"), 5, "each may have from 1 to 4096"),
+        (grid("4", "3", "[1024, 4294967295]"), 5, "each may have from 1 to 5461"),
+        (grid("4", "3", "[1024]"), 5, "invalid length 1"),
+        (grid("4", "3", "\"1024x768\""), 5, "invalid type"),
+        (grid("4", "3", "[1024, 768]\nbezel = 3"), 6, "unknown field `bezel`, expected one of `columns`"),
+        ("canvas_m = [nan, 2.25]\n[grid]\ncolumns=4\nrows=3\npixels=[4,4]".into(), 1, "in metres must be from 0.01"),
+        ("canvas_m = [4.0, inf]\n[grid]\ncolumns=4\nrows=3\npixels=[4,4]".into(), 1, "in metres"),
+        ("canvas_m = [4.0, -1.0]\n[grid]\ncolumns=4\nrows=3\npixels=[4,4]".into(), 1, "in metres"),
+        ("canvas_m = [4.0, 2.25]\n".into(), 1, "a wall has at least one projector: add [grid]"),
+        (grid("4", "3", "[1024, 768]\noverlap = [0.1, 0.6]"), 6, "from 0 to 0.5"),
+        (grid("4", "3", "[1024, 768]\noverlap = [0.1, nan]"), 6, "from 0 to 0.5"),
+        (grid("4", "3", "[1024, 768]\nbezel_m = [1.4, 0.0]"), 6, "leave room for screens"),
+        (grid("4", "3", "[1024, 768]\nbezel_m = [-0.1, 0.0]"), 6, "must be positive"),
+        (grid("4", "3", "[1024, 768]\noverlap = [0.1, 0.1]\nbezel_m = [0.1, 0.1]"), 7, "leave one out"),
+        (refined("name = \"left\""), 7, "\"row 1 column 1\" to \"row 3 column 4\""),
+        (refined("name = \"row 1 column 1\"\npixels = [4, 4]"), 8, "pixels follows from [grid]"),
+        (refined("name = \"row 1 column 1\"\n[[projector]]\nname = \"row 1 column 1\""), 9, "two tables for"),
+        (refined("name = \"row 1 column 1\"\nrotation = 45"), 8, "0, 90, 180 or 270"),
+        (refined("name = \"row 1 column 1\"\nflip = \"sideways\""), 8, "`none`, `horizontal`, `vertical`"),
+        (refined("name = \"row 1 column 1\"\ngamma = 0.2"), 8, "from 1 to 4"),
+        (refined("name = \"row 1 column 1\"\ngamma = \"linear\""), 8, "a number such as 2.2, or \"srgb\""),
+        (refined("name = \"row 1 column 1\"\nblack_level = -0.1"), 8, "from 0 to 0.25"),
+        (refined("name = \"row 1 column 1\"\ngain = [1, 0, 1]"), 8, "from 0.05 to 1"),
+        (refined("name = \"row 1 column 1\"\nwarp_px = [[0, 0], [-2000, 0], [0, 0], [0, 0]]"), 8, "keep their order"),
+        (refined("name = \"row 1 column 1\"\nwarp_px = [[0, 0], [nan, 0], [0, 0], [0, 0]]"), 8, "keep their order"),
+        (refined("name = \"row 1 column 1\"\noutput = \"DP-1\""), 2, "give one to all, or to none"),
+        (explicit("name = \"a\"\nat_m = [0, 0]\nsize_m = [1, 1]"), 3, "\"a\" needs pixels"),
+        (explicit("name = \"a\"\npixels = [4, 4]\nat_m = [0, 0]\nsize_m = [5, 1]"), 5, "does not lie on the canvas"),
+        (explicit("name = \"a\"\npixels = [4, 4]\nat_m = [0, 0]\nsize_m = [0, 1]"), 5, "does not lie on the canvas"),
+        (
+            explicit("name = \"a\"\npixels = [4, 4]\npixels_at = [4294967295, 0]\nat_m = [0, 0]\nsize_m = [1, 1]"),
+            4,
+            "at most 16384",
+        ),
+        (explicit("name = \"a\"\npixels = [4, 0]\nat_m = [0, 0]\nsize_m = [1, 1]"), 4, "each needs at least one"),
+        (
+            explicit(
+                "name = \"a\"\npixels = [4, 4]\nat_m = [0, 0]\nsize_m = [1, 1]\n[[projector]]\nname = \"b\"\n\
+                 pixels = [4, 4]\npixels_at = [3, 3]\nat_m = [1, 1]\nsize_m = [1, 1]",
+            ),
+            10,
+            "\"b\" and \"a\" have pixels in common",
+        ),
+        (
+            explicit(
+                "name = \"a\"\npixels = [4, 4]\nat_m = [0, 0]\nsize_m = [1, 1]\n[[projector]]\nname = \"a\"\n\
+                 pixels = [4, 4]\nat_m = [1, 1]\nsize_m = [1, 1]",
+            ),
+            8,
+            "two projectors \"a\"",
+        ),
+        ("canvas_m = [4.0, 2.25]\nframe = [0, 9]".into(), 2, "frame = [0, 9]"),
+        ("canvas_m = [4.0, 2.25]\n\n[grid\n".into(), 3, ""),
+        ("ply\nformat ascii 1.0\n".into(), 1, ""),
+        (String::new(), 1, "missing field `canvas_m`"),
+    ];
+    for (text, line, expected) in cases {
+        let problem = problem(&text);
+        assert!(problem.starts_with(&format!("a.toml:{line}: ")), "{text}\n{problem}");
+        assert!(problem.contains(expected) && !problem.contains('\n'), "{text}\n{problem}");
+    }
+}
+
+#[test]
+fn a_missing_file_names_the_cure() {
+    let error = Wall::load(Path::new("no/such.toml")).expect_err("no such file").to_string();
+    assert!(error.contains("no/such.toml") && error.contains("wall-config/"), "{error}");
+}
+
+proptest! {
+    #[test]
+    fn any_text_is_a_wall_or_an_error(text in "[\\[\\]a-z_=0-9.,\" \n\u{e9}-]{0,80}") {
+        let _ = Wall::from_toml("a.toml", &text);
+        let _ = Wall::from_toml("a.toml", &format!("canvas_m = [4.0, 2.25]\n[grid]\n{text}"));
+    }
+
+    #[test]
+    fn any_grid_is_refused_or_covers_its_output_once(
+        columns in 0_u32..80, rows in 0_u32..80, width in 0_u32..20_000, height in 0_u32..20_000,
+    ) {
+        let text = format!(
+            "canvas_m = [4.0, 2.25]\n[grid]\ncolumns = {columns}\nrows = {rows}\npixels = [{width}, {height}]"
+        );
+        if let Ok(wall) = Wall::from_toml("a.toml", &text) {
+            let [output_width, output_height] = wall.output_size();
+            prop_assert!(output_width.max(output_height) <= Wall::LARGEST_SIDE);
+            let n_pixels = |rect: PixelRect| u64::from(rect.width) * u64::from(rect.height);
+            let covered: u64 = wall.projectors().iter().map(|projector| n_pixels(projector.output)).sum();
+            prop_assert_eq!(covered, u64::from(output_width) * u64::from(output_height));
+        }
+    }
+}

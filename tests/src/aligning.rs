@@ -1,0 +1,80 @@
+//! An operator at a wall that stands askew: test patterns, corners dragged and saved.
+
+use std::fs;
+
+use crate::{
+    process::{Program, wait_until},
+    x_session::XSession,
+};
+
+/// Two projectors side by side that overlap, one pixel of the screen for each of theirs.
+const WALL: &str =
+    "# Ours.\ncanvas_m = [1.6, 0.9]\n[grid]\ncolumns = 2\nrows = 1\npixels = [640, 720]\noverlap = [0.1, 0.0]\n";
+
+#[test]
+fn a_corner_dragged_on_the_wall_is_saved_in_its_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("ours.toml");
+    fs::write(&file, WALL).unwrap();
+    let session = XSession::start([1280, 720]);
+    let mut command = Program::command("compositor");
+    command.args([
+        "--listen",
+        "127.0.0.1:0",
+        "--local",
+        "2",
+        "--triangles",
+        "5000",
+        "--size",
+        "256x128",
+        "--fullscreen",
+    ]);
+    command.arg("--wall").arg(&file).env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
+    command.env("RUST_LOG", "info,compositor=debug");
+    let mut program = Program::start(command);
+    program.wait_for("is on screen");
+    session.wait_for_window("Raywall");
+    session.key("o");
+    let statue = session.steady_screenshot();
+
+    session.key("t");
+    wait_until("the grid to align by is seen", || session.screenshot().brighter_than(200) > 0.005);
+    let straight = session.steady_screenshot();
+    // The right projector's upper-left corner.
+    session.drag([643, 3], [20, 15]);
+    wait_until("the corner has moved", || straight.difference(&session.screenshot(), 30) > 0.001);
+    session.key("Right");
+    session.key("shift+Down");
+    session.key("ctrl+s");
+    program.wait_for("saved the corners in");
+    let saved = fs::read_to_string(&file).unwrap();
+    assert!(saved.starts_with(WALL.trim_end()), "{saved}");
+    assert!(saved.contains("name = \"row 1 column 2\"\nwarp_px = [[21.0, 15.1], [0.0, 0.0]"), "{saved}");
+
+    let mut before = session.steady_screenshot();
+    for pattern in ["names", "pixels", "overlap", "gamma", "focus"] {
+        session.key("t");
+        wait_until(pattern, || before.difference(&session.screenshot(), 30) > 0.02);
+        before = session.steady_screenshot();
+    }
+    session.key("Escape");
+    wait_until("the statue is back", || statue.difference(&session.screenshot(), 30) < 0.05);
+    session.key("ctrl+q");
+    let (status, said) = program.wait();
+    assert_eq!(status.code(), Some(0), "{said}");
+}
+
+#[test]
+fn without_a_file_the_wall_says_where_corners_could_be_saved() {
+    let session = XSession::start([640, 480]);
+    let mut command = Program::command("compositor");
+    command.args(["--listen", "127.0.0.1:0", "--local", "1", "--triangles", "1000", "--size", "64x32"]);
+    command.env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY").env("RUST_LOG", "info,compositor=debug");
+    let mut program = Program::start(command);
+    program.wait_for("is on screen");
+    session.wait_for_window("Raywall");
+    session.key("ctrl+s");
+    program.wait_for("start with --wall FILE");
+    session.key("ctrl+q");
+    program.wait();
+}

@@ -1,0 +1,110 @@
+//! Warped, blended and turned walls: the GPU against its CPU twin, and the shipped walls against stored pictures.
+
+use std::path::Path;
+
+use compositor::gpu::{Offscreen, Present};
+use compositor::wall::Wall;
+
+use crate::pictures::{Frame, check_reference, check_twin, draw, gpu, statue_frame};
+
+/// A wall that comes with the program.
+pub(crate) fn shipped(name: &str) -> Wall {
+    Wall::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../wall-config").join(name)).unwrap()
+}
+
+/// Two projectors with everything that there is, and a third that only adds its black.
+pub(crate) const CROOKED: &str = r#"
+canvas_m = [2.0, 1.0]
+[[projector]]
+name = "upright"
+pixels = [160, 120]
+at_m = [0.0, 0.0]
+size_m = [1.2, 1.0]
+warp_px = [[6.0, 3.0], [-4.5, 7.0], [-8.0, -2.0], [3.0, -5.0]]
+gamma = 1.8
+black_level = 0.01
+[[projector]]
+name = "turned"
+pixels = [120, 140]
+at_m = [0.9, 0.0]
+size_m = [1.1, 1.0]
+rotation = 90
+flip = "horizontal"
+gamma = 2.4
+black_level = 0.02
+gain = [0.9, 1.0, 0.7]
+warp_px = [[3.0, 3.0], [-2.0, 1.0], [-1.0, -3.0], [5.0, -2.0]]
+[[projector]]
+name = "outwards"
+pixels = [80, 60]
+at_m = [0.0, 0.0]
+size_m = [0.3, 0.2]
+rotation = 180
+flip = "vertical"
+warp_px = [[-3.0, -2.0], [2.0, -3.0], [4.0, 1.0], [0.0, 0.0]]
+"#;
+
+#[test]
+fn crooked_walls_equal_their_cpu_twin() {
+    let gpu = gpu();
+    let mut present = Present::new(&gpu);
+    let wall = Wall::from_toml("crooked", CROOKED).unwrap();
+    for (what, frame) in Frame::all([64, 36]) {
+        present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+        // As large as it is, letterboxed, magnified, tiny; with the GPU's own sRGB and without.
+        for (size, has_srgb_view) in
+            [(wall.output_size(), true), ([300, 200], false), ([900, 500], true), ([1, 1], true)]
+        {
+            let offscreen = Offscreen::with_srgb_view(&gpu, size, has_srgb_view).unwrap();
+            check_twin(&gpu, &draw(&gpu, &mut present, &wall, &offscreen), what, &frame, &wall);
+        }
+    }
+}
+
+#[test]
+fn each_output_shows_its_part_of_the_wall() {
+    let gpu = gpu();
+    let mut present = Present::new(&gpu);
+    let wall = shipped("two-monitors.toml");
+    let frame = Frame::gradient([64, 36]);
+    present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+    let whole = draw(&gpu, &mut present, &wall, &Offscreen::new(&gpu, wall.output_size()).unwrap());
+    for (monitor, part) in wall.monitors() {
+        let offscreen = Offscreen::new(&gpu, [part.width, part.height]).unwrap();
+        let mut encoder = gpu.device.create_command_encoder(&Default::default());
+        present.draw(&gpu, &mut encoder, &offscreen.target(), &wall, part);
+        gpu.queue.submit([encoder.finish()]);
+        let shown = offscreen.read(&gpu).unwrap();
+        let differs = (0..part.height).flat_map(|y| (0..part.width).map(move |x| (x, y))).any(|(x, y)| {
+            let [here, there] = [shown.pixel(x, y), whole.pixel(part.x + x, part.y + y)];
+            std::iter::zip(here, there).any(|(a, b)| a.abs_diff(b) > 1)
+        });
+        assert!(!differs, "{monitor}");
+    }
+}
+
+#[test]
+fn a_wall_as_large_as_walls_get_is_drawn() {
+    let gpu = gpu();
+    let mut present = Present::new(&gpu);
+    let limit = gpu.device.limits().max_texture_dimension_2d.min(Wall::LARGEST_SIDE);
+    let text = format!(
+        "canvas_m = [16.0, 0.1]\n[grid]\ncolumns = 8\nrows = 1\npixels = [{}, 12]\noverlap = [0.2, 0.0]",
+        limit / 8
+    );
+    let wall = Wall::from_toml("long", &text).unwrap();
+    let frame = Frame::gradient([512, 8]);
+    present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+    let offscreen = Offscreen::new(&gpu, wall.output_size()).unwrap();
+    check_twin(&gpu, &draw(&gpu, &mut present, &wall, &offscreen), "gradient", &frame, &wall);
+}
+
+#[test]
+fn the_shipped_walls_look_as_they_did() {
+    for (name, size) in
+        [("blended-4x3", [768, 432]), ("lcd-5x3", [768, 260]), ("two-monitors", [768, 256]), ("laptop", [640, 360])]
+    {
+        let wall = shipped(&format!("{name}.toml"));
+        check_reference(&format!("wall-{name}"), &statue_frame(&wall), &wall, size);
+    }
+}

@@ -1,0 +1,444 @@
+//! A virtual projection room: what the GPU makes every projector show is thrown back onto the canvas, through the
+//! projector's true geometry and light, and held against the picture that should be there.
+//!
+//! Nothing here is shared with the code under test but the wall file's numbers: the geometry is solved as linear
+//! equations, and light is added up as projectors do. A projector's pixel gives light like a tent two pixels wide, as
+//! through a lens, and gives the light of its black whatever it shows.
+
+use compositor::gpu::{Gpu, Offscreen, Picture, Present};
+use compositor::wall::{Flip, Gamma, Projector, Wall};
+use proptest::prelude::*;
+
+use crate::optics::{CROOKED, shipped};
+use crate::pictures::{Frame, draw, gpu, statue_frame};
+use crate::references;
+
+/// Ten levels of grey, sRGB-encoded; three at a time, one for each of red, green and blue, which know nothing of each
+/// other.
+const LEVELS: [[u8; 3]; 4] = [[0, 16, 40], [64, 96, 128], [160, 192, 224], [255, 0, 255]];
+/// What a seam may stand out by, as a part of white, beyond what 8 bits force.
+const LARGEST_SEAM: f64 = 0.01;
+/// How far a part of the picture may be from where it belongs, in pixels of the projector.
+const FARTHEST_PX: f64 = 0.5;
+
+/// A wall's projectors in the dark.
+struct Room<'a> {
+    wall: &'a Wall,
+    projectors: Vec<Thrower<'a>>,
+}
+
+/// A projector, as its optics are.
+struct Thrower<'a> {
+    projector: &'a Projector,
+    /// Row by row: from metres on the canvas to columns and rows of its pixels, homogeneous.
+    px_from_m: [[f64; 3]; 3],
+    /// Its place: left, bottom, right, top in metres.
+    place_m: [f64; 4],
+    /// The larger side of one of its pixels, in metres.
+    px_m: f64,
+    /// The light of each value, for red, green and blue.
+    light: [[f64; 256]; 3],
+}
+
+/// Light at one point, of one colour, and by how much rounding to 8 bits may have moved it.
+#[derive(Clone, Copy, Default)]
+struct Light {
+    sum: f64,
+    rounding: f64,
+}
+
+impl<'a> Room<'a> {
+    fn new(wall: &'a Wall) -> Self {
+        let throwers = wall.projectors().iter().map(|projector| Thrower::new(projector, wall.canvas_m()));
+        Self { wall, projectors: throwers.collect() }
+    }
+
+    /// The light on the canvas at a point in metres, when the projectors show their parts of `shown`.
+    fn light(&self, shown: &Picture, point: [f64; 2]) -> [Light; 3] {
+        let mut light = [Light::default(); 3];
+        for thrower in &self.projectors {
+            thrower.throw(shown, point, &mut light);
+        }
+        light
+    }
+
+    /// Whether at least one projector can show a picture there.
+    fn is_lit(&self, point: [f64; 2]) -> bool {
+        self.projectors.iter().any(|thrower| thrower.shows(point))
+    }
+
+    /// Whether a point is at least one and a half pixels within what is lit.
+    fn is_well_within(&self, point: [f64; 2]) -> bool {
+        let px_m = self.projectors.iter().filter(|thrower| thrower.shows(point)).map(|thrower| thrower.px_m);
+        let Some(reach_m) = px_m.reduce(f64::max).map(|px_m| 1.5 * px_m) else { return false };
+        let around =
+            [[1.0, 0.0], [0.7, 0.7], [0.0, 1.0], [-0.7, 0.7], [-1.0, 0.0], [-0.7, -0.7], [0.0, -1.0], [0.7, -0.7]];
+        around.iter().all(|[x, y]| self.is_lit([point[0] + x * reach_m, point[1] + y * reach_m]))
+    }
+
+    /// What should be there: the frame's light above the wall's black.
+    fn ideal(&self, light: f64) -> f64 {
+        self.wall.black() + (1.0 - self.wall.black()) * light
+    }
+
+    /// The light of all projectors' black at a point.
+    fn leak(&self, point: [f64; 2]) -> f64 {
+        self.projectors.iter().filter(|it| it.hits(point)).map(|it| it.projector.black_level).sum()
+    }
+
+    /// Points all over the canvas, none of them special, after Roberts' R2 sequence.
+    fn points(&self, n_points: u32) -> impl Iterator<Item = [f64; 2]> {
+        let [width_m, height_m] = self.wall.canvas_m();
+        (0..n_points).map(move |n| {
+            let part = |step: f64| (0.5 + f64::from(n) * step).fract();
+            [part(0.754_877_666_246_693) * width_m, part(0.569_840_290_998_053) * height_m]
+        })
+    }
+}
+
+impl<'a> Thrower<'a> {
+    fn new(projector: &'a Projector, [width_m, height_m]: [f64; 2]) -> Self {
+        let canvas = projector.canvas;
+        let [left, bottom] = [canvas.left * width_m, canvas.bottom * height_m];
+        let [right, top] = [left + canvas.width * width_m, bottom + canvas.height * height_m];
+        let size = [projector.output.width, projector.output.height].map(f64::from);
+        let [columns, rows] = if projector.rotation.degrees().is_multiple_of(180) { size } else { [size[1], size[0]] };
+        // Upper left, upper right, lower right, lower left: on the canvas, and in the projector's pixels.
+        let corners_m = [[left, top], [right, top], [right, bottom], [left, bottom]];
+        let corners = [[0.0, 0.0], [columns, 0.0], [columns, rows], [0.0, rows]];
+        let corners_px = std::array::from_fn(|index| {
+            let [x, y] = [0, 1].map(|axis| corners[index][axis] + projector.warp_px[index][axis]);
+            // Turned back, as if the projector were put upright; then looked at in a mirror.
+            let [x, y] = match projector.rotation.degrees() {
+                0 => [x, y],
+                90 => [y, size[1] - x],
+                180 => [size[0] - x, size[1] - y],
+                _ => [size[0] - y, x],
+            };
+            match projector.flip {
+                Flip::None => [x, y],
+                Flip::Horizontal => [size[0] - x, y],
+                Flip::Vertical => [x, size[1] - y],
+            }
+        });
+        let light = projector.gain.map(|gain| {
+            std::array::from_fn(|value| {
+                let value = value as f64 / 255.0;
+                let light = match projector.gamma {
+                    Gamma::Srgb if value <= 0.04045 => value / 12.92,
+                    Gamma::Srgb => ((value + 0.055) / 1.055).powf(2.4),
+                    Gamma::Power(exponent) => value.powf(exponent),
+                };
+                // It would be brighter than white by what it is dimmed.
+                light * (1.0 - projector.black_level) / gain
+            })
+        });
+        let px_m = ((right - left) / columns).max((top - bottom) / rows);
+        Self { projector, px_from_m: solve(corners_m, corners_px), place_m: [left, bottom, right, top], px_m, light }
+    }
+
+    fn px(&self, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
+        let [column, row, depth] = self.px_from_m.map(|[a, b, c]| a * x + b * y + c);
+        (depth > 0.0).then(|| [column / depth, row / depth])
+    }
+
+    /// Whether its pixels, black ones too, light a point.
+    fn hits(&self, point: [f64; 2]) -> bool {
+        let [width, height] = [self.projector.output.width, self.projector.output.height].map(f64::from);
+        // A hair, so that there is no crack between projectors that touch.
+        self.px(point).is_some_and(|[x, y]| (-1e-6..=width + 1e-6).contains(&x) && (-1e-6..=height + 1e-6).contains(&y))
+    }
+
+    /// Whether it is to show the picture at a point.
+    fn shows(&self, point: [f64; 2]) -> bool {
+        let [left, bottom, right, top] = self.place_m;
+        let is_within =
+            (left - 1e-9..=right + 1e-9).contains(&point[0]) && (bottom - 1e-9..=top + 1e-9).contains(&point[1]);
+        is_within && self.hits(point)
+    }
+
+    fn throw(&self, shown: &Picture, point: [f64; 2], light: &mut [Light; 3]) {
+        let Some([x, y]) = self.px(point) else { return };
+        let output = self.projector.output;
+        let [x, y] = [x - 0.5, y - 0.5];
+        let tent = |at: f64| [(at.floor(), 1.0 - (at - at.floor())), (at.floor() + 1.0, at - at.floor())];
+        for (column, x_weight) in tent(x) {
+            for (row, y_weight) in tent(y) {
+                let is_there =
+                    (0.0..f64::from(output.width)).contains(&column) && (0.0..f64::from(output.height)).contains(&row);
+                if !is_there {
+                    continue;
+                }
+                let pixel = shown.pixel(output.x + column as u32, output.y + row as u32);
+                for channel in 0..3 {
+                    let (value, curve) = (usize::from(pixel[channel]), &self.light[channel]);
+                    light[channel].sum += x_weight * y_weight * (self.projector.black_level + curve[value]);
+                    let step = (curve[(value + 1).min(255)] - curve[value]).max(curve[value] - curve[value.max(1) - 1]);
+                    light[channel].rounding += x_weight * y_weight * step / 2.0;
+                }
+            }
+        }
+    }
+}
+
+/// The projective map that takes four points to four others, by Gaussian elimination of its eight equations.
+fn solve(from: [[f64; 2]; 4], to: [[f64; 2]; 4]) -> [[f64; 3]; 3] {
+    let mut rows: Vec<[f64; 9]> = Vec::new();
+    for ([x, y], [u, v]) in std::iter::zip(from, to) {
+        rows.push([x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y, u]);
+        rows.push([0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y, v]);
+    }
+    for column in 0..8 {
+        let pivot = (column..8).max_by(|&a, &b| rows[a][column].abs().total_cmp(&rows[b][column].abs())).unwrap();
+        rows.swap(column, pivot);
+        for row in 0..8 {
+            if row != column {
+                let factor = rows[row][column] / rows[column][column];
+                let pivot_row = rows[column];
+                rows[row].iter_mut().zip(pivot_row).for_each(|(it, above)| *it -= factor * above);
+            }
+        }
+    }
+    let h: Vec<f64> = (0..8).map(|index| rows[index][8] / rows[index][index]).collect();
+    [[h[0], h[1], h[2]], [h[3], h[4], h[5]], [h[6], h[7], 1.0]]
+}
+
+/// Has the GPU show a frame on all of the wall's pixels.
+fn show(gpu: &Gpu, present: &mut Present, wall: &Wall, frame: &Frame) -> Picture {
+    present.upload(gpu, frame.size, &frame.rgba).unwrap();
+    draw(gpu, present, wall, &Offscreen::new(gpu, wall.output_size()).unwrap())
+}
+
+fn linear(value: u8) -> f64 {
+    let value = f64::from(value) / 255.0;
+    if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
+}
+
+/// The largest seam on flat fields at ten levels, beyond rounding, and what rounding may have done anywhere; both as parts
+/// of white.
+fn largest_seam(gpu: &Gpu, wall: &Wall, n_points: u32) -> (f64, f64) {
+    let room = Room::new(wall);
+    let mut present = Present::new(gpu);
+    let points: Vec<_> = room.points(n_points).filter(|&point| room.is_well_within(point)).collect();
+    assert!(points.len() > n_points as usize / 2, "{} points of {n_points} are lit", points.len());
+    let mut largest: (f64, f64) = (0.0, 0.0);
+    for levels in LEVELS {
+        let shown = show(gpu, &mut present, wall, &Frame::new([4, 4], |_, _| levels));
+        for &point in &points {
+            for (light, level) in std::iter::zip(room.light(&shown, point), levels) {
+                let seam = (light.sum - room.ideal(linear(level))).abs() - light.rounding;
+                largest = (largest.0.max(seam), largest.1.max(light.rounding));
+            }
+        }
+    }
+    largest
+}
+
+/// How far, in pixels of the projector there, light is from where it belongs: single bright samples are shown, and the
+/// centre of the light of each is looked for.
+fn farthest_misplaced(gpu: &Gpu, wall: &Wall) -> f64 {
+    let room = Room::new(wall);
+    let mut present = Present::new(gpu);
+    let [width_m, height_m] = wall.canvas_m();
+    // Samples at least three pixels wide, and at most as many as are useful.
+    let px_m = room.projectors.iter().map(|thrower| thrower.px_m).fold(0.0, f64::max);
+    let side = |side_m: f64| ((side_m / (3.0 * px_m)) as u32).clamp(8, 512);
+    let [xres, yres] = [side(width_m), side(height_m)];
+    let step = (xres.max(yres) / 40).max(6);
+    let is_bright = |i: u32, j: u32| i % step == step / 2 && j % step == step / 2;
+    let shown =
+        show(gpu, &mut present, wall, &Frame::new([xres, yres], |i, j| [if is_bright(i, j) { 255 } else { 0 }; 3]));
+    let sample_m = [width_m / f64::from(xres), height_m / f64::from(yres)];
+    let (mut farthest, mut n_found): (f64, u32) = (0.0, 0);
+    for (i, j) in (0..yres).flat_map(|j| (0..xres).map(move |i| (i, j))).filter(|&(i, j)| is_bright(i, j)) {
+        let centre = [(f64::from(i) + 0.5) * sample_m[0], (f64::from(j) + 0.5) * sample_m[1]];
+        let offsets = || (-24..=24).map(|n| f64::from(n) / 24.0 * 1.6);
+        let at = |x: f64, y: f64| [centre[0] + x * sample_m[0], centre[1] + y * sample_m[1]];
+        let coarse = || (-4..=4).map(|n| f64::from(n) * 0.4);
+        if !coarse().flat_map(|y| coarse().map(move |x| (x, y))).all(|(x, y)| room.is_well_within(at(x, y))) {
+            continue;
+        }
+        let (mut sum, mut moment) = (0.0, [0.0; 2]);
+        for (x, y) in offsets().flat_map(|y| offsets().map(move |x| (x, y))) {
+            // Green, which no shipped wall dims.
+            let light = room.light(&shown, at(x, y))[1].sum - room.ideal(0.0);
+            sum += light;
+            moment = [moment[0] + light * x * sample_m[0], moment[1] + light * y * sample_m[1]];
+        }
+        let finest_m =
+            room.projectors.iter().filter(|it| it.shows(centre)).map(|it| it.px_m).fold(f64::INFINITY, f64::min);
+        farthest = farthest.max((moment[0] / sum).hypot(moment[1] / sum) / finest_m);
+        n_found += 1;
+    }
+    assert!(n_found >= 4, "{n_found} bright samples are seen whole");
+    farthest
+}
+
+/// The picture on the canvas, and the picture that should be there, where anything is lit.
+fn pictures(gpu: &Gpu, wall: &Wall, frame: &Frame, width: u32) -> (Picture, Picture) {
+    let room = Room::new(wall);
+    let shown = show(gpu, &mut Present::new(gpu), wall, frame);
+    let [width_m, height_m] = wall.canvas_m();
+    let size = [width, (f64::from(width) * height_m / width_m).round() as u32];
+    let (mut seen, mut ideal) = (Vec::new(), Vec::new());
+    for (x, y) in (0..size[1]).flat_map(|y| (0..size[0]).map(move |x| (x, y))) {
+        let part = [(f64::from(x) + 0.5) / f64::from(size[0]), 1.0 - (f64::from(y) + 0.5) / f64::from(size[1])];
+        let point = [part[0] * width_m, part[1] * height_m];
+        let wanted = sample(frame, part).map(|light| encode(room.ideal(light)));
+        let is_seen = room.is_well_within(point);
+        ideal.extend(if is_seen { wanted } else { [0; 3] });
+        seen.extend(if is_seen { room.light(&shown, point).map(|light| encode(light.sum)) } else { [0; 3] });
+    }
+    (Picture { size, rgb: seen }, Picture { size, rgb: ideal })
+}
+
+/// A frame's linear light at a point of the canvas, from (0, 0) to (1, 1), between the four samples around it.
+fn sample(frame: &Frame, [x, y]: [f64; 2]) -> [f64; 3] {
+    let [xres, yres] = [frame.size.xres(), frame.size.yres()];
+    let [x, y] = [x * f64::from(xres) - 0.5, y * f64::from(yres) - 0.5];
+    let [x_part, y_part] = [x - x.floor(), y - y.floor()];
+    std::array::from_fn(|channel| {
+        let at = |i: f64, j: f64| {
+            let i = i.clamp(0.0, f64::from(xres - 1)) as usize;
+            let j = j.clamp(0.0, f64::from(yres - 1)) as usize;
+            linear(frame.rgba[4 * (j * xres as usize + i) + channel])
+        };
+        let row = |j: f64| at(x.floor(), j) * (1.0 - x_part) + at(x.floor() + 1.0, j) * x_part;
+        row(y.floor()) * (1.0 - y_part) + row(y.floor() + 1.0) * y_part
+    })
+}
+
+/// Half as many samples each way, each the mean of four.
+fn halved(frame: &Frame) -> Frame {
+    let [xres, yres] = [frame.size.xres() / 2, frame.size.yres() / 2];
+    Frame::new([xres, yres], |i, j| {
+        let part = |index: u32, n: u32| (f64::from(index) + 0.5) / f64::from(n);
+        sample(frame, [part(i, xres), part(j, yres)]).map(encode)
+    })
+}
+
+fn encode(light: f64) -> u8 {
+    let light = light.clamp(0.0, 1.0);
+    let value = if light <= 0.003_130_8 { 12.92 * light } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
+    (255.0 * value).round() as u8
+}
+
+/// Everything that is to hold in the room, for one wall.
+fn check(gpu: &Gpu, name: &str, wall: &Wall, n_points: u32) {
+    let (seam, rounding) = largest_seam(gpu, wall, n_points);
+    let misplaced_px = farthest_misplaced(gpu, wall);
+    println!(
+        "{name}: seams up to {:.3} % of white beyond the {:.3} % that 8 bits force, misplaced up to {misplaced_px:.3} pixels",
+        100.0 * seam.max(0.0),
+        100.0 * rounding
+    );
+    assert!(seam <= LARGEST_SEAM, "{name}: a seam of {seam:.4} of white");
+    assert!(misplaced_px <= FARTHEST_PX, "{name}: {misplaced_px:.2} pixels out of place");
+}
+
+#[test]
+fn the_shipped_walls_show_no_seam_and_nothing_out_of_place() {
+    let gpu = gpu();
+    for name in ["paper-4x3", "blended-4x3", "lcd-5x3", "two-monitors", "laptop"] {
+        check(&gpu, name, &shipped(&format!("{name}.toml")), 10_000);
+    }
+    check(&gpu, "crooked", &Wall::from_toml("crooked", CROOKED).unwrap(), 10_000);
+}
+
+#[test]
+fn the_statue_in_the_room_is_the_statue() {
+    let gpu = gpu();
+    for name in ["paper-4x3", "blended-4x3", "lcd-5x3", "two-monitors", "laptop"] {
+        let wall = shipped(&format!("{name}.toml"));
+        let mut frame = statue_frame(&wall);
+        // Samples hardly coarser than pixels would show the lens, not the optics.
+        while 3 * frame.size.xres() > wall.output_size()[0] {
+            frame = halved(&frame);
+        }
+        let (seen, ideal) = pictures(&gpu, &wall, &frame, 640);
+        references::check_same(&format!("room-{name}"), &ideal, &seen);
+    }
+}
+
+#[test]
+fn black_is_lifted_no_higher_than_it_must_be() {
+    for (wall, n_points) in
+        [(shipped("blended-4x3.toml"), 40_000), (Wall::from_toml("crooked", CROOKED).unwrap(), 4000)]
+    {
+        let room = Room::new(&wall);
+        let darkest_possible = room.points(n_points).map(|point| room.leak(point)).fold(0.0, f64::max);
+        assert!((wall.black() - darkest_possible).abs() < 1e-9, "{} instead of {darkest_possible}", wall.black());
+    }
+}
+
+/// What the room would find, if it were there: without this the tests above could not fail.
+#[test]
+fn the_room_sees_what_is_wrong() {
+    let gpu = gpu();
+    let wall = Wall::from_toml("crooked", CROOKED).unwrap();
+    let shown = |wall: &Wall, frame: &Frame| show(&gpu, &mut Present::new(&gpu), wall, frame);
+    let grey = Frame::new([4, 4], |_, _| [128; 3]);
+    let seam_of = |pretended: &Wall| {
+        let (room, picture) = (Room::new(&wall), shown(pretended, &grey));
+        let points = room.points(5000).filter(|&point| room.is_well_within(point));
+        let seam = |point| {
+            let light = room.light(&picture, point)[1];
+            (light.sum - room.ideal(linear(128))).abs() - light.rounding
+        };
+        points.map(seam).fold(0.0, f64::max)
+    };
+    let pretend = |from: &str, to: &str| Wall::from_toml("pretended", &CROOKED.replacen(from, to, 1)).unwrap();
+    assert!(seam_of(&wall) < LARGEST_SEAM, "{}", seam_of(&wall));
+    assert!(seam_of(&pretend("gamma = 1.8", "gamma = 1.9")) > LARGEST_SEAM);
+    assert!(seam_of(&pretend("black_level = 0.02", "black_level = 0.0")) > LARGEST_SEAM);
+    assert!(seam_of(&pretend("gain = [0.9, 1.0, 0.7]", "gain = [0.9, 0.95, 0.7]")) > LARGEST_SEAM);
+    assert!(seam_of(&pretend("size_m = [1.2, 1.0]", "size_m = [1.15, 1.0]")) > LARGEST_SEAM);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 6, max_shrink_iters: 20, ..ProptestConfig::default() })]
+
+    #[test]
+    fn random_walls_show_no_seam_and_nothing_out_of_place(text in random_wall()) {
+        let wall = Wall::from_toml("random", &text).unwrap_or_else(|error| panic!("{error}\n{text}"));
+        println!("{text}");
+        check(&gpu(), "random", &wall, 4000);
+    }
+}
+
+/// A grid with overlaps of at least thirty pixels, or screens with or without bezels, each of any light; projectors that
+/// overlap are warped, some of them turned.
+fn random_wall() -> impl Strategy<Value = String> {
+    let optics = (1.0..3.0_f64, 0.0..0.02_f64, prop::array::uniform3(0.6..=1.0_f64), 0_u32..4, 0_usize..3);
+    let warp = prop::array::uniform4(prop::array::uniform2(0.0..9.0_f64));
+    let projector = (optics, warp);
+    let grid = (1_u32..=3, 1_u32..=2, 0_u32..3, 0.2..0.45_f64, 160_u32..280);
+    (grid, prop::collection::vec(projector, 6)).prop_map(|((columns, rows, kind, shared, side), projectors)| {
+        let spacing = match kind {
+            0 => String::new(),
+            1 => "bezel_m = [0.01, 0.02]".to_owned(),
+            _ => format!("overlap = [{shared:.3}, {:.3}]", 0.65 - shared),
+        };
+        // Turned by quarters, pixels are square only on square projectors.
+        let mut text = format!(
+            "canvas_m = [{columns}.0, {rows}.0]\n[grid]\ncolumns = {columns}\nrows = {rows}\npixels = [{side}, {side}]\n{spacing}\n"
+        );
+        for (index, ((gamma, black_level, gain, turns, flip), warp)) in projectors.iter().enumerate() {
+            let (row, column) = (index as u32 / columns + 1, index as u32 % columns + 1);
+            if row > rows {
+                break;
+            }
+            let inwards = [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]];
+            let warp_px: [[f64; 2]; 4] = std::array::from_fn(|corner| {
+                [0, 1].map(|axis| if kind == 2 { (warp[corner][axis] * inwards[corner][axis] * 100.0).round() / 100.0 } else { 0.0 })
+            });
+            text += &format!(
+                "[[projector]]\nname = \"row {row} column {column}\"\ngamma = {gamma:.2}\nblack_level = {black_level:.4}\n\
+                 gain = {gain:.3?}\nrotation = {}\nflip = \"{}\"\nwarp_px = {warp_px:?}\n",
+                turns * 90,
+                ["none", "horizontal", "vertical"][*flip]
+            );
+        }
+        text
+    })
+}
