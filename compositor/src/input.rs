@@ -217,7 +217,7 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('p'), Named(NamedKey::F12)], Ask(Screenshot), "screenshot of the wall"),
         row(&[Named(NamedKey::F11)], Ask(ToggleFullscreen), "fullscreen on or off"),
         row(&[Named(NamedKey::Escape)], Ask(LeaveFullscreen), "leave fullscreen"),
-        row(&[Letter('t')], Ask(NextPattern), "next test pattern: align, names, pixels, overlap, gamma, focus"),
+        row(&[Letter('n')], Ask(NextPattern), "next test pattern: align, names, pixels, overlap, gamma, focus"),
         row(&[Ctrl('s')], Ask(SaveCorners), "save the corners that were moved on the wall"),
         row(&[Ctrl('l')], Ask(ToggleLock), "lock for visitors, who can only steer, or unlock"),
         row(&[Ctrl('q')], Ask(Quit), "quit"),

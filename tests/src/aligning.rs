@@ -37,7 +37,7 @@ fn a_corner_dragged_on_the_wall_is_saved_in_its_file() {
     session.key("o");
     let statue = session.steady_screenshot();
 
-    session.key("t");
+    session.key("n");
     wait_until("the grid to align by is seen", || session.screenshot().brighter_than(200) > 0.005);
     let straight = session.steady_screenshot();
     // The right projector's upper-left corner.
@@ -53,7 +53,7 @@ fn a_corner_dragged_on_the_wall_is_saved_in_its_file() {
 
     let mut before = session.steady_screenshot();
     for pattern in ["names", "pixels", "overlap", "gamma", "focus"] {
-        session.key("t");
+        session.key("n");
         wait_until(pattern, || before.difference(&session.screenshot(), 30) > 0.02);
         before = session.steady_screenshot();
     }
