@@ -1,6 +1,7 @@
 //! The methods that the chart compares: Raywall's own, and its rivals as they stand in the literature.
 //!
-//! Rivals are plain: no margins, no second look. They are used for nothing but the chart.
+//! Rivals are plain: no margins, no second look. They are used for nothing but the chart and the trial of stability, and
+//! are always inlined, so that none is slow for a call that another is spared.
 
 use std::ops::{Add, Div, Mul, Sub};
 
@@ -123,15 +124,18 @@ fn raywall(mesh: &TracedMesh, rays: &[Ray], candidates: &[u32], ends: &[usize], 
     }
 }
 
+#[inline(always)]
 fn moller_trumbore_f32(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
     moller_trumbore(ray.origin.to_array(), ray.direction.to_array(), *corners).map(f64::from)
 }
 
+#[inline(always)]
 fn moller_trumbore_f64(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
     let double = |vector: [f32; 3]| vector.map(f64::from);
     moller_trumbore(double(ray.origin.to_array()), double(ray.direction.to_array()), corners.map(double))
 }
 
+#[inline(always)]
 fn moller_trumbore<R>(origin: [R; 3], direction: [R; 3], [a, b, c]: [[R; 3]; 3]) -> Option<R>
 where
     R: Copy + From<u8> + PartialOrd + Add<Output = R> + Sub<Output = R> + Mul<Output = R> + Div<Output = R>,
@@ -152,6 +156,7 @@ where
     (u >= zero && v >= zero && u + v <= one && t >= zero).then_some(t)
 }
 
+#[inline(always)]
 fn plucker(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
     let direction = ray.direction.to_array();
     let [v0, v1, v2] = corners.map(|corner| sub(corner, ray.origin.to_array()));
@@ -162,6 +167,7 @@ fn plucker(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
     distance(dot(normal, v0), dot(normal, direction))
 }
 
+#[inline(always)]
 fn origin_edges(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
     let direction = ray.direction.to_array();
     let [v0, v1, v2] = corners.map(|corner| sub(corner, ray.origin.to_array()));
@@ -173,10 +179,12 @@ fn origin_edges(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
     distance(dot(normal, v0), sides[0] + sides[1] + sides[2])
 }
 
+#[inline(always)]
 fn is_one_side(sides: [f32; 3]) -> Option<()> {
     (sides.iter().all(|&side| side >= 0.0) || sides.iter().all(|&side| side <= 0.0)).then_some(())
 }
 
+#[inline(always)]
 fn distance(numerator: f32, determinant: f32) -> Option<f64> {
     let t = numerator / determinant;
     (determinant != 0.0 && t >= 0.0).then_some(f64::from(t))
