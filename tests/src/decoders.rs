@@ -6,7 +6,7 @@
 use renderer::{key::Key, mesh::Mesh, ply, secure};
 use serde::{Serialize, de::DeserializeOwned};
 use shared::{
-    camera::Camera,
+    camera::{Camera, CameraPath, Views},
     codec::{self, CONTROL_LIMIT, HANDSHAKE_LIMIT, HEADER_BYTES, Header, Kind},
     division::{FrameSize, Part, Picked, TileRun, Work},
     protocol::{CHUNK_BYTES, Chunk, Encoding, ToServer, ToWall},
@@ -115,11 +115,24 @@ pub fn placement(data: &[u8]) {
     assert!(kind % 5 == 4 || n_filled >= whole.len() / 3, "{n_filled} samples are in place of {}", whole.len() / 3);
 }
 
-/// A camera file.
+/// A camera file, a camera path, and a file of views.
 pub fn camera(data: &[u8]) {
     let text = String::from_utf8_lossy(data);
     if let Ok(camera) = Camera::from_toml(&text) {
         assert_eq!(Camera::from_toml(&camera.to_toml()), Ok(camera));
+    }
+    match CameraPath::from_toml(&text) {
+        Ok(path) => {
+            let again = CameraPath::from_toml(&path.to_toml()).expect("a path that was written is read");
+            assert_eq!((again.up(), again.keys()), (path.up(), path.keys()));
+            let middle = path.at(path.duration_seconds() / 2.0);
+            assert!(Camera::new(middle.eye(), middle.ll(), middle.u(), middle.v()).is_ok());
+        }
+        Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
+    }
+    match Views::from_toml(&text) {
+        Ok(views) => assert_eq!(Views::from_toml(&views.to_toml()), Ok(views)),
+        Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
     }
 }
 
