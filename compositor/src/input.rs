@@ -226,8 +226,8 @@ pub const KEYS: &[KeyBinding] = {
 
 /// The mouse, in words: gesture and effect.
 pub const MOUSE: &[(&str, &str)] = &[
-    ("Left drag", "orbit around the model, or around the point gone to"),
-    ("Middle drag or Shift + left drag", "pan"),
+    ("Left drag", "orbit around the model, or the point gone to"),
+    ("Middle or Shift + left drag", "pan"),
     ("Right drag", "dolly: nearer or farther"),
     ("Wheel", "nearer to what is under the cursor, or farther"),
     ("Click", "what is there: triangle, point, distance"),

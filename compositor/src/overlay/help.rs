@@ -6,7 +6,7 @@ use super::style;
 use crate::input::{Command, KEYS, MOUSE};
 
 /// The panel's width in points.
-pub(super) const WIDTH: f32 = 790.0;
+pub(super) const WIDTH: f32 = 880.0;
 
 pub(super) fn show(ui: &mut Ui, commands: &mut Vec<Command>) {
     ui.horizontal(|ui| {
