@@ -1,6 +1,6 @@
 //! What shares of frames cost: each is really traced, alone, on one thread, as a render server traces it.
 
-use std::{collections::HashMap, rc::Rc};
+use std::{collections::HashMap, rc::Rc, time::Duration};
 
 use cpu_time::ThreadTime;
 use renderer::{
@@ -61,11 +61,31 @@ impl<'a> ShareTracer<'a> {
 }
 
 impl TracedShare {
-    /// Of each part the time of the faster of two tracings.
+    /// Of each part the time of the faster of two tracings: of each block that was measured, and of what else a chunk
+    /// took. The smaller the parts, the less is disturbed each time.
     fn fastest(mut self, other: &Self) -> Self {
-        self.chunks.iter_mut().zip(&other.chunks).for_each(|(chunk, other)| chunk.cpu = chunk.cpu.min(other.cpu));
+        let rests: Vec<_> =
+            (0..self.chunks.len()).map(|chunk| self.beside_blocks(chunk).min(other.beside_blocks(chunk))).collect();
         self.costs.cpu_ns.iter_mut().zip(&other.costs.cpu_ns).for_each(|(ns, other)| *ns = (*ns).min(*other));
+        for (chunk, rest) in rests.into_iter().enumerate() {
+            self.chunks[chunk].cpu = self.in_blocks(chunk) + rest;
+        }
         self
+    }
+
+    /// What the measured blocks of a chunk took together; 0 where none are measured.
+    fn in_blocks(&self, chunk: usize) -> Duration {
+        let BlockCosts { block_units, cpu_ns } = &self.costs;
+        let TracedChunk { first_unit, n_units, .. } = self.chunks[chunk];
+        let index = |unit: u32| (unit.div_ceil((*block_units).max(1)) as usize).min(cpu_ns.len());
+        Duration::from_nanos(
+            cpu_ns[index(first_unit)..index(first_unit + n_units)].iter().map(|&ns| u64::from(ns)).sum(),
+        )
+    }
+
+    /// And what the chunk took beside them.
+    fn beside_blocks(&self, chunk: usize) -> Duration {
+        self.chunks[chunk].cpu.saturating_sub(self.in_blocks(chunk))
     }
 }
 
@@ -99,4 +119,29 @@ fn trace(scene: &Scene, picture: &Picture, work: &Work) -> TracedShare {
         traced.chunks.push(TracedChunk { first_unit, n_units, n_bytes, cpu });
     }
     traced
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_each_part_the_fastest_time_counts() {
+        let share = |chunk_ns: [u64; 2], cpu_ns: &[u32]| TracedShare {
+            chunks: [(0, 4), (4, 2)]
+                .into_iter()
+                .zip(chunk_ns)
+                .map(|((first_unit, n_units), ns)| {
+                    let cpu = Duration::from_nanos(ns);
+                    TracedChunk { first_unit, n_units, n_bytes: 1, cpu }
+                })
+                .collect(),
+            costs: BlockCosts { block_units: 2, cpu_ns: cpu_ns.to_vec() },
+        };
+        // 30 and 60 in blocks, 10 and 5 beside them; and 50 and 20, 3 and 9.
+        let fastest = share([40, 65], &[10, 20, 60]).fastest(&share([53, 29], &[15, 35, 20]));
+        assert_eq!(fastest, share([33, 25], &[10, 20, 20]));
+        // Where no blocks are measured, of each chunk.
+        assert_eq!(share([40, 65], &[]).fastest(&share([53, 29], &[])), share([40, 29], &[]));
+    }
 }
