@@ -183,4 +183,13 @@ mod tests {
         let args = Args::parse_from(["compositor", "renderer", "connect", "127.0.0.1:1", "--local"]);
         assert!(matches!(args.command, Some(Command::Renderer(renderer::cli::Command::Connect(_)))));
     }
+
+    #[test]
+    fn a_bench_has_a_folder_for_its_figures_or_measures_the_display() {
+        let parse = |args: &[&str]| Args::try_parse_from(["compositor", "bench"].iter().chain(args)).is_ok();
+        assert!(parse(&["--out", "figures"]) && parse(&["--display"]) && parse(&["--display", "--json"]));
+        for refused in [&[][..], &["--display", "--out", "figures"], &["--json", "--out", "figures"], &["--json"]] {
+            assert!(!parse(refused), "{refused:?}");
+        }
+    }
 }

@@ -2,9 +2,12 @@
 //!
 //! `measure` runs the real wall: the paper's figures 8 and 9. `shares` traces shares one by one, and `predict` replays
 //! them through the scheduler as a cluster would have traced them. `results` and `charts` write what was found, after
-//! each step, so that an interrupted run leaves what it measured.
+//! each step, so that an interrupted run leaves what it measured. `display` measures the wall's own work alone, beside
+//! the least that could be done, of which `bare_draw` is a part.
 
+mod bare_draw;
 mod charts;
+mod display;
 mod measure;
 mod predict;
 mod results;
@@ -79,8 +82,14 @@ pub struct BenchArgs {
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=1000))]
     pub predict_frames: u16,
     /// The folder for the figures; it is made if it is not there
-    #[arg(long, value_name = "DIR")]
-    pub out: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "display")]
+    pub out: Option<PathBuf>,
+    /// Measure the wall's own work alone: placing, uploading and drawing frames, beside what this machine can do at best
+    #[arg(long, conflicts_with_all = ["model", "triangles", "camera", "nodes", "predict", "predict_size", "out"])]
+    pub display: bool,
+    /// Write the figures of --display as JSON
+    #[arg(long, conflicts_with = "out")]
+    pub json: bool,
 }
 
 /// Numbers of nodes, each at most `MOST`, ascending.
@@ -123,8 +132,11 @@ fn seconds(text: &str) -> Result<f64, String> {
 pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     // First what fails at once: an operator learns of it before a model of minutes is read.
     let wall = args.wall.as_deref().map_or_else(|| Ok(Wall::paper()), Wall::load)?;
+    let Some(out) = &args.out else {
+        return display::run(wall, args.size, Duration::from_secs_f64(args.seconds), args.json);
+    };
     let camera = args.camera.as_deref().map(renderer::trace::read_camera).transpose()?;
-    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
+    std::fs::create_dir_all(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
     let n_cores = std::thread::available_parallelism().map_or(1, usize::from);
     let mut results = Results {
         model: args.model.as_ref().map_or_else(|| "built-in statue".into(), |path| path.display().to_string()),
@@ -132,7 +144,7 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
         n_cores,
         ..Results::default()
     };
-    results.write(&args.out)?;
+    results.write(out)?;
 
     let runtime = network_threads()?;
     let (wake, wakeups) = wakeups(&runtime);
@@ -159,7 +171,8 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let n_scenarios = if args.predict.0.is_empty() { 0 } else { scenarios.len() };
     let steps = Steps::new(args.nodes.0.len() * Division::ALL.len() + n_scenarios);
 
-    let mut experiment = Experiment { args, results: &mut results, steps, wakeups: &wakeups, undisplayed: Vec::new() };
+    let mut experiment =
+        Experiment { args, out, results: &mut results, steps, wakeups: &wakeups, undisplayed: Vec::new() };
     let wanted = Wanted {
         picture: Some(picture),
         scene_path: args.model.clone(),
@@ -183,12 +196,13 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     }
     experiment.steps.bar.finish_and_clear();
     let end = if outcome == Err(Stopped) { "stopped: what was found so far" } else { "all figures" };
-    say(format_args!("{end}: {}", args.out.display()))
+    say(format_args!("{end}: {}", out.display()))
 }
 
 /// A run of the experiment.
 struct Experiment<'a> {
     args: &'a BenchArgs,
+    out: &'a std::path::Path,
     results: &'a mut Results,
     steps: Steps,
     wakeups: &'a Wakeups,
@@ -254,10 +268,11 @@ impl Experiment<'_> {
             let mut tracer = ShareTracer::new(&scene);
             let Some(check) = predict::check(measured, path, &mut tracer, is_stopped) else { return Ok(Err(Stopped)) };
             self.steps.say(&format!(
-                "check of the prediction, {:<11} {} nodes: {:.1} ms measured, {:.1} ms predicted",
+                "check of the prediction, {:<11} {} nodes: {:.1} ms measured ({:.1} of CPU by the busiest), {:.1} ms predicted",
                 check.division.name(),
                 check.n_nodes,
                 check.measured_ms,
+                check.measured_busy_ms,
                 check.predicted_ms
             ))?;
             self.results.checks.push(check);
@@ -315,8 +330,8 @@ impl Experiment<'_> {
 
     /// After each step, so that an interrupted run leaves what it found.
     fn write(&mut self, n_steps: usize) -> anyhow::Result<()> {
-        self.results.write(&self.args.out)?;
-        charts::draw(self.results, &self.args.out)?;
+        self.results.write(self.out)?;
+        charts::draw(self.results, self.out)?;
         self.steps.bar.inc(n_steps as u64);
         Ok(())
     }

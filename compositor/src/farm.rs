@@ -22,7 +22,7 @@ use std::{
 use renderer::key::Key;
 use shared::{
     camera::Camera,
-    division::Division,
+    division::{Division, FrameSize},
     protocol::{Encoding, Picture},
     scene::SceneId,
     structure::Structure,
@@ -33,6 +33,7 @@ use tokio::{
 };
 
 pub use self::frame_buffer::Samples;
+use self::frame_buffer::{PlaceError, SpareBuffers};
 use crate::stats::{FarmStatus, FrameStats};
 
 /// What the wall wants to see: always the latest, whatever was wanted before.
@@ -78,6 +79,34 @@ pub struct Probe {
     pub view: Option<(SceneId, Camera)>,
     /// Which point of the view plane, as parts of its edges u and v.
     pub at: [f32; 2],
+}
+
+/// Puts whole frames in their places as connections do, to measure what that takes.
+#[derive(Debug, Default)]
+pub(crate) struct Placing(SpareBuffers);
+
+impl Placing {
+    /// Takes all of a frame, divided for one render server, in chunks of at most so many bytes.
+    pub(crate) fn place(
+        &self,
+        size: FrameSize,
+        division: Division,
+        mut rgb: &[u8],
+        most_bytes: usize,
+    ) -> Result<Samples, PlaceError> {
+        let work = division.work(0, 1);
+        let share = work.share(size).expect("one render server can have all of a frame");
+        let buffer = Arc::new(self.0.take(size));
+        let n_units = (most_bytes as u32 / (3 * share.units().whole_unit_samples())).max(1);
+        for first in (0..share.count()).step_by(n_units as usize) {
+            let count = n_units.min(share.count() - first);
+            let n_samples: u32 = (first..first + count).map(|k| share.samples(k).count()).sum();
+            let (chunk, rest) = rgb.split_at(rgb.len().min(3 * n_samples as usize));
+            buffer.place(&share, first, count, chunk)?;
+            rgb = rest;
+        }
+        Ok(buffer.into_samples(self.0.clone()))
+    }
 }
 
 /// A running farm. Dropping it ends it, and with it every connection.

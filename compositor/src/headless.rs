@@ -8,7 +8,7 @@ use anyhow::Context;
 
 use crate::{
     farm::{Farm, Frame},
-    gpu::{Gpu, Offscreen, Present},
+    gpu::{Gpu, GpuError, Offscreen, Picture, Present},
     report::Report,
     stats::DisplayStats,
     wall::Wall,
@@ -98,8 +98,7 @@ impl Headless {
 
     /// The wall as it is now, for a screenshot.
     pub fn write_screenshot(&self, path: &std::path::Path) -> anyhow::Result<()> {
-        let picture = self.offscreen.read(&self.gpu)?;
-        picture.write_png(path).with_context(|| format!("no screenshot {}", path.display()))
+        self.picture()?.write_png(path).with_context(|| format!("no screenshot {}", path.display()))
     }
 
     /// Shows one frame.
@@ -113,7 +112,23 @@ impl Headless {
         })
     }
 
-    fn upload_and_draw(
+    /// The wall as it is now.
+    pub(crate) fn picture(&self) -> Result<Picture, GpuError> {
+        self.offscreen.read(&self.gpu)
+    }
+
+    /// What it draws with.
+    pub(crate) fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    /// How long the GPU took for the newest draw, in milliseconds; `None` where GPUs do not tell.
+    pub(crate) fn gpu_draw_ms(&mut self) -> Option<f64> {
+        self.present.draw_ms(&self.gpu)
+    }
+
+    /// Hands samples to the GPU and has it draw the wall; how long each took.
+    pub(crate) fn upload_and_draw(
         &mut self,
         size: shared::division::FrameSize,
         rgba: &[u32],

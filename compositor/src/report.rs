@@ -67,6 +67,9 @@ impl Report {
         row("place (all threads)", farm(|stats| stats.place_ms));
         row("upload", display(|stats| stats.upload_ms));
         row("draw", display(|stats| stats.draw_ms));
+        if self.frames.iter().any(|frame| frame.display.present_ms > 0.0) {
+            row("present", display(|stats| stats.present_ms));
+        }
         row("whole frame", self.frames.iter().map(|frame| frame.frame_ms).collect());
         let nodes = self.nodes();
         for (id, name) in &nodes {

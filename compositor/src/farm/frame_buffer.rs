@@ -101,7 +101,7 @@ pub(super) struct FrameBuffer {
 
 /// Bytes that do not fit the units that they claim to be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub(super) enum PlaceError {
+pub(crate) enum PlaceError {
     /// Units beyond the work's.
     #[error("units {first}+{count} of a work of {n_units}")]
     NoSuchUnits {

@@ -1,0 +1,293 @@
+//! The wall's own work, which bound the paper's: placing a frame's samples, handing them to the GPU, and drawing them over
+//! the wall; beside what this machine can do at best.
+//!
+//! Everything is done in turn, so that whatever else the machine does slows all alike; figures are medians.
+
+use std::{
+    fmt::Write,
+    time::{Duration, Instant},
+};
+
+use anyhow::Context;
+use cpu_time::ProcessTime;
+use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image};
+use renderer::cli::say;
+use serde::Serialize;
+use shared::{
+    division::{Division, FrameSize},
+    protocol::CHUNK_BYTES,
+};
+
+use super::{bare_draw::BareDraw, results::quantile};
+use crate::{farm::Placing, headless::Headless, wall::Wall};
+
+/// However long they take.
+const FEWEST_ROUNDS: usize = 5;
+
+/// The first rounds make pipelines and fault in memory.
+const N_FIRST: usize = 2;
+
+/// What was measured; milliseconds.
+#[derive(Debug, Serialize)]
+struct DisplayFigures {
+    adapter: String,
+    wall: String,
+    rows: Vec<Row>,
+    /// Placing, uploading and drawing a full frame of the usual size, over the bare draw of one: elapsed time, and CPU
+    /// time, which on a software adapter is all there is and which other programs do not disturb.
+    whole_over_bare: f64,
+    whole_over_bare_cpu: f64,
+}
+
+/// Something that was done again and again. What a row does not do is `None`.
+#[derive(Debug, Serialize)]
+struct Row {
+    what: String,
+    place_ms: Option<f64>,
+    upload_ms: Option<f64>,
+    draw_ms: Option<f64>,
+    /// By the GPU's own clock.
+    gpu_draw_ms: Option<f64>,
+    whole_ms: f64,
+    /// Of all threads, those of a software adapter included.
+    cpu_ms: f64,
+}
+
+/// One time of it.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sample {
+    place: Option<Duration>,
+    upload: Option<Duration>,
+    draw: Option<Duration>,
+    gpu_draw_ms: Option<f64>,
+    whole: Duration,
+    cpu: Duration,
+}
+
+/// What is measured, in this order.
+const FULL: usize = 1;
+const BARE: usize = 3;
+
+/// Measures for so long, and prints what was found.
+pub(super) fn run(wall: Wall, size: FrameSize, duration: Duration, is_json: bool) -> anyhow::Result<()> {
+    let figures = measure(wall, size, duration)?;
+    if is_json {
+        say(serde_json::to_string_pretty(&figures).context("figures are plain numbers")?)
+    } else {
+        say(figures.table())
+    }
+}
+
+fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<DisplayFigures> {
+    let wall_size @ [width, height] = wall.output_size();
+    let mut headless = Headless::new(wall)?;
+    let native = FrameSize::new(width, height)?;
+    let blank = vec![u32::from_ne_bytes([0, 0, 0, 255]); size.n_samples() as usize];
+    let (full, full_native) = (Full::new(size), Full::new(native));
+    let bare = BareDraw::new(headless.gpu(), wall_size, size, &full.placed()?)?;
+    let bare_native = BareDraw::new(headless.gpu(), wall_size, native, &full_native.placed()?)?;
+    let pixels = vec![0x55_u32; native.n_samples() as usize];
+    let mut copy = pixels.clone();
+    let mut resizer = Resize::new(size, native, &full.placed()?)?;
+
+    let names = [
+        format!("blank frame, {size}"),
+        format!("full frame, {size}"),
+        format!("full frame, {native}"),
+        format!("bare bilinear draw, {size}"),
+        format!("bare bilinear draw, {native}"),
+        "memcpy of the wall's pixels".to_owned(),
+        format!("fast_image_resize, {size}"),
+    ];
+    let mut samples = vec![Vec::new(); names.len()];
+    let started_at = Instant::now();
+    let mut n_rounds = 0;
+    while n_rounds < N_FIRST + FEWEST_ROUNDS || started_at.elapsed() < duration {
+        for (index, samples) in samples.iter_mut().enumerate() {
+            // Frames of another size want another texture, which is made before time counts.
+            match index {
+                0 => drop(headless.upload_and_draw(size, &blank)?),
+                2 => drop(full_native.shown(&mut headless)?),
+                _ => {}
+            }
+            let sample = timed(|| match index {
+                0 => shown(&mut headless, size, &blank),
+                FULL => full.shown(&mut headless),
+                2 => full_native.shown(&mut headless),
+                BARE | 4 => {
+                    let bare = if index == BARE { &bare } else { &bare_native };
+                    Ok(Sample { draw: Some(bare.draw(headless.gpu())?), ..Sample::default() })
+                }
+                5 => {
+                    copy.copy_from_slice(std::hint::black_box(&pixels));
+                    std::hint::black_box(&copy);
+                    Ok(Sample::default())
+                }
+                _ => resizer.resize().map(|()| Sample::default()),
+            })?;
+            if n_rounds >= N_FIRST {
+                samples.push(sample);
+            }
+        }
+        n_rounds += 1;
+    }
+    let rows: Vec<_> = names.into_iter().zip(&samples).map(|(what, samples)| Row::new(what, samples)).collect();
+    Ok(DisplayFigures {
+        adapter: headless.gpu().name(),
+        wall: format!("{width}x{height}"),
+        whole_over_bare: rows[FULL].whole_ms / rows[BARE].whole_ms,
+        whole_over_bare_cpu: rows[FULL].cpu_ms / rows[BARE].cpu_ms,
+        rows,
+    })
+}
+
+/// Elapsed and CPU time of it all.
+fn timed(act: impl FnOnce() -> anyhow::Result<Sample>) -> anyhow::Result<Sample> {
+    let (started_at, cpu) = (Instant::now(), ProcessTime::now());
+    let sample = act()?;
+    Ok(Sample { whole: started_at.elapsed(), cpu: cpu.elapsed(), ..sample })
+}
+
+fn shown(headless: &mut Headless, size: FrameSize, rgba: &[u32]) -> anyhow::Result<Sample> {
+    let (upload, draw) = headless.upload_and_draw(size, rgba)?;
+    Ok(Sample { upload: Some(upload), draw: Some(draw), gpu_draw_ms: headless.gpu_draw_ms(), ..Sample::default() })
+}
+
+/// A frame of noise, as one render server sends it.
+struct Full {
+    size: FrameSize,
+    rgb: Vec<u8>,
+    placing: Placing,
+}
+
+impl Full {
+    fn new(size: FrameSize) -> Self {
+        // Steele and Vigna's SplitMix64: what compresses or repeats would flatter caches.
+        let noise = |index: u64| {
+            let mixed = index.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            let mixed = (mixed ^ mixed >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            (mixed >> 32) as u8
+        };
+        let rgb = (0..3 * u64::from(size.n_samples())).map(noise).collect();
+        Self { size, rgb, placing: Placing::default() }
+    }
+
+    fn placed(&self) -> anyhow::Result<crate::farm::Samples> {
+        Ok(self.placing.place(self.size, Division::Tiled, &self.rgb, CHUNK_BYTES)?)
+    }
+
+    fn shown(&self, headless: &mut Headless) -> anyhow::Result<Sample> {
+        let started_at = Instant::now();
+        let samples = self.placed()?;
+        let place = started_at.elapsed();
+        Ok(Sample { place: Some(place), ..shown(headless, self.size, &samples)? })
+    }
+}
+
+/// The same scaling by a CPU.
+struct Resize {
+    resizer: Resizer,
+    options: ResizeOptions,
+    from: Image<'static>,
+    to: Image<'static>,
+}
+
+impl Resize {
+    fn new(from: FrameSize, to: FrameSize, rgba: &[u32]) -> anyhow::Result<Self> {
+        let bytes = bytemuck::cast_slice(rgba).to_vec();
+        Ok(Self {
+            resizer: Resizer::new(),
+            options: ResizeOptions::new().resize_alg(ResizeAlg::Interpolation(FilterType::Bilinear)).use_alpha(false),
+            from: Image::from_vec_u8(from.xres(), from.yres(), bytes, PixelType::U8x4)?,
+            to: Image::new(to.xres(), to.yres(), PixelType::U8x4),
+        })
+    }
+
+    fn resize(&mut self) -> anyhow::Result<()> {
+        Ok(self.resizer.resize(&self.from, &mut self.to, &self.options)?)
+    }
+}
+
+impl Row {
+    fn new(what: String, samples: &[Sample]) -> Self {
+        let median = |of: &dyn Fn(&Sample) -> Option<f64>| {
+            let values: Vec<f64> = samples.iter().filter_map(of).collect();
+            (!values.is_empty()).then(|| quantile(values.into_iter(), 0.5))
+        };
+        let part = |of: fn(&Sample) -> Option<Duration>| median(&|sample| of(sample).map(milliseconds));
+        Self {
+            what,
+            place_ms: part(|sample| sample.place),
+            upload_ms: part(|sample| sample.upload),
+            draw_ms: part(|sample| sample.draw),
+            gpu_draw_ms: median(&|sample| sample.gpu_draw_ms),
+            whole_ms: part(|sample| Some(sample.whole)).unwrap_or(0.0),
+            cpu_ms: part(|sample| Some(sample.cpu)).unwrap_or(0.0),
+        }
+    }
+}
+
+impl DisplayFigures {
+    /// For a person.
+    fn table(&self) -> String {
+        let Self { adapter, wall, rows, whole_over_bare, whole_over_bare_cpu } = self;
+        let mut table = format!("a wall of {wall} pixels, drawn by {adapter}; medians in ms\n");
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            table,
+            "{:<36}{:>9}{:>9}{:>9}{:>10}{:>9}{:>9}",
+            "", "place", "upload", "draw", "GPU draw", "whole", "CPU"
+        );
+        for row in rows {
+            let _ = write!(table, "{:<36}", row.what);
+            for (figure, width) in [(row.place_ms, 9), (row.upload_ms, 9), (row.draw_ms, 9), (row.gpu_draw_ms, 10)] {
+                let text = figure.map_or_else(String::new, |ms| format!("{ms:.2}"));
+                let _ = write!(table, "{text:>width$}");
+            }
+            let _ = writeln!(table, "{:>9.2}{:>9.2}", row.whole_ms, row.cpu_ms);
+        }
+        let _ = writeln!(
+            table,
+            "all of the full frame over the bare draw: {whole_over_bare:.2}; of CPU time {whole_over_bare_cpu:.2}"
+        );
+        table + "presenting needs a screen: a wall in a window prints it after --frames 100"
+    }
+}
+
+fn milliseconds(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn everything_is_measured_and_shows_the_same_picture() {
+        let text = "canvas_m = [4.0, 2.25]\n[grid]\ncolumns = 1\nrows = 1\npixels = [64, 36]\n";
+        let wall = Wall::from_toml("small.toml", text).unwrap();
+        let size = FrameSize::new(32, 16).unwrap();
+        let figures = match measure(wall.clone(), size, Duration::ZERO) {
+            Ok(figures) => figures,
+            Err(error) if error.to_string().contains("no graphics driver") => return println!("skipped: {error}"),
+            Err(error) => panic!("{error}"),
+        };
+        assert_eq!(figures.rows.len(), 7);
+        assert!(figures.rows.iter().all(|row| row.whole_ms > 0.0), "{figures:?}");
+        assert!(figures.rows[FULL].place_ms.is_some() && figures.rows[BARE].draw_ms.is_some());
+        assert!(figures.table().contains("fast_image_resize, 32x16"));
+
+        // The bare draw does what the wall does, and what a CPU does but for the light that it mixes in.
+        let mut headless = Headless::new(wall).unwrap();
+        let full = Full::new(size);
+        let samples = full.placed().unwrap();
+        let bare = BareDraw::new(headless.gpu(), [64, 36], size, &samples).unwrap();
+        bare.draw(headless.gpu()).unwrap();
+        let bare = bare.read(headless.gpu()).unwrap();
+        headless.upload_and_draw(size, &samples).unwrap();
+        let wall = headless.picture().unwrap();
+        let differs = |(a, b): (&u8, &u8)| a.abs_diff(*b) > 2;
+        assert_eq!(bare.rgb.len(), 3 * 64 * 36);
+        assert_eq!(bare.rgb.iter().zip(&wall.rgb).filter(|&pair| differs(pair)).count(), 0);
+    }
+}
