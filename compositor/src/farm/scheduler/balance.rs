@@ -175,10 +175,12 @@ impl Balance {
         trusted
     }
 
+    /// A frame became whole without a render server. One that never finished is believed to be slow as well, or it would
+    /// be late for ever and nothing be learned of it.
     fn slow_down(&mut self, node: NodeId) {
-        if let Some(pace) = self.paces.get_mut(&node)
-            && std::mem::replace(&mut pace.is_suspect, true)
-        {
+        let pace = Pace { slowness: self.usual_slowness(), n_frames: 0, is_suspect: false };
+        let pace = self.paces.entry(node).or_insert(pace);
+        if std::mem::replace(&mut pace.is_suspect, true) {
             pace.scale(UNFINISHED);
         }
     }

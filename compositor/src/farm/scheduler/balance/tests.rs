@@ -231,6 +231,40 @@ fn a_node_at_a_third_of_the_speed_is_as_busy_as_the_others() {
 }
 
 #[test]
+fn a_node_that_never_finishes_gets_less_until_it_does() {
+    let (picture, nodes) = (picture(), [(NodeId(1), 1), (NodeId(2), 1)]);
+    let mut balance = Balance::default();
+    let mut works = vec![Division::Dynamic.work(0, 2), Division::Dynamic.work(1, 2)];
+    // What a tile takes node 1; node 2 is so slow that others have always done its work before.
+    let measure = |balance: &mut Balance, works: &[Work], slowness: Option<u32>| {
+        let shares: Vec<_> = works.iter().map(|work| work.share(picture.size).unwrap()).collect();
+        let costs = |share: &Share<'_>, ns| BlockCosts { block_units: 1, cpu_ns: vec![ns; share.count() as usize] };
+        let of_first = costs(&shares[0], 1000);
+        let of_second = slowness.map(|slowness| costs(&shares[1], 1000 * slowness));
+        let [first, second] = [0, 1].map(|index| shares[index].clone());
+        balance.learn(
+            &picture,
+            &[
+                Measured { node: NodeId(1), share: first, costs: Some(&of_first) },
+                Measured { node: NodeId(2), share: second, costs: of_second.as_ref() },
+            ],
+        );
+        balance.divide(&picture, &nodes).unwrap()
+    };
+    let n_tiles = |works: &[Work]| works[1].share(picture.size).unwrap().count();
+    for _ in 0..12 {
+        let before = n_tiles(&works);
+        works = measure(&mut balance, &works, None);
+        assert!(n_tiles(&works) <= before);
+    }
+    assert!((1..1500).contains(&n_tiles(&works)), "{} of 8192 tiles", n_tiles(&works));
+    for _ in 0..12 {
+        works = measure(&mut balance, &works, Some(8));
+    }
+    assert!((820..1000).contains(&n_tiles(&works)), "{} of 8192 tiles for a ninth of the speed", n_tiles(&works));
+}
+
+#[test]
 fn the_balance_returns_after_a_change() {
     let mut cluster = Cluster::new(still, &[1.0; 12]);
     cluster.render(5);
