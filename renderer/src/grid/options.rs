@@ -67,10 +67,11 @@ impl GridOptions {
 
 impl Default for GridOptions {
     fn default() -> Self {
+        let Structure { storage, density } = Structure::default();
         Self {
-            density: 32.0,
+            density,
             macrocell_levels: *Self::MACROCELL_LEVELS.end(),
-            storage: Storage::default(),
+            storage,
             mesh: MeshLayout::default(),
             memory_budget: MemoryBudget::default(),
         }

@@ -325,43 +325,28 @@ impl Tree {
                 continue;
             }
             let within = slab & planes(axes[1], u[0].max(0), u[1].min(3)) & planes(axes[2], v[0].max(0), v[1].min(3));
-            let mut leaves = node.occupied & !node.divided & within;
-            while leaves != 0 {
-                let bit = leaves.trailing_zeros();
-                let before = (leaves & leaves.wrapping_neg()) - 1;
-                leaves &= leaves - 1;
+            let mut left = node.occupied & within;
+            while left != 0 {
+                let bit = left.trailing_zeros();
+                let before = (left & left.wrapping_neg()) - 1;
+                left &= left - 1;
                 let u = entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32;
                 let v = entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32;
                 let mut rays = entry.rays;
                 if let Some(cells) = &narrow {
                     let size = f64::from(1u32 << shift);
-                    let (u, v) = (cells.slopes(0, u, size), cells.slopes(1, v, size));
-                    rays = culler.passing::<S>(rays, u, v, cells.depth);
+                    rays = culler.passing::<S>(rays, cells.slopes(0, u, size), cells.slopes(1, v, size), cells.depth);
                     if rays == 0 {
                         continue;
                     }
                 }
-                let number = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
-                S::prefetch(&self.leaf_starts, number as usize);
-                found.push(Leaf { number, low: [low, u, v], size: 1 << shift, rays });
-            }
-            let mut nodes = node.divided & within;
-            while nodes != 0 {
-                let bit = nodes.trailing_zeros();
-                let before = (nodes & nodes.wrapping_neg()) - 1;
-                nodes &= nodes - 1;
-                let u = entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32;
-                let v = entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32;
-                let mut rays = entry.rays;
-                if let Some(cells) = &narrow {
-                    let size = f64::from(1u32 << shift);
-                    let (u, v) = (cells.slopes(0, u, size), cells.slopes(1, v, size));
-                    rays = culler.passing::<S>(rays, u, v, cells.depth);
-                    if rays == 0 {
-                        continue;
-                    }
+                if node.divided >> bit & 1 == 1 {
+                    children.push(Entry { node: node.first_node + (node.divided & before).count_ones(), u, v, rays });
+                } else {
+                    let number = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
+                    S::prefetch(&self.leaf_starts, number as usize);
+                    found.push(Leaf { number, low: [low, u, v], size: 1 << shift, rays });
                 }
-                children.push(Entry { node: node.first_node + (node.divided & before).count_ones(), u, v, rays });
             }
         }
     }
