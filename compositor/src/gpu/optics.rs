@@ -4,7 +4,7 @@
 use glam::{DMat3, DVec2};
 
 use super::context::Gpu;
-use super::present::{Target, clip_of};
+use super::present::{Target, clip_of, quad_pipeline};
 use crate::wall::blend::Neighbour;
 use crate::wall::{Gamma, Wall};
 
@@ -125,28 +125,7 @@ impl OpticsStage {
         if let Some((_, pipeline)) = self.pipelines.iter().find(|(made_for, _)| *made_for == format) {
             return pipeline.clone();
         }
-        let fragment = if format.is_srgb() { "fragment_linear" } else { "fragment_encoded" };
-        let pipeline = gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-            label: Some("optics"),
-            layout: Some(&self.layout),
-            vertex: wgpu::VertexState {
-                module: &self.shader,
-                entry_point: Some("vertex"),
-                compilation_options: Default::default(),
-                buffers: &[],
-            },
-            primitive: wgpu::PrimitiveState { topology: wgpu::PrimitiveTopology::TriangleStrip, ..Default::default() },
-            depth_stencil: None,
-            multisample: Default::default(),
-            fragment: Some(wgpu::FragmentState {
-                module: &self.shader,
-                entry_point: Some(fragment),
-                compilation_options: Default::default(),
-                targets: &[Some(format.into())],
-            }),
-            multiview_mask: None,
-            cache: None,
-        });
+        let pipeline = quad_pipeline(gpu, "optics", &self.layout, &self.shader, &[], format);
         self.pipelines.push((format, pipeline.clone()));
         pipeline
     }
