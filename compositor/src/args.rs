@@ -2,15 +2,19 @@
 
 use std::{net::SocketAddr, path::PathBuf};
 
-use renderer::scene_args::SceneArgs;
+use renderer::{scene::SceneSource, scene_args::SceneArgs};
 use shared::{
-    camera::UpAxis,
+    camera::{Camera, UpAxis},
     division::{Division, FrameSize},
     protocol::{DEFAULT_PORT, Encoding, RayTree, SampleRange, View},
     scene::SceneId,
 };
 
-use crate::{bench::BenchArgs, check::CheckArgs};
+use crate::{
+    bench::BenchArgs,
+    check::CheckArgs,
+    wall::{Wall, WallError},
+};
 
 /// Shows a scanned model on a display wall, ray traced by render servers.
 ///
@@ -38,9 +42,9 @@ pub enum Command {
     Renderer(renderer::cli::Command),
 }
 
-/// How a wall is run.
+/// What is shown on which wall, and from where.
 #[derive(Clone, Debug, clap::Args)]
-pub struct WallArgs {
+pub struct SubjectArgs {
     /// The PLY file to show [default: the built-in statue]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
@@ -54,6 +58,32 @@ pub struct WallArgs {
     /// The camera file [default: one that sees all]
     #[arg(long, value_name = "FILE.toml")]
     pub camera: Option<PathBuf>,
+}
+
+impl SubjectArgs {
+    /// The model's file, or the statue.
+    pub fn source(&self) -> SceneSource {
+        let statue = SceneSource::Statue { triangles: self.triangles };
+        self.model.clone().map_or(statue, SceneSource::Ply)
+    }
+
+    /// The wall of the file, or the default. An error names the file, and what is wrong with it.
+    pub fn load_wall(&self) -> Result<Wall, WallError> {
+        self.wall.as_deref().map_or_else(|| Ok(Wall::paper()), Wall::load)
+    }
+
+    /// The camera of the file, if there is one. An error names the file, and what is wrong with it.
+    pub fn read_camera(&self) -> anyhow::Result<Option<Camera>> {
+        self.camera.as_deref().map(renderer::trace::read_camera).transpose()
+    }
+}
+
+/// How a wall is run.
+#[derive(Clone, Debug, clap::Args)]
+pub struct WallArgs {
+    /// What is shown, and where.
+    #[command(flatten)]
+    pub subject: SubjectArgs,
     /// The model's axis that points up: x, y or z [default: the one kept with the model's views, or y]
     #[arg(long, value_name = "AXIS")]
     pub up: Option<UpAxis>,

@@ -17,12 +17,11 @@ use std::{path::PathBuf, str::FromStr, time::Duration};
 
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
-use renderer::{cli::say, mesh::Mesh, progress::Progress, scene::SceneSource, scene_args::SceneArgs, tracer::Scene};
+use renderer::{cli::say, mesh::Mesh, progress::Progress, scene_args::SceneArgs, tracer::Scene};
 use shared::{
     camera::{Camera, UpAxis},
     division::{Division, FrameSize},
     protocol::{Encoding, Picture, RayTree, SampleRange, View},
-    scene::SceneId,
 };
 
 use self::{
@@ -32,28 +31,18 @@ use self::{
     shares::ShareTracer,
 };
 use crate::{
+    args::SubjectArgs,
     farm::Wanted,
     headless::{Headless, Wakeup, Wakeups},
     run::{network_threads, wakeups},
-    wall::Wall,
 };
 
 /// What is measured, and where the figures go.
 #[derive(Clone, Debug, clap::Args)]
 pub struct BenchArgs {
-    /// The PLY file to render [default: the built-in statue]
-    #[arg(long, value_name = "FILE")]
-    pub model: Option<PathBuf>,
-    /// Triangles of the built-in statue
-    #[arg(long, value_name = "N", default_value_t = 1_000_000, conflicts_with = "model",
-        value_parser = clap::value_parser!(u32).range(100..=i64::from(SceneId::LARGEST_STATUE)))]
-    pub triangles: u32,
-    /// The camera file [default: one that sees all]
-    #[arg(long, value_name = "FILE.toml")]
-    pub camera: Option<PathBuf>,
-    /// The wall file [default: the paper's 4×3 projectors]
-    #[arg(long, value_name = "FILE.toml")]
-    pub wall: Option<PathBuf>,
+    /// What is shown, and where.
+    #[command(flatten)]
+    pub subject: SubjectArgs,
     /// Samples of a measured frame
     #[arg(long, value_name = "WxH", default_value_t = FrameSize::PAPER)]
     pub size: FrameSize,
@@ -131,16 +120,17 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// Runs the experiment.
 pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     // First what fails at once: an operator learns of it before a model of minutes is read.
-    let wall = args.wall.as_deref().map_or_else(|| Ok(Wall::paper()), Wall::load)?;
+    let subject = &args.subject;
+    let wall = subject.load_wall()?;
     let Some(out) = &args.out else {
         return display::run(wall, args.size, Duration::from_secs_f64(args.seconds), args.json);
     };
-    let camera = args.camera.as_deref().map(renderer::trace::read_camera).transpose()?;
+    let camera = subject.read_camera()?;
     std::fs::create_dir_all(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
     let n_cores = std::thread::available_parallelism().map_or(1, usize::from);
     let mut results = Results {
-        model: args.model.as_ref().map_or_else(|| "built-in statue".into(), |path| path.display().to_string()),
-        camera: args.camera.as_ref().map(|path| path.display().to_string()),
+        model: subject.model.as_ref().map_or_else(|| "built-in statue".into(), |path| path.display().to_string()),
+        camera: subject.camera.as_ref().map(|path| path.display().to_string()),
         n_cores,
         ..Results::default()
     };
@@ -150,7 +140,7 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let (wake, wakeups) = wakeups(&runtime);
     let aspect = wall.aspect();
     let headless = if args.nodes.0.is_empty() { None } else { Some(Headless::new(wall)?) };
-    let source = args.model.clone().map_or(SceneSource::Statue { triangles: args.triangles }, SceneSource::Ply);
+    let source = subject.source();
     let renderer::scene::Scene { id, mesh } = {
         let bar = Progress::new(format!("loading {source}"));
         renderer::scene::load(&source, &|fraction| bar.set(fraction))?
@@ -175,7 +165,7 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
         Experiment { args, out, results: &mut results, steps, wakeups: &wakeups, undisplayed: Vec::new() };
     let wanted = Wanted {
         picture: Some(picture),
-        scene_path: args.model.clone(),
+        scene_path: subject.model.clone(),
         division: Division::default(),
         min_renderers: 1,
         repeat: true,

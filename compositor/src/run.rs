@@ -30,15 +30,12 @@ use crate::{
 
 /// Runs a wall to its end.
 pub fn run(args: &WallArgs) -> anyhow::Result<()> {
-    let wall = match &args.wall {
-        Some(path) => Wall::load(path)?,
-        None => Wall::paper(),
-    };
+    let wall = args.subject.load_wall()?;
     let wall = match args.size {
         Some(size) => wall.with_frame_size(size),
         None => wall,
     };
-    let camera = args.camera.as_deref().map(renderer::trace::read_camera).transpose()?;
+    let camera = args.subject.read_camera()?;
     let path = args.path.as_deref().map(kept::read_path).transpose().map_err(anyhow::Error::msg)?;
     if args.headless { run_headless(args, wall, camera, path) } else { run_window(args, wall, camera, path) }
 }
@@ -61,7 +58,7 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
             // A call that is still waiting to be heard is enough.
             let _ = wake.try_send(Wakeup::Farm);
         })?;
-        let model = load_model(scene_source(args))?;
+        let model = load_model(args.subject.source())?;
         let film = path.map(|path| Film {
             path,
             fps: args.fps,
@@ -127,8 +124,8 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<
     let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;
     let options = WindowOptions {
-        wall_file: args.wall.clone(),
-        source: scene_source(args),
+        wall_file: args.subject.wall.clone(),
+        source: args.subject.source(),
         camera,
         up: args.up,
         path,
@@ -240,13 +237,6 @@ fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
     // Scripts and people read where to connect to.
     say(format_args!("listening on {}", listener.local_addr()?))?;
     Ok(listener)
-}
-
-fn scene_source(args: &WallArgs) -> SceneSource {
-    match &args.model {
-        Some(path) => SceneSource::Ply(path.clone()),
-        None => SceneSource::Statue { triangles: args.triangles },
-    }
 }
 
 fn load_model(source: SceneSource) -> anyhow::Result<Model> {
