@@ -39,12 +39,16 @@ has_library libxkbcommon-x11.so.0 || need libxkbcommon-x11-0 libxkbcommon-x11 li
 has_library libX11-xcb.so.1 || need libx11-xcb1 libX11-xcb libx11
 has_library libXcursor.so.1 || need libxcursor1 libXcursor libxcursor
 has_library libXi.so.6 || need libxi6 libXi libxi
+has_library libXrandr.so.2 || need libxrandr2 libXrandr libxrandr
 if [ "$purpose" = test ]; then
     # Tests look for processes and signal them.
     has_command ps && has_command kill || need procps procps-ng procps-ng
     has_command Xvfb || need xvfb xorg-x11-server-Xvfb xorg-server-xvfb
     has_command openbox || need openbox openbox openbox
     has_command xdotool || need xdotool xdotool xdotool
+    # An X server whose monitors lie in memory and come and go.
+    { has_command Xorg && [ -n "$(find /usr/lib/xorg /usr/lib64/xorg -name dummy_drv.so 2>/dev/null)" ]; } \
+        || need "xserver-xorg-core xserver-xorg-video-dummy" "xorg-x11-server-Xorg xorg-x11-drv-dummy" "xorg-server xf86-video-dummy"
     has_command import || need imagemagick ImageMagick imagemagick
 fi
 has_command cargo || {

@@ -134,9 +134,12 @@ pub struct WallArgs {
     /// Samples of a frame [default: what the wall file says, or 1024x512]
     #[arg(long, value_name = "WxH")]
     pub size: Option<FrameSize>,
-    /// Fill the screen
+    /// Fill the screen; a wall whose file names outputs fills each of them anyway
     #[arg(long)]
     pub fullscreen: bool,
+    /// Show all of a wall whose file names outputs in one window, on whatever monitor
+    #[arg(long)]
+    pub spanning: bool,
     /// Fill the screen, let visitors steer and nothing else, and go back to the path or the whole model when they have
     /// gone; Ctrl+L unlocks
     #[arg(long, conflicts_with = "headless")]

@@ -92,6 +92,11 @@ impl OverlayModel {
         let has_tint = self.tint != Tint::None || self.pick_on_canvas.is_some();
         self.panel || self.help || self.files.is_some() || self.note.is_some() || has_tint
     }
+
+    /// The same without all that is said once, in one window: what belongs to the picture in any.
+    pub fn without_panels(&self) -> Self {
+        Self { panel: false, help: false, files: None, note: None, ..self.clone() }
+    }
 }
 
 /// How a render server joins.

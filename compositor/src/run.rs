@@ -123,6 +123,7 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<
     // Before the farm, so that it ends after it, and nobody takes the end for a loss.
     let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;
+    let wall = if args.spanning { wall.without_monitors() } else { wall };
     let options = WindowOptions {
         wall_file: args.subject.wall.clone(),
         source: args.subject.source(),

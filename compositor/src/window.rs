@@ -1,12 +1,15 @@
-//! The wall in a window, under mouse and keyboard.
+//! The wall in a window, or in one for each of its outputs, under mouse and keyboard.
 //!
 //! Everything here runs on the main thread and only when something happened: an event of the window, a [`Waker`] of
 //! another thread, or a moment that was waited for. A resting wall costs nothing.
 
 mod app;
 mod frame_rate;
+mod hotplug;
 mod jobs;
 mod model_loader;
+mod outputs;
+mod painter;
 mod screen;
 mod screenshots;
 
@@ -14,6 +17,7 @@ use std::{
     net::SocketAddr,
     ops::ControlFlow,
     path::{Path, PathBuf},
+    time::Instant,
 };
 
 use anyhow::Context;
@@ -33,10 +37,10 @@ use crate::{
     wall::Wall,
 };
 
-/// What the window shows and how.
+/// What the windows show and how.
 #[derive(Clone, Debug)]
 pub struct WindowOptions {
-    /// The wall that the window shows, whole and scaled to fit.
+    /// The wall that is shown, each part of it scaled to fit its window.
     pub wall: Wall,
     /// Where the wall's file is, if it is not the default: its corners are saved there.
     pub wall_file: Option<PathBuf>,
@@ -58,7 +62,7 @@ pub struct WindowOptions {
     pub rays: RayTree,
     /// Which samples of each pixel are averaged.
     pub samples: SampleRange,
-    /// Whether the window fills the screen from the start.
+    /// Whether the window fills the screen from the start; those of walls that name outputs do.
     pub fullscreen: bool,
     /// Whether the overlay is shown at first.
     pub overlay: bool,
@@ -126,7 +130,7 @@ impl WindowLoop {
         Waker(self.0.create_proxy())
     }
 
-    /// Opens the window and shows what `farm` renders until the window is closed.
+    /// Opens the windows and shows what `farm` renders until one of them is closed.
     ///
     /// # Errors
     ///
@@ -169,6 +173,10 @@ fn shell_word(text: &str) -> String {
     } else {
         format!("'{}'", text.replace('\'', r"'\''"))
     }
+}
+
+fn ms_since(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64() * 1e3
 }
 
 /// What others call this machine, as far as it knows.

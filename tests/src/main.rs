@@ -31,6 +31,8 @@ mod liars;
 mod measuring;
 #[cfg(test)]
 mod optics;
+#[cfg(all(test, target_os = "linux"))]
+mod outputs;
 #[cfg(test)]
 mod pictures;
 #[cfg(test)]
@@ -49,6 +51,8 @@ mod trust;
 mod window;
 #[cfg(all(test, target_os = "linux"))]
 mod x_drop;
+#[cfg(all(test, target_os = "linux"))]
+mod x_monitors;
 #[cfg(all(test, target_os = "linux"))]
 mod x_session;
 

@@ -300,18 +300,28 @@ pub(crate) fn check_reference(name: &str, frame: &Frame, wall: &Wall, size: [u32
 
 /// A frame of the built-in model, all of it, for a wall.
 pub(crate) fn statue_frame(wall: &Wall) -> Frame {
-    static SCENE: LazyLock<Scene> = LazyLock::new(|| {
-        let mesh = statue::generate(statue::DEFAULT_TRIANGLES, &|_| {});
-        Scene::build(mesh, &SceneOptions::default(), &|_| {})
-    });
-    let Aabb { min, max } = SCENE.mesh().bounds();
+    static SCENE: LazyLock<Scene> = LazyLock::new(|| statue_of(statue::DEFAULT_TRIANGLES));
+    frame_of(&SCENE, wall, UpAxis::Y)
+}
+
+/// The same of a model of so many triangles, and with another axis up.
+pub(crate) fn statue_frame_of(n_triangles: u32, wall: &Wall, up: UpAxis) -> Frame {
+    frame_of(&statue_of(n_triangles), wall, up)
+}
+
+fn statue_of(n_triangles: u32) -> Scene {
+    Scene::build(statue::generate(n_triangles, &|_| {}), &SceneOptions::default(), &|_| {})
+}
+
+fn frame_of(scene: &Scene, wall: &Wall, up: UpAxis) -> Frame {
+    let Aabb { min, max } = scene.mesh().bounds();
     let [min, max] = [min, max].map(|corner| DVec3::from_array(corner.map(f64::from)));
-    let camera = Camera::view_all(min, max, UpAxis::Y, wall.aspect());
+    let camera = Camera::view_all(min, max, up, wall.aspect());
     let size = wall.frame_size();
     let (view, rays, samples) = (View::Shaded, RayTree::default(), SampleRange::CENTRE);
     let request = FrameRequest { camera, size, view, rays, samples };
     let work = Division::Interleaved.work(0, 1);
-    let rgb = SCENE.render_parallel(&request, &work.share(size).unwrap());
+    let rgb = scene.render_parallel(&request, &work.share(size).unwrap());
     Frame::new([size.xres(), size.yres()], |i, j| {
         let first = 3 * (j * size.xres() + i) as usize;
         [rgb[first], rgb[first + 1], rgb[first + 2]]

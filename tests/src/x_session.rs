@@ -38,19 +38,27 @@ pub(crate) struct Screenshot {
 impl XSession {
     /// A screen of so many pixels on a free display.
     pub(crate) fn start(size: [usize; 2]) -> Self {
-        let screen = format!("{}x{}x24", size[0], size[1]);
+        let mut server = Command::new("Xvfb");
+        server.args(["-screen", "0", &format!("{}x{}x24", size[0], size[1])]);
+        Self::start_on(server, size, &|_| {})
+    }
+
+    /// The same on an X server of another kind, on which something is done before there is a window manager.
+    pub(crate) fn start_on(mut server: Command, size: [usize; 2], prepare: &dyn Fn(&str)) -> Self {
+        let name = server.get_program().to_string_lossy().into_owned();
         // Without -noreset the screen starts afresh, and throws everybody out, whenever its last client leaves.
-        let mut server = Command::new("Xvfb")
-            .args(["-displayfd", "1", "-screen", "0", &screen, "-nolisten", "tcp", "-noreset"])
+        let mut server = server
+            .args(["-displayfd", "1", "-nolisten", "tcp", "-noreset"])
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()
-            .unwrap_or_else(|error| missing("Xvfb", &error));
+            .unwrap_or_else(|error| missing(&name, &error));
         let mut number = String::new();
         let stdout = server.stdout.take().expect("piped above");
         let server = Ending(server);
-        BufReader::new(stdout).read_line(&mut number).expect("Xvfb says its display's number");
+        BufReader::new(stdout).read_line(&mut number).expect("the server says its display's number");
         let display = format!(":{}", number.trim());
+        prepare(&display);
         let window_manager = Command::new("openbox")
             .env("DISPLAY", &display)
             .stdout(Stdio::null())
@@ -165,6 +173,12 @@ impl XSession {
 }
 
 impl Screenshot {
+    /// A part of it: from a column and row, so many columns and rows.
+    pub(crate) fn part(&self, [left, top]: [usize; 2], size: [usize; 2]) -> Self {
+        let rows = self.rgb.chunks_exact(3 * self.size[0]).skip(top).take(size[1]);
+        Self { size, rgb: rows.flat_map(|row| &row[3 * left..3 * (left + size[0])]).copied().collect() }
+    }
+
     /// The fraction of pixels of which a channel differs by more than `tolerance`.
     pub(crate) fn difference(&self, other: &Self, tolerance: u8) -> f64 {
         assert_eq!(self.size, other.size);

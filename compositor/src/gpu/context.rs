@@ -8,6 +8,7 @@ pub struct Gpu {
     pub device: wgpu::Device,
     /// Where work is submitted.
     pub queue: wgpu::Queue,
+    instance: wgpu::Instance,
     adapter: wgpu::Adapter,
     problem: Arc<Mutex<Option<GpuError>>>,
 }
@@ -121,7 +122,12 @@ impl Gpu {
                 keep_first(&lost, GpuError::Lost(one_line(&message)));
             }
         });
-        Ok(Self { device, queue, adapter, problem })
+        Ok(Self { device, queue, instance: instance.clone(), adapter, problem })
+    }
+
+    /// The connection to the system's drivers that the adapter came from: surfaces on it can be drawn on.
+    pub(super) fn connection(&self) -> &wgpu::Instance {
+        &self.instance
     }
 
     /// The adapter that was chosen.

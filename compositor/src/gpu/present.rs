@@ -120,6 +120,38 @@ impl Present {
         wall: &Wall,
         part: PixelRect,
     ) {
+        self.draw_all(gpu, encoder, wall, &[(target, part)]);
+    }
+
+    /// Draws the same frame on several targets, a part of the wall on each, as [`Present::draw`] does.
+    pub fn draw_all(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        wall: &Wall,
+        outputs: &[(&Target<'_>, PixelRect)],
+    ) {
+        for (index, (target, part)) in outputs.iter().enumerate() {
+            let is_end = [index == 0, index + 1 == outputs.len()];
+            self.draw_pass(gpu, encoder, target, wall, *part, is_end);
+        }
+        if let Some(timer) = &mut self.timer
+            && !outputs.is_empty()
+        {
+            timer.read_after(encoder);
+        }
+    }
+
+    /// `is_end`: whether it is the first pass that counts as one draw, and whether it is the last.
+    fn draw_pass(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        target: &Target<'_>,
+        wall: &Wall,
+        part: PixelRect,
+        is_end: [bool; 2],
+    ) {
         let pipeline = self.pipeline(gpu, target.format);
         let (plain, corrected): (Vec<_>, Vec<_>) =
             quads(wall, part, target.size).partition(|(projector_idx, _)| wall.is_plain(*projector_idx));
@@ -139,7 +171,7 @@ impl Present {
                 resolve_target: None,
                 ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
             })],
-            timestamp_writes: self.timer.as_ref().and_then(DrawTimer::pass_timestamps),
+            timestamp_writes: self.timer.as_ref().and_then(|timer| timer.pass_timestamps(is_end)),
             ..Default::default()
         });
         if let Some((_, frame)) = &self.frame {
@@ -152,10 +184,6 @@ impl Present {
             if let Some(corrected) = &corrected {
                 corrected.draw(&mut pass);
             }
-        }
-        drop(pass);
-        if let Some(timer) = &mut self.timer {
-            timer.read_after(encoder);
         }
     }
 

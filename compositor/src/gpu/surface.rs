@@ -7,13 +7,15 @@ use super::present::Target;
 pub struct WallSurface {
     surface: wgpu::Surface<'static>,
     /// Makes the surface again after it was lost.
-    create: Box<dyn Fn() -> Result<wgpu::Surface<'static>, wgpu::CreateSurfaceError>>,
+    create: Create,
     config: wgpu::SurfaceConfiguration,
     wall_format: wgpu::TextureFormat,
     overlay_format: wgpu::TextureFormat,
     /// Whether the swapchain has the size and state of `config`.
     is_configured: bool,
 }
+
+type Create = Box<dyn Fn() -> Result<wgpu::Surface<'static>, wgpu::CreateSurfaceError>>;
 
 /// The picture that the window shows next.
 pub struct SurfaceFrame {
@@ -25,21 +27,37 @@ pub struct SurfaceFrame {
 }
 
 impl WallSurface {
-    /// A surface on `window` (an `Arc<Window>`, say) of `size` pixels, and the GPU that can draw on it.
-    pub fn new<W>(window: W, size: [u32; 2]) -> Result<(Gpu, Self), GpuError>
+    /// A surface on the first `window` (an `Arc<Window>`, say) of `size` pixels, and the GPU that can draw on it.
+    pub fn first<W>(window: W, size: [u32; 2]) -> Result<(Gpu, Self), GpuError>
     where
         W: Into<wgpu::SurfaceTarget<'static>> + Clone + 'static,
     {
         let instance = Gpu::instance();
-        let create = {
-            let instance = instance.clone();
-            move || instance.create_surface(window.clone())
-        };
+        let create = creating(instance.clone(), window);
         // Without any driver there is not even a way to make surfaces.
         let surface = create()
             .map_err(|error| if Gpu::has_no_driver(&instance) { GpuError::NoDriver } else { no_surface(&error) })?;
         let gpu = Gpu::for_surface(&instance, &surface)?;
+        let surface = Self::configured(&gpu, surface, create, size)?;
+        Ok((gpu, surface))
+    }
 
+    /// A surface on one more window, for the GPU that draws on the first.
+    pub fn new<W>(gpu: &Gpu, window: W, size: [u32; 2]) -> Result<Self, GpuError>
+    where
+        W: Into<wgpu::SurfaceTarget<'static>> + Clone + 'static,
+    {
+        let create = creating(gpu.connection().clone(), window);
+        let surface = create().map_err(|error| no_surface(&error))?;
+        Self::configured(gpu, surface, create, size)
+    }
+
+    fn configured(
+        gpu: &Gpu,
+        surface: wgpu::Surface<'static>,
+        create: Create,
+        size: [u32; 2],
+    ) -> Result<Self, GpuError> {
         let capabilities = surface.get_capabilities(gpu.adapter());
         let is_plain_8_bit = |format: &&wgpu::TextureFormat| {
             matches!(format, wgpu::TextureFormat::Bgra8Unorm | wgpu::TextureFormat::Rgba8Unorm)
@@ -73,8 +91,7 @@ impl WallSurface {
             view_formats,
         };
         gpu.check_size("a window", size)?;
-        let create = Box::new(create);
-        Ok((gpu, Self { surface, create, config, wall_format, overlay_format, is_configured: false }))
+        Ok(Self { surface, create, config, wall_format, overlay_format, is_configured: false })
     }
 
     /// The format of [`SurfaceFrame::overlay_view`]: what to give to egui's renderer.
@@ -170,6 +187,13 @@ impl SurfaceFrame {
     pub fn present(self, gpu: &Gpu) {
         gpu.queue.present(self.texture);
     }
+}
+
+fn creating<W>(instance: wgpu::Instance, window: W) -> Create
+where
+    W: Into<wgpu::SurfaceTarget<'static>> + Clone + 'static,
+{
+    Box::new(move || instance.create_surface(window.clone()))
 }
 
 fn no_surface(error: &wgpu::CreateSurfaceError) -> GpuError {

@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::context::Gpu;
 
-/// Times one render pass at a time, and never waits: draws that come while a time is on its way are not timed.
+/// Times one draw at a time, of one render pass or several, and never waits: draws that come while a time is on its way
+/// are not timed.
 pub(super) struct DrawTimer {
     timestamps: wgpu::QuerySet,
     resolved: wgpu::Buffer,
@@ -45,16 +46,19 @@ impl DrawTimer {
         })
     }
 
-    /// For the pass to be timed.
-    pub(super) fn pass_timestamps(&self) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
-        self.on_its_way.is_none().then_some(wgpu::RenderPassTimestampWrites {
+    /// For a pass of the draw to be timed: whether it is the first of them, and whether it is the last.
+    pub(super) fn pass_timestamps(
+        &self,
+        [is_first, is_last]: [bool; 2],
+    ) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
+        (self.on_its_way.is_none() && (is_first || is_last)).then_some(wgpu::RenderPassTimestampWrites {
             query_set: &self.timestamps,
-            beginning_of_pass_write_index: Some(0),
-            end_of_pass_write_index: Some(1),
+            beginning_of_pass_write_index: is_first.then_some(0),
+            end_of_pass_write_index: is_last.then_some(1),
         })
     }
 
-    /// Right after that pass, into the same encoder.
+    /// Right after the last pass, into the same encoder.
     pub(super) fn read_after(&mut self, encoder: &mut wgpu::CommandEncoder) {
         if self.on_its_way.is_none() {
             encoder.resolve_query_set(&self.timestamps, 0..2, &self.resolved, 0);

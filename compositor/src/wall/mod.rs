@@ -178,6 +178,12 @@ impl Wall {
         Self { frame_size, ..self }
     }
 
+    /// The same wall on one output that spans all projectors.
+    pub fn without_monitors(mut self) -> Self {
+        self.projectors.iter_mut().for_each(|projector| projector.monitor = None);
+        self
+    }
+
     /// Width and height of the canvas in metres.
     pub fn canvas_m(&self) -> [f64; 2] {
         self.canvas_m

@@ -1,4 +1,4 @@
-//! What happens in the window: events in, wishes to the farm and pictures out.
+//! What happens in the windows: events in, wishes to the farm and pictures out.
 
 mod aligning;
 mod opening;
@@ -13,11 +13,11 @@ use renderer::scene::SceneSource;
 use shared::protocol::{Picture, RayTree, View};
 use winit::{
     application::ApplicationHandler,
-    dpi::{PhysicalPosition, PhysicalSize},
+    dpi::PhysicalPosition,
     event::WindowEvent,
     event_loop::{ActiveEventLoop, ControlFlow},
     keyboard::ModifiersState,
-    window::{Window, WindowId},
+    window::WindowId,
 };
 
 use super::{
@@ -26,7 +26,7 @@ use super::{
     jobs::Jobs,
     join_hint,
     model_loader::{ModelLoader, name_of},
-    screen::Screen,
+    outputs::Outputs,
 };
 use crate::{
     alignment::Alignment,
@@ -36,10 +36,9 @@ use crate::{
     navigator::Navigator,
     overlay::{ModelSummary, OverlayModel},
     screensaver::ScreensaverHold,
-    wall::PixelRect,
 };
 
-/// The window's state.
+/// The windows' state.
 pub(super) struct App<'a> {
     options: WindowOptions,
     alignment: Alignment,
@@ -48,7 +47,9 @@ pub(super) struct App<'a> {
     farm: &'a Farm,
     on_shown: OnShown,
     outcome: anyhow::Result<()>,
-    screen: Option<Screen>,
+    outputs: Outputs,
+    /// What is on screen is not what should be there now.
+    is_stale: bool,
 
     loader: ModelLoader,
     model: Option<Model>,
@@ -70,6 +71,8 @@ pub(super) struct App<'a> {
     error: Option<String>,
     /// The farm's message that was dismissed, and how many render servers were lost by then.
     dismissed: (Option<String>, u32),
+    /// The monitors that were away when the message about them was dismissed.
+    dismissed_missing: Vec<String>,
     note: Option<(String, Instant)>,
 
     /// The newest frame, and whether it has yet to be shown.
@@ -77,18 +80,21 @@ pub(super) struct App<'a> {
     frame_is_new: bool,
     rate: FrameRate,
 
+    /// Where the cursor is, and in the window of which output.
     cursor: PhysicalPosition<f64>,
+    cursor_output: usize,
     cursor_moved_at: Instant,
     /// Where the mouse button went down on the model, until it is dragged.
     pressed_at: Option<PhysicalPosition<f64>>,
     /// When somebody last did something.
     touched_at: Instant,
-    cursor_is_visible: bool,
     modifiers: ModifiersState,
     /// When time last moved the camera.
     stepped_at: Instant,
     screensaver: Option<ScreensaverHold>,
     repaint_at: Option<Instant>,
+    /// When to draw again what could not be drawn.
+    retry_at: Option<Instant>,
 }
 
 impl<'a> App<'a> {
@@ -107,7 +113,8 @@ impl<'a> App<'a> {
             farm,
             on_shown,
             outcome: Ok(()),
-            screen: None,
+            outputs: Outputs::new(&options.wall, options.fullscreen),
+            is_stale: true,
             loader,
             model: None,
             kept: None,
@@ -123,21 +130,23 @@ impl<'a> App<'a> {
             overlay_is_pressed: false,
             error: None,
             dismissed: (None, 0),
+            dismissed_missing: Vec::new(),
             note: None,
             frame: None,
             frame_is_new: false,
             rate: FrameRate::default(),
             cursor: PhysicalPosition::default(),
+            cursor_output: 0,
             cursor_moved_at: now,
             pressed_at: None,
             touched_at: now,
-            cursor_is_visible: true,
             modifiers: ModifiersState::empty(),
             alignment: Alignment::new(options.wall_file.clone()),
             pattern_is_stale: false,
             stepped_at: now,
             screensaver: None,
             repaint_at: None,
+            retry_at: None,
             options,
         }
     }
@@ -151,22 +160,16 @@ impl<'a> App<'a> {
         event_loop.exit();
     }
 
-    fn open(&mut self, event_loop: &ActiveEventLoop) -> anyhow::Result<Screen> {
-        let [width, height] = self.options.wall.output_size();
-        let monitor = event_loop.primary_monitor().or_else(|| event_loop.available_monitors().next());
-        // A window that leaves room for the desktop around it.
-        let room = monitor.map_or([1280, 720], |monitor| [monitor.size().width / 5 * 4, monitor.size().height / 5 * 4]);
-        let fitted = PixelRect::fitted([width, height], [room[0].min(width), room[1].min(height)]);
-        let attributes = Window::default_attributes()
-            .with_title("Raywall")
-            .with_inner_size(PhysicalSize::new(fitted.width, fitted.height))
-            .with_min_inner_size(PhysicalSize::new(320, 180));
-        let screen = Screen::new(event_loop.create_window(attributes)?)?;
-        if self.options.fullscreen {
-            self.set_fullscreen(&screen.window, true);
+    /// Opens and closes windows as monitors come and go.
+    pub(super) fn follow_monitors(&mut self, event_loop: &ActiveEventLoop) {
+        match self.outputs.follow_monitors(event_loop) {
+            Ok(true) => {
+                self.hold_screensaver();
+                self.redraw();
+            }
+            Ok(false) => {}
+            Err(error) => self.fail(event_loop, error),
         }
-        screen.window.request_redraw();
-        Ok(screen)
     }
 
     fn look_around(&mut self, event_loop: &ActiveEventLoop) {
@@ -227,9 +230,7 @@ impl<'a> App<'a> {
             n_rejected: model.n_rejected,
             extent: model.bounds.1 - model.bounds.0,
         });
-        if let Some(screen) = &self.screen {
-            screen.window.set_title(&format!("{name} – Raywall"));
-        }
+        self.outputs.set_title(format!("{name} – Raywall"));
         self.overlay.join = join_hint(self.farm.address(), model.path().as_deref());
         if let Some(problem) = &problem {
             tracing::warn!("{problem}");
@@ -270,12 +271,7 @@ impl<'a> App<'a> {
 
 impl ApplicationHandler<Call> for App<'_> {
     fn resumed(&mut self, event_loop: &ActiveEventLoop) {
-        if self.screen.is_none() {
-            match self.open(event_loop) {
-                Ok(screen) => self.screen = Some(screen),
-                Err(error) => self.fail(event_loop, error),
-            }
-        }
+        self.follow_monitors(event_loop);
     }
 
     fn user_event(&mut self, event_loop: &ActiveEventLoop, call: Call) {
@@ -285,14 +281,14 @@ impl ApplicationHandler<Call> for App<'_> {
         }
     }
 
-    fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, window: WindowId, event: WindowEvent) {
+        // A window that was closed with its monitor may still be told of things.
+        let Some(index) = self.outputs.index_of(window) else { return };
         match &event {
             WindowEvent::CloseRequested | WindowEvent::Destroyed => event_loop.exit(),
             WindowEvent::RedrawRequested => self.draw(event_loop),
             WindowEvent::Resized(size) => {
-                if let Some(screen) = &mut self.screen {
-                    screen.resize([size.width, size.height]);
-                }
+                self.outputs.resize(index, (*size).into());
                 self.redraw();
             }
             WindowEvent::Occluded(false) | WindowEvent::ScaleFactorChanged { .. } => self.redraw(),
@@ -303,13 +299,13 @@ impl ApplicationHandler<Call> for App<'_> {
             }
             WindowEvent::ModifiersChanged(modifiers) => {
                 self.modifiers = modifiers.state();
-                self.tell_overlay(&event);
+                self.tell_overlay(index, &event);
             }
             WindowEvent::KeyboardInput { event: key, is_synthetic: false, .. } => self.key(event_loop, key),
-            WindowEvent::CursorMoved { position, .. } => self.cursor_moved(&event, *position),
-            WindowEvent::CursorLeft { .. } => self.tell_overlay(&event),
-            WindowEvent::MouseInput { state, button, .. } => self.mouse_button(&event, *state, *button),
-            WindowEvent::MouseWheel { delta, .. } => self.wheel(&event, *delta),
+            WindowEvent::CursorMoved { position, .. } => self.cursor_moved(index, &event, *position),
+            WindowEvent::CursorLeft { .. } => self.tell_overlay(index, &event),
+            WindowEvent::MouseInput { state, button, .. } => self.mouse_button(index, &event, *state, *button),
+            WindowEvent::MouseWheel { delta, .. } => self.wheel(index, &event, *delta),
             WindowEvent::DroppedFile(path) if !self.is_locked => {
                 self.loader.load(SceneSource::Ply(path.clone()));
                 self.redraw();
@@ -327,6 +323,15 @@ impl ApplicationHandler<Call> for App<'_> {
     }
 
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
-        event_loop.set_control_flow(self.pass_time().map_or(ControlFlow::Wait, ControlFlow::WaitUntil));
+        let mut next = self.pass_time(event_loop);
+        if self.is_stale {
+            self.draw(event_loop);
+            next = self.pass_time(event_loop);
+        }
+        event_loop.set_control_flow(match next {
+            _ if self.is_stale => ControlFlow::Poll,
+            Some(moment) => ControlFlow::WaitUntil(moment),
+            None => ControlFlow::Wait,
+        });
     }
 }

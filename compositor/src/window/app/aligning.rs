@@ -7,10 +7,7 @@ use winit::{
 };
 
 use super::App;
-use crate::{
-    wall::{PixelRect, Wall},
-    window::screen::Screen,
-};
+use crate::wall::Wall;
 
 /// What an arrow key moves a corner by, in pixels, and with Shift.
 const NUDGE_PX: [f64; 2] = [1.0, 0.1];
@@ -99,12 +96,7 @@ impl App<'_> {
 
     /// The cursor in pixels of the output that spans all projectors.
     pub(super) fn cursor_on_output(&self) -> DVec2 {
-        let output = self.options.wall.output_size();
-        let size = self.screen.as_ref().map_or([1, 1], Screen::size);
-        let fitted = PixelRect::fitted(output, size);
-        let x = (self.cursor.x - f64::from(fitted.x)) / f64::from(fitted.width.max(1));
-        let y = (self.cursor.y - f64::from(fitted.y)) / f64::from(fitted.height.max(1));
-        DVec2::new(x * f64::from(output[0]), y * f64::from(output[1]))
+        self.outputs.on_wall(self.cursor_output, self.cursor)
     }
 
     /// What has changed is drawn with the next picture: a hand may move faster than patterns are drawn.
@@ -119,13 +111,13 @@ impl App<'_> {
             return;
         }
         let shown = self.alignment.shown(&self.options.wall).transpose();
-        let Some(screen) = &mut self.screen else { return };
-        let outcome = shown.and_then(|shown| Ok(screen.show_pattern(shown)?));
+        let Some(painter) = self.outputs.painter() else { return };
+        let outcome = shown.and_then(|shown| Ok(painter.show_pattern(shown)?));
         if let Err(problem) = outcome {
             self.error = Some(problem.to_string());
             self.alignment.show(None);
             // Frames again: taking a pattern away cannot fail.
-            let _ = screen.show_pattern(None);
+            let _ = painter.show_pattern(None);
         }
     }
 }

@@ -1,9 +1,6 @@
 //! What is on screen, and what time alone changes of it.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
 use winit::event_loop::ActiveEventLoop;
 
@@ -11,9 +8,8 @@ use super::App;
 use crate::{
     kept::Kept,
     navigator::Navigator,
-    overlay::{FrameTimes, OverlayModel, Place},
+    overlay::{FrameTimes, OverlayModel},
     stats::DisplayStats,
-    wall::PixelRect,
 };
 
 /// The cursor of a fullscreen wall disappears when it has rested for so long.
@@ -34,10 +30,9 @@ impl App<'_> {
         self.overlay.is_visible()
     }
 
-    pub(super) fn redraw(&self) {
-        if let Some(screen) = &self.screen {
-            screen.window.request_redraw();
-        }
+    /// Has all windows drawn once everything that has happened is known.
+    pub(super) fn redraw(&mut self) {
+        self.is_stale = true;
     }
 
     /// Brings the overlay's figures up to date, and says whether that is worth drawing.
@@ -57,7 +52,7 @@ impl App<'_> {
         self.overlay.view = self.view;
         self.overlay.rays = self.rays;
         self.overlay.frame = self.frame.as_ref().map(|frame| frame.stats.clone());
-        self.place_on_wall();
+        self.place_pick();
         self.overlay.up = self.navigator.as_ref().map(Navigator::up).unwrap_or_default();
         self.overlay.is_recording = self.recording.is_some();
         self.overlay.is_playing = self.navigator.as_ref().is_some_and(Navigator::is_playing);
@@ -69,38 +64,16 @@ impl App<'_> {
         let status = &self.overlay.status;
         let is_dismissed = (&status.message, status.n_lost) == (&self.dismissed.0, self.dismissed.1);
         let farm_message = status.message.clone().filter(|_| !is_dismissed);
-        self.overlay.messages = self.error.clone().into_iter().chain(farm_message).collect();
+        let missing =
+            Some(self.outputs.missing()).filter(|missing| !missing.is_empty() && *missing != self.dismissed_missing);
+        let missing = missing.map(|missing| {
+            format!("No picture on {}: connect and switch on, and it is taken up again", missing.join(" and "))
+        });
+        self.overlay.messages = self.error.clone().into_iter().chain(missing).chain(farm_message).collect();
     }
 
-    /// Says where the overlay finds the canvas, and on it the point that somebody asked for.
-    fn place_on_wall(&mut self) {
-        let Some(screen) = &self.screen else { return };
-        let (wall, scale) = (&self.options.wall, screen.pixels_per_point());
-        let whole = PixelRect::fitted(wall.output_size(), screen.size());
-        let [width, height] = wall.output_size().map(|side| side as f32);
-        let rect = |x: f32, y: f32, width: f32, height: f32| {
-            egui::Rect::from_min_size(egui::pos2(x, y), egui::vec2(width, height))
-        };
-        let places = wall.projectors().iter().map(|projector| {
-            let (part, output) = (projector.canvas, projector.output);
-            let (x, y) = (output.x as f32 / width, output.y as f32 / height);
-            let (in_x, in_y) = (output.width as f32 / width, output.height as f32 / height);
-            Place {
-                canvas: rect(
-                    part.left as f32,
-                    (1.0 - part.bottom - part.height) as f32,
-                    part.width as f32,
-                    part.height as f32,
-                ),
-                window: rect(
-                    (whole.x as f32 + x * whole.width as f32) / scale,
-                    (whole.y as f32 + y * whole.height as f32) / scale,
-                    in_x * whole.width as f32 / scale,
-                    in_y * whole.height as f32 / scale,
-                ),
-            }
-        });
-        self.overlay.places = places.collect();
+    /// Says where on the canvas the point is that somebody asked for.
+    fn place_pick(&mut self) {
         let pick = self.overlay.pick.zip(self.frame.as_ref());
         self.overlay.pick_on_canvas = pick.and_then(|(pick, frame)| {
             let [x, y] = frame.picture.camera.seen_at(pick.point)?;
@@ -109,19 +82,20 @@ impl App<'_> {
     }
 
     pub(super) fn draw(&mut self, event_loop: &ActiveEventLoop) {
+        self.is_stale = false;
         self.take_frame();
         self.refresh_pattern();
         self.update_overlay(Instant::now());
-        let Some(screen) = &mut self.screen else { return };
         let new_frame = self.frame.as_ref().filter(|_| self.frame_is_new);
-        let drawn = match screen.draw(&self.options.wall, new_frame, &self.overlay) {
+        let drawn = match self.outputs.draw(&self.options.wall, new_frame, &self.overlay) {
             Ok(Some(drawn)) => drawn,
             Ok(None) => {
-                self.repaint_at = self.frame_is_new.then(|| Instant::now() + RETRY_INTERVAL);
+                self.retry_at = self.frame_is_new.then(|| Instant::now() + RETRY_INTERVAL);
                 return;
             }
             Err(error) => return self.fail(event_loop, error),
         };
+        self.retry_at = drawn.is_late.then(|| Instant::now() + RETRY_INTERVAL);
         let now = Instant::now();
         self.repaint_at = now.checked_add(drawn.repaint_after);
         self.overlay_areas = drawn.overlay.areas;
@@ -133,7 +107,15 @@ impl App<'_> {
             let latency_ms = now.duration_since(frame.moved_at).as_secs_f64() * 1e3;
             self.overlay.history.add(FrameTimes { render_ms: frame.stats.render_ms, latency_ms });
             let stats = DisplayStats { latency_ms, ..drawn.stats };
-            tracing::debug!("frame {} is on screen, {latency_ms:.1} ms after the camera", frame.stats.frame);
+            tracing::debug!(
+                "frame {} is on screen, {latency_ms:.1} ms after the camera{}",
+                frame.stats.frame,
+                if drawn.monitors.is_empty() {
+                    String::new()
+                } else {
+                    format!(", on {}", drawn.monitors.join(" and "))
+                }
+            );
             self.overlay.display = Some(stats);
             // What showing it took is known only now.
             self.repaint_at = self.repaint_at.into_iter().chain([now + SETTLE_TIME]).min();
@@ -147,9 +129,13 @@ impl App<'_> {
     }
 
     /// Does what time has come for, and says when to look again.
-    pub(super) fn pass_time(&mut self) -> Option<Instant> {
+    pub(super) fn pass_time(&mut self, event_loop: &ActiveEventLoop) -> Option<Instant> {
         let now = Instant::now();
         let mut next: Vec<Instant> = self.mind_the_kiosk(now).into_iter().collect();
+        if self.outputs.look_at().is_some_and(|look_at| now >= look_at) {
+            self.follow_monitors(event_loop);
+        }
+        next.extend(self.outputs.look_at());
         let speed = if self.modifiers.shift_key() { FAST } else { 1.0 };
         if let Some(navigator) = self.navigator.as_mut().filter(|navigator| navigator.is_moving()) {
             let elapsed = now.duration_since(self.stepped_at);
@@ -161,26 +147,25 @@ impl App<'_> {
             }
             next.push(self.stepped_at + FLY_INTERVAL);
         }
-        if let Some(window) = self.screen.as_ref().map(|screen| Arc::clone(&screen.window))
-            && window.fullscreen().is_some()
-            && self.cursor_is_visible
-        {
+        if self.outputs.is_filling() && self.outputs.cursor_is_visible() {
             let hide_at = self.cursor_moved_at + CURSOR_REST;
             if now >= hide_at {
-                self.show_cursor(&window, false);
+                self.outputs.show_cursor(false);
             } else {
                 next.push(hide_at);
             }
         }
+        let mut moments = vec![self.retry_at];
         if self.overlay_is_visible() {
             let rests_at = self.overlay.frames_per_second.and_then(|_| self.rate.rests_at());
             let note_ends_at = self.overlay.note.as_ref().and(self.note.as_ref()).map(|(_, since)| *since + NOTE_LIFE);
-            for moment in [rests_at, note_ends_at, self.repaint_at].into_iter().flatten() {
-                if now >= moment {
-                    self.redraw();
-                } else {
-                    next.push(moment);
-                }
+            moments.extend([rests_at, note_ends_at, self.repaint_at]);
+        }
+        for moment in moments.into_iter().flatten() {
+            if now >= moment {
+                self.redraw();
+            } else {
+                next.push(moment);
             }
         }
         next.into_iter().min()

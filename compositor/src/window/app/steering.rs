@@ -1,6 +1,6 @@
 //! What a person does: keys, mouse and commands.
 
-use std::{path::Path, sync::Arc, time::Instant};
+use std::{path::Path, time::Instant};
 
 use glam::DVec2;
 use shared::{
@@ -12,7 +12,6 @@ use winit::{
     dpi::PhysicalPosition,
     event::{ElementState, KeyEvent, MouseButton, MouseScrollDelta, WindowEvent},
     event_loop::ActiveEventLoop,
-    window::{Fullscreen, Window},
 };
 
 use super::{App, probing::Purpose};
@@ -21,8 +20,7 @@ use crate::{
     navigator::{Drag, Navigator},
     overlay::{DENSITIES, STORAGES, Tint},
     screensaver::ScreensaverHold,
-    wall::PixelRect,
-    window::{screen::Screen, screenshots},
+    window::screenshots,
 };
 
 /// A mouse that moves less than this while its button is down has clicked.
@@ -98,12 +96,8 @@ impl App<'_> {
             Command::SetRays(rays) => self.set_rays(rays),
             Command::ToggleOverlay => self.overlay.panel = !self.overlay.panel,
             Command::ToggleHelp => self.overlay.help = !self.overlay.help,
-            Command::ToggleFullscreen | Command::LeaveFullscreen => {
-                if let Some(window) = self.screen.as_ref().map(|screen| Arc::clone(&screen.window)) {
-                    let fill = command == Command::ToggleFullscreen && window.fullscreen().is_none();
-                    self.set_fullscreen(&window, fill);
-                }
-            }
+            Command::ToggleFullscreen => self.fill(event_loop, !self.outputs.is_filling()),
+            Command::LeaveFullscreen => self.fill(event_loop, false),
             Command::Screenshot => self.take_screenshot(),
             Command::NextPattern => self.next_pattern(),
             Command::SaveCorners => self.save_corners(),
@@ -113,6 +107,7 @@ impl App<'_> {
                 self.note = None;
                 let status = self.farm.status();
                 self.dismissed = (status.message, status.n_lost);
+                self.dismissed_missing = self.outputs.missing();
             }
             Command::Quit => event_loop.exit(),
         }
@@ -169,26 +164,26 @@ impl App<'_> {
         self.want_picture();
     }
 
-    pub(super) fn set_fullscreen(&mut self, window: &Window, fill: bool) {
-        window.set_fullscreen(fill.then_some(Fullscreen::Borderless(None)));
-        self.screensaver = fill.then(ScreensaverHold::new).flatten();
+    fn fill(&mut self, event_loop: &ActiveEventLoop, is_filling: bool) {
+        self.outputs.fill(event_loop, is_filling);
+        self.hold_screensaver();
         self.cursor_moved_at = Instant::now();
-        self.show_cursor(window, true);
+        self.outputs.show_cursor(true);
     }
 
-    pub(super) fn show_cursor(&mut self, window: &Window, visible: bool) {
-        if visible != self.cursor_is_visible {
-            window.set_cursor_visible(visible);
-            self.cursor_is_visible = visible;
+    /// Holds the screensaver off while windows fill their monitors.
+    pub(super) fn hold_screensaver(&mut self) {
+        if self.outputs.is_filling() != self.screensaver.is_some() {
+            self.screensaver = self.outputs.is_filling().then(ScreensaverHold::new).flatten();
         }
     }
 
     fn take_screenshot(&mut self) {
-        let (Some(screen), Some(_)) = (&mut self.screen, &self.frame) else {
+        let (Some(painter), Some(_)) = (self.outputs.painter(), &self.frame) else {
             self.complain("no screenshot: nothing has been rendered yet".to_owned());
             return;
         };
-        match screen.picture(&self.options.wall) {
+        match painter.picture(&self.options.wall) {
             Ok(picture) => {
                 let folder = self.options.screenshot_folder.clone();
                 self.jobs.add(move || screenshots::write(&folder, &picture));
@@ -198,23 +193,21 @@ impl App<'_> {
     }
 
     pub(super) fn write_last_picture(&mut self, path: &Path) -> anyhow::Result<()> {
-        let (Some(screen), Some(_)) = (&mut self.screen, &self.frame) else {
+        let (Some(painter), Some(_)) = (self.outputs.painter(), &self.frame) else {
             anyhow::bail!("no screenshot {}: the window was closed before anything was rendered", path.display());
         };
-        screen.picture(&self.options.wall)?.write_png(path)?;
+        painter.picture(&self.options.wall)?.write_png(path)?;
         tracing::info!("wrote {}", path.display());
         Ok(())
     }
 
-    pub(super) fn cursor_moved(&mut self, event: &WindowEvent, position: PhysicalPosition<f64>) {
+    pub(super) fn cursor_moved(&mut self, index: usize, event: &WindowEvent, position: PhysicalPosition<f64>) {
         let was_over_overlay = self.cursor_is_over_overlay();
-        self.cursor = position;
+        (self.cursor, self.cursor_output) = (position, index);
         self.cursor_moved_at = Instant::now();
         self.touched_at = self.cursor_moved_at;
         self.pressed_at.take_if(|from| (from.x - position.x).hypot(from.y - position.y) > CLICK_PIXELS);
-        if let Some(window) = self.screen.as_ref().map(|screen| Arc::clone(&screen.window)) {
-            self.show_cursor(&window, true);
-        }
+        self.outputs.show_cursor(true);
         self.align_cursor();
         let point = self.point_on_canvas();
         if self.navigator.as_mut().is_some_and(|navigator| navigator.move_to(point)) {
@@ -222,16 +215,16 @@ impl App<'_> {
         }
         let is_over_overlay = was_over_overlay || self.cursor_is_over_overlay();
         if self.overlay_is_pressed || (is_over_overlay && !self.is_dragging()) {
-            self.tell_overlay(event);
+            self.tell_overlay(index, event);
         }
     }
 
-    pub(super) fn mouse_button(&mut self, event: &WindowEvent, state: ElementState, button: MouseButton) {
+    pub(super) fn mouse_button(&mut self, index: usize, event: &WindowEvent, state: ElementState, button: MouseButton) {
         // Who has seen a button go down sees it come up.
         let is_for_overlay = self.overlay_is_pressed || (self.cursor_is_over_overlay() && !self.is_dragging());
         if is_for_overlay {
             self.overlay_is_pressed = state == ElementState::Pressed;
-            return self.tell_overlay(event);
+            return self.tell_overlay(index, event);
         }
         self.touched_at = Instant::now();
         if self.align_button(state, button) {
@@ -258,9 +251,9 @@ impl App<'_> {
         self.navigator.as_ref().is_some_and(Navigator::is_dragging)
     }
 
-    pub(super) fn wheel(&mut self, event: &WindowEvent, delta: MouseScrollDelta) {
+    pub(super) fn wheel(&mut self, index: usize, event: &WindowEvent, delta: MouseScrollDelta) {
         if self.cursor_is_over_overlay() {
-            return self.tell_overlay(event);
+            return self.tell_overlay(index, event);
         }
         let notches = match delta {
             MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
@@ -278,26 +271,20 @@ impl App<'_> {
 
     /// The cursor as a fraction of the canvas, (0, 0) lower left.
     pub(super) fn point_on_canvas(&self) -> DVec2 {
-        let size = self.screen.as_ref().map_or([1, 1], Screen::size);
-        let wall = PixelRect::fitted(self.options.wall.output_size(), size);
-        let x = (self.cursor.x - f64::from(wall.x)) / f64::from(wall.width.max(1));
-        let y = (self.cursor.y - f64::from(wall.y)) / f64::from(wall.height.max(1));
-        DVec2::new(x, 1.0 - y)
+        let [width, height] = self.options.wall.output_size().map(f64::from);
+        let DVec2 { x, y } = self.cursor_on_output();
+        DVec2::new(x / width, 1.0 - y / height)
     }
 
     fn cursor_is_over_overlay(&self) -> bool {
-        let Some(screen) = &self.screen else { return false };
-        let scale = f64::from(screen.pixels_per_point());
-        let point = egui::pos2((self.cursor.x / scale) as f32, (self.cursor.y / scale) as f32);
-        self.overlay_areas.iter().any(|area| area.contains(point))
+        let point = self.outputs.on_overlay(self.cursor_output, self.cursor);
+        point.is_some_and(|point| self.overlay_areas.iter().any(|area| area.contains(point)))
     }
 
-    pub(super) fn tell_overlay(&mut self, event: &WindowEvent) {
-        if self.overlay_is_visible()
-            && let Some(screen) = &mut self.screen
-        {
-            screen.overlay_event(event);
-            screen.window.request_redraw();
+    pub(super) fn tell_overlay(&mut self, index: usize, event: &WindowEvent) {
+        if self.overlay_is_visible() {
+            self.outputs.tell_overlay(index, event);
+            self.redraw();
         }
     }
 }

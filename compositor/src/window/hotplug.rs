@@ -1,0 +1,31 @@
+//! Has winit hear of monitors that come and go.
+//!
+//! Under X, winit 0.30 asks for such events and forgets its list of monitors when one comes; but none comes, for Xlib
+//! drops the events of an extension until that extension's own library is in use.
+
+use winit::event_loop::ActiveEventLoop;
+
+/// Puts RandR's library to use under X; what cannot be had is told of, and costs no more than that.
+#[cfg(all(unix, not(target_os = "macos")))]
+pub(super) fn listen(event_loop: &ActiveEventLoop) {
+    use winit::raw_window_handle::{HasDisplayHandle, RawDisplayHandle};
+    let handle = event_loop.display_handle().map(|handle| handle.as_raw());
+    let Ok(RawDisplayHandle::Xlib(handle)) = handle else { return };
+    let Some(display) = handle.display else { return };
+    match x11_dl::xrandr::Xrandr::open() {
+        Ok(library) => {
+            let [mut first_event, mut first_error] = [0; 2];
+            // Xlib calls the library for each event from now on; once opened it is never closed.
+            // SAFETY: the display is winit's, and open as long as its event loop; both numbers outlive the call.
+            unsafe { (library.XRRQueryExtension)(display.as_ptr().cast(), &mut first_event, &mut first_error) };
+        }
+        Err(error) => tracing::warn!(
+            "monitors that come back are not noticed without libXrandr ({error}): apt install libxrandr2 (Debian, \
+             Ubuntu), dnf install libXrandr (Fedora), or pacman -S libxrandr (Arch)"
+        ),
+    }
+}
+
+/// Elsewhere winit does.
+#[cfg(not(all(unix, not(target_os = "macos"))))]
+pub(super) fn listen(_: &ActiveEventLoop) {}

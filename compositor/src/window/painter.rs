@@ -1,0 +1,73 @@
+//! What all windows of a wall share: the GPU, the frame on it, and the test pattern that may take its place.
+
+use std::time::Instant;
+
+use super::ms_since;
+use crate::{
+    alignment,
+    farm::Frame,
+    gpu::{Gpu, GpuError, Offscreen, Picture, Present, Target},
+    wall::{PixelRect, Wall},
+};
+
+/// Draws one frame on any number of windows.
+pub(super) struct Painter {
+    pub(super) gpu: Gpu,
+    present: Present,
+    /// What is shown instead of frames, and the wall to show it with.
+    pattern: Option<(Present, Wall)>,
+}
+
+impl Painter {
+    pub(super) fn new(gpu: Gpu) -> Self {
+        tracing::info!("drawing with {}", gpu.name());
+        Self { present: Present::new(&gpu), gpu, pattern: None }
+    }
+
+    /// Takes a frame, and says how many milliseconds that took.
+    pub(super) fn upload(&mut self, frame: &Frame) -> Result<f64, GpuError> {
+        let start = Instant::now();
+        self.present.upload(&self.gpu, frame.picture.size, bytemuck::cast_slice(&frame.rgba))?;
+        Ok(ms_since(start))
+    }
+
+    /// Draws the frame or the pattern, a part of the wall on each target.
+    pub(super) fn draw(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        wall: &Wall,
+        outputs: &[(&Target<'_>, PixelRect)],
+    ) {
+        let (present, wall) = match &mut self.pattern {
+            Some((present, wall)) => (present, &*wall),
+            None => (&mut self.present, wall),
+        };
+        present.draw_all(&self.gpu, encoder, wall, outputs);
+    }
+
+    /// How long the GPU took for the newest frame that it has drawn, in milliseconds; `None` where GPUs do not tell.
+    pub(super) fn draw_ms(&mut self) -> Option<f64> {
+        self.present.draw_ms(&self.gpu)
+    }
+
+    /// The newest frame on the whole wall, without overlay, whatever windows there are.
+    pub(super) fn picture(&mut self, wall: &Wall) -> Result<Picture, GpuError> {
+        let offscreen = Offscreen::new(&self.gpu, wall.output_size())?;
+        let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
+        self.present.draw(&self.gpu, &mut encoder, &offscreen.target(), wall, wall.whole_output());
+        self.gpu.queue.submit([encoder.finish()]);
+        offscreen.read(&self.gpu)
+    }
+
+    /// Shows a test pattern from now on, or frames again.
+    pub(super) fn show_pattern(&mut self, pattern: Option<alignment::Shown>) -> Result<(), GpuError> {
+        let Some(alignment::Shown { size, rgba, wall }) = pattern else {
+            self.pattern = None;
+            return Ok(());
+        };
+        let mut present = self.pattern.take().map_or_else(|| Present::new(&self.gpu), |(present, _)| present);
+        present.upload(&self.gpu, size, &rgba)?;
+        self.pattern = Some((present, wall));
+        Ok(())
+    }
+}

@@ -1,0 +1,138 @@
+//! A wall of two monitors: a window on each, one picture on both, and a monitor that goes and comes back.
+
+use std::{fs, path::Path};
+
+use compositor::{
+    gpu::{Picture, present_cpu},
+    wall::Wall,
+};
+
+use shared::camera::UpAxis;
+
+use crate::{
+    pictures::statue_frame_of,
+    process::{Program, wait_until},
+    references,
+    x_monitors::{self, Desk, Monitor},
+    x_session::{Screenshot, XSession},
+};
+
+/// Half as large as those of the shipped wall.
+const MONITORS: [Monitor; 2] = [
+    Monitor { name: "DUMMY0", at: [0, 0], size: [1280, 720] },
+    Monitor { name: "DUMMY1", at: [1280, 0], size: [960, 540] },
+];
+const N_TRIANGLES: u32 = 5000;
+const SHOWN: &str = "is on screen";
+
+/// The shipped wall, on monitors of these names.
+fn wall_text() -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../wall-config/two-monitors.toml");
+    fs::read_to_string(path)
+        .expect("a shipped wall file")
+        .replace("\"HDMI-1\"", "\"DUMMY0\"")
+        .replace("\"DP-1\"", "\"DUMMY1\"")
+}
+
+fn start(session: &XSession, file: &Path, arguments: &[&str]) -> Program {
+    let mut command = Program::command("compositor");
+    command.args(["--listen", "127.0.0.1:0", "--local", "1", "--triangles", &N_TRIANGLES.to_string()]);
+    command.arg("--wall").arg(file).args(arguments).env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
+    command.env("RUST_LOG", "info,compositor=debug");
+    Program::start(command)
+}
+
+/// What a monitor shows.
+fn on(monitor: Monitor, screen: &Screenshot) -> Screenshot {
+    screen.part(monitor.at.map(usize::from), monitor.size.map(usize::from))
+}
+
+#[test]
+fn each_monitor_shows_its_part_of_one_picture_and_is_taken_up_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("two.toml");
+    fs::write(&file, wall_text()).unwrap();
+    let session = x_monitors::start(&MONITORS);
+    // Lying on its side, the statue reaches both.
+    let mut program = start(&session, &file, &["--up", "x"]);
+    program.wait_for(SHOWN);
+    for monitor in MONITORS {
+        session.wait_for_window(&format!("Raywall on {}", monitor.name));
+    }
+    let wait_for_both = |program: &mut Program| {
+        wait_until("a frame is on both", || {
+            session.key("h");
+            program.said().lines().last().is_some_and(|line| line.contains("on DUMMY0 and DUMMY1"))
+        });
+    };
+    wait_for_both(&mut program);
+    let with_overlay = session.steady_screenshot();
+    session.key("o");
+    wait_until("the overlay is gone", || with_overlay.difference(&session.screenshot(), 4) > 0.02);
+    let whole = session.steady_screenshot();
+
+    // The truth: the same frame, traced here and put on each monitor by the CPU.
+    let wall = Wall::from_toml("two.toml", &wall_text()).unwrap();
+    let frame = statue_frame_of(N_TRIANGLES, &wall, UpAxis::X);
+    for (monitor, (name, part)) in MONITORS.into_iter().zip(wall.monitors()) {
+        assert_eq!(monitor.name, name);
+        let expected = present_cpu::present(frame.size, &frame.rgba, &wall, part, monitor.size.map(u32::from));
+        let Screenshot { size, rgb } = on(monitor, &whole);
+        let shown = Picture { size: size.map(|side| side as u32), rgb };
+        references::check_same(&format!("monitor-{name}"), &expected, &shown);
+    }
+
+    // What is done in one window is seen in all.
+    let [left, right] = MONITORS;
+    let middle = [right.at[0] + right.size[0] / 2, right.at[1] + right.size[1] / 2].map(i32::from);
+    session.drag(middle, [120, 60]);
+    for monitor in MONITORS {
+        wait_until("both have turned", || {
+            on(monitor, &whole).difference(&on(monitor, &session.screenshot()), 16) > 0.01
+        });
+    }
+    session.key("f");
+    wait_until("all is seen as before", || session.screenshot() == whole);
+
+    let desk = Desk::connect(session.display());
+    desk.unplug(right.name);
+    program.wait_for("the monitor DUMMY1 is gone");
+    let n_shown = program.count(SHOWN);
+    session.xdotool(&["mousemove", "100", "100"]);
+    session.wait_for_window("Raywall on DUMMY0");
+    session.key("v");
+    program.wait_for_count(SHOWN, n_shown + 1);
+    wait_until("normals are seen", || on(left, &whole).difference(&on(left, &session.screenshot()), 16) > 0.05);
+    assert!(program.said().lines().rfind(|line| line.contains(SHOWN)).unwrap().ends_with("on DUMMY0"));
+    session.key("v");
+    session.key("v");
+    desk.plug(right);
+    wait_until("the monitor is taken up again", || session.screenshot() == whole);
+    wait_for_both(&mut program);
+    session.key("ctrl+q");
+    let (status, said) = program.wait();
+    assert_eq!(status.code(), Some(0), "{said}");
+}
+
+#[test]
+fn a_wall_whose_monitors_are_away_waits_for_them_and_can_span_one_window_instead() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("two.toml");
+    fs::write(&file, wall_text().replace("\"DUMMY0\"", "\"DUMMY2\"")).unwrap();
+    let [left, right] = MONITORS;
+    let session = x_monitors::start(&[left]);
+    let mut program = start(&session, &file, &["--size", "256x128"]);
+    program.wait_for("there is no monitor DUMMY1 now, only: DUMMY0");
+    program.wait_for("is ready");
+    assert_eq!(program.count(SHOWN), 0);
+    // Partly on the other, as it may be.
+    Desk::connect(session.display()).plug(Monitor { at: [320, 180], ..right });
+    program.wait_for("after the camera, on DUMMY1");
+    program.signal("TERM");
+    assert_eq!(program.wait().0.code(), Some(0));
+    let mut program = start(&session, &file, &["--size", "256x128", "--spanning"]);
+    program.wait_for(SHOWN);
+    session.wait_for_window("Raywall");
+    session.key("ctrl+q");
+    assert_eq!(program.wait().0.code(), Some(0));
+}
