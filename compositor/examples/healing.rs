@@ -17,6 +17,7 @@ use compositor::farm::{Farm, Frame, Wanted};
 use shared::{
     camera::Camera,
     division::{Division, FrameSize},
+    look::Look,
     protocol::{Picture, RayTree, SampleRange, View},
     scene::SceneId,
 };
@@ -125,6 +126,7 @@ fn main() -> anyhow::Result<()> {
         view: View::Shaded,
         rays: RayTree::default(),
         samples: SampleRange::CENTRE,
+        look: Look::default(),
     };
     let wanted = Wanted {
         picture: Some(picture),

@@ -18,6 +18,7 @@ use compositor::farm::{Farm, Wanted};
 use shared::{
     camera::Camera,
     division::{Division, FrameSize},
+    look::Look,
     protocol::{Encoding, Picture, RayTree, SampleRange, View},
     scene::SceneId,
 };
@@ -86,6 +87,7 @@ fn main() -> anyhow::Result<()> {
         view: View::Shaded,
         rays: RayTree::default(),
         samples: SampleRange::CENTRE,
+        look: Look::default(),
     };
     let wanted = Wanted {
         picture: None,

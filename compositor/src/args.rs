@@ -2,7 +2,7 @@
 
 use std::{net::SocketAddr, path::PathBuf};
 
-use renderer::{scene::SceneSource, scene_args::SceneArgs};
+use renderer::{look_args::LookArgs, scene::SceneSource, scene_args::SceneArgs};
 use shared::{
     camera::{Camera, UpAxis},
     division::{Division, FrameSize},
@@ -131,6 +131,9 @@ pub struct WallArgs {
     /// By which rays the picture is lit: primary, shadows (and a ray to a light), or ambient (and short rays all around)
     #[arg(long, value_name = "RAYS", default_value = RayTree::default().name())]
     pub rays: RayTree,
+    /// How the picture looks.
+    #[command(flatten)]
+    pub look: LookArgs,
     /// Samples of a frame [default: what the wall file says, or 1024x512]
     #[arg(long, value_name = "WxH")]
     pub size: Option<FrameSize>,

@@ -21,6 +21,7 @@ use renderer::{cli::say, mesh::Mesh, progress::Progress, scene_args::SceneArgs, 
 use shared::{
     camera::{Camera, UpAxis},
     division::{Division, FrameSize},
+    look::Look,
     protocol::{Encoding, Picture, RayTree, SampleRange, View},
 };
 
@@ -149,7 +150,7 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let [min, max] = [bounds.min, bounds.max].map(|corner| glam::Vec3::from(corner).as_dvec3());
     let camera = camera.unwrap_or_else(|| Camera::view_all(min, max, UpAxis::Y, aspect));
     let (size, view, rays, samples) = (args.size, View::Shaded, args.rays, SampleRange::CENTRE);
-    let picture = Picture { scene: id, camera, size, view, rays, samples };
+    let picture = Picture { scene: id, camera, size, view, rays, samples, look: Look::default() };
     let path = Path { picture, centre: (min + max) * 0.5, in_flight: args.in_flight };
 
     let sizes = if args.predict_size.is_empty() {

@@ -2,6 +2,7 @@
 
 use shared::{
     division::Division,
+    look::{Background, Light},
     protocol::{RayTree, View},
     structure::Storage,
 };
@@ -62,6 +63,14 @@ pub enum Command {
     NextRays,
     /// Light the picture by these rays.
     SetRays(RayTree),
+    /// Light the picture from the next place.
+    NextLight,
+    /// Light the picture from here.
+    SetLight(Light),
+    /// Have the next background behind the model.
+    NextBackground,
+    /// Have this background behind the model.
+    SetBackground(Background),
     /// Show or hide the overlay.
     ToggleOverlay,
     /// Show or hide keys and mouse.
@@ -208,6 +217,8 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('h')], Ask(NextDivision), "next heuristic: interleaved, tiled, dynamic"),
         row(&[Letter('v')], Ask(NextView), "next view: shaded, normals, cost"),
         row(&[Letter('r')], Ask(NextRays), "next rays: primary, shadows, ambient"),
+        row(&[Letter('l')], Ask(NextLight), "next light: left shoulder, eye, right shoulder, above, grazing, behind"),
+        row(&[Letter('b')], Ask(NextBackground), "next background: dusk, black, grey, white, sky"),
         row(&[Letter('t')], Ask(NextTint), "next tint: none, who rendered it, CPU time"),
         row(&[Letter('k')], Ask(NextStorage), "next storage of the grid"),
         row(&[Letter('j')], Ask(NextDensity), "next density of the grid"),

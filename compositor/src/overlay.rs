@@ -5,6 +5,7 @@ mod files;
 mod help;
 mod history;
 mod info;
+mod look;
 mod nodes;
 mod style;
 mod tint;
@@ -20,6 +21,7 @@ use egui::{Align2, Ui};
 use shared::{
     camera::UpAxis,
     division::Division,
+    look::Look,
     protocol::{RayTree, View},
     structure::Structure,
 };
@@ -50,6 +52,8 @@ pub struct OverlayModel {
     pub view: View,
     /// The rays in force.
     pub rays: RayTree,
+    /// The look in force.
+    pub look: Look,
     /// The axis that points up.
     pub up: UpAxis,
     /// The model on the wall.

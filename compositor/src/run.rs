@@ -99,6 +99,7 @@ fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, size: FrameSiz
         view: args.view,
         rays: args.rays,
         samples: args.sample_range(),
+        look: args.look.look(),
     });
     wanted.scene_path = model.path();
     wanted.moved_at = Instant::now();
@@ -136,6 +137,7 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<
         wall,
         view: args.view,
         rays: args.rays,
+        look: args.look.look(),
         fullscreen: args.fullscreen || args.kiosk,
         overlay: !args.kiosk,
         screenshot_folder: ".".into(),

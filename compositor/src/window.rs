@@ -25,6 +25,7 @@ use renderer::scene::SceneSource;
 use shared::{
     camera::{Camera, CameraPath, UpAxis},
     division::FrameSize,
+    look::Look,
     protocol::{RayTree, SampleRange, View},
 };
 use winit::event_loop::{EventLoop, EventLoopProxy};
@@ -60,6 +61,8 @@ pub struct WindowOptions {
     pub view: View,
     /// By which rays they are lit.
     pub rays: RayTree,
+    /// From where they are lit at first, and what is behind the model.
+    pub look: Look,
     /// Which samples of each pixel are averaged.
     pub samples: SampleRange,
     /// Whether the window fills the screen from the start; those of walls that name outputs do.

@@ -37,6 +37,7 @@ use serde_json::json;
 use shared::{
     camera::Camera,
     division::FrameSize,
+    look::Look,
     protocol::{RayTree, SampleRange, View},
 };
 
@@ -185,6 +186,6 @@ impl PeerCamera {
         let (Some(eye), Some(ll), Some(u), Some(v)) = (eye, ll, u, v) else { bail!("it lacks one of eye, ll, u, v") };
         let camera = Camera::new(eye, ll, u, v)?;
         let (view, rays, samples) = (View::Shaded, RayTree::Primary, SampleRange::CENTRE);
-        Ok(Self { request: FrameRequest { camera, size, view, rays, samples }, light })
+        Ok(Self { request: FrameRequest { camera, size, view, rays, samples, look: Look::default() }, light })
     }
 }

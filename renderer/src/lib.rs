@@ -4,7 +4,7 @@
 //! [`grid`] finds the triangles along [`ray`]s, [`triangle`] decides whether they are hit, [`tracer`] does it for shares
 //! of frames, [`secondary`] finds the lights that reach a hit, [`shade`] makes light of hits, [`lighting`] all of it
 //! for a block of samples. [`connect`], [`trace`], [`chart`], [`stability`], [`generate`] and [`key`] are the commands of
-//! [`cli`], with [`scene_args`]; [`wire`] and [`secure`] are how a render server talks.
+//! [`cli`], with [`scene_args`] and [`look_args`]; [`wire`] and [`secure`] are how a render server talks.
 
 mod canned;
 pub mod chart;
@@ -16,6 +16,7 @@ pub mod grid;
 pub mod image;
 pub mod key;
 pub mod lighting;
+pub mod look_args;
 pub mod mesh;
 pub mod path_bytes;
 pub mod ply;

@@ -27,7 +27,7 @@ impl<'a> Lighting<'a> {
             grid,
             view: request.view,
             eye: request.camera.rays(request.size).eye,
-            shader: Shader::new(grid.mesh(), &request.camera, request.size, request.view),
+            shader: Shader::new(grid.mesh(), request),
             secondary: SecondaryRays::new(grid, request),
         }
     }

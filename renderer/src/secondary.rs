@@ -1,6 +1,6 @@
 //! Secondary rays: which lights reach a hit.
 //!
-//! The key light is a point, so that the shadow rays of neighbouring samples, followed from the light to the hits, are
+//! The key light is a point (from where it comes is [`shared::look::Light`]), so that the shadow rays of neighbouring samples, followed from the light to the hits, are
 //! packets as coherent as the camera's. Surroundings are felt by short rays into the hemisphere above a hit.
 //!
 //! Points on surfaces are found in `f64` and lifted off them by more than rounding can take back, so that no surface
@@ -64,10 +64,16 @@ impl<'a> SecondaryRays<'a> {
         let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
         let (centre, radius) = ((min + max) * 0.5, (max - min).length() * 0.5);
         let (right, up) = (request.camera.u().normalize(), request.camera.v().normalize());
-        let sideways = up * 0.9 - right * 0.7;
+        let back = right.cross(up).normalize();
+        let light = request.look.light;
+        let to_light = light.direction();
+        let to_light = (right * to_light.x + up * to_light.y + back * to_light.z).normalize();
         let key_light = match tree {
             RayTree::Primary => Vec3::ZERO,
-            RayTree::Shadows | RayTree::Ambient => key_light(grid, request.camera.eye(), sideways, centre, radius),
+            RayTree::Shadows | RayTree::Ambient => {
+                let place = KeyLight { eye: request.camera.eye(), back, to_light, centre, radius };
+                place.find(grid, light.is_on_eye_side())
+            }
         };
         // No coordinate is larger, and no difference more than twice as large. Rounding a point or a direction to single
         // precision moves it by at most √3·2⁻²⁴ of that.
@@ -77,7 +83,7 @@ impl<'a> SecondaryRays<'a> {
             tree,
             eye: request.camera.eye().as_vec3().as_dvec3(),
             key_light,
-            key_direction: (right.cross(up).normalize() + sideways).normalize().as_vec3(),
+            key_direction: to_light.as_vec3(),
             lift: reach * (8.0 * f64::from(f32::EPSILON)),
             ambient_reach: (radius * AMBIENT_REACH) as f32,
         }
@@ -192,16 +198,40 @@ impl<'a> SecondaryRays<'a> {
 /// Cosine and sine of the golden angle: directions that are turned by it again and again keep apart.
 const GOLDEN: [f32; 2] = [-0.737_368_9, 0.675_490_3];
 
-/// Above the eye's left shoulder, as far away as the middle of the scene, but inside the room that the eye is in.
-fn key_light(grid: &Grid, eye: DVec3, sideways: DVec3, centre: DVec3, radius: f64) -> Vec3 {
-    // An eye far away is replaced by one nearer: there lies nothing in between.
-    let distance = (eye - centre).length();
-    let base = if distance > 4.0 * radius { centre + (eye - centre) * (4.0 * radius / distance) } else { eye };
-    let step = sideways * (base - centre).length().max(0.5 * radius);
-    let ray = Ray { t_max: 1.0, ..Ray::new(base.as_vec3(), step.as_vec3()) };
-    let wall = grid.intersect(&ray);
-    let part = if wall.is_miss() { 1.0 } else { 0.5 * f64::from(wall.t) };
-    (base + step * part).as_vec3()
+/// What says where the key light stands, in world space.
+struct KeyLight {
+    eye: DVec3,
+    /// From what is looked at to the eye's side, of unit length.
+    back: DVec3,
+    /// From what is looked at to the light, of unit length.
+    to_light: DVec3,
+    /// The middle of the scene.
+    centre: DVec3,
+    /// Half the diagonal of the scene's bounds.
+    radius: f64,
+}
+
+/// How far the key light is from what is looked at, in distances of the eye: over its shoulder it is beside the eye.
+const KEY_DISTANCE: f64 = 1.5;
+
+impl KeyLight {
+    /// In its direction from the point before the eye that is as far away as the middle of the scene. A light on the eye's
+    /// side stays inside the room that the eye is in; others are where they are, whatever hides them.
+    fn find(&self, grid: &Grid, is_on_eye_side: bool) -> Vec3 {
+        let Self { eye, back, to_light, centre, radius } = *self;
+        // An eye far away is replaced by one nearer: there lies nothing in between.
+        let distance = (eye - centre).length();
+        let base = if distance > 4.0 * radius { centre + (eye - centre) * (4.0 * radius / distance) } else { eye };
+        let distance = (base - centre).length().max(0.5 * radius);
+        let step = to_light * (KEY_DISTANCE * distance) - back * distance;
+        if !is_on_eye_side {
+            return (base + step).as_vec3();
+        }
+        let ray = Ray { t_max: 1.0, ..Ray::new(base.as_vec3(), step.as_vec3()) };
+        let wall = grid.intersect(&ray);
+        let part = if wall.is_miss() { 1.0 } else { 0.5 * f64::from(wall.t) };
+        (base + step * part).as_vec3()
+    }
 }
 
 /// A bit for each ray from `origin` that hits something up to `t_max`.
@@ -247,7 +277,12 @@ fn unit_circle(bits: u32) -> [f32; 2] {
 
 #[cfg(test)]
 mod tests {
-    use shared::{camera::Camera, division::FrameSize, protocol::SampleRange};
+    use shared::{
+        camera::Camera,
+        division::FrameSize,
+        look::{Light, Look},
+        protocol::SampleRange,
+    };
 
     use super::*;
     use crate::{
@@ -263,6 +298,7 @@ mod tests {
             view: View::Shaded,
             rays,
             samples: SampleRange::CENTRE,
+            look: Look::default(),
         }
     }
 
@@ -325,6 +361,26 @@ mod tests {
                     let expected = f32::from(u8::from(facing));
                     assert_eq!((reach.key, reach.open), (expected, 1.0), "{centre} {radius} {distance} {point}");
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn the_light_comes_from_where_it_is_asked_to() {
+        let scene = Scene::build(ball(Vec3::ZERO, 1.0), &SceneOptions::default(), &|_| ());
+        for (name, light) in Light::PRESETS {
+            // The eye is on the z axis: its right, up and back are the world's axes.
+            let look = Look { light, ..Look::default() };
+            let request = FrameRequest { look, ..request(DVec3::Z * 5.0, DVec3::ZERO, RayTree::Shadows) };
+            let secondary = SecondaryRays::new(scene.grid(), &request);
+            let expected = light.direction().as_vec3();
+            assert!((secondary.key_direction - expected).length() < 1e-6, "{name}");
+            assert!((secondary.key_light.normalize() - expected).length() < 1e-6, "{name}: {}", secondary.key_light);
+            // What turns away from the light is dark, and nothing else: a ball throws no shadow on itself.
+            for (direction, hit, reach) in reach(&scene, &request) {
+                let Surface { point, normal } = secondary.surface(direction, hit).unwrap();
+                let cosine = normal.dot((secondary.key_light.as_dvec3() - point).normalize());
+                assert!(cosine.abs() < 0.05 || (cosine > 0.0) == (reach.key > 0.0), "{name}: {cosine} {reach:?}");
             }
         }
     }

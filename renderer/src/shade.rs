@@ -3,9 +3,9 @@
 //! Only + − × ÷ √ are used, in a fixed order, so that every machine computes the same bits.
 
 use glam::Vec3;
-use shared::{camera::Camera, division::FrameSize, protocol::View, srgb};
+use shared::{protocol::View, srgb};
 
-use crate::{grid::RayCost, ray::Hit, secondary::Reach, traced::TracedMesh};
+use crate::{grid::RayCost, ray::Hit, secondary::Reach, traced::TracedMesh, tracer::FrameRequest};
 
 /// Lights a mesh as seen by one camera: a light at the eye shows form, a sky above it shows which way is up.
 pub struct Shader<'a> {
@@ -14,13 +14,12 @@ pub struct Shader<'a> {
     /// The camera's up, of unit length, in world space.
     up: Vec3,
     n_rows: f32,
+    /// Linear light of the background, at the bottom and at the top.
+    background: [Vec3; 2],
 }
 
 /// Linear light of surfaces without colours of their own: unglazed clay.
 const CLAY: Vec3 = Vec3::new(0.60, 0.55, 0.49);
-
-/// Linear light of the background, at the bottom and at the top.
-const BACKGROUND: [Vec3; 2] = [Vec3::new(0.055, 0.058, 0.066), Vec3::new(0.011, 0.014, 0.021)];
 
 /// Light from the eye, from the key light, from the sky and from the ground.
 const EYE_LIGHT: Vec3 = Vec3::new(0.26, 0.26, 0.26);
@@ -30,9 +29,10 @@ const GROUND_LIGHT: Vec3 = Vec3::new(0.055, 0.045, 0.04);
 
 impl<'a> Shader<'a> {
     /// Makes ready for one frame.
-    pub fn new(mesh: &'a TracedMesh, camera: &Camera, size: FrameSize, view: View) -> Self {
-        let up = unit(camera.v().normalize().as_vec3());
-        Self { mesh, view, up, n_rows: size.yres() as f32 }
+    pub fn new(mesh: &'a TracedMesh, request: &FrameRequest) -> Self {
+        let up = unit(request.camera.v().normalize().as_vec3());
+        let background = [request.look.background.bottom, request.look.background.top].map(linear);
+        Self { mesh, view: request.view, up, n_rows: request.size.yres() as f32, background }
     }
 
     /// The linear light that one ray brings back, of what reaches its hit. `row` counts from the bottom, in samples.
@@ -40,7 +40,7 @@ impl<'a> Shader<'a> {
     pub fn light(&self, direction: Vec3, hit: Hit, row: f32, reach: &Reach) -> Vec3 {
         if hit.is_miss() {
             let height = row / self.n_rows;
-            return BACKGROUND[0] * (1.0 - height) + BACKGROUND[1] * height;
+            return self.background[0] * (1.0 - height) + self.background[1] * height;
         }
         let [a, b, c] = self.mesh.corners(hit.triangle).map(Vec3::from_array);
         let normal = unit((b - a).cross(c - a));
@@ -62,7 +62,7 @@ impl<'a> Shader<'a> {
     /// The mean of the corners' colours.
     fn albedo(&self, place: u32) -> Vec3 {
         let Some(colors) = self.mesh.corner_colors(place) else { return CLAY };
-        let [a, b, c] = colors.map(|color| Vec3::from_array(color.map(srgb::decode)));
+        let [a, b, c] = colors.map(linear);
         (a + b + c) / 3.0
     }
 }
@@ -78,6 +78,11 @@ pub fn cost(cost: RayCost) -> Vec3 {
 const HALF_CELLS: f32 = 64.0;
 const HALF_TESTS: f32 = 256.0;
 
+/// Linear light of an encoded colour.
+fn linear(color: [u8; 3]) -> Vec3 {
+    Vec3::from_array(color.map(srgb::decode))
+}
+
 /// The vector of unit length, or zero. Scaled first, so that squares neither overflow nor vanish.
 fn unit(v: Vec3) -> Vec3 {
     let largest = v.abs().max_element();
@@ -91,6 +96,12 @@ fn unit(v: Vec3) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use glam::DVec3;
+    use shared::{
+        camera::Camera,
+        division::FrameSize,
+        look::{Background, Look},
+        protocol::{RayTree, SampleRange},
+    };
 
     use super::*;
     use crate::mesh::Mesh;
@@ -101,8 +112,18 @@ mod tests {
     }
 
     fn shader(mesh: &TracedMesh, view: View) -> Shader<'_> {
-        let camera = Camera::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap();
-        Shader::new(mesh, &camera, FrameSize::PAPER, view)
+        Shader::new(mesh, &request(view, Look::default()))
+    }
+
+    fn request(view: View, look: Look) -> FrameRequest {
+        FrameRequest {
+            camera: Camera::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap(),
+            size: FrameSize::PAPER,
+            view,
+            rays: RayTree::Primary,
+            samples: SampleRange::CENTRE,
+            look,
+        }
     }
 
     /// All the light that there is, with the key light at the eye's side.
@@ -126,6 +147,17 @@ mod tests {
         }
         let normals = shader(&mesh, View::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
         assert_eq!(normals, Vec3::new(0.5, 0.5, 1.0));
+    }
+
+    #[test]
+    fn what_hits_nothing_shows_the_background_from_bottom_to_top() {
+        let mesh = traced(facing_mesh());
+        let background = Background { bottom: [255, 0, 10], top: [0, 255, 10] };
+        let shader = Shader::new(&mesh, &request(View::Shaded, Look { background, ..Look::default() }));
+        let encoded = |row: f32| shader.light(-Vec3::Z, Hit::MISS, row, &REACH).to_array().map(srgb::encode);
+        assert_eq!((encoded(0.0), encoded(512.0)), (background.bottom, background.top));
+        // Half of the light is value 188.
+        assert_eq!(encoded(256.0), [188, 188, 10]);
     }
 
     #[test]

@@ -25,6 +25,7 @@ use crate::{
     cli::say,
     grid::GridFigures,
     image,
+    look_args::LookArgs,
     progress::Progress,
     scene::{self, SceneSource},
     scene_args::SceneArgs,
@@ -103,6 +104,10 @@ pub struct TraceArgs {
     /// Print the measurements as one JSON object
     #[arg(long)]
     json: bool,
+
+    /// How the picture looks
+    #[command(flatten)]
+    look: LookArgs,
 
     /// How the scene is made ready
     #[command(flatten)]
@@ -193,8 +198,14 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
         Camera::view_all(min, max, args.up, CANVAS_ASPECT)
     });
-    let request =
-        FrameRequest { camera, size: args.size, view: args.view, rays: args.rays, samples: SampleRange::CENTRE };
+    let request = FrameRequest {
+        camera,
+        size: args.size,
+        view: args.view,
+        rays: args.rays,
+        samples: SampleRange::CENTRE,
+        look: args.look.look(),
+    };
     if args.cameras.is_some() {
         return cameras::run(&scene, &request, &options, std::io::stdin().lock(), std::io::stdout().lock());
     }

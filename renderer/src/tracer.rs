@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use shared::{
     camera::{Camera, CameraRays},
     division::{FrameSize, Share, UnitSamples},
+    look::Look,
     protocol::{ProbeHit, RayTree, SampleRange, View},
     srgb,
 };
@@ -44,6 +45,8 @@ pub struct FrameRequest {
     pub rays: RayTree,
     /// Which samples of each pixel.
     pub samples: SampleRange,
+    /// From where it is lit, and what is behind the model.
+    pub look: Look,
 }
 
 impl Scene {
@@ -333,6 +336,7 @@ mod tests {
             view: View::Shaded,
             rays: RayTree::Primary,
             samples: SampleRange { first, count },
+            look: Look::default(),
         }
     }
 

@@ -72,8 +72,8 @@ impl Job {
     fn render(&self, scene: &Scene, share: &Share<'_>, outbox: &mpsc::Sender<Outgoing>) -> (WorkTimings, BlockCosts) {
         let started_at = Instant::now();
         let (cpu_us, send_us) = (AtomicU64::new(0), AtomicU64::new(0));
-        let Picture { camera, size, view, rays, samples, .. } = self.picture;
-        let request = FrameRequest { camera, size, view, rays, samples };
+        let Picture { camera, size, view, rays, samples, look, .. } = self.picture;
+        let request = FrameRequest { camera, size, view, rays, samples, look };
         let (n_per_block, n_per_cost) = block_units(share, rayon::current_num_threads() as u32);
         let n_blocks = share.count().div_ceil(n_per_block);
         let costs = (0..n_blocks).into_par_iter().map(|block| {

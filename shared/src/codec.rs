@@ -193,6 +193,7 @@ mod tests {
     use crate::{
         camera::Camera,
         division::{Division, FrameSize},
+        look::Look,
         protocol::{BlockCosts, Picture, RayTree, SampleRange, ToServer, ToWall, View, WorkTimings},
         scene::SceneId,
     };
@@ -206,6 +207,7 @@ mod tests {
             view: View::Shaded,
             rays: RayTree::Shadows,
             samples: SampleRange::CENTRE,
+            look: Look::default(),
         };
         ToServer::RenderFrame {
             frame: FrameId(9),

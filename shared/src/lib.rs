@@ -2,12 +2,13 @@
 //!
 //! Everything here is a pure function or plain data: no socket, no clock, no thread.
 //! In reading order: [`camera`] makes rays, [`division`] says who renders which of them, [`curve`] in which order,
-//! [`scene`] names what is rendered and [`structure`] how it is kept, [`srgb`] encodes what comes out, [`protocol`] says all of it on the wire, [`codec`] in bytes.
+//! [`scene`] names what is rendered and [`structure`] how it is kept, [`look`] how it looks, [`srgb`] encodes what comes out, [`protocol`] says all of it on the wire, [`codec`] in bytes.
 
 pub mod camera;
 pub mod codec;
 pub mod curve;
 pub mod division;
+pub mod look;
 pub mod printable;
 pub mod protocol;
 pub mod scene;

@@ -15,12 +15,13 @@ use serde::{Deserialize, Serialize};
 use crate::{
     camera::Camera,
     division::{FrameSize, Share, Work},
+    look::Look,
     scene::SceneId,
     structure::Structure,
 };
 
 /// The version of everything below; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 7;
+pub const PROTOCOL_VERSION: u8 = 8;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -232,6 +233,8 @@ pub struct Picture {
     pub rays: RayTree,
     /// Which samples of each pixel.
     pub samples: SampleRange,
+    /// From where it is lit, and what is behind the model.
+    pub look: Look,
 }
 
 /// What the wall says to a render server.

@@ -10,6 +10,7 @@ use renderer::statue;
 use renderer::tracer::{FrameRequest, Scene, SceneOptions};
 use shared::camera::{Camera, UpAxis};
 use shared::division::{Division, FrameSize};
+use shared::look::Look;
 use shared::protocol::{RayTree, SampleRange, View};
 use shared::srgb;
 
@@ -319,7 +320,7 @@ fn frame_of(scene: &Scene, wall: &Wall, up: UpAxis) -> Frame {
     let camera = Camera::view_all(min, max, up, wall.aspect());
     let size = wall.frame_size();
     let (view, rays, samples) = (View::Shaded, RayTree::default(), SampleRange::CENTRE);
-    let request = FrameRequest { camera, size, view, rays, samples };
+    let request = FrameRequest { camera, size, view, rays, samples, look: Look::default() };
     let work = Division::Interleaved.work(0, 1);
     let rgb = scene.render_parallel(&request, &work.share(size).unwrap());
     Frame::new([size.xres(), size.yres()], |i, j| {

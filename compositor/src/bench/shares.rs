@@ -91,8 +91,8 @@ impl TracedShare {
 
 /// Traces a share on the calling thread, in the chunks and with the clocks of a render server.
 fn trace(scene: &Scene, picture: &Picture, work: &Work) -> TracedShare {
-    let Picture { camera, size, view, rays, samples, .. } = *picture;
-    let request = FrameRequest { camera, size, view, rays, samples };
+    let Picture { camera, size, view, rays, samples, look, .. } = *picture;
+    let request = FrameRequest { camera, size, view, rays, samples, look };
     let share = work.share(size).expect("the scheduler makes works that fit their frame");
     let (n_per_chunk, n_per_cost) = block_units(&share, 1);
     let mut traced =

@@ -324,6 +324,7 @@ mod tests {
     use shared::{
         camera::Camera,
         division::FrameSize,
+        look::Look,
         protocol::{RayTree, SampleRange, View},
         scene::SceneId,
     };
@@ -343,6 +344,7 @@ mod tests {
             view: View::Shaded,
             rays: RayTree::default(),
             samples: SampleRange::CENTRE,
+            look: Look::default(),
         }
     }
 

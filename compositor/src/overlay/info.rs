@@ -1,4 +1,4 @@
-//! What is shown: the model, its views and paths, and the point that somebody asked for.
+//! What is shown: the model, its views and paths, the point that somebody asked for, and how it looks.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use egui::{Align, Label, Layout, RichText, Ui};
 use glam::DVec3;
 use shared::protocol::SceneState;
 
-use super::{OverlayModel, style};
+use super::{OverlayModel, look, style};
 use crate::input::Command;
 
 /// The panel's width in points.
@@ -95,6 +95,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
             commands.push(Command::TogglePlaying);
         }
     });
+    look::show(ui, &model.look, commands);
 }
 
 /// The most bytes of mesh and structure that a render server has in memory, and how many of them a triangle takes.

@@ -7,6 +7,7 @@ use egui_kittest::{Harness, kittest::NodeT, kittest::Queryable};
 use glam::DVec3;
 use shared::{
     division::FrameSize,
+    look::{Background, Light},
     protocol::{Encoding, SceneState},
     structure::Storage,
 };
@@ -304,6 +305,22 @@ fn the_model_its_views_and_what_was_clicked_are_told() {
         harness.get_by_label("Open (Ctrl+O)").click();
     });
     assert_eq!(commands, [Command::GoToView(4), Command::TogglePlaying, Command::ToggleFiles]);
+}
+
+#[test]
+fn light_and_background_can_be_set() {
+    let look = Look { background: Background::plain([0; 3]), ..Look::default() };
+    let commands = commands_of(&OverlayModel { look, ..running() }, |harness| {
+        harness.get_by_label("Light (L): left shoulder");
+        assert_eq!(harness.get_by_label("black").accesskit_node().toggled(), Some(Toggled::True));
+        harness.get_by_label("white").click();
+        harness.run();
+        harness.get_by_role_and_label(egui::accesskit::Role::Slider, "light up").focus();
+        harness.run();
+        harness.key_press(egui::Key::ArrowRight);
+    });
+    let light = Light::new(-35, 37).unwrap();
+    assert_eq!(commands, [Command::SetBackground(Background::plain([255; 3])), Command::SetLight(light)]);
 }
 
 #[test]

@@ -10,7 +10,10 @@ mod touring;
 use std::{sync::Arc, time::Instant};
 
 use renderer::scene::SceneSource;
-use shared::protocol::{Picture, RayTree, View};
+use shared::{
+    look::Look,
+    protocol::{Picture, RayTree, View},
+};
 use winit::{
     application::ApplicationHandler,
     dpi::PhysicalPosition,
@@ -62,6 +65,7 @@ pub(super) struct App<'a> {
     is_locked: bool,
     view: View,
     rays: RayTree,
+    look: Look,
     jobs: Jobs,
 
     overlay: OverlayModel,
@@ -125,6 +129,7 @@ impl<'a> App<'a> {
             is_locked: options.kiosk,
             view: options.view,
             rays: options.rays,
+            look: options.look,
             overlay,
             overlay_areas: Vec::new(),
             overlay_is_pressed: false,
@@ -260,6 +265,7 @@ impl<'a> App<'a> {
             view: self.view,
             rays: self.rays,
             samples: self.options.samples,
+            look: self.look,
         };
         self.farm.want(|wanted| {
             wanted.picture = Some(picture);

@@ -9,6 +9,7 @@ use serde::Serialize;
 use shared::{
     camera::Camera,
     division::{Division, FrameSize},
+    look::Look,
     protocol::{RayTree, SampleRange, View},
     srgb,
 };
@@ -100,7 +101,14 @@ pub(super) fn measure(
 
 /// A frame row by row from the bottom, and CPU milliseconds of all threads for it.
 fn render(scene: &Scene, camera: &Camera, size: FrameSize, samples: SampleRange) -> (Vec<u8>, f64) {
-    let request = FrameRequest { camera: *camera, size, view: View::Shaded, rays: RayTree::Primary, samples };
+    let request = FrameRequest {
+        camera: *camera,
+        size,
+        view: View::Shaded,
+        rays: RayTree::Primary,
+        samples,
+        look: Look::default(),
+    };
     let work = Division::Tiled.work(0, 1);
     let Ok(share) = work.share(size) else { return (Vec::new(), 0.0) };
     let parts = unit_ranges(&share, 2048).into_par_iter().map(|units| {

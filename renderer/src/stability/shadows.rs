@@ -4,6 +4,7 @@ use glam::{DVec3, Vec3};
 use shared::{
     camera::Camera,
     division::FrameSize,
+    look::Look,
     protocol::{RayTree, SampleRange, View},
 };
 
@@ -94,7 +95,14 @@ fn light_of(
     let side = 8 * ((n_rays / 2).isqrt() as u32 / 8).clamp(4, 256);
     let Ok(size) = FrameSize::new(2 * side, side) else { return Tally::default() };
     let samples = SampleRange::CENTRE;
-    let request = FrameRequest { camera: *camera, size, view: View::Shaded, rays: RayTree::Shadows, samples };
+    let request = FrameRequest {
+        camera: *camera,
+        size,
+        view: View::Shaded,
+        rays: RayTree::Shadows,
+        samples,
+        look: Look::default(),
+    };
     let light = light.as_vec3();
     let secondary = SecondaryRays::new(&grid, &request).with_key_light(light);
     let rays = camera.rays(size);

@@ -10,6 +10,7 @@ use proptest::prelude::*;
 use shared::{
     camera::Camera,
     division::FrameSize,
+    look::Look,
     protocol::{RayTree, SampleRange, View},
     scene::SceneId,
 };
@@ -29,6 +30,7 @@ fn picture(eye_x: f64, triangles: u32) -> Picture {
         view: View::Shaded,
         rays: RayTree::Primary,
         samples: SampleRange::CENTRE,
+        look: Look::default(),
     }
 }
 

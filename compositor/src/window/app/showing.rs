@@ -51,6 +51,7 @@ impl App<'_> {
         self.overlay.min_renderers = wanted.min_renderers;
         self.overlay.view = self.view;
         self.overlay.rays = self.rays;
+        self.overlay.look = self.look;
         self.overlay.frame = self.frame.as_ref().map(|frame| frame.stats.clone());
         self.place_pick();
         self.overlay.up = self.navigator.as_ref().map(Navigator::up).unwrap_or_default();

@@ -5,6 +5,7 @@ use std::{path::Path, time::Instant};
 use glam::DVec2;
 use shared::{
     division::Division,
+    look::{Background, Light, Look},
     protocol::{RayTree, View},
     structure::{Storage, Structure},
 };
@@ -94,6 +95,18 @@ impl App<'_> {
             Command::SetView(view) => self.set_view(view),
             Command::NextRays => self.set_rays(next(&RayTree::ALL, self.rays)),
             Command::SetRays(rays) => self.set_rays(rays),
+            Command::NextLight => {
+                let (name, light) = next_of(&Light::PRESETS, self.look.light);
+                self.say(format!("Light: {name}"));
+                self.set_look(Look { light, ..self.look });
+            }
+            Command::SetLight(light) => self.set_look(Look { light, ..self.look }),
+            Command::NextBackground => {
+                let (name, background) = next_of(&Background::PRESETS, self.look.background);
+                self.say(format!("Background: {name}"));
+                self.set_look(Look { background, ..self.look });
+            }
+            Command::SetBackground(background) => self.set_look(Look { background, ..self.look }),
             Command::ToggleOverlay => self.overlay.panel = !self.overlay.panel,
             Command::ToggleHelp => self.overlay.help = !self.overlay.help,
             Command::ToggleFullscreen => self.fill(event_loop, !self.outputs.is_filling()),
@@ -161,6 +174,11 @@ impl App<'_> {
 
     fn set_rays(&mut self, rays: RayTree) {
         self.rays = rays;
+        self.want_picture();
+    }
+
+    fn set_look(&mut self, look: Look) {
+        self.look = look;
         self.want_picture();
     }
 
@@ -292,6 +310,12 @@ impl App<'_> {
 /// The one after `current`, and after the last the first.
 fn next<T: Copy + PartialEq>(all: &[T], current: T) -> T {
     let index = all.iter().position(|&one| one == current).map_or(0, |index| index + 1);
+    all[index % all.len()]
+}
+
+/// The named one after `current`, and after the last or one without a name the first.
+fn next_of<T: Copy + PartialEq>(all: &[(&'static str, T)], current: T) -> (&'static str, T) {
+    let index = all.iter().position(|&(_, one)| one == current).map_or(0, |index| index + 1);
     all[index % all.len()]
 }
 

@@ -3,6 +3,7 @@
 use proptest::prelude::*;
 use shared::{
     camera::Camera,
+    look::Look,
     protocol::{FrameId, RayTree, SampleRange, View, WorkId, WorkTimings},
 };
 
@@ -54,6 +55,7 @@ fn picture_from(eye_x: f64) -> Picture {
         view: View::Shaded,
         rays: RayTree::Primary,
         samples: SampleRange::CENTRE,
+        look: Look::default(),
     }
 }
 

@@ -1,0 +1,24 @@
+//! How a picture looks, as it is said on the command lines of all programs that make some.
+
+use shared::look::{Background, Light, Look};
+
+/// How a picture looks beside what it shows.
+#[derive(Clone, Copy, Debug, clap::Args)]
+#[command(next_help_heading = "The look")]
+pub struct LookArgs {
+    /// From where the light comes, in degrees to the right of the eye and above it
+    #[arg(long, value_name = "AZIMUTH,ELEVATION", default_value_t = Light::default(), allow_hyphen_values = true)]
+    key_light: Light,
+
+    /// What is behind the model, as red, green and blue: one colour, or two, at the bottom and at the top
+    #[arg(long, value_name = "RRGGBB[,RRGGBB]", default_value_t = Background::default())]
+    background: Background,
+}
+
+impl LookArgs {
+    /// What they ask for.
+    pub fn look(&self) -> Look {
+        let Self { key_light: light, background } = *self;
+        Look { light, background }
+    }
+}
