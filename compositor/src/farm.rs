@@ -23,6 +23,7 @@ use renderer::key::Key;
 use shared::{
     camera::Camera,
     division::{Division, FrameSize},
+    look::Clip,
     protocol::{Encoding, Picture},
     scene::SceneId,
     structure::Structure,
@@ -79,6 +80,8 @@ pub struct Probe {
     pub view: Option<(SceneId, Camera)>,
     /// Which point of the view plane, as parts of its edges u and v.
     pub at: [f32; 2],
+    /// Where it is cut open, if anywhere.
+    pub clip: Option<Clip>,
 }
 
 /// Puts whole frames in their places as connections do, to measure what that takes.

@@ -2,7 +2,7 @@
 
 use shared::{
     division::Division,
-    look::{Background, Light},
+    look::{Background, Clip, Light},
     protocol::{RayTree, View},
     structure::Storage,
 };
@@ -71,6 +71,12 @@ pub enum Command {
     NextBackground,
     /// Have this background behind the model.
     SetBackground(Background),
+    /// Cut the model open from the next side, or no more.
+    NextClip,
+    /// Cut the model open here, or nowhere.
+    SetClip(Option<Clip>),
+    /// Cut away so many thousandths of the model more, or less.
+    MoveClip(i16),
     /// Show or hide the overlay.
     ToggleOverlay,
     /// Show or hide keys and mouse.
@@ -94,6 +100,11 @@ pub enum Command {
 }
 
 impl Command {
+    /// Whether it is asked for again and again while its key is held.
+    pub fn repeats(self) -> bool {
+        matches!(self, Self::MoveClip(_))
+    }
+
     /// Whether visitors of a locked wall may ask for it.
     pub fn is_for_visitors(self) -> bool {
         use Command::*;
@@ -219,6 +230,9 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('r')], Ask(NextRays), "next rays: primary, shadows, ambient"),
         row(&[Letter('l')], Ask(NextLight), "next light: left shoulder, eye, right shoulder, above, grazing, behind"),
         row(&[Letter('b')], Ask(NextBackground), "next background: dusk, black, grey, white, sky"),
+        row(&[Letter('x')], Ask(NextClip), "cut open from the next side: x, y, z, -x, -y, -z, eye, none"),
+        row(&[Letter('.')], Ask(MoveClip(10)), "cut deeper"),
+        row(&[Letter(',')], Ask(MoveClip(-10)), "cut less deep"),
         row(&[Letter('t')], Ask(NextTint), "next tint: none, who rendered it, CPU time"),
         row(&[Letter('k')], Ask(NextStorage), "next storage of the grid"),
         row(&[Letter('j')], Ask(NextDensity), "next density of the grid"),

@@ -1,10 +1,11 @@
 //! From the hits of a block of samples to their light, whatever the view and the ray tree.
 
 use glam::Vec3;
-use shared::protocol::View;
+use shared::{look::ClipPlane, protocol::View};
 
 use crate::{
-    grid::{Grid, PacketScratch},
+    clip,
+    grid::{Grid, PacketScratch, RayCost},
     ray::{Hit, Ray},
     secondary::SecondaryRays,
     shade::{self, Shader},
@@ -16,19 +17,21 @@ pub struct Lighting<'a> {
     grid: &'a Grid,
     view: View,
     eye: Vec3,
+    clip: Option<ClipPlane>,
     shader: Shader<'a>,
     secondary: SecondaryRays<'a>,
 }
 
 impl<'a> Lighting<'a> {
-    /// Makes ready for one frame.
-    pub fn new(grid: &'a Grid, request: &FrameRequest) -> Self {
+    /// Makes ready for one frame of a scene that a plane may cut open.
+    pub fn new(grid: &'a Grid, request: &FrameRequest, clip: Option<ClipPlane>) -> Self {
         Self {
             grid,
             view: request.view,
             eye: request.camera.rays(request.size).eye,
+            clip,
             shader: Shader::new(grid.mesh(), request),
-            secondary: SecondaryRays::new(grid, request),
+            secondary: SecondaryRays::new(grid, request, clip),
         }
     }
 
@@ -45,7 +48,8 @@ impl<'a> Lighting<'a> {
         let mut lights = [Vec3::ZERO; 64];
         if self.view == View::Cost {
             for (light, &direction) in lights.iter_mut().zip(directions).take(block.len()) {
-                *light = shade::cost(self.grid.cost(&Ray::new(self.eye, direction)));
+                let ray = clip::kept(self.clip.as_ref(), Ray::new(self.eye, direction));
+                *light = shade::cost(ray.map_or(RayCost::default(), |ray| self.grid.cost(&ray)));
             }
             return lights;
         }

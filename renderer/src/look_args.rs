@@ -1,6 +1,6 @@
 //! How a picture looks, as it is said on the command lines of all programs that make some.
 
-use shared::look::{Background, Light, Look};
+use shared::look::{Background, Clip, Light, Look};
 
 /// How a picture looks beside what it shows.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -13,12 +13,16 @@ pub struct LookArgs {
     /// What is behind the model, as red, green and blue: one colour, or two, at the bottom and at the top
     #[arg(long, value_name = "RRGGBB[,RRGGBB]", default_value_t = Background::default())]
     background: Background,
+
+    /// Cut the model open: how much of its extent is taken away, from x, y, z, -x, -y, -z or the eye, as in y:30
+    #[arg(long, value_name = "SIDE:PERCENT", allow_hyphen_values = true)]
+    clip: Option<Clip>,
 }
 
 impl LookArgs {
     /// What they ask for.
     pub fn look(&self) -> Look {
-        let Self { key_light: light, background } = *self;
-        Look { light, background }
+        let Self { key_light: light, background, clip } = *self;
+        Look { light, background, clip }
     }
 }

@@ -7,9 +7,13 @@
 //! shades itself and nothing is skipped. Only + − × ÷ √ are used, in a fixed order: every machine computes the same bits.
 
 use glam::{DVec3, Vec3};
-use shared::protocol::{RayTree, View};
+use shared::{
+    look::ClipPlane,
+    protocol::{RayTree, View},
+};
 
 use crate::{
+    clip,
     grid::{Grid, Packet, PacketScratch},
     ray::{Hit, Ray},
     tracer::{FrameRequest, hash, lane_places},
@@ -29,6 +33,8 @@ pub struct Reach {
 /// The secondary rays of one frame.
 pub struct SecondaryRays<'a> {
     grid: &'a Grid,
+    /// What is cut away casts no shadow.
+    clip: Option<ClipPlane>,
     tree: RayTree,
     eye: DVec3,
     /// Where the key light stands, in world space.
@@ -56,8 +62,8 @@ struct Surface {
 }
 
 impl<'a> SecondaryRays<'a> {
-    /// Makes ready for one frame.
-    pub fn new(grid: &'a Grid, request: &FrameRequest) -> Self {
+    /// Makes ready for one frame of a scene that a plane may cut open.
+    pub fn new(grid: &'a Grid, request: &FrameRequest, clip: Option<ClipPlane>) -> Self {
         // Other views have no light.
         let tree = if request.view == View::Shaded { request.rays } else { RayTree::Primary };
         let bounds = grid.mesh().bounds();
@@ -72,7 +78,7 @@ impl<'a> SecondaryRays<'a> {
             RayTree::Primary => Vec3::ZERO,
             RayTree::Shadows | RayTree::Ambient => {
                 let place = KeyLight { eye: request.camera.eye(), back, to_light, centre, radius };
-                place.find(grid, light.is_on_eye_side())
+                place.find(grid, clip.as_ref(), light.is_on_eye_side())
             }
         };
         // No coordinate is larger, and no difference more than twice as large. Rounding a point or a direction to single
@@ -80,6 +86,7 @@ impl<'a> SecondaryRays<'a> {
         let reach = min.abs().max(max.abs()).max(key_light.as_dvec3().abs()).max_element();
         Self {
             grid,
+            clip,
             tree,
             eye: request.camera.eye().as_vec3().as_dvec3(),
             key_light,
@@ -160,7 +167,7 @@ impl<'a> SecondaryRays<'a> {
                 *direction = Some(to_point.as_vec3());
             }
         }
-        let hidden = hidden(self.grid, self.key_light, &directions, 1.0, scratch);
+        let hidden = hidden(self.grid, self.clip.as_ref(), self.key_light, &directions, 1.0, scratch);
         for (lane, &place) in places.iter().enumerate() {
             if directions[lane].is_some() && hidden >> lane & 1 == 0 {
                 reach[place].key = 1.0;
@@ -188,7 +195,7 @@ impl<'a> SecondaryRays<'a> {
             let length = ((index * 3 + 1) % N_AMBIENT) as f32 + length;
             let t_max = self.ambient_reach * (length * (1.0 / N_AMBIENT as f32));
             let ray = Ray { origin: surface.point.as_vec3(), direction, t_min: 0.0, t_max };
-            n_open += u32::from(!self.grid.occluded(&ray));
+            n_open += u32::from(!clip::occluded(self.grid, self.clip.as_ref(), ray));
             around = [around[0] * GOLDEN[0] - around[1] * GOLDEN[1], around[0] * GOLDEN[1] + around[1] * GOLDEN[0]];
         }
         n_open as f32 * (1.0 / N_AMBIENT as f32)
@@ -217,7 +224,7 @@ const KEY_DISTANCE: f64 = 1.5;
 impl KeyLight {
     /// In its direction from the point before the eye that is as far away as the middle of the scene. A light on the eye's
     /// side stays inside the room that the eye is in; others are where they are, whatever hides them.
-    fn find(&self, grid: &Grid, is_on_eye_side: bool) -> Vec3 {
+    fn find(&self, grid: &Grid, clip: Option<&ClipPlane>, is_on_eye_side: bool) -> Vec3 {
         let Self { eye, back, to_light, centre, radius } = *self;
         // An eye far away is replaced by one nearer: there lies nothing in between.
         let distance = (eye - centre).length();
@@ -228,15 +235,16 @@ impl KeyLight {
             return (base + step).as_vec3();
         }
         let ray = Ray { t_max: 1.0, ..Ray::new(base.as_vec3(), step.as_vec3()) };
-        let wall = grid.intersect(&ray);
+        let wall = clip::intersect(grid, clip, ray);
         let part = if wall.is_miss() { 1.0 } else { 0.5 * f64::from(wall.t) };
         (base + step * part).as_vec3()
     }
 }
 
-/// A bit for each ray from `origin` that hits something up to `t_max`.
+/// A bit for each ray from `origin` that hits something up to `t_max`, of what a plane keeps.
 pub(crate) fn hidden(
     grid: &Grid,
+    clip: Option<&ClipPlane>,
     origin: Vec3,
     directions: &[Option<Vec3>; 64],
     t_max: f32,
@@ -252,7 +260,7 @@ pub(crate) fn hidden(
         }
         packet.active |= u64::from(direction.is_some()) << lane;
     }
-    let hits = grid.intersect_packet(&packet, scratch);
+    let hits = clip::intersect_packet(grid, clip, &packet, scratch);
     (0..64).filter(|&lane| !hits[lane].is_miss()).fold(0, |hidden, lane| hidden | 1 << lane) & packet.active
 }
 
@@ -304,7 +312,7 @@ mod tests {
 
     /// What reaches every hit of a frame, with the ray's direction and the hit.
     fn reach(scene: &Scene, request: &FrameRequest) -> Vec<(Vec3, Hit, Reach)> {
-        let secondary = SecondaryRays::new(scene.grid(), request);
+        let secondary = SecondaryRays::new(scene.grid(), request, scene.clip_plane(&request.camera, request.look.clip));
         let rays = request.camera.rays(request.size);
         let mut scratch = PacketScratch::default();
         let mut all = Vec::new();
@@ -352,7 +360,7 @@ mod tests {
                     let (u, v) = (u * (4.0 / distance), v * (4.0 / distance));
                     request.camera = Camera::new(eye, centre - (u + v) * 0.5, u, v).unwrap();
                 }
-                let secondary = SecondaryRays::new(scene.grid(), &request);
+                let secondary = SecondaryRays::new(scene.grid(), &request, None);
                 let all = reach(&scene, &request);
                 assert!(all.len() > 1000, "the ball is seen");
                 for (direction, hit, reach) in all {
@@ -372,7 +380,7 @@ mod tests {
             // The eye is on the z axis: its right, up and back are the world's axes.
             let look = Look { light, ..Look::default() };
             let request = FrameRequest { look, ..request(DVec3::Z * 5.0, DVec3::ZERO, RayTree::Shadows) };
-            let secondary = SecondaryRays::new(scene.grid(), &request);
+            let secondary = SecondaryRays::new(scene.grid(), &request, None);
             let expected = light.direction().as_vec3();
             assert!((secondary.key_direction - expected).length() < 1e-6, "{name}");
             assert!((secondary.key_light.normalize() - expected).length() < 1e-6, "{name}: {}", secondary.key_light);
@@ -400,7 +408,7 @@ mod tests {
             let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
             let at = |p: [f64; 3]| DVec3::from_array(p) + DVec3::splat(f64::from(offset));
             let request = request(at([0.0, 1.0, 5.0]), at([0.0; 3]), RayTree::Shadows);
-            let mut secondary = SecondaryRays::new(scene.grid(), &request);
+            let mut secondary = SecondaryRays::new(scene.grid(), &request, None);
             secondary.key_light = at([0.3, 1.5, 3.0]).as_vec3();
             // Contact begins within a few units in the last place of the largest coordinate.
             let nearest = 100.0 * f64::from(f32::EPSILON) * (f64::from(offset) + 2.0);
@@ -413,6 +421,36 @@ mod tests {
                 secondary.cast_shadows(&places, &surfaces, &mut reach, &mut PacketScratch::default());
                 assert_eq!(reach[7].key, expected, "{z} beside the wall, {offset} away");
             }
+        }
+    }
+
+    #[test]
+    fn what_is_cut_away_casts_no_shadow() {
+        let sheet = |y: f32| [[-2.0, y, -2.0], [2.0, y, -2.0], [2.0, y, 2.0], [-2.0, y, 2.0]];
+        let mesh = Mesh {
+            vertices: [sheet(0.0), sheet(1.0)].concat(),
+            triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]],
+            ..Mesh::default()
+        };
+        let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
+        // Of a floor under a lid, the light above it, the whole floor is dark, or without the lid lit.
+        for (clip, key) in [(None, 0.0), ("y:50".parse().ok(), 1.0), ("-y:0".parse().ok(), 0.0)] {
+            let look = Look { clip, ..Look::default() };
+            let eye = DVec3::new(0.1, 0.5, 1.5);
+            let request = FrameRequest { look, ..request(eye, DVec3::new(0.0, 0.0, -0.3), RayTree::Ambient) };
+            let plane = scene.clip_plane(&request.camera, clip);
+            let secondary = SecondaryRays::new(scene.grid(), &request, plane).with_key_light(Vec3::new(0.2, 3.0, 0.1));
+            let surface = Surface { point: DVec3::new(0.3, secondary.lift, 0.2), normal: DVec3::Y };
+            let surfaces = std::array::from_fn(|_| Some(Surface { ..surface }));
+            let mut reach = [Reach { key_direction: Vec3::Y, key: 0.5, open: 1.0 }; 64];
+            secondary.cast_shadows(
+                &std::array::from_fn(|lane| lane),
+                &surfaces,
+                &mut reach,
+                &mut PacketScratch::default(),
+            );
+            assert!(reach.iter().all(|reach| reach.key == key), "{clip:?}");
+            assert_eq!(secondary.openness(&surface, (1, 2), 3), 1.0, "the lid is too far away");
         }
     }
 
@@ -436,7 +474,7 @@ mod tests {
         let mesh = statue::generate(2000, &|_| ());
         let scene = Scene::build(mesh.clone(), &SceneOptions::default(), &|_| ());
         let request = request(DVec3::new(0.5, 1.2, 3.0), DVec3::Y, RayTree::Shadows);
-        let secondary = SecondaryRays::new(scene.grid(), &request);
+        let secondary = SecondaryRays::new(scene.grid(), &request, None);
         let light = secondary.key_light.as_dvec3();
         let (mut n_dark, mut n_lit, mut n_wrong) = (0, 0, 0);
         for (direction, hit, reach) in reach(&scene, &request) {
@@ -463,7 +501,7 @@ mod tests {
         };
         let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
         let request = request(DVec3::new(0.0, 3.0, 6.0), DVec3::Y, RayTree::Ambient);
-        let secondary = SecondaryRays::new(scene.grid(), &request);
+        let secondary = SecondaryRays::new(scene.grid(), &request, None);
         let openness = |height: f64| {
             let surface = Surface { point: DVec3::new(0.0, height, secondary.lift), normal: DVec3::Z };
             let samples = (0..256).map(|sample| secondary.openness(&surface, (3, 4), sample));

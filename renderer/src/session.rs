@@ -180,10 +180,10 @@ impl Conversation<'_> {
                     of_frame.for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
                 }
                 ToServer::Ping { sent_us } => self.say(&ToWall::Pong { sent_us }).await,
-                ToServer::Probe { number, scene, camera, at } => {
+                ToServer::Probe { number, scene, camera, at, clip } => {
                     // A single ray takes less time than handing it to another thread.
                     if let Some(Subject::Scene(scene)) = self.stage.subject(scene) {
-                        self.say(&ToWall::Probed { number, hit: scene.probe(&camera, at) }).await;
+                        self.say(&ToWall::Probed { number, hit: scene.probe(&camera, at, clip) }).await;
                     }
                 }
                 ToServer::Refused { reason } => return Err(SessionError::Refused(printable(&reason))),

@@ -61,7 +61,7 @@ pub struct TraceArgs {
     kernel: Kernel,
 
     /// Also trace a ray from each hit to the light
-    #[arg(long)]
+    #[arg(long, conflicts_with = "clip")]
     shadow_rays: bool,
 
     /// Where the light of the shadow rays stands, in world space

@@ -7,12 +7,13 @@ use rayon::prelude::*;
 use shared::{
     camera::{Camera, CameraRays},
     division::{FrameSize, Share, UnitSamples},
-    look::Look,
+    look::{Clip, ClipPlane, Look},
     protocol::{ProbeHit, RayTree, SampleRange, View},
     srgb,
 };
 
 use crate::{
+    clip,
     grid::{Grid, GridOptions, Packet, PacketScratch},
     lighting::Lighting,
     mesh::Mesh,
@@ -45,7 +46,7 @@ pub struct FrameRequest {
     pub rays: RayTree,
     /// Which samples of each pixel.
     pub samples: SampleRange,
-    /// From where it is lit, and what is behind the model.
+    /// From where it is lit, what is behind the model, and where it is cut open.
     pub look: Look,
 }
 
@@ -95,18 +96,27 @@ impl Scene {
 
     /// The nearest triangle at a point of the view plane, given as parts of its edges u and v: by the same arithmetic as
     /// in frames, so that it is the triangle that is seen.
-    pub fn probe(&self, camera: &Camera, at: [f32; 2]) -> Option<ProbeHit> {
+    pub fn probe(&self, camera: &Camera, at: [f32; 2], clip: Option<Clip>) -> Option<ProbeHit> {
         let direction = camera.rays(FrameSize::ONE).direction_through(at[0], at[1]);
         if !direction.is_finite() {
             return None;
         }
-        let hit = self.in_file_order(self.grid.intersect(&Ray::new(camera.eye().as_vec3(), direction)));
+        let plane = self.clip_plane(camera, clip);
+        let ray = Ray::new(camera.eye().as_vec3(), direction);
+        let hit = self.in_file_order(clip::intersect(&self.grid, plane.as_ref(), ray));
         (!hit.is_miss()).then_some(ProbeHit { triangle: hit.triangle, t: hit.t })
+    }
+
+    /// The plane that cuts this scene open in a picture by this camera.
+    pub fn clip_plane(&self, camera: &Camera, clip: Option<Clip>) -> Option<ClipPlane> {
+        let bounds = self.mesh().bounds();
+        let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
+        clip?.plane((min, max), camera)
     }
 
     /// What turns the hits of a frame into light.
     pub fn lighting(&self, request: &FrameRequest) -> Lighting<'_> {
-        Lighting::new(&self.grid, request)
+        Lighting::new(&self.grid, request, self.clip_plane(&request.camera, request.look.clip))
     }
 
     /// Renders the share's units `units` (places in the share, not numbers in the frame), on the calling thread.
@@ -115,6 +125,7 @@ impl Scene {
     /// scene, request and sample, so several threads may render parts of one share.
     pub fn render(&self, request: &FrameRequest, share: &Share<'_>, units: Range<u32>, rgb: &mut Vec<u8>) {
         let rays = request.camera.rays(request.size);
+        let clip = self.clip_plane(&request.camera, request.look.clip);
         let lighting = self.lighting(request);
         let mut scratch = PacketScratch::default();
         let samples = samples_of(share, units.clone());
@@ -125,7 +136,7 @@ impl Scene {
             let mut lights = [Vec3::ZERO; 64];
             for index in 0..request.samples.count {
                 let sample = request.samples.first.wrapping_add(index);
-                let (hits, [x, y, z]) = self.trace_block(&rays, block, sample, &mut scratch);
+                let (hits, [x, y, z]) = self.trace_block(&rays, clip.as_ref(), block, sample, &mut scratch);
                 let mut directions = [Vec3::ZERO; 64];
                 for (lane, &place) in lane_places(block).iter().enumerate() {
                     directions[place] = Vec3::new(x[lane], y[lane], z[lane]);
@@ -155,12 +166,24 @@ impl Scene {
     /// Traces the share's units `units` through the centres of their samples, on the calling thread; appends the hits in
     /// the order of [`Share::samples`].
     pub fn trace(&self, rays: &CameraRays, share: &Share<'_>, units: Range<u32>, hits: &mut Vec<Hit>) {
+        self.trace_clipped(rays, None, share, units, hits);
+    }
+
+    /// The same in a scene that a plane may cut open.
+    pub fn trace_clipped(
+        &self,
+        rays: &CameraRays,
+        clip: Option<&ClipPlane>,
+        share: &Share<'_>,
+        units: Range<u32>,
+        hits: &mut Vec<Hit>,
+    ) {
         let mut scratch = PacketScratch::default();
         let samples = samples_of(share, units.clone());
         let first = hits.len();
         hits.resize(first + samples.len(), Hit::MISS);
         for_each_block(share, units, &samples, |block, places| {
-            let (of_block, _) = self.trace_block(rays, block, 0, &mut scratch);
+            let (of_block, _) = self.trace_block(rays, clip, block, 0, &mut scratch);
             for (hit, place) in of_block.into_iter().zip(places) {
                 hits[first + place] = hit;
             }
@@ -171,6 +194,7 @@ impl Scene {
     fn trace_block(
         &self,
         rays: &CameraRays,
+        clip: Option<&ClipPlane>,
         block: &[(u32, u32)],
         sample: u32,
         scratch: &mut PacketScratch,
@@ -189,7 +213,7 @@ impl Scene {
             t_max: f32::MAX,
             any_hit: false,
         };
-        let in_lanes = self.grid.intersect_packet(&packet, scratch);
+        let in_lanes = clip::intersect_packet(&self.grid, clip, &packet, scratch);
         let mut hits = [Hit::MISS; 64];
         for lane in 0..block.len() {
             hits[places[lane]] = in_lanes[lane];
@@ -318,7 +342,7 @@ mod tests {
     use super::*;
     use crate::grid::InstructionSet;
     use glam::DVec3;
-    use shared::division::Division;
+    use shared::{division::Division, look::Light};
 
     fn tetrahedron() -> Scene {
         let mesh = Mesh {
@@ -353,7 +377,7 @@ mod tests {
         for (i, j) in (0..size.yres()).flat_map(|j| (0..size.xres()).map(move |i| (i, j))) {
             let seen = scene.in_file_order(scene.grid.intersect(&Ray::new(rays.eye, rays.direction(i, j))));
             let at = [(i as f32 + 0.5) / size.xres() as f32, (j as f32 + 0.5) / size.yres() as f32];
-            let probed = scene.probe(&request.camera, at);
+            let probed = scene.probe(&request.camera, at, None);
             n_hits += u32::from(probed.is_some());
             // The rays differ in their last bits, which only on an edge is another triangle.
             let is_same = match probed {
@@ -364,7 +388,7 @@ mod tests {
         }
         assert!(n_hits > 80 && n_other <= 2, "{n_hits} hits, {n_other} of them others");
         for at in [[f32::NAN, 0.5], [f32::INFINITY, 0.0], [f32::MAX, f32::MAX], [-9.0, 0.5]] {
-            assert_eq!(scene.probe(&request.camera, at), None);
+            assert_eq!(scene.probe(&request.camera, at, None), None);
         }
     }
 
@@ -372,14 +396,15 @@ mod tests {
     fn neither_division_nor_instructions_change_a_ray_tree() {
         let mesh = crate::statue::generate(3000, &|_| ());
         let camera = Camera::look_at(DVec3::new(0.6, 1.5, 2.5), DVec3::Y, DVec3::Y, 0.5, 2.0).unwrap();
-        for rays in RayTree::ALL {
-            let request = FrameRequest { camera, rays, ..request(1, 2) };
+        let cut = Look { light: Light::PRESETS[5].1, clip: "eye:40".parse().ok(), ..Look::default() };
+        for (rays, look) in RayTree::ALL.into_iter().flat_map(|rays| [Look::default(), cut].map(|look| (rays, look))) {
+            let request = FrameRequest { camera, rays, look, ..request(1, 2) };
             let frames = InstructionSet::available().into_iter().map(|instructions| {
                 let grid = Grid::build(mesh.clone(), &GridOptions::default(), &|_| ()).with_instructions(instructions);
                 check_divisions(&Scene { grid }, &request)
             });
             let frames: Vec<_> = frames.collect();
-            assert!(frames.iter().all(|frame| frame == &frames[0]), "{rays:?}");
+            assert!(frames.iter().all(|frame| frame == &frames[0]), "{rays:?} {look:?}");
         }
     }
 

@@ -1,4 +1,5 @@
-//! What a picture looks like beside what it shows: from where it is lit, and what is behind the model.
+//! What a picture looks like beside what it shows: from where it is lit, what is behind the model, and where the model
+//! is cut open.
 //!
 //! All of it is whole numbers within bounds, so that every machine makes the same bits of it and none is NaN.
 
@@ -7,6 +8,8 @@ use std::{fmt, str::FromStr};
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use crate::camera::Camera;
+
 /// The look of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Look {
@@ -14,6 +17,8 @@ pub struct Look {
     pub light: Light,
     /// What is behind the model.
     pub background: Background,
+    /// Where the model is cut open, if anywhere.
+    pub clip: Option<Clip>,
 }
 
 /// From where the key light comes, as seen from what is looked at, with the eye straight in front.
@@ -190,9 +195,196 @@ impl FromStr for Background {
     }
 }
 
+/// A plane that cuts the model open: what lies beyond it is not there, is not seen and casts no shadow.
+///
+/// Where it is follows from the scene's bounds and the camera, by the same arithmetic everywhere: see [`Clip::plane`].
+///
+/// Invariant, on the wire too: at most all of the scene is cut away.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "(ClipFrom, u16)", into = "(ClipFrom, u16)")]
+pub struct Clip {
+    from: ClipFrom,
+    cut_permille: u16,
+}
+
+/// The side from which a scene is cut away.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum ClipFrom {
+    /// From large x to small.
+    X,
+    /// From large y to small.
+    Y,
+    /// From large z to small.
+    Z,
+    /// From small x to large.
+    MinusX,
+    /// From small y to large.
+    MinusY,
+    /// From small z to large.
+    MinusZ,
+    /// From the eye on, by a plane that turns with the view plane.
+    Eye,
+}
+
+/// Half of space: the points `p` with `normal·p ≤ offset`, in world space.
+///
+/// Invariant: all numbers are finite.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClipPlane {
+    /// Out of what is kept.
+    pub normal: DVec3,
+    /// In units of the normal's length, from the world's origin.
+    pub offset: f64,
+}
+
+/// Why numbers or a text are no clip plane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "a clip plane is SIDE:PERCENT as in y:30, how much of the scene is cut away, 0 to 100, and from where: \
+     x, y or z (from large to small), -x, -y or -z (from small to large), or eye"
+)]
+pub struct ClipError;
+
+impl ClipFrom {
+    /// Every side, in the order in which a key steps through them.
+    pub const ALL: [Self; 7] = [Self::X, Self::Y, Self::Z, Self::MinusX, Self::MinusY, Self::MinusZ, Self::Eye];
+
+    /// The name on command lines and on screen.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::X => "x",
+            Self::Y => "y",
+            Self::Z => "z",
+            Self::MinusX => "-x",
+            Self::MinusY => "-y",
+            Self::MinusZ => "-z",
+            Self::Eye => "eye",
+        }
+    }
+
+    /// Out of what is kept, of unit length.
+    fn normal(self, camera: &Camera) -> DVec3 {
+        match self {
+            Self::X => DVec3::X,
+            Self::Y => DVec3::Y,
+            Self::Z => DVec3::Z,
+            Self::MinusX => DVec3::NEG_X,
+            Self::MinusY => DVec3::NEG_Y,
+            Self::MinusZ => DVec3::NEG_Z,
+            Self::Eye => {
+                let across = camera.u().normalize().cross(camera.v().normalize()).normalize();
+                if across.dot(camera.eye() - camera.ll()) < 0.0 { -across } else { across }
+            }
+        }
+    }
+}
+
+impl Clip {
+    /// Takes how much of the scene is cut away, in thousandths of its extent from that side.
+    pub fn new(from: ClipFrom, cut_permille: u16) -> Result<Self, ClipError> {
+        if cut_permille <= 1000 { Ok(Self { from, cut_permille }) } else { Err(ClipError) }
+    }
+
+    /// As deep as another cut from another side, or half of the scene.
+    #[must_use]
+    pub fn from_side(from: ClipFrom, other: Option<Self>) -> Self {
+        Self { from, cut_permille: other.map_or(500, Self::cut_permille) }
+    }
+
+    /// From where the scene is cut away.
+    pub fn from(self) -> ClipFrom {
+        self.from
+    }
+
+    /// How much of it, in thousandths of its extent from there.
+    pub fn cut_permille(self) -> u16 {
+        self.cut_permille
+    }
+
+    /// The same with so much more cut away, or less if it is negative, as far as there is anything.
+    #[must_use]
+    pub fn moved(self, permille: i16) -> Self {
+        Self { cut_permille: self.cut_permille.saturating_add_signed(permille).min(1000), ..self }
+    }
+
+    /// The plane in a scene with these bounds, seen by this camera; `None` if the scene has no bounds.
+    pub fn plane(self, (min, max): (DVec3, DVec3), camera: &Camera) -> Option<ClipPlane> {
+        let normal = self.from.normal(camera);
+        // The farthest that a corner of the bounds lies out, and the nearest.
+        let far = (normal * min).max(normal * max);
+        let near = (normal * min).min(normal * max);
+        let (far, near) = (far.x + far.y + far.z, near.x + near.y + near.z);
+        let offset = far - (far - near) * (f64::from(self.cut_permille) / 1000.0);
+        (min.cmple(max).all() && offset.is_finite() && normal.is_finite()).then_some(ClipPlane { normal, offset })
+    }
+}
+
+impl TryFrom<(ClipFrom, u16)> for Clip {
+    type Error = ClipError;
+
+    fn try_from((from, cut_permille): (ClipFrom, u16)) -> Result<Self, ClipError> {
+        Self::new(from, cut_permille)
+    }
+}
+
+impl From<Clip> for (ClipFrom, u16) {
+    fn from(Clip { from, cut_permille }: Clip) -> Self {
+        (from, cut_permille)
+    }
+}
+
+impl fmt::Display for Clip {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}", self.from.name(), f64::from(self.cut_permille) / 10.0)
+    }
+}
+
+impl FromStr for Clip {
+    type Err = ClipError;
+
+    fn from_str(text: &str) -> Result<Self, ClipError> {
+        let (name, percent) = text.split_once(':').ok_or(ClipError)?;
+        let from = ClipFrom::ALL.into_iter().find(|from| from.name() == name.trim()).ok_or(ClipError)?;
+        let percent: f64 = percent.trim().trim_end_matches('%').parse().map_err(|_| ClipError)?;
+        // What is no number or out of range becomes one that is refused.
+        if (0.0..=100.0).contains(&percent) { Self::new(from, (percent * 10.0).round() as u16) } else { Err(ClipError) }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_cut_takes_its_share_of_the_scene_from_its_side() {
+        let (min, max) = (DVec3::new(-1.0, 2.0, 10.0), DVec3::new(3.0, 4.0, 20.0));
+        let camera = Camera::look_at(DVec3::new(1.0, 3.0, 99.0), DVec3::ONE, DVec3::Y, 0.7, 2.0).unwrap();
+        let kept = |clip: &str, point: DVec3| {
+            let ClipPlane { normal, offset } = clip.parse::<Clip>().unwrap().plane((min, max), &camera).unwrap();
+            normal.dot(point) <= offset
+        };
+        let at = |part: f64| min + (max - min) * part;
+        for clip in ["x:30", "y:30", "z:30"] {
+            assert!(kept(clip, at(0.69)) && !kept(clip, at(0.71)), "{clip}");
+        }
+        for clip in ["-x:30", "-y:30", "-z:30.5"] {
+            assert!(kept(clip, at(0.31)) && !kept(clip, at(0.29)), "{clip}");
+        }
+        // The nearest corner goes first, and the farthest stays.
+        assert!(kept("eye:50", min) && !kept("eye:50", max) && kept("eye:0", max - 1e-9) && !kept("eye:99.9", at(0.5)));
+    }
+
+    #[test]
+    fn what_is_no_cut_is_refused() {
+        for text in ["", "x", "x:", "w:3", "x:101", "x:-1", "x:NaN", "x:inf", "eye:1e9", "-eye:3"] {
+            assert!(text.parse::<Clip>().is_err(), "{text}");
+        }
+        assert!(Clip::try_from((ClipFrom::X, 1001)).is_err());
+        let half = Clip::new(ClipFrom::Eye, 500).unwrap();
+        assert_eq!((half.moved(-600).cut_permille(), half.moved(600).cut_permille()), (0, 1000));
+        let camera = Camera::look_at(DVec3::Z, DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap();
+        assert_eq!(half.plane((DVec3::INFINITY, DVec3::NEG_INFINITY), &camera), None, "a scene of nothing");
+    }
 
     #[test]
     fn lights_come_from_where_their_angles_say() {
@@ -231,6 +423,10 @@ mod tests {
         }
         for (_, background) in Background::PRESETS {
             assert_eq!(background.to_string().parse(), Ok(background));
+        }
+        for (permille, from) in (0..=1000).step_by(7).zip(ClipFrom::ALL.into_iter().cycle()) {
+            let clip = Clip::new(from, permille).unwrap();
+            assert_eq!(clip.to_string().parse(), Ok(clip));
         }
     }
 }

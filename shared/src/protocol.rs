@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     camera::Camera,
     division::{FrameSize, Share, Work},
-    look::Look,
+    look::{Clip, Look},
     scene::SceneId,
     structure::Structure,
 };
@@ -233,7 +233,7 @@ pub struct Picture {
     pub rays: RayTree,
     /// Which samples of each pixel.
     pub samples: SampleRange,
-    /// From where it is lit, and what is behind the model.
+    /// From where it is lit, what is behind the model, and where it is cut open.
     pub look: Look,
 }
 
@@ -290,6 +290,8 @@ pub enum ToServer {
         camera: Camera,
         /// Which point of the view plane, as parts of its edges u and v.
         at: [f32; 2],
+        /// Where it is cut open, if anywhere.
+        clip: Option<Clip>,
     },
 }
 

@@ -107,24 +107,30 @@ fn a_wrong_order_or_camera_ends_with_one_line() {
 }
 
 #[test]
-fn a_wall_lights_its_picture_as_trace_does_whatever_the_rays() {
+fn a_wall_lights_and_cuts_its_picture_as_trace_does() {
     const SIZE: &str = "96x48";
     let files = Files::new();
     let mut hashes = Vec::new();
-    for (rays, division) in [("primary", "tiled"), ("shadows", "interleaved"), ("ambient", "dynamic")] {
-        let expected = files.traced_hash_with(SIZE, &["--rays", rays]);
+    let cut = ["--rays=ambient", "--clip=eye:40", "--key-light=-80,12", "--background=ffffff,102030"];
+    for (look, division) in [
+        (&["--rays=primary"][..], "tiled"),
+        (&["--rays=shadows"], "interleaved"),
+        (&["--rays=ambient"], "dynamic"),
+        (&cut, "interleaved"),
+    ] {
+        let expected = files.traced_hash_with(SIZE, look);
         let mut wall = files.wall(SIZE);
-        wall.args(["--local", "2", "--frames", "2", "--rays", rays, "--division", division]);
+        wall.args(["--local", "2", "--frames", "2", "--division", division]).args(look);
         let (status, said) = Program::start(wall).wait();
         assert!(status.success(), "{said}");
         for frame in files.frames() {
-            assert_eq!(frame["samples_blake3"], expected.as_str(), "{rays}, {division}");
+            assert_eq!(frame["samples_blake3"], expected.as_str(), "{look:?}, {division}");
         }
         hashes.push(expected);
     }
     hashes.sort_unstable();
     hashes.dedup();
-    assert_eq!(hashes.len(), 3, "each has its own look");
+    assert_eq!(hashes.len(), 4, "each has its own look");
 }
 
 #[test]

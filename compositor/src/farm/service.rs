@@ -183,12 +183,12 @@ impl Service {
 
     /// Hands a question to the first who can answer it. Nobody waits for the answer: if its render server dies, the person
     /// who asked sees none, and asks again.
-    fn on_probe(&mut self, Probe { number, view, at }: Probe) {
+    fn on_probe(&mut self, Probe { number, view, at, clip }: Probe) {
         let Some((scene, camera)) = view.filter(|&(scene, _)| self.scheduler.scene() == Some(scene)) else { return };
         let ready = self.status.borrow().nodes.iter().find(|node| node.is_ready()).map(|node| node.id);
         self.asked = ready.map(|id| (id, number));
         if let Some(id) = ready {
-            self.send(id, &ToServer::Probe { number, scene, camera, at });
+            self.send(id, &ToServer::Probe { number, scene, camera, at, clip });
         }
     }
 

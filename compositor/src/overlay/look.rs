@@ -1,7 +1,7 @@
-//! How the picture looks: from where it is lit, and what is behind the model.
+//! How the picture looks: from where it is lit, what is behind the model, and where the model is cut open.
 
-use egui::{Slider, Ui};
-use shared::look::{Background, Light, Look};
+use egui::{Role, Slider, Ui, WidgetInfo};
+use shared::look::{Background, Clip, ClipFrom, Light, Look};
 
 use crate::input::Command;
 
@@ -27,4 +27,32 @@ pub(super) fn show(ui: &mut Ui, look: &Look, commands: &mut Vec<Command>) {
             }
         }
     });
+    cut(ui, look.clip, commands);
+}
+
+fn cut(ui: &mut Ui, clip: Option<Clip>, commands: &mut Vec<Command>) {
+    ui.horizontal(|ui| {
+        ui.label("Cut (X)");
+        ui.spacing_mut().item_spacing.x = 0.0;
+        let sides = std::iter::once(None).chain(ClipFrom::ALL.map(Some));
+        for side in sides {
+            let is_chosen = side == clip.map(Clip::from);
+            let name = side.map_or("none", ClipFrom::name);
+            let button = ui.selectable_label(is_chosen, name);
+            let spoken = format!("cut from {name}");
+            button.widget_info(|| WidgetInfo::selected(Role::Button, true, is_chosen, &spoken));
+            if button.clicked() {
+                commands.push(Command::SetClip(side.map(|from| Clip::from_side(from, clip))));
+            }
+        }
+    });
+    if let Some(clip) = clip {
+        let mut percent = f64::from(clip.cut_permille()) / 10.0;
+        let slider = Slider::new(&mut percent, 0.0..=100.0).text("cut away").suffix(" %").max_decimals(1);
+        if ui.add(slider).changed()
+            && let Ok(clip) = Clip::new(clip.from(), (percent * 10.0).round() as u16)
+        {
+            commands.push(Command::SetClip(Some(clip)));
+        }
+    }
 }

@@ -7,7 +7,7 @@ use egui_kittest::{Harness, kittest::NodeT, kittest::Queryable};
 use glam::DVec3;
 use shared::{
     division::FrameSize,
-    look::{Background, Light},
+    look::{Background, Clip, ClipFrom, Light},
     protocol::{Encoding, SceneState},
     structure::Storage,
 };
@@ -321,6 +321,30 @@ fn light_and_background_can_be_set() {
     });
     let light = Light::new(-35, 37).unwrap();
     assert_eq!(commands, [Command::SetBackground(Background::plain([255; 3])), Command::SetLight(light)]);
+}
+
+#[test]
+fn the_model_can_be_cut_open() {
+    let commands = commands_of(&running(), |harness| {
+        assert_eq!(harness.get_by_label("cut from none").accesskit_node().toggled(), Some(Toggled::True));
+        assert!(harness.query_by_label("cut away").is_none());
+        harness.get_by_label("cut from -y").click();
+    });
+    assert_eq!(commands, [Command::SetClip(Some(Clip::new(ClipFrom::MinusY, 500).unwrap()))]);
+    let look = Look { clip: Some(Clip::new(ClipFrom::Eye, 250).unwrap()), ..Look::default() };
+    let commands = commands_of(&OverlayModel { look, ..running() }, |harness| {
+        let label = harness.get_by_role_and_label(egui::accesskit::Role::Slider, "cut away");
+        label.focus();
+        harness.run();
+        harness.key_press(egui::Key::ArrowRight);
+        harness.run();
+        harness.get_by_label("cut from x").click();
+        harness.run();
+        harness.get_by_label("cut from none").click();
+    });
+    let [Command::SetClip(Some(deeper)), rest @ ..] = &*commands else { panic!("{commands:?}") };
+    assert!(deeper.from() == ClipFrom::Eye && deeper.cut_permille() > 250, "{deeper}");
+    assert_eq!(rest, [Command::SetClip(Some(Clip::new(ClipFrom::X, 250).unwrap())), Command::SetClip(None)]);
 }
 
 #[test]

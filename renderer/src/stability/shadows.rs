@@ -104,7 +104,7 @@ fn light_of(
         look: Look::default(),
     };
     let light = light.as_vec3();
-    let secondary = SecondaryRays::new(&grid, &request).with_key_light(light);
+    let secondary = SecondaryRays::new(&grid, &request, None).with_key_light(light);
     let rays = camera.rays(size);
     let mut scratch = PacketScratch::default();
     let mut tally = Tally::default();

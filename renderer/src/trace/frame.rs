@@ -17,7 +17,8 @@ use shared::{
 
 use super::shadows::ShadowCaster;
 use crate::{
-    grid::PacketScratch,
+    clip,
+    grid::{PacketScratch, RayCost},
     ray::{Hit, Ray},
     tracer::{FrameRequest, Scene},
 };
@@ -68,6 +69,8 @@ impl Frame {
     /// threads of the rayon pool that this is called in.
     pub fn trace(&mut self, scene: &Scene, request: &FrameRequest, options: &FrameOptions) -> Cost {
         let rays = request.camera.rays(request.size);
+        let clip = scene.clip_plane(&request.camera, request.look.clip);
+        let clip = clip.as_ref();
         let xres = request.size.xres() as usize;
         let work = Division::Tiled.work(0, 1);
         let Ok(share) = work.share(request.size) else { return Cost::default() };
@@ -85,12 +88,12 @@ impl Frame {
             let tiles = row as u32 * tiles_per_row..(row as u32 + 1) * tiles_per_row;
             let mut in_tiles = Vec::with_capacity(hits.len());
             match options.kernel {
-                Kernel::Packet => scene.trace(&rays, &share, tiles.clone(), &mut in_tiles),
+                Kernel::Packet => scene.trace_clipped(&rays, clip, &share, tiles.clone(), &mut in_tiles),
                 Kernel::Single => in_tiles.extend(
                     tiles
                         .clone()
                         .flat_map(|tile| share.samples(tile).iter())
-                        .map(|(i, j)| scene.grid().intersect(&Ray::new(rays.eye, rays.direction(i, j)))),
+                        .map(|(i, j)| clip::intersect(scene.grid(), clip, Ray::new(rays.eye, rays.direction(i, j)))),
                 ),
             }
             let mut in_tiles = &*in_tiles;
@@ -177,9 +180,11 @@ pub struct CostSum {
 /// Counts what the primary rays of a frame cost, on the threads of the rayon pool that this is called in.
 pub fn cost_sum(scene: &Scene, request: &FrameRequest) -> CostSum {
     let rays = request.camera.rays(request.size);
+    let clip = scene.clip_plane(&request.camera, request.look.clip);
     let of_row = |j: u32| {
         (0..request.size.xres()).fold(CostSum::default(), |sum, i| {
-            let cost = scene.grid().cost(&Ray::new(rays.eye, rays.direction(i, j)));
+            let ray = clip::kept(clip.as_ref(), Ray::new(rays.eye, rays.direction(i, j)));
+            let cost = ray.map_or(RayCost::default(), |ray| scene.grid().cost(&ray));
             CostSum { n_cells: sum.n_cells + u64::from(cost.n_cells), n_tests: sum.n_tests + u64::from(cost.n_tests) }
         })
     };

@@ -40,7 +40,9 @@ impl ShadowCaster<'_> {
         }
         let grid = self.scene.grid();
         let n_hidden = match self.kernel {
-            Kernel::Packet => secondary::hidden(grid, self.light, &directions, T_MAX, scratch).count_ones() as usize,
+            Kernel::Packet => {
+                secondary::hidden(grid, None, self.light, &directions, T_MAX, scratch).count_ones() as usize
+            }
             Kernel::Single => directions
                 .iter()
                 .flatten()

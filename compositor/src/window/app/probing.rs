@@ -56,7 +56,8 @@ impl App<'_> {
         let (camera, at) = (navigator.camera(), [point.x as f32, point.y as f32]);
         self.probing.last_number = self.probing.last_number.wrapping_add(1);
         self.probing.asked = Some(Asked { purpose, camera, at, since: Instant::now() });
-        self.farm.probe(Probe { number: self.probing.last_number, view: Some((model.scene, camera)), at });
+        let (number, clip) = (self.probing.last_number, self.look.clip);
+        self.farm.probe(Probe { number, view: Some((model.scene, camera)), at, clip });
     }
 
     /// A mouse button went down and up again without a drag between.

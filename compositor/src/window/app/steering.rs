@@ -5,7 +5,7 @@ use std::{path::Path, time::Instant};
 use glam::DVec2;
 use shared::{
     division::Division,
-    look::{Background, Light, Look},
+    look::{Background, Clip, ClipFrom, Light, Look},
     protocol::{RayTree, View},
     structure::{Storage, Structure},
 };
@@ -53,7 +53,9 @@ impl App<'_> {
                     navigator.hold(direction);
                 }
             }
-            Some(Action::Ask(command)) if pressed && !event.repeat => self.obey(event_loop, command),
+            Some(Action::Ask(command)) if pressed && (!event.repeat || command.repeats()) => {
+                self.obey(event_loop, command);
+            }
             _ => {}
         }
     }
@@ -107,6 +109,12 @@ impl App<'_> {
                 self.set_look(Look { background, ..self.look });
             }
             Command::SetBackground(background) => self.set_look(Look { background, ..self.look }),
+            Command::NextClip => self.next_clip(),
+            Command::SetClip(clip) => self.set_look(Look { clip, ..self.look }),
+            Command::MoveClip(permille) => {
+                let clip = self.look.clip.map(|clip| clip.moved(permille));
+                self.set_look(Look { clip, ..self.look });
+            }
             Command::ToggleOverlay => self.overlay.panel = !self.overlay.panel,
             Command::ToggleHelp => self.overlay.help = !self.overlay.help,
             Command::ToggleFullscreen => self.fill(event_loop, !self.outputs.is_filling()),
@@ -180,6 +188,18 @@ impl App<'_> {
     fn set_look(&mut self, look: Look) {
         self.look = look;
         self.want_picture();
+    }
+
+    fn next_clip(&mut self) {
+        let from = match self.look.clip {
+            None => Some(ClipFrom::ALL[0]),
+            Some(clip) => {
+                let index = ClipFrom::ALL.iter().position(|&from| from == clip.from());
+                index.and_then(|index| ClipFrom::ALL.get(index + 1)).copied()
+            }
+        };
+        self.say(from.map_or("Whole again".to_owned(), |from| format!("Cut open from {}", from.name())));
+        self.set_look(Look { clip: from.map(|from| Clip::from_side(from, self.look.clip)), ..self.look });
     }
 
     fn fill(&mut self, event_loop: &ActiveEventLoop, is_filling: bool) {
