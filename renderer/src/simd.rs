@@ -8,8 +8,8 @@ pub(crate) trait Real: Copy {
     /// How many.
     const LANES: usize;
     fn splat(x: f64) -> Self;
-    /// The first [`Real::LANES`] numbers, made double.
-    fn load(from: &[f32; 8]) -> Self;
+    /// The first [`Real::LANES`] numbers of a slice that has as many, made double.
+    fn load(from: &[f32]) -> Self;
     fn store(self, to: &mut [f64; 8]);
     fn add(self, other: Self) -> Self;
     fn sub(self, other: Self) -> Self;
@@ -28,7 +28,7 @@ impl Real for f64 {
         x
     }
     #[inline(always)]
-    fn load(from: &[f32; 8]) -> Self {
+    fn load(from: &[f32]) -> Self {
         f64::from(from[0])
     }
     #[inline(always)]

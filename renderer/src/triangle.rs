@@ -10,11 +10,12 @@ use crate::{exact::ExactSum, ray::Ray, simd::Real};
 /// Where a ray hits a triangle, as t in `f64`, or `None` if it does not within `t_min..=t_max`.
 ///
 /// Triangles seen exactly edge-on, and those without area, are not hit.
-/// t is that of Möller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection" (1997), in `f64`.
+/// t is where the ray meets the triangle's plane, in `f64`.
 #[inline]
 pub fn intersect(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
     let double = |vector: [f32; 3]| vector.map(f64::from);
-    let decision = decide(double(ray.origin.to_array()), double(ray.direction.to_array()), corners.map(double));
+    let planes = Planes::new(double(ray.origin.to_array()), corners.map(double));
+    let decision = planes.decide(double(ray.direction.to_array()));
     if decision.certain_miss == 1 {
         return None;
     }
@@ -34,34 +35,79 @@ pub(crate) struct Decision<R> {
 
 type Vector<R> = [R; 3];
 
-/// The routine itself, for one pair in `f64` or for as many as there are lanes, with the same bits.
+/// What deciding whether rays from a common origin hit a triangle needs of both, for one triangle or for as many as there
+/// are lanes.
 ///
 /// No closures here: they would not be compiled for the caller's instruction set.
-#[inline(always)]
-pub(crate) fn decide<R: Real>(origin: Vector<R>, direction: Vector<R>, [a, b, c]: [Vector<R>; 3]) -> Decision<R> {
-    let (a_from_origin, b_from_origin, c_from_origin) = (sub(a, origin), sub(b, origin), sub(c, origin));
-    let (edge_ab, edge_bc, edge_ac) = (sub(b, a), sub(c, b), sub(c, a));
-    let edge_ca = sub(a, c);
+#[derive(Clone, Copy)]
+pub(crate) struct Planes<R> {
+    /// Normals of the planes through the origin and an edge: p × (q − p), seen from the origin, for the edge from p to q.
+    sides: [Vector<R>; 3],
+    /// The triangle's normal, (b − a) × (c − a).
+    normal: Vector<R>,
+    /// The triangle's plane, seen from the origin: all points x with normal·x = offset.
+    offset: R,
+    /// More than rounding can do to a determinant, for a direction whose absolute components add up to one.
+    error_bound: R,
+}
 
-    // The determinant |direction, p, q| for the edge from p to q, seen from the origin, is direction·(p × (q − p)).
-    // Eight roundings lie between the inputs and it, each of at most 2⁻⁵³ of the sum of absolute products.
-    let sum = direction[0].abs().add(direction[1].abs()).add(direction[2].abs());
-    let from_origin = largest(a_from_origin).max(largest(b_from_origin)).max(largest(c_from_origin));
-    let edges = largest(edge_ab).max(largest(edge_bc)).max(largest(edge_ac));
-    let error_bound = sum.mul(from_origin).mul(edges).mul(R::splat(32.0 * f64::EPSILON));
-    let side_ab = dot(direction, cross(a_from_origin, edge_ab));
-    let side_bc = dot(direction, cross(b_from_origin, edge_bc));
-    let side_ca = dot(direction, cross(c_from_origin, edge_ca));
-    let minus_bound = R::splat(0.0).sub(error_bound);
-    let left = error_bound.below(side_ab) | error_bound.below(side_bc) | error_bound.below(side_ca);
-    let right = side_ab.below(minus_bound) | side_bc.below(minus_bound) | side_ca.below(minus_bound);
-    let determinant = dot(edge_ab, cross(direction, edge_ac));
-    let t = dot(edge_ac, cross(sub(origin, a), edge_ab)).div(determinant);
-    let decided = error_bound.below(side_ab.abs())
-        & error_bound.below(side_bc.abs())
-        & error_bound.below(side_ca.abs())
-        & R::splat(0.0).below(determinant.abs());
-    Decision { certain_miss: left & right, uncertain: !decided & ((1 << R::LANES) - 1), t }
+impl<R: Real> Planes<R> {
+    /// The routine's first part.
+    #[inline(always)]
+    pub(crate) fn new(origin: Vector<R>, [a, b, c]: [Vector<R>; 3]) -> Self {
+        let (a_from_origin, b_from_origin, c_from_origin) = (sub(a, origin), sub(b, origin), sub(c, origin));
+        let (edge_ab, edge_bc, edge_ca) = (sub(b, a), sub(c, b), sub(a, c));
+        let normal = cross(edge_ab, sub(c, a));
+        // Eight roundings lie between the inputs and a determinant, each of at most 2⁻⁵³ of the sum of absolute products.
+        let from_origin = largest(a_from_origin).max(largest(b_from_origin)).max(largest(c_from_origin));
+        let edges = largest(edge_ab).max(largest(edge_bc)).max(largest(edge_ca));
+        Self {
+            sides: [cross(a_from_origin, edge_ab), cross(b_from_origin, edge_bc), cross(c_from_origin, edge_ca)],
+            normal,
+            offset: dot(normal, a_from_origin),
+            error_bound: from_origin.mul(edges).mul(R::splat(32.0 * f64::EPSILON)),
+        }
+    }
+
+    /// The second part: the determinant |direction, p, q| for the edge from p to q, seen from the origin, is
+    /// direction·(p × (q − p)), and its sign is the side on which the ray passes.
+    #[inline(always)]
+    pub(crate) fn decide(&self, direction: Vector<R>) -> Decision<R> {
+        let sum = direction[0].abs().add(direction[1].abs()).add(direction[2].abs());
+        let error_bound = sum.mul(self.error_bound);
+        let minus_bound = R::splat(0.0).sub(error_bound);
+        let [ab, bc, ca] =
+            [dot(direction, self.sides[0]), dot(direction, self.sides[1]), dot(direction, self.sides[2])];
+        let left = [error_bound.below(ab), error_bound.below(bc), error_bound.below(ca)];
+        let right = [ab.below(minus_bound), bc.below(minus_bound), ca.below(minus_bound)];
+        let determinant = dot(direction, self.normal);
+        let decided =
+            (left[0] | right[0]) & (left[1] | right[1]) & (left[2] | right[2]) & R::splat(0.0).below(determinant.abs());
+        Decision {
+            certain_miss: (left[0] | left[1] | left[2]) & (right[0] | right[1] | right[2]),
+            uncertain: !decided & ((1 << R::LANES) - 1),
+            t: self.offset.div(determinant),
+        }
+    }
+}
+
+impl Planes<f64> {
+    /// The same triangle in all lanes.
+    #[inline(always)]
+    pub(crate) fn splat<R: Real>(&self) -> Planes<R> {
+        let [ab, bc, ca] = self.sides;
+        Planes {
+            sides: [splat(ab), splat(bc), splat(ca)],
+            normal: splat(self.normal),
+            offset: R::splat(self.offset),
+            error_bound: R::splat(self.error_bound),
+        }
+    }
+}
+
+#[inline(always)]
+fn splat<R: Real>([x, y, z]: Vector<f64>) -> Vector<R> {
+    [R::splat(x), R::splat(y), R::splat(z)]
 }
 
 #[inline(always)]
@@ -90,15 +136,15 @@ pub(crate) fn intersect_exactly(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f6
     if !hits_exactly(ray, corners) {
         return None;
     }
-    let [a, b, c] = corners.map(|corner| corner.map(f64::from));
-    let (origin, direction) = (ray.origin.to_array().map(f64::from), ray.direction.to_array().map(f64::from));
-    let (edge_ab, edge_ac) = (sub(b, a), sub(c, a));
-    let determinant = dot(edge_ab, cross(direction, edge_ac));
+    let double = |vector: [f32; 3]| vector.map(f64::from);
+    let (origin, direction) = (double(ray.origin.to_array()), double(ray.direction.to_array()));
+    let Planes { normal, offset, .. } = Planes::new(origin, corners.map(double));
+    let determinant = dot(direction, normal);
     Some(if determinant == 0.0 {
         // A sliver too thin for `f64`: it lies along the ray, and any of its corners tells where.
-        dot(sub(a, origin), direction) / dot(direction, direction)
+        dot(sub(double(corners[0]), origin), direction) / dot(direction, direction)
     } else {
-        dot(edge_ac, cross(sub(origin, a), edge_ab)) / determinant
+        offset / determinant
     })
 }
 

@@ -4,8 +4,6 @@
 //! Everything here may only drop pairs of ray and triangle that certainly miss, with rounding accounted for.
 //! There are no closures over vectors: they would not be compiled for the caller's instruction set.
 
-use glam::Vec3;
-
 use super::{
     Grid,
     boxes::{Bounds, LeafBoxes},
@@ -14,15 +12,18 @@ use super::{
     prepared::{Bundle, Prepared, SLOPE_MARGIN},
 };
 use crate::{
-    ray::{Hit, Ray},
+    ray::Hit,
     simd::{Real, Simd},
     traced::TracedMesh,
-    triangle,
+    triangle::{self, Planes},
 };
 
 /// From so many triangles for each ray on, a leaf's boxes are tested against its rays one by one: in a scan seen from
 /// afar most triangles lie between the rays.
 const MANY_TRIANGLES_PER_RAY: usize = 5;
+
+/// From so many rays on that may hit a triangle, it is made ready for all of them, not for each anew.
+const MANY_RAYS: u32 = 4;
 
 /// Triangles remembered as already tested, a power of two.
 const N_RECENT: usize = 256;
@@ -266,20 +267,35 @@ impl<'a> Culler<'a> {
             if left == 0 {
                 continue;
             }
-            for group in 0..64 / S::LANES {
-                if self.live >> group & 1 == 1 {
-                    self.test_group::<S>(&prepared, left, group);
-                }
-            }
+            self.test_prepared::<S>(&prepared, left);
         }
         if self.n_candidates > 0 {
             self.decide::<S>();
         }
     }
 
-    /// Tests prepared triangles against one group of rays.
+    /// Tests prepared triangles against all rays.
     #[inline(always)]
-    fn test_group<S: Simd>(&mut self, prepared: &Prepared, triangles: u32, group: usize) {
+    fn test_prepared<S: Simd>(&mut self, prepared: &Prepared, triangles: u32) {
+        let mut rays = [0; 16];
+        for group in 0..64 / S::LANES {
+            if self.live >> group & 1 == 1 {
+                self.test_group::<S>(prepared, triangles, group, &mut rays);
+            }
+        }
+        for lane in 0..S::LANES {
+            let (place, rays) = (prepared.places[lane], rays[lane]);
+            if rays.count_ones() >= MANY_RAYS {
+                self.decide_triangle::<S>(place, rays);
+            } else if rays != 0 {
+                self.decide_later::<S>(place, rays);
+            }
+        }
+    }
+
+    /// Tests prepared triangles against one group of rays. Adds a bit to `rays` for each that a triangle may be hit by.
+    #[inline(always)]
+    fn test_group<S: Simd>(&self, prepared: &Prepared, triangles: u32, group: usize, rays: &mut [u64; 16]) {
         let bounds = self.groups[group];
         let mut left = triangles
             & S::load(&prepared.u[0]).up_to(S::splat(bounds.u[1]))
@@ -309,16 +325,50 @@ impl<'a> Culler<'a> {
             let margin = prepared.side_margin[lane];
             let low = sides[0].min(sides[1]).min(sides[2]);
             let high = sides[0].max(sides[1]).max(sides[2]);
-            let mut rays = S::splat(prepared.depth[lane]).up_to(limits)
+            let passing = S::splat(prepared.depth[lane]).up_to(limits)
                 & !(low.below(S::splat(-margin)) & S::splat(margin).below(high));
-            while rays != 0 {
-                let ray = first + rays.trailing_zeros() as usize;
-                rays &= rays - 1;
-                self.candidates[self.n_candidates] = (ray as u8, prepared.places[lane]);
-                self.n_candidates += 1;
-                if self.n_candidates == S::Double::LANES {
-                    self.decide::<S>();
-                }
+            rays[lane] |= u64::from(passing) << first;
+        }
+    }
+
+    /// Keeps pairs of rays and a triangle until there are enough of them for one decision.
+    #[inline(always)]
+    fn decide_later<S: Simd>(&mut self, triangle: u32, mut rays: u64) {
+        while rays != 0 {
+            self.candidates[self.n_candidates] = (rays.trailing_zeros() as u8, triangle);
+            rays &= rays - 1;
+            self.n_candidates += 1;
+            if self.n_candidates == S::Double::LANES {
+                self.decide::<S>();
+            }
+        }
+    }
+
+    /// Lets the canonical routine decide which of some rays hit a triangle.
+    #[inline(always)]
+    fn decide_triangle<S: Simd>(&mut self, triangle: u32, rays: u64) {
+        let corners = self.mesh.corners(triangle).map(|corner| corner.map(f64::from));
+        let origin = self.packet.origin.to_array().map(f64::from);
+        let planes = Planes::new(origin, corners).splat::<S::Double>();
+        let lanes = (1 << S::Double::LANES) - 1;
+        let mut left = rays;
+        while left != 0 {
+            let first = left.trailing_zeros() as usize / S::Double::LANES * S::Double::LANES;
+            let these = (left >> first) as u32 & lanes;
+            left &= !(u64::from(lanes) << first);
+            let [x, y, z] = &self.packet.directions;
+            let decision = planes.decide([
+                S::Double::load(&x[first..]),
+                S::Double::load(&y[first..]),
+                S::Double::load(&z[first..]),
+            ]);
+            let mut all_t = [0.0; 8];
+            decision.t.store(&mut all_t);
+            let mut hits = these & !decision.certain_miss;
+            while hits != 0 {
+                let lane = hits.trailing_zeros() as usize;
+                hits &= hits - 1;
+                self.keep(first + lane, triangle, all_t[lane], decision.uncertain >> lane & 1 == 1);
             }
         }
     }
@@ -349,43 +399,48 @@ impl<'a> Culler<'a> {
             }
         }
         let [a, b, c, direction, origin] = vectors;
-        let decision = triangle::decide(origin, direction, [a, b, c]);
+        let decision = Planes::new(origin, [a, b, c]).decide(direction);
         let mut all_t = [0.0; 8];
         decision.t.store(&mut all_t);
-        let range = f64::from(self.packet.t_min)..=f64::from(self.packet.t_max);
         let mut left = !decision.certain_miss & ((1 << self.n_candidates) - 1);
         while left != 0 {
             let slot = left.trailing_zeros() as usize;
             left &= left - 1;
             let (ray, triangle) = self.candidates[slot];
-            let mut t = all_t[slot];
-            if decision.uncertain >> slot & 1 == 1 {
-                let direction = Vec3::new(directions[0][slot], directions[1][slot], directions[2][slot]);
-                match self.decide_exactly(direction, triangle) {
-                    Some(exact) => t = exact,
-                    None => continue,
-                }
-            }
-            let ray = ray as usize;
-            let nearest = self.nearest_t[ray];
-            if range.contains(&t)
-                && (t < nearest
-                    || t == nearest
-                        && triangle != self.nearest_triangle[ray]
-                        && self.is_before(triangle, self.nearest_triangle[ray]))
-            {
-                self.nearest_t[ray] = t;
-                self.nearest_triangle[ray] = triangle;
-                let depth = t * f64::from(self.packet.directions[self.bundle.axes[0]][ray].abs());
-                let limit = (depth * (1.0 + 1e-6)) as f32;
-                if self.packet.any_hit {
-                    self.limits[ray] = f32::NEG_INFINITY;
-                } else if limit < self.limits[ray] {
-                    self.limits[ray] = limit;
-                }
-            }
+            self.keep(ray as usize, triangle, all_t[slot], decision.uncertain >> slot & 1 == 1);
         }
         self.n_candidates = 0;
+    }
+
+    /// Keeps a hit if it is a ray's nearest so far.
+    #[inline(always)]
+    fn keep(&mut self, ray: usize, triangle: u32, t: f64, is_uncertain: bool) {
+        let t = if is_uncertain {
+            match self.decide_exactly(ray, triangle) {
+                Some(exact) => exact,
+                None => return,
+            }
+        } else {
+            t
+        };
+        let nearest = self.nearest_t[ray];
+        let range = f64::from(self.packet.t_min)..=f64::from(self.packet.t_max);
+        if range.contains(&t)
+            && (t < nearest
+                || t == nearest
+                    && triangle != self.nearest_triangle[ray]
+                    && self.is_before(triangle, self.nearest_triangle[ray]))
+        {
+            self.nearest_t[ray] = t;
+            self.nearest_triangle[ray] = triangle;
+            let depth = t * f64::from(self.packet.directions[self.bundle.axes[0]][ray].abs());
+            let limit = (depth * (1.0 + 1e-6)) as f32;
+            if self.packet.any_hit {
+                self.limits[ray] = f32::NEG_INFINITY;
+            } else if limit < self.limits[ray] {
+                self.limits[ray] = limit;
+            }
+        }
     }
 
     /// Of triangles at the same t the first in the file wins.
@@ -397,7 +452,7 @@ impl<'a> Culler<'a> {
 
     #[cold]
     #[inline(never)]
-    fn decide_exactly(&self, direction: Vec3, triangle: u32) -> Option<f64> {
-        triangle::intersect_exactly(&Ray::new(self.packet.origin, direction), &self.mesh.corners(triangle))
+    fn decide_exactly(&self, ray: usize, triangle: u32) -> Option<f64> {
+        triangle::intersect_exactly(&self.packet.ray(ray), &self.mesh.corners(triangle))
     }
 }

@@ -136,8 +136,9 @@ impl Real for Avx2Double {
         Self(unsafe { _mm256_set1_pd(x) })
     }
     #[inline(always)]
-    fn load(from: &[f32; 8]) -> Self {
-        // SAFETY: as above, and eight numbers are there.
+    fn load(from: &[f32]) -> Self {
+        let from: &[f32; 4] = from[..4].try_into().expect("four numbers");
+        // SAFETY: as above, and four numbers are there.
         Self(unsafe { _mm256_cvtps_pd(_mm_loadu_ps(from.as_ptr())) })
     }
     #[inline(always)]
@@ -252,7 +253,8 @@ impl Real for Avx512Double {
         Self(unsafe { _mm512_set1_pd(x) })
     }
     #[inline(always)]
-    fn load(from: &[f32; 8]) -> Self {
+    fn load(from: &[f32]) -> Self {
+        let from: &[f32; 8] = from[..8].try_into().expect("eight numbers");
         // SAFETY: as above, and eight numbers are there.
         Self(unsafe { _mm512_cvtps_pd(_mm256_loadu_ps(from.as_ptr())) })
     }
