@@ -96,6 +96,17 @@ pub(crate) trait Simd: Copy {
     ///
     /// Four coordinates are loaded for each vertex and three kept: several times as fast as the gathering instructions.
     fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3];
+    /// Writes those of up to [`Simd::LANES`] numbers that have their bit set in `mask` to the beginning of a slice with
+    /// room for all lanes, in their order; what follows them there is noise. Returns how many they are.
+    #[inline(always)]
+    fn pick(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
+        let mut n = 0;
+        for (lane, &number) in from.iter().enumerate() {
+            to[n] = number;
+            n += (mask >> lane & 1) as usize;
+        }
+        n
+    }
     fn add(self, other: Self) -> Self;
     fn sub(self, other: Self) -> Self;
     fn mul(self, other: Self) -> Self;

@@ -173,31 +173,38 @@ impl<'a> Culler<'a> {
     #[inline(always)]
     pub(super) fn add<S: Kernel>(&mut self, boxes: &LeafBoxes<'_>, triangles: &[u32], rays: u64) {
         let ray_by_ray = triangles.len() >= MANY_TRIANGLES_PER_RAY * rays.count_ones() as usize;
-        let mut first = 0;
-        while first < triangles.len() {
-            let n = (triangles.len() - first).min(S::LANES);
-            if self.n_waiting + n > N_WAITING {
+        let mut new_from = self.n_waiting;
+        for (batch, triangles) in triangles.chunks(S::LANES).enumerate() {
+            if self.n_waiting + S::LANES > N_WAITING {
+                self.drop_recent::<S>(new_from);
                 S::test(self);
+                new_from = 0;
             }
-            let bounds = boxes.bounds::<S>(first);
-            let mut passed = bounds.passed_by(self.bundle.slopes, self.farthest) & (u32::MAX >> (32 - n));
+            let bounds = boxes.bounds::<S>(batch * S::LANES);
+            let mut passed = bounds.passed_by(self.bundle.slopes, self.farthest) & (u32::MAX >> (32 - triangles.len()));
             if ray_by_ray && passed != 0 {
                 passed &= self.passed_by_any(&bounds, rays);
             }
-            let mut n_waiting = self.n_waiting;
-            while passed != 0 {
-                let triangle = triangles[first + passed.trailing_zeros() as usize];
-                passed &= passed - 1;
-                // Without a branch: whether a triangle was met before cannot be predicted.
-                let recent = &mut self.recent[triangle as usize % N_RECENT];
-                self.mesh.prefetch::<S>(triangle);
-                self.waiting[n_waiting % N_WAITING] = triangle;
-                n_waiting += usize::from(*recent != triangle);
-                *recent = triangle;
-            }
-            self.n_waiting = n_waiting;
-            first += S::LANES;
+            self.n_waiting += S::pick(triangles, passed, &mut self.waiting[self.n_waiting..]);
         }
+        self.drop_recent::<S>(new_from);
+    }
+
+    /// Drops triangles that were met lately from those that wait, from number `new_from` on.
+    ///
+    /// Without a branch: whether a triangle was met before cannot be predicted.
+    #[inline(always)]
+    fn drop_recent<S: Simd>(&mut self, new_from: usize) {
+        let mut n_waiting = new_from;
+        for index in new_from..self.n_waiting {
+            let triangle = self.waiting[index];
+            self.mesh.prefetch::<S>(triangle);
+            let recent = &mut self.recent[triangle as usize % N_RECENT];
+            self.waiting[n_waiting] = triangle;
+            n_waiting += usize::from(*recent != triangle);
+            *recent = triangle;
+        }
+        self.n_waiting = n_waiting;
     }
 
     /// A bit for each box that one of some rays may pass.
@@ -283,11 +290,17 @@ impl<'a> Culler<'a> {
                 self.test_group::<S>(prepared, triangles, group, &mut rays);
             }
         }
-        for lane in 0..S::LANES {
+        let mut left = 0;
+        for lane in 0..16 {
+            left |= u32::from(rays[lane] != 0) << lane;
+        }
+        while left != 0 {
+            let lane = left.trailing_zeros() as usize;
+            left &= left - 1;
             let (place, rays) = (prepared.places[lane], rays[lane]);
             if rays.count_ones() >= MANY_RAYS {
                 self.decide_triangle::<S>(place, rays);
-            } else if rays != 0 {
+            } else {
                 self.decide_later::<S>(place, rays);
             }
         }

@@ -222,6 +222,17 @@ impl Simd for Avx512 {
             ]
         }
     }
+    #[inline(always)]
+    fn pick(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
+        let to: &mut [u32; 16] = (&mut to[..16]).try_into().expect("sixteen numbers");
+        let mask = mask & (u32::from(u16::MAX) >> (16 - from.len()));
+        // SAFETY: as above; only numbers are read that are there, and there is room for sixteen.
+        unsafe {
+            let numbers = _mm512_maskz_loadu_epi32(mask as u16, from.as_ptr().cast());
+            _mm512_storeu_epi32(to.as_mut_ptr().cast(), _mm512_maskz_compress_epi32(mask as u16, numbers));
+        }
+        mask.count_ones() as usize
+    }
     instructions! {
         add(other) = _mm512_add_ps;
         sub(other) = _mm512_sub_ps;
