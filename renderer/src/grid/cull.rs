@@ -284,11 +284,24 @@ impl<'a> Culler<'a> {
     /// Tests prepared triangles against all rays.
     #[inline(always)]
     fn test_prepared<S: Simd>(&mut self, prepared: &Prepared, triangles: u32) {
-        let mut rays = [0; 16];
+        // All pairs of a group of rays and a triangle in one mask and one loop, whose end is hard to predict.
+        let mut pairs = 0;
         for group in 0..64 / S::LANES {
-            if self.live >> group & 1 == 1 {
-                self.test_group::<S>(prepared, triangles, group, &mut rays);
-            }
+            let Group { u, v, limit } = self.groups[group];
+            let met = triangles
+                & S::load(&prepared.u[0]).up_to(S::splat(u[1]))
+                & S::splat(u[0]).up_to(S::load(&prepared.u[1]))
+                & S::load(&prepared.v[0]).up_to(S::splat(v[1]))
+                & S::splat(v[0]).up_to(S::load(&prepared.v[1]))
+                & S::load(&prepared.depth).up_to(S::splat(limit));
+            pairs |= u64::from(met * (self.live >> group & 1)) << (group * S::LANES);
+        }
+        let mut rays = [0; 16];
+        while pairs != 0 {
+            let pair = pairs.trailing_zeros() as usize;
+            pairs &= pairs - 1;
+            let (group, lane) = (pair / S::LANES, pair % S::LANES);
+            rays[lane] |= self.test_pair::<S>(prepared, lane, group * S::LANES);
         }
         let mut left = 0;
         for lane in 0..16 {
@@ -306,42 +319,25 @@ impl<'a> Culler<'a> {
         }
     }
 
-    /// Tests prepared triangles against one group of rays. Adds a bit to `rays` for each that a triangle may be hit by.
+    /// A bit for each ray that may hit a prepared triangle, of as many as there are lanes from number `first` on.
     #[inline(always)]
-    fn test_group<S: Simd>(&self, prepared: &Prepared, triangles: u32, group: usize, rays: &mut [u64; 16]) {
-        let bounds = self.groups[group];
-        let mut left = triangles
-            & S::load(&prepared.u[0]).up_to(S::splat(bounds.u[1]))
-            & S::splat(bounds.u[0]).up_to(S::load(&prepared.u[1]))
-            & S::load(&prepared.v[0]).up_to(S::splat(bounds.v[1]))
-            & S::splat(bounds.v[0]).up_to(S::load(&prepared.v[1]))
-            & S::load(&prepared.depth).up_to(S::splat(bounds.limit));
-        if left == 0 {
-            return;
+    fn test_pair<S: Simd>(&self, prepared: &Prepared, lane: usize, first: usize) -> u64 {
+        let [x, y, z] = &self.packet.directions;
+        let direction = [S::load(&x[first..]), S::load(&y[first..]), S::load(&z[first..])];
+        let mut sides = [direction[0]; 3];
+        for edge in 0..3 {
+            let normal = &prepared.normals[edge];
+            sides[edge] = direction[0].mul_add(
+                S::splat(normal[0][lane]),
+                direction[1].mul_add(S::splat(normal[1][lane]), direction[2].mul(S::splat(normal[2][lane]))),
+            );
         }
-        let first = group * S::LANES;
-        let limits = S::load(&self.limits[first..]);
-        let directions = &self.packet.directions;
-        let direction =
-            [S::load(&directions[0][first..]), S::load(&directions[1][first..]), S::load(&directions[2][first..])];
-        while left != 0 {
-            let lane = left.trailing_zeros() as usize;
-            left &= left - 1;
-            let mut sides = [direction[0]; 3];
-            for edge in 0..3 {
-                let normal = &prepared.normals[edge];
-                sides[edge] = direction[0].mul_add(
-                    S::splat(normal[0][lane]),
-                    direction[1].mul_add(S::splat(normal[1][lane]), direction[2].mul(S::splat(normal[2][lane]))),
-                );
-            }
-            let margin = prepared.side_margin[lane];
-            let low = sides[0].min(sides[1]).min(sides[2]);
-            let high = sides[0].max(sides[1]).max(sides[2]);
-            let passing = S::splat(prepared.depth[lane]).up_to(limits)
-                & !(low.below(S::splat(-margin)) & S::splat(margin).below(high));
-            rays[lane] |= u64::from(passing) << first;
-        }
+        let margin = prepared.side_margin[lane];
+        let low = sides[0].min(sides[1]).min(sides[2]);
+        let high = sides[0].max(sides[1]).max(sides[2]);
+        let passing = S::splat(prepared.depth[lane]).up_to(S::load(&self.limits[first..]))
+            & !(low.below(S::splat(-margin)) & S::splat(margin).below(high));
+        u64::from(passing) << first
     }
 
     /// Keeps pairs of rays and a triangle until there are enough of them for one decision.
