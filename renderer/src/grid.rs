@@ -6,7 +6,8 @@
 //! In reading order: [`options`] says what can be asked for, and [`budget`] within how much memory; [`resolution`] how
 //! many cells; [`overlap`] which cells a triangle touches; [`scatter`] puts triangles into cells; [`build`] makes the
 //! grid, [`divide`] the tree; [`boxes`] bounds the triangles. [`walk`] follows single rays, with [`filter`] before each
-//! list; [`packet`] follows many rays together through their [`frustum`], and [`cull`] sorts out what they may hit.
+//! list; [`packet`] follows many rays together through their [`frustum`], [`cull`] sorts out what they may hit, and
+//! [`decide`] what they do.
 
 use std::time::Duration;
 
@@ -16,6 +17,8 @@ mod budget;
 mod build;
 #[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
 mod cull;
+#[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
+mod decide;
 mod divide;
 mod figures;
 #[expect(clippy::needless_range_loop, reason = "an axis or a corner indexes several arrays at once")]

@@ -1,5 +1,5 @@
-//! From the triangles in a packet's way to its hits: gathers triangles, culls them many at a time, lets
-//! [`crate::triangle`] decide the rest.
+//! From the triangles in a packet's way to those that some rays may hit: gathers triangles, and culls them many at a
+//! time; [`super::decide`] decides the rest.
 //!
 //! Everything here may only drop pairs of ray and triangle that certainly miss, with rounding accounted for.
 //! There are no closures over vectors: they would not be compiled for the caller's instruction set.
@@ -7,23 +7,16 @@
 use super::{
     Grid,
     boxes::{Bounds, LeafBoxes},
+    decide::NearestHits,
     kernel::Kernel,
     packet::Packet,
     prepared::{Bundle, Prepared, SLOPE_MARGIN},
 };
-use crate::{
-    ray::Hit,
-    simd::{Real, Simd},
-    traced::TracedMesh,
-    triangle::{self, Planes},
-};
+use crate::{ray::Hit, simd::Simd, traced::TracedMesh};
 
 /// From so many triangles for each ray on, a leaf's boxes are tested against its rays one by one: in a scan seen from
 /// afar most triangles lie between the rays.
 const MANY_TRIANGLES_PER_RAY: usize = 5;
-
-/// From so many rays on that may hit a triangle, it is made ready for all of them, not for each anew.
-const MANY_RAYS: u32 = 4;
 
 /// Triangles remembered as already tested, a power of two.
 const N_RECENT: usize = 256;
@@ -43,8 +36,6 @@ struct Group {
 /// A packet on its way, with the nearest hits so far.
 pub(super) struct Culler<'a> {
     mesh: &'a TracedMesh,
-    /// Coordinates of all vertices.
-    coordinates: &'a [f32],
     packet: &'a Packet,
     pub(super) bundle: Bundle,
     /// Finest cells in a world unit, rounded up.
@@ -52,22 +43,16 @@ pub(super) struct Culler<'a> {
     /// Slopes of the rays against the major axis.
     u: [f32; 64],
     v: [f32; 64],
-    /// Depth along the major axis beyond which a triangle cannot matter to a ray any more, in world units.
-    limits: [f32; 64],
+    nearest: NearestHits<'a>,
     groups: [Group; 8],
     /// The farthest limit of all rays without a final answer, in finest cells.
     farthest: f32,
     /// A bit for each group that has rays without a final answer.
     live: u32,
-    nearest_t: [f64; 64],
-    nearest_triangle: [u32; 64],
     /// Triangles that wait until a vector is full.
     waiting: [u32; N_WAITING],
     n_waiting: usize,
     recent: [u32; N_RECENT],
-    /// Pairs that wait for a decision: ray and triangle.
-    candidates: [(u8, u32); 8],
-    n_candidates: usize,
     /// Whether triangles were met since [`Culler::settle`].
     pub(super) touched: bool,
 }
@@ -80,22 +65,17 @@ impl<'a> Culler<'a> {
         let mut culler = Self {
             mesh,
             cells_per_unit: (grid.space.cells_per_unit() * (1.0 + 1e-6)) as f32,
-            coordinates: mesh.coordinates(),
             packet,
             bundle: Bundle { origin: packet.origin.to_array(), axes, sign, slopes: [0.0; 4], reach: [0.0; 3] },
             u: [0.0; 64],
             v: [0.0; 64],
-            limits: [f32::INFINITY; 64],
+            nearest: NearestHits::new(mesh, packet, axes[0]),
             groups: [Group::default(); 8],
             farthest: f32::INFINITY,
             live: 0,
-            nearest_t: [f64::from(Hit::MISS.t); 64],
-            nearest_triangle: [Hit::MISS.triangle; 64],
             waiting: [0; N_WAITING],
             n_waiting: 0,
             recent: [u32::MAX; N_RECENT],
-            candidates: [(0, 0); 8],
-            n_candidates: 0,
             touched: false,
         };
         let directions = &packet.directions;
@@ -107,7 +87,7 @@ impl<'a> Culler<'a> {
             u.store(&mut culler.u[first..]);
             v.store(&mut culler.v[first..]);
             let limits = depth.mul(S::splat(packet.t_max * (1.0 + 1e-6)));
-            limits.store(&mut culler.limits[first..]);
+            limits.store(&mut culler.nearest.limits[first..]);
             culler.groups[group] =
                 Group { u: [u.least(), u.greatest()], v: [v.least(), v.greatest()], limit: limits.greatest() };
             for axis in 0..3 {
@@ -119,7 +99,7 @@ impl<'a> Culler<'a> {
         }
         let mut inactive = !packet.active;
         while inactive != 0 {
-            culler.limits[inactive.trailing_zeros() as usize] = f32::NEG_INFINITY;
+            culler.nearest.limits[inactive.trailing_zeros() as usize] = f32::NEG_INFINITY;
             inactive &= inactive - 1;
         }
         culler.find_slopes::<S>();
@@ -161,7 +141,7 @@ impl<'a> Culler<'a> {
                 & u.up_to(u_high)
                 & v_low.up_to(v)
                 & v.up_to(v_high)
-                & depth.up_to(S::load(&self.limits[first..]));
+                & depth.up_to(S::load(&self.nearest.limits[first..]));
             rays |= u64::from(passing) << first;
         }
         rays & among
@@ -216,7 +196,7 @@ impl<'a> Culler<'a> {
             let ray = left.trailing_zeros() as usize;
             left &= left - 1;
             let (u, v) = (self.u[ray], self.v[ray]);
-            passed |= bounds.passed_by([u, u, v, v], self.limits[ray] * self.cells_per_unit);
+            passed |= bounds.passed_by([u, u, v, v], self.nearest.limits[ray] * self.cells_per_unit);
         }
         passed
     }
@@ -234,7 +214,7 @@ impl<'a> Culler<'a> {
             if self.live >> group & 1 == 0 {
                 continue;
             }
-            let limits = S::load(&self.limits[group * S::LANES..]);
+            let limits = S::load(&self.nearest.limits[group * S::LANES..]);
             let all = ((1u64 << S::LANES) - 1) as u32;
             if limits.up_to(reached) == all {
                 self.live &= !(1 << group);
@@ -250,8 +230,7 @@ impl<'a> Culler<'a> {
     /// The hits, when all is settled.
     #[inline(always)]
     pub(super) fn hits(&self) -> [Hit; 64] {
-        // What was never hit has the triangle and the t of a miss.
-        std::array::from_fn(|lane| Hit { triangle: self.nearest_triangle[lane], t: self.nearest_t[lane] as f32 })
+        self.nearest.hits()
     }
 
     /// Tests the waiting triangles against all rays.
@@ -276,9 +255,7 @@ impl<'a> Culler<'a> {
             }
             self.test_prepared::<S>(&prepared, left);
         }
-        if self.n_candidates > 0 {
-            self.decide::<S>();
-        }
+        self.nearest.decide_rest::<S>();
     }
 
     /// Tests prepared triangles against all rays.
@@ -311,11 +288,7 @@ impl<'a> Culler<'a> {
             let lane = left.trailing_zeros() as usize;
             left &= left - 1;
             let (place, rays) = (prepared.places[lane], rays[lane]);
-            if rays.count_ones() >= MANY_RAYS {
-                self.decide_triangle::<S>(place, rays);
-            } else {
-                self.decide_later::<S>(place, rays);
-            }
+            self.nearest.propose::<S>(place, rays);
         }
     }
 
@@ -335,133 +308,8 @@ impl<'a> Culler<'a> {
         let margin = prepared.side_margin[lane];
         let low = sides[0].min(sides[1]).min(sides[2]);
         let high = sides[0].max(sides[1]).max(sides[2]);
-        let passing = S::splat(prepared.depth[lane]).up_to(S::load(&self.limits[first..]))
+        let passing = S::splat(prepared.depth[lane]).up_to(S::load(&self.nearest.limits[first..]))
             & !(low.below(S::splat(-margin)) & S::splat(margin).below(high));
         u64::from(passing) << first
-    }
-
-    /// Keeps pairs of rays and a triangle until there are enough of them for one decision.
-    #[inline(always)]
-    fn decide_later<S: Simd>(&mut self, triangle: u32, mut rays: u64) {
-        while rays != 0 {
-            self.candidates[self.n_candidates] = (rays.trailing_zeros() as u8, triangle);
-            rays &= rays - 1;
-            self.n_candidates += 1;
-            if self.n_candidates == S::Double::LANES {
-                self.decide::<S>();
-            }
-        }
-    }
-
-    /// Lets the canonical routine decide which of some rays hit a triangle.
-    #[inline(always)]
-    fn decide_triangle<S: Simd>(&mut self, triangle: u32, rays: u64) {
-        let corners = self.mesh.corners(triangle).map(|corner| corner.map(f64::from));
-        let origin = self.packet.origin.to_array().map(f64::from);
-        let planes = Planes::new(origin, corners).splat::<S::Double>();
-        let lanes = (1 << S::Double::LANES) - 1;
-        let mut left = rays;
-        while left != 0 {
-            let first = left.trailing_zeros() as usize / S::Double::LANES * S::Double::LANES;
-            let these = (left >> first) as u32 & lanes;
-            left &= !(u64::from(lanes) << first);
-            let [x, y, z] = &self.packet.directions;
-            let decision = planes.decide([
-                S::Double::load(&x[first..]),
-                S::Double::load(&y[first..]),
-                S::Double::load(&z[first..]),
-            ]);
-            let mut all_t = [0.0; 8];
-            decision.t.store(&mut all_t);
-            let mut hits = these & !decision.certain_miss;
-            while hits != 0 {
-                let lane = hits.trailing_zeros() as usize;
-                hits &= hits - 1;
-                self.keep(first + lane, triangle, all_t[lane], decision.uncertain >> lane & 1 == 1);
-            }
-        }
-    }
-
-    /// Lets the canonical routine decide the candidates, and keeps the nearest hits.
-    #[inline(always)]
-    fn decide<S: Simd>(&mut self) {
-        let mut directions = [[0.0; 8]; 3];
-        let mut corners = [[[0.0; 8]; 3]; 3];
-        for (slot, &(ray, triangle)) in self.candidates[..self.n_candidates].iter().enumerate() {
-            for axis in 0..3 {
-                directions[axis][slot] = self.packet.directions[axis][ray as usize];
-            }
-            let indices = self.mesh.indices(triangle);
-            for corner in 0..3 {
-                let vertex = 3 * indices[corner] as usize;
-                for axis in 0..3 {
-                    corners[corner][axis][slot] = self.coordinates[vertex + axis];
-                }
-            }
-        }
-        let mut vectors = [[S::Double::splat(0.0); 3]; 5];
-        for axis in 0..3 {
-            vectors[3][axis] = S::Double::load(&directions[axis]);
-            vectors[4][axis] = S::Double::splat(f64::from(self.packet.origin[axis]));
-            for corner in 0..3 {
-                vectors[corner][axis] = S::Double::load(&corners[corner][axis]);
-            }
-        }
-        let [a, b, c, direction, origin] = vectors;
-        let decision = Planes::new(origin, [a, b, c]).decide(direction);
-        let mut all_t = [0.0; 8];
-        decision.t.store(&mut all_t);
-        let mut left = !decision.certain_miss & ((1 << self.n_candidates) - 1);
-        while left != 0 {
-            let slot = left.trailing_zeros() as usize;
-            left &= left - 1;
-            let (ray, triangle) = self.candidates[slot];
-            self.keep(ray as usize, triangle, all_t[slot], decision.uncertain >> slot & 1 == 1);
-        }
-        self.n_candidates = 0;
-    }
-
-    /// Keeps a hit if it is a ray's nearest so far.
-    #[inline(always)]
-    fn keep(&mut self, ray: usize, triangle: u32, t: f64, is_uncertain: bool) {
-        let t = if is_uncertain {
-            match self.decide_exactly(ray, triangle) {
-                Some(exact) => exact,
-                None => return,
-            }
-        } else {
-            t
-        };
-        let nearest = self.nearest_t[ray];
-        let range = f64::from(self.packet.t_min)..=f64::from(self.packet.t_max);
-        if range.contains(&t)
-            && (t < nearest
-                || t == nearest
-                    && triangle != self.nearest_triangle[ray]
-                    && self.is_before(triangle, self.nearest_triangle[ray]))
-        {
-            self.nearest_t[ray] = t;
-            self.nearest_triangle[ray] = triangle;
-            let depth = t * f64::from(self.packet.directions[self.bundle.axes[0]][ray].abs());
-            let limit = (depth * (1.0 + 1e-6)) as f32;
-            if self.packet.any_hit {
-                self.limits[ray] = f32::NEG_INFINITY;
-            } else if limit < self.limits[ray] {
-                self.limits[ray] = limit;
-            }
-        }
-    }
-
-    /// Of triangles at the same t the first in the file wins.
-    #[cold]
-    #[inline(never)]
-    fn is_before(&self, triangle: u32, other: u32) -> bool {
-        self.mesh.number(triangle) < self.mesh.number(other)
-    }
-
-    #[cold]
-    #[inline(never)]
-    fn decide_exactly(&self, ray: usize, triangle: u32) -> Option<f64> {
-        triangle::intersect_exactly(&self.packet.ray(ray), &self.mesh.corners(triangle))
     }
 }
