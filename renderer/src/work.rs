@@ -31,6 +31,10 @@ const BLOCKS_PER_THREAD: u32 = 8;
 /// The fewest samples in a block: below it, sending costs more than tracing.
 const SMALLEST_BLOCK: u32 = 512;
 
+/// The most rays from the eye in a block, if a block can have fewer: what is cancelled ends with the blocks that were
+/// begun, some ten milliseconds later.
+const MOST_RAYS: u32 = 1 << 16;
+
 /// A share of a frame to render.
 pub(crate) struct Job {
     pub(crate) frame: FrameId,
@@ -74,7 +78,7 @@ impl Job {
         let (cpu_us, send_us) = (AtomicU64::new(0), AtomicU64::new(0));
         let Picture { camera, size, view, rays, samples, look, .. } = self.picture;
         let request = FrameRequest { camera, size, view, rays, samples, look };
-        let (n_per_block, n_per_cost) = block_units(share, rayon::current_num_threads() as u32);
+        let (n_per_block, n_per_cost) = block_units(share, rayon::current_num_threads() as u32, samples.count);
         let n_blocks = share.count().div_ceil(n_per_block);
         let costs = (0..n_blocks).into_par_iter().map(|block| {
             let mut costs = Vec::new();
@@ -142,17 +146,20 @@ impl Job {
     }
 }
 
-/// How many units of a share make a block, so that it fits one chunk; and how many of those are measured together.
-pub fn block_units(share: &Share<'_>, n_threads: u32) -> (u32, u32) {
+/// How many units of a share make a block, so that it fits one chunk; and how many of those are measured together. Each
+/// sample takes so many rays from the eye.
+pub fn block_units(share: &Share<'_>, n_threads: u32, n_rays: u32) -> (u32, u32) {
     let largest_unit = share.units().whole_unit_samples();
-    let most = CHUNK_BYTES as u32 / (3 * largest_unit);
-    let fewest = (SMALLEST_BLOCK / largest_unit).max(1);
+    let most_bytes = CHUNK_BYTES as u32 / (3 * largest_unit);
+    let most_rays = MOST_RAYS / n_rays.max(1) / largest_unit;
+    let n_per_cost = if share.is_on_curve() { BlockCosts::block_units(share).min(most_bytes) } else { 1 };
+    let most = most_bytes.min(most_rays.max(n_per_cost));
+    let fewest = (SMALLEST_BLOCK / largest_unit).clamp(1, most);
     let n_per_block = share.count().div_ceil(n_threads * BLOCKS_PER_THREAD).clamp(fewest, most);
     if !share.is_on_curve() {
         return (n_per_block, n_per_block);
     }
     // A block has whole numbers of measurements, so that they are equally long throughout the share.
-    let n_per_cost = BlockCosts::block_units(share).min(most);
     (n_per_block.next_multiple_of(n_per_cost).min(most / n_per_cost * n_per_cost), n_per_cost)
 }
 
@@ -162,7 +169,10 @@ fn microseconds(duration: Duration) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use shared::division::{Division, FrameSize};
+    use shared::{
+        division::{Division, FrameSize},
+        protocol::SampleRange,
+    };
 
     use super::*;
 
@@ -170,15 +180,17 @@ mod tests {
     fn blocks_fit_chunks_and_hold_whole_measurements() {
         for (xres, yres) in [(1, 1), (83, 45), (1024, 512), (4096, 2304), (16384, 4096)] {
             let size = FrameSize::new(xres, yres).unwrap();
-            for (division, machines, n_threads) in
-                Division::ALL.into_iter().flat_map(|division| [(division, 1, 1), (division, 12, 1), (division, 3, 64)])
+            let farms = [(1, 1, 1), (12, 1, 16), (3, 64, 1), (1, 2, SampleRange::LARGEST_COUNT)];
+            for (division, (machines, n_threads, n_rays)) in
+                Division::ALL.into_iter().flat_map(|division| farms.map(|farm| (division, farm)))
             {
                 let work = division.work(0, machines);
                 let share = work.share(size).unwrap();
-                let (n_per_block, n_per_cost) = block_units(&share, n_threads);
+                let (n_per_block, n_per_cost) = block_units(&share, n_threads, n_rays);
                 assert_eq!(n_per_block % n_per_cost, 0);
                 let n_samples = n_per_block * share.units().whole_unit_samples();
                 assert!(n_per_block > 0 && n_samples as usize * 3 <= CHUNK_BYTES);
+                assert!(n_samples * n_rays <= MOST_RAYS || n_per_block == n_per_cost, "{n_samples} · {n_rays}");
                 if share.is_on_curve() {
                     assert!(share.count().div_ceil(n_per_cost) <= BlockCosts::MOST_BLOCKS);
                 }

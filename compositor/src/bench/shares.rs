@@ -94,7 +94,7 @@ fn trace(scene: &Scene, picture: &Picture, work: &Work) -> TracedShare {
     let Picture { camera, size, view, rays, samples, look, .. } = *picture;
     let request = FrameRequest { camera, size, view, rays, samples, look };
     let share = work.share(size).expect("the scheduler makes works that fit their frame");
-    let (n_per_chunk, n_per_cost) = block_units(&share, 1);
+    let (n_per_chunk, n_per_cost) = block_units(&share, 1, samples.count);
     let mut traced =
         TracedShare { costs: BlockCosts { block_units: n_per_cost, ..BlockCosts::default() }, chunks: vec![] };
     for first_unit in (0..share.count()).step_by(n_per_chunk as usize) {
