@@ -59,6 +59,54 @@ pub fn tile_at(index: u32, columns: u32, rows: u32) -> (u32, u32) {
     (tile.x as u32, tile.y as u32)
 }
 
+/// Where along the curve through `columns` × `rows` tiles the tile of a column and row comes: what undoes [`tile_at`].
+///
+/// Takes a number of steps that grows with the logarithm of the sides.
+pub fn index_of(column: u32, row: u32, columns: u32, rows: u32) -> u32 {
+    debug_assert!(column < columns && row < rows, "tile ({column}, {row}) of {columns}×{rows}");
+    let tile = IVec2::new(column as i32, row as i32);
+    let (across, up) = (IVec2::X * columns as i32, IVec2::Y * rows as i32);
+    let (mut index, mut corner) = (0, IVec2::ZERO);
+    let (mut along, mut beside) = if columns >= rows { (across, up) } else { (up, across) };
+    let index = loop {
+        let (length, width) = (side(along), side(beside));
+        // How far into the rectangle the tile lies, along either side.
+        let (a, b) = ((tile - corner).dot(along.signum()), (tile - corner).dot(beside.signum()));
+        if width == 1 {
+            break index + a;
+        }
+        if length == 1 {
+            break index + b;
+        }
+        if 2 * length > 3 * width {
+            let first = even_half(along);
+            if a < side(first) {
+                along = first;
+            } else {
+                index += side(first) * width;
+                corner += first;
+                along -= first;
+            }
+        } else {
+            let half = along >> 1;
+            let first = even_half(beside);
+            let n_first = side(first) * side(half);
+            if b >= side(first) {
+                index += n_first;
+                corner += first;
+                beside -= first;
+            } else if a < side(half) {
+                (along, beside) = (first, half);
+            } else {
+                index += n_first + length * (width - side(first));
+                corner += along - along.signum() + first - beside.signum();
+                (along, beside) = (-first, half - along);
+            }
+        }
+    };
+    index as u32
+}
+
 /// The length of a side, which is parallel to an axis.
 fn side(side: IVec2) -> i32 {
     (side.x + side.y).abs()
@@ -86,7 +134,9 @@ mod tests {
             let mut seen = vec![false; (columns * rows) as usize];
             let mut last: Option<(u32, u32)> = None;
             let mut n_diagonal = 0;
-            for (x, y) in (0..columns * rows).map(|index| tile_at(index, columns, rows)) {
+            for index in 0..columns * rows {
+                let (x, y) = tile_at(index, columns, rows);
+                assert_eq!(index_of(x, y, columns, rows), index, "{columns}×{rows}");
                 assert!(x < columns && y < rows, "{columns}×{rows}");
                 assert!(!std::mem::replace(&mut seen[(y * columns + x) as usize], true), "{columns}×{rows}: {x} {y}");
                 let (dx, dy) = last.map_or((0, 1), |(i, j)| (x.abs_diff(i), y.abs_diff(j)));
@@ -102,5 +152,6 @@ mod tests {
     fn the_largest_frame_has_a_last_tile() {
         let (x, y) = tile_at(2048 * 2048 - 1, 2048, 2048);
         assert!(x < 2048 && y < 2048);
+        assert_eq!(index_of(x, y, 2048, 2048), 2048 * 2048 - 1);
     }
 }

@@ -14,6 +14,7 @@ use std::{borrow::Cow, collections::BTreeMap};
 
 use shared::{
     camera::Camera,
+    curve,
     division::{Division, FrameSize, Part, Picked, Share, TileRun, Work},
     protocol::{BlockCosts, Picture},
     scene::SceneId,
@@ -101,10 +102,14 @@ impl Balance {
 
     /// Divides a frame among render servers with so many threads each: a run of tiles for each, as they are given.
     ///
-    /// `None` when no frame of this scene and size has been learned from yet.
-    pub(super) fn divide(&self, picture: &Picture, nodes: &[(NodeId, u32)]) -> Option<Vec<Work>> {
-        let expected = self.known_costs(picture)?.expected(picture);
+    /// `None` when no frame of this scene has been learned from yet.
+    pub(super) fn divide(&mut self, picture: &Picture, nodes: &[(NodeId, u32)]) -> Option<Vec<Work>> {
         let usual = self.usual_slowness();
+        let costs = self.costs.as_mut().filter(|costs| costs.scene == picture.scene)?;
+        if costs.size != picture.size {
+            *costs = costs.resized(picture.size);
+        }
+        let expected = costs.expected(picture);
         let speed = |&(node, threads): &(NodeId, u32)| {
             f64::from(threads) / self.paces.get(&node).map_or(usual, |pace| pace.slowness)
         };
@@ -185,10 +190,6 @@ impl Balance {
         }
     }
 
-    fn known_costs(&self, picture: &Picture) -> Option<&TileCosts> {
-        self.costs.as_ref().filter(|costs| costs.are_of(picture))
-    }
-
     /// What is expected of a render server that has not shown how fast it is.
     fn usual_slowness(&self) -> f64 {
         median(self.paces.values().map(|pace| pace.slowness)).unwrap_or(1.0)
@@ -198,6 +199,21 @@ impl Balance {
 impl TileCosts {
     fn are_of(&self, picture: &Picture) -> bool {
         (self.scene, self.size) == (picture.scene, picture.size)
+    }
+
+    /// The same picture in another resolution: each tile costs what the one does in which its middle lies.
+    fn resized(&self, size: FrameSize) -> Self {
+        let tiles = |size: FrameSize| [size.x_tiles(), size.y_tiles()];
+        let ([columns, rows], [old_columns, old_rows]) = (tiles(size), tiles(self.size));
+        let scaled = |at: u32, n: u32, n_old: u32| (2 * at + 1) * n_old / (2 * n);
+        let of_old = |tile| {
+            let (column, row) = curve::tile_at(tile, columns, rows);
+            let (column, row) = (scaled(column, columns, old_columns), scaled(row, rows, old_rows));
+            curve::index_of(column, row, old_columns, old_rows) as usize
+        };
+        let places: Vec<usize> = (0..columns * rows).map(of_old).collect();
+        let resized = |of_old: &Vec<f64>| places.iter().map(|&place| of_old[place]).collect();
+        Self { size, of_tile: resized(&self.of_tile), trend: self.trend.as_ref().map(resized), ..*self }
     }
 
     /// What tiles will cost in the next frame: a camera that moved moves on.

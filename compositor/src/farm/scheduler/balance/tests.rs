@@ -78,6 +78,8 @@ struct Cluster {
     shown: Vec<FrameStats>,
     /// Whether each frame has a camera of its own.
     is_moving: bool,
+    /// The sizes of frames, in turn.
+    sizes: Vec<(u32, u32)>,
 }
 
 /// From 0 to 1, the same for the same numbers.
@@ -98,6 +100,7 @@ impl Cluster {
             pending: vec![],
             shown: vec![],
             is_moving: false,
+            sizes: vec![SIZE],
         };
         (1..).zip(slowness).for_each(|(node, &slowness)| cluster.join(NodeId(node), slowness));
         cluster
@@ -134,7 +137,10 @@ impl Cluster {
         let slowness = self.slowness[&node] * (0.99 + 0.02 * noise(frame.0, node.0.into()));
         let cost = |k: u32| {
             let samples = share.samples(k);
-            let (column, row) = (f64::from(samples.columns.start / 8), f64::from(samples.rows.start / 8));
+            // In tiles of the usual size, whatever the frame's.
+            let scale = [f64::from(SIZE.0) / f64::from(size.xres()), f64::from(SIZE.1) / f64::from(size.yres())];
+            let column = (f64::from(samples.columns.start / 8) * scale[0]).floor();
+            let row = (f64::from(samples.rows.start / 8) * scale[1]).floor();
             let waver = 0.9 + 0.2 * noise(frame.0, 1000 + u64::from(share.unit(k)));
             (self.tile_cost)(frame.0, column, row) * slowness * waver
         };
@@ -162,9 +168,10 @@ impl Cluster {
         let trace_cpu_us = (costs.cpu_ns.iter().map(|&ns| f64::from(ns)).sum::<f64>() / 1e3) as u32;
         let timings = WorkTimings { trace_us: trace_cpu_us, trace_cpu_us, ..WorkTimings::default() };
         self.on(Event::WorkDone { node, frame, work_id, timings, costs });
-        if self.is_moving {
+        if self.is_moving || self.sizes.len() > 1 {
             // Wanted while a frame is in flight, and rendered after it.
-            let picture = Some(picture_from(self.shown.len() as f64));
+            let size = self.sizes[self.shown.len() % self.sizes.len()].try_into().unwrap();
+            let picture = Some(Picture { size, ..picture_from(self.shown.len() as f64) });
             self.on(Event::Wanted(Wanted { picture, ..wanted(1) }));
         }
         self.on(Event::FrameTaken);
@@ -230,6 +237,17 @@ fn a_node_at_a_third_of_the_speed_is_as_busy_as_the_others() {
         let share = |node: usize| cluster.shown.last().unwrap().nodes[node].share;
         assert!(share(4) > 0.0 && cluster.shown.iter().all(|stats| stats.attempts == 1 || stats.frame == 1));
     }
+}
+
+#[test]
+fn another_resolution_is_divided_by_what_the_last_cost() {
+    let mut slowness = [1.0; 12];
+    slowness[4] = 3.0;
+    let mut cluster = Cluster::new(still, &slowness);
+    cluster.sizes = [(1024, 512), (728, 360), (2048, 1024), (512, 256)].map(|size| [size; 3]).concat();
+    cluster.render(6);
+    // Known of no other resolution, the slow node would have two and a half times its part in each third frame.
+    check("another size after three frames, one of 12 nodes slow", &cluster.render(60), 1.15, 1.25);
 }
 
 #[test]
@@ -301,7 +319,7 @@ fn one_slow_frame_of_a_node_moves_nothing() {
 }
 
 #[test]
-fn nothing_is_known_of_another_size_scene_or_division() {
+fn nothing_is_known_of_another_scene_or_division() {
     let mut balance = Balance::default();
     let nodes = [(NodeId(1), 1), (NodeId(2), 3)];
     assert_eq!(balance.divide(&picture(), &nodes), None);
@@ -312,7 +330,8 @@ fn nothing_is_known_of_another_size_scene_or_division() {
     };
     let run = |first, count| Work { picked: Picked::CurveRun(TileRun { first, count }), part: Part::WHOLE };
     assert_eq!((first, second), (run(0, 2048), run(2048, 6144)), "three threads do three times the work");
-    assert_eq!(balance.divide(&Picture { size: FrameSize::new(64, 64).unwrap(), ..picture() }, &nodes), None);
+    let small = Picture { size: FrameSize::new(64, 64).unwrap(), ..picture() };
+    assert_eq!(balance.divide(&small, &nodes), Some(vec![run(0, 16), run(16, 48)]), "in any resolution");
     assert_eq!(balance.divide(&Picture { scene: SceneId::Statue { triangles: 2 }, ..picture() }, &nodes), None);
     balance.forget_costs();
     assert_eq!(balance.divide(&picture(), &nodes), None);
