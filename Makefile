@@ -12,7 +12,7 @@ run: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
 		$(CARGO) run --release; \
 	else \
-		NODEVICE_SELECT=1 $(CARGO) run --release -- --headless --frames 20 --screenshot wall.png; \
+		NODEVICE_SELECT=1 $(CARGO) run --release -- --headless --frames 20 --target-rate 30 --samples 4 --screenshot wall.png; \
 	fi
 
 # Everything that CI checks. The programs are built first: the tests run them as a person would.

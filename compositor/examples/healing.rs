@@ -131,6 +131,7 @@ fn main() -> anyhow::Result<()> {
     let wanted = Wanted {
         picture: Some(picture),
         scene_path: None,
+        refines: false,
         division: Division::Dynamic,
         min_renderers: 1,
         repeat: true,

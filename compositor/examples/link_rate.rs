@@ -92,6 +92,7 @@ fn main() -> anyhow::Result<()> {
     let wanted = Wanted {
         picture: None,
         scene_path: None,
+        refines: false,
         division: Division::Tiled,
         min_renderers: args.nodes,
         repeat: true,

@@ -13,6 +13,7 @@ use shared::{
 use crate::{
     bench::BenchArgs,
     check::CheckArgs,
+    refinement::{self, DEFAULT_TARGET_RATE, RefinementOptions},
     wall::{Wall, WallError},
 };
 
@@ -96,10 +97,15 @@ pub struct WallArgs {
     /// Write each picture of the film to this folder, the whole wall in its full resolution, with --headless and --path
     #[arg(long, value_name = "FOLDER", requires = "path", requires = "headless")]
     pub pictures: Option<PathBuf>,
-    /// Rays averaged for each sample, in linear light: 1 to 256
-    #[arg(long, value_name = "N", default_value_t = 1,
+    /// Rays averaged for each sample, in linear light: 1 to 256 [default: 16 of a wall at rest whose resolution follows the
+    /// motion, else 1]
+    #[arg(long, value_name = "N",
         value_parser = clap::value_parser!(u32).range(1..=i64::from(SampleRange::LARGEST_COUNT)))]
-    pub samples: u32,
+    pub samples: Option<u32>,
+    /// Frames a second to hold while the camera moves, by lowering the resolution; at rest the picture is refined to the
+    /// wall's own. 0: every frame has the same resolution [default: 30 in a window, 0 with --headless, --size or --frames]
+    #[arg(long, value_name = "F", value_parser = target_rate)]
+    pub target_rate: Option<f64>,
     /// The address to wait for render servers on; port 0 takes a free one [default: 127.0.0.1:7117]
     #[arg(long, value_name = "ADDR")]
     pub listen: Option<SocketAddr>,
@@ -169,10 +175,30 @@ fn pictures_per_second(text: &str) -> Result<f64, String> {
     fps.ok_or_else(|| "from 0.01 to 1000 pictures a second are possible".to_owned())
 }
 
+fn target_rate(text: &str) -> Result<f64, String> {
+    let rate = text.parse().ok().filter(|rate| *rate == 0.0 || (0.1..=1000.0).contains(rate));
+    rate.ok_or_else(|| "from 0.1 to 1000 frames a second are possible, or 0 for none".to_owned())
+}
+
 impl WallArgs {
-    /// Which samples of each pixel are averaged.
+    /// Which samples of each pixel are averaged in frames whose resolution does not follow the motion.
     pub fn sample_range(&self) -> SampleRange {
-        SampleRange { first: 0, count: self.samples }
+        SampleRange { first: 0, count: self.samples.unwrap_or(1) }
+    }
+
+    /// How finely this wall is rendered. Frames that are counted or have a size of their own are measured, unless somebody
+    /// says otherwise.
+    pub fn refinement(&self, wall: &Wall) -> RefinementOptions {
+        let is_measured = self.headless || self.size.is_some() || self.frames.is_some();
+        let target_rate = self.target_rate.unwrap_or(if is_measured { 0.0 } else { DEFAULT_TARGET_RATE });
+        RefinementOptions {
+            is_on: target_rate > 0.0,
+            target_rate: if target_rate > 0.0 { target_rate } else { DEFAULT_TARGET_RATE },
+            native: wall.native_size(),
+            n_samples: self.samples.unwrap_or(refinement::DEFAULT_SAMPLES),
+            fixed_size: wall.frame_size(),
+            fixed_samples: self.sample_range(),
+        }
     }
 
     /// How many local render servers are started.
@@ -206,6 +232,26 @@ mod tests {
     fn without_arguments_two_local_render_servers_are_started() {
         let args = Args::parse_from(["compositor"]);
         assert_eq!((args.wall.n_local(), args.wall.min_renderers()), (2, 2));
+    }
+
+    #[test]
+    fn the_resolution_follows_the_motion_in_a_window_unless_frames_are_measured() {
+        let refinement = |args: &[&str]| {
+            let args = Args::parse_from(["compositor"].iter().chain(args));
+            args.wall.refinement(&Wall::paper().with_frame_size(args.wall.size.unwrap_or(FrameSize::PAPER)))
+        };
+        let options = refinement(&[]);
+        assert_eq!((options.is_on, options.target_rate, options.n_samples), (true, 30.0, 16));
+        assert_eq!((options.native, options.fixed_size), (FrameSize::new(4096, 2304).unwrap(), FrameSize::PAPER));
+        for measured in [&["--headless"][..], &["--frames", "3"], &["--size", "64x32"], &["--target-rate", "0"]] {
+            assert!(!refinement(measured).is_on, "{measured:?}");
+        }
+        let options = refinement(&["--headless", "--target-rate", "12.5", "--samples", "3"]);
+        assert_eq!((options.is_on, options.target_rate, options.n_samples), (true, 12.5, 3));
+        for refused in ["-1", "0.01", "1e9", "nan", "fast"] {
+            let args = ["compositor".to_owned(), format!("--target-rate={refused}")];
+            assert!(Args::try_parse_from(args).is_err(), "{refused}");
+        }
     }
 
     #[test]

@@ -167,6 +167,7 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let wanted = Wanted {
         picture: Some(picture),
         scene_path: subject.model.clone(),
+        refines: false,
         division: Division::default(),
         min_renderers: 1,
         repeat: true,

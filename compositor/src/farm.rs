@@ -44,6 +44,8 @@ pub struct Wanted {
     pub picture: Option<Picture>,
     /// Where render servers on this machine find the scene.
     pub scene_path: Option<PathBuf>,
+    /// Whether the picture only refines what was shown already: it is given up as soon as another is wanted.
+    pub refines: bool,
     /// How frames are divided.
     pub division: Division,
     /// No frame starts with fewer render servers ready.

@@ -1,6 +1,7 @@
 //! The wall without a window: renders frames, draws them on an offscreen wall, and reports.
 
 mod film;
+mod refined;
 
 use std::time::{Duration, Instant};
 

@@ -77,6 +77,8 @@ pub enum Command {
     SetClip(Option<Clip>),
     /// Cut away so many thousandths of the model more, or less.
     MoveClip(i16),
+    /// Have the resolution follow the motion, or not.
+    ToggleRefinement,
     /// Show or hide the overlay.
     ToggleOverlay,
     /// Show or hide keys and mouse.
@@ -233,6 +235,7 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('x')], Ask(NextClip), "cut open from the next side: x, y, z, -x, -y, -z, eye, none"),
         row(&[Letter('.')], Ask(MoveClip(10)), "cut deeper"),
         row(&[Letter(',')], Ask(MoveClip(-10)), "cut less deep"),
+        row(&[Letter('m')], Ask(ToggleRefinement), "resolution follows the motion, or not"),
         row(&[Letter('t')], Ask(NextTint), "next tint: none, who rendered it, CPU time"),
         row(&[Letter('k')], Ask(NextStorage), "next storage of the grid"),
         row(&[Letter('j')], Ask(NextDensity), "next density of the grid"),

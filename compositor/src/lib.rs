@@ -3,8 +3,9 @@
 //! In reading order: [`args`] is the command line and [`run`] starts a wall from it; [`model`] is what is shown, [`kept`]
 //! what lies in files beside it, [`wall`] where, [`farm`] has it rendered by others, [`local`] by processes of this
 //! machine; [`gpu`] draws it.
-//! [`window`] shows it: [`input`] and [`navigator`] are what keys and mouse do, [`overlay`] is what an operator reads,
-//! [`display_environment`] and [`screensaver`] deal with the session around. [`headless`] shows it without a window.
+//! [`window`] shows it: [`input`] and [`navigator`] are what keys and mouse do, [`refinement`] how finely it is rendered
+//! while the camera moves and at rest, [`overlay`] is what an operator reads, [`display_environment`] and [`screensaver`]
+//! deal with the session around. [`headless`] shows it without a window.
 //! [`stats`] and [`report`] say what all of it took; [`mod@bench`] is the paper's experiment, [`check`] looks at wall
 //! files, and with [`alignment`] walls are set up.
 
@@ -22,6 +23,7 @@ pub mod local;
 pub mod model;
 pub mod navigator;
 pub mod overlay;
+pub mod refinement;
 pub mod report;
 pub mod run;
 pub mod screensaver;

@@ -54,6 +54,10 @@ pub struct OverlayModel {
     pub rays: RayTree,
     /// The look in force.
     pub look: Look,
+    /// Whether the resolution follows the motion.
+    pub is_refining: bool,
+    /// Samples a pixel of the newest frame, and of the picture once it is refined.
+    pub n_samples: [u32; 2],
     /// The axis that points up.
     pub up: UpAxis,
     /// The model on the wall.

@@ -21,6 +21,8 @@ pub struct Report {
 struct ShownFrame {
     /// BLAKE3 of the samples, RGB, row by row from the bottom: equal hashes are equal pictures.
     samples_blake3: Option<String>,
+    /// Rays from the eye that were averaged for each of them.
+    samples: Option<u32>,
     /// `None` for a frame without samples.
     #[serde(flatten)]
     farm: Option<FrameStats>,
@@ -34,7 +36,8 @@ impl Report {
     pub fn add(&mut self, frame: Option<&Frame>, display: DisplayStats, frame_ms: f64) {
         let samples_blake3 = frame.map(|frame| samples_hash(&frame.rgba));
         let farm = frame.map(|frame| frame.stats.clone());
-        self.frames.push(ShownFrame { samples_blake3, farm, display, frame_ms });
+        let samples = frame.map(|frame| frame.picture.samples.count);
+        self.frames.push(ShownFrame { samples_blake3, samples, farm, display, frame_ms });
     }
 
     /// How many frames were shown.

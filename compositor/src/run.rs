@@ -23,6 +23,7 @@ use crate::{
     kept::{self, Kept},
     local::LocalServers,
     model::Model,
+    refinement::Refinement,
     report::Report,
     wall::Wall,
     window::{OnShown, WindowLoop, WindowOptions},
@@ -43,6 +44,7 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
 fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<CameraPath>) -> anyhow::Result<()> {
     let n_frames = args.frames.unwrap_or(10);
     let (aspect, size) = (wall.aspect(), wall.frame_size());
+    let mut refinement = Refinement::new(args.refinement(&wall));
     // First what fails at once: an operator learns of it before a model of minutes is read.
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
@@ -73,6 +75,11 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
         farm.want(|wanted| want_model(wanted, &model, camera, size, args));
         match film {
             Some(film) => headless.show_film(&farm, &wakeups, &film)?,
+            None if refinement.is_on() => {
+                let subject = picture_of(&model, camera, size, args);
+                refinement.limit_sides(headless.gpu().device.limits().max_texture_dimension_2d);
+                headless.show_refined(&farm, &wakeups, n_frames, subject, &mut refinement)?
+            }
             None => headless.show_frames(&farm, &wakeups, n_frames)?,
         }
     };
@@ -91,8 +98,8 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
     Ok(())
 }
 
-fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) {
-    wanted.picture = Some(Picture {
+fn picture_of(model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) -> Picture {
+    Picture {
         scene: model.scene,
         camera,
         size,
@@ -100,7 +107,11 @@ fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, size: FrameSiz
         rays: args.rays,
         samples: args.sample_range(),
         look: args.look.look(),
-    });
+    }
+}
+
+fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) {
+    wanted.picture = Some(picture_of(model, camera, size, args));
     wanted.scene_path = model.path();
     wanted.moved_at = Instant::now();
 }
@@ -132,8 +143,7 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<
         up: args.up,
         path,
         kiosk: args.kiosk,
-        samples: args.sample_range(),
-        size: wall.frame_size(),
+        refinement: args.refinement(&wall),
         wall,
         view: args.view,
         rays: args.rays,
@@ -190,6 +200,7 @@ fn start_farm(
     let wanted = Wanted {
         picture: None,
         scene_path: None,
+        refines: false,
         division: args.division,
         min_renderers,
         // Frames that are counted come one after another; a window renders when something changes.

@@ -129,6 +129,9 @@ pub struct FrameStats {
     pub division: Division,
     /// From the first request to the last sample in its place.
     pub render_ms: f64,
+    /// The same from when the frame before it was whole, if it was begun earlier: what one takes of many that follow each
+    /// other.
+    pub interval_ms: f64,
     /// Time spent placing samples, summed over the receiving threads.
     pub place_ms: f64,
     /// The busy time of the busiest render server over the mean of all: 1 is a perfect division.

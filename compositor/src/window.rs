@@ -24,9 +24,8 @@ use anyhow::Context;
 use renderer::scene::SceneSource;
 use shared::{
     camera::{Camera, CameraPath, UpAxis},
-    division::FrameSize,
     look::Look,
-    protocol::{RayTree, SampleRange, View},
+    protocol::{RayTree, View},
 };
 use winit::event_loop::{EventLoop, EventLoopProxy};
 
@@ -34,6 +33,7 @@ use crate::{
     display_environment,
     farm::{Farm, Frame},
     overlay::JoinHint,
+    refinement::RefinementOptions,
     stats::DisplayStats,
     wall::Wall,
 };
@@ -55,16 +55,14 @@ pub struct WindowOptions {
     pub path: Option<CameraPath>,
     /// Whether visitors can only steer, and the wall goes back to its path, or to the whole model, when they have gone.
     pub kiosk: bool,
-    /// The resolution of the frames.
-    pub size: FrameSize,
     /// What the samples show at first.
     pub view: View,
     /// By which rays they are lit.
     pub rays: RayTree,
     /// From where they are lit at first, and what is behind the model.
     pub look: Look,
-    /// Which samples of each pixel are averaged.
-    pub samples: SampleRange,
+    /// How finely it is rendered.
+    pub refinement: RefinementOptions,
     /// Whether the window fills the screen from the start; those of walls that name outputs do.
     pub fullscreen: bool,
     /// Whether the overlay is shown at first.

@@ -43,6 +43,8 @@ mod process;
 mod readme;
 #[cfg(test)]
 mod references;
+#[cfg(all(test, target_os = "linux"))]
+mod refinement;
 #[cfg(test)]
 mod room;
 #[cfg(test)]

@@ -115,6 +115,7 @@ fn wanted(cluster: &Cluster, picture: Picture) -> Wanted {
     let min_renderers = cluster.slowness.len() as u32;
     Wanted {
         picture: Some(picture),
+        refines: false,
         division: cluster.division,
         min_renderers,
         repeat: true,

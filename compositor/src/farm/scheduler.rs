@@ -64,6 +64,8 @@ pub(super) struct Placed {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Wanted {
     pub(super) picture: Option<Picture>,
+    /// Whether it only refines what was shown already.
+    pub(super) refines: bool,
     pub(super) division: Division,
     pub(super) min_renderers: u32,
     pub(super) repeat: bool,
@@ -113,6 +115,8 @@ pub(super) struct Scheduler {
     /// Frames being rendered, in the order in which they will be shown.
     frames: VecDeque<FrameInFlight>,
     balance: Balance,
+    /// When the last frame that is shown became whole.
+    last_whole_at: Time,
     last_frame: FrameId,
     last_work: WorkId,
 }
@@ -126,6 +130,7 @@ impl Scheduler {
             waiting: None,
             frames: VecDeque::new(),
             balance: Balance::default(),
+            last_whole_at: Time::ZERO,
             last_frame: FrameId(0),
             last_work: WorkId(0),
         }
@@ -227,9 +232,10 @@ impl Scheduler {
         self.wanted = wanted;
         self.is_stale |= is_other;
         // The first frame in flight is finished in any case, or a camera that moves all the time would never be seen; and
-        // so is what somebody has begun to render.
-        let is_superseded =
-            |frame: &FrameInFlight, is_first: bool| is_other_scene || is_other && !is_first && !frame.has_begun();
+        // so is what somebody has begun to render. What is refined has been seen.
+        let is_superseded = |frame: &FrameInFlight, is_first: bool| {
+            is_other_scene || is_other && (frame.refines || !is_first && !frame.has_begun())
+        };
         let mut index = 0;
         while let Some(frame) = self.frames.get(index) {
             if is_superseded(frame, index == 0) {
@@ -274,7 +280,7 @@ impl Scheduler {
         }
         self.is_stale = false;
         self.last_frame.0 += 1;
-        let mut frame = FrameInFlight::new(self.last_frame, picture, division, now);
+        let mut frame = FrameInFlight::new(self.last_frame, picture, self.wanted.refines, division, now);
         actions.push(Action::Open { frame: frame.id, picture });
         let machines = nodes.len() as u32;
         let balanced = match division {
@@ -371,7 +377,9 @@ impl Scheduler {
         }
         // Whoever still works on it does what another has done already.
         self.end(now, &frame, actions);
-        actions.push(Action::Show { frame: frame.id, stats: frame.stats(now) });
+        let stats = frame.stats(now, self.last_whole_at);
+        self.last_whole_at = frame.whole_at.unwrap_or(now);
+        actions.push(Action::Show { frame: frame.id, stats });
         self.waiting = Some(frame.picture);
         true
     }

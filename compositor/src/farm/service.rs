@@ -415,8 +415,8 @@ impl OpenFrame {
 }
 
 fn for_scheduler(wanted: &Wanted) -> scheduler::Wanted {
-    let Wanted { picture, division, min_renderers, repeat, in_flight, encoding, .. } = *wanted;
-    scheduler::Wanted { picture, division, min_renderers, repeat, in_flight, encoding }
+    let Wanted { picture, refines, division, min_renderers, repeat, in_flight, encoding, .. } = *wanted;
+    scheduler::Wanted { picture, refines, division, min_renderers, repeat, in_flight, encoding }
 }
 
 async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {

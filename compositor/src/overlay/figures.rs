@@ -105,8 +105,24 @@ fn timings(ui: &mut Ui, model: &OverlayModel) {
     );
 }
 
+/// Whether the resolution follows the motion, and how many samples a pixel there are so far.
+fn refinement(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
+    ui.horizontal(|ui| {
+        let mut is_refining = model.is_refining;
+        if ui.checkbox(&mut is_refining, "resolution follows the motion (M)").changed() {
+            commands.push(Command::ToggleRefinement);
+        }
+        if model.frame.is_some() {
+            let [so_far, in_all] = model.n_samples;
+            let so_far = if so_far < in_all { format!("{so_far} of {in_all}") } else { so_far.to_string() };
+            ui.with_layout(Layout::right_to_left(Align::Center), |ui| ui.label(format!("samples: {so_far}")));
+        }
+    });
+}
+
 fn switches(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     ui.add_space(6.0);
+    refinement(ui, model, commands);
     egui::Grid::new("switches").num_columns(2).show(ui, |ui| {
         ui.horizontal(|ui| ui.label("division (H)"));
         ui.horizontal(|ui| {

@@ -49,6 +49,7 @@ pub(super) fn running() -> OverlayModel {
         size: FrameSize::PAPER,
         division: Division::Tiled,
         render_ms: 23.46,
+        interval_ms: 23.46,
         place_ms: 1.5,
         imbalance: 1.6,
         attempts: 1,
@@ -402,6 +403,25 @@ fn no_window_is_too_small_for_any_panel() {
         });
         harness.run();
     }
+}
+
+#[test]
+fn the_resolution_and_the_samples_so_far_are_shown_and_can_be_switched() {
+    for (is_refining, toggled) in [(true, Toggled::True), (false, Toggled::False)] {
+        let model = OverlayModel { is_refining, n_samples: [4, 16], ..running() };
+        let commands = commands_of(&model, |harness| {
+            harness.get_by_label("samples: 4 of 16");
+            harness.get_by_label("resolution 1024x512");
+            let switch = harness.get_by_label("resolution follows the motion (M)");
+            assert_eq!(switch.accesskit_node().toggled(), Some(toggled));
+            switch.click();
+        });
+        assert_eq!(commands, [Command::ToggleRefinement]);
+    }
+    let model = OverlayModel { n_samples: [16, 16], ..running() };
+    commands_of(&model, |harness| {
+        harness.get_by_label("samples: 16");
+    });
 }
 
 #[test]

@@ -199,6 +199,24 @@ impl Wall {
         self.frame_size
     }
 
+    /// The resolution of frames that have a sample for each pixel where projectors' pixels lie densest; coarser where
+    /// frames cannot have as many.
+    pub fn native_size(&self) -> FrameSize {
+        let densest = self.projectors.iter().fold([1.0f64; 2], |[across, up], projector| {
+            let [columns, rows] = projector.upright_size().map(f64::from);
+            [across.max(columns / projector.canvas.width), up.max(rows / projector.canvas.height)]
+        });
+        let largest = f64::from(FrameSize::LARGEST) / densest[0].max(densest[1]);
+        let most = (f64::from(FrameSize::MOST_SAMPLES) / (densest[0] * densest[1])).sqrt();
+        let scale = largest.min(most);
+        // A hair for what rounding does to metres.
+        let side = |side: f64| match scale < 1.0 {
+            true => (side * scale).max(1.0) as u32,
+            false => (side - 1e-3).ceil() as u32,
+        };
+        FrameSize::new(side(densest[0]), side(densest[1])).unwrap_or(self.frame_size)
+    }
+
     /// The projectors; those of a grid row by row from the top left.
     pub fn projectors(&self) -> &[Projector] {
         &self.projectors

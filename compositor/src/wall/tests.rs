@@ -226,3 +226,26 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn native_frames_have_a_sample_for_each_pixel_and_no_more_than_frames_can_have() {
+    let size = |wall: &Wall| <(u32, u32)>::from(wall.native_size());
+    assert_eq!(size(&Wall::paper()), (4096, 2304));
+    assert_eq!(size(&Wall::of_one_output([1366, 768])), (1366, 768));
+    assert_eq!(size(&Wall::of_one_output([1, 1])), (1, 1));
+    assert_eq!(size(&Wall::of_one_output([16384, 4096])), (16384, 4096));
+    assert_eq!(size(&Wall::of_one_output([16384, 16384])), (8192, 8192));
+    // A third of the canvas has a thousand columns, however few the rest has.
+    let parts = [(0.0, 1.0 / 3.0, [1000, 600], 0), (1.0 / 3.0, 2.0 / 3.0, [500, 700], 1000)];
+    let projectors = parts.map(|(left, width, [columns, rows], x)| {
+        let canvas = CanvasRect { left, bottom: 0.0, width, height: 1.0 };
+        Projector::plain(x.to_string(), canvas, PixelRect { x, y: 0, width: columns, height: rows })
+    });
+    let wall = Wall::new([3.0, 1.0], FrameSize::PAPER, projectors.to_vec()).unwrap();
+    assert_eq!(size(&wall), (3000, 700));
+    // Slivers of a canvas would need more samples than there can be.
+    let canvas = CanvasRect { left: 0.0, bottom: 0.0, width: 1e-4, height: 1e-4 };
+    let sliver = Projector::plain("sliver".into(), canvas, PixelRect { x: 0, y: 0, width: 16384, height: 1 });
+    let wall = Wall::new([1.0, 1.0], FrameSize::PAPER, vec![sliver]).unwrap();
+    assert_eq!(size(&wall), (16384, 1));
+}

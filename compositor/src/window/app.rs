@@ -7,7 +7,10 @@ mod showing;
 mod steering;
 mod touring;
 
-use std::{sync::Arc, time::Instant};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use renderer::scene::SceneSource;
 use shared::{
@@ -38,6 +41,7 @@ use crate::{
     model::Model,
     navigator::Navigator,
     overlay::{ModelSummary, OverlayModel},
+    refinement::{Refinement, RefinementOptions},
     screensaver::ScreensaverHold,
 };
 
@@ -66,6 +70,7 @@ pub(super) struct App<'a> {
     view: View,
     rays: RayTree,
     look: Look,
+    refinement: Refinement,
     jobs: Jobs,
 
     overlay: OverlayModel,
@@ -130,6 +135,7 @@ impl<'a> App<'a> {
             view: options.view,
             rays: options.rays,
             look: options.look,
+            refinement: Refinement::new(options.refinement),
             overlay,
             overlay_areas: Vec::new(),
             overlay_is_pressed: false,
@@ -169,6 +175,9 @@ impl<'a> App<'a> {
     pub(super) fn follow_monitors(&mut self, event_loop: &ActiveEventLoop) {
         match self.outputs.follow_monitors(event_loop) {
             Ok(true) => {
+                if let Some(largest) = self.outputs.largest_frame_side() {
+                    self.refinement.limit_sides(largest);
+                }
                 self.hold_screensaver();
                 self.redraw();
             }
@@ -250,6 +259,10 @@ impl<'a> App<'a> {
         if !self.frame_is_new
             && let Some(frame) = self.farm.take_frame()
         {
+            self.refinement.on_frame(&frame.picture, Duration::from_secs_f64(frame.stats.interval_ms / 1e3));
+            if self.refinement.is_done() {
+                tracing::debug!("the picture is as fine as it gets: {}", frame.picture.size);
+            }
             self.frame = Some(frame);
             self.frame_is_new = true;
         }
@@ -258,19 +271,23 @@ impl<'a> App<'a> {
     fn want_picture(&mut self) {
         self.record_camera();
         let (Some(model), Some(navigator)) = (&self.model, &self.navigator) else { return };
-        let picture = Picture {
+        let RefinementOptions { fixed_size, fixed_samples, .. } = self.options.refinement;
+        let subject = Picture {
             scene: model.scene,
             camera: navigator.camera(),
-            size: self.options.size,
+            size: fixed_size,
             view: self.view,
             rays: self.rays,
-            samples: self.options.samples,
+            samples: fixed_samples,
             look: self.look,
         };
+        let now = Instant::now();
+        let ask = self.refinement.change(now, subject);
         self.farm.want(|wanted| {
-            wanted.picture = Some(picture);
+            wanted.picture = Some(ask.picture);
+            wanted.refines = ask.refines;
             wanted.scene_path = model.path();
-            wanted.moved_at = Instant::now();
+            wanted.moved_at = now;
         });
     }
 }

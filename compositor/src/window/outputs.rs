@@ -123,6 +123,11 @@ impl Outputs {
         Ok(has_changed)
     }
 
+    /// The longest side that a frame can have, once there has been a window.
+    pub(super) fn largest_frame_side(&self) -> Option<u32> {
+        self.painter.as_ref().map(|painter| painter.gpu.device.limits().max_texture_dimension_2d)
+    }
+
     /// When to look at the monitors again: never for a window that may be anywhere.
     pub(super) fn look_at(&self) -> Option<Instant> {
         self.looked_at.filter(|_| self.names_monitors()).map(|looked_at| looked_at + LOOK_INTERVAL)

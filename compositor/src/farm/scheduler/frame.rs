@@ -25,11 +25,13 @@ const LATE_AT_LEAST: Duration = Duration::from_millis(30);
 pub(super) struct FrameInFlight {
     pub(super) id: FrameId,
     pub(super) picture: Picture,
+    /// Whether it only refines what was shown already.
+    pub(super) refines: bool,
     /// 1, and one more each time work was given out again.
     pub(super) attempts: u32,
     pub(super) division: Division,
     started_at: Time,
-    whole_at: Option<Time>,
+    pub(super) whole_at: Option<Time>,
     coverage: Coverage,
     works: Vec<GivenWork>,
 }
@@ -70,9 +72,9 @@ enum WorkState {
 }
 
 impl FrameInFlight {
-    pub(super) fn new(id: FrameId, picture: Picture, division: Division, now: Time) -> Self {
-        let coverage = Coverage::default();
-        Self { id, picture, attempts: 1, division, started_at: now, whole_at: None, coverage, works: Vec::new() }
+    pub(super) fn new(id: FrameId, picture: Picture, refines: bool, division: Division, now: Time) -> Self {
+        let (coverage, works) = (Coverage::default(), Vec::new());
+        Self { id, picture, refines, attempts: 1, division, started_at: now, whole_at: None, coverage, works }
     }
 
     /// Adds one of the works that the frame is divided into at its beginning.
@@ -230,7 +232,9 @@ impl FrameInFlight {
 
     /// What the frame took until it was whole, not until somebody had time to look at it. What only connections know is
     /// left open.
-    pub(super) fn stats(&self, now: Time) -> FrameStats {
+    ///
+    /// `last_whole_at`: when the frame before it was whole.
+    pub(super) fn stats(&self, now: Time, last_whole_at: Time) -> FrameStats {
         let now = self.whole_at.unwrap_or(now);
         let n_units = f64::from(self.division.units(self.picture.size).count());
         let mut nodes: Vec<NodeFrameStats> = Vec::new();
@@ -271,6 +275,7 @@ impl FrameInFlight {
             size: self.picture.size,
             division: self.division,
             render_ms: milliseconds(now - self.started_at),
+            interval_ms: milliseconds(now.saturating_sub(self.started_at.max(last_whole_at))),
             place_ms: milliseconds(self.works.iter().map(|given| given.place_time).sum()),
             imbalance: max_over_mean(nodes.iter().map(|node| node.busy_ms)),
             attempts: self.attempts,

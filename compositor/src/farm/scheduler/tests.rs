@@ -37,6 +37,7 @@ fn picture(eye_x: f64, triangles: u32) -> Picture {
 fn wanted(division: Division) -> Wanted {
     Wanted {
         picture: Some(picture(0.0, 1000)),
+        refines: false,
         division,
         min_renderers: 1,
         repeat: false,
@@ -377,7 +378,7 @@ proptest! {
                 }
                 4 => {
                     let picture = Some(picture(node.into(), 1000));
-                    farm.on(Event::Wanted(Wanted { picture, ..wanted.clone() }));
+                    farm.on(Event::Wanted(Wanted { picture, refines: milliseconds % 3 == 0, ..wanted.clone() }));
                 }
                 // It may answer all the same.
                 5 => farm.on(Event::Silent { node: id, is_silent: milliseconds % 2 == 0 }),

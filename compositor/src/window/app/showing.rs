@@ -52,6 +52,9 @@ impl App<'_> {
         self.overlay.view = self.view;
         self.overlay.rays = self.rays;
         self.overlay.look = self.look;
+        self.overlay.is_refining = self.refinement.is_on();
+        let so_far = self.frame.as_ref().map_or(0, |frame| frame.picture.samples.count);
+        self.overlay.n_samples = [so_far, self.refinement.n_samples()];
         self.overlay.frame = self.frame.as_ref().map(|frame| frame.stats.clone());
         self.place_pick();
         self.overlay.up = self.navigator.as_ref().map(Navigator::up).unwrap_or_default();
@@ -148,6 +151,11 @@ impl App<'_> {
             }
             next.push(self.stepped_at + FLY_INTERVAL);
         }
+        if let Some(ask) = self.refinement.refine(now) {
+            tracing::debug!("refining to {}, samples a pixel: {}", ask.picture.size, ask.picture.samples.count);
+            self.farm.want(|wanted| (wanted.picture, wanted.refines) = (Some(ask.picture), ask.refines));
+        }
+        next.extend(self.refinement.refines_at());
         if self.outputs.is_filling() && self.outputs.cursor_is_visible() {
             let hide_at = self.cursor_moved_at + CURSOR_REST;
             if now >= hide_at {

@@ -115,6 +115,7 @@ impl App<'_> {
                 let clip = self.look.clip.map(|clip| clip.moved(permille));
                 self.set_look(Look { clip, ..self.look });
             }
+            Command::ToggleRefinement => self.set_refining(!self.refinement.is_on()),
             Command::ToggleOverlay => self.overlay.panel = !self.overlay.panel,
             Command::ToggleHelp => self.overlay.help = !self.overlay.help,
             Command::ToggleFullscreen => self.fill(event_loop, !self.outputs.is_filling()),
@@ -154,6 +155,15 @@ impl App<'_> {
             wanted.division = division;
             wanted.moved_at = Instant::now();
         });
+        // To be seen at once: in coarse frames first.
+        self.refinement.start_again();
+        self.want_picture();
+    }
+
+    fn set_refining(&mut self, is_on: bool) {
+        self.refinement.set_on(is_on);
+        self.want_picture();
+        self.say(if is_on { "The resolution follows the motion" } else { "All frames have the same resolution" });
     }
 
     fn set_storage(&mut self, storage: Option<Storage>) {

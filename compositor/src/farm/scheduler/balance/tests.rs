@@ -38,6 +38,7 @@ fn wanted(min_renderers: usize) -> Wanted {
     let min_renderers = min_renderers as u32;
     Wanted {
         picture: Some(picture()),
+        refines: false,
         division: Division::Dynamic,
         min_renderers,
         repeat: true,

@@ -80,6 +80,47 @@ fn a_newer_camera_supersedes_what_nobody_has_begun() {
 }
 
 #[test]
+fn a_refinement_is_given_up_for_any_other_picture_however_much_of_it_has_come() {
+    for division in Division::ALL {
+        let mut farm = Farm::with_nodes(wanted(division), &[A, B]);
+        farm.answer(A);
+        farm.answer(B);
+        let finer = Picture { samples: SampleRange { first: 0, count: 4 }, ..picture(0.0, 1000) };
+        let refinement = Wanted { picture: Some(finer), refines: true, ..wanted(division) };
+        farm.on(Event::Wanted(refinement.clone()));
+        farm.answer(A);
+        farm.on(Event::Wanted(refinement));
+        assert!(farm.cancelled.is_empty(), "the same picture is no other");
+        farm.on(moved_to(1.0, 1));
+        assert_eq!(farm.cancelled, [B]);
+        farm.answer(A);
+        farm.answer(B);
+        assert_eq!(farm.shown.iter().map(|stats| stats.frame).collect::<Vec<_>>(), [1, 3]);
+    }
+}
+
+#[test]
+fn a_frame_s_interval_begins_with_it_or_when_the_frame_before_it_is_whole() {
+    let mut farm = Farm::with_nodes(repeating(2), &[A]);
+    for milliseconds in [10, 7, 8] {
+        farm.pass(milliseconds);
+        farm.answer(A);
+        farm.on(Event::FrameTaken);
+    }
+    let times: Vec<_> = farm.shown.iter().map(|stats| (stats.render_ms, stats.interval_ms)).collect();
+    assert_eq!(times, [(10.0, 10.0), (17.0, 7.0), (15.0, 8.0)]);
+    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    farm.pass(5);
+    farm.answer(A);
+    farm.on(Event::FrameTaken);
+    farm.pass(50);
+    farm.on(moved_to(2.0, 1));
+    farm.pass(3);
+    farm.answer(A);
+    assert_eq!(farm.shown.last().map(|stats| stats.interval_ms), Some(3.0), "rest is not counted");
+}
+
+#[test]
 fn a_camera_that_moves_all_the_time_is_seen() {
     for in_flight in 1..=3 {
         let mut farm = Farm::with_nodes(Wanted { in_flight, ..wanted(Division::Tiled) }, &[A, B]);

@@ -1,0 +1,147 @@
+//! Which resolution holds the target rate, from what frames took.
+//!
+//! A frame takes a time that grows with its samples and a time that does not: render servers, network and wall are asked
+//! for every frame. How long the latter is shows when the resolution changes.
+//!
+//! Late frames lower the resolution at once, as far as it takes; the fewer there are the later they must be, and a single
+//! one never does. Frames that leave room for the next finer resolution raise it by one, only after some time, and later
+//! still each time when that proved too much: steady nodes do not make the picture flicker.
+
+use std::{collections::VecDeque, time::Duration};
+
+use super::ladder::Ladder;
+
+/// How much of the time between two frames is aimed at: the rest is for frames that take longer than others.
+const AIM: f64 = 0.9;
+/// The next finer resolution must be expected to leave this much of what is aimed at.
+const HEADROOM: f64 = 0.9;
+/// With so much room it is not waited for longer, however often it proved too much.
+const CLEAR_ROOM: f64 = 0.5;
+/// A frame that takes longer than so many times what is aimed at counts as one that takes as long.
+const LONGEST: f64 = 3.0;
+/// The time of so many frames is remembered.
+const N_RECENT: usize = 8;
+/// A change shows what frames of any size take if so many of both sizes are known.
+const N_KNOWN: usize = 4;
+/// Frames that must leave room before the resolution is raised, at first…
+const SHORTEST_PATIENCE: u32 = N_RECENT as u32;
+/// …and at most: a minute's worth at 30 a second.
+const LONGEST_PATIENCE: u32 = 2048;
+
+/// The resolution of a moving camera's frames.
+#[derive(Clone, Debug)]
+pub(super) struct Pace {
+    /// What a frame should take, in seconds.
+    aim_s: f64,
+    rung: usize,
+    /// What the last frames took since the resolution was changed, in seconds.
+    recent_s: VecDeque<f64>,
+    /// How many frames there were since then.
+    n_frames: u32,
+    /// What frames took on average since then, or the last of them if there were more than patience asks for; in seconds.
+    long_mean_s: f64,
+    patience: u32,
+    /// Whether the resolution was raised when it was last changed.
+    was_raised: bool,
+    /// What a frame of any size takes, in seconds.
+    fixed_s: f64,
+    /// The resolution before, in samples, and what its frames took, in seconds.
+    before: Option<(f64, f64)>,
+}
+
+impl Pace {
+    pub(super) fn new(interval: Duration, rung: usize) -> Self {
+        Self {
+            aim_s: AIM * interval.as_secs_f64(),
+            rung,
+            recent_s: VecDeque::with_capacity(N_RECENT),
+            n_frames: 0,
+            long_mean_s: 0.0,
+            patience: SHORTEST_PATIENCE,
+            was_raised: false,
+            fixed_s: 0.0,
+            before: None,
+        }
+    }
+
+    pub(super) fn rung(&self) -> usize {
+        self.rung
+    }
+
+    /// The camera rests: what comes after has little to do with what was before.
+    pub(super) fn rest(&mut self) {
+        self.set_rung(self.rung);
+        self.patience = SHORTEST_PATIENCE;
+        (self.was_raised, self.before) = (false, None);
+    }
+
+    /// A frame of this rung took so long.
+    pub(super) fn learn(&mut self, ladder: &Ladder, took: Duration) {
+        if self.recent_s.len() == N_RECENT {
+            self.recent_s.pop_front();
+        }
+        self.recent_s.push_back(took.as_secs_f64());
+        self.n_frames = self.n_frames.saturating_add(1);
+        let weight = 1.0 / f64::from(self.n_frames.min(self.patience));
+        self.long_mean_s += weight * (took.as_secs_f64().min(LONGEST * self.aim_s) - self.long_mean_s);
+        let Some(mean_s) = self.mean_s() else { return };
+        self.learn_fixed(ladder, mean_s);
+        // The fewer frames there are, the less their mean says.
+        let is_late = mean_s > self.aim_s * (1.0 + 1.0 / self.recent_s.len() as f64);
+        if is_late && self.rung < ladder.last() {
+            if self.was_raised {
+                self.patience = (2 * self.patience).min(LONGEST_PATIENCE);
+            }
+            let in_time = |&rung: &usize| self.expected_s(ladder, mean_s, rung) <= self.aim_s;
+            let rung = (self.rung + 1..ladder.last()).find(in_time).unwrap_or(ladder.last());
+            self.leave(ladder, mean_s, rung);
+        } else if self.rung > 0 && self.n_frames >= SHORTEST_PATIENCE {
+            let expected_s = |mean_s| self.expected_s(ladder, mean_s, self.rung - 1);
+            let is_due =
+                self.n_frames >= self.patience && expected_s(self.long_mean_s.max(mean_s)) <= HEADROOM * self.aim_s;
+            if is_due || expected_s(mean_s) <= CLEAR_ROOM * self.aim_s {
+                self.leave(ladder, mean_s, self.rung - 1);
+            }
+        }
+    }
+
+    /// What the last frames took on average but for the one that took longest, which says nothing of those to come.
+    fn mean_s(&self) -> Option<f64> {
+        let n_others = self.recent_s.len().checked_sub(1).filter(|&n_others| n_others > 0)?;
+        let longest = self.recent_s.iter().copied().fold(0.0, f64::max);
+        Some((self.recent_s.iter().sum::<f64>() - longest) / n_others as f64)
+    }
+
+    /// What a frame of another rung will take, where those of this one take `mean_s`.
+    fn expected_s(&self, ladder: &Ladder, mean_s: f64, rung: usize) -> f64 {
+        let fixed_s = self.fixed_s.min(mean_s);
+        fixed_s + (mean_s - fixed_s) * n_samples(ladder, rung) / n_samples(ladder, self.rung)
+    }
+
+    fn learn_fixed(&mut self, ladder: &Ladder, mean_s: f64) {
+        if let Some((n_before, before_s)) = self.before.filter(|_| self.recent_s.len() == N_KNOWN) {
+            let n_now = n_samples(ladder, self.rung);
+            let per_sample_s = (mean_s - before_s) / (n_now - n_before);
+            let fixed_s = mean_s - per_sample_s * n_now;
+            // Nodes may have become slower or faster meanwhile, so this is no more than a hint; and believed too much it
+            // would lower the resolution too far.
+            self.fixed_s = (self.fixed_s + fixed_s.clamp(0.0, self.aim_s / 2.0)) / 2.0;
+        }
+    }
+
+    fn leave(&mut self, ladder: &Ladder, mean_s: f64, rung: usize) {
+        self.before = (self.recent_s.len() >= N_KNOWN).then(|| (n_samples(ladder, self.rung), mean_s));
+        self.was_raised = rung < self.rung;
+        self.set_rung(rung);
+    }
+
+    fn set_rung(&mut self, rung: usize) {
+        self.rung = rung;
+        self.recent_s.clear();
+        self.n_frames = 0;
+    }
+}
+
+fn n_samples(ladder: &Ladder, rung: usize) -> f64 {
+    f64::from(ladder.size(rung).n_samples())
+}

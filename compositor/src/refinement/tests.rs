@@ -1,0 +1,259 @@
+//! Cameras that move and rest, before farms of invented speed.
+
+use glam::DVec3;
+use proptest::prelude::*;
+use shared::{
+    camera::Camera,
+    look::Look,
+    protocol::{RayTree, View},
+    scene::SceneId,
+};
+
+use super::*;
+
+/// What a frame should take at the default target rate, in seconds.
+const INTERVAL_S: f64 = 1.0 / DEFAULT_TARGET_RATE;
+
+fn options() -> RefinementOptions {
+    RefinementOptions {
+        is_on: true,
+        target_rate: DEFAULT_TARGET_RATE,
+        native: FrameSize::new(4096, 2304).unwrap(),
+        n_samples: DEFAULT_SAMPLES,
+        fixed_size: FrameSize::PAPER,
+        fixed_samples: SampleRange::CENTRE,
+    }
+}
+
+fn subject(eye_x: f64) -> Picture {
+    Picture {
+        scene: SceneId::Statue { triangles: 1 },
+        camera: Camera::look_at(DVec3::new(eye_x, 0.0, 5.0), DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap(),
+        size: FrameSize::ONE,
+        view: View::Shaded,
+        rays: RayTree::Primary,
+        samples: SampleRange::CENTRE,
+        look: Look::default(),
+    }
+}
+
+/// A wall before a farm that takes so long for each frame, and for each sample of it.
+struct Wall {
+    refinement: Refinement,
+    now: Instant,
+    n_moves: u32,
+    fixed_s: f64,
+    per_sample_s: f64,
+    /// By how much times differ either way, as a part of them; and numbers to make them from.
+    waver: f64,
+    random: u64,
+}
+
+impl Wall {
+    fn new(fixed_s: f64, per_sample_s: f64, waver: f64) -> Self {
+        let (refinement, now) = (Refinement::new(options()), Instant::now());
+        Self { refinement, now, n_moves: 0, fixed_s, per_sample_s, waver, random: 1 }
+    }
+
+    /// A farm that takes as long as this for a frame of the paper's size.
+    fn with_paper_frame_of(seconds: f64) -> Self {
+        Self::new(0.0, seconds / f64::from(FrameSize::PAPER.n_samples()), 0.0)
+    }
+
+    /// Renders what is asked for; how long that takes.
+    fn render(&mut self, picture: &Picture) -> f64 {
+        // The constants are Knuth's, of MMIX.
+        self.random = self.random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let waver = 1.0 + self.waver * ((self.random >> 33) as f64 / f64::from(1u32 << 30) - 1.0);
+        let n_rays = f64::from(picture.size.n_samples()) * f64::from(picture.samples.count);
+        let took_s = (self.fixed_s + self.per_sample_s * n_rays) * waver;
+        let took = Duration::from_secs_f64(took_s);
+        self.now += took;
+        self.refinement.on_frame(picture, took);
+        took_s
+    }
+
+    /// The camera moves, and its frame is rendered: what size it has, and how long it takes.
+    fn move_on(&mut self) -> (FrameSize, f64) {
+        self.n_moves += 1;
+        let ask = self.refinement.change(self.now, subject(f64::from(self.n_moves)));
+        assert_eq!((ask.refines, ask.picture.samples), (false, SampleRange::CENTRE));
+        (ask.picture.size, self.render(&ask.picture))
+    }
+
+    fn move_for(&mut self, n_frames: u32) -> Vec<(FrameSize, f64)> {
+        (0..n_frames).map(|_| self.move_on()).collect()
+    }
+
+    /// The camera rests until nothing is asked for any more: all refinements.
+    fn rest(&mut self) -> Vec<Picture> {
+        let mut refinements = Vec::new();
+        while let Some(refines_at) = self.refinement.refines_at() {
+            assert!(!self.refinement.is_done());
+            self.now = self.now.max(refines_at);
+            let ask = self.refinement.refine(self.now).expect("it is time");
+            assert!(ask.refines && self.refinement.refines_at().is_none(), "one refinement at a time");
+            self.render(&ask.picture);
+            refinements.push(ask.picture);
+        }
+        assert!(self.refinement.is_done());
+        refinements
+    }
+}
+
+fn n_changes(frames: &[(FrameSize, f64)]) -> usize {
+    frames.windows(2).filter(|pair| pair[0].0 != pair[1].0).count()
+}
+
+fn mean_s(frames: &[(FrameSize, f64)]) -> f64 {
+    frames.iter().map(|frame| frame.1).sum::<f64>() / frames.len() as f64
+}
+
+#[test]
+fn a_farm_that_is_too_slow_gets_coarser_frames_within_a_few() {
+    let mut wall = Wall::with_paper_frame_of(10.0 * INTERVAL_S);
+    let frames = wall.move_for(100);
+    assert!(frames[2].1 <= INTERVAL_S, "two late frames are enough: {frames:?}");
+    assert!(frames[2..].iter().all(|frame| (0.5..1.0).contains(&(frame.1 / INTERVAL_S))), "{frames:?}");
+    assert_eq!(n_changes(&frames), 1);
+}
+
+#[test]
+fn a_farm_with_room_gets_finer_frames_one_step_after_the_other() {
+    let mut wall = Wall::with_paper_frame_of(INTERVAL_S / 8.0);
+    let frames = wall.move_for(200);
+    let sizes: Vec<f64> = frames.iter().map(|frame| f64::from(frame.0.n_samples())).collect();
+    assert!(sizes.windows(2).all(|pair| (1.0..1.6).contains(&(pair[1] / pair[0]))), "never coarser, by single steps");
+    assert!(frames.last().is_some_and(|frame| (0.6..1.0).contains(&(frame.1 / INTERVAL_S))), "{:?}", frames.last());
+}
+
+#[test]
+fn a_farm_that_is_fast_enough_renders_the_wall_s_own_resolution_in_motion() {
+    let mut wall = Wall::with_paper_frame_of(INTERVAL_S / 50.0);
+    let frames = wall.move_for(200);
+    assert_eq!(frames.last().map(|frame| frame.0), Some(options().native));
+    let counts: Vec<u32> = wall.rest().iter().map(|picture| picture.samples.count).collect();
+    assert_eq!(counts, [4, 16], "one sample a pixel is there already");
+}
+
+#[test]
+fn one_frame_that_takes_long_changes_nothing() {
+    let mut wall = Wall::with_paper_frame_of(0.8 * INTERVAL_S);
+    for n_between in [0, 1, 2, 5, 20] {
+        wall.move_for(n_between);
+        let picture = wall.refinement.change(wall.now, subject(-1.0 - f64::from(n_between))).picture;
+        wall.refinement.on_frame(&picture, Duration::from_secs(2));
+        let frames = wall.move_for(10);
+        assert_eq!(n_changes(&frames), 0, "after {n_between}: {frames:?}");
+    }
+}
+
+#[test]
+fn a_farm_that_nothing_helps_gets_the_coarsest_frames() {
+    let mut wall = Wall::new(10.0 * INTERVAL_S, 0.0, 0.1);
+    let frames = wall.move_for(200);
+    assert_eq!(frames.last().map(|frame| frame.0), Some(wall.refinement.ladder.size(usize::MAX)));
+    assert!(n_changes(&frames[20..]) == 0, "{frames:?}");
+}
+
+#[test]
+fn a_camera_that_rests_is_refined_and_then_nothing_is_asked_for() {
+    let mut wall = Wall::with_paper_frame_of(INTERVAL_S);
+    let moving = wall.move_for(30).last().unwrap().0;
+    assert!(moving.n_samples() < options().native.n_samples());
+    let refinements = wall.rest();
+    let levels: Vec<_> = refinements.iter().map(|picture| (picture.size, picture.samples.count)).collect();
+    assert_eq!(levels, [1, 4, 16].map(|count| (options().native, count)));
+    assert!(refinements.iter().all(|picture| picture.samples.first == 0 && picture.camera == subject(30.0).camera));
+    assert_eq!(wall.refinement.refine(wall.now + Duration::from_secs(1000)), None);
+    // The same camera again is no motion.
+    let ask = wall.refinement.change(wall.now, subject(30.0));
+    assert_eq!((ask.picture, wall.refinement.is_done()), (refinements[2], true));
+    assert_eq!(wall.move_on().0, moving, "the next motion goes on as the last");
+}
+
+#[test]
+fn refinement_waits_for_a_rest_and_for_the_coarse_frame() {
+    let mut wall = Wall::with_paper_frame_of(INTERVAL_S / 2.0);
+    let start = wall.now;
+    let ask = wall.refinement.change(start, subject(1.0));
+    assert_eq!(wall.refinement.refine(start + 9 * REST), None, "the coarse frame has not come");
+    wall.refinement.on_frame(&ask.picture, Duration::from_millis(1));
+    assert_eq!(wall.refinement.refines_at(), Some(start + REST));
+    assert_eq!(wall.refinement.refine(start + REST / 2), None);
+    let finer = wall.refinement.refine(start + REST).unwrap();
+    assert_eq!(wall.refinement.refine(start + 9 * REST), None, "one refinement at a time");
+    // A motion ends the refinement; should its frame come all the same, it is of a picture that nobody wants.
+    let ask = wall.refinement.change(start + REST, subject(2.0));
+    assert!(!ask.refines);
+    wall.refinement.on_frame(&finer.picture, Duration::from_secs(1));
+    assert_eq!(wall.refinement.refines_at(), None);
+    wall.refinement.on_frame(&ask.picture, Duration::from_millis(1));
+    assert_eq!(wall.refinement.refines_at(), Some(start + 2 * REST));
+}
+
+#[test]
+fn switched_off_every_frame_has_the_resolution_that_was_set() {
+    let mut wall = Wall::with_paper_frame_of(10.0 * INTERVAL_S);
+    wall.refinement.set_on(false);
+    let frames = wall.move_for(20);
+    assert!(frames.iter().all(|frame| frame.0 == options().fixed_size));
+    assert_eq!((wall.refinement.is_done(), wall.refinement.refines_at()), (true, None));
+    wall.refinement.set_on(true);
+    let ask = wall.refinement.change(wall.now, subject(20.0));
+    wall.render(&ask.picture);
+    assert_eq!(wall.rest().len(), 3, "switched on, what is there is refined");
+}
+
+#[test]
+fn no_frame_is_larger_than_the_gpu_takes() {
+    let mut refinement = Refinement::new(options());
+    for (largest, native) in [(8192, [4096, 2304]), (2048, [2048, 2048]), (0, [1, 1])] {
+        refinement.limit_sides(largest);
+        let native = FrameSize::new(native[0], native[1]).unwrap();
+        let ask = refinement.change(Instant::now(), subject(0.0));
+        assert!(ask.picture.size.n_samples() <= native.n_samples());
+        refinement.on_frame(&ask.picture, Duration::ZERO);
+        if let Some(refines_at) = refinement.refines_at() {
+            assert_eq!(refinement.refine(refines_at).map(|ask| ask.picture.size), Some(native));
+        }
+    }
+}
+
+proptest! {
+    /// Whatever a farm's speed is and becomes: within a second or so of motion the rate is held, by frames that are no
+    /// coarser than that takes; and at rest the picture is refined in as many frames as ever.
+    #[test]
+    fn the_rate_is_held_by_any_farm_and_does_not_flicker(
+        fixed in 0.0..0.3f64,
+        // What a frame of the paper's size takes beyond that, in intervals: as powers of two.
+        speeds in proptest::collection::vec(-5.0..3.0f64, 1..5),
+        waver in 0.0..0.15f64,
+        random: u64,
+    ) {
+        let mut wall = Wall { random, ..Wall::new(fixed * INTERVAL_S, 0.0, waver) };
+        for speed in speeds {
+            wall.per_sample_s = speed.exp2() * INTERVAL_S / f64::from(FrameSize::PAPER.n_samples());
+            wall.move_for(160);
+            let frames = wall.move_for(400);
+            let mean = mean_s(&frames) / INTERVAL_S;
+            prop_assert!(mean <= 1.02, "{mean} of an interval");
+            prop_assert!(n_changes(&frames) <= 6, "{} changes in 400 frames", n_changes(&frames));
+            let finest = frames.iter().map(|frame| frame.0.n_samples()).max();
+            prop_assert!(mean >= 0.5 || finest == Some(options().native.n_samples()), "{mean} of an interval");
+            prop_assert!(wall.rest().len() <= 3);
+        }
+    }
+
+    /// A farm of steady speed makes the picture change ever more rarely, however much frames differ.
+    #[test]
+    fn unsteady_frames_change_the_resolution_ever_more_rarely(
+        speed in -5.0..3.0f64, waver in 0.0..0.6f64, random: u64,
+    ) {
+        let per_sample_s = speed.exp2() * INTERVAL_S / f64::from(FrameSize::PAPER.n_samples());
+        let mut wall = Wall { random, ..Wall::new(0.1 * INTERVAL_S, per_sample_s, waver) };
+        wall.move_for(1000);
+        let n_changes = n_changes(&wall.move_for(4000));
+        prop_assert!(n_changes <= 20, "{n_changes} changes in 4000 frames");
+    }
+}
