@@ -208,7 +208,8 @@ impl Session<'_> {
         let cameras = self.cameras.iter().map(|(_, camera)| *camera).collect();
         let mesh = std::mem::take(&mut self.mesh);
         let standard = memory::Standard::new(&mesh, cameras, &effort);
-        let settings = effort.settings();
+        let chosen = standard.chosen_density();
+        let settings = effort.settings(chosen);
         for (index, setting) in settings.iter().enumerate() {
             progress.set(index as f32 / settings.len() as f32);
             match standard.measure(setting, &effort)? {
@@ -227,7 +228,8 @@ impl Session<'_> {
         drop(progress);
         drop(standard);
         self.mesh = mesh;
-        say(memory::table(&self.memory))
+        say(memory::table(&self.memory))?;
+        memory::verdict(&self.memory, chosen).map_or(Ok(()), say)
     }
 
     fn chart_image(&mut self) -> Result<()> {

@@ -3,8 +3,8 @@
 //! [`tree`] is the default, cells within cells down to where there is little; [`uniform`] is the paper's own grid, of
 //! cells of one size, with [`row_displacement`] that compresses it and [`macrocells`] over it.
 //!
-//! In reading order: [`options`] says what can be asked for, and [`budget`] within how much memory; [`resolution`] how
-//! many cells; [`overlap`] which cells a triangle touches; [`scatter`] puts triangles into cells; [`build`] makes the
+//! In reading order: [`options`] says what can be asked for, and [`budget`] within how much memory; [`choice`]
+//! chooses what is not asked for, [`resolution`] how many cells; [`overlap`] which cells a triangle touches; [`scatter`] puts triangles into cells; [`build`] makes the
 //! grid, [`divide`] the tree; [`boxes`] bounds the triangles. [`walk`] follows single rays, with [`filter`] before each
 //! list; [`packet`] follows many rays together through their [`frustum`], [`cull`] sorts out what they may hit, and
 //! [`decide`] what they do.
@@ -15,6 +15,7 @@ use std::time::Duration;
 mod boxes;
 mod budget;
 mod build;
+mod choice;
 #[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
 mod cull;
 #[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
@@ -41,6 +42,7 @@ mod uniform;
 mod walk;
 
 pub use budget::{MemoryBudget, MemoryShortage};
+pub use choice::{Choice, Prediction, Reason};
 pub use figures::GridFigures;
 pub use instructions::InstructionSet;
 pub use options::{GridOptions, MeshLayout, Storage};
@@ -64,6 +66,7 @@ pub struct Grid {
     /// Cells per triangle.
     density: f64,
     shortage: Option<MemoryShortage>,
+    choice: Choice,
     mesh: TracedMesh,
     instructions: InstructionSet,
 }
@@ -114,6 +117,11 @@ impl Grid {
     /// What the memory budget did to the grid, if it was too small for the one that was asked for.
     pub fn shortage(&self) -> Option<MemoryShortage> {
         self.shortage
+    }
+
+    /// How the scene is kept and why, and what else would have been possible.
+    pub fn choice(&self) -> &Choice {
+        &self.choice
     }
 
     /// Bytes of the structure, the mesh not counted.

@@ -11,9 +11,9 @@ use crate::{
 #[derive(Clone, Copy, Debug, clap::Args)]
 #[command(next_help_heading = "The grid, which changes time and memory but no picture")]
 pub struct SceneArgs {
-    /// The paper's ρ: cells of the grid per triangle
-    #[arg(long, value_name = "RHO", default_value_t = GridOptions::default().density, value_parser = density)]
-    density: f64,
+    /// The paper's ρ: cells of the grid per triangle [default: chosen for the scene]
+    #[arg(long, value_name = "RHO", value_parser = density)]
+    density: Option<f64>,
 
     /// How the grid is kept: plain or row-displacement, the paper's uniform grid, or masks, a tree divided where it holds
     /// much
@@ -41,14 +41,15 @@ impl SceneArgs {
     }
 
     /// The same on another program's command line.
-    pub fn to_arguments(&self) -> [String; 5] {
-        [
-            format!("--density={}", self.density),
+    pub fn to_arguments(&self) -> Vec<String> {
+        let density = self.density.map(|density| format!("--density={density}"));
+        let others = [
             format!("--storage={}", self.storage),
             format!("--macrocell-levels={}", self.macrocell_levels),
             format!("--mesh={}", self.mesh),
             format!("--memory-budget={}", self.memory_budget),
-        ]
+        ];
+        density.into_iter().chain(others).collect()
     }
 }
 

@@ -224,7 +224,7 @@ impl Loader {
     fn wanted_options(&self) -> SceneOptions {
         let mut options = self.options;
         if let Some(Structure { storage, density }) = self.structure {
-            (options.grid.storage, options.grid.density) = (storage, density);
+            (options.grid.storage, options.grid.density) = (storage, Some(density));
         }
         options
     }

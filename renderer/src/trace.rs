@@ -23,7 +23,7 @@ use shared::{
 
 use crate::{
     cli::say,
-    grid::GridFigures,
+    grid::{Choice, GridFigures},
     image,
     look_args::LookArgs,
     progress::Progress,
@@ -101,6 +101,10 @@ pub struct TraceArgs {
     #[arg(long, value_name = "FILE")]
     hits: Option<PathBuf>,
 
+    /// Also print how the grid was chosen, and what other ways to keep the scene are predicted to take
+    #[arg(long, conflicts_with = "cameras")]
+    explain: bool,
+
     /// Print the measurements as one JSON object
     #[arg(long)]
     json: bool,
@@ -133,6 +137,9 @@ struct Report {
     mesh_bytes: usize,
     structure_bytes: usize,
     grid: GridFigures,
+    /// How the grid was chosen, if that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    choice: Option<Choice>,
     /// `None` where the system does not tell.
     peak_rss_bytes: Option<u64>,
     hits: usize,
@@ -232,6 +239,7 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         mesh_bytes: scene.mesh().n_bytes(),
         structure_bytes: scene.grid().n_bytes(),
         grid: scene.grid().figures(),
+        choice: args.explain.then(|| scene.grid().choice().clone()),
         peak_rss_bytes: peak_rss_bytes(),
         hits: frame.n_hits(),
         shadow_rays: cost.n_shadow_rays,
@@ -319,5 +327,8 @@ fn table(report: &Report, size: FrameSize) -> String {
         ),
         format!("speed       {:.2} million rays a second", report.mrays_per_second),
     ]
+    .into_iter()
+    .chain(report.choice.as_ref().map(Choice::explanation))
+    .collect::<Vec<_>>()
     .join("\n")
 }

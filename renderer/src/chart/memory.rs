@@ -61,33 +61,40 @@ pub(super) struct Setting {
 impl Setting {
     pub(super) fn name(&self) -> String {
         let Self { options, is_single } = self;
-        let GridOptions { density, macrocell_levels, storage, mesh, .. } = options;
+        let GridOptions { macrocell_levels, storage, mesh, .. } = options;
+        let density = options.density.unwrap_or(GridOptions::PAPER_DENSITY);
         let rays = if *is_single && *storage == Storage::Masks { ", single rays" } else { "" };
         format!("{storage}, {mesh}, density {density}, {macrocell_levels} levels{rays}")
     }
 }
 
 impl Effort {
-    pub(super) fn settings(&self) -> Vec<Setting> {
-        let options = GridOptions { memory_budget: self.memory_budget, ..GridOptions::default() };
+    /// All settings that are measured, where `chosen` is the density that a grid chooses by itself.
+    pub(super) fn settings(&self, chosen: f64) -> Vec<Setting> {
+        let options =
+            GridOptions { density: Some(chosen), memory_budget: self.memory_budget, ..GridOptions::default() };
+        let mut densities = self.densities.clone();
+        if !densities.contains(&chosen) {
+            densities.push(chosen);
+            densities.sort_by(f64::total_cmp);
+        }
         let mut settings = Vec::new();
         for mesh in [MeshLayout::Indexed, MeshLayout::Flat] {
-            let densities = self.densities.iter();
-            settings.extend(
-                densities
-                    .map(|&density| Setting { options: GridOptions { density, mesh, ..options }, is_single: false }),
-            );
+            settings.extend(densities.iter().map(|&density| Setting {
+                options: GridOptions { density: Some(density), mesh, ..options },
+                is_single: false,
+            }));
         }
         let single = |options: GridOptions| Setting { options, is_single: true };
         settings.push(single(options));
         for storage in [Storage::RowDisplacement, Storage::Plain] {
             for &density in &self.uniform_densities {
-                settings.push(single(GridOptions { density, storage, ..options }));
+                settings.push(single(GridOptions { density: Some(density), storage, ..options }));
             }
             // Fewer levels change little but the time, so one density tells.
             for macrocell_levels in [2, 1, 0] {
                 settings.push(single(GridOptions {
-                    density: FEW_LEVELS_DENSITY,
+                    density: Some(FEW_LEVELS_DENSITY),
                     storage,
                     macrocell_levels,
                     ..options
@@ -121,6 +128,11 @@ impl<'a> Standard<'a> {
         standard
     }
 
+    /// The density that a grid chooses by itself.
+    pub(super) fn chosen_density(&self) -> f64 {
+        self.scene.grid().choice().density
+    }
+
     /// Measures a setting. Inside, why it is left out; outside, that its hits are wrong.
     pub(super) fn measure(&self, setting: &Setting, effort: &Effort) -> Result<Result<Row, String>> {
         let options = &setting.options;
@@ -147,7 +159,7 @@ impl<'a> Standard<'a> {
         Ok(Ok(Row {
             storage: options.storage.name(),
             mesh: options.mesh.name(),
-            density: options.density,
+            density: scene.grid().figures().density,
             macrocell_levels: options.macrocell_levels,
             rays: if setting.is_single { "single" } else { "packets" },
             bytes_per_triangle: scene.n_bytes() as f64 / scene.n_triangles() as f64,
@@ -244,6 +256,27 @@ fn plot(
         series,
         has_front: true,
     }
+}
+
+/// How the grid that chooses itself, with `chosen` cells a triangle, stands among all that were measured.
+pub(super) fn verdict(rows: &[Row], chosen: f64) -> Option<String> {
+    let fastest = rows.iter().min_by(|a, b| a.cpu_ns_per_ray.total_cmp(&b.cpu_ns_per_ray))?;
+    let is_chosen = |row: &&Row| {
+        row.storage == Storage::default().name()
+            && row.mesh == MeshLayout::default().name()
+            && row.rays == "packets"
+            && row.density == chosen
+    };
+    let ours = rows.iter().find(is_chosen)?;
+    let excess = |ours: f64, best: f64| 100.0 * (ours / best - 1.0);
+    let (slower, larger) = (
+        excess(ours.cpu_ns_per_ray, fastest.cpu_ns_per_ray),
+        excess(ours.bytes_per_triangle, fastest.bytes_per_triangle),
+    );
+    Some(format!(
+        "chosen: density {chosen}, within {slower:.1} % of the fastest ({}, {} mesh, density {}) with {larger:+.1} % of its bytes",
+        fastest.storage, fastest.mesh, fastest.density
+    ))
 }
 
 /// For people.

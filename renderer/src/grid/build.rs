@@ -5,6 +5,7 @@ use glam::Vec3;
 use super::{
     Grid, GridOptions, InstructionSet, MemoryShortage, MeshLayout, Storage, Structure,
     boxes::Boxes,
+    choice::Choice,
     divide::{Builder, Piece},
     resolution::{CellSpace, resolution},
     row_displacement::RowDisplacement,
@@ -21,7 +22,7 @@ use crate::{
 const TREE_BYTES_PER_REFERENCE: u64 = 5;
 
 /// What its box takes, which is measured when the mesh as it was loaded is gone.
-const BOX_BYTES_PER_REFERENCE: u64 = 6;
+pub(super) const BOX_BYTES_PER_REFERENCE: u64 = 6;
 
 /// What the program takes before it has a scene.
 pub(super) const PROGRAM_BYTES: u64 = 40_000_000;
@@ -36,13 +37,15 @@ impl Grid {
         if bounds.is_empty() {
             return Self::empty(TracedMesh::new(mesh, &mut []));
         }
+        let choice = Choice::new(&mesh, options);
+        let density = choice.density;
         let is_flat = options.mesh == MeshLayout::Flat;
         let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh, is_flat);
         let mesh_bytes_in_order = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh, is_flat);
         let most_bytes = options.memory_budget.left_beside(mesh_bytes);
         let grid = match options.storage {
-            Storage::Masks => Self::masks(mesh, &bounds, options, most_bytes, progress),
-            Storage::Plain | Storage::RowDisplacement => Self::uniform(mesh, &bounds, options, most_bytes),
+            Storage::Masks => Self::masks(mesh, &bounds, density, options, most_bytes, progress),
+            Storage::Plain | Storage::RowDisplacement => Self::uniform(mesh, &bounds, density, options, most_bytes),
         };
         // Boxes come when the mesh as it was loaded is gone.
         let (grid_bytes, box_bytes) = (grid.n_bytes() as u64, grid.figures().box_bytes.unwrap_or(0) as u64);
@@ -51,20 +54,21 @@ impl Grid {
         let (is_coarser, is_too_much) = (grid.shortage.is_some(), budget.is_less_than(all_bytes));
         let needed_bytes = is_too_much.then_some(all_bytes);
         let shortage = (is_coarser || is_too_much).then_some(MemoryShortage { budget, is_coarser, needed_bytes });
-        Self { shortage, ..grid }.with_mesh_layout(options.mesh)
+        Self { shortage, choice, ..grid }.with_mesh_layout(options.mesh)
     }
 
     /// The tree of masks. Where it would take too much memory cubes stay undivided.
     fn masks(
         mesh: Mesh,
         bounds: &Aabb,
+        density: f64,
         options: &GridOptions,
         most_bytes: u64,
         progress: &(dyn Fn(f32) + Sync),
     ) -> Self {
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
         let corner = |corner: [f32; 3]| Vec3::from_array(corner).as_dvec3();
-        let (cells, cell_size) = resolution(corner(bounds.max) - corner(bounds.min), n_triangles, options.density);
+        let (cells, cell_size) = resolution(corner(bounds.max) - corner(bounds.min), n_triangles, density);
 
         let mut bricks_in_cells = CELLS_PER_BRICK;
         // Room for triangles that each lie in several bricks; large ones are met with larger bricks.
@@ -114,15 +118,14 @@ impl Grid {
         let boxes = Boxes::new(&space, dims, &bricks, &nodes, &leaf_starts, &references, &mesh);
         let largest_skip = tree::largest_skip(options.macrocell_levels);
         let tree = Tree { dims, bricks, nodes, leaf_starts, references, boxes, largest_skip };
-        let (structure, density) = (Structure::Tree(tree), options.density);
-        Self { space, structure, density, shortage, ..Self::empty(mesh) }
+        Self { space, structure: Structure::Tree(tree), density, shortage, ..Self::empty(mesh) }
     }
 
     /// The paper's uniform grid. One that would take too much memory is made coarser.
-    fn uniform(mesh: Mesh, bounds: &Aabb, options: &GridOptions, most_bytes: u64) -> Self {
+    fn uniform(mesh: Mesh, bounds: &Aabb, asked_density: f64, options: &GridOptions, most_bytes: u64) -> Self {
         let extent = Vec3::from_array(bounds.max).as_dvec3() - Vec3::from_array(bounds.min).as_dvec3();
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
-        let mut density = options.density;
+        let mut density = asked_density;
         let (space, mut structure) = loop {
             let (dims, cell_size) = resolution(extent, n_triangles, density);
             let space = CellSpace::new(bounds, cell_size);
@@ -142,7 +145,7 @@ impl Grid {
             density /= 2.0;
         };
         let traced = TracedMesh::new(mesh, structure.references_mut());
-        let shortage = (density < options.density).then_some(MemoryShortage {
+        let shortage = (density < asked_density).then_some(MemoryShortage {
             budget: options.memory_budget,
             is_coarser: true,
             needed_bytes: None,
@@ -156,6 +159,7 @@ impl Grid {
             structure: Structure::Tree(Tree::empty()),
             density: 0.0,
             shortage: None,
+            choice: Choice::default(),
             mesh,
             instructions: InstructionSet::best(),
         }

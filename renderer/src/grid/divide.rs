@@ -18,7 +18,7 @@ const REFERENCES_PER_TASK: usize = 1 << 15;
 
 /// Cubes that hold no more than this are not divided: the boxes of 16 triangles are tested faster than one more leaf is
 /// found. Between 128 and 512 speed is flat; memory falls with it.
-const LEAF_SIZE: usize = 256;
+pub(super) const LEAF_SIZE: usize = 256;
 
 /// What all bricks are divided by.
 pub(super) struct Builder<'a> {

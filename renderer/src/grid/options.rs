@@ -10,8 +10,8 @@ use super::budget::MemoryBudget;
 /// What a grid is built like. None of it changes a hit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridOptions {
-    /// The paper's ρ: cells per triangle.
-    pub density: f64,
+    /// The paper's ρ: cells per triangle. Without one it is chosen for the scene: see [`super::Choice`].
+    pub density: Option<f64>,
     /// How many sizes of macrocells a single ray may skip whole when they are empty.
     pub macrocell_levels: u8,
     /// How cells are kept.
@@ -61,17 +61,19 @@ impl GridOptions {
     /// The densities that can be asked for.
     pub const DENSITIES: RangeInclusive<f64> = Structure::DENSITIES;
 
+    /// The paper's own density.
+    pub const PAPER_DENSITY: f64 = 32.0;
+
     /// The numbers of macrocell levels that can be asked for.
     pub const MACROCELL_LEVELS: RangeInclusive<u8> = 0..=3;
 }
 
 impl Default for GridOptions {
     fn default() -> Self {
-        let Structure { storage, density } = Structure::default();
         Self {
-            density,
+            density: None,
             macrocell_levels: *Self::MACROCELL_LEVELS.end(),
-            storage,
+            storage: Storage::default(),
             mesh: MeshLayout::default(),
             memory_budget: MemoryBudget::default(),
         }

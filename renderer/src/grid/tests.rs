@@ -347,7 +347,8 @@ fn a_grid_stays_within_its_memory_and_hits_the_same() {
 fn a_mesh_beyond_the_budget_gets_a_grid_and_a_line_that_says_so() {
     let mesh = crate::statue::generate(500_000, &|_| ());
     for storage in Storage::ALL {
-        let options = GridOptions { storage, memory_budget: "16M".parse().unwrap(), ..GridOptions::default() };
+        let memory_budget = "16M".parse().unwrap();
+        let options = GridOptions { density: Some(32.0), storage, memory_budget, ..GridOptions::default() };
         let grid = Grid::build(mesh.clone(), &options, &|_| ());
         let shortage = grid.shortage().unwrap().to_string();
         assert!(shortage.contains("M, more than --memory-budget 16M"), "{storage}: {shortage}");

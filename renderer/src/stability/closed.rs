@@ -70,7 +70,7 @@ fn targets(mesh: &Mesh) -> Vec<Vec3> {
 pub(super) fn cell_planes(n_rays: u64) -> Tally {
     const N: i32 = 12;
     // Four cells along a unit, so that all cells of the tree end at 1/4ⁿ.
-    let options = GridOptions { density: 64.0, ..GridOptions::default() };
+    let options = GridOptions { density: Some(64.0), ..GridOptions::default() };
     let grid = Grid::build(solids::mesh_of(&solids::cube(N), 1.0), &options, &|_| ());
     let expected = |ray: &Ray| {
         let exits = (0..3).filter(|&axis| ray.direction[axis] != 0.0).map(|axis| {

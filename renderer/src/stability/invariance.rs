@@ -107,7 +107,7 @@ pub(super) fn one_hash(n_rays: u64) -> Tally {
     let camera = Camera::view_all(min, max, UpAxis::Y, 16.0 / 9.0);
     let mut ways = Vec::new();
     for storage in Storage::ALL {
-        for density in [1.0, 32.0, 128.0] {
+        for density in [1.0, 32.0, 128.0].map(Some) {
             for (layout, n_threads) in [(MeshLayout::Indexed, 1), (MeshLayout::Flat, 2)] {
                 ways.push((GridOptions { storage, density, mesh: layout, ..GridOptions::default() }, n_threads));
             }
