@@ -104,7 +104,9 @@ impl Stage {
         let size = FrameSize::new(FRAME.0, FRAME.1).expect("a frame of samples");
         let rays = Camera::view_all(min, max, UpAxis::Y, 16.0 / 9.0).rays(size);
         let mut hits = Vec::new();
-        with_tiles(size, |share| scene.trace(&rays, share, 0..share.count(), &mut hits));
+        with_tiles(size, |share| {
+            scene.trace(&rays, None, share, 0..share.count(), |_, of_tile| hits.extend_from_slice(of_tile));
+        });
         Self { scene, rays, size, hits }
     }
 
@@ -139,7 +141,9 @@ fn packets(bencher: Bencher, model: Model) {
     let mut hits = Vec::with_capacity(stage.hits.len());
     bencher.counter(ItemsCount::new(stage.hits.len())).bench_local(|| {
         hits.clear();
-        with_tiles(stage.size, |share| stage.scene.trace(&stage.rays, share, 0..share.count(), &mut hits));
+        with_tiles(stage.size, |share| {
+            stage.scene.trace(&stage.rays, None, share, 0..share.count(), |_, of_tile| hits.extend_from_slice(of_tile));
+        });
         hits.len()
     });
 }

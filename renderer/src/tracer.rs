@@ -163,30 +163,21 @@ impl Scene {
         parts.concat()
     }
 
-    /// Traces the share's units `units` through the centres of their samples, on the calling thread; appends the hits in
-    /// the order of [`Share::samples`].
-    pub fn trace(&self, rays: &CameraRays, share: &Share<'_>, units: Range<u32>, hits: &mut Vec<Hit>) {
-        self.trace_clipped(rays, None, share, units, hits);
-    }
-
-    /// The same in a scene that a plane may cut open.
-    pub fn trace_clipped(
+    /// Traces the share's units `units` through the centres of their samples, in a scene that a plane may cut open, on the
+    /// calling thread; calls `visit` with up to 64 samples that lie close together and what each of them hits.
+    pub fn trace(
         &self,
         rays: &CameraRays,
         clip: Option<&ClipPlane>,
         share: &Share<'_>,
         units: Range<u32>,
-        hits: &mut Vec<Hit>,
+        mut visit: impl FnMut(&[(u32, u32)], &[Hit]),
     ) {
         let mut scratch = PacketScratch::default();
         let samples = samples_of(share, units.clone());
-        let first = hits.len();
-        hits.resize(first + samples.len(), Hit::MISS);
-        for_each_block(share, units, &samples, |block, places| {
-            let (of_block, _) = self.trace_block(rays, clip, block, 0, &mut scratch);
-            for (hit, place) in of_block.into_iter().zip(places) {
-                hits[first + place] = hit;
-            }
+        for_each_block(share, units, &samples, |block, _| {
+            let (hits, _) = self.trace_block(rays, clip, block, 0, &mut scratch);
+            visit(block, &hits[..block.len()]);
         });
     }
 

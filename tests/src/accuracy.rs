@@ -70,13 +70,12 @@ fn reference(mesh: &Mesh, rays: &CameraRays, size: FrameSize) -> Reference {
 fn hits(scene: &Scene, rays: &CameraRays, size: FrameSize) -> Vec<Hit> {
     let work = Division::Tiled.work(0, 1);
     let share = work.share(size).unwrap();
-    let mut in_tiles = Vec::new();
-    scene.trace(rays, &share, 0..share.count(), &mut in_tiles);
-    let mut rows = vec![Hit::MISS; in_tiles.len()];
-    let places = (0..share.count()).flat_map(|unit| share.samples(unit).iter());
-    for ((i, j), hit) in places.zip(in_tiles) {
-        rows[(j * size.xres() + i) as usize] = scene.in_file_order(hit);
-    }
+    let mut rows = vec![Hit::MISS; size.n_samples() as usize];
+    scene.trace(rays, None, &share, 0..share.count(), |samples, hits| {
+        for (&(i, j), &hit) in samples.iter().zip(hits) {
+            rows[(j * size.xres() + i) as usize] = scene.in_file_order(hit);
+        }
+    });
     rows
 }
 

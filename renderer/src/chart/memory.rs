@@ -183,7 +183,7 @@ impl<'a> Standard<'a> {
                 let samples = (0..share.count()).flat_map(|unit| share.samples(unit).iter());
                 hits.extend(samples.map(|(i, j)| scene.grid().intersect(&Ray::new(rays.eye, rays.direction(i, j)))));
             } else {
-                scene.trace(&rays, &share, 0..share.count(), &mut hits);
+                scene.trace(&rays, None, &share, 0..share.count(), |_, of_block| hits.extend_from_slice(of_block));
             }
             cpu += started.elapsed().as_secs_f64();
             if let Some(hasher) = &mut hasher {

@@ -152,12 +152,11 @@ fn hits(scene: &Scene, camera: &Camera, size: FrameSize, division: Division, n_m
     for machine in (0..n_machines).rev() {
         let work = division.work(machine, n_machines);
         let Ok(share) = work.share(size) else { continue };
-        let mut in_units = Vec::new();
-        scene.trace(&rays, &share, 0..share.count(), &mut in_units);
-        let places = (0..share.count()).flat_map(|unit| share.samples(unit).iter());
-        for ((i, j), hit) in places.zip(in_units) {
-            rows[(j * size.xres() + i) as usize] = scene.in_file_order(hit);
-        }
+        scene.trace(&rays, None, &share, 0..share.count(), |samples, hits| {
+            for (&(i, j), &hit) in samples.iter().zip(hits) {
+                rows[(j * size.xres() + i) as usize] = scene.in_file_order(hit);
+            }
+        });
     }
     let mut hasher = blake3::Hasher::new();
     for hit in rows {

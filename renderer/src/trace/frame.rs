@@ -86,31 +86,27 @@ impl Frame {
             let mut cost = Cost::default();
             let first_j = row as u32 * TILE_SIZE;
             let tiles = row as u32 * tiles_per_row..(row as u32 + 1) * tiles_per_row;
-            let mut in_tiles = Vec::with_capacity(hits.len());
-            match options.kernel {
-                Kernel::Packet => scene.trace_clipped(&rays, clip, &share, tiles.clone(), &mut in_tiles),
-                Kernel::Single => in_tiles.extend(
-                    tiles
-                        .clone()
-                        .flat_map(|tile| share.samples(tile).iter())
-                        .map(|(i, j)| clip::intersect(scene.grid(), clip, Ray::new(rays.eye, rays.direction(i, j)))),
-                ),
-            }
-            let mut in_tiles = &*in_tiles;
             let mut scratch = PacketScratch::default();
-            for samples in tiles.map(|tile| share.samples(tile)) {
-                let (of_tile, others) = in_tiles.split_at(samples.count() as usize);
-                in_tiles = others;
-                for ((i, j), &hit) in samples.iter().zip(of_tile) {
+            // What a tile's rays met is still in the cache for its shadow rays.
+            let mut visit = |samples: &[(u32, u32)], of_tile: &[Hit]| {
+                for (&(i, j), &hit) in samples.iter().zip(of_tile) {
                     hits[(j - first_j) as usize * xres + i as usize] = hit;
                 }
                 if let Some(light) = options.light {
-                    let block: Vec<_> = samples.iter().collect();
                     let caster = ShadowCaster { scene, rays: &rays, light, kernel: options.kernel };
-                    let (n_rays, n_hidden) = caster.cast(&block, of_tile, &mut scratch);
+                    let (n_rays, n_hidden) = caster.cast(samples, of_tile, &mut scratch);
                     cost.n_shadow_rays += n_rays;
                     cost.n_shadowed += n_hidden;
                 }
+            };
+            match options.kernel {
+                Kernel::Packet => scene.trace(&rays, clip, &share, tiles, visit),
+                Kernel::Single => tiles.for_each(|tile| {
+                    let samples: Vec<_> = share.samples(tile).iter().collect();
+                    let follow = |&(i, j): &(u32, u32)| Ray::new(rays.eye, rays.direction(i, j));
+                    let hits = samples.iter().map(|sample| clip::intersect(scene.grid(), clip, follow(sample)));
+                    visit(&samples, &hits.collect::<Vec<_>>());
+                }),
             }
             cost.cpu = start.elapsed();
             add(&total, cost);
