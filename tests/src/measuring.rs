@@ -141,7 +141,7 @@ fn the_cost_view_shows_what_the_counters_count() {
     let trace = |size: &str| {
         let mut trace = Program::command("renderer");
         trace.args(["trace", "--model", "statue.ply", "--camera", "view.toml", "--view", "cost", "--json"]);
-        trace.args(["--image", "cost.png", "--size", size]).current_dir(folder);
+        trace.args(["--density", "32", "--image", "cost.png", "--size", size]).current_dir(folder);
         let report = answers(&run(trace, "")).remove(0);
         let count = |name: &str| report[name].as_u64().unwrap();
         let counts = (count("cell_traversals"), count("triangle_tests"));
