@@ -7,6 +7,7 @@ mod history;
 mod info;
 mod look;
 mod nodes;
+mod place;
 mod style;
 mod tint;
 
@@ -14,8 +15,9 @@ pub use figures::{DENSITIES, STORAGES};
 pub use files::{FileEntry, FileList};
 pub use history::{FrameTimes, History};
 pub use info::{ModelSummary, Pick};
+pub use place::Place;
 pub use style::{apply_style, zoom};
-pub use tint::{Place, Tint};
+pub use tint::Tint;
 
 use egui::{Align2, Ui};
 use shared::{

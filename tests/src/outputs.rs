@@ -54,15 +54,18 @@ fn each_monitor_shows_its_part_of_one_picture_and_is_taken_up_again() {
     fs::write(&file, wall_text()).unwrap();
     let session = x_monitors::start(&MONITORS);
     // Lying on its side, the statue reaches both.
-    let mut program = start(&session, &file, &["--up", "x"]);
+    let mut program = start(&session, &file, &["--up", "x", "--target-rate", "0"]);
     program.wait_for(SHOWN);
     for monitor in MONITORS {
         session.wait_for_window(&format!("Raywall on {}", monitor.name));
     }
     let wait_for_both = |program: &mut Program| {
         wait_until("a frame is on both", || {
+            let n_shown = program.count(SHOWN);
             session.key("h");
-            program.said().lines().last().is_some_and(|line| line.contains("on DUMMY0 and DUMMY1"))
+            program.wait_for_count(SHOWN, n_shown + 1);
+            let said = program.said();
+            said.lines().rfind(|line| line.contains(SHOWN)).is_some_and(|line| line.ends_with("on DUMMY0 and DUMMY1"))
         });
     };
     wait_for_both(&mut program);
@@ -71,6 +74,7 @@ fn each_monitor_shows_its_part_of_one_picture_and_is_taken_up_again() {
     wait_until("the overlay is gone", || with_overlay.difference(&session.screenshot(), 4) > 0.02);
     let whole = session.steady_screenshot();
 
+    let [left, right] = MONITORS;
     // The truth: the same frame, traced here and put on each monitor by the CPU.
     let wall = Wall::from_toml("two.toml", &wall_text()).unwrap();
     let frame = statue_frame_of(N_TRIANGLES, &wall, UpAxis::X);
@@ -83,7 +87,6 @@ fn each_monitor_shows_its_part_of_one_picture_and_is_taken_up_again() {
     }
 
     // What is done in one window is seen in all.
-    let [left, right] = MONITORS;
     let middle = [right.at[0] + right.size[0] / 2, right.at[1] + right.size[1] / 2].map(i32::from);
     session.drag(middle, [120, 60]);
     for monitor in MONITORS {
@@ -93,6 +96,13 @@ fn each_monitor_shows_its_part_of_one_picture_and_is_taken_up_again() {
     }
     session.key("f");
     wait_until("all is seen as before", || session.screenshot() == whole);
+    // The statue's pedestal, in the picture that is turned.
+    session.xdotool(&["mousemove", "1760", "345", "key", "i"]);
+    program.wait_for("Triangle ");
+    wait_until("it is marked there", || on(right, &whole) != on(right, &session.screenshot()));
+    // And the sky beside it.
+    session.xdotool(&["mousemove", "1760", "60", "key", "i"]);
+    wait_until("note and mark are gone", || session.screenshot() == whole);
 
     let desk = Desk::connect(session.display());
     desk.unplug(right.name);

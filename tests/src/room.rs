@@ -7,6 +7,7 @@
 
 use compositor::gpu::{Gpu, Offscreen, Picture, Present};
 use compositor::wall::{Flip, Gamma, Projector, Wall};
+use glam::DVec2;
 use proptest::prelude::*;
 
 use crate::optics::{CROOKED, shipped};
@@ -441,4 +442,29 @@ fn random_wall() -> impl Strategy<Value = String> {
         }
         text
     })
+}
+
+#[test]
+fn what_lies_under_the_cursor_is_where_its_projector_lights_the_canvas() {
+    let crooked = Wall::from_toml("crooked", CROOKED).unwrap();
+    let walls = ["paper-4x3", "blended-4x3", "lcd-5x3", "two-monitors"].map(|name| shipped(&format!("{name}.toml")));
+    for wall in walls.iter().chain([&crooked]) {
+        let room = Room::new(wall);
+        let [width_m, height_m] = wall.canvas_m();
+        for thrower in &room.projectors {
+            let output = thrower.projector.output;
+            let corner = DVec2::new(f64::from(output.x), f64::from(output.y));
+            let mut n_points = 0;
+            for point @ [x_m, y_m] in room.points(2000) {
+                let Some(px) = thrower.px(point).map(|px| corner + DVec2::from(px)) else { continue };
+                if output.contains(px) {
+                    let expected = DVec2::new(x_m / width_m, y_m / height_m);
+                    let found = wall.canvas_at(px);
+                    assert!((found - expected).length() < 1e-9, "{}: {found} is {expected}", thrower.projector.name);
+                    n_points += 1;
+                }
+            }
+            assert!(n_points > 10, "{}: {n_points}", thrower.projector.name);
+        }
+    }
 }

@@ -13,7 +13,10 @@ use shared::{
 };
 
 use super::*;
-use crate::stats::{NodeFrameStats, NodeId, NodeStatus};
+use crate::{
+    stats::{NodeFrameStats, NodeId, NodeStatus},
+    wall::Wall,
+};
 
 /// What commands come of showing `model` and doing something with it.
 fn commands_of(model: &OverlayModel, act: impl FnOnce(&mut Harness<'_>)) -> Vec<Command> {
@@ -394,8 +397,8 @@ fn a_note_is_seen_without_the_panel_and_is_in_nobody_s_way() {
 fn no_window_is_too_small_for_any_panel() {
     let files =
         Some(FileList { entries: vec![FileEntry { name: "a.ply".to_owned(), bytes: Some(1) }], ..FileList::default() });
-    let place =
-        Place { canvas: egui::Rect::from_min_max(egui::Pos2::ZERO, egui::pos2(1.0, 1.0)), window: egui::Rect::ZERO };
+    let wall = Wall::of_one_output([4, 4]);
+    let place = Place::new(&wall.projectors()[0], egui::Rect::ZERO).expect("upright");
     let model = OverlayModel { files, tint: Tint::Cost, places: vec![place], note: Some("a".to_owned()), ..running() };
     for side in [1.0, 17.0, 64.0] {
         let mut harness = Harness::builder().with_size([side, side]).with_context_setup(apply_style).build_ui(|ui| {

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use egui::{Color32, ColorImage, LayerId, Pos2, Rect, TextureHandle, TextureOptions, Ui, ecolor::Hsva};
+use egui::{Color32, ColorImage, LayerId, Pos2, TextureHandle, TextureOptions, Ui, ecolor::Hsva};
 use shared::division::{FrameSize, Share, TILE_SIZE};
 
 use super::OverlayModel;
@@ -31,23 +31,6 @@ impl Tint {
             Self::Nodes => "who",
             Self::Cost => "time",
         }
-    }
-}
-
-/// Where a part of the canvas is seen in the window.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
-    /// The part of the canvas, whose upper-left corner is (0, 0) and whose lower-right corner is (1, 1).
-    pub canvas: Rect,
-    /// Where it is in the window, in points.
-    pub window: Rect,
-}
-
-impl Place {
-    /// Where a point of the canvas is in the window, (0, 0) upper left; `None` if it is not in this part.
-    fn of(&self, point: Pos2) -> Option<Pos2> {
-        let part = (point - self.canvas.min) / self.canvas.size();
-        self.canvas.contains(point).then(|| self.window.lerp_inside(part))
     }
 }
 
@@ -84,23 +67,22 @@ pub(super) fn show(ui: &Ui, model: &OverlayModel) {
     let painter = ui.ctx().layer_painter(LayerId::background());
     for place in &model.places {
         // Frames and textures of them begin at the bottom.
-        let corner = |x: f32, y: f32| (egui::vec2(x, 1.0 - y) * frame_in_texture).to_pos2();
-        let uv = Rect {
-            min: corner(place.canvas.min.x, place.canvas.min.y),
-            max: corner(place.canvas.max.x, place.canvas.max.y),
-        };
-        painter.image(texture.id(), place.window, uv, Color32::WHITE.gamma_multiply(OPACITY));
+        let uv = |point: Pos2| (egui::vec2(point.x, 1.0 - point.y) * frame_in_texture).to_pos2();
+        let colour = Color32::WHITE.gamma_multiply(OPACITY);
+        painter.with_clip_rect(place.window).add(place.textured(texture.id(), colour, uv));
     }
 }
 
 /// Marks the point that somebody asked for.
 pub(super) fn mark_pick(ui: &Ui, model: &OverlayModel) {
     let Some(point) = model.pick_on_canvas else { return };
-    let Some(at) = model.places.iter().find_map(|place| place.of(point)) else { return };
     let painter = ui.ctx().layer_painter(LayerId::background());
-    painter.circle_stroke(at, 9.0, egui::Stroke::new(4.0, Color32::from_black_alpha(160)));
-    painter.circle_stroke(at, 9.0, egui::Stroke::new(2.0, super::style::ACCENT));
-    painter.circle_filled(at, 1.5, super::style::ACCENT);
+    // Where projectors overlap, each shows its part of the mark.
+    for at in model.places.iter().filter_map(|place| place.of(point)) {
+        painter.circle_stroke(at, 9.0, egui::Stroke::new(4.0, Color32::from_black_alpha(160)));
+        painter.circle_stroke(at, 9.0, egui::Stroke::new(2.0, super::style::ACCENT));
+        painter.circle_filled(at, 1.5, super::style::ACCENT);
+    }
 }
 
 fn size_vec(size: FrameSize) -> egui::Vec2 {
@@ -229,13 +211,5 @@ mod tests {
         for (index, &colour) in colours.iter().enumerate() {
             assert!(colours[..index].iter().all(|&other| distance(colour, other) > 60), "{index}: {colours:?}");
         }
-    }
-
-    #[test]
-    fn a_point_of_the_canvas_is_found_on_its_projector() {
-        let rect = |x: f32, width: f32| Rect::from_min_size(egui::pos2(x, 0.0), egui::vec2(width, 1.0));
-        let right = Place { canvas: rect(0.5, 0.5), window: rect(100.0, 20.0) };
-        assert_eq!(right.of(egui::pos2(0.75, 0.5)), Some(egui::pos2(110.0, 0.5)));
-        assert_eq!(right.of(egui::pos2(0.25, 0.5)), None);
     }
 }

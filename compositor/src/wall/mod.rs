@@ -14,6 +14,7 @@ use std::path::Path;
 use shared::division::FrameSize;
 
 use blend::Neighbour;
+use glam::DVec2;
 pub use projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
 
 /// A canvas and the projectors that light it.
@@ -253,6 +254,25 @@ impl Wall {
     pub fn whole_output(&self) -> PixelRect {
         let [width, height] = self.output_size();
         PixelRect { x: 0, y: 0, width, height }
+    }
+
+    /// The point of the canvas, from (0, 0) lower left to (1, 1), that is lit from a point of that output, in its pixels.
+    ///
+    /// Beside all projectors' pixels it is what the nearest projector's would light if there were more of them.
+    pub fn canvas_at(&self, output_px: DVec2) -> DVec2 {
+        let away = |projector: &&Projector| projector.output.nearest(output_px).distance_squared(output_px);
+        let nearest = self.projectors.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
+        let lit = |projector: &Projector, output_px: DVec2| {
+            let PixelRect { x, y, width, height } = projector.output;
+            let corner = DVec2::new(f64::from(x), f64::from(y));
+            let raster = (output_px - corner) / DVec2::new(f64::from(width), f64::from(height));
+            let place = homography::apply(projector.raster_from_place()?.inverse(), raster)?;
+            Some(projector.canvas.canvas_of(place))
+        };
+        // Beyond a warped projector's horizon nothing can be lit.
+        nearest
+            .and_then(|nearest| lit(nearest, output_px).or_else(|| lit(nearest, nearest.output.nearest(output_px))))
+            .unwrap_or(DVec2::splat(0.5))
     }
 
     /// The monitors that the projectors name, and the part of the spanning output that each shows; none if they name

@@ -249,6 +249,12 @@ impl PixelRect {
             && (0.0..f64::from(self.height)).contains(&(point.y - f64::from(self.y)))
     }
 
+    /// The point of it, its edges included, that is nearest to another.
+    pub fn nearest(&self, point: DVec2) -> DVec2 {
+        let corner = DVec2::new(f64::from(self.x), f64::from(self.y));
+        point.clamp(corner, corner + DVec2::new(f64::from(self.width), f64::from(self.height)))
+    }
+
     /// Whether all of `other` lies in it.
     pub fn holds(&self, other: &Self) -> bool {
         let within = |a: u32, a_extent: u32, b: u32, b_extent: u32| a <= b && b + b_extent <= a + a_extent;

@@ -18,7 +18,7 @@ use crate::{
     gpu::GpuError,
     overlay::{OverlayModel, OverlayOutput, Place},
     stats::DisplayStats,
-    wall::{PixelRect, Wall},
+    wall::{PixelRect, Projector, Wall},
 };
 
 /// Monitors that come and go are noticed after this.
@@ -343,28 +343,15 @@ impl Output {
 /// Where the overlay finds the canvas in a window of `size` pixels that shows a part of the wall.
 fn places(wall: &Wall, part: PixelRect, size: [u32; 2], pixels_per_point: f32) -> Vec<Place> {
     let fitted = PixelRect::fitted([part.width, part.height], size);
-    let rect = |x: f32, y: f32, width: f32, height: f32| {
-        egui::Rect::from_min_size(egui::pos2(x, y), egui::vec2(width, height))
-    };
     let [x_scale, y_scale] = [fitted.width as f32 / part.width as f32, fitted.height as f32 / part.height as f32]
         .map(|it| it / pixels_per_point);
+    let origin = egui::pos2(fitted.x as f32, fitted.y as f32) / pixels_per_point;
     let shown = wall.projectors().iter().filter(|projector| part.holds(&projector.output));
-    let place = |projector: &crate::wall::Projector| {
-        let (on_canvas, output) = (projector.canvas, projector.output);
-        Place {
-            canvas: rect(
-                on_canvas.left as f32,
-                (1.0 - on_canvas.bottom - on_canvas.height) as f32,
-                on_canvas.width as f32,
-                on_canvas.height as f32,
-            ),
-            window: rect(
-                fitted.x as f32 / pixels_per_point + (output.x - part.x) as f32 * x_scale,
-                fitted.y as f32 / pixels_per_point + (output.y - part.y) as f32 * y_scale,
-                output.width as f32 * x_scale,
-                output.height as f32 * y_scale,
-            ),
-        }
+    let place = |projector: &Projector| {
+        let PixelRect { x, y, width, height } = projector.output;
+        let from = origin + egui::vec2((x - part.x) as f32 * x_scale, (y - part.y) as f32 * y_scale);
+        let size = egui::vec2(width as f32 * x_scale, height as f32 * y_scale);
+        Place::new(projector, egui::Rect::from_min_size(from, size))
     };
-    shown.map(place).collect()
+    shown.filter_map(place).collect()
 }

@@ -71,7 +71,7 @@ impl App<'_> {
         let missing =
             Some(self.outputs.missing()).filter(|missing| !missing.is_empty() && *missing != self.dismissed_missing);
         let missing = missing.map(|missing| {
-            format!("No picture on {}: connect and switch on, and it is taken up again", missing.join(" and "))
+            format!("Monitor missing: {}. Once connected and switched on it is taken up again", missing.join(", "))
         });
         self.overlay.messages = self.error.clone().into_iter().chain(missing).chain(farm_message).collect();
     }

@@ -319,9 +319,7 @@ impl App<'_> {
 
     /// The cursor as a fraction of the canvas, (0, 0) lower left.
     pub(super) fn point_on_canvas(&self) -> DVec2 {
-        let [width, height] = self.options.wall.output_size().map(f64::from);
-        let DVec2 { x, y } = self.cursor_on_output();
-        DVec2::new(x / width, 1.0 - y / height)
+        self.options.wall.canvas_at(self.cursor_on_output())
     }
 
     fn cursor_is_over_overlay(&self) -> bool {
