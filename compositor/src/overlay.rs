@@ -10,6 +10,7 @@ mod nodes;
 mod place;
 mod style;
 mod tint;
+mod wall;
 
 pub use figures::{DENSITIES, STORAGES};
 pub use files::{FileEntry, FileList};
@@ -18,6 +19,7 @@ pub use info::{ModelSummary, Pick};
 pub use place::Place;
 pub use style::{apply_style, zoom};
 pub use tint::Tint;
+pub use wall::{OutputState, Shows, WallDrawing};
 
 use egui::{Align2, Ui};
 use shared::{
@@ -84,6 +86,10 @@ pub struct OverlayModel {
     pub tint: Tint,
     /// Where the canvas is seen in the window, projector by projector.
     pub places: Vec<Place>,
+    /// The wall as it is built.
+    pub wall: WallDrawing,
+    /// What each of its outputs shows.
+    pub outputs: Vec<OutputState>,
     /// What the last frames took.
     pub history: History,
     /// What was done, for a moment.
@@ -138,7 +144,8 @@ pub fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
     tint::show(ui, model);
     tint::mark_pick(ui, model);
     let height = ui.ctx().content_rect().height() - 2.0 * MARGIN;
-    let area = |name: &'static str, align, x| egui::Area::new(egui::Id::unique(name)).anchor(align, [x, MARGIN]);
+    let anchored = |name: &'static str, align, x, y| egui::Area::new(egui::Id::unique(name)).anchor(align, [x, y]);
+    let area = |name, align, x| anchored(name, align, x, MARGIN);
     let mut panel = |area: egui::Area, width: f32, add: &mut dyn FnMut(&mut Ui, &mut Vec<Command>)| {
         let response = area.show(ui.ctx(), |ui| {
             style::panel_frame().show(ui, |ui| {
@@ -170,6 +177,10 @@ pub fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
         panel(area("model", Align2::RIGHT_TOP, -MARGIN), info::WIDTH, &mut |ui, commands| {
             info::show(ui, model, commands);
         });
+        if !model.outputs.is_empty() {
+            let area = anchored("wall", Align2::RIGHT_BOTTOM, -MARGIN, -MARGIN);
+            panel(area, wall::WIDTH, &mut |ui, _| wall::show(ui, model));
+        }
     }
     if let Some(note) = &model.note {
         // Below everything, where it moves nothing.

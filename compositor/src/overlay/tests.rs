@@ -443,3 +443,52 @@ fn storage_and_density_can_be_switched() {
     let expected = [Command::SetStorage(Some(Storage::Plain)), Command::SetDensity(128), Command::SetStorage(None)];
     assert_eq!(commands, expected);
 }
+
+/// A wall of columns of projectors on so many monitors, that all show a frame.
+fn columns(n_monitors: usize) -> OverlayModel {
+    let projector = |index: usize| {
+        format!(
+            "[[projector]]\nname = \"column {index}\"\noutput = \"DP-{index}\"\npixels = [4, 4]\nat_m = [{index}, 0]\n\
+             size_m = [1, 1]\n"
+        )
+    };
+    let projectors: String = (0..n_monitors).map(projector).collect();
+    let wall = Wall::from_toml("columns", &format!("canvas_m = [{n_monitors}, 1]\n{projectors}")).expect("a wall");
+    let outputs =
+        (0..n_monitors).map(|index| OutputState { monitor: Some(format!("DP-{index}")), shows: Shows::Frame(41) });
+    OverlayModel { wall: WallDrawing::new(&wall), outputs: outputs.collect(), ..running() }
+}
+
+#[test]
+fn each_projector_is_drawn_with_what_its_output_shows() {
+    let mut model = columns(3);
+    model.outputs[1].shows = Shows::MonitorMissing;
+    model.outputs[2].shows = Shows::Nothing;
+    commands_of(&model, |harness| {
+        let at = |label| harness.get_by_label(label).rect();
+        let drawn =
+            ["column 0 on DP-0: frame 41", "column 1 on DP-1: monitor missing", "column 2 on DP-2: nothing yet"]
+                .map(at);
+        assert!(drawn[0].max.x <= drawn[1].min.x + 0.5 && drawn[1].max.x <= drawn[2].min.x + 0.5, "{drawn:?}");
+        for label in ["3 projectors, 3 outputs", "DP-0", "frame 41", "monitor missing", "nothing yet"] {
+            harness.get_by_label(label);
+        }
+    });
+    let mut harness = Harness::builder().with_size([1600.0, 900.0]).build_ui(|ui| {
+        show(ui, &OverlayModel { wall: WallDrawing::new(&Wall::paper()), ..columns(1) });
+    });
+    harness.run();
+    harness.get_by_label("12 projectors, 1 output");
+    harness.get_by_label("row 3 column 4 on DP-0: frame 41");
+}
+
+#[test]
+fn of_many_outputs_those_that_show_nothing_are_named() {
+    let mut model = columns(9);
+    model.outputs[7].shows = Shows::MonitorMissing;
+    commands_of(&model, |harness| {
+        harness.get_by_label("8 of 9 outputs show frames");
+        harness.get_by_label("DP-7");
+        assert!(harness.query_by_label("DP-6").is_none());
+    });
+}

@@ -40,7 +40,7 @@ use crate::{
     kept::Kept,
     model::Model,
     navigator::Navigator,
-    overlay::{ModelSummary, OverlayModel},
+    overlay::{ModelSummary, OverlayModel, WallDrawing},
     refinement::{Refinement, RefinementOptions},
     screensaver::ScreensaverHold,
 };
@@ -111,6 +111,7 @@ impl<'a> App<'a> {
         let now = Instant::now();
         let overlay = OverlayModel {
             panel: options.overlay,
+            wall: WallDrawing::new(&options.wall),
             join: join_hint(farm.address(), None),
             min_renderers: farm.wanted().min_renderers,
             ..Default::default()

@@ -16,7 +16,7 @@ use super::{hotplug, ms_since, painter::Painter, screen::Screen};
 use crate::{
     farm::Frame,
     gpu::GpuError,
-    overlay::{OverlayModel, OverlayOutput, Place},
+    overlay::{OutputState, OverlayModel, OverlayOutput, Place, Shows},
     stats::DisplayStats,
     wall::{PixelRect, Projector, Wall},
 };
@@ -50,6 +50,7 @@ struct Output {
     geometry: Option<Geometry>,
     /// Whether its monitor was there at the last look.
     is_there: bool,
+    shows: Shows,
 }
 
 type Geometry = (PhysicalPosition<i32>, PhysicalSize<u32>);
@@ -71,7 +72,14 @@ pub(super) struct Drawn {
 impl Outputs {
     /// The outputs of a wall, still without windows; walls that name monitors fill them.
     pub(super) fn new(wall: &Wall, is_filling: bool) -> Self {
-        let output = |monitor, part| Output { monitor, part, screen: None, geometry: None, is_there: false };
+        let output = |monitor, part| Output {
+            monitor,
+            part,
+            screen: None,
+            geometry: None,
+            is_there: false,
+            shows: Shows::Nothing,
+        };
         let mut all: Vec<Output> =
             wall.monitors().into_iter().map(|(name, part)| output(Some(name.to_owned()), part)).collect();
         let is_filling = is_filling || !all.is_empty();
@@ -99,6 +107,7 @@ impl Outputs {
             (output.is_there, output.geometry) = (is_there, geometry);
             if !is_settled && output.screen.take().is_some() {
                 tracing::warn!("the monitor {} is gone or has changed", output.name());
+                output.shows = Shows::Nothing;
                 has_changed = true;
             }
             if is_first && !is_there {
@@ -297,6 +306,9 @@ impl Outputs {
         if let Some(frame) = new_frame {
             stats.upload_ms = painter.upload(frame)?;
         }
+        let shows = painter.frame().map_or(Shows::Nothing, Shows::Frame);
+        targets.iter().for_each(|(index, _)| self.all[*index].shows = shows);
+        let states: Vec<OutputState> = self.all.iter().map(Output::state).collect();
         // One submission for all windows, so that none shows another frame than its neighbours.
         let start = Instant::now();
         let mut encoder = painter.gpu.device.create_command_encoder(&Default::default());
@@ -312,6 +324,7 @@ impl Outputs {
             if !model.is_visible() {
                 continue;
             }
+            model.outputs = states.clone();
             model.places = places(wall, *part, target.size(), screen.pixels_per_point());
             let (output, wanted_after) = screen.draw_overlay(painter, &mut encoder, target, &model);
             repaint_after = repaint_after.min(wanted_after);
@@ -335,6 +348,11 @@ impl Outputs {
 }
 
 impl Output {
+    fn state(&self) -> OutputState {
+        let shows = if self.is_there { self.shows } else { Shows::MonitorMissing };
+        OutputState { monitor: self.monitor.clone(), shows }
+    }
+
     fn name(&self) -> &str {
         self.monitor.as_deref().unwrap_or("of the desktop")
     }

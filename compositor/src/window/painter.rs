@@ -14,6 +14,8 @@ use crate::{
 pub(super) struct Painter {
     pub(super) gpu: Gpu,
     present: Present,
+    /// The number of the frame that is on the GPU.
+    frame: Option<u64>,
     /// What is shown instead of frames, and the wall to show it with.
     pattern: Option<(Present, Wall)>,
 }
@@ -21,13 +23,19 @@ pub(super) struct Painter {
 impl Painter {
     pub(super) fn new(gpu: Gpu) -> Self {
         tracing::info!("drawing with {}", gpu.name());
-        Self { present: Present::new(&gpu), gpu, pattern: None }
+        Self { present: Present::new(&gpu), gpu, frame: None, pattern: None }
+    }
+
+    /// The number of the frame that is drawn.
+    pub(super) fn frame(&self) -> Option<u64> {
+        self.frame
     }
 
     /// Takes a frame, and says how many milliseconds that took.
     pub(super) fn upload(&mut self, frame: &Frame) -> Result<f64, GpuError> {
         let start = Instant::now();
         self.present.upload(&self.gpu, frame.picture.size, bytemuck::cast_slice(&frame.rgba))?;
+        self.frame = Some(frame.stats.frame);
         Ok(ms_since(start))
     }
 
