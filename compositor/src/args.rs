@@ -14,7 +14,7 @@ use crate::{
     bench::BenchArgs,
     check::CheckArgs,
     refinement::{self, DEFAULT_TARGET_RATE, RefinementOptions},
-    wall::{Wall, WallError},
+    wall::{OnLoss, Wall, WallError},
 };
 
 /// Shows a scanned model on a display wall, ray traced by render servers.
@@ -146,6 +146,9 @@ pub struct WallArgs {
     /// Fill the screen; a wall whose file names outputs fills each of them anyway
     #[arg(long)]
     pub fullscreen: bool,
+    /// What the wall shows when no render server is left [default: what the wall file says, or last-frame]
+    #[arg(long, value_name = "WHAT")]
+    pub on_loss: Option<OnLoss>,
     /// Show all of a wall whose file names outputs in one window, on whatever monitor
     #[arg(long)]
     pub spanning: bool,

@@ -8,7 +8,7 @@ use anyhow::Context;
 use glam::{DVec2, DVec4};
 use renderer::{cli::say, image::write_whole};
 
-use crate::wall::{Wall, homography::apply};
+use crate::wall::{OnLoss, Wall, homography::apply};
 
 /// Checks a wall file, draws the wall, and prints the file with every default filled in.
 #[derive(Clone, Debug, clap::Args)]
@@ -62,6 +62,10 @@ fn summary(wall: &Wall) -> Vec<String> {
     for (monitor, part) in wall.monitors() {
         lines.push(format!("output {monitor} shows {}×{} pixels", part.width, part.height));
     }
+    lines.push(match wall.on_loss() {
+        OnLoss::LastFrame => "when no render server is left, the last frame stays".to_owned(),
+        OnLoss::Black => "when no render server is left, the wall is black".to_owned(),
+    });
     let is_cut = |index: &usize| {
         wall.projectors()[*index].warp_px != [[0.0; 2]; 4] && n_projectors > 1 && wall.neighbours(*index).len() == 1
     };
@@ -128,7 +132,14 @@ mod tests {
         let lines = summary(&shipped("lcd-5x3.toml"));
         assert!(lines[1].starts_with("98.9 % of the canvas is lit, 0.0 %"), "{lines:?}");
         let lines = summary(&shipped("two-monitors.toml"));
-        assert_eq!(lines[3..], ["output HDMI-1 shows 2560×1440 pixels", "output DP-1 shows 1920×1080 pixels"]);
+        let expected = [
+            "output HDMI-1 shows 2560×1440 pixels",
+            "output DP-1 shows 1920×1080 pixels",
+            "when no render server is left, the last frame stays",
+        ];
+        assert_eq!(lines[3..], expected);
+        let black = summary(&shipped("two-monitors.toml").with_on_loss(OnLoss::Black));
+        assert_eq!(black.last().map(String::as_str), Some("when no render server is left, the wall is black"));
     }
 
     #[test]

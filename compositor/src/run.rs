@@ -136,6 +136,8 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<
     let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;
     let wall = if args.spanning { wall.without_monitors() } else { wall };
+    let on_loss = args.on_loss.unwrap_or(wall.on_loss());
+    let wall = wall.with_on_loss(on_loss);
     let options = WindowOptions {
         wall_file: args.subject.wall.clone(),
         source: args.subject.source(),

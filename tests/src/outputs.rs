@@ -146,3 +146,35 @@ fn a_wall_whose_monitors_are_away_waits_for_them_and_can_span_one_window_instead
     session.key("ctrl+q");
     assert_eq!(program.wait().0.code(), Some(0));
 }
+
+#[test]
+fn a_wall_that_is_to_go_black_does_when_the_last_render_server_is_gone_and_comes_back() {
+    let session = XSession::start([640, 360]);
+    let mut command = Program::command("compositor");
+    command.args(["--listen", "127.0.0.1:0", "--local", "0", "--triangles", "5000", "--size", "256x128"]);
+    command.args(["--fullscreen", "--on-loss", "black"]);
+    command.env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY").env("RUST_LOG", "info,compositor=debug");
+    let mut wall = Program::start(command);
+    wall.wait_for("listening on ");
+    let said = wall.said();
+    let address = said.split("listening on ").nth(1).and_then(|rest| rest.split_whitespace().next()).unwrap();
+    let join = || {
+        let mut command = Program::command("renderer");
+        command.args(["connect", address, "--threads", "1"]);
+        Program::start(command)
+    };
+    let renderer = join();
+    wall.wait_for(SHOWN);
+    session.wait_for_window("Raywall");
+    let with_overlay = session.steady_screenshot();
+    session.key("o");
+    wait_until("the overlay is gone", || with_overlay.difference(&session.screenshot(), 4) > 0.05);
+    let statue = session.steady_screenshot();
+    assert!(statue.brighter_than(120) > 0.03, "no model is to be seen");
+    renderer.signal("KILL");
+    wait_until("the wall is black", || session.screenshot().rgb.iter().all(|&byte| byte == 0));
+    let _renderer = join();
+    wait_until("the frame is back", || session.screenshot() == statue);
+    session.key("ctrl+q");
+    assert_eq!(wall.wait().0.code(), Some(0));
+}

@@ -50,6 +50,8 @@ pub enum Shows {
     Nothing,
     /// Nothing, for its monitor is not there.
     MonitorMissing,
+    /// Nothing, for no render server is left.
+    Black,
     /// The frame of this number.
     Frame(u64),
 }
@@ -79,13 +81,14 @@ impl OutputState {
         match self.shows {
             Shows::Nothing => "nothing yet".to_owned(),
             Shows::MonitorMissing => "monitor missing".to_owned(),
+            Shows::Black => "black".to_owned(),
             Shows::Frame(number) => format!("frame {number}"),
         }
     }
 
     fn colour(&self) -> Color32 {
         match self.shows {
-            Shows::Nothing => style::BUSY,
+            Shows::Nothing | Shows::Black => style::BUSY,
             Shows::MonitorMissing => style::BAD,
             Shows::Frame(_) => style::GOOD,
         }

@@ -8,7 +8,7 @@ use shared::division::FrameSize;
 use toml::Spanned;
 
 use super::projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
-use super::{Impossible, Wall};
+use super::{Impossible, OnLoss, Wall};
 
 /// What is wrong at which byte of the file.
 type Problem = (usize, String);
@@ -19,6 +19,8 @@ type Problem = (usize, String);
 struct WallFile {
     canvas_m: Spanned<[f64; 2]>,
     frame: Option<Spanned<[u32; 2]>>,
+    #[serde(default)]
+    on_loss: OnLoss,
     #[serde(default)]
     optics: OpticsSection,
     grid: Option<Spanned<GridSection>>,
@@ -132,12 +134,14 @@ impl WallFile {
             }
             section.apply_to(&mut projectors[index])?;
         }
-        Wall::new(canvas_m, frame_size, projectors).map_err(|Impossible { projector_idx, key, problem }| {
-            let section = projector_idx.and_then(|index| sections[index]);
-            let own = section.map(|section| section.get_ref().offset_of(key).unwrap_or(section.span().start));
-            let grid = self.grid.as_ref().map(|grid| grid.span().start);
-            (own.or(grid).unwrap_or(self.canvas_m.span().start), problem)
-        })
+        let wall =
+            Wall::new(canvas_m, frame_size, projectors).map_err(|Impossible { projector_idx, key, problem }| {
+                let section = projector_idx.and_then(|index| sections[index]);
+                let own = section.map(|section| section.get_ref().offset_of(key).unwrap_or(section.span().start));
+                let grid = self.grid.as_ref().map(|grid| grid.span().start);
+                (own.or(grid).unwrap_or(self.canvas_m.span().start), problem)
+            })?;
+        Ok(wall.with_on_loss(self.on_loss))
     }
 }
 
@@ -343,7 +347,12 @@ pub(super) fn grid(columns: u32, rows: u32, [width, height]: [u32; 2], shared: [
 pub(super) fn write(wall: &Wall) -> String {
     let [width_m, height_m] = wall.canvas_m();
     let frame = wall.frame_size();
-    let mut text = format!("canvas_m = [{width_m}, {height_m}]\nframe = [{}, {}]\n", frame.xres(), frame.yres());
+    let on_loss = match wall.on_loss() {
+        OnLoss::LastFrame => "last-frame",
+        OnLoss::Black => "black",
+    };
+    let [xres, yres] = [frame.xres(), frame.yres()];
+    let mut text = format!("canvas_m = [{width_m}, {height_m}]\nframe = [{xres}, {yres}]\non_loss = \"{on_loss}\"\n");
     for projector in wall.projectors() {
         // Writing to a string cannot fail.
         let _ = write_projector(&mut text, projector, wall.canvas_m());

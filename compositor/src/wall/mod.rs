@@ -11,6 +11,7 @@ pub mod projector;
 use std::io::Read;
 use std::path::Path;
 
+use serde::Deserialize;
 use shared::division::FrameSize;
 
 use blend::Neighbour;
@@ -30,6 +31,18 @@ pub struct Wall {
     projectors: Vec<Projector>,
     neighbours: Vec<Vec<Neighbour>>,
     black: f64,
+    on_loss: OnLoss,
+}
+
+/// What a wall shows when no render server is left.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum OnLoss {
+    /// The last frame, until there is another.
+    #[default]
+    LastFrame,
+    /// Nothing, until one joins.
+    Black,
 }
 
 /// Why a file makes no wall.
@@ -132,7 +145,7 @@ impl Wall {
             );
             return wrong(None, "black_level", problem);
         }
-        Ok(Self { canvas_m, frame_size, projectors, neighbours, black })
+        Ok(Self { canvas_m, frame_size, projectors, neighbours, black, on_loss: OnLoss::default() })
     }
 
     /// One projector that shows frames of its own size as they are.
@@ -171,12 +184,17 @@ impl Wall {
         if let Some(projector) = projectors.get_mut(projector_idx) {
             projector.warp_px = warp_px;
         }
-        Self::new(self.canvas_m, self.frame_size, projectors)
+        Ok(Self::new(self.canvas_m, self.frame_size, projectors)?.with_on_loss(self.on_loss))
     }
 
     /// The same wall with frames of another resolution.
     pub fn with_frame_size(self, frame_size: FrameSize) -> Self {
         Self { frame_size, ..self }
+    }
+
+    /// The same wall, which shows something else when no render server is left.
+    pub fn with_on_loss(self, on_loss: OnLoss) -> Self {
+        Self { on_loss, ..self }
     }
 
     /// The same wall on one output that spans all projectors.
@@ -216,6 +234,11 @@ impl Wall {
             false => (side - 1e-3).ceil() as u32,
         };
         FrameSize::new(side(densest[0]), side(densest[1])).unwrap_or(self.frame_size)
+    }
+
+    /// What it shows when no render server is left.
+    pub fn on_loss(&self) -> OnLoss {
+        self.on_loss
     }
 
     /// The projectors; those of a grid row by row from the top left.

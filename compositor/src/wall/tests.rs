@@ -44,6 +44,20 @@ fn what_is_printed_with_all_defaults_is_the_same_wall() {
 }
 
 #[test]
+fn what_is_shown_when_nobody_renders_is_a_setting() {
+    let text = |key: &str| format!("canvas_m = [1, 1]\n{key}[grid]\ncolumns = 1\nrows = 1\npixels = [4, 4]");
+    let of = |key: &str| Wall::from_toml("a.toml", &text(key)).unwrap().on_loss();
+    assert_eq!(of(""), OnLoss::LastFrame);
+    assert_eq!(of("on_loss = \"last-frame\"\n"), OnLoss::LastFrame);
+    let black = Wall::from_toml("a.toml", &text("on_loss = \"black\"\n")).unwrap();
+    assert!(black.to_toml().contains("on_loss = \"black\""));
+    let warped = black.with_warp(0, [[0.5, 0.0], [0.0; 2], [0.0; 2], [0.0; 2]]).unwrap();
+    assert_eq!(warped.on_loss(), OnLoss::Black, "moving a corner changes nothing else");
+    let problem = problem(&text("on_loss = \"white\"\n"));
+    assert!(problem.starts_with("a.toml:2: ") && problem.contains("`last-frame` or `black`"), "{problem}");
+}
+
+#[test]
 fn screens_with_bezels_fill_the_canvas_but_for_the_gaps() {
     let wall = config("lcd-5x3.toml");
     let [width_m, height_m] = wall.canvas_m();

@@ -43,6 +43,7 @@ use crate::{
     overlay::{ModelSummary, OverlayModel, WallDrawing},
     refinement::{Refinement, RefinementOptions},
     screensaver::ScreensaverHold,
+    wall::OnLoss,
 };
 
 /// The windows' state.
@@ -211,6 +212,7 @@ impl<'a> App<'a> {
         self.take_probed();
         self.take_listing();
         self.take_frame();
+        self.mind_loss();
         if self.overlay_changed() || self.frame_is_new {
             self.redraw();
         }
@@ -266,6 +268,20 @@ impl<'a> App<'a> {
             }
             self.frame = Some(frame);
             self.frame_is_new = true;
+        }
+    }
+
+    /// Goes dark when no render server is left, if the wall is to, and shows its frame again when one has joined.
+    fn mind_loss(&mut self) {
+        if self.options.wall.on_loss() == OnLoss::LastFrame {
+            return;
+        }
+        let is_dark = self.farm.status().nodes.is_empty();
+        if let Some(painter) = self.outputs.painter()
+            && std::mem::replace(&mut painter.is_dark, is_dark) != is_dark
+        {
+            tracing::info!("the wall {}", if is_dark { "is black: no render server is left" } else { "shows frames" });
+            self.redraw();
         }
     }
 

@@ -306,7 +306,7 @@ impl Outputs {
         if let Some(frame) = new_frame {
             stats.upload_ms = painter.upload(frame)?;
         }
-        let shows = painter.frame().map_or(Shows::Nothing, Shows::Frame);
+        let shows = if painter.is_dark { Shows::Black } else { painter.frame().map_or(Shows::Nothing, Shows::Frame) };
         targets.iter().for_each(|(index, _)| self.all[*index].shows = shows);
         let states: Vec<OutputState> = self.all.iter().map(Output::state).collect();
         // One submission for all windows, so that none shows another frame than its neighbours.

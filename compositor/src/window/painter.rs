@@ -16,6 +16,8 @@ pub(super) struct Painter {
     present: Present,
     /// The number of the frame that is on the GPU.
     frame: Option<u64>,
+    /// Whether nothing is shown instead of the frame.
+    pub(super) is_dark: bool,
     /// What is shown instead of frames, and the wall to show it with.
     pattern: Option<(Present, Wall)>,
 }
@@ -23,7 +25,7 @@ pub(super) struct Painter {
 impl Painter {
     pub(super) fn new(gpu: Gpu) -> Self {
         tracing::info!("drawing with {}", gpu.name());
-        Self { present: Present::new(&gpu), gpu, frame: None, pattern: None }
+        Self { present: Present::new(&gpu), gpu, frame: None, is_dark: false, pattern: None }
     }
 
     /// The number of the frame that is drawn.
@@ -39,16 +41,20 @@ impl Painter {
         Ok(ms_since(start))
     }
 
-    /// Draws the frame or the pattern, a part of the wall on each target.
+    /// Draws the frame, the pattern, or nothing, a part of the wall on each target.
     pub(super) fn draw(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         wall: &Wall,
         outputs: &[(&Target<'_>, PixelRect)],
     ) {
-        let (present, wall) = match &mut self.pattern {
-            Some((present, wall)) => (present, &*wall),
-            None => (&mut self.present, wall),
+        // No projector lies in an empty part.
+        let dark: Vec<_> =
+            outputs.iter().map(|&(target, part)| (target, PixelRect { width: 0, height: 0, ..part })).collect();
+        let (present, wall, outputs) = match &mut self.pattern {
+            Some((present, wall)) => (present, &*wall, outputs),
+            None if self.is_dark => (&mut self.present, wall, dark.as_slice()),
+            None => (&mut self.present, wall, outputs),
         };
         present.draw_all(&self.gpu, encoder, wall, outputs);
     }
