@@ -8,125 +8,72 @@
 // Bilinear, clamped to the edge.
 @group(0) @binding(1) var bilinear: sampler;
 
-@group(1) @binding(0) var<storage, read> projectors: array<Projector>;
-@group(1) @binding(1) var<storage, read> neighbours: array<Neighbour>;
+// What each pixel of the target gives of the light, and the light of all projectors' black there, by shares.wgsl.
+@group(1) @binding(0) var shares: texture_2d<f32>;
 
-// One projector on the target. Matches `ProjectorRecord` in optics.rs.
+// One projector on the target. Matches `ProjectorInstance` in optics.rs.
 struct Projector {
-    // From pixels right and down of `origin_px` to its place, homogeneous: (0, 0) is the place's upper-left corner as
-    // seen on the wall, (1, 1) its lower-right corner.
-    place_from_px: mat3x3f,
+    // Columns of the map from pixels right and down of `origin_px` to its place, homogeneous: (0, 0) is the place's
+    // upper-left corner as seen on the wall, (1, 1) its lower-right corner.
+    @location(0) place_per_column: vec3f,
+    @location(1) place_per_row: vec3f,
+    @location(2) place_at_origin: vec3f,
     // The quad's left, bottom, right and top in clip coordinates.
-    clip: vec4f,
+    @location(3) clip: vec4f,
     // The place's upper-left corner in the frame, and its extent to the right and down.
-    frame_from_place: vec4f,
+    @location(4) frame_from_place: vec4f,
     // Light that it has to give, to the value's light: red, green, blue.
-    drive_per_light: vec3f,
+    @location(5) drive_per_light: vec3f,
     // The exponent of its light, 0 for sRGB.
-    gamma: f32,
+    @location(6) gamma: f32,
     // The pixel at the quad's middle, counted in the target.
-    origin_px: vec2f,
+    @location(7) origin_px: vec2f,
     // What the black of the whole wall is lifted to.
-    wall_black: f32,
-    // Its neighbours, itself first.
-    first_neighbour: u32,
-    n_neighbours: u32,
+    @location(8) wall_black: f32,
 }
 
-// One that lights a part of the same place. Matches `NeighbourRecord` in optics.rs.
-struct Neighbour {
-    // From the projector's place to the neighbour's pixels, homogeneous, from (0, 0) to (1, 1).
-    raster_from_place: mat3x3f,
-    // From the projector's place to the neighbour's: origin, scale.
-    place_from_place: vec4f,
-    // Beyond this rectangle of the projector's place it makes no difference: left, upper, right, lower.
-    reach: vec4f,
-    // Which edges of its place, and of its pixels, its light fades towards, 1 or 0: left, upper, right, lower.
-    place_edges: vec4f,
-    raster_edges: vec4f,
-    // The columns and rows of those pixels.
-    raster_size: vec2f,
-    black_level: f32,
-    // 1 if it gives a share of the picture, else 0.
-    blends: f32,
-}
-
+// Flat values cost less than records that each pixel reads for itself.
 struct Quad {
     @builtin(position) position: vec4f,
-    @location(0) @interpolate(flat) projector_idx: u32,
+    @location(0) @interpolate(flat) place_per_column: vec3f,
+    @location(1) @interpolate(flat) place_per_row: vec3f,
+    @location(2) @interpolate(flat) place_at_origin: vec3f,
+    @location(3) @interpolate(flat) frame_from_place: vec4f,
+    @location(4) @interpolate(flat) drive_per_light: vec3f,
+    @location(5) @interpolate(flat) gamma: f32,
+    @location(6) @interpolate(flat) origin_px: vec2f,
+    @location(7) @interpolate(flat) wall_black: f32,
 }
 
 @vertex
-fn vertex(@builtin(vertex_index) corner: u32, @builtin(instance_index) projector_idx: u32) -> Quad {
+fn vertex(@builtin(vertex_index) corner: u32, projector: Projector) -> Quad {
     // A strip: lower left, lower right, upper left, upper right.
-    let clip = projectors[projector_idx].clip;
-    let x = select(clip.x, clip.z, (corner & 1u) == 1u);
-    let y = select(clip.y, clip.w, corner >= 2u);
-    return Quad(vec4f(x, y, 0.0, 1.0), projector_idx);
-}
-
-// `LEAST_DISTANCE` in compositor/src/wall/blend.rs.
-const LEAST_DISTANCE: f32 = 1e-5;
-
-// The product of a point's distances from those edges of the unit square that count, 0 beyond them.
-fn distances(point: vec2f, edges: vec4f) -> f32 {
-    let d = vec4f(point, 1.0 - point);
-    let counted = 1.0 + edges * (max(d, vec4f(LEAST_DISTANCE)) - 1.0);
-    return select(0.0, counted.x * counted.y * counted.z * counted.w, all(d >= vec4f(-LEAST_DISTANCE)));
+    let x = select(projector.clip.x, projector.clip.z, (corner & 1u) == 1u);
+    let y = select(projector.clip.y, projector.clip.w, corner >= 2u);
+    return Quad(
+        vec4f(x, y, 0.0, 1.0),
+        projector.place_per_column,
+        projector.place_per_row,
+        projector.place_at_origin,
+        projector.frame_from_place,
+        projector.drive_per_light,
+        projector.gamma,
+        projector.origin_px,
+        projector.wall_black,
+    );
 }
 
 // The part of its white that the projector is to give at the pixel.
 fn drive_at(quad: Quad) -> vec3f {
-    let index = quad.projector_idx;
-    let map = projectors[index].place_from_px;
-    let image = map * vec3f(quad.position.xy - projectors[index].origin_px, 1.0);
-    // At and behind the horizon there is no wall.
-    let depth = max(image.z, 1e-9);
-    let place = image.xy / depth;
-    let within = clamp(place, vec2f(0.0), vec2f(1.0));
-
-    // How much of the pixel lies within the place, by the pixel's own size there.
-    let per_column = (map[0].xy - place * map[0].z) / depth;
-    let per_row = (map[1].xy - place * map[1].z) / depth;
-    let pixel = sqrt(per_column * per_column + per_row * per_row);
-    let covered = clamp(min(place, 1.0 - place) / pixel + 0.5, vec2f(0.0), vec2f(1.0));
-
-    var own = 0.0;
-    var all_weights = 0.0;
-    var leak = 0.0;
-    let first = projectors[index].first_neighbour;
-    let n_neighbours = projectors[index].n_neighbours;
-    for (var n = 0u; n < n_neighbours; n++) {
-        let neighbour = &neighbours[first + n];
-        let reach = (*neighbour).reach;
-        if (n > 0u && (any(within < reach.xy) || any(within > reach.zw))) {
-            continue;
-        }
-        let raster_within = (*neighbour).raster_from_place * vec3f(within, 1.0);
-        let shift = (*neighbour).place_from_place;
-        var weight = 0.0;
-        if (raster_within.z > 1e-9) {
-            weight = (*neighbour).blends * distances(shift.xy + shift.zw * within, (*neighbour).place_edges)
-                * distances(raster_within.xy / raster_within.z, (*neighbour).raster_edges);
-        }
-        own = select(own, weight, n == 0u);
-        all_weights += weight;
-        let raster = (*neighbour).raster_from_place * vec3f(place, 1.0);
-        // A pixel at the edge gives its light on both sides of it.
-        let edge = min(raster.xy, raster.zz - raster.xy) / max(raster.z, 1e-9);
-        let lit = clamp(edge * (*neighbour).raster_size + 0.5, vec2f(0.0), vec2f(1.0));
-        leak += select(0.0, (*neighbour).black_level * lit.x * lit.y, raster.z > 1e-9);
-    }
-    var share = covered.x * covered.y * own / max(all_weights, 1e-37);
-    if (image.z <= 1e-9) {
-        share = 0.0;
-    }
-
-    let wall_black = projectors[index].wall_black;
-    let corners = projectors[index].frame_from_place;
-    let linear = textureSampleLevel(frame, bilinear, corners.xy + within * corners.zw, 0.0).rgb;
-    let light = share * max(wall_black + (1.0 - wall_black) * linear - leak, vec3f(0.0));
-    return clamp(light * projectors[index].drive_per_light, vec3f(0.0), vec3f(1.0));
+    let share = textureLoad(shares, vec2i(quad.position.xy), 0);
+    let px = quad.position.xy - quad.origin_px;
+    let image = quad.place_per_column * px.x + quad.place_per_row * px.y + quad.place_at_origin;
+    // At and behind the horizon there is no wall, and the share is nothing.
+    let within = clamp(image.xy / max(image.z, 1e-9), vec2f(0.0), vec2f(1.0));
+    let at = quad.frame_from_place.xy + within * quad.frame_from_place.zw;
+    let linear = textureSampleLevel(frame, bilinear, at, 0.0).rgb;
+    let light = share.r * max(quad.wall_black + (1.0 - quad.wall_black) * linear - share.g, vec3f(0.0));
+    return clamp(light * quad.drive_per_light, vec3f(0.0), vec3f(1.0));
 }
 
 // The value, from 0 to 1, that makes a projector of this gamma give it.
@@ -149,20 +96,18 @@ fn srgb_decode(value: vec3f) -> vec3f {
 @fragment
 fn fragment_linear(quad: Quad) -> @location(0) vec4f {
     let drive = drive_at(quad);
-    let gamma = projectors[quad.projector_idx].gamma;
-    if (gamma == 0.0) {
+    if (quad.gamma == 0.0) {
         return vec4f(drive, 1.0);
     }
-    return vec4f(srgb_decode(value_of(drive, gamma)), 1.0);
+    return vec4f(srgb_decode(value_of(drive, quad.gamma)), 1.0);
 }
 
 // For surfaces that offer no sRGB view.
 @fragment
 fn fragment_encoded(quad: Quad) -> @location(0) vec4f {
     let drive = drive_at(quad);
-    let gamma = projectors[quad.projector_idx].gamma;
-    if (gamma == 0.0) {
+    if (quad.gamma == 0.0) {
         return vec4f(srgb_encode(drive), 1.0);
     }
-    return vec4f(value_of(drive, gamma), 1.0);
+    return vec4f(value_of(drive, quad.gamma), 1.0);
 }

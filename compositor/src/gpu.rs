@@ -1,7 +1,7 @@
 //! The GPU's part: one texture of the frame's samples, shown by every projector of the wall.
 //!
 //! In reading order: [`context`] finds the GPU, [`frame_texture`] holds the frame, [`present`] draws it on a target,
-//! `optics` what of it is warped or blended, [`offscreen`] and [`surface`] are targets, [`timer`] measures, and
+//! `optics` what of it is warped or blended, by `shares` that are kept, [`offscreen`] and [`surface`] are targets, [`timer`] measures, and
 //! [`present_cpu`] is the stage's twin for tests.
 
 pub mod context;
@@ -11,6 +11,7 @@ mod optics;
 pub mod picture;
 pub mod present;
 pub mod present_cpu;
+mod shares;
 pub mod surface;
 pub mod timer;
 

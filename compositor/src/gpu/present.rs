@@ -161,7 +161,7 @@ impl Present {
             .collect();
         // Made anew for each draw: half a kilobyte, and several targets in one submission cannot disturb each other.
         let instance_buffer = (!instances.is_empty()).then(|| vertex_buffer(gpu, &instances));
-        let corrected = self.optics.prepare(gpu, target, wall, &corrected);
+        let corrected = self.optics.prepare(gpu, encoder, target, wall, part, &corrected);
 
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("present"),
@@ -202,22 +202,28 @@ impl Present {
             step_mode: wgpu::VertexStepMode::Instance,
             attributes: &INSTANCE_ATTRIBUTES,
         };
-        let pipeline = quad_pipeline(gpu, "present", &self.layout, &self.shader, &[Some(instances)], format);
+        let fragment = fragment_for(format);
+        let pipeline = quad_pipeline(gpu, "present", &self.layout, &self.shader, &[Some(instances)], fragment, format);
         self.pipelines.push((format, pipeline.clone()));
         pipeline
     }
 }
 
-/// Draws one quad for each projector on targets of a format, which encode sRGB themselves or have the shader do it.
+/// The fragment stage for targets of a format, which encode sRGB themselves or have the shader do it.
+pub(super) fn fragment_for(format: wgpu::TextureFormat) -> &'static str {
+    if format.is_srgb() { "fragment_linear" } else { "fragment_encoded" }
+}
+
+/// Draws one quad for each projector on targets of a format.
 pub(super) fn quad_pipeline(
     gpu: &Gpu,
     label: &str,
     layout: &wgpu::PipelineLayout,
     shader: &wgpu::ShaderModule,
     buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
+    fragment: &'static str,
     format: wgpu::TextureFormat,
 ) -> wgpu::RenderPipeline {
-    let fragment = if format.is_srgb() { "fragment_linear" } else { "fragment_encoded" };
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(label),
         layout: Some(layout),
@@ -241,7 +247,7 @@ pub(super) fn quad_pipeline(
     })
 }
 
-fn vertex_buffer<T: bytemuck::NoUninit>(gpu: &Gpu, instances: &[T]) -> wgpu::Buffer {
+pub(super) fn vertex_buffer<T: bytemuck::NoUninit>(gpu: &Gpu, instances: &[T]) -> wgpu::Buffer {
     let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
         label: Some("projectors"),
         size: size_of_val(instances) as u64,
