@@ -12,7 +12,7 @@ use crate::{
 };
 
 const SIDES: [usize; 2] = [480, 270];
-const SAMPLES: &str = "16";
+const SAMPLES: &str = "64";
 /// What the wall says, with its log turned up, when there is nothing left to refine.
 const DONE: &str = "as fine as it gets";
 
@@ -96,7 +96,7 @@ fn a_moving_camera_is_followed_and_a_resting_one_refined_whoever_dies() {
     assert_eq!(divisions, ["tiled", "dynamic", "interleaved"], "the same bits however it is divided");
     let last = frames.last().unwrap();
     assert_eq!((&last["samples_blake3"], &last["n_lost"]), (&(*expected).into(), &1.into()), "and whoever died");
-    assert_eq!((size(last), &last["samples"]), (native, &16.into()));
+    assert_eq!((size(last), &last["samples"]), (native, &64.into()));
 }
 
 #[test]
