@@ -15,10 +15,38 @@ use shared::{
 
 use crate::farm::replay::{TracedChunk, TracedShare};
 
-/// How often shares are traced, all of a frame in turn; of each part the fastest counts. The first time fills the caches
-/// with what a render server has in them from the frame before, and what else this machine does disturbs hardly anything
-/// each time.
-const N_PASSES: usize = 4;
+/// Shares are traced at least so often, all of a frame in turn; of each part the fastest counts. The first time fills the
+/// caches with what a render server has in them from the frame before.
+const FEWEST_PASSES: u32 = 4;
+
+/// And again until so many passes on end have made none of them faster…
+const SETTLED_PASSES: u32 = 2;
+
+/// …by more than this part: what else this machine does holds up one share for a second, and not the next.
+const LEAST_GAIN: f64 = 0.01;
+
+/// But no more often than this.
+const MOST_PASSES: u32 = 16;
+
+/// Whether shares have been traced often enough.
+#[derive(Debug, Default)]
+struct Passes {
+    n_done: u32,
+    /// How many on end have made no share faster.
+    n_settled: u32,
+}
+
+impl Passes {
+    /// A pass has made one of the shares faster by this part of its time, and none by more.
+    fn add(&mut self, largest_gain: f64) {
+        self.n_done += 1;
+        self.n_settled = if largest_gain > LEAST_GAIN { 0 } else { self.n_settled + 1 };
+    }
+
+    fn are_enough(&self) -> bool {
+        self.n_done >= MOST_PASSES || self.n_done >= FEWEST_PASSES && self.n_settled >= SETTLED_PASSES
+    }
+}
 
 /// Traces shares, and remembers what they cost: the same share is asked for again for each link.
 pub(super) struct ShareTracer<'a> {
@@ -41,7 +69,9 @@ impl<'a> ShareTracer<'a> {
         let keys: Vec<_> = works.iter().map(|work| format!("{work:?}")).collect();
         let new: Vec<_> = (0..works.len()).filter(|&index| !self.known.contains_key(&keys[index])).collect();
         let mut traced: Vec<Option<TracedShare>> = vec![None; new.len()];
-        for _ in 0..N_PASSES {
+        let mut passes = Passes::default();
+        while !new.is_empty() && !passes.are_enough() {
+            let mut largest_gain = 0.0f64;
             for (&index, so_far) in new.iter().zip(&mut traced) {
                 if is_stopped() {
                     return None;
@@ -49,10 +79,16 @@ impl<'a> ShareTracer<'a> {
                 let (picture, work) = &works[index];
                 let once_more = trace(self.scene, picture, work);
                 *so_far = Some(match so_far.take() {
-                    Some(so_far) => so_far.fastest(&once_more),
+                    Some(so_far) => {
+                        let before = so_far.cpu();
+                        let fastest = so_far.fastest(&once_more);
+                        largest_gain = largest_gain.max(1.0 - fastest.cpu().as_secs_f64() / before.as_secs_f64());
+                        fastest
+                    }
                     None => once_more,
                 });
             }
+            passes.add(largest_gain);
         }
         let new = new.into_iter().map(|index| keys[index].clone());
         self.known.extend(new.zip(traced.into_iter().flatten().map(Rc::new)));
@@ -71,6 +107,11 @@ impl TracedShare {
             self.chunks[chunk].cpu = self.in_blocks(chunk) + rest;
         }
         self
+    }
+
+    /// What all of it took.
+    fn cpu(&self) -> Duration {
+        self.chunks.iter().map(|chunk| chunk.cpu).sum()
     }
 
     /// What the measured blocks of a chunk took together; 0 where none are measured.
@@ -124,6 +165,21 @@ fn trace(scene: &Scene, picture: &Picture, work: &Work) -> TracedShare {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn shares_are_traced_until_none_becomes_faster() {
+        let n_passes = |gains: &mut dyn Iterator<Item = f64>| {
+            let mut passes = Passes::default();
+            while !passes.are_enough() {
+                passes.add(gains.next().unwrap());
+            }
+            passes.n_done
+        };
+        assert_eq!(n_passes(&mut std::iter::repeat(0.001)), 4);
+        assert_eq!(n_passes(&mut std::iter::repeat(0.3)), 16);
+        let gains = [0.0, 0.2, 0.05, 0.0, 0.1, 0.0, 0.002];
+        assert_eq!(n_passes(&mut gains.into_iter().chain(std::iter::repeat(0.5))), 7);
+    }
 
     #[test]
     fn of_each_part_the_fastest_time_counts() {
