@@ -35,6 +35,7 @@ format:
 
 clippy:
 	$(CARGO) clippy --release --workspace --all-targets -- -D warnings
+	$(CARGO) check --manifest-path tests/fuzz/Cargo.toml --target-dir target/fuzz-check
 
 docs:
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --workspace --no-deps --document-private-items

@@ -6,5 +6,5 @@ pub mod decoders;
 #[allow(dead_code)]
 mod frame_buffer;
 #[path = "../../compositor/src/wall/mod.rs"]
-#[allow(dead_code)]
+#[allow(dead_code, unused_imports)]
 mod wall;
