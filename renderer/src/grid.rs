@@ -124,6 +124,16 @@ impl Grid {
         &self.choice
     }
 
+    /// Its storage and density; `None` where memory allowed so few cells that nobody could ask for them.
+    pub fn structure(&self) -> Option<shared::structure::Structure> {
+        let storage = match self.structure {
+            Structure::Tree(_) => Storage::Masks,
+            Structure::Plain(_) => Storage::Plain,
+            Structure::RowDisplacement { .. } => Storage::RowDisplacement,
+        };
+        (storage, self.density).try_into().ok()
+    }
+
     /// Bytes of the structure, the mesh not counted.
     pub fn n_bytes(&self) -> usize {
         self.figures().n_bytes()

@@ -117,7 +117,7 @@ impl Stage {
     /// Gets another scene ready, or the same in another structure.
     pub(crate) fn order(&self, scene: SceneId, path: Option<Vec<u8>>, structure: Option<Structure>) {
         if let Some(canned) = &self.canned {
-            let state = SceneState::Ready { triangles: 0, bytes: canned.n_bytes() as u64 };
+            let state = SceneState::Ready { triangles: 0, bytes: canned.n_bytes() as u64, grid: None };
             self.progress.send_replace(Some((scene, state)));
             return;
         }
@@ -157,7 +157,11 @@ impl Loader {
                 order = later;
             }
             let state = match self.fulfil(&order) {
-                Ok(scene) => SceneState::Ready { triangles: scene.n_triangles() as u64, bytes: scene.n_bytes() as u64 },
+                Ok(scene) => SceneState::Ready {
+                    triangles: scene.n_triangles() as u64,
+                    bytes: scene.n_bytes() as u64,
+                    grid: scene.grid().structure(),
+                },
                 Err(reason) => SceneState::Missing { reason },
             };
             self.progress.send_replace(Some((order.scene, state)));

@@ -21,7 +21,7 @@ use crate::{
 };
 
 /// The version of everything below; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 8;
+pub const PROTOCOL_VERSION: u8 = 9;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -362,6 +362,8 @@ pub enum SceneState {
         triangles: u64,
         /// Bytes of mesh and structure in memory.
         bytes: u64,
+        /// How the grid is kept, chosen or asked for; `None` if there is none.
+        grid: Option<Structure>,
     },
     /// The server has no such scene.
     Missing {

@@ -71,7 +71,7 @@ fn lie(stream: &mut TcpStream, name: &str, mut answer: impl FnMut(&Asked) -> Vec
         stream.read_exact(&mut body)?;
         match codec::decode(&body).unwrap() {
             ToServer::LoadScene { scene, .. } => {
-                let state = SceneState::Ready { triangles: 1, bytes: 1 };
+                let state = SceneState::Ready { triangles: 1, bytes: 1, grid: None };
                 stream.write_all(&message(&ToWall::SceneState { scene, state }))?;
             }
             ToServer::RenderFrame { frame, work_id, picture, work, .. } => {

@@ -4,7 +4,7 @@ use std::fmt;
 
 use egui::{Align, Label, Layout, RichText, Ui};
 use glam::DVec3;
-use shared::protocol::SceneState;
+use shared::{protocol::SceneState, structure::Structure};
 
 use super::{OverlayModel, look, style};
 use crate::input::Command;
@@ -68,6 +68,9 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
     if let Some(bytes) = most_bytes(model) {
         ui.label(format!("{} in memory, {:.0} bytes a triangle", style::bytes(bytes.0), bytes.1));
     }
+    if let Some(Structure { storage, density }) = grid(model) {
+        ui.label(format!("Grid: {storage}, {density} cells a triangle"));
+    }
     if let Some(pick) = &model.pick {
         ui.label(RichText::new(pick.to_string()).color(style::ACCENT));
     } else {
@@ -101,10 +104,20 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
 /// The most bytes of mesh and structure that a render server has in memory, and how many of them a triangle takes.
 fn most_bytes(model: &OverlayModel) -> Option<(u64, f64)> {
     let sizes = model.status.nodes.iter().filter_map(|node| match node.scene {
-        Some(SceneState::Ready { triangles, bytes }) if triangles > 0 => Some((bytes, bytes as f64 / triangles as f64)),
+        Some(SceneState::Ready { triangles, bytes, .. }) if triangles > 0 => {
+            Some((bytes, bytes as f64 / triangles as f64))
+        }
         _ => None,
     });
     sizes.max_by_key(|&(bytes, _)| bytes)
+}
+
+/// How the first render server that has the scene keeps it.
+fn grid(model: &OverlayModel) -> Option<Structure> {
+    model.status.nodes.iter().find_map(|node| match node.scene {
+        Some(SceneState::Ready { grid, .. }) => grid,
+        _ => None,
+    })
 }
 
 fn coordinates(point: DVec3) -> String {

@@ -90,8 +90,16 @@ pub(super) fn running() -> OverlayModel {
         frames_per_second: Some(24.25),
         status: FarmStatus {
             nodes: vec![
-                node(1, "north", Some(SceneState::Ready { triangles: 1_000_000, bytes: 39_000_000 })),
-                node(2, "south", Some(SceneState::Ready { triangles: 1_000_000, bytes: 1 })),
+                node(
+                    1,
+                    "north",
+                    Some(SceneState::Ready {
+                        triangles: 1_000_000,
+                        bytes: 39_000_000,
+                        grid: Some(Structure { storage: Storage::Masks, density: 64.0 }),
+                    }),
+                ),
+                node(2, "south", Some(SceneState::Ready { triangles: 1_000_000, bytes: 1, grid: None })),
             ],
             n_healed: 3,
             n_lost: 0,
@@ -281,7 +289,7 @@ fn every_bar_says_its_figures() {
 fn a_dozen_render_servers_fit_without_scrolling() {
     let mut model = running();
     model.status.nodes = (1..=12)
-        .map(|id| node(id, &format!("node-{id}"), Some(SceneState::Ready { triangles: 9, bytes: 9 })))
+        .map(|id| node(id, &format!("node-{id}"), Some(SceneState::Ready { triangles: 9, bytes: 9, grid: None })))
         .collect();
     for frame in 0..50 {
         model.history.add(FrameTimes { render_ms: 20.0, latency_ms: 30.0 + f64::from(frame) });
@@ -302,6 +310,7 @@ fn the_model_its_views_and_what_was_clicked_are_told() {
         harness.get_by_label("Triangle 123 456 at (0.2500, -1.5000, 30.000), 2.5000 from the eye");
         harness.get_by_label("1.0000 × 1.9000 × 1.0000 in its own unit");
         harness.get_by_label("39 MB in memory, 39 bytes a triangle");
+        harness.get_by_label("Grid: masks, 64 cells a triangle");
         harness.get_by_label("view 4").click();
         harness.run();
         harness.get_by_label("Stop (Space)").click();
