@@ -2,9 +2,10 @@
 //!
 //! In reading order: [`mesh`] is what is traced; [`ply`] reads one, [`statue`] makes one, [`scene`] names and loads one.
 //! [`grid`] finds the triangles along [`ray`]s, [`triangle`] decides whether they are hit, [`tracer`] does it for shares
-//! of frames, [`clip`] leaves out what is cut away, [`secondary`] finds the lights that reach a hit, [`shade`] makes light of hits, [`lighting`] all of it
-//! for a block of samples. [`connect`], [`trace`], [`chart`], [`stability`], [`generate`] and [`key`] are the commands of
-//! [`cli`], with [`scene_args`] and [`look_args`]; [`wire`] and [`secure`] are how a render server talks.
+//! of frames, [`clip`] leaves out what is cut away, [`secondary`] finds the lights that reach a hit, [`shade`] makes
+//! light of hits, [`lighting`] all of it for a block of samples. [`connect`], [`trace`], [`chart`], [`stability`],
+//! [`generate`] and [`key`] are the commands of [`cli`], with [`scene_args`] and [`look_args`]; [`wire`] and [`secure`]
+//! are how a render server talks.
 
 mod canned;
 pub mod chart;
