@@ -9,6 +9,7 @@ pub(crate) mod replay;
 mod scheduler;
 mod service;
 mod silence;
+mod tile_row;
 mod unit_set;
 
 use std::{

@@ -58,16 +58,16 @@ pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, out
                 continue;
             }
         };
+        let mut last_message = Vec::new();
         let (timings, costs) = match &job.subject {
             Subject::Scene(scene) => pool.install(|| job.render(scene, &share, outbox)),
-            Subject::Canned(canned) => job.replay(canned, &share, outbox),
+            Subject::Canned(canned) => job.replay(canned, &share, outbox, &mut last_message),
         };
         if !job.cancelled.load(Relaxed) {
             let done = ToWall::WorkDone { frame: job.frame, work_id: job.work_id, timings, costs };
-            let mut bytes = Vec::new();
-            codec::encode(&done, &mut bytes).expect("timings and costs are short");
+            codec::encode(&done, &mut last_message).expect("timings and costs are short");
             // Without a writer the conversation is over, and so are its jobs.
-            let _ = outbox.blocking_send(Outgoing { bytes, cancelled: Some(job.cancelled) });
+            let _ = outbox.blocking_send(Outgoing { bytes: last_message, cancelled: Some(job.cancelled) });
         }
     }
 }
@@ -117,14 +117,24 @@ impl Job {
         (timings, BlockCosts { block_units: n_per_cost, cpu_ns })
     }
 
-    /// Sends a picture's samples in place of traced ones.
-    fn replay(&self, canned: &Canned, share: &Share<'_>, outbox: &mpsc::Sender<Outgoing>) -> (WorkTimings, BlockCosts) {
+    /// Sends a picture's samples in place of traced ones, but for the last: they are left to go with the word that the
+    /// work is done, for it follows at once, and to send both alone is a tenth of what there is to do.
+    fn replay(
+        &self,
+        canned: &Canned,
+        share: &Share<'_>,
+        outbox: &mpsc::Sender<Outgoing>,
+        last_message: &mut Vec<u8>,
+    ) -> (WorkTimings, BlockCosts) {
         let started_at = Instant::now();
         for chunk in &*canned.chunks(&self.work, share) {
             if self.cancelled.load(Relaxed) {
                 break;
             }
-            self.send(self.chunk(chunk.units.clone(), &chunk.rgb), outbox);
+            if !last_message.is_empty() {
+                self.send(std::mem::take(last_message), outbox);
+            }
+            *last_message = self.chunk(chunk.units.clone(), &chunk.rgb);
         }
         let queued_us = microseconds(started_at - self.received_at);
         (WorkTimings { queued_us, ..WorkTimings::default() }, BlockCosts::default())

@@ -10,8 +10,10 @@ use std::{
 
 use shared::{
     curve,
-    division::{Division, FrameSize, Share, TILE_SIZE},
+    division::{Division, FrameSize, Share},
 };
+
+use super::tile_row;
 
 /// Buffers that wait for their next frame: the system takes longer to find and clear memory than samples take to arrive.
 #[derive(Clone, Debug, Default)]
@@ -153,26 +155,49 @@ impl FrameBuffer {
         if !rest.is_empty() || pixels.len() != samples.len() {
             return None;
         }
-        for (sample, &[r, g, b]) in samples.zip(pixels) {
-            self.rgba[sample as usize].store(u32::from_ne_bytes([r, g, b, 255]), Relaxed);
-        }
+        put_each(samples.map(|sample| &self.rgba[sample as usize]), pixels);
         Some(())
     }
 
     /// Puts blocks of samples in their places. `None` if the bytes are too many or too few.
-    fn place_blocks(&self, share: &Share<'_>, units: Range<u32>, mut rgb: &[u8]) -> Option<()> {
+    fn place_blocks(&self, share: &Share<'_>, units: Range<u32>, rgb: &[u8]) -> Option<()> {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: the machine has what it needs.
+            return unsafe { self.place_blocks_avx2(share, units, rgb) };
+        }
+        self.place_blocks_by(share, units, rgb, tile_row::put)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn place_blocks_avx2(&self, share: &Share<'_>, units: Range<u32>, rgb: &[u8]) -> Option<()> {
+        self.place_blocks_by(share, units, rgb, |cells, rgb| tile_row::put_avx2(cells, rgb))
+    }
+
+    #[inline(always)]
+    fn place_blocks_by(
+        &self,
+        share: &Share<'_>,
+        units: Range<u32>,
+        mut rgb: &[u8],
+        put_tile_row: impl Fn(&tile_row::Cells, &tile_row::Rgb),
+    ) -> Option<()> {
         let tiles = Division::Tiled.units(self.size);
-        let block = |k| match share.is_on_curve() {
-            true => tiles.samples(self.curve.tile(share.unit(k))),
-            false => share.samples(k),
-        };
-        for block in units.map(block) {
+        let is_on_curve = share.is_on_curve();
+        for k in units {
+            let unit = share.unit(k);
+            let block = tiles.samples(if is_on_curve { self.curve.tile(unit) } else { unit });
             for j in block.rows {
                 let row = j * self.size.xres();
                 let cells = &self.rgba[(row + block.columns.start) as usize..(row + block.columns.end) as usize];
-                let (pixels, after) = rgb.split_at_checked(3 * cells.len())?;
+                let (row_rgb, after) = rgb.split_at_checked(3 * cells.len())?;
                 rgb = after;
-                put_row(cells, pixels);
+                match (cells.try_into(), row_rgb.try_into()) {
+                    (Ok(cells), Ok(row_rgb)) => put_tile_row(cells, row_rgb),
+                    // At the frame's right edge.
+                    _ => put_each(cells.iter(), row_rgb.as_chunks().0),
+                }
             }
         }
         rgb.is_empty().then_some(())
@@ -189,23 +214,8 @@ impl FrameBuffer {
     }
 }
 
-fn put_row(cells: &[AtomicU32], pixels: &[u8]) {
-    const N: usize = TILE_SIZE as usize;
-    let whole = (<&[AtomicU32; N]>::try_from(cells), <&[u8; 3 * N]>::try_from(pixels));
-    let (pixels, _) = match whole {
-        // Nearly all rows; the compiler knows their length, and takes four bytes at a time.
-        (Ok(cells), Ok(pixels)) => {
-            for x in 0..N - 1 {
-                let with_next: u32 = bytemuck::pod_read_unaligned(&pixels[3 * x..3 * x + 4]);
-                cells[x].store(with_next | u32::from_ne_bytes([0, 0, 0, 255]), Relaxed);
-            }
-            let bytes = [pixels[3 * N - 3], pixels[3 * N - 2], pixels[3 * N - 1], 255];
-            cells[N - 1].store(u32::from_ne_bytes(bytes), Relaxed);
-            return;
-        }
-        _ => pixels.as_chunks::<3>(),
-    };
-    for (cell, &[r, g, b]) in cells.iter().zip(pixels) {
+fn put_each<'a>(cells: impl Iterator<Item = &'a AtomicU32>, rgb: &[[u8; 3]]) {
+    for (cell, &[r, g, b]) in cells.zip(rgb) {
         cell.store(u32::from_ne_bytes([r, g, b, 255]), Relaxed);
     }
 }

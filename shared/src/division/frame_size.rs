@@ -29,6 +29,7 @@ impl TryFrom<(u32, u32)> for FrameSize {
 }
 
 impl From<FrameSize> for (u32, u32) {
+    #[inline]
     fn from(size: FrameSize) -> Self {
         (size.xres, size.yres)
     }
@@ -76,11 +77,13 @@ impl FrameSize {
     }
 
     /// Columns of tiles; the last may be cut off.
+    #[inline]
     pub fn x_tiles(self) -> u32 {
         self.xres.div_ceil(TILE_SIZE)
     }
 
     /// Rows of tiles; the last may be cut off.
+    #[inline]
     pub fn y_tiles(self) -> u32 {
         self.yres.div_ceil(TILE_SIZE)
     }

@@ -1,0 +1,84 @@
+//! A row of a tile, from three bytes a sample as it travels to four as it is shown.
+
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
+use shared::division::TILE_SIZE;
+
+/// Samples of a row.
+const N: usize = TILE_SIZE as usize;
+
+/// Where the samples of a row belong.
+pub(super) type Cells = [AtomicU32; N];
+
+/// Red, green and blue of each sample of a row.
+pub(super) type Rgb = [u8; 3 * N];
+
+/// Puts a row in its place, on any machine.
+#[inline(always)]
+pub(super) fn put(cells: &Cells, rgb: &Rgb) {
+    // Four bytes at a time: the fourth is the next sample's, and becomes alpha.
+    for x in 0..N - 1 {
+        let with_next: u32 = bytemuck::pod_read_unaligned(&rgb[3 * x..3 * x + 4]);
+        cells[x].store(with_next | u32::from_ne_bytes([0, 0, 0, 255]), Relaxed);
+    }
+    let [.., r, g, b] = *rgb;
+    cells[N - 1].store(u32::from_ne_bytes([r, g, b, 255]), Relaxed);
+}
+
+/// The same by one store. A tile's rows lie in as many pages, so nearly each store waits for memory: eight to a row fill
+/// what a core can keep waiting, and placing frames takes twice as long.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+#[inline]
+pub(super) fn put_avx2(cells: &Cells, rgb: &Rgb) {
+    use std::arch::x86_64::{
+        __m128i, _mm256_or_si256, _mm256_set_m128i, _mm256_set1_epi32, _mm256_setr_epi8, _mm256_shuffle_epi8,
+    };
+    let [left, right]: [__m128i; 2] = [0, 8].map(|at| bytemuck::pod_read_unaligned(&rgb[at..at + 16]));
+    #[rustfmt::skip]
+    let spread = _mm256_setr_epi8(
+        0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1,
+        4, 5, 6, -1, 7, 8, 9, -1, 10, 11, 12, -1, 13, 14, 15, -1,
+    );
+    let rgb0 = _mm256_shuffle_epi8(_mm256_set_m128i(right, left), spread);
+    let rgba = _mm256_or_si256(rgb0, _mm256_set1_epi32(i32::from_ne_bytes([0, 0, 0, 255])));
+    // SAFETY: the store writes the 32 bytes of the cells and no other. Like the plain one it may race with another thread's
+    // of the same bits; that is why it is written in assembly, where it stands for eight relaxed stores, as it is on the
+    // machine, and not as a plain store, which the language lets nobody race with.
+    unsafe {
+        std::arch::asm!(
+            "vmovdqu ymmword ptr [{cells}], {rgba}",
+            cells = in(reg) cells.as_ptr(), rgba = in(ymm_reg) rgba,
+            options(nostack, preserves_flags)
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_ways_of_putting_a_row_give_the_same_bits() {
+        let rgb: Rgb = std::array::from_fn(|byte| 200 - 7 * byte as u8);
+        let expected: [u32; N] =
+            std::array::from_fn(|x| u32::from_ne_bytes([rgb[3 * x], rgb[3 * x + 1], rgb[3 * x + 2], 255]));
+        let put_by = |put: &dyn Fn(&Cells, &Rgb)| {
+            // Between others, which must stay as they are, and wherever a row may begin.
+            let cells: [AtomicU32; N + 3] = std::array::from_fn(|_| AtomicU32::new(5));
+            for start in 0..=3 {
+                cells.iter().for_each(|cell| cell.store(5, Relaxed));
+                put(cells[start..start + N].try_into().unwrap(), &rgb);
+                let cells = cells.each_ref().map(|cell| cell.load(Relaxed));
+                assert_eq!(cells[start..start + N], expected);
+                assert!(cells[..start].iter().chain(&cells[start + N..]).all(|&cell| cell == 5));
+            }
+        };
+        put_by(&put);
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: the machine has what it needs.
+            put_by(&|cells, rgb| unsafe { put_avx2(cells, rgb) });
+        }
+    }
+}
