@@ -5,6 +5,8 @@ pub mod decoders;
 #[path = "../../compositor/src/farm/frame_buffer.rs"]
 #[allow(dead_code)]
 mod frame_buffer;
+#[path = "../../compositor/src/farm/tile_row.rs"]
+mod tile_row;
 #[path = "../../compositor/src/wall/mod.rs"]
 #[allow(dead_code, unused_imports)]
 mod wall;

@@ -48,6 +48,9 @@ mod refinement;
 #[cfg(test)]
 mod room;
 #[cfg(test)]
+#[path = "../../compositor/src/farm/tile_row.rs"]
+mod tile_row;
+#[cfg(test)]
 mod trust;
 #[cfg(all(test, target_os = "linux"))]
 mod window;
