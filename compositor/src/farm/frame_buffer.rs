@@ -45,6 +45,10 @@ impl Curve {
     }
 }
 
+/// Frames of so many samples are written to memory past all caches, none of which holds those in flight until they are
+/// uploaded: along the curve that takes little more than half the time. Smaller ones are uploaded from caches.
+const FEWEST_PAST_CACHES: usize = 1 << 20;
+
 /// Frames in flight, one that waits, one that is shown, and one more.
 const MOST_SPARE: usize = 6;
 
@@ -172,7 +176,12 @@ impl FrameBuffer {
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn place_blocks_avx2(&self, share: &Share<'_>, units: Range<u32>, rgb: &[u8]) -> Option<()> {
-        self.place_blocks_by(share, units, rgb, |cells, rgb| tile_row::put_avx2(cells, rgb))
+        if self.rgba.len() < FEWEST_PAST_CACHES {
+            return self.place_blocks_by(share, units, rgb, |cells, rgb| tile_row::put_avx2(cells, rgb));
+        }
+        let is_placed = self.place_blocks_by(share, units, rgb, |cells, rgb| tile_row::put_past_caches(cells, rgb));
+        tile_row::fence_past_caches();
+        is_placed
     }
 
     #[inline(always)]
@@ -222,29 +231,42 @@ fn put_each<'a>(cells: impl Iterator<Item = &'a AtomicU32>, rgb: &[[u8; 3]]) {
 
 #[cfg(test)]
 mod tests {
+    use std::thread;
+
     use shared::division::Division;
 
     use super::*;
 
     #[test]
     fn samples_of_every_machine_end_up_in_their_places() {
-        let size = FrameSize::new(19, 11).unwrap();
-        for division in Division::ALL {
-            let spare = SpareBuffers::default();
-            let buffer = Arc::new(spare.take(size));
-            for machine in 0..3 {
-                let work = division.work(machine, 3);
-                let share = work.share(size).unwrap();
-                let rgb: Vec<u8> = (0..share.count())
-                    .flat_map(|k| share.samples(k).iter())
-                    .flat_map(|(i, j)| [i as u8, j as u8, 7])
-                    .collect();
-                buffer.place(&share, 0, share.count(), &rgb).unwrap();
+        // One that is written to caches and one that is not, both with tiles that the edges cut.
+        for (xres, yres) in [(19, 11), (1028, 1021)] {
+            let size = FrameSize::new(xres, yres).unwrap();
+            assert_eq!(size.n_samples() as usize >= FEWEST_PAST_CACHES, xres > 1000);
+            let rgb_of = |(i, j): (u32, u32)| [i as u8, j as u8, (i >> 8) as u8];
+            let rgba_of = |sample| {
+                let [r, g, b] = rgb_of(sample);
+                u32::from_ne_bytes([r, g, b, 255])
+            };
+            let expected: Vec<u32> = (0..yres).flat_map(|j| (0..xres).map(move |i| rgba_of((i, j)))).collect();
+            for division in Division::ALL {
+                let spare = SpareBuffers::default();
+                let buffer = Arc::new(spare.take(size));
+                thread::scope(|scope| {
+                    for machine in 0..3 {
+                        let buffer = &buffer;
+                        scope.spawn(move || {
+                            let work = division.work(machine, 3);
+                            let share = work.share(size).unwrap();
+                            let rgb: Vec<u8> =
+                                (0..share.count()).flat_map(|k| share.samples(k).iter()).flat_map(rgb_of).collect();
+                            buffer.place(&share, 0, share.count(), &rgb).unwrap();
+                        });
+                    }
+                });
+                assert!(*buffer.into_samples(spare.clone()) == *expected, "{size} {division:?}");
+                assert_eq!(spare.0.lock().unwrap().rgba.len(), 1, "the buffer waits for the next frame");
             }
-            let expected: Vec<u32> =
-                (0..11).flat_map(|j| (0..19).map(move |i| u32::from_ne_bytes([i, j, 7, 255]))).collect();
-            assert_eq!(*buffer.into_samples(spare.clone()), expected);
-            assert_eq!(spare.0.lock().unwrap().rgba.len(), 1, "the buffer waits for the next frame");
         }
     }
 

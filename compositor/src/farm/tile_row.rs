@@ -1,5 +1,13 @@
 //! A row of a tile, from three bytes a sample as it travels to four as it is shown.
 
+#[cfg(target_arch = "x86_64")]
+use std::arch::{
+    asm,
+    x86_64::{
+        __m128i, __m256i, _mm256_castsi256_si128, _mm256_extracti128_si256, _mm256_or_si256, _mm256_set_m128i,
+        _mm256_set1_epi32, _mm256_setr_epi8, _mm256_shuffle_epi8,
+    },
+};
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use shared::division::TILE_SIZE;
@@ -31,9 +39,54 @@ pub(super) fn put(cells: &Cells, rgb: &Rgb) {
 #[target_feature(enable = "avx2")]
 #[inline]
 pub(super) fn put_avx2(cells: &Cells, rgb: &Rgb) {
-    use std::arch::x86_64::{
-        __m128i, _mm256_or_si256, _mm256_set_m128i, _mm256_set1_epi32, _mm256_setr_epi8, _mm256_shuffle_epi8,
-    };
+    // SAFETY: the store writes the 32 bytes of the cells and no other. Like the plain one it may race with another thread's
+    // of the same bits; that is why it is written in assembly, where it stands for eight relaxed stores, as it is on the
+    // machine, and not as a plain store, which the language lets nobody race with.
+    unsafe {
+        asm!(
+            "vmovdqu ymmword ptr [{cells}], {rgba}",
+            cells = in(reg) cells.as_ptr(), rgba = in(ymm_reg) rgba_avx2(rgb),
+            options(nostack, preserves_flags)
+        );
+    }
+}
+
+/// The same past all caches where the row allows: who has not seen [`fence_past_caches`] since may see the old samples.
+///
+/// A row is half a line of a cache, which would be read from memory to be written, and often twice.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+#[inline]
+pub(super) fn put_past_caches(cells: &Cells, rgb: &Rgb) {
+    if !cells.as_ptr().addr().is_multiple_of(16) {
+        return put_avx2(cells, rgb);
+    }
+    let rgba = rgba_avx2(rgb);
+    // SAFETY: as above, and the addresses are multiples of 16.
+    unsafe {
+        asm!(
+            "vmovntdq xmmword ptr [{cells}], {left}",
+            "vmovntdq xmmword ptr [{cells} + 16], {right}",
+            cells = in(reg) cells.as_ptr(),
+            left = in(xmm_reg) _mm256_castsi256_si128(rgba),
+            right = in(xmm_reg) _mm256_extracti128_si256::<1>(rgba),
+            options(nostack, preserves_flags)
+        );
+    }
+}
+
+/// Who sees what this thread stores from now on sees what it stored past caches before.
+#[cfg(target_arch = "x86_64")]
+pub(super) fn fence_past_caches() {
+    // SAFETY: it only orders stores.
+    unsafe { asm!("sfence", options(nostack, preserves_flags)) };
+}
+
+/// The samples of a row as they are stored.
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+#[inline]
+fn rgba_avx2(rgb: &Rgb) -> __m256i {
     let [left, right]: [__m128i; 2] = [0, 8].map(|at| bytemuck::pod_read_unaligned(&rgb[at..at + 16]));
     #[rustfmt::skip]
     let spread = _mm256_setr_epi8(
@@ -41,17 +94,7 @@ pub(super) fn put_avx2(cells: &Cells, rgb: &Rgb) {
         4, 5, 6, -1, 7, 8, 9, -1, 10, 11, 12, -1, 13, 14, 15, -1,
     );
     let rgb0 = _mm256_shuffle_epi8(_mm256_set_m128i(right, left), spread);
-    let rgba = _mm256_or_si256(rgb0, _mm256_set1_epi32(i32::from_ne_bytes([0, 0, 0, 255])));
-    // SAFETY: the store writes the 32 bytes of the cells and no other. Like the plain one it may race with another thread's
-    // of the same bits; that is why it is written in assembly, where it stands for eight relaxed stores, as it is on the
-    // machine, and not as a plain store, which the language lets nobody race with.
-    unsafe {
-        std::arch::asm!(
-            "vmovdqu ymmword ptr [{cells}], {rgba}",
-            cells = in(reg) cells.as_ptr(), rgba = in(ymm_reg) rgba,
-            options(nostack, preserves_flags)
-        );
-    }
+    _mm256_or_si256(rgb0, _mm256_set1_epi32(i32::from_ne_bytes([0, 0, 0, 255])))
 }
 
 #[cfg(test)]
@@ -59,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_ways_of_putting_a_row_give_the_same_bits() {
+    fn all_ways_of_putting_a_row_give_the_same_bits() {
         let rgb: Rgb = std::array::from_fn(|byte| 200 - 7 * byte as u8);
         let expected: [u32; N] =
             std::array::from_fn(|x| u32::from_ne_bytes([rgb[3 * x], rgb[3 * x + 1], rgb[3 * x + 2], 255]));
@@ -79,6 +122,8 @@ mod tests {
         if is_x86_feature_detected!("avx2") {
             // SAFETY: the machine has what it needs.
             put_by(&|cells, rgb| unsafe { put_avx2(cells, rgb) });
+            // SAFETY: the same.
+            put_by(&|cells, rgb| unsafe { put_past_caches(cells, rgb) });
         }
     }
 }
