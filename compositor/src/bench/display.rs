@@ -37,6 +37,9 @@ struct DisplayFigures {
     /// time, which on a software adapter is all there is and which other programs do not disturb.
     whole_over_bare: f64,
     whole_over_bare_cpu: f64,
+    /// The same of a frame that has a sample for each of the wall's pixels.
+    native_over_bare: f64,
+    native_over_bare_cpu: f64,
 }
 
 /// Something that was done again and again. What a row does not do is `None`.
@@ -66,7 +69,9 @@ struct Sample {
 
 /// What is measured, in this order.
 const FULL: usize = 1;
+const FULL_NATIVE: usize = 2;
 const BARE: usize = 3;
+const BARE_NATIVE: usize = 4;
 
 /// Measures for so long, and prints what was found.
 pub(super) fn run(wall: Wall, size: FrameSize, duration: Duration, is_json: bool) -> anyhow::Result<()> {
@@ -107,14 +112,14 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
             // Frames of another size want another texture, which is made before time counts.
             match index {
                 0 => drop(headless.upload_and_draw(size, &blank)?),
-                2 => drop(full_native.shown(&mut headless)?),
+                FULL_NATIVE => drop(full_native.shown(&mut headless)?),
                 _ => {}
             }
             let sample = timed(|| match index {
                 0 => shown(&mut headless, size, &blank),
                 FULL => full.shown(&mut headless),
-                2 => full_native.shown(&mut headless),
-                BARE | 4 => {
+                FULL_NATIVE => full_native.shown(&mut headless),
+                BARE | BARE_NATIVE => {
                     let bare = if index == BARE { &bare } else { &bare_native };
                     Ok(Sample { draw: Some(bare.draw(headless.gpu())?), ..Sample::default() })
                 }
@@ -137,6 +142,8 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
         wall: format!("{width}x{height}"),
         whole_over_bare: rows[FULL].whole_ms / rows[BARE].whole_ms,
         whole_over_bare_cpu: rows[FULL].cpu_ms / rows[BARE].cpu_ms,
+        native_over_bare: rows[FULL_NATIVE].whole_ms / rows[BARE_NATIVE].whole_ms,
+        native_over_bare_cpu: rows[FULL_NATIVE].cpu_ms / rows[BARE_NATIVE].cpu_ms,
         rows,
     })
 }
@@ -153,7 +160,7 @@ fn shown(headless: &mut Headless, size: FrameSize, rgba: &[u32]) -> anyhow::Resu
     Ok(Sample { upload: Some(upload), draw: Some(draw), gpu_draw_ms: headless.gpu_draw_ms(), ..Sample::default() })
 }
 
-/// A frame of noise, as one render server sends it.
+/// A frame of noise, as render servers send it by default.
 struct Full {
     size: FrameSize,
     rgb: Vec<u8>,
@@ -173,7 +180,7 @@ impl Full {
     }
 
     fn placed(&self) -> anyhow::Result<crate::farm::Samples> {
-        Ok(self.placing.place(self.size, Division::Tiled, &self.rgb, CHUNK_BYTES)?)
+        Ok(self.placing.place(self.size, Division::default(), &self.rgb, CHUNK_BYTES)?)
     }
 
     fn shown(&self, headless: &mut Headless) -> anyhow::Result<Sample> {
@@ -230,7 +237,7 @@ impl Row {
 impl DisplayFigures {
     /// For a person.
     fn table(&self) -> String {
-        let Self { adapter, wall, rows, whole_over_bare, whole_over_bare_cpu } = self;
+        let Self { adapter, wall, rows, .. } = self;
         let mut table = format!("a wall of {wall} pixels, drawn by {adapter}; medians in ms\n");
         // Writing to a string cannot fail.
         let _ = writeln!(
@@ -246,10 +253,16 @@ impl DisplayFigures {
             }
             let _ = writeln!(table, "{:>9.2}{:>9.2}", row.whole_ms, row.cpu_ms);
         }
-        let _ = writeln!(
-            table,
-            "all of the full frame over the bare draw: {whole_over_bare:.2}; of CPU time {whole_over_bare_cpu:.2}"
-        );
+        for (row, over_bare, over_bare_cpu) in [
+            (FULL, self.whole_over_bare, self.whole_over_bare_cpu),
+            (FULL_NATIVE, self.native_over_bare, self.native_over_bare_cpu),
+        ] {
+            let what = &rows[row].what;
+            let _ = writeln!(
+                table,
+                "all of the {what}, over the bare draw: {over_bare:.2}; of CPU time {over_bare_cpu:.2}"
+            );
+        }
         table + "presenting needs a screen: a wall in a window prints it after --frames 100"
     }
 }
