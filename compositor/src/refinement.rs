@@ -2,11 +2,12 @@
 //! fine as the wall is, with more and more samples a pixel until there are enough. Pure: time is an argument.
 //!
 //! While the camera moves each frame has one sample a pixel, and [`pace`] chooses from a [`ladder`] of resolutions by what
-//! frames take. At rest the picture is rendered again, each time by as many whole frames as it takes: in the wall's own
+//! frames take the farm and the [`display`]. At rest the picture is rendered again, each time by as many whole frames as it takes: in the wall's own
 //! resolution with one sample a pixel, then four, sixteen and so on. Each of these is a [`Picture`] like any other, whose
 //! samples render servers average in linear light; so nothing is added up here, and nothing that nodes do or fail to do
 //! changes a bit of it.
 
+mod display;
 mod ladder;
 mod pace;
 
@@ -17,6 +18,7 @@ use shared::{
     protocol::{Picture, SampleRange},
 };
 
+pub use self::display::Shown;
 use self::{ladder::Ladder, pace::Pace};
 
 /// Frames a second that are held while the camera moves, unless somebody says otherwise.
@@ -82,7 +84,7 @@ impl Refinement {
         let ladder = Ladder::down_from(options.native);
         let rung = ladder.rung_of(options.fixed_size.n_samples());
         let interval = Duration::from_secs_f64(1.0 / options.target_rate);
-        Self { pace: Pace::new(interval, rung), ladder, options, state: None }
+        Self { pace: Pace::new(interval, &ladder, rung), ladder, options, state: None }
     }
 
     /// No frame that follows the motion has a longer side than this from now on: what the GPU takes.
@@ -142,6 +144,11 @@ impl Refinement {
         if let Some(state) = self.state.as_mut().filter(|state| state.ask.picture == *picture) {
             state.is_shown = true;
         }
+    }
+
+    /// A frame was shown.
+    pub fn on_shown(&mut self, picture: &Picture, shown: &Shown) {
+        self.pace.learn_shown(picture.size, shown);
     }
 
     /// When to ask for the next refinement, unless anything changes; `None` when there is none, or the last is yet to come.

@@ -6,7 +6,11 @@ use renderer::progress::Progress;
 use shared::protocol::Picture;
 
 use super::{Headless, Wakeup, Wakeups, milliseconds, wait};
-use crate::{farm::Farm, refinement::Refinement, report::Report};
+use crate::{
+    farm::Farm,
+    refinement::{Refinement, Shown},
+    report::Report,
+};
 
 impl Headless {
     /// Shows `n_frames` as if the camera moved from each to the next, and then the same picture as fine as it gets. The
@@ -46,6 +50,9 @@ impl Headless {
             };
             refinement.on_frame(&frame.picture, Duration::from_secs_f64(frame.stats.interval_ms / 1e3));
             let display = self.show(&frame)?;
+            let [took_ms, upload_ms] = [display.upload_ms + display.draw_ms, display.upload_ms];
+            let [took, upload] = [took_ms, upload_ms].map(|ms| Duration::from_secs_f64(ms / 1e3));
+            refinement.on_shown(&frame.picture, &Shown { took, upload, refresh: Duration::ZERO });
             if !is_moving(&report) {
                 bar.set(frame.picture.samples.count as f32 / refinement.n_samples() as f32);
                 continue;

@@ -6,13 +6,25 @@
 //! Late frames lower the resolution at once, as far as it takes; the fewer there are the later they must be, and a single
 //! one never does. Frames that leave room for the next finer resolution raise it by one, only after some time, and later
 //! still each time when that proved too much: steady nodes do not make the picture flicker.
+//!
+//! Frames are rendered while others are shown, so a frame is late that takes longer than the target rate allows either to
+//! render or to show. A rate that cannot be seen is not paid for: where the display could not show the target rate even with
+//! the coarsest frames, the rate that it can show takes its place.
 
 use std::{collections::VecDeque, time::Duration};
 
-use super::ladder::Ladder;
+use shared::division::FrameSize;
+
+use super::{
+    display::{Display, Shown},
+    ladder::Ladder,
+};
 
 /// How much of the time between two frames is aimed at: the rest is for frames that take longer than others.
 const AIM: f64 = 0.9;
+/// Where the coarsest frames take the display nearly as long as the target rate allows, or longer, frames may take so many
+/// times as long as those: what is finer is worth a part of a rate that is low in any case.
+const DISPLAY_ROOM: f64 = 1.25;
 /// The next finer resolution must be expected to leave this much of what is aimed at.
 const HEADROOM: f64 = 0.9;
 /// With so much room it is not waited for longer, however often it proved too much.
@@ -31,8 +43,9 @@ const LONGEST_PATIENCE: u32 = 2048;
 /// The resolution of a moving camera's frames.
 #[derive(Clone, Debug)]
 pub(super) struct Pace {
-    /// What a frame should take, in seconds.
-    aim_s: f64,
+    /// The time between two frames at the target rate, in seconds.
+    target_s: f64,
+    display: Display,
     rung: usize,
     /// What the last frames took since the resolution was changed, in seconds.
     recent_s: VecDeque<f64>,
@@ -50,9 +63,10 @@ pub(super) struct Pace {
 }
 
 impl Pace {
-    pub(super) fn new(interval: Duration, rung: usize) -> Self {
+    pub(super) fn new(target_interval: Duration, ladder: &Ladder, rung: usize) -> Self {
         Self {
-            aim_s: AIM * interval.as_secs_f64(),
+            target_s: target_interval.as_secs_f64(),
+            display: Display::new(ladder.size(0)),
             rung,
             recent_s: VecDeque::with_capacity(N_RECENT),
             n_frames: 0,
@@ -75,31 +89,44 @@ impl Pace {
         (self.was_raised, self.before) = (false, None);
     }
 
-    /// A frame of this rung took so long.
+    /// The time between two frames to hold, in seconds: the target's, or the display's where that cannot be had.
+    fn interval_s(&self, ladder: &Ladder) -> f64 {
+        let coarsest_s = self.shown_s(ladder, ladder.last());
+        self.target_s.max(DISPLAY_ROOM * coarsest_s).max(self.display.refresh_s())
+    }
+
+    /// A frame of any size was shown.
+    pub(super) fn learn_shown(&mut self, size: FrameSize, shown: &Shown) {
+        self.display.learn(size, shown);
+    }
+
+    /// A frame of this rung took the farm so long.
     pub(super) fn learn(&mut self, ladder: &Ladder, took: Duration) {
+        let interval_s = self.interval_s(ladder);
+        let aim_s = AIM * interval_s;
         if self.recent_s.len() == N_RECENT {
             self.recent_s.pop_front();
         }
         self.recent_s.push_back(took.as_secs_f64());
         self.n_frames = self.n_frames.saturating_add(1);
         let weight = 1.0 / f64::from(self.n_frames.min(self.patience));
-        self.long_mean_s += weight * (took.as_secs_f64().min(LONGEST * self.aim_s) - self.long_mean_s);
+        self.long_mean_s += weight * (took.as_secs_f64().min(LONGEST * aim_s) - self.long_mean_s);
         let Some(mean_s) = self.mean_s() else { return };
-        self.learn_fixed(ladder, mean_s);
+        self.learn_fixed(ladder, mean_s, aim_s);
         // The fewer frames there are, the less their mean says.
-        let is_late = mean_s > self.aim_s * (1.0 + 1.0 / self.recent_s.len() as f64);
-        if is_late && self.rung < ladder.last() {
+        let is_late = mean_s > aim_s * (1.0 + 1.0 / self.recent_s.len() as f64);
+        if (is_late || self.shown_s(ladder, self.rung) > interval_s) && self.rung < ladder.last() {
             if self.was_raised {
                 self.patience = (2 * self.patience).min(LONGEST_PATIENCE);
             }
-            let in_time = |&rung: &usize| self.expected_s(ladder, mean_s, rung) <= self.aim_s;
+            let in_time =
+                |&rung: &usize| self.expected_s(ladder, mean_s, rung).max(self.shown_s(ladder, rung)) <= aim_s;
             let rung = (self.rung + 1..ladder.last()).find(in_time).unwrap_or(ladder.last());
             self.leave(ladder, mean_s, rung);
-        } else if self.rung > 0 && self.n_frames >= SHORTEST_PATIENCE {
+        } else if self.rung > 0 && self.n_frames >= SHORTEST_PATIENCE && self.shown_s(ladder, self.rung - 1) <= aim_s {
             let expected_s = |mean_s| self.expected_s(ladder, mean_s, self.rung - 1);
-            let is_due =
-                self.n_frames >= self.patience && expected_s(self.long_mean_s.max(mean_s)) <= HEADROOM * self.aim_s;
-            if is_due || expected_s(mean_s) <= CLEAR_ROOM * self.aim_s {
+            let is_due = self.n_frames >= self.patience && expected_s(self.long_mean_s.max(mean_s)) <= HEADROOM * aim_s;
+            if is_due || expected_s(mean_s) <= CLEAR_ROOM * aim_s {
                 self.leave(ladder, mean_s, self.rung - 1);
             }
         }
@@ -118,14 +145,19 @@ impl Pace {
         fixed_s + (mean_s - fixed_s) * n_samples(ladder, rung) / n_samples(ladder, self.rung)
     }
 
-    fn learn_fixed(&mut self, ladder: &Ladder, mean_s: f64) {
+    /// What the display will take for a frame of a rung.
+    fn shown_s(&self, ladder: &Ladder, rung: usize) -> f64 {
+        self.display.expected_s(ladder.size(rung))
+    }
+
+    fn learn_fixed(&mut self, ladder: &Ladder, mean_s: f64, aim_s: f64) {
         if let Some((n_before, before_s)) = self.before.filter(|_| self.recent_s.len() == N_KNOWN) {
             let n_now = n_samples(ladder, self.rung);
             let per_sample_s = (mean_s - before_s) / (n_now - n_before);
             let fixed_s = mean_s - per_sample_s * n_now;
             // Nodes may have become slower or faster meanwhile, so this is no more than a hint; and believed too much it
             // would lower the resolution too far.
-            self.fixed_s = (self.fixed_s + fixed_s.clamp(0.0, self.aim_s / 2.0)) / 2.0;
+            self.fixed_s = (self.fixed_s + fixed_s.clamp(0.0, aim_s / 2.0)) / 2.0;
         }
     }
 

@@ -44,6 +44,10 @@ struct Wall {
     n_moves: u32,
     fixed_s: f64,
     per_sample_s: f64,
+    /// What the display takes for a frame; of the part for each sample, all is upload.
+    display_fixed_s: f64,
+    display_per_sample_s: f64,
+    refresh: Duration,
     /// By how much times differ either way, as a part of them; and numbers to make them from.
     waver: f64,
     random: u64,
@@ -52,7 +56,18 @@ struct Wall {
 impl Wall {
     fn new(fixed_s: f64, per_sample_s: f64, waver: f64) -> Self {
         let (refinement, now) = (Refinement::new(options()), Instant::now());
-        Self { refinement, now, n_moves: 0, fixed_s, per_sample_s, waver, random: 1 }
+        Self {
+            refinement,
+            now,
+            n_moves: 0,
+            fixed_s,
+            per_sample_s,
+            display_fixed_s: 0.0,
+            display_per_sample_s: 0.0,
+            refresh: Duration::ZERO,
+            waver,
+            random: 1,
+        }
     }
 
     /// A farm that takes as long as this for a frame of the paper's size.
@@ -60,17 +75,25 @@ impl Wall {
         Self::new(0.0, seconds / f64::from(FrameSize::PAPER.n_samples()), 0.0)
     }
 
-    /// Renders what is asked for; how long that takes.
+    /// Renders what is asked for while the display shows the frame before; how long that takes.
     fn render(&mut self, picture: &Picture) -> f64 {
+        let n_rays = f64::from(picture.size.n_samples()) * f64::from(picture.samples.count);
+        let took = self.wavering(self.fixed_s + self.per_sample_s * n_rays);
+        self.refinement.on_frame(picture, took);
+        let upload_s = self.display_per_sample_s * f64::from(picture.size.n_samples());
+        let shown_in = self.wavering(self.display_fixed_s + upload_s);
+        let upload = Duration::from_secs_f64(upload_s);
+        self.refinement.on_shown(picture, &Shown { took: shown_in, upload, refresh: self.refresh });
+        let interval = took.max(shown_in).max(self.refresh);
+        self.now += interval;
+        interval.as_secs_f64()
+    }
+
+    fn wavering(&mut self, seconds: f64) -> Duration {
         // The constants are Knuth's, of MMIX.
         self.random = self.random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let waver = 1.0 + self.waver * ((self.random >> 33) as f64 / f64::from(1u32 << 30) - 1.0);
-        let n_rays = f64::from(picture.size.n_samples()) * f64::from(picture.samples.count);
-        let took_s = (self.fixed_s + self.per_sample_s * n_rays) * waver;
-        let took = Duration::from_secs_f64(took_s);
-        self.now += took;
-        self.refinement.on_frame(picture, took);
-        took_s
+        Duration::from_secs_f64(seconds * waver)
     }
 
     /// The camera moves, and its frame is rendered: what size it has, and how long it takes.
@@ -157,6 +180,42 @@ fn a_farm_that_nothing_helps_gets_the_coarsest_frames() {
 }
 
 #[test]
+fn resolution_is_not_traded_for_a_rate_that_the_display_cannot_show() {
+    // Three intervals for each frame, of any size: a software driver that draws a large wall.
+    let mut wall = Wall { display_fixed_s: 3.0 * INTERVAL_S, ..Wall::with_paper_frame_of(2.0 * INTERVAL_S) };
+    let frames = wall.move_for(200);
+    assert!(frames.iter().all(|frame| frame.0.n_samples() >= FrameSize::PAPER.n_samples()));
+    assert!(frames[100..].iter().all(|frame| frame.1 < 1.25 * 3.0 * INTERVAL_S), "the farm is not what is waited for");
+    // An output that is refreshed 24 times a second.
+    let refresh = Duration::from_secs_f64(1.0 / 24.0);
+    let mut wall = Wall { refresh, ..Wall::with_paper_frame_of(1.1 * INTERVAL_S) };
+    assert_eq!(n_changes(&wall.move_for(200)), 0, "every frame that is seen is there in time");
+    // The same farm before a display that keeps up.
+    let mut wall = Wall::with_paper_frame_of(2.0 * INTERVAL_S);
+    assert!(wall.move_for(10).last().is_some_and(|frame| frame.0.n_samples() < FrameSize::PAPER.n_samples()));
+}
+
+#[test]
+fn resolution_is_lowered_as_far_as_it_makes_a_slow_display_faster() {
+    let native = f64::from(options().native.n_samples());
+    let to_draw_and_upload = |draw: f64, upload: f64| {
+        let mut wall = Wall::with_paper_frame_of(INTERVAL_S / 50.0);
+        (wall.display_fixed_s, wall.display_per_sample_s) = (draw * INTERVAL_S, upload * INTERVAL_S / native);
+        let frames = wall.move_for(400);
+        let last = frames[399];
+        (f64::from(last.0.n_samples()) / native, last.1 / INTERVAL_S, n_changes(&frames[200..]))
+    };
+    let (size, interval, n_changes) = to_draw_and_upload(0.3, 1.2);
+    assert!((0.3..=0.55).contains(&size) && interval < 0.95, "{size} of native in {interval}");
+    assert_eq!(n_changes, 0);
+    let (size, interval, n_changes) = to_draw_and_upload(2.0, 2.0);
+    assert!((0.05..0.3).contains(&size) && interval < 2.5, "{size} of native in {interval}: a quarter longer at most");
+    assert_eq!(n_changes, 0);
+    let (size, ..) = to_draw_and_upload(2.0, 0.2);
+    assert_eq!(size, 1.0, "it would hardly help");
+}
+
+#[test]
 fn a_camera_that_rests_is_refined_and_then_nothing_is_asked_for() {
     let mut wall = Wall::with_paper_frame_of(INTERVAL_S);
     let moving = wall.move_for(30).last().unwrap().0;
@@ -229,14 +288,21 @@ proptest! {
         // What a frame of the paper's size takes beyond that, in intervals: as powers of two.
         speeds in proptest::collection::vec(-5.0..3.0f64, 1..5),
         waver in 0.0..0.15f64,
+        // What the display takes for a frame of no samples, and what the wall's own resolution adds, in intervals.
+        draw in 0.0..4.0f64,
+        upload in 0.0..4.0f64,
         random: u64,
     ) {
         let mut wall = Wall { random, ..Wall::new(fixed * INTERVAL_S, 0.0, waver) };
+        let native = options().native.n_samples();
+        (wall.display_fixed_s, wall.display_per_sample_s) =
+            (draw * INTERVAL_S, upload * INTERVAL_S / f64::from(native));
+        let held_s = (1.25 * draw).max(1.0) * INTERVAL_S;
         for speed in speeds {
             wall.per_sample_s = speed.exp2() * INTERVAL_S / f64::from(FrameSize::PAPER.n_samples());
             wall.move_for(160);
             let frames = wall.move_for(400);
-            let mean = mean_s(&frames) / INTERVAL_S;
+            let mean = mean_s(&frames) / held_s;
             prop_assert!(mean <= 1.02, "{mean} of an interval");
             prop_assert!(n_changes(&frames) <= 6, "{} changes in 400 frames", n_changes(&frames));
             let finest = frames.iter().map(|frame| frame.0.n_samples()).max();

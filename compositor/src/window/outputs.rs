@@ -137,6 +137,13 @@ impl Outputs {
         self.painter.as_ref().map(|painter| painter.gpu.device.limits().max_texture_dimension_2d)
     }
 
+    /// The time between two refreshes of the fastest monitor that shows a part of the wall, if any says.
+    pub(super) fn refresh_interval(&self) -> Option<Duration> {
+        let monitors = self.all.iter().filter_map(|output| output.screen.as_ref()?.window.current_monitor());
+        let fastest_mhz = monitors.filter_map(|monitor| monitor.refresh_rate_millihertz()).max()?;
+        (fastest_mhz > 0).then(|| Duration::from_secs_f64(1e3 / f64::from(fastest_mhz)))
+    }
+
     /// When to look at the monitors again: never for a window that may be anywhere.
     pub(super) fn look_at(&self) -> Option<Instant> {
         self.looked_at.filter(|_| self.names_monitors()).map(|looked_at| looked_at + LOOK_INTERVAL)

@@ -9,6 +9,7 @@ use crate::{
     kept::Kept,
     navigator::Navigator,
     overlay::{FrameTimes, OverlayModel},
+    refinement::Shown,
     stats::DisplayStats,
 };
 
@@ -91,6 +92,7 @@ impl App<'_> {
         self.refresh_pattern();
         self.update_overlay(Instant::now());
         let new_frame = self.frame.as_ref().filter(|_| self.frame_is_new);
+        let started_at = Instant::now();
         let drawn = match self.outputs.draw(&self.options.wall, new_frame, &self.overlay) {
             Ok(Some(drawn)) => drawn,
             Ok(None) => {
@@ -111,6 +113,13 @@ impl App<'_> {
             let latency_ms = now.duration_since(frame.moved_at).as_secs_f64() * 1e3;
             self.overlay.history.add(FrameTimes { render_ms: frame.stats.render_ms, latency_ms });
             let stats = DisplayStats { latency_ms, ..drawn.stats };
+            let shown = Shown {
+                // What the GPU does after the submission shows in the next draw only if that has to wait for it.
+                took: (now - started_at).max(Duration::from_secs_f64(stats.draw_ms / 1e3)),
+                upload: Duration::from_secs_f64(stats.upload_ms / 1e3),
+                refresh: self.outputs.refresh_interval().unwrap_or_default(),
+            };
+            self.refinement.on_shown(&frame.picture, &shown);
             tracing::debug!(
                 "frame {} is on screen, {latency_ms:.1} ms after the camera{}",
                 frame.stats.frame,
