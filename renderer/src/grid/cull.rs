@@ -227,10 +227,10 @@ impl<'a> Culler<'a> {
         self.live == 0
     }
 
-    /// The hits, when all is settled.
+    /// Writes the hits, when all is settled.
     #[inline(always)]
-    pub(super) fn hits(&self) -> [Hit; 64] {
-        self.nearest.hits()
+    pub(super) fn write_hits(&self, hits: &mut [Hit; 64]) {
+        self.nearest.write(hits);
     }
 
     /// Tests the waiting triangles against all rays.

@@ -45,11 +45,13 @@ impl<'a> NearestHits<'a> {
         }
     }
 
-    /// The hits, when all is decided.
+    /// Writes the hits, when all is decided.
     #[inline(always)]
-    pub(super) fn hits(&self) -> [Hit; 64] {
+    pub(super) fn write(&self, hits: &mut [Hit; 64]) {
         // What was never hit has the triangle and the t of a miss.
-        std::array::from_fn(|lane| Hit { triangle: self.triangles[lane], t: self.t[lane] as f32 })
+        for (lane, hit) in hits.iter_mut().enumerate() {
+            *hit = Hit { triangle: self.triangles[lane], t: self.t[lane] as f32 };
+        }
     }
 
     /// Decides now or soon which of some rays hit a triangle.

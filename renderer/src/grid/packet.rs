@@ -85,47 +85,54 @@ pub(super) struct Leaf {
 impl Grid {
     /// The nearest triangle along each ray of a packet; entries of no ray are undefined.
     pub fn intersect_packet(&self, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
-        let marched = match &self.structure {
+        let mut hits = [Hit::MISS; 64];
+        let is_marched = match &self.structure {
             Structure::Tree(tree) => match self.instructions {
-                InstructionSet::Plain => self.march::<Plain>(tree, packet, scratch),
+                InstructionSet::Plain => self.march::<Plain>(tree, packet, scratch, &mut hits),
                 // SAFETY: a grid holds only what `InstructionSet::available` has found.
                 #[cfg(target_arch = "x86_64")]
-                InstructionSet::Avx2 => unsafe { self.march_avx2(tree, packet, scratch) },
+                InstructionSet::Avx2 => unsafe { self.march_avx2(tree, packet, scratch, &mut hits) },
                 // SAFETY: as above.
                 #[cfg(target_arch = "x86_64")]
-                InstructionSet::Avx512 => unsafe { self.march_avx512(tree, packet, scratch) },
+                InstructionSet::Avx512 => unsafe { self.march_avx512(tree, packet, scratch, &mut hits) },
             },
-            Structure::Plain(_) | Structure::RowDisplacement { .. } => None,
+            Structure::Plain(_) | Structure::RowDisplacement { .. } => false,
         };
-        marched.unwrap_or_else(|| {
-            std::array::from_fn(|lane| match packet.active >> lane & 1 {
-                0 => Hit::MISS,
-                _ => self.intersect(&packet.ray(lane)),
-            })
-        })
+        if !is_marched {
+            for (lane, hit) in hits.iter_mut().enumerate().filter(|(lane, _)| packet.active >> lane & 1 == 1) {
+                *hit = self.intersect(&packet.ray(lane));
+            }
+        }
+        hits
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn march_avx2(&self, tree: &Tree, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
-        self.march::<Avx2>(tree, packet, scratch)
+    fn march_avx2(&self, tree: &Tree, packet: &Packet, scratch: &mut PacketScratch, hits: &mut [Hit; 64]) -> bool {
+        self.march::<Avx2>(tree, packet, scratch, hits)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn march_avx512(&self, tree: &Tree, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
-        self.march::<Avx512>(tree, packet, scratch)
+    fn march_avx512(&self, tree: &Tree, packet: &Packet, scratch: &mut PacketScratch, hits: &mut [Hit; 64]) -> bool {
+        self.march::<Avx512>(tree, packet, scratch, hits)
     }
 
-    /// The way of a packet, or `None` if its rays do not all advance along one axis.
+    /// The way of a packet, if its rays all advance along one axis. Returns whether they do.
     #[inline(always)]
-    fn march<S: Kernel>(&self, tree: &Tree, packet: &Packet, scratch: &mut PacketScratch) -> Option<[Hit; 64]> {
-        let axis = major_axis(packet)?;
+    fn march<S: Kernel>(
+        &self,
+        tree: &Tree,
+        packet: &Packet,
+        scratch: &mut PacketScratch,
+        hits: &mut [Hit; 64],
+    ) -> bool {
+        let Some(axis) = major_axis(packet) else { return false };
         let axes = [axis, (axis + 1) % 3, (axis + 2) % 3];
         let forward = packet.directions[axis][0] > 0.0;
         let origin = self.space.point(packet.origin.as_dvec3());
         if !origin.is_finite() {
-            return None;
+            return false;
         }
         let mut culler = Culler::new::<S>(self, packet, axes, if forward { 1.0 } else { -1.0 });
         let frustum = Frustum {
@@ -142,7 +149,7 @@ impl Grid {
         let k = frustum.origin[0] + if forward { first_k } else { -first_k };
         let mut brick_k = (k / f64::from(BRICK_SIZE)).floor() as i32;
         if (forward && brick_k >= bricks_along_k) || (!forward && brick_k < 0) || !first_depth.is_finite() {
-            return Some(culler.hits());
+            return true;
         }
         brick_k = brick_k.clamp(0, bricks_along_k - 1);
 
@@ -165,7 +172,8 @@ impl Grid {
             }
             if scratch.entries[1].is_empty() {
                 if culler.touched && culler.settle::<S>(self.space.length(far)) {
-                    return Some(culler.hits());
+                    culler.write_hits(hits);
+                    return true;
                 }
                 continue;
             }
@@ -222,14 +230,16 @@ impl Grid {
                     // What waits may lie before what was tested since.
                     let tested_to = if scratch.leaves.is_empty() { far } else { waiting_from.min(far) };
                     if culler.settle::<S>(self.space.length(tested_to)) {
-                        return Some(culler.hits());
+                        culler.write_hits(hits);
+                        return true;
                     }
                 }
             }
         }
         S::test_leaves(tree, &mut culler, &frustum.origin, &mut scratch.leaves);
         culler.settle::<S>(f64::INFINITY);
-        Some(culler.hits())
+        culler.write_hits(hits);
+        true
     }
 }
 

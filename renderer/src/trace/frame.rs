@@ -89,8 +89,12 @@ impl Frame {
             let mut scratch = PacketScratch::default();
             // What a tile's rays met is still in the cache for its shadow rays.
             let mut visit = |samples: &[(u32, u32)], of_tile: &[Hit]| {
-                for (&(i, j), &hit) in samples.iter().zip(of_tile) {
-                    hits[(j - first_j) as usize * xres + i as usize] = hit;
+                let mut left = of_tile;
+                for row in samples.chunk_by(|(_, j), (_, next_j)| j == next_j) {
+                    let (of_row, above) = left.split_at(row.len());
+                    left = above;
+                    let at = (row[0].1 - first_j) as usize * xres + row[0].0 as usize;
+                    hits[at..at + row.len()].copy_from_slice(of_row);
                 }
                 if let Some(light) = options.light {
                     let caster = ShadowCaster { scene, rays: &rays, light, kernel: options.kernel };
