@@ -1,6 +1,7 @@
 #!/bin/sh
-# What the wall takes over links of limited rate: two network namespaces with a link between them, for which one must be
-# root. Needs `cargo build --release` with --example link_rate, and the dragon, or any picture of 1024x512 samples:
+# What the wall takes over links of limited rate, and how soon a motion is seen over a slow one: two network namespaces with
+# a link between them, for which one must be root. Needs `cargo build --release` with --example link_rate --example
+# motion_delay, and the dragon, or any picture of 1024x512 samples:
 #
 #     sh tests/link.sh picture.png
 set -e
@@ -23,4 +24,10 @@ for rate in 680mbit 10gbit; do
     measure --encoding raw
     echo "== $rate, as measured to be faster"
     measure
+done
+
+ip netns exec $far tc qdisc replace dev raywall-peer root tbf rate 100mbit burst 32kb latency 20ms
+echo "== 100mbit, motions"
+for nodes in 1 4; do
+    target/release/examples/motion_delay --nodes $nodes --listen 10.99.0.1:0 --through "ip netns exec $far"
 done

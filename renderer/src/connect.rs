@@ -171,8 +171,18 @@ async fn connect(host: &str, trust: &Trust) -> anyhow::Result<io::Result<TcpStre
     }
     let connecting = timeout(CONNECT_TIMEOUT, TcpStream::connect(&*addresses)).await;
     let stream = connecting.unwrap_or_else(|_| Err(io::Error::new(io::ErrorKind::TimedOut, "no answer")));
-    // Samples of a finished block are wanted at once.
-    Ok(stream.inspect(|stream| drop(stream.set_nodelay(true))))
+    Ok(stream.inspect(hold_little_back))
+}
+
+/// What was written and not yet sent is beyond recall: on a slow link the next motion waits for it.
+#[cfg(target_os = "linux")]
+const MOST_UNSENT_BYTES: u32 = 16 * 1024;
+
+/// Has the system send samples at once, and take no more than it can. A system that refuses is only slower.
+fn hold_little_back(stream: &TcpStream) {
+    let _ = stream.set_nodelay(true);
+    #[cfg(target_os = "linux")]
+    let _ = socket2::SockRef::from(stream).set_tcp_notsent_lowat(MOST_UNSENT_BYTES);
 }
 
 fn is_loopback(address: IpAddr) -> bool {
