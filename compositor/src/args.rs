@@ -146,7 +146,7 @@ pub struct WallArgs {
     /// Fill the screen; a wall whose file names outputs fills each of them anyway
     #[arg(long)]
     pub fullscreen: bool,
-    /// What the wall shows when no render server is left [default: what the wall file says, or last-frame]
+    /// What the wall shows when no render server is left, or when it has died and is started again [default: what the wall file says, or last-frame]
     #[arg(long, value_name = "WHAT")]
     pub on_loss: Option<OnLoss>,
     /// Show all of a wall whose file names outputs in one window, on whatever monitor

@@ -63,8 +63,8 @@ fn summary(wall: &Wall) -> Vec<String> {
         lines.push(format!("output {monitor} shows {}×{} pixels", part.width, part.height));
     }
     lines.push(match wall.on_loss() {
-        OnLoss::LastFrame => "when no render server is left, the last frame stays".to_owned(),
-        OnLoss::Black => "when no render server is left, the wall is black".to_owned(),
+        OnLoss::LastFrame => "when no render server is left or the program dies, the last frame stays".to_owned(),
+        OnLoss::Black => "when no render server is left or the program dies, the wall is black".to_owned(),
     });
     let is_cut = |index: &usize| {
         wall.projectors()[*index].warp_px != [[0.0; 2]; 4] && n_projectors > 1 && wall.neighbours(*index).len() == 1
@@ -135,11 +135,14 @@ mod tests {
         let expected = [
             "output HDMI-1 shows 2560×1440 pixels",
             "output DP-1 shows 1920×1080 pixels",
-            "when no render server is left, the last frame stays",
+            "when no render server is left or the program dies, the last frame stays",
         ];
         assert_eq!(lines[3..], expected);
         let black = summary(&shipped("two-monitors.toml").with_on_loss(OnLoss::Black));
-        assert_eq!(black.last().map(String::as_str), Some("when no render server is left, the wall is black"));
+        assert_eq!(
+            black.last().map(String::as_str),
+            Some("when no render server is left or the program dies, the wall is black")
+        );
     }
 
     #[test]

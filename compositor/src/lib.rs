@@ -5,7 +5,7 @@
 //! machine; [`gpu`] draws it.
 //! [`window`] shows it: [`input`] and [`navigator`] are what keys and mouse do, [`refinement`] how finely it is rendered
 //! while the camera moves and at rest, [`overlay`] is what an operator reads, [`display_environment`] and [`screensaver`]
-//! deal with the session around. [`headless`] shows it without a window.
+//! deal with the session around, and [`guard`] starts it again when it dies. [`headless`] shows it without a window.
 //! [`stats`] and [`report`] say what all of it took; [`mod@bench`] is the paper's experiment, [`check`] looks at wall
 //! files, and with [`alignment`] walls are set up.
 
@@ -16,6 +16,11 @@ pub mod check;
 pub mod display_environment;
 pub mod farm;
 pub mod gpu;
+#[cfg(all(unix, not(target_os = "macos")))]
+pub mod guard;
+#[cfg(not(all(unix, not(target_os = "macos"))))]
+#[path = "guard/none.rs"]
+pub mod guard;
 pub mod headless;
 pub mod input;
 pub mod kept;

@@ -19,6 +19,7 @@ use tokio::{net::TcpListener, runtime::Runtime};
 use crate::{
     args::WallArgs,
     farm::{Farm, Wanted},
+    guard::{self, Ward},
     headless::{Film, Headless, Wakeup, Wakeups},
     kept::{self, Kept},
     local::LocalServers,
@@ -38,7 +39,18 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
     };
     let camera = args.subject.read_camera()?;
     let path = args.path.as_deref().map(kept::read_path).transpose().map_err(anyhow::Error::msg)?;
-    if args.headless { run_headless(args, wall, camera, path) } else { run_window(args, wall, camera, path) }
+    if args.headless {
+        return run_headless(args, wall, camera, path);
+    }
+    let wall = if args.spanning { wall.without_monitors() } else { wall };
+    let on_loss = args.on_loss.unwrap_or(wall.on_loss());
+    let ward = Ward::of_this_process();
+    let fills_screens = args.fullscreen || args.kiosk || !wall.monitors().is_empty();
+    // One that is measured runs alone.
+    if guard::IS_POSSIBLE && ward.is_none() && fills_screens && args.frames.is_none() {
+        return guard::run(on_loss);
+    }
+    run_window(args, wall.with_on_loss(on_loss), camera, path, ward)
 }
 
 fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<CameraPath>) -> anyhow::Result<()> {
@@ -116,8 +128,19 @@ fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, size: FrameSiz
     wanted.moved_at = Instant::now();
 }
 
-fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<CameraPath>) -> anyhow::Result<()> {
+fn run_window(
+    args: &WallArgs,
+    wall: Wall,
+    camera: Option<Camera>,
+    path: Option<CameraPath>,
+    ward: Option<Ward>,
+) -> anyhow::Result<()> {
     let window = WindowLoop::new()?;
+    if let Some(ward) = &ward {
+        let waker = window.waker();
+        ward.on_leave(move || waker.close()).context("no thread to hear the guard")?;
+        ward.die_of_panics();
+    }
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
@@ -135,9 +158,6 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<
     // Before the farm, so that it ends after it, and nobody takes the end for a loss.
     let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;
-    let wall = if args.spanning { wall.without_monitors() } else { wall };
-    let on_loss = args.on_loss.unwrap_or(wall.on_loss());
-    let wall = wall.with_on_loss(on_loss);
     let options = WindowOptions {
         wall_file: args.subject.wall.clone(),
         source: args.subject.source(),
@@ -157,7 +177,7 @@ fn run_window(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<
     };
     let report = Rc::new(RefCell::new(Report::default()));
     let on_shown = watch_frames(args, Rc::clone(&report));
-    let outcome = window.run(options, &farm, on_shown);
+    let outcome = window.run(options, &farm, on_shown, ward);
     // Before its local render servers end: their loss is no news then.
     drop(farm);
     outcome?;

@@ -7,6 +7,7 @@ mod app;
 mod frame_rate;
 mod hotplug;
 mod jobs;
+mod legacy;
 mod model_loader;
 mod outputs;
 mod painter;
@@ -32,6 +33,7 @@ use winit::event_loop::{EventLoop, EventLoopProxy};
 use crate::{
     display_environment,
     farm::{Farm, Frame},
+    guard::Ward,
     overlay::JoinHint,
     refinement::RefinementOptions,
     stats::DisplayStats,
@@ -131,14 +133,14 @@ impl WindowLoop {
         Waker(self.0.create_proxy())
     }
 
-    /// Opens the windows and shows what `farm` renders until one of them is closed.
+    /// Opens the windows and shows what `farm` renders until one of them is closed; a guard hears of it through its `ward`.
     ///
     /// # Errors
     ///
     /// No GPU can draw on the window, the GPU fails, or the first model cannot be read; each with its cure.
-    pub fn run(self, options: WindowOptions, farm: &Farm, on_shown: OnShown) -> anyhow::Result<()> {
+    pub fn run(self, options: WindowOptions, farm: &Farm, on_shown: OnShown, ward: Option<Ward>) -> anyhow::Result<()> {
         let waker = self.waker();
-        let mut app = app::App::new(options, farm, on_shown, waker);
+        let mut app = app::App::new(options, farm, on_shown, waker, ward);
         self.0.run_app(&mut app).context("the display connection failed")?;
         app.into_outcome()
     }

@@ -25,6 +25,8 @@ mod film;
 mod frame_buffer;
 #[cfg(test)]
 mod fuzzing;
+#[cfg(all(test, target_os = "linux"))]
+mod guard;
 #[cfg(test)]
 mod liars;
 #[cfg(test)]

@@ -34,14 +34,14 @@ pub struct Wall {
     on_loss: OnLoss,
 }
 
-/// What a wall shows when no render server is left.
+/// What a wall shows when no render server is left, and from its own death until it is started again.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnLoss {
     /// The last frame, until there is another.
     #[default]
     LastFrame,
-    /// Nothing, until one joins.
+    /// Nothing, until one joins or the wall is back.
     Black,
 }
 

@@ -30,13 +30,14 @@ use super::{
     Call, OnShown, Waker, WindowOptions,
     frame_rate::FrameRate,
     jobs::Jobs,
-    join_hint,
+    join_hint, legacy,
     model_loader::{ModelLoader, name_of},
     outputs::Outputs,
 };
 use crate::{
     alignment::Alignment,
     farm::{Farm, Frame},
+    guard::Ward,
     kept::Kept,
     model::Model,
     navigator::Navigator,
@@ -56,6 +57,7 @@ pub(super) struct App<'a> {
     on_shown: OnShown,
     outcome: anyhow::Result<()>,
     outputs: Outputs,
+    ward: Option<Ward>,
     /// What is on screen is not what should be there now.
     is_stale: bool,
 
@@ -108,7 +110,13 @@ pub(super) struct App<'a> {
 }
 
 impl<'a> App<'a> {
-    pub(super) fn new(options: WindowOptions, farm: &'a Farm, on_shown: OnShown, waker: Waker) -> Self {
+    pub(super) fn new(
+        options: WindowOptions,
+        farm: &'a Farm,
+        on_shown: OnShown,
+        waker: Waker,
+        ward: Option<Ward>,
+    ) -> Self {
         let now = Instant::now();
         let overlay = OverlayModel {
             panel: options.overlay,
@@ -125,6 +133,7 @@ impl<'a> App<'a> {
             on_shown,
             outcome: Ok(()),
             outputs: Outputs::new(&options.wall, options.fullscreen),
+            ward,
             is_stale: true,
             loader,
             model: None,
@@ -165,6 +174,10 @@ impl<'a> App<'a> {
     }
 
     pub(super) fn into_outcome(self) -> anyhow::Result<()> {
+        if self.ward.is_some() && self.outcome.is_err() {
+            // What is on them is the guard's.
+            std::mem::forget(self.outputs);
+        }
         self.outcome
     }
 
@@ -177,6 +190,9 @@ impl<'a> App<'a> {
     pub(super) fn follow_monitors(&mut self, event_loop: &ActiveEventLoop) {
         match self.outputs.follow_monitors(event_loop) {
             Ok(true) => {
+                if let Some(ward) = &mut self.ward {
+                    ward.has_windows(self.outputs.windows().filter_map(legacy::number_of));
+                }
                 if let Some(largest) = self.outputs.largest_frame_side() {
                     self.refinement.limit_sides(largest);
                 }
@@ -311,6 +327,9 @@ impl<'a> App<'a> {
 
 impl ApplicationHandler<Call> for App<'_> {
     fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        if self.ward.is_some() {
+            legacy::outlive(event_loop, true);
+        }
         self.follow_monitors(event_loop);
     }
 
@@ -354,11 +373,14 @@ impl ApplicationHandler<Call> for App<'_> {
         }
     }
 
-    fn exiting(&mut self, _: &ActiveEventLoop) {
+    fn exiting(&mut self, event_loop: &ActiveEventLoop) {
         if self.outcome.is_ok()
             && let Some(path) = self.options.screenshot_at_end.take()
         {
             self.outcome = self.write_last_picture(&path);
+        }
+        if self.ward.is_some() && self.outcome.is_ok() {
+            legacy::outlive(event_loop, false);
         }
     }
 

@@ -254,6 +254,11 @@ impl Outputs {
         }
     }
 
+    /// The windows that there are.
+    pub(super) fn windows(&self) -> impl Iterator<Item = &Window> {
+        self.all.iter().filter_map(|output| output.screen.as_ref()).map(|screen| &*screen.window)
+    }
+
     pub(super) fn is_filling(&self) -> bool {
         self.is_filling
     }

@@ -6,6 +6,7 @@ use winit::event_loop::ActiveEventLoop;
 
 use super::App;
 use crate::{
+    guard::Ward,
     kept::Kept,
     navigator::Navigator,
     overlay::{FrameTimes, OverlayModel},
@@ -110,6 +111,7 @@ impl App<'_> {
         {
             self.frame_is_new = false;
             self.rate.count(now);
+            self.ward.iter_mut().for_each(Ward::shows_a_frame);
             let latency_ms = now.duration_since(frame.moved_at).as_secs_f64() * 1e3;
             self.overlay.history.add(FrameTimes { render_ms: frame.stats.render_ms, latency_ms });
             let stats = DisplayStats { latency_ms, ..drawn.stats };

@@ -1,0 +1,40 @@
+//! Windows of a wall that dies are left to the X server, with what is on them, until its guard has copied it.
+
+use winit::{event_loop::ActiveEventLoop, window::Window};
+
+/// Has windows outlive this process, or no longer; without X11 nothing is done.
+#[cfg(all(unix, not(target_os = "macos")))]
+pub(super) fn outlive(event_loop: &ActiveEventLoop, outlive: bool) {
+    use winit::raw_window_handle::{HasDisplayHandle, RawDisplayHandle};
+    /// `DestroyAll` and `RetainTemporary` of the X protocol's SetCloseDownMode.
+    const MODES: [i32; 2] = [0, 2];
+    let handle = event_loop.display_handle().map(|handle| handle.as_raw());
+    let Ok(RawDisplayHandle::Xlib(handle)) = handle else { return };
+    if let (Some(display), Ok(library)) = (handle.display, x11_dl::xlib::Xlib::open()) {
+        // SAFETY: the display is winit's, and open as long as its event loop.
+        unsafe {
+            (library.XSetCloseDownMode)(display.as_ptr().cast(), MODES[usize::from(outlive)]);
+            (library.XFlush)(display.as_ptr().cast());
+        }
+    }
+}
+
+/// The X server's number for a window.
+#[cfg(all(unix, not(target_os = "macos")))]
+pub(super) fn number_of(window: &Window) -> Option<u32> {
+    use winit::raw_window_handle::{HasWindowHandle, RawWindowHandle};
+    match window.window_handle().ok()?.as_raw() {
+        RawWindowHandle::Xlib(handle) => u32::try_from(handle.window).ok(),
+        _ => None,
+    }
+}
+
+/// There is no X server.
+#[cfg(not(all(unix, not(target_os = "macos"))))]
+pub(super) fn outlive(_: &ActiveEventLoop, _: bool) {}
+
+/// There is no X server.
+#[cfg(not(all(unix, not(target_os = "macos"))))]
+pub(super) fn number_of(_: &Window) -> Option<u32> {
+    None
+}
