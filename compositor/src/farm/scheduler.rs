@@ -302,12 +302,14 @@ impl Scheduler {
         true
     }
 
-    /// Divides the shares of lost and silent render servers among the others, those that joined since included.
+    /// Divides the shares of lost and silent render servers among the others, those that joined since included. There are
+    /// about as many parts as render servers in all: works must not become more and more as silence follows silence.
     fn divide_lost_work(&mut self, index: usize, now: Time, actions: &mut Vec<Action>) {
         let nodes = self.ready_nodes();
         if !nodes.is_empty() {
             let lost = self.frames[index].take_lost_work();
-            lost.iter().for_each(|lost| self.give_parts(index, now, &nodes, lost, actions));
+            let parts = nodes.len().div_ceil(lost.len().max(1)) as u32;
+            lost.iter().for_each(|lost| self.give_parts(index, now, &nodes, (lost, parts), actions));
         }
     }
 
@@ -324,16 +326,24 @@ impl Scheduler {
             let nodes = &self.nodes;
             let begun_at = |node| nodes.get(&node).filter(|_| !busy.contains(&node)).map(|node| node.free_at);
             if let Some(late) = self.frames[index].take_late_work(now, begun_at) {
-                return self.give_parts(index, now, &idle, &late, actions);
+                return self.give_parts(index, now, &idle, (&late, idle.len() as u32), actions);
             }
             busy.extend(self.frames[index].nodes_at_work());
         }
     }
 
-    fn give_parts(&mut self, index: usize, now: Time, nodes: &[NodeId], piece: &Piece, actions: &mut Vec<Action>) {
+    /// Gives a piece of a frame to nodes, in so many parts at most.
+    fn give_parts(
+        &mut self,
+        index: usize,
+        now: Time,
+        nodes: &[NodeId],
+        (piece, most_parts): (&Piece, u32),
+        actions: &mut Vec<Action>,
+    ) {
         let Some(mut frame) = self.frames.remove(index) else { return };
         frame.attempts += 1;
-        let parts = (nodes.len() as u32).min(frame.n_samples(&piece.work) / SMALLEST_PART).max(1);
+        let parts = most_parts.min(frame.n_samples(&piece.work) / SMALLEST_PART).max(1);
         // Those who got a part of the last work are not the first to get one of this.
         let mut nodes = nodes.iter().cycle().skip(self.last_work.0 as usize % nodes.len());
         for part in 0..parts {

@@ -47,3 +47,23 @@ fn a_silent_node_may_be_lost_after_all() {
     farm.answer(B);
     assert_eq!((farm.shown.len(), farm.shown[0].attempts), (1, 2));
 }
+
+#[test]
+fn works_do_not_become_more_and_more_as_silence_follows_silence() {
+    // A link that is full: one after the other is not heard for a moment, and nothing is finished meanwhile.
+    for division in Division::ALL {
+        let nodes: Vec<_> = (1..=12).map(NodeId).collect();
+        let native = Picture { size: FrameSize::new(4096, 2304).unwrap(), ..picture(0.0, 1000) };
+        let mut farm = Farm::with_nodes(Wanted { picture: Some(native), ..wanted(division) }, &nodes);
+        for n_silences in 1..=60 {
+            let node = nodes[n_silences % nodes.len()];
+            let n_before = farm.at_work.len();
+            farm.on(silent(node, true));
+            let n_lost = farm.at_work.iter().take(n_before).filter(|sent| sent.node == node).count();
+            assert!(farm.at_work.len() - n_before <= n_lost + nodes.len(), "{n_lost} works were lost");
+            farm.on(silent(node, false));
+        }
+        let of_one = nodes.iter().map(|&node| farm.at_work.iter().filter(|sent| sent.node == node).count()).max();
+        assert!(of_one.unwrap() <= 128, "more than a render server takes, and not yet begun: {of_one:?}");
+    }
+}
