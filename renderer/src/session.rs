@@ -30,6 +30,9 @@ use crate::{
 /// Encoded messages that wait for the network; when it is full, tracing threads wait.
 const LONGEST_QUEUE: usize = 64;
 
+/// Replies that wait for the network; when it is full, the wall is not listened to.
+const MOST_REPLIES: usize = 64;
+
 /// Works that a wall may ask for before the first is done: its own share, and parts of those of many lost ones.
 const MOST_WORKS: usize = 256;
 
@@ -90,15 +93,16 @@ async fn converse(
     }
     reader.accept(SILENCE_LIMIT);
     let (outbox, outgoing) = mpsc::channel(LONGEST_QUEUE);
+    let (replies, replied) = mpsc::channel(MOST_REPLIES);
     let (jobs, inbox) = mpsc::unbounded_channel();
-    let mut conversation = Conversation { stage, outbox: outbox.clone(), jobs, unfinished: Vec::new() };
+    let mut conversation = Conversation { stage, replies, jobs, unfinished: Vec::new() };
     let worker = tokio::task::spawn_blocking({
         let pool = Arc::clone(stage.pool());
         move || work::run(inbox, &pool, &outbox)
     });
     let reason = tokio::select! {
         reason = conversation.listen(&mut reader) => reason,
-        reason = conversation_writer(&mut writer, outgoing, stage) => reason,
+        reason = conversation_writer(&mut writer, outgoing, replied, stage) => reason,
     };
     // What is still being traced is for nobody.
     conversation.unfinished.iter().for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
@@ -128,12 +132,14 @@ async fn shake_hands(
 pub(crate) struct Outgoing {
     pub(crate) bytes: Vec<u8>,
     /// Set when the wall no longer wants it.
-    pub(crate) cancelled: Option<Arc<AtomicBool>>,
+    pub(crate) cancelled: Arc<AtomicBool>,
 }
 
 struct Conversation<'a> {
     stage: &'a Stage,
-    outbox: mpsc::Sender<Outgoing>,
+    /// Encoded messages that overtake samples: or whoever waits for the network with a reply would not hear, while it is
+    /// slow, that the samples in its way are wanted no longer.
+    replies: mpsc::Sender<Vec<u8>>,
     jobs: mpsc::UnboundedSender<Job>,
     /// Works given and perhaps not finished, with their switches.
     unfinished: Vec<(FrameId, Arc<AtomicBool>)>,
@@ -195,13 +201,14 @@ impl Conversation<'_> {
 
     async fn say(&self, message: &ToWall) {
         // A writer that has ended ends the conversation.
-        let _ = self.outbox.send(Outgoing { bytes: encoded(message), cancelled: None }).await;
+        let _ = self.replies.send(encoded(message)).await;
     }
 }
 
 async fn conversation_writer(
     writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
     mut outgoing: mpsc::Receiver<Outgoing>,
+    mut replies: mpsc::Receiver<Vec<u8>>,
     stage: &Stage,
 ) -> Result<(), SessionError> {
     let mut progressed = stage.progressed();
@@ -211,6 +218,10 @@ async fn conversation_writer(
     loop {
         let first = tokio::select! {
             Some(message) = outgoing.recv() => Some(message),
+            Some(reply) = replies.recv() => {
+                writer.push_encoded(&reply);
+                None
+            }
             Ok(()) = progressed.changed() => {
                 let progressed = progressed.borrow_and_update().clone();
                 if let Some((scene, state)) = progressed {
@@ -225,8 +236,11 @@ async fn conversation_writer(
         };
         let more = std::iter::from_fn(|| outgoing.try_recv().ok()).take(LONGEST_BATCH);
         for Outgoing { bytes, cancelled } in first.into_iter().chain(more) {
+            while let Ok(reply) = replies.try_recv() {
+                writer.push_encoded(&reply);
+            }
             // A link that is slow is not kept busy with what nobody wants.
-            if cancelled.is_none_or(|cancelled| !cancelled.load(Relaxed)) {
+            if !cancelled.load(Relaxed) {
                 writer.write_encoded(&bytes).await.map_err(WireError::from)?;
             }
         }

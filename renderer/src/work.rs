@@ -67,7 +67,7 @@ pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, out
             let done = ToWall::WorkDone { frame: job.frame, work_id: job.work_id, timings, costs };
             codec::encode(&done, &mut last_message).expect("timings and costs are short");
             // Without a writer the conversation is over, and so are its jobs.
-            let _ = outbox.blocking_send(Outgoing { bytes: last_message, cancelled: Some(job.cancelled) });
+            let _ = outbox.blocking_send(Outgoing { bytes: last_message, cancelled: job.cancelled });
         }
     }
 }
@@ -150,7 +150,7 @@ impl Job {
 
     fn send(&self, bytes: Vec<u8>, outbox: &mpsc::Sender<Outgoing>) {
         // Without a writer the conversation is over.
-        if outbox.blocking_send(Outgoing { bytes, cancelled: Some(Arc::clone(&self.cancelled)) }).is_err() {
+        if outbox.blocking_send(Outgoing { bytes, cancelled: Arc::clone(&self.cancelled) }).is_err() {
             self.cancelled.store(true, Relaxed);
         }
     }
