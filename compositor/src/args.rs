@@ -152,10 +152,11 @@ pub struct WallArgs {
     /// Show all of a wall whose file names outputs in one window, on whatever monitor
     #[arg(long)]
     pub spanning: bool,
-    /// Fill the screen, let visitors steer and nothing else, and go back to the path or the whole model when they have
-    /// gone; Ctrl+L unlocks
-    #[arg(long, conflicts_with = "headless")]
-    pub kiosk: bool,
+    /// Fill the screen, let visitors steer and nothing else, and go back to the path or the whole model when nobody has
+    /// touched anything for so many seconds, 60 unless given; Ctrl+L unlocks
+    #[arg(long, value_name = "SECONDS", conflicts_with = "headless", num_args = 0..=1, require_equals = true,
+        default_missing_value = "60", value_parser = clap::value_parser!(u32).range(1..=86400))]
+    pub kiosk: Option<u32>,
     /// No window: render frames, print a table of timings, and end
     #[arg(long)]
     pub headless: bool,
@@ -254,6 +255,17 @@ mod tests {
         for refused in ["-1", "0.01", "1e9", "nan", "fast"] {
             let args = ["compositor".to_owned(), format!("--target-rate={refused}")];
             assert!(Args::try_parse_from(args).is_err(), "{refused}");
+        }
+    }
+
+    #[test]
+    fn a_kiosk_returns_after_a_minute_or_as_it_is_told() {
+        let kiosk = |args: &[&str]| {
+            Args::try_parse_from(["compositor"].iter().chain(args)).map(|args| args.wall.kiosk).map_err(drop)
+        };
+        assert_eq!([kiosk(&[]), kiosk(&["--kiosk"]), kiosk(&["--kiosk=5"])], [Ok(None), Ok(Some(60)), Ok(Some(5))]);
+        for refused in ["--kiosk=0", "--kiosk=-1", "--kiosk=soon", "--kiosk=86401"] {
+            assert!(kiosk(&[refused]).is_err(), "{refused}");
         }
     }
 

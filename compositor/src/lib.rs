@@ -4,7 +4,8 @@
 //! what lies in files beside it, [`wall`] where, [`farm`] has it rendered by others, [`local`] by processes of this
 //! machine; [`gpu`] draws it.
 //! [`window`] shows it: [`input`] and [`navigator`] are what keys and mouse do, [`refinement`] how finely it is rendered
-//! while the camera moves and at rest, [`overlay`] is what an operator reads, [`display_environment`] and [`screensaver`]
+//! while the camera moves and at rest, [`overlay`] is what an operator reads, [`kiosk`] when visitors
+//! have gone, [`display_environment`] and [`screensaver`]
 //! deal with the session around, and [`guard`] starts it again when it dies. [`headless`] shows it without a window.
 //! [`stats`] and [`report`] say what all of it took; [`mod@bench`] is the paper's experiment, [`check`] looks at wall
 //! files, and with [`alignment`] walls are set up.
@@ -24,6 +25,7 @@ pub mod guard;
 pub mod headless;
 pub mod input;
 pub mod kept;
+pub mod kiosk;
 pub mod local;
 pub mod model;
 pub mod navigator;

@@ -1,6 +1,12 @@
 //! Starts a wall from its command line: model, farm, local render servers, and then a window or none.
 
-use std::{cell::RefCell, ops::ControlFlow, rc::Rc, sync::mpsc, time::Instant};
+use std::{
+    cell::RefCell,
+    ops::ControlFlow,
+    rc::Rc,
+    sync::mpsc,
+    time::{Duration, Instant},
+};
 
 use anyhow::{Context, bail};
 use renderer::{
@@ -45,7 +51,7 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
     let wall = if args.spanning { wall.without_monitors() } else { wall };
     let on_loss = args.on_loss.unwrap_or(wall.on_loss());
     let ward = Ward::of_this_process();
-    let fills_screens = args.fullscreen || args.kiosk || !wall.monitors().is_empty();
+    let fills_screens = args.fullscreen || args.kiosk.is_some() || !wall.monitors().is_empty();
     // One that is measured runs alone.
     if guard::IS_POSSIBLE && ward.is_none() && fills_screens && args.frames.is_none() {
         return guard::run(on_loss);
@@ -164,14 +170,14 @@ fn run_window(
         camera,
         up: args.up,
         path,
-        kiosk: args.kiosk,
+        kiosk: args.kiosk.map(|seconds| Duration::from_secs(seconds.into())),
         refinement: args.refinement(&wall),
         wall,
         view: args.view,
         rays: args.rays,
         look: args.look.look(),
-        fullscreen: args.fullscreen || args.kiosk,
-        overlay: !args.kiosk,
+        fullscreen: args.fullscreen || args.kiosk.is_some(),
+        overlay: args.kiosk.is_none(),
         screenshot_folder: ".".into(),
         screenshot_at_end: args.screenshot.clone(),
     };

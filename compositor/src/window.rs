@@ -18,7 +18,7 @@ use std::{
     net::SocketAddr,
     ops::ControlFlow,
     path::{Path, PathBuf},
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use anyhow::Context;
@@ -55,8 +55,8 @@ pub struct WindowOptions {
     pub up: Option<UpAxis>,
     /// A path to follow from the start, again and again.
     pub path: Option<CameraPath>,
-    /// Whether visitors can only steer, and the wall goes back to its path, or to the whole model, when they have gone.
-    pub kiosk: bool,
+    /// Whether visitors can only steer; how long after the last touch the wall goes back to its path, or to the whole model.
+    pub kiosk: Option<Duration>,
     /// What the samples show at first.
     pub view: View,
     /// By which rays they are lit.

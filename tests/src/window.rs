@@ -198,6 +198,20 @@ fn visitors_of_a_locked_wall_can_steer_and_nothing_else() {
 }
 
 #[test]
+fn a_kiosk_that_is_left_alone_goes_back_to_the_whole_model() {
+    let wall = Wall::start(&["--kiosk=3"]);
+    let front = wall.session.steady_screenshot();
+    wall.session.drag([600, 300], [100, 50]);
+    let difference = || front.difference(&wall.session.screenshot(), 16);
+    wait_until("a visitor has turned the model", || difference() > 0.02);
+    std::thread::sleep(Duration::from_secs(2));
+    assert!(difference() > 0.02, "too early");
+    wait_until("the whole model is seen again", || wall.session.screenshot() == front);
+    wall.session.key("ctrl+l");
+    wall.quit();
+}
+
+#[test]
 fn a_session_from_opening_a_model_to_leaving() {
     let folder = tempfile::tempdir().unwrap();
     let (model, stats) = (folder.path().join("a model.ply"), folder.path().join("stats.json"));

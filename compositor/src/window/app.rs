@@ -39,6 +39,7 @@ use crate::{
     farm::{Farm, Frame},
     guard::Ward,
     kept::Kept,
+    kiosk::Kiosk,
     model::Model,
     navigator::Navigator,
     overlay::{ModelSummary, OverlayModel, WallDrawing},
@@ -98,8 +99,7 @@ pub(super) struct App<'a> {
     cursor_moved_at: Instant,
     /// Where the mouse button went down on the model, until it is dragged.
     pressed_at: Option<PhysicalPosition<f64>>,
-    /// When somebody last did something.
-    touched_at: Instant,
+    kiosk: Option<Kiosk>,
     modifiers: ModifiersState,
     /// When time last moved the camera.
     stepped_at: Instant,
@@ -142,7 +142,7 @@ impl<'a> App<'a> {
             recording: None,
             probing: probing::Probing::default(),
             browser: opening::Browser::new(&options.source),
-            is_locked: options.kiosk,
+            is_locked: options.kiosk.is_some(),
             view: options.view,
             rays: options.rays,
             look: options.look,
@@ -161,7 +161,7 @@ impl<'a> App<'a> {
             cursor_output: 0,
             cursor_moved_at: now,
             pressed_at: None,
-            touched_at: now,
+            kiosk: options.kiosk.map(|patience| Kiosk::new(patience, now)),
             modifiers: ModifiersState::empty(),
             alignment: Alignment::new(options.wall_file.clone()),
             pattern_is_stale: false,

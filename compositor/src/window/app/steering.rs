@@ -33,7 +33,7 @@ impl App<'_> {
     pub(super) fn key(&mut self, event_loop: &ActiveEventLoop, event: &KeyEvent) {
         let pressed = event.state == ElementState::Pressed;
         // A key that was pressed before Ctrl is let go as the key that it was.
-        self.touched_at = Instant::now();
+        self.touch();
         if self.align_key(event) {
             return;
         }
@@ -61,7 +61,7 @@ impl App<'_> {
     }
 
     pub(super) fn obey(&mut self, event_loop: &ActiveEventLoop, command: Command) {
-        self.touched_at = Instant::now();
+        self.touch();
         if self.is_locked && !command.is_for_visitors() {
             return;
         }
@@ -253,7 +253,7 @@ impl App<'_> {
         let was_over_overlay = self.cursor_is_over_overlay();
         (self.cursor, self.cursor_output) = (position, index);
         self.cursor_moved_at = Instant::now();
-        self.touched_at = self.cursor_moved_at;
+        self.touch();
         self.pressed_at.take_if(|from| (from.x - position.x).hypot(from.y - position.y) > CLICK_PIXELS);
         self.outputs.show_cursor(true);
         self.align_cursor();
@@ -274,7 +274,7 @@ impl App<'_> {
             self.overlay_is_pressed = state == ElementState::Pressed;
             return self.tell_overlay(index, event);
         }
-        self.touched_at = Instant::now();
+        self.touch();
         if self.align_button(state, button) {
             return;
         }
@@ -307,7 +307,7 @@ impl App<'_> {
             MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
             MouseScrollDelta::PixelDelta(pixels) => pixels.y / PIXELS_PER_NOTCH,
         };
-        self.touched_at = Instant::now();
+        self.touch();
         // The first notch goes by the model's middle; the answer is here before the next.
         if self.navigator.as_ref().is_some_and(Navigator::needs_surface) {
             self.probe(Purpose::Approach);

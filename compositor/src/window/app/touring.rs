@@ -1,9 +1,6 @@
 //! Going to views and along camera paths, and keeping them.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{sync::Arc, time::Instant};
 
 use shared::camera::{CameraPath, CameraRecorder, UpAxis};
 
@@ -12,9 +9,6 @@ use crate::{
     kept::{self, Kept},
     navigator::Navigator,
 };
-
-/// A wall in a kiosk that nobody has touched for so long goes back to its path, or to the whole model.
-const KIOSK_PATIENCE: Duration = Duration::from_secs(60);
 
 /// A path that is being recorded.
 pub(super) struct Recording {
@@ -100,7 +94,7 @@ impl App<'_> {
             return self.steer(Navigator::stop);
         }
         match self.kept.as_ref().and_then(Kept::path) {
-            Some(path) => self.play(path, self.options.kiosk),
+            Some(path) => self.play(path, self.kiosk.is_some()),
             None => self.say("There is no camera path: C begins to record one"),
         }
     }
@@ -115,20 +109,22 @@ impl App<'_> {
         self.say(format!("Flying {factor:.2} times as fast as usual"));
     }
 
+    /// Somebody is there.
+    pub(super) fn touch(&mut self) {
+        self.kiosk.iter_mut().for_each(|kiosk| kiosk.touch(Instant::now()));
+    }
+
     /// In a kiosk, goes back to the beginning when everybody has gone; says when that will be.
     pub(super) fn mind_the_kiosk(&mut self, now: Instant) -> Option<Instant> {
-        if !self.options.kiosk || !self.is_locked || self.navigator.as_ref().is_none_or(Navigator::is_moving) {
-            return None;
+        let is_moving = self.navigator.as_ref().is_none_or(Navigator::is_moving);
+        let kiosk = self.kiosk.as_mut().filter(|_| self.is_locked && !is_moving)?;
+        if !kiosk.returns(now) {
+            return kiosk.returns_at();
         }
-        let bored_at = self.touched_at + KIOSK_PATIENCE;
-        if now < bored_at {
-            return Some(bored_at);
-        }
-        self.touched_at = now;
         match self.kept.as_ref().and_then(Kept::path) {
             Some(path) => self.play(path, true),
             None => self.steer(Navigator::view_all),
         }
-        Some(now + KIOSK_PATIENCE)
+        None
     }
 }
