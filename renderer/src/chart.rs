@@ -171,7 +171,7 @@ impl Session<'_> {
         let quick = self.args.quick;
         let effort = kernel::Effort {
             size: self.size()?,
-            n_repeats: if quick { 3 } else { 9 },
+            n_repeats: if quick { 15 } else { 9 },
             decades: if quick { vec![0, 2, 4, 6] } else { (0..=6).collect() },
         };
         for (name, camera) in self.cameras.clone() {
@@ -199,7 +199,7 @@ impl Session<'_> {
         let quick = self.args.quick;
         let effort = memory::Effort {
             size: self.size()?,
-            n_repeats: if quick { 3 } else { 7 },
+            n_repeats: if quick { 21 } else { 7 },
             densities: if quick { vec![4.0, 32.0, 128.0] } else { (0..8).map(|n| f64::from(1 << n)).collect() },
             uniform_densities: if quick { vec![4.0, 32.0] } else { vec![1.0, 4.0, 32.0] },
             memory_budget: self.args.memory_budget,
