@@ -113,8 +113,9 @@ impl Outputs {
             if is_first && !is_there {
                 let connected = monitors.iter().filter_map(MonitorHandle::name).collect::<Vec<_>>().join(", ");
                 tracing::warn!(
-                    "there is no monitor {} now, only: {connected}; its part of the wall is shown when it comes; \
-                     --spanning shows the whole wall in one window",
+                    "there is no monitor {} now, only: {connected}; its part of the wall is shown when it comes \
+                     (monitors that xrandr --setmonitor makes of others are not seen: name outputs, as xrandr lists \
+                     them); --spanning shows the whole wall in one window",
                     output.name()
                 );
             }
