@@ -16,7 +16,9 @@ impl ScreensaverHold {
         #[cfg(all(unix, not(target_os = "macos")))]
         match hold() {
             Ok(connection) => return Some(Self { _connection: connection }),
-            Err(error) => tracing::info!("the screensaver cannot be held off here: {error}"),
+            Err(error) => {
+                tracing::info!("the screensaver cannot be held off ({error}): switch off the session's power saving");
+            }
         }
         None
     }
@@ -27,6 +29,8 @@ impl ScreensaverHold {
 fn hold() -> anyhow::Result<x11rb::rust_connection::RustConnection> {
     use x11rb::{connection::Connection, protocol::screensaver::ConnectionExt};
 
+    // An X server may run there too, but its screen saver is not the session's.
+    anyhow::ensure!(std::env::var_os("WAYLAND_DISPLAY").is_none(), "this is Wayland");
     let (connection, _) = x11rb::connect(None)?;
     // Holding came with version 1.1.
     let version = connection.screensaver_query_version(1, 1)?.reply()?;
