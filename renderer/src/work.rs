@@ -80,7 +80,8 @@ impl Job {
         let request = FrameRequest { camera, size, view, rays, samples, look };
         let (n_per_block, n_per_cost) = block_units(share, rayon::current_num_threads() as u32, samples.count);
         let n_blocks = share.count().div_ceil(n_per_block);
-        let costs = (0..n_blocks).into_par_iter().map(|block| {
+        // Block by block: of a run that one thread was given, others could take nothing at the end.
+        let costs = (0..n_blocks).into_par_iter().with_max_len(1).map(|block| {
             let mut costs = Vec::new();
             if self.cancelled.load(Relaxed) {
                 return costs;

@@ -78,10 +78,11 @@ impl Frame {
 
         let start = Instant::now();
         let total = Mutex::new(Cost::default());
-        // A task is a row of tiles: its hits lie together in the frame.
+        // A task is a row of tiles: its hits lie together in the frame. No run of them is given to one thread, which might
+        // be left with it when the others have ended.
         let tiles_per_row = request.size.xres().div_ceil(TILE_SIZE);
         let samples_per_row = xres * TILE_SIZE as usize;
-        self.hits.par_chunks_mut(samples_per_row).enumerate().for_each(|(row, hits)| {
+        self.hits.par_chunks_mut(samples_per_row).enumerate().with_max_len(1).for_each(|(row, hits)| {
             let start = ThreadTime::now();
             let mut cost = Cost::default();
             let first_j = row as u32 * TILE_SIZE;
@@ -127,7 +128,7 @@ impl Frame {
         let total = Mutex::new(Cost::default());
         let samples_per_row = xres * TILE_SIZE as usize;
         let rows = self.rgb.par_chunks_mut(3 * samples_per_row);
-        rows.zip(self.hits.par_chunks(samples_per_row)).enumerate().for_each(|(row, (rgb, hits))| {
+        rows.zip(self.hits.par_chunks(samples_per_row)).enumerate().with_max_len(1).for_each(|(row, (rgb, hits))| {
             let start = ThreadTime::now();
             let mut scratch = PacketScratch::default();
             let (xres, first_j) = (xres as u32, row as u32 * TILE_SIZE);
