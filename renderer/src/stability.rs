@@ -32,6 +32,10 @@ pub struct StabilityArgs {
     #[arg(long, value_name = "N", default_value_t = 10_000_000, value_parser = clap::value_parser!(u64).range(10_000..=1_000_000_000_000))]
     rays: u64,
 
+    /// Only the cases with this in their name
+    #[arg(long, value_name = "TEXT")]
+    case: Option<String>,
+
     /// Try a mesh (PLY) and a camera instead, as a failed test has left them
     #[arg(long, num_args = 2, value_names = ["MESH", "CAMERA"])]
     replay: Option<Vec<PathBuf>>,
@@ -107,14 +111,20 @@ fn coordinates(n_rays: u64) -> Tally {
     }))
 }
 
-/// Tries all cases and prints the table; the default failing anywhere is an error.
+/// Tries the cases and prints the table; the default failing anywhere is an error.
 pub fn run(args: &StabilityArgs) -> Result<()> {
     if let Some([mesh, camera]) = args.replay.as_deref() {
         return replay::run(mesh, &read_camera(camera)?);
     }
+    let wanted = args.case.as_deref().unwrap_or_default();
+    let cases: Vec<_> = CASES.iter().filter(|case| case.name.contains(wanted)).collect();
+    if cases.is_empty() {
+        let names: Vec<_> = CASES.iter().map(|case| case.name).collect();
+        bail!("no case has {wanted:?} in its name; there are: {}", names.join("; "));
+    }
     say(head())?;
     let mut failures = Vec::new();
-    for case in CASES {
+    for case in cases {
         let tally = {
             let _progress = Progress::new(case.name);
             (case.run)(args.rays, true)
