@@ -6,13 +6,16 @@
 //! leaves as much time for checking the samples and putting them in their places as copying takes. Frames are not shown.
 //! In turn, so that a busy machine slows each alike; rates are medians.
 
+mod blank;
+
 use std::{
-    process::{Child, Command, Stdio},
+    process::{Command, Stdio},
     sync::mpsc,
     time::{Duration, Instant},
 };
 
 use anyhow::{Context, bail, ensure};
+use blank::{BlankArgs, BlankServers};
 use clap::Parser;
 use compositor::farm::{Farm, Wanted};
 use shared::{
@@ -45,15 +48,8 @@ struct Args {
     /// Leave iperf3 out
     #[arg(long)]
     alone: bool,
-    /// Render servers answer with this picture in place of noise
-    #[arg(long, value_name = "FILE.png")]
-    replay: Option<std::path::PathBuf>,
-    /// Where to listen; in a network namespace, say, with a link of so many Mbit/s
-    #[arg(long, default_value = "127.0.0.1:0")]
-    listen: std::net::SocketAddr,
-    /// What to start render servers with, such as "ip netns exec other"
-    #[arg(long, default_value = "")]
-    through: String,
+    #[command(flatten)]
+    servers: BlankArgs,
     /// How samples travel: raw or lz4; without it, as each link is measured to be faster
     #[arg(long)]
     encoding: Option<Encoding>,
@@ -78,7 +74,7 @@ struct Rate {
 fn main() -> anyhow::Result<()> {
     let args = Args::parse();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
-    let listener = runtime.block_on(TcpListener::bind(args.listen))?;
+    let listener = runtime.block_on(TcpListener::bind(args.servers.listen))?;
     let camera = Camera::look_at(glam::DVec3::Z, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0)?;
     let picture = Picture {
         scene: SceneId::Statue { triangles: 100 },
@@ -106,7 +102,7 @@ fn main() -> anyhow::Result<()> {
         let _ = wake.try_send(());
     })?;
     drop(guard);
-    let servers = Servers::start(&farm, &args)?;
+    let servers = BlankServers::start(args.nodes, farm.address(), &args.servers)?;
     let divisions: Vec<_> = args.division.map_or_else(|| Division::ALL.to_vec(), |division| vec![division]);
     let mut rates = vec![vec![]; divisions.len()];
     let mut iperf = vec![];
@@ -153,7 +149,7 @@ fn main() -> anyhow::Result<()> {
 fn measure(
     farm: &Farm,
     woken: &mpsc::Receiver<()>,
-    servers: &Servers,
+    servers: &BlankServers,
     division: Division,
     duration: Duration,
 ) -> anyhow::Result<Rate> {
@@ -172,7 +168,7 @@ fn measure(
     for _ in 0..5 {
         while next()?.stats.division != division {}
     }
-    let (wall_s, servers_s, started_at) = (cpu_s(std::process::id())?, servers.cpu_s()?, Instant::now());
+    let (wall_s, servers_s, started_at) = (cpu_s(std::process::id())?, cpu_s_of(servers)?, Instant::now());
     let (mut n_frames, mut n_bytes, mut place_ms, mut n_received) = (0.0, 0.0, 0.0, 0.0);
     while started_at.elapsed() < duration {
         let frame = next()?;
@@ -186,53 +182,14 @@ fn measure(
         frames_per_s: n_frames / seconds,
         gbit_per_s: n_bytes * 8e-9 / seconds,
         wall_ms: (cpu_s(std::process::id())? - wall_s) * 1e3 / n_frames,
-        servers_ms: (servers.cpu_s()? - servers_s) * 1e3 / n_frames,
+        servers_ms: (cpu_s_of(servers)? - servers_s) * 1e3 / n_frames,
         place_ms: place_ms / n_frames,
         encoded: n_received / n_bytes,
     })
 }
 
-/// Render servers that answer at once, until this is dropped.
-struct Servers(Vec<Child>);
-
-impl Servers {
-    fn start(farm: &Farm, args: &Args) -> anyhow::Result<Self> {
-        let example = std::env::current_exe()?;
-        let folder = example.parent().and_then(|examples| examples.parent()).context("an example lies in a folder")?;
-        let mut servers = Self(vec![]);
-        for number in 1..=args.nodes {
-            let program = folder.join("renderer");
-            let mut words = args.through.split_whitespace();
-            let mut command = match words.next() {
-                Some(first) => Command::new(first),
-                None => Command::new(&program),
-            };
-            if !args.through.is_empty() {
-                command.args(words).arg(&program);
-            }
-            command.args(["connect", &farm.address().to_string(), "--insecure", "--threads", "1"]);
-            match &args.replay {
-                Some(picture) => command.arg("--replay").arg(picture),
-                None => command.arg("--blank"),
-            };
-            command.args(["--name", &format!("blank-{number}")]).env("RUST_LOG", "warn");
-            servers.0.push(command.spawn().context("the program `renderer` is not built: cargo build --release")?);
-        }
-        Ok(servers)
-    }
-
-    fn cpu_s(&self) -> anyhow::Result<f64> {
-        self.0.iter().map(|server| cpu_s(server.id())).sum()
-    }
-}
-
-impl Drop for Servers {
-    fn drop(&mut self) {
-        for server in &mut self.0 {
-            let _ = server.kill();
-            let _ = server.wait();
-        }
-    }
+fn cpu_s_of(servers: &BlankServers) -> anyhow::Result<f64> {
+    servers.0.iter().map(|server| cpu_s(server.id())).sum()
 }
 
 /// CPU time of a process so far, in user and system mode.

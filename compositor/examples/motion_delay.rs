@@ -6,13 +6,15 @@
 //! Render servers answer at once with noise or a picture, so that links are what is measured; `tests/link.sh` has them behind
 //! a slow one. The two are measured in turn, so that a busy machine slows both alike. Frames are not shown.
 
+mod blank;
+
 use std::{
-    process::{Child, Command},
     sync::mpsc,
     time::{Duration, Instant},
 };
 
-use anyhow::{Context, ensure};
+use anyhow::ensure;
+use blank::{BlankArgs, BlankServers};
 use clap::Parser;
 use compositor::farm::{Farm, Frame, Wanted};
 use glam::DVec3;
@@ -43,15 +45,8 @@ struct Args {
     /// How long the wall's own resolution is on its way before the camera moves, at most, in milliseconds
     #[arg(long, default_value_t = 1000)]
     longest_ms: u32,
-    /// Render servers answer with this picture in place of noise
-    #[arg(long, value_name = "FILE.png")]
-    replay: Option<std::path::PathBuf>,
-    /// Where to listen; in a network namespace, say, with a slow link
-    #[arg(long, default_value = "127.0.0.1:0")]
-    listen: std::net::SocketAddr,
-    /// What to start render servers with, such as "ip netns exec other"
-    #[arg(long, default_value = "")]
-    through: String,
+    #[command(flatten)]
+    servers: BlankArgs,
     /// Who renders what
     #[arg(long, default_value = Division::Dynamic.name())]
     division: Division,
@@ -60,7 +55,7 @@ struct Args {
 fn main() -> anyhow::Result<()> {
     let args = Args::parse();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
-    let listener = runtime.block_on(TcpListener::bind(args.listen))?;
+    let listener = runtime.block_on(TcpListener::bind(args.servers.listen))?;
     let wanted = Wanted {
         picture: None,
         scene_path: None,
@@ -78,8 +73,8 @@ fn main() -> anyhow::Result<()> {
         let _ = wake.try_send(());
     })?;
     drop(guard);
-    let _servers = Servers::start(&farm, &args)?;
     let mut wall = Wall { farm, woken, n_motions: 0 };
+    let _servers = BlankServers::start(args.nodes, wall.farm.address(), &args.servers)?;
     // Connections find out what their links take.
     for _ in 0..5 {
         wall.move_on(args.size)?;
@@ -149,39 +144,6 @@ impl Wall {
             }
             let waited = self.woken.recv_timeout(Duration::from_secs(60));
             ensure!(waited != Err(mpsc::RecvTimeoutError::Timeout), "no frame comes: {:?}", self.farm.status());
-        }
-    }
-}
-
-/// Render servers that answer at once, until this is dropped.
-struct Servers(Vec<Child>);
-
-impl Servers {
-    fn start(farm: &Farm, args: &Args) -> anyhow::Result<Self> {
-        let example = std::env::current_exe()?;
-        let folder = example.parent().and_then(|examples| examples.parent()).context("an example lies in a folder")?;
-        let program = folder.join("renderer").display().to_string();
-        let mut servers = Self(vec![]);
-        for number in 1..=args.nodes {
-            let mut words = args.through.split_whitespace().chain([program.as_str()]);
-            let mut command = Command::new(words.next().context("there is the program at least")?);
-            command.args(words).args(["connect", &farm.address().to_string(), "--insecure", "--threads", "1"]);
-            match &args.replay {
-                Some(picture) => command.arg("--replay").arg(picture),
-                None => command.arg("--blank"),
-            };
-            command.args(["--name", &format!("blank-{number}")]).env("RUST_LOG", "warn");
-            servers.0.push(command.spawn().context("the program `renderer` is not built: cargo build --release")?);
-        }
-        Ok(servers)
-    }
-}
-
-impl Drop for Servers {
-    fn drop(&mut self) {
-        for server in &mut self.0 {
-            let _ = server.kill();
-            let _ = server.wait();
         }
     }
 }
