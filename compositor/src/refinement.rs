@@ -2,10 +2,10 @@
 //! fine as the wall is, with more and more samples a pixel until there are enough. Pure: time is an argument.
 //!
 //! While the camera moves each frame has one sample a pixel, and [`pace`] chooses from a [`ladder`] of resolutions by what
-//! frames take the farm and the [`display`]. At rest the picture is rendered again, each time by as many whole frames as it takes: in the wall's own
-//! resolution with one sample a pixel, then four, sixteen and so on. Each of these is a [`Picture`] like any other, whose
-//! samples render servers average in linear light; so nothing is added up here, and nothing that nodes do or fail to do
-//! changes a bit of it.
+//! frames take the farm and the [`display`]. At rest the picture is rendered again, each time by as many whole frames as it
+//! takes: in the wall's own resolution with one sample a pixel, then four, sixteen and so on. Each of these is a [`Picture`]
+//! like any other, whose samples render servers average in linear light; so nothing is added up here, and nothing that nodes
+//! do or fail to do changes a bit of it.
 
 mod display;
 mod ladder;

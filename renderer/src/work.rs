@@ -119,7 +119,7 @@ impl Job {
     }
 
     /// Sends a picture's samples in place of traced ones, but for the last: they are left to go with the word that the
-    /// work is done, for it follows at once, and to send both alone is a tenth of what there is to do.
+    /// work is done, which follows at once, and would wake and write once more.
     fn replay(
         &self,
         canned: &Canned,
