@@ -166,10 +166,11 @@ pub struct FrameWork {
     pub costs: BlockCosts,
 }
 
-/// The largest of some times over their mean; 1 when there are none.
+/// The largest of some times over their mean: at least 1, and 1 when there are none.
 pub(crate) fn max_over_mean(times: impl Iterator<Item = f64> + Clone) -> f64 {
     let (sum, count) = (times.clone().sum::<f64>(), times.clone().count());
-    if sum > 0.0 { times.fold(0.0, f64::max) * count as f64 / sum } else { 1.0 }
+    // The sum of equal times can be rounded up, so that their mean is above them all.
+    if sum > 0.0 { (times.fold(0.0, f64::max) * count as f64 / sum).max(1.0) } else { 1.0 }
 }
 
 fn serialize_size<S: serde::Serializer>(size: &FrameSize, serializer: S) -> Result<S::Ok, S::Error> {
@@ -187,4 +188,19 @@ pub struct DisplayStats {
     pub present_ms: f64,
     /// From the camera's motion to its picture.
     pub latency_ms: f64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_times_are_in_balance_however_their_sum_is_rounded() {
+        for n in 0..300 {
+            let imbalance = max_over_mean(std::iter::repeat_n(0.017, n));
+            assert!((1.0..1.0 + 1e-12).contains(&imbalance), "{n} times: {imbalance}");
+        }
+        assert_eq!(max_over_mean([1.0, 2.0, 3.0].into_iter()), 1.5);
+        assert_eq!(max_over_mean([0.0, 0.0].into_iter()), 1.0);
+    }
 }
