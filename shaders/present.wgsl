@@ -4,8 +4,8 @@
 
 // The frame's samples, row 0 at the bottom. The view is sRGB, so the filter mixes linear light.
 @group(0) @binding(0) var frame: texture_2d<f32>;
-// Bilinear, clamped to the edge.
-@group(0) @binding(1) var bilinear: sampler;
+// Bilinear, clamped to the edge; where the pixels' centres are those of samples it may as well be nearest.
+@group(0) @binding(1) var filtered: sampler;
 
 // One projector on the target. Matches `ProjectorInstance` in present.rs.
 struct Projector {
@@ -38,7 +38,7 @@ fn vertex(@builtin(vertex_index) corner: u32, projector: Projector) -> Quad {
 // which beside black is several steps of 8 bits.
 fn frame_at(quad: Quad) -> vec3f {
     let at = quad.origin_frame + (quad.position.xy - quad.origin_px) * quad.frame_per_px;
-    return textureSampleLevel(frame, bilinear, at, 0.0).rgb;
+    return textureSampleLevel(frame, filtered, at, 0.0).rgb;
 }
 
 // For targets that encode sRGB themselves.

@@ -10,7 +10,8 @@ use crate::wall::{CanvasRect, PixelRect, Projector, Wall};
 
 /// Draws the newest frame on any target: a window, an offscreen wall, one output of several.
 ///
-/// Every projector is a quad that samples its part of the frame, bilinearly and in linear light. Those that are warped,
+/// Every projector is a quad that samples its part of the frame, bilinearly and in linear light, or sample by sample where
+/// it has a pixel for each. Those that are warped,
 /// overlap others, or have a light of their own are drawn by [`super::optics`] in the same pass.
 pub struct Present {
     shader: wgpu::ShaderModule,
@@ -19,9 +20,17 @@ pub struct Present {
     pipelines: Vec<(wgpu::TextureFormat, wgpu::RenderPipeline)>,
     optics: OpticsStage,
     frame_layout: wgpu::BindGroupLayout,
-    bilinear: wgpu::Sampler,
-    frame: Option<(FrameTexture, wgpu::BindGroup)>,
+    samplers: PerFilter<wgpu::Sampler>,
+    frame: Option<(FrameTexture, PerFilter<wgpu::BindGroup>)>,
     timer: Option<DrawTimer>,
+}
+
+/// Ways to read the frame, one of which each draw binds.
+struct PerFilter<T> {
+    bilinear: T,
+    /// The same picture where pixels and samples coincide, as they do when a resting wall has become as fine as it gets;
+    /// on a software adapter in two thirds of the time.
+    nearest: T,
 }
 
 /// A picture to draw on.
@@ -68,12 +77,16 @@ impl Present {
                 fragment_binding(1, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
             ],
         });
-        let bilinear = device.create_sampler(&wgpu::SamplerDescriptor {
-            label: Some("bilinear"),
-            mag_filter: wgpu::FilterMode::Linear,
-            min_filter: wgpu::FilterMode::Linear,
-            ..Default::default()
-        });
+        let sampler = |filter| {
+            device.create_sampler(&wgpu::SamplerDescriptor {
+                label: Some("frame"),
+                mag_filter: filter,
+                min_filter: filter,
+                ..Default::default()
+            })
+        };
+        let samplers =
+            PerFilter { bilinear: sampler(wgpu::FilterMode::Linear), nearest: sampler(wgpu::FilterMode::Nearest) };
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("present"),
             bind_group_layouts: &[Some(&frame_layout)],
@@ -81,7 +94,7 @@ impl Present {
         });
         let optics = OpticsStage::new(gpu, &frame_layout);
         let timer = DrawTimer::new(gpu);
-        Self { shader, layout, pipelines: Vec::new(), optics, frame_layout, bilinear, frame: None, timer }
+        Self { shader, layout, pipelines: Vec::new(), optics, frame_layout, samplers, frame: None, timer }
     }
 
     /// Takes a whole frame, as [`FrameTexture::upload`] does; its resolution may differ from the last one's.
@@ -91,18 +104,22 @@ impl Present {
             _ => {
                 let texture = FrameTexture::new(gpu, size)?;
                 texture.upload(gpu, rgba)?;
-                let bind_group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                    label: Some("frame"),
-                    layout: &self.frame_layout,
-                    entries: &[
-                        wgpu::BindGroupEntry {
-                            binding: 0,
-                            resource: wgpu::BindingResource::TextureView(texture.view()),
-                        },
-                        wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&self.bilinear) },
-                    ],
-                });
-                self.frame = Some((texture, bind_group));
+                let read_by = |sampler| {
+                    gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                        label: Some("frame"),
+                        layout: &self.frame_layout,
+                        entries: &[
+                            wgpu::BindGroupEntry {
+                                binding: 0,
+                                resource: wgpu::BindingResource::TextureView(texture.view()),
+                            },
+                            wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(sampler) },
+                        ],
+                    })
+                };
+                let bilinear = read_by(&self.samplers.bilinear);
+                let nearest = read_by(&self.samplers.nearest);
+                self.frame = Some((texture, PerFilter { bilinear, nearest }));
                 Ok(())
             }
         }
@@ -155,9 +172,10 @@ impl Present {
         let pipeline = self.pipeline(gpu, target.format);
         let (plain, corrected): (Vec<_>, Vec<_>) =
             quads(wall, part, target.size).partition(|(projector_idx, _)| wall.is_plain(*projector_idx));
-        let instances: Vec<_> = plain
-            .into_iter()
-            .map(|(index, quad)| ProjectorInstance::new(&wall.projectors()[index], quad, target.size))
+        let frame_from_px: Vec<_> =
+            plain.iter().map(|(index, quad)| FrameFromPx::new(&wall.projectors()[*index], *quad)).collect();
+        let instances: Vec<_> = (frame_from_px.iter().zip(&plain))
+            .map(|(frame_from_px, (_, quad))| ProjectorInstance::new(frame_from_px, *quad, target.size))
             .collect();
         // Made anew for each draw: half a kilobyte, and several targets in one submission cannot disturb each other.
         let instance_buffer = (!instances.is_empty()).then(|| vertex_buffer(gpu, &instances));
@@ -174,14 +192,16 @@ impl Present {
             timestamp_writes: self.timer.as_ref().and_then(|timer| timer.pass_timestamps(is_end)),
             ..Default::default()
         });
-        if let Some((_, frame)) = &self.frame {
-            pass.set_bind_group(0, frame, &[]);
+        if let Some((texture, frame)) = &self.frame {
             if let Some(instance_buffer) = &instance_buffer {
+                let is_sample_per_px = frame_from_px.iter().all(|it| it.is_sample_per_px(texture.size(), target.size));
+                pass.set_bind_group(0, if is_sample_per_px { &frame.nearest } else { &frame.bilinear }, &[]);
                 pass.set_pipeline(&pipeline);
                 pass.set_vertex_buffer(0, instance_buffer.slice(..));
                 pass.draw(0..4, 0..instances.len() as u32);
             }
             if let Some(corrected) = &corrected {
+                pass.set_bind_group(0, &frame.bilinear, &[]);
                 corrected.draw(&mut pass);
             }
         }
@@ -282,25 +302,78 @@ pub(super) fn clip_of([left, top, right, bottom]: [f64; 4], target_size: [u32; 2
     [clip_x(left), clip_y(bottom), clip_x(right), clip_y(top)]
 }
 
-impl ProjectorInstance {
-    fn new(projector: &Projector, quad: [f64; 4], target_size: [u32; 2]) -> Self {
+/// Where a projector's pixels on a target lie in the frame, whose lower-left corner is (0, 0) and whose upper-right corner
+/// is (1, 1).
+struct FrameFromPx {
+    /// A point at the upper-left corner of its quad, in whole pixels, which f32 holds exactly: the corner of a scaled wall
+    /// would be rounded.
+    origin_px: [f64; 2],
+    /// The same point in the frame.
+    origin_frame: [f64; 2],
+    /// How far one pixel to the right and one pixel down go in the frame.
+    frame_per_px: [f64; 2],
+}
+
+impl FrameFromPx {
+    fn new(projector: &Projector, quad: [f64; 4]) -> Self {
         let [left, top, right, bottom] = quad;
         // The frame covers the canvas, so a place on the canvas is the same place in the frame.
         let CanvasRect { left: canvas_left, bottom: canvas_bottom, width, height } = projector.canvas;
         let frame_per_px = [width / (right - left), -height / (bottom - top)];
-        // Whole pixels, which f32 holds exactly; the corner of a scaled wall would be rounded.
         let origin_px = [left.floor(), top.floor()];
         let frame_x = canvas_left + (origin_px[0] - left) * frame_per_px[0];
         let frame_y = canvas_bottom + height + (origin_px[1] - top) * frame_per_px[1];
+        Self { origin_px, origin_frame: [frame_x, frame_y], frame_per_px }
+    }
+
+    /// Whether the centre of each pixel is that of a sample, to a hundredth of it over all of a target.
+    fn is_sample_per_px(&self, frame: FrameSize, target_size: [u32; 2]) -> bool {
+        [frame.xres(), frame.yres()].into_iter().enumerate().all(|(axis, n_samples)| {
+            let samples_per_px = self.frame_per_px[axis].abs() * f64::from(n_samples);
+            let origin = self.origin_frame[axis] * f64::from(n_samples);
+            (samples_per_px - 1.0).abs() * f64::from(target_size[axis]) < 0.01 && (origin - origin.round()).abs() < 0.01
+        })
+    }
+}
+
+impl ProjectorInstance {
+    fn new(frame_from_px: &FrameFromPx, quad: [f64; 4], target_size: [u32; 2]) -> Self {
+        let f32s = |it: [f64; 2]| it.map(|it| it as f32);
         Self {
             clip: clip_of(quad, target_size),
-            origin_px: origin_px.map(|px| px as f32),
-            origin_frame: [frame_x as f32, frame_y as f32],
-            frame_per_px: frame_per_px.map(|step| step as f32),
+            origin_px: f32s(frame_from_px.origin_px),
+            origin_frame: f32s(frame_from_px.origin_frame),
+            frame_per_px: f32s(frame_from_px.frame_per_px),
         }
     }
 }
 
 fn fragment_binding(binding: u32, ty: wgpu::BindingType) -> wgpu::BindGroupLayoutEntry {
     wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::FRAGMENT, ty, count: None }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_are_read_one_by_one_where_pixels_and_samples_coincide() {
+        let wall =
+            Wall::from_toml("small.toml", "canvas_m = [4.0, 1.0]\n[grid]\ncolumns = 3\nrows = 2\npixels = [111, 70]\n")
+                .unwrap();
+        let is_sample_per_px = |frame: [u32; 2], target_size| {
+            quads(&wall, wall.whole_output(), target_size).all(|(index, quad)| {
+                let frame = FrameSize::new(frame[0], frame[1]).unwrap();
+                FrameFromPx::new(&wall.projectors()[index], quad).is_sample_per_px(frame, target_size)
+            })
+        };
+        assert_eq!(wall.output_size(), [333, 140]);
+        assert!(is_sample_per_px([333, 140], [333, 140]));
+        assert!(is_sample_per_px([333, 140], [433, 140]), "centred on a wider target");
+        let others =
+            [([334, 140], [333, 140]), ([333, 70], [333, 140]), ([333, 140], [666, 280]), ([666, 280], [333, 140])];
+        for (frame, target_size) in others {
+            assert!(!is_sample_per_px(frame, target_size), "{frame:?} on {target_size:?}");
+        }
+    }
 }
