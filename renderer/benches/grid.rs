@@ -82,12 +82,11 @@ fn soup(n_triangles: u32, extent: f32, edge: f32) -> Mesh {
     mesh
 }
 
-/// A model ready to be traced, with the hits of one camera.
+/// A model ready to be traced, seen by one camera.
 struct Stage {
     scene: Scene,
     rays: CameraRays,
     size: FrameSize,
-    hits: Vec<Hit>,
 }
 
 impl Stage {
@@ -103,13 +102,10 @@ impl Stage {
         let [min, max] = [min, max].map(|corner| DVec3::from_array(corner.map(f64::from)));
         let size = FrameSize::new(FRAME.0, FRAME.1).expect("a frame of samples");
         let rays = Camera::view_all(min, max, UpAxis::Y, 16.0 / 9.0).rays(size);
-        let mut hits = Vec::new();
-        with_tiles(size, |share| {
-            scene.trace(&rays, None, share, 0..share.count(), |_, of_tile| hits.extend_from_slice(of_tile));
-        });
-        Self { scene, rays, size, hits }
+        Self { scene, rays, size }
     }
 
+    /// Of all samples, tile by tile.
     fn directions(&self) -> Vec<Vec3> {
         let mut directions = Vec::new();
         with_tiles(self.size, |share| {
@@ -134,12 +130,12 @@ fn build(bencher: Bencher, model: Model) {
         .bench_values(|mesh| Scene::build(mesh, &SceneOptions::default(), &|_| ()));
 }
 
-/// Camera rays in packets of 64, with the best instructions of this machine.
+/// Camera rays in packets, with the best instructions of this machine.
 #[divan::bench(args = MODELS, sample_count = 20, sample_size = 1)]
 fn packets(bencher: Bencher, model: Model) {
     let stage = model.stage();
-    let mut hits = Vec::with_capacity(stage.hits.len());
-    bencher.counter(ItemsCount::new(stage.hits.len())).bench_local(|| {
+    let mut hits: Vec<Hit> = Vec::with_capacity(stage.size.n_samples() as usize);
+    bencher.counter(ItemsCount::new(stage.size.n_samples())).bench_local(|| {
         hits.clear();
         with_tiles(stage.size, |share| {
             stage.scene.trace(&stage.rays, None, share, 0..share.count(), |_, of_tile| hits.extend_from_slice(of_tile));
@@ -167,13 +163,12 @@ fn occlusion(bencher: Bencher, model: Model) {
     let Aabb { min, max } = stage.scene.mesh().bounds();
     let [min, max] = [min, max].map(Vec3::from_array);
     let light = max + (max - min);
-    let hits = stage.directions().into_iter().zip(&stage.hits).filter(|(_, hit)| !hit.is_miss());
-    let shadow_rays: Vec<_> = hits
-        .map(|(direction, hit)| {
-            let origin = stage.rays.eye + direction * hit.t;
-            Ray { origin, direction: light - origin, t_min: 1e-4, t_max: 1.0 }
-        })
-        .collect();
+    let shadow_ray = |direction| {
+        let hit = stage.scene.grid().intersect(&Ray::new(stage.rays.eye, direction));
+        let origin = stage.rays.eye + direction * hit.t;
+        (!hit.is_miss()).then(|| Ray { origin, direction: light - origin, t_min: 1e-4, t_max: 1.0 })
+    };
+    let shadow_rays: Vec<_> = stage.directions().into_iter().filter_map(shadow_ray).collect();
     bencher
         .counter(ItemsCount::new(shadow_rays.len()))
         .bench_local(|| shadow_rays.iter().filter(|ray| stage.scene.grid().occluded(ray)).count());

@@ -43,17 +43,24 @@ pub fn occluded(grid: &Grid, clip: Option<&ClipPlane>, ray: Ray) -> bool {
     kept(clip, ray).is_some_and(|ray| grid.occluded(&ray))
 }
 
-/// [`Grid::intersect_packet`] on what a plane keeps of each ray. Of a packet that any hit will do for, a hit's t is some
+/// [`Grid::intersect_packets`] on what a plane keeps of each ray. Of packets that any hit will do for, a hit's t is some
 /// hit's or 0.
-pub fn intersect_packet(
+pub fn intersect_packets(
     grid: &Grid,
     clip: Option<&ClipPlane>,
-    packet: &Packet,
+    packets: &[Packet],
     scratch: &mut PacketScratch,
-) -> [Hit; 64] {
+    hits: &mut [[Hit; 64]],
+) {
     if clip.is_none() {
-        return grid.intersect_packet(packet, scratch);
+        return grid.intersect_packets(packets, scratch, hits);
     }
+    for (packet, hits) in packets.iter().zip(hits) {
+        *hits = intersect_packet(grid, clip, packet, scratch);
+    }
+}
+
+fn intersect_packet(grid: &Grid, clip: Option<&ClipPlane>, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
     let mut rays = [None; 64];
     let mut widest = Packet { active: 0, t_min: f32::INFINITY, t_max: f32::NEG_INFINITY, ..*packet };
     for (lane, ray) in rays.iter_mut().enumerate().filter(|(lane, _)| packet.active >> lane & 1 == 1) {

@@ -7,6 +7,7 @@
 //! [`generate`] and [`key`] are the commands of [`cli`], with [`scene_args`] and [`look_args`]; [`wire`] and [`secure`]
 //! are how a render server talks.
 
+pub mod blocks;
 mod canned;
 pub mod chart;
 pub mod cli;

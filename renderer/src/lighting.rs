@@ -4,8 +4,9 @@ use glam::Vec3;
 use shared::{look::ClipPlane, protocol::View};
 
 use crate::{
+    blocks::Block,
     clip,
-    grid::{Grid, PacketScratch, RayCost},
+    grid::{Grid, MOST_PACKETS, PacketScratch, RayCost},
     ray::{Hit, Ray},
     secondary::SecondaryRays,
     shade::{self, Shader},
@@ -35,28 +36,33 @@ impl<'a> Lighting<'a> {
         }
     }
 
-    /// The linear light of a block of at most 64 samples: sample number `sample` of its pixels (i, j), which follow
-    /// `directions` to `hits`. Entries beyond the block are undefined.
-    pub fn of_block(
+    /// The linear light of neighbouring blocks of at most 64 samples each: sample number `sample` of their pixels (i, j),
+    /// which follow `directions` to `hits`. Entries beyond a block are undefined.
+    pub fn of_group(
         &self,
-        block: &[(u32, u32)],
+        blocks: &[Block<'_>],
         sample: u32,
-        directions: &[Vec3; 64],
-        hits: &[Hit; 64],
+        directions: &[[Vec3; 64]],
+        hits: &[[Hit; 64]],
         scratch: &mut PacketScratch,
-    ) -> [Vec3; 64] {
-        let mut lights = [Vec3::ZERO; 64];
+    ) -> [[Vec3; 64]; MOST_PACKETS] {
+        let mut lights = [[Vec3::ZERO; 64]; MOST_PACKETS];
         if self.view == View::Cost {
-            for (light, &direction) in lights.iter_mut().zip(directions).take(block.len()) {
-                let ray = clip::kept(self.clip.as_ref(), Ray::new(self.eye, direction));
-                *light = shade::cost(ray.map_or(RayCost::default(), |ray| self.grid.cost(&ray)));
+            for (index, block) in blocks.iter().enumerate() {
+                for (light, &direction) in lights[index].iter_mut().zip(&directions[index]).take(block.samples.len()) {
+                    let ray = clip::kept(self.clip.as_ref(), Ray::new(self.eye, direction));
+                    *light = shade::cost(ray.map_or(RayCost::default(), |ray| self.grid.cost(&ray)));
+                }
             }
             return lights;
         }
-        let reach = self.secondary.reach(block, sample, directions, hits, scratch);
-        for (lane, &(i, j)) in block.iter().enumerate() {
-            let (_, y) = sample_point(i, j, sample);
-            lights[lane] = self.shader.light(directions[lane], hits[lane], y, &reach[lane]);
+        let reach = self.secondary.reach(blocks, sample, directions, hits, scratch);
+        for (index, block) in blocks.iter().enumerate() {
+            for (place, &(i, j)) in block.samples.iter().enumerate() {
+                let (_, y) = sample_point(i, j, sample);
+                lights[index][place] =
+                    self.shader.light(directions[index][place], hits[index][place], y, &reach[index][place]);
+            }
         }
         lights
     }

@@ -13,10 +13,11 @@ use shared::{
 };
 
 use crate::{
+    blocks::{Block, lane_places},
     clip,
-    grid::{Grid, Packet, PacketScratch},
+    grid::{Grid, MOST_PACKETS, Packet, PacketScratch},
     ray::{Hit, Ray},
-    tracer::{FrameRequest, hash, lane_places},
+    tracer::{FrameRequest, hash},
 };
 
 /// What reaches one hit.
@@ -102,30 +103,32 @@ impl<'a> SecondaryRays<'a> {
         Self { key_light, ..self }
     }
 
-    /// What reaches the hits of a block of samples, which are lanes of the arrays; lanes without a hit are undefined.
+    /// What reaches the hits of neighbouring blocks of samples; undefined for samples without a hit.
     pub fn reach(
         &self,
-        block: &[(u32, u32)],
+        blocks: &[Block<'_>],
         sample: u32,
-        directions: &[Vec3; 64],
-        hits: &[Hit; 64],
+        directions: &[[Vec3; 64]],
+        hits: &[[Hit; 64]],
         scratch: &mut PacketScratch,
-    ) -> [Reach; 64] {
-        let mut reach = [Reach { key_direction: self.key_direction, key: 1.0, open: 1.0 }; 64];
+    ) -> [[Reach; 64]; MOST_PACKETS] {
+        let mut reach = [[Reach { key_direction: self.key_direction, key: 1.0, open: 1.0 }; 64]; MOST_PACKETS];
         if self.tree == RayTree::Primary {
             return reach;
         }
-        let surfaces: [Option<Surface>; 64] =
-            std::array::from_fn(
-                |lane| {
-                    if lane < block.len() { self.surface(directions[lane], hits[lane]) } else { None }
-                },
-            );
-        self.cast_shadows(&lane_places(block), &surfaces, &mut reach, scratch);
+        let surfaces: [[Option<Surface>; 64]; MOST_PACKETS] = std::array::from_fn(|index| {
+            let n_samples = blocks.get(index).map_or(0, |block| block.samples.len());
+            std::array::from_fn(|place| {
+                if place < n_samples { self.surface(directions[index][place], hits[index][place]) } else { None }
+            })
+        });
+        self.cast_shadows(blocks, &surfaces, &mut reach, scratch);
         if self.tree == RayTree::Ambient {
-            for (lane, surface) in surfaces.iter().enumerate() {
-                if let Some(surface) = surface {
-                    reach[lane].open = self.openness(surface, block[lane], sample);
+            for (index, block) in blocks.iter().enumerate() {
+                for (place, &pixel) in block.samples.iter().enumerate() {
+                    if let Some(surface) = &surfaces[index][place] {
+                        reach[index][place].open = self.openness(surface, pixel, sample);
+                    }
                 }
             }
         }
@@ -151,26 +154,31 @@ impl<'a> SecondaryRays<'a> {
     /// Follows rays from the key light to all surfaces that face it.
     fn cast_shadows(
         &self,
-        places: &[usize; 64],
-        surfaces: &[Option<Surface>; 64],
-        reach: &mut [Reach; 64],
+        blocks: &[Block<'_>],
+        surfaces: &[[Option<Surface>; 64]],
+        reach: &mut [[Reach; 64]],
         scratch: &mut PacketScratch,
     ) {
         let light = self.key_light.as_dvec3();
-        let mut directions = [None; 64];
-        for (direction, &place) in directions.iter_mut().zip(places) {
-            let Some(Surface { point, normal }) = &surfaces[place] else { continue };
-            let to_point = *point - light;
-            reach[place].key_direction = (-to_point * (1.0 / to_point.length())).as_vec3();
-            reach[place].key = 0.0;
-            if normal.dot(to_point) < -self.lift {
-                *direction = Some(to_point.as_vec3());
+        let mut directions = [[None; 64]; MOST_PACKETS];
+        for (index, block) in blocks.iter().enumerate() {
+            for (direction, &place) in directions[index].iter_mut().zip(&lane_places(block.samples)) {
+                let Some(Surface { point, normal }) = &surfaces[index][place] else { continue };
+                let to_point = *point - light;
+                reach[index][place].key_direction = (-to_point * (1.0 / to_point.length())).as_vec3();
+                reach[index][place].key = 0.0;
+                if normal.dot(to_point) < -self.lift {
+                    *direction = Some(to_point.as_vec3());
+                }
             }
         }
-        let hidden = hidden(self.grid, self.clip.as_ref(), self.key_light, &directions, 1.0, scratch);
-        for (lane, &place) in places.iter().enumerate() {
-            if directions[lane].is_some() && hidden >> lane & 1 == 0 {
-                reach[place].key = 1.0;
+        let directions = &directions[..blocks.len()];
+        let hidden = hidden(self.grid, self.clip.as_ref(), self.key_light, directions, 1.0, scratch);
+        for (index, block) in blocks.iter().enumerate() {
+            for (lane, &place) in lane_places(block.samples).iter().enumerate() {
+                if directions[index][lane].is_some() && hidden[index] >> lane & 1 == 0 {
+                    reach[index][place].key = 1.0;
+                }
             }
         }
     }
@@ -241,27 +249,43 @@ impl KeyLight {
     }
 }
 
-/// A bit for each ray from `origin` that hits something up to `t_max`, of what a plane keeps.
+/// A bit for each ray from `origin` that hits something up to `t_max`, of what a plane keeps: for up to [`MOST_PACKETS`]
+/// neighbouring blocks.
 pub(crate) fn hidden(
     grid: &Grid,
     clip: Option<&ClipPlane>,
     origin: Vec3,
-    directions: &[Option<Vec3>; 64],
+    directions: &[[Option<Vec3>; 64]],
     t_max: f32,
     scratch: &mut PacketScratch,
-) -> u64 {
-    let Some(mut next) = directions.iter().rev().find_map(|direction| *direction) else { return 0 };
-    let mut packet = Packet { origin, directions: [[0.0; 64]; 3], active: 0, t_min: 0.0, t_max, any_hit: true };
-    for (lane, direction) in directions.iter().enumerate().rev() {
-        // Entries of no ray repeat the next, which lies close to them.
-        next = direction.unwrap_or(next);
-        for axis in 0..3 {
-            packet.directions[axis][lane] = next[axis];
+) -> [u64; MOST_PACKETS] {
+    let mut packets = Vec::with_capacity(MOST_PACKETS);
+    let mut blocks = Vec::with_capacity(MOST_PACKETS);
+    for (block, directions) in directions.iter().enumerate() {
+        let Some(mut next) = directions.iter().rev().find_map(|direction| *direction) else { continue };
+        let mut packet = Packet { origin, directions: [[0.0; 64]; 3], active: 0, t_min: 0.0, t_max, any_hit: true };
+        for (lane, direction) in directions.iter().enumerate().rev() {
+            // Entries of no ray repeat the next, which lies close to them.
+            next = direction.unwrap_or(next);
+            for axis in 0..3 {
+                packet.directions[axis][lane] = next[axis];
+            }
+            packet.active |= u64::from(direction.is_some()) << lane;
         }
-        packet.active |= u64::from(direction.is_some()) << lane;
+        packets.push(packet);
+        blocks.push(block);
     }
-    let hits = clip::intersect_packet(grid, clip, &packet, scratch);
-    (0..64).filter(|&lane| !hits[lane].is_miss()).fold(0, |hidden, lane| hidden | 1 << lane) & packet.active
+    let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
+    let mut hidden = [0; MOST_PACKETS];
+    if packets.is_empty() {
+        return hidden;
+    }
+    clip::intersect_packets(grid, clip, &packets, scratch, &mut hits[..packets.len()]);
+    for ((block, packet), hits) in blocks.into_iter().zip(&packets).zip(&hits) {
+        let hit = (0..64).filter(|&lane| !hits[lane].is_miss()).fold(0, |hit, lane| hit | 1 << lane);
+        hidden[block] = hit & packet.active;
+    }
+    hidden
 }
 
 /// Two vectors of unit length at right angles to a normal and to each other: Duff et al., "Building an Orthonormal Basis,

@@ -6,15 +6,16 @@ use glam::Vec3;
 use rayon::prelude::*;
 use shared::{
     camera::{Camera, CameraRays},
-    division::{FrameSize, Share, UnitSamples},
+    division::{FrameSize, Share},
     look::{Clip, ClipPlane, Look},
     protocol::{ProbeHit, RayTree, SampleRange, View},
     srgb,
 };
 
 use crate::{
+    blocks::{Block, LANES_OF_PLACES, QUARTERS, for_each_group, is_tile, lane_places},
     clip,
-    grid::{Grid, GridOptions, Packet, PacketScratch},
+    grid::{Grid, GridOptions, MOST_PACKETS, Packet, PacketScratch},
     lighting::Lighting,
     mesh::Mesh,
     ray::{Hit, Ray},
@@ -128,26 +129,33 @@ impl Scene {
         let clip = self.clip_plane(&request.camera, request.look.clip);
         let lighting = self.lighting(request);
         let mut scratch = PacketScratch::default();
-        let samples = samples_of(share, units.clone());
+        let n_samples: u32 = units.clone().map(|unit| share.samples(unit).count()).sum();
         let first = rgb.len();
-        rgb.resize(first + 3 * samples.len(), 0);
+        rgb.resize(first + 3 * n_samples as usize, 0);
         let (pixels, _) = rgb[first..].as_chunks_mut::<3>();
-        for_each_block(share, units, &samples, |block, places| {
-            let mut lights = [Vec3::ZERO; 64];
+        let mut packets = Vec::with_capacity(MOST_PACKETS);
+        let mut directions = [[Vec3::ZERO; 64]; MOST_PACKETS];
+        for_each_group(share, units, |blocks| {
+            let mut sums = [[Vec3::ZERO; 64]; MOST_PACKETS];
             for index in 0..request.samples.count {
                 let sample = request.samples.first.wrapping_add(index);
-                let packet = packet_through(&rays, block, sample);
-                let hits = self.trace_block(block, &packet, clip.as_ref(), &mut scratch);
-                let [x, y, z] = &packet.directions;
-                let mut directions = [Vec3::ZERO; 64];
-                for (lane, &place) in lane_places(block).iter().enumerate() {
-                    directions[place] = Vec3::new(x[lane], y[lane], z[lane]);
+                packets.clear();
+                packets.extend(blocks.iter().map(|block| packet_through(&rays, block.samples, sample)));
+                let hits = self.trace_group(blocks, &packets, clip.as_ref(), &mut scratch);
+                for (index, (block, packet)) in blocks.iter().zip(&packets).enumerate() {
+                    let [x, y, z] = &packet.directions;
+                    for (lane, &place) in lane_places(block.samples).iter().enumerate() {
+                        directions[index][place] = Vec3::new(x[lane], y[lane], z[lane]);
+                    }
                 }
-                let of_sample = lighting.of_block(block, sample, &directions, &hits, &mut scratch);
-                lights.iter_mut().zip(of_sample).for_each(|(sum, light)| *sum += light);
+                let lights = lighting.of_group(blocks, sample, &directions, &hits, &mut scratch);
+                let all = sums.as_flattened_mut().iter_mut().zip(lights.as_flattened());
+                all.take(64 * blocks.len()).for_each(|(sum, light)| *sum += light);
             }
-            for (light, place) in lights.iter().zip(places) {
-                pixels[place] = (*light / request.samples.count as f32).to_array().map(srgb::encode);
+            for (block, sums) in blocks.iter().zip(&sums) {
+                for (&place, sum) in block.places.iter().zip(sums) {
+                    pixels[place] = (*sum / request.samples.count as f32).to_array().map(srgb::encode);
+                }
             }
         });
     }
@@ -176,23 +184,47 @@ impl Scene {
         mut visit: impl FnMut(&[(u32, u32)], &[Hit]),
     ) {
         let mut scratch = PacketScratch::default();
-        let samples = samples_of(share, units.clone());
-        for_each_block(share, units, &samples, |block, _| {
-            let hits = self.trace_block(block, &packet_through(rays, block, 0), clip, &mut scratch);
-            visit(block, &hits[..block.len()]);
+        self.trace_groups(rays, clip, share, units, &mut scratch, |blocks, hits, _| {
+            blocks.iter().zip(hits).for_each(|(block, hits)| visit(block.samples, &hits[..block.samples.len()]));
         });
     }
 
-    /// What the rays of a block's packet hit, in the order of its samples.
-    fn trace_block(
+    /// The same for blocks that are neighbours at once; `visit` may use `scratch` too.
+    pub(crate) fn trace_groups(
         &self,
-        block: &[(u32, u32)],
-        packet: &Packet,
+        rays: &CameraRays,
+        clip: Option<&ClipPlane>,
+        share: &Share<'_>,
+        units: Range<u32>,
+        scratch: &mut PacketScratch,
+        mut visit: impl FnMut(&[Block<'_>], &[[Hit; 64]], &mut PacketScratch),
+    ) {
+        let mut packets = Vec::with_capacity(MOST_PACKETS);
+        for_each_group(share, units, |blocks| {
+            packets.clear();
+            packets.extend(blocks.iter().map(|block| packet_through(rays, block.samples, 0)));
+            let hits = self.trace_group(blocks, &packets, clip, scratch);
+            visit(blocks, &hits[..blocks.len()], scratch);
+        });
+    }
+
+    /// What the rays of neighbouring blocks' packets hit, in the order of each block's samples.
+    fn trace_group(
+        &self,
+        blocks: &[Block<'_>],
+        packets: &[Packet],
         clip: Option<&ClipPlane>,
         scratch: &mut PacketScratch,
-    ) -> [Hit; 64] {
-        let in_lanes = clip::intersect_packet(&self.grid, clip, packet, scratch);
-        if is_tile(block) { std::array::from_fn(|place| in_lanes[LANES_OF_PLACES[place]]) } else { in_lanes }
+    ) -> [[Hit; 64]; MOST_PACKETS] {
+        let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
+        clip::intersect_packets(&self.grid, clip, packets, scratch, &mut hits[..packets.len()]);
+        for (block, hits) in blocks.iter().zip(&mut hits) {
+            if is_tile(block.samples) {
+                let in_lanes = *hits;
+                *hits = std::array::from_fn(|place| in_lanes[LANES_OF_PLACES[place]]);
+            }
+        }
+        hits
     }
 }
 
@@ -220,100 +252,6 @@ fn packet_through(rays: &CameraRays, block: &[(u32, u32)], sample: u32) -> Packe
         t_min: 0.0,
         t_max: f32::MAX,
         any_hit: false,
-    }
-}
-
-/// All samples of some units, in the order of [`Share::samples`].
-fn samples_of(share: &Share<'_>, units: Range<u32>) -> Vec<(u32, u32)> {
-    let mut samples = Vec::with_capacity(units.len());
-    for unit in units {
-        let UnitSamples { columns, rows } = share.samples(unit);
-        for j in rows {
-            samples.extend(columns.clone().map(|i| (i, j)));
-        }
-    }
-    samples
-}
-
-/// The sample of a block that each lane of a packet follows; lanes beyond the samples repeat the last.
-///
-/// The lanes of a whole tile are ordered by quarters, so that lanes side by side are pixels side by side.
-pub(crate) fn lane_places(block: &[(u32, u32)]) -> [usize; 64] {
-    if is_tile(block) { QUARTERS } else { std::array::from_fn(|lane| lane.min(block.len() - 1)) }
-}
-
-/// Whether a block is 8×8 samples, row by row.
-fn is_tile(block: &[(u32, u32)]) -> bool {
-    block.len() == 64 && block[63].0 == block[0].0 + 7 && block[63].1 == block[0].1 + 7
-}
-
-/// The place of each lane in a tile of 8×8 samples, row by row: quarters of 4×4 one after the other.
-const QUARTERS: [usize; 64] = {
-    let mut places = [0; 64];
-    let mut lane = 0;
-    while lane < 64 {
-        let x = lane % 4 + 4 * (lane / 16 % 2);
-        let y = lane / 4 % 4 + 4 * (lane / 32);
-        places[lane] = 8 * y + x;
-        lane += 1;
-    }
-    places
-};
-
-/// The lane of each place in such a tile.
-const LANES_OF_PLACES: [usize; 64] = {
-    let mut lanes = [0; 64];
-    let mut lane = 0;
-    while lane < 64 {
-        lanes[QUARTERS[lane]] = lane;
-        lane += 1;
-    }
-    lanes
-};
-
-/// Calls `visit` with blocks of at most 64 samples that lie close together, and with their places among `samples`, which
-/// are those of `units` in order: a tile is a block; single samples are gathered from patches of the frame.
-fn for_each_block(
-    share: &Share<'_>,
-    units: Range<u32>,
-    samples: &[(u32, u32)],
-    mut visit: impl FnMut(&[(u32, u32)], &mut dyn Iterator<Item = usize>),
-) {
-    let (Some(&(_, first_row)), Some(&(_, last_row))) = (samples.first(), samples.last()) else { return };
-    if samples.len() > units.len() {
-        let mut place = 0;
-        for n_samples in units.map(|unit| share.samples(unit).count() as usize) {
-            visit(&samples[place..place + n_samples], &mut (place..place + n_samples));
-            place += n_samples;
-        }
-        return;
-    }
-    // A patch holds about 64 samples of the share and is as square as the rows at hand allow. Patches are numbered row
-    // by row from the first row at hand; samples are brought into their order by counting.
-    let area = share.spread().saturating_mul(64);
-    let height = area.isqrt().clamp(1, last_row.abs_diff(first_row) + 1);
-    let width = (area / height).max(1);
-    let patches_per_row = share.units().size().xres().div_ceil(width);
-    let patch = |(i, j): (u32, u32)| (j.abs_diff(first_row) / height * patches_per_row + i / width) as usize;
-    let n_patches = samples.iter().map(|&sample| patch(sample) + 1).max().unwrap_or(0);
-    let mut ends = vec![0; n_patches + 1];
-    samples.iter().for_each(|&sample| ends[patch(sample) + 1] += 1);
-    (0..n_patches).for_each(|index| ends[index + 1] += ends[index]);
-    let mut places = vec![0; samples.len()];
-    for (place, &sample) in samples.iter().enumerate() {
-        let end = &mut ends[patch(sample)];
-        places[*end] = place;
-        *end += 1;
-    }
-    let mut block = Vec::with_capacity(64);
-    let mut first = 0;
-    for &end in &ends[..n_patches] {
-        for places in places[first..end].chunks(64) {
-            block.clear();
-            block.extend(places.iter().map(|&place| samples[place]));
-            visit(&block, &mut places.iter().copied());
-        }
-        first = end;
     }
 }
 

@@ -173,17 +173,20 @@ impl<'a> Standard<'a> {
     fn trace(&self, scene: &Scene, size: FrameSize, is_single: bool, mut hasher: Option<&mut blake3::Hasher>) -> f64 {
         let work = Division::Tiled.work(0, 1);
         let Ok(share) = work.share(size) else { return f64::NAN };
-        let mut hits = Vec::with_capacity(size.n_samples() as usize);
+        let mut hits = vec![Hit::MISS; size.n_samples() as usize];
+        let place = |(i, j): (u32, u32)| (j * size.xres() + i) as usize;
         let mut cpu = 0.0;
         for camera in &self.cameras {
             let rays = camera.rays(size);
-            hits.clear();
             let started = ThreadTime::now();
             if is_single {
-                let samples = (0..share.count()).flat_map(|unit| share.samples(unit).iter());
-                hits.extend(samples.map(|(i, j)| scene.grid().intersect(&Ray::new(rays.eye, rays.direction(i, j)))));
+                for (i, j) in (0..share.count()).flat_map(|unit| share.samples(unit).iter()) {
+                    hits[place((i, j))] = scene.grid().intersect(&Ray::new(rays.eye, rays.direction(i, j)));
+                }
             } else {
-                scene.trace(&rays, None, &share, 0..share.count(), |_, of_block| hits.extend_from_slice(of_block));
+                scene.trace(&rays, None, &share, 0..share.count(), |samples, of_block| {
+                    samples.iter().zip(of_block).for_each(|(&sample, &hit)| hits[place(sample)] = hit);
+                });
             }
             cpu += started.elapsed().as_secs_f64();
             if let Some(hasher) = &mut hasher {

@@ -1,4 +1,4 @@
-//! From the triangles in a packet's way to those that some rays may hit: gathers triangles, and culls them many at a
+//! From the triangles in packets' way to those that some rays may hit: gathers triangles, and culls them many at a
 //! time; [`super::decide`] decides the rest.
 //!
 //! Everything here may only drop pairs of ray and triangle that certainly miss, with rounding accounted for.
@@ -9,8 +9,9 @@ use super::{
     boxes::{Bounds, LeafBoxes},
     decide::NearestHits,
     kernel::Kernel,
-    packet::Packet,
+    packet::{MOST_PACKETS, Packet},
     prepared::{Bundle, Prepared, SLOPE_MARGIN},
+    ray_set::RaySet,
 };
 use crate::{ray::Hit, simd::Simd, traced::TracedMesh};
 
@@ -19,58 +20,77 @@ use crate::{ray::Hit, simd::Simd, traced::TracedMesh};
 const MANY_TRIANGLES_PER_RAY: usize = 5;
 
 /// Triangles remembered as already tested, a power of two.
-const N_RECENT: usize = 256;
+const N_RECENT: usize = 1024;
 
 /// Triangles that can wait for their test, a power of two.
 const N_WAITING: usize = 256;
 
-/// The bounds of a group of rays: as many as a vector has lanes.
-#[derive(Clone, Copy, Default)]
-struct Group {
-    u: [f32; 2],
-    v: [f32; 2],
-    /// The farthest of its rays' limits.
-    limit: f32,
+/// Groups of rays at most, with vectors of eight.
+const MOST_GROUPS: usize = MOST_PACKETS * 64 / 8;
+
+/// The bounds of groups of rays, as many each as a vector has lanes.
+#[repr(C, align(64))]
+struct Groups {
+    /// Least and largest slopes.
+    u: [[f32; MOST_GROUPS]; 2],
+    v: [[f32; MOST_GROUPS]; 2],
+    /// The farthest of their rays' limits.
+    limits: [f32; MOST_GROUPS],
 }
 
-/// A packet on its way, with the nearest hits so far.
-pub(super) struct Culler<'a> {
+/// Packets on their way, with the nearest hits so far. Vectors come first, where they are aligned.
+#[repr(C, align(64))]
+pub(super) struct Culler<'a, const N: usize> {
+    /// Slopes of the rays against the major axis.
+    u: [[f32; 64]; N],
+    v: [[f32; 64]; N],
+    groups: Groups,
+    nearest: NearestHits<'a, N>,
+    /// Triangles that wait until a vector is full.
+    waiting: [u32; N_WAITING],
+    n_waiting: usize,
     mesh: &'a TracedMesh,
-    packet: &'a Packet,
+    packets: [&'a Packet; N],
+    /// The rays that there are.
+    pub(super) active: RaySet<N>,
     pub(super) bundle: Bundle,
     /// Finest cells in a world unit, rounded up.
     cells_per_unit: f32,
-    /// Slopes of the rays against the major axis.
-    u: [f32; 64],
-    v: [f32; 64],
-    nearest: NearestHits<'a>,
-    groups: [Group; 8],
     /// The farthest limit of all rays without a final answer, in finest cells.
     farthest: f32,
     /// A bit for each group that has rays without a final answer.
     live: u32,
-    /// Triangles that wait until a vector is full.
-    waiting: [u32; N_WAITING],
-    n_waiting: usize,
     recent: [u32; N_RECENT],
     /// Whether triangles were met since [`Culler::settle`].
     pub(super) touched: bool,
 }
 
-impl<'a> Culler<'a> {
-    /// Takes a packet whose active rays all have the sign `sign` along `axes[0]`, and duplicates in the other entries.
+impl<'a, const N: usize> Culler<'a, N> {
+    /// Takes the active rays of packets in which all rays have the sign `sign` along `axes[0]`.
     #[inline(always)]
-    pub(super) fn new<S: Simd>(grid: &'a Grid, packet: &'a Packet, axes: [usize; 3], sign: f32) -> Self {
+    pub(super) fn new<S: Simd>(
+        grid: &'a Grid,
+        packets: [&'a Packet; N],
+        active: RaySet<N>,
+        axes: [usize; 3],
+        sign: f32,
+    ) -> Self {
         let mesh = &grid.mesh;
         let mut culler = Self {
             mesh,
             cells_per_unit: (grid.space.cells_per_unit() * (1.0 + 1e-6)) as f32,
-            packet,
-            bundle: Bundle { origin: packet.origin.to_array(), axes, sign, slopes: [0.0; 4], reach: [0.0; 3] },
-            u: [0.0; 64],
-            v: [0.0; 64],
-            nearest: NearestHits::new(mesh, packet, axes[0]),
-            groups: [Group::default(); 8],
+            packets,
+            active,
+            bundle: Bundle { origin: packets[0].origin.to_array(), axes, sign, slopes: [0.0; 4], reach: [0.0; 3] },
+            u: [[0.0; 64]; N],
+            v: [[0.0; 64]; N],
+            nearest: NearestHits::new(mesh, packets, axes[0]),
+            // Those of no rays are passed by nothing.
+            groups: Groups {
+                u: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
+                v: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
+                limits: [f32::NEG_INFINITY; MOST_GROUPS],
+            },
             farthest: f32::INFINITY,
             live: 0,
             waiting: [0; N_WAITING],
@@ -78,29 +98,33 @@ impl<'a> Culler<'a> {
             recent: [u32::MAX; N_RECENT],
             touched: false,
         };
-        let directions = &packet.directions;
-        for group in 0..64 / S::LANES {
-            let first = group * S::LANES;
-            let depth = S::load(&directions[axes[0]][first..]).abs();
-            let u = S::load(&directions[axes[1]][first..]).div(depth);
-            let v = S::load(&directions[axes[2]][first..]).div(depth);
-            u.store(&mut culler.u[first..]);
-            v.store(&mut culler.v[first..]);
-            let limits = depth.mul(S::splat(packet.t_max * (1.0 + 1e-6)));
-            limits.store(&mut culler.nearest.limits[first..]);
-            culler.groups[group] =
-                Group { u: [u.least(), u.greatest()], v: [v.least(), v.greatest()], limit: limits.greatest() };
-            for axis in 0..3 {
-                let reach = S::load(&directions[axis][first..]).abs().greatest();
-                culler.bundle.reach[axis] = culler.bundle.reach[axis].max(reach);
+        for (index, packet) in packets.iter().enumerate() {
+            let directions = &packet.directions;
+            for group_of_packet in 0..64 / S::LANES {
+                let lane = group_of_packet * S::LANES;
+                let group = index * (64 / S::LANES) + group_of_packet;
+                let depth = S::load(&directions[axes[0]][lane..]).abs();
+                let u = S::load(&directions[axes[1]][lane..]).div(depth);
+                let v = S::load(&directions[axes[2]][lane..]).div(depth);
+                u.store(&mut culler.u[index][lane..]);
+                v.store(&mut culler.v[index][lane..]);
+                let limits = depth.mul(S::splat(packet.t_max * (1.0 + 1e-6)));
+                limits.store(&mut culler.nearest.limits[index][lane..]);
+                (culler.groups.u[0][group], culler.groups.u[1][group]) = (u.least(), u.greatest());
+                (culler.groups.v[0][group], culler.groups.v[1][group]) = (v.least(), v.greatest());
+                culler.groups.limits[group] = limits.greatest();
+                for axis in 0..3 {
+                    let reach = S::load(&directions[axis][lane..]).abs().greatest();
+                    culler.bundle.reach[axis] = culler.bundle.reach[axis].max(reach);
+                }
+                let any = active.of_packets[index] >> lane & ((1 << S::LANES) - 1) != 0;
+                culler.live |= u32::from(any) << group;
             }
-            let any = packet.active >> first & ((1 << S::LANES) - 1) != 0;
-            culler.live |= u32::from(any) << group;
-        }
-        let mut inactive = !packet.active;
-        while inactive != 0 {
-            culler.nearest.limits[inactive.trailing_zeros() as usize] = f32::NEG_INFINITY;
-            inactive &= inactive - 1;
+            let mut inactive = !active.of_packets[index];
+            while inactive != 0 {
+                culler.nearest.limits[index][inactive.trailing_zeros() as usize] = f32::NEG_INFINITY;
+                inactive &= inactive - 1;
+            }
         }
         culler.find_slopes::<S>();
         culler
@@ -110,10 +134,13 @@ impl<'a> Culler<'a> {
     #[inline(always)]
     fn find_slopes<S: Simd>(&mut self) {
         let mut bounds = [f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY];
-        for group in 0..64 / S::LANES {
+        for group in 0..N * (64 / S::LANES) {
             if self.live >> group & 1 == 1 {
-                let Group { u, v, .. } = &self.groups[group];
-                bounds = [bounds[0].min(u[0]), bounds[1].max(u[1]), bounds[2].min(v[0]), bounds[3].max(v[1])];
+                let Groups { u, v, .. } = &self.groups;
+                bounds[0] = bounds[0].min(u[0][group]);
+                bounds[1] = bounds[1].max(u[1][group]);
+                bounds[2] = bounds[2].min(v[0][group]);
+                bounds[3] = bounds[3].max(v[1][group]);
             }
         }
         for index in [0, 2] {
@@ -123,36 +150,44 @@ impl<'a> Culler<'a> {
         self.bundle.slopes = bounds;
     }
 
-    /// A bit for each of some rays that may pass between these slopes and could still have a nearer hit beyond a depth.
+    /// Those of some rays that may pass between these slopes and could still have a nearer hit beyond a depth.
     #[inline(always)]
-    pub(super) fn passing<S: Simd>(&self, among: u64, u: [f32; 2], v: [f32; 2], depth: f32) -> u64 {
+    pub(super) fn passing<S: Simd>(&self, among: &RaySet<N>, u: [f32; 2], v: [f32; 2], depth: f32) -> RaySet<N> {
         let (u_low, u_high) = (S::splat(u[0] - u[0].abs() * SLOPE_MARGIN), S::splat(u[1] + u[1].abs() * SLOPE_MARGIN));
         let (v_low, v_high) = (S::splat(v[0] - v[0].abs() * SLOPE_MARGIN), S::splat(v[1] + v[1].abs() * SLOPE_MARGIN));
         let depth = S::splat(depth);
-        let mut rays = 0;
-        for group in 0..64 / S::LANES {
-            let first = group * S::LANES;
-            if among >> first & ((1 << S::LANES) - 1) == 0 {
-                continue;
+        let mut rays = RaySet::NONE;
+        for first_group in (0..N * (64 / S::LANES)).step_by(S::LANES) {
+            let Groups { u, v, limits } = &self.groups;
+            let mut groups = u_low.up_to(S::load(&u[1][first_group..]))
+                & S::load(&u[0][first_group..]).up_to(u_high)
+                & v_low.up_to(S::load(&v[1][first_group..]))
+                & S::load(&v[0][first_group..]).up_to(v_high)
+                & depth.up_to(S::load(&limits[first_group..]))
+                & (self.live >> first_group);
+            while groups != 0 {
+                let first = (first_group + groups.trailing_zeros() as usize) * S::LANES;
+                groups &= groups - 1;
+                let (packet, first) = (first / 64 % N, first % 64);
+                let u = S::load(&self.u[packet][first..]);
+                let v = S::load(&self.v[packet][first..]);
+                let passing = u_low.up_to(u)
+                    & u.up_to(u_high)
+                    & v_low.up_to(v)
+                    & v.up_to(v_high)
+                    & depth.up_to(S::load(&self.nearest.limits[packet][first..]));
+                rays.of_packets[packet] |= u64::from(passing) << first;
             }
-            let u = S::load(&self.u[first..]);
-            let v = S::load(&self.v[first..]);
-            let passing = u_low.up_to(u)
-                & u.up_to(u_high)
-                & v_low.up_to(v)
-                & v.up_to(v_high)
-                & depth.up_to(S::load(&self.nearest.limits[first..]));
-            rays |= u64::from(passing) << first;
         }
-        rays & among
+        rays.and(among)
     }
 
     /// Tests the triangles of a leaf soon that the rays may hit, unless they were tested lately.
     ///
     /// `rays` are those that may pass the leaf, or all.
     #[inline(always)]
-    pub(super) fn add<S: Kernel>(&mut self, boxes: &LeafBoxes<'_>, triangles: &[u32], rays: u64) {
-        let ray_by_ray = triangles.len() >= MANY_TRIANGLES_PER_RAY * rays.count_ones() as usize;
+    pub(super) fn add<S: Kernel>(&mut self, boxes: &LeafBoxes<'_>, triangles: &[u32], rays: &RaySet<N>) {
+        let ray_by_ray = triangles.len() >= MANY_TRIANGLES_PER_RAY * rays.count() as usize;
         let mut new_from = self.n_waiting;
         for (batch, triangles) in triangles.chunks(S::LANES).enumerate() {
             if self.n_waiting + S::LANES > N_WAITING {
@@ -189,14 +224,16 @@ impl<'a> Culler<'a> {
 
     /// A bit for each box that one of some rays may pass.
     #[inline(always)]
-    fn passed_by_any<S: Simd>(&self, bounds: &Bounds<S>, rays: u64) -> u32 {
+    fn passed_by_any<S: Simd>(&self, bounds: &Bounds<S>, rays: &RaySet<N>) -> u32 {
         let mut passed = 0;
-        let mut left = rays;
-        while left != 0 {
-            let ray = left.trailing_zeros() as usize;
-            left &= left - 1;
-            let (u, v) = (self.u[ray], self.v[ray]);
-            passed |= bounds.passed_by([u, u, v, v], self.nearest.limits[ray] * self.cells_per_unit);
+        for packet in 0..N {
+            let mut left = rays.of_packets[packet];
+            while left != 0 {
+                let lane = left.trailing_zeros() as usize;
+                left &= left - 1;
+                let (u, v) = (self.u[packet][lane], self.v[packet][lane]);
+                passed |= bounds.passed_by([u, u, v, v], self.nearest.limits[packet][lane] * self.cells_per_unit);
+            }
         }
         passed
     }
@@ -210,26 +247,31 @@ impl<'a> Culler<'a> {
         }
         let reached = S::splat((depth * (1.0 - 1e-6)) as f32);
         let mut farthest = f32::NEG_INFINITY;
-        for group in 0..64 / S::LANES {
-            if self.live >> group & 1 == 0 {
-                continue;
-            }
-            let limits = S::load(&self.nearest.limits[group * S::LANES..]);
+        let live = self.live;
+        let mut groups = live;
+        while groups != 0 {
+            let group = groups.trailing_zeros() as usize;
+            groups &= groups - 1;
+            let first = group * S::LANES;
+            let limits = S::load(&self.nearest.limits[first / 64 % N][first % 64..]);
             let all = ((1u64 << S::LANES) - 1) as u32;
             if limits.up_to(reached) == all {
                 self.live &= !(1 << group);
             } else {
-                self.groups[group].limit = limits.greatest();
+                self.groups.limits[group] = limits.greatest();
                 farthest = farthest.max(limits.greatest());
             }
         }
         self.farthest = farthest * self.cells_per_unit;
+        if self.live != live && self.live != 0 {
+            self.find_slopes::<S>();
+        }
         self.live == 0
     }
 
     /// Writes the hits, when all is settled.
     #[inline(always)]
-    pub(super) fn write_hits(&self, hits: &mut [Hit; 64]) {
+    pub(super) fn write_hits(&self, hits: &mut [[Hit; 64]]) {
         self.nearest.write(hits);
     }
 
@@ -261,41 +303,42 @@ impl<'a> Culler<'a> {
     /// Tests prepared triangles against all rays.
     #[inline(always)]
     fn test_prepared<S: Simd>(&mut self, prepared: &Prepared, triangles: u32) {
-        // All pairs of a group of rays and a triangle in one mask and one loop, whose end is hard to predict.
-        let mut pairs = 0;
-        for group in 0..64 / S::LANES {
-            let Group { u, v, limit } = self.groups[group];
-            let met = triangles
-                & S::load(&prepared.u[0]).up_to(S::splat(u[1]))
-                & S::splat(u[0]).up_to(S::load(&prepared.u[1]))
-                & S::load(&prepared.v[0]).up_to(S::splat(v[1]))
-                & S::splat(v[0]).up_to(S::load(&prepared.v[1]))
-                & S::load(&prepared.depth).up_to(S::splat(limit));
-            pairs |= u64::from(met * (self.live >> group & 1)) << (group * S::LANES);
-        }
-        let mut rays = [0; 16];
-        while pairs != 0 {
-            let pair = pairs.trailing_zeros() as usize;
-            pairs &= pairs - 1;
-            let (group, lane) = (pair / S::LANES, pair % S::LANES);
-            rays[lane] |= self.test_pair::<S>(prepared, lane, group * S::LANES);
-        }
+        let mut rays = [RaySet::<N>::NONE; 16];
         let mut left = 0;
-        for lane in 0..16 {
-            left |= u32::from(rays[lane] != 0) << lane;
+        for packet in 0..N {
+            // All pairs of a group of rays and a triangle in one mask and one loop, whose end is hard to predict.
+            let mut pairs = 0;
+            for group_of_packet in 0..64 / S::LANES {
+                let group = packet * (64 / S::LANES) + group_of_packet;
+                let Groups { u, v, limits } = &self.groups;
+                let met = triangles
+                    & S::load(&prepared.u[0]).up_to(S::splat(u[1][group]))
+                    & S::splat(u[0][group]).up_to(S::load(&prepared.u[1]))
+                    & S::load(&prepared.v[0]).up_to(S::splat(v[1][group]))
+                    & S::splat(v[0][group]).up_to(S::load(&prepared.v[1]))
+                    & S::load(&prepared.depth).up_to(S::splat(limits[group]));
+                pairs |= u64::from(met * (self.live >> group & 1)) << (group_of_packet * S::LANES);
+            }
+            while pairs != 0 {
+                let pair = pairs.trailing_zeros() as usize;
+                pairs &= pairs - 1;
+                let (first, lane) = (pair / S::LANES * S::LANES, pair % S::LANES);
+                let of_group = self.test_pair::<S>(prepared, lane, packet, first);
+                rays[lane].of_packets[packet] |= u64::from(of_group) << first;
+                left |= u32::from(of_group != 0) << lane;
+            }
         }
         while left != 0 {
             let lane = left.trailing_zeros() as usize;
             left &= left - 1;
-            let (place, rays) = (prepared.places[lane], rays[lane]);
-            self.nearest.propose::<S>(place, rays);
+            self.nearest.propose::<S>(prepared.places[lane], &rays[lane]);
         }
     }
 
-    /// A bit for each ray that may hit a prepared triangle, of as many as there are lanes from number `first` on.
+    /// A bit for each ray that may hit a prepared triangle, of a packet's group of rays from number `first` on.
     #[inline(always)]
-    fn test_pair<S: Simd>(&self, prepared: &Prepared, lane: usize, first: usize) -> u64 {
-        let [x, y, z] = &self.packet.directions;
+    fn test_pair<S: Simd>(&self, prepared: &Prepared, lane: usize, packet: usize, first: usize) -> u32 {
+        let [x, y, z] = &self.packets[packet].directions;
         let direction = [S::load(&x[first..]), S::load(&y[first..]), S::load(&z[first..])];
         let mut sides = [direction[0]; 3];
         for edge in 0..3 {
@@ -308,8 +351,7 @@ impl<'a> Culler<'a> {
         let margin = prepared.side_margin[lane];
         let low = sides[0].min(sides[1]).min(sides[2]);
         let high = sides[0].max(sides[1]).max(sides[2]);
-        let passing = S::splat(prepared.depth[lane]).up_to(S::load(&self.nearest.limits[first..]))
-            & !(low.below(S::splat(-margin)) & S::splat(margin).below(high));
-        u64::from(passing) << first
+        S::splat(prepared.depth[lane]).up_to(S::load(&self.nearest.limits[packet][first..]))
+            & !(low.below(S::splat(-margin)) & S::splat(margin).below(high))
     }
 }

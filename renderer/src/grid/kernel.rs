@@ -8,27 +8,37 @@ use crate::simd::{Plain, Simd};
 /// An instruction set with the test compiled for it, once, whoever calls it.
 pub(super) trait Kernel: Simd {
     /// [`Culler::test_waiting`].
-    fn test(culler: &mut Culler<'_>);
+    fn test<const N: usize>(culler: &mut Culler<'_, N>);
     /// [`Tree::test_leaves`].
-    fn test_leaves(tree: &Tree, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>);
+    fn test_leaves<const N: usize>(
+        tree: &Tree,
+        culler: &mut Culler<'_, N>,
+        origin: &[f64; 3],
+        leaves: &mut Vec<Leaf<N>>,
+    );
 }
 
 impl Kernel for Plain {
-    fn test(culler: &mut Culler<'_>) {
+    fn test<const N: usize>(culler: &mut Culler<'_, N>) {
         culler.test_waiting::<Self>();
     }
 
-    fn test_leaves(tree: &Tree, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
-        tree.test_leaves::<Self>(culler, origin, leaves);
+    fn test_leaves<const N: usize>(
+        tree: &Tree,
+        culler: &mut Culler<'_, N>,
+        origin: &[f64; 3],
+        leaves: &mut Vec<Leaf<N>>,
+    ) {
+        tree.test_leaves::<Self, N>(culler, origin, leaves);
     }
 }
 
 #[cfg(target_arch = "x86_64")]
 impl Kernel for Avx2 {
     #[inline(always)]
-    fn test(culler: &mut Culler<'_>) {
+    fn test<const N: usize>(culler: &mut Culler<'_, N>) {
         #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-        fn test(culler: &mut Culler<'_>) {
+        fn test<const N: usize>(culler: &mut Culler<'_, N>) {
             culler.test_waiting::<Avx2>();
         }
         // SAFETY: this type is used only where the instructions were found.
@@ -36,10 +46,20 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
-    fn test_leaves(tree: &Tree, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
+    fn test_leaves<const N: usize>(
+        tree: &Tree,
+        culler: &mut Culler<'_, N>,
+        origin: &[f64; 3],
+        leaves: &mut Vec<Leaf<N>>,
+    ) {
         #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-        fn test_leaves(tree: &Tree, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
-            tree.test_leaves::<Avx2>(culler, origin, leaves);
+        fn test_leaves<const N: usize>(
+            tree: &Tree,
+            culler: &mut Culler<'_, N>,
+            origin: &[f64; 3],
+            leaves: &mut Vec<Leaf<N>>,
+        ) {
+            tree.test_leaves::<Avx2, N>(culler, origin, leaves);
         }
         // SAFETY: as above.
         unsafe { test_leaves(tree, culler, origin, leaves) }
@@ -49,9 +69,9 @@ impl Kernel for Avx2 {
 #[cfg(target_arch = "x86_64")]
 impl Kernel for Avx512 {
     #[inline(always)]
-    fn test(culler: &mut Culler<'_>) {
+    fn test<const N: usize>(culler: &mut Culler<'_, N>) {
         #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-        fn test(culler: &mut Culler<'_>) {
+        fn test<const N: usize>(culler: &mut Culler<'_, N>) {
             culler.test_waiting::<Avx512>();
         }
         // SAFETY: this type is used only where the instructions were found.
@@ -59,10 +79,20 @@ impl Kernel for Avx512 {
     }
 
     #[inline(always)]
-    fn test_leaves(tree: &Tree, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
+    fn test_leaves<const N: usize>(
+        tree: &Tree,
+        culler: &mut Culler<'_, N>,
+        origin: &[f64; 3],
+        leaves: &mut Vec<Leaf<N>>,
+    ) {
         #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-        fn test_leaves(tree: &Tree, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
-            tree.test_leaves::<Avx512>(culler, origin, leaves);
+        fn test_leaves<const N: usize>(
+            tree: &Tree,
+            culler: &mut Culler<'_, N>,
+            origin: &[f64; 3],
+            leaves: &mut Vec<Leaf<N>>,
+        ) {
+            tree.test_leaves::<Avx512, N>(culler, origin, leaves);
         }
         // SAFETY: as above.
         unsafe { test_leaves(tree, culler, origin, leaves) }

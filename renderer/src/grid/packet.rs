@@ -1,4 +1,7 @@
-//! Packets of 64 rays with a common origin through the grid.
+//! Packets of 64 rays with a common origin through the grid, up to four of them together.
+//!
+//! Packets that go together share the way and the triangles on it: what a step costs grows with the width of what they
+//! meet, not with their rays, and four tiles in a square are as wide as two.
 //!
 //! After Wald et al., "Ray Tracing Animated Scenes using Coherent Grid Traversal" (2006): the grid is cut into slabs
 //! across the packet's major axis k, and the packet's least and largest slopes bound the cells (u, v) that it can meet
@@ -16,6 +19,7 @@ use super::{
     cull::Culler,
     frustum::{CellBounds, Frustum, Narrow},
     kernel::Kernel,
+    ray_set::RaySet,
     tree::{BRICK_SIZE, LEVELS, Tree},
 };
 #[cfg(target_arch = "x86_64")]
@@ -26,12 +30,15 @@ use crate::{
 };
 
 /// Rays with a common origin, in world space.
+///
+/// Its vectors are aligned, as are others of the kernel: one that lies across two lines of the cache is read twice.
+#[repr(C, align(64))]
 pub struct Packet {
-    /// Where they begin.
-    pub origin: Vec3,
     /// Their directions, component by component. Rays 16·n to 16·n + 15 are culled together, or half as many: they
     /// should lie close to each other. Entries of no ray must repeat another's direction.
     pub directions: [[f32; 64]; 3],
+    /// Where they begin.
+    pub origin: Vec3,
     /// A bit for each entry that is a ray.
     pub active: u64,
     /// The first t that counts.
@@ -51,91 +58,146 @@ impl Packet {
     }
 }
 
+/// Packets that can go together.
+pub const MOST_PACKETS: usize = 4;
+
 /// Memory that the packets of one thread use one after the other.
 #[derive(Default)]
 pub struct PacketScratch {
-    /// The nodes that a packet meets in the slab at hand, level by level; the first level has bricks.
-    entries: [Vec<Entry>; LEVELS as usize + 1],
-    /// The leaves that a packet met, whose triangles wait for their test.
-    leaves: Vec<Leaf>,
+    one: Scratch<1>,
+    four: Scratch<MOST_PACKETS>,
+}
+
+/// What so many packets that go together need of it.
+#[derive(Default)]
+struct Scratch<const N: usize> {
+    /// The nodes that they meet in the slab at hand, level by level; the first level has bricks.
+    entries: [Vec<Entry<N>>; LEVELS as usize + 1],
+    /// The leaves that they met, whose triangles wait for their test.
+    leaves: Vec<Leaf<N>>,
 }
 
 /// A node within a packet's bounds.
 #[derive(Clone, Copy)]
-struct Entry {
+struct Entry<const N: usize> {
     node: u32,
     /// Its lowest corner across the major axis, in finest cells.
     u: i32,
     v: i32,
     /// The rays that may pass it.
-    rays: u64,
+    rays: RaySet<N>,
 }
 
 /// A leaf that some rays pass.
 #[derive(Clone, Copy)]
-pub(super) struct Leaf {
+pub(super) struct Leaf<const N: usize> {
     number: u32,
     /// Its lowest corner along the major axis and across, and its size, in finest cells.
     low: [i32; 3],
     size: i32,
     /// The rays that may pass it.
-    rays: u64,
+    rays: RaySet<N>,
 }
 
 impl Grid {
     /// The nearest triangle along each ray of a packet; entries of no ray are undefined.
     pub fn intersect_packet(&self, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
-        let mut hits = [Hit::MISS; 64];
-        let is_marched = match &self.structure {
-            Structure::Tree(tree) => match self.instructions {
-                InstructionSet::Plain => self.march::<Plain>(tree, packet, scratch, &mut hits),
-                // SAFETY: a grid holds only what `InstructionSet::available` has found.
-                #[cfg(target_arch = "x86_64")]
-                InstructionSet::Avx2 => unsafe { self.march_avx2(tree, packet, scratch, &mut hits) },
-                // SAFETY: as above.
-                #[cfg(target_arch = "x86_64")]
-                InstructionSet::Avx512 => unsafe { self.march_avx512(tree, packet, scratch, &mut hits) },
-            },
-            Structure::Plain(_) | Structure::RowDisplacement { .. } => false,
-        };
-        if !is_marched {
-            for (lane, hit) in hits.iter_mut().enumerate().filter(|(lane, _)| packet.active >> lane & 1 == 1) {
+        let mut hits = [[Hit::MISS; 64]];
+        if !self.is_marched([packet], RaySet { of_packets: [packet.active] }, &mut scratch.one, &mut hits) {
+            for (lane, hit) in hits[0].iter_mut().enumerate().filter(|(lane, _)| packet.active >> lane & 1 == 1) {
                 *hit = self.intersect(&packet.ray(lane));
             }
         }
-        hits
+        hits[0]
+    }
+
+    /// The same for packets with a common origin, [`MOST_PACKETS`] at a time: the closer they lie together, the less it
+    /// takes. `hits` has an entry for each of them.
+    pub fn intersect_packets(&self, packets: &[Packet], scratch: &mut PacketScratch, hits: &mut [[Hit; 64]]) {
+        debug_assert!(packets.len() == hits.len() && packets.iter().all(|packet| packet.origin == packets[0].origin));
+        for (packets, hits) in packets.chunks(MOST_PACKETS).zip(hits.chunks_mut(MOST_PACKETS)) {
+            if packets.len() > 1 {
+                // Those that are missing repeat the first, without rays.
+                let four = std::array::from_fn(|index| packets.get(index).unwrap_or(&packets[0]));
+                let of_packets = std::array::from_fn(|index| packets.get(index).map_or(0, |packet| packet.active));
+                let mut hits_of_four = [[Hit::MISS; 64]; MOST_PACKETS];
+                if self.is_marched(four, RaySet { of_packets }, &mut scratch.four, &mut hits_of_four) {
+                    hits.copy_from_slice(&hits_of_four[..packets.len()]);
+                    continue;
+                }
+            }
+            for (packet, hits) in packets.iter().zip(hits) {
+                *hits = self.intersect_packet(packet, scratch);
+            }
+        }
+    }
+
+    /// Follows the active rays of packets together, if the grid is one for packets and all advance along one axis. Returns
+    /// whether they do.
+    fn is_marched<const N: usize>(
+        &self,
+        packets: [&Packet; N],
+        active: RaySet<N>,
+        scratch: &mut Scratch<N>,
+        hits: &mut [[Hit; 64]; N],
+    ) -> bool {
+        let Structure::Tree(tree) = &self.structure else { return false };
+        match self.instructions {
+            InstructionSet::Plain => self.march::<Plain, N>(tree, packets, active, scratch, hits),
+            // SAFETY: a grid holds only what `InstructionSet::available` has found.
+            #[cfg(target_arch = "x86_64")]
+            InstructionSet::Avx2 => unsafe { self.march_avx2(tree, packets, active, scratch, hits) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            InstructionSet::Avx512 => unsafe { self.march_avx512(tree, packets, active, scratch, hits) },
+        }
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn march_avx2(&self, tree: &Tree, packet: &Packet, scratch: &mut PacketScratch, hits: &mut [Hit; 64]) -> bool {
-        self.march::<Avx2>(tree, packet, scratch, hits)
+    fn march_avx2<const N: usize>(
+        &self,
+        tree: &Tree,
+        packets: [&Packet; N],
+        active: RaySet<N>,
+        scratch: &mut Scratch<N>,
+        hits: &mut [[Hit; 64]; N],
+    ) -> bool {
+        self.march::<Avx2, N>(tree, packets, active, scratch, hits)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn march_avx512(&self, tree: &Tree, packet: &Packet, scratch: &mut PacketScratch, hits: &mut [Hit; 64]) -> bool {
-        self.march::<Avx512>(tree, packet, scratch, hits)
-    }
-
-    /// The way of a packet, if its rays all advance along one axis. Returns whether they do.
-    #[inline(always)]
-    fn march<S: Kernel>(
+    fn march_avx512<const N: usize>(
         &self,
         tree: &Tree,
-        packet: &Packet,
-        scratch: &mut PacketScratch,
-        hits: &mut [Hit; 64],
+        packets: [&Packet; N],
+        active: RaySet<N>,
+        scratch: &mut Scratch<N>,
+        hits: &mut [[Hit; 64]; N],
     ) -> bool {
-        let Some(axis) = major_axis(packet) else { return false };
+        self.march::<Avx512, N>(tree, packets, active, scratch, hits)
+    }
+
+    /// The way of some packets, if their rays all advance along one axis. Returns whether they do.
+    #[inline(always)]
+    fn march<S: Kernel, const N: usize>(
+        &self,
+        tree: &Tree,
+        packets: [&Packet; N],
+        active: RaySet<N>,
+        scratch: &mut Scratch<N>,
+        hits: &mut [[Hit; 64]; N],
+    ) -> bool {
+        let Some(axis) = major_axis(&packets) else { return false };
         let axes = [axis, (axis + 1) % 3, (axis + 2) % 3];
-        let forward = packet.directions[axis][0] > 0.0;
-        let origin = self.space.point(packet.origin.as_dvec3());
+        let forward = packets[0].directions[axis][0] > 0.0;
+        let origin = self.space.point(packets[0].origin.as_dvec3());
         if !origin.is_finite() {
             return false;
         }
-        let mut culler = Culler::new::<S>(self, packet, axes, if forward { 1.0 } else { -1.0 });
-        let frustum = Frustum {
+        let mut culler = Culler::new::<S>(self, packets, active, axes, if forward { 1.0 } else { -1.0 });
+        let mut frustum = Frustum {
             origin: [origin[axes[0]], origin[axes[1]], origin[axes[2]]],
             forward,
             slopes: culler.bundle.slopes,
@@ -166,7 +228,7 @@ impl Grid {
                 }
                 continue;
             };
-            tree.enter_bricks(&mut scratch.leaves, &mut scratch.entries[1], axes, low, bounds);
+            tree.enter_bricks(&culler.active, &mut scratch.leaves, &mut scratch.entries[1], axes, low, bounds);
             if !scratch.leaves.is_empty() {
                 S::test_leaves(tree, &mut culler, &frustum.origin, &mut scratch.leaves);
             }
@@ -175,6 +237,7 @@ impl Grid {
                     culler.write_hits(hits);
                     return true;
                 }
+                frustum.slopes = culler.bundle.slopes;
                 continue;
             }
 
@@ -200,7 +263,7 @@ impl Grid {
                 let children = below.first_mut();
                 let narrow = frustum.narrow(near, far, 1 << shift);
                 let n_before = scratch.leaves.len();
-                tree.enter_children::<S>(
+                tree.enter_children::<S, N>(
                     &culler,
                     &above[level],
                     children,
@@ -233,6 +296,7 @@ impl Grid {
                         culler.write_hits(hits);
                         return true;
                     }
+                    frustum.slopes = culler.bundle.slopes;
                 }
             }
         }
@@ -246,7 +310,12 @@ impl Grid {
 impl Tree {
     /// Tests the triangles of leaves.
     #[inline(always)]
-    pub(super) fn test_leaves<S: Kernel>(&self, culler: &mut Culler<'_>, origin: &[f64; 3], leaves: &mut Vec<Leaf>) {
+    pub(super) fn test_leaves<S: Kernel, const N: usize>(
+        &self,
+        culler: &mut Culler<'_, N>,
+        origin: &[f64; 3],
+        leaves: &mut Vec<Leaf<N>>,
+    ) {
         // One after the other, so that memory is waited for only once.
         for leaf in &*leaves {
             let references = self.references_of(leaf.number);
@@ -266,7 +335,7 @@ impl Tree {
             let bytes = self.boxes.of_leaf(references.clone());
             let boxes =
                 LeafBoxes::new(bytes, culler.bundle.axes, culler.bundle.sign < 0.0, corner_from_origin, leaf.size);
-            culler.add::<S>(&boxes, &self.references[references], leaf.rays);
+            culler.add::<S>(&boxes, &self.references[references], &leaf.rays);
         }
         leaves.clear();
         culler.touched = true;
@@ -274,10 +343,11 @@ impl Tree {
 
     /// Adds the triangles of leaf bricks to the culler, and the nodes of others to the entries.
     #[inline(always)]
-    fn enter_bricks(
+    fn enter_bricks<const N: usize>(
         &self,
-        leaves: &mut Vec<Leaf>,
-        entries: &mut Vec<Entry>,
+        rays: &RaySet<N>,
+        leaves: &mut Vec<Leaf<N>>,
+        entries: &mut Vec<Entry<N>>,
         axes: [usize; 3],
         low: i32,
         bounds: CellBounds,
@@ -293,13 +363,13 @@ impl Tree {
                     continue;
                 }
                 if brick & Self::LEAF == 0 {
-                    entries.push(Entry { node: brick, u: u << shift, v: v << shift, rays: u64::MAX });
+                    entries.push(Entry { node: brick, u: u << shift, v: v << shift, rays: *rays });
                 } else {
                     leaves.push(Leaf {
                         number: brick & !Self::LEAF,
                         low: [low, u << shift, v << shift],
                         size: BRICK_SIZE as i32,
-                        rays: u64::MAX,
+                        rays: *rays,
                     });
                 }
             }
@@ -309,18 +379,18 @@ impl Tree {
     /// The same for the children of nodes in one quarter of their slab.
     #[inline(always)]
     #[expect(clippy::too_many_arguments, reason = "inlined into the loop whose variables these are")]
-    fn enter_children<S: Kernel>(
+    fn enter_children<S: Kernel, const N: usize>(
         &self,
-        culler: &Culler<'_>,
-        entries: &[Entry],
-        children: Option<&mut Vec<Entry>>,
+        culler: &Culler<'_, N>,
+        entries: &[Entry<N>],
+        children: Option<&mut Vec<Entry<N>>>,
         axes: [usize; 3],
         quarter: u32,
         low: i32,
         shift: u32,
         bounds: CellBounds,
         narrow: Option<Narrow<'_>>,
-        found: &mut Vec<Leaf>,
+        found: &mut Vec<Leaf<N>>,
     ) {
         // The deepest nodes have leaves only, so what is pushed for them is nothing.
         let mut none = Vec::new();
@@ -345,8 +415,8 @@ impl Tree {
                 let mut rays = entry.rays;
                 if let Some(cells) = &narrow {
                     let size = f64::from(1u32 << shift);
-                    rays = culler.passing::<S>(rays, cells.slopes(0, u, size), cells.slopes(1, v, size), cells.depth);
-                    if rays == 0 {
+                    rays = culler.passing::<S>(&rays, cells.slopes(0, u, size), cells.slopes(1, v, size), cells.depth);
+                    if rays.is_empty() {
                         continue;
                     }
                 }
@@ -390,10 +460,10 @@ fn planes(axis: usize, first: i32, last: i32) -> u64 {
     RANGES[axis][first as usize & 3][last as usize & 3]
 }
 
-/// The axis along which the packet advances most, if all rays advance the same way.
+/// The axis along which the packets advance most, if all rays advance the same way.
 #[inline(always)]
-fn major_axis(packet: &Packet) -> Option<usize> {
-    let [x, y, z] = [packet.directions[0][0].abs(), packet.directions[1][0].abs(), packet.directions[2][0].abs()];
+fn major_axis(packets: &[&Packet]) -> Option<usize> {
+    let [x, y, z] = [0, 1, 2].map(|axis| packets[0].directions[axis][0].abs());
     let axis = if x >= y && x >= z {
         0
     } else if y >= z {
@@ -401,10 +471,12 @@ fn major_axis(packet: &Packet) -> Option<usize> {
     } else {
         2
     };
-    let along = &packet.directions[axis];
+    let sign = packets[0].directions[axis][0].signum();
     let mut same = true;
-    for lane in 0..64 {
-        same &= along[lane] * along[0].signum() > 0.0 && along[lane].is_finite();
+    for packet in packets {
+        for along in packet.directions[axis] {
+            same &= along * sign > 0.0 && along.is_finite();
+        }
     }
     same.then_some(axis)
 }

@@ -23,6 +23,9 @@ fn request(eye: DVec3, target: DVec3, rays: RayTree) -> FrameRequest {
     }
 }
 
+/// Samples that are no tile, so that they are their lanes.
+const ROW: [(u32, u32); 64] = [(0, 0); 64];
+
 /// What reaches every hit of a frame, with the ray's direction and the hit.
 fn reach(scene: &Scene, request: &FrameRequest) -> Vec<(Vec3, Hit, Reach)> {
     let secondary = SecondaryRays::new(scene.grid(), request, scene.clip_plane(&request.camera, request.look.clip));
@@ -33,7 +36,8 @@ fn reach(scene: &Scene, request: &FrameRequest) -> Vec<(Vec3, Hit, Reach)> {
         let block: Vec<_> = (0..64).map(|place| (first_i + place % 8, first_j + place / 8)).collect();
         let directions: [Vec3; 64] = std::array::from_fn(|lane| rays.direction(block[lane].0, block[lane].1));
         let hits = directions.map(|direction| scene.grid().intersect(&Ray::new(rays.eye, direction)));
-        let reach = secondary.reach(&block, 0, &directions, &hits, &mut scratch);
+        let blocks = [Block { samples: &block, places: &[] }];
+        let [reach, ..] = secondary.reach(&blocks, 0, &[directions], &[hits], &mut scratch);
         all.extend((0..64).map(|lane| (directions[lane], hits[lane], reach[lane])));
     }
     all.retain(|(_, hit, _)| !hit.is_miss());
@@ -129,10 +133,10 @@ fn what_stands_on_the_ground_touches_its_shadow() {
             let point = at([0.1, 0.0, z]) + DVec3::Y * secondary.lift;
             let surfaces: [Option<Surface>; 64] =
                 std::array::from_fn(|lane| (lane == 7).then_some(Surface { point, normal: DVec3::Y }));
-            let mut reach = [Reach { key_direction: Vec3::Y, key: 0.5, open: 1.0 }; 64];
-            let places = std::array::from_fn(|lane| lane);
-            secondary.cast_shadows(&places, &surfaces, &mut reach, &mut PacketScratch::default());
-            assert_eq!(reach[7].key, expected, "{z} beside the wall, {offset} away");
+            let mut reach = [[Reach { key_direction: Vec3::Y, key: 0.5, open: 1.0 }; 64]];
+            let blocks = [Block { samples: &ROW, places: &[] }];
+            secondary.cast_shadows(&blocks, &[surfaces], &mut reach, &mut PacketScratch::default());
+            assert_eq!(reach[0][7].key, expected, "{z} beside the wall, {offset} away");
         }
     }
 }
@@ -155,9 +159,10 @@ fn what_is_cut_away_casts_no_shadow() {
         let secondary = SecondaryRays::new(scene.grid(), &request, plane).with_key_light(Vec3::new(0.2, 3.0, 0.1));
         let surface = Surface { point: DVec3::new(0.3, secondary.lift, 0.2), normal: DVec3::Y };
         let surfaces = std::array::from_fn(|_| Some(Surface { ..surface }));
-        let mut reach = [Reach { key_direction: Vec3::Y, key: 0.5, open: 1.0 }; 64];
-        secondary.cast_shadows(&std::array::from_fn(|lane| lane), &surfaces, &mut reach, &mut PacketScratch::default());
-        assert!(reach.iter().all(|reach| reach.key == key), "{clip:?}");
+        let mut reach = [[Reach { key_direction: Vec3::Y, key: 0.5, open: 1.0 }; 64]];
+        let blocks = [Block { samples: &ROW, places: &[] }];
+        secondary.cast_shadows(&blocks, &[surfaces], &mut reach, &mut PacketScratch::default());
+        assert!(reach[0].iter().all(|reach| reach.key == key), "{clip:?}");
         assert_eq!(secondary.openness(&surface, (1, 2), 3), 1.0, "the lid is too far away");
     }
 }

@@ -17,6 +17,7 @@ use shared::{
 
 use super::shadows::ShadowCaster;
 use crate::{
+    blocks::Block,
     clip,
     grid::{PacketScratch, RayCost},
     ray::{Hit, Ray},
@@ -35,7 +36,7 @@ pub struct Frame {
 /// How the primary rays of a measured frame are followed: to the same hits.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Kernel {
-    /// The 64 rays of a tile together
+    /// Those of a square of four tiles together
     #[default]
     Packet,
     /// One after the other, as if they had nothing in common
@@ -78,39 +79,44 @@ impl Frame {
 
         let start = Instant::now();
         let total = Mutex::new(Cost::default());
-        // A task is a row of tiles: its hits lie together in the frame. No run of them is given to one thread, which might
-        // be left with it when the others have ended.
-        let tiles_per_row = request.size.xres().div_ceil(TILE_SIZE);
-        let samples_per_row = xres * TILE_SIZE as usize;
-        self.hits.par_chunks_mut(samples_per_row).enumerate().with_max_len(1).for_each(|(row, hits)| {
+        // A task is two rows of tiles, whose squares of 2×2 go together: its hits lie together in the frame. No run of them
+        // is given to one thread, which might be left with it when the others have ended.
+        let (n_columns, n_rows) = (request.size.xres().div_ceil(TILE_SIZE), request.size.yres().div_ceil(TILE_SIZE));
+        let samples_per_task = 2 * xres * TILE_SIZE as usize;
+        self.hits.par_chunks_mut(samples_per_task).enumerate().with_max_len(1).for_each(|(task, all_hits)| {
             let start = ThreadTime::now();
             let mut cost = Cost::default();
-            let first_j = row as u32 * TILE_SIZE;
-            let tiles = row as u32 * tiles_per_row..(row as u32 + 1) * tiles_per_row;
+            let first_row = 2 * task as u32;
+            let first_j = first_row * TILE_SIZE;
+            let tiles = first_row * n_columns..(first_row + 2).min(n_rows) * n_columns;
             let mut scratch = PacketScratch::default();
-            // What a tile's rays met is still in the cache for its shadow rays.
-            let mut visit = |samples: &[(u32, u32)], of_tile: &[Hit]| {
-                let mut left = of_tile;
-                for row in samples.chunk_by(|(_, j), (_, next_j)| j == next_j) {
-                    let (of_row, above) = left.split_at(row.len());
-                    left = above;
-                    let at = (row[0].1 - first_j) as usize * xres + row[0].0 as usize;
-                    hits[at..at + row.len()].copy_from_slice(of_row);
+            // What a group's rays met is still in the cache for its shadow rays.
+            let mut visit = |blocks: &[Block<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch| {
+                for (Block { samples, .. }, hits) in blocks.iter().zip(hits) {
+                    let mut left = &hits[..];
+                    for row in samples.chunk_by(|(_, j), (_, next_j)| j == next_j) {
+                        let (of_row, above) = left.split_at(row.len());
+                        left = above;
+                        let at = (row[0].1 - first_j) as usize * xres + row[0].0 as usize;
+                        all_hits[at..at + row.len()].copy_from_slice(of_row);
+                    }
                 }
                 if let Some(light) = options.light {
                     let caster = ShadowCaster { scene, rays: &rays, light, kernel: options.kernel };
-                    let (n_rays, n_hidden) = caster.cast(samples, of_tile, &mut scratch);
+                    let (n_rays, n_hidden) = caster.cast(blocks, hits, scratch);
                     cost.n_shadow_rays += n_rays;
                     cost.n_shadowed += n_hidden;
                 }
             };
             match options.kernel {
-                Kernel::Packet => scene.trace(&rays, clip, &share, tiles, visit),
+                Kernel::Packet => scene.trace_groups(&rays, clip, &share, tiles, &mut scratch, visit),
                 Kernel::Single => tiles.for_each(|tile| {
                     let samples: Vec<_> = share.samples(tile).iter().collect();
-                    let follow = |&(i, j): &(u32, u32)| Ray::new(rays.eye, rays.direction(i, j));
-                    let hits = samples.iter().map(|sample| clip::intersect(scene.grid(), clip, follow(sample)));
-                    visit(&samples, &hits.collect::<Vec<_>>());
+                    let mut hits = [Hit::MISS; 64];
+                    for (hit, &(i, j)) in hits.iter_mut().zip(&samples) {
+                        *hit = clip::intersect(scene.grid(), clip, Ray::new(rays.eye, rays.direction(i, j)));
+                    }
+                    visit(&[Block { samples: &samples, places: &[] }], &[hits], &mut scratch);
                 }),
             }
             cost.cpu = start.elapsed();
@@ -143,7 +149,8 @@ impl Frame {
                     directions[lane] = rays.direction(i, j);
                     of_tile[lane] = hits[at((i, j))];
                 }
-                let lights = lighting.of_block(&tile, 0, &directions, &of_tile, &mut scratch);
+                let block = Block { samples: &tile, places: &[] };
+                let [lights, ..] = lighting.of_group(&[block], 0, &[directions], &[of_tile], &mut scratch);
                 for (&sample, light) in tile.iter().zip(lights) {
                     rgb[3 * at(sample)..][..3].copy_from_slice(&light.to_array().map(srgb::encode));
                 }

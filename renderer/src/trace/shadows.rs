@@ -5,10 +5,11 @@ use shared::camera::CameraRays;
 
 use super::frame::Kernel;
 use crate::{
-    grid::PacketScratch,
+    blocks::{Block, lane_places},
+    grid::{MOST_PACKETS, PacketScratch},
     ray::{Hit, Ray},
     secondary,
-    tracer::{Scene, lane_places},
+    tracer::Scene,
 };
 
 /// What a point light in world space needs to find its shadows.
@@ -24,32 +25,36 @@ pub(super) struct ShadowCaster<'a> {
 const T_MAX: f32 = 1.0 - 1e-4;
 
 impl ShadowCaster<'_> {
-    /// Casts a ray for each hit of a tile that faces the light. Returns how many rays that were, and how many hits the
-    /// light does not reach, because they face away from it or something is in between.
-    pub(super) fn cast(&self, tile: &[(u32, u32)], hits: &[Hit], scratch: &mut PacketScratch) -> (usize, usize) {
-        let mut directions = [None; 64];
+    /// Casts a ray for each hit of neighbouring tiles that faces the light. Returns how many rays that were, and how many
+    /// hits the light does not reach, because they face away from it or something is in between.
+    pub(super) fn cast(&self, tiles: &[Block<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch) -> (usize, usize) {
+        let mut directions = [[None; 64]; MOST_PACKETS];
         let mut n_dark = 0;
-        // Lanes beyond the samples repeat the last.
-        for (direction, &place) in directions.iter_mut().zip(&lane_places(tile)).take(tile.len()) {
-            let hit = hits[place];
-            if hit.is_miss() {
-                continue;
+        for (index, Block { samples, .. }) in tiles.iter().enumerate() {
+            // Lanes beyond the samples repeat the last.
+            for (direction, &place) in directions[index].iter_mut().zip(&lane_places(samples)).take(samples.len()) {
+                let hit = hits[index][place];
+                if hit.is_miss() {
+                    continue;
+                }
+                *direction = self.ray_to(self.rays.direction(samples[place].0, samples[place].1), hit);
+                n_dark += usize::from(direction.is_none());
             }
-            *direction = self.ray_to(self.rays.direction(tile[place].0, tile[place].1), hit);
-            n_dark += usize::from(direction.is_none());
         }
+        let directions = &directions[..tiles.len()];
+        let rays = directions.as_flattened().iter().flatten();
         let grid = self.scene.grid();
         let n_hidden = match self.kernel {
             Kernel::Packet => {
-                secondary::hidden(grid, None, self.light, &directions, T_MAX, scratch).count_ones() as usize
+                let hidden = secondary::hidden(grid, None, self.light, directions, T_MAX, scratch);
+                hidden.iter().map(|hidden| hidden.count_ones() as usize).sum()
             }
-            Kernel::Single => directions
-                .iter()
-                .flatten()
+            Kernel::Single => rays
+                .clone()
                 .filter(|&&direction| grid.occluded(&Ray { t_max: T_MAX, ..Ray::new(self.light, direction) }))
                 .count(),
         };
-        (directions.iter().flatten().count(), n_dark + n_hidden)
+        (rays.count(), n_dark + n_hidden)
     }
 
     /// The direction from the light to a hit; `None` if the surface faces away.

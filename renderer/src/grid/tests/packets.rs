@@ -5,31 +5,44 @@ use proptest::prelude::*;
 
 use super::{build, build_modes, in_file_order, point, soup};
 use crate::{
-    grid::{Grid, InstructionSet, MeshLayout, Packet, PacketScratch},
+    grid::{Grid, InstructionSet, MOST_PACKETS, MeshLayout, Packet, PacketScratch},
     mesh::Mesh,
+    ray::Hit,
 };
 
-/// Checks that with every instruction set and in every mode packets and single rays hit the same, bit for bit.
+/// Checks that with every instruction set and in every mode packets, alone or together, and single rays hit the same, bit
+/// for bit.
 ///
 /// Places in the mesh differ from mode to mode, so triangles are compared by their numbers in the file.
-fn check_packet(grids: &[Grid], packet: &Packet) {
-    let single: Vec<_> = (0..64).map(|lane| in_file_order(&grids[0], grids[0].intersect(&packet.ray(lane)))).collect();
+fn check_packets(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
+    let single = |grid: &Grid, packet: &Packet, lane| in_file_order(grid, grid.intersect(&packet.ray(lane)));
+    let expected = packets.each_ref().map(|packet| std::array::from_fn(|lane| single(&grids[0], packet, lane)));
     for grid in grids {
-        let hits = grid.intersect_packet(packet, &mut PacketScratch::default());
-        for lane in (0..64).filter(|lane| packet.active >> lane & 1 == 1) {
-            assert_eq!(grid.occluded(&packet.ray(lane)), !single[lane].is_miss());
-            for hit in [hits[lane], grid.intersect(&packet.ray(lane))] {
-                let hit = in_file_order(grid, hit);
-                let expected = single[lane];
-                let same = hit.triangle == expected.triangle && hit.t.to_bits() == expected.t.to_bits();
-                let (instructions, origin) = (grid.instructions, packet.origin);
-                let storage = grid.figures().storage;
-                assert!(
-                    same,
-                    "{storage}, {instructions:?}: ray {lane} from {origin} hits {hit:?} instead of {expected:?}"
-                );
+        let mut scratch = PacketScratch::default();
+        let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
+        for n_packets in [1, MOST_PACKETS - 1, MOST_PACKETS] {
+            let (packets, hits) = (&packets[..n_packets], &mut hits[..n_packets]);
+            grid.intersect_packets(packets, &mut scratch, hits);
+            for ((packet, hits), expected) in packets.iter().zip(hits).zip(&expected) {
+                hits.iter_mut().for_each(|hit| *hit = in_file_order(grid, *hit));
+                check_hits(grid, packet, hits, expected);
             }
         }
+        let packet = &packets[0];
+        let alone = std::array::from_fn(|lane| single(grid, packet, lane));
+        check_hits(grid, packet, &alone, &expected[0]);
+        for (lane, hit) in expected[0].iter().enumerate() {
+            assert_eq!(grid.occluded(&packet.ray(lane)), !hit.is_miss());
+        }
+    }
+}
+
+fn check_hits(grid: &Grid, packet: &Packet, hits: &[Hit; 64], expected: &[Hit; 64]) {
+    for lane in (0..64).filter(|lane| packet.active >> lane & 1 == 1) {
+        let (hit, expected) = (hits[lane], expected[lane]);
+        let same = hit.triangle == expected.triangle && hit.t.to_bits() == expected.t.to_bits();
+        let (instructions, origin, storage) = (grid.instructions, packet.origin, grid.figures().storage);
+        assert!(same, "{storage}, {instructions:?}: ray {lane} from {origin} hits {hit:?} instead of {expected:?}");
     }
 }
 
@@ -58,8 +71,20 @@ pub(super) fn raster(origin: Vec3, target: Vec3, spacing: f32, active: u64) -> P
     Packet { origin, directions, active, t_min: 0.0, t_max: f32::MAX, any_hit: false }
 }
 
+/// The packets of such a raster and of those beside, above, and both.
+fn rasters(origin: Vec3, target: Vec3, spacing: f32, active: u64) -> [Packet; MOST_PACKETS] {
+    let packet = raster(origin, target, spacing, active);
+    let [right, up] = [1, 8].map(|lane| packet.ray(lane).direction - packet.ray(0).direction);
+    let beside = |columns: f32, rows: f32| {
+        let step = (right * columns + up * rows) * 8.0;
+        let directions = std::array::from_fn(|axis| packet.directions[axis].map(|along| along + step[axis]));
+        Packet { directions, ..packet }
+    };
+    [beside(0.0, 0.0), beside(1.0, 0.0), beside(0.0, 1.0), beside(1.0, 1.0)]
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(ProptestConfig::with_cases(32))]
 
     #[test]
     fn packets_hit_what_single_rays_hit(
@@ -73,7 +98,7 @@ proptest! {
         let grids = build_all(&mesh);
         let (origin, target) = (Vec3::from_array(origin) * far, Vec3::from_array(target));
         if origin != target {
-            check_packet(&grids, &raster(origin, target, spacing, active));
+            check_packets(&grids, &rasters(origin, target, spacing, active));
         }
     }
 
@@ -81,18 +106,20 @@ proptest! {
     fn packets_of_unrelated_rays_hit_what_single_rays_hit(
         corners in proptest::collection::vec([point(), point(), point()], 1..60),
         origin in point(),
-        directions in proptest::collection::vec(point(), 64),
+        directions in proptest::collection::vec(point(), 64 * MOST_PACKETS),
     ) {
         let mesh = soup(corners);
         let grids = build_all(&mesh);
-        let mut packet = raster(Vec3::from_array(origin), Vec3::ZERO, 1.0, u64::MAX);
-        for (lane, direction) in directions.iter().enumerate() {
-            (0..3).for_each(|axis| packet.directions[axis][lane] = direction[axis]);
+        let mut packets = rasters(Vec3::from_array(origin), Vec3::ZERO, 1.0, u64::MAX);
+        for (ray, direction) in directions.iter().enumerate() {
+            (0..3).for_each(|axis| packets[ray / 64].directions[axis][ray % 64] = direction[axis]);
         }
-        check_packet(&grids, &packet);
-        // Once more with one that they all share.
-        packet.directions[2] = [5.0; 64];
-        check_packet(&grids, &packet);
+        check_packets(&grids, &packets);
+        // Once more with one direction that each packet shares, and that all do.
+        for shared in [[5.0, 5.0, -5.0, 5.0], [5.0; MOST_PACKETS]] {
+            packets.iter_mut().zip(shared).for_each(|(packet, along)| packet.directions[2] = [along; 64]);
+            check_packets(&grids, &packets);
+        }
     }
 }
 
@@ -104,11 +131,11 @@ fn packets_hit_a_scan_from_near_and_far() {
     let (low, high) = (Vec3::from_array(bounds.min), Vec3::from_array(bounds.max));
     let (centre, size) = ((low + high) * 0.5, (high - low).max_element());
     for (index, distance) in [0.1, 0.6, 1.5, 10.0, 1e4, 1e9].into_iter().enumerate() {
-        for step in 0..8 {
+        for step in 0..5 {
             let angle = step as f32 * 0.7 + index as f32;
             let origin = centre + Vec3::new(angle.cos(), (angle * 3.1).sin() * 0.4, angle.sin()) * (size * distance);
-            let target = low + (high - low) * Vec3::new(0.3, step as f32 / 40.0, 0.6);
-            check_packet(&grids, &raster(origin, target, size / 300.0, u64::MAX));
+            let target = low + (high - low) * Vec3::new(0.3, step as f32 / 25.0, 0.6);
+            check_packets(&grids, &rasters(origin, target, size / 300.0, u64::MAX));
         }
     }
 }
@@ -128,11 +155,11 @@ fn packets_hit_an_uneven_soup_from_within_and_without() {
     };
     let mesh = soup((0..20_000).map(triangle).collect());
     let grids = build_all(&mesh);
-    for step in 0..20 {
+    for step in 0..12 {
         let from = Vec3::new(random(), random(), random());
         let origin = if step % 3 == 0 { from } else { Vec3::splat(0.5) + (from - 0.5) * 6.0 };
         let target = Vec3::new(random(), random(), random());
         let spacing = [0.0003, 0.003, 0.03][step % 3];
-        check_packet(&grids, &raster(origin, target, spacing, u64::MAX));
+        check_packets(&grids, &rasters(origin, target, spacing, u64::MAX));
     }
 }

@@ -1,0 +1,155 @@
+//! Cuts the samples of a share into blocks of up to 64 that lie close together, whose rays are a packet, and says which
+//! blocks are neighbours, so that their packets go together.
+
+use std::ops::Range;
+
+use shared::division::{Share, TILE_SIZE, UnitSamples};
+
+use crate::grid::MOST_PACKETS;
+
+/// Up to 64 samples that lie close together.
+#[derive(Clone, Copy)]
+pub struct Block<'a> {
+    /// The samples (i, j). Those of a tile follow each other row by row.
+    pub samples: &'a [(u32, u32)],
+    /// The place of each among the samples of the units that were cut.
+    pub places: &'a [usize],
+}
+
+/// Calls `visit` with all samples of some units of a share, block by block, up to [`MOST_PACKETS`] neighbours at once: a tile
+/// is a block, and 2×2 tiles are neighbours; single samples are gathered from patches of the frame.
+pub(crate) fn for_each_group(share: &Share<'_>, units: Range<u32>, mut visit: impl FnMut(&[Block<'_>])) {
+    let mut samples = samples_of(share, units.clone());
+    let mut places: Vec<usize> = (0..samples.len()).collect();
+    // Where each block's samples are, after the place of the square that it is in.
+    let mut blocks = Vec::new();
+    if samples.len() > units.len() {
+        let mut first = 0;
+        for n_samples in units.map(|unit| share.samples(unit).count() as usize) {
+            let (i, j) = samples[first];
+            blocks.push(([j, i].map(|along| along / (2 * TILE_SIZE)), first..first + n_samples));
+            first += n_samples;
+        }
+    } else if let (Some(&(_, first_row)), Some(&(_, last_row))) = (samples.first(), samples.last()) {
+        // A patch holds about 64 samples of the share and is as square as the rows at hand allow.
+        let area = share.spread().saturating_mul(64);
+        let height = area.isqrt().clamp(1, last_row.abs_diff(first_row) + 1);
+        let width = (area / height).max(1);
+        let patch = |(i, j): (u32, u32)| [j.abs_diff(first_row) / height, i / width];
+        places.sort_by_key(|&place| patch(samples[place]));
+        samples = places.iter().map(|&place| samples[place]).collect();
+        let mut first = 0;
+        for of_patch in samples.chunk_by(|&a, &b| patch(a) == patch(b)) {
+            for of_block in of_patch.chunks(64) {
+                blocks.push((patch(of_block[0]).map(|along| along / 2), first..first + of_block.len()));
+                first += of_block.len();
+            }
+        }
+    }
+    blocks.sort_by_key(|(square, _)| *square);
+    let mut group = Vec::with_capacity(MOST_PACKETS);
+    for of_square in blocks.chunk_by(|(a, _), (b, _)| a == b) {
+        for neighbours in of_square.chunks(MOST_PACKETS) {
+            group.clear();
+            group.extend(
+                neighbours.iter().map(|(_, at)| Block { samples: &samples[at.clone()], places: &places[at.clone()] }),
+            );
+            visit(&group);
+        }
+    }
+}
+
+/// All samples of some units, in the order of [`Share::samples`].
+fn samples_of(share: &Share<'_>, units: Range<u32>) -> Vec<(u32, u32)> {
+    let mut samples = Vec::with_capacity(units.len());
+    for unit in units {
+        let UnitSamples { columns, rows } = share.samples(unit);
+        for j in rows {
+            samples.extend(columns.clone().map(|i| (i, j)));
+        }
+    }
+    samples
+}
+
+/// The sample of a block that each lane of a packet follows; lanes beyond the samples repeat the last.
+///
+/// The lanes of a whole tile are ordered by quarters, so that lanes side by side are pixels side by side.
+pub(crate) fn lane_places(block: &[(u32, u32)]) -> [usize; 64] {
+    if is_tile(block) { QUARTERS } else { std::array::from_fn(|lane| lane.min(block.len() - 1)) }
+}
+
+/// Whether a block is 8×8 samples, row by row.
+pub(crate) fn is_tile(block: &[(u32, u32)]) -> bool {
+    block.len() == 64 && block[63].0 == block[0].0 + 7 && block[63].1 == block[0].1 + 7
+}
+
+/// The place of each lane in a tile of 8×8 samples, row by row: quarters of 4×4 one after the other.
+pub(crate) const QUARTERS: [usize; 64] = {
+    let mut places = [0; 64];
+    let mut lane = 0;
+    while lane < 64 {
+        let x = lane % 4 + 4 * (lane / 16 % 2);
+        let y = lane / 4 % 4 + 4 * (lane / 32);
+        places[lane] = 8 * y + x;
+        lane += 1;
+    }
+    places
+};
+
+/// The lane of each place in such a tile.
+pub(crate) const LANES_OF_PLACES: [usize; 64] = {
+    let mut lanes = [0; 64];
+    let mut lane = 0;
+    while lane < 64 {
+        lanes[QUARTERS[lane]] = lane;
+        lane += 1;
+    }
+    lanes
+};
+
+#[cfg(test)]
+mod tests {
+    use shared::division::{Division, FrameSize};
+
+    use super::*;
+
+    #[test]
+    fn every_sample_is_in_one_block_and_neighbours_lie_together() {
+        for (xres, yres) in [(1, 1), (37, 21), (64, 48), (200, 100)] {
+            let size = FrameSize::new(xres, yres).unwrap();
+            for (division, machines) in Division::ALL.into_iter().flat_map(|division| [(division, 1), (division, 5)]) {
+                for machine in 0..machines {
+                    let work = division.work(machine, machines);
+                    let share = work.share(size).unwrap();
+                    let units = share.count() / 3..share.count();
+                    let samples = samples_of(&share, units.clone());
+                    let mut seen = vec![0; samples.len()];
+                    for_each_group(&share, units, |blocks| {
+                        assert!((1..=MOST_PACKETS).contains(&blocks.len()));
+                        for block in blocks {
+                            assert!((1..=64).contains(&block.samples.len()));
+                            for (&sample, &place) in block.samples.iter().zip(block.places) {
+                                assert_eq!(samples[place], sample);
+                                seen[place] += 1;
+                            }
+                        }
+                        if division != Division::Interleaved {
+                            let squares = |&(i, j): &(u32, u32)| (i / 16, j / 16);
+                            let all: Vec<_> = blocks.iter().flat_map(|block| block.samples).map(squares).collect();
+                            assert!(all.iter().all(|square| *square == all[0]));
+                        }
+                    });
+                    assert!(seen.iter().all(|&n| n == 1), "{size} {division:?}: {machine} of {machines}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn lanes_of_a_tile_are_its_quarters() {
+        let tile: Vec<_> = (0..64).map(|place| (8 + place % 8, 16 + place / 8)).collect();
+        assert_eq!(lane_places(&tile)[..5], [0, 1, 2, 3, 8]);
+        assert!((0..64).all(|lane| LANES_OF_PLACES[lane_places(&tile)[lane]] == lane));
+        assert_eq!(lane_places(&tile[..3])[..5], [0, 1, 2, 2, 2]);
+    }
+}
