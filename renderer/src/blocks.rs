@@ -3,7 +3,10 @@
 
 use std::ops::Range;
 
-use shared::division::{Share, TILE_SIZE, UnitSamples};
+use shared::{
+    curve,
+    division::{Share, TILE_SIZE, UnitSamples},
+};
 
 use crate::grid::MOST_PACKETS;
 
@@ -17,7 +20,8 @@ pub struct Block<'a> {
 }
 
 /// Calls `visit` with all samples of some units of a share, block by block, up to [`MOST_PACKETS`] neighbours at once: a tile
-/// is a block, and 2×2 tiles are neighbours; single samples are gathered from patches of the frame.
+/// is a block, and 2×2 tiles are neighbours, or as many along the curve; single samples are gathered from patches of the
+/// frame.
 pub(crate) fn for_each_group(share: &Share<'_>, units: Range<u32>, mut visit: impl FnMut(&[Block<'_>])) {
     let mut samples = samples_of(share, units.clone());
     let mut places: Vec<usize> = (0..samples.len()).collect();
@@ -25,9 +29,15 @@ pub(crate) fn for_each_group(share: &Share<'_>, units: Range<u32>, mut visit: im
     let mut blocks = Vec::new();
     if samples.len() > units.len() {
         let mut first = 0;
-        for n_samples in units.map(|unit| share.samples(unit).count() as usize) {
+        for unit in units {
+            let n_samples = share.samples(unit).count() as usize;
             let (i, j) = samples[first];
-            blocks.push(([j, i].map(|along| along / (2 * TILE_SIZE)), first..first + n_samples));
+            let square = if share.is_on_curve() {
+                [0, share.unit(unit) / curve::TILES_TOGETHER]
+            } else {
+                [j, i].map(|along| along / (2 * TILE_SIZE))
+            };
+            blocks.push((square, first..first + n_samples));
             first += n_samples;
         }
     } else if let (Some(&(_, first_row)), Some(&(_, last_row))) = (samples.first(), samples.last()) {
@@ -133,7 +143,7 @@ mod tests {
                                 seen[place] += 1;
                             }
                         }
-                        if division != Division::Interleaved {
+                        if division == Division::Tiled {
                             let squares = |&(i, j): &(u32, u32)| (i / 16, j / 16);
                             let all: Vec<_> = blocks.iter().flat_map(|block| block.samples).map(squares).collect();
                             assert!(all.iter().all(|square| *square == all[0]));

@@ -7,6 +7,10 @@
 
 use glam::IVec2;
 
+/// Tiles along the curve that are rendered together, counted from its beginning: nearly always a square. What they cost is
+/// less than what each costs alone, so that who cuts a run between them changes the costs of its tiles.
+pub const TILES_TOGETHER: u32 = 4;
+
 /// The column and row of the `index`-th tile along the curve through `columns` × `rows` tiles; `index` must be below their
 /// product, and the product within `i32`.
 ///

@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     camera::Camera,
+    curve::TILES_TOGETHER,
     division::{FrameSize, Share, Work},
     look::{Clip, Look},
     scene::SceneId,
@@ -402,17 +403,21 @@ impl BlockCosts {
 
     /// The most tiles in a block, if [`BlockCosts::MOST_BLOCKS`] allows: some hundred microseconds of tracing, of which
     /// reading the clock is a small part.
-    pub const LARGEST_BLOCK: u32 = 8;
+    pub const LARGEST_BLOCK: u32 = 2 * TILES_TOGETHER;
 
-    /// How many blocks a work should have at least, if it has as many tiles: cuts are placed to a part of one.
+    /// How many blocks a work should have, before they are made larger: cuts are placed to a part of one.
     const FEWEST_BLOCKS: u32 = 64;
 
     /// How many tiles make a block of a share; tiles that do not lie side by side have little in common, and are measured
     /// one by one.
     pub fn block_units(share: &Share<'_>) -> u32 {
         let n_units = share.count();
-        let largest = if share.is_run() { Self::LARGEST_BLOCK } else { 1 };
-        (n_units / Self::FEWEST_BLOCKS).clamp(1, largest).max(n_units.div_ceil(Self::MOST_BLOCKS))
+        let usual = match share.is_run() {
+            true if n_units >= Self::FEWEST_BLOCKS * Self::LARGEST_BLOCK => Self::LARGEST_BLOCK,
+            true => TILES_TOGETHER,
+            false => 1,
+        };
+        usual.max(n_units.div_ceil(Self::MOST_BLOCKS))
     }
 
     /// Whether these are the blocks of a work of `n_units` units, or none at all.

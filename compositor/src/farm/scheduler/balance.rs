@@ -10,7 +10,7 @@
 //! Time is CPU time: a render server's share follows from what it can do, not from what else its machine does in one
 //! frame. Whoever is late for such reasons loses work to those who idle.
 
-use std::{borrow::Cow, collections::BTreeMap};
+use std::{borrow::Cow, collections::BTreeMap, ops::Range};
 
 use shared::{
     camera::Camera,
@@ -39,6 +39,10 @@ const UNFINISHED: f64 = 1.25;
 
 /// How much of a trend is believed to go on: all of it would double what measurements waver.
 const TREND: f64 = 0.8;
+
+/// How many squares a run has on average where it is cut between them only: with fewer, what a square costs more than it
+/// should is more than what parting its tiles costs.
+const FEWEST_SQUARES: usize = 64;
 
 /// What every tile counts in addition, in parts of the mean tile: one that no ray took long for must still be sent.
 const FLOOR: f64 = 0.01;
@@ -234,7 +238,7 @@ impl Pace {
 }
 
 /// The blocks of tiles that a work was measured in, as places in its share, and their nanoseconds.
-fn tiles_of<'a>(measured: &'a Measured<'_>) -> impl Iterator<Item = (std::ops::Range<u32>, f64)> + 'a {
+fn tiles_of<'a>(measured: &'a Measured<'_>) -> impl Iterator<Item = (Range<u32>, f64)> + 'a {
     let blocks = measured.costs.into_iter().flat_map(|costs| costs.blocks(measured.share.count()));
     blocks.map(|(tiles, nanoseconds)| (tiles, f64::from(nanoseconds)))
 }
@@ -253,13 +257,26 @@ fn efforts(of_tile: &[f64], works: &[Measured<'_>]) -> BTreeMap<NodeId, Effort> 
     efforts
 }
 
-/// Cuts the curve into one run for each speed, so that costs are in proportion to speeds as well as whole tiles allow.
+/// Cuts the curve into one run for each speed, so that costs are in proportion to speeds as well as whole tiles allow, or
+/// whole squares of them where each run has many.
 ///
 /// Every run has a tile if there are enough.
 fn cut(of_tile: &[f64], speeds: &[f64]) -> Vec<TileRun> {
-    let cost = |tile: usize| of_tile[tile] + FLOOR;
-    let (n_tiles, n_runs) = (of_tile.len(), speeds.len());
-    let per_speed = (0..n_tiles).map(cost).sum::<f64>() / speeds.iter().sum::<f64>();
+    let costs: Vec<f64> = of_tile.iter().map(|cost| cost + FLOOR).collect();
+    let n_together = curve::TILES_TOGETHER as usize;
+    let size = if costs.len() < FEWEST_SQUARES * n_together * speeds.len() { 1 } else { n_together };
+    let of_piece: Vec<f64> = costs.chunks(size).map(|tiles| tiles.iter().sum()).collect();
+    let tiles = |pieces: Range<usize>| {
+        let (first, end) = (pieces.start * size, (pieces.end * size).min(costs.len()));
+        TileRun { first: first as u32, count: (end - first) as u32 }
+    };
+    cut_between(&of_piece, speeds).into_iter().map(tiles).collect()
+}
+
+/// The same between pieces of the curve that have these costs.
+fn cut_between(of_piece: &[f64], speeds: &[f64]) -> Vec<Range<usize>> {
+    let (n_pieces, n_runs) = (of_piece.len(), speeds.len());
+    let per_speed = of_piece.iter().sum::<f64>() / speeds.iter().sum::<f64>();
     let (mut end, mut sum, mut wanted) = (0, 0.0, 0.0);
     let mut runs = Vec::with_capacity(n_runs);
     for (index, speed) in speeds.iter().enumerate() {
@@ -267,14 +284,14 @@ fn cut(of_tile: &[f64], speeds: &[f64]) -> Vec<TileRun> {
         wanted += speed * per_speed;
         let n_after = n_runs - index - 1;
         // The last run ends with the frame, whatever rounding says.
-        let latest = n_tiles.saturating_sub(n_after).max(first);
-        let earliest = if n_after == 0 { n_tiles } else { (first + 1).min(latest) };
-        // A tile belongs to the run in which its middle lies.
-        while end < earliest || end < latest && sum + cost(end) / 2.0 < wanted {
-            sum += cost(end);
+        let latest = n_pieces.saturating_sub(n_after).max(first);
+        let earliest = if n_after == 0 { n_pieces } else { (first + 1).min(latest) };
+        // A piece belongs to the run in which its middle lies.
+        while end < earliest || end < latest && sum + of_piece[end] / 2.0 < wanted {
+            sum += of_piece[end];
             end += 1;
         }
-        runs.push(TileRun { first: first as u32, count: (end - first) as u32 });
+        runs.push(first..end);
     }
     runs
 }

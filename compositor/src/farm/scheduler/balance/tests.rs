@@ -338,10 +338,20 @@ fn nothing_is_known_of_another_scene_or_division() {
     assert_eq!(balance.divide(&picture(), &nodes), None);
 }
 
+#[test]
+fn runs_of_many_tiles_are_cut_between_squares() {
+    let of_tile: Vec<f64> = (0..4099).map(|tile| f64::from(tile % 7)).collect();
+    for (n_runs, is_square) in [(1, true), (16, true), (17, false), (200, false)] {
+        let runs = cut(&of_tile, &vec![1.0; n_runs]);
+        assert_eq!(runs.iter().all(|run| run.first.is_multiple_of(curve::TILES_TOGETHER)), is_square, "{n_runs} runs");
+        assert_eq!(runs.iter().map(|run| run.count).sum::<u32>(), 4099);
+    }
+}
+
 proptest! {
     #[test]
     fn runs_follow_each_other_and_miss_no_tile(
-        of_tile in proptest::collection::vec(prop_oneof![Just(0.0), 0.0..1.0, 100.0..1e6], 1..200),
+        of_tile in proptest::collection::vec(prop_oneof![Just(0.0), 0.0..1.0, 100.0..1e6], 1..600),
         speeds in proptest::collection::vec(prop_oneof![0.3..3.0, 1e-3..1e3], 1..40),
     ) {
         let runs = cut(&of_tile, &speeds);
