@@ -45,15 +45,27 @@ pub(crate) fn for_each_group(share: &Share<'_>, units: Range<u32>, mut visit: im
         let area = share.spread().saturating_mul(64);
         let height = area.isqrt().clamp(1, last_row.abs_diff(first_row) + 1);
         let width = (area / height).max(1);
-        let patch = |(i, j): (u32, u32)| [j.abs_diff(first_row) / height, i / width];
-        places.sort_by_key(|&place| patch(samples[place]));
+        // Patches are numbered row by row from the first row at hand; samples are brought into their order by counting.
+        let patches_per_row = share.units().size().xres().div_ceil(width);
+        let patch = |(i, j): (u32, u32)| j.abs_diff(first_row) / height * patches_per_row + i / width;
+        let patches: Vec<u32> = samples.iter().map(|&sample| patch(sample)).collect();
+        let n_patches = patches.iter().max().map_or(0, |&last| last as usize + 1);
+        let mut ends = vec![0; n_patches + 1];
+        patches.iter().for_each(|&patch| ends[patch as usize + 1] += 1);
+        (0..n_patches).for_each(|patch| ends[patch + 1] += ends[patch]);
+        for (place, &patch) in patches.iter().enumerate() {
+            let end = &mut ends[patch as usize];
+            places[*end] = place;
+            *end += 1;
+        }
         samples = places.iter().map(|&place| samples[place]).collect();
         let mut first = 0;
-        for of_patch in samples.chunk_by(|&a, &b| patch(a) == patch(b)) {
-            for of_block in of_patch.chunks(64) {
-                blocks.push((patch(of_block[0]).map(|along| along / 2), first..first + of_block.len()));
-                first += of_block.len();
+        for (patch, &end) in (0..).zip(&ends[..n_patches]) {
+            let square = [patch / patches_per_row / 2, patch % patches_per_row / 2];
+            for first in (first..end).step_by(64) {
+                blocks.push((square, first..(first + 64).min(end)));
             }
+            first = end;
         }
     }
     blocks.sort_by_key(|(square, _)| *square);
