@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::{
     chart::methods::Method,
-    grid::{Grid, Packet, PacketScratch},
+    grid::{Grid, MOST_PACKETS, Packet, PacketScratch},
     ray::{Hit, Ray},
 };
 
@@ -54,11 +54,30 @@ impl Contender {
         match self {
             Self::Rival(method) => bundle.rays().map(|ray| rival(method, grid, &ray)).collect(),
             Self::Single => bundle.rays().map(|ray| answer(grid, grid.intersect(&ray))).collect(),
-            Self::Packets => {
-                let hits = grid.intersect_packet(&bundle.packet(), scratch);
-                hits.iter().take(bundle.directions.len()).map(|&hit| answer(grid, hit)).collect()
-            }
+            Self::Packets => packets(grid, bundle, bundle.directions.len().div_ceil(MOST_PACKETS), scratch),
         }
+    }
+}
+
+/// The nearest triangle along each ray of a bundle, by packets of so many rays each that go together.
+fn packets(grid: &Grid, bundle: &Bundle, n_rays: usize, scratch: &mut PacketScratch) -> Vec<Answer> {
+    let packets: Vec<_> = bundle.directions.chunks(n_rays).map(|rays| packet(bundle.origin, rays)).collect();
+    let mut hits = vec![[Hit::MISS; 64]; packets.len()];
+    grid.intersect_packets(&packets, scratch, &mut hits);
+    let of_packet = |hits: &[Hit; 64]| hits[..n_rays].to_vec();
+    let all = hits.iter().flat_map(of_packet).take(bundle.directions.len());
+    all.map(|hit| answer(grid, hit)).collect()
+}
+
+fn packet(origin: Vec3, rays: &[Vec3]) -> Packet {
+    let ray = |lane: usize| rays[lane.min(rays.len() - 1)];
+    Packet {
+        origin,
+        directions: [0, 1, 2].map(|axis| std::array::from_fn(|lane| ray(lane)[axis])),
+        active: u64::MAX >> (64 - rays.len()),
+        t_min: 0.0,
+        t_max: f32::MAX,
+        any_hit: false,
     }
 }
 
@@ -88,20 +107,6 @@ pub(super) struct Bundle {
 impl Bundle {
     pub(super) fn rays(&self) -> impl Iterator<Item = Ray> {
         self.directions.iter().map(|&direction| Ray::new(self.origin, direction))
-    }
-
-    fn packet(&self) -> Packet {
-        let n_rays = self.directions.len();
-        let last = self.directions[n_rays - 1];
-        let lane = |lane: usize| self.directions.get(lane).copied().unwrap_or(last);
-        Packet {
-            origin: self.origin,
-            directions: [0, 1, 2].map(|axis| std::array::from_fn(|index| lane(index)[axis])),
-            active: u64::MAX >> (64 - n_rays),
-            t_min: 0.0,
-            t_max: f32::MAX,
-            any_hit: false,
-        }
     }
 }
 
@@ -154,11 +159,17 @@ pub(super) fn tally<T>(
         let bundle = bundle(index);
         let rays: Vec<_> = bundle.rays().map(|ray| (ray, truth(&ray))).collect();
         let mut tally = Tally { n_rays: rays.len() as u64, ..Tally::default() };
+        let of_one_packet = packets(grid, &bundle, rays.len(), scratch);
         for contender in Contender::ALL {
             let answers = contender.trace(grid, &bundle, scratch);
-            for ((ray, truth), answer) in rays.iter().zip(answers) {
-                // What ends rays early must agree with what finds the nearest.
-                let agrees = contender != Contender::Single || grid.occluded(ray) == answer.is_some();
+            for (((ray, truth), answer), of_one_packet) in rays.iter().zip(answers).zip(&of_one_packet) {
+                let agrees = match contender {
+                    // What ends rays early must agree with what finds the nearest,
+                    Contender::Single => grid.occluded(ray) == answer.is_some(),
+                    // and a packet alone with packets that go together.
+                    Contender::Packets => answer == *of_one_packet,
+                    Contender::Rival(_) => true,
+                };
                 let is_right = agrees && is_right(ray, truth, answer);
                 tally.count(contender, is_right, || format!("{ray:?} is answered {answer:?}"));
             }
