@@ -6,8 +6,8 @@
 //! In reading order: [`options`] says what can be asked for, and [`budget`] within how much memory; [`choice`]
 //! chooses what is not asked for, [`resolution`] how many cells; [`overlap`] which cells a triangle touches; [`scatter`] puts triangles into cells; [`build`] makes the
 //! grid, [`divide`] the tree; [`boxes`] bounds the triangles. [`walk`] follows single rays, with [`filter`] before each
-//! list; [`packet`] follows many rays together through their [`frustum`], [`cull`] sorts out what they may hit, and
-//! [`decide`] what they do.
+//! list; [`packet`] follows many rays together through their [`frustum`], compiled by [`kernel`] for each instruction
+//! set; [`cull`] sorts out what they may hit, and [`decide`] what they do.
 
 use std::time::Duration;
 

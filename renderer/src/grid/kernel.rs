@@ -1,14 +1,30 @@
-//! The parts of a packet's way that are compiled once for each instruction set.
+//! The parts of packets' way that are compiled once for each instruction set, whoever calls them.
 
-use super::{cull::Culler, packet::Leaf, tree::Tree};
+use super::{
+    Grid,
+    cull::Culler,
+    packet::{Leaf, Packet, Scratch},
+    ray_set::RaySet,
+    tree::Tree,
+};
 #[cfg(target_arch = "x86_64")]
 use crate::simd::{Avx2, Avx512};
-use crate::simd::{Plain, Simd};
+use crate::{
+    ray::Hit,
+    simd::{Plain, Simd},
+};
 
-/// An instruction set with the test compiled for it, once, whoever calls it.
+/// An instruction set with these parts compiled for it.
 pub(super) trait Kernel: Simd {
-    /// [`Culler::test_waiting`].
-    fn test<const N: usize>(culler: &mut Culler<'_, N>);
+    /// [`Grid::march`].
+    fn march<const N: usize>(
+        grid: &Grid,
+        tree: &Tree,
+        packets: [&Packet; N],
+        active: RaySet<N>,
+        scratch: &mut Scratch<N>,
+        hits: &mut [[Hit; 64]; N],
+    ) -> bool;
     /// [`Tree::test_leaves`].
     fn test_leaves<const N: usize>(
         tree: &Tree,
@@ -16,85 +32,73 @@ pub(super) trait Kernel: Simd {
         origin: &[f64; 3],
         leaves: &mut Vec<Leaf<N>>,
     );
+    /// [`Culler::test_waiting`].
+    fn test<const N: usize>(culler: &mut Culler<'_, N>);
 }
 
-impl Kernel for Plain {
-    fn test<const N: usize>(culler: &mut Culler<'_, N>) {
-        culler.test_waiting::<Self>();
-    }
+/// Has an instruction set's functions compiled with these features. One is used only where they were found.
+macro_rules! kernel {
+    ($set:ident $(, $features:literal)?) => {
+        impl Kernel for $set {
+            #[inline(always)]
+            fn march<const N: usize>(
+                grid: &Grid,
+                tree: &Tree,
+                packets: [&Packet; N],
+                active: RaySet<N>,
+                scratch: &mut Scratch<N>,
+                hits: &mut [[Hit; 64]; N],
+            ) -> bool {
+                $(#[target_feature(enable = $features)])?
+                unsafe fn march<const N: usize>(
+                    grid: &Grid,
+                    tree: &Tree,
+                    packets: [&Packet; N],
+                    active: RaySet<N>,
+                    scratch: &mut Scratch<N>,
+                    hits: &mut [[Hit; 64]; N],
+                ) -> bool {
+                    grid.march::<$set, N>(tree, packets, active, scratch, hits)
+                }
+                // SAFETY: a grid holds only what `InstructionSet::available` has found.
+                unsafe { march(grid, tree, packets, active, scratch, hits) }
+            }
 
-    fn test_leaves<const N: usize>(
-        tree: &Tree,
-        culler: &mut Culler<'_, N>,
-        origin: &[f64; 3],
-        leaves: &mut Vec<Leaf<N>>,
-    ) {
-        tree.test_leaves::<Self, N>(culler, origin, leaves);
-    }
+            #[inline(always)]
+            fn test_leaves<const N: usize>(
+                tree: &Tree,
+                culler: &mut Culler<'_, N>,
+                origin: &[f64; 3],
+                leaves: &mut Vec<Leaf<N>>,
+            ) {
+                $(#[target_feature(enable = $features)])?
+                unsafe fn test_leaves<const N: usize>(
+                    tree: &Tree,
+                    culler: &mut Culler<'_, N>,
+                    origin: &[f64; 3],
+                    leaves: &mut Vec<Leaf<N>>,
+                ) {
+                    tree.test_leaves::<$set, N>(culler, origin, leaves);
+                }
+                // SAFETY: as above.
+                unsafe { test_leaves(tree, culler, origin, leaves) }
+            }
+
+            #[inline(always)]
+            fn test<const N: usize>(culler: &mut Culler<'_, N>) {
+                $(#[target_feature(enable = $features)])?
+                unsafe fn test<const N: usize>(culler: &mut Culler<'_, N>) {
+                    culler.test_waiting::<$set>();
+                }
+                // SAFETY: as above.
+                unsafe { test(culler) }
+            }
+        }
+    };
 }
 
+kernel!(Plain);
 #[cfg(target_arch = "x86_64")]
-impl Kernel for Avx2 {
-    #[inline(always)]
-    fn test<const N: usize>(culler: &mut Culler<'_, N>) {
-        #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-        fn test<const N: usize>(culler: &mut Culler<'_, N>) {
-            culler.test_waiting::<Avx2>();
-        }
-        // SAFETY: this type is used only where the instructions were found.
-        unsafe { test(culler) }
-    }
-
-    #[inline(always)]
-    fn test_leaves<const N: usize>(
-        tree: &Tree,
-        culler: &mut Culler<'_, N>,
-        origin: &[f64; 3],
-        leaves: &mut Vec<Leaf<N>>,
-    ) {
-        #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-        fn test_leaves<const N: usize>(
-            tree: &Tree,
-            culler: &mut Culler<'_, N>,
-            origin: &[f64; 3],
-            leaves: &mut Vec<Leaf<N>>,
-        ) {
-            tree.test_leaves::<Avx2, N>(culler, origin, leaves);
-        }
-        // SAFETY: as above.
-        unsafe { test_leaves(tree, culler, origin, leaves) }
-    }
-}
-
+kernel!(Avx2, "avx2,fma,bmi1,bmi2,popcnt,lzcnt");
 #[cfg(target_arch = "x86_64")]
-impl Kernel for Avx512 {
-    #[inline(always)]
-    fn test<const N: usize>(culler: &mut Culler<'_, N>) {
-        #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-        fn test<const N: usize>(culler: &mut Culler<'_, N>) {
-            culler.test_waiting::<Avx512>();
-        }
-        // SAFETY: this type is used only where the instructions were found.
-        unsafe { test(culler) }
-    }
-
-    #[inline(always)]
-    fn test_leaves<const N: usize>(
-        tree: &Tree,
-        culler: &mut Culler<'_, N>,
-        origin: &[f64; 3],
-        leaves: &mut Vec<Leaf<N>>,
-    ) {
-        #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-        fn test_leaves<const N: usize>(
-            tree: &Tree,
-            culler: &mut Culler<'_, N>,
-            origin: &[f64; 3],
-            leaves: &mut Vec<Leaf<N>>,
-        ) {
-            tree.test_leaves::<Avx512, N>(culler, origin, leaves);
-        }
-        // SAFETY: as above.
-        unsafe { test_leaves(tree, culler, origin, leaves) }
-    }
-}
+kernel!(Avx512, "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt");

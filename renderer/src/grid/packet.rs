@@ -70,7 +70,7 @@ pub struct PacketScratch {
 
 /// What so many packets that go together need of it.
 #[derive(Default)]
-struct Scratch<const N: usize> {
+pub(super) struct Scratch<const N: usize> {
     /// The nodes that they meet in the slab at hand, level by level; the first level has bricks.
     entries: [Vec<Entry<N>>; LEVELS as usize + 1],
     /// The leaves that they met, whose triangles wait for their test.
@@ -103,7 +103,7 @@ impl Grid {
     /// The nearest triangle along each ray of a packet; entries of no ray are undefined.
     pub fn intersect_packet(&self, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
         let mut hits = [[Hit::MISS; 64]];
-        if !self.is_marched([packet], RaySet { of_packets: [packet.active] }, &mut scratch.one, &mut hits) {
+        if !self.follow([packet], RaySet { of_packets: [packet.active] }, &mut scratch.one, &mut hits) {
             for (lane, hit) in hits[0].iter_mut().enumerate().filter(|(lane, _)| packet.active >> lane & 1 == 1) {
                 *hit = self.intersect(&packet.ray(lane));
             }
@@ -121,7 +121,7 @@ impl Grid {
                 let four = std::array::from_fn(|index| packets.get(index).unwrap_or(&packets[0]));
                 let of_packets = std::array::from_fn(|index| packets.get(index).map_or(0, |packet| packet.active));
                 let mut hits_of_four = [[Hit::MISS; 64]; MOST_PACKETS];
-                if self.is_marched(four, RaySet { of_packets }, &mut scratch.four, &mut hits_of_four) {
+                if self.follow(four, RaySet { of_packets }, &mut scratch.four, &mut hits_of_four) {
                     hits.copy_from_slice(&hits_of_four[..packets.len()]);
                     continue;
                 }
@@ -134,7 +134,7 @@ impl Grid {
 
     /// Follows the active rays of packets together, if the grid is one for packets and all advance along one axis. Returns
     /// whether they do.
-    fn is_marched<const N: usize>(
+    fn follow<const N: usize>(
         &self,
         packets: [&Packet; N],
         active: RaySet<N>,
@@ -143,45 +143,17 @@ impl Grid {
     ) -> bool {
         let Structure::Tree(tree) = &self.structure else { return false };
         match self.instructions {
-            InstructionSet::Plain => self.march::<Plain, N>(tree, packets, active, scratch, hits),
-            // SAFETY: a grid holds only what `InstructionSet::available` has found.
+            InstructionSet::Plain => Plain::march(self, tree, packets, active, scratch, hits),
             #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx2 => unsafe { self.march_avx2(tree, packets, active, scratch, hits) },
-            // SAFETY: as above.
+            InstructionSet::Avx2 => Avx2::march(self, tree, packets, active, scratch, hits),
             #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx512 => unsafe { self.march_avx512(tree, packets, active, scratch, hits) },
+            InstructionSet::Avx512 => Avx512::march(self, tree, packets, active, scratch, hits),
         }
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn march_avx2<const N: usize>(
-        &self,
-        tree: &Tree,
-        packets: [&Packet; N],
-        active: RaySet<N>,
-        scratch: &mut Scratch<N>,
-        hits: &mut [[Hit; 64]; N],
-    ) -> bool {
-        self.march::<Avx2, N>(tree, packets, active, scratch, hits)
-    }
-
-    #[cfg(target_arch = "x86_64")]
-    #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn march_avx512<const N: usize>(
-        &self,
-        tree: &Tree,
-        packets: [&Packet; N],
-        active: RaySet<N>,
-        scratch: &mut Scratch<N>,
-        hits: &mut [[Hit; 64]; N],
-    ) -> bool {
-        self.march::<Avx512, N>(tree, packets, active, scratch, hits)
     }
 
     /// The way of some packets, if their rays all advance along one axis. Returns whether they do.
     #[inline(always)]
-    fn march<S: Kernel, const N: usize>(
+    pub(super) fn march<S: Kernel, const N: usize>(
         &self,
         tree: &Tree,
         packets: [&Packet; N],
