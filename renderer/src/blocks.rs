@@ -15,7 +15,7 @@ use crate::grid::MOST_PACKETS;
 pub struct Block<'a> {
     /// The samples (i, j). Those of a tile follow each other row by row.
     pub samples: &'a [(u32, u32)],
-    /// The place of each among the samples of the units that were cut.
+    /// The place of each among the samples of the units that were cut, if anybody asks.
     pub places: &'a [usize],
 }
 
@@ -25,60 +25,75 @@ pub struct Block<'a> {
 pub(crate) fn for_each_group(share: &Share<'_>, units: Range<u32>, mut visit: impl FnMut(&[Block<'_>])) {
     let mut samples = samples_of(share, units.clone());
     let mut places: Vec<usize> = (0..samples.len()).collect();
-    // Where each block's samples are, after the place of the square that it is in.
-    let mut blocks = Vec::new();
-    if samples.len() > units.len() {
-        let mut first = 0;
-        for unit in units {
-            let n_samples = share.samples(unit).count() as usize;
-            let (i, j) = samples[first];
-            let square = if share.is_on_curve() {
-                [0, share.unit(unit) / curve::TILES_TOGETHER]
-            } else {
-                [j, i].map(|along| along / (2 * TILE_SIZE))
-            };
-            blocks.push((square, first..first + n_samples));
-            first += n_samples;
-        }
-    } else if let (Some(&(_, first_row)), Some(&(_, last_row))) = (samples.first(), samples.last()) {
-        // A patch holds about 64 samples of the share and is as square as the rows at hand allow.
-        let area = share.spread().saturating_mul(64);
-        let height = area.isqrt().clamp(1, last_row.abs_diff(first_row) + 1);
-        let width = (area / height).max(1);
-        // Patches are numbered row by row from the first row at hand; samples are brought into their order by counting.
-        let patches_per_row = share.units().size().xres().div_ceil(width);
-        let patch = |(i, j): (u32, u32)| j.abs_diff(first_row) / height * patches_per_row + i / width;
-        let patches: Vec<u32> = samples.iter().map(|&sample| patch(sample)).collect();
-        let n_patches = patches.iter().max().map_or(0, |&last| last as usize + 1);
-        let mut ends = vec![0; n_patches + 1];
-        patches.iter().for_each(|&patch| ends[patch as usize + 1] += 1);
-        (0..n_patches).for_each(|patch| ends[patch + 1] += ends[patch]);
-        for (place, &patch) in patches.iter().enumerate() {
-            let end = &mut ends[patch as usize];
-            places[*end] = place;
-            *end += 1;
-        }
+    let mut cuts = if samples.len() > units.len() {
+        tiles(share, units)
+    } else {
+        let cuts = patches(share, &samples, &mut places);
         samples = places.iter().map(|&place| samples[place]).collect();
-        let mut first = 0;
-        for (patch, &end) in (0..).zip(&ends[..n_patches]) {
-            let square = [patch / patches_per_row / 2, patch % patches_per_row / 2];
-            for first in (first..end).step_by(64) {
-                blocks.push((square, first..(first + 64).min(end)));
-            }
-            first = end;
-        }
-    }
-    blocks.sort_by_key(|(square, _)| *square);
+        cuts
+    };
+    cuts.sort_by_key(|cut| cut.square);
+    let block = |cut: &Cut| Block { samples: &samples[cut.at.clone()], places: &places[cut.at.clone()] };
     let mut group = Vec::with_capacity(MOST_PACKETS);
-    for of_square in blocks.chunk_by(|(a, _), (b, _)| a == b) {
+    for of_square in cuts.chunk_by(|a, b| a.square == b.square) {
         for neighbours in of_square.chunks(MOST_PACKETS) {
             group.clear();
-            group.extend(
-                neighbours.iter().map(|(_, at)| Block { samples: &samples[at.clone()], places: &places[at.clone()] }),
-            );
+            group.extend(neighbours.iter().map(block));
             visit(&group);
         }
     }
+}
+
+/// Where a block's samples are among all.
+struct Cut {
+    /// Equal for neighbours.
+    square: [u32; 2],
+    at: Range<usize>,
+}
+
+fn tiles(share: &Share<'_>, units: Range<u32>) -> Vec<Cut> {
+    let mut end = 0;
+    let cut = |unit| {
+        let UnitSamples { columns, rows } = share.samples(unit);
+        let square = if share.is_on_curve() {
+            [0, share.unit(unit) / curve::TILES_TOGETHER]
+        } else {
+            [rows.start, columns.start].map(|along| along / (2 * TILE_SIZE))
+        };
+        let first = end;
+        end += columns.len() * rows.len();
+        Cut { square, at: first..end }
+    };
+    units.map(cut).collect()
+}
+
+/// Puts the samples' places in the order of the patches that they lie in, too.
+fn patches(share: &Share<'_>, samples: &[(u32, u32)], places: &mut [usize]) -> Vec<Cut> {
+    let (Some(&(_, first_row)), Some(&(_, last_row))) = (samples.first(), samples.last()) else { return Vec::new() };
+    // A patch holds about 64 samples of the share and is as square as the rows at hand allow.
+    let area = share.spread().saturating_mul(64);
+    let height = area.isqrt().clamp(1, last_row.abs_diff(first_row) + 1);
+    let width = (area / height).max(1);
+    // Patches are numbered row by row from the first row at hand; samples are brought into their order by counting.
+    let patches_per_row = share.units().size().xres().div_ceil(width);
+    let patch = |&(i, j): &(u32, u32)| (j.abs_diff(first_row) / height * patches_per_row + i / width) as usize;
+    let n_patches = samples.iter().map(patch).max().map_or(0, |last| last + 1);
+    let mut ends = vec![0; n_patches + 1];
+    samples.iter().for_each(|sample| ends[patch(sample) + 1] += 1);
+    (0..n_patches).for_each(|patch| ends[patch + 1] += ends[patch]);
+    for (place, sample) in samples.iter().enumerate() {
+        let end = &mut ends[patch(sample)];
+        places[*end] = place;
+        *end += 1;
+    }
+    let mut cuts = Vec::new();
+    let mut first = 0;
+    for (patch, &end) in (0..).zip(&ends[..n_patches]) {
+        let square = [patch / patches_per_row / 2, patch % patches_per_row / 2];
+        cuts.extend((first..end).step_by(64).map(|first| Cut { square, at: first..(first + 64).min(end) }));
+        first = end;
+    }
+    cuts
 }
 
 /// All samples of some units, in the order of [`Share::samples`].

@@ -2,6 +2,7 @@
 
 use std::{
     io,
+    ops::Range,
     sync::Mutex,
     time::{Duration, Instant},
 };
@@ -11,15 +12,15 @@ use cpu_time::ThreadTime;
 use glam::Vec3;
 use rayon::prelude::*;
 use shared::{
-    division::{Division, TILE_SIZE},
+    division::{Division, FrameSize, TILE_SIZE},
     srgb,
 };
 
 use super::shadows::ShadowCaster;
 use crate::{
-    blocks::Block,
+    blocks::{Block, for_each_group},
     clip,
-    grid::{PacketScratch, RayCost},
+    grid::{MOST_PACKETS, PacketScratch, RayCost},
     ray::{Hit, Ray},
     tracer::{FrameRequest, Scene},
 };
@@ -79,16 +80,13 @@ impl Frame {
 
         let start = Instant::now();
         let total = Mutex::new(Cost::default());
-        // A task is two rows of tiles, whose squares of 2×2 go together: its hits lie together in the frame. No run of them
-        // is given to one thread, which might be left with it when the others have ended.
-        let (n_columns, n_rows) = (request.size.xres().div_ceil(TILE_SIZE), request.size.yres().div_ceil(TILE_SIZE));
-        let samples_per_task = 2 * xres * TILE_SIZE as usize;
+        // No run of tasks is given to one thread, which might be left with it when the others have ended.
+        let samples_per_task = samples_per_task(request.size);
         self.hits.par_chunks_mut(samples_per_task).enumerate().with_max_len(1).for_each(|(task, all_hits)| {
             let start = ThreadTime::now();
             let mut cost = Cost::default();
-            let first_row = 2 * task as u32;
-            let first_j = first_row * TILE_SIZE;
-            let tiles = first_row * n_columns..(first_row + 2).min(n_rows) * n_columns;
+            let first = task * samples_per_task;
+            let tiles = tiles_of_task(request.size, task);
             let mut scratch = PacketScratch::default();
             // What a group's rays met is still in the cache for its shadow rays.
             let mut visit = |blocks: &[Block<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch| {
@@ -97,7 +95,7 @@ impl Frame {
                     for row in samples.chunk_by(|(_, j), (_, next_j)| j == next_j) {
                         let (of_row, above) = left.split_at(row.len());
                         left = above;
-                        let at = (row[0].1 - first_j) as usize * xres + row[0].0 as usize;
+                        let at = row[0].1 as usize * xres + row[0].0 as usize - first;
                         all_hits[at..at + row.len()].copy_from_slice(of_row);
                     }
                 }
@@ -129,32 +127,34 @@ impl Frame {
     pub fn shade(&mut self, scene: &Scene, request: &FrameRequest) -> Duration {
         let rays = request.camera.rays(request.size);
         let lighting = scene.lighting(request);
-        let xres = request.size.xres() as usize;
+        let xres = request.size.xres();
+        let work = Division::Tiled.work(0, 1);
+        let Ok(share) = work.share(request.size) else { return Duration::ZERO };
         self.rgb.resize(3 * self.hits.len(), 0);
         let total = Mutex::new(Cost::default());
-        let samples_per_row = xres * TILE_SIZE as usize;
-        let rows = self.rgb.par_chunks_mut(3 * samples_per_row);
-        rows.zip(self.hits.par_chunks(samples_per_row)).enumerate().with_max_len(1).for_each(|(row, (rgb, hits))| {
+        let samples_per_task = samples_per_task(request.size);
+        let tasks = self.rgb.par_chunks_mut(3 * samples_per_task).zip(self.hits.par_chunks(samples_per_task));
+        tasks.enumerate().with_max_len(1).for_each(|(task, (rgb, hits))| {
             let start = ThreadTime::now();
             let mut scratch = PacketScratch::default();
-            let (xres, first_j) = (xres as u32, row as u32 * TILE_SIZE);
-            let n_rows = (hits.len() as u32).div_ceil(xres);
-            for first_i in (0..xres).step_by(TILE_SIZE as usize) {
-                let columns = first_i..(first_i + TILE_SIZE).min(xres);
-                let tile: Vec<_> = (0..n_rows).flat_map(|j| columns.clone().map(move |i| (i, first_j + j))).collect();
-                let at = |(i, j): (u32, u32)| ((j - first_j) * xres + i) as usize;
-                let mut directions = [Vec3::ZERO; 64];
-                let mut of_tile = [Hit::MISS; 64];
-                for (lane, &(i, j)) in tile.iter().enumerate() {
-                    directions[lane] = rays.direction(i, j);
-                    of_tile[lane] = hits[at((i, j))];
+            let mut directions = [[Vec3::ZERO; 64]; MOST_PACKETS];
+            let mut hits_of_blocks = [[Hit::MISS; 64]; MOST_PACKETS];
+            let first = task * samples_per_task;
+            let at = |(i, j): (u32, u32)| (j * xres + i) as usize - first;
+            for_each_group(&share, tiles_of_task(request.size, task), |blocks| {
+                for (index, Block { samples, .. }) in blocks.iter().enumerate() {
+                    for (place, &(i, j)) in samples.iter().enumerate() {
+                        directions[index][place] = rays.direction(i, j);
+                        hits_of_blocks[index][place] = hits[at((i, j))];
+                    }
                 }
-                let block = Block { samples: &tile, places: &[] };
-                let [lights, ..] = lighting.of_group(&[block], 0, &[directions], &[of_tile], &mut scratch);
-                for (&sample, light) in tile.iter().zip(lights) {
-                    rgb[3 * at(sample)..][..3].copy_from_slice(&light.to_array().map(srgb::encode));
+                let lights = lighting.of_group(blocks, 0, &directions, &hits_of_blocks, &mut scratch);
+                for (Block { samples, .. }, lights) in blocks.iter().zip(lights) {
+                    for (&sample, light) in samples.iter().zip(lights) {
+                        rgb[3 * at(sample)..][..3].copy_from_slice(&light.to_array().map(srgb::encode));
+                    }
                 }
-            }
+            });
             add(&total, Cost { cpu: start.elapsed(), ..Cost::default() });
         });
         total.into_inner().unwrap_or_default().cpu
@@ -200,6 +200,16 @@ pub fn cost_sum(scene: &Scene, request: &FrameRequest) -> CostSum {
         .into_par_iter()
         .map(of_row)
         .reduce(CostSum::default, |a, b| CostSum { n_cells: a.n_cells + b.n_cells, n_tests: a.n_tests + b.n_tests })
+}
+
+/// Samples of a task: of two rows of tiles, whose squares of 2×2 go together; they lie together in the frame.
+fn samples_per_task(size: FrameSize) -> usize {
+    size.xres() as usize * 2 * TILE_SIZE as usize
+}
+
+fn tiles_of_task(size: FrameSize, task: usize) -> Range<u32> {
+    let first_row = 2 * task as u32;
+    first_row * size.x_tiles()..(first_row + 2).min(size.y_tiles()) * size.x_tiles()
 }
 
 fn add(total: &Mutex<Cost>, cost: Cost) {
