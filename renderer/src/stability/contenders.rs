@@ -64,9 +64,8 @@ fn packets(grid: &Grid, bundle: &Bundle, n_rays: usize, scratch: &mut PacketScra
     let packets: Vec<_> = bundle.directions.chunks(n_rays).map(|rays| packet(bundle.origin, rays)).collect();
     let mut hits = vec![[Hit::MISS; 64]; packets.len()];
     grid.intersect_packets(&packets, scratch, &mut hits);
-    let of_packet = |hits: &[Hit; 64]| hits[..n_rays].to_vec();
-    let all = hits.iter().flat_map(of_packet).take(bundle.directions.len());
-    all.map(|hit| answer(grid, hit)).collect()
+    let of_rays = hits.iter().flat_map(|hits| &hits[..n_rays]).take(bundle.directions.len());
+    of_rays.map(|&hit| answer(grid, hit)).collect()
 }
 
 fn packet(origin: Vec3, rays: &[Vec3]) -> Packet {
