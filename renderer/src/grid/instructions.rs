@@ -5,10 +5,10 @@
 pub enum InstructionSet {
     /// What every machine has.
     Plain,
-    /// AVX2 and FMA.
+    /// AVX2, FMA and what came before.
     #[cfg(target_arch = "x86_64")]
     Avx2,
-    /// AVX-512 F.
+    /// AVX-512 F and DQ, and what came before.
     #[cfg(target_arch = "x86_64")]
     Avx512,
 }
@@ -19,10 +19,17 @@ impl InstructionSet {
         let mut available = vec![Self::Plain];
         #[cfg(target_arch = "x86_64")]
         {
-            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            // All that the kernel is compiled with.
+            let has_avx2 = is_x86_feature_detected!("avx2")
+                && is_x86_feature_detected!("fma")
+                && is_x86_feature_detected!("bmi1")
+                && is_x86_feature_detected!("bmi2")
+                && is_x86_feature_detected!("popcnt")
+                && is_x86_feature_detected!("lzcnt");
+            if has_avx2 {
                 available.push(Self::Avx2);
             }
-            if is_x86_feature_detected!("avx512f") {
+            if has_avx2 && is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq") {
                 available.push(Self::Avx512);
             }
         }
