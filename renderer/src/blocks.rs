@@ -22,24 +22,53 @@ pub struct Block<'a> {
 /// Calls `visit` with all samples of some units of a share, block by block, up to [`MOST_PACKETS`] neighbours at once: a tile
 /// is a block, and 2×2 tiles are neighbours, or as many along the curve; single samples are gathered from patches of the
 /// frame.
-pub(crate) fn for_each_group(share: &Share<'_>, units: Range<u32>, mut visit: impl FnMut(&[Block<'_>])) {
-    let mut samples = samples_of(share, units.clone());
-    let mut places: Vec<usize> = (0..samples.len()).collect();
-    let mut cuts = if samples.len() > units.len() {
-        tiles(share, units)
+pub(crate) fn for_each_group(share: &Share<'_>, units: Range<u32>, visit: impl FnMut(&[Block<'_>])) {
+    let n_samples: u32 = units.clone().map(|unit| share.samples(unit).count()).sum();
+    if n_samples > units.len() as u32 {
+        visit_groups(
+            tiles(share, units),
+            |cut, samples, places| {
+                let UnitSamples { columns, rows } = share.samples(cut.unit);
+                rows.for_each(|j| samples.extend(columns.clone().map(|i| (i, j))));
+                places.extend(cut.at.clone());
+            },
+            visit,
+        );
     } else {
-        let cuts = patches(share, &samples, &mut places);
-        samples = places.iter().map(|&place| samples[place]).collect();
-        cuts
-    };
+        let all = samples_of(share, units);
+        let mut order: Vec<usize> = (0..all.len()).collect();
+        visit_groups(
+            patches(share, &all, &mut order),
+            |cut, samples, places| {
+                samples.extend(order[cut.at.clone()].iter().map(|&place| all[place]));
+                places.extend(&order[cut.at.clone()]);
+            },
+            visit,
+        );
+    }
+}
+
+/// Gathers the blocks of neighbouring cuts, group by group: memory for all of them at once would not stay in the cache.
+fn visit_groups(
+    mut cuts: Vec<Cut>,
+    gather: impl Fn(&Cut, &mut Vec<(u32, u32)>, &mut Vec<usize>),
+    mut visit: impl FnMut(&[Block<'_>]),
+) {
     cuts.sort_by_key(|cut| cut.square);
-    let block = |cut: &Cut| Block { samples: &samples[cut.at.clone()], places: &places[cut.at.clone()] };
-    let mut group = Vec::with_capacity(MOST_PACKETS);
+    let (mut samples, mut places) = (Vec::new(), Vec::new());
     for of_square in cuts.chunk_by(|a, b| a.square == b.square) {
         for neighbours in of_square.chunks(MOST_PACKETS) {
-            group.clear();
-            group.extend(neighbours.iter().map(block));
-            visit(&group);
+            samples.clear();
+            places.clear();
+            neighbours.iter().for_each(|cut| gather(cut, &mut samples, &mut places));
+            let mut end = 0;
+            let mut group = [Block { samples: &[], places: &[] }; MOST_PACKETS];
+            for (block, cut) in group.iter_mut().zip(neighbours) {
+                let at = end..end + cut.at.len();
+                end = at.end;
+                *block = Block { samples: &samples[at.clone()], places: &places[at] };
+            }
+            visit(&group[..neighbours.len()]);
         }
     }
 }
@@ -49,6 +78,8 @@ struct Cut {
     /// Equal for neighbours.
     square: [u32; 2],
     at: Range<usize>,
+    /// The unit, if the block is a whole one.
+    unit: u32,
 }
 
 fn tiles(share: &Share<'_>, units: Range<u32>) -> Vec<Cut> {
@@ -62,7 +93,7 @@ fn tiles(share: &Share<'_>, units: Range<u32>) -> Vec<Cut> {
         };
         let first = end;
         end += columns.len() * rows.len();
-        Cut { square, at: first..end }
+        Cut { square, at: first..end, unit }
     };
     units.map(cut).collect()
 }
@@ -90,7 +121,7 @@ fn patches(share: &Share<'_>, samples: &[(u32, u32)], places: &mut [usize]) -> V
     let mut first = 0;
     for (patch, &end) in (0..).zip(&ends[..n_patches]) {
         let square = [patch / patches_per_row / 2, patch % patches_per_row / 2];
-        cuts.extend((first..end).step_by(64).map(|first| Cut { square, at: first..(first + 64).min(end) }));
+        cuts.extend((first..end).step_by(64).map(|first| Cut { square, at: first..(first + 64).min(end), unit: 0 }));
         first = end;
     }
     cuts
@@ -133,16 +164,17 @@ pub(crate) const QUARTERS: [usize; 64] = {
     places
 };
 
-/// The lane of each place in such a tile.
-pub(crate) const LANES_OF_PLACES: [usize; 64] = {
-    let mut lanes = [0; 64];
-    let mut lane = 0;
-    while lane < 64 {
-        lanes[QUARTERS[lane]] = lane;
-        lane += 1;
+/// What is in the lanes of a tile, row by row.
+pub(crate) fn rows_of_quarters<T: Copy>(in_lanes: &[T; 64]) -> [T; 64] {
+    let mut in_rows = *in_lanes;
+    // Half a row is together in both orders, and copied at once.
+    for half_row in 0..16 {
+        let (row, half) = (half_row / 2, half_row % 2);
+        let lane = 32 * (row / 4) + 16 * half + 4 * (row % 4);
+        in_rows[4 * half_row..][..4].copy_from_slice(&in_lanes[lane..][..4]);
     }
-    lanes
-};
+    in_rows
+}
 
 #[cfg(test)]
 mod tests {
@@ -186,7 +218,7 @@ mod tests {
     fn lanes_of_a_tile_are_its_quarters() {
         let tile: Vec<_> = (0..64).map(|place| (8 + place % 8, 16 + place / 8)).collect();
         assert_eq!(lane_places(&tile)[..5], [0, 1, 2, 3, 8]);
-        assert!((0..64).all(|lane| LANES_OF_PLACES[lane_places(&tile)[lane]] == lane));
+        assert_eq!(rows_of_quarters(&QUARTERS), std::array::from_fn(|place| place));
         assert_eq!(lane_places(&tile[..3])[..5], [0, 1, 2, 2, 2]);
     }
 }

@@ -91,12 +91,14 @@ impl Frame {
             // What a group's rays met is still in the cache for its shadow rays.
             let mut visit = |blocks: &[Block<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch| {
                 for (Block { samples, .. }, hits) in blocks.iter().zip(hits) {
-                    let mut left = &hits[..];
-                    for row in samples.chunk_by(|(_, j), (_, next_j)| j == next_j) {
-                        let (of_row, above) = left.split_at(row.len());
-                        left = above;
+                    let width = (samples[samples.len() - 1].0 - samples[0].0) as usize + 1;
+                    for (row, hits) in samples.chunks(width).zip(hits.chunks(width)) {
                         let at = row[0].1 as usize * xres + row[0].0 as usize - first;
-                        all_hits[at..at + row.len()].copy_from_slice(of_row);
+                        let to = &mut all_hits[at..at + width];
+                        match (to.as_mut_array::<8>(), hits.as_array::<8>()) {
+                            (Some(to), Some(hits)) => *to = *hits,
+                            _ => to.copy_from_slice(&hits[..width]),
+                        }
                     }
                 }
                 if let Some(light) = options.light {
