@@ -106,10 +106,15 @@ impl TracedMesh {
         self.indices(place).map(|vertex| self.vertices[vertex as usize])
     }
 
-    /// The vertices of the triangle at a place.
+    /// The vertices of the triangle at a place, which are all there.
+    ///
+    /// # Panics
+    ///
+    /// If there is no such triangle.
     #[inline]
     pub(crate) fn indices(&self, place: u32) -> [u32; 3] {
         if self.triangles.is_empty() {
+            assert!((place as usize) < self.n_triangles(), "no triangle {place}");
             [3 * place, 3 * place + 1, 3 * place + 2]
         } else {
             self.triangles[place as usize]
@@ -166,7 +171,8 @@ impl TracedMesh {
         }
         let coordinates = self.coordinates();
         let [a, b, c] = &vertices;
-        [S::transpose(coordinates, a), S::transpose(coordinates, b), S::transpose(coordinates, c)]
+        // SAFETY: triangles have vertices that are there, and another follows the last.
+        unsafe { [S::transpose(coordinates, a), S::transpose(coordinates, b), S::transpose(coordinates, c)] }
     }
 
     /// The coordinates of all vertices, one vertex after the other, and three more.

@@ -30,12 +30,16 @@ macro_rules! instructions {
 }
 
 /// The three coordinates of a vertex and the one that follows.
+///
+/// # Safety
+///
+/// There are all four.
 #[inline(always)]
-fn vertex(coordinates: &[f32], vertex: u32) -> __m128 {
+unsafe fn vertex(coordinates: &[f32], vertex: u32) -> __m128 {
     let first = 3 * vertex as usize;
-    let four: &[f32; 4] = coordinates[first..first + 4].try_into().expect("four numbers");
-    // SAFETY: four numbers are there, and SSE is part of the architecture.
-    unsafe { _mm_loadu_ps(four.as_ptr()) }
+    debug_assert!(first + 4 <= coordinates.len(), "no vertex {vertex} in {} coordinates", coordinates.len());
+    // SAFETY: the caller's.
+    unsafe { _mm_loadu_ps(coordinates.as_ptr().add(first)) }
 }
 
 impl Simd for Avx2 {
@@ -83,8 +87,8 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
-        // SAFETY: as above.
+    unsafe fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
+        // SAFETY: as above, and the caller's: all vertices are there.
         unsafe {
             let mut rows = [_mm256_setzero_ps(); 4];
             for lane in 0..4 {
@@ -202,8 +206,8 @@ impl Simd for Avx512 {
         unsafe { _mm512_reduce_max_ps(self.0) }
     }
     #[inline(always)]
-    fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
-        // SAFETY: as above.
+    unsafe fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
+        // SAFETY: as above, and the caller's: all vertices are there.
         unsafe {
             let mut rows = [_mm512_setzero_ps(); 4];
             for lane in 0..4 {
