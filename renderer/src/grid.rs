@@ -7,7 +7,7 @@
 //! chooses what is not asked for, [`resolution`] how many cells; [`overlap`] which cells a triangle touches; [`scatter`] puts triangles into cells; [`build`] makes the
 //! grid, [`divide`] the tree; [`boxes`] bounds the triangles. [`walk`] follows single rays, with [`filter`] before each
 //! list; [`packet`] follows many rays together through their [`frustum`], compiled by [`kernel`] for each instruction
-//! set; [`cull`] sorts out what they may hit, and [`decide`] what they do.
+//! set; [`cull`] sorts out what they may hit, [`pairs`] which of them, and [`decide`] what they do.
 
 use std::time::Duration;
 
@@ -16,7 +16,6 @@ mod boxes;
 mod budget;
 mod build;
 mod choice;
-#[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
 mod cull;
 #[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
 mod decide;
@@ -31,6 +30,9 @@ mod macrocells;
 mod options;
 mod overlap;
 mod packet;
+#[expect(clippy::needless_range_loop, reason = "an edge indexes several arrays at once")]
+mod pairs;
+#[expect(clippy::needless_range_loop, reason = "an axis or an edge indexes several arrays at once")]
 mod prepared;
 mod ray_set;
 mod resolution;

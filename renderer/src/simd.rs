@@ -88,6 +88,18 @@ pub(crate) trait Simd: Copy {
     fn load_bytes(from: &[u8]) -> Self;
     /// Writes to the beginning of a slice that has room.
     fn store(self, to: &mut [f32]);
+    /// For each lane the number of `yes` where its bit is set in `mask`, else of `no`.
+    fn select(mask: u32, yes: Self, no: Self) -> Self;
+    /// Writes those that have their bit set in `mask` to their places in a slice that has room for all.
+    #[inline(always)]
+    fn store_where(self, mask: u32, to: &mut [f32]) {
+        // Not a masked store, after which a load must wait.
+        Self::select(mask, self, Self::load(to)).store(to);
+    }
+    /// Writes a number where `mask` has bits, to the same places in a slice that has room for all lanes.
+    fn fill_where(number: u32, mask: u32, to: &mut [u32]);
+    /// A bit for each of the first [`Simd::LANES`] numbers of a slice that equals another.
+    fn equal(numbers: &[u32], number: u32) -> u32;
     /// The least of all.
     fn least(self) -> f32;
     /// The greatest of all.
@@ -159,6 +171,20 @@ impl Simd for Plain {
     #[inline(always)]
     fn load_bytes(from: &[u8]) -> Self {
         Self(std::array::from_fn(|lane| f32::from(from[lane])))
+    }
+    #[inline(always)]
+    fn select(mask: u32, yes: Self, no: Self) -> Self {
+        // Bits are tested where they are, and all lanes written: compilers make vectors of that.
+        Self(std::array::from_fn(|lane| if mask & 1 << lane != 0 { yes.0[lane] } else { no.0[lane] }))
+    }
+    #[inline(always)]
+    fn fill_where(number: u32, mask: u32, to: &mut [u32]) {
+        let to: &mut [u32; 8] = (&mut to[..8]).try_into().expect("eight numbers");
+        *to = std::array::from_fn(|lane| if mask & 1 << lane != 0 { number } else { to[lane] });
+    }
+    #[inline(always)]
+    fn equal(numbers: &[u32], number: u32) -> u32 {
+        (0..8).fold(0, |mask, lane| mask | u32::from(numbers[lane] == number) << lane)
     }
     #[inline(always)]
     fn store(self, to: &mut [f32]) {

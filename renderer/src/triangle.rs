@@ -33,7 +33,7 @@ pub(crate) struct Decision<R> {
     pub(crate) t: R,
 }
 
-type Vector<R> = [R; 3];
+pub(crate) type Vector<R> = [R; 3];
 
 /// What deciding whether rays from a common origin hit a triangle needs of both, for one triangle or for as many as there
 /// are lanes.
@@ -43,10 +43,7 @@ type Vector<R> = [R; 3];
 pub(crate) struct Planes<R> {
     /// Normals of the planes through the origin and an edge: p × (q − p), seen from the origin, for the edge from p to q.
     sides: [Vector<R>; 3],
-    /// The triangle's normal, (b − a) × (c − a).
-    normal: Vector<R>,
-    /// The triangle's plane, seen from the origin: all points x with normal·x = offset.
-    offset: R,
+    plane: Plane<R>,
     /// More than rounding can do to a determinant, for a direction whose absolute components add up to one.
     error_bound: R,
 }
@@ -57,14 +54,12 @@ impl<R: Real> Planes<R> {
     pub(crate) fn new(origin: Vector<R>, [a, b, c]: [Vector<R>; 3]) -> Self {
         let (a_from_origin, b_from_origin, c_from_origin) = (sub(a, origin), sub(b, origin), sub(c, origin));
         let (edge_ab, edge_bc, edge_ca) = (sub(b, a), sub(c, b), sub(a, c));
-        let normal = cross(edge_ab, sub(c, a));
         // Eight roundings lie between the inputs and a determinant, each of at most 2⁻⁵³ of the sum of absolute products.
         let from_origin = largest(a_from_origin).max(largest(b_from_origin)).max(largest(c_from_origin));
         let edges = largest(edge_ab).max(largest(edge_bc)).max(largest(edge_ca));
         Self {
             sides: [cross(a_from_origin, edge_ab), cross(b_from_origin, edge_bc), cross(c_from_origin, edge_ca)],
-            normal,
-            offset: dot(normal, a_from_origin),
+            plane: Plane::new(origin, [a, b, c]),
             error_bound: from_origin.mul(edges).mul(R::splat(32.0 * f64::EPSILON)),
         }
     }
@@ -80,34 +75,46 @@ impl<R: Real> Planes<R> {
             [dot(direction, self.sides[0]), dot(direction, self.sides[1]), dot(direction, self.sides[2])];
         let left = [error_bound.below(ab), error_bound.below(bc), error_bound.below(ca)];
         let right = [ab.below(minus_bound), bc.below(minus_bound), ca.below(minus_bound)];
-        let determinant = dot(direction, self.normal);
+        let determinant = dot(direction, self.plane.normal);
         let decided =
             (left[0] | right[0]) & (left[1] | right[1]) & (left[2] | right[2]) & R::splat(0.0).below(determinant.abs());
         Decision {
             certain_miss: (left[0] | left[1] | left[2]) & (right[0] | right[1] | right[2]),
             uncertain: !decided & ((1 << R::LANES) - 1),
-            t: self.offset.div(determinant),
+            t: self.plane.offset.div(determinant),
         }
     }
 }
 
-impl Planes<f64> {
-    /// The same triangle in all lanes.
+/// A triangle's plane, seen from the origin of rays: all points x with normal·x = offset.
+#[derive(Clone, Copy)]
+pub(crate) struct Plane<R> {
+    /// (b − a) × (c − a).
+    normal: Vector<R>,
+    offset: R,
+}
+
+impl<R: Real> Plane<R> {
     #[inline(always)]
-    pub(crate) fn splat<R: Real>(&self) -> Planes<R> {
-        let [ab, bc, ca] = self.sides;
-        Planes {
-            sides: [splat(ab), splat(bc), splat(ca)],
-            normal: splat(self.normal),
-            offset: R::splat(self.offset),
-            error_bound: R::splat(self.error_bound),
-        }
+    pub(crate) fn new(origin: Vector<R>, [a, b, c]: [Vector<R>; 3]) -> Self {
+        let normal = cross(sub(b, a), sub(c, a));
+        Self { normal, offset: dot(normal, sub(a, origin)) }
+    }
+
+    /// Where a ray meets the plane: what [`Planes::decide`] tells if that is certain.
+    #[inline(always)]
+    pub(crate) fn t(&self, direction: Vector<R>) -> R {
+        self.offset.div(dot(direction, self.normal))
     }
 }
 
-#[inline(always)]
-fn splat<R: Real>([x, y, z]: Vector<f64>) -> Vector<R> {
-    [R::splat(x), R::splat(y), R::splat(z)]
+impl Plane<f64> {
+    /// The same plane in all lanes.
+    #[inline(always)]
+    pub(crate) fn splat<R: Real>(&self) -> Plane<R> {
+        let [x, y, z] = self.normal;
+        Plane { normal: [R::splat(x), R::splat(y), R::splat(z)], offset: R::splat(self.offset) }
+    }
 }
 
 #[inline(always)]
@@ -138,13 +145,13 @@ pub(crate) fn intersect_exactly(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f6
     }
     let double = |vector: [f32; 3]| vector.map(f64::from);
     let (origin, direction) = (double(ray.origin.to_array()), double(ray.direction.to_array()));
-    let Planes { normal, offset, .. } = Planes::new(origin, corners.map(double));
-    let determinant = dot(direction, normal);
+    let plane = Plane::new(origin, corners.map(double));
+    let determinant = dot(direction, plane.normal);
     Some(if determinant == 0.0 {
         // A sliver too thin for `f64`: it lies along the ray, and any of its corners tells where.
         dot(sub(double(corners[0]), origin), direction) / dot(direction, direction)
     } else {
-        offset / determinant
+        plane.offset / determinant
     })
 }
 

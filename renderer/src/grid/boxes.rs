@@ -172,17 +172,17 @@ impl<'a> LeafBoxes<'a> {
 }
 
 impl<S: Simd> Bounds<S> {
-    /// A bit for each box that begins before the depth `limit` and that a ray may pass whose slopes against k lie within
-    /// `slopes`: least and greatest u, least and greatest v.
+    /// A bit for each box that begins before the depth 1 / `inverse_limit` and that a ray may pass whose slopes against k
+    /// lie within `slopes`: least and greatest u, least and greatest v.
     #[inline(always)]
-    pub(super) fn passed_by(&self, slopes: [f32; 4], limit: f32) -> u32 {
+    pub(super) fn passed_by(&self, slopes: [f32; 4], inverse_limit: f32) -> u32 {
         let [u_low, u_high] = [S::splat(slopes[0]), S::splat(slopes[1])];
         let [v_low, v_high] = [S::splat(slopes[2]), S::splat(slopes[3])];
         u_low.mul(self.near).min(u_low.mul(self.far)).up_to(self.u[1])
             & self.u[0].up_to(u_high.mul(self.near).max(u_high.mul(self.far)))
             & v_low.mul(self.near).min(v_low.mul(self.far)).up_to(self.v[1])
             & self.v[0].up_to(v_high.mul(self.near).max(v_high.mul(self.far)))
-            & self.near.up_to(S::splat(limit))
+            & self.near.mul(S::splat(inverse_limit)).up_to(S::splat(1.0))
     }
 }
 

@@ -1,16 +1,20 @@
 //! From the triangles in packets' way to those that some rays may hit: gathers triangles, and culls them many at a
-//! time; [`super::decide`] decides the rest.
+//! time by their boxes; [`super::pairs`] tests the rest against rays, and [`super::decide`] decides.
 //!
-//! Everything here may only drop pairs of ray and triangle that certainly miss, with rounding accounted for.
+//! Everything here may only drop triangles that certainly miss, with rounding accounted for.
 //! There are no closures over vectors: they would not be compiled for the caller's instruction set.
+//!
+//! How far away something is, is told by inverse depths along the major axis: across a triangle's plane they are linear
+//! in the rays' slopes, so that no ray needs a division.
 
 use super::{
     Grid,
     boxes::{Bounds, LeafBoxes},
-    decide::NearestHits,
+    decide::{HitScratch, NearestHits},
     kernel::Kernel,
     packet::{MOST_PACKETS, Packet},
-    prepared::{Bundle, Prepared, SLOPE_MARGIN},
+    pairs::Pair,
+    prepared::{Bundle, Prepared, SLOPE_MARGIN, UNDERFLOW_MARGIN},
     ray_set::RaySet,
 };
 use crate::{ray::Hit, simd::Simd, traced::TracedMesh};
@@ -30,37 +34,78 @@ const MOST_GROUPS: usize = MOST_PACKETS * 64 / 8;
 
 /// The bounds of groups of rays, as many each as a vector has lanes.
 #[repr(C, align(64))]
-struct Groups {
+pub(super) struct Groups {
     /// Least and largest slopes.
-    u: [[f32; MOST_GROUPS]; 2],
-    v: [[f32; MOST_GROUPS]; 2],
-    /// The farthest of their rays' limits.
-    limits: [f32; MOST_GROUPS],
+    pub(super) u: [[f32; MOST_GROUPS]; 2],
+    pub(super) v: [[f32; MOST_GROUPS]; 2],
+    /// The middles between them, of u and of v.
+    pub(super) middles: [[f32; MOST_GROUPS]; 2],
+    /// The inverse of the farthest of their rays' limits.
+    pub(super) inverse_limits: [f32; MOST_GROUPS],
 }
 
-/// Packets on their way, with the nearest hits so far. Vectors come first, where they are aligned.
+impl Groups {
+    /// Groups that nothing passes, for they have no rays.
+    const NONE: Self = Self {
+        u: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
+        v: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
+        middles: [[0.0; MOST_GROUPS]; 2],
+        inverse_limits: [f32::INFINITY; MOST_GROUPS],
+    };
+}
+
+/// The memory of a [`Culler`], made ready anew for each: it is too much to be moved about. Vectors come first, where they
+/// are aligned.
 #[repr(C, align(64))]
-pub(super) struct Culler<'a, const N: usize> {
+pub(super) struct CullScratch<const N: usize> {
     /// Slopes of the rays against the major axis.
     u: [[f32; 64]; N],
     v: [[f32; 64]; N],
     groups: Groups,
-    nearest: NearestHits<'a, N>,
-    /// Triangles that wait until a vector is full.
-    waiting: [u32; N_WAITING],
+    hits: HitScratch<N>,
+    /// Triangles that wait until a vector is full, and a vector more.
+    waiting: [u32; N_WAITING + 16],
+    recent: [u32; N_RECENT],
+    pairs: [Pair; 64],
+}
+
+impl<const N: usize> Default for CullScratch<N> {
+    fn default() -> Self {
+        Self {
+            u: [[0.0; 64]; N],
+            v: [[0.0; 64]; N],
+            groups: Groups::NONE,
+            hits: HitScratch::default(),
+            waiting: [0; N_WAITING + 16],
+            recent: [0; N_RECENT],
+            pairs: [Pair::default(); 64],
+        }
+    }
+}
+
+/// Packets on their way, with the nearest hits so far.
+pub(super) struct Culler<'a, const N: usize> {
+    pub(super) u: &'a mut [[f32; 64]; N],
+    pub(super) v: &'a mut [[f32; 64]; N],
+    pub(super) groups: &'a mut Groups,
+    pub(super) nearest: NearestHits<'a, N>,
+    waiting: &'a mut [u32; N_WAITING + 16],
     n_waiting: usize,
+    recent: &'a mut [u32; N_RECENT],
+    /// Room for the pairs of one vector of triangles and one packet's groups.
+    pub(super) pairs: &'a mut [Pair; 64],
     mesh: &'a TracedMesh,
-    packets: [&'a Packet; N],
     /// The rays that there are.
     pub(super) active: RaySet<N>,
     pub(super) bundle: Bundle,
-    /// Finest cells in a world unit, rounded up.
-    cells_per_unit: f32,
-    /// The farthest limit of all rays without a final answer, in finest cells.
-    farthest: f32,
+    /// Least and largest u, least and largest v, of each packet.
+    pub(super) slopes_of_packets: [[f32; 4]; N],
+    /// The side of a finest cell in world units, rounded down.
+    cell_length: f32,
+    /// The inverse of the farthest limit of all rays without a final answer, per finest cell.
+    inverse_farthest: f32,
     /// A bit for each group that has rays without a final answer.
-    live: u32,
-    recent: [u32; N_RECENT],
+    pub(super) live: u32,
     /// Whether triangles were met since [`Culler::settle`].
     pub(super) touched: bool,
 }
@@ -74,30 +119,32 @@ impl<'a, const N: usize> Culler<'a, N> {
         active: RaySet<N>,
         axes: [usize; 3],
         sign: f32,
+        scratch: &'a mut CullScratch<N>,
     ) -> Self {
         let mesh = &grid.mesh;
+        let CullScratch { u, v, groups, hits, waiting, recent, pairs } = scratch;
+        *groups = Groups::NONE;
+        recent.fill(u32::MAX);
+        let origin = packets[0].origin.to_array();
         let mut culler = Self {
-            mesh,
-            cells_per_unit: (grid.space.cells_per_unit() * (1.0 + 1e-6)) as f32,
-            packets,
-            active,
-            bundle: Bundle { origin: packets[0].origin.to_array(), axes, sign, slopes: [0.0; 4], reach: [0.0; 3] },
-            u: [[0.0; 64]; N],
-            v: [[0.0; 64]; N],
-            nearest: NearestHits::new(mesh, packets, axes[0]),
-            // Those of no rays are passed by nothing.
-            groups: Groups {
-                u: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
-                v: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
-                limits: [f32::NEG_INFINITY; MOST_GROUPS],
-            },
-            farthest: f32::INFINITY,
-            live: 0,
-            waiting: [0; N_WAITING],
+            u,
+            v,
+            groups,
+            nearest: NearestHits::new(mesh, packets, axes[0], hits),
+            waiting,
             n_waiting: 0,
-            recent: [u32::MAX; N_RECENT],
+            recent,
+            pairs,
+            mesh,
+            active,
+            bundle: Bundle { origin, axes, sign, slopes: [0.0; 4], reach: [1.0; 3], group_reach: [0.0; 2] },
+            slopes_of_packets: [[f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY]; N],
+            cell_length: (grid.space.length(1.0) * (1.0 - 1e-6)) as f32,
+            inverse_farthest: 0.0,
+            live: 0,
             touched: false,
         };
+        let mut reach = [S::splat(0.0); 2];
         for (index, packet) in packets.iter().enumerate() {
             let directions = &packet.directions;
             for group_of_packet in 0..64 / S::LANES {
@@ -108,41 +155,69 @@ impl<'a, const N: usize> Culler<'a, N> {
                 let v = S::load(&directions[axes[2]][lane..]).div(depth);
                 u.store(&mut culler.u[index][lane..]);
                 v.store(&mut culler.v[index][lane..]);
-                let limits = depth.mul(S::splat(packet.t_max * (1.0 + 1e-6)));
-                limits.store(&mut culler.nearest.limits[index][lane..]);
-                (culler.groups.u[0][group], culler.groups.u[1][group]) = (u.least(), u.greatest());
-                (culler.groups.v[0][group], culler.groups.v[1][group]) = (v.least(), v.greatest());
-                culler.groups.limits[group] = limits.greatest();
-                for axis in 0..3 {
-                    let reach = S::load(&directions[axis][lane..]).abs().greatest();
-                    culler.bundle.reach[axis] = culler.bundle.reach[axis].max(reach);
-                }
+                // Zero in place of what is slow to calculate with.
+                let inverse_limits = S::splat(1.0 - 1e-6).div(depth.mul(S::splat(packet.t_max)));
+                let inverse_limits = inverse_limits.sub(S::splat(1e-36)).max(S::splat(0.0));
+                inverse_limits.store(&mut culler.nearest.inverse_limits_mut(index)[lane..]);
+                let [u_low, u_high, v_low, v_high] = [u.least(), u.greatest(), v.least(), v.greatest()];
+                (culler.groups.u[0][group], culler.groups.u[1][group]) = (u_low, u_high);
+                (culler.groups.v[0][group], culler.groups.v[1][group]) = (v_low, v_high);
+                culler.groups.inverse_limits[group] = inverse_limits.least();
+                let of_packet = &mut culler.slopes_of_packets[index];
+                *of_packet = [
+                    of_packet[0].min(u_low),
+                    of_packet[1].max(u_high),
+                    of_packet[2].min(v_low),
+                    of_packet[3].max(v_high),
+                ];
+                reach = [reach[0].max(u.abs()), reach[1].max(v.abs())];
                 let any = active.of_packets[index] >> lane & ((1 << S::LANES) - 1) != 0;
                 culler.live |= u32::from(any) << group;
             }
             let mut inactive = !active.of_packets[index];
             while inactive != 0 {
-                culler.nearest.limits[index][inactive.trailing_zeros() as usize] = f32::NEG_INFINITY;
+                culler.nearest.inverse_limits_mut(index)[inactive.trailing_zeros() as usize] = f32::INFINITY;
                 inactive &= inactive - 1;
             }
         }
+        // Small slopes may have lost bits.
+        culler.bundle.reach = [1.0, reach[0].greatest() + UNDERFLOW_MARGIN, reach[1].greatest() + UNDERFLOW_MARGIN];
+        culler.find_middles::<S>();
         culler.find_slopes::<S>();
         culler
+    }
+
+    /// Finds the groups' middles, and how far the others' slopes are from them.
+    #[inline(always)]
+    fn find_middles<S: Simd>(&mut self) {
+        let half = S::splat(0.5);
+        let mut reach = [S::splat(0.0); 2];
+        for first_group in (0..N * (64 / S::LANES)).step_by(S::LANES) {
+            let Groups { u, v, middles, .. } = &mut *self.groups;
+            for (axis, bounds) in [u, v].into_iter().enumerate() {
+                let (low, high) = (S::load(&bounds[0][first_group..]), S::load(&bounds[1][first_group..]));
+                low.add(high).mul(half).store(&mut middles[axis][first_group..]);
+                // Less than none where there are no rays.
+                reach[axis] = high.sub(low).mul(half).max(reach[axis]);
+            }
+        }
+        self.bundle.group_reach = [reach[0].greatest(), reach[1].greatest()];
     }
 
     /// Finds the bounds of the slopes of all rays without a final answer.
     #[inline(always)]
     fn find_slopes<S: Simd>(&mut self) {
-        let mut bounds = [f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY];
-        for group in 0..N * (64 / S::LANES) {
-            if self.live >> group & 1 == 1 {
-                let Groups { u, v, .. } = &self.groups;
-                bounds[0] = bounds[0].min(u[0][group]);
-                bounds[1] = bounds[1].max(u[1][group]);
-                bounds[2] = bounds[2].min(v[0][group]);
-                bounds[3] = bounds[3].max(v[1][group]);
-            }
+        let (lowest, highest) = (S::splat(f32::INFINITY), S::splat(f32::NEG_INFINITY));
+        let mut of_lanes = [lowest, highest, lowest, highest];
+        for first_group in (0..N * (64 / S::LANES)).step_by(S::LANES) {
+            let live = self.live >> first_group;
+            let Groups { u, v, .. } = &*self.groups;
+            of_lanes[0] = of_lanes[0].min(S::select(live, S::load(&u[0][first_group..]), lowest));
+            of_lanes[1] = of_lanes[1].max(S::select(live, S::load(&u[1][first_group..]), highest));
+            of_lanes[2] = of_lanes[2].min(S::select(live, S::load(&v[0][first_group..]), lowest));
+            of_lanes[3] = of_lanes[3].max(S::select(live, S::load(&v[1][first_group..]), highest));
         }
+        let mut bounds = [of_lanes[0].least(), of_lanes[1].greatest(), of_lanes[2].least(), of_lanes[3].greatest()];
         for index in [0, 2] {
             bounds[index] -= bounds[index].abs() * SLOPE_MARGIN;
             bounds[index + 1] += bounds[index + 1].abs() * SLOPE_MARGIN;
@@ -150,20 +225,27 @@ impl<'a, const N: usize> Culler<'a, N> {
         self.bundle.slopes = bounds;
     }
 
-    /// Those of some rays that may pass between these slopes and could still have a nearer hit beyond a depth.
+    /// Those of some rays that may pass between these slopes and could still have a nearer hit beyond a depth, given as
+    /// its inverse.
     #[inline(always)]
-    pub(super) fn passing<S: Simd>(&self, among: &RaySet<N>, u: [f32; 2], v: [f32; 2], depth: f32) -> RaySet<N> {
+    pub(super) fn passing<S: Simd>(
+        &self,
+        among: &RaySet<N>,
+        u: [f32; 2],
+        v: [f32; 2],
+        inverse_depth: f32,
+    ) -> RaySet<N> {
         let (u_low, u_high) = (S::splat(u[0] - u[0].abs() * SLOPE_MARGIN), S::splat(u[1] + u[1].abs() * SLOPE_MARGIN));
         let (v_low, v_high) = (S::splat(v[0] - v[0].abs() * SLOPE_MARGIN), S::splat(v[1] + v[1].abs() * SLOPE_MARGIN));
-        let depth = S::splat(depth);
+        let inverse_depth = S::splat(inverse_depth);
         let mut rays = RaySet::NONE;
         for first_group in (0..N * (64 / S::LANES)).step_by(S::LANES) {
-            let Groups { u, v, limits } = &self.groups;
+            let Groups { u, v, inverse_limits, .. } = &*self.groups;
             let mut groups = u_low.up_to(S::load(&u[1][first_group..]))
                 & S::load(&u[0][first_group..]).up_to(u_high)
                 & v_low.up_to(S::load(&v[1][first_group..]))
                 & S::load(&v[0][first_group..]).up_to(v_high)
-                & depth.up_to(S::load(&limits[first_group..]))
+                & S::load(&inverse_limits[first_group..]).up_to(inverse_depth)
                 & (self.live >> first_group);
             while groups != 0 {
                 let first = (first_group + groups.trailing_zeros() as usize) * S::LANES;
@@ -175,7 +257,7 @@ impl<'a, const N: usize> Culler<'a, N> {
                     & u.up_to(u_high)
                     & v_low.up_to(v)
                     & v.up_to(v_high)
-                    & depth.up_to(S::load(&self.nearest.limits[packet][first..]));
+                    & S::load(&self.nearest.inverse_limits(packet)[first..]).up_to(inverse_depth);
                 rays.of_packets[packet] |= u64::from(passing) << first;
             }
         }
@@ -196,7 +278,8 @@ impl<'a, const N: usize> Culler<'a, N> {
                 new_from = 0;
             }
             let bounds = boxes.bounds::<S>(batch * S::LANES);
-            let mut passed = bounds.passed_by(self.bundle.slopes, self.farthest) & (u32::MAX >> (32 - triangles.len()));
+            let mut passed = bounds.passed_by(self.bundle.slopes, self.inverse_farthest);
+            passed &= u32::MAX >> (32 - triangles.len());
             if ray_by_ray && passed != 0 {
                 passed &= self.passed_by_any(&bounds, rays);
             }
@@ -232,7 +315,8 @@ impl<'a, const N: usize> Culler<'a, N> {
                 let lane = left.trailing_zeros() as usize;
                 left &= left - 1;
                 let (u, v) = (self.u[packet][lane], self.v[packet][lane]);
-                passed |= bounds.passed_by([u, u, v, v], self.nearest.limits[packet][lane] * self.cells_per_unit);
+                let inverse_limit = self.nearest.inverse_limits(packet)[lane] * self.cell_length;
+                passed |= bounds.passed_by([u, u, v, v], inverse_limit);
             }
         }
         passed
@@ -245,24 +329,25 @@ impl<'a, const N: usize> Culler<'a, N> {
         if self.n_waiting > 0 {
             S::test(self);
         }
-        let reached = S::splat((depth * (1.0 - 1e-6)) as f32);
-        let mut farthest = f32::NEG_INFINITY;
+        // Before the origin nothing is settled, not even a hit there.
+        let inverse_reached = S::splat(if depth < 0.0 { f32::NAN } else { ((1.0 + 1e-6) / depth) as f32 });
+        let mut inverse_farthest = f32::INFINITY;
         let live = self.live;
         let mut groups = live;
         while groups != 0 {
             let group = groups.trailing_zeros() as usize;
             groups &= groups - 1;
             let first = group * S::LANES;
-            let limits = S::load(&self.nearest.limits[first / 64 % N][first % 64..]);
+            let inverse_limits = S::load(&self.nearest.inverse_limits(first / 64 % N)[first % 64..]);
             let all = ((1u64 << S::LANES) - 1) as u32;
-            if limits.up_to(reached) == all {
+            if inverse_reached.up_to(inverse_limits) == all {
                 self.live &= !(1 << group);
             } else {
-                self.groups.limits[group] = limits.greatest();
-                farthest = farthest.max(limits.greatest());
+                self.groups.inverse_limits[group] = inverse_limits.least();
+                inverse_farthest = inverse_farthest.min(inverse_limits.least());
             }
         }
-        self.farthest = farthest * self.cells_per_unit;
+        self.inverse_farthest = inverse_farthest * self.cell_length;
         if self.live != live && self.live != 0 {
             self.find_slopes::<S>();
         }
@@ -271,87 +356,31 @@ impl<'a, const N: usize> Culler<'a, N> {
 
     /// Writes the hits, when all is settled.
     #[inline(always)]
-    pub(super) fn write_hits(&self, hits: &mut [[Hit; 64]]) {
-        self.nearest.write(hits);
+    pub(super) fn write_hits<S: Simd>(&mut self, hits: &mut [[Hit; 64]]) {
+        self.nearest.write::<S>(hits);
     }
 
     /// Tests the waiting triangles against all rays.
     #[inline(always)]
     pub(super) fn test_waiting<S: Simd>(&mut self) {
         let mut prepared = Prepared::default();
-        let n_waiting = self.n_waiting;
-        self.n_waiting = 0;
+        let n_waiting = std::mem::take(&mut self.n_waiting);
         for &triangle in &self.waiting[..n_waiting] {
             self.mesh.prefetch_corners::<S>(triangle);
         }
+        // The last vector is filled up with what is there already.
+        let last = self.waiting[n_waiting.max(1) - 1];
+        self.waiting[n_waiting..n_waiting + 16].fill(last);
         let mut first = 0;
         while first < n_waiting {
             let n = (n_waiting - first).min(S::LANES);
-            for lane in 0..S::LANES {
-                prepared.places[lane] = self.waiting[first + if lane < n { lane } else { 0 }];
-            }
+            prepared.places.copy_from_slice(&self.waiting[first..first + 16]);
             first += n;
             let left = prepared.prepare::<S>(self.mesh, &self.bundle) & ((1 << n) - 1);
-            if left == 0 {
-                continue;
+            if left != 0 {
+                self.test_prepared::<S>(&prepared, left);
             }
-            self.test_prepared::<S>(&prepared, left);
         }
         self.nearest.decide_rest::<S>();
-    }
-
-    /// Tests prepared triangles against all rays.
-    #[inline(always)]
-    fn test_prepared<S: Simd>(&mut self, prepared: &Prepared, triangles: u32) {
-        let mut rays = [RaySet::<N>::NONE; 16];
-        let mut left = 0;
-        for packet in 0..N {
-            // All pairs of a group of rays and a triangle in one mask and one loop, whose end is hard to predict.
-            let mut pairs = 0;
-            for group_of_packet in 0..64 / S::LANES {
-                let group = packet * (64 / S::LANES) + group_of_packet;
-                let Groups { u, v, limits } = &self.groups;
-                let met = triangles
-                    & S::load(&prepared.u[0]).up_to(S::splat(u[1][group]))
-                    & S::splat(u[0][group]).up_to(S::load(&prepared.u[1]))
-                    & S::load(&prepared.v[0]).up_to(S::splat(v[1][group]))
-                    & S::splat(v[0][group]).up_to(S::load(&prepared.v[1]))
-                    & S::load(&prepared.depth).up_to(S::splat(limits[group]));
-                pairs |= u64::from(met * (self.live >> group & 1)) << (group_of_packet * S::LANES);
-            }
-            while pairs != 0 {
-                let pair = pairs.trailing_zeros() as usize;
-                pairs &= pairs - 1;
-                let (first, lane) = (pair / S::LANES * S::LANES, pair % S::LANES);
-                let of_group = self.test_pair::<S>(prepared, lane, packet, first);
-                rays[lane].of_packets[packet] |= u64::from(of_group) << first;
-                left |= u32::from(of_group != 0) << lane;
-            }
-        }
-        while left != 0 {
-            let lane = left.trailing_zeros() as usize;
-            left &= left - 1;
-            self.nearest.propose::<S>(prepared.places[lane], &rays[lane]);
-        }
-    }
-
-    /// A bit for each ray that may hit a prepared triangle, of a packet's group of rays from number `first` on.
-    #[inline(always)]
-    fn test_pair<S: Simd>(&self, prepared: &Prepared, lane: usize, packet: usize, first: usize) -> u32 {
-        let [x, y, z] = &self.packets[packet].directions;
-        let direction = [S::load(&x[first..]), S::load(&y[first..]), S::load(&z[first..])];
-        let mut sides = [direction[0]; 3];
-        for edge in 0..3 {
-            let normal = &prepared.normals[edge];
-            sides[edge] = direction[0].mul_add(
-                S::splat(normal[0][lane]),
-                direction[1].mul_add(S::splat(normal[1][lane]), direction[2].mul(S::splat(normal[2][lane]))),
-            );
-        }
-        let margin = prepared.side_margin[lane];
-        let low = sides[0].min(sides[1]).min(sides[2]);
-        let high = sides[0].max(sides[1]).max(sides[2]);
-        S::splat(prepared.depth[lane]).up_to(S::load(&self.nearest.limits[packet][first..]))
-            & !(low.below(S::splat(-margin)) & S::splat(margin).below(high))
     }
 }

@@ -104,7 +104,7 @@ impl<'a> Filter<'a> {
         let mut all = 0;
         let mut done = 0;
         while done < BATCH {
-            all |= boxes.bounds::<S>(first + done).passed_by(slopes, f32::INFINITY) << done;
+            all |= boxes.bounds::<S>(first + done).passed_by(slopes, 0.0) << done;
             done += S::LANES;
             if first + done >= boxes.n() {
                 break;

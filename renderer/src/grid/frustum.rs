@@ -17,8 +17,8 @@ pub(super) struct Frustum {
     pub(super) slopes: [f32; 4],
     /// The grid's size along u and v.
     pub(super) size: [f64; 2],
-    /// The side of a finest cell, in world units.
-    pub(super) cell_length: f64,
+    /// Finest cells in a world unit.
+    pub(super) cells_per_unit: f64,
     /// What rounding can do to a place, when the origin is far away.
     pub(super) margin: f64,
 }
@@ -67,7 +67,7 @@ impl Frustum {
         let width = f64::from(self.slopes[1] - self.slopes[0]) * near;
         (near > f64::from(size) * 1e-3 && width > NARROW * f64::from(size)).then(|| Narrow {
             frustum: self,
-            depth: (near * self.cell_length * (1.0 - 1e-6)) as f32,
+            inverse_depth: (self.cells_per_unit / near * (1.0 + 1e-6)) as f32,
             nearer: 1.0 / near,
             farther: 1.0 / far,
         })
@@ -100,8 +100,8 @@ const NARROW: f64 = 1.0;
 #[derive(Clone, Copy)]
 pub(super) struct Narrow<'a> {
     frustum: &'a Frustum,
-    /// Depth of the nearer side, in world units.
-    pub(super) depth: f32,
+    /// Inverse depth of the nearer side, per world unit.
+    pub(super) inverse_depth: f32,
     /// Inverse depths of its sides.
     nearer: f64,
     farther: f64,

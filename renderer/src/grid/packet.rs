@@ -16,7 +16,7 @@ use glam::Vec3;
 use super::{
     Grid, InstructionSet, Structure,
     boxes::LeafBoxes,
-    cull::Culler,
+    cull::{CullScratch, Culler},
     frustum::{CellBounds, Frustum, Narrow},
     kernel::Kernel,
     ray_set::RaySet,
@@ -75,6 +75,7 @@ pub(super) struct Scratch<const N: usize> {
     entries: [Vec<Entry<N>>; LEVELS as usize + 1],
     /// The leaves that they met, whose triangles wait for their test.
     leaves: Vec<Leaf<N>>,
+    cull: CullScratch<N>,
 }
 
 /// A node within a packet's bounds.
@@ -116,7 +117,12 @@ impl Grid {
     pub fn intersect_packets(&self, packets: &[Packet], scratch: &mut PacketScratch, hits: &mut [[Hit; 64]]) {
         debug_assert!(packets.len() == hits.len() && packets.iter().all(|packet| packet.origin == packets[0].origin));
         for (packets, hits) in packets.chunks(MOST_PACKETS).zip(hits.chunks_mut(MOST_PACKETS)) {
-            if packets.len() > 1 {
+            if let (Some(four), Some(hits)) = (packets.as_array::<MOST_PACKETS>(), hits.as_mut_array()) {
+                let of_packets = std::array::from_fn(|index| four[index].active);
+                if self.follow(four.each_ref(), RaySet { of_packets }, &mut scratch.four, hits) {
+                    continue;
+                }
+            } else if packets.len() > 1 {
                 // Those that are missing repeat the first, without rays.
                 let four = std::array::from_fn(|index| packets.get(index).unwrap_or(&packets[0]));
                 let of_packets = std::array::from_fn(|index| packets.get(index).map_or(0, |packet| packet.active));
@@ -162,19 +168,20 @@ impl Grid {
         hits: &mut [[Hit; 64]; N],
     ) -> bool {
         let Some(axis) = major_axis(&packets) else { return false };
+        let Scratch { entries, leaves, cull } = scratch;
         let axes = [axis, (axis + 1) % 3, (axis + 2) % 3];
         let forward = packets[0].directions[axis][0] > 0.0;
         let origin = self.space.point(packets[0].origin.as_dvec3());
         if !origin.is_finite() {
             return false;
         }
-        let mut culler = Culler::new::<S>(self, packets, active, axes, if forward { 1.0 } else { -1.0 });
+        let mut culler = Culler::new::<S>(self, packets, active, axes, if forward { 1.0 } else { -1.0 }, cull);
         let mut frustum = Frustum {
             origin: [origin[axes[0]], origin[axes[1]], origin[axes[2]]],
             forward,
             slopes: culler.bundle.slopes,
             size: [f64::from(tree.dims[axes[1]] * BRICK_SIZE), f64::from(tree.dims[axes[2]] * BRICK_SIZE)],
-            cell_length: self.space.length(1.0),
+            cells_per_unit: self.space.cells_per_unit(),
             margin: origin.abs().max_element() * (16.0 * f64::EPSILON),
         };
         let bricks_along_k = tree.dims[axis] as i32;
@@ -189,7 +196,7 @@ impl Grid {
 
         let mut covered = 0.0;
         let mut waiting_from = 0.0f64;
-        scratch.leaves.clear();
+        leaves.clear();
         while (0..bricks_along_k).contains(&brick_k) {
             let low = brick_k * BRICK_SIZE as i32;
             brick_k += if forward { 1 } else { -1 };
@@ -200,13 +207,13 @@ impl Grid {
                 }
                 continue;
             };
-            tree.enter_bricks(&culler.active, &mut scratch.leaves, &mut scratch.entries[1], axes, low, bounds);
-            if !scratch.leaves.is_empty() {
-                S::test_leaves(tree, &mut culler, &frustum.origin, &mut scratch.leaves);
+            tree.enter_bricks(&culler.active, leaves, &mut entries[1], axes, low, bounds);
+            if !leaves.is_empty() {
+                S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
             }
-            if scratch.entries[1].is_empty() {
+            if entries[1].is_empty() {
                 if culler.touched && culler.settle::<S>(self.space.length(far)) {
-                    culler.write_hits(hits);
+                    culler.write_hits::<S>(hits);
                     return true;
                 }
                 frustum.slopes = culler.bundle.slopes;
@@ -231,10 +238,10 @@ impl Grid {
                     continue;
                 }
                 let Some(bounds) = frustum.cells(near, far) else { continue };
-                let (above, below) = scratch.entries.split_at_mut(level + 1);
+                let (above, below) = entries.split_at_mut(level + 1);
                 let children = below.first_mut();
                 let narrow = frustum.narrow(near, far, 1 << shift);
-                let n_before = scratch.leaves.len();
+                let n_before = leaves.len();
                 tree.enter_children::<S, N>(
                     &culler,
                     &above[level],
@@ -245,17 +252,17 @@ impl Grid {
                     shift,
                     bounds,
                     narrow,
-                    &mut scratch.leaves,
+                    leaves,
                 );
-                if scratch.leaves.len() > n_before {
+                if leaves.len() > n_before {
                     if n_before == 0 {
                         waiting_from = near;
                     }
                     let area = frustum.area(far).max(1.0);
-                    covered += (scratch.leaves.len() - n_before) as f64 * f64::from(1u32 << shift).powi(2) / area;
-                    if covered >= COVER || scratch.leaves.len() >= MOST_LEAVES {
+                    covered += (leaves.len() - n_before) as f64 * f64::from(1u32 << shift).powi(2) / area;
+                    if covered >= COVER || leaves.len() >= MOST_LEAVES {
                         covered = 0.0;
-                        S::test_leaves(tree, &mut culler, &frustum.origin, &mut scratch.leaves);
+                        S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
                     }
                 }
                 if level < LEVELS as usize && !below[0].is_empty() {
@@ -263,18 +270,18 @@ impl Grid {
                     (lows[level], steps[level]) = (low, 0);
                 } else if culler.touched {
                     // What waits may lie before what was tested since.
-                    let tested_to = if scratch.leaves.is_empty() { far } else { waiting_from.min(far) };
+                    let tested_to = if leaves.is_empty() { far } else { waiting_from.min(far) };
                     if culler.settle::<S>(self.space.length(tested_to)) {
-                        culler.write_hits(hits);
+                        culler.write_hits::<S>(hits);
                         return true;
                     }
                     frustum.slopes = culler.bundle.slopes;
                 }
             }
         }
-        S::test_leaves(tree, &mut culler, &frustum.origin, &mut scratch.leaves);
+        S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
         culler.settle::<S>(f64::INFINITY);
-        culler.write_hits(hits);
+        culler.write_hits::<S>(hits);
         true
     }
 }
@@ -387,7 +394,12 @@ impl Tree {
                 let mut rays = entry.rays;
                 if let Some(cells) = &narrow {
                     let size = f64::from(1u32 << shift);
-                    rays = culler.passing::<S>(&rays, cells.slopes(0, u, size), cells.slopes(1, v, size), cells.depth);
+                    rays = culler.passing::<S>(
+                        &rays,
+                        cells.slopes(0, u, size),
+                        cells.slopes(1, v, size),
+                        cells.inverse_depth,
+                    );
                     if rays.is_empty() {
                         continue;
                     }

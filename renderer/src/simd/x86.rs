@@ -29,6 +29,16 @@ macro_rules! instructions {
     };
 }
 
+/// All ones in the lanes that have their bit set in a mask.
+#[inline(always)]
+fn lanes(mask: u32) -> __m256i {
+    // SAFETY: called only by methods of [`Avx2`].
+    unsafe {
+        let bits = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+        _mm256_cmpeq_epi32(_mm256_and_si256(_mm256_set1_epi32(mask as i32), bits), bits)
+    }
+}
+
 /// The three coordinates of a vertex and the one that follows.
 ///
 /// # Safety
@@ -61,6 +71,31 @@ impl Simd for Avx2 {
         let from: &[u8; 16] = from[..16].try_into().expect("sixteen numbers");
         // SAFETY: as above, and eight numbers are there.
         Self(unsafe { _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64(from.as_ptr().cast()))) })
+    }
+    #[inline(always)]
+    fn select(mask: u32, yes: Self, no: Self) -> Self {
+        // SAFETY: as above.
+        Self(unsafe { _mm256_blendv_ps(no.0, yes.0, _mm256_castsi256_ps(lanes(mask))) })
+    }
+    #[inline(always)]
+    fn fill_where(number: u32, mask: u32, to: &mut [u32]) {
+        let to: &mut [u32; 8] = (&mut to[..8]).try_into().expect("eight numbers");
+        // SAFETY: as above, and there is room for eight.
+        unsafe {
+            let all = _mm256_loadu_si256(to.as_ptr().cast());
+            let all = _mm256_blendv_epi8(all, _mm256_set1_epi32(number as i32), lanes(mask));
+            _mm256_storeu_si256(to.as_mut_ptr().cast(), all);
+        }
+    }
+    #[inline(always)]
+    fn equal(numbers: &[u32], number: u32) -> u32 {
+        let numbers: &[u32; 8] = numbers[..8].try_into().expect("eight numbers");
+        // SAFETY: as above, and eight numbers are there.
+        unsafe {
+            let numbers = _mm256_loadu_si256(numbers.as_ptr().cast());
+            let equal = _mm256_cmpeq_epi32(numbers, _mm256_set1_epi32(number as i32));
+            _mm256_movemask_ps(_mm256_castsi256_ps(equal)) as u32
+        }
     }
     #[inline(always)]
     fn store(self, to: &mut [f32]) {
@@ -194,6 +229,29 @@ impl Simd for Avx512 {
         let to: &mut [f32; 16] = (&mut to[..16]).try_into().expect("sixteen numbers");
         // SAFETY: as above, and there is room for sixteen.
         unsafe { _mm512_storeu_ps(to.as_mut_ptr(), self.0) };
+    }
+    #[inline(always)]
+    fn select(mask: u32, yes: Self, no: Self) -> Self {
+        // SAFETY: as above.
+        Self(unsafe { _mm512_mask_blend_ps(mask as u16, no.0, yes.0) })
+    }
+    #[inline(always)]
+    fn fill_where(number: u32, mask: u32, to: &mut [u32]) {
+        let to: &mut [u32; 16] = (&mut to[..16]).try_into().expect("sixteen numbers");
+        // SAFETY: as above, and there is room for sixteen.
+        unsafe {
+            let all = _mm512_loadu_epi32(to.as_ptr().cast());
+            let all = _mm512_mask_mov_epi32(all, mask as u16, _mm512_set1_epi32(number as i32));
+            _mm512_storeu_epi32(to.as_mut_ptr().cast(), all);
+        }
+    }
+    #[inline(always)]
+    fn equal(numbers: &[u32], number: u32) -> u32 {
+        let numbers: &[u32; 16] = numbers[..16].try_into().expect("sixteen numbers");
+        // SAFETY: as above, and sixteen numbers are there.
+        u32::from(unsafe {
+            _mm512_cmpeq_epi32_mask(_mm512_loadu_epi32(numbers.as_ptr().cast()), _mm512_set1_epi32(number as i32))
+        })
     }
     #[inline(always)]
     fn least(self) -> f32 {

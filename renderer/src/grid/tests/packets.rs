@@ -8,13 +8,28 @@ use crate::{
     grid::{Grid, InstructionSet, MOST_PACKETS, MeshLayout, Packet, PacketScratch},
     mesh::Mesh,
     ray::Hit,
+    triangle,
 };
 
 /// Checks that with every instruction set and in every mode packets, alone or together, and single rays hit the same, bit
-/// for bit.
-///
-/// Places in the mesh differ from mode to mode, so triangles are compared by their numbers in the file.
+/// for bit: rays without end, and rays that begin or end where one of them hits, or a bit beside.
 fn check_packets(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
+    check_range(grids, packets);
+    let mut all_t = Vec::new();
+    for packet in packets {
+        let hits = (0..64).map(|lane| grids[0].intersect(&packet.ray(lane)));
+        all_t.extend(hits.filter(|hit| !hit.is_miss()).map(|hit| hit.t));
+    }
+    all_t.sort_by(f32::total_cmp);
+    if let Some(&t) = all_t.get(all_t.len() / 2) {
+        for (t_min, t_max) in [(0.0, t), (0.0, t.next_down()), (t, f32::MAX), (t.next_up(), f32::MAX), (t, t)] {
+            check_range(grids, &packets.each_ref().map(|packet| Packet { t_min, t_max, ..*packet }));
+        }
+    }
+}
+
+/// Places in the mesh differ from mode to mode, so triangles are compared by their numbers in the file.
+fn check_range(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
     let single = |grid: &Grid, packet: &Packet, lane| in_file_order(grid, grid.intersect(&packet.ray(lane)));
     let expected = packets.each_ref().map(|packet| std::array::from_fn(|lane| single(&grids[0], packet, lane)));
     for grid in grids {
@@ -28,12 +43,27 @@ fn check_packets(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
                 check_hits(grid, packet, hits, expected);
             }
         }
+        let for_any_hit = packets.each_ref().map(|packet| Packet { any_hit: true, ..*packet });
+        grid.intersect_packets(&for_any_hit, &mut scratch, &mut hits);
+        for ((packet, hits), expected) in packets.iter().zip(&hits).zip(&expected) {
+            check_any_hits(grid, packet, hits, expected);
+        }
         let packet = &packets[0];
         let alone = std::array::from_fn(|lane| single(grid, packet, lane));
         check_hits(grid, packet, &alone, &expected[0]);
         for (lane, hit) in expected[0].iter().enumerate() {
             assert_eq!(grid.occluded(&packet.ray(lane)), !hit.is_miss());
         }
+    }
+}
+
+/// Checks that rays hit something where a nearest hit is expected, whichever triangle that is.
+fn check_any_hits(grid: &Grid, packet: &Packet, hits: &[Hit; 64], expected: &[Hit; 64]) {
+    for lane in (0..64).filter(|lane| packet.active >> lane & 1 == 1) {
+        let (hit, ray) = (hits[lane], packet.ray(lane));
+        let of_triangle = || triangle::intersect(&ray, &grid.mesh.corners(hit.triangle)).map(|t| t as f32);
+        let is_right = if hit.is_miss() { expected[lane].is_miss() } else { of_triangle() == Some(hit.t) };
+        assert!(is_right, "{:?}: {ray:?} hits {hit:?}, nearest {:?}", grid.instructions, expected[lane]);
     }
 }
 
@@ -135,7 +165,7 @@ fn packets_hit_a_scan_from_near_and_far() {
             let angle = step as f32 * 0.7 + index as f32;
             let origin = centre + Vec3::new(angle.cos(), (angle * 3.1).sin() * 0.4, angle.sin()) * (size * distance);
             let target = low + (high - low) * Vec3::new(0.3, step as f32 / 25.0, 0.6);
-            check_packets(&grids, &rasters(origin, target, size / 300.0, u64::MAX));
+            check_range(&grids, &rasters(origin, target, size / 300.0, u64::MAX));
         }
     }
 }
