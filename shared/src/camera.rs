@@ -222,17 +222,12 @@ impl CameraRays {
         (self.a + self.du * x) + self.dv * y
     }
 
-    /// [`CameraRays::direction_through`] many points: component by component, so that compilers find the vectors.
+    /// What columns and rows of points have along an axis: the sum of the parts for x and for y is that component of
+    /// [`CameraRays::direction_through`] (x, y), bit for bit.
     #[inline]
-    pub fn directions_through<const N: usize>(&self, x: &[f32; N], y: &[f32; N]) -> [[f32; N]; 3] {
-        let mut directions = [[0.0; N]; 3];
-        for (axis, along) in directions.iter_mut().enumerate() {
-            let (a, du, dv) = (self.a[axis], self.du[axis], self.dv[axis]);
-            for ((direction, x), y) in along.iter_mut().zip(x).zip(y) {
-                *direction = (a + du * x) + dv * y;
-            }
-        }
-        directions
+    pub fn parts<const N: usize>(&self, axis: usize, x: &[f32; N], y: &[f32; N]) -> [[f32; N]; 2] {
+        let (a, du, dv) = (self.a[axis], self.du[axis], self.dv[axis]);
+        [x.map(|x| a + du * x), y.map(|y| dv * y)]
     }
 }
 

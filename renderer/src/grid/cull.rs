@@ -147,17 +147,18 @@ impl<'a, const N: usize> Culler<'a, N> {
         let mut reach = [S::splat(0.0); 2];
         for (index, packet) in packets.iter().enumerate() {
             let directions = &packet.directions;
+            // Numbers too small for all their bits are slow to find and to calculate with: zero in their place.
+            let inverse_t_max = S::splat(if packet.t_max > 1e30 { 0.0 } else { (1.0 - 1e-6) / packet.t_max });
             for group_of_packet in 0..64 / S::LANES {
                 let lane = group_of_packet * S::LANES;
                 let group = index * (64 / S::LANES) + group_of_packet;
-                let depth = S::load(&directions[axes[0]][lane..]).abs();
-                let u = S::load(&directions[axes[1]][lane..]).div(depth);
-                let v = S::load(&directions[axes[2]][lane..]).div(depth);
+                let inverse_depth = S::splat(1.0).div(S::load(&directions[axes[0]][lane..]).abs());
+                let u = S::load(&directions[axes[1]][lane..]).mul(inverse_depth);
+                let v = S::load(&directions[axes[2]][lane..]).mul(inverse_depth);
                 u.store(&mut culler.u[index][lane..]);
                 v.store(&mut culler.v[index][lane..]);
-                // Zero in place of what is slow to calculate with.
-                let inverse_limits = S::splat(1.0 - 1e-6).div(depth.mul(S::splat(packet.t_max)));
-                let inverse_limits = inverse_limits.sub(S::splat(1e-36)).max(S::splat(0.0));
+                let inverse_limits = inverse_depth.mul(inverse_t_max).sub(S::splat(UNDERFLOW_MARGIN));
+                let inverse_limits = inverse_limits.max(S::splat(0.0));
                 inverse_limits.store(&mut culler.nearest.inverse_limits_mut(index)[lane..]);
                 let [u_low, u_high, v_low, v_high] = [u.least(), u.greatest(), v.least(), v.greatest()];
                 (culler.groups.u[0][group], culler.groups.u[1][group]) = (u_low, u_high);

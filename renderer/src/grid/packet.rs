@@ -50,6 +50,10 @@ pub struct Packet {
 }
 
 impl Packet {
+    /// No rays.
+    pub const NONE: Self =
+        Self { directions: [[0.0; 64]; 3], origin: Vec3::ZERO, active: 0, t_min: 0.0, t_max: f32::MAX, any_hit: false };
+
     /// One ray of a packet.
     pub fn ray(&self, lane: usize) -> Ray {
         let [x, y, z] = &self.directions;
@@ -190,6 +194,7 @@ impl Grid {
         let k = frustum.origin[0] + if forward { first_k } else { -first_k };
         let mut brick_k = (k / f64::from(BRICK_SIZE)).floor() as i32;
         if (forward && brick_k >= bricks_along_k) || (!forward && brick_k < 0) || !first_depth.is_finite() {
+            hits.fill([Hit::MISS; 64]);
             return true;
         }
         brick_k = brick_k.clamp(0, bricks_along_k - 1);
@@ -444,6 +449,9 @@ fn planes(axis: usize, first: i32, last: i32) -> u64 {
     RANGES[axis][first as usize & 3][last as usize & 3]
 }
 
+/// The least component along the major axis, so that it has an inverse.
+const LEAST_COMPONENT: f32 = 1e-30;
+
 /// The axis along which the packets advance most, if all rays advance the same way.
 #[inline(always)]
 fn major_axis(packets: &[&Packet]) -> Option<usize> {
@@ -459,7 +467,7 @@ fn major_axis(packets: &[&Packet]) -> Option<usize> {
     let mut same = true;
     for packet in packets {
         for along in packet.directions[axis] {
-            same &= along * sign > 0.0 && along.is_finite();
+            same &= along * sign >= LEAST_COMPONENT && along.is_finite();
         }
     }
     same.then_some(axis)

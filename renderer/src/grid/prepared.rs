@@ -2,10 +2,12 @@
 
 use crate::{simd::Simd, traced::TracedMesh};
 
-/// What single precision can lose, relative: four roundings of 2⁻²⁴ in a slope, with as much again to spare.
+/// What single precision can lose, relative: four roundings of 2⁻²⁴ in a corner's slope and two in a ray's, and ten to
+/// spare.
 pub(super) const SLOPE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
 
-/// The same for the sides of edges, relative to the sum of absolute products: eight roundings, doubled.
+/// The same for the sides of edges, relative to the sum of absolute products: nine roundings, and seven to
+/// spare.
 pub(super) const SIDE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
 
 /// The same for a triangle's plane, relative to products of sides that are half as large at least: eleven roundings, trebled,

@@ -34,8 +34,10 @@ fn check_range(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
     let expected = packets.each_ref().map(|packet| std::array::from_fn(|lane| single(&grids[0], packet, lane)));
     for grid in grids {
         let mut scratch = PacketScratch::default();
-        let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
+        // What was there must not matter.
+        let noise = [[Hit { triangle: 0, t: 1.0 }; 64]; MOST_PACKETS];
         for n_packets in [1, MOST_PACKETS - 1, MOST_PACKETS] {
+            let mut hits = noise;
             let (packets, hits) = (&packets[..n_packets], &mut hits[..n_packets]);
             grid.intersect_packets(packets, &mut scratch, hits);
             for ((packet, hits), expected) in packets.iter().zip(hits).zip(&expected) {
@@ -44,6 +46,7 @@ fn check_range(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
             }
         }
         let for_any_hit = packets.each_ref().map(|packet| Packet { any_hit: true, ..*packet });
+        let mut hits = noise;
         grid.intersect_packets(&for_any_hit, &mut scratch, &mut hits);
         for ((packet, hits), expected) in packets.iter().zip(&hits).zip(&expected) {
             check_any_hits(grid, packet, hits, expected);
@@ -166,6 +169,8 @@ fn packets_hit_a_scan_from_near_and_far() {
             let origin = centre + Vec3::new(angle.cos(), (angle * 3.1).sin() * 0.4, angle.sin()) * (size * distance);
             let target = low + (high - low) * Vec3::new(0.3, step as f32 / 25.0, 0.6);
             check_range(&grids, &rasters(origin, target, size / 300.0, u64::MAX));
+            // Away from it.
+            check_range(&grids, &rasters(origin, origin + (origin - centre), size / 300.0, u64::MAX));
         }
     }
 }
