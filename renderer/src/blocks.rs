@@ -22,9 +22,12 @@ pub struct Block<'a> {
 /// Calls `visit` with all samples of some units of a share, block by block, up to [`MOST_PACKETS`] neighbours at once: a tile
 /// is a block, and 2×2 tiles are neighbours, or as many along the curve; single samples are gathered from patches of the
 /// frame.
-pub(crate) fn for_each_group(share: &Share<'_>, units: Range<u32>, visit: impl FnMut(&[Block<'_>])) {
-    let n_samples: u32 = units.clone().map(|unit| share.samples(unit).count()).sum();
-    if n_samples > units.len() as u32 {
+pub(crate) fn for_each_group(
+    share: &Share<'_>,
+    units: impl Iterator<Item = u32> + Clone,
+    visit: impl FnMut(&[Block<'_>]),
+) {
+    if units.clone().any(|unit| share.samples(unit).count() > 1) {
         visit_groups(
             tiles(share, units),
             |cut, samples, places| {
@@ -82,7 +85,7 @@ struct Cut {
     unit: u32,
 }
 
-fn tiles(share: &Share<'_>, units: Range<u32>) -> Vec<Cut> {
+fn tiles(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<Cut> {
     let mut end = 0;
     let cut = |unit| {
         let UnitSamples { columns, rows } = share.samples(unit);
@@ -128,8 +131,8 @@ fn patches(share: &Share<'_>, samples: &[(u32, u32)], places: &mut [usize]) -> V
 }
 
 /// All samples of some units, in the order of [`Share::samples`].
-fn samples_of(share: &Share<'_>, units: Range<u32>) -> Vec<(u32, u32)> {
-    let mut samples = Vec::with_capacity(units.len());
+fn samples_of(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<(u32, u32)> {
+    let mut samples = Vec::with_capacity(units.size_hint().0);
     for unit in units {
         let UnitSamples { columns, rows } = share.samples(unit);
         for j in rows {

@@ -196,7 +196,7 @@ impl Scene {
         rays: &CameraRays,
         clip: Option<&ClipPlane>,
         share: &Share<'_>,
-        units: Range<u32>,
+        units: impl Iterator<Item = u32> + Clone,
         scratch: &mut PacketScratch,
         mut visit: impl FnMut(&[Block<'_>], &[[Hit; 64]], &mut PacketScratch),
     ) {

@@ -2,7 +2,6 @@
 
 use std::{
     io,
-    ops::Range,
     sync::Mutex,
     time::{Duration, Instant},
 };
@@ -73,93 +72,83 @@ impl Frame {
         let rays = request.camera.rays(request.size);
         let clip = scene.clip_plane(&request.camera, request.look.clip);
         let clip = clip.as_ref();
-        let xres = request.size.xres() as usize;
         let work = Division::Tiled.work(0, 1);
         let Ok(share) = work.share(request.size) else { return Cost::default() };
         self.hits.resize(request.size.n_samples() as usize, Hit::MISS);
 
         let start = Instant::now();
-        let total = Mutex::new(Cost::default());
-        // No run of tasks is given to one thread, which might be left with it when the others have ended.
-        let samples_per_task = samples_per_task(request.size);
-        self.hits.par_chunks_mut(samples_per_task).enumerate().with_max_len(1).for_each(|(task, all_hits)| {
-            let start = ThreadTime::now();
+        let sum = on_all_threads(parts(&mut self.hits, 1, request.size), |next| {
             let mut cost = Cost::default();
-            let first = task * samples_per_task;
-            let tiles = tiles_of_task(request.size, task);
             let mut scratch = PacketScratch::default();
-            // What a group's rays met is still in the cache for its shadow rays.
-            let mut visit = |blocks: &[Block<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch| {
-                for (Block { samples, .. }, hits) in blocks.iter().zip(hits) {
-                    let width = (samples[samples.len() - 1].0 - samples[0].0) as usize + 1;
-                    for (row, hits) in samples.chunks(width).zip(hits.chunks(width)) {
-                        let at = row[0].1 as usize * xres + row[0].0 as usize - first;
-                        let to = &mut all_hits[at..at + width];
-                        match (to.as_mut_array::<8>(), hits.as_array::<8>()) {
-                            (Some(to), Some(hits)) => *to = *hits,
-                            _ => to.copy_from_slice(&hits[..width]),
+            while let Some(mut part) = next() {
+                let tiles = part.tiles.clone();
+                // What a group's rays met is still in the cache for its shadow rays.
+                let mut visit = |blocks: &[Block<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch| {
+                    for (Block { samples, .. }, hits) in blocks.iter().zip(hits) {
+                        let width = (samples[samples.len() - 1].0 - samples[0].0) as usize + 1;
+                        for (row, hits) in samples.chunks(width).zip(hits.chunks(width)) {
+                            let to = &mut part.from(row[0])[..width];
+                            match (to.as_mut_array::<8>(), hits.as_array::<8>()) {
+                                (Some(to), Some(hits)) => *to = *hits,
+                                _ => to.copy_from_slice(&hits[..width]),
+                            }
                         }
                     }
-                }
-                if let Some(light) = options.light {
-                    let caster = ShadowCaster { scene, rays: &rays, light, kernel: options.kernel };
-                    let (n_rays, n_hidden) = caster.cast(blocks, hits, scratch);
-                    cost.n_shadow_rays += n_rays;
-                    cost.n_shadowed += n_hidden;
-                }
-            };
-            match options.kernel {
-                Kernel::Packet => scene.trace_groups(&rays, clip, &share, tiles, &mut scratch, visit),
-                Kernel::Single => tiles.for_each(|tile| {
-                    let samples: Vec<_> = share.samples(tile).iter().collect();
-                    let mut hits = [Hit::MISS; 64];
-                    for (hit, &(i, j)) in hits.iter_mut().zip(&samples) {
-                        *hit = clip::intersect(scene.grid(), clip, Ray::new(rays.eye, rays.direction(i, j)));
+                    if let Some(light) = options.light {
+                        let caster = ShadowCaster { scene, rays: &rays, light, kernel: options.kernel };
+                        let (n_rays, n_hidden) = caster.cast(blocks, hits, scratch);
+                        cost.n_shadow_rays += n_rays;
+                        cost.n_shadowed += n_hidden;
                     }
-                    visit(&[Block { samples: &samples, places: &[] }], &[hits], &mut scratch);
-                }),
+                };
+                match options.kernel {
+                    Kernel::Packet => scene.trace_groups(&rays, clip, &share, tiles, &mut scratch, visit),
+                    Kernel::Single => tiles.for_each(|tile| {
+                        let samples: Vec<_> = share.samples(tile).iter().collect();
+                        let mut hits = [Hit::MISS; 64];
+                        for (hit, &(i, j)) in hits.iter_mut().zip(&samples) {
+                            *hit = clip::intersect(scene.grid(), clip, Ray::new(rays.eye, rays.direction(i, j)));
+                        }
+                        visit(&[Block { samples: &samples, places: &[] }], &[hits], &mut scratch);
+                    }),
+                }
             }
-            cost.cpu = start.elapsed();
-            add(&total, cost);
+            cost
         });
-        Cost { wall: start.elapsed(), ..total.into_inner().unwrap_or_default() }
+        Cost { wall: start.elapsed(), ..sum }
     }
 
     /// Shades all hits; returns the CPU time of all threads.
     pub fn shade(&mut self, scene: &Scene, request: &FrameRequest) -> Duration {
         let rays = request.camera.rays(request.size);
         let lighting = scene.lighting(request);
-        let xres = request.size.xres();
         let work = Division::Tiled.work(0, 1);
         let Ok(share) = work.share(request.size) else { return Duration::ZERO };
         self.rgb.resize(3 * self.hits.len(), 0);
-        let total = Mutex::new(Cost::default());
-        let samples_per_task = samples_per_task(request.size);
-        let tasks = self.rgb.par_chunks_mut(3 * samples_per_task).zip(self.hits.par_chunks(samples_per_task));
-        tasks.enumerate().with_max_len(1).for_each(|(task, (rgb, hits))| {
-            let start = ThreadTime::now();
+        let all_hits = &self.hits;
+        let sum = on_all_threads(parts(&mut self.rgb, 3, request.size), |next| {
             let mut scratch = PacketScratch::default();
             let mut directions = [[Vec3::ZERO; 64]; MOST_PACKETS];
-            let mut hits_of_blocks = [[Hit::MISS; 64]; MOST_PACKETS];
-            let first = task * samples_per_task;
-            let at = |(i, j): (u32, u32)| (j * xres + i) as usize - first;
-            for_each_group(&share, tiles_of_task(request.size, task), |blocks| {
-                for (index, Block { samples, .. }) in blocks.iter().enumerate() {
-                    for (place, &(i, j)) in samples.iter().enumerate() {
-                        directions[index][place] = rays.direction(i, j);
-                        hits_of_blocks[index][place] = hits[at((i, j))];
+            let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
+            while let Some(mut part) = next() {
+                for_each_group(&share, part.tiles.clone(), |blocks| {
+                    for (index, Block { samples, .. }) in blocks.iter().enumerate() {
+                        for (place, &(i, j)) in samples.iter().enumerate() {
+                            directions[index][place] = rays.direction(i, j);
+                            hits[index][place] = all_hits[(j * request.size.xres() + i) as usize];
+                        }
                     }
-                }
-                let lights = lighting.of_group(blocks, 0, &directions, &hits_of_blocks, &mut scratch);
-                for (Block { samples, .. }, lights) in blocks.iter().zip(lights) {
-                    for (&sample, light) in samples.iter().zip(lights) {
-                        rgb[3 * at(sample)..][..3].copy_from_slice(&light.to_array().map(srgb::encode));
+                    let lights = lighting.of_group(blocks, 0, &directions, &hits, &mut scratch);
+                    for (Block { samples, .. }, lights) in blocks.iter().zip(lights) {
+                        for (&sample, light) in samples.iter().zip(lights) {
+                            part.from(sample)[..3].copy_from_slice(&light.to_array().map(srgb::encode));
+                        }
                     }
-                }
-            });
-            add(&total, Cost { cpu: start.elapsed(), ..Cost::default() });
+                });
+            }
+            Cost::default()
         });
-        total.into_inner().unwrap_or_default().cpu
+        sum.cpu
     }
 
     /// Writes the hits: per sample, little endian, the triangle in file order as `u32` (0xffffffff for none) and t as
@@ -204,20 +193,71 @@ pub fn cost_sum(scene: &Scene, request: &FrameRequest) -> CostSum {
         .reduce(CostSum::default, |a, b| CostSum { n_cells: a.n_cells + b.n_cells, n_tests: a.n_tests + b.n_tests })
 }
 
-/// Samples of a task: of two rows of tiles, whose squares of 2×2 go together; they lie together in the frame.
-fn samples_per_task(size: FrameSize) -> usize {
-    size.xres() as usize * 2 * TILE_SIZE as usize
+/// Columns of tiles in a part of a frame: enough that taking it costs nothing, few enough that threads end together.
+const PART_COLUMNS: u32 = 32;
+
+/// A part of a frame, for one thread at a time: some columns of two rows of tiles, whose squares of 2×2 go together.
+struct Part<'a, T, I> {
+    /// The tiles' numbers.
+    tiles: I,
+    /// The part's first sample.
+    first: (u32, u32),
+    /// What belongs to each row of samples, as many `T` for each sample as the frame has.
+    rows: Vec<&'a mut [T]>,
+    per_sample: u32,
 }
 
-fn tiles_of_task(size: FrameSize, task: usize) -> Range<u32> {
-    let first_row = 2 * task as u32;
-    first_row * size.x_tiles()..(first_row + 2).min(size.y_tiles()) * size.x_tiles()
-}
-
-fn add(total: &Mutex<Cost>, cost: Cost) {
-    if let Ok(mut total) = total.lock() {
-        total.cpu += cost.cpu;
-        total.n_shadow_rays += cost.n_shadow_rays;
-        total.n_shadowed += cost.n_shadowed;
+impl<T, I> Part<'_, T, I> {
+    /// What belongs to a sample, and to those that follow in its row.
+    fn from(&mut self, (i, j): (u32, u32)) -> &mut [T] {
+        let first = (i - self.first.0) * self.per_sample;
+        &mut self.rows[(j - self.first.1) as usize][first as usize..]
     }
+}
+
+/// All parts of a frame that has `per_sample` of `all` for each sample, row by row.
+fn parts<T>(
+    all: &mut [T],
+    per_sample: u32,
+    size: FrameSize,
+) -> impl Iterator<Item = Part<'_, T, impl Iterator<Item = u32> + Clone>> {
+    let row_length = (size.xres() * per_sample) as usize;
+    let bands = (0..).step_by(2).zip(all.chunks_mut(row_length * 2 * TILE_SIZE as usize));
+    bands.flat_map(move |(row, band)| {
+        let columns = (0..size.x_tiles()).step_by(PART_COLUMNS as usize);
+        let mut parts: Vec<_> = columns
+            .map(|column| {
+                let columns = column..(column + PART_COLUMNS).min(size.x_tiles());
+                let rows = row..(row + 2).min(size.y_tiles());
+                let tiles = rows.flat_map(move |row| columns.clone().map(move |column| row * size.x_tiles() + column));
+                Part { tiles, first: (column * TILE_SIZE, row * TILE_SIZE), rows: Vec::new(), per_sample }
+            })
+            .collect();
+        for row in band.chunks_mut(row_length) {
+            let of_parts = row.chunks_mut((PART_COLUMNS * TILE_SIZE * per_sample) as usize);
+            parts.iter_mut().zip(of_parts).for_each(|(part, of_part)| part.rows.push(of_part));
+        }
+        parts
+    })
+}
+
+/// Has all threads of the rayon pool that this is called in take parts until none is left, and adds up what that cost.
+///
+/// All are woken at once, and none is given more than it works on: what others could not take would be waited for.
+fn on_all_threads<P: Send>(
+    parts: impl Iterator<Item = P> + Send,
+    take: impl Fn(&mut dyn FnMut() -> Option<P>) -> Cost + Sync,
+) -> Cost {
+    let parts = Mutex::new(parts);
+    let costs = rayon::broadcast(|_| {
+        let start = ThreadTime::now();
+        let cost = take(&mut || parts.lock().ok()?.next());
+        Cost { cpu: start.elapsed(), ..cost }
+    });
+    costs.into_iter().fold(Cost::default(), |sum, cost| Cost {
+        cpu: sum.cpu + cost.cpu,
+        n_shadow_rays: sum.n_shadow_rays + cost.n_shadow_rays,
+        n_shadowed: sum.n_shadowed + cost.n_shadowed,
+        ..sum
+    })
 }
