@@ -52,9 +52,9 @@ pub(crate) fn for_each_group(
 }
 
 /// Gathers the blocks of neighbouring cuts, group by group: memory for all of them at once would not stay in the cache.
-fn visit_groups(
-    mut cuts: Vec<Cut>,
-    gather: impl Fn(&Cut, &mut Vec<(u32, u32)>, &mut Vec<usize>),
+fn visit_groups<U>(
+    mut cuts: Vec<Cut<U>>,
+    gather: impl Fn(&Cut<U>, &mut Vec<(u32, u32)>, &mut Vec<usize>),
     mut visit: impl FnMut(&[Block<'_>]),
 ) {
     cuts.sort_by_key(|cut| cut.square);
@@ -77,15 +77,15 @@ fn visit_groups(
 }
 
 /// Where a block's samples are among all.
-struct Cut {
+struct Cut<U> {
     /// Equal for neighbours.
     square: [u32; 2],
     at: Range<usize>,
-    /// The unit, if the block is a whole one.
-    unit: u32,
+    /// The unit that the block is, or nothing where it is no whole one.
+    unit: U,
 }
 
-fn tiles(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<Cut> {
+fn tiles(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<Cut<u32>> {
     let mut end = 0;
     let cut = |unit| {
         let UnitSamples { columns, rows } = share.samples(unit);
@@ -102,7 +102,7 @@ fn tiles(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<Cut> {
 }
 
 /// Puts the samples' places in the order of the patches that they lie in, too.
-fn patches(share: &Share<'_>, samples: &[(u32, u32)], places: &mut [usize]) -> Vec<Cut> {
+fn patches(share: &Share<'_>, samples: &[(u32, u32)], places: &mut [usize]) -> Vec<Cut<()>> {
     let (Some(&(_, first_row)), Some(&(_, last_row))) = (samples.first(), samples.last()) else { return Vec::new() };
     // A patch holds about 64 samples of the share and is as square as the rows at hand allow.
     let area = share.spread().saturating_mul(64);
@@ -124,7 +124,7 @@ fn patches(share: &Share<'_>, samples: &[(u32, u32)], places: &mut [usize]) -> V
     let mut first = 0;
     for (patch, &end) in (0..).zip(&ends[..n_patches]) {
         let square = [patch / patches_per_row / 2, patch % patches_per_row / 2];
-        cuts.extend((first..end).step_by(64).map(|first| Cut { square, at: first..(first + 64).min(end), unit: 0 }));
+        cuts.extend((first..end).step_by(64).map(|first| Cut { square, at: first..(first + 64).min(end), unit: () }));
         first = end;
     }
     cuts

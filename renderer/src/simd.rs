@@ -1,7 +1,8 @@
 //! Vectors of numbers for the packet kernel: AVX-512, AVX2, and a plain form of the same for any machine.
 //!
-//! Single precision only culls, so its `mul_add` may round once or twice. Double precision decides: [`Real`] has no
-//! fused operation, and every implementation of it gives the bits that `f64` gives.
+//! Single precision tells only what its margins leave certain, so its `mul_add` may round once or twice. Double precision
+//! decides the rest and finds t: [`Real`] has no fused operation, and every implementation of it gives the bits that
+//! `f64` gives.
 
 /// Numbers of double precision, one or several at once.
 pub(crate) trait Real: Copy {

@@ -2,8 +2,8 @@
 //!
 //! A ray hits a triangle when it passes all three edges on the same side, or through them.
 //! Which side is the sign of a determinant, and it is told exactly: in `f64` where rounding cannot change it, else in
-//! exact arithmetic. So a closed mesh has no leak, whatever the triangles' size and distance, and every kernel that
-//! proposes candidates leads to the same picture.
+//! exact arithmetic. So a closed mesh has no leak, whatever the triangles' size and distance, and every kernel leads to
+//! the same picture: what one knows of a side by its own margins is what would be told here.
 
 use crate::{exact::ExactSum, ray::Ray, simd::Real};
 

@@ -6,8 +6,7 @@ use crate::{simd::Simd, traced::TracedMesh};
 /// spare.
 pub(super) const SLOPE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
 
-/// The same for the sides of edges, relative to the sum of absolute products: nine roundings, and seven to
-/// spare.
+/// The same for the sides of edges, relative to the sum of absolute products: nine roundings, and seven to spare.
 pub(super) const SIDE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
 
 /// The same for a triangle's plane, relative to products of sides that are half as large at least: eleven roundings, trebled,

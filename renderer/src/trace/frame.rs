@@ -87,7 +87,8 @@ impl Frame {
                     for (Block { samples, .. }, hits) in blocks.iter().zip(hits) {
                         let width = (samples[samples.len() - 1].0 - samples[0].0) as usize + 1;
                         for (row, hits) in samples.chunks(width).zip(hits.chunks(width)) {
-                            let to = &mut part.from(row[0])[..width];
+                            let to = &mut part.row_from(row[0])[..width];
+                            // Of a known length, a row is copied without a call.
                             match (to.as_mut_array::<8>(), hits.as_array::<8>()) {
                                 (Some(to), Some(hits)) => *to = *hits,
                                 _ => to.copy_from_slice(&hits[..width]),
@@ -141,7 +142,7 @@ impl Frame {
                     let lights = lighting.of_group(blocks, 0, &directions, &hits, &mut scratch);
                     for (Block { samples, .. }, lights) in blocks.iter().zip(lights) {
                         for (&sample, light) in samples.iter().zip(lights) {
-                            part.from(sample)[..3].copy_from_slice(&light.to_array().map(srgb::encode));
+                            part.row_from(sample)[..3].copy_from_slice(&light.to_array().map(srgb::encode));
                         }
                     }
                 });
@@ -209,7 +210,7 @@ struct Part<'a, T, I> {
 
 impl<T, I> Part<'_, T, I> {
     /// What belongs to a sample, and to those that follow in its row.
-    fn from(&mut self, (i, j): (u32, u32)) -> &mut [T] {
+    fn row_from(&mut self, (i, j): (u32, u32)) -> &mut [T] {
         let first = (i - self.first.0) * self.per_sample;
         &mut self.rows[(j - self.first.1) as usize][first as usize..]
     }
