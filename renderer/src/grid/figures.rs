@@ -19,10 +19,10 @@ pub struct GridFigures {
     pub references: usize,
     /// Bytes of the macrocells: with masks those of the whole tree.
     pub macrocell_bytes: usize,
-    /// Row displacement's bit for each cell.
+    /// Row displacement's D: a bit for each cell of the rows that hold anything.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub d_bytes: Option<usize>,
-    /// Row displacement's offset for each row.
+    /// Row displacement's O: the place of each row, and its offset.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub o_bytes: Option<usize>,
     /// Bytes of where lists begin: row displacement's H.
