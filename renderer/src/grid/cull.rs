@@ -83,6 +83,39 @@ impl<const N: usize> Default for CullScratch<N> {
     }
 }
 
+impl<const N: usize> CullScratch<N> {
+    /// Finds the slopes of packets' rays against the major axis, and returns their bounds: least and largest u, least and
+    /// largest v. In place of limits, which are not known yet, it leaves the inverse of the depth of each ray's t = 1.
+    #[inline(always)]
+    pub(super) fn find_slopes<S: Simd>(&mut self, packets: &[&Packet; N], axes: [usize; 3]) -> [f32; 4] {
+        let (lowest, highest) = (S::splat(f32::INFINITY), S::splat(f32::NEG_INFINITY));
+        let mut bounds = [lowest, highest, lowest, highest];
+        for (index, packet) in packets.iter().enumerate() {
+            let directions = &packet.directions;
+            for lane in (0..64).step_by(S::LANES) {
+                let inverse_depth = S::splat(1.0).div(S::load(&directions[axes[0]][lane..]).abs());
+                let u = S::load(&directions[axes[1]][lane..]).mul(inverse_depth);
+                let v = S::load(&directions[axes[2]][lane..]).mul(inverse_depth);
+                u.store(&mut self.u[index][lane..]);
+                v.store(&mut self.v[index][lane..]);
+                inverse_depth.store(&mut self.hits.inverse_limits[index][lane..]);
+                bounds = [bounds[0].min(u), bounds[1].max(u), bounds[2].min(v), bounds[3].max(v)];
+            }
+        }
+        with_margin([bounds[0].least(), bounds[1].greatest(), bounds[2].least(), bounds[3].greatest()])
+    }
+}
+
+/// Bounds of slopes, least and largest in turn, with rounding accounted for.
+#[inline(always)]
+fn with_margin(mut bounds: [f32; 4]) -> [f32; 4] {
+    for index in [0, 2] {
+        bounds[index] -= bounds[index].abs() * SLOPE_MARGIN;
+        bounds[index + 1] += bounds[index + 1].abs() * SLOPE_MARGIN;
+    }
+    bounds
+}
+
 /// Packets on their way, with the nearest hits so far.
 pub(super) struct Culler<'a, const N: usize> {
     pub(super) u: &'a mut [[f32; 64]; N],
@@ -111,7 +144,8 @@ pub(super) struct Culler<'a, const N: usize> {
 }
 
 impl<'a, const N: usize> Culler<'a, N> {
-    /// Takes the active rays of packets in which all rays have the sign `sign` along `axes[0]`.
+    /// Takes the active rays of packets in which all rays have the sign `sign` along `axes[0]`, and whose slopes `scratch`
+    /// has found.
     #[inline(always)]
     pub(super) fn new<S: Simd>(
         grid: &'a Grid,
@@ -146,17 +180,13 @@ impl<'a, const N: usize> Culler<'a, N> {
         };
         let mut reach = [S::splat(0.0); 2];
         for (index, packet) in packets.iter().enumerate() {
-            let directions = &packet.directions;
             // Numbers too small for all their bits are slow to find and to calculate with: zero in their place.
             let inverse_t_max = S::splat(if packet.t_max > 1e30 { 0.0 } else { (1.0 - 1e-6) / packet.t_max });
             for group_of_packet in 0..64 / S::LANES {
                 let lane = group_of_packet * S::LANES;
                 let group = index * (64 / S::LANES) + group_of_packet;
-                let inverse_depth = S::splat(1.0).div(S::load(&directions[axes[0]][lane..]).abs());
-                let u = S::load(&directions[axes[1]][lane..]).mul(inverse_depth);
-                let v = S::load(&directions[axes[2]][lane..]).mul(inverse_depth);
-                u.store(&mut culler.u[index][lane..]);
-                v.store(&mut culler.v[index][lane..]);
+                let (u, v) = (S::load(&culler.u[index][lane..]), S::load(&culler.v[index][lane..]));
+                let inverse_depth = S::load(&culler.nearest.inverse_limits(index)[lane..]);
                 let inverse_limits = inverse_depth.mul(inverse_t_max).sub(S::splat(UNDERFLOW_MARGIN));
                 let inverse_limits = inverse_limits.max(S::splat(0.0));
                 inverse_limits.store(&mut culler.nearest.inverse_limits_mut(index)[lane..]);
@@ -218,12 +248,8 @@ impl<'a, const N: usize> Culler<'a, N> {
             of_lanes[2] = of_lanes[2].min(S::select(live, S::load(&v[0][first_group..]), lowest));
             of_lanes[3] = of_lanes[3].max(S::select(live, S::load(&v[1][first_group..]), highest));
         }
-        let mut bounds = [of_lanes[0].least(), of_lanes[1].greatest(), of_lanes[2].least(), of_lanes[3].greatest()];
-        for index in [0, 2] {
-            bounds[index] -= bounds[index].abs() * SLOPE_MARGIN;
-            bounds[index + 1] += bounds[index + 1].abs() * SLOPE_MARGIN;
-        }
-        self.bundle.slopes = bounds;
+        let bounds = [of_lanes[0].least(), of_lanes[1].greatest(), of_lanes[2].least(), of_lanes[3].greatest()];
+        self.bundle.slopes = with_margin(bounds);
     }
 
     /// Those of some rays that may pass between these slopes and could still have a nearer hit beyond a depth, given as

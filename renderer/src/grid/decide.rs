@@ -17,7 +17,7 @@ use crate::{
 #[repr(C, align(64))]
 pub(super) struct HitScratch<const N: usize> {
     /// The inverse of the depth along the major axis beyond which a triangle cannot matter any more, per world unit.
-    inverse_limits: [[f32; 64]; N],
+    pub(super) inverse_limits: [[f32; 64]; N],
     /// A triangle that it certainly hits, nearer than all others of which that was certain but those that were decided.
     estimated: [[u32; 64]; N],
     /// The greatest inverse depth that this hit can have.
