@@ -167,28 +167,22 @@ pub(crate) const QUARTERS: [usize; 64] = {
     places
 };
 
-/// What the lanes of a tile have, as a sum of what each of its columns has and what each of its rows.
-pub(crate) fn in_quarters([of_columns, of_rows]: &[[f32; 8]; 2]) -> [f32; 64] {
-    let mut in_lanes = [0.0; 64];
-    for (index, lanes) in in_lanes.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+/// Gives the lanes of a tile the sums of what each of its columns has and what each of its rows.
+pub(crate) fn in_quarters([of_columns, of_rows]: &[[f32; 8]; 2], lanes: &mut [f32; 64]) {
+    for (index, lanes) in lanes.as_chunks_mut::<4>().0.iter_mut().enumerate() {
         let (row, first_column) = (index % 4 + 4 * (index / 8), 4 * (index / 4 % 2));
         for (lane, of_column) in lanes.iter_mut().zip(&of_columns[first_column..]) {
             *lane = of_column + of_rows[row];
         }
     }
-    in_lanes
 }
 
-/// What is in the lanes of a tile, row by row.
-pub(crate) fn in_rows<T: Copy>(in_lanes: &[T; 64]) -> [T; 64] {
-    let mut in_rows = *in_lanes;
-    // Half a row is together in both orders, and copied at once.
-    for half_row in 0..16 {
-        let (row, half) = (half_row / 2, half_row % 2);
-        let lane = 32 * (row / 4) + 16 * half + 4 * (row % 4);
-        in_rows[4 * half_row..][..4].copy_from_slice(&in_lanes[lane..][..4]);
+/// Brings what is in the lanes of a tile into the order of its rows.
+pub(crate) fn in_rows<T: Copy>(in_lanes: &mut [T; 64]) {
+    // Half a row is together in both orders.
+    for [a, b, c, d, e, f, g, h] in in_lanes.as_chunks_mut::<4>().0.as_chunks_mut::<8>().0 {
+        [*a, *b, *c, *d, *e, *f, *g, *h] = [*a, *e, *b, *f, *c, *g, *d, *h];
     }
-    in_rows
 }
 
 #[cfg(test)]
@@ -233,11 +227,12 @@ mod tests {
     fn lanes_of_a_tile_are_its_quarters() {
         let tile: Vec<_> = (0..64).map(|place| (8 + place % 8, 16 + place / 8)).collect();
         assert_eq!(lane_places(&tile)[..5], [0, 1, 2, 3, 8]);
-        assert_eq!(in_rows(&QUARTERS), std::array::from_fn(|place| place));
-        let sums = in_quarters(&[
-            [0, 1, 2, 3, 4, 5, 6, 7].map(|column| column as f32),
-            [0, 8, 16, 24, 32, 40, 48, 56].map(|row| row as f32),
-        ]);
+        let mut places = QUARTERS;
+        in_rows(&mut places);
+        assert_eq!(places, std::array::from_fn(|place| place));
+        let (columns, rows) = ([0, 1, 2, 3, 4, 5, 6, 7], [0, 8, 16, 24, 32, 40, 48, 56]);
+        let mut sums = [0.0; 64];
+        in_quarters(&[columns, rows].map(|places| places.map(|place| place as f32)), &mut sums);
         assert_eq!(sums.map(|place| place as usize), QUARTERS);
         assert_eq!(lane_places(&tile[..3])[..5], [0, 1, 2, 2, 2]);
     }

@@ -222,7 +222,7 @@ impl Scene {
         clip::intersect_packets(&self.grid, clip, packets, scratch, hits);
         for (block, hits) in blocks.iter().zip(hits) {
             if is_tile(block.samples) {
-                *hits = in_rows(hits);
+                in_rows(hits);
             }
         }
     }
@@ -238,7 +238,7 @@ fn aim(packet: &mut Packet, rays: &CameraRays, block: &[(u32, u32)], sample: u32
         let x = std::array::from_fn(|column| (i + column as u32) as f32 + 0.5);
         let y = std::array::from_fn(|row| (j + row as u32) as f32 + 0.5);
         for (axis, along) in packet.directions.iter_mut().enumerate() {
-            *along = in_quarters(&rays.parts::<8>(axis, &x, &y));
+            in_quarters(&rays.parts::<8>(axis, &x, &y), along);
         }
     } else {
         for (lane, place) in lane_places(block).into_iter().enumerate() {
