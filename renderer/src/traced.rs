@@ -55,17 +55,23 @@ impl TracedMesh {
         let Renumbering { places, .. } = places;
         let to_places = || references.par_iter_mut().for_each(|reference| *reference = places[*reference as usize]);
         let mut kept = Vec::new();
-        let of_places = || {
-            let mut places = Renumbering::new(vertices.len());
-            let mut place = |vertex| places.place(vertex, |vertex| kept.push(vertex));
-            let vertices_of = |&number: &u32| triangles[number as usize];
-            numbers.iter().map(vertices_of).map(|[a, b, c]| [place(a), place(b), place(c)]).collect()
+        let mut vertex_places = Renumbering::new(vertices.len());
+        let place_vertices = || {
+            for vertex in numbers.iter().flat_map(|&number| triangles[number as usize]) {
+                vertex_places.place(vertex, |vertex| kept.push(vertex));
+            }
         };
-        let ((), triangles) = rayon::join(to_places, of_places);
+        rayon::join(to_places, place_vertices);
+        drop(places);
+        // By all threads, for memory that is written for the first time is waited for.
+        let in_order = numbers.par_iter().map(|&number| triangles[number as usize]);
+        let new_places = |of_triangle: [u32; 3]| of_triangle.map(|vertex| vertex_places.places[vertex as usize]);
+        let triangles_in_order = in_order.map(new_places).collect();
+        drop((triangles, vertex_places));
         let is_colored = !colors.is_empty();
         Self {
             vertices: padded(kept.par_iter().map(|&vertex| vertices[vertex as usize])),
-            triangles,
+            triangles: triangles_in_order,
             numbers,
             colors: kept.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
             bounds,

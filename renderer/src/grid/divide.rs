@@ -85,14 +85,17 @@ impl<'a> Builder<'a> {
 
         let mut bricks = Vec::with_capacity(starts.len() - 1);
         let mut whole = Piece::with_capacity(pieces.iter().map(|(_, piece)| piece));
+        let mut lists = Vec::with_capacity(pieces.len());
         for (roots, piece) in pieces {
             let offset = whole.append(&piece);
+            lists.push(piece.references);
             bricks.extend(roots.into_iter().map(|root| match root {
                 Tree::EMPTY => Tree::EMPTY,
                 leaf if leaf & Tree::LEAF != 0 => leaf + offset.leaf,
                 node => node + offset.node,
             }));
         }
+        whole.references = concat(lists);
         (bricks, whole)
     }
 
@@ -207,6 +210,7 @@ impl<'a> Builder<'a> {
                 .collect();
             for (index, (root, subtree)) in subtrees.into_iter().enumerate() {
                 let offset = piece.append(&subtree);
+                piece.references.extend(subtree.references);
                 piece.nodes[node.first_node as usize + index] = root.moved(&offset);
             }
         } else {
@@ -272,11 +276,12 @@ struct Offset {
 }
 
 impl Piece {
+    /// Room for the nodes and the leaves of some pieces.
     fn with_capacity<'a>(pieces: impl Iterator<Item = &'a Self> + Clone) -> Self {
         Self {
             nodes: Vec::with_capacity(pieces.clone().map(|piece| piece.nodes.len()).sum()),
-            leaf_ends: Vec::with_capacity(pieces.clone().map(|piece| piece.leaf_ends.len()).sum()),
-            references: Vec::with_capacity(pieces.map(|piece| piece.references.len()).sum()),
+            leaf_ends: Vec::with_capacity(pieces.map(|piece| piece.leaf_ends.len()).sum()),
+            references: Vec::new(),
         }
     }
 
@@ -285,14 +290,28 @@ impl Piece {
         self.leaf_ends.push(self.references.len() as u32);
     }
 
+    /// Takes another's nodes and leaves, whose references the caller adds.
     fn append(&mut self, other: &Self) -> Offset {
         let offset = Offset { node: self.nodes.len() as u32, leaf: self.leaf_ends.len() as u32 };
-        let base = self.references.len() as u32;
+        let base = self.leaf_ends.last().copied().unwrap_or(0);
         self.nodes.extend(other.nodes.iter().map(|node| node.moved(&offset)));
         self.leaf_ends.extend(other.leaf_ends.iter().map(|end| base + end));
-        self.references.extend_from_slice(&other.references);
         offset
     }
+}
+
+/// One list after the other. By all threads, for memory that is written for the first time is waited for.
+fn concat(lists: Vec<Vec<u32>>) -> Vec<u32> {
+    let mut all = vec![0; lists.iter().map(Vec::len).sum()];
+    let mut rest = &mut *all;
+    let mut copies = Vec::with_capacity(lists.len());
+    for list in lists {
+        let (part, others) = rest.split_at_mut(list.len());
+        copies.push((part, list));
+        rest = others;
+    }
+    copies.into_par_iter().for_each(|(part, list)| part.copy_from_slice(&list));
+    all
 }
 
 impl Node {

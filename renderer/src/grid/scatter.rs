@@ -82,7 +82,7 @@ impl Scatter<'_> {
         most: u64,
         list: impl Fn([u32; 3]) -> usize + Sync,
     ) -> Option<Vec<AtomicU32>> {
-        let counts: Vec<_> = (0..=n_lists).map(|_| AtomicU32::new(0)).collect();
+        let counts: Vec<_> = (0..=n_lists).into_par_iter().map(|_| AtomicU32::new(0)).collect();
         self.for_each(most, |cube, _| {
             counts[list(cube) + 1].fetch_add(1, Relaxed);
         })?;
@@ -98,7 +98,7 @@ impl Scatter<'_> {
         }
         // Each list's beginning moves to its end while it is filled, and that is where the next one begins.
         let ends = counts;
-        let filled: Vec<_> = (0..total).map(|_| AtomicU32::new(0)).collect();
+        let filled: Vec<_> = (0..total).into_par_iter().map(|_| AtomicU32::new(0)).collect();
         self.for_each(u64::MAX, |cube, triangle| {
             filled[ends[list(cube) + 1].fetch_add(1, Relaxed) as usize].store(triangle, Relaxed);
         });
