@@ -3,7 +3,7 @@
 //! After Lagae and Dutré, "Compact, Fast and Robust Grids for Ray Tracing" (2008). A row is a line of cells.
 //! All rows lie on top of each other in one array of slots, H, each displaced by an offset O so that no two occupied
 //! cells share a slot; a bit for each cell, D, says whether it is occupied, so that slots need no names.
-//! D, the largest part, leaves out the rows without any: a tenth to a half of a scan's.
+//! Rows without any are left out of D, the largest part, and of O: 23 to 40 % of the rows of scans.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
@@ -130,7 +130,7 @@ impl RowDisplacement {
         Self { lines, kept, occupied, offsets, n_slots: slots.end }
     }
 
-    /// Bytes of D and of O.
+    /// Bytes of D and of O, the rows' places in them counted with O.
     pub(super) fn n_bytes(&self) -> [usize; 2] {
         [size_of_val(&*self.occupied), size_of_val(&*self.kept) + size_of_val(&*self.offsets)]
     }

@@ -98,6 +98,7 @@ impl Scatter<'_> {
         }
         // Each list's beginning moves to its end while it is filled, and that is where the next one begins.
         let ends = counts;
+        // By all threads, for memory that is written for the first time is waited for.
         let filled: Vec<_> = (0..total).into_par_iter().map(|_| AtomicU32::new(0)).collect();
         self.for_each(u64::MAX, |cube, triangle| {
             filled[ends[list(cube) + 1].fetch_add(1, Relaxed) as usize].store(triangle, Relaxed);
