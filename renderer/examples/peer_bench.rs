@@ -30,6 +30,7 @@ use renderer::{
     image,
     scene::{self, SceneSource},
     scene_args::SceneArgs,
+    threads,
     trace::frame::{Frame, FrameOptions, Kernel},
     tracer::{FrameRequest, Scene},
 };
@@ -63,19 +64,18 @@ fn main() -> ExitCode {
 
 fn serve() -> Result<()> {
     let args = Args::parse();
-    let n_build_threads = args.build_threads.map_or_else(std::thread::available_parallelism, Ok)?.get();
     let started = Instant::now();
     let mesh = scene::load(&SceneSource::Ply(args.model.clone()), &|_| ())?.mesh;
     let load_s = started.elapsed().as_secs_f64();
     let (n_triangles, n_vertices) = (mesh.triangles.len(), mesh.vertices.len());
     let options = args.scene.options();
-    let pool = thread_pool(n_build_threads)?;
+    let pool = threads::pool(args.build_threads.map(NonZero::get))?;
     let (started, started_cpu) = (Instant::now(), ProcessTime::now());
     let scene = pool.install(|| Scene::build(mesh, &options, &|_| ()));
     let engine = format!("raywall, {}, density {}", options.grid.storage, scene.grid().figures().density);
     say(json!({
         "event": "ready", "engine": engine, "ply": args.model, "tris": n_triangles, "verts": n_vertices,
-        "load_s": load_s, "build_threads": n_build_threads, "build_s": started.elapsed().as_secs_f64(),
+        "load_s": load_s, "build_threads": pool.current_num_threads(), "build_s": started.elapsed().as_secs_f64(),
         "build_cpu_s": started_cpu.elapsed().as_secs_f64(), "mem_bytes": scene.grid().n_bytes(),
         "mesh_bytes": scene.mesh().n_bytes(),
     }))?;
@@ -114,10 +114,11 @@ impl Server {
         let options = FrameOptions { kernel: named_kernel(kernel)?, light };
         let pool = match self.pools.entry(n_threads) {
             Entry::Occupied(pool) => pool.into_mut(),
-            Entry::Vacant(place) => place.insert(thread_pool(n_threads)?),
+            Entry::Vacant(place) => place.insert(threads::pool(Some(n_threads))?),
         };
+        // All in the pool: threads that went to sleep between frames would be late for the next.
         let costs: Vec<_> =
-            (0..n_frames).map(|_| pool.install(|| self.frame.trace(&self.scene, &request, &options))).collect();
+            pool.install(|| (0..n_frames).map(|_| self.frame.trace(&self.scene, &request, &options)).collect());
         let last = costs[costs.len() - 1];
         say(json!({
             "event": "frames", "engine": self.engine, "mode": kernel, "threads": n_threads,
@@ -140,10 +141,6 @@ impl Server {
 
 fn named_kernel(name: &str) -> Result<Kernel> {
     Kernel::from_str(name, false).map_err(|_| anyhow::anyhow!("\"{name}\" is no kernel: it is packet or single"))
-}
-
-fn thread_pool(n_threads: usize) -> Result<ThreadPool> {
-    rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().context("cannot start the tracing threads")
 }
 
 /// A camera as the peers read it.

@@ -21,6 +21,7 @@ use crate::{
     scene_args::SceneArgs,
     session::{self, SessionEnd},
     stage::Stage,
+    threads,
 };
 
 /// The pause before the first attempt to connect again; it doubles up to [`LONGEST_PAUSE`].
@@ -78,13 +79,7 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         None if args.insecure => Trust::Everybody,
         None => Trust::ThisMachine,
     };
-    let n_threads = args.threads.map_or_else(num_cores, |n| n as usize);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(n_threads)
-        .thread_name(|index| format!("trace-{index}"))
-        .build()
-        .context("the tracing threads do not start")?;
-    let pool = Arc::new(pool);
+    let pool = Arc::new(threads::pool(args.threads.map(|n| n as usize))?);
     let stage = match &args.replay {
         Some(picture) => Stage::canned(pool, Canned::read(picture)?),
         None if args.blank => Stage::canned(pool, Canned::noise()),
@@ -199,10 +194,6 @@ fn name(given: Option<String>) -> anyhow::Result<String> {
         bail!("--name \"{name}\": a name has 1 to {LONGEST_NAME} bytes");
     }
     Ok(name)
-}
-
-fn num_cores() -> usize {
-    std::thread::available_parallelism().map_or(1, usize::from)
 }
 
 /// Waits for the end of standard input: of a pipe whose other end the wall's process holds, however that ends.

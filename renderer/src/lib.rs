@@ -35,6 +35,7 @@ mod simd;
 pub mod stability;
 mod stage;
 pub mod statue;
+pub mod threads;
 pub mod trace;
 pub mod traced;
 pub mod tracer;

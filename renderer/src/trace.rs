@@ -6,7 +6,6 @@ mod shadows;
 
 use std::{
     io::Read,
-    num::NonZero,
     path::{Path, PathBuf},
     time::{Duration, Instant},
 };
@@ -29,7 +28,7 @@ use crate::{
     progress::Progress,
     scene::{self, SceneSource},
     scene_args::SceneArgs,
-    statue,
+    statue, threads,
     tracer::{FrameRequest, Scene},
 };
 
@@ -165,14 +164,7 @@ struct Report {
 
 /// Loads, builds, traces, and writes what was asked for.
 pub fn run(args: &TraceArgs) -> Result<()> {
-    let n_threads =
-        args.threads.map_or_else(|| std::thread::available_parallelism().map_or(1, NonZero::get), usize::from);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(n_threads)
-        .thread_name(|index| format!("trace-{index}"))
-        .build()
-        .context("cannot start the tracing threads")?;
-    pool.install(|| run_in_pool(args))
+    threads::pool(args.threads.map(usize::from))?.install(|| run_in_pool(args))
 }
 
 fn run_in_pool(args: &TraceArgs) -> Result<()> {
