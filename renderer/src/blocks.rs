@@ -58,7 +58,8 @@ fn visit_groups<U>(
     mut visit: impl FnMut(&[Block<'_>]),
 ) {
     cuts.sort_by_key(|cut| cut.square);
-    let (mut samples, mut places) = (Vec::new(), Vec::new());
+    let room = 64 * MOST_PACKETS;
+    let (mut samples, mut places) = (Vec::with_capacity(room), Vec::with_capacity(room));
     for of_square in cuts.chunk_by(|a, b| a.square == b.square) {
         for neighbours in of_square.chunks(MOST_PACKETS) {
             samples.clear();

@@ -194,8 +194,12 @@ pub fn cost_sum(scene: &Scene, request: &FrameRequest) -> CostSum {
         .reduce(CostSum::default, |a, b| CostSum { n_cells: a.n_cells + b.n_cells, n_tests: a.n_tests + b.n_tests })
 }
 
-/// Columns of tiles in a part of a frame: enough that taking it costs nothing, few enough that threads end together.
-const PART_COLUMNS: u32 = 32;
+/// Into so many parts for each thread what is left of a frame is divided when one is taken: large ones first, for each costs
+/// something, small ones last, so that threads end together (guided self-scheduling; Polychronopoulos and Kuck, 1987).
+const PARTS_PER_THREAD: u32 = 8;
+
+/// Columns of tiles in a part, at least.
+const LEAST_COLUMNS: u32 = 4;
 
 /// A part of a frame, for one thread at a time: some columns of two rows of tiles, whose squares of 2×2 go together.
 struct Part<'a, T, I> {
@@ -216,26 +220,37 @@ impl<T, I> Part<'_, T, I> {
     }
 }
 
-/// All parts of a frame that has `per_sample` of `all` for each sample, row by row.
+/// All parts of a frame that has `per_sample` of `all` for each sample, row by row, for the threads of the rayon pool that
+/// this is called in.
 fn parts<T>(
     all: &mut [T],
     per_sample: u32,
     size: FrameSize,
 ) -> impl Iterator<Item = Part<'_, T, impl Iterator<Item = u32> + Clone>> {
     let row_length = (size.xres() * per_sample) as usize;
+    let (x_tiles, y_tiles) = (size.x_tiles(), size.y_tiles());
+    let n_threads = rayon::current_num_threads() as u32;
     let bands = (0..).step_by(2).zip(all.chunks_mut(row_length * 2 * TILE_SIZE as usize));
     bands.flat_map(move |(row, band)| {
-        let columns = (0..size.x_tiles()).step_by(PART_COLUMNS as usize);
-        let mut parts: Vec<_> = columns
+        let rows = row..(row + 2).min(y_tiles);
+        let n_tiles = (y_tiles - row) * x_tiles / (PARTS_PER_THREAD * n_threads);
+        // Two rows high, and as wide as whole squares.
+        let n_columns = (n_tiles / 2).max(LEAST_COLUMNS).min(x_tiles).next_multiple_of(2);
+        let mut parts: Vec<_> = (0..x_tiles)
+            .step_by(n_columns as usize)
             .map(|column| {
-                let columns = column..(column + PART_COLUMNS).min(size.x_tiles());
-                let rows = row..(row + 2).min(size.y_tiles());
-                let tiles = rows.flat_map(move |row| columns.clone().map(move |column| row * size.x_tiles() + column));
+                let end = (column + n_columns).min(x_tiles);
+                let rows = rows.clone();
+                // Square by square, so that nobody has to sort them.
+                let tiles = (column..end).step_by(2).flat_map(move |column| {
+                    let columns = column..(column + 2).min(end);
+                    rows.clone().flat_map(move |row| columns.clone().map(move |column| row * x_tiles + column))
+                });
                 Part { tiles, first: (column * TILE_SIZE, row * TILE_SIZE), rows: Vec::new(), per_sample }
             })
             .collect();
         for row in band.chunks_mut(row_length) {
-            let of_parts = row.chunks_mut((PART_COLUMNS * TILE_SIZE * per_sample) as usize);
+            let of_parts = row.chunks_mut((n_columns * TILE_SIZE * per_sample) as usize);
             parts.iter_mut().zip(of_parts).for_each(|(part, of_part)| part.rows.push(of_part));
         }
         parts
