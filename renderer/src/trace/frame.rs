@@ -277,3 +277,32 @@ fn on_all_threads<P: Send>(
         ..sum
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_the_whole_frame_whatever_its_size() {
+        for (xres, yres) in [(1, 1), (7, 301), (37, 21), (301, 7), (1024, 512)] {
+            let size = FrameSize::new(xres, yres).unwrap();
+            let work = Division::Tiled.work(0, 1);
+            let share = work.share(size).unwrap();
+            for n_threads in [1, 2, 16] {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
+                let mut all = vec![[0; 3]; size.n_samples() as usize];
+                pool.install(|| {
+                    for mut part in parts(all.as_flattened_mut(), 3, size) {
+                        for tile in part.tiles.clone() {
+                            for (i, j) in share.samples(tile).iter() {
+                                part.row_from((i, j))[..3].iter_mut().zip([i, j, 1]).for_each(|(to, n)| *to += n);
+                            }
+                        }
+                    }
+                });
+                let expected = (0..yres).flat_map(|j| (0..xres).map(move |i| [i, j, 1]));
+                assert!(all.into_iter().eq(expected), "{size}, {n_threads} threads");
+            }
+        }
+    }
+}
