@@ -5,8 +5,8 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// Starts so many threads, or one for each core.
 ///
-/// Where there is one for each core, each keeps to its own. A system left to choose may have two of them share a core for
-/// whole frames while another is idle: after every pause of the wall, on a virtual machine whose kernel packs its load.
+/// Where there is one for each core, each keeps to its own. Some kernels of virtual machines pack threads on few cores after
+/// a pause: left to such a one, two of these threads shared a core for whole frames while another was idle.
 ///
 /// # Errors
 /// The system has no more threads.

@@ -281,6 +281,7 @@ fn on_all_threads<P: Send>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::threads;
 
     #[test]
     fn parts_are_the_whole_frame_whatever_its_size() {
@@ -289,7 +290,7 @@ mod tests {
             let work = Division::Tiled.work(0, 1);
             let share = work.share(size).unwrap();
             for n_threads in [1, 2, 16] {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
+                let pool = threads::pool(Some(n_threads)).unwrap();
                 let mut all = vec![[0; 3]; size.n_samples() as usize];
                 pool.install(|| {
                     for mut part in parts(all.as_flattened_mut(), 3, size) {
