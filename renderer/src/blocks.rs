@@ -15,8 +15,28 @@ use crate::grid::MOST_PACKETS;
 pub struct Block<'a> {
     /// The samples (i, j). Those of a tile follow each other row by row.
     pub samples: &'a [(u32, u32)],
-    /// The place of each among the samples of the units that were cut, if anybody asks.
-    pub places: &'a [usize],
+    /// Where they are among the samples of the units that were cut.
+    pub places: Places<'a>,
+}
+
+/// The places of a block's samples.
+#[derive(Clone, Copy)]
+pub enum Places<'a> {
+    /// One after the other from this one on.
+    From(usize),
+    /// Each has its own.
+    Each(&'a [usize]),
+}
+
+impl Places<'_> {
+    /// The place of the block's sample number `index`.
+    #[inline]
+    pub fn of(&self, index: usize) -> usize {
+        match self {
+            Self::From(first) => first + index,
+            Self::Each(places) => places[index],
+        }
+    }
 }
 
 /// Calls `visit` with all samples of some units of a share, block by block, up to [`MOST_PACKETS`] neighbours at once: a tile
@@ -30,10 +50,15 @@ pub(crate) fn for_each_group(
     if units.clone().any(|unit| share.samples(unit).count() > 1) {
         visit_groups(
             tiles(share, units),
-            |cut, samples, places| {
+            |cut, samples| {
                 let UnitSamples { columns, rows } = share.samples(cut.unit);
-                rows.for_each(|j| samples.extend(columns.clone().map(|i| (i, j))));
-                places.extend(cut.at.clone());
+                if columns.len() * rows.len() == 64 {
+                    // Of a known length, all are written at once.
+                    samples.extend(OF_TILE.iter().map(|(x, y)| (columns.start + x, rows.start + y)));
+                } else {
+                    rows.for_each(|j| samples.extend(columns.clone().map(|i| (i, j))));
+                }
+                Places::From(cut.at.start)
             },
             visit,
         );
@@ -42,9 +67,10 @@ pub(crate) fn for_each_group(
         let mut order: Vec<usize> = (0..all.len()).collect();
         visit_groups(
             patches(share, &all, &mut order),
-            |cut, samples, places| {
-                samples.extend(order[cut.at.clone()].iter().map(|&place| all[place]));
-                places.extend(&order[cut.at.clone()]);
+            |cut, samples| {
+                let places = &order[cut.at.clone()];
+                samples.extend(places.iter().map(|&place| all[place]));
+                Places::Each(places)
             },
             visit,
         );
@@ -52,25 +78,24 @@ pub(crate) fn for_each_group(
 }
 
 /// Gathers the blocks of neighbouring cuts, group by group: memory for all of them at once would not stay in the cache.
-fn visit_groups<U>(
+fn visit_groups<'a, U>(
     mut cuts: Vec<Cut<U>>,
-    gather: impl Fn(&Cut<U>, &mut Vec<(u32, u32)>, &mut Vec<usize>),
+    gather: impl Fn(&Cut<U>, &mut Vec<(u32, u32)>) -> Places<'a>,
     mut visit: impl FnMut(&[Block<'_>]),
 ) {
     cuts.sort_by_key(|cut| cut.square);
-    let room = 64 * MOST_PACKETS;
-    let (mut samples, mut places) = (Vec::with_capacity(room), Vec::with_capacity(room));
+    let mut samples = Vec::with_capacity(64 * MOST_PACKETS);
     for of_square in cuts.chunk_by(|a, b| a.square == b.square) {
         for neighbours in of_square.chunks(MOST_PACKETS) {
             samples.clear();
-            places.clear();
-            neighbours.iter().for_each(|cut| gather(cut, &mut samples, &mut places));
-            let mut end = 0;
-            let mut group = [Block { samples: &[], places: &[] }; MOST_PACKETS];
-            for (block, cut) in group.iter_mut().zip(neighbours) {
-                let at = end..end + cut.at.len();
-                end = at.end;
-                *block = Block { samples: &samples[at.clone()], places: &places[at] };
+            let mut places = [Places::From(0); MOST_PACKETS];
+            places.iter_mut().zip(neighbours).for_each(|(places, cut)| *places = gather(cut, &mut samples));
+            let mut rest = &*samples;
+            let mut group = [Block { samples: &[], places: Places::From(0) }; MOST_PACKETS];
+            for ((block, cut), places) in group.iter_mut().zip(neighbours).zip(places) {
+                let (of_block, others) = rest.split_at(cut.at.len());
+                rest = others;
+                *block = Block { samples: of_block, places };
             }
             visit(&group[..neighbours.len()]);
         }
@@ -155,6 +180,17 @@ pub(crate) fn is_tile(block: &[(u32, u32)]) -> bool {
     block.len() == 64 && block[63].0 == block[0].0 + 7 && block[63].1 == block[0].1 + 7
 }
 
+/// The samples of a whole tile, row by row, from its first.
+const OF_TILE: [(u32, u32); 64] = {
+    let mut samples = [(0, 0); 64];
+    let mut place = 0;
+    while place < 64 {
+        samples[place] = (place as u32 % TILE_SIZE, place as u32 / TILE_SIZE);
+        place += 1;
+    }
+    samples
+};
+
 /// The place of each lane in a tile of 8×8 samples, row by row: quarters of 4×4 one after the other.
 pub(crate) const QUARTERS: [usize; 64] = {
     let mut places = [0; 64];
@@ -207,7 +243,8 @@ mod tests {
                         assert!((1..=MOST_PACKETS).contains(&blocks.len()));
                         for block in blocks {
                             assert!((1..=64).contains(&block.samples.len()));
-                            for (&sample, &place) in block.samples.iter().zip(block.places) {
+                            for (index, &sample) in block.samples.iter().enumerate() {
+                                let place = block.places.of(index);
                                 assert_eq!(samples[place], sample);
                                 seen[place] += 1;
                             }

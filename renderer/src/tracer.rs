@@ -154,8 +154,8 @@ impl Scene {
                 all.take(64 * blocks.len()).for_each(|(sum, light)| *sum += light);
             }
             for (block, sums) in blocks.iter().zip(&sums) {
-                for (&place, sum) in block.places.iter().zip(sums) {
-                    pixels[place] = (*sum / request.samples.count as f32).to_array().map(srgb::encode);
+                for (index, sum) in sums.iter().take(block.samples.len()).enumerate() {
+                    pixels[block.places.of(index)] = (*sum / request.samples.count as f32).to_array().map(srgb::encode);
                 }
             }
         });

@@ -13,7 +13,7 @@ use super::{
     solids,
 };
 use crate::{
-    blocks::Block,
+    blocks::{Block, Places},
     chart::methods::Method,
     grid::{Grid, GridOptions, PacketScratch},
     mesh::Mesh,
@@ -114,7 +114,7 @@ fn light_of(
         let block: Vec<_> = (0..64).map(|place| (first_i + place % 8, first_j + place / 8)).collect();
         let directions: [Vec3; 64] = std::array::from_fn(|lane| rays.direction(block[lane].0, block[lane].1));
         let hits = directions.map(|direction| grid.intersect(&Ray::new(rays.eye, direction)));
-        let blocks = [Block { samples: &block, places: &[] }];
+        let blocks = [Block { samples: &block, places: Places::From(0) }];
         let [reach, ..] = secondary.reach(&blocks, 0, &[directions], &[hits], &mut scratch);
         for lane in (0..64).filter(|&lane| !hits[lane].is_miss()) {
             let ray = Ray::new(rays.eye, directions[lane]);

@@ -17,7 +17,7 @@ use shared::{
 
 use super::shadows::ShadowCaster;
 use crate::{
-    blocks::{Block, for_each_group},
+    blocks::{Block, Places, for_each_group},
     clip,
     grid::{MOST_PACKETS, PacketScratch, RayCost},
     ray::{Hit, Ray},
@@ -110,7 +110,7 @@ impl Frame {
                         for (hit, &(i, j)) in hits.iter_mut().zip(&samples) {
                             *hit = clip::intersect(scene.grid(), clip, Ray::new(rays.eye, rays.direction(i, j)));
                         }
-                        visit(&[Block { samples: &samples, places: &[] }], &[hits], &mut scratch);
+                        visit(&[Block { samples: &samples, places: Places::From(0) }], &[hits], &mut scratch);
                     }),
                 }
             }
