@@ -100,17 +100,13 @@ impl Boxes {
 
 /// The boxes of one leaf, before rays with a common origin that all advance the same way along an axis k.
 pub(super) struct LeafBoxes<'a> {
-    bytes: &'a [u8],
-    n: usize,
-    /// k and the two axes across it.
-    axes: [usize; 3],
-    /// Whether the rays advance against k.
-    backward: bool,
-    /// Where the values count from, less the origin, along k, u and v, in finest cells.
-    base: [f32; 3],
-    /// Finest cells of a step.
-    step: f32,
-    margin: f32,
+    /// The values of the sides along k, nearer and farther, and of the least and greatest u and v; some bytes follow the
+    /// last of each.
+    rows: [&'a [u8]; 6],
+    /// Where these count from, less the origin and with margins, in finest cells; along k in depth.
+    bases: [f32; 6],
+    /// Finest cells of a step, along k and across.
+    steps: [f32; 2],
 }
 
 /// Some boxes, in finest cells from the rays' origin: depth along k and bounds across it.
@@ -139,50 +135,56 @@ impl<'a> LeafBoxes<'a> {
             base[place] = (corner_from_origin[place] - FIRST / STEPS * size) as f32;
         }
         let reach = base[0].abs() + base[1].abs().max(base[2].abs()) + 2.0 * size as f32;
+        let margin = reach * MARGIN;
+        let [k, u, v] = axes;
+        let (near, depth, way) = if backward { (2 * k + 1, -base[0], -1.0) } else { (2 * k, base[0], 1.0) };
+        let step = (size * (1.0 / STEPS)) as f32;
         let n = (bytes.len() - PADDING) / 6;
-        Self { bytes, n, axes, backward, base, step: (size / STEPS) as f32, margin: reach * MARGIN }
+        let mut rows = [bytes; 6];
+        for (place, row) in [near, near ^ 1, 2 * u, 2 * u + 1, 2 * v, 2 * v + 1].into_iter().enumerate() {
+            rows[place] = &bytes[row * n..row * n + n + PADDING];
+        }
+        let [u, v] = [base[1], base[2]];
+        let bases = [depth - margin, depth + margin, u - margin, u + margin, v - margin, v + margin];
+        Self { rows, bases, steps: [step * way, step] }
     }
 
     /// How many there are.
     #[inline(always)]
     pub(super) fn n(&self) -> usize {
-        self.n
+        self.rows[0].len() - PADDING
     }
 
     /// The boxes from number `first` on, as many as a vector has lanes; what lies beyond the last is noise.
     #[inline(always)]
     pub(super) fn bounds<S: Simd>(&self, first: usize) -> Bounds<S> {
-        let step = S::splat(self.step);
-        let margin = S::splat(self.margin);
-        let mut sides = [[step; 2]; 3];
-        for place in 0..3 {
-            let axis = self.axes[place];
-            let base = S::splat(self.base[place]);
-            let low = S::load_bytes(&self.bytes[2 * axis * self.n + first..]).mul_add(step, base);
-            let high = S::load_bytes(&self.bytes[(2 * axis + 1) * self.n + first..]).mul_add(step, base);
-            sides[place] = [low.sub(margin), high.add(margin)];
+        let [along, across] = [S::splat(self.steps[0]), S::splat(self.steps[1])];
+        let mut sides = [along; 6];
+        for side in 0..6 {
+            let step = if side < 2 { along } else { across };
+            sides[side] = S::load_bytes(&self.rows[side][first..]).mul_add(step, S::splat(self.bases[side]));
         }
-        let [mut near, mut far] = sides[0];
-        if self.backward {
-            let zero = S::splat(0.0);
-            (near, far) = (zero.sub(far), zero.sub(near));
-        }
-        Bounds { near, far, u: sides[1], v: sides[2] }
+        let [near, far, u_low, u_high, v_low, v_high] = sides;
+        Bounds { near, far, u: [u_low, u_high], v: [v_low, v_high] }
     }
 }
 
 impl<S: Simd> Bounds<S> {
-    /// A bit for each box that begins before the depth 1 / `inverse_limit` and that a ray may pass whose slopes against k
-    /// lie within `slopes`: least and greatest u, least and greatest v.
+    /// Numbers with a minus for each box that begins behind the depth 1 / `inverse_limit` or that no ray may pass whose
+    /// slopes against k lie within `slopes`: least and greatest u, least and greatest v.
     #[inline(always)]
-    pub(super) fn passed_by(&self, slopes: [f32; 4], inverse_limit: f32) -> u32 {
-        let [u_low, u_high] = [S::splat(slopes[0]), S::splat(slopes[1])];
-        let [v_low, v_high] = [S::splat(slopes[2]), S::splat(slopes[3])];
-        u_low.mul(self.near).min(u_low.mul(self.far)).up_to(self.u[1])
-            & self.u[0].up_to(u_high.mul(self.near).max(u_high.mul(self.far)))
-            & v_low.mul(self.near).min(v_low.mul(self.far)).up_to(self.v[1])
-            & self.v[0].up_to(v_high.mul(self.near).max(v_high.mul(self.far)))
-            & self.near.mul(S::splat(inverse_limit)).up_to(S::splat(1.0))
+    pub(super) fn missed_by(&self, slopes: [f32; 4], inverse_limit: f32) -> S {
+        let mut missed = self.near.mul_add(S::splat(-inverse_limit), S::splat(1.0));
+        for (axis, [low, high]) in [self.u, self.v].into_iter().enumerate() {
+            let (least, greatest) = (slopes[2 * axis], slopes[2 * axis + 1]);
+            // The depths at which these slopes lead farthest out.
+            let depth_of_least = if least < 0.0 { self.far } else { self.near };
+            let depth_of_greatest = if greatest < 0.0 { self.near } else { self.far };
+            let above = high.sub_mul(S::splat(least), depth_of_least);
+            let below = S::splat(greatest).mul_sub(depth_of_greatest, low);
+            missed = missed.or(above).or(below);
+        }
+        missed
     }
 }
 

@@ -66,7 +66,7 @@ pub(super) struct CullScratch<const N: usize> {
     /// Triangles that wait until a vector is full, and a vector more.
     waiting: [u32; N_WAITING + 16],
     recent: [u32; N_RECENT],
-    pairs: [Pair; 64],
+    pairs: [Pair; 64 * MOST_PACKETS],
 }
 
 impl<const N: usize> Default for CullScratch<N> {
@@ -78,7 +78,7 @@ impl<const N: usize> Default for CullScratch<N> {
             hits: HitScratch::default(),
             waiting: [0; N_WAITING + 16],
             recent: [0; N_RECENT],
-            pairs: [Pair::default(); 64],
+            pairs: [Pair::default(); 64 * MOST_PACKETS],
         }
     }
 }
@@ -106,12 +106,13 @@ impl<const N: usize> CullScratch<N> {
     }
 }
 
-/// Bounds of slopes, least and largest in turn, with rounding accounted for.
+/// Bounds of slopes, least and largest in turn, with rounding accounted for, and at least so much wider that none is equal
+/// to what it bounds.
 #[inline(always)]
 fn with_margin(mut bounds: [f32; 4]) -> [f32; 4] {
     for index in [0, 2] {
-        bounds[index] -= bounds[index].abs() * SLOPE_MARGIN;
-        bounds[index + 1] += bounds[index + 1].abs() * SLOPE_MARGIN;
+        bounds[index] -= bounds[index].abs() * SLOPE_MARGIN + UNDERFLOW_MARGIN;
+        bounds[index + 1] += bounds[index + 1].abs() * SLOPE_MARGIN + UNDERFLOW_MARGIN;
     }
     bounds
 }
@@ -124,9 +125,11 @@ pub(super) struct Culler<'a, const N: usize> {
     pub(super) nearest: NearestHits<'a, N>,
     waiting: &'a mut [u32; N_WAITING + 16],
     n_waiting: usize,
+    /// How many of them, from the first on, [`Culler::drop_recent`] has been through.
+    n_sifted: usize,
     recent: &'a mut [u32; N_RECENT],
-    /// Room for the pairs of one vector of triangles and one packet's groups.
-    pub(super) pairs: &'a mut [Pair; 64],
+    /// Room for the pairs of one vector of triangles and all groups.
+    pub(super) pairs: &'a mut [Pair; 64 * MOST_PACKETS],
     mesh: &'a TracedMesh,
     /// The rays that there are.
     pub(super) active: RaySet<N>,
@@ -167,6 +170,7 @@ impl<'a, const N: usize> Culler<'a, N> {
             nearest: NearestHits::new(mesh, packets, axes[0], hits),
             waiting,
             n_waiting: 0,
+            n_sifted: 0,
             recent,
             pairs,
             mesh,
@@ -262,66 +266,65 @@ impl<'a, const N: usize> Culler<'a, N> {
         v: [f32; 2],
         inverse_depth: f32,
     ) -> RaySet<N> {
-        let (u_low, u_high) = (S::splat(u[0] - u[0].abs() * SLOPE_MARGIN), S::splat(u[1] + u[1].abs() * SLOPE_MARGIN));
-        let (v_low, v_high) = (S::splat(v[0] - v[0].abs() * SLOPE_MARGIN), S::splat(v[1] + v[1].abs() * SLOPE_MARGIN));
+        let [u_low, u_high, v_low, v_high] = with_margin([u[0], u[1], v[0], v[1]]);
+        let (u, v) = ([S::splat(u_low), S::splat(u_high)], [S::splat(v_low), S::splat(v_high)]);
         let inverse_depth = S::splat(inverse_depth);
         let mut rays = RaySet::NONE;
         for first_group in (0..N * (64 / S::LANES)).step_by(S::LANES) {
-            let Groups { u, v, inverse_limits, .. } = &*self.groups;
-            let mut groups = u_low.up_to(S::load(&u[1][first_group..]))
-                & S::load(&u[0][first_group..]).up_to(u_high)
-                & v_low.up_to(S::load(&v[1][first_group..]))
-                & S::load(&v[0][first_group..]).up_to(v_high)
-                & S::load(&inverse_limits[first_group..]).up_to(inverse_depth)
-                & (self.live >> first_group);
+            let of_groups = &*self.groups;
+            let [u_low, u_high] = of_groups.u.each_ref().map(|bounds| &bounds[first_group..]);
+            let [v_low, v_high] = of_groups.v.each_ref().map(|bounds| &bounds[first_group..]);
+            let beside_u = S::load(u_high).sub(u[0]).or(u[1].sub(S::load(u_low)));
+            let beside_v = S::load(v_high).sub(v[0]).or(v[1].sub(S::load(v_low)));
+            let before = inverse_depth.sub(S::load(&of_groups.inverse_limits[first_group..]));
+            let mut groups = !beside_u.or(beside_v).or(before).minus() & (self.live >> first_group);
             while groups != 0 {
                 let first = (first_group + groups.trailing_zeros() as usize) * S::LANES;
                 groups &= groups - 1;
                 let (packet, first) = (first / 64 % N, first % 64);
-                let u = S::load(&self.u[packet][first..]);
-                let v = S::load(&self.v[packet][first..]);
-                let passing = u_low.up_to(u)
-                    & u.up_to(u_high)
-                    & v_low.up_to(v)
-                    & v.up_to(v_high)
-                    & S::load(&self.nearest.inverse_limits(packet)[first..]).up_to(inverse_depth);
+                let of_rays = S::load(&self.u[packet][first..]);
+                let beside_u = of_rays.sub(u[0]).or(u[1].sub(of_rays));
+                let of_rays = S::load(&self.v[packet][first..]);
+                let beside_v = of_rays.sub(v[0]).or(v[1].sub(of_rays));
+                let before = inverse_depth.sub(S::load(&self.nearest.inverse_limits(packet)[first..]));
+                let passing = !beside_u.or(beside_v).or(before).minus() & ((1u64 << S::LANES) - 1) as u32;
                 rays.of_packets[packet] |= u64::from(passing) << first;
             }
         }
         rays.and(among)
     }
 
-    /// Tests the triangles of a leaf soon that the rays may hit, unless they were tested lately.
+    /// Has the triangles of a leaf wait for their test that the rays may hit; [`Culler::drop_recent`] goes through them.
     ///
     /// `rays` are those that may pass the leaf, or all.
     #[inline(always)]
     pub(super) fn add<S: Kernel>(&mut self, boxes: &LeafBoxes<'_>, triangles: &[u32], rays: &RaySet<N>) {
         let ray_by_ray = triangles.len() >= MANY_TRIANGLES_PER_RAY * rays.count() as usize;
-        let mut new_from = self.n_waiting;
         for (batch, triangles) in triangles.chunks(S::LANES).enumerate() {
             if self.n_waiting + S::LANES > N_WAITING {
-                self.drop_recent::<S>(new_from);
-                S::test(self);
-                new_from = 0;
+                self.drop_recent::<S>();
+                if self.n_waiting + S::LANES > N_WAITING {
+                    S::test(self);
+                }
             }
             let bounds = boxes.bounds::<S>(batch * S::LANES);
-            let mut passed = bounds.passed_by(self.bundle.slopes, self.inverse_farthest);
-            passed &= u32::MAX >> (32 - triangles.len());
+            let missed = bounds.missed_by(self.bundle.slopes, self.inverse_farthest).minus();
+            let mut passed = !missed & (u32::MAX >> (32 - triangles.len()));
             if ray_by_ray && passed != 0 {
                 passed &= self.passed_by_any(&bounds, rays);
             }
             self.n_waiting += S::pick(triangles, passed, &mut self.waiting[self.n_waiting..]);
         }
-        self.drop_recent::<S>(new_from);
     }
 
-    /// Drops triangles that were met lately from those that wait, from number `new_from` on.
+    /// Drops those of the waiting triangles that were met lately.
     ///
-    /// Without a branch: whether a triangle was met before cannot be predicted.
+    /// Without a branch, and for several leaves together: neither whether a triangle was met before can be predicted, nor
+    /// how many of a leaf's there are to look at.
     #[inline(always)]
-    fn drop_recent<S: Simd>(&mut self, new_from: usize) {
-        let mut n_waiting = new_from;
-        for index in new_from..self.n_waiting {
+    pub(super) fn drop_recent<S: Simd>(&mut self) {
+        let mut n_waiting = self.n_sifted;
+        for index in self.n_sifted..self.n_waiting {
             let triangle = self.waiting[index];
             self.mesh.prefetch::<S>(triangle);
             let recent = &mut self.recent[triangle as usize % N_RECENT];
@@ -330,12 +333,13 @@ impl<'a, const N: usize> Culler<'a, N> {
             *recent = triangle;
         }
         self.n_waiting = n_waiting;
+        self.n_sifted = n_waiting;
     }
 
     /// A bit for each box that one of some rays may pass.
     #[inline(always)]
     fn passed_by_any<S: Simd>(&self, bounds: &Bounds<S>, rays: &RaySet<N>) -> u32 {
-        let mut passed = 0;
+        let mut missed = S::splat(-0.0);
         for packet in 0..N {
             let mut left = rays.of_packets[packet];
             while left != 0 {
@@ -343,10 +347,10 @@ impl<'a, const N: usize> Culler<'a, N> {
                 left &= left - 1;
                 let (u, v) = (self.u[packet][lane], self.v[packet][lane]);
                 let inverse_limit = self.nearest.inverse_limits(packet)[lane] * self.cell_length;
-                passed |= bounds.passed_by([u, u, v, v], inverse_limit);
+                missed = missed.and(bounds.missed_by([u, u, v, v], inverse_limit));
             }
         }
-        passed
+        !missed.minus()
     }
 
     /// Ends the search up to a depth along the major axis, in world units. Returns true when no ray needs more.
@@ -392,6 +396,7 @@ impl<'a, const N: usize> Culler<'a, N> {
     pub(super) fn test_waiting<S: Simd>(&mut self) {
         let mut prepared = Prepared::default();
         let n_waiting = std::mem::take(&mut self.n_waiting);
+        self.n_sifted = 0;
         for &triangle in &self.waiting[..n_waiting] {
             self.mesh.prefetch_corners::<S>(triangle);
         }

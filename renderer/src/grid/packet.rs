@@ -75,8 +75,9 @@ pub struct PacketScratch {
 /// What so many packets that go together need of it.
 #[derive(Default)]
 pub(super) struct Scratch<const N: usize> {
-    /// The nodes that they meet in the slab at hand, level by level; the first level has bricks.
-    entries: [Vec<Entry<N>>; LEVELS as usize + 1],
+    /// The nodes that they meet in the slab at hand, level by level from number 1, bricks, on; the last has room for what is
+    /// not kept.
+    entries: [Vec<Entry<N>>; LEVELS as usize + 2],
     /// The leaves that they met, whose triangles wait for their test.
     leaves: Vec<Leaf<N>>,
     cull: CullScratch<N>,
@@ -251,7 +252,7 @@ impl Grid {
                 }
                 let Some(bounds) = frustum.cells(near, far) else { continue };
                 let (above, below) = entries.split_at_mut(level + 1);
-                let children = below.first_mut();
+                let children = &mut below[0];
                 let narrow = frustum.narrow(near, far, 1 << shift);
                 let n_before = leaves.len();
                 tree.enter_children::<S, N>(
@@ -277,7 +278,7 @@ impl Grid {
                         S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
                     }
                 }
-                if level < LEVELS as usize && !below[0].is_empty() {
+                if !children.is_empty() {
                     level += 1;
                     (lows[level], steps[level]) = (low, 0);
                 } else if culler.touched {
@@ -328,6 +329,7 @@ impl Tree {
                 LeafBoxes::new(bytes, culler.bundle.axes, culler.bundle.sign < 0.0, corner_from_origin, leaf.size);
             culler.add::<S>(&boxes, &self.references[references], &leaf.rays);
         }
+        culler.drop_recent::<S>();
         leaves.clear();
         culler.touched = true;
     }
@@ -374,7 +376,7 @@ impl Tree {
         &self,
         culler: &Culler<'_, N>,
         entries: &[Entry<N>],
-        children: Option<&mut Vec<Entry<N>>>,
+        children: &mut Vec<Entry<N>>,
         axes: [usize; 3],
         quarter: u32,
         low: i32,
@@ -383,9 +385,6 @@ impl Tree {
         narrow: Option<Narrow<'_>>,
         found: &mut Vec<Leaf<N>>,
     ) {
-        // The deepest nodes have leaves only, so what is pushed for them is nothing.
-        let mut none = Vec::new();
-        let children = children.unwrap_or(&mut none);
         children.clear();
         let slab = PLANES[axes[0]] << (quarter << (2 * axes[0]));
         for entry in entries {
@@ -412,17 +411,16 @@ impl Tree {
                         cells.slopes(1, v, size),
                         cells.inverse_depth,
                     );
-                    if rays.is_empty() {
-                        continue;
-                    }
                 }
-                if node.divided >> bit & 1 == 1 {
-                    children.push(Entry { node: node.first_node + (node.divided & before).count_ones(), u, v, rays });
-                } else {
-                    let number = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
-                    S::prefetch(&self.leaf_starts, number as usize);
-                    found.push(Leaf { number, low: [low, u, v], size: 1 << shift, rays });
-                }
+                // Both are written and one or none is kept, without a branch, for nobody can predict which.
+                let (is_met, is_divided) = (!rays.is_empty(), node.divided >> bit & 1 == 1);
+                let child = node.first_node + (node.divided & before).count_ones();
+                children.push(Entry { node: child, u, v, rays });
+                children.truncate(children.len() - usize::from(!(is_met && is_divided)));
+                let number = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
+                S::prefetch(&self.leaf_starts, number as usize);
+                found.push(Leaf { number, low: [low, u, v], size: 1 << shift, rays });
+                found.truncate(found.len() - usize::from(is_divided || !is_met));
             }
         }
     }

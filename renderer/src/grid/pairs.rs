@@ -15,7 +15,8 @@ use crate::simd::Simd;
 pub(super) struct Pair {
     /// The lane of the triangle among those that are prepared.
     lane: u8,
-    /// The group's first ray in its packet.
+    /// The group's packet and its first ray there.
+    packet: u8,
     first: u8,
     /// A bit for each ray of the group that may hit the triangle, or pass beside it by as much as rounding can do.
     possible: u16,
@@ -27,6 +28,8 @@ impl<const N: usize> Culler<'_, N> {
     /// Tests prepared triangles against all rays.
     #[inline(always)]
     pub(super) fn test_prepared<S: Simd>(&mut self, prepared: &Prepared, triangles: u32) {
+        // The pairs of all packets are taken in one loop, for nobody can predict its end.
+        let mut n_pairs = 0;
         for packet in 0..N {
             // Most triangles are met by one packet alone.
             let [u_low, u_high, v_low, v_high] = self.slopes_of_packets[packet];
@@ -41,7 +44,6 @@ impl<const N: usize> Culler<'_, N> {
                 let of_group = triangles & self.may_meet::<S>(prepared, group);
                 met |= u64::from(of_group * (self.live >> group & 1)) << (group_of_packet * S::LANES);
             }
-            let mut n_pairs = 0;
             while met != 0 {
                 let pair = met.trailing_zeros() as usize;
                 met &= met - 1;
@@ -50,9 +52,9 @@ impl<const N: usize> Culler<'_, N> {
                 self.pairs[n_pairs] = pair;
                 n_pairs += usize::from(pair.possible != 0);
             }
-            for index in 0..n_pairs {
-                self.take::<S>(prepared, packet, self.pairs[index]);
-            }
+        }
+        for index in 0..n_pairs {
+            self.take::<S>(prepared, self.pairs[index]);
         }
     }
 
@@ -88,13 +90,19 @@ impl<const N: usize> Culler<'_, N> {
         let inverse_limits = S::load(&self.nearest.inverse_limits(packet)[first..]);
         let possible = inverse_limits.up_to(S::splat(prepared.inverse_depth[lane])) & !inside.below(S::splat(-margin));
         let certain = possible & S::splat(margin).below(inside);
-        Pair { lane: lane as u8, first: first as u8, possible: possible as u16, certain: certain as u16 }
+        Pair {
+            lane: lane as u8,
+            packet: packet as u8,
+            first: first as u8,
+            possible: possible as u16,
+            certain: certain as u16,
+        }
     }
 
     /// Keeps what is certain about a pair, and has the rest decided.
     #[inline(always)]
-    fn take<S: Simd>(&mut self, prepared: &Prepared, packet: usize, pair: Pair) {
-        let (lane, first) = (usize::from(pair.lane), usize::from(pair.first));
+    fn take<S: Simd>(&mut self, prepared: &Prepared, pair: Pair) {
+        let (lane, packet, first) = (usize::from(pair.lane), usize::from(pair.packet) % N, usize::from(pair.first));
         let (possible, certain) = (u32::from(pair.possible), u32::from(pair.certain));
         let (u, v) = (S::load(&self.u[packet][first..]), S::load(&self.v[packet][first..]));
         let inverse_depths = along::<S>(&prepared.plane, lane, u, v);
