@@ -21,7 +21,7 @@ use crate::{ray::Hit, simd::Simd, traced::TracedMesh};
 
 /// From so many triangles for each ray on, a leaf's boxes are tested against its rays one by one: in a scan seen from
 /// afar most triangles lie between the rays.
-const MANY_TRIANGLES_PER_RAY: usize = 5;
+const MANY_TRIANGLES_PER_RAY: usize = 3;
 
 /// Triangles remembered as already tested, a power of two.
 const N_RECENT: usize = 1024;
