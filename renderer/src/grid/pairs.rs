@@ -28,25 +28,30 @@ impl<const N: usize> Culler<'_, N> {
     /// Tests prepared triangles against all rays.
     #[inline(always)]
     pub(super) fn test_prepared<S: Simd>(&mut self, prepared: &Prepared, triangles: u32) {
-        // The pairs of all packets are taken in one loop, for nobody can predict its end.
-        let mut n_pairs = 0;
+        // Step by step for all packets, for whatever decides whether to go on is known late.
+        let mut of_packets = [0; N];
+        for packet in 0..N {
+            let [u_low, u_high, v_low, v_high] = self.slopes_of_packets[packet];
+            of_packets[packet] = triangles & within::<S>(prepared, [u_low, u_high], [v_low, v_high]);
+        }
+        let mut met = [0; N];
         for packet in 0..N {
             // Most triangles are met by one packet alone.
-            let [u_low, u_high, v_low, v_high] = self.slopes_of_packets[packet];
-            let triangles = triangles & within::<S>(prepared, [u_low, u_high], [v_low, v_high]);
-            if triangles == 0 {
+            if of_packets[packet] == 0 {
                 continue;
             }
-            // All pairs of a packet in one mask and one loop, whose end is hard to predict.
-            let mut met = 0;
             for group_of_packet in 0..64 / S::LANES {
                 let group = packet * (64 / S::LANES) + group_of_packet;
-                let of_group = triangles & self.may_meet::<S>(prepared, group);
-                met |= u64::from(of_group * (self.live >> group & 1)) << (group_of_packet * S::LANES);
+                let of_group = of_packets[packet] & self.may_meet::<S>(prepared, group);
+                met[packet] |= u64::from(of_group * (self.live >> group & 1)) << (group_of_packet * S::LANES);
             }
-            while met != 0 {
-                let pair = met.trailing_zeros() as usize;
-                met &= met - 1;
+        }
+        let mut n_pairs = 0;
+        for packet in 0..N {
+            let mut left = met[packet];
+            while left != 0 {
+                let pair = left.trailing_zeros() as usize;
+                left &= left - 1;
                 let pair = self.test_sides::<S>(prepared, pair % S::LANES, packet, pair / S::LANES * S::LANES);
                 // Without a branch: three of four pairs are none.
                 self.pairs[n_pairs] = pair;
