@@ -136,8 +136,8 @@ pub(crate) trait Simd: Copy {
     fn mul_add(self, factor: Self, summand: Self) -> Self;
     /// self·factor − subtrahend, rounded once or twice.
     fn mul_sub(self, factor: Self, subtrahend: Self) -> Self;
-    /// self − factor·other, rounded once or twice.
-    fn sub_mul(self, factor: Self, other: Self) -> Self;
+    /// summand − self·factor, rounded once or twice.
+    fn neg_mul_add(self, factor: Self, summand: Self) -> Self;
     /// The bits that are set in both: a minus where both have one.
     fn and(self, other: Self) -> Self;
     /// The bits that are set in either: a minus where one of them has one.
@@ -146,7 +146,7 @@ pub(crate) trait Simd: Copy {
     ///
     /// Several conditions are cheaper to find as signs of differences than by comparisons: a Zen 5 compares one vector a
     /// cycle, but subtracts two, and puts the bits of four together.
-    fn minus(self) -> u32;
+    fn sign_mask(self) -> u32;
     /// A bit for each lane where self ≤ other; not for NaN.
     fn up_to(self, other: Self) -> u32;
     /// A bit for each lane where self < other; not for NaN.
@@ -251,8 +251,8 @@ impl Simd for Plain {
         self.mul(factor).sub(subtrahend)
     }
     #[inline(always)]
-    fn sub_mul(self, factor: Self, other: Self) -> Self {
-        self.sub(factor.mul(other))
+    fn neg_mul_add(self, factor: Self, summand: Self) -> Self {
+        summand.sub(self.mul(factor))
     }
     #[inline(always)]
     fn and(self, other: Self) -> Self {
@@ -263,7 +263,7 @@ impl Simd for Plain {
         self.zip(other, |a, b| f32::from_bits(a.to_bits() | b.to_bits()))
     }
     #[inline(always)]
-    fn minus(self) -> u32 {
+    fn sign_mask(self) -> u32 {
         (0..8).fold(0, |mask, lane| mask | self.0[lane].to_bits() >> 31 << lane)
     }
     #[inline(always)]

@@ -174,13 +174,13 @@ impl<S: Simd> Bounds<S> {
     /// slopes against k lie within `slopes`: least and greatest u, least and greatest v.
     #[inline(always)]
     pub(super) fn missed_by(&self, slopes: [f32; 4], inverse_limit: f32) -> S {
-        let mut missed = self.near.mul_add(S::splat(-inverse_limit), S::splat(1.0));
+        let mut missed = self.near.neg_mul_add(S::splat(inverse_limit), S::splat(1.0));
         for (axis, [low, high]) in [self.u, self.v].into_iter().enumerate() {
             let (least, greatest) = (slopes[2 * axis], slopes[2 * axis + 1]);
             // The depths at which these slopes lead farthest out.
             let depth_of_least = if least < 0.0 { self.far } else { self.near };
             let depth_of_greatest = if greatest < 0.0 { self.near } else { self.far };
-            let above = high.sub_mul(S::splat(least), depth_of_least);
+            let above = S::splat(least).neg_mul_add(depth_of_least, high);
             let below = S::splat(greatest).mul_sub(depth_of_greatest, low);
             missed = missed.or(above).or(below);
         }

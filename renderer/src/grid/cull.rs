@@ -117,6 +117,12 @@ fn with_margin(mut bounds: [f32; 4]) -> [f32; 4] {
     bounds
 }
 
+/// Numbers with a minus where nothing from `low` to `high` lies within the bounds.
+#[inline(always)]
+fn beside<S: Simd>(low: S, high: S, bounds: [S; 2]) -> S {
+    high.sub(bounds[0]).or(bounds[1].sub(low))
+}
+
 /// Packets on their way, with the nearest hits so far.
 pub(super) struct Culler<'a, const N: usize> {
     pub(super) u: &'a mut [[f32; 64]; N],
@@ -272,22 +278,18 @@ impl<'a, const N: usize> Culler<'a, N> {
         let mut rays = RaySet::NONE;
         for first_group in (0..N * (64 / S::LANES)).step_by(S::LANES) {
             let of_groups = &*self.groups;
-            let [u_low, u_high] = of_groups.u.each_ref().map(|bounds| &bounds[first_group..]);
-            let [v_low, v_high] = of_groups.v.each_ref().map(|bounds| &bounds[first_group..]);
-            let beside_u = S::load(u_high).sub(u[0]).or(u[1].sub(S::load(u_low)));
-            let beside_v = S::load(v_high).sub(v[0]).or(v[1].sub(S::load(v_low)));
+            let beside_u = beside(S::load(&of_groups.u[0][first_group..]), S::load(&of_groups.u[1][first_group..]), u);
+            let beside_v = beside(S::load(&of_groups.v[0][first_group..]), S::load(&of_groups.v[1][first_group..]), v);
             let before = inverse_depth.sub(S::load(&of_groups.inverse_limits[first_group..]));
-            let mut groups = !beside_u.or(beside_v).or(before).minus() & (self.live >> first_group);
+            let mut groups = !beside_u.or(beside_v).or(before).sign_mask() & (self.live >> first_group);
             while groups != 0 {
                 let first = (first_group + groups.trailing_zeros() as usize) * S::LANES;
                 groups &= groups - 1;
                 let (packet, first) = (first / 64 % N, first % 64);
-                let of_rays = S::load(&self.u[packet][first..]);
-                let beside_u = of_rays.sub(u[0]).or(u[1].sub(of_rays));
-                let of_rays = S::load(&self.v[packet][first..]);
-                let beside_v = of_rays.sub(v[0]).or(v[1].sub(of_rays));
+                let (of_rays_u, of_rays_v) = (S::load(&self.u[packet][first..]), S::load(&self.v[packet][first..]));
+                let (beside_u, beside_v) = (beside(of_rays_u, of_rays_u, u), beside(of_rays_v, of_rays_v, v));
                 let before = inverse_depth.sub(S::load(&self.nearest.inverse_limits(packet)[first..]));
-                let passing = !beside_u.or(beside_v).or(before).minus() & ((1u64 << S::LANES) - 1) as u32;
+                let passing = !beside_u.or(beside_v).or(before).sign_mask() & ((1u64 << S::LANES) - 1) as u32;
                 rays.of_packets[packet] |= u64::from(passing) << first;
             }
         }
@@ -308,7 +310,7 @@ impl<'a, const N: usize> Culler<'a, N> {
                 }
             }
             let bounds = boxes.bounds::<S>(batch * S::LANES);
-            let missed = bounds.missed_by(self.bundle.slopes, self.inverse_farthest).minus();
+            let missed = bounds.missed_by(self.bundle.slopes, self.inverse_farthest).sign_mask();
             let mut passed = !missed & (u32::MAX >> (32 - triangles.len()));
             if ray_by_ray && passed != 0 {
                 passed &= self.passed_by_any(&bounds, rays);
@@ -350,7 +352,7 @@ impl<'a, const N: usize> Culler<'a, N> {
                 missed = missed.and(bounds.missed_by([u, u, v, v], inverse_limit));
             }
         }
-        !missed.minus()
+        !missed.sign_mask()
     }
 
     /// Ends the search up to a depth along the major axis, in world units. Returns true when no ray needs more.

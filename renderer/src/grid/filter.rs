@@ -104,7 +104,7 @@ impl<'a> Filter<'a> {
         let mut all = 0;
         let mut done = 0;
         while done < BATCH {
-            let missed = boxes.bounds::<S>(first + done).missed_by(slopes, 0.0).minus();
+            let missed = boxes.bounds::<S>(first + done).missed_by(slopes, 0.0).sign_mask();
             all |= (!missed & ((1 << S::LANES) - 1)) << done;
             done += S::LANES;
             if first + done >= boxes.n() {

@@ -416,11 +416,11 @@ impl Tree {
                 let (is_met, is_divided) = (!rays.is_empty(), node.divided >> bit & 1 == 1);
                 let child = node.first_node + (node.divided & before).count_ones();
                 children.push(Entry { node: child, u, v, rays });
-                children.truncate(children.len() - usize::from(!(is_met && is_divided)));
+                children.truncate(children.len() - usize::from(!is_met || !is_divided));
                 let number = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
                 S::prefetch(&self.leaf_starts, number as usize);
                 found.push(Leaf { number, low: [low, u, v], size: 1 << shift, rays });
-                found.truncate(found.len() - usize::from(is_divided || !is_met));
+                found.truncate(found.len() - usize::from(!is_met || is_divided));
             }
         }
     }

@@ -149,13 +149,9 @@ impl Simd for Avx2 {
         max(other) = _mm256_max_ps;
         mul_add(factor, summand) = _mm256_fmadd_ps;
         mul_sub(factor, subtrahend) = _mm256_fmsub_ps;
+        neg_mul_add(factor, summand) = _mm256_fnmadd_ps;
         and(other) = _mm256_and_ps;
         or(other) = _mm256_or_ps;
-    }
-    #[inline(always)]
-    fn sub_mul(self, factor: Self, other: Self) -> Self {
-        // SAFETY: as above.
-        Self(unsafe { _mm256_fnmadd_ps(factor.0, other.0, self.0) })
     }
     #[inline(always)]
     fn abs(self) -> Self {
@@ -163,7 +159,7 @@ impl Simd for Avx2 {
         Self(unsafe { _mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0) })
     }
     #[inline(always)]
-    fn minus(self) -> u32 {
+    fn sign_mask(self) -> u32 {
         // SAFETY: as above.
         unsafe { _mm256_movemask_ps(self.0) as u32 }
     }
@@ -317,16 +313,12 @@ impl Simd for Avx512 {
         abs() = _mm512_abs_ps;
         mul_add(factor, summand) = _mm512_fmadd_ps;
         mul_sub(factor, subtrahend) = _mm512_fmsub_ps;
+        neg_mul_add(factor, summand) = _mm512_fnmadd_ps;
         and(other) = _mm512_and_ps;
         or(other) = _mm512_or_ps;
     }
     #[inline(always)]
-    fn sub_mul(self, factor: Self, other: Self) -> Self {
-        // SAFETY: as above.
-        Self(unsafe { _mm512_fnmadd_ps(factor.0, other.0, self.0) })
-    }
-    #[inline(always)]
-    fn minus(self) -> u32 {
+    fn sign_mask(self) -> u32 {
         // SAFETY: as above.
         u32::from(unsafe { _mm512_movepi32_mask(_mm512_castps_si512(self.0)) })
     }
