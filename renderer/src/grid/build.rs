@@ -117,7 +117,9 @@ impl Grid {
         let mesh = TracedMesh::new(mesh, &mut references);
         let boxes = Boxes::new(&space, dims, &bricks, &nodes, &leaf_starts, &references, &mesh);
         let largest_skip = tree::largest_skip(options.macrocell_levels);
-        let tree = Tree { dims, bricks, nodes, leaf_starts, references, boxes, largest_skip };
+        let extent = space.point(corner(bounds.max)).to_array();
+        let extent = [0, 1, 2].map(|axis| (extent[axis] as u32 + 1).min(dims[axis] * BRICK_SIZE));
+        let tree = Tree { dims, extent, bricks, nodes, leaf_starts, references, boxes, largest_skip };
         Self { space, structure: Structure::Tree(tree), density, shortage, ..Self::empty(mesh) }
     }
 

@@ -184,13 +184,13 @@ impl Grid {
             origin: [origin[axes[0]], origin[axes[1]], origin[axes[2]]],
             forward,
             slopes: cull.find_slopes::<S>(&packets, axes),
-            size: [f64::from(tree.dims[axes[1]] * BRICK_SIZE), f64::from(tree.dims[axes[2]] * BRICK_SIZE)],
+            size: [f64::from(tree.extent[axes[1]]), f64::from(tree.extent[axes[2]])],
             cells_per_unit: self.space.cells_per_unit(),
             margin: origin.abs().max_element() * (16.0 * f64::EPSILON),
         };
         let bricks_along_k = tree.dims[axis] as i32;
         // Packets that pass the grid by need not be made ready: 2 % of the time of a board seen whole.
-        let (near, far) = frustum.depths(0, bricks_along_k * BRICK_SIZE as i32);
+        let (near, far) = frustum.depths(0, tree.extent[axis] as i32);
         if far < 0.0 || frustum.cells(near, far).is_none() {
             hits.fill([Hit::MISS; 64]);
             return true;

@@ -28,6 +28,9 @@ pub(super) const BRICK_SIZE: u32 = 1 << (2 * LEVELS);
 pub(super) struct Tree {
     /// Bricks per axis.
     pub(super) dims: [u32; 3],
+    /// Finest cells per axis up to the last that the mesh's bounds reach; the last bricks end far beyond, and of a model of
+    /// few bricks a tenth of the rays' packets would pass through nothing else.
+    pub(super) extent: [u32; 3],
     /// For each brick, x fastest: [`Tree::EMPTY`], or a leaf with [`Tree::LEAF`] set, or a node.
     pub(super) bricks: Vec<u32>,
     pub(super) nodes: Vec<Node>,
@@ -62,6 +65,7 @@ impl Tree {
     pub(super) fn empty() -> Self {
         Self {
             dims: [1; 3],
+            extent: [BRICK_SIZE; 3],
             bricks: vec![Self::EMPTY],
             nodes: Vec::new(),
             leaf_starts: vec![0],
@@ -102,7 +106,7 @@ impl Tree {
 
 impl Cells for Tree {
     fn dims(&self) -> [i32; 3] {
-        self.dims.map(|n| (n * BRICK_SIZE) as i32)
+        self.extent.map(|n| n as i32)
     }
 
     #[inline]
