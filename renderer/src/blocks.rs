@@ -1,8 +1,6 @@
 //! Cuts the samples of a share into blocks of up to 64 that lie close together, whose rays are a packet, and says which
 //! blocks are neighbours, so that their packets go together.
 
-use std::ops::Range;
-
 use shared::{
     curve,
     division::{Share, TILE_SIZE, UnitSamples},
@@ -10,32 +8,87 @@ use shared::{
 
 use crate::grid::MOST_PACKETS;
 
-/// Up to 64 samples that lie close together.
-#[derive(Clone, Copy)]
-pub struct Block<'a> {
-    /// The samples (i, j). Those of a tile follow each other row by row.
-    pub samples: &'a [(u32, u32)],
-    /// Where they are among the samples of the units that were cut.
-    pub places: Places<'a>,
+/// Up to 64 samples that lie close together, in an order of their own, and their places among the samples of the units that
+/// were cut.
+#[derive(Clone)]
+pub enum Block<'a> {
+    /// Those of a unit, row by row, at places that follow each other.
+    Unit {
+        /// The samples (i, j).
+        samples: UnitSamples,
+        /// The place of the first.
+        first_place: usize,
+    },
+    /// Some of many.
+    Picked {
+        /// The samples (i, j) of all units.
+        all: &'a [(u32, u32)],
+        /// The places of the block's.
+        places: &'a [usize],
+    },
 }
 
-/// The places of a block's samples.
-#[derive(Clone, Copy)]
-pub enum Places<'a> {
-    /// One after the other from this one on.
-    From(usize),
-    /// Each has its own.
-    Each(&'a [usize]),
-}
+impl Block<'_> {
+    const NONE: Self = Self::Picked { all: &[], places: &[] };
 
-impl Places<'_> {
-    /// The place of the block's sample number `index`.
+    /// How many samples.
     #[inline]
-    pub fn of(&self, index: usize) -> usize {
+    pub fn n_samples(&self) -> usize {
         match self {
-            Self::From(first) => first + index,
-            Self::Each(places) => places[index],
+            Self::Unit { samples, .. } => samples.count() as usize,
+            Self::Picked { places, .. } => places.len(),
         }
+    }
+
+    /// Sample number `index`, (i, j).
+    #[inline]
+    pub fn sample(&self, index: usize) -> (u32, u32) {
+        match self {
+            Self::Unit { samples: UnitSamples { columns, rows }, .. } => {
+                let width = columns.len();
+                (columns.start + (index % width) as u32, rows.start + (index / width) as u32)
+            }
+            Self::Picked { all, places } => all[places[index]],
+        }
+    }
+
+    /// All samples (i, j).
+    #[inline]
+    pub fn samples(&self) -> impl Iterator<Item = (u32, u32)> {
+        let (unit, all, places) = match self {
+            Self::Unit { samples, .. } => (Some(samples.iter()), &[][..], &[][..]),
+            Self::Picked { all, places } => (None, *all, *places),
+        };
+        unit.into_iter().flatten().chain(places.iter().map(|&place| all[place]))
+    }
+
+    /// The place of sample number `index`.
+    #[inline]
+    pub fn place(&self, index: usize) -> usize {
+        match self {
+            Self::Unit { first_place, .. } => first_place + index,
+            Self::Picked { places, .. } => places[index],
+        }
+    }
+
+    /// The first sample of 8×8, row by row, if that is what the block is.
+    #[inline]
+    pub(crate) fn tile(&self) -> Option<(u32, u32)> {
+        match self {
+            Self::Unit { samples: UnitSamples { columns, rows }, .. } => {
+                (columns.len() == 8 && rows.len() == 8).then_some((columns.start, rows.start))
+            }
+            Self::Picked { .. } => None,
+        }
+    }
+
+    /// The sample that each lane of a packet follows; lanes beyond the samples repeat the last.
+    ///
+    /// The lanes of a whole tile are ordered by quarters, so that lanes side by side are pixels side by side.
+    #[inline]
+    pub(crate) fn in_lanes(&self) -> [usize; 64] {
+        let last = self.n_samples() - 1;
+        if self.tile().is_some() { QUARTERS } else { std::array::from_fn(|lane| lane.min(last)) }
     }
 }
 
@@ -48,88 +101,52 @@ pub(crate) fn for_each_group(
     visit: impl FnMut(&[Block<'_>]),
 ) {
     if units.clone().any(|unit| share.samples(unit).count() > 1) {
-        visit_groups(
-            tiles(share, units),
-            |cut, samples| {
-                let UnitSamples { columns, rows } = share.samples(cut.unit);
-                if columns.len() * rows.len() == 64 {
-                    // Of a known length, all are written at once.
-                    samples.extend(OF_TILE.iter().map(|(x, y)| (columns.start + x, rows.start + y)));
-                } else {
-                    rows.for_each(|j| samples.extend(columns.clone().map(|i| (i, j))));
-                }
-                Places::From(cut.at.start)
-            },
-            visit,
-        );
+        visit_groups(tiles(share, units), visit);
     } else {
         let all = samples_of(share, units);
-        let mut order: Vec<usize> = (0..all.len()).collect();
-        visit_groups(
-            patches(share, &all, &mut order),
-            |cut, samples| {
-                let places = &order[cut.at.clone()];
-                samples.extend(places.iter().map(|&place| all[place]));
-                Places::Each(places)
-            },
-            visit,
-        );
+        let mut places: Vec<usize> = (0..all.len()).collect();
+        visit_groups(patches(share, &all, &mut places), visit);
     }
 }
 
-/// Gathers the blocks of neighbouring cuts, group by group: memory for all of them at once would not stay in the cache.
-fn visit_groups<'a, U>(
-    mut cuts: Vec<Cut<U>>,
-    gather: impl Fn(&Cut<U>, &mut Vec<(u32, u32)>) -> Places<'a>,
-    mut visit: impl FnMut(&[Block<'_>]),
-) {
-    cuts.sort_by_key(|cut| cut.square);
-    let mut samples = Vec::with_capacity(64 * MOST_PACKETS);
-    for of_square in cuts.chunk_by(|a, b| a.square == b.square) {
+/// A block, and where it is.
+struct Placed<'a> {
+    /// Equal for neighbours.
+    square: [u32; 2],
+    block: Block<'a>,
+}
+
+fn visit_groups(mut blocks: Vec<Placed<'_>>, mut visit: impl FnMut(&[Block<'_>])) {
+    blocks.sort_by_key(|placed| placed.square);
+    for of_square in blocks.chunk_by(|a, b| a.square == b.square) {
         for neighbours in of_square.chunks(MOST_PACKETS) {
-            samples.clear();
-            let mut places = [Places::From(0); MOST_PACKETS];
-            places.iter_mut().zip(neighbours).for_each(|(places, cut)| *places = gather(cut, &mut samples));
-            let mut rest = &*samples;
-            let mut group = [Block { samples: &[], places: Places::From(0) }; MOST_PACKETS];
-            for ((block, cut), places) in group.iter_mut().zip(neighbours).zip(places) {
-                let (of_block, others) = rest.split_at(cut.at.len());
-                rest = others;
-                *block = Block { samples: of_block, places };
-            }
+            let mut group = [Block::NONE; MOST_PACKETS];
+            group.iter_mut().zip(neighbours).for_each(|(block, placed)| block.clone_from(&placed.block));
             visit(&group[..neighbours.len()]);
         }
     }
 }
 
-/// Where a block's samples are among all.
-struct Cut<U> {
-    /// Equal for neighbours.
-    square: [u32; 2],
-    at: Range<usize>,
-    /// The unit that the block is, or nothing where it is no whole one.
-    unit: U,
-}
-
-fn tiles(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<Cut<u32>> {
-    let mut end = 0;
-    let cut = |unit| {
-        let UnitSamples { columns, rows } = share.samples(unit);
+/// The blocks of units, each one of its own.
+fn tiles(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<Placed<'static>> {
+    let mut n_samples = 0;
+    let place = |unit| {
+        let samples = share.samples(unit);
         let square = if share.is_on_curve() {
             [0, share.unit(unit) / curve::TILES_TOGETHER]
         } else {
-            [rows.start, columns.start].map(|along| along / (2 * TILE_SIZE))
+            [samples.rows.start, samples.columns.start].map(|along| along / (2 * TILE_SIZE))
         };
-        let first = end;
-        end += columns.len() * rows.len();
-        Cut { square, at: first..end, unit }
+        let first_place = n_samples;
+        n_samples += samples.count() as usize;
+        Placed { square, block: Block::Unit { samples, first_place } }
     };
-    units.map(cut).collect()
+    units.map(place).collect()
 }
 
 /// Puts the samples' places in the order of the patches that they lie in, too.
-fn patches(share: &Share<'_>, samples: &[(u32, u32)], places: &mut [usize]) -> Vec<Cut<()>> {
-    let (Some(&(_, first_row)), Some(&(_, last_row))) = (samples.first(), samples.last()) else { return Vec::new() };
+fn patches<'a>(share: &Share<'_>, all: &'a [(u32, u32)], places: &'a mut [usize]) -> Vec<Placed<'a>> {
+    let (Some(&(_, first_row)), Some(&(_, last_row))) = (all.first(), all.last()) else { return Vec::new() };
     // A patch holds about 64 samples of the share and is as square as the rows at hand allow.
     let area = share.spread().saturating_mul(64);
     let height = area.isqrt().clamp(1, last_row.abs_diff(first_row) + 1);
@@ -137,23 +154,25 @@ fn patches(share: &Share<'_>, samples: &[(u32, u32)], places: &mut [usize]) -> V
     // Patches are numbered row by row from the first row at hand; samples are brought into their order by counting.
     let patches_per_row = share.units().size().xres().div_ceil(width);
     let patch = |&(i, j): &(u32, u32)| (j.abs_diff(first_row) / height * patches_per_row + i / width) as usize;
-    let n_patches = samples.iter().map(patch).max().map_or(0, |last| last + 1);
+    let n_patches = all.iter().map(patch).max().map_or(0, |last| last + 1);
     let mut ends = vec![0; n_patches + 1];
-    samples.iter().for_each(|sample| ends[patch(sample) + 1] += 1);
+    all.iter().for_each(|sample| ends[patch(sample) + 1] += 1);
     (0..n_patches).for_each(|patch| ends[patch + 1] += ends[patch]);
-    for (place, sample) in samples.iter().enumerate() {
+    for (place, sample) in all.iter().enumerate() {
         let end = &mut ends[patch(sample)];
         places[*end] = place;
         *end += 1;
     }
-    let mut cuts = Vec::new();
+    let mut blocks = Vec::new();
+    let places = &*places;
     let mut first = 0;
     for (patch, &end) in (0..).zip(&ends[..n_patches]) {
         let square = [patch / patches_per_row / 2, patch % patches_per_row / 2];
-        cuts.extend((first..end).step_by(64).map(|first| Cut { square, at: first..(first + 64).min(end), unit: () }));
+        let of_patch = places[first..end].chunks(64);
+        blocks.extend(of_patch.map(|places| Placed { square, block: Block::Picked { all, places } }));
         first = end;
     }
-    cuts
+    blocks
 }
 
 /// All samples of some units, in the order of [`Share::samples`].
@@ -168,31 +187,8 @@ fn samples_of(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<(u32, 
     samples
 }
 
-/// The sample of a block that each lane of a packet follows; lanes beyond the samples repeat the last.
-///
-/// The lanes of a whole tile are ordered by quarters, so that lanes side by side are pixels side by side.
-pub(crate) fn lane_places(block: &[(u32, u32)]) -> [usize; 64] {
-    if is_tile(block) { QUARTERS } else { std::array::from_fn(|lane| lane.min(block.len() - 1)) }
-}
-
-/// Whether a block is 8×8 samples, row by row.
-pub(crate) fn is_tile(block: &[(u32, u32)]) -> bool {
-    block.len() == 64 && block[63].0 == block[0].0 + 7 && block[63].1 == block[0].1 + 7
-}
-
-/// The samples of a whole tile, row by row, from its first: found anew for each tile they take 1 % of a frame.
-const OF_TILE: [(u32, u32); 64] = {
-    let mut samples = [(0, 0); 64];
-    let mut place = 0;
-    while place < 64 {
-        samples[place] = (place as u32 % TILE_SIZE, place as u32 / TILE_SIZE);
-        place += 1;
-    }
-    samples
-};
-
 /// The place of each lane in a tile of 8×8 samples, row by row: quarters of 4×4 one after the other.
-pub(crate) const QUARTERS: [usize; 64] = {
+const QUARTERS: [usize; 64] = {
     let mut places = [0; 64];
     let mut lane = 0;
     while lane < 64 {
@@ -242,16 +238,16 @@ mod tests {
                     for_each_group(&share, units, |blocks| {
                         assert!((1..=MOST_PACKETS).contains(&blocks.len()));
                         for block in blocks {
-                            assert!((1..=64).contains(&block.samples.len()));
-                            for (index, &sample) in block.samples.iter().enumerate() {
-                                let place = block.places.of(index);
+                            assert!((1..=64).contains(&block.n_samples()));
+                            for (index, sample) in block.samples().enumerate() {
+                                let place = block.place(index);
                                 assert_eq!(samples[place], sample);
                                 seen[place] += 1;
                             }
                         }
                         if division == Division::Tiled {
-                            let squares = |&(i, j): &(u32, u32)| (i / 16, j / 16);
-                            let all: Vec<_> = blocks.iter().flat_map(|block| block.samples).map(squares).collect();
+                            let square = |(i, j): (u32, u32)| (i / 16, j / 16);
+                            let all: Vec<_> = blocks.iter().flat_map(Block::samples).map(square).collect();
                             assert!(all.iter().all(|square| *square == all[0]));
                         }
                     });
@@ -263,8 +259,9 @@ mod tests {
 
     #[test]
     fn lanes_of_a_tile_are_its_quarters() {
-        let tile: Vec<_> = (0..64).map(|place| (8 + place % 8, 16 + place / 8)).collect();
-        assert_eq!(lane_places(&tile)[..5], [0, 1, 2, 3, 8]);
+        let unit = |columns, rows| Block::Unit { samples: UnitSamples { columns, rows }, first_place: 0 };
+        assert_eq!(unit(8..16, 16..24).in_lanes()[..5], [0, 1, 2, 3, 8]);
+        assert_eq!(unit(8..11, 16..17).in_lanes()[..5], [0, 1, 2, 2, 2]);
         let mut places = QUARTERS;
         in_rows(&mut places);
         assert_eq!(places, std::array::from_fn(|place| place));
@@ -272,6 +269,5 @@ mod tests {
         let mut sums = [0.0; 64];
         in_quarters(&[columns, rows].map(|places| places.map(|place| place as f32)), &mut sums);
         assert_eq!(sums.map(|place| place as usize), QUARTERS);
-        assert_eq!(lane_places(&tile[..3])[..5], [0, 1, 2, 2, 2]);
     }
 }

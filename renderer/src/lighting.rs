@@ -49,7 +49,7 @@ impl<'a> Lighting<'a> {
         let mut lights = [[Vec3::ZERO; 64]; MOST_PACKETS];
         if self.view == View::Cost {
             for (index, block) in blocks.iter().enumerate() {
-                for (light, &direction) in lights[index].iter_mut().zip(&directions[index]).take(block.samples.len()) {
+                for (light, &direction) in lights[index].iter_mut().zip(&directions[index]).take(block.n_samples()) {
                     let ray = clip::kept(self.clip.as_ref(), Ray::new(self.eye, direction));
                     *light = shade::cost(ray.map_or(RayCost::default(), |ray| self.grid.cost(&ray)));
                 }
@@ -58,7 +58,7 @@ impl<'a> Lighting<'a> {
         }
         let reach = self.secondary.reach(blocks, sample, directions, hits, scratch);
         for (index, block) in blocks.iter().enumerate() {
-            for (place, &(i, j)) in block.samples.iter().enumerate() {
+            for (place, (i, j)) in block.samples().enumerate() {
                 let (_, y) = sample_point(i, j, sample);
                 lights[index][place] =
                     self.shader.light(directions[index][place], hits[index][place], y, &reach[index][place]);

@@ -13,7 +13,7 @@ use shared::{
 };
 
 use crate::{
-    blocks::{Block, lane_places},
+    blocks::Block,
     clip,
     grid::{Grid, MOST_PACKETS, Packet, PacketScratch},
     ray::{Hit, Ray},
@@ -117,7 +117,7 @@ impl<'a> SecondaryRays<'a> {
             return reach;
         }
         let surfaces: [[Option<Surface>; 64]; MOST_PACKETS] = std::array::from_fn(|index| {
-            let n_samples = blocks.get(index).map_or(0, |block| block.samples.len());
+            let n_samples = blocks.get(index).map_or(0, Block::n_samples);
             std::array::from_fn(|place| {
                 if place < n_samples { self.surface(directions[index][place], hits[index][place]) } else { None }
             })
@@ -125,7 +125,7 @@ impl<'a> SecondaryRays<'a> {
         self.cast_shadows(blocks, &surfaces, &mut reach, scratch);
         if self.tree == RayTree::Ambient {
             for (index, block) in blocks.iter().enumerate() {
-                for (place, &pixel) in block.samples.iter().enumerate() {
+                for (place, pixel) in block.samples().enumerate() {
                     if let Some(surface) = &surfaces[index][place] {
                         reach[index][place].open = self.openness(surface, pixel, sample);
                     }
@@ -162,7 +162,7 @@ impl<'a> SecondaryRays<'a> {
         let light = self.key_light.as_dvec3();
         let mut directions = [[None; 64]; MOST_PACKETS];
         for (index, block) in blocks.iter().enumerate() {
-            for (direction, &place) in directions[index].iter_mut().zip(&lane_places(block.samples)) {
+            for (direction, &place) in directions[index].iter_mut().zip(&block.in_lanes()) {
                 let Some(Surface { point, normal }) = &surfaces[index][place] else { continue };
                 let to_point = *point - light;
                 reach[index][place].key_direction = (-to_point * (1.0 / to_point.length())).as_vec3();
@@ -175,7 +175,7 @@ impl<'a> SecondaryRays<'a> {
         let directions = &directions[..blocks.len()];
         let hidden = hidden(self.grid, self.clip.as_ref(), self.key_light, directions, 1.0, scratch);
         for (index, block) in blocks.iter().enumerate() {
-            for (lane, &place) in lane_places(block.samples).iter().enumerate() {
+            for (lane, &place) in block.in_lanes().iter().enumerate() {
                 if directions[index][lane].is_some() && hidden[index] >> lane & 1 == 0 {
                     reach[index][place].key = 1.0;
                 }

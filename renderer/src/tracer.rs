@@ -13,7 +13,7 @@ use shared::{
 };
 
 use crate::{
-    blocks::{Block, for_each_group, in_quarters, in_rows, is_tile, lane_places},
+    blocks::{Block, for_each_group, in_quarters, in_rows},
     clip,
     grid::{Grid, GridOptions, MOST_PACKETS, Packet, PacketScratch},
     lighting::Lighting,
@@ -141,11 +141,11 @@ impl Scene {
             for index in 0..request.samples.count {
                 let sample = request.samples.first.wrapping_add(index);
                 let packets = &mut packets[..blocks.len()];
-                packets.iter_mut().zip(blocks).for_each(|(packet, block)| aim(packet, &rays, block.samples, sample));
+                packets.iter_mut().zip(blocks).for_each(|(packet, block)| aim(packet, &rays, block, sample));
                 self.trace_group(blocks, packets, clip.as_ref(), &mut scratch, &mut hits[..blocks.len()]);
                 for (index, (block, packet)) in blocks.iter().zip(packets).enumerate() {
                     let [x, y, z] = &packet.directions;
-                    for (lane, &place) in lane_places(block.samples).iter().enumerate() {
+                    for (lane, &place) in block.in_lanes().iter().enumerate() {
                         directions[index][place] = Vec3::new(x[lane], y[lane], z[lane]);
                     }
                 }
@@ -154,8 +154,8 @@ impl Scene {
                 all.take(64 * blocks.len()).for_each(|(sum, light)| *sum += light);
             }
             for (block, sums) in blocks.iter().zip(&sums) {
-                for (index, sum) in sums.iter().take(block.samples.len()).enumerate() {
-                    pixels[block.places.of(index)] = (*sum / request.samples.count as f32).to_array().map(srgb::encode);
+                for (index, sum) in sums.iter().take(block.n_samples()).enumerate() {
+                    pixels[block.place(index)] = (*sum / request.samples.count as f32).to_array().map(srgb::encode);
                 }
             }
         });
@@ -175,18 +175,18 @@ impl Scene {
     }
 
     /// Traces the share's units `units` through the centres of their samples, in a scene that a plane may cut open, on the
-    /// calling thread; calls `visit` with up to 64 samples that lie close together and what each of them hits.
+    /// calling thread; calls `visit` with each block and what each of its samples hits.
     pub fn trace(
         &self,
         rays: &CameraRays,
         clip: Option<&ClipPlane>,
         share: &Share<'_>,
         units: Range<u32>,
-        mut visit: impl FnMut(&[(u32, u32)], &[Hit]),
+        mut visit: impl FnMut(&Block<'_>, &[Hit]),
     ) {
         let mut scratch = PacketScratch::default();
         self.trace_groups(rays, clip, share, units, &mut scratch, |blocks, hits, _| {
-            blocks.iter().zip(hits).for_each(|(block, hits)| visit(block.samples, &hits[..block.samples.len()]));
+            blocks.iter().zip(hits).for_each(|(block, hits)| visit(block, &hits[..block.n_samples()]));
         });
     }
 
@@ -204,7 +204,7 @@ impl Scene {
         let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
         for_each_group(share, units, |blocks| {
             let (packets, hits) = (&mut packets[..blocks.len()], &mut hits[..blocks.len()]);
-            packets.iter_mut().zip(blocks).for_each(|(packet, block)| aim(packet, rays, block.samples, 0));
+            packets.iter_mut().zip(blocks).for_each(|(packet, block)| aim(packet, rays, block, 0));
             self.trace_group(blocks, packets, clip, scratch, hits);
             visit(blocks, hits, scratch);
         });
@@ -221,28 +221,27 @@ impl Scene {
     ) {
         clip::intersect_packets(&self.grid, clip, packets, scratch, hits);
         for (block, hits) in blocks.iter().zip(hits) {
-            if is_tile(block.samples) {
+            if block.tile().is_some() {
                 in_rows(hits);
             }
         }
     }
 }
 
-/// Makes a packet the rays through sample number `sample` of up to 64 pixels, in the lanes that [`lane_places`] tells.
-fn aim(packet: &mut Packet, rays: &CameraRays, block: &[(u32, u32)], sample: u32) {
+/// Makes a packet the rays through sample number `sample` of a block's pixels, in the lanes that [`Block::in_lanes`] tells.
+fn aim(packet: &mut Packet, rays: &CameraRays, block: &Block<'_>, sample: u32) {
     packet.origin = rays.eye;
-    packet.active = u64::MAX >> (64 - block.len());
-    if is_tile(block) && sample == 0 {
+    packet.active = u64::MAX >> (64 - block.n_samples());
+    if let (Some((i, j)), 0) = (block.tile(), sample) {
         // A tile's rays share what they have of their column and of their row: up to 5 % of a frame's time.
-        let (i, j) = block[0];
         let x = std::array::from_fn(|column| (i + column as u32) as f32 + 0.5);
         let y = std::array::from_fn(|row| (j + row as u32) as f32 + 0.5);
         for (axis, along) in packet.directions.iter_mut().enumerate() {
             in_quarters(&rays.parts::<8>(axis, &x, &y), along);
         }
     } else {
-        for (lane, place) in lane_places(block).into_iter().enumerate() {
-            let (i, j) = block[place];
+        for (lane, index) in block.in_lanes().into_iter().enumerate() {
+            let (i, j) = block.sample(index);
             let (x, y) = sample_point(i, j, sample);
             let direction = rays.direction_through(x, y);
             (0..3).for_each(|axis| packet.directions[axis][lane] = direction[axis]);

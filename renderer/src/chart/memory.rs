@@ -184,8 +184,8 @@ impl<'a> Standard<'a> {
                     hits[place((i, j))] = scene.grid().intersect(&Ray::new(rays.eye, rays.direction(i, j)));
                 }
             } else {
-                scene.trace(&rays, None, &share, 0..share.count(), |samples, of_block| {
-                    samples.iter().zip(of_block).for_each(|(&sample, &hit)| hits[place(sample)] = hit);
+                scene.trace(&rays, None, &share, 0..share.count(), |block, of_block| {
+                    block.samples().zip(of_block).for_each(|(sample, &hit)| hits[place(sample)] = hit);
                 });
             }
             cpu += started.elapsed().as_secs_f64();

@@ -1,13 +1,12 @@
 use shared::{
     camera::Camera,
-    division::FrameSize,
+    division::{FrameSize, UnitSamples},
     look::{Light, Look},
     protocol::SampleRange,
 };
 
 use super::*;
 use crate::{
-    blocks::Places,
     mesh::Mesh,
     statue,
     tracer::{Scene, SceneOptions},
@@ -25,7 +24,7 @@ fn request(eye: DVec3, target: DVec3, rays: RayTree) -> FrameRequest {
 }
 
 /// Samples that are no tile, so that they are their lanes.
-const ROW: [(u32, u32); 64] = [(0, 0); 64];
+const ROW: Block<'_> = Block::Unit { samples: UnitSamples { columns: 0..64, rows: 0..1 }, first_place: 0 };
 
 /// What reaches every hit of a frame, with the ray's direction and the hit.
 fn reach(scene: &Scene, request: &FrameRequest) -> Vec<(Vec3, Hit, Reach)> {
@@ -34,10 +33,11 @@ fn reach(scene: &Scene, request: &FrameRequest) -> Vec<(Vec3, Hit, Reach)> {
     let mut scratch = PacketScratch::default();
     let mut all = Vec::new();
     for (first_i, first_j) in (0..8).flat_map(|row| (0..16).map(move |column| (8 * column, 8 * row))) {
-        let block: Vec<_> = (0..64).map(|place| (first_i + place % 8, first_j + place / 8)).collect();
-        let directions: [Vec3; 64] = std::array::from_fn(|lane| rays.direction(block[lane].0, block[lane].1));
+        let samples = UnitSamples { columns: first_i..first_i + 8, rows: first_j..first_j + 8 };
+        let mut directions = [Vec3::ZERO; 64];
+        directions.iter_mut().zip(samples.iter()).for_each(|(to, (i, j))| *to = rays.direction(i, j));
         let hits = directions.map(|direction| scene.grid().intersect(&Ray::new(rays.eye, direction)));
-        let blocks = [Block { samples: &block, places: Places::From(0) }];
+        let blocks = [Block::Unit { samples, first_place: 0 }];
         let [reach, ..] = secondary.reach(&blocks, 0, &[directions], &[hits], &mut scratch);
         all.extend((0..64).map(|lane| (directions[lane], hits[lane], reach[lane])));
     }
@@ -135,7 +135,7 @@ fn what_stands_on_the_ground_touches_its_shadow() {
             let surfaces: [Option<Surface>; 64] =
                 std::array::from_fn(|lane| (lane == 7).then_some(Surface { point, normal: DVec3::Y }));
             let mut reach = [[Reach { key_direction: Vec3::Y, key: 0.5, open: 1.0 }; 64]];
-            let blocks = [Block { samples: &ROW, places: Places::From(0) }];
+            let blocks = [ROW];
             secondary.cast_shadows(&blocks, &[surfaces], &mut reach, &mut PacketScratch::default());
             assert_eq!(reach[0][7].key, expected, "{z} beside the wall, {offset} away");
         }
@@ -161,7 +161,7 @@ fn what_is_cut_away_casts_no_shadow() {
         let surface = Surface { point: DVec3::new(0.3, secondary.lift, 0.2), normal: DVec3::Y };
         let surfaces = std::array::from_fn(|_| Some(Surface { ..surface }));
         let mut reach = [[Reach { key_direction: Vec3::Y, key: 0.5, open: 1.0 }; 64]];
-        let blocks = [Block { samples: &ROW, places: Places::From(0) }];
+        let blocks = [ROW];
         secondary.cast_shadows(&blocks, &[surfaces], &mut reach, &mut PacketScratch::default());
         assert!(reach[0].iter().all(|reach| reach.key == key), "{clip:?}");
         assert_eq!(secondary.openness(&surface, (1, 2), 3), 1.0, "the lid is too far away");

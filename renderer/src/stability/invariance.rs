@@ -152,8 +152,8 @@ fn hits(scene: &Scene, camera: &Camera, size: FrameSize, division: Division, n_m
     for machine in (0..n_machines).rev() {
         let work = division.work(machine, n_machines);
         let Ok(share) = work.share(size) else { continue };
-        scene.trace(&rays, None, &share, 0..share.count(), |samples, hits| {
-            for (&(i, j), &hit) in samples.iter().zip(hits) {
+        scene.trace(&rays, None, &share, 0..share.count(), |block, hits| {
+            for ((i, j), &hit) in block.samples().zip(hits) {
                 rows[(j * size.xres() + i) as usize] = scene.in_file_order(hit);
             }
         });

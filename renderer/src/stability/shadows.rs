@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use shared::{
     camera::Camera,
-    division::FrameSize,
+    division::{FrameSize, UnitSamples},
     look::Look,
     protocol::{RayTree, SampleRange, View},
 };
@@ -13,7 +13,7 @@ use super::{
     solids,
 };
 use crate::{
-    blocks::{Block, Places},
+    blocks::Block,
     chart::methods::Method,
     grid::{Grid, GridOptions, PacketScratch},
     mesh::Mesh,
@@ -111,10 +111,11 @@ fn light_of(
     let mut tally = Tally::default();
     for tile in 0..size.n_samples() / 64 {
         let (first_i, first_j) = (tile % (size.xres() / 8) * 8, tile / (size.xres() / 8) * 8);
-        let block: Vec<_> = (0..64).map(|place| (first_i + place % 8, first_j + place / 8)).collect();
-        let directions: [Vec3; 64] = std::array::from_fn(|lane| rays.direction(block[lane].0, block[lane].1));
+        let samples = UnitSamples { columns: first_i..first_i + 8, rows: first_j..first_j + 8 };
+        let mut directions = [Vec3::ZERO; 64];
+        directions.iter_mut().zip(samples.iter()).for_each(|(to, (i, j))| *to = rays.direction(i, j));
         let hits = directions.map(|direction| grid.intersect(&Ray::new(rays.eye, direction)));
-        let blocks = [Block { samples: &block, places: Places::From(0) }];
+        let blocks = [Block::Unit { samples, first_place: 0 }];
         let [reach, ..] = secondary.reach(&blocks, 0, &[directions], &[hits], &mut scratch);
         for lane in (0..64).filter(|&lane| !hits[lane].is_miss()) {
             let ray = Ray::new(rays.eye, directions[lane]);

@@ -17,7 +17,7 @@ use shared::{
 
 use super::shadows::ShadowCaster;
 use crate::{
-    blocks::{Block, Places, for_each_group},
+    blocks::{Block, for_each_group},
     clip,
     grid::{MOST_PACKETS, PacketScratch, RayCost},
     ray::{Hit, Ray},
@@ -84,15 +84,14 @@ impl Frame {
                 let tiles = part.tiles.clone();
                 // What a group's rays met is still in the cache for its shadow rays.
                 let mut visit = |blocks: &[Block<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch| {
-                    for (Block { samples, .. }, hits) in blocks.iter().zip(hits) {
-                        let width = (samples[samples.len() - 1].0 - samples[0].0) as usize + 1;
-                        for (row, hits) in samples.chunks(width).zip(hits.chunks(width)) {
-                            let to = &mut part.row_from(row[0])[..width];
-                            // Of a known length, a row is copied without a call.
-                            match (to.as_mut_array::<8>(), hits.as_array::<8>()) {
-                                (Some(to), Some(hits)) => *to = *hits,
-                                _ => to.copy_from_slice(&hits[..width]),
+                    for (block, hits) in blocks.iter().zip(hits) {
+                        if let Some((i, first_j)) = block.tile() {
+                            // Of a known length, rows are copied without a call.
+                            for (j, hits) in (first_j..).zip(hits.as_chunks::<8>().0) {
+                                part.row_from((i, j))[..8].copy_from_slice(hits);
                             }
+                        } else {
+                            block.samples().zip(hits).for_each(|(sample, &hit)| part.row_from(sample)[0] = hit);
                         }
                     }
                     if let Some(light) = options.light {
@@ -105,12 +104,12 @@ impl Frame {
                 match options.kernel {
                     Kernel::Packet => scene.trace_groups(&rays, clip, &share, tiles, &mut scratch, visit),
                     Kernel::Single => tiles.for_each(|tile| {
-                        let samples: Vec<_> = share.samples(tile).iter().collect();
+                        let samples = share.samples(tile);
                         let mut hits = [Hit::MISS; 64];
-                        for (hit, &(i, j)) in hits.iter_mut().zip(&samples) {
+                        for (hit, (i, j)) in hits.iter_mut().zip(samples.iter()) {
                             *hit = clip::intersect(scene.grid(), clip, Ray::new(rays.eye, rays.direction(i, j)));
                         }
-                        visit(&[Block { samples: &samples, places: Places::From(0) }], &[hits], &mut scratch);
+                        visit(&[Block::Unit { samples, first_place: 0 }], &[hits], &mut scratch);
                     }),
                 }
             }
@@ -133,15 +132,15 @@ impl Frame {
             let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
             while let Some(mut part) = next() {
                 for_each_group(&share, part.tiles.clone(), |blocks| {
-                    for (index, Block { samples, .. }) in blocks.iter().enumerate() {
-                        for (place, &(i, j)) in samples.iter().enumerate() {
+                    for (index, block) in blocks.iter().enumerate() {
+                        for (place, (i, j)) in block.samples().enumerate() {
                             directions[index][place] = rays.direction(i, j);
                             hits[index][place] = all_hits[(j * request.size.xres() + i) as usize];
                         }
                     }
                     let lights = lighting.of_group(blocks, 0, &directions, &hits, &mut scratch);
-                    for (Block { samples, .. }, lights) in blocks.iter().zip(lights) {
-                        for (&sample, light) in samples.iter().zip(lights) {
+                    for (block, lights) in blocks.iter().zip(lights) {
+                        for (sample, light) in block.samples().zip(lights) {
                             part.row_from(sample)[..3].copy_from_slice(&light.to_array().map(srgb::encode));
                         }
                     }

@@ -5,7 +5,7 @@ use shared::camera::CameraRays;
 
 use super::frame::Kernel;
 use crate::{
-    blocks::{Block, lane_places},
+    blocks::Block,
     grid::{MOST_PACKETS, PacketScratch},
     ray::{Hit, Ray},
     secondary,
@@ -30,14 +30,15 @@ impl ShadowCaster<'_> {
     pub(super) fn cast(&self, tiles: &[Block<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch) -> (usize, usize) {
         let mut directions = [[None; 64]; MOST_PACKETS];
         let mut n_dark = 0;
-        for (index, Block { samples, .. }) in tiles.iter().enumerate() {
+        for (index, tile) in tiles.iter().enumerate() {
             // Lanes beyond the samples repeat the last.
-            for (direction, &place) in directions[index].iter_mut().zip(&lane_places(samples)).take(samples.len()) {
+            for (direction, &place) in directions[index].iter_mut().zip(&tile.in_lanes()).take(tile.n_samples()) {
                 let hit = hits[index][place];
                 if hit.is_miss() {
                     continue;
                 }
-                *direction = self.ray_to(self.rays.direction(samples[place].0, samples[place].1), hit);
+                let (i, j) = tile.sample(place);
+                *direction = self.ray_to(self.rays.direction(i, j), hit);
                 n_dark += usize::from(direction.is_none());
             }
         }
