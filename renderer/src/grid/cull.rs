@@ -11,6 +11,7 @@ use super::{
     Grid,
     boxes::{Bounds, LeafBoxes},
     decide::{HitScratch, NearestHits},
+    frustum::Narrow,
     kernel::Kernel,
     packet::{MOST_PACKETS, Packet},
     pairs::Pair,
@@ -262,16 +263,26 @@ impl<'a, const N: usize> Culler<'a, N> {
         self.bundle.slopes = with_margin(bounds);
     }
 
+    /// Those of some rays that may pass a cell of a slab and could still have a nearer hit there: all of them where it does
+    /// not pay to look. `u` and `v` are its lowest corner, in finest cells as its `size`.
+    #[inline(always)]
+    pub(super) fn through<S: Simd>(
+        &self,
+        among: &RaySet<N>,
+        narrow: Option<&Narrow<'_>>,
+        u: i32,
+        v: i32,
+        size: u32,
+    ) -> RaySet<N> {
+        let Some(slab) = narrow else { return *among };
+        let size = f64::from(size);
+        self.passing::<S>(among, slab.slopes(0, u, size), slab.slopes(1, v, size), slab.inverse_depth)
+    }
+
     /// Those of some rays that may pass between these slopes and could still have a nearer hit beyond a depth, given as
     /// its inverse.
     #[inline(always)]
-    pub(super) fn passing<S: Simd>(
-        &self,
-        among: &RaySet<N>,
-        u: [f32; 2],
-        v: [f32; 2],
-        inverse_depth: f32,
-    ) -> RaySet<N> {
+    fn passing<S: Simd>(&self, among: &RaySet<N>, u: [f32; 2], v: [f32; 2], inverse_depth: f32) -> RaySet<N> {
         let [u_low, u_high, v_low, v_high] = with_margin([u[0], u[1], v[0], v[1]]);
         let (u, v) = ([S::splat(u_low), S::splat(u_high)], [S::splat(v_low), S::splat(v_high)]);
         let inverse_depth = S::splat(inverse_depth);

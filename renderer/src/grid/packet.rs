@@ -220,7 +220,8 @@ impl Grid {
                 }
                 continue;
             };
-            tree.enter_bricks(&culler.active, leaves, &mut entries[1], axes, low, bounds);
+            let narrow = frustum.narrow(near, far, BRICK_SIZE);
+            tree.enter_bricks::<S, N>(&culler, leaves, &mut entries[1], axes, low, bounds, narrow);
             if !leaves.is_empty() {
                 S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
             }
@@ -336,14 +337,16 @@ impl Tree {
 
     /// Adds the triangles of leaf bricks to the culler, and the nodes of others to the entries.
     #[inline(always)]
-    fn enter_bricks<const N: usize>(
+    #[expect(clippy::too_many_arguments, reason = "inlined into the loop whose variables these are")]
+    fn enter_bricks<S: Kernel, const N: usize>(
         &self,
-        rays: &RaySet<N>,
+        culler: &Culler<'_, N>,
         leaves: &mut Vec<Leaf<N>>,
         entries: &mut Vec<Entry<N>>,
         axes: [usize; 3],
         low: i32,
         bounds: CellBounds,
+        narrow: Option<Narrow<'_>>,
     ) {
         entries.clear();
         let shift = 2 * LEVELS;
@@ -355,15 +358,15 @@ impl Tree {
                 if brick == Self::EMPTY {
                     continue;
                 }
+                let (u, v) = (u << shift, v << shift);
+                let rays = culler.through::<S>(&culler.active, narrow.as_ref(), u, v, BRICK_SIZE);
+                if rays.is_empty() {
+                    continue;
+                }
                 if brick & Self::LEAF == 0 {
-                    entries.push(Entry { node: brick, u: u << shift, v: v << shift, rays: *rays });
+                    entries.push(Entry { node: brick, u, v, rays });
                 } else {
-                    leaves.push(Leaf {
-                        number: brick & !Self::LEAF,
-                        low: [low, u << shift, v << shift],
-                        size: BRICK_SIZE as i32,
-                        rays: *rays,
-                    });
+                    leaves.push(Leaf { number: brick & !Self::LEAF, low: [low, u, v], size: BRICK_SIZE as i32, rays });
                 }
             }
         }
@@ -402,16 +405,7 @@ impl Tree {
                 left &= left - 1;
                 let u = entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32;
                 let v = entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32;
-                let mut rays = entry.rays;
-                if let Some(cells) = &narrow {
-                    let size = f64::from(1u32 << shift);
-                    rays = culler.passing::<S>(
-                        &rays,
-                        cells.slopes(0, u, size),
-                        cells.slopes(1, v, size),
-                        cells.inverse_depth,
-                    );
-                }
+                let rays = culler.through::<S>(&entry.rays, narrow.as_ref(), u, v, 1 << shift);
                 // Both are written and one or none is kept, without a branch, for nobody can predict which.
                 let (is_met, is_divided) = (!rays.is_empty(), node.divided >> bit & 1 == 1);
                 let child = node.first_node + (node.divided & before).count_ones();
