@@ -45,8 +45,8 @@ impl Block<'_> {
     pub fn sample(&self, index: usize) -> (u32, u32) {
         match self {
             Self::Unit { samples: UnitSamples { columns, rows }, .. } => {
-                let width = columns.len();
-                (columns.start + (index % width) as u32, rows.start + (index / width) as u32)
+                let (index, width) = (index as u32, columns.len() as u32);
+                (columns.start + index % width, rows.start + index / width)
             }
             Self::Picked { all, places } => all[places[index]],
         }
@@ -55,11 +55,7 @@ impl Block<'_> {
     /// All samples (i, j).
     #[inline]
     pub fn samples(&self) -> impl Iterator<Item = (u32, u32)> {
-        let (unit, all, places) = match self {
-            Self::Unit { samples, .. } => (Some(samples.iter()), &[][..], &[][..]),
-            Self::Picked { all, places } => (None, *all, *places),
-        };
-        unit.into_iter().flatten().chain(places.iter().map(|&place| all[place]))
+        (0..self.n_samples()).map(|index| self.sample(index))
     }
 
     /// The place of sample number `index`.
