@@ -28,8 +28,8 @@ pub(super) const BRICK_SIZE: u32 = 1 << (2 * LEVELS);
 pub(super) struct Tree {
     /// Bricks per axis.
     pub(super) dims: [u32; 3],
-    /// Finest cells per axis up to the last that the mesh's bounds reach; the last bricks end far beyond, and of a model of
-    /// few bricks a tenth of the rays' packets would pass through nothing else.
+    /// Finest cells per axis up to the last that the mesh's bounds reach. The last bricks of a model of few end far beyond:
+    /// packets that pass through nothing else would take a tenth of the time of the gears.
     pub(super) extent: [u32; 3],
     /// For each brick, x fastest: [`Tree::EMPTY`], or a leaf with [`Tree::LEAF`] set, or a node.
     pub(super) bricks: Vec<u32>,
