@@ -132,19 +132,20 @@ impl XSession {
         Screenshot { size: self.size, rgb: output.stdout }
     }
 
-    /// What is on the screen once it stays the same for a while.
+    /// What is on the screen once it stays the same for a while: a busy machine may keep a wall from its next frame for
+    /// longer than one look.
     pub(crate) fn steady_screenshot(&self) -> Screenshot {
         let start = Instant::now();
         let mut before = self.screenshot();
-        loop {
+        let mut n_same = 0;
+        while n_same < 3 {
             thread::sleep(Duration::from_millis(300));
             let now = self.screenshot();
-            if now == before {
-                return now;
-            }
+            n_same = if now == before { n_same + 1 } else { 0 };
             assert!(start.elapsed() < GENEROUS, "the screen never comes to rest");
             before = now;
         }
+        before
     }
 
     /// Makes the screensaver start after a second without keys and mouse.
