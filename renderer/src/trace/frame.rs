@@ -262,7 +262,8 @@ fn parts<T>(
 
 /// How long a thread that has nothing left to do waits, awake, for the others.
 ///
-/// Asleep, it would have to be woken: that took 0.2 to 0.4 % of a frame on two threads. Parts take less than this.
+/// Asleep, it would have to be woken: that took 0.2 to 0.4 % of a frame on two threads. The last parts of a frame, which are
+/// small, take less than this.
 const AWAKE: Duration = Duration::from_millis(1);
 
 /// Has all threads of the rayon pool that this is called in take parts until none is left, and adds up what that cost.
@@ -278,6 +279,7 @@ fn on_all_threads<P: Send>(
         let start = ThreadTime::now();
         let cost = take(&mut || parts.lock().ok()?.next());
         let cost = Cost { cpu: start.elapsed(), ..cost };
+        // Waiting is no work: its CPU time does not count.
         n_at_work.fetch_sub(1, Ordering::Relaxed);
         let done = Instant::now();
         while n_at_work.load(Ordering::Relaxed) > 0 && done.elapsed() < AWAKE {
