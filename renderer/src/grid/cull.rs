@@ -192,13 +192,14 @@ impl<'a, const N: usize> Culler<'a, N> {
         let mut reach = [S::splat(0.0); 2];
         for (index, packet) in packets.iter().enumerate() {
             // Numbers too small for all their bits are slow to find and to calculate with: zero in their place.
-            let inverse_t_max = S::splat(if packet.t_max > 1e30 { 0.0 } else { (1.0 - 1e-6) / packet.t_max });
+            // What is too large for a number is the largest: a limit may be too far away, not too near.
+            let inverse_t_max = if packet.t_max > 1e30 { 0.0 } else { ((1.0 - 1e-6) / packet.t_max).min(f32::MAX) };
             for group_of_packet in 0..64 / S::LANES {
                 let lane = group_of_packet * S::LANES;
                 let group = index * (64 / S::LANES) + group_of_packet;
                 let (u, v) = (S::load(&culler.u[index][lane..]), S::load(&culler.v[index][lane..]));
                 let inverse_depth = S::load(&culler.nearest.inverse_limits(index)[lane..]);
-                let inverse_limits = inverse_depth.mul(inverse_t_max).sub(S::splat(UNDERFLOW_MARGIN));
+                let inverse_limits = inverse_depth.mul(S::splat(inverse_t_max)).sub(S::splat(UNDERFLOW_MARGIN));
                 let inverse_limits = inverse_limits.max(S::splat(0.0));
                 inverse_limits.store(&mut culler.nearest.inverse_limits_mut(index)[lane..]);
                 let [u_low, u_high, v_low, v_high] = [u.least(), u.greatest(), v.least(), v.greatest()];

@@ -144,7 +144,7 @@ impl Grid {
     }
 
     /// Follows the active rays of packets together, if the grid is one for packets and all advance along one axis. Returns
-    /// whether they do.
+    /// whether it did.
     fn follow<const N: usize>(
         &self,
         packets: [&Packet; N],
@@ -153,6 +153,9 @@ impl Grid {
         hits: &mut [[Hit; 64]; N],
     ) -> bool {
         let Structure::Tree(tree) = &self.structure else { return false };
+        if self.space.length(1.0) < LEAST_CELL {
+            return false;
+        }
         match self.instructions {
             InstructionSet::Plain => Plain::march(self, tree, packets, active, scratch, hits),
             #[cfg(target_arch = "x86_64")]
@@ -447,6 +450,10 @@ fn planes(axis: usize, first: i32, last: i32) -> u64 {
     };
     RANGES[axis][first as usize & 3][last as usize & 3]
 }
+
+/// The least cell that packets can go through, in world units: the inverse of a depth within a smaller one may be more than
+/// single precision holds, and farther hits could not be told from nearer ones.
+const LEAST_CELL: f64 = 1e-30;
 
 /// The least component along the major axis, so that it has an inverse.
 const LEAST_COMPONENT: f32 = 1e-30;

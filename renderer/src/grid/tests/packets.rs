@@ -175,26 +175,50 @@ fn packets_hit_a_scan_from_near_and_far() {
     }
 }
 
-/// Leaves of many triangles and of few at all depths, some behind each other in one leaf.
-#[test]
-fn packets_hit_an_uneven_soup_from_within_and_without() {
+/// Numbers from 0 to below 1, the same in every run.
+fn random_numbers() -> impl FnMut() -> f32 {
     let mut state = 1u64;
-    let mut random = || {
+    move || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 40) as f32 / (1u64 << 24) as f32
-    };
+    }
+}
+
+/// Leaves of many triangles and of few at all depths, some behind each other in one leaf; all within a cube of `scale`.
+fn uneven_soup(n_triangles: u32, scale: f32, random: &mut impl FnMut() -> f32) -> Mesh {
     let triangle = |_| {
         let size = 0.4 * random().powi(6) + 0.002;
         let corner = [random(), random(), random()];
-        std::array::from_fn(|_| corner.map(|x| x + size * random()))
+        std::array::from_fn(|_| corner.map(|x| (x + size * random()) * scale))
     };
-    let mesh = soup((0..20_000).map(triangle).collect());
-    let grids = build_all(&mesh);
+    soup((0..n_triangles).map(triangle).collect())
+}
+
+#[test]
+fn packets_hit_an_uneven_soup_from_within_and_without() {
+    let mut random = random_numbers();
+    let grids = build_all(&uneven_soup(20_000, 1.0, &mut random));
     for step in 0..12 {
         let from = Vec3::new(random(), random(), random());
         let origin = if step % 3 == 0 { from } else { Vec3::splat(0.5) + (from - 0.5) * 6.0 };
         let target = Vec3::new(random(), random(), random());
         let spacing = [0.0003, 0.003, 0.03][step % 3];
         check_packets(&grids, &rasters(origin, target, spacing, u64::MAX));
+    }
+}
+
+/// Where the inverse of a depth is more than single precision holds, and depths have few bits left.
+#[test]
+fn packets_hit_a_soup_whose_size_is_no_normal_number() {
+    for scale in [3e-39, 1e-39, 1e-42] {
+        let mut random = random_numbers();
+        let grids = build_all(&uneven_soup(1_000, scale, &mut random));
+        for step in 0..6 {
+            let from = Vec3::new(random(), random(), random());
+            let origin = if step % 3 == 0 { from } else { Vec3::splat(0.5) + (from - 0.5) * 6.0 };
+            let target = Vec3::new(random(), random(), random());
+            let packets = rasters(origin, target, 0.03, u64::MAX);
+            check_packets(&grids, &packets.map(|packet| Packet { origin: origin * scale, ..packet }));
+        }
     }
 }
