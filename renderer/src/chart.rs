@@ -209,7 +209,10 @@ impl Session<'_> {
         let mesh = std::mem::take(&mut self.mesh);
         let standard = memory::Standard::new(&mesh, cameras, &effort);
         let chosen = standard.chosen_density();
-        let settings = effort.settings(chosen);
+        let settings = if standard.is_empty() { Vec::new() } else { effort.settings(chosen) };
+        if settings.is_empty() {
+            self.leave_out("ways to keep the scene: no triangle of the model can be hit".to_owned());
+        }
         for (index, setting) in settings.iter().enumerate() {
             progress.set(index as f32 / settings.len() as f32);
             match standard.measure(setting, &effort)? {
@@ -228,6 +231,9 @@ impl Session<'_> {
         drop(progress);
         drop(standard);
         self.mesh = mesh;
+        if self.memory.is_empty() {
+            return Ok(());
+        }
         say(memory::table(&self.memory))?;
         memory::verdict(&self.memory, chosen).map_or(Ok(()), say)
     }

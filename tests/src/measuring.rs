@@ -83,6 +83,28 @@ fn frames_on_demand_answer_each_camera_with_a_line() {
 }
 
 #[test]
+fn what_is_no_camera_s_path_ends_frames_on_demand() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    prepare(folder);
+    let endless = "a".repeat(10_000_000);
+    for (input, n_answers, expected) in
+        [("view.toml\nnone.toml\n", 1, "line 2 of the cameras: "), (&endless, 0, "a line has 65536 bytes or more")]
+    {
+        let mut trace = Program::command("renderer");
+        trace.args(["trace", "--model", "statue.ply", "--size", "64x32", "--cameras", "-"]).current_dir(folder);
+        let mut child =
+            trace.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
+        // It need not read all of it.
+        let _ = child.stdin.take().expect("piped").write_all(input.as_bytes());
+        let output = child.wait_with_output().expect("it ends");
+        let (answers, said) = (str::from_utf8(&output.stdout).unwrap(), str::from_utf8(&output.stderr).unwrap());
+        assert!(!output.status.success() && said.contains(expected), "{said}");
+        assert_eq!((answers.lines().count(), said.lines().count()), (n_answers, 1), "{said}");
+    }
+}
+
+#[test]
 fn a_wrong_order_or_camera_ends_with_one_line() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

@@ -128,6 +128,11 @@ impl<'a> Standard<'a> {
         standard
     }
 
+    /// Whether there is nothing that a ray could hit.
+    pub(super) fn is_empty(&self) -> bool {
+        self.scene.n_triangles() == 0
+    }
+
     /// The density that a grid chooses by itself.
     pub(super) fn chosen_density(&self) -> f64 {
         self.scene.grid().choice().density
