@@ -80,9 +80,9 @@ impl Camera {
         } else {
             (DVec3::ZERO, DVec3::ONE)
         };
-        // A point is seen from a distance at which f32 rays still tell it from its surroundings.
-        let half =
-            half.max(DVec3::splat((half.max_element() * 1e-3).max(centre.abs().max_element() * 1e-5).max(1e-12)));
+        // From nearer, f32 would move the eye by a good part of its distance.
+        let least = centre.abs().max_element() * f64::from(f32::EPSILON) * 4.0;
+        let half = half.max(DVec3::splat((half.max_element() * 1e-3).max(least).max(1e-36)));
         let up_direction = up.direction();
         // For y up the front is +z, as in most scans; for z up it is −y, as in most CAD models.
         let front = match up {
@@ -200,7 +200,12 @@ mod tests {
 
     #[test]
     fn view_all_sees_every_corner_and_fills_the_canvas() {
-        let boxes = [(DVec3::ZERO, DVec3::ONE), (DVec3::new(5e5, 0.0, -3.0), DVec3::new(5e5 + 1.0, 20.0, 1.0))];
+        let boxes = [
+            (DVec3::ZERO, DVec3::ONE),
+            (DVec3::ZERO, DVec3::splat(1e-30)),
+            (DVec3::splat(1e6), DVec3::splat(1e6 + 1.0)),
+            (DVec3::new(5e5, 0.0, -3.0), DVec3::new(5e5 + 1.0, 20.0, 1.0)),
+        ];
         for ((min, max), up) in boxes.into_iter().flat_map(|b| UpAxis::ALL.map(|up| (b, up))) {
             let camera = Camera::view_all(min, max, up, 16.0 / 9.0);
             let mut largest: f64 = 0.0;
