@@ -67,19 +67,19 @@ pub struct MemoryShortage {
     pub(super) budget: MemoryBudget,
     /// Whether the grid was made coarser.
     pub(super) is_coarser: bool,
-    /// Bytes that it takes to make the scene ready, if that is more than the budget nevertheless.
+    /// Bytes that it may take to make the scene ready, if that is more than the budget nevertheless.
     pub(super) needed_bytes: Option<u64>,
 }
 
 impl fmt::Display for MemoryShortage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let budget = self.budget;
-        let coarser = if self.is_coarser { "the grid is coarser than asked for, and " } else { "" };
+        let coarser = if self.is_coarser { "the grid is made coarser, and " } else { "" };
         match self.needed_bytes {
-            None => write!(f, "the grid is coarser than asked for, to stay within --memory-budget {budget}"),
+            None => write!(f, "the grid is made coarser, to stay within --memory-budget {budget}"),
             Some(bytes) => {
                 let megabytes = bytes.div_ceil(1_000_000);
-                write!(f, "{coarser}making the scene ready takes {megabytes}M, more than --memory-budget {budget}")
+                write!(f, "{coarser}making the scene ready may take {megabytes}M, more than --memory-budget {budget}")
             }
         }
     }

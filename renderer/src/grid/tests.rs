@@ -329,7 +329,7 @@ fn a_grid_stays_within_its_memory_and_hits_the_same() {
             let options = GridOptions { storage, memory_budget, ..GridOptions::default() };
             let grid = Grid::build(mesh.clone(), &options, &|_| ());
             let shortage = grid.shortage().expect("the whole grid takes more").to_string();
-            assert!(shortage.contains("coarser than asked for"), "{storage} with {left}: {shortage}");
+            assert!(shortage.contains("made coarser"), "{storage} with {left}: {shortage}");
             let box_bytes = grid.figures().box_bytes.unwrap_or(0) as u64;
             let tree_bytes = grid.n_bytes() as u64 - box_bytes;
             assert!(tree_bytes <= left, "{storage}: {tree_bytes} in {left} bytes");
