@@ -2,11 +2,10 @@
 
 use std::process::ExitCode;
 
-use clap::Parser;
 use compositor::args::{Args, Command};
 
 fn main() -> ExitCode {
-    let args = Args::parse();
+    let args: Args = renderer::cli::parse();
     renderer::cli::start_logging();
     let result = match args.command {
         Some(Command::Renderer(command)) => renderer::cli::run(command),

@@ -13,7 +13,6 @@
 
 use std::{
     collections::{HashMap, hash_map::Entry},
-    io::BufRead,
     num::NonZero,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -26,7 +25,7 @@ use cpu_time::ProcessTime;
 use glam::DVec3;
 use rayon::ThreadPool;
 use renderer::{
-    cli::{self, say},
+    cli::{self, read_line, say},
     image,
     scene::{self, SceneSource},
     scene_args::SceneArgs,
@@ -63,7 +62,7 @@ fn main() -> ExitCode {
 }
 
 fn serve() -> Result<()> {
-    let args = Args::parse();
+    let args: Args = cli::parse();
     let started = Instant::now();
     let mesh = scene::load(&SceneSource::Ply(args.model.clone()), &|_| ())?.mesh;
     let load_s = started.elapsed().as_secs_f64();
@@ -81,8 +80,9 @@ fn serve() -> Result<()> {
     }))?;
 
     let mut server = Server { scene, engine, pools: HashMap::new(), frame: Frame::default() };
-    for line in std::io::stdin().lock().lines() {
-        let line = line.context("cannot read the next line")?;
+    let (mut orders, mut line) = (std::io::stdin().lock(), String::new());
+    while read_line(&mut orders, &mut line).context("cannot read the next order")? {
+        let line = line.trim();
         let words: Vec<&str> = line.split_whitespace().collect();
         match words[..] {
             [] => (),

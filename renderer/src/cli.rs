@@ -1,13 +1,13 @@
 //! The command line of the `renderer` program; the wall runs the same for its local render servers.
 
 use std::{
+    ffi::OsString,
     fmt::Display,
-    io::{ErrorKind, IsTerminal, Write},
+    io::{BufRead, ErrorKind, IsTerminal, Read, Write},
     process::ExitCode,
 };
 
-use anyhow::Context;
-
+use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 
 use crate::{
@@ -45,8 +45,30 @@ pub enum Command {
     Trace(TraceArgs),
 }
 
+/// Reads a program's command line; if there is something wrong with it, ends the program with what that is.
+pub fn parse<P: Parser>() -> P {
+    try_parse(std::env::args_os()).unwrap_or_else(|error| error.exit())
+}
+
+/// Reads a command line, the program's name first.
+pub(crate) fn try_parse<P: Parser>(
+    arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>,
+) -> Result<P, clap::Error> {
+    let mut command = with_negative_numbers(P::command());
+    let matches = command.try_get_matches_from_mut(arguments)?;
+    P::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
+}
+
+/// The same command line, but what looks like a negative number is an option's value, which is told its range, and not
+/// an option that does not exist.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    command
+        .mut_args(|arg| if arg.get_action().takes_values() { arg.allow_negative_numbers(true) } else { arg })
+        .mut_subcommands(with_negative_numbers)
+}
+
 /// Does it.
-pub fn run(command: Command) -> anyhow::Result<()> {
+pub fn run(command: Command) -> Result<()> {
     match command {
         Command::Chart(args) => chart::run(&args),
         Command::Connect(args) => connect::run(args),
@@ -70,15 +92,26 @@ pub fn start_logging() {
 }
 
 /// Prints a line to standard output. Nobody listening any more is no error; a full disk is.
-pub fn say(line: impl Display) -> anyhow::Result<()> {
+pub fn say(line: impl Display) -> Result<()> {
     match writeln!(std::io::stdout(), "{line}") {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("cannot write to standard output"),
         _ => Ok(()),
     }
 }
 
+/// Bytes of a line that is read at most: paths are shorter on all systems.
+const LONGEST_LINE: u64 = 1 << 16;
+
+/// Reads the next line in place of the last; returns whether there is one. One that does not end is an error.
+pub fn read_line(input: &mut impl BufRead, line: &mut String) -> Result<bool> {
+    line.clear();
+    let n_bytes = input.take(LONGEST_LINE).read_line(line)? as u64;
+    ensure!(n_bytes < LONGEST_LINE, "a line has {LONGEST_LINE} bytes or more");
+    Ok(n_bytes > 0)
+}
+
 /// Prints an error as one line that names the whole chain of causes.
-pub fn exit_code(result: anyhow::Result<()>) -> ExitCode {
+pub fn exit_code(result: Result<()>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

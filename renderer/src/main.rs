@@ -2,11 +2,10 @@
 
 use std::process::ExitCode;
 
-use clap::Parser;
 use renderer::cli::{self, Cli};
 
 fn main() -> ExitCode {
-    let command = Cli::parse().command;
+    let command = cli::parse::<Cli>().command;
     cli::start_logging();
     cli::exit_code(cli::run(command))
 }

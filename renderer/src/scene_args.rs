@@ -1,7 +1,5 @@
 //! How a scene is made ready, as it is said on the command lines of all programs that do so.
 
-use std::num::ParseFloatError;
-
 use crate::{
     grid::{GridOptions, MemoryBudget, MeshLayout, Storage},
     tracer::SceneOptions,
@@ -55,12 +53,8 @@ impl SceneArgs {
 
 fn density(text: &str) -> Result<f64, String> {
     let range = GridOptions::DENSITIES;
-    let density = text.parse().map_err(|error: ParseFloatError| error.to_string())?;
-    if range.contains(&density) {
-        Ok(density)
-    } else {
-        Err(format!("the density must be from {} to {} cells per triangle", range.start(), range.end()))
-    }
+    let density = text.parse().ok().filter(|density| range.contains(density));
+    density.ok_or_else(|| format!("the density must be from {} to {} cells per triangle", range.start(), range.end()))
 }
 
 fn macrocell_levels(text: &str) -> Result<u8, String> {
@@ -74,6 +68,7 @@ mod tests {
     use clap::Parser;
 
     use super::*;
+    use crate::cli;
 
     #[derive(Debug, Parser)]
     struct Program {
@@ -82,7 +77,7 @@ mod tests {
     }
 
     fn parse(arguments: &[&str]) -> Result<SceneArgs, clap::Error> {
-        Program::try_parse_from(["program"].iter().chain(arguments)).map(|program| program.scene)
+        cli::try_parse(["program"].iter().chain(arguments)).map(|program: Program| program.scene)
     }
 
     #[test]
@@ -118,7 +113,10 @@ mod tests {
             (["--density", "NaN"], "from 0.015625 to 4096 cells per triangle"),
             (["--density", "5000"], "from 0.015625 to 4096 cells per triangle"),
             (["--macrocell-levels", "4"], "from 0 to 3 levels"),
-            (["--macrocell-levels", "-1"], "unexpected argument"),
+            (["--density", "-1"], "from 0.015625 to 4096 cells per triangle"),
+            (["--density", "much"], "from 0.015625 to 4096 cells per triangle"),
+            (["--macrocell-levels", "-1"], "from 0 to 3 levels"),
+            (["--memory-budget", "-1"], "from 16M to 1000G"),
             (["--memory-budget", "1K"], "from 16M to 1000G"),
             (["--mesh", "round"], "it is indexed or flat"),
             (["--storage", "hash"], "it is plain, row-displacement or masks"),

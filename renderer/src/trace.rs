@@ -51,7 +51,7 @@ pub struct TraceArgs {
     camera: Option<PathBuf>,
 
     /// Trace one frame for each camera file whose path stands on a line of standard input, and answer each with a line
-    /// of JSON; the only value is -
+    /// of JSON; one that cannot be read ends it; the only value is -
     #[arg(long, value_name = "-", conflicts_with_all = ["camera", "frames", "image", "hits"])]
     cameras: Option<String>,
 
@@ -64,7 +64,7 @@ pub struct TraceArgs {
     shadow_rays: bool,
 
     /// Where the light of the shadow rays stands, in world space
-    #[arg(long, value_name = "X,Y,Z", default_value = "3,5,4", value_parser = point, allow_negative_numbers = true)]
+    #[arg(long, value_name = "X,Y,Z", default_value = "3,5,4", value_parser = point)]
     light: Vec3,
 
     /// Which axis of the model points up, when the whole model is seen: x, y or z
@@ -72,7 +72,7 @@ pub struct TraceArgs {
     up: UpAxis,
 
     /// Samples across and down
-    #[arg(long, value_name = "WIDTHxHEIGHT", default_value_t = FrameSize::PAPER)]
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value_t = FrameSize::PAPER, allow_hyphen_values = true)]
     size: FrameSize,
 
     /// Threads that build and trace; without it as many as there are cores

@@ -59,6 +59,8 @@ fn values_out_of_range_name_the_range() {
     assert!(fails(compositor(&["--size", "wide"])).contains("1024x512"));
     assert!(fails(compositor(&["--division", "random"])).contains("interleaved, tiled or dynamic"));
     assert!(fails(renderer(&["connect", "127.0.0.1:1", "--threads", "0"])).contains("1..=1024"));
+    assert!(fails(renderer(&["trace", "--size", "-5x5"])).contains("1024x512"));
+    assert!(fails(renderer(&["trace", "--frames", "-1"])).contains("1..=1000000"));
 }
 
 #[test]

@@ -183,6 +183,20 @@ fn the_cost_view_shows_what_the_counters_count() {
 }
 
 #[test]
+fn a_model_that_nothing_hits_is_not_charted() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
+        element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 2 3\n3 0 1 1\n";
+    std::fs::write(folder.path().join("line.ply"), model).unwrap();
+    let mut chart = Program::command("renderer");
+    chart.args(["chart", "--quick", "--model", "line.ply", "--out", "figures", "--charts", "memory"]);
+    chart.current_dir(&folder).stderr(Stdio::piped());
+    let output = run(chart, "");
+    let said = str::from_utf8(&output.stderr).unwrap();
+    assert!(!output.status.success() && said.contains("no triangle of the model can be hit"), "{said}");
+}
+
+#[test]
 fn a_chart_tells_which_methods_fail_where_and_what_settings_cost() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

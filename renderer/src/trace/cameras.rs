@@ -12,7 +12,10 @@ use super::{
     frame::{Frame, FrameOptions},
     milliseconds, read_camera,
 };
-use crate::tracer::{FrameRequest, Scene};
+use crate::{
+    cli::read_line,
+    tracer::{FrameRequest, Scene},
+};
 
 /// One line of the answer.
 #[derive(Serialize)]
@@ -32,16 +35,20 @@ pub(super) fn run(
     scene: &Scene,
     request: &FrameRequest,
     options: &FrameOptions,
-    paths: impl BufRead,
+    mut paths: impl BufRead,
     mut answers: impl Write,
 ) -> Result<()> {
     let mut frame = Frame::default();
-    for path in paths.lines() {
-        let path = path.context("cannot read the next camera's path")?;
-        if path.trim().is_empty() {
+    let mut line = String::new();
+    let mut n_lines = 0;
+    while read_line(&mut paths, &mut line).context("cannot read the next camera's path")? {
+        n_lines += 1;
+        let path = line.trim();
+        if path.is_empty() {
             continue;
         }
-        let request = FrameRequest { camera: read_camera(Path::new(path.trim()))?, ..*request };
+        let camera = read_camera(Path::new(path)).with_context(|| format!("line {n_lines} of the cameras"))?;
+        let request = FrameRequest { camera, ..*request };
         let cost = frame.trace(scene, &request, options);
         let n_rays = request.size.n_samples() as usize + cost.n_shadow_rays;
         let report = FrameReport {
