@@ -194,31 +194,40 @@ fn uneven_soup(n_triangles: u32, scale: f32, random: &mut impl FnMut() -> f32) -
     soup((0..n_triangles).map(triangle).collect())
 }
 
+/// Packets that go together, with a common origin within a cube of size 1 every third time, else without.
+fn around_a_cube(step: usize, spacing: f32, random: &mut impl FnMut() -> f32) -> [Packet; MOST_PACKETS] {
+    let from = Vec3::new(random(), random(), random());
+    let origin = if step.is_multiple_of(3) { from } else { Vec3::splat(0.5) + (from - 0.5) * 6.0 };
+    let target = Vec3::new(random(), random(), random());
+    rasters(origin, target, spacing, u64::MAX)
+}
+
 #[test]
 fn packets_hit_an_uneven_soup_from_within_and_without() {
     let mut random = random_numbers();
     let grids = build_all(&uneven_soup(20_000, 1.0, &mut random));
     for step in 0..12 {
-        let from = Vec3::new(random(), random(), random());
-        let origin = if step % 3 == 0 { from } else { Vec3::splat(0.5) + (from - 0.5) * 6.0 };
-        let target = Vec3::new(random(), random(), random());
         let spacing = [0.0003, 0.003, 0.03][step % 3];
-        check_packets(&grids, &rasters(origin, target, spacing, u64::MAX));
+        check_packets(&grids, &around_a_cube(step, spacing, &mut random));
     }
 }
 
-/// Where the inverse of a depth is more than single precision holds, and depths have few bits left.
+/// Where the inverse of a depth, or of a ray's end, is more than single precision holds, and both have few bits left.
 #[test]
 fn packets_hit_a_soup_whose_size_is_no_normal_number() {
-    for scale in [3e-39, 1e-39, 1e-42] {
+    for (scale, per_direction) in [(3e-39, 1.0), (1e-39, 1.0), (1e-42, 1.0), (1e-25, 1e15)] {
         let mut random = random_numbers();
         let grids = build_all(&uneven_soup(1_000, scale, &mut random));
         for step in 0..6 {
-            let from = Vec3::new(random(), random(), random());
-            let origin = if step % 3 == 0 { from } else { Vec3::splat(0.5) + (from - 0.5) * 6.0 };
-            let target = Vec3::new(random(), random(), random());
-            let packets = rasters(origin, target, 0.03, u64::MAX);
-            check_packets(&grids, &packets.map(|packet| Packet { origin: origin * scale, ..packet }));
+            let packets = around_a_cube(step, 0.03, &mut random);
+            check_packets(
+                &grids,
+                &packets.map(|packet| Packet {
+                    origin: packet.origin * scale,
+                    directions: packet.directions.map(|along| along.map(|d| d * per_direction)),
+                    ..packet
+                }),
+            );
         }
     }
 }
