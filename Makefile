@@ -17,7 +17,7 @@ run: setup
 
 # Everything that CI checks. The programs are built first: the tests run them as a person would.
 test: setup-test format clippy docs
-	$(CARGO) build --release
+	$(CARGO) build --release --workspace --bins
 	$(CARGO) test --release --workspace
 
 # Ten minutes of render servers that join, freeze, wake and die at random; twenty seconds of it are in the tests.
@@ -28,7 +28,7 @@ soak: setup-test
 # Every way to intersect rays with triangles, where it fails: ten million rays a case; a hundredth of them is in the tests.
 STABILITY_RAYS ?= 10000000
 stability:
-	$(CARGO) run --release -p renderer -- stability --rays $(STABILITY_RAYS)
+	$(CARGO) run --release -p lab -- stability --rays $(STABILITY_RAYS)
 
 format:
 	$(CARGO) fmt --all --check
@@ -42,7 +42,7 @@ docs:
 
 # How fast the grid is built and followed, on generated models: a minute or two.
 bench:
-	$(CARGO) bench -p renderer --bench grid
+	$(CARGO) bench -p lab --bench grid
 
 # Every decoder on invented inputs, FUZZ_RUNS each (of the slow one, records, a fiftieth); what is found lies in
 # target/fuzz-found, and new inputs worth keeping in target/fuzz-corpus. RUSTC_BOOTSTRAP lets a stable compiler sanitize.

@@ -82,7 +82,7 @@ impl Block<'_> {
     ///
     /// The lanes of a whole tile are ordered by quarters, so that lanes side by side are pixels side by side.
     #[inline]
-    pub(crate) fn in_lanes(&self) -> [usize; 64] {
+    pub fn in_lanes(&self) -> [usize; 64] {
         let last = self.n_samples() - 1;
         if self.tile().is_some() { QUARTERS } else { std::array::from_fn(|lane| lane.min(last)) }
     }

@@ -11,11 +11,9 @@ use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 
 use crate::{
-    chart::{self, ChartArgs},
     connect::{self, ConnectArgs},
     generate::{self, GenerateArgs},
     key::{self, KeyArgs},
-    stability::{self, StabilityArgs},
     trace::{self, TraceArgs},
 };
 
@@ -31,17 +29,13 @@ pub struct Cli {
 /// What the program can do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Measure speed against accuracy of ways to intersect rays with triangles, and draw a chart
-    Chart(ChartArgs),
     /// Render for a wall until told to stop
     Connect(ConnectArgs),
     /// Write a built-in model to a file
     Generate(GenerateArgs),
     /// Make a key file, which lets render servers and walls on other machines trust each other
     Key(KeyArgs),
-    /// Try the ways to intersect rays with triangles where they fail
-    Stability(StabilityArgs),
-    /// Trace frames without a network, and measure them
+    /// Render one picture without a network
     Trace(TraceArgs),
 }
 
@@ -70,11 +64,9 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
 /// Does it.
 pub fn run(command: Command) -> Result<()> {
     match command {
-        Command::Chart(args) => chart::run(&args),
         Command::Connect(args) => connect::run(args),
         Command::Generate(args) => generate::run(&args),
         Command::Key(args) => key::run(&args),
-        Command::Stability(args) => stability::run(&args),
         Command::Trace(args) => trace::run(&args),
     }
 }

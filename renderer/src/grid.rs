@@ -22,7 +22,7 @@ mod decide;
 mod divide;
 mod figures;
 #[expect(clippy::needless_range_loop, reason = "an axis or a corner indexes several arrays at once")]
-pub(crate) mod filter;
+pub mod filter;
 mod frustum;
 mod instructions;
 mod kernel;

@@ -3,17 +3,17 @@
 //! In reading order: [`mesh`] is what is traced; [`ply`] reads one, [`statue`] makes one, [`scene`] names and loads one.
 //! [`grid`] finds the triangles along [`ray`]s, [`triangle`] decides whether they are hit, [`tracer`] does it for shares
 //! of frames, [`clip`] leaves out what is cut away, [`secondary`] finds the lights that reach a hit, [`shade`] makes
-//! light of hits, [`lighting`] all of it for a block of samples. [`connect`], [`trace`], [`chart`], [`stability`],
-//! [`generate`] and [`key`] are the commands of [`cli`], with [`scene_args`] and [`look_args`]; [`wire`] and [`secure`]
-//! are how a render server talks.
+//! light of hits, [`lighting`] all of it for a block of samples; [`frame`] traces and shades whole frames, and [`parallel`]
+//! divides them among threads. [`connect`], [`trace`], [`generate`] and [`key`] are the commands of [`cli`], with
+//! [`scene_args`] and [`look_args`]; [`wire`] and [`secure`] are how a render server talks.
 
 pub mod blocks;
 mod canned;
-pub mod chart;
 pub mod cli;
 pub mod clip;
 pub mod connect;
 mod exact;
+pub mod frame;
 pub mod generate;
 pub mod grid;
 pub mod image;
@@ -21,6 +21,7 @@ pub mod key;
 pub mod lighting;
 pub mod look_args;
 pub mod mesh;
+pub mod parallel;
 pub mod path_bytes;
 pub mod ply;
 pub mod progress;
@@ -32,7 +33,6 @@ pub mod secure;
 mod session;
 pub mod shade;
 mod simd;
-pub mod stability;
 mod stage;
 pub mod statue;
 pub mod threads;

@@ -99,7 +99,7 @@ impl<'a> SecondaryRays<'a> {
 
     /// The same with the key light in another place, for tests.
     #[must_use]
-    pub(crate) fn with_key_light(self, key_light: Vec3) -> Self {
+    pub fn with_key_light(self, key_light: Vec3) -> Self {
         Self { key_light, ..self }
     }
 
@@ -251,7 +251,7 @@ impl KeyLight {
 
 /// A bit for each ray from `origin` that hits something up to `t_max`, of what a plane keeps: for up to [`MOST_PACKETS`]
 /// neighbouring blocks.
-pub(crate) fn hidden(
+pub fn hidden(
     grid: &Grid,
     clip: Option<&ClipPlane>,
     origin: Vec3,

@@ -16,7 +16,7 @@
 //! - `psk0` and not a later place: a stranger fails at the tag of its first message, which costs the wall a few hashes
 //!   and no curve arithmetic. A recorded first message gets as far as the wall's answer, and fails at the last tag.
 //! - AES-256-GCM through ring, because one core of a server seals and opens about seven times the bytes of the pure
-//!   Rust ciphers with it, and the wall opens what all nodes seal; `cargo run --release -p renderer --example link_cost`
+//!   Rust ciphers with it, and the wall opens what all nodes seal; `cargo run --release -p lab --example link_cost`
 //!   measures it. The nonces are counted and never repeat; bytes of one connection stay far below what wears out a key.
 //!
 //! What it protects: all that is said is secret, comes from a machine with the key, and is heard once, in order and

@@ -1,8 +1,4 @@
-//! `renderer trace`: traces frames without a network, and measures them.
-
-mod cameras;
-pub mod frame;
-mod shadows;
+//! `renderer trace`: renders one picture without a network.
 
 use std::{
     io::Read,
@@ -10,9 +6,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use clap::Args;
 use glam::Vec3;
+use rayon::ThreadPool;
 use serde::Serialize;
 use shared::{
     camera::{Camera, UpAxis},
@@ -22,6 +19,7 @@ use shared::{
 
 use crate::{
     cli::say,
+    frame::{Cost, Frame},
     grid::{Choice, GridFigures},
     image,
     look_args::LookArgs,
@@ -31,8 +29,6 @@ use crate::{
     statue, threads,
     tracer::{FrameRequest, Scene},
 };
-
-use frame::{Frame, FrameOptions, Kernel};
 
 /// What to trace, and what to write.
 #[derive(Args, Debug)]
@@ -49,23 +45,6 @@ pub struct TraceArgs {
     /// A camera file with eye, ll, u and v; without it the whole model is seen
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
-
-    /// Trace one frame for each camera file whose path stands on a line of standard input, and answer each with a line
-    /// of JSON; one that cannot be read ends it; the only value is -
-    #[arg(long, value_name = "-", conflicts_with_all = ["camera", "frames", "image", "hits"])]
-    cameras: Option<String>,
-
-    /// Follow the rays of a tile together, or each alone
-    #[arg(long, value_name = "KERNEL", value_enum, default_value_t)]
-    kernel: Kernel,
-
-    /// Also trace a ray from each hit to the light
-    #[arg(long, conflicts_with = "clip")]
-    shadow_rays: bool,
-
-    /// Where the light of the shadow rays stands, in world space
-    #[arg(long, value_name = "X,Y,Z", default_value = "3,5,4", value_parser = point)]
-    light: Vec3,
 
     /// Which axis of the model points up, when the whole model is seen: x, y or z
     #[arg(long, value_name = "AXIS", default_value = "y")]
@@ -101,12 +80,12 @@ pub struct TraceArgs {
     hits: Option<PathBuf>,
 
     /// Also print how the grid was chosen, and what other ways to keep the scene are predicted to take
-    #[arg(long, conflicts_with = "cameras")]
+    #[arg(long)]
     explain: bool,
 
     /// Print the measurements as one JSON object
     #[arg(long)]
-    json: bool,
+    pub json: bool,
 
     /// How the picture looks
     #[command(flatten)]
@@ -117,17 +96,9 @@ pub struct TraceArgs {
     scene: SceneArgs,
 }
 
-fn point(text: &str) -> Result<Vec3, String> {
-    let numbers: Result<Vec<f32>, _> = text.split(',').map(|number| number.trim().parse()).collect();
-    match numbers.as_deref() {
-        Ok(&[x, y, z]) if x.is_finite() && y.is_finite() && z.is_finite() => Ok(Vec3::new(x, y, z)),
-        _ => Err("a point is three finite numbers, as in 3,5,4".to_owned()),
-    }
-}
-
 /// What was measured. Times of frames are in milliseconds, one entry per frame.
 #[derive(Debug, Serialize)]
-struct Report {
+pub struct Report {
     triangles: usize,
     vertices: usize,
     rejected: usize,
@@ -139,124 +110,125 @@ struct Report {
     /// How the grid was chosen, if that was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     choice: Option<Choice>,
-    /// `None` where the system does not tell.
-    peak_rss_bytes: Option<u64>,
     hits: usize,
-    /// Rays from hits to the light.
-    shadow_rays: usize,
-    /// Hits that the light does not reach.
-    shadowed: usize,
     /// Rays of a frame over the median of `frame_ms`.
-    mrays_per_second: f64,
+    pub mrays_per_second: f64,
     /// Wall time of tracing.
-    frame_ms: Vec<f64>,
+    pub frame_ms: Vec<f64>,
     /// CPU time of all threads for making rays, following them and writing the hits.
     frame_cpu_ms: Vec<f64>,
     /// CPU time of all threads for shading the hits.
     shade_cpu_ms: Vec<f64>,
-    /// Cells that the primary rays of a frame pass when each is followed alone, and triangles that they are tested
-    /// against: all of them, and per ray.
-    cell_traversals: u64,
-    triangle_tests: u64,
-    cell_traversals_per_ray: f64,
-    triangle_tests_per_ray: f64,
 }
 
 /// Loads, builds, traces, and writes what was asked for.
 pub fn run(args: &TraceArgs) -> Result<()> {
-    threads::pool(args.threads.map(usize::from))?.install(|| run_in_pool(args))
+    args.pool()?.install(|| {
+        let prepared = args.prepare()?;
+        let report = args.trace(&prepared, |frame| frame.trace(&prepared.scene, &prepared.request))?;
+        if args.json { say(serde_json::to_string(&report)?) } else { say(report.table(prepared.request.size)) }
+    })
 }
 
-fn run_in_pool(args: &TraceArgs) -> Result<()> {
-    // What is asked for is checked before a large model is read.
-    if let Some(source) = &args.cameras {
-        ensure!(source == "-", "--cameras {source}: cameras are only read from standard input, which is written as -");
-    }
-    let options = FrameOptions { kernel: args.kernel, light: args.shadow_rays.then_some(args.light) };
-    let camera = args.camera.as_deref().map(read_camera).transpose()?;
-    let (source, name) = match &args.model {
-        Some(path) => (SceneSource::Ply(path.clone()), path.display().to_string()),
-        None => (SceneSource::Statue { triangles: args.triangles }, "the statue".to_owned()),
-    };
-    let (mesh, load_seconds) = timed(|| {
-        let progress = Progress::new(format!("loading {name}"));
-        scene::load(&source, &|done| progress.set(done))
-    });
-    let mesh = mesh?.mesh;
-    let (triangles, vertices, rejected) = (mesh.triangles.len(), mesh.vertices.len(), mesh.n_rejected);
-    let (scene, build_seconds) = timed(|| {
-        let progress = Progress::new("building the grid");
-        Scene::build(mesh, &args.scene.options(), &|done| progress.set(done))
-    });
-    if let Some(shortage) = scene.grid().shortage() {
-        tracing::warn!("{name}: {shortage}");
+/// A scene that is ready to be traced, and the picture of it that is asked for.
+pub struct Prepared {
+    /// The scene.
+    pub scene: Scene,
+    /// The picture.
+    pub request: FrameRequest,
+    triangles: usize,
+    vertices: usize,
+    rejected: usize,
+    load_seconds: f64,
+    build_seconds: f64,
+}
+
+impl TraceArgs {
+    /// The threads that build and trace.
+    ///
+    /// # Errors
+    /// The system has no more threads.
+    pub fn pool(&self) -> Result<ThreadPool> {
+        threads::pool(self.threads.map(usize::from))
     }
 
-    let camera = camera.unwrap_or_else(|| {
-        let bounds = scene.mesh().bounds();
-        let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
-        Camera::view_all(min, max, args.up, CANVAS_ASPECT)
-    });
-    let request = FrameRequest {
-        camera,
-        size: args.size,
-        view: args.view,
-        rays: args.rays,
-        samples: SampleRange::CENTRE,
-        look: args.look.look(),
-    };
-    if args.cameras.is_some() {
-        return cameras::run(&scene, &request, &options, std::io::stdin().lock(), std::io::stdout().lock());
+    /// Loads the model and builds the grid.
+    ///
+    /// # Errors
+    /// The camera or the model cannot be read.
+    pub fn prepare(&self) -> Result<Prepared> {
+        // The camera is checked before a large model is read.
+        let camera = self.camera.as_deref().map(read_camera).transpose()?;
+        let (source, name) = match &self.model {
+            Some(path) => (SceneSource::Ply(path.clone()), path.display().to_string()),
+            None => (SceneSource::Statue { triangles: self.triangles }, "the statue".to_owned()),
+        };
+        let (mesh, load_seconds) = timed(|| {
+            let progress = Progress::new(format!("loading {name}"));
+            scene::load(&source, &|done| progress.set(done))
+        });
+        let mesh = mesh?.mesh;
+        let (triangles, vertices, rejected) = (mesh.triangles.len(), mesh.vertices.len(), mesh.n_rejected);
+        let (scene, build_seconds) = timed(|| {
+            let progress = Progress::new("building the grid");
+            Scene::build(mesh, &self.scene.options(), &|done| progress.set(done))
+        });
+        if let Some(shortage) = scene.grid().shortage() {
+            tracing::warn!("{name}: {shortage}");
+        }
+        let camera = camera.unwrap_or_else(|| {
+            let bounds = scene.mesh().bounds();
+            let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
+            Camera::view_all(min, max, self.up, CANVAS_ASPECT)
+        });
+        let request = FrameRequest {
+            camera,
+            size: self.size,
+            view: self.view,
+            rays: self.rays,
+            samples: SampleRange::CENTRE,
+            look: self.look.look(),
+        };
+        Ok(Prepared { scene, request, triangles, vertices, rejected, load_seconds, build_seconds })
     }
 
-    let (mut frame_ms, mut frame_cpu_ms, mut shade_cpu_ms) = (Vec::new(), Vec::new(), Vec::new());
-    let mut frame = Frame::default();
-    let mut cost = frame::Cost::default();
-    for _ in 0..args.frames {
-        cost = frame.trace(&scene, &request, &options);
-        frame_ms.push(milliseconds(cost.wall));
-        frame_cpu_ms.push(milliseconds(cost.cpu));
-        shade_cpu_ms.push(milliseconds(frame.shade(&scene, &request)));
+    /// Traces and shades the frame as often as asked for, and writes picture and hits.
+    ///
+    /// # Errors
+    /// A file cannot be written.
+    pub fn trace(&self, prepared: &Prepared, mut trace: impl FnMut(&mut Frame) -> Cost) -> Result<Report> {
+        let Prepared { scene, request, triangles, vertices, rejected, load_seconds, build_seconds } = prepared;
+        let (mut frame_ms, mut frame_cpu_ms, mut shade_cpu_ms) = (Vec::new(), Vec::new(), Vec::new());
+        let mut frame = Frame::default();
+        for _ in 0..self.frames {
+            let cost = trace(&mut frame);
+            frame_ms.push(milliseconds(cost.wall));
+            frame_cpu_ms.push(milliseconds(cost.cpu));
+            shade_cpu_ms.push(milliseconds(frame.shade(scene, request)));
+        }
+        if let Some(path) = &self.image {
+            image::write_png(path, request.size, &frame.rgb).with_context(|| cannot_write(path))?;
+        }
+        if let Some(path) = &self.hits {
+            image::write_whole(path, |out| frame.write_hits(scene, out)).with_context(|| cannot_write(path))?;
+        }
+        Ok(Report {
+            triangles: *triangles,
+            vertices: *vertices,
+            rejected: *rejected,
+            load_seconds: *load_seconds,
+            build_seconds: *build_seconds,
+            mesh_bytes: scene.mesh().n_bytes(),
+            structure_bytes: scene.grid().n_bytes(),
+            grid: scene.grid().figures(),
+            choice: self.explain.then(|| scene.grid().choice().clone()),
+            hits: frame.n_hits(),
+            mrays_per_second: f64::from(request.size.n_samples()) / median(&frame_ms) / 1e3,
+            frame_ms,
+            frame_cpu_ms,
+            shade_cpu_ms,
+        })
     }
-
-    // Counting follows each ray alone, so it is done only for those who see the figures.
-    let cost_sum = if args.json { frame::cost_sum(&scene, &request) } else { frame::CostSum::default() };
-    let per_ray = |sum: u64| sum as f64 / f64::from(args.size.n_samples());
-    let report = Report {
-        triangles,
-        vertices,
-        rejected,
-        load_seconds,
-        build_seconds,
-        mesh_bytes: scene.mesh().n_bytes(),
-        structure_bytes: scene.grid().n_bytes(),
-        grid: scene.grid().figures(),
-        choice: args.explain.then(|| scene.grid().choice().clone()),
-        peak_rss_bytes: peak_rss_bytes(),
-        hits: frame.n_hits(),
-        shadow_rays: cost.n_shadow_rays,
-        shadowed: cost.n_shadowed,
-        mrays_per_second: (args.size.n_samples() as usize + cost.n_shadow_rays) as f64 / median(&frame_ms) / 1e3,
-        frame_ms,
-        frame_cpu_ms,
-        shade_cpu_ms,
-        cell_traversals: cost_sum.n_cells,
-        triangle_tests: cost_sum.n_tests,
-        cell_traversals_per_ray: per_ray(cost_sum.n_cells),
-        triangle_tests_per_ray: per_ray(cost_sum.n_tests),
-    };
-    if let Some(path) = &args.image {
-        image::write_png(path, args.size, &frame.rgb).with_context(|| cannot_write(path))?;
-    }
-    if let Some(path) = &args.hits {
-        image::write_whole(path, |out| frame.write_hits(&scene, out)).with_context(|| cannot_write(path))?;
-    }
-    if args.json {
-        say(serde_json::to_string(&report)?)?;
-    } else {
-        say(table(&report, args.size))?;
-    }
-    Ok(())
 }
 
 /// The wall's canvas is 16:9 whatever the number of samples on it.
@@ -292,35 +264,31 @@ fn median(values: &[f64]) -> f64 {
     sorted[sorted.len() / 2]
 }
 
-/// The most memory that this process ever had, as Linux tells it.
-fn peak_rss_bytes() -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
-}
-
-fn table(report: &Report, size: FrameSize) -> String {
-    let megabytes = |bytes: usize| bytes as f64 / 1e6;
-    [
-        format!("triangles   {} ({} rejected), {} vertices", report.triangles, report.rejected, report.vertices),
-        format!("load        {:.2} s", report.load_seconds),
-        format!("build       {:.2} s", report.build_seconds),
-        format!(
-            "memory      mesh {:.1} MB, grid {:.1} MB",
-            megabytes(report.mesh_bytes),
-            megabytes(report.structure_bytes)
-        ),
-        format!("frame       {size} samples, {} hits", report.hits),
-        format!(
-            "median      {:.2} ms, {:.2} ms of CPU; shading {:.2} ms of CPU",
-            median(&report.frame_ms),
-            median(&report.frame_cpu_ms),
-            median(&report.shade_cpu_ms)
-        ),
-        format!("speed       {:.2} million rays a second", report.mrays_per_second),
-    ]
-    .into_iter()
-    .chain(report.choice.as_ref().map(Choice::explanation))
-    .collect::<Vec<_>>()
-    .join("\n")
+impl Report {
+    /// For people; the frame has `size` samples.
+    pub fn table(&self, size: FrameSize) -> String {
+        let megabytes = |bytes: usize| bytes as f64 / 1e6;
+        [
+            format!("triangles   {} ({} rejected), {} vertices", self.triangles, self.rejected, self.vertices),
+            format!("load        {:.2} s", self.load_seconds),
+            format!("build       {:.2} s", self.build_seconds),
+            format!(
+                "memory      mesh {:.1} MB, grid {:.1} MB",
+                megabytes(self.mesh_bytes),
+                megabytes(self.structure_bytes)
+            ),
+            format!("frame       {size} samples, {} hits", self.hits),
+            format!(
+                "median      {:.2} ms, {:.2} ms of CPU; shading {:.2} ms of CPU",
+                median(&self.frame_ms),
+                median(&self.frame_cpu_ms),
+                median(&self.shade_cpu_ms)
+            ),
+            format!("speed       {:.2} million rays a second", self.mrays_per_second),
+        ]
+        .into_iter()
+        .chain(self.choice.as_ref().map(Choice::explanation))
+        .collect::<Vec<_>>()
+        .join("\n")
+    }
 }

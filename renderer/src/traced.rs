@@ -44,7 +44,7 @@ impl TracedMesh {
     }
 
     /// Orders a mesh by the first mention of each triangle in `references`, and makes the references places.
-    pub(crate) fn new(mesh: Mesh, references: &mut [u32]) -> Self {
+    pub fn new(mesh: Mesh, references: &mut [u32]) -> Self {
         let bounds = mesh.bounds();
         let Mesh { vertices, triangles, colors, .. } = mesh;
         let mut numbers = Vec::new();

@@ -60,12 +60,12 @@ impl Scene {
     }
 
     /// A scene of a grid that is already there.
-    pub(crate) fn of_grid(grid: Grid) -> Self {
+    pub fn of_grid(grid: Grid) -> Self {
         Self { grid }
     }
 
     /// The grid alone.
-    pub(crate) fn into_grid(self) -> Grid {
+    pub fn into_grid(self) -> Grid {
         self.grid
     }
 
@@ -191,7 +191,7 @@ impl Scene {
     }
 
     /// The same for blocks that are neighbours at once; `visit` may use `scratch` too.
-    pub(crate) fn trace_groups(
+    pub fn trace_groups(
         &self,
         rays: &CameraRays,
         clip: Option<&ClipPlane>,

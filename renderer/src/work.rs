@@ -10,7 +10,7 @@ use std::{
 };
 
 use cpu_time::ThreadTime;
-use rayon::{ThreadPool, prelude::*};
+use rayon::ThreadPool;
 use shared::{
     codec::{self, CHUNK_HEADER_BYTES, HEADER_BYTES},
     division::{Share, Work},
@@ -20,6 +20,7 @@ use tokio::sync::mpsc;
 
 use crate::{
     canned::Canned,
+    parallel::work_off,
     session::Outgoing,
     stage::Subject,
     tracer::{FrameRequest, Scene},
@@ -80,8 +81,7 @@ impl Job {
         let request = FrameRequest { camera, size, view, rays, samples, look };
         let (n_per_block, n_per_cost) = block_units(share, rayon::current_num_threads() as u32, samples.count);
         let n_blocks = share.count().div_ceil(n_per_block);
-        // Block by block: of a run that one thread was given, others could take nothing at the end.
-        let costs = (0..n_blocks).into_par_iter().with_max_len(1).map(|block| {
+        let render = |block: u32| {
             let mut costs = Vec::new();
             if self.cancelled.load(Relaxed) {
                 return costs;
@@ -107,8 +107,13 @@ impl Job {
             self.send(message, outbox);
             send_us.fetch_add(sending_since.elapsed().as_micros() as u64, Relaxed);
             costs
+        };
+        let of_threads = work_off(0..n_blocks, |next| {
+            std::iter::from_fn(next).map(|block| (block, render(block))).collect::<Vec<_>>()
         });
-        let cpu_ns = costs.collect::<Vec<_>>().concat();
+        let mut costs: Vec<_> = of_threads.into_iter().flat_map(|(costs, _)| costs).collect();
+        costs.sort_unstable_by_key(|&(block, _)| block);
+        let cpu_ns = costs.into_iter().flat_map(|(_, costs)| costs).collect();
         let timings = WorkTimings {
             queued_us: microseconds(started_at - self.received_at),
             trace_us: microseconds(started_at.elapsed()),

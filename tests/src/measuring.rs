@@ -44,7 +44,7 @@ fn a_peer_among_others_traces_what_trace_traces() {
     let folder = folder.path();
     prepare(folder);
     let [model, camera, hits] = ["statue.ply", "view.toml", "trace.hits"].map(|name| folder.join(name));
-    let mut trace = Program::command("renderer");
+    let mut trace = Program::command("lab");
     trace.args(["trace", "--size", "203x101", "--light", "2,4,3", "--shadow-rays", "--json"]);
     trace.arg("--model").arg(&model).arg("--camera").arg(&camera).arg("--hits").arg(&hits);
     let traced = answers(&run(trace, "")).remove(0);
@@ -74,7 +74,7 @@ fn frames_on_demand_answer_each_camera_with_a_line() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     prepare(folder);
-    let mut trace = Program::command("renderer");
+    let mut trace = Program::command("lab");
     trace.args(["trace", "--model", "statue.ply", "--size", "203x101", "--cameras", "-"]).current_dir(folder);
     let answers = answers(&run(trace, "view.toml\n\n view.toml\n"));
     let [first, second] = &answers[..] else { panic!("{answers:?}") };
@@ -92,7 +92,7 @@ fn what_is_no_camera_s_path_ends_frames_on_demand() {
     for (input, n_answers, expected) in
         [("view.toml\nnone.toml\n", 1, "line 2 of the cameras: "), (&endless, 0, "a line has 65536 bytes or more")]
     {
-        let mut trace = Program::command("renderer");
+        let mut trace = Program::command("lab");
         trace.args(["trace", "--model", "statue.ply", "--size", "64x32", "--cameras", "-"]).current_dir(folder);
         trace.stderr(Stdio::piped());
         let output = run(trace, input);
@@ -159,7 +159,7 @@ fn the_cost_view_shows_what_the_counters_count() {
     let folder = folder.path();
     prepare(folder);
     let trace = |size: &str| {
-        let mut trace = Program::command("renderer");
+        let mut trace = Program::command("lab");
         trace.args(["trace", "--model", "statue.ply", "--camera", "view.toml", "--view", "cost", "--json"]);
         trace.args(["--density", "32", "--image", "cost.png", "--size", size]).current_dir(folder);
         let report = answers(&run(trace, "")).remove(0);
@@ -186,7 +186,7 @@ fn a_model_that_nothing_hits_is_not_charted() {
     let model = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
         element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 2 3\n3 0 1 1\n";
     std::fs::write(folder.path().join("line.ply"), model).unwrap();
-    let mut chart = Program::command("renderer");
+    let mut chart = Program::command("lab");
     chart.args(["chart", "--quick", "--model", "line.ply", "--out", "figures", "--charts", "memory"]);
     chart.current_dir(&folder).stderr(Stdio::piped());
     let output = run(chart, "");
@@ -204,7 +204,7 @@ fn a_chart_tells_which_methods_fail_where_and_what_settings_cost() {
     std::fs::write(folder.join("points.csv"), "name,cpu_ns_per_ray,bytes_per_triangle\nsomebody else,100,70\n")
         .unwrap();
     let chart = |args: &[&str]| {
-        let mut chart = Program::command("renderer");
+        let mut chart = Program::command("lab");
         chart.args(["chart", "--quick", "--model", "statue.ply", "--out", "figures"]).args(args).current_dir(folder);
         chart.stderr(Stdio::piped());
         run(chart, "")

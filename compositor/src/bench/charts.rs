@@ -1,11 +1,12 @@
 //! The figures as charts that a person reads at a glance.
 
-use std::{ops::Range, path::Path};
+use std::{ops::Range, path::Path, sync::Once};
 
 use anyhow::Context;
 use plotters::{
     coord::{combinators::BindKeyPoints, ranged1d::AsRangedCoord},
     prelude::*,
+    style::{FontStyle, register_font},
 };
 use shared::division::Division;
 
@@ -181,10 +182,19 @@ fn write(path: &Path, panels: &[Panel]) -> anyhow::Result<()> {
     std::fs::write(path, svg).with_context(|| format!("cannot write {}", path.display()))
 }
 
+/// The font that letters are measured and painted with.
+fn register_fonts() {
+    static REGISTERED: Once = Once::new();
+    REGISTERED.call_once(|| {
+        // The built-in bytes are a valid font.
+        let _ = register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT);
+    });
+}
+
 type DrawResult = Result<(), Box<dyn std::error::Error>>;
 
 fn draw_panels(svg: &mut String, panels: &[Panel]) -> DrawResult {
-    renderer::chart::register_fonts();
+    register_fonts();
     let root = SVGBackend::with_string(svg, (PANEL.0 * panels.len() as u32, PANEL.1)).into_drawing_area();
     root.fill(&WHITE)?;
     for (area, panel) in root.split_evenly((1, panels.len())).iter().zip(panels) {

@@ -17,7 +17,7 @@ use crate::{
 };
 
 /// Triangles that are filtered together.
-pub(crate) const BATCH: usize = 16;
+pub const BATCH: usize = 16;
 
 /// A ray, ready to meet lists of triangles.
 pub(super) struct Filter<'a> {
@@ -63,7 +63,8 @@ impl<'a> Filter<'a> {
         for (batch, triangles) in list.triangles.chunks(BATCH).enumerate() {
             let mut left = match &boxes {
                 Some(boxes) => self.passed(boxes, batch * BATCH),
-                None => may_hit(self.instructions, self.mesh, self.ray, triangles),
+                // SAFETY: a grid holds only what `InstructionSet::available` has found.
+                None => unsafe { may_hit(self.instructions, self.mesh, self.ray, triangles) },
             };
             while left != 0 {
                 visit(triangles[left.trailing_zeros() as usize]);
@@ -77,7 +78,7 @@ impl<'a> Filter<'a> {
     fn passed(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
         match self.instructions {
             InstructionSet::Plain => self.passed_generic::<Plain>(boxes, first),
-            // SAFETY: a grid holds only what `InstructionSet::available` has found.
+            // SAFETY: the caller promises that this machine has them.
             #[cfg(target_arch = "x86_64")]
             InstructionSet::Avx2 => unsafe { self.passed_avx2(boxes, first) },
             // SAFETY: as above.
@@ -116,11 +117,14 @@ impl<'a> Filter<'a> {
 }
 
 /// A bit for each of up to [`BATCH`] triangles that the ray may hit.
+///
+/// # Safety
+/// This machine has the `instructions`.
 #[inline]
-pub(crate) fn may_hit(instructions: InstructionSet, mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> u32 {
+pub unsafe fn may_hit(instructions: InstructionSet, mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> u32 {
     match instructions {
         InstructionSet::Plain => may_hit_generic::<Plain>(mesh, ray, triangles),
-        // SAFETY: a grid holds only what `InstructionSet::available` has found.
+        // SAFETY: the caller promises that this machine has them.
         #[cfg(target_arch = "x86_64")]
         InstructionSet::Avx2 => unsafe { may_hit_avx2(mesh, ray, triangles) },
         // SAFETY: as above.

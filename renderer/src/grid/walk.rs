@@ -103,8 +103,8 @@ impl Grid {
     }
 
     /// Calls `visit` with the place of each triangle in the cells along the whole ray, of the nearest cell first, and of
-    /// some several times: what another way to intersect rays with triangles is tried on.
-    pub(crate) fn for_each_candidate(&self, ray: &Ray, mut visit: impl FnMut(u32)) {
+    /// some several times. Measurements try other ways to intersect rays with triangles on them.
+    pub fn for_each_candidate(&self, ray: &Ray, mut visit: impl FnMut(u32)) {
         self.walk(ray, |cell| {
             cell.list.triangles.iter().copied().for_each(&mut visit);
             false

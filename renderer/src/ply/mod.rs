@@ -22,8 +22,7 @@ use ply_rs::ply::{Encoding, PropertyAccess};
 use self::assembly::Assembly;
 use self::element::{Corners, Skipped, Vertex};
 use self::header::{Element, Header, Kind};
-pub use self::write::write;
-pub(crate) use self::write::write_to;
+pub use self::write::{write, write_to};
 use crate::mesh::Mesh;
 
 /// Why a file gives no mesh.

@@ -10,8 +10,10 @@ pub fn write(path: &Path, mesh: &Mesh) -> io::Result<()> {
     write_whole(path, |mut out| write_to(&mut out, mesh))
 }
 
+/// Writes all of the mesh.
+///
 /// Rejected triangles are written with the indices −1, so that they are rejected again and keep their place.
-pub(crate) fn write_to(writer: &mut impl Write, mesh: &Mesh) -> io::Result<()> {
+pub fn write_to(writer: &mut impl Write, mesh: &Mesh) -> io::Result<()> {
     let n_vertices = mesh.vertices.len();
     writeln!(writer, "ply\nformat binary_little_endian 1.0\nelement vertex {n_vertices}")?;
     writeln!(writer, "property float x\nproperty float y\nproperty float z")?;

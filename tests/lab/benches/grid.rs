@@ -7,6 +7,7 @@ use std::{hint::black_box, sync::LazyLock};
 
 use divan::{Bencher, counter::ItemsCount};
 use glam::{DVec3, Vec3};
+use lab::random::Random;
 use renderer::{
     mesh::{Aabb, Mesh},
     ray::{Hit, Ray},
@@ -66,13 +67,8 @@ impl Model {
 
 /// Triangles in random places of a cube around the origin.
 fn soup(n_triangles: u32, extent: f32, edge: f32) -> Mesh {
-    // Steele and Vigna, "Computationally easy, spectrally good multipliers for congruential generators" (2022).
-    let mut state = 1u64;
-    let mut random = || {
-        state = state.wrapping_mul(0xd134_2543_de82_ef95).wrapping_add(1);
-        (state >> 40) as f32 / (1u64 << 24) as f32 - 0.5
-    };
-    let mut point = |size: f32| Vec3::new(random(), random(), random()) * size;
+    let mut random = Random::new(1);
+    let mut point = |size: f32| random.point() * size;
     let mut mesh = Mesh::default();
     for triangle in 0..n_triangles {
         let centre = point(extent);

@@ -1,6 +1,6 @@
 //! What encryption costs: bytes that one core seals, opens and copies in a second of CPU time.
 //!
-//! `cargo run --release -p renderer --example link_cost`
+//! `cargo run --release -p lab --example link_cost`
 
 use std::{
     pin::Pin,
@@ -9,6 +9,7 @@ use std::{
 };
 
 use cpu_time::ThreadTime;
+use lab::statistics::median;
 use renderer::{key::Key, secure};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf, duplex, split};
 
@@ -32,9 +33,8 @@ fn main() -> anyhow::Result<()> {
     }
     println!("{:<24}{:>12}{:>24}", "one core, CPU time", "MB/s", "ms per 1024×512 frame");
     let rows = [("seal", sealing), ("open", opening), ("memcpy", copying)];
-    for (name, mut seconds) in rows {
-        seconds.sort_by(f64::total_cmp);
-        let frame_s = seconds[N_RUNS / 2] / N_FRAMES as f64;
+    for (name, seconds) in rows {
+        let frame_s = median(seconds) / N_FRAMES as f64;
         println!("{name:<24}{:>12.0}{:>24.3}", FRAME_BYTES as f64 / 1e6 / frame_s, frame_s * 1e3);
     }
     Ok(())

@@ -23,14 +23,15 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::{Parser, ValueEnum};
 use cpu_time::ProcessTime;
 use glam::DVec3;
+use lab::trace::frame::{self, FrameOptions, Kernel};
 use rayon::ThreadPool;
 use renderer::{
     cli::{self, read_line, say},
+    frame::Frame,
     image,
     scene::{self, SceneSource},
     scene_args::SceneArgs,
     threads,
-    trace::frame::{Frame, FrameOptions, Kernel},
     tracer::{FrameRequest, Scene},
 };
 use serde_json::json;
@@ -118,9 +119,9 @@ impl Server {
         };
         keep_busy(pool, BEFORE_FRAMES);
         // All in the pool: threads that went to sleep between frames would be late for the next.
-        let costs: Vec<_> =
-            pool.install(|| (0..n_frames).map(|_| self.frame.trace(&self.scene, &request, &options)).collect());
-        let last = costs[costs.len() - 1];
+        let trace = |_| frame::trace(&mut self.frame, &self.scene, &request, &options);
+        let (costs, counts): (Vec<_>, Vec<_>) = pool.install(|| (0..n_frames).map(trace).unzip());
+        let last = counts[counts.len() - 1];
         say(json!({
             "event": "frames", "engine": self.engine, "mode": kernel, "threads": n_threads,
             "shadow": u8::from(shadow), "cam": camera,
@@ -133,7 +134,7 @@ impl Server {
 
     fn dump(&mut self, kernel: &str, file: &Path, camera: &Path) -> Result<()> {
         let options = FrameOptions { kernel: named_kernel(kernel)?, light: None };
-        self.frame.trace(&self.scene, &PeerCamera::read(camera)?.request, &options);
+        frame::trace(&mut self.frame, &self.scene, &PeerCamera::read(camera)?.request, &options);
         image::write_whole(file, |out| self.frame.write_hits(&self.scene, out))
             .with_context(|| format!("cannot write {}", file.display()))?;
         say(json!({ "event": "dumped" }))

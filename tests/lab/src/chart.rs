@@ -1,9 +1,7 @@
-//! `renderer chart`: what speed costs in accuracy, in sharpness and in memory, measured on any model.
+//! `lab chart`: what speed costs in accuracy, in sharpness and in memory, measured on any model.
 
 pub(crate) mod candidates;
-mod figure;
 mod kernel;
-mod labels;
 mod measure;
 mod memory;
 pub(crate) mod methods;
@@ -16,16 +14,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use clap::{Args, ValueEnum};
 use glam::Vec3;
-use serde::Serialize;
-use serde_json::json;
-use shared::{
-    camera::{Camera, UpAxis},
-    division::FrameSize,
-};
-
-pub use self::figure::register_fonts;
-use self::{figure::Figure, peers::Peer};
-use crate::{
+use renderer::{
     cli::say,
     grid::{InstructionSet, MemoryBudget},
     image,
@@ -36,6 +25,15 @@ use crate::{
     trace::read_camera,
     tracer::{Scene, SceneOptions},
 };
+use serde::Serialize;
+use serde_json::json;
+use shared::{
+    camera::{Camera, UpAxis},
+    division::FrameSize,
+};
+
+use self::peers::Peer;
+use crate::plot::Figure;
 
 /// What to measure, and where to write it.
 #[derive(Args, Debug)]
@@ -252,7 +250,7 @@ impl Session<'_> {
         let effort = picture::Effort { native, n_reference_samples, sizes, samples };
         let scene = {
             let progress = Progress::new("building the grid");
-            let grid = crate::grid::GridOptions { memory_budget: self.args.memory_budget, ..Default::default() };
+            let grid = renderer::grid::GridOptions { memory_budget: self.args.memory_budget, ..Default::default() };
             Scene::build(self.mesh.clone(), &SceneOptions { grid }, &|done| progress.set(done))
         };
         let reading = format!(

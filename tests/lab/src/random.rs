@@ -4,12 +4,12 @@ use glam::Vec3;
 
 /// A congruential generator: Steele and Vigna, "Computationally easy, spectrally good multipliers for congruential
 /// pseudorandom number generators" (2022).
-pub(super) struct Random(u64);
+pub struct Random(u64);
 
 impl Random {
     /// One of many sequences.
-    pub(super) fn new(seed: u64) -> Self {
-        // Stirred, for the first numbers of neighbouring seeds are much alike.
+    pub fn new(seed: u64) -> Self {
+        // Stirred: the first numbers of neighbouring seeds are much alike.
         let mut random = Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ seed.rotate_left(31));
         (0..4).for_each(|_| {
             random.bits();
@@ -17,29 +17,30 @@ impl Random {
         random
     }
 
-    pub(super) fn bits(&mut self) -> u32 {
+    /// Thirty-two random bits.
+    pub fn bits(&mut self) -> u32 {
         self.0 = self.0.wrapping_mul(0xd134_2543_de82_ef95).wrapping_add(1);
         (self.0 >> 32) as u32
     }
 
     /// A whole number from `low` to `high`, both included.
-    pub(super) fn whole(&mut self, low: i32, high: i32) -> i32 {
+    pub fn whole(&mut self, low: i32, high: i32) -> i32 {
         let n = i64::from(high) - i64::from(low) + 1;
         (i64::from(low) + ((i64::from(self.bits()) * n) >> 32)) as i32
     }
 
     /// A number from 0 to below 1.
-    pub(super) fn unit(&mut self) -> f32 {
+    pub fn unit(&mut self) -> f32 {
         (self.bits() >> 8) as f32 * (1.0 / 16_777_216.0)
     }
 
     /// A point within half a unit of the origin, along each axis.
-    pub(super) fn point(&mut self) -> Vec3 {
+    pub fn point(&mut self) -> Vec3 {
         Vec3::new(self.unit() - 0.5, self.unit() - 0.5, self.unit() - 0.5)
     }
 
     /// One of some items.
-    pub(super) fn choose<'a, T>(&mut self, items: &'a [T]) -> &'a T {
+    pub fn choose<'a, T>(&mut self, items: &'a [T]) -> &'a T {
         &items[self.whole(0, items.len() as i32 - 1) as usize]
     }
 }

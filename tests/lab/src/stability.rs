@@ -1,4 +1,4 @@
-//! `renderer stability`: the ways to intersect rays with triangles where they fail, one case after the other.
+//! `lab stability`: the ways to intersect rays with triangles where they fail, one case after the other.
 //!
 //! The truth is always found another way: in whole numbers ([`exact`]), from the shape of a closed surface ([`closed`],
 //! [`shadows`]), in `f64` triangle by triangle ([`cameras`]), or by changing what must change nothing ([`invariance`]).
@@ -10,7 +10,6 @@ mod exact;
 mod hostile;
 mod invariance;
 mod lattice;
-mod random;
 mod replay;
 mod shadows;
 mod solids;
@@ -20,10 +19,9 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::Args;
-
-use crate::{cli::say, progress::Progress, trace::read_camera};
 use closed::Aim;
 use contenders::{Contender, Tally};
+use renderer::{cli::say, progress::Progress, trace::read_camera};
 
 /// How much to try, or what to try again.
 #[derive(Args, Debug)]

@@ -3,12 +3,11 @@
 use std::fmt;
 
 use glam::{DMat3, DVec3, Vec3};
+use renderer::{mesh::Mesh, ray::Ray};
 use shared::{
     camera::{Camera, CameraRays},
     division::FrameSize,
 };
-
-use crate::{mesh::Mesh, ray::Ray};
 
 /// Where model and eye stand when they are measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -204,8 +203,8 @@ fn for_each_pair(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        chart::reference::{Truth, truth},
+    use crate::chart::reference::{Truth, truth};
+    use renderer::{
         statue,
         tracer::{Scene, SceneOptions},
     };

@@ -1,17 +1,17 @@
 //! Speed and error of ways to intersect rays with triangles, near by, far away and moved.
 
 use anyhow::Result;
+use renderer::mesh::Mesh;
 use serde::Serialize;
 use shared::{camera::Camera, division::FrameSize};
 
 use super::{
     candidates::{Candidates, Placed, Placement},
-    figure::{Axis, COLORS, Figure, PEER_COLOR, Plot, Point, Series, power, significant, whole_decades},
     measure::{self, Measurement},
     methods::Method,
     peers::Peer,
 };
-use crate::mesh::Mesh;
+use crate::plot::{Axis, COLORS, Figure, PEER_COLOR, Plot, Point, Series, power, significant, whole_decades};
 
 /// How much is measured.
 pub(super) struct Effort {

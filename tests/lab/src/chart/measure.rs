@@ -4,13 +4,14 @@
 use std::time::Duration;
 
 use cpu_time::ThreadTime;
+use renderer::{mesh::Mesh, ray::Ray, traced::TracedMesh};
 
 use super::{
     candidates::{Candidates, Placed},
     methods::{Answer, Method},
     reference::{self, Truth, Verdict},
 };
-use crate::{mesh::Mesh, ray::Ray, traced::TracedMesh};
+use crate::statistics::{median_duration, quantiles};
 
 /// What was measured of one method.
 #[derive(Clone, Debug, Default)]
@@ -96,8 +97,7 @@ impl Chunk {
         }
         let truths: Vec<_> = (0..self.rays.len()).map(|ray| self.truth(ray)).collect();
         for ((measurement, times), answers) in measurements.iter_mut().zip(&mut times).zip(&answers) {
-            times.sort_unstable();
-            measurement.cpu += times[times.len() / 2];
+            measurement.cpu += median_duration(times);
             measurement.n_rays += self.rays.len() as u64;
             for (ray, (&truth, &answer)) in truths.iter().zip(answers).enumerate() {
                 self.compare(measurement, ray, truth, answer);
@@ -162,10 +162,6 @@ impl Measurement {
 
     /// The relative errors of depth that half, 99.9 % and all of the hits do not exceed.
     pub(super) fn depth_error_quantiles(&self) -> [f64; 3] {
-        let mut sorted = self.depth_errors.clone();
-        sorted.sort_by(f32::total_cmp);
-        let n = sorted.len();
-        let places = [n / 2, n * 999 / 1000, n.saturating_sub(1)];
-        places.map(|place| sorted.get(place).map_or(0.0, |&error| f64::from(error)))
+        quantiles(self.depth_errors.iter().map(|&error| f64::from(error)), [0.5, 0.999, 1.0])
     }
 }

@@ -2,21 +2,22 @@
 
 use anyhow::{Result, ensure};
 use cpu_time::{ProcessTime, ThreadTime};
+use renderer::{
+    grid::{GridOptions, MemoryBudget, MeshLayout, Storage},
+    mesh::Mesh,
+    ray::{Hit, Ray},
+    tracer::{Scene, SceneOptions},
+};
 use serde::Serialize;
 use shared::{
     camera::Camera,
     division::{Division, FrameSize},
 };
 
-use super::{
-    figure::{Axis, COLORS, Figure, PEER_COLOR, Plot, Point, Series, significant},
-    peers::Peer,
-};
+use super::peers::Peer;
 use crate::{
-    grid::{GridOptions, MemoryBudget, MeshLayout, Storage},
-    mesh::Mesh,
-    ray::{Hit, Ray},
-    tracer::{Scene, SceneOptions},
+    plot::{Axis, COLORS, Figure, PEER_COLOR, Plot, Point, Series, significant},
+    statistics::median,
 };
 
 /// How much is measured.
@@ -124,7 +125,7 @@ impl<'a> Standard<'a> {
         standard.trace(&standard.scene, effort.size, false, Some(&mut hasher));
         standard.hash = hasher.finalize();
         let times = (0..effort.n_repeats).map(|_| standard.trace(&standard.scene, effort.size, false, None));
-        standard.cpu_ns = median(times.collect());
+        standard.cpu_ns = median(times);
         standard
     }
 
@@ -160,7 +161,7 @@ impl<'a> Standard<'a> {
             let ours = self.trace(&scene, effort.size, setting.is_single, None);
             ours / self.trace(&self.scene, effort.size, false, None)
         });
-        let cpu_ns_per_ray = self.cpu_ns * median(ratios.collect());
+        let cpu_ns_per_ray = self.cpu_ns * median(ratios);
         Ok(Ok(Row {
             storage: options.storage.name(),
             mesh: options.mesh.name(),
@@ -203,11 +204,6 @@ impl<'a> Standard<'a> {
         }
         cpu * 1e9 / (self.cameras.len() as f64 * f64::from(size.n_samples()))
     }
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }
 
 /// The chart.

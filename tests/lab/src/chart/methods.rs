@@ -5,14 +5,15 @@
 
 use std::ops::{Add, Div, Mul, Sub};
 
-use serde::Serialize;
-
-use crate::{
+use renderer::{
     grid::{InstructionSet, filter},
     ray::Ray,
     traced::TracedMesh,
     triangle,
 };
+use serde::Serialize;
+
+use crate::vector::{add, cross, dot, sub};
 
 /// A way to decide whether a ray hits a triangle, and where.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
@@ -109,7 +110,8 @@ fn raywall(mesh: &TracedMesh, rays: &[Ray], candidates: &[u32], ends: &[usize], 
     for (ray, &end) in rays.iter().zip(ends) {
         let mut nearest: Answer = None;
         for batch in candidates[first..end].chunks(filter::BATCH) {
-            let mut left = filter::may_hit(instructions, mesh, ray, batch);
+            // SAFETY: these are the best instructions that this machine has.
+            let mut left = unsafe { filter::may_hit(instructions, mesh, ray, batch) };
             while left != 0 {
                 let place = batch[left.trailing_zeros() as usize];
                 left &= left - 1;
@@ -190,28 +192,12 @@ fn distance(numerator: f32, determinant: f32) -> Option<f64> {
     (determinant != 0.0 && t >= 0.0).then_some(f64::from(t))
 }
 
-fn add<R: Copy + Add<Output = R>>(a: [R; 3], b: [R; 3]) -> [R; 3] {
-    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
-}
-
-fn sub<R: Copy + Sub<Output = R>>(a: [R; 3], b: [R; 3]) -> [R; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-fn dot<R: Copy + Add<Output = R> + Mul<Output = R>>(a: [R; 3], b: [R; 3]) -> R {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross<R: Copy + Sub<Output = R> + Mul<Output = R>>(a: [R; 3], b: [R; 3]) -> [R; 3] {
-    [a[1] * b[2] - b[1] * a[2], a[2] * b[0] - b[2] * a[0], a[0] * b[1] - b[0] * a[1]]
-}
-
 #[cfg(test)]
 mod tests {
     use glam::Vec3;
 
     use super::*;
-    use crate::mesh::Mesh;
+    use renderer::mesh::Mesh;
 
     #[test]
     fn all_methods_agree_where_nothing_is_hard() {

@@ -1,10 +1,15 @@
 //! What resolution, samples and scaling do to the wall's picture, and what they cost.
 
+use std::time::Duration;
+
 use anyhow::Result;
-use cpu_time::ThreadTime;
 use nv_flip::{DEFAULT_PIXELS_PER_DEGREE, FlipImageRgb8, FlipPool};
 use plotters::style::RGBColor;
 use rayon::prelude::*;
+use renderer::{
+    parallel::work_off,
+    tracer::{FrameRequest, Scene, unit_ranges},
+};
 use serde::Serialize;
 use shared::{
     camera::Camera,
@@ -14,11 +19,11 @@ use shared::{
     srgb,
 };
 
-use super::{
-    figure::{Axis, COLORS, Figure, PEER_COLOR, Plot, Point, Series, significant},
-    peers::Peer,
+use super::peers::Peer;
+use crate::{
+    plot::{Axis, COLORS, Figure, PEER_COLOR, Plot, Point, Series, significant},
+    statistics::{mean, median},
 };
-use crate::tracer::{FrameRequest, Scene, unit_ranges};
 
 /// How much is measured.
 pub(super) struct Effort {
@@ -83,9 +88,13 @@ pub(super) fn measure(
         let samples = SampleRange { first: 0, count: n_samples };
         // Small frames are so quick that one time says little.
         let n_repeats = if rays(size, n_samples) < 4e6 { 3 } else { 1 };
-        let mut frames: Vec<_> = (0..n_repeats).map(|_| render(scene, camera, size, samples)).collect();
-        frames.sort_by(|(_, a), (_, b)| a.total_cmp(b));
-        let (rgb, cpu_ms) = frames.swap_remove(n_repeats / 2);
+        let (mut rgb, mut times) = (Vec::new(), Vec::new());
+        for _ in 0..n_repeats {
+            let (frame, cpu_ms) = render(scene, camera, size, samples);
+            times.push(cpu_ms);
+            rgb = frame;
+        }
+        let cpu_ms = median(times);
         let scalings: &[_] = if size == native { &[Scaling::Nearest] } else { &[Scaling::Nearest, Scaling::Bilinear] };
         n_done += cost(size, n_samples);
         for &scaling in scalings {
@@ -111,24 +120,25 @@ fn render(scene: &Scene, camera: &Camera, size: FrameSize, samples: SampleRange)
     };
     let work = Division::Tiled.work(0, 1);
     let Ok(share) = work.share(size) else { return (Vec::new(), 0.0) };
-    let parts = unit_ranges(&share, 2048).into_par_iter().map(|units| {
-        let started = ThreadTime::now();
-        let mut rgb = Vec::new();
-        scene.render(&request, &share, units.clone(), &mut rgb);
-        (units, rgb, started.elapsed().as_secs_f64() * 1e3)
+    let of_threads = work_off(unit_ranges(&share, 2048).into_iter(), |next| {
+        let mut parts = Vec::new();
+        while let Some(units) = next() {
+            let mut rgb = Vec::new();
+            scene.render(&request, &share, units.clone(), &mut rgb);
+            parts.push((units, rgb));
+        }
+        parts
     });
-    let parts: Vec<_> = parts.collect();
+    let cpu: Duration = of_threads.iter().map(|(_, cpu)| *cpu).sum();
     let mut rows = vec![0; 3 * size.n_samples() as usize];
-    let mut cpu_ms = 0.0;
-    for (units, rgb, cpu) in parts {
-        cpu_ms += cpu;
+    for (units, rgb) in of_threads.into_iter().flat_map(|(parts, _)| parts) {
         let places = units.flat_map(|unit| share.samples(unit).iter());
         for ((i, j), color) in places.zip(rgb.chunks_exact(3)) {
             let at = 3 * (j * size.xres() + i) as usize;
             rows[at..at + 3].copy_from_slice(color);
         }
     }
-    (rows, cpu_ms)
+    (rows, cpu.as_secs_f64() * 1e3)
 }
 
 /// A frame as the wall shows it.
@@ -221,9 +231,7 @@ fn plot(rows: &[Row], title: &'static str, label: fn(f64) -> String, value: impl
         samples.dedup();
         let point = |&n: &u32| {
             let of_point: Vec<_> = of_series().filter(|row| row.samples == n).collect();
-            let mean = |value: &dyn Fn(&Row) -> f64| {
-                of_point.iter().map(|row| value(row)).sum::<f64>() / of_point.len() as f64
-            };
+            let mean = |value: &dyn Fn(&Row) -> f64| mean(of_point.iter().map(|row| value(row)));
             Point { label: n.to_string(), x: mean(&|row| row.cpu_ms.log10()), y: mean(&|row| value(row)), bar: None }
         };
         let is_native = Some(&size) == sizes.last();

@@ -11,65 +11,82 @@ use plotters::{
         text_anchor::{HPos, Pos, VPos},
     },
 };
+use renderer::image;
 use shared::division::FrameSize;
 
 use super::labels::{self, Label, Mark, Rect, Side};
-use crate::image;
 
 /// A sheet of plots, in rows.
-pub(super) struct Figure {
-    pub(super) title: String,
-    pub(super) notes: Vec<String>,
+pub struct Figure {
+    /// Above everything.
+    pub title: String,
+    /// Lines below the title.
+    pub notes: Vec<String>,
     /// The height of each row in pixels, and its plots side by side.
-    pub(super) rows: Vec<(u32, Vec<Plot>)>,
+    pub rows: Vec<(u32, Vec<Plot>)>,
 }
 
 /// One plot. All numbers are decades: logarithms of what is shown.
-pub(super) struct Plot {
-    pub(super) title: String,
-    pub(super) x: Axis,
-    pub(super) y: Axis,
-    pub(super) series: Vec<Series>,
+pub struct Plot {
+    /// Above the plot.
+    pub title: String,
+    /// From left to right.
+    pub x: Axis,
+    /// From the bottom up.
+    pub y: Axis,
+    /// What is drawn.
+    pub series: Vec<Series>,
     /// Whether what no other point beats in both is joined and named.
-    pub(super) has_front: bool,
+    pub has_front: bool,
 }
 
-pub(super) struct Axis {
-    pub(super) title: &'static str,
+/// One of a plot's two axes.
+pub struct Axis {
+    /// Beside the axis.
+    pub title: &'static str,
     /// What is written at a decade, or nothing.
-    pub(super) label: fn(f64) -> String,
+    pub label: fn(f64) -> String,
     /// From where to where, if not as the points ask for.
-    pub(super) range: Option<Range<f64>>,
+    pub range: Option<Range<f64>>,
 }
 
 /// Points that belong together.
-pub(super) struct Series {
-    pub(super) name: String,
-    pub(super) color: RGBColor,
-    pub(super) is_hollow: bool,
+pub struct Series {
+    /// Written beside a point.
+    pub name: String,
+    /// Of points, lines and names.
+    pub color: RGBColor,
+    /// Whether points are circles instead of discs.
+    pub is_hollow: bool,
     /// Whether a line joins them; then their name stands at one of the points once.
-    pub(super) is_joined: bool,
-    pub(super) points: Vec<Point>,
+    pub is_joined: bool,
+    /// From one end of the line to the other.
+    pub points: Vec<Point>,
 }
 
-pub(super) struct Point {
+/// A point of a series.
+pub struct Point {
     /// The setting that made it; may be empty.
-    pub(super) label: String,
-    pub(super) x: f64,
-    pub(super) y: f64,
+    pub label: String,
+    /// Its decade along x.
+    pub x: f64,
+    /// Its decade along y.
+    pub y: f64,
     /// Another range of y, drawn as a bar.
-    pub(super) bar: Option<Range<f64>>,
+    pub bar: Option<Range<f64>>,
 }
 
 const WIDTH: u32 = 1240;
 const HEADER_HEIGHT: u32 = 50;
 const NOTE_HEIGHT: u32 = 20;
-const FONT: &str = "sans-serif";
-const INK: RGBColor = RGBColor(40, 44, 52);
+/// The font of all letters.
+pub const FONT: &str = "sans-serif";
+/// Letters, axes and lines.
+pub const INK: RGBColor = RGBColor(40, 44, 52);
 const FRONT: RGBColor = RGBColor(120, 120, 120);
 
 /// Okabe and Ito's colours, which those who see few colours can tell apart.
-pub(super) const COLORS: [RGBColor; 7] = [
+pub const COLORS: [RGBColor; 7] = [
     RGBColor(213, 94, 0),
     RGBColor(204, 121, 167),
     RGBColor(0, 114, 178),
@@ -80,7 +97,7 @@ pub(super) const COLORS: [RGBColor; 7] = [
 ];
 
 /// Of other ray tracers.
-pub(super) const PEER_COLOR: RGBColor = RGBColor(90, 90, 90);
+pub const PEER_COLOR: RGBColor = RGBColor(90, 90, 90);
 
 type Plane<'a, DB> = ChartContext<'a, DB, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
@@ -96,7 +113,7 @@ pub fn register_fonts() {
 
 impl Figure {
     /// Writes NAME.svg and NAME.png.
-    pub(super) fn write(&self, folder: &Path, name: &str) -> Result<()> {
+    pub fn write(&self, folder: &Path, name: &str) -> Result<()> {
         let svg_path = folder.join(format!("{name}.svg"));
         let svg = self.svg()?;
         image::write_whole(&svg_path, |out| out.write_all(svg.as_bytes()))
@@ -343,17 +360,18 @@ fn around(values: Vec<f64>) -> Range<f64> {
 }
 
 /// Whole decades, with room above.
-pub(super) fn whole_decades(values: impl Iterator<Item = f64>, above: f64) -> Range<f64> {
+pub fn whole_decades(values: impl Iterator<Item = f64>, above: f64) -> Range<f64> {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
     (low - 0.05).floor()..(high + 0.05).ceil().max((low - 0.05).floor() + 2.0) + above
 }
 
-fn style(size: i32) -> TextStyle<'static> {
+/// Letters of `size` pixels.
+pub fn style(size: i32) -> TextStyle<'static> {
     (FONT, size).into_font().color(&INK)
 }
 
 /// Two significant digits of a number given by its logarithm.
-pub(super) fn significant(decade: f64) -> String {
+pub fn significant(decade: f64) -> String {
     let x = 10f64.powf(decade);
     let unit = 10f64.powf(x.log10().floor() - 1.0);
     let rounded = (x / unit).round() * unit;
@@ -367,7 +385,7 @@ pub(super) fn significant(decade: f64) -> String {
 }
 
 /// A power of ten.
-pub(super) fn power(decade: f64) -> String {
+pub fn power(decade: f64) -> String {
     let decade = decade.round();
     if (-1.0..=4.0).contains(&decade) { format!("{}", 10f64.powf(decade)) } else { format!("1e{decade}") }
 }

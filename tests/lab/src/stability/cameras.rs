@@ -2,6 +2,12 @@
 
 use glam::{DMat3, DVec2, DVec3, Vec3};
 use rayon::prelude::*;
+use renderer::{
+    grid::{Grid, GridOptions, PacketScratch},
+    mesh::Mesh,
+    ray::Ray,
+    statue,
+};
 use shared::{
     camera::{Camera, UpAxis},
     division::FrameSize,
@@ -11,15 +17,9 @@ use super::{
     contenders::{Answer, Bundle, Contender, Tally, tally},
     solids,
 };
-use crate::{
-    chart::{
-        candidates::{Candidates, Placed, Placement},
-        reference::{self, Truth},
-    },
-    grid::{Grid, GridOptions, PacketScratch},
-    mesh::Mesh,
-    ray::Ray,
-    statue,
+use crate::chart::{
+    candidates::{Candidates, Placed, Placement},
+    reference::{self, Truth},
 };
 
 /// Closer to an edge than this, in pixels, rounding a ray to `f32` may decide.

@@ -1,17 +1,17 @@
 //! Closed surfaces from inside: every ray must hit.
 
 use glam::{DVec3, Vec3};
-
-use super::{
-    contenders::{Bundle, Tally, tally},
-    random::Random,
-    solids,
-};
-use crate::{
+use renderer::{
     grid::{Grid, GridOptions},
     mesh::Mesh,
     ray::Ray,
 };
+
+use super::{
+    contenders::{Bundle, Tally, tally},
+    solids,
+};
+use crate::random::Random;
 
 /// Rays that share an origin.
 const BUNDLE: usize = 64;

@@ -4,12 +4,12 @@ use std::ops::AddAssign;
 
 use glam::Vec3;
 use rayon::prelude::*;
-
-use crate::{
-    chart::methods::Method,
+use renderer::{
     grid::{Grid, MOST_PACKETS, Packet, PacketScratch},
     ray::{Hit, Ray},
 };
+
+use crate::chart::methods::Method;
 
 /// What is said of a ray: the number in the file of the nearest triangle, and t.
 pub(super) type Answer = Option<(u32, f64)>;

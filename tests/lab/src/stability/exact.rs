@@ -1,6 +1,7 @@
 //! The truth where all numbers are whole: in integers, without any rounding, triangle by triangle.
 
 use super::{contenders::Answer, solids::Lattice};
+use crate::vector::{cross, dot, sub};
 
 /// What a ray hits, truly.
 pub(super) struct Truth {
@@ -23,13 +24,13 @@ pub(super) fn truth(lattice: &Lattice, origin: [i32; 3], direction: [i32; 3]) ->
     let (origin, direction) = (wide(origin), wide(direction));
     let mut hits = Vec::new();
     for (number, corners) in lattice.iter().enumerate() {
-        let [a, b, c] = corners.map(|corner| minus(wide(corner), origin));
+        let [a, b, c] = corners.map(|corner| sub(wide(corner), origin));
         let sides = [(a, b), (b, c), (c, a)].map(|(from, to)| dot(direction, cross(from, to)));
         let (any_left, any_right) = (sides.iter().any(|&side| side > 0), sides.iter().any(|&side| side < 0));
         if any_left == any_right {
             continue;
         }
-        let normal = cross(minus(b, a), minus(c, a));
+        let normal = cross(sub(b, a), sub(c, a));
         let t = dot(normal, a) as f64 / dot(normal, direction) as f64;
         if t >= 0.0 {
             hits.push((number as u32, t));
@@ -48,18 +49,6 @@ impl Truth {
             other == number && truly <= self.nearest * (1.0 + SAME_DEPTH) && is_near(truly, DEPTH_TOLERANCE)
         })
     }
-}
-
-fn minus(a: [i128; 3], b: [i128; 3]) -> [i128; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-fn dot(a: [i128; 3], b: [i128; 3]) -> i128 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn cross(a: [i128; 3], b: [i128; 3]) -> [i128; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
 #[cfg(test)]

@@ -1,18 +1,18 @@
 //! What no honest program sends: vertices and rays that are no numbers, and many triangles in one place.
 
 use glam::Vec3;
-
-use super::{
-    contenders::{Bundle, Contender, Tally, tally},
-    lattice::{self, Aim},
-    random::Random,
-    solids,
-};
-use crate::{
+use renderer::{
     grid::{Grid, GridOptions, PacketScratch},
     ply,
     ray::Ray,
 };
+
+use super::{
+    contenders::{Bundle, Contender, Tally, tally},
+    lattice::{self, Aim},
+    solids,
+};
+use crate::random::Random;
 
 /// Triangles with corners that cannot be traced, among others, as they come from a file.
 pub(super) fn bad_vertices(n_rays: u64) -> Tally {

@@ -4,22 +4,20 @@ use std::sync::Mutex;
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use shared::{
-    camera::{Camera, UpAxis},
-    division::{Division, FrameSize},
-};
-
-use super::{
-    contenders::{Answer, Bundle, Contender, Tally},
-    random::Random,
-};
-use crate::{
+use renderer::{
     grid::{Grid, GridOptions, InstructionSet, MeshLayout, PacketScratch, Storage},
     mesh::Mesh,
     ray::Hit,
     statue,
     tracer::Scene,
 };
+use shared::{
+    camera::{Camera, UpAxis},
+    division::{Division, FrameSize},
+};
+
+use super::contenders::{Answer, Bundle, Contender, Tally};
+use crate::random::Random;
 
 /// A power of two as the unit of all coordinates leaves triangle and t of every hit as they are, to the last bit.
 pub(super) fn scale(n_rays: u64) -> Tally {

@@ -2,18 +2,18 @@
 //! surfaces and from far away.
 
 use glam::Vec3;
-
-use super::{
-    contenders::{Bundle, Tally, tally},
-    exact,
-    random::Random,
-    solids::{self, Lattice},
-};
-use crate::{
+use renderer::{
     grid::{Grid, GridOptions},
     mesh::Mesh,
     ray::Ray,
 };
+
+use super::{
+    contenders::{Bundle, Tally, tally},
+    exact,
+    solids::{self, Lattice},
+};
+use crate::{random::Random, vector::sub};
 
 /// How rays meet a scene.
 #[derive(Clone, Copy, Debug)]
@@ -110,12 +110,12 @@ fn bundle(scene: &Lattice, unit: f32, aim: Aim, random: &mut Random) -> Bundle {
                 direction[random.whole(0, 2) as usize] = *random.choose(&[-3, -1, 1, 2]);
                 direction
             }
-            Aim::Edges if lane == 0 => minus(b, a),
-            Aim::Edges if lane == 1 => minus(a, b),
+            Aim::Edges if lane == 0 => sub(b, a),
+            Aim::Edges if lane == 1 => sub(a, b),
             Aim::FromSurfaces => [(); 3].map(|()| random.whole(-8, 8)),
-            Aim::Far if lane % 4 == 3 => minus(anywhere(random), origin),
-            _ if lane % 2 == 0 => minus(p, origin),
-            _ => minus(middle(p, q), origin),
+            Aim::Far if lane % 4 == 3 => sub(anywhere(random), origin),
+            _ if lane % 2 == 0 => sub(p, origin),
+            _ => sub(middle(p, q), origin),
         };
         let direction = if direction == [0; 3] { [0, 0, 1] } else { direction };
         let signed = direction.map(|x| if x == 0 && random.bits() & 1 == 1 { -0.0 } else { x as f32 * unit });
@@ -135,10 +135,6 @@ fn along(a: [i32; 3], b: [i32; 3], steps: i32) -> [i32; 3] {
 
 fn middle(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
     [0, 1, 2].map(|axis| (a[axis] + b[axis]) / 2)
-}
-
-fn minus(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
-    [0, 1, 2].map(|axis| a[axis] - b[axis])
 }
 
 /// What has no extent along one axis, two, or three.

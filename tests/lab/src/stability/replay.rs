@@ -3,15 +3,15 @@
 use std::path::Path;
 
 use anyhow::{Result, bail};
-use shared::camera::Camera;
-
-use super::{cameras, contenders::Tally, head, line};
-use crate::{
+use renderer::{
     cli::say,
     grid::{Grid, GridOptions, InstructionSet, MeshLayout, Storage},
     mesh::Mesh,
     scene::{self, SceneSource},
 };
+use shared::camera::Camera;
+
+use super::{cameras, contenders::Tally, head, line};
 
 /// Rays of a picture: few, for each is tested with each triangle.
 const N_RAYS: u64 = 512;
@@ -51,7 +51,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::{super::contenders::Contender, *};
-    use crate::ply;
+    use renderer::ply;
 
     /// Numbers that meet each other often, and some that do not.
     fn coordinate() -> impl Strategy<Value = f32> {
@@ -103,13 +103,13 @@ mod tests {
 
     /// Leaves what failed in files, each failure in place of the last: the smallest stays.
     fn keep(mesh: &Mesh, camera: &Camera) -> String {
-        let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../target/stability-found"));
+        let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/stability-found"));
         let [mesh_path, camera_path] = ["mesh.ply", "camera.toml"].map(|name| folder.join(name));
         let kept = std::fs::create_dir_all(folder)
             .and_then(|()| ply::write(&mesh_path, mesh))
             .and_then(|()| std::fs::write(&camera_path, camera.to_toml()));
         match kept {
-            Ok(()) => format!("renderer stability --replay {} {}", mesh_path.display(), camera_path.display()),
+            Ok(()) => format!("lab stability --replay {} {}", mesh_path.display(), camera_path.display()),
             Err(error) => format!("(nothing could be kept: {error})"),
         }
     }

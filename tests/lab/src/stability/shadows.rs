@@ -1,6 +1,14 @@
 //! Shadow rays that leave the surface that they start from: no acne, no lost contact.
 
 use glam::{DVec3, Vec3};
+use renderer::{
+    blocks::Block,
+    grid::{Grid, GridOptions, PacketScratch},
+    mesh::Mesh,
+    ray::{Hit, Ray},
+    secondary::SecondaryRays,
+    tracer::FrameRequest,
+};
 use shared::{
     camera::Camera,
     division::{FrameSize, UnitSamples},
@@ -12,15 +20,7 @@ use super::{
     contenders::{Contender, Tally},
     solids,
 };
-use crate::{
-    blocks::Block,
-    chart::methods::Method,
-    grid::{Grid, GridOptions, PacketScratch},
-    mesh::Mesh,
-    ray::{Hit, Ray},
-    secondary::SecondaryRays,
-    tracer::FrameRequest,
-};
+use crate::chart::methods::Method;
 
 /// What rivals add to t where a shadow ray starts, as is usual: this part of the way to the light.
 const USUAL_EPSILON: f32 = 1e-4;

@@ -1,9 +1,9 @@
 //! The meshes that methods are tried on.
 
 use glam::DVec3;
+use renderer::mesh::Mesh;
 
-use super::random::Random;
-use crate::mesh::Mesh;
+use crate::random::Random;
 
 /// Corners of triangles in whole numbers, so that what a ray hits can be told exactly.
 pub(super) type Lattice = Vec<[[i32; 3]; 3]>;

@@ -2,6 +2,12 @@
 
 use cpu_time::ThreadTime;
 use glam::{DVec3, Vec3};
+use renderer::{
+    grid::{Grid, GridOptions},
+    mesh::Mesh,
+    ray::Ray,
+    tracer::Scene,
+};
 use shared::{
     camera::Camera,
     division::{Division, FrameSize},
@@ -10,12 +16,6 @@ use shared::{
 use super::{
     contenders::{Contender, Tally},
     solids,
-};
-use crate::{
-    grid::{Grid, GridOptions},
-    mesh::Mesh,
-    ray::Ray,
-    tracer::Scene,
 };
 
 /// More than this many times what the teapot takes alone is a failure.

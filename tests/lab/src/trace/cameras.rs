@@ -1,4 +1,4 @@
-//! `renderer trace --cameras -`: frames on demand, the model loaded and built once.
+//! `lab trace --cameras -`: frames on demand, the model loaded and built once.
 
 use std::{
     io::{BufRead, Write},
@@ -6,16 +6,15 @@ use std::{
 };
 
 use anyhow::{Context, Result};
-use serde::Serialize;
-
-use super::{
-    frame::{Frame, FrameOptions},
-    milliseconds, read_camera,
-};
-use crate::{
+use renderer::{
     cli::read_line,
+    frame::Frame,
+    trace::read_camera,
     tracer::{FrameRequest, Scene},
 };
+use serde::Serialize;
+
+use super::frame::{self, FrameOptions};
 
 /// One line of the answer.
 #[derive(Serialize)]
@@ -49,14 +48,14 @@ pub(super) fn run(
         }
         let camera = read_camera(Path::new(path)).with_context(|| format!("line {n_lines} of the cameras"))?;
         let request = FrameRequest { camera, ..*request };
-        let cost = frame.trace(scene, &request, options);
-        let n_rays = request.size.n_samples() as usize + cost.n_shadow_rays;
+        let (cost, counts) = frame::trace(&mut frame, scene, &request, options);
+        let n_rays = request.size.n_samples() as usize + counts.n_shadow_rays;
         let report = FrameReport {
-            frame_ms: milliseconds(cost.wall),
-            frame_cpu_ms: milliseconds(cost.cpu),
+            frame_ms: cost.wall.as_secs_f64() * 1e3,
+            frame_cpu_ms: cost.cpu.as_secs_f64() * 1e3,
             hits: frame.n_hits(),
-            shadow_rays: cost.n_shadow_rays,
-            shadowed: cost.n_shadowed,
+            shadow_rays: counts.n_shadow_rays,
+            shadowed: counts.n_shadowed,
             mrays_per_second: n_rays as f64 / cost.wall.as_secs_f64() / 1e6,
         };
         writeln!(answers, "{}", serde_json::to_string(&report)?).context("cannot write the answer")?;

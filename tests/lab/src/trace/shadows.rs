@@ -1,16 +1,16 @@
 //! Shadow rays by the convention of the peers that Raywall is measured against.
 
 use glam::Vec3;
-use shared::camera::CameraRays;
-
-use super::frame::Kernel;
-use crate::{
+use renderer::{
     blocks::Block,
     grid::{MOST_PACKETS, PacketScratch},
     ray::{Hit, Ray},
     secondary,
     tracer::Scene,
 };
+use shared::camera::CameraRays;
+
+use super::frame::Kernel;
 
 /// What a point light in world space needs to find its shadows.
 pub(super) struct ShadowCaster<'a> {

@@ -1,0 +1,123 @@
+//! `lab trace`: what `renderer trace` does, with shadow rays, rays that are followed alone, counters, and frames on demand.
+
+mod cameras;
+mod counts;
+pub mod frame;
+mod shadows;
+
+use anyhow::{Result, ensure};
+use clap::Args;
+use glam::Vec3;
+use renderer::{
+    cli::say,
+    trace::{Report, TraceArgs},
+};
+use serde::Serialize;
+
+use self::frame::{FrameOptions, Kernel, RayCounts};
+use crate::statistics::median;
+
+/// What to trace, and how.
+#[derive(Args, Debug)]
+pub struct LabTraceArgs {
+    /// The picture
+    #[command(flatten)]
+    picture: TraceArgs,
+
+    /// Trace one frame for each camera file whose path stands on a line of standard input, and answer each with a line
+    /// of JSON; one that cannot be read ends it; the only value is -
+    #[arg(long, value_name = "-", conflicts_with_all = ["camera", "frames", "image", "hits", "explain"])]
+    cameras: Option<String>,
+
+    /// Follow the rays of a tile together, or each alone
+    #[arg(long, value_name = "KERNEL", value_enum, default_value_t)]
+    kernel: Kernel,
+
+    /// Also trace a ray from each hit to the light
+    #[arg(long, conflicts_with = "clip")]
+    shadow_rays: bool,
+
+    /// Where the light of the shadow rays stands, in world space
+    #[arg(long, value_name = "X,Y,Z", default_value = "3,5,4", value_parser = point)]
+    light: Vec3,
+}
+
+fn point(text: &str) -> Result<Vec3, String> {
+    let numbers: Result<Vec<f32>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+    match numbers.as_deref() {
+        Ok(&[x, y, z]) if x.is_finite() && y.is_finite() && z.is_finite() => Ok(Vec3::new(x, y, z)),
+        _ => Err("a point is three finite numbers, as in 3,5,4".to_owned()),
+    }
+}
+
+/// What was measured.
+#[derive(Serialize)]
+struct LabReport {
+    #[serde(flatten)]
+    report: Report,
+    /// `None` where the system does not tell.
+    peak_rss_bytes: Option<u64>,
+    /// Rays from hits to the light.
+    shadow_rays: usize,
+    /// Hits that the light does not reach.
+    shadowed: usize,
+    /// Cells that the primary rays of a frame pass when each is followed alone, and triangles that they are tested
+    /// against: all of them, and per ray.
+    cell_traversals: u64,
+    triangle_tests: u64,
+    cell_traversals_per_ray: f64,
+    triangle_tests_per_ray: f64,
+}
+
+/// Loads, builds, traces, and writes what was asked for.
+///
+/// # Errors
+/// A file cannot be read or written.
+pub fn run(args: &LabTraceArgs) -> Result<()> {
+    args.picture.pool()?.install(|| run_in_pool(args))
+}
+
+fn run_in_pool(args: &LabTraceArgs) -> Result<()> {
+    if let Some(source) = &args.cameras {
+        ensure!(source == "-", "--cameras {source}: cameras are only read from standard input, which is written as -");
+    }
+    let options = FrameOptions { kernel: args.kernel, light: args.shadow_rays.then_some(args.light) };
+    let prepared = args.picture.prepare()?;
+    let (scene, request) = (&prepared.scene, &prepared.request);
+    if args.cameras.is_some() {
+        return cameras::run(scene, request, &options, std::io::stdin().lock(), std::io::stdout().lock());
+    }
+
+    let mut counts = RayCounts::default();
+    let mut report = args.picture.trace(&prepared, |frame| {
+        let (cost, counted) = frame::trace(frame, scene, request, &options);
+        counts = counted;
+        cost
+    })?;
+    let n_samples = request.size.n_samples();
+    report.mrays_per_second =
+        (n_samples as usize + counts.n_shadow_rays) as f64 / median(report.frame_ms.iter().copied()) / 1e3;
+    if !args.picture.json {
+        return say(report.table(request.size));
+    }
+    // Counting follows each ray alone, so only those who see the figures wait for it.
+    let cost_sum = counts::cost_sum(scene, request);
+    let per_ray = |sum: u64| sum as f64 / f64::from(n_samples);
+    say(serde_json::to_string(&LabReport {
+        report,
+        peak_rss_bytes: peak_rss_bytes(),
+        shadow_rays: counts.n_shadow_rays,
+        shadowed: counts.n_shadowed,
+        cell_traversals: cost_sum.n_cells,
+        triangle_tests: cost_sum.n_tests,
+        cell_traversals_per_ray: per_ray(cost_sum.n_cells),
+        triangle_tests_per_ray: per_ray(cost_sum.n_tests),
+    })?)
+}
+
+/// The most memory that this process ever had, as Linux tells it.
+fn peak_rss_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
+}

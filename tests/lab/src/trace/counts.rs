@@ -1,0 +1,35 @@
+//! Counts what the rays of a frame meet.
+
+use rayon::prelude::*;
+use renderer::{
+    clip,
+    grid::RayCost,
+    ray::Ray,
+    tracer::{FrameRequest, Scene},
+};
+
+/// What the primary rays of a frame cost when each is followed alone.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct CostSum {
+    /// Cells that they pass.
+    pub(super) n_cells: u64,
+    /// Triangles that they are tested against.
+    pub(super) n_tests: u64,
+}
+
+/// Counts what the primary rays of a frame cost, on the threads of the rayon pool that this is called in.
+pub(super) fn cost_sum(scene: &Scene, request: &FrameRequest) -> CostSum {
+    let rays = request.camera.rays(request.size);
+    let clip = scene.clip_plane(&request.camera, request.look.clip);
+    let of_row = |j: u32| {
+        (0..request.size.xres()).fold(CostSum::default(), |sum, i| {
+            let ray = clip::kept(clip.as_ref(), Ray::new(rays.eye, rays.direction(i, j)));
+            let cost = ray.map_or(RayCost::default(), |ray| scene.grid().cost(&ray));
+            CostSum { n_cells: sum.n_cells + u64::from(cost.n_cells), n_tests: sum.n_tests + u64::from(cost.n_tests) }
+        })
+    };
+    (0..request.size.yres())
+        .into_par_iter()
+        .map(of_row)
+        .reduce(CostSum::default, |a, b| CostSum { n_cells: a.n_cells + b.n_cells, n_tests: a.n_tests + b.n_tests })
+}

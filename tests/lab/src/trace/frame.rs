@@ -1,0 +1,78 @@
+//! Frames by the renderer's own driver, with shadow rays and with rays that are followed alone.
+
+use clap::ValueEnum;
+use glam::Vec3;
+use renderer::{
+    blocks::Block,
+    clip,
+    frame::{Cost, Frame, Setup, Tiles, Write},
+    grid::PacketScratch,
+    ray::{Hit, Ray},
+    tracer::{FrameRequest, Scene},
+};
+
+use super::shadows::ShadowCaster;
+
+/// How the primary rays of a measured frame are followed: to the same hits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Kernel {
+    /// Those of a square of four tiles together
+    #[default]
+    Packet,
+    /// One after the other, as if they had nothing in common
+    Single,
+}
+
+/// What is traced for a measured frame.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FrameOptions {
+    /// How primary rays are followed.
+    pub kernel: Kernel,
+    /// Where the light of the shadow rays stands, in world space; without one there are no shadow rays.
+    pub light: Option<Vec3>,
+}
+
+/// Rays beside the primary ones.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RayCounts {
+    /// Shadow rays that were traced.
+    pub n_shadow_rays: usize,
+    /// Hits that the light does not reach, because they face away from it or something is in between.
+    pub n_shadowed: usize,
+}
+
+/// Traces all samples through their centres, and from each hit a shadow ray to the light if there is one, on the threads
+/// of the current rayon pool.
+pub fn trace(frame: &mut Frame, scene: &Scene, request: &FrameRequest, options: &FrameOptions) -> (Cost, RayCounts) {
+    let follow =
+        |setup: &Setup<'_>, tiles: &Tiles, scratch: &mut PacketScratch, counts: &mut RayCounts, write: Write<'_>| {
+            let Setup { scene, rays, clip, share } = setup;
+            // The triangles that a group's rays met are still in the cache for its shadow rays.
+            let mut visit = |blocks: &[Block<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch| {
+                write(blocks, hits);
+                if let Some(light) = options.light {
+                    let caster = ShadowCaster { scene, rays, light, kernel: options.kernel };
+                    let (n_rays, n_hidden) = caster.cast(blocks, hits, scratch);
+                    counts.n_shadow_rays += n_rays;
+                    counts.n_shadowed += n_hidden;
+                }
+            };
+            match options.kernel {
+                Kernel::Packet => scene.trace_groups(rays, clip.as_ref(), share, tiles.numbers(), scratch, visit),
+                Kernel::Single => tiles.numbers().for_each(|tile| {
+                    let samples = share.samples(tile);
+                    let mut hits = [Hit::MISS; 64];
+                    for (hit, (i, j)) in hits.iter_mut().zip(samples.iter()) {
+                        *hit = clip::intersect(scene.grid(), clip.as_ref(), Ray::new(rays.eye, rays.direction(i, j)));
+                    }
+                    visit(&[Block::Unit { samples, first_place: 0 }], &[hits], scratch);
+                }),
+            }
+        };
+    let (cost, counts) = frame.trace_with(scene, request, follow);
+    let sum = counts.into_iter().fold(RayCounts::default(), |sum, counts| RayCounts {
+        n_shadow_rays: sum.n_shadow_rays + counts.n_shadow_rays,
+        n_shadowed: sum.n_shadowed + counts.n_shadowed,
+    });
+    (cost, sum)
+}
