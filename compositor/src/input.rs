@@ -204,7 +204,7 @@ impl KeyBinding {
     }
 }
 
-/// Every key: what the window obeys, what the help panel shows and what the README lists.
+/// Every key of the window, the help panel and the table in `wall-config/README.md`.
 pub const KEYS: &[KeyBinding] = {
     use {Action::*, Command::*, Direction::*, Key::*};
     const fn row(keys: &'static [Key], action: Action, help: &'static str) -> KeyBinding {

@@ -1,4 +1,4 @@
-//! What the README promises.
+//! The promises of the README and the manuals.
 
 use std::path::Path;
 
@@ -9,22 +9,38 @@ fn root() -> &'static Path {
 }
 
 #[test]
-fn the_readme_lists_every_key_as_the_window_obeys_it() {
-    let readme = std::fs::read_to_string(root().join("README.md")).unwrap();
+fn the_manual_lists_every_key_of_the_window() {
+    let manual = std::fs::read_to_string(root().join("wall-config/README.md")).unwrap();
     let keys = KEYS.iter().map(|binding| (binding.names(), binding.help));
     let mouse = MOUSE.iter().map(|&(gesture, effect)| (gesture.to_owned(), effect));
     for (key, effect) in keys.chain(mouse) {
         let row = format!("| {key} | {effect} |");
-        assert!(readme.contains(&row), "README.md lacks the row\n{row}");
+        assert!(manual.contains(&row), "wall-config/README.md lacks the row\n{row}");
     }
+}
+
+/// The anchor that a Markdown heading gets on the web: lower case, hyphens for spaces, no punctuation.
+fn anchor(heading: &str) -> String {
+    let title = heading.trim_start_matches('#').trim().to_lowercase();
+    title.chars().filter(|c| c.is_alphanumeric() || " -".contains(*c)).map(|c| if c == ' ' { '-' } else { c }).collect()
 }
 
 #[test]
 fn every_file_that_the_documents_name_exists() {
-    for document in ["README.md", "ARCHITECTURE.md"] {
-        let text = std::fs::read_to_string(root().join(document)).unwrap();
-        for target in text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
-            assert!(root().join(target).exists(), "{document} links to {target}, which is not there");
+    for document in ["README.md", "ARCHITECTURE.md", "wall-config/README.md", "tests/README.md"] {
+        let path = root().join(document);
+        let text = std::fs::read_to_string(&path).unwrap();
+        let folder = path.parent().unwrap();
+        let targets = text.split("](").skip(1).filter_map(|rest| rest.split(')').next());
+        for target in targets.filter(|target| !target.starts_with("https://")) {
+            let (file, heading) = target.split_once('#').unwrap_or((target, ""));
+            let linked = if file.is_empty() { path.clone() } else { folder.join(file) };
+            assert!(linked.exists(), "{document} links to {target}, which is not there");
+            if !heading.is_empty() {
+                let linked_text = std::fs::read_to_string(&linked).unwrap();
+                let has_heading = linked_text.lines().any(|line| line.starts_with('#') && anchor(line) == heading);
+                assert!(has_heading, "{document} links to {target}, but there is no such heading");
+            }
         }
         let words = text.split('`').skip(1).step_by(2);
         for path in words.filter(|word| {
