@@ -1,12 +1,12 @@
-# The commands of the README. Everything is built in one profile: programs, tests and measurements run the same code.
+# The commands of the README. One profile builds everything: programs, tests and measurements run the same code.
 
 CARGO ?= cargo
 
 .PHONY: run test soak stability setup setup-test format clippy docs bench fuzz test-slurm
 
-# NODEVICE_SELECT keeps a layer of Mesa from complaining about the session that a headless machine does not have.
+# NODEVICE_SELECT silences a Mesa layer that complains about the missing session on a headless machine.
 
-# The wall, on the built-in model with two local render servers; without a display the same, to wall.png.
+# The wall, with the built-in model and two local render servers; without a display it goes to wall.png.
 run: setup
 	$(CARGO) build --release
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -15,17 +15,17 @@ run: setup
 		NODEVICE_SELECT=1 $(CARGO) run --release -- --headless --frames 20 --target-rate 30 --samples 4 --screenshot wall.png; \
 	fi
 
-# Everything that CI checks. The programs are built first: the tests run them as a person would.
+# Everything that CI checks. The tests start the programs, so they are built first.
 test: setup-test format clippy docs
 	$(CARGO) build --release --workspace --bins
 	$(CARGO) test --release --workspace
 
-# Ten minutes of render servers that join, freeze, wake and die at random; twenty seconds of it are in the tests.
+# Ten minutes of render servers that join, freeze, wake and die at random; `make test` runs twenty seconds of it.
 soak: setup-test
 	$(CARGO) build --release
 	RAYWALL_CHURN_SECONDS=600 $(CARGO) test --release -p tests --test wall -- churn --nocapture
 
-# Every way to intersect rays with triangles, where it fails: ten million rays a case; a hundredth of them is in the tests.
+# Difficult cases for every intersection method, ten million rays each; `make test` runs a hundredth of them.
 STABILITY_RAYS ?= 10000000
 stability:
 	$(CARGO) run --release -p lab -- stability --rays $(STABILITY_RAYS)
@@ -40,12 +40,12 @@ clippy:
 docs:
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --workspace --no-deps --document-private-items
 
-# How fast the grid is built and followed, on generated models: a minute or two.
+# Times building and traversing the grid, on generated models: a minute or two.
 bench:
 	$(CARGO) bench -p lab --bench grid
 
-# Every decoder on invented inputs, FUZZ_RUNS each (of the slow one, records, a fiftieth); what is found lies in
-# target/fuzz-found, and new inputs worth keeping in target/fuzz-corpus. RUSTC_BOOTSTRAP lets a stable compiler sanitize.
+# Fuzzes every decoder with FUZZ_RUNS inputs each (a fiftieth for the slow one, records). Findings go to target/fuzz-found,
+# new inputs worth keeping to target/fuzz-corpus. RUSTC_BOOTSTRAP allows sanitizers on a stable compiler.
 FUZZ_RUNS ?= 2500000
 FUZZ_TARGETS ?= camera placement ply protocol records wall
 CARGO_FUZZ = RUSTC_BOOTSTRAP=1 $(CARGO) fuzz run --fuzz-dir tests/fuzz --target-dir target/fuzz
@@ -59,12 +59,12 @@ fuzz: setup-test
 		echo "$$target: $$runs inputs"; \
 	done
 
-# A real Slurm on this machine starts render servers; as root, for it installs and runs Slurm's daemons.
+# A real Slurm on this machine starts render servers. Needs root, to install and run Slurm's daemons.
 test-slurm:
 	$(CARGO) build --release
 	@sh tests/slurm.sh
 
-# What the system lacks, shown in one line and installed if you agree. YES=1 and CI do not ask.
+# Shows missing system packages in one line, and installs them if you agree. YES=1 and CI skip the question.
 setup:
 	@sh tests/setup.sh run
 

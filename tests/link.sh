@@ -1,9 +1,9 @@
 #!/bin/sh
-# What the wall takes over links of limited rate, and how soon a motion is seen over a slow one: two network namespaces with
-# a link between them, for which one must be root. Needs `cargo build --release` with --example link_rate --example
-# motion_delay, and the dragon, or any picture of 1024x512 samples:
+# Measures the wall's frame rate over links of limited rate, and the delay of a motion over a slow one. The links run
+# between two network namespaces, which needs root. Takes a picture of 1024x512 samples, for example of the dragon:
 #
-#     sh tests/link.sh picture.png
+#     cargo build --release && cargo build --release -p lab --examples
+#     sudo sh tests/link.sh picture.png
 set -e
 picture=$1
 far=raywall-far

@@ -1,13 +1,13 @@
 #!/bin/sh
-# setup.sh run|test: finds what this system lacks for building and running the wall (run), or for its tests too (test),
-# shows the one line that installs it, asks, and installs. YES=1 and CI do not ask.
+# setup.sh run|test: finds system packages that are missing to build and run the wall (run), or also to test it (test).
+# Shows the one line that installs them, asks, and installs. With YES=1 or CI set it does not ask.
 set -eu
 
 purpose=${1:-run}
 
 has_command() { command -v "$1" >/dev/null 2>&1; }
 has_library() {
-    # ldconfig lies in /sbin, which is not on every PATH.
+    # ldconfig is in /sbin, which is not on every PATH.
     PATH="$PATH:/sbin:/usr/sbin" ldconfig -p 2>/dev/null | grep -q "$1"
 }
 has_vulkan_driver() {
@@ -31,9 +31,9 @@ need() {
 }
 
 has_command cc || need "gcc libc6-dev" gcc gcc
-# FLIP, by which pictures are compared, is C++.
+# FLIP, which compares pictures, is C++.
 has_command c++ || need g++ gcc-c++ gcc
-# lavapipe, Vulkan on the CPU, comes with the drivers of Mesa.
+# Mesa's drivers include lavapipe, Vulkan on the CPU.
 has_vulkan_driver || need "mesa-vulkan-drivers libvulkan1" "mesa-vulkan-drivers vulkan-loader" "vulkan-swrast vulkan-icd-loader"
 has_library libxkbcommon-x11.so.0 || need libxkbcommon-x11-0 libxkbcommon-x11 libxkbcommon-x11
 has_library libX11-xcb.so.1 || need libx11-xcb1 libX11-xcb libx11
@@ -41,18 +41,18 @@ has_library libXcursor.so.1 || need libxcursor1 libXcursor libxcursor
 has_library libXi.so.6 || need libxi6 libXi libxi
 has_library libXrandr.so.2 || need libxrandr2 libXrandr libxrandr
 if [ "$purpose" = test ]; then
-    # Tests look for processes and signal them.
+    # Tests find processes and send them signals.
     has_command ps && has_command kill || need procps procps-ng procps-ng
     has_command Xvfb || need xvfb xorg-x11-server-Xvfb xorg-server-xvfb
     has_command openbox || need openbox openbox openbox
     has_command xdotool || need xdotool xdotool xdotool
-    # An X server whose monitors lie in memory and come and go.
+    # An X server with dummy monitors that tests plug and unplug.
     { has_command Xorg && [ -n "$(find /usr/lib/xorg /usr/lib64/xorg -name dummy_drv.so 2>/dev/null)" ]; } \
         || need "xserver-xorg-core xserver-xorg-video-dummy" "xorg-x11-server-Xorg xorg-x11-drv-dummy" "xorg-server xf86-video-dummy"
     has_command import || need imagemagick ImageMagick imagemagick
 fi
 has_command cargo || {
-    echo "setup: there is no cargo: install Rust 1.95 or later from https://rustup.rs" >&2
+    echo "setup: cargo not found: install Rust 1.95 or later from https://rustup.rs" >&2
     exit 1
 }
 
@@ -65,12 +65,12 @@ case $manager in
     dnf) update=: install="${sudo}dnf install -y$missing" ;;
     pacman) update=: install="${sudo}pacman -S --needed --noconfirm$missing" ;;
     none)
-        echo "setup: install the equivalent of these packages of Debian, then run this again:$missing" >&2
+        echo "setup: install the equivalents of these Debian packages, then run this again:$missing" >&2
         exit 1
         ;;
 esac
 
-echo "This system lacks:$missing"
+echo "Missing packages:$missing"
 echo "To install it: $install"
 if [ "${YES:-}" != 1 ] && [ -z "${CI:-}" ]; then
     printf 'Install now? [Y/n] '
