@@ -10,12 +10,12 @@ use std::{
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 
-use crate::{
-    connect::{self, ConnectArgs},
-    generate::{self, GenerateArgs},
-    key::{self, KeyArgs},
-    trace::{self, TraceArgs},
-};
+use channel::key;
+use generate::GenerateArgs;
+use generate;
+use trace;
+use trace::TraceArgs;
+use crate::{key::KeyArgs, server::connect::{self, ConnectArgs}};
 
 /// Render server of the display wall
 #[derive(Debug, Parser)]

@@ -56,7 +56,7 @@ use tree::Tree;
 use uniform::{Plain, UniformGrid};
 pub use walk::RayCost;
 
-use crate::traced::TracedMesh;
+use traced::TracedMesh;
 
 /// A mesh and a grid over its triangles.
 ///

@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use renderer::cli::{self, Cli};
+use crate::cli::{self, Cli};
 
 fn main() -> ExitCode {
     let command = cli::parse::<Cli>().command;

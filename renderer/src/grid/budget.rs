@@ -13,12 +13,12 @@ impl MemoryBudget {
 
     /// What a grid may take beside a mesh. A mesh that is too large by itself gets a grid of a quarter of its size: the
     /// budget cannot be kept then, and a smaller grid would save little and be slow.
-    pub(super) fn left_beside(self, mesh_bytes: u64) -> u64 {
+    pub(crate) fn left_beside(self, mesh_bytes: u64) -> u64 {
         if mesh_bytes < self.0 { self.0 - mesh_bytes } else { mesh_bytes / 4 }
     }
 
     /// Whether so many bytes are too many.
-    pub(super) fn is_less_than(self, n_bytes: u64) -> bool {
+    pub(crate) fn is_less_than(self, n_bytes: u64) -> bool {
         self.0 < n_bytes
     }
 }
@@ -64,11 +64,11 @@ impl FromStr for MemoryBudget {
 /// What a memory budget did to a grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryShortage {
-    pub(super) budget: MemoryBudget,
+    pub(crate) budget: MemoryBudget,
     /// Whether the grid was made coarser.
-    pub(super) is_coarser: bool,
+    pub(crate) is_coarser: bool,
     /// Bytes that it may take to make the scene ready, if that is more than the budget nevertheless.
-    pub(super) needed_bytes: Option<u64>,
+    pub(crate) needed_bytes: Option<u64>,
 }
 
 impl fmt::Display for MemoryShortage {

@@ -2,30 +2,16 @@
 
 use glam::Vec3;
 
-use super::{
-    Grid, GridOptions, InstructionSet, MemoryShortage, MeshLayout, Storage, Structure,
-    boxes::Boxes,
-    choice::Choice,
-    divide::{Builder, Piece},
-    resolution::{CellSpace, resolution},
-    row_displacement::RowDisplacement,
-    scatter::Scatter,
-    tree::{self, BRICK_SIZE, CELLS_PER_BRICK, Tree},
-    uniform::{Plain, UniformGrid},
-};
-use crate::{
-    mesh::{Aabb, Mesh},
-    traced::TracedMesh,
-};
+use crate::{grid::{choice::Choice, traced::TracedMesh, tree::{self, boxes::Boxes, divide::{Builder, Piece}, scatter::Scatter, BRICK_SIZE, CELLS_PER_BRICK, Tree}, uniform::{resolution::{resolution, CellSpace}, row_displacement::RowDisplacement, Plain, UniformGrid}, Grid, GridOptions, MemoryShortage, MeshLayout, Storage, Structure}, intersect::InstructionSet, model::mesh::{Aabb, Mesh}};
 
 /// What one reference takes with its part of leaves and nodes.
 const TREE_BYTES_PER_REFERENCE: u64 = 5;
 
 /// What its box takes, which is measured when the mesh as it was loaded is gone.
-pub(super) const BOX_BYTES_PER_REFERENCE: u64 = 6;
+pub(crate) const BOX_BYTES_PER_REFERENCE: u64 = 6;
 
 /// What the program takes before it has a scene.
-pub(super) const PROGRAM_BYTES: u64 = 40_000_000;
+pub(crate) const PROGRAM_BYTES: u64 = 40_000_000;
 
 impl Grid {
     /// Builds the grid of a mesh, and orders the mesh by it.

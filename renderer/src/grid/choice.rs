@@ -19,14 +19,7 @@
 use glam::{DVec3, Vec3};
 use serde::Serialize;
 
-use super::{
-    GridOptions, MeshLayout, Storage,
-    build::{BOX_BYTES_PER_REFERENCE, PROGRAM_BYTES},
-    divide::LEAF_SIZE,
-    resolution::resolution,
-    tree::{CELLS_PER_BRICK, LEVELS},
-};
-use crate::{mesh::Mesh, traced::TracedMesh};
+use crate::{grid::{build::{BOX_BYTES_PER_REFERENCE, PROGRAM_BYTES}, traced::TracedMesh, tree::{divide::LEAF_SIZE, CELLS_PER_BRICK, LEVELS}, uniform::resolution::resolution, GridOptions, MeshLayout, Storage}, model::mesh::Mesh};
 
 /// The densities that are chosen among: one period, in the steps of the chart.
 const DENSITIES: [f64; 6] = [4.0, 8.0, 16.0, 32.0, 64.0, 128.0];
@@ -131,7 +124,7 @@ struct Survey<'a> {
 impl Choice {
     /// Looks at some of a mesh's triangles, and chooses the density if the options leave it open: in an even scene that of
     /// the fewest references, which is the fastest and nearly the smallest.
-    pub(super) fn new(mesh: &Mesh, options: &GridOptions) -> Self {
+    pub(crate) fn new(mesh: &Mesh, options: &GridOptions) -> Self {
         let survey = Survey::new(mesh);
         let asked = match options.storage {
             Storage::Masks => options.density,

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::{Grid, Structure};
+use crate::grid::{Grid, Structure};
 
 /// Sizes of a grid and its parts, the mesh not counted.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

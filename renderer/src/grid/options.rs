@@ -5,12 +5,12 @@ use std::{fmt, ops::RangeInclusive, str::FromStr};
 pub use shared::structure::Storage;
 use shared::structure::Structure;
 
-use super::budget::MemoryBudget;
+use crate::grid::budget::MemoryBudget;
 
 /// What a grid is built like. None of it changes a hit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridOptions {
-    /// The paper's ρ: cells per triangle. Without one it is chosen for the scene: see [`super::Choice`].
+    /// The paper's ρ: cells per triangle. Without one it is chosen for the scene: see [`crate::grid::Choice`].
     pub density: Option<f64>,
     /// How many sizes of macrocells a single ray may skip whole when they are empty.
     pub macrocell_levels: u8,

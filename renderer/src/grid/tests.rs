@@ -6,16 +6,12 @@ use glam::Vec3;
 use proptest::prelude::*;
 
 use super::{Grid, GridOptions, MeshLayout, Storage, Structure, build::PROGRAM_BYTES, overlap::DILATION, walk::Cells};
-use crate::{
-    mesh::Mesh,
-    ray::{Hit, Ray},
-    traced::TracedMesh,
-};
+use crate::{grid::traced::TracedMesh, intersect::ray::{Hit, Ray}, model::mesh::Mesh};
 
 /// What rounding may decide either way.
 const MARGIN: f64 = 1e-9;
 
-/// Where a ray hits a triangle: plane first, then the point against each edge. Independent of [`crate::triangle`].
+/// Where a ray hits a triangle: plane first, then the point against each edge. Independent of [`crate::intersect::triangle`].
 ///
 /// Second: how far the point is inside the nearest edge, relative to the triangle's size; around 0 rounding decides.
 fn intersect_in_f64(ray: &Ray, corners: [[f32; 3]; 3]) -> Option<(f64, f64)> {
@@ -213,7 +209,7 @@ fn check_cost(grid: &Grid) {
     let beside_it = grid.cost(&Ray { origin: towards.origin + Vec3::Y * 50.0, ..towards });
     assert!(onto_it.n_cells > 0 && onto_it.n_tests > 0, "{onto_it:?}");
     assert!(through_it.n_cells > onto_it.n_cells, "{through_it:?} {onto_it:?}");
-    assert_eq!(beside_it, super::RayCost::default());
+    assert_eq!(beside_it, crate::intersect::RayCost::default());
     let n_references = grid.figures().references;
     assert!((through_it.n_tests as usize) < n_references / 4, "{through_it:?} of {n_references}");
 }
@@ -254,7 +250,7 @@ fn triangles_of_every_size_and_place_are_found() {
 
 #[test]
 fn the_number_of_threads_changes_nothing() {
-    let mesh = crate::statue::generate(60_000, &|_| ());
+    let mesh = crate::model::statue::generate(60_000, &|_| ());
     let with_threads =
         |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap().install(|| build_modes(&mesh));
     let one = with_threads(1);
@@ -313,7 +309,7 @@ fn large_triangles_do_not_fill_memory() {
 
 #[test]
 fn a_grid_stays_within_its_memory_and_hits_the_same() {
-    let mesh = crate::statue::generate(60_000, &|_| ());
+    let mesh = crate::model::statue::generate(60_000, &|_| ());
     let bounds = mesh.bounds();
     let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh, false);
     let unlimited = build(&mesh);
@@ -345,7 +341,7 @@ fn a_grid_stays_within_its_memory_and_hits_the_same() {
 
 #[test]
 fn a_mesh_beyond_the_budget_gets_a_grid_and_a_line_that_says_so() {
-    let mesh = crate::statue::generate(500_000, &|_| ());
+    let mesh = crate::model::statue::generate(500_000, &|_| ());
     for storage in Storage::ALL {
         let memory_budget = "16M".parse().unwrap();
         let options = GridOptions { density: Some(32.0), storage, memory_budget, ..GridOptions::default() };

@@ -6,63 +6,59 @@
 
 use std::ops::Range;
 
-use super::{
-    Storage,
-    boxes::Boxes,
-    figures::GridFigures,
-    overlap,
-    walk::{Cells, List},
-};
+use boxes::Boxes;
+use overlap;
+use crate::{grid::{figures::GridFigures, Storage}, intersect::walk::{Cells, List}};
 
 /// Cells of the paper's resolution along a brick.
-pub(super) const CELLS_PER_BRICK: u32 = 32;
+pub(crate) const CELLS_PER_BRICK: u32 = 32;
 
 /// Levels of nodes in a brick at most. Integer coordinates count cells of the deepest level.
-pub(super) const LEVELS: u32 = 5;
+pub(crate) const LEVELS: u32 = 5;
 
 /// Finest cells along a brick.
-pub(super) const BRICK_SIZE: u32 = 1 << (2 * LEVELS);
+pub(crate) const BRICK_SIZE: u32 = 1 << (2 * LEVELS);
 
 /// Bricks, nodes and leaves, and the triangles of each leaf.
 #[derive(Debug, PartialEq)]
-pub(super) struct Tree {
+pub(crate) struct Tree {
     /// Bricks per axis.
-    pub(super) dims: [u32; 3],
+    pub(crate) dims: [u32; 3],
     /// Finest cells per axis up to the last that the mesh's bounds reach. The last bricks of a model of few end far beyond:
     /// packets that pass through nothing else would take a tenth of the time of the gears.
-    pub(super) extent: [u32; 3],
+    pub(crate) extent: [u32; 3],
     /// For each brick, x fastest: [`Tree::EMPTY`], or a leaf with [`Tree::LEAF`] set, or a node.
-    pub(super) bricks: Vec<u32>,
-    pub(super) nodes: Vec<Node>,
+    pub(crate) bricks: Vec<u32>,
+    pub(crate) nodes: Vec<Node>,
     /// Where each leaf's references begin; one more at the end.
-    pub(super) leaf_starts: Vec<u32>,
+    pub(crate) leaf_starts: Vec<u32>,
     /// Triangles by their place in the mesh, leaf after leaf.
-    pub(super) references: Vec<u32>,
+    pub(crate) references: Vec<u32>,
     /// Small bounds of the triangle of each reference.
-    pub(super) boxes: Boxes,
+    pub(crate) boxes: Boxes,
     /// The largest empty cube that a single ray may skip whole, log₂ in finest cells.
-    pub(super) largest_skip: u32,
+    pub(crate) largest_skip: u32,
 }
 
 /// A cube of 4×4×4 children, child (x, y, z) at bit 16·z + 4·y + x.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Node {
+pub(crate) struct Node {
     /// Children with triangles in them.
-    pub(super) occupied: u64,
+    pub(crate) occupied: u64,
     /// Those of them that are nodes again; the others are leaves.
-    pub(super) divided: u64,
+    pub(crate) divided: u64,
     /// The first divided child; the others follow in the order of their bits.
-    pub(super) first_node: u32,
+    pub(crate) first_node: u32,
     /// The first leaf; the others follow likewise.
-    pub(super) first_leaf: u32,
+    pub(crate) first_leaf: u32,
 }
 
 impl Tree {
-    pub(super) const EMPTY: u32 = u32::MAX;
-    pub(super) const LEAF: u32 = 1 << 31;
+    pub(crate) const EMPTY: u32 = u32::MAX;
+    pub(crate) const LEAF: u32 = 1 << 31;
 
     /// A tree without triangles.
-    pub(super) fn empty() -> Self {
+    pub(crate) fn empty() -> Self {
         Self {
             dims: [1; 3],
             extent: [BRICK_SIZE; 3],
@@ -83,13 +79,13 @@ impl Tree {
 
     /// Which references are those of a leaf.
     #[inline(always)]
-    pub(super) fn references_of(&self, leaf: u32) -> Range<usize> {
+    pub(crate) fn references_of(&self, leaf: u32) -> Range<usize> {
         let leaf = leaf as usize;
         self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize
     }
 
     /// What it is and takes, without mesh and density.
-    pub(super) fn figures(&self) -> GridFigures {
+    pub(crate) fn figures(&self) -> GridFigures {
         GridFigures {
             storage: Storage::Masks.name(),
             cells: self.dims.iter().map(|&n| u64::from(n * CELLS_PER_BRICK)).product(),
@@ -140,6 +136,6 @@ impl Cells for Tree {
 
 /// The largest empty cube that may be skipped whole, log₂ in finest cells: half a cell of the paper's without
 /// macrocells, and four times as much for each level of them.
-pub(super) fn largest_skip(macrocell_levels: u8) -> u32 {
+pub(crate) fn largest_skip(macrocell_levels: u8) -> u32 {
     2 * (LEVELS - 3) + 2 * u32::from(macrocell_levels)
 }

@@ -2,17 +2,13 @@
 
 use std::time::{Duration, Instant};
 
-use super::{
-    Storage,
-    figures::GridFigures,
-    macrocells::Macrocells,
-    row_displacement::{Occupied, RowDisplacement},
-    scatter::{self, Scatter},
-    walk::{Cells, List},
-};
+use macrocells::Macrocells;
+use row_displacement::Occupied;
+use row_displacement::RowDisplacement;
+use crate::{grid::{figures::GridFigures, tree::scatter::{self, Scatter}, Storage}, intersect::walk::{Cells, List}};
 
 /// Where the list of each cell stands.
-pub(super) trait CellIndex: Sync {
+pub(crate) trait CellIndex: Sync {
     /// How many lists there are.
     fn n_slots(&self) -> usize;
 
@@ -22,7 +18,7 @@ pub(super) trait CellIndex: Sync {
 
 /// Every cell has a list, and those of most are empty.
 #[derive(Debug, PartialEq)]
-pub(super) struct Plain {
+pub(crate) struct Plain {
     dims: [u32; 3],
 }
 
@@ -39,13 +35,13 @@ impl CellIndex for Plain {
 
 /// Lists of triangles, found by an index of cells.
 #[derive(Debug, PartialEq)]
-pub(super) struct UniformGrid<I> {
+pub(crate) struct UniformGrid<I> {
     dims: [u32; 3],
     index: I,
     /// Where each list begins; one more at the end.
     starts: Vec<u32>,
     /// Triangles by their place in the mesh, list after list.
-    pub(super) references: Vec<u32>,
+    pub(crate) references: Vec<u32>,
     macrocells: Macrocells,
 }
 
@@ -70,7 +66,7 @@ impl<I: CellIndex> Cells for UniformGrid<I> {
 
 impl UniformGrid<Plain> {
     /// Builds the grid, or `None` if it would take more than `most_bytes`.
-    pub(super) fn build(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<Self> {
+    pub(crate) fn build(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<Self> {
         let index = Plain { dims: scatter.dims };
         let mut grid = Self::fill(scatter, index, most_bytes)?;
         let [x_dim, y_dim, _] = grid.dims.map(|n| n as usize);
@@ -81,14 +77,14 @@ impl UniformGrid<Plain> {
     }
 
     /// What it is and takes, without mesh and density.
-    pub(super) fn figures(&self) -> GridFigures {
+    pub(crate) fn figures(&self) -> GridFigures {
         GridFigures { storage: Storage::Plain.name(), ..self.sizes() }
     }
 }
 
 impl UniformGrid<RowDisplacement> {
     /// Builds the grid, or `None` if it would take more than `most_bytes`. Second: how long the rows' places took to find.
-    pub(super) fn build(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<(Self, Duration)> {
+    pub(crate) fn build(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<(Self, Duration)> {
         let dims = scatter.dims;
         let left = most_bytes.checked_sub(RowDisplacement::predicted_bytes(dims))?;
         let occupied = Occupied::new(dims);
@@ -102,7 +98,7 @@ impl UniformGrid<RowDisplacement> {
     }
 
     /// What it is and takes, without mesh and density.
-    pub(super) fn figures(&self, placement: Duration) -> GridFigures {
+    pub(crate) fn figures(&self, placement: Duration) -> GridFigures {
         let [d_bytes, o_bytes] = self.index.n_bytes();
         let sizes = self.sizes();
         let displaced_bytes = d_bytes + o_bytes + sizes.list_bytes;

@@ -4,12 +4,7 @@ use glam::Vec3;
 use proptest::prelude::*;
 
 use super::{build, build_modes, in_file_order, point, soup};
-use crate::{
-    grid::{Grid, InstructionSet, MOST_PACKETS, MeshLayout, Packet, PacketScratch},
-    mesh::Mesh,
-    ray::Hit,
-    triangle,
-};
+use crate::{grid::{Grid, MeshLayout}, intersect::{ray::Hit, triangle, InstructionSet, MOST_PACKETS, Packet, PacketScratch}, model::mesh::Mesh};
 
 /// Checks that with every instruction set and in every mode packets, alone or together, and single rays hit the same, bit
 /// for bit: rays without end, and rays that begin or end where one of them hits, or a bit beside.
@@ -92,7 +87,7 @@ fn build_all(mesh: &Mesh) -> Vec<Grid> {
 
 /// Rays from a point through an 8×8 raster around another.
 #[expect(clippy::needless_range_loop, reason = "a lane indexes three arrays at once")]
-pub(super) fn raster(origin: Vec3, target: Vec3, spacing: f32, active: u64) -> Packet {
+pub(crate) fn raster(origin: Vec3, target: Vec3, spacing: f32, active: u64) -> Packet {
     let forward = target - origin;
     let right = forward.any_orthogonal_vector().normalize() * spacing;
     let up = right.cross(forward).normalize() * spacing;
@@ -158,7 +153,7 @@ proptest! {
 
 #[test]
 fn packets_hit_a_scan_from_near_and_far() {
-    let mesh = crate::statue::generate(60_000, &|_| ());
+    let mesh = crate::model::statue::generate(60_000, &|_| ());
     let grids = build_all(&mesh);
     let bounds = mesh.bounds();
     let (low, high) = (Vec3::from_array(bounds.min), Vec3::from_array(bounds.max));

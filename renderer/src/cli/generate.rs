@@ -1,0 +1,40 @@
+//! `renderer generate`: writes the built-in models as files.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::{Args, Subcommand};
+
+use crate::{cli::{progress::Progress, say}, model::{ply, statue}};
+
+/// What to generate.
+#[derive(Debug, Args)]
+pub struct GenerateArgs {
+    #[command(subcommand)]
+    model: Model,
+}
+
+#[derive(Debug, Subcommand)]
+enum Model {
+    /// The built-in statue, as a binary PLY file
+    Statue {
+        /// About how many triangles
+        #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES,
+            value_parser = clap::value_parser!(u32).range(i64::from(statue::FEWEST_TRIANGLES)..=i64::from(statue::MOST_TRIANGLES)))]
+        triangles: u32,
+        /// The file to write; it is replaced only when all is written
+        out: PathBuf,
+    },
+}
+
+/// Writes the file and says what is in it.
+pub fn run(args: &GenerateArgs) -> anyhow::Result<()> {
+    let Model::Statue { triangles, out } = &args.model;
+    let mesh = {
+        let progress = Progress::new(format!("generating {triangles} triangles"));
+        statue::generate(*triangles, &|fraction| progress.set(fraction))
+    };
+    ply::write(out, &mesh).with_context(|| format!("cannot write {}", out.display()))?;
+    say(format_args!("{}: {} vertices, {} triangles", out.display(), mesh.vertices.len(), mesh.triangles.len()))?;
+    Ok(())
+}

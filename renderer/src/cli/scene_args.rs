@@ -1,0 +1,125 @@
+//! How a scene is made ready, as it is said on the command lines of all programs that do so.
+
+use crate::{grid::{GridOptions, MemoryBudget, MeshLayout, Storage}, render::tracer::SceneOptions};
+
+/// How mesh and grid are kept. None of it changes a picture.
+#[derive(Clone, Copy, Debug, clap::Args)]
+#[command(next_help_heading = "The grid, which changes time and memory but no picture")]
+pub struct SceneArgs {
+    /// The paper's ρ: cells of the grid per triangle [default: chosen for the scene]
+    #[arg(long, value_name = "RHO", value_parser = density)]
+    density: Option<f64>,
+
+    /// How the grid is kept: plain or row-displacement, the paper's uniform grid, or masks, a tree divided where it holds
+    /// much
+    #[arg(long, value_name = "HOW", default_value_t = Storage::default())]
+    storage: Storage,
+
+    /// Sizes of empty macrocells that a single ray may skip
+    #[arg(long, value_name = "N", default_value_t = GridOptions::default().macrocell_levels, value_parser = macrocell_levels)]
+    macrocell_levels: u8,
+
+    /// How the mesh is kept: indexed, vertices once and three numbers for each triangle, or flat, three corners for each
+    #[arg(long, value_name = "HOW", default_value_t = MeshLayout::default())]
+    mesh: MeshLayout,
+
+    /// Memory that making a scene ready may take, as in 512M or 1.5G; where it is too little the grid is made coarser
+    #[arg(long, value_name = "SIZE", default_value_t = MemoryBudget::default())]
+    memory_budget: MemoryBudget,
+}
+
+impl SceneArgs {
+    /// What they ask for.
+    pub fn options(&self) -> SceneOptions {
+        let Self { density, storage, macrocell_levels, mesh, memory_budget } = *self;
+        SceneOptions { grid: GridOptions { density, macrocell_levels, storage, mesh, memory_budget } }
+    }
+
+    /// The same on another program's command line.
+    pub fn to_arguments(&self) -> Vec<String> {
+        let density = self.density.map(|density| format!("--density={density}"));
+        let others = [
+            format!("--storage={}", self.storage),
+            format!("--macrocell-levels={}", self.macrocell_levels),
+            format!("--mesh={}", self.mesh),
+            format!("--memory-budget={}", self.memory_budget),
+        ];
+        density.into_iter().chain(others).collect()
+    }
+}
+
+fn density(text: &str) -> Result<f64, String> {
+    let range = GridOptions::DENSITIES;
+    let density = text.parse().ok().filter(|density| range.contains(density));
+    density.ok_or_else(|| format!("the density must be from {} to {} cells per triangle", range.start(), range.end()))
+}
+
+fn macrocell_levels(text: &str) -> Result<u8, String> {
+    let range = GridOptions::MACROCELL_LEVELS;
+    let levels = text.parse().ok().filter(|levels| range.contains(levels));
+    levels.ok_or_else(|| format!("there are from {} to {} levels of macrocells", range.start(), range.end()))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::cli;
+
+    #[derive(Debug, Parser)]
+    struct Program {
+        #[command(flatten)]
+        scene: SceneArgs,
+    }
+
+    fn parse(arguments: &[&str]) -> Result<SceneArgs, clap::Error> {
+        cli::try_parse(["program"].iter().chain(arguments)).map(|program: Program| program.scene)
+    }
+
+    #[test]
+    fn nothing_asked_for_is_the_default() {
+        assert_eq!(parse(&[]).unwrap().options(), SceneOptions::default());
+    }
+
+    #[test]
+    fn arguments_survive_being_handed_on() {
+        let asked = [
+            "--density",
+            "0.1",
+            "--storage",
+            "row-displacement",
+            "--macrocell-levels",
+            "1",
+            "--mesh",
+            "flat",
+            "--memory-budget",
+            "0.123G",
+        ];
+        let options = parse(&asked).unwrap();
+        let handed_on = options.to_arguments();
+        let again = parse(&handed_on.iter().map(String::as_str).collect::<Vec<_>>()).unwrap();
+        assert_eq!(again.options(), options.options());
+        assert_ne!(again.options(), SceneOptions::default());
+    }
+
+    #[test]
+    fn what_is_out_of_range_is_told_the_range() {
+        for (arguments, told) in [
+            (["--density", "0"], "from 0.015625 to 4096 cells per triangle"),
+            (["--density", "NaN"], "from 0.015625 to 4096 cells per triangle"),
+            (["--density", "5000"], "from 0.015625 to 4096 cells per triangle"),
+            (["--macrocell-levels", "4"], "from 0 to 3 levels"),
+            (["--density", "-1"], "from 0.015625 to 4096 cells per triangle"),
+            (["--density", "much"], "from 0.015625 to 4096 cells per triangle"),
+            (["--macrocell-levels", "-1"], "from 0 to 3 levels"),
+            (["--memory-budget", "-1"], "from 16M to 1000G"),
+            (["--memory-budget", "1K"], "from 16M to 1000G"),
+            (["--mesh", "round"], "it is indexed or flat"),
+            (["--storage", "hash"], "it is plain, row-displacement or masks"),
+        ] {
+            let error = parse(&arguments).unwrap_err().to_string();
+            assert!(error.contains(told), "{arguments:?}: {error}");
+        }
+    }
+}

@@ -1,0 +1,317 @@
+//! Divides bricks into nodes and leaves, in parallel.
+//!
+//! The result does not depend on the number of threads: bricks are divided by rules that look at nothing but the brick,
+//! and put together in order.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
+
+use rayon::prelude::*;
+
+use crate::grid::tree::{overlap::{self, DILATION}, scatter::Scatter, BRICK_SIZE, LEVELS, Node, Tree};
+
+/// References that one task divides, and above which the children of one node are divided in parallel.
+const REFERENCES_PER_TASK: usize = 1 << 15;
+
+/// Cubes that hold no more than this are not divided: the boxes of 16 triangles are tested faster than one more leaf is
+/// found. Between 128 and 512 speed is flat; memory falls with it.
+pub(crate) const LEAF_SIZE: usize = 256;
+
+/// What all bricks are divided by.
+pub(crate) struct Builder<'a> {
+    scatter: Scatter<'a>,
+    /// References of all bricks, before they are divided.
+    n_in_bricks: u64,
+    /// What all leaves may hold in all.
+    most_references: u64,
+    /// Whether that is little for want of memory.
+    is_short: bool,
+    /// Whether a cube stays undivided because of that.
+    gave_up: AtomicBool,
+}
+
+impl<'a> Builder<'a> {
+    /// Bricks whose references, `n_in_bricks` of them, lie in `scatter`'s cubes, and whose leaves may hold
+    /// `most_references` in all; that `is_short` if there were more with more memory.
+    pub(crate) fn new(scatter: Scatter<'a>, n_in_bricks: usize, most_references: u64, is_short: bool) -> Self {
+        Self { scatter, n_in_bricks: n_in_bricks as u64, most_references, is_short, gave_up: AtomicBool::new(false) }
+    }
+
+    /// Whether a cube stayed undivided for want of memory.
+    pub(crate) fn gave_up(&self) -> bool {
+        self.gave_up.load(Relaxed)
+    }
+
+    /// Divides bricks with their references, brick after brick, each from its start on. Returns the bricks' entries in
+    /// the grid, and the grid.
+    pub(crate) fn divide(
+        &self,
+        starts: &[u32],
+        mut references: Vec<u32>,
+        progress: &(dyn Fn(f32) + Sync),
+    ) -> (Vec<u32>, Piece) {
+        let total = references.len();
+        let mut tasks = Vec::new();
+        let mut rest = &mut *references;
+        let mut first = 0;
+        for brick in 1..starts.len() {
+            let size = (starts[brick] - starts[first]) as usize;
+            if size >= REFERENCES_PER_TASK || brick + 1 == starts.len() {
+                let (these, others) = rest.split_at_mut(size);
+                tasks.push((first..brick, these));
+                (first, rest) = (brick, others);
+            }
+        }
+        let done = AtomicU64::new(0);
+        let pieces: Vec<_> = tasks
+            .into_par_iter()
+            .map(|(bricks, references)| {
+                let mut piece = Piece::default();
+                let base = starts[bricks.start] as usize;
+                let roots: Vec<u32> = bricks
+                    .map(|brick| {
+                        let range = starts[brick] as usize - base..starts[brick + 1] as usize - base;
+                        self.divide_brick(&mut piece, brick, &mut references[range])
+                    })
+                    .collect();
+                let done = done.fetch_add(references.len() as u64, Relaxed) + references.len() as u64;
+                progress(done as f32 / total as f32);
+                (roots, piece)
+            })
+            .collect();
+
+        let mut bricks = Vec::with_capacity(starts.len() - 1);
+        let mut whole = Piece::with_capacity(pieces.iter().map(|(_, piece)| piece));
+        let mut lists = Vec::with_capacity(pieces.len());
+        for (roots, piece) in pieces {
+            let offset = whole.append(&piece);
+            lists.push(piece.references);
+            bricks.extend(roots.into_iter().map(|root| match root {
+                Tree::EMPTY => Tree::EMPTY,
+                leaf if leaf & Tree::LEAF != 0 => leaf + offset.leaf,
+                node => node + offset.node,
+            }));
+        }
+        whole.references = concat(lists);
+        (bricks, whole)
+    }
+
+    /// Adds one brick to a piece of the grid; returns its entry there.
+    fn divide_brick(&self, piece: &mut Piece, brick: usize, references: &mut [u32]) -> u32 {
+        if references.is_empty() {
+            return Tree::EMPTY;
+        }
+        references.sort_unstable();
+        let [x_dim, y_dim, _] = self.scatter.dims.map(|n| n as usize);
+        let corner = [brick % x_dim, brick / x_dim % y_dim, brick / x_dim / y_dim].map(|b| b as u32 * BRICK_SIZE);
+        let share = references.len() as u128 * u128::from(self.most_references) / u128::from(self.n_in_bricks);
+        let cube = Cube { corner, level: 0, most_references: share as usize };
+        match self.plan(references, &cube) {
+            None => {
+                piece.push_leaf(references);
+                (piece.leaf_ends.len() as u32 - 1) | Tree::LEAF
+            }
+            Some(plan) => {
+                let root = piece.nodes.len();
+                piece.nodes.push(Node::default());
+                piece.nodes[root] = self.emit(piece, &cube, &plan);
+                root as u32
+            }
+        }
+    }
+
+    /// Distributes a cube's triangles among its children, if that pays.
+    fn plan(&self, references: &[u32], cube: &Cube) -> Option<Plan> {
+        if references.len() <= LEAF_SIZE || cube.level == LEVELS {
+            return None;
+        }
+        let scale = 1.0 / f64::from(cube.child_size());
+        let mut counts = [0u32; 64];
+        let mut masks = Vec::with_capacity(references.len());
+        for &triangle in references {
+            let corners = self.scatter.corners(triangle).expect("a rejected triangle is in no brick");
+            let mask = overlap::children(&overlap::corners_in(&corners, cube.corner, scale), DILATION * scale);
+            let mut left = mask;
+            while left != 0 {
+                counts[left.trailing_zeros() as usize] += 1;
+                left &= left - 1;
+            }
+            masks.push(mask);
+        }
+        let mut starts = [0; 65];
+        for child in 0..64 {
+            starts[child + 1] = starts[child] + counts[child];
+        }
+        // A ray through the cube meets a child with probability 1/16 on average (the ratio of their surfaces), so
+        // dividing saves tests only while the children hold less than 16 times as much; half of that pays the steps.
+        let total = starts[64] as usize;
+        if total >= 8 * references.len() {
+            return None;
+        }
+        if total > cube.most_references {
+            if self.is_short {
+                self.gave_up.store(true, Relaxed);
+            }
+            return None;
+        }
+        let mut next = starts;
+        let mut distributed = vec![0; total];
+        for (&triangle, &mask) in references.iter().zip(&masks) {
+            let mut left = mask;
+            while left != 0 {
+                let place = &mut next[left.trailing_zeros() as usize];
+                distributed[*place as usize] = triangle;
+                *place += 1;
+                left &= left - 1;
+            }
+        }
+        Some(Plan { starts, references: distributed })
+    }
+
+    /// Adds the children of a planned node to a piece; returns the node.
+    fn emit(&self, piece: &mut Piece, cube: &Cube, plan: &Plan) -> Node {
+        let children: Vec<_> = (0..64).filter(|&child| !plan.of(child).is_empty()).collect();
+        let plan_child = |&child: &u32| {
+            let child_cube = cube.child(child, plan);
+            let child_plan = self.plan(plan.of(child), &child_cube);
+            (child, child_cube, child_plan)
+        };
+        let parallel = plan.references.len() > REFERENCES_PER_TASK;
+        let planned: Vec<_> = if parallel {
+            children.par_iter().map(plan_child).collect()
+        } else {
+            children.iter().map(plan_child).collect()
+        };
+
+        let mut node =
+            Node { first_node: piece.nodes.len() as u32, first_leaf: piece.leaf_ends.len() as u32, ..Node::default() };
+        for (child, _, child_plan) in &planned {
+            node.occupied |= 1 << child;
+            match child_plan {
+                None => piece.push_leaf(plan.of(*child)),
+                Some(_) => {
+                    node.divided |= 1 << child;
+                    piece.nodes.push(Node::default());
+                }
+            }
+        }
+        let divided = planned.into_iter().filter_map(|(_, cube, plan)| Some((cube, plan?)));
+        if parallel {
+            let subtrees: Vec<_> = divided
+                .collect::<Vec<_>>()
+                .into_par_iter()
+                .map(|(cube, plan)| {
+                    let mut subtree = Piece::default();
+                    (self.emit(&mut subtree, &cube, &plan), subtree)
+                })
+                .collect();
+            for (index, (root, subtree)) in subtrees.into_iter().enumerate() {
+                let offset = piece.append(&subtree);
+                piece.references.extend(subtree.references);
+                piece.nodes[node.first_node as usize + index] = root.moved(&offset);
+            }
+        } else {
+            for (index, (cube, plan)) in divided.enumerate() {
+                piece.nodes[node.first_node as usize + index] = self.emit(piece, &cube, &plan);
+            }
+        }
+        node
+    }
+}
+
+/// The place of a node while it is built.
+struct Cube {
+    /// Its lowest corner, in finest cells.
+    corner: [u32; 3],
+    /// 0 for a brick.
+    level: u32,
+    /// What its leaves may hold in all.
+    most_references: usize,
+}
+
+impl Cube {
+    fn child_size(&self) -> u32 {
+        BRICK_SIZE >> (2 * (self.level + 1))
+    }
+
+    fn child(&self, child: u32, plan: &Plan) -> Self {
+        let place = overlap::place(child);
+        let share = plan.of(child).len() as u128 * self.most_references as u128 / plan.references.len() as u128;
+        Self {
+            corner: [0, 1, 2].map(|axis| self.corner[axis] + place[axis] * self.child_size()),
+            level: self.level + 1,
+            most_references: share as usize,
+        }
+    }
+}
+
+/// The triangles of a node's 64 children.
+struct Plan {
+    starts: [u32; 65],
+    references: Vec<u32>,
+}
+
+impl Plan {
+    fn of(&self, child: u32) -> &[u32] {
+        &self.references[self.starts[child as usize] as usize..self.starts[child as usize + 1] as usize]
+    }
+}
+
+/// A part of a grid, with numbers that count from its own beginning.
+#[derive(Default)]
+pub(crate) struct Piece {
+    pub(crate) nodes: Vec<Node>,
+    /// Where the references of each leaf end; they begin where the last leaf's end.
+    pub(crate) leaf_ends: Vec<u32>,
+    pub(crate) references: Vec<u32>,
+}
+
+/// Where one piece begins in another.
+struct Offset {
+    node: u32,
+    leaf: u32,
+}
+
+impl Piece {
+    /// Room for the nodes and the leaves of some pieces.
+    fn with_capacity<'a>(pieces: impl Iterator<Item = &'a Self> + Clone) -> Self {
+        Self {
+            nodes: Vec::with_capacity(pieces.clone().map(|piece| piece.nodes.len()).sum()),
+            leaf_ends: Vec::with_capacity(pieces.map(|piece| piece.leaf_ends.len()).sum()),
+            references: Vec::new(),
+        }
+    }
+
+    fn push_leaf(&mut self, references: &[u32]) {
+        self.references.extend_from_slice(references);
+        self.leaf_ends.push(self.references.len() as u32);
+    }
+
+    /// Takes another's nodes and leaves, whose references the caller adds.
+    fn append(&mut self, other: &Self) -> Offset {
+        let offset = Offset { node: self.nodes.len() as u32, leaf: self.leaf_ends.len() as u32 };
+        let base = self.leaf_ends.last().copied().unwrap_or(0);
+        self.nodes.extend(other.nodes.iter().map(|node| node.moved(&offset)));
+        self.leaf_ends.extend(other.leaf_ends.iter().map(|end| base + end));
+        offset
+    }
+}
+
+/// One list after the other. By all threads, for memory that is written for the first time is waited for.
+fn concat(lists: Vec<Vec<u32>>) -> Vec<u32> {
+    let mut all = vec![0; lists.iter().map(Vec::len).sum()];
+    let mut rest = &mut *all;
+    let mut copies = Vec::with_capacity(lists.len());
+    for list in lists {
+        let (part, others) = rest.split_at_mut(list.len());
+        copies.push((part, list));
+        rest = others;
+    }
+    copies.into_par_iter().for_each(|(part, list)| part.copy_from_slice(&list));
+    all
+}
+
+impl Node {
+    fn moved(self, offset: &Offset) -> Self {
+        Self { first_node: self.first_node + offset.node, first_leaf: self.first_leaf + offset.leaf, ..self }
+    }
+}

@@ -1,0 +1,125 @@
+//! Puts triangles into equal cubes: into lists, one for each cube that has one, in parallel over the triangles.
+
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::{grid::{tree::overlap::{self, DILATION}, uniform::resolution::CellSpace}, model::mesh::Mesh};
+
+/// Triangles that one task takes.
+const TRIANGLES_PER_TASK: usize = 1 << 14;
+
+/// Pairs of triangle and cube that a task finds before it tells the others.
+const PAIRS_PER_REPORT: u64 = 1 << 12;
+
+/// A mesh and the cubes over it.
+pub(crate) struct Scatter<'a> {
+    pub(crate) mesh: &'a Mesh,
+    pub(crate) space: CellSpace,
+    /// The side of a cube, in finest cells.
+    pub(crate) cube_size: u32,
+    /// Cubes per axis.
+    pub(crate) dims: [u32; 3],
+}
+
+impl Scatter<'_> {
+    /// The corners of a triangle in finest cells, or `None` if it was rejected or two of its corners are one point.
+    ///
+    /// No ray hits the latter, and a polygon can have millions of these in one place, where nothing would tell them apart.
+    #[inline]
+    pub(crate) fn corners(&self, triangle: u32) -> Option<[DVec3; 3]> {
+        let [a, b, c] = self.mesh.corners(triangle as usize)?;
+        if a == b || b == c || c == a {
+            return None;
+        }
+        let point = |corner| self.space.point(Vec3::from_array(corner).as_dvec3());
+        Some([point(a), point(b), point(c)])
+    }
+
+    /// Calls `visit` with the cube and the triangle of every pair that touches, in parallel and in any order.
+    /// Returns how many there are, or `None`, having stopped early, if there are more than `most`.
+    pub(crate) fn for_each(&self, most: u64, visit: impl Fn([u32; 3], u32) + Sync) -> Option<u64> {
+        let n_triangles = self.mesh.triangles.len();
+        let scale = 1.0 / f64::from(self.cube_size);
+        let total = AtomicU64::new(0);
+        let all = (0..n_triangles.div_ceil(TRIANGLES_PER_TASK)).into_par_iter().all(|task| {
+            let end = ((task + 1) * TRIANGLES_PER_TASK).min(n_triangles);
+            let mut n_pairs = 0;
+            for triangle in (task * TRIANGLES_PER_TASK) as u32..end as u32 {
+                let Some(corners) = self.corners(triangle) else { continue };
+                overlap::for_each_cube(
+                    &overlap::corners_in(&corners, [0; 3], scale),
+                    DILATION * scale,
+                    self.dims,
+                    |cube| {
+                        n_pairs += 1;
+                        visit(cube, triangle);
+                    },
+                );
+                if n_pairs > PAIRS_PER_REPORT {
+                    if total.fetch_add(n_pairs, Relaxed) > most {
+                        return false;
+                    }
+                    n_pairs = 0;
+                }
+            }
+            total.fetch_add(n_pairs, Relaxed) <= most
+        });
+        let total = total.into_inner();
+        (all && total <= most).then_some(total)
+    }
+
+    /// How many triangles each list will hold, at the place after the list's own; `None` if there are more than `most`
+    /// in all.
+    pub(crate) fn count(
+        &self,
+        n_lists: usize,
+        most: u64,
+        list: impl Fn([u32; 3]) -> usize + Sync,
+    ) -> Option<Vec<AtomicU32>> {
+        let counts: Vec<_> = (0..=n_lists).into_par_iter().map(|_| AtomicU32::new(0)).collect();
+        self.for_each(most, |cube, _| {
+            counts[list(cube) + 1].fetch_add(1, Relaxed);
+        })?;
+        Some(counts)
+    }
+
+    /// The lists whose sizes were counted: where each begins, with one more at the end, and what they hold.
+    /// The order within a list is left to chance.
+    pub(crate) fn fill(&self, counts: Vec<AtomicU32>, list: impl Fn([u32; 3]) -> usize + Sync) -> (Vec<u32>, Vec<u32>) {
+        let mut total = 0;
+        for count in &counts[1..] {
+            total += count.swap(total, Relaxed);
+        }
+        // Each list's beginning moves to its end while it is filled, and that is where the next one begins.
+        let ends = counts;
+        // By all threads, for memory that is written for the first time is waited for.
+        let filled: Vec<_> = (0..total).into_par_iter().map(|_| AtomicU32::new(0)).collect();
+        self.for_each(u64::MAX, |cube, triangle| {
+            filled[ends[list(cube) + 1].fetch_add(1, Relaxed) as usize].store(triangle, Relaxed);
+        });
+        let plain = |atomics: Vec<AtomicU32>| atomics.into_iter().map(AtomicU32::into_inner).collect();
+        (plain(ends), plain(filled))
+    }
+}
+
+/// Lists that one task sorts.
+const LISTS_PER_TASK: usize = 1 << 14;
+
+/// Brings each list into ascending order.
+pub(crate) fn sort_lists(starts: &[u32], references: &mut [u32]) {
+    let mut tasks = Vec::new();
+    let mut rest = references;
+    for first in (0..starts.len() - 1).step_by(LISTS_PER_TASK) {
+        let starts = &starts[first..starts.len().min(first + LISTS_PER_TASK + 1)];
+        let (these, others) = rest.split_at_mut((starts[starts.len() - 1] - starts[0]) as usize);
+        tasks.push((starts, these));
+        rest = others;
+    }
+    tasks.into_par_iter().for_each(|(starts, references)| {
+        for bounds in starts.windows(2) {
+            references[(bounds[0] - starts[0]) as usize..(bounds[1] - starts[0]) as usize].sort_unstable();
+        }
+    });
+}

@@ -1,0 +1,271 @@
+//! Rays in a scene that a plane cuts open.
+//!
+//! What lies beyond the plane is not there for any ray, from the eye or from the light: a ray keeps the part of its way
+//! that lies on the other side, from where it passes the plane or up to there.
+//!
+//! Packets have one range of t for all rays, so they take the widest; a ray whose hit lies outside of its own range, or
+//! on its end, goes on alone. A hit well inside is its answer: what is nearest within more is nearest within less.
+
+use shared::look::ClipPlane;
+
+use crate::{grid::Grid, intersect::{ray::{Hit, Ray}, Packet, PacketScratch}};
+
+/// The part of a ray that a plane keeps, if any; without a plane all of it.
+///
+/// Where the ray passes the plane is found in `f64` and rounded once, a step beyond it, so that what lies in the plane is
+/// kept everywhere: the same bits for a ray that is followed alone and in any packet.
+pub fn kept(clip: Option<&ClipPlane>, ray: Ray) -> Option<Ray> {
+    let Some(ClipPlane { normal, offset }) = clip else { return Some(ray) };
+    let room = offset - normal.dot(ray.origin.as_dvec3());
+    let slope = normal.dot(ray.direction.as_dvec3());
+    if slope == 0.0 {
+        return (room >= 0.0).then_some(ray);
+    }
+    let t = (room / slope) as f32;
+    let ray = if slope > 0.0 {
+        Ray { t_max: ray.t_max.min(t.next_up()), ..ray }
+    } else {
+        Ray { t_min: ray.t_min.max(t.next_down()), ..ray }
+    };
+    (ray.t_min <= ray.t_max).then_some(ray)
+}
+
+/// The nearest triangle along what a plane keeps of a ray.
+pub fn intersect(grid: &Grid, clip: Option<&ClipPlane>, ray: Ray) -> Hit {
+    kept(clip, ray).map_or(Hit::MISS, |ray| grid.intersect(&ray))
+}
+
+/// Whether what a plane keeps of a ray hits any triangle.
+pub fn occluded(grid: &Grid, clip: Option<&ClipPlane>, ray: Ray) -> bool {
+    kept(clip, ray).is_some_and(|ray| grid.occluded(&ray))
+}
+
+/// [`Grid::intersect_packets`] on what a plane keeps of each ray. Of packets that any hit will do for, a hit's t is some
+/// hit's or 0.
+pub fn intersect_packets(
+    grid: &Grid,
+    clip: Option<&ClipPlane>,
+    packets: &[Packet],
+    scratch: &mut PacketScratch,
+    hits: &mut [[Hit; 64]],
+) {
+    if clip.is_none() {
+        return grid.intersect_packets(packets, scratch, hits);
+    }
+    for (packet, hits) in packets.iter().zip(hits) {
+        *hits = intersect_packet(grid, clip, packet, scratch);
+    }
+}
+
+fn intersect_packet(grid: &Grid, clip: Option<&ClipPlane>, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
+    let mut rays = [None; 64];
+    let mut widest = Packet { active: 0, t_min: f32::INFINITY, t_max: f32::NEG_INFINITY, ..*packet };
+    for (lane, ray) in rays.iter_mut().enumerate().filter(|(lane, _)| packet.active >> lane & 1 == 1) {
+        *ray = kept(clip, packet.ray(lane));
+        if let Some(Ray { t_min, t_max, .. }) = *ray {
+            widest.active |= 1 << lane;
+            (widest.t_min, widest.t_max) = (widest.t_min.min(t_min), widest.t_max.max(t_max));
+        }
+    }
+    if widest.active == 0 {
+        return [Hit::MISS; 64];
+    }
+    let mut hits = grid.intersect_packet(&widest, scratch);
+    for (hit, ray) in hits.iter_mut().zip(rays) {
+        let Some(ray) = ray else {
+            *hit = Hit::MISS;
+            continue;
+        };
+        let is_within = ray.t_min < hit.t && hit.t < ray.t_max;
+        if hit.is_miss() || is_within {
+            continue;
+        }
+        *hit = match packet.any_hit {
+            // Rounding keeps order: a t that is beyond the end when rounded is beyond it.
+            false if hit.t > ray.t_max => Hit::MISS,
+            false => grid.intersect(&ray),
+            true if grid.occluded(&ray) => Hit { t: 0.0, ..*hit },
+            true => Hit::MISS,
+        };
+    }
+    hits
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec3, Vec3};
+    use shared::{
+        camera::Camera,
+        division::FrameSize,
+        look::{Clip, ClipFrom},
+    };
+
+    use super::*;
+    use crate::{
+        grid::{GridOptions, InstructionSet, Storage},
+        mesh::Mesh,
+        statue,
+        tracer::{Scene, SceneOptions},
+    };
+
+    fn scene(mesh: &Mesh, storage: Storage, instructions: InstructionSet) -> Scene {
+        let options = SceneOptions { grid: GridOptions { storage, ..GridOptions::default() } };
+        let grid = Scene::build(mesh.clone(), &options, &|_| ()).into_grid();
+        Scene::of_grid(grid.with_instructions(instructions))
+    }
+
+    /// The packets of a frame.
+    fn packets(camera: &Camera, size: FrameSize) -> Vec<Packet> {
+        let rays = camera.rays(size);
+        let tiles = (0..size.yres() / 8).flat_map(|row| (0..size.xres() / 8).map(move |column| (column, row)));
+        let packet = |(column, row): (u32, u32)| {
+            let mut directions = [[0.0; 64]; 3];
+            for lane in 0..64 {
+                let direction = rays.direction(8 * column + lane % 8, 8 * row + lane / 8);
+                (0..3).for_each(|axis| directions[axis][lane as usize] = direction[axis]);
+            }
+            Packet { origin: rays.eye, directions, active: u64::MAX, t_min: 0.0, t_max: f32::MAX, any_hit: false }
+        };
+        tiles.map(packet).collect()
+    }
+
+    /// Asserts that packets answer as single rays do; returns each ray with what it hits, by its number in the file.
+    fn check(scene: &Scene, plane: &ClipPlane, packets: &[Packet]) -> Vec<(Ray, Hit)> {
+        let (grid, clip, mut scratch) = (scene.grid(), Some(plane), PacketScratch::default());
+        let mut answers = Vec::new();
+        for packet in packets {
+            let hits = intersect_packet(grid, clip, packet, &mut scratch);
+            let any = intersect_packet(grid, clip, &Packet { any_hit: true, ..*packet }, &mut scratch);
+            for lane in 0..64 {
+                let ray = packet.ray(lane);
+                assert_eq!(hits[lane], intersect(grid, clip, ray), "{ray:?} {plane:?}");
+                assert_eq!(!any[lane].is_miss(), occluded(grid, clip, ray), "{ray:?} {plane:?}");
+                answers.push((ray, scene.in_file_order(hits[lane])));
+            }
+        }
+        answers
+    }
+
+    /// What a ray hits first on the plane's side, by trying all triangles in `f64`: the triangle, t, and whether that is
+    /// beyond doubt.
+    fn search(mesh: &Mesh, plane: &ClipPlane, ray: &Ray) -> (Option<(u32, f64)>, bool) {
+        let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
+        let (mut nearest, mut doubtful) = (None, f64::INFINITY);
+        for triangle in 0..mesh.triangles.len() {
+            let Some([a, b, c]) = mesh.corners(triangle).map(|corners| corners.map(|p| Vec3::from_array(p).as_dvec3()))
+            else {
+                continue;
+            };
+            let (edge_ab, edge_ac, to_origin) = (b - a, c - a, origin - a);
+            let p = direction.cross(edge_ac);
+            let determinant = edge_ab.dot(p);
+            let q = to_origin.cross(edge_ab);
+            let (u, v) = (to_origin.dot(p) / determinant, direction.dot(q) / determinant);
+            let (t, inside) = (edge_ac.dot(q) / determinant, u.min(v).min(1.0 - u - v));
+            let room = plane.offset - plane.normal.dot(origin + direction * t);
+            if !(t.is_finite() && t >= 0.0 && inside >= -1e-7 && room >= -1e-6) {
+                continue;
+            }
+            if inside < 1e-7 || room < 1e-6 {
+                doubtful = doubtful.min(t);
+            } else if nearest.is_none_or(|(_, before)| t < before) {
+                nearest = Some((triangle as u32, t));
+            }
+        }
+        let is_doubtful = doubtful.is_finite() && nearest.is_none_or(|(_, t)| doubtful <= t);
+        (nearest, !is_doubtful)
+    }
+
+    #[test]
+    fn rays_hit_what_a_search_of_the_kept_triangles_finds() {
+        let mesh = statue::generate(1500, &|_| ());
+        let size = FrameSize::new(32, 16).unwrap();
+        let (mut n_hits, mut n_inner, mut n_doubtful) = (0, 0, 0);
+        let best = scene(&mesh, Storage::Masks, InstructionSet::best());
+        let eyes = [DVec3::new(0.6, 1.5, 2.5), DVec3::new(-2.0, 0.4, -0.3), DVec3::new(0.05, 0.9, 0.02)];
+        for (eye, (index, from)) in
+            eyes.into_iter().flat_map(|eye| ClipFrom::ALL.into_iter().enumerate().map(move |from| (eye, from)))
+        {
+            let camera = Camera::look_at(eye, DVec3::new(0.0, 0.8, 0.1), DVec3::Y, 0.8, 2.0).unwrap();
+            let clip = Clip::new(from, 380 + 40 * index as u16).unwrap();
+            let plane = best.clip_plane(&camera, Some(clip)).unwrap();
+            for (ray, hit) in check(&best, &plane, &packets(&camera, size)) {
+                let (expected, is_certain) = search(&mesh, &plane, &ray);
+                let whole = best.grid().intersect(&ray);
+                n_doubtful += u32::from(!is_certain);
+                n_hits += u32::from(!hit.is_miss());
+                n_inner += u32::from(!hit.is_miss() && hit.t > whole.t);
+                if is_certain {
+                    assert_eq!(
+                        expected.map(|(triangle, _)| triangle),
+                        (!hit.is_miss()).then_some(hit.triangle),
+                        "{clip} {ray:?}"
+                    );
+                    assert!(expected.is_none_or(|(_, t)| (t - f64::from(hit.t)).abs() < 1e-6 * t), "{clip} {ray:?}");
+                }
+            }
+        }
+        assert!(n_hits > 1000 && n_inner > 300 && n_doubtful < 30, "{n_hits} {n_inner} {n_doubtful}");
+    }
+
+    #[test]
+    fn every_structure_and_instruction_set_cuts_the_same() {
+        let mesh = statue::generate(4000, &|_| ());
+        let camera = Camera::look_at(DVec3::new(0.6, 1.5, 2.5), DVec3::Y * 0.9, DVec3::Y, 0.6, 2.0).unwrap();
+        let packets = packets(&camera, FrameSize::new(64, 32).unwrap());
+        let scenes: Vec<_> = InstructionSet::available()
+            .into_iter()
+            .map(|instructions| (Storage::Masks, instructions))
+            .chain([(Storage::Plain, InstructionSet::best()), (Storage::RowDisplacement, InstructionSet::Plain)])
+            .map(|(storage, instructions)| scene(&mesh, storage, instructions))
+            .collect();
+        for from in ClipFrom::ALL {
+            let answers = scenes.iter().map(|scene| {
+                let plane = scene.clip_plane(&camera, Some(Clip::new(from, 450).unwrap())).unwrap();
+                check(scene, &plane, &packets)
+            });
+            let answers: Vec<_> = answers.collect();
+            assert!(answers.iter().all(|other| *other == answers[0]), "{from:?}");
+        }
+    }
+
+    #[test]
+    fn what_lies_in_the_plane_is_kept() {
+        // Two sheets that span the bounds, and one half way, where the cut is.
+        let sheet = |z: f32| [[-1.0, -1.0, z], [1.0, -1.0, z], [1.0, 1.0, z], [-1.0, 1.0, z]];
+        let mesh = Mesh {
+            vertices: [sheet(-1.0), sheet(0.0), sheet(1.0)].concat(),
+            triangles: (0..3).flat_map(|n| [[4 * n, 4 * n + 1, 4 * n + 2], [4 * n, 4 * n + 2, 4 * n + 3]]).collect(),
+            ..Mesh::default()
+        };
+        let scene = scene(&mesh, Storage::Masks, InstructionSet::best());
+        for (clip, eye_z, expected) in [
+            ("z:50", 3.0, 1),
+            ("z:50", -3.0, 0),
+            ("-z:50", -3.0, 1),
+            ("z:0", 3.0, 2),
+            ("-z:50", 3.0, 2),
+            ("z:51", 3.0, 0),
+        ] {
+            let camera = Camera::look_at(DVec3::new(0.3, 0.2, eye_z), DVec3::ZERO, DVec3::Y, 0.2, 2.0).unwrap();
+            let plane = scene.clip_plane(&camera, Some(clip.parse().unwrap())).unwrap();
+            for (ray, hit) in check(&scene, &plane, &packets(&camera, FrameSize::new(64, 32).unwrap())) {
+                assert_eq!(hit.triangle / 2, expected, "{clip} {eye_z} {ray:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn rays_that_are_none_end_as_they_do_without_a_plane() {
+        let plane = ClipPlane { normal: DVec3::X, offset: 0.5 };
+        let kept = |origin: f32, direction: f32| kept(Some(&plane), Ray::new(Vec3::splat(origin), Vec3::X * direction));
+        assert_eq!((kept(0.0, 0.0).map(|ray| ray.t_max), kept(1.0, 0.0)), (Some(f32::MAX), None), "along the plane");
+        assert_eq!(kept(1.0, 1.0), None, "all beyond it");
+        assert_eq!(kept(0.0, -1.0).map(|ray| (ray.t_min, ray.t_max)), Some((0.0, f32::MAX)), "all before it");
+        for odd in [f32::NAN, f32::INFINITY, -f32::INFINITY, f32::MAX, 1e-45] {
+            for ray in [kept(odd, 1.0), kept(0.0, odd), kept(odd, odd)].into_iter().flatten() {
+                assert!(!ray.t_min.is_nan() && !ray.t_max.is_nan(), "{odd}: {ray:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,93 @@
+//! The parts of packets' way that are compiled once for each instruction set, whoever calls them.
+
+use crate::{grid::{tree::Tree, Grid}, intersect::{packet::{cull::Culler, ray_set::RaySet, Leaf, Packet, Scratch}, ray::Hit, simd::{Avx2, Avx512, Plain, Simd}}};
+#[cfg(target_arch = "x86_64")]
+
+/// An instruction set with these parts compiled for it.
+pub(crate) trait Kernel: Simd {
+    /// [`Grid::march`].
+    fn march<const N: usize>(
+        grid: &Grid,
+        tree: &Tree,
+        packets: [&Packet; N],
+        active: RaySet<N>,
+        scratch: &mut Scratch<N>,
+        hits: &mut [[Hit; 64]; N],
+    ) -> bool;
+    /// [`Tree::test_leaves`].
+    fn test_leaves<const N: usize>(
+        tree: &Tree,
+        culler: &mut Culler<'_, N>,
+        origin: &[f64; 3],
+        leaves: &mut Vec<Leaf<N>>,
+    );
+    /// [`Culler::test_waiting`].
+    fn test<const N: usize>(culler: &mut Culler<'_, N>);
+}
+
+/// Has an instruction set's functions compiled with these features. One is used only where they were found.
+macro_rules! kernel {
+    ($set:ident $(, $features:literal)?) => {
+        impl Kernel for $set {
+            #[inline(always)]
+            fn march<const N: usize>(
+                grid: &Grid,
+                tree: &Tree,
+                packets: [&Packet; N],
+                active: RaySet<N>,
+                scratch: &mut Scratch<N>,
+                hits: &mut [[Hit; 64]; N],
+            ) -> bool {
+                $(#[target_feature(enable = $features)])?
+                unsafe fn march<const N: usize>(
+                    grid: &Grid,
+                    tree: &Tree,
+                    packets: [&Packet; N],
+                    active: RaySet<N>,
+                    scratch: &mut Scratch<N>,
+                    hits: &mut [[Hit; 64]; N],
+                ) -> bool {
+                    grid.march::<$set, N>(tree, packets, active, scratch, hits)
+                }
+                // SAFETY: a grid holds only what `InstructionSet::available` has found.
+                unsafe { march(grid, tree, packets, active, scratch, hits) }
+            }
+
+            #[inline(always)]
+            fn test_leaves<const N: usize>(
+                tree: &Tree,
+                culler: &mut Culler<'_, N>,
+                origin: &[f64; 3],
+                leaves: &mut Vec<Leaf<N>>,
+            ) {
+                $(#[target_feature(enable = $features)])?
+                unsafe fn test_leaves<const N: usize>(
+                    tree: &Tree,
+                    culler: &mut Culler<'_, N>,
+                    origin: &[f64; 3],
+                    leaves: &mut Vec<Leaf<N>>,
+                ) {
+                    tree.test_leaves::<$set, N>(culler, origin, leaves);
+                }
+                // SAFETY: as above.
+                unsafe { test_leaves(tree, culler, origin, leaves) }
+            }
+
+            #[inline(always)]
+            fn test<const N: usize>(culler: &mut Culler<'_, N>) {
+                $(#[target_feature(enable = $features)])?
+                unsafe fn test<const N: usize>(culler: &mut Culler<'_, N>) {
+                    culler.test_waiting::<$set>();
+                }
+                // SAFETY: as above.
+                unsafe { test(culler) }
+            }
+        }
+    };
+}
+
+kernel!(Plain);
+#[cfg(target_arch = "x86_64")]
+kernel!(Avx2, "avx2,fma,bmi1,bmi2,popcnt,lzcnt");
+#[cfg(target_arch = "x86_64")]
+kernel!(Avx512, "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt");

@@ -1,0 +1,190 @@
+//! Triangles, one in each lane of a vector, made ready for many rays with a common origin.
+
+use crate::{grid::traced::TracedMesh, intersect::simd::Simd};
+
+/// What single precision can lose, relative: four roundings of 2⁻²⁴ in a corner's slope and two in a ray's, and ten to
+/// spare.
+pub(crate) const SLOPE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
+
+/// The same for the sides of edges, relative to the sum of absolute products: nine roundings, and seven to spare.
+pub(crate) const SIDE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
+
+/// The same for a triangle's plane, relative to products of sides that are half as large at least: eleven roundings, trebled,
+/// so that what is small against it can be inverted.
+const PLANE_MARGIN: f32 = 1.0 / (1u32 << 18) as f32;
+
+/// More than the absolute error where products leave the range of normal numbers.
+pub(crate) const UNDERFLOW_MARGIN: f32 = 1e-36;
+
+/// What the rays of a packet have in common.
+pub(crate) struct Bundle {
+    /// Where they begin, in world space.
+    pub(crate) origin: [f32; 3],
+    /// The major axis and the two others.
+    pub(crate) axes: [usize; 3],
+    /// The sign of all directions along the major axis.
+    pub(crate) sign: f32,
+    /// Bounds of the slopes of all rays without a final answer: least and largest u, least and largest v.
+    pub(crate) slopes: [f32; 4],
+    /// The largest absolute components of all directions, of length 1 along the major axis, along `axes`.
+    pub(crate) reach: [f32; 3],
+    /// How far the slopes u and v of a group's rays are at most from the middle of their bounds.
+    pub(crate) group_reach: [f32; 2],
+}
+
+/// Triangles made ready for the rays, one in each lane.
+#[derive(Default)]
+#[repr(align(64))]
+pub(crate) struct Prepared {
+    /// Their places in the mesh.
+    pub(crate) places: [u32; 16],
+    /// Normals of the planes through the origin and the three edges, along the bundle's axes and its way: the product
+    /// with the direction of a ray that hits the triangle before it is positive.
+    pub(crate) sides: [[[f32; 16]; 3]; 3],
+    /// What may be wrong with these products.
+    pub(crate) side_margin: [f32; 16],
+    /// What the products with rays of a group are at most, less what slopes of their middle add.
+    pub(crate) group_sides: [[f32; 16]; 3],
+    /// The normal of the triangle's plane, likewise, over the plane's distance: the product with a direction of length 1
+    /// along the major axis is the inverse depth.
+    pub(crate) plane: [[f32; 16]; 3],
+    /// What may be wrong with inverse depths, relative and absolute.
+    pub(crate) plane_margins: [[f32; 16]; 2],
+    /// Bounds of the slopes.
+    pub(crate) u: [[f32; 16]; 2],
+    pub(crate) v: [[f32; 16]; 2],
+    /// The inverse of the least depth along the major axis.
+    pub(crate) inverse_depth: [f32; 16],
+}
+
+impl Prepared {
+    /// Reads the triangles at `places`, and makes them ready; returns a bit for each that some ray of the bundle may hit.
+    /// The others are not ready.
+    #[inline(always)]
+    pub(crate) fn prepare<S: Simd>(&mut self, mesh: &TracedMesh, bundle: &Bundle) -> u32 {
+        let [k, u, v] = bundle.axes;
+        let corners = mesh.corners_in_lanes::<S>(&self.places);
+        let mut from_origin = corners;
+        for corner in 0..3 {
+            for axis in 0..3 {
+                from_origin[corner][axis] = corners[corner][axis].sub(S::splat(bundle.origin[axis]));
+            }
+        }
+        let zero = S::splat(0.0);
+        let [a, b, c] = &from_origin;
+
+        // Bounds in slopes and depth.
+        let sign = S::splat(bundle.sign);
+        let depths = [a[k].mul(sign), b[k].mul(sign), c[k].mul(sign)];
+        let nearest = depths[0].min(depths[1]).min(depths[2]);
+        let farthest = depths[0].max(depths[1]).max(depths[2]);
+        let one = S::splat(1.0);
+        let inverse = [one.div(depths[0]), one.div(depths[1]), one.div(depths[2])];
+        let nearest_inverse = inverse[0].max(inverse[1]).max(inverse[2]);
+        let u_bounds = slope_bounds([a[u], b[u], c[u]], inverse);
+        let v_bounds = slope_bounds([a[v], b[v], c[v]], inverse);
+        // Triangles that reach behind the origin have no such bounds.
+        let unbounded = nearest.below(S::splat(1e-30));
+        let [u_low, u_high, v_low, v_high] = bundle.slopes;
+        let within = u_bounds[0].up_to(S::splat(u_high))
+            & S::splat(u_low).up_to(u_bounds[1])
+            & v_bounds[0].up_to(S::splat(v_high))
+            & S::splat(v_low).up_to(v_bounds[1]);
+        let left = (within | unbounded) & zero.up_to(farthest);
+        if left == 0 {
+            return 0;
+        }
+        u_bounds[0].store(&mut self.u[0]);
+        u_bounds[1].store(&mut self.u[1]);
+        v_bounds[0].store(&mut self.v[0]);
+        v_bounds[1].store(&mut self.v[1]);
+        nearest_inverse.mul(S::splat(1.0 + SLOPE_MARGIN)).store(&mut self.inverse_depth);
+        let mut without_bounds = left & unbounded;
+        while without_bounds != 0 {
+            let lane = without_bounds.trailing_zeros() as usize;
+            without_bounds &= without_bounds - 1;
+            for bounds in [&mut self.u, &mut self.v] {
+                bounds[0][lane] = f32::NEG_INFINITY;
+                bounds[1][lane] = f32::INFINITY;
+            }
+            self.inverse_depth[lane] = f32::INFINITY;
+        }
+
+        // The planes through the origin and the edges: p × (q − p) for the edge from p to q.
+        let mut sides = [[zero; 3]; 3];
+        let mut edges = [[zero; 3]; 3];
+        let mut reach_of_corners = [zero; 3];
+        let mut reach_of_edges = [zero; 3];
+        for edge in 0..3 {
+            let mut p = [zero; 3];
+            for place in 0..3 {
+                let axis = bundle.axes[place];
+                p[place] = from_origin[edge][axis];
+                edges[edge][place] = corners[(edge + 1) % 3][axis].sub(corners[edge][axis]);
+                reach_of_corners[place] = reach_of_corners[place].max(p[place].abs());
+                reach_of_edges[place] = reach_of_edges[place].max(edges[edge][place].abs());
+            }
+            sides[edge] = cross(p, edges[edge]);
+        }
+        let normal = cross(edges[0], edges[1]);
+        let offset = normal[0].mul_add(a[k], normal[1].mul_add(a[u], normal[2].mul(a[v])));
+
+        // What rounding can do, from the largest components.
+        let (mut of_sides, mut of_normal, mut of_offset, mut underflow) = (zero, zero, zero, one);
+        for place in 0..3 {
+            let (next, last) = ((place + 1) % 3, (place + 2) % 3);
+            let reach = S::splat(bundle.reach[place]);
+            let (next_corner, last_corner) = (reach_of_corners[next], reach_of_corners[last]);
+            let side = next_corner.mul_add(reach_of_edges[last], last_corner.mul(reach_of_edges[next]));
+            let area = reach_of_edges[next].mul(reach_of_edges[last]);
+            of_sides = side.mul_add(reach, of_sides);
+            of_normal = area.mul_add(reach, of_normal);
+            of_offset = area.mul_add(reach_of_corners[place], of_offset);
+            underflow = underflow.add(reach).add(reach_of_corners[place]);
+        }
+        let underflow = underflow.mul(S::splat(UNDERFLOW_MARGIN));
+        let side_margin = of_sides.mul_add(S::splat(SIDE_MARGIN), underflow);
+        let normal_margin = of_normal.mul_add(S::splat(PLANE_MARGIN), underflow);
+        let offset_margin = of_offset.mul_add(S::splat(PLANE_MARGIN), underflow);
+        side_margin.store(&mut self.side_margin);
+
+        let inverse_offset = one.div(offset);
+        normal[0].mul(inverse_offset).mul(sign).store(&mut self.plane[0]);
+        normal[1].mul(inverse_offset).store(&mut self.plane[1]);
+        normal[2].mul(inverse_offset).store(&mut self.plane[2]);
+        offset_margin.mul_add(inverse_offset.abs(), S::splat(SLOPE_MARGIN)).store(&mut self.plane_margins[0]);
+        normal_margin.mul(inverse_offset.abs()).store(&mut self.plane_margins[1]);
+
+        // A ray that hits the triangle before it passes all edges on the side on which the plane is.
+        let orientation = S::select(zero.below(offset), one, zero.sub(one));
+        let is_oriented = offset_margin.below(offset.abs());
+        // As much as any of the group's rays can have more, with what rounding can do to it and to the rays.
+        let of_group = S::select(is_oriented, side_margin.mul(S::splat(4.0)), S::splat(f32::INFINITY));
+        let (u_reach, v_reach) = (S::splat(bundle.group_reach[0]), S::splat(bundle.group_reach[1]));
+        for edge in 0..3 {
+            let along_k = sides[edge][0].mul(sign).mul(orientation);
+            let (along_u, along_v) = (sides[edge][1].mul(orientation), sides[edge][2].mul(orientation));
+            let of_group = along_v.abs().mul_add(v_reach, along_k.add(of_group));
+            along_u.abs().mul_add(u_reach, of_group).store(&mut self.group_sides[edge]);
+            along_k.store(&mut self.sides[edge][0]);
+            along_u.store(&mut self.sides[edge][1]);
+            along_v.store(&mut self.sides[edge][2]);
+        }
+        left
+    }
+}
+
+#[inline(always)]
+fn cross<S: Simd>(a: [S; 3], b: [S; 3]) -> [S; 3] {
+    [a[1].mul_sub(b[2], a[2].mul(b[1])), a[2].mul_sub(b[0], a[0].mul(b[2])), a[0].mul_sub(b[1], a[1].mul(b[0]))]
+}
+
+/// Bounds of three corners' slopes, from their places along an axis and their inverse depths.
+#[inline(always)]
+fn slope_bounds<S: Simd>(places: [S; 3], inverse_depths: [S; 3]) -> [S; 2] {
+    let slopes = [places[0].mul(inverse_depths[0]), places[1].mul(inverse_depths[1]), places[2].mul(inverse_depths[2])];
+    let low = slopes[0].min(slopes[1]).min(slopes[2]);
+    let high = slopes[0].max(slopes[1]).max(slopes[2]);
+    let margin = low.abs().max(high.abs()).mul_add(S::splat(SLOPE_MARGIN), S::splat(UNDERFLOW_MARGIN));
+    [low.sub(margin), high.add(margin)]
+}

@@ -1,0 +1,212 @@
+//! Reads a PLY file into a mesh, and writes one.
+//!
+//! ply-rs parses the header's lines and the binary rows; what it leaves to its caller is done here: header counts are
+//! held against the file's size, indices and vertices are checked, names that it cannot hold are skipped.
+//! ASCII rows are read by [`ascii`], because ply-rs' grammar knows neither `nan` and `inf` nor `1.` and `.5`.
+
+mod ascii;
+mod assembly;
+mod element;
+mod header;
+#[cfg(test)]
+mod tests;
+mod write;
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+use ply_rs::parser::Parser;
+use ply_rs::ply::{Encoding, PropertyAccess};
+
+use self::assembly::Assembly;
+use self::element::{Corners, Skipped, Vertex};
+use self::header::{Element, Header, Kind};
+pub use self::write::{write, write_to};
+use crate::model::mesh::Mesh;
+
+/// Why a file gives no mesh.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {problem}", path.display())]
+pub struct PlyError {
+    /// The file.
+    pub path: PathBuf,
+    /// What is wrong with it. Not the error's source: it is in the text already.
+    pub problem: Problem,
+}
+
+/// What is wrong with a PLY file, and where.
+#[derive(Debug, thiserror::Error)]
+pub enum Problem {
+    /// It cannot be opened or read.
+    #[error("cannot be read: {0}")]
+    Io(#[from] io::Error),
+    /// A folder, a pipe: the header's counts could not be held against its size.
+    #[error("is a folder or a pipe: name an ordinary file")]
+    NotAFile,
+    /// Another format.
+    #[error("is no PLY file: it does not begin with a line `ply`")]
+    NotPly,
+    /// The header has no end.
+    #[error("ends inside its header: no line `end_header`")]
+    HeaderEnds,
+    /// The header is longer than any writer makes one.
+    #[error("has no line `end_header` in its first {} KB", header::LONGEST / 1024)]
+    HeaderTooLong,
+    /// A line of the header that is not PLY.
+    #[error("header line {line} is not understood: `{text}`")]
+    HeaderLine {
+        /// Counted from 1.
+        line: usize,
+        /// The line, shortened.
+        text: String,
+    },
+    /// The header as a whole is not PLY.
+    #[error("its header is not understood: {0}")]
+    Header(String),
+    /// An element is declared twice: which one to believe?
+    #[error("declares element `{0}` twice")]
+    Repeated(String),
+    /// Vertices without a coordinate, or faces without indices.
+    #[error("its element `{element}` has no {property}")]
+    Missing {
+        /// The element's name.
+        element: String,
+        /// What every such element needs.
+        property: &'static str,
+    },
+    /// The header's counts and the file's size disagree.
+    #[error(
+        "is cut short, or its header is wrong: {count} rows of `{element}` need at least {needed} bytes, {left} are left"
+    )]
+    TooShort {
+        /// The element's name.
+        element: String,
+        /// Its rows, as the header has it.
+        count: usize,
+        /// The fewest bytes that they can take.
+        needed: u128,
+        /// Bytes between what comes before and the file's end.
+        left: u64,
+    },
+    /// More than 32-bit indices can name.
+    #[error("holds more than 4294967294 {0}, which is more than this program can number")]
+    TooMany(&'static str),
+    /// The mesh does not fit.
+    #[error("needs {n_bytes} bytes of memory for its {what}, which are not to be had")]
+    OutOfMemory {
+        /// Vertices or triangles.
+        what: &'static str,
+        /// What was asked for.
+        n_bytes: usize,
+    },
+    /// A row that cannot be read.
+    #[error("row {row} of element `{element}`: {what}")]
+    Row {
+        /// The element's name.
+        element: String,
+        /// Counted from 0.
+        row: usize,
+        /// What is wrong with it.
+        what: String,
+    },
+}
+
+/// Reads a PLY file: ASCII or binary, polygons fanned as (0, k, k+1), triangle strips unrolled.
+///
+/// A file without faces or without vertices is a mesh without triangles.
+/// `progress` is told the fraction of the file read so far, 0 to 1.
+pub fn read(path: &Path, progress: &(dyn Fn(f32) + Sync)) -> Result<Mesh, PlyError> {
+    let open = || -> Result<Mesh, Problem> {
+        // Asked before opening: to open a pipe is to wait for somebody to write to it.
+        if !std::fs::metadata(path)?.is_file() {
+            return Err(Problem::NotAFile);
+        }
+        let file = File::open(path)?;
+        let metadata = file.metadata()?;
+        let metered = Metered { inner: file, n_read: 0, n_bytes: metadata.len(), progress };
+        read_from(BufReader::with_capacity(BUFFER_BYTES, metered), metadata.len())
+    };
+    open().map_err(|problem| PlyError { path: path.to_owned(), problem })
+}
+
+/// Reads a PLY of `n_bytes` bytes from its beginning.
+///
+/// The memory taken is bounded by a small multiple of `n_bytes`, whatever the content claims.
+pub fn read_from(mut reader: impl BufRead, n_bytes: u64) -> Result<Mesh, Problem> {
+    let header = Header::read(&mut reader)?;
+    let mut n_left = n_bytes.saturating_sub(header.n_bytes);
+    header.check_size(n_left)?;
+    let mut assembly = Assembly::default();
+    for element in &header.elements {
+        match element.kind {
+            Kind::Vertices { colored } => {
+                assembly.expect_vertices(element.def.count, colored)?;
+                read_rows(&mut reader, &header, element, |vertex: &Vertex| assembly.push_vertex(vertex))?;
+            }
+            Kind::Faces => {
+                assembly.expect_triangles(element.most_triangle_rows(header.encoding, n_left))?;
+                read_rows(&mut reader, &header, element, |face: &Corners| assembly.push_polygon(face.indices()))?;
+            }
+            Kind::Strips => {
+                read_rows(&mut reader, &header, element, |strip: &Corners| assembly.push_strips(strip.indices()))?;
+            }
+            Kind::Other => read_rows(&mut reader, &header, element, |_: &Skipped| Ok(()))?,
+        }
+        n_left = n_left.saturating_sub(element.fewest_bytes(header.encoding) as u64);
+    }
+    Ok(assembly.finish())
+}
+
+/// Large enough that system calls cost nothing, small beside any mesh.
+const BUFFER_BYTES: usize = 256 * 1024;
+
+fn read_rows<E: PropertyAccess>(
+    reader: &mut impl BufRead,
+    header: &Header,
+    element: &Element,
+    mut take: impl FnMut(&E) -> Result<(), Problem>,
+) -> Result<(), Problem> {
+    if element.def.properties.is_empty() {
+        return Ok(()); // takes no bytes, so its count is bounded by nothing
+    }
+    let problem = |row, what| Problem::Row { element: element.name.clone(), row, what };
+    if header.encoding == Encoding::Ascii {
+        let mut rows = ascii::Rows::new(reader, header.line_end);
+        for row in 0..element.def.count {
+            take(&rows.next(&element.def).map_err(|what| problem(row, what))?)?;
+        }
+        return Ok(());
+    }
+    let parser = Parser::<E>::new();
+    for row in 0..element.def.count {
+        let parsed = match header.encoding {
+            Encoding::BinaryBigEndian => parser.read_big_endian_element(reader, &element.def),
+            _ => parser.read_little_endian_element(reader, &element.def),
+        };
+        take(&parsed.map_err(|error| {
+            let cut = error.kind() == io::ErrorKind::UnexpectedEof;
+            problem(row, if cut { ENDS_HERE.to_owned() } else { error.to_string().replace("\n\t", " ") })
+        })?)?;
+    }
+    Ok(())
+}
+
+const ENDS_HERE: &str = "the file ends here";
+
+/// Tells how far a file has been read.
+struct Metered<'a, R> {
+    inner: R,
+    n_read: u64,
+    n_bytes: u64,
+    progress: &'a (dyn Fn(f32) + Sync),
+}
+
+impl<R: Read> Read for Metered<'_, R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let n = self.inner.read(buffer)?;
+        self.n_read += n as u64;
+        (self.progress)((self.n_read as f64 / self.n_bytes.max(1) as f64).min(1.0) as f32);
+        Ok(n)
+    }
+}

@@ -1,0 +1,104 @@
+//! Rows of an ASCII PLY: one to a line, as the format has it.
+//!
+//! As other readers do, blank lines are passed over, a row may go on in the next line, and what a line holds beyond its
+//! row is ignored.
+
+use std::io::BufRead;
+use std::str::FromStr;
+
+use ply_rs::ply::{ElementDef, Property, PropertyAccess, PropertyType, ScalarType};
+
+use crate::model::ply::{element::index_from_f64, ENDS_HERE};
+
+/// Reads row after row.
+pub(super) struct Rows<'a, R> {
+    reader: &'a mut R,
+    line_end: u8,
+    line: Vec<u8>,
+    /// Where in `line` the next token is looked for.
+    at: usize,
+}
+
+impl<'a, R: BufRead> Rows<'a, R> {
+    pub(super) fn new(reader: &'a mut R, line_end: u8) -> Self {
+        Self { reader, line_end, line: Vec::new(), at: 0 }
+    }
+
+    /// The next row, or what is wrong with it.
+    pub(super) fn next<E: PropertyAccess>(&mut self, def: &ElementDef) -> Result<E, String> {
+        self.at = self.line.len();
+        let mut row = E::new();
+        for (role, property) in &def.properties {
+            match &property.data_type {
+                PropertyType::Scalar(_) if role.starts_with('_') => drop(self.token()?),
+                PropertyType::Scalar(scalar) => {
+                    row.set_property(role, scalar_from_token(self.token()?, scalar)?);
+                }
+                PropertyType::List(..) => {
+                    let length = self.token()?;
+                    let length: u32 = index(length)?.ok_or_else(|| format!("`{length}` is no length of a list"))?;
+                    let mut indices = Vec::new();
+                    for _ in 0..length {
+                        let token = self.token()?;
+                        if role == "i" {
+                            indices.push(index(token)?.unwrap_or(u32::MAX));
+                        }
+                    }
+                    row.set_list_uint(role, indices);
+                }
+            }
+        }
+        Ok(row)
+    }
+
+    fn token(&mut self) -> Result<&str, String> {
+        loop {
+            let rest = &self.line[self.at..];
+            if let Some(start) = rest.iter().position(|byte| !byte.is_ascii_whitespace()) {
+                let rest = &rest[start..];
+                let length = rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len());
+                let begin = self.at + start;
+                self.at = begin + length;
+                let token = &self.line[begin..self.at];
+                return str::from_utf8(token).map_err(|_| not_a_number(&String::from_utf8_lossy(token)));
+            }
+            self.line.clear();
+            self.at = 0;
+            if self.reader.read_until(self.line_end, &mut self.line).map_err(|error| error.to_string())? == 0 {
+                return Err(ENDS_HERE.to_owned());
+            }
+        }
+    }
+}
+
+fn scalar_from_token(token: &str, scalar: &ScalarType) -> Result<Property, String> {
+    Ok(match scalar {
+        ScalarType::Float => Property::Float(real(token)?),
+        ScalarType::Double => Property::Double(real(token)?),
+        ScalarType::UInt => Property::UInt(real::<f64>(token)? as u32),
+        // A colour or coordinate that is declared whole and wide keeps its meaning: only `ushort` colours are scaled.
+        ScalarType::UShort => Property::UShort(real::<f64>(token)? as u16),
+        _ => Property::Int(real::<f64>(token)? as i32),
+    })
+}
+
+/// A vertex number or a length; `None` where it is none that fits `u32`.
+fn index(token: &str) -> Result<Option<u32>, String> {
+    match token.parse::<u32>() {
+        Ok(value) => Ok(Some(value)),
+        Err(_) => Ok(index_from_f64(real(token)?)),
+    }
+}
+
+fn real<F: FromStr + From<f32>>(token: &str) -> Result<F, String> {
+    match token.parse() {
+        Ok(value) => Ok(value),
+        // What C's printf makes of NaN and infinities on some systems: `nan(ind)`, `-nan(0x7)`, `1.#QNAN`, `-1.#INF`.
+        Err(_) if token.contains("nan(") || token.contains(".#") => Ok(F::from(f32::NAN)),
+        Err(_) => Err(not_a_number(token)),
+    }
+}
+
+fn not_a_number(token: &str) -> String {
+    format!("`{}` is no number", token.chars().take(40).collect::<String>())
+}

@@ -1,0 +1,85 @@
+//! Puts a mesh together from rows in any order, and rejects at the end what cannot be traced.
+
+use crate::model::{mesh::Mesh, ply::{element::Vertex, Problem}};
+
+/// A mesh whose triangles may still point anywhere.
+#[derive(Default)]
+pub(super) struct Assembly {
+    mesh: Mesh,
+    colored: bool,
+}
+
+impl Assembly {
+    /// Makes room; `n_vertices` has been held against the file's size.
+    pub(super) fn expect_vertices(&mut self, n_vertices: usize, colored: bool) -> Result<(), Problem> {
+        if n_vertices >= u32::MAX as usize {
+            return Err(Problem::TooMany("vertices"));
+        }
+        self.colored = colored;
+        reserve(&mut self.mesh.vertices, n_vertices, "vertices")?;
+        if colored { reserve(&mut self.mesh.colors, n_vertices, "colours") } else { Ok(()) }
+    }
+
+    pub(super) fn expect_triangles(&mut self, n_triangles: usize) -> Result<(), Problem> {
+        reserve(&mut self.mesh.triangles, n_triangles, "triangles")
+    }
+
+    pub(super) fn push_vertex(&mut self, vertex: &Vertex) -> Result<(), Problem> {
+        self.mesh.vertices.push(vertex.position);
+        if self.colored {
+            self.mesh.colors.push(vertex.color);
+        }
+        Ok(())
+    }
+
+    /// Fans a polygon: (0, 1, 2), (0, 2, 3), …
+    pub(super) fn push_polygon(&mut self, corners: &[u32]) -> Result<(), Problem> {
+        let Some((&first, rest)) = corners.split_first() else { return Ok(()) };
+        self.make_room(rest.len().saturating_sub(1))?;
+        self.mesh.triangles.extend(rest.windows(2).map(|edge| [first, edge[0], edge[1]]));
+        Ok(())
+    }
+
+    /// Unrolls strips, a negative index between each two; every other triangle is turned so that all face one way.
+    pub(super) fn push_strips(&mut self, corners: &[u32]) -> Result<(), Problem> {
+        self.make_room(corners.len())?;
+        for strip in corners.split(|&index| index == u32::MAX) {
+            self.mesh.triangles.extend(strip.windows(3).enumerate().map(|(i, corners)| match *corners {
+                [a, b, c] if i % 2 == 0 => [a, b, c],
+                [a, b, c] => [b, a, c],
+                _ => Mesh::REJECTED,
+            }));
+        }
+        Ok(())
+    }
+
+    /// Rejects triangles whose indices or vertices cannot be used.
+    pub(super) fn finish(self) -> Mesh {
+        let mut mesh = self.mesh;
+        let vertices = &mesh.vertices;
+        let all_usable = vertices.iter().all(|&position| Mesh::is_usable(position));
+        let usable = |&index: &u32| {
+            (index as usize) < vertices.len() && (all_usable || Mesh::is_usable(vertices[index as usize]))
+        };
+        for triangle in &mut mesh.triangles {
+            if !triangle.iter().all(usable) {
+                *triangle = Mesh::REJECTED;
+                mesh.n_rejected += 1;
+            }
+        }
+        mesh
+    }
+
+    fn make_room(&mut self, n_triangles: usize) -> Result<(), Problem> {
+        // `u32::MAX` is no triangle: it means a miss.
+        if self.mesh.triangles.len() + n_triangles >= u32::MAX as usize {
+            return Err(Problem::TooMany("triangles"));
+        }
+        Ok(())
+    }
+}
+
+fn reserve<T>(items: &mut Vec<T>, n_items: usize, what: &'static str) -> Result<(), Problem> {
+    let n_bytes = n_items.saturating_mul(size_of::<T>());
+    items.try_reserve_exact(n_items).map_err(|_| Problem::OutOfMemory { what, n_bytes })
+}

@@ -1,0 +1,234 @@
+//! The header of a PLY file: tidied for ply-rs' grammar, then held against the file's size.
+
+use std::io::{self, BufRead, Cursor, Read};
+
+use ply_rs::parser::{Parser, Reader};
+use ply_rs::ply::{ElementDef, Encoding, PropertyType, ScalarType};
+
+use crate::model::ply::{element::Skipped, Problem};
+
+/// A longer header is refused: real ones have a few KB, and one without an end must not fill the memory.
+pub(super) const LONGEST: u64 = 1 << 20;
+
+/// What follows in the file.
+#[derive(Debug)]
+pub(super) struct Header {
+    pub(super) encoding: Encoding,
+    /// Ends each line: `\n` (also after `\r`), or `\r` alone.
+    pub(super) line_end: u8,
+    /// Length of the header in the file.
+    pub(super) n_bytes: u64,
+    /// In file order.
+    pub(super) elements: Vec<Element>,
+}
+
+/// A run of rows.
+#[derive(Debug)]
+pub(super) struct Element {
+    pub(super) kind: Kind,
+    /// As in the file.
+    pub(super) name: String,
+    /// As ply-rs wants it, each property named by its role: `x y z`, `r g b`, `i` for indices, `_0 _1 …` to be skipped.
+    pub(super) def: ElementDef,
+}
+
+/// What an element's rows mean here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Vertices { colored: bool },
+    Faces,
+    Strips,
+    Other,
+}
+
+impl Header {
+    /// Reads up to and including `end_header` and its line end.
+    pub(super) fn read(reader: &mut impl BufRead) -> Result<Self, Problem> {
+        let mut lines = Lines::begin(reader)?;
+        // Line for line, so that ply-rs' line numbers are the file's.
+        let mut tidy = String::from("ply\n");
+        let mut texts = vec![String::from("ply")];
+        let mut declared = Vec::<Declared>::new();
+        loop {
+            let text = lines.next()?;
+            let words: Vec<&str> = text.split_whitespace().collect();
+            let line = match *words.as_slice() {
+                [] | ["comment" | "obj_info", ..] => String::from("comment"),
+                ["end_header"] => break,
+                ["element", name, count] => {
+                    if declared.iter().any(|element| element.name == name) {
+                        return Err(Problem::Repeated(name.to_owned()));
+                    }
+                    declared.push(Declared { name: name.to_owned(), taken: Vec::new() });
+                    format!("element e{} {count}", declared.len())
+                }
+                ["property", ref types @ .., name] if !types.is_empty() => {
+                    let role =
+                        declared.last_mut().map_or("_".to_owned(), |element| element.role(name, types[0] == "list"));
+                    format!("property {} {role}", types.join(" "))
+                }
+                _ => words.join(" "),
+            };
+            tidy += &line;
+            tidy.push('\n');
+            texts.push(text);
+        }
+        tidy += "end_header\n";
+        let (line_end, n_bytes) = (lines.line_end, lines.n_bytes);
+
+        let parsed = Parser::<Skipped>::new().read_header(&mut Reader::new(Cursor::new(tidy))).map_err(|error| {
+            match error.line().and_then(|line| Some((line, texts.get(line - 1)?))) {
+                Some((line, text)) => Problem::HeaderLine { line, text: text.chars().take(60).collect() },
+                None => Problem::Header(error.to_string()),
+            }
+        })?;
+        let elements = (parsed.elements.into_values().zip(declared))
+            .map(|(def, declared)| Element::new(declared.name, def))
+            .collect::<Result<Vec<_>, _>>()?;
+        Ok(Self { encoding: parsed.encoding, line_end, n_bytes, elements })
+    }
+
+    /// Whether the counts can be true if `n_left` bytes follow the header.
+    pub(super) fn check_size(&self, n_left: u64) -> Result<(), Problem> {
+        let mut left = n_left;
+        for Element { name, def, .. } in &self.elements {
+            let needed = fewest_row_bytes(def, self.encoding) * def.count as u128;
+            // The last line of an ASCII file need not end.
+            let spared = u128::from(self.encoding == Encoding::Ascii);
+            if needed > u128::from(left) + spared {
+                return Err(Problem::TooShort { element: name.clone(), count: def.count, needed, left });
+            }
+            left = left.saturating_sub(needed as u64);
+        }
+        Ok(())
+    }
+}
+
+impl Element {
+    fn new(name: String, def: ElementDef) -> Result<Self, Problem> {
+        let has = |role: &str| def.properties.contains_key(role);
+        let kind = match name.as_str() {
+            "vertex" => Kind::Vertices { colored: ["r", "g", "b"].into_iter().all(has) },
+            "face" => Kind::Faces,
+            "tristrips" | "tristrip" => Kind::Strips,
+            _ => Kind::Other,
+        };
+        let needed: &[(&str, &str)] = match kind {
+            Kind::Vertices { .. } => &[("x", "coordinate x"), ("y", "coordinate y"), ("z", "coordinate z")],
+            Kind::Faces | Kind::Strips => &[("i", "list vertex_indices")],
+            Kind::Other => &[],
+        };
+        match needed.iter().find(|(role, _)| def.count > 0 && !has(role)) {
+            Some(&(_, property)) => Err(Problem::Missing { element: name, property }),
+            None => Ok(Self { kind, name, def }),
+        }
+    }
+
+    /// The fewest bytes that all its rows can take.
+    pub(super) fn fewest_bytes(&self, encoding: Encoding) -> u128 {
+        fewest_row_bytes(&self.def, encoding) * self.def.count as u128
+    }
+
+    /// How many rows with three indices fit into `n_left` bytes, and its count at most.
+    pub(super) fn most_triangle_rows(&self, encoding: Encoding, n_left: u64) -> usize {
+        let index_bytes = match self.def.properties.get("i").map(|property| &property.data_type) {
+            Some(PropertyType::List(_, scalar)) if encoding != Encoding::Ascii => scalar_bytes(scalar),
+            _ => 2,
+        };
+        let row_bytes = fewest_row_bytes(&self.def, encoding) + 3 * index_bytes;
+        self.def.count.min((u128::from(n_left) / row_bytes) as usize)
+    }
+}
+
+/// An element while its properties are being declared.
+struct Declared {
+    name: String,
+    taken: Vec<&'static str>,
+}
+
+impl Declared {
+    /// What a property is to us. A second one in the same role is skipped, like one without a role.
+    fn role(&mut self, property: &str, is_list: bool) -> String {
+        let role = match (self.name.as_str(), property, is_list) {
+            ("vertex", "x", false) => "x",
+            ("vertex", "y", false) => "y",
+            ("vertex", "z", false) => "z",
+            ("vertex", "red" | "diffuse_red", false) => "r",
+            ("vertex", "green" | "diffuse_green", false) => "g",
+            ("vertex", "blue" | "diffuse_blue", false) => "b",
+            ("face" | "tristrips" | "tristrip", "vertex_indices" | "vertex_index", true) => "i",
+            _ => "",
+        };
+        let role = if self.taken.contains(&role) { "" } else { role };
+        self.taken.push(role);
+        if role.is_empty() { format!("_{}", self.taken.len()) } else { role.to_owned() }
+    }
+}
+
+fn scalar_bytes(scalar: &ScalarType) -> u128 {
+    match scalar {
+        ScalarType::Char | ScalarType::UChar => 1,
+        ScalarType::Short | ScalarType::UShort => 2,
+        ScalarType::Int | ScalarType::UInt | ScalarType::Float => 4,
+        ScalarType::Double => 8,
+    }
+}
+
+/// Empty lists, and in ASCII one digit and one space each.
+fn fewest_row_bytes(def: &ElementDef, encoding: Encoding) -> u128 {
+    let bytes = |property_type: &PropertyType| match property_type {
+        _ if encoding == Encoding::Ascii => 2,
+        PropertyType::Scalar(scalar) | PropertyType::List(scalar, _) => scalar_bytes(scalar),
+    };
+    def.properties.values().map(|property| bytes(&property.data_type)).sum()
+}
+
+/// The header's lines after the first, trimmed, in whatever encoding their comments are.
+struct Lines<'a, R> {
+    reader: &'a mut R,
+    line_end: u8,
+    n_bytes: u64,
+}
+
+impl<'a, R: BufRead> Lines<'a, R> {
+    /// Reads the first line, which shows how lines end.
+    fn begin(reader: &'a mut R) -> Result<Self, Problem> {
+        let mut magic = [0; 3];
+        reader.read_exact(&mut magic).map_err(|error| match error.kind() {
+            io::ErrorKind::UnexpectedEof => Problem::NotPly,
+            _ => Problem::Io(error),
+        })?;
+        if magic != *b"ply" {
+            return Err(Problem::NotPly);
+        }
+        let mut n_bytes = 3;
+        loop {
+            let byte = reader.fill_buf()?.first().copied();
+            reader.consume(usize::from(byte.is_some()));
+            n_bytes += 1;
+            match byte {
+                Some(b' ' | b'\t') if n_bytes < LONGEST => {}
+                Some(b'\n') => return Ok(Self { reader, line_end: b'\n', n_bytes }),
+                Some(b'\r') => {
+                    let is_pair = reader.fill_buf()?.first() == Some(&b'\n');
+                    reader.consume(usize::from(is_pair));
+                    let line_end = if is_pair { b'\n' } else { b'\r' };
+                    return Ok(Self { reader, line_end, n_bytes: n_bytes + u64::from(is_pair) });
+                }
+                None => return Err(Problem::HeaderEnds),
+                Some(_) => return Err(Problem::NotPly),
+            }
+        }
+    }
+
+    fn next(&mut self) -> Result<String, Problem> {
+        let mut line = Vec::new();
+        let n = self.reader.take(LONGEST - self.n_bytes).read_until(self.line_end, &mut line)? as u64;
+        self.n_bytes += n;
+        let text = String::from_utf8_lossy(&line).trim().to_owned();
+        if line.last() == Some(&self.line_end) || text == "end_header" {
+            return Ok(text);
+        }
+        Err(if self.n_bytes >= LONGEST { Problem::HeaderTooLong } else { Problem::HeaderEnds })
+    }
+}

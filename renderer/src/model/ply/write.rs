@@ -1,0 +1,36 @@
+//! Writes a mesh as a binary little-endian PLY.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use crate::{model::mesh::Mesh, render::image::write_whole};
+
+/// Writes all of the mesh or leaves what `path` held before: it becomes a file of that name only when it is complete.
+pub fn write(path: &Path, mesh: &Mesh) -> io::Result<()> {
+    write_whole(path, |mut out| write_to(&mut out, mesh))
+}
+
+/// Writes all of the mesh.
+///
+/// Rejected triangles are written with the indices −1, so that they are rejected again and keep their place.
+pub fn write_to(writer: &mut impl Write, mesh: &Mesh) -> io::Result<()> {
+    let n_vertices = mesh.vertices.len();
+    writeln!(writer, "ply\nformat binary_little_endian 1.0\nelement vertex {n_vertices}")?;
+    writeln!(writer, "property float x\nproperty float y\nproperty float z")?;
+    if !mesh.colors.is_empty() {
+        writeln!(writer, "property uchar red\nproperty uchar green\nproperty uchar blue")?;
+    }
+    writeln!(writer, "element face {}", mesh.triangles.len())?;
+    writeln!(writer, "property list uchar int vertex_indices\nend_header")?;
+    for (i, position) in mesh.vertices.iter().enumerate() {
+        writer.write_all(position.map(f32::to_le_bytes).as_flattened())?;
+        if let Some(color) = mesh.colors.get(i) {
+            writer.write_all(color)?;
+        }
+    }
+    for triangle in &mesh.triangles {
+        writer.write_all(&[3])?;
+        writer.write_all(triangle.map(u32::to_le_bytes).as_flattened())?;
+    }
+    Ok(())
+}

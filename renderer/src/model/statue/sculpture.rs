@@ -1,0 +1,241 @@
+//! The figure: a smooth union of simple solids, as a signed distance, and the stone's relief on it.
+//!
+//! Distances and smooth unions after Quilez, "Distance functions" and "Smooth minimum" (iquilezles.org).
+
+use crate::model::statue::{noise::gradient, Place};
+
+type Vector = [f32; 3];
+
+/// Where the ray that belongs to a place on the box leaves the figure, in world space.
+pub(super) fn surface(place: Place) -> Vector {
+    let (origin_y, direction) = ray(place);
+    let point = |t: f32| [direction[0] * t, origin_y + direction[1] * t, direction[2] * t];
+
+    // From outside inwards, so that the outermost surface is found.
+    let mut t = FARTHEST;
+    for _ in 0..64 {
+        let d = distance(point(t));
+        t -= d * 0.8; // smooth unions and ellipsoids overestimate distances a little
+        if d < 1e-4 || t < NEAREST {
+            break;
+        }
+    }
+    let t = max(t, NEAREST);
+    // How squarely the ray leaves: relief on stone that it only grazes would be drawn out into streaks.
+    let slope = (distance(point(t + PROBE)) - distance(point(t))) / PROBE;
+    point(t + relief(point(t)) * slope.clamp(0.0, 1.0))
+}
+
+/// Small against the solids, large against the rounding of distances.
+const PROBE: f32 = 0.01;
+
+/// Every solid lies within this distance of the axis, along any ray.
+const FARTHEST: f32 = 1.4;
+/// Rays end here at the latest, so that the surface stays closed.
+const NEAREST: f32 = 0.05;
+
+/// The ray of a place: its origin's height on the y axis, and its direction of length 1.
+fn ray(place: Place) -> (f32, Vector) {
+    let [lowest, .., highest] = FAN;
+    let (along, [_, origin_y, rise]) = match place {
+        Place::Side(along, height) => (along, fan(height)),
+        Place::Top(along) => (along, highest),
+        Place::Bottom(along) => (along, lowest),
+    };
+    // On top and bottom, how far from the middle; 1 on the sides.
+    let spread = max(along[0].abs(), along[1].abs());
+    let around = if spread > 0.0 { along.map(|x| even_angle(x / spread)) } else { [0.0; 2] };
+    let outwards = if spread > 0.0 { spread / (around[0] * around[0] + around[1] * around[1]).sqrt() } else { 0.0 };
+    (origin_y, normalize([around[0] * outwards, rise, around[1] * outwards]))
+}
+
+/// How rays leave the axis, from the bottom of the box's sides to their top: height on the box, the origin's height in
+/// the world, rise of the ray per length outwards.
+///
+/// They point down where the stone overhangs, up where it makes a shelf, and do not cross within the figure: at any
+/// distance from the axis up to the figure's, origin + rise × distance grows from row to row.
+const FAN: [[f32; 3]; 14] = [
+    [0.00, 0.12, -1.0],
+    [0.03, 0.12, -0.12], // the plinth's lower edge
+    [0.10, 0.12, 0.15],  // its upper edge
+    [0.19, 0.12, 0.42],  // where the body stands on it
+    [0.29, 0.45, 0.25],
+    [0.41, 0.95, 0.25],
+    [0.52, 1.35, 0.40], // shoulders
+    [0.58, 1.58, 0.25],
+    [0.65, 2.05, -0.22], // under the chin
+    [0.71, 2.28, 0.08],  // on the lips
+    [0.76, 2.48, -0.06], // under the nose
+    [0.88, 3.04, -0.30], // under the brow
+    [0.94, 3.08, 0.12],
+    [1.00, 3.10, 1.0],
+];
+
+fn fan(height: f32) -> [f32; 3] {
+    let above = FAN.iter().position(|row| height < row[0]).unwrap_or(FAN.len() - 1).clamp(1, FAN.len() - 1);
+    let (low, high) = (FAN[above - 1], FAN[above]);
+    let s = (height - low[0]) / (high[0] - low[0]);
+    [height, low[1] + (high[1] - low[1]) * s, low[2] + (high[2] - low[2]) * s]
+}
+
+/// tan(x·π/4) to three digits: steps along a side of the square become nearly equal angles.
+fn even_angle(x: f32) -> f32 {
+    x * (0.785 + x * x * (0.162 + x * x * 0.053))
+}
+
+/// Signed distance to the smooth figure, in world units; negative inside.
+fn distance(p: Vector) -> f32 {
+    // The figure is the same left and right.
+    let q = [p[0].abs(), p[1], p[2]];
+
+    let torso = ellipsoid(q, [0.0, 0.95, -0.03], [0.72, 1.0, 0.46]);
+    let shoulders = capsule(q, [0.0, 1.58, -0.05], [0.52, 1.50, -0.05], 0.27, 0.25);
+    let belly = ellipsoid(q, [0.0, 0.78, 0.22], [0.48, 0.52, 0.30]);
+    let upper_arm = capsule(q, [0.73, 1.43, -0.03], [0.75, 0.72, 0.04], 0.19, 0.16);
+    let forearm = capsule(q, [0.75, 0.70, 0.06], [0.34, 0.50, 0.48], 0.15, 0.11);
+    let mut body = smooth_min(torso, shoulders, 0.18);
+    body = smooth_min(body, belly, 0.15);
+    body = smooth_min(body, upper_arm, 0.05);
+    body = smooth_min(body, forearm, 0.04);
+    for finger in 0..4 {
+        let y = 0.56 - 0.055 * finger as f32;
+        body = smooth_min(body, capsule(q, [0.36, y, 0.50], [0.09, y - 0.03, 0.535], 0.034, 0.026), 0.02);
+    }
+
+    // The head narrows upwards, and its face leans back.
+    let q = [q[0] * (1.0 + 0.10 * (q[1] - 2.4)), q[1], q[2] + 0.10 * (q[1] - 2.6)];
+    let skull = rounded_box(q, [0.0, 2.66, 0.0], [0.42, 0.72, 0.40], 0.17);
+    let neck = capsule(q, [0.0, 1.5, 0.0], [0.0, 2.1, 0.04], 0.40, 0.36);
+    let jaw = rounded_box(q, [0.0, 2.10, 0.20], [0.37, 0.15, 0.27], 0.12);
+    let mut head = smooth_min(skull, neck, 0.12);
+    head = smooth_min(head, jaw, 0.12);
+    let brow = capsule(q, [0.0, 3.00, 0.44], [0.36, 2.97, 0.36], 0.085, 0.075);
+    head = smooth_min(head, brow, 0.08);
+    let socket = ellipsoid(q, [0.215, 2.83, 0.45], [0.170, 0.125, 0.21]);
+    head = smooth_max(head, -socket, 0.06);
+    let nose = capsule(q, [0.0, 2.96, 0.43], [0.0, 2.50, 0.56], 0.065, 0.115);
+    let nostril = ellipsoid(q, [0.115, 2.47, 0.50], [0.075, 0.065, 0.10]);
+    head = smooth_min(head, smooth_min(nose, nostril, 0.05), 0.05);
+    let upper_lip = capsule(q, [0.0, 2.285, 0.475], [0.20, 2.265, 0.42], 0.050, 0.035);
+    let lower_lip = capsule(q, [0.0, 2.185, 0.475], [0.18, 2.190, 0.42], 0.052, 0.035);
+    head = smooth_min(head, upper_lip, 0.03);
+    head = smooth_min(head, lower_lip, 0.03);
+    let ear = rounded_box(q, [0.45, 2.66, -0.06], [0.055, 0.40, 0.11], 0.05);
+    let ear_hollow = ellipsoid(q, [0.52, 2.72, -0.03], [0.04, 0.22, 0.05]);
+    head = smooth_min(head, smooth_max(ear, -ear_hollow, 0.03), 0.03);
+
+    let plinth = rounded_box([p[0].abs(), p[1], p[2]], [0.0, 0.14, 0.0], [1.0, 0.14, 0.72], 0.04);
+    min(smooth_min(body, head, 0.08), plinth)
+}
+
+/// The stone's relief at a point of the smooth figure: how far it stands out along the ray.
+fn relief(p: Vector) -> f32 {
+    let scaled = |s: f32| [p[0] * s, p[1] * s, p[2] * s];
+    // Weathering, from dents of a hand's width down to grains.
+    let mut height = 0.0;
+    let (mut amplitude, mut frequency) = (0.019, 2.4);
+    for octave in 0..8 {
+        height += amplitude * gradient(scaled(frequency), octave);
+        amplitude *= 0.55;
+        frequency *= 2.03;
+    }
+    // Pores of volcanic stone, in patches.
+    let patch = gradient(scaled(1.9), 20) + 0.3;
+    let pore = gradient(scaled(26.0), 21) - 0.28;
+    if patch > 0.0 && pore > 0.0 {
+        height -= 0.06 * min(patch, 0.5) * pore;
+    }
+    // Layers of ash, and a few cracks.
+    height += 0.004 * gradient([p[0] * 1.5, p[1] * 16.0, p[2] * 1.5], 22);
+    let crack = 1.0 - gradient([p[0] * 1.3, p[1] * 0.9, p[2] * 1.3], 23).abs() * 110.0;
+    let reach = gradient(scaled(1.4), 24) - 0.12;
+    if crack > 0.0 && reach > 0.0 {
+        height -= 0.03 * min(reach * 4.0, 0.6) * crack;
+    }
+    height
+}
+
+fn ellipsoid(p: Vector, center: Vector, radii: Vector) -> f32 {
+    let q = sub(p, center);
+    let k0 = length([q[0] / radii[0], q[1] / radii[1], q[2] / radii[2]]);
+    let k1 = length([q[0] / (radii[0] * radii[0]), q[1] / (radii[1] * radii[1]), q[2] / (radii[2] * radii[2])]);
+    if k1 > 1e-6 { k0 * (k0 - 1.0) / k1 } else { -min(radii[0], min(radii[1], radii[2])) }
+}
+
+/// A capsule whose radius changes evenly from one end to the other.
+fn capsule(p: Vector, a: Vector, b: Vector, radius_a: f32, radius_b: f32) -> f32 {
+    let (pa, ba) = (sub(p, a), sub(b, a));
+    let s = (dot(pa, ba) / dot(ba, ba)).clamp(0.0, 1.0);
+    length([pa[0] - ba[0] * s, pa[1] - ba[1] * s, pa[2] - ba[2] * s]) - (radius_a + (radius_b - radius_a) * s)
+}
+
+fn rounded_box(p: Vector, center: Vector, half: Vector, radius: f32) -> f32 {
+    let q = sub(p, center);
+    let d = [q[0].abs() - half[0] + radius, q[1].abs() - half[1] + radius, q[2].abs() - half[2] + radius];
+    let inside = min(max(d[0], max(d[1], d[2])), 0.0);
+    length(d.map(|x| max(x, 0.0))) + inside - radius
+}
+
+/// The lesser of two distances, blended where they differ by less than `k`.
+fn smooth_min(a: f32, b: f32, k: f32) -> f32 {
+    let h = max(k - (a - b).abs(), 0.0);
+    min(a, b) - h * h / (4.0 * k)
+}
+
+fn smooth_max(a: f32, b: f32, k: f32) -> f32 {
+    -smooth_min(-a, -b, k)
+}
+
+// Not `f32::min` and `f32::max`: which zero they return of 0 and −0 is not specified.
+fn min(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
+}
+
+fn max(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+fn sub(a: Vector, b: Vector) -> Vector {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+fn dot(a: Vector, b: Vector) -> f32 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn length(a: Vector) -> f32 {
+    dot(a, a).sqrt()
+}
+
+fn normalize(a: Vector) -> Vector {
+    let scale = 1.0 / length(a);
+    a.map(|x| x * scale)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rays_do_not_cross_within_the_figure() {
+        for pair in FAN.windows(2) {
+            let ([_, low, low_rise], [_, high, high_rise]) = (pair[0], pair[1]);
+            // The plinth is the widest part, the head the narrowest.
+            let reach = if high < 0.2 { 1.25 } else { 0.95 - 0.12 * low };
+            for distance in [0.05, reach] {
+                assert!(low + low_rise * distance < high + high_rise * distance, "{pair:?} at {distance}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_ray_ends_on_the_figure() {
+        for k in 0..1000 {
+            let along = [(k % 25) as f32 / 12.0 - 1.0, 1.0];
+            let (origin_y, direction) = ray(Place::Side(along, k as f32 / 999.0));
+            let inside = [direction[0] * NEAREST, origin_y + direction[1] * NEAREST, direction[2] * NEAREST];
+            let [x, y, z] = [direction[0] * FARTHEST, origin_y + direction[1] * FARTHEST, direction[2] * FARTHEST];
+            assert!(distance(inside) < 0.0 && distance([x, y, z]) > 0.0, "{along:?} {k}");
+        }
+    }
+}

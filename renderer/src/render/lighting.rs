@@ -1,0 +1,61 @@
+//! From the hits of a block of samples to their light, whatever the view and the ray tree.
+
+use glam::Vec3;
+use shared::{look::ClipPlane, protocol::View};
+
+use crate::{grid::Grid, intersect::{clip, ray::{Hit, Ray}, MOST_PACKETS, PacketScratch, RayCost}, render::{blocks::Block, secondary::SecondaryRays, shade::{self, Shader}, tracer::{sample_point, FrameRequest}}};
+
+/// All that lights one frame.
+pub struct Lighting<'a> {
+    grid: &'a Grid,
+    view: View,
+    eye: Vec3,
+    clip: Option<ClipPlane>,
+    shader: Shader<'a>,
+    secondary: SecondaryRays<'a>,
+}
+
+impl<'a> Lighting<'a> {
+    /// Makes ready for one frame of a scene that a plane may cut open.
+    pub fn new(grid: &'a Grid, request: &FrameRequest, clip: Option<ClipPlane>) -> Self {
+        Self {
+            grid,
+            view: request.view,
+            eye: request.camera.rays(request.size).eye,
+            clip,
+            shader: Shader::new(grid.mesh(), request),
+            secondary: SecondaryRays::new(grid, request, clip),
+        }
+    }
+
+    /// The linear light of neighbouring blocks of at most 64 samples each: sample number `sample` of their pixels (i, j),
+    /// which follow `directions` to `hits`. Entries beyond a block are undefined.
+    pub fn of_group(
+        &self,
+        blocks: &[Block<'_>],
+        sample: u32,
+        directions: &[[Vec3; 64]],
+        hits: &[[Hit; 64]],
+        scratch: &mut PacketScratch,
+    ) -> [[Vec3; 64]; MOST_PACKETS] {
+        let mut lights = [[Vec3::ZERO; 64]; MOST_PACKETS];
+        if self.view == View::Cost {
+            for (index, block) in blocks.iter().enumerate() {
+                for (light, &direction) in lights[index].iter_mut().zip(&directions[index]).take(block.n_samples()) {
+                    let ray = clip::kept(self.clip.as_ref(), Ray::new(self.eye, direction));
+                    *light = shade::cost(ray.map_or(RayCost::default(), |ray| self.grid.cost(&ray)));
+                }
+            }
+            return lights;
+        }
+        let reach = self.secondary.reach(blocks, sample, directions, hits, scratch);
+        for (index, block) in blocks.iter().enumerate() {
+            for (place, (i, j)) in block.samples().enumerate() {
+                let (_, y) = sample_point(i, j, sample);
+                lights[index][place] =
+                    self.shader.light(directions[index][place], hits[index][place], y, &reach[index][place]);
+            }
+        }
+        lights
+    }
+}

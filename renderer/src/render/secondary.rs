@@ -1,0 +1,305 @@
+//! Secondary rays: which lights reach a hit.
+//!
+//! The key light is a point (from where it comes is [`shared::look::Light`]), so that the shadow rays of neighbouring samples, followed from the light to the hits, are
+//! packets as coherent as the camera's. Surroundings are felt by short rays into the hemisphere above a hit.
+//!
+//! Points on surfaces are found in `f64` and lifted off them by more than rounding can take back, so that no surface
+//! shades itself and nothing is skipped. Only + − × ÷ √ are used, in a fixed order: every machine computes the same bits.
+
+use glam::{DVec3, Vec3};
+use shared::{
+    look::ClipPlane,
+    protocol::{RayTree, View},
+};
+
+use crate::{grid::Grid, intersect::{clip, ray::{Hit, Ray}, MOST_PACKETS, Packet, PacketScratch}, render::{blocks::Block, tracer::{hash, FrameRequest}}};
+
+/// What reaches one hit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reach {
+    /// Towards the key light, of unit length, in world space.
+    pub key_direction: Vec3,
+    /// How much of the key light arrives, 0 to 1.
+    pub key: f32,
+    /// How much of the surroundings is open, 0 to 1.
+    pub open: f32,
+}
+
+/// The secondary rays of one frame.
+pub struct SecondaryRays<'a> {
+    grid: &'a Grid,
+    /// What is cut away casts no shadow.
+    clip: Option<ClipPlane>,
+    tree: RayTree,
+    eye: DVec3,
+    /// Where the key light stands, in world space.
+    key_light: Vec3,
+    /// Towards it, where no point is known.
+    key_direction: Vec3,
+    /// How far points are lifted off their surfaces, in world units.
+    lift: f64,
+    /// The longest ambient ray, in world units.
+    ambient_reach: f32,
+}
+
+/// Ambient rays of each sample.
+const N_AMBIENT: u32 = 4;
+
+/// The longest ambient ray, relative to the radius of the scene.
+const AMBIENT_REACH: f64 = 0.1;
+
+/// A point that a ray has hit.
+struct Surface {
+    /// Lifted off the surface.
+    point: DVec3,
+    /// Of unit length, towards the ray's origin.
+    normal: DVec3,
+}
+
+impl<'a> SecondaryRays<'a> {
+    /// Makes ready for one frame of a scene that a plane may cut open.
+    pub fn new(grid: &'a Grid, request: &FrameRequest, clip: Option<ClipPlane>) -> Self {
+        // Other views have no light.
+        let tree = if request.view == View::Shaded { request.rays } else { RayTree::Primary };
+        let bounds = grid.mesh().bounds();
+        let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
+        let (centre, radius) = ((min + max) * 0.5, (max - min).length() * 0.5);
+        let (right, up) = (request.camera.u().normalize(), request.camera.v().normalize());
+        let back = right.cross(up).normalize();
+        let light = request.look.light;
+        let to_light = light.direction();
+        let to_light = (right * to_light.x + up * to_light.y + back * to_light.z).normalize();
+        let key_light = match tree {
+            RayTree::Primary => Vec3::ZERO,
+            RayTree::Shadows | RayTree::Ambient => {
+                let place = KeyLight { eye: request.camera.eye(), back, to_light, centre, radius };
+                place.find(grid, clip.as_ref(), light.is_on_eye_side())
+            }
+        };
+        // No coordinate is larger, and no difference more than twice as large. Rounding a point or a direction to single
+        // precision moves it by at most √3·2⁻²⁴ of that.
+        let reach = min.abs().max(max.abs()).max(key_light.as_dvec3().abs()).max_element();
+        Self {
+            grid,
+            clip,
+            tree,
+            eye: request.camera.eye().as_vec3().as_dvec3(),
+            key_light,
+            key_direction: to_light.as_vec3(),
+            lift: reach * (8.0 * f64::from(f32::EPSILON)),
+            ambient_reach: (radius * AMBIENT_REACH) as f32,
+        }
+    }
+
+    /// The same with the key light in another place, for tests.
+    #[must_use]
+    pub fn with_key_light(self, key_light: Vec3) -> Self {
+        Self { key_light, ..self }
+    }
+
+    /// What reaches the hits of neighbouring blocks of samples; undefined for samples without a hit.
+    pub fn reach(
+        &self,
+        blocks: &[Block<'_>],
+        sample: u32,
+        directions: &[[Vec3; 64]],
+        hits: &[[Hit; 64]],
+        scratch: &mut PacketScratch,
+    ) -> [[Reach; 64]; MOST_PACKETS] {
+        let mut reach = [[Reach { key_direction: self.key_direction, key: 1.0, open: 1.0 }; 64]; MOST_PACKETS];
+        if self.tree == RayTree::Primary {
+            return reach;
+        }
+        let surfaces: [[Option<Surface>; 64]; MOST_PACKETS] = std::array::from_fn(|index| {
+            let n_samples = blocks.get(index).map_or(0, Block::n_samples);
+            std::array::from_fn(|place| {
+                if place < n_samples { self.surface(directions[index][place], hits[index][place]) } else { None }
+            })
+        });
+        self.cast_shadows(blocks, &surfaces, &mut reach, scratch);
+        if self.tree == RayTree::Ambient {
+            for (index, block) in blocks.iter().enumerate() {
+                for (place, pixel) in block.samples().enumerate() {
+                    if let Some(surface) = &surfaces[index][place] {
+                        reach[index][place].open = self.openness(surface, pixel, sample);
+                    }
+                }
+            }
+        }
+        reach
+    }
+
+    /// Where a hit is; `None` for a miss, and for slivers too thin to have a normal.
+    fn surface(&self, direction: Vec3, hit: Hit) -> Option<Surface> {
+        if hit.is_miss() {
+            return None;
+        }
+        let [a, b, c] = self.grid.mesh().corners(hit.triangle).map(|corner| Vec3::from_array(corner).as_dvec3());
+        let direction = direction.as_dvec3();
+        let normal = (b - a).cross(c - a);
+        let length = normal.length();
+        let normal = if normal.dot(direction) > 0.0 { -normal } else { normal } * (1.0 / length);
+        // The hit's t is rounded to single precision, too little for an eye far away.
+        let t = normal.dot(a - self.eye) / normal.dot(direction);
+        let point = self.eye + direction * t + normal * self.lift;
+        (length > 0.0 && point.is_finite() && normal.is_finite()).then_some(Surface { point, normal })
+    }
+
+    /// Follows rays from the key light to all surfaces that face it.
+    fn cast_shadows(
+        &self,
+        blocks: &[Block<'_>],
+        surfaces: &[[Option<Surface>; 64]],
+        reach: &mut [[Reach; 64]],
+        scratch: &mut PacketScratch,
+    ) {
+        let light = self.key_light.as_dvec3();
+        let mut directions = [[None; 64]; MOST_PACKETS];
+        for (index, block) in blocks.iter().enumerate() {
+            for (direction, &place) in directions[index].iter_mut().zip(&block.in_lanes()) {
+                let Some(Surface { point, normal }) = &surfaces[index][place] else { continue };
+                let to_point = *point - light;
+                reach[index][place].key_direction = (-to_point * (1.0 / to_point.length())).as_vec3();
+                reach[index][place].key = 0.0;
+                if normal.dot(to_point) < -self.lift {
+                    *direction = Some(to_point.as_vec3());
+                }
+            }
+        }
+        let directions = &directions[..blocks.len()];
+        let hidden = hidden(self.grid, self.clip.as_ref(), self.key_light, directions, 1.0, scratch);
+        for (index, block) in blocks.iter().enumerate() {
+            for (lane, &place) in block.in_lanes().iter().enumerate() {
+                if directions[index][lane].is_some() && hidden[index] >> lane & 1 == 0 {
+                    reach[index][place].key = 1.0;
+                }
+            }
+        }
+    }
+
+    /// What part of some rays into the hemisphere above a surface reaches their end.
+    ///
+    /// They are distributed as the cosine to the normal, so that each counts alike, and of different lengths, so that
+    /// what is near shades more than what is far.
+    fn openness(&self, surface: &Surface, (i, j): (u32, u32), sample: u32) -> f32 {
+        let normal = surface.normal.as_vec3();
+        let [tangent, bitangent] = tangents(normal);
+        let random = |seed: u32| hash(i ^ hash(j ^ hash(sample ^ seed)));
+        let fraction = |bits: u32| ((bits >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0);
+        let (height, mut around) = (fraction(random(11)), unit_circle(random(12)));
+        let length = fraction(random(13));
+        let mut n_open = 0;
+        for index in 0..N_AMBIENT {
+            let r2 = (index as f32 + height) * (1.0 / N_AMBIENT as f32);
+            let (r, z) = (r2.sqrt(), (1.0 - r2).sqrt());
+            let direction = (tangent * around[0] + bitangent * around[1]) * r + normal * z;
+            // Strata of length in another order than those of height.
+            let length = ((index * 3 + 1) % N_AMBIENT) as f32 + length;
+            let t_max = self.ambient_reach * (length * (1.0 / N_AMBIENT as f32));
+            let ray = Ray { origin: surface.point.as_vec3(), direction, t_min: 0.0, t_max };
+            n_open += u32::from(!clip::occluded(self.grid, self.clip.as_ref(), ray));
+            around = [around[0] * GOLDEN[0] - around[1] * GOLDEN[1], around[0] * GOLDEN[1] + around[1] * GOLDEN[0]];
+        }
+        n_open as f32 * (1.0 / N_AMBIENT as f32)
+    }
+}
+
+/// Cosine and sine of the golden angle: directions that are turned by it again and again keep apart.
+const GOLDEN: [f32; 2] = [-0.737_368_9, 0.675_490_3];
+
+/// What says where the key light stands, in world space.
+struct KeyLight {
+    eye: DVec3,
+    /// From what is looked at to the eye's side, of unit length.
+    back: DVec3,
+    /// From what is looked at to the light, of unit length.
+    to_light: DVec3,
+    /// The middle of the scene.
+    centre: DVec3,
+    /// Half the diagonal of the scene's bounds.
+    radius: f64,
+}
+
+/// How far the key light is from what is looked at, in distances of the eye: over its shoulder it is beside the eye.
+const KEY_DISTANCE: f64 = 1.5;
+
+impl KeyLight {
+    /// In its direction from the point before the eye that is as far away as the middle of the scene. A light on the eye's
+    /// side stays inside the room that the eye is in; others are where they are, whatever hides them.
+    fn find(&self, grid: &Grid, clip: Option<&ClipPlane>, is_on_eye_side: bool) -> Vec3 {
+        let Self { eye, back, to_light, centre, radius } = *self;
+        // An eye far away is replaced by one nearer: there lies nothing in between.
+        let distance = (eye - centre).length();
+        let base = if distance > 4.0 * radius { centre + (eye - centre) * (4.0 * radius / distance) } else { eye };
+        let distance = (base - centre).length().max(0.5 * radius);
+        let step = to_light * (KEY_DISTANCE * distance) - back * distance;
+        if !is_on_eye_side {
+            return (base + step).as_vec3();
+        }
+        let ray = Ray { t_max: 1.0, ..Ray::new(base.as_vec3(), step.as_vec3()) };
+        let wall = clip::intersect(grid, clip, ray);
+        let part = if wall.is_miss() { 1.0 } else { 0.5 * f64::from(wall.t) };
+        (base + step * part).as_vec3()
+    }
+}
+
+/// A bit for each ray from `origin` that hits something up to `t_max`, of what a plane keeps: for up to [`MOST_PACKETS`]
+/// neighbouring blocks.
+pub fn hidden(
+    grid: &Grid,
+    clip: Option<&ClipPlane>,
+    origin: Vec3,
+    directions: &[[Option<Vec3>; 64]],
+    t_max: f32,
+    scratch: &mut PacketScratch,
+) -> [u64; MOST_PACKETS] {
+    let mut packets = Vec::with_capacity(MOST_PACKETS);
+    let mut blocks = Vec::with_capacity(MOST_PACKETS);
+    for (block, directions) in directions.iter().enumerate() {
+        let Some(mut next) = directions.iter().rev().find_map(|direction| *direction) else { continue };
+        let mut packet = Packet { origin, directions: [[0.0; 64]; 3], active: 0, t_min: 0.0, t_max, any_hit: true };
+        for (lane, direction) in directions.iter().enumerate().rev() {
+            // Entries of no ray repeat the next, which lies close to them.
+            next = direction.unwrap_or(next);
+            for axis in 0..3 {
+                packet.directions[axis][lane] = next[axis];
+            }
+            packet.active |= u64::from(direction.is_some()) << lane;
+        }
+        packets.push(packet);
+        blocks.push(block);
+    }
+    let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
+    let mut hidden = [0; MOST_PACKETS];
+    if packets.is_empty() {
+        return hidden;
+    }
+    clip::intersect_packets(grid, clip, &packets, scratch, &mut hits[..packets.len()]);
+    for ((block, packet), hits) in blocks.into_iter().zip(&packets).zip(&hits) {
+        let hit = (0..64).filter(|&lane| !hits[lane].is_miss()).fold(0, |hit, lane| hit | 1 << lane);
+        hidden[block] = hit & packet.active;
+    }
+    hidden
+}
+
+/// Two vectors of unit length at right angles to a normal and to each other: Duff et al., "Building an Orthonormal Basis,
+/// Revisited" (2017).
+fn tangents(n: Vec3) -> [Vec3; 2] {
+    let sign = 1.0f32.copysign(n.z);
+    let a = -1.0 / (sign + n.z);
+    let b = n.x * n.y * a;
+    [Vec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), Vec3::new(b, sign + n.y * n.y * a, -n.y)]
+}
+
+/// A point of the unit circle: one of eight arcs, and within it the tangent of half the angle.
+fn unit_circle(bits: u32) -> [f32; 2] {
+    const TANGENT_OF_PI_8: f32 = 0.414_213_57;
+    let s = (bits >> 9) as f32 * (TANGENT_OF_PI_8 / 8_388_608.0);
+    let scale = 1.0 / (1.0 + s * s);
+    let (cosine, sine) = ((1.0 - s * s) * scale, 2.0 * s * scale);
+    let (x, y) = if bits & 1 == 0 { (cosine, sine) } else { (sine, cosine) };
+    [if bits & 2 == 0 { x } else { -x }, if bits & 4 == 0 { y } else { -y }]
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,239 @@
+use shared::{
+    camera::Camera,
+    division::{FrameSize, UnitSamples},
+    look::{Light, Look},
+    protocol::SampleRange,
+};
+
+use super::*;
+use crate::{model::{mesh::Mesh, statue}, render::tracer::{Scene, SceneOptions}};
+
+fn request(eye: DVec3, target: DVec3, rays: RayTree) -> FrameRequest {
+    FrameRequest {
+        camera: Camera::look_at(eye, target, DVec3::Y, 0.7, 2.0).unwrap(),
+        size: FrameSize::new(128, 64).unwrap(),
+        view: View::Shaded,
+        rays,
+        samples: SampleRange::CENTRE,
+        look: Look::default(),
+    }
+}
+
+/// Samples that are no tile, so that they are their lanes.
+const ROW: Block<'_> = Block::Unit { samples: UnitSamples { columns: 0..64, rows: 0..1 }, first_place: 0 };
+
+/// What reaches every hit of a frame, with the ray's direction and the hit.
+fn reach(scene: &Scene, request: &FrameRequest) -> Vec<(Vec3, Hit, Reach)> {
+    let secondary = SecondaryRays::new(scene.grid(), request, scene.clip_plane(&request.camera, request.look.clip));
+    let rays = request.camera.rays(request.size);
+    let mut scratch = PacketScratch::default();
+    let mut all = Vec::new();
+    for (first_i, first_j) in (0..8).flat_map(|row| (0..16).map(move |column| (8 * column, 8 * row))) {
+        let samples = UnitSamples { columns: first_i..first_i + 8, rows: first_j..first_j + 8 };
+        let mut directions = [Vec3::ZERO; 64];
+        directions.iter_mut().zip(samples.iter()).for_each(|(to, (i, j))| *to = rays.direction(i, j));
+        let hits = directions.map(|direction| scene.grid().intersect(&Ray::new(rays.eye, direction)));
+        let blocks = [Block::Unit { samples, first_place: 0 }];
+        let [reach, ..] = secondary.reach(&blocks, 0, &[directions], &[hits], &mut scratch);
+        all.extend((0..64).map(|lane| (directions[lane], hits[lane], reach[lane])));
+    }
+    all.retain(|(_, hit, _)| !hit.is_miss());
+    all
+}
+
+fn ball(centre: Vec3, radius: f32) -> Mesh {
+    let mut mesh = Mesh::default();
+    let (rows, columns) = (40u32, 80u32);
+    for row in 0..=rows {
+        for column in 0..columns {
+            let (sin, cos) = (std::f32::consts::PI * row as f32 / rows as f32).sin_cos();
+            let (sin_around, cos_around) = (std::f32::consts::TAU * column as f32 / columns as f32).sin_cos();
+            let normal = Vec3::new(sin * cos_around, cos, sin * sin_around);
+            mesh.vertices.push((centre + normal * radius).to_array());
+            if row < rows {
+                let right = (column + 1) % columns;
+                let [a, b] = [column, right].map(|column| row * columns + column);
+                mesh.triangles.extend([[a, b, a + columns], [b, b + columns, a + columns]]);
+            }
+        }
+    }
+    mesh
+}
+
+#[test]
+fn a_ball_does_not_shade_itself() {
+    let places = [(0.0, 1.0), (1000.0, 1.0), (0.0, 1e-6), (-1e6, 1e6), (3.0, 1e6), (50.0, 1e-1)];
+    for (centre, radius) in places {
+        let scene = Scene::build(ball(Vec3::splat(centre), radius), &SceneOptions::default(), &|_| ());
+        let (centre, radius) = (DVec3::splat(f64::from(centre)), f64::from(radius));
+        for distance in [1.5, 4.0, 1e4] {
+            let eye = centre + DVec3::new(0.5, 0.6, 1.0).normalize() * (distance * radius);
+            let mut request = request(eye, centre, RayTree::Ambient);
+            if distance > 1e3 {
+                let (eye, u, v) = (request.camera.eye(), request.camera.u(), request.camera.v());
+                let (u, v) = (u * (4.0 / distance), v * (4.0 / distance));
+                request.camera = Camera::new(eye, centre - (u + v) * 0.5, u, v).unwrap();
+            }
+            let secondary = SecondaryRays::new(scene.grid(), &request, None);
+            let all = reach(&scene, &request);
+            assert!(all.len() > 1000, "the ball is seen");
+            for (direction, hit, reach) in all {
+                let Surface { point, normal } = secondary.surface(direction, hit).unwrap();
+                let facing = normal.dot(secondary.key_light.as_dvec3() - point) > secondary.lift;
+                let expected = f32::from(u8::from(facing));
+                assert_eq!((reach.key, reach.open), (expected, 1.0), "{centre} {radius} {distance} {point}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_light_comes_from_where_it_is_asked_to() {
+    let scene = Scene::build(ball(Vec3::ZERO, 1.0), &SceneOptions::default(), &|_| ());
+    for (name, light) in Light::PRESETS {
+        // The eye is on the z axis: its right, up and back are the world's axes.
+        let look = Look { light, ..Look::default() };
+        let request = FrameRequest { look, ..request(DVec3::Z * 5.0, DVec3::ZERO, RayTree::Shadows) };
+        let secondary = SecondaryRays::new(scene.grid(), &request, None);
+        let expected = light.direction().as_vec3();
+        assert!((secondary.key_direction - expected).length() < 1e-6, "{name}");
+        assert!((secondary.key_light.normalize() - expected).length() < 1e-6, "{name}: {}", secondary.key_light);
+        // What turns away from the light is dark, and nothing else: a ball throws no shadow on itself.
+        for (direction, hit, reach) in reach(&scene, &request) {
+            let Surface { point, normal } = secondary.surface(direction, hit).unwrap();
+            let cosine = normal.dot((secondary.key_light.as_dvec3() - point).normalize());
+            assert!(cosine.abs() < 0.05 || (cosine > 0.0) == (reach.key > 0.0), "{name}: {cosine} {reach:?}");
+        }
+    }
+}
+
+#[test]
+fn what_stands_on_the_ground_touches_its_shadow() {
+    // A wall on a floor, seen along the light: the floor behind the wall is dark up to its foot.
+    for offset in [0.0, 100.0f32] {
+        let quad = |a: [f32; 3], b: [f32; 3], c: [f32; 3], d: [f32; 3]| [a, b, c, d].map(|p| p.map(|x| x + offset));
+        let floor = quad([-2.0, 0.0, -2.0], [2.0, 0.0, -2.0], [2.0, 0.0, 2.0], [-2.0, 0.0, 2.0]);
+        let wall = quad([-2.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 1.0, 0.0], [-2.0, 1.0, 0.0]);
+        let mesh = Mesh {
+            vertices: [floor, wall].concat(),
+            triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]],
+            ..Mesh::default()
+        };
+        let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
+        let at = |p: [f64; 3]| DVec3::from_array(p) + DVec3::splat(f64::from(offset));
+        let request = request(at([0.0, 1.0, 5.0]), at([0.0; 3]), RayTree::Shadows);
+        let mut secondary = SecondaryRays::new(scene.grid(), &request, None);
+        secondary.key_light = at([0.3, 1.5, 3.0]).as_vec3();
+        // Contact begins within a few units in the last place of the largest coordinate.
+        let nearest = 100.0 * f64::from(f32::EPSILON) * (f64::from(offset) + 2.0);
+        for (z, expected) in [(-nearest, 0.0), (-1e-2, 0.0), (-0.5, 0.0), (nearest, 1.0), (0.5, 1.0)] {
+            let point = at([0.1, 0.0, z]) + DVec3::Y * secondary.lift;
+            let surfaces: [Option<Surface>; 64] =
+                std::array::from_fn(|lane| (lane == 7).then_some(Surface { point, normal: DVec3::Y }));
+            let mut reach = [[Reach { key_direction: Vec3::Y, key: 0.5, open: 1.0 }; 64]];
+            let blocks = [ROW];
+            secondary.cast_shadows(&blocks, &[surfaces], &mut reach, &mut PacketScratch::default());
+            assert_eq!(reach[0][7].key, expected, "{z} beside the wall, {offset} away");
+        }
+    }
+}
+
+#[test]
+fn what_is_cut_away_casts_no_shadow() {
+    let sheet = |y: f32| [[-2.0, y, -2.0], [2.0, y, -2.0], [2.0, y, 2.0], [-2.0, y, 2.0]];
+    let mesh = Mesh {
+        vertices: [sheet(0.0), sheet(1.0)].concat(),
+        triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]],
+        ..Mesh::default()
+    };
+    let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
+    // Of a floor under a lid, the light above it, the whole floor is dark, or without the lid lit.
+    for (clip, key) in [(None, 0.0), ("y:50".parse().ok(), 1.0), ("-y:0".parse().ok(), 0.0)] {
+        let look = Look { clip, ..Look::default() };
+        let eye = DVec3::new(0.1, 0.5, 1.5);
+        let request = FrameRequest { look, ..request(eye, DVec3::new(0.0, 0.0, -0.3), RayTree::Ambient) };
+        let plane = scene.clip_plane(&request.camera, clip);
+        let secondary = SecondaryRays::new(scene.grid(), &request, plane).with_key_light(Vec3::new(0.2, 3.0, 0.1));
+        let surface = Surface { point: DVec3::new(0.3, secondary.lift, 0.2), normal: DVec3::Y };
+        let surfaces = std::array::from_fn(|_| Some(Surface { ..surface }));
+        let mut reach = [[Reach { key_direction: Vec3::Y, key: 0.5, open: 1.0 }; 64]];
+        let blocks = [ROW];
+        secondary.cast_shadows(&blocks, &[surfaces], &mut reach, &mut PacketScratch::default());
+        assert!(reach[0].iter().all(|reach| reach.key == key), "{clip:?}");
+        assert_eq!(secondary.openness(&surface, (1, 2), 3), 1.0, "the lid is too far away");
+    }
+}
+
+/// Whether a segment meets any triangle: Möller and Trumbore in `f64`, triangle by triangle.
+fn is_blocked(mesh: &Mesh, from: DVec3, to: DVec3) -> bool {
+    let direction = to - from;
+    (0..mesh.triangles.len()).filter_map(|triangle| mesh.corners(triangle)).any(|corners| {
+        let [a, b, c] = corners.map(|corner| Vec3::from_array(corner).as_dvec3());
+        let (edge_ab, edge_ac, to_origin) = (b - a, c - a, from - a);
+        let p = direction.cross(edge_ac);
+        let determinant = edge_ab.dot(p);
+        let q = to_origin.cross(edge_ab);
+        let (u, v) = (to_origin.dot(p) / determinant, direction.dot(q) / determinant);
+        let t = edge_ac.dot(q) / determinant;
+        u >= 0.0 && v >= 0.0 && u + v <= 1.0 && (0.0..=1.0).contains(&t)
+    })
+}
+
+#[test]
+fn shadows_are_where_a_search_of_all_triangles_finds_them() {
+    let mesh = statue::generate(2000, &|_| ());
+    let scene = Scene::build(mesh.clone(), &SceneOptions::default(), &|_| ());
+    let request = request(DVec3::new(0.5, 1.2, 3.0), DVec3::Y, RayTree::Shadows);
+    let secondary = SecondaryRays::new(scene.grid(), &request, None);
+    let light = secondary.key_light.as_dvec3();
+    let (mut n_dark, mut n_lit, mut n_wrong) = (0, 0, 0);
+    for (direction, hit, reach) in reach(&scene, &request) {
+        let Surface { point, normal } = secondary.surface(direction, hit).unwrap();
+        if normal.dot(light - point) < 2.0 * secondary.lift {
+            continue;
+        }
+        let blocked = is_blocked(&mesh, point, light);
+        n_wrong += u32::from(blocked != (reach.key == 0.0));
+        n_dark += u32::from(blocked);
+        n_lit += u32::from(!blocked);
+    }
+    assert!(n_dark > 20 && n_lit > 500 && n_wrong == 0, "{n_dark} dark, {n_lit} lit, {n_wrong} wrong");
+}
+
+#[test]
+fn a_corner_is_less_open_than_a_plain() {
+    let quad = [[-2.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 4.0, 0.0], [-2.0, 4.0, 0.0]];
+    let floor = [[-2.0, 0.0, 4.0], [2.0, 0.0, 4.0]];
+    let mesh = Mesh {
+        vertices: [&quad[..], &floor[..]].concat(),
+        triangles: vec![[0, 1, 2], [0, 2, 3], [0, 1, 5], [0, 5, 4]],
+        ..Mesh::default()
+    };
+    let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
+    let request = request(DVec3::new(0.0, 3.0, 6.0), DVec3::Y, RayTree::Ambient);
+    let secondary = SecondaryRays::new(scene.grid(), &request, None);
+    let openness = |height: f64| {
+        let surface = Surface { point: DVec3::new(0.0, height, secondary.lift), normal: DVec3::Z };
+        let samples = (0..256).map(|sample| secondary.openness(&surface, (3, 4), sample));
+        samples.sum::<f32>() / 256.0
+    };
+    assert_eq!(openness(2.0), 1.0);
+    // At the foot of the wall the floor hides half the hemisphere, of which rays by the cosine meet half.
+    assert!((openness(1e-3) - 0.5).abs() < 0.03, "{}", openness(1e-3));
+    assert!((0.5..1.0).contains(&openness(0.1)), "{}", openness(0.1));
+}
+
+#[test]
+fn bases_and_circles_have_unit_length() {
+    for bits in (0..1000u32).map(|n| n.wrapping_mul(0x9e37_79b9)) {
+        let [x, y] = unit_circle(bits);
+        assert!((x * x + y * y - 1.0).abs() < 1e-6);
+        let [other, ..] = unit_circle(bits.rotate_left(13));
+        let normal = Vec3::new(x, y, other - 0.5).normalize();
+        let [a, b] = tangents(normal);
+        let products = [a.dot(b), a.dot(normal), b.dot(normal), a.dot(a) - 1.0, b.dot(b) - 1.0];
+        assert!(products.iter().all(|product| product.abs() < 1e-5), "{normal} {products:?}");
+    }
+    let [a, b] = tangents(Vec3::NEG_Z);
+    assert!(a.is_finite() && b.is_finite());
+}

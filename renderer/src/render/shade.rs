@@ -1,0 +1,189 @@
+//! From hits to light: what the samples look like.
+//!
+//! Only + − × ÷ √ are used, in a fixed order, so that every machine computes the same bits.
+
+use glam::Vec3;
+use shared::{protocol::View, srgb};
+
+use crate::{grid::traced::TracedMesh, intersect::{ray::Hit, RayCost}, render::{secondary::Reach, tracer::FrameRequest}};
+
+/// Lights a mesh as seen by one camera: a light at the eye shows form, a sky above it shows which way is up.
+pub struct Shader<'a> {
+    mesh: &'a TracedMesh,
+    view: View,
+    /// The camera's up, of unit length, in world space.
+    up: Vec3,
+    n_rows: f32,
+    /// Linear light of the background, at the bottom and at the top.
+    background: [Vec3; 2],
+}
+
+/// Linear light of surfaces without colours of their own: unglazed clay.
+const CLAY: Vec3 = Vec3::new(0.60, 0.55, 0.49);
+
+/// Light from the eye, from the key light, from the sky and from the ground.
+const EYE_LIGHT: Vec3 = Vec3::new(0.26, 0.26, 0.26);
+const KEY_LIGHT: Vec3 = Vec3::new(0.62, 0.58, 0.52);
+const SKY_LIGHT: Vec3 = Vec3::new(0.19, 0.22, 0.27);
+const GROUND_LIGHT: Vec3 = Vec3::new(0.055, 0.045, 0.04);
+
+impl<'a> Shader<'a> {
+    /// Makes ready for one frame.
+    pub fn new(mesh: &'a TracedMesh, request: &FrameRequest) -> Self {
+        let up = unit(request.camera.v().normalize().as_vec3());
+        let background = [request.look.background.bottom, request.look.background.top].map(linear);
+        Self { mesh, view: request.view, up, n_rows: request.size.yres() as f32, background }
+    }
+
+    /// The linear light that one ray brings back, of what reaches its hit. `row` counts from the bottom, in samples.
+    #[inline]
+    pub fn light(&self, direction: Vec3, hit: Hit, row: f32, reach: &Reach) -> Vec3 {
+        if hit.is_miss() {
+            let height = row / self.n_rows;
+            return self.background[0] * (1.0 - height) + self.background[1] * height;
+        }
+        let [a, b, c] = self.mesh.corners(hit.triangle).map(Vec3::from_array);
+        let normal = unit((b - a).cross(c - a));
+        // Scans are seen from both sides: the normal is turned towards the ray's origin.
+        let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
+        match self.view {
+            // What a ray costs has nothing to do with where it ends: see [`cost`].
+            View::Normals | View::Cost => (normal + 1.0) * 0.5,
+            View::Shaded => {
+                let eye = normal.dot(-unit(direction)).max(0.0);
+                let key = normal.dot(reach.key_direction).max(0.0) * reach.key;
+                let sky = 0.5 + 0.5 * normal.dot(self.up);
+                let around = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
+                self.albedo(hit.triangle) * (KEY_LIGHT * key + around * reach.open)
+            }
+        }
+    }
+
+    /// The mean of the corners' colours.
+    fn albedo(&self, place: u32) -> Vec3 {
+        let Some(colors) = self.mesh.corner_colors(place) else { return CLAY };
+        let [a, b, c] = colors.map(linear);
+        (a + b + c) / 3.0
+    }
+}
+
+/// The colour of what a ray costs: cells in red, tests in green, each half as bright as possible at [`HALF_CELLS`] and
+/// [`HALF_TESTS`], so that no cost is too high to be told from a higher one.
+pub fn cost(cost: RayCost) -> Vec3 {
+    let brightness = |count: u32, half: f32| count as f32 / (count as f32 + half);
+    Vec3::new(brightness(cost.n_cells, HALF_CELLS), brightness(cost.n_tests, HALF_TESTS), 0.0)
+}
+
+/// Well above what most rays cost, so that pictures of scans are dark with bright outlines.
+const HALF_CELLS: f32 = 64.0;
+const HALF_TESTS: f32 = 256.0;
+
+/// Linear light of an encoded colour.
+fn linear(color: [u8; 3]) -> Vec3 {
+    Vec3::from_array(color.map(srgb::decode))
+}
+
+/// The vector of unit length, or zero. Scaled first, so that squares neither overflow nor vanish.
+fn unit(v: Vec3) -> Vec3 {
+    let largest = v.abs().max_element();
+    if largest == 0.0 || !largest.is_finite() {
+        return Vec3::ZERO;
+    }
+    let v = v / largest;
+    v * (1.0 / v.length())
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+    use shared::{
+        camera::Camera,
+        division::FrameSize,
+        look::{Background, Look},
+        protocol::{RayTree, SampleRange},
+    };
+
+    use super::*;
+    use crate::model::mesh::Mesh;
+
+    fn traced(mesh: Mesh) -> TracedMesh {
+        let mut order: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+        TracedMesh::new(mesh, &mut order)
+    }
+
+    fn shader(mesh: &TracedMesh, view: View) -> Shader<'_> {
+        Shader::new(mesh, &request(view, Look::default()))
+    }
+
+    fn request(view: View, look: Look) -> FrameRequest {
+        FrameRequest {
+            camera: Camera::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap(),
+            size: FrameSize::PAPER,
+            view,
+            rays: RayTree::Primary,
+            samples: SampleRange::CENTRE,
+            look,
+        }
+    }
+
+    /// All the light that there is, with the key light at the eye's side.
+    const REACH: Reach = Reach { key_direction: Vec3::new(-0.48, 0.6, 0.64), key: 1.0, open: 1.0 };
+
+    fn facing_mesh() -> Mesh {
+        Mesh {
+            vertices: vec![[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]],
+            triangles: vec![[0, 1, 2], [2, 1, 0]],
+            ..Mesh::default()
+        }
+    }
+
+    #[test]
+    fn both_sides_look_alike() {
+        let mesh = traced(facing_mesh());
+        for view in View::ALL {
+            let shader = shader(&mesh, view);
+            let [front, back] = [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, 0.0, &REACH));
+            assert_eq!(front, back);
+        }
+        let normals = shader(&mesh, View::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
+        assert_eq!(normals, Vec3::new(0.5, 0.5, 1.0));
+    }
+
+    #[test]
+    fn what_hits_nothing_shows_the_background_from_bottom_to_top() {
+        let mesh = traced(facing_mesh());
+        let background = Background { bottom: [255, 0, 10], top: [0, 255, 10] };
+        let shader = Shader::new(&mesh, &request(View::Shaded, Look { background, ..Look::default() }));
+        let encoded = |row: f32| shader.light(-Vec3::Z, Hit::MISS, row, &REACH).to_array().map(srgb::encode);
+        assert_eq!((encoded(0.0), encoded(512.0)), (background.bottom, background.top));
+        // Half of the light is value 188.
+        assert_eq!(encoded(256.0), [188, 188, 10]);
+    }
+
+    #[test]
+    fn what_costs_more_is_brighter() {
+        let light = |n_cells, n_tests| cost(RayCost { n_cells, n_tests });
+        assert_eq!(light(0, 0), Vec3::ZERO);
+        for (less, more) in [(0, 1), (10, 11), (1000, 1100), (100_000, u32::MAX)] {
+            assert!(light(less, 7).x < light(more, 7).x && light(7, less).y < light(7, more).y);
+        }
+        assert!(light(u32::MAX, u32::MAX).max_element() <= 1.0);
+    }
+
+    #[test]
+    fn vertex_colours_tint_the_light() {
+        let red = traced(Mesh { colors: vec![[255, 0, 0]; 3], ..facing_mesh() });
+        let light = shader(&red, View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
+        assert!(light.x > 0.5 && light.y == 0.0 && light.z == 0.0, "{light}");
+    }
+
+    #[test]
+    fn triangles_of_any_size_have_light() {
+        for scale in [1e-18f32, 1e-6, 1.0, 1e6, 1e18] {
+            let mut mesh = facing_mesh();
+            mesh.vertices.iter_mut().flatten().for_each(|x| *x *= scale);
+            let light = shader(&traced(mesh), View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
+            assert!(light.is_finite() && light.min_element() > 0.1, "{scale}: {light}");
+        }
+    }
+}

@@ -1,0 +1,216 @@
+//! `renderer connect`: serves a wall until it is told to stop, and finds it again when it restarts.
+
+use std::{
+    io,
+    net::{IpAddr, SocketAddr},
+    path::PathBuf,
+    sync::Arc,
+    time::Duration,
+};
+
+use anyhow::{Context, bail};
+use shared::protocol::{DEFAULT_PORT, LONGEST_NAME};
+use tokio::{
+    net::{TcpStream, lookup_host},
+    time::{sleep, timeout},
+};
+
+use channel::key::{making_line, Key};
+use crate::{cli::scene_args::SceneArgs, render::threads, server::{canned::Canned, session::{self, SessionEnd}, stage::Stage}};
+
+/// The pause before the first attempt to connect again; it doubles up to [`LONGEST_PAUSE`].
+const SHORTEST_PAUSE: Duration = Duration::from_millis(100);
+
+/// Short enough that a wall that restarts has its nodes back at once.
+const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+
+/// How long the wall's machine may take to answer.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Connects to a wall and renders what it asks for.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ConnectArgs {
+    /// The wall, as HOST or HOST:PORT
+    #[arg(value_name = "HOST:PORT")]
+    pub wall: String,
+    /// The PLY file that the wall shows; needed where the wall's own path does not reach
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+    /// Threads to trace with [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub threads: Option<u32>,
+    /// The name that the wall shows [default: this machine's]
+    #[arg(long, value_name = "NAME")]
+    pub name: Option<String>,
+    /// The wall's key file: nobody else is talked to, and everything is encrypted
+    #[arg(long, value_name = "FILE", conflicts_with = "insecure")]
+    pub key: Option<PathBuf>,
+    /// Talk to a wall on another machine although nothing is encrypted and nobody is authenticated
+    #[arg(long)]
+    pub insecure: bool,
+    /// How scenes are made ready
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// Measure the wall, not rendering: answer at once with noise, whatever the scene
+    #[arg(long, conflicts_with_all = ["model", "replay"])]
+    pub blank: bool,
+    /// Measure the wall, not rendering: answer at once with this picture, whatever the scene
+    #[arg(long, value_name = "FILE.png", conflicts_with = "model")]
+    pub replay: Option<PathBuf>,
+    /// Started by a wall on its own machine: read the files that it names, and end when it ends
+    #[arg(long, hide = true)]
+    pub local: bool,
+}
+
+/// Runs until the process is told to stop.
+///
+/// # Errors
+/// Arguments that cannot work; with `--local` also the end of the wall.
+pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
+    let name = name(args.name)?;
+    let trust = match &args.key {
+        Some(path) => Trust::Key(Key::read(path)?),
+        None if args.insecure => Trust::Everybody,
+        None => Trust::ThisMachine,
+    };
+    let pool = Arc::new(threads::pool(args.threads.map(|n| n as usize))?);
+    let stage = match &args.replay {
+        Some(picture) => Stage::canned(pool, Canned::read(picture)?),
+        None if args.blank => Stage::canned(pool, Canned::noise()),
+        None => Stage::start(pool, args.model, args.scene.options(), args.local)?,
+    };
+    // This thread reads, writes and keeps the heart beating; it is never one that traces.
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .thread_name("work")
+        .enable_all()
+        .build()
+        .context("the network does not start")?;
+    runtime.block_on(async {
+        tokio::select! {
+            ended = keep_connected(&args.wall, &trust, &name, &stage) => ended,
+            signal = stop_signal() => signal.context("cannot listen for signals"),
+            () = end_of_input(), if args.local => Ok(()),
+        }
+    })
+}
+
+/// Which walls are talked to.
+#[derive(Debug)]
+enum Trust {
+    /// Those on this machine, unencrypted.
+    ThisMachine,
+    /// Those that have the key, encrypted.
+    Key(Key),
+    /// All, unencrypted: `--insecure`.
+    Everybody,
+}
+
+impl Trust {
+    fn key(&self) -> Option<&Key> {
+        if let Self::Key(key) = self { Some(key) } else { None }
+    }
+}
+
+async fn keep_connected(wall: &str, trust: &Trust, name: &str, stage: &Stage) -> anyhow::Result<()> {
+    let host = if wall.contains(':') { wall.to_owned() } else { format!("{wall}:{DEFAULT_PORT}") };
+    let mut pause = SHORTEST_PAUSE;
+    let mut last_failure = String::new();
+    loop {
+        let failure = match connect(&host, trust).await? {
+            Ok(mut stream) => {
+                let how = if trust.key().is_some() { "with a key" } else { "unencrypted" };
+                tracing::info!("connected to the wall at {host}, {how}");
+                let (input, output) = stream.split();
+                let SessionEnd { was_welcome, reason } = session::run(input, output, trust.key(), name, stage).await;
+                if was_welcome {
+                    pause = SHORTEST_PAUSE;
+                    last_failure.clear();
+                }
+                reason.map_or_else(|error| error.to_string(), |()| "the wall closed the connection".to_owned())
+            }
+            Err(error) => error.to_string(),
+        };
+        // A wall that is away for hours is reported once.
+        if failure != last_failure {
+            tracing::warn!("{host}: {failure}; trying again until it answers");
+            last_failure = failure;
+        }
+        sleep(pause).await;
+        pause = (pause * 2).min(LONGEST_PAUSE);
+    }
+}
+
+/// Connects once. The outer error is one that trying again does not cure.
+async fn connect(host: &str, trust: &Trust) -> anyhow::Result<io::Result<TcpStream>> {
+    let addresses: Vec<SocketAddr> = match lookup_host(host).await {
+        Ok(addresses) => addresses.collect(),
+        Err(error) if error.kind() == io::ErrorKind::InvalidInput => {
+            bail!("\"{host}\" is no address: write it as HOST:PORT, such as wall.example:{DEFAULT_PORT}")
+        }
+        Err(error) => return Ok(Err(error)),
+    };
+    if matches!(trust, Trust::ThisMachine)
+        && let Some(address) = addresses.iter().find(|address| !is_loopback(address.ip()))
+    {
+        bail!(
+            "{address} is another machine: give --key a copy of the wall's key file, which `{}` makes, \
+             or add --insecure if you trust everybody on the network between",
+            making_line("wall.key".as_ref())
+        );
+    }
+    let connecting = timeout(CONNECT_TIMEOUT, TcpStream::connect(&*addresses)).await;
+    let stream = connecting.unwrap_or_else(|_| Err(io::Error::new(io::ErrorKind::TimedOut, "no answer")));
+    Ok(stream.inspect(hold_little_back))
+}
+
+/// What was written and not yet sent is beyond recall: on a slow link the next motion waits for it.
+#[cfg(target_os = "linux")]
+const MOST_UNSENT_BYTES: u32 = 16 * 1024;
+
+/// Has the system send samples at once, and take no more than it can. A system that refuses is only slower.
+fn hold_little_back(stream: &TcpStream) {
+    let _ = stream.set_nodelay(true);
+    #[cfg(target_os = "linux")]
+    let _ = socket2::SockRef::from(stream).set_tcp_notsent_lowat(MOST_UNSENT_BYTES);
+}
+
+fn is_loopback(address: IpAddr) -> bool {
+    address.to_canonical().is_loopback()
+}
+
+fn name(given: Option<String>) -> anyhow::Result<String> {
+    let name = given.unwrap_or_else(|| {
+        let of_machine =
+            std::fs::read_to_string("/proc/sys/kernel/hostname").or_else(|_| std::env::var("COMPUTERNAME"));
+        of_machine.map_or_else(|_| "renderer".to_owned(), |name| name.trim().chars().take(16).collect())
+    });
+    if name.is_empty() || name.len() > LONGEST_NAME {
+        bail!("--name \"{name}\": a name has 1 to {LONGEST_NAME} bytes");
+    }
+    Ok(name)
+}
+
+/// Waits for the end of standard input: of a pipe whose other end the wall's process holds, however that ends.
+async fn end_of_input() {
+    let (ended, end) = tokio::sync::oneshot::channel();
+    std::thread::spawn(move || {
+        // What comes is for nobody; an error is an end, too.
+        let _ = io::copy(&mut io::stdin(), &mut io::sink());
+        let _ = ended.send(());
+    });
+    let _ = end.await;
+}
+
+/// Waits until the process is told to stop: by Ctrl-C or, on Unix, SIGTERM.
+pub async fn stop_signal() -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
+        tokio::select! {
+            interrupted = tokio::signal::ctrl_c() => interrupted,
+            _ = terminate.recv() => Ok(()),
+        }
+    }
+    #[cfg(not(unix))]
+    tokio::signal::ctrl_c().await
+}

@@ -1,0 +1,250 @@
+//! One conversation with a wall, from the handshake to its end.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
+    time::Instant,
+};
+
+use shared::{
+    codec,
+    printable::printable,
+    protocol::{FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, SILENCE_LIMIT, SceneState, ToServer, ToWall},
+};
+use tokio::{
+    io::{AsyncRead, AsyncWrite},
+    sync::mpsc,
+    time::{MissedTickBehavior, interval, timeout},
+};
+
+use channel::{key::Key, secure::{self, SecureError}, wire::{Incoming, MessageReader, MessageWriter, WireError}};
+use crate::server::{stage::{Stage, Subject}, work::{self, Job}};
+
+/// Encoded messages that wait for the network; when it is full, tracing threads wait.
+const LONGEST_QUEUE: usize = 64;
+
+/// Replies that wait for the network; when it is full, the wall is not listened to.
+const MOST_REPLIES: usize = 64;
+
+/// Works that a wall may ask for before the first is done: its own share, and parts of those of many lost ones.
+const MOST_WORKS: usize = 256;
+
+/// Messages that are written before it is looked whether the heart must beat.
+const LONGEST_BATCH: usize = 16;
+
+/// How a conversation ended.
+#[derive(Debug)]
+pub(crate) struct SessionEnd {
+    /// Whether the wall had accepted this server.
+    pub(crate) was_welcome: bool,
+    /// By the wall's will, or why.
+    pub(crate) reason: Result<(), SessionError>,
+}
+
+/// Why a conversation with a wall fails.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum SessionError {
+    #[error("{0}")]
+    Wire(#[from] WireError),
+    #[error("{0}")]
+    Secure(#[from] SecureError),
+    #[error("the wall refuses: {0}")]
+    Refused(String),
+    #[error("the wall asks for more than {MOST_WORKS} works at once")]
+    TooMuchWork,
+    #[error("the wall spoke out of turn")]
+    OutOfTurn,
+}
+
+/// Runs a conversation over any stream; with a key, encrypted.
+pub(crate) async fn run(
+    input: impl AsyncRead + Unpin,
+    output: impl AsyncWrite + Unpin,
+    key: Option<&Key>,
+    name: &str,
+    stage: &Stage,
+) -> SessionEnd {
+    let Some(key) = key else { return converse(input, output, name, stage).await };
+    let silent = |_| Err(SessionError::from(WireError::Silent(HANDSHAKE_TIMEOUT)));
+    let connecting = timeout(HANDSHAKE_TIMEOUT, secure::connect(input, output, key));
+    match connecting.await.map_or_else(silent, |channel| Ok(channel?)) {
+        Ok((input, output)) => converse(input, output, name, stage).await,
+        Err(error) => SessionEnd { was_welcome: false, reason: Err(error) },
+    }
+}
+
+async fn converse(
+    input: impl AsyncRead + Unpin,
+    output: impl AsyncWrite + Unpin,
+    name: &str,
+    stage: &Stage,
+) -> SessionEnd {
+    let mut reader = MessageReader::new(input, HANDSHAKE_TIMEOUT);
+    let mut writer = MessageWriter::new(output);
+    if let Err(error) = shake_hands(&mut reader, &mut writer, name, stage.pool().current_num_threads()).await {
+        return SessionEnd { was_welcome: false, reason: Err(error) };
+    }
+    reader.accept(SILENCE_LIMIT);
+    let (outbox, outgoing) = mpsc::channel(LONGEST_QUEUE);
+    let (replies, replied) = mpsc::channel(MOST_REPLIES);
+    let (jobs, inbox) = mpsc::unbounded_channel();
+    let mut conversation = Conversation { stage, replies, jobs, unfinished: Vec::new() };
+    let worker = tokio::task::spawn_blocking({
+        let pool = Arc::clone(stage.pool());
+        move || work::run(inbox, &pool, &outbox)
+    });
+    let reason = tokio::select! {
+        reason = conversation.listen(&mut reader) => reason,
+        reason = conversation_writer(&mut writer, outgoing, replied, stage) => reason,
+    };
+    // What is still being traced is for nobody.
+    conversation.unfinished.iter().for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
+    drop(conversation);
+    // The worker ends with its inbox and outbox; a panic in it is a defect, and ends the program as one.
+    worker.await.expect("tracing does not panic");
+    SessionEnd { was_welcome: true, reason }
+}
+
+async fn shake_hands(
+    reader: &mut MessageReader<impl AsyncRead + Unpin, ToServer>,
+    writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
+    name: &str,
+    n_threads: usize,
+) -> Result<(), SessionError> {
+    writer.send(&ToWall::Hello { name: name.to_owned(), threads: n_threads as u32 }).await?;
+    reader.read_preamble().await?;
+    match reader.read().await? {
+        Some(Incoming::Control(ToServer::Welcome)) => Ok(()),
+        Some(Incoming::Control(ToServer::Refused { reason })) => Err(SessionError::Refused(printable(&reason))),
+        _ => Err(SessionError::OutOfTurn),
+    }
+}
+
+/// An encoded message on its way to the wall.
+#[derive(Debug)]
+pub(crate) struct Outgoing {
+    pub(crate) bytes: Vec<u8>,
+    /// Set when the wall no longer wants it.
+    pub(crate) cancelled: Arc<AtomicBool>,
+}
+
+struct Conversation<'a> {
+    stage: &'a Stage,
+    /// Encoded messages that overtake samples: or whoever waits for the network with a reply would not hear, while it is
+    /// slow, that the samples in its way are wanted no longer.
+    replies: mpsc::Sender<Vec<u8>>,
+    jobs: mpsc::UnboundedSender<Job>,
+    /// Works given and perhaps not finished, with their switches.
+    unfinished: Vec<(FrameId, Arc<AtomicBool>)>,
+}
+
+impl Conversation<'_> {
+    async fn listen(
+        &mut self,
+        reader: &mut MessageReader<impl AsyncRead + Unpin, ToServer>,
+    ) -> Result<(), SessionError> {
+        while let Some(incoming) = reader.read().await? {
+            let Incoming::Control(message) = incoming else { return Err(SessionError::OutOfTurn) };
+            match message {
+                ToServer::LoadScene { scene, path, structure } => self.stage.order(scene, path, structure),
+                ToServer::RenderFrame { frame, work_id, picture, work, encoding } => {
+                    let Some(subject) = self.stage.subject(picture.scene) else {
+                        // The wall has moved on to another scene, and back; it hears when this one is ready.
+                        let reason = format!("it does not have {} any more", picture.scene);
+                        let state = SceneState::Missing { reason };
+                        self.say(&ToWall::SceneState { scene: picture.scene, state }).await;
+                        continue;
+                    };
+                    let cancelled = Arc::new(AtomicBool::new(false));
+                    self.unfinished.retain(|(_, cancelled)| Arc::strong_count(cancelled) > 1);
+                    if self.unfinished.len() >= MOST_WORKS {
+                        return Err(SessionError::TooMuchWork);
+                    }
+                    self.unfinished.push((frame, Arc::clone(&cancelled)));
+                    let job = Job {
+                        frame,
+                        work_id,
+                        picture,
+                        work,
+                        encoding,
+                        subject,
+                        cancelled,
+                        received_at: Instant::now(),
+                    };
+                    // The worker lives as long as this conversation.
+                    let _ = self.jobs.send(job);
+                }
+                ToServer::Cancel { frame } => {
+                    let of_frame = self.unfinished.iter().filter(|(of, _)| *of == frame);
+                    of_frame.for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
+                }
+                ToServer::Ping { sent_us } => self.say(&ToWall::Pong { sent_us }).await,
+                ToServer::Probe { number, scene, camera, at, clip } => {
+                    // A single ray takes less time than handing it to another thread.
+                    if let Some(Subject::Scene(scene)) = self.stage.subject(scene) {
+                        self.say(&ToWall::Probed { number, hit: scene.probe(&camera, at, clip) }).await;
+                    }
+                }
+                ToServer::Refused { reason } => return Err(SessionError::Refused(printable(&reason))),
+                ToServer::Welcome => return Err(SessionError::OutOfTurn),
+            }
+        }
+        Ok(())
+    }
+
+    async fn say(&self, message: &ToWall) {
+        // A writer that has ended ends the conversation.
+        let _ = self.replies.send(encoded(message)).await;
+    }
+}
+
+async fn conversation_writer(
+    writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
+    mut outgoing: mpsc::Receiver<Outgoing>,
+    mut replies: mpsc::Receiver<Vec<u8>>,
+    stage: &Stage,
+) -> Result<(), SessionError> {
+    let mut progressed = stage.progressed();
+    progressed.mark_changed();
+    let mut heartbeat = interval(HEARTBEAT_INTERVAL);
+    heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        let first = tokio::select! {
+            Some(message) = outgoing.recv() => Some(message),
+            Some(reply) = replies.recv() => {
+                writer.push_encoded(&reply);
+                None
+            }
+            Ok(()) = progressed.changed() => {
+                let progressed = progressed.borrow_and_update().clone();
+                if let Some((scene, state)) = progressed {
+                    writer.push_encoded(&encoded(&ToWall::SceneState { scene, state }));
+                }
+                None
+            }
+            _ = heartbeat.tick() => {
+                writer.push_encoded(&encoded(&ToWall::Heartbeat));
+                None
+            }
+        };
+        let more = std::iter::from_fn(|| outgoing.try_recv().ok()).take(LONGEST_BATCH);
+        for Outgoing { bytes, cancelled } in first.into_iter().chain(more) {
+            while let Ok(reply) = replies.try_recv() {
+                writer.push_encoded(&reply);
+            }
+            // A link that is slow is not kept busy with what nobody wants.
+            if !cancelled.load(Relaxed) {
+                writer.write_encoded(&bytes).await.map_err(WireError::from)?;
+            }
+        }
+        writer.flush().await.map_err(WireError::from)?;
+    }
+}
+
+fn encoded(message: &ToWall) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    codec::encode(message, &mut bytes).expect("a render server's messages are short");
+    bytes
+}
