@@ -32,10 +32,12 @@ use self::{
     shares::ShareTracer,
 };
 use crate::{
-    args::SubjectArgs,
+    cli::{
+        args::SubjectArgs,
+        headless::{Headless, Wakeup, Wakeups},
+        run::{network_threads, wakeups},
+    },
     farm::Wanted,
-    headless::{Headless, Wakeup, Wakeups},
-    run::{network_threads, wakeups},
 };
 
 /// What is measured, and where the figures go.

@@ -9,6 +9,7 @@ pub(crate) mod replay;
 mod scheduler;
 mod service;
 mod silence;
+pub mod stats;
 mod tile_row;
 mod unit_set;
 
@@ -35,8 +36,10 @@ use tokio::{
 };
 
 pub use self::frame_buffer::Samples;
-use self::frame_buffer::{PlaceError, SpareBuffers};
-use crate::stats::{FarmStatus, FrameStats};
+use self::{
+    frame_buffer::{PlaceError, SpareBuffers},
+    stats::{FarmStatus, FrameStats},
+};
 
 /// What the wall wants to see: always the latest, whatever was wanted before.
 #[derive(Clone, Debug)]

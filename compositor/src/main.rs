@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use compositor::args::{Args, Command};
+use compositor::cli::args::{Args, Command};
 
 fn main() -> ExitCode {
     let args: Args = renderer::cli::parse();
@@ -10,8 +10,8 @@ fn main() -> ExitCode {
     let result = match args.command {
         Some(Command::Renderer(command)) => renderer::cli::run(command),
         Some(Command::Bench(args)) => compositor::bench::run(&args),
-        Some(Command::Check(args)) => compositor::check::run(&args),
-        None => compositor::run::run(&args.wall),
+        Some(Command::Check(args)) => compositor::cli::check::run(&args),
+        None => compositor::cli::run::run(&args.wall),
     };
     renderer::cli::exit_code(result)
 }

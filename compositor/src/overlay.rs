@@ -31,8 +31,8 @@ use shared::{
 };
 
 use crate::{
-    input::Command,
-    stats::{DisplayStats, FarmStatus, FrameStats},
+    control::input::Command,
+    farm::stats::{DisplayStats, FarmStatus, FrameStats},
 };
 
 /// Everything that the overlay shows.

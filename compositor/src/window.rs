@@ -5,14 +5,13 @@
 
 mod app;
 mod frame_rate;
-mod hotplug;
 mod jobs;
-mod legacy;
 mod model_loader;
 mod outputs;
 mod painter;
 mod screen;
 mod screenshots;
+pub mod session;
 
 use std::{
     net::SocketAddr,
@@ -30,13 +29,12 @@ use shared::{
 };
 use winit::event_loop::{EventLoop, EventLoopProxy};
 
+use self::session::display_environment;
 use crate::{
-    display_environment,
-    farm::{Farm, Frame},
-    guard::Ward,
+    control::refinement::RefinementOptions,
+    farm::{Farm, Frame, stats::DisplayStats},
     overlay::JoinHint,
-    refinement::RefinementOptions,
-    stats::DisplayStats,
+    supervisor::Ward,
     wall::Wall,
 };
 

@@ -7,6 +7,10 @@ pub mod decoders;
 mod frame_buffer;
 #[path = "../../compositor/src/farm/tile_row.rs"]
 mod tile_row;
-#[path = "../../compositor/src/wall/mod.rs"]
-#[allow(dead_code, unused_imports)]
-mod wall;
+#[path = "../../compositor/src"]
+mod compositor {
+    #[allow(dead_code, unused_imports)]
+    pub(crate) mod wall;
+}
+
+use compositor::wall;

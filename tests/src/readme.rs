@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use compositor::input::{KEYS, MOUSE};
+use compositor::control::input::{KEYS, MOUSE};
 
 fn root() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))

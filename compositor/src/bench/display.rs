@@ -19,7 +19,7 @@ use shared::{
 };
 
 use super::{bare_draw::BareDraw, results::quantile};
-use crate::{farm::Placing, headless::Headless, wall::Wall};
+use crate::{cli::headless::Headless, farm::Placing, wall::Wall};
 
 /// However long they take.
 const FEWEST_ROUNDS: usize = 5;

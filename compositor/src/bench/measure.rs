@@ -8,10 +8,11 @@ use tokio::runtime::Runtime;
 
 use super::results::{Measured, quantile};
 use crate::{
-    farm::{Farm, Frame, Wanted},
-    headless::{self, Headless, Wakeup, Wakeups},
-    local::LocalServers,
-    stats::DisplayStats,
+    cli::{
+        headless::{self, Headless, Wakeup, Wakeups},
+        local::LocalServers,
+    },
+    farm::{Farm, Frame, Wanted, stats::DisplayStats},
 };
 
 /// Frames after a change that do not count: caches fill, and the dynamic division finds its balance.
@@ -89,7 +90,7 @@ impl<'a> RealWall<'a> {
                 started_at = Instant::now();
             }
         }
-        let median = |value: &dyn Fn(&(crate::stats::FrameStats, DisplayStats, f64)) -> f64| {
+        let median = |value: &dyn Fn(&(crate::farm::stats::FrameStats, DisplayStats, f64)) -> f64| {
             quantile(rows.iter().map(value), 0.5)
         };
         Ok(Ok(Measured {

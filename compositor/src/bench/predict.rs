@@ -105,7 +105,8 @@ pub(super) fn predict(
             let frame_ms = milliseconds(period(&frames, N_FIRST)?);
             let mean = |value: &dyn Fn(&ReplayedFrame) -> f64| counted.iter().map(value).sum::<f64>() / n_frames as f64;
             let compute_ms = mean(&|frame| {
-                let cpu_ms = |node: &crate::stats::NodeFrameStats| node.trace_cpu_ms / slowness[node.id.0 as usize];
+                let cpu_ms =
+                    |node: &crate::farm::stats::NodeFrameStats| node.trace_cpu_ms / slowness[node.id.0 as usize];
                 frame.stats.nodes.iter().map(cpu_ms).sum::<f64>() / speed
             });
             let bytes_in = mean(&|frame| frame.stats.bytes_in as f64);

@@ -31,9 +31,9 @@ use super::{
     frame_buffer::{FrameBuffer, PlaceError},
     scheduler::Placed,
     silence::{self, LastHeard},
+    stats::NodeId,
     unit_set::UnitSet,
 };
-use crate::stats::NodeId;
 
 /// What a connection tells the farm.
 #[derive(Debug)]

@@ -16,8 +16,10 @@ use shared::{
     protocol::{BlockCosts, Encoding, FrameId, Picture, ToWall, WorkId, WorkTimings},
 };
 
-use super::scheduler::{Action, Event, Placed, Scheduler, Time, Wanted};
-use crate::stats::{FrameStats, NodeId};
+use super::{
+    scheduler::{Action, Event, Placed, Scheduler, Time, Wanted},
+    stats::{FrameStats, NodeId},
+};
 
 /// How often the scheduler looks for late work, as in the farm.
 const TICK: Duration = Duration::from_millis(10);

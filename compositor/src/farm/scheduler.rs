@@ -20,7 +20,7 @@ use shared::{
 };
 
 use self::{balance::Balance, coverage::Piece, frame::FrameInFlight, link::Link};
-use crate::stats::{FrameStats, NodeId};
+use super::stats::{FrameStats, NodeId};
 
 /// Lost work is divided into parts of no fewer samples: many deaths in one frame do not crumble it.
 const SMALLEST_PART: u32 = 256;

@@ -26,8 +26,8 @@ use super::{
     connection::{self, Assignment, Desk, Report, Reporter},
     frame_buffer::{FrameBuffer, SpareBuffers},
     scheduler::{self, Action, Event, Scheduler},
+    stats::{FarmStatus, FrameStats, NodeId, NodeStatus, Probed},
 };
-use crate::stats::{FarmStatus, FrameStats, NodeId, NodeStatus, Probed};
 
 /// Render servers at a time: more than a wall has, few enough for the files that a process may open.
 const MOST_NODES: usize = 512;

@@ -11,7 +11,7 @@ use super::{
     OverlayModel, Tint, history, nodes,
     style::{self, Tone, box_of, metrics, section},
 };
-use crate::input::Command;
+use crate::control::input::Command;
 
 /// The storages of the grid, in the order in which a key steps through them; the first is as render servers were started.
 pub const STORAGES: [Option<Storage>; 4] =

@@ -3,7 +3,7 @@
 use egui::{Align, Layout, RichText, Ui};
 
 use super::style;
-use crate::input::Command;
+use crate::control::input::Command;
 
 /// The panel's width in points.
 pub(super) const WIDTH: f32 = 420.0;

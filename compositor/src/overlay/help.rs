@@ -1,9 +1,9 @@
-//! Keys and mouse, as [`crate::input`] has them.
+//! Keys and mouse, as [`crate::control::input`] has them.
 
 use egui::{Align, Layout, RichText, Ui};
 
 use super::style;
-use crate::input::{Command, KEYS, MOUSE};
+use crate::control::input::{Command, KEYS, MOUSE};
 
 /// The panel's width in points.
 pub(super) const WIDTH: f32 = 880.0;

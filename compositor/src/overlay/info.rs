@@ -7,7 +7,7 @@ use glam::DVec3;
 use shared::{protocol::SceneState, structure::Structure};
 
 use super::{OverlayModel, look, style};
-use crate::input::Command;
+use crate::control::input::Command;
 
 /// The panel's width in points.
 pub(super) const WIDTH: f32 = 310.0;

@@ -3,7 +3,7 @@
 use egui::{Role, Slider, Ui, WidgetInfo};
 use shared::look::{Background, Clip, ClipFrom, Light, Look};
 
-use crate::input::Command;
+use crate::control::input::Command;
 
 pub(super) fn show(ui: &mut Ui, look: &Look, commands: &mut Vec<Command>) {
     let (mut azimuth, mut elevation) = (look.light.azimuth_deg(), look.light.elevation_deg());

@@ -4,7 +4,7 @@ use egui::{Align, Color32, Label, Layout, RichText, Ui};
 use shared::protocol::SceneState;
 
 use super::{OverlayModel, Tint, style, tint::node_colour};
-use crate::stats::{FarmStatus, NodeFrameStats, NodeStatus};
+use crate::farm::stats::{FarmStatus, NodeFrameStats, NodeStatus};
 
 /// How many render servers can be given work.
 pub(super) fn n_ready(status: &FarmStatus) -> usize {

@@ -15,7 +15,7 @@ use shared::{
 
 use super::*;
 use crate::{
-    stats::{NodeFrameStats, NodeId, NodeStatus},
+    farm::stats::{NodeFrameStats, NodeId, NodeStatus},
     wall::Wall,
 };
 
@@ -219,15 +219,15 @@ fn reading_a_model_shows_how_far_it_is() {
 fn help_lists_every_key_and_every_gesture() {
     let model = OverlayModel { help: true, ..running() };
     let commands = commands_of(&model, |harness| {
-        for binding in crate::input::KEYS {
+        for binding in crate::control::input::KEYS {
             harness.get_by_label(&binding.names());
             harness.get_by_label(binding.help);
         }
-        for (gesture, effect) in crate::input::MOUSE {
+        for (gesture, effect) in crate::control::input::MOUSE {
             harness.get_by_label(gesture);
             harness.get_by_label(effect);
         }
-        let last = harness.get_by_label(crate::input::MOUSE[crate::input::MOUSE.len() - 1].1).rect();
+        let last = harness.get_by_label(crate::control::input::MOUSE[crate::control::input::MOUSE.len() - 1].1).rect();
         assert!(last.max.y < 768.0, "{last:?} is below the edge of a window as high as most");
         harness.get_by_label("Close (F1)").click();
     });

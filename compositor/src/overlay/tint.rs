@@ -6,7 +6,7 @@ use egui::{Color32, ColorImage, LayerId, Pos2, TextureHandle, TextureOptions, Ui
 use shared::division::{FrameSize, Share, TILE_SIZE};
 
 use super::OverlayModel;
-use crate::stats::{FrameStats, FrameWork, NodeId};
+use crate::farm::stats::{FrameStats, FrameWork, NodeId};
 
 /// What the picture is tinted by.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

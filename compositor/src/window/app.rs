@@ -30,22 +30,23 @@ use super::{
     Call, OnShown, Waker, WindowOptions,
     frame_rate::FrameRate,
     jobs::Jobs,
-    join_hint, legacy,
+    join_hint,
     model_loader::{ModelLoader, name_of},
     outputs::Outputs,
+    session::{legacy, screensaver::ScreensaverHold},
 };
 use crate::{
-    alignment::Alignment,
+    control::{
+        kept::Kept,
+        kiosk::Kiosk,
+        model::Model,
+        navigator::Navigator,
+        refinement::{Refinement, RefinementOptions},
+    },
     farm::{Farm, Frame},
-    guard::Ward,
-    kept::Kept,
-    kiosk::Kiosk,
-    model::Model,
-    navigator::Navigator,
     overlay::{ModelSummary, OverlayModel, WallDrawing},
-    refinement::{Refinement, RefinementOptions},
-    screensaver::ScreensaverHold,
-    wall::OnLoss,
+    supervisor::Ward,
+    wall::{OnLoss, alignment::Alignment},
 };
 
 /// The windows' state.

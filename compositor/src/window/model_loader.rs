@@ -12,7 +12,7 @@ use std::{
 use renderer::scene::SceneSource;
 
 use super::Waker;
-use crate::{kept::Kept, model::Model};
+use crate::control::{kept::Kept, model::Model};
 
 /// Reads the latest model that was asked for.
 pub(super) struct ModelLoader {

@@ -12,12 +12,11 @@ use winit::{
     window::{Fullscreen, Window, WindowId},
 };
 
-use super::{hotplug, ms_since, painter::Painter, screen::Screen};
+use super::{ms_since, painter::Painter, screen::Screen, session::hotplug};
 use crate::{
-    farm::Frame,
+    farm::{Frame, stats::DisplayStats},
     gpu::GpuError,
     overlay::{OutputState, OverlayModel, OverlayOutput, Place, Shows},
-    stats::DisplayStats,
     wall::{PixelRect, Projector, Wall},
 };
 

@@ -4,10 +4,9 @@ use std::time::Instant;
 
 use super::ms_since;
 use crate::{
-    alignment,
     farm::Frame,
     gpu::{Gpu, GpuError, Offscreen, Picture, Present, Target},
-    wall::{PixelRect, Wall},
+    wall::{PixelRect, Wall, alignment},
 };
 
 /// Draws one frame on any number of windows.

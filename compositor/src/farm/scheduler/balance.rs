@@ -20,7 +20,7 @@ use shared::{
     scene::SceneId,
 };
 
-use crate::stats::NodeId;
+use crate::farm::stats::NodeId;
 
 /// How much of what the newest frame says about a speed is believed, once a render server is known.
 const GAIN: f64 = 0.25;

@@ -12,7 +12,7 @@ use super::{
     balance::Measured,
     coverage::{Coverage, Piece},
 };
-use crate::stats::{FrameStats, FrameWork, NodeFrameStats, NodeId, max_over_mean};
+use crate::farm::stats::{FrameStats, FrameWork, NodeFrameStats, NodeId, max_over_mean};
 
 /// Work is late when it has taken this many times as long as the slowest finished work of the frame…
 const LATE_FACTOR: u32 = 3;

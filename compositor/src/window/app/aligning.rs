@@ -1,4 +1,5 @@
-//! Test patterns and corners in the window: keys and mouse go to [`crate::alignment`], and what it shows to the screen.
+//! Test patterns and corners in the window: keys and mouse go to [`crate::wall::alignment`], and what it shows to the
+//! screen.
 
 use glam::DVec2;
 use winit::{

@@ -10,7 +10,7 @@ use winit::keyboard::NamedKey;
 
 use super::App;
 use crate::{
-    input::{Command, Key},
+    control::input::{Command, Key},
     overlay::{FileEntry, FileList},
 };
 

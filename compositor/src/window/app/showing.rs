@@ -6,12 +6,10 @@ use winit::event_loop::ActiveEventLoop;
 
 use super::App;
 use crate::{
-    guard::Ward,
-    kept::Kept,
-    navigator::Navigator,
+    control::{kept::Kept, navigator::Navigator, refinement::Shown},
+    farm::stats::DisplayStats,
     overlay::{FrameTimes, OverlayModel},
-    refinement::Shown,
-    stats::DisplayStats,
+    supervisor::Ward,
 };
 
 /// The cursor of a fullscreen wall disappears when it has rested for so long.

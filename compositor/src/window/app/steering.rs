@@ -17,11 +17,12 @@ use winit::{
 
 use super::{App, probing::Purpose};
 use crate::{
-    input::{self, Action, Command, Key},
-    navigator::{Drag, Navigator},
+    control::{
+        input::{self, Action, Command, Key},
+        navigator::{Drag, Navigator},
+    },
     overlay::{DENSITIES, STORAGES, Tint},
-    screensaver::ScreensaverHold,
-    window::screenshots,
+    window::{screenshots, session::screensaver::ScreensaverHold},
 };
 
 /// A mouse that moves less than this while its button is down has clicked.

@@ -5,7 +5,7 @@ use std::{sync::Arc, time::Instant};
 use shared::camera::{CameraPath, CameraRecorder, UpAxis};
 
 use super::App;
-use crate::{
+use crate::control::{
     kept::{self, Kept},
     navigator::Navigator,
 };

@@ -8,8 +8,8 @@ use shared::{
 };
 
 use super::*;
-use crate::{
-    farm::scheduler::{Action, Event, Placed, Scheduler, Time, Wanted},
+use crate::farm::{
+    scheduler::{Action, Event, Placed, Scheduler, Time, Wanted},
     stats::FrameStats,
 };
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use shared::camera::{Camera, CameraPath, Transition, UpAxis};
 
-use crate::input::Direction;
+use super::input::Direction;
 
 /// What a drag with the mouse does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

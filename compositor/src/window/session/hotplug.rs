@@ -7,7 +7,7 @@ use winit::event_loop::ActiveEventLoop;
 
 /// Puts RandR's library to use under X; what cannot be had is told of, and costs no more than that.
 #[cfg(all(unix, not(target_os = "macos")))]
-pub(super) fn listen(event_loop: &ActiveEventLoop) {
+pub(in crate::window) fn listen(event_loop: &ActiveEventLoop) {
     use winit::raw_window_handle::{HasDisplayHandle, RawDisplayHandle};
     let handle = event_loop.display_handle().map(|handle| handle.as_raw());
     let Ok(RawDisplayHandle::Xlib(handle)) = handle else { return };
@@ -28,4 +28,4 @@ pub(super) fn listen(event_loop: &ActiveEventLoop) {
 
 /// Elsewhere winit does.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
-pub(super) fn listen(_: &ActiveEventLoop) {}
+pub(in crate::window) fn listen(_: &ActiveEventLoop) {}

@@ -7,11 +7,10 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 
+use super::report::Report;
 use crate::{
-    farm::{Farm, Frame},
+    farm::{Farm, Frame, stats::DisplayStats},
     gpu::{Gpu, GpuError, Offscreen, Picture, Present},
-    report::Report,
-    stats::DisplayStats,
     wall::Wall,
 };
 

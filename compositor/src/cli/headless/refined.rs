@@ -7,9 +7,9 @@ use shared::protocol::Picture;
 
 use super::{Headless, Wakeup, Wakeups, milliseconds, wait};
 use crate::{
+    cli::report::Report,
+    control::refinement::{Refinement, Shown},
     farm::Farm,
-    refinement::{Refinement, Shown},
-    report::Report,
 };
 
 impl Headless {

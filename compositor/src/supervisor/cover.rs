@@ -1,6 +1,6 @@
 //! Hides the desktop where a wall was, under X11.
 //!
-//! The X server keeps the windows of a wall that has died (see `window/legacy.rs`), so the last frame is still on screen
+//! The X server keeps the windows of a wall that has died (see `window/session/legacy.rs`), so the last frame is still on screen
 //! when its guard hears of the death: the server copies it, whole and in no time, and showing frames costs nothing more.
 
 use std::rc::Rc;

@@ -5,8 +5,8 @@ use std::{fmt::Write, path::Path};
 use anyhow::Context;
 use serde::Serialize;
 
-use crate::{
-    farm::Frame,
+use crate::farm::{
+    Frame,
     stats::{DisplayStats, FrameStats, NodeFrameStats, NodeId},
 };
 

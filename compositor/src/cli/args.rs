@@ -10,10 +10,10 @@ use shared::{
     scene::SceneId,
 };
 
+use super::check::CheckArgs;
 use crate::{
     bench::BenchArgs,
-    check::CheckArgs,
-    refinement::{self, DEFAULT_TARGET_RATE, RefinementOptions},
+    control::refinement::{self, DEFAULT_TARGET_RATE, RefinementOptions},
     wall::{OnLoss, Wall, WallError},
 };
 

@@ -22,16 +22,20 @@ use shared::{
 };
 use tokio::{net::TcpListener, runtime::Runtime};
 
-use crate::{
+use super::{
     args::WallArgs,
-    farm::{Farm, Wanted},
-    guard::{self, Ward},
     headless::{Film, Headless, Wakeup, Wakeups},
-    kept::{self, Kept},
     local::LocalServers,
-    model::Model,
-    refinement::Refinement,
     report::Report,
+};
+use crate::{
+    control::{
+        kept::{self, Kept},
+        model::Model,
+        refinement::Refinement,
+    },
+    farm::{Farm, Wanted},
+    supervisor::{self, Ward},
     wall::Wall,
     window::{OnShown, WindowLoop, WindowOptions},
 };
@@ -53,8 +57,8 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
     let ward = Ward::of_this_process();
     let fills_screens = args.fullscreen || args.kiosk.is_some() || !wall.monitors().is_empty();
     // One that is measured runs alone.
-    if guard::IS_POSSIBLE && ward.is_none() && fills_screens && args.frames.is_none() {
-        return guard::run(on_loss);
+    if supervisor::IS_POSSIBLE && ward.is_none() && fills_screens && args.frames.is_none() {
+        return supervisor::run(on_loss);
     }
     run_window(args, wall.with_on_loss(on_loss), camera, path, ward)
 }

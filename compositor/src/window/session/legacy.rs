@@ -4,7 +4,7 @@ use winit::{event_loop::ActiveEventLoop, window::Window};
 
 /// Has windows outlive this process, or no longer; without X11 nothing is done.
 #[cfg(all(unix, not(target_os = "macos")))]
-pub(super) fn outlive(event_loop: &ActiveEventLoop, outlive: bool) {
+pub(in crate::window) fn outlive(event_loop: &ActiveEventLoop, outlive: bool) {
     use winit::raw_window_handle::{HasDisplayHandle, RawDisplayHandle};
     /// `DestroyAll` and `RetainTemporary` of the X protocol's SetCloseDownMode.
     const MODES: [i32; 2] = [0, 2];
@@ -21,7 +21,7 @@ pub(super) fn outlive(event_loop: &ActiveEventLoop, outlive: bool) {
 
 /// The X server's number for a window.
 #[cfg(all(unix, not(target_os = "macos")))]
-pub(super) fn number_of(window: &Window) -> Option<u32> {
+pub(in crate::window) fn number_of(window: &Window) -> Option<u32> {
     use winit::raw_window_handle::{HasWindowHandle, RawWindowHandle};
     match window.window_handle().ok()?.as_raw() {
         RawWindowHandle::Xlib(handle) => u32::try_from(handle.window).ok(),
@@ -31,10 +31,10 @@ pub(super) fn number_of(window: &Window) -> Option<u32> {
 
 /// There is no X server.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
-pub(super) fn outlive(_: &ActiveEventLoop, _: bool) {}
+pub(in crate::window) fn outlive(_: &ActiveEventLoop, _: bool) {}
 
 /// There is no X server.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
-pub(super) fn number_of(_: &Window) -> Option<u32> {
+pub(in crate::window) fn number_of(_: &Window) -> Option<u32> {
     None
 }

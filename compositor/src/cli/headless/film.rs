@@ -13,9 +13,9 @@ use shared::camera::{Camera, CameraPath};
 
 use super::{Headless, Wakeup, Wakeups, milliseconds, wait};
 use crate::{
+    cli::report::Report,
     farm::{Farm, Frame},
     gpu::{Picture, picture::PictureError},
-    report::Report,
 };
 
 /// What to film.

@@ -1,0 +1,8 @@
+//! What a wall shows, and how keys, mouse and time steer it.
+
+pub mod input;
+pub mod kept;
+pub mod kiosk;
+pub mod model;
+pub mod navigator;
+pub mod refinement;
