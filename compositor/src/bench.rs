@@ -17,7 +17,11 @@ use std::{path::PathBuf, str::FromStr, time::Duration};
 
 use anyhow::Context;
 use indicatif::{ProgressBar, ProgressStyle};
-use renderer::{cli::say, mesh::Mesh, progress::Progress, scene_args::SceneArgs, tracer::Scene};
+use renderer::{
+    cli::{progress::Progress, say, scene_args::SceneArgs},
+    model::mesh::Mesh,
+    render::tracer::Scene,
+};
 use shared::{
     camera::{Camera, UpAxis},
     division::{Division, FrameSize},
@@ -144,9 +148,9 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let aspect = wall.aspect();
     let headless = if args.nodes.0.is_empty() { None } else { Some(Headless::new(wall)?) };
     let source = subject.source();
-    let renderer::scene::Scene { id, mesh } = {
+    let renderer::model::scene::Scene { id, mesh } = {
         let bar = Progress::new(format!("loading {source}"));
-        renderer::scene::load(&source, &|fraction| bar.set(fraction))?
+        renderer::model::scene::load(&source, &|fraction| bar.set(fraction))?
     };
     let bounds = mesh.bounds();
     let [min, max] = [bounds.min, bounds.max].map(|corner| glam::Vec3::from(corner).as_dvec3());

@@ -1,5 +1,6 @@
 //! What a wall shows, and how keys, mouse and time steer it.
 
+pub mod alignment;
 pub mod input;
 pub mod kept;
 pub mod kiosk;

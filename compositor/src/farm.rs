@@ -21,7 +21,7 @@ use std::{
     time::Instant,
 };
 
-use renderer::key::Key;
+use channel::key::Key;
 use shared::{
     camera::Camera,
     division::{Division, FrameSize},

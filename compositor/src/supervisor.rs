@@ -194,7 +194,7 @@ impl Guard {
 fn listen_for_signals(tell: mpsc::Sender<Event>) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().context("no signals are heard")?;
     let listen = move || {
-        while runtime.block_on(renderer::connect::stop_signal()).is_ok() && tell.send(Event::Stop).is_ok() {}
+        while runtime.block_on(renderer::server::connect::stop_signal()).is_ok() && tell.send(Event::Stop).is_ok() {}
     };
     thread::Builder::new().name("signals".to_owned()).spawn(listen).context("no thread to hear signals")?;
     Ok(())

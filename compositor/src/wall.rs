@@ -3,7 +3,6 @@
 //! In reading order: [`projector`] is one of them, [`homography`] how it stands askew, [`blend`] what several do where
 //! they overlap; `file` reads walls and writes them.
 
-pub mod alignment;
 pub mod blend;
 mod file;
 pub mod homography;

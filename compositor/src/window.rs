@@ -21,7 +21,7 @@ use std::{
 };
 
 use anyhow::Context;
-use renderer::scene::SceneSource;
+use renderer::model::scene::SceneSource;
 use shared::{
     camera::{Camera, CameraPath, UpAxis},
     look::Look,

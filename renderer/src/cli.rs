@@ -1,5 +1,13 @@
 //! The command line of the `renderer` program; the wall runs the same for its local render servers.
 
+pub mod generate;
+pub mod key;
+pub mod look_args;
+pub mod path_bytes;
+pub mod progress;
+pub mod scene_args;
+pub mod trace;
+
 use std::{
     ffi::OsString,
     fmt::Display,
@@ -10,12 +18,10 @@ use std::{
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 
-use channel::key;
+use crate::server::connect::{self, ConnectArgs};
 use generate::GenerateArgs;
-use generate;
-use trace;
+use key::KeyArgs;
 use trace::TraceArgs;
-use crate::{key::KeyArgs, server::connect::{self, ConnectArgs}};
 
 /// Render server of the display wall
 #[derive(Debug, Parser)]

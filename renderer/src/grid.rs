@@ -11,50 +11,24 @@
 
 use std::time::Duration;
 
-#[expect(clippy::needless_range_loop, reason = "an axis indexes several arrays at once")]
-mod boxes;
-mod budget;
-mod build;
-mod choice;
-mod cull;
-#[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
-mod decide;
-mod divide;
-mod figures;
-#[expect(clippy::needless_range_loop, reason = "an axis or a corner indexes several arrays at once")]
-pub mod filter;
-mod frustum;
-mod instructions;
-mod kernel;
-mod macrocells;
-mod options;
-mod overlap;
-mod packet;
-#[expect(clippy::needless_range_loop, reason = "an edge indexes several arrays at once")]
-mod pairs;
-#[expect(clippy::needless_range_loop, reason = "an axis or an edge indexes several arrays at once")]
-mod prepared;
-mod ray_set;
-mod resolution;
-mod row_displacement;
-mod scatter;
+pub(crate) mod budget;
+pub(crate) mod build;
+pub(crate) mod choice;
+pub(crate) mod figures;
+pub(crate) mod options;
 #[cfg(test)]
 mod tests;
-mod tree;
-mod uniform;
-mod walk;
+pub mod traced;
+pub(crate) mod tree;
+pub(crate) mod uniform;
 
+use crate::intersect::InstructionSet;
 pub use budget::{MemoryBudget, MemoryShortage};
 pub use choice::{Choice, Prediction, Reason};
 pub use figures::GridFigures;
-pub use instructions::InstructionSet;
 pub use options::{GridOptions, MeshLayout, Storage};
-pub use packet::{MOST_PACKETS, Packet, PacketScratch};
-use resolution::CellSpace;
-use row_displacement::RowDisplacement;
 use tree::Tree;
-use uniform::{Plain, UniformGrid};
-pub use walk::RayCost;
+use uniform::{Plain, UniformGrid, resolution::CellSpace, row_displacement::RowDisplacement};
 
 use traced::TracedMesh;
 
@@ -64,19 +38,19 @@ use traced::TracedMesh;
 /// cell; [`walk`] relies on it for rays that pass exactly between cells.
 #[derive(Debug)]
 pub struct Grid {
-    space: CellSpace,
-    structure: Structure,
+    pub(crate) space: CellSpace,
+    pub(crate) structure: Structure,
     /// Cells per triangle.
     density: f64,
     shortage: Option<MemoryShortage>,
     choice: Choice,
-    mesh: TracedMesh,
-    instructions: InstructionSet,
+    pub(crate) mesh: TracedMesh,
+    pub(crate) instructions: InstructionSet,
 }
 
 /// How the cells are kept.
 #[derive(Debug)]
-enum Structure {
+pub(crate) enum Structure {
     Tree(Tree),
     Plain(UniformGrid<Plain>),
     RowDisplacement {
@@ -144,7 +118,7 @@ impl Grid {
 }
 
 /// The numbers of the bits that are set, ascending.
-fn bits(mut mask: u64) -> impl Iterator<Item = u32> {
+pub(crate) fn bits(mut mask: u64) -> impl Iterator<Item = u32> {
     std::iter::from_fn(move || {
         let bit = mask.trailing_zeros();
         mask &= mask.wrapping_sub(1);

@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use crate::cli::{self, Cli};
+use renderer::cli::{self, Cli};
 
 fn main() -> ExitCode {
     let command = cli::parse::<Cli>().command;

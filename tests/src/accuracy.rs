@@ -5,10 +5,9 @@ use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3, Vec3};
 use renderer::{
-    mesh::Mesh,
-    ply,
-    ray::Hit,
-    tracer::{Scene, SceneOptions},
+    intersect::ray::Hit,
+    model::{mesh::Mesh, ply},
+    render::tracer::{Scene, SceneOptions},
 };
 use shared::{
     camera::{Camera, CameraRays},
@@ -136,7 +135,7 @@ fn a_million_triangles_of_cad_are_hit_as_in_f64() {
 
 #[test]
 fn the_statue_is_hit_as_in_f64() {
-    let mesh = renderer::statue::generate(200_000, &|_| ());
+    let mesh = renderer::model::statue::generate(200_000, &|_| ());
     let bounds = mesh.bounds();
     let scene = Scene::build(mesh.clone(), &SceneOptions::default(), &|_| ());
     let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());

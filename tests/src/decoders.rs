@@ -3,7 +3,8 @@
 //!
 //! `make fuzz` calls these with what libFuzzer invents, `make test` with the kept corpus and mutations of it.
 
-use renderer::{key::Key, mesh::Mesh, ply, secure};
+use channel::{key::Key, secure};
+use renderer::model::{mesh::Mesh, ply};
 use serde::{Serialize, de::DeserializeOwned};
 use shared::{
     camera::{Camera, CameraPath, Views},

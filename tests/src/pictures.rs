@@ -5,9 +5,10 @@ use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 use compositor::gpu::{Gpu, Offscreen, Picture, Present, present_cpu};
 use compositor::wall::{PixelRect, Wall};
 use glam::DVec3;
-use renderer::mesh::Aabb;
-use renderer::statue;
-use renderer::tracer::{FrameRequest, Scene, SceneOptions};
+use renderer::{
+    model::{mesh::Aabb, statue},
+    render::tracer::{FrameRequest, Scene, SceneOptions},
+};
 use shared::camera::{Camera, UpAxis};
 use shared::division::{Division, FrameSize};
 use shared::look::Look;

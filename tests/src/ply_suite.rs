@@ -7,8 +7,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use renderer::mesh::Mesh;
-use renderer::ply;
+use renderer::model::{mesh::Mesh, ply};
 
 /// What another reader says of a file.
 struct Case {

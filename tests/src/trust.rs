@@ -8,7 +8,7 @@ use std::{
     thread,
 };
 
-use renderer::key::Key;
+use channel::key::Key;
 use shared::protocol::{PREAMBLE, SECURE_PREAMBLE};
 use tempfile::TempDir;
 

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use renderer::scene_args::SceneArgs;
+use renderer::cli::scene_args::SceneArgs;
 use shared::division::{Division, FrameSize};
 use tokio::runtime::Runtime;
 

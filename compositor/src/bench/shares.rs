@@ -4,8 +4,8 @@ use std::{collections::HashMap, rc::Rc, time::Duration};
 
 use cpu_time::ThreadTime;
 use renderer::{
-    tracer::{FrameRequest, Scene},
-    work::block_units,
+    render::tracer::{FrameRequest, Scene},
+    server::work::block_units,
 };
 use shared::{
     codec::{CHUNK_HEADER_BYTES, HEADER_BYTES},

@@ -2,7 +2,10 @@
 
 use std::{net::SocketAddr, path::PathBuf};
 
-use renderer::{look_args::LookArgs, scene::SceneSource, scene_args::SceneArgs};
+use renderer::{
+    cli::{look_args::LookArgs, scene_args::SceneArgs},
+    model::scene::SceneSource,
+};
 use shared::{
     camera::{Camera, UpAxis},
     division::{Division, FrameSize},
@@ -75,7 +78,7 @@ impl SubjectArgs {
 
     /// The camera of the file, if there is one. An error names the file, and what is wrong with it.
     pub fn read_camera(&self) -> anyhow::Result<Option<Camera>> {
-        self.camera.as_deref().map(renderer::trace::read_camera).transpose()
+        self.camera.as_deref().map(renderer::cli::trace::read_camera).transpose()
     }
 }
 

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use glam::{DVec2, DVec4};
-use renderer::{cli::say, image::write_whole};
+use renderer::{cli::say, render::image::write_whole};
 
 use crate::wall::{OnLoss, Wall, homography::apply};
 

@@ -7,7 +7,7 @@ use std::{
 };
 
 use anyhow::Context;
-use renderer::scene_args::SceneArgs;
+use renderer::cli::scene_args::SceneArgs;
 
 /// Render servers that end with the wall.
 #[derive(Debug)]

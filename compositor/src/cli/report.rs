@@ -149,7 +149,7 @@ fn samples_hash(rgba: &[u32]) -> String {
             [r, g, b]
         })
         .collect();
-    renderer::image::samples_hash(&rgb)
+    renderer::render::image::samples_hash(&rgb)
 }
 
 /// The value below which a fraction of the values lies; the nearest rank.

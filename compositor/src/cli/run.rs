@@ -9,11 +9,10 @@ use std::{
 };
 
 use anyhow::{Context, bail};
+use channel::key::{Key, making_line};
 use renderer::{
-    cli::say,
-    key::{Key, making_line},
-    progress::Progress,
-    scene::SceneSource,
+    cli::{progress::Progress, say},
+    model::scene::SceneSource,
 };
 use shared::{
     camera::{Camera, CameraPath},
@@ -160,7 +159,7 @@ fn run_window(
     runtime.spawn({
         let waker = window.waker();
         async move {
-            if renderer::connect::stop_signal().await.is_ok() {
+            if renderer::server::connect::stop_signal().await.is_ok() {
                 waker.close();
             }
         }
@@ -251,7 +250,7 @@ pub(crate) fn wakeups(runtime: &Runtime) -> (mpsc::SyncSender<Wakeup>, Wakeups) 
     let (wake, wakeups) = mpsc::sync_channel(2);
     let stop = wake.clone();
     runtime.spawn(async move {
-        if renderer::connect::stop_signal().await.is_ok() {
+        if renderer::server::connect::stop_signal().await.is_ok() {
             // On a thread that may wait: the wall may be drawing.
             let _ = tokio::task::spawn_blocking(move || stop.send(Wakeup::Stop)).await;
         }

@@ -7,7 +7,7 @@ use std::{
     sync::Arc,
 };
 
-use renderer::{image::write_whole, scene::SceneSource};
+use renderer::{model::scene::SceneSource, render::image::write_whole};
 use shared::camera::{Camera, CameraPath, UpAxis, Views};
 
 /// What is kept beside a model, as it was read with it and changed since.

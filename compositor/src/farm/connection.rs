@@ -7,7 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use renderer::{
+use channel::{
     key::Key,
     secure::{self, SecureError},
     wire::{Incoming, MessageReader, MessageWriter, WireError},

@@ -7,7 +7,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use renderer::{key::Key, path_bytes};
+use channel::key::Key;
+use renderer::cli::path_bytes;
 use shared::{
     codec,
     printable::printable,

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, BufReader, Write};
 use std::path::{Path, PathBuf};
 
-use renderer::image::write_whole;
+use renderer::render::image::write_whole;
 
 /// A picture in sRGB-encoded R, G, B bytes, row by row from the top left.
 #[derive(Clone, PartialEq, Eq)]

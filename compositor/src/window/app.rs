@@ -12,7 +12,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use renderer::scene::SceneSource;
+use renderer::model::scene::SceneSource;
 use shared::{
     look::Look,
     protocol::{Picture, RayTree, View},
@@ -36,6 +36,7 @@ use super::{
     session::{legacy, screensaver::ScreensaverHold},
 };
 use crate::{
+    control::alignment::Alignment,
     control::{
         kept::Kept,
         kiosk::Kiosk,
@@ -46,7 +47,7 @@ use crate::{
     farm::{Farm, Frame},
     overlay::{ModelSummary, OverlayModel, WallDrawing},
     supervisor::Ward,
-    wall::{OnLoss, alignment::Alignment},
+    wall::OnLoss,
 };
 
 /// The windows' state.

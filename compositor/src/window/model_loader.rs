@@ -9,7 +9,7 @@ use std::{
     thread,
 };
 
-use renderer::scene::SceneSource;
+use renderer::model::scene::SceneSource;
 
 use super::Waker;
 use crate::control::{kept::Kept, model::Model};

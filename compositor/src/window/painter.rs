@@ -4,9 +4,10 @@ use std::time::Instant;
 
 use super::ms_since;
 use crate::{
+    control::alignment,
     farm::Frame,
     gpu::{Gpu, GpuError, Offscreen, Picture, Present, Target},
-    wall::{PixelRect, Wall, alignment},
+    wall::{PixelRect, Wall},
 };
 
 /// Draws one frame on any number of windows.

@@ -5,7 +5,10 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::{Args, Subcommand};
 
-use crate::{cli::{progress::Progress, say}, model::{ply, statue}};
+use crate::{
+    cli::{progress::Progress, say},
+    model::{ply, statue},
+};
 
 /// What to generate.
 #[derive(Debug, Args)]

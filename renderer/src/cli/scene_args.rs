@@ -1,6 +1,9 @@
 //! How a scene is made ready, as it is said on the command lines of all programs that do so.
 
-use crate::{grid::{GridOptions, MemoryBudget, MeshLayout, Storage}, render::tracer::SceneOptions};
+use crate::{
+    grid::{GridOptions, MemoryBudget, MeshLayout, Storage},
+    render::tracer::SceneOptions,
+};
 
 /// How mesh and grid are kept. None of it changes a picture.
 #[derive(Clone, Copy, Debug, clap::Args)]

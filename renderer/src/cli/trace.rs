@@ -17,7 +17,19 @@ use shared::{
     protocol::{RayTree, SampleRange, View},
 };
 
-use crate::{cli::{look_args::LookArgs, progress::Progress, say, scene_args::SceneArgs}, grid::{Choice, GridFigures}, model::{scene::{self, SceneSource}, statue}, render::{frame::{Cost, Frame}, image, threads, tracer::{FrameRequest, Scene}}};
+use crate::{
+    cli::{look_args::LookArgs, progress::Progress, say, scene_args::SceneArgs},
+    grid::{Choice, GridFigures},
+    model::{
+        scene::{self, SceneSource},
+        statue,
+    },
+    render::{
+        frame::{Cost, Frame},
+        image, threads,
+        tracer::{FrameRequest, Scene},
+    },
+};
 
 /// What to trace, and what to write.
 #[derive(Args, Debug)]

@@ -2,7 +2,26 @@
 
 use glam::Vec3;
 
-use crate::{grid::{choice::Choice, traced::TracedMesh, tree::{self, boxes::Boxes, divide::{Builder, Piece}, scatter::Scatter, BRICK_SIZE, CELLS_PER_BRICK, Tree}, uniform::{resolution::{resolution, CellSpace}, row_displacement::RowDisplacement, Plain, UniformGrid}, Grid, GridOptions, MemoryShortage, MeshLayout, Storage, Structure}, intersect::InstructionSet, model::mesh::{Aabb, Mesh}};
+use crate::{
+    grid::{
+        Grid, GridOptions, MemoryShortage, MeshLayout, Storage, Structure,
+        choice::Choice,
+        traced::TracedMesh,
+        tree::{
+            self, BRICK_SIZE, CELLS_PER_BRICK, Tree,
+            boxes::Boxes,
+            divide::{Builder, Piece},
+            scatter::Scatter,
+        },
+        uniform::{
+            Plain, UniformGrid,
+            resolution::{CellSpace, resolution},
+            row_displacement::RowDisplacement,
+        },
+    },
+    intersect::InstructionSet,
+    model::mesh::{Aabb, Mesh},
+};
 
 /// What one reference takes with its part of leaves and nodes.
 const TREE_BYTES_PER_REFERENCE: u64 = 5;

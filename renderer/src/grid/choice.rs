@@ -19,7 +19,16 @@
 use glam::{DVec3, Vec3};
 use serde::Serialize;
 
-use crate::{grid::{build::{BOX_BYTES_PER_REFERENCE, PROGRAM_BYTES}, traced::TracedMesh, tree::{divide::LEAF_SIZE, CELLS_PER_BRICK, LEVELS}, uniform::resolution::resolution, GridOptions, MeshLayout, Storage}, model::mesh::Mesh};
+use crate::{
+    grid::{
+        GridOptions, MeshLayout, Storage,
+        build::{BOX_BYTES_PER_REFERENCE, PROGRAM_BYTES},
+        traced::TracedMesh,
+        tree::{CELLS_PER_BRICK, LEVELS, divide::LEAF_SIZE},
+        uniform::resolution::resolution,
+    },
+    model::mesh::Mesh,
+};
 
 /// The densities that are chosen among: one period, in the steps of the chart.
 const DENSITIES: [f64; 6] = [4.0, 8.0, 16.0, 32.0, 64.0, 128.0];
@@ -316,7 +325,7 @@ mod tests {
     use super::*;
     use crate::{
         grid::{Grid, MemoryBudget},
-        statue,
+        model::statue,
     };
 
     fn built(mesh: &Mesh, density: Option<f64>) -> Grid {

@@ -5,8 +5,15 @@ mod packets;
 use glam::Vec3;
 use proptest::prelude::*;
 
-use super::{Grid, GridOptions, MeshLayout, Storage, Structure, build::PROGRAM_BYTES, overlap::DILATION, walk::Cells};
-use crate::{grid::traced::TracedMesh, intersect::ray::{Hit, Ray}, model::mesh::Mesh};
+use super::{Grid, GridOptions, MeshLayout, Storage, Structure, build::PROGRAM_BYTES, tree::overlap::DILATION};
+use crate::{
+    grid::traced::TracedMesh,
+    intersect::{
+        ray::{Hit, Ray},
+        walk::Cells,
+    },
+    model::mesh::Mesh,
+};
 
 /// What rounding may decide either way.
 const MARGIN: f64 = 1e-9;

@@ -2,7 +2,10 @@
 
 use rayon::prelude::*;
 
-use crate::{intersect::simd::Simd, model::mesh::{Aabb, Mesh}};
+use crate::{
+    intersect::simd::Simd,
+    model::mesh::{Aabb, Mesh},
+};
 
 /// A mesh in the order of a grid's cells, without what cannot be hit.
 ///

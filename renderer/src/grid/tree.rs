@@ -4,11 +4,19 @@
 //! The paper's resolution sets the size of the bricks; each is divided only where it holds too much, and there as often
 //! as needed, so that a detailed object in a large plain scene costs no more than one alone.
 
+#[expect(clippy::needless_range_loop, reason = "an axis indexes several arrays at once")]
+pub(crate) mod boxes;
+pub(crate) mod divide;
+pub(crate) mod overlap;
+pub(crate) mod scatter;
+
 use std::ops::Range;
 
+use crate::{
+    grid::{Storage, figures::GridFigures},
+    intersect::walk::{Cells, List},
+};
 use boxes::Boxes;
-use overlap;
-use crate::{grid::{figures::GridFigures, Storage}, intersect::walk::{Cells, List}};
 
 /// Cells of the paper's resolution along a brick.
 pub(crate) const CELLS_PER_BRICK: u32 = 32;

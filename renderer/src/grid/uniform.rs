@@ -1,11 +1,22 @@
 //! The paper's uniform grid: cells of one size, a list of triangles for each, and macrocells over them.
 
+pub(crate) mod macrocells;
+pub(crate) mod resolution;
+pub(crate) mod row_displacement;
+
 use std::time::{Duration, Instant};
 
+use crate::{
+    grid::{
+        Storage,
+        figures::GridFigures,
+        tree::scatter::{self, Scatter},
+    },
+    intersect::walk::{Cells, List},
+};
 use macrocells::Macrocells;
 use row_displacement::Occupied;
 use row_displacement::RowDisplacement;
-use crate::{grid::{figures::GridFigures, tree::scatter::{self, Scatter}, Storage}, intersect::walk::{Cells, List}};
 
 /// Where the list of each cell stands.
 pub(crate) trait CellIndex: Sync {

@@ -8,7 +8,13 @@
 
 use shared::look::ClipPlane;
 
-use crate::{grid::Grid, intersect::{ray::{Hit, Ray}, Packet, PacketScratch}};
+use crate::{
+    grid::Grid,
+    intersect::{
+        Packet, PacketScratch,
+        ray::{Hit, Ray},
+    },
+};
 
 /// The part of a ray that a plane keeps, if any; without a plane all of it.
 ///
@@ -102,10 +108,10 @@ mod tests {
 
     use super::*;
     use crate::{
-        grid::{GridOptions, InstructionSet, Storage},
-        mesh::Mesh,
-        statue,
-        tracer::{Scene, SceneOptions},
+        grid::{GridOptions, Storage},
+        intersect::InstructionSet,
+        model::{mesh::Mesh, statue},
+        render::tracer::{Scene, SceneOptions},
     };
 
     fn scene(mesh: &Mesh, storage: Storage, instructions: InstructionSet) -> Scene {

@@ -3,7 +3,16 @@
 //! It only drops what certainly misses, with rounding accounted for; [`crate::intersect::triangle`] decides the rest.
 
 #[cfg(target_arch = "x86_64")]
-use crate::{grid::{traced::TracedMesh, tree::boxes::LeafBoxes}, intersect::{packet::prepared::{SIDE_MARGIN, UNDERFLOW_MARGIN}, ray::Ray, simd::{Avx2, Avx512, Plain, Simd}, walk::List, InstructionSet}};
+use crate::{
+    grid::{traced::TracedMesh, tree::boxes::LeafBoxes},
+    intersect::{
+        InstructionSet,
+        packet::prepared::{SIDE_MARGIN, UNDERFLOW_MARGIN},
+        ray::Ray,
+        simd::{Avx2, Avx512, Plain, Simd},
+        walk::List,
+    },
+};
 
 /// Triangles that are filtered together.
 pub const BATCH: usize = 16;

@@ -1,6 +1,13 @@
 //! The parts of packets' way that are compiled once for each instruction set, whoever calls them.
 
-use crate::{grid::{tree::Tree, Grid}, intersect::{packet::{cull::Culler, ray_set::RaySet, Leaf, Packet, Scratch}, ray::Hit, simd::{Avx2, Avx512, Plain, Simd}}};
+use crate::{
+    grid::{Grid, tree::Tree},
+    intersect::{
+        packet::{Leaf, Packet, Scratch, cull::Culler, ray_set::RaySet},
+        ray::Hit,
+        simd::{Avx2, Avx512, Plain, Simd},
+    },
+};
 #[cfg(target_arch = "x86_64")]
 
 /// An instruction set with these parts compiled for it.

@@ -11,15 +11,36 @@
 //! Triangles on the way are culled many at a time, see [`crate::intersect::packet::cull`], and what is left is decided by
 //! [`crate::intersect::triangle`]: the hits are those of single rays, bit for bit.
 
+pub(crate) mod cull;
+#[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
+pub(crate) mod decide;
+pub(crate) mod frustum;
+#[expect(clippy::needless_range_loop, reason = "an edge indexes several arrays at once")]
+pub(crate) mod pairs;
+#[expect(clippy::needless_range_loop, reason = "an axis or an edge indexes several arrays at once")]
+pub(crate) mod prepared;
+pub(crate) mod ray_set;
+
 use glam::Vec3;
 
+use crate::{
+    grid::{
+        Grid, Structure,
+        tree::{BRICK_SIZE, LEVELS, Tree, boxes::LeafBoxes},
+    },
+    intersect::{
+        InstructionSet,
+        kernel::Kernel,
+        ray::{Hit, Ray},
+        simd::{Avx2, Avx512, Plain},
+    },
+};
 use cull::CullScratch;
 use cull::Culler;
 use frustum::CellBounds;
 use frustum::Frustum;
 use frustum::Narrow;
 use ray_set::RaySet;
-use crate::{grid::{tree::{boxes::LeafBoxes, BRICK_SIZE, LEVELS, Tree}, Grid, Structure}, intersect::{kernel::Kernel, ray::{Hit, Ray}, simd::{Avx2, Avx512, Plain}, InstructionSet}};
 #[cfg(target_arch = "x86_64")]
 
 /// Rays with a common origin, in world space.

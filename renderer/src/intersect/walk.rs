@@ -6,7 +6,15 @@
 
 use glam::DVec3;
 
-use crate::{grid::{tree::overlap, uniform::resolution::CellSpace, Grid, Structure}, intersect::{exact::ExactSum, filter::Filter, ray::{Hit, Ray}, triangle}};
+use crate::{
+    grid::{Grid, Structure, tree::overlap, uniform::resolution::CellSpace},
+    intersect::{
+        exact::ExactSum,
+        filter::Filter,
+        ray::{Hit, Ray},
+        triangle,
+    },
+};
 
 /// What rays walk through.
 pub(crate) trait Cells {

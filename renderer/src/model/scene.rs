@@ -4,7 +4,11 @@ use std::{fmt, path::PathBuf};
 
 use shared::scene::SceneId;
 
-use crate::model::{mesh::Mesh, ply::{self, PlyError}, statue};
+use crate::model::{
+    mesh::Mesh,
+    ply::{self, PlyError},
+    statue,
+};
 
 #[cfg(target_endian = "big")]
 compile_error!(

@@ -14,7 +14,14 @@ use shared::{
     srgb,
 };
 
-use crate::{intersect::{ray::Hit, MOST_PACKETS, PacketScratch}, render::{blocks::{for_each_group, Block}, parallel::work_off, tracer::{FrameRequest, Scene}}};
+use crate::{
+    intersect::{MOST_PACKETS, PacketScratch, ray::Hit},
+    render::{
+        blocks::{Block, for_each_group},
+        parallel::work_off,
+        tracer::{FrameRequest, Scene},
+    },
+};
 
 /// The hits and the colours of one frame, row by row from the bottom.
 #[derive(Default)]

@@ -3,7 +3,19 @@
 use glam::Vec3;
 use shared::{look::ClipPlane, protocol::View};
 
-use crate::{grid::Grid, intersect::{clip, ray::{Hit, Ray}, MOST_PACKETS, PacketScratch, RayCost}, render::{blocks::Block, secondary::SecondaryRays, shade::{self, Shader}, tracer::{sample_point, FrameRequest}}};
+use crate::{
+    grid::Grid,
+    intersect::{
+        MOST_PACKETS, PacketScratch, RayCost, clip,
+        ray::{Hit, Ray},
+    },
+    render::{
+        blocks::Block,
+        secondary::SecondaryRays,
+        shade::{self, Shader},
+        tracer::{FrameRequest, sample_point},
+    },
+};
 
 /// All that lights one frame.
 pub struct Lighting<'a> {

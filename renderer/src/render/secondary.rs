@@ -12,7 +12,17 @@ use shared::{
     protocol::{RayTree, View},
 };
 
-use crate::{grid::Grid, intersect::{clip, ray::{Hit, Ray}, MOST_PACKETS, Packet, PacketScratch}, render::{blocks::Block, tracer::{hash, FrameRequest}}};
+use crate::{
+    grid::Grid,
+    intersect::{
+        MOST_PACKETS, Packet, PacketScratch, clip,
+        ray::{Hit, Ray},
+    },
+    render::{
+        blocks::Block,
+        tracer::{FrameRequest, hash},
+    },
+};
 
 /// What reaches one hit.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,7 +5,11 @@
 use glam::Vec3;
 use shared::{protocol::View, srgb};
 
-use crate::{grid::traced::TracedMesh, intersect::{ray::Hit, RayCost}, render::{secondary::Reach, tracer::FrameRequest}};
+use crate::{
+    grid::traced::TracedMesh,
+    intersect::{RayCost, ray::Hit},
+    render::{secondary::Reach, tracer::FrameRequest},
+};
 
 /// Lights a mesh as seen by one camera: a light at the eye shows form, a sky above it shows which way is up.
 pub struct Shader<'a> {

@@ -12,7 +12,18 @@ use shared::{
     srgb,
 };
 
-use crate::{grid::{traced::TracedMesh, Grid, GridOptions}, intersect::{clip, ray::{Hit, Ray}, MOST_PACKETS, Packet, PacketScratch}, model::mesh::Mesh, render::{blocks::{for_each_group, in_quarters, in_rows, Block}, lighting::Lighting}};
+use crate::{
+    grid::{Grid, GridOptions, traced::TracedMesh},
+    intersect::{
+        MOST_PACKETS, Packet, PacketScratch, clip,
+        ray::{Hit, Ray},
+    },
+    model::mesh::Mesh,
+    render::{
+        blocks::{Block, for_each_group, in_quarters, in_rows},
+        lighting::Lighting,
+    },
+};
 
 /// A mesh with its grid: all that rays need.
 pub struct Scene {

@@ -15,8 +15,16 @@ use tokio::{
     time::{sleep, timeout},
 };
 
-use channel::key::{making_line, Key};
-use crate::{cli::scene_args::SceneArgs, render::threads, server::{canned::Canned, session::{self, SessionEnd}, stage::Stage}};
+use crate::{
+    cli::scene_args::SceneArgs,
+    render::threads,
+    server::{
+        canned::Canned,
+        session::{self, SessionEnd},
+        stage::Stage,
+    },
+};
+use channel::key::{Key, making_line};
 
 /// The pause before the first attempt to connect again; it doubles up to [`LONGEST_PAUSE`].
 const SHORTEST_PAUSE: Duration = Duration::from_millis(100);

@@ -19,8 +19,15 @@ use tokio::{
     time::{MissedTickBehavior, interval, timeout},
 };
 
-use channel::{key::Key, secure::{self, SecureError}, wire::{Incoming, MessageReader, MessageWriter, WireError}};
-use crate::server::{stage::{Stage, Subject}, work::{self, Job}};
+use crate::server::{
+    stage::{Stage, Subject},
+    work::{self, Job},
+};
+use channel::{
+    key::Key,
+    secure::{self, SecureError},
+    wire::{Incoming, MessageReader, MessageWriter, WireError},
+};
 
 /// Encoded messages that wait for the network; when it is full, tracing threads wait.
 const LONGEST_QUEUE: usize = 64;

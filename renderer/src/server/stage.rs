@@ -10,7 +10,12 @@ use rayon::ThreadPool;
 use shared::{protocol::SceneState, scene::SceneId, structure::Structure};
 use tokio::sync::watch;
 
-use crate::{cli::{path_bytes, progress::Progress}, model::scene::{self, SceneSource}, render::tracer::{Scene, SceneOptions}, server::canned::Canned};
+use crate::{
+    cli::{path_bytes, progress::Progress},
+    model::scene::{self, SceneSource},
+    render::tracer::{Scene, SceneOptions},
+    server::canned::Canned,
+};
 
 /// What the stage is asked to show, and where it may be found.
 #[derive(Clone, Debug, PartialEq)]

@@ -18,7 +18,13 @@ use shared::{
 };
 use tokio::sync::mpsc;
 
-use crate::{render::{parallel::work_off, tracer::{FrameRequest, Scene}}, server::{canned::Canned, session::Outgoing, stage::Subject}};
+use crate::{
+    render::{
+        parallel::work_off,
+        tracer::{FrameRequest, Scene},
+    },
+    server::{canned::Canned, session::Outgoing, stage::Subject},
+};
 
 /// Blocks of a share for each thread: enough that the threads end together.
 const BLOCKS_PER_THREAD: u32 = 8;

@@ -1,4 +1,4 @@
-//! The key that a wall and its render servers share, and `renderer key`, which makes one.
+//! The key that a wall and its render servers share.
 
 use std::{
     fmt,
@@ -127,25 +127,6 @@ impl fmt::Debug for Key {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str("Key(..)")
     }
-}
-
-/// Makes a key file.
-#[derive(Clone, Debug, clap::Args)]
-pub struct KeyArgs {
-    /// The file to write; one that is there is never overwritten
-    #[arg(value_name = "FILE")]
-    pub file: PathBuf,
-}
-
-/// Makes a key file and says what to do with it.
-///
-/// # Errors
-/// The file is there already, or cannot be written.
-pub fn run(args: &KeyArgs) -> anyhow::Result<()> {
-    Key::random()?.write(&args.file)?;
-    let file = args.file.display();
-    println!("wrote {file}: copy it to the wall and to every render server (scp -p), and start both with --key {file}");
-    Ok(())
 }
 
 /// The line that makes a key file with the program that runs, as it was called.

@@ -9,11 +9,15 @@ use divan::{Bencher, counter::ItemsCount};
 use glam::{DVec3, Vec3};
 use lab::random::Random;
 use renderer::{
-    mesh::{Aabb, Mesh},
-    ray::{Hit, Ray},
-    statue,
-    tracer::{Scene, SceneOptions},
-    triangle,
+    intersect::{
+        ray::{Hit, Ray},
+        triangle,
+    },
+    model::{
+        mesh::{Aabb, Mesh},
+        statue,
+    },
+    render::tracer::{Scene, SceneOptions},
 };
 use shared::{
     camera::{Camera, CameraRays, UpAxis},

@@ -8,9 +8,9 @@ use std::{
     task::{Context, Poll},
 };
 
+use channel::{key::Key, secure};
 use cpu_time::ThreadTime;
 use lab::statistics::median;
-use renderer::{key::Key, secure};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf, duplex, split};
 
 /// One frame of 1024×512 samples at 3 bytes.

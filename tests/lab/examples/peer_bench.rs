@@ -26,13 +26,13 @@ use glam::DVec3;
 use lab::trace::frame::{self, FrameOptions, Kernel};
 use rayon::ThreadPool;
 use renderer::{
-    cli::{self, read_line, say},
-    frame::Frame,
-    image,
-    scene::{self, SceneSource},
-    scene_args::SceneArgs,
-    threads,
-    tracer::{FrameRequest, Scene},
+    cli::{self, read_line, say, scene_args::SceneArgs},
+    model::scene::{self, SceneSource},
+    render::{
+        frame::Frame,
+        image, threads,
+        tracer::{FrameRequest, Scene},
+    },
 };
 use serde_json::json;
 use shared::{

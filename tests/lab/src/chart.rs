@@ -15,15 +15,18 @@ use anyhow::{Context, Result, ensure};
 use clap::{Args, ValueEnum};
 use glam::Vec3;
 use renderer::{
-    cli::say,
-    grid::{InstructionSet, MemoryBudget},
-    image,
-    mesh::Mesh,
-    progress::Progress,
-    scene::{self, SceneSource},
-    statue,
-    trace::read_camera,
-    tracer::{Scene, SceneOptions},
+    cli::{progress::Progress, say, trace::read_camera},
+    grid::MemoryBudget,
+    intersect::InstructionSet,
+    model::{
+        mesh::Mesh,
+        scene::{self, SceneSource},
+        statue,
+    },
+    render::{
+        image,
+        tracer::{Scene, SceneOptions},
+    },
 };
 use serde::Serialize;
 use serde_json::json;

@@ -21,7 +21,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use closed::Aim;
 use contenders::{Contender, Tally};
-use renderer::{cli::say, progress::Progress, trace::read_camera};
+use renderer::cli::{progress::Progress, say, trace::read_camera};
 
 /// How much to try, or what to try again.
 #[derive(Args, Debug)]

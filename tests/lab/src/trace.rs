@@ -8,8 +8,8 @@ mod shadows;
 use anyhow::{Result, ensure};
 use clap::Args;
 use glam::Vec3;
-use renderer::{
-    cli::say,
+use renderer::cli::{
+    say,
     trace::{Report, TraceArgs},
 };
 use serde::Serialize;

@@ -8,7 +8,7 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use renderer::progress::Progress;
+use renderer::cli::progress::Progress;
 use shared::camera::{Camera, CameraPath};
 
 use super::{Headless, Wakeup, Wakeups, milliseconds, wait};

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use renderer::progress::Progress;
+use renderer::cli::progress::Progress;
 use shared::protocol::Picture;
 
 use super::{Headless, Wakeup, Wakeups, milliseconds, wait};

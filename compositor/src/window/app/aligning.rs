@@ -1,4 +1,4 @@
-//! Test patterns and corners in the window: keys and mouse go to [`crate::wall::alignment`], and what it shows to the
+//! Test patterns and corners in the window: keys and mouse go to [`crate::control::alignment`], and what it shows to the
 //! screen.
 
 use glam::DVec2;

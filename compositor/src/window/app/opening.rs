@@ -5,7 +5,7 @@ use std::{
     sync::mpsc,
 };
 
-use renderer::scene::SceneSource;
+use renderer::model::scene::SceneSource;
 use winit::keyboard::NamedKey;
 
 use super::App;

@@ -4,7 +4,11 @@ use glam::Vec3;
 use proptest::prelude::*;
 
 use super::{build, build_modes, in_file_order, point, soup};
-use crate::{grid::{Grid, MeshLayout}, intersect::{ray::Hit, triangle, InstructionSet, MOST_PACKETS, Packet, PacketScratch}, model::mesh::Mesh};
+use crate::{
+    grid::{Grid, MeshLayout},
+    intersect::{InstructionSet, MOST_PACKETS, Packet, PacketScratch, ray::Hit, triangle},
+    model::mesh::Mesh,
+};
 
 /// Checks that with every instruction set and in every mode packets, alone or together, and single rays hit the same, bit
 /// for bit: rays without end, and rays that begin or end where one of them hits, or a bit beside.

@@ -10,7 +10,14 @@ use std::ops::Range;
 use glam::Vec3;
 use rayon::prelude::*;
 
-use crate::{grid::{traced::TracedMesh, tree::{BRICK_SIZE, Node, Tree}, uniform::resolution::CellSpace}, intersect::simd::Simd};
+use crate::{
+    grid::{
+        traced::TracedMesh,
+        tree::{BRICK_SIZE, Node, Tree},
+        uniform::resolution::CellSpace,
+    },
+    intersect::simd::Simd,
+};
 
 /// Steps along a cube. What remains of a byte's 256 values reaches beyond the cube on both sides.
 const STEPS: f64 = 250.0;

@@ -7,7 +7,11 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 
 use rayon::prelude::*;
 
-use crate::grid::tree::{overlap::{self, DILATION}, scatter::Scatter, BRICK_SIZE, LEVELS, Node, Tree};
+use crate::grid::tree::{
+    BRICK_SIZE, LEVELS, Node, Tree,
+    overlap::{self, DILATION},
+    scatter::Scatter,
+};
 
 /// References that one task divides, and above which the children of one node are divided in parallel.
 const REFERENCES_PER_TASK: usize = 1 << 15;

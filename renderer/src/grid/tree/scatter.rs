@@ -5,7 +5,13 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::{grid::{tree::overlap::{self, DILATION}, uniform::resolution::CellSpace}, model::mesh::Mesh};
+use crate::{
+    grid::{
+        tree::overlap::{self, DILATION},
+        uniform::resolution::CellSpace,
+    },
+    model::mesh::Mesh,
+};
 
 /// Triangles that one task takes.
 const TRIANGLES_PER_TASK: usize = 1 << 14;

@@ -7,7 +7,26 @@
 //! How far away something is, is told by inverse depths along the major axis: across a triangle's plane they are linear
 //! in the rays' slopes, so that no ray needs a division.
 
-use crate::{grid::{traced::TracedMesh, tree::boxes::{Bounds, LeafBoxes}, Grid}, intersect::{kernel::Kernel, packet::{decide::{HitScratch, NearestHits}, frustum::Narrow, pairs::Pair, prepared::{Bundle, Prepared, SLOPE_MARGIN, UNDERFLOW_MARGIN}, ray_set::RaySet, MOST_PACKETS, Packet}, ray::Hit, simd::Simd}};
+use crate::{
+    grid::{
+        Grid,
+        traced::TracedMesh,
+        tree::boxes::{Bounds, LeafBoxes},
+    },
+    intersect::{
+        kernel::Kernel,
+        packet::{
+            MOST_PACKETS, Packet,
+            decide::{HitScratch, NearestHits},
+            frustum::Narrow,
+            pairs::Pair,
+            prepared::{Bundle, Prepared, SLOPE_MARGIN, UNDERFLOW_MARGIN},
+            ray_set::RaySet,
+        },
+        ray::Hit,
+        simd::Simd,
+    },
+};
 
 /// From so many triangles for each ray on, a leaf's boxes are tested against its rays one by one: in a scan seen from
 /// afar most triangles lie between the rays.

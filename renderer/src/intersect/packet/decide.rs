@@ -5,7 +5,15 @@
 //! not lie too close together. So most that are not the nearest are dropped without a decision, and of the nearest only
 //! its t remains to be found.
 
-use crate::{grid::traced::TracedMesh, intersect::{packet::Packet, ray::Hit, simd::{Real, Simd}, triangle::{self, Plane, Planes, Vector}}};
+use crate::{
+    grid::traced::TracedMesh,
+    intersect::{
+        packet::Packet,
+        ray::Hit,
+        simd::{Real, Simd},
+        triangle::{self, Plane, Planes, Vector},
+    },
+};
 
 /// The memory of [`NearestHits`]: what is known of each ray of each packet.
 #[repr(C, align(64))]

@@ -4,7 +4,13 @@
 //! What certainly misses is dropped, what certainly hits is kept with bounds of its depth, and [`crate::intersect::packet::decide`] decides
 //! what is between.
 
-use crate::intersect::{packet::{cull::{Culler, Groups}, prepared::Prepared}, simd::Simd};
+use crate::intersect::{
+    packet::{
+        cull::{Culler, Groups},
+        prepared::Prepared,
+    },
+    simd::Simd,
+};
 
 /// A triangle and a group of rays some of which may hit it.
 #[derive(Clone, Copy, Default)]

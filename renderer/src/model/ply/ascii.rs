@@ -8,7 +8,7 @@ use std::str::FromStr;
 
 use ply_rs::ply::{ElementDef, Property, PropertyAccess, PropertyType, ScalarType};
 
-use crate::model::ply::{element::index_from_f64, ENDS_HERE};
+use crate::model::ply::{ENDS_HERE, element::index_from_f64};
 
 /// Reads row after row.
 pub(super) struct Rows<'a, R> {

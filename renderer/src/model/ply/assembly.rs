@@ -1,6 +1,9 @@
 //! Puts a mesh together from rows in any order, and rejects at the end what cannot be traced.
 
-use crate::model::{mesh::Mesh, ply::{element::Vertex, Problem}};
+use crate::model::{
+    mesh::Mesh,
+    ply::{Problem, element::Vertex},
+};
 
 /// A mesh whose triangles may still point anywhere.
 #[derive(Default)]

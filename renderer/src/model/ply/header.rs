@@ -5,7 +5,7 @@ use std::io::{self, BufRead, Cursor, Read};
 use ply_rs::parser::{Parser, Reader};
 use ply_rs::ply::{ElementDef, Encoding, PropertyType, ScalarType};
 
-use crate::model::ply::{element::Skipped, Problem};
+use crate::model::ply::{Problem, element::Skipped};
 
 /// A longer header is refused: real ones have a few KB, and one without an end must not fill the memory.
 pub(super) const LONGEST: u64 = 1 << 20;

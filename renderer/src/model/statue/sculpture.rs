@@ -2,7 +2,7 @@
 //!
 //! Distances and smooth unions after Quilez, "Distance functions" and "Smooth minimum" (iquilezles.org).
 
-use crate::model::statue::{noise::gradient, Place};
+use crate::model::statue::{Place, noise::gradient};
 
 type Vector = [f32; 3];
 

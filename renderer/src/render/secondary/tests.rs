@@ -6,7 +6,10 @@ use shared::{
 };
 
 use super::*;
-use crate::{model::{mesh::Mesh, statue}, render::tracer::{Scene, SceneOptions}};
+use crate::{
+    model::{mesh::Mesh, statue},
+    render::tracer::{Scene, SceneOptions},
+};
 
 fn request(eye: DVec3, target: DVec3, rays: RayTree) -> FrameRequest {
     FrameRequest {

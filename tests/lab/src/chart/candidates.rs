@@ -3,7 +3,7 @@
 use std::fmt;
 
 use glam::{DMat3, DVec3, Vec3};
-use renderer::{mesh::Mesh, ray::Ray};
+use renderer::{intersect::ray::Ray, model::mesh::Mesh};
 use shared::{
     camera::{Camera, CameraRays},
     division::FrameSize,
@@ -205,8 +205,8 @@ mod tests {
     use super::*;
     use crate::chart::reference::{Truth, truth};
     use renderer::{
-        statue,
-        tracer::{Scene, SceneOptions},
+        model::statue,
+        render::tracer::{Scene, SceneOptions},
     };
 
     #[test]

@@ -1,7 +1,7 @@
 //! Speed and error of ways to intersect rays with triangles, near by, far away and moved.
 
 use anyhow::Result;
-use renderer::mesh::Mesh;
+use renderer::model::mesh::Mesh;
 use serde::Serialize;
 use shared::{camera::Camera, division::FrameSize};
 

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use cpu_time::ThreadTime;
-use renderer::{mesh::Mesh, ray::Ray, traced::TracedMesh};
+use renderer::{grid::traced::TracedMesh, intersect::ray::Ray, model::mesh::Mesh};
 
 use super::{
     candidates::{Candidates, Placed},

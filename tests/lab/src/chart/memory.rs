@@ -4,9 +4,9 @@ use anyhow::{Result, ensure};
 use cpu_time::{ProcessTime, ThreadTime};
 use renderer::{
     grid::{GridOptions, MemoryBudget, MeshLayout, Storage},
-    mesh::Mesh,
-    ray::{Hit, Ray},
-    tracer::{Scene, SceneOptions},
+    intersect::ray::{Hit, Ray},
+    model::mesh::Mesh,
+    render::tracer::{Scene, SceneOptions},
 };
 use serde::Serialize;
 use shared::{

@@ -6,10 +6,8 @@
 use std::ops::{Add, Div, Mul, Sub};
 
 use renderer::{
-    grid::{InstructionSet, filter},
-    ray::Ray,
-    traced::TracedMesh,
-    triangle,
+    grid::traced::TracedMesh,
+    intersect::{InstructionSet, filter, ray::Ray, triangle},
 };
 use serde::Serialize;
 
@@ -197,7 +195,7 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
-    use renderer::mesh::Mesh;
+    use renderer::model::mesh::Mesh;
 
     #[test]
     fn all_methods_agree_where_nothing_is_hard() {

@@ -6,7 +6,7 @@ use anyhow::Result;
 use nv_flip::{DEFAULT_PIXELS_PER_DEGREE, FlipImageRgb8, FlipPool};
 use plotters::style::RGBColor;
 use rayon::prelude::*;
-use renderer::{
+use renderer::render::{
     parallel::work_off,
     tracer::{FrameRequest, Scene, unit_ranges},
 };

@@ -4,7 +4,7 @@
 //! lies inside, in two dimensions. With bounds on its own rounding: what it cannot tell is left out of the comparison.
 
 use glam::{DVec3, Vec3};
-use renderer::ray::Ray;
+use renderer::intersect::ray::Ray;
 
 /// What the reference says of a ray and a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -11,7 +11,7 @@ use plotters::{
         text_anchor::{HPos, Pos, VPos},
     },
 };
-use renderer::image;
+use renderer::render::image;
 use shared::division::FrameSize;
 
 use super::labels::{self, Label, Mark, Rect, Side};

@@ -3,10 +3,9 @@
 use glam::{DMat3, DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 use renderer::{
-    grid::{Grid, GridOptions, PacketScratch},
-    mesh::Mesh,
-    ray::Ray,
-    statue,
+    grid::{Grid, GridOptions},
+    intersect::{PacketScratch, ray::Ray},
+    model::{mesh::Mesh, statue},
 };
 use shared::{
     camera::{Camera, UpAxis},

@@ -3,8 +3,8 @@
 use glam::{DVec3, Vec3};
 use renderer::{
     grid::{Grid, GridOptions},
-    mesh::Mesh,
-    ray::Ray,
+    intersect::ray::Ray,
+    model::mesh::Mesh,
 };
 
 use super::{

@@ -5,8 +5,11 @@ use std::ops::AddAssign;
 use glam::Vec3;
 use rayon::prelude::*;
 use renderer::{
-    grid::{Grid, MOST_PACKETS, Packet, PacketScratch},
-    ray::{Hit, Ray},
+    grid::Grid,
+    intersect::{
+        MOST_PACKETS, Packet, PacketScratch,
+        ray::{Hit, Ray},
+    },
 };
 
 use crate::chart::methods::Method;

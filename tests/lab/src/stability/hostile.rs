@@ -2,9 +2,9 @@
 
 use glam::Vec3;
 use renderer::{
-    grid::{Grid, GridOptions, PacketScratch},
-    ply,
-    ray::Ray,
+    grid::{Grid, GridOptions},
+    intersect::{PacketScratch, ray::Ray},
+    model::ply,
 };
 
 use super::{

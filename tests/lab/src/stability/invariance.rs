@@ -5,11 +5,10 @@ use std::sync::Mutex;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use renderer::{
-    grid::{Grid, GridOptions, InstructionSet, MeshLayout, PacketScratch, Storage},
-    mesh::Mesh,
-    ray::Hit,
-    statue,
-    tracer::Scene,
+    grid::{Grid, GridOptions, MeshLayout, Storage},
+    intersect::{InstructionSet, PacketScratch, ray::Hit},
+    model::{mesh::Mesh, statue},
+    render::tracer::Scene,
 };
 use shared::{
     camera::{Camera, UpAxis},

@@ -4,8 +4,8 @@
 use glam::Vec3;
 use renderer::{
     grid::{Grid, GridOptions},
-    mesh::Mesh,
-    ray::Ray,
+    intersect::ray::Ray,
+    model::mesh::Mesh,
 };
 
 use super::{

@@ -5,9 +5,12 @@ use std::path::Path;
 use anyhow::{Result, bail};
 use renderer::{
     cli::say,
-    grid::{Grid, GridOptions, InstructionSet, MeshLayout, Storage},
-    mesh::Mesh,
-    scene::{self, SceneSource},
+    grid::{Grid, GridOptions, MeshLayout, Storage},
+    intersect::InstructionSet,
+    model::{
+        mesh::Mesh,
+        scene::{self, SceneSource},
+    },
 };
 use shared::camera::Camera;
 
@@ -51,7 +54,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::{super::contenders::Contender, *};
-    use renderer::ply;
+    use renderer::model::ply;
 
     /// Numbers that meet each other often, and some that do not.
     fn coordinate() -> impl Strategy<Value = f32> {

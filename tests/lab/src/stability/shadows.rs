@@ -2,12 +2,13 @@
 
 use glam::{DVec3, Vec3};
 use renderer::{
-    blocks::Block,
-    grid::{Grid, GridOptions, PacketScratch},
-    mesh::Mesh,
-    ray::{Hit, Ray},
-    secondary::SecondaryRays,
-    tracer::FrameRequest,
+    grid::{Grid, GridOptions},
+    intersect::{
+        PacketScratch,
+        ray::{Hit, Ray},
+    },
+    model::mesh::Mesh,
+    render::{blocks::Block, secondary::SecondaryRays, tracer::FrameRequest},
 };
 use shared::{
     camera::Camera,

@@ -1,7 +1,7 @@
 //! The meshes that methods are tried on.
 
 use glam::DVec3;
-use renderer::mesh::Mesh;
+use renderer::model::mesh::Mesh;
 
 use crate::random::Random;
 

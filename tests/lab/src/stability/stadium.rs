@@ -4,9 +4,9 @@ use cpu_time::ThreadTime;
 use glam::{DVec3, Vec3};
 use renderer::{
     grid::{Grid, GridOptions},
-    mesh::Mesh,
-    ray::Ray,
-    tracer::Scene,
+    intersect::ray::Ray,
+    model::mesh::Mesh,
+    render::tracer::Scene,
 };
 use shared::{
     camera::Camera,

@@ -7,10 +7,11 @@ use std::{
 
 use anyhow::{Context, Result};
 use renderer::{
-    cli::read_line,
-    frame::Frame,
-    trace::read_camera,
-    tracer::{FrameRequest, Scene},
+    cli::{read_line, trace::read_camera},
+    render::{
+        frame::Frame,
+        tracer::{FrameRequest, Scene},
+    },
 };
 use serde::Serialize;
 

@@ -2,10 +2,8 @@
 
 use rayon::prelude::*;
 use renderer::{
-    clip,
-    grid::RayCost,
-    ray::Ray,
-    tracer::{FrameRequest, Scene},
+    intersect::{RayCost, clip, ray::Ray},
+    render::tracer::{FrameRequest, Scene},
 };
 
 /// What the primary rays of a frame cost when each is followed alone.

@@ -3,12 +3,15 @@
 use clap::ValueEnum;
 use glam::Vec3;
 use renderer::{
-    blocks::Block,
-    clip,
-    frame::{Cost, Frame, Setup, Tiles, Write},
-    grid::PacketScratch,
-    ray::{Hit, Ray},
-    tracer::{FrameRequest, Scene},
+    intersect::{
+        PacketScratch, clip,
+        ray::{Hit, Ray},
+    },
+    render::{
+        blocks::Block,
+        frame::{Cost, Frame, Setup, Tiles, Write},
+        tracer::{FrameRequest, Scene},
+    },
 };
 
 use super::shadows::ShadowCaster;

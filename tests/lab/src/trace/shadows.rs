@@ -2,11 +2,11 @@
 
 use glam::Vec3;
 use renderer::{
-    blocks::Block,
-    grid::{MOST_PACKETS, PacketScratch},
-    ray::{Hit, Ray},
-    secondary,
-    tracer::Scene,
+    intersect::{
+        MOST_PACKETS, PacketScratch,
+        ray::{Hit, Ray},
+    },
+    render::{blocks::Block, secondary, tracer::Scene},
 };
 use shared::camera::CameraRays;
 
