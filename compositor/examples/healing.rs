@@ -13,12 +13,12 @@ use std::{
 
 use anyhow::{Context, ensure};
 use clap::Parser;
-use compositor::farm::{Farm, Frame, Wanted};
+use compositor::farm::{Farm, Frame, RenderGoal};
 use shared::{
+    appearance::Appearance,
     camera::Camera,
     division::{Division, FrameSize},
-    look::Look,
-    protocol::{Picture, RayTree, SampleRange, View},
+    protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::SceneId,
 };
 use tokio::net::TcpListener;
@@ -119,19 +119,19 @@ fn main() -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let listener = runtime.block_on(TcpListener::bind("127.0.0.1:0"))?;
     let eye = glam::DVec3::new(1.0, 1.5, 4.0);
-    let picture = Picture {
+    let spec = FrameSpec {
         scene: SceneId::Statue { triangles: args.triangles },
         camera: Camera::look_at(eye, glam::DVec3::new(0.0, 0.9, 0.0), glam::DVec3::Y, 0.6, 2.0)?,
         size: FrameSize::PAPER,
-        view: View::Shaded,
-        rays: RayTree::default(),
+        view: ShadingMode::Shaded,
+        rays: LightingMode::default(),
         samples: SampleRange::CENTRE,
-        look: Look::default(),
+        appearance: Appearance::default(),
     };
-    let wanted = Wanted {
-        picture: Some(picture),
+    let wanted = RenderGoal {
+        spec: Some(spec),
         scene_path: None,
-        refines: false,
+        is_refinement: false,
         division: Division::Dynamic,
         min_renderers: 1,
         repeat: true,

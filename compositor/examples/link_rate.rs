@@ -17,12 +17,12 @@ use std::{
 use anyhow::{Context, bail, ensure};
 use blank::{BlankArgs, BlankServers};
 use clap::Parser;
-use compositor::farm::{Farm, Wanted};
+use compositor::farm::{Farm, RenderGoal};
 use shared::{
+    appearance::Appearance,
     camera::Camera,
     division::{Division, FrameSize},
-    look::Look,
-    protocol::{Encoding, Picture, RayTree, SampleRange, View},
+    protocol::{Encoding, FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::SceneId,
 };
 use tokio::net::TcpListener;
@@ -76,19 +76,19 @@ fn main() -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let listener = runtime.block_on(TcpListener::bind(args.servers.listen))?;
     let camera = Camera::look_at(glam::DVec3::Z, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0)?;
-    let picture = Picture {
+    let spec = FrameSpec {
         scene: SceneId::Statue { triangles: 100 },
         camera,
         size: args.size,
-        view: View::Shaded,
-        rays: RayTree::default(),
+        view: ShadingMode::Shaded,
+        rays: LightingMode::default(),
         samples: SampleRange::CENTRE,
-        look: Look::default(),
+        appearance: Appearance::default(),
     };
-    let wanted = Wanted {
-        picture: None,
+    let wanted = RenderGoal {
+        spec: None,
         scene_path: None,
-        refines: false,
+        is_refinement: false,
         division: Division::Tiled,
         min_renderers: args.nodes,
         repeat: true,
@@ -108,11 +108,11 @@ fn main() -> anyhow::Result<()> {
     let mut iperf = vec![];
     for _ in 0..args.rounds {
         if !args.alone {
-            farm.want(|wanted| wanted.picture = None);
+            farm.update_goal(|wanted| wanted.spec = None);
             iperf.push(iperf3_gbit_per_s(args.nodes, args.seconds)?);
         }
         for (division, rates) in divisions.iter().zip(&mut rates) {
-            farm.want(|wanted| (wanted.picture, wanted.division) = (Some(picture), *division));
+            farm.update_goal(|wanted| (wanted.spec, wanted.division) = (Some(spec), *division));
             rates.push(measure(&farm, &woken, &servers, *division, Duration::from_secs(args.seconds))?);
         }
     }
@@ -173,7 +173,7 @@ fn measure(
     while started_at.elapsed() < duration {
         let frame = next()?;
         n_frames += 1.0;
-        n_bytes += 3.0 * f64::from(frame.picture.size.n_samples());
+        n_bytes += 3.0 * f64::from(frame.spec.size.n_samples());
         place_ms += frame.stats.place_ms;
         n_received += frame.stats.bytes_in as f64;
     }

@@ -16,13 +16,13 @@ use std::{
 use anyhow::ensure;
 use blank::{BlankArgs, BlankServers};
 use clap::Parser;
-use compositor::farm::{Farm, Frame, Wanted};
+use compositor::farm::{Farm, Frame, RenderGoal};
 use glam::DVec3;
 use shared::{
+    appearance::Appearance,
     camera::Camera,
     division::{Division, FrameSize},
-    look::Look,
-    protocol::{Picture, RayTree, SampleRange, View},
+    protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::SceneId,
 };
 use tokio::net::TcpListener;
@@ -56,10 +56,10 @@ fn main() -> anyhow::Result<()> {
     let args: Args = renderer::cli::parse();
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let listener = runtime.block_on(TcpListener::bind(args.servers.listen))?;
-    let wanted = Wanted {
-        picture: None,
+    let wanted = RenderGoal {
+        spec: None,
         scene_path: None,
-        refines: false,
+        is_refinement: false,
         division: args.division,
         min_renderers: args.nodes,
         repeat: false,
@@ -108,32 +108,32 @@ struct Wall {
 }
 
 impl Wall {
-    fn picture(&self, size: FrameSize) -> anyhow::Result<Picture> {
+    fn spec(&self, size: FrameSize) -> anyhow::Result<FrameSpec> {
         let eye = DVec3::new(f64::from(self.n_motions), 0.0, 5.0);
-        Ok(Picture {
+        Ok(FrameSpec {
             scene: SceneId::Statue { triangles: 100 },
             camera: Camera::look_at(eye, DVec3::ZERO, DVec3::Y, 0.7, 2.0)?,
             size,
-            view: View::Shaded,
-            rays: RayTree::default(),
+            view: ShadingMode::Shaded,
+            rays: LightingMode::default(),
             samples: SampleRange::CENTRE,
-            look: Look::default(),
+            appearance: Appearance::default(),
         })
     }
 
     /// Moves the camera, and waits for its frame: for how many milliseconds.
     fn move_on(&mut self, size: FrameSize) -> anyhow::Result<f64> {
         self.n_motions += 1;
-        let picture = self.picture(size)?;
+        let spec = self.spec(size)?;
         let moved_at = Instant::now();
-        self.farm.want(|wanted| (wanted.picture, wanted.refines) = (Some(picture), false));
-        while self.next()?.picture != picture {}
+        self.farm.update_goal(|wanted| (wanted.spec, wanted.is_refinement) = (Some(spec), false));
+        while self.next()?.spec != spec {}
         Ok(moved_at.elapsed().as_secs_f64() * 1e3)
     }
 
     fn refine(&mut self, native: FrameSize) -> anyhow::Result<()> {
-        let picture = self.picture(native)?;
-        self.farm.want(|wanted| (wanted.picture, wanted.refines) = (Some(picture), true));
+        let spec = self.spec(native)?;
+        self.farm.update_goal(|wanted| (wanted.spec, wanted.is_refinement) = (Some(spec), true));
         Ok(())
     }
 

@@ -23,25 +23,25 @@ use renderer::{
     render::tracer::Scene,
 };
 use shared::{
+    appearance::Appearance,
     camera::{Camera, UpAxis},
     division::{Division, FrameSize},
-    look::Look,
-    protocol::{Encoding, Picture, RayTree, SampleRange, View},
+    protocol::{Encoding, FrameSpec, LightingMode, SampleRange, ShadingMode},
 };
 
 use self::{
     measure::{RealWall, Stopped},
     predict::Path,
-    results::{Measured, Predicted, Results},
+    results::{MeasuredRow, PredictedRow, Results},
     shares::ShareTracer,
 };
 use crate::{
     cli::{
-        args::SubjectArgs,
+        args::ShowArgs,
         headless::{Headless, Wakeup, Wakeups},
         run::{network_threads, wakeups},
     },
-    farm::Wanted,
+    farm::RenderGoal,
 };
 
 /// What is measured, and where the figures go.
@@ -49,13 +49,13 @@ use crate::{
 pub struct BenchArgs {
     /// What is shown, and where.
     #[command(flatten)]
-    pub subject: SubjectArgs,
+    pub show: ShowArgs,
     /// Samples of a measured frame
     #[arg(long, value_name = "WxH", default_value_t = FrameSize::PAPER)]
     pub size: FrameSize,
     /// By which rays the picture is lit: primary, shadows or ambient
-    #[arg(long, value_name = "RAYS", default_value = RayTree::default().name())]
-    pub rays: RayTree,
+    #[arg(long, value_name = "RAYS", default_value = LightingMode::default().name())]
+    pub rays: LightingMode,
     /// How scenes are made ready.
     #[command(flatten)]
     pub scene: SceneArgs,
@@ -127,17 +127,17 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// Runs the experiment.
 pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     // First what fails at once: an operator learns of it before a model of minutes is read.
-    let subject = &args.subject;
-    let wall = subject.load_wall()?;
+    let show = &args.show;
+    let wall = show.load_wall()?;
     let Some(out) = &args.out else {
         return display::run(wall, args.size, Duration::from_secs_f64(args.seconds), args.json);
     };
-    let camera = subject.read_camera()?;
+    let camera = show.read_camera()?;
     std::fs::create_dir_all(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
     let n_cores = std::thread::available_parallelism().map_or(1, usize::from);
     let mut results = Results {
-        model: subject.model.as_ref().map_or_else(|| "built-in statue".into(), |path| path.display().to_string()),
-        camera: subject.camera.as_ref().map(|path| path.display().to_string()),
+        model: show.model.as_ref().map_or_else(|| "built-in statue".into(), |path| path.display().to_string()),
+        camera: show.camera.as_ref().map(|path| path.display().to_string()),
         n_cores,
         ..Results::default()
     };
@@ -147,17 +147,17 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let (wake, wakeups) = wakeups(&runtime);
     let aspect = wall.aspect();
     let headless = if args.nodes.0.is_empty() { None } else { Some(Headless::new(wall)?) };
-    let source = subject.source();
-    let renderer::model::scene::Scene { id, mesh } = {
+    let source = show.source();
+    let renderer::model::scene::LoadedMesh { id, mesh } = {
         let bar = Progress::new(format!("loading {source}"));
         renderer::model::scene::load(&source, &|fraction| bar.set(fraction))?
     };
     let bounds = mesh.bounds();
     let [min, max] = [bounds.min, bounds.max].map(|corner| glam::Vec3::from(corner).as_dvec3());
     let camera = camera.unwrap_or_else(|| Camera::view_all(min, max, UpAxis::Y, aspect));
-    let (size, view, rays, samples) = (args.size, View::Shaded, args.rays, SampleRange::CENTRE);
-    let picture = Picture { scene: id, camera, size, view, rays, samples, look: Look::default() };
-    let path = Path { picture, centre: (min + max) * 0.5, in_flight: args.in_flight };
+    let (size, view, rays, samples) = (args.size, ShadingMode::Shaded, args.rays, SampleRange::CENTRE);
+    let spec = FrameSpec { scene: id, camera, size, view, rays, samples, appearance: Appearance::default() };
+    let path = Path { spec, centre: (min + max) * 0.5, in_flight: args.in_flight };
 
     let sizes = if args.predict_size.is_empty() {
         vec![FrameSize::PAPER, FrameSize::new(4096, 2304)?]
@@ -170,10 +170,10 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
 
     let mut experiment =
         Experiment { args, out, results: &mut results, steps, wakeups: &wakeups, undisplayed: Vec::new() };
-    let wanted = Wanted {
-        picture: Some(picture),
-        scene_path: subject.model.clone(),
-        refines: false,
+    let wanted = RenderGoal {
+        spec: Some(spec),
+        scene_path: show.model.clone(),
+        is_refinement: false,
         division: Division::default(),
         min_renderers: 1,
         repeat: true,
@@ -205,7 +205,7 @@ struct Experiment<'a> {
     steps: Steps,
     wakeups: &'a Wakeups,
     /// Measured without display, for checks of predictions.
-    undisplayed: Vec<Measured>,
+    undisplayed: Vec<MeasuredRow>,
 }
 
 impl Experiment<'_> {
@@ -214,7 +214,7 @@ impl Experiment<'_> {
         &mut self,
         runtime: &tokio::runtime::Runtime,
         headless: &mut Headless,
-        wanted: Wanted,
+        wanted: RenderGoal,
         wake: impl Fn() + Send + Sync + 'static,
     ) -> anyhow::Result<Result<(), Stopped>> {
         let duration = Duration::from_secs_f64(self.args.seconds);
@@ -280,7 +280,7 @@ impl Experiment<'_> {
             let motion = if is_moving { "moving" } else { "still" };
             self.steps.begin(&format!("predicting {n_nodes} nodes, {size}, {}, {motion}", division.name()));
             let alone_ms = |mbit_per_s: f64| {
-                let is_alone = |row: &&Predicted| {
+                let is_alone = |row: &&PredictedRow| {
                     (row.division, row.is_moving, row.n_nodes) == (division, is_moving, 1)
                         && row.size == size.to_string()
                         && row.mbit_per_s == mbit_per_s
@@ -312,7 +312,7 @@ impl Experiment<'_> {
         Ok(Ok(()))
     }
 
-    fn add_measured(&mut self, row: Measured, n_steps: usize) -> anyhow::Result<()> {
+    fn add_measured(&mut self, row: MeasuredRow, n_steps: usize) -> anyhow::Result<()> {
         self.steps.say(&format!(
             "measured {:<11} {:>2} render servers: {:>8.1} ms a frame (p95 {:.1}), {:>9.0} bytes in, {:>5.0} out",
             row.division.map_or("display", Division::name),

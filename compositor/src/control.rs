@@ -2,8 +2,8 @@
 
 pub mod alignment;
 pub mod input;
-pub mod kept;
 pub mod kiosk;
 pub mod model;
 pub mod navigator;
 pub mod refinement;
+pub mod sidecar;

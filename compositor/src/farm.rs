@@ -23,10 +23,10 @@ use std::{
 
 use channel::key::Key;
 use shared::{
+    appearance::Clip,
     camera::Camera,
     division::{Division, FrameSize},
-    look::Clip,
-    protocol::{Encoding, Picture},
+    protocol::{Encoding, FrameSpec},
     scene::SceneId,
     structure::Structure,
 };
@@ -35,21 +35,21 @@ use tokio::{
     sync::{Notify, watch},
 };
 
-pub use self::frame_buffer::Samples;
+pub use self::frame_buffer::FrameSamples;
 use self::{
-    frame_buffer::{PlaceError, SpareBuffers},
+    frame_buffer::{BufferPool, PlaceError},
     stats::{FarmStatus, FrameStats},
 };
 
 /// What the wall wants to see: always the latest, whatever was wanted before.
 #[derive(Clone, Debug)]
-pub struct Wanted {
+pub struct RenderGoal {
     /// The picture, once there is a scene to render.
-    pub picture: Option<Picture>,
+    pub spec: Option<FrameSpec>,
     /// Where render servers on this machine find the scene.
     pub scene_path: Option<PathBuf>,
     /// Whether the picture only refines what was shown already: it is given up as soon as another is wanted.
-    pub refines: bool,
+    pub is_refinement: bool,
     /// How frames are divided.
     pub division: Division,
     /// No frame starts with fewer render servers ready.
@@ -68,9 +68,9 @@ pub struct Wanted {
 #[derive(Clone, Debug)]
 pub struct Frame {
     /// What it shows.
-    pub picture: Picture,
+    pub spec: FrameSpec,
     /// Its samples.
-    pub rgba: Samples,
+    pub rgba: FrameSamples,
     /// How it came about.
     pub stats: FrameStats,
     /// When its camera was set.
@@ -92,9 +92,9 @@ pub struct Probe {
 
 /// Puts whole frames in their places as connections do, to measure what that takes.
 #[derive(Debug, Default)]
-pub(crate) struct Placing(SpareBuffers);
+pub(crate) struct SamplePlacer(BufferPool);
 
-impl Placing {
+impl SamplePlacer {
     /// Takes all of a frame, divided for one render server, in chunks of at most so many bytes.
     pub(crate) fn place(
         &self,
@@ -102,11 +102,11 @@ impl Placing {
         division: Division,
         mut rgb: &[u8],
         most_bytes: usize,
-    ) -> Result<Samples, PlaceError> {
-        let work = division.work(0, 1);
-        let share = work.share(size).expect("one render server can have all of a frame");
+    ) -> Result<FrameSamples, PlaceError> {
+        let task = division.task(0, 1);
+        let share = task.share(size).expect("one render server can have all of a frame");
         let buffer = Arc::new(self.0.take(size));
-        let n_units = (most_bytes as u32 / (3 * share.units().whole_unit_samples())).max(1);
+        let n_units = (most_bytes as u32 / (3 * share.units().samples_per_full_unit())).max(1);
         for first in (0..share.count()).step_by(n_units as usize) {
             let count = n_units.min(share.count() - first);
             let n_samples: u32 = (first..first + count).map(|k| share.samples(k).count()).sum();
@@ -122,7 +122,7 @@ impl Placing {
 #[derive(Debug)]
 pub struct Farm {
     address: SocketAddr,
-    wanted: watch::Sender<Wanted>,
+    goal: watch::Sender<RenderGoal>,
     probe: watch::Sender<Probe>,
     structure: watch::Sender<Option<Structure>>,
     status: watch::Receiver<FarmStatus>,
@@ -138,18 +138,18 @@ impl Farm {
     pub fn start(
         listener: TcpListener,
         key: Option<Key>,
-        wanted: Wanted,
+        goal: RenderGoal,
         wake: impl Fn() + Send + Sync + 'static,
     ) -> io::Result<Self> {
         let address = listener.local_addr()?;
         let finished = Arc::new(FinishedFrame::default());
-        let (wanted, wanted_receiver) = watch::channel(wanted);
+        let (goal, wanted_receiver) = watch::channel(goal);
         let (probe, probes) = watch::channel(Probe::default());
         let (structure, structures) = watch::channel(None);
         let (status_sender, status) = watch::channel(FarmStatus::default());
         let service = service::Service::new(key, wanted_receiver, status_sender, Arc::clone(&finished), Box::new(wake));
         let service = tokio::spawn(service.run(listener, probes, structures));
-        Ok(Self { address, wanted, probe, structure, status, finished, service })
+        Ok(Self { address, goal, probe, structure, status, finished, service })
     }
 
     /// The address that the farm listens on, with its real port.
@@ -158,13 +158,13 @@ impl Farm {
     }
 
     /// Changes what the wall wants to see.
-    pub fn want(&self, change: impl FnOnce(&mut Wanted)) {
-        self.wanted.send_modify(change);
+    pub fn update_goal(&self, change: impl FnOnce(&mut RenderGoal)) {
+        self.goal.send_modify(change);
     }
 
     /// What the wall wants to see now.
-    pub fn wanted(&self) -> Wanted {
-        self.wanted.borrow().clone()
+    pub fn goal(&self) -> RenderGoal {
+        self.goal.borrow().clone()
     }
 
     /// Asks a render server what is seen at a point; the answer comes with the [`FarmStatus`], and to the last question

@@ -4,6 +4,7 @@
 //! `optics` what of it is warped or blended, by `shares` that are kept, [`offscreen`] and [`surface`] are targets, [`timer`] measures, and
 //! [`present_cpu`] is the stage's twin for tests.
 
+mod blend_weights;
 pub mod context;
 pub mod frame_texture;
 pub mod offscreen;
@@ -11,13 +12,12 @@ mod optics;
 pub mod picture;
 pub mod present;
 pub mod present_cpu;
-mod shares;
 pub mod surface;
 pub mod timer;
 
 pub use context::{Gpu, GpuError};
 pub use offscreen::Offscreen;
-pub use picture::Picture;
+pub use picture::RgbImage;
 pub use present::{Present, Target};
 pub use surface::WallSurface;
 

@@ -1,11 +1,11 @@
 //! What an operator sees over the wall: a pure function of an [`OverlayModel`], that gives back [`Command`]s.
 
+mod appearance;
 mod figures;
 mod files;
 mod help;
 mod history;
 mod info;
-mod look;
 mod nodes;
 mod place;
 mod style;
@@ -16,17 +16,17 @@ pub use figures::{DENSITIES, STORAGES};
 pub use files::{FileEntry, FileList};
 pub use history::{FrameTimes, History};
 pub use info::{ModelSummary, Pick};
-pub use place::Place;
+pub use place::ProjectorRegion;
 pub use style::{apply_style, zoom};
 pub use tint::Tint;
-pub use wall::{OutputState, Shows, WallDrawing};
+pub use wall::{OutputContent, OutputState, WallDrawing};
 
 use egui::{Align2, Ui};
 use shared::{
+    appearance::Appearance,
     camera::UpAxis,
     division::Division,
-    look::Look,
-    protocol::{RayTree, View},
+    protocol::{LightingMode, ShadingMode},
     structure::Structure,
 };
 
@@ -53,11 +53,11 @@ pub struct OverlayModel {
     /// The division in force.
     pub division: Division,
     /// The view in force.
-    pub view: View,
+    pub view: ShadingMode,
     /// The rays in force.
-    pub rays: RayTree,
+    pub rays: LightingMode,
     /// The look in force.
-    pub look: Look,
+    pub appearance: Appearance,
     /// Whether the resolution follows the motion.
     pub is_refining: bool,
     /// Samples a pixel of the newest frame, and of the picture once it is refined.
@@ -85,7 +85,7 @@ pub struct OverlayModel {
     /// What the picture is tinted by.
     pub tint: Tint,
     /// Where the canvas is seen in the window, projector by projector.
-    pub places: Vec<Place>,
+    pub regions: Vec<ProjectorRegion>,
     /// The wall as it is built.
     pub wall: WallDrawing,
     /// What each of its outputs shows.

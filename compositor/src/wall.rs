@@ -71,7 +71,7 @@ pub enum WallError {
 /// What keeps projectors from being a wall.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{problem}")]
-pub struct Impossible {
+pub struct InvalidWall {
     /// The projector that it is about; `None` for all of them.
     pub projector_idx: Option<usize>,
     /// The key of the wall file that would have to change.
@@ -91,8 +91,8 @@ impl Wall {
     }
 
     /// A wall of these projectors, on a canvas whose sides are some length of metres.
-    pub fn new(canvas_m: [f64; 2], frame_size: FrameSize, projectors: Vec<Projector>) -> Result<Self, Impossible> {
-        let wrong = |projector_idx, key, problem| Err(Impossible { projector_idx, key, problem });
+    pub fn new(canvas_m: [f64; 2], frame_size: FrameSize, projectors: Vec<Projector>) -> Result<Self, InvalidWall> {
+        let wrong = |projector_idx, key, problem| Err(InvalidWall { projector_idx, key, problem });
         if projectors.is_empty() {
             return wrong(None, "projector", "a wall has at least one projector: add [grid] or [[projector]]".into());
         }
@@ -117,7 +117,7 @@ impl Wall {
                 );
                 return wrong(Some(index), "at_m", problem);
             }
-            let corners = projector.raster_corners_in_place();
+            let corners = projector.raster_corners_in_rect();
             if !corners
                 .is_some_and(|corners| corners.iter().all(|corner| corner.abs().max_element() <= FARTHEST_CORNER))
             {
@@ -128,7 +128,7 @@ impl Wall {
                 return wrong(Some(index), "warp_px", problem);
             }
         }
-        let neighbours = blend::neighbours(&projectors).map_err(|(index, n_neighbours)| Impossible {
+        let neighbours = blend::neighbours(&projectors).map_err(|(index, n_neighbours)| InvalidWall {
             projector_idx: Some(index),
             key: "at_m",
             problem: format!(
@@ -179,7 +179,7 @@ impl Wall {
     }
 
     /// The same wall with other corners of one projector, as [`Projector::warp_px`] has them.
-    pub fn with_warp(&self, projector_idx: usize, warp_px: [[f64; 2]; 4]) -> Result<Self, Impossible> {
+    pub fn with_warp(&self, projector_idx: usize, warp_px: [[f64; 2]; 4]) -> Result<Self, InvalidWall> {
         let mut projectors = self.projectors.clone();
         if let Some(projector) = projectors.get_mut(projector_idx) {
             projector.warp_px = warp_px;
@@ -289,8 +289,8 @@ impl Wall {
             let PixelRect { x, y, width, height } = projector.output;
             let corner = DVec2::new(f64::from(x), f64::from(y));
             let raster = (output_px - corner) / DVec2::new(f64::from(width), f64::from(height));
-            let place = homography::apply(projector.raster_from_place()?.inverse(), raster)?;
-            Some(projector.canvas.canvas_of(place))
+            let place = homography::apply(projector.raster_from_rect()?.inverse(), raster)?;
+            Some(projector.canvas.canvas_from_rect(place))
         };
         // Beyond a warped projector's horizon nothing can be lit.
         nearest
@@ -320,9 +320,9 @@ pub(crate) fn read_text(path: &Path) -> std::io::Result<String> {
 }
 
 /// Every projector has pixels, all of them fit in one picture, and none belongs to two projectors.
-fn check_pixels(projectors: &[Projector]) -> Result<(), Impossible> {
+fn check_pixels(projectors: &[Projector]) -> Result<(), InvalidWall> {
     for (index, Projector { name, output, .. }) in projectors.iter().enumerate() {
-        let wrong = |key, problem| Err(Impossible { projector_idx: Some(index), key, problem });
+        let wrong = |key, problem| Err(InvalidWall { projector_idx: Some(index), key, problem });
         let fits = |from: u32, extent: u32| {
             extent >= 1 && from.checked_add(extent).is_some_and(|end| end <= Wall::LARGEST_SIDE)
         };
@@ -359,10 +359,10 @@ fn monitors(projectors: &[Projector]) -> Vec<(&str, PixelRect)> {
 }
 
 /// Either no projector names its monitor, or each does, and its pixels lie in no other monitor's part.
-fn check_monitors(projectors: &[Projector]) -> Result<(), Impossible> {
+fn check_monitors(projectors: &[Projector]) -> Result<(), InvalidWall> {
     let all = monitors(projectors);
     for (index, Projector { name, monitor, output, .. }) in projectors.iter().enumerate() {
-        let wrong = |problem| Err(Impossible { projector_idx: Some(index), key: "output", problem });
+        let wrong = |problem| Err(InvalidWall { projector_idx: Some(index), key: "output", problem });
         if monitor.is_none() && !all.is_empty() {
             return wrong(format!("\"{name}\" has no output, others have: give one to all, or to none"));
         }

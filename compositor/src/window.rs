@@ -23,9 +23,9 @@ use std::{
 use anyhow::Context;
 use renderer::model::scene::SceneSource;
 use shared::{
+    appearance::Appearance,
     camera::{Camera, CameraPath, UpAxis},
-    look::Look,
-    protocol::{RayTree, View},
+    protocol::{LightingMode, ShadingMode},
 };
 use winit::event_loop::{EventLoop, EventLoopProxy};
 
@@ -34,7 +34,7 @@ use crate::{
     control::refinement::RefinementOptions,
     farm::{Farm, Frame, stats::DisplayStats},
     overlay::JoinHint,
-    supervisor::Ward,
+    supervisor::SupervisorLink,
     wall::Wall,
 };
 
@@ -56,11 +56,11 @@ pub struct WindowOptions {
     /// Whether visitors can only steer; how long after the last touch the wall goes back to its path, or to the whole model.
     pub kiosk: Option<Duration>,
     /// What the samples show at first.
-    pub view: View,
+    pub view: ShadingMode,
     /// By which rays they are lit.
-    pub rays: RayTree,
+    pub rays: LightingMode,
     /// From where they are lit at first, and what is behind the model.
-    pub look: Look,
+    pub appearance: Appearance,
     /// How finely it is rendered.
     pub refinement: RefinementOptions,
     /// Whether the window fills the screen from the start; those of walls that name outputs do.
@@ -80,7 +80,7 @@ pub type OnShown = Box<dyn FnMut(&Frame, &DisplayStats) -> ControlFlow<()>>;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Call {
     /// There is a frame to take, or something else to look at.
-    Look,
+    Appearance,
     /// The wall is to end.
     Close,
 }
@@ -93,7 +93,7 @@ impl Waker {
     /// Makes the window look.
     pub fn wake(&self) {
         // A window that is closed needs no waking.
-        let _ = self.0.send_event(Call::Look);
+        let _ = self.0.send_event(Call::Appearance);
     }
 
     /// Closes the window as an operator would.
@@ -131,14 +131,20 @@ impl WindowLoop {
         Waker(self.0.create_proxy())
     }
 
-    /// Opens the windows and shows what `farm` renders until one of them is closed; a guard hears of it through its `ward`.
+    /// Opens the windows and shows what `farm` renders until one of them is closed; a guard hears of it through its `supervisor`.
     ///
     /// # Errors
     ///
     /// No GPU can draw on the window, the GPU fails, or the first model cannot be read; each with its cure.
-    pub fn run(self, options: WindowOptions, farm: &Farm, on_shown: OnShown, ward: Option<Ward>) -> anyhow::Result<()> {
+    pub fn run(
+        self,
+        options: WindowOptions,
+        farm: &Farm,
+        on_shown: OnShown,
+        supervisor: Option<SupervisorLink>,
+    ) -> anyhow::Result<()> {
         let waker = self.waker();
-        let mut app = app::App::new(options, farm, on_shown, waker, ward);
+        let mut app = app::App::new(options, farm, on_shown, waker, supervisor);
         self.0.run_app(&mut app).context("the display connection failed")?;
         app.into_outcome()
     }

@@ -1,8 +1,8 @@
 //! The command line of the `renderer` program; the wall runs the same for its local render servers.
 
+pub mod appearance_args;
 pub mod generate;
 pub mod key;
-pub mod look_args;
 pub mod path_bytes;
 pub mod progress;
 pub mod scene_args;

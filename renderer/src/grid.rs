@@ -25,10 +25,10 @@ pub(crate) mod uniform;
 use crate::intersect::InstructionSet;
 pub use budget::{MemoryBudget, MemoryShortage};
 pub use choice::{Choice, Prediction, Reason};
-pub use figures::GridFigures;
+pub use figures::GridStats;
 pub use options::{GridOptions, MeshLayout, Storage};
 use tree::Tree;
-use uniform::{Plain, UniformGrid, resolution::CellSpace, row_displacement::RowDisplacement};
+use uniform::{DenseIndex, UniformGrid, resolution::CellSpace, row_displacement::RowDisplacement};
 
 use traced::TracedMesh;
 
@@ -52,7 +52,7 @@ pub struct Grid {
 #[derive(Debug)]
 pub(crate) enum Structure {
     Tree(Tree),
-    Plain(UniformGrid<Plain>),
+    Plain(UniformGrid<DenseIndex>),
     RowDisplacement {
         grid: UniformGrid<RowDisplacement>,
         /// How long the places of the rows took to find.
@@ -104,7 +104,7 @@ impl Grid {
     /// Its storage and density; `None` where memory allowed so few cells that nobody could ask for them.
     pub fn structure(&self) -> Option<shared::structure::Structure> {
         let storage = match self.structure {
-            Structure::Tree(_) => Storage::Masks,
+            Structure::Tree(_) => Storage::Tree,
             Structure::Plain(_) => Storage::Plain,
             Structure::RowDisplacement { .. } => Storage::RowDisplacement,
         };

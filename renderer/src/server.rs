@@ -1,10 +1,10 @@
 //! The render server: `renderer connect`.
 //!
-//! [`connect`] finds the wall and finds it again, [`session`] is one conversation with it, [`stage`] loads the scene that it
-//! names, [`work`] renders what it asks for; [`canned`] answers at once with stored samples, to measure the wall alone.
+//! [`connect`] finds the wall and finds it again, [`session`] is one conversation with it, [`scene_loader`] loads the scene that it
+//! names, [`task`] renders what it asks for; [`synthetic`] answers at once with stored samples, to measure the wall alone.
 
-mod canned;
 pub mod connect;
+mod scene_loader;
 mod session;
-mod stage;
-pub mod work;
+mod synthetic;
+pub mod task;

@@ -167,7 +167,7 @@ impl Camera {
     }
 
     /// Where a point is seen, as parts of the edges u and v; `None` if it lies beside the eye or behind it.
-    pub fn seen_at(&self, point: DVec3) -> Option<[f64; 2]> {
+    pub fn project(&self, point: DVec3) -> Option<[f64; 2]> {
         // Solved for t, s and p in eye + t·(point − eye) = ll + s·u + p·v.
         let normal = self.u.cross(self.v);
         let (ray, to_plane) = (point - self.eye, self.ll - self.eye);
@@ -225,7 +225,7 @@ impl CameraRays {
     /// What columns and rows of points have along an axis: the sum of the parts for x and for y is that component of
     /// [`CameraRays::direction_through`] (x, y), bit for bit.
     #[inline]
-    pub fn parts<const N: usize>(&self, axis: usize, x: &[f32; N], y: &[f32; N]) -> [[f32; N]; 2] {
+    pub fn direction_terms<const N: usize>(&self, axis: usize, x: &[f32; N], y: &[f32; N]) -> [[f32; N]; 2] {
         let (a, du, dv) = (self.a[axis], self.du[axis], self.dv[axis]);
         [x.map(|x| a + du * x), y.map(|y| dv * y)]
     }
@@ -270,13 +270,13 @@ mod tests {
         let camera = Camera::new(DVec3::new(0.1, 0.2, 3.0), DVec3::new(-1.0, -0.7, 0.3), u, v).unwrap();
         for (s, p, t) in [(0.0, 0.0, 1.0), (0.3, 0.9, 0.1), (-1.0, 2.0, 7.0)] {
             let point = camera.eye() + (camera.ll() + u * s + v * p - camera.eye()) * t;
-            let seen = camera.seen_at(point).unwrap();
+            let seen = camera.project(point).unwrap();
             assert!((seen[0] - s).abs() < 1e-12 && (seen[1] - p).abs() < 1e-12, "{seen:?}");
-            assert_eq!(camera.seen_at(camera.eye() * 2.0 - point), None, "behind the eye");
+            assert_eq!(camera.project(camera.eye() * 2.0 - point), None, "behind the eye");
         }
         let exact = Camera::new(DVec3::Z, DVec3::ZERO, DVec3::X, DVec3::Y).unwrap();
-        assert_eq!(exact.seen_at(exact.eye() + DVec3::X), None, "beside the eye");
-        assert_eq!(camera.seen_at(camera.eye()), None);
+        assert_eq!(exact.project(exact.eye() + DVec3::X), None, "beside the eye");
+        assert_eq!(camera.project(camera.eye()), None);
     }
 
     #[test]

@@ -12,7 +12,7 @@
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::protocol::{CHUNK_BYTES, Chunk, Encoding, FrameId, WorkId};
+use crate::protocol::{CHUNK_BYTES, Chunk, Encoding, FrameId, TaskId};
 
 /// Bytes of a [`Header`].
 pub const HEADER_BYTES: usize = 5;
@@ -59,7 +59,7 @@ pub enum CodecError {
 
 /// What kind of body follows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum BodyKind {
     /// A bincode message.
     Control,
     /// A [`Chunk`], its samples encoded.
@@ -70,7 +70,7 @@ pub enum Kind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
     /// What follows.
-    pub kind: Kind,
+    pub kind: BodyKind,
     /// How many bytes of it.
     pub n_bytes: usize,
 }
@@ -83,9 +83,9 @@ impl Header {
         let [length @ .., kind] = bytes;
         let n_bytes = u32::from_le_bytes(length) as usize;
         let (kind, limit) = match kind {
-            0 => (Kind::Control, control_limit),
-            1 if control_limit > HANDSHAKE_LIMIT => (Kind::Samples(Encoding::Raw), CHUNK_LIMIT),
-            2 if control_limit > HANDSHAKE_LIMIT => (Kind::Samples(Encoding::Lz4), CHUNK_LIMIT),
+            0 => (BodyKind::Control, control_limit),
+            1 if control_limit > HANDSHAKE_LIMIT => (BodyKind::Samples(Encoding::Raw), CHUNK_LIMIT),
+            2 if control_limit > HANDSHAKE_LIMIT => (BodyKind::Samples(Encoding::Lz4), CHUNK_LIMIT),
             unknown => return Err(CodecError::UnknownKind(unknown)),
         };
         if n_bytes > limit {
@@ -94,13 +94,13 @@ impl Header {
         Ok(Self { kind, n_bytes })
     }
 
-    fn write(kind: Kind, n_bytes: usize, out: &mut Vec<u8>) {
+    fn write(kind: BodyKind, n_bytes: usize, out: &mut Vec<u8>) {
         let length = u32::try_from(n_bytes).expect("every body is below its limit");
         out.extend(length.to_le_bytes());
         out.push(match kind {
-            Kind::Control => 0,
-            Kind::Samples(Encoding::Raw) => 1,
-            Kind::Samples(Encoding::Lz4) => 2,
+            BodyKind::Control => 0,
+            BodyKind::Samples(Encoding::Raw) => 1,
+            BodyKind::Samples(Encoding::Lz4) => 2,
         });
     }
 }
@@ -119,7 +119,7 @@ pub fn encode(message: &impl Serialize, out: &mut Vec<u8>) -> Result<(), CodecEr
     if body.len() > CONTROL_LIMIT {
         return Err(CodecError::TooLong { n_bytes: body.len(), limit: CONTROL_LIMIT });
     }
-    Header::write(Kind::Control, body.len(), out);
+    Header::write(BodyKind::Control, body.len(), out);
     out.extend(body);
     Ok(())
 }
@@ -141,28 +141,28 @@ impl<'a> Chunk<'a> {
             Encoding::Lz4 => Some(lz4_flex::block::compress(self.rgb)).filter(|packed| packed.len() < self.rgb.len()),
         };
         let (encoding, samples) = packed.as_deref().map_or((Encoding::Raw, self.rgb), |packed| (encoding, packed));
-        Header::write(Kind::Samples(encoding), CHUNK_HEADER_BYTES + samples.len(), out);
+        Header::write(BodyKind::Samples(encoding), CHUNK_HEADER_BYTES + samples.len(), out);
         out.extend(self.frame.0.to_le_bytes());
-        for number in [self.work_id.0, self.first_unit, self.n_units] {
+        for number in [self.task_id.0, self.first_unit, self.n_units] {
             out.extend(number.to_le_bytes());
         }
         out.extend(samples);
     }
 
-    /// The same chunk with its samples unpacked into `room`, which is made to hold a chunk's samples and never more.
+    /// The same chunk with its samples unpacked into `buffer`, which is made to hold a chunk's samples and never more.
     ///
     /// # Errors
     /// Bytes that are no LZ4 block of at most [`CHUNK_BYTES`].
-    pub fn unpack<'b>(&self, encoding: Encoding, room: &'b mut Vec<u8>) -> Result<Chunk<'b>, CodecError>
+    pub fn unpack<'b>(&self, encoding: Encoding, buffer: &'b mut Vec<u8>) -> Result<Chunk<'b>, CodecError>
     where
         'a: 'b,
     {
         let rgb = match encoding {
             Encoding::Raw => self.rgb,
             Encoding::Lz4 => {
-                room.resize(CHUNK_BYTES, 0);
-                let n_bytes = lz4_flex::block::decompress_into(self.rgb, room)?;
-                &room[..n_bytes]
+                buffer.resize(CHUNK_BYTES, 0);
+                let n_bytes = lz4_flex::block::decompress_into(self.rgb, buffer)?;
+                &buffer[..n_bytes]
             }
         };
         Ok(Chunk { rgb, ..*self })
@@ -172,12 +172,12 @@ impl<'a> Chunk<'a> {
     pub fn decode(body: &'a [u8]) -> Result<Self, CodecError> {
         let short = || CodecError::ShortChunk(body.len());
         let (frame, rest) = body.split_first_chunk().ok_or_else(short)?;
-        let (work_id, rest) = rest.split_first_chunk().ok_or_else(short)?;
+        let (task_id, rest) = rest.split_first_chunk().ok_or_else(short)?;
         let (first_unit, rest) = rest.split_first_chunk().ok_or_else(short)?;
         let (n_units, rgb) = rest.split_first_chunk().ok_or_else(short)?;
         Ok(Self {
             frame: FrameId(u64::from_le_bytes(*frame)),
-            work_id: WorkId(u32::from_le_bytes(*work_id)),
+            task_id: TaskId(u32::from_le_bytes(*task_id)),
             first_unit: u32::from_le_bytes(*first_unit),
             n_units: u32::from_le_bytes(*n_units),
             rgb,
@@ -191,29 +191,29 @@ mod tests {
 
     use super::*;
     use crate::{
+        appearance::Appearance,
         camera::Camera,
         division::{Division, FrameSize},
-        look::Look,
-        protocol::{BlockCosts, Picture, RayTree, SampleRange, ToServer, ToWall, View, WorkTimings},
+        protocol::{FrameSpec, LightingMode, RunCosts, SampleRange, ShadingMode, TaskTimings, ToServer, ToWall},
         scene::SceneId,
     };
 
     fn render_frame() -> ToServer {
         let camera = Camera::look_at(glam::DVec3::Z, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 16.0 / 9.0).unwrap();
-        let picture = Picture {
+        let spec = FrameSpec {
             scene: SceneId::Mesh { blake3: [7; 32] },
             camera,
             size: FrameSize::PAPER,
-            view: View::Shaded,
-            rays: RayTree::Shadows,
+            view: ShadingMode::Shaded,
+            rays: LightingMode::Shadows,
             samples: SampleRange::CENTRE,
-            look: Look::default(),
+            appearance: Appearance::default(),
         };
         ToServer::RenderFrame {
             frame: FrameId(9),
-            work_id: WorkId(3),
-            picture,
-            work: Division::Tiled.work(2, 12),
+            task_id: TaskId(3),
+            spec,
+            task: Division::Tiled.task(2, 12),
             encoding: Encoding::Lz4,
         }
     }
@@ -223,13 +223,16 @@ mod tests {
         let mut bytes = vec![];
         encode(&render_frame(), &mut bytes).unwrap();
         let (header, body) = bytes.split_first_chunk().unwrap();
-        assert_eq!(Header::parse(*header, CONTROL_LIMIT).unwrap(), Header { kind: Kind::Control, n_bytes: body.len() });
+        assert_eq!(
+            Header::parse(*header, CONTROL_LIMIT).unwrap(),
+            Header { kind: BodyKind::Control, n_bytes: body.len() }
+        );
         assert_eq!(decode::<ToServer>(body).unwrap(), render_frame());
     }
 
     #[test]
     fn a_chunk_is_a_header_and_its_bytes() {
-        let chunk = Chunk { frame: FrameId(1), work_id: WorkId(2), first_unit: 3, n_units: 1, rgb: &[10, 20, 30] };
+        let chunk = Chunk { frame: FrameId(1), task_id: TaskId(2), first_unit: 3, n_units: 1, rgb: &[10, 20, 30] };
         let mut bytes = vec![];
         chunk.encode(Encoding::Raw, &mut bytes);
         assert_eq!(
@@ -242,16 +245,16 @@ mod tests {
 
     #[test]
     fn the_costs_of_the_largest_work_fit_a_message() {
-        let work = Division::Dynamic.work(0, 1);
-        let share = work
+        let task = Division::Dynamic.task(0, 1);
+        let share = task
             .share(FrameSize::new(FrameSize::LARGEST, FrameSize::MOST_SAMPLES / FrameSize::LARGEST).unwrap())
             .unwrap();
-        let (n_units, block_units) = (share.count(), BlockCosts::block_units(&share));
-        let cpu_ns = vec![u32::MAX; n_units.div_ceil(block_units) as usize];
-        let costs = BlockCosts { block_units, cpu_ns };
-        assert!(costs.fit(n_units) && !costs.fit(n_units - block_units) && !costs.fit(n_units + 1));
-        let (frame, work_id, timings) = (FrameId(u64::MAX), WorkId(u32::MAX), WorkTimings::default());
-        let done = ToWall::WorkDone { frame, work_id, timings, costs };
+        let (n_units, run_units) = (share.count(), RunCosts::run_units(&share));
+        let cpu_ns = vec![u32::MAX; n_units.div_ceil(run_units) as usize];
+        let costs = RunCosts { run_units, cpu_ns };
+        assert!(costs.fits(n_units) && !costs.fits(n_units - run_units) && !costs.fits(n_units + 1));
+        let (frame, task_id, timings) = (FrameId(u64::MAX), TaskId(u32::MAX), TaskTimings::default());
+        let done = ToWall::TaskDone { frame, task_id, timings, costs };
         let mut bytes = vec![];
         encode(&done, &mut bytes).unwrap();
         assert_eq!(decode::<ToWall>(&bytes[HEADER_BYTES..]).unwrap(), done);
@@ -259,12 +262,12 @@ mod tests {
 
     #[test]
     fn costs_that_do_not_fit_are_told_apart() {
-        assert!(BlockCosts::default().fit(0) && BlockCosts::default().fit(9));
-        let costs = |block_units, n_blocks| BlockCosts { block_units, cpu_ns: vec![1; n_blocks] };
-        assert!(costs(4, 3).fit(9) && !costs(4, 2).fit(9) && !costs(4, 4).fit(9) && !costs(0, 1).fit(9));
-        let blocks: Vec<_> = costs(4, 3).blocks(9).map(|(units, _)| units).collect();
+        assert!(RunCosts::default().fits(0) && RunCosts::default().fits(9));
+        let costs = |run_units, n_blocks| RunCosts { run_units, cpu_ns: vec![1; n_blocks] };
+        assert!(costs(4, 3).fits(9) && !costs(4, 2).fits(9) && !costs(4, 4).fits(9) && !costs(0, 1).fits(9));
+        let blocks: Vec<_> = costs(4, 3).runs(9).map(|(units, _)| units).collect();
         assert_eq!(blocks, [0..4, 4..8, 8..9]);
-        assert_eq!(costs(u32::MAX, 1).blocks(9).next(), Some((0..9, 1)));
+        assert_eq!(costs(u32::MAX, 1).runs(9).next(), Some((0..9, 1)));
     }
 
     #[test]
@@ -309,11 +312,9 @@ mod tests {
     fn a_pixel_of_endless_samples_is_no_message() {
         for (count, is_message) in [(0, false), (1, true), (256, true), (257, false), (u32::MAX, false)] {
             let mut bytes = vec![];
-            let ToServer::RenderFrame { frame, work_id, picture, work, encoding } = render_frame() else {
-                unreachable!()
-            };
-            let picture = Picture { samples: SampleRange { first: 0, count }, ..picture };
-            encode(&ToServer::RenderFrame { frame, work_id, picture, work, encoding }, &mut bytes).unwrap();
+            let ToServer::RenderFrame { frame, task_id, spec, task, encoding } = render_frame() else { unreachable!() };
+            let spec = FrameSpec { samples: SampleRange { first: 0, count }, ..spec };
+            encode(&ToServer::RenderFrame { frame, task_id, spec, task, encoding }, &mut bytes).unwrap();
             assert_eq!(decode::<ToServer>(&bytes[HEADER_BYTES..]).is_ok(), is_message, "{count}");
         }
     }
@@ -324,9 +325,9 @@ mod tests {
             let _ = decode::<ToServer>(&body);
             let _ = decode::<ToWall>(&body);
             let _ = Chunk::decode(&body).map(|chunk| {
-                let mut room = Vec::new();
-                let _ = chunk.unpack(Encoding::Lz4, &mut room);
-                assert!(room.capacity() <= CHUNK_BYTES);
+                let mut buffer = Vec::new();
+                let _ = chunk.unpack(Encoding::Lz4, &mut buffer);
+                assert!(buffer.capacity() <= CHUNK_BYTES);
             });
         }
 
@@ -335,30 +336,30 @@ mod tests {
             noise in proptest::collection::vec(any::<u8>(), 0..3000), repeats in 1..20usize, cut in any::<proptest::sample::Index>(),
         ) {
             let rgb = noise.repeat(repeats);
-            let chunk = Chunk { frame: FrameId(1), work_id: WorkId(2), first_unit: 3, n_units: 4, rgb: &rgb };
+            let chunk = Chunk { frame: FrameId(1), task_id: TaskId(2), first_unit: 3, n_units: 4, rgb: &rgb };
             for encoding in [Encoding::Raw, Encoding::Lz4] {
                 let mut bytes = vec![];
                 chunk.encode(encoding, &mut bytes);
                 prop_assert!(bytes.len() <= HEADER_BYTES + CHUNK_HEADER_BYTES + rgb.len(), "never longer");
                 let (header, body) = bytes.split_first_chunk().unwrap();
-                let Header { kind: Kind::Samples(encoding), n_bytes } = Header::parse(*header, CONTROL_LIMIT).unwrap() else {
+                let Header { kind: BodyKind::Samples(encoding), n_bytes } = Header::parse(*header, CONTROL_LIMIT).unwrap() else {
                     panic!("samples are samples");
                 };
                 prop_assert_eq!(n_bytes, body.len());
-                let mut room = Vec::new();
-                prop_assert_eq!(Chunk::decode(body).unwrap().unpack(encoding, &mut room).unwrap(), chunk);
+                let mut buffer = Vec::new();
+                prop_assert_eq!(Chunk::decode(body).unwrap().unpack(encoding, &mut buffer).unwrap(), chunk);
                 // Cut, it is something else or nothing.
                 let cut = CHUNK_HEADER_BYTES + cut.index(body.len() - CHUNK_HEADER_BYTES + 1);
-                let _ = Chunk::decode(&body[..cut]).unwrap().unpack(encoding, &mut room);
+                let _ = Chunk::decode(&body[..cut]).unwrap().unpack(encoding, &mut buffer);
             }
         }
 
         #[test]
         fn a_block_that_unpacks_to_more_than_a_chunk_is_refused(n_bytes in CHUNK_BYTES - 3..CHUNK_BYTES + 1000) {
             let packed = lz4_flex::block::compress(&vec![7; n_bytes]);
-            let chunk = Chunk { frame: FrameId(1), work_id: WorkId(2), first_unit: 3, n_units: 4, rgb: &packed };
-            let mut room = Vec::new();
-            prop_assert_eq!(chunk.unpack(Encoding::Lz4, &mut room).is_ok(), n_bytes <= CHUNK_BYTES);
-            prop_assert!(room.capacity() <= CHUNK_BYTES);        }
+            let chunk = Chunk { frame: FrameId(1), task_id: TaskId(2), first_unit: 3, n_units: 4, rgb: &packed };
+            let mut buffer = Vec::new();
+            prop_assert_eq!(chunk.unpack(Encoding::Lz4, &mut buffer).is_ok(), n_bytes <= CHUNK_BYTES);
+            prop_assert!(buffer.capacity() <= CHUNK_BYTES);        }
     }
 }

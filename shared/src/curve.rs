@@ -9,7 +9,7 @@ use glam::IVec2;
 
 /// Tiles along the curve that are rendered together, counted from its beginning: nearly always a square. What they cost is
 /// less than what each costs alone, so that who cuts a run between them changes the costs of its tiles.
-pub const TILES_TOGETHER: u32 = 4;
+pub const TILES_PER_SQUARE: u32 = 4;
 
 /// The column and row of the `index`-th tile along the curve through `columns` × `rows` tiles; `index` must be below their
 /// product, and the product within `i32`.
@@ -23,7 +23,7 @@ pub fn tile_at(index: u32, columns: u32, rows: u32) -> (u32, u32) {
     let mut corner = IVec2::ZERO;
     let (mut along, mut beside) = if columns >= rows { (across, up) } else { (up, across) };
     let tile = loop {
-        let (length, width) = (side(along), side(beside));
+        let (length, width) = (length_of(along), length_of(beside));
         if width == 1 {
             break corner + along.signum() * index;
         }
@@ -33,7 +33,7 @@ pub fn tile_at(index: u32, columns: u32, rows: u32) -> (u32, u32) {
         if 2 * length > 3 * width {
             // Long: two parts, one behind the other.
             let first = even_half(along);
-            let n_first = side(first) * width;
+            let n_first = length_of(first) * width;
             if index < n_first {
                 along = first;
             } else {
@@ -45,8 +45,8 @@ pub fn tile_at(index: u32, columns: u32, rows: u32) -> (u32, u32) {
             // Stout: up, along, and down again.
             let half = along >> 1;
             let first = even_half(beside);
-            let n_first = side(first) * side(half);
-            let n_second = length * (width - side(first));
+            let n_first = length_of(first) * length_of(half);
+            let n_second = length * (width - length_of(first));
             if index < n_first {
                 (along, beside) = (first, half);
             } else if index < n_first + n_second {
@@ -66,14 +66,14 @@ pub fn tile_at(index: u32, columns: u32, rows: u32) -> (u32, u32) {
 /// Where along the curve through `columns` × `rows` tiles the tile of a column and row comes: what undoes [`tile_at`].
 ///
 /// Takes a number of steps that grows with the logarithm of the sides.
-pub fn index_of(column: u32, row: u32, columns: u32, rows: u32) -> u32 {
+pub fn index_at(column: u32, row: u32, columns: u32, rows: u32) -> u32 {
     debug_assert!(column < columns && row < rows, "tile ({column}, {row}) of {columns}×{rows}");
     let tile = IVec2::new(column as i32, row as i32);
     let (across, up) = (IVec2::X * columns as i32, IVec2::Y * rows as i32);
     let (mut index, mut corner) = (0, IVec2::ZERO);
     let (mut along, mut beside) = if columns >= rows { (across, up) } else { (up, across) };
     let index = loop {
-        let (length, width) = (side(along), side(beside));
+        let (length, width) = (length_of(along), length_of(beside));
         // How far into the rectangle the tile lies, along either side.
         let (a, b) = ((tile - corner).dot(along.signum()), (tile - corner).dot(beside.signum()));
         if width == 1 {
@@ -84,25 +84,25 @@ pub fn index_of(column: u32, row: u32, columns: u32, rows: u32) -> u32 {
         }
         if 2 * length > 3 * width {
             let first = even_half(along);
-            if a < side(first) {
+            if a < length_of(first) {
                 along = first;
             } else {
-                index += side(first) * width;
+                index += length_of(first) * width;
                 corner += first;
                 along -= first;
             }
         } else {
             let half = along >> 1;
             let first = even_half(beside);
-            let n_first = side(first) * side(half);
-            if b >= side(first) {
+            let n_first = length_of(first) * length_of(half);
+            if b >= length_of(first) {
                 index += n_first;
                 corner += first;
                 beside -= first;
-            } else if a < side(half) {
+            } else if a < length_of(half) {
                 (along, beside) = (first, half);
             } else {
-                index += n_first + length * (width - side(first));
+                index += n_first + length * (width - length_of(first));
                 corner += along - along.signum() + first - beside.signum();
                 (along, beside) = (-first, half - along);
             }
@@ -112,14 +112,14 @@ pub fn index_of(column: u32, row: u32, columns: u32, rows: u32) -> u32 {
 }
 
 /// The length of a side, which is parallel to an axis.
-fn side(side: IVec2) -> i32 {
-    (side.x + side.y).abs()
+fn length_of(length_of: IVec2) -> i32 {
+    (length_of.x + length_of.y).abs()
 }
 
 /// Half of a side; even if it can be, since the curve crosses even sides without a diagonal step.
 fn even_half(whole: IVec2) -> IVec2 {
     let half = whole >> 1;
-    if side(half) % 2 == 1 && side(whole) > 2 { half + whole.signum() } else { half }
+    if length_of(half) % 2 == 1 && length_of(whole) > 2 { half + whole.signum() } else { half }
 }
 
 #[cfg(test)]
@@ -140,7 +140,7 @@ mod tests {
             let mut n_diagonal = 0;
             for index in 0..columns * rows {
                 let (x, y) = tile_at(index, columns, rows);
-                assert_eq!(index_of(x, y, columns, rows), index, "{columns}×{rows}");
+                assert_eq!(index_at(x, y, columns, rows), index, "{columns}×{rows}");
                 assert!(x < columns && y < rows, "{columns}×{rows}");
                 assert!(!std::mem::replace(&mut seen[(y * columns + x) as usize], true), "{columns}×{rows}: {x} {y}");
                 let (dx, dy) = last.map_or((0, 1), |(i, j)| (x.abs_diff(i), y.abs_diff(j)));
@@ -156,6 +156,6 @@ mod tests {
     fn the_largest_frame_has_a_last_tile() {
         let (x, y) = tile_at(2048 * 2048 - 1, 2048, 2048);
         assert!(x < 2048 && y < 2048);
-        assert_eq!(index_of(x, y, 2048, 2048), 2048 * 2048 - 1);
+        assert_eq!(index_at(x, y, 2048, 2048), 2048 * 2048 - 1);
     }
 }

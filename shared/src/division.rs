@@ -2,7 +2,7 @@
 //!
 //! A frame is cut into *units*, numbered from 0: single samples (interleaved) or 8×8 tiles (tiled, and dynamic, where they
 //! are numbered along a [`curve`]).
-//! [`Work`] picks some of a frame's units in a fixed order, and [`Units::samples`] lists the samples of a unit in a fixed
+//! [`Task`] picks some of a frame's units in a fixed order, and [`Units::samples`] lists the samples of a unit in a fixed
 //! order: together they are the one statement of where the bytes of an answer belong.
 
 mod frame_size;
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 pub use self::{
     frame_size::{FrameSize, FrameSizeError},
-    share::{Part, Picked, Share, TileRun, Work, WorkError},
+    share::{Part, Selection, Share, Task, TaskError, TileRun},
 };
 use crate::curve;
 
@@ -59,13 +59,13 @@ impl Division {
 
     /// The work of one machine among several of which nothing is known; for [`Division::Dynamic`] every so-many-th tile of
     /// the curve, so that each sees all of the picture.
-    pub fn work(self, machine: u32, machines: u32) -> Work {
-        let picked = match self {
-            Self::Interleaved => Picked::Interleaved { machine, machines },
-            Self::Tiled => Picked::Tiled { machine, machines },
-            Self::Dynamic => Picked::Curve { machine, machines },
+    pub fn task(self, machine_idx: u32, n_machines: u32) -> Task {
+        let selection = match self {
+            Self::Interleaved => Selection::Interleaved { machine_idx, n_machines },
+            Self::Tiled => Selection::Tiled { machine_idx, n_machines },
+            Self::Dynamic => Selection::Curve { machine_idx, n_machines },
         };
-        Work { picked, part: Part::WHOLE }
+        Task { selection, part: Part::WHOLE }
     }
 }
 
@@ -110,7 +110,7 @@ impl Units {
     }
 
     /// How many samples a unit has that the frame does not cut off.
-    pub fn whole_unit_samples(self) -> u32 {
+    pub fn samples_per_full_unit(self) -> u32 {
         match self.kind {
             UnitKind::Sample => 1,
             UnitKind::Tile | UnitKind::CurveTile => TILE_SIZE * TILE_SIZE,
@@ -122,7 +122,7 @@ impl Units {
     /// Within a unit samples are ordered row by row from the bottom left; tiles at the right and upper edge are cut off
     /// by the frame.
     #[inline]
-    pub fn samples(self, unit: u32) -> UnitSamples {
+    pub fn samples(self, unit: u32) -> SampleRect {
         let (xres, yres) = self.size.into();
         let x_tiles = self.size.x_tiles();
         let (side, (column, row)) = match self.kind {
@@ -131,20 +131,20 @@ impl Units {
             UnitKind::CurveTile => (TILE_SIZE, curve::tile_at(unit, x_tiles, self.size.y_tiles())),
         };
         let (i, j) = (column * side, row * side);
-        UnitSamples { columns: i..(i + side).min(xres), rows: j..(j + side).min(yres) }
+        SampleRect { columns: i..(i + side).min(xres), rows: j..(j + side).min(yres) }
     }
 }
 
 /// The block of samples that makes up one unit.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct UnitSamples {
+pub struct SampleRect {
     /// Columns, from the left.
     pub columns: Range<u32>,
     /// Rows, from the bottom.
     pub rows: Range<u32>,
 }
 
-impl UnitSamples {
+impl SampleRect {
     /// How many samples.
     #[inline]
     pub fn count(&self) -> u32 {
@@ -165,10 +165,10 @@ mod tests {
     use super::*;
 
     /// How often each sample of a frame is in the given works.
-    fn coverage(works: &[Work], size: FrameSize) -> Vec<u32> {
+    fn coverage(works: &[Task], size: FrameSize) -> Vec<u32> {
         let mut times = vec![0; size.n_samples() as usize];
-        for work in works {
-            let share = work.share(size).unwrap();
+        for task in works {
+            let share = task.share(size).unwrap();
             for (i, j) in (0..share.count()).flat_map(|k| share.samples(k).iter()) {
                 times[(j * size.xres() + i) as usize] += 1;
             }
@@ -179,35 +179,35 @@ mod tests {
     #[test]
     fn the_papers_example_holds() {
         let size = FrameSize::PAPER;
-        let interleaved = Division::Interleaved.work(1, 12);
+        let interleaved = Division::Interleaved.task(1, 12);
         assert_eq!(interleaved.share(size).unwrap().unit(1), 13);
-        let tiled = Division::Tiled.work(0, 12);
+        let tiled = Division::Tiled.task(0, 12);
         let share = tiled.share(size).unwrap();
         assert_eq!(share.unit(1), 12);
-        assert_eq!(share.samples(1), UnitSamples { columns: 96..104, rows: 0..8 });
+        assert_eq!(share.samples(1), SampleRect { columns: 96..104, rows: 0..8 });
         assert_eq!(share.samples(1).iter().nth(9), Some((97, 1)));
     }
 
     #[test]
     fn works_that_do_not_fit_are_refused() {
         let size = FrameSize::new(16, 16).unwrap();
-        assert!(Division::Tiled.work(3, 3).share(size).is_err());
-        assert!(Division::Interleaved.work(0, 0).share(size).is_err());
+        assert!(Division::Tiled.task(3, 3).share(size).is_err());
+        assert!(Division::Interleaved.task(0, 0).share(size).is_err());
         assert!(
-            Work { picked: Picked::Tiled { machine: 0, machines: 1 }, part: Part { index: 1, parts: 1 } }
+            Task { selection: Selection::Tiled { machine_idx: 0, n_machines: 1 }, part: Part { index: 1, n_parts: 1 } }
                 .share(size)
                 .is_err()
         );
-        let runs = |runs: &[(u32, u32)]| Work {
-            picked: Picked::TileRuns(runs.iter().map(|&(first, count)| TileRun { first, count }).collect()),
+        let runs = |runs: &[(u32, u32)]| Task {
+            selection: Selection::TileRuns(runs.iter().map(|&(first, count)| TileRun { first, count }).collect()),
             part: Part::WHOLE,
         };
         assert_eq!(runs(&[(3, 1), (0, 2)]).share(size).unwrap().count(), 3);
         assert!(runs(&[(3, 2)]).share(size).is_err());
         assert!(runs(&[(u32::MAX, 2)]).share(size).is_err());
         assert!(runs(&[(0, 0)]).share(size).is_err());
-        assert_eq!(runs(&[(0, 4), (1, 1)]).share(size).unwrap_err(), WorkError::TooManyTiles);
-        let run = |first, count| Work { picked: Picked::CurveRun(TileRun { first, count }), part: Part::WHOLE };
+        assert_eq!(runs(&[(0, 4), (1, 1)]).share(size).unwrap_err(), TaskError::TooManyTiles);
+        let run = |first, count| Task { selection: Selection::CurveRun(TileRun { first, count }), part: Part::WHOLE };
         assert_eq!(run(4, 0).share(size).unwrap().count(), 0);
         assert!(run(3, 2).share(size).is_err());
         assert!(run(u32::MAX, 2).share(size).is_err());
@@ -216,44 +216,44 @@ mod tests {
     #[test]
     fn machines_beyond_the_units_have_nothing_to_do() {
         let size = FrameSize::new(3, 1).unwrap();
-        assert_eq!(Division::Interleaved.work(3, 9).share(size).unwrap().count(), 0);
-        assert_eq!(Division::Tiled.work(8, 9).share(size).unwrap().count(), 0);
+        assert_eq!(Division::Interleaved.task(3, 9).share(size).unwrap().count(), 0);
+        assert_eq!(Division::Tiled.task(8, 9).share(size).unwrap().count(), 0);
     }
 
     proptest! {
         #[test]
         fn every_division_covers_every_sample_once(
-            xres in 1..70u32, yres in 1..50u32, machines in 1..20u32, division in 0..3usize,
-            lost in 0..20u32, parts in 1..6u32,
+            xres in 1..70u32, yres in 1..50u32, n_machines in 1..20u32, division in 0..3usize,
+            lost in 0..20u32, n_parts in 1..6u32,
         ) {
             let size = FrameSize::new(xres, yres).unwrap();
             let division = Division::ALL[division];
-            let mut works: Vec<_> = (0..machines).map(|machine| division.work(machine, machines)).collect();
+            let mut works: Vec<_> = (0..n_machines).map(|machine_idx| division.task(machine_idx, n_machines)).collect();
             prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
             // A lost machine's share is divided again, and so is a part of that.
-            let lost = works.swap_remove((lost % machines) as usize);
-            works.extend((0..parts).map(|index| lost.part(index, parts).unwrap()));
+            let lost = works.swap_remove((lost % n_machines) as usize);
+            works.extend((0..n_parts).map(|index| lost.part(index, n_parts).unwrap()));
             let lost_again = works.pop().unwrap();
             works.extend((0..3).map(|index| lost_again.part(index, 3).unwrap()));
             prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
         }
 
         #[test]
-        fn tile_runs_cover_what_they_name(xres in 1..70u32, yres in 1..50u32, cut in 0..100u32, parts in 1..4u32) {
+        fn tile_runs_cover_what_they_name(xres in 1..70u32, yres in 1..50u32, cut in 0..100u32, n_parts in 1..4u32) {
             let size = FrameSize::new(xres, yres).unwrap();
             let n_tiles = Division::Tiled.units(size).count();
             let cut = cut % n_tiles;
             let runs = [TileRun { first: cut, count: n_tiles - cut }, TileRun { first: 0, count: cut }];
-            let picked = Picked::TileRuns(runs.into_iter().filter(|run| run.count > 0).collect());
-            let works: Vec<_> = (0..parts)
-                .map(|index| Work { picked: picked.clone(), part: Part { index, parts } })
+            let selection = Selection::TileRuns(runs.into_iter().filter(|run| run.count > 0).collect());
+            let works: Vec<_> = (0..n_parts)
+                .map(|index| Task { selection: selection.clone(), part: Part { index, n_parts } })
                 .collect();
             prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
         }
 
         #[test]
         fn runs_of_the_curve_cover_every_sample_once(
-            xres in 1..200u32, yres in 1..200u32, cuts in proptest::collection::vec(0..1000u32, 0..6), parts in 1..4u32,
+            xres in 1..200u32, yres in 1..200u32, cuts in proptest::collection::vec(0..1000u32, 0..6), n_parts in 1..4u32,
         ) {
             let size = FrameSize::new(xres, yres).unwrap();
             let n_tiles = Division::Dynamic.units(size).count();
@@ -261,8 +261,8 @@ mod tests {
             cuts.sort_unstable();
             let runs = cuts.windows(2).map(|ends| TileRun { first: ends[0], count: ends[1] - ends[0] });
             let works: Vec<_> = runs
-                .flat_map(|run| (0..parts).map(move |index| (run, Part { index, parts })))
-                .map(|(run, part)| Work { picked: Picked::CurveRun(run), part })
+                .flat_map(|run| (0..n_parts).map(move |index| (run, Part { index, n_parts })))
+                .map(|(run, part)| Task { selection: Selection::CurveRun(run), part })
                 .collect();
             prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
         }

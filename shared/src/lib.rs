@@ -4,11 +4,11 @@
 //! In reading order: [`camera`] makes rays, [`division`] says who renders which of them, [`curve`] in which order,
 //! [`scene`] names what is rendered and [`structure`] how it is kept, [`look`] how it looks, [`srgb`] encodes what comes out, [`protocol`] says all of it on the wire, [`codec`] in bytes.
 
+pub mod appearance;
 pub mod camera;
 pub mod codec;
 pub mod curve;
 pub mod division;
-pub mod look;
 pub mod printable;
 pub mod protocol;
 pub mod scene;

@@ -1,11 +1,11 @@
 //! Text from peers, made fit for logs and screens.
 
 /// The most characters of a peer's text that are shown.
-const LONGEST: usize = 300;
+const MAX_CHARS: usize = 300;
 
 /// The text without what would forge lines, turn the direction of writing, or hide: and no longer than a few lines.
 pub fn printable(text: &str) -> String {
-    text.chars().filter(|&letter| !letter.is_control() && !is_invisible(letter)).take(LONGEST).collect()
+    text.chars().filter(|&letter| !letter.is_control() && !is_invisible(letter)).take(MAX_CHARS).collect()
 }
 
 /// Unicode's marks of direction, joiners and other letters that take no room.

@@ -5,7 +5,7 @@
 //!
 //! The order of a conversation: the server says [`ToWall::Hello`], the wall [`ToServer::Welcome`]; the wall names a
 //! scene ([`ToServer::LoadScene`]) and hears how far it is ([`ToWall::SceneState`]); then it asks for shares of frames
-//! ([`ToServer::RenderFrame`]) and gets [`Chunk`]s and a [`ToWall::WorkDone`] for each. Heartbeats flow all along, and now
+//! ([`ToServer::RenderFrame`]) and gets [`Chunk`]s and a [`ToWall::TaskDone`] for each. Heartbeats flow all along, and now
 //! and then a [`ToServer::Probe`] and its answer.
 
 use std::{ops::Range, time::Duration};
@@ -13,10 +13,10 @@ use std::{ops::Range, time::Duration};
 use serde::{Deserialize, Serialize};
 
 use crate::{
+    appearance::{Appearance, Clip},
     camera::Camera,
-    curve::TILES_TOGETHER,
-    division::{FrameSize, Share, Work},
-    look::{Clip, Look},
+    curve::TILES_PER_SQUARE,
+    division::{FrameSize, Share, Task},
     scene::SceneId,
     structure::Structure,
 };
@@ -58,12 +58,12 @@ pub struct FrameId(pub u64);
 
 /// The number of a piece of work: unique among all that a wall gives out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-pub struct WorkId(pub u32);
+pub struct TaskId(pub u32);
 
 /// What the samples of a frame show.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum View {
+pub enum ShadingMode {
     /// The model, lit.
     #[default]
     Shaded,
@@ -73,7 +73,7 @@ pub enum View {
     Cost,
 }
 
-impl View {
+impl ShadingMode {
     /// Every view, in the order in which a key steps through them.
     pub const ALL: [Self; 3] = [Self::Shaded, Self::Normals, Self::Cost];
 
@@ -87,7 +87,7 @@ impl View {
     }
 }
 
-impl std::str::FromStr for View {
+impl std::str::FromStr for ShadingMode {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -101,31 +101,31 @@ impl std::str::FromStr for View {
 /// The rays that a picture is made of: each kind includes those before it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum RayTree {
+pub enum LightingMode {
     /// Rays from the eye only.
     #[default]
     Primary,
     /// From each hit a ray to the key light.
     Shadows,
     /// From each hit short rays all around, which find what lies close by.
-    Ambient,
+    AmbientOcclusion,
 }
 
-impl RayTree {
+impl LightingMode {
     /// Every ray tree, in the order in which a key steps through them.
-    pub const ALL: [Self; 3] = [Self::Primary, Self::Shadows, Self::Ambient];
+    pub const ALL: [Self; 3] = [Self::Primary, Self::Shadows, Self::AmbientOcclusion];
 
     /// The name on command lines and on screen.
     pub fn name(self) -> &'static str {
         match self {
             Self::Primary => "primary",
             Self::Shadows => "shadows",
-            Self::Ambient => "ambient",
+            Self::AmbientOcclusion => "ambient",
         }
     }
 }
 
-impl std::str::FromStr for RayTree {
+impl std::str::FromStr for LightingMode {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
@@ -221,7 +221,7 @@ impl std::str::FromStr for Encoding {
 
 /// Everything that decides the samples of a frame: two equal pictures are equal bits.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Picture {
+pub struct FrameSpec {
     /// What is rendered.
     pub scene: SceneId,
     /// From where.
@@ -229,13 +229,13 @@ pub struct Picture {
     /// At which resolution.
     pub size: FrameSize,
     /// What the samples show.
-    pub view: View,
+    pub view: ShadingMode,
     /// By which rays they are lit.
-    pub rays: RayTree,
+    pub rays: LightingMode,
     /// Which samples of each pixel.
     pub samples: SampleRange,
     /// From where it is lit, what is behind the model, and where it is cut open.
-    pub look: Look,
+    pub appearance: Appearance,
 }
 
 /// What the wall says to a render server.
@@ -263,11 +263,11 @@ pub enum ToServer {
         /// Which frame.
         frame: FrameId,
         /// The number of this work, repeated in every answer.
-        work_id: WorkId,
+        task_id: TaskId,
         /// The whole picture.
-        picture: Picture,
+        spec: FrameSpec,
         /// The share of it.
-        work: Work,
+        task: Task,
         /// How the samples are to travel.
         encoding: Encoding,
     },
@@ -314,15 +314,15 @@ pub enum ToWall {
         state: SceneState,
     },
     /// All chunks of a work are sent.
-    WorkDone {
+    TaskDone {
         /// Which frame.
         frame: FrameId,
         /// Which work.
-        work_id: WorkId,
+        task_id: TaskId,
         /// How long it took.
-        timings: WorkTimings,
+        timings: TaskTimings,
         /// Where in the work the time went.
-        costs: BlockCosts,
+        costs: RunCosts,
     },
     /// The server lives.
     Heartbeat,
@@ -375,7 +375,7 @@ pub enum SceneState {
 
 /// Where the time of one work went on the server.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct WorkTimings {
+pub struct TaskTimings {
     /// From reading the request to the first ray, in microseconds.
     pub queued_us: u32,
     /// From the first ray to the last sample, in microseconds.
@@ -390,49 +390,49 @@ pub struct WorkTimings {
 ///
 /// Empty for a work whose units are not tiles along the curve: nobody would use it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct BlockCosts {
+pub struct RunCosts {
     /// Tiles in each block but the last, which has what remains.
-    pub block_units: u32,
+    pub run_units: u32,
     /// CPU time of each block's rays, in nanoseconds.
     pub cpu_ns: Vec<u32>,
 }
 
-impl BlockCosts {
+impl RunCosts {
     /// The most blocks of one work: their costs fit a control message with room to spare.
-    pub const MOST_BLOCKS: u32 = 32 * 1024;
+    pub const MOST_RUNS: u32 = 32 * 1024;
 
-    /// The most tiles in a block, if [`BlockCosts::MOST_BLOCKS`] allows: some hundred microseconds of tracing, of which
+    /// The most tiles in a block, if [`RunCosts::MOST_RUNS`] allows: some hundred microseconds of tracing, of which
     /// reading the clock is a small part.
-    pub const LARGEST_BLOCK: u32 = 2 * TILES_TOGETHER;
+    pub const LARGEST_RUN: u32 = 2 * TILES_PER_SQUARE;
 
     /// How many blocks a work should have, before they are made larger: cuts are placed to a part of one.
-    const FEWEST_BLOCKS: u32 = 64;
+    const FEWEST_RUNS: u32 = 64;
 
     /// How many tiles make a block of a share; tiles that do not lie side by side have little in common, and are measured
     /// one by one.
-    pub fn block_units(share: &Share<'_>) -> u32 {
+    pub fn run_units(share: &Share<'_>) -> u32 {
         let n_units = share.count();
-        let usual = match share.is_run() {
-            true if n_units >= Self::FEWEST_BLOCKS * Self::LARGEST_BLOCK => Self::LARGEST_BLOCK,
-            true => TILES_TOGETHER,
+        let usual = match share.is_contiguous() {
+            true if n_units >= Self::FEWEST_RUNS * Self::LARGEST_RUN => Self::LARGEST_RUN,
+            true => TILES_PER_SQUARE,
             false => 1,
         };
-        usual.max(n_units.div_ceil(Self::MOST_BLOCKS))
+        usual.max(n_units.div_ceil(Self::MOST_RUNS))
     }
 
     /// Whether these are the blocks of a work of `n_units` units, or none at all.
-    pub fn fit(&self, n_units: u32) -> bool {
-        let n_blocks = n_units.checked_div(self.block_units).map(|_| n_units.div_ceil(self.block_units));
-        self.cpu_ns.is_empty() || n_blocks.is_some_and(|n_blocks| n_blocks as usize == self.cpu_ns.len())
+    pub fn fits(&self, n_units: u32) -> bool {
+        let n_runs = n_units.checked_div(self.run_units).map(|_| n_units.div_ceil(self.run_units));
+        self.cpu_ns.is_empty() || n_runs.is_some_and(|n_runs| n_runs as usize == self.cpu_ns.len())
     }
 
     /// The places in the work of each block's tiles, and what the block cost in nanoseconds.
     ///
     /// Invariant: the costs [fit](BlockCosts::fit) a work of `n_units` units.
-    pub fn blocks(&self, n_units: u32) -> impl Iterator<Item = (Range<u32>, u32)> {
-        let starts = (0..n_units).step_by(self.block_units.max(1) as usize);
+    pub fn runs(&self, n_units: u32) -> impl Iterator<Item = (Range<u32>, u32)> {
+        let starts = (0..n_units).step_by(self.run_units.max(1) as usize);
         starts.zip(&self.cpu_ns).map(move |(first, &cpu_ns)| {
-            let end = first.saturating_add(self.block_units).min(n_units);
+            let end = first.saturating_add(self.run_units).min(n_units);
             (first..end, cpu_ns)
         })
     }
@@ -444,7 +444,7 @@ pub struct Chunk<'a> {
     /// Which frame.
     pub frame: FrameId,
     /// Which work.
-    pub work_id: WorkId,
+    pub task_id: TaskId,
     /// The place of the first unit in the work.
     pub first_unit: u32,
     /// How many units follow each other.

@@ -13,7 +13,7 @@ pub enum Storage {
     RowDisplacement,
     /// A tree of bit masks, divided where it holds much. The only one that packets follow.
     #[default]
-    Masks,
+    Tree,
 }
 
 /// A grid's storage and density.
@@ -61,14 +61,14 @@ impl From<Structure> for (Storage, f64) {
 
 impl Storage {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Plain, Self::RowDisplacement, Self::Masks];
+    pub const ALL: [Self; 3] = [Self::Plain, Self::RowDisplacement, Self::Tree];
 
     /// As it is written on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Plain => "plain",
             Self::RowDisplacement => "row-displacement",
-            Self::Masks => "masks",
+            Self::Tree => "masks",
         }
     }
 }

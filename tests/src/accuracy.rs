@@ -67,12 +67,12 @@ fn reference(mesh: &Mesh, rays: &CameraRays, size: FrameSize) -> Reference {
 }
 
 fn hits(scene: &Scene, rays: &CameraRays, size: FrameSize) -> Vec<Hit> {
-    let work = Division::Tiled.work(0, 1);
-    let share = work.share(size).unwrap();
+    let task = Division::Tiled.task(0, 1);
+    let share = task.share(size).unwrap();
     let mut rows = vec![Hit::MISS; size.n_samples() as usize];
     scene.trace(rays, None, &share, 0..share.count(), |block, hits| {
         for ((i, j), &hit) in block.samples().zip(hits) {
-            rows[(j * size.xres() + i) as usize] = scene.in_file_order(hit);
+            rows[(j * size.xres() + i) as usize] = scene.with_file_index(hit);
         }
     });
     rows

@@ -22,9 +22,9 @@ struct Server {
 }
 
 /// Xorshift (Marsaglia 2003): the same events in each run, if not at the same frames.
-struct Chance(u64);
+struct Random(u64);
 
-impl Chance {
+impl Random {
     fn below(&mut self, limit: usize) -> usize {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
@@ -36,7 +36,7 @@ impl Chance {
 #[test]
 fn frames_stay_whole_and_right_while_render_servers_come_and_go() {
     let mut wall = RunningWall::start_sized("1024x512", &["--division", "dynamic"]);
-    let mut chance = Chance(0x9e37_79b9_7f4a_7c15);
+    let mut chance = Random(0x9e37_79b9_7f4a_7c15);
     let mut servers: Vec<Server> = Vec::new();
     let (mut n_joined, mut n_killed, mut n_frozen) = (0, 0, 0);
     let started = Instant::now();

@@ -8,13 +8,13 @@ use renderer::model::{mesh::Mesh, ply};
 use serde::{Serialize, de::DeserializeOwned};
 use shared::{
     camera::{Camera, CameraPath, Views},
-    codec::{self, CONTROL_LIMIT, HANDSHAKE_LIMIT, HEADER_BYTES, Header, Kind},
-    division::{FrameSize, Part, Picked, TileRun, Work},
+    codec::{self, BodyKind, CONTROL_LIMIT, HANDSHAKE_LIMIT, HEADER_BYTES, Header},
+    division::{FrameSize, Part, Selection, Task, TileRun},
     protocol::{CHUNK_BYTES, Chunk, Encoding, ToServer, ToWall},
 };
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex, split};
 
-use crate::{frame_buffer::SpareBuffers, wall::Wall};
+use crate::{frame_buffer::BufferPool, wall::Wall};
 
 /// A decoder under test.
 pub type Decoder = fn(&[u8]);
@@ -36,16 +36,16 @@ pub fn protocol(data: &[u8]) {
         // Whatever the length says, the body is what is there: the wire reads no more than the limit.
         let _ = Header::parse(header, limit).map(|header| assert!(header.n_bytes <= CONTROL_LIMIT));
     }
-    if let Some(ToServer::RenderFrame { picture, work, .. }) = round_trip::<ToServer>(rest) {
-        let _ = work.share(picture.size).map(|share| {
+    if let Some(ToServer::RenderFrame { spec, task, .. }) = round_trip::<ToServer>(rest) {
+        let _ = task.share(spec.size).map(|share| {
             let last = share.count().checked_sub(1);
             last.map(|last| assert!(share.unit(last) < share.units().count()))
         });
     }
-    if let Some(ToWall::WorkDone { costs, .. }) = round_trip::<ToWall>(rest)
-        && costs.fit(1000)
+    if let Some(ToWall::TaskDone { costs, .. }) = round_trip::<ToWall>(rest)
+        && costs.fits(1000)
     {
-        assert!(costs.blocks(1000).all(|(units, _)| units.end <= 1000));
+        assert!(costs.runs(1000).all(|(units, _)| units.end <= 1000));
     }
     if let Ok(chunk) = Chunk::decode(rest) {
         let mut bytes = Vec::new();
@@ -66,7 +66,7 @@ fn travels_as_lz4(chunk: &Chunk<'_>) {
     chunk.encode(Encoding::Lz4, &mut bytes);
     let (header, body) = bytes.split_first_chunk::<HEADER_BYTES>().expect("a header comes first");
     let header = Header::parse(*header, CONTROL_LIMIT).expect("a header as it is written");
-    let Kind::Samples(encoding) = header.kind else { panic!("samples are {:?}", header.kind) };
+    let BodyKind::Samples(encoding) = header.kind else { panic!("samples are {:?}", header.kind) };
     let arrived = Chunk::decode(body).expect("a chunk").unpack(encoding, &mut room).expect("it unpacks").rgb.to_vec();
     assert_eq!(arrived, chunk.rgb);
 }
@@ -86,23 +86,24 @@ fn round_trip<M: Serialize + DeserializeOwned>(body: &[u8]) -> Option<M> {
 
 /// Samples of chunks, put in their places.
 pub fn placement(data: &[u8]) {
-    let Some((&[kind, x, y, machine, machines, part, parts, first, count, fill], rgb)) = data.split_first_chunk()
+    let Some((&[kind, x, y, machine_idx, n_machines, part, n_parts, first, count, fill], rgb)) =
+        data.split_first_chunk()
     else {
         return;
     };
     let Ok(size) = FrameSize::new(x.into(), y.into()) else { return };
-    let (machine, machines) = (u32::from(machine), u32::from(machines));
-    let run = TileRun { first: machine, count: machines };
-    let picked = match kind % 5 {
-        0 => Picked::Interleaved { machine, machines },
-        1 => Picked::Tiled { machine, machines },
-        2 => Picked::Curve { machine, machines },
-        3 => Picked::CurveRun(run),
-        _ => Picked::TileRuns(vec![run, TileRun { first: 0, count: 1 }]),
+    let (machine_idx, n_machines) = (u32::from(machine_idx), u32::from(n_machines));
+    let run = TileRun { first: machine_idx, count: n_machines };
+    let selection = match kind % 5 {
+        0 => Selection::Interleaved { machine_idx, n_machines },
+        1 => Selection::Tiled { machine_idx, n_machines },
+        2 => Selection::Curve { machine_idx, n_machines },
+        3 => Selection::CurveRun(run),
+        _ => Selection::TileRuns(vec![run, TileRun { first: 0, count: 1 }]),
     };
-    let work = Work { picked, part: Part { index: part.into(), parts: parts.into() } };
-    let Ok(share) = work.share(size) else { return };
-    let spare = SpareBuffers::default();
+    let task = Task { selection, part: Part { index: part.into(), n_parts: n_parts.into() } };
+    let Ok(share) = task.share(size) else { return };
+    let spare = BufferPool::default();
     let buffer = std::sync::Arc::new(spare.take(size));
     // Numbers as they are, or as large as they can be.
     let wide = |byte: u8| if byte == u8::MAX { u32::MAX } else { u32::from(byte) };

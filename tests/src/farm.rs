@@ -78,7 +78,7 @@ impl Files {
 
 /// The hash of a picture's samples as `--stats` gives it.
 fn hash_of_png(path: &Path) -> String {
-    renderer::render::image::samples_hash(&samples_of_png(path))
+    renderer::render::image::hash_samples(&samples_of_png(path))
 }
 
 /// A picture's samples as frames have them: bottom row first.

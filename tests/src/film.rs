@@ -35,7 +35,7 @@ fn a_film_has_every_picture_once_and_each_shows_its_camera() {
     assert_eq!(names, (1..=6).map(|number| format!("picture-{number:06}.png")).collect::<Vec<_>>());
     let pictures: Vec<_> = names
         .iter()
-        .map(|name| compositor::gpu::Picture::read_png(&folder.join(name)).unwrap())
+        .map(|name| compositor::gpu::RgbImage::read_png(&folder.join(name)).unwrap())
         .inspect(|picture| assert_eq!(picture.size, [128, 72], "the whole wall in its full resolution"))
         .collect();
     assert!(pictures[0] == pictures[1] && pictures[1] == pictures[2], "the camera rests until 0.2 s");

@@ -8,24 +8,24 @@ use std::{
 
 use shared::{
     codec::{self, HEADER_BYTES},
-    division::{FrameSize, Work},
-    protocol::{BlockCosts, Chunk, Encoding, FrameId, PREAMBLE, SceneState, ToServer, ToWall, WorkId, WorkTimings},
+    division::{FrameSize, Task},
+    protocol::{Chunk, Encoding, FrameId, PREAMBLE, RunCosts, SceneState, TaskId, TaskTimings, ToServer, ToWall},
 };
 
 use crate::farm::RunningWall;
 
 /// A work that the wall asks for.
-struct Asked {
+struct GivenTask {
     frame: FrameId,
-    work_id: WorkId,
-    work: Work,
+    task_id: TaskId,
+    task: Task,
     size: FrameSize,
 }
 
-impl Asked {
+impl GivenTask {
     /// The right answer, from the picture's samples: one chunk for each 64 units.
     fn chunks(&self, rgb: &[u8]) -> Vec<Vec<u8>> {
-        let share = self.work.share(self.size).unwrap();
+        let share = self.task.share(self.size).unwrap();
         let sample = |(i, j): (u32, u32)| {
             let at = 3 * (j * self.size.xres() + i) as usize;
             [rgb[at], rgb[at + 1], rgb[at + 2]]
@@ -41,14 +41,14 @@ impl Asked {
 
     fn chunk(&self, first_unit: u32, n_units: u32, rgb: &[u8]) -> Vec<u8> {
         let mut bytes = Vec::new();
-        let chunk = Chunk { frame: self.frame, work_id: self.work_id, first_unit, n_units, rgb };
+        let chunk = Chunk { frame: self.frame, task_id: self.task_id, first_unit, n_units, rgb };
         chunk.encode(Encoding::Raw, &mut bytes);
         bytes
     }
 
     fn done(&self) -> Vec<u8> {
-        let (timings, costs) = (WorkTimings::default(), BlockCosts::default());
-        message(&ToWall::WorkDone { frame: self.frame, work_id: self.work_id, timings, costs })
+        let (timings, costs) = (TaskTimings::default(), RunCosts::default());
+        message(&ToWall::TaskDone { frame: self.frame, task_id: self.task_id, timings, costs })
     }
 }
 
@@ -60,7 +60,7 @@ fn message(message: &ToWall) -> Vec<u8> {
 
 /// Joins a wall, and answers each work with the bytes that `answer` makes, until the wall has had enough; the others of a
 /// frame wait for it, as they do for everybody.
-fn lie(stream: &mut TcpStream, name: &str, mut answer: impl FnMut(&Asked) -> Vec<u8>) -> std::io::Result<()> {
+fn lie(stream: &mut TcpStream, name: &str, mut answer: impl FnMut(&GivenTask) -> Vec<u8>) -> std::io::Result<()> {
     stream.write_all(&PREAMBLE)?;
     stream.write_all(&message(&ToWall::Hello { name: name.to_owned(), threads: 1 }))?;
     stream.read_exact(&mut [0; PREAMBLE.len()])?;
@@ -74,8 +74,8 @@ fn lie(stream: &mut TcpStream, name: &str, mut answer: impl FnMut(&Asked) -> Vec
                 let state = SceneState::Ready { triangles: 1, bytes: 1, grid: None };
                 stream.write_all(&message(&ToWall::SceneState { scene, state }))?;
             }
-            ToServer::RenderFrame { frame, work_id, picture, work, .. } => {
-                stream.write_all(&answer(&Asked { frame, work_id, work, size: picture.size }))?;
+            ToServer::RenderFrame { frame, task_id, spec, task, .. } => {
+                stream.write_all(&answer(&GivenTask { frame, task_id, task, size: spec.size }))?;
             }
             ToServer::Ping { sent_us } => stream.write_all(&message(&ToWall::Pong { sent_us }))?,
             _ => {}
@@ -85,12 +85,12 @@ fn lie(stream: &mut TcpStream, name: &str, mut answer: impl FnMut(&Asked) -> Vec
 
 #[test]
 fn who_breaks_the_rules_is_dropped_and_costs_no_sample() {
-    type Lie = fn(&Asked) -> Vec<u8>;
+    type Lie = fn(&GivenTask) -> Vec<u8>;
     let lies: [(&str, Lie, &str); 8] = [
         ("short", |asked| asked.chunk(0, 1, &[0; 2]), "sent samples that do not fit their work"),
         ("long", |asked| asked.chunk(0, 1, &[0; 65_000]), "sent samples that do not fit their work"),
         ("beyond", |asked| asked.chunk(u32::MAX, 2, &[0; 384]), "sent samples that do not fit their work"),
-        ("idle", Asked::done, "called a work done of which only 0 of"),
+        ("idle", GivenTask::done, "called a work done of which only 0 of"),
         (
             "repeating",
             |asked| [asked.chunk(0, 1, &[0; 192]), asked.chunk(0, 1, &[0; 192]), asked.done()].concat(),
@@ -155,7 +155,7 @@ fn old_answers_and_answers_given_twice_change_nothing() {
     let _honest = wall.join("honest");
     wall.wait_for_frames(2);
     let mut stream = wall.connect();
-    let mut last: Option<Asked> = None;
+    let mut last: Option<GivenTask> = None;
     let mut n_works = 0;
     thread::spawn(move || {
         lie(&mut stream, "confused", |asked| {
@@ -170,8 +170,8 @@ fn old_answers_and_answers_given_twice_change_nothing() {
             bytes.extend(asked.done());
             bytes.extend(asked.chunk(0, 1, &[n_works as u8; 192]));
             bytes.extend(asked.done());
-            let Asked { frame, work_id, size, .. } = *asked;
-            last = Some(Asked { frame, work_id, work: asked.work.clone(), size });
+            let GivenTask { frame, task_id, size, .. } = *asked;
+            last = Some(GivenTask { frame, task_id, task: asked.task.clone(), size });
             bytes
         })
     });

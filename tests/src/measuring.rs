@@ -6,7 +6,7 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
-use compositor::gpu::Picture;
+use compositor::gpu::RgbImage;
 use serde_json::Value;
 use shared::srgb;
 
@@ -166,7 +166,7 @@ fn the_cost_view_shows_what_the_counters_count() {
         let count = |name: &str| report[name].as_u64().unwrap();
         let counts = (count("cell_traversals"), count("triangle_tests"));
         let per_ray = ["cell_traversals_per_ray", "triangle_tests_per_ray"].map(|name| report[name].as_f64().unwrap());
-        (counts, per_ray, Picture::read_png(&folder.join("cost.png")).unwrap())
+        (counts, per_ray, RgbImage::read_png(&folder.join("cost.png")).unwrap())
     };
     // With one ray the picture is its cost.
     let ((n_cells, n_tests), per_ray, picture) = trace("1x1");
@@ -254,6 +254,6 @@ fn check_svg(folder: &Path, name: &str, labels: &[&str]) {
     for label in labels {
         assert!(svg.contains(label), "{label}");
     }
-    let png = Picture::read_png(&folder.join(format!("figures/{name}.png"))).unwrap();
+    let png = RgbImage::read_png(&folder.join(format!("figures/{name}.png"))).unwrap();
     assert!(png.size[0] > 1000 && png.rgb.iter().any(|&byte| byte < 100), "{name}.png");
 }

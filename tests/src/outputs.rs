@@ -3,7 +3,7 @@
 use std::{fs, path::Path};
 
 use compositor::{
-    gpu::{Picture, present_cpu},
+    gpu::{RgbImage, present_cpu},
     wall::Wall,
 };
 
@@ -82,7 +82,7 @@ fn each_monitor_shows_its_part_of_one_picture_and_is_taken_up_again() {
         assert_eq!(monitor.name, name);
         let expected = present_cpu::present(frame.size, &frame.rgba, &wall, part, monitor.size.map(u32::from));
         let Screenshot { size, rgb } = on(monitor, &whole);
-        let shown = Picture { size: size.map(|side| side as u32), rgb };
+        let shown = RgbImage { size: size.map(|side| side as u32), rgb };
         references::check_same(&format!("monitor-{name}"), &expected, &shown);
     }
 

@@ -2,17 +2,17 @@
 
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 
-use compositor::gpu::{Gpu, Offscreen, Picture, Present, present_cpu};
+use compositor::gpu::{Gpu, Offscreen, Present, RgbImage, present_cpu};
 use compositor::wall::{PixelRect, Wall};
 use glam::DVec3;
 use renderer::{
     model::{mesh::Aabb, statue},
     render::tracer::{FrameRequest, Scene, SceneOptions},
 };
+use shared::appearance::Appearance;
 use shared::camera::{Camera, UpAxis};
 use shared::division::{Division, FrameSize};
-use shared::look::Look;
-use shared::protocol::{RayTree, SampleRange, View};
+use shared::protocol::{LightingMode, SampleRange, ShadingMode};
 use shared::srgb;
 
 use crate::references;
@@ -94,7 +94,7 @@ fn wall(columns: u32, rows: u32, pixels: [u32; 2]) -> Wall {
 }
 
 /// Draws the wall on `offscreen` and reads it back.
-pub(crate) fn draw(gpu: &Gpu, present: &mut Present, wall: &Wall, offscreen: &Offscreen) -> Picture {
+pub(crate) fn draw(gpu: &Gpu, present: &mut Present, wall: &Wall, offscreen: &Offscreen) -> RgbImage {
     let mut encoder = gpu.device.create_command_encoder(&Default::default());
     present.draw(gpu, &mut encoder, &offscreen.target(), wall, wall.whole_output());
     gpu.queue.submit([encoder.finish()]);
@@ -102,7 +102,7 @@ pub(crate) fn draw(gpu: &Gpu, present: &mut Present, wall: &Wall, offscreen: &Of
 }
 
 /// Compares every channel of every pixel with what the CPU makes of the same frame.
-pub(crate) fn check_twin(gpu: &Gpu, shown: &Picture, what: &str, frame: &Frame, wall: &Wall) {
+pub(crate) fn check_twin(gpu: &Gpu, shown: &RgbImage, what: &str, frame: &Frame, wall: &Wall) {
     let size = shown.size;
     let expected = present_cpu::present(frame.size, &frame.rgba, wall, wall.whole_output(), size);
     // One step of 8 bits is the sRGB curve's rounding. Graphics cards round the filter's weights as well, to 1/256 on
@@ -320,10 +320,10 @@ fn frame_of(scene: &Scene, wall: &Wall, up: UpAxis) -> Frame {
     let [min, max] = [min, max].map(|corner| DVec3::from_array(corner.map(f64::from)));
     let camera = Camera::view_all(min, max, up, wall.aspect());
     let size = wall.frame_size();
-    let (view, rays, samples) = (View::Shaded, RayTree::default(), SampleRange::CENTRE);
-    let request = FrameRequest { camera, size, view, rays, samples, look: Look::default() };
-    let work = Division::Interleaved.work(0, 1);
-    let rgb = scene.render_parallel(&request, &work.share(size).unwrap());
+    let (view, rays, samples) = (ShadingMode::Shaded, LightingMode::default(), SampleRange::CENTRE);
+    let request = FrameRequest { camera, size, view, rays, samples, appearance: Appearance::default() };
+    let task = Division::Interleaved.task(0, 1);
+    let rgb = scene.render_parallel(&request, &task.share(size).unwrap());
     Frame::new([size.xres(), size.yres()], |i, j| {
         let first = 3 * (j * size.xres() + i) as usize;
         [rgb[first], rgb[first + 1], rgb[first + 2]]

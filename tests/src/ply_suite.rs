@@ -60,7 +60,7 @@ fn every_file_of_the_suite_is_a_mesh_or_a_clear_error() {
 fn a_cut_file_is_the_whole_mesh_or_a_clear_error() {
     let suite = suite();
     let next = AtomicUsize::new(0);
-    let work = || {
+    let task = || {
         while let Some(case) = suite.get(next.fetch_add(1, Ordering::Relaxed)) {
             let whole = read(case, case.bytes.len());
             for n_bytes in cuts(case) {
@@ -74,7 +74,7 @@ fn a_cut_file_is_the_whole_mesh_or_a_clear_error() {
     };
     std::thread::scope(|scope| {
         for _ in 0..2 {
-            scope.spawn(work);
+            scope.spawn(task);
         }
     });
 }

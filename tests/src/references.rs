@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use compositor::gpu::Picture;
+use compositor::gpu::RgbImage;
 use nv_flip::{DEFAULT_PIXELS_PER_DEGREE, FlipImageRgb8, FlipPool, flip, magma_lut};
 
 /// The FLIP difference (Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", 2020) that no pixel may
@@ -10,7 +10,7 @@ use nv_flip::{DEFAULT_PIXELS_PER_DEGREE, FlipImageRgb8, FlipPool, flip, magma_lu
 const LARGEST_FLIP: f32 = 0.1;
 
 /// Holds a picture against `tests/references/NAME.png`; panics with how to look and how to accept it.
-pub(crate) fn check(name: &str, picture: &Picture) {
+pub(crate) fn check(name: &str, picture: &RgbImage) {
     let reference_path = folder().join(format!("{name}.png"));
     let output = Path::new(env!("CARGO_TARGET_TMPDIR"));
     let picture_path = output.join(format!("{name}.png"));
@@ -19,7 +19,7 @@ pub(crate) fn check(name: &str, picture: &Picture) {
         let [picture, reference] = [&picture_path, &reference_path].map(|path| path.display());
         panic!("{name}: {problem}\nlook at the picture: {picture}\nif it is right: cp {picture} {reference}");
     };
-    let reference = match Picture::read_png(&reference_path) {
+    let reference = match RgbImage::read_png(&reference_path) {
         Ok(reference) => reference,
         Err(error) => fail(&error.to_string()),
     };
@@ -36,7 +36,7 @@ pub(crate) fn check(name: &str, picture: &Picture) {
 }
 
 /// Holds a picture against one that was computed another way; on failure both and the map of differences are written.
-pub(crate) fn check_same(name: &str, expected: &Picture, picture: &Picture) {
+pub(crate) fn check_same(name: &str, expected: &RgbImage, picture: &RgbImage) {
     let (largest, map) = flip_difference(expected, picture);
     if largest > LARGEST_FLIP {
         let output = Path::new(env!("CARGO_TARGET_TMPDIR"));
@@ -48,11 +48,11 @@ pub(crate) fn check_same(name: &str, expected: &Picture, picture: &Picture) {
 }
 
 /// The largest difference of a pixel, and a map of all.
-fn flip_difference(reference: &Picture, picture: &Picture) -> (f32, Picture) {
-    let image = |picture: &Picture| FlipImageRgb8::with_data(picture.size[0], picture.size[1], &picture.rgb);
+fn flip_difference(reference: &RgbImage, picture: &RgbImage) -> (f32, RgbImage) {
+    let image = |picture: &RgbImage| FlipImageRgb8::with_data(picture.size[0], picture.size[1], &picture.rgb);
     let errors = flip(image(reference), image(picture), DEFAULT_PIXELS_PER_DEGREE);
     let map = errors.apply_color_lut(&magma_lut());
-    let map = Picture { size: [map.width(), map.height()], rgb: map.to_vec() };
+    let map = RgbImage { size: [map.width(), map.height()], rgb: map.to_vec() };
     (FlipPool::from_image(&errors).max_value(), map)
 }
 
@@ -71,7 +71,7 @@ fn references_stay_small() {
 
 #[test]
 fn one_tile_out_of_place_is_another_picture() {
-    let reference = Picture::read_png(&folder().join("wall-statue.png")).unwrap();
+    let reference = RgbImage::read_png(&folder().join("wall-statue.png")).unwrap();
     let mut picture = reference.clone();
     // One step of 8 bits everywhere is the same picture.
     picture.rgb.iter_mut().for_each(|byte| *byte ^= 1);

@@ -111,7 +111,7 @@ fn a_wall_without_a_window_writes_the_refined_picture() {
         command.args(["--local", "1", "--frames", "2", "--samples", samples, "--screenshot"]).arg(&picture).args(args);
         let (status, said) = Program::start(command).wait();
         assert!(status.success(), "{said}");
-        (compositor::gpu::Picture::read_png(&picture).unwrap(), said)
+        (compositor::gpu::RgbImage::read_png(&picture).unwrap(), said)
     };
     // The wall of these files has 128×72 pixels.
     let (refined, said) = fixed("64x36", "9", &["--target-rate", "30"]);

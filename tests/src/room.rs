@@ -5,7 +5,7 @@
 //! equations, and light is added up as projectors do. A projector's pixel gives light like a tent two pixels wide, as
 //! through a lens, and gives the light of its black whatever it shows.
 
-use compositor::gpu::{Gpu, Offscreen, Picture, Present};
+use compositor::gpu::{Gpu, Offscreen, Present, RgbImage};
 use compositor::wall::{Flip, Gamma, Projector, Wall};
 use glam::DVec2;
 use proptest::prelude::*;
@@ -25,11 +25,11 @@ const FARTHEST_PX: f64 = 0.5;
 /// A wall's projectors in the dark.
 struct Room<'a> {
     wall: &'a Wall,
-    projectors: Vec<Thrower<'a>>,
+    projectors: Vec<SimulatedProjector<'a>>,
 }
 
 /// A projector, as its optics are.
-struct Thrower<'a> {
+struct SimulatedProjector<'a> {
     projector: &'a Projector,
     /// Row by row: from metres on the canvas to columns and rows of its pixels, homogeneous.
     px_from_m: [[f64; 3]; 3],
@@ -50,12 +50,12 @@ struct Light {
 
 impl<'a> Room<'a> {
     fn new(wall: &'a Wall) -> Self {
-        let throwers = wall.projectors().iter().map(|projector| Thrower::new(projector, wall.canvas_m()));
+        let throwers = wall.projectors().iter().map(|projector| SimulatedProjector::new(projector, wall.canvas_m()));
         Self { wall, projectors: throwers.collect() }
     }
 
     /// The light on the canvas at a point in metres, when the projectors show their parts of `shown`.
-    fn light(&self, shown: &Picture, point: [f64; 2]) -> [Light; 3] {
+    fn light(&self, shown: &RgbImage, point: [f64; 2]) -> [Light; 3] {
         let mut light = [Light::default(); 3];
         for thrower in &self.projectors {
             thrower.throw(shown, point, &mut light);
@@ -97,7 +97,7 @@ impl<'a> Room<'a> {
     }
 }
 
-impl<'a> Thrower<'a> {
+impl<'a> SimulatedProjector<'a> {
     fn new(projector: &'a Projector, [width_m, height_m]: [f64; 2]) -> Self {
         let canvas = projector.canvas;
         let [left, bottom] = [canvas.left * width_m, canvas.bottom * height_m];
@@ -158,7 +158,7 @@ impl<'a> Thrower<'a> {
         is_within && self.hits(point)
     }
 
-    fn throw(&self, shown: &Picture, point: [f64; 2], light: &mut [Light; 3]) {
+    fn throw(&self, shown: &RgbImage, point: [f64; 2], light: &mut [Light; 3]) {
         let Some([x, y]) = self.px(point) else { return };
         let output = self.projector.output;
         let [x, y] = [x - 0.5, y - 0.5];
@@ -205,7 +205,7 @@ fn solve(from: [[f64; 2]; 4], to: [[f64; 2]; 4]) -> [[f64; 3]; 3] {
 }
 
 /// Has the GPU show a frame on all of the wall's pixels.
-fn show(gpu: &Gpu, present: &mut Present, wall: &Wall, frame: &Frame) -> Picture {
+fn show(gpu: &Gpu, present: &mut Present, wall: &Wall, frame: &Frame) -> RgbImage {
     present.upload(gpu, frame.size, &frame.rgba).unwrap();
     draw(gpu, present, wall, &Offscreen::new(gpu, wall.output_size()).unwrap())
 }
@@ -276,7 +276,7 @@ fn farthest_misplaced(gpu: &Gpu, wall: &Wall) -> f64 {
 }
 
 /// The picture on the canvas, and the picture that should be there, where anything is lit.
-fn pictures(gpu: &Gpu, wall: &Wall, frame: &Frame, width: u32) -> (Picture, Picture) {
+fn pictures(gpu: &Gpu, wall: &Wall, frame: &Frame, width: u32) -> (RgbImage, RgbImage) {
     let room = Room::new(wall);
     let shown = show(gpu, &mut Present::new(gpu), wall, frame);
     let [width_m, height_m] = wall.canvas_m();
@@ -290,7 +290,7 @@ fn pictures(gpu: &Gpu, wall: &Wall, frame: &Frame, width: u32) -> (Picture, Pict
         ideal.extend(if is_seen { wanted } else { [0; 3] });
         seen.extend(if is_seen { room.light(&shown, point).map(|light| encode(light.sum)) } else { [0; 3] });
     }
-    (Picture { size, rgb: seen }, Picture { size, rgb: ideal })
+    (RgbImage { size, rgb: seen }, RgbImage { size, rgb: ideal })
 }
 
 /// A frame's linear light at a point of the canvas, from (0, 0) to (1, 1), between the four samples around it.

@@ -120,7 +120,7 @@ fn bytes_that_are_changed_or_replayed_on_the_way_cost_a_connection_and_no_sample
     let _good = keys.join(&wall.address, "good", "wall.key");
     wall.wait_for_frames(3);
     // In the middle of samples, after some frames.
-    let between = Between::start(&wall.address, 200_000);
+    let between = TamperingProxy::start(&wall.address, 200_000);
     let mut far = keys.join(&between.address, "far", "wall.key");
     wall.program.wait_for("encrypted bytes were changed, repeated, swapped or forged on the way");
     far.wait_for("trying again until it answers");
@@ -183,12 +183,12 @@ fn a_flood_of_strangers_holds_a_few_kilobytes_for_the_time_of_a_handshake_and_ke
 }
 
 /// Somebody on the way to a wall, who records the first connection and changes one byte of it.
-struct Between {
+struct TamperingProxy {
     address: String,
     recording: Arc<Mutex<Vec<u8>>>,
 }
 
-impl Between {
+impl TamperingProxy {
     /// Passes connections on to `wall`; the byte at `change_at` of what the first one sends there is changed.
     fn start(wall: &str, change_at: usize) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();

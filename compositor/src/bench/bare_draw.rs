@@ -125,7 +125,7 @@ impl BareDraw {
 
     /// What it drew.
     #[cfg(test)]
-    pub(super) fn read(&self, gpu: &Gpu) -> Result<crate::gpu::Picture, GpuError> {
+    pub(super) fn read(&self, gpu: &Gpu) -> Result<crate::gpu::RgbImage, GpuError> {
         self.offscreen.read(gpu)
     }
 }

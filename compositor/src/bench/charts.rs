@@ -10,7 +10,7 @@ use plotters::{
 };
 use shared::division::Division;
 
-use super::results::{Measured, Predicted, Results};
+use super::results::{MeasuredRow, PredictedRow, Results};
 
 /// Sides of one panel in pixels.
 const PANEL: (u32, u32) = (620, 460);
@@ -97,8 +97,8 @@ fn by_division<T>(
 }
 
 /// The paper's figure 8.
-fn bytes_panels(rows: &[Measured]) -> [Panel; 2] {
-    let panel = |title: &str, unit: &str, value: fn(&Measured) -> f64| Panel {
+fn bytes_panels(rows: &[MeasuredRow]) -> [Panel; 2] {
+    let panel = |title: &str, unit: &str, value: fn(&MeasuredRow) -> f64| Panel {
         title: title.to_owned(),
         note: "median of the frames; where lines lie one upon another, the divisions are alike".to_owned(),
         x_label: "render servers",
@@ -117,7 +117,7 @@ fn bytes_panels(rows: &[Measured]) -> [Panel; 2] {
 }
 
 /// The paper's figure 9.
-fn time_panel(rows: &[Measured], n_cores: usize) -> Panel {
+fn time_panel(rows: &[MeasuredRow], n_cores: usize) -> Panel {
     let mut lines = by_division(
         &rows.iter().collect::<Vec<_>>(),
         |row| row.division,
@@ -142,7 +142,7 @@ fn time_panel(rows: &[Measured], n_cores: usize) -> Panel {
     }
 }
 
-fn cluster_panel(rows: &[&Predicted], size: &str, motion: &str, mbit_per_s: f64) -> Panel {
+fn cluster_panel(rows: &[&PredictedRow], size: &str, motion: &str, mbit_per_s: f64) -> Panel {
     let rows: Vec<_> = rows.iter().copied().filter(|row| row.mbit_per_s == mbit_per_s).collect();
     let rate = |ms: f64| 1e3 / ms;
     let mut lines = by_division(&rows, |row| Some(row.division), |row| (f64::from(row.n_nodes), rate(row.frame_ms)));
@@ -304,7 +304,7 @@ mod tests {
 
     #[test]
     fn a_chart_names_its_lines_axes_and_bounds() {
-        let row = |n_nodes: u32, frame_ms: f64, binds: &'static str| Predicted {
+        let row = |n_nodes: u32, frame_ms: f64, binds: &'static str| PredictedRow {
             division: Division::Dynamic,
             n_nodes,
             n_slow: 0,

@@ -19,7 +19,7 @@ use shared::{
 };
 
 use super::{bare_draw::BareDraw, results::quantile};
-use crate::{cli::headless::Headless, farm::Placing, wall::Wall};
+use crate::{cli::headless::Headless, farm::SamplePlacer, wall::Wall};
 
 /// However long they take.
 const FEWEST_ROUNDS: usize = 5;
@@ -29,10 +29,10 @@ const N_FIRST: usize = 2;
 
 /// What was measured; milliseconds.
 #[derive(Debug, Serialize)]
-struct DisplayFigures {
+struct DisplayTimings {
     adapter: String,
     wall: String,
-    rows: Vec<Row>,
+    rows: Vec<DisplayRow>,
     /// Placing, uploading and drawing a full frame of the usual size, over the bare draw of one: elapsed time, and CPU
     /// time, which on a software adapter is all there is and which other programs do not disturb.
     whole_over_bare: f64,
@@ -44,7 +44,7 @@ struct DisplayFigures {
 
 /// Something that was done again and again. What a row does not do is `None`.
 #[derive(Debug, Serialize)]
-struct Row {
+struct DisplayRow {
     what: String,
     place_ms: Option<f64>,
     upload_ms: Option<f64>,
@@ -58,7 +58,7 @@ struct Row {
 
 /// One time of it.
 #[derive(Clone, Copy, Debug, Default)]
-struct Sample {
+struct Timing {
     place: Option<Duration>,
     upload: Option<Duration>,
     draw: Option<Duration>,
@@ -83,12 +83,12 @@ pub(super) fn run(wall: Wall, size: FrameSize, duration: Duration, is_json: bool
     }
 }
 
-fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<DisplayFigures> {
+fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<DisplayTimings> {
     let wall_size @ [width, height] = wall.output_size();
     let mut headless = Headless::new(wall)?;
     let native = FrameSize::new(width, height)?;
     let blank = vec![u32::from_ne_bytes([0, 0, 0, 255]); size.n_samples() as usize];
-    let (full, full_native) = (Full::new(size), Full::new(native));
+    let (full, full_native) = (NoiseFrame::new(size), NoiseFrame::new(native));
     let bare = BareDraw::new(headless.gpu(), wall_size, size, &full.placed()?)?;
     let bare_native = BareDraw::new(headless.gpu(), wall_size, native, &full_native.placed()?)?;
     let pixels = vec![0x55_u32; native.n_samples() as usize];
@@ -121,14 +121,14 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
                 FULL_NATIVE => full_native.shown(&mut headless),
                 BARE | BARE_NATIVE => {
                     let bare = if index == BARE { &bare } else { &bare_native };
-                    Ok(Sample { draw: Some(bare.draw(headless.gpu())?), ..Sample::default() })
+                    Ok(Timing { draw: Some(bare.draw(headless.gpu())?), ..Timing::default() })
                 }
                 5 => {
                     copy.copy_from_slice(std::hint::black_box(&pixels));
                     std::hint::black_box(&copy);
-                    Ok(Sample::default())
+                    Ok(Timing::default())
                 }
-                _ => resizer.resize().map(|()| Sample::default()),
+                _ => resizer.resize().map(|()| Timing::default()),
             })?;
             if n_rounds >= N_FIRST {
                 samples.push(sample);
@@ -136,8 +136,8 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
         }
         n_rounds += 1;
     }
-    let rows: Vec<_> = names.into_iter().zip(&samples).map(|(what, samples)| Row::new(what, samples)).collect();
-    Ok(DisplayFigures {
+    let rows: Vec<_> = names.into_iter().zip(&samples).map(|(what, samples)| DisplayRow::new(what, samples)).collect();
+    Ok(DisplayTimings {
         adapter: headless.gpu().name(),
         wall: format!("{width}x{height}"),
         whole_over_bare: rows[FULL].whole_ms / rows[BARE].whole_ms,
@@ -149,25 +149,25 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
 }
 
 /// Elapsed and CPU time of it all.
-fn timed(act: impl FnOnce() -> anyhow::Result<Sample>) -> anyhow::Result<Sample> {
+fn timed(act: impl FnOnce() -> anyhow::Result<Timing>) -> anyhow::Result<Timing> {
     let (started_at, cpu) = (Instant::now(), ProcessTime::now());
     let sample = act()?;
-    Ok(Sample { whole: started_at.elapsed(), cpu: cpu.elapsed(), ..sample })
+    Ok(Timing { whole: started_at.elapsed(), cpu: cpu.elapsed(), ..sample })
 }
 
-fn shown(headless: &mut Headless, size: FrameSize, rgba: &[u32]) -> anyhow::Result<Sample> {
+fn shown(headless: &mut Headless, size: FrameSize, rgba: &[u32]) -> anyhow::Result<Timing> {
     let (upload, draw) = headless.upload_and_draw(size, rgba)?;
-    Ok(Sample { upload: Some(upload), draw: Some(draw), gpu_draw_ms: headless.gpu_draw_ms(), ..Sample::default() })
+    Ok(Timing { upload: Some(upload), draw: Some(draw), gpu_draw_ms: headless.gpu_draw_ms(), ..Timing::default() })
 }
 
 /// A frame of noise, as render servers send it by default.
-struct Full {
+struct NoiseFrame {
     size: FrameSize,
     rgb: Vec<u8>,
-    placing: Placing,
+    placing: SamplePlacer,
 }
 
-impl Full {
+impl NoiseFrame {
     fn new(size: FrameSize) -> Self {
         // Steele and Vigna's SplitMix64: what compresses or repeats would flatter caches.
         let noise = |index: u64| {
@@ -176,18 +176,18 @@ impl Full {
             (mixed >> 32) as u8
         };
         let rgb = (0..3 * u64::from(size.n_samples())).map(noise).collect();
-        Self { size, rgb, placing: Placing::default() }
+        Self { size, rgb, placing: SamplePlacer::default() }
     }
 
-    fn placed(&self) -> anyhow::Result<crate::farm::Samples> {
+    fn placed(&self) -> anyhow::Result<crate::farm::FrameSamples> {
         Ok(self.placing.place(self.size, Division::default(), &self.rgb, CHUNK_BYTES)?)
     }
 
-    fn shown(&self, headless: &mut Headless) -> anyhow::Result<Sample> {
+    fn shown(&self, headless: &mut Headless) -> anyhow::Result<Timing> {
         let started_at = Instant::now();
         let samples = self.placed()?;
         let place = started_at.elapsed();
-        Ok(Sample { place: Some(place), ..shown(headless, self.size, &samples)? })
+        Ok(Timing { place: Some(place), ..shown(headless, self.size, &samples)? })
     }
 }
 
@@ -215,13 +215,13 @@ impl Resize {
     }
 }
 
-impl Row {
-    fn new(what: String, samples: &[Sample]) -> Self {
-        let median = |of: &dyn Fn(&Sample) -> Option<f64>| {
+impl DisplayRow {
+    fn new(what: String, samples: &[Timing]) -> Self {
+        let median = |of: &dyn Fn(&Timing) -> Option<f64>| {
             let values: Vec<f64> = samples.iter().filter_map(of).collect();
             (!values.is_empty()).then(|| quantile(values.into_iter(), 0.5))
         };
-        let part = |of: fn(&Sample) -> Option<Duration>| median(&|sample| of(sample).map(milliseconds));
+        let part = |of: fn(&Timing) -> Option<Duration>| median(&|sample| of(sample).map(milliseconds));
         Self {
             what,
             place_ms: part(|sample| sample.place),
@@ -234,7 +234,7 @@ impl Row {
     }
 }
 
-impl DisplayFigures {
+impl DisplayTimings {
     /// For a person.
     fn table(&self) -> String {
         let Self { adapter, wall, rows, .. } = self;
@@ -292,13 +292,13 @@ mod tests {
 
         // The bare draw does what the wall does, and what a CPU does but for the light that it mixes in.
         let mut headless = Headless::new(wall).unwrap();
-        let full = Full::new(size);
+        let full = NoiseFrame::new(size);
         let samples = full.placed().unwrap();
         let bare = BareDraw::new(headless.gpu(), [64, 36], size, &samples).unwrap();
         bare.draw(headless.gpu()).unwrap();
         let bare = bare.read(headless.gpu()).unwrap();
         headless.upload_and_draw(size, &samples).unwrap();
-        let wall = headless.picture().unwrap();
+        let wall = headless.image().unwrap();
         let differs = |(a, b): (&u8, &u8)| a.abs_diff(*b) > 2;
         assert_eq!(bare.rgb.len(), 3 * 64 * 36);
         assert_eq!(bare.rgb.iter().zip(&wall.rgb).filter(|&pair| differs(pair)).count(), 0);

@@ -6,13 +6,13 @@ use renderer::cli::scene_args::SceneArgs;
 use shared::division::{Division, FrameSize};
 use tokio::runtime::Runtime;
 
-use super::results::{Measured, quantile};
+use super::results::{MeasuredRow, quantile};
 use crate::{
     cli::{
         headless::{self, Headless, Wakeup, Wakeups},
         local::LocalServers,
     },
-    farm::{Farm, Frame, Wanted, stats::DisplayStats},
+    farm::{Farm, Frame, RenderGoal, stats::DisplayStats},
 };
 
 /// Frames after a change that do not count: caches fill, and the dynamic division finds its balance.
@@ -42,13 +42,13 @@ impl<'a> RealWall<'a> {
         runtime: &Runtime,
         headless: &'a mut Headless,
         wakeups: &'a Wakeups,
-        wanted: Wanted,
+        wanted: RenderGoal,
         scene: &SceneArgs,
         wake: impl Fn() + Send + Sync + 'static,
     ) -> anyhow::Result<Self> {
-        let size = wanted.picture.map_or(FrameSize::PAPER, |picture| picture.size);
+        let size = wanted.spec.map_or(FrameSize::PAPER, |spec| spec.size);
         let listener = runtime.block_on(tokio::net::TcpListener::bind(("127.0.0.1", 0)))?;
-        let servers = LocalServers::none(listener.local_addr()?, None, scene)?;
+        let servers = LocalServers::empty(listener.local_addr()?, None, scene)?;
         let farm = {
             let _guard = runtime.enter();
             Farm::start(listener, None, wanted, wake)?
@@ -62,7 +62,7 @@ impl<'a> RealWall<'a> {
             self.servers.add(1)?;
             self.n_nodes += 1;
         }
-        self.farm.want(|wanted| wanted.min_renderers = n_nodes);
+        self.farm.update_goal(|wanted| wanted.min_renderers = n_nodes);
         Ok(())
     }
 
@@ -72,8 +72,8 @@ impl<'a> RealWall<'a> {
         division: Division,
         duration: Duration,
         is_shown: bool,
-    ) -> anyhow::Result<Result<Measured, Stopped>> {
-        self.farm.want(|wanted| wanted.division = division);
+    ) -> anyhow::Result<Result<MeasuredRow, Stopped>> {
+        self.farm.update_goal(|wanted| wanted.division = division);
         let mut n_first = 0;
         let mut rows = Vec::new();
         let (mut started_at, mut ended_at) = (Instant::now(), Instant::now());
@@ -93,7 +93,7 @@ impl<'a> RealWall<'a> {
         let median = |value: &dyn Fn(&(crate::farm::stats::FrameStats, DisplayStats, f64)) -> f64| {
             quantile(rows.iter().map(value), 0.5)
         };
-        Ok(Ok(Measured {
+        Ok(Ok(MeasuredRow {
             division: Some(division),
             n_nodes: self.n_nodes,
             size: self.size.to_string(),
@@ -131,7 +131,7 @@ pub(super) fn measure_display(
     wakeups: &Wakeups,
     size: FrameSize,
     duration: Duration,
-) -> anyhow::Result<Result<Measured, Stopped>> {
+) -> anyhow::Result<Result<MeasuredRow, Stopped>> {
     let started_at = Instant::now();
     let mut shown_ms = Vec::new();
     let mut n_first = 0;
@@ -147,7 +147,7 @@ pub(super) fn measure_display(
         }
     }
     let quantile = |part| quantile(shown_ms.iter().copied(), part);
-    Ok(Ok(Measured {
+    Ok(Ok(MeasuredRow {
         division: None,
         n_nodes: 0,
         size: size.to_string(),

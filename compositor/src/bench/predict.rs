@@ -7,14 +7,14 @@ use glam::DVec3;
 use shared::{
     camera::UpAxis,
     division::{Division, FrameSize},
-    protocol::Picture,
+    protocol::FrameSpec,
 };
 
 use super::{
-    results::{Check, Measured, Predicted, quantile},
+    results::{Check, MeasuredRow, PredictedRow, quantile},
     shares::ShareTracer,
 };
-use crate::farm::replay::{Cluster, Link, ReplayedFrame, period, replay};
+use crate::farm::replay::{ReplayedFrame, SimulatedCluster, SimulatedLink, period, replay};
 
 /// Frames in which the dynamic division finds its balance; they do not count.
 const N_FIRST: usize = 4;
@@ -63,7 +63,7 @@ pub(super) fn scenarios(size: FrameSize, node_counts: &[u32]) -> Vec<Scenario> {
 /// The picture and the way around the model.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Path {
-    pub(super) picture: Picture,
+    pub(super) spec: FrameSpec,
     /// What the camera goes around, in world space.
     pub(super) centre: DVec3,
     /// Frames rendered at a time.
@@ -71,10 +71,10 @@ pub(super) struct Path {
 }
 
 impl Path {
-    fn picture(&self, scenario: &Scenario, n_shown: usize) -> Picture {
+    fn spec(&self, scenario: &Scenario, n_shown: usize) -> FrameSpec {
         let yaw = if scenario.is_moving { n_shown as f64 * YAW_PER_FRAME } else { 0.0 };
-        let camera = self.picture.camera.orbit(self.centre, UpAxis::Y, yaw, 0.0);
-        Picture { camera, size: scenario.size, ..self.picture }
+        let camera = self.spec.camera.orbit(self.centre, UpAxis::Y, yaw, 0.0);
+        FrameSpec { camera, size: scenario.size, ..self.spec }
     }
 }
 
@@ -87,7 +87,7 @@ pub(super) fn predict(
     tracer: &mut ShareTracer<'_>,
     alone_ms: impl Fn(f64) -> Option<f64>,
     is_stopped: impl Fn() -> bool,
-) -> Option<Vec<Predicted>> {
+) -> Option<Vec<PredictedRow>> {
     let slowness: Vec<f64> =
         (0..scenario.n_nodes).map(|node| if node < scenario.n_slow { SLOW } else { 1.0 }).collect();
     let speed: f64 = slowness.iter().map(|slowness| 1.0 / slowness).sum();
@@ -96,11 +96,15 @@ pub(super) fn predict(
     LINKS_MBIT_PER_S
         .into_iter()
         .map(|mbit_per_s| {
-            let link = Link { bits_per_second: mbit_per_s * 1e6, latency: LATENCY };
-            let cluster =
-                Cluster { slowness: slowness.clone(), link, division: scenario.division, in_flight: path.in_flight };
-            let trace = |works: &[_]| tracer.trace(works, &is_stopped);
-            let frames = replay(&cluster, N_FIRST + n_frames, |n_shown| path.picture(scenario, n_shown), trace);
+            let link = SimulatedLink { bits_per_second: mbit_per_s * 1e6, latency: LATENCY };
+            let cluster = SimulatedCluster {
+                slowness: slowness.clone(),
+                link,
+                division: scenario.division,
+                in_flight: path.in_flight,
+            };
+            let trace = |tasks: &[_]| tracer.trace(tasks, &is_stopped);
+            let frames = replay(&cluster, N_FIRST + n_frames, |n_shown| path.spec(scenario, n_shown), trace);
             let counted = frames.get(N_FIRST..N_FIRST + n_frames)?;
             let frame_ms = milliseconds(period(&frames, N_FIRST)?);
             let mean = |value: &dyn Fn(&ReplayedFrame) -> f64| counted.iter().map(value).sum::<f64>() / n_frames as f64;
@@ -113,7 +117,7 @@ pub(super) fn predict(
             let link_ms = milliseconds(link.time_for(bytes_in as u64));
             let imbalance = |part| quantile(counted.iter().map(|frame| frame.stats.imbalance), part);
             let alone_ms = if scenario.n_nodes == 1 { frame_ms } else { alone_ms(mbit_per_s)? };
-            Some(Predicted {
+            Some(PredictedRow {
                 division: scenario.division,
                 n_nodes: scenario.n_nodes,
                 n_slow: scenario.n_slow,
@@ -137,16 +141,17 @@ pub(super) fn predict(
 
 /// Predicts what was measured on this machine without display, where the link is the loopback.
 pub(super) fn check(
-    measured: &Measured,
+    measured: &MeasuredRow,
     path: &Path,
     tracer: &mut ShareTracer<'_>,
     is_stopped: impl Fn() -> bool,
 ) -> Option<Check> {
     let division = measured.division?;
-    let link = Link { bits_per_second: f64::INFINITY, latency: Duration::from_micros(50) };
-    let cluster = Cluster { slowness: vec![1.0; measured.n_nodes as usize], link, division, in_flight: path.in_flight };
-    let trace = |works: &[_]| tracer.trace(works, &is_stopped);
-    let frames = replay(&cluster, N_FIRST + 4, |_| path.picture, trace);
+    let link = SimulatedLink { bits_per_second: f64::INFINITY, latency: Duration::from_micros(50) };
+    let cluster =
+        SimulatedCluster { slowness: vec![1.0; measured.n_nodes as usize], link, division, in_flight: path.in_flight };
+    let trace = |tasks: &[_]| tracer.trace(tasks, &is_stopped);
+    let frames = replay(&cluster, N_FIRST + 4, |_| path.spec, trace);
     let predicted_ms = milliseconds(period(&frames, N_FIRST)?);
     let measured_ms = measured.frame_ms_median;
     Some(Check {

@@ -16,16 +16,16 @@ pub(super) struct Results {
     /// Cores of the machine that measured: more render servers than these share them.
     pub(super) n_cores: usize,
     /// Real programs and sockets on this machine.
-    pub(super) measured: Vec<Measured>,
+    pub(super) measured: Vec<MeasuredRow>,
     /// What a cluster of one-core machines like this one would do: a prediction.
-    pub(super) predicted: Vec<Predicted>,
+    pub(super) predicted: Vec<PredictedRow>,
     /// Predictions of what was also measured.
     pub(super) checks: Vec<Check>,
 }
 
 /// Frames of one division by one number of render servers. Times are in milliseconds.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Measured {
+pub(super) struct MeasuredRow {
     /// `None` for the display alone.
     pub(super) division: Option<Division>,
     pub(super) n_nodes: u32,
@@ -48,7 +48,7 @@ pub(super) struct Measured {
 
 /// Frames that a cluster would render. Times are in milliseconds.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Predicted {
+pub(super) struct PredictedRow {
     pub(super) division: Division,
     pub(super) n_nodes: u32,
     /// How many of them have a third of the others' speed.

@@ -5,12 +5,12 @@ use std::{collections::HashMap, rc::Rc, time::Duration};
 use cpu_time::ThreadTime;
 use renderer::{
     render::tracer::{FrameRequest, Scene},
-    server::work::block_units,
+    server::task::run_units,
 };
 use shared::{
     codec::{CHUNK_HEADER_BYTES, HEADER_BYTES},
-    division::Work,
-    protocol::{BlockCosts, Chunk, Encoding, FrameId, Picture, WorkId},
+    division::Task,
+    protocol::{Chunk, Encoding, FrameId, FrameSpec, RunCosts, TaskId},
 };
 
 use crate::farm::replay::{TracedChunk, TracedShare};
@@ -62,12 +62,12 @@ impl<'a> ShareTracer<'a> {
     /// Traces all that is not known; `None` when `is_stopped` says so.
     pub(super) fn trace(
         &mut self,
-        works: &[(Picture, Work)],
+        tasks: &[(FrameSpec, Task)],
         is_stopped: impl Fn() -> bool,
     ) -> Option<Vec<Rc<TracedShare>>> {
         // Pictures and works hold floats and have no hash; what they print is exact.
-        let keys: Vec<_> = works.iter().map(|work| format!("{work:?}")).collect();
-        let new: Vec<_> = (0..works.len()).filter(|&index| !self.known.contains_key(&keys[index])).collect();
+        let keys: Vec<_> = tasks.iter().map(|task| format!("{task:?}")).collect();
+        let new: Vec<_> = (0..tasks.len()).filter(|&index| !self.known.contains_key(&keys[index])).collect();
         let mut traced: Vec<Option<TracedShare>> = vec![None; new.len()];
         let mut passes = Passes::default();
         while !new.is_empty() && !passes.are_enough() {
@@ -76,8 +76,8 @@ impl<'a> ShareTracer<'a> {
                 if is_stopped() {
                     return None;
                 }
-                let (picture, work) = &works[index];
-                let once_more = trace(self.scene, picture, work);
+                let (spec, task) = &tasks[index];
+                let once_more = trace(self.scene, spec, task);
                 *so_far = Some(match so_far.take() {
                     Some(so_far) => {
                         let before = so_far.cpu();
@@ -116,9 +116,9 @@ impl TracedShare {
 
     /// What the measured blocks of a chunk took together; 0 where none are measured.
     fn in_blocks(&self, chunk: usize) -> Duration {
-        let BlockCosts { block_units, cpu_ns } = &self.costs;
+        let RunCosts { run_units, cpu_ns } = &self.costs;
         let TracedChunk { first_unit, n_units, .. } = self.chunks[chunk];
-        let index = |unit: u32| (unit.div_ceil((*block_units).max(1)) as usize).min(cpu_ns.len());
+        let index = |unit: u32| (unit.div_ceil((*run_units).max(1)) as usize).min(cpu_ns.len());
         Duration::from_nanos(
             cpu_ns[index(first_unit)..index(first_unit + n_units)].iter().map(|&ns| u64::from(ns)).sum(),
         )
@@ -131,13 +131,12 @@ impl TracedShare {
 }
 
 /// Traces a share on the calling thread, in the chunks and with the clocks of a render server.
-fn trace(scene: &Scene, picture: &Picture, work: &Work) -> TracedShare {
-    let Picture { camera, size, view, rays, samples, look, .. } = *picture;
-    let request = FrameRequest { camera, size, view, rays, samples, look };
-    let share = work.share(size).expect("the scheduler makes works that fit their frame");
-    let (n_per_chunk, n_per_cost) = block_units(&share, 1, samples.count);
-    let mut traced =
-        TracedShare { costs: BlockCosts { block_units: n_per_cost, ..BlockCosts::default() }, chunks: vec![] };
+fn trace(scene: &Scene, spec: &FrameSpec, task: &Task) -> TracedShare {
+    let FrameSpec { camera, size, view, rays, samples, appearance, .. } = *spec;
+    let request = FrameRequest { camera, size, view, rays, samples, appearance };
+    let share = task.share(size).expect("the scheduler makes works that fit their frame");
+    let (n_per_chunk, n_per_cost) = run_units(&share, 1, samples.count);
+    let mut traced = TracedShare { costs: RunCosts { run_units: n_per_cost, ..RunCosts::default() }, chunks: vec![] };
     for first_unit in (0..share.count()).step_by(n_per_chunk as usize) {
         let started_at = ThreadTime::now();
         let mut measured_until = started_at;
@@ -153,9 +152,9 @@ fn trace(scene: &Scene, picture: &Picture, work: &Work) -> TracedShare {
             }
         }
         let n_units = end - first_unit;
-        let (frame, work_id) = (FrameId(0), WorkId(0));
+        let (frame, task_id) = (FrameId(0), TaskId(0));
         let mut message = Vec::with_capacity(HEADER_BYTES + CHUNK_HEADER_BYTES + rgb.len());
-        Chunk { frame, work_id, first_unit, n_units, rgb: &rgb }.encode(Encoding::Raw, &mut message);
+        Chunk { frame, task_id, first_unit, n_units, rgb: &rgb }.encode(Encoding::Raw, &mut message);
         let (n_bytes, cpu) = (message.len() as u64, started_at.elapsed());
         traced.chunks.push(TracedChunk { first_unit, n_units, n_bytes, cpu });
     }
@@ -192,7 +191,7 @@ mod tests {
                     TracedChunk { first_unit, n_units, n_bytes: 1, cpu }
                 })
                 .collect(),
-            costs: BlockCosts { block_units: 2, cpu_ns: cpu_ns.to_vec() },
+            costs: RunCosts { run_units: 2, cpu_ns: cpu_ns.to_vec() },
         };
         // 30 and 60 in blocks, 10 and 5 beside them; and 50 and 20, 3 and 9.
         let fastest = share([40, 65], &[10, 20, 60]).fastest(&share([53, 29], &[15, 35, 20]));

@@ -3,13 +3,13 @@
 use std::{net::SocketAddr, path::PathBuf};
 
 use renderer::{
-    cli::{look_args::LookArgs, scene_args::SceneArgs},
+    cli::{appearance_args::AppearanceArgs, scene_args::SceneArgs},
     model::scene::SceneSource,
 };
 use shared::{
     camera::{Camera, UpAxis},
     division::{Division, FrameSize},
-    protocol::{DEFAULT_PORT, Encoding, RayTree, SampleRange, View},
+    protocol::{DEFAULT_PORT, Encoding, LightingMode, SampleRange, ShadingMode},
     scene::SceneId,
 };
 
@@ -48,7 +48,7 @@ pub enum Command {
 
 /// What is shown on which wall, and from where.
 #[derive(Clone, Debug, clap::Args)]
-pub struct SubjectArgs {
+pub struct ShowArgs {
     /// The PLY file to show [default: the built-in statue]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
@@ -64,7 +64,7 @@ pub struct SubjectArgs {
     pub camera: Option<PathBuf>,
 }
 
-impl SubjectArgs {
+impl ShowArgs {
     /// The model's file, or the statue.
     pub fn source(&self) -> SceneSource {
         let statue = SceneSource::Statue { triangles: self.triangles };
@@ -87,7 +87,7 @@ impl SubjectArgs {
 pub struct WallArgs {
     /// What is shown, and where.
     #[command(flatten)]
-    pub subject: SubjectArgs,
+    pub show: ShowArgs,
     /// The model's axis that points up: x, y or z [default: the one kept with the model's views, or y]
     #[arg(long, value_name = "AXIS")]
     pub up: Option<UpAxis>,
@@ -135,14 +135,14 @@ pub struct WallArgs {
     #[arg(long, value_name = "E")]
     pub encoding: Option<Encoding>,
     /// What the samples show: shaded, normals or cost
-    #[arg(long, value_name = "V", default_value = View::default().name())]
-    pub view: View,
+    #[arg(long, value_name = "V", default_value = ShadingMode::default().name())]
+    pub view: ShadingMode,
     /// By which rays the picture is lit: primary, shadows (and a ray to a light), or ambient (and short rays all around)
-    #[arg(long, value_name = "RAYS", default_value = RayTree::default().name())]
-    pub rays: RayTree,
+    #[arg(long, value_name = "RAYS", default_value = LightingMode::default().name())]
+    pub rays: LightingMode,
     /// How the picture looks.
     #[command(flatten)]
-    pub look: LookArgs,
+    pub appearance: AppearanceArgs,
     /// Samples of a frame [default: what the wall file says, or 1024x512]
     #[arg(long, value_name = "WxH")]
     pub size: Option<FrameSize>,

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use glam::{DVec2, DVec4};
-use renderer::{cli::say, render::image::write_whole};
+use renderer::{cli::say, render::image::write_atomically};
 
 use crate::wall::{OnLoss, Wall, homography::apply};
 
@@ -32,7 +32,7 @@ pub fn run(args: &CheckArgs) -> anyhow::Result<()> {
         PathBuf::from(stem).with_extension("svg")
     });
     let svg = drawing::draw(&wall, &args.file.display().to_string());
-    write_whole(&svg_path, |out| out.write_all(svg.as_bytes())).with_context(|| {
+    write_atomically(&svg_path, |out| out.write_all(svg.as_bytes())).with_context(|| {
         format!("cannot write the drawing {}: --svg FILE.svg puts it elsewhere", svg_path.display())
     })?;
     for line in summary(&wall) {
@@ -91,7 +91,7 @@ fn lit_parts(wall: &Wall) -> (f64, f64) {
     const SIDE: u32 = 2500;
     let mut n_lit = vec![0_u8; (SIDE * SIDE) as usize];
     for projector in wall.projectors() {
-        let Some(raster_from_place) = projector.raster_from_place() else { continue };
+        let Some(raster_from_rect) = projector.raster_from_rect() else { continue };
         let canvas = projector.canvas;
         let steps = |from: f64, extent: f64| {
             let step = |edge: f64| (edge * f64::from(SIDE) - 0.5).clamp(-1.0, f64::from(SIDE));
@@ -100,7 +100,7 @@ fn lit_parts(wall: &Wall) -> (f64, f64) {
         for j in steps(canvas.bottom, canvas.height) {
             for i in steps(canvas.left, canvas.width) {
                 let point = DVec2::new(f64::from(i) + 0.5, f64::from(j) + 0.5) / f64::from(SIDE);
-                let is_lit = apply(raster_from_place, canvas.place_of(point))
+                let is_lit = apply(raster_from_rect, canvas.rect_from_canvas(point))
                     .is_some_and(|raster| raster.cmpge(DVec2::ZERO).all() && raster.cmple(DVec2::ONE).all());
                 let count = &mut n_lit[(j * SIDE + i) as usize];
                 *count = count.saturating_add(u8::from(is_lit));

@@ -10,7 +10,7 @@ use anyhow::Context;
 use super::report::Report;
 use crate::{
     farm::{Farm, Frame, stats::DisplayStats},
-    gpu::{Gpu, GpuError, Offscreen, Picture, Present},
+    gpu::{Gpu, GpuError, Offscreen, Present, RgbImage},
     wall::Wall,
 };
 
@@ -29,7 +29,7 @@ pub enum Wakeup {
 pub type Wakeups = std::sync::mpsc::Receiver<Wakeup>;
 
 /// How long the farm may be silent before the operator is told what it waits for.
-const PATIENCE: Duration = Duration::from_secs(5);
+const REPORT_WAIT_AFTER: Duration = Duration::from_secs(5);
 
 /// An offscreen wall.
 pub struct Headless {
@@ -98,12 +98,12 @@ impl Headless {
 
     /// The wall as it is now, for a screenshot.
     pub fn write_screenshot(&self, path: &std::path::Path) -> anyhow::Result<()> {
-        self.picture()?.write_png(path).with_context(|| format!("no screenshot {}", path.display()))
+        self.image()?.write_png(path).with_context(|| format!("no screenshot {}", path.display()))
     }
 
     /// Shows one frame.
     pub fn show(&mut self, frame: &Frame) -> anyhow::Result<DisplayStats> {
-        let (upload, draw) = self.upload_and_draw(frame.picture.size, &frame.rgba)?;
+        let (upload, draw) = self.upload_and_draw(frame.spec.size, &frame.rgba)?;
         Ok(DisplayStats {
             upload_ms: milliseconds(upload),
             draw_ms: milliseconds(draw),
@@ -113,7 +113,7 @@ impl Headless {
     }
 
     /// The wall as it is now.
-    pub(crate) fn picture(&self) -> Result<Picture, GpuError> {
+    pub(crate) fn image(&self) -> Result<RgbImage, GpuError> {
         self.offscreen.read(&self.gpu)
     }
 
@@ -153,13 +153,13 @@ impl Headless {
 /// Waits for news; says what is missing when that takes long.
 pub(crate) fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Wakeup> {
     use std::sync::mpsc::RecvTimeoutError::{Disconnected, Timeout};
-    match wakeups.recv_timeout(PATIENCE) {
+    match wakeups.recv_timeout(REPORT_WAIT_AFTER) {
         Ok(wakeup) => Ok(wakeup),
         Err(Disconnected) => anyhow::bail!("the farm has ended"),
         Err(Timeout) => {
             let status = farm.status();
             let n_ready = status.nodes.iter().filter(|node| node.is_ready()).count();
-            let n_needed = farm.wanted().min_renderers.max(1);
+            let n_needed = farm.goal().min_renderers.max(1);
             tracing::info!(
                 "{n_ready} of {n_needed} render servers are ready, {} connected; start one with: renderer connect {}{}",
                 status.nodes.len(),

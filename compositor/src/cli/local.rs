@@ -23,14 +23,14 @@ impl LocalServers {
     /// Starts `n_servers` that share this machine's cores, connect to a wall at `address` with its key file, if it has
     /// one, and make scenes ready as `scene` says.
     pub fn start(n_servers: u32, address: SocketAddr, key: Option<&Path>, scene: &SceneArgs) -> anyhow::Result<Self> {
-        let mut servers = Self::none(address, key, scene)?;
+        let mut servers = Self::empty(address, key, scene)?;
         let n_cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
         (0..n_servers).try_for_each(|_| servers.add((n_cores / n_servers).max(1)))?;
         Ok(servers)
     }
 
     /// None yet.
-    pub fn none(address: SocketAddr, key: Option<&Path>, scene: &SceneArgs) -> anyhow::Result<Self> {
+    pub fn empty(address: SocketAddr, key: Option<&Path>, scene: &SceneArgs) -> anyhow::Result<Self> {
         let program = std::env::current_exe().context("this program does not know where it lies")?;
         // A wall that listens on every address is reached on loopback.
         let ip = if address.ip().is_unspecified() { loopback_like(address) } else { address.ip() };

@@ -34,9 +34,9 @@ struct ShownFrame {
 impl Report {
     /// Adds a frame that was shown.
     pub fn add(&mut self, frame: Option<&Frame>, display: DisplayStats, frame_ms: f64) {
-        let samples_blake3 = frame.map(|frame| samples_hash(&frame.rgba));
+        let samples_blake3 = frame.map(|frame| hash_samples(&frame.rgba));
         let farm = frame.map(|frame| frame.stats.clone());
-        let samples = frame.map(|frame| frame.picture.samples.count);
+        let samples = frame.map(|frame| frame.spec.samples.count);
         self.frames.push(ShownFrame { samples_blake3, samples, farm, display, frame_ms });
     }
 
@@ -141,7 +141,7 @@ impl Report {
 }
 
 /// BLAKE3 of the samples as they came: RGB, row by row from the bottom.
-fn samples_hash(rgba: &[u32]) -> String {
+fn hash_samples(rgba: &[u32]) -> String {
     let rgb: Vec<u8> = rgba
         .iter()
         .flat_map(|sample| {
@@ -149,7 +149,7 @@ fn samples_hash(rgba: &[u32]) -> String {
             [r, g, b]
         })
         .collect();
-    renderer::render::image::samples_hash(&rgb)
+    renderer::render::image::hash_samples(&rgb)
 }
 
 /// The value below which a fraction of the values lies; the nearest rank.

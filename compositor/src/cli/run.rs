@@ -9,7 +9,7 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use channel::key::{Key, making_line};
+use channel::key::{Key, make_key_command};
 use renderer::{
     cli::{progress::Progress, say},
     model::scene::SceneSource,
@@ -17,7 +17,7 @@ use renderer::{
 use shared::{
     camera::{Camera, CameraPath},
     division::FrameSize,
-    protocol::Picture,
+    protocol::FrameSpec,
 };
 use tokio::{net::TcpListener, runtime::Runtime};
 
@@ -29,37 +29,37 @@ use super::{
 };
 use crate::{
     control::{
-        kept::{self, Kept},
         model::Model,
         refinement::Refinement,
+        sidecar::{self, SidecarFiles},
     },
-    farm::{Farm, Wanted},
-    supervisor::{self, Ward},
+    farm::{Farm, RenderGoal},
+    supervisor::{self, SupervisorLink},
     wall::Wall,
     window::{OnShown, WindowLoop, WindowOptions},
 };
 
 /// Runs a wall to its end.
 pub fn run(args: &WallArgs) -> anyhow::Result<()> {
-    let wall = args.subject.load_wall()?;
+    let wall = args.show.load_wall()?;
     let wall = match args.size {
         Some(size) => wall.with_frame_size(size),
         None => wall,
     };
-    let camera = args.subject.read_camera()?;
-    let path = args.path.as_deref().map(kept::read_path).transpose().map_err(anyhow::Error::msg)?;
+    let camera = args.show.read_camera()?;
+    let path = args.path.as_deref().map(sidecar::read_path).transpose().map_err(anyhow::Error::msg)?;
     if args.headless {
         return run_headless(args, wall, camera, path);
     }
     let wall = if args.spanning { wall.without_monitors() } else { wall };
     let on_loss = args.on_loss.unwrap_or(wall.on_loss());
-    let ward = Ward::of_this_process();
+    let supervisor = SupervisorLink::of_this_process();
     let fills_screens = args.fullscreen || args.kiosk.is_some() || !wall.monitors().is_empty();
     // One that is measured runs alone.
-    if supervisor::IS_POSSIBLE && ward.is_none() && fills_screens && args.frames.is_none() {
+    if supervisor::IS_SUPPORTED && supervisor.is_none() && fills_screens && args.frames.is_none() {
         return supervisor::run(on_loss);
     }
-    run_window(args, wall.with_on_loss(on_loss), camera, path, ward)
+    run_window(args, wall.with_on_loss(on_loss), camera, path, supervisor)
 }
 
 fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<CameraPath>) -> anyhow::Result<()> {
@@ -81,7 +81,7 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
             // A call that is still waiting to be heard is enough.
             let _ = wake.try_send(Wakeup::Farm);
         })?;
-        let model = load_model(args.subject.source())?;
+        let model = load_model(args.show.source())?;
         let film = path.map(|path| Film {
             path,
             fps: args.fps,
@@ -89,17 +89,17 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
             folder: args.pictures.clone(),
         });
         let camera = camera.or_else(|| film.as_ref().map(|film| film.path.at(0.0))).unwrap_or_else(|| {
-            let kept_up = || Kept::read(&model.source).views().and_then(|views| views.up);
+            let kept_up = || SidecarFiles::read(&model.source).views().and_then(|views| views.up);
             let up = args.up.or_else(kept_up).unwrap_or_default();
             Camera::view_all(model.bounds.0, model.bounds.1, up, aspect)
         });
-        farm.want(|wanted| want_model(wanted, &model, camera, size, args));
+        farm.update_goal(|wanted| want_model(wanted, &model, camera, size, args));
         match film {
             Some(film) => headless.show_film(&farm, &wakeups, &film)?,
             None if refinement.is_on() => {
-                let subject = picture_of(&model, camera, size, args);
+                let spec = frame_spec(&model, camera, size, args);
                 refinement.limit_sides(headless.gpu().device.limits().max_texture_dimension_2d);
-                headless.show_refined(&farm, &wakeups, n_frames, subject, &mut refinement)?
+                headless.show_refined(&farm, &wakeups, n_frames, spec, &mut refinement)?
             }
             None => headless.show_frames(&farm, &wakeups, n_frames)?,
         }
@@ -119,20 +119,20 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
     Ok(())
 }
 
-fn picture_of(model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) -> Picture {
-    Picture {
+fn frame_spec(model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) -> FrameSpec {
+    FrameSpec {
         scene: model.scene,
         camera,
         size,
         view: args.view,
         rays: args.rays,
         samples: args.sample_range(),
-        look: args.look.look(),
+        appearance: args.appearance.appearance(),
     }
 }
 
-fn want_model(wanted: &mut Wanted, model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) {
-    wanted.picture = Some(picture_of(model, camera, size, args));
+fn want_model(wanted: &mut RenderGoal, model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) {
+    wanted.spec = Some(frame_spec(model, camera, size, args));
     wanted.scene_path = model.path();
     wanted.moved_at = Instant::now();
 }
@@ -142,13 +142,13 @@ fn run_window(
     wall: Wall,
     camera: Option<Camera>,
     path: Option<CameraPath>,
-    ward: Option<Ward>,
+    supervisor: Option<SupervisorLink>,
 ) -> anyhow::Result<()> {
     let window = WindowLoop::new()?;
-    if let Some(ward) = &ward {
+    if let Some(supervisor) = &supervisor {
         let waker = window.waker();
-        ward.on_leave(move || waker.close()).context("no thread to hear the guard")?;
-        ward.die_of_panics();
+        supervisor.on_stop_request(move || waker.close()).context("no thread to hear the guard")?;
+        supervisor.abort_on_panic();
     }
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
@@ -168,8 +168,8 @@ fn run_window(
     let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;
     let options = WindowOptions {
-        wall_file: args.subject.wall.clone(),
-        source: args.subject.source(),
+        wall_file: args.show.wall.clone(),
+        source: args.show.source(),
         camera,
         up: args.up,
         path,
@@ -178,7 +178,7 @@ fn run_window(
         wall,
         view: args.view,
         rays: args.rays,
-        look: args.look.look(),
+        appearance: args.appearance.appearance(),
         fullscreen: args.fullscreen || args.kiosk.is_some(),
         overlay: args.kiosk.is_none(),
         screenshot_folder: ".".into(),
@@ -186,7 +186,7 @@ fn run_window(
     };
     let report = Rc::new(RefCell::new(Report::default()));
     let on_shown = watch_frames(args, Rc::clone(&report));
-    let outcome = window.run(options, &farm, on_shown, ward);
+    let outcome = window.run(options, &farm, on_shown, supervisor);
     // Before its local render servers end: their loss is no news then.
     drop(farm);
     outcome?;
@@ -228,10 +228,10 @@ fn start_farm(
     min_renderers: u32,
     wake: impl Fn() + Send + Sync + 'static,
 ) -> anyhow::Result<Farm> {
-    let wanted = Wanted {
-        picture: None,
+    let wanted = RenderGoal {
+        spec: None,
         scene_path: None,
-        refines: false,
+        is_refinement: false,
         division: args.division,
         min_renderers,
         // Frames that are counted come one after another; a window renders when something changes.
@@ -273,7 +273,7 @@ fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
         bail!(
             "--listen {address} is open to the network: make a key with `{}`, copy it to the render servers and \
              give it to both sides with --key wall.key, or add --insecure if you trust everybody on the network",
-            making_line("wall.key".as_ref())
+            make_key_command("wall.key".as_ref())
         );
     }
     let listener = runtime.block_on(TcpListener::bind(address)).with_context(|| {

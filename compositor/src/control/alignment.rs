@@ -13,7 +13,7 @@ use anyhow::Context;
 use glam::DVec2;
 
 use crate::wall::{Projector, Wall};
-pub use pattern::{Pattern, Shown};
+pub use pattern::{Pattern, PatternImage};
 
 /// What an operator is doing to align the wall, if anything.
 #[derive(Clone, Debug, Default)]
@@ -23,7 +23,7 @@ pub struct Alignment {
     pattern: Option<Pattern>,
     selected: Option<Corner>,
     /// From the cursor to the corner that it drags.
-    grip: Option<DVec2>,
+    drag_offset_px: Option<DVec2>,
 }
 
 /// A corner of a projector's picture.
@@ -38,7 +38,7 @@ pub struct Corner {
 /// Corners lie on multiples of this, in pixels: finer than anybody sees.
 const STEP_PX: f64 = 0.05;
 /// A corner is grabbed from so many pixels of the output away.
-const REACH_PX: f64 = 60.0;
+const GRAB_RADIUS_PX: f64 = 60.0;
 
 impl Alignment {
     /// Nothing yet, for a wall from this file.
@@ -58,7 +58,7 @@ impl Alignment {
 
     /// Whether a corner follows the cursor.
     pub fn is_dragging(&self) -> bool {
-        self.grip.is_some()
+        self.drag_offset_px.is_some()
     }
 
     /// Shows the next pattern, and after the last none.
@@ -69,12 +69,12 @@ impl Alignment {
     /// Shows a pattern, or frames again.
     pub fn show(&mut self, pattern: Option<Pattern>) {
         self.pattern = pattern;
-        self.grip = None;
+        self.drag_offset_px = None;
         self.selected = None;
     }
 
     /// What is to be on the wall; `None` for frames.
-    pub fn shown(&self, wall: &Wall) -> Option<anyhow::Result<Shown>> {
+    pub fn shown(&self, wall: &Wall) -> Option<anyhow::Result<PatternImage>> {
         self.pattern.map(|pattern| pattern.shown(wall, self.selected))
     }
 
@@ -91,12 +91,12 @@ impl Alignment {
             let is_elsewhere = !wall.projectors()[corner.projector_idx].output.contains(at);
             (corner, away, (is_elsewhere, away.length_squared()))
         };
-        let near = corners(wall).map(away_from).filter(|(_, away, _)| away.length() <= REACH_PX);
+        let near = corners(wall).map(away_from).filter(|(_, away, _)| away.length() <= GRAB_RADIUS_PX);
         let grabbed = near
             .min_by(|(_, _, a), (_, _, b)| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)))
             .map(|(corner, away, _)| (corner, away));
         self.selected = grabbed.map(|(corner, _)| corner);
-        self.grip = grabbed.map(|(_, away)| away);
+        self.drag_offset_px = grabbed.map(|(_, away)| away);
         self.selected.is_some()
     }
 
@@ -104,13 +104,13 @@ impl Alignment {
     pub fn drag_to(&self, wall: &Wall, at: DVec2) -> Option<Wall> {
         let Corner { projector_idx, corner_idx } = self.selected?;
         let projector = wall.projectors().get(projector_idx)?;
-        let wanted = at + self.grip?;
+        let wanted = at + self.drag_offset_px?;
         self.moved(wall, seen_from_stored(projector, wanted - corner_px(projector, corner_idx)?))
     }
 
     /// Lets go of the corner, which stays selected.
     pub fn release(&mut self) {
-        self.grip = None;
+        self.drag_offset_px = None;
     }
 
     /// The wall with the selected corner so many pixels farther right and down, as seen on the wall.
@@ -159,7 +159,7 @@ fn corner_px(projector: &Projector, corner_idx: usize) -> Option<DVec2> {
 fn seen_from_stored(projector: &Projector, step: DVec2) -> DVec2 {
     let upright = Projector { warp_px: [[0.0; 2]; 4], ..projector.clone() };
     // Without a warp a place and its pixels as seen differ by scale alone.
-    let Some(stored_from_seen) = upright.raster_from_place() else { return step };
+    let Some(stored_from_seen) = upright.raster_from_rect() else { return step };
     let stored_size = DVec2::new(f64::from(projector.output.width), f64::from(projector.output.height));
     let seen_size = DVec2::from(projector.upright_size().map(f64::from));
     stored_from_seen.inverse().transform_vector2(step / stored_size) * seen_size

@@ -1,9 +1,9 @@
 //! Keys and mouse, in words: what they ask of the wall.
 
 use shared::{
+    appearance::{Background, Clip, Light},
     division::Division,
-    look::{Background, Clip, Light},
-    protocol::{RayTree, View},
+    protocol::{LightingMode, ShadingMode},
     structure::Storage,
 };
 use winit::keyboard::NamedKey;
@@ -58,11 +58,11 @@ pub enum Command {
     /// Show the next of the views.
     NextView,
     /// Show this view.
-    SetView(View),
+    SetView(ShadingMode),
     /// Light the picture by more rays, or by fewest again.
     NextRays,
     /// Light the picture by these rays.
-    SetRays(RayTree),
+    SetRays(LightingMode),
     /// Light the picture from the next place.
     NextLight,
     /// Light the picture from here.
@@ -133,11 +133,11 @@ pub enum Direction {
 
 /// What a key does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Action {
+pub enum KeyAction {
     /// Moves the camera while it is held.
     Fly(Direction),
     /// Asks for something when it is pressed.
-    Ask(Command),
+    Trigger(Command),
 }
 
 /// A key as its cap says it, so that the table holds for every keyboard layout.
@@ -192,7 +192,7 @@ pub struct KeyBinding {
     /// The keys that do it.
     pub keys: &'static [Key],
     /// What they do.
-    pub action: Action,
+    pub action: KeyAction,
     /// What they do, in words.
     pub help: &'static str,
 }
@@ -206,8 +206,8 @@ impl KeyBinding {
 
 /// Every key of the window, the help panel and the table in `wall-config/README.md`.
 pub const KEYS: &[KeyBinding] = {
-    use {Action::*, Command::*, Direction::*, Key::*};
-    const fn row(keys: &'static [Key], action: Action, help: &'static str) -> KeyBinding {
+    use {Command::*, Direction::*, Key::*, KeyAction::*};
+    const fn row(keys: &'static [Key], action: KeyAction, help: &'static str) -> KeyBinding {
         KeyBinding { keys, action, help }
     }
     &[
@@ -217,38 +217,42 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('d'), Named(NamedKey::ArrowRight)], Fly(Right), "fly right"),
         row(&[Letter('e')], Fly(Up), "fly up"),
         row(&[Letter('q')], Fly(Down), "fly down"),
-        row(&[Letter('+')], Ask(ChangeSpeed(1)), "fly faster from now on"),
-        row(&[Letter('-')], Ask(ChangeSpeed(-1)), "fly slower from now on"),
-        row(&[Letter('f')], Ask(ViewAll), "view all of the model"),
-        row(&[Letter('g')], Ask(GoToCursor), "go to what is under the cursor, and orbit around it"),
-        row(&[Letter('i')], Ask(Inspect), "what is under the cursor: triangle, point, distance"),
-        row(&[AnyDigit], Ask(GoToView(0)), "go to a kept view"),
-        row(&[CtrlAnyDigit], Ask(KeepView(0)), "keep this view beside the model"),
-        row(&[Letter('c')], Ask(ToggleRecording), "record the camera, or end recording"),
-        row(&[Named(NamedKey::Space)], Ask(TogglePlaying), "play the recorded camera path, or stop"),
-        row(&[Letter('u')], Ask(NextUpAxis), "next up axis: y, z, x"),
-        row(&[Letter('h')], Ask(NextDivision), "next heuristic: interleaved, tiled, dynamic"),
-        row(&[Letter('v')], Ask(NextView), "next view: shaded, normals, cost"),
-        row(&[Letter('r')], Ask(NextRays), "next rays: primary, shadows, ambient"),
-        row(&[Letter('l')], Ask(NextLight), "next light: left shoulder, eye, right shoulder, above, grazing, behind"),
-        row(&[Letter('b')], Ask(NextBackground), "next background: dusk, black, grey, white, sky"),
-        row(&[Letter('x')], Ask(NextClip), "cut open from the next side: x, y, z, -x, -y, -z, eye, none"),
-        row(&[Letter('.')], Ask(MoveClip(10)), "cut deeper"),
-        row(&[Letter(',')], Ask(MoveClip(-10)), "cut less deep"),
-        row(&[Letter('m')], Ask(ToggleRefinement), "resolution follows the motion, or not"),
-        row(&[Letter('t')], Ask(NextTint), "next tint: none, who rendered it, CPU time"),
-        row(&[Letter('k')], Ask(NextStorage), "next storage of the grid"),
-        row(&[Letter('j')], Ask(NextDensity), "next density of the grid"),
-        row(&[Ctrl('o')], Ask(ToggleFiles), "open another model"),
-        row(&[Letter('o')], Ask(ToggleOverlay), "overlay on or off"),
-        row(&[Named(NamedKey::F1)], Ask(ToggleHelp), "this help on or off"),
-        row(&[Letter('p'), Named(NamedKey::F12)], Ask(Screenshot), "screenshot of the wall"),
-        row(&[Named(NamedKey::F11)], Ask(ToggleFullscreen), "fullscreen on or off"),
-        row(&[Named(NamedKey::Escape)], Ask(LeaveFullscreen), "leave fullscreen"),
-        row(&[Letter('n')], Ask(NextPattern), "next test pattern: align, names, pixels, overlap, gamma, focus"),
-        row(&[Ctrl('s')], Ask(SaveCorners), "save the corners that were moved on the wall"),
-        row(&[Ctrl('l')], Ask(ToggleLock), "lock for visitors, who can only steer, or unlock"),
-        row(&[Ctrl('q')], Ask(Quit), "quit"),
+        row(&[Letter('+')], Trigger(ChangeSpeed(1)), "fly faster from now on"),
+        row(&[Letter('-')], Trigger(ChangeSpeed(-1)), "fly slower from now on"),
+        row(&[Letter('f')], Trigger(ViewAll), "view all of the model"),
+        row(&[Letter('g')], Trigger(GoToCursor), "go to what is under the cursor, and orbit around it"),
+        row(&[Letter('i')], Trigger(Inspect), "what is under the cursor: triangle, point, distance"),
+        row(&[AnyDigit], Trigger(GoToView(0)), "go to a kept view"),
+        row(&[CtrlAnyDigit], Trigger(KeepView(0)), "keep this view beside the model"),
+        row(&[Letter('c')], Trigger(ToggleRecording), "record the camera, or end recording"),
+        row(&[Named(NamedKey::Space)], Trigger(TogglePlaying), "play the recorded camera path, or stop"),
+        row(&[Letter('u')], Trigger(NextUpAxis), "next up axis: y, z, x"),
+        row(&[Letter('h')], Trigger(NextDivision), "next heuristic: interleaved, tiled, dynamic"),
+        row(&[Letter('v')], Trigger(NextView), "next view: shaded, normals, cost"),
+        row(&[Letter('r')], Trigger(NextRays), "next rays: primary, shadows, ambient"),
+        row(
+            &[Letter('l')],
+            Trigger(NextLight),
+            "next light: left shoulder, eye, right shoulder, above, grazing, behind",
+        ),
+        row(&[Letter('b')], Trigger(NextBackground), "next background: dusk, black, grey, white, sky"),
+        row(&[Letter('x')], Trigger(NextClip), "cut open from the next side: x, y, z, -x, -y, -z, eye, none"),
+        row(&[Letter('.')], Trigger(MoveClip(10)), "cut deeper"),
+        row(&[Letter(',')], Trigger(MoveClip(-10)), "cut less deep"),
+        row(&[Letter('m')], Trigger(ToggleRefinement), "resolution follows the motion, or not"),
+        row(&[Letter('t')], Trigger(NextTint), "next tint: none, who rendered it, CPU time"),
+        row(&[Letter('k')], Trigger(NextStorage), "next storage of the grid"),
+        row(&[Letter('j')], Trigger(NextDensity), "next density of the grid"),
+        row(&[Ctrl('o')], Trigger(ToggleFiles), "open another model"),
+        row(&[Letter('o')], Trigger(ToggleOverlay), "overlay on or off"),
+        row(&[Named(NamedKey::F1)], Trigger(ToggleHelp), "this help on or off"),
+        row(&[Letter('p'), Named(NamedKey::F12)], Trigger(Screenshot), "screenshot of the wall"),
+        row(&[Named(NamedKey::F11)], Trigger(ToggleFullscreen), "fullscreen on or off"),
+        row(&[Named(NamedKey::Escape)], Trigger(LeaveFullscreen), "leave fullscreen"),
+        row(&[Letter('n')], Trigger(NextPattern), "next test pattern: align, names, pixels, overlap, gamma, focus"),
+        row(&[Ctrl('s')], Trigger(SaveCorners), "save the corners that were moved on the wall"),
+        row(&[Ctrl('l')], Trigger(ToggleLock), "lock for visitors, who can only steer, or unlock"),
+        row(&[Ctrl('q')], Trigger(Quit), "quit"),
     ]
 };
 
@@ -265,7 +269,7 @@ pub const MOUSE: &[(&str, &str)] = &[
 ];
 
 /// What a key does, if anything.
-pub fn action(key: Key) -> Option<Action> {
+pub fn action(key: Key) -> Option<KeyAction> {
     let (key, number) = match key {
         Key::Letter(digit @ '1'..='9') => (Key::AnyDigit, digit as u8 - b'0'),
         Key::Ctrl(digit @ '1'..='9') => (Key::CtrlAnyDigit, digit as u8 - b'0'),
@@ -273,8 +277,8 @@ pub fn action(key: Key) -> Option<Action> {
     };
     let binding = KEYS.iter().find(|binding| binding.keys.contains(&key))?;
     Some(match binding.action {
-        Action::Ask(Command::GoToView(_)) => Action::Ask(Command::GoToView(number)),
-        Action::Ask(Command::KeepView(_)) => Action::Ask(Command::KeepView(number)),
+        KeyAction::Trigger(Command::GoToView(_)) => KeyAction::Trigger(Command::GoToView(number)),
+        KeyAction::Trigger(Command::KeepView(_)) => KeyAction::Trigger(Command::KeepView(number)),
         other => other,
     })
 }
@@ -295,24 +299,24 @@ mod tests {
     fn keys_are_known_by_their_caps() {
         let letter = |text: &str| winit::keyboard::Key::Character(text.into());
         let pressed = |key, ctrl| Key::from_winit(&key, ctrl).and_then(action);
-        assert_eq!(pressed(letter("h"), false), Some(Action::Ask(Command::NextDivision)));
-        assert_eq!(pressed(letter("H"), false), Some(Action::Ask(Command::NextDivision)));
+        assert_eq!(pressed(letter("h"), false), Some(KeyAction::Trigger(Command::NextDivision)));
+        assert_eq!(pressed(letter("H"), false), Some(KeyAction::Trigger(Command::NextDivision)));
         assert_eq!(pressed(letter("h"), true), None);
-        assert_eq!(pressed(letter("q"), false), Some(Action::Fly(Direction::Down)));
-        assert_eq!(pressed(letter("q"), true), Some(Action::Ask(Command::Quit)));
+        assert_eq!(pressed(letter("q"), false), Some(KeyAction::Fly(Direction::Down)));
+        assert_eq!(pressed(letter("q"), true), Some(KeyAction::Trigger(Command::Quit)));
         let f11 = winit::keyboard::Key::Named(NamedKey::F11);
-        assert_eq!(pressed(f11, false), Some(Action::Ask(Command::ToggleFullscreen)));
+        assert_eq!(pressed(f11, false), Some(KeyAction::Trigger(Command::ToggleFullscreen)));
         assert_eq!(pressed(letter("ж"), false), None);
-        assert_eq!(pressed(letter("7"), false), Some(Action::Ask(Command::GoToView(7))));
-        assert_eq!(pressed(letter("1"), true), Some(Action::Ask(Command::KeepView(1))));
+        assert_eq!(pressed(letter("7"), false), Some(KeyAction::Trigger(Command::GoToView(7))));
+        assert_eq!(pressed(letter("1"), true), Some(KeyAction::Trigger(Command::KeepView(1))));
         assert_eq!(pressed(letter("0"), true), None);
     }
 
     #[test]
     fn visitors_can_neither_end_nor_change_the_wall() {
         let commands = KEYS.iter().filter_map(|binding| match binding.action {
-            Action::Ask(command) => Some(command),
-            Action::Fly(_) => None,
+            KeyAction::Trigger(command) => Some(command),
+            KeyAction::Fly(_) => None,
         });
         let allowed: Vec<_> = commands.filter(|command| command.is_for_visitors()).collect();
         use Command::*;

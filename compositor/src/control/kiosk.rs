@@ -5,15 +5,15 @@ use std::time::{Duration, Instant};
 /// Waits for everybody to have gone.
 #[derive(Clone, Debug)]
 pub struct Kiosk {
-    patience: Duration,
+    idle_timeout: Duration,
     /// `None` once it has gone back, until somebody comes.
     touched_at: Option<Instant>,
 }
 
 impl Kiosk {
     /// Goes back when nobody has touched anything for so long.
-    pub fn new(patience: Duration, now: Instant) -> Self {
-        Self { patience, touched_at: Some(now) }
+    pub fn new(idle_timeout: Duration, now: Instant) -> Self {
+        Self { idle_timeout, touched_at: Some(now) }
     }
 
     /// Somebody is there.
@@ -23,7 +23,7 @@ impl Kiosk {
 
     /// When to go back, if nobody comes before.
     pub fn returns_at(&self) -> Option<Instant> {
-        self.touched_at.map(|touched_at| touched_at + self.patience)
+        self.touched_at.map(|touched_at| touched_at + self.idle_timeout)
     }
 
     /// Whether to go back now; once for each time that somebody was there.

@@ -23,7 +23,7 @@ pub struct Model {
 impl Model {
     /// Reads or makes the model; takes as long as that takes, so not on a thread that has to answer.
     pub fn load(source: SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Self, LoadError> {
-        let renderer::model::scene::Scene { id: scene, mesh } = renderer::model::scene::load(&source, progress)?;
+        let renderer::model::scene::LoadedMesh { id: scene, mesh } = renderer::model::scene::load(&source, progress)?;
         let bounds = mesh.bounds();
         let corner = |point: [f32; 3]| glam::Vec3::from(point).as_dvec3();
         Ok(Self {

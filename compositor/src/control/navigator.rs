@@ -43,7 +43,7 @@ pub struct Navigator {
 #[derive(Clone, Debug)]
 enum Motion {
     /// On the way to another view.
-    Transition { way: Box<Transition>, seconds: f64 },
+    Transition { transition: Box<Transition>, seconds: f64 },
     /// Along a path.
     Play { path: Arc<CameraPath>, seconds: f64, repeats: bool },
 }
@@ -65,11 +65,11 @@ const TRANSITION_SECONDS: f64 = 0.6;
 /// Going to a point of the model leaves this part of the distance to it.
 const GO_TO_PART: f64 = 0.4;
 /// Nearer to a surface than this part of the model's size, the wheel goes through it.
-const THROUGH: f64 = 1e-3;
+const PASS_THROUGH_PART: f64 = 1e-3;
 /// After a pause, no step is longer than this: one slow frame must not throw the eye through the model.
 const LONGEST_STEP_SECONDS: f64 = 0.1;
 /// Nearer than this part of the model's size, pan and dolly go on as if the middle of the model were this far.
-const NEAREST: f64 = 0.05;
+const LEAST_DEPTH_PART: f64 = 0.05;
 
 impl Navigator {
     /// Sees all of a box, given by its corners in world space, on a canvas of `aspect`, its width over its height.
@@ -109,7 +109,7 @@ impl Navigator {
     /// Where the camera will rest: where it is, unless it is on its way to another view.
     pub fn destination(&self) -> Camera {
         match &self.motion {
-            Some(Motion::Transition { way, .. }) => way.end(),
+            Some(Motion::Transition { transition, .. }) => transition.end(),
             Some(Motion::Play { .. }) | None => self.camera,
         }
     }
@@ -120,13 +120,13 @@ impl Navigator {
         self.up = up;
         self.focus = None;
         self.motion = None;
-        self.set_camera(self.all_seen());
+        self.set_camera(self.view_all_camera());
     }
 
     /// Goes to where all of the model is seen.
     pub fn view_all(&mut self) {
         self.focus = None;
-        self.go_to(self.all_seen());
+        self.go_to(self.view_all_camera());
     }
 
     /// Takes the next axis as up.
@@ -140,8 +140,8 @@ impl Navigator {
     /// Goes to another view.
     pub fn go_to(&mut self, camera: Camera) {
         let (start, end) = ((self.camera, self.depth_of(&self.camera)), (camera, self.depth_of(&camera)));
-        let way = Box::new(Transition::new(start, end, self.up));
-        self.motion = (camera != self.camera).then_some(Motion::Transition { way, seconds: 0.0 });
+        let transition = Box::new(Transition::new(start, end, self.up));
+        self.motion = (camera != self.camera).then_some(Motion::Transition { transition, seconds: 0.0 });
     }
 
     /// Goes nearer to a point of the model, in world space, until it is in the middle, to orbit around it from then on.
@@ -245,7 +245,7 @@ impl Navigator {
         self.motion = None;
         let notches = if notches.is_finite() { notches.clamp(-20.0, 20.0) } else { 0.0 };
         let eye = self.camera.eye();
-        let surface = self.under_cursor.filter(|point| (*point - eye).length() > self.size() * THROUGH);
+        let surface = self.under_cursor.filter(|point| (*point - eye).length() > self.size() * PASS_THROUGH_PART);
         let point = surface.unwrap_or_else(|| self.point_under(self.cursor));
         self.camera = self.camera.dolly(point, DOLLY_FACTOR_PER_NOTCH.powf(-notches));
         self.camera != before
@@ -260,12 +260,12 @@ impl Navigator {
     }
 
     /// A key to fly with is up again.
-    pub fn let_go(&mut self, direction: Direction) {
+    pub fn release_key(&mut self, direction: Direction) {
         self.held.retain(|&held| held != direction);
     }
 
     /// Everything is let go, as when the window loses the keyboard.
-    pub fn let_go_of_all(&mut self) {
+    pub fn release_all(&mut self) {
         self.held.clear();
         self.drag = None;
     }
@@ -287,10 +287,10 @@ impl Navigator {
         let before = self.camera;
         let seconds = if seconds > 0.0 { seconds } else { 0.0 };
         match &mut self.motion {
-            Some(Motion::Transition { way, seconds: passed }) => {
+            Some(Motion::Transition { transition, seconds: passed }) => {
                 *passed += seconds;
                 let fraction = *passed / TRANSITION_SECONDS;
-                let camera = way.at(fraction);
+                let camera = transition.at(fraction);
                 if fraction >= 1.0 {
                     self.motion = None;
                 }
@@ -335,7 +335,7 @@ impl Navigator {
         }
     }
 
-    fn all_seen(&self) -> Camera {
+    fn view_all_camera(&self) -> Camera {
         Camera::view_all(self.bounds.0, self.bounds.1, self.up, self.aspect)
     }
 
@@ -361,7 +361,7 @@ impl Navigator {
     fn depth_of(&self, camera: &Camera) -> f64 {
         let (forward, _) = view_plane(camera);
         // A point that somebody chose was worth going near to.
-        let nearest = if self.focus.is_some() { THROUGH } else { NEAREST };
+        let nearest = if self.focus.is_some() { PASS_THROUGH_PART } else { LEAST_DEPTH_PART };
         (self.pivot() - camera.eye()).dot(forward).max(self.size() * nearest)
     }
 

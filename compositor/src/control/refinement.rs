@@ -1,25 +1,25 @@
 //! How finely the wall is rendered: as coarse as a moving camera needs to be followed at the target rate, and at rest as
 //! fine as the wall is, with more and more samples a pixel until there are enough. Pure: time is an argument.
 //!
-//! While the camera moves each frame has one sample a pixel, and [`pace`] chooses from a [`ladder`] of resolutions by what
+//! While the camera moves each frame has one sample a pixel, and [`control`] chooses from a [`ladder`] of resolutions by what
 //! frames take the farm and the [`display`]. At rest the picture is rendered again, each time by as many whole frames as it
-//! takes: in the wall's own resolution with one sample a pixel, then four, sixteen and so on. Each of these is a [`Picture`]
+//! takes: in the wall's own resolution with one sample a pixel, then four, sixteen and so on. Each of these is a [`FrameSpec`]
 //! like any other, whose samples render servers average in linear light; so nothing is added up here, and nothing that nodes
 //! do or fail to do changes a bit of it.
 
+mod control;
 mod display;
 mod ladder;
-mod pace;
 
 use std::time::{Duration, Instant};
 
 use shared::{
     division::FrameSize,
-    protocol::{Picture, SampleRange},
+    protocol::{FrameSpec, SampleRange},
 };
 
-pub use self::display::Shown;
-use self::{ladder::Ladder, pace::Pace};
+pub use self::display::ShowTimes;
+use self::{control::ResolutionControl, ladder::Ladder};
 
 /// Frames a second that are held while the camera moves, unless somebody says otherwise.
 pub const DEFAULT_TARGET_RATE: f64 = 30.0;
@@ -53,11 +53,11 @@ pub struct RefinementOptions {
 
 /// A picture to render now.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Ask {
+pub struct RenderStep {
     /// The picture.
-    pub picture: Picture,
+    pub spec: FrameSpec,
     /// Whether it only refines what was shown already.
-    pub refines: bool,
+    pub is_refinement: bool,
 }
 
 /// Which picture is to be rendered now.
@@ -65,14 +65,14 @@ pub struct Ask {
 pub struct Refinement {
     options: RefinementOptions,
     ladder: Ladder,
-    pace: Pace,
-    state: Option<State>,
+    control: ResolutionControl,
+    state: Option<LastStep>,
 }
 
 /// What was asked for last.
 #[derive(Clone, Copy, Debug)]
-struct State {
-    ask: Ask,
+struct LastStep {
+    step: RenderStep,
     is_shown: bool,
     /// When what is seen was changed last.
     changed_at: Instant,
@@ -84,7 +84,7 @@ impl Refinement {
         let ladder = Ladder::down_from(options.native);
         let rung = ladder.rung_of(options.fixed_size.n_samples());
         let interval = Duration::from_secs_f64(1.0 / options.target_rate);
-        Self { pace: Pace::new(interval, &ladder, rung), ladder, options, state: None }
+        Self { control: ResolutionControl::new(interval, &ladder, rung), ladder, options, state: None }
     }
 
     /// No frame that follows the motion has a longer side than this from now on: what the GPU takes.
@@ -119,70 +119,70 @@ impl Refinement {
         if self.is_on() { self.options.n_samples } else { self.options.fixed_samples.count }
     }
 
-    /// Somebody wants to see this, from here: what to render now. Size and samples of `subject` do not matter.
-    pub fn change(&mut self, now: Instant, subject: Picture) -> Ask {
+    /// Somebody wants to see this, from here: what to render now. Size and samples of `spec` do not matter.
+    pub fn change(&mut self, now: Instant, spec: FrameSpec) -> RenderStep {
         let (size, samples) = match self.is_on() {
-            true => (self.ladder.size(self.pace.rung()), SampleRange::CENTRE),
+            true => (self.ladder.size(self.control.rung()), SampleRange::CENTRE),
             false => (self.options.fixed_size, self.options.fixed_samples),
         };
-        let is_same = |state: &State| {
-            let Picture { size, samples, .. } = state.ask.picture;
-            state.ask.picture == Picture { size, samples, ..subject }
+        let is_same = |state: &LastStep| {
+            let FrameSpec { size, samples, .. } = state.step.spec;
+            state.step.spec == FrameSpec { size, samples, ..spec }
         };
-        let ask = Ask { picture: Picture { size, samples, ..subject }, refines: false };
+        let step = RenderStep { spec: FrameSpec { size, samples, ..spec }, is_refinement: false };
         // What is seen already need not become coarse again.
         self.state.take_if(|state| !is_same(state));
-        self.state.get_or_insert(State { ask, is_shown: false, changed_at: now }).ask
+        self.state.get_or_insert(LastStep { step, is_shown: false, changed_at: now }).step
     }
 
     /// A frame has come, and took so long of the farm's time.
-    pub fn on_frame(&mut self, picture: &Picture, took: Duration) {
-        let is_moving_size = picture.size == self.ladder.size(self.pace.rung());
-        if self.is_on() && is_moving_size && picture.samples == SampleRange::CENTRE {
-            self.pace.learn(&self.ladder, took);
+    pub fn on_frame(&mut self, spec: &FrameSpec, took: Duration) {
+        let is_moving_size = spec.size == self.ladder.size(self.control.rung());
+        if self.is_on() && is_moving_size && spec.samples == SampleRange::CENTRE {
+            self.control.learn(&self.ladder, took);
         }
-        if let Some(state) = self.state.as_mut().filter(|state| state.ask.picture == *picture) {
+        if let Some(state) = self.state.as_mut().filter(|state| state.step.spec == *spec) {
             state.is_shown = true;
         }
     }
 
     /// A frame was shown.
-    pub fn on_shown(&mut self, picture: &Picture, shown: &Shown) {
-        self.pace.learn_shown(picture.size, shown);
+    pub fn on_shown(&mut self, spec: &FrameSpec, times: &ShowTimes) {
+        self.control.learn_shown(spec.size, times);
     }
 
     /// When to ask for the next refinement, unless anything changes; `None` when there is none, or the last is yet to come.
     pub fn refines_at(&self) -> Option<Instant> {
         let state = self.state.filter(|state| state.is_shown)?;
-        self.finer(&state.ask.picture).map(|_| state.changed_at + REST)
+        self.finer(&state.step.spec).map(|_| state.changed_at + REST)
     }
 
     /// The next refinement, once it is time.
-    pub fn refine(&mut self, now: Instant) -> Option<Ask> {
+    pub fn refine(&mut self, now: Instant) -> Option<RenderStep> {
         if now < self.refines_at()? {
             return None;
         }
         let state = self.state?;
-        let ask = Ask { picture: self.finer(&state.ask.picture)?, refines: true };
-        self.pace.rest();
-        self.state = Some(State { ask, is_shown: false, ..state });
-        Some(ask)
+        let step = RenderStep { spec: self.finer(&state.step.spec)?, is_refinement: true };
+        self.control.rest();
+        self.state = Some(LastStep { step, is_shown: false, ..state });
+        Some(step)
     }
 
     /// Whether what was asked for last has come, and is as fine as it gets.
     pub fn is_done(&self) -> bool {
-        self.state.is_some_and(|state| state.is_shown && self.finer(&state.ask.picture).is_none())
+        self.state.is_some_and(|state| state.is_shown && self.finer(&state.step.spec).is_none())
     }
 
     /// The next finer picture than this.
-    fn finer(&self, picture: &Picture) -> Option<Picture> {
+    fn finer(&self, spec: &FrameSpec) -> Option<FrameSpec> {
         let RefinementOptions { is_on, native, n_samples, .. } = self.options;
-        let count = match picture.size == native {
-            true => picture.samples.count.saturating_mul(SAMPLES_FACTOR).min(n_samples),
+        let count = match spec.size == native {
+            true => spec.samples.count.saturating_mul(SAMPLES_FACTOR).min(n_samples),
             false => 1,
         };
-        let finer = Picture { size: native, samples: SampleRange { first: 0, count }, ..*picture };
-        (is_on && finer != *picture).then_some(finer)
+        let finer = FrameSpec { size: native, samples: SampleRange { first: 0, count }, ..*spec };
+        (is_on && finer != *spec).then_some(finer)
     }
 }
 

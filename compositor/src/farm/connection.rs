@@ -13,11 +13,11 @@ use channel::{
     wire::{Incoming, MessageReader, MessageWriter, WireError},
 };
 use shared::{
-    division::Work,
+    division::Task,
     printable::printable,
     protocol::{
-        BlockCosts, Chunk, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME, ProbeHit,
-        SILENCE_LIMIT, SceneState, ToServer, ToWall, WorkId, WorkTimings,
+        Chunk, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME, ProbeHit, RunCosts,
+        SILENCE_LIMIT, SceneState, TaskId, TaskTimings, ToServer, ToWall,
     },
     scene::SceneId,
 };
@@ -29,7 +29,7 @@ use tokio::{
 
 use super::{
     frame_buffer::{FrameBuffer, PlaceError},
-    scheduler::Placed,
+    scheduler::PlacedUnits,
     silence::{self, LastHeard},
     stats::NodeId,
     unit_set::UnitSet,
@@ -37,15 +37,15 @@ use super::{
 
 /// What a connection tells the farm.
 #[derive(Debug)]
-pub(super) enum Report {
+pub(super) enum ConnectionEvent {
     /// Hands are shaken.
-    Joined { name: String, threads: u32, outgoing: mpsc::Sender<Vec<u8>>, desk: Arc<Desk> },
+    Joined { name: String, threads: u32, outgoing: mpsc::Sender<Vec<u8>>, pending: Arc<PendingTasks> },
     /// How far the render server is with a scene.
     Scene { scene: SceneId, state: SceneState },
     /// Samples are in their places.
-    Placed { frame: FrameId, work_id: WorkId, units: Placed },
+    UnitsPlaced { frame: FrameId, task_id: TaskId, units: PlacedUnits },
     /// A work is answered.
-    WorkDone { frame: FrameId, work_id: WorkId, timings: WorkTimings, costs: BlockCosts },
+    TaskDone { frame: FrameId, task_id: TaskId, timings: TaskTimings, costs: RunCosts },
     /// It has been silent for a moment, or is heard again.
     Silent(bool),
     /// A ping came back.
@@ -73,79 +73,80 @@ pub(super) enum ConnectionError {
     Misplaced(#[from] PlaceError),
     #[error("it called a work done of which only {sent} of {n_units} units have come")]
     Incomplete { sent: u32, n_units: u32 },
-    #[error("it says what {n_blocks} blocks of {block_units} units cost in a work of {n_units}")]
-    MisfitCosts { n_blocks: usize, block_units: u32, n_units: u32 },
+    #[error("it says what {n_blocks} blocks of {run_units} units cost in a work of {n_units}")]
+    MisfitCosts { n_blocks: usize, run_units: u32, n_units: u32 },
     #[error("it does not read what it is sent")]
     Clogged,
 }
 
 /// The works that a render server has been given and not yet answered.
 #[derive(Debug, Default)]
-pub(super) struct Desk(Mutex<HashMap<WorkId, Assignment>>);
+pub(super) struct PendingTasks(Mutex<HashMap<TaskId, PendingTask>>);
 
 /// A work and where its samples go.
 #[derive(Debug)]
-pub(super) struct Assignment {
+pub(super) struct PendingTask {
     pub(super) frame: FrameId,
-    pub(super) work: Work,
+    pub(super) task: Task,
     pub(super) buffer: Arc<FrameBuffer>,
-    came: UnitSet,
+    received: UnitSet,
 }
 
-impl Assignment {
+impl PendingTask {
     /// A work of which nothing has come.
-    pub(super) fn new(frame: FrameId, work: Work, buffer: Arc<FrameBuffer>) -> Self {
-        let n_units = work.share(buffer.size()).expect("the wall gives out works that fit").count();
-        Self { frame, work, buffer, came: UnitSet::new(n_units) }
+    pub(super) fn new(frame: FrameId, task: Task, buffer: Arc<FrameBuffer>) -> Self {
+        let n_units = task.share(buffer.size()).expect("the wall gives out works that fit").count();
+        Self { frame, task, buffer, received: UnitSet::new(n_units) }
     }
 }
 
-impl Desk {
-    fn lock(&self) -> MutexGuard<'_, HashMap<WorkId, Assignment>> {
+impl PendingTasks {
+    fn lock(&self) -> MutexGuard<'_, HashMap<TaskId, PendingTask>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn put(&self, work_id: WorkId, assignment: Assignment) {
-        self.lock().insert(work_id, assignment);
+    pub(super) fn put(&self, task_id: TaskId, pending_task: PendingTask) {
+        self.lock().insert(task_id, pending_task);
     }
 
     /// Forgets the works of a frame: late answers to them are dropped.
     pub(super) fn clear(&self, frame: FrameId) {
-        self.lock().retain(|_, assignment| assignment.frame != frame);
+        self.lock().retain(|_, pending_task| pending_task.frame != frame);
     }
 
     /// Puts a chunk in its place. `None` if its work is not, or no longer, wanted, and if all of it had come before.
-    fn place(&self, chunk: Chunk<'_>, n_bytes: usize) -> Result<Option<Placed>, ConnectionError> {
+    fn place(&self, chunk: Chunk<'_>, n_bytes: usize) -> Result<Option<PlacedUnits>, ConnectionError> {
         let started_at = Instant::now();
-        let mut assignments = self.lock();
-        let Some(assignment) = assignments.get_mut(&chunk.work_id).filter(|given| given.frame == chunk.frame) else {
+        let mut pending_tasks = self.lock();
+        let Some(pending_task) = pending_tasks.get_mut(&chunk.task_id).filter(|given| given.frame == chunk.frame)
+        else {
             return Ok(None);
         };
-        let share = assignment.work.share(assignment.buffer.size()).expect("the wall gives out works that fit");
+        let share = pending_task.task.share(pending_task.buffer.size()).expect("the wall gives out works that fit");
         let Chunk { first_unit: first, n_units: count, rgb, .. } = chunk;
-        assignment.buffer.place(&share, first, count, rgb)?;
-        if assignment.came.insert(first..first + count) == 0 {
+        pending_task.buffer.place(&share, first, count, rgb)?;
+        if pending_task.received.insert(first..first + count) == 0 {
             return Ok(None);
         }
-        Ok(Some(Placed { first, count, n_bytes: n_bytes as u64, place_time: started_at.elapsed() }))
+        Ok(Some(PlacedUnits { first, count, n_bytes: n_bytes as u64, place_time: started_at.elapsed() }))
     }
 
     /// Takes a finished work off the desk; whether it was still there.
-    fn finish(&self, frame: FrameId, work_id: WorkId, costs: &BlockCosts) -> Result<bool, ConnectionError> {
-        let mut assignments = self.lock();
-        if assignments.get(&work_id).is_none_or(|assignment| assignment.frame != frame) {
+    fn finish(&self, frame: FrameId, task_id: TaskId, costs: &RunCosts) -> Result<bool, ConnectionError> {
+        let mut pending_tasks = self.lock();
+        if pending_tasks.get(&task_id).is_none_or(|pending_task| pending_task.frame != frame) {
             return Ok(false);
         }
-        let Some(assignment) = assignments.remove(&work_id) else { return Ok(false) };
-        let share = assignment.work.share(assignment.buffer.size()).expect("the wall gives out works that fit");
+        let Some(pending_task) = pending_tasks.remove(&task_id) else { return Ok(false) };
+        let share = pending_task.task.share(pending_task.buffer.size()).expect("the wall gives out works that fit");
         let n_units = share.count();
-        let sent = n_units - assignment.came.n_missing();
+        let sent = n_units - pending_task.received.n_missing();
         if sent < n_units {
             return Err(ConnectionError::Incomplete { sent, n_units });
         }
-        if !costs.fit(n_units) {
-            let (n_blocks, block_units) = (costs.cpu_ns.len(), costs.block_units);
-            return Err(ConnectionError::MisfitCosts { n_blocks, block_units, n_units });
+        if !costs.fits(n_units) {
+            let (n_blocks, run_units) = (costs.cpu_ns.len(), costs.run_units);
+            return Err(ConnectionError::MisfitCosts { n_blocks, run_units, n_units });
         }
         Ok(true)
     }
@@ -153,14 +154,14 @@ impl Desk {
 
 /// Where a connection's reports go.
 #[derive(Clone, Debug)]
-pub(super) struct Reporter {
+pub(super) struct EventSender {
     pub(super) node: NodeId,
     pub(super) address: SocketAddr,
-    pub(super) farm: mpsc::Sender<(NodeId, SocketAddr, Report)>,
+    pub(super) farm: mpsc::Sender<(NodeId, SocketAddr, ConnectionEvent)>,
 }
 
-impl Reporter {
-    async fn send(&self, report: Report) {
+impl EventSender {
+    async fn send(&self, report: ConnectionEvent) {
         // The farm is gone only when the wall ends, and this connection with it.
         let _ = self.farm.send((self.node, self.address, report)).await;
     }
@@ -174,28 +175,28 @@ pub(super) async fn serve(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
     key: Option<&Key>,
-    reporter: Reporter,
+    events: EventSender,
     started_at: Instant,
 ) {
     let heard = LastHeard::now();
-    let input = heard.listen(input);
+    let input = heard.observe(input);
     // The handshakes have one limit together, however slowly they go on.
     let deadline = tokio::time::Instant::now() + HANDSHAKE_TIMEOUT;
     let ended = match key {
-        None => converse(input, output, &reporter, &heard, started_at, deadline).await,
+        None => converse(input, output, &events, &heard, started_at, deadline).await,
         Some(key) => match timeout_at(deadline, secure::accept(input, output, key)).await {
             Err(_) => Err(ConnectionError::NoHandshake),
             Ok(Err(error)) => Err(error.into()),
-            Ok(Ok((input, output))) => converse(input, output, &reporter, &heard, started_at, deadline).await,
+            Ok(Ok((input, output))) => converse(input, output, &events, &heard, started_at, deadline).await,
         },
     };
-    reporter.send(Report::Ended(ended)).await;
+    events.send(ConnectionEvent::Ended(ended)).await;
 }
 
 async fn converse(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
-    reporter: &Reporter,
+    events: &EventSender,
     heard: &LastHeard,
     started_at: Instant,
     deadline: tokio::time::Instant,
@@ -206,13 +207,13 @@ async fn converse(
     let shaking_hands = timeout_at(deadline, shake_hands(&mut reader, &mut writer));
     let (name, threads) = shaking_hands.await.map_err(|_| ConnectionError::NoHandshake)??;
     let (outgoing, requests) = mpsc::channel(LONGEST_QUEUE);
-    let desk = Arc::new(Desk::default());
-    reader.accept(SILENCE_LIMIT);
-    reporter.send(Report::Joined { name, threads, outgoing, desk: Arc::clone(&desk) }).await;
+    let pending = Arc::new(PendingTasks::default());
+    reader.raise_limits(SILENCE_LIMIT);
+    events.send(ConnectionEvent::Joined { name, threads, outgoing, pending: Arc::clone(&pending) }).await;
     tokio::select! {
-        ended = receive(&mut reader, &desk, reporter, started_at) => ended,
+        ended = receive(&mut reader, &pending, events, started_at) => ended,
         ended = transmit(&mut writer, requests, started_at) => ended,
-        () = silence::watch(heard, HEARTBEAT_TIMEOUT, |is_silent| reporter.send(Report::Silent(is_silent))) => Ok(()),
+        () = silence::watch(heard, HEARTBEAT_TIMEOUT, |is_silent| events.send(ConnectionEvent::Silent(is_silent))) => Ok(()),
     }
 }
 
@@ -237,78 +238,80 @@ async fn shake_hands(
 
 async fn receive(
     reader: &mut MessageReader<impl AsyncRead + Unpin, ToWall>,
-    desk: &Desk,
-    reporter: &Reporter,
+    pending: &PendingTasks,
+    events: &EventSender,
     started_at: Instant,
 ) -> Result<(), ConnectionError> {
     let mut placed = PlacedRun::default();
-    let received = receive_until_end(reader, desk, reporter, started_at, &mut placed).await;
+    let received = receive_until_end(reader, pending, events, started_at, &mut placed).await;
     // What is in its place need not be rendered again, even if this was the last that came.
-    placed.report(reporter).await;
+    placed.report(events).await;
     received
 }
 
 /// Units that were placed one chunk after the other, and not yet reported: the farm hears of what comes together at once.
 #[derive(Debug, Default)]
-struct PlacedRun(Option<(FrameId, WorkId, Placed)>);
+struct PlacedRun(Option<(FrameId, TaskId, PlacedUnits)>);
 
 impl PlacedRun {
-    async fn add(&mut self, frame: FrameId, work_id: WorkId, units: Placed, reporter: &Reporter) {
+    async fn add(&mut self, frame: FrameId, task_id: TaskId, units: PlacedUnits, events: &EventSender) {
         match &mut self.0 {
             Some((of_frame, of_work, run))
-                if (*of_frame, *of_work, run.first + run.count) == (frame, work_id, units.first) =>
+                if (*of_frame, *of_work, run.first + run.count) == (frame, task_id, units.first) =>
             {
                 run.count += units.count;
                 run.n_bytes += units.n_bytes;
                 run.place_time += units.place_time;
             }
             _ => {
-                self.report(reporter).await;
-                self.0 = Some((frame, work_id, units));
+                self.report(events).await;
+                self.0 = Some((frame, task_id, units));
             }
         }
     }
 
-    async fn report(&mut self, reporter: &Reporter) {
-        if let Some((frame, work_id, units)) = self.0.take() {
-            reporter.send(Report::Placed { frame, work_id, units }).await;
+    async fn report(&mut self, events: &EventSender) {
+        if let Some((frame, task_id, units)) = self.0.take() {
+            events.send(ConnectionEvent::UnitsPlaced { frame, task_id, units }).await;
         }
     }
 }
 
 async fn receive_until_end(
     reader: &mut MessageReader<impl AsyncRead + Unpin, ToWall>,
-    desk: &Desk,
-    reporter: &Reporter,
+    pending: &PendingTasks,
+    events: &EventSender,
     started_at: Instant,
     placed: &mut PlacedRun,
 ) -> Result<(), ConnectionError> {
     loop {
         if !reader.has_more() {
-            placed.report(reporter).await;
+            placed.report(events).await;
         }
         let Some(incoming) = reader.read().await? else { return Ok(()) };
         match incoming {
             Incoming::Samples { chunk, n_bytes } => {
-                let (frame, work_id) = (chunk.frame, chunk.work_id);
-                if let Some(units) = desk.place(chunk, n_bytes)? {
-                    placed.add(frame, work_id, units, reporter).await;
+                let (frame, task_id) = (chunk.frame, chunk.task_id);
+                if let Some(units) = pending.place(chunk, n_bytes)? {
+                    placed.add(frame, task_id, units, events).await;
                 }
             }
-            Incoming::Control(ToWall::WorkDone { frame, work_id, timings, costs }) => {
-                if desk.finish(frame, work_id, &costs)? {
-                    placed.report(reporter).await;
-                    reporter.send(Report::WorkDone { frame, work_id, timings, costs }).await;
+            Incoming::Control(ToWall::TaskDone { frame, task_id, timings, costs }) => {
+                if pending.finish(frame, task_id, &costs)? {
+                    placed.report(events).await;
+                    events.send(ConnectionEvent::TaskDone { frame, task_id, timings, costs }).await;
                 }
             }
             Incoming::Control(ToWall::SceneState { scene, state }) => {
-                reporter.send(Report::Scene { scene, state }).await;
+                events.send(ConnectionEvent::Scene { scene, state }).await;
             }
             Incoming::Control(ToWall::Pong { sent_us }) => {
                 let sent_at = Duration::from_micros(sent_us);
-                reporter.send(Report::RoundTrip(started_at.elapsed().saturating_sub(sent_at))).await;
+                events.send(ConnectionEvent::RoundTrip(started_at.elapsed().saturating_sub(sent_at))).await;
             }
-            Incoming::Control(ToWall::Probed { number, hit }) => reporter.send(Report::Probed { number, hit }).await,
+            Incoming::Control(ToWall::Probed { number, hit }) => {
+                events.send(ConnectionEvent::Probed { number, hit }).await
+            }
             Incoming::Control(ToWall::Heartbeat) => {}
             Incoming::Control(ToWall::Hello { .. }) => return Err(ConnectionError::OutOfTurn),
         }
@@ -342,29 +345,29 @@ mod tests {
     use shared::division::{Division, FrameSize};
 
     use super::*;
-    use crate::farm::frame_buffer::SpareBuffers;
+    use crate::farm::frame_buffer::BufferPool;
 
     #[test]
     fn a_work_is_finished_by_all_its_samples_and_costs_that_fit_it() {
-        let (frame, work_id, size) = (FrameId(1), WorkId(2), FrameSize::new(32, 8).unwrap());
-        let finish_with = |chunks: &[(u32, u32)], costs: &BlockCosts| {
-            let (work, buffer) = (Division::Dynamic.work(0, 1), Arc::new(SpareBuffers::default().take(size)));
-            let desk = Desk::default();
-            desk.put(work_id, Assignment::new(frame, work, buffer));
+        let (frame, task_id, size) = (FrameId(1), TaskId(2), FrameSize::new(32, 8).unwrap());
+        let finish_with = |chunks: &[(u32, u32)], costs: &RunCosts| {
+            let (task, buffer) = (Division::Dynamic.task(0, 1), Arc::new(BufferPool::default().take(size)));
+            let pending = PendingTasks::default();
+            pending.put(task_id, PendingTask::new(frame, task, buffer));
             for &(first_unit, n_units) in chunks {
                 let rgb = vec![7; 3 * 64 * n_units as usize];
-                desk.place(Chunk { frame, work_id, first_unit, n_units, rgb: &rgb }, rgb.len()).unwrap();
+                pending.place(Chunk { frame, task_id, first_unit, n_units, rgb: &rgb }, rgb.len()).unwrap();
             }
-            desk.finish(frame, work_id, costs)
+            pending.finish(frame, task_id, costs)
         };
-        let finish = |n_units, costs: &BlockCosts| finish_with(&[(0, n_units)], costs);
-        let costs = |block_units, n_blocks| BlockCosts { block_units, cpu_ns: vec![1; n_blocks] };
+        let finish = |n_units, costs: &RunCosts| finish_with(&[(0, n_units)], costs);
+        let costs = |run_units, n_blocks| RunCosts { run_units, cpu_ns: vec![1; n_blocks] };
         assert!(finish(4, &costs(3, 2)).unwrap());
-        assert!(finish(4, &BlockCosts::default()).unwrap());
+        assert!(finish(4, &RunCosts::default()).unwrap());
         assert!(matches!(finish(3, &costs(3, 2)), Err(ConnectionError::Incomplete { sent: 3, n_units: 4 })));
-        let repeated = finish_with(&[(0, 2), (0, 2), (1, 1)], &BlockCosts::default());
+        let repeated = finish_with(&[(0, 2), (0, 2), (1, 1)], &RunCosts::default());
         assert!(matches!(repeated, Err(ConnectionError::Incomplete { sent: 2, n_units: 4 })), "twice is not more");
-        assert!(finish_with(&[(2, 2), (0, 3)], &BlockCosts::default()).unwrap());
+        assert!(finish_with(&[(2, 2), (0, 3)], &RunCosts::default()).unwrap());
         for misfit in [costs(3, 1), costs(3, 3), costs(0, 4), costs(u32::MAX, 2)] {
             assert!(matches!(finish(4, &misfit), Err(ConnectionError::MisfitCosts { n_units: 4, .. })));
         }

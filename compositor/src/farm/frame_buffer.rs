@@ -17,24 +17,24 @@ use super::tile_row;
 
 /// Buffers that wait for their next frame: the system takes longer to find and clear memory than samples take to arrive.
 #[derive(Clone, Debug, Default)]
-pub(super) struct SpareBuffers(Arc<Mutex<Spare>>);
+pub(super) struct BufferPool(Arc<Mutex<PooledBuffers>>);
 
 #[derive(Debug, Default)]
-struct Spare {
+struct PooledBuffers {
     rgba: Vec<Vec<u32>>,
-    curve: Option<Arc<Curve>>,
+    curve: Option<Arc<CurveTiles>>,
 }
 
 /// Where the tiles along the curve lie in frames of one size: to follow the curve to a tile takes longer than to put its
 /// samples in their places.
 #[derive(Debug)]
-struct Curve {
+struct CurveTiles {
     size: FrameSize,
     /// Numbers of tiles, row by row from the bottom left; found when the first is asked for.
     tiles: OnceLock<Vec<u32>>,
 }
 
-impl Curve {
+impl CurveTiles {
     fn tile(&self, index: u32) -> u32 {
         let (columns, rows) = (self.size.x_tiles(), self.size.y_tiles());
         let number = |index| {
@@ -47,19 +47,19 @@ impl Curve {
 
 /// Frames of so many samples are written to memory past all caches, none of which holds those in flight until they are
 /// uploaded: along the curve that takes little more than half the time. Smaller ones are uploaded from caches.
-const FEWEST_PAST_CACHES: usize = 1 << 20;
+const LEAST_NON_TEMPORAL_SAMPLES: usize = 1 << 20;
 
 /// Frames in flight, one that waits, one that is shown, and one more.
 const MOST_SPARE: usize = 6;
 
-impl SpareBuffers {
+impl BufferPool {
     /// A buffer for a frame; what is in it is of no frame.
     pub(super) fn take(&self, size: FrameSize) -> FrameBuffer {
         let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         spare.rgba.retain(|rgba| rgba.len() == size.n_samples() as usize);
         let rgba = spare.rgba.pop().unwrap_or_else(|| vec![0; size.n_samples() as usize]);
         let known = spare.curve.take().filter(|curve| curve.size == size);
-        let curve = known.unwrap_or_else(|| Arc::new(Curve { size, tiles: OnceLock::new() }));
+        let curve = known.unwrap_or_else(|| Arc::new(CurveTiles { size, tiles: OnceLock::new() }));
         spare.curve = Some(Arc::clone(&curve));
         FrameBuffer { size, rgba: rgba.into_iter().map(AtomicU32::new).collect(), curve }
     }
@@ -74,12 +74,12 @@ impl SpareBuffers {
 
 /// The samples of a whole frame: red, green, blue, 255 in memory order, row by row, the bottom row first.
 #[derive(Clone, Debug)]
-pub struct Samples {
+pub struct FrameSamples {
     rgba: Vec<u32>,
-    spare: SpareBuffers,
+    spare: BufferPool,
 }
 
-impl Deref for Samples {
+impl Deref for FrameSamples {
     type Target = [u32];
 
     fn deref(&self) -> &[u32] {
@@ -87,7 +87,7 @@ impl Deref for Samples {
     }
 }
 
-impl Drop for Samples {
+impl Drop for FrameSamples {
     fn drop(&mut self) {
         self.spare.put(std::mem::take(&mut self.rgba));
     }
@@ -102,7 +102,7 @@ pub(super) struct FrameBuffer {
     size: FrameSize,
     /// Red, green, blue, 255 in memory order, row by row, the bottom row first.
     rgba: Vec<AtomicU32>,
-    curve: Arc<Curve>,
+    curve: Arc<CurveTiles>,
 }
 
 /// Bytes that do not fit the units that they claim to be.
@@ -159,7 +159,7 @@ impl FrameBuffer {
         if !rest.is_empty() || pixels.len() != samples.len() {
             return None;
         }
-        put_each(samples.map(|sample| &self.rgba[sample as usize]), pixels);
+        store_samples(samples.map(|sample| &self.rgba[sample as usize]), pixels);
         Some(())
     }
 
@@ -170,17 +170,18 @@ impl FrameBuffer {
             // SAFETY: the machine has what it needs.
             return unsafe { self.place_blocks_avx2(share, units, rgb) };
         }
-        self.place_blocks_by(share, units, rgb, tile_row::put)
+        self.place_blocks_by(share, units, rgb, tile_row::store_row)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn place_blocks_avx2(&self, share: &Share<'_>, units: Range<u32>, rgb: &[u8]) -> Option<()> {
-        if self.rgba.len() < FEWEST_PAST_CACHES {
-            return self.place_blocks_by(share, units, rgb, |cells, rgb| tile_row::put_avx2(cells, rgb));
+        if self.rgba.len() < LEAST_NON_TEMPORAL_SAMPLES {
+            return self.place_blocks_by(share, units, rgb, |cells, rgb| tile_row::store_row_avx2(cells, rgb));
         }
-        let is_placed = self.place_blocks_by(share, units, rgb, |cells, rgb| tile_row::put_past_caches(cells, rgb));
-        tile_row::fence_past_caches();
+        let is_placed =
+            self.place_blocks_by(share, units, rgb, |cells, rgb| tile_row::store_row_non_temporal(cells, rgb));
+        tile_row::fence_non_temporal();
         is_placed
     }
 
@@ -190,7 +191,7 @@ impl FrameBuffer {
         share: &Share<'_>,
         units: Range<u32>,
         mut rgb: &[u8],
-        put_tile_row: impl Fn(&tile_row::Cells, &tile_row::Rgb),
+        put_tile_row: impl Fn(&tile_row::RowCells, &tile_row::RowRgb),
     ) -> Option<()> {
         let tiles = Division::Tiled.units(self.size);
         let is_on_curve = share.is_on_curve();
@@ -205,7 +206,7 @@ impl FrameBuffer {
                 match (cells.try_into(), row_rgb.try_into()) {
                     (Ok(cells), Ok(row_rgb)) => put_tile_row(cells, row_rgb),
                     // At the frame's right edge.
-                    _ => put_each(cells.iter(), row_rgb.as_chunks().0),
+                    _ => store_samples(cells.iter(), row_rgb.as_chunks().0),
                 }
             }
         }
@@ -213,17 +214,17 @@ impl FrameBuffer {
     }
 
     /// The samples, once the scheduler has seen all of them placed; the buffer goes back when they are no longer needed.
-    pub(super) fn into_samples(self: Arc<Self>, spare: SpareBuffers) -> Samples {
+    pub(super) fn into_samples(self: Arc<Self>, spare: BufferPool) -> FrameSamples {
         let rgba = match Arc::try_unwrap(self) {
             Ok(buffer) => buffer.rgba.into_iter().map(AtomicU32::into_inner).collect(),
             // A late second answer is still being placed; it changes no bit.
             Err(shared) => shared.rgba.iter().map(|cell| cell.load(Relaxed)).collect(),
         };
-        Samples { rgba, spare }
+        FrameSamples { rgba, spare }
     }
 }
 
-fn put_each<'a>(cells: impl Iterator<Item = &'a AtomicU32>, rgb: &[[u8; 3]]) {
+fn store_samples<'a>(cells: impl Iterator<Item = &'a AtomicU32>, rgb: &[[u8; 3]]) {
     for (cell, &[r, g, b]) in cells.zip(rgb) {
         cell.store(u32::from_ne_bytes([r, g, b, 255]), Relaxed);
     }
@@ -242,7 +243,7 @@ mod tests {
         // One that is written to caches and one that is not, both with tiles that the edges cut.
         for (xres, yres) in [(19, 11), (1028, 1021)] {
             let size = FrameSize::new(xres, yres).unwrap();
-            assert_eq!(size.n_samples() as usize >= FEWEST_PAST_CACHES, xres > 1000);
+            assert_eq!(size.n_samples() as usize >= LEAST_NON_TEMPORAL_SAMPLES, xres > 1000);
             let rgb_of = |(i, j): (u32, u32)| [i as u8, j as u8, (i >> 8) as u8];
             let rgba_of = |sample| {
                 let [r, g, b] = rgb_of(sample);
@@ -250,14 +251,14 @@ mod tests {
             };
             let expected: Vec<u32> = (0..yres).flat_map(|j| (0..xres).map(move |i| rgba_of((i, j)))).collect();
             for division in Division::ALL {
-                let spare = SpareBuffers::default();
+                let spare = BufferPool::default();
                 let buffer = Arc::new(spare.take(size));
                 thread::scope(|scope| {
                     for machine in 0..3 {
                         let buffer = &buffer;
                         scope.spawn(move || {
-                            let work = division.work(machine, 3);
-                            let share = work.share(size).unwrap();
+                            let task = division.task(machine, 3);
+                            let share = task.share(size).unwrap();
                             let rgb: Vec<u8> =
                                 (0..share.count()).flat_map(|k| share.samples(k).iter()).flat_map(rgb_of).collect();
                             buffer.place(&share, 0, share.count(), &rgb).unwrap();
@@ -273,13 +274,13 @@ mod tests {
     #[test]
     fn bytes_that_do_not_fit_are_refused() {
         let size = FrameSize::new(16, 8).unwrap();
-        let buffer = SpareBuffers::default().take(size);
-        let work = Division::Tiled.work(0, 1);
-        let share = work.share(size).unwrap();
+        let buffer = BufferPool::default().take(size);
+        let task = Division::Tiled.task(0, 1);
+        let share = task.share(size).unwrap();
         assert!(buffer.place(&share, 1, 1, &[0; 192]).is_ok());
         assert!(matches!(buffer.place(&share, 1, 1, &[0; 191]), Err(PlaceError::WrongLength { .. })));
         assert!(matches!(buffer.place(&share, 1, 1, &[0; 193]), Err(PlaceError::WrongLength { n_samples: 64, .. })));
-        let single = Division::Interleaved.work(0, 1);
+        let single = Division::Interleaved.task(0, 1);
         let single = single.share(size).unwrap();
         assert!(buffer.place(&single, 126, 2, &[0; 6]).is_ok());
         assert!(matches!(buffer.place(&single, 126, 2, &[0; 7]), Err(PlaceError::WrongLength { .. })));

@@ -12,12 +12,12 @@ use std::{
 
 use shared::{
     codec,
-    division::{Division, Work},
-    protocol::{BlockCosts, Encoding, FrameId, Picture, ToWall, WorkId, WorkTimings},
+    division::{Division, Task},
+    protocol::{Encoding, FrameId, FrameSpec, RunCosts, TaskId, TaskTimings, ToWall},
 };
 
 use super::{
-    scheduler::{Action, Event, Placed, Scheduler, Time, Wanted},
+    scheduler::{Action, Event, PlacedUnits, RenderGoal, Scheduler, Time},
     stats::{FrameStats, NodeId},
 };
 
@@ -26,14 +26,14 @@ const TICK: Duration = Duration::from_millis(10);
 
 /// The way between render servers and the wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Link {
+pub(crate) struct SimulatedLink {
     /// Bits of payload a second into the wall, of all render servers together; infinite for none to wait for.
     pub(crate) bits_per_second: f64,
     /// One way.
     pub(crate) latency: Duration,
 }
 
-impl Link {
+impl SimulatedLink {
     /// How long so many bytes occupy the link.
     pub(crate) fn time_for(&self, n_bytes: u64) -> Duration {
         Duration::from_secs_f64(n_bytes as f64 * 8.0 / self.bits_per_second)
@@ -44,7 +44,7 @@ impl Link {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct TracedShare {
     pub(crate) chunks: Vec<TracedChunk>,
-    pub(crate) costs: BlockCosts,
+    pub(crate) costs: RunCosts,
 }
 
 /// Units of a work that are sent together.
@@ -60,10 +60,10 @@ pub(crate) struct TracedChunk {
 
 /// What is replayed.
 #[derive(Clone, Debug)]
-pub(crate) struct Cluster {
+pub(crate) struct SimulatedCluster {
     /// For each one-core render server how many times as long it takes as the machine that measures.
     pub(crate) slowness: Vec<f64>,
-    pub(crate) link: Link,
+    pub(crate) link: SimulatedLink,
     pub(crate) division: Division,
     /// Frames rendered at a time.
     pub(crate) in_flight: u32,
@@ -77,47 +77,47 @@ pub(crate) struct ReplayedFrame {
     pub(crate) stats: FrameStats,
 }
 
-/// Renders frames until `n_frames` are shown; `picture` is what the wall wants when it has shown so many, `trace` what
+/// Renders frames until `n_frames` are shown; `spec` is what the wall wants when it has shown so many, `trace` what
 /// render servers make of works that are given out together: with `None` the replay ends.
-pub(crate) fn replay<P, T>(cluster: &Cluster, n_frames: usize, picture: P, trace: T) -> Vec<ReplayedFrame>
+pub(crate) fn replay<P, T>(cluster: &SimulatedCluster, n_frames: usize, spec: P, trace: T) -> Vec<ReplayedFrame>
 where
-    P: Fn(usize) -> Picture,
-    T: FnMut(&[(Picture, Work)]) -> Option<Vec<Rc<TracedShare>>>,
+    P: Fn(usize) -> FrameSpec,
+    T: FnMut(&[(FrameSpec, Task)]) -> Option<Vec<Rc<TracedShare>>>,
 {
     let mut replay = Replay {
         cluster,
-        scheduler: Scheduler::new(wanted(cluster, picture(0))),
+        scheduler: Scheduler::new(goal(cluster, spec(0))),
         now: Time::ZERO,
         agenda: BinaryHeap::new(),
-        happenings: Vec::new(),
-        servers: vec![Server::default(); cluster.slowness.len()],
+        events: Vec::new(),
+        servers: vec![SimulatedServer::default(); cluster.slowness.len()],
         link_free_at: Time::ZERO,
         given: Vec::new(),
         traced: HashMap::new(),
         shown: Vec::new(),
         is_over: false,
-        picture,
+        spec,
         trace,
     };
     for number in 0..cluster.slowness.len() as u32 {
         let node = NodeId(number);
-        replay.tell(Event::Joined { node, name: String::new(), threads: 1 });
-        replay.tell(Event::SceneReady { node, ready: true });
+        replay.deliver(Event::Joined { node, name: String::new(), threads: 1 });
+        replay.deliver(Event::SceneReady { node, ready: true });
     }
-    replay.schedule(TICK, Happening::Tick);
+    replay.schedule(TICK, SimulationEvent::Tick);
     while replay.shown.len() < n_frames && !replay.is_over {
         let Some(Reverse((at, index))) = replay.agenda.pop() else { break };
         replay.now = at;
-        replay.happen(index);
+        replay.process(index);
     }
     replay.shown
 }
 
-fn wanted(cluster: &Cluster, picture: Picture) -> Wanted {
+fn goal(cluster: &SimulatedCluster, spec: FrameSpec) -> RenderGoal {
     let min_renderers = cluster.slowness.len() as u32;
-    Wanted {
-        picture: Some(picture),
-        refines: false,
+    RenderGoal {
+        spec: Some(spec),
+        is_refinement: false,
         division: cluster.division,
         min_renderers,
         repeat: true,
@@ -130,14 +130,14 @@ fn wanted(cluster: &Cluster, picture: Picture) -> Wanted {
 #[derive(Clone, Debug)]
 struct Job {
     frame: FrameId,
-    work_id: WorkId,
-    picture: Picture,
-    work: Work,
+    task_id: TaskId,
+    spec: FrameSpec,
+    task: Task,
 }
 
 /// A render server: one core that works off its jobs in order.
 #[derive(Clone, Debug, Default)]
-struct Server {
+struct SimulatedServer {
     jobs: VecDeque<Job>,
     /// What the first job is made of, how many chunks of that are done, and when it was begun.
     traced: Rc<TracedShare>,
@@ -147,13 +147,13 @@ struct Server {
 
 /// What happens at a time that is known before.
 #[derive(Debug)]
-enum Happening {
+enum SimulationEvent {
     /// A request reaches a render server.
     Asked(NodeId, Job),
     /// So does a cancellation.
     Cancelled(NodeId, FrameId),
     /// A render server has done a chunk of its first job.
-    ChunkDone(NodeId, WorkId),
+    ChunkDone(NodeId, TaskId),
     /// A message of so many bytes reaches the link into the wall.
     AtLink(u64, Event),
     /// It has passed the link.
@@ -163,65 +163,65 @@ enum Happening {
 }
 
 struct Replay<'a, P, T> {
-    cluster: &'a Cluster,
+    cluster: &'a SimulatedCluster,
     scheduler: Scheduler,
     now: Time,
     /// When, and which of the happenings; of those at the same time, in the order in which they were scheduled.
     agenda: BinaryHeap<Reverse<(Time, usize)>>,
-    happenings: Vec<Option<Happening>>,
-    servers: Vec<Server>,
+    events: Vec<Option<SimulationEvent>>,
+    servers: Vec<SimulatedServer>,
     link_free_at: Time,
     /// Works that are given out and not yet traced, and those that are traced and not yet begun.
     given: Vec<Job>,
-    traced: HashMap<WorkId, Rc<TracedShare>>,
+    traced: HashMap<TaskId, Rc<TracedShare>>,
     shown: Vec<ReplayedFrame>,
     is_over: bool,
-    picture: P,
+    spec: P,
     trace: T,
 }
 
 impl<P, T> Replay<'_, P, T>
 where
-    P: Fn(usize) -> Picture,
-    T: FnMut(&[(Picture, Work)]) -> Option<Vec<Rc<TracedShare>>>,
+    P: Fn(usize) -> FrameSpec,
+    T: FnMut(&[(FrameSpec, Task)]) -> Option<Vec<Rc<TracedShare>>>,
 {
-    fn schedule(&mut self, after: Duration, happening: Happening) {
-        self.agenda.push(Reverse((self.now + after, self.happenings.len())));
-        self.happenings.push(Some(happening));
+    fn schedule(&mut self, after: Duration, happening: SimulationEvent) {
+        self.agenda.push(Reverse((self.now + after, self.events.len())));
+        self.events.push(Some(happening));
     }
 
-    fn happen(&mut self, index: usize) {
-        let Some(happening) = self.happenings[index].take() else { return };
+    fn process(&mut self, index: usize) {
+        let Some(happening) = self.events[index].take() else { return };
         match happening {
-            Happening::Asked(node, job) => {
+            SimulationEvent::Asked(node, job) => {
                 let server = &mut self.servers[node.0 as usize];
                 server.jobs.push_back(job);
                 if server.jobs.len() == 1 {
                     self.begin(node);
                 }
             }
-            Happening::Cancelled(node, frame) => {
+            SimulationEvent::Cancelled(node, frame) => {
                 let server = &mut self.servers[node.0 as usize];
-                let first = server.jobs.front().map(|job| job.work_id);
+                let first = server.jobs.front().map(|job| job.task_id);
                 let cancelled: Vec<_> =
-                    server.jobs.iter().filter(|job| job.frame == frame).map(|job| job.work_id).collect();
-                self.given.retain(|given| !cancelled.contains(&given.work_id));
-                cancelled.iter().for_each(|work_id| drop(self.traced.remove(work_id)));
+                    server.jobs.iter().filter(|job| job.frame == frame).map(|job| job.task_id).collect();
+                self.given.retain(|given| !cancelled.contains(&given.task_id));
+                cancelled.iter().for_each(|task_id| drop(self.traced.remove(task_id)));
                 server.jobs.retain(|job| job.frame != frame);
-                if server.jobs.front().map(|job| job.work_id) != first {
+                if server.jobs.front().map(|job| job.task_id) != first {
                     self.begin(node);
                 }
             }
-            Happening::ChunkDone(node, work_id) => self.send_chunk(node, work_id),
-            Happening::AtLink(n_bytes, event) => {
+            SimulationEvent::ChunkDone(node, task_id) => self.send_chunk(node, task_id),
+            SimulationEvent::AtLink(n_bytes, event) => {
                 // First come, first served; what matters is when the last byte of a frame is through.
                 self.link_free_at = self.link_free_at.max(self.now) + self.cluster.link.time_for(n_bytes);
-                self.schedule(self.link_free_at - self.now, Happening::Arrived(event));
+                self.schedule(self.link_free_at - self.now, SimulationEvent::Arrived(event));
             }
-            Happening::Arrived(event) => self.tell(event),
-            Happening::Tick => {
-                self.tell(Event::Tick);
-                self.schedule(TICK, Happening::Tick);
+            SimulationEvent::Arrived(event) => self.deliver(event),
+            SimulationEvent::Tick => {
+                self.deliver(Event::Tick);
+                self.schedule(TICK, SimulationEvent::Tick);
             }
         }
     }
@@ -229,17 +229,17 @@ where
     /// A render server turns to its first job, if it has one.
     fn begin(&mut self, node: NodeId) {
         let Some(job) = self.servers[node.0 as usize].jobs.front().cloned() else { return };
-        if !self.traced.contains_key(&job.work_id) {
+        if !self.traced.contains_key(&job.task_id) {
             // With all others of its frame: they are measured in turn.
             let of_frame: Vec<_> = self.given.extract_if(.., |given| given.frame == job.frame).collect();
-            let works: Vec<_> = of_frame.iter().map(|given| (given.picture, given.work.clone())).collect();
-            let Some(traced) = (self.trace)(&works) else {
+            let tasks: Vec<_> = of_frame.iter().map(|given| (given.spec, given.task.clone())).collect();
+            let Some(traced) = (self.trace)(&tasks) else {
                 self.is_over = true;
                 return;
             };
-            self.traced.extend(of_frame.iter().map(|given| given.work_id).zip(traced));
+            self.traced.extend(of_frame.iter().map(|given| given.task_id).zip(traced));
         }
-        let traced = self.traced.remove(&job.work_id).expect("all works of the frame are traced");
+        let traced = self.traced.remove(&job.task_id).expect("all works of the frame are traced");
         let server = &mut self.servers[node.0 as usize];
         (server.traced, server.n_done, server.began_at) = (traced, 0, self.now);
         self.next_chunk(node);
@@ -249,63 +249,63 @@ where
     fn next_chunk(&mut self, node: NodeId) {
         let slowness = self.cluster.slowness[node.0 as usize];
         let server = &mut self.servers[node.0 as usize];
-        let Some(&Job { frame, work_id, .. }) = server.jobs.front() else { return };
+        let Some(&Job { frame, task_id, .. }) = server.jobs.front() else { return };
         let traced = Rc::clone(&server.traced);
         if let Some(chunk) = traced.chunks.get(server.n_done) {
-            return self.schedule(chunk.cpu.mul_f64(slowness), Happening::ChunkDone(node, work_id));
+            return self.schedule(chunk.cpu.mul_f64(slowness), SimulationEvent::ChunkDone(node, task_id));
         }
         server.jobs.pop_front();
         let began_at = server.began_at;
         let cpu: Duration = traced.chunks.iter().map(|chunk| chunk.cpu).sum();
-        let timings = WorkTimings {
+        let timings = TaskTimings {
             trace_us: (self.now - began_at).as_micros() as u32,
             trace_cpu_us: cpu.mul_f64(slowness).as_micros() as u32,
-            ..WorkTimings::default()
+            ..TaskTimings::default()
         };
         let cpu_ns = traced.costs.cpu_ns.iter().map(|&ns| (f64::from(ns) * slowness) as u32).collect();
-        let costs = BlockCosts { cpu_ns, ..traced.costs };
+        let costs = RunCosts { cpu_ns, ..traced.costs };
         let mut bytes = Vec::new();
-        let done = ToWall::WorkDone { frame, work_id, timings, costs: costs.clone() };
+        let done = ToWall::TaskDone { frame, task_id, timings, costs: costs.clone() };
         codec::encode(&done, &mut bytes).expect("timings and costs are short");
-        let event = Event::WorkDone { node, frame, work_id, timings, costs };
-        self.schedule(self.cluster.link.latency, Happening::AtLink(bytes.len() as u64, event));
+        let event = Event::TaskDone { node, frame, task_id, timings, costs };
+        self.schedule(self.cluster.link.latency, SimulationEvent::AtLink(bytes.len() as u64, event));
         self.begin(node);
     }
 
-    fn send_chunk(&mut self, node: NodeId, of_work: WorkId) {
+    fn send_chunk(&mut self, node: NodeId, of_work: TaskId) {
         let server = &mut self.servers[node.0 as usize];
-        let Some(&Job { frame, work_id, .. }) = server.jobs.front() else { return };
-        if work_id != of_work {
+        let Some(&Job { frame, task_id, .. }) = server.jobs.front() else { return };
+        if task_id != of_work {
             // It was cancelled meanwhile.
             return;
         }
         let TracedChunk { first_unit, n_units, n_bytes, .. } = server.traced.chunks[server.n_done];
         server.n_done += 1;
-        let units = Placed { first: first_unit, count: n_units, n_bytes, place_time: Duration::ZERO };
-        let event = Event::Placed { node, frame, work_id, units };
-        self.schedule(self.cluster.link.latency, Happening::AtLink(n_bytes, event));
+        let units = PlacedUnits { first: first_unit, count: n_units, n_bytes, place_time: Duration::ZERO };
+        let event = Event::UnitsPlaced { node, frame, task_id, units };
+        self.schedule(self.cluster.link.latency, SimulationEvent::AtLink(n_bytes, event));
         self.next_chunk(node);
     }
 
     /// Tells the scheduler, and does what it says.
-    fn tell(&mut self, event: Event) {
+    fn deliver(&mut self, event: Event) {
         let mut events = VecDeque::from([event]);
         while let Some(event) = events.pop_front() {
             for action in self.scheduler.on_event(self.now, event) {
                 match action {
-                    Action::Render { node, frame, work_id, picture, work, .. } => {
-                        let job = Job { frame, work_id, picture, work };
+                    Action::Render { node, frame, task_id, spec, task, .. } => {
+                        let job = Job { frame, task_id, spec, task };
                         self.given.push(job.clone());
-                        self.schedule(self.cluster.link.latency, Happening::Asked(node, job));
+                        self.schedule(self.cluster.link.latency, SimulationEvent::Asked(node, job));
                     }
                     Action::Cancel { node, frame } => {
-                        self.schedule(self.cluster.link.latency, Happening::Cancelled(node, frame));
+                        self.schedule(self.cluster.link.latency, SimulationEvent::Cancelled(node, frame));
                     }
                     Action::Show { stats, .. } => {
                         self.shown.push(ReplayedFrame { shown_at: self.now, stats });
                         // A wall that takes no time to show it, and whose camera moves on.
-                        let picture = (self.picture)(self.shown.len());
-                        events.push_back(Event::Wanted(wanted(self.cluster, picture)));
+                        let spec = (self.spec)(self.shown.len());
+                        events.push_back(Event::GoalChanged(goal(self.cluster, spec)));
                         events.push_back(Event::FrameTaken);
                     }
                     Action::Open { .. } | Action::Discard { .. } => {}
@@ -325,10 +325,10 @@ pub(crate) fn period(frames: &[ReplayedFrame], n_first: usize) -> Option<Duratio
 #[cfg(test)]
 mod tests {
     use shared::{
+        appearance::Appearance,
         camera::Camera,
         division::FrameSize,
-        look::Look,
-        protocol::{RayTree, SampleRange, View},
+        protocol::{LightingMode, SampleRange, ShadingMode},
         scene::SceneId,
     };
 
@@ -337,36 +337,36 @@ mod tests {
     const SIZE: (u32, u32) = (256, 128);
     /// Bytes of a chunk of one tile.
     const TILE_BYTES: u64 = 217;
-    const FAST: Link = Link { bits_per_second: f64::INFINITY, latency: Duration::ZERO };
+    const FAST: SimulatedLink = SimulatedLink { bits_per_second: f64::INFINITY, latency: Duration::ZERO };
 
-    fn picture(_: usize) -> Picture {
-        Picture {
+    fn spec(_: usize) -> FrameSpec {
+        FrameSpec {
             scene: SceneId::Statue { triangles: 1 },
             camera: Camera::look_at(glam::DVec3::Z, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0).unwrap(),
             size: FrameSize::try_from(SIZE).unwrap(),
-            view: View::Shaded,
-            rays: RayTree::default(),
+            view: ShadingMode::Shaded,
+            rays: LightingMode::default(),
             samples: SampleRange::CENTRE,
-            look: Look::default(),
+            appearance: Appearance::default(),
         }
     }
 
     /// Each tile takes a millisecond and is a chunk of its own.
-    fn even(works: &[(Picture, Work)]) -> Option<Vec<Rc<TracedShare>>> {
-        Some(works.iter().map(|(picture, work)| even_share(picture, work)).collect())
+    fn even(tasks: &[(FrameSpec, Task)]) -> Option<Vec<Rc<TracedShare>>> {
+        Some(tasks.iter().map(|(spec, task)| even_share(spec, task)).collect())
     }
 
-    fn even_share(picture: &Picture, work: &Work) -> Rc<TracedShare> {
-        let share = work.share(picture.size).unwrap();
+    fn even_share(spec: &FrameSpec, task: &Task) -> Rc<TracedShare> {
+        let share = task.share(spec.size).unwrap();
         let chunk =
             |first_unit| TracedChunk { first_unit, n_units: 1, n_bytes: TILE_BYTES, cpu: Duration::from_millis(1) };
         let cpu_ns = if share.is_on_curve() { vec![1_000_000; share.count() as usize] } else { Vec::new() };
-        let costs = BlockCosts { block_units: 1, cpu_ns };
+        let costs = RunCosts { run_units: 1, cpu_ns };
         Rc::new(TracedShare { chunks: (0..share.count()).map(chunk).collect(), costs })
     }
 
-    fn run(slowness: Vec<f64>, link: Link, division: Division) -> Vec<ReplayedFrame> {
-        replay(&Cluster { slowness, link, division, in_flight: 1 }, 12, picture, even)
+    fn run(slowness: Vec<f64>, link: SimulatedLink, division: Division) -> Vec<ReplayedFrame> {
+        replay(&SimulatedCluster { slowness, link, division, in_flight: 1 }, 12, spec, even)
     }
 
     fn is_about(period: Option<Duration>, expected_ms: f64) {
@@ -398,12 +398,12 @@ mod tests {
     fn a_slow_link_is_what_binds_and_latency_is_added() {
         // 512 tiles of 217 bytes in 100 ms, where tracing takes 64.
         let bits_per_second = 512.0 * TILE_BYTES as f64 * 8.0 / 0.1;
-        let slow = Link { bits_per_second, latency: Duration::ZERO };
+        let slow = SimulatedLink { bits_per_second, latency: Duration::ZERO };
         is_about(period(&run(vec![1.0; 8], slow, Division::Tiled), 4), 101.0);
-        let far = Link { latency: Duration::from_millis(10), ..FAST };
+        let far = SimulatedLink { latency: Duration::from_millis(10), ..FAST };
         is_about(period(&run(vec![1.0; 8], far, Division::Tiled), 4), 84.0);
         // With two frames at a time nobody waits for the way.
-        let cluster = Cluster { slowness: vec![1.0; 8], link: far, division: Division::Tiled, in_flight: 2 };
-        is_about(period(&replay(&cluster, 12, picture, even), 4), 64.0);
+        let cluster = SimulatedCluster { slowness: vec![1.0; 8], link: far, division: Division::Tiled, in_flight: 2 };
+        is_about(period(&replay(&cluster, 12, spec, even), 4), 64.0);
     }
 }

@@ -12,7 +12,7 @@ use renderer::cli::path_bytes;
 use shared::{
     codec,
     printable::printable,
-    protocol::{FrameId, HEARTBEAT_TIMEOUT, Picture, SceneState, ToServer, WorkId},
+    protocol::{FrameId, FrameSpec, HEARTBEAT_TIMEOUT, SceneState, TaskId, ToServer},
     structure::Structure,
 };
 use tokio::{
@@ -23,9 +23,9 @@ use tokio::{
 };
 
 use super::{
-    FinishedFrame, Frame, Probe, Wanted,
-    connection::{self, Assignment, Desk, Report, Reporter},
-    frame_buffer::{FrameBuffer, SpareBuffers},
+    FinishedFrame, Frame, Probe, RenderGoal,
+    connection::{self, ConnectionEvent, EventSender, PendingTask, PendingTasks},
+    frame_buffer::{BufferPool, FrameBuffer},
     scheduler::{self, Action, Event, Scheduler},
     stats::{FarmStatus, FrameStats, NodeId, NodeStatus, Probed},
 };
@@ -45,15 +45,15 @@ const TICK: Duration = Duration::from_millis(10);
 
 /// A connected render server.
 #[derive(Debug)]
-struct Node {
+struct NodeConnection {
     outgoing: mpsc::Sender<Vec<u8>>,
-    desk: Arc<Desk>,
+    pending: Arc<PendingTasks>,
 }
 
 /// A frame whose samples are coming in.
 #[derive(Debug)]
 struct OpenFrame {
-    picture: Picture,
+    spec: FrameSpec,
     buffer: Arc<FrameBuffer>,
     moved_at: Instant,
     bytes_out: HashMap<NodeId, u64>,
@@ -63,22 +63,22 @@ struct OpenFrame {
 pub(super) struct Service {
     started_at: Instant,
     key: Option<Key>,
-    wanted: watch::Receiver<Wanted>,
+    goal: watch::Receiver<RenderGoal>,
     status: watch::Sender<FarmStatus>,
     finished: Arc<FinishedFrame>,
     wake: Box<dyn Fn() + Send + Sync>,
     scheduler: Scheduler,
     /// Connections that have not shaken hands, the oldest first.
     strangers: VecDeque<(NodeId, AbortHandle)>,
-    nodes: BTreeMap<NodeId, Node>,
+    nodes: BTreeMap<NodeId, NodeConnection>,
     /// How often render servers were lost, by name and machine.
     failures: HashMap<(String, IpAddr), u32>,
     frames: HashMap<FrameId, OpenFrame>,
-    spare_buffers: SpareBuffers,
+    spare_buffers: BufferPool,
     /// When the camera of the last frame was set.
     last_moved_at: Option<Instant>,
     /// Whom the last question about the model was put to, and its number.
-    asked: Option<(NodeId, u32)>,
+    pending_probe: Option<(NodeId, u32)>,
     /// How render servers are to keep the scene, if not as they were started.
     structure: Option<Structure>,
 }
@@ -86,17 +86,17 @@ pub(super) struct Service {
 impl Service {
     pub(super) fn new(
         key: Option<Key>,
-        mut wanted: watch::Receiver<Wanted>,
+        mut goal: watch::Receiver<RenderGoal>,
         status: watch::Sender<FarmStatus>,
         finished: Arc<FinishedFrame>,
         wake: Box<dyn Fn() + Send + Sync>,
     ) -> Self {
-        let scheduler = Scheduler::new(for_scheduler(&wanted.borrow_and_update()));
+        let scheduler = Scheduler::new(scheduler_goal(&goal.borrow_and_update()));
         let started_at = Instant::now();
         Self {
             started_at,
             key,
-            wanted,
+            goal,
             status,
             finished,
             wake,
@@ -105,9 +105,9 @@ impl Service {
             nodes: BTreeMap::new(),
             failures: HashMap::new(),
             frames: HashMap::new(),
-            spare_buffers: SpareBuffers::default(),
+            spare_buffers: BufferPool::default(),
             last_moved_at: None,
-            asked: None,
+            pending_probe: None,
             structure: None,
         }
     }
@@ -129,17 +129,17 @@ impl Service {
             tokio::select! {
                 (stream, address) = accept(&listener) => {
                     last_node.0 += 1;
-                    let reporter = Reporter { node: last_node, address, farm: reports_in.clone() };
-                    let connection = run_connection(stream, self.key.clone(), reporter, self.started_at);
+                    let events = EventSender { node: last_node, address, farm: reports_in.clone() };
+                    let connection = run_connection(stream, self.key.clone(), events, self.started_at);
                     self.strangers.push_back((last_node, connections.spawn(connection)));
                     if self.strangers.len() > MOST_STRANGERS && let Some((_, oldest)) = self.strangers.pop_front() {
                         oldest.abort();
                     }
                 }
                 Some(_) = connections.join_next(), if !connections.is_empty() => {}
-                Some((node, address, report)) = reports.recv() => self.on_report(node, address, report),
-                changed = self.wanted.changed() => match changed {
-                    Ok(()) => self.on_wanted(),
+                Some((node, address, report)) = reports.recv() => self.on_connection_event(node, address, report),
+                changed = self.goal.changed() => match changed {
+                    Ok(()) => self.on_goal(),
                     Err(_) => return,
                 },
                 Ok(()) = structures.changed() => {
@@ -150,21 +150,21 @@ impl Service {
                     let probe = *probes.borrow_and_update();
                     self.on_probe(probe);
                 }
-                () = finished.taken.notified() => self.happen(Event::FrameTaken),
-                _ = tick.tick(), if self.scheduler.has_frame_in_flight() => self.happen(Event::Tick),
+                () = finished.taken.notified() => self.dispatch(Event::FrameTaken),
+                _ = tick.tick(), if self.scheduler.has_frame_in_flight() => self.dispatch(Event::Tick),
             }
         }
     }
 
-    fn on_wanted(&mut self) {
-        let wanted = self.wanted.borrow_and_update().clone();
-        let scene = wanted.picture.map(|picture| picture.scene);
+    fn on_goal(&mut self) {
+        let goal = self.goal.borrow_and_update().clone();
+        let scene = goal.spec.map(|spec| spec.scene);
         let is_new_scene = scene != self.scheduler.scene();
-        self.happen(Event::Wanted(for_scheduler(&wanted)));
+        self.dispatch(Event::GoalChanged(scheduler_goal(&goal)));
         if is_new_scene {
             self.status.send_modify(|status| status.nodes.iter_mut().for_each(|node| node.scene = None));
             let nodes: Vec<_> = self.nodes.keys().copied().collect();
-            nodes.into_iter().for_each(|node| self.ask_for_scene(node));
+            nodes.into_iter().for_each(|node| self.request_scene(node));
         }
     }
 
@@ -176,8 +176,8 @@ impl Service {
         self.structure = structure;
         self.status.send_modify(|status| status.nodes.iter_mut().for_each(|node| node.scene = None));
         for node in self.nodes.keys().copied().collect::<Vec<_>>() {
-            self.happen(Event::SceneReady { node, ready: false });
-            self.ask_for_scene(node);
+            self.dispatch(Event::SceneReady { node, ready: false });
+            self.request_scene(node);
         }
         (self.wake)();
     }
@@ -187,17 +187,17 @@ impl Service {
     fn on_probe(&mut self, Probe { number, view, at, clip }: Probe) {
         let Some((scene, camera)) = view.filter(|&(scene, _)| self.scheduler.scene() == Some(scene)) else { return };
         let ready = self.status.borrow().nodes.iter().find(|node| node.is_ready()).map(|node| node.id);
-        self.asked = ready.map(|id| (id, number));
+        self.pending_probe = ready.map(|id| (id, number));
         if let Some(id) = ready {
             self.send(id, &ToServer::Probe { number, scene, camera, at, clip });
         }
     }
 
-    fn on_report(&mut self, id: NodeId, address: SocketAddr, report: Report) {
+    fn on_connection_event(&mut self, id: NodeId, address: SocketAddr, report: ConnectionEvent) {
         match report {
-            Report::Joined { name, threads, outgoing, desk } => {
+            ConnectionEvent::Joined { name, threads, outgoing, pending } => {
                 // One that was displaced a moment before is gone.
-                if !self.is_stranger_no_more(id) {
+                if !self.remove_stranger(id) {
                     return;
                 }
                 if self.nodes.len() >= MOST_NODES {
@@ -206,7 +206,7 @@ impl Service {
                     return;
                 }
                 tracing::info!("render server {name} joined from {address} with {threads} threads");
-                self.nodes.insert(id, Node { outgoing, desk });
+                self.nodes.insert(id, NodeConnection { outgoing, pending });
                 let n_failures = self.failures.get(&(name.clone(), address.ip())).copied().unwrap_or(0);
                 let joined = NodeStatus {
                     id,
@@ -219,46 +219,50 @@ impl Service {
                     round_trip_ms: None,
                 };
                 self.status.send_modify(|status| status.nodes.push(joined));
-                self.happen(Event::Joined { node: id, name, threads });
-                self.ask_for_scene(id);
+                self.dispatch(Event::Joined { node: id, name, threads });
+                self.request_scene(id);
                 (self.wake)();
             }
-            Report::Scene { scene, state } => {
+            ConnectionEvent::Scene { scene, state } => {
                 if self.scheduler.scene() != Some(scene) {
                     return;
                 }
                 let ready = matches!(state, SceneState::Ready { .. });
                 self.on_scene_state(id, state);
-                self.happen(Event::SceneReady { node: id, ready });
+                self.dispatch(Event::SceneReady { node: id, ready });
                 (self.wake)();
             }
-            Report::Placed { frame, work_id, units } => self.happen(Event::Placed { node: id, frame, work_id, units }),
-            Report::WorkDone { frame, work_id, timings, costs } => {
-                self.happen(Event::WorkDone { node: id, frame, work_id, timings, costs });
+            ConnectionEvent::UnitsPlaced { frame, task_id, units } => {
+                self.dispatch(Event::UnitsPlaced { node: id, frame, task_id, units })
             }
-            Report::Silent(is_silent) => {
+            ConnectionEvent::TaskDone { frame, task_id, timings, costs } => {
+                self.dispatch(Event::TaskDone { node: id, frame, task_id, timings, costs });
+            }
+            ConnectionEvent::Silent(is_silent) => {
                 self.on_silent(id, is_silent);
-                self.happen(Event::Silent { node: id, is_silent });
+                self.dispatch(Event::Silent { node: id, is_silent });
                 (self.wake)();
             }
-            Report::RoundTrip(round_trip) => {
+            ConnectionEvent::RoundTrip(round_trip) => {
                 // A resting wall stays at rest: this alone wakes nobody.
                 self.change_node(id, |node| node.round_trip_ms = Some(round_trip.as_secs_f64() * 1e3));
             }
             // Once, and by whom it was asked.
-            Report::Probed { number, hit } if self.asked.take_if(|asked| *asked == (id, number)).is_some() => {
+            ConnectionEvent::Probed { number, hit }
+                if self.pending_probe.take_if(|pending_probe| *pending_probe == (id, number)).is_some() =>
+            {
                 self.status.send_modify(|status| status.probed = Some(Probed { number, hit }));
                 (self.wake)();
             }
-            Report::Probed { .. } => {}
-            Report::Ended(reason) => self.on_ended(id, address, reason),
+            ConnectionEvent::Probed { .. } => {}
+            ConnectionEvent::Ended(reason) => self.on_ended(id, address, reason),
         }
     }
 
     /// Whether the connection was one of those that have not shaken hands.
-    fn is_stranger_no_more(&mut self, id: NodeId) -> bool {
-        let place = self.strangers.iter().position(|&(stranger, _)| stranger == id);
-        place.and_then(|place| self.strangers.remove(place)).is_some()
+    fn remove_stranger(&mut self, id: NodeId) -> bool {
+        let index = self.strangers.iter().position(|&(stranger, _)| stranger == id);
+        index.and_then(|index| self.strangers.remove(index)).is_some()
     }
 
     fn on_scene_state(&self, id: NodeId, state: SceneState) {
@@ -290,7 +294,7 @@ impl Service {
     }
 
     fn on_ended(&mut self, id: NodeId, address: SocketAddr, reason: Result<(), connection::ConnectionError>) {
-        self.is_stranger_no_more(id);
+        self.remove_stranger(id);
         if self.nodes.remove(&id).is_none() {
             if let Err(reason) = reason {
                 tracing::warn!("connection from {address} dropped: {reason}");
@@ -311,7 +315,7 @@ impl Service {
             status.message =
                 Some(format!("{name} lost: {reason}. The others render its share; start it again to have it back."));
         });
-        self.happen(Event::Lost { node: id });
+        self.dispatch(Event::Lost { node: id });
         (self.wake)();
     }
 
@@ -324,39 +328,39 @@ impl Service {
     }
 
     /// Tells a render server which scene to get ready.
-    fn ask_for_scene(&mut self, id: NodeId) {
+    fn request_scene(&mut self, id: NodeId) {
         let Some(scene) = self.scheduler.scene() else { return };
         let is_local = self.status.borrow().nodes.iter().any(|node| node.id == id && node.address.ip().is_loopback());
-        let path = self.wanted.borrow().scene_path.as_ref().filter(|_| is_local).map(|path| path_bytes::to_bytes(path));
+        let path = self.goal.borrow().scene_path.as_ref().filter(|_| is_local).map(|path| path_bytes::to_bytes(path));
         let structure = self.structure;
         self.send(id, &ToServer::LoadScene { scene, path, structure });
     }
 
-    fn happen(&mut self, event: Event) {
+    fn dispatch(&mut self, event: Event) {
         let actions = self.scheduler.on_event(self.started_at.elapsed(), event);
-        actions.into_iter().for_each(|action| self.carry_out(action));
+        actions.into_iter().for_each(|action| self.execute(action));
     }
 
-    fn carry_out(&mut self, action: Action) {
+    fn execute(&mut self, action: Action) {
         match action {
-            Action::Open { frame, picture } => {
-                let buffer = Arc::new(self.spare_buffers.take(picture.size));
-                let moved_at = self.wanted.borrow().moved_at;
+            Action::Open { frame, spec } => {
+                let buffer = Arc::new(self.spare_buffers.take(spec.size));
+                let moved_at = self.goal.borrow().moved_at;
                 // A frame that no motion asked for is as old as its beginning; so is the first, before which models load.
                 let is_first_since = self.last_moved_at.replace(moved_at).is_some_and(|last| last != moved_at);
                 let moved_at = if is_first_since { moved_at } else { Instant::now() };
-                self.frames.insert(frame, OpenFrame { picture, buffer, moved_at, bytes_out: HashMap::new() });
+                self.frames.insert(frame, OpenFrame { spec, buffer, moved_at, bytes_out: HashMap::new() });
             }
-            Action::Render { node, frame, work_id, picture, work, encoding } => {
-                self.put_on_desk(node, frame, work_id, &work);
-                let n_bytes = self.send(node, &ToServer::RenderFrame { frame, work_id, picture, work, encoding });
+            Action::Render { node, frame, task_id, spec, task, encoding } => {
+                self.add_pending_task(node, frame, task_id, &task);
+                let n_bytes = self.send(node, &ToServer::RenderFrame { frame, task_id, spec, task, encoding });
                 if let Some(open) = self.frames.get_mut(&frame) {
                     *open.bytes_out.entry(node).or_default() += n_bytes;
                 }
             }
             Action::Cancel { node, frame } => {
                 if let Some(node) = self.nodes.get(&node) {
-                    node.desk.clear(frame);
+                    node.pending.clear(frame);
                 }
                 self.send(node, &ToServer::Cancel { frame });
             }
@@ -376,10 +380,10 @@ impl Service {
         }
     }
 
-    fn put_on_desk(&self, node: NodeId, frame: FrameId, work_id: WorkId, work: &shared::division::Work) {
+    fn add_pending_task(&self, node: NodeId, frame: FrameId, task_id: TaskId, task: &shared::division::Task) {
         if let (Some(node), Some(open)) = (self.nodes.get(&node), self.frames.get(&frame)) {
             let buffer = Arc::clone(&open.buffer);
-            node.desk.put(work_id, Assignment::new(frame, work.clone(), buffer));
+            node.pending.put(task_id, PendingTask::new(frame, task.clone(), buffer));
         }
     }
 
@@ -400,7 +404,7 @@ impl Service {
 }
 
 impl OpenFrame {
-    fn finish(self, mut stats: FrameStats, farm: &FarmStatus, spare: SpareBuffers) -> Frame {
+    fn finish(self, mut stats: FrameStats, farm: &FarmStatus, spare: BufferPool) -> Frame {
         (stats.n_lost, stats.n_healed) = (farm.n_lost, farm.n_healed);
         for node in &mut stats.nodes {
             node.bytes_out = self.bytes_out.get(&node.id).copied().unwrap_or(0);
@@ -411,13 +415,13 @@ impl OpenFrame {
             }
         }
         stats.bytes_out = self.bytes_out.values().sum();
-        Frame { picture: self.picture, rgba: self.buffer.into_samples(spare), stats, moved_at: self.moved_at }
+        Frame { spec: self.spec, rgba: self.buffer.into_samples(spare), stats, moved_at: self.moved_at }
     }
 }
 
-fn for_scheduler(wanted: &Wanted) -> scheduler::Wanted {
-    let Wanted { picture, refines, division, min_renderers, repeat, in_flight, encoding, .. } = *wanted;
-    scheduler::Wanted { picture, refines, division, min_renderers, repeat, in_flight, encoding }
+fn scheduler_goal(goal: &RenderGoal) -> scheduler::RenderGoal {
+    let RenderGoal { spec, is_refinement, division, min_renderers, repeat, in_flight, encoding, .. } = *goal;
+    scheduler::RenderGoal { spec, is_refinement, division, min_renderers, repeat, in_flight, encoding }
 }
 
 async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
@@ -433,9 +437,9 @@ async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
     }
 }
 
-async fn run_connection(mut stream: TcpStream, key: Option<Key>, reporter: Reporter, started_at: Instant) {
+async fn run_connection(mut stream: TcpStream, key: Option<Key>, events: EventSender, started_at: Instant) {
     // Requests are small and wanted at once.
     let _ = stream.set_nodelay(true);
     let (input, output) = stream.split();
-    connection::serve(input, output, key.as_ref(), reporter, started_at).await;
+    connection::serve(input, output, key.as_ref(), events, started_at).await;
 }

@@ -29,8 +29,8 @@ impl LastHeard {
 
     /// A stream that notes when its bytes come. It must be the outermost: a record that is decrypted as a whole is no
     /// sign of life before all of it is there.
-    pub(super) fn listen<S>(&self, stream: S) -> Listened<S> {
-        Listened { stream, heard: self.clone() }
+    pub(super) fn observe<S>(&self, stream: S) -> ObservedStream<S> {
+        ObservedStream { stream, heard: self.clone() }
     }
 
     /// How long it has been silent.
@@ -45,12 +45,12 @@ impl LastHeard {
 
 /// A stream whose bytes are noted as they come.
 #[derive(Debug)]
-pub(super) struct Listened<S> {
+pub(super) struct ObservedStream<S> {
     stream: S,
     heard: LastHeard,
 }
 
-impl<S: AsyncRead + Unpin> AsyncRead for Listened<S> {
+impl<S: AsyncRead + Unpin> AsyncRead for ObservedStream<S> {
     fn poll_read(mut self: Pin<&mut Self>, context: &mut Context<'_>, bytes: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let n_before = bytes.filled().len();
         let polled = Pin::new(&mut self.stream).poll_read(context, bytes);
@@ -61,14 +61,14 @@ impl<S: AsyncRead + Unpin> AsyncRead for Listened<S> {
     }
 }
 
-/// Calls `tell` with true whenever the peer has been silent for `limit`, and with false when it is heard again. Never ends.
-pub(super) async fn watch<F: Future<Output = ()>>(heard: &LastHeard, limit: Duration, tell: impl Fn(bool) -> F) {
+/// Calls `on_change` with true whenever the peer has been silent for `limit`, and with false when it is heard again. Never ends.
+pub(super) async fn watch<F: Future<Output = ()>>(heard: &LastHeard, limit: Duration, on_change: impl Fn(bool) -> F) {
     let mut is_silent = false;
     loop {
         let silence = heard.silence();
         if (silence >= limit) != is_silent {
             is_silent = !is_silent;
-            tell(is_silent).await;
+            on_change(is_silent).await;
         }
         // One that is heard again is wanted back at once.
         let pause = if is_silent { limit / 25 } else { limit.saturating_sub(silence).max(limit / 250) };
@@ -92,7 +92,7 @@ mod tests {
         runtime.block_on(async {
             let heard = LastHeard::now();
             let (mut peer, stream) = duplex(64);
-            let mut stream = heard.listen(stream);
+            let mut stream = heard.observe(stream);
             let read = async {
                 let mut bytes = [0; 8];
                 while stream.read(&mut bytes).await.is_ok_and(|n_read| n_read > 0) {}
@@ -105,13 +105,13 @@ mod tests {
                 }
                 drop(peer);
             };
-            let tell = |is_silent| {
+            let on_change = |is_silent| {
                 told.borrow_mut().push(is_silent);
                 std::future::ready(())
             };
             tokio::select! {
                 _ = async { tokio::join!(read, speak) } => {}
-                () = watch(&heard, limit, tell) => {}
+                () = watch(&heard, limit, on_change) => {}
             }
         });
         // On a busy machine a short pause may have become a long one.

@@ -4,8 +4,8 @@ use std::{net::SocketAddr, sync::Arc};
 
 use serde::Serialize;
 use shared::{
-    division::{Division, FrameSize, Work},
-    protocol::{BlockCosts, Encoding, ProbeHit, SceneState},
+    division::{Division, FrameSize, Task},
+    protocol::{Encoding, ProbeHit, RunCosts, SceneState},
 };
 
 /// The number of a render server: counts up from 1 in the order of joining while a wall runs, never used twice.
@@ -150,20 +150,20 @@ pub struct FrameStats {
     pub nodes: Vec<NodeFrameStats>,
     /// The works that were answered: together, who rendered what.
     #[serde(skip)]
-    pub works: Arc<[FrameWork]>,
+    pub tasks: Arc<[FrameTask]>,
 }
 
 /// A work of a frame, who did it, and what it cost.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FrameWork {
+pub struct FrameTask {
     /// Who.
     pub node: NodeId,
     /// Which units.
-    pub work: Work,
+    pub task: Task,
     /// CPU time of all tracing threads, in nanoseconds.
     pub trace_cpu_ns: u64,
     /// Where in the work that went, if it was measured.
-    pub costs: BlockCosts,
+    pub costs: RunCosts,
 }
 
 /// The largest of some times over their mean: at least 1, and 1 when there are none.

@@ -16,14 +16,14 @@ use shared::division::TILE_SIZE;
 const N: usize = TILE_SIZE as usize;
 
 /// Where the samples of a row belong.
-pub(super) type Cells = [AtomicU32; N];
+pub(super) type RowCells = [AtomicU32; N];
 
 /// Red, green and blue of each sample of a row.
-pub(super) type Rgb = [u8; 3 * N];
+pub(super) type RowRgb = [u8; 3 * N];
 
 /// Puts a row in its place, on any machine.
 #[inline(always)]
-pub(super) fn put(cells: &Cells, rgb: &Rgb) {
+pub(super) fn store_row(cells: &RowCells, rgb: &RowRgb) {
     // Four bytes at a time: the fourth is the next sample's, and becomes alpha.
     for x in 0..N - 1 {
         let with_next: u32 = bytemuck::pod_read_unaligned(&rgb[3 * x..3 * x + 4]);
@@ -38,7 +38,7 @@ pub(super) fn put(cells: &Cells, rgb: &Rgb) {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 #[inline]
-pub(super) fn put_avx2(cells: &Cells, rgb: &Rgb) {
+pub(super) fn store_row_avx2(cells: &RowCells, rgb: &RowRgb) {
     // SAFETY: the store writes the 32 bytes of the cells and no other. Like the plain one it may race with another thread's
     // of the same bits; that is why it is written in assembly, where it stands for eight relaxed stores, as it is on the
     // machine, and not as a plain store, which the language lets nobody race with.
@@ -51,15 +51,15 @@ pub(super) fn put_avx2(cells: &Cells, rgb: &Rgb) {
     }
 }
 
-/// The same past all caches where the row allows: who has not seen [`fence_past_caches`] since may see the old samples.
+/// The same past all caches where the row allows: who has not seen [`fence_non_temporal`] since may see the old samples.
 ///
 /// A row is half a line of a cache, which would be read from memory to be written, and often twice.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 #[inline]
-pub(super) fn put_past_caches(cells: &Cells, rgb: &Rgb) {
+pub(super) fn store_row_non_temporal(cells: &RowCells, rgb: &RowRgb) {
     if !cells.as_ptr().addr().is_multiple_of(16) {
-        return put_avx2(cells, rgb);
+        return store_row_avx2(cells, rgb);
     }
     let rgba = rgba_avx2(rgb);
     // SAFETY: as above, and the addresses are multiples of 16.
@@ -77,7 +77,7 @@ pub(super) fn put_past_caches(cells: &Cells, rgb: &Rgb) {
 
 /// Who sees what this thread stores from now on sees what it stored past caches before.
 #[cfg(target_arch = "x86_64")]
-pub(super) fn fence_past_caches() {
+pub(super) fn fence_non_temporal() {
     // SAFETY: it only orders stores.
     unsafe { asm!("sfence", options(nostack, preserves_flags)) };
 }
@@ -86,14 +86,14 @@ pub(super) fn fence_past_caches() {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 #[inline]
-fn rgba_avx2(rgb: &Rgb) -> __m256i {
+fn rgba_avx2(rgb: &RowRgb) -> __m256i {
     let [left, right]: [__m128i; 2] = [0, 8].map(|at| bytemuck::pod_read_unaligned(&rgb[at..at + 16]));
     #[rustfmt::skip]
-    let spread = _mm256_setr_epi8(
+    let sample_stride = _mm256_setr_epi8(
         0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1,
         4, 5, 6, -1, 7, 8, 9, -1, 10, 11, 12, -1, 13, 14, 15, -1,
     );
-    let rgb0 = _mm256_shuffle_epi8(_mm256_set_m128i(right, left), spread);
+    let rgb0 = _mm256_shuffle_epi8(_mm256_set_m128i(right, left), sample_stride);
     _mm256_or_si256(rgb0, _mm256_set1_epi32(i32::from_ne_bytes([0, 0, 0, 255])))
 }
 
@@ -103,27 +103,27 @@ mod tests {
 
     #[test]
     fn all_ways_of_putting_a_row_give_the_same_bits() {
-        let rgb: Rgb = std::array::from_fn(|byte| 200 - 7 * byte as u8);
+        let rgb: RowRgb = std::array::from_fn(|byte| 200 - 7 * byte as u8);
         let expected: [u32; N] =
             std::array::from_fn(|x| u32::from_ne_bytes([rgb[3 * x], rgb[3 * x + 1], rgb[3 * x + 2], 255]));
-        let put_by = |put: &dyn Fn(&Cells, &Rgb)| {
+        let put_by = |store_row: &dyn Fn(&RowCells, &RowRgb)| {
             // Between others, which must stay as they are, and wherever a row may begin.
             let cells: [AtomicU32; N + 3] = std::array::from_fn(|_| AtomicU32::new(5));
             for start in 0..=3 {
                 cells.iter().for_each(|cell| cell.store(5, Relaxed));
-                put(cells[start..start + N].try_into().unwrap(), &rgb);
+                store_row(cells[start..start + N].try_into().unwrap(), &rgb);
                 let cells = cells.each_ref().map(|cell| cell.load(Relaxed));
                 assert_eq!(cells[start..start + N], expected);
                 assert!(cells[..start].iter().chain(&cells[start + N..]).all(|&cell| cell == 5));
             }
         };
-        put_by(&put);
+        put_by(&store_row);
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
             // SAFETY: the machine has what it needs.
-            put_by(&|cells, rgb| unsafe { put_avx2(cells, rgb) });
+            put_by(&|cells, rgb| unsafe { store_row_avx2(cells, rgb) });
             // SAFETY: the same.
-            put_by(&|cells, rgb| unsafe { put_past_caches(cells, rgb) });
+            put_by(&|cells, rgb| unsafe { store_row_non_temporal(cells, rgb) });
         }
     }
 }

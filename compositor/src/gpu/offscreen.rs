@@ -1,7 +1,7 @@
 //! The wall without a window: drawn at any resolution into memory.
 
 use super::context::{Gpu, GpuError};
-use super::picture::Picture;
+use super::picture::RgbImage;
 use super::present::Target;
 
 /// A picture on the GPU that can be read back.
@@ -44,7 +44,7 @@ impl Offscreen {
     }
 
     /// Waits for all that was submitted, and copies the picture back.
-    pub fn read(&self, gpu: &Gpu) -> Result<Picture, GpuError> {
+    pub fn read(&self, gpu: &Gpu) -> Result<RgbImage, GpuError> {
         let [width, height] = self.size;
         let padded_row_bytes = (4 * width).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let band_rows = (BAND_BYTES / padded_row_bytes).clamp(1, height);
@@ -91,6 +91,6 @@ impl Offscreen {
                 }
             }
         }
-        Ok(Picture { size: self.size, rgb })
+        Ok(RgbImage { size: self.size, rgb })
     }
 }

@@ -3,16 +3,16 @@
 
 use glam::{DMat3, DVec2};
 
+use super::blend_weights::BlendStage;
 use super::context::Gpu;
 use super::present::{Target, clip_of, fragment_for, quad_pipeline, vertex_buffer};
-use super::shares::SharesStage;
 use crate::wall::{Gamma, PixelRect, Wall};
 
 /// The pipelines of this part, for any wall.
 pub(super) struct OpticsStage {
     shader: wgpu::ShaderModule,
     layout: wgpu::PipelineLayout,
-    shares: SharesStage,
+    blend_weights: BlendStage,
     /// One for each format of the targets so far.
     pipelines: Vec<(wgpu::TextureFormat, wgpu::RenderPipeline)>,
 }
@@ -20,29 +20,29 @@ pub(super) struct OpticsStage {
 /// All that one pass draws of it.
 pub(super) struct OpticsDraw {
     pipeline: wgpu::RenderPipeline,
-    shares: wgpu::BindGroup,
+    blend_weights: wgpu::BindGroup,
     instances: wgpu::Buffer,
     n_projectors: u32,
 }
 
 /// A projector, and where it is on a target.
-pub(super) struct Placed {
+pub(super) struct TargetProjector {
     pub(super) projector_idx: usize,
     /// Left, top, right and bottom of its pixels on the target.
     pub(super) quad: [f64; 4],
     /// A pixel in their middle: offsets from there are small, and f32 holds them well.
     pub(super) origin_px: DVec2,
     /// From pixels right and down of it to the projector's place.
-    pub(super) place_from_px: DMat3,
+    pub(super) rect_from_px: DMat3,
 }
 
 /// One projector on one target. Matches `Projector` in `shaders/optics.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 struct ProjectorInstance {
-    place_from_px: [[f32; 3]; 3],
+    rect_from_px: [[f32; 3]; 3],
     clip: [f32; 4],
-    frame_from_place: [f32; 4],
+    frame_from_rect: [f32; 4],
     drive_per_light: [f32; 3],
     gamma: f32,
     origin_px: [f32; 2],
@@ -61,13 +61,13 @@ impl OpticsStage {
     pub(super) fn new(gpu: &Gpu, frame_layout: &wgpu::BindGroupLayout) -> Self {
         let device = &gpu.device;
         let shader = device.create_shader_module(wgpu::include_wgsl!("../../../shaders/optics.wgsl"));
-        let shares = SharesStage::new(gpu);
+        let blend_weights = BlendStage::new(gpu);
         let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label: Some("optics"),
-            bind_group_layouts: &[Some(frame_layout), Some(shares.layout())],
+            bind_group_layouts: &[Some(frame_layout), Some(blend_weights.layout())],
             immediate_size: 0,
         });
-        Self { shader, layout, shares, pipelines: Vec::new() }
+        Self { shader, layout, blend_weights, pipelines: Vec::new() }
     }
 
     /// What to draw of the projectors `quads` of a part of a wall: their indices, and left, top, right and bottom on the
@@ -81,14 +81,16 @@ impl OpticsStage {
         part: PixelRect,
         quads: &[(usize, [f64; 4])],
     ) -> Option<OpticsDraw> {
-        let placed: Vec<Placed> = quads.iter().filter_map(|&(index, quad)| Placed::new(wall, index, quad)).collect();
-        if placed.is_empty() {
+        let on_target: Vec<TargetProjector> =
+            quads.iter().filter_map(|&(index, quad)| TargetProjector::new(wall, index, quad)).collect();
+        if on_target.is_empty() {
             return None;
         }
-        let instances: Vec<_> = placed.iter().map(|placed| ProjectorInstance::new(wall, placed, target.size)).collect();
+        let instances: Vec<_> =
+            on_target.iter().map(|on_target| ProjectorInstance::new(wall, on_target, target.size)).collect();
         Some(OpticsDraw {
             pipeline: self.pipeline(gpu, target.format),
-            shares: self.shares.prepare(gpu, encoder, target.size, wall, part, &placed),
+            blend_weights: self.blend_weights.prepare(gpu, encoder, target.size, wall, part, &on_target),
             instances: vertex_buffer(gpu, &instances),
             n_projectors: instances.len() as u32,
         })
@@ -114,39 +116,39 @@ impl OpticsDraw {
     /// Draws into a pass in which group 0 is the frame.
     pub(super) fn draw(&self, pass: &mut wgpu::RenderPass<'_>) {
         pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(1, &self.shares, &[]);
+        pass.set_bind_group(1, &self.blend_weights, &[]);
         pass.set_vertex_buffer(0, self.instances.slice(..));
         pass.draw(0..4, 0..self.n_projectors);
     }
 }
 
-impl Placed {
+impl TargetProjector {
     fn new(wall: &Wall, projector_idx: usize, quad: [f64; 4]) -> Option<Self> {
         let [left, top, right, bottom] = quad;
         let origin_px = DVec2::new((left + right) / 2.0, (top + bottom) / 2.0).floor();
         let raster_from_px = DMat3::from_scale(DVec2::new(1.0 / (right - left), 1.0 / (bottom - top)))
             * DMat3::from_translation(origin_px - DVec2::new(left, top));
-        let place_from_raster = wall.projectors()[projector_idx].raster_from_place()?.inverse();
-        Some(Self { projector_idx, quad, origin_px, place_from_px: place_from_raster * raster_from_px })
+        let rect_from_raster = wall.projectors()[projector_idx].raster_from_rect()?.inverse();
+        Some(Self { projector_idx, quad, origin_px, rect_from_px: rect_from_raster * raster_from_px })
     }
 }
 
 impl ProjectorInstance {
-    fn new(wall: &Wall, placed: &Placed, target_size: [u32; 2]) -> Self {
-        let projector = &wall.projectors()[placed.projector_idx];
+    fn new(wall: &Wall, on_target: &TargetProjector, target_size: [u32; 2]) -> Self {
+        let projector = &wall.projectors()[on_target.projector_idx];
         let canvas = projector.canvas;
         Self {
-            place_from_px: placed.place_from_px.to_cols_array_2d().map(|column| column.map(|it| it as f32)),
-            clip: clip_of(placed.quad, target_size),
+            rect_from_px: on_target.rect_from_px.to_cols_array_2d().map(|column| column.map(|it| it as f32)),
+            clip: clip_of(on_target.quad, target_size),
             // The frame covers the canvas, so a place on the canvas is the same place in the frame.
-            frame_from_place: [canvas.left, canvas.bottom + canvas.height, canvas.width, -canvas.height]
+            frame_from_rect: [canvas.left, canvas.bottom + canvas.height, canvas.width, -canvas.height]
                 .map(|it| it as f32),
             drive_per_light: projector.gain.map(|gain| (gain / (1.0 - projector.black_level)) as f32),
             gamma: match projector.gamma {
                 Gamma::Srgb => 0.0,
                 Gamma::Power(exponent) => exponent as f32,
             },
-            origin_px: placed.origin_px.as_vec2().to_array(),
+            origin_px: on_target.origin_px.as_vec2().to_array(),
             wall_black: wall.black() as f32,
         }
     }

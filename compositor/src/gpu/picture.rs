@@ -4,11 +4,11 @@ use std::fs::File;
 use std::io::{self, BufReader, Write};
 use std::path::{Path, PathBuf};
 
-use renderer::render::image::write_whole;
+use renderer::render::image::write_atomically;
 
 /// A picture in sRGB-encoded R, G, B bytes, row by row from the top left.
 #[derive(Clone, PartialEq, Eq)]
-pub struct Picture {
+pub struct RgbImage {
     /// Columns and rows.
     pub size: [u32; 2],
     /// Three bytes a pixel.
@@ -36,7 +36,7 @@ pub enum PictureError {
     },
 }
 
-impl Picture {
+impl RgbImage {
     /// The pixel in a column from the left and a row from the top.
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
         let first = 3 * (y as usize * self.size[0] as usize + x as usize);
@@ -45,11 +45,11 @@ impl Picture {
 
     /// Writes a PNG; `path` holds a whole picture or what it held before.
     pub fn write_png(&self, path: &Path) -> Result<(), PictureError> {
-        write_whole(path, |out| self.encode(out))
+        write_atomically(path, |out| self.encode(out))
             .map_err(|source| PictureError::Unwritable { path: path.to_owned(), source })
     }
 
-    /// Reads a PNG as [`Picture::write_png`] writes them.
+    /// Reads a PNG as [`RgbImage::write_png`] writes them.
     pub fn read_png(path: &Path) -> Result<Self, PictureError> {
         File::open(path)
             .and_then(|file| Self::decode(BufReader::new(file)))
@@ -81,7 +81,7 @@ impl Picture {
     }
 }
 
-impl std::fmt::Debug for Picture {
+impl std::fmt::Debug for RgbImage {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "Picture of {}×{} pixels", self.size[0], self.size[1])
     }
@@ -98,17 +98,17 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("picture-{}", std::process::id()));
         fs::create_dir_all(&folder).unwrap();
         let path = folder.join("a.png");
-        let picture = Picture { size: [3, 2], rgb: (0..18).map(|byte| byte * 14).collect() };
+        let picture = RgbImage { size: [3, 2], rgb: (0..18).map(|byte| byte * 14).collect() };
         picture.write_png(&path).unwrap();
         picture.write_png(&path).unwrap();
-        assert_eq!(Picture::read_png(&path).unwrap(), picture);
+        assert_eq!(RgbImage::read_png(&path).unwrap(), picture);
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 1, "no partial files are left");
         fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]
     fn a_folder_that_is_not_there_is_named() {
-        let picture = Picture { size: [1, 1], rgb: vec![0; 3] };
+        let picture = RgbImage { size: [1, 1], rgb: vec![0; 3] };
         let error = picture.write_png(Path::new("no/such/folder/a.png")).unwrap_err().to_string();
         assert!(error.contains("no/such/folder/a.png"), "{error}");
     }
@@ -116,7 +116,7 @@ mod tests {
     #[test]
     fn what_is_no_picture_is_refused() {
         let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
-        let error = Picture::read_png(&manifest).unwrap_err().to_string();
+        let error = RgbImage::read_png(&manifest).unwrap_err().to_string();
         assert!(error.contains("Cargo.toml as a PNG of 8-bit RGB"), "{error}");
     }
 }

@@ -284,7 +284,8 @@ fn quads(wall: &Wall, part: PixelRect, target_size: [u32; 2]) -> impl Iterator<I
     let fitted = PixelRect::fitted([part.width, part.height], target_size);
     let x_scale = f64::from(fitted.width) / f64::from(part.width.max(1));
     let y_scale = f64::from(fitted.height) / f64::from(part.height.max(1));
-    let shown = wall.projectors().iter().enumerate().filter(move |(_, projector)| part.holds(&projector.output));
+    let shown =
+        wall.projectors().iter().enumerate().filter(move |(_, projector)| part.contains_rect(&projector.output));
     shown.map(move |(index, projector)| {
         let PixelRect { x, y, width, height } = projector.output;
         // Edges, not extents, are scaled: neighbours share the same numbers, and no seam opens.

@@ -4,15 +4,15 @@ use glam::DVec2;
 use shared::division::FrameSize;
 use shared::srgb;
 
-use super::picture::Picture;
-use crate::wall::blend::{Share, share};
+use super::picture::RgbImage;
+use crate::wall::blend::{BlendWeight, blend_weight};
 use crate::wall::homography::apply;
 use crate::wall::{PixelRect, Projector, Wall};
 
 /// What [`super::Present::draw`] shows of a frame on a target of `target_size`.
 ///
 /// `rgba` holds the frame's samples as [`super::frame_texture::FrameTexture::upload`] takes them.
-pub fn present(size: FrameSize, rgba: &[u8], wall: &Wall, part: PixelRect, target_size: [u32; 2]) -> Picture {
+pub fn present(size: FrameSize, rgba: &[u8], wall: &Wall, part: PixelRect, target_size: [u32; 2]) -> RgbImage {
     let fitted = PixelRect::fitted([part.width, part.height], target_size);
     let scale =
         DVec2::new(f64::from(part.width) / f64::from(fitted.width), f64::from(part.height) / f64::from(fitted.height));
@@ -23,7 +23,7 @@ pub fn present(size: FrameSize, rgba: &[u8], wall: &Wall, part: PixelRect, targe
         // From the pixel's centre to the output that spans the projectors, in pixels of that output.
         let from_fitted = DVec2::new(f64::from(x) - f64::from(fitted.x), f64::from(y) - f64::from(fitted.y)) + 0.5;
         let output = DVec2::new(f64::from(part.x), f64::from(part.y)) + from_fitted * scale;
-        let shown = |projector: &&Projector| part.holds(&projector.output) && projector.output.contains(output);
+        let shown = |projector: &&Projector| part.contains_rect(&projector.output) && projector.output.contains(output);
         if let Some(projector_idx) = wall.projectors().iter().position(|projector| shown(&projector)) {
             let value = if wall.is_plain(projector_idx) {
                 plain(size, rgba, &wall.projectors()[projector_idx], output)
@@ -33,7 +33,7 @@ pub fn present(size: FrameSize, rgba: &[u8], wall: &Wall, part: PixelRect, targe
             encoded.copy_from_slice(&value);
         }
     }
-    Picture { size: target_size, rgb }
+    RgbImage { size: target_size, rgb }
 }
 
 /// A pixel of a projector that shows its part of the frame as it is.
@@ -46,8 +46,8 @@ fn plain(size: FrameSize, rgba: &[u8], projector: &Projector, output: DVec2) -> 
 /// in pixels of the output.
 fn corrected(size: FrameSize, rgba: &[u8], wall: &Wall, projector_idx: usize, output: DVec2, pixel: DVec2) -> [u8; 3] {
     let projector = &wall.projectors()[projector_idx];
-    let Some(place_from_raster) = projector.raster_from_place().map(|map| map.inverse()) else { return [0; 3] };
-    let place_of = |output: DVec2| apply(place_from_raster, raster_of(projector, output));
+    let Some(rect_from_raster) = projector.raster_from_rect().map(|map| map.inverse()) else { return [0; 3] };
+    let place_of = |output: DVec2| apply(rect_from_raster, raster_of(projector, output));
     let Some(place) = place_of(output) else { return [0; 3] };
 
     // The size of the pixel on the place, by what a hundredth of it makes there.
@@ -56,7 +56,7 @@ fn corrected(size: FrameSize, rgba: &[u8], wall: &Wall, projector_idx: usize, ou
     let extent = DVec2::new(per_column.x.hypot(per_row.x), per_column.y.hypot(per_row.y));
     let covered = (place.min(1.0 - place) / extent + 0.5).clamp(DVec2::ZERO, DVec2::ONE);
 
-    let Share { weight, leak } = share(wall.neighbours(projector_idx), place);
+    let BlendWeight { weight, leak } = blend_weight(wall.neighbours(projector_idx), place);
     let share = covered.x * covered.y * weight;
     let linear = frame_at(size, rgba, projector, place.clamp(DVec2::ZERO, DVec2::ONE));
     std::array::from_fn(|channel| {
@@ -74,7 +74,7 @@ fn raster_of(projector: &Projector, output: DVec2) -> DVec2 {
 
 /// Linear light of the frame at a point of a projector's place.
 fn frame_at(size: FrameSize, rgba: &[u8], projector: &Projector, place: DVec2) -> [f64; 3] {
-    let canvas = projector.canvas.canvas_of(place);
+    let canvas = projector.canvas.canvas_from_rect(place);
     bilinear(size, rgba, canvas.x * f64::from(size.xres()), canvas.y * f64::from(size.yres()))
 }
 

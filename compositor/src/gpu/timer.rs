@@ -12,7 +12,7 @@ pub(super) struct DrawTimer {
     resolved: wgpu::Buffer,
     readback: wgpu::Buffer,
     /// What the GPU is still to deliver.
-    on_its_way: Option<Arc<AtomicBool>>,
+    pending_readback: Option<Arc<AtomicBool>>,
     newest_ms: Option<f64>,
 }
 
@@ -41,7 +41,7 @@ impl DrawTimer {
             }),
             resolved: buffer("timestamps", wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC),
             readback: buffer("timestamps read back", wgpu::BufferUsages::MAP_READ),
-            on_its_way: None,
+            pending_readback: None,
             newest_ms: None,
         })
     }
@@ -51,7 +51,7 @@ impl DrawTimer {
         &self,
         [is_first, is_last]: [bool; 2],
     ) -> Option<wgpu::RenderPassTimestampWrites<'_>> {
-        (self.on_its_way.is_none() && (is_first || is_last)).then_some(wgpu::RenderPassTimestampWrites {
+        (self.pending_readback.is_none() && (is_first || is_last)).then_some(wgpu::RenderPassTimestampWrites {
             query_set: &self.timestamps,
             beginning_of_pass_write_index: is_first.then_some(0),
             end_of_pass_write_index: is_last.then_some(1),
@@ -60,11 +60,11 @@ impl DrawTimer {
 
     /// Right after the last pass, into the same encoder.
     pub(super) fn read_after(&mut self, encoder: &mut wgpu::CommandEncoder) {
-        if self.on_its_way.is_none() {
+        if self.pending_readback.is_none() {
             encoder.resolve_query_set(&self.timestamps, 0..2, &self.resolved, 0);
             encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.readback, 0, N_BYTES);
             let arrived = Arc::new(AtomicBool::new(false));
-            self.on_its_way = Some(Arc::clone(&arrived));
+            self.pending_readback = Some(Arc::clone(&arrived));
             encoder.map_buffer_on_submit(&self.readback, wgpu::MapMode::Read, .., move |_outcome| {
                 arrived.store(true, Ordering::Release);
             });
@@ -74,8 +74,8 @@ impl DrawTimer {
     pub(super) fn newest_ms(&mut self, gpu: &Gpu) -> Option<f64> {
         // A lost device is told by `Gpu::check`.
         let _ = gpu.device.poll(wgpu::PollType::Poll);
-        if self.on_its_way.as_ref().is_some_and(|arrived| arrived.load(Ordering::Acquire)) {
-            self.on_its_way = None;
+        if self.pending_readback.as_ref().is_some_and(|arrived| arrived.load(Ordering::Acquire)) {
+            self.pending_readback = None;
             // A mapping that failed has no range to get.
             if let Ok(bytes) = self.readback.get_mapped_range(..)
                 && let &[begin, end] = bytemuck::cast_slice::<u8, u64>(&bytes)

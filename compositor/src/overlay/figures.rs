@@ -3,26 +3,26 @@
 use egui::{Align, Layout, RichText, Ui};
 use shared::{
     division::Division,
-    protocol::{RayTree, View},
+    protocol::{LightingMode, ShadingMode},
     structure::Storage,
 };
 
 use super::{
     OverlayModel, Tint, history, nodes,
-    style::{self, Tone, box_of, metrics, section},
+    style::{self, Tone, callout, metrics, section},
 };
 use crate::control::input::Command;
 
 /// The storages of the grid, in the order in which a key steps through them; the first is as render servers were started.
 pub const STORAGES: [Option<Storage>; 4] =
-    [None, Some(Storage::Masks), Some(Storage::RowDisplacement), Some(Storage::Plain)];
+    [None, Some(Storage::Tree), Some(Storage::RowDisplacement), Some(Storage::Plain)];
 /// The densities of the grid, in the order in which a key steps through them, in cells per triangle.
 pub const DENSITIES: [u32; 6] = [4, 8, 16, 32, 64, 128];
 
 pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     headline(ui, model, commands);
     for message in &model.messages {
-        box_of(ui, Tone::Warning, |ui| {
+        callout(ui, Tone::Warning, |ui| {
             ui.label(message);
             if ui.small_button("Dismiss").clicked() {
                 commands.push(Command::DismissMessage);
@@ -57,21 +57,21 @@ fn headline(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
 /// Why there is nothing to see, or nothing new, and what to do.
 fn waiting(ui: &mut Ui, model: &OverlayModel) {
     if let Some((name, progress)) = &model.loading {
-        box_of(ui, Tone::Note, |ui| {
+        callout(ui, Tone::Note, |ui| {
             ui.label(format!("Reading {name}: {:.0} %", progress * 100.0));
             ui.add(egui::ProgressBar::new(*progress).desired_height(6.0));
         });
     }
     let n_ready = nodes::n_ready(&model.status);
     if model.status.nodes.is_empty() {
-        box_of(ui, Tone::Warning, |ui| {
+        callout(ui, Tone::Warning, |ui| {
             ui.label(RichText::new("No render server is connected.").strong());
             ui.label("Start one with:");
             ui.label(RichText::new(&model.join.command).monospace().color(style::ACCENT));
             ui.label(RichText::new(&model.join.note).small());
         });
     } else if n_ready < model.min_renderers as usize {
-        box_of(ui, Tone::Note, |ui| {
+        callout(ui, Tone::Note, |ui| {
             ui.label(format!("Waiting for render servers: {n_ready} of {} are ready.", model.min_renderers));
         });
     }
@@ -135,7 +135,7 @@ fn switches(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
         ui.end_row();
         ui.horizontal(|ui| ui.label("view (V)"));
         ui.horizontal(|ui| {
-            for view in View::ALL {
+            for view in ShadingMode::ALL {
                 if ui.selectable_label(view == model.view, view.name()).clicked() {
                     commands.push(Command::SetView(view));
                 }
@@ -175,7 +175,7 @@ fn switches(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
         ui.end_row();
         ui.horizontal(|ui| ui.label("rays (R)"));
         ui.horizontal(|ui| {
-            for rays in RayTree::ALL {
+            for rays in LightingMode::ALL {
                 if ui.selectable_label(rays == model.rays, rays.name()).clicked() {
                     commands.push(Command::SetRays(rays));
                 }

@@ -6,7 +6,7 @@ use egui::{Align, Label, Layout, RichText, Ui};
 use glam::DVec3;
 use shared::{protocol::SceneState, structure::Structure};
 
-use super::{OverlayModel, look, style};
+use super::{OverlayModel, appearance, style};
 use crate::control::input::Command;
 
 /// The panel's width in points.
@@ -80,8 +80,8 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
         ui.label(if model.views.is_empty() { "No views: Ctrl+1 to 9 keeps one" } else { "Views" });
         for &number in &model.views {
             let button = ui.small_button(number.to_string());
-            let spoken = format!("view {number}");
-            button.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &spoken));
+            let accessible_label = format!("view {number}");
+            button.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &accessible_label));
             if button.clicked() {
                 commands.push(Command::GoToView(number));
             }
@@ -98,7 +98,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
             commands.push(Command::TogglePlaying);
         }
     });
-    look::show(ui, &model.look, commands);
+    appearance::show(ui, &model.appearance, commands);
 }
 
 /// The most bytes of mesh and structure that a render server has in memory, and how many of them a triangle takes.

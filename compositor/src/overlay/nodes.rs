@@ -28,7 +28,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
         let head = row(ui, is_compact, node, swatch, frame_of(node), longest_ms);
         if is_compact {
             head.on_hover_ui(|ui| {
-                ui.label(where_and_how(node, frame_of(node)));
+                ui.label(address_and_threads(node, frame_of(node)));
                 details(ui, node, frame_of(node));
             });
         } else {
@@ -60,8 +60,9 @@ fn row(
     let (state, colour, reason) = state(node);
     let [trace, network, idle] = frame.map_or([0.0; 3], times);
     let bar = |ui: &mut Ui| {
-        let spoken = format!("{}: tracing {trace:.1} ms, network {network:.1} ms, idle {idle:.1} ms", node.name);
-        style::stacked_bar(ui, &[(trace, TRACE), (network, NETWORK), (idle, IDLE)], longest_ms, &spoken);
+        let accessible_label =
+            format!("{}: tracing {trace:.1} ms, network {network:.1} ms, idle {idle:.1} ms", node.name);
+        style::stacked_bar(ui, &[(trace, TRACE), (network, NETWORK), (idle, IDLE)], longest_ms, &accessible_label);
     };
     let head = ui.horizontal(|ui| {
         if let Some(swatch) = swatch {
@@ -77,7 +78,7 @@ fn row(
             });
         } else {
             ui.label(name);
-            ui.label(RichText::new(where_and_how(node, frame)).small().weak());
+            ui.label(RichText::new(address_and_threads(node, frame)).small().weak());
         }
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
             ui.label(RichText::new(state).color(colour));
@@ -111,7 +112,7 @@ fn details(ui: &mut Ui, node: &NodeStatus, frame: Option<&NodeFrameStats>) {
     );
 }
 
-fn where_and_how(node: &NodeStatus, frame: Option<&NodeFrameStats>) -> String {
+fn address_and_threads(node: &NodeStatus, frame: Option<&NodeFrameStats>) -> String {
     let threads = if node.threads == 1 { "thread" } else { "threads" };
     let failures = match node.n_failures {
         0 => String::new(),

@@ -9,26 +9,26 @@ use crate::wall::{Projector, homography::apply};
 
 /// Where a part of the canvas is seen in the window.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Place {
+pub struct ProjectorRegion {
     /// The part of the canvas, whose upper-left corner is (0, 0) and whose lower-right corner is (1, 1).
     pub canvas: Rect,
     /// Where the projector's pixels are in the window, in points.
     pub window: Rect,
-    /// From the part to those pixels, both from (0, 0) upper left to (1, 1): [`Projector::raster_from_place`].
-    pub raster_from_place: DMat3,
+    /// From the part to those pixels, both from (0, 0) upper left to (1, 1): [`Projector::raster_from_rect`].
+    pub raster_from_rect: DMat3,
 }
 
 /// What a projector does to straight lines of the canvas is drawn by so many cells a side.
 const N_CELLS: u16 = 12;
 
-impl Place {
+impl ProjectorRegion {
     /// That of a projector, whose pixels are somewhere in the window.
     pub fn new(projector: &Projector, window: Rect) -> Option<Self> {
-        Some(Self { canvas: on_canvas(projector), window, raster_from_place: projector.raster_from_place()? })
+        Some(Self { canvas: on_canvas(projector), window, raster_from_rect: projector.raster_from_rect()? })
     }
 
     /// Where a point of the canvas is in the window, (0, 0) upper left; `None` if the projector does not show it.
-    pub(super) fn of(&self, point: Pos2) -> Option<Pos2> {
+    pub(super) fn window_position(&self, point: Pos2) -> Option<Pos2> {
         let at = self.in_window((point - self.canvas.min) / self.canvas.size())?;
         (self.canvas.contains(point) && self.window.contains(at)).then_some(at)
     }
@@ -51,7 +51,7 @@ impl Place {
 
     /// Where a part of the place is in the window, or beyond its edges.
     fn in_window(&self, part: egui::Vec2) -> Option<Pos2> {
-        let raster = apply(self.raster_from_place, DVec2::new(part.x.into(), part.y.into()))?;
+        let raster = apply(self.raster_from_rect, DVec2::new(part.x.into(), part.y.into()))?;
         Some(self.window.min + vec2(raster.x as f32, raster.y as f32) * self.window.size())
     }
 }
@@ -76,18 +76,18 @@ mod tests {
     #[test]
     fn a_point_of_the_canvas_is_found_on_its_projector() {
         let window = Rect::from_min_size(pos2(100.0, 0.0), vec2(20.0, 1.0));
-        let place = Place::new(&right_half(), window).expect("upright");
-        assert_eq!(place.of(pos2(0.75, 0.5)), Some(pos2(110.0, 0.5)));
-        assert_eq!(place.of(pos2(0.25, 0.5)), None);
+        let place = ProjectorRegion::new(&right_half(), window).expect("upright");
+        assert_eq!(place.window_position(pos2(0.75, 0.5)), Some(pos2(110.0, 0.5)));
+        assert_eq!(place.window_position(pos2(0.25, 0.5)), None);
     }
 
     #[test]
     fn a_turned_projector_shows_it_turned_and_a_warped_one_cuts_it() {
         let window = Rect::from_min_size(pos2(0.0, 0.0), vec2(40.0, 20.0));
         let turned = Projector { rotation: Rotation::Right, ..right_half() };
-        let place = Place::new(&turned, window).expect("turned");
+        let place = ProjectorRegion::new(&turned, window).expect("turned");
         // Its upper edge is on the right: what is high on the canvas is left in its picture, what is right is high.
-        let at = place.of(pos2(0.975, 0.05)).expect("on the canvas");
+        let at = place.window_position(pos2(0.975, 0.05)).expect("on the canvas");
         assert!((at - pos2(2.0, 1.0)).length() < 1e-4, "{at}");
         let Shape::Mesh(mesh) = place.textured(egui::TextureId::default(), Color32::WHITE, |point| point) else {
             panic!("a mesh")
@@ -96,8 +96,8 @@ mod tests {
         assert_eq!(upper_right.pos, pos2(0.0, 0.0));
 
         let outwards = Projector { warp_px: [[-4.0, 0.0], [0.0; 2], [0.0; 2], [-4.0, 0.0]], ..right_half() };
-        let place = Place::new(&outwards, window).expect("warped");
-        assert_eq!(place.of(pos2(0.51, 0.5)), None, "left of its first pixel");
-        assert!(place.of(pos2(0.6, 0.5)).is_some());
+        let place = ProjectorRegion::new(&outwards, window).expect("warped");
+        assert_eq!(place.window_position(pos2(0.51, 0.5)), None, "left of its first pixel");
+        assert!(place.window_position(pos2(0.6, 0.5)).is_some());
     }
 }

@@ -63,7 +63,7 @@ pub(super) fn panel_frame() -> Frame {
 }
 
 /// A box that stands out from the panel.
-pub(super) fn box_of<R>(ui: &mut Ui, tone: Tone, add: impl FnOnce(&mut Ui) -> R) {
+pub(super) fn callout<R>(ui: &mut Ui, tone: Tone, add: impl FnOnce(&mut Ui) -> R) {
     let colour = match tone {
         Tone::Note => ACCENT,
         Tone::Warning => BUSY,
@@ -102,11 +102,11 @@ pub(super) fn legend(ui: &mut Ui, text: &str, colours: &[(&str, Color32)]) {
     });
 }
 
-/// Parts of a whole side by side, each in its colour; `spoken` says them in words.
-pub(super) fn stacked_bar(ui: &mut Ui, parts: &[(f64, Color32)], whole: f64, spoken: &str) {
+/// Parts of a whole side by side, each in its colour; `accessible_label` says them in words.
+pub(super) fn stacked_bar(ui: &mut Ui, parts: &[(f64, Color32)], whole: f64, accessible_label: &str) {
     let size = egui::vec2(ui.available_width(), 9.0);
     let (rect, response) = ui.allocate_exact_size(size, egui::Sense::hover());
-    response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Meter, true, spoken));
+    response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Meter, true, accessible_label));
     ui.painter().rect_filled(rect, 2.0, Color32::from_white_alpha(14));
     let mut left = rect.min.x;
     for &(part, colour) in parts {
@@ -125,10 +125,10 @@ pub(super) fn metrics<const N: usize>(ui: &mut Ui, figures: &[(&str, String); N]
             column.spacing_mut().item_spacing.y = 0.0;
             column.style_mut().wrap_mode = Some(egui::TextWrapMode::Extend);
             column.label(RichText::new(*name).small().weak());
-            let spoken = format!("{name} {value}");
+            let accessible_label = format!("{name} {value}");
             column
                 .label(RichText::new(value).strong())
-                .widget_info(|| egui::WidgetInfo::labeled(egui::Role::Label, true, &spoken));
+                .widget_info(|| egui::WidgetInfo::labeled(egui::Role::Label, true, &accessible_label));
         }
     });
 }

@@ -81,7 +81,7 @@ pub(super) fn running() -> OverlayModel {
                 bytes_out: 210,
             })
             .collect(),
-        works: Default::default(),
+        tasks: Default::default(),
     };
     let display = DisplayStats { upload_ms: 0.5, draw_ms: 2.25, present_ms: 0.125, latency_ms: 41.0 };
     OverlayModel {
@@ -97,7 +97,7 @@ pub(super) fn running() -> OverlayModel {
                     Some(SceneState::Ready {
                         triangles: 1_000_000,
                         bytes: 39_000_000,
-                        grid: Some(Structure { storage: Storage::Masks, density: 64.0 }),
+                        grid: Some(Structure { storage: Storage::Tree, density: 64.0 }),
                     }),
                 ),
                 node(2, "south", Some(SceneState::Ready { triangles: 1_000_000, bytes: 1, grid: None })),
@@ -340,8 +340,8 @@ fn no_window_is_too_small_for_any_panel() {
     let files =
         Some(FileList { entries: vec![FileEntry { name: "a.ply".to_owned(), bytes: Some(1) }], ..FileList::default() });
     let wall = Wall::of_one_output([4, 4]);
-    let place = Place::new(&wall.projectors()[0], egui::Rect::ZERO).expect("upright");
-    let model = OverlayModel { files, tint: Tint::Cost, places: vec![place], note: Some("a".to_owned()), ..running() };
+    let place = ProjectorRegion::new(&wall.projectors()[0], egui::Rect::ZERO).expect("upright");
+    let model = OverlayModel { files, tint: Tint::Cost, regions: vec![place], note: Some("a".to_owned()), ..running() };
     for side in [1.0, 17.0, 64.0] {
         let mut harness = Harness::builder().with_size([side, side]).with_context_setup(apply_style).build_ui(|ui| {
             show(ui, &model);
@@ -360,16 +360,16 @@ fn columns(n_monitors: usize) -> OverlayModel {
     };
     let projectors: String = (0..n_monitors).map(projector).collect();
     let wall = Wall::from_toml("columns", &format!("canvas_m = [{n_monitors}, 1]\n{projectors}")).expect("a wall");
-    let outputs =
-        (0..n_monitors).map(|index| OutputState { monitor: Some(format!("DP-{index}")), shows: Shows::Frame(41) });
+    let outputs = (0..n_monitors)
+        .map(|index| OutputState { monitor: Some(format!("DP-{index}")), shows: OutputContent::Frame(41) });
     OverlayModel { wall: WallDrawing::new(&wall), outputs: outputs.collect(), ..running() }
 }
 
 #[test]
 fn each_projector_is_drawn_with_what_its_output_shows() {
     let mut model = columns(3);
-    model.outputs[1].shows = Shows::MonitorMissing;
-    model.outputs[2].shows = Shows::Nothing;
+    model.outputs[1].shows = OutputContent::MonitorMissing;
+    model.outputs[2].shows = OutputContent::Nothing;
     commands_of(&model, |harness| {
         let at = |label| harness.get_by_label(label).rect();
         let drawn =
@@ -391,7 +391,7 @@ fn each_projector_is_drawn_with_what_its_output_shows() {
 #[test]
 fn of_many_outputs_those_that_show_nothing_are_named() {
     let mut model = columns(9);
-    model.outputs[7].shows = Shows::MonitorMissing;
+    model.outputs[7].shows = OutputContent::MonitorMissing;
     commands_of(&model, |harness| {
         harness.get_by_label("8 of 9 outputs show frames");
         harness.get_by_label("DP-7");

@@ -6,7 +6,7 @@ use egui::{Color32, ColorImage, LayerId, Pos2, TextureHandle, TextureOptions, Ui
 use shared::division::{FrameSize, Share, TILE_SIZE};
 
 use super::OverlayModel;
-use crate::farm::stats::{FrameStats, FrameWork, NodeId};
+use crate::farm::stats::{FrameStats, FrameTask, NodeId};
 
 /// What the picture is tinted by.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -47,7 +47,7 @@ const OPACITY: f32 = 0.45;
 /// Draws the tint over the picture, under all panels.
 pub(super) fn show(ui: &Ui, model: &OverlayModel) {
     let (Some(frame), tint) = (&model.frame, model.tint) else { return };
-    if tint == Tint::None || frame.works.is_empty() {
+    if tint == Tint::None || frame.tasks.is_empty() {
         return;
     }
     let id = egui::Id::unique("tint");
@@ -65,11 +65,11 @@ pub(super) fn show(ui: &Ui, model: &OverlayModel) {
     let unit = if texels == size_vec(frame.size) { 1.0 } else { TILE_SIZE as f32 };
     let frame_in_texture = size_vec(frame.size) / (texels * unit);
     let painter = ui.ctx().layer_painter(LayerId::background());
-    for place in &model.places {
+    for region in &model.regions {
         // Frames and textures of them begin at the bottom.
         let uv = |point: Pos2| (egui::vec2(point.x, 1.0 - point.y) * frame_in_texture).to_pos2();
         let colour = Color32::WHITE.gamma_multiply(OPACITY);
-        painter.with_clip_rect(place.window).add(place.textured(texture.id(), colour, uv));
+        painter.with_clip_rect(region.window).add(region.textured(texture.id(), colour, uv));
     }
 }
 
@@ -78,7 +78,7 @@ pub(super) fn mark_pick(ui: &Ui, model: &OverlayModel) {
     let Some(point) = model.pick_on_canvas else { return };
     let painter = ui.ctx().layer_painter(LayerId::background());
     // Where projectors overlap, each shows its part of the mark.
-    for at in model.places.iter().filter_map(|place| place.of(point)) {
+    for at in model.regions.iter().filter_map(|region| region.window_position(point)) {
         painter.circle_stroke(at, 9.0, egui::Stroke::new(4.0, Color32::from_black_alpha(160)));
         painter.circle_stroke(at, 9.0, egui::Stroke::new(2.0, super::style::ACCENT));
         painter.circle_filled(at, 1.5, super::style::ACCENT);
@@ -92,8 +92,8 @@ fn size_vec(size: FrameSize) -> egui::Vec2 {
 /// One texel for each unit of the frame, the bottom row first: tiles, or samples where the frame is divided by samples.
 fn image(tint: Tint, frame: &FrameStats) -> ColorImage {
     let size = frame.size;
-    let shares = || frame.works.iter().filter_map(|work| Some((work, work.work.share(size).ok()?)));
-    let is_by_tiles = shares().any(|(_, share)| share.units().whole_unit_samples() > 1);
+    let shares = || frame.tasks.iter().filter_map(|task| Some((task, task.task.share(size).ok()?)));
+    let is_by_tiles = shares().any(|(_, share)| share.units().samples_per_full_unit() > 1);
     let unit = if is_by_tiles { TILE_SIZE } else { 1 };
     let texels = [size.xres().div_ceil(unit), size.yres().div_ceil(unit)].map(|side| side as usize);
     let mut image = ColorImage::filled(texels, Color32::TRANSPARENT);
@@ -107,12 +107,12 @@ fn image(tint: Tint, frame: &FrameStats) -> ColorImage {
     match tint {
         Tint::None => {}
         Tint::Nodes => {
-            for (work, share) in shares() {
-                (0..share.count()).for_each(|k| set(&share, k, node_colour(work.node)));
+            for (task, share) in shares() {
+                (0..share.count()).for_each(|k| set(&share, k, node_colour(task.node)));
             }
         }
         Tint::Cost => {
-            let costs: Vec<_> = shares().map(|(work, share)| unit_costs(work, &share)).collect();
+            let costs: Vec<_> = shares().map(|(task, share)| unit_costs(task, &share)).collect();
             let range = usual_range(costs.iter().flatten().copied());
             for ((_, share), costs) in shares().zip(&costs) {
                 (0..).zip(costs).for_each(|(k, &cost)| set(&share, k, heat(cost, &range)));
@@ -123,12 +123,12 @@ fn image(tint: Tint, frame: &FrameStats) -> ColorImage {
 }
 
 /// CPU time of each unit of a work in nanoseconds: as its block was measured, or the work's mean.
-fn unit_costs(work: &FrameWork, share: &Share<'_>) -> Vec<f32> {
+fn unit_costs(task: &FrameTask, share: &Share<'_>) -> Vec<f32> {
     let n_units = share.count();
-    let mean = work.trace_cpu_ns as f32 / n_units.max(1) as f32;
+    let mean = task.trace_cpu_ns as f32 / n_units.max(1) as f32;
     let mut costs = vec![mean; n_units as usize];
-    if work.costs.fit(n_units) {
-        for (units, cpu_ns) in work.costs.blocks(n_units) {
+    if task.costs.fits(n_units) {
+        for (units, cpu_ns) in task.costs.runs(n_units) {
             let each = cpu_ns as f32 / units.len().max(1) as f32;
             units.for_each(|k| costs[k as usize] = each);
         }
@@ -159,20 +159,20 @@ fn heat(cost: f32, range: &RangeInclusive<f32>) -> Color32 {
 
 #[cfg(test)]
 mod tests {
-    use shared::{division::Division, protocol::BlockCosts};
+    use shared::{division::Division, protocol::RunCosts};
 
     use super::*;
     use crate::overlay::tests::running;
 
     fn frame(division: Division, size: [u32; 2], machines: u32) -> FrameStats {
-        let works = (0..machines).map(|machine| FrameWork {
+        let tasks = (0..machines).map(|machine| FrameTask {
             node: NodeId(machine + 1),
-            work: division.work(machine, machines),
+            task: division.task(machine, machines),
             trace_cpu_ns: 1000 * (u64::from(machine) + 1),
-            costs: BlockCosts::default(),
+            costs: RunCosts::default(),
         });
         let size = FrameSize::new(size[0], size[1]).unwrap();
-        FrameStats { size, works: works.collect(), ..running().frame.unwrap() }
+        FrameStats { size, tasks: tasks.collect(), ..running().frame.unwrap() }
     }
 
     #[test]
@@ -191,9 +191,9 @@ mod tests {
     fn measured_blocks_have_their_own_colours_and_others_the_mean() {
         let mut frame = frame(Division::Dynamic, [32, 8], 1);
         assert_eq!(image(Tint::Cost, &frame).pixels, vec![heat(1.0, &(0.0..=1.0)); 4], "one cost for all");
-        let mut works = frame.works.to_vec();
-        works[0].costs = BlockCosts { block_units: 2, cpu_ns: vec![100, 900] };
-        frame.works = works.into();
+        let mut tasks = frame.tasks.to_vec();
+        tasks[0].costs = RunCosts { run_units: 2, cpu_ns: vec![100, 900] };
+        frame.tasks = tasks.into();
         let mut colours = image(Tint::Cost, &frame).pixels;
         colours.sort_by_key(Color32::to_array);
         let mut expected = [50.0, 50.0, 450.0, 450.0].map(|cost| heat(cost, &(0.0..=450.0)));

@@ -10,7 +10,7 @@ use crate::wall::Wall;
 /// The panel's width in points.
 pub(super) const WIDTH: f32 = 310.0;
 /// The drawing is at most so high, in points.
-const HIGHEST: f32 = 190.0;
+const MAX_HEIGHT: f32 = 190.0;
 /// With more outputs than this, only those that show nothing have a line.
 const MOST_LINES: usize = 4;
 /// With more projectors than this they are outlines without names.
@@ -39,12 +39,12 @@ pub struct OutputState {
     /// The monitor's name; `None` for a window that may be anywhere.
     pub monitor: Option<String>,
     /// What it shows.
-    pub shows: Shows,
+    pub shows: OutputContent,
 }
 
 /// What an output shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Shows {
+pub enum OutputContent {
     /// Nothing yet.
     #[default]
     Nothing,
@@ -77,20 +77,20 @@ impl OutputState {
         self.monitor.as_deref().unwrap_or("window")
     }
 
-    fn words(&self) -> String {
+    fn state_text(&self) -> String {
         match self.shows {
-            Shows::Nothing => "nothing yet".to_owned(),
-            Shows::MonitorMissing => "monitor missing".to_owned(),
-            Shows::Black => "black".to_owned(),
-            Shows::Frame(number) => format!("frame {number}"),
+            OutputContent::Nothing => "nothing yet".to_owned(),
+            OutputContent::MonitorMissing => "monitor missing".to_owned(),
+            OutputContent::Black => "black".to_owned(),
+            OutputContent::Frame(number) => format!("frame {number}"),
         }
     }
 
     fn colour(&self) -> Color32 {
         match self.shows {
-            Shows::Nothing | Shows::Black => style::BUSY,
-            Shows::MonitorMissing => style::BAD,
-            Shows::Frame(_) => style::GOOD,
+            OutputContent::Nothing | OutputContent::Black => style::BUSY,
+            OutputContent::MonitorMissing => style::BAD,
+            OutputContent::Frame(_) => style::GOOD,
         }
     }
 }
@@ -106,16 +106,16 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
         });
     });
     draw(ui, drawing, outputs);
-    let n_showing = outputs.iter().filter(|output| matches!(output.shows, Shows::Frame(_))).count();
-    let are_many = outputs.len() > MOST_LINES;
-    if are_many {
+    let n_showing = outputs.iter().filter(|output| matches!(output.shows, OutputContent::Frame(_))).count();
+    let is_long = outputs.len() > MOST_LINES;
+    if is_long {
         ui.label(format!("{n_showing} of {} outputs show frames", outputs.len()));
     }
-    for output in outputs.iter().filter(|output| !are_many || !matches!(output.shows, Shows::Frame(_))) {
+    for output in outputs.iter().filter(|output| !is_long || !matches!(output.shows, OutputContent::Frame(_))) {
         ui.horizontal(|ui| {
             ui.label(output.name());
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                ui.label(RichText::new(output.words()).color(output.colour()));
+                ui.label(RichText::new(output.state_text()).color(output.colour()));
             });
         });
     }
@@ -123,8 +123,8 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
 
 /// The projectors at their places, in the colours of their outputs' states.
 fn draw(ui: &mut Ui, drawing: &WallDrawing, outputs: &[OutputState]) {
-    let width = ui.available_width().min(HIGHEST * drawing.aspect).max(1.0);
-    let (canvas, _) = ui.allocate_exact_size(vec2(width, (width / drawing.aspect).min(HIGHEST)), Sense::hover());
+    let width = ui.available_width().min(MAX_HEIGHT * drawing.aspect).max(1.0);
+    let (canvas, _) = ui.allocate_exact_size(vec2(width, (width / drawing.aspect).min(MAX_HEIGHT)), Sense::hover());
     ui.painter().rect_filled(canvas, 0.0, Color32::from_white_alpha(10));
     let has_names = drawing.projectors.len() <= MOST_NAMES;
     for (index, outline) in drawing.projectors.iter().enumerate() {
@@ -152,9 +152,9 @@ fn draw(ui: &mut Ui, drawing: &WallDrawing, outputs: &[OutputState]) {
             let font = FontId::proportional(size);
             ui.painter().text(rect.center(), Align2::CENTER_CENTER, &outline.name, font, text_colour);
         }
-        let spoken = format!("{} on {}: {}", outline.name, output.name(), output.words());
+        let accessible_label = format!("{} on {}: {}", outline.name, output.name(), output.state_text());
         let response = ui.interact(rect, ui.scope_id().with(("projector", index)), Sense::hover());
-        response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, &spoken));
-        response.on_hover_text(spoken);
+        response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, &accessible_label));
+        response.on_hover_text(accessible_label);
     }
 }

@@ -18,27 +18,27 @@ use x11rb::{
 use crate::wall::OnLoss;
 
 /// The X server's screen.
-pub(super) struct Screen {
+pub(super) struct XDesktop {
     connection: Rc<RustConnection>,
     number: usize,
 }
 
 /// A window of the wall.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Seen {
+pub(super) struct WallWindow {
     /// The X server's number for it.
     pub(super) id: u32,
     /// Where on the desktop it was seen last.
-    pub(super) place: Option<Rectangle>,
+    pub(super) rect: Option<Rectangle>,
 }
 
 /// Windows above all others; dropped, they close.
-pub(super) struct Cover {
+pub(super) struct DesktopCover {
     connection: Rc<RustConnection>,
     windows: Vec<u32>,
 }
 
-impl Screen {
+impl XDesktop {
     /// `None` without an X server that shows the wall, which is logged.
     pub(super) fn connect() -> Option<Self> {
         let is_wayland = std::env::var_os("WAYLAND_DISPLAY").is_some_and(|name| !name.is_empty());
@@ -53,21 +53,21 @@ impl Screen {
     }
 
     /// Finds out where windows are; those that are no longer there stay where they were.
-    pub(super) fn find(&self, windows: &mut [Seen]) {
-        windows.iter_mut().for_each(|window| window.place = self.place_of(window.id).or(window.place));
+    pub(super) fn find(&self, windows: &mut [WallWindow]) {
+        windows.iter_mut().for_each(|window| window.rect = self.visible_rect(window.id).or(window.rect));
     }
 
     /// Hides the desktop where these windows are or were, by what is seen there now or by black.
     ///
     /// `None` if that fails, which is logged, or if there is nothing to hide.
-    pub(super) fn cover(&self, windows: &[Seen], on_loss: OnLoss) -> Option<Cover> {
-        let mut cover = Cover { connection: Rc::clone(&self.connection), windows: Vec::new() };
+    pub(super) fn cover(&self, windows: &[WallWindow], on_loss: OnLoss) -> Option<DesktopCover> {
+        let mut cover = DesktopCover { connection: Rc::clone(&self.connection), windows: Vec::new() };
         for window in windows {
             // What was closed shows the desktop already.
-            let now = self.place_of(window.id);
+            let now = self.visible_rect(window.id);
             let shows_last = now.is_some() && on_loss == OnLoss::LastFrame;
-            let Some(place) = now.or(window.place) else { continue };
-            match self.cover_place(place, shows_last) {
+            let Some(rect) = now.or(window.rect) else { continue };
+            match self.cover_rect(rect, shows_last) {
                 Ok(id) => cover.windows.push(id),
                 Err(error) => tracing::warn!("the desktop cannot be covered: {error:#}"),
             }
@@ -76,7 +76,7 @@ impl Screen {
     }
 
     /// Closes windows that a wall has left behind, and all else that the server keeps of it.
-    pub(super) fn forget(&self, windows: &[Seen]) {
+    pub(super) fn forget(&self, windows: &[WallWindow]) {
         for window in windows {
             // The first takes all others of its wall with it, and what is gone needs no closing.
             if let Ok(request) = self.connection.kill_client(window.id) {
@@ -86,7 +86,7 @@ impl Screen {
     }
 
     /// `None` for a window that is not to be seen.
-    fn place_of(&self, window: u32) -> Option<Rectangle> {
+    fn visible_rect(&self, window: u32) -> Option<Rectangle> {
         let root = self.root();
         let attributes = self.connection.get_window_attributes(window).ok()?.reply().ok()?;
         let geometry = self.connection.get_geometry(window).ok()?.reply().ok()?;
@@ -95,9 +95,9 @@ impl Screen {
         (attributes.map_state == MapState::VIEWABLE).then_some(Rectangle { x, y, width, height })
     }
 
-    fn cover_place(&self, place: Rectangle, shows_last: bool) -> anyhow::Result<u32> {
+    fn cover_rect(&self, rect: Rectangle, shows_last: bool) -> anyhow::Result<u32> {
         let (connection, root) = (&self.connection, self.root());
-        let Rectangle { x, y, width, height } = place;
+        let Rectangle { x, y, width, height } = rect;
         let screen = &connection.setup().roots[self.number];
         // A cursor without a pixel.
         let (shape, clear, cursor) = (connection.generate_id()?, connection.generate_id()?, connection.generate_id()?);
@@ -106,22 +106,23 @@ impl Screen {
         connection.poly_fill_rectangle(shape, clear, &[Rectangle { x: 0, y: 0, width: 1, height: 1 }])?;
         connection.create_cursor(cursor, shape, shape, 0, 0, 0, 0, 0, 0, 0, 0)?;
         // Window managers leave it alone.
-        let look = CreateWindowAux::new().override_redirect(1).cursor(cursor);
+        let attributes = CreateWindowAux::new().override_redirect(1).cursor(cursor);
         let (picture, copying) = (connection.generate_id()?, connection.generate_id()?);
-        let look = if shows_last {
+        let attributes = if shows_last {
             connection.create_pixmap(screen.root_depth, picture, root, width, height)?;
             // Windows are part of what is seen.
             let of_all = CreateGCAux::new().subwindow_mode(SubwindowMode::INCLUDE_INFERIORS);
             connection.create_gc(copying, root, &of_all)?;
             connection.copy_area(root, picture, copying, x, y, 0, 0, width, height)?;
-            look.background_pixmap(picture)
+            attributes.background_pixmap(picture)
         } else {
-            look.background_pixel(screen.black_pixel)
+            attributes.background_pixel(screen.black_pixel)
         };
         let window = connection.generate_id()?;
         let (depth, visual) = (x11rb::COPY_DEPTH_FROM_PARENT, x11rb::COPY_FROM_PARENT);
         let class = WindowClass::INPUT_OUTPUT;
-        let created = connection.create_window(depth, window, root, x, y, width, height, 0, class, visual, &look)?;
+        let created =
+            connection.create_window(depth, window, root, x, y, width, height, 0, class, visual, &attributes)?;
         connection.map_window(window)?;
         // The window keeps what it needs of them.
         connection.free_cursor(cursor)?;
@@ -140,7 +141,7 @@ impl Screen {
     }
 }
 
-impl Cover {
+impl DesktopCover {
     /// Puts it above windows that have opened since.
     pub(super) fn raise(&self) {
         for &window in &self.windows {
@@ -151,7 +152,7 @@ impl Cover {
     }
 }
 
-impl Drop for Cover {
+impl Drop for DesktopCover {
     fn drop(&mut self) {
         for &window in &self.windows {
             // As above.

@@ -4,37 +4,37 @@ use crate::wall::OnLoss;
 
 /// There is none.
 #[derive(Debug)]
-pub enum Ward {}
+pub enum SupervisorLink {}
 
-impl Ward {
+impl SupervisorLink {
     /// No process has a guard.
     pub fn of_this_process() -> Option<Self> {
         None
     }
 
     /// Never called.
-    pub fn on_leave(&self, _: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
+    pub fn on_stop_request(&self, _: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
         match *self {}
     }
 
     /// Never called.
-    pub fn die_of_panics(&self) {
+    pub fn abort_on_panic(&self) {
         match *self {}
     }
 
     /// Never called.
-    pub fn has_windows(&mut self, _: impl IntoIterator<Item = u32>) {
+    pub fn report_windows(&mut self, _: impl IntoIterator<Item = u32>) {
         match *self {}
     }
 
     /// Never called.
-    pub fn shows_a_frame(&mut self) {
+    pub fn report_first_frame(&mut self) {
         match *self {}
     }
 }
 
 /// Whether walls can have one.
-pub const IS_POSSIBLE: bool = false;
+pub const IS_SUPPORTED: bool = false;
 
 /// Never called.
 pub fn run(_: OnLoss) -> anyhow::Result<()> {

@@ -16,13 +16,13 @@ pub(super) const SHOWN: &str = "shown";
 
 /// Tells the guard what the wall does.
 #[derive(Debug)]
-pub struct Ward {
+pub struct SupervisorLink {
     guard: UnixStream,
     windows: Vec<u32>,
     has_shown: bool,
 }
 
-impl Ward {
+impl SupervisorLink {
     /// To the guard that started this process, if one did.
     pub fn of_this_process() -> Option<Self> {
         std::env::var_os(GUARDED)?;
@@ -31,7 +31,7 @@ impl Ward {
     }
 
     /// Calls `leave` when the guard wants the wall to end, or has ended itself.
-    pub fn on_leave(&self, leave: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
+    pub fn on_stop_request(&self, leave: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
         let mut guard = self.guard.try_clone()?;
         let wait = move || {
             // It never says a word: what comes is the end.
@@ -43,10 +43,10 @@ impl Ward {
 
     /// Has a panic of the main thread end the process at once, as other faults do: the windows it would close on its way
     /// out are what the guard keeps on screen.
-    pub fn die_of_panics(&self) {
-        let tell = std::panic::take_hook();
+    pub fn abort_on_panic(&self) {
+        let default_hook = std::panic::take_hook();
         std::panic::set_hook(Box::new(move |panic| {
-            tell(panic);
+            default_hook(panic);
             if thread::current().name() == Some("main") {
                 std::process::abort();
             }
@@ -54,7 +54,7 @@ impl Ward {
     }
 
     /// Tells of the windows that there are, by the X server's numbers.
-    pub fn has_windows(&mut self, windows: impl IntoIterator<Item = u32>) {
+    pub fn report_windows(&mut self, windows: impl IntoIterator<Item = u32>) {
         for window in windows {
             if !self.windows.contains(&window) {
                 self.windows.push(window);
@@ -64,14 +64,14 @@ impl Ward {
     }
 
     /// Tells that a frame is on screen; the guard hears of the first.
-    pub fn shows_a_frame(&mut self) {
+    pub fn report_first_frame(&mut self) {
         if !std::mem::replace(&mut self.has_shown, true) {
             self.say(SHOWN);
         }
     }
 
     fn say(&mut self, line: &str) {
-        // That the guard is gone is told by `on_leave`.
+        // That the guard is gone is told by `on_stop_request`.
         let _ = writeln!(self.guard, "{line}");
     }
 }

@@ -14,18 +14,18 @@ pub struct Neighbour {
     pub blends: bool,
     /// Its black level.
     pub black_level: f64,
-    /// A point of the projector's place, in units of that place, is at `place_origin + place_scale * point` in the
+    /// A point of the projector's place, in units of that place, is at `rect_origin + rect_scale * point` in the
     /// neighbour's place.
-    pub place_scale: DVec2,
-    /// See `place_scale`.
-    pub place_origin: DVec2,
-    /// From the projector's place to the neighbour's pixels, as [`Projector::raster_from_place`] counts both.
-    pub raster_from_place: DMat3,
+    pub rect_scale: DVec2,
+    /// See `rect_scale`.
+    pub rect_origin: DVec2,
+    /// From the projector's place to the neighbour's pixels, as [`Projector::raster_from_rect`] counts both.
+    pub raster_from_rect: DMat3,
     /// The columns and rows of those pixels.
     pub raster_size: DVec2,
     /// Which edges of its place its light fades towards, 1 or 0: left, upper, right, lower. Not those on the canvas's
     /// own edges, beyond which nobody takes over.
-    pub place_edges: DVec4,
+    pub rect_edges: DVec4,
     /// The same for the edges of its pixels: those that cut the place.
     pub raster_edges: DVec4,
     /// Beyond this rectangle of the projector's place, least and greatest corner, it makes no difference.
@@ -34,7 +34,7 @@ pub struct Neighbour {
 
 /// What one projector does at one point of its place.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Share {
+pub struct BlendWeight {
     /// Its part of the picture's light, from 0 to 1. All projectors' parts add up to 1.
     pub weight: f64,
     /// The light of all projectors' black there.
@@ -50,7 +50,7 @@ pub const LEAST_DISTANCE: f64 = 1e-5;
 
 /// The neighbours of each projector, itself first; or a projector that has too many, and how many.
 pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usize, usize)> {
-    let maps: Vec<Option<DMat3>> = projectors.iter().map(Projector::raster_from_place).collect();
+    let maps: Vec<Option<DMat3>> = projectors.iter().map(Projector::raster_from_rect).collect();
     let boxes: Vec<_> = projectors.iter().map(|projector| bounds(&lit_corners(projector))).collect();
     let of = |projector_idx: usize| {
         let projector = &projectors[projector_idx];
@@ -62,18 +62,18 @@ pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usiz
                 return None;
             }
             let (place, other_place) = (projector.canvas, other.canvas);
-            let place_origin = other_place.place_of(place.canvas_of(DVec2::ZERO));
-            let place_scale = DVec2::new(place.width / other_place.width, place.height / other_place.height);
-            let other_from_place = DMat3::from_translation(place_origin) * DMat3::from_scale(place_scale);
+            let rect_origin = other_place.rect_from_canvas(place.canvas_from_rect(DVec2::ZERO));
+            let rect_scale = DVec2::new(place.width / other_place.width, place.height / other_place.height);
+            let other_from_place = DMat3::from_translation(rect_origin) * DMat3::from_scale(rect_scale);
             Some(Neighbour {
                 projector_idx: other_idx,
                 blends,
                 black_level: other.black_level,
-                place_scale,
-                place_origin,
-                raster_from_place: maps[other_idx]? * other_from_place,
+                rect_scale,
+                rect_origin,
+                raster_from_rect: maps[other_idx]? * other_from_place,
                 raster_size: DVec2::new(f64::from(other.output.width), f64::from(other.output.height)),
-                place_edges: inner_edges(other.canvas),
+                rect_edges: inner_edges(other.canvas),
                 raster_edges: cutting_edges(maps[other_idx]?),
                 reach: reach(projector, other, boxes[other_idx].filter(|_| leaks)),
             })
@@ -89,28 +89,28 @@ pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usiz
 ///
 /// The weight of a projector is the product of the distances from the edges that it fades towards, over the sum of all
 /// these products: continuous, and for a regular wall the same along the whole of an edge.
-pub fn share(neighbours: &[Neighbour], place: DVec2) -> Share {
+pub fn blend_weight(neighbours: &[Neighbour], place: DVec2) -> BlendWeight {
     // Pixels that an edge of the place cuts count as within.
     let within = place.clamp(DVec2::ZERO, DVec2::ONE);
-    let emphasis = |neighbour: &Neighbour| {
-        let place = neighbour.place_origin + neighbour.place_scale * within;
-        match apply(neighbour.raster_from_place, within) {
+    let raw_weight = |neighbour: &Neighbour| {
+        let place = neighbour.rect_origin + neighbour.rect_scale * within;
+        match apply(neighbour.raster_from_rect, within) {
             Some(raster) if neighbour.blends => {
-                distances(place, neighbour.place_edges) * distances(raster, neighbour.raster_edges)
+                distances(place, neighbour.rect_edges) * distances(raster, neighbour.raster_edges)
             }
             _ => 0.0,
         }
     };
     // A pixel at the edge gives its light on both sides of it.
     let leak = |neighbour: &Neighbour| {
-        let covered = apply(neighbour.raster_from_place, place).map_or(DVec2::ZERO, |raster| {
+        let covered = apply(neighbour.raster_from_rect, place).map_or(DVec2::ZERO, |raster| {
             (raster.min(1.0 - raster) * neighbour.raster_size + 0.5).clamp(DVec2::ZERO, DVec2::ONE)
         });
         neighbour.black_level * covered.x * covered.y
     };
-    let own = neighbours.first().map_or(0.0, emphasis);
-    let all: f64 = neighbours.iter().map(emphasis).sum();
-    Share { weight: if all > 0.0 { own / all } else { 0.0 }, leak: neighbours.iter().map(leak).sum() }
+    let own = neighbours.first().map_or(0.0, raw_weight);
+    let all: f64 = neighbours.iter().map(raw_weight).sum();
+    BlendWeight { weight: if all > 0.0 { own / all } else { 0.0 }, leak: neighbours.iter().map(leak).sum() }
 }
 
 /// Where on a projector's place another gives a share of the picture, or of its black if it `lights` that part of the
@@ -121,7 +121,7 @@ fn reach(projector: &Projector, other: &Projector, lights: Option<[DVec2; 2]>) -
         (least, greatest) = (least.min(lit_least), greatest.max(lit_greatest));
     }
     let margin = 2.0 * pixel_of(projector).max(pixel_of(other));
-    let corners = [least - margin, greatest + margin].map(|corner| projector.canvas.place_of(corner));
+    let corners = [least - margin, greatest + margin].map(|corner| projector.canvas.rect_from_canvas(corner));
     [corners[0].min(corners[1]), corners[0].max(corners[1])]
 }
 
@@ -147,8 +147,8 @@ fn inner_edges(CanvasRect { left, bottom, width, height }: CanvasRect) -> DVec4 
 }
 
 /// Which edges of a projector's pixels have a part of its place, more than a rounding error, beyond them.
-fn cutting_edges(raster_from_place: DMat3) -> DVec4 {
-    let corners = UNIT_SQUARE.map(|corner| apply(raster_from_place, corner).map_or(DVec4::ZERO, distances_from_edges));
+fn cutting_edges(raster_from_rect: DMat3) -> DVec4 {
+    let corners = UNIT_SQUARE.map(|corner| apply(raster_from_rect, corner).map_or(DVec4::ZERO, distances_from_edges));
     let nearest = corners.into_iter().fold(DVec4::INFINITY, DVec4::min);
     nearest.map(|distance| f64::from(u8::from(distance < -LEAST_DISTANCE)))
 }
@@ -204,7 +204,7 @@ fn boxes_meet([a_min, a_max]: [DVec2; 2], [b_min, b_max]: [DVec2; 2]) -> bool {
 
 /// The corners of what a projector's pixels light on the canvas, in order.
 fn lit_corners(projector: &Projector) -> Option<[DVec2; 4]> {
-    Some(projector.raster_corners_in_place()?.map(|corner| projector.canvas.canvas_of(corner)))
+    Some(projector.raster_corners_in_rect()?.map(|corner| projector.canvas.canvas_from_rect(corner)))
 }
 
 /// The same, half a pixel smaller all around: projectors that touch do not overlap.

@@ -8,7 +8,7 @@ use shared::division::FrameSize;
 use toml::Spanned;
 
 use super::projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
-use super::{Impossible, OnLoss, Wall};
+use super::{InvalidWall, OnLoss, Wall};
 
 /// What is wrong at which byte of the file.
 type Problem = (usize, String);
@@ -135,7 +135,7 @@ impl WallFile {
             section.apply_to(&mut projectors[index])?;
         }
         let wall =
-            Wall::new(canvas_m, frame_size, projectors).map_err(|Impossible { projector_idx, key, problem }| {
+            Wall::new(canvas_m, frame_size, projectors).map_err(|InvalidWall { projector_idx, key, problem }| {
                 let section = projector_idx.and_then(|index| sections[index]);
                 let own = section.map(|section| section.get_ref().offset_of(key).unwrap_or(section.span().start));
                 let grid = self.grid.as_ref().map(|grid| grid.span().start);

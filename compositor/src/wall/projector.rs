@@ -126,11 +126,11 @@ impl Projector {
     /// pixels, whose upper-left corner is (0, 0) and lower-right corner (1, 1) as they are stored.
     ///
     /// `None` if the warped corners make no picture: crossed, folded, or mirrored.
-    pub fn raster_from_place(&self) -> Option<DMat3> {
+    pub fn raster_from_rect(&self) -> Option<DMat3> {
         let upright_px = DVec2::from(self.upright_size().map(f64::from));
         let corner = |index: usize| UNIT_SQUARE[index] + DVec2::from(self.warp_px[index]) / upright_px;
-        let upright_from_place = square_to_quad([corner(0), corner(1), corner(2), corner(3)])?;
-        Some(self.raster_from_upright() * upright_from_place)
+        let upright_from_rect = square_to_quad([corner(0), corner(1), corner(2), corner(3)])?;
+        Some(self.raster_from_upright() * upright_from_rect)
     }
 
     /// From pixels as seen on the wall to pixels as they are stored, both from (0, 0) to (1, 1).
@@ -152,11 +152,11 @@ impl Projector {
         unflipped * unturned
     }
 
-    /// The corners of its pixels on its place, in the units of [`Projector::raster_from_place`]; `None` where the
+    /// The corners of its pixels on its place, in the units of [`Projector::raster_from_rect`]; `None` where the
     /// projector would have to light what lies behind it.
-    pub fn raster_corners_in_place(&self) -> Option<[DVec2; 4]> {
-        let place_from_raster = self.raster_from_place()?.inverse();
-        let corners = UNIT_SQUARE.map(|corner| apply(place_from_raster, corner));
+    pub fn raster_corners_in_rect(&self) -> Option<[DVec2; 4]> {
+        let rect_from_raster = self.raster_from_rect()?.inverse();
+        let corners = UNIT_SQUARE.map(|corner| apply(rect_from_raster, corner));
         let [Some(a), Some(b), Some(c), Some(d)] = corners else { return None };
         Some([a, b, c, d])
     }
@@ -198,12 +198,12 @@ impl Gamma {
 
 impl CanvasRect {
     /// A point of the canvas in units of this rectangle, whose upper-left corner is (0, 0), lower-right corner (1, 1).
-    pub fn place_of(&self, point: DVec2) -> DVec2 {
+    pub fn rect_from_canvas(&self, point: DVec2) -> DVec2 {
         DVec2::new((point.x - self.left) / self.width, 1.0 - (point.y - self.bottom) / self.height)
     }
 
     /// The point of the canvas at a place in units of this rectangle.
-    pub fn canvas_of(&self, place: DVec2) -> DVec2 {
+    pub fn canvas_from_rect(&self, place: DVec2) -> DVec2 {
         DVec2::new(self.left + place.x * self.width, self.bottom + (1.0 - place.y) * self.height)
     }
 }
@@ -256,7 +256,7 @@ impl PixelRect {
     }
 
     /// Whether all of `other` lies in it.
-    pub fn holds(&self, other: &Self) -> bool {
+    pub fn contains_rect(&self, other: &Self) -> bool {
         let within = |a: u32, a_extent: u32, b: u32, b_extent: u32| a <= b && b + b_extent <= a + a_extent;
         within(self.x, self.width, other.x, other.width) && within(self.y, self.height, other.y, other.height)
     }
@@ -277,7 +277,7 @@ mod tests {
             assert_eq!(rotation.degrees(), degrees);
             let projector = Projector { rotation, flip, ..Projector::plain("a".into(), rect, output) };
             // Where the pixels' upper-left, upper-right, lower-right and lower-left corners are seen.
-            let seen = projector.raster_corners_in_place().expect("no warp");
+            let seen = projector.raster_corners_in_rect().expect("no warp");
             assert_eq!(seen.map(|corner| corner.to_array()), expected, "{degrees} {flip:?}");
         };
         check(0, Flip::None, [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]);

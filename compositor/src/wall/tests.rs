@@ -91,14 +91,14 @@ fn shares_of_light_add_up_everywhere_and_vanish_at_inner_edges() {
     for step in 0..10_000_u32 {
         let point = DVec2::new(f64::from(step % 100) + 0.5, f64::from(step / 100) + 0.5) / 100.0;
         let weights = (0..12).map(|index| {
-            let place = wall.projectors()[index].canvas.place_of(point);
+            let place = wall.projectors()[index].canvas.rect_from_canvas(point);
             let is_within = place.cmpge(DVec2::ZERO).all() && place.cmple(DVec2::ONE).all();
-            if is_within { blend::share(wall.neighbours(index), place).weight } else { 0.0 }
+            if is_within { blend::blend_weight(wall.neighbours(index), place).weight } else { 0.0 }
         });
         let sum: f64 = weights.sum();
         assert!((sum - 1.0).abs() < 1e-9, "{sum} at {point}");
     }
-    let at_right_edge = blend::share(wall.neighbours(0), DVec2::new(1.0, 0.5)).weight;
+    let at_right_edge = blend::blend_weight(wall.neighbours(0), DVec2::new(1.0, 0.5)).weight;
     assert!(at_right_edge < 1e-3, "{at_right_edge}");
 }
 

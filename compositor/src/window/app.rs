@@ -14,8 +14,8 @@ use std::{
 
 use renderer::model::scene::SceneSource;
 use shared::{
-    look::Look,
-    protocol::{Picture, RayTree, View},
+    appearance::Appearance,
+    protocol::{FrameSpec, LightingMode, ShadingMode},
 };
 use winit::{
     application::ApplicationHandler,
@@ -38,15 +38,15 @@ use super::{
 use crate::{
     control::alignment::Alignment,
     control::{
-        kept::Kept,
         kiosk::Kiosk,
         model::Model,
         navigator::Navigator,
         refinement::{Refinement, RefinementOptions},
+        sidecar::SidecarFiles,
     },
     farm::{Farm, Frame},
     overlay::{ModelSummary, OverlayModel, WallDrawing},
-    supervisor::Ward,
+    supervisor::SupervisorLink,
     wall::OnLoss,
 };
 
@@ -60,22 +60,22 @@ pub(super) struct App<'a> {
     on_shown: OnShown,
     outcome: anyhow::Result<()>,
     outputs: Outputs,
-    ward: Option<Ward>,
+    supervisor: Option<SupervisorLink>,
     /// What is on screen is not what should be there now.
     is_stale: bool,
 
     loader: ModelLoader,
     model: Option<Model>,
-    kept: Option<Kept>,
+    sidecars: Option<SidecarFiles>,
     navigator: Option<Navigator>,
     recording: Option<touring::Recording>,
     probing: probing::Probing,
     browser: opening::Browser,
     /// Visitors can only steer.
     is_locked: bool,
-    view: View,
-    rays: RayTree,
-    look: Look,
+    view: ShadingMode,
+    rays: LightingMode,
+    appearance: Appearance,
     refinement: Refinement,
     jobs: Jobs,
 
@@ -117,14 +117,14 @@ impl<'a> App<'a> {
         farm: &'a Farm,
         on_shown: OnShown,
         waker: Waker,
-        ward: Option<Ward>,
+        supervisor: Option<SupervisorLink>,
     ) -> Self {
         let now = Instant::now();
         let overlay = OverlayModel {
             panel: options.overlay,
             wall: WallDrawing::new(&options.wall),
             join: join_hint(farm.address(), None),
-            min_renderers: farm.wanted().min_renderers,
+            min_renderers: farm.goal().min_renderers,
             ..Default::default()
         };
         let mut loader = ModelLoader::new(waker.clone());
@@ -135,11 +135,11 @@ impl<'a> App<'a> {
             on_shown,
             outcome: Ok(()),
             outputs: Outputs::new(&options.wall, options.fullscreen),
-            ward,
+            supervisor,
             is_stale: true,
             loader,
             model: None,
-            kept: None,
+            sidecars: None,
             navigator: None,
             recording: None,
             probing: probing::Probing::default(),
@@ -147,7 +147,7 @@ impl<'a> App<'a> {
             is_locked: options.kiosk.is_some(),
             view: options.view,
             rays: options.rays,
-            look: options.look,
+            appearance: options.appearance,
             refinement: Refinement::new(options.refinement),
             overlay,
             overlay_areas: Vec::new(),
@@ -176,7 +176,7 @@ impl<'a> App<'a> {
     }
 
     pub(super) fn into_outcome(self) -> anyhow::Result<()> {
-        if self.ward.is_some() && self.outcome.is_err() {
+        if self.supervisor.is_some() && self.outcome.is_err() {
             // What is on them is the guard's.
             std::mem::forget(self.outputs);
         }
@@ -192,8 +192,8 @@ impl<'a> App<'a> {
     pub(super) fn follow_monitors(&mut self, event_loop: &ActiveEventLoop) {
         match self.outputs.follow_monitors(event_loop) {
             Ok(true) => {
-                if let Some(ward) = &mut self.ward {
-                    ward.has_windows(self.outputs.windows().filter_map(legacy::number_of));
+                if let Some(supervisor) = &mut self.supervisor {
+                    supervisor.report_windows(self.outputs.windows().filter_map(legacy::x_window_id));
                 }
                 if let Some(largest) = self.outputs.largest_frame_side() {
                     self.refinement.limit_sides(largest);
@@ -206,43 +206,43 @@ impl<'a> App<'a> {
         }
     }
 
-    fn look_around(&mut self, event_loop: &ActiveEventLoop) {
+    fn take_news(&mut self, event_loop: &ActiveEventLoop) {
         while let Some(outcome) = self.loader.poll() {
             match outcome {
-                Ok((model, kept)) => self.show_model(model, kept),
+                Ok((model, sidecars)) => self.show_model(model, sidecars),
                 Err(problem) if self.model.is_none() => return self.fail(event_loop, anyhow::anyhow!(problem)),
                 Err(problem) => {
                     tracing::error!("{problem}");
-                    self.complain(problem);
+                    self.show_problem(problem);
                 }
             }
         }
         while let Some(outcome) = self.jobs.poll() {
             match outcome {
                 Ok(None) => {}
-                Ok(Some(note)) => self.say(note),
+                Ok(Some(note)) => self.show_note(note),
                 Err(problem) => {
                     tracing::error!("{problem}");
-                    self.complain(problem);
+                    self.show_problem(problem);
                 }
             }
         }
         self.take_probed();
         self.take_listing();
         self.take_frame();
-        self.mind_loss();
+        self.update_darkness();
         if self.overlay_changed() || self.frame_is_new {
             self.redraw();
         }
     }
 
-    fn show_model(&mut self, model: Model, kept: Kept) {
+    fn show_model(&mut self, model: Model, sidecars: SidecarFiles) {
         let name = name_of(&model.source);
         tracing::info!("showing {name}: {} triangles", model.n_triangles);
-        let up = self.options.up.or_else(|| kept.views().and_then(|views| views.up)).unwrap_or_default();
-        let problem = kept.problem().map(str::to_owned);
+        let up = self.options.up.or_else(|| sidecars.views().and_then(|views| views.up)).unwrap_or_default();
+        let problem = sidecars.problem().map(str::to_owned);
         self.recording = None;
-        self.kept = Some(kept);
+        self.sidecars = Some(sidecars);
         match &mut self.navigator {
             Some(navigator) => navigator.set_bounds(model.bounds, up),
             None => {
@@ -251,9 +251,9 @@ impl<'a> App<'a> {
                     Some(camera) => navigator.with_camera(camera),
                     None => navigator,
                 });
-                if let (Some(path), Some(kept)) = (self.options.path.take(), &mut self.kept) {
+                if let (Some(path), Some(sidecars)) = (self.options.path.take(), &mut self.sidecars) {
                     let path = Arc::new(path);
-                    kept.keep_path(Arc::clone(&path));
+                    sidecars.keep_path(Arc::clone(&path));
                     self.play(path, true);
                 }
             }
@@ -280,9 +280,9 @@ impl<'a> App<'a> {
         if !self.frame_is_new
             && let Some(frame) = self.farm.take_frame()
         {
-            self.refinement.on_frame(&frame.picture, Duration::from_secs_f64(frame.stats.interval_ms / 1e3));
+            self.refinement.on_frame(&frame.spec, Duration::from_secs_f64(frame.stats.interval_ms / 1e3));
             if self.refinement.is_done() {
-                tracing::debug!("the picture is as fine as it gets: {}", frame.picture.size);
+                tracing::debug!("the picture is as fine as it gets: {}", frame.spec.size);
             }
             self.frame = Some(frame);
             self.frame_is_new = true;
@@ -290,7 +290,7 @@ impl<'a> App<'a> {
     }
 
     /// Goes dark when no render server is left, if the wall is to, and shows its frame again when one has joined.
-    fn mind_loss(&mut self) {
+    fn update_darkness(&mut self) {
         if self.options.wall.on_loss() == OnLoss::LastFrame {
             return;
         }
@@ -307,20 +307,20 @@ impl<'a> App<'a> {
         self.record_camera();
         let (Some(model), Some(navigator)) = (&self.model, &self.navigator) else { return };
         let RefinementOptions { fixed_size, fixed_samples, .. } = self.options.refinement;
-        let subject = Picture {
+        let spec = FrameSpec {
             scene: model.scene,
             camera: navigator.camera(),
             size: fixed_size,
             view: self.view,
             rays: self.rays,
             samples: fixed_samples,
-            look: self.look,
+            appearance: self.appearance,
         };
         let now = Instant::now();
-        let ask = self.refinement.change(now, subject);
-        self.farm.want(|wanted| {
-            wanted.picture = Some(ask.picture);
-            wanted.refines = ask.refines;
+        let step = self.refinement.change(now, spec);
+        self.farm.update_goal(|wanted| {
+            wanted.spec = Some(step.spec);
+            wanted.is_refinement = step.is_refinement;
             wanted.scene_path = model.path();
             wanted.moved_at = now;
         });
@@ -329,15 +329,15 @@ impl<'a> App<'a> {
 
 impl ApplicationHandler<Call> for App<'_> {
     fn resumed(&mut self, event_loop: &ActiveEventLoop) {
-        if self.ward.is_some() {
-            legacy::outlive(event_loop, true);
+        if self.supervisor.is_some() {
+            legacy::retain_windows(event_loop, true);
         }
         self.follow_monitors(event_loop);
     }
 
     fn user_event(&mut self, event_loop: &ActiveEventLoop, call: Call) {
         match call {
-            Call::Look => self.look_around(event_loop),
+            Call::Appearance => self.take_news(event_loop),
             Call::Close => event_loop.exit(),
         }
     }
@@ -355,16 +355,16 @@ impl ApplicationHandler<Call> for App<'_> {
             WindowEvent::Occluded(false) | WindowEvent::ScaleFactorChanged { .. } => self.redraw(),
             WindowEvent::Focused(false) => {
                 if let Some(navigator) = &mut self.navigator {
-                    navigator.let_go_of_all();
+                    navigator.release_all();
                 }
             }
             WindowEvent::ModifiersChanged(modifiers) => {
                 self.modifiers = modifiers.state();
-                self.tell_overlay(index, &event);
+                self.forward_to_overlay(index, &event);
             }
             WindowEvent::KeyboardInput { event: key, is_synthetic: false, .. } => self.key(event_loop, key),
             WindowEvent::CursorMoved { position, .. } => self.cursor_moved(index, &event, *position),
-            WindowEvent::CursorLeft { .. } => self.tell_overlay(index, &event),
+            WindowEvent::CursorLeft { .. } => self.forward_to_overlay(index, &event),
             WindowEvent::MouseInput { state, button, .. } => self.mouse_button(index, &event, *state, *button),
             WindowEvent::MouseWheel { delta, .. } => self.wheel(index, &event, *delta),
             WindowEvent::DroppedFile(path) if !self.is_locked => {
@@ -381,16 +381,16 @@ impl ApplicationHandler<Call> for App<'_> {
         {
             self.outcome = self.write_last_picture(&path);
         }
-        if self.ward.is_some() && self.outcome.is_ok() {
-            legacy::outlive(event_loop, false);
+        if self.supervisor.is_some() && self.outcome.is_ok() {
+            legacy::retain_windows(event_loop, false);
         }
     }
 
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
-        let mut next = self.pass_time(event_loop);
+        let mut next = self.on_time(event_loop);
         if self.is_stale {
             self.draw(event_loop);
-            next = self.pass_time(event_loop);
+            next = self.on_time(event_loop);
         }
         event_loop.set_control_flow(match next {
             _ if self.is_stale => ControlFlow::Poll,

@@ -45,14 +45,14 @@ impl Jobs {
     fn start(&self) -> std::io::Result<(mpsc::Sender<Job>, JoinHandle<()>)> {
         let (sender, jobs) = mpsc::channel::<Job>();
         let (waker, outcomes) = (self.waker.clone(), self.outcomes.0.clone());
-        let work = move || {
+        let task = move || {
             for job in jobs {
                 // Nobody waits for it once the window is closed.
                 let _ = outcomes.send(job());
                 waker.wake();
             }
         };
-        Ok((sender, thread::Builder::new().name("files".to_owned()).spawn(work)?))
+        Ok((sender, thread::Builder::new().name("files".to_owned()).spawn(task)?))
     }
 }
 

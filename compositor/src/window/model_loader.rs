@@ -12,7 +12,7 @@ use std::{
 use renderer::model::scene::SceneSource;
 
 use super::Waker;
-use crate::control::{kept::Kept, model::Model};
+use crate::control::{model::Model, sidecar::SidecarFiles};
 
 /// Reads the latest model that was asked for.
 pub(super) struct ModelLoader {
@@ -26,7 +26,7 @@ struct Loading {
     name: String,
     /// The bits of an `f32`, 0 to 1.
     progress: Arc<AtomicU32>,
-    outcome: mpsc::Receiver<Result<(Model, Kept), String>>,
+    outcome: mpsc::Receiver<Result<(Model, SidecarFiles), String>>,
 }
 
 impl ModelLoader {
@@ -48,7 +48,7 @@ impl ModelLoader {
     }
 
     /// The model and what is kept beside it, or why there is none, once that is known.
-    pub(super) fn poll(&mut self) -> Option<Result<(Model, Kept), String>> {
+    pub(super) fn poll(&mut self) -> Option<Result<(Model, SidecarFiles), String>> {
         let outcome = match self.running.as_ref()?.outcome.try_recv() {
             Ok(outcome) => outcome,
             Err(mpsc::TryRecvError::Empty) => return None,
@@ -71,15 +71,15 @@ impl ModelLoader {
         self.running = Some(Loading { name: name_of(&source), progress: Arc::clone(&progress), outcome });
         let waker = self.waker.clone();
         let load = move || {
-            let tell = |fraction: f32| {
+            let report = |fraction: f32| {
                 let percent = |fraction: f32| (fraction * 100.0) as u32;
                 let before = f32::from_bits(progress.swap(fraction.to_bits(), Ordering::Relaxed));
                 if percent(before) != percent(fraction) {
                     waker.wake();
                 }
             };
-            let kept = Kept::read(&source);
-            let model = Model::load(source, &tell).map(|model| (model, kept)).map_err(|error| error.to_string());
+            let sidecars = SidecarFiles::read(&source);
+            let model = Model::load(source, &report).map(|model| (model, sidecars)).map_err(|error| error.to_string());
             // Nobody waits for it once the window is closed.
             let _ = sender.send(model);
         };

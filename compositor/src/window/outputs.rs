@@ -16,12 +16,12 @@ use super::{ms_since, painter::Painter, screen::Screen, session::hotplug};
 use crate::{
     farm::{Frame, stats::DisplayStats},
     gpu::GpuError,
-    overlay::{OutputState, OverlayModel, OverlayOutput, Place, Shows},
+    overlay::{OutputContent, OutputState, OverlayModel, OverlayOutput, ProjectorRegion},
     wall::{PixelRect, Projector, Wall},
 };
 
 /// Monitors that come and go are noticed after this.
-const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// All windows of a wall, and what draws on them.
 ///
@@ -34,7 +34,7 @@ pub(super) struct Outputs {
     is_filling: bool,
     title: String,
     cursor_is_visible: bool,
-    looked_at: Option<Instant>,
+    checked_at: Option<Instant>,
 }
 
 /// A part of the wall, and the window that shows it.
@@ -49,13 +49,13 @@ struct Output {
     geometry: Option<Geometry>,
     /// Whether its monitor was there at the last look.
     is_there: bool,
-    shows: Shows,
+    shows: OutputContent,
 }
 
 type Geometry = (PhysicalPosition<i32>, PhysicalSize<u32>);
 
 /// What came of drawing once.
-pub(super) struct Drawn {
+pub(super) struct DrawResult {
     /// Where the time went; without latency, which the caller knows.
     pub(super) stats: DisplayStats,
     /// What came of the overlay.
@@ -65,7 +65,7 @@ pub(super) struct Drawn {
     /// On which monitors, if the wall names them.
     pub(super) monitors: Vec<String>,
     /// Whether a window that has room for it could not be drawn on now.
-    pub(super) is_late: bool,
+    pub(super) is_incomplete: bool,
 }
 
 impl Outputs {
@@ -77,7 +77,7 @@ impl Outputs {
             screen: None,
             geometry: None,
             is_there: false,
-            shows: Shows::Nothing,
+            shows: OutputContent::Nothing,
         };
         let mut all: Vec<Output> =
             wall.monitors().into_iter().map(|(name, part)| output(Some(name.to_owned()), part)).collect();
@@ -85,12 +85,12 @@ impl Outputs {
         if all.is_empty() {
             all.push(output(None, wall.whole_output()));
         }
-        Self { all, painter: None, is_filling, title: "Raywall".to_owned(), cursor_is_visible: true, looked_at: None }
+        Self { all, painter: None, is_filling, title: "Raywall".to_owned(), cursor_is_visible: true, checked_at: None }
     }
 
     /// Opens windows on monitors that are there, closes those of monitors that are gone, and says whether any did.
     pub(super) fn follow_monitors(&mut self, event_loop: &ActiveEventLoop) -> anyhow::Result<bool> {
-        let is_first = self.looked_at.replace(Instant::now()).is_none();
+        let is_first = self.checked_at.replace(Instant::now()).is_none();
         if is_first && self.names_monitors() {
             hotplug::listen(event_loop);
         }
@@ -106,7 +106,7 @@ impl Outputs {
             (output.is_there, output.geometry) = (is_there, geometry);
             if !is_settled && output.screen.take().is_some() {
                 tracing::warn!("the monitor {} is gone or has changed", output.name());
-                output.shows = Shows::Nothing;
+                output.shows = OutputContent::Nothing;
                 has_changed = true;
             }
             if is_first && !is_there {
@@ -145,8 +145,8 @@ impl Outputs {
     }
 
     /// When to look at the monitors again: never for a window that may be anywhere.
-    pub(super) fn look_at(&self) -> Option<Instant> {
-        self.looked_at.filter(|_| self.names_monitors()).map(|looked_at| looked_at + LOOK_INTERVAL)
+    pub(super) fn next_check_at(&self) -> Option<Instant> {
+        self.checked_at.filter(|_| self.names_monitors()).map(|checked_at| checked_at + CHECK_INTERVAL)
     }
 
     fn names_monitors(&self) -> bool {
@@ -224,7 +224,7 @@ impl Outputs {
     }
 
     /// Lets the overlay see an event of a window, if it is the overlay's.
-    pub(super) fn tell_overlay(&mut self, index: usize, event: &WindowEvent) {
+    pub(super) fn forward_to_overlay(&mut self, index: usize, event: &WindowEvent) {
         let is_lead = self.lead().is_some_and(|(lead, _)| lead == index);
         // Keys are held whichever window they were pressed in.
         let index = if matches!(event, WindowEvent::ModifiersChanged(_)) {
@@ -299,16 +299,16 @@ impl Outputs {
         wall: &Wall,
         new_frame: Option<&Frame>,
         model: &OverlayModel,
-    ) -> Result<Option<Drawn>, GpuError> {
+    ) -> Result<Option<DrawResult>, GpuError> {
         let lead = self.lead().map(|(lead, _)| lead);
         let Some(painter) = &mut self.painter else { return Ok(None) };
         let mut targets = Vec::with_capacity(self.all.len());
-        let mut is_late = false;
+        let mut is_incomplete = false;
         for (index, output) in self.all.iter_mut().enumerate() {
             let Some(screen) = &mut output.screen else { continue };
             match screen.acquire(painter)? {
                 Some(target) => targets.push((index, target)),
-                None => is_late |= !screen.size().contains(&0),
+                None => is_incomplete |= !screen.size().contains(&0),
             }
         }
         if targets.is_empty() {
@@ -318,7 +318,11 @@ impl Outputs {
         if let Some(frame) = new_frame {
             stats.upload_ms = painter.upload(frame)?;
         }
-        let shows = if painter.is_dark { Shows::Black } else { painter.frame().map_or(Shows::Nothing, Shows::Frame) };
+        let shows = if painter.is_dark {
+            OutputContent::Black
+        } else {
+            painter.frame().map_or(OutputContent::Nothing, OutputContent::Frame)
+        };
         targets.iter().for_each(|(index, _)| self.all[*index].shows = shows);
         let states: Vec<OutputState> = self.all.iter().map(Output::state).collect();
         // One submission for all windows, so that none shows another frame than its neighbours.
@@ -337,7 +341,7 @@ impl Outputs {
                 continue;
             }
             model.outputs = states.clone();
-            model.places = places(wall, *part, target.size(), screen.pixels_per_point());
+            model.regions = regions(wall, *part, target.size(), screen.pixels_per_point());
             let (output, wanted_after) = screen.draw_overlay(painter, &mut encoder, target, &model);
             repaint_after = repaint_after.min(wanted_after);
             if Some(*index) == lead {
@@ -355,13 +359,13 @@ impl Outputs {
         }
         stats.present_ms = ms_since(start);
         painter.gpu.check()?;
-        Ok(Some(Drawn { stats, overlay, repaint_after, monitors, is_late }))
+        Ok(Some(DrawResult { stats, overlay, repaint_after, monitors, is_incomplete }))
     }
 }
 
 impl Output {
     fn state(&self) -> OutputState {
-        let shows = if self.is_there { self.shows } else { Shows::MonitorMissing };
+        let shows = if self.is_there { self.shows } else { OutputContent::MonitorMissing };
         OutputState { monitor: self.monitor.clone(), shows }
     }
 
@@ -371,17 +375,17 @@ impl Output {
 }
 
 /// Where the overlay finds the canvas in a window of `size` pixels that shows a part of the wall.
-fn places(wall: &Wall, part: PixelRect, size: [u32; 2], pixels_per_point: f32) -> Vec<Place> {
+fn regions(wall: &Wall, part: PixelRect, size: [u32; 2], pixels_per_point: f32) -> Vec<ProjectorRegion> {
     let fitted = PixelRect::fitted([part.width, part.height], size);
     let [x_scale, y_scale] = [fitted.width as f32 / part.width as f32, fitted.height as f32 / part.height as f32]
         .map(|it| it / pixels_per_point);
     let origin = egui::pos2(fitted.x as f32, fitted.y as f32) / pixels_per_point;
-    let shown = wall.projectors().iter().filter(|projector| part.holds(&projector.output));
+    let shown = wall.projectors().iter().filter(|projector| part.contains_rect(&projector.output));
     let place = |projector: &Projector| {
         let PixelRect { x, y, width, height } = projector.output;
         let from = origin + egui::vec2((x - part.x) as f32 * x_scale, (y - part.y) as f32 * y_scale);
         let size = egui::vec2(width as f32 * x_scale, height as f32 * y_scale);
-        Place::new(projector, egui::Rect::from_min_size(from, size))
+        ProjectorRegion::new(projector, egui::Rect::from_min_size(from, size))
     };
     shown.filter_map(place).collect()
 }

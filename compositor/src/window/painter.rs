@@ -6,7 +6,7 @@ use super::ms_since;
 use crate::{
     control::alignment,
     farm::Frame,
-    gpu::{Gpu, GpuError, Offscreen, Picture, Present, Target},
+    gpu::{Gpu, GpuError, Offscreen, Present, RgbImage, Target},
     wall::{PixelRect, Wall},
 };
 
@@ -36,7 +36,7 @@ impl Painter {
     /// Takes a frame, and says how many milliseconds that took.
     pub(super) fn upload(&mut self, frame: &Frame) -> Result<f64, GpuError> {
         let start = Instant::now();
-        self.present.upload(&self.gpu, frame.picture.size, bytemuck::cast_slice(&frame.rgba))?;
+        self.present.upload(&self.gpu, frame.spec.size, bytemuck::cast_slice(&frame.rgba))?;
         self.frame = Some(frame.stats.frame);
         Ok(ms_since(start))
     }
@@ -65,7 +65,7 @@ impl Painter {
     }
 
     /// The newest frame on the whole wall, without overlay, whatever windows there are.
-    pub(super) fn picture(&mut self, wall: &Wall) -> Result<Picture, GpuError> {
+    pub(super) fn image(&mut self, wall: &Wall) -> Result<RgbImage, GpuError> {
         let offscreen = Offscreen::new(&self.gpu, wall.output_size())?;
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
         self.present.draw(&self.gpu, &mut encoder, &offscreen.target(), wall, wall.whole_output());
@@ -74,8 +74,8 @@ impl Painter {
     }
 
     /// Shows a test pattern from now on, or frames again.
-    pub(super) fn show_pattern(&mut self, pattern: Option<alignment::Shown>) -> Result<(), GpuError> {
-        let Some(alignment::Shown { size, rgba, wall }) = pattern else {
+    pub(super) fn show_pattern(&mut self, pattern: Option<alignment::PatternImage>) -> Result<(), GpuError> {
+        let Some(alignment::PatternImage { size, rgba, wall }) = pattern else {
             self.pattern = None;
             return Ok(());
         };

@@ -7,13 +7,13 @@ use std::{
 };
 
 use super::jobs::Outcome;
-use crate::gpu::Picture;
+use crate::gpu::RgbImage;
 
 /// More pictures than this in one folder are surely a mistake.
 const MOST_FILES: u32 = 9999;
 
 /// Writes a picture to the next free file of a folder.
-pub(super) fn write(folder: &Path, picture: &Picture) -> Outcome {
+pub(super) fn write(folder: &Path, picture: &RgbImage) -> Outcome {
     let path =
         free_file(folder).map_err(|error| format!("no screenshot: cannot write in {}: {error}", folder.display()))?;
     if let Err(error) = picture.write_png(&path) {

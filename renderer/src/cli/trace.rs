@@ -14,12 +14,12 @@ use serde::Serialize;
 use shared::{
     camera::{Camera, UpAxis},
     division::FrameSize,
-    protocol::{RayTree, SampleRange, View},
+    protocol::{LightingMode, SampleRange, ShadingMode},
 };
 
 use crate::{
-    cli::{look_args::LookArgs, progress::Progress, say, scene_args::SceneArgs},
-    grid::{Choice, GridFigures},
+    cli::{appearance_args::AppearanceArgs, progress::Progress, say, scene_args::SceneArgs},
+    grid::{Choice, GridStats},
     model::{
         scene::{self, SceneSource},
         statue,
@@ -65,11 +65,11 @@ pub struct TraceArgs {
 
     /// What the picture shows: shaded, normals, or cost (cells passed in red, triangles tested in green)
     #[arg(long, value_name = "VIEW", default_value = "shaded")]
-    view: View,
+    view: ShadingMode,
 
     /// By which rays the picture is lit: primary, shadows or ambient
-    #[arg(long, value_name = "RAYS", default_value = RayTree::default().name())]
-    rays: RayTree,
+    #[arg(long, value_name = "RAYS", default_value = LightingMode::default().name())]
+    rays: LightingMode,
 
     /// Write the picture, as PNG
     #[arg(long, value_name = "FILE")]
@@ -90,7 +90,7 @@ pub struct TraceArgs {
 
     /// How the picture looks
     #[command(flatten)]
-    look: LookArgs,
+    appearance: AppearanceArgs,
 
     /// How the scene is made ready
     #[command(flatten)]
@@ -107,7 +107,7 @@ pub struct Report {
     build_seconds: f64,
     mesh_bytes: usize,
     structure_bytes: usize,
-    grid: GridFigures,
+    grid: GridStats,
     /// How the grid was chosen, if that was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     choice: Option<Choice>,
@@ -126,8 +126,8 @@ pub struct Report {
 pub fn run(args: &TraceArgs) -> Result<()> {
     args.pool()?.install(|| {
         let prepared = args.prepare()?;
-        let report = args.trace(&prepared, |frame| frame.trace(&prepared.scene, &prepared.request))?;
-        if args.json { say(serde_json::to_string(&report)?) } else { say(report.table(prepared.request.size)) }
+        let report = args.trace(&prepared, |frame| frame.trace(&prepared.scene, &prepared.spec))?;
+        if args.json { say(serde_json::to_string(&report)?) } else { say(report.table(prepared.spec.size)) }
     })
 }
 
@@ -136,7 +136,7 @@ pub struct Prepared {
     /// The scene.
     pub scene: Scene,
     /// The picture.
-    pub request: FrameRequest,
+    pub spec: FrameRequest,
     triangles: usize,
     vertices: usize,
     rejected: usize,
@@ -182,15 +182,15 @@ impl TraceArgs {
             let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
             Camera::view_all(min, max, self.up, CANVAS_ASPECT)
         });
-        let request = FrameRequest {
+        let spec = FrameRequest {
             camera,
             size: self.size,
             view: self.view,
             rays: self.rays,
             samples: SampleRange::CENTRE,
-            look: self.look.look(),
+            appearance: self.appearance.appearance(),
         };
-        Ok(Prepared { scene, request, triangles, vertices, rejected, load_seconds, build_seconds })
+        Ok(Prepared { scene, spec, triangles, vertices, rejected, load_seconds, build_seconds })
     }
 
     /// Traces and shades the frame as often as asked for, and writes picture and hits.
@@ -198,20 +198,20 @@ impl TraceArgs {
     /// # Errors
     /// A file cannot be written.
     pub fn trace(&self, prepared: &Prepared, mut trace: impl FnMut(&mut Frame) -> Cost) -> Result<Report> {
-        let Prepared { scene, request, triangles, vertices, rejected, load_seconds, build_seconds } = prepared;
+        let Prepared { scene, spec, triangles, vertices, rejected, load_seconds, build_seconds } = prepared;
         let (mut frame_ms, mut frame_cpu_ms, mut shade_cpu_ms) = (Vec::new(), Vec::new(), Vec::new());
         let mut frame = Frame::default();
         for _ in 0..self.frames {
             let cost = trace(&mut frame);
             frame_ms.push(milliseconds(cost.wall));
             frame_cpu_ms.push(milliseconds(cost.cpu));
-            shade_cpu_ms.push(milliseconds(frame.shade(scene, request)));
+            shade_cpu_ms.push(milliseconds(frame.shade(scene, spec)));
         }
         if let Some(path) = &self.image {
-            image::write_png(path, request.size, &frame.rgb).with_context(|| cannot_write(path))?;
+            image::write_png(path, spec.size, &frame.rgb).with_context(|| cannot_write(path))?;
         }
         if let Some(path) = &self.hits {
-            image::write_whole(path, |out| frame.write_hits(scene, out)).with_context(|| cannot_write(path))?;
+            image::write_atomically(path, |out| frame.write_hits(scene, out)).with_context(|| cannot_write(path))?;
         }
         Ok(Report {
             triangles: *triangles,
@@ -224,7 +224,7 @@ impl TraceArgs {
             grid: scene.grid().figures(),
             choice: self.explain.then(|| scene.grid().choice().clone()),
             hits: frame.n_hits(),
-            mrays_per_second: f64::from(request.size.n_samples()) / median(&frame_ms) / 1e3,
+            mrays_per_second: f64::from(spec.size.n_samples()) / median(&frame_ms) / 1e3,
             frame_ms,
             frame_cpu_ms,
             shade_cpu_ms,
@@ -249,9 +249,9 @@ fn cannot_write(path: &Path) -> String {
     format!("cannot write {}", path.display())
 }
 
-fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
+fn timed<T>(task: impl FnOnce() -> T) -> (T, f64) {
     let start = Instant::now();
-    let result = work();
+    let result = task();
     (result, start.elapsed().as_secs_f64())
 }
 

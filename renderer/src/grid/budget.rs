@@ -13,12 +13,12 @@ impl MemoryBudget {
 
     /// What a grid may take beside a mesh. A mesh that is too large by itself gets a grid of a quarter of its size: the
     /// budget cannot be kept then, and a smaller grid would save little and be slow.
-    pub(crate) fn left_beside(self, mesh_bytes: u64) -> u64 {
+    pub(crate) fn remaining_beside(self, mesh_bytes: u64) -> u64 {
         if mesh_bytes < self.0 { self.0 - mesh_bytes } else { mesh_bytes / 4 }
     }
 
     /// Whether so many bytes are too many.
-    pub(crate) fn is_less_than(self, n_bytes: u64) -> bool {
+    pub(crate) fn is_exceeded_by(self, n_bytes: u64) -> bool {
         self.0 < n_bytes
     }
 }

@@ -9,12 +9,12 @@ use crate::{
         traced::TracedMesh,
         tree::{
             self, BRICK_SIZE, CELLS_PER_BRICK, Tree,
-            boxes::Boxes,
-            divide::{Builder, Piece},
+            boxes::QuantizedBoxes,
+            divide::{Builder, TreePart},
             scatter::Scatter,
         },
         uniform::{
-            Plain, UniformGrid,
+            DenseIndex, UniformGrid,
             resolution::{CellSpace, resolution},
             row_displacement::RowDisplacement,
         },
@@ -47,16 +47,16 @@ impl Grid {
         let is_flat = options.mesh == MeshLayout::Flat;
         let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh, is_flat);
         let mesh_bytes_in_order = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh, is_flat);
-        let most_bytes = options.memory_budget.left_beside(mesh_bytes);
+        let most_bytes = options.memory_budget.remaining_beside(mesh_bytes);
         let grid = match options.storage {
-            Storage::Masks => Self::masks(mesh, &bounds, density, options, most_bytes, progress),
+            Storage::Tree => Self::masks(mesh, &bounds, density, options, most_bytes, progress),
             Storage::Plain | Storage::RowDisplacement => Self::uniform(mesh, &bounds, density, options, most_bytes),
         };
         // Boxes come when the mesh as it was loaded is gone.
         let (grid_bytes, box_bytes) = (grid.n_bytes() as u64, grid.figures().box_bytes.unwrap_or(0) as u64);
         let all_bytes = (mesh_bytes + grid_bytes - box_bytes).max(mesh_bytes_in_order + grid_bytes);
         let budget = options.memory_budget;
-        let (is_coarser, is_too_much) = (grid.shortage.is_some(), budget.is_less_than(all_bytes));
+        let (is_coarser, is_too_much) = (grid.shortage.is_some(), budget.is_exceeded_by(all_bytes));
         let needed_bytes = is_too_much.then_some(all_bytes);
         let shortage = (is_coarser || is_too_much).then_some(MemoryShortage { budget, is_coarser, needed_bytes });
         Self { shortage, choice, ..grid }.with_mesh_layout(options.mesh)
@@ -75,7 +75,7 @@ impl Grid {
         let corner = |corner: [f32; 3]| Vec3::from_array(corner).as_dvec3();
         let (cells, cell_size) = resolution(corner(bounds.max) - corner(bounds.min), n_triangles, density);
 
-        let mut bricks_in_cells = CELLS_PER_BRICK;
+        let mut cells_per_brick_side = CELLS_PER_BRICK;
         // Room for triangles that each lie in several bricks; large ones are met with larger bricks.
         let most = (4 * n_triangles as u64 + (1 << 16)).min(u64::from(u32::MAX));
         let brick = |dims: [u32; 3], [x, y, z]: [u32; 3]| {
@@ -84,9 +84,9 @@ impl Grid {
         let (scatter, counts) = loop {
             let scatter = Scatter {
                 mesh: &mesh,
-                space: CellSpace::new(bounds, cell_size * f64::from(bricks_in_cells) / f64::from(BRICK_SIZE)),
+                space: CellSpace::new(bounds, cell_size * f64::from(cells_per_brick_side) / f64::from(BRICK_SIZE)),
                 cube_size: BRICK_SIZE,
-                dims: cells.map(|n| n.div_ceil(bricks_in_cells)),
+                dims: cells.map(|n| n.div_ceil(cells_per_brick_side)),
             };
             let n_bricks: usize = scatter.dims.iter().map(|&n| n as usize).product();
             let is_coarsest = scatter.dims == [1; 3];
@@ -96,43 +96,48 @@ impl Grid {
                     break (scatter, counts);
                 }
             }
-            bricks_in_cells *= 2;
+            cells_per_brick_side *= 2;
         };
         progress(0.15);
         let (starts, references) = scatter.fill(counts, |cube| brick(scatter.dims, cube));
         progress(0.3);
         let (space, dims) = (scatter.space, scatter.dims);
         // Small scenes can afford more references for each triangle, and large triangles need them.
-        let wanted = ((1 << 24) / n_triangles as u64).clamp(6, 64) * references.len() as u64;
+        let wanted_references = ((1 << 24) / n_triangles as u64).clamp(6, 64) * references.len() as u64;
         let mesh_bytes = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh, options.mesh == MeshLayout::Flat);
-        let most_bytes_in_order = options.memory_budget.left_beside(mesh_bytes);
-        let affordable = (most_bytes / TREE_BYTES_PER_REFERENCE)
+        let most_bytes_in_order = options.memory_budget.remaining_beside(mesh_bytes);
+        let affordable_references = (most_bytes / TREE_BYTES_PER_REFERENCE)
             .min(most_bytes_in_order / (TREE_BYTES_PER_REFERENCE + BOX_BYTES_PER_REFERENCE))
             .min(u64::from(u32::MAX));
-        let builder = Builder::new(scatter, references.len(), wanted.min(affordable), affordable < wanted);
+        let builder = Builder::new(
+            scatter,
+            references.len(),
+            wanted_references.min(affordable_references),
+            affordable_references < wanted_references,
+        );
         let (bricks, piece) = builder.divide(&starts, references, &|done| progress(0.3 + 0.6 * done));
-        let shortage = builder.gave_up().then_some(MemoryShortage {
+        let shortage = builder.hit_memory_limit().then_some(MemoryShortage {
             budget: options.memory_budget,
             is_coarser: true,
             needed_bytes: None,
         });
-        let Piece { nodes, leaf_ends, mut references } = piece;
+        let TreePart { nodes, leaf_ends, mut references } = piece;
         let mut leaf_starts = leaf_ends;
         leaf_starts.insert(0, 0);
         let mesh = TracedMesh::new(mesh, &mut references);
-        let boxes = Boxes::new(&space, dims, &bricks, &nodes, &leaf_starts, &references, &mesh);
+        let boxes = QuantizedBoxes::new(&space, dims, &bricks, &nodes, &leaf_starts, &references, &mesh);
         let largest_skip = tree::largest_skip(options.macrocell_levels);
-        let extent = space.point(corner(bounds.max)).to_array();
+        let extent = space.point_to_cells(corner(bounds.max)).to_array();
         let extent = [0, 1, 2].map(|axis| (extent[axis] as u32 + 1).min(dims[axis] * BRICK_SIZE));
         let tree = Tree { dims, extent, bricks, nodes, leaf_starts, references, boxes, largest_skip };
         Self { space, structure: Structure::Tree(tree), density, shortage, ..Self::empty(mesh) }
     }
 
     /// The paper's uniform grid. One that would take too much memory is made coarser.
-    fn uniform(mesh: Mesh, bounds: &Aabb, asked_density: f64, options: &GridOptions, most_bytes: u64) -> Self {
+    fn uniform(mesh: Mesh, bounds: &Aabb, requested_density: f64, options: &GridOptions, most_bytes: u64) -> Self {
         let extent = Vec3::from_array(bounds.max).as_dvec3() - Vec3::from_array(bounds.min).as_dvec3();
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
-        let mut density = asked_density;
+        let mut density = requested_density;
         let (space, mut structure) = loop {
             let (dims, cell_size) = resolution(extent, n_triangles, density);
             let space = CellSpace::new(bounds, cell_size);
@@ -141,7 +146,7 @@ impl Grid {
             let most_bytes = if dims == [1; 3] { u64::MAX } else { most_bytes };
             let n_levels = options.macrocell_levels;
             let structure = if options.storage == Storage::Plain {
-                UniformGrid::<Plain>::build(&scatter, n_levels, most_bytes).map(Structure::Plain)
+                UniformGrid::<DenseIndex>::build(&scatter, n_levels, most_bytes).map(Structure::Plain)
             } else {
                 UniformGrid::<RowDisplacement>::build(&scatter, n_levels, most_bytes)
                     .map(|(grid, placement)| Structure::RowDisplacement { grid, placement })
@@ -152,7 +157,7 @@ impl Grid {
             density /= 2.0;
         };
         let traced = TracedMesh::new(mesh, structure.references_mut());
-        let shortage = (density < asked_density).then_some(MemoryShortage {
+        let shortage = (density < requested_density).then_some(MemoryShortage {
             budget: options.memory_budget,
             is_coarser: true,
             needed_bytes: None,

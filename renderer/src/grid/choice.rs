@@ -49,12 +49,12 @@ const UNEVEN_DENSITY: f64 = 256.0;
 const UNIFORM_DENSITY: f64 = 4.0;
 
 /// Triangles of a run, and runs that are looked at.
-const RUN: usize = 16;
+const TRIANGLES_PER_RUN: usize = 16;
 const MOST_RUNS: usize = 1024;
 
 /// How much wider than a step the curve of (3) is, in the logarithm of a cube's triangles: fitted on the references that
 /// four scans and a bust get at eight densities.
-const SPREAD: f64 = 0.2 / 1.7;
+const TRANSITION_WIDTH: f64 = 0.2 / 1.7;
 
 /// How much longer rays take for each reference of a triangle more: the slope over the densities of the chart is 0.25 to
 /// 0.38 on the bunny, Igea, the dragon and a knot of ten million triangles.
@@ -136,7 +136,7 @@ impl Choice {
     pub(crate) fn new(mesh: &Mesh, options: &GridOptions) -> Self {
         let survey = Survey::new(mesh);
         let asked = match options.storage {
-            Storage::Masks => options.density,
+            Storage::Tree => options.density,
             // The paper's own structure has the paper's own density.
             Storage::Plain | Storage::RowDisplacement => options.density.or(Some(GridOptions::PAPER_DENSITY)),
         };
@@ -144,9 +144,10 @@ impl Choice {
             return Self { density: asked.unwrap_or(UNEVEN_DENSITY), ..Self::default() };
         }
         let tree =
-            |density| survey.predict(&GridOptions { density: Some(density), storage: Storage::Masks, ..*options });
-        let of_tree = DENSITIES.map(tree);
-        let best = of_tree.into_iter().min_by(|a, b| a.references_per_triangle.total_cmp(&b.references_per_triangle));
+            |density| survey.predict(&GridOptions { density: Some(density), storage: Storage::Tree, ..*options });
+        let tree_predictions = DENSITIES.map(tree);
+        let best =
+            tree_predictions.into_iter().min_by(|a, b| a.references_per_triangle.total_cmp(&b.references_per_triangle));
         let (density, reason) = match (asked, best) {
             (Some(density), _) => (density, Reason::Asked),
             (None, Some(best)) if survey.is_even() => (best.density, Reason::FewestReferences),
@@ -158,7 +159,7 @@ impl Choice {
             MeshLayout::Flat => MeshLayout::Indexed,
         };
         let uniform = |storage| survey.predict(&GridOptions { density: Some(UNIFORM_DENSITY), storage, ..*options });
-        let others = of_tree.into_iter().chain([
+        let others = tree_predictions.into_iter().chain([
             survey.predict(&GridOptions { density: Some(density), mesh: other_mesh, ..*options }),
             uniform(Storage::RowDisplacement),
             uniform(Storage::Plain),
@@ -175,10 +176,10 @@ impl Choice {
     pub fn summary(&self) -> String {
         let Some(chosen) = self.predictions.first() else { return "nothing to keep".to_owned() };
         let Prediction { storage, mesh, density, triangles_per_list, .. } = chosen;
-        let by_whom = if self.reason == Reason::Asked { "as asked for" } else { "chosen" };
-        let lists = if *storage == Storage::Masks.name() { "leaf" } else { "cell" };
+        let origin = if self.reason == Reason::Asked { "as asked for" } else { "chosen" };
+        let lists = if *storage == Storage::Tree.name() { "leaf" } else { "cell" };
         format!(
-            "{storage}, {mesh} mesh, {density} cells a triangle ({by_whom}): about {triangles_per_list:.0} triangles a {lists}"
+            "{storage}, {mesh} mesh, {density} cells a triangle ({origin}): about {triangles_per_list:.0} triangles a {lists}"
         )
     }
 
@@ -220,9 +221,10 @@ impl<'a> Survey<'a> {
     fn new(mesh: &'a Mesh) -> Self {
         let bounds = mesh.bounds();
         let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
-        let n_runs = mesh.triangles.len().div_ceil(RUN).min(MOST_RUNS);
-        let first_of = |run: usize| run * mesh.triangles.len().saturating_sub(RUN) / n_runs.max(2).saturating_sub(1);
-        let runs = (0..n_runs).filter_map(|run| Run::of(mesh, first_of(run))).collect();
+        let n_runs = mesh.triangles.len().div_ceil(TRIANGLES_PER_RUN).min(MOST_RUNS);
+        let first_triangle_of =
+            |run: usize| run * mesh.triangles.len().saturating_sub(TRIANGLES_PER_RUN) / n_runs.max(2).saturating_sub(1);
+        let runs = (0..n_runs).filter_map(|run| Run::of(mesh, first_triangle_of(run))).collect();
         Self { mesh, n_triangles: mesh.triangles.len() - mesh.n_rejected, extent: max - min, runs }
     }
 
@@ -240,37 +242,40 @@ impl<'a> Survey<'a> {
         let GridOptions { density, storage, mesh, .. } = *options;
         let density = density.unwrap_or(GridOptions::PAPER_DENSITY);
         let (_, cell_size) = resolution(self.extent, self.n_triangles, density);
-        let is_tree = storage == Storage::Masks;
-        let lists = self.runs.iter().map(|run| if is_tree { run.in_tree(cell_size) } else { run.in_cubes(cell_size) });
-        let (mut references, mut of_triangle) = (0.0, 0.0);
+        let is_tree = storage == Storage::Tree;
+        let lists = self
+            .runs
+            .iter()
+            .map(|run| if is_tree { run.lists_in_tree(cell_size) } else { run.lists_in_cubes(cell_size) });
+        let (mut references, mut triangles_per_list) = (0.0, 0.0);
         for (n, triangles) in lists {
             references += n / self.runs.len() as f64;
-            of_triangle += triangles / self.runs.len() as f64;
+            triangles_per_list += triangles / self.runs.len() as f64;
         }
         let is_flat = mesh == MeshLayout::Flat;
         let n_triangles = self.n_triangles as f64;
         let mesh_bytes = if is_flat { 40.0 * n_triangles } else { TracedMesh::bytes_in_order(self.mesh, false) as f64 };
         // Places, boxes, and where lists begin.
-        let tree_bytes = (4 + BOX_BYTES_PER_REFERENCE) as f64 * references + 4.0 * references / of_triangle;
+        let tree_bytes = (4 + BOX_BYTES_PER_REFERENCE) as f64 * references + 4.0 * references / triangles_per_list;
         let (grid_bytes, relative_time) = match storage {
-            Storage::Masks => (tree_bytes, 1.0 + TIME_PER_REFERENCE * (references - 1.0)),
+            Storage::Tree => (tree_bytes, 1.0 + TIME_PER_REFERENCE * (references - 1.0)),
             Storage::Plain => (4.0 * (references + density), 0.0),
             Storage::RowDisplacement => (4.0 * references + DISPLACED_BYTES_PER_CELL * density, 0.0),
         };
-        let of_uniform = UNIFORM_TIME.max(UNIFORM_TIME_PER_TRIANGLE * of_triangle);
+        let uniform_time = UNIFORM_TIME.max(UNIFORM_TIME_PER_TRIANGLE * triangles_per_list);
         let peak = TracedMesh::peak_bytes(self.mesh, is_flat) as f64
             + (grid_bytes - if is_tree { BOX_BYTES_PER_REFERENCE as f64 * references } else { 0.0 }) * n_triangles;
-        let in_order = TracedMesh::bytes_in_order(self.mesh, is_flat) as f64 + grid_bytes * n_triangles;
-        let needed = PROGRAM_BYTES as f64 + peak.max(in_order);
+        let ordered_bytes = TracedMesh::bytes_in_order(self.mesh, is_flat) as f64 + grid_bytes * n_triangles;
+        let needed = PROGRAM_BYTES as f64 + peak.max(ordered_bytes);
         Prediction {
             storage: storage.name(),
             mesh: mesh.name(),
             density,
             references_per_triangle: references,
-            triangles_per_list: of_triangle,
+            triangles_per_list: triangles_per_list,
             bytes_per_triangle: mesh_bytes / n_triangles + grid_bytes,
-            relative_time: if is_tree { relative_time } else { of_uniform },
-            fits: !options.memory_budget.is_less_than(needed as u64),
+            relative_time: if is_tree { relative_time } else { uniform_time },
+            fits: !options.memory_budget.is_exceeded_by(needed as u64),
             is_chosen: false,
         }
     }
@@ -280,7 +285,9 @@ impl Run {
     /// The triangles from `first` on; `None` if none of them has an area.
     fn of(mesh: &Mesh, first: usize) -> Option<Self> {
         let (mut n, mut sum) = (0.0, Self { area: 0.0, box_sides: 0.0, projected_areas: 0.0 });
-        for corners in (first..(first + RUN).min(mesh.triangles.len())).filter_map(|triangle| mesh.corners(triangle)) {
+        for corners in
+            (first..(first + TRIANGLES_PER_RUN).min(mesh.triangles.len())).filter_map(|triangle| mesh.corners(triangle))
+        {
             let [a, b, c] = corners.map(|corner| Vec3::from_array(corner).as_dvec3());
             let area = (b - a).cross(c - a) * 0.5;
             if area == DVec3::ZERO || !area.is_finite() {
@@ -296,27 +303,28 @@ impl Run {
     }
 
     /// How many cubes of a side list each triangle, and how many triangles such a cube lists.
-    fn in_cubes(&self, side: f64) -> (f64, f64) {
+    fn lists_in_cubes(&self, side: f64) -> (f64, f64) {
         let references = 1.0 + self.box_sides / side + self.projected_areas / (side * side);
         (references, references * (side * side / self.area).max(1.0))
     }
 
     /// The same of the leaves of a tree over cells of a side.
-    fn in_tree(&self, cell_size: f64) -> (f64, f64) {
-        let (mut references, mut of_triangle, mut divided) = (0.0, 0.0, 1.0);
+    fn lists_in_tree(&self, cell_size: f64) -> (f64, f64) {
+        let (mut references, mut triangles_per_list, mut divided) = (0.0, 0.0, 1.0);
         let mut side = cell_size * f64::from(CELLS_PER_BRICK);
         for level in 0..=LEVELS {
-            let (here, triangles) = self.in_cubes(side);
+            let (here, triangles) = self.lists_in_cubes(side);
             side /= 4.0;
-            let (below, _) = self.in_cubes(side);
+            let (below, _) = self.lists_in_cubes(side);
             // Where the tree stops dividing because triangles are larger than cubes.
             let is_last = level == LEVELS || below >= 8.0 * here;
-            let part = if is_last { 1.0 } else { 1.0 / (1.0 + (triangles / LEAF_SIZE as f64).powf(1.0 / SPREAD)) };
+            let part =
+                if is_last { 1.0 } else { 1.0 / (1.0 + (triangles / LEAF_SIZE as f64).powf(1.0 / TRANSITION_WIDTH)) };
             references += divided * part * here;
-            of_triangle += divided * part * triangles;
+            triangles_per_list += divided * part * triangles;
             divided -= divided * part;
         }
-        (references, of_triangle)
+        (references, triangles_per_list)
     }
 }
 

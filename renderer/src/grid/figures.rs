@@ -6,7 +6,7 @@ use crate::grid::{Grid, Structure};
 
 /// Sizes of a grid and its parts, the mesh not counted.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-pub struct GridFigures {
+pub struct GridStats {
     /// The name of how cells are kept.
     pub storage: &'static str,
     /// Cells per triangle, less than was asked for where memory does not allow more.
@@ -40,7 +40,7 @@ pub struct GridFigures {
     pub placement_seconds: Option<f64>,
 }
 
-impl GridFigures {
+impl GridStats {
     /// Bytes in all.
     pub fn n_bytes(&self) -> usize {
         let index_bytes = self.d_bytes.unwrap_or(0) + self.o_bytes.unwrap_or(0) + self.box_bytes.unwrap_or(0);
@@ -50,12 +50,12 @@ impl GridFigures {
 
 impl Grid {
     /// What the grid is and takes.
-    pub fn figures(&self) -> GridFigures {
+    pub fn figures(&self) -> GridStats {
         let figures = match &self.structure {
             Structure::Tree(tree) => tree.figures(),
             Structure::Plain(grid) => grid.figures(),
             Structure::RowDisplacement { grid, placement } => grid.figures(*placement),
         };
-        GridFigures { density: self.density, ..figures }
+        GridStats { density: self.density, ..figures }
     }
 }

@@ -10,7 +10,7 @@ use crate::{
     grid::traced::TracedMesh,
     intersect::{
         ray::{Hit, Ray},
-        walk::Cells,
+        walk::CellStructure,
     },
     model::mesh::Mesh,
 };
@@ -37,7 +37,7 @@ fn intersect_in_f64(ray: &Ray, corners: [[f32; 3]; 3]) -> Option<(f64, f64)> {
 
 /// Checks the grid's hit against all triangles. Where the truth hangs on rounding, either answer is right.
 fn check(mesh: &Mesh, grid: &Grid, ray: &Ray) {
-    let hit = in_file_order(grid, grid.intersect(ray));
+    let hit = with_file_index(grid, grid.intersect(ray));
     let candidates: Vec<_> = (0..mesh.triangles.len())
         .filter_map(|triangle| Some((triangle as u32, intersect_in_f64(ray, mesh.corners(triangle)?)?)))
         .collect();
@@ -64,8 +64,8 @@ fn check(mesh: &Mesh, grid: &Grid, ray: &Ray) {
 }
 
 /// With the number in the file instead of the place.
-fn in_file_order(grid: &Grid, hit: Hit) -> Hit {
-    if hit.is_miss() { hit } else { Hit { triangle: grid.mesh().number(hit.triangle), ..hit } }
+fn with_file_index(grid: &Grid, hit: Hit) -> Hit {
+    if hit.is_miss() { hit } else { Hit { triangle: grid.mesh().file_index(hit.triangle), ..hit } }
 }
 
 fn build(mesh: &Mesh) -> Grid {
@@ -74,7 +74,7 @@ fn build(mesh: &Mesh) -> Grid {
 
 /// A grid in every mode, the default first.
 fn build_modes(mesh: &Mesh) -> Vec<Grid> {
-    let storages = [Storage::Masks, Storage::Plain, Storage::RowDisplacement].into_iter();
+    let storages = [Storage::Tree, Storage::Plain, Storage::RowDisplacement].into_iter();
     let modes = storages.flat_map(|storage| [(storage, 3, MeshLayout::Indexed), (storage, 0, MeshLayout::Flat)]);
     modes
         .map(|(storage, macrocell_levels, layout)| {
@@ -198,7 +198,7 @@ fn the_first_of_equal_triangles_wins() {
     let triangle = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
     let mesh = soup(vec![[[5.0; 3], [6.0, 5.0, 5.0], [5.0, 6.0, 5.0]], triangle, triangle, triangle]);
     let ray = Ray::new(Vec3::new(0.25, 0.25, 4.0), Vec3::NEG_Z);
-    assert_eq!(in_file_order(&build(&mesh), build(&mesh).intersect(&ray)), Hit { triangle: 1, t: 4.0 });
+    assert_eq!(with_file_index(&build(&mesh), build(&mesh).intersect(&ray)), Hit { triangle: 1, t: 4.0 });
 }
 
 #[test]
@@ -248,7 +248,11 @@ fn triangles_of_every_size_and_place_are_found() {
                 for back in [1.0f32, 100.0] {
                     let direction = Vec3::new(0.0, 0.0, -scale);
                     let ray = Ray::new(target - direction * back, direction);
-                    assert_eq!(in_file_order(grid, grid.intersect(&ray)).triangle, k, "scale {scale}, offset {offset}");
+                    assert_eq!(
+                        with_file_index(grid, grid.intersect(&ray)).triangle,
+                        k,
+                        "scale {scale}, offset {offset}"
+                    );
                 }
             }
         }
@@ -289,7 +293,7 @@ fn rays_along_the_border_stay_inside() {
             };
             for (axis, n_cells) in dims.into_iter().enumerate() {
                 let mut ray = Ray::new(Vec3::splat(9.5), Vec3::ZERO);
-                ray.origin[axis] = grid.space.length(f64::from(n_cells) + 0.5 * DILATION) as f32;
+                ray.origin[axis] = grid.space.length_to_world(f64::from(n_cells) + 0.5 * DILATION) as f32;
                 ray.direction[axis] = 1e-9;
                 ray.origin[(axis + 1) % 3] = -1.0;
                 ray.direction[(axis + 1) % 3] = 1.0;
@@ -326,7 +330,7 @@ fn a_grid_stays_within_its_memory_and_hits_the_same() {
     for storage in Storage::ALL {
         // The tree has little more than one reference for each triangle, whatever it is allowed.
         let all_left =
-            if storage == Storage::Masks { [300_000, 310_000, 320_000] } else { [300_000, 600_000, 1_000_000] };
+            if storage == Storage::Tree { [300_000, 310_000, 320_000] } else { [300_000, 600_000, 1_000_000] };
         for left in all_left {
             let memory_budget = (mesh_bytes + left).to_string().parse().unwrap();
             let options = GridOptions { storage, memory_budget, ..GridOptions::default() };
@@ -339,7 +343,7 @@ fn a_grid_stays_within_its_memory_and_hits_the_same() {
             let as_loaded = TracedMesh::peak_bytes(&mesh, false) - TracedMesh::bytes_in_order(&mesh, false);
             assert!(box_bytes + tree_bytes <= left + as_loaded, "{storage}: {box_bytes} bytes of boxes");
             for lane in 0..64 {
-                let [limited, free] = [&grid, &unlimited].map(|g| in_file_order(g, g.intersect(&packet.ray(lane))));
+                let [limited, free] = [&grid, &unlimited].map(|g| with_file_index(g, g.intersect(&packet.ray(lane))));
                 assert_eq!(limited, free);
             }
         }

@@ -18,7 +18,7 @@ pub struct TracedMesh {
     /// The vertices of each triangle; empty in a flat mesh.
     triangles: Vec<[u32; 3]>,
     /// Numbers in the file, by place.
-    numbers: Vec<u32>,
+    file_indices: Vec<u32>,
     /// Empty, or one for each vertex.
     colors: Vec<[u8; 3]>,
     bounds: Aabb,
@@ -47,33 +47,33 @@ impl TracedMesh {
     pub fn new(mesh: Mesh, references: &mut [u32]) -> Self {
         let bounds = mesh.bounds();
         let Mesh { vertices, triangles, colors, .. } = mesh;
-        let mut numbers = Vec::new();
+        let mut file_indices = Vec::new();
         let mut places = Renumbering::new(triangles.len());
         for &reference in &*references {
-            places.place(reference, |number| numbers.push(number));
+            places.assign(reference, |number| file_indices.push(number));
         }
         let Renumbering { places, .. } = places;
         let to_places = || references.par_iter_mut().for_each(|reference| *reference = places[*reference as usize]);
-        let mut kept = Vec::new();
+        let mut kept_vertices = Vec::new();
         let mut vertex_places = Renumbering::new(vertices.len());
         let place_vertices = || {
-            for vertex in numbers.iter().flat_map(|&number| triangles[number as usize]) {
-                vertex_places.place(vertex, |vertex| kept.push(vertex));
+            for vertex in file_indices.iter().flat_map(|&number| triangles[number as usize]) {
+                vertex_places.assign(vertex, |vertex| kept_vertices.push(vertex));
             }
         };
         rayon::join(to_places, place_vertices);
         drop(places);
         // By all threads, for memory that is written for the first time is waited for.
-        let in_order = numbers.par_iter().map(|&number| triangles[number as usize]);
+        let in_order = file_indices.par_iter().map(|&number| triangles[number as usize]);
         let new_places = |of_triangle: [u32; 3]| of_triangle.map(|vertex| vertex_places.places[vertex as usize]);
         let triangles_in_order = in_order.map(new_places).collect();
         drop((triangles, vertex_places));
         let is_colored = !colors.is_empty();
         Self {
-            vertices: padded(kept.par_iter().map(|&vertex| vertices[vertex as usize])),
+            vertices: padded(kept_vertices.par_iter().map(|&vertex| vertices[vertex as usize])),
             triangles: triangles_in_order,
-            numbers,
-            colors: kept.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
+            file_indices,
+            colors: kept_vertices.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
             bounds,
         }
     }
@@ -81,7 +81,7 @@ impl TracedMesh {
     /// The same mesh with three corners of its own for each triangle, and no indices.
     #[must_use]
     pub(crate) fn into_flat(self) -> Self {
-        let Self { vertices, triangles, numbers, colors, bounds } = self;
+        let Self { vertices, triangles, file_indices, colors, bounds } = self;
         let is_colored = !colors.is_empty();
         Self {
             vertices: padded((0..3 * triangles.len()).into_par_iter().map(|corner| {
@@ -90,26 +90,26 @@ impl TracedMesh {
             })),
             colors: triangles.iter().flatten().filter(|_| is_colored).map(|&v| colors[v as usize]).collect(),
             triangles: Vec::new(),
-            numbers,
+            file_indices,
             bounds,
         }
     }
 
     /// How many triangles can be hit.
     pub fn n_triangles(&self) -> usize {
-        self.numbers.len()
+        self.file_indices.len()
     }
 
     /// The number in the file of the triangle at a place.
     #[inline]
-    pub fn number(&self, place: u32) -> u32 {
-        self.numbers[place as usize]
+    pub fn file_index(&self, triangle_idx: u32) -> u32 {
+        self.file_indices[triangle_idx as usize]
     }
 
     /// The corners of the triangle at a place, in world space.
     #[inline]
-    pub fn corners(&self, place: u32) -> [[f32; 3]; 3] {
-        self.indices(place).map(|vertex| self.vertices[vertex as usize])
+    pub fn corners(&self, triangle_idx: u32) -> [[f32; 3]; 3] {
+        self.indices(triangle_idx).map(|vertex| self.vertices[vertex as usize])
     }
 
     /// The vertices of the triangle at a place, which are all there.
@@ -118,20 +118,20 @@ impl TracedMesh {
     ///
     /// If there is no such triangle.
     #[inline]
-    pub(crate) fn indices(&self, place: u32) -> [u32; 3] {
+    pub(crate) fn indices(&self, triangle_idx: u32) -> [u32; 3] {
         if self.triangles.is_empty() {
-            assert!((place as usize) < self.n_triangles(), "no triangle {place}");
-            [3 * place, 3 * place + 1, 3 * place + 2]
+            assert!((triangle_idx as usize) < self.n_triangles(), "no triangle {triangle_idx}");
+            [3 * triangle_idx, 3 * triangle_idx + 1, 3 * triangle_idx + 2]
         } else {
-            self.triangles[place as usize]
+            self.triangles[triangle_idx as usize]
         }
     }
 
     /// The sRGB colours of the corners of the triangle at a place, if the mesh has colours.
     #[inline]
-    pub fn corner_colors(&self, place: u32) -> Option<[[u8; 3]; 3]> {
+    pub fn corner_colors(&self, triangle_idx: u32) -> Option<[[u8; 3]; 3]> {
         let color = |vertex: u32| self.colors[vertex as usize];
-        (!self.colors.is_empty()).then(|| self.indices(place).map(color))
+        (!self.colors.is_empty()).then(|| self.indices(triangle_idx).map(color))
     }
 
     /// The bounds of all triangles, in world space.
@@ -143,24 +143,24 @@ impl TracedMesh {
     pub fn n_bytes(&self) -> usize {
         size_of_val(&*self.vertices)
             + size_of_val(&*self.triangles)
-            + size_of_val(&*self.numbers)
+            + size_of_val(&*self.file_indices)
             + size_of_val(&*self.colors)
     }
 
     /// Hints that the triangle at a place will be read soon.
     #[inline(always)]
-    pub(crate) fn prefetch<S: Simd>(&self, place: u32) {
+    pub(crate) fn prefetch<S: Simd>(&self, triangle_idx: u32) {
         if self.triangles.is_empty() {
-            S::prefetch(&self.vertices, 3 * place as usize);
+            S::prefetch(&self.vertices, 3 * triangle_idx as usize);
         } else {
-            S::prefetch(&self.triangles, place as usize);
+            S::prefetch(&self.triangles, triangle_idx as usize);
         }
     }
 
     /// Hints that the corners of the triangle at a place will be read soon; the triangle itself is read now.
     #[inline(always)]
-    pub(crate) fn prefetch_corners<S: Simd>(&self, place: u32) {
-        if let Some(&[a, b, c]) = self.triangles.get(place as usize) {
+    pub(crate) fn prefetch_corners<S: Simd>(&self, triangle_idx: u32) {
+        if let Some(&[a, b, c]) = self.triangles.get(triangle_idx as usize) {
             S::prefetch(&self.vertices, a as usize);
             S::prefetch(&self.vertices, b as usize);
             S::prefetch(&self.vertices, c as usize);
@@ -169,7 +169,7 @@ impl TracedMesh {
 
     /// For each corner of the triangles at some places, and for each axis, its coordinates.
     #[inline(always)]
-    pub(crate) fn corners_in_lanes<S: Simd>(&self, places: &[u32; 16]) -> [[S; 3]; 3] {
+    pub(crate) fn gather_corners<S: Simd>(&self, places: &[u32; 16]) -> [[S; 3]; 3] {
         let mut vertices = [[0; 16]; 3];
         for lane in 0..S::LANES {
             let [a, b, c] = self.indices(places[lane]);
@@ -178,7 +178,7 @@ impl TracedMesh {
         let coordinates = self.coordinates();
         let [a, b, c] = &vertices;
         // SAFETY: triangles have vertices that are there, and another follows the last.
-        unsafe { [S::transpose(coordinates, a), S::transpose(coordinates, b), S::transpose(coordinates, c)] }
+        unsafe { [S::gather_xyz(coordinates, a), S::gather_xyz(coordinates, b), S::gather_xyz(coordinates, c)] }
     }
 
     /// The coordinates of all vertices, one vertex after the other, and three more.
@@ -198,23 +198,23 @@ fn padded(vertices: impl IndexedParallelIterator<Item = [f32; 3]>) -> Vec<[f32; 
 /// New numbers, given in the order of first mention.
 struct Renumbering {
     places: Vec<u32>,
-    n_given: u32,
+    n_assigned: u32,
 }
 
 impl Renumbering {
     fn new(n: usize) -> Self {
-        Self { places: vec![u32::MAX; n], n_given: 0 }
+        Self { places: vec![u32::MAX; n], n_assigned: 0 }
     }
 
     /// The new number of `old`; calls `first` if it has none yet.
     #[inline]
-    fn place(&mut self, old: u32, first: impl FnOnce(u32)) -> u32 {
-        let place = &mut self.places[old as usize];
-        if *place == u32::MAX {
-            *place = self.n_given;
-            self.n_given += 1;
+    fn assign(&mut self, old: u32, first: impl FnOnce(u32)) -> u32 {
+        let new_index = &mut self.places[old as usize];
+        if *new_index == u32::MAX {
+            *new_index = self.n_assigned;
+            self.n_assigned += 1;
             first(old);
         }
-        *place
+        *new_index
     }
 }

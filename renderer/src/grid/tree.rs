@@ -13,10 +13,10 @@ pub(crate) mod scatter;
 use std::ops::Range;
 
 use crate::{
-    grid::{Storage, figures::GridFigures},
-    intersect::walk::{Cells, List},
+    grid::{Storage, figures::GridStats},
+    intersect::walk::{CellStructure, TriangleList},
 };
-use boxes::Boxes;
+use boxes::QuantizedBoxes;
 
 /// Cells of the paper's resolution along a brick.
 pub(crate) const CELLS_PER_BRICK: u32 = 32;
@@ -37,20 +37,20 @@ pub(crate) struct Tree {
     pub(crate) extent: [u32; 3],
     /// For each brick, x fastest: [`Tree::EMPTY`], or a leaf with [`Tree::LEAF`] set, or a node.
     pub(crate) bricks: Vec<u32>,
-    pub(crate) nodes: Vec<Node>,
+    pub(crate) nodes: Vec<TreeNode>,
     /// Where each leaf's references begin; one more at the end.
     pub(crate) leaf_starts: Vec<u32>,
     /// Triangles by their place in the mesh, leaf after leaf.
     pub(crate) references: Vec<u32>,
     /// Small bounds of the triangle of each reference.
-    pub(crate) boxes: Boxes,
+    pub(crate) boxes: QuantizedBoxes,
     /// The largest empty cube that a single ray may skip whole, log₂ in finest cells.
     pub(crate) largest_skip: u32,
 }
 
 /// A cube of 4×4×4 children, child (x, y, z) at bit 16·z + 4·y + x.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Node {
+pub(crate) struct TreeNode {
     /// Children with triangles in them.
     pub(crate) occupied: u64,
     /// Those of them that are nodes again; the others are leaves.
@@ -74,15 +74,15 @@ impl Tree {
             nodes: Vec::new(),
             leaf_starts: vec![0],
             references: Vec::new(),
-            boxes: Boxes::default(),
+            boxes: QuantizedBoxes::default(),
             largest_skip: largest_skip(0),
         }
     }
 
     #[inline(always)]
-    fn leaf(&self, leaf: u32) -> List<'_> {
+    fn leaf(&self, leaf: u32) -> TriangleList<'_> {
         let references = self.references_of(leaf);
-        List { triangles: &self.references[references.clone()], boxes: self.boxes.of_leaf(references) }
+        TriangleList { triangles: &self.references[references.clone()], boxes: self.boxes.leaf_bytes(references) }
     }
 
     /// Which references are those of a leaf.
@@ -93,9 +93,9 @@ impl Tree {
     }
 
     /// What it is and takes, without mesh and density.
-    pub(crate) fn figures(&self) -> GridFigures {
-        GridFigures {
-            storage: Storage::Masks.name(),
+    pub(crate) fn figures(&self) -> GridStats {
+        GridStats {
+            storage: Storage::Tree.name(),
             cells: self.dims.iter().map(|&n| u64::from(n * CELLS_PER_BRICK)).product(),
             lists: self.leaf_starts.len() - 1,
             references: self.references.len(),
@@ -103,18 +103,18 @@ impl Tree {
             list_bytes: size_of_val(&*self.leaf_starts),
             reference_bytes: size_of_val(&*self.references),
             box_bytes: Some(self.boxes.n_bytes()),
-            ..GridFigures::default()
+            ..GridStats::default()
         }
     }
 }
 
-impl Cells for Tree {
+impl CellStructure for Tree {
     fn dims(&self) -> [i32; 3] {
         self.extent.map(|n| n as i32)
     }
 
     #[inline]
-    fn locate(&self, cell: [i32; 3]) -> (Option<List<'_>>, u32) {
+    fn locate(&self, cell: [i32; 3]) -> (Option<TriangleList<'_>>, u32) {
         let cell = cell.map(|x| x as u32);
         let mut shift = 2 * LEVELS;
         let [x, y, z] = cell.map(|x| (x >> shift) as usize);
@@ -128,7 +128,7 @@ impl Cells for Tree {
         let mut node = &self.nodes[brick as usize];
         loop {
             shift -= 2;
-            let child = overlap::child(cell.map(|x| x >> shift & 3));
+            let child = overlap::child_index(cell.map(|x| x >> shift & 3));
             if node.occupied >> child & 1 == 0 {
                 return (None, shift.min(self.largest_skip));
             }

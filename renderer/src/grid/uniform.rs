@@ -9,13 +9,13 @@ use std::time::{Duration, Instant};
 use crate::{
     grid::{
         Storage,
-        figures::GridFigures,
+        figures::GridStats,
         tree::scatter::{self, Scatter},
     },
-    intersect::walk::{Cells, List},
+    intersect::walk::{CellStructure, TriangleList},
 };
 use macrocells::Macrocells;
-use row_displacement::Occupied;
+use row_displacement::OccupiedCells;
 use row_displacement::RowDisplacement;
 
 /// Where the list of each cell stands.
@@ -29,11 +29,11 @@ pub(crate) trait CellIndex: Sync {
 
 /// Every cell has a list, and those of most are empty.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Plain {
+pub(crate) struct DenseIndex {
     dims: [u32; 3],
 }
 
-impl CellIndex for Plain {
+impl CellIndex for DenseIndex {
     fn n_slots(&self) -> usize {
         self.dims.iter().map(|&n| n as usize).product()
     }
@@ -56,29 +56,29 @@ pub(crate) struct UniformGrid<I> {
     macrocells: Macrocells,
 }
 
-impl<I: CellIndex> Cells for UniformGrid<I> {
+impl<I: CellIndex> CellStructure for UniformGrid<I> {
     fn dims(&self) -> [i32; 3] {
         self.dims.map(|n| n as i32)
     }
 
     #[inline]
-    fn locate(&self, cell: [i32; 3]) -> (Option<List<'_>>, u32) {
+    fn locate(&self, cell: [i32; 3]) -> (Option<TriangleList<'_>>, u32) {
         let cell = cell.map(|x| x as u32);
         if let Some(shift) = self.macrocells.empty_around(cell) {
             return (None, shift);
         }
         let list = self.index.slot(cell).map(|slot| {
             let [first, end] = [self.starts[slot], self.starts[slot + 1]];
-            List { triangles: &self.references[first as usize..end as usize], boxes: &[] }
+            TriangleList { triangles: &self.references[first as usize..end as usize], boxes: &[] }
         });
         (list, 0)
     }
 }
 
-impl UniformGrid<Plain> {
+impl UniformGrid<DenseIndex> {
     /// Builds the grid, or `None` if it would take more than `most_bytes`.
     pub(crate) fn build(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<Self> {
-        let index = Plain { dims: scatter.dims };
+        let index = DenseIndex { dims: scatter.dims };
         let mut grid = Self::fill(scatter, index, most_bytes)?;
         let [x_dim, y_dim, _] = grid.dims.map(|n| n as usize);
         let occupied = grid.starts.windows(2).enumerate().filter(|(_, bounds)| bounds[0] < bounds[1]);
@@ -88,8 +88,8 @@ impl UniformGrid<Plain> {
     }
 
     /// What it is and takes, without mesh and density.
-    pub(crate) fn figures(&self) -> GridFigures {
-        GridFigures { storage: Storage::Plain.name(), ..self.sizes() }
+    pub(crate) fn figures(&self) -> GridStats {
+        GridStats { storage: Storage::Plain.name(), ..self.sizes() }
     }
 }
 
@@ -98,8 +98,8 @@ impl UniformGrid<RowDisplacement> {
     pub(crate) fn build(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<(Self, Duration)> {
         let dims = scatter.dims;
         let left = most_bytes.checked_sub(RowDisplacement::predicted_bytes(dims))?;
-        let occupied = Occupied::new(dims);
-        scatter.for_each(left / REFERENCE_BYTES, |cell, _| occupied.insert(cell))?;
+        let occupied = OccupiedCells::new(dims);
+        scatter.for_each_pair(left / REFERENCE_BYTES, |cell, _| occupied.insert(cell))?;
         let started_at = Instant::now();
         let index = RowDisplacement::new(occupied);
         let placement = started_at.elapsed();
@@ -109,11 +109,11 @@ impl UniformGrid<RowDisplacement> {
     }
 
     /// What it is and takes, without mesh and density.
-    pub(crate) fn figures(&self, placement: Duration) -> GridFigures {
+    pub(crate) fn figures(&self, placement: Duration) -> GridStats {
         let [d_bytes, o_bytes] = self.index.n_bytes();
         let sizes = self.sizes();
         let displaced_bytes = d_bytes + o_bytes + sizes.list_bytes;
-        GridFigures {
+        GridStats {
             storage: Storage::RowDisplacement.name(),
             d_bytes: Some(d_bytes),
             o_bytes: Some(o_bytes),
@@ -135,15 +135,15 @@ impl<I: CellIndex> UniformGrid<I> {
         Some(Self { dims: scatter.dims, index, starts, references, macrocells: Macrocells::default() })
     }
 
-    fn sizes(&self) -> GridFigures {
-        GridFigures {
+    fn sizes(&self) -> GridStats {
+        GridStats {
             cells: self.dims.iter().map(|&n| u64::from(n)).product(),
             lists: self.starts.windows(2).filter(|bounds| bounds[0] < bounds[1]).count(),
             references: self.references.len(),
             macrocell_bytes: self.macrocells.n_bytes(),
             list_bytes: size_of_val(&*self.starts),
             reference_bytes: size_of_val(&*self.references),
-            ..GridFigures::default()
+            ..GridStats::default()
         }
     }
 }

@@ -6,7 +6,7 @@
 //! Packets have one range of t for all rays, so they take the widest; a ray whose hit lies outside of its own range, or
 //! on its end, goes on alone. A hit well inside is its answer: what is nearest within more is nearest within less.
 
-use shared::look::ClipPlane;
+use shared::appearance::ClipPlane;
 
 use crate::{
     grid::Grid,
@@ -20,14 +20,14 @@ use crate::{
 ///
 /// Where the ray passes the plane is found in `f64` and rounded once, a step beyond it, so that what lies in the plane is
 /// kept everywhere: the same bits for a ray that is followed alone and in any packet.
-pub fn kept(clip: Option<&ClipPlane>, ray: Ray) -> Option<Ray> {
+pub fn clip_ray(clip: Option<&ClipPlane>, ray: Ray) -> Option<Ray> {
     let Some(ClipPlane { normal, offset }) = clip else { return Some(ray) };
-    let room = offset - normal.dot(ray.origin.as_dvec3());
+    let distance = offset - normal.dot(ray.origin.as_dvec3());
     let slope = normal.dot(ray.direction.as_dvec3());
     if slope == 0.0 {
-        return (room >= 0.0).then_some(ray);
+        return (distance >= 0.0).then_some(ray);
     }
-    let t = (room / slope) as f32;
+    let t = (distance / slope) as f32;
     let ray = if slope > 0.0 {
         Ray { t_max: ray.t_max.min(t.next_up()), ..ray }
     } else {
@@ -38,12 +38,12 @@ pub fn kept(clip: Option<&ClipPlane>, ray: Ray) -> Option<Ray> {
 
 /// The nearest triangle along what a plane keeps of a ray.
 pub fn intersect(grid: &Grid, clip: Option<&ClipPlane>, ray: Ray) -> Hit {
-    kept(clip, ray).map_or(Hit::MISS, |ray| grid.intersect(&ray))
+    clip_ray(clip, ray).map_or(Hit::MISS, |ray| grid.intersect(&ray))
 }
 
 /// Whether what a plane keeps of a ray hits any triangle.
 pub fn occluded(grid: &Grid, clip: Option<&ClipPlane>, ray: Ray) -> bool {
-    kept(clip, ray).is_some_and(|ray| grid.occluded(&ray))
+    clip_ray(clip, ray).is_some_and(|ray| grid.occluded(&ray))
 }
 
 /// [`Grid::intersect_packets`] on what a plane keeps of each ray. Of packets that any hit will do for, a hit's t is some
@@ -65,18 +65,18 @@ pub fn intersect_packets(
 
 fn intersect_packet(grid: &Grid, clip: Option<&ClipPlane>, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
     let mut rays = [None; 64];
-    let mut widest = Packet { active: 0, t_min: f32::INFINITY, t_max: f32::NEG_INFINITY, ..*packet };
+    let mut hull = Packet { active: 0, t_min: f32::INFINITY, t_max: f32::NEG_INFINITY, ..*packet };
     for (lane, ray) in rays.iter_mut().enumerate().filter(|(lane, _)| packet.active >> lane & 1 == 1) {
-        *ray = kept(clip, packet.ray(lane));
+        *ray = clip_ray(clip, packet.ray(lane));
         if let Some(Ray { t_min, t_max, .. }) = *ray {
-            widest.active |= 1 << lane;
-            (widest.t_min, widest.t_max) = (widest.t_min.min(t_min), widest.t_max.max(t_max));
+            hull.active |= 1 << lane;
+            (hull.t_min, hull.t_max) = (hull.t_min.min(t_min), hull.t_max.max(t_max));
         }
     }
-    if widest.active == 0 {
+    if hull.active == 0 {
         return [Hit::MISS; 64];
     }
-    let mut hits = grid.intersect_packet(&widest, scratch);
+    let mut hits = grid.intersect_packet(&hull, scratch);
     for (hit, ray) in hits.iter_mut().zip(rays) {
         let Some(ray) = ray else {
             *hit = Hit::MISS;
@@ -101,9 +101,9 @@ fn intersect_packet(grid: &Grid, clip: Option<&ClipPlane>, packet: &Packet, scra
 mod tests {
     use glam::{DVec3, Vec3};
     use shared::{
+        appearance::{Clip, ClipSide},
         camera::Camera,
         division::FrameSize,
-        look::{Clip, ClipFrom},
     };
 
     use super::*;
@@ -117,7 +117,7 @@ mod tests {
     fn scene(mesh: &Mesh, storage: Storage, instructions: InstructionSet) -> Scene {
         let options = SceneOptions { grid: GridOptions { storage, ..GridOptions::default() } };
         let grid = Scene::build(mesh.clone(), &options, &|_| ()).into_grid();
-        Scene::of_grid(grid.with_instructions(instructions))
+        Scene::from_grid(grid.with_instructions(instructions))
     }
 
     /// The packets of a frame.
@@ -146,7 +146,7 @@ mod tests {
                 let ray = packet.ray(lane);
                 assert_eq!(hits[lane], intersect(grid, clip, ray), "{ray:?} {plane:?}");
                 assert_eq!(!any[lane].is_miss(), occluded(grid, clip, ray), "{ray:?} {plane:?}");
-                answers.push((ray, scene.in_file_order(hits[lane])));
+                answers.push((ray, scene.with_file_index(hits[lane])));
             }
         }
         answers
@@ -168,11 +168,11 @@ mod tests {
             let q = to_origin.cross(edge_ab);
             let (u, v) = (to_origin.dot(p) / determinant, direction.dot(q) / determinant);
             let (t, inside) = (edge_ac.dot(q) / determinant, u.min(v).min(1.0 - u - v));
-            let room = plane.offset - plane.normal.dot(origin + direction * t);
-            if !(t.is_finite() && t >= 0.0 && inside >= -1e-7 && room >= -1e-6) {
+            let distance = plane.offset - plane.normal.dot(origin + direction * t);
+            if !(t.is_finite() && t >= 0.0 && inside >= -1e-7 && distance >= -1e-6) {
                 continue;
             }
-            if inside < 1e-7 || room < 1e-6 {
+            if inside < 1e-7 || distance < 1e-6 {
                 doubtful = doubtful.min(t);
             } else if nearest.is_none_or(|(_, before)| t < before) {
                 nearest = Some((triangle as u32, t));
@@ -187,10 +187,10 @@ mod tests {
         let mesh = statue::generate(1500, &|_| ());
         let size = FrameSize::new(32, 16).unwrap();
         let (mut n_hits, mut n_inner, mut n_doubtful) = (0, 0, 0);
-        let best = scene(&mesh, Storage::Masks, InstructionSet::best());
+        let best = scene(&mesh, Storage::Tree, InstructionSet::best());
         let eyes = [DVec3::new(0.6, 1.5, 2.5), DVec3::new(-2.0, 0.4, -0.3), DVec3::new(0.05, 0.9, 0.02)];
         for (eye, (index, from)) in
-            eyes.into_iter().flat_map(|eye| ClipFrom::ALL.into_iter().enumerate().map(move |from| (eye, from)))
+            eyes.into_iter().flat_map(|eye| ClipSide::ALL.into_iter().enumerate().map(move |from| (eye, from)))
         {
             let camera = Camera::look_at(eye, DVec3::new(0.0, 0.8, 0.1), DVec3::Y, 0.8, 2.0).unwrap();
             let clip = Clip::new(from, 380 + 40 * index as u16).unwrap();
@@ -221,11 +221,11 @@ mod tests {
         let packets = packets(&camera, FrameSize::new(64, 32).unwrap());
         let scenes: Vec<_> = InstructionSet::available()
             .into_iter()
-            .map(|instructions| (Storage::Masks, instructions))
-            .chain([(Storage::Plain, InstructionSet::best()), (Storage::RowDisplacement, InstructionSet::Plain)])
+            .map(|instructions| (Storage::Tree, instructions))
+            .chain([(Storage::Plain, InstructionSet::best()), (Storage::RowDisplacement, InstructionSet::Portable)])
             .map(|(storage, instructions)| scene(&mesh, storage, instructions))
             .collect();
-        for from in ClipFrom::ALL {
+        for from in ClipSide::ALL {
             let answers = scenes.iter().map(|scene| {
                 let plane = scene.clip_plane(&camera, Some(Clip::new(from, 450).unwrap())).unwrap();
                 check(scene, &plane, &packets)
@@ -244,7 +244,7 @@ mod tests {
             triangles: (0..3).flat_map(|n| [[4 * n, 4 * n + 1, 4 * n + 2], [4 * n, 4 * n + 2, 4 * n + 3]]).collect(),
             ..Mesh::default()
         };
-        let scene = scene(&mesh, Storage::Masks, InstructionSet::best());
+        let scene = scene(&mesh, Storage::Tree, InstructionSet::best());
         for (clip, eye_z, expected) in [
             ("z:50", 3.0, 1),
             ("z:50", -3.0, 0),
@@ -264,12 +264,17 @@ mod tests {
     #[test]
     fn rays_that_are_none_end_as_they_do_without_a_plane() {
         let plane = ClipPlane { normal: DVec3::X, offset: 0.5 };
-        let kept = |origin: f32, direction: f32| kept(Some(&plane), Ray::new(Vec3::splat(origin), Vec3::X * direction));
-        assert_eq!((kept(0.0, 0.0).map(|ray| ray.t_max), kept(1.0, 0.0)), (Some(f32::MAX), None), "along the plane");
-        assert_eq!(kept(1.0, 1.0), None, "all beyond it");
-        assert_eq!(kept(0.0, -1.0).map(|ray| (ray.t_min, ray.t_max)), Some((0.0, f32::MAX)), "all before it");
+        let clip_ray =
+            |origin: f32, direction: f32| clip_ray(Some(&plane), Ray::new(Vec3::splat(origin), Vec3::X * direction));
+        assert_eq!(
+            (clip_ray(0.0, 0.0).map(|ray| ray.t_max), clip_ray(1.0, 0.0)),
+            (Some(f32::MAX), None),
+            "along the plane"
+        );
+        assert_eq!(clip_ray(1.0, 1.0), None, "all beyond it");
+        assert_eq!(clip_ray(0.0, -1.0).map(|ray| (ray.t_min, ray.t_max)), Some((0.0, f32::MAX)), "all before it");
         for odd in [f32::NAN, f32::INFINITY, -f32::INFINITY, f32::MAX, 1e-45] {
-            for ray in [kept(odd, 1.0), kept(0.0, odd), kept(odd, odd)].into_iter().flatten() {
+            for ray in [clip_ray(odd, 1.0), clip_ray(0.0, odd), clip_ray(odd, odd)].into_iter().flatten() {
                 assert!(!ray.t_min.is_nan() && !ray.t_max.is_nan(), "{odd}: {ray:?}");
             }
         }

@@ -22,16 +22,16 @@ impl ExactSum {
     /// Shewchuk's GROW-EXPANSION without its zeros.
     fn add(&mut self, summand: f64) {
         let mut sum = summand;
-        let mut kept = 0;
+        let mut n_kept = 0;
         for index in 0..self.components.len() {
             let (rounded, error) = two_sum(sum, self.components[index]);
             sum = rounded;
             if error != 0.0 {
-                self.components[kept] = error;
-                kept += 1;
+                self.components[n_kept] = error;
+                n_kept += 1;
             }
         }
-        self.components.truncate(kept);
+        self.components.truncate(n_kept);
         if sum != 0.0 {
             self.components.push(sum);
         }

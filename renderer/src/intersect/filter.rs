@@ -9,8 +9,8 @@ use crate::{
         InstructionSet,
         packet::prepared::{SIDE_MARGIN, UNDERFLOW_MARGIN},
         ray::Ray,
-        simd::{Avx2, Avx512, Plain, Simd},
-        walk::List,
+        simd::{Avx2, Avx512, Portable, Simd},
+        walk::TriangleList,
     },
 };
 
@@ -18,7 +18,7 @@ use crate::{
 pub const BATCH: usize = 16;
 
 /// A ray, ready to meet lists of triangles.
-pub(crate) struct Filter<'a> {
+pub(crate) struct RayFilter<'a> {
     instructions: InstructionSet,
     mesh: &'a TracedMesh,
     ray: &'a Ray,
@@ -29,7 +29,7 @@ pub(crate) struct Filter<'a> {
     v: f32,
 }
 
-impl<'a> Filter<'a> {
+impl<'a> RayFilter<'a> {
     #[inline]
     pub(crate) fn new(instructions: InstructionSet, mesh: &'a TracedMesh, ray: &'a Ray) -> Self {
         let [x, y, z] = ray.direction.to_array().map(f32::abs);
@@ -50,17 +50,17 @@ impl<'a> Filter<'a> {
     #[inline(always)]
     pub(crate) fn for_each(
         &self,
-        list: &List<'_>,
+        list: &TriangleList<'_>,
         corner_from_origin: [f64; 3],
         size: i32,
         mut visit: impl FnMut(u32),
     ) {
-        let backward = self.ray.direction[self.axes[0]] < 0.0;
+        let is_backward = self.ray.direction[self.axes[0]] < 0.0;
         let corner = self.axes.map(|axis| corner_from_origin[axis]);
-        let boxes = (!list.boxes.is_empty()).then(|| LeafBoxes::new(list.boxes, self.axes, backward, corner, size));
+        let boxes = (!list.boxes.is_empty()).then(|| LeafBoxes::new(list.boxes, self.axes, is_backward, corner, size));
         for (batch, triangles) in list.triangles.chunks(BATCH).enumerate() {
             let mut left = match &boxes {
-                Some(boxes) => self.passed(boxes, batch * BATCH),
+                Some(boxes) => self.passed_boxes(boxes, batch * BATCH),
                 // SAFETY: a grid holds only what `InstructionSet::available` has found.
                 None => unsafe { may_hit(self.instructions, self.mesh, self.ray, triangles) },
             };
@@ -73,40 +73,40 @@ impl<'a> Filter<'a> {
 
     /// A bit for each of the [`BATCH`] boxes from number `first` on that the ray may pass.
     #[inline]
-    fn passed(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
+    fn passed_boxes(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
         match self.instructions {
-            InstructionSet::Plain => self.passed_generic::<Plain>(boxes, first),
+            InstructionSet::Portable => self.passed_boxes_generic::<Portable>(boxes, first),
             // SAFETY: the caller promises that this machine has them.
             #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx2 => unsafe { self.passed_avx2(boxes, first) },
+            InstructionSet::Avx2 => unsafe { self.passed_boxes_avx2(boxes, first) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx512 => unsafe { self.passed_avx512(boxes, first) },
+            InstructionSet::Avx512 => unsafe { self.passed_boxes_avx512(boxes, first) },
         }
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn passed_avx2(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
-        self.passed_generic::<Avx2>(boxes, first)
+    fn passed_boxes_avx2(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
+        self.passed_boxes_generic::<Avx2>(boxes, first)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn passed_avx512(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
-        self.passed_generic::<Avx512>(boxes, first)
+    fn passed_boxes_avx512(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
+        self.passed_boxes_generic::<Avx512>(boxes, first)
     }
 
     #[inline(always)]
-    fn passed_generic<S: Simd>(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
+    fn passed_boxes_generic<S: Simd>(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
         let slopes = [self.u, self.u, self.v, self.v];
         let mut all = 0;
-        let mut done = 0;
-        while done < BATCH {
-            let missed = boxes.bounds::<S>(first + done).missed_by(slopes, 0.0).sign_mask();
-            all |= (!missed & ((1 << S::LANES) - 1)) << done;
-            done += S::LANES;
-            if first + done >= boxes.n() {
+        let mut first_in_batch = 0;
+        while first_in_batch < BATCH {
+            let missed = boxes.bounds::<S>(first + first_in_batch).miss_signs(slopes, 0.0).sign_mask();
+            all |= (!missed & ((1 << S::LANES) - 1)) << first_in_batch;
+            first_in_batch += S::LANES;
+            if first + first_in_batch >= boxes.n() {
                 break;
             }
         }
@@ -121,7 +121,7 @@ impl<'a> Filter<'a> {
 #[inline]
 pub unsafe fn may_hit(instructions: InstructionSet, mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> u32 {
     match instructions {
-        InstructionSet::Plain => may_hit_generic::<Plain>(mesh, ray, triangles),
+        InstructionSet::Portable => may_hit_generic::<Portable>(mesh, ray, triangles),
         // SAFETY: the caller promises that this machine has them.
         #[cfg(target_arch = "x86_64")]
         InstructionSet::Avx2 => unsafe { may_hit_avx2(mesh, ray, triangles) },
@@ -151,10 +151,10 @@ fn may_hit_generic<S: Simd>(mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> 
     let mut all = 0;
     let mut first = 0;
     while first < triangles.len().min(BATCH) {
-        let mut places = [triangles[first]; 16];
+        let mut triangles_in_lanes = [triangles[first]; 16];
         let n = (triangles.len() - first).min(S::LANES);
-        places[..n].copy_from_slice(&triangles[first..first + n]);
-        let corners = mesh.corners_in_lanes::<S>(&places);
+        triangles_in_lanes[..n].copy_from_slice(&triangles[first..first + n]);
+        let corners = mesh.gather_corners::<S>(&triangles_in_lanes);
         let zero = S::splat(0.0);
         // The side of the edge from p to q is direction·(p × (q − p)), seen from the origin.
         let (mut low, mut high, mut products) = (S::splat(f32::INFINITY), S::splat(f32::NEG_INFINITY), zero);
@@ -177,7 +177,7 @@ fn may_hit_generic<S: Simd>(mesh: &TracedMesh, ray: &Ray, triangles: &[u32]) -> 
             (low, high, products) = (low.min(side), high.max(side), products.max(sum));
         }
         let margin = products.mul_add(S::splat(SIDE_MARGIN), S::splat(underflow));
-        let misses = low.below(zero.sub(margin)) & margin.below(high);
+        let misses = low.lt(zero.sub(margin)) & margin.lt(high);
         all |= (!misses & ((1 << n) - 1)) << first;
         first += S::LANES;
     }

@@ -4,7 +4,7 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum InstructionSet {
     /// What every machine has.
-    Plain,
+    Portable,
     /// AVX2, FMA and what came before.
     #[cfg(target_arch = "x86_64")]
     Avx2,
@@ -16,7 +16,7 @@ pub enum InstructionSet {
 impl InstructionSet {
     /// All that this machine has, the fastest last.
     pub fn available() -> Vec<Self> {
-        let mut available = vec![Self::Plain];
+        let mut available = vec![Self::Portable];
         #[cfg(target_arch = "x86_64")]
         {
             // All that the kernel is compiled with.
@@ -38,6 +38,6 @@ impl InstructionSet {
 
     /// The fastest that this machine has.
     pub fn best() -> Self {
-        Self::available().pop().unwrap_or(Self::Plain)
+        Self::available().pop().unwrap_or(Self::Portable)
     }
 }

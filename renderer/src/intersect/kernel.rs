@@ -3,15 +3,15 @@
 use crate::{
     grid::{Grid, tree::Tree},
     intersect::{
-        packet::{Leaf, Packet, Scratch, cull::Culler, ray_set::RaySet},
+        packet::{Packet, PendingLeaf, Scratch, cull::Culler, ray_set::RaySet},
         ray::Hit,
-        simd::{Avx2, Avx512, Plain, Simd},
+        simd::{Avx2, Avx512, Portable, Simd},
     },
 };
 #[cfg(target_arch = "x86_64")]
 
 /// An instruction set with these parts compiled for it.
-pub(crate) trait Kernel: Simd {
+pub(crate) trait PacketKernel: Simd {
     /// [`Grid::march`].
     fn march<const N: usize>(
         grid: &Grid,
@@ -26,16 +26,16 @@ pub(crate) trait Kernel: Simd {
         tree: &Tree,
         culler: &mut Culler<'_, N>,
         origin: &[f64; 3],
-        leaves: &mut Vec<Leaf<N>>,
+        leaves: &mut Vec<PendingLeaf<N>>,
     );
     /// [`Culler::test_waiting`].
-    fn test<const N: usize>(culler: &mut Culler<'_, N>);
+    fn test_waiting<const N: usize>(culler: &mut Culler<'_, N>);
 }
 
 /// Has an instruction set's functions compiled with these features. One is used only where they were found.
 macro_rules! kernel {
     ($set:ident $(, $features:literal)?) => {
-        impl Kernel for $set {
+        impl PacketKernel for $set {
             #[inline(always)]
             fn march<const N: usize>(
                 grid: &Grid,
@@ -65,14 +65,14 @@ macro_rules! kernel {
                 tree: &Tree,
                 culler: &mut Culler<'_, N>,
                 origin: &[f64; 3],
-                leaves: &mut Vec<Leaf<N>>,
+                leaves: &mut Vec<PendingLeaf<N>>,
             ) {
                 $(#[target_feature(enable = $features)])?
                 unsafe fn test_leaves<const N: usize>(
                     tree: &Tree,
                     culler: &mut Culler<'_, N>,
                     origin: &[f64; 3],
-                    leaves: &mut Vec<Leaf<N>>,
+                    leaves: &mut Vec<PendingLeaf<N>>,
                 ) {
                     tree.test_leaves::<$set, N>(culler, origin, leaves);
                 }
@@ -81,19 +81,19 @@ macro_rules! kernel {
             }
 
             #[inline(always)]
-            fn test<const N: usize>(culler: &mut Culler<'_, N>) {
+            fn test_waiting<const N: usize>(culler: &mut Culler<'_, N>) {
                 $(#[target_feature(enable = $features)])?
-                unsafe fn test<const N: usize>(culler: &mut Culler<'_, N>) {
+                unsafe fn test_waiting<const N: usize>(culler: &mut Culler<'_, N>) {
                     culler.test_waiting::<$set>();
                 }
                 // SAFETY: as above.
-                unsafe { test(culler) }
+                unsafe { test_waiting(culler) }
             }
         }
     };
 }
 
-kernel!(Plain);
+kernel!(Portable);
 #[cfg(target_arch = "x86_64")]
 kernel!(Avx2, "avx2,fma,bmi1,bmi2,popcnt,lzcnt");
 #[cfg(target_arch = "x86_64")]

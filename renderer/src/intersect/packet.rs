@@ -30,16 +30,16 @@ use crate::{
     },
     intersect::{
         InstructionSet,
-        kernel::Kernel,
+        kernel::PacketKernel,
         ray::{Hit, Ray},
-        simd::{Avx2, Avx512, Plain},
+        simd::{Avx2, Avx512, Portable},
     },
 };
 use cull::CullScratch;
 use cull::Culler;
 use frustum::CellBounds;
 use frustum::Frustum;
-use frustum::Narrow;
+use frustum::NarrowSlab;
 use ray_set::RaySet;
 #[cfg(target_arch = "x86_64")]
 
@@ -91,15 +91,15 @@ pub struct PacketScratch {
 pub(crate) struct Scratch<const N: usize> {
     /// The nodes that they meet in the slab at hand, level by level from number 1, bricks, on; the last has room for what is
     /// not kept.
-    entries: [Vec<Entry<N>>; LEVELS as usize + 2],
+    entries: [Vec<NodeEntry<N>>; LEVELS as usize + 2],
     /// The leaves that they met, whose triangles wait for their test.
-    leaves: Vec<Leaf<N>>,
+    leaves: Vec<PendingLeaf<N>>,
     cull: CullScratch<N>,
 }
 
 /// A node within a packet's bounds.
 #[derive(Clone, Copy)]
-struct Entry<const N: usize> {
+struct NodeEntry<const N: usize> {
     node: u32,
     /// Its lowest corner across the major axis, in finest cells.
     u: i32,
@@ -110,7 +110,7 @@ struct Entry<const N: usize> {
 
 /// A leaf that some rays pass.
 #[derive(Clone, Copy)]
-pub(crate) struct Leaf<const N: usize> {
+pub(crate) struct PendingLeaf<const N: usize> {
     number: u32,
     /// Its lowest corner along the major axis and across, and its size, in finest cells.
     low: [i32; 3],
@@ -123,7 +123,7 @@ impl Grid {
     /// The nearest triangle along each ray of a packet; entries of no ray are undefined.
     pub fn intersect_packet(&self, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
         let mut hits = [[Hit::MISS; 64]];
-        if !self.follow([packet], RaySet { of_packets: [packet.active] }, &mut scratch.one, &mut hits) {
+        if !self.trace_together([packet], RaySet { masks: [packet.active] }, &mut scratch.one, &mut hits) {
             for (lane, hit) in hits[0].iter_mut().enumerate().filter(|(lane, _)| packet.active >> lane & 1 == 1) {
                 *hit = self.intersect(&packet.ray(lane));
             }
@@ -137,17 +137,17 @@ impl Grid {
         debug_assert!(packets.len() == hits.len() && packets.iter().all(|packet| packet.origin == packets[0].origin));
         for (packets, hits) in packets.chunks(MOST_PACKETS).zip(hits.chunks_mut(MOST_PACKETS)) {
             if let (Some(four), Some(hits)) = (packets.as_array::<MOST_PACKETS>(), hits.as_mut_array()) {
-                let of_packets = std::array::from_fn(|index| four[index].active);
-                if self.follow(four.each_ref(), RaySet { of_packets }, &mut scratch.four, hits) {
+                let masks = std::array::from_fn(|index| four[index].active);
+                if self.trace_together(four.each_ref(), RaySet { masks }, &mut scratch.four, hits) {
                     continue;
                 }
             } else if packets.len() > 1 {
                 // Those that are missing repeat the first, without rays.
                 let four = std::array::from_fn(|index| packets.get(index).unwrap_or(&packets[0]));
-                let of_packets = std::array::from_fn(|index| packets.get(index).map_or(0, |packet| packet.active));
-                let mut hits_of_four = [[Hit::MISS; 64]; MOST_PACKETS];
-                if self.follow(four, RaySet { of_packets }, &mut scratch.four, &mut hits_of_four) {
-                    hits.copy_from_slice(&hits_of_four[..packets.len()]);
+                let masks = std::array::from_fn(|index| packets.get(index).map_or(0, |packet| packet.active));
+                let mut quad_hits = [[Hit::MISS; 64]; MOST_PACKETS];
+                if self.trace_together(four, RaySet { masks }, &mut scratch.four, &mut quad_hits) {
+                    hits.copy_from_slice(&quad_hits[..packets.len()]);
                     continue;
                 }
             }
@@ -159,7 +159,7 @@ impl Grid {
 
     /// Follows the active rays of packets together, if the grid is one for packets and all advance along one axis. Returns
     /// whether it did.
-    fn follow<const N: usize>(
+    fn trace_together<const N: usize>(
         &self,
         packets: [&Packet; N],
         active: RaySet<N>,
@@ -167,11 +167,11 @@ impl Grid {
         hits: &mut [[Hit; 64]; N],
     ) -> bool {
         let Structure::Tree(tree) = &self.structure else { return false };
-        if self.space.length(1.0) < LEAST_CELL {
+        if self.space.length_to_world(1.0) < SMALLEST_CELL_SIZE {
             return false;
         }
         match self.instructions {
-            InstructionSet::Plain => Plain::march(self, tree, packets, active, scratch, hits),
+            InstructionSet::Portable => Portable::march(self, tree, packets, active, scratch, hits),
             #[cfg(target_arch = "x86_64")]
             InstructionSet::Avx2 => Avx2::march(self, tree, packets, active, scratch, hits),
             #[cfg(target_arch = "x86_64")]
@@ -181,7 +181,7 @@ impl Grid {
 
     /// The way of some packets, if their rays all advance along one axis. Returns whether they do.
     #[inline(always)]
-    pub(crate) fn march<S: Kernel, const N: usize>(
+    pub(crate) fn march<S: PacketKernel, const N: usize>(
         &self,
         tree: &Tree,
         packets: [&Packet; N],
@@ -192,15 +192,15 @@ impl Grid {
         let Some(axis) = major_axis(&packets) else { return false };
         let Scratch { entries, leaves, cull } = scratch;
         let axes = [axis, (axis + 1) % 3, (axis + 2) % 3];
-        let forward = packets[0].directions[axis][0] > 0.0;
-        let origin = self.space.point(packets[0].origin.as_dvec3());
+        let is_forward = packets[0].directions[axis][0] > 0.0;
+        let origin = self.space.point_to_cells(packets[0].origin.as_dvec3());
         if !origin.is_finite() {
             return false;
         }
         let mut frustum = Frustum {
             origin: [origin[axes[0]], origin[axes[1]], origin[axes[2]]],
-            forward,
-            slopes: cull.find_slopes::<S>(&packets, axes),
+            is_forward,
+            slopes: cull.compute_slopes::<S>(&packets, axes),
             size: [f64::from(tree.extent[axes[1]]), f64::from(tree.extent[axes[2]])],
             cells_per_unit: self.space.cells_per_unit(),
             margin: origin.abs().max_element() * (16.0 * f64::EPSILON),
@@ -212,27 +212,27 @@ impl Grid {
             hits.fill([Hit::MISS; 64]);
             return true;
         }
-        let mut culler = Culler::new::<S>(self, packets, active, axes, if forward { 1.0 } else { -1.0 }, cull);
-        frustum.slopes = culler.bundle.slopes;
-        let first_depth = frustum.first_depth();
-        let first_k = first_depth - frustum.margin;
-        let k = frustum.origin[0] + if forward { first_k } else { -first_k };
+        let mut culler = Culler::new::<S>(self, packets, active, axes, if is_forward { 1.0 } else { -1.0 }, cull);
+        frustum.slopes = culler.ray_bounds.slopes;
+        let entry_depth = frustum.entry_depth();
+        let entry_k = entry_depth - frustum.margin;
+        let k = frustum.origin[0] + if is_forward { entry_k } else { -entry_k };
         let mut brick_k = (k / f64::from(BRICK_SIZE)).floor() as i32;
-        if (forward && brick_k >= bricks_along_k) || (!forward && brick_k < 0) || !first_depth.is_finite() {
+        if (is_forward && brick_k >= bricks_along_k) || (!is_forward && brick_k < 0) || !entry_depth.is_finite() {
             hits.fill([Hit::MISS; 64]);
             return true;
         }
         brick_k = brick_k.clamp(0, bricks_along_k - 1);
 
-        let mut covered = 0.0;
-        let mut waiting_from = 0.0f64;
+        let mut coverage = 0.0;
+        let mut pending_near_depth = 0.0f64;
         leaves.clear();
         while (0..bricks_along_k).contains(&brick_k) {
             let low = brick_k * BRICK_SIZE as i32;
-            brick_k += if forward { 1 } else { -1 };
+            brick_k += if is_forward { 1 } else { -1 };
             let (near, far) = frustum.depths(low, BRICK_SIZE as i32);
             let Some(bounds) = frustum.cells(near, far) else {
-                if near > first_depth {
+                if near > entry_depth {
                     break;
                 }
                 continue;
@@ -243,11 +243,11 @@ impl Grid {
                 S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
             }
             if entries[1].is_empty() {
-                if culler.touched && culler.settle::<S>(self.space.length(far)) {
+                if culler.has_new_tests && culler.finish_to_depth::<S>(self.space.length_to_world(far)) {
                     culler.write_hits::<S>(hits);
                     return true;
                 }
-                frustum.slopes = culler.bundle.slopes;
+                frustum.slopes = culler.ray_bounds.slopes;
                 continue;
             }
 
@@ -260,7 +260,7 @@ impl Grid {
                     level -= 1;
                     continue;
                 }
-                let quarter = if forward { steps[level] } else { 3 - steps[level] };
+                let quarter = if is_forward { steps[level] } else { 3 - steps[level] };
                 steps[level] += 1;
                 let shift = 2 * (LEVELS - level as u32);
                 let low = lows[level] + (quarter << shift);
@@ -287,31 +287,31 @@ impl Grid {
                 );
                 if leaves.len() > n_before {
                     if n_before == 0 {
-                        waiting_from = near;
+                        pending_near_depth = near;
                     }
                     let area = frustum.area(far).max(1.0);
-                    covered += (leaves.len() - n_before) as f64 * f64::from(1u32 << shift).powi(2) / area;
-                    if covered >= COVER || leaves.len() >= MOST_LEAVES {
-                        covered = 0.0;
+                    coverage += (leaves.len() - n_before) as f64 * f64::from(1u32 << shift).powi(2) / area;
+                    if coverage >= FULL_COVERAGE || leaves.len() >= MOST_LEAVES {
+                        coverage = 0.0;
                         S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
                     }
                 }
                 if !children.is_empty() {
                     level += 1;
                     (lows[level], steps[level]) = (low, 0);
-                } else if culler.touched {
+                } else if culler.has_new_tests {
                     // What waits may lie before what was tested since.
-                    let tested_to = if leaves.is_empty() { far } else { waiting_from.min(far) };
-                    if culler.settle::<S>(self.space.length(tested_to)) {
+                    let tested_to = if leaves.is_empty() { far } else { pending_near_depth.min(far) };
+                    if culler.finish_to_depth::<S>(self.space.length_to_world(tested_to)) {
                         culler.write_hits::<S>(hits);
                         return true;
                     }
-                    frustum.slopes = culler.bundle.slopes;
+                    frustum.slopes = culler.ray_bounds.slopes;
                 }
             }
         }
         S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
-        culler.settle::<S>(f64::INFINITY);
+        culler.finish_to_depth::<S>(f64::INFINITY);
         culler.write_hits::<S>(hits);
         true
     }
@@ -320,11 +320,11 @@ impl Grid {
 impl Tree {
     /// Tests the triangles of leaves.
     #[inline(always)]
-    pub(crate) fn test_leaves<S: Kernel, const N: usize>(
+    pub(crate) fn test_leaves<S: PacketKernel, const N: usize>(
         &self,
         culler: &mut Culler<'_, N>,
         origin: &[f64; 3],
-        leaves: &mut Vec<Leaf<N>>,
+        leaves: &mut Vec<PendingLeaf<N>>,
     ) {
         // One after the other, so that memory is waited for only once.
         for leaf in &*leaves {
@@ -339,31 +339,36 @@ impl Tree {
         for leaf in &*leaves {
             let references = self.references_of(leaf.number);
             let mut corner_from_origin = [0.0; 3];
-            for place in 0..3 {
-                corner_from_origin[place] = f64::from(leaf.low[place]) - origin[place];
+            for local_axis in 0..3 {
+                corner_from_origin[local_axis] = f64::from(leaf.low[local_axis]) - origin[local_axis];
             }
-            let bytes = self.boxes.of_leaf(references.clone());
-            let boxes =
-                LeafBoxes::new(bytes, culler.bundle.axes, culler.bundle.sign < 0.0, corner_from_origin, leaf.size);
-            culler.add::<S>(&boxes, &self.references[references], &leaf.rays);
+            let bytes = self.boxes.leaf_bytes(references.clone());
+            let boxes = LeafBoxes::new(
+                bytes,
+                culler.ray_bounds.axes,
+                culler.ray_bounds.sign < 0.0,
+                corner_from_origin,
+                leaf.size,
+            );
+            culler.gather::<S>(&boxes, &self.references[references], &leaf.rays);
         }
-        culler.drop_recent::<S>();
+        culler.drop_recently_tested::<S>();
         leaves.clear();
-        culler.touched = true;
+        culler.has_new_tests = true;
     }
 
     /// Adds the triangles of leaf bricks to the culler, and the nodes of others to the entries.
     #[inline(always)]
     #[expect(clippy::too_many_arguments, reason = "inlined into the loop whose variables these are")]
-    fn enter_bricks<S: Kernel, const N: usize>(
+    fn enter_bricks<S: PacketKernel, const N: usize>(
         &self,
         culler: &Culler<'_, N>,
-        leaves: &mut Vec<Leaf<N>>,
-        entries: &mut Vec<Entry<N>>,
+        leaves: &mut Vec<PendingLeaf<N>>,
+        entries: &mut Vec<NodeEntry<N>>,
         axes: [usize; 3],
         low: i32,
         bounds: CellBounds,
-        narrow: Option<Narrow<'_>>,
+        narrow: Option<NarrowSlab<'_>>,
     ) {
         entries.clear();
         let shift = 2 * LEVELS;
@@ -376,14 +381,19 @@ impl Tree {
                     continue;
                 }
                 let (u, v) = (u << shift, v << shift);
-                let rays = culler.through::<S>(&culler.active, narrow.as_ref(), u, v, BRICK_SIZE);
+                let rays = culler.rays_through_cell::<S>(&culler.active, narrow.as_ref(), u, v, BRICK_SIZE);
                 if rays.is_empty() {
                     continue;
                 }
                 if brick & Self::LEAF == 0 {
-                    entries.push(Entry { node: brick, u, v, rays });
+                    entries.push(NodeEntry { node: brick, u, v, rays });
                 } else {
-                    leaves.push(Leaf { number: brick & !Self::LEAF, low: [low, u, v], size: BRICK_SIZE as i32, rays });
+                    leaves.push(PendingLeaf {
+                        number: brick & !Self::LEAF,
+                        low: [low, u, v],
+                        size: BRICK_SIZE as i32,
+                        rays,
+                    });
                 }
             }
         }
@@ -392,21 +402,21 @@ impl Tree {
     /// The same for the children of nodes in one quarter of their slab.
     #[inline(always)]
     #[expect(clippy::too_many_arguments, reason = "inlined into the loop whose variables these are")]
-    fn enter_children<S: Kernel, const N: usize>(
+    fn enter_children<S: PacketKernel, const N: usize>(
         &self,
         culler: &Culler<'_, N>,
-        entries: &[Entry<N>],
-        children: &mut Vec<Entry<N>>,
+        entries: &[NodeEntry<N>],
+        children: &mut Vec<NodeEntry<N>>,
         axes: [usize; 3],
         quarter: u32,
         low: i32,
         shift: u32,
         bounds: CellBounds,
-        narrow: Option<Narrow<'_>>,
-        found: &mut Vec<Leaf<N>>,
+        narrow: Option<NarrowSlab<'_>>,
+        leaves: &mut Vec<PendingLeaf<N>>,
     ) {
         children.clear();
-        let slab = PLANES[axes[0]] << (quarter << (2 * axes[0]));
+        let slab = AXIS_PLANES[axes[0]] << (quarter << (2 * axes[0]));
         for entry in entries {
             let node = &self.nodes[entry.node as usize];
             let u = [(bounds.u[0] - entry.u) >> shift, (bounds.u[1] - entry.u) >> shift];
@@ -414,7 +424,8 @@ impl Tree {
             if u[0] > 3 || u[1] < 0 || v[0] > 3 || v[1] < 0 {
                 continue;
             }
-            let within = slab & planes(axes[1], u[0].max(0), u[1].min(3)) & planes(axes[2], v[0].max(0), v[1].min(3));
+            let within =
+                slab & slab_mask(axes[1], u[0].max(0), u[1].min(3)) & slab_mask(axes[2], v[0].max(0), v[1].min(3));
             let mut left = node.occupied & within;
             while left != 0 {
                 let bit = left.trailing_zeros();
@@ -422,27 +433,27 @@ impl Tree {
                 left &= left - 1;
                 let u = entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32;
                 let v = entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32;
-                let rays = culler.through::<S>(&entry.rays, narrow.as_ref(), u, v, 1 << shift);
+                let rays = culler.rays_through_cell::<S>(&entry.rays, narrow.as_ref(), u, v, 1 << shift);
                 // Both are written and one or none is kept, without a branch, for nobody can predict which.
                 let (is_met, is_divided) = (!rays.is_empty(), node.divided >> bit & 1 == 1);
                 let child = node.first_node + (node.divided & before).count_ones();
-                children.push(Entry { node: child, u, v, rays });
+                children.push(NodeEntry { node: child, u, v, rays });
                 children.truncate(children.len() - usize::from(!is_met || !is_divided));
                 let number = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
                 S::prefetch(&self.leaf_starts, number as usize);
-                found.push(Leaf { number, low: [low, u, v], size: 1 << shift, rays });
-                found.truncate(found.len() - usize::from(!is_met || is_divided));
+                leaves.push(PendingLeaf { number, low: [low, u, v], size: 1 << shift, rays });
+                leaves.truncate(leaves.len() - usize::from(!is_met || is_divided));
             }
         }
     }
 }
 
 /// For each axis the children of a node that have coordinate 0 along it; shifted by 4^axis for each further one.
-const PLANES: [u64; 3] = [0x1111_1111_1111_1111, 0x000f_000f_000f_000f, 0xffff];
+const AXIS_PLANES: [u64; 3] = [0x1111_1111_1111_1111, 0x000f_000f_000f_000f, 0xffff];
 
 /// The children of a node with coordinates `first..=last` along an axis.
 #[inline(always)]
-fn planes(axis: usize, first: i32, last: i32) -> u64 {
+fn slab_mask(axis: usize, first: i32, last: i32) -> u64 {
     const RANGES: [[[u64; 4]; 4]; 3] = {
         let mut ranges = [[[0; 4]; 4]; 3];
         let mut axis = 0;
@@ -452,7 +463,7 @@ fn planes(axis: usize, first: i32, last: i32) -> u64 {
                 let mut last = first;
                 let mut mask = 0;
                 while last < 4 {
-                    mask |= PLANES[axis] << (last << (2 * axis));
+                    mask |= AXIS_PLANES[axis] << (last << (2 * axis));
                     ranges[axis][first][last] = mask;
                     last += 1;
                 }
@@ -467,7 +478,7 @@ fn planes(axis: usize, first: i32, last: i32) -> u64 {
 
 /// The least cell that packets can go through, in world units: the inverse of a depth within a smaller one may be more than
 /// single precision holds, and farther hits could not be told from nearer ones.
-const LEAST_CELL: f64 = 1e-30;
+const SMALLEST_CELL_SIZE: f64 = 1e-30;
 
 /// The least component along the major axis, so that it has an inverse.
 const LEAST_COMPONENT: f32 = 1e-30;
@@ -494,7 +505,7 @@ fn major_axis(packets: &[&Packet]) -> Option<usize> {
 }
 
 /// Leaves wait until together they cover as much as the packet, for then they may well end it.
-const COVER: f64 = 1.0;
+const FULL_COVERAGE: f64 = 1.0;
 
 /// Leaves that wait at most.
 const MOST_LEAVES: usize = 64;

@@ -19,7 +19,7 @@ pub(crate) trait Real: Copy {
     fn max(self, other: Self) -> Self;
     fn abs(self) -> Self;
     /// A bit for each lane where self < other; not for NaN.
-    fn below(self, other: Self) -> u32;
+    fn lt(self, other: Self) -> u32;
 }
 
 impl Real for f64 {
@@ -61,7 +61,7 @@ impl Real for f64 {
         f64::abs(self)
     }
     #[inline(always)]
-    fn below(self, other: Self) -> u32 {
+    fn lt(self, other: Self) -> u32 {
         u32::from(self < other)
     }
 }
@@ -93,18 +93,18 @@ pub(crate) trait Simd: Copy {
     fn select(mask: u32, yes: Self, no: Self) -> Self;
     /// Writes those that have their bit set in `mask` to their places in a slice that has room for all.
     #[inline(always)]
-    fn store_where(self, mask: u32, to: &mut [f32]) {
+    fn masked_store(self, mask: u32, to: &mut [f32]) {
         // Not a masked store, after which a load must wait.
         Self::select(mask, self, Self::load(to)).store(to);
     }
     /// Writes a number where `mask` has bits, to the same places in a slice that has room for all lanes.
-    fn fill_where(number: u32, mask: u32, to: &mut [u32]);
+    fn masked_fill(number: u32, mask: u32, to: &mut [u32]);
     /// A bit for each of the first [`Simd::LANES`] numbers of a slice that equals another.
-    fn equal(numbers: &[u32], number: u32) -> u32;
+    fn eq_mask(numbers: &[u32], number: u32) -> u32;
     /// The least of all.
-    fn least(self) -> f32;
+    fn reduce_min(self) -> f32;
     /// The greatest of all.
-    fn greatest(self) -> f32;
+    fn reduce_max(self) -> f32;
     /// x, y and z of [`Simd::LANES`] vertices, from the coordinates of all, three for each and at least one number more.
     ///
     /// Four coordinates are loaded for each vertex and three kept: several times as fast as the gathering instructions.
@@ -113,11 +113,11 @@ pub(crate) trait Simd: Copy {
     /// # Safety
     ///
     /// There are at least `3 * vertex + 4` coordinates for each of the first [`Simd::LANES`] vertices.
-    unsafe fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3];
+    unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3];
     /// Writes those of up to [`Simd::LANES`] numbers that have their bit set in `mask` to the beginning of a slice with
     /// room for all lanes, in their order; what follows them there is noise. Returns how many they are.
     #[inline(always)]
-    fn pick(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
+    fn compress(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
         let mut n = 0;
         for (lane, &number) in from.iter().enumerate() {
             to[n] = number;
@@ -148,16 +148,16 @@ pub(crate) trait Simd: Copy {
     /// cycle, but subtracts two, and puts the bits of four together.
     fn sign_mask(self) -> u32;
     /// A bit for each lane where self ≤ other; not for NaN.
-    fn up_to(self, other: Self) -> u32;
+    fn le(self, other: Self) -> u32;
     /// A bit for each lane where self < other; not for NaN.
-    fn below(self, other: Self) -> u32;
+    fn lt(self, other: Self) -> u32;
 }
 
 /// Eight numbers in plain code.
 #[derive(Clone, Copy)]
-pub(crate) struct Plain([f32; 8]);
+pub(crate) struct Portable([f32; 8]);
 
-impl Plain {
+impl Portable {
     #[inline(always)]
     fn zip(self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
         Self(std::array::from_fn(|lane| f(self.0[lane], other.0[lane])))
@@ -169,7 +169,7 @@ impl Plain {
     }
 }
 
-impl Simd for Plain {
+impl Simd for Portable {
     const LANES: usize = 8;
     type Double = f64;
     #[inline(always)]
@@ -190,12 +190,12 @@ impl Simd for Plain {
         Self(std::array::from_fn(|lane| if mask & 1 << lane != 0 { yes.0[lane] } else { no.0[lane] }))
     }
     #[inline(always)]
-    fn fill_where(number: u32, mask: u32, to: &mut [u32]) {
+    fn masked_fill(number: u32, mask: u32, to: &mut [u32]) {
         let to: &mut [u32; 8] = (&mut to[..8]).try_into().expect("eight numbers");
         *to = std::array::from_fn(|lane| if mask & 1 << lane != 0 { number } else { to[lane] });
     }
     #[inline(always)]
-    fn equal(numbers: &[u32], number: u32) -> u32 {
+    fn eq_mask(numbers: &[u32], number: u32) -> u32 {
         (0..8).fold(0, |mask, lane| mask | u32::from(numbers[lane] == number) << lane)
     }
     #[inline(always)]
@@ -203,15 +203,15 @@ impl Simd for Plain {
         to[..8].copy_from_slice(&self.0);
     }
     #[inline(always)]
-    fn least(self) -> f32 {
+    fn reduce_min(self) -> f32 {
         self.0.into_iter().fold(f32::INFINITY, f32::min)
     }
     #[inline(always)]
-    fn greatest(self) -> f32 {
+    fn reduce_max(self) -> f32 {
         self.0.into_iter().fold(f32::NEG_INFINITY, f32::max)
     }
     #[inline(always)]
-    unsafe fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
+    unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
         std::array::from_fn(|axis| Self(std::array::from_fn(|lane| coordinates[3 * vertices[lane] as usize + axis])))
     }
     #[inline(always)]
@@ -267,11 +267,11 @@ impl Simd for Plain {
         (0..8).fold(0, |mask, lane| mask | self.0[lane].to_bits() >> 31 << lane)
     }
     #[inline(always)]
-    fn up_to(self, other: Self) -> u32 {
+    fn le(self, other: Self) -> u32 {
         self.compare(other, |a, b| a <= b)
     }
     #[inline(always)]
-    fn below(self, other: Self) -> u32 {
+    fn lt(self, other: Self) -> u32 {
         self.compare(other, |a, b| a < b)
     }
 }

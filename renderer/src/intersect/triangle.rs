@@ -13,9 +13,9 @@ use crate::intersect::{exact::ExactSum, ray::Ray, simd::Real};
 /// t is where the ray meets the triangle's plane, in `f64`.
 #[inline]
 pub fn intersect(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
-    let double = |vector: [f32; 3]| vector.map(f64::from);
-    let planes = Planes::new(double(ray.origin.to_array()), corners.map(double));
-    let decision = planes.decide(double(ray.direction.to_array()));
+    let to_f64 = |vector: [f32; 3]| vector.map(f64::from);
+    let planes = EdgePlanes::new(to_f64(ray.origin.to_array()), corners.map(to_f64));
+    let decision = planes.decide(to_f64(ray.direction.to_array()));
     if decision.certain_miss == 1 {
         return None;
     }
@@ -40,7 +40,7 @@ pub(crate) type Vector<R> = [R; 3];
 ///
 /// No closures here: they would not be compiled for the caller's instruction set.
 #[derive(Clone, Copy)]
-pub(crate) struct Planes<R> {
+pub(crate) struct EdgePlanes<R> {
     /// Normals of the planes through the origin and an edge: p × (q − p), seen from the origin, for the edge from p to q.
     sides: [Vector<R>; 3],
     plane: Plane<R>,
@@ -48,7 +48,7 @@ pub(crate) struct Planes<R> {
     error_bound: R,
 }
 
-impl<R: Real> Planes<R> {
+impl<R: Real> EdgePlanes<R> {
     /// The routine's first part.
     #[inline(always)]
     pub(crate) fn new(origin: Vector<R>, [a, b, c]: [Vector<R>; 3]) -> Self {
@@ -73,11 +73,11 @@ impl<R: Real> Planes<R> {
         let minus_bound = R::splat(0.0).sub(error_bound);
         let [ab, bc, ca] =
             [dot(direction, self.sides[0]), dot(direction, self.sides[1]), dot(direction, self.sides[2])];
-        let left = [error_bound.below(ab), error_bound.below(bc), error_bound.below(ca)];
-        let right = [ab.below(minus_bound), bc.below(minus_bound), ca.below(minus_bound)];
+        let left = [error_bound.lt(ab), error_bound.lt(bc), error_bound.lt(ca)];
+        let right = [ab.lt(minus_bound), bc.lt(minus_bound), ca.lt(minus_bound)];
         let determinant = dot(direction, self.plane.normal);
         let decided =
-            (left[0] | right[0]) & (left[1] | right[1]) & (left[2] | right[2]) & R::splat(0.0).below(determinant.abs());
+            (left[0] | right[0]) & (left[1] | right[1]) & (left[2] | right[2]) & R::splat(0.0).lt(determinant.abs());
         Decision {
             certain_miss: (left[0] | left[1] | left[2]) & (right[0] | right[1] | right[2]),
             uncertain: !decided & ((1 << R::LANES) - 1),
@@ -101,7 +101,7 @@ impl<R: Real> Plane<R> {
         Self { normal, offset: dot(normal, sub(a, origin)) }
     }
 
-    /// Where a ray meets the plane: what [`Planes::decide`] tells if that is certain.
+    /// Where a ray meets the plane: what [`EdgePlanes::decide`] tells if that is certain.
     #[inline(always)]
     pub(crate) fn t(&self, direction: Vector<R>) -> R {
         self.offset.div(dot(direction, self.normal))
@@ -143,13 +143,13 @@ pub(crate) fn intersect_exactly(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f6
     if !hits_exactly(ray, corners) {
         return None;
     }
-    let double = |vector: [f32; 3]| vector.map(f64::from);
-    let (origin, direction) = (double(ray.origin.to_array()), double(ray.direction.to_array()));
-    let plane = Plane::new(origin, corners.map(double));
+    let to_f64 = |vector: [f32; 3]| vector.map(f64::from);
+    let (origin, direction) = (to_f64(ray.origin.to_array()), to_f64(ray.direction.to_array()));
+    let plane = Plane::new(origin, corners.map(to_f64));
     let determinant = dot(direction, plane.normal);
     Some(if determinant == 0.0 {
         // A sliver too thin for `f64`: it lies along the ray, and any of its corners tells where.
-        dot(sub(double(corners[0]), origin), direction) / dot(direction, direction)
+        dot(sub(to_f64(corners[0]), origin), direction) / dot(direction, direction)
     } else {
         plane.offset / determinant
     })

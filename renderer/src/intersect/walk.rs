@@ -10,25 +10,25 @@ use crate::{
     grid::{Grid, Structure, tree::overlap, uniform::resolution::CellSpace},
     intersect::{
         exact::ExactSum,
-        filter::Filter,
+        filter::RayFilter,
         ray::{Hit, Ray},
         triangle,
     },
 };
 
 /// What rays walk through.
-pub(crate) trait Cells {
+pub(crate) trait CellStructure {
     /// Finest cells per axis.
     fn dims(&self) -> [i32; 3];
 
     /// The list of triangles around a finest cell, if there is one, and the size (log₂ in finest cells) of the cube
     /// around the cell in which that holds.
-    fn locate(&self, cell: [i32; 3]) -> (Option<List<'_>>, u32);
+    fn locate(&self, cell: [i32; 3]) -> (Option<TriangleList<'_>>, u32);
 }
 
 /// The triangles of a cell.
 #[derive(Clone, Copy)]
-pub(crate) struct List<'a> {
+pub(crate) struct TriangleList<'a> {
     /// By their places in the mesh.
     pub(crate) triangles: &'a [u32],
     /// Their boxes, or nothing in grids that have none.
@@ -36,14 +36,14 @@ pub(crate) struct List<'a> {
 }
 
 /// A cell with triangles that a ray passes.
-struct Visit<'a> {
-    list: List<'a>,
+struct CellVisit<'a> {
+    list: TriangleList<'a>,
     /// The cell's lowest corner less the ray's origin, or less another point of the ray, in finest cells.
     corner_from_origin: [f64; 3],
     /// In finest cells.
     size: i32,
     /// The ray's t where it leaves the cell.
-    t_exit: f64,
+    next_crossing_t: f64,
 }
 
 /// The two parts of a ray's cost, which the paper's figure 3 shows.
@@ -76,18 +76,18 @@ impl Grid {
 
     fn nearest(&self, ray: &Ray) -> (Nearest, RayCost) {
         let mut nearest = Nearest { triangle: u32::MAX, t: f64::INFINITY };
-        let filter = Filter::new(self.instructions, &self.mesh, ray);
+        let filter = RayFilter::new(self.instructions, &self.mesh, ray);
         let mut n_tests = 0;
         let n_cells = self.walk(ray, |visit| {
             filter.for_each(&visit.list, visit.corner_from_origin, visit.size, |triangle| {
                 n_tests += 1;
                 let Some(t) = triangle::intersect(ray, &self.mesh.corners(triangle)) else { return };
-                let number = |place| self.mesh.number(place);
+                let number = |point| self.mesh.file_index(point);
                 if t < nearest.t || (t == nearest.t && number(triangle) < number(nearest.triangle)) {
                     nearest = Nearest { triangle, t };
                 }
             });
-            nearest.t <= visit.t_exit
+            nearest.t <= visit.next_crossing_t
         });
         (nearest, RayCost { n_cells, n_tests })
     }
@@ -95,7 +95,7 @@ impl Grid {
     /// Whether a ray hits any triangle.
     pub fn occluded(&self, ray: &Ray) -> bool {
         let mut occluded = false;
-        let filter = Filter::new(self.instructions, &self.mesh, ray);
+        let filter = RayFilter::new(self.instructions, &self.mesh, ray);
         self.walk(ray, |visit| {
             filter.for_each(&visit.list, visit.corner_from_origin, visit.size, |triangle| {
                 occluded = occluded || triangle::intersect(ray, &self.mesh.corners(triangle)).is_some();
@@ -117,7 +117,7 @@ impl Grid {
     /// Calls `visit` with each list of triangles along the ray, nearest first, until `visit` returns true. Returns how
     /// many cells and empty cubes the ray passed.
     #[inline(always)]
-    fn walk(&self, ray: &Ray, visit: impl FnMut(Visit<'_>) -> bool) -> u32 {
+    fn walk(&self, ray: &Ray, visit: impl FnMut(CellVisit<'_>) -> bool) -> u32 {
         match &self.structure {
             Structure::Tree(tree) => walk(tree, &self.space, ray, visit),
             Structure::Plain(grid) => walk(grid, &self.space, ray, visit),
@@ -128,12 +128,17 @@ impl Grid {
 
 /// [`Grid::walk`] for one kind of cells.
 #[inline(always)]
-fn walk<C: Cells>(cells: &C, space: &CellSpace, ray: &Ray, mut visit: impl FnMut(Visit<'_>) -> bool) -> u32 {
+fn walk<C: CellStructure>(
+    cells: &C,
+    space: &CellSpace,
+    ray: &Ray,
+    mut visit: impl FnMut(CellVisit<'_>) -> bool,
+) -> u32 {
     let dims = cells.dims();
-    let Some(Way { origin, direction, t_base, slack }) = Way::new(space, ray, dims) else { return 0 };
-    let inverse = direction.map(|d| 1.0 / d);
+    let Some(GridRay { origin, direction, t_base, t_slack }) = GridRay::new(space, ray, dims) else { return 0 };
+    let inverse_direction = direction.map(|d| 1.0 / d);
 
-    let (mut t_enter, mut t_end) = (f64::from(ray.t_min) - t_base - slack, f64::from(ray.t_max) - t_base + slack);
+    let (mut t_enter, mut t_end) = (f64::from(ray.t_min) - t_base - t_slack, f64::from(ray.t_max) - t_base + t_slack);
     for axis in 0..3 {
         let (low, high) = (-overlap::DILATION - origin[axis], f64::from(dims[axis]) + overlap::DILATION - origin[axis]);
         if direction[axis] == 0.0 {
@@ -141,7 +146,7 @@ fn walk<C: Cells>(cells: &C, space: &CellSpace, ray: &Ray, mut visit: impl FnMut
                 return 0;
             }
         } else {
-            let (a, b) = (low * inverse[axis], high * inverse[axis]);
+            let (a, b) = (low * inverse_direction[axis], high * inverse_direction[axis]);
             t_enter = t_enter.max(a.min(b));
             t_end = t_end.min(a.max(b));
         }
@@ -159,36 +164,37 @@ fn walk<C: Cells>(cells: &C, space: &CellSpace, ray: &Ray, mut visit: impl FnMut
         // The cube around the cell that has the same content, and where the ray leaves it.
         let low = cell.map(|x| x >> shift << shift);
         let size = 1 << shift;
-        let (mut t_exit, mut exit_axis) = (f64::INFINITY, 3);
+        let (mut next_crossing_t, mut step_axis) = (f64::INFINITY, 3);
         for axis in 0..3 {
             let plane = if direction[axis] > 0.0 { low[axis] + size } else { low[axis] };
-            let t = (f64::from(plane) - origin[axis]) * inverse[axis];
-            if direction[axis] != 0.0 && t < t_exit {
-                (t_exit, exit_axis) = (t, axis);
+            let t = (f64::from(plane) - origin[axis]) * inverse_direction[axis];
+            if direction[axis] != 0.0 && t < next_crossing_t {
+                (next_crossing_t, step_axis) = (t, axis);
             }
         }
         if let Some(list) = list {
             let corner_from_origin = [0, 1, 2].map(|axis| f64::from(low[axis]) - origin[axis]);
-            if visit(Visit { list, corner_from_origin, size, t_exit: t_exit + t_base - slack }) {
+            if visit(CellVisit { list, corner_from_origin, size, next_crossing_t: next_crossing_t + t_base - t_slack })
+            {
                 return n_cells;
             }
         }
-        if exit_axis == 3 || t_exit > t_end {
+        if step_axis == 3 || next_crossing_t > t_end {
             return n_cells;
         }
         // The axis of exit always steps, and no axis steps back, so the walk ends whatever rounding does.
         for axis in 0..3 {
             let forward = direction[axis] > 0.0;
-            if axis == exit_axis {
+            if axis == step_axis {
                 cell[axis] = if forward { low[axis] + size } else { low[axis] - 1 };
             } else if shift > 0 && direction[axis] != 0.0 {
                 // Macrocells may reach beyond the grid, and so may the ray by the cells' margin.
                 let last = (low[axis] + size).min(dims[axis]) - 1;
-                let inside = at(t_exit, axis).clamp(low[axis], last);
+                let inside = at(next_crossing_t, axis).clamp(low[axis], last);
                 cell[axis] = if forward { inside.max(cell[axis]) } else { inside.min(cell[axis]) };
             }
         }
-        if !(0..dims[exit_axis]).contains(&cell[exit_axis]) {
+        if !(0..dims[step_axis]).contains(&cell[step_axis]) {
             return n_cells;
         }
     }
@@ -202,26 +208,26 @@ fn floor(x: f64) -> i32 {
 }
 
 /// A ray in finest cells, from a point of it that is not far from the grid.
-struct Way {
+struct GridRay {
     origin: [f64; 3],
     direction: [f64; 3],
     /// The ray's t at that point.
     t_base: f64,
     /// What rounding can do to a t.
-    slack: f64,
+    t_slack: f64,
 }
 
-impl Way {
+impl GridRay {
     /// `None` where a ray cannot be followed, or passes the grid by far.
     #[inline]
     fn new(space: &CellSpace, ray: &Ray, dims: [i32; 3]) -> Option<Self> {
-        let origin = space.point(ray.origin.as_dvec3());
-        let direction = space.direction(ray.direction.as_dvec3());
+        let origin = space.point_to_cells(ray.origin.as_dvec3());
+        let direction = space.direction_to_cells(ray.direction.as_dvec3());
         if !origin.is_finite() || !direction.is_finite() || direction == DVec3::ZERO {
             return None;
         }
-        let way = Self { origin: origin.to_array(), direction: direction.to_array(), t_base: 0.0, slack: 0.0 };
-        if origin.abs().max_element() <= FARTHEST_ORIGIN { Some(way) } else { way.nearer(space, ray, dims) }
+        let grid_ray = Self { origin: origin.to_array(), direction: direction.to_array(), t_base: 0.0, t_slack: 0.0 };
+        if origin.abs().max_element() <= FARTHEST_ORIGIN { Some(grid_ray) } else { grid_ray.rebased(space, ray, dims) }
     }
 
     /// The same way from a point close to the grid.
@@ -229,29 +235,29 @@ impl Way {
     /// It goes to where the ray comes nearest, with a t of so few bits that the point can be told exactly; what remains
     /// to go, as t has few bits, is gone likewise.
     #[cold]
-    fn nearer(mut self, space: &CellSpace, ray: &Ray, dims: [i32; 3]) -> Option<Self> {
+    fn rebased(mut self, space: &CellSpace, ray: &Ray, dims: [i32; 3]) -> Option<Self> {
         let direction = DVec3::from_array(self.direction);
         let centre = DVec3::from_array(dims.map(|n| f64::from(n) * 0.5));
-        let mut place = DVec3::from_array(self.origin);
-        let mut steps = Vec::new();
-        for _ in 0..MOST_STEPS {
-            let step = ((centre - place).dot(direction) / direction.length_squared()) as f32;
+        let mut point = DVec3::from_array(self.origin);
+        let mut t_steps = Vec::new();
+        for _ in 0..MOST_REBASES {
+            let step = ((centre - point).dot(direction) / direction.length_squared()) as f32;
             if step == 0.0 || !step.is_finite() {
                 return None;
             }
-            steps.push(step);
+            t_steps.push(step);
             let from_low = [0, 1, 2].map(|axis| {
                 let mut sum = ExactSum::default();
-                steps.iter().for_each(|&step| sum.add_product(step, ray.direction[axis], 1.0));
+                t_steps.iter().for_each(|&step| sum.add_product(step, ray.direction[axis], 1.0));
                 sum.add_product(ray.origin[axis], 1.0, 1.0);
                 sum.add_product(-space.origin()[axis], 1.0, 1.0);
                 sum.value()
             });
-            place = space.direction(DVec3::from_array(from_low));
-            if place.abs().max_element() <= FARTHEST_ORIGIN {
-                self.origin = place.to_array();
-                self.t_base = steps.iter().map(|&step| f64::from(step)).sum();
-                self.slack = self.t_base.abs() * 1e-9;
+            point = space.direction_to_cells(DVec3::from_array(from_low));
+            if point.abs().max_element() <= FARTHEST_ORIGIN {
+                self.origin = point.to_array();
+                self.t_base = t_steps.iter().map(|&step| f64::from(step)).sum();
+                self.t_slack = self.t_base.abs() * 1e-9;
                 return Some(self);
             }
         }
@@ -263,4 +269,4 @@ impl Way {
 const FARTHEST_ORIGIN: f64 = (1u64 << 34) as f64;
 
 /// Each step comes nearer by 23 bits, and the range of `f32` has 277.
-const MOST_STEPS: usize = 16;
+const MOST_REBASES: usize = 16;

@@ -19,9 +19,9 @@ use std::path::{Path, PathBuf};
 use ply_rs::parser::Parser;
 use ply_rs::ply::{Encoding, PropertyAccess};
 
-use self::assembly::Assembly;
+use self::assembly::MeshBuilder;
 use self::element::{Corners, Skipped, Vertex};
-use self::header::{Element, Header, Kind};
+use self::header::{Element, ElementKind, Header};
 pub use self::write::{write, write_to};
 use crate::model::mesh::Mesh;
 
@@ -51,7 +51,7 @@ pub enum Problem {
     #[error("ends inside its header: no line `end_header`")]
     HeaderEnds,
     /// The header is longer than any writer makes one.
-    #[error("has no line `end_header` in its first {} KB", header::LONGEST / 1024)]
+    #[error("has no line `end_header` in its first {} KB", header::MAX_HEADER_BYTES / 1024)]
     HeaderTooLong,
     /// A line of the header that is not PLY.
     #[error("header line {line} is not understood: `{text}`")]
@@ -124,7 +124,7 @@ pub fn read(path: &Path, progress: &(dyn Fn(f32) + Sync)) -> Result<Mesh, PlyErr
         }
         let file = File::open(path)?;
         let metadata = file.metadata()?;
-        let metered = Metered { inner: file, n_read: 0, n_bytes: metadata.len(), progress };
+        let metered = ProgressReader { inner: file, n_read: 0, n_bytes: metadata.len(), progress };
         read_from(BufReader::with_capacity(BUFFER_BYTES, metered), metadata.len())
     };
     open().map_err(|problem| PlyError { path: path.to_owned(), problem })
@@ -137,21 +137,21 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64) -> Result<Mesh, Problem
     let header = Header::read(&mut reader)?;
     let mut n_left = n_bytes.saturating_sub(header.n_bytes);
     header.check_size(n_left)?;
-    let mut assembly = Assembly::default();
+    let mut assembly = MeshBuilder::default();
     for element in &header.elements {
         match element.kind {
-            Kind::Vertices { colored } => {
-                assembly.expect_vertices(element.def.count, colored)?;
+            ElementKind::Vertices { colored } => {
+                assembly.reserve_vertices(element.def.count, colored)?;
                 read_rows(&mut reader, &header, element, |vertex: &Vertex| assembly.push_vertex(vertex))?;
             }
-            Kind::Faces => {
-                assembly.expect_triangles(element.most_triangle_rows(header.encoding, n_left))?;
+            ElementKind::Faces => {
+                assembly.reserve_triangles(element.most_triangle_rows(header.encoding, n_left))?;
                 read_rows(&mut reader, &header, element, |face: &Corners| assembly.push_polygon(face.indices()))?;
             }
-            Kind::Strips => {
+            ElementKind::Strips => {
                 read_rows(&mut reader, &header, element, |strip: &Corners| assembly.push_strips(strip.indices()))?;
             }
-            Kind::Other => read_rows(&mut reader, &header, element, |_: &Skipped| Ok(()))?,
+            ElementKind::Other => read_rows(&mut reader, &header, element, |_: &Skipped| Ok(()))?,
         }
         n_left = n_left.saturating_sub(element.fewest_bytes(header.encoding) as u64);
     }
@@ -195,14 +195,14 @@ fn read_rows<E: PropertyAccess>(
 const ENDS_HERE: &str = "the file ends here";
 
 /// Tells how far a file has been read.
-struct Metered<'a, R> {
+struct ProgressReader<'a, R> {
     inner: R,
     n_read: u64,
     n_bytes: u64,
     progress: &'a (dyn Fn(f32) + Sync),
 }
 
-impl<R: Read> Read for Metered<'_, R> {
+impl<R: Read> Read for ProgressReader<'_, R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let n = self.inner.read(buffer)?;
         self.n_read += n as u64;

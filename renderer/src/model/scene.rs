@@ -38,7 +38,7 @@ impl fmt::Display for SceneSource {
 
 /// A mesh and its name.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Scene {
+pub struct LoadedMesh {
     /// The same on all machines, for the same mesh only.
     pub id: SceneId,
     /// At least one triangle of it can be traced.
@@ -65,10 +65,10 @@ pub enum LoadError {
 }
 
 /// Loads a scene; `progress` is told what fraction is done, 0 to 1.
-pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Scene, LoadError> {
+pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<LoadedMesh, LoadError> {
     match source {
         &SceneSource::Statue { triangles } => {
-            Ok(Scene { id: SceneId::Statue { triangles }, mesh: statue::generate(triangles, progress) })
+            Ok(LoadedMesh { id: SceneId::Statue { triangles }, mesh: statue::generate(triangles, progress) })
         }
         SceneSource::Ply(path) => {
             let mesh = ply::read(path, progress)?;
@@ -76,7 +76,7 @@ pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Sce
             if n_rejected == mesh.triangles.len() {
                 return Err(LoadError::NoTriangles { path: path.clone(), n_vertices, n_rejected });
             }
-            Ok(Scene { id: mesh_id(&mesh), mesh })
+            Ok(LoadedMesh { id: mesh_id(&mesh), mesh })
         }
     }
 }

@@ -31,7 +31,7 @@ pub const MOST_TRIANGLES: u32 = 1_000_000_000;
 /// World space: y up, the face towards +z, the base around the origin, 3.4 high.
 /// `progress` is told what fraction is done, 0 to 1.
 pub fn generate(triangles: u32, progress: &(dyn Fn(f32) + Sync)) -> Mesh {
-    let cells = Cells::nearest(triangles.clamp(FEWEST_TRIANGLES, MOST_TRIANGLES));
+    let cells = BoxCells::nearest(triangles.clamp(FEWEST_TRIANGLES, MOST_TRIANGLES));
     let n_vertices = cells.n_vertices();
 
     let n_done = AtomicUsize::new(0);
@@ -63,7 +63,7 @@ const CHUNK: usize = 4096;
 
 /// Where a vertex lies on the surface of the box.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Place {
+enum BoxPoint {
     /// On a side or its edges: a point of the square's outline, −1 to 1, and the height, 0 to 1.
     Side([f32; 2], f32),
     /// Inside the top.
@@ -76,12 +76,12 @@ enum Place {
 ///
 /// Vertices: `m + 1` rings of 4n from the bottom upwards, then the inside of the bottom, then of the top.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Cells {
+struct BoxCells {
     n: usize,
     m: usize,
 }
 
-impl Cells {
+impl BoxCells {
     fn nearest(triangles: u32) -> Self {
         let square_cells = |n: usize| {
             let rows = (f64::from(triangles) / (4 * n) as f64 - n as f64) / 2.0;
@@ -110,15 +110,15 @@ impl Cells {
         4 * self.n * self.m + 2 * self.n * self.n
     }
 
-    fn place(self, vertex: usize) -> Place {
+    fn place(self, vertex: usize) -> BoxPoint {
         let Self { n, m } = self;
         let on_square = |[i, j]: [usize; 2]| [i, j].map(|k| (2 * k) as f32 / n as f32 - 1.0);
         let inside = |k: usize| on_square([1 + k / (n - 1), 1 + k % (n - 1)]);
         let n_inside = (n - 1) * (n - 1);
         match vertex.checked_sub(self.n_ring_vertices()) {
-            None => Place::Side(on_square(self.outline(vertex % (4 * n))), (vertex / (4 * n)) as f32 / m as f32),
-            Some(k) if k < n_inside => Place::Bottom(inside(k)),
-            Some(k) => Place::Top(inside(k - n_inside)),
+            None => BoxPoint::Side(on_square(self.outline(vertex % (4 * n))), (vertex / (4 * n)) as f32 / m as f32),
+            Some(k) if k < n_inside => BoxPoint::Bottom(inside(k)),
+            Some(k) => BoxPoint::Top(inside(k - n_inside)),
         }
     }
 
@@ -202,10 +202,10 @@ mod tests {
     #[test]
     fn the_number_of_triangles_is_near_what_was_asked() {
         for asked in [20_000, 100_000, 1_000_000, 10_000_000, 77_777_777, MOST_TRIANGLES] {
-            let made = 2 * Cells::nearest(asked).n_quads();
+            let made = 2 * BoxCells::nearest(asked).n_quads();
             assert!(made.abs_diff(asked as usize) <= asked as usize / 500, "{asked}: {made}");
         }
-        assert_eq!(2 * Cells::nearest(DEFAULT_TRIANGLES).n_quads(), 1_000_000);
+        assert_eq!(2 * BoxCells::nearest(DEFAULT_TRIANGLES).n_quads(), 1_000_000);
     }
 
     #[test]

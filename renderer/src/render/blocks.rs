@@ -3,7 +3,7 @@
 
 use shared::{
     curve,
-    division::{Share, TILE_SIZE, UnitSamples},
+    division::{SampleRect, Share, TILE_SIZE},
 };
 
 use crate::intersect::MOST_PACKETS;
@@ -11,32 +11,32 @@ use crate::intersect::MOST_PACKETS;
 /// Up to 64 samples that lie close together, in an order of their own, and their places among the samples of the units that
 /// were cut.
 #[derive(Clone)]
-pub enum Block<'a> {
+pub enum SampleBlock<'a> {
     /// Those of a unit, row by row, at places that follow each other.
     Unit {
         /// The samples (i, j).
-        samples: UnitSamples,
+        samples: SampleRect,
         /// The place of the first.
-        first_place: usize,
+        first_index: usize,
     },
     /// Some of many.
-    Picked {
+    Selection {
         /// The samples (i, j) of all units.
         all: &'a [(u32, u32)],
         /// The places of the block's.
-        places: &'a [usize],
+        indices: &'a [usize],
     },
 }
 
-impl Block<'_> {
-    const NONE: Self = Self::Picked { all: &[], places: &[] };
+impl SampleBlock<'_> {
+    const NONE: Self = Self::Selection { all: &[], indices: &[] };
 
     /// How many samples.
     #[inline]
     pub fn n_samples(&self) -> usize {
         match self {
             Self::Unit { samples, .. } => samples.count() as usize,
-            Self::Picked { places, .. } => places.len(),
+            Self::Selection { indices, .. } => indices.len(),
         }
     }
 
@@ -44,11 +44,11 @@ impl Block<'_> {
     #[inline]
     pub fn sample(&self, index: usize) -> (u32, u32) {
         match self {
-            Self::Unit { samples: UnitSamples { columns, rows }, .. } => {
+            Self::Unit { samples: SampleRect { columns, rows }, .. } => {
                 let (index, width) = (index as u32, columns.len() as u32);
                 (columns.start + index % width, rows.start + index / width)
             }
-            Self::Picked { all, places } => all[places[index]],
+            Self::Selection { all, indices } => all[indices[index]],
         }
     }
 
@@ -60,10 +60,10 @@ impl Block<'_> {
 
     /// The place of sample number `index`.
     #[inline]
-    pub fn place(&self, index: usize) -> usize {
+    pub fn output_index(&self, index: usize) -> usize {
         match self {
-            Self::Unit { first_place, .. } => first_place + index,
-            Self::Picked { places, .. } => places[index],
+            Self::Unit { first_index, .. } => first_index + index,
+            Self::Selection { indices, .. } => indices[index],
         }
     }
 
@@ -71,10 +71,10 @@ impl Block<'_> {
     #[inline]
     pub(crate) fn tile(&self) -> Option<(u32, u32)> {
         match self {
-            Self::Unit { samples: UnitSamples { columns, rows }, .. } => {
+            Self::Unit { samples: SampleRect { columns, rows }, .. } => {
                 (columns.len() == 8 && rows.len() == 8).then_some((columns.start, rows.start))
             }
-            Self::Picked { .. } => None,
+            Self::Selection { .. } => None,
         }
     }
 
@@ -82,9 +82,9 @@ impl Block<'_> {
     ///
     /// The lanes of a whole tile are ordered by quarters, so that lanes side by side are pixels side by side.
     #[inline]
-    pub fn in_lanes(&self) -> [usize; 64] {
+    pub fn sample_of_lane(&self) -> [usize; 64] {
         let last = self.n_samples() - 1;
-        if self.tile().is_some() { QUARTERS } else { std::array::from_fn(|lane| lane.min(last)) }
+        if self.tile().is_some() { SAMPLE_OF_LANE } else { std::array::from_fn(|lane| lane.min(last)) }
     }
 }
 
@@ -94,57 +94,57 @@ impl Block<'_> {
 pub(crate) fn for_each_group(
     share: &Share<'_>,
     units: impl Iterator<Item = u32> + Clone,
-    visit: impl FnMut(&[Block<'_>]),
+    visit: impl FnMut(&[SampleBlock<'_>]),
 ) {
     if units.clone().any(|unit| share.samples(unit).count() > 1) {
         visit_groups(tiles(share, units), visit);
     } else {
-        let all = samples_of(share, units);
-        let mut places: Vec<usize> = (0..all.len()).collect();
-        visit_groups(patches(share, &all, &mut places), visit);
+        let all = collect_samples(share, units);
+        let mut indices: Vec<usize> = (0..all.len()).collect();
+        visit_groups(patches(share, &all, &mut indices), visit);
     }
 }
 
 /// A block, and where it is.
-struct Placed<'a> {
+struct KeyedBlock<'a> {
     /// Equal for neighbours.
-    square: [u32; 2],
-    block: Block<'a>,
+    group_key: [u32; 2],
+    block: SampleBlock<'a>,
 }
 
-fn visit_groups(mut blocks: Vec<Placed<'_>>, mut visit: impl FnMut(&[Block<'_>])) {
-    blocks.sort_by_key(|placed| placed.square);
-    for of_square in blocks.chunk_by(|a, b| a.square == b.square) {
-        for neighbours in of_square.chunks(MOST_PACKETS) {
-            let mut group = [Block::NONE; MOST_PACKETS];
-            group.iter_mut().zip(neighbours).for_each(|(block, placed)| block.clone_from(&placed.block));
+fn visit_groups(mut blocks: Vec<KeyedBlock<'_>>, mut visit: impl FnMut(&[SampleBlock<'_>])) {
+    blocks.sort_by_key(|keyed| keyed.group_key);
+    for same_group in blocks.chunk_by(|a, b| a.group_key == b.group_key) {
+        for neighbours in same_group.chunks(MOST_PACKETS) {
+            let mut group = [SampleBlock::NONE; MOST_PACKETS];
+            group.iter_mut().zip(neighbours).for_each(|(block, keyed)| block.clone_from(&keyed.block));
             visit(&group[..neighbours.len()]);
         }
     }
 }
 
 /// The blocks of units, each one of its own.
-fn tiles(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<Placed<'static>> {
+fn tiles(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<KeyedBlock<'static>> {
     let mut n_samples = 0;
     let place = |unit| {
         let samples = share.samples(unit);
-        let square = if share.is_on_curve() {
-            [0, share.unit(unit) / curve::TILES_TOGETHER]
+        let group_key = if share.is_on_curve() {
+            [0, share.unit(unit) / curve::TILES_PER_SQUARE]
         } else {
             [samples.rows.start, samples.columns.start].map(|along| along / (2 * TILE_SIZE))
         };
-        let first_place = n_samples;
+        let first_index = n_samples;
         n_samples += samples.count() as usize;
-        Placed { square, block: Block::Unit { samples, first_place } }
+        KeyedBlock { group_key, block: SampleBlock::Unit { samples, first_index } }
     };
     units.map(place).collect()
 }
 
 /// Puts the samples' places in the order of the patches that they lie in, too.
-fn patches<'a>(share: &Share<'_>, all: &'a [(u32, u32)], places: &'a mut [usize]) -> Vec<Placed<'a>> {
+fn patches<'a>(share: &Share<'_>, all: &'a [(u32, u32)], indices: &'a mut [usize]) -> Vec<KeyedBlock<'a>> {
     let (Some(&(_, first_row)), Some(&(_, last_row))) = (all.first(), all.last()) else { return Vec::new() };
     // A patch holds about 64 samples of the share and is as square as the rows at hand allow.
-    let area = share.spread().saturating_mul(64);
+    let area = share.sample_stride().saturating_mul(64);
     let height = area.isqrt().clamp(1, last_row.abs_diff(first_row) + 1);
     let width = (area / height).max(1);
     // Patches are numbered row by row from the first row at hand; samples are brought into their order by counting.
@@ -156,26 +156,28 @@ fn patches<'a>(share: &Share<'_>, all: &'a [(u32, u32)], places: &'a mut [usize]
     (0..n_patches).for_each(|patch| ends[patch + 1] += ends[patch]);
     for (place, sample) in all.iter().enumerate() {
         let end = &mut ends[patch(sample)];
-        places[*end] = place;
+        indices[*end] = place;
         *end += 1;
     }
     let mut blocks = Vec::new();
-    let places = &*places;
+    let indices = &*indices;
     let mut first = 0;
     for (patch, &end) in (0..).zip(&ends[..n_patches]) {
-        let square = [patch / patches_per_row / 2, patch % patches_per_row / 2];
-        let of_patch = places[first..end].chunks(64);
-        blocks.extend(of_patch.map(|places| Placed { square, block: Block::Picked { all, places } }));
+        let group_key = [patch / patches_per_row / 2, patch % patches_per_row / 2];
+        let patch_indices = indices[first..end].chunks(64);
+        blocks.extend(
+            patch_indices.map(|indices| KeyedBlock { group_key, block: SampleBlock::Selection { all, indices } }),
+        );
         first = end;
     }
     blocks
 }
 
 /// All samples of some units, in the order of [`Share::samples`].
-fn samples_of(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<(u32, u32)> {
+fn collect_samples(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<(u32, u32)> {
     let mut samples = Vec::with_capacity(units.size_hint().0);
     for unit in units {
-        let UnitSamples { columns, rows } = share.samples(unit);
+        let SampleRect { columns, rows } = share.samples(unit);
         for j in rows {
             samples.extend(columns.clone().map(|i| (i, j)));
         }
@@ -184,30 +186,30 @@ fn samples_of(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<(u32, 
 }
 
 /// The place of each lane in a tile of 8×8 samples, row by row: quarters of 4×4 one after the other.
-const QUARTERS: [usize; 64] = {
-    let mut places = [0; 64];
+const SAMPLE_OF_LANE: [usize; 64] = {
+    let mut indices = [0; 64];
     let mut lane = 0;
     while lane < 64 {
         let x = lane % 4 + 4 * (lane / 16 % 2);
         let y = lane / 4 % 4 + 4 * (lane / 32);
-        places[lane] = 8 * y + x;
+        indices[lane] = 8 * y + x;
         lane += 1;
     }
-    places
+    indices
 };
 
 /// Gives the lanes of a tile the sums of what each of its columns has and what each of its rows.
-pub(crate) fn in_quarters([of_columns, of_rows]: &[[f32; 8]; 2], lanes: &mut [f32; 64]) {
+pub(crate) fn sum_terms_by_lane([column_terms, row_terms]: &[[f32; 8]; 2], lanes: &mut [f32; 64]) {
     for (index, lanes) in lanes.as_chunks_mut::<4>().0.iter_mut().enumerate() {
         let (row, first_column) = (index % 4 + 4 * (index / 8), 4 * (index / 4 % 2));
-        for (lane, of_column) in lanes.iter_mut().zip(&of_columns[first_column..]) {
-            *lane = of_column + of_rows[row];
+        for (lane, column_term) in lanes.iter_mut().zip(&column_terms[first_column..]) {
+            *lane = column_term + row_terms[row];
         }
     }
 }
 
 /// Brings what is in the lanes of a tile into the order of its rows.
-pub(crate) fn in_rows<T: Copy>(in_lanes: &mut [T; 64]) {
+pub(crate) fn lanes_to_rows<T: Copy>(in_lanes: &mut [T; 64]) {
     // Half a row is together in both orders.
     for [a, b, c, d, e, f, g, h] in in_lanes.as_chunks_mut::<4>().0.as_chunks_mut::<8>().0 {
         [*a, *b, *c, *d, *e, *f, *g, *h] = [*a, *e, *b, *f, *c, *g, *d, *h];
@@ -226,25 +228,25 @@ mod tests {
             let size = FrameSize::new(xres, yres).unwrap();
             for (division, machines) in Division::ALL.into_iter().flat_map(|division| [(division, 1), (division, 5)]) {
                 for machine in 0..machines {
-                    let work = division.work(machine, machines);
-                    let share = work.share(size).unwrap();
+                    let task = division.task(machine, machines);
+                    let share = task.share(size).unwrap();
                     let units = share.count() / 3..share.count();
-                    let samples = samples_of(&share, units.clone());
+                    let samples = collect_samples(&share, units.clone());
                     let mut seen = vec![0; samples.len()];
                     for_each_group(&share, units, |blocks| {
                         assert!((1..=MOST_PACKETS).contains(&blocks.len()));
                         for block in blocks {
                             assert!((1..=64).contains(&block.n_samples()));
                             for (index, sample) in block.samples().enumerate() {
-                                let place = block.place(index);
+                                let place = block.output_index(index);
                                 assert_eq!(samples[place], sample);
                                 seen[place] += 1;
                             }
                         }
                         if division == Division::Tiled {
-                            let square = |(i, j): (u32, u32)| (i / 16, j / 16);
-                            let all: Vec<_> = blocks.iter().flat_map(Block::samples).map(square).collect();
-                            assert!(all.iter().all(|square| *square == all[0]));
+                            let group_key = |(i, j): (u32, u32)| (i / 16, j / 16);
+                            let all: Vec<_> = blocks.iter().flat_map(SampleBlock::samples).map(group_key).collect();
+                            assert!(all.iter().all(|group_key| *group_key == all[0]));
                         }
                     });
                     assert!(seen.iter().all(|&n| n == 1), "{size} {division:?}: {machine} of {machines}");
@@ -255,15 +257,15 @@ mod tests {
 
     #[test]
     fn lanes_of_a_tile_are_its_quarters() {
-        let unit = |columns, rows| Block::Unit { samples: UnitSamples { columns, rows }, first_place: 0 };
-        assert_eq!(unit(8..16, 16..24).in_lanes()[..5], [0, 1, 2, 3, 8]);
-        assert_eq!(unit(8..11, 16..17).in_lanes()[..5], [0, 1, 2, 2, 2]);
-        let mut places = QUARTERS;
-        in_rows(&mut places);
-        assert_eq!(places, std::array::from_fn(|place| place));
+        let unit = |columns, rows| SampleBlock::Unit { samples: SampleRect { columns, rows }, first_index: 0 };
+        assert_eq!(unit(8..16, 16..24).sample_of_lane()[..5], [0, 1, 2, 3, 8]);
+        assert_eq!(unit(8..11, 16..17).sample_of_lane()[..5], [0, 1, 2, 2, 2]);
+        let mut indices = SAMPLE_OF_LANE;
+        lanes_to_rows(&mut indices);
+        assert_eq!(indices, std::array::from_fn(|place| place));
         let (columns, rows) = ([0, 1, 2, 3, 4, 5, 6, 7], [0, 8, 16, 24, 32, 40, 48, 56]);
         let mut sums = [0.0; 64];
-        in_quarters(&[columns, rows].map(|places| places.map(|place| place as f32)), &mut sums);
-        assert_eq!(sums.map(|place| place as usize), QUARTERS);
+        sum_terms_by_lane(&[columns, rows].map(|indices| indices.map(|place| place as f32)), &mut sums);
+        assert_eq!(sums.map(|place| place as usize), SAMPLE_OF_LANE);
     }
 }

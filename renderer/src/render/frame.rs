@@ -8,16 +8,16 @@ use std::{
 
 use glam::Vec3;
 use shared::{
+    appearance::ClipPlane,
     camera::CameraRays,
     division::{Division, FrameSize, Share, TILE_SIZE},
-    look::ClipPlane,
     srgb,
 };
 
 use crate::{
     intersect::{MOST_PACKETS, PacketScratch, ray::Hit},
     render::{
-        blocks::{Block, for_each_group},
+        blocks::{SampleBlock, for_each_group},
         parallel::work_off,
         tracer::{FrameRequest, Scene},
     },
@@ -58,7 +58,7 @@ impl Frame {
     pub fn trace(&mut self, scene: &Scene, request: &FrameRequest) -> Cost {
         let follow = |setup: &Setup<'_>, tiles: &Tiles, scratch: &mut PacketScratch, (): &mut (), write: Write<'_>| {
             let Setup { scene, rays, clip, share } = setup;
-            let write = |blocks: &[Block<'_>], hits: &[[Hit; 64]], _: &mut PacketScratch| write(blocks, hits);
+            let write = |blocks: &[SampleBlock<'_>], hits: &[[Hit; 64]], _: &mut PacketScratch| write(blocks, hits);
             scene.trace_groups(rays, clip.as_ref(), share, tiles.numbers(), scratch, write);
         };
         self.trace_with(scene, request, follow).0
@@ -75,9 +75,9 @@ impl Frame {
         follow: impl Fn(&Setup<'_>, &Tiles, &mut PacketScratch, &mut T, Write<'_>) + Sync,
     ) -> (Cost, Vec<T>) {
         let rays = request.camera.rays(request.size);
-        let clip = scene.clip_plane(&request.camera, request.look.clip);
-        let work = Division::Tiled.work(0, 1);
-        let Ok(share) = work.share(request.size) else { return (Cost::default(), Vec::new()) };
+        let clip = scene.clip_plane(&request.camera, request.appearance.clip);
+        let task = Division::Tiled.task(0, 1);
+        let Ok(share) = task.share(request.size) else { return (Cost::default(), Vec::new()) };
         let setup = Setup { scene, rays, clip, share };
         self.hits.resize(request.size.n_samples() as usize, Hit::MISS);
 
@@ -109,8 +109,8 @@ impl Frame {
     pub fn shade(&mut self, scene: &Scene, request: &FrameRequest) -> Duration {
         let rays = request.camera.rays(request.size);
         let lighting = scene.lighting(request);
-        let work = Division::Tiled.work(0, 1);
-        let Ok(share) = work.share(request.size) else { return Duration::ZERO };
+        let task = Division::Tiled.task(0, 1);
+        let Ok(share) = task.share(request.size) else { return Duration::ZERO };
         self.rgb.resize(3 * self.hits.len(), 0);
         let all_hits = &self.hits;
         let of_threads = work_off(parts(&mut self.rgb, 3, request.size), |next| {
@@ -120,12 +120,12 @@ impl Frame {
             while let Some(Part { tiles, mut samples }) = next() {
                 for_each_group(&share, tiles.numbers(), |blocks| {
                     for (index, block) in blocks.iter().enumerate() {
-                        for (place, (i, j)) in block.samples().enumerate() {
-                            directions[index][place] = rays.direction(i, j);
-                            hits[index][place] = all_hits[(j * request.size.xres() + i) as usize];
+                        for (sample_idx, (i, j)) in block.samples().enumerate() {
+                            directions[index][sample_idx] = rays.direction(i, j);
+                            hits[index][sample_idx] = all_hits[(j * request.size.xres() + i) as usize];
                         }
                     }
-                    let lights = lighting.of_group(blocks, 0, &directions, &hits, &mut scratch);
+                    let lights = lighting.light_group(blocks, 0, &directions, &hits, &mut scratch);
                     for (block, lights) in blocks.iter().zip(lights) {
                         for (sample, light) in block.samples().zip(lights) {
                             samples.row_from(sample)[..3].copy_from_slice(&light.to_array().map(srgb::encode));
@@ -141,7 +141,7 @@ impl Frame {
     /// `f32` in units of the ray's direction (infinite for none).
     pub fn write_hits(&self, scene: &Scene, out: &mut dyn io::Write) -> io::Result<()> {
         self.hits.iter().try_for_each(|&hit| {
-            let hit = scene.in_file_order(hit);
+            let hit = scene.with_file_index(hit);
             out.write_all(&hit.triangle.to_le_bytes())?;
             out.write_all(&hit.t.to_le_bytes())
         })
@@ -154,7 +154,7 @@ impl Frame {
 }
 
 /// Writes the hits of blocks, each block's in the order of its samples.
-pub type Write<'a> = &'a mut dyn FnMut(&[Block<'_>], &[[Hit; 64]]);
+pub type Write<'a> = &'a mut dyn FnMut(&[SampleBlock<'_>], &[[Hit; 64]]);
 
 /// Guided self-scheduling (Polychronopoulos and Kuck, 1987): each part is the rest of the frame / (8 × threads). Large parts
 /// come first, because each has a cost of its own; small ones last, so that threads end together.
@@ -243,8 +243,8 @@ mod tests {
     fn parts_are_the_whole_frame_whatever_its_size() {
         for (xres, yres) in [(1, 1), (7, 301), (37, 21), (301, 7), (1024, 512)] {
             let size = FrameSize::new(xres, yres).unwrap();
-            let work = Division::Tiled.work(0, 1);
-            let share = work.share(size).unwrap();
+            let task = Division::Tiled.task(0, 1);
+            let share = task.share(size).unwrap();
             for n_threads in [1, 2, 16] {
                 let pool = threads::pool(Some(n_threads)).unwrap();
                 let mut all = vec![[0; 3]; size.n_samples() as usize];

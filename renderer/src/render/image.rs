@@ -9,7 +9,7 @@ use std::{
 use shared::division::FrameSize;
 
 /// BLAKE3 of a frame's samples, RGB, row by row from the bottom, as hexadecimal digits: equal hashes are equal pictures.
-pub fn samples_hash(rgb: &[u8]) -> String {
+pub fn hash_samples(rgb: &[u8]) -> String {
     blake3::hash(rgb).to_hex().to_string()
 }
 
@@ -17,7 +17,7 @@ pub fn samples_hash(rgb: &[u8]) -> String {
 ///
 /// The file appears only when it is whole.
 pub fn write_png(path: &Path, size: FrameSize, rgb: &[u8]) -> io::Result<()> {
-    write_whole(path, |out| {
+    write_atomically(path, |out| {
         let mut encoder = png::Encoder::new(out, size.xres(), size.yres());
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
@@ -31,7 +31,7 @@ pub fn write_png(path: &Path, size: FrameSize, rgb: &[u8]) -> io::Result<()> {
 
 /// Writes a file beside its place, and puts it there when it is whole. Devices and pipes are written to as they are, and
 /// links are followed.
-pub fn write_whole(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     let resolved = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let path = resolved.as_path();
     if std::fs::metadata(path).is_ok_and(|metadata| !metadata.is_file()) {
@@ -39,20 +39,20 @@ pub fn write_whole(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result
         write(&mut out)?;
         return out.flush();
     }
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(format!(".{}.part", std::process::id()));
-    let beside = Path::new(&beside);
-    let written = File::create(beside).and_then(|file| {
+    let mut temporary = path.as_os_str().to_owned();
+    temporary.push(format!(".{}.part", std::process::id()));
+    let temporary = Path::new(&temporary);
+    let written = File::create(temporary).and_then(|file| {
         let mut out = BufWriter::new(file);
         write(&mut out)?;
         out.flush()
     });
-    let placed = written.and_then(|()| std::fs::rename(beside, path));
-    if placed.is_err() {
+    let renamed = written.and_then(|()| std::fs::rename(temporary, path));
+    if renamed.is_err() {
         // The first error is what matters; the remains may not even exist.
-        let _ = std::fs::remove_file(beside);
+        let _ = std::fs::remove_file(temporary);
     }
-    placed
+    renamed
 }
 
 #[cfg(test)]
@@ -80,12 +80,12 @@ mod tests {
         let (file, link) = (folder.join("file"), folder.join("link"));
         std::fs::write(&file, "old").unwrap();
         std::os::unix::fs::symlink(&file, &link).unwrap();
-        write_whole(&link, |out| out.write_all(b"new")).unwrap();
+        write_atomically(&link, |out| out.write_all(b"new")).unwrap();
         assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
         assert_eq!(std::fs::read(&file).unwrap(), b"new");
         let device = folder.join("device");
         std::os::unix::fs::symlink("/dev/null", &device).unwrap();
-        write_whole(&device, |out| out.write_all(b"gone")).unwrap();
+        write_atomically(&device, |out| out.write_all(b"gone")).unwrap();
         assert!(!std::fs::metadata("/dev/null").unwrap().is_file());
         std::fs::remove_dir_all(folder).unwrap();
     }
@@ -94,7 +94,7 @@ mod tests {
     fn what_cannot_be_written_leaves_nothing_behind() {
         let folder = std::env::temp_dir();
         let path = folder.join(format!("half-{}.png", std::process::id()));
-        write_whole(&path, |_| Err(io::Error::other("disk full"))).unwrap_err();
+        write_atomically(&path, |_| Err(io::Error::other("disk full"))).unwrap_err();
         let left = std::fs::read_dir(folder).unwrap().flatten();
         let name = format!("half-{}", std::process::id());
         assert!(!left.map(|entry| entry.file_name()).any(|file| file.to_string_lossy().starts_with(&name)));

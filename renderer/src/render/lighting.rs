@@ -1,7 +1,7 @@
 //! From the hits of a block of samples to their light, whatever the view and the ray tree.
 
 use glam::Vec3;
-use shared::{look::ClipPlane, protocol::View};
+use shared::{appearance::ClipPlane, protocol::ShadingMode};
 
 use crate::{
     grid::Grid,
@@ -10,7 +10,7 @@ use crate::{
         ray::{Hit, Ray},
     },
     render::{
-        blocks::Block,
+        blocks::SampleBlock,
         secondary::SecondaryRays,
         shade::{self, Shader},
         tracer::{FrameRequest, sample_point},
@@ -20,7 +20,7 @@ use crate::{
 /// All that lights one frame.
 pub struct Lighting<'a> {
     grid: &'a Grid,
-    view: View,
+    view: ShadingMode,
     eye: Vec3,
     clip: Option<ClipPlane>,
     shader: Shader<'a>,
@@ -29,43 +29,47 @@ pub struct Lighting<'a> {
 
 impl<'a> Lighting<'a> {
     /// Makes ready for one frame of a scene that a plane may cut open.
-    pub fn new(grid: &'a Grid, request: &FrameRequest, clip: Option<ClipPlane>) -> Self {
+    pub fn new(grid: &'a Grid, spec: &FrameRequest, clip: Option<ClipPlane>) -> Self {
         Self {
             grid,
-            view: request.view,
-            eye: request.camera.rays(request.size).eye,
+            view: spec.view,
+            eye: spec.camera.rays(spec.size).eye,
             clip,
-            shader: Shader::new(grid.mesh(), request),
-            secondary: SecondaryRays::new(grid, request, clip),
+            shader: Shader::new(grid.mesh(), spec),
+            secondary: SecondaryRays::new(grid, spec, clip),
         }
     }
 
     /// The linear light of neighbouring blocks of at most 64 samples each: sample number `sample` of their pixels (i, j),
     /// which follow `directions` to `hits`. Entries beyond a block are undefined.
-    pub fn of_group(
+    pub fn light_group(
         &self,
-        blocks: &[Block<'_>],
+        blocks: &[SampleBlock<'_>],
         sample: u32,
         directions: &[[Vec3; 64]],
         hits: &[[Hit; 64]],
         scratch: &mut PacketScratch,
     ) -> [[Vec3; 64]; MOST_PACKETS] {
         let mut lights = [[Vec3::ZERO; 64]; MOST_PACKETS];
-        if self.view == View::Cost {
+        if self.view == ShadingMode::Cost {
             for (index, block) in blocks.iter().enumerate() {
                 for (light, &direction) in lights[index].iter_mut().zip(&directions[index]).take(block.n_samples()) {
-                    let ray = clip::kept(self.clip.as_ref(), Ray::new(self.eye, direction));
-                    *light = shade::cost(ray.map_or(RayCost::default(), |ray| self.grid.cost(&ray)));
+                    let ray = clip::clip_ray(self.clip.as_ref(), Ray::new(self.eye, direction));
+                    *light = shade::cost_color(ray.map_or(RayCost::default(), |ray| self.grid.cost(&ray)));
                 }
             }
             return lights;
         }
-        let reach = self.secondary.reach(blocks, sample, directions, hits, scratch);
+        let visibility = self.secondary.visibility(blocks, sample, directions, hits, scratch);
         for (index, block) in blocks.iter().enumerate() {
-            for (place, (i, j)) in block.samples().enumerate() {
+            for (sample_idx, (i, j)) in block.samples().enumerate() {
                 let (_, y) = sample_point(i, j, sample);
-                lights[index][place] =
-                    self.shader.light(directions[index][place], hits[index][place], y, &reach[index][place]);
+                lights[index][sample_idx] = self.shader.light(
+                    directions[index][sample_idx],
+                    hits[index][sample_idx],
+                    y,
+                    &visibility[index][sample_idx],
+                );
             }
         }
         lights

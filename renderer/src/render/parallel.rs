@@ -17,22 +17,22 @@ use cpu_time::ThreadTime;
 /// small and take less than this.
 const AWAKE: Duration = Duration::from_millis(1);
 
-/// Works off `parts` on the threads of the current rayon pool. Each task calls `work` once with a function that gives it
+/// Works off `parts` on the threads of the current rayon pool. Each task calls `task` once with a function that gives it
 /// its next part, until none is left.
 ///
-/// Returns for each task what its `work` returned, and its CPU time. There is a task for each thread, and each takes one
+/// Returns for each task what its `task` returned, and its CPU time. There is a task for each thread, and each takes one
 /// part at a time: a task that held several would keep the others waiting at the end. A thread that another program keeps
 /// from its core delays nothing: the others finish the parts, and its task with them.
 pub fn work_off<P: Send, T: Send>(
     parts: impl Iterator<Item = P> + Send,
-    work: impl Fn(&mut dyn FnMut() -> Option<P>) -> T + Sync,
+    task: impl Fn(&mut dyn FnMut() -> Option<P>) -> T + Sync,
 ) -> Vec<(T, Duration)> {
     let parts = Mutex::new(parts);
     let n_at_work = AtomicUsize::new(0);
     let task = || {
         n_at_work.fetch_add(1, Ordering::Relaxed);
         let start = ThreadTime::now();
-        let result = work(&mut || parts.lock().ok()?.next());
+        let result = task(&mut || parts.lock().ok()?.next());
         // Waiting does not count as CPU time.
         let cpu = start.elapsed();
         n_at_work.fetch_sub(1, Ordering::Relaxed);

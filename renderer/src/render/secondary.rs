@@ -1,6 +1,6 @@
 //! Secondary rays: which lights reach a hit.
 //!
-//! The key light is a point (from where it comes is [`shared::look::Light`]), so that the shadow rays of neighbouring samples, followed from the light to the hits, are
+//! The key light is a point (from where it comes is [`shared::appearance::Light`]), so that the shadow rays of neighbouring samples, followed from the light to the hits, are
 //! packets as coherent as the camera's. Surroundings are felt by short rays into the hemisphere above a hit.
 //!
 //! Points on surfaces are found in `f64` and lifted off them by more than rounding can take back, so that no surface
@@ -8,8 +8,8 @@
 
 use glam::{DVec3, Vec3};
 use shared::{
-    look::ClipPlane,
-    protocol::{RayTree, View},
+    appearance::ClipPlane,
+    protocol::{LightingMode, ShadingMode},
 };
 
 use crate::{
@@ -19,20 +19,20 @@ use crate::{
         ray::{Hit, Ray},
     },
     render::{
-        blocks::Block,
-        tracer::{FrameRequest, hash},
+        blocks::SampleBlock,
+        tracer::{FrameRequest, hash_u32},
     },
 };
 
 /// What reaches one hit.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reach {
+pub struct LightVisibility {
     /// Towards the key light, of unit length, in world space.
     pub key_direction: Vec3,
     /// How much of the key light arrives, 0 to 1.
     pub key: f32,
     /// How much of the surroundings is open, 0 to 1.
-    pub open: f32,
+    pub ambient_visibility: f32,
 }
 
 /// The secondary rays of one frame.
@@ -40,23 +40,23 @@ pub struct SecondaryRays<'a> {
     grid: &'a Grid,
     /// What is cut away casts no shadow.
     clip: Option<ClipPlane>,
-    tree: RayTree,
+    lighting_mode: LightingMode,
     eye: DVec3,
     /// Where the key light stands, in world space.
     key_light: Vec3,
     /// Towards it, where no point is known.
     key_direction: Vec3,
     /// How far points are lifted off their surfaces, in world units.
-    lift: f64,
+    ray_offset: f64,
     /// The longest ambient ray, in world units.
-    ambient_reach: f32,
+    ao_radius: f32,
 }
 
 /// Ambient rays of each sample.
-const N_AMBIENT: u32 = 4;
+const N_AO_RAYS: u32 = 4;
 
 /// The longest ambient ray, relative to the radius of the scene.
-const AMBIENT_REACH: f64 = 0.1;
+const AO_RADIUS_RELATIVE: f64 = 0.1;
 
 /// A point that a ray has hit.
 struct Surface {
@@ -68,36 +68,36 @@ struct Surface {
 
 impl<'a> SecondaryRays<'a> {
     /// Makes ready for one frame of a scene that a plane may cut open.
-    pub fn new(grid: &'a Grid, request: &FrameRequest, clip: Option<ClipPlane>) -> Self {
+    pub fn new(grid: &'a Grid, spec: &FrameRequest, clip: Option<ClipPlane>) -> Self {
         // Other views have no light.
-        let tree = if request.view == View::Shaded { request.rays } else { RayTree::Primary };
+        let lighting_mode = if spec.view == ShadingMode::Shaded { spec.rays } else { LightingMode::Primary };
         let bounds = grid.mesh().bounds();
         let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
         let (centre, radius) = ((min + max) * 0.5, (max - min).length() * 0.5);
-        let (right, up) = (request.camera.u().normalize(), request.camera.v().normalize());
+        let (right, up) = (spec.camera.u().normalize(), spec.camera.v().normalize());
         let back = right.cross(up).normalize();
-        let light = request.look.light;
+        let light = spec.appearance.light;
         let to_light = light.direction();
         let to_light = (right * to_light.x + up * to_light.y + back * to_light.z).normalize();
-        let key_light = match tree {
-            RayTree::Primary => Vec3::ZERO,
-            RayTree::Shadows | RayTree::Ambient => {
-                let place = KeyLight { eye: request.camera.eye(), back, to_light, centre, radius };
-                place.find(grid, clip.as_ref(), light.is_on_eye_side())
+        let key_light = match lighting_mode {
+            LightingMode::Primary => Vec3::ZERO,
+            LightingMode::Shadows | LightingMode::AmbientOcclusion => {
+                let placement = KeyLightPlacement { eye: spec.camera.eye(), back, to_light, centre, radius };
+                placement.light_position(grid, clip.as_ref(), light.is_on_eye_side())
             }
         };
         // No coordinate is larger, and no difference more than twice as large. Rounding a point or a direction to single
         // precision moves it by at most √3·2⁻²⁴ of that.
-        let reach = min.abs().max(max.abs()).max(key_light.as_dvec3().abs()).max_element();
+        let max_coordinate = min.abs().max(max.abs()).max(key_light.as_dvec3().abs()).max_element();
         Self {
             grid,
             clip,
-            tree,
-            eye: request.camera.eye().as_vec3().as_dvec3(),
+            lighting_mode,
+            eye: spec.camera.eye().as_vec3().as_dvec3(),
             key_light,
             key_direction: to_light.as_vec3(),
-            lift: reach * (8.0 * f64::from(f32::EPSILON)),
-            ambient_reach: (radius * AMBIENT_REACH) as f32,
+            ray_offset: max_coordinate * (8.0 * f64::from(f32::EPSILON)),
+            ao_radius: (radius * AO_RADIUS_RELATIVE) as f32,
         }
     }
 
@@ -108,35 +108,41 @@ impl<'a> SecondaryRays<'a> {
     }
 
     /// What reaches the hits of neighbouring blocks of samples; undefined for samples without a hit.
-    pub fn reach(
+    pub fn visibility(
         &self,
-        blocks: &[Block<'_>],
+        blocks: &[SampleBlock<'_>],
         sample: u32,
         directions: &[[Vec3; 64]],
         hits: &[[Hit; 64]],
         scratch: &mut PacketScratch,
-    ) -> [[Reach; 64]; MOST_PACKETS] {
-        let mut reach = [[Reach { key_direction: self.key_direction, key: 1.0, open: 1.0 }; 64]; MOST_PACKETS];
-        if self.tree == RayTree::Primary {
-            return reach;
+    ) -> [[LightVisibility; 64]; MOST_PACKETS] {
+        let mut visibility = [[LightVisibility { key_direction: self.key_direction, key: 1.0, ambient_visibility: 1.0 };
+            64]; MOST_PACKETS];
+        if self.lighting_mode == LightingMode::Primary {
+            return visibility;
         }
         let surfaces: [[Option<Surface>; 64]; MOST_PACKETS] = std::array::from_fn(|index| {
-            let n_samples = blocks.get(index).map_or(0, Block::n_samples);
-            std::array::from_fn(|place| {
-                if place < n_samples { self.surface(directions[index][place], hits[index][place]) } else { None }
+            let n_samples = blocks.get(index).map_or(0, SampleBlock::n_samples);
+            std::array::from_fn(|sample_idx| {
+                if sample_idx < n_samples {
+                    self.surface(directions[index][sample_idx], hits[index][sample_idx])
+                } else {
+                    None
+                }
             })
         });
-        self.cast_shadows(blocks, &surfaces, &mut reach, scratch);
-        if self.tree == RayTree::Ambient {
+        self.cast_shadows(blocks, &surfaces, &mut visibility, scratch);
+        if self.lighting_mode == LightingMode::AmbientOcclusion {
             for (index, block) in blocks.iter().enumerate() {
-                for (place, pixel) in block.samples().enumerate() {
-                    if let Some(surface) = &surfaces[index][place] {
-                        reach[index][place].open = self.openness(surface, pixel, sample);
+                for (sample_idx, pixel) in block.samples().enumerate() {
+                    if let Some(surface) = &surfaces[index][sample_idx] {
+                        visibility[index][sample_idx].ambient_visibility =
+                            self.ambient_visibility(surface, pixel, sample);
                     }
                 }
             }
         }
-        reach
+        visibility
     }
 
     /// Where a hit is; `None` for a miss, and for slivers too thin to have a normal.
@@ -151,37 +157,37 @@ impl<'a> SecondaryRays<'a> {
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal } * (1.0 / length);
         // The hit's t is rounded to single precision, too little for an eye far away.
         let t = normal.dot(a - self.eye) / normal.dot(direction);
-        let point = self.eye + direction * t + normal * self.lift;
+        let point = self.eye + direction * t + normal * self.ray_offset;
         (length > 0.0 && point.is_finite() && normal.is_finite()).then_some(Surface { point, normal })
     }
 
     /// Follows rays from the key light to all surfaces that face it.
     fn cast_shadows(
         &self,
-        blocks: &[Block<'_>],
+        blocks: &[SampleBlock<'_>],
         surfaces: &[[Option<Surface>; 64]],
-        reach: &mut [[Reach; 64]],
+        visibility: &mut [[LightVisibility; 64]],
         scratch: &mut PacketScratch,
     ) {
         let light = self.key_light.as_dvec3();
         let mut directions = [[None; 64]; MOST_PACKETS];
         for (index, block) in blocks.iter().enumerate() {
-            for (direction, &place) in directions[index].iter_mut().zip(&block.in_lanes()) {
-                let Some(Surface { point, normal }) = &surfaces[index][place] else { continue };
+            for (direction, &sample_idx) in directions[index].iter_mut().zip(&block.sample_of_lane()) {
+                let Some(Surface { point, normal }) = &surfaces[index][sample_idx] else { continue };
                 let to_point = *point - light;
-                reach[index][place].key_direction = (-to_point * (1.0 / to_point.length())).as_vec3();
-                reach[index][place].key = 0.0;
-                if normal.dot(to_point) < -self.lift {
+                visibility[index][sample_idx].key_direction = (-to_point * (1.0 / to_point.length())).as_vec3();
+                visibility[index][sample_idx].key = 0.0;
+                if normal.dot(to_point) < -self.ray_offset {
                     *direction = Some(to_point.as_vec3());
                 }
             }
         }
         let directions = &directions[..blocks.len()];
-        let hidden = hidden(self.grid, self.clip.as_ref(), self.key_light, directions, 1.0, scratch);
+        let occluded_lanes = occluded_lanes(self.grid, self.clip.as_ref(), self.key_light, directions, 1.0, scratch);
         for (index, block) in blocks.iter().enumerate() {
-            for (lane, &place) in block.in_lanes().iter().enumerate() {
-                if directions[index][lane].is_some() && hidden[index] >> lane & 1 == 0 {
-                    reach[index][place].key = 1.0;
+            for (lane, &sample_idx) in block.sample_of_lane().iter().enumerate() {
+                if directions[index][lane].is_some() && occluded_lanes[index] >> lane & 1 == 0 {
+                    visibility[index][sample_idx].key = 1.0;
                 }
             }
         }
@@ -191,34 +197,37 @@ impl<'a> SecondaryRays<'a> {
     ///
     /// They are distributed as the cosine to the normal, so that each counts alike, and of different lengths, so that
     /// what is near shades more than what is far.
-    fn openness(&self, surface: &Surface, (i, j): (u32, u32), sample: u32) -> f32 {
+    fn ambient_visibility(&self, surface: &Surface, (i, j): (u32, u32), sample: u32) -> f32 {
         let normal = surface.normal.as_vec3();
-        let [tangent, bitangent] = tangents(normal);
-        let random = |seed: u32| hash(i ^ hash(j ^ hash(sample ^ seed)));
+        let [tangent, bitangent] = tangent_basis(normal);
+        let random = |seed: u32| hash_u32(i ^ hash_u32(j ^ hash_u32(sample ^ seed)));
         let fraction = |bits: u32| ((bits >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0);
-        let (height, mut around) = (fraction(random(11)), unit_circle(random(12)));
+        let (height, mut azimuth) = (fraction(random(11)), unit_circle(random(12)));
         let length = fraction(random(13));
-        let mut n_open = 0;
-        for index in 0..N_AMBIENT {
-            let r2 = (index as f32 + height) * (1.0 / N_AMBIENT as f32);
+        let mut n_unoccluded = 0;
+        for index in 0..N_AO_RAYS {
+            let r2 = (index as f32 + height) * (1.0 / N_AO_RAYS as f32);
             let (r, z) = (r2.sqrt(), (1.0 - r2).sqrt());
-            let direction = (tangent * around[0] + bitangent * around[1]) * r + normal * z;
+            let direction = (tangent * azimuth[0] + bitangent * azimuth[1]) * r + normal * z;
             // Strata of length in another order than those of height.
-            let length = ((index * 3 + 1) % N_AMBIENT) as f32 + length;
-            let t_max = self.ambient_reach * (length * (1.0 / N_AMBIENT as f32));
+            let length = ((index * 3 + 1) % N_AO_RAYS) as f32 + length;
+            let t_max = self.ao_radius * (length * (1.0 / N_AO_RAYS as f32));
             let ray = Ray { origin: surface.point.as_vec3(), direction, t_min: 0.0, t_max };
-            n_open += u32::from(!clip::occluded(self.grid, self.clip.as_ref(), ray));
-            around = [around[0] * GOLDEN[0] - around[1] * GOLDEN[1], around[0] * GOLDEN[1] + around[1] * GOLDEN[0]];
+            n_unoccluded += u32::from(!clip::occluded(self.grid, self.clip.as_ref(), ray));
+            azimuth = [
+                azimuth[0] * GOLDEN_ANGLE[0] - azimuth[1] * GOLDEN_ANGLE[1],
+                azimuth[0] * GOLDEN_ANGLE[1] + azimuth[1] * GOLDEN_ANGLE[0],
+            ];
         }
-        n_open as f32 * (1.0 / N_AMBIENT as f32)
+        n_unoccluded as f32 * (1.0 / N_AO_RAYS as f32)
     }
 }
 
 /// Cosine and sine of the golden angle: directions that are turned by it again and again keep apart.
-const GOLDEN: [f32; 2] = [-0.737_368_9, 0.675_490_3];
+const GOLDEN_ANGLE: [f32; 2] = [-0.737_368_9, 0.675_490_3];
 
 /// What says where the key light stands, in world space.
-struct KeyLight {
+struct KeyLightPlacement {
     eye: DVec3,
     /// From what is looked at to the eye's side, of unit length.
     back: DVec3,
@@ -233,10 +242,10 @@ struct KeyLight {
 /// How far the key light is from what is looked at, in distances of the eye: over its shoulder it is beside the eye.
 const KEY_DISTANCE: f64 = 1.5;
 
-impl KeyLight {
+impl KeyLightPlacement {
     /// In its direction from the point before the eye that is as far away as the middle of the scene. A light on the eye's
     /// side stays inside the room that the eye is in; others are where they are, whatever hides them.
-    fn find(&self, grid: &Grid, clip: Option<&ClipPlane>, is_on_eye_side: bool) -> Vec3 {
+    fn light_position(&self, grid: &Grid, clip: Option<&ClipPlane>, is_on_eye_side: bool) -> Vec3 {
         let Self { eye, back, to_light, centre, radius } = *self;
         // An eye far away is replaced by one nearer: there lies nothing in between.
         let distance = (eye - centre).length();
@@ -247,15 +256,15 @@ impl KeyLight {
             return (base + step).as_vec3();
         }
         let ray = Ray { t_max: 1.0, ..Ray::new(base.as_vec3(), step.as_vec3()) };
-        let wall = clip::intersect(grid, clip, ray);
-        let part = if wall.is_miss() { 1.0 } else { 0.5 * f64::from(wall.t) };
+        let obstacle = clip::intersect(grid, clip, ray);
+        let part = if obstacle.is_miss() { 1.0 } else { 0.5 * f64::from(obstacle.t) };
         (base + step * part).as_vec3()
     }
 }
 
 /// A bit for each ray from `origin` that hits something up to `t_max`, of what a plane keeps: for up to [`MOST_PACKETS`]
 /// neighbouring blocks.
-pub fn hidden(
+pub fn occluded_lanes(
     grid: &Grid,
     clip: Option<&ClipPlane>,
     origin: Vec3,
@@ -280,21 +289,21 @@ pub fn hidden(
         blocks.push(block);
     }
     let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
-    let mut hidden = [0; MOST_PACKETS];
+    let mut occluded_lanes = [0; MOST_PACKETS];
     if packets.is_empty() {
-        return hidden;
+        return occluded_lanes;
     }
     clip::intersect_packets(grid, clip, &packets, scratch, &mut hits[..packets.len()]);
     for ((block, packet), hits) in blocks.into_iter().zip(&packets).zip(&hits) {
         let hit = (0..64).filter(|&lane| !hits[lane].is_miss()).fold(0, |hit, lane| hit | 1 << lane);
-        hidden[block] = hit & packet.active;
+        occluded_lanes[block] = hit & packet.active;
     }
-    hidden
+    occluded_lanes
 }
 
 /// Two vectors of unit length at right angles to a normal and to each other: Duff et al., "Building an Orthonormal Basis,
 /// Revisited" (2017).
-fn tangents(n: Vec3) -> [Vec3; 2] {
+fn tangent_basis(n: Vec3) -> [Vec3; 2] {
     let sign = 1.0f32.copysign(n.z);
     let a = -1.0 / (sign + n.z);
     let b = n.x * n.y * a;

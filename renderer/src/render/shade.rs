@@ -3,18 +3,18 @@
 //! Only + − × ÷ √ are used, in a fixed order, so that every machine computes the same bits.
 
 use glam::Vec3;
-use shared::{protocol::View, srgb};
+use shared::{protocol::ShadingMode, srgb};
 
 use crate::{
     grid::traced::TracedMesh,
     intersect::{RayCost, ray::Hit},
-    render::{secondary::Reach, tracer::FrameRequest},
+    render::{secondary::LightVisibility, tracer::FrameRequest},
 };
 
 /// Lights a mesh as seen by one camera: a light at the eye shows form, a sky above it shows which way is up.
 pub struct Shader<'a> {
     mesh: &'a TracedMesh,
-    view: View,
+    view: ShadingMode,
     /// The camera's up, of unit length, in world space.
     up: Vec3,
     n_rows: f32,
@@ -33,32 +33,32 @@ const GROUND_LIGHT: Vec3 = Vec3::new(0.055, 0.045, 0.04);
 
 impl<'a> Shader<'a> {
     /// Makes ready for one frame.
-    pub fn new(mesh: &'a TracedMesh, request: &FrameRequest) -> Self {
-        let up = unit(request.camera.v().normalize().as_vec3());
-        let background = [request.look.background.bottom, request.look.background.top].map(linear);
-        Self { mesh, view: request.view, up, n_rows: request.size.yres() as f32, background }
+    pub fn new(mesh: &'a TracedMesh, spec: &FrameRequest) -> Self {
+        let up = normalize_or_zero(spec.camera.v().normalize().as_vec3());
+        let background = [spec.appearance.background.bottom, spec.appearance.background.top].map(linear);
+        Self { mesh, view: spec.view, up, n_rows: spec.size.yres() as f32, background }
     }
 
     /// The linear light that one ray brings back, of what reaches its hit. `row` counts from the bottom, in samples.
     #[inline]
-    pub fn light(&self, direction: Vec3, hit: Hit, row: f32, reach: &Reach) -> Vec3 {
+    pub fn light(&self, direction: Vec3, hit: Hit, row: f32, visibility: &LightVisibility) -> Vec3 {
         if hit.is_miss() {
             let height = row / self.n_rows;
             return self.background[0] * (1.0 - height) + self.background[1] * height;
         }
         let [a, b, c] = self.mesh.corners(hit.triangle).map(Vec3::from_array);
-        let normal = unit((b - a).cross(c - a));
+        let normal = normalize_or_zero((b - a).cross(c - a));
         // Scans are seen from both sides: the normal is turned towards the ray's origin.
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
         match self.view {
             // What a ray costs has nothing to do with where it ends: see [`cost`].
-            View::Normals | View::Cost => (normal + 1.0) * 0.5,
-            View::Shaded => {
-                let eye = normal.dot(-unit(direction)).max(0.0);
-                let key = normal.dot(reach.key_direction).max(0.0) * reach.key;
+            ShadingMode::Normals | ShadingMode::Cost => (normal + 1.0) * 0.5,
+            ShadingMode::Shaded => {
+                let eye = normal.dot(-normalize_or_zero(direction)).max(0.0);
+                let key = normal.dot(visibility.key_direction).max(0.0) * visibility.key;
                 let sky = 0.5 + 0.5 * normal.dot(self.up);
-                let around = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
-                self.albedo(hit.triangle) * (KEY_LIGHT * key + around * reach.open)
+                let ambient = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
+                self.albedo(hit.triangle) * (KEY_LIGHT * key + ambient * visibility.ambient_visibility)
             }
         }
     }
@@ -73,7 +73,7 @@ impl<'a> Shader<'a> {
 
 /// The colour of what a ray costs: cells in red, tests in green, each half as bright as possible at [`HALF_CELLS`] and
 /// [`HALF_TESTS`], so that no cost is too high to be told from a higher one.
-pub fn cost(cost: RayCost) -> Vec3 {
+pub fn cost_color(cost: RayCost) -> Vec3 {
     let brightness = |count: u32, half: f32| count as f32 / (count as f32 + half);
     Vec3::new(brightness(cost.n_cells, HALF_CELLS), brightness(cost.n_tests, HALF_TESTS), 0.0)
 }
@@ -88,7 +88,7 @@ fn linear(color: [u8; 3]) -> Vec3 {
 }
 
 /// The vector of unit length, or zero. Scaled first, so that squares neither overflow nor vanish.
-fn unit(v: Vec3) -> Vec3 {
+fn normalize_or_zero(v: Vec3) -> Vec3 {
     let largest = v.abs().max_element();
     if largest == 0.0 || !largest.is_finite() {
         return Vec3::ZERO;
@@ -101,10 +101,10 @@ fn unit(v: Vec3) -> Vec3 {
 mod tests {
     use glam::DVec3;
     use shared::{
+        appearance::{Appearance, Background},
         camera::Camera,
         division::FrameSize,
-        look::{Background, Look},
-        protocol::{RayTree, SampleRange},
+        protocol::{LightingMode, SampleRange},
     };
 
     use super::*;
@@ -115,23 +115,24 @@ mod tests {
         TracedMesh::new(mesh, &mut order)
     }
 
-    fn shader(mesh: &TracedMesh, view: View) -> Shader<'_> {
-        Shader::new(mesh, &request(view, Look::default()))
+    fn shader(mesh: &TracedMesh, view: ShadingMode) -> Shader<'_> {
+        Shader::new(mesh, &spec(view, Appearance::default()))
     }
 
-    fn request(view: View, look: Look) -> FrameRequest {
+    fn spec(view: ShadingMode, appearance: Appearance) -> FrameRequest {
         FrameRequest {
             camera: Camera::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap(),
             size: FrameSize::PAPER,
             view,
-            rays: RayTree::Primary,
+            rays: LightingMode::Primary,
             samples: SampleRange::CENTRE,
-            look,
+            appearance,
         }
     }
 
     /// All the light that there is, with the key light at the eye's side.
-    const REACH: Reach = Reach { key_direction: Vec3::new(-0.48, 0.6, 0.64), key: 1.0, open: 1.0 };
+    const REACH: LightVisibility =
+        LightVisibility { key_direction: Vec3::new(-0.48, 0.6, 0.64), key: 1.0, ambient_visibility: 1.0 };
 
     fn facing_mesh() -> Mesh {
         Mesh {
@@ -144,12 +145,12 @@ mod tests {
     #[test]
     fn both_sides_look_alike() {
         let mesh = traced(facing_mesh());
-        for view in View::ALL {
+        for view in ShadingMode::ALL {
             let shader = shader(&mesh, view);
             let [front, back] = [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, 0.0, &REACH));
             assert_eq!(front, back);
         }
-        let normals = shader(&mesh, View::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
+        let normals = shader(&mesh, ShadingMode::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
         assert_eq!(normals, Vec3::new(0.5, 0.5, 1.0));
     }
 
@@ -157,7 +158,7 @@ mod tests {
     fn what_hits_nothing_shows_the_background_from_bottom_to_top() {
         let mesh = traced(facing_mesh());
         let background = Background { bottom: [255, 0, 10], top: [0, 255, 10] };
-        let shader = Shader::new(&mesh, &request(View::Shaded, Look { background, ..Look::default() }));
+        let shader = Shader::new(&mesh, &spec(ShadingMode::Shaded, Appearance { background, ..Appearance::default() }));
         let encoded = |row: f32| shader.light(-Vec3::Z, Hit::MISS, row, &REACH).to_array().map(srgb::encode);
         assert_eq!((encoded(0.0), encoded(512.0)), (background.bottom, background.top));
         // Half of the light is value 188.
@@ -166,7 +167,7 @@ mod tests {
 
     #[test]
     fn what_costs_more_is_brighter() {
-        let light = |n_cells, n_tests| cost(RayCost { n_cells, n_tests });
+        let light = |n_cells, n_tests| cost_color(RayCost { n_cells, n_tests });
         assert_eq!(light(0, 0), Vec3::ZERO);
         for (less, more) in [(0, 1), (10, 11), (1000, 1100), (100_000, u32::MAX)] {
             assert!(light(less, 7).x < light(more, 7).x && light(7, less).y < light(7, more).y);
@@ -177,7 +178,7 @@ mod tests {
     #[test]
     fn vertex_colours_tint_the_light() {
         let red = traced(Mesh { colors: vec![[255, 0, 0]; 3], ..facing_mesh() });
-        let light = shader(&red, View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
+        let light = shader(&red, ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
         assert!(light.x > 0.5 && light.y == 0.0 && light.z == 0.0, "{light}");
     }
 
@@ -186,7 +187,8 @@ mod tests {
         for scale in [1e-18f32, 1e-6, 1.0, 1e6, 1e18] {
             let mut mesh = facing_mesh();
             mesh.vertices.iter_mut().flatten().for_each(|x| *x *= scale);
-            let light = shader(&traced(mesh), View::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
+            let light =
+                shader(&traced(mesh), ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
             assert!(light.is_finite() && light.min_element() > 0.1, "{scale}: {light}");
         }
     }

@@ -5,10 +5,10 @@ use std::ops::Range;
 use glam::Vec3;
 use rayon::prelude::*;
 use shared::{
+    appearance::{Appearance, Clip, ClipPlane},
     camera::{Camera, CameraRays},
     division::{FrameSize, Share},
-    look::{Clip, ClipPlane, Look},
-    protocol::{ProbeHit, RayTree, SampleRange, View},
+    protocol::{LightingMode, ProbeHit, SampleRange, ShadingMode},
     srgb,
 };
 
@@ -20,7 +20,7 @@ use crate::{
     },
     model::mesh::Mesh,
     render::{
-        blocks::{Block, for_each_group, in_quarters, in_rows},
+        blocks::{SampleBlock, for_each_group, lanes_to_rows, sum_terms_by_lane},
         lighting::Lighting,
     },
 };
@@ -45,13 +45,13 @@ pub struct FrameRequest {
     /// At which resolution.
     pub size: FrameSize,
     /// What the samples show.
-    pub view: View,
+    pub view: ShadingMode,
     /// By which rays they are lit.
-    pub rays: RayTree,
+    pub rays: LightingMode,
     /// Which samples of each pixel.
     pub samples: SampleRange,
     /// From where it is lit, what is behind the model, and where it is cut open.
-    pub look: Look,
+    pub appearance: Appearance,
 }
 
 impl Scene {
@@ -63,7 +63,7 @@ impl Scene {
     }
 
     /// A scene of a grid that is already there.
-    pub fn of_grid(grid: Grid) -> Self {
+    pub fn from_grid(grid: Grid) -> Self {
         Self { grid }
     }
 
@@ -94,8 +94,8 @@ impl Scene {
 
     /// The same hit, with the triangle's number in the file instead of its place in the mesh.
     #[inline]
-    pub fn in_file_order(&self, hit: Hit) -> Hit {
-        if hit.is_miss() { hit } else { Hit { triangle: self.mesh().number(hit.triangle), ..hit } }
+    pub fn with_file_index(&self, hit: Hit) -> Hit {
+        if hit.is_miss() { hit } else { Hit { triangle: self.mesh().file_index(hit.triangle), ..hit } }
     }
 
     /// The nearest triangle at a point of the view plane, given as parts of its edges u and v: by the same arithmetic as
@@ -107,7 +107,7 @@ impl Scene {
         }
         let plane = self.clip_plane(camera, clip);
         let ray = Ray::new(camera.eye().as_vec3(), direction);
-        let hit = self.in_file_order(clip::intersect(&self.grid, plane.as_ref(), ray));
+        let hit = self.with_file_index(clip::intersect(&self.grid, plane.as_ref(), ray));
         (!hit.is_miss()).then_some(ProbeHit { triangle: hit.triangle, t: hit.t })
     }
 
@@ -119,18 +119,18 @@ impl Scene {
     }
 
     /// What turns the hits of a frame into light.
-    pub fn lighting(&self, request: &FrameRequest) -> Lighting<'_> {
-        Lighting::new(&self.grid, request, self.clip_plane(&request.camera, request.look.clip))
+    pub fn lighting(&self, spec: &FrameRequest) -> Lighting<'_> {
+        Lighting::new(&self.grid, spec, self.clip_plane(&spec.camera, spec.appearance.clip))
     }
 
     /// Renders the share's units `units` (places in the share, not numbers in the frame), on the calling thread.
     ///
     /// Appends their samples to `rgb`, sRGB-encoded, in the order of [`Share::samples`]. The bits depend on nothing but
     /// scene, request and sample, so several threads may render parts of one share.
-    pub fn render(&self, request: &FrameRequest, share: &Share<'_>, units: Range<u32>, rgb: &mut Vec<u8>) {
-        let rays = request.camera.rays(request.size);
-        let clip = self.clip_plane(&request.camera, request.look.clip);
-        let lighting = self.lighting(request);
+    pub fn render(&self, spec: &FrameRequest, share: &Share<'_>, units: Range<u32>, rgb: &mut Vec<u8>) {
+        let rays = spec.camera.rays(spec.size);
+        let clip = self.clip_plane(&spec.camera, spec.appearance.clip);
+        let lighting = self.lighting(spec);
         let mut scratch = PacketScratch::default();
         let n_samples: u32 = units.clone().map(|unit| share.samples(unit).count()).sum();
         let first = rgb.len();
@@ -141,40 +141,43 @@ impl Scene {
         let mut directions = [[Vec3::ZERO; 64]; MOST_PACKETS];
         for_each_group(share, units, |blocks| {
             let mut sums = [[Vec3::ZERO; 64]; MOST_PACKETS];
-            for index in 0..request.samples.count {
-                let sample = request.samples.first.wrapping_add(index);
+            for index in 0..spec.samples.count {
+                let sample = spec.samples.first.wrapping_add(index);
                 let packets = &mut packets[..blocks.len()];
-                packets.iter_mut().zip(blocks).for_each(|(packet, block)| aim(packet, &rays, block, sample));
+                packets
+                    .iter_mut()
+                    .zip(blocks)
+                    .for_each(|(packet, block)| set_camera_rays(packet, &rays, block, sample));
                 self.trace_group(blocks, packets, clip.as_ref(), &mut scratch, &mut hits[..blocks.len()]);
                 for (index, (block, packet)) in blocks.iter().zip(packets).enumerate() {
                     let [x, y, z] = &packet.directions;
-                    for (lane, &place) in block.in_lanes().iter().enumerate() {
-                        directions[index][place] = Vec3::new(x[lane], y[lane], z[lane]);
+                    for (lane, &sample_idx) in block.sample_of_lane().iter().enumerate() {
+                        directions[index][sample_idx] = Vec3::new(x[lane], y[lane], z[lane]);
                     }
                 }
-                let lights = lighting.of_group(blocks, sample, &directions, &hits, &mut scratch);
+                let lights = lighting.light_group(blocks, sample, &directions, &hits, &mut scratch);
                 let all = sums.as_flattened_mut().iter_mut().zip(lights.as_flattened());
                 all.take(64 * blocks.len()).for_each(|(sum, light)| *sum += light);
             }
             for (block, sums) in blocks.iter().zip(&sums) {
                 for (index, sum) in sums.iter().take(block.n_samples()).enumerate() {
-                    pixels[block.place(index)] = (*sum / request.samples.count as f32).to_array().map(srgb::encode);
+                    pixels[block.output_index(index)] = (*sum / spec.samples.count as f32).to_array().map(srgb::encode);
                 }
             }
         });
     }
 
     /// [`Scene::render`] on all threads of the rayon pool that this is called in.
-    pub fn render_parallel(&self, request: &FrameRequest, share: &Share<'_>) -> Vec<u8> {
-        let parts: Vec<_> = unit_ranges(share, SAMPLES_PER_TASK)
+    pub fn render_parallel(&self, spec: &FrameRequest, share: &Share<'_>) -> Vec<u8> {
+        let direction_terms: Vec<_> = unit_ranges(share, SAMPLES_PER_JOB)
             .into_par_iter()
             .map(|units| {
                 let mut rgb = Vec::new();
-                self.render(request, share, units, &mut rgb);
+                self.render(spec, share, units, &mut rgb);
                 rgb
             })
             .collect();
-        parts.concat()
+        direction_terms.concat()
     }
 
     /// Traces the share's units `units` through the centres of their samples, in a scene that a plane may cut open, on the
@@ -185,7 +188,7 @@ impl Scene {
         clip: Option<&ClipPlane>,
         share: &Share<'_>,
         units: Range<u32>,
-        mut visit: impl FnMut(&Block<'_>, &[Hit]),
+        mut visit: impl FnMut(&SampleBlock<'_>, &[Hit]),
     ) {
         let mut scratch = PacketScratch::default();
         self.trace_groups(rays, clip, share, units, &mut scratch, |blocks, hits, _| {
@@ -201,13 +204,13 @@ impl Scene {
         share: &Share<'_>,
         units: impl Iterator<Item = u32> + Clone,
         scratch: &mut PacketScratch,
-        mut visit: impl FnMut(&[Block<'_>], &[[Hit; 64]], &mut PacketScratch),
+        mut visit: impl FnMut(&[SampleBlock<'_>], &[[Hit; 64]], &mut PacketScratch),
     ) {
         let mut packets = [Packet::NONE; MOST_PACKETS];
         let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
         for_each_group(share, units, |blocks| {
             let (packets, hits) = (&mut packets[..blocks.len()], &mut hits[..blocks.len()]);
-            packets.iter_mut().zip(blocks).for_each(|(packet, block)| aim(packet, rays, block, 0));
+            packets.iter_mut().zip(blocks).for_each(|(packet, block)| set_camera_rays(packet, rays, block, 0));
             self.trace_group(blocks, packets, clip, scratch, hits);
             visit(blocks, hits, scratch);
         });
@@ -216,7 +219,7 @@ impl Scene {
     /// Finds what the rays of neighbouring blocks' packets hit, in the order of each block's samples.
     fn trace_group(
         &self,
-        blocks: &[Block<'_>],
+        blocks: &[SampleBlock<'_>],
         packets: &[Packet],
         clip: Option<&ClipPlane>,
         scratch: &mut PacketScratch,
@@ -225,14 +228,14 @@ impl Scene {
         clip::intersect_packets(&self.grid, clip, packets, scratch, hits);
         for (block, hits) in blocks.iter().zip(hits) {
             if block.tile().is_some() {
-                in_rows(hits);
+                lanes_to_rows(hits);
             }
         }
     }
 }
 
-/// Makes a packet the rays through sample number `sample` of a block's pixels, in the lanes that [`Block::in_lanes`] tells.
-fn aim(packet: &mut Packet, rays: &CameraRays, block: &Block<'_>, sample: u32) {
+/// Makes a packet the rays through sample number `sample` of a block's pixels, in the lanes that [`SampleBlock::in_lanes`] tells.
+fn set_camera_rays(packet: &mut Packet, rays: &CameraRays, block: &SampleBlock<'_>, sample: u32) {
     packet.origin = rays.eye;
     packet.active = u64::MAX >> (64 - block.n_samples());
     if let (Some((i, j)), 0) = (block.tile(), sample) {
@@ -240,10 +243,10 @@ fn aim(packet: &mut Packet, rays: &CameraRays, block: &Block<'_>, sample: u32) {
         let x = std::array::from_fn(|column| (i + column as u32) as f32 + 0.5);
         let y = std::array::from_fn(|row| (j + row as u32) as f32 + 0.5);
         for (axis, along) in packet.directions.iter_mut().enumerate() {
-            in_quarters(&rays.parts::<8>(axis, &x, &y), along);
+            sum_terms_by_lane(&rays.direction_terms::<8>(axis, &x, &y), along);
         }
     } else {
-        for (lane, index) in block.in_lanes().into_iter().enumerate() {
+        for (lane, index) in block.sample_of_lane().into_iter().enumerate() {
             let (i, j) = block.sample(index);
             let (x, y) = sample_point(i, j, sample);
             let direction = rays.direction_through(x, y);
@@ -253,7 +256,7 @@ fn aim(packet: &mut Packet, rays: &CameraRays, block: &Block<'_>, sample: u32) {
 }
 
 /// Samples of one task: enough that starting it costs nothing, few enough that threads end together.
-const SAMPLES_PER_TASK: u32 = 2048;
+const SAMPLES_PER_JOB: u32 = 2048;
 
 /// Cuts a share into runs of units with about `n_samples` each.
 pub fn unit_ranges(share: &Share<'_>, n_samples: u32) -> Vec<Range<u32>> {
@@ -274,15 +277,15 @@ pub fn sample_point(i: u32, j: u32, sample: u32) -> (f32, f32) {
     }
     // 2³² over the plastic number and over its square.
     let along = |step: u32, seed: u32| {
-        let place = hash(i ^ hash(j ^ seed)).wrapping_add(step.wrapping_mul(sample));
+        let sample_idx = hash_u32(i ^ hash_u32(j ^ seed)).wrapping_add(step.wrapping_mul(sample));
         // 23 bits, so that neither the half step nor the product is rounded.
-        ((place >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0)
+        ((sample_idx >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0)
     };
     (i as f32 + along(3_242_174_889, 1), j as f32 + along(2_447_445_414, 2))
 }
 
 /// A mixing of bits: "lowbias32" of Wellons, "Prospecting for Hash Functions" (2018).
-pub(crate) fn hash(mut x: u32) -> u32 {
+pub(crate) fn hash_u32(mut x: u32) -> u32 {
     x = (x ^ x >> 16).wrapping_mul(0x7feb_352d);
     x = (x ^ x >> 15).wrapping_mul(0x846c_a68b);
     x ^ x >> 16
@@ -293,7 +296,7 @@ mod tests {
     use super::*;
     use crate::intersect::InstructionSet;
     use glam::DVec3;
-    use shared::{division::Division, look::Light};
+    use shared::{appearance::Light, division::Division};
 
     fn tetrahedron() -> Scene {
         let mesh = Mesh {
@@ -304,31 +307,31 @@ mod tests {
         Scene::build(mesh, &SceneOptions::default(), &|_| ())
     }
 
-    fn request(first: u32, count: u32) -> FrameRequest {
+    fn spec(first: u32, count: u32) -> FrameRequest {
         FrameRequest {
             camera: Camera::look_at(DVec3::new(1.0, 2.0, 5.0), DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap(),
             size: FrameSize::new(37, 21).unwrap(),
-            view: View::Shaded,
-            rays: RayTree::Primary,
+            view: ShadingMode::Shaded,
+            rays: LightingMode::Primary,
             samples: SampleRange { first, count },
-            look: Look::default(),
+            appearance: Appearance::default(),
         }
     }
 
     #[test]
     fn the_samples_do_not_depend_on_the_division() {
-        check_divisions(&tetrahedron(), &request(0, 3));
+        check_divisions(&tetrahedron(), &spec(0, 3));
     }
 
     #[test]
     fn a_probe_finds_what_a_frame_shows() {
-        let (scene, request) = (tetrahedron(), request(0, 1));
-        let (rays, size) = (request.camera.rays(request.size), request.size);
+        let (scene, spec) = (tetrahedron(), spec(0, 1));
+        let (rays, size) = (spec.camera.rays(spec.size), spec.size);
         let (mut n_hits, mut n_other) = (0, 0);
         for (i, j) in (0..size.yres()).flat_map(|j| (0..size.xres()).map(move |i| (i, j))) {
-            let seen = scene.in_file_order(scene.grid.intersect(&Ray::new(rays.eye, rays.direction(i, j))));
+            let seen = scene.with_file_index(scene.grid.intersect(&Ray::new(rays.eye, rays.direction(i, j))));
             let at = [(i as f32 + 0.5) / size.xres() as f32, (j as f32 + 0.5) / size.yres() as f32];
-            let probed = scene.probe(&request.camera, at, None);
+            let probed = scene.probe(&spec.camera, at, None);
             n_hits += u32::from(probed.is_some());
             // The rays differ in their last bits, which only on an edge is another triangle.
             let is_same = match probed {
@@ -339,7 +342,7 @@ mod tests {
         }
         assert!(n_hits > 80 && n_other <= 2, "{n_hits} hits, {n_other} of them others");
         for at in [[f32::NAN, 0.5], [f32::INFINITY, 0.0], [f32::MAX, f32::MAX], [-9.0, 0.5]] {
-            assert_eq!(scene.probe(&request.camera, at, None), None);
+            assert_eq!(scene.probe(&spec.camera, at, None), None);
         }
     }
 
@@ -347,27 +350,30 @@ mod tests {
     fn neither_division_nor_instructions_change_a_ray_tree() {
         let mesh = crate::model::statue::generate(3000, &|_| ());
         let camera = Camera::look_at(DVec3::new(0.6, 1.5, 2.5), DVec3::Y, DVec3::Y, 0.5, 2.0).unwrap();
-        let cut = Look { light: Light::PRESETS[5].1, clip: "eye:40".parse().ok(), ..Look::default() };
-        for (rays, look) in RayTree::ALL.into_iter().flat_map(|rays| [Look::default(), cut].map(|look| (rays, look))) {
-            let request = FrameRequest { camera, rays, look, ..request(1, 2) };
+        let cut = Appearance { light: Light::PRESETS[5].1, clip: "eye:40".parse().ok(), ..Appearance::default() };
+        for (rays, appearance) in LightingMode::ALL
+            .into_iter()
+            .flat_map(|rays| [Appearance::default(), cut].map(|appearance| (rays, appearance)))
+        {
+            let spec = FrameRequest { camera, rays, appearance, ..spec(1, 2) };
             let frames = InstructionSet::available().into_iter().map(|instructions| {
                 let grid = Grid::build(mesh.clone(), &GridOptions::default(), &|_| ()).with_instructions(instructions);
-                check_divisions(&Scene { grid }, &request)
+                check_divisions(&Scene { grid }, &spec)
             });
             let frames: Vec<_> = frames.collect();
-            assert!(frames.iter().all(|frame| frame == &frames[0]), "{rays:?} {look:?}");
+            assert!(frames.iter().all(|frame| frame == &frames[0]), "{rays:?} {appearance:?}");
         }
     }
 
     /// Renders a frame in several ways and gives it back.
-    fn check_divisions(scene: &Scene, request: &FrameRequest) -> Vec<u8> {
+    fn check_divisions(scene: &Scene, spec: &FrameRequest) -> Vec<u8> {
         let mut frames = Vec::new();
         for (division, machines) in [(Division::Tiled, 1), (Division::Tiled, 3), (Division::Interleaved, 5)] {
             let mut frame = vec![0; 37 * 21 * 3];
             for machine in 0..machines {
-                let work = division.work(machine, machines);
-                let share = work.share(request.size).unwrap();
-                let rgb = scene.render_parallel(request, &share);
+                let task = division.task(machine, machines);
+                let share = task.share(spec.size).unwrap();
+                let rgb = scene.render_parallel(spec, &share);
                 let places = (0..share.count()).flat_map(|unit| share.samples(unit).iter());
                 for ((i, j), color) in places.zip(rgb.chunks_exact(3)) {
                     let at = (j * 37 + i) as usize * 3;

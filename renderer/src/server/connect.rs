@@ -19,12 +19,12 @@ use crate::{
     cli::scene_args::SceneArgs,
     render::threads,
     server::{
-        canned::Canned,
+        scene_loader::SceneLoader,
         session::{self, SessionEnd},
-        stage::Stage,
+        synthetic::SyntheticPicture,
     },
 };
-use channel::key::{Key, making_line};
+use channel::key::{Key, make_key_command};
 
 /// The pause before the first attempt to connect again; it doubles up to [`LONGEST_PAUSE`].
 const SHORTEST_PAUSE: Duration = Duration::from_millis(100);
@@ -77,15 +77,15 @@ pub struct ConnectArgs {
 pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
     let name = name(args.name)?;
     let trust = match &args.key {
-        Some(path) => Trust::Key(Key::read(path)?),
-        None if args.insecure => Trust::Everybody,
-        None => Trust::ThisMachine,
+        Some(path) => TrustPolicy::Key(Key::read(path)?),
+        None if args.insecure => TrustPolicy::Anyone,
+        None => TrustPolicy::ThisMachine,
     };
     let pool = Arc::new(threads::pool(args.threads.map(|n| n as usize))?);
-    let stage = match &args.replay {
-        Some(picture) => Stage::canned(pool, Canned::read(picture)?),
-        None if args.blank => Stage::canned(pool, Canned::noise()),
-        None => Stage::start(pool, args.model, args.scene.options(), args.local)?,
+    let loader = match &args.replay {
+        Some(picture) => SceneLoader::synthetic(pool, SyntheticPicture::read(picture)?),
+        None if args.blank => SceneLoader::synthetic(pool, SyntheticPicture::noise()),
+        None => SceneLoader::start(pool, args.model, args.scene.options(), args.local)?,
     };
     // This thread reads, writes and keeps the heart beating; it is never one that traces.
     let runtime = tokio::runtime::Builder::new_current_thread()
@@ -95,42 +95,42 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         .context("the network does not start")?;
     runtime.block_on(async {
         tokio::select! {
-            ended = keep_connected(&args.wall, &trust, &name, &stage) => ended,
+            ended = keep_connected(&args.wall, &trust, &name, &loader) => ended,
             signal = stop_signal() => signal.context("cannot listen for signals"),
-            () = end_of_input(), if args.local => Ok(()),
+            () = wait_for_stdin_end(), if args.local => Ok(()),
         }
     })
 }
 
 /// Which walls are talked to.
 #[derive(Debug)]
-enum Trust {
+enum TrustPolicy {
     /// Those on this machine, unencrypted.
     ThisMachine,
     /// Those that have the key, encrypted.
     Key(Key),
     /// All, unencrypted: `--insecure`.
-    Everybody,
+    Anyone,
 }
 
-impl Trust {
+impl TrustPolicy {
     fn key(&self) -> Option<&Key> {
         if let Self::Key(key) = self { Some(key) } else { None }
     }
 }
 
-async fn keep_connected(wall: &str, trust: &Trust, name: &str, stage: &Stage) -> anyhow::Result<()> {
+async fn keep_connected(wall: &str, trust: &TrustPolicy, name: &str, loader: &SceneLoader) -> anyhow::Result<()> {
     let host = if wall.contains(':') { wall.to_owned() } else { format!("{wall}:{DEFAULT_PORT}") };
     let mut pause = SHORTEST_PAUSE;
     let mut last_failure = String::new();
     loop {
         let failure = match connect(&host, trust).await? {
             Ok(mut stream) => {
-                let how = if trust.key().is_some() { "with a key" } else { "unencrypted" };
-                tracing::info!("connected to the wall at {host}, {how}");
+                let security = if trust.key().is_some() { "with a key" } else { "unencrypted" };
+                tracing::info!("connected to the wall at {host}, {security}");
                 let (input, output) = stream.split();
-                let SessionEnd { was_welcome, reason } = session::run(input, output, trust.key(), name, stage).await;
-                if was_welcome {
+                let SessionEnd { was_accepted, reason } = session::run(input, output, trust.key(), name, loader).await;
+                if was_accepted {
                     pause = SHORTEST_PAUSE;
                     last_failure.clear();
                 }
@@ -149,7 +149,7 @@ async fn keep_connected(wall: &str, trust: &Trust, name: &str, stage: &Stage) ->
 }
 
 /// Connects once. The outer error is one that trying again does not cure.
-async fn connect(host: &str, trust: &Trust) -> anyhow::Result<io::Result<TcpStream>> {
+async fn connect(host: &str, trust: &TrustPolicy) -> anyhow::Result<io::Result<TcpStream>> {
     let addresses: Vec<SocketAddr> = match lookup_host(host).await {
         Ok(addresses) => addresses.collect(),
         Err(error) if error.kind() == io::ErrorKind::InvalidInput => {
@@ -157,18 +157,18 @@ async fn connect(host: &str, trust: &Trust) -> anyhow::Result<io::Result<TcpStre
         }
         Err(error) => return Ok(Err(error)),
     };
-    if matches!(trust, Trust::ThisMachine)
+    if matches!(trust, TrustPolicy::ThisMachine)
         && let Some(address) = addresses.iter().find(|address| !is_loopback(address.ip()))
     {
         bail!(
             "{address} is another machine: give --key a copy of the wall's key file, which `{}` makes, \
              or add --insecure if you trust everybody on the network between",
-            making_line("wall.key".as_ref())
+            make_key_command("wall.key".as_ref())
         );
     }
     let connecting = timeout(CONNECT_TIMEOUT, TcpStream::connect(&*addresses)).await;
     let stream = connecting.unwrap_or_else(|_| Err(io::Error::new(io::ErrorKind::TimedOut, "no answer")));
-    Ok(stream.inspect(hold_little_back))
+    Ok(stream.inspect(limit_send_buffer))
 }
 
 /// What was written and not yet sent is beyond recall: on a slow link the next motion waits for it.
@@ -176,7 +176,7 @@ async fn connect(host: &str, trust: &Trust) -> anyhow::Result<io::Result<TcpStre
 const MOST_UNSENT_BYTES: u32 = 16 * 1024;
 
 /// Has the system send samples at once, and take no more than it can. A system that refuses is only slower.
-fn hold_little_back(stream: &TcpStream) {
+fn limit_send_buffer(stream: &TcpStream) {
     let _ = stream.set_nodelay(true);
     #[cfg(target_os = "linux")]
     let _ = socket2::SockRef::from(stream).set_tcp_notsent_lowat(MOST_UNSENT_BYTES);
@@ -188,9 +188,8 @@ fn is_loopback(address: IpAddr) -> bool {
 
 fn name(given: Option<String>) -> anyhow::Result<String> {
     let name = given.unwrap_or_else(|| {
-        let of_machine =
-            std::fs::read_to_string("/proc/sys/kernel/hostname").or_else(|_| std::env::var("COMPUTERNAME"));
-        of_machine.map_or_else(|_| "renderer".to_owned(), |name| name.trim().chars().take(16).collect())
+        let host_name = std::fs::read_to_string("/proc/sys/kernel/hostname").or_else(|_| std::env::var("COMPUTERNAME"));
+        host_name.map_or_else(|_| "renderer".to_owned(), |name| name.trim().chars().take(16).collect())
     });
     if name.is_empty() || name.len() > LONGEST_NAME {
         bail!("--name \"{name}\": a name has 1 to {LONGEST_NAME} bytes");
@@ -199,7 +198,7 @@ fn name(given: Option<String>) -> anyhow::Result<String> {
 }
 
 /// Waits for the end of standard input: of a pipe whose other end the wall's process holds, however that ends.
-async fn end_of_input() {
+async fn wait_for_stdin_end() {
     let (ended, end) = tokio::sync::oneshot::channel();
     std::thread::spawn(move || {
         // What comes is for nobody; an error is an end, too.

@@ -20,8 +20,8 @@ use tokio::{
 };
 
 use crate::server::{
-    stage::{Stage, Subject},
-    work::{self, Job},
+    scene_loader::{RenderSource, SceneLoader},
+    task::{self, Job},
 };
 use channel::{
     key::Key,
@@ -36,7 +36,7 @@ const LONGEST_QUEUE: usize = 64;
 const MOST_REPLIES: usize = 64;
 
 /// Works that a wall may ask for before the first is done: its own share, and parts of those of many lost ones.
-const MOST_WORKS: usize = 256;
+const MOST_TASKS: usize = 256;
 
 /// Messages that are written before it is looked whether the heart must beat.
 const LONGEST_BATCH: usize = 16;
@@ -45,7 +45,7 @@ const LONGEST_BATCH: usize = 16;
 #[derive(Debug)]
 pub(crate) struct SessionEnd {
     /// Whether the wall had accepted this server.
-    pub(crate) was_welcome: bool,
+    pub(crate) was_accepted: bool,
     /// By the wall's will, or why.
     pub(crate) reason: Result<(), SessionError>,
 }
@@ -59,8 +59,8 @@ pub(crate) enum SessionError {
     Secure(#[from] SecureError),
     #[error("the wall refuses: {0}")]
     Refused(String),
-    #[error("the wall asks for more than {MOST_WORKS} works at once")]
-    TooMuchWork,
+    #[error("the wall asks for more than {MOST_TASKS} works at once")]
+    TooManyTasks,
     #[error("the wall spoke out of turn")]
     OutOfTurn,
 }
@@ -71,47 +71,47 @@ pub(crate) async fn run(
     output: impl AsyncWrite + Unpin,
     key: Option<&Key>,
     name: &str,
-    stage: &Stage,
+    loader: &SceneLoader,
 ) -> SessionEnd {
-    let Some(key) = key else { return converse(input, output, name, stage).await };
+    let Some(key) = key else { return run_session(input, output, name, loader).await };
     let silent = |_| Err(SessionError::from(WireError::Silent(HANDSHAKE_TIMEOUT)));
     let connecting = timeout(HANDSHAKE_TIMEOUT, secure::connect(input, output, key));
     match connecting.await.map_or_else(silent, |channel| Ok(channel?)) {
-        Ok((input, output)) => converse(input, output, name, stage).await,
-        Err(error) => SessionEnd { was_welcome: false, reason: Err(error) },
+        Ok((input, output)) => run_session(input, output, name, loader).await,
+        Err(error) => SessionEnd { was_accepted: false, reason: Err(error) },
     }
 }
 
-async fn converse(
+async fn run_session(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
     name: &str,
-    stage: &Stage,
+    loader: &SceneLoader,
 ) -> SessionEnd {
     let mut reader = MessageReader::new(input, HANDSHAKE_TIMEOUT);
     let mut writer = MessageWriter::new(output);
-    if let Err(error) = shake_hands(&mut reader, &mut writer, name, stage.pool().current_num_threads()).await {
-        return SessionEnd { was_welcome: false, reason: Err(error) };
+    if let Err(error) = shake_hands(&mut reader, &mut writer, name, loader.pool().current_num_threads()).await {
+        return SessionEnd { was_accepted: false, reason: Err(error) };
     }
-    reader.accept(SILENCE_LIMIT);
+    reader.raise_limits(SILENCE_LIMIT);
     let (outbox, outgoing) = mpsc::channel(LONGEST_QUEUE);
-    let (replies, replied) = mpsc::channel(MOST_REPLIES);
+    let (replies, reply_queue) = mpsc::channel(MOST_REPLIES);
     let (jobs, inbox) = mpsc::unbounded_channel();
-    let mut conversation = Conversation { stage, replies, jobs, unfinished: Vec::new() };
+    let mut session = Session { loader, replies, jobs, unfinished: Vec::new() };
     let worker = tokio::task::spawn_blocking({
-        let pool = Arc::clone(stage.pool());
-        move || work::run(inbox, &pool, &outbox)
+        let pool = Arc::clone(loader.pool());
+        move || task::run(inbox, &pool, &outbox)
     });
     let reason = tokio::select! {
-        reason = conversation.listen(&mut reader) => reason,
-        reason = conversation_writer(&mut writer, outgoing, replied, stage) => reason,
+        reason = session.listen(&mut reader) => reason,
+        reason = write_messages(&mut writer, outgoing, reply_queue, loader) => reason,
     };
     // What is still being traced is for nobody.
-    conversation.unfinished.iter().for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
-    drop(conversation);
+    session.unfinished.iter().for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
+    drop(session);
     // The worker ends with its inbox and outbox; a panic in it is a defect, and ends the program as one.
     worker.await.expect("tracing does not panic");
-    SessionEnd { was_welcome: true, reason }
+    SessionEnd { was_accepted: true, reason }
 }
 
 async fn shake_hands(
@@ -137,8 +137,8 @@ pub(crate) struct Outgoing {
     pub(crate) cancelled: Arc<AtomicBool>,
 }
 
-struct Conversation<'a> {
-    stage: &'a Stage,
+struct Session<'a> {
+    loader: &'a SceneLoader,
     /// Encoded messages that overtake samples: or whoever waits for the network with a reply would not hear, while it is
     /// slow, that the samples in its way are wanted no longer.
     replies: mpsc::Sender<Vec<u8>>,
@@ -147,7 +147,7 @@ struct Conversation<'a> {
     unfinished: Vec<(FrameId, Arc<AtomicBool>)>,
 }
 
-impl Conversation<'_> {
+impl Session<'_> {
     async fn listen(
         &mut self,
         reader: &mut MessageReader<impl AsyncRead + Unpin, ToServer>,
@@ -155,31 +155,23 @@ impl Conversation<'_> {
         while let Some(incoming) = reader.read().await? {
             let Incoming::Control(message) = incoming else { return Err(SessionError::OutOfTurn) };
             match message {
-                ToServer::LoadScene { scene, path, structure } => self.stage.order(scene, path, structure),
-                ToServer::RenderFrame { frame, work_id, picture, work, encoding } => {
-                    let Some(subject) = self.stage.subject(picture.scene) else {
+                ToServer::LoadScene { scene, path, structure } => self.loader.order(scene, path, structure),
+                ToServer::RenderFrame { frame, task_id, spec, task, encoding } => {
+                    let Some(source) = self.loader.source_for(spec.scene) else {
                         // The wall has moved on to another scene, and back; it hears when this one is ready.
-                        let reason = format!("it does not have {} any more", picture.scene);
+                        let reason = format!("it does not have {} any more", spec.scene);
                         let state = SceneState::Missing { reason };
-                        self.say(&ToWall::SceneState { scene: picture.scene, state }).await;
+                        self.reply(&ToWall::SceneState { scene: spec.scene, state }).await;
                         continue;
                     };
                     let cancelled = Arc::new(AtomicBool::new(false));
                     self.unfinished.retain(|(_, cancelled)| Arc::strong_count(cancelled) > 1);
-                    if self.unfinished.len() >= MOST_WORKS {
-                        return Err(SessionError::TooMuchWork);
+                    if self.unfinished.len() >= MOST_TASKS {
+                        return Err(SessionError::TooManyTasks);
                     }
                     self.unfinished.push((frame, Arc::clone(&cancelled)));
-                    let job = Job {
-                        frame,
-                        work_id,
-                        picture,
-                        work,
-                        encoding,
-                        subject,
-                        cancelled,
-                        received_at: Instant::now(),
-                    };
+                    let job =
+                        Job { frame, task_id, spec, task, encoding, source, cancelled, received_at: Instant::now() };
                     // The worker lives as long as this conversation.
                     let _ = self.jobs.send(job);
                 }
@@ -187,11 +179,11 @@ impl Conversation<'_> {
                     let of_frame = self.unfinished.iter().filter(|(of, _)| *of == frame);
                     of_frame.for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
                 }
-                ToServer::Ping { sent_us } => self.say(&ToWall::Pong { sent_us }).await,
+                ToServer::Ping { sent_us } => self.reply(&ToWall::Pong { sent_us }).await,
                 ToServer::Probe { number, scene, camera, at, clip } => {
                     // A single ray takes less time than handing it to another thread.
-                    if let Some(Subject::Scene(scene)) = self.stage.subject(scene) {
-                        self.say(&ToWall::Probed { number, hit: scene.probe(&camera, at, clip) }).await;
+                    if let Some(RenderSource::Scene(scene)) = self.loader.source_for(scene) {
+                        self.reply(&ToWall::Probed { number, hit: scene.probe(&camera, at, clip) }).await;
                     }
                 }
                 ToServer::Refused { reason } => return Err(SessionError::Refused(printable(&reason))),
@@ -201,19 +193,19 @@ impl Conversation<'_> {
         Ok(())
     }
 
-    async fn say(&self, message: &ToWall) {
+    async fn reply(&self, message: &ToWall) {
         // A writer that has ended ends the conversation.
         let _ = self.replies.send(encoded(message)).await;
     }
 }
 
-async fn conversation_writer(
+async fn write_messages(
     writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
     mut outgoing: mpsc::Receiver<Outgoing>,
     mut replies: mpsc::Receiver<Vec<u8>>,
-    stage: &Stage,
+    loader: &SceneLoader,
 ) -> Result<(), SessionError> {
-    let mut progressed = stage.progressed();
+    let mut progressed = loader.progressed();
     progressed.mark_changed();
     let mut heartbeat = interval(HEARTBEAT_INTERVAL);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);

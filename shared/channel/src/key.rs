@@ -23,7 +23,7 @@ pub struct Key([u8; KEY_BYTES]);
 #[derive(Debug, thiserror::Error)]
 pub enum KeyError {
     /// It cannot be read.
-    #[error("{}: cannot be read: {cause}; `{}` makes a key", path.display(), making_line(path))]
+    #[error("{}: cannot be read: {cause}; `{}` makes a key", path.display(), make_key_command(path))]
     Unreadable {
         /// The file.
         path: PathBuf,
@@ -49,7 +49,7 @@ pub enum KeyError {
     OpenToOthers(PathBuf, u32),
     /// The file holds something else.
     #[error("{}: is no key, which is one line of {} hexadecimal digits: copy the wall's key file again, or make a new one: `{}`",
-        .0.display(), 2 * KEY_BYTES, making_line(&other_name(.0)))]
+        .0.display(), 2 * KEY_BYTES, make_key_command(&unused_name(.0)))]
     NoKey(PathBuf),
     /// The system gives no random numbers.
     #[error("the system gives no random numbers: {0}")]
@@ -130,14 +130,14 @@ impl fmt::Debug for Key {
 }
 
 /// The line that makes a key file with the program that runs, as it was called.
-pub fn making_line(file: &Path) -> String {
+pub fn make_key_command(file: &Path) -> String {
     let program = std::env::args().next().unwrap_or_else(|| "renderer".to_owned());
     let is_wall = Path::new(&program).file_stem().is_some_and(|name| name == "compositor");
     format!("{program}{} key {}", if is_wall { " renderer" } else { "" }, file.display())
 }
 
 /// A name for a new key beside one that is no good, and that the new one must not overwrite.
-fn other_name(path: &Path) -> PathBuf {
+fn unused_name(path: &Path) -> PathBuf {
     let mut name = path.to_owned().into_os_string();
     name.push(".new");
     name.into()

@@ -78,7 +78,7 @@ pub enum SecureError {
     Refused,
     /// The peer has said what somebody with the key once said, and cannot go on.
     #[error("the peer repeats what another machine has said, and does not have the key: look for who does this")]
-    Repeated,
+    Replayed,
     /// The handshake cannot be computed.
     #[error("the handshake fails: {0}")]
     Noise(snow::Error),
@@ -107,7 +107,7 @@ where
         SecureError::Closed => SecureError::Refused,
         error => error,
     })?;
-    understand(&mut handshake, &answer)?;
+    read_handshake(&mut handshake, &answer)?;
     let transport = handshake.into_stateless_transport_mode().map_err(SecureError::Noise)?;
     let mut proof = [0; TAG_BYTES];
     transport.write_message(PROOF_NONCE, &[], &mut proof).map_err(SecureError::Noise)?;
@@ -134,8 +134,8 @@ where
     let greeting: [u8; HANDSHAKE_BYTES] = read(&mut input).await?;
     let transport = answer(&mut output, &greeting, key).await?;
     let proof: [u8; TAG_BYTES] = read(&mut input).await?;
-    let mut nothing = [0; TAG_BYTES];
-    transport.read_message(PROOF_NONCE, &proof, &mut nothing).map_err(|_| SecureError::Repeated)?;
+    let mut empty_payload = [0; TAG_BYTES];
+    transport.read_message(PROOF_NONCE, &proof, &mut empty_payload).map_err(|_| SecureError::Replayed)?;
     let transport = Arc::new(transport);
     let reader = RecordReader::new(input, Arc::clone(&transport), PROOF_NONCE + 1);
     Ok((reader, RecordWriter::new(output, transport, PROOF_NONCE)))
@@ -147,7 +147,7 @@ async fn answer(
     key: &Key,
 ) -> Result<StatelessTransportState, SecureError> {
     let mut handshake = builder(key)?.build_responder().map_err(SecureError::Noise)?;
-    understand(&mut handshake, greeting)?;
+    read_handshake(&mut handshake, greeting)?;
     let mut message = [0; HANDSHAKE_BYTES];
     handshake.write_message(&[], &mut message).map_err(SecureError::Noise)?;
     let transport = handshake.into_stateless_transport_mode().map_err(SecureError::Noise)?;
@@ -162,9 +162,9 @@ fn builder(key: &Key) -> Result<Builder<'_>, SecureError> {
 }
 
 /// A handshake message that does not decrypt was made with another key.
-fn understand(handshake: &mut HandshakeState, message: &[u8]) -> Result<(), SecureError> {
-    let mut nothing = [0; HANDSHAKE_BYTES];
-    handshake.read_message(message, &mut nothing).map_err(|_| SecureError::OtherKey)?;
+fn read_handshake(handshake: &mut HandshakeState, message: &[u8]) -> Result<(), SecureError> {
+    let mut empty_payload = [0; HANDSHAKE_BYTES];
+    handshake.read_message(message, &mut empty_payload).map_err(|_| SecureError::OtherKey)?;
     Ok(())
 }
 

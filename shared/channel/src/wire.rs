@@ -4,7 +4,7 @@ use std::{io, marker::PhantomData, time::Duration};
 
 use serde::{Serialize, de::DeserializeOwned};
 use shared::{
-    codec::{self, CONTROL_LIMIT, CodecError, HANDSHAKE_LIMIT, HEADER_BYTES, Header, Kind},
+    codec::{self, BodyKind, CONTROL_LIMIT, CodecError, HANDSHAKE_LIMIT, HEADER_BYTES, Header},
     protocol::{Chunk, PREAMBLE, PROTOCOL_VERSION, SECURE_PREAMBLE},
 };
 use tokio::{
@@ -56,33 +56,33 @@ pub struct MessageReader<S, M> {
     body: Vec<u8>,
     unpacked: Vec<u8>,
     /// What came of the next message's header.
-    ahead: [u8; HEADER_BYTES],
-    n_ahead: usize,
+    next_header: [u8; HEADER_BYTES],
+    n_next_header: usize,
     control_limit: usize,
-    silence: Duration,
+    silence_limit: Duration,
     message: PhantomData<M>,
 }
 
 impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
-    /// Reads from `stream`, for a start within the limits for strangers; a peer that sends no byte for `silence` is an
+    /// Reads from `stream`, for a start within the limits for strangers; a peer that sends no byte for `silence_limit` is an
     /// error.
-    pub fn new(stream: S, silence: Duration) -> Self {
+    pub fn new(stream: S, silence_limit: Duration) -> Self {
         Self {
             stream,
             body: Vec::new(),
             unpacked: Vec::new(),
-            ahead: [0; HEADER_BYTES],
-            n_ahead: 0,
+            next_header: [0; HEADER_BYTES],
+            n_next_header: 0,
             control_limit: HANDSHAKE_LIMIT,
-            silence,
+            silence_limit,
             message: PhantomData,
         }
     }
 
-    /// The peer has shaken hands: it may send messages of full size, and must not fall silent for `silence`.
-    pub fn accept(&mut self, silence: Duration) {
+    /// The peer has shaken hands: it may send messages of full size, and must not fall silent for `silence_limit`.
+    pub fn raise_limits(&mut self, silence_limit: Duration) {
         self.control_limit = CONTROL_LIMIT;
-        self.silence = silence;
+        self.silence_limit = silence_limit;
     }
 
     /// Reads the peer's first bytes.
@@ -105,8 +105,8 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
 
     /// Reads the next message; `None` when the peer has closed the stream between two messages.
     pub async fn read(&mut self) -> Result<Option<Incoming<'_, M>>, WireError> {
-        let mut header = self.ahead;
-        let mut n_read = std::mem::take(&mut self.n_ahead);
+        let mut header = self.next_header;
+        let mut n_read = std::mem::take(&mut self.n_next_header);
         if n_read == 0 {
             n_read = self.read_some(&mut header).await?;
             if n_read == 0 {
@@ -118,13 +118,13 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
         let mut body = std::mem::take(&mut self.body);
         // Never shorter again, so that nothing is cleared only to be read over.
         body.resize(body.len().max(n_bytes + HEADER_BYTES), 0);
-        self.n_ahead = self.fill_and_more(&mut body[..n_bytes + HEADER_BYTES], n_bytes).await?;
-        self.ahead.copy_from_slice(&body[n_bytes..n_bytes + HEADER_BYTES]);
+        self.n_next_header = self.fill_with_lookahead(&mut body[..n_bytes + HEADER_BYTES], n_bytes).await?;
+        self.next_header.copy_from_slice(&body[n_bytes..n_bytes + HEADER_BYTES]);
         self.body = body;
         let body = &self.body[..n_bytes];
         Ok(Some(match kind {
-            Kind::Control => Incoming::Control(codec::decode(body)?),
-            Kind::Samples(encoding) => {
+            BodyKind::Control => Incoming::Control(codec::decode(body)?),
+            BodyKind::Samples(encoding) => {
                 let chunk = Chunk::decode(body)?.unpack(encoding, &mut self.unpacked)?;
                 Incoming::Samples { chunk, n_bytes: HEADER_BYTES + n_bytes }
             }
@@ -133,7 +133,7 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
 
     /// Whether the beginning of the next message has come already.
     pub fn has_more(&self) -> bool {
-        self.n_ahead > 0
+        self.n_next_header > 0
     }
 
     /// Fills `bytes`, however slowly they come: only silence is an error.
@@ -141,7 +141,7 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
         while !bytes.is_empty() {
             let n_read = self.read_some(bytes).await?;
             if n_read == 0 {
-                return Err(cut());
+                return Err(truncated());
             }
             bytes = &mut bytes[n_read..];
         }
@@ -149,12 +149,12 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
     }
 
     /// Fills the first `n_needed` bytes and, where more have come, those behind; says how many of those.
-    async fn fill_and_more(&mut self, bytes: &mut [u8], n_needed: usize) -> Result<usize, WireError> {
+    async fn fill_with_lookahead(&mut self, bytes: &mut [u8], n_needed: usize) -> Result<usize, WireError> {
         let mut n_filled = 0;
         while n_filled < n_needed {
             let n_read = self.read_some(&mut bytes[n_filled..]).await?;
             if n_read == 0 {
-                return Err(cut());
+                return Err(truncated());
             }
             n_filled += n_read;
         }
@@ -162,17 +162,17 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
     }
 
     async fn read_some(&mut self, bytes: &mut [u8]) -> Result<usize, WireError> {
-        let silent = |_| WireError::Silent(self.silence);
-        Ok(timeout(self.silence, self.stream.read(bytes)).await.map_err(silent)??)
+        let silent = |_| WireError::Silent(self.silence_limit);
+        Ok(timeout(self.silence_limit, self.stream.read(bytes)).await.map_err(silent)??)
     }
 }
 
-fn cut() -> WireError {
+fn truncated() -> WireError {
     io::Error::new(io::ErrorKind::UnexpectedEof, "the connection closed in mid-message").into()
 }
 
 /// A message of so many bytes is given to the system at once: copying it behind others would cost as much.
-const WORTH_A_CALL: usize = 8 * 1024;
+const DIRECT_WRITE_BYTES: usize = 8 * 1024;
 
 /// Writes messages.
 #[derive(Debug)]
@@ -199,7 +199,7 @@ impl<S: AsyncWrite + Unpin> MessageWriter<S> {
 
     /// Queues a message that is already encoded if it is short, and else sends it behind what is queued, without copying it.
     pub async fn write_encoded(&mut self, bytes: &[u8]) -> io::Result<()> {
-        if bytes.len() < WORTH_A_CALL {
+        if bytes.len() < DIRECT_WRITE_BYTES {
             self.push_encoded(bytes);
             return Ok(());
         }

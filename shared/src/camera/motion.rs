@@ -104,11 +104,11 @@ impl Camera {
             })
             .fold(0.0, f64::max);
         Self::look_at(centre + towards_eye * (distance * 1.04), centre, up_direction, FOV_Y, aspect)
-            .unwrap_or_else(|_| Self::beyond_f32(aspect))
+            .unwrap_or_else(|_| Self::fallback_camera(aspect))
     }
 
     /// Where a box lies so far out that no ray reaches it in `f32`, nothing can be seen from anywhere.
-    fn beyond_f32(aspect: f64) -> Self {
+    fn fallback_camera(aspect: f64) -> Self {
         let half_height = (FOV_Y * 0.5).tan();
         let u = DVec3::X * (2.0 * half_height * aspect);
         let v = DVec3::Y * (2.0 * half_height);
@@ -143,19 +143,19 @@ impl Camera {
     #[must_use]
     pub fn pan(&self, distance: f64, right: f64, up: f64) -> Self {
         let scale = distance / self.plane_distance();
-        self.moved(-(self.u * right + self.v * up) * scale)
+        self.translated(-(self.u * right + self.v * up) * scale)
     }
 
     /// Moves the eye towards `point` until its distance is `factor` times what it was: below 1 is nearer.
     #[must_use]
     pub fn dolly(&self, point: DVec3, factor: f64) -> Self {
-        self.moved((self.eye - point) * (factor - 1.0))
+        self.translated((self.eye - point) * (factor - 1.0))
     }
 
     /// Moves by distances in world units along the camera's own right, up and forward.
     #[must_use]
     pub fn fly(&self, right: f64, up: f64, forward: f64) -> Self {
-        self.moved(self.u.normalize() * right + self.v.normalize() * up - self.backward() * forward)
+        self.translated(self.u.normalize() * right + self.v.normalize() * up - self.backward() * forward)
     }
 
     /// The unit vector from the view plane to the eye, perpendicular to the plane.
@@ -169,7 +169,7 @@ impl Camera {
         (self.eye - self.ll).dot(self.backward())
     }
 
-    fn moved(&self, by: DVec3) -> Self {
+    fn translated(&self, by: DVec3) -> Self {
         Self::new(self.eye + by, self.ll + by, self.u, self.v).unwrap_or(*self)
     }
 

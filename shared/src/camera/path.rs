@@ -8,7 +8,7 @@ use toml::Spanned;
 
 use super::{
     Camera, CameraFileError, UpAxis,
-    pose::{N, Pose},
+    pose::{POSE_LEN, Pose},
 };
 
 /// A camera that moves: a camera at each of some moments, and smooth motion in between.
@@ -25,7 +25,7 @@ pub struct CameraPath {
     keys: Vec<(f64, Camera)>,
     poses: Vec<Pose>,
     /// Change of each number per second at each key.
-    tangents: Vec<[f64; N]>,
+    tangents: Vec<[f64; POSE_LEN]>,
 }
 
 /// Why keys make no path.
@@ -67,7 +67,7 @@ impl CameraPath {
         let mut poses: Vec<Pose> = Vec::with_capacity(keys.len());
         for (_, camera) in &keys {
             let pose = Pose::new(camera, camera.plane_distance(), up);
-            poses.push(poses.last().map_or(pose, |before| pose.after(before)));
+            poses.push(poses.last().map_or(pose, |before| pose.unwrapped_after(before)));
         }
         let tangents = tangents(&keys, &poses);
         Ok(Self { up, keys, poses, tangents })
@@ -90,25 +90,25 @@ impl CameraPath {
 
     /// The camera at a moment: the first before the path, the last after it, and exactly the key's at a key.
     pub fn at(&self, seconds: f64) -> Camera {
-        let n_begun = self.keys.partition_point(|&(at, _)| at <= seconds);
-        let Some(index) = n_begun.checked_sub(1) else { return self.keys[0].1 };
+        let n_keys_passed = self.keys.partition_point(|&(at, _)| at <= seconds);
+        let Some(index) = n_keys_passed.checked_sub(1) else { return self.keys[0].1 };
         let (start, camera) = self.keys[index];
         let Some(&(end, next)) = self.keys.get(index + 1) else { return camera };
         let (from, to) = (&self.poses[index], &self.poses[index + 1]);
         // A camera that rests is the same to the last bit, and so its picture is not rendered again.
-        if seconds == start || camera == next || !from.joins(to) {
+        if seconds == start || camera == next || !from.can_interpolate_to(to) {
             return camera;
         }
         let step = end - start;
         let t = (seconds - start) / step;
-        let between = std::array::from_fn(|number| {
+        let interpolated = std::array::from_fn(|number| {
             // Cubic Hermite, and never beyond either key however it is rounded.
             let (a, b) = (from.0[number], to.0[number]);
             let (da, db) = (self.tangents[index][number] * step, self.tangents[index + 1][number] * step);
             let value = a + t * (da + t * (3.0 * (b - a) - 2.0 * da - db + t * (da + db - 2.0 * (b - a))));
             value.clamp(a.min(b), a.max(b))
         });
-        Pose(between).camera(self.up).unwrap_or(camera)
+        Pose(interpolated).camera(self.up).unwrap_or(camera)
     }
 
     /// Reads the text of a path file; see [`CameraPath::to_toml`].
@@ -124,7 +124,7 @@ impl CameraPath {
         let mut starts = Vec::with_capacity(file.key.len());
         for key in file.key {
             let start = key.span().start;
-            let KeyInFile { seconds, eye, ll, u, v } = key.into_inner();
+            let PathKey { seconds, eye, ll, u, v } = key.into_inner();
             keys.push((seconds, Camera::new(eye, ll, u, v).map_err(|error| at(start, &error.to_string()))?));
             starts.push(start);
         }
@@ -156,12 +156,12 @@ struct PathFile {
     #[serde(default)]
     up: UpAxis,
     #[serde(default)]
-    key: Vec<Spanned<KeyInFile>>,
+    key: Vec<Spanned<PathKey>>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct KeyInFile {
+struct PathKey {
     seconds: f64,
     eye: DVec3,
     ll: DVec3,
@@ -169,7 +169,7 @@ struct KeyInFile {
     v: DVec3,
 }
 
-fn tangents(keys: &[(f64, Camera)], poses: &[Pose]) -> Vec<[f64; N]> {
+fn tangents(keys: &[(f64, Camera)], poses: &[Pose]) -> Vec<[f64; POSE_LEN]> {
     let slope = |index: usize, number: usize| {
         (poses[index + 1].0[number] - poses[index].0[number]) / (keys[index + 1].0 - keys[index].0)
     };
@@ -181,13 +181,13 @@ fn tangents(keys: &[(f64, Camera)], poses: &[Pose]) -> Vec<[f64; N]> {
         if index == 0 || index == last {
             return slope(index.min(last - 1), number);
         }
-        let (before, after) = (slope(index - 1, number), slope(index, number));
-        if before * after <= 0.0 {
+        let (before, unwrapped_after) = (slope(index - 1, number), slope(index, number));
+        if before * unwrapped_after <= 0.0 {
             return 0.0;
         }
         let (h_before, h_after) = (keys[index].0 - keys[index - 1].0, keys[index + 1].0 - keys[index].0);
         let (w_before, w_after) = (2.0 * h_after + h_before, h_after + 2.0 * h_before);
-        (w_before + w_after) / (w_before / before + w_after / after)
+        (w_before + w_after) / (w_before / before + w_after / unwrapped_after)
     };
     (0..keys.len()).map(|index| std::array::from_fn(|number| tangent(index, number))).collect()
 }
@@ -211,11 +211,11 @@ impl CameraRecorder {
 
     /// Notes where the camera is, `seconds` after the beginning, whenever it has moved; says whether there is room for
     /// more.
-    pub fn look(&mut self, seconds: f64, camera: Camera) -> bool {
+    pub fn record(&mut self, seconds: f64, camera: Camera) -> bool {
         let interval = 1.0 / Self::KEYS_PER_SECOND;
-        let (came_at, latest) = self.latest;
-        if camera != latest && seconds > came_at && seconds <= CameraPath::LONGEST_SECONDS {
-            if seconds - came_at >= 2.0 * interval {
+        let (arrived_seconds, latest) = self.latest;
+        if camera != latest && seconds > arrived_seconds && seconds <= CameraPath::LONGEST_SECONDS {
+            if seconds - arrived_seconds >= 2.0 * interval {
                 // It has rested, and set out a moment ago.
                 self.push_latest();
                 self.keys.push((seconds - interval, latest));
@@ -287,7 +287,7 @@ mod tests {
         let mut recorder = CameraRecorder::new(camera_at(0.0));
         for step in 1..=300 {
             let seconds = f64::from(step) / 50.0;
-            assert!(recorder.look(seconds, camera_at(seconds)));
+            assert!(recorder.record(seconds, camera_at(seconds)));
         }
         let path = recorder.finish(UpAxis::Y).unwrap();
         assert!(path.keys().len() < 80, "{} keys", path.keys().len());
@@ -306,7 +306,7 @@ mod tests {
         let mut recorder = CameraRecorder::new(front());
         let mut seconds = 0.0;
         let mut step = 0;
-        while recorder.look(seconds, turned(f64::from(step % 7))) {
+        while recorder.record(seconds, turned(f64::from(step % 7))) {
             seconds += 0.2;
             step += 1;
         }

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{Camera, UpAxis};
 
 /// How many numbers a [`Pose`] is.
-pub(super) const N: usize = 13;
+pub(super) const POSE_LEN: usize = 13;
 
 /// A camera as numbers, each of which can change without the others.
 ///
@@ -13,7 +13,7 @@ pub(super) const N: usize = 13;
 /// up axis, and the shape of the view plane. Numbers between those of two cameras are a camera again: no distance
 /// between two distances is zero, and a horizon that is level at both ends stays level.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Pose(pub(super) [f64; N]);
+pub(super) struct Pose(pub(super) [f64; POSE_LEN]);
 
 /// The places of the angles among the numbers, in radians.
 const ANGLES: [usize; 3] = [4, 5, 6];
@@ -53,7 +53,7 @@ impl Pose {
     }
 
     /// The same camera, its angles less than half a turn from those of `before`.
-    pub(super) fn after(mut self, before: &Self) -> Self {
+    pub(super) fn unwrapped_after(mut self, before: &Self) -> Self {
         for angle in ANGLES {
             let turns = ((self.0[angle] - before.0[angle]) / std::f64::consts::TAU).round();
             self.0[angle] -= turns * std::f64::consts::TAU;
@@ -62,7 +62,7 @@ impl Pose {
     }
 
     /// Whether there are cameras between the two: not between a picture and its mirror image.
-    pub(super) fn joins(&self, other: &Self) -> bool {
+    pub(super) fn can_interpolate_to(&self, other: &Self) -> bool {
         self.0.iter().chain(&other.0).all(|number| number.is_finite()) && self.0[HEIGHT] * other.0[HEIGHT] > 0.0
     }
 
@@ -115,7 +115,7 @@ impl Transition {
             Pose::new(&camera, if is_usable { distance } else { camera.plane_distance() }, up)
         };
         let start = pose(from);
-        Self { ends: [from.0, to.0], poses: [start, pose(to).after(&start)], up }
+        Self { ends: [from.0, to.0], poses: [start, pose(to).unwrapped_after(&start)], up }
     }
 
     /// Where the way ends.
@@ -131,12 +131,12 @@ impl Transition {
             return self.ends[0];
         }
         // A way that cannot be gone is skipped.
-        if fraction >= 1.0 || fraction.is_nan() || !start.joins(end) {
+        if fraction >= 1.0 || fraction.is_nan() || !start.can_interpolate_to(end) {
             return self.ends[1];
         }
         let eased = fraction * fraction * (3.0 - 2.0 * fraction);
-        let between = std::array::from_fn(|index| start.0[index] + (end.0[index] - start.0[index]) * eased);
-        Pose(between).camera(self.up).unwrap_or(self.ends[1])
+        let interpolated = std::array::from_fn(|index| start.0[index] + (end.0[index] - start.0[index]) * eased);
+        Pose(interpolated).camera(self.up).unwrap_or(self.ends[1])
     }
 }
 
@@ -166,9 +166,9 @@ pub(super) mod tests {
     #[test]
     fn a_level_horizon_stays_level() {
         let top = front().orbit(DVec3::ZERO, UpAxis::Y, 2.8, 1.0);
-        let way = Transition::new((front(), front().plane_distance()), (top, top.plane_distance()), UpAxis::Y);
+        let transition = Transition::new((front(), front().plane_distance()), (top, top.plane_distance()), UpAxis::Y);
         for step in 0..=100 {
-            let camera = way.at(f64::from(step) / 100.0);
+            let camera = transition.at(f64::from(step) / 100.0);
             assert!(camera.u.normalize().dot(DVec3::Y).abs() < 1e-9, "{camera:?}");
             // Both look at the middle, so all between do, from the same distance.
             assert!((camera.target()).length() < 1e-9);
@@ -187,8 +187,8 @@ pub(super) mod tests {
     #[test]
     fn a_mirror_image_is_jumped_to() {
         let mirrored = Camera::new(front().eye, front().ll + front().v, front().u, -front().v).unwrap();
-        let way = Transition::new((front(), 1.0), (mirrored, 1.0), UpAxis::Y);
-        assert_eq!((way.at(0.0), way.at(0.1)), (front(), mirrored));
+        let transition = Transition::new((front(), 1.0), (mirrored, 1.0), UpAxis::Y);
+        assert_eq!((transition.at(0.0), transition.at(0.1)), (front(), mirrored));
     }
 
     proptest! {
@@ -208,10 +208,10 @@ pub(super) mod tests {
             distances in (prop_oneof![Just(0.0), Just(f64::NAN), 1e-9..1e9f64], 1e-9..1e9f64),
             fraction in prop_oneof![0.0..1.0f64, Just(f64::NAN), -2.0..3.0f64],
         ) {
-            let way = Transition::new((from, distances.0), (to, distances.1), UpAxis::ALL[up]);
-            let camera = way.at(fraction);
+            let transition = Transition::new((from, distances.0), (to, distances.1), UpAxis::ALL[up]);
+            let camera = transition.at(fraction);
             prop_assert!(Camera::new(camera.eye, camera.ll, camera.u, camera.v).is_ok());
-            prop_assert_eq!((way.at(0.0), way.at(1.0)), (from, to));
+            prop_assert_eq!((transition.at(0.0), transition.at(1.0)), (from, to));
         }
     }
 }

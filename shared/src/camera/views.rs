@@ -51,7 +51,7 @@ impl Views {
             let start = view.span().start;
             let number = name.parse().ok().filter(|number| Self::NUMBERS.contains(number));
             let number = number.ok_or_else(|| at(start, &format!("\"{name}\" is no number from 1 to 9")))?;
-            let CameraInFile { eye, ll, u, v } = view.into_inner();
+            let ViewEntry { eye, ll, u, v } = view.into_inner();
             views.keep(number, Camera::new(eye, ll, u, v).map_err(|error| at(start, &error.to_string()))?);
         }
         Ok(views)
@@ -78,12 +78,12 @@ impl Views {
 struct ViewsFile {
     up: Option<UpAxis>,
     #[serde(default)]
-    view: BTreeMap<String, Spanned<CameraInFile>>,
+    view: BTreeMap<String, Spanned<ViewEntry>>,
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct CameraInFile {
+struct ViewEntry {
     eye: DVec3,
     ll: DVec3,
     u: DVec3,

@@ -4,42 +4,42 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Division, FrameSize, UnitKind, UnitSamples, Units};
+use super::{Division, FrameSize, SampleRect, UnitKind, Units};
 
 /// A share of a frame: some of its units, in a fixed order.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Work {
+pub struct Task {
     /// Which units before the part is taken.
-    pub picked: Picked,
+    pub selection: Selection,
     /// Which of those.
     pub part: Part,
 }
 
 /// Units of a frame, before a part of them is taken.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Picked {
+pub enum Selection {
     /// The samples i with i mod machines = machine, ascending: the paper's equation 4.
     Interleaved {
         /// Which machine, from 0.
-        machine: u32,
+        machine_idx: u32,
         /// How many machines.
-        machines: u32,
+        n_machines: u32,
     },
     /// The tiles t with t mod machines = machine, ascending: the paper's equation 5.
     Tiled {
         /// Which machine, from 0.
-        machine: u32,
+        machine_idx: u32,
         /// How many machines.
-        machines: u32,
+        n_machines: u32,
     },
     /// Runs of tiles, in the order given.
     TileRuns(Vec<TileRun>),
     /// The tiles that are number t along the [`curve`](crate::curve), t mod machines = machine, ascending.
     Curve {
         /// Which machine, from 0.
-        machine: u32,
+        machine_idx: u32,
         /// How many machines.
-        machines: u32,
+        n_machines: u32,
     },
     /// A run of tiles along the [`curve`](crate::curve); it may be empty.
     CurveRun(TileRun),
@@ -54,32 +54,32 @@ pub struct TileRun {
     pub count: u32,
 }
 
-/// Every `parts`-th unit from the `index`-th on: how the share of a lost machine is divided again among the others.
+/// Every `n_parts`-th unit from the `index`-th on: how the share of a lost machine is divided again among the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Part {
     /// Which part, from 0.
     pub index: u32,
     /// How many parts.
-    pub parts: u32,
+    pub n_parts: u32,
 }
 
 impl Part {
     /// Everything.
-    pub const WHOLE: Self = Self { index: 0, parts: 1 };
+    pub const WHOLE: Self = Self { index: 0, n_parts: 1 };
 
-    /// Part `index` of `parts` of this part.
+    /// Part `index` of `n_parts` of this part.
     ///
-    /// Unit k of the inner part is unit `index + k·parts` of this one, so parts of parts are parts again.
+    /// Unit k of the inner part is unit `index + k·n_parts` of this one, so parts of parts are parts again.
     /// `None` when the product no longer fits.
-    pub fn of(self, index: u32, parts: u32) -> Option<Self> {
-        let offset = index.checked_mul(self.parts)?;
-        Some(Self { index: self.index.checked_add(offset)?, parts: self.parts.checked_mul(parts)? })
+    pub fn of(self, index: u32, n_parts: u32) -> Option<Self> {
+        let offset = index.checked_mul(self.n_parts)?;
+        Some(Self { index: self.index.checked_add(offset)?, n_parts: self.n_parts.checked_mul(n_parts)? })
     }
 }
 
 /// Why a work does not fit a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum WorkError {
+pub enum TaskError {
     /// Machine or part is not below its count, or a count is 0.
     #[error("machine or part {index} of {count} does not exist")]
     NoSuchPart {
@@ -103,63 +103,67 @@ pub enum WorkError {
     TooManyTiles,
 }
 
-impl Work {
-    /// The same work, as part `index` of `parts` of it; see [`Part::of`].
-    pub fn part(&self, index: u32, parts: u32) -> Option<Self> {
-        Some(Self { picked: self.picked.clone(), part: self.part.of(index, parts)? })
+impl Task {
+    /// The same work, as part `index` of `n_parts` of it; see [`Part::of`].
+    pub fn part(&self, index: u32, n_parts: u32) -> Option<Self> {
+        Some(Self { selection: self.selection.clone(), part: self.part.of(index, n_parts)? })
     }
 
     /// Checks this work against a frame and makes its units addressable.
-    pub fn share(&self, size: FrameSize) -> Result<Share<'_>, WorkError> {
+    pub fn share(&self, size: FrameSize) -> Result<Share<'_>, TaskError> {
         let check = |index: u32, count: u32| {
-            if index < count { Ok(()) } else { Err(WorkError::NoSuchPart { index, count }) }
+            if index < count { Ok(()) } else { Err(TaskError::NoSuchPart { index, count }) }
         };
-        check(self.part.index, self.part.parts)?;
-        let strided = |machine: u32, machines: u32, units: Units| {
-            check(machine, machines)?;
+        check(self.part.index, self.part.n_parts)?;
+        let strided = |machine_idx: u32, n_machines: u32, units: Units| {
+            check(machine_idx, n_machines)?;
             Ok((
                 units,
-                Source::Strided { first: machine, step: machines },
-                units.count().saturating_sub(machine).div_ceil(machines),
+                UnitSource::Strided { first: machine_idx, step: n_machines },
+                units.count().saturating_sub(machine_idx).div_ceil(n_machines),
             ))
         };
-        let (units, source, n_picked) = match &self.picked {
-            Picked::Interleaved { machine, machines } => {
-                strided(*machine, *machines, Division::Interleaved.units(size))?
+        let (units, source, n_selected) = match &self.selection {
+            Selection::Interleaved { machine_idx, n_machines } => {
+                strided(*machine_idx, *n_machines, Division::Interleaved.units(size))?
             }
-            Picked::Tiled { machine, machines } => strided(*machine, *machines, Division::Tiled.units(size))?,
-            Picked::TileRuns(runs) => {
+            Selection::Tiled { machine_idx, n_machines } => {
+                strided(*machine_idx, *n_machines, Division::Tiled.units(size))?
+            }
+            Selection::TileRuns(runs) => {
                 let units = Division::Tiled.units(size);
-                let (ends, n_picked) = run_ends(runs, units.count())?;
-                (units, Source::Runs { runs, ends }, n_picked)
+                let (ends, n_selected) = run_ends(runs, units.count())?;
+                (units, UnitSource::Runs { runs, ends }, n_selected)
             }
-            Picked::Curve { machine, machines } => strided(*machine, *machines, Division::Dynamic.units(size))?,
-            Picked::CurveRun(TileRun { first, count }) => {
+            Selection::Curve { machine_idx, n_machines } => {
+                strided(*machine_idx, *n_machines, Division::Dynamic.units(size))?
+            }
+            Selection::CurveRun(TileRun { first, count }) => {
                 let units = Division::Dynamic.units(size);
                 let (first, count, n_tiles) = (*first, *count, units.count());
                 if first.checked_add(count).is_none_or(|end| end > n_tiles) {
-                    return Err(WorkError::RunOutside { first, count, n_tiles });
+                    return Err(TaskError::RunOutside { first, count, n_tiles });
                 }
-                (units, Source::Strided { first, step: 1 }, count)
+                (units, UnitSource::Strided { first, step: 1 }, count)
             }
         };
-        let count = n_picked.saturating_sub(self.part.index).div_ceil(self.part.parts);
+        let count = n_selected.saturating_sub(self.part.index).div_ceil(self.part.n_parts);
         Ok(Share { units, source, part: self.part, count })
     }
 }
 
 /// The number of tiles up to the end of each run, and in all.
-fn run_ends(runs: &[TileRun], n_tiles: u32) -> Result<(Vec<u32>, u32), WorkError> {
+fn run_ends(runs: &[TileRun], n_tiles: u32) -> Result<(Vec<u32>, u32), TaskError> {
     let mut total = 0;
     let mut ends = Vec::with_capacity(runs.len());
     for &TileRun { first, count } in runs {
         let inside = count > 0 && first.checked_add(count).is_some_and(|end| end <= n_tiles);
         if !inside {
-            return Err(WorkError::RunOutside { first, count, n_tiles });
+            return Err(TaskError::RunOutside { first, count, n_tiles });
         }
         total += count;
         if total > n_tiles {
-            return Err(WorkError::TooManyTiles);
+            return Err(TaskError::TooManyTiles);
         }
         ends.push(total);
     }
@@ -170,13 +174,13 @@ fn run_ends(runs: &[TileRun], n_tiles: u32) -> Result<(Vec<u32>, u32), WorkError
 #[derive(Clone, Debug)]
 pub struct Share<'a> {
     units: Units,
-    source: Source<'a>,
+    source: UnitSource<'a>,
     part: Part,
     count: u32,
 }
 
 #[derive(Clone, Debug)]
-enum Source<'a> {
+enum UnitSource<'a> {
     Strided { first: u32, step: u32 },
     Runs { runs: &'a [TileRun], ends: Vec<u32> },
 }
@@ -193,9 +197,9 @@ impl Share<'_> {
     }
 
     /// How many of the frame's samples there are to each of this share's, where it has any: 1 within tiles.
-    pub fn spread(&self) -> u32 {
+    pub fn sample_stride(&self) -> u32 {
         match (&self.source, self.units.kind) {
-            (Source::Strided { step, .. }, UnitKind::Sample) => step.saturating_mul(self.part.parts),
+            (UnitSource::Strided { step, .. }, UnitKind::Sample) => step.saturating_mul(self.part.n_parts),
             _ => 1,
         }
     }
@@ -206,20 +210,20 @@ impl Share<'_> {
     }
 
     /// Whether each unit's number is that of the one before and 1.
-    pub fn is_run(&self) -> bool {
-        self.part.parts == 1 && matches!(self.source, Source::Strided { step: 1, .. })
+    pub fn is_contiguous(&self) -> bool {
+        self.part.n_parts == 1 && matches!(self.source, UnitSource::Strided { step: 1, .. })
     }
 
     /// The frame's number of the share's `k`-th unit; `k` must be below [`Share::count`].
     #[inline]
     pub fn unit(&self, k: u32) -> u32 {
         debug_assert!(k < self.count, "unit {k} of {}", self.count);
-        let picked = self.part.index + k * self.part.parts;
+        let selection = self.part.index + k * self.part.n_parts;
         match &self.source {
-            Source::Strided { first, step } => first + picked * step,
-            Source::Runs { runs, ends } => {
-                let run = ends.partition_point(|&end| end <= picked);
-                runs[run].first + (picked - (ends[run] - runs[run].count))
+            UnitSource::Strided { first, step } => first + selection * step,
+            UnitSource::Runs { runs, ends } => {
+                let run = ends.partition_point(|&end| end <= selection);
+                runs[run].first + (selection - (ends[run] - runs[run].count))
             }
         }
     }
@@ -238,7 +242,7 @@ impl Share<'_> {
 
     /// The samples of the share's `k`-th unit.
     #[inline]
-    pub fn samples(&self, k: u32) -> UnitSamples {
+    pub fn samples(&self, k: u32) -> SampleRect {
         self.units.samples(self.unit(k))
     }
 }

@@ -59,11 +59,11 @@ impl Model {
         }
     }
 
-    fn stage(self) -> &'static Stage {
-        static STAGES: [LazyLock<Stage>; 3] = [
-            LazyLock::new(|| Stage::new(Model::Statue)),
-            LazyLock::new(|| Stage::new(Model::Soup)),
-            LazyLock::new(|| Stage::new(Model::StatueInSoup)),
+    fn stage(self) -> &'static Fixture {
+        static STAGES: [LazyLock<Fixture>; 3] = [
+            LazyLock::new(|| Fixture::new(Model::Statue)),
+            LazyLock::new(|| Fixture::new(Model::Soup)),
+            LazyLock::new(|| Fixture::new(Model::StatueInSoup)),
         ];
         &STAGES[self as usize]
     }
@@ -83,13 +83,13 @@ fn soup(n_triangles: u32, extent: f32, edge: f32) -> Mesh {
 }
 
 /// A model ready to be traced, seen by one camera.
-struct Stage {
+struct Fixture {
     scene: Scene,
     rays: CameraRays,
     size: FrameSize,
 }
 
-impl Stage {
+impl Fixture {
     fn new(model: Model) -> Self {
         let mesh = model.mesh();
         // The statue is what is looked at wherever it stands.
@@ -117,8 +117,8 @@ impl Stage {
 }
 
 fn with_tiles(size: FrameSize, mut visit: impl FnMut(&Share<'_>)) {
-    let work = Division::Tiled.work(0, 1);
-    visit(&work.share(size).expect("a whole frame"));
+    let task = Division::Tiled.task(0, 1);
+    visit(&task.share(size).expect("a whole frame"));
 }
 
 /// Building, on all cores.

@@ -36,10 +36,10 @@ use renderer::{
 };
 use serde_json::json;
 use shared::{
+    appearance::Appearance,
     camera::Camera,
     division::FrameSize,
-    look::Look,
-    protocol::{RayTree, SampleRange, View},
+    protocol::{LightingMode, SampleRange, ShadingMode},
 };
 
 /// Traces frames on demand, for comparisons with other ray tracers
@@ -110,7 +110,7 @@ struct Server {
 
 impl Server {
     fn trace(&mut self, kernel: &str, n_threads: usize, n_frames: u32, shadow: bool, camera: &Path) -> Result<()> {
-        let PeerCamera { request, light } = PeerCamera::read(camera)?;
+        let PeerCamera { spec, light } = PeerCamera::read(camera)?;
         let light = shadow.then_some(light.as_vec3());
         let options = FrameOptions { kernel: named_kernel(kernel)?, light };
         let pool = match self.pools.entry(n_threads) {
@@ -119,7 +119,7 @@ impl Server {
         };
         keep_busy(pool, BEFORE_FRAMES);
         // All in the pool: threads that went to sleep between frames would be late for the next.
-        let trace = |_| frame::trace(&mut self.frame, &self.scene, &request, &options);
+        let trace = |_| frame::trace(&mut self.frame, &self.scene, &spec, &options);
         let (costs, counts): (Vec<_>, Vec<_>) = pool.install(|| (0..n_frames).map(trace).unzip());
         let last = counts[counts.len() - 1];
         say(json!({
@@ -127,15 +127,15 @@ impl Server {
             "shadow": u8::from(shadow), "cam": camera,
             "ms": costs.iter().map(|cost| cost.wall.as_secs_f64() * 1e3).collect::<Vec<_>>(),
             "cpu_ms": costs.iter().map(|cost| cost.cpu.as_secs_f64() * 1e3).collect::<Vec<_>>(),
-            "rays": request.size.n_samples() as usize + last.n_shadow_rays, "hits": self.frame.n_hits(),
+            "rays": spec.size.n_samples() as usize + last.n_shadow_rays, "hits": self.frame.n_hits(),
             "shadow_rays": last.n_shadow_rays, "shadowed": last.n_shadowed,
         }))
     }
 
     fn dump(&mut self, kernel: &str, file: &Path, camera: &Path) -> Result<()> {
         let options = FrameOptions { kernel: named_kernel(kernel)?, light: None };
-        frame::trace(&mut self.frame, &self.scene, &PeerCamera::read(camera)?.request, &options);
-        image::write_whole(file, |out| self.frame.write_hits(&self.scene, out))
+        frame::trace(&mut self.frame, &self.scene, &PeerCamera::read(camera)?.spec, &options);
+        image::write_atomically(file, |out| self.frame.write_hits(&self.scene, out))
             .with_context(|| format!("cannot write {}", file.display()))?;
         say(json!({ "event": "dumped" }))
     }
@@ -162,7 +162,7 @@ fn named_kernel(name: &str) -> Result<Kernel> {
 
 /// A camera as the peers read it.
 struct PeerCamera {
-    request: FrameRequest,
+    spec: FrameRequest,
     light: DVec3,
 }
 
@@ -199,7 +199,7 @@ impl PeerCamera {
         }
         let (Some(eye), Some(ll), Some(u), Some(v)) = (eye, ll, u, v) else { bail!("it lacks one of eye, ll, u, v") };
         let camera = Camera::new(eye, ll, u, v)?;
-        let (view, rays, samples) = (View::Shaded, RayTree::Primary, SampleRange::CENTRE);
-        Ok(Self { request: FrameRequest { camera, size, view, rays, samples, look: Look::default() }, light })
+        let (view, rays, samples) = (ShadingMode::Shaded, LightingMode::Primary, SampleRange::CENTRE);
+        Ok(Self { spec: FrameRequest { camera, size, view, rays, samples, appearance: Appearance::default() }, light })
     }
 }

@@ -161,8 +161,8 @@ struct Session<'a> {
     cameras: Vec<(String, Camera)>,
     peers: Vec<Peer>,
     kernel: kernel::Results,
-    image: Vec<picture::Row>,
-    memory: Vec<memory::Row>,
+    image: Vec<picture::PictureRow>,
+    memory: Vec<memory::MemoryRow>,
     /// What could not be measured, and why.
     left_out: Vec<String>,
 }
@@ -170,7 +170,7 @@ struct Session<'a> {
 impl Session<'_> {
     fn chart_kernel(&mut self) -> Result<()> {
         let quick = self.args.quick;
-        let effort = kernel::Effort {
+        let effort = kernel::Settings {
             size: self.size()?,
             n_repeats: if quick { 15 } else { 9 },
             decades: if quick { vec![0, 2, 4, 6] } else { (0..=6).collect() },
@@ -198,7 +198,7 @@ impl Session<'_> {
 
     fn chart_memory(&mut self) -> Result<()> {
         let quick = self.args.quick;
-        let effort = memory::Effort {
+        let effort = memory::Settings {
             size: self.size()?,
             n_repeats: if quick { 21 } else { 7 },
             densities: if quick { vec![4.0, 32.0, 128.0] } else { (0..8).map(|n| f64::from(1 << n)).collect() },
@@ -208,7 +208,7 @@ impl Session<'_> {
         let progress = Progress::new("measuring ways to keep the scene");
         let cameras = self.cameras.iter().map(|(_, camera)| *camera).collect();
         let mesh = std::mem::take(&mut self.mesh);
-        let standard = memory::Standard::new(&mesh, cameras, &effort);
+        let standard = memory::Baseline::new(&mesh, cameras, &effort);
         let chosen = standard.chosen_density();
         let settings = if standard.is_empty() { Vec::new() } else { effort.settings(chosen) };
         if settings.is_empty() {
@@ -250,7 +250,7 @@ impl Session<'_> {
         let native = sizes[sizes.len() - 1];
         let n_reference_samples = if quick { 16 } else { 64 };
         let samples = if quick { vec![1, 4, 16] } else { vec![1, 2, 4, 8, 16] };
-        let effort = picture::Effort { native, n_reference_samples, sizes, samples };
+        let effort = picture::Settings { native, n_reference_samples, sizes, samples };
         let scene = {
             let progress = Progress::new("building the grid");
             let grid = renderer::grid::GridOptions { memory_budget: self.args.memory_budget, ..Default::default() };
@@ -316,7 +316,7 @@ impl Session<'_> {
         let json = serde_json::to_string_pretty(&json)?;
         for (name, content) in [(format!("{}.csv", chart.name()), &*csv), ("chart.json".to_owned(), json.as_bytes())] {
             let path = folder.join(name);
-            image::write_whole(&path, |out| out.write_all(content))
+            image::write_atomically(&path, |out| out.write_all(content))
                 .with_context(|| format!("cannot write {}", path.display()))?;
         }
         figure.write(folder, chart.name())

@@ -83,25 +83,25 @@ fn run_in_pool(args: &LabTraceArgs) -> Result<()> {
     }
     let options = FrameOptions { kernel: args.kernel, light: args.shadow_rays.then_some(args.light) };
     let prepared = args.picture.prepare()?;
-    let (scene, request) = (&prepared.scene, &prepared.request);
+    let (scene, spec) = (&prepared.scene, &prepared.spec);
     if args.cameras.is_some() {
-        return cameras::run(scene, request, &options, std::io::stdin().lock(), std::io::stdout().lock());
+        return cameras::run(scene, spec, &options, std::io::stdin().lock(), std::io::stdout().lock());
     }
 
     let mut counts = RayCounts::default();
     let mut report = args.picture.trace(&prepared, |frame| {
-        let (cost, counted) = frame::trace(frame, scene, request, &options);
+        let (cost, counted) = frame::trace(frame, scene, spec, &options);
         counts = counted;
         cost
     })?;
-    let n_samples = request.size.n_samples();
+    let n_samples = spec.size.n_samples();
     report.mrays_per_second =
         (n_samples as usize + counts.n_shadow_rays) as f64 / median(report.frame_ms.iter().copied()) / 1e3;
     if !args.picture.json {
-        return say(report.table(request.size));
+        return say(report.table(spec.size));
     }
     // Counting follows each ray alone, so only those who see the figures wait for it.
-    let cost_sum = counts::cost_sum(scene, request);
+    let cost_sum = counts::cost_sum(scene, spec);
     let per_ray = |sum: u64| sum as f64 / f64::from(n_samples);
     say(serde_json::to_string(&LabReport {
         report,

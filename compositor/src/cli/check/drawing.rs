@@ -52,13 +52,13 @@ fn draw_to(svg: &mut String, wall: &Wall, title: &str) -> std::fmt::Result {
     text(svg, below, 16.0, "middle", FAINT, &format!("the canvas: {width_m} m × {height_m} m"))?;
     for (index, projector) in wall.projectors().iter().enumerate() {
         let canvas = projector.canvas;
-        let place = UNIT_SQUARE.map(|corner| on_wall(canvas.canvas_of(corner)));
+        let place = UNIT_SQUARE.map(|corner| on_wall(canvas.canvas_from_rect(corner)));
         // Where several lie over each other the colours add up, and overlaps are seen.
         let fill = format!("fill=\"{}\" fill-opacity=\"0.38\" stroke=\"{INK}\" stroke-width=\"1.2\"", colour(index));
         polygon(svg, &place, &fill)?;
     }
     for (index, projector) in wall.projectors().iter().enumerate() {
-        let on_wall = |place: DVec2| on_wall(projector.canvas.canvas_of(place));
+        let on_wall = |place: DVec2| on_wall(projector.canvas.canvas_from_rect(place));
         label(svg, wall, index, &on_wall)?;
     }
 
@@ -84,7 +84,7 @@ fn label(svg: &mut String, wall: &Wall, index: usize, on_wall: &dyn Fn(DVec2) ->
     let projector = &wall.projectors()[index];
     let (upper_left, lower_right) = (on_wall(DVec2::ZERO), on_wall(DVec2::ONE));
     let size = lower_right - upper_left;
-    if let Some(corners) = projector.raster_corners_in_place() {
+    if let Some(corners) = projector.raster_corners_in_rect() {
         let corners = corners.map(on_wall);
         if projector.warp_px != [[0.0; 2]; 4] {
             let dashes = "fill=\"none\" stroke=\"#c22f2f\" stroke-width=\"1\" stroke-dasharray=\"3 3\"";

@@ -15,7 +15,7 @@ use super::{Headless, Wakeup, Wakeups, milliseconds, wait};
 use crate::{
     cli::report::Report,
     farm::{Farm, Frame},
-    gpu::{Picture, picture::PictureError},
+    gpu::{RgbImage, picture::PictureError},
 };
 
 /// What to film.
@@ -60,11 +60,11 @@ impl Headless {
         thread::scope(|scope| {
             let writers = film.folder.as_deref().map(|folder| Writers::start(scope, folder));
             let mut last: Option<Frame> = None;
-            want(farm, film.camera(0));
+            request_frame(farm, film.camera(0));
             for index in 0..n_pictures {
                 let started_at = Instant::now();
                 let camera = film.camera(index);
-                let frame = match last.take().filter(|frame| frame.picture.camera == camera) {
+                let frame = match last.take().filter(|frame| frame.spec.camera == camera) {
                     Some(frame) => frame,
                     None => match next_frame(farm, wakeups, camera)? {
                         Some(frame) => frame,
@@ -72,7 +72,7 @@ impl Headless {
                     },
                 };
                 if index + 1 < n_pictures {
-                    want(farm, film.camera(index + 1));
+                    request_frame(farm, film.camera(index + 1));
                 }
                 let display = self.show(&frame)?;
                 if let Some(writers) = &writers
@@ -90,11 +90,11 @@ impl Headless {
     }
 }
 
-fn want(farm: &Farm, camera: Camera) {
-    farm.want(|wanted| {
+fn request_frame(farm: &Farm, camera: Camera) {
+    farm.update_goal(|wanted| {
         wanted.repeat = false;
         wanted.moved_at = Instant::now();
-        if let Some(picture) = &mut wanted.picture {
+        if let Some(picture) = &mut wanted.spec {
             picture.camera = camera;
         }
     });
@@ -107,7 +107,7 @@ fn next_frame(farm: &Farm, wakeups: &Wakeups, camera: Camera) -> anyhow::Result<
             return Ok(None);
         }
         match farm.take_frame() {
-            Some(frame) if frame.picture.camera == camera => return Ok(Some(frame)),
+            Some(frame) if frame.spec.camera == camera => return Ok(Some(frame)),
             // Of a camera that was wanted before.
             Some(_) => {}
             None if wait(farm, wakeups)? == Wakeup::Stop => return Ok(None),
@@ -131,13 +131,13 @@ fn prepare(folder: &Path) -> anyhow::Result<()> {
 
 /// Threads that compress and write pictures; who gives them one waits while all are busy.
 struct Writers<'scope> {
-    pictures: mpsc::SyncSender<(u32, Picture)>,
+    pictures: mpsc::SyncSender<(u32, RgbImage)>,
     threads: Vec<thread::ScopedJoinHandle<'scope, Result<(), PictureError>>>,
 }
 
 impl<'scope> Writers<'scope> {
     fn start<'env>(scope: &'scope thread::Scope<'scope, 'env>, folder: &'env Path) -> Self {
-        let (pictures, inbox) = mpsc::sync_channel::<(u32, Picture)>(1);
+        let (pictures, inbox) = mpsc::sync_channel::<(u32, RgbImage)>(1);
         let inbox = Arc::new(Mutex::new(inbox));
         let threads = (0..N_WRITERS).map(|_| {
             let inbox = Arc::clone(&inbox);
@@ -154,7 +154,7 @@ impl<'scope> Writers<'scope> {
     }
 
     /// Whether the picture was taken; it is not once all threads have failed.
-    fn write(&self, index: u32, picture: Picture) -> bool {
+    fn write(&self, index: u32, picture: RgbImage) -> bool {
         !self.threads.iter().any(thread::ScopedJoinHandle::is_finished) && self.pictures.send((index, picture)).is_ok()
     }
 

@@ -3,12 +3,12 @@
 use std::time::{Duration, Instant};
 
 use renderer::cli::progress::Progress;
-use shared::protocol::Picture;
+use shared::protocol::FrameSpec;
 
 use super::{Headless, Wakeup, Wakeups, milliseconds, wait};
 use crate::{
     cli::report::Report,
-    control::refinement::{Refinement, Shown},
+    control::refinement::{Refinement, ShowTimes},
     farm::Farm,
 };
 
@@ -20,23 +20,23 @@ impl Headless {
         farm: &Farm,
         wakeups: &Wakeups,
         n_frames: u32,
-        subject: Picture,
+        spec: FrameSpec,
         refinement: &mut Refinement,
     ) -> anyhow::Result<Report> {
         let mut report = Report::default();
         let is_moving = |report: &Report| report.n_frames() < n_frames as usize;
         let bar = Progress::new("refining the picture");
         let mut ended_at = Instant::now();
-        want(farm, refinement.change(ended_at, subject).picture, true);
+        request_frame(farm, refinement.change(ended_at, spec).spec, true);
         loop {
             if !is_moving(&report) {
                 if refinement.is_done() {
                     break;
                 }
                 // Nobody's hand is on this camera: it rests at once.
-                if let Some(ask) = refinement.refines_at().and_then(|rested_at| refinement.refine(rested_at)) {
-                    tracing::info!("refining to {}, samples a pixel: {}", ask.picture.size, ask.picture.samples.count);
-                    want(farm, ask.picture, false);
+                if let Some(step) = refinement.refines_at().and_then(|rested_at| refinement.refine(rested_at)) {
+                    tracing::info!("refining to {}, samples a pixel: {}", step.spec.size, step.spec.samples.count);
+                    request_frame(farm, step.spec, false);
                 }
             }
             if wakeups.try_recv() == Ok(Wakeup::Stop) {
@@ -48,28 +48,28 @@ impl Headless {
                 }
                 continue;
             };
-            refinement.on_frame(&frame.picture, Duration::from_secs_f64(frame.stats.interval_ms / 1e3));
+            refinement.on_frame(&frame.spec, Duration::from_secs_f64(frame.stats.interval_ms / 1e3));
             let display = self.show(&frame)?;
             let [took_ms, upload_ms] = [display.upload_ms + display.draw_ms, display.upload_ms];
             let [took, upload] = [took_ms, upload_ms].map(|ms| Duration::from_secs_f64(ms / 1e3));
-            refinement.on_shown(&frame.picture, &Shown { took, upload, refresh: Duration::ZERO });
+            refinement.on_shown(&frame.spec, &ShowTimes { took, upload, refresh: Duration::ZERO });
             if !is_moving(&report) {
-                bar.set(frame.picture.samples.count as f32 / refinement.n_samples() as f32);
+                bar.set(frame.spec.samples.count as f32 / refinement.n_samples() as f32);
                 continue;
             }
             report.add(Some(&frame), display, milliseconds(ended_at.elapsed()));
             ended_at = Instant::now();
             if is_moving(&report) {
                 refinement.start_again();
-                want(farm, refinement.change(ended_at, subject).picture, true);
+                request_frame(farm, refinement.change(ended_at, spec).spec, true);
             } else {
-                farm.want(|wanted| wanted.repeat = false);
+                farm.update_goal(|wanted| wanted.repeat = false);
             }
         }
         Ok(report)
     }
 }
 
-fn want(farm: &Farm, picture: Picture, repeat: bool) {
-    farm.want(|wanted| (wanted.picture, wanted.repeat, wanted.moved_at) = (Some(picture), repeat, Instant::now()));
+fn request_frame(farm: &Farm, spec: FrameSpec, repeat: bool) {
+    farm.update_goal(|wanted| (wanted.spec, wanted.repeat, wanted.moved_at) = (Some(spec), repeat, Instant::now()));
 }

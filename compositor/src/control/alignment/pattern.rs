@@ -29,7 +29,7 @@ pub enum Pattern {
 
 /// A test pattern, ready for the present stage.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Shown {
+pub struct PatternImage {
     /// The samples of the frame to upload.
     pub size: FrameSize,
     /// Four bytes a sample, as frames have them, bottom row first.
@@ -84,9 +84,9 @@ impl Pattern {
     /// # Errors
     ///
     /// The wall has more pixels than a frame may have samples.
-    pub fn shown(self, wall: &Wall, selected: Option<Corner>) -> anyhow::Result<Shown> {
+    pub fn shown(self, wall: &Wall, selected: Option<Corner>) -> anyhow::Result<PatternImage> {
         if self == Self::Overlap {
-            return Ok(Shown { size: FrameSize::new(1, 1)?, rgba: vec![255; 4], wall: wall.clone() });
+            return Ok(PatternImage { size: FrameSize::new(1, 1)?, rgba: vec![255; 4], wall: wall.clone() });
         }
         let [width, height] = wall.output_size();
         let too_large =
@@ -104,14 +104,14 @@ impl Pattern {
                 Self::Overlap => {}
             }
         }
-        Ok(Shown { size, rgba: sheet.into_frame(), wall: Wall::of_one_output([width, height]) })
+        Ok(PatternImage { size, rgba: sheet.into_frame(), wall: Wall::of_one_output([width, height]) })
     }
 }
 
 /// Where a point of a projector's place is, in pixels of the output that spans all projectors.
 pub(super) fn to_output(projector: &Projector, place: DVec2) -> Option<DVec2> {
     let PixelRect { x, y, width, height } = projector.output;
-    let raster = apply(projector.raster_from_place()?, place)?;
+    let raster = apply(projector.raster_from_rect()?, place)?;
     Some(DVec2::new(f64::from(x), f64::from(y)) + raster * DVec2::new(f64::from(width), f64::from(height)))
 }
 
@@ -135,7 +135,9 @@ fn align(sheet: &mut Sheet, wall: &Wall, index: usize, selected: Option<Corner>)
             } else {
                 [DVec2::new(0.0, part), DVec2::new(1.0, part)]
             };
-            if let Some((from, to)) = within_place(projector.canvas.place_of(from), projector.canvas.place_of(to)) {
+            if let Some((from, to)) =
+                within_rect(projector.canvas.rect_from_canvas(from), projector.canvas.rect_from_canvas(to))
+            {
                 line(from, to, 2.0, if n == 0 { WHITE } else { GREY });
             }
         }
@@ -161,7 +163,7 @@ fn align(sheet: &mut Sheet, wall: &Wall, index: usize, selected: Option<Corner>)
 }
 
 /// The part of a line across the canvas, along one of its axes, that lies in a place.
-fn within_place(from: DVec2, to: DVec2) -> Option<(DVec2, DVec2)> {
+fn within_rect(from: DVec2, to: DVec2) -> Option<(DVec2, DVec2)> {
     let is_within = |a: f64, b: f64| a != b || (0.0..=1.0).contains(&a);
     let clamped = (from.clamp(DVec2::ZERO, DVec2::ONE), to.clamp(DVec2::ZERO, DVec2::ONE));
     (is_within(from.x, to.x) && is_within(from.y, to.y)).then_some(clamped)

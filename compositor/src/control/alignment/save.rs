@@ -44,7 +44,7 @@ pub fn save_warps(path: &Path, wall: &Wall) -> anyhow::Result<()> {
          line of its own, and do not change the file while the wall runs",
         path.display()
     );
-    renderer::render::image::write_whole(path, |out| out.write_all(text.as_bytes()))
+    renderer::render::image::write_atomically(path, |out| out.write_all(text.as_bytes()))
         .map_err(|error| anyhow::anyhow!("{}: the corners cannot be saved: {error}", path.display()))
 }
 

@@ -101,9 +101,9 @@ impl Sheet {
             let middle = from[cross] + slope * (position + 0.5 - from[main]);
             let mut other = (middle - half - 0.5).floor().max(limits[cross][0]);
             while other < (middle + half + 0.5).min(limits[cross][1]) {
-                let covered = (half + 0.5 - (other + 0.5 - middle).abs()).clamp(0.0, 1.0);
+                let coverage = (half + 0.5 - (other + 0.5 - middle).abs()).clamp(0.0, 1.0);
                 let [x, y] = if is_steep { [other, position] } else { [position, other] };
-                self.mix(x, y, colour, covered);
+                self.blend(x, y, colour, coverage);
                 other += 1.0;
             }
             position += 1.0;
@@ -117,32 +117,32 @@ impl Sheet {
         let atlas = self.fonts.texture_atlas().image();
         let origin = centre - DVec2::new(f64::from(galley.size().x), f64::from(galley.size().y)) / 2.0;
         let glyphs = galley.rows.iter().flat_map(|placed| placed.row.glyphs.iter().map(|glyph| (placed.pos, glyph)));
-        let covered: Vec<(DVec2, f64)> = glyphs
+        let coverage: Vec<(DVec2, f64)> = glyphs
             .flat_map(|(row_at, glyph)| {
                 let at = row_at + glyph.pos.to_vec2() + glyph.uv_rect.offset;
                 let at = (origin + DVec2::new(f64::from(at.x), f64::from(at.y))).round();
                 let ([left, top], [right, bottom]) = (glyph.uv_rect.min, glyph.uv_rect.max);
                 let texels = (top..bottom).flat_map(move |y| (left..right).map(move |x| (x, y)));
                 texels.map(move |(x, y)| {
-                    let covered = f64::from(atlas[(usize::from(x), usize::from(y))].a()) / 255.0;
-                    (at + DVec2::new(f64::from(x - left), f64::from(y - top)), covered)
+                    let coverage = f64::from(atlas[(usize::from(x), usize::from(y))].a()) / 255.0;
+                    (at + DVec2::new(f64::from(x - left), f64::from(y - top)), coverage)
                 })
             })
             .collect();
-        for (at, covered) in covered {
-            self.mix(at.x, at.y, colour, covered);
+        for (at, coverage) in coverage {
+            self.blend(at.x, at.y, colour, coverage);
         }
     }
 
     /// Paints over a part of a pixel, unless it is outside.
-    fn mix(&mut self, x: f64, y: f64, colour: [u8; 3], covered: f64) {
+    fn blend(&mut self, x: f64, y: f64, colour: [u8; 3], coverage: f64) {
         let clip = self.clip;
         let is_inside = (f64::from(clip.x)..f64::from(clip.x + clip.width)).contains(&x)
             && (f64::from(clip.y)..f64::from(clip.y + clip.height)).contains(&y);
         if is_inside {
             let pixel = self.pixel(x as u32, y as u32);
             for (channel, value) in pixel.iter_mut().zip(colour) {
-                *channel = (f64::from(*channel) * (1.0 - covered) + f64::from(value) * covered).round() as u8;
+                *channel = (f64::from(*channel) * (1.0 - coverage) + f64::from(value) * coverage).round() as u8;
             }
         }
     }

@@ -11,7 +11,7 @@ fn navigator() -> Navigator {
 }
 
 /// Where a point appears on the canvas.
-fn seen_at(camera: &Camera, point: DVec3) -> DVec2 {
+fn project(camera: &Camera, point: DVec3) -> DVec2 {
     let normal = camera.u().cross(camera.v());
     let ray = point - camera.eye();
     let on_plane = camera.eye() + ray * ((camera.ll() - camera.eye()).dot(normal) / ray.dot(normal)) - camera.ll();
@@ -36,12 +36,12 @@ fn an_orbited_model_follows_the_hand() {
     let mut navigator = navigator();
     // The point of the model that faces the eye.
     let front = navigator.pivot() + (navigator.camera().eye() - navigator.pivot()).normalize() * 0.1;
-    let before = seen_at(&navigator.camera(), front);
+    let before = project(&navigator.camera(), front);
     navigator.press(Drag::Orbit);
     navigator.move_to(DVec2::new(0.55, 0.55));
-    let after = seen_at(&navigator.camera(), front);
+    let after = project(&navigator.camera(), front);
     assert!(after.x > before.x && after.y > before.y, "{before} {after}");
-    let middle = seen_at(&navigator.camera(), navigator.pivot());
+    let middle = project(&navigator.camera(), navigator.pivot());
     assert!((middle - DVec2::splat(0.5)).length() < 1e-9, "the pivot moved to {middle}");
 }
 
@@ -50,7 +50,7 @@ fn a_panned_model_stays_under_the_cursor() {
     let mut navigator = navigator();
     navigator.press(Drag::Pan);
     navigator.move_to(DVec2::new(0.7, 0.4));
-    let middle = seen_at(&navigator.camera(), navigator.pivot());
+    let middle = project(&navigator.camera(), navigator.pivot());
     assert!((middle - DVec2::new(0.7, 0.4)).length() < 1e-9, "{middle}");
 }
 
@@ -62,7 +62,7 @@ fn the_wheel_keeps_what_is_under_the_cursor_there() {
     let depth = navigator.depth();
     assert!(navigator.wheel(3.0));
     assert!(navigator.depth() < depth);
-    assert!((seen_at(&navigator.camera(), point) - DVec2::new(0.3, 0.6)).length() < 1e-9);
+    assert!((project(&navigator.camera(), point) - DVec2::new(0.3, 0.6)).length() < 1e-9);
     assert!(navigator.wheel(-3.0));
     assert!((navigator.depth() - depth).abs() < 1e-9);
 }
@@ -87,10 +87,10 @@ fn flying_takes_time_and_opposite_keys_cancel() {
     assert!((step - navigator.size() * 0.02).abs() < 1e-9, "{step}");
     navigator.hold(Direction::Backward);
     assert!(!navigator.advance(0.05, 1.0));
-    navigator.let_go(Direction::Backward);
+    navigator.release_key(Direction::Backward);
     navigator.advance(3600.0, 1.0);
     assert!((navigator.camera().eye() - eye).length() < navigator.size() * 0.1, "a pause threw the eye away");
-    navigator.let_go_of_all();
+    navigator.release_all();
     assert!(!navigator.is_moving());
 }
 
@@ -176,11 +176,11 @@ fn a_point_that_is_gone_to_comes_nearer_into_the_middle_and_is_orbited() {
     navigator.go_to_point(point);
     arrive(&mut navigator);
     let camera = navigator.camera();
-    assert!((seen_at(&camera, point) - DVec2::splat(0.5)).length() < 1e-9);
+    assert!((project(&camera, point) - DVec2::splat(0.5)).length() < 1e-9);
     assert!(distance(&camera) < before * 0.5 && distance(&camera) > 0.0);
     navigator.press(Drag::Orbit);
     navigator.move_to(DVec2::new(0.1, 0.3));
-    assert!((seen_at(&navigator.camera(), point) - DVec2::splat(0.5)).length() < 1e-9);
+    assert!((project(&navigator.camera(), point) - DVec2::splat(0.5)).length() < 1e-9);
     navigator.release();
     // All of it is seen again around the middle of the model.
     navigator.view_all();
@@ -202,7 +202,7 @@ fn the_wheel_goes_to_the_surface_under_the_cursor() {
     (0..10).for_each(|_| _ = navigator.wheel(1.0));
     let left = (surface - navigator.camera().eye()).length();
     assert!((left / distance - DOLLY_FACTOR_PER_NOTCH.powi(-10)).abs() < 1e-9, "{left} of {distance}");
-    assert!((seen_at(&navigator.camera(), surface) - at).length() < 1e-9);
+    assert!((project(&navigator.camera(), surface) - at).length() < 1e-9);
     // What lies under the cursor is another thing once the cursor has moved.
     navigator.move_to(DVec2::splat(0.5));
     assert!(navigator.needs_surface());

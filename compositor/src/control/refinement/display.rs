@@ -7,7 +7,7 @@ use shared::division::FrameSize;
 
 /// What showing a frame took.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Shown {
+pub struct ShowTimes {
     /// All of it, from when the frame was there until the next can be shown.
     pub took: Duration,
     /// The upload alone.
@@ -22,12 +22,12 @@ const N_REMEMBERED: u32 = 64;
 const LONGEST: f64 = 3.0;
 /// How far sizes must differ before what they took says more of the part that grows with samples than the upload does: the
 /// variance of their samples, as parts of those of the wall's own resolution.
-const TELLING_VARIANCE: f64 = 1e-3;
+const LEAST_VARIANCE: f64 = 1e-3;
 
 /// A straight line through what the last frames took over their samples, with the slope of the upload alone as long as
 /// these have about the same size: ridge regression, with forgetting.
 #[derive(Clone, Debug)]
-pub(super) struct Display {
+pub(super) struct DisplayCost {
     native: FrameSize,
     last_size: Option<FrameSize>,
     refresh_s: f64,
@@ -42,7 +42,7 @@ pub(super) struct Display {
     covariance_s: f64,
 }
 
-impl Display {
+impl DisplayCost {
     /// Nothing is known yet.
     pub(super) fn new(native: FrameSize) -> Self {
         Self {
@@ -60,8 +60,8 @@ impl Display {
     }
 
     /// A frame of this size was shown.
-    pub(super) fn learn(&mut self, size: FrameSize, shown: &Shown) {
-        self.refresh_s = shown.refresh.as_secs_f64();
+    pub(super) fn learn(&mut self, size: FrameSize, times: &ShowTimes) {
+        self.refresh_s = times.refresh.as_secs_f64();
         // The first frame of a size also takes what is done once: it counts only while there is nothing better.
         let is_first_of_size = self.last_size.replace(size) != Some(size);
         if is_first_of_size && self.n_frames > 0 {
@@ -74,13 +74,13 @@ impl Display {
         let longest_s = if self.n_frames == 0 { f64::INFINITY } else { LONGEST * self.mean_s };
         self.n_frames = (self.n_frames + 1).min(N_REMEMBERED);
         let weight = 1.0 / f64::from(self.n_frames);
-        let d_samples = self.samples(size) - self.mean_samples;
-        let d_s = shown.took.as_secs_f64().min(longest_s) - self.mean_s;
-        self.mean_samples += weight * d_samples;
-        self.mean_s += weight * d_s;
-        self.mean_upload_s += weight * (shown.upload.as_secs_f64().min(longest_s) - self.mean_upload_s);
-        self.variance = (1.0 - weight) * (self.variance + weight * d_samples * d_samples);
-        self.covariance_s = (1.0 - weight) * (self.covariance_s + weight * d_samples * d_s);
+        let delta_samples = self.samples(size) - self.mean_samples;
+        let delta_s = times.took.as_secs_f64().min(longest_s) - self.mean_s;
+        self.mean_samples += weight * delta_samples;
+        self.mean_s += weight * delta_s;
+        self.mean_upload_s += weight * (times.upload.as_secs_f64().min(longest_s) - self.mean_upload_s);
+        self.variance = (1.0 - weight) * (self.variance + weight * delta_samples * delta_samples);
+        self.covariance_s = (1.0 - weight) * (self.covariance_s + weight * delta_samples * delta_s);
     }
 
     /// Between two refreshes, in seconds; 0 where it is not known.
@@ -94,7 +94,7 @@ impl Display {
             return 0.0;
         }
         let of_upload_s = self.mean_upload_s / self.mean_samples;
-        let slope_s = (self.covariance_s + TELLING_VARIANCE * of_upload_s) / (self.variance + TELLING_VARIANCE);
+        let slope_s = (self.covariance_s + LEAST_VARIANCE * of_upload_s) / (self.variance + LEAST_VARIANCE);
         // No frame takes less than no time.
         let slope_s = slope_s.clamp(0.0, self.mean_s / self.mean_samples);
         self.mean_s + slope_s * (self.samples(size) - self.mean_samples)
@@ -109,17 +109,17 @@ impl Display {
 mod tests {
     use super::*;
 
-    fn display(times: &[([u32; 2], f64, f64)]) -> Display {
-        let mut display = Display::new(FrameSize::new(4096, 2304).unwrap());
+    fn display(times: &[([u32; 2], f64, f64)]) -> DisplayCost {
+        let mut display = DisplayCost::new(FrameSize::new(4096, 2304).unwrap());
         for &([xres, yres], took_s, upload_s) in times {
             let [took, upload] = [took_s, upload_s].map(Duration::from_secs_f64);
-            let shown = Shown { took, upload, refresh: Duration::ZERO };
-            display.learn(FrameSize::new(xres, yres).unwrap(), &shown);
+            let times = ShowTimes { took, upload, refresh: Duration::ZERO };
+            display.learn(FrameSize::new(xres, yres).unwrap(), &times);
         }
         display
     }
 
-    fn expected_s(display: &Display, [xres, yres]: [u32; 2]) -> f64 {
+    fn expected_s(display: &DisplayCost, [xres, yres]: [u32; 2]) -> f64 {
         display.expected_s(FrameSize::new(xres, yres).unwrap())
     }
 

@@ -3,9 +3,9 @@
 use glam::DVec3;
 use proptest::prelude::*;
 use shared::{
+    appearance::Appearance,
     camera::Camera,
-    look::Look,
-    protocol::{RayTree, View},
+    protocol::{LightingMode, ShadingMode},
     scene::SceneId,
 };
 
@@ -25,15 +25,15 @@ fn options() -> RefinementOptions {
     }
 }
 
-fn subject(eye_x: f64) -> Picture {
-    Picture {
+fn spec_at(eye_x: f64) -> FrameSpec {
+    FrameSpec {
         scene: SceneId::Statue { triangles: 1 },
         camera: Camera::look_at(DVec3::new(eye_x, 0.0, 5.0), DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap(),
         size: FrameSize::ONE,
-        view: View::Shaded,
-        rays: RayTree::Primary,
+        view: ShadingMode::Shaded,
+        rays: LightingMode::Primary,
         samples: SampleRange::CENTRE,
-        look: Look::default(),
+        appearance: Appearance::default(),
     }
 }
 
@@ -76,14 +76,14 @@ impl Wall {
     }
 
     /// Renders what is asked for while the display shows the frame before; how long that takes.
-    fn render(&mut self, picture: &Picture) -> f64 {
-        let n_rays = f64::from(picture.size.n_samples()) * f64::from(picture.samples.count);
+    fn render(&mut self, spec: &FrameSpec) -> f64 {
+        let n_rays = f64::from(spec.size.n_samples()) * f64::from(spec.samples.count);
         let took = self.wavering(self.fixed_s + self.per_sample_s * n_rays);
-        self.refinement.on_frame(picture, took);
-        let upload_s = self.display_per_sample_s * f64::from(picture.size.n_samples());
+        self.refinement.on_frame(spec, took);
+        let upload_s = self.display_per_sample_s * f64::from(spec.size.n_samples());
         let shown_in = self.wavering(self.display_fixed_s + upload_s);
         let upload = Duration::from_secs_f64(upload_s);
-        self.refinement.on_shown(picture, &Shown { took: shown_in, upload, refresh: self.refresh });
+        self.refinement.on_shown(spec, &ShowTimes { took: shown_in, upload, refresh: self.refresh });
         let interval = took.max(shown_in).max(self.refresh);
         self.now += interval;
         interval.as_secs_f64()
@@ -99,9 +99,9 @@ impl Wall {
     /// The camera moves, and its frame is rendered: what size it has, and how long it takes.
     fn move_on(&mut self) -> (FrameSize, f64) {
         self.n_moves += 1;
-        let ask = self.refinement.change(self.now, subject(f64::from(self.n_moves)));
-        assert_eq!((ask.refines, ask.picture.samples), (false, SampleRange::CENTRE));
-        (ask.picture.size, self.render(&ask.picture))
+        let step = self.refinement.change(self.now, spec_at(f64::from(self.n_moves)));
+        assert_eq!((step.is_refinement, step.spec.samples), (false, SampleRange::CENTRE));
+        (step.spec.size, self.render(&step.spec))
     }
 
     fn move_for(&mut self, n_frames: u32) -> Vec<(FrameSize, f64)> {
@@ -109,15 +109,15 @@ impl Wall {
     }
 
     /// The camera rests until nothing is asked for any more: all refinements.
-    fn rest(&mut self) -> Vec<Picture> {
+    fn rest(&mut self) -> Vec<FrameSpec> {
         let mut refinements = Vec::new();
         while let Some(refines_at) = self.refinement.refines_at() {
             assert!(!self.refinement.is_done());
             self.now = self.now.max(refines_at);
-            let ask = self.refinement.refine(self.now).expect("it is time");
-            assert!(ask.refines && self.refinement.refines_at().is_none(), "one refinement at a time");
-            self.render(&ask.picture);
-            refinements.push(ask.picture);
+            let step = self.refinement.refine(self.now).expect("it is time");
+            assert!(step.is_refinement && self.refinement.refines_at().is_none(), "one refinement at a time");
+            self.render(&step.spec);
+            refinements.push(step.spec);
         }
         assert!(self.refinement.is_done());
         refinements
@@ -155,7 +155,7 @@ fn a_farm_that_is_fast_enough_renders_the_wall_s_own_resolution_in_motion() {
     let mut wall = Wall::with_paper_frame_of(INTERVAL_S / 50.0);
     let frames = wall.move_for(200);
     assert_eq!(frames.last().map(|frame| frame.0), Some(options().native));
-    let counts: Vec<u32> = wall.rest().iter().map(|picture| picture.samples.count).collect();
+    let counts: Vec<u32> = wall.rest().iter().map(|spec| spec.samples.count).collect();
     assert_eq!(counts, [4, 16], "one sample a pixel is there already");
 }
 
@@ -164,8 +164,8 @@ fn one_frame_that_takes_long_changes_nothing() {
     let mut wall = Wall::with_paper_frame_of(0.8 * INTERVAL_S);
     for n_between in [0, 1, 2, 5, 20] {
         wall.move_for(n_between);
-        let picture = wall.refinement.change(wall.now, subject(-1.0 - f64::from(n_between))).picture;
-        wall.refinement.on_frame(&picture, Duration::from_secs(2));
+        let spec = wall.refinement.change(wall.now, spec_at(-1.0 - f64::from(n_between))).spec;
+        wall.refinement.on_frame(&spec, Duration::from_secs(2));
         let frames = wall.move_for(10);
         assert_eq!(n_changes(&frames), 0, "after {n_between}: {frames:?}");
     }
@@ -221,13 +221,13 @@ fn a_camera_that_rests_is_refined_and_then_nothing_is_asked_for() {
     let moving = wall.move_for(30).last().unwrap().0;
     assert!(moving.n_samples() < options().native.n_samples());
     let refinements = wall.rest();
-    let levels: Vec<_> = refinements.iter().map(|picture| (picture.size, picture.samples.count)).collect();
+    let levels: Vec<_> = refinements.iter().map(|spec| (spec.size, spec.samples.count)).collect();
     assert_eq!(levels, [1, 4, 16].map(|count| (options().native, count)));
-    assert!(refinements.iter().all(|picture| picture.samples.first == 0 && picture.camera == subject(30.0).camera));
+    assert!(refinements.iter().all(|spec| spec.samples.first == 0 && spec.camera == spec_at(30.0).camera));
     assert_eq!(wall.refinement.refine(wall.now + Duration::from_secs(1000)), None);
     // The same camera again is no motion.
-    let ask = wall.refinement.change(wall.now, subject(30.0));
-    assert_eq!((ask.picture, wall.refinement.is_done()), (refinements[2], true));
+    let step = wall.refinement.change(wall.now, spec_at(30.0));
+    assert_eq!((step.spec, wall.refinement.is_done()), (refinements[2], true));
     assert_eq!(wall.move_on().0, moving, "the next motion goes on as the last");
 }
 
@@ -235,19 +235,19 @@ fn a_camera_that_rests_is_refined_and_then_nothing_is_asked_for() {
 fn refinement_waits_for_a_rest_and_for_the_coarse_frame() {
     let mut wall = Wall::with_paper_frame_of(INTERVAL_S / 2.0);
     let start = wall.now;
-    let ask = wall.refinement.change(start, subject(1.0));
+    let step = wall.refinement.change(start, spec_at(1.0));
     assert_eq!(wall.refinement.refine(start + 9 * REST), None, "the coarse frame has not come");
-    wall.refinement.on_frame(&ask.picture, Duration::from_millis(1));
+    wall.refinement.on_frame(&step.spec, Duration::from_millis(1));
     assert_eq!(wall.refinement.refines_at(), Some(start + REST));
     assert_eq!(wall.refinement.refine(start + REST / 2), None);
     let finer = wall.refinement.refine(start + REST).unwrap();
     assert_eq!(wall.refinement.refine(start + 9 * REST), None, "one refinement at a time");
     // A motion ends the refinement; should its frame come all the same, it is of a picture that nobody wants.
-    let ask = wall.refinement.change(start + REST, subject(2.0));
-    assert!(!ask.refines);
-    wall.refinement.on_frame(&finer.picture, Duration::from_secs(1));
+    let step = wall.refinement.change(start + REST, spec_at(2.0));
+    assert!(!step.is_refinement);
+    wall.refinement.on_frame(&finer.spec, Duration::from_secs(1));
     assert_eq!(wall.refinement.refines_at(), None);
-    wall.refinement.on_frame(&ask.picture, Duration::from_millis(1));
+    wall.refinement.on_frame(&step.spec, Duration::from_millis(1));
     assert_eq!(wall.refinement.refines_at(), Some(start + 2 * REST));
 }
 
@@ -259,8 +259,8 @@ fn switched_off_every_frame_has_the_resolution_that_was_set() {
     assert!(frames.iter().all(|frame| frame.0 == options().fixed_size));
     assert_eq!((wall.refinement.is_done(), wall.refinement.refines_at()), (true, None));
     wall.refinement.set_on(true);
-    let ask = wall.refinement.change(wall.now, subject(20.0));
-    wall.render(&ask.picture);
+    let step = wall.refinement.change(wall.now, spec_at(20.0));
+    wall.render(&step.spec);
     assert_eq!(wall.rest().len(), 3, "switched on, what is there is refined");
 }
 
@@ -270,11 +270,11 @@ fn no_frame_is_larger_than_the_gpu_takes() {
     for (largest, native) in [(8192, [4096, 2304]), (2048, [2048, 2048]), (0, [1, 1])] {
         refinement.limit_sides(largest);
         let native = FrameSize::new(native[0], native[1]).unwrap();
-        let ask = refinement.change(Instant::now(), subject(0.0));
-        assert!(ask.picture.size.n_samples() <= native.n_samples());
-        refinement.on_frame(&ask.picture, Duration::ZERO);
+        let step = refinement.change(Instant::now(), spec_at(0.0));
+        assert!(step.spec.size.n_samples() <= native.n_samples());
+        refinement.on_frame(&step.spec, Duration::ZERO);
         if let Some(refines_at) = refinement.refines_at() {
-            assert_eq!(refinement.refine(refines_at).map(|ask| ask.picture.size), Some(native));
+            assert_eq!(refinement.refine(refines_at).map(|step| step.spec.size), Some(native));
         }
     }
 }

@@ -3,114 +3,117 @@
 use std::time::Duration;
 
 use shared::{
-    division::{Division, Share, Work},
-    protocol::{BlockCosts, Encoding, FrameId, Picture, WorkId, WorkTimings},
+    division::{Division, Share, Task},
+    protocol::{Encoding, FrameId, FrameSpec, RunCosts, TaskId, TaskTimings},
 };
 
 use super::{
-    Placed, Time,
-    balance::Measured,
-    coverage::{Coverage, Piece},
+    PlacedUnits, Time,
+    balance::TaskResult,
+    coverage::{Coverage, TaskPart},
 };
-use crate::farm::stats::{FrameStats, FrameWork, NodeFrameStats, NodeId, max_over_mean};
+use crate::farm::stats::{FrameStats, FrameTask, NodeFrameStats, NodeId, max_over_mean};
 
 /// Work is late when it has taken this many times as long as the slowest finished work of the frame…
 const LATE_FACTOR: u32 = 3;
 
 /// …and at least this long: below it, giving it out again costs more than waiting.
-const LATE_AT_LEAST: Duration = Duration::from_millis(30);
+const LEAST_LATENESS: Duration = Duration::from_millis(30);
 
 /// A frame, who renders what of it, and what has come.
 #[derive(Debug)]
 pub(super) struct FrameInFlight {
     pub(super) id: FrameId,
-    pub(super) picture: Picture,
+    pub(super) spec: FrameSpec,
     /// Whether it only refines what was shown already.
-    pub(super) refines: bool,
+    pub(super) is_refinement: bool,
     /// 1, and one more each time work was given out again.
     pub(super) attempts: u32,
     pub(super) division: Division,
     started_at: Time,
-    pub(super) whole_at: Option<Time>,
+    pub(super) completed_at: Option<Time>,
     coverage: Coverage,
-    works: Vec<GivenWork>,
+    tasks: Vec<AssignedTask>,
 }
 
 /// A work, to whom it was given, and what became of it.
 #[derive(Debug)]
-struct GivenWork {
-    id: WorkId,
+struct AssignedTask {
+    id: TaskId,
     node: NodeId,
     name: String,
     threads: u32,
-    piece: Piece,
+    task_part: TaskPart,
     encoding: Encoding,
     sent_at: Time,
-    state: WorkState,
+    state: TaskState,
     n_bytes: u64,
     place_time: Duration,
 }
 
 #[derive(Debug)]
-enum WorkState {
-    AtWork,
+enum TaskState {
+    Running,
     /// Its node is silent, and nobody else has it yet.
     Silent,
     /// Late, or its node is silent, and given to others as well.
-    Doubled,
+    Duplicated,
     Done {
         at: Time,
         /// From when its node had received it and had nothing else to do.
         took: Duration,
-        timings: WorkTimings,
-        costs: BlockCosts,
+        timings: TaskTimings,
+        costs: RunCosts,
     },
     /// Its node is lost, and nobody else has it yet.
     Lost,
     /// Its node is lost, and others have it.
-    GivenOn,
+    Reassigned,
 }
 
 impl FrameInFlight {
-    pub(super) fn new(id: FrameId, picture: Picture, refines: bool, division: Division, now: Time) -> Self {
-        let (coverage, works) = (Coverage::default(), Vec::new());
-        Self { id, picture, refines, attempts: 1, division, started_at: now, whole_at: None, coverage, works }
+    pub(super) fn new(id: FrameId, spec: FrameSpec, is_refinement: bool, division: Division, now: Time) -> Self {
+        let (coverage, tasks) = (Coverage::default(), Vec::new());
+        Self { id, spec, is_refinement, attempts: 1, division, started_at: now, completed_at: None, coverage, tasks }
     }
 
     /// Adds one of the works that the frame is divided into at its beginning.
-    pub(super) fn add(&mut self, work: Work) -> Piece {
-        let n_units = share(&work, self.picture).count();
-        self.coverage.add(work, n_units)
+    pub(super) fn add(&mut self, task: Task) -> TaskPart {
+        let n_units = share(&task, self.spec).count();
+        self.coverage.add(task, n_units)
     }
 
-    pub(super) fn give(
+    pub(super) fn assign(
         &mut self,
         now: Time,
-        id: WorkId,
+        id: TaskId,
         node: NodeId,
         (name, threads): (String, u32),
-        piece: Piece,
+        task_part: TaskPart,
         encoding: Encoding,
     ) {
-        self.works.push(GivenWork {
+        self.tasks.push(AssignedTask {
             id,
             node,
             name,
             threads,
-            piece,
+            task_part,
             encoding,
             sent_at: now,
-            state: WorkState::AtWork,
+            state: TaskState::Running,
             n_bytes: 0,
             place_time: Duration::ZERO,
         });
     }
 
-    pub(super) fn place(&mut self, node: NodeId, work_id: WorkId, units: Placed) {
-        let Some(given) = self.works.iter_mut().find(|given| given.id == work_id && given.node == node) else { return };
-        given.n_bytes += units.n_bytes;
-        given.place_time += units.place_time;
-        self.coverage.cover(&given.piece, units.first..units.first + units.count);
+    pub(super) fn place(&mut self, node: NodeId, task_id: TaskId, units: PlacedUnits) {
+        let Some(assigned) = self.tasks.iter_mut().find(|assigned| assigned.id == task_id && assigned.node == node)
+        else {
+            return;
+        };
+        assigned.n_bytes += units.n_bytes;
+        assigned.place_time += units.place_time;
+        self.coverage.mark_received(&assigned.task_part, units.first..units.first + units.count);
     }
 
     /// A work is answered by a node that had nothing else to do since some time. How it travelled, how many samples it
@@ -120,59 +123,59 @@ impl FrameInFlight {
         now: Time,
         since: Time,
         node: NodeId,
-        work_id: WorkId,
-        timings: WorkTimings,
-        costs: BlockCosts,
+        task_id: TaskId,
+        timings: TaskTimings,
+        costs: RunCosts,
     ) -> Option<(Encoding, u32, Duration)> {
-        let given = self.works.iter_mut().find(|given| given.id == work_id && given.node == node)?;
+        let assigned = self.tasks.iter_mut().find(|assigned| assigned.id == task_id && assigned.node == node)?;
         // A render server that says "done" without having sent everything does not make the frame whole.
-        if !self.coverage.has_all_of(&given.piece) {
-            given.state = WorkState::Lost;
+        if !self.coverage.has_received_all(&assigned.task_part) {
+            assigned.state = TaskState::Lost;
             return None;
         }
-        let took = now.saturating_sub(given.sent_at.max(since));
-        given.state = WorkState::Done { at: now, took, timings, costs };
-        Some((given.encoding, n_samples(&share(&given.piece.work, self.picture)), took))
+        let took = now.saturating_sub(assigned.sent_at.max(since));
+        assigned.state = TaskState::Done { at: now, took, timings, costs };
+        Some((assigned.encoding, n_samples(&share(&assigned.task_part.task, self.spec)), took))
     }
 
     /// About how many samples a work of this frame has.
-    pub(super) fn n_samples(&self, work: &Work) -> u32 {
-        n_samples(&share(work, self.picture))
+    pub(super) fn n_samples(&self, task: &Task) -> u32 {
+        n_samples(&share(task, self.spec))
     }
 
     /// A node is silent: it may still answer, but nobody waits for it. Or it is heard again, and what nobody else has
     /// is its own as before.
-    pub(super) fn hush(&mut self, node: NodeId, is_silent: bool) {
-        for given in self.works.iter_mut().filter(|given| given.node == node) {
-            match given.state {
-                WorkState::AtWork if is_silent => given.state = WorkState::Silent,
-                WorkState::Silent if !is_silent => given.state = WorkState::AtWork,
+    pub(super) fn set_silent(&mut self, node: NodeId, is_silent: bool) {
+        for assigned in self.tasks.iter_mut().filter(|assigned| assigned.node == node) {
+            match assigned.state {
+                TaskState::Running if is_silent => assigned.state = TaskState::Silent,
+                TaskState::Silent if !is_silent => assigned.state = TaskState::Running,
                 _ => {}
             }
         }
     }
 
-    pub(super) fn lose(&mut self, node: NodeId) {
-        for given in self.works.iter_mut().filter(|given| given.node == node) {
-            given.state = match given.state {
-                WorkState::AtWork | WorkState::Silent => WorkState::Lost,
-                WorkState::Doubled => WorkState::GivenOn,
+    pub(super) fn mark_lost(&mut self, node: NodeId) {
+        for assigned in self.tasks.iter_mut().filter(|assigned| assigned.node == node) {
+            assigned.state = match assigned.state {
+                TaskState::Running | TaskState::Silent => TaskState::Lost,
+                TaskState::Duplicated => TaskState::Reassigned,
                 _ => continue,
             };
         }
     }
 
     /// Works whose nodes are lost or silent and of which samples are missing: whoever calls this gives them to others.
-    pub(super) fn take_lost_work(&mut self) -> Vec<Piece> {
+    pub(super) fn take_lost_tasks(&mut self) -> Vec<TaskPart> {
         let mut missing = Vec::new();
-        for given in &mut self.works {
-            given.state = match given.state {
-                WorkState::Lost => WorkState::GivenOn,
-                WorkState::Silent => WorkState::Doubled,
+        for assigned in &mut self.tasks {
+            assigned.state = match assigned.state {
+                TaskState::Lost => TaskState::Reassigned,
+                TaskState::Silent => TaskState::Duplicated,
                 _ => continue,
             };
-            if !self.coverage.has_all_of(&given.piece) {
-                missing.push(given.piece.clone());
+            if !self.coverage.has_received_all(&assigned.task_part) {
+                missing.push(assigned.task_part.clone());
             }
         }
         missing
@@ -181,102 +184,103 @@ impl FrameInFlight {
     /// The oldest work that is late: whoever calls this gives it to others as well.
     ///
     /// `free_at`: since when a node had nothing to do but works of this frame; `None` if it still has.
-    pub(super) fn take_late_work(&mut self, now: Time, free_at: impl Fn(NodeId) -> Option<Time>) -> Option<Piece> {
-        let slowest = self.works.iter().filter_map(|given| match given.state {
-            WorkState::Done { took, .. } => Some(took),
+    pub(super) fn take_late_task(&mut self, now: Time, free_at: impl Fn(NodeId) -> Option<Time>) -> Option<TaskPart> {
+        let slowest = self.tasks.iter().filter_map(|assigned| match assigned.state {
+            TaskState::Done { took, .. } => Some(took),
             _ => None,
         });
-        let late_after = (slowest.max()? * LATE_FACTOR).max(LATE_AT_LEAST);
-        let is_late = |given: &&mut GivenWork| {
-            matches!(given.state, WorkState::AtWork)
-                && free_at(given.node)
-                    .is_some_and(|free_at| now.saturating_sub(given.sent_at.max(free_at)) > late_after)
+        let late_after = (slowest.max()? * LATE_FACTOR).max(LEAST_LATENESS);
+        let is_late = |assigned: &&mut AssignedTask| {
+            matches!(assigned.state, TaskState::Running)
+                && free_at(assigned.node)
+                    .is_some_and(|free_at| now.saturating_sub(assigned.sent_at.max(free_at)) > late_after)
         };
-        let late = self.works.iter_mut().find(is_late)?;
-        late.state = WorkState::Doubled;
-        Some(late.piece.clone())
+        let late = self.tasks.iter_mut().find(is_late)?;
+        late.state = TaskState::Duplicated;
+        Some(late.task_part.clone())
     }
 
     /// Whether anything of it has come.
     pub(super) fn has_begun(&self) -> bool {
-        self.works.iter().any(|given| given.n_bytes > 0)
+        self.tasks.iter().any(|assigned| assigned.n_bytes > 0)
     }
 
-    pub(super) fn nodes_at_work(&self) -> impl Iterator<Item = NodeId> {
-        let is_at_work =
-            |given: &&GivenWork| matches!(given.state, WorkState::AtWork | WorkState::Silent | WorkState::Doubled);
-        self.works.iter().filter(is_at_work).map(|given| given.node)
+    pub(super) fn busy_nodes(&self) -> impl Iterator<Item = NodeId> {
+        let is_at_work = |assigned: &&AssignedTask| {
+            matches!(assigned.state, TaskState::Running | TaskState::Silent | TaskState::Duplicated)
+        };
+        self.tasks.iter().filter(is_at_work).map(|assigned| assigned.node)
     }
 
     /// Whether every sample is in its place, and everybody whose answer counts has said how long it took.
-    pub(super) fn is_whole(&mut self, now: Time) -> bool {
-        let is_whole =
-            self.coverage.is_whole() && !self.works.iter().any(|given| matches!(given.state, WorkState::AtWork));
-        if is_whole {
-            self.whole_at.get_or_insert(now);
+    pub(super) fn is_complete(&mut self, now: Time) -> bool {
+        let is_complete = self.coverage.is_complete()
+            && !self.tasks.iter().any(|assigned| matches!(assigned.state, TaskState::Running));
+        if is_complete {
+            self.completed_at.get_or_insert(now);
         }
-        is_whole
+        is_complete
     }
 
     /// What became of each work, as far as render servers that are still there have shown it.
-    pub(super) fn measured(&self) -> impl Iterator<Item = Measured<'_>> {
-        self.works.iter().filter_map(|given| {
-            let costs = match &given.state {
-                WorkState::Done { costs, .. } => Some(costs),
-                WorkState::Doubled => None,
+    pub(super) fn task_results(&self) -> impl Iterator<Item = TaskResult<'_>> {
+        self.tasks.iter().filter_map(|assigned| {
+            let costs = match &assigned.state {
+                TaskState::Done { costs, .. } => Some(costs),
+                TaskState::Duplicated => None,
                 _ => return None,
             };
-            Some(Measured { node: given.node, share: share(&given.piece.work, self.picture), costs })
+            Some(TaskResult { node: assigned.node, share: share(&assigned.task_part.task, self.spec), costs })
         })
     }
 
     /// What the frame took until it was whole, not until somebody had time to look at it. What only connections know is
     /// left open.
     ///
-    /// `last_whole_at`: when the frame before it was whole.
-    pub(super) fn stats(&self, now: Time, last_whole_at: Time) -> FrameStats {
-        let now = self.whole_at.unwrap_or(now);
-        let n_units = f64::from(self.division.units(self.picture.size).count());
+    /// `last_completed_at`: when the frame before it was whole.
+    pub(super) fn stats(&self, now: Time, last_completed_at: Time) -> FrameStats {
+        let now = self.completed_at.unwrap_or(now);
+        let n_units = f64::from(self.division.units(self.spec.size).count());
         let mut nodes: Vec<NodeFrameStats> = Vec::new();
-        for (index, given) in self.works.iter().enumerate() {
-            let share = f64::from(share(&given.piece.work, self.picture).count()) / n_units;
-            let (tracing, network, idle) = match given.state {
-                WorkState::Done { at, took, timings, .. } => {
+        for (index, assigned) in self.tasks.iter().enumerate() {
+            let share = f64::from(share(&assigned.task_part.task, self.spec).count()) / n_units;
+            let (tracing, network, idle) = match assigned.state {
+                TaskState::Done { at, took, timings, .. } => {
                     let tracing = Duration::from_micros(timings.trace_us.into());
                     ((tracing, timings.trace_cpu_us), took.saturating_sub(tracing), now.saturating_sub(at))
                 }
                 _ => Default::default(),
             };
-            let of_this = NodeFrameStats {
-                id: given.node,
-                name: given.name.clone(),
+            let node_stats = NodeFrameStats {
+                id: assigned.node,
+                name: assigned.name.clone(),
                 address: None,
                 n_failures: 0,
                 round_trip_ms: None,
                 share,
                 trace_ms: milliseconds(tracing.0),
                 trace_cpu_ms: f64::from(tracing.1) / 1e3,
-                busy_ms: f64::from(tracing.1) / 1e3 / f64::from(given.threads),
+                busy_ms: f64::from(tracing.1) / 1e3 / f64::from(assigned.threads),
                 network_ms: milliseconds(network),
                 idle_ms: milliseconds(idle),
-                taken_over: u32::from(index >= self.coverage.n_shares()),
-                encoding: given.encoding,
-                mbit_per_s: megabits(given),
-                bytes_in: given.n_bytes,
+                taken_over: u32::from(index >= self.coverage.n_initial_tasks()),
+                encoding: assigned.encoding,
+                mbit_per_s: megabits(assigned),
+                bytes_in: assigned.n_bytes,
                 bytes_out: 0,
             };
-            match nodes.iter_mut().find(|node| node.id == given.node) {
-                Some(node) => node.add(&of_this),
-                None => nodes.push(of_this),
+            match nodes.iter_mut().find(|node| node.id == assigned.node) {
+                Some(node) => node.add(&node_stats),
+                None => nodes.push(node_stats),
             }
         }
         FrameStats {
             frame: self.id.0,
-            size: self.picture.size,
+            size: self.spec.size,
             division: self.division,
             render_ms: milliseconds(now - self.started_at),
-            interval_ms: milliseconds(now.saturating_sub(self.started_at.max(last_whole_at))),
-            place_ms: milliseconds(self.works.iter().map(|given| given.place_time).sum()),
+            interval_ms: milliseconds(now.saturating_sub(self.started_at.max(last_completed_at))),
+            place_ms: milliseconds(self.tasks.iter().map(|assigned| assigned.place_time).sum()),
             imbalance: max_over_mean(nodes.iter().map(|node| node.busy_ms)),
             attempts: self.attempts,
             n_lost: 0,
@@ -284,16 +288,16 @@ impl FrameInFlight {
             bytes_in: nodes.iter().map(|node| node.bytes_in).sum(),
             bytes_out: 0,
             nodes,
-            works: self.answered().collect(),
+            tasks: self.finished_tasks().collect(),
         }
     }
 
     /// The works that were answered, each with what it cost.
-    fn answered(&self) -> impl Iterator<Item = FrameWork> {
-        self.works.iter().filter_map(|given| match &given.state {
-            WorkState::Done { timings, costs, .. } => Some(FrameWork {
-                node: given.node,
-                work: given.piece.work.clone(),
+    fn finished_tasks(&self) -> impl Iterator<Item = FrameTask> {
+        self.tasks.iter().filter_map(|assigned| match &assigned.state {
+            TaskState::Done { timings, costs, .. } => Some(FrameTask {
+                node: assigned.node,
+                task: assigned.task_part.task.clone(),
                 trace_cpu_ns: 1000 * u64::from(timings.trace_cpu_us),
                 costs: costs.clone(),
             }),
@@ -303,14 +307,14 @@ impl FrameInFlight {
 }
 
 /// The share behind a work that the scheduler made itself.
-fn share(work: &Work, picture: Picture) -> Share<'_> {
-    work.share(picture.size).expect("the scheduler makes works that fit their frame")
+fn share(task: &Task, spec: FrameSpec) -> Share<'_> {
+    task.share(spec.size).expect("the scheduler makes works that fit their frame")
 }
 
 /// How fast a work's samples came, from when its node had nothing else to do: with tracing and encoding.
-fn megabits(given: &GivenWork) -> f64 {
-    match given.state {
-        WorkState::Done { took, .. } if !took.is_zero() => given.n_bytes as f64 * 8e-6 / took.as_secs_f64(),
+fn megabits(assigned: &AssignedTask) -> f64 {
+    match assigned.state {
+        TaskState::Done { took, .. } if !took.is_zero() => assigned.n_bytes as f64 * 8e-6 / took.as_secs_f64(),
         _ => 0.0,
     }
 }
@@ -318,7 +322,7 @@ fn megabits(given: &GivenWork) -> f64 {
 /// How many samples a share has; tiles that the frame's edge cuts off count as whole ones.
 fn n_samples(share: &Share<'_>) -> u32 {
     let units = share.units();
-    units.size().n_samples().min(share.count().saturating_mul(units.whole_unit_samples()))
+    units.size().n_samples().min(share.count().saturating_mul(units.samples_per_full_unit()))
 }
 
 fn milliseconds(duration: Duration) -> f64 {

@@ -8,10 +8,10 @@ use std::collections::{BTreeMap, VecDeque};
 
 use proptest::prelude::*;
 use shared::{
+    appearance::Appearance,
     camera::Camera,
     division::FrameSize,
-    look::Look,
-    protocol::{RayTree, SampleRange, View},
+    protocol::{LightingMode, SampleRange, ShadingMode},
     scene::SceneId,
 };
 
@@ -21,23 +21,23 @@ const A: NodeId = NodeId(1);
 const B: NodeId = NodeId(2);
 const C: NodeId = NodeId(3);
 
-fn picture(eye_x: f64, triangles: u32) -> Picture {
+fn spec(eye_x: f64, triangles: u32) -> FrameSpec {
     let eye = glam::DVec3::new(eye_x, 0.0, 5.0);
-    Picture {
+    FrameSpec {
         scene: SceneId::Statue { triangles },
         camera: Camera::look_at(eye, glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0).unwrap(),
         size: FrameSize::new(80, 48).unwrap(),
-        view: View::Shaded,
-        rays: RayTree::Primary,
+        view: ShadingMode::Shaded,
+        rays: LightingMode::Primary,
         samples: SampleRange::CENTRE,
-        look: Look::default(),
+        appearance: Appearance::default(),
     }
 }
 
-fn wanted(division: Division) -> Wanted {
-    Wanted {
-        picture: Some(picture(0.0, 1000)),
-        refines: false,
+fn goal(division: Division) -> RenderGoal {
+    RenderGoal {
+        spec: Some(spec(0.0, 1000)),
+        is_refinement: false,
         division,
         min_renderers: 1,
         repeat: false,
@@ -51,8 +51,8 @@ fn wanted(division: Division) -> Wanted {
 struct Sent {
     node: NodeId,
     frame: FrameId,
-    work_id: WorkId,
-    work: Work,
+    task_id: TaskId,
+    task: Task,
     size: FrameSize,
 }
 
@@ -68,8 +68,8 @@ struct Farm {
 }
 
 impl Farm {
-    fn new(wanted: Wanted) -> Self {
-        let scheduler = Scheduler::new(wanted);
+    fn new(goal: RenderGoal) -> Self {
+        let scheduler = Scheduler::new(goal);
         Self {
             scheduler,
             now: Time::ZERO,
@@ -80,25 +80,25 @@ impl Farm {
         }
     }
 
-    fn with_nodes(wanted: Wanted, nodes: &[NodeId]) -> Self {
+    fn with_nodes(goal: RenderGoal, nodes: &[NodeId]) -> Self {
         let min_renderers = nodes.len() as u32;
-        let mut farm = Self::new(Wanted { min_renderers, ..wanted.clone() });
+        let mut farm = Self::new(RenderGoal { min_renderers, ..goal.clone() });
         nodes.iter().for_each(|&node| farm.join(node));
-        farm.on(Event::Wanted(wanted));
+        farm.on(Event::GoalChanged(goal));
         farm
     }
 
     fn on(&mut self, event: Event) {
         for action in self.scheduler.on_event(self.now, event) {
             match action {
-                Action::Open { frame, picture } => {
-                    self.placed.insert(frame, vec![0; picture.size.n_samples() as usize]);
-                    let in_flight = self.scheduler.wanted.in_flight as usize;
+                Action::Open { frame, spec } => {
+                    self.placed.insert(frame, vec![0; spec.size.n_samples() as usize]);
+                    let in_flight = self.scheduler.goal.in_flight as usize;
                     assert!(self.placed.len() <= in_flight, "more than {in_flight} frames in flight");
                 }
-                Action::Render { node, frame, work_id, picture, work, .. } => {
-                    work.share(picture.size).expect("works fit their frame");
-                    self.at_work.push_back(Sent { node, frame, work_id, work, size: picture.size });
+                Action::Render { node, frame, task_id, spec, task, .. } => {
+                    task.share(spec.size).expect("works fit their frame");
+                    self.at_work.push_back(Sent { node, frame, task_id, task, size: spec.size });
                 }
                 Action::Cancel { node, frame } => {
                     self.cancelled.push(node);
@@ -129,25 +129,25 @@ impl Farm {
     }
 
     fn place(&mut self, sent: &Sent, first: u32, count: u32) {
-        let share = sent.work.share(sent.size).unwrap();
+        let share = sent.task.share(sent.size).unwrap();
         for (i, j) in (first..first + count).flat_map(|k| share.samples(k).iter()) {
             let placed = self.placed.get_mut(&sent.frame).expect("nobody works on a frame that is not open");
             placed[(j * sent.size.xres() + i) as usize] += 1;
         }
-        let units = Placed { first, count, n_bytes: 3, place_time: Time::ZERO };
-        self.on(Event::Placed { node: sent.node, frame: sent.frame, work_id: sent.work_id, units });
+        let units = PlacedUnits { first, count, n_bytes: 3, place_time: Time::ZERO };
+        self.on(Event::UnitsPlaced { node: sent.node, frame: sent.frame, task_id: sent.task_id, units });
     }
 
     /// A node answers the whole of its oldest work.
     fn answer(&mut self, node: NodeId) {
         let at = self.at_work.iter().position(|sent| sent.node == node).expect("the node has work");
         let sent = self.at_work.remove(at).unwrap();
-        let n_units = sent.work.share(sent.size).unwrap().count();
+        let n_units = sent.task.share(sent.size).unwrap().count();
         self.place(&sent, 0, n_units);
-        let timings = WorkTimings { trace_us: 1000, trace_cpu_us: 500, ..WorkTimings::default() };
+        let timings = TaskTimings { trace_us: 1000, trace_cpu_us: 500, ..TaskTimings::default() };
         // Any will do, and those of the first frames differ by a factor of thousands.
-        let costs = BlockCosts { block_units: n_units.max(1), cpu_ns: vec![1000 << (7 * sent.work_id.0 % 16)] };
-        self.on(Event::WorkDone { node, frame: sent.frame, work_id: sent.work_id, timings, costs });
+        let costs = RunCosts { run_units: n_units.max(1), cpu_ns: vec![1000 << (7 * sent.task_id.0 % 16)] };
+        self.on(Event::TaskDone { node, frame: sent.frame, task_id: sent.task_id, timings, costs });
     }
 
     fn pass(&mut self, milliseconds: u64) {
@@ -159,7 +159,7 @@ impl Farm {
 #[test]
 fn a_frame_is_shown_once_all_have_answered() {
     for division in Division::ALL {
-        let mut farm = Farm::with_nodes(wanted(division), &[A, B, C]);
+        let mut farm = Farm::with_nodes(goal(division), &[A, B, C]);
         farm.pass(4);
         farm.answer(B);
         farm.answer(A);
@@ -178,7 +178,7 @@ fn a_frame_is_shown_once_all_have_answered() {
 
 #[test]
 fn nothing_is_rendered_until_enough_are_ready() {
-    let mut farm = Farm::new(Wanted { min_renderers: 2, ..wanted(Division::Tiled) });
+    let mut farm = Farm::new(RenderGoal { min_renderers: 2, ..goal(Division::Tiled) });
     farm.join(A);
     farm.on(Event::Joined { node: B, name: "b".into(), threads: 1 });
     assert!(farm.at_work.is_empty());
@@ -188,18 +188,18 @@ fn nothing_is_rendered_until_enough_are_ready() {
 
 #[test]
 fn a_resting_wall_renders_nothing() {
-    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
     farm.answer(A);
     farm.on(Event::FrameTaken);
     farm.pass(1000);
-    farm.on(Event::Wanted(wanted(Division::Tiled)));
+    farm.on(Event::GoalChanged(goal(Division::Tiled)));
     assert!(farm.at_work.is_empty() && !farm.scheduler.has_frame_in_flight());
 }
 
 #[test]
 fn the_share_of_a_lost_node_goes_to_the_others() {
     for division in Division::ALL {
-        let mut farm = Farm::with_nodes(wanted(division), &[A, B, C]);
+        let mut farm = Farm::with_nodes(goal(division), &[A, B, C]);
         farm.answer(A);
         farm.lose(B);
         assert_eq!(farm.at_work.len(), 3, "C's own share, and B's in two parts");
@@ -213,7 +213,7 @@ fn the_share_of_a_lost_node_goes_to_the_others() {
 
 #[test]
 fn the_last_node_may_die_and_another_finishes_its_frame() {
-    let mut farm = Farm::with_nodes(wanted(Division::Interleaved), &[A]);
+    let mut farm = Farm::with_nodes(goal(Division::Interleaved), &[A]);
     let sent = farm.at_work[0].clone();
     farm.place(&sent, 0, 100);
     farm.lose(A);
@@ -227,9 +227,9 @@ fn the_last_node_may_die_and_another_finishes_its_frame() {
 
 #[test]
 fn a_node_that_dies_after_its_last_sample_costs_nothing() {
-    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A, B]);
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A, B]);
     let sent = farm.at_work[0].clone();
-    let n_units = sent.work.share(sent.size).unwrap().count();
+    let n_units = sent.task.share(sent.size).unwrap().count();
     farm.place(&sent, 0, n_units);
     farm.lose(sent.node);
     farm.answer(B);
@@ -238,7 +238,7 @@ fn a_node_that_dies_after_its_last_sample_costs_nothing() {
 
 #[test]
 fn who_joins_gets_work_in_the_next_frame() {
-    let mut farm = Farm::with_nodes(Wanted { repeat: true, ..wanted(Division::Tiled) }, &[A]);
+    let mut farm = Farm::with_nodes(RenderGoal { repeat: true, ..goal(Division::Tiled) }, &[A]);
     farm.join(B);
     assert!(farm.at_work.iter().all(|sent| sent.node == A));
     farm.answer(A);
@@ -247,7 +247,7 @@ fn who_joins_gets_work_in_the_next_frame() {
 
 #[test]
 fn late_work_is_done_by_an_idle_node_too() {
-    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A, B]);
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A, B]);
     farm.pass(20);
     farm.answer(A);
     farm.pass(40);
@@ -261,7 +261,7 @@ fn late_work_is_done_by_an_idle_node_too() {
 
 #[test]
 fn who_no_longer_has_the_scene_does_not_hold_up_the_frame() {
-    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
     farm.at_work.clear();
     farm.on(Event::SceneReady { node: A, ready: false });
     assert!(farm.at_work.is_empty());
@@ -272,7 +272,7 @@ fn who_no_longer_has_the_scene_does_not_hold_up_the_frame() {
 
 #[test]
 fn a_slow_node_is_not_a_lost_one() {
-    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
     farm.pass(60_000);
     farm.answer(A);
     assert_eq!((farm.shown.len(), farm.shown[0].attempts), (1, 1));
@@ -280,7 +280,7 @@ fn a_slow_node_is_not_a_lost_one() {
 
 #[test]
 fn the_next_frame_is_rendered_but_not_shown_before_the_last_is_taken() {
-    let mut farm = Farm::with_nodes(Wanted { repeat: true, ..wanted(Division::Tiled) }, &[A]);
+    let mut farm = Farm::with_nodes(RenderGoal { repeat: true, ..goal(Division::Tiled) }, &[A]);
     farm.answer(A);
     farm.answer(A);
     assert_eq!(farm.shown.len(), 1);
@@ -291,7 +291,7 @@ fn the_next_frame_is_rendered_but_not_shown_before_the_last_is_taken() {
 
 #[test]
 fn waiting_to_be_shown_is_not_rendering() {
-    let mut farm = Farm::with_nodes(Wanted { repeat: true, ..wanted(Division::Tiled) }, &[A]);
+    let mut farm = Farm::with_nodes(RenderGoal { repeat: true, ..goal(Division::Tiled) }, &[A]);
     farm.answer(A);
     farm.pass(5);
     farm.answer(A);
@@ -302,40 +302,40 @@ fn waiting_to_be_shown_is_not_rendering() {
 
 #[test]
 fn a_newer_camera_supersedes_a_frame_that_waits_to_be_shown() {
-    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
     farm.answer(A);
-    farm.on(Event::Wanted(Wanted { picture: Some(picture(1.0, 1000)), ..wanted(Division::Tiled) }));
+    farm.on(Event::GoalChanged(RenderGoal { spec: Some(spec(1.0, 1000)), ..goal(Division::Tiled) }));
     farm.answer(A);
     assert_eq!(farm.shown.len(), 2, "the second takes the place of the first");
 }
 
 #[test]
 fn only_the_newest_camera_is_rendered_next() {
-    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
     for eye_x in 1..5 {
-        farm.on(Event::Wanted(Wanted { picture: Some(picture(eye_x.into(), 1000)), ..wanted(Division::Tiled) }));
+        farm.on(Event::GoalChanged(RenderGoal { spec: Some(spec(eye_x.into(), 1000)), ..goal(Division::Tiled) }));
     }
     farm.answer(A);
     farm.on(Event::FrameTaken);
-    assert_eq!(farm.scheduler.frames[0].picture, picture(4.0, 1000));
+    assert_eq!(farm.scheduler.frames[0].spec, spec(4.0, 1000));
     farm.answer(A);
     assert_eq!(farm.shown.len(), 2);
 }
 
 #[test]
 fn a_division_is_switched_between_two_frames() {
-    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
     farm.answer(A);
     farm.on(Event::FrameTaken);
-    farm.on(Event::Wanted(wanted(Division::Interleaved)));
+    farm.on(Event::GoalChanged(goal(Division::Interleaved)));
     farm.answer(A);
     assert_eq!(farm.shown[1].division, Division::Interleaved);
 }
 
 #[test]
 fn another_scene_ends_the_frame_and_asks_everybody_again() {
-    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A, B]);
-    farm.on(Event::Wanted(Wanted { picture: Some(picture(0.0, 2000)), ..wanted(Division::Tiled) }));
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A, B]);
+    farm.on(Event::GoalChanged(RenderGoal { spec: Some(spec(0.0, 2000)), ..goal(Division::Tiled) }));
     assert_eq!(farm.cancelled, [A, B]);
     assert!(farm.at_work.is_empty());
     farm.on(Event::SceneReady { node: B, ready: true });
@@ -351,8 +351,8 @@ proptest! {
         events in proptest::collection::vec((0..8u8, 1..6u32, 0..40u64), 0..200), division in 0..3usize,
         in_flight in 1..4u32,
     ) {
-        let wanted = Wanted { repeat: true, in_flight, ..wanted(Division::ALL[division]) };
-        let mut farm = Farm::new(wanted.clone());
+        let goal = RenderGoal { repeat: true, in_flight, ..goal(Division::ALL[division]) };
+        let mut farm = Farm::new(goal.clone());
         let mut alive = BTreeSet::new();
         for (kind, node, milliseconds) in events {
             let id = NodeId(node);
@@ -372,13 +372,13 @@ proptest! {
                 3 => {
                     // Part of an answer, perhaps of the same units twice.
                     if let Some(sent) = farm.at_work.iter().find(|sent| sent.node == id).cloned() {
-                        let n_units = sent.work.share(sent.size).unwrap().count();
+                        let n_units = sent.task.share(sent.size).unwrap().count();
                         farm.place(&sent, 0, n_units.min(milliseconds as u32));
                     }
                 }
                 4 => {
-                    let picture = Some(picture(node.into(), 1000));
-                    farm.on(Event::Wanted(Wanted { picture, refines: milliseconds % 3 == 0, ..wanted.clone() }));
+                    let spec = Some(spec(node.into(), 1000));
+                    farm.on(Event::GoalChanged(RenderGoal { spec, is_refinement: milliseconds % 3 == 0, ..goal.clone() }));
                 }
                 // It may answer all the same.
                 5 => farm.on(Event::Silent { node: id, is_silent: milliseconds % 2 == 0 }),
@@ -391,7 +391,7 @@ proptest! {
             farm.pass(0);
         }
         let n_shown = farm.shown.len();
-        farm.on(Event::Wanted(Wanted { picture: Some(picture(99.0, 1000)), ..wanted }));
+        farm.on(Event::GoalChanged(RenderGoal { spec: Some(spec(99.0, 1000)), ..goal }));
         farm.on(Event::FrameTaken);
         if alive.insert(NodeId(99)) {
             farm.join(NodeId(99));
@@ -404,6 +404,6 @@ proptest! {
         }
         prop_assert!(farm.shown.len() > n_shown);
         prop_assert!(farm.shown.windows(2).all(|pair| pair[0].frame < pair[1].frame), "each once, in order");
-        prop_assert!(farm.scheduler.frames.iter().all(|frame| frame.picture == picture(99.0, 1000)));
+        prop_assert!(farm.scheduler.frames.iter().all(|frame| frame.spec == spec(99.0, 1000)));
     }
 }

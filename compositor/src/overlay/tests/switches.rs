@@ -1,6 +1,6 @@
 //! What can be switched and set on the panels: each widget asks for what its name says.
 
-use shared::look::{Background, Clip, ClipFrom, Light};
+use shared::appearance::{Background, Clip, ClipSide, Light};
 
 use super::*;
 
@@ -17,19 +17,19 @@ fn the_division_in_force_is_marked_and_can_be_switched() {
 #[test]
 fn the_view_can_be_switched() {
     let commands = commands_of(&running(), |harness| harness.get_by_label("normals").click());
-    assert_eq!(commands, [Command::SetView(View::Normals)]);
+    assert_eq!(commands, [Command::SetView(ShadingMode::Normals)]);
 }
 
 #[test]
 fn the_rays_can_be_switched() {
     let commands = commands_of(&running(), |harness| harness.get_by_label("shadows").click());
-    assert_eq!(commands, [Command::SetRays(RayTree::Shadows)]);
+    assert_eq!(commands, [Command::SetRays(LightingMode::Shadows)]);
 }
 
 #[test]
 fn light_and_background_can_be_set() {
-    let look = Look { background: Background::plain([0; 3]), ..Look::default() };
-    let commands = commands_of(&OverlayModel { look, ..running() }, |harness| {
+    let appearance = Appearance { background: Background::plain([0; 3]), ..Appearance::default() };
+    let commands = commands_of(&OverlayModel { appearance, ..running() }, |harness| {
         harness.get_by_label("Light (L): left shoulder");
         assert_eq!(harness.get_by_label("black").accesskit_node().toggled(), Some(Toggled::True));
         harness.get_by_label("white").click();
@@ -49,9 +49,9 @@ fn the_model_can_be_cut_open() {
         assert!(harness.query_by_label("cut away").is_none());
         harness.get_by_label("cut from -y").click();
     });
-    assert_eq!(commands, [Command::SetClip(Some(Clip::new(ClipFrom::MinusY, 500).unwrap()))]);
-    let look = Look { clip: Some(Clip::new(ClipFrom::Eye, 250).unwrap()), ..Look::default() };
-    let commands = commands_of(&OverlayModel { look, ..running() }, |harness| {
+    assert_eq!(commands, [Command::SetClip(Some(Clip::new(ClipSide::MinusY, 500).unwrap()))]);
+    let appearance = Appearance { clip: Some(Clip::new(ClipSide::Eye, 250).unwrap()), ..Appearance::default() };
+    let commands = commands_of(&OverlayModel { appearance, ..running() }, |harness| {
         let label = harness.get_by_role_and_label(egui::accesskit::Role::Slider, "cut away");
         label.focus();
         harness.run();
@@ -62,8 +62,8 @@ fn the_model_can_be_cut_open() {
         harness.get_by_label("cut from none").click();
     });
     let [Command::SetClip(Some(deeper)), rest @ ..] = &*commands else { panic!("{commands:?}") };
-    assert!(deeper.from() == ClipFrom::Eye && deeper.cut_permille() > 250, "{deeper}");
-    assert_eq!(rest, [Command::SetClip(Some(Clip::new(ClipFrom::X, 250).unwrap())), Command::SetClip(None)]);
+    assert!(deeper.side() == ClipSide::Eye && deeper.cut_permille() > 250, "{deeper}");
+    assert_eq!(rest, [Command::SetClip(Some(Clip::new(ClipSide::X, 250).unwrap())), Command::SetClip(None)]);
 }
 
 #[test]

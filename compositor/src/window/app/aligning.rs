@@ -17,8 +17,8 @@ impl App<'_> {
     pub(super) fn next_pattern(&mut self) {
         self.alignment.next_pattern();
         match self.alignment.pattern() {
-            Some(pattern) => self.say(format!("{}: {}", pattern.name(), pattern.help())),
-            None => self.say("No test pattern"),
+            Some(pattern) => self.show_note(format!("{}: {}", pattern.name(), pattern.help())),
+            None => self.show_note("No test pattern"),
         }
         self.pattern_changed();
     }
@@ -27,7 +27,7 @@ impl App<'_> {
         match self.alignment.save(&self.options.wall) {
             Ok(note) => {
                 tracing::info!("{note}");
-                self.say(note);
+                self.show_note(note);
             }
             Err(problem) => {
                 tracing::error!("{problem}");
@@ -55,10 +55,10 @@ impl App<'_> {
         match key {
             NamedKey::Escape => self.alignment.show(None),
             NamedKey::Tab => self.alignment.next_corner(&self.options.wall),
-            NamedKey::ArrowUp => self.take_wall(moved(step(0.0, -1.0))),
-            NamedKey::ArrowDown => self.take_wall(moved(step(0.0, 1.0))),
-            NamedKey::ArrowLeft => self.take_wall(moved(step(-1.0, 0.0))),
-            _ => self.take_wall(moved(step(1.0, 0.0))),
+            NamedKey::ArrowUp => self.set_wall(moved(step(0.0, -1.0))),
+            NamedKey::ArrowDown => self.set_wall(moved(step(0.0, 1.0))),
+            NamedKey::ArrowLeft => self.set_wall(moved(step(-1.0, 0.0))),
+            _ => self.set_wall(moved(step(1.0, 0.0))),
         }
         self.pattern_changed();
         true
@@ -84,12 +84,12 @@ impl App<'_> {
     pub(super) fn align_cursor(&mut self) {
         if self.alignment.is_dragging() {
             let at = self.cursor_on_output();
-            self.take_wall(self.alignment.drag_to(&self.options.wall, at));
+            self.set_wall(self.alignment.drag_to(&self.options.wall, at));
             self.pattern_changed();
         }
     }
 
-    fn take_wall(&mut self, wall: Option<Wall>) {
+    fn set_wall(&mut self, wall: Option<Wall>) {
         if let Some(wall) = wall {
             self.options.wall = wall;
         }

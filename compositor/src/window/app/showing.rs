@@ -6,10 +6,10 @@ use winit::event_loop::ActiveEventLoop;
 
 use super::App;
 use crate::{
-    control::{kept::Kept, navigator::Navigator, refinement::Shown},
+    control::{navigator::Navigator, refinement::ShowTimes, sidecar::SidecarFiles},
     farm::stats::DisplayStats,
     overlay::{FrameTimes, OverlayModel},
-    supervisor::Ward,
+    supervisor::SupervisorLink,
 };
 
 /// The cursor of a fullscreen wall disappears when it has rested for so long.
@@ -44,24 +44,28 @@ impl App<'_> {
     }
 
     pub(super) fn update_overlay(&mut self, now: Instant) {
-        let wanted = self.farm.wanted();
+        let wanted = self.farm.goal();
         self.note.take_if(|(_, since)| now.duration_since(*since) >= NOTE_LIFE);
         self.overlay.status = self.farm.status();
         self.overlay.division = wanted.division;
         self.overlay.min_renderers = wanted.min_renderers;
         self.overlay.view = self.view;
         self.overlay.rays = self.rays;
-        self.overlay.look = self.look;
+        self.overlay.appearance = self.appearance;
         self.overlay.is_refining = self.refinement.is_on();
-        let so_far = self.frame.as_ref().map_or(0, |frame| frame.picture.samples.count);
+        let so_far = self.frame.as_ref().map_or(0, |frame| frame.spec.samples.count);
         self.overlay.n_samples = [so_far, self.refinement.n_samples()];
         self.overlay.frame = self.frame.as_ref().map(|frame| frame.stats.clone());
         self.place_pick();
         self.overlay.up = self.navigator.as_ref().map(Navigator::up).unwrap_or_default();
         self.overlay.is_recording = self.recording.is_some();
         self.overlay.is_playing = self.navigator.as_ref().is_some_and(Navigator::is_playing);
-        self.overlay.views =
-            self.kept.as_ref().and_then(Kept::views).map(|views| views.numbers().collect()).unwrap_or_default();
+        self.overlay.views = self
+            .sidecars
+            .as_ref()
+            .and_then(SidecarFiles::views)
+            .map(|views| views.numbers().collect())
+            .unwrap_or_default();
         self.overlay.loading = self.loader.progress();
         self.overlay.frames_per_second = self.rate.per_second(now);
         self.overlay.note = self.note.as_ref().map(|(note, _)| note.clone());
@@ -80,7 +84,7 @@ impl App<'_> {
     fn place_pick(&mut self) {
         let pick = self.overlay.pick.zip(self.frame.as_ref());
         self.overlay.pick_on_canvas = pick.and_then(|(pick, frame)| {
-            let [x, y] = frame.picture.camera.seen_at(pick.point)?;
+            let [x, y] = frame.spec.camera.project(pick.point)?;
             Some(egui::pos2(x as f32, (1.0 - y) as f32))
         });
     }
@@ -100,7 +104,7 @@ impl App<'_> {
             }
             Err(error) => return self.fail(event_loop, error),
         };
-        self.retry_at = drawn.is_late.then(|| Instant::now() + RETRY_INTERVAL);
+        self.retry_at = drawn.is_incomplete.then(|| Instant::now() + RETRY_INTERVAL);
         let now = Instant::now();
         self.repaint_at = now.checked_add(drawn.repaint_after);
         self.overlay_areas = drawn.overlay.areas;
@@ -109,17 +113,17 @@ impl App<'_> {
         {
             self.frame_is_new = false;
             self.rate.count(now);
-            self.ward.iter_mut().for_each(Ward::shows_a_frame);
+            self.supervisor.iter_mut().for_each(SupervisorLink::report_first_frame);
             let latency_ms = now.duration_since(frame.moved_at).as_secs_f64() * 1e3;
             self.overlay.history.add(FrameTimes { render_ms: frame.stats.render_ms, latency_ms });
             let stats = DisplayStats { latency_ms, ..drawn.stats };
-            let shown = Shown {
+            let shown = ShowTimes {
                 // What the GPU does after the submission shows in the next draw only if that has to wait for it.
                 took: (now - started_at).max(Duration::from_secs_f64(stats.draw_ms / 1e3)),
                 upload: Duration::from_secs_f64(stats.upload_ms / 1e3),
                 refresh: self.outputs.refresh_interval().unwrap_or_default(),
             };
-            self.refinement.on_shown(&frame.picture, &shown);
+            self.refinement.on_shown(&frame.spec, &shown);
             tracing::debug!(
                 "frame {} is on screen, {latency_ms:.1} ms after the camera{}",
                 frame.stats.frame,
@@ -137,18 +141,18 @@ impl App<'_> {
             }
         }
         for command in drawn.overlay.commands {
-            self.obey(event_loop, command);
+            self.execute(event_loop, command);
         }
     }
 
     /// Does what time has come for, and says when to look again.
-    pub(super) fn pass_time(&mut self, event_loop: &ActiveEventLoop) -> Option<Instant> {
+    pub(super) fn on_time(&mut self, event_loop: &ActiveEventLoop) -> Option<Instant> {
         let now = Instant::now();
-        let mut next: Vec<Instant> = self.mind_the_kiosk(now).into_iter().collect();
-        if self.outputs.look_at().is_some_and(|look_at| now >= look_at) {
+        let mut next: Vec<Instant> = self.update_kiosk(now).into_iter().collect();
+        if self.outputs.next_check_at().is_some_and(|next_check_at| now >= next_check_at) {
             self.follow_monitors(event_loop);
         }
-        next.extend(self.outputs.look_at());
+        next.extend(self.outputs.next_check_at());
         let speed = if self.modifiers.shift_key() { FAST } else { 1.0 };
         if let Some(navigator) = self.navigator.as_mut().filter(|navigator| navigator.is_moving()) {
             let elapsed = now.duration_since(self.stepped_at);
@@ -160,9 +164,9 @@ impl App<'_> {
             }
             next.push(self.stepped_at + FLY_INTERVAL);
         }
-        if let Some(ask) = self.refinement.refine(now) {
-            tracing::debug!("refining to {}, samples a pixel: {}", ask.picture.size, ask.picture.samples.count);
-            self.farm.want(|wanted| (wanted.picture, wanted.refines) = (Some(ask.picture), ask.refines));
+        if let Some(step) = self.refinement.refine(now) {
+            tracing::debug!("refining to {}, samples a pixel: {}", step.spec.size, step.spec.samples.count);
+            self.farm.update_goal(|wanted| (wanted.spec, wanted.is_refinement) = (Some(step.spec), step.is_refinement));
         }
         next.extend(self.refinement.refines_at());
         if self.outputs.is_filling() && self.outputs.cursor_is_visible() {

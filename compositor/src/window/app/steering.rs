@@ -4,9 +4,9 @@ use std::{path::Path, time::Instant};
 
 use glam::DVec2;
 use shared::{
+    appearance::{Appearance, Background, Clip, ClipSide, Light},
     division::Division,
-    look::{Background, Clip, ClipFrom, Light, Look},
-    protocol::{RayTree, View},
+    protocol::{LightingMode, ShadingMode},
     structure::{Storage, Structure},
 };
 use winit::{
@@ -18,7 +18,7 @@ use winit::{
 use super::{App, probing::Purpose};
 use crate::{
     control::{
-        input::{self, Action, Command, Key},
+        input::{self, Command, Key, KeyAction},
         navigator::{Drag, Navigator},
     },
     overlay::{DENSITIES, STORAGES, Tint},
@@ -40,13 +40,13 @@ impl App<'_> {
         }
         let Some(key) = Key::from_winit(&event.logical_key, pressed && self.modifiers.control_key()) else { return };
         if pressed && let Some(command) = self.files_key(key) {
-            return self.obey(event_loop, command);
+            return self.execute(event_loop, command);
         }
         match input::action(key) {
-            Some(Action::Fly(direction)) => {
+            Some(KeyAction::Fly(direction)) => {
                 let Some(navigator) = &mut self.navigator else { return };
                 if !pressed {
-                    navigator.let_go(direction);
+                    navigator.release_key(direction);
                 } else if !event.repeat {
                     if !navigator.is_moving() {
                         self.stepped_at = Instant::now();
@@ -54,14 +54,14 @@ impl App<'_> {
                     navigator.hold(direction);
                 }
             }
-            Some(Action::Ask(command)) if pressed && (!event.repeat || command.repeats()) => {
-                self.obey(event_loop, command);
+            Some(KeyAction::Trigger(command)) if pressed && (!event.repeat || command.repeats()) => {
+                self.execute(event_loop, command);
             }
             _ => {}
         }
     }
 
-    pub(super) fn obey(&mut self, event_loop: &ActiveEventLoop, command: Command) {
+    pub(super) fn execute(&mut self, event_loop: &ActiveEventLoop, command: Command) {
         self.touch();
         if self.is_locked && !command.is_for_visitors() {
             return;
@@ -92,29 +92,29 @@ impl App<'_> {
             Command::OpenParent => self.open_parent(),
             Command::GoToCursor => self.probe(Purpose::GoTo),
             Command::NextUpAxis => self.steer(Navigator::next_up_axis),
-            Command::NextDivision => self.set_division(next(&Division::ALL, self.farm.wanted().division)),
+            Command::NextDivision => self.set_division(next(&Division::ALL, self.farm.goal().division)),
             Command::SetDivision(division) => self.set_division(division),
-            Command::NextView => self.set_view(next(&View::ALL, self.view)),
+            Command::NextView => self.set_view(next(&ShadingMode::ALL, self.view)),
             Command::SetView(view) => self.set_view(view),
-            Command::NextRays => self.set_rays(next(&RayTree::ALL, self.rays)),
+            Command::NextRays => self.set_rays(next(&LightingMode::ALL, self.rays)),
             Command::SetRays(rays) => self.set_rays(rays),
             Command::NextLight => {
-                let (name, light) = next_of(&Light::PRESETS, self.look.light);
-                self.say(format!("Light: {name}"));
-                self.set_look(Look { light, ..self.look });
+                let (name, light) = next_of(&Light::PRESETS, self.appearance.light);
+                self.show_note(format!("Light: {name}"));
+                self.set_appearance(Appearance { light, ..self.appearance });
             }
-            Command::SetLight(light) => self.set_look(Look { light, ..self.look }),
+            Command::SetLight(light) => self.set_appearance(Appearance { light, ..self.appearance }),
             Command::NextBackground => {
-                let (name, background) = next_of(&Background::PRESETS, self.look.background);
-                self.say(format!("Background: {name}"));
-                self.set_look(Look { background, ..self.look });
+                let (name, background) = next_of(&Background::PRESETS, self.appearance.background);
+                self.show_note(format!("Background: {name}"));
+                self.set_appearance(Appearance { background, ..self.appearance });
             }
-            Command::SetBackground(background) => self.set_look(Look { background, ..self.look }),
+            Command::SetBackground(background) => self.set_appearance(Appearance { background, ..self.appearance }),
             Command::NextClip => self.next_clip(),
-            Command::SetClip(clip) => self.set_look(Look { clip, ..self.look }),
+            Command::SetClip(clip) => self.set_appearance(Appearance { clip, ..self.appearance }),
             Command::MoveClip(permille) => {
-                let clip = self.look.clip.map(|clip| clip.moved(permille));
-                self.set_look(Look { clip, ..self.look });
+                let clip = self.appearance.clip.map(|clip| clip.deepened_by(permille));
+                self.set_appearance(Appearance { clip, ..self.appearance });
             }
             Command::ToggleRefinement => self.set_refining(!self.refinement.is_on()),
             Command::ToggleOverlay => self.overlay.panel = !self.overlay.panel,
@@ -144,15 +144,15 @@ impl App<'_> {
             (self.overlay.panel, self.overlay.help) = (false, false);
             (self.overlay.files, self.overlay.tint) = (None, Tint::None);
             self.overlay.pick = None;
-            self.say("Locked: visitors can steer; Ctrl+L unlocks");
+            self.show_note("Locked: visitors can steer; Ctrl+L unlocks");
         } else {
-            self.say("Unlocked");
+            self.show_note("Unlocked");
         }
     }
 
     fn set_division(&mut self, division: Division) {
         tracing::info!("dividing frames {}", division.name());
-        self.farm.want(|wanted| {
+        self.farm.update_goal(|wanted| {
             wanted.division = division;
             wanted.moved_at = Instant::now();
         });
@@ -164,7 +164,7 @@ impl App<'_> {
     fn set_refining(&mut self, is_on: bool) {
         self.refinement.set_on(is_on);
         self.want_picture();
-        self.say(if is_on { "The resolution follows the motion" } else { "All frames have the same resolution" });
+        self.show_note(if is_on { "The resolution follows the motion" } else { "All frames have the same resolution" });
     }
 
     fn set_storage(&mut self, storage: Option<Storage>) {
@@ -180,37 +180,40 @@ impl App<'_> {
     fn set_structure(&mut self, structure: Option<Structure>) {
         self.overlay.structure = structure;
         self.farm.set_structure(structure);
-        self.say(match structure {
+        self.show_note(match structure {
             Some(Structure { storage, density }) => format!("Grids become {storage}, {density} cells a triangle"),
             None => "Grids become as the render servers were started".to_owned(),
         });
     }
 
-    fn set_view(&mut self, view: View) {
+    fn set_view(&mut self, view: ShadingMode) {
         self.view = view;
         self.want_picture();
     }
 
-    fn set_rays(&mut self, rays: RayTree) {
+    fn set_rays(&mut self, rays: LightingMode) {
         self.rays = rays;
         self.want_picture();
     }
 
-    fn set_look(&mut self, look: Look) {
-        self.look = look;
+    fn set_appearance(&mut self, appearance: Appearance) {
+        self.appearance = appearance;
         self.want_picture();
     }
 
     fn next_clip(&mut self) {
-        let from = match self.look.clip {
-            None => Some(ClipFrom::ALL[0]),
+        let from = match self.appearance.clip {
+            None => Some(ClipSide::ALL[0]),
             Some(clip) => {
-                let index = ClipFrom::ALL.iter().position(|&from| from == clip.from());
-                index.and_then(|index| ClipFrom::ALL.get(index + 1)).copied()
+                let index = ClipSide::ALL.iter().position(|&from| from == clip.side());
+                index.and_then(|index| ClipSide::ALL.get(index + 1)).copied()
             }
         };
-        self.say(from.map_or("Whole again".to_owned(), |from| format!("Cut open from {}", from.name())));
-        self.set_look(Look { clip: from.map(|from| Clip::from_side(from, self.look.clip)), ..self.look });
+        self.show_note(from.map_or("Whole again".to_owned(), |from| format!("Cut open from {}", from.name())));
+        self.set_appearance(Appearance {
+            clip: from.map(|from| Clip::with_side(from, self.appearance.clip)),
+            ..self.appearance
+        });
     }
 
     fn fill(&mut self, event_loop: &ActiveEventLoop, is_filling: bool) {
@@ -229,15 +232,15 @@ impl App<'_> {
 
     fn take_screenshot(&mut self) {
         let (Some(painter), Some(_)) = (self.outputs.painter(), &self.frame) else {
-            self.complain("no screenshot: nothing has been rendered yet".to_owned());
+            self.show_problem("no screenshot: nothing has been rendered yet".to_owned());
             return;
         };
-        match painter.picture(&self.options.wall) {
-            Ok(picture) => {
+        match painter.image(&self.options.wall) {
+            Ok(image) => {
                 let folder = self.options.screenshot_folder.clone();
-                self.jobs.add(move || screenshots::write(&folder, &picture));
+                self.jobs.add(move || screenshots::write(&folder, &image));
             }
-            Err(error) => self.complain(format!("no screenshot: {error}")),
+            Err(error) => self.show_problem(format!("no screenshot: {error}")),
         }
     }
 
@@ -245,7 +248,7 @@ impl App<'_> {
         let (Some(painter), Some(_)) = (self.outputs.painter(), &self.frame) else {
             anyhow::bail!("no screenshot {}: the window was closed before anything was rendered", path.display());
         };
-        painter.picture(&self.options.wall)?.write_png(path)?;
+        painter.image(&self.options.wall)?.write_png(path)?;
         tracing::info!("wrote {}", path.display());
         Ok(())
     }
@@ -264,7 +267,7 @@ impl App<'_> {
         }
         let is_over_overlay = was_over_overlay || self.cursor_is_over_overlay();
         if self.overlay_is_pressed || (is_over_overlay && !self.is_dragging()) {
-            self.tell_overlay(index, event);
+            self.forward_to_overlay(index, event);
         }
     }
 
@@ -273,7 +276,7 @@ impl App<'_> {
         let is_for_overlay = self.overlay_is_pressed || (self.cursor_is_over_overlay() && !self.is_dragging());
         if is_for_overlay {
             self.overlay_is_pressed = state == ElementState::Pressed;
-            return self.tell_overlay(index, event);
+            return self.forward_to_overlay(index, event);
         }
         self.touch();
         if self.align_button(state, button) {
@@ -302,7 +305,7 @@ impl App<'_> {
 
     pub(super) fn wheel(&mut self, index: usize, event: &WindowEvent, delta: MouseScrollDelta) {
         if self.cursor_is_over_overlay() {
-            return self.tell_overlay(index, event);
+            return self.forward_to_overlay(index, event);
         }
         let notches = match delta {
             MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
@@ -328,9 +331,9 @@ impl App<'_> {
         point.is_some_and(|point| self.overlay_areas.iter().any(|area| area.contains(point)))
     }
 
-    pub(super) fn tell_overlay(&mut self, index: usize, event: &WindowEvent) {
+    pub(super) fn forward_to_overlay(&mut self, index: usize, event: &WindowEvent) {
         if self.overlay_is_visible() {
-            self.outputs.tell_overlay(index, event);
+            self.outputs.forward_to_overlay(index, event);
             self.redraw();
         }
     }

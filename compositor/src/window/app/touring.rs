@@ -6,8 +6,8 @@ use shared::camera::{CameraPath, CameraRecorder, UpAxis};
 
 use super::App;
 use crate::control::{
-    kept::{self, Kept},
     navigator::Navigator,
+    sidecar::{self, SidecarFiles},
 };
 
 /// A path that is being recorded.
@@ -27,14 +27,14 @@ impl App<'_> {
         self.want_picture();
     }
 
-    pub(super) fn say(&mut self, note: impl Into<String>) {
+    pub(super) fn show_note(&mut self, note: impl Into<String>) {
         let note = note.into();
         tracing::info!("{note}");
         self.note = Some((note, Instant::now()));
     }
 
     /// Tells of a problem: on the panel until it is dismissed, and without the panel for a while.
-    pub(super) fn complain(&mut self, problem: String) {
+    pub(super) fn show_problem(&mut self, problem: String) {
         if !self.overlay.panel && !self.is_locked {
             self.note = Some((problem.clone(), Instant::now()));
         }
@@ -42,20 +42,20 @@ impl App<'_> {
     }
 
     pub(super) fn go_to_view(&mut self, number: u8) {
-        match self.kept.as_ref().and_then(Kept::views).and_then(|views| views.get(number)) {
+        match self.sidecars.as_ref().and_then(SidecarFiles::views).and_then(|views| views.get(number)) {
             Some(camera) => self.steer(|navigator| navigator.go_to(camera)),
-            None => self.say(format!("There is no view {number}: Ctrl+{number} keeps this one")),
+            None => self.show_note(format!("There is no view {number}: Ctrl+{number} keeps this one")),
         }
     }
 
     pub(super) fn keep_view(&mut self, number: u8) {
-        let (Some(kept), Some(navigator)) = (&mut self.kept, &self.navigator) else { return };
-        match kept.keep_view(number, navigator.destination(), navigator.up()) {
+        let (Some(sidecars), Some(navigator)) = (&mut self.sidecars, &self.navigator) else { return };
+        match sidecars.keep_view(number, navigator.destination(), navigator.up()) {
             Ok((file, text)) => {
-                self.jobs.add(move || kept::write_views(&file, &text).map(|()| None));
-                self.say(format!("View {number} is kept: key {number} goes there"));
+                self.jobs.add(move || sidecar::write_views(&file, &text).map(|()| None));
+                self.show_note(format!("View {number} is kept: key {number} goes there"));
             }
-            Err(problem) => self.complain(problem),
+            Err(problem) => self.show_problem(problem),
         }
     }
 
@@ -65,26 +65,26 @@ impl App<'_> {
         }
         let Some(navigator) = &self.navigator else { return };
         self.recording = Some(Recording { since: Instant::now(), recorder: CameraRecorder::new(navigator.camera()) });
-        self.say("Recording the camera: C ends it");
+        self.show_note("Recording the camera: C ends it");
     }
 
     fn end_recording(&mut self) {
         let Some(Recording { recorder, .. }) = self.recording.take() else { return };
         let up = self.navigator.as_ref().map_or_else(UpAxis::default, Navigator::up);
-        let (Some(path), Some(kept)) = (recorder.finish(up), &mut self.kept) else {
-            return self.say("The camera did not move: nothing is recorded");
+        let (Some(path), Some(sidecars)) = (recorder.finish(up), &mut self.sidecars) else {
+            return self.show_note("The camera did not move: nothing is recorded");
         };
         let path = Arc::new(path);
-        let file = kept.keep_path(Arc::clone(&path));
-        let told = format!("Camera path of {:.1} s: Space plays it", path.duration_seconds());
-        self.jobs.add(move || kept::write_path(&file, &path).map(|()| None));
-        self.say(told);
+        let file = sidecars.keep_path(Arc::clone(&path));
+        let note = format!("Camera path of {:.1} s: Space plays it", path.duration_seconds());
+        self.jobs.add(move || sidecar::write_path(&file, &path).map(|()| None));
+        self.show_note(note);
     }
 
     /// Notes where the camera is, if its path is recorded.
     pub(super) fn record_camera(&mut self) {
         let (Some(recording), Some(navigator)) = (&mut self.recording, &self.navigator) else { return };
-        if !recording.recorder.look(recording.since.elapsed().as_secs_f64(), navigator.camera()) {
+        if !recording.recorder.record(recording.since.elapsed().as_secs_f64(), navigator.camera()) {
             self.end_recording();
         }
     }
@@ -93,9 +93,9 @@ impl App<'_> {
         if self.navigator.as_ref().is_some_and(Navigator::is_playing) {
             return self.steer(Navigator::stop);
         }
-        match self.kept.as_ref().and_then(Kept::path) {
+        match self.sidecars.as_ref().and_then(SidecarFiles::path) {
             Some(path) => self.play(path, self.kiosk.is_some()),
-            None => self.say("There is no camera path: C begins to record one"),
+            None => self.show_note("There is no camera path: C begins to record one"),
         }
     }
 
@@ -106,7 +106,7 @@ impl App<'_> {
     pub(super) fn change_speed(&mut self, steps: i32) {
         let Some(navigator) = &mut self.navigator else { return };
         let factor = navigator.change_speed(steps);
-        self.say(format!("Flying {factor:.2} times as fast as usual"));
+        self.show_note(format!("Flying {factor:.2} times as fast as usual"));
     }
 
     /// Somebody is there.
@@ -115,13 +115,13 @@ impl App<'_> {
     }
 
     /// In a kiosk, goes back to the beginning when everybody has gone; says when that will be.
-    pub(super) fn mind_the_kiosk(&mut self, now: Instant) -> Option<Instant> {
+    pub(super) fn update_kiosk(&mut self, now: Instant) -> Option<Instant> {
         let is_moving = self.navigator.as_ref().is_none_or(Navigator::is_moving);
         let kiosk = self.kiosk.as_mut().filter(|_| self.is_locked && !is_moving)?;
         if !kiosk.returns(now) {
             return kiosk.returns_at();
         }
-        match self.kept.as_ref().and_then(Kept::path) {
+        match self.sidecars.as_ref().and_then(SidecarFiles::path) {
             Some(path) => self.play(path, true),
             None => self.steer(Navigator::view_all),
         }

@@ -4,7 +4,7 @@ use winit::{event_loop::ActiveEventLoop, window::Window};
 
 /// Has windows outlive this process, or no longer; without X11 nothing is done.
 #[cfg(all(unix, not(target_os = "macos")))]
-pub(in crate::window) fn outlive(event_loop: &ActiveEventLoop, outlive: bool) {
+pub(in crate::window) fn retain_windows(event_loop: &ActiveEventLoop, retain_windows: bool) {
     use winit::raw_window_handle::{HasDisplayHandle, RawDisplayHandle};
     /// `DestroyAll` and `RetainTemporary` of the X protocol's SetCloseDownMode.
     const MODES: [i32; 2] = [0, 2];
@@ -13,7 +13,7 @@ pub(in crate::window) fn outlive(event_loop: &ActiveEventLoop, outlive: bool) {
     if let (Some(display), Ok(library)) = (handle.display, x11_dl::xlib::Xlib::open()) {
         // SAFETY: the display is winit's, and open as long as its event loop.
         unsafe {
-            (library.XSetCloseDownMode)(display.as_ptr().cast(), MODES[usize::from(outlive)]);
+            (library.XSetCloseDownMode)(display.as_ptr().cast(), MODES[usize::from(retain_windows)]);
             (library.XFlush)(display.as_ptr().cast());
         }
     }
@@ -21,7 +21,7 @@ pub(in crate::window) fn outlive(event_loop: &ActiveEventLoop, outlive: bool) {
 
 /// The X server's number for a window.
 #[cfg(all(unix, not(target_os = "macos")))]
-pub(in crate::window) fn number_of(window: &Window) -> Option<u32> {
+pub(in crate::window) fn x_window_id(window: &Window) -> Option<u32> {
     use winit::raw_window_handle::{HasWindowHandle, RawWindowHandle};
     match window.window_handle().ok()?.as_raw() {
         RawWindowHandle::Xlib(handle) => u32::try_from(handle.window).ok(),
@@ -31,10 +31,10 @@ pub(in crate::window) fn number_of(window: &Window) -> Option<u32> {
 
 /// There is no X server.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
-pub(in crate::window) fn outlive(_: &ActiveEventLoop, _: bool) {}
+pub(in crate::window) fn retain_windows(_: &ActiveEventLoop, _: bool) {}
 
 /// There is no X server.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
-pub(in crate::window) fn number_of(_: &Window) -> Option<u32> {
+pub(in crate::window) fn x_window_id(_: &Window) -> Option<u32> {
     None
 }

@@ -3,7 +3,7 @@
 use glam::Vec3;
 use proptest::prelude::*;
 
-use super::{build, build_modes, in_file_order, point, soup};
+use super::{build, build_modes, point, soup, with_file_index};
 use crate::{
     grid::{Grid, MeshLayout},
     intersect::{InstructionSet, MOST_PACKETS, Packet, PacketScratch, ray::Hit, triangle},
@@ -29,7 +29,7 @@ fn check_packets(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
 
 /// Places in the mesh differ from mode to mode, so triangles are compared by their numbers in the file.
 fn check_range(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
-    let single = |grid: &Grid, packet: &Packet, lane| in_file_order(grid, grid.intersect(&packet.ray(lane)));
+    let single = |grid: &Grid, packet: &Packet, lane| with_file_index(grid, grid.intersect(&packet.ray(lane)));
     let expected = packets.each_ref().map(|packet| std::array::from_fn(|lane| single(&grids[0], packet, lane)));
     for grid in grids {
         let mut scratch = PacketScratch::default();
@@ -40,7 +40,7 @@ fn check_range(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
             let (packets, hits) = (&packets[..n_packets], &mut hits[..n_packets]);
             grid.intersect_packets(packets, &mut scratch, hits);
             for ((packet, hits), expected) in packets.iter().zip(hits).zip(&expected) {
-                hits.iter_mut().for_each(|hit| *hit = in_file_order(grid, *hit));
+                hits.iter_mut().for_each(|hit| *hit = with_file_index(grid, *hit));
                 check_hits(grid, packet, hits, expected);
             }
         }

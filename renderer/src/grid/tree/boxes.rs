@@ -13,17 +13,17 @@ use rayon::prelude::*;
 use crate::{
     grid::{
         traced::TracedMesh,
-        tree::{BRICK_SIZE, Node, Tree},
+        tree::{BRICK_SIZE, Tree, TreeNode},
         uniform::resolution::CellSpace,
     },
     intersect::simd::Simd,
 };
 
 /// Steps along a cube. What remains of a byte's 256 values reaches beyond the cube on both sides.
-const STEPS: f64 = 250.0;
+const N_STEPS: f64 = 250.0;
 
 /// The value that stands for the cube's beginning.
-const FIRST: f64 = 3.0;
+const FIRST_STEP: f64 = 3.0;
 
 /// What single precision can lose between a ray and a box, relative to their distances from the ray's origin.
 const MARGIN: f32 = 1.0 / (1u32 << 19) as f32;
@@ -35,45 +35,45 @@ const PADDING: usize = 16;
 ///
 /// A leaf with n references from number r on has 6·n bytes from number 6·r on: n least x, n greatest x, then y and z.
 #[derive(Debug, Default, PartialEq)]
-pub(crate) struct Boxes {
+pub(crate) struct QuantizedBoxes {
     bytes: Vec<u8>,
 }
 
 /// A leaf's place: a cube in finest cells.
 #[derive(Clone, Copy, Default)]
-struct Cube {
+struct LeafCell {
     corner: [u32; 3],
     size: u32,
 }
 
-impl Boxes {
+impl QuantizedBoxes {
     /// Measures the triangles of a finished grid, in parallel.
     pub(crate) fn new(
         space: &CellSpace,
         dims: [u32; 3],
         bricks: &[u32],
-        nodes: &[Node],
+        nodes: &[TreeNode],
         leaf_starts: &[u32],
         references: &[u32],
         mesh: &TracedMesh,
     ) -> Self {
-        const LEAVES_PER_TASK: usize = 1024;
-        let cubes = cubes(dims, bricks, nodes, leaf_starts.len() - 1);
+        const LEAVES_PER_JOB: usize = 1024;
+        let leaf_cells = leaf_cells(dims, bricks, nodes, leaf_starts.len() - 1);
         let mut bytes = vec![0; 6 * references.len() + PADDING];
-        let mut tasks = Vec::new();
+        let mut jobs = Vec::new();
         let mut rest = &mut *bytes;
-        for first in (0..cubes.len()).step_by(LEAVES_PER_TASK) {
-            let end = (first + LEAVES_PER_TASK).min(cubes.len());
-            let (these, others) = rest.split_at_mut(6 * (leaf_starts[end] - leaf_starts[first]) as usize);
-            tasks.push((first..end, these));
+        for first in (0..leaf_cells.len()).step_by(LEAVES_PER_JOB) {
+            let end = (first + LEAVES_PER_JOB).min(leaf_cells.len());
+            let (chunk, others) = rest.split_at_mut(6 * (leaf_starts[end] - leaf_starts[first]) as usize);
+            jobs.push((first..end, chunk));
             rest = others;
         }
-        tasks.into_par_iter().for_each(|(leaves, mut bytes)| {
+        jobs.into_par_iter().for_each(|(leaves, mut bytes)| {
             for leaf in leaves {
                 let triangles = &references[leaf_starts[leaf] as usize..leaf_starts[leaf + 1] as usize];
-                let (these, others) = bytes.split_at_mut(6 * triangles.len());
+                let (chunk, others) = bytes.split_at_mut(6 * triangles.len());
                 bytes = others;
-                measure(space, &cubes[leaf], mesh, triangles, these);
+                measure(space, &leaf_cells[leaf], mesh, triangles, chunk);
             }
         });
         Self { bytes }
@@ -96,7 +96,7 @@ impl Boxes {
 
     /// The boxes of a leaf with these references, and some bytes more.
     #[inline(always)]
-    pub(crate) fn of_leaf(&self, references: Range<usize>) -> &[u8] {
+    pub(crate) fn leaf_bytes(&self, references: Range<usize>) -> &[u8] {
         &self.bytes[6 * references.start..6 * references.end + PADDING]
     }
 }
@@ -114,7 +114,7 @@ pub(crate) struct LeafBoxes<'a> {
 
 /// Some boxes, in finest cells from the rays' origin: depth along k and bounds across it.
 #[derive(Clone, Copy)]
-pub(crate) struct Bounds<S> {
+pub(crate) struct BoxLanes<S> {
     near: S,
     far: S,
     u: [S; 2],
@@ -128,20 +128,21 @@ impl<'a> LeafBoxes<'a> {
     pub(crate) fn new(
         bytes: &'a [u8],
         axes: [usize; 3],
-        backward: bool,
+        is_backward: bool,
         corner_from_origin: [f64; 3],
         size: i32,
     ) -> Self {
         let size = f64::from(size);
         let mut base = [0.0; 3];
         for place in 0..3 {
-            base[place] = (corner_from_origin[place] - FIRST / STEPS * size) as f32;
+            base[place] = (corner_from_origin[place] - FIRST_STEP / N_STEPS * size) as f32;
         }
         let reach = base[0].abs() + base[1].abs().max(base[2].abs()) + 2.0 * size as f32;
         let margin = reach * MARGIN;
         let [k, u, v] = axes;
-        let (near, depth, way) = if backward { (2 * k + 1, -base[0], -1.0) } else { (2 * k, base[0], 1.0) };
-        let step = (size * (1.0 / STEPS)) as f32;
+        let (near, depth, direction_sign) =
+            if is_backward { (2 * k + 1, -base[0], -1.0) } else { (2 * k, base[0], 1.0) };
+        let step = (size * (1.0 / N_STEPS)) as f32;
         let n = (bytes.len() - PADDING) / 6;
         let mut rows = [bytes; 6];
         for (place, row) in [near, near ^ 1, 2 * u, 2 * u + 1, 2 * v, 2 * v + 1].into_iter().enumerate() {
@@ -149,7 +150,7 @@ impl<'a> LeafBoxes<'a> {
         }
         let [u, v] = [base[1], base[2]];
         let bases = [depth - margin, depth + margin, u - margin, u + margin, v - margin, v + margin];
-        Self { rows, bases, steps: [step * way, step] }
+        Self { rows, bases, steps: [step * direction_sign, step] }
     }
 
     /// How many there are.
@@ -160,7 +161,7 @@ impl<'a> LeafBoxes<'a> {
 
     /// The boxes from number `first` on, as many as a vector has lanes; what lies beyond the last is noise.
     #[inline(always)]
-    pub(crate) fn bounds<S: Simd>(&self, first: usize) -> Bounds<S> {
+    pub(crate) fn bounds<S: Simd>(&self, first: usize) -> BoxLanes<S> {
         let [along, across] = [S::splat(self.steps[0]), S::splat(self.steps[1])];
         let mut sides = [along; 6];
         for side in 0..6 {
@@ -168,15 +169,15 @@ impl<'a> LeafBoxes<'a> {
             sides[side] = S::load_bytes(&self.rows[side][first..]).mul_add(step, S::splat(self.bases[side]));
         }
         let [near, far, u_low, u_high, v_low, v_high] = sides;
-        Bounds { near, far, u: [u_low, u_high], v: [v_low, v_high] }
+        BoxLanes { near, far, u: [u_low, u_high], v: [v_low, v_high] }
     }
 }
 
-impl<S: Simd> Bounds<S> {
+impl<S: Simd> BoxLanes<S> {
     /// Numbers with a minus for each box that begins behind the depth 1 / `inverse_limit` or that no ray may pass whose
     /// slopes against k lie within `slopes`: least and greatest u, least and greatest v.
     #[inline(always)]
-    pub(crate) fn missed_by(&self, slopes: [f32; 4], inverse_limit: f32) -> S {
+    pub(crate) fn miss_signs(&self, slopes: [f32; 4], inverse_limit: f32) -> S {
         let mut missed = self.near.neg_mul_add(S::splat(inverse_limit), S::splat(1.0));
         for (axis, [low, high]) in [self.u, self.v].into_iter().enumerate() {
             let (least, greatest) = (slopes[2 * axis], slopes[2 * axis + 1]);
@@ -184,58 +185,59 @@ impl<S: Simd> Bounds<S> {
             let depth_of_least = if least < 0.0 { self.far } else { self.near };
             let depth_of_greatest = if greatest < 0.0 { self.near } else { self.far };
             let above = S::splat(least).neg_mul_add(depth_of_least, high);
-            let below = S::splat(greatest).mul_sub(depth_of_greatest, low);
-            missed = missed.or(above).or(below);
+            let lt = S::splat(greatest).mul_sub(depth_of_greatest, low);
+            missed = missed.or(above).or(lt);
         }
         missed
     }
 }
 
 /// The cubes of all leaves.
-fn cubes(dims: [u32; 3], bricks: &[u32], nodes: &[Node], n_leaves: usize) -> Vec<Cube> {
-    let mut cubes = vec![Cube::default(); n_leaves];
-    let mut waiting = Vec::new();
+fn leaf_cells(dims: [u32; 3], bricks: &[u32], nodes: &[TreeNode], n_leaves: usize) -> Vec<LeafCell> {
+    let mut leaf_cells = vec![LeafCell::default(); n_leaves];
+    let mut stack = Vec::new();
     for (index, &brick) in bricks.iter().enumerate() {
         let index = index as u32;
         let place = [index % dims[0], index / dims[0] % dims[1], index / dims[0] / dims[1]];
-        let cube = Cube { corner: place.map(|along| along * BRICK_SIZE), size: BRICK_SIZE };
+        let cell = LeafCell { corner: place.map(|along| along * BRICK_SIZE), size: BRICK_SIZE };
         if brick == Tree::EMPTY {
             continue;
         }
         if brick & Tree::LEAF != 0 {
-            cubes[(brick & !Tree::LEAF) as usize] = cube;
+            leaf_cells[(brick & !Tree::LEAF) as usize] = cell;
         } else {
-            waiting.push((brick, cube));
+            stack.push((brick, cell));
         }
-        while let Some((number, cube)) = waiting.pop() {
+        while let Some((number, cell)) = stack.pop() {
             let node = &nodes[number as usize];
             let (mut leaf, mut divided) = (node.first_leaf, node.first_node);
             for child in (0..64).filter(|child| node.occupied >> child & 1 == 1) {
-                let size = cube.size / 4;
+                let size = cell.size / 4;
                 let place = [child & 3, child >> 2 & 3, child >> 4];
-                let child_cube = Cube { corner: [0, 1, 2].map(|axis| cube.corner[axis] + place[axis] * size), size };
+                let child_cell =
+                    LeafCell { corner: [0, 1, 2].map(|axis| cell.corner[axis] + place[axis] * size), size };
                 if node.divided >> child & 1 == 1 {
-                    waiting.push((divided, child_cube));
+                    stack.push((divided, child_cell));
                     divided += 1;
                 } else {
-                    cubes[leaf as usize] = child_cube;
+                    leaf_cells[leaf as usize] = child_cell;
                     leaf += 1;
                 }
             }
         }
     }
-    cubes
+    leaf_cells
 }
 
-fn measure(space: &CellSpace, cube: &Cube, mesh: &TracedMesh, triangles: &[u32], bytes: &mut [u8]) {
+fn measure(space: &CellSpace, cell: &LeafCell, mesh: &TracedMesh, triangles: &[u32], bytes: &mut [u8]) {
     const ROUNDING: f64 = 1e-3;
-    let steps_per_cell = STEPS / f64::from(cube.size);
+    let steps_per_cell = N_STEPS / f64::from(cell.size);
     let n = triangles.len();
     for (place, &triangle) in triangles.iter().enumerate() {
-        let [a, b, c] = mesh.corners(triangle).map(|corner| space.point(Vec3::from_array(corner).as_dvec3()));
-        let corner = glam::UVec3::from_array(cube.corner).as_dvec3();
-        let low = ((a.min(b).min(c) - corner) * steps_per_cell + (FIRST - ROUNDING)).floor();
-        let high = ((a.max(b).max(c) - corner) * steps_per_cell + (FIRST + ROUNDING)).ceil();
+        let [a, b, c] = mesh.corners(triangle).map(|corner| space.point_to_cells(Vec3::from_array(corner).as_dvec3()));
+        let corner = glam::UVec3::from_array(cell.corner).as_dvec3();
+        let low = ((a.min(b).min(c) - corner) * steps_per_cell + (FIRST_STEP - ROUNDING)).floor();
+        let high = ((a.max(b).max(c) - corner) * steps_per_cell + (FIRST_STEP + ROUNDING)).ceil();
         for axis in 0..3 {
             // The conversions keep what lies outside the cube at the ends of a byte's range.
             bytes[2 * axis * n + place] = low[axis] as u8;

@@ -8,13 +8,13 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use rayon::prelude::*;
 
 use crate::grid::tree::{
-    BRICK_SIZE, LEVELS, Node, Tree,
+    BRICK_SIZE, LEVELS, Tree, TreeNode,
     overlap::{self, DILATION},
     scatter::Scatter,
 };
 
 /// References that one task divides, and above which the children of one node are divided in parallel.
-const REFERENCES_PER_TASK: usize = 1 << 15;
+const REFERENCES_PER_JOB: usize = 1 << 15;
 
 /// Cubes that hold no more than this are not divided: the boxes of 16 triangles are tested faster than one more leaf is
 /// found. Between 128 and 512 speed is flat; memory falls with it.
@@ -28,21 +28,27 @@ pub(crate) struct Builder<'a> {
     /// What all leaves may hold in all.
     most_references: u64,
     /// Whether that is little for want of memory.
-    is_short: bool,
+    is_memory_limited: bool,
     /// Whether a cube stays undivided because of that.
-    gave_up: AtomicBool,
+    hit_memory_limit: AtomicBool,
 }
 
 impl<'a> Builder<'a> {
     /// Bricks whose references, `n_in_bricks` of them, lie in `scatter`'s cubes, and whose leaves may hold
-    /// `most_references` in all; that `is_short` if there were more with more memory.
-    pub(crate) fn new(scatter: Scatter<'a>, n_in_bricks: usize, most_references: u64, is_short: bool) -> Self {
-        Self { scatter, n_in_bricks: n_in_bricks as u64, most_references, is_short, gave_up: AtomicBool::new(false) }
+    /// `most_references` in all; that `is_memory_limited` if there were more with more memory.
+    pub(crate) fn new(scatter: Scatter<'a>, n_in_bricks: usize, most_references: u64, is_memory_limited: bool) -> Self {
+        Self {
+            scatter,
+            n_in_bricks: n_in_bricks as u64,
+            most_references,
+            is_memory_limited,
+            hit_memory_limit: AtomicBool::new(false),
+        }
     }
 
     /// Whether a cube stayed undivided for want of memory.
-    pub(crate) fn gave_up(&self) -> bool {
-        self.gave_up.load(Relaxed)
+    pub(crate) fn hit_memory_limit(&self) -> bool {
+        self.hit_memory_limit.load(Relaxed)
     }
 
     /// Divides bricks with their references, brick after brick, each from its start on. Returns the bricks' entries in
@@ -52,24 +58,24 @@ impl<'a> Builder<'a> {
         starts: &[u32],
         mut references: Vec<u32>,
         progress: &(dyn Fn(f32) + Sync),
-    ) -> (Vec<u32>, Piece) {
+    ) -> (Vec<u32>, TreePart) {
         let total = references.len();
-        let mut tasks = Vec::new();
+        let mut jobs = Vec::new();
         let mut rest = &mut *references;
         let mut first = 0;
         for brick in 1..starts.len() {
             let size = (starts[brick] - starts[first]) as usize;
-            if size >= REFERENCES_PER_TASK || brick + 1 == starts.len() {
+            if size >= REFERENCES_PER_JOB || brick + 1 == starts.len() {
                 let (these, others) = rest.split_at_mut(size);
-                tasks.push((first..brick, these));
+                jobs.push((first..brick, these));
                 (first, rest) = (brick, others);
             }
         }
         let done = AtomicU64::new(0);
-        let pieces: Vec<_> = tasks
+        let pieces: Vec<_> = jobs
             .into_par_iter()
             .map(|(bricks, references)| {
-                let mut piece = Piece::default();
+                let mut piece = TreePart::default();
                 let base = starts[bricks.start] as usize;
                 let roots: Vec<u32> = bricks
                     .map(|brick| {
@@ -84,7 +90,7 @@ impl<'a> Builder<'a> {
             .collect();
 
         let mut bricks = Vec::with_capacity(starts.len() - 1);
-        let mut whole = Piece::with_capacity(pieces.iter().map(|(_, piece)| piece));
+        let mut whole = TreePart::with_capacity(pieces.iter().map(|(_, piece)| piece));
         let mut lists = Vec::with_capacity(pieces.len());
         for (roots, piece) in pieces {
             let offset = whole.append(&piece);
@@ -100,40 +106,41 @@ impl<'a> Builder<'a> {
     }
 
     /// Adds one brick to a piece of the grid; returns its entry there.
-    fn divide_brick(&self, piece: &mut Piece, brick: usize, references: &mut [u32]) -> u32 {
+    fn divide_brick(&self, piece: &mut TreePart, brick: usize, references: &mut [u32]) -> u32 {
         if references.is_empty() {
             return Tree::EMPTY;
         }
         references.sort_unstable();
         let [x_dim, y_dim, _] = self.scatter.dims.map(|n| n as usize);
         let corner = [brick % x_dim, brick / x_dim % y_dim, brick / x_dim / y_dim].map(|b| b as u32 * BRICK_SIZE);
-        let share = references.len() as u128 * u128::from(self.most_references) / u128::from(self.n_in_bricks);
-        let cube = Cube { corner, level: 0, most_references: share as usize };
-        match self.plan(references, &cube) {
+        let quota = references.len() as u128 * u128::from(self.most_references) / u128::from(self.n_in_bricks);
+        let cell = BuildCell { corner, level: 0, most_references: quota as usize };
+        match self.plan(references, &cell) {
             None => {
                 piece.push_leaf(references);
                 (piece.leaf_ends.len() as u32 - 1) | Tree::LEAF
             }
             Some(plan) => {
                 let root = piece.nodes.len();
-                piece.nodes.push(Node::default());
-                piece.nodes[root] = self.emit(piece, &cube, &plan);
+                piece.nodes.push(TreeNode::default());
+                piece.nodes[root] = self.emit_node(piece, &cell, &plan);
                 root as u32
             }
         }
     }
 
     /// Distributes a cube's triangles among its children, if that pays.
-    fn plan(&self, references: &[u32], cube: &Cube) -> Option<Plan> {
-        if references.len() <= LEAF_SIZE || cube.level == LEVELS {
+    fn plan(&self, references: &[u32], cell: &BuildCell) -> Option<ChildLists> {
+        if references.len() <= LEAF_SIZE || cell.level == LEVELS {
             return None;
         }
-        let scale = 1.0 / f64::from(cube.child_size());
+        let scale = 1.0 / f64::from(cell.child_size());
         let mut counts = [0u32; 64];
         let mut masks = Vec::with_capacity(references.len());
         for &triangle in references {
             let corners = self.scatter.corners(triangle).expect("a rejected triangle is in no brick");
-            let mask = overlap::children(&overlap::corners_in(&corners, cube.corner, scale), DILATION * scale);
+            let mask =
+                overlap::overlapped_children(&overlap::corners_in_cube(&corners, cell.corner, scale), DILATION * scale);
             let mut left = mask;
             while left != 0 {
                 counts[left.trailing_zeros() as usize] += 1;
@@ -151,9 +158,9 @@ impl<'a> Builder<'a> {
         if total >= 8 * references.len() {
             return None;
         }
-        if total > cube.most_references {
-            if self.is_short {
-                self.gave_up.store(true, Relaxed);
+        if total > cell.most_references {
+            if self.is_memory_limited {
+                self.hit_memory_limit.store(true, Relaxed);
             }
             return None;
         }
@@ -162,50 +169,53 @@ impl<'a> Builder<'a> {
         for (&triangle, &mask) in references.iter().zip(&masks) {
             let mut left = mask;
             while left != 0 {
-                let place = &mut next[left.trailing_zeros() as usize];
-                distributed[*place as usize] = triangle;
-                *place += 1;
+                let slot = &mut next[left.trailing_zeros() as usize];
+                distributed[*slot as usize] = triangle;
+                *slot += 1;
                 left &= left - 1;
             }
         }
-        Some(Plan { starts, references: distributed })
+        Some(ChildLists { starts, references: distributed })
     }
 
     /// Adds the children of a planned node to a piece; returns the node.
-    fn emit(&self, piece: &mut Piece, cube: &Cube, plan: &Plan) -> Node {
+    fn emit_node(&self, piece: &mut TreePart, cell: &BuildCell, plan: &ChildLists) -> TreeNode {
         let children: Vec<_> = (0..64).filter(|&child| !plan.of(child).is_empty()).collect();
         let plan_child = |&child: &u32| {
-            let child_cube = cube.child(child, plan);
-            let child_plan = self.plan(plan.of(child), &child_cube);
-            (child, child_cube, child_plan)
+            let child_cell = cell.child(child, plan);
+            let child_plan = self.plan(plan.of(child), &child_cell);
+            (child, child_cell, child_plan)
         };
-        let parallel = plan.references.len() > REFERENCES_PER_TASK;
+        let parallel = plan.references.len() > REFERENCES_PER_JOB;
         let planned: Vec<_> = if parallel {
             children.par_iter().map(plan_child).collect()
         } else {
             children.iter().map(plan_child).collect()
         };
 
-        let mut node =
-            Node { first_node: piece.nodes.len() as u32, first_leaf: piece.leaf_ends.len() as u32, ..Node::default() };
+        let mut node = TreeNode {
+            first_node: piece.nodes.len() as u32,
+            first_leaf: piece.leaf_ends.len() as u32,
+            ..TreeNode::default()
+        };
         for (child, _, child_plan) in &planned {
             node.occupied |= 1 << child;
             match child_plan {
                 None => piece.push_leaf(plan.of(*child)),
                 Some(_) => {
                     node.divided |= 1 << child;
-                    piece.nodes.push(Node::default());
+                    piece.nodes.push(TreeNode::default());
                 }
             }
         }
-        let divided = planned.into_iter().filter_map(|(_, cube, plan)| Some((cube, plan?)));
+        let divided = planned.into_iter().filter_map(|(_, cell, plan)| Some((cell, plan?)));
         if parallel {
             let subtrees: Vec<_> = divided
                 .collect::<Vec<_>>()
                 .into_par_iter()
-                .map(|(cube, plan)| {
-                    let mut subtree = Piece::default();
-                    (self.emit(&mut subtree, &cube, &plan), subtree)
+                .map(|(cell, plan)| {
+                    let mut subtree = TreePart::default();
+                    (self.emit_node(&mut subtree, &cell, &plan), subtree)
                 })
                 .collect();
             for (index, (root, subtree)) in subtrees.into_iter().enumerate() {
@@ -214,8 +224,8 @@ impl<'a> Builder<'a> {
                 piece.nodes[node.first_node as usize + index] = root.moved(&offset);
             }
         } else {
-            for (index, (cube, plan)) in divided.enumerate() {
-                piece.nodes[node.first_node as usize + index] = self.emit(piece, &cube, &plan);
+            for (index, (cell, plan)) in divided.enumerate() {
+                piece.nodes[node.first_node as usize + index] = self.emit_node(piece, &cell, &plan);
             }
         }
         node
@@ -223,7 +233,7 @@ impl<'a> Builder<'a> {
 }
 
 /// The place of a node while it is built.
-struct Cube {
+struct BuildCell {
     /// Its lowest corner, in finest cells.
     corner: [u32; 3],
     /// 0 for a brick.
@@ -232,29 +242,29 @@ struct Cube {
     most_references: usize,
 }
 
-impl Cube {
+impl BuildCell {
     fn child_size(&self) -> u32 {
         BRICK_SIZE >> (2 * (self.level + 1))
     }
 
-    fn child(&self, child: u32, plan: &Plan) -> Self {
-        let place = overlap::place(child);
-        let share = plan.of(child).len() as u128 * self.most_references as u128 / plan.references.len() as u128;
+    fn child(&self, child: u32, plan: &ChildLists) -> Self {
+        let position = overlap::child_position(child);
+        let quota = plan.of(child).len() as u128 * self.most_references as u128 / plan.references.len() as u128;
         Self {
-            corner: [0, 1, 2].map(|axis| self.corner[axis] + place[axis] * self.child_size()),
+            corner: [0, 1, 2].map(|axis| self.corner[axis] + position[axis] * self.child_size()),
             level: self.level + 1,
-            most_references: share as usize,
+            most_references: quota as usize,
         }
     }
 }
 
 /// The triangles of a node's 64 children.
-struct Plan {
+struct ChildLists {
     starts: [u32; 65],
     references: Vec<u32>,
 }
 
-impl Plan {
+impl ChildLists {
     fn of(&self, child: u32) -> &[u32] {
         &self.references[self.starts[child as usize] as usize..self.starts[child as usize + 1] as usize]
     }
@@ -262,8 +272,8 @@ impl Plan {
 
 /// A part of a grid, with numbers that count from its own beginning.
 #[derive(Default)]
-pub(crate) struct Piece {
-    pub(crate) nodes: Vec<Node>,
+pub(crate) struct TreePart {
+    pub(crate) nodes: Vec<TreeNode>,
     /// Where the references of each leaf end; they begin where the last leaf's end.
     pub(crate) leaf_ends: Vec<u32>,
     pub(crate) references: Vec<u32>,
@@ -275,7 +285,7 @@ struct Offset {
     leaf: u32,
 }
 
-impl Piece {
+impl TreePart {
     /// Room for the nodes and the leaves of some pieces.
     fn with_capacity<'a>(pieces: impl Iterator<Item = &'a Self> + Clone) -> Self {
         Self {
@@ -314,7 +324,7 @@ fn concat(lists: Vec<Vec<u32>>) -> Vec<u32> {
     all
 }
 
-impl Node {
+impl TreeNode {
     fn moved(self, offset: &Offset) -> Self {
         Self { first_node: self.first_node + offset.node, first_leaf: self.first_leaf + offset.leaf, ..self }
     }

@@ -21,14 +21,14 @@ const ROWS: [u64; 3] = [0xf, 0x1111, 0x0001_0001_0001_0001];
 //
 // No closures here: they are not inlined, and this is where most of the time of a build goes.
 #[inline]
-pub(crate) fn children(corners: &[DVec3; 3], dilation: f64) -> u64 {
+pub(crate) fn overlapped_children(corners: &[DVec3; 3], dilation: f64) -> u64 {
     let [a, b, c] = *corners;
     let (low, high) = (a.min(b).min(c) - dilation, a.max(b).max(c) + dilation);
     if low.max_element() > 4.0 || high.min_element() < 0.0 {
         return 0;
     }
-    let first = low.clamp(DVec3::ZERO, LAST).as_uvec3().to_array();
-    let last = high.clamp(DVec3::ZERO, LAST).as_uvec3().to_array();
+    let first = low.clamp(DVec3::ZERO, LAST_CHILD).as_uvec3().to_array();
+    let last = high.clamp(DVec3::ZERO, LAST_CHILD).as_uvec3().to_array();
     let mut mask = block(first, last);
     // Axes along which the triangle does not stay between two neighbouring planes.
     let mut is_thick = [false; 3];
@@ -66,17 +66,17 @@ pub(crate) fn children(corners: &[DVec3; 3], dilation: f64) -> u64 {
             (along_u[edge], along_v[edge]) = (inward_u, inward_v);
             offset[edge] = reach_of_cube - at_corner + edge_slack;
         }
-        let mut seen = 0;
-        for place_v in first[v]..=last[v] {
-            for place_u in first[u]..=last[u] {
-                let (x, y) = (f64::from(place_u), f64::from(place_v));
-                let met = (along_u[0] * x + along_v[0] * y + offset[0] >= 0.0)
+        let mut projected_mask = 0;
+        for child_v in first[v]..=last[v] {
+            for child_u in first[u]..=last[u] {
+                let (x, y) = (f64::from(child_u), f64::from(child_v));
+                let is_inside = (along_u[0] * x + along_v[0] * y + offset[0] >= 0.0)
                     & (along_u[1] * x + along_v[1] * y + offset[1] >= 0.0)
                     & (along_u[2] * x + along_v[2] * y + offset[2] >= 0.0);
-                seen |= (u64::from(met) * ROWS[axis]) << (place_u * STRIDES[u] + place_v * STRIDES[v]);
+                projected_mask |= (u64::from(is_inside) * ROWS[axis]) << (child_u * STRIDES[u] + child_v * STRIDES[v]);
             }
         }
-        mask &= seen;
+        mask &= projected_mask;
     }
     if n_thick == 2 {
         return mask;
@@ -91,7 +91,7 @@ pub(crate) fn children(corners: &[DVec3; 3], dilation: f64) -> u64 {
     while left != 0 {
         let child = left.trailing_zeros();
         left &= left - 1;
-        let [x, y, z] = place(child);
+        let [x, y, z] = child_position(child);
         let distance = normal.x * f64::from(x) + normal.y * f64::from(y) + normal.z * f64::from(z);
         mask &= !(u64::from(distance + nearer > 0.0 || distance + farther < 0.0) << child);
     }
@@ -108,23 +108,23 @@ fn block(first: [u32; 3], last: [u32; 3]) -> u64 {
 }
 
 /// The place of a node's last child.
-const LAST: DVec3 = DVec3::splat(3.0);
+const LAST_CHILD: DVec3 = DVec3::splat(3.0);
 
 /// The number of a child by its place.
 #[inline]
-pub(crate) fn child([x, y, z]: [u32; 3]) -> u32 {
+pub(crate) fn child_index([x, y, z]: [u32; 3]) -> u32 {
     z << 4 | y << 2 | x
 }
 
 /// The place of a child by its number.
 #[inline]
-pub(crate) fn place(child: u32) -> [u32; 3] {
+pub(crate) fn child_position(child: u32) -> [u32; 3] {
     [child & 3, child >> 2 & 3, child >> 4]
 }
 
 /// Corners in a space whose origin lies at `corner`, scaled.
 #[inline]
-pub(crate) fn corners_in(corners: &[DVec3; 3], corner: [u32; 3], scale: f64) -> [DVec3; 3] {
+pub(crate) fn corners_in_cube(corners: &[DVec3; 3], corner: [u32; 3], scale: f64) -> [DVec3; 3] {
     let corner = DVec3::new(f64::from(corner[0]), f64::from(corner[1]), f64::from(corner[2]));
     [(corners[0] - corner) * scale, (corners[1] - corner) * scale, (corners[2] - corner) * scale]
 }
@@ -142,12 +142,12 @@ pub(crate) fn for_each_cube(corners: &[DVec3; 3], dilation: f64, dims: [u32; 3],
     }
     // Blocks of 4×4×4 cubes, and blocks of those, so that space beside a large triangle is left out at once.
     let longest = (last[0] - first[0]).max(last[1] - first[1]).max(last[2] - first[2]);
-    descend(corners, dilation, first, 4u32.pow(longest.ilog(4)), last, &mut visit);
+    visit_overlapped(corners, dilation, first, 4u32.pow(longest.ilog(4)), last, &mut visit);
 }
 
 /// Visits the unit cubes from `first` to `last` that lie in the 4×4×4 blocks at `first`, each of `block`³ cubes.
 #[inline]
-fn descend(
+fn visit_overlapped(
     corners: &[DVec3; 3],
     dilation: f64,
     first: [u32; 3],
@@ -156,9 +156,9 @@ fn descend(
     visit: &mut impl FnMut([u32; 3]),
 ) {
     let scale = 1.0 / f64::from(block);
-    let mut left = children(&corners_in(corners, first, scale), dilation * scale);
+    let mut left = overlapped_children(&corners_in_cube(corners, first, scale), dilation * scale);
     while left != 0 {
-        let [x, y, z] = place(left.trailing_zeros());
+        let [x, y, z] = child_position(left.trailing_zeros());
         left &= left - 1;
         let low = [first[0] + x * block, first[1] + y * block, first[2] + z * block];
         if low[0] > last[0] || low[1] > last[1] || low[2] > last[2] {
@@ -167,7 +167,7 @@ fn descend(
         if block == 1 {
             visit(low);
         } else {
-            descend(corners, dilation, low, block / 4, last, visit);
+            visit_overlapped(corners, dilation, low, block / 4, last, visit);
         }
     }
 }
@@ -219,7 +219,7 @@ mod tests {
             if round % 11 == 0 {
                 corners = corners.map(|p| DVec3::new(p.x, p.y, 2.0));
             }
-            let mask = children(&corners, DILATION);
+            let mask = overlapped_children(&corners, DILATION);
             for bit in 0..64u32 {
                 let min = DVec3::new(f64::from(bit & 3), f64::from(bit >> 2 & 3), f64::from(bit >> 4));
                 let strictly = meets_by_clipping(&corners, min, min + 1.0);

@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// Triangles that one task takes.
-const TRIANGLES_PER_TASK: usize = 1 << 14;
+const TRIANGLES_PER_JOB: usize = 1 << 14;
 
 /// Pairs of triangle and cube that a task finds before it tells the others.
 const PAIRS_PER_REPORT: u64 = 1 << 12;
@@ -39,23 +39,23 @@ impl Scatter<'_> {
         if a == b || b == c || c == a {
             return None;
         }
-        let point = |corner| self.space.point(Vec3::from_array(corner).as_dvec3());
+        let point = |corner| self.space.point_to_cells(Vec3::from_array(corner).as_dvec3());
         Some([point(a), point(b), point(c)])
     }
 
     /// Calls `visit` with the cube and the triangle of every pair that touches, in parallel and in any order.
-    /// Returns how many there are, or `None`, having stopped early, if there are more than `most`.
-    pub(crate) fn for_each(&self, most: u64, visit: impl Fn([u32; 3], u32) + Sync) -> Option<u64> {
+    /// Returns how many there are, or `None`, having stopped early, if there are more than `most_pairs`.
+    pub(crate) fn for_each_pair(&self, most_pairs: u64, visit: impl Fn([u32; 3], u32) + Sync) -> Option<u64> {
         let n_triangles = self.mesh.triangles.len();
         let scale = 1.0 / f64::from(self.cube_size);
         let total = AtomicU64::new(0);
-        let all = (0..n_triangles.div_ceil(TRIANGLES_PER_TASK)).into_par_iter().all(|task| {
-            let end = ((task + 1) * TRIANGLES_PER_TASK).min(n_triangles);
+        let all = (0..n_triangles.div_ceil(TRIANGLES_PER_JOB)).into_par_iter().all(|job_idx| {
+            let end = ((job_idx + 1) * TRIANGLES_PER_JOB).min(n_triangles);
             let mut n_pairs = 0;
-            for triangle in (task * TRIANGLES_PER_TASK) as u32..end as u32 {
+            for triangle in (job_idx * TRIANGLES_PER_JOB) as u32..end as u32 {
                 let Some(corners) = self.corners(triangle) else { continue };
                 overlap::for_each_cube(
-                    &overlap::corners_in(&corners, [0; 3], scale),
+                    &overlap::corners_in_cube(&corners, [0; 3], scale),
                     DILATION * scale,
                     self.dims,
                     |cube| {
@@ -64,28 +64,28 @@ impl Scatter<'_> {
                     },
                 );
                 if n_pairs > PAIRS_PER_REPORT {
-                    if total.fetch_add(n_pairs, Relaxed) > most {
+                    if total.fetch_add(n_pairs, Relaxed) > most_pairs {
                         return false;
                     }
                     n_pairs = 0;
                 }
             }
-            total.fetch_add(n_pairs, Relaxed) <= most
+            total.fetch_add(n_pairs, Relaxed) <= most_pairs
         });
         let total = total.into_inner();
-        (all && total <= most).then_some(total)
+        (all && total <= most_pairs).then_some(total)
     }
 
-    /// How many triangles each list will hold, at the place after the list's own; `None` if there are more than `most`
+    /// How many triangles each list will hold, at the place after the list's own; `None` if there are more than `most_pairs`
     /// in all.
     pub(crate) fn count(
         &self,
         n_lists: usize,
-        most: u64,
+        most_pairs: u64,
         list: impl Fn([u32; 3]) -> usize + Sync,
     ) -> Option<Vec<AtomicU32>> {
         let counts: Vec<_> = (0..=n_lists).into_par_iter().map(|_| AtomicU32::new(0)).collect();
-        self.for_each(most, |cube, _| {
+        self.for_each_pair(most_pairs, |cube, _| {
             counts[list(cube) + 1].fetch_add(1, Relaxed);
         })?;
         Some(counts)
@@ -102,28 +102,28 @@ impl Scatter<'_> {
         let ends = counts;
         // By all threads, for memory that is written for the first time is waited for.
         let filled: Vec<_> = (0..total).into_par_iter().map(|_| AtomicU32::new(0)).collect();
-        self.for_each(u64::MAX, |cube, triangle| {
+        self.for_each_pair(u64::MAX, |cube, triangle| {
             filled[ends[list(cube) + 1].fetch_add(1, Relaxed) as usize].store(triangle, Relaxed);
         });
-        let plain = |atomics: Vec<AtomicU32>| atomics.into_iter().map(AtomicU32::into_inner).collect();
-        (plain(ends), plain(filled))
+        let into_plain = |atomics: Vec<AtomicU32>| atomics.into_iter().map(AtomicU32::into_inner).collect();
+        (into_plain(ends), into_plain(filled))
     }
 }
 
 /// Lists that one task sorts.
-const LISTS_PER_TASK: usize = 1 << 14;
+const LISTS_PER_JOB: usize = 1 << 14;
 
 /// Brings each list into ascending order.
 pub(crate) fn sort_lists(starts: &[u32], references: &mut [u32]) {
-    let mut tasks = Vec::new();
+    let mut jobs = Vec::new();
     let mut rest = references;
-    for first in (0..starts.len() - 1).step_by(LISTS_PER_TASK) {
-        let starts = &starts[first..starts.len().min(first + LISTS_PER_TASK + 1)];
+    for first in (0..starts.len() - 1).step_by(LISTS_PER_JOB) {
+        let starts = &starts[first..starts.len().min(first + LISTS_PER_JOB + 1)];
         let (these, others) = rest.split_at_mut((starts[starts.len() - 1] - starts[0]) as usize);
-        tasks.push((starts, these));
+        jobs.push((starts, these));
         rest = others;
     }
-    tasks.into_par_iter().for_each(|(starts, references)| {
+    jobs.into_par_iter().for_each(|(starts, references)| {
         for bounds in starts.windows(2) {
             references[(bounds[0] - starts[0]) as usize..(bounds[1] - starts[0]) as usize].sort_unstable();
         }

@@ -1,7 +1,7 @@
 //! The paper's macrocells: bit arrays over blocks of cells, for skipping empty space.
 
 /// Cells (or smaller macrocells) along a macrocell, as a power of two.
-const SHIFT: u32 = 2;
+const LOG2_RATIO: u32 = 2;
 
 /// Bit arrays over blocks of 4³, 16³ and 64³ cells, as many of them as were asked for.
 #[derive(Debug, Default, PartialEq)]
@@ -23,7 +23,8 @@ struct Level {
 impl Macrocells {
     /// Takes the cells that hold anything, in any order.
     pub(crate) fn new(dims: [u32; 3], n_levels: u8, occupied: impl Iterator<Item = [u32; 3]>) -> Self {
-        let mut levels: Vec<_> = (1..=u32::from(n_levels)).rev().map(|level| Level::new(dims, level * SHIFT)).collect();
+        let mut levels: Vec<_> =
+            (1..=u32::from(n_levels)).rev().map(|level| Level::new(dims, level * LOG2_RATIO)).collect();
         if let Some(finest) = levels.last_mut() {
             occupied.for_each(|cell| finest.set(cell));
         }
@@ -39,7 +40,7 @@ impl Macrocells {
     /// The size (log₂ in cells) of the largest empty macrocell around a cell, if there is one.
     #[inline]
     pub(crate) fn empty_around(&self, cell: [u32; 3]) -> Option<u32> {
-        self.levels.iter().find(|level| !level.holds(cell)).map(|level| level.shift)
+        self.levels.iter().find(|level| !level.is_occupied(cell)).map(|level| level.shift)
     }
 
     pub(crate) fn n_bytes(&self) -> usize {
@@ -60,7 +61,7 @@ impl Level {
     }
 
     #[inline]
-    fn holds(&self, cell: [u32; 3]) -> bool {
+    fn is_occupied(&self, cell: [u32; 3]) -> bool {
         let index = self.index(cell);
         self.occupied[index / 64] >> (index % 64) & 1 == 1
     }

@@ -14,19 +14,19 @@ const MOST_CELLS_PER_AXIS: f64 = 16384.0;
 /// Returns the number of cells per axis and the side of a cell in world units.
 pub(crate) fn resolution(extent: DVec3, n_triangles: usize, density: f64) -> ([u32; 3], f64) {
     let n_cells = density * n_triangles as f64;
-    let mut counts = [true; 3];
+    let mut has_extent = [true; 3];
     loop {
-        let dimensions = counts.iter().filter(|&&counts| counts).count();
-        if dimensions == 0 {
+        let n_axes = has_extent.iter().filter(|&&has_extent| has_extent).count();
+        if n_axes == 0 {
             return ([1; 3], if extent.max_element() > 0.0 { extent.max_element() } else { 1.0 });
         }
         // The root of each factor apart: V itself can leave the range of f64.
-        let root = 1.0 / dimensions as f64;
-        let axes = || (0..3).filter(|&axis| counts[axis]);
+        let root = 1.0 / n_axes as f64;
+        let axes = || (0..3).filter(|&axis| has_extent[axis]);
         let cells_per_unit = axes().map(|axis| extent[axis].powf(-root)).product::<f64>() * n_cells.powf(root);
         let thin = axes().find(|&axis| extent[axis] == 0.0 || extent[axis] * cells_per_unit < 1.0);
         if let Some(axis) = thin {
-            counts[axis] = false;
+            has_extent[axis] = false;
             continue;
         }
         let cells_per_unit = cells_per_unit.min(MOST_CELLS_PER_AXIS / extent.max_element());
@@ -53,7 +53,7 @@ impl CellSpace {
         self.origin
     }
 
-    pub(crate) fn point(&self, world: DVec3) -> DVec3 {
+    pub(crate) fn point_to_cells(&self, world: DVec3) -> DVec3 {
         (world - DVec3::from_array(self.origin.map(f64::from))) * self.cells_per_unit
     }
 
@@ -63,11 +63,11 @@ impl CellSpace {
     }
 
     /// A length in world units.
-    pub(crate) fn length(&self, cells: f64) -> f64 {
+    pub(crate) fn length_to_world(&self, cells: f64) -> f64 {
         cells / self.cells_per_unit
     }
 
-    pub(crate) fn direction(&self, world: DVec3) -> DVec3 {
+    pub(crate) fn direction_to_cells(&self, world: DVec3) -> DVec3 {
         world * self.cells_per_unit
     }
 }

@@ -14,14 +14,14 @@ use crate::grid::uniform::CellIndex;
 const WINDOW_WORDS: usize = 256;
 
 /// In place of a row without occupied cells.
-const EMPTY: u32 = u32::MAX;
+const EMPTY_ROW: u32 = u32::MAX;
 
 /// Which cells are occupied, and the slot of each of those.
 #[derive(Debug, PartialEq)]
 pub(crate) struct RowDisplacement {
-    lines: Lines,
-    /// The place of each row in D and O, or [`EMPTY`].
-    kept: Vec<u32>,
+    layout: RowLayout,
+    /// The place of each row in D and O, or [`EMPTY_ROW`].
+    kept_row: Vec<u32>,
     /// D: a bit for each cell, kept row after kept row.
     occupied: Vec<u64>,
     /// O: for each kept row, what added to a cell's place in it (modulo 2³²) gives the slot.
@@ -31,14 +31,14 @@ pub(crate) struct RowDisplacement {
 
 /// How cells lie in rows: along the shortest axis, as short rows fit closer.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Lines {
+struct RowLayout {
     /// The rows' own axis, and the two across, of which the first comes faster.
     axes: [usize; 3],
     /// Cells along these.
     dims: [usize; 3],
 }
 
-impl Lines {
+impl RowLayout {
     fn new(dims: [u32; 3]) -> Self {
         let along = (0..3).min_by_key(|&axis| dims[axis]).unwrap_or(0);
         let axes = [along, (along + 1) % 3, (along + 2) % 3];
@@ -58,35 +58,35 @@ impl Lines {
 
     /// The number of a cell, row after row.
     #[inline]
-    fn number(&self, cell: [u32; 3]) -> usize {
+    fn cell_index(&self, cell: [u32; 3]) -> usize {
         let (row, along) = self.row(cell);
         row * self.dims[0] + along as usize
     }
 
     fn cell(&self, row: usize, along: u32) -> [u32; 3] {
         let mut cell = [0; 3];
-        let place = [along, (row % self.dims[1]) as u32, (row / self.dims[1]) as u32];
-        (0..3).for_each(|axis| cell[self.axes[axis]] = place[axis]);
+        let position = [along, (row % self.dims[1]) as u32, (row / self.dims[1]) as u32];
+        (0..3).for_each(|axis| cell[self.axes[axis]] = position[axis]);
         cell
     }
 }
 
 /// Occupied cells, as they are found by many threads.
-pub(crate) struct Occupied {
-    lines: Lines,
+pub(crate) struct OccupiedCells {
+    layout: RowLayout,
     bits: Vec<AtomicU64>,
 }
 
-impl Occupied {
+impl OccupiedCells {
     pub(crate) fn new(dims: [u32; 3]) -> Self {
-        let lines = Lines::new(dims);
-        let n_cells = lines.n_rows() * lines.dims[0];
-        Self { lines, bits: (0..n_cells.div_ceil(64)).map(|_| AtomicU64::new(0)).collect() }
+        let layout = RowLayout::new(dims);
+        let n_cells = layout.n_rows() * layout.dims[0];
+        Self { layout, bits: (0..n_cells.div_ceil(64)).map(|_| AtomicU64::new(0)).collect() }
     }
 
     #[inline]
     pub(crate) fn insert(&self, cell: [u32; 3]) {
-        let number = self.lines.number(cell);
+        let number = self.layout.cell_index(cell);
         let (word, bit) = (&self.bits[number / 64], 1 << (number % 64));
         // Most cells are met by several triangles, and to read is cheaper.
         if word.load(Relaxed) & bit == 0 {
@@ -98,7 +98,7 @@ impl Occupied {
 impl RowDisplacement {
     /// What D and O will take at most.
     pub(crate) fn predicted_bytes(dims: [u32; 3]) -> u64 {
-        let [along, fast, slow] = Lines::new(dims).dims.map(|n| n as u64);
+        let [along, fast, slow] = RowLayout::new(dims).dims.map(|n| n as u64);
         (along * fast * slow).div_ceil(8) + 8 * fast * slow
     }
 
@@ -106,42 +106,42 @@ impl RowDisplacement {
     ///
     /// Lagae and Dutré begin with the longest rows; here each row follows its neighbour, which resembles it, so that
     /// they interlock: that fills 90 % of the slots where the other order fills 60 %.
-    pub(crate) fn new(Occupied { lines, bits }: Occupied) -> Self {
+    pub(crate) fn new(OccupiedCells { layout, bits }: OccupiedCells) -> Self {
         let mut occupied: Vec<_> = bits.into_iter().map(AtomicU64::into_inner).collect();
-        let length = lines.dims[0];
+        let length = layout.dims[0];
         let mut slots = Slots::default();
         let mut cells = Vec::new();
         let mut offsets = Vec::new();
-        let kept = (0..lines.n_rows())
+        let kept_row = (0..layout.n_rows())
             .map(|row| {
                 cells.clear();
-                cells.extend(ones(&occupied, row * length, length));
-                let Some(&first) = cells.first() else { return EMPTY };
-                let kept = offsets.len();
-                copy_bits(&mut occupied, row * length, kept * length, length);
+                cells.extend(set_bits(&occupied, row * length, length));
+                let Some(&first) = cells.first() else { return EMPTY_ROW };
+                let kept_row = offsets.len();
+                copy_bits(&mut occupied, row * length, kept_row * length, length);
                 cells.iter_mut().for_each(|along| *along -= first);
-                offsets.push((slots.place(&cells) as u32).wrapping_sub(first));
-                kept as u32
+                offsets.push((slots.claim_first_fit(&cells) as u32).wrapping_sub(first));
+                kept_row as u32
             })
             .collect();
         occupied.truncate((offsets.len() * length).div_ceil(64));
         occupied.shrink_to_fit();
         offsets.shrink_to_fit();
-        Self { lines, kept, occupied, offsets, n_slots: slots.end }
+        Self { layout, kept_row, occupied, offsets, n_slots: slots.end }
     }
 
     /// Bytes of D and of O, the rows' places in them counted with O.
     pub(crate) fn n_bytes(&self) -> [usize; 2] {
-        [size_of_val(&*self.occupied), size_of_val(&*self.kept) + size_of_val(&*self.offsets)]
+        [size_of_val(&*self.occupied), size_of_val(&*self.kept_row) + size_of_val(&*self.offsets)]
     }
 
     /// The occupied cells.
     pub(crate) fn cells(&self) -> impl Iterator<Item = [u32; 3]> {
-        let length = self.lines.dims[0];
-        let kept = self.kept.iter().enumerate().filter(|&(_, &kept)| kept != EMPTY);
-        kept.flat_map(move |(row, &kept)| {
-            let cells = ones(&self.occupied, kept as usize * length, length);
-            cells.map(move |along| self.lines.cell(row, along))
+        let length = self.layout.dims[0];
+        let kept_row = self.kept_row.iter().enumerate().filter(|&(_, &kept_row)| kept_row != EMPTY_ROW);
+        kept_row.flat_map(move |(row, &kept_row)| {
+            let cells = set_bits(&self.occupied, kept_row as usize * length, length);
+            cells.map(move |along| self.layout.cell(row, along))
         })
     }
 }
@@ -153,14 +153,14 @@ impl CellIndex for RowDisplacement {
 
     #[inline]
     fn slot(&self, cell: [u32; 3]) -> Option<usize> {
-        let (row, along) = self.lines.row(cell);
-        let kept = self.kept[row];
-        if kept == EMPTY {
+        let (row, along) = self.layout.row(cell);
+        let kept_row = self.kept_row[row];
+        if kept_row == EMPTY_ROW {
             return None;
         }
-        let kept = kept as usize;
-        let bit = kept * self.lines.dims[0] + along as usize;
-        (self.occupied[bit / 64] >> (bit % 64) & 1 == 1).then(|| self.offsets[kept].wrapping_add(along) as usize)
+        let kept_row = kept_row as usize;
+        let bit = kept_row * self.layout.dims[0] + along as usize;
+        (self.occupied[bit / 64] >> (bit % 64) & 1 == 1).then(|| self.offsets[kept_row].wrapping_add(along) as usize)
     }
 }
 
@@ -173,7 +173,7 @@ fn word_at(words: &[u64], first: usize) -> u64 {
 }
 
 /// Which of `n` bits from `first` on are 1.
-fn ones(words: &[u64], first: usize, n: usize) -> impl Iterator<Item = u32> {
+fn set_bits(words: &[u64], first: usize, n: usize) -> impl Iterator<Item = u32> {
     (0..n).step_by(64).flat_map(move |done| {
         let word = word_at(words, first + done) & u64::MAX >> (64 - (n - done).min(64));
         crate::grid::bits(word).map(move |bit| done as u32 + bit)
@@ -203,9 +203,9 @@ struct Slots {
 
 impl Slots {
     /// Takes the first place that is free for a row, given by its occupied cells, the first of which is 0.
-    fn place(&mut self, cells: &[u32]) -> usize {
+    fn claim_first_fit(&mut self, cells: &[u32]) -> usize {
         let mut first = (self.end / 64).saturating_sub(WINDOW_WORDS) * 64;
-        let place = loop {
+        let first_slot = loop {
             // A bit for each of 64 places where some cell would meet a slot that is taken.
             let mut conflicts = 0;
             for &x in cells {
@@ -220,14 +220,14 @@ impl Slots {
             first += 64;
         };
         for &x in cells {
-            let slot = place + x as usize;
+            let slot = first_slot + x as usize;
             self.end = self.end.max(slot + 1);
             if self.taken.len() <= slot / 64 {
                 self.taken.resize(slot / 64 + 1, 0);
             }
             self.taken[slot / 64] |= 1 << (slot % 64);
         }
-        place
+        first_slot
     }
 }
 
@@ -241,7 +241,7 @@ mod tests {
         let dense = [[1, 1, 1], [5, 3, 2], [64, 9, 4], [60, 40, 30], [1, 300, 7]].map(|dims| (dims, 8));
         for (dims, sparseness) in dense.into_iter().chain([([70, 150, 80], 256), ([130, 128, 200], 1024)]) {
             let cells = (0..dims[2]).flat_map(|z| (0..dims[1]).flat_map(move |y| (0..dims[0]).map(move |x| [x, y, z])));
-            let occupied = Occupied::new(dims);
+            let occupied = OccupiedCells::new(dims);
             let mut expected = Vec::new();
             for cell in cells.clone() {
                 state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

@@ -11,7 +11,7 @@ use crate::{
         packet::Packet,
         ray::Hit,
         simd::{Real, Simd},
-        triangle::{self, Plane, Planes, Vector},
+        triangle::{self, EdgePlanes, Plane, Vector},
     },
 };
 
@@ -84,10 +84,10 @@ impl<'a, const N: usize> NearestHits<'a, N> {
     /// Decides what remains, and writes the hits.
     #[inline(always)]
     pub(crate) fn write<S: Simd>(&mut self, hits: &mut [[Hit; 64]]) {
-        self.decide_rest::<S>();
+        self.decide_queued::<S>();
         for packet in 0..N {
             for first in (0..64).step_by(S::LANES) {
-                self.decide_estimated::<S>(packet, first);
+                self.intersect_estimated::<S>(packet, first);
             }
         }
         // What was never hit has the triangle and the t of a miss.
@@ -102,7 +102,7 @@ impl<'a, const N: usize> NearestHits<'a, N> {
     /// they are the nearest so far. Their inverse depths lie between two bounds. Returns those that cannot be told apart
     /// from others, or from the ends of the ray.
     #[inline(always)]
-    pub(crate) fn estimate<S: Simd>(
+    pub(crate) fn keep_estimate<S: Simd>(
         &mut self,
         triangle: u32,
         packet: usize,
@@ -113,24 +113,24 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         let Packet { directions, t_min, t_max, any_hit, .. } = self.packets[packet];
         let along = S::load(&directions[self.axis][first..]).abs();
         let one = S::splat(1.0);
-        let within = one.below(least.mul(along).mul(S::splat(*t_max * (1.0 - 1e-6))))
-            & greatest.mul(along).mul(S::splat(*t_min * (1.0 + 1e-6))).below(one);
+        let within = one.lt(least.mul(along).mul(S::splat(*t_max * (1.0 - 1e-6))))
+            & greatest.mul(along).mul(S::splat(*t_min * (1.0 + 1e-6))).lt(one);
         let HitScratch { inverse_limits, estimated, estimated_inverse_depths, .. } = &mut *self.hits;
         let inverse_limits = &mut inverse_limits[packet][first..];
         let inverse_depths = &mut estimated_inverse_depths[packet][first..];
-        let before = certain & within & S::load(inverse_depths).below(least);
-        let behind = greatest.below(S::load(inverse_limits));
-        greatest.store_where(before, inverse_depths);
+        let before = certain & within & S::load(inverse_depths).lt(least);
+        let behind = greatest.lt(S::load(inverse_limits));
+        greatest.masked_store(before, inverse_depths);
         let inverse_limit = if *any_hit { S::splat(f32::INFINITY) } else { least.max(S::load(inverse_limits)) };
-        inverse_limit.store_where(before, inverse_limits);
-        S::fill_where(triangle, before, &mut estimated[packet][first..]);
+        inverse_limit.masked_store(before, inverse_limits);
+        S::masked_fill(triangle, before, &mut estimated[packet][first..]);
         certain & !(before | behind)
     }
 
     /// Keeps pairs of a triangle and some of the rays from number `first` on until there are enough of them for one
     /// decision.
     #[inline(always)]
-    pub(crate) fn decide_later<S: Simd>(&mut self, triangle: u32, first: usize, rays: u32) {
+    pub(crate) fn queue_exact_test<S: Simd>(&mut self, triangle: u32, first: usize, rays: u32) {
         let mut left = rays;
         while left != 0 {
             self.rays[self.n_pairs] = (first + left.trailing_zeros() as usize) as u8;
@@ -145,7 +145,7 @@ impl<'a, const N: usize> NearestHits<'a, N> {
 
     /// Decides what still waits.
     #[inline(always)]
-    pub(crate) fn decide_rest<S: Simd>(&mut self) {
+    pub(crate) fn decide_queued<S: Simd>(&mut self) {
         if self.n_pairs > 0 {
             self.decide::<S>();
         }
@@ -167,9 +167,9 @@ impl<'a, const N: usize> NearestHits<'a, N> {
             }
         }
         let [x, y, z] = &directions;
-        let corners = Corners::of::<S>(self.mesh, &self.triangles);
+        let corners = CornerLanes::of::<S>(self.mesh, &self.triangles);
         for first in (0..n_pairs).step_by(S::Double::LANES) {
-            let planes = Planes::new(self.origin(), corners.in_double::<S::Double>(first));
+            let planes = EdgePlanes::new(self.origin(), corners.double_lanes::<S::Double>(first));
             let direction = [S::Double::load(&x[first..]), S::Double::load(&y[first..]), S::Double::load(&z[first..])];
             let decision = planes.decide(direction);
             let mut all_t = [0.0; 8];
@@ -180,9 +180,9 @@ impl<'a, const N: usize> NearestHits<'a, N> {
                 left &= left - 1;
                 let (ray, triangle) = (usize::from(self.rays[first + slot]), self.triangles[first + slot]);
                 if decision.uncertain >> slot & 1 == 0 {
-                    self.keep(ray, triangle, all_t[slot]);
+                    self.keep_if_nearest(ray, triangle, all_t[slot]);
                 } else if let Some(t) = self.decide_exactly(ray, triangle) {
-                    self.keep(ray, triangle, t);
+                    self.keep_if_nearest(ray, triangle, t);
                 }
             }
         }
@@ -190,37 +190,44 @@ impl<'a, const N: usize> NearestHits<'a, N> {
 
     /// Finds where a packet's rays from number `first` on hit the triangles that they certainly hit.
     #[inline(always)]
-    fn decide_estimated<S: Simd>(&mut self, packet: usize, first: usize) {
+    fn intersect_estimated<S: Simd>(&mut self, packet: usize, first: usize) {
         let places = &self.hits.estimated[packet][first..];
         let all = ((1u64 << S::LANES) - 1) as u32;
-        let estimated = all & !S::equal(places, Hit::MISS.triangle);
+        let estimated = all & !S::eq_mask(places, Hit::MISS.triangle);
         if estimated == 0 {
             return;
         }
-        let some = places[estimated.trailing_zeros() as usize];
-        if estimated & !S::equal(places, some) == 0 {
+        let any_triangle = places[estimated.trailing_zeros() as usize];
+        if estimated & !S::eq_mask(places, any_triangle) == 0 {
             // A large triangle.
-            let corners = self.mesh.corners(some).map(|corner| corner.map(f64::from));
+            let corners = self.mesh.corners(any_triangle).map(|corner| corner.map(f64::from));
             let plane = Plane::new(self.origin(), corners).splat::<S::Double>();
             for half in (0..S::LANES).step_by(S::Double::LANES) {
-                self.meet::<S>(packet, first + half, estimated >> half, &[some; 8], &plane);
+                self.intersect_planes::<S>(packet, first + half, estimated >> half, &[any_triangle; 8], &plane);
             }
             return;
         }
-        let mut triangles = [some; 16];
+        let mut triangles = [any_triangle; 16];
         for lane in 0..S::LANES {
-            triangles[lane] = if estimated >> lane & 1 == 1 { places[lane] } else { some };
+            triangles[lane] = if estimated >> lane & 1 == 1 { places[lane] } else { any_triangle };
         }
-        let corners = Corners::of::<S>(self.mesh, &triangles);
+        let corners = CornerLanes::of::<S>(self.mesh, &triangles);
         for half in (0..S::LANES).step_by(S::Double::LANES) {
-            let plane = Plane::new(self.origin(), corners.in_double::<S::Double>(half));
-            self.meet::<S>(packet, first + half, estimated >> half, &triangles[half..], &plane);
+            let plane = Plane::new(self.origin(), corners.double_lanes::<S::Double>(half));
+            self.intersect_planes::<S>(packet, first + half, estimated >> half, &triangles[half..], &plane);
         }
     }
 
     /// Finds where some of a packet's rays from number `first` on hit the planes of triangles that they certainly hit.
     #[inline(always)]
-    fn meet<S: Simd>(&mut self, packet: usize, first: usize, rays: u32, triangles: &[u32], plane: &Plane<S::Double>) {
+    fn intersect_planes<S: Simd>(
+        &mut self,
+        packet: usize,
+        first: usize,
+        rays: u32,
+        triangles: &[u32],
+        plane: &Plane<S::Double>,
+    ) {
         let [x, y, z] = &self.packets[packet].directions;
         let direction = [S::Double::load(&x[first..]), S::Double::load(&y[first..]), S::Double::load(&z[first..])];
         let mut all_t = [0.0; 8];
@@ -236,7 +243,7 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         while contested != 0 {
             let lane = contested.trailing_zeros() as usize;
             contested &= contested - 1;
-            self.keep(64 * packet + first + lane, triangles[lane], all_t[lane]);
+            self.keep_if_nearest(64 * packet + first + lane, triangles[lane], all_t[lane]);
         }
     }
 
@@ -249,11 +256,12 @@ impl<'a, const N: usize> NearestHits<'a, N> {
 
     /// Keeps a hit if it is a ray's nearest so far of those that were decided.
     #[inline(always)]
-    fn keep(&mut self, ray: usize, triangle: u32, t: f64) {
+    fn keep_if_nearest(&mut self, ray: usize, triangle: u32, t: f64) {
         let (index, lane) = (ray / 64 % N, ray % 64);
         let packet = self.packets[index];
-        let (nearest, of_nearest) = (self.hits.t[index][lane], self.hits.triangles[index][lane]);
-        let is_nearer = t < nearest || t == nearest && triangle != of_nearest && self.is_before(triangle, of_nearest);
+        let (nearest, nearest_triangle) = (self.hits.t[index][lane], self.hits.triangles[index][lane]);
+        let is_nearer = t < nearest
+            || t == nearest && triangle != nearest_triangle && self.precedes_in_file(triangle, nearest_triangle);
         if is_nearer && (f64::from(packet.t_min)..=f64::from(packet.t_max)).contains(&t) {
             self.hits.t[index][lane] = t;
             self.hits.triangles[index][lane] = triangle;
@@ -267,8 +275,8 @@ impl<'a, const N: usize> NearestHits<'a, N> {
     /// Of triangles at the same t the first in the file wins.
     #[cold]
     #[inline(never)]
-    fn is_before(&self, triangle: u32, other: u32) -> bool {
-        self.mesh.number(triangle) < self.mesh.number(other)
+    fn precedes_in_file(&self, triangle: u32, other: u32) -> bool {
+        self.mesh.file_index(triangle) < self.mesh.file_index(other)
     }
 
     #[cold]
@@ -279,13 +287,13 @@ impl<'a, const N: usize> NearestHits<'a, N> {
 }
 
 /// The corners of triangles, one in each lane: for each corner and each axis a coordinate.
-struct Corners([[[f32; 16]; 3]; 3]);
+struct CornerLanes([[[f32; 16]; 3]; 3]);
 
-impl Corners {
+impl CornerLanes {
     /// Of as many triangles as there are lanes.
     #[inline(always)]
     fn of<S: Simd>(mesh: &TracedMesh, places: &[u32; 16]) -> Self {
-        let in_lanes = mesh.corners_in_lanes::<S>(places);
+        let in_lanes = mesh.gather_corners::<S>(places);
         let mut corners = [[[0.0; 16]; 3]; 3];
         for corner in 0..3 {
             for axis in 0..3 {
@@ -297,7 +305,7 @@ impl Corners {
 
     /// Those from number `first` on, as many as `R` has lanes.
     #[inline(always)]
-    fn in_double<R: Real>(&self, first: usize) -> [Vector<R>; 3] {
+    fn double_lanes<R: Real>(&self, first: usize) -> [Vector<R>; 3] {
         let mut double = [[R::splat(0.0); 3]; 3];
         for corner in 0..3 {
             for axis in 0..3 {

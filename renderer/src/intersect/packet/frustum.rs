@@ -12,7 +12,7 @@ pub(crate) struct CellBounds {
 /// The region that a packet's rays pass, in finest cells along k, u and v.
 pub(crate) struct Frustum {
     pub(crate) origin: [f64; 3],
-    pub(crate) forward: bool,
+    pub(crate) is_forward: bool,
     /// Least and largest du/dk, least and largest dv/dk.
     pub(crate) slopes: [f32; 4],
     /// The grid's size along u and v.
@@ -28,7 +28,7 @@ impl Frustum {
     #[inline(always)]
     pub(crate) fn depths(&self, low: i32, size: i32) -> (f64, f64) {
         let (low, high) = (f64::from(low), f64::from(low + size));
-        if self.forward {
+        if self.is_forward {
             (low - self.origin[0] - self.margin, high - self.origin[0] + self.margin)
         } else {
             (self.origin[0] - high - self.margin, self.origin[0] - low + self.margin)
@@ -39,11 +39,11 @@ impl Frustum {
     #[inline(always)]
     pub(crate) fn cells(&self, near: f64, far: f64) -> Option<CellBounds> {
         let near = near.max(0.0);
-        Some(CellBounds { u: self.span(0, near, far)?, v: self.span(1, near, far)? })
+        Some(CellBounds { u: self.cell_range(0, near, far)?, v: self.cell_range(1, near, far)? })
     }
 
     #[inline(always)]
-    fn span(&self, axis: usize, near: f64, far: f64) -> Option<[i32; 2]> {
+    fn cell_range(&self, axis: usize, near: f64, far: f64) -> Option<[i32; 2]> {
         let (low, high) = (f64::from(self.slopes[2 * axis]), f64::from(self.slopes[2 * axis + 1]));
         let from = self.origin[axis + 1] - self.margin + low * if low < 0.0 { far } else { near };
         let to = self.origin[axis + 1] + self.margin + high * if high < 0.0 { near } else { far };
@@ -63,19 +63,19 @@ impl Frustum {
 
     /// A slab in which cells of this size may slip between the rays.
     #[inline(always)]
-    pub(crate) fn narrow(&self, near: f64, far: f64, size: u32) -> Option<Narrow<'_>> {
+    pub(crate) fn narrow(&self, near: f64, far: f64, size: u32) -> Option<NarrowSlab<'_>> {
         let width = f64::from(self.slopes[1] - self.slopes[0]) * near;
-        (near > f64::from(size) * 1e-3 && width > NARROW * f64::from(size)).then(|| Narrow {
+        (near > f64::from(size) * 1e-3 && width > LEAST_CELLS_ACROSS * f64::from(size)).then(|| NarrowSlab {
             frustum: self,
             inverse_depth: (self.cells_per_unit / near * (1.0 + 1e-6)) as f32,
-            nearer: 1.0 / near,
-            farther: 1.0 / far,
+            inverse_near: 1.0 / near,
+            inverse_far: 1.0 / far,
         })
     }
 
     /// A depth before which the frustum does not meet the grid.
     #[inline(always)]
-    pub(crate) fn first_depth(&self) -> f64 {
+    pub(crate) fn entry_depth(&self) -> f64 {
         let mut depth = 0.0f64;
         for axis in 0..2 {
             let (low, high) = (f64::from(self.slopes[2 * axis]), f64::from(self.slopes[2 * axis + 1]));
@@ -94,20 +94,20 @@ impl Frustum {
 }
 
 /// How many cells must fit across a packet before it pays to look for cells between its rays.
-const NARROW: f64 = 1.0;
+const LEAST_CELLS_ACROSS: f64 = 1.0;
 
 /// A slab that lies wholly before the origin.
 #[derive(Clone, Copy)]
-pub(crate) struct Narrow<'a> {
+pub(crate) struct NarrowSlab<'a> {
     frustum: &'a Frustum,
     /// Inverse depth of the nearer side, per world unit.
     pub(crate) inverse_depth: f32,
     /// Inverse depths of its sides.
-    nearer: f64,
-    farther: f64,
+    inverse_near: f64,
+    inverse_far: f64,
 }
 
-impl Narrow<'_> {
+impl NarrowSlab<'_> {
     /// The slopes between which a cell of the slab is seen, from its lowest place along u (0) or v (1).
     #[inline(always)]
     pub(crate) fn slopes(&self, axis: usize, low: i32, size: f64) -> [f32; 2] {
@@ -115,8 +115,8 @@ impl Narrow<'_> {
         let low = f64::from(low) - self.frustum.origin[axis + 1];
         let (low, high) = (low - margin, low + size + margin);
         [
-            (low * if low < 0.0 { self.nearer } else { self.farther }) as f32,
-            (high * if high < 0.0 { self.farther } else { self.nearer }) as f32,
+            (low * if low < 0.0 { self.inverse_near } else { self.inverse_far }) as f32,
+            (high * if high < 0.0 { self.inverse_far } else { self.inverse_near }) as f32,
         ]
     }
 }

@@ -6,8 +6,8 @@
 
 use crate::intersect::{
     packet::{
-        cull::{Culler, Groups},
-        prepared::Prepared,
+        cull::{Culler, RayGroups},
+        prepared::PreparedTriangles,
     },
     simd::Simd,
 };
@@ -29,23 +29,24 @@ pub(crate) struct Pair {
 impl<const N: usize> Culler<'_, N> {
     /// Tests prepared triangles against all rays.
     #[inline(always)]
-    pub(crate) fn test_prepared<S: Simd>(&mut self, prepared: &Prepared, triangles: u32) {
+    pub(crate) fn test_prepared<S: Simd>(&mut self, prepared: &PreparedTriangles, triangles: u32) {
         // Step by step for all packets, for whatever decides whether to go on is known late.
-        let mut of_packets = [0; N];
+        let mut hit_by_packet = [0; N];
         for packet in 0..N {
-            let [u_low, u_high, v_low, v_high] = self.slopes_of_packets[packet];
-            of_packets[packet] = triangles & within::<S>(prepared, [u_low, u_high], [v_low, v_high]);
+            let [u_low, u_high, v_low, v_high] = self.packet_slopes[packet];
+            hit_by_packet[packet] = triangles & overlaps_slopes::<S>(prepared, [u_low, u_high], [v_low, v_high]);
         }
         let mut met = [0; N];
         for packet in 0..N {
             // Most triangles are met by one packet alone.
-            if of_packets[packet] == 0 {
+            if hit_by_packet[packet] == 0 {
                 continue;
             }
             for group_of_packet in 0..64 / S::LANES {
                 let group = packet * (64 / S::LANES) + group_of_packet;
-                let of_group = of_packets[packet] & self.may_meet::<S>(prepared, group);
-                met[packet] |= u64::from(of_group * (self.live >> group & 1)) << (group_of_packet * S::LANES);
+                let group_hits = hit_by_packet[packet] & self.group_may_hit::<S>(prepared, group);
+                met[packet] |=
+                    u64::from(group_hits * (self.unfinished_groups >> group & 1)) << (group_of_packet * S::LANES);
             }
         }
         let mut n_pairs = 0;
@@ -61,33 +62,33 @@ impl<const N: usize> Culler<'_, N> {
             }
         }
         for index in 0..n_pairs {
-            self.take::<S>(prepared, self.pairs[index]);
+            self.record_pair::<S>(prepared, self.pairs[index]);
         }
     }
 
     /// A bit for each prepared triangle that rays of a group may meet.
     #[inline(always)]
-    fn may_meet<S: Simd>(&self, prepared: &Prepared, group: usize) -> u32 {
-        let Groups { u, v, middles, inverse_limits } = &*self.groups;
-        let (u_middle, v_middle) = (S::splat(middles[0][group]), S::splat(middles[1][group]));
+    fn group_may_hit<S: Simd>(&self, prepared: &PreparedTriangles, group: usize) -> u32 {
+        let RayGroups { u, v, centres, inverse_limits } = &*self.groups;
+        let (u_middle, v_middle) = (S::splat(centres[0][group]), S::splat(centres[1][group]));
         // Bounds across the axes meet where a large triangle passes beside the group.
         let mut sides = [u_middle; 3];
         for edge in 0..3 {
             let along_v = S::load(&prepared.sides[edge][2]).mul_add(v_middle, S::load(&prepared.group_sides[edge]));
             sides[edge] = S::load(&prepared.sides[edge][1]).mul_add(u_middle, along_v);
         }
-        within::<S>(prepared, [u[0][group], u[1][group]], [v[0][group], v[1][group]])
-            & S::splat(inverse_limits[group]).up_to(S::load(&prepared.inverse_depth))
-            & !sides[0].min(sides[1]).min(sides[2]).below(S::splat(0.0))
+        overlaps_slopes::<S>(prepared, [u[0][group], u[1][group]], [v[0][group], v[1][group]])
+            & S::splat(inverse_limits[group]).le(S::load(&prepared.inverse_depth))
+            & !sides[0].min(sides[1]).min(sides[2]).lt(S::splat(0.0))
     }
 
     /// Tests a prepared triangle against a packet's group of rays from number `first` on.
     #[inline(always)]
-    fn test_sides<S: Simd>(&self, prepared: &Prepared, lane: usize, packet: usize, first: usize) -> Pair {
+    fn test_sides<S: Simd>(&self, prepared: &PreparedTriangles, lane: usize, packet: usize, first: usize) -> Pair {
         let (u, v) = (S::load(&self.u[packet][first..]), S::load(&self.v[packet][first..]));
         let mut sides = [u; 3];
         for edge in 0..3 {
-            sides[edge] = along::<S>(&prepared.sides[edge], lane, u, v);
+            sides[edge] = dot_direction::<S>(&prepared.sides[edge], lane, u, v);
         }
         let margin = prepared.side_margin[lane];
         let low = sides[0].min(sides[1]).min(sides[2]);
@@ -95,8 +96,8 @@ impl<const N: usize> Culler<'_, N> {
         // How far all sides are on one side of zero, whichever.
         let inside = low.max(S::splat(0.0).sub(high));
         let inverse_limits = S::load(&self.nearest.inverse_limits(packet)[first..]);
-        let possible = inverse_limits.up_to(S::splat(prepared.inverse_depth[lane])) & !inside.below(S::splat(-margin));
-        let certain = possible & S::splat(margin).below(inside);
+        let possible = inverse_limits.le(S::splat(prepared.inverse_depth[lane])) & !inside.lt(S::splat(-margin));
+        let certain = possible & S::splat(margin).lt(inside);
         Pair {
             lane: lane as u8,
             packet: packet as u8,
@@ -108,34 +109,34 @@ impl<const N: usize> Culler<'_, N> {
 
     /// Keeps what is certain about a pair, and has the rest decided.
     #[inline(always)]
-    fn take<S: Simd>(&mut self, prepared: &Prepared, pair: Pair) {
+    fn record_pair<S: Simd>(&mut self, prepared: &PreparedTriangles, pair: Pair) {
         let (lane, packet, first) = (usize::from(pair.lane), usize::from(pair.packet) % N, usize::from(pair.first));
         let (possible, certain) = (u32::from(pair.possible), u32::from(pair.certain));
         let (u, v) = (S::load(&self.u[packet][first..]), S::load(&self.v[packet][first..]));
-        let inverse_depths = along::<S>(&prepared.plane, lane, u, v);
+        let inverse_depths = dot_direction::<S>(&prepared.plane, lane, u, v);
         let [relative, absolute] = &prepared.plane_margins;
         let error = inverse_depths.abs().mul_add(S::splat(relative[lane]), S::splat(absolute[lane]));
         let bounds = [inverse_depths.sub(error), inverse_depths.add(error)];
-        let triangle = prepared.places[lane];
-        let unclear = self.nearest.estimate::<S>(triangle, packet, first, certain, bounds);
-        let rest = possible & !certain | unclear;
+        let triangle = prepared.triangle_indices[lane];
+        let undecided = self.nearest.keep_estimate::<S>(triangle, packet, first, certain, bounds);
+        let rest = possible & !certain | undecided;
         if rest != 0 {
-            self.nearest.decide_later::<S>(triangle, 64 * packet + first, rest);
+            self.nearest.queue_exact_test::<S>(triangle, 64 * packet + first, rest);
         }
     }
 }
 
 /// A bit for each prepared triangle that has slopes between these.
 #[inline(always)]
-fn within<S: Simd>(prepared: &Prepared, u: [f32; 2], v: [f32; 2]) -> u32 {
-    S::load(&prepared.u[0]).up_to(S::splat(u[1]))
-        & S::splat(u[0]).up_to(S::load(&prepared.u[1]))
-        & S::load(&prepared.v[0]).up_to(S::splat(v[1]))
-        & S::splat(v[0]).up_to(S::load(&prepared.v[1]))
+fn overlaps_slopes<S: Simd>(prepared: &PreparedTriangles, u: [f32; 2], v: [f32; 2]) -> u32 {
+    S::load(&prepared.u[0]).le(S::splat(u[1]))
+        & S::splat(u[0]).le(S::load(&prepared.u[1]))
+        & S::load(&prepared.v[0]).le(S::splat(v[1]))
+        & S::splat(v[0]).le(S::load(&prepared.v[1]))
 }
 
 /// The product of a prepared triangle's vector and the directions of rays that advance by one along the major axis.
 #[inline(always)]
-fn along<S: Simd>(vector: &[[f32; 16]; 3], lane: usize, u: S, v: S) -> S {
+fn dot_direction<S: Simd>(vector: &[[f32; 16]; 3], lane: usize, u: S, v: S) -> S {
     u.mul_add(S::splat(vector[1][lane]), v.mul_add(S::splat(vector[2][lane]), S::splat(vector[0][lane])))
 }

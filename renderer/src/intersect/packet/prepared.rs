@@ -17,7 +17,7 @@ const PLANE_MARGIN: f32 = 1.0 / (1u32 << 18) as f32;
 pub(crate) const UNDERFLOW_MARGIN: f32 = 1e-36;
 
 /// What the rays of a packet have in common.
-pub(crate) struct Bundle {
+pub(crate) struct RayBounds {
     /// Where they begin, in world space.
     pub(crate) origin: [f32; 3],
     /// The major axis and the two others.
@@ -29,15 +29,15 @@ pub(crate) struct Bundle {
     /// The largest absolute components of all directions, of length 1 along the major axis, along `axes`.
     pub(crate) reach: [f32; 3],
     /// How far the slopes u and v of a group's rays are at most from the middle of their bounds.
-    pub(crate) group_reach: [f32; 2],
+    pub(crate) group_half_width: [f32; 2],
 }
 
 /// Triangles made ready for the rays, one in each lane.
 #[derive(Default)]
 #[repr(align(64))]
-pub(crate) struct Prepared {
+pub(crate) struct PreparedTriangles {
     /// Their places in the mesh.
-    pub(crate) places: [u32; 16],
+    pub(crate) triangle_indices: [u32; 16],
     /// Normals of the planes through the origin and the three edges, along the bundle's axes and its way: the product
     /// with the direction of a ray that hits the triangle before it is positive.
     pub(crate) sides: [[[f32; 16]; 3]; 3],
@@ -57,24 +57,24 @@ pub(crate) struct Prepared {
     pub(crate) inverse_depth: [f32; 16],
 }
 
-impl Prepared {
-    /// Reads the triangles at `places`, and makes them ready; returns a bit for each that some ray of the bundle may hit.
+impl PreparedTriangles {
+    /// Reads the triangles at `coordinates`, and makes them ready; returns a bit for each that some ray of the bundle may hit.
     /// The others are not ready.
     #[inline(always)]
-    pub(crate) fn prepare<S: Simd>(&mut self, mesh: &TracedMesh, bundle: &Bundle) -> u32 {
-        let [k, u, v] = bundle.axes;
-        let corners = mesh.corners_in_lanes::<S>(&self.places);
+    pub(crate) fn prepare<S: Simd>(&mut self, mesh: &TracedMesh, ray_bounds: &RayBounds) -> u32 {
+        let [k, u, v] = ray_bounds.axes;
+        let corners = mesh.gather_corners::<S>(&self.triangle_indices);
         let mut from_origin = corners;
         for corner in 0..3 {
             for axis in 0..3 {
-                from_origin[corner][axis] = corners[corner][axis].sub(S::splat(bundle.origin[axis]));
+                from_origin[corner][axis] = corners[corner][axis].sub(S::splat(ray_bounds.origin[axis]));
             }
         }
         let zero = S::splat(0.0);
         let [a, b, c] = &from_origin;
 
         // Bounds in slopes and depth.
-        let sign = S::splat(bundle.sign);
+        let sign = S::splat(ray_bounds.sign);
         let depths = [a[k].mul(sign), b[k].mul(sign), c[k].mul(sign)];
         let nearest = depths[0].min(depths[1]).min(depths[2]);
         let farthest = depths[0].max(depths[1]).max(depths[2]);
@@ -84,13 +84,13 @@ impl Prepared {
         let u_bounds = slope_bounds([a[u], b[u], c[u]], inverse);
         let v_bounds = slope_bounds([a[v], b[v], c[v]], inverse);
         // Triangles that reach behind the origin have no such bounds.
-        let unbounded = nearest.below(S::splat(1e-30));
-        let [u_low, u_high, v_low, v_high] = bundle.slopes;
-        let within = u_bounds[0].up_to(S::splat(u_high))
-            & S::splat(u_low).up_to(u_bounds[1])
-            & v_bounds[0].up_to(S::splat(v_high))
-            & S::splat(v_low).up_to(v_bounds[1]);
-        let left = (within | unbounded) & zero.up_to(farthest);
+        let unbounded = nearest.lt(S::splat(1e-30));
+        let [u_low, u_high, v_low, v_high] = ray_bounds.slopes;
+        let within = u_bounds[0].le(S::splat(u_high))
+            & S::splat(u_low).le(u_bounds[1])
+            & v_bounds[0].le(S::splat(v_high))
+            & S::splat(v_low).le(v_bounds[1]);
+        let left = (within | unbounded) & zero.le(farthest);
         if left == 0 {
             return 0;
         }
@@ -113,16 +113,16 @@ impl Prepared {
         // The planes through the origin and the edges: p × (q − p) for the edge from p to q.
         let mut sides = [[zero; 3]; 3];
         let mut edges = [[zero; 3]; 3];
-        let mut reach_of_corners = [zero; 3];
-        let mut reach_of_edges = [zero; 3];
+        let mut max_abs_corner = [zero; 3];
+        let mut max_abs_edge = [zero; 3];
         for edge in 0..3 {
             let mut p = [zero; 3];
-            for place in 0..3 {
-                let axis = bundle.axes[place];
-                p[place] = from_origin[edge][axis];
-                edges[edge][place] = corners[(edge + 1) % 3][axis].sub(corners[edge][axis]);
-                reach_of_corners[place] = reach_of_corners[place].max(p[place].abs());
-                reach_of_edges[place] = reach_of_edges[place].max(edges[edge][place].abs());
+            for local_axis in 0..3 {
+                let axis = ray_bounds.axes[local_axis];
+                p[local_axis] = from_origin[edge][axis];
+                edges[edge][local_axis] = corners[(edge + 1) % 3][axis].sub(corners[edge][axis]);
+                max_abs_corner[local_axis] = max_abs_corner[local_axis].max(p[local_axis].abs());
+                max_abs_edge[local_axis] = max_abs_edge[local_axis].max(edges[edge][local_axis].abs());
             }
             sides[edge] = cross(p, edges[edge]);
         }
@@ -130,22 +130,22 @@ impl Prepared {
         let offset = normal[0].mul_add(a[k], normal[1].mul_add(a[u], normal[2].mul(a[v])));
 
         // What rounding can do, from the largest components.
-        let (mut of_sides, mut of_normal, mut of_offset, mut underflow) = (zero, zero, zero, one);
-        for place in 0..3 {
-            let (next, last) = ((place + 1) % 3, (place + 2) % 3);
-            let reach = S::splat(bundle.reach[place]);
-            let (next_corner, last_corner) = (reach_of_corners[next], reach_of_corners[last]);
-            let side = next_corner.mul_add(reach_of_edges[last], last_corner.mul(reach_of_edges[next]));
-            let area = reach_of_edges[next].mul(reach_of_edges[last]);
-            of_sides = side.mul_add(reach, of_sides);
-            of_normal = area.mul_add(reach, of_normal);
-            of_offset = area.mul_add(reach_of_corners[place], of_offset);
-            underflow = underflow.add(reach).add(reach_of_corners[place]);
+        let (mut side_error, mut normal_error, mut offset_error, mut underflow) = (zero, zero, zero, one);
+        for local_axis in 0..3 {
+            let (next, last) = ((local_axis + 1) % 3, (local_axis + 2) % 3);
+            let reach = S::splat(ray_bounds.reach[local_axis]);
+            let (next_corner, last_corner) = (max_abs_corner[next], max_abs_corner[last]);
+            let side = next_corner.mul_add(max_abs_edge[last], last_corner.mul(max_abs_edge[next]));
+            let area = max_abs_edge[next].mul(max_abs_edge[last]);
+            side_error = side.mul_add(reach, side_error);
+            normal_error = area.mul_add(reach, normal_error);
+            offset_error = area.mul_add(max_abs_corner[local_axis], offset_error);
+            underflow = underflow.add(reach).add(max_abs_corner[local_axis]);
         }
         let underflow = underflow.mul(S::splat(UNDERFLOW_MARGIN));
-        let side_margin = of_sides.mul_add(S::splat(SIDE_MARGIN), underflow);
-        let normal_margin = of_normal.mul_add(S::splat(PLANE_MARGIN), underflow);
-        let offset_margin = of_offset.mul_add(S::splat(PLANE_MARGIN), underflow);
+        let side_margin = side_error.mul_add(S::splat(SIDE_MARGIN), underflow);
+        let normal_margin = normal_error.mul_add(S::splat(PLANE_MARGIN), underflow);
+        let offset_margin = offset_error.mul_add(S::splat(PLANE_MARGIN), underflow);
         side_margin.store(&mut self.side_margin);
 
         let inverse_offset = one.div(offset);
@@ -156,16 +156,16 @@ impl Prepared {
         normal_margin.mul(inverse_offset.abs()).store(&mut self.plane_margins[1]);
 
         // A ray that hits the triangle before it passes all edges on the side on which the plane is.
-        let orientation = S::select(zero.below(offset), one, zero.sub(one));
-        let is_oriented = offset_margin.below(offset.abs());
+        let orientation = S::select(zero.lt(offset), one, zero.sub(one));
+        let is_oriented = offset_margin.lt(offset.abs());
         // As much as any of the group's rays can have more, with what rounding can do to it and to the rays.
-        let of_group = S::select(is_oriented, side_margin.mul(S::splat(4.0)), S::splat(f32::INFINITY));
-        let (u_reach, v_reach) = (S::splat(bundle.group_reach[0]), S::splat(bundle.group_reach[1]));
+        let group_margin = S::select(is_oriented, side_margin.mul(S::splat(4.0)), S::splat(f32::INFINITY));
+        let (u_reach, v_reach) = (S::splat(ray_bounds.group_half_width[0]), S::splat(ray_bounds.group_half_width[1]));
         for edge in 0..3 {
             let along_k = sides[edge][0].mul(sign).mul(orientation);
             let (along_u, along_v) = (sides[edge][1].mul(orientation), sides[edge][2].mul(orientation));
-            let of_group = along_v.abs().mul_add(v_reach, along_k.add(of_group));
-            along_u.abs().mul_add(u_reach, of_group).store(&mut self.group_sides[edge]);
+            let group_margin = along_v.abs().mul_add(v_reach, along_k.add(group_margin));
+            along_u.abs().mul_add(u_reach, group_margin).store(&mut self.group_sides[edge]);
             along_k.store(&mut self.sides[edge][0]);
             along_u.store(&mut self.sides[edge][1]);
             along_v.store(&mut self.sides[edge][2]);
@@ -181,8 +181,12 @@ fn cross<S: Simd>(a: [S; 3], b: [S; 3]) -> [S; 3] {
 
 /// Bounds of three corners' slopes, from their places along an axis and their inverse depths.
 #[inline(always)]
-fn slope_bounds<S: Simd>(places: [S; 3], inverse_depths: [S; 3]) -> [S; 2] {
-    let slopes = [places[0].mul(inverse_depths[0]), places[1].mul(inverse_depths[1]), places[2].mul(inverse_depths[2])];
+fn slope_bounds<S: Simd>(coordinates: [S; 3], inverse_depths: [S; 3]) -> [S; 2] {
+    let slopes = [
+        coordinates[0].mul(inverse_depths[0]),
+        coordinates[1].mul(inverse_depths[1]),
+        coordinates[2].mul(inverse_depths[2]),
+    ];
     let low = slopes[0].min(slopes[1]).min(slopes[2]);
     let high = slopes[0].max(slopes[1]).max(slopes[2]);
     let margin = low.abs().max(high.abs()).mul_add(S::splat(SLOPE_MARGIN), S::splat(UNDERFLOW_MARGIN));

@@ -4,19 +4,19 @@
 #[derive(Clone, Copy)]
 pub(crate) struct RaySet<const N: usize> {
     /// A bit for each ray of each packet.
-    pub(crate) of_packets: [u64; N],
+    pub(crate) masks: [u64; N],
 }
 
 impl<const N: usize> RaySet<N> {
     /// None of them.
-    pub(crate) const NONE: Self = Self { of_packets: [0; N] };
+    pub(crate) const NONE: Self = Self { masks: [0; N] };
 
     /// How many.
     #[inline(always)]
     pub(crate) fn count(&self) -> u32 {
         let mut count = 0;
         for packet in 0..N {
-            count += self.of_packets[packet].count_ones();
+            count += self.masks[packet].count_ones();
         }
         count
     }
@@ -26,7 +26,7 @@ impl<const N: usize> RaySet<N> {
     pub(crate) fn is_empty(&self) -> bool {
         let mut any = 0;
         for packet in 0..N {
-            any |= self.of_packets[packet];
+            any |= self.masks[packet];
         }
         any == 0
     }
@@ -35,7 +35,7 @@ impl<const N: usize> RaySet<N> {
     #[inline(always)]
     pub(crate) fn and(mut self, other: &Self) -> Self {
         for packet in 0..N {
-            self.of_packets[packet] &= other.of_packets[packet];
+            self.masks[packet] &= other.masks[packet];
         }
         self
     }

@@ -31,7 +31,7 @@ macro_rules! instructions {
 
 /// All ones in the lanes that have their bit set in a mask.
 #[inline(always)]
-fn lanes(mask: u32) -> __m256i {
+fn lane_masks(mask: u32) -> __m256i {
     // SAFETY: called only by methods of [`Avx2`].
     unsafe {
         let bits = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
@@ -75,20 +75,20 @@ impl Simd for Avx2 {
     #[inline(always)]
     fn select(mask: u32, yes: Self, no: Self) -> Self {
         // SAFETY: as above.
-        Self(unsafe { _mm256_blendv_ps(no.0, yes.0, _mm256_castsi256_ps(lanes(mask))) })
+        Self(unsafe { _mm256_blendv_ps(no.0, yes.0, _mm256_castsi256_ps(lane_masks(mask))) })
     }
     #[inline(always)]
-    fn fill_where(number: u32, mask: u32, to: &mut [u32]) {
+    fn masked_fill(number: u32, mask: u32, to: &mut [u32]) {
         let to: &mut [u32; 8] = (&mut to[..8]).try_into().expect("eight numbers");
         // SAFETY: as above, and there is room for eight.
         unsafe {
             let all = _mm256_loadu_si256(to.as_ptr().cast());
-            let all = _mm256_blendv_epi8(all, _mm256_set1_epi32(number as i32), lanes(mask));
+            let all = _mm256_blendv_epi8(all, _mm256_set1_epi32(number as i32), lane_masks(mask));
             _mm256_storeu_si256(to.as_mut_ptr().cast(), all);
         }
     }
     #[inline(always)]
-    fn equal(numbers: &[u32], number: u32) -> u32 {
+    fn eq_mask(numbers: &[u32], number: u32) -> u32 {
         let numbers: &[u32; 8] = numbers[..8].try_into().expect("eight numbers");
         // SAFETY: as above, and eight numbers are there.
         unsafe {
@@ -104,7 +104,7 @@ impl Simd for Avx2 {
         unsafe { _mm256_storeu_ps(to.as_mut_ptr(), self.0) };
     }
     #[inline(always)]
-    fn least(self) -> f32 {
+    fn reduce_min(self) -> f32 {
         // SAFETY: as above.
         unsafe {
             let four = _mm_min_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
@@ -113,7 +113,7 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    fn greatest(self) -> f32 {
+    fn reduce_max(self) -> f32 {
         // SAFETY: as above.
         unsafe {
             let four = _mm_max_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
@@ -122,7 +122,7 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    unsafe fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
+    unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all vertices are there.
         unsafe {
             let mut rows = [_mm256_setzero_ps(); 4];
@@ -164,12 +164,12 @@ impl Simd for Avx2 {
         unsafe { _mm256_movemask_ps(self.0) as u32 }
     }
     #[inline(always)]
-    fn up_to(self, other: Self) -> u32 {
+    fn le(self, other: Self) -> u32 {
         // SAFETY: as above.
         unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(self.0, other.0)) as u32 }
     }
     #[inline(always)]
-    fn below(self, other: Self) -> u32 {
+    fn lt(self, other: Self) -> u32 {
         // SAFETY: as above.
         unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(self.0, other.0)) as u32 }
     }
@@ -206,7 +206,7 @@ impl Real for Avx2Double {
         Self(unsafe { _mm256_andnot_pd(_mm256_set1_pd(-0.0), self.0) })
     }
     #[inline(always)]
-    fn below(self, other: Self) -> u32 {
+    fn lt(self, other: Self) -> u32 {
         // SAFETY: as above.
         unsafe { _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LT_OQ>(self.0, other.0)) as u32 }
     }
@@ -244,7 +244,7 @@ impl Simd for Avx512 {
         Self(unsafe { _mm512_mask_blend_ps(mask as u16, no.0, yes.0) })
     }
     #[inline(always)]
-    fn fill_where(number: u32, mask: u32, to: &mut [u32]) {
+    fn masked_fill(number: u32, mask: u32, to: &mut [u32]) {
         let to: &mut [u32; 16] = (&mut to[..16]).try_into().expect("sixteen numbers");
         // SAFETY: as above, and there is room for sixteen.
         unsafe {
@@ -254,7 +254,7 @@ impl Simd for Avx512 {
         }
     }
     #[inline(always)]
-    fn equal(numbers: &[u32], number: u32) -> u32 {
+    fn eq_mask(numbers: &[u32], number: u32) -> u32 {
         let numbers: &[u32; 16] = numbers[..16].try_into().expect("sixteen numbers");
         // SAFETY: as above, and sixteen numbers are there.
         u32::from(unsafe {
@@ -262,17 +262,17 @@ impl Simd for Avx512 {
         })
     }
     #[inline(always)]
-    fn least(self) -> f32 {
+    fn reduce_min(self) -> f32 {
         // SAFETY: as above.
         unsafe { _mm512_reduce_min_ps(self.0) }
     }
     #[inline(always)]
-    fn greatest(self) -> f32 {
+    fn reduce_max(self) -> f32 {
         // SAFETY: as above.
         unsafe { _mm512_reduce_max_ps(self.0) }
     }
     #[inline(always)]
-    unsafe fn transpose(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
+    unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all vertices are there.
         unsafe {
             let mut rows = [_mm512_setzero_ps(); 4];
@@ -293,7 +293,7 @@ impl Simd for Avx512 {
         }
     }
     #[inline(always)]
-    fn pick(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
+    fn compress(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
         let to: &mut [u32; 16] = (&mut to[..16]).try_into().expect("sixteen numbers");
         let mask = mask & (u32::from(u16::MAX) >> (16 - from.len()));
         // SAFETY: as above; only numbers are read that are there, and there is room for sixteen.
@@ -323,12 +323,12 @@ impl Simd for Avx512 {
         u32::from(unsafe { _mm512_movepi32_mask(_mm512_castps_si512(self.0)) })
     }
     #[inline(always)]
-    fn up_to(self, other: Self) -> u32 {
+    fn le(self, other: Self) -> u32 {
         // SAFETY: as above.
         u32::from(unsafe { _mm512_cmp_ps_mask::<_CMP_LE_OQ>(self.0, other.0) })
     }
     #[inline(always)]
-    fn below(self, other: Self) -> u32 {
+    fn lt(self, other: Self) -> u32 {
         // SAFETY: as above.
         u32::from(unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(self.0, other.0) })
     }
@@ -361,7 +361,7 @@ impl Real for Avx512Double {
         abs() = _mm512_abs_pd;
     }
     #[inline(always)]
-    fn below(self, other: Self) -> u32 {
+    fn lt(self, other: Self) -> u32 {
         // SAFETY: as above.
         u32::from(unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(self.0, other.0) })
     }

@@ -73,12 +73,12 @@ impl<'a, R: BufRead> Rows<'a, R> {
 
 fn scalar_from_token(token: &str, scalar: &ScalarType) -> Result<Property, String> {
     Ok(match scalar {
-        ScalarType::Float => Property::Float(real(token)?),
-        ScalarType::Double => Property::Double(real(token)?),
-        ScalarType::UInt => Property::UInt(real::<f64>(token)? as u32),
+        ScalarType::Float => Property::Float(parse_real(token)?),
+        ScalarType::Double => Property::Double(parse_real(token)?),
+        ScalarType::UInt => Property::UInt(parse_real::<f64>(token)? as u32),
         // A colour or coordinate that is declared whole and wide keeps its meaning: only `ushort` colours are scaled.
-        ScalarType::UShort => Property::UShort(real::<f64>(token)? as u16),
-        _ => Property::Int(real::<f64>(token)? as i32),
+        ScalarType::UShort => Property::UShort(parse_real::<f64>(token)? as u16),
+        _ => Property::Int(parse_real::<f64>(token)? as i32),
     })
 }
 
@@ -86,11 +86,11 @@ fn scalar_from_token(token: &str, scalar: &ScalarType) -> Result<Property, Strin
 fn index(token: &str) -> Result<Option<u32>, String> {
     match token.parse::<u32>() {
         Ok(value) => Ok(Some(value)),
-        Err(_) => Ok(index_from_f64(real(token)?)),
+        Err(_) => Ok(index_from_f64(parse_real(token)?)),
     }
 }
 
-fn real<F: FromStr + From<f32>>(token: &str) -> Result<F, String> {
+fn parse_real<F: FromStr + From<f32>>(token: &str) -> Result<F, String> {
     match token.parse() {
         Ok(value) => Ok(value),
         // What C's printf makes of NaN and infinities on some systems: `nan(ind)`, `-nan(0x7)`, `1.#QNAN`, `-1.#INF`.

@@ -7,14 +7,14 @@ use crate::model::{
 
 /// A mesh whose triangles may still point anywhere.
 #[derive(Default)]
-pub(super) struct Assembly {
+pub(super) struct MeshBuilder {
     mesh: Mesh,
     colored: bool,
 }
 
-impl Assembly {
+impl MeshBuilder {
     /// Makes room; `n_vertices` has been held against the file's size.
-    pub(super) fn expect_vertices(&mut self, n_vertices: usize, colored: bool) -> Result<(), Problem> {
+    pub(super) fn reserve_vertices(&mut self, n_vertices: usize, colored: bool) -> Result<(), Problem> {
         if n_vertices >= u32::MAX as usize {
             return Err(Problem::TooMany("vertices"));
         }
@@ -23,7 +23,7 @@ impl Assembly {
         if colored { reserve(&mut self.mesh.colors, n_vertices, "colours") } else { Ok(()) }
     }
 
-    pub(super) fn expect_triangles(&mut self, n_triangles: usize) -> Result<(), Problem> {
+    pub(super) fn reserve_triangles(&mut self, n_triangles: usize) -> Result<(), Problem> {
         reserve(&mut self.mesh.triangles, n_triangles, "triangles")
     }
 
@@ -38,14 +38,14 @@ impl Assembly {
     /// Fans a polygon: (0, 1, 2), (0, 2, 3), …
     pub(super) fn push_polygon(&mut self, corners: &[u32]) -> Result<(), Problem> {
         let Some((&first, rest)) = corners.split_first() else { return Ok(()) };
-        self.make_room(rest.len().saturating_sub(1))?;
+        self.check_triangle_count(rest.len().saturating_sub(1))?;
         self.mesh.triangles.extend(rest.windows(2).map(|edge| [first, edge[0], edge[1]]));
         Ok(())
     }
 
     /// Unrolls strips, a negative index between each two; every other triangle is turned so that all face one way.
     pub(super) fn push_strips(&mut self, corners: &[u32]) -> Result<(), Problem> {
-        self.make_room(corners.len())?;
+        self.check_triangle_count(corners.len())?;
         for strip in corners.split(|&index| index == u32::MAX) {
             self.mesh.triangles.extend(strip.windows(3).enumerate().map(|(i, corners)| match *corners {
                 [a, b, c] if i % 2 == 0 => [a, b, c],
@@ -73,7 +73,7 @@ impl Assembly {
         mesh
     }
 
-    fn make_room(&mut self, n_triangles: usize) -> Result<(), Problem> {
+    fn check_triangle_count(&mut self, n_triangles: usize) -> Result<(), Problem> {
         // `u32::MAX` is no triangle: it means a miss.
         if self.mesh.triangles.len() + n_triangles >= u32::MAX as usize {
             return Err(Problem::TooMany("triangles"));

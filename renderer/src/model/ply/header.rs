@@ -8,7 +8,7 @@ use ply_rs::ply::{ElementDef, Encoding, PropertyType, ScalarType};
 use crate::model::ply::{Problem, element::Skipped};
 
 /// A longer header is refused: real ones have a few KB, and one without an end must not fill the memory.
-pub(super) const LONGEST: u64 = 1 << 20;
+pub(super) const MAX_HEADER_BYTES: u64 = 1 << 20;
 
 /// What follows in the file.
 #[derive(Debug)]
@@ -25,7 +25,7 @@ pub(super) struct Header {
 /// A run of rows.
 #[derive(Debug)]
 pub(super) struct Element {
-    pub(super) kind: Kind,
+    pub(super) kind: ElementKind,
     /// As in the file.
     pub(super) name: String,
     /// As ply-rs wants it, each property named by its role: `x y z`, `r g b`, `i` for indices, `_0 _1 …` to be skipped.
@@ -34,7 +34,7 @@ pub(super) struct Element {
 
 /// What an element's rows mean here.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum ElementKind {
     Vertices { colored: bool },
     Faces,
     Strips,
@@ -48,7 +48,7 @@ impl Header {
         // Line for line, so that ply-rs' line numbers are the file's.
         let mut tidy = String::from("ply\n");
         let mut texts = vec![String::from("ply")];
-        let mut declared = Vec::<Declared>::new();
+        let mut declared = Vec::<DeclaredElement>::new();
         loop {
             let text = lines.next()?;
             let words: Vec<&str> = text.split_whitespace().collect();
@@ -59,7 +59,7 @@ impl Header {
                     if declared.iter().any(|element| element.name == name) {
                         return Err(Problem::Repeated(name.to_owned()));
                     }
-                    declared.push(Declared { name: name.to_owned(), taken: Vec::new() });
+                    declared.push(DeclaredElement { name: name.to_owned(), taken_roles: Vec::new() });
                     format!("element e{} {count}", declared.len())
                 }
                 ["property", ref types @ .., name] if !types.is_empty() => {
@@ -108,15 +108,15 @@ impl Element {
     fn new(name: String, def: ElementDef) -> Result<Self, Problem> {
         let has = |role: &str| def.properties.contains_key(role);
         let kind = match name.as_str() {
-            "vertex" => Kind::Vertices { colored: ["r", "g", "b"].into_iter().all(has) },
-            "face" => Kind::Faces,
-            "tristrips" | "tristrip" => Kind::Strips,
-            _ => Kind::Other,
+            "vertex" => ElementKind::Vertices { colored: ["r", "g", "b"].into_iter().all(has) },
+            "face" => ElementKind::Faces,
+            "tristrips" | "tristrip" => ElementKind::Strips,
+            _ => ElementKind::Other,
         };
         let needed: &[(&str, &str)] = match kind {
-            Kind::Vertices { .. } => &[("x", "coordinate x"), ("y", "coordinate y"), ("z", "coordinate z")],
-            Kind::Faces | Kind::Strips => &[("i", "list vertex_indices")],
-            Kind::Other => &[],
+            ElementKind::Vertices { .. } => &[("x", "coordinate x"), ("y", "coordinate y"), ("z", "coordinate z")],
+            ElementKind::Faces | ElementKind::Strips => &[("i", "list vertex_indices")],
+            ElementKind::Other => &[],
         };
         match needed.iter().find(|(role, _)| def.count > 0 && !has(role)) {
             Some(&(_, property)) => Err(Problem::Missing { element: name, property }),
@@ -141,12 +141,12 @@ impl Element {
 }
 
 /// An element while its properties are being declared.
-struct Declared {
+struct DeclaredElement {
     name: String,
-    taken: Vec<&'static str>,
+    taken_roles: Vec<&'static str>,
 }
 
-impl Declared {
+impl DeclaredElement {
     /// What a property is to us. A second one in the same role is skipped, like one without a role.
     fn role(&mut self, property: &str, is_list: bool) -> String {
         let role = match (self.name.as_str(), property, is_list) {
@@ -159,9 +159,9 @@ impl Declared {
             ("face" | "tristrips" | "tristrip", "vertex_indices" | "vertex_index", true) => "i",
             _ => "",
         };
-        let role = if self.taken.contains(&role) { "" } else { role };
-        self.taken.push(role);
-        if role.is_empty() { format!("_{}", self.taken.len()) } else { role.to_owned() }
+        let role = if self.taken_roles.contains(&role) { "" } else { role };
+        self.taken_roles.push(role);
+        if role.is_empty() { format!("_{}", self.taken_roles.len()) } else { role.to_owned() }
     }
 }
 
@@ -207,7 +207,7 @@ impl<'a, R: BufRead> Lines<'a, R> {
             reader.consume(usize::from(byte.is_some()));
             n_bytes += 1;
             match byte {
-                Some(b' ' | b'\t') if n_bytes < LONGEST => {}
+                Some(b' ' | b'\t') if n_bytes < MAX_HEADER_BYTES => {}
                 Some(b'\n') => return Ok(Self { reader, line_end: b'\n', n_bytes }),
                 Some(b'\r') => {
                     let is_pair = reader.fill_buf()?.first() == Some(&b'\n');
@@ -223,12 +223,12 @@ impl<'a, R: BufRead> Lines<'a, R> {
 
     fn next(&mut self) -> Result<String, Problem> {
         let mut line = Vec::new();
-        let n = self.reader.take(LONGEST - self.n_bytes).read_until(self.line_end, &mut line)? as u64;
+        let n = self.reader.take(MAX_HEADER_BYTES - self.n_bytes).read_until(self.line_end, &mut line)? as u64;
         self.n_bytes += n;
         let text = String::from_utf8_lossy(&line).trim().to_owned();
         if line.last() == Some(&self.line_end) || text == "end_header" {
             return Ok(text);
         }
-        Err(if self.n_bytes >= LONGEST { Problem::HeaderTooLong } else { Problem::HeaderEnds })
+        Err(if self.n_bytes >= MAX_HEADER_BYTES { Problem::HeaderTooLong } else { Problem::HeaderEnds })
     }
 }

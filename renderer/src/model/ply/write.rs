@@ -3,11 +3,11 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use crate::{model::mesh::Mesh, render::image::write_whole};
+use crate::{model::mesh::Mesh, render::image::write_atomically};
 
 /// Writes all of the mesh or leaves what `path` held before: it becomes a file of that name only when it is complete.
 pub fn write(path: &Path, mesh: &Mesh) -> io::Result<()> {
-    write_whole(path, |mut out| write_to(&mut out, mesh))
+    write_atomically(path, |mut out| write_to(&mut out, mesh))
 }
 
 /// Writes all of the mesh.

@@ -2,12 +2,12 @@
 //!
 //! Distances and smooth unions after Quilez, "Distance functions" and "Smooth minimum" (iquilezles.org).
 
-use crate::model::statue::{Place, noise::gradient};
+use crate::model::statue::{BoxPoint, noise::gradient};
 
 type Vector = [f32; 3];
 
 /// Where the ray that belongs to a place on the box leaves the figure, in world space.
-pub(super) fn surface(place: Place) -> Vector {
+pub(super) fn surface(place: BoxPoint) -> Vector {
     let (origin_y, direction) = ray(place);
     let point = |t: f32| [direction[0] * t, origin_y + direction[1] * t, direction[2] * t];
 
@@ -35,12 +35,12 @@ const FARTHEST: f32 = 1.4;
 const NEAREST: f32 = 0.05;
 
 /// The ray of a place: its origin's height on the y axis, and its direction of length 1.
-fn ray(place: Place) -> (f32, Vector) {
+fn ray(place: BoxPoint) -> (f32, Vector) {
     let [lowest, .., highest] = FAN;
     let (along, [_, origin_y, rise]) = match place {
-        Place::Side(along, height) => (along, fan(height)),
-        Place::Top(along) => (along, highest),
-        Place::Bottom(along) => (along, lowest),
+        BoxPoint::Side(along, height) => (along, fan(height)),
+        BoxPoint::Top(along) => (along, highest),
+        BoxPoint::Bottom(along) => (along, lowest),
     };
     // On top and bottom, how far from the middle; 1 on the sides.
     let spread = max(along[0].abs(), along[1].abs());
@@ -232,7 +232,7 @@ mod tests {
     fn every_ray_ends_on_the_figure() {
         for k in 0..1000 {
             let along = [(k % 25) as f32 / 12.0 - 1.0, 1.0];
-            let (origin_y, direction) = ray(Place::Side(along, k as f32 / 999.0));
+            let (origin_y, direction) = ray(BoxPoint::Side(along, k as f32 / 999.0));
             let inside = [direction[0] * NEAREST, origin_y + direction[1] * NEAREST, direction[2] * NEAREST];
             let [x, y, z] = [direction[0] * FARTHEST, origin_y + direction[1] * FARTHEST, direction[2] * FARTHEST];
             assert!(distance(inside) < 0.0 && distance([x, y, z]) > 0.0, "{along:?} {k}");

@@ -1,7 +1,7 @@
 use shared::{
+    appearance::{Appearance, Light},
     camera::Camera,
-    division::{FrameSize, UnitSamples},
-    look::{Light, Look},
+    division::{FrameSize, SampleRect},
     protocol::SampleRange,
 };
 
@@ -11,34 +11,34 @@ use crate::{
     render::tracer::{Scene, SceneOptions},
 };
 
-fn request(eye: DVec3, target: DVec3, rays: RayTree) -> FrameRequest {
+fn spec(eye: DVec3, target: DVec3, rays: LightingMode) -> FrameRequest {
     FrameRequest {
         camera: Camera::look_at(eye, target, DVec3::Y, 0.7, 2.0).unwrap(),
         size: FrameSize::new(128, 64).unwrap(),
-        view: View::Shaded,
+        view: ShadingMode::Shaded,
         rays,
         samples: SampleRange::CENTRE,
-        look: Look::default(),
+        appearance: Appearance::default(),
     }
 }
 
 /// Samples that are no tile, so that they are their lanes.
-const ROW: Block<'_> = Block::Unit { samples: UnitSamples { columns: 0..64, rows: 0..1 }, first_place: 0 };
+const ROW: SampleBlock<'_> = SampleBlock::Unit { samples: SampleRect { columns: 0..64, rows: 0..1 }, first_index: 0 };
 
 /// What reaches every hit of a frame, with the ray's direction and the hit.
-fn reach(scene: &Scene, request: &FrameRequest) -> Vec<(Vec3, Hit, Reach)> {
-    let secondary = SecondaryRays::new(scene.grid(), request, scene.clip_plane(&request.camera, request.look.clip));
-    let rays = request.camera.rays(request.size);
+fn visibility(scene: &Scene, spec: &FrameRequest) -> Vec<(Vec3, Hit, LightVisibility)> {
+    let secondary = SecondaryRays::new(scene.grid(), spec, scene.clip_plane(&spec.camera, spec.appearance.clip));
+    let rays = spec.camera.rays(spec.size);
     let mut scratch = PacketScratch::default();
     let mut all = Vec::new();
     for (first_i, first_j) in (0..8).flat_map(|row| (0..16).map(move |column| (8 * column, 8 * row))) {
-        let samples = UnitSamples { columns: first_i..first_i + 8, rows: first_j..first_j + 8 };
+        let samples = SampleRect { columns: first_i..first_i + 8, rows: first_j..first_j + 8 };
         let mut directions = [Vec3::ZERO; 64];
         directions.iter_mut().zip(samples.iter()).for_each(|(to, (i, j))| *to = rays.direction(i, j));
         let hits = directions.map(|direction| scene.grid().intersect(&Ray::new(rays.eye, direction)));
-        let blocks = [Block::Unit { samples, first_place: 0 }];
-        let [reach, ..] = secondary.reach(&blocks, 0, &[directions], &[hits], &mut scratch);
-        all.extend((0..64).map(|lane| (directions[lane], hits[lane], reach[lane])));
+        let blocks = [SampleBlock::Unit { samples, first_index: 0 }];
+        let [visibility, ..] = secondary.visibility(&blocks, 0, &[directions], &[hits], &mut scratch);
+        all.extend((0..64).map(|lane| (directions[lane], hits[lane], visibility[lane])));
     }
     all.retain(|(_, hit, _)| !hit.is_miss());
     all
@@ -71,20 +71,24 @@ fn a_ball_does_not_shade_itself() {
         let (centre, radius) = (DVec3::splat(f64::from(centre)), f64::from(radius));
         for distance in [1.5, 4.0, 1e4] {
             let eye = centre + DVec3::new(0.5, 0.6, 1.0).normalize() * (distance * radius);
-            let mut request = request(eye, centre, RayTree::Ambient);
+            let mut spec = spec(eye, centre, LightingMode::AmbientOcclusion);
             if distance > 1e3 {
-                let (eye, u, v) = (request.camera.eye(), request.camera.u(), request.camera.v());
+                let (eye, u, v) = (spec.camera.eye(), spec.camera.u(), spec.camera.v());
                 let (u, v) = (u * (4.0 / distance), v * (4.0 / distance));
-                request.camera = Camera::new(eye, centre - (u + v) * 0.5, u, v).unwrap();
+                spec.camera = Camera::new(eye, centre - (u + v) * 0.5, u, v).unwrap();
             }
-            let secondary = SecondaryRays::new(scene.grid(), &request, None);
-            let all = reach(&scene, &request);
+            let secondary = SecondaryRays::new(scene.grid(), &spec, None);
+            let all = visibility(&scene, &spec);
             assert!(all.len() > 1000, "the ball is seen");
-            for (direction, hit, reach) in all {
+            for (direction, hit, visibility) in all {
                 let Surface { point, normal } = secondary.surface(direction, hit).unwrap();
-                let facing = normal.dot(secondary.key_light.as_dvec3() - point) > secondary.lift;
+                let facing = normal.dot(secondary.key_light.as_dvec3() - point) > secondary.ray_offset;
                 let expected = f32::from(u8::from(facing));
-                assert_eq!((reach.key, reach.open), (expected, 1.0), "{centre} {radius} {distance} {point}");
+                assert_eq!(
+                    (visibility.key, visibility.ambient_visibility),
+                    (expected, 1.0),
+                    "{centre} {radius} {distance} {point}"
+                );
             }
         }
     }
@@ -95,17 +99,17 @@ fn the_light_comes_from_where_it_is_asked_to() {
     let scene = Scene::build(ball(Vec3::ZERO, 1.0), &SceneOptions::default(), &|_| ());
     for (name, light) in Light::PRESETS {
         // The eye is on the z axis: its right, up and back are the world's axes.
-        let look = Look { light, ..Look::default() };
-        let request = FrameRequest { look, ..request(DVec3::Z * 5.0, DVec3::ZERO, RayTree::Shadows) };
-        let secondary = SecondaryRays::new(scene.grid(), &request, None);
+        let appearance = Appearance { light, ..Appearance::default() };
+        let spec = FrameRequest { appearance, ..spec(DVec3::Z * 5.0, DVec3::ZERO, LightingMode::Shadows) };
+        let secondary = SecondaryRays::new(scene.grid(), &spec, None);
         let expected = light.direction().as_vec3();
         assert!((secondary.key_direction - expected).length() < 1e-6, "{name}");
         assert!((secondary.key_light.normalize() - expected).length() < 1e-6, "{name}: {}", secondary.key_light);
         // What turns away from the light is dark, and nothing else: a ball throws no shadow on itself.
-        for (direction, hit, reach) in reach(&scene, &request) {
+        for (direction, hit, visibility) in visibility(&scene, &spec) {
             let Surface { point, normal } = secondary.surface(direction, hit).unwrap();
             let cosine = normal.dot((secondary.key_light.as_dvec3() - point).normalize());
-            assert!(cosine.abs() < 0.05 || (cosine > 0.0) == (reach.key > 0.0), "{name}: {cosine} {reach:?}");
+            assert!(cosine.abs() < 0.05 || (cosine > 0.0) == (visibility.key > 0.0), "{name}: {cosine} {visibility:?}");
         }
     }
 }
@@ -124,19 +128,19 @@ fn what_stands_on_the_ground_touches_its_shadow() {
         };
         let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
         let at = |p: [f64; 3]| DVec3::from_array(p) + DVec3::splat(f64::from(offset));
-        let request = request(at([0.0, 1.0, 5.0]), at([0.0; 3]), RayTree::Shadows);
-        let mut secondary = SecondaryRays::new(scene.grid(), &request, None);
+        let spec = spec(at([0.0, 1.0, 5.0]), at([0.0; 3]), LightingMode::Shadows);
+        let mut secondary = SecondaryRays::new(scene.grid(), &spec, None);
         secondary.key_light = at([0.3, 1.5, 3.0]).as_vec3();
         // Contact begins within a few units in the last place of the largest coordinate.
         let nearest = 100.0 * f64::from(f32::EPSILON) * (f64::from(offset) + 2.0);
         for (z, expected) in [(-nearest, 0.0), (-1e-2, 0.0), (-0.5, 0.0), (nearest, 1.0), (0.5, 1.0)] {
-            let point = at([0.1, 0.0, z]) + DVec3::Y * secondary.lift;
+            let point = at([0.1, 0.0, z]) + DVec3::Y * secondary.ray_offset;
             let surfaces: [Option<Surface>; 64] =
                 std::array::from_fn(|lane| (lane == 7).then_some(Surface { point, normal: DVec3::Y }));
-            let mut reach = [[Reach { key_direction: Vec3::Y, key: 0.5, open: 1.0 }; 64]];
+            let mut visibility = [[LightVisibility { key_direction: Vec3::Y, key: 0.5, ambient_visibility: 1.0 }; 64]];
             let blocks = [ROW];
-            secondary.cast_shadows(&blocks, &[surfaces], &mut reach, &mut PacketScratch::default());
-            assert_eq!(reach[0][7].key, expected, "{z} beside the wall, {offset} away");
+            secondary.cast_shadows(&blocks, &[surfaces], &mut visibility, &mut PacketScratch::default());
+            assert_eq!(visibility[0][7].key, expected, "{z} beside the wall, {offset} away");
         }
     }
 }
@@ -152,18 +156,18 @@ fn what_is_cut_away_casts_no_shadow() {
     let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
     // Of a floor under a lid, the light above it, the whole floor is dark, or without the lid lit.
     for (clip, key) in [(None, 0.0), ("y:50".parse().ok(), 1.0), ("-y:0".parse().ok(), 0.0)] {
-        let look = Look { clip, ..Look::default() };
+        let appearance = Appearance { clip, ..Appearance::default() };
         let eye = DVec3::new(0.1, 0.5, 1.5);
-        let request = FrameRequest { look, ..request(eye, DVec3::new(0.0, 0.0, -0.3), RayTree::Ambient) };
-        let plane = scene.clip_plane(&request.camera, clip);
-        let secondary = SecondaryRays::new(scene.grid(), &request, plane).with_key_light(Vec3::new(0.2, 3.0, 0.1));
-        let surface = Surface { point: DVec3::new(0.3, secondary.lift, 0.2), normal: DVec3::Y };
+        let spec = FrameRequest { appearance, ..spec(eye, DVec3::new(0.0, 0.0, -0.3), LightingMode::AmbientOcclusion) };
+        let plane = scene.clip_plane(&spec.camera, clip);
+        let secondary = SecondaryRays::new(scene.grid(), &spec, plane).with_key_light(Vec3::new(0.2, 3.0, 0.1));
+        let surface = Surface { point: DVec3::new(0.3, secondary.ray_offset, 0.2), normal: DVec3::Y };
         let surfaces = std::array::from_fn(|_| Some(Surface { ..surface }));
-        let mut reach = [[Reach { key_direction: Vec3::Y, key: 0.5, open: 1.0 }; 64]];
+        let mut visibility = [[LightVisibility { key_direction: Vec3::Y, key: 0.5, ambient_visibility: 1.0 }; 64]];
         let blocks = [ROW];
-        secondary.cast_shadows(&blocks, &[surfaces], &mut reach, &mut PacketScratch::default());
-        assert!(reach[0].iter().all(|reach| reach.key == key), "{clip:?}");
-        assert_eq!(secondary.openness(&surface, (1, 2), 3), 1.0, "the lid is too far away");
+        secondary.cast_shadows(&blocks, &[surfaces], &mut visibility, &mut PacketScratch::default());
+        assert!(visibility[0].iter().all(|visibility| visibility.key == key), "{clip:?}");
+        assert_eq!(secondary.ambient_visibility(&surface, (1, 2), 3), 1.0, "the lid is too far away");
     }
 }
 
@@ -186,17 +190,17 @@ fn is_blocked(mesh: &Mesh, from: DVec3, to: DVec3) -> bool {
 fn shadows_are_where_a_search_of_all_triangles_finds_them() {
     let mesh = statue::generate(2000, &|_| ());
     let scene = Scene::build(mesh.clone(), &SceneOptions::default(), &|_| ());
-    let request = request(DVec3::new(0.5, 1.2, 3.0), DVec3::Y, RayTree::Shadows);
-    let secondary = SecondaryRays::new(scene.grid(), &request, None);
+    let spec = spec(DVec3::new(0.5, 1.2, 3.0), DVec3::Y, LightingMode::Shadows);
+    let secondary = SecondaryRays::new(scene.grid(), &spec, None);
     let light = secondary.key_light.as_dvec3();
     let (mut n_dark, mut n_lit, mut n_wrong) = (0, 0, 0);
-    for (direction, hit, reach) in reach(&scene, &request) {
+    for (direction, hit, visibility) in visibility(&scene, &spec) {
         let Surface { point, normal } = secondary.surface(direction, hit).unwrap();
-        if normal.dot(light - point) < 2.0 * secondary.lift {
+        if normal.dot(light - point) < 2.0 * secondary.ray_offset {
             continue;
         }
         let blocked = is_blocked(&mesh, point, light);
-        n_wrong += u32::from(blocked != (reach.key == 0.0));
+        n_wrong += u32::from(blocked != (visibility.key == 0.0));
         n_dark += u32::from(blocked);
         n_lit += u32::from(!blocked);
     }
@@ -213,17 +217,17 @@ fn a_corner_is_less_open_than_a_plain() {
         ..Mesh::default()
     };
     let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
-    let request = request(DVec3::new(0.0, 3.0, 6.0), DVec3::Y, RayTree::Ambient);
-    let secondary = SecondaryRays::new(scene.grid(), &request, None);
-    let openness = |height: f64| {
-        let surface = Surface { point: DVec3::new(0.0, height, secondary.lift), normal: DVec3::Z };
-        let samples = (0..256).map(|sample| secondary.openness(&surface, (3, 4), sample));
+    let spec = spec(DVec3::new(0.0, 3.0, 6.0), DVec3::Y, LightingMode::AmbientOcclusion);
+    let secondary = SecondaryRays::new(scene.grid(), &spec, None);
+    let ambient_visibility = |height: f64| {
+        let surface = Surface { point: DVec3::new(0.0, height, secondary.ray_offset), normal: DVec3::Z };
+        let samples = (0..256).map(|sample| secondary.ambient_visibility(&surface, (3, 4), sample));
         samples.sum::<f32>() / 256.0
     };
-    assert_eq!(openness(2.0), 1.0);
+    assert_eq!(ambient_visibility(2.0), 1.0);
     // At the foot of the wall the floor hides half the hemisphere, of which rays by the cosine meet half.
-    assert!((openness(1e-3) - 0.5).abs() < 0.03, "{}", openness(1e-3));
-    assert!((0.5..1.0).contains(&openness(0.1)), "{}", openness(0.1));
+    assert!((ambient_visibility(1e-3) - 0.5).abs() < 0.03, "{}", ambient_visibility(1e-3));
+    assert!((0.5..1.0).contains(&ambient_visibility(0.1)), "{}", ambient_visibility(0.1));
 }
 
 #[test]
@@ -233,10 +237,10 @@ fn bases_and_circles_have_unit_length() {
         assert!((x * x + y * y - 1.0).abs() < 1e-6);
         let [other, ..] = unit_circle(bits.rotate_left(13));
         let normal = Vec3::new(x, y, other - 0.5).normalize();
-        let [a, b] = tangents(normal);
+        let [a, b] = tangent_basis(normal);
         let products = [a.dot(b), a.dot(normal), b.dot(normal), a.dot(a) - 1.0, b.dot(b) - 1.0];
         assert!(products.iter().all(|product| product.abs() < 1e-5), "{normal} {products:?}");
     }
-    let [a, b] = tangents(Vec3::NEG_Z);
+    let [a, b] = tangent_basis(Vec3::NEG_Z);
     assert!(a.is_finite() && b.is_finite());
 }

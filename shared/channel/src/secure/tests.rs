@@ -274,7 +274,7 @@ async fn a_recorded_conversation_gets_nowhere_on_either_side() {
 
     // All that the server said, to the wall: it gets an answer that it cannot use, and no word further.
     let (error, taken) = accepting(&by_server, &key(1)).await;
-    assert!(matches!(error, SecureError::Repeated), "{error:?}");
+    assert!(matches!(error, SecureError::Replayed), "{error:?}");
     assert_eq!(taken, 8 + HANDSHAKE_BYTES + TAG_BYTES);
 
     // All that the wall said, to the server, and what the server says itself.

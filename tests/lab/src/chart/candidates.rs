@@ -40,13 +40,13 @@ impl serde::Serialize for Placement {
 }
 
 /// A model with an eye, ready to be measured.
-pub(crate) struct Placed {
+pub(crate) struct PlacedModel {
     /// Instead of the mesh's, where it was moved.
     vertices: Option<Vec<[f32; 3]>>,
     pub(crate) camera: Camera,
 }
 
-impl Placed {
+impl PlacedModel {
     /// Puts the model and a camera somewhere; the error says why that is impossible.
     pub(crate) fn new(mesh: &Mesh, camera: &Camera, placement: Placement) -> Result<Self, String> {
         let bounds = mesh.bounds();
@@ -108,7 +108,7 @@ const MARGIN: f64 = 0.25;
 
 impl Candidates {
     /// Finds them; the error says why there are none to be had.
-    pub(crate) fn find(mesh: &Mesh, placed: &Placed, size: FrameSize) -> Result<Self, String> {
+    pub(crate) fn find(mesh: &Mesh, placed: &PlacedModel, size: FrameSize) -> Result<Self, String> {
         let rays = placed.camera.rays(size);
         let mut counts = vec![0u32; size.n_samples() as usize];
         let mut n_pairs = 0;
@@ -164,7 +164,7 @@ impl Candidates {
 /// Calls `visit` with sample and triangle of each pair, triangle by triangle, until it returns false.
 fn for_each_pair(
     mesh: &Mesh,
-    placed: &Placed,
+    placed: &PlacedModel,
     rays: &CameraRays,
     size: FrameSize,
     mut visit: impl FnMut(usize, u32) -> bool,
@@ -215,7 +215,7 @@ mod tests {
         let camera = Camera::look_at(DVec3::new(0.4, 1.2, 4.0), DVec3::Y * 0.9, DVec3::Y, 0.5, 2.0).unwrap();
         let size = FrameSize::new(100, 50).unwrap();
         for placement in [Placement::Near, Placement::EyeFar(1), Placement::EyeFar(4), Placement::ModelMoved] {
-            let placed = Placed::new(&mesh, &camera, placement).unwrap();
+            let placed = PlacedModel::new(&mesh, &camera, placement).unwrap();
             let candidates = Candidates::find(&mesh, &placed, size).unwrap();
             let moved = Mesh { vertices: placed.vertices.clone().unwrap_or(mesh.vertices.clone()), ..mesh.clone() };
             let scene = Scene::build(moved, &SceneOptions::default(), &|_| ());

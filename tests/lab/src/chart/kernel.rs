@@ -6,7 +6,7 @@ use serde::Serialize;
 use shared::{camera::Camera, division::FrameSize};
 
 use super::{
-    candidates::{Candidates, Placed, Placement},
+    candidates::{Candidates, PlacedModel, Placement},
     measure::{self, Measurement},
     methods::Method,
     peers::Peer,
@@ -14,7 +14,7 @@ use super::{
 use crate::plot::{Axis, COLORS, Figure, PEER_COLOR, Plot, Point, Series, power, significant, whole_decades};
 
 /// How much is measured.
-pub(super) struct Effort {
+pub(super) struct Settings {
     pub(super) size: FrameSize,
     /// How often each method takes its turn; the median counts.
     pub(super) n_repeats: usize,
@@ -22,7 +22,7 @@ pub(super) struct Effort {
     pub(super) decades: Vec<u8>,
 }
 
-impl Effort {
+impl Settings {
     pub(super) fn placements(&self) -> Vec<Placement> {
         let far = self.decades.iter().map(|&decade| Placement::EyeFar(decade));
         [Placement::Near, Placement::ModelMoved].into_iter().chain(far).collect()
@@ -31,7 +31,7 @@ impl Effort {
 
 /// A line of the table: one method on one view, or on all.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Row {
+pub(super) struct KernelRow {
     camera: String,
     placement: Placement,
     method: Method,
@@ -47,7 +47,7 @@ pub(super) struct Row {
     undecided: u64,
 }
 
-impl Row {
+impl KernelRow {
     fn new(camera: &str, placement: Placement, method: Method, measurement: &Measurement) -> Self {
         let [depth_error_p50, depth_error_p999, depth_error_max] = measurement.depth_error_quantiles();
         Self {
@@ -71,7 +71,7 @@ impl Row {
 /// What was measured so far.
 #[derive(Default)]
 pub(super) struct Results {
-    pub(super) rows: Vec<Row>,
+    pub(super) rows: Vec<KernelRow>,
     /// Over all cameras, placement by placement, by method.
     pooled: Vec<(Placement, Vec<Measurement>)>,
 }
@@ -83,17 +83,17 @@ impl Results {
         mesh: &Mesh,
         (name, camera): (&str, &Camera),
         placement: Placement,
-        effort: &Effort,
+        settings: &Settings,
         progress: &dyn Fn(f32),
     ) -> Result<(), String> {
-        let placed = Placed::new(mesh, camera, placement)?;
-        let candidates = Candidates::find(mesh, &placed, effort.size)?;
-        let measured = measure::measure(mesh, &placed, &candidates, effort.n_repeats, progress);
+        let placed = PlacedModel::new(mesh, camera, placement)?;
+        let candidates = Candidates::find(mesh, &placed, settings.size)?;
+        let measured = measure::measure(mesh, &placed, &candidates, settings.n_repeats, progress);
         if measured.iter().all(|measurement| measurement.n_hits() == 0) {
             return Err("the camera sees nothing of the model".to_owned());
         }
         let of_methods = Method::ALL.iter().zip(&measured);
-        self.rows.extend(of_methods.map(|(&method, measurement)| Row::new(name, placement, method, measurement)));
+        self.rows.extend(of_methods.map(|(&method, measurement)| KernelRow::new(name, placement, method, measurement)));
         match self.pooled.iter_mut().find(|(other, _)| *other == placement) {
             Some((_, pooled)) => pooled.iter_mut().zip(&measured).for_each(|(sum, measurement)| sum.add(measurement)),
             None => self.pooled.push((placement, measured)),
@@ -102,10 +102,10 @@ impl Results {
     }
 
     /// All methods at all placements, over all cameras.
-    fn summary(&self) -> Vec<(Placement, Vec<Row>)> {
+    fn summary(&self) -> Vec<(Placement, Vec<KernelRow>)> {
         let rows = |(placement, measured): &(Placement, Vec<Measurement>)| {
             let of_methods = Method::ALL.into_iter().zip(measured);
-            let rows = of_methods.map(|(method, measurement)| Row::new("all", *placement, method, measurement));
+            let rows = of_methods.map(|(method, measurement)| KernelRow::new("all", *placement, method, measurement));
             (*placement, rows.collect())
         };
         self.pooled.iter().map(rows).collect()
@@ -129,7 +129,7 @@ impl Results {
         }
         let far: Vec<_> = summary.iter().filter(|(placement, _)| matches!(placement, Placement::EyeFar(_))).collect();
         if far.len() > 1 {
-            let depth = |row: &Row| decades(row.depth_error_p999);
+            let depth = |row: &KernelRow| decades(row.depth_error_p999);
             rows.push((
                 360,
                 vec![
@@ -179,7 +179,7 @@ fn speed_axis() -> Axis {
     Axis { title: "CPU ns per ray", label: significant, range: None }
 }
 
-fn depth_plot(title: &str, rows: &[Row], peers: &[Peer], range: &std::ops::Range<f64>) -> Plot {
+fn depth_plot(title: &str, rows: &[KernelRow], peers: &[Peer], range: &std::ops::Range<f64>) -> Plot {
     let of_methods = rows.iter().map(|row| {
         let bar = Some(decades(row.depth_error_p50)..decades(row.depth_error_max));
         let (x, y) = (row.cpu_ns_per_ray.log10(), decades(row.depth_error_p999));
@@ -198,7 +198,7 @@ fn depth_plot(title: &str, rows: &[Row], peers: &[Peer], range: &std::ops::Range
     }
 }
 
-fn wrong_plot(rows: &[Row], peers: &[Peer]) -> Plot {
+fn wrong_plot(rows: &[KernelRow], peers: &[Peer]) -> Plot {
     let of_methods = rows.iter().map(|row| {
         let (x, y) = (row.cpu_ns_per_ray.log10(), decades_per_million(row));
         single(row.method.label(), method_color(row.method), false, Point { label: String::new(), x, y, bar: None })
@@ -220,14 +220,14 @@ fn wrong_plot(rows: &[Row], peers: &[Peer]) -> Plot {
 /// A curve for each method, over the distance of the eye.
 fn over_distance(
     title: &'static str,
-    far: &[&(Placement, Vec<Row>)],
+    far: &[&(Placement, Vec<KernelRow>)],
     label: fn(f64) -> String,
-    value: impl Fn(&Row) -> f64,
+    value: impl Fn(&KernelRow) -> f64,
 ) -> Plot {
     let series: Vec<_> = Method::ALL
         .into_iter()
         .map(|method| {
-            let point = |(placement, rows): &&(Placement, Vec<Row>)| {
+            let point = |(placement, rows): &&(Placement, Vec<KernelRow>)| {
                 let Placement::EyeFar(decade) = *placement else { return None };
                 let row = rows.iter().find(|row| row.method == method)?;
                 Some(Point { label: String::new(), x: f64::from(decade), y: value(row), bar: None })
@@ -267,7 +267,7 @@ fn decades(error: f64) -> f64 {
 /// Where no wrong pixel at all is shown: one decade below one in a million.
 const NONE: f64 = -1.0;
 
-fn decades_per_million(row: &Row) -> f64 {
+fn decades_per_million(row: &KernelRow) -> f64 {
     if row.wrong_pixels == 0 {
         return NONE;
     }

@@ -7,7 +7,7 @@ use cpu_time::ThreadTime;
 use renderer::{grid::traced::TracedMesh, intersect::ray::Ray, model::mesh::Mesh};
 
 use super::{
-    candidates::{Candidates, Placed},
+    candidates::{Candidates, PlacedModel},
     methods::{Answer, Method},
     reference::{self, Truth, Verdict},
 };
@@ -41,7 +41,7 @@ const CHUNK: usize = 1024;
 /// Measures all methods, in the order of [`Method::ALL`]. `progress` is told what part is done, 0 to 1.
 pub(super) fn measure(
     mesh: &Mesh,
-    placed: &Placed,
+    placed: &PlacedModel,
     candidates: &Candidates,
     n_repeats: usize,
     progress: &dyn Fn(f32),
@@ -67,7 +67,7 @@ struct Chunk {
 }
 
 impl Chunk {
-    fn new(mesh: &Mesh, placed: &Placed, rays: &[(Ray, &[u32])]) -> Self {
+    fn new(mesh: &Mesh, placed: &PlacedModel, rays: &[(Ray, &[u32])]) -> Self {
         let mut pairs = Mesh::default();
         let mut ends = Vec::with_capacity(rays.len());
         for (_, triangles) in rays {
@@ -108,7 +108,7 @@ impl Chunk {
     fn truth(&self, ray: usize) -> Truth {
         let first = if ray == 0 { 0 } else { self.ends[ray - 1] };
         let candidates = &self.candidates[first..self.ends[ray]];
-        reference::truth(&self.rays[ray], candidates.iter().map(|&place| self.mesh.corners(place)))
+        reference::truth(&self.rays[ray], candidates.iter().map(|&triangle_idx| self.mesh.corners(triangle_idx)))
     }
 
     fn compare(&self, measurement: &mut Measurement, ray: usize, truth: Truth, answer: Answer) {
@@ -119,8 +119,8 @@ impl Chunk {
         measurement.n_compared += 1;
         match (truth, answer) {
             (Truth::Nearest(_), None) => measurement.n_lost += 1,
-            (Truth::Nearest(nearest), Some((place, t))) => {
-                let verdict = reference::verdict(&self.rays[ray], &self.mesh.corners(place));
+            (Truth::Nearest(nearest), Some((triangle_idx, t))) => {
+                let verdict = reference::verdict(&self.rays[ray], &self.mesh.corners(triangle_idx));
                 let is_nearest = matches!(verdict, Verdict::Hit(t) if t <= nearest * (1.0 + SAME_DEPTH));
                 measurement.n_other_triangle += u64::from(!is_nearest);
                 if nearest > 0.0 {

@@ -21,7 +21,7 @@ use crate::{
 };
 
 /// How much is measured.
-pub(super) struct Effort {
+pub(super) struct Settings {
     pub(super) size: FrameSize,
     /// How often each setting takes its turn with the default; the median counts.
     pub(super) n_repeats: usize,
@@ -34,7 +34,7 @@ pub(super) struct Effort {
 
 /// A line of the table: one way to keep the scene, over all cameras.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Row {
+pub(super) struct MemoryRow {
     storage: &'static str,
     mesh: &'static str,
     density: f64,
@@ -64,12 +64,12 @@ impl Setting {
         let Self { options, is_single } = self;
         let GridOptions { macrocell_levels, storage, mesh, .. } = options;
         let density = options.density.unwrap_or(GridOptions::PAPER_DENSITY);
-        let rays = if *is_single && *storage == Storage::Masks { ", single rays" } else { "" };
+        let rays = if *is_single && *storage == Storage::Tree { ", single rays" } else { "" };
         format!("{storage}, {mesh}, density {density}, {macrocell_levels} levels{rays}")
     }
 }
 
-impl Effort {
+impl Settings {
     /// All settings that are measured, where `chosen` is the density that a grid chooses by itself.
     pub(super) fn settings(&self, chosen: f64) -> Vec<Setting> {
         let options =
@@ -107,7 +107,7 @@ impl Effort {
 }
 
 /// The default, which all others take turns with and must hit the same as.
-pub(super) struct Standard<'a> {
+pub(super) struct Baseline<'a> {
     mesh: &'a Mesh,
     cameras: Vec<Camera>,
     scene: Scene,
@@ -116,15 +116,15 @@ pub(super) struct Standard<'a> {
     cpu_ns: f64,
 }
 
-impl<'a> Standard<'a> {
-    pub(super) fn new(mesh: &'a Mesh, cameras: Vec<Camera>, effort: &Effort) -> Self {
-        let grid = GridOptions { memory_budget: effort.memory_budget, ..GridOptions::default() };
+impl<'a> Baseline<'a> {
+    pub(super) fn new(mesh: &'a Mesh, cameras: Vec<Camera>, settings: &Settings) -> Self {
+        let grid = GridOptions { memory_budget: settings.memory_budget, ..GridOptions::default() };
         let scene = Scene::build(mesh.clone(), &SceneOptions { grid }, &|_| ());
         let mut standard = Self { mesh, cameras, scene, hash: blake3::hash(&[]), cpu_ns: f64::INFINITY };
         let mut hasher = blake3::Hasher::new();
-        standard.trace(&standard.scene, effort.size, false, Some(&mut hasher));
+        standard.trace(&standard.scene, settings.size, false, Some(&mut hasher));
         standard.hash = hasher.finalize();
-        let times = (0..effort.n_repeats).map(|_| standard.trace(&standard.scene, effort.size, false, None));
+        let times = (0..settings.n_repeats).map(|_| standard.trace(&standard.scene, settings.size, false, None));
         standard.cpu_ns = median(times);
         standard
     }
@@ -140,7 +140,7 @@ impl<'a> Standard<'a> {
     }
 
     /// Measures a setting. Inside, why it is left out; outside, that its hits are wrong.
-    pub(super) fn measure(&self, setting: &Setting, effort: &Effort) -> Result<Result<Row, String>> {
+    pub(super) fn measure(&self, setting: &Setting, settings: &Settings) -> Result<Result<MemoryRow, String>> {
         let options = &setting.options;
         let mesh = self.mesh.clone();
         let started = ProcessTime::now();
@@ -150,19 +150,19 @@ impl<'a> Standard<'a> {
             return Ok(Err(shortage.to_string()));
         }
         let mut hasher = blake3::Hasher::new();
-        self.trace(&scene, effort.size, setting.is_single, Some(&mut hasher));
+        self.trace(&scene, settings.size, setting.is_single, Some(&mut hasher));
         ensure!(
             hasher.finalize() == self.hash,
             "{} hits other triangles than the default: this is a bug",
             setting.name()
         );
         // In turn with the default, so that whatever else the machine does hits both alike.
-        let ratios = (0..effort.n_repeats).map(|_| {
-            let ours = self.trace(&scene, effort.size, setting.is_single, None);
-            ours / self.trace(&self.scene, effort.size, false, None)
+        let ratios = (0..settings.n_repeats).map(|_| {
+            let ours = self.trace(&scene, settings.size, setting.is_single, None);
+            ours / self.trace(&self.scene, settings.size, false, None)
         });
         let cpu_ns_per_ray = self.cpu_ns * median(ratios);
-        Ok(Ok(Row {
+        Ok(Ok(MemoryRow {
             storage: options.storage.name(),
             mesh: options.mesh.name(),
             density: scene.grid().figures().density,
@@ -177,8 +177,8 @@ impl<'a> Standard<'a> {
 
     /// All cameras on this thread: nanoseconds per ray, and the hits if there is a hasher for them.
     fn trace(&self, scene: &Scene, size: FrameSize, is_single: bool, mut hasher: Option<&mut blake3::Hasher>) -> f64 {
-        let work = Division::Tiled.work(0, 1);
-        let Ok(share) = work.share(size) else { return f64::NAN };
+        let task = Division::Tiled.task(0, 1);
+        let Ok(share) = task.share(size) else { return f64::NAN };
         let mut hits = vec![Hit::MISS; size.n_samples() as usize];
         let place = |(i, j): (u32, u32)| (j * size.xres() + i) as usize;
         let mut cpu = 0.0;
@@ -196,7 +196,7 @@ impl<'a> Standard<'a> {
             }
             cpu += started.elapsed().as_secs_f64();
             if let Some(hasher) = &mut hasher {
-                for hit in hits.iter().map(|&hit: &Hit| scene.in_file_order(hit)) {
+                for hit in hits.iter().map(|&hit: &Hit| scene.with_file_index(hit)) {
                     hasher.update(&hit.triangle.to_le_bytes());
                     hasher.update(&hit.t.to_bits().to_le_bytes());
                 }
@@ -207,7 +207,7 @@ impl<'a> Standard<'a> {
 }
 
 /// The chart.
-pub(super) fn figure(title: String, notes: Vec<String>, rows: &[Row], peers: &[Peer]) -> Figure {
+pub(super) fn figure(title: String, notes: Vec<String>, rows: &[MemoryRow], peers: &[Peer]) -> Figure {
     let memory = Axis { title: "bytes per triangle, mesh and grid", label: significant, range: None };
     let build = Axis { title: "CPU seconds to build, all threads", label: significant, range: None };
     let of_memory = plot(rows, memory, |row| row.bytes_per_triangle, peers, |peer| peer.bytes_per_triangle);
@@ -216,13 +216,13 @@ pub(super) fn figure(title: String, notes: Vec<String>, rows: &[Row], peers: &[P
 }
 
 fn plot(
-    rows: &[Row],
+    rows: &[MemoryRow],
     x: Axis,
-    value: impl Fn(&Row) -> f64,
+    value: impl Fn(&MemoryRow) -> f64,
     peers: &[Peer],
     of_peer: impl Fn(&Peer) -> Option<f64>,
 ) -> Plot {
-    let name = |row: &Row| match (row.storage, row.rays) {
+    let name = |row: &MemoryRow| match (row.storage, row.rays) {
         ("masks", "single") => "masks, single rays".to_owned(),
         ("masks", _) => format!("masks, {} mesh", row.mesh),
         (storage, _) => format!("{storage}, {} levels", row.macrocell_levels),
@@ -263,9 +263,9 @@ fn plot(
 }
 
 /// How the grid that chooses itself, with `chosen` cells a triangle, stands among all that were measured.
-pub(super) fn verdict(rows: &[Row], chosen: f64) -> Option<String> {
+pub(super) fn verdict(rows: &[MemoryRow], chosen: f64) -> Option<String> {
     let fastest = rows.iter().min_by(|a, b| a.cpu_ns_per_ray.total_cmp(&b.cpu_ns_per_ray))?;
-    let is_chosen = |row: &&Row| {
+    let is_chosen = |row: &&MemoryRow| {
         row.storage == Storage::default().name()
             && row.mesh == MeshLayout::default().name()
             && row.rays == "packets"
@@ -284,7 +284,7 @@ pub(super) fn verdict(rows: &[Row], chosen: f64) -> Option<String> {
 }
 
 /// For people.
-pub(super) fn table(rows: &[Row]) -> String {
+pub(super) fn table(rows: &[MemoryRow]) -> String {
     let mut lines = vec![format!(
         "{:16} {:8} {:>7} {:>6} {:8} {:>10} {:>8} {:>8} {:>8}",
         "storage", "mesh", "density", "levels", "rays", "bytes/tri", "build s", "ns/ray", "Mrays/s"

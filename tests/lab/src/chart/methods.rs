@@ -89,11 +89,11 @@ fn one_by_one(
     let mut first = 0;
     for (ray, &end) in rays.iter().zip(ends) {
         let mut nearest: Answer = None;
-        for &place in &candidates[first..end] {
-            if let Some(t) = intersect(ray, &mesh.corners(place))
+        for &triangle_idx in &candidates[first..end] {
+            if let Some(t) = intersect(ray, &mesh.corners(triangle_idx))
                 && nearest.is_none_or(|(_, nearest_t)| t < nearest_t)
             {
-                nearest = Some((place, t));
+                nearest = Some((triangle_idx, t));
             }
         }
         out.push(nearest);
@@ -111,15 +111,15 @@ fn raywall(mesh: &TracedMesh, rays: &[Ray], candidates: &[u32], ends: &[usize], 
             // SAFETY: these are the best instructions that this machine has.
             let mut left = unsafe { filter::may_hit(instructions, mesh, ray, batch) };
             while left != 0 {
-                let place = batch[left.trailing_zeros() as usize];
+                let triangle_idx = batch[left.trailing_zeros() as usize];
                 left &= left - 1;
-                let Some(t) = triangle::intersect(ray, &mesh.corners(place)) else { continue };
+                let Some(t) = triangle::intersect(ray, &mesh.corners(triangle_idx)) else { continue };
                 if nearest.is_none_or(|(_, nearest_t)| t < nearest_t) {
-                    nearest = Some((place, t));
+                    nearest = Some((triangle_idx, t));
                 }
             }
         }
-        out.push(nearest.map(|(place, t)| (place, f64::from(t as f32))));
+        out.push(nearest.map(|(triangle_idx, t)| (triangle_idx, f64::from(t as f32))));
         first = end;
     }
 }
@@ -210,12 +210,12 @@ mod tests {
         for method in Method::ALL {
             let mut answers = Vec::new();
             method.run(&mesh, &rays, &[0, 1, 2, 0, 2, 1, 0, 1, 0, 1, 2], &[3, 6, 8, 9, 11], &mut answers);
-            let near = |answer: Answer| answer.map(|(place, t)| (place, (t * 1e4).round() / 1e4));
+            let near = |answer: Answer| answer.map(|(triangle_idx, t)| (triangle_idx, (t * 1e4).round() / 1e4));
             let answers: Vec<_> = answers.into_iter().map(near).collect();
             assert_eq!(answers[..2], [Some((1, 5.0)), Some((2, 5.0))], "{method:?}: the first of equals");
             assert_eq!(answers[3..], [None, None], "{method:?}");
             assert!(
-                answers[2].is_some_and(|(place, t)| place == 0 && (5.0..7.0).contains(&t)),
+                answers[2].is_some_and(|(triangle_idx, t)| triangle_idx == 0 && (5.0..7.0).contains(&t)),
                 "{method:?} {answers:?}"
             );
         }

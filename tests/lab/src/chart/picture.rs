@@ -12,10 +12,10 @@ use renderer::render::{
 };
 use serde::Serialize;
 use shared::{
+    appearance::Appearance,
     camera::Camera,
     division::{Division, FrameSize},
-    look::Look,
-    protocol::{RayTree, SampleRange, View},
+    protocol::{LightingMode, SampleRange, ShadingMode},
     srgb,
 };
 
@@ -26,7 +26,7 @@ use crate::{
 };
 
 /// How much is measured.
-pub(super) struct Effort {
+pub(super) struct Settings {
     /// The wall's.
     pub(super) native: FrameSize,
     /// Samples a pixel of the picture that all are compared with.
@@ -47,7 +47,7 @@ enum Scaling {
 
 /// A line of the table: one setting from one camera.
 #[derive(Clone, Debug, Serialize)]
-pub(super) struct Row {
+pub(super) struct PictureRow {
     camera: String,
     size: String,
     samples: u32,
@@ -67,17 +67,17 @@ const FIRST_REFERENCE_SAMPLE: u32 = 1 << 20;
 pub(super) fn measure(
     scene: &Scene,
     (name, camera): (&str, &Camera),
-    effort: &Effort,
-    mut done: impl FnMut(Option<Row>, f32) -> Result<()>,
+    settings: &Settings,
+    mut done: impl FnMut(Option<PictureRow>, f32) -> Result<()>,
 ) -> Result<()> {
-    let native = effort.native;
-    let range = SampleRange { first: FIRST_REFERENCE_SAMPLE, count: effort.n_reference_samples };
+    let native = settings.native;
+    let range = SampleRange { first: FIRST_REFERENCE_SAMPLE, count: settings.n_reference_samples };
     // What is left to do goes by the rays and by the comparisons, of which each takes about as long as a few rays a pixel.
     let rays = |size: FrameSize, n_samples: u32| f64::from(size.n_samples()) * f64::from(n_samples);
     let comparison = rays(native, 8);
     let n_scalings = |size: FrameSize| if size == native { 1.0 } else { 2.0 };
     let cost = |size: FrameSize, n_samples: u32| rays(size, n_samples) + comparison * n_scalings(size);
-    let settings = || effort.sizes.iter().flat_map(|&size| effort.samples.iter().map(move |&n| (size, n)));
+    let settings = || settings.sizes.iter().flat_map(|&size| settings.samples.iter().map(move |&n| (size, n)));
     let of_reference = rays(native, range.count);
     let total = of_reference + settings().map(|(size, n_samples)| cost(size, n_samples)).sum::<f64>();
 
@@ -101,7 +101,7 @@ pub(super) fn measure(
             let scaled = scale(&rgb, size, native, scaling);
             let (flip, psnr) = (flip(&reference, &scaled, native), psnr(&reference, &scaled));
             let (camera, size) = (name.to_owned(), size.to_string());
-            let row = Row { camera, size, samples: n_samples, scaling, cpu_ms, flip, psnr };
+            let row = PictureRow { camera, size, samples: n_samples, scaling, cpu_ms, flip, psnr };
             done(Some(row), (n_done / total) as f32)?;
         }
     }
@@ -110,21 +110,21 @@ pub(super) fn measure(
 
 /// A frame row by row from the bottom, and CPU milliseconds of all threads for it.
 fn render(scene: &Scene, camera: &Camera, size: FrameSize, samples: SampleRange) -> (Vec<u8>, f64) {
-    let request = FrameRequest {
+    let spec = FrameRequest {
         camera: *camera,
         size,
-        view: View::Shaded,
-        rays: RayTree::Primary,
+        view: ShadingMode::Shaded,
+        rays: LightingMode::Primary,
         samples,
-        look: Look::default(),
+        appearance: Appearance::default(),
     };
-    let work = Division::Tiled.work(0, 1);
-    let Ok(share) = work.share(size) else { return (Vec::new(), 0.0) };
+    let task = Division::Tiled.task(0, 1);
+    let Ok(share) = task.share(size) else { return (Vec::new(), 0.0) };
     let of_threads = work_off(unit_ranges(&share, 2048).into_iter(), |next| {
         let mut parts = Vec::new();
         while let Some(units) = next() {
             let mut rgb = Vec::new();
-            scene.render(&request, &share, units.clone(), &mut rgb);
+            scene.render(&spec, &share, units.clone(), &mut rgb);
             parts.push((units, rgb));
         }
         parts
@@ -191,7 +191,7 @@ fn psnr(reference: &[u8], picture: &[u8]) -> f64 {
 }
 
 /// The chart, of the means over all cameras.
-pub(super) fn figure(title: String, notes: Vec<String>, rows: &[Row], peers: &[Peer]) -> Figure {
+pub(super) fn figure(title: String, notes: Vec<String>, rows: &[PictureRow], peers: &[Peer]) -> Figure {
     let flip = plot(rows, "FLIP difference from the picture of many samples (mean)", significant, |row| {
         row.flip.max(1e-6).log10()
     });
@@ -211,7 +211,12 @@ pub(super) fn figure(title: String, notes: Vec<String>, rows: &[Row], peers: &[P
     Figure { title, notes, rows: vec![(560, vec![flip]), (560, vec![psnr])] }
 }
 
-fn plot(rows: &[Row], title: &'static str, label: fn(f64) -> String, value: impl Fn(&Row) -> f64) -> Plot {
+fn plot(
+    rows: &[PictureRow],
+    title: &'static str,
+    label: fn(f64) -> String,
+    value: impl Fn(&PictureRow) -> f64,
+) -> Plot {
     let mut names: Vec<(&str, Scaling)> = Vec::new();
     for row in rows {
         if !names.contains(&(&row.size, row.scaling)) {
@@ -231,7 +236,7 @@ fn plot(rows: &[Row], title: &'static str, label: fn(f64) -> String, value: impl
         samples.dedup();
         let point = |&n: &u32| {
             let of_point: Vec<_> = of_series().filter(|row| row.samples == n).collect();
-            let mean = |value: &dyn Fn(&Row) -> f64| mean(of_point.iter().map(|row| value(row)));
+            let mean = |value: &dyn Fn(&PictureRow) -> f64| mean(of_point.iter().map(|row| value(row)));
             Point { label: n.to_string(), x: mean(&|row| row.cpu_ms.log10()), y: mean(&|row| value(row)), bar: None }
         };
         let is_native = Some(&size) == sizes.last();
@@ -259,13 +264,13 @@ fn plot(rows: &[Row], title: &'static str, label: fn(f64) -> String, value: impl
 }
 
 /// For people.
-pub(super) fn table(rows: &[Row]) -> String {
+pub(super) fn table(rows: &[PictureRow]) -> String {
     let mut lines = vec![format!(
         "{:12} {:>10} {:>7} {:9} {:>9} {:>8} {:>7}",
         "camera", "size", "samples", "scaling", "CPU ms", "FLIP", "PSNR"
     )];
     for row in rows {
-        let Row { camera, size, samples, scaling, cpu_ms, flip, psnr } = row;
+        let PictureRow { camera, size, samples, scaling, cpu_ms, flip, psnr } = row;
         let scaling = format!("{scaling:?}").to_lowercase();
         lines.push(format!("{camera:12} {size:>10} {samples:7} {scaling:9} {cpu_ms:9.1} {flip:8.5} {psnr:7.2}"));
     }

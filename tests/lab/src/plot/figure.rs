@@ -116,7 +116,7 @@ impl Figure {
     pub fn write(&self, folder: &Path, name: &str) -> Result<()> {
         let svg_path = folder.join(format!("{name}.svg"));
         let svg = self.svg()?;
-        image::write_whole(&svg_path, |out| out.write_all(svg.as_bytes()))
+        image::write_atomically(&svg_path, |out| out.write_all(svg.as_bytes()))
             .with_context(|| format!("cannot write {}", svg_path.display()))?;
         let png_path = folder.join(format!("{name}.png"));
         let (size, rows) = self.bitmap()?;
@@ -270,7 +270,7 @@ impl Plot {
         });
         let sized: Vec<_> = sized.collect::<Result<_, DrawingAreaErrorKind<DB::ErrorType>>>()?;
         for ((text, series, point, size), place) in
-            texts.into_iter().zip(labels::place(&sized, &marks, &lines, &inside))
+            texts.into_iter().zip(labels::arrange(&sized, &marks, &lines, &inside))
         {
             let Some((rect, side)) = place else { continue };
             let (horizontal, x) = match side {

@@ -49,7 +49,7 @@ impl Rect {
 
 /// Places within `inside`, label by label. `lines` are runs of places that are joined. A label for which there is no
 /// room at all gets none.
-pub(super) fn place(
+pub(super) fn arrange(
     labels: &[Label],
     marks: &[Mark],
     lines: &[Vec<(i32, i32)>],
@@ -102,7 +102,7 @@ mod tests {
             let marks: Vec<_> =
                 places.iter().map(|&(x, y)| Mark { place: (x, y), bar: Some(y - 20..y + 15) }).collect();
             let labels: Vec<_> = places.iter().map(|&place| Label { place, size: (120 + place.0 % 7, 17) }).collect();
-            let placed = place(&labels, &marks, &[vec![places[0], places[1]]], &inside);
+            let placed = arrange(&labels, &marks, &[vec![places[0], places[1]]], &inside);
             let rects: Vec<_> = placed.iter().flatten().map(|(rect, _)| *rect).collect();
             assert_eq!(rects.len(), labels.len(), "there is room for all");
             for (index, rect) in rects.iter().enumerate() {

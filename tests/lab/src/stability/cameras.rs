@@ -13,11 +13,11 @@ use shared::{
 };
 
 use super::{
-    contenders::{Answer, Bundle, Contender, Tally, tally},
+    contenders::{Answer, Contender, RayBundle, Tally, tally},
     solids,
 };
 use crate::chart::{
-    candidates::{Candidates, Placed, Placement},
+    candidates::{Candidates, PlacedModel, Placement},
     reference::{self, Truth},
 };
 
@@ -35,10 +35,10 @@ pub(super) fn against_f64(n_rays: u64) -> Tally {
     let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
     let full = Camera::view_all(min, max, UpAxis::Y, 16.0 / 9.0);
     let looks = [(0.5, 1.9, 2.0, 2.6), (-2.0, 2.8, 1.5, 2.4), (3.0, 4.0, -3.0, 1.7)];
-    let look = |&(x, y, z, up): &(f64, f64, f64, f64)| {
+    let appearance = |&(x, y, z, up): &(f64, f64, f64, f64)| {
         Camera::look_at(DVec3::new(x, y, z), DVec3::Y * up, DVec3::Y, 0.5, 16.0 / 9.0).ok()
     };
-    let cameras: Vec<_> = [full].into_iter().chain(looks.iter().filter_map(look)).collect();
+    let cameras: Vec<_> = [full].into_iter().chain(looks.iter().filter_map(appearance)).collect();
     let height = (n_rays / 2 / cameras.len() as u64).isqrt().clamp(64, 1024) as u32;
     let Ok(size) = FrameSize::new(2 * height, height) else { return Tally::default() };
     let mut sum = Tally::default();
@@ -49,7 +49,7 @@ pub(super) fn against_f64(n_rays: u64) -> Tally {
 }
 
 fn picture(mesh: &Mesh, grid: &Grid, camera: &Camera, size: FrameSize) -> Tally {
-    let Ok(placed) = Placed::new(mesh, camera, Placement::Near) else { return Tally::default() };
+    let Ok(placed) = PlacedModel::new(mesh, camera, Placement::Near) else { return Tally::default() };
     let Ok(candidates) = Candidates::find(mesh, &placed, size) else { return Tally::default() };
     let (eye, xres, yres) = (camera.eye(), f64::from(size.xres()), f64::from(size.yres()));
     // A point is eye + s·((ll − eye) + x·u/xres + y·v/yres), and s is its t.
@@ -68,7 +68,7 @@ fn picture(mesh: &Mesh, grid: &Grid, camera: &Camera, size: FrameSize) -> Tally 
                 truth(pixel, corners.map(|corners| corners.map(project)))
             })
             .collect();
-        let bundle = Bundle { origin, directions };
+        let bundle = RayBundle { origin, directions };
         let mut far_off = [0; Contender::ALL.len()];
         tally.n_rays = truths.iter().flatten().count() as u64;
         for (&contender, far_off) in Contender::ALL.iter().zip(&mut far_off) {
@@ -180,7 +180,7 @@ pub(super) fn rays_of(mesh: &Mesh, grid: &Grid, camera: &Camera, n_rays: u64) ->
         |tile| {
             let (i, j) = (tile as u32 % tiles_per_row * 8, tile as u32 / tiles_per_row * 8);
             let directions = (0..64).map(|place| rays.direction(i + place % 8, j + place / 8)).collect();
-            Bundle { origin: rays.eye, directions }
+            RayBundle { origin: rays.eye, directions }
         },
         |ray| reference::truth(ray, triangles.iter().copied()),
         |_, truth, answer: Answer| match (truth, answer) {

@@ -8,13 +8,13 @@ use renderer::{
 };
 
 use super::{
-    contenders::{Bundle, Tally, tally},
+    contenders::{RayBundle, Tally, tally},
     solids,
 };
 use crate::random::Random;
 
 /// Rays that share an origin.
-const BUNDLE: usize = 64;
+const RAYS_PER_BUNDLE: usize = 64;
 
 /// Where the rays from inside a sphere go.
 #[derive(Clone, Copy)]
@@ -35,17 +35,17 @@ pub(super) fn sphere(centre: [f64; 3], radius: f64, aim: Aim, n_rays: u64) -> Ta
     let shell = 0.97 - 2.0 * coarseness..=1.001 + 2.0 * coarseness;
     tally(
         &grid,
-        n_rays.div_ceil(BUNDLE as u64),
+        n_rays.div_ceil(RAYS_PER_BUNDLE as u64),
         |index| {
             let mut random = Random::new(index);
             let origin = (centre + random.point().as_dvec3() * (0.4 * radius)).as_vec3();
             let direction = |lane: usize| match aim {
                 Aim::Anywhere => random.point(),
-                Aim::VerticesAndEdges => targets[(index as usize * BUNDLE + lane) % targets.len()] - origin,
+                Aim::VerticesAndEdges => targets[(index as usize * RAYS_PER_BUNDLE + lane) % targets.len()] - origin,
             };
-            let mut directions: Vec<Vec3> = (0..BUNDLE).map(direction).collect();
+            let mut directions: Vec<Vec3> = (0..RAYS_PER_BUNDLE).map(direction).collect();
             directions.retain(|&direction| direction != Vec3::ZERO);
-            Bundle { origin, directions }
+            RayBundle { origin, directions }
         },
         |_| (),
         |ray, (), answer| answer.is_some_and(|(_, t)| shell.contains(&((at(ray, t) - centre).length() / radius))),
@@ -96,7 +96,7 @@ pub(super) fn cell_planes(n_rays: u64) -> Tally {
                 let signs = [(); 3].map(|()| random.whole(0, 1) as f32 * 2.0 - 1.0);
                 if direction == Vec3::ZERO { Vec3::X } else { direction * Vec3::from_array(signs) }
             });
-            Bundle { origin, directions: directions.collect() }
+            RayBundle { origin, directions: directions.collect() }
         },
         expected,
         |_, &expected, answer| answer.is_some_and(|(_, t)| (t - expected).abs() <= 1e-5 * expected),
@@ -125,7 +125,7 @@ pub(super) fn slivers(n_rays: u64) -> Tally {
                 let [x, y, z] = at(random.whole(0, N), random.whole(0, LENGTH));
                 Vec3::new((x - origin[0]) as f32, (y - origin[1]) as f32, (z - origin[2]) as f32)
             });
-            Bundle { origin: Vec3::from_array(origin.map(|x| x as f32)), directions: directions.collect() }
+            RayBundle { origin: Vec3::from_array(origin.map(|x| x as f32)), directions: directions.collect() }
         },
         |_| (),
         |_, (), answer| answer.is_some_and(|(_, t)| (t - 1.0).abs() <= 1e-4),

@@ -53,7 +53,7 @@ impl Contender {
     }
 
     /// The nearest triangle along each ray of a bundle.
-    pub(super) fn trace(self, grid: &Grid, bundle: &Bundle, scratch: &mut PacketScratch) -> Vec<Answer> {
+    pub(super) fn trace(self, grid: &Grid, bundle: &RayBundle, scratch: &mut PacketScratch) -> Vec<Answer> {
         match self {
             Self::Rival(method) => bundle.rays().map(|ray| rival(method, grid, &ray)).collect(),
             Self::Single => bundle.rays().map(|ray| answer(grid, grid.intersect(&ray))).collect(),
@@ -63,7 +63,7 @@ impl Contender {
 }
 
 /// The nearest triangle along each ray of a bundle, by packets of so many rays each that go together.
-fn packets(grid: &Grid, bundle: &Bundle, n_rays: usize, scratch: &mut PacketScratch) -> Vec<Answer> {
+fn packets(grid: &Grid, bundle: &RayBundle, n_rays: usize, scratch: &mut PacketScratch) -> Vec<Answer> {
     let packets: Vec<_> = bundle.directions.chunks(n_rays).map(|rays| packet(bundle.origin, rays)).collect();
     let mut hits = vec![[Hit::MISS; 64]; packets.len()];
     grid.intersect_packets(&packets, scratch, &mut hits);
@@ -85,28 +85,28 @@ fn packet(origin: Vec3, rays: &[Vec3]) -> Packet {
 
 fn rival(method: Method, grid: &Grid, ray: &Ray) -> Answer {
     let mut nearest: Answer = None;
-    grid.for_each_candidate(ray, |place| {
-        if let Some(t) = method.intersect(ray, &grid.mesh().corners(place))
+    grid.for_each_candidate(ray, |triangle_idx| {
+        if let Some(t) = method.intersect(ray, &grid.mesh().corners(triangle_idx))
             && nearest.is_none_or(|(_, nearest_t)| t < nearest_t)
         {
-            nearest = Some((place, t));
+            nearest = Some((triangle_idx, t));
         }
     });
-    nearest.map(|(place, t)| (grid.mesh().number(place), t))
+    nearest.map(|(triangle_idx, t)| (grid.mesh().file_index(triangle_idx), t))
 }
 
 fn answer(grid: &Grid, hit: Hit) -> Answer {
-    (!hit.is_miss()).then(|| (grid.mesh().number(hit.triangle), f64::from(hit.t)))
+    (!hit.is_miss()).then(|| (grid.mesh().file_index(hit.triangle), f64::from(hit.t)))
 }
 
 /// From 1 to 64 rays with a common origin, in world space.
 #[derive(Clone, Debug)]
-pub(super) struct Bundle {
+pub(super) struct RayBundle {
     pub(super) origin: Vec3,
     pub(super) directions: Vec<Vec3>,
 }
 
-impl Bundle {
+impl RayBundle {
     pub(super) fn rays(&self) -> impl Iterator<Item = Ray> {
         self.directions.iter().map(|&direction| Ray::new(self.origin, direction))
     }
@@ -125,8 +125,8 @@ pub(super) struct Tally {
 impl Tally {
     /// Counts one answer; `what` says what it was, should it be wrong.
     pub(super) fn count(&mut self, contender: Contender, is_right: bool, what: impl FnOnce() -> String) {
-        let place = Contender::ALL.iter().position(|&other| other == contender);
-        let wrong = &mut self.wrong[place.expect("a contender")];
+        let index = Contender::ALL.iter().position(|&other| other == contender);
+        let wrong = &mut self.wrong[index.expect("a contender")];
         *wrong = Some(wrong.unwrap_or(0) + u64::from(!is_right));
         if !is_right && contender.is_default() && self.first_failure.is_none() {
             self.first_failure = Some(format!("{}: {}", contender.name(), what()));
@@ -153,7 +153,7 @@ impl AddAssign for Tally {
 pub(super) fn tally<T>(
     grid: &Grid,
     n_bundles: u64,
-    bundle: impl Fn(u64) -> Bundle + Sync,
+    bundle: impl Fn(u64) -> RayBundle + Sync,
     truth: impl Fn(&Ray) -> T + Sync,
     is_right: impl Fn(&Ray, &T, Answer) -> bool + Sync,
 ) -> Tally {

@@ -4,7 +4,7 @@ use super::{contenders::Answer, solids::Lattice};
 use crate::vector::{cross, dot, sub};
 
 /// What a ray hits, truly.
-pub(super) struct Truth {
+pub(super) struct ExactTruth {
     /// All triangles that it hits, with t.
     hits: Vec<(u32, f64)>,
     /// The least t, or infinity.
@@ -19,7 +19,7 @@ const SAME_DEPTH: f64 = 1e-9;
 
 /// A ray hits a triangle if no two edges are passed on opposite sides and at least one is passed at all; not if it lies
 /// in its plane. Coordinates up to 2²⁴ are far from the end of `i128`.
-pub(super) fn truth(lattice: &Lattice, origin: [i32; 3], direction: [i32; 3]) -> Truth {
+pub(super) fn truth(lattice: &Lattice, origin: [i32; 3], direction: [i32; 3]) -> ExactTruth {
     let wide = |vector: [i32; 3]| vector.map(i128::from);
     let (origin, direction) = (wide(origin), wide(direction));
     let mut hits = Vec::new();
@@ -37,10 +37,10 @@ pub(super) fn truth(lattice: &Lattice, origin: [i32; 3], direction: [i32; 3]) ->
         }
     }
     let nearest = hits.iter().fold(f64::INFINITY, |nearest, &(_, t)| nearest.min(t));
-    Truth { hits, nearest }
+    ExactTruth { hits, nearest }
 }
 
-impl Truth {
+impl ExactTruth {
     /// Whether an answer names a nearest triangle, and where it is.
     pub(super) fn allows(&self, answer: Answer) -> bool {
         let Some((number, t)) = answer else { return self.hits.is_empty() };

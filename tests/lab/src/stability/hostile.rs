@@ -8,7 +8,7 @@ use renderer::{
 };
 
 use super::{
-    contenders::{Bundle, Contender, Tally, tally},
+    contenders::{Contender, RayBundle, Tally, tally},
     lattice::{self, Aim},
     solids,
 };
@@ -55,7 +55,7 @@ pub(super) fn coincident(n_rays: u64) -> Tally {
         |index| {
             let mut random = Random::new(index);
             let direction = |_| Vec3::new(random.whole(1, 7) as f32, random.whole(1, 7) as f32, 5.0);
-            Bundle { origin: Vec3::ZERO, directions: (0..32).map(direction).collect() }
+            RayBundle { origin: Vec3::ZERO, directions: (0..32).map(direction).collect() }
         },
         |_| (),
         |_, (), answer| answer.is_some_and(|(number, t)| number == 0 && (t - 1.0).abs() < 1e-6),
@@ -78,7 +78,7 @@ pub(super) fn odd_rays(n_rays: u64) -> Tally {
     for index in 0..n_rays.div_ceil(8) {
         let mut random = Random::new(index);
         let mut vector = || Vec3::from_array([(); 3].map(|()| *random.choose(&ODD)));
-        let bundle = Bundle { origin: vector(), directions: (0..8).map(|_| vector()).collect() };
+        let bundle = RayBundle { origin: vector(), directions: (0..8).map(|_| vector()).collect() };
         for contender in Contender::ALL {
             let answers = match contender {
                 // Methods without a grid that would have dropped the ray before.

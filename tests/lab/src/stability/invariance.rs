@@ -15,7 +15,7 @@ use shared::{
     division::{Division, FrameSize},
 };
 
-use super::contenders::{Answer, Bundle, Contender, Tally};
+use super::contenders::{Answer, Contender, RayBundle, Tally};
 use crate::random::Random;
 
 /// A power of two as the unit of all coordinates leaves triangle and t of every hit as they are, to the last bit.
@@ -74,8 +74,8 @@ fn compare(
         let origin = Vec3::from_array(origin);
         // At the model, more or less.
         let mut towards = || Vec3::from_array((Vec3::Y + random.point() * 3.0 - origin).to_array().map(on_lattice));
-        let before = Bundle { origin, directions: (0..32).map(|_| towards()).collect() };
-        let after = Bundle {
+        let before = RayBundle { origin, directions: (0..32).map(|_| towards()).collect() };
+        let after = RayBundle {
             origin: place(origin),
             directions: before.directions.iter().map(|&towards| direction(towards)).collect(),
         };
@@ -124,7 +124,7 @@ pub(super) fn one_hash(n_rays: u64) -> Tally {
         let mut grid = pool.install(|| Grid::build(mesh.clone(), &options, &|_| ()));
         for &set in &sets {
             grid = grid.with_instructions(set);
-            let scene = Scene::of_grid(grid);
+            let scene = Scene::from_grid(grid);
             for (division, n_machines) in divisions {
                 let hits = pool.install(|| hits(&scene, &camera, size, division, n_machines));
                 let is_same = *expected.get_or_insert_with(|| hits.clone()) == hits;
@@ -147,11 +147,11 @@ fn hits(scene: &Scene, camera: &Camera, size: FrameSize, division: Division, n_m
     let rays = camera.rays(size);
     let mut rows = vec![Hit::MISS; size.n_samples() as usize];
     for machine in (0..n_machines).rev() {
-        let work = division.work(machine, n_machines);
-        let Ok(share) = work.share(size) else { continue };
+        let task = division.task(machine, n_machines);
+        let Ok(share) = task.share(size) else { continue };
         scene.trace(&rays, None, &share, 0..share.count(), |block, hits| {
             for ((i, j), &hit) in block.samples().zip(hits) {
-                rows[(j * size.xres() + i) as usize] = scene.in_file_order(hit);
+                rows[(j * size.xres() + i) as usize] = scene.with_file_index(hit);
             }
         });
     }

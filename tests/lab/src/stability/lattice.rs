@@ -9,7 +9,7 @@ use renderer::{
 };
 
 use super::{
-    contenders::{Bundle, Tally, tally},
+    contenders::{RayBundle, Tally, tally},
     exact,
     solids::{self, Lattice},
 };
@@ -72,7 +72,7 @@ pub(super) fn one(scene: &Lattice, mesh: Mesh, unit: f32, aim: Aim, n_rays: u64,
 /// Rays of a bundle: few, for what is special is the origin as often as the direction.
 const N_DIRECTIONS: usize = 8;
 
-fn bundle(scene: &Lattice, unit: f32, aim: Aim, random: &mut Random) -> Bundle {
+fn bundle(scene: &Lattice, unit: f32, aim: Aim, random: &mut Random) -> RayBundle {
     let aim = match aim {
         Aim::All => *random.choose(&[Aim::Axes, Aim::Edges, Aim::Corners, Aim::FromSurfaces]),
         aim => aim,
@@ -122,7 +122,7 @@ fn bundle(scene: &Lattice, unit: f32, aim: Aim, random: &mut Random) -> Bundle {
         Vec3::from_array(signed)
     });
     let directions = directions.collect();
-    Bundle { origin: Vec3::from_array(origin.map(|x| x as f32 * unit)), directions }
+    RayBundle { origin: Vec3::from_array(origin.map(|x| x as f32 * unit)), directions }
 }
 
 pub(super) fn scaled(lattice: &Lattice, factor: i32) -> Lattice {

@@ -8,13 +8,13 @@ use renderer::{
         ray::{Hit, Ray},
     },
     model::mesh::Mesh,
-    render::{blocks::Block, secondary::SecondaryRays, tracer::FrameRequest},
+    render::{blocks::SampleBlock, secondary::SecondaryRays, tracer::FrameRequest},
 };
 use shared::{
+    appearance::Appearance,
     camera::Camera,
-    division::{FrameSize, UnitSamples},
-    look::Look,
-    protocol::{RayTree, SampleRange, View},
+    division::{FrameSize, SampleRect},
+    protocol::{LightingMode, SampleRange, ShadingMode},
 };
 
 use super::{
@@ -97,33 +97,33 @@ fn light_of(
     let side = 8 * ((n_rays / 2).isqrt() as u32 / 8).clamp(4, 256);
     let Ok(size) = FrameSize::new(2 * side, side) else { return Tally::default() };
     let samples = SampleRange::CENTRE;
-    let request = FrameRequest {
+    let spec = FrameRequest {
         camera: *camera,
         size,
-        view: View::Shaded,
-        rays: RayTree::Shadows,
+        view: ShadingMode::Shaded,
+        rays: LightingMode::Shadows,
         samples,
-        look: Look::default(),
+        appearance: Appearance::default(),
     };
     let light = light.as_vec3();
-    let secondary = SecondaryRays::new(&grid, &request, None).with_key_light(light);
+    let secondary = SecondaryRays::new(&grid, &spec, None).with_key_light(light);
     let rays = camera.rays(size);
     let mut scratch = PacketScratch::default();
     let mut tally = Tally::default();
     for tile in 0..size.n_samples() / 64 {
         let (first_i, first_j) = (tile % (size.xres() / 8) * 8, tile / (size.xres() / 8) * 8);
-        let samples = UnitSamples { columns: first_i..first_i + 8, rows: first_j..first_j + 8 };
+        let samples = SampleRect { columns: first_i..first_i + 8, rows: first_j..first_j + 8 };
         let mut directions = [Vec3::ZERO; 64];
         directions.iter_mut().zip(samples.iter()).for_each(|(to, (i, j))| *to = rays.direction(i, j));
         let hits = directions.map(|direction| grid.intersect(&Ray::new(rays.eye, direction)));
-        let blocks = [Block::Unit { samples, first_place: 0 }];
-        let [reach, ..] = secondary.reach(&blocks, 0, &[directions], &[hits], &mut scratch);
+        let blocks = [SampleBlock::Unit { samples, first_index: 0 }];
+        let [visibility, ..] = secondary.visibility(&blocks, 0, &[directions], &[hits], &mut scratch);
         for lane in (0..64).filter(|&lane| !hits[lane].is_miss()) {
             let ray = Ray::new(rays.eye, directions[lane]);
             let (point, normal) = surface(&grid, &ray, hits[lane]);
             let Some(is_lit) = expect(point, normal) else { continue };
             tally.n_rays += 1;
-            tally.count(Contender::Packets, (reach[lane].key == 1.0) == is_lit, || {
+            tally.count(Contender::Packets, (visibility[lane].key == 1.0) == is_lit, || {
                 format!("{point} should be {}", if is_lit { "lit" } else { "dark" })
             });
             for contender in Contender::ALL {
@@ -149,24 +149,24 @@ fn surface(grid: &Grid, ray: &Ray, hit: Hit) -> (DVec3, DVec3) {
 /// sees nothing.
 fn reaches_light(grid: &Grid, method: Method, ray: &Ray, light: Vec3) -> Option<bool> {
     let mut nearest: Option<(u32, f64)> = None;
-    grid.for_each_candidate(ray, |place| {
-        if let Some(t) = method.intersect(ray, &grid.mesh().corners(place))
+    grid.for_each_candidate(ray, |sample_idx| {
+        if let Some(t) = method.intersect(ray, &grid.mesh().corners(sample_idx))
             && nearest.is_none_or(|(_, nearest_t)| t < nearest_t)
         {
-            nearest = Some((place, t));
+            nearest = Some((sample_idx, t));
         }
     });
-    let (place, t) = nearest?;
+    let (sample_idx, t) = nearest?;
     let point = ray.origin + ray.direction * t as f32;
-    let [a, b, c] = grid.mesh().corners(place).map(Vec3::from_array);
+    let [a, b, c] = grid.mesh().corners(sample_idx).map(Vec3::from_array);
     let normal = (b - a).cross(c - a);
     if normal.dot(light - point) * normal.dot(-ray.direction) <= 0.0 {
         return Some(false);
     }
     let shadow = Ray { t_min: USUAL_EPSILON, t_max: 1.0, ..Ray::new(point, light - point) };
     let mut is_lit = true;
-    grid.for_each_candidate(&shadow, |place| {
-        let t = method.intersect(&shadow, &grid.mesh().corners(place));
+    grid.for_each_candidate(&shadow, |sample_idx| {
+        let t = method.intersect(&shadow, &grid.mesh().corners(sample_idx));
         is_lit &= !t.is_some_and(|t| (f64::from(shadow.t_min)..=1.0).contains(&t));
     });
     Some(is_lit)

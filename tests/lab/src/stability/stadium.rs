@@ -66,10 +66,10 @@ impl Cost {
         };
         let steps = samples.map(|(i, j)| cost(rays.direction(i, j))).sum();
         let is_in_budget = grid.shortage().is_none();
-        let scene = Scene::of_grid(grid);
-        let work = Division::Tiled.work(0, 1);
+        let scene = Scene::from_grid(grid);
+        let task = Division::Tiled.task(0, 1);
         let mut cpu = f64::INFINITY;
-        if let (true, Ok(share)) = (times, work.share(size)) {
+        if let (true, Ok(share)) = (times, task.share(size)) {
             for _ in 0..9 {
                 let started = ThreadTime::now();
                 scene.trace(&rays, None, &share, 0..share.count(), |_, hits| {

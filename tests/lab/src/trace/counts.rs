@@ -18,10 +18,10 @@ pub(super) struct CostSum {
 /// Counts what the primary rays of a frame cost, on the threads of the rayon pool that this is called in.
 pub(super) fn cost_sum(scene: &Scene, request: &FrameRequest) -> CostSum {
     let rays = request.camera.rays(request.size);
-    let clip = scene.clip_plane(&request.camera, request.look.clip);
+    let clip = scene.clip_plane(&request.camera, request.appearance.clip);
     let of_row = |j: u32| {
         (0..request.size.xres()).fold(CostSum::default(), |sum, i| {
-            let ray = clip::kept(clip.as_ref(), Ray::new(rays.eye, rays.direction(i, j)));
+            let ray = clip::clip_ray(clip.as_ref(), Ray::new(rays.eye, rays.direction(i, j)));
             let cost = ray.map_or(RayCost::default(), |ray| scene.grid().cost(&ray));
             CostSum { n_cells: sum.n_cells + u64::from(cost.n_cells), n_tests: sum.n_tests + u64::from(cost.n_tests) }
         })

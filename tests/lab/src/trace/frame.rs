@@ -8,7 +8,7 @@ use renderer::{
         ray::{Hit, Ray},
     },
     render::{
-        blocks::Block,
+        blocks::SampleBlock,
         frame::{Cost, Frame, Setup, Tiles, Write},
         tracer::{FrameRequest, Scene},
     },
@@ -51,7 +51,7 @@ pub fn trace(frame: &mut Frame, scene: &Scene, request: &FrameRequest, options: 
         |setup: &Setup<'_>, tiles: &Tiles, scratch: &mut PacketScratch, counts: &mut RayCounts, write: Write<'_>| {
             let Setup { scene, rays, clip, share } = setup;
             // The triangles that a group's rays met are still in the cache for its shadow rays.
-            let mut visit = |blocks: &[Block<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch| {
+            let mut visit = |blocks: &[SampleBlock<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch| {
                 write(blocks, hits);
                 if let Some(light) = options.light {
                     let caster = ShadowCaster { scene, rays, light, kernel: options.kernel };
@@ -68,7 +68,7 @@ pub fn trace(frame: &mut Frame, scene: &Scene, request: &FrameRequest, options: 
                     for (hit, (i, j)) in hits.iter_mut().zip(samples.iter()) {
                         *hit = clip::intersect(scene.grid(), clip.as_ref(), Ray::new(rays.eye, rays.direction(i, j)));
                     }
-                    visit(&[Block::Unit { samples, first_place: 0 }], &[hits], scratch);
+                    visit(&[SampleBlock::Unit { samples, first_index: 0 }], &[hits], scratch);
                 }),
             }
         };

@@ -6,7 +6,7 @@ use renderer::{
         MOST_PACKETS, PacketScratch,
         ray::{Hit, Ray},
     },
-    render::{blocks::Block, secondary, tracer::Scene},
+    render::{blocks::SampleBlock, secondary, tracer::Scene},
 };
 use shared::camera::CameraRays;
 
@@ -27,17 +27,24 @@ const T_MAX: f32 = 1.0 - 1e-4;
 impl ShadowCaster<'_> {
     /// Casts a ray for each hit of neighbouring tiles that faces the light. Returns how many rays that were, and how many
     /// hits the light does not reach, because they face away from it or something is in between.
-    pub(super) fn cast(&self, tiles: &[Block<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch) -> (usize, usize) {
+    pub(super) fn cast(
+        &self,
+        tiles: &[SampleBlock<'_>],
+        hits: &[[Hit; 64]],
+        scratch: &mut PacketScratch,
+    ) -> (usize, usize) {
         let mut directions = [[None; 64]; MOST_PACKETS];
         let mut n_dark = 0;
         for (index, tile) in tiles.iter().enumerate() {
             // Lanes beyond the samples repeat the last.
-            for (direction, &place) in directions[index].iter_mut().zip(&tile.in_lanes()).take(tile.n_samples()) {
-                let hit = hits[index][place];
+            for (direction, &sample_idx) in
+                directions[index].iter_mut().zip(&tile.sample_of_lane()).take(tile.n_samples())
+            {
+                let hit = hits[index][sample_idx];
                 if hit.is_miss() {
                     continue;
                 }
-                let (i, j) = tile.sample(place);
+                let (i, j) = tile.sample(sample_idx);
                 *direction = self.ray_to(self.rays.direction(i, j), hit);
                 n_dark += usize::from(direction.is_none());
             }
@@ -47,8 +54,8 @@ impl ShadowCaster<'_> {
         let grid = self.scene.grid();
         let n_hidden = match self.kernel {
             Kernel::Packet => {
-                let hidden = secondary::hidden(grid, None, self.light, directions, T_MAX, scratch);
-                hidden.iter().map(|hidden| hidden.count_ones() as usize).sum()
+                let occluded_lanes = secondary::occluded_lanes(grid, None, self.light, directions, T_MAX, scratch);
+                occluded_lanes.iter().map(|occluded_lanes| occluded_lanes.count_ones() as usize).sum()
             }
             Kernel::Single => rays
                 .clone()

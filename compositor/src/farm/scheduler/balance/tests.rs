@@ -2,14 +2,14 @@
 
 use proptest::prelude::*;
 use shared::{
+    appearance::Appearance,
     camera::Camera,
-    look::Look,
-    protocol::{FrameId, RayTree, SampleRange, View, WorkId, WorkTimings},
+    protocol::{FrameId, LightingMode, SampleRange, ShadingMode, TaskId, TaskTimings},
 };
 
 use super::*;
 use crate::farm::{
-    scheduler::{Action, Event, Placed, Scheduler, Time, Wanted},
+    scheduler::{Action, Event, PlacedUnits, RenderGoal, Scheduler, Time},
     stats::FrameStats,
 };
 
@@ -30,15 +30,15 @@ fn moving(frame: u64, column: f64, row: f64) -> f64 {
     still(0, column - way.min(80.0 - way), row)
 }
 
-fn picture() -> Picture {
+fn spec() -> FrameSpec {
     picture_from(0.0)
 }
 
-fn wanted(min_renderers: usize) -> Wanted {
+fn wanted(min_renderers: usize) -> RenderGoal {
     let min_renderers = min_renderers as u32;
-    Wanted {
-        picture: Some(picture()),
-        refines: false,
+    RenderGoal {
+        spec: Some(spec()),
+        is_refinement: false,
         division: Division::Dynamic,
         min_renderers,
         repeat: true,
@@ -47,16 +47,16 @@ fn wanted(min_renderers: usize) -> Wanted {
     }
 }
 
-fn picture_from(eye_x: f64) -> Picture {
-    Picture {
+fn picture_from(eye_x: f64) -> FrameSpec {
+    FrameSpec {
         scene: SceneId::Statue { triangles: 1 },
         camera: Camera::look_at(glam::DVec3::new(eye_x, 0.0, 1.0), glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0)
             .unwrap(),
         size: SIZE.try_into().unwrap(),
-        view: View::Shaded,
-        rays: RayTree::Primary,
+        view: ShadingMode::Shaded,
+        rays: LightingMode::Primary,
         samples: SampleRange::CENTRE,
-        look: Look::default(),
+        appearance: Appearance::default(),
     }
 }
 
@@ -65,9 +65,9 @@ struct Pending {
     done_at: Time,
     node: NodeId,
     frame: FrameId,
-    work_id: WorkId,
+    task_id: TaskId,
     n_units: u32,
-    costs: BlockCosts,
+    costs: RunCosts,
 }
 
 struct Cluster {
@@ -117,8 +117,8 @@ impl Cluster {
         for action in self.scheduler.on_event(self.now, event) {
             match action {
                 Action::Open { .. } => {}
-                Action::Render { node, frame, work_id, picture, work, .. } => {
-                    self.pend(node, frame, work_id, &work, picture.size);
+                Action::Render { node, frame, task_id, spec, task, .. } => {
+                    self.pend(node, frame, task_id, &task, spec.size);
                 }
                 Action::Cancel { node, frame } => {
                     self.pending.retain(|pending| (pending.node, pending.frame) != (node, frame));
@@ -130,10 +130,10 @@ impl Cluster {
     }
 
     /// Plays the render server: measures in the blocks that a real one does.
-    fn pend(&mut self, node: NodeId, frame: FrameId, work_id: WorkId, work: &Work, size: FrameSize) {
-        let share = work.share(size).unwrap();
+    fn pend(&mut self, node: NodeId, frame: FrameId, task_id: TaskId, task: &Task, size: FrameSize) {
+        let share = task.share(size).unwrap();
         let n_units = share.count();
-        let block_units = BlockCosts::block_units(&share);
+        let run_units = RunCosts::run_units(&share);
         // Nodes waver by 2 %, tiles by 20.
         let slowness = self.slowness[&node] * (0.99 + 0.02 * noise(frame.0, node.0.into()));
         let cost = |k: u32| {
@@ -146,34 +146,27 @@ impl Cluster {
             (self.tile_cost)(frame.0, column, row) * slowness * waver
         };
         let tiles: Vec<f64> = (0..n_units).map(cost).collect();
-        let cpu_ns = tiles.chunks(block_units as usize).map(|tiles| tiles.iter().sum::<f64>() as u32).collect();
+        let cpu_ns = tiles.chunks(run_units as usize).map(|tiles| tiles.iter().sum::<f64>() as u32).collect();
         let busy_until = self.pending.iter().filter(|pending| pending.node == node).map(|pending| pending.done_at);
         let starts_at = busy_until.max().unwrap_or(self.now);
         let done_at = starts_at + Time::from_nanos(tiles.iter().sum::<f64>() as u64);
-        self.pending.push(Pending {
-            done_at,
-            node,
-            frame,
-            work_id,
-            n_units,
-            costs: BlockCosts { block_units, cpu_ns },
-        });
+        self.pending.push(Pending { done_at, node, frame, task_id, n_units, costs: RunCosts { run_units, cpu_ns } });
     }
 
     fn answer_next(&mut self) {
         let next = (0..self.pending.len()).min_by_key(|&index| self.pending[index].done_at).expect("somebody works");
-        let Pending { done_at, node, frame, work_id, n_units, costs } = self.pending.swap_remove(next);
+        let Pending { done_at, node, frame, task_id, n_units, costs } = self.pending.swap_remove(next);
         self.now = self.now.max(done_at);
-        let units = Placed { first: 0, count: n_units, n_bytes: 0, place_time: Time::ZERO };
-        self.on(Event::Placed { node, frame, work_id, units });
+        let units = PlacedUnits { first: 0, count: n_units, n_bytes: 0, place_time: Time::ZERO };
+        self.on(Event::UnitsPlaced { node, frame, task_id, units });
         let trace_cpu_us = (costs.cpu_ns.iter().map(|&ns| f64::from(ns)).sum::<f64>() / 1e3) as u32;
-        let timings = WorkTimings { trace_us: trace_cpu_us, trace_cpu_us, ..WorkTimings::default() };
-        self.on(Event::WorkDone { node, frame, work_id, timings, costs });
+        let timings = TaskTimings { trace_us: trace_cpu_us, trace_cpu_us, ..TaskTimings::default() };
+        self.on(Event::TaskDone { node, frame, task_id, timings, costs });
         if self.is_moving || self.sizes.len() > 1 {
             // Wanted while a frame is in flight, and rendered after it.
             let size = self.sizes[self.shown.len() % self.sizes.len()].try_into().unwrap();
-            let picture = Some(Picture { size, ..picture_from(self.shown.len() as f64) });
-            self.on(Event::Wanted(Wanted { picture, ..wanted(1) }));
+            let spec = Some(FrameSpec { size, ..picture_from(self.shown.len() as f64) });
+            self.on(Event::GoalChanged(RenderGoal { spec, ..wanted(1) }));
         }
         self.on(Event::FrameTaken);
     }
@@ -213,7 +206,7 @@ fn equal_nodes_are_equally_busy() {
 #[test]
 fn frames_in_flight_do_not_unbalance_each_other() {
     let mut cluster = Cluster::new(still, &[1.0; 12]);
-    cluster.on(Event::Wanted(Wanted { in_flight: 3, ..wanted(12) }));
+    cluster.on(Event::GoalChanged(RenderGoal { in_flight: 3, ..wanted(12) }));
     cluster.render(3);
     check("still, 12 nodes, 3 frames in flight", &cluster.render(40), 1.05, 1.10);
 }
@@ -253,26 +246,26 @@ fn another_resolution_is_divided_by_what_the_last_cost() {
 
 #[test]
 fn a_node_that_never_finishes_gets_less_until_it_does() {
-    let (picture, nodes) = (picture(), [(NodeId(1), 1), (NodeId(2), 1)]);
+    let (spec, nodes) = (spec(), [(NodeId(1), 1), (NodeId(2), 1)]);
     let mut balance = Balance::default();
-    let mut works = vec![Division::Dynamic.work(0, 2), Division::Dynamic.work(1, 2)];
+    let mut works = vec![Division::Dynamic.task(0, 2), Division::Dynamic.task(1, 2)];
     // What a tile takes node 1; node 2 is so slow that others have always done its work before.
-    let measure = |balance: &mut Balance, works: &[Work], slowness: Option<u32>| {
-        let shares: Vec<_> = works.iter().map(|work| work.share(picture.size).unwrap()).collect();
-        let costs = |share: &Share<'_>, ns| BlockCosts { block_units: 1, cpu_ns: vec![ns; share.count() as usize] };
+    let measure = |balance: &mut Balance, works: &[Task], slowness: Option<u32>| {
+        let shares: Vec<_> = works.iter().map(|task| task.share(spec.size).unwrap()).collect();
+        let costs = |share: &Share<'_>, ns| RunCosts { run_units: 1, cpu_ns: vec![ns; share.count() as usize] };
         let of_first = costs(&shares[0], 1000);
         let of_second = slowness.map(|slowness| costs(&shares[1], 1000 * slowness));
         let [first, second] = [0, 1].map(|index| shares[index].clone());
         balance.learn(
-            &picture,
+            &spec,
             &[
-                Measured { node: NodeId(1), share: first, costs: Some(&of_first) },
-                Measured { node: NodeId(2), share: second, costs: of_second.as_ref() },
+                TaskResult { node: NodeId(1), share: first, costs: Some(&of_first) },
+                TaskResult { node: NodeId(2), share: second, costs: of_second.as_ref() },
             ],
         );
-        balance.divide(&picture, &nodes).unwrap()
+        balance.divide(&spec, &nodes).unwrap()
     };
-    let n_tiles = |works: &[Work]| works[1].share(picture.size).unwrap().count();
+    let n_tiles = |works: &[Task]| works[1].share(spec.size).unwrap().count();
     for _ in 0..12 {
         let before = n_tiles(&works);
         works = measure(&mut balance, &works, None);
@@ -323,27 +316,31 @@ fn one_slow_frame_of_a_node_moves_nothing() {
 fn nothing_is_known_of_another_scene_or_division() {
     let mut balance = Balance::default();
     let nodes = [(NodeId(1), 1), (NodeId(2), 3)];
-    assert_eq!(balance.divide(&picture(), &nodes), None);
-    balance.learn(&picture(), &[]);
-    let Some([first, second]) = balance.divide(&picture(), &nodes).map(|works| <[Work; 2]>::try_from(works).unwrap())
+    assert_eq!(balance.divide(&spec(), &nodes), None);
+    balance.learn(&spec(), &[]);
+    let Some([first, second]) = balance.divide(&spec(), &nodes).map(|works| <[Task; 2]>::try_from(works).unwrap())
     else {
         panic!("a frame was learned from");
     };
-    let run = |first, count| Work { picked: Picked::CurveRun(TileRun { first, count }), part: Part::WHOLE };
+    let run = |first, count| Task { selection: Selection::CurveRun(TileRun { first, count }), part: Part::WHOLE };
     assert_eq!((first, second), (run(0, 2048), run(2048, 6144)), "three threads do three times the work");
-    let small = Picture { size: FrameSize::new(64, 64).unwrap(), ..picture() };
+    let small = FrameSpec { size: FrameSize::new(64, 64).unwrap(), ..spec() };
     assert_eq!(balance.divide(&small, &nodes), Some(vec![run(0, 16), run(16, 48)]), "in any resolution");
-    assert_eq!(balance.divide(&Picture { scene: SceneId::Statue { triangles: 2 }, ..picture() }, &nodes), None);
+    assert_eq!(balance.divide(&FrameSpec { scene: SceneId::Statue { triangles: 2 }, ..spec() }, &nodes), None);
     balance.forget_costs();
-    assert_eq!(balance.divide(&picture(), &nodes), None);
+    assert_eq!(balance.divide(&spec(), &nodes), None);
 }
 
 #[test]
 fn runs_of_many_tiles_are_cut_between_squares() {
     let of_tile: Vec<f64> = (0..4099).map(|tile| f64::from(tile % 7)).collect();
     for (n_runs, is_square) in [(1, true), (16, true), (17, false), (200, false)] {
-        let runs = cut(&of_tile, &vec![1.0; n_runs]);
-        assert_eq!(runs.iter().all(|run| run.first.is_multiple_of(curve::TILES_TOGETHER)), is_square, "{n_runs} runs");
+        let runs = cut_curve(&of_tile, &vec![1.0; n_runs]);
+        assert_eq!(
+            runs.iter().all(|run| run.first.is_multiple_of(curve::TILES_PER_SQUARE)),
+            is_square,
+            "{n_runs} runs"
+        );
         assert_eq!(runs.iter().map(|run| run.count).sum::<u32>(), 4099);
     }
 }
@@ -354,7 +351,7 @@ proptest! {
         of_tile in proptest::collection::vec(prop_oneof![Just(0.0), 0.0..1.0, 100.0..1e6], 1..600),
         speeds in proptest::collection::vec(prop_oneof![0.3..3.0, 1e-3..1e3], 1..40),
     ) {
-        let runs = cut(&of_tile, &speeds);
+        let runs = cut_curve(&of_tile, &speeds);
         prop_assert_eq!(runs.len(), speeds.len());
         let mut end = 0;
         for run in &runs {
@@ -372,29 +369,29 @@ proptest! {
     ) {
         let mut balance = Balance::default();
         let size = FrameSize::new(80, 48).unwrap();
-        let picture = Picture { size, ..picture() };
+        let spec = FrameSpec { size, ..spec() };
         let nodes: Vec<_> = (0..4).map(|node| (NodeId(node), 1)).collect();
         for lies in lies.chunks(3) {
-            let equal = || (0..4).map(|machine| Division::Dynamic.work(machine, 4)).collect();
-            let works = balance.divide(&picture, &nodes).unwrap_or_else(equal);
+            let equal = || (0..4).map(|machine| Division::Dynamic.task(machine, 4)).collect();
+            let works = balance.divide(&spec, &nodes).unwrap_or_else(equal);
             let costs: Vec<_> = lies
                 .iter()
                 .map(|&(node, lie)| {
                     let n_units = works[node as usize].share(size).unwrap().count();
-                    (node, BlockCosts { block_units: 2, cpu_ns: vec![lie; n_units.div_ceil(2) as usize] })
+                    (node, RunCosts { run_units: 2, cpu_ns: vec![lie; n_units.div_ceil(2) as usize] })
                 })
                 .collect();
             let measured: Vec<_> = costs
                 .iter()
-                .map(|&(node, ref costs)| Measured {
+                .map(|&(node, ref costs)| TaskResult {
                     node: NodeId(node),
                     share: works[node as usize].share(size).unwrap(),
                     costs: Some(costs),
                 })
                 .collect();
-            balance.learn(&picture, &measured);
-            let works = balance.divide(&picture, &nodes).unwrap();
-            let n_tiles: u32 = works.iter().map(|work| work.share(size).unwrap().count()).sum();
+            balance.learn(&spec, &measured);
+            let works = balance.divide(&spec, &nodes).unwrap();
+            let n_tiles: u32 = works.iter().map(|task| task.share(size).unwrap().count()).sum();
             prop_assert_eq!(n_tiles, 60);
         }
     }

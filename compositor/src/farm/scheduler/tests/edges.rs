@@ -22,7 +22,7 @@ fn a_farm_of_256_renders_whole_frames_and_so_does_its_last_node() {
     for division in Division::ALL {
         // More than there are tiles, so that some nodes have nothing to do.
         let all = nodes(256);
-        let mut farm = Farm::with_nodes(Wanted { repeat: true, ..wanted(division) }, &all);
+        let mut farm = Farm::with_nodes(RenderGoal { repeat: true, ..goal(division) }, &all);
         show(&mut farm, 3);
         all[..255].iter().for_each(|&node| farm.lose(node));
         assert!(farm.at_work.iter().all(|sent| sent.node == all[255]));
@@ -33,7 +33,7 @@ fn a_farm_of_256_renders_whole_frames_and_so_does_its_last_node() {
 #[test]
 fn a_farm_of_nobody_waits_and_begins_when_somebody_comes() {
     for division in Division::ALL {
-        let mut farm = Farm::new(Wanted { repeat: true, ..wanted(division) });
+        let mut farm = Farm::new(RenderGoal { repeat: true, ..goal(division) });
         (0..1000).for_each(|_| farm.pass(1000));
         assert!(farm.at_work.is_empty() && farm.shown.is_empty());
         farm.join(A);
@@ -48,7 +48,7 @@ fn a_farm_of_nobody_waits_and_begins_when_somebody_comes() {
 #[test]
 fn one_node_a_thousand_times_slower_holds_nothing_up() {
     for division in Division::ALL {
-        let mut farm = Farm::with_nodes(Wanted { repeat: true, ..wanted(division) }, &[A, B, C]);
+        let mut farm = Farm::with_nodes(RenderGoal { repeat: true, ..goal(division) }, &[A, B, C]);
         let mut since = farm.now;
         while farm.shown.len() < 5 {
             // The others answer every 10 ms, C every 10 s.
@@ -71,11 +71,11 @@ fn one_node_a_thousand_times_slower_holds_nothing_up() {
 #[test]
 fn numbers_of_works_wrap() {
     for division in Division::ALL {
-        let mut farm = Farm::new(Wanted { repeat: true, in_flight: 3, ..wanted(division) });
-        farm.scheduler.last_work = WorkId(u32::MAX - 2);
+        let mut farm = Farm::new(RenderGoal { repeat: true, in_flight: 3, ..goal(division) });
+        farm.scheduler.last_task = TaskId(u32::MAX - 2);
         [A, B].into_iter().for_each(|node| farm.join(node));
         farm.lose(A);
         show(&mut farm, 8);
-        assert!(farm.scheduler.last_work < WorkId(100), "{division:?}: {:?}", farm.scheduler.last_work);
+        assert!(farm.scheduler.last_task < TaskId(100), "{division:?}: {:?}", farm.scheduler.last_task);
     }
 }

@@ -2,12 +2,12 @@
 
 use super::*;
 
-fn repeating(in_flight: u32) -> Wanted {
-    Wanted { repeat: true, in_flight, ..wanted(Division::Tiled) }
+fn repeating(in_flight: u32) -> RenderGoal {
+    RenderGoal { repeat: true, in_flight, ..goal(Division::Tiled) }
 }
 
 fn moved_to(eye_x: f64, in_flight: u32) -> Event {
-    Event::Wanted(Wanted { picture: Some(picture(eye_x, 1000)), in_flight, ..wanted(Division::Tiled) })
+    Event::GoalChanged(RenderGoal { spec: Some(spec(eye_x, 1000)), in_flight, ..goal(Division::Tiled) })
 }
 
 /// The frames that a node has been given work for and not answered, in order.
@@ -35,7 +35,7 @@ fn a_frame_that_is_whole_early_waits_for_its_turn() {
     farm.pass(1);
     let second: Vec<_> = farm.at_work.iter().filter(|sent| sent.frame.0 == 2).cloned().collect();
     for sent in second {
-        farm.at_work.retain(|other| other.work_id != sent.work_id);
+        farm.at_work.retain(|other| other.task_id != sent.task_id);
         farm.at_work.push_front(sent);
         farm.answer(A);
     }
@@ -64,11 +64,11 @@ fn the_death_of_a_node_is_healed_in_every_frame() {
 
 #[test]
 fn a_newer_camera_supersedes_what_nobody_has_begun() {
-    let mut farm = Farm::with_nodes(Wanted { in_flight: 3, ..wanted(Division::Tiled) }, &[A]);
+    let mut farm = Farm::with_nodes(RenderGoal { in_flight: 3, ..goal(Division::Tiled) }, &[A]);
     farm.on(moved_to(1.0, 3));
     farm.on(moved_to(2.0, 3));
-    let pictures: Vec<_> = farm.scheduler.frames.iter().map(|frame| frame.picture).collect();
-    assert_eq!(pictures, [picture(0.0, 1000), picture(2.0, 1000)], "the first is shown, the second never seen");
+    let pictures: Vec<_> = farm.scheduler.frames.iter().map(|frame| frame.spec).collect();
+    assert_eq!(pictures, [spec(0.0, 1000), spec(2.0, 1000)], "the first is shown, the second never seen");
     assert_eq!(farm.cancelled, [A]);
     let begun = farm.at_work[1].clone();
     farm.place(&begun, 0, 1);
@@ -82,14 +82,14 @@ fn a_newer_camera_supersedes_what_nobody_has_begun() {
 #[test]
 fn a_refinement_is_given_up_for_any_other_picture_however_much_of_it_has_come() {
     for division in Division::ALL {
-        let mut farm = Farm::with_nodes(wanted(division), &[A, B]);
+        let mut farm = Farm::with_nodes(goal(division), &[A, B]);
         farm.answer(A);
         farm.answer(B);
-        let finer = Picture { samples: SampleRange { first: 0, count: 4 }, ..picture(0.0, 1000) };
-        let refinement = Wanted { picture: Some(finer), refines: true, ..wanted(division) };
-        farm.on(Event::Wanted(refinement.clone()));
+        let finer = FrameSpec { samples: SampleRange { first: 0, count: 4 }, ..spec(0.0, 1000) };
+        let refinement = RenderGoal { spec: Some(finer), is_refinement: true, ..goal(division) };
+        farm.on(Event::GoalChanged(refinement.clone()));
         farm.answer(A);
-        farm.on(Event::Wanted(refinement));
+        farm.on(Event::GoalChanged(refinement));
         assert!(farm.cancelled.is_empty(), "the same picture is no other");
         farm.on(moved_to(1.0, 1));
         assert_eq!(farm.cancelled, [B]);
@@ -109,7 +109,7 @@ fn a_frame_s_interval_begins_with_it_or_when_the_frame_before_it_is_whole() {
     }
     let times: Vec<_> = farm.shown.iter().map(|stats| (stats.render_ms, stats.interval_ms)).collect();
     assert_eq!(times, [(10.0, 10.0), (17.0, 7.0), (15.0, 8.0)]);
-    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
     farm.pass(5);
     farm.answer(A);
     farm.on(Event::FrameTaken);
@@ -123,7 +123,7 @@ fn a_frame_s_interval_begins_with_it_or_when_the_frame_before_it_is_whole() {
 #[test]
 fn a_camera_that_moves_all_the_time_is_seen() {
     for in_flight in 1..=3 {
-        let mut farm = Farm::with_nodes(Wanted { in_flight, ..wanted(Division::Tiled) }, &[A, B]);
+        let mut farm = Farm::with_nodes(RenderGoal { in_flight, ..goal(Division::Tiled) }, &[A, B]);
         for step in 0..30 {
             // Ten motions for each answer.
             (0..10).for_each(|motion| farm.on(moved_to(f64::from(10 * step + motion), in_flight)));
@@ -157,16 +157,16 @@ fn work_for_a_later_frame_is_not_late_before_it_is_begun() {
 #[test]
 fn a_moving_cameras_frame_is_divided_by_what_the_last_one_cost() {
     let dynamic = |eye_x| {
-        let picture = Some(picture(eye_x, 1000));
-        Event::Wanted(Wanted { picture, in_flight: 3, ..wanted(Division::Dynamic) })
+        let spec = Some(spec(eye_x, 1000));
+        Event::GoalChanged(RenderGoal { spec, in_flight: 3, ..goal(Division::Dynamic) })
     };
-    let mut farm = Farm::with_nodes(Wanted { in_flight: 3, ..wanted(Division::Dynamic) }, &[A, B]);
+    let mut farm = Farm::with_nodes(RenderGoal { in_flight: 3, ..goal(Division::Dynamic) }, &[A, B]);
     farm.on(dynamic(1.0));
     assert_eq!(frames_of(&farm, A), [1], "the second waits for the first");
     farm.answer(A);
     farm.answer(B);
     assert_eq!(frames_of(&farm, A), [2]);
-    farm.on(Event::Wanted(Wanted { picture: Some(picture(1.0, 1000)), ..repeating(3) }));
+    farm.on(Event::GoalChanged(RenderGoal { spec: Some(spec(1.0, 1000)), ..repeating(3) }));
     assert_eq!(frames_of(&farm, A), [2, 3, 4], "without a motion none waits");
 }
 

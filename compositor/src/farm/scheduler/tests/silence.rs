@@ -9,7 +9,7 @@ fn silent(node: NodeId, is_silent: bool) -> Event {
 #[test]
 fn the_share_of_a_silent_node_goes_to_the_others_and_it_is_told_to_stop() {
     for division in Division::ALL {
-        let mut farm = Farm::with_nodes(Wanted { repeat: true, ..wanted(division) }, &[A, B, C]);
+        let mut farm = Farm::with_nodes(RenderGoal { repeat: true, ..goal(division) }, &[A, B, C]);
         farm.answer(A);
         farm.on(silent(B, true));
         assert_eq!(farm.at_work.len(), 4, "B's own share, C's, and B's again in two parts");
@@ -29,7 +29,7 @@ fn the_share_of_a_silent_node_goes_to_the_others_and_it_is_told_to_stop() {
 
 #[test]
 fn what_a_silent_node_says_at_last_counts() {
-    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A]);
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
     farm.on(silent(A, true));
     farm.pass(1000);
     assert!(farm.shown.is_empty() && farm.at_work.len() == 1, "there is nobody else");
@@ -40,7 +40,7 @@ fn what_a_silent_node_says_at_last_counts() {
 
 #[test]
 fn a_silent_node_may_be_lost_after_all() {
-    let mut farm = Farm::with_nodes(wanted(Division::Tiled), &[A, B]);
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A, B]);
     farm.on(silent(A, true));
     farm.lose(A);
     farm.answer(B);
@@ -53,8 +53,8 @@ fn works_do_not_become_more_and_more_as_silence_follows_silence() {
     // A link that is full: one after the other is not heard for a moment, and nothing is finished meanwhile.
     for division in Division::ALL {
         let nodes: Vec<_> = (1..=12).map(NodeId).collect();
-        let native = Picture { size: FrameSize::new(4096, 2304).unwrap(), ..picture(0.0, 1000) };
-        let mut farm = Farm::with_nodes(Wanted { picture: Some(native), ..wanted(division) }, &nodes);
+        let native = FrameSpec { size: FrameSize::new(4096, 2304).unwrap(), ..spec(0.0, 1000) };
+        let mut farm = Farm::with_nodes(RenderGoal { spec: Some(native), ..goal(division) }, &nodes);
         for n_silences in 1..=60 {
             let node = nodes[n_silences % nodes.len()];
             let n_before = farm.at_work.len();

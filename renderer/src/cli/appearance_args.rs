@@ -1,11 +1,11 @@
 //! How a picture looks, as it is said on the command lines of all programs that make some.
 
-use shared::look::{Background, Clip, Light, Look};
+use shared::appearance::{Appearance, Background, Clip, Light};
 
 /// How a picture looks beside what it shows.
 #[derive(Clone, Copy, Debug, clap::Args)]
 #[command(next_help_heading = "The look")]
-pub struct LookArgs {
+pub struct AppearanceArgs {
     /// From where the light comes, in degrees to the right of the eye and above it
     #[arg(long, value_name = "AZIMUTH,ELEVATION", default_value_t = Light::default(), allow_hyphen_values = true)]
     key_light: Light,
@@ -19,10 +19,10 @@ pub struct LookArgs {
     clip: Option<Clip>,
 }
 
-impl LookArgs {
+impl AppearanceArgs {
     /// What they ask for.
-    pub fn look(&self) -> Look {
+    pub fn appearance(&self) -> Appearance {
         let Self { key_light: light, background, clip } = *self;
-        Look { light, background, clip }
+        Appearance { light, background, clip }
     }
 }

@@ -10,7 +10,7 @@ use std::{collections::VecDeque, time::Duration};
 use shared::protocol::Encoding;
 
 /// Works of a trial, and of what it is compared with.
-const TRIAL: usize = 8;
+const TASKS_PER_TRIAL: usize = 8;
 
 /// Works between two trials; twice as many after each that failed…
 const SHORTEST_PAUSE: u32 = 32;
@@ -19,81 +19,87 @@ const SHORTEST_PAUSE: u32 = 32;
 const LONGEST_PAUSE: u32 = 1024;
 
 /// How many times as fast the other encoding must be.
-const CLEARLY: f64 = 1.05;
+const LEAST_SPEEDUP: f64 = 1.05;
 
 /// A trial whose work is so many times as slow ends there: eight works that each take ten times as long would be felt.
-const HOPELESSLY: f64 = 2.0;
+const ABORT_SLOWDOWN: f64 = 2.0;
 
 /// Smaller works tell more about latency than about rates.
-const SMALLEST_WORK: u32 = 4096;
+const SMALLEST_TASK_SAMPLES: u32 = 4096;
 
 /// One render server's link.
 #[derive(Clone, Debug)]
-pub(super) struct Link {
+pub(super) struct EncodingChooser {
     best: Encoding,
     /// Samples per second of the last works, of `best` and of the other.
     rates: [VecDeque<f64>; 2],
     /// Works to be given before the next trial begins, and how long such a pause is.
-    n_before_trial: u32,
-    pause: u32,
+    tasks_before_trial: u32,
+    tasks_between_trials: u32,
     /// Works of the trial still to be given.
-    n_of_trial: usize,
+    tasks_of_trial: usize,
 }
 
-impl Default for Link {
+impl Default for EncodingChooser {
     fn default() -> Self {
         let (best, rates) = (Encoding::Raw, Default::default());
-        Self { best, rates, n_before_trial: TRIAL as u32, pause: SHORTEST_PAUSE, n_of_trial: 0 }
+        Self {
+            best,
+            rates,
+            tasks_before_trial: TASKS_PER_TRIAL as u32,
+            tasks_between_trials: SHORTEST_PAUSE,
+            tasks_of_trial: 0,
+        }
     }
 }
 
-impl Link {
+impl EncodingChooser {
     /// How the next work is to travel.
     pub(super) fn choose(&mut self, n_samples: u32) -> Encoding {
-        if n_samples < SMALLEST_WORK {
+        if n_samples < SMALLEST_TASK_SAMPLES {
             return self.best;
         }
-        if self.n_of_trial > 0 {
-            self.n_of_trial -= 1;
+        if self.tasks_of_trial > 0 {
+            self.tasks_of_trial -= 1;
             return self.best.other();
         }
-        self.n_before_trial = self.n_before_trial.saturating_sub(1);
-        if self.n_before_trial == 0 {
-            self.n_of_trial = TRIAL;
-            self.n_before_trial = self.pause;
+        self.tasks_before_trial = self.tasks_before_trial.saturating_sub(1);
+        if self.tasks_before_trial == 0 {
+            self.tasks_of_trial = TASKS_PER_TRIAL;
+            self.tasks_before_trial = self.tasks_between_trials;
         }
         self.best
     }
 
     /// A work of so many samples took so long.
     pub(super) fn learn(&mut self, encoding: Encoding, n_samples: u32, took: Duration) {
-        if n_samples < SMALLEST_WORK {
+        if n_samples < SMALLEST_TASK_SAMPLES {
             return;
         }
         let rates = &mut self.rates[usize::from(encoding != self.best)];
         rates.push_back(f64::from(n_samples) / took.as_secs_f64().max(1e-9));
-        if rates.len() > TRIAL {
+        if rates.len() > TASKS_PER_TRIAL {
             rates.pop_front();
         }
         let [best, other] = &self.rates;
         let (Some(newest), false) = (other.back(), best.is_empty()) else {
             return;
         };
-        let is_hopeless = newest * HOPELESSLY < median(best);
-        if other.len() < TRIAL && !is_hopeless {
+        let is_hopeless = newest * ABORT_SLOWDOWN < median(best);
+        if other.len() < TASKS_PER_TRIAL && !is_hopeless {
             return;
         }
-        let is_better = !is_hopeless && median(other) > CLEARLY * median(best);
+        let is_better = !is_hopeless && median(other) > LEAST_SPEEDUP * median(best);
         self.rates[1].clear();
-        self.n_of_trial = 0;
+        self.tasks_of_trial = 0;
         if is_better {
             self.best = self.best.other();
             self.rates[0].clear();
-            self.pause = SHORTEST_PAUSE;
+            self.tasks_between_trials = SHORTEST_PAUSE;
         } else {
-            self.pause = (self.pause * 2).min(LONGEST_PAUSE);
+            self.tasks_between_trials = (self.tasks_between_trials * 2).min(LONGEST_PAUSE);
         }
-        self.n_before_trial = self.pause;
+        self.tasks_before_trial = self.tasks_between_trials;
     }
 }
 
@@ -122,11 +128,11 @@ mod tests {
     }
 
     /// Plays so many works that waver by a tenth, and gives what the link came to, and how long they took altogether.
-    fn play(link: &mut Link, n_works: u32, seconds: impl Fn(Encoding) -> f64) -> f64 {
+    fn play(link: &mut EncodingChooser, n_works: u32, seconds: impl Fn(Encoding) -> f64) -> f64 {
         let mut sum = 0.0;
-        for work in 0..n_works {
+        for task in 0..n_works {
             let encoding = link.choose(N_SAMPLES);
-            let waver = 0.95 + 0.1 * f64::from(work.wrapping_mul(2_654_435_761) >> 16 & 0xff) / 255.0;
+            let waver = 0.95 + 0.1 * f64::from(task.wrapping_mul(2_654_435_761) >> 16 & 0xff) / 255.0;
             let took = seconds(encoding) * waver;
             link.learn(encoding, N_SAMPLES, Duration::from_secs_f64(took));
             sum += took;
@@ -136,7 +142,7 @@ mod tests {
 
     #[test]
     fn a_slow_link_gets_encoded_samples_and_a_fast_one_raw_samples() {
-        let mut link = Link::default();
+        let mut link = EncodingChooser::default();
         play(&mut link, 50, |encoding| seconds(encoding, 680.0, 0.3, 500.0));
         assert_eq!(link.best, Encoding::Lz4);
         // The cable is changed, and back.
@@ -148,7 +154,7 @@ mod tests {
 
     #[test]
     fn what_makes_no_difference_changes_nothing() {
-        let mut link = Link::default();
+        let mut link = EncodingChooser::default();
         play(&mut link, 5000, |_| 0.03);
         assert_eq!(link.best, Encoding::Raw);
         assert_eq!(link.choose(100), Encoding::Raw);
@@ -157,7 +163,7 @@ mod tests {
     proptest! {
         #[test]
         fn trials_cost_next_to_nothing(link_mbit in 10.0..20_000.0, kept in 0.1..1.1, encoder_mb in 200.0..2000.0) {
-            let mut link = Link::default();
+            let mut link = EncodingChooser::default();
             let of = |encoding| seconds(encoding, link_mbit, kept, encoder_mb);
             let faster = f64::min(of(Encoding::Raw), of(Encoding::Lz4));
             play(&mut link, 4000, of);

@@ -4,22 +4,22 @@
 use glam::{DMat3, DVec2};
 
 use super::context::Gpu;
-use super::optics::Placed;
+use super::optics::TargetProjector;
 use super::present::{clip_of, quad_pipeline};
 use crate::wall::blend::Neighbour;
 use crate::wall::{PixelRect, Wall};
 
 /// Shares of the light, kept for as long as a part of the wall is drawn in the same way.
-pub(super) struct SharesStage {
+pub(super) struct BlendStage {
     pipeline: wgpu::RenderPipeline,
     records_layout: wgpu::BindGroupLayout,
-    shares_layout: wgpu::BindGroupLayout,
+    weights_layout: wgpu::BindGroupLayout,
     /// The newest of each part of the wall.
-    kept: Vec<Shares>,
+    cached: Vec<BlendWeights>,
 }
 
 /// Those of one part of the wall on a target.
-struct Shares {
+struct BlendWeights {
     part: PixelRect,
     target_size: [u32; 2],
     projectors: Vec<ProjectorRecord>,
@@ -31,7 +31,7 @@ struct Shares {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 struct ProjectorRecord {
-    place_from_px: [[f32; 4]; 3],
+    rect_from_px: [[f32; 4]; 3],
     clip: [f32; 4],
     origin_px: [f32; 2],
     first_neighbour: u32,
@@ -44,10 +44,10 @@ const _: () = assert!(size_of::<ProjectorRecord>() == 80);
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 struct NeighbourRecord {
-    raster_from_place: [[f32; 4]; 3],
-    place_from_place: [f32; 4],
+    raster_from_rect: [[f32; 4]; 3],
+    neighbour_rect_from_rect: [f32; 4],
     reach: [f32; 4],
-    place_edges: [f32; 4],
+    rect_edges: [f32; 4],
     raster_edges: [f32; 4],
     raster_size: [f32; 2],
     black_level: f32,
@@ -59,7 +59,7 @@ const _: () = assert!(size_of::<NeighbourRecord>() == 128);
 /// Eleven bits hold a share to a fortieth of a percent of itself: less than a sixth of a step of 8 bits.
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg16Float;
 
-impl SharesStage {
+impl BlendStage {
     pub(super) fn new(gpu: &Gpu) -> Self {
         let device = &gpu.device;
         let shader = device.create_shader_module(wgpu::include_wgsl!("../../../shaders/shares.wgsl"));
@@ -81,7 +81,7 @@ impl SharesStage {
             view_dimension: wgpu::TextureViewDimension::D2,
             multisampled: false,
         };
-        let shares_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        let weights_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("shares"),
             entries: &[entry(0, wgpu::ShaderStages::FRAGMENT, texture)],
         });
@@ -91,12 +91,12 @@ impl SharesStage {
             immediate_size: 0,
         });
         let pipeline = quad_pipeline(gpu, "shares", &layout, &shader, &[], "fragment", FORMAT);
-        Self { pipeline, records_layout, shares_layout, kept: Vec::new() }
+        Self { pipeline, records_layout, weights_layout, cached: Vec::new() }
     }
 
-    /// The layout of the group that [`SharesStage::prepare`] gives.
+    /// The layout of the group that [`BlendStage::prepare`] gives.
     pub(super) fn layout(&self) -> &wgpu::BindGroupLayout {
-        &self.shares_layout
+        &self.weights_layout
     }
 
     /// The shares of a part of a wall on a target, for the shader; drawn by `encoder` unless they are at hand.
@@ -107,26 +107,26 @@ impl SharesStage {
         target_size: [u32; 2],
         wall: &Wall,
         part: PixelRect,
-        placed: &[Placed],
+        on_target: &[TargetProjector],
     ) -> wgpu::BindGroup {
         let mut neighbours = Vec::new();
-        let mut projectors = Vec::with_capacity(placed.len());
-        for placed in placed {
-            projectors.push(ProjectorRecord::new(wall, placed, target_size, neighbours.len() as u32));
-            neighbours.extend(wall.neighbours(placed.projector_idx).iter().map(NeighbourRecord::new));
+        let mut projectors = Vec::with_capacity(on_target.len());
+        for on_target in on_target {
+            projectors.push(ProjectorRecord::new(wall, on_target, target_size, neighbours.len() as u32));
+            neighbours.extend(wall.neighbours(on_target.projector_idx).iter().map(NeighbourRecord::new));
         }
         // What the records say is all that shares depend on.
-        let kept = self.kept.iter().position(|kept| kept.part == part);
-        if let Some(kept) = kept.map(|index| &self.kept[index])
-            && (kept.target_size, &kept.projectors, &kept.neighbours) == (target_size, &projectors, &neighbours)
+        let cached = self.cached.iter().position(|cached| cached.part == part);
+        if let Some(cached) = cached.map(|index| &self.cached[index])
+            && (cached.target_size, &cached.projectors, &cached.neighbours) == (target_size, &projectors, &neighbours)
         {
-            return kept.group.clone();
+            return cached.group.clone();
         }
         let group = self.draw(gpu, encoder, target_size, &projectors, &neighbours);
-        if let Some(index) = kept {
-            self.kept.swap_remove(index);
+        if let Some(index) = cached {
+            self.cached.swap_remove(index);
         }
-        self.kept.push(Shares { part, target_size, projectors, neighbours, group: group.clone() });
+        self.cached.push(BlendWeights { part, target_size, projectors, neighbours, group: group.clone() });
         group
     }
 
@@ -180,33 +180,33 @@ impl SharesStage {
         drop(pass);
         device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("shares"),
-            layout: &self.shares_layout,
+            layout: &self.weights_layout,
             entries: &[wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&view) }],
         })
     }
 }
 
 impl ProjectorRecord {
-    fn new(wall: &Wall, placed: &Placed, target_size: [u32; 2], first_neighbour: u32) -> Self {
+    fn new(wall: &Wall, on_target: &TargetProjector, target_size: [u32; 2], first_neighbour: u32) -> Self {
         Self {
-            place_from_px: columns(placed.place_from_px),
-            clip: clip_of(placed.quad, target_size),
-            origin_px: placed.origin_px.as_vec2().to_array(),
+            rect_from_px: columns(on_target.rect_from_px),
+            clip: clip_of(on_target.quad, target_size),
+            origin_px: on_target.origin_px.as_vec2().to_array(),
             first_neighbour,
-            n_neighbours: wall.neighbours(placed.projector_idx).len() as u32,
+            n_neighbours: wall.neighbours(on_target.projector_idx).len() as u32,
         }
     }
 }
 
 impl NeighbourRecord {
     fn new(neighbour: &Neighbour) -> Self {
-        let [origin, scale] = [neighbour.place_origin, neighbour.place_scale].map(DVec2::as_vec2);
+        let [origin, scale] = [neighbour.rect_origin, neighbour.rect_scale].map(DVec2::as_vec2);
         let [least, greatest] = neighbour.reach.map(DVec2::as_vec2);
         Self {
-            raster_from_place: columns(neighbour.raster_from_place),
-            place_from_place: [origin.x, origin.y, scale.x, scale.y],
+            raster_from_rect: columns(neighbour.raster_from_rect),
+            neighbour_rect_from_rect: [origin.x, origin.y, scale.x, scale.y],
             reach: [least.x, least.y, greatest.x, greatest.y],
-            place_edges: neighbour.place_edges.as_vec4().to_array(),
+            rect_edges: neighbour.rect_edges.as_vec4().to_array(),
             raster_edges: neighbour.raster_edges.as_vec4().to_array(),
             raster_size: neighbour.raster_size.as_vec2().to_array(),
             black_level: neighbour.black_level as f32,

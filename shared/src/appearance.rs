@@ -12,7 +12,7 @@ use crate::camera::Camera;
 
 /// The look of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct Look {
+pub struct Appearance {
     /// From where the key light comes.
     pub light: Light,
     /// What is behind the model.
@@ -201,15 +201,15 @@ impl FromStr for Background {
 ///
 /// Invariant, on the wire too: at most all of the scene is cut away.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(try_from = "(ClipFrom, u16)", into = "(ClipFrom, u16)")]
+#[serde(try_from = "(ClipSide, u16)", into = "(ClipSide, u16)")]
 pub struct Clip {
-    from: ClipFrom,
+    from: ClipSide,
     cut_permille: u16,
 }
 
 /// The side from which a scene is cut away.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub enum ClipFrom {
+pub enum ClipSide {
     /// From large x to small.
     X,
     /// From large y to small.
@@ -245,7 +245,7 @@ pub struct ClipPlane {
 )]
 pub struct ClipError;
 
-impl ClipFrom {
+impl ClipSide {
     /// Every side, in the order in which a key steps through them.
     pub const ALL: [Self; 7] = [Self::X, Self::Y, Self::Z, Self::MinusX, Self::MinusY, Self::MinusZ, Self::Eye];
 
@@ -281,18 +281,18 @@ impl ClipFrom {
 
 impl Clip {
     /// Takes how much of the scene is cut away, in thousandths of its extent from that side.
-    pub fn new(from: ClipFrom, cut_permille: u16) -> Result<Self, ClipError> {
+    pub fn new(from: ClipSide, cut_permille: u16) -> Result<Self, ClipError> {
         if cut_permille <= 1000 { Ok(Self { from, cut_permille }) } else { Err(ClipError) }
     }
 
     /// As deep as another cut from another side, or half of the scene.
     #[must_use]
-    pub fn from_side(from: ClipFrom, other: Option<Self>) -> Self {
+    pub fn with_side(from: ClipSide, other: Option<Self>) -> Self {
         Self { from, cut_permille: other.map_or(500, Self::cut_permille) }
     }
 
     /// From where the scene is cut away.
-    pub fn from(self) -> ClipFrom {
+    pub fn side(self) -> ClipSide {
         self.from
     }
 
@@ -303,7 +303,7 @@ impl Clip {
 
     /// The same with so much more cut away, or less if it is negative, as far as there is anything.
     #[must_use]
-    pub fn moved(self, permille: i16) -> Self {
+    pub fn deepened_by(self, permille: i16) -> Self {
         Self { cut_permille: self.cut_permille.saturating_add_signed(permille).min(1000), ..self }
     }
 
@@ -319,15 +319,15 @@ impl Clip {
     }
 }
 
-impl TryFrom<(ClipFrom, u16)> for Clip {
+impl TryFrom<(ClipSide, u16)> for Clip {
     type Error = ClipError;
 
-    fn try_from((from, cut_permille): (ClipFrom, u16)) -> Result<Self, ClipError> {
+    fn try_from((from, cut_permille): (ClipSide, u16)) -> Result<Self, ClipError> {
         Self::new(from, cut_permille)
     }
 }
 
-impl From<Clip> for (ClipFrom, u16) {
+impl From<Clip> for (ClipSide, u16) {
     fn from(Clip { from, cut_permille }: Clip) -> Self {
         (from, cut_permille)
     }
@@ -344,7 +344,7 @@ impl FromStr for Clip {
 
     fn from_str(text: &str) -> Result<Self, ClipError> {
         let (name, percent) = text.split_once(':').ok_or(ClipError)?;
-        let from = ClipFrom::ALL.into_iter().find(|from| from.name() == name.trim()).ok_or(ClipError)?;
+        let from = ClipSide::ALL.into_iter().find(|from| from.name() == name.trim()).ok_or(ClipError)?;
         let percent: f64 = percent.trim().trim_end_matches('%').parse().map_err(|_| ClipError)?;
         // What is no number or out of range becomes one that is refused.
         if (0.0..=100.0).contains(&percent) { Self::new(from, (percent * 10.0).round() as u16) } else { Err(ClipError) }
@@ -379,9 +379,9 @@ mod tests {
         for text in ["", "x", "x:", "w:3", "x:101", "x:-1", "x:NaN", "x:inf", "eye:1e9", "-eye:3"] {
             assert!(text.parse::<Clip>().is_err(), "{text}");
         }
-        assert!(Clip::try_from((ClipFrom::X, 1001)).is_err());
-        let half = Clip::new(ClipFrom::Eye, 500).unwrap();
-        assert_eq!((half.moved(-600).cut_permille(), half.moved(600).cut_permille()), (0, 1000));
+        assert!(Clip::try_from((ClipSide::X, 1001)).is_err());
+        let half = Clip::new(ClipSide::Eye, 500).unwrap();
+        assert_eq!((half.deepened_by(-600).cut_permille(), half.deepened_by(600).cut_permille()), (0, 1000));
         let camera = Camera::look_at(DVec3::Z, DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap();
         assert_eq!(half.plane((DVec3::INFINITY, DVec3::NEG_INFINITY), &camera), None, "a scene of nothing");
     }
@@ -424,7 +424,7 @@ mod tests {
         for (_, background) in Background::PRESETS {
             assert_eq!(background.to_string().parse(), Ok(background));
         }
-        for (permille, from) in (0..=1000).step_by(7).zip(ClipFrom::ALL.into_iter().cycle()) {
+        for (permille, from) in (0..=1000).step_by(7).zip(ClipSide::ALL.into_iter().cycle()) {
             let clip = Clip::new(from, permille).unwrap();
             assert_eq!(clip.to_string().parse(), Ok(clip));
         }

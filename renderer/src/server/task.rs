@@ -13,8 +13,8 @@ use cpu_time::ThreadTime;
 use rayon::ThreadPool;
 use shared::{
     codec::{self, CHUNK_HEADER_BYTES, HEADER_BYTES},
-    division::{Share, Work},
-    protocol::{BlockCosts, CHUNK_BYTES, Chunk, Encoding, FrameId, Picture, ToWall, WorkId, WorkTimings},
+    division::{Share, Task},
+    protocol::{CHUNK_BYTES, Chunk, Encoding, FrameId, FrameSpec, RunCosts, TaskId, TaskTimings, ToWall},
 };
 use tokio::sync::mpsc;
 
@@ -23,27 +23,27 @@ use crate::{
         parallel::work_off,
         tracer::{FrameRequest, Scene},
     },
-    server::{canned::Canned, session::Outgoing, stage::Subject},
+    server::{scene_loader::RenderSource, session::Outgoing, synthetic::SyntheticPicture},
 };
 
 /// Blocks of a share for each thread: enough that the threads end together.
-const BLOCKS_PER_THREAD: u32 = 8;
+const CHUNKS_PER_THREAD: u32 = 8;
 
 /// The fewest samples in a block: below it, sending costs more than tracing.
-const SMALLEST_BLOCK: u32 = 512;
+const SMALLEST_CHUNK_SAMPLES: u32 = 512;
 
 /// The most rays from the eye in a block, if a block can have fewer: what is cancelled ends with the blocks that were
 /// begun, some ten milliseconds later.
-const MOST_RAYS: u32 = 1 << 16;
+const MOST_RAYS_PER_CHUNK: u32 = 1 << 16;
 
 /// A share of a frame to render.
 pub(crate) struct Job {
     pub(crate) frame: FrameId,
-    pub(crate) work_id: WorkId,
-    pub(crate) picture: Picture,
-    pub(crate) work: Work,
+    pub(crate) task_id: TaskId,
+    pub(crate) spec: FrameSpec,
+    pub(crate) task: Task,
     pub(crate) encoding: Encoding,
-    pub(crate) subject: Subject,
+    pub(crate) source: RenderSource,
     /// Set when nobody wants the answer any more.
     pub(crate) cancelled: Arc<AtomicBool>,
     pub(crate) received_at: Instant,
@@ -52,7 +52,7 @@ pub(crate) struct Job {
 /// Works off jobs in order until no more can come.
 pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, outbox: &mpsc::Sender<Outgoing>) {
     while let Some(job) = jobs.blocking_recv() {
-        let share = match job.work.share(job.picture.size) {
+        let share = match job.task.share(job.spec.size) {
             Ok(share) => share,
             Err(error) => {
                 tracing::warn!("the wall asks for a share that does not exist: {error}");
@@ -60,12 +60,14 @@ pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, out
             }
         };
         let mut last_message = Vec::new();
-        let (timings, costs) = match &job.subject {
-            Subject::Scene(scene) => pool.install(|| job.render(scene, &share, outbox)),
-            Subject::Canned(canned) => job.replay(canned, &share, outbox, &mut last_message),
+        let (timings, costs) = match &job.source {
+            RenderSource::Scene(scene) => pool.install(|| job.render(scene, &share, outbox)),
+            RenderSource::SyntheticPicture(synthetic) => {
+                job.send_synthetic(synthetic, &share, outbox, &mut last_message)
+            }
         };
         if !job.cancelled.load(Relaxed) {
-            let done = ToWall::WorkDone { frame: job.frame, work_id: job.work_id, timings, costs };
+            let done = ToWall::TaskDone { frame: job.frame, task_id: job.task_id, timings, costs };
             codec::encode(&done, &mut last_message).expect("timings and costs are short");
             // Without a writer the conversation is over, and so are its jobs.
             let _ = outbox.blocking_send(Outgoing { bytes: last_message, cancelled: job.cancelled });
@@ -74,66 +76,66 @@ pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, out
 }
 
 impl Job {
-    fn render(&self, scene: &Scene, share: &Share<'_>, outbox: &mpsc::Sender<Outgoing>) -> (WorkTimings, BlockCosts) {
+    fn render(&self, scene: &Scene, share: &Share<'_>, outbox: &mpsc::Sender<Outgoing>) -> (TaskTimings, RunCosts) {
         let started_at = Instant::now();
         let (cpu_us, send_us) = (AtomicU64::new(0), AtomicU64::new(0));
-        let Picture { camera, size, view, rays, samples, look, .. } = self.picture;
-        let request = FrameRequest { camera, size, view, rays, samples, look };
-        let (n_per_block, n_per_cost) = block_units(share, rayon::current_num_threads() as u32, samples.count);
-        let n_blocks = share.count().div_ceil(n_per_block);
-        let render = |block: u32| {
+        let FrameSpec { camera, size, view, rays, samples, appearance, .. } = self.spec;
+        let spec = FrameRequest { camera, size, view, rays, samples, appearance };
+        let (units_per_chunk, units_per_run) = run_units(share, rayon::current_num_threads() as u32, samples.count);
+        let n_chunks = share.count().div_ceil(units_per_chunk);
+        let render = |chunk_idx: u32| {
             let mut costs = Vec::new();
             if self.cancelled.load(Relaxed) {
                 return costs;
             }
             let cpu_started = ThreadTime::now();
-            let first = block * n_per_block;
-            let units = first..(first + n_per_block).min(share.count());
+            let first = chunk_idx * units_per_chunk;
+            let units = first..(first + units_per_chunk).min(share.count());
             let mut rgb = Vec::new();
-            let mut measured_until = cpu_started;
-            for first in units.clone().step_by(n_per_cost as usize) {
-                let measured = first..(first + n_per_cost).min(units.end);
-                scene.render(&request, share, measured, &mut rgb);
+            let mut last_measured_at = cpu_started;
+            for first in units.clone().step_by(units_per_run as usize) {
+                let measured = first..(first + units_per_run).min(units.end);
+                scene.render(&spec, share, measured, &mut rgb);
                 if share.is_on_curve() {
                     let now = ThreadTime::now();
-                    let cpu = now.duration_since(measured_until);
+                    let cpu = now.duration_since(last_measured_at);
                     costs.push(u32::try_from(cpu.as_nanos()).unwrap_or(u32::MAX));
-                    measured_until = now;
+                    last_measured_at = now;
                 }
             }
             let message = self.chunk(units, &rgb);
             cpu_us.fetch_add(cpu_started.elapsed().as_micros() as u64, Relaxed);
-            let sending_since = Instant::now();
+            let send_started_at = Instant::now();
             self.send(message, outbox);
-            send_us.fetch_add(sending_since.elapsed().as_micros() as u64, Relaxed);
+            send_us.fetch_add(send_started_at.elapsed().as_micros() as u64, Relaxed);
             costs
         };
-        let of_threads = work_off(0..n_blocks, |next| {
-            std::iter::from_fn(next).map(|block| (block, render(block))).collect::<Vec<_>>()
+        let of_threads = work_off(0..n_chunks, |next| {
+            std::iter::from_fn(next).map(|chunk_idx| (chunk_idx, render(chunk_idx))).collect::<Vec<_>>()
         });
         let mut costs: Vec<_> = of_threads.into_iter().flat_map(|(costs, _)| costs).collect();
-        costs.sort_unstable_by_key(|&(block, _)| block);
+        costs.sort_unstable_by_key(|&(chunk_idx, _)| chunk_idx);
         let cpu_ns = costs.into_iter().flat_map(|(_, costs)| costs).collect();
-        let timings = WorkTimings {
+        let timings = TaskTimings {
             queued_us: microseconds(started_at - self.received_at),
             trace_us: microseconds(started_at.elapsed()),
             trace_cpu_us: u32::try_from(cpu_us.into_inner()).unwrap_or(u32::MAX),
             send_us: u32::try_from(send_us.into_inner()).unwrap_or(u32::MAX),
         };
-        (timings, BlockCosts { block_units: n_per_cost, cpu_ns })
+        (timings, RunCosts { run_units: units_per_run, cpu_ns })
     }
 
     /// Sends a picture's samples in place of traced ones, but for the last: they are left to go with the word that the
     /// work is done, which follows at once, and would wake and write once more.
-    fn replay(
+    fn send_synthetic(
         &self,
-        canned: &Canned,
+        synthetic: &SyntheticPicture,
         share: &Share<'_>,
         outbox: &mpsc::Sender<Outgoing>,
         last_message: &mut Vec<u8>,
-    ) -> (WorkTimings, BlockCosts) {
+    ) -> (TaskTimings, RunCosts) {
         let started_at = Instant::now();
-        for chunk in &*canned.chunks(&self.work, share) {
+        for chunk in &*synthetic.chunks(&self.task, share) {
             if self.cancelled.load(Relaxed) {
                 break;
             }
@@ -143,12 +145,12 @@ impl Job {
             *last_message = self.chunk(chunk.units.clone(), &chunk.rgb);
         }
         let queued_us = microseconds(started_at - self.received_at);
-        (WorkTimings { queued_us, ..WorkTimings::default() }, BlockCosts::default())
+        (TaskTimings { queued_us, ..TaskTimings::default() }, RunCosts::default())
     }
 
     fn chunk(&self, units: Range<u32>, rgb: &[u8]) -> Vec<u8> {
-        let Self { frame, work_id, .. } = *self;
-        let chunk = Chunk { frame, work_id, first_unit: units.start, n_units: units.len() as u32, rgb };
+        let Self { frame, task_id, .. } = *self;
+        let chunk = Chunk { frame, task_id, first_unit: units.start, n_units: units.len() as u32, rgb };
         let mut message = Vec::with_capacity(HEADER_BYTES + CHUNK_HEADER_BYTES + rgb.len());
         chunk.encode(self.encoding, &mut message);
         message
@@ -164,19 +166,19 @@ impl Job {
 
 /// How many units of a share make a block, so that it fits one chunk; and how many of those are measured together. Each
 /// sample takes so many rays from the eye.
-pub fn block_units(share: &Share<'_>, n_threads: u32, n_rays: u32) -> (u32, u32) {
-    let largest_unit = share.units().whole_unit_samples();
+pub fn run_units(share: &Share<'_>, n_threads: u32, n_rays: u32) -> (u32, u32) {
+    let largest_unit = share.units().samples_per_full_unit();
     let most_bytes = CHUNK_BYTES as u32 / (3 * largest_unit);
-    let most_rays = MOST_RAYS / n_rays.max(1) / largest_unit;
-    let n_per_cost = if share.is_on_curve() { BlockCosts::block_units(share).min(most_bytes) } else { 1 };
-    let most = most_bytes.min(most_rays.max(n_per_cost));
-    let fewest = (SMALLEST_BLOCK / largest_unit).clamp(1, most);
-    let n_per_block = share.count().div_ceil(n_threads * BLOCKS_PER_THREAD).clamp(fewest, most);
+    let most_rays = MOST_RAYS_PER_CHUNK / n_rays.max(1) / largest_unit;
+    let units_per_run = if share.is_on_curve() { RunCosts::run_units(share).min(most_bytes) } else { 1 };
+    let most = most_bytes.min(most_rays.max(units_per_run));
+    let fewest = (SMALLEST_CHUNK_SAMPLES / largest_unit).clamp(1, most);
+    let units_per_chunk = share.count().div_ceil(n_threads * CHUNKS_PER_THREAD).clamp(fewest, most);
     if !share.is_on_curve() {
-        return (n_per_block, n_per_block);
+        return (units_per_chunk, units_per_chunk);
     }
     // A block has whole numbers of measurements, so that they are equally long throughout the share.
-    (n_per_block.next_multiple_of(n_per_cost).min(most / n_per_cost * n_per_cost), n_per_cost)
+    (units_per_chunk.next_multiple_of(units_per_run).min(most / units_per_run * units_per_run), units_per_run)
 }
 
 fn microseconds(duration: Duration) -> u32 {
@@ -200,15 +202,18 @@ mod tests {
             for (division, (machines, n_threads, n_rays)) in
                 Division::ALL.into_iter().flat_map(|division| farms.map(|farm| (division, farm)))
             {
-                let work = division.work(0, machines);
-                let share = work.share(size).unwrap();
-                let (n_per_block, n_per_cost) = block_units(&share, n_threads, n_rays);
-                assert_eq!(n_per_block % n_per_cost, 0);
-                let n_samples = n_per_block * share.units().whole_unit_samples();
-                assert!(n_per_block > 0 && n_samples as usize * 3 <= CHUNK_BYTES);
-                assert!(n_samples * n_rays <= MOST_RAYS || n_per_block == n_per_cost, "{n_samples} · {n_rays}");
+                let task = division.task(0, machines);
+                let share = task.share(size).unwrap();
+                let (units_per_chunk, units_per_run) = run_units(&share, n_threads, n_rays);
+                assert_eq!(units_per_chunk % units_per_run, 0);
+                let n_samples = units_per_chunk * share.units().samples_per_full_unit();
+                assert!(units_per_chunk > 0 && n_samples as usize * 3 <= CHUNK_BYTES);
+                assert!(
+                    n_samples * n_rays <= MOST_RAYS_PER_CHUNK || units_per_chunk == units_per_run,
+                    "{n_samples} · {n_rays}"
+                );
                 if share.is_on_curve() {
-                    assert!(share.count().div_ceil(n_per_cost) <= BlockCosts::MOST_BLOCKS);
+                    assert!(share.count().div_ceil(units_per_run) <= RunCosts::MOST_RUNS);
                 }
             }
         }

@@ -10,34 +10,34 @@ use std::{
 
 use anyhow::{Context, ensure};
 use shared::{
-    division::{FrameSize, Share, Work},
+    division::{FrameSize, Share, Task},
     protocol::CHUNK_BYTES,
 };
 
 /// A picture in place of a scene; frames of other sizes repeat it, or show a part.
-pub(crate) struct Canned {
+pub(crate) struct SyntheticPicture {
     size: FrameSize,
     /// Row by row, the bottom row first.
     rgb: Vec<u8>,
     /// The last share: a wall asks for the same again and again.
-    gathered: Mutex<Option<Gathered>>,
+    cached: Mutex<Option<CachedChunks>>,
 }
 
-struct Gathered {
-    work: Work,
+struct CachedChunks {
+    task: Task,
     size: FrameSize,
-    chunks: Arc<Vec<CannedChunk>>,
+    chunks: Arc<Vec<SyntheticChunk>>,
 }
 
 /// Units of a share, by their places in it, and their samples.
-pub(crate) struct CannedChunk {
+pub(crate) struct SyntheticChunk {
     pub(crate) units: Range<u32>,
     pub(crate) rgb: Vec<u8>,
 }
 
-impl Canned {
+impl SyntheticPicture {
     fn new(size: FrameSize, rgb: Vec<u8>) -> Self {
-        Self { size, rgb, gathered: Mutex::new(None) }
+        Self { size, rgb, cached: Mutex::new(None) }
     }
 
     /// The same noise for everybody, which no encoding makes shorter: SplitMix64 (Steele, Lea and Flood 2014), counting.
@@ -74,10 +74,10 @@ impl Canned {
     }
 
     /// The samples of a share, in its order.
-    pub(crate) fn chunks(&self, work: &Work, share: &Share<'_>) -> Arc<Vec<CannedChunk>> {
+    pub(crate) fn chunks(&self, task: &Task, share: &Share<'_>) -> Arc<Vec<SyntheticChunk>> {
         let size = share.units().size();
-        let mut gathered = self.gathered.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = gathered.as_ref().filter(|known| known.size == size && known.work == *work) {
+        let mut cached = self.cached.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = cached.as_ref().filter(|known| known.size == size && known.task == *task) {
             return Arc::clone(&known.chunks);
         }
         let (xres, yres) = self.size.into();
@@ -85,14 +85,14 @@ impl Canned {
             let at = 3 * ((j % yres) as usize * xres as usize + (i % xres) as usize);
             [self.rgb[at], self.rgb[at + 1], self.rgb[at + 2]]
         };
-        let n_per_chunk = CHUNK_BYTES as u32 / (3 * share.units().whole_unit_samples());
+        let n_per_chunk = CHUNK_BYTES as u32 / (3 * share.units().samples_per_full_unit());
         let chunk = |first: u32| {
             let units = first..(first + n_per_chunk).min(share.count());
             let rgb = units.clone().flat_map(|k| share.samples(k).iter()).flat_map(sample).collect();
-            CannedChunk { units, rgb }
+            SyntheticChunk { units, rgb }
         };
         let chunks = Arc::new((0..share.count()).step_by(n_per_chunk as usize).map(chunk).collect());
-        *gathered = Some(Gathered { work: work.clone(), size, chunks: Arc::clone(&chunks) });
+        *cached = Some(CachedChunks { task: task.clone(), size, chunks: Arc::clone(&chunks) });
         chunks
     }
 }
@@ -110,19 +110,19 @@ mod tests {
         let size = FrameSize::new(9, 5).unwrap();
         let rgb: Vec<u8> = (0..3 * size.n_samples()).map(|byte| byte as u8).collect();
         crate::render::image::write_png(&path, size, &rgb).unwrap();
-        let canned = Canned::read(&path).unwrap();
-        let samples = |work: &Work, size| -> Vec<u8> {
-            canned.chunks(work, &work.share(size).unwrap()).iter().flat_map(|chunk| chunk.rgb.clone()).collect()
+        let canned = SyntheticPicture::read(&path).unwrap();
+        let samples = |task: &Task, size| -> Vec<u8> {
+            canned.chunks(task, &task.share(size).unwrap()).iter().flat_map(|chunk| chunk.rgb.clone()).collect()
         };
-        let work = Division::Interleaved.work(0, 1);
-        assert_eq!(samples(&work, size), rgb);
+        let task = Division::Interleaved.task(0, 1);
+        assert_eq!(samples(&task, size), rgb);
         // A larger frame repeats it, and what was gathered for another share is not taken for this one.
         let larger = FrameSize::new(18, 5).unwrap();
         let twice: Vec<u8> = rgb.chunks(27).flat_map(|row| [row, row]).flatten().copied().collect();
-        assert_eq!(samples(&work, larger), twice);
-        let second = Division::Interleaved.work(1, 2);
+        assert_eq!(samples(&task, larger), twice);
+        let second = Division::Interleaved.task(1, 2);
         let every_other: Vec<u8> = rgb.chunks(3).skip(1).step_by(2).flatten().copied().collect();
         assert_eq!(samples(&second, size), every_other);
-        assert!(Canned::read(&folder.path().join("none.png")).is_err());
+        assert!(SyntheticPicture::read(&folder.path().join("none.png")).is_err());
     }
 }

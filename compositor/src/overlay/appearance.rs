@@ -1,11 +1,11 @@
 //! How the picture looks: from where it is lit, what is behind the model, and where the model is cut open.
 
 use egui::{Role, Slider, Ui, WidgetInfo};
-use shared::look::{Background, Clip, ClipFrom, Light, Look};
+use shared::appearance::{Appearance, Background, Clip, ClipSide, Light};
 
 use crate::control::input::Command;
 
-pub(super) fn show(ui: &mut Ui, look: &Look, commands: &mut Vec<Command>) {
+pub(super) fn show(ui: &mut Ui, look: &Appearance, commands: &mut Vec<Command>) {
     let (mut azimuth, mut elevation) = (look.light.azimuth_deg(), look.light.elevation_deg());
     let name = Light::PRESETS.iter().find(|(_, light)| *light == look.light).map_or("set by hand", |(name, _)| name);
     ui.label(format!("Light (L): {name}"));
@@ -34,15 +34,15 @@ fn cut(ui: &mut Ui, clip: Option<Clip>, commands: &mut Vec<Command>) {
     ui.horizontal(|ui| {
         ui.label("Cut (X)");
         ui.spacing_mut().item_spacing.x = 0.0;
-        let sides = std::iter::once(None).chain(ClipFrom::ALL.map(Some));
+        let sides = std::iter::once(None).chain(ClipSide::ALL.map(Some));
         for side in sides {
-            let is_chosen = side == clip.map(Clip::from);
-            let name = side.map_or("none", ClipFrom::name);
+            let is_chosen = side == clip.map(Clip::side);
+            let name = side.map_or("none", ClipSide::name);
             let button = ui.selectable_label(is_chosen, name);
-            let spoken = format!("cut from {name}");
-            button.widget_info(|| WidgetInfo::selected(Role::Button, true, is_chosen, &spoken));
+            let accessible_label = format!("cut from {name}");
+            button.widget_info(|| WidgetInfo::selected(Role::Button, true, is_chosen, &accessible_label));
             if button.clicked() {
-                commands.push(Command::SetClip(side.map(|from| Clip::from_side(from, clip))));
+                commands.push(Command::SetClip(side.map(|from| Clip::with_side(from, clip))));
             }
         }
     });
@@ -50,7 +50,7 @@ fn cut(ui: &mut Ui, clip: Option<Clip>, commands: &mut Vec<Command>) {
         let mut percent = f64::from(clip.cut_permille()) / 10.0;
         let slider = Slider::new(&mut percent, 0.0..=100.0).text("cut away").suffix(" %").max_decimals(1);
         if ui.add(slider).changed()
-            && let Ok(clip) = Clip::new(clip.from(), (percent * 10.0).round() as u16)
+            && let Ok(clip) = Clip::new(clip.side(), (percent * 10.0).round() as u16)
         {
             commands.push(Command::SetClip(Some(clip)));
         }

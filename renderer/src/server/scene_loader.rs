@@ -14,12 +14,12 @@ use crate::{
     cli::{path_bytes, progress::Progress},
     model::scene::{self, SceneSource},
     render::tracer::{Scene, SceneOptions},
-    server::canned::Canned,
+    server::synthetic::SyntheticPicture,
 };
 
 /// What the stage is asked to show, and where it may be found.
 #[derive(Clone, Debug, PartialEq)]
-struct Order {
+struct LoadRequest {
     scene: SceneId,
     path: Option<PathBuf>,
     structure: Option<Structure>,
@@ -27,44 +27,44 @@ struct Order {
 
 /// The scene at hand, if any; shared by those who load and those who trace.
 #[derive(Clone, Default)]
-struct AtHand(Arc<Mutex<Option<Named>>>);
+struct CurrentScene(Arc<Mutex<Option<IdentifiedScene>>>);
 
 /// A scene and its identity.
-type Named = (SceneId, Arc<Scene>);
+type IdentifiedScene = (SceneId, Arc<Scene>);
 
-impl AtHand {
+impl CurrentScene {
     fn get(&self, id: SceneId) -> Option<Arc<Scene>> {
-        let at_hand = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        at_hand.as_ref().filter(|(at_hand, _)| *at_hand == id).map(|(_, scene)| Arc::clone(scene))
+        let current = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        current.as_ref().filter(|(current, _)| *current == id).map(|(_, scene)| Arc::clone(scene))
     }
 
-    fn set(&self, scene: Option<Named>) {
+    fn set(&self, scene: Option<IdentifiedScene>) {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = scene;
     }
 }
 
 /// How far the stage is with the scene last asked for.
-pub(crate) type Progressed = Option<(SceneId, SceneState)>;
+pub(crate) type LoadProgress = Option<(SceneId, SceneState)>;
 
 /// What frames show.
 #[derive(Clone)]
-pub(crate) enum Subject {
+pub(crate) enum RenderSource {
     /// A scene, traced.
     Scene(Arc<Scene>),
     /// A picture, whatever scene the wall asks for.
-    Canned(Arc<Canned>),
+    SyntheticPicture(Arc<SyntheticPicture>),
 }
 
 /// A render server's scene and the thread that loads it; or a picture in place of all scenes.
-pub(crate) struct Stage {
+pub(crate) struct SceneLoader {
     pool: Arc<ThreadPool>,
-    canned: Option<Arc<Canned>>,
-    at_hand: AtHand,
-    orders: mpsc::Sender<Order>,
-    progress: watch::Sender<Progressed>,
+    synthetic: Option<Arc<SyntheticPicture>>,
+    current: CurrentScene,
+    requests: mpsc::Sender<LoadRequest>,
+    progress: watch::Sender<LoadProgress>,
 }
 
-impl Stage {
+impl SceneLoader {
     /// Starts the loading thread; it begins with `model`, if one is given, before any wall asks.
     ///
     /// `trusts_paths`: whether files that the wall names are read.
@@ -74,12 +74,12 @@ impl Stage {
         options: SceneOptions,
         trusts_paths: bool,
     ) -> anyhow::Result<Self> {
-        let (orders, inbox) = mpsc::channel();
+        let (requests, inbox) = mpsc::channel();
         let (progress, _) = watch::channel(None);
-        let at_hand = AtHand::default();
-        let loader = Loader {
+        let current = CurrentScene::default();
+        let loader = LoaderThread {
             pool: Arc::clone(&pool),
-            at_hand: at_hand.clone(),
+            current: current.clone(),
             model,
             options,
             structure: None,
@@ -90,14 +90,14 @@ impl Stage {
             .name("load".to_owned())
             .spawn(move || loader.run(&inbox))
             .context("the loading thread does not start")?;
-        Ok(Self { pool, canned: None, at_hand, orders, progress })
+        Ok(Self { pool, synthetic: None, current, requests, progress })
     }
 
     /// A stage that shows this picture, whatever it is asked for; nothing is loaded.
-    pub(crate) fn canned(pool: Arc<ThreadPool>, canned: Canned) -> Self {
-        let (orders, _) = mpsc::channel();
+    pub(crate) fn synthetic(pool: Arc<ThreadPool>, synthetic: SyntheticPicture) -> Self {
+        let (requests, _) = mpsc::channel();
         let (progress, _) = watch::channel(None);
-        Self { pool, canned: Some(Arc::new(canned)), at_hand: AtHand::default(), orders, progress }
+        Self { pool, synthetic: Some(Arc::new(synthetic)), current: CurrentScene::default(), requests, progress }
     }
 
     /// The threads that trace.
@@ -106,56 +106,56 @@ impl Stage {
     }
 
     /// What frames of a scene show, if it is the one at hand.
-    pub(crate) fn subject(&self, id: SceneId) -> Option<Subject> {
-        match &self.canned {
-            Some(canned) => Some(Subject::Canned(Arc::clone(canned))),
-            None => self.at_hand.get(id).map(Subject::Scene),
+    pub(crate) fn source_for(&self, id: SceneId) -> Option<RenderSource> {
+        match &self.synthetic {
+            Some(synthetic) => Some(RenderSource::SyntheticPicture(Arc::clone(synthetic))),
+            None => self.current.get(id).map(RenderSource::Scene),
         }
     }
 
     /// Gets another scene ready, or the same in another structure.
     pub(crate) fn order(&self, scene: SceneId, path: Option<Vec<u8>>, structure: Option<Structure>) {
-        if let Some(canned) = &self.canned {
-            let state = SceneState::Ready { triangles: 0, bytes: canned.n_bytes() as u64, grid: None };
+        if let Some(synthetic) = &self.synthetic {
+            let state = SceneState::Ready { triangles: 0, bytes: synthetic.n_bytes() as u64, grid: None };
             self.progress.send_replace(Some((scene, state)));
             return;
         }
         // The loading thread ends only with the stage.
-        let _ = self.orders.send(Order { scene, path: path.map(path_bytes::from_bytes), structure });
+        let _ = self.requests.send(LoadRequest { scene, path: path.map(path_bytes::from_bytes), structure });
     }
 
     /// Follows the loading.
-    pub(crate) fn progressed(&self) -> watch::Receiver<Progressed> {
+    pub(crate) fn progressed(&self) -> watch::Receiver<LoadProgress> {
         self.progress.subscribe()
     }
 }
 
-struct Loader {
+struct LoaderThread {
     pool: Arc<ThreadPool>,
-    at_hand: AtHand,
+    current: CurrentScene,
     model: Option<PathBuf>,
     /// As the server was started.
     options: SceneOptions,
     /// The structure of the scene at hand, if a wall had a say in it.
     structure: Option<Structure>,
     trusts_paths: bool,
-    progress: watch::Sender<Progressed>,
+    progress: watch::Sender<LoadProgress>,
 }
 
-impl Loader {
-    fn run(mut self, orders: &mpsc::Receiver<Order>) {
+impl LoaderThread {
+    fn run(mut self, requests: &mpsc::Receiver<LoadRequest>) {
         if let Some(model) = self.model.clone()
             && let Err(reason) = self.load(None, &SceneSource::Ply(model))
         {
             // Not the end: a wall may want a scene that needs no file.
             tracing::error!("{reason}");
         }
-        while let Ok(mut order) = orders.recv() {
+        while let Ok(mut order) = requests.recv() {
             // Only the last of several counts.
-            while let Ok(later) = orders.try_recv() {
+            while let Ok(later) = requests.try_recv() {
                 order = later;
             }
-            let state = match self.fulfil(&order) {
+            let state = match self.prepare_scene(&order) {
                 Ok(scene) => SceneState::Ready {
                     triangles: scene.n_triangles() as u64,
                     bytes: scene.n_bytes() as u64,
@@ -168,8 +168,8 @@ impl Loader {
     }
 
     /// Gets a scene ready, from wherever it can be had. The error says why not, and what to do.
-    fn fulfil(&mut self, order: &Order) -> Result<Arc<Scene>, String> {
-        if let Some(scene) = self.at_hand.get(order.scene).filter(|_| self.structure == order.structure) {
+    fn prepare_scene(&mut self, order: &LoadRequest) -> Result<Arc<Scene>, String> {
+        if let Some(scene) = self.current.get(order.scene).filter(|_| self.structure == order.structure) {
             return Ok(scene);
         }
         self.structure = order.structure;
@@ -195,23 +195,23 @@ impl Loader {
 
     /// Loads and builds; what was at hand before goes first, so that two scenes never lie in memory together.
     fn load(&self, ordered: Option<SceneId>, source: &SceneSource) -> Result<(SceneId, Arc<Scene>), String> {
-        let tell = |progress: f32| {
+        let report_progress = |progress: f32| {
             if let Some(scene) = ordered {
-                self.tell(scene, progress);
+                self.report_progress(scene, progress);
             }
         };
-        self.at_hand.set(None);
+        self.current.set(None);
         tracing::info!("loading {source}");
         let bar = Progress::new(format!("loading {source}"));
         let (id, scene) = self.pool.install(|| -> Result<_, String> {
             let loaded = scene::load(source, &|fraction| {
                 bar.set(fraction * 0.5);
-                tell(fraction * 0.5);
+                report_progress(fraction * 0.5);
             })
             .map_err(|error| error.to_string())?;
-            let scene = Scene::build(loaded.mesh, &self.wanted_options(), &|fraction| {
+            let scene = Scene::build(loaded.mesh, &self.effective_options(), &|fraction| {
                 bar.set(0.5 + fraction * 0.5);
-                tell(0.5 + fraction * 0.5);
+                report_progress(0.5 + fraction * 0.5);
             });
             Ok((loaded.id, Arc::new(scene)))
         })?;
@@ -219,12 +219,12 @@ impl Loader {
         if let Some(shortage) = scene.grid().shortage() {
             tracing::warn!("{source}: {shortage}");
         }
-        self.at_hand.set(Some((id, Arc::clone(&scene))));
+        self.current.set(Some((id, Arc::clone(&scene))));
         Ok((id, scene))
     }
 
     /// How the scene is to be kept: as the server was started, but for what a wall has said.
-    fn wanted_options(&self) -> SceneOptions {
+    fn effective_options(&self) -> SceneOptions {
         let mut options = self.options;
         if let Some(Structure { storage, density }) = self.structure {
             (options.grid.storage, options.grid.density) = (storage, Some(density));
@@ -233,10 +233,10 @@ impl Loader {
     }
 
     /// Reports progress in steps of one per cent, so that the network is not kept busy with it.
-    fn tell(&self, scene: SceneId, progress: f32) {
+    fn report_progress(&self, scene: SceneId, progress: f32) {
         self.progress.send_if_modified(|last| {
-            let is_step = !matches!(last, Some((of, SceneState::Loading { progress: told }))
-                if *of == scene && (progress - *told).abs() < 0.01);
+            let is_step = !matches!(last, Some((of, SceneState::Loading { progress: reported }))
+                if *of == scene && (progress - *reported).abs() < 0.01);
             if is_step {
                 *last = Some((scene, SceneState::Loading { progress }));
             }

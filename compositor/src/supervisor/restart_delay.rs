@@ -10,25 +10,25 @@ const LONG_LIFE: Duration = Duration::from_secs(60);
 
 /// Grows with every death in a row.
 #[derive(Clone, Debug)]
-pub(super) struct Patience {
-    pause: Duration,
+pub(super) struct RestartDelay {
+    delay: Duration,
 }
 
-impl Default for Patience {
+impl Default for RestartDelay {
     fn default() -> Self {
-        Self { pause: SHORTEST }
+        Self { delay: SHORTEST }
     }
 }
 
-impl Patience {
+impl RestartDelay {
     /// How long to wait before a wall is started again that showed frames for so long.
-    pub(super) fn after(&mut self, shown_for: Duration) -> Duration {
+    pub(super) fn next_delay(&mut self, shown_for: Duration) -> Duration {
         if shown_for >= LONG_LIFE {
-            self.pause = SHORTEST;
+            self.delay = SHORTEST;
         }
-        let pause = self.pause;
-        self.pause = (2 * pause).min(LONGEST);
-        pause
+        let delay = self.delay;
+        self.delay = (2 * delay).min(LONGEST);
+        delay
     }
 }
 
@@ -38,10 +38,10 @@ mod tests {
 
     #[test]
     fn who_dies_again_and_again_waits_ever_longer_up_to_a_minute() {
-        let mut patience = Patience::default();
-        let pauses: Vec<u64> = (0..9).map(|_| patience.after(Duration::from_secs(5)).as_secs()).collect();
+        let mut patience = RestartDelay::default();
+        let pauses: Vec<u64> = (0..9).map(|_| patience.next_delay(Duration::from_secs(5)).as_secs()).collect();
         assert_eq!(pauses, [1, 2, 4, 8, 16, 32, 60, 60, 60]);
-        assert_eq!(patience.after(Duration::from_secs(3600)).as_secs(), 1);
-        assert_eq!(patience.after(Duration::ZERO).as_secs(), 2);
+        assert_eq!(patience.next_delay(Duration::from_secs(3600)).as_secs(), 1);
+        assert_eq!(patience.next_delay(Duration::ZERO).as_secs(), 2);
     }
 }

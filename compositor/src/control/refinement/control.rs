@@ -16,12 +16,12 @@ use std::{collections::VecDeque, time::Duration};
 use shared::division::FrameSize;
 
 use super::{
-    display::{Display, Shown},
+    display::{DisplayCost, ShowTimes},
     ladder::Ladder,
 };
 
 /// How much of the time between two frames is aimed at: the rest is for frames that take longer than others.
-const AIM: f64 = 0.9;
+const TARGET_PART: f64 = 0.9;
 /// Where the coarsest frames take the display nearly as long as the target rate allows, or longer, frames may take so many
 /// times as long as those: what is finer is worth a part of a rate that is low in any case.
 const DISPLAY_ROOM: f64 = 1.25;
@@ -36,16 +36,16 @@ const N_RECENT: usize = 8;
 /// A change shows what frames of any size take if so many of both sizes are known.
 const N_KNOWN: usize = 4;
 /// Frames that must leave room before the resolution is raised, at first…
-const SHORTEST_PATIENCE: u32 = N_RECENT as u32;
+const FEWEST_FRAMES_BEFORE_RAISE: u32 = N_RECENT as u32;
 /// …and at most: a minute's worth at 30 a second.
-const LONGEST_PATIENCE: u32 = 2048;
+const MOST_FRAMES_BEFORE_RAISE: u32 = 2048;
 
 /// The resolution of a moving camera's frames.
 #[derive(Clone, Debug)]
-pub(super) struct Pace {
+pub(super) struct ResolutionControl {
     /// The time between two frames at the target rate, in seconds.
     target_s: f64,
-    display: Display,
+    display: DisplayCost,
     rung: usize,
     /// What the last frames took since the resolution was changed, in seconds.
     recent_s: VecDeque<f64>,
@@ -53,28 +53,28 @@ pub(super) struct Pace {
     n_frames: u32,
     /// What frames took on average since then, or the last of them if there were more than patience asks for; in seconds.
     long_mean_s: f64,
-    patience: u32,
+    frames_before_raise: u32,
     /// Whether the resolution was raised when it was last changed.
     was_raised: bool,
     /// What a frame of any size takes, in seconds.
     fixed_s: f64,
     /// The resolution before, in samples, and what its frames took, in seconds.
-    before: Option<(f64, f64)>,
+    previous: Option<(f64, f64)>,
 }
 
-impl Pace {
+impl ResolutionControl {
     pub(super) fn new(target_interval: Duration, ladder: &Ladder, rung: usize) -> Self {
         Self {
             target_s: target_interval.as_secs_f64(),
-            display: Display::new(ladder.size(0)),
+            display: DisplayCost::new(ladder.size(0)),
             rung,
             recent_s: VecDeque::with_capacity(N_RECENT),
             n_frames: 0,
             long_mean_s: 0.0,
-            patience: SHORTEST_PATIENCE,
+            frames_before_raise: FEWEST_FRAMES_BEFORE_RAISE,
             was_raised: false,
             fixed_s: 0.0,
-            before: None,
+            previous: None,
         }
     }
 
@@ -85,8 +85,8 @@ impl Pace {
     /// The camera rests: what comes after has little to do with what was before.
     pub(super) fn rest(&mut self) {
         self.set_rung(self.rung);
-        self.patience = SHORTEST_PATIENCE;
-        (self.was_raised, self.before) = (false, None);
+        self.frames_before_raise = FEWEST_FRAMES_BEFORE_RAISE;
+        (self.was_raised, self.previous) = (false, None);
     }
 
     /// The time between two frames to hold, in seconds: the target's, or the display's where that cannot be had.
@@ -96,20 +96,20 @@ impl Pace {
     }
 
     /// A frame of any size was shown.
-    pub(super) fn learn_shown(&mut self, size: FrameSize, shown: &Shown) {
-        self.display.learn(size, shown);
+    pub(super) fn learn_shown(&mut self, size: FrameSize, times: &ShowTimes) {
+        self.display.learn(size, times);
     }
 
     /// A frame of this rung took the farm so long.
     pub(super) fn learn(&mut self, ladder: &Ladder, took: Duration) {
         let interval_s = self.interval_s(ladder);
-        let aim_s = AIM * interval_s;
+        let aim_s = TARGET_PART * interval_s;
         if self.recent_s.len() == N_RECENT {
             self.recent_s.pop_front();
         }
         self.recent_s.push_back(took.as_secs_f64());
         self.n_frames = self.n_frames.saturating_add(1);
-        let weight = 1.0 / f64::from(self.n_frames.min(self.patience));
+        let weight = 1.0 / f64::from(self.n_frames.min(self.frames_before_raise));
         self.long_mean_s += weight * (took.as_secs_f64().min(LONGEST * aim_s) - self.long_mean_s);
         let Some(mean_s) = self.mean_s() else { return };
         self.learn_fixed(ladder, mean_s, aim_s);
@@ -117,17 +117,21 @@ impl Pace {
         let is_late = mean_s > aim_s * (1.0 + 1.0 / self.recent_s.len() as f64);
         if (is_late || self.shown_s(ladder, self.rung) > interval_s) && self.rung < ladder.last() {
             if self.was_raised {
-                self.patience = (2 * self.patience).min(LONGEST_PATIENCE);
+                self.frames_before_raise = (2 * self.frames_before_raise).min(MOST_FRAMES_BEFORE_RAISE);
             }
             let in_time =
                 |&rung: &usize| self.expected_s(ladder, mean_s, rung).max(self.shown_s(ladder, rung)) <= aim_s;
             let rung = (self.rung + 1..ladder.last()).find(in_time).unwrap_or(ladder.last());
-            self.leave(ladder, mean_s, rung);
-        } else if self.rung > 0 && self.n_frames >= SHORTEST_PATIENCE && self.shown_s(ladder, self.rung - 1) <= aim_s {
+            self.change_rung(ladder, mean_s, rung);
+        } else if self.rung > 0
+            && self.n_frames >= FEWEST_FRAMES_BEFORE_RAISE
+            && self.shown_s(ladder, self.rung - 1) <= aim_s
+        {
             let expected_s = |mean_s| self.expected_s(ladder, mean_s, self.rung - 1);
-            let is_due = self.n_frames >= self.patience && expected_s(self.long_mean_s.max(mean_s)) <= HEADROOM * aim_s;
+            let is_due = self.n_frames >= self.frames_before_raise
+                && expected_s(self.long_mean_s.max(mean_s)) <= HEADROOM * aim_s;
             if is_due || expected_s(mean_s) <= CLEAR_ROOM * aim_s {
-                self.leave(ladder, mean_s, self.rung - 1);
+                self.change_rung(ladder, mean_s, self.rung - 1);
             }
         }
     }
@@ -151,7 +155,7 @@ impl Pace {
     }
 
     fn learn_fixed(&mut self, ladder: &Ladder, mean_s: f64, aim_s: f64) {
-        if let Some((n_before, before_s)) = self.before.filter(|_| self.recent_s.len() == N_KNOWN) {
+        if let Some((n_before, before_s)) = self.previous.filter(|_| self.recent_s.len() == N_KNOWN) {
             let n_now = n_samples(ladder, self.rung);
             let per_sample_s = (mean_s - before_s) / (n_now - n_before);
             let fixed_s = mean_s - per_sample_s * n_now;
@@ -161,8 +165,8 @@ impl Pace {
         }
     }
 
-    fn leave(&mut self, ladder: &Ladder, mean_s: f64, rung: usize) {
-        self.before = (self.recent_s.len() >= N_KNOWN).then(|| (n_samples(ladder, self.rung), mean_s));
+    fn change_rung(&mut self, ladder: &Ladder, mean_s: f64, rung: usize) {
+        self.previous = (self.recent_s.len() >= N_KNOWN).then(|| (n_samples(ladder, self.rung), mean_s));
         self.was_raised = rung < self.rung;
         self.set_rung(rung);
     }
