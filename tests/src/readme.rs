@@ -19,6 +19,9 @@ fn the_manual_lists_every_key_of_the_window() {
     }
 }
 
+/// Folders to which the documents' paths may be relative.
+const ROOMS: [&str; 5] = ["shared/src", "shared/channel/src", "renderer/src", "compositor/src", "tests"];
+
 /// The anchor that a Markdown heading gets on the web: lower case, hyphens for spaces, no punctuation.
 fn anchor(heading: &str) -> String {
     let title = heading.trim_start_matches('#').trim().to_lowercase();
@@ -42,11 +45,12 @@ fn every_file_that_the_documents_name_exists() {
                 assert!(has_heading, "{document} links to {target}, but there is no such heading");
             }
         }
-        let words = text.split('`').skip(1).step_by(2);
-        for path in words.filter(|word| {
-            word.starts_with("shared/src/") || word.starts_with("renderer/src/") || word.starts_with("compositor/src/")
-        }) {
-            assert!(root().join(path).exists(), "{document} names {path}, which is not there");
+        for word in text.split('`').skip(1).step_by(2).filter(|word| !word.contains(' ')) {
+            let is_file = [".rs", ".wgsl"].iter().any(|extension| word.ends_with(extension));
+            if is_file || ROOMS.iter().any(|room| word.starts_with(&format!("{room}/"))) {
+                let exists = root().join(word).exists() || ROOMS.iter().any(|room| root().join(room).join(word).exists());
+                assert!(exists, "{document} names {word}, which is not there");
+            }
         }
     }
 }
