@@ -1,7 +1,7 @@
 //! Hits on real models, held against a reference in `f64` that knows nothing of grids: every triangle is projected onto
 //! the view plane and tested against the rays of the samples that it covers.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::{DMat3, DVec3, Vec3};
 use renderer::{
@@ -13,6 +13,8 @@ use shared::{
     camera::{Camera, CameraRays},
     division::{Division, FrameSize},
 };
+
+use crate::process::shared_folder;
 
 /// The nearest hit of each sample, row by row from the bottom: triangle and t.
 type Reference = Vec<Option<(u32, f64)>>;
@@ -99,15 +101,6 @@ fn check(name: &str, hits: &[Hit], reference: &Reference) {
         lost == 0 && invented == 0 && others <= 10 && worst <= 1e-4 && p999 <= 7e-7,
         "{name}: {lost} lost, {invented} invented, {others} with another triangle, depth off by {p999:e} (p99.9), {worst:e} (worst)"
     );
-}
-
-/// The folder of reference data, if this machine has one.
-fn shared_folder() -> Option<PathBuf> {
-    let folder = std::env::var_os("RAYWALL_SHARED").map(PathBuf::from);
-    if folder.is_none() {
-        eprintln!("skipped: set RAYWALL_SHARED to the folder with the reference models");
-    }
-    folder
 }
 
 fn check_model(models: &Path, name: &str) {

@@ -1,19 +1,19 @@
-//! Render servers that join, freeze, wake and die at random, all the time: every frame stays whole and right.
+//! Render servers join, freeze, wake and die at random: every frame stays whole and right.
 
 use std::{
     thread,
     time::{Duration, Instant},
 };
 
-use crate::{farm::RunningWall, process::Program};
+use crate::{farm::RunningWall, process::Program, random::Random};
 
-/// How long it goes on; `make soak` sets ten minutes.
+/// The test's duration; `make soak` sets ten minutes.
 fn duration() -> Duration {
     let seconds = std::env::var("RAYWALL_CHURN_SECONDS").map_or(20, |seconds| seconds.parse().unwrap());
     Duration::from_secs(seconds)
 }
 
-/// At most so many at a time.
+/// Render servers at a time.
 const MOST_SERVERS: usize = 5;
 
 struct Server {
@@ -21,28 +21,16 @@ struct Server {
     is_frozen: bool,
 }
 
-/// Xorshift (Marsaglia 2003): the same events in each run, if not at the same frames.
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, limit: usize) -> usize {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 33) as usize % limit
-    }
-}
-
 #[test]
 fn frames_stay_whole_and_right_while_render_servers_come_and_go() {
     let mut wall = RunningWall::start_sized("1024x512", &["--division", "dynamic"]);
-    let mut chance = Random(0x9e37_79b9_7f4a_7c15);
+    let mut random = Random::new(1);
     let mut servers: Vec<Server> = Vec::new();
     let (mut n_joined, mut n_killed, mut n_frozen) = (0, 0, 0);
     let started = Instant::now();
     while started.elapsed() < duration() {
         let n_servers = servers.len();
-        match chance.below(8) {
+        match random.below(8) {
             0..3 if n_servers < MOST_SERVERS => {
                 n_joined += 1;
                 let program = wall.join(&format!("churn-{n_joined}"));
@@ -51,22 +39,22 @@ fn frames_stay_whole_and_right_while_render_servers_come_and_go() {
             // It may be in any state, even before its handshake.
             3..5 if n_servers > 0 => {
                 n_killed += 1;
-                servers.swap_remove(chance.below(n_servers)).program.signal("KILL");
+                servers.swap_remove(random.below(n_servers)).program.signal("KILL");
             }
             5 if n_servers > 0 => {
-                let server = servers.swap_remove(chance.below(n_servers));
+                let server = servers.swap_remove(random.below(n_servers));
                 server.program.signal("CONT");
                 server.program.signal("TERM");
             }
             6 if n_servers > 0 => {
                 n_frozen += 1;
-                let server = &mut servers[chance.below(n_servers)];
+                let server = &mut servers[random.below(n_servers)];
                 server.program.signal(if server.is_frozen { "CONT" } else { "STOP" });
                 server.is_frozen = !server.is_frozen;
             }
             _ => {}
         }
-        thread::sleep(Duration::from_millis(chance.below(400) as u64));
+        thread::sleep(Duration::from_millis(random.below(400) as u64));
     }
     drop(servers);
     let _last = wall.join("last");

@@ -1,8 +1,6 @@
-//! What a cluster is started with, and slow links: of this test's own making, and between network namespaces.
+//! The files that start a cluster, and slow links: through a proxy, and between network namespaces.
 
 use std::{
-    io::{Read, Write},
-    net::{Shutdown, TcpListener, TcpStream},
     path::Path,
     process::Command,
     thread,
@@ -12,13 +10,14 @@ use std::{
 use crate::{
     farm::{Files, RunningWall, nodes_of},
     process::{GENEROUS, Program},
+    proxy,
 };
 
 fn config(name: &str) -> String {
     format!("{}/../wall-config/{name}", env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Runs a command; what it printed, if it can be run and succeeds.
+/// Runs a command; its output, or the reason why it failed.
 fn run(command: &str) -> Result<String, String> {
     let mut words = command.split(' ');
     let output = Command::new(words.next().unwrap()).args(words).output().map_err(|error| error.to_string())?;
@@ -27,49 +26,29 @@ fn run(command: &str) -> Result<String, String> {
 }
 
 #[test]
-fn the_systemd_unit_is_one_that_systemd_takes() {
+fn systemd_accepts_the_unit() {
     if let Err(reason) = run("systemd-analyze --version") {
         return println!("skipped: no systemd-analyze: {reason}");
     }
     let said = run(&format!("systemd-analyze verify {}", config("raywall-renderer@.service"))).unwrap();
-    assert_eq!(said, "", "systemd has something to say about the unit");
+    assert_eq!(said, "", "systemd complains about the unit");
 }
 
 #[test]
-fn the_slurm_script_is_one_that_a_shell_takes_and_says_what_it_lacks() {
+fn a_shell_accepts_the_slurm_script_which_names_missing_settings() {
     let script = config("render-servers.sbatch");
     run(&format!("sh -n {script}")).unwrap();
     let said = run(&format!("sh {script}")).unwrap_err();
     assert!(said.contains("give the address of the wall"), "{said}");
 }
 
-/// An address that leads to a wall by a link of 1 Mbit/s in each direction.
+/// The address of a proxy that passes 1 Mbit/s to and from a wall, in each direction of each connection.
 fn slow_way_to(wall: &str) -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = listener.local_addr().unwrap().to_string();
-    let wall = wall.to_owned();
-    thread::spawn(move || {
-        for server in listener.incoming().map_while(Result::ok) {
-            // The wall has ended.
-            let Ok(wall) = TcpStream::connect(&wall) else { return };
-            let (to_server, from_wall) = (server.try_clone().unwrap(), wall.try_clone().unwrap());
-            thread::spawn(move || pass_slowly(from_wall, to_server));
-            thread::spawn(move || pass_slowly(server, wall));
-        }
-    });
-    address
-}
-
-fn pass_slowly(mut from: TcpStream, mut to: TcpStream) {
-    // A packet's worth every 10 ms; what is kept up by a sleep that was too long is not made up for.
-    let mut bytes = [0; 1250];
-    while let Ok(n_bytes @ 1..) = from.read(&mut bytes) {
-        thread::sleep(Duration::from_millis(10).mul_f64(n_bytes as f64 / bytes.len() as f64));
-        if to.write_all(&bytes[..n_bytes]).is_err() {
-            break;
-        }
-    }
-    let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
+    // A packet's worth every 10 ms; time lost by sleeping too long is not made up for.
+    const PACKET_BYTES: usize = 1250;
+    proxy::start(wall, PACKET_BYTES, |_, _, bytes| {
+        thread::sleep(Duration::from_millis(10).mul_f64(bytes.len() as f64 / PACKET_BYTES as f64));
+    })
 }
 
 #[test]
@@ -118,7 +97,7 @@ impl TwoHosts {
         Ok(hosts)
     }
 
-    /// A program as the tests know it, on one of the hosts.
+    /// The same command, run on one of the hosts.
     fn on(host: &str, program: &Command) -> Command {
         let mut command = Command::new("ip");
         command.args(["netns", "exec", host]).arg(program.get_program()).args(program.get_args());
@@ -129,14 +108,14 @@ impl TwoHosts {
 
 impl Drop for TwoHosts {
     fn drop(&mut self) {
-        // One that was never made need not go.
+        // Fails for a namespace that was never made.
         let _ = run(&format!("ip netns delete {}", self.node));
         let _ = run(&format!("ip netns delete {}", self.wall));
     }
 }
 
-/// A node behind a link of so many Mbit/s renders so many frames, with a key.
-fn renders_behind(mbit_per_s: u32, n_frames: u32) {
+/// Checks `n_frames` frames that a node renders behind a link of `mbit_per_s`, with a key.
+fn check_frames_behind(mbit_per_s: u32, n_frames: u32) {
     let hosts = match TwoHosts::new(&format!("{mbit_per_s}mbit")) {
         Ok(hosts) => hosts,
         Err(reason) => return println!("skipped: no network namespaces with a limited rate here: {reason}"),
@@ -168,7 +147,7 @@ fn renders_behind(mbit_per_s: u32, n_frames: u32) {
     assert!(status.success() && started_at.elapsed() < GENEROUS, "{said}");
     let frames = files.frames();
     assert!(frames.iter().all(|frame| frame["samples_blake3"] == *expected && frame["n_lost"] == 0), "{said}");
-    // The link does limit: no more bytes came than it passes in this time, and in its buffer.
+    // The link does limit the rate: no more bytes came than it passes in this time, and its buffer.
     let n_bytes: f64 = frames.iter().map(|frame| frame["bytes_in"].as_f64().unwrap()).sum();
     assert!(
         n_bytes * 8.0 < f64::from(mbit_per_s) * 1e6 * started_at.elapsed().as_secs_f64() + 8.0 * 65_536.0,
@@ -179,11 +158,11 @@ fn renders_behind(mbit_per_s: u32, n_frames: u32) {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_node_behind_a_slow_link_renders_the_right_frames_with_a_key() {
-    renders_behind(20, 12);
+    check_frames_behind(20, 12);
 }
 
 #[cfg(target_os = "linux")]
 #[test]
 fn a_node_behind_a_very_slow_link_renders_the_right_frames_with_a_key() {
-    renders_behind(1, 4);
+    check_frames_behind(1, 4);
 }

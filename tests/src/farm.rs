@@ -1,5 +1,4 @@
-//! Walls and render servers as real processes over real sockets: the picture is right whoever renders it, and whoever
-//! dies.
+//! Walls and render servers as real processes over real sockets: the picture is right whoever renders it or dies.
 
 use std::{
     io::{Read, Write},
@@ -14,9 +13,9 @@ use serde_json::Value;
 use shared::{camera::Camera, protocol::PREAMBLE};
 use tempfile::TempDir;
 
-use crate::process::{Program, wait_until};
+use crate::process::{Program, generate_statue, wait_until};
 
-/// Triangles of the statue in these tests: small, but every part of the picture shows some.
+/// Triangles of the statue in these tests: few, but every part of the picture shows some.
 const TRIANGLES: &str = "20000";
 
 /// Files of one test.
@@ -25,7 +24,7 @@ pub(crate) struct Files {
 }
 
 impl Files {
-    /// A wall of a few pixels, and a camera that sees the statue.
+    /// Files of a small wall, and of a camera that sees the statue.
     pub(crate) fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
         let wall = "canvas_m = [4.0, 2.25]\n[grid]\ncolumns = 2\nrows = 1\npixels = [64, 72]\n";
@@ -54,19 +53,18 @@ impl Files {
         command
     }
 
-    /// What `renderer trace` shows, alone: the truth for all farms.
+    /// The hash of what `renderer trace` renders alone: the truth for all farms.
     pub(crate) fn traced_hash(&self, size: &str) -> String {
         self.traced_hash_with(size, &[])
     }
 
-    /// The same with more arguments.
+    /// Like `traced_hash`, with more arguments.
     pub(crate) fn traced_hash_with(&self, size: &str, args: &[&str]) -> String {
         let image = self.path("traced.png");
         let mut command = Program::command("renderer");
         command.args(["trace", "--triangles", TRIANGLES, "--size", size, "--camera"]);
         command.arg(self.path("camera.toml")).arg("--image").arg(&image).args(args);
-        let (status, said) = Program::start(command).wait();
-        assert!(status.success(), "{said}");
+        Program::succeed(command);
         hash_of_png(&image)
     }
 
@@ -76,12 +74,12 @@ impl Files {
     }
 }
 
-/// The hash of a picture's samples as `--stats` gives it.
+/// The hash of a picture's samples, as `--stats` has it.
 fn hash_of_png(path: &Path) -> String {
     renderer::render::image::hash_samples(&samples_of_png(path))
 }
 
-/// A picture's samples as frames have them: bottom row first.
+/// A picture's samples in a frame's order: bottom row first.
 fn samples_of_png(path: &Path) -> Vec<u8> {
     let mut reader =
         png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path).unwrap())).read_info().unwrap();
@@ -106,21 +104,19 @@ impl RunningWall {
         Self::start_with(&[])
     }
 
-    /// A wall with more arguments than all have.
+    /// Like `start`, with more arguments.
     pub(crate) fn start_with(args: &[&str]) -> Self {
         Self::start_sized(SIZE, args)
     }
 
-    /// The same with frames of another size.
+    /// Like `start_with`, with frames of another size.
     pub(crate) fn start_sized(size: &str, args: &[&str]) -> Self {
         let files = Files::new();
         let expected = files.traced_hash(size);
         let mut command = files.wall(size);
         command.args(["--frames", "1000000", "--local", "0", "--min-renderers", "1"]).args(args);
         let mut program = Program::start(command);
-        program.wait_for("listening on ");
-        let said = program.said();
-        let address = said.split("listening on ").nth(1).unwrap().split_whitespace().next().unwrap().to_owned();
+        let address = program.wait_for_address();
         Self { files, program, address, expected }
     }
 
@@ -133,7 +129,7 @@ impl RunningWall {
         Self::join_at(&self.address, name, &[])
     }
 
-    /// A render server that finds the wall behind an address, with more arguments than all have.
+    /// Starts a render server for the wall at an address.
     pub(crate) fn join_at(address: &str, name: &str, args: &[&str]) -> Program {
         let mut command = Program::command("renderer");
         command.args(["connect", address, "--name", name, "--threads", "1"]).args(args);
@@ -146,18 +142,18 @@ impl RunningWall {
         stream
     }
 
-    /// Waits until so many render servers have become ready.
+    /// Waits until `n_ready` render servers have become ready.
     pub(crate) fn wait_for_ready(&mut self, n_ready: usize) {
         self.program.wait_for_count(" is ready", n_ready);
     }
 
-    /// Waits until so many more frames are shown.
+    /// Waits until `n_more` more frames are shown.
     pub(crate) fn wait_for_frames(&mut self, n_more: usize) {
         let n_frames = self.program.count("frame shown") + n_more;
         self.program.wait_for_count("frame shown", n_frames);
     }
 
-    /// Ends the wall as an operator does, and checks every frame that it has shown.
+    /// Ends the wall as an operator does, checks every frame that it has shown, and returns them and its output.
     pub(crate) fn end(self) -> (Vec<Value>, String) {
         self.program.signal("TERM");
         let (status, said) = self.program.wait();
@@ -165,7 +161,7 @@ impl RunningWall {
         let frames = self.files.frames();
         assert!(!frames.is_empty());
         for (number, frame) in frames.iter().enumerate() {
-            assert_eq!(frame["samples_blake3"], self.expected.as_str(), "frame {number} shows something else");
+            assert_eq!(frame["samples_blake3"], self.expected.as_str(), "frame {number} shows another picture");
             assert_eq!(frame["frame"], number + 1, "every frame is shown once, in order");
         }
         (frames, said)
@@ -185,8 +181,7 @@ fn any_number_of_renderers_gives_the_samples_that_one_gives_alone() {
         for division in ["interleaved", "tiled", "dynamic"] {
             let mut command = files.wall(size);
             command.args(["--local", &n_renderers.to_string(), "--frames", "3", "--division", division]);
-            let (status, said) = Program::start(command).wait();
-            assert!(status.success(), "{said}");
+            Program::succeed(command);
             for frame in files.frames() {
                 assert_eq!(frame["samples_blake3"], expected.as_str(), "{n_renderers} renderers, {division}");
                 assert_eq!(nodes_of(&frame).len(), n_renderers);
@@ -225,11 +220,11 @@ fn a_stopped_renderer_is_lost_and_comes_back() {
     wall.program.wait_for_count("render server stopped is ready", 2);
     wall.wait_for_frames(10);
     let (frames, _) = wall.end();
-    assert_eq!(nodes_of(frames.last().unwrap()).len(), 2, "who comes back gets work");
+    assert_eq!(nodes_of(frames.last().unwrap()).len(), 2, "a render server that comes back gets tasks");
 }
 
 #[test]
-fn a_renderer_that_is_silent_for_a_moment_is_heard_again() {
+fn a_renderer_that_is_silent_for_a_moment_goes_on() {
     let mut wall = RunningWall::start();
     let (_staying, stopped) = (wall.join("staying"), wall.join("stopped"));
     wall.wait_for_ready(2);
@@ -245,7 +240,7 @@ fn a_renderer_that_is_silent_for_a_moment_is_heard_again() {
 }
 
 #[test]
-fn a_newcomer_gets_work() {
+fn a_newcomer_gets_tasks() {
     let mut wall = RunningWall::start();
     let _first = wall.join("first");
     wall.wait_for_frames(3);
@@ -282,8 +277,7 @@ fn a_wall_that_restarts_finds_its_renderers_again() {
     let mut command = files.wall(SIZE);
     command.args(["--listen", &address, "--local", "0", "--min-renderers", "1", "--frames", "3"]);
     // The later --listen wins.
-    let (status, said) = Program::start(command).wait();
-    assert!(status.success(), "{said}");
+    Program::succeed(command);
     assert_eq!(files.frames().len(), 3);
     renderer.signal("TERM");
     renderer.wait_for("connected to the wall");
@@ -317,14 +311,14 @@ fn strangers_are_dropped_with_a_clear_line_and_the_wall_goes_on() {
     wall.connect().write_all(&garbage).unwrap();
     wall.program.wait_for("malformed message");
 
-    // Half open: it says nothing and never goes away by itself.
+    // Half open: it sends nothing and never closes the connection.
     let mut silent = wall.connect();
     wall.program.wait_for("no handshake within");
     let mut rest = Vec::new();
     silent.read_to_end(&mut rest).unwrap();
     assert_eq!(rest, PREAMBLE, "the wall has closed the connection");
 
-    // Cut in mid-message.
+    // Closed in the middle of a message.
     let mut cut = wall.connect();
     cut.write_all(&garbage[..20]).unwrap();
     cut.shutdown(Shutdown::Write).unwrap();
@@ -338,13 +332,8 @@ fn strangers_are_dropped_with_a_clear_line_and_the_wall_goes_on() {
 #[test]
 fn a_renderer_without_the_model_is_told_what_to_do() {
     let files = Files::new();
-    let mut generate = Program::command("renderer");
-    generate.args(["generate", "statue", "--triangles", "2000"]).arg(files.path("other.ply"));
-    assert!(Program::start(generate).wait().0.success());
-    let mut generate = Program::command("renderer");
-    generate.args(["generate", "statue", "--triangles", "3000"]).arg(files.path("model.ply"));
-    assert!(Program::start(generate).wait().0.success());
-
+    generate_statue(2000, &files.path("other.ply"));
+    generate_statue(3000, &files.path("model.ply"));
     let mut command = Program::command("compositor");
     command
         .args(["--headless", "--listen", "127.0.0.1:0", "--local", "0", "--frames", "2", "--size", "64x32", "--model"])
@@ -352,14 +341,8 @@ fn a_renderer_without_the_model_is_told_what_to_do() {
         .arg("--wall")
         .arg(files.path("wall.toml"));
     let mut wall = Program::start(command);
-    wall.wait_for("listening on ");
-    let said = wall.said();
-    let address = said.split("listening on ").nth(1).unwrap().split_whitespace().next().unwrap();
-    let join = |model: &str| {
-        let mut command = Program::command("renderer");
-        command.args(["connect", address, "--name", model, "--threads", "1", "--model"]).arg(files.path(model));
-        Program::start(command)
-    };
+    let address = wall.wait_for_address();
+    let join = |model: &str| RunningWall::join_at(&address, model, &["--model", files.path(model).to_str().unwrap()]);
     let _other = join("other.ply");
     wall.wait_for("give it the wall's own file");
     let _right = join("model.ply");
@@ -367,7 +350,7 @@ fn a_renderer_without_the_model_is_told_what_to_do() {
     assert!(status.success(), "{said}");
 }
 
-/// The local render servers that run: the number of their wall's process, and their own.
+/// The running local render servers: the process identifiers of their wall and of themselves.
 fn local_renderers() -> Vec<(u32, u32)> {
     let output = Command::new("ps").args(["-e", "-o", "ppid=,pid=,args="]).output().unwrap();
     let lines = String::from_utf8_lossy(&output.stdout).into_owned();
@@ -416,15 +399,13 @@ fn a_model_whose_name_is_no_text_is_found_by_local_renderers() {
     use std::os::unix::ffi::OsStrExt;
     let files = Files::new();
     let model = files.folder.path().join(std::ffi::OsStr::from_bytes(b"b\xfcste.ply"));
-    let mut generate = Program::command("renderer");
-    generate.args(["generate", "statue", "--triangles", "1000"]).arg(&model);
-    assert!(generate.status().unwrap().success());
+    generate_statue(1000, &model);
     let mut command = Program::command("compositor");
     command
         .args(["--headless", "--listen", "127.0.0.1:0", "--local", "1", "--frames", "1", "--size", "64x32", "--wall"])
         .arg(files.path("wall.toml"))
         .arg("--model")
         .arg(&model);
-    let (status, said) = Program::start(command).wait();
-    assert!(status.success() && said.contains("local-1 is ready"), "{said}");
+    let said = Program::succeed(command);
+    assert!(said.contains("local-1 is ready"), "{said}");
 }

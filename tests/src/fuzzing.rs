@@ -1,25 +1,13 @@
-//! The kept corpus of `make fuzz`, and mutations of it, on every decoder.
+//! Every decoder on the kept corpus of `make fuzz`, and on mutations of it.
 
 use std::path::Path;
 
-use crate::decoders::ALL;
+use crate::{decoders::ALL, random::Random};
 
-/// Mutations of each kept input; the time of all stays at a few seconds.
+/// Mutations of each kept input; all of them take a few seconds.
 const N_MUTATIONS: usize = 150;
 
-/// Numbers that look random and are the same each time (Steele and Vigna's SplitMix64).
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, end: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mixed = (self.0 ^ self.0 >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((mixed ^ mixed >> 31) % end.max(1) as u64) as usize
-    }
-}
-
-/// Changes an input in a few places, some of it for parts of another.
+/// Changes an input in a few places, sometimes to parts of another input.
 fn mutate(input: &[u8], other: &[u8], random: &mut Random) -> Vec<u8> {
     let mut bytes = input.to_vec();
     for _ in 0..=random.below(4) {
@@ -50,9 +38,9 @@ fn decoders_survive_the_kept_corpus_and_mutations_of_it() {
         paths.sort();
         let inputs: Vec<_> = paths.iter().map(|path| std::fs::read(path).unwrap()).collect();
         assert!(!inputs.is_empty(), "{name} has no corpus");
-        let mut random = Random(1);
+        let mut random = Random::new(1);
         for (input, path) in inputs.iter().zip(&paths) {
-            // Shown only when one of the next fails.
+            // Shown only if the test fails.
             println!("{}", path.display());
             decode(input);
             for _ in 0..N_MUTATIONS {

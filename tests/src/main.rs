@@ -21,7 +21,7 @@ mod farm;
 mod film;
 #[cfg(test)]
 #[path = "../../compositor/src/farm/frame_buffer.rs"]
-#[allow(unreachable_pub, reason = "it is a part of the compositor, and no other way leads to it")]
+#[allow(unreachable_pub, reason = "the compositor does not export it")]
 mod frame_buffer;
 #[cfg(test)]
 mod fuzzing;
@@ -41,6 +41,10 @@ mod pictures;
 mod ply_suite;
 #[cfg(test)]
 mod process;
+#[cfg(test)]
+mod proxy;
+#[cfg(test)]
+mod random;
 #[cfg(test)]
 mod readme;
 #[cfg(test)]

@@ -15,7 +15,7 @@ use shared::division::{Division, FrameSize};
 use shared::protocol::{LightingMode, SampleRange, ShadingMode};
 use shared::srgb;
 
-use crate::references;
+use crate::{random::Random, references};
 
 /// One GPU for all tests of the binary, and one test on it at a time: a software GPU uses every core.
 static GPU: LazyLock<Result<Mutex<Gpu>, String>> =
@@ -69,11 +69,7 @@ impl Frame {
     /// Seeded noise of all values.
     pub(crate) fn noise(size: [u32; 2]) -> Self {
         Self::new(size, |i, j| {
-            // SplitMix64's finalizer.
-            let mut x = (u64::from(j) << 32 | u64::from(i)).wrapping_add(0x9e37_79b9_7f4a_7c15);
-            x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            let [r, g, b, ..] = (x ^ (x >> 31)).to_le_bytes();
+            let [r, g, b, ..] = Random::new(u64::from(j) << 32 | u64::from(i)).bits().to_le_bytes();
             [r, g, b]
         })
     }

@@ -4,10 +4,11 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use renderer::model::{mesh::Mesh, ply};
+
+use crate::{process::shared_folder, random::Random};
 
 /// What another reader says of a file.
 struct Case {
@@ -120,15 +121,8 @@ fn cuts(case: &Case) -> Vec<usize> {
     if n_bytes < 4096 {
         return (0..n_bytes).collect();
     }
-    // Numbers of Steele, Lea and Flood's SplitMix64 (2014), seeded by the length.
-    let mut state = n_bytes as u64;
-    let seeded = (0..64).map(|_| {
-        state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let z = (state ^ (state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) % n_bytes as u64) as usize
-    });
-    (0..header.min(n_bytes)).chain(seeded).collect()
+    let mut random = Random::new(n_bytes as u64);
+    (0..header.min(n_bytes)).chain((0..64).map(|_| random.below(n_bytes))).collect()
 }
 
 /// Reads the beginning of a file, and asserts that it takes little memory, does not panic, and complains clearly.
@@ -155,13 +149,10 @@ const MOST_FIXED_BYTES: usize = 1 << 20;
 /// An index of one byte becomes a triangle of twelve, in a buffer that may be a quarter larger.
 const MOST_BYTES_PER_BYTE: usize = 16;
 
-/// All files of the suite; none, and a word about it, where the folder of reference data is absent.
+/// All files of the suite; none without the folder of reference data.
 fn suite() -> Vec<Case> {
-    let Some(shared) = std::env::var_os("RAYWALL_SHARED") else {
-        eprintln!("RAYWALL_SHARED is not set: the PLY suite is not read");
-        return Vec::new();
-    };
-    let folder = PathBuf::from(shared).join("ply-suite");
+    let Some(shared) = shared_folder() else { return Vec::new() };
+    let folder = shared.join("ply-suite");
     let index = fs::read_to_string(folder.join("INDEX.tsv")).unwrap();
     let mut lines = index.lines().map(|line| line.split('\t').collect::<Vec<_>>());
     let head = lines.next().unwrap();

@@ -1,18 +1,18 @@
-//! The real programs as child processes, with what they say.
+//! The real programs as child processes, and their output.
 
 use std::{
     io::{BufRead, BufReader, Read},
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
     sync::{Arc, Mutex},
     thread,
     time::{Duration, Instant},
 };
 
-/// Longer than anything takes on a busy machine: what lasts longer hangs.
+/// Time limit of every wait: nothing takes so long unless it hangs.
 pub(crate) const GENEROUS: Duration = Duration::from_secs(60);
 
-/// A program that was started, and killed at the end if it still runs.
+/// A running program; dropping it kills it.
 pub(crate) struct Program {
     child: Child,
     said: Arc<Mutex<String>>,
@@ -21,7 +21,7 @@ pub(crate) struct Program {
 impl Program {
     /// The command for one of the project's programs, built with the tests.
     pub(crate) fn command(name: &str) -> Command {
-        let tests = std::env::current_exe().expect("tests know where they lie");
+        let tests = std::env::current_exe().expect("a test binary has a path");
         let folder: PathBuf = tests.ancestors().nth(2).expect("target/release/deps").to_owned();
         let path = folder.join(name);
         assert!(
@@ -32,7 +32,7 @@ impl Program {
         Command::new(path)
     }
 
-    /// Starts it and listens to all that it says.
+    /// Starts it and collects its output.
     pub(crate) fn start(mut command: Command) -> Self {
         let mut child = command
             .stdin(Stdio::null())
@@ -47,7 +47,7 @@ impl Program {
             let said = Arc::clone(&said);
             thread::spawn(move || {
                 for line in BufReader::new(stream).lines().map_while(Result::ok) {
-                    let mut said = said.lock().expect("nobody panics with it");
+                    let mut said = said.lock().expect("no thread panics while it holds the lock");
                     said.push_str(&line);
                     said.push('\n');
                 }
@@ -56,7 +56,37 @@ impl Program {
         Self { child, said }
     }
 
-    /// The process's number.
+    /// Runs a program that must succeed; returns its output.
+    pub(crate) fn succeed(command: Command) -> String {
+        let (status, said) = Self::start(command).wait();
+        assert!(status.success(), "{said}");
+        said
+    }
+
+    /// Waits until it listens; returns its address.
+    pub(crate) fn wait_for_address(&mut self) -> String {
+        self.wait_for("listening on ");
+        let said = self.said();
+        said.split("listening on ")
+            .nth(1)
+            .and_then(|rest| rest.split_whitespace().next())
+            .expect("an address")
+            .to_owned()
+    }
+
+    /// CPU time of all its threads, in hundredths of a second.
+    #[cfg(target_os = "linux")]
+    pub(crate) fn ticks(&self) -> u64 {
+        ticks(&format!("/proc/{}/stat", self.id()))
+    }
+
+    /// CPU time of its main thread, in hundredths of a second.
+    #[cfg(target_os = "linux")]
+    pub(crate) fn main_thread_ticks(&self) -> u64 {
+        ticks(&format!("/proc/{0}/task/{0}/stat", self.id()))
+    }
+
+    /// Its process identifier.
     pub(crate) fn id(&self) -> u32 {
         self.child.id()
     }
@@ -67,22 +97,22 @@ impl Program {
         assert!(status.is_ok_and(|status| status.success()), "the program cannot be signalled");
     }
 
-    /// All that it said so far.
+    /// Its output so far.
     pub(crate) fn said(&self) -> String {
-        self.said.lock().expect("nobody panics with it").clone()
+        self.said.lock().expect("no thread panics while it holds the lock").clone()
     }
 
-    /// How often it said something.
+    /// How often its output contains a text.
     pub(crate) fn count(&self, what: &str) -> usize {
         self.said().matches(what).count()
     }
 
-    /// Waits until it says something.
+    /// Waits until its output contains a text.
     pub(crate) fn wait_for(&mut self, what: &str) {
         self.wait_for_count(what, 1);
     }
 
-    /// Waits until it has said something so often.
+    /// Waits until its output contains a text `times` times.
     pub(crate) fn wait_for_count(&mut self, what: &str, times: usize) {
         let start = Instant::now();
         while self.count(what) < times {
@@ -93,12 +123,12 @@ impl Program {
         }
     }
 
-    /// Waits for its end, and gives back all that it said.
+    /// Waits for its end; returns its status and output.
     pub(crate) fn wait(mut self) -> (ExitStatus, String) {
         let start = Instant::now();
         loop {
             if let Some(status) = self.child.try_wait().expect("a child can be asked") {
-                // What it said last is still on its way.
+                // The reading threads need a moment for its last lines.
                 thread::sleep(Duration::from_millis(100));
                 return (status, self.said());
             }
@@ -108,15 +138,39 @@ impl Program {
     }
 }
 
+#[cfg(target_os = "linux")]
+fn ticks(path: &str) -> u64 {
+    let stat = std::fs::read_to_string(path).expect("the program runs");
+    // After the name in parentheses, utime and stime are the 12th and 13th.
+    let (_, fields) = stat.rsplit_once(')').expect("a name in parentheses");
+    fields.split_whitespace().skip(11).take(2).map(|ticks| ticks.parse::<u64>().expect("a number")).sum()
+}
+
 impl Drop for Program {
     fn drop(&mut self) {
-        // One that has ended by itself is only waited for.
+        // Fails if it has ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// Asks again and again, until it holds or surely never will.
+/// Writes the built-in statue to a file.
+pub(crate) fn generate_statue(n_triangles: u32, path: &Path) {
+    let mut command = Program::command("renderer");
+    command.args(["generate", "statue", "--triangles", &n_triangles.to_string()]).arg(path);
+    Program::succeed(command);
+}
+
+/// The folder of reference data, if this machine has one.
+pub(crate) fn shared_folder() -> Option<PathBuf> {
+    let folder = std::env::var_os("RAYWALL_SHARED").map(PathBuf::from);
+    if folder.is_none() {
+        println!("skipped: RAYWALL_SHARED does not name a folder of reference data");
+    }
+    folder
+}
+
+/// Checks a condition until it holds; panics when it never does.
 pub(crate) fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     let start = Instant::now();
     while !holds() {

@@ -48,7 +48,8 @@ fn every_file_that_the_documents_name_exists() {
         for word in text.split('`').skip(1).step_by(2).filter(|word| !word.contains(' ')) {
             let is_file = [".rs", ".wgsl"].iter().any(|extension| word.ends_with(extension));
             if is_file || ROOMS.iter().any(|room| word.starts_with(&format!("{room}/"))) {
-                let exists = root().join(word).exists() || ROOMS.iter().any(|room| root().join(room).join(word).exists());
+                let exists =
+                    root().join(word).exists() || ROOMS.iter().any(|room| root().join(room).join(word).exists());
                 assert!(exists, "{document} names {word}, which is not there");
             }
         }

@@ -1,11 +1,10 @@
-//! Walls and render servers with keys, as real processes: the same pictures, and no way in for anybody else.
+//! Walls and render servers with keys, as real processes: the same pictures, and no entry for anybody else.
 
 use std::{
     io::{Read, Write},
-    net::{Shutdown, TcpListener, TcpStream},
+    net::{TcpListener, TcpStream},
     path::Path,
     sync::{Arc, Mutex},
-    thread,
 };
 
 use channel::key::Key;
@@ -15,6 +14,7 @@ use tempfile::TempDir;
 use crate::{
     farm::{Files, RunningWall, nodes_of},
     process::Program,
+    proxy::{self, Direction},
 };
 
 /// A folder with two keys, `wall.key` and `other.key`.
@@ -55,8 +55,7 @@ fn a_key_changes_no_sample_on_any_address() {
         command.args(["--listen", listen, "--key", &keys.path("wall.key")]);
         command.args(["--local", "3", "--frames", "2", "--division", division]);
         command.env("RUST_LOG", "compositor=debug,renderer=info");
-        let (status, said) = Program::start(command).wait();
-        assert!(status.success(), "{said}");
+        let said = Program::succeed(command);
         assert_eq!(said.matches(", with a key").count(), 3, "{said}");
         for frame in files.frames() {
             assert_eq!(frame["samples_blake3"], expected.as_str(), "{listen}");
@@ -66,7 +65,7 @@ fn a_key_changes_no_sample_on_any_address() {
 }
 
 #[test]
-fn nobody_without_the_key_gets_in_and_each_learns_the_cure() {
+fn a_peer_without_the_key_is_refused_and_told_the_cure() {
     let keys = Keys::new();
     let mut wall = keys.wall();
     let _good = keys.join(&wall.address, "good", "wall.key");
@@ -100,7 +99,7 @@ fn nobody_without_the_key_gets_in_and_each_learns_the_cure() {
 }
 
 #[test]
-fn a_wall_without_a_key_and_a_renderer_with_one_learn_the_cure() {
+fn a_wall_without_a_key_and_a_renderer_with_one_are_told_the_cure() {
     let keys = Keys::new();
     let mut wall = RunningWall::start();
     let _good = wall.join("good");
@@ -114,12 +113,12 @@ fn a_wall_without_a_key_and_a_renderer_with_one_learn_the_cure() {
 }
 
 #[test]
-fn bytes_that_are_changed_or_replayed_on_the_way_cost_a_connection_and_no_sample() {
+fn changed_or_replayed_bytes_cost_a_connection_and_no_sample() {
     let keys = Keys::new();
     let mut wall = keys.wall();
     let _good = keys.join(&wall.address, "good", "wall.key");
     wall.wait_for_frames(3);
-    // In the middle of samples, after some frames.
+    // The changed byte is among samples, after some frames.
     let between = TamperingProxy::start(&wall.address, 200_000);
     let mut far = keys.join(&between.address, "far", "wall.key");
     wall.program.wait_for("encrypted bytes were changed, repeated, swapped or forged on the way");
@@ -127,11 +126,11 @@ fn bytes_that_are_changed_or_replayed_on_the_way_cost_a_connection_and_no_sample
     wall.program.wait_for_count("render server far is ready", 2);
     wall.wait_for_frames(3);
 
-    // All that the render server said in its first connection, once more.
+    // Replay all that the render server sent in its first connection.
     let recording = between.recording.lock().unwrap().clone();
     assert!(recording.len() > 200_000);
     let mut replay = wall.connect();
-    // The wall closes in the midst of it.
+    // Fails when the wall closes the connection.
     let _ = replay.write_all(&recording);
     wall.program.wait_for("the peer repeats what another machine has said, and does not have the key");
 
@@ -143,7 +142,7 @@ fn bytes_that_are_changed_or_replayed_on_the_way_cost_a_connection_and_no_sample
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_flood_of_strangers_holds_a_few_kilobytes_for_the_time_of_a_handshake_and_keeps_nobody_out() {
+fn a_flood_of_strangers_takes_little_memory_and_keeps_nobody_out() {
     let keys = Keys::new();
     let mut wall = keys.wall();
     let _good = keys.join(&wall.address, "good", "wall.key");
@@ -158,7 +157,7 @@ fn a_flood_of_strangers_holds_a_few_kilobytes_for_the_time_of_a_handshake_and_ke
     let strangers: Vec<TcpStream> = (0..n_strangers)
         .map(|number| {
             let mut stranger = wall.connect();
-            // Every other one goes on for as long as the wall lets it.
+            // Every other one sends a whole preamble.
             let opening: &[u8] = if number % 2 == 0 { &SECURE_PREAMBLE } else { &PREAMBLE[..3] };
             stranger.write_all(opening).unwrap();
             stranger
@@ -170,65 +169,42 @@ fn a_flood_of_strangers_holds_a_few_kilobytes_for_the_time_of_a_handshake_and_ke
     wall.program.wait_for("render server newcomer is ready");
     for mut stranger in strangers {
         let mut heard = Vec::new();
-        // Until the wall closes the connection; one that it has not read to the end of is reset.
+        // Until the wall closes the connection, or resets it if unread bytes are left.
         let _ = stranger.read_to_end(&mut heard);
         assert!(SECURE_PREAMBLE.starts_with(&heard));
     }
     wall.wait_for_frames(3);
     let (frames, said) = wall.end();
-    // The newest 64 had their time; the others were displaced, by those who came after them or by the newcomer.
+    // The newest 64 had their two seconds; later strangers or the newcomer displaced the others.
     assert!((60..=64).contains(&said.matches("no handshake within 2 s").count()), "{said}");
     assert!(said.contains("render servers lost: 0,"), "{said}");
     assert_eq!(nodes_of(frames.last().unwrap()), ["good", "newcomer"]);
 }
 
-/// Somebody on the way to a wall, who records the first connection and changes one byte of it.
+/// A proxy that records what the first connection sends to the wall, and changes one byte of it.
 struct TamperingProxy {
     address: String,
     recording: Arc<Mutex<Vec<u8>>>,
 }
 
 impl TamperingProxy {
-    /// Passes connections on to `wall`; the byte at `change_at` of what the first one sends there is changed.
+    /// Changes the byte at `change_at`.
     fn start(wall: &str, change_at: usize) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let address = listener.local_addr().unwrap().to_string();
         let recording = Arc::new(Mutex::new(Vec::new()));
-        let (wall, into) = (wall.to_owned(), Arc::clone(&recording));
-        thread::spawn(move || {
-            for (number, server) in listener.incoming().map_while(Result::ok).enumerate() {
-                // The wall has ended.
-                let Ok(wall) = TcpStream::connect(&wall) else { return };
-                let (to_server, from_wall) = (server.try_clone().unwrap(), wall.try_clone().unwrap());
-                thread::spawn(move || pass_on(from_wall, to_server, |_| {}));
-                let recording = (number == 0).then(|| Arc::clone(&into));
-                thread::spawn(move || {
-                    pass_on(server, wall, |bytes| {
-                        let Some(recording) = &recording else { return };
-                        let mut recording = recording.lock().unwrap();
-                        let at = recording.len();
-                        recording.extend_from_slice(bytes);
-                        if (at..at + bytes.len()).contains(&change_at) {
-                            bytes[change_at - at] ^= 0x10;
-                        }
-                    });
-                });
+        let into = Arc::clone(&recording);
+        let address = proxy::start(wall, 64 * 1024, move |number, direction, bytes| {
+            if number > 0 || direction == Direction::ToServer {
+                return;
+            }
+            let mut recording = into.lock().unwrap();
+            let at = recording.len();
+            recording.extend_from_slice(bytes);
+            if (at..at + bytes.len()).contains(&change_at) {
+                bytes[change_at - at] ^= 0x10;
             }
         });
         Self { address, recording }
     }
-}
-
-fn pass_on(mut from: TcpStream, mut to: TcpStream, mut change: impl FnMut(&mut [u8])) {
-    let mut bytes = vec![0; 64 * 1024];
-    while let Ok(n_bytes @ 1..) = from.read(&mut bytes) {
-        change(&mut bytes[..n_bytes]);
-        if to.write_all(&bytes[..n_bytes]).is_err() {
-            break;
-        }
-    }
-    // Either end of a connection is the end of both.
-    let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
 }
 
 #[cfg(unix)]
@@ -239,8 +215,8 @@ fn a_new_key_file_is_for_its_owner_alone() {
     let path = keys.path("new.key");
     let mut command = Program::command("renderer");
     command.args(["key", &path]);
-    let (status, said) = Program::start(command).wait();
-    assert!(status.success() && said.contains(&format!("start both with --key {path}")), "{said}");
+    let said = Program::succeed(command);
+    assert!(said.contains(&format!("start both with --key {path}")), "{said}");
     let text = std::fs::read_to_string(&path).unwrap();
     assert!(!said.contains(text.trim()), "the key itself is not shown");
     assert_eq!(std::fs::metadata(Path::new(&path)).unwrap().permissions().mode() & 0o777, 0o600);
