@@ -1,13 +1,13 @@
-//! An operator at a wall that stands askew: test patterns, corners dragged and saved.
+//! Aligning a wall: test patterns, and corners that are dragged and saved.
 
 use std::fs;
 
 use crate::{
     process::{Program, wait_until},
-    x_session::XSession,
+    x_session::{SHOWN, XSession},
 };
 
-/// Two projectors side by side that overlap, one pixel of the screen for each of theirs.
+/// Two overlapping projectors side by side; each of their pixels is one of the screen.
 const WALL: &str =
     "# Ours.\ncanvas_m = [1.6, 0.9]\n[grid]\ncolumns = 2\nrows = 1\npixels = [640, 720]\noverlap = [0.1, 0.0]\n";
 
@@ -17,28 +17,16 @@ fn a_corner_dragged_on_the_wall_is_saved_in_its_file() {
     let file = folder.path().join("ours.toml");
     fs::write(&file, WALL).unwrap();
     let session = XSession::start([1280, 720]);
-    let mut command = Program::command("compositor");
-    command.args([
-        "--listen",
-        "127.0.0.1:0",
-        "--local",
-        "2",
-        "--triangles",
-        "5000",
-        "--size",
-        "256x128",
-        "--fullscreen",
-    ]);
-    command.arg("--wall").arg(&file).env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
-    command.env("RUST_LOG", "info,compositor=debug");
+    let mut command = session.wall(&["--local", "2", "--triangles", "5000", "--size", "256x128", "--fullscreen"]);
+    command.arg("--wall").arg(&file);
     let mut program = Program::start(command);
-    program.wait_for("is on screen");
+    program.wait_for(SHOWN);
     session.wait_for_window("Raywall");
     session.key("o");
     let statue = session.steady_screenshot();
 
     session.key("n");
-    wait_until("the grid to align by is seen", || session.screenshot().brighter_than(200) > 0.005);
+    wait_until("the alignment grid is seen", || session.screenshot().brighter_than(200) > 0.005);
     let straight = session.steady_screenshot();
     // The right projector's upper-left corner.
     session.drag([643, 3], [20, 15]);
@@ -65,13 +53,10 @@ fn a_corner_dragged_on_the_wall_is_saved_in_its_file() {
 }
 
 #[test]
-fn without_a_file_the_wall_says_where_corners_could_be_saved() {
+fn without_a_wall_file_the_note_says_how_to_save_corners() {
     let session = XSession::start([640, 480]);
-    let mut command = Program::command("compositor");
-    command.args(["--listen", "127.0.0.1:0", "--local", "1", "--triangles", "1000", "--size", "64x32"]);
-    command.env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY").env("RUST_LOG", "info,compositor=debug");
-    let mut program = Program::start(command);
-    program.wait_for("is on screen");
+    let mut program = Program::start(session.wall(&["--local", "1", "--triangles", "1000", "--size", "64x32"]));
+    program.wait_for(SHOWN);
     session.wait_for_window("Raywall");
     session.key("ctrl+s");
     program.wait_for("start with --wall FILE");

@@ -1,4 +1,4 @@
-//! A wall that dies: what is seen of it, and that it comes back.
+//! The supervisor: what the screen shows while a crashed wall restarts.
 
 use std::{
     path::Path,
@@ -14,13 +14,12 @@ use x11rb::{
 
 use crate::{
     process::{GENEROUS, Program, wait_until},
-    x_session::{Screenshot, XSession},
+    x_session::{SHOWN, Screenshot, XSession},
 };
 
-const SHOWN: &str = "is on screen";
 const PROCESS: &str = "the wall is process ";
 
-/// A desktop that is seen where nothing hides it: none of its pixels is black or of a wall.
+/// A session with a pink desktop: a colour that no wall shows.
 fn pink_desktop() -> XSession {
     let session = XSession::start([640, 360]);
     let (connection, screen) = x11rb::connect(Some(session.display())).expect("the X server runs");
@@ -33,21 +32,19 @@ fn pink_desktop() -> XSession {
 }
 
 fn command(session: &XSession, arguments: &[&str]) -> Command {
-    let mut command = Program::command("compositor");
-    command.args(["--listen", "127.0.0.1:0", "--local", "1", "--triangles", "5000", "--size", "256x128", "--kiosk"]);
-    command.args(arguments).env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
-    command.env("RUST_LOG", "info,compositor=debug");
+    let mut command = session.wall(&["--local", "1", "--triangles", "5000", "--size", "256x128", "--kiosk"]);
+    command.args(arguments);
     command
 }
 
-/// A wall that fills the screen, and what is on it.
+/// The supervisor of a wall that fills the screen, and the screen's content.
 fn start(session: &XSession, arguments: &[&str]) -> (Program, Screenshot) {
-    let mut guard = Program::start(command(session, arguments));
-    guard.wait_for(SHOWN);
+    let mut supervisor = Program::start(command(session, arguments));
+    supervisor.wait_for(SHOWN);
     session.wait_for_window("Raywall");
     let statue = session.steady_screenshot();
     assert!(statue.brighter_than(120) > 0.03 && !shows_desktop(&statue), "no wall fills the screen");
-    (guard, statue)
+    (supervisor, statue)
 }
 
 fn shows_desktop(screen: &Screenshot) -> bool {
@@ -58,26 +55,26 @@ fn is_black(screen: &Screenshot) -> bool {
     screen.rgb.iter().all(|&byte| byte == 0)
 }
 
-/// The number of the newest wall's process.
-fn wall_of(guard: &Program) -> String {
-    let said = guard.said();
-    let (_, number) = said.rsplit_once(PROCESS).expect("a guard says so");
+/// The process identifier of the newest wall.
+fn wall_of(supervisor: &Program) -> String {
+    let said = supervisor.said();
+    let (_, number) = said.rsplit_once(PROCESS).expect("the supervisor logs it");
     number.split(';').next().expect("the first part").to_owned()
 }
 
-fn is_there(process: &str) -> bool {
+fn is_running(process: &str) -> bool {
     Path::new("/proc").join(process).is_dir()
 }
 
-/// What is seen from now on, until another wall has shown its frame for a second.
-fn seen_until_back(session: &XSession, guard: &Program, n_shown: usize) -> Vec<Screenshot> {
+/// Screenshots from now on, until another wall has shown its frame for a second.
+fn seen_until_back(session: &XSession, supervisor: &Program, n_shown: usize) -> Vec<Screenshot> {
     let (start, mut back_at, mut seen) = (Instant::now(), None, Vec::new());
     while back_at.is_none_or(|back_at: Instant| back_at.elapsed() < Duration::from_secs(1)) {
         seen.push(session.screenshot());
-        if guard.count(SHOWN) > n_shown {
+        if supervisor.count(SHOWN) > n_shown {
             back_at.get_or_insert_with(Instant::now);
         }
-        assert!(start.elapsed() < GENEROUS, "the wall never comes back\n{}", guard.said());
+        assert!(start.elapsed() < GENEROUS, "the wall does not come back\n{}", supervisor.said());
     }
     seen
 }
@@ -87,54 +84,54 @@ fn kill(signal: &str, process: &str) {
 }
 
 #[test]
-fn a_wall_that_is_killed_shows_its_last_frame_until_it_is_back() {
+fn a_killed_wall_shows_its_last_frame_until_it_is_back() {
     let session = pink_desktop();
-    let (guard, statue) = start(&session, &[]);
-    // However it dies, and as often as it does.
+    let (supervisor, statue) = start(&session, &[]);
+    // Each crash, by either signal.
     for (n_deaths, signal) in ["-KILL", "-ABRT"].into_iter().enumerate() {
-        let (n_shown, dead) = (guard.count(SHOWN), wall_of(&guard));
+        let (n_shown, dead) = (supervisor.count(SHOWN), wall_of(&supervisor));
         kill(signal, &dead);
-        for (index, screen) in seen_until_back(&session, &guard, n_shown).iter().enumerate() {
+        for (index, screen) in seen_until_back(&session, &supervisor, n_shown).iter().enumerate() {
             assert!(*screen == statue, "screenshot {index}: desktop {}", shows_desktop(screen));
         }
-        assert!(guard.count("the wall has died") == n_deaths + 1 && !is_there(&dead));
+        assert!(supervisor.count("the wall has died") == n_deaths + 1 && !is_running(&dead));
     }
-    // The wall that is seen again is alive.
+    // The new wall reacts.
     session.wait_for_window("Raywall");
     session.drag([300, 150], [80, 40]);
     wait_until("visitors turn the model", || statue.difference(&session.screenshot(), 16) > 0.02);
-    // Nothing is left of any.
-    let wall = wall_of(&guard);
-    guard.signal("TERM");
-    assert_eq!(guard.wait().0.code(), Some(0));
-    assert!(!is_there(&wall));
+    // No process or window remains.
+    let wall = wall_of(&supervisor);
+    supervisor.signal("TERM");
+    assert_eq!(supervisor.wait().0.code(), Some(0));
+    assert!(!is_running(&wall));
     wait_until("the desktop is seen", || {
         session.screenshot().rgb.as_chunks::<3>().0.iter().all(|it| *it == [255, 0, 255])
     });
 }
 
 #[test]
-fn a_wall_that_is_killed_can_be_black_until_it_is_back() {
+fn a_killed_wall_can_be_black_until_it_is_back() {
     let session = pink_desktop();
-    let (guard, statue) = start(&session, &["--on-loss", "black"]);
-    let n_shown = guard.count(SHOWN);
-    kill("-KILL", &wall_of(&guard));
-    let seen = seen_until_back(&session, &guard, n_shown);
+    let (supervisor, statue) = start(&session, &["--on-loss", "black"]);
+    let n_shown = supervisor.count(SHOWN);
+    kill("-KILL", &wall_of(&supervisor));
+    let seen = seen_until_back(&session, &supervisor, n_shown);
     assert!(seen.iter().all(|screen| is_black(screen) || *screen == statue));
     assert!(seen.iter().any(is_black) && *seen.last().unwrap() == statue);
     session.wait_for_window("Raywall");
     session.key("ctrl+l");
     session.key("ctrl+q");
-    assert_eq!(guard.wait().0.code(), Some(0), "closed for good");
+    assert_eq!(supervisor.wait().0.code(), Some(0), "closed for good");
 }
 
 #[test]
-fn a_wall_ends_with_its_guard_and_is_not_started_again_before_it_has_shown_anything() {
+fn a_wall_ends_with_its_supervisor_and_does_not_restart_before_its_first_frame() {
     let session = pink_desktop();
-    let (guard, _) = start(&session, &[]);
-    let wall = wall_of(&guard);
-    guard.signal("KILL");
-    wait_until("the wall has ended", || !is_there(&wall));
+    let (supervisor, _) = start(&session, &[]);
+    let wall = wall_of(&supervisor);
+    supervisor.signal("KILL");
+    wait_until("the wall has ended", || !is_running(&wall));
     let (status, said) = Program::start(command(&session, &["--key", "no/such.key"])).wait();
     assert!(status.code() == Some(1) && said.matches(PROCESS).count() == 1, "{status}\n{said}");
     assert!(said.lines().last().unwrap().contains("no/such.key"), "{said}");

@@ -1,4 +1,4 @@
-//! A wall of two monitors: a window on each, one picture on both, and a monitor that goes and comes back.
+//! A wall of two monitors: a window on each, one picture on both, and a monitor that disappears and returns.
 
 use std::{fs, path::Path};
 
@@ -10,22 +10,22 @@ use compositor::{
 use shared::camera::UpAxis;
 
 use crate::{
+    farm::RunningWall,
     pictures::statue_frame_of,
     process::{Program, wait_until},
     references,
     x_monitors::{self, Desk, Monitor},
-    x_session::{Screenshot, XSession},
+    x_session::{SHOWN, Screenshot, XSession},
 };
 
-/// Half as large as those of the shipped wall.
+/// Half as large as the shipped wall's monitors.
 const MONITORS: [Monitor; 2] = [
     Monitor { name: "DUMMY0", at: [0, 0], size: [1280, 720] },
     Monitor { name: "DUMMY1", at: [1280, 0], size: [960, 540] },
 ];
 const N_TRIANGLES: u32 = 5000;
-const SHOWN: &str = "is on screen";
 
-/// The shipped wall, on monitors of these names.
+/// The shipped wall file, for these monitors.
 fn wall_text() -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../wall-config/two-monitors.toml");
     fs::read_to_string(path)
@@ -35,25 +35,23 @@ fn wall_text() -> String {
 }
 
 fn start(session: &XSession, file: &Path, arguments: &[&str]) -> Program {
-    let mut command = Program::command("compositor");
-    command.args(["--listen", "127.0.0.1:0", "--local", "1", "--triangles", &N_TRIANGLES.to_string()]);
-    command.arg("--wall").arg(file).args(arguments).env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
-    command.env("RUST_LOG", "info,compositor=debug");
+    let mut command = session.wall(&["--local", "1", "--triangles", &N_TRIANGLES.to_string()]);
+    command.arg("--wall").arg(file).args(arguments);
     Program::start(command)
 }
 
-/// What a monitor shows.
+/// The part of the screen on a monitor.
 fn on(monitor: Monitor, screen: &Screenshot) -> Screenshot {
     screen.part(monitor.at.map(usize::from), monitor.size.map(usize::from))
 }
 
 #[test]
-fn each_monitor_shows_its_part_of_one_picture_and_is_taken_up_again() {
+fn each_monitor_shows_its_part_and_is_used_again_when_it_returns() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("two.toml");
     fs::write(&file, wall_text()).unwrap();
     let session = x_monitors::start(&MONITORS);
-    // Lying on its side, the statue reaches both.
+    // The statue lies on its side, so both monitors show some of it.
     let mut program = start(&session, &file, &["--up", "x", "--target-rate", "0"]);
     program.wait_for(SHOWN);
     for monitor in MONITORS {
@@ -75,7 +73,7 @@ fn each_monitor_shows_its_part_of_one_picture_and_is_taken_up_again() {
     let whole = session.steady_screenshot();
 
     let [left, right] = MONITORS;
-    // The truth: the same frame, traced here and put on each monitor by the CPU.
+    // The truth: the same frame, traced here and drawn for each monitor by the CPU.
     let wall = Wall::from_toml("two.toml", &wall_text()).unwrap();
     let frame = statue_frame_of(N_TRIANGLES, &wall, UpAxis::X);
     for (monitor, (name, part)) in MONITORS.into_iter().zip(wall.monitors()) {
@@ -86,7 +84,7 @@ fn each_monitor_shows_its_part_of_one_picture_and_is_taken_up_again() {
         references::check_same(&format!("monitor-{name}"), &expected, &shown);
     }
 
-    // What is done in one window is seen in all.
+    // Steering in one window turns the model in all.
     let middle = [right.at[0] + right.size[0] / 2, right.at[1] + right.size[1] / 2].map(i32::from);
     session.drag(middle, [120, 60]);
     for monitor in MONITORS {
@@ -117,7 +115,7 @@ fn each_monitor_shows_its_part_of_one_picture_and_is_taken_up_again() {
     session.key("v");
     session.key("v");
     desk.plug(right);
-    wait_until("the monitor is taken up again", || session.screenshot() == whole);
+    wait_until("the monitor is used again", || session.screenshot() == whole);
     wait_for_both(&mut program);
     session.key("ctrl+q");
     let (status, said) = program.wait();
@@ -125,7 +123,7 @@ fn each_monitor_shows_its_part_of_one_picture_and_is_taken_up_again() {
 }
 
 #[test]
-fn a_wall_whose_monitors_are_away_waits_for_them_and_can_span_one_window_instead() {
+fn a_wall_waits_for_missing_monitors_and_can_span_one_window_instead() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("two.toml");
     fs::write(&file, wall_text().replace("\"DUMMY0\"", "\"DUMMY2\"")).unwrap();
@@ -135,7 +133,7 @@ fn a_wall_whose_monitors_are_away_waits_for_them_and_can_span_one_window_instead
     program.wait_for("there is no monitor DUMMY1 now, only: DUMMY0");
     program.wait_for("is ready");
     assert_eq!(program.count(SHOWN), 0);
-    // Partly on the other, as it may be.
+    // The monitors may overlap.
     Desk::connect(session.display()).plug(Monitor { at: [320, 180], ..right });
     program.wait_for("after the camera, on DUMMY1");
     program.signal("TERM");
@@ -148,32 +146,23 @@ fn a_wall_whose_monitors_are_away_waits_for_them_and_can_span_one_window_instead
 }
 
 #[test]
-fn a_wall_that_is_to_go_black_does_when_the_last_render_server_is_gone_and_comes_back() {
+fn a_wall_turns_black_without_render_servers_if_told_to_and_comes_back() {
     let session = XSession::start([640, 360]);
-    let mut command = Program::command("compositor");
-    command.args(["--listen", "127.0.0.1:0", "--local", "0", "--triangles", "5000", "--size", "256x128"]);
+    let mut command = session.wall(&["--local", "0", "--triangles", "5000", "--size", "256x128"]);
     command.args(["--fullscreen", "--on-loss", "black"]);
-    command.env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY").env("RUST_LOG", "info,compositor=debug");
     let mut wall = Program::start(command);
-    wall.wait_for("listening on ");
-    let said = wall.said();
-    let address = said.split("listening on ").nth(1).and_then(|rest| rest.split_whitespace().next()).unwrap();
-    let join = || {
-        let mut command = Program::command("renderer");
-        command.args(["connect", address, "--threads", "1"]);
-        Program::start(command)
-    };
-    let renderer = join();
+    let address = wall.wait_for_address();
+    let renderer = RunningWall::join_at(&address, "first", &[]);
     wall.wait_for(SHOWN);
     session.wait_for_window("Raywall");
     let with_overlay = session.steady_screenshot();
     session.key("o");
     wait_until("the overlay is gone", || with_overlay.difference(&session.screenshot(), 4) > 0.05);
     let statue = session.steady_screenshot();
-    assert!(statue.brighter_than(120) > 0.03, "no model is to be seen");
+    assert!(statue.brighter_than(120) > 0.03, "no model is seen");
     renderer.signal("KILL");
     wait_until("the wall is black", || session.screenshot().rgb.iter().all(|&byte| byte == 0));
-    let _renderer = join();
+    let _renderer = RunningWall::join_at(&address, "second", &[]);
     wait_until("the frame is back", || session.screenshot() == statue);
     session.key("ctrl+q");
     assert_eq!(wall.wait().0.code(), Some(0));

@@ -1,18 +1,16 @@
-//! A real window on a real X server, under real keys and a real mouse.
+//! A real window on a real X server, with real keys and a real mouse.
 
 use std::{fs, path::Path, process::Command, time::Duration};
 
 use shared::camera::{CameraPath, Views};
 
 use crate::{
-    process::{Program, wait_until},
+    process::{Program, generate_statue, wait_until},
     x_drop::drop_file,
-    x_session::{Screenshot, XSession},
+    x_session::{SHOWN, Screenshot, XSession},
 };
 
 const SCREEN: [usize; 2] = [1280, 720];
-/// What the wall says, with its log turned up, of each frame on screen.
-const SHOWN: &str = "is on screen";
 
 /// A wall of two local render servers in a window.
 struct Wall {
@@ -22,30 +20,28 @@ struct Wall {
 }
 
 impl Wall {
-    /// A small statue in small frames, on screen.
+    /// Starts it with a small statue in small frames, and waits until it is on screen.
     fn start(arguments: &[&str]) -> Self {
         Self::start_in(Path::new("."), arguments)
     }
 
-    /// The same, with what is kept beside the model in a folder.
+    /// Like `start`, with a folder for sidecar files.
     fn start_in(folder: &Path, arguments: &[&str]) -> Self {
         Self::start_on(SCREEN, folder, arguments)
     }
 
-    /// The same on a screen of so many pixels.
+    /// Like `start_in`, on a screen of `screen` pixels.
     fn start_on(screen: [usize; 2], folder: &Path, arguments: &[&str]) -> Self {
         let session = XSession::start(screen);
-        let mut command = Program::command("compositor");
-        command.args(["--listen", "127.0.0.1:0", "--local", "2", "--triangles", "5000", "--size", "256x128"]);
-        command.current_dir(folder).args(arguments).env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
-        command.env("RUST_LOG", "info,compositor=debug");
+        let mut command = session.wall(&["--local", "2", "--triangles", "5000", "--size", "256x128"]);
+        command.current_dir(folder).args(arguments);
         let mut program = Program::start(command);
         program.wait_for(SHOWN);
         let window = session.wait_for_window("Raywall");
         Self { session, program, window }
     }
 
-    /// Hides the overlay, whose figures change with every frame; gives back what is seen then.
+    /// Hides the overlay, whose figures change with every frame; returns the screen without it.
     fn hide_overlay(&self) -> Screenshot {
         let before = self.session.steady_screenshot();
         self.session.key("o");
@@ -53,14 +49,14 @@ impl Wall {
         self.session.steady_screenshot()
     }
 
-    /// Presses a key, and waits until a frame that comes of it is on screen.
+    /// Presses a key, and waits until another frame is on screen.
     fn key_and_frame(&mut self, key: &str) {
         let n_shown = self.program.count(SHOWN);
         self.session.key(key);
         self.program.wait_for_count(SHOWN, n_shown + 1);
     }
 
-    /// Quits by key; gives back all that the program said.
+    /// Quits by key; returns the program's output.
     fn quit(self) -> String {
         self.session.key("ctrl+q");
         let (status, said) = self.program.wait();
@@ -70,7 +66,7 @@ impl Wall {
 }
 
 #[test]
-fn the_heuristic_s_key_switches_the_division_while_the_wall_runs() {
+fn the_division_key_switches_the_division_while_the_wall_runs() {
     let folder = tempfile::tempdir().unwrap();
     let stats = folder.path().join("stats.json");
     let mut wall = Wall::start(&["--division", "tiled", "--stats", stats.to_str().unwrap()]);
@@ -83,25 +79,25 @@ fn the_heuristic_s_key_switches_the_division_while_the_wall_runs() {
     assert_eq!(frames.first().unwrap()["division"], "tiled");
     assert_eq!(frames.last().unwrap()["division"], "dynamic");
     let samples = |frame: &serde_json::Value| frame["samples_blake3"].as_str().unwrap().to_owned();
-    assert_eq!(samples(frames.first().unwrap()), samples(frames.last().unwrap()), "the division shows in the picture");
+    assert_eq!(samples(frames.first().unwrap()), samples(frames.last().unwrap()), "the division changes the picture");
 }
 
 #[test]
-fn a_wall_that_is_told_to_stop_ends_as_if_by_key() {
+fn sigterm_ends_a_wall_as_the_key_does() {
     let folder = tempfile::tempdir().unwrap();
     let stats = folder.path().join("stats.json");
     let wall = Wall::start(&["--stats", stats.to_str().unwrap()]);
     wall.program.signal("TERM");
     let (status, said) = wall.program.wait();
     assert_eq!(status.code(), Some(0), "{said}");
-    assert!(stats.is_file(), "the figures are written all the same");
+    assert!(stats.is_file(), "the statistics are not written");
 }
 
 #[test]
 fn dragging_turns_the_model_and_dragging_back_turns_it_back() {
     let wall = Wall::start(&[]);
     let front = wall.hide_overlay();
-    assert!(front.brighter_than(120) > 0.03, "no model is to be seen");
+    assert!(front.brighter_than(120) > 0.03, "no model is seen");
     let middle = [SCREEN[0] as i32 / 2, SCREEN[1] as i32 / 2];
     let difference = || front.difference(&wall.session.screenshot(), 16);
     wall.session.drag(middle, [160, 0]);
@@ -116,7 +112,7 @@ fn dragging_turns_the_model_and_dragging_back_turns_it_back() {
 }
 
 #[test]
-fn a_view_that_is_kept_is_gone_to_by_this_wall_and_the_next() {
+fn a_kept_view_is_there_for_this_wall_and_the_next() {
     let folder = tempfile::tempdir().unwrap();
     let middle = [SCREEN[0] as i32 / 2, SCREEN[1] as i32 / 2];
     let wall = Wall::start_in(folder.path(), &[]);
@@ -140,7 +136,7 @@ fn a_view_that_is_kept_is_gone_to_by_this_wall_and_the_next() {
 }
 
 #[test]
-fn a_path_that_is_recorded_is_played() {
+fn a_recorded_path_is_played() {
     let folder = tempfile::tempdir().unwrap();
     let wall = Wall::start_in(folder.path(), &[]);
     let front = wall.hide_overlay();
@@ -172,7 +168,7 @@ fn a_click_says_which_triangle_is_there_and_a_double_click_goes_to_it() {
     let middle = [SCREEN[0] / 2, SCREEN[1] / 2].map(|side| side.to_string());
     wall.session.xdotool(&["mousemove", &middle[0], &middle[1], "click", "1"]);
     wall.program.wait_for("Triangle ");
-    // Later than the second click of a double click could be.
+    // Later than the second click of a double click.
     std::thread::sleep(Duration::from_millis(600));
     wall.session.xdotool(&["click", "--repeat", "2", "--delay", "60", "1"]);
     wait_until("the statue is nearer", || front.difference(&wall.session.screenshot(), 16) > 0.1);
@@ -180,7 +176,7 @@ fn a_click_says_which_triangle_is_there_and_a_double_click_goes_to_it() {
 }
 
 #[test]
-fn visitors_of_a_locked_wall_can_steer_and_nothing_else() {
+fn visitors_of_a_locked_wall_can_only_steer() {
     let mut wall = Wall::start(&["--kiosk"]);
     let screen = [0, 0, SCREEN[0] as i32, SCREEN[1] as i32];
     wait_until("the window fills the screen", || wall.session.geometry(&wall.window) == screen);
@@ -198,7 +194,7 @@ fn visitors_of_a_locked_wall_can_steer_and_nothing_else() {
 }
 
 #[test]
-fn a_kiosk_that_is_left_alone_goes_back_to_the_whole_model() {
+fn an_idle_kiosk_returns_to_the_whole_model() {
     let wall = Wall::start(&["--kiosk=3"]);
     let front = wall.session.steady_screenshot();
     wall.session.drag([600, 300], [100, 50]);
@@ -215,8 +211,7 @@ fn a_kiosk_that_is_left_alone_goes_back_to_the_whole_model() {
 fn a_session_from_opening_a_model_to_leaving() {
     let folder = tempfile::tempdir().unwrap();
     let (model, stats) = (folder.path().join("a model.ply"), folder.path().join("stats.json"));
-    let generate = Program::command("renderer").args(["generate", "statue", "--triangles", "300"]).arg(&model).output();
-    assert!(generate.unwrap().status.success());
+    generate_statue(300, &model);
     let mut wall = Wall::start_in(folder.path(), &["--division", "tiled", "--stats", stats.to_str().unwrap()]);
     let statue = wall.hide_overlay();
     wall.session.key("ctrl+o");
@@ -230,7 +225,7 @@ fn a_session_from_opening_a_model_to_leaving() {
     wait_until("it is orbited", || opened.difference(&wall.session.screenshot(), 16) > 0.02);
     wall.key_and_frame("h");
     let shaded = wall.session.steady_screenshot();
-    // Frames that come after it are rendered by the grids that it asks for.
+    // Later frames come from the rebuilt grids.
     let n_ready = wall.program.count("is ready");
     wall.session.key("k");
     wall.program.wait_for("Grids become masks, 32 cells a triangle");
@@ -289,7 +284,7 @@ fn f11_fills_the_screen_and_escape_gives_it_back() {
     wall.session.key("F11");
     wait_until("the window fills the screen", || wall.session.geometry(&wall.window) == screen);
     wall.session.key("o");
-    // Sky, not desktop, in every corner: the wall has the screen's shape.
+    // Every corner shows sky, not desktop: the wall has the screen's shape.
     wait_until("the wall fills the screen", || {
         corners(&wall.session.screenshot()).iter().all(|&pixel| pixel != [0; 3])
     });
@@ -324,11 +319,10 @@ fn a_screenshot_is_the_whole_wall_without_overlay() {
 }
 
 #[test]
-fn a_dropped_model_is_shown_and_a_broken_one_leaves_it_there() {
+fn a_dropped_model_is_shown_and_a_broken_one_changes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let (good, broken) = (folder.path().join("a good model.ply"), folder.path().join("broken.ply"));
-    let generate = Program::command("renderer").args(["generate", "statue", "--triangles", "200"]).arg(&good).output();
-    assert!(generate.unwrap().status.success());
+    generate_statue(200, &good);
     fs::write(&broken, "ply\nformat ascii 1.0\nelement vertex 3\n").unwrap();
     let mut wall = Wall::start(&[]);
     let statue = wall.hide_overlay();
@@ -346,23 +340,23 @@ fn a_dropped_model_is_shown_and_a_broken_one_leaves_it_there() {
 }
 
 #[test]
-fn a_resting_wall_costs_the_main_thread_nothing() {
+fn a_resting_wall_costs_the_main_thread_no_time() {
     let wall = Wall::start(&[]);
     wall.session.steady_screenshot();
-    // Until the frame rate has given way to "at rest".
+    // Until the overlay says "at rest" in place of the frame rate.
     std::thread::sleep(Duration::from_millis(1500));
-    let before = main_thread_ticks(wall.program.id());
+    let before = wall.program.main_thread_ticks();
     std::thread::sleep(Duration::from_secs(2));
-    let ticks = main_thread_ticks(wall.program.id()) - before;
+    let ticks = wall.program.main_thread_ticks() - before;
     assert!(ticks <= 4, "{ticks} of 200 ticks of CPU time at rest");
     wall.quit();
 }
 
 #[test]
-fn what_a_window_lacks_is_told_in_one_line() {
+fn a_missing_requirement_of_the_window_is_reported_in_one_line() {
     let session = XSession::start([64, 64]);
     let folder = tempfile::tempdir().unwrap();
-    // Found before the real one, and no library.
+    // Found before the real library, and unusable.
     for name in ["libxkbcommon-x11.so.0", "libxkbcommon-x11.so"] {
         fs::write(folder.path().join(name), "").unwrap();
     }
@@ -399,13 +393,4 @@ fn corners(screenshot: &Screenshot) -> [[u8; 3]; 4] {
     let [width, height] = screenshot.size;
     [(2, 2), (width - 3, 2), (2, height - 3), (width - 3, height - 3)]
         .map(|(x, y)| screenshot.rgb.as_chunks::<3>().0[y * width + x])
-}
-
-/// CPU time of a process's main thread, in hundredths of a second.
-fn main_thread_ticks(id: u32) -> u64 {
-    let stat = fs::read_to_string(format!("/proc/{id}/task/{id}/stat")).expect("the wall runs");
-    // After the name in parentheses, utime and stime are the 12th and 13th.
-    let (_, fields) = stat.rsplit_once(')').expect("a name in parentheses");
-    let ticks = |field: usize| fields.split_whitespace().nth(field).and_then(|ticks| ticks.parse::<u64>().ok());
-    ticks(11).zip(ticks(12)).map(|(user, system)| user + system).expect("numbers of ticks")
 }

@@ -1,4 +1,4 @@
-//! Drops a file on a window, as a file manager does: the source's side of XDND, version 5.
+//! Drops a file on a window as a file manager does: the source's side of XDND, version 5.
 
 use std::{path::Path, time::Instant};
 
@@ -17,7 +17,7 @@ use x11rb::{
 
 use crate::process::GENEROUS;
 
-/// Drags a file onto the middle of a window, given by its number, and lets it go; back when the window has taken it.
+/// Drops a file on the middle of a window, given by its number; returns when the window has taken it.
 pub(crate) fn drop_file(display: &str, window: &str, path: &Path) {
     let target: u32 = window.parse().expect("a window's number");
     let (connection, screen) = x11rb::connect(Some(display)).expect("the X server runs");

@@ -1,4 +1,4 @@
-//! A desktop of several monitors that lie in memory, and come and go as a test likes: Xorg with its dummy driver.
+//! A desktop of several virtual monitors that tests connect and disconnect: Xorg with its dummy driver.
 
 use std::{fs, process::Command};
 
@@ -15,7 +15,7 @@ use x11rb::{
 
 use crate::x_session::XSession;
 
-/// Where the monitors lie; the first is called `DUMMY0`.
+/// Xorg's configuration; it names the first monitor `DUMMY0`.
 const CONFIG: &str = r#"
 Section "Device"
     Identifier "memory"
@@ -45,7 +45,7 @@ pub(crate) struct Monitor {
     pub(crate) size: [u16; 2],
 }
 
-/// A desktop that has these monitors.
+/// Starts a desktop with these monitors.
 pub(crate) fn start(monitors: &[Monitor]) -> XSession {
     let extent = |axis: usize| monitors.iter().map(|it| it.at[axis] + it.size[axis]).max().expect("monitors");
     let size = [extent(0), extent(1)];
@@ -57,7 +57,7 @@ pub(crate) fn start(monitors: &[Monitor]) -> XSession {
     XSession::start_on(server, size.map(usize::from), &|display| {
         let desk = Desk::connect(display);
         let [width, height] = size;
-        // What of the first monitor lies outside of the desktop is refused.
+        // The server refuses a desktop smaller than a connected monitor.
         desk.unplug(monitors[0].name);
         let [width_mm, height_mm] = [width, height].map(|side| u32::from(side) / 4);
         desk.connection.randr_set_screen_size(desk.root, width, height, width_mm, height_mm).expect("sent");
@@ -87,7 +87,7 @@ impl Desk {
         self.set_crtc(output, at.map(|side| side as i16), mode, &[output]);
     }
 
-    /// Switches a monitor off and takes it away.
+    /// Switches a monitor off and disconnects it.
     pub(crate) fn unplug(&self, name: &str) {
         self.set_crtc(self.output(name), [0, 0], 0, &[]);
     }
@@ -120,7 +120,7 @@ impl Desk {
         outputs.into_iter().find(named).unwrap_or_else(|| panic!("the X server has no output {name}"))
     }
 
-    /// The mode of a size, made when it is first asked for.
+    /// The mode of a size, made on first use.
     fn mode(&self, width: u16, height: u16) -> u32 {
         let resources = self.resources();
         let mut names = resources.names.as_slice();

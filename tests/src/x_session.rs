@@ -1,6 +1,6 @@
-//! A screen of its own for a test: Xvfb with the window manager openbox, driven by xdotool.
+//! A test's own screen: Xvfb with the window manager openbox, driven by xdotool.
 //!
-//! A window manager is needed: without one, fullscreen is ignored and keys are lost.
+//! Without a window manager, fullscreen is ignored and keys are lost.
 
 use std::{
     io::{BufRead, BufReader},
@@ -18,9 +18,12 @@ use x11rb::{
     wrapper::ConnectionExt as _,
 };
 
-use crate::process::{GENEROUS, wait_until};
+use crate::process::{GENEROUS, Program, wait_until};
 
-/// A running X server and its window manager; both end with it.
+/// Logged for each frame on screen.
+pub(crate) const SHOWN: &str = "is on screen";
+
+/// A running X server and its window manager; dropping it ends both.
 pub(crate) struct XSession {
     display: String,
     size: [usize; 2],
@@ -28,7 +31,7 @@ pub(crate) struct XSession {
     _server: Ending,
 }
 
-/// What is on the screen: R, G, B of each pixel, row by row from the top left.
+/// The screen's content: R, G, B of each pixel, row by row from the top left.
 #[derive(Clone, PartialEq, Eq)]
 pub(crate) struct Screenshot {
     pub(crate) size: [usize; 2],
@@ -36,17 +39,17 @@ pub(crate) struct Screenshot {
 }
 
 impl XSession {
-    /// A screen of so many pixels on a free display.
+    /// A screen of `size` pixels on a free display.
     pub(crate) fn start(size: [usize; 2]) -> Self {
         let mut server = Command::new("Xvfb");
         server.args(["-screen", "0", &format!("{}x{}x24", size[0], size[1])]);
         Self::start_on(server, size, &|_| {})
     }
 
-    /// The same on an X server of another kind, on which something is done before there is a window manager.
+    /// Like `start`, on another X server; `prepare` gets its display before the window manager starts.
     pub(crate) fn start_on(mut server: Command, size: [usize; 2], prepare: &dyn Fn(&str)) -> Self {
         let name = server.get_program().to_string_lossy().into_owned();
-        // Without -noreset the screen starts afresh, and throws everybody out, whenever its last client leaves.
+        // Without -noreset the server resets and closes all connections whenever its last client leaves.
         let mut server = server
             .args(["-displayfd", "1", "-nolisten", "tcp", "-noreset"])
             .stdout(Stdio::piped())
@@ -71,12 +74,20 @@ impl XSession {
         session
     }
 
+    /// The command for a wall on this screen, which logs each frame that it shows.
+    pub(crate) fn wall(&self, arguments: &[&str]) -> Command {
+        let mut command = Program::command("compositor");
+        command.args(["--listen", "127.0.0.1:0"]).args(arguments);
+        command.env("DISPLAY", &self.display).env_remove("WAYLAND_DISPLAY").env("RUST_LOG", "info,compositor=debug");
+        command
+    }
+
     /// The value of `DISPLAY` for programs on this screen.
     pub(crate) fn display(&self) -> &str {
         &self.display
     }
 
-    /// Runs xdotool, and gives back what it prints.
+    /// Runs xdotool; returns its output.
     pub(crate) fn xdotool(&self, arguments: &[&str]) -> String {
         self.try_xdotool(arguments).unwrap_or_else(|| panic!("xdotool {arguments:?} failed"))
     }
@@ -93,7 +104,7 @@ impl XSession {
         window
     }
 
-    /// Presses and lets go of keys, as xdotool names them.
+    /// Presses and releases keys, by xdotool's names.
     pub(crate) fn key(&self, key: &str) {
         self.xdotool(&["key", key]);
     }
@@ -121,7 +132,7 @@ impl XSession {
         ["X", "Y", "WIDTH", "HEIGHT"].map(value)
     }
 
-    /// What is on the screen now.
+    /// The screen's content now.
     pub(crate) fn screenshot(&self) -> Screenshot {
         let output = Command::new("import")
             .args(["-display", &self.display, "-window", "root", "-depth", "8", "rgb:-"])
@@ -132,8 +143,7 @@ impl XSession {
         Screenshot { size: self.size, rgb: output.stdout }
     }
 
-    /// What is on the screen once it stays the same for a while: a busy machine may keep a wall from its next frame for
-    /// longer than one look.
+    /// The screen's content once it stays the same for 900 ms, because a busy machine may delay a frame.
     pub(crate) fn steady_screenshot(&self) -> Screenshot {
         let start = Instant::now();
         let mut before = self.screenshot();
@@ -174,13 +184,13 @@ impl XSession {
 }
 
 impl Screenshot {
-    /// A part of it: from a column and row, so many columns and rows.
+    /// The part of `size` columns and rows from column `left` and row `top`.
     pub(crate) fn part(&self, [left, top]: [usize; 2], size: [usize; 2]) -> Self {
         let rows = self.rgb.chunks_exact(3 * self.size[0]).skip(top).take(size[1]);
         Self { size, rgb: rows.flat_map(|row| &row[3 * left..3 * (left + size[0])]).copied().collect() }
     }
 
-    /// The fraction of pixels of which a channel differs by more than `tolerance`.
+    /// The fraction of pixels with a channel that differs by more than `tolerance`.
     pub(crate) fn difference(&self, other: &Self, tolerance: u8) -> f64 {
         assert_eq!(self.size, other.size);
         let (a, b) = (self.rgb.as_chunks::<3>().0, other.rgb.as_chunks::<3>().0);
@@ -188,19 +198,19 @@ impl Screenshot {
         a.iter().zip(b).filter(differs).count() as f64 / a.len() as f64
     }
 
-    /// The fraction of pixels as bright as a lit model, on any channel no darker than `least`.
+    /// The fraction of pixels whose channels are all brighter than `least`: those of a lit model.
     pub(crate) fn brighter_than(&self, least: u8) -> f64 {
         let pixels = self.rgb.as_chunks::<3>().0;
         pixels.iter().filter(|pixel| pixel.iter().all(|&channel| channel > least)).count() as f64 / pixels.len() as f64
     }
 }
 
-/// A child process that ends with this.
+/// A child process; dropping it kills it.
 struct Ending(Child);
 
 impl Drop for Ending {
     fn drop(&mut self) {
-        // One that has ended by itself is only waited for.
+        // Fails if it has ended already.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
