@@ -1,5 +1,5 @@
-//! Hits on real models, held against a reference in `f64` that knows nothing of grids: every triangle is projected onto
-//! the view plane and tested against the rays of the samples that it covers.
+//! Hits on real models against a reference in `f64` without a grid: it projects every triangle onto the view plane and
+//! tests it against the rays of the samples that it covers.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ use shared::{
 
 use crate::process::shared_folder;
 
-/// The nearest hit of each sample, row by row from the bottom: triangle and t.
+/// The nearest hit of each sample, row by row from the bottom: file index and t.
 type Reference = Vec<Option<(u32, f64)>>;
 
 /// Möller and Trumbore's test in `f64`, edges included.
@@ -45,7 +45,7 @@ fn reference(mesh: &Mesh, rays: &CameraRays, size: FrameSize) -> Reference {
         if projected.iter().all(|p| p.x <= 0.0) {
             continue;
         }
-        // A sample of margin is far more than rounding of the rays to single precision.
+        // One sample of margin is far more than the rays' rounding to single precision.
         let span = |axis: usize, n: u32| {
             if projected.iter().any(|p| p.x <= 0.0) {
                 return 0..n;
@@ -94,7 +94,7 @@ fn check(name: &str, hits: &[Hit], reference: &Reference) {
             }
         }
     }
-    assert!(errors.len() > 50_000, "{name}: the model is seen");
+    assert!(errors.len() > 50_000, "{name}: the camera hardly sees the model");
     errors.sort_by(f64::total_cmp);
     let (worst, p999) = (errors[errors.len() - 1], errors[errors.len() * 999 / 1000]);
     assert!(

@@ -1,10 +1,10 @@
-//! What a user gets wrong ends with one clear line, a cure in it, and a failure; never with a panic.
+//! Users' mistakes end in a failure with one clear line that names the cure, never in a panic.
 
 use std::{net::TcpListener, process::Command};
 
 use crate::process::Program;
 
-/// Runs a program that must fail, and gives back the line that says why.
+/// Runs a program that must fail; returns its line of error.
 fn fails(command: Command) -> String {
     let shown = format!("{command:?}");
     let (status, said) = Program::start(command).wait();
@@ -12,7 +12,7 @@ fn fails(command: Command) -> String {
     assert!(!said.contains("panicked"), "{shown}\n{said}");
     let lines: Vec<&str> =
         said.lines().filter(|line| line.starts_with("error: ") && !line.contains("XDG_RUNTIME_DIR")).collect();
-    let [line] = lines[..] else { panic!("not one line of error: {shown}\n{said}") };
+    let [line] = lines[..] else { panic!("{shown} prints no single line of error\n{said}") };
     line.to_owned()
 }
 
@@ -64,7 +64,7 @@ fn values_out_of_range_name_the_range() {
 }
 
 #[test]
-fn an_experiment_that_cannot_be_is_refused() {
+fn an_impossible_experiment_is_refused() {
     let bench = |args: &[&str]| {
         let mut command = Program::command("compositor");
         command.arg("bench").args(args);
@@ -79,17 +79,17 @@ fn an_experiment_that_cannot_be_is_refused() {
 }
 
 #[test]
-fn a_port_in_use_is_said_so() {
+fn a_port_in_use_is_reported() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let line = fails(compositor(&["--listen", &taken.local_addr().unwrap().to_string()]));
     assert!(line.contains("is another wall running?"), "{line}");
 }
 
 #[test]
-fn the_open_network_needs_a_key_or_a_word() {
+fn the_open_network_needs_a_key_or_insecure() {
     for line in [fails(compositor(&["--listen", "0.0.0.0:0"])), fails(renderer(&["connect", "192.0.2.1:7117"]))] {
         assert!(line.contains("--insecure"), "{line}");
-        // The line that is shown is one that can be typed.
+        // The command that the line shows works.
         let folder = tempfile::tempdir().unwrap();
         let words: Vec<&str> = line.split('`').nth(1).unwrap().split(' ').collect();
         let made = Command::new(words[0]).args(&words[1..]).current_dir(folder.path()).output().unwrap();

@@ -1,4 +1,4 @@
-//! The paper's experiment as a person runs it.
+//! The paper's experiment, run as a user runs it.
 
 use std::path::Path;
 
@@ -19,16 +19,16 @@ fn figures(out: &Path) -> Value {
 #[test]
 fn the_experiment_measures_predicts_and_draws() {
     let folder = tempfile::tempdir().unwrap();
-    // A folder that is not there yet.
+    // A folder that does not exist yet.
     let out = folder.path().join("figures");
     let small = ["--nodes", "0..2", "--seconds", "0.05", "--predict", "12", "--predict-frames", "2", "--predict-size"];
     let (status, said) = bench(&out, &[&small[..], &["64x32"]].concat()).wait();
     assert!(status.success(), "{said}");
     let figures = figures(&out);
     let measured = figures["measured"].as_array().unwrap();
-    assert_eq!(measured.len(), 1 + 2 * 3, "the display alone, and each division by one and by two");
+    assert_eq!(measured.len(), 1 + 2 * 3, "the display alone, and each division with one and two render servers");
     for row in &measured[1..] {
-        // Three bytes a sample and the headers of chunks.
+        // Three bytes a sample, and the chunks' headers.
         let bytes_in = row["bytes_in"].as_f64().unwrap();
         assert!((6144.0..9000.0).contains(&bytes_in), "{row}");
         assert!(row["frame_ms_median"].as_f64().unwrap() > 0.0 && row["n_frames"].as_u64().unwrap() >= 5, "{row}");

@@ -1,7 +1,6 @@
-//! What every decoder must survive, whatever bytes it gets: no panic, no endless loop, no memory without bounds, and what
-//! it does accept keeps its promises.
+//! Every decoder on arbitrary bytes: no panic, no endless loop, no unbounded memory, and what it accepts is valid.
 //!
-//! `make fuzz` calls these with what libFuzzer invents, `make test` with the kept corpus and mutations of it.
+//! `make fuzz` calls these with libFuzzer's inputs, `make test` with the kept corpus and mutations of it.
 
 use channel::{key::Key, secure};
 use renderer::model::{mesh::Mesh, ply};
@@ -29,11 +28,11 @@ pub const ALL: [(&str, Decoder); 6] = [
     ("wall", wall),
 ];
 
-/// The protocol's codec: a header and the message behind it, in both directions.
+/// The protocol's codec: a header and the message after it, in both directions.
 pub fn protocol(data: &[u8]) {
     let Some((&header, rest)) = data.split_first_chunk::<HEADER_BYTES>() else { return };
     for limit in [HANDSHAKE_LIMIT, CONTROL_LIMIT] {
-        // Whatever the length says, the body is what is there: the wire reads no more than the limit.
+        // The header may claim any length, but the wire reads no more than the limit.
         let _ = Header::parse(header, limit).map(|header| assert!(header.n_bytes <= CONTROL_LIMIT));
     }
     if let Some(ToServer::RenderFrame { spec, task, .. }) = round_trip::<ToServer>(rest) {
@@ -60,7 +59,7 @@ pub fn protocol(data: &[u8]) {
     }
 }
 
-/// Samples arrive as they were, however they travel.
+/// Samples arrive unchanged as LZ4.
 fn travels_as_lz4(chunk: &Chunk<'_>) {
     let (mut bytes, mut room) = (Vec::new(), Vec::new());
     chunk.encode(Encoding::Lz4, &mut bytes);
@@ -71,7 +70,7 @@ fn travels_as_lz4(chunk: &Chunk<'_>) {
     assert_eq!(arrived, chunk.rgb);
 }
 
-/// What is decoded is encoded to something that decodes to the same.
+/// A decoded message survives encoding and decoding.
 fn round_trip<M: Serialize + DeserializeOwned>(body: &[u8]) -> Option<M> {
     let message: M = codec::decode(body).ok()?;
     let mut bytes = Vec::new();
@@ -79,12 +78,12 @@ fn round_trip<M: Serialize + DeserializeOwned>(body: &[u8]) -> Option<M> {
     let again: M = codec::decode(&bytes[HEADER_BYTES..]).expect("a message decodes");
     let mut bytes_again = Vec::new();
     codec::encode(&again, &mut bytes_again).expect("the same message");
-    // Bytes, for a number may be NaN.
+    // Compare bytes, because a number may be NaN.
     assert_eq!(bytes, bytes_again);
     Some(message)
 }
 
-/// Samples of chunks, put in their places.
+/// Placement of chunks' samples in a frame buffer.
 pub fn placement(data: &[u8]) {
     let Some((&[kind, x, y, machine_idx, n_machines, part, n_parts, first, count, fill], rgb)) =
         data.split_first_chunk()
@@ -105,7 +104,7 @@ pub fn placement(data: &[u8]) {
     let Ok(share) = task.share(size) else { return };
     let spare = BufferPool::default();
     let buffer = std::sync::Arc::new(spare.take(size));
-    // Numbers as they are, or as large as they can be.
+    // The byte's own number, or the largest possible one.
     let wide = |byte: u8| if byte == u8::MAX { u32::MAX } else { u32::from(byte) };
     let _ = buffer.place(&share, wide(first), wide(count), rgb);
     let whole: Vec<u8> = vec![fill; 3 * (0..share.count()).map(|k| share.samples(k).count() as usize).sum::<usize>()];
@@ -162,7 +161,7 @@ pub fn ply(data: &[u8]) {
     assert!(mesh.colors.is_empty() || mesh.colors.len() == mesh.vertices.len());
 }
 
-/// The encrypted channel: a stranger's handshake, or the records of a friend with somebody between.
+/// The encrypted channel: a stranger's handshake, or a friend's records that are changed on the way.
 pub fn records(data: &[u8]) {
     let runtime = tokio::runtime::Builder::new_current_thread().build().expect("no more than one thread");
     let Some((&kind, data)) = data.split_first() else { return };
@@ -174,14 +173,14 @@ pub fn records(data: &[u8]) {
             stranger.write_all(said).await.expect("there is room");
             stranger.shutdown().await.expect("a pipe ends");
             let key = Key::random().expect("random numbers");
-            assert!(secure::accept(input, output, &key).await.is_err(), "a stranger is let in");
+            assert!(secure::accept(input, output, &key).await.is_err(), "a stranger gets in");
         } else {
             tampered(data).await;
         }
     });
 }
 
-/// Whatever is done to records on their way, what is heard is how what was said begins.
+/// Records that are changed on the way: the receiver gets a prefix of what was sent.
 async fn tampered(tampering: &[u8]) {
     let key = Key::random().expect("random numbers");
     let (server_end, mut server_wire) = duplex(1 << 18);
@@ -222,8 +221,8 @@ async fn tampered(tampering: &[u8]) {
     wall_wire.shutdown().await.expect("a pipe ends");
     let mut heard = Vec::new();
     let ended = listener.read_to_end(&mut heard).await;
-    assert!(said.starts_with(&heard), "what was never said is heard");
-    assert!(!tampering.is_empty() || ended.is_ok() && heard == said, "nothing was done, and not all is heard");
+    assert!(said.starts_with(&heard), "bytes arrive that were never sent");
+    assert!(!tampering.is_empty() || ended.is_ok() && heard == said, "unchanged records do not arrive whole");
 }
 
 async fn forward(from: &mut DuplexStream, to: &mut DuplexStream, n_bytes: usize) {

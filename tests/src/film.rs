@@ -1,4 +1,4 @@
-//! A camera path, filmed without a window.
+//! Films of a camera path, without a window.
 
 use std::{fs, path::Path};
 
@@ -9,7 +9,7 @@ use crate::{farm::Files, process::Program};
 
 const SIZE: &str = "64x36";
 
-/// Films a path of half a second, of which the camera rests for the first fifth, and says what the program said.
+/// Films a path of half a second, at the start of which the camera rests for 0.2 s; returns success and output.
 fn film(files: &Files, folder: &Path, arguments: &[&str]) -> (bool, String) {
     let start = Camera::from_toml(&fs::read_to_string(files.path("camera.toml")).unwrap()).unwrap();
     let end = start.orbit(DVec3::Y, UpAxis::Y, 1.0, 0.2);
@@ -24,7 +24,7 @@ fn film(files: &Files, folder: &Path, arguments: &[&str]) -> (bool, String) {
 }
 
 #[test]
-fn a_film_has_every_picture_once_and_each_shows_its_camera() {
+fn a_film_has_each_picture_once_from_its_camera() {
     let files = Files::new();
     let folder = files.path("film");
     let (is_done, said) = film(&files, &folder, &[]);
@@ -36,29 +36,35 @@ fn a_film_has_every_picture_once_and_each_shows_its_camera() {
     let pictures: Vec<_> = names
         .iter()
         .map(|name| compositor::gpu::RgbImage::read_png(&folder.join(name)).unwrap())
-        .inspect(|picture| assert_eq!(picture.size, [128, 72], "the whole wall in its full resolution"))
+        .inspect(|picture| {
+            assert_eq!(picture.size, [128, 72], "a picture is not the whole wall in its full resolution")
+        })
         .collect();
-    assert!(pictures[0] == pictures[1] && pictures[1] == pictures[2], "the camera rests until 0.2 s");
-    assert!((2..5).all(|index| pictures[index] != pictures[index + 1]), "then it moves");
+    assert!(pictures[0] == pictures[1] && pictures[1] == pictures[2], "the camera moves before 0.2 s");
+    assert!((2..5).all(|index| pictures[index] != pictures[index + 1]), "the camera rests after 0.2 s");
     let hashes: Vec<_> =
         files.frames().iter().map(|frame| frame["samples_blake3"].as_str().unwrap().to_owned()).collect();
-    assert_eq!(hashes[0], files.traced_hash(SIZE), "it begins with the first camera");
+    assert_eq!(hashes[0], files.traced_hash(SIZE), "the film does not begin with the first camera");
     fs::write(files.path("camera.toml"), {
         let start = Camera::from_toml(&fs::read_to_string(files.path("camera.toml")).unwrap()).unwrap();
         start.orbit(DVec3::Y, UpAxis::Y, 1.0, 0.2).to_toml()
     })
     .unwrap();
-    assert_eq!(hashes[5], files.traced_hash(SIZE), "and ends with the last");
+    assert_eq!(hashes[5], files.traced_hash(SIZE), "the film does not end with the last camera");
 
     let (is_done, said) = film(&files, &folder, &[]);
     assert!(!is_done && said.lines().last().unwrap().contains("holds a film already"), "{said}");
 }
 
 #[test]
-fn a_film_can_be_cut_short_and_smoothed() {
+fn a_film_can_be_shortened_and_supersampled() {
     let files = Files::new();
     let (is_done, said) = film(&files, &files.path("film"), &["--frames", "1", "--samples", "4"]);
     assert!(is_done, "{said}");
     assert_eq!(fs::read_dir(files.path("film")).unwrap().count(), 1);
-    assert_ne!(files.frames()[0]["samples_blake3"], files.traced_hash(SIZE), "four rays make other samples than one");
+    assert_ne!(
+        files.frames()[0]["samples_blake3"],
+        files.traced_hash(SIZE),
+        "four rays a sample give the same samples as one"
+    );
 }

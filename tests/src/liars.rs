@@ -1,4 +1,4 @@
-//! Render servers that break the rules: each costs a connection with one clear line, and no frame a sample.
+//! Render servers that break the protocol's rules: each loses its connection with one clear line, and no frame a sample.
 
 use std::{
     io::{Read, Write},
@@ -14,7 +14,7 @@ use shared::{
 
 use crate::farm::RunningWall;
 
-/// A work that the wall asks for.
+/// A task from the wall.
 struct GivenTask {
     frame: FrameId,
     task_id: TaskId,
@@ -23,7 +23,7 @@ struct GivenTask {
 }
 
 impl GivenTask {
-    /// The right answer, from the picture's samples: one chunk for each 64 units.
+    /// The right answer, from the frame's samples: one chunk for each 64 units.
     fn chunks(&self, rgb: &[u8]) -> Vec<Vec<u8>> {
         let share = self.task.share(self.size).unwrap();
         let sample = |(i, j): (u32, u32)| {
@@ -58,8 +58,7 @@ fn message(message: &ToWall) -> Vec<u8> {
     bytes
 }
 
-/// Joins a wall, and answers each work with the bytes that `answer` makes, until the wall has had enough; the others of a
-/// frame wait for it, as they do for everybody.
+/// Joins a wall and answers each task with the bytes that `answer` makes, until the wall drops the connection.
 fn lie(stream: &mut TcpStream, name: &str, mut answer: impl FnMut(&GivenTask) -> Vec<u8>) -> std::io::Result<()> {
     stream.write_all(&PREAMBLE)?;
     stream.write_all(&message(&ToWall::Hello { name: name.to_owned(), threads: 1 }))?;
@@ -84,7 +83,7 @@ fn lie(stream: &mut TcpStream, name: &str, mut answer: impl FnMut(&GivenTask) ->
 }
 
 #[test]
-fn who_breaks_the_rules_is_dropped_and_costs_no_sample() {
+fn a_renderer_that_breaks_the_rules_is_dropped_and_costs_no_sample() {
     type Lie = fn(&GivenTask) -> Vec<u8>;
     let lies: [(&str, Lie, &str); 8] = [
         ("short", |asked| asked.chunk(0, 1, &[0; 2]), "sent samples that do not fit their work"),
@@ -99,7 +98,7 @@ fn who_breaks_the_rules_is_dropped_and_costs_no_sample() {
         (
             "packed",
             |asked| {
-                // A block that announces ever more of what it has not.
+                // An LZ4 block that announces bytes which it lacks.
                 let mut bytes = asked.chunk(0, 1, &[0xff; 192]);
                 bytes[HEADER_BYTES - 1] = 2;
                 bytes
@@ -116,13 +115,13 @@ fn who_breaks_the_rules_is_dropped_and_costs_no_sample() {
         let mut stream = wall.connect();
         let liar = thread::spawn(move || lie(&mut stream, name, answer));
         wall.program.wait_for(&format!("render server {name} at "));
-        // Whoever reads or writes on notices.
+        // The liar fails at its next read or write.
         let _ = liar.join().unwrap();
         let said = wall.program.said();
         let line = said.lines().find(|line| line.contains(&format!("render server {name} at "))).unwrap();
         assert!(line.contains(reason), "{line}");
     }
-    // Cut in the middle of a chunk.
+    // A connection that ends in the middle of a chunk.
     let mut stream = wall.connect();
     let closing = stream.try_clone().unwrap();
     let cut = thread::spawn(move || {
@@ -133,7 +132,7 @@ fn who_breaks_the_rules_is_dropped_and_costs_no_sample() {
             }
             let mut bytes = asked.chunk(0, 1, &[0; 192]);
             bytes.truncate(100);
-            // The bytes go out, and then the connection.
+            // Close the connection after the bytes have been sent.
             let closing = closing.try_clone().unwrap();
             thread::spawn(move || {
                 thread::sleep(std::time::Duration::from_millis(50));
@@ -149,26 +148,25 @@ fn who_breaks_the_rules_is_dropped_and_costs_no_sample() {
 }
 
 #[test]
-fn old_answers_and_answers_given_twice_change_nothing() {
+fn old_and_repeated_answers_change_nothing() {
     let mut wall = RunningWall::start_with(&["--division", "tiled"]);
     let rgb = wall.expected_samples();
     let _honest = wall.join("honest");
     wall.wait_for_frames(2);
     let mut stream = wall.connect();
     let mut last: Option<GivenTask> = None;
-    let mut n_works = 0;
+    let mut n_tasks = 0;
     thread::spawn(move || {
         lie(&mut stream, "confused", |asked| {
-            n_works += 1;
+            n_tasks += 1;
             let mut bytes = asked.chunks(&rgb).concat();
-            // The last frame's work once more, with nonsense in it, before and after being done with this one; and this
-            // one twice.
+            // Answer the last frame's task again, with wrong samples, before and after this one, and this one twice.
             if let Some(last) = &last {
-                bytes = [last.chunk(0, 1, &[n_works as u8; 192]), bytes, last.done()].concat();
+                bytes = [last.chunk(0, 1, &[n_tasks as u8; 192]), bytes, last.done()].concat();
             }
             bytes.extend(asked.chunks(&rgb).concat());
             bytes.extend(asked.done());
-            bytes.extend(asked.chunk(0, 1, &[n_works as u8; 192]));
+            bytes.extend(asked.chunk(0, 1, &[n_tasks as u8; 192]));
             bytes.extend(asked.done());
             let GivenTask { frame, task_id, size, .. } = *asked;
             last = Some(GivenTask { frame, task_id, task: asked.task.clone(), size });
@@ -178,6 +176,6 @@ fn old_answers_and_answers_given_twice_change_nothing() {
     wall.program.wait_for("render server confused is ready");
     wall.wait_for_frames(20);
     let (frames, said) = wall.end();
-    assert!(!said.contains("render server confused at"), "it is lost\n{said}");
+    assert!(!said.contains("render server confused at"), "the render server is lost\n{said}");
     assert_eq!(crate::farm::nodes_of(frames.last().unwrap()), ["honest", "confused"]);
 }

@@ -1,1 +1,1 @@
-//! The harness of the tests: real programs, real sockets, a real window.
+//! Empty: the integration tests are the binary `wall`.

@@ -1,4 +1,4 @@
-//! The programs that measure: what they say is what they traced.
+//! The laboratory's programs: they report what they traced.
 
 use std::{
     io::Write,
@@ -10,9 +10,12 @@ use compositor::gpu::RgbImage;
 use serde_json::Value;
 use shared::srgb;
 
-use crate::{farm::Files, process::Program};
+use crate::{
+    farm::Files,
+    process::{Program, generate_statue},
+};
 
-/// Runs a program to its end, with lines on its standard input.
+/// Runs a program to its end, with `input` on its standard input.
 fn run(mut command: Command, input: &str) -> Output {
     let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("the program starts");
     child.stdin.take().expect("piped").write_all(input.as_bytes()).expect("the program reads");
@@ -25,11 +28,9 @@ fn answers(output: &Output) -> Vec<Value> {
     lines.map(|line| serde_json::from_str(line).expect("a line of JSON")).collect()
 }
 
-/// A small model in a folder, with a camera in both forms.
+/// Puts a small model into a folder, and a camera in our format and in the peers'.
 fn prepare(folder: &Path) {
-    let mut generate = Program::command("renderer");
-    generate.args(["generate", "statue", "--triangles", "3000"]).arg(folder.join("statue.ply"));
-    assert!(run(generate, "").status.success());
+    generate_statue(3000, &folder.join("statue.ply"));
     let camera = [("eye", "0.3 0.9 4"), ("ll", "-1.6 0.1 0"), ("u", "3.2 0 0"), ("v", "0 1.8 0")];
     let peers: String = camera.iter().map(|(name, numbers)| format!("{name} {numbers}\n")).collect();
     std::fs::write(folder.join("view.cam"), peers + "light 2 4 3\nres 203 101\n").unwrap();
@@ -39,7 +40,7 @@ fn prepare(folder: &Path) {
 }
 
 #[test]
-fn a_peer_among_others_traces_what_trace_traces() {
+fn peer_bench_traces_what_lab_trace_traces() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     prepare(folder);
@@ -83,11 +84,11 @@ fn frames_on_demand_answer_each_camera_with_a_line() {
 }
 
 #[test]
-fn what_is_no_camera_s_path_ends_frames_on_demand() {
+fn a_bad_camera_path_ends_frames_on_demand() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     prepare(folder);
-    // No more than a pipe holds, for it need not be read to its end.
+    // No longer than a pipe's buffer, because the program need not read all of it.
     let endless = "a".repeat(1 << 16);
     for (input, n_answers, expected) in
         [("view.toml\nnone.toml\n", 1, "line 2 of the cameras: "), (&endless, 0, "a line has 65536 bytes or more")]
@@ -103,7 +104,7 @@ fn what_is_no_camera_s_path_ends_frames_on_demand() {
 }
 
 #[test]
-fn a_wrong_order_or_camera_ends_with_one_line() {
+fn a_wrong_request_or_camera_ends_with_one_line() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     prepare(folder);
@@ -132,25 +133,24 @@ fn a_wall_lights_and_cuts_its_picture_as_trace_does() {
     let files = Files::new();
     let mut hashes = Vec::new();
     let cut = ["--rays=ambient", "--clip=eye:40", "--key-light=-80,12", "--background=ffffff,102030"];
-    for (look, division) in [
+    for (appearance, division) in [
         (&["--rays=primary"][..], "tiled"),
         (&["--rays=shadows"], "interleaved"),
         (&["--rays=ambient"], "dynamic"),
         (&cut, "interleaved"),
     ] {
-        let expected = files.traced_hash_with(SIZE, look);
+        let expected = files.traced_hash_with(SIZE, appearance);
         let mut wall = files.wall(SIZE);
-        wall.args(["--local", "2", "--frames", "2", "--division", division]).args(look);
-        let (status, said) = Program::start(wall).wait();
-        assert!(status.success(), "{said}");
+        wall.args(["--local", "2", "--frames", "2", "--division", division]).args(appearance);
+        Program::succeed(wall);
         for frame in files.frames() {
-            assert_eq!(frame["samples_blake3"], expected.as_str(), "{look:?}, {division}");
+            assert_eq!(frame["samples_blake3"], expected.as_str(), "{appearance:?}, {division}");
         }
         hashes.push(expected);
     }
     hashes.sort_unstable();
     hashes.dedup();
-    assert_eq!(hashes.len(), 4, "each has its own look");
+    assert_eq!(hashes.len(), 4, "two appearances give the same picture");
 }
 
 #[test]
@@ -168,10 +168,10 @@ fn the_cost_view_shows_what_the_counters_count() {
         let per_ray = ["cell_traversals_per_ray", "triangle_tests_per_ray"].map(|name| report[name].as_f64().unwrap());
         (counts, per_ray, RgbImage::read_png(&folder.join("cost.png")).unwrap())
     };
-    // With one ray the picture is its cost.
+    // With one ray, the picture is one pixel that shows its cost.
     let ((n_cells, n_tests), per_ray, picture) = trace("1x1");
     let brightness = |count: u64, half: f32| srgb::encode(count as f32 / (count as f32 + half));
-    assert!(n_cells > 0 && n_tests > 0, "the ray through the middle meets the statue");
+    assert!(n_cells > 0 && n_tests > 0, "the ray through the middle misses the statue");
     assert_eq!(picture.rgb, [brightness(n_cells, 64.0), brightness(n_tests, 256.0), 0]);
     assert_eq!(per_ray, [n_cells as f64, n_tests as f64]);
     let ((n_cells, n_tests), per_ray, picture) = trace("40x20");
@@ -181,7 +181,7 @@ fn the_cost_view_shows_what_the_counters_count() {
 }
 
 #[test]
-fn a_model_that_nothing_hits_is_not_charted() {
+fn a_model_that_no_ray_hits_is_not_charted() {
     let folder = tempfile::tempdir().unwrap();
     let model = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
         element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 2 3\n3 0 1 1\n";
@@ -195,7 +195,7 @@ fn a_model_that_nothing_hits_is_not_charted() {
 }
 
 #[test]
-fn a_chart_tells_which_methods_fail_where_and_what_settings_cost() {
+fn charts_show_where_methods_fail_and_what_settings_cost() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     prepare(folder);
@@ -213,13 +213,13 @@ fn a_chart_tells_which_methods_fail_where_and_what_settings_cost() {
     let said = str::from_utf8(&output.stderr).unwrap();
     assert!(!output.status.success() && said.contains("blind, near: the camera sees nothing"), "{said}");
 
-    // What can be measured is, whatever else cannot.
+    // One camera that sees nothing does not stop the others.
     let cameras = ["--camera", "view.toml", "--camera", "blind.toml"];
     let output = chart(&[&["--charts", "kernel,memory", "--points", "points.csv"], &cameras[..]].concat());
     assert!(output.status.success(), "{output:?}");
     let json = std::fs::read(folder.join("figures/chart.json")).unwrap();
     let json: Value = serde_json::from_slice(&json).unwrap();
-    assert_eq!(json["left_out"].as_array().unwrap().len(), 6, "one camera in six places");
+    assert_eq!(json["left_out"].as_array().unwrap().len(), 6, "the blind camera in its six places");
     let rows = json["kernel"].as_array().unwrap();
     assert_eq!(rows.len(), 6 * 5);
     for row in rows {

@@ -1,4 +1,4 @@
-//! Warped, blended and turned walls: the GPU against its CPU twin, and the shipped walls against stored pictures.
+//! Warped, blended and turned projectors: the GPU against its CPU twin, and the shipped walls against stored pictures.
 
 use std::path::Path;
 
@@ -7,12 +7,12 @@ use compositor::wall::Wall;
 
 use crate::pictures::{Frame, check_reference, check_twin, draw, gpu, statue_frame};
 
-/// A wall that comes with the program.
+/// A wall of `wall-config`.
 pub(crate) fn shipped(name: &str) -> Wall {
     Wall::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../wall-config").join(name)).unwrap()
 }
 
-/// Two projectors with everything that there is, and a third that only adds its black.
+/// Two projectors that use every setting, and a third that only adds its black.
 pub(crate) const CROOKED: &str = r#"
 canvas_m = [2.0, 1.0]
 [[projector]]
@@ -51,7 +51,7 @@ fn crooked_walls_equal_their_cpu_twin() {
     let wall = Wall::from_toml("crooked", CROOKED).unwrap();
     for (what, frame) in Frame::all([64, 36]) {
         present.upload(&gpu, frame.size, &frame.rgba).unwrap();
-        // As large as it is, letterboxed, magnified, tiny; with the GPU's own sRGB and without.
+        // Actual size, letterboxed, magnified, tiny; with and without the GPU's own sRGB.
         for (size, has_srgb_view) in
             [(wall.output_size(), true), ([300, 200], false), ([900, 500], true), ([1, 1], true)]
         {
@@ -84,7 +84,7 @@ fn each_output_shows_its_part_of_the_wall() {
 }
 
 #[test]
-fn a_wall_as_large_as_walls_get_is_drawn() {
+fn the_largest_wall_is_drawn() {
     let gpu = gpu();
     let mut present = Present::new(&gpu);
     let limit = gpu.device.limits().max_texture_dimension_2d.min(Wall::LARGEST_SIDE);

@@ -1,4 +1,4 @@
-//! What the GPU shows, held against the CPU twin and against stored pictures.
+//! The GPU's pictures against the CPU twin, and against stored pictures.
 
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 
@@ -17,7 +17,7 @@ use shared::srgb;
 
 use crate::{random::Random, references};
 
-/// One GPU for all tests of the binary, and one test on it at a time: a software GPU uses every core.
+/// One GPU for all tests, used by one test at a time, because a software GPU uses every core.
 static GPU: LazyLock<Result<Mutex<Gpu>, String>> =
     LazyLock::new(|| Gpu::headless().map(Mutex::new).map_err(|error| error.to_string()));
 
@@ -28,7 +28,7 @@ pub(crate) fn gpu() -> MutexGuard<'static, Gpu> {
     }
 }
 
-/// A frame made by a rule.
+/// A frame computed by a rule.
 pub(crate) struct Frame {
     pub(crate) size: FrameSize,
     pub(crate) rgba: Vec<u8>,
@@ -51,12 +51,12 @@ impl Frame {
         Self::new([xres, yres], |i, j| [step(i, xres), step(j, yres), step(i + j, xres + yres)])
     }
 
-    /// Black and white by turns: what no rounded weight survives.
+    /// A checkerboard in black and white, which shows any rounded weight.
     fn checker(size: [u32; 2]) -> Self {
         Self::new(size, |i, j| if (i + j) % 2 == 0 { [0; 3] } else { [255; 3] })
     }
 
-    /// A few coloured samples in the dark, the corners among them.
+    /// A few coloured samples on black, four of them in the corners.
     pub(crate) fn hot_samples([xres, yres]: [u32; 2]) -> Self {
         let hot =
             [(0, 0), (xres - 1, 0), (0, yres - 1), (xres - 1, yres - 1), (xres / 2, yres / 3), (xres / 4, yres / 2)];
@@ -89,7 +89,7 @@ fn wall(columns: u32, rows: u32, pixels: [u32; 2]) -> Wall {
     Wall::from_toml("test", &text).unwrap()
 }
 
-/// Draws the wall on `offscreen` and reads it back.
+/// Draws the wall on `offscreen`, and reads it back.
 pub(crate) fn draw(gpu: &Gpu, present: &mut Present, wall: &Wall, offscreen: &Offscreen) -> RgbImage {
     let mut encoder = gpu.device.create_command_encoder(&Default::default());
     present.draw(gpu, &mut encoder, &offscreen.target(), wall, wall.whole_output());
@@ -97,13 +97,13 @@ pub(crate) fn draw(gpu: &Gpu, present: &mut Present, wall: &Wall, offscreen: &Of
     offscreen.read(gpu).unwrap()
 }
 
-/// Compares every channel of every pixel with what the CPU makes of the same frame.
+/// Compares every channel of every pixel with the CPU twin's.
 pub(crate) fn check_twin(gpu: &Gpu, shown: &RgbImage, what: &str, frame: &Frame, wall: &Wall) {
     let size = shown.size;
     let expected = present_cpu::present(frame.size, &frame.rgba, wall, wall.whole_output(), size);
-    // One step of 8 bits is the sRGB curve's rounding. Graphics cards round the filter's weights as well, to 1/256 on
-    // either axis: a step of light that is many steps of 8 bits beside black.
-    // Projectors that fade to nothing with a gamma of their own pass many values for next to no light.
+    // The sRGB curve rounds by one step of 8 bits. Graphics cards also round the filter's weights, to 1/256 on either
+    // axis: a step of light that is many steps of 8 bits near black.
+    // A projector that fades out with a gamma of its own has many values for next to no light.
     let least_light = if !gpu.is_software() {
         1.0 / 128.0
     } else if (0..wall.projectors().len()).all(|index| wall.is_plain(index)) {
@@ -156,7 +156,7 @@ fn walls_targets_and_resolutions_of_any_shape_equal_their_cpu_twin() {
 }
 
 #[test]
-fn a_wall_as_fine_as_its_frame_shows_every_sample_as_it_is() {
+fn a_wall_with_a_pixel_for_each_sample_shows_samples_unchanged() {
     let gpu = gpu();
     let mut present = Present::new(&gpu);
     let wall = wall(3, 2, [111, 70]);
@@ -166,7 +166,7 @@ fn a_wall_as_fine_as_its_frame_shows_every_sample_as_it_is() {
     let [width, height] = shown.size;
     for (i, j) in (0..height).flat_map(|j| (0..width).map(move |i| (i, j))) {
         let first = 4 * (j * width + i) as usize;
-        // Row 0 of a frame is at the bottom, row 0 of a picture at the top.
+        // Row 0 of a frame is at the bottom; row 0 of a picture is at the top.
         assert_eq!(shown.pixel(i, height - 1 - j), frame.rgba[first..first + 3], "sample ({i}, {j})");
     }
 }
@@ -178,7 +178,7 @@ fn surfaces_without_an_srgb_view_show_the_same() {
     let wall = wall(2, 2, [160, 90]);
     for (what, frame) in Frame::all([97, 51]) {
         present.upload(&gpu, frame.size, &frame.rgba).unwrap();
-        // Both kinds in turn: one stage serves targets of several formats.
+        // Both in turn: one stage serves targets of several formats.
         for has_srgb_view in [false, true, false] {
             let offscreen = Offscreen::with_srgb_view(&gpu, [400, 300], has_srgb_view).unwrap();
             check_twin(&gpu, &draw(&gpu, &mut present, &wall, &offscreen), what, &frame, &wall);
@@ -187,7 +187,7 @@ fn surfaces_without_an_srgb_view_show_the_same() {
 }
 
 #[test]
-fn several_targets_in_one_submission_each_show_their_own() {
+fn several_targets_in_one_submission_each_show_their_wall() {
     let gpu = gpu();
     let mut present = Present::new(&gpu);
     let frame = Frame::gradient([64, 32]);
@@ -226,7 +226,7 @@ fn the_wall_is_black_before_any_frame_and_without_projectors() {
 }
 
 #[test]
-fn what_no_texture_can_hold_is_refused_in_one_line() {
+fn too_large_targets_and_odd_frames_are_refused_in_one_line() {
     let gpu = gpu();
     let limit = gpu.device.limits().max_texture_dimension_2d;
     let error = Offscreen::new(&gpu, [limit + 1, 4]).err().expect("wider than any texture").to_string();
@@ -250,7 +250,7 @@ fn a_fault_on_the_gpu_is_an_error_and_no_panic() {
     drop(buffer);
     let error = gpu.check().unwrap_err().to_string();
     assert!(error.starts_with("the graphics device failed: ") && !error.contains('\n'), "{error}");
-    gpu.check().expect("a fault is told once");
+    gpu.check().expect("a fault is reported once");
 }
 
 #[test]
@@ -287,7 +287,7 @@ fn the_gpu_tells_how_long_a_draw_took() {
     assert!(draw_ms > 0.0 && draw_ms < elapsed_ms, "{draw_ms} of {elapsed_ms} ms");
 }
 
-/// Compares what the GPU shows on a target of `size` with the stored picture.
+/// Compares the GPU's picture on a target of `size` pixels with the stored one.
 pub(crate) fn check_reference(name: &str, frame: &Frame, wall: &Wall, size: [u32; 2]) {
     let gpu = gpu();
     let mut present = Present::new(&gpu);
@@ -296,13 +296,13 @@ pub(crate) fn check_reference(name: &str, frame: &Frame, wall: &Wall, size: [u32
     references::check(name, &shown);
 }
 
-/// A frame of the built-in model, all of it, for a wall.
+/// A frame of the whole built-in model, for a wall.
 pub(crate) fn statue_frame(wall: &Wall) -> Frame {
     static SCENE: LazyLock<Scene> = LazyLock::new(|| statue_of(statue::DEFAULT_TRIANGLES));
     frame_of(&SCENE, wall, UpAxis::Y)
 }
 
-/// The same of a model of so many triangles, and with another axis up.
+/// Like `statue_frame`, with `n_triangles` triangles and the axis `up`.
 pub(crate) fn statue_frame_of(n_triangles: u32, wall: &Wall, up: UpAxis) -> Frame {
     frame_of(&statue_of(n_triangles), wall, up)
 }

@@ -1,4 +1,4 @@
-//! PLY files of a hundred other programs, whole and cut: a mesh with the right counts or a clear error, within bounds.
+//! PLY files of other programs, whole and cut: a mesh with the right counts or a clear error, in bounded memory.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -10,18 +10,18 @@ use renderer::model::{mesh::Mesh, ply};
 
 use crate::{process::shared_folder, random::Random};
 
-/// What another reader says of a file.
+/// A file, and another reader's counts.
 struct Case {
     name: String,
     bytes: Vec<u8>,
-    /// Vertices and fanned triangles, where it read the file.
+    /// Vertices and fanned triangles, if it could read the file.
     counts: Option<(usize, usize)>,
 }
 
-/// A file; its vertices and triangles, or the error's beginning; and why.
+/// A file; its vertices and triangles, or the beginning of the error; and the reason.
 type Exception = (&'static str, Result<(usize, usize), &'static str>, &'static str);
 
-/// Where we do otherwise than the other reader.
+/// Files on which the two readers differ.
 const EXCEPTIONS: [Exception; 13] = [
     ("243f6e8f-brain.ply", Ok((18844, 36752)), "triangle strips are triangles"),
     ("2c90523a-hippo.ply", Ok((23105, 46202)), "triangle strips are triangles"),
@@ -66,7 +66,7 @@ fn a_cut_file_is_the_whole_mesh_or_a_clear_error() {
             let whole = read(case, case.bytes.len());
             for n_bytes in cuts(case) {
                 let Ok(mesh) = read(case, n_bytes) else { continue };
-                // A last number may have lost digits, or the file what nobody asked for, but never rows.
+                // The cut may have taken digits of the last number, or unused data, but never rows.
                 let whole = whole.as_ref().unwrap_or_else(|error| panic!("{}: {error}, but not if cut", case.name));
                 let counts = |mesh: &Mesh| (mesh.vertices.len(), mesh.triangles.len(), mesh.colors.len());
                 assert_eq!(counts(&mesh), counts(whole), "{} cut to {n_bytes} bytes", case.name);
@@ -81,7 +81,7 @@ fn a_cut_file_is_the_whole_mesh_or_a_clear_error() {
 }
 
 #[test]
-fn claims_of_a_small_file_take_no_memory() {
+fn false_counts_in_a_small_file_take_no_memory() {
     let vertices = "property float x\nproperty float y\nproperty float z\n";
     let header = |format: &str, rest: &str| format!("ply\nformat {format} 1.0\n{rest}end_header\n").into_bytes();
     let big = "binary_big_endian";
@@ -107,12 +107,12 @@ fn claims_of_a_small_file_take_no_memory() {
     ] {
         let n_bytes = bytes.len();
         let case = Case { name: what.to_owned(), bytes, counts: None };
-        // It is `read` that asserts the bound.
+        // `read` asserts the bound.
         let _ = read(&case, n_bytes);
     }
 }
 
-/// Every length within the header, every length of small files, 64 lengths of others.
+/// Lengths to cut a file to: all of a small file; of another, all within its header and 64 more.
 fn cuts(case: &Case) -> Vec<usize> {
     let n_bytes = case.bytes.len();
     let end = b"end_header";
@@ -125,7 +125,7 @@ fn cuts(case: &Case) -> Vec<usize> {
     (0..header.min(n_bytes)).chain((0..64).map(|_| random.below(n_bytes))).collect()
 }
 
-/// Reads the beginning of a file, and asserts that it takes little memory, does not panic, and complains clearly.
+/// Reads the first `n_bytes` bytes of a file; asserts little memory, no panic, and a clear error.
 fn read(case: &Case, n_bytes: usize) -> Result<Mesh, String> {
     let name = &case.name;
     let bytes = &case.bytes[..n_bytes];
@@ -143,7 +143,7 @@ fn read(case: &Case, n_bytes: usize) -> Result<Mesh, String> {
     })
 }
 
-/// What ply-rs makes room for before it reads a list.
+/// ply-rs allocates this before it reads a list.
 const MOST_FIXED_BYTES: usize = 1 << 20;
 
 /// An index of one byte becomes a triangle of twelve, in a buffer that may be a quarter larger.
@@ -169,7 +169,7 @@ fn suite() -> Vec<Case> {
     suite
 }
 
-/// Counts the bytes that each thread holds, so that tests side by side do not disturb one another.
+/// Counts the bytes that each thread holds, so parallel tests do not disturb each other.
 struct Counting;
 
 #[global_allocator]
@@ -181,14 +181,14 @@ thread_local! {
 }
 
 fn count(n_bytes: isize) {
-    // A thread that is ending has no counters any more.
+    // A thread that ends has no counters left.
     let _ = LIVE.try_with(|live| {
         live.set(live.get() + n_bytes);
         let _ = PEAK.try_with(|peak| peak.set(peak.get().max(live.get())));
     });
 }
 
-// SAFETY: all that is asked is passed on to the system's allocator unchanged; counting allocates nothing.
+// SAFETY: every request goes to the system's allocator unchanged; counting allocates nothing.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size() as isize);
@@ -203,7 +203,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
-        // Old and new may be there at once.
+        // Both allocations may exist at once.
         count(new_size as isize);
         // SAFETY: as above.
         let new = unsafe { System.realloc(pointer, layout, new_size) };

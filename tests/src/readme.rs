@@ -1,4 +1,4 @@
-//! The promises of the README and the manuals.
+//! The documents: keys, paths and links.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ fn the_manual_lists_every_key_of_the_window() {
 /// Folders to which the documents' paths may be relative.
 const ROOMS: [&str; 5] = ["shared/src", "shared/channel/src", "renderer/src", "compositor/src", "tests"];
 
-/// The anchor that a Markdown heading gets on the web: lower case, hyphens for spaces, no punctuation.
+/// The anchor of a Markdown heading: lower case, hyphens for spaces, no punctuation.
 fn anchor(heading: &str) -> String {
     let title = heading.trim_start_matches('#').trim().to_lowercase();
     title.chars().filter(|c| c.is_alphanumeric() || " -".contains(*c)).map(|c| if c == ' ' { '-' } else { c }).collect()

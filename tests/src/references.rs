@@ -1,15 +1,15 @@
-//! Stored pictures, and what counts as the same picture.
+//! Stored pictures, and the difference that still counts as the same picture.
 
 use std::path::{Path, PathBuf};
 
 use compositor::gpu::RgbImage;
 use nv_flip::{DEFAULT_PIXELS_PER_DEGREE, FlipImageRgb8, FlipPool, flip, magma_lut};
 
-/// The FLIP difference (Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", 2020) that no pixel may
-/// have, from 0 to 1: rounding of every byte stays below it, one 8×8 tile out of place goes far beyond.
+/// The largest FLIP difference (Andersson et al., "FLIP: A Difference Evaluator for Alternating Images", 2020) of a pixel,
+/// from 0 to 1: rounding of every byte stays below, one misplaced 8×8 tile is far above.
 const LARGEST_FLIP: f32 = 0.1;
 
-/// Holds a picture against `tests/references/NAME.png`; panics with how to look and how to accept it.
+/// Compares a picture with `tests/references/NAME.png`; panics with how to view and accept it.
 pub(crate) fn check(name: &str, picture: &RgbImage) {
     let reference_path = folder().join(format!("{name}.png"));
     let output = Path::new(env!("CARGO_TARGET_TMPDIR"));
@@ -35,7 +35,7 @@ pub(crate) fn check(name: &str, picture: &RgbImage) {
     }
 }
 
-/// Holds a picture against one that was computed another way; on failure both and the map of differences are written.
+/// Compares a picture with one computed another way; on failure writes both and the map of differences.
 pub(crate) fn check_same(name: &str, expected: &RgbImage, picture: &RgbImage) {
     let (largest, map) = flip_difference(expected, picture);
     if largest > LARGEST_FLIP {
@@ -47,7 +47,7 @@ pub(crate) fn check_same(name: &str, expected: &RgbImage, picture: &RgbImage) {
     }
 }
 
-/// The largest difference of a pixel, and a map of all.
+/// The largest difference of a pixel, and a map of all differences.
 fn flip_difference(reference: &RgbImage, picture: &RgbImage) -> (f32, RgbImage) {
     let image = |picture: &RgbImage| FlipImageRgb8::with_data(picture.size[0], picture.size[1], &picture.rgb);
     let errors = flip(image(reference), image(picture), DEFAULT_PIXELS_PER_DEGREE);
@@ -70,17 +70,17 @@ fn references_stay_small() {
 }
 
 #[test]
-fn one_tile_out_of_place_is_another_picture() {
+fn one_misplaced_tile_is_another_picture() {
     let reference = RgbImage::read_png(&folder().join("wall-statue.png")).unwrap();
     let mut picture = reference.clone();
-    // One step of 8 bits everywhere is the same picture.
+    // One step of 8 bits everywhere counts as the same picture.
     picture.rgb.iter_mut().for_each(|byte| *byte ^= 1);
     let (rounded, _) = flip_difference(&reference, &picture);
     assert!(rounded > 0.0 && rounded < LARGEST_FLIP, "{rounded}");
 
     let [width, height] = picture.size;
     for y in 0..8 {
-        // In the face: where the stone is smooth, a misplaced tile could not be seen by anyone.
+        // In the face: on smooth stone nobody could see a misplaced tile.
         let row = |top: u32| 3 * ((top + y) * width + width / 2 - 4) as usize;
         let (from, to) = (row(height / 4), row(height / 4 + 8));
         picture.rgb.copy_within(from..from + 24, to);

@@ -1,9 +1,8 @@
-//! A virtual projection room: what the GPU makes every projector show is thrown back onto the canvas, through the
-//! projector's true geometry and light, and held against the picture that should be there.
+//! A virtual projection room: projects the GPU's picture for every projector back onto the canvas, through the
+//! projector's true geometry and light, and compares the sum with the intended picture.
 //!
-//! Nothing here is shared with the code under test but the wall file's numbers: the geometry is solved as linear
-//! equations, and light is added up as projectors do. A projector's pixel gives light like a tent two pixels wide, as
-//! through a lens, and gives the light of its black whatever it shows.
+//! It shares only the wall file's numbers with the code under test: it solves the geometry as linear equations, and adds
+//! up light. A projector's pixel gives light like a tent two pixels wide, as through a lens, and its black's light always.
 
 use compositor::gpu::{Gpu, Offscreen, Present, RgbImage};
 use compositor::wall::{Flip, Gamma, Projector, Wall};
@@ -14,24 +13,23 @@ use crate::optics::{CROOKED, shipped};
 use crate::pictures::{Frame, draw, gpu, statue_frame};
 use crate::references;
 
-/// Ten levels of grey, sRGB-encoded; three at a time, one for each of red, green and blue, which know nothing of each
-/// other.
+/// Ten levels of grey, sRGB-encoded; three at a time, because red, green and blue are independent.
 const LEVELS: [[u8; 3]; 4] = [[0, 16, 40], [64, 96, 128], [160, 192, 224], [255, 0, 255]];
-/// What a seam may stand out by, as a part of white, beyond what 8 bits force.
+/// The largest seam, as a part of white, beyond the rounding to 8 bits.
 const LARGEST_SEAM: f64 = 0.01;
-/// How far a part of the picture may be from where it belongs, in pixels of the projector.
+/// The largest displacement of a part of the picture, in pixels of the projector.
 const FARTHEST_PX: f64 = 0.5;
 
-/// A wall's projectors in the dark.
+/// A wall's projectors in a dark room.
 struct Room<'a> {
     wall: &'a Wall,
     projectors: Vec<SimulatedProjector<'a>>,
 }
 
-/// A projector, as its optics are.
+/// A projector with its true optics.
 struct SimulatedProjector<'a> {
     projector: &'a Projector,
-    /// Row by row: from metres on the canvas to columns and rows of its pixels, homogeneous.
+    /// From metres on the canvas to columns and rows of its pixels: a homogeneous matrix, row by row.
     px_from_m: [[f64; 3]; 3],
     /// Its place: left, bottom, right, top in metres.
     place_m: [f64; 4],
@@ -41,7 +39,7 @@ struct SimulatedProjector<'a> {
     light: [[f64; 256]; 3],
 }
 
-/// Light at one point, of one colour, and by how much rounding to 8 bits may have moved it.
+/// Light at one point, of one colour, and the largest error by rounding to 8 bits.
 #[derive(Clone, Copy, Default)]
 struct Light {
     sum: f64,
@@ -50,34 +48,34 @@ struct Light {
 
 impl<'a> Room<'a> {
     fn new(wall: &'a Wall) -> Self {
-        let throwers = wall.projectors().iter().map(|projector| SimulatedProjector::new(projector, wall.canvas_m()));
-        Self { wall, projectors: throwers.collect() }
+        let projectors = wall.projectors().iter().map(|projector| SimulatedProjector::new(projector, wall.canvas_m()));
+        Self { wall, projectors: projectors.collect() }
     }
 
-    /// The light on the canvas at a point in metres, when the projectors show their parts of `shown`.
+    /// The light on the canvas at a point in metres, if the projectors show their parts of `shown`.
     fn light(&self, shown: &RgbImage, point: [f64; 2]) -> [Light; 3] {
         let mut light = [Light::default(); 3];
-        for thrower in &self.projectors {
-            thrower.throw(shown, point, &mut light);
+        for simulated in &self.projectors {
+            simulated.project(shown, point, &mut light);
         }
         light
     }
 
-    /// Whether at least one projector can show a picture there.
+    /// Whether at least one projector shows the picture there.
     fn is_lit(&self, point: [f64; 2]) -> bool {
-        self.projectors.iter().any(|thrower| thrower.shows(point))
+        self.projectors.iter().any(|simulated| simulated.shows(point))
     }
 
-    /// Whether a point is at least one and a half pixels within what is lit.
+    /// Whether a point is at least one and a half pixels inside the lit area.
     fn is_well_within(&self, point: [f64; 2]) -> bool {
-        let px_m = self.projectors.iter().filter(|thrower| thrower.shows(point)).map(|thrower| thrower.px_m);
+        let px_m = self.projectors.iter().filter(|simulated| simulated.shows(point)).map(|simulated| simulated.px_m);
         let Some(reach_m) = px_m.reduce(f64::max).map(|px_m| 1.5 * px_m) else { return false };
         let around =
             [[1.0, 0.0], [0.7, 0.7], [0.0, 1.0], [-0.7, 0.7], [-1.0, 0.0], [-0.7, -0.7], [0.0, -1.0], [0.7, -0.7]];
         around.iter().all(|[x, y]| self.is_lit([point[0] + x * reach_m, point[1] + y * reach_m]))
     }
 
-    /// What should be there: the frame's light above the wall's black.
+    /// The intended light: the frame's, above the wall's black.
     fn ideal(&self, light: f64) -> f64 {
         self.wall.black() + (1.0 - self.wall.black()) * light
     }
@@ -87,7 +85,7 @@ impl<'a> Room<'a> {
         self.projectors.iter().filter(|it| it.hits(point)).map(|it| it.projector.black_level).sum()
     }
 
-    /// Points all over the canvas, none of them special, after Roberts' R2 sequence.
+    /// Points spread evenly over the canvas, by Roberts' R2 sequence.
     fn points(&self, n_points: u32) -> impl Iterator<Item = [f64; 2]> {
         let [width_m, height_m] = self.wall.canvas_m();
         (0..n_points).map(move |n| {
@@ -109,7 +107,7 @@ impl<'a> SimulatedProjector<'a> {
         let corners = [[0.0, 0.0], [columns, 0.0], [columns, rows], [0.0, rows]];
         let corners_px = std::array::from_fn(|index| {
             let [x, y] = [0, 1].map(|axis| corners[index][axis] + projector.warp_px[index][axis]);
-            // Turned back, as if the projector were put upright; then looked at in a mirror.
+            // Undo the rotation, then the flip.
             let [x, y] = match projector.rotation.degrees() {
                 0 => [x, y],
                 90 => [y, size[1] - x],
@@ -130,7 +128,7 @@ impl<'a> SimulatedProjector<'a> {
                     Gamma::Srgb => ((value + 0.055) / 1.055).powf(2.4),
                     Gamma::Power(exponent) => value.powf(exponent),
                 };
-                // It would be brighter than white by what it is dimmed.
+                // Undimmed, the channel is brighter than white by 1 / gain.
                 light * (1.0 - projector.black_level) / gain
             })
         });
@@ -143,14 +141,14 @@ impl<'a> SimulatedProjector<'a> {
         (depth > 0.0).then(|| [column / depth, row / depth])
     }
 
-    /// Whether its pixels, black ones too, light a point.
+    /// Whether its pixels, including black ones, light a point.
     fn hits(&self, point: [f64; 2]) -> bool {
         let [width, height] = [self.projector.output.width, self.projector.output.height].map(f64::from);
-        // A hair, so that there is no crack between projectors that touch.
+        // A small tolerance, so that projectors that touch leave no gap.
         self.px(point).is_some_and(|[x, y]| (-1e-6..=width + 1e-6).contains(&x) && (-1e-6..=height + 1e-6).contains(&y))
     }
 
-    /// Whether it is to show the picture at a point.
+    /// Whether it shows the picture at a point.
     fn shows(&self, point: [f64; 2]) -> bool {
         let [left, bottom, right, top] = self.place_m;
         let is_within =
@@ -158,7 +156,7 @@ impl<'a> SimulatedProjector<'a> {
         is_within && self.hits(point)
     }
 
-    fn throw(&self, shown: &RgbImage, point: [f64; 2], light: &mut [Light; 3]) {
+    fn project(&self, shown: &RgbImage, point: [f64; 2], light: &mut [Light; 3]) {
         let Some([x, y]) = self.px(point) else { return };
         let output = self.projector.output;
         let [x, y] = [x - 0.5, y - 0.5];
@@ -204,7 +202,7 @@ fn solve(from: [[f64; 2]; 4], to: [[f64; 2]; 4]) -> [[f64; 3]; 3] {
     [[h[0], h[1], h[2]], [h[3], h[4], h[5]], [h[6], h[7], 1.0]]
 }
 
-/// Has the GPU show a frame on all of the wall's pixels.
+/// Draws a frame on all of the wall's pixels by the GPU.
 fn show(gpu: &Gpu, present: &mut Present, wall: &Wall, frame: &Frame) -> RgbImage {
     present.upload(gpu, frame.size, &frame.rgba).unwrap();
     draw(gpu, present, wall, &Offscreen::new(gpu, wall.output_size()).unwrap())
@@ -215,8 +213,7 @@ fn linear(value: u8) -> f64 {
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }
 }
 
-/// The largest seam on flat fields at ten levels, beyond rounding, and what rounding may have done anywhere; both as parts
-/// of white.
+/// The largest seam on flat fields of ten levels, beyond rounding, and the largest rounding; both as parts of white.
 fn largest_seam(gpu: &Gpu, wall: &Wall, n_points: u32) -> (f64, f64) {
     let room = Room::new(wall);
     let mut present = Present::new(gpu);
@@ -235,14 +232,14 @@ fn largest_seam(gpu: &Gpu, wall: &Wall, n_points: u32) -> (f64, f64) {
     largest
 }
 
-/// How far, in pixels of the projector there, light is from where it belongs: single bright samples are shown, and the
-/// centre of the light of each is looked for.
+/// The largest displacement of light, in pixels of the projector there: shows single bright samples and finds the centre
+/// of each one's light.
 fn farthest_misplaced(gpu: &Gpu, wall: &Wall) -> f64 {
     let room = Room::new(wall);
     let mut present = Present::new(gpu);
     let [width_m, height_m] = wall.canvas_m();
-    // Samples at least three pixels wide, and at most as many as are useful.
-    let px_m = room.projectors.iter().map(|thrower| thrower.px_m).fold(0.0, f64::max);
+    // Samples at least three pixels wide.
+    let px_m = room.projectors.iter().map(|simulated| simulated.px_m).fold(0.0, f64::max);
     let side = |side_m: f64| ((side_m / (3.0 * px_m)) as u32).clamp(8, 512);
     let [xres, yres] = [side(width_m), side(height_m)];
     let step = (xres.max(yres) / 40).max(6);
@@ -261,7 +258,7 @@ fn farthest_misplaced(gpu: &Gpu, wall: &Wall) -> f64 {
         }
         let (mut sum, mut moment) = (0.0, [0.0; 2]);
         for (x, y) in offsets().flat_map(|y| offsets().map(move |x| (x, y))) {
-            // Green, which no shipped wall dims.
+            // In green, which no shipped wall dims.
             let light = room.light(&shown, at(x, y))[1].sum - room.ideal(0.0);
             sum += light;
             moment = [moment[0] + light * x * sample_m[0], moment[1] + light * y * sample_m[1]];
@@ -275,7 +272,7 @@ fn farthest_misplaced(gpu: &Gpu, wall: &Wall) -> f64 {
     farthest
 }
 
-/// The picture on the canvas, and the picture that should be there, where anything is lit.
+/// The picture on the canvas and the intended picture, within the lit area.
 fn pictures(gpu: &Gpu, wall: &Wall, frame: &Frame, width: u32) -> (RgbImage, RgbImage) {
     let room = Room::new(wall);
     let shown = show(gpu, &mut Present::new(gpu), wall, frame);
@@ -293,7 +290,7 @@ fn pictures(gpu: &Gpu, wall: &Wall, frame: &Frame, width: u32) -> (RgbImage, Rgb
     (RgbImage { size, rgb: seen }, RgbImage { size, rgb: ideal })
 }
 
-/// A frame's linear light at a point of the canvas, from (0, 0) to (1, 1), between the four samples around it.
+/// A frame's linear light at a point of the canvas, from (0, 0) to (1, 1), interpolated between four samples.
 fn sample(frame: &Frame, [x, y]: [f64; 2]) -> [f64; 3] {
     let [xres, yres] = [frame.size.xres(), frame.size.yres()];
     let [x, y] = [x * f64::from(xres) - 0.5, y * f64::from(yres) - 0.5];
@@ -309,7 +306,7 @@ fn sample(frame: &Frame, [x, y]: [f64; 2]) -> [f64; 3] {
     })
 }
 
-/// Half as many samples each way, each the mean of four.
+/// The frame with half as many samples each way, each the mean of four.
 fn halved(frame: &Frame) -> Frame {
     let [xres, yres] = [frame.size.xres() / 2, frame.size.yres() / 2];
     Frame::new([xres, yres], |i, j| {
@@ -324,7 +321,7 @@ fn encode(light: f64) -> u8 {
     (255.0 * value).round() as u8
 }
 
-/// Everything that is to hold in the room, for one wall.
+/// Checks seams and displacements of one wall.
 fn check(gpu: &Gpu, name: &str, wall: &Wall, n_points: u32) {
     let (seam, rounding) = largest_seam(gpu, wall, n_points);
     let misplaced_px = farthest_misplaced(gpu, wall);
@@ -338,7 +335,7 @@ fn check(gpu: &Gpu, name: &str, wall: &Wall, n_points: u32) {
 }
 
 #[test]
-fn the_shipped_walls_show_no_seam_and_nothing_out_of_place() {
+fn the_shipped_walls_show_no_seam_and_no_displacement() {
     let gpu = gpu();
     for name in ["paper-4x3", "blended-4x3", "lcd-5x3", "two-monitors", "laptop"] {
         check(&gpu, name, &shipped(&format!("{name}.toml")), 10_000);
@@ -352,7 +349,7 @@ fn the_statue_in_the_room_is_the_statue() {
     for name in ["paper-4x3", "blended-4x3", "lcd-5x3", "two-monitors", "laptop"] {
         let wall = shipped(&format!("{name}.toml"));
         let mut frame = statue_frame(&wall);
-        // Samples hardly coarser than pixels would show the lens, not the optics.
+        // Samples of nearly a pixel's size would test the lens, not the optics.
         while 3 * frame.size.xres() > wall.output_size()[0] {
             frame = halved(&frame);
         }
@@ -362,7 +359,7 @@ fn the_statue_in_the_room_is_the_statue() {
 }
 
 #[test]
-fn black_is_lifted_no_higher_than_it_must_be() {
+fn black_is_lifted_no_higher_than_necessary() {
     for (wall, n_points) in
         [(shipped("blended-4x3.toml"), 40_000), (Wall::from_toml("crooked", CROOKED).unwrap(), 4000)]
     {
@@ -372,9 +369,9 @@ fn black_is_lifted_no_higher_than_it_must_be() {
     }
 }
 
-/// What the room would find, if it were there: without this the tests above could not fail.
+/// Proves that the room finds errors: otherwise the tests above might never fail.
 #[test]
-fn the_room_sees_what_is_wrong() {
+fn the_room_finds_errors() {
     let gpu = gpu();
     let wall = Wall::from_toml("crooked", CROOKED).unwrap();
     let shown = |wall: &Wall, frame: &Frame| show(&gpu, &mut Present::new(&gpu), wall, frame);
@@ -400,15 +397,15 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 6, max_shrink_iters: 20, ..ProptestConfig::default() })]
 
     #[test]
-    fn random_walls_show_no_seam_and_nothing_out_of_place(text in random_wall()) {
+    fn random_walls_show_no_seam_and_no_displacement(text in random_wall()) {
         let wall = Wall::from_toml("random", &text).unwrap_or_else(|error| panic!("{error}\n{text}"));
         println!("{text}");
         check(&gpu(), "random", &wall, 4000);
     }
 }
 
-/// A grid with overlaps of at least thirty pixels, or screens with or without bezels, each of any light; projectors that
-/// overlap are warped, some of them turned.
+/// A grid of projectors with overlaps of at least thirty pixels, or of screens with or without bezels, each with its own
+/// light; overlapping projectors are warped, and some are turned.
 fn random_wall() -> impl Strategy<Value = String> {
     let optics = (1.0..3.0_f64, 0.0..0.02_f64, prop::array::uniform3(0.6..=1.0_f64), 0_u32..4, 0_usize..3);
     let warp = prop::array::uniform4(prop::array::uniform2(0.0..9.0_f64));
@@ -420,7 +417,7 @@ fn random_wall() -> impl Strategy<Value = String> {
             1 => "bezel_m = [0.01, 0.02]".to_owned(),
             _ => format!("overlap = [{shared:.3}, {:.3}]", 0.65 - shared),
         };
-        // Turned by quarters, pixels are square only on square projectors.
+        // Only square projectors have square pixels after a quarter turn.
         let mut text = format!(
             "canvas_m = [{columns}.0, {rows}.0]\n[grid]\ncolumns = {columns}\nrows = {rows}\npixels = [{side}, {side}]\n{spacing}\n"
         );
@@ -445,26 +442,26 @@ fn random_wall() -> impl Strategy<Value = String> {
 }
 
 #[test]
-fn what_lies_under_the_cursor_is_where_its_projector_lights_the_canvas() {
+fn a_pixel_s_point_on_the_canvas_is_where_its_projector_lights_it() {
     let crooked = Wall::from_toml("crooked", CROOKED).unwrap();
     let walls = ["paper-4x3", "blended-4x3", "lcd-5x3", "two-monitors"].map(|name| shipped(&format!("{name}.toml")));
     for wall in walls.iter().chain([&crooked]) {
         let room = Room::new(wall);
         let [width_m, height_m] = wall.canvas_m();
-        for thrower in &room.projectors {
-            let output = thrower.projector.output;
+        for simulated in &room.projectors {
+            let output = simulated.projector.output;
             let corner = DVec2::new(f64::from(output.x), f64::from(output.y));
             let mut n_points = 0;
             for point @ [x_m, y_m] in room.points(2000) {
-                let Some(px) = thrower.px(point).map(|px| corner + DVec2::from(px)) else { continue };
+                let Some(px) = simulated.px(point).map(|px| corner + DVec2::from(px)) else { continue };
                 if output.contains(px) {
                     let expected = DVec2::new(x_m / width_m, y_m / height_m);
                     let found = wall.canvas_at(px);
-                    assert!((found - expected).length() < 1e-9, "{}: {found} is {expected}", thrower.projector.name);
+                    assert!((found - expected).length() < 1e-9, "{}: {found} is {expected}", simulated.projector.name);
                     n_points += 1;
                 }
             }
-            assert!(n_points > 10, "{}: {n_points}", thrower.projector.name);
+            assert!(n_points > 10, "{}: {n_points}", simulated.projector.name);
         }
     }
 }
