@@ -55,7 +55,7 @@ fn the_experiment_measures_predicts_and_draws() {
 
 #[cfg(unix)]
 #[test]
-fn an_interrupted_experiment_leaves_what_it_measured() {
+fn an_interrupted_experiment_leaves_its_measurements() {
     let folder = tempfile::tempdir().unwrap();
     let mut program = bench(folder.path(), &["--nodes", "0..64", "--seconds", "0.05", "--predict", "none"]);
     program.wait_for("measured interleaved");

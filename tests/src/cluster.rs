@@ -56,11 +56,11 @@ fn a_link_of_one_megabit_is_slow_and_not_dead() {
     let mut wall = RunningWall::start_with(&["--encoding", "raw", "--in-flight", "1"]);
     let _far = RunningWall::join_at(&slow_way_to(&wall.address), "far", &[]);
     wall.wait_for_ready(1);
-    // Each frame of 98 KB occupies the link for 0.8 s, more than three times what silence is allowed.
+    // Each frame of 98 KB occupies the link for 0.8 s, more than three times the limit of silence.
     let started_at = Instant::now();
     wall.wait_for_frames(3);
     assert!(started_at.elapsed() > Duration::from_secs(1), "the link does not limit");
-    // One that is near does not wait for it for ever.
+    // A near server takes over some of its share.
     let _near = wall.join("near");
     wall.wait_for_ready(2);
     wall.wait_for_frames(6);
@@ -70,11 +70,11 @@ fn a_link_of_one_megabit_is_slow_and_not_dead() {
     assert_eq!((nodes_of(last).len(), &last["n_lost"]), (2, &0.into()));
     let far = last["nodes"].as_array().unwrap().iter().find(|node| node["name"] == "far").unwrap();
     assert!(far["round_trip_ms"].as_f64().is_some() && far["address"].is_string(), "{far}");
-    // With its share given to the near one as well, a frame does not take half of what it takes the far one alone.
+    // The near server renders the late share too, so a frame takes less than half the far one's time.
     assert!(last["attempts"].as_u64().unwrap() > 1 && last["render_ms"].as_f64().unwrap() < 400.0, "{last}");
 }
 
-/// Two namespaces, each a host, and a link of limited rate from the node to the wall; they go when this is dropped.
+/// Two network namespaces with a link of limited rate from the node to the wall; dropping it deletes them.
 struct TwoHosts {
     wall: String,
     node: String,

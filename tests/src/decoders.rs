@@ -144,7 +144,7 @@ pub fn wall(data: &[u8]) {
         Ok(wall) => {
             assert!(wall.output_size().iter().all(|side| (1..=Wall::LARGEST_SIDE).contains(side)));
             let printed = wall.to_toml();
-            let again = Wall::from_toml("printed.toml", &printed).expect("what is printed is a wall file");
+            let again = Wall::from_toml("printed.toml", &printed).expect("a printed wall is a wall file");
             assert_eq!(again.to_toml(), printed);
         }
         Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),

@@ -330,7 +330,7 @@ fn strangers_are_dropped_with_a_clear_line_and_the_wall_goes_on() {
 }
 
 #[test]
-fn a_renderer_without_the_model_is_told_what_to_do() {
+fn a_renderer_without_the_model_is_told_the_cure() {
     let files = Files::new();
     generate_statue(2000, &files.path("other.ply"));
     generate_statue(3000, &files.path("model.ply"));

@@ -36,9 +36,7 @@ fn a_film_has_each_picture_once_from_its_camera() {
     let pictures: Vec<_> = names
         .iter()
         .map(|name| compositor::gpu::RgbImage::read_png(&folder.join(name)).unwrap())
-        .inspect(|picture| {
-            assert_eq!(picture.size, [128, 72], "a picture is not the whole wall in its full resolution")
-        })
+        .inspect(|picture| assert_eq!(picture.size, [128, 72], "not the whole wall in full resolution"))
         .collect();
     assert!(pictures[0] == pictures[1] && pictures[1] == pictures[2], "the camera moves before 0.2 s");
     assert!((2..5).all(|index| pictures[index] != pictures[index + 1]), "the camera rests after 0.2 s");

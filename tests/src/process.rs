@@ -174,7 +174,7 @@ pub(crate) fn shared_folder() -> Option<PathBuf> {
 pub(crate) fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
     let start = Instant::now();
     while !holds() {
-        assert!(start.elapsed() < GENEROUS, "waited in vain until {what}");
+        assert!(start.elapsed() < GENEROUS, "timed out waiting until {what}");
         thread::sleep(Duration::from_millis(50));
     }
 }
