@@ -1,27 +1,27 @@
-//! What a picture looks like beside what it shows: from where it is lit, what is behind the model, and where the model
-//! is cut open.
+//! The appearance of a frame: key light, background and clip plane.
 //!
-//! All of it is whole numbers within bounds, so that every machine makes the same bits of it and none is NaN.
+//! All values are bounded integers: no NaN can occur, and every machine computes the same bits from them.
 
 use std::{fmt, str::FromStr};
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
+use strum::{Display, EnumString, IntoStaticStr, VariantArray};
 
-use crate::camera::Camera;
+use crate::{camera::Camera, names::unknown_name};
 
-/// The look of a picture.
+/// The appearance of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Appearance {
-    /// From where the key light comes.
+    /// The key light's direction.
     pub light: Light,
-    /// What is behind the model.
+    /// The background.
     pub background: Background,
-    /// Where the model is cut open, if anywhere.
+    /// The clip plane, if any.
     pub clip: Option<Clip>,
 }
 
-/// From where the key light comes, as seen from what is looked at, with the eye straight in front.
+/// The direction of the key light, seen from the target, with the eye straight in front.
 ///
 /// Invariant, on the wire too: the azimuth is in −180..=180 and the elevation in −90..=90.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -31,7 +31,7 @@ pub struct Light {
     elevation_deg: i16,
 }
 
-/// Why angles or a text are no light.
+/// Invalid angles or text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "a light comes from AZIMUTH,ELEVATION in whole degrees as in -35,36: from -180 to 180 to the right of the eye, \
@@ -40,7 +40,7 @@ pub struct Light {
 pub struct LightError;
 
 impl Light {
-    /// Lights to choose from, with what they are called; the first is the default.
+    /// Named lights to choose from; the first is the default.
     pub const PRESETS: [(&str, Self); 6] = [
         ("left shoulder", Self { azimuth_deg: -35, elevation_deg: 36 }),
         ("eye", Self { azimuth_deg: 0, elevation_deg: 0 }),
@@ -50,7 +50,7 @@ impl Light {
         ("behind", Self { azimuth_deg: 150, elevation_deg: 40 }),
     ];
 
-    /// Takes degrees: to the right of the eye, and above it.
+    /// A light from degrees to the right of the eye, and above it.
     pub fn new(azimuth_deg: i16, elevation_deg: i16) -> Result<Self, LightError> {
         let is_valid = (-180..=180).contains(&azimuth_deg) && (-90..=90).contains(&elevation_deg);
         if is_valid { Ok(Self { azimuth_deg, elevation_deg }) } else { Err(LightError) }
@@ -66,12 +66,12 @@ impl Light {
         self.elevation_deg
     }
 
-    /// Whether it comes from the eye's side of what is looked at, and not from beside it or beyond.
+    /// Whether it comes from the eye's side of the target.
     pub fn is_on_eye_side(self) -> bool {
         self.azimuth_deg.abs() < 90 && self.elevation_deg.abs() < 90
     }
 
-    /// The direction towards the light, of unit length: to the right, up, and towards the eye.
+    /// The unit vector towards the light, with components to the right, up, and towards the eye.
     pub fn direction(self) -> DVec3 {
         let ([cos_azimuth, sin_azimuth], [cos_elevation, sin_elevation]) =
             (unit_circle(self.azimuth_deg), unit_circle(self.elevation_deg));
@@ -79,8 +79,8 @@ impl Light {
     }
 }
 
-/// Cosine and sine of an angle in degrees, by turning again and again by one degree: `sin_cos` differs between platforms,
-/// + − × do not. At most 180 roundings, so right to 13 digits.
+/// Cosine and sine of an angle in degrees, by repeated rotation by one degree: `sin_cos` differs between platforms, + − ×
+/// do not. At most 180 roundings leave 13 correct digits.
 fn unit_circle(degrees: i16) -> [f64; 2] {
     const COS_1: f64 = 0.999_847_695_156_391_2;
     const SIN_1: f64 = 0.017_452_406_437_283_51;
@@ -126,24 +126,22 @@ impl FromStr for Light {
     }
 }
 
-/// What is behind the model: one colour at the bottom of the picture, one at its top, and linear light between them.
-///
-/// Colours are red, green and blue, sRGB-encoded.
+/// The background: a gradient, linear in light, between two sRGB-encoded colours.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Background {
-    /// At the bottom.
+    /// The picture's bottom: red, green, blue.
     pub bottom: [u8; 3],
-    /// At the top.
+    /// The picture's top: red, green, blue.
     pub top: [u8; 3],
 }
 
-/// Why a text is no background.
+/// Text that is not a background.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("a background is one colour as in 000000, red, green and blue, or two as in 424449,1b1f28: bottom and top")]
+#[error("a background is one colour RRGGBB as in 000000, or two, bottom and top, as in 424449,1b1f28")]
 pub struct BackgroundError;
 
 impl Background {
-    /// Backgrounds to choose from, with what they are called; the first is the default.
+    /// Named backgrounds to choose from; the first is the default.
     pub const PRESETS: [(&str, Self); 5] = [
         ("dusk", Self { bottom: [66, 68, 73], top: [27, 31, 40] }),
         ("black", Self::plain([0; 3])),
@@ -195,20 +193,23 @@ impl FromStr for Background {
     }
 }
 
-/// A plane that cuts the model open: what lies beyond it is not there, is not seen and casts no shadow.
+/// A plane that cuts the scene open: triangles beyond it are not seen and cast no shadow.
 ///
-/// Where it is follows from the scene's bounds and the camera, by the same arithmetic everywhere: see [`Clip::plane`].
+/// [`Clip::plane`] computes its position from the scene's bounds and the camera, with the same arithmetic everywhere.
 ///
-/// Invariant, on the wire too: at most all of the scene is cut away.
+/// Invariant, on the wire too: at most the whole scene is cut away.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "(ClipSide, u16)", into = "(ClipSide, u16)")]
 pub struct Clip {
-    from: ClipSide,
+    side: ClipSide,
     cut_permille: u16,
 }
 
-/// The side from which a scene is cut away.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+/// The side from which a scene is cut away; a key steps through them in this order.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, Display, EnumString, IntoStaticStr, VariantArray,
+)]
+#[strum(serialize_all = "lowercase", parse_err_ty = String, parse_err_fn = unknown_name::<Self>)]
 pub enum ClipSide {
     /// From large x to small.
     X,
@@ -217,12 +218,15 @@ pub enum ClipSide {
     /// From large z to small.
     Z,
     /// From small x to large.
+    #[strum(serialize = "-x")]
     MinusX,
     /// From small y to large.
+    #[strum(serialize = "-y")]
     MinusY,
     /// From small z to large.
+    #[strum(serialize = "-z")]
     MinusZ,
-    /// From the eye on, by a plane that turns with the view plane.
+    /// From the eye, by a plane parallel to the view plane.
     Eye,
 }
 
@@ -231,38 +235,22 @@ pub enum ClipSide {
 /// Invariant: all numbers are finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClipPlane {
-    /// Out of what is kept.
+    /// Points away from the kept half.
     pub normal: DVec3,
-    /// In units of the normal's length, from the world's origin.
+    /// Offset from the world's origin, in units of the normal's length.
     pub offset: f64,
 }
 
-/// Why numbers or a text are no clip plane.
+/// Invalid numbers or text for a clip plane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "a clip plane is SIDE:PERCENT as in y:30, how much of the scene is cut away, 0 to 100, and from where: \
-     x, y or z (from large to small), -x, -y or -z (from small to large), or eye"
+    "a clip plane is SIDE:PERCENT as in y:30: 0 to 100 percent of the scene are cut away, from x, y or z (large to \
+     small), from -x, -y or -z (small to large), or from eye"
 )]
 pub struct ClipError;
 
 impl ClipSide {
-    /// Every side, in the order in which a key steps through them.
-    pub const ALL: [Self; 7] = [Self::X, Self::Y, Self::Z, Self::MinusX, Self::MinusY, Self::MinusZ, Self::Eye];
-
-    /// The name on command lines and on screen.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::X => "x",
-            Self::Y => "y",
-            Self::Z => "z",
-            Self::MinusX => "-x",
-            Self::MinusY => "-y",
-            Self::MinusZ => "-z",
-            Self::Eye => "eye",
-        }
-    }
-
-    /// Out of what is kept, of unit length.
+    /// The unit normal, which points away from the kept half.
     fn normal(self, camera: &Camera) -> DVec3 {
         match self {
             Self::X => DVec3::X,
@@ -280,28 +268,28 @@ impl ClipSide {
 }
 
 impl Clip {
-    /// Takes how much of the scene is cut away, in thousandths of its extent from that side.
-    pub fn new(from: ClipSide, cut_permille: u16) -> Result<Self, ClipError> {
-        if cut_permille <= 1000 { Ok(Self { from, cut_permille }) } else { Err(ClipError) }
+    /// Cuts away `cut_permille` thousandths of the scene's extent from a side.
+    pub fn new(side: ClipSide, cut_permille: u16) -> Result<Self, ClipError> {
+        if cut_permille <= 1000 { Ok(Self { side, cut_permille }) } else { Err(ClipError) }
     }
 
-    /// As deep as another cut from another side, or half of the scene.
+    /// A cut from a side, as deep as `other`, or through the middle.
     #[must_use]
-    pub fn with_side(from: ClipSide, other: Option<Self>) -> Self {
-        Self { from, cut_permille: other.map_or(500, Self::cut_permille) }
+    pub fn with_side(side: ClipSide, other: Option<Self>) -> Self {
+        Self { side, cut_permille: other.map_or(500, Self::cut_permille) }
     }
 
-    /// From where the scene is cut away.
+    /// The side from which the scene is cut away.
     pub fn side(self) -> ClipSide {
-        self.from
+        self.side
     }
 
-    /// How much of it, in thousandths of its extent from there.
+    /// The part that is cut away, in thousandths of the scene's extent.
     pub fn cut_permille(self) -> u16 {
         self.cut_permille
     }
 
-    /// The same with so much more cut away, or less if it is negative, as far as there is anything.
+    /// A cut that is deeper by thousandths of the scene's extent, or shallower if negative; it stays within the scene.
     #[must_use]
     pub fn deepened_by(self, permille: i16) -> Self {
         Self { cut_permille: self.cut_permille.saturating_add_signed(permille).min(1000), ..self }
@@ -309,8 +297,8 @@ impl Clip {
 
     /// The plane in a scene with these bounds, seen by this camera; `None` if the scene has no bounds.
     pub fn plane(self, (min, max): (DVec3, DVec3), camera: &Camera) -> Option<ClipPlane> {
-        let normal = self.from.normal(camera);
-        // The farthest that a corner of the bounds lies out, and the nearest.
+        let normal = self.side.normal(camera);
+        // The bounds' extent along the normal.
         let far = (normal * min).max(normal * max);
         let near = (normal * min).min(normal * max);
         let (far, near) = (far.x + far.y + far.z, near.x + near.y + near.z);
@@ -322,20 +310,20 @@ impl Clip {
 impl TryFrom<(ClipSide, u16)> for Clip {
     type Error = ClipError;
 
-    fn try_from((from, cut_permille): (ClipSide, u16)) -> Result<Self, ClipError> {
-        Self::new(from, cut_permille)
+    fn try_from((side, cut_permille): (ClipSide, u16)) -> Result<Self, ClipError> {
+        Self::new(side, cut_permille)
     }
 }
 
 impl From<Clip> for (ClipSide, u16) {
-    fn from(Clip { from, cut_permille }: Clip) -> Self {
-        (from, cut_permille)
+    fn from(Clip { side, cut_permille }: Clip) -> Self {
+        (side, cut_permille)
     }
 }
 
 impl fmt::Display for Clip {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}:{}", self.from.name(), f64::from(self.cut_permille) / 10.0)
+        write!(f, "{}:{}", self.side, f64::from(self.cut_permille) / 10.0)
     }
 }
 
@@ -344,10 +332,9 @@ impl FromStr for Clip {
 
     fn from_str(text: &str) -> Result<Self, ClipError> {
         let (name, percent) = text.split_once(':').ok_or(ClipError)?;
-        let from = ClipSide::ALL.into_iter().find(|from| from.name() == name.trim()).ok_or(ClipError)?;
+        let side = name.trim().parse().map_err(|_| ClipError)?;
         let percent: f64 = percent.trim().trim_end_matches('%').parse().map_err(|_| ClipError)?;
-        // What is no number or out of range becomes one that is refused.
-        if (0.0..=100.0).contains(&percent) { Self::new(from, (percent * 10.0).round() as u16) } else { Err(ClipError) }
+        if (0.0..=100.0).contains(&percent) { Self::new(side, (percent * 10.0).round() as u16) } else { Err(ClipError) }
     }
 }
 
@@ -356,7 +343,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_cut_takes_its_share_of_the_scene_from_its_side() {
+    fn a_cut_takes_its_part_of_the_scene_from_its_side() {
         let (min, max) = (DVec3::new(-1.0, 2.0, 10.0), DVec3::new(3.0, 4.0, 20.0));
         let camera = Camera::look_at(DVec3::new(1.0, 3.0, 99.0), DVec3::ONE, DVec3::Y, 0.7, 2.0).unwrap();
         let kept = |clip: &str, point: DVec3| {
@@ -375,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_cut_is_refused() {
+    fn invalid_cuts_are_refused() {
         for text in ["", "x", "x:", "w:3", "x:101", "x:-1", "x:NaN", "x:inf", "eye:1e9", "-eye:3"] {
             assert!(text.parse::<Clip>().is_err(), "{text}");
         }
@@ -409,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_that_are_none_are_refused() {
+    fn invalid_colours_are_refused() {
         for text in ["", "red", "12345", "1234567", "+12345", "000000,", "000000,000000,000000", "ÿÿÿ"] {
             assert!(text.parse::<Background>().is_err(), "{text}");
         }
@@ -417,14 +404,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read() {
+    fn written_appearances_are_read_back() {
         for (_, light) in Light::PRESETS {
             assert_eq!(light.to_string().parse(), Ok(light));
         }
         for (_, background) in Background::PRESETS {
             assert_eq!(background.to_string().parse(), Ok(background));
         }
-        for (permille, from) in (0..=1000).step_by(7).zip(ClipSide::ALL.into_iter().cycle()) {
+        for (permille, from) in (0..=1000).step_by(7).zip(ClipSide::VARIANTS.iter().copied().cycle()) {
             let clip = Clip::new(from, permille).unwrap();
             assert_eq!(clip.to_string().parse(), Ok(clip));
         }

@@ -1,4 +1,4 @@
-//! The camera of the paper, the rays that it makes, the motions that steer it, and the paths that it follows.
+//! The paper's camera, its rays, the motions that steer it, and the paths that it follows.
 
 mod motion;
 mod path;
@@ -31,7 +31,7 @@ pub struct Camera {
     v: DVec3,
 }
 
-/// A camera's vectors as they stand in a file or in a message, not yet checked.
+/// Unchecked vectors of a camera, from a file or a message.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CameraVectors {
@@ -41,7 +41,7 @@ struct CameraVectors {
     v: DVec3,
 }
 
-/// Why vectors make no camera.
+/// The vectors are not a valid camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CameraError {
     /// A component is NaN, infinite, or too large for the `f32` rays made from it.
@@ -55,25 +55,25 @@ pub enum CameraError {
     EyeInPlane,
 }
 
-/// Why a file holds no camera, or no path.
+/// A file of a camera, a path or views is malformed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {problem}; {format}")]
 pub struct CameraFileError {
     line: usize,
     problem: String,
-    /// What such a file looks like.
+    /// The expected format.
     format: &'static str,
 }
 
 impl CameraFileError {
-    /// A problem at a byte of a text; `format` says what the file should look like.
+    /// A problem at a byte offset of a text; `format` describes a correct file.
     fn at(text: &str, offset: usize, problem: &str, format: &'static str) -> Self {
         let line = 1 + text.get(..offset).unwrap_or("").matches('\n').count();
         Self { line, problem: problem.trim().replace('\n', ", "), format }
     }
 }
 
-/// Rays leave the range in which `f32` squares stay finite beyond this.
+/// Beyond this, the squares of `f32` rays overflow.
 const LARGEST_COMPONENT: f64 = 1e18;
 
 impl TryFrom<CameraVectors> for Camera {
@@ -91,13 +91,13 @@ impl From<Camera> for CameraVectors {
 }
 
 impl Camera {
-    /// Takes vectors in world space.
+    /// A camera from vectors in world space.
     pub fn new(eye: DVec3, ll: DVec3, u: DVec3, v: DVec3) -> Result<Self, CameraError> {
         let usable = |p: DVec3| p.abs().max_element() < LARGEST_COMPONENT && p.is_finite();
         if ![eye, ll, u, v].into_iter().all(usable) {
             return Err(CameraError::NotFinite);
         }
-        // Relative to the edges' lengths, so that models in any unit are judged alike.
+        // Relative to the edges' lengths, so that the model's unit does not matter.
         let area = u.normalize_or_zero().cross(v.normalize_or_zero());
         if area.length() < 1e-9 {
             return Err(CameraError::NoArea);
@@ -111,9 +111,9 @@ impl Camera {
 
     /// A camera at `eye` that looks at `target`; its view plane passes through `target`.
     ///
-    /// `up` need not be perpendicular to the view, and may even be parallel to it: then some other up is taken.
-    /// `fov_y` is the vertical field of view in radians, `aspect` the width of the view plane over its height: the
-    /// canvas's, which is not the frame's, since samples need not be square.
+    /// `up` need not be perpendicular to the view; if it is parallel, an arbitrary up is used.
+    /// `fov_y` is the vertical field of view in radians. `aspect` is the view plane's width over its height: that of the
+    /// canvas, not of the frame, because samples need not be square.
     pub fn look_at(eye: DVec3, target: DVec3, up: DVec3, fov_y: f64, aspect: f64) -> Result<Self, CameraError> {
         let forward = target - eye;
         let distance = forward.length();
@@ -166,9 +166,9 @@ impl Camera {
         self.ll + (self.u + self.v) * 0.5
     }
 
-    /// Where a point is seen, as parts of the edges u and v; `None` if it lies beside the eye or behind it.
+    /// A point's projection, as parts of the edges u and v; `None` if it lies beside or behind the eye.
     pub fn project(&self, point: DVec3) -> Option<[f64; 2]> {
-        // Solved for t, s and p in eye + t·(point − eye) = ll + s·u + p·v.
+        // Solve eye + t·(point − eye) = ll + s·u + p·v for t, s and p.
         let normal = self.u.cross(self.v);
         let (ray, to_plane) = (point - self.eye, self.ll - self.eye);
         let t = to_plane.dot(normal) / ray.dot(normal);
@@ -192,10 +192,10 @@ impl Camera {
     }
 }
 
-/// What the rays of one frame are made from, in single precision.
+/// The origin and direction terms of a frame's rays, in single precision.
 ///
-/// The convention is that of the peers that Raywall is measured against, bit for bit: differences are taken in `f64`
-/// and rounded once; then [`CameraRays::direction`] adds in `f32` without fused multiplication.
+/// The arithmetic matches that of the peers in comparisons, bit for bit: differences are taken in `f64` and rounded once,
+/// then [`CameraRays::direction`] adds in `f32` without fused multiply-add.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraRays {
     /// The origin of every ray, in world space.
@@ -222,7 +222,7 @@ impl CameraRays {
         (self.a + self.du * x) + self.dv * y
     }
 
-    /// What columns and rows of points have along an axis: the sum of the parts for x and for y is that component of
+    /// Column and row terms of the directions along an axis: the term for x plus the term for y is that component of
     /// [`CameraRays::direction_through`] (x, y), bit for bit.
     #[inline]
     pub fn direction_terms<const N: usize>(&self, axis: usize, x: &[f32; N], y: &[f32; N]) -> [[f32; N]; 2] {

@@ -1,14 +1,14 @@
 //! Messages as bytes.
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! |---|---|
 //! | 4 | length of the body, little endian |
 //! | 1 | kind: 0 control, 1 samples, 2 samples as an LZ4 block |
 //! | … | body |
 //!
-//! The body of samples is frame (8 bytes), work (4), first unit (4), number of units (4), all little endian, then RGB, or an LZ4
-//! block that unpacks to it.
-//! Whoever reads takes the five bytes of the [`Header`] first, and so knows the size before it allocates anything.
+//! The body of samples is frame (8 bytes), task (4), first unit (4), number of units (4), all little endian, then RGB, or
+//! an LZ4 block of it.
+//! A reader takes the five bytes of the [`Header`] first and checks the size before it allocates anything.
 
 use serde::{Serialize, de::DeserializeOwned};
 
@@ -20,44 +20,44 @@ pub const HEADER_BYTES: usize = 5;
 /// Bytes of a chunk's body before its samples.
 pub const CHUNK_HEADER_BYTES: usize = 20;
 
-/// The largest body until the handshake is accepted: a stranger can make its peer hold no more.
+/// The largest body before the handshake is accepted: it bounds the memory that a stranger can take.
 pub const HANDSHAKE_LIMIT: usize = 1024;
 
-/// The largest body of a control message after the handshake: room for the tile runs of a wall-sized frame.
+/// The largest body of a control message after the handshake: the costs of the largest task fit.
 pub const CONTROL_LIMIT: usize = 256 * 1024;
 
 /// The largest body of samples.
 pub const CHUNK_LIMIT: usize = CHUNK_HEADER_BYTES + CHUNK_BYTES;
 
-/// Why bytes are no message.
+/// The bytes are not a message.
 #[derive(Debug, thiserror::Error)]
 pub enum CodecError {
-    /// The length is beyond what this kind may have here.
-    #[error("a message of {n_bytes} bytes, where {limit} is the most")]
+    /// The body is longer than its kind may be here.
+    #[error("a message of {n_bytes} bytes: at most {limit} are allowed")]
     TooLong {
-        /// As announced.
+        /// Announced length.
         n_bytes: usize,
-        /// As allowed.
+        /// Largest length.
         limit: usize,
     },
-    /// A kind that does not exist, or not in this direction.
+    /// A kind that does not exist, or is not allowed yet.
     #[error("a message of unknown kind {0}")]
     UnknownKind(u8),
     /// The body does not decode.
     #[error("a malformed message: {0}")]
     Malformed(#[from] bincode::error::DecodeError),
-    /// Bytes remain behind the message.
+    /// Bytes remain after the message.
     #[error("a message with {0} bytes too many")]
     Trailing(usize),
-    /// A chunk's header is cut.
+    /// The chunk ends within its header.
     #[error("a chunk of {0} bytes: too short for its header")]
     ShortChunk(usize),
-    /// Samples do not unpack, or to more than a chunk has.
+    /// The LZ4 block is malformed or unpacks to more than a chunk.
     #[error("samples that do not unpack: {0}")]
     Unpack(#[from] lz4_flex::block::DecompressError),
 }
 
-/// What kind of body follows.
+/// The kind of a body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BodyKind {
     /// A bincode message.
@@ -66,19 +66,19 @@ pub enum BodyKind {
     Samples(Encoding),
 }
 
-/// What stands before each body.
+/// The bytes before each body.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// What follows.
+    /// Kind of the body.
     pub kind: BodyKind,
-    /// How many bytes of it.
+    /// Bytes of the body.
     pub n_bytes: usize,
 }
 
 impl Header {
-    /// Reads a header and holds it against the limits: of control messages as given, of samples [`CHUNK_LIMIT`].
+    /// Reads a header and checks its length: against `control_limit`, or [`CHUNK_LIMIT`] for samples.
     ///
-    /// Samples are refused while `control_limit` is [`HANDSHAKE_LIMIT`]: nobody has asked for any yet.
+    /// Samples are refused while `control_limit` is [`HANDSHAKE_LIMIT`]: no task has been given out yet.
     pub fn parse(bytes: [u8; HEADER_BYTES], control_limit: usize) -> Result<Self, CodecError> {
         let [length @ .., kind] = bytes;
         let n_bytes = u32::from_le_bytes(length) as usize;
@@ -112,10 +112,9 @@ fn config() -> impl bincode::config::Config {
 /// Appends a control message with its header.
 ///
 /// # Errors
-/// A message longer than [`CONTROL_LIMIT`], which the peer would refuse; `out` is then as it was.
+/// The message is longer than [`CONTROL_LIMIT`]; `out` is unchanged.
 pub fn encode(message: &impl Serialize, out: &mut Vec<u8>) -> Result<(), CodecError> {
-    let body =
-        bincode::serde::encode_to_vec(message, config()).expect("messages hold nothing that bincode cannot write");
+    let body = bincode::serde::encode_to_vec(message, config()).expect("bincode can write every message");
     if body.len() > CONTROL_LIMIT {
         return Err(CodecError::TooLong { n_bytes: body.len(), limit: CONTROL_LIMIT });
     }
@@ -134,7 +133,7 @@ pub fn decode<M: DeserializeOwned>(body: &[u8]) -> Result<M, CodecError> {
 }
 
 impl<'a> Chunk<'a> {
-    /// Appends the chunk with its header. Samples that encoding would make longer stay as they are.
+    /// Appends the chunk with its header. Samples that do not shrink are sent raw.
     pub fn encode(&self, encoding: Encoding, out: &mut Vec<u8>) {
         let packed = match encoding {
             Encoding::Raw => None,
@@ -149,10 +148,10 @@ impl<'a> Chunk<'a> {
         out.extend(samples);
     }
 
-    /// The same chunk with its samples unpacked into `buffer`, which is made to hold a chunk's samples and never more.
+    /// The same chunk with its samples unpacked into `buffer`, which grows to [`CHUNK_BYTES`] at most.
     ///
     /// # Errors
-    /// Bytes that are no LZ4 block of at most [`CHUNK_BYTES`].
+    /// The samples are not an LZ4 block of at most [`CHUNK_BYTES`].
     pub fn unpack<'b>(&self, encoding: Encoding, buffer: &'b mut Vec<u8>) -> Result<Chunk<'b>, CodecError>
     where
         'a: 'b,
@@ -168,7 +167,7 @@ impl<'a> Chunk<'a> {
         Ok(Chunk { rgb, ..*self })
     }
 
-    /// Reads the body of samples; the samples stay where they are.
+    /// Reads the body of samples without copying them.
     pub fn decode(body: &'a [u8]) -> Result<Self, CodecError> {
         let short = || CodecError::ShortChunk(body.len());
         let (frame, rest) = body.split_first_chunk().ok_or_else(short)?;
@@ -244,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn the_costs_of_the_largest_work_fit_a_message() {
+    fn the_costs_of_the_largest_task_fit_a_message() {
         let task = Division::Dynamic.task(0, 1);
         let share = task
             .share(FrameSize::new(FrameSize::LARGEST, FrameSize::MOST_SAMPLES / FrameSize::LARGEST).unwrap())
@@ -263,10 +262,10 @@ mod tests {
     #[test]
     fn costs_that_do_not_fit_are_told_apart() {
         assert!(RunCosts::default().fits(0) && RunCosts::default().fits(9));
-        let costs = |run_units, n_blocks| RunCosts { run_units, cpu_ns: vec![1; n_blocks] };
+        let costs = |run_units, n_runs| RunCosts { run_units, cpu_ns: vec![1; n_runs] };
         assert!(costs(4, 3).fits(9) && !costs(4, 2).fits(9) && !costs(4, 4).fits(9) && !costs(0, 1).fits(9));
-        let blocks: Vec<_> = costs(4, 3).runs(9).map(|(units, _)| units).collect();
-        assert_eq!(blocks, [0..4, 4..8, 8..9]);
+        let runs: Vec<_> = costs(4, 3).runs(9).map(|(units, _)| units).collect();
+        assert_eq!(runs, [0..4, 4..8, 8..9]);
         assert_eq!(costs(u32::MAX, 1).runs(9).next(), Some((0..9, 1)));
     }
 
@@ -348,7 +347,7 @@ mod tests {
                 prop_assert_eq!(n_bytes, body.len());
                 let mut buffer = Vec::new();
                 prop_assert_eq!(Chunk::decode(body).unwrap().unpack(encoding, &mut buffer).unwrap(), chunk);
-                // Cut, it is something else or nothing.
+                // A cut block may fail to unpack, but must not panic.
                 let cut = CHUNK_HEADER_BYTES + cut.index(body.len() - CHUNK_HEADER_BYTES + 1);
                 let _ = Chunk::decode(&body[..cut]).unwrap().unpack(encoding, &mut buffer);
             }
@@ -360,6 +359,7 @@ mod tests {
             let chunk = Chunk { frame: FrameId(1), task_id: TaskId(2), first_unit: 3, n_units: 4, rgb: &packed };
             let mut buffer = Vec::new();
             prop_assert_eq!(chunk.unpack(Encoding::Lz4, &mut buffer).is_ok(), n_bytes <= CHUNK_BYTES);
-            prop_assert!(buffer.capacity() <= CHUNK_BYTES);        }
+            prop_assert!(buffer.capacity() <= CHUNK_BYTES);
+        }
     }
 }

@@ -1,25 +1,23 @@
-//! An order of a rectangle's tiles in which those that follow each other lie side by side.
+//! A space-filling curve through a rectangle's tiles: consecutive tiles are neighbours.
 //!
-//! The generalised Hilbert curve of Červený ("gilbert", 2018, github.com/jakubcerveny/gilbert): a rectangle is cut in two
-//! or three smaller ones, each of which is entered beside the place where the one before is left, until one is a single
-//! row. Unlike Hilbert's own curve it fills a rectangle of any sides, each tile once. A run of it is a compact region, so
-//! its rays meet the same part of the scene.
+//! The generalised Hilbert curve of Červený ("gilbert", 2018, github.com/jakubcerveny/gilbert) cuts a rectangle into two
+//! or three smaller ones, and each begins beside the end of the one before; a single row ends the recursion. Unlike
+//! Hilbert's own curve, it fills a rectangle of any sides, each tile once. A run of the curve is a compact region, so its
+//! rays meet the same part of the scene.
 
 use glam::IVec2;
 
-/// Tiles along the curve that are rendered together, counted from its beginning: nearly always a square. What they cost is
-/// less than what each costs alone, so that who cuts a run between them changes the costs of its tiles.
+/// Consecutive tiles that are rendered together, counted from the curve's beginning: nearly always a square. Together they
+/// cost less than one by one, so a cut within a square changes the costs of its tiles.
 pub const TILES_PER_SQUARE: u32 = 4;
 
 /// The column and row of the `index`-th tile along the curve through `columns` × `rows` tiles; `index` must be below their
-/// product, and the product within `i32`.
-///
-/// Takes a number of steps that grows with the logarithm of the sides.
+/// product, and the product within `i32`. Takes O(log(columns + rows)) steps.
 pub fn tile_at(index: u32, columns: u32, rows: u32) -> (u32, u32) {
     debug_assert!(index < columns * rows, "tile {index} of {columns}×{rows}");
     let mut index = index as i32;
     let (across, up) = (IVec2::X * columns as i32, IVec2::Y * rows as i32);
-    // The rectangle that holds the tile: the corner where the curve enters, the side along which it leaves, the other.
+    // The rectangle that holds the tile: the corner where the curve enters, the side along which it leaves, the other side.
     let mut corner = IVec2::ZERO;
     let (mut along, mut beside) = if columns >= rows { (across, up) } else { (up, across) };
     let tile = loop {
@@ -31,7 +29,7 @@ pub fn tile_at(index: u32, columns: u32, rows: u32) -> (u32, u32) {
             break corner + beside.signum() * index;
         }
         if 2 * length > 3 * width {
-            // Long: two parts, one behind the other.
+            // A long rectangle: two parts, one behind the other.
             let first = even_half(along);
             let n_first = length_of(first) * width;
             if index < n_first {
@@ -42,7 +40,7 @@ pub fn tile_at(index: u32, columns: u32, rows: u32) -> (u32, u32) {
                 along -= first;
             }
         } else {
-            // Stout: up, along, and down again.
+            // A stout rectangle, three parts: up, along, and down again.
             let half = along >> 1;
             let first = even_half(beside);
             let n_first = length_of(first) * length_of(half);
@@ -63,9 +61,8 @@ pub fn tile_at(index: u32, columns: u32, rows: u32) -> (u32, u32) {
     (tile.x as u32, tile.y as u32)
 }
 
-/// Where along the curve through `columns` × `rows` tiles the tile of a column and row comes: what undoes [`tile_at`].
-///
-/// Takes a number of steps that grows with the logarithm of the sides.
+/// The index of a tile along the curve through `columns` × `rows` tiles: the inverse of [`tile_at`], with the same
+/// recursion.
 pub fn index_at(column: u32, row: u32, columns: u32, rows: u32) -> u32 {
     debug_assert!(column < columns && row < rows, "tile ({column}, {row}) of {columns}×{rows}");
     let tile = IVec2::new(column as i32, row as i32);
@@ -74,7 +71,7 @@ pub fn index_at(column: u32, row: u32, columns: u32, rows: u32) -> u32 {
     let (mut along, mut beside) = if columns >= rows { (across, up) } else { (up, across) };
     let index = loop {
         let (length, width) = (length_of(along), length_of(beside));
-        // How far into the rectangle the tile lies, along either side.
+        // The tile's offset in the rectangle along either side.
         let (a, b) = ((tile - corner).dot(along.signum()), (tile - corner).dot(beside.signum()));
         if width == 1 {
             break index + a;
@@ -112,11 +109,11 @@ pub fn index_at(column: u32, row: u32, columns: u32, rows: u32) -> u32 {
 }
 
 /// The length of a side, which is parallel to an axis.
-fn length_of(length_of: IVec2) -> i32 {
-    (length_of.x + length_of.y).abs()
+fn length_of(side: IVec2) -> i32 {
+    (side.x + side.y).abs()
 }
 
-/// Half of a side; even if it can be, since the curve crosses even sides without a diagonal step.
+/// Half of a side, even if possible: the curve crosses even sides without a diagonal step.
 fn even_half(whole: IVec2) -> IVec2 {
     let half = whole >> 1;
     if length_of(half) % 2 == 1 && length_of(whole) > 2 { half + whole.signum() } else { half }

@@ -1,9 +1,9 @@
-//! Sort-first division: who renders which samples of a frame.
+//! Sort-first division: which node renders which samples of a frame.
 //!
-//! A frame is cut into *units*, numbered from 0: single samples (interleaved) or 8×8 tiles (tiled, and dynamic, where they
-//! are numbered along a [`curve`]).
-//! [`Task`] picks some of a frame's units in a fixed order, and [`Units::samples`] lists the samples of a unit in a fixed
-//! order: together they are the one statement of where the bytes of an answer belong.
+//! A frame is cut into *units*, numbered from 0: single samples (interleaved) or 8×8 tiles (tiled, and dynamic, which
+//! numbers them along a [`curve`]).
+//! [`Task`] selects units of a frame in a fixed order, and [`Units::samples`] lists the samples of a unit in a fixed
+//! order: together they define the order of the bytes in an answer.
 
 mod frame_size;
 mod share;
@@ -11,42 +11,48 @@ mod share;
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
+use strum::{Display, EnumString, IntoStaticStr, VariantArray};
 
 pub use self::{
     frame_size::{FrameSize, FrameSizeError},
     share::{Part, Selection, Share, Task, TaskError, TileRun},
 };
-use crate::curve;
+use crate::{curve, names::unknown_name};
 
-/// The side of a tile in samples: the paper's, and one tile is one packet of 64 rays.
+/// The side of a tile in samples, as in the paper: one tile is one packet of 64 rays.
 pub const TILE_SIZE: u32 = 8;
 
-/// How a frame is divided among machines: by one of the paper's two heuristics, or by what its tiles cost.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+/// How a frame is divided among machines: by one of the paper's two heuristics, or by the cost of its tiles.
+///
+/// A key steps through the variants in this order.
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    Hash,
+    Serialize,
+    Deserialize,
+    Display,
+    EnumString,
+    IntoStaticStr,
+    VariantArray,
+)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase", parse_err_ty = String, parse_err_fn = unknown_name::<Self>)]
 pub enum Division {
     /// Sample i goes to machine i mod M.
     Interleaved,
     /// Tile t of 8×8 samples goes to machine t mod M.
     #[default]
     Tiled,
-    /// Runs of tiles along a [`curve`], as long as the last frame's costs and the machines' speeds suggest.
+    /// Runs of tiles along a [`curve`]; the last frame's costs and the machines' speeds set their lengths.
     Dynamic,
 }
 
 impl Division {
-    /// Every division, in the order in which a key steps through them.
-    pub const ALL: [Self; 3] = [Self::Interleaved, Self::Tiled, Self::Dynamic];
-
-    /// The name on command lines and on screen.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Interleaved => "interleaved",
-            Self::Tiled => "tiled",
-            Self::Dynamic => "dynamic",
-        }
-    }
-
     /// The units that this division cuts a frame into.
     pub fn units(self, size: FrameSize) -> Units {
         let kind = match self {
@@ -57,30 +63,16 @@ impl Division {
         Units { kind, size }
     }
 
-    /// The work of one machine among several of which nothing is known; for [`Division::Dynamic`] every so-many-th tile of
-    /// the curve, so that each sees all of the picture.
+    /// The task of machine `machine_idx` among `n_machines` of unknown speed.
+    ///
+    /// [`Division::Dynamic`] gives each machine every `n_machines`-th tile of the curve, so that each samples the whole
+    /// picture.
     pub fn task(self, machine_idx: u32, n_machines: u32) -> Task {
-        let selection = match self {
-            Self::Interleaved => Selection::Interleaved { machine_idx, n_machines },
-            Self::Tiled => Selection::Tiled { machine_idx, n_machines },
-            Self::Dynamic => Selection::Curve { machine_idx, n_machines },
-        };
-        Task { selection, part: Part::WHOLE }
+        Task { selection: Selection::Strided { division: self, machine_idx, n_machines }, part: Part::WHOLE }
     }
 }
 
-impl std::str::FromStr for Division {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        Self::ALL
-            .into_iter()
-            .find(|division| division.name() == text)
-            .ok_or_else(|| format!("\"{text}\" is no division: it is interleaved, tiled or dynamic"))
-    }
-}
-
-/// What a unit is.
+/// The kind of a unit, and the order of its numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum UnitKind {
     Sample,
@@ -101,7 +93,7 @@ impl Units {
         self.size
     }
 
-    /// How many units the frame has.
+    /// Number of units of the frame.
     pub fn count(self) -> u32 {
         match self.kind {
             UnitKind::Sample => self.size.n_samples(),
@@ -109,7 +101,7 @@ impl Units {
         }
     }
 
-    /// How many samples a unit has that the frame does not cut off.
+    /// Number of samples of a unit that the frame's edge does not cut.
     pub fn samples_per_full_unit(self) -> u32 {
         match self.kind {
             UnitKind::Sample => 1,
@@ -119,8 +111,8 @@ impl Units {
 
     /// The samples of a unit: columns and rows of the frame, row j = 0 at the bottom.
     ///
-    /// Within a unit samples are ordered row by row from the bottom left; tiles at the right and upper edge are cut off
-    /// by the frame.
+    /// Within a unit, samples are ordered row by row from the bottom left. The frame cuts off tiles at its right and upper
+    /// edges.
     #[inline]
     pub fn samples(self, unit: u32) -> SampleRect {
         let (xres, yres) = self.size.into();
@@ -135,7 +127,7 @@ impl Units {
     }
 }
 
-/// The block of samples that makes up one unit.
+/// The samples of one unit.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SampleRect {
     /// Columns, from the left.
@@ -145,7 +137,7 @@ pub struct SampleRect {
 }
 
 impl SampleRect {
-    /// How many samples.
+    /// Number of samples.
     #[inline]
     pub fn count(&self) -> u32 {
         self.columns.len() as u32 * self.rows.len() as u32
@@ -164,10 +156,10 @@ mod tests {
 
     use super::*;
 
-    /// How often each sample of a frame is in the given works.
-    fn coverage(works: &[Task], size: FrameSize) -> Vec<u32> {
+    /// The number of given tasks that hold each sample of a frame.
+    fn coverage(tasks: &[Task], size: FrameSize) -> Vec<u32> {
         let mut times = vec![0; size.n_samples() as usize];
-        for task in works {
+        for task in tasks {
             let share = task.share(size).unwrap();
             for (i, j) in (0..share.count()).flat_map(|k| share.samples(k).iter()) {
                 times[(j * size.xres() + i) as usize] += 1;
@@ -189,24 +181,12 @@ mod tests {
     }
 
     #[test]
-    fn works_that_do_not_fit_are_refused() {
+    fn tasks_that_do_not_fit_are_refused() {
         let size = FrameSize::new(16, 16).unwrap();
         assert!(Division::Tiled.task(3, 3).share(size).is_err());
         assert!(Division::Interleaved.task(0, 0).share(size).is_err());
-        assert!(
-            Task { selection: Selection::Tiled { machine_idx: 0, n_machines: 1 }, part: Part { index: 1, n_parts: 1 } }
-                .share(size)
-                .is_err()
-        );
-        let runs = |runs: &[(u32, u32)]| Task {
-            selection: Selection::TileRuns(runs.iter().map(|&(first, count)| TileRun { first, count }).collect()),
-            part: Part::WHOLE,
-        };
-        assert_eq!(runs(&[(3, 1), (0, 2)]).share(size).unwrap().count(), 3);
-        assert!(runs(&[(3, 2)]).share(size).is_err());
-        assert!(runs(&[(u32::MAX, 2)]).share(size).is_err());
-        assert!(runs(&[(0, 0)]).share(size).is_err());
-        assert_eq!(runs(&[(0, 4), (1, 1)]).share(size).unwrap_err(), TaskError::TooManyTiles);
+        let no_such_part = Task { part: Part { index: 1, n_parts: 1 }, ..Division::Tiled.task(0, 1) };
+        assert!(no_such_part.share(size).is_err());
         let run = |first, count| Task { selection: Selection::CurveRun(TileRun { first, count }), part: Part::WHOLE };
         assert_eq!(run(4, 0).share(size).unwrap().count(), 0);
         assert!(run(3, 2).share(size).is_err());
@@ -227,28 +207,15 @@ mod tests {
             lost in 0..20u32, n_parts in 1..6u32,
         ) {
             let size = FrameSize::new(xres, yres).unwrap();
-            let division = Division::ALL[division];
-            let mut works: Vec<_> = (0..n_machines).map(|machine_idx| division.task(machine_idx, n_machines)).collect();
-            prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
+            let division = Division::VARIANTS[division];
+            let mut tasks: Vec<_> = (0..n_machines).map(|machine_idx| division.task(machine_idx, n_machines)).collect();
+            prop_assert!(coverage(&tasks, size).iter().all(|&times| times == 1));
             // A lost machine's share is divided again, and so is a part of that.
-            let lost = works.swap_remove((lost % n_machines) as usize);
-            works.extend((0..n_parts).map(|index| lost.part(index, n_parts).unwrap()));
-            let lost_again = works.pop().unwrap();
-            works.extend((0..3).map(|index| lost_again.part(index, 3).unwrap()));
-            prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
-        }
-
-        #[test]
-        fn tile_runs_cover_what_they_name(xres in 1..70u32, yres in 1..50u32, cut in 0..100u32, n_parts in 1..4u32) {
-            let size = FrameSize::new(xres, yres).unwrap();
-            let n_tiles = Division::Tiled.units(size).count();
-            let cut = cut % n_tiles;
-            let runs = [TileRun { first: cut, count: n_tiles - cut }, TileRun { first: 0, count: cut }];
-            let selection = Selection::TileRuns(runs.into_iter().filter(|run| run.count > 0).collect());
-            let works: Vec<_> = (0..n_parts)
-                .map(|index| Task { selection: selection.clone(), part: Part { index, n_parts } })
-                .collect();
-            prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
+            let lost = tasks.swap_remove((lost % n_machines) as usize);
+            tasks.extend((0..n_parts).map(|index| lost.part(index, n_parts).unwrap()));
+            let lost_again = tasks.pop().unwrap();
+            tasks.extend((0..3).map(|index| lost_again.part(index, 3).unwrap()));
+            prop_assert!(coverage(&tasks, size).iter().all(|&times| times == 1));
         }
 
         #[test]
@@ -260,11 +227,11 @@ mod tests {
             let mut cuts: Vec<_> = cuts.iter().map(|cut| cut * n_tiles / 1000).chain([0, n_tiles]).collect();
             cuts.sort_unstable();
             let runs = cuts.windows(2).map(|ends| TileRun { first: ends[0], count: ends[1] - ends[0] });
-            let works: Vec<_> = runs
+            let tasks: Vec<_> = runs
                 .flat_map(|run| (0..n_parts).map(move |index| (run, Part { index, n_parts })))
                 .map(|(run, part)| Task { selection: Selection::CurveRun(run), part })
                 .collect();
-            prop_assert!(coverage(&works, size).iter().all(|&times| times == 1));
+            prop_assert!(coverage(&tasks, size).iter().all(|&times| times == 1));
         }
     }
 }

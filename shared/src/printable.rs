@@ -1,14 +1,14 @@
-//! Text from peers, made fit for logs and screens.
+//! Text from peers, made safe for logs and screens.
 
-/// The most characters of a peer's text that are shown.
+/// The most characters of a peer's text that are kept.
 const MAX_CHARS: usize = 300;
 
-/// The text without what would forge lines, turn the direction of writing, or hide: and no longer than a few lines.
+/// The text without characters that forge lines, reverse the direction of writing or are invisible; cut to a few lines.
 pub fn printable(text: &str) -> String {
     text.chars().filter(|&letter| !letter.is_control() && !is_invisible(letter)).take(MAX_CHARS).collect()
 }
 
-/// Unicode's marks of direction, joiners and other letters that take no room.
+/// Direction marks, joiners and other characters of no width.
 fn is_invisible(letter: char) -> bool {
     matches!(letter, '\u{ad}' | '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}'
         | '\u{feff}' | '\u{e0000}'..='\u{e007f}')

@@ -1,49 +1,51 @@
 //! The messages between the wall and its render servers.
 //!
-//! Both sides open with [`PREAMBLE`]. Then each message is a length, a kind and a body: control messages are bincode,
-//! samples are a fixed header followed by raw RGB bytes, which no serializer touches; [`crate::codec`] does both.
+//! Both sides open with [`PREAMBLE`]. Then each message is a length, a kind and a body. Control messages are bincode;
+//! samples are a fixed header followed by RGB bytes, which no serializer touches. [`crate::codec`] encodes both.
 //!
-//! The order of a conversation: the server says [`ToWall::Hello`], the wall [`ToServer::Welcome`]; the wall names a
-//! scene ([`ToServer::LoadScene`]) and hears how far it is ([`ToWall::SceneState`]); then it asks for shares of frames
-//! ([`ToServer::RenderFrame`]) and gets [`Chunk`]s and a [`ToWall::TaskDone`] for each. Heartbeats flow all along, and now
-//! and then a [`ToServer::Probe`] and its answer.
+//! A conversation: the server sends [`ToWall::Hello`], the wall answers [`ToServer::Welcome`]. The wall names a scene
+//! ([`ToServer::LoadScene`]), and the server reports its progress ([`ToWall::SceneState`]). The wall then gives out tasks
+//! ([`ToServer::RenderFrame`]), and the server answers each with [`Chunk`]s and a [`ToWall::TaskDone`]. Heartbeats flow all
+//! the time; a [`ToServer::Probe`] may come at any time.
 
 use std::{ops::Range, time::Duration};
 
 use serde::{Deserialize, Serialize};
+use strum::{Display, EnumString, VariantArray};
 
 use crate::{
     appearance::{Appearance, Clip},
     camera::Camera,
     curve::TILES_PER_SQUARE,
     division::{FrameSize, Share, Task},
+    names::unknown_name,
     scene::SceneId,
     structure::Structure,
 };
 
-/// The version of everything below; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 9;
+/// The version of all messages; a change to any message changes it.
+pub const PROTOCOL_VERSION: u8 = 10;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
 
-/// The first bytes of a side that has a key, before its Noise handshake: "RAYLOCK" and the version. What follows
-/// encrypted is the same conversation, from its [`PREAMBLE`] on.
+/// The first bytes of a side that has a key: "RAYLOCK" and the version. A Noise handshake follows, and then the same
+/// conversation encrypted, from its [`PREAMBLE`] on.
 pub const SECURE_PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'L', b'O', b'C', b'K', PROTOCOL_VERSION];
 
-/// How often either side says that it lives.
+/// Interval of each side's heartbeats.
 pub const HEARTBEAT_INTERVAL: Duration = Duration::from_millis(50);
 
-/// A render server that was silent for this long gets no more work, and others get what it has.
+/// A render server that was silent for this long gets no more tasks, and its tasks go to others.
 pub const HEARTBEAT_TIMEOUT: Duration = Duration::from_millis(250);
 
-/// A peer that was silent for this long is lost: longer than a slow link takes to send lost packets again.
+/// A peer that was silent for this long is lost. A slow link resends lost packets in less time.
 pub const SILENCE_LIMIT: Duration = Duration::from_secs(2);
 
-/// How long a peer may take from connecting to a finished handshake.
+/// The longest time from connecting to a finished handshake.
 pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// The most RGB bytes in one chunk: small enough that heartbeats are never stuck behind one.
+/// The most RGB bytes in one chunk: a larger one would delay heartbeats.
 pub const CHUNK_BYTES: usize = 64 * 1024;
 
 /// The longest name a render server can have, in bytes.
@@ -52,93 +54,51 @@ pub const LONGEST_NAME: usize = 64;
 /// The port of the wall unless another is set.
 pub const DEFAULT_PORT: u16 = 7117;
 
-/// The number of a frame: counts up from 1 while a wall runs.
+/// The number of a frame, from 1 on since the wall started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct FrameId(pub u64);
 
-/// The number of a piece of work: unique among all that a wall gives out.
+/// The number of a task, unique among all tasks of a wall.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct TaskId(pub u32);
 
-/// What the samples of a frame show.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+/// What the samples of a frame show; a key steps through the variants in this order.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Display, EnumString, VariantArray,
+)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase", parse_err_ty = String, parse_err_fn = unknown_name::<Self>)]
 pub enum ShadingMode {
     /// The model, lit.
     #[default]
     Shaded,
     /// The geometric normals, as colours.
     Normals,
-    /// What each ray costs: cells passed in red, triangles tested in green.
+    /// The cost of each ray: cells passed in red, triangles tested in green.
     Cost,
 }
 
-impl ShadingMode {
-    /// Every view, in the order in which a key steps through them.
-    pub const ALL: [Self; 3] = [Self::Shaded, Self::Normals, Self::Cost];
-
-    /// The name on command lines and on screen.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Shaded => "shaded",
-            Self::Normals => "normals",
-            Self::Cost => "cost",
-        }
-    }
-}
-
-impl std::str::FromStr for ShadingMode {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        Self::ALL
-            .into_iter()
-            .find(|view| view.name() == text)
-            .ok_or_else(|| format!("\"{text}\" is no view: it is shaded, normals or cost"))
-    }
-}
-
-/// The rays that a picture is made of: each kind includes those before it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+/// The rays that light a sample: each mode includes those before it; a key steps through them in this order.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Display, EnumString, VariantArray,
+)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase", parse_err_ty = String, parse_err_fn = unknown_name::<Self>)]
 pub enum LightingMode {
     /// Rays from the eye only.
     #[default]
     Primary,
     /// From each hit a ray to the key light.
     Shadows,
-    /// From each hit short rays all around, which find what lies close by.
+    /// From each hit short hemisphere rays, which find close surfaces.
+    #[serde(rename = "ambient")]
+    #[strum(serialize = "ambient")]
     AmbientOcclusion,
 }
 
-impl LightingMode {
-    /// Every ray tree, in the order in which a key steps through them.
-    pub const ALL: [Self; 3] = [Self::Primary, Self::Shadows, Self::AmbientOcclusion];
-
-    /// The name on command lines and on screen.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Primary => "primary",
-            Self::Shadows => "shadows",
-            Self::AmbientOcclusion => "ambient",
-        }
-    }
-}
-
-impl std::str::FromStr for LightingMode {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        Self::ALL
-            .into_iter()
-            .find(|rays| rays.name() == text)
-            .ok_or_else(|| format!("\"{text}\" is no kind of rays: it is primary, shadows or ambient"))
-    }
-}
-
-/// Which samples of each pixel are averaged: numbers `first` to `first + count − 1`, in linear light.
+/// The samples of each pixel that are averaged in linear light: numbers `first` to `first + count − 1`.
 ///
-/// Sample 0 goes through the pixel's centre; where the others go is a pure function of pixel and sample number.
+/// Sample 0 goes through the pixel's centre; the position of others is a pure function of pixel and sample number.
 ///
 /// Invariant on the wire: at least one and at most [`SampleRange::LARGEST_COUNT`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -146,7 +106,7 @@ impl std::str::FromStr for LightingMode {
 pub struct SampleRange {
     /// The first sample's number.
     pub first: u32,
-    /// How many; from 1 to [`SampleRange::LARGEST_COUNT`].
+    /// Number of samples, from 1 to [`SampleRange::LARGEST_COUNT`].
     pub count: u32,
 }
 
@@ -154,11 +114,11 @@ impl SampleRange {
     /// One sample through the centre of each pixel.
     pub const CENTRE: Self = Self { first: 0, count: 1 };
 
-    /// More samples than this are split over several frames.
+    /// The most samples of one frame; more are split over several frames.
     pub const LARGEST_COUNT: u32 = 256;
 }
 
-/// Why two numbers are no range of samples.
+/// The count is out of range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0} samples a pixel: from 1 to {max} are possible", max = SampleRange::LARGEST_COUNT)]
 pub struct SampleRangeError(u32);
@@ -178,27 +138,23 @@ impl From<SampleRange> for (u32, u32) {
     }
 }
 
-/// How samples travel; what arrives is the same.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+/// How samples travel; they arrive unchanged.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Display, EnumString, VariantArray,
+)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase", parse_err_ty = String, parse_err_fn = unknown_name::<Self>)]
 pub enum Encoding {
-    /// As they are.
+    /// Unpacked.
     #[default]
     Raw,
-    /// As an LZ4 block, where that is shorter.
+    /// As an LZ4 block if that is shorter.
+    #[strum(serialize = "lz4", to_string = "LZ4")]
     Lz4,
 }
 
 impl Encoding {
-    /// The name on screen.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Raw => "raw",
-            Self::Lz4 => "LZ4",
-        }
-    }
-
-    /// The one that this is not.
+    /// The other of the two.
     pub fn other(self) -> Self {
         match self {
             Self::Raw => Self::Lz4,
@@ -207,149 +163,137 @@ impl Encoding {
     }
 }
 
-impl std::str::FromStr for Encoding {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "raw" => Ok(Self::Raw),
-            "lz4" => Ok(Self::Lz4),
-            _ => Err(format!("\"{text}\" is no encoding: it is raw or lz4")),
-        }
-    }
-}
-
-/// Everything that decides the samples of a frame: two equal pictures are equal bits.
+/// The frame that is asked for. It decides all samples: equal specs give equal bits.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FrameSpec {
-    /// What is rendered.
+    /// The scene.
     pub scene: SceneId,
-    /// From where.
+    /// The camera.
     pub camera: Camera,
-    /// At which resolution.
+    /// The resolution.
     pub size: FrameSize,
     /// What the samples show.
     pub view: ShadingMode,
-    /// By which rays they are lit.
+    /// The rays that light them.
     pub rays: LightingMode,
-    /// Which samples of each pixel.
+    /// The samples of each pixel.
     pub samples: SampleRange,
-    /// From where it is lit, what is behind the model, and where it is cut open.
+    /// Key light, background and clip plane.
     pub appearance: Appearance,
 }
 
-/// What the wall says to a render server.
+/// A message from the wall to a render server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToServer {
     /// The answer to [`ToWall::Hello`].
     Welcome,
-    /// The wall does not take this server, and closes the connection.
+    /// The wall refuses this server and closes the connection.
     Refused {
-        /// Why, and what to do.
+        /// The reason and the cure.
         reason: String,
     },
-    /// Get this scene ready.
+    /// Load this scene.
     LoadScene {
-        /// Which scene.
+        /// The scene.
         scene: SceneId,
-        /// Where a server on the wall's own machine finds it, in the bytes of its system's paths; other servers use what
-        /// they were started with.
+        /// The model's path, in the bytes of the system's paths, for a server on the wall's own machine. Other servers use
+        /// the models that they were started with.
         path: Option<Vec<u8>>,
-        /// How its grid is to be kept, if somebody at the wall has said so; else as the server was started.
+        /// The grid that was chosen at the wall, if any; else the server uses its own options.
         structure: Option<Structure>,
     },
     /// Render a share of a frame.
     RenderFrame {
-        /// Which frame.
+        /// The frame's number.
         frame: FrameId,
-        /// The number of this work, repeated in every answer.
+        /// The task's number, repeated in every answer.
         task_id: TaskId,
-        /// The whole picture.
+        /// The whole frame.
         spec: FrameSpec,
-        /// The share of it.
+        /// The units to render.
         task: Task,
-        /// How the samples are to travel.
+        /// How the samples must travel.
         encoding: Encoding,
     },
-    /// Answers to this frame are no longer wanted.
+    /// The wall wants no more answers to this frame.
     Cancel {
-        /// Which frame.
+        /// The frame.
         frame: FrameId,
     },
-    /// The wall lives; to be answered with the same number.
+    /// The wall's heartbeat; the server answers with the same number.
     Ping {
         /// Microseconds on the wall's clock.
         sent_us: u64,
     },
-    /// Say what is seen at one point of the view plane; one ray, and not a part of any frame.
+    /// Find the triangle at a point of the view plane: one ray, outside of any frame.
     Probe {
-        /// The number of the question, repeated in the answer.
+        /// The probe's number, repeated in the answer.
         number: u32,
-        /// What is looked at.
+        /// The scene.
         scene: SceneId,
-        /// From where.
+        /// The camera.
         camera: Camera,
-        /// Which point of the view plane, as parts of its edges u and v.
+        /// The point of the view plane, as parts of its edges u and v.
         at: [f32; 2],
-        /// Where it is cut open, if anywhere.
+        /// The clip plane, if any.
         clip: Option<Clip>,
     },
 }
 
-/// What a render server says to the wall.
+/// A message from a render server to the wall.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ToWall {
     /// The first message.
     Hello {
         /// The server's name on screen, at most [`LONGEST_NAME`] bytes.
         name: String,
-        /// Threads that it traces with.
+        /// Number of tracing threads.
         threads: u32,
     },
-    /// How far the scene is; sent after every change, and a few times a second while loading.
+    /// The scene's state; sent after every change, and a few times a second while loading.
     SceneState {
-        /// Which scene.
+        /// The scene.
         scene: SceneId,
-        /// How far.
+        /// Its state.
         state: SceneState,
     },
-    /// All chunks of a work are sent.
+    /// All chunks of a task are sent.
     TaskDone {
-        /// Which frame.
+        /// The task's frame.
         frame: FrameId,
-        /// Which work.
+        /// The task.
         task_id: TaskId,
         /// How long it took.
         timings: TaskTimings,
-        /// Where in the work the time went.
+        /// The cost of its tiles.
         costs: RunCosts,
     },
-    /// The server lives.
+    /// The server's heartbeat.
     Heartbeat,
     /// The answer to a ping.
     Pong {
         /// As in the ping.
         sent_us: u64,
     },
-    /// The answer to a probe; none comes from a server that does not have the scene.
+    /// The answer to a probe; a server without the scene sends none.
     Probed {
         /// As in the probe.
         number: u32,
-        /// The nearest triangle there, if any.
+        /// The nearest triangle, if any.
         hit: Option<ProbeHit>,
     },
 }
 
-/// A triangle that is seen at a point of the view plane.
+/// The triangle at a point of the view plane.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ProbeHit {
-    /// Its number in the file, from 0.
+    /// Its file index, from 0.
     pub triangle: u32,
-    /// Where it is hit, in units of the way from the eye to the point of the view plane.
+    /// Distance of the hit, in units of the vector from the eye to the point of the view plane.
     pub t: f32,
 }
 
-/// How far a render server is with a scene.
+/// State of a scene on a render server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum SceneState {
     /// Loading or building.
@@ -357,23 +301,23 @@ pub enum SceneState {
         /// 0 to 1.
         progress: f32,
     },
-    /// Frames of it can be asked for.
+    /// The server can render it.
     Ready {
         /// Triangles that can be hit.
         triangles: u64,
         /// Bytes of mesh and structure in memory.
         bytes: u64,
-        /// How the grid is kept, chosen or asked for; `None` if there is none.
+        /// The grid's storage and density; `None` if there is no grid.
         grid: Option<Structure>,
     },
-    /// The server has no such scene.
+    /// The server does not have the scene.
     Missing {
-        /// Why, and what to do.
+        /// The reason and the cure.
         reason: String,
     },
 }
 
-/// Where the time of one work went on the server.
+/// The time that one task took on the server.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskTimings {
     /// From reading the request to the first ray, in microseconds.
@@ -386,31 +330,31 @@ pub struct TaskTimings {
     pub send_us: u32,
 }
 
-/// What the tiles of a work cost, in blocks of tiles that follow each other in the work.
+/// Costs of a task's tiles, measured in runs of tiles.
 ///
-/// Empty for a work whose units are not tiles along the curve: nobody would use it.
+/// Empty if the task's units are not tiles along the curve: only the dynamic division uses costs.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RunCosts {
-    /// Tiles in each block but the last, which has what remains.
+    /// Tiles in each run but the last, which has the rest.
     pub run_units: u32,
-    /// CPU time of each block's rays, in nanoseconds.
+    /// CPU time of each run's rays, in nanoseconds.
     pub cpu_ns: Vec<u32>,
 }
 
 impl RunCosts {
-    /// The most blocks of one work: their costs fit a control message with room to spare.
+    /// The most runs of one task: their costs fit a control message with room to spare.
     pub const MOST_RUNS: u32 = 32 * 1024;
 
-    /// The most tiles in a block, if [`RunCosts::MOST_RUNS`] allows: some hundred microseconds of tracing, of which
-    /// reading the clock is a small part.
+    /// The most tiles in a run, if [`RunCosts::MOST_RUNS`] allows: they take some hundred microseconds, of which reading
+    /// the clock is a small part.
     pub const LARGEST_RUN: u32 = 2 * TILES_PER_SQUARE;
 
-    /// How many blocks a work should have, before they are made larger: cuts are placed to a part of one.
+    /// A task that would have fewer of the largest runs than this is measured in smaller ones.
     const FEWEST_RUNS: u32 = 64;
 
-    /// How many tiles make a block of a share; tiles that do not lie side by side have little in common, and are measured
-    /// one by one.
-    pub fn run_units(share: &Share<'_>) -> u32 {
+    /// Number of tiles in a run of this share; tiles that are not contiguous have unrelated costs, so each is measured
+    /// alone.
+    pub fn run_units(share: &Share) -> u32 {
         let n_units = share.count();
         let usual = match share.is_contiguous() {
             true if n_units >= Self::FEWEST_RUNS * Self::LARGEST_RUN => Self::LARGEST_RUN,
@@ -420,15 +364,15 @@ impl RunCosts {
         usual.max(n_units.div_ceil(Self::MOST_RUNS))
     }
 
-    /// Whether these are the blocks of a work of `n_units` units, or none at all.
+    /// Whether these are the runs of a task of `n_units` units, or none at all.
     pub fn fits(&self, n_units: u32) -> bool {
         let n_runs = n_units.checked_div(self.run_units).map(|_| n_units.div_ceil(self.run_units));
         self.cpu_ns.is_empty() || n_runs.is_some_and(|n_runs| n_runs as usize == self.cpu_ns.len())
     }
 
-    /// The places in the work of each block's tiles, and what the block cost in nanoseconds.
+    /// Each run's tiles, by index in the task, and the run's cost in nanoseconds.
     ///
-    /// Invariant: the costs [fit](BlockCosts::fit) a work of `n_units` units.
+    /// The costs must [fit](RunCosts::fits) a task of `n_units` units.
     pub fn runs(&self, n_units: u32) -> impl Iterator<Item = (Range<u32>, u32)> {
         let starts = (0..n_units).step_by(self.run_units.max(1) as usize);
         starts.zip(&self.cpu_ns).map(move |(first, &cpu_ns)| {
@@ -438,17 +382,17 @@ impl RunCosts {
     }
 }
 
-/// Samples of some units of a work. Idempotent: all answers to the same work are the same bits.
+/// Samples of consecutive units of a task. Idempotent: all answers to one task are the same bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Chunk<'a> {
-    /// Which frame.
+    /// The task's frame.
     pub frame: FrameId,
-    /// Which work.
+    /// The task.
     pub task_id: TaskId,
-    /// The place of the first unit in the work.
+    /// Index of the first unit in the task.
     pub first_unit: u32,
-    /// How many units follow each other.
+    /// Number of units.
     pub n_units: u32,
-    /// Their samples, RGB, sRGB-encoded, at most [`CHUNK_BYTES`].
+    /// Samples of these units, sRGB-encoded RGB, at most [`CHUNK_BYTES`].
     pub rgb: &'a [u8],
 }

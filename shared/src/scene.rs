@@ -4,12 +4,12 @@ use std::fmt;
 
 use serde::{Deserialize, Deserializer, Serialize, de};
 
-/// Names a scene by its content, so that no render server ever mixes another model into the picture.
+/// Names a scene by its content, so that no render server can mix another model into the picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum SceneId {
     /// The built-in statue with about this many triangles: the same bits on every machine.
     Statue {
-        /// As asked for; the generator makes the nearest number that it can.
+        /// Requested number; the generator makes the nearest possible one.
         ///
         /// Invariant on the wire: at most [`SceneId::LARGEST_STATUE`].
         #[serde(deserialize_with = "statue_triangles")]
@@ -23,14 +23,14 @@ pub enum SceneId {
 }
 
 impl SceneId {
-    /// The most triangles of a statue that a message can ask for: some GB in the memory of a render server.
+    /// The most triangles of a statue that a message can request: some GB of a render server's memory.
     pub const LARGEST_STATUE: u32 = 100_000_000;
 }
 
 fn statue_triangles<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     let triangles = u32::deserialize(deserializer)?;
     if triangles > SceneId::LARGEST_STATUE {
-        return Err(de::Error::custom("a statue of more triangles than a message may ask for"));
+        return Err(de::Error::custom("a statue of more triangles than a message may request"));
     }
     Ok(triangles)
 }

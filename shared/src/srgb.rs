@@ -1,7 +1,7 @@
 //! The sRGB transfer curve, with the same bits on every machine.
 //!
-//! Samples must not depend on who renders them, and `powf` differs between platforms.
-//! So the curve is made from + − × ÷ alone: x^2.4 = x²·(x²)^(1/5), and the fifth root by Newton's iteration.
+//! Samples must not depend on the machine, and `powf` differs between platforms.
+//! So the curve uses + − × ÷ alone: x^2.4 = x²·(x²)^(1/5), with the fifth root by Newton's iteration.
 
 /// Linear light of each encoded value.
 static DECODED: [f32; 256] = {
@@ -14,8 +14,8 @@ static DECODED: [f32; 256] = {
     decoded
 };
 
-/// The linear light half way (in encoded values) between a value and the next, where rounding changes; above the last
-/// value nothing is.
+/// The linear light halfway (in encoded values) between a value and the next, where rounding changes; infinity for the
+/// last value.
 static THRESHOLDS: [f32; 256] = {
     let mut thresholds = [f32::INFINITY; 256];
     let mut value = 0;
@@ -26,7 +26,7 @@ static THRESHOLDS: [f32; 256] = {
     thresholds
 };
 
-/// The first value that a bucket of linear light can have; buckets are [`N_BUCKETS`] equal steps.
+/// The lowest encoded value in each of [`N_BUCKETS`] equal steps of linear light.
 static FIRST_VALUE: [u8; N_BUCKETS] = {
     let mut first_value = [0; N_BUCKETS];
     let mut value = 0;
@@ -41,7 +41,7 @@ static FIRST_VALUE: [u8; N_BUCKETS] = {
     first_value
 };
 
-/// A power of two, so that a bucket's number is exact.
+/// A power of two, so that a bucket's index is exact.
 const N_BUCKETS: usize = 4096;
 
 /// Linear light, 0 to 1, of an encoded value.
@@ -50,7 +50,7 @@ pub fn decode(value: u8) -> f32 {
     DECODED[usize::from(value)]
 }
 
-/// The encoded value nearest to a linear light; outside 0..1 is clamped, NaN is 0.
+/// The encoded value nearest to a linear light, which is clamped to 0..1; NaN gives 0.
 #[inline]
 pub fn encode(linear: f32) -> u8 {
     if linear.is_nan() || linear <= 0.0 {
@@ -66,7 +66,7 @@ pub fn encode(linear: f32) -> u8 {
     value
 }
 
-/// IEC 61966-2-1, encoded to linear, both 0 to 1.
+/// Encoded to linear after IEC 61966-2-1, both 0 to 1.
 const fn decode_exact(encoded: f64) -> f64 {
     if encoded <= 0.04045 {
         return encoded / 12.92;
@@ -74,7 +74,7 @@ const fn decode_exact(encoded: f64) -> f64 {
     let x = (encoded + 0.055) / 1.055;
     let square = x * x;
     let mut root = 1.0;
-    // From 1, for arguments above 0.008, twelve steps reach the last bit; more change nothing.
+    // From 1, twelve steps reach the last bit for arguments above 0.008; more change nothing.
     let mut step = 0;
     while step < 16 {
         root -= (root * root * root * root * root - square) / (5.0 * root * root * root * root);

@@ -1,18 +1,37 @@
-//! How render servers keep a scene, as far as a wall has a say in it: time and memory, never a picture.
+//! The grid options that a wall can choose for its render servers. They change time and memory, never a picture.
 
-use std::{fmt, ops::RangeInclusive, str::FromStr};
+use std::ops::RangeInclusive;
 
 use serde::{Deserialize, Serialize};
+use strum::{Display, EnumString, IntoStaticStr, VariantArray};
+
+use crate::names::unknown_name;
 
 /// How the cells of a grid are kept in memory.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(
+    Clone,
+    Copy,
+    Debug,
+    Default,
+    PartialEq,
+    Eq,
+    Hash,
+    Serialize,
+    Deserialize,
+    Display,
+    EnumString,
+    IntoStaticStr,
+    VariantArray,
+)]
+#[strum(serialize_all = "kebab-case", parse_err_ty = String, parse_err_fn = unknown_name::<Self>)]
 pub enum Storage {
     /// The paper's uniform grid: an offset for each cell.
     Plain,
-    /// The same with the offsets compressed, after Lagae and Dutré (2008).
+    /// The uniform grid with compressed offsets, after Lagae and Dutré (2008).
     RowDisplacement,
-    /// A tree of bit masks, divided where it holds much. The only one that packets follow.
+    /// A tree of bit masks, subdivided where there are many triangles. The only storage that packets traverse.
     #[default]
+    #[strum(serialize = "masks")]
     Tree,
 }
 
@@ -22,13 +41,13 @@ pub enum Storage {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "(Storage, f64)", into = "(Storage, f64)")]
 pub struct Structure {
-    /// How cells are kept.
+    /// How the cells are kept.
     pub storage: Storage,
     /// The paper's ρ: cells per triangle.
     pub density: f64,
 }
 
-/// Why a density is none.
+/// The density is out of range.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error("{0} cells per triangle: from {least} to {most} are possible",
     least = Structure::DENSITIES.start(), most = Structure::DENSITIES.end())]
@@ -56,35 +75,6 @@ impl TryFrom<(Storage, f64)> for Structure {
 impl From<Structure> for (Storage, f64) {
     fn from(Structure { storage, density }: Structure) -> Self {
         (storage, density)
-    }
-}
-
-impl Storage {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Plain, Self::RowDisplacement, Self::Tree];
-
-    /// As it is written on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Plain => "plain",
-            Self::RowDisplacement => "row-displacement",
-            Self::Tree => "masks",
-        }
-    }
-}
-
-impl fmt::Display for Storage {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for Storage {
-    type Err = String;
-
-    fn from_str(name: &str) -> Result<Self, String> {
-        let found = Self::ALL.into_iter().find(|storage| storage.name() == name);
-        found.ok_or_else(|| format!("\"{name}\" is no storage: it is plain, row-displacement or masks"))
     }
 }
 

@@ -1,4 +1,4 @@
-//! What is fuzzed: see `tests/src/decoders.rs`.
+//! The code under fuzzing: see `tests/src/decoders.rs`.
 
 #[path = "../src/decoders.rs"]
 pub mod decoders;

@@ -1,4 +1,4 @@
-//! The key that a wall and its render servers share.
+//! The secret key that a wall and its render servers share.
 
 use std::{
     fmt,
@@ -10,45 +10,45 @@ use std::{
 /// Bytes of a key.
 pub const KEY_BYTES: usize = 32;
 
-/// Two hexadecimal digits a byte, and the end of the line.
+/// Two hexadecimal digits a byte and a line feed.
 const FILE_BYTES: usize = 2 * KEY_BYTES + 1;
 
-/// What proves that a machine belongs to the wall: whoever has it is trusted with everything.
+/// Proves that a machine belongs to the wall: every holder is fully trusted.
 ///
-/// Invariant: came from a file that only its owner can read, or from the system's random numbers.
+/// Invariant: it comes from a file that only its owner can read, or from the system's random numbers.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Key([u8; KEY_BYTES]);
 
-/// Why there is no key.
+/// A key cannot be read, written or made.
 #[derive(Debug, thiserror::Error)]
 pub enum KeyError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("{}: cannot be read: {cause}; `{}` makes a key", path.display(), make_key_command(path))]
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         cause: io::Error,
     },
-    /// It cannot be made.
+    /// The file cannot be written.
     #[error("{}: cannot be written: {cause}", .path.display())]
     Unwritable {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         cause: io::Error,
     },
-    /// There is a file of this name already: it may be the key of a wall that runs.
-    #[error("{0}: is there already, and a key is never overwritten: give --key this file, or choose another name")]
+    /// The file exists: it may be the key of a running wall.
+    #[error("{0}: already exists, and a key is never overwritten: give --key this file, or choose another name")]
     Exists(PathBuf),
-    /// Others than its owner may read or write it.
+    /// The file's mode lets others than its owner read or write it.
     #[error(
-        "{0}: is open to others than its owner (mode {1:03o}): `chmod 600 {0}`, and make a new key if one of them may \
+        "{0}: is accessible to others than its owner (mode {1:03o}): `chmod 600 {0}`, and make a new key if one of them may \
          have read it"
     )]
     OpenToOthers(PathBuf, u32),
-    /// The file holds something else.
-    #[error("{}: is no key, which is one line of {} hexadecimal digits: copy the wall's key file again, or make a new one: `{}`",
+    /// The file does not hold a key.
+    #[error("{}: is not a key of one line with {} hexadecimal digits: copy the wall's key file again, or make a new one: `{}`",
         .0.display(), 2 * KEY_BYTES, make_key_command(&unused_name(.0)))]
     NoKey(PathBuf),
     /// The system gives no random numbers.
@@ -64,10 +64,10 @@ impl Key {
         Ok(Self(bytes))
     }
 
-    /// Reads a key file, which on Unix only its owner may be able to read.
+    /// Reads a key file; on Unix, only its owner may have access to it.
     pub fn read(path: &Path) -> Result<Self, KeyError> {
         let unreadable = |cause| KeyError::Unreadable { path: path.to_owned(), cause };
-        // Asked before it is opened: opening a pipe would wait for whoever writes into it.
+        // Checked before the file is opened: opening a pipe would block until it has a writer.
         if !std::fs::metadata(path).map_err(unreadable)?.is_file() {
             return Err(KeyError::NoKey(path.to_owned()));
         }
@@ -80,7 +80,7 @@ impl Key {
                 return Err(KeyError::OpenToOthers(path.to_owned(), mode));
             }
         }
-        // One byte more than the longest key file, which ends in CR LF, shows that a file is longer.
+        // One byte more than the longest key file, which ends in CR LF, reveals a longer file.
         let mut text = Vec::new();
         file.take(FILE_BYTES as u64 + 2).read_to_end(&mut text).map_err(unreadable)?;
         Self::parse(&text).ok_or_else(|| KeyError::NoKey(path.to_owned()))
@@ -123,20 +123,20 @@ impl Key {
 }
 
 impl fmt::Debug for Key {
-    /// Says nothing: what is logged is read by others.
+    /// Hides the bytes: logs are read by others.
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.write_str("Key(..)")
     }
 }
 
-/// The line that makes a key file with the program that runs, as it was called.
+/// The command that makes a key file with the running program, as it was called.
 pub fn make_key_command(file: &Path) -> String {
     let program = std::env::args().next().unwrap_or_else(|| "renderer".to_owned());
     let is_wall = Path::new(&program).file_stem().is_some_and(|name| name == "compositor");
     format!("{program}{} key {}", if is_wall { " renderer" } else { "" }, file.display())
 }
 
-/// A name for a new key beside one that is no good, and that the new one must not overwrite.
+/// A name for a new key beside an unusable file, which must not be overwritten.
 fn unused_name(path: &Path) -> PathBuf {
     let mut name = path.to_owned().into_os_string();
     name.push(".new");
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_key_is_refused() {
+    fn malformed_keys_are_refused() {
         let digits = "0123456789abcdefABCDEF00112233440123456789abcdefABCDEF0011223344";
         assert!(Key::parse(digits.as_bytes()).is_some());
         assert!(Key::parse(format!("{digits}\n").as_bytes()).is_some());

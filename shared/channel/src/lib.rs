@@ -1,7 +1,7 @@
-//! How wall and render servers talk: messages over a byte stream, encrypted where both hold the wall's key.
+//! The channel between the wall and its render servers: messages over a byte stream, encrypted if both have the wall's key.
 //!
-//! In reading order: [`wire`] reads and writes messages, [`secure`] encrypts the stream beneath them, [`key`] is what both
-//! ends must hold.
+//! In reading order: [`wire`] reads and writes messages, [`secure`] encrypts the stream beneath them, [`key`] is the shared
+//! secret.
 
 pub mod key;
 pub mod secure;

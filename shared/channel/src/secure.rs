@@ -1,33 +1,32 @@
 //! An encrypted and mutually authenticated channel between two machines that hold copies of one [`Key`].
 //!
-//! It slips beneath the conversation of [`crate::wire`], which is the same with and without it. The handshake is
-//! Noise (revision 34) with the pattern `NNpsk0`:
+//! It lies beneath the conversation of [`crate::wire`], which is the same with and without it. The handshake is Noise
+//! (revision 34) with the pattern `NNpsk0`:
 //!
-//! | from | bytes | what |
+//! | from | bytes | content |
 //! |---|---|---|
 //! | both | 8 | [`SECURE_PREAMBLE`], the prologue of the handshake |
 //! | render server | 48 | ephemeral public key, tag |
 //! | wall | 48 | ephemeral public key, tag |
-//! | render server | 16 | tag: the first with the new keys, which nobody can have recorded before |
+//! | render server | 16 | tag with the new keys, which no recording can contain |
 //! | both | … | records: length (2, little endian), at most [`RECORD_BYTES`] sealed bytes, tag (16) |
 //!
-//! Why this pattern and these ciphers:
-//! - One key file for all: nodes of a farm come and go, and nobody wants to keep a list of their public keys.
-//! - `psk0` and not a later place: a stranger fails at the tag of its first message, which costs the wall a few hashes
-//!   and no curve arithmetic. A recorded first message gets as far as the wall's answer, and fails at the last tag.
-//! - AES-256-GCM through ring, because one core of a server seals and opens about seven times the bytes of the pure
-//!   Rust ciphers with it, and the wall opens what all nodes seal; `cargo run --release -p lab --example link_cost`
-//!   measures it. The nonces are counted and never repeat; bytes of one connection stay far below what wears out a key.
+//! Reasons for this pattern and these ciphers:
+//! - One key file for all machines: nodes of a farm come and go, and a list of their public keys would have to follow.
+//! - `psk0` instead of a later place: a stranger fails at the tag of its first message, which costs the wall a few hashes
+//!   and no curve arithmetic. A recorded first message gets the wall's answer, and fails at the last tag.
+//! - AES-256-GCM through ring seals and opens about seven times the bytes of the pure Rust ciphers on one core, and the
+//!   wall opens the records of all nodes; `cargo run --release -p lab --example link_cost` measures it. Nonces are counted
+//!   and never repeat; one connection stays far below the cipher's limit of bytes for a key.
 //!
-//! What it protects: all that is said is secret, comes from a machine with the key, and is heard once, in order and
-//! unchanged. Each direction has keys of its own, made anew for each connection: a record that is reflected, repeated,
-//! swapped, cut or changed does not open, and the connection ends. What was recorded stays secret when the key is
-//! stolen later.
+//! Guarantees: every byte is secret, comes from a machine with the key, and arrives once, in order and unchanged. Each
+//! direction has its own keys, new for each connection: a record that is reflected, repeated, swapped, cut or changed does
+//! not open, and the connection ends. A recording stays secret even if the key is stolen later.
 //!
-//! What it does not protect: when machines talk and how much; that they can talk at all, since whoever is between may
-//! cut the connection (nothing is taken for complete because a connection ended: each answer has an end of its own);
-//! anything from a machine that has the key, which is trusted with all that a wall or a render server may do; the key
-//! in its file and in the memory of the programs. Without a key, on loopback, every user of the machine is trusted.
+//! Limits: an observer sees when machines talk and how much. An attacker on the line can cut the connection; no answer is
+//! taken as complete because of that, since each answer marks its own end. A machine with the key is trusted with
+//! everything that a wall or a render server may do. The key's file and the memory of the programs are not protected.
+//! Without a key, on loopback, every user of the machine is trusted.
 
 mod records;
 
@@ -40,7 +39,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 pub use self::records::{RECORD_BYTES, RecordReader, RecordWriter};
 use crate::key::Key;
 
-/// The name of the protocol, by the rules of Noise.
+/// The protocol's name in Noise.
 const NOISE: &str = "Noise_NNpsk0_25519_AESGCM_SHA256";
 
 /// Bytes of an authentication tag.
@@ -49,19 +48,19 @@ const TAG_BYTES: usize = 16;
 /// Bytes of either handshake message: an X25519 public key and the tag of an empty payload.
 const HANDSHAKE_BYTES: usize = 32 + TAG_BYTES;
 
-/// The nonce of the render server's last tag in the handshake; records count on from here.
+/// The nonce of the render server's last tag in the handshake; its records continue from here.
 const PROOF_NONCE: u64 = 0;
 
-/// Why there is no channel.
+/// The handshake fails.
 #[derive(Debug, thiserror::Error)]
 pub enum SecureError {
-    /// The stream broke.
+    /// The stream failed.
     #[error("{0}")]
     Io(#[from] io::Error),
-    /// The peer ended the connection before it showed that it has a key.
+    /// The peer closed the connection before it proved that it has a key.
     #[error("the peer closed the connection in the handshake")]
     Closed,
-    /// The peer is no Raywall program.
+    /// The peer is not a Raywall program.
     #[error("the peer speaks another protocol")]
     NotRaywall,
     /// The peer is a Raywall program without a key.
@@ -73,13 +72,15 @@ pub enum SecureError {
     /// The peer has another key.
     #[error("the peer has another key: start both sides with --key and copies of one key file")]
     OtherKey,
-    /// The peer ended the connection when it saw what this side's key makes.
+    /// The peer closed the connection after this side's first message with its key.
     #[error("the peer refuses this side's key: start both sides with --key and copies of one key file")]
     Refused,
-    /// The peer has said what somebody with the key once said, and cannot go on.
-    #[error("the peer repeats what another machine has said, and does not have the key: look for who does this")]
+    /// The peer repeated a recorded first message, and does not have the key.
+    #[error(
+        "the peer replays another machine's handshake and does not have the key: look for an attacker in the network"
+    )]
     Replayed,
-    /// The handshake cannot be computed.
+    /// The Noise library reports an error.
     #[error("the handshake fails: {0}")]
     Noise(snow::Error),
 }
@@ -87,10 +88,10 @@ pub enum SecureError {
 /// The encrypted halves of a connection.
 pub type Channel<R, W> = (RecordReader<R>, RecordWriter<W>);
 
-/// Makes a channel as the side that connects, the render server's. It sets no time limit; its caller does.
+/// Makes a channel for the side that connects, the render server. The caller sets a time limit.
 ///
 /// # Errors
-/// The peer does not have the key, or the stream breaks.
+/// The peer does not have the key, or the stream fails.
 pub async fn connect<R, W>(mut input: R, mut output: W, key: &Key) -> Result<Channel<R, W>, SecureError>
 where
     R: AsyncRead + Unpin,
@@ -117,18 +118,18 @@ where
     Ok((reader, RecordWriter::new(output, transport, PROOF_NONCE + 1)))
 }
 
-/// Makes a channel as the side that is connected to, the wall's. It sets no time limit; its caller does.
+/// Makes a channel for the side that accepts, the wall. The caller sets a time limit.
 ///
-/// Until the peer has shown that it has the key, it is heard for 72 bytes and costs a few KB.
+/// Before the peer has proved that it has the key, it can send 72 bytes and costs a few KB.
 ///
 /// # Errors
-/// The peer does not have the key, or the stream breaks.
+/// The peer does not have the key, or the stream fails.
 pub async fn accept<R, W>(mut input: R, mut output: W, key: &Key) -> Result<Channel<R, W>, SecureError>
 where
     R: AsyncRead + Unpin,
     W: AsyncWrite + Unpin,
 {
-    // In any case: a peer without a key, or of another version, learns of it.
+    // Sent first, so that a peer without a key or of another version can report it.
     send(&mut output, &SECURE_PREAMBLE).await?;
     read_preamble(&mut input).await?;
     let greeting: [u8; HANDSHAKE_BYTES] = read(&mut input).await?;
@@ -161,21 +162,21 @@ fn builder(key: &Key) -> Result<Builder<'_>, SecureError> {
     builder.psk(0, key.bytes()).map_err(SecureError::Noise)
 }
 
-/// A handshake message that does not decrypt was made with another key.
+/// Reads a handshake message; one that does not decrypt was made with another key.
 fn read_handshake(handshake: &mut HandshakeState, message: &[u8]) -> Result<(), SecureError> {
     let mut empty_payload = [0; HANDSHAKE_BYTES];
     handshake.read_message(message, &mut empty_payload).map_err(|_| SecureError::OtherKey)?;
     Ok(())
 }
 
-/// Byte for byte: the peer may say less than this and wait.
+/// Reads byte by byte, because another program may send less and wait.
 async fn read_preamble(input: &mut (impl AsyncRead + Unpin)) -> Result<(), SecureError> {
     for (at, expected) in SECURE_PREAMBLE.into_iter().enumerate() {
         let [byte] = read(input).await?;
         if byte != expected {
             return Err(match byte {
                 version if at + 1 == SECURE_PREAMBLE.len() => SecureError::OtherVersion(version),
-                // The two preambles are alike up to here.
+                // The two preambles are equal up to here.
                 byte if at == 3 && byte == PREAMBLE[3] => SecureError::NoKey,
                 _ => SecureError::NotRaywall,
             });

@@ -1,4 +1,4 @@
-//! Messages over any stream of bytes: a socket, an encrypted channel ([`crate::secure`]), a pipe of a test.
+//! Messages over any byte stream: a socket, an encrypted channel ([`crate::secure`]), a test's pipe.
 
 use std::{io, marker::PhantomData, time::Duration};
 
@@ -12,16 +12,16 @@ use tokio::{
     time::timeout,
 };
 
-/// Why a conversation ends, other than by the peer's own will.
+/// The conversation fails.
 #[derive(Debug, thiserror::Error)]
 pub enum WireError {
-    /// The stream broke, perhaps in mid-message.
+    /// The stream failed, perhaps in mid-message.
     #[error("{0}")]
     Io(#[from] io::Error),
-    /// The peer sent no message of this protocol.
+    /// The peer's bytes are not a message of this protocol.
     #[error("{0}")]
     Codec(#[from] CodecError),
-    /// The peer is no Raywall program.
+    /// The peer is not a Raywall program.
     #[error("the peer speaks another protocol")]
     NotRaywall,
     /// The peer is a Raywall program of another version.
@@ -30,21 +30,21 @@ pub enum WireError {
     /// The peer has a key, and this side has none.
     #[error("the peer encrypts with a key, and this side was given none: give it the peer's key file with --key FILE")]
     Encrypted,
-    /// Not a byte came for so long.
+    /// No byte came for this long.
     #[error("the peer was silent for {} ms", .0.as_millis())]
     Silent(Duration),
 }
 
-/// A message as it was read.
+/// A message that was read.
 #[derive(Debug)]
 pub enum Incoming<'a, M> {
     /// A control message.
     Control(M),
-    /// Samples, still in the reader's buffer, however they travelled.
+    /// Samples, unpacked, in the reader's buffer.
     Samples {
-        /// What they are.
+        /// The samples.
         chunk: Chunk<'a>,
-        /// Bytes of the message.
+        /// Bytes of the message on the wire.
         n_bytes: usize,
     },
 }
@@ -55,7 +55,7 @@ pub struct MessageReader<S, M> {
     stream: S,
     body: Vec<u8>,
     unpacked: Vec<u8>,
-    /// What came of the next message's header.
+    /// The bytes of the next message's header that have arrived.
     next_header: [u8; HEADER_BYTES],
     n_next_header: usize,
     control_limit: usize,
@@ -64,8 +64,7 @@ pub struct MessageReader<S, M> {
 }
 
 impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
-    /// Reads from `stream`, for a start within the limits for strangers; a peer that sends no byte for `silence_limit` is an
-    /// error.
+    /// Reads from `stream`, at first within a stranger's limits; silence for `silence_limit` is an error.
     pub fn new(stream: S, silence_limit: Duration) -> Self {
         Self {
             stream,
@@ -79,7 +78,7 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
         }
     }
 
-    /// The peer has shaken hands: it may send messages of full size, and must not fall silent for `silence_limit`.
+    /// After the handshake: the peer may send messages of full size, and has a new `silence_limit`.
     pub fn raise_limits(&mut self, silence_limit: Duration) {
         self.control_limit = CONTROL_LIMIT;
         self.silence_limit = silence_limit;
@@ -88,7 +87,7 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
     /// Reads the peer's first bytes.
     pub async fn read_preamble(&mut self) -> Result<(), WireError> {
         let mut preamble = [0; PREAMBLE.len()];
-        // The peer may say less than this and wait: what differs is an error at its first byte.
+        // Another program may send less than this and wait, so the first wrong byte is an error.
         for at in 0..preamble.len() {
             self.fill(&mut preamble[at..=at]).await?;
             let is_version = at + 1 == preamble.len();
@@ -103,7 +102,7 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
         Ok(())
     }
 
-    /// Reads the next message; `None` when the peer has closed the stream between two messages.
+    /// Reads the next message; `None` if the peer has closed the stream between two messages.
     pub async fn read(&mut self) -> Result<Option<Incoming<'_, M>>, WireError> {
         let mut header = self.next_header;
         let mut n_read = std::mem::take(&mut self.n_next_header);
@@ -116,7 +115,7 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
         self.fill(&mut header[n_read..]).await?;
         let Header { kind, n_bytes } = Header::parse(header, self.control_limit)?;
         let mut body = std::mem::take(&mut self.body);
-        // Never shorter again, so that nothing is cleared only to be read over.
+        // The buffer never shrinks, so that no bytes are cleared before each read.
         body.resize(body.len().max(n_bytes + HEADER_BYTES), 0);
         self.n_next_header = self.fill_with_lookahead(&mut body[..n_bytes + HEADER_BYTES], n_bytes).await?;
         self.next_header.copy_from_slice(&body[n_bytes..n_bytes + HEADER_BYTES]);
@@ -131,12 +130,12 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
         }))
     }
 
-    /// Whether the beginning of the next message has come already.
+    /// Whether the next message has begun to arrive.
     pub fn has_more(&self) -> bool {
         self.n_next_header > 0
     }
 
-    /// Fills `bytes`, however slowly they come: only silence is an error.
+    /// Fills `bytes`. Slowness is no error, silence is.
     async fn fill(&mut self, mut bytes: &mut [u8]) -> Result<(), WireError> {
         while !bytes.is_empty() {
             let n_read = self.read_some(bytes).await?;
@@ -148,7 +147,7 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
         Ok(())
     }
 
-    /// Fills the first `n_needed` bytes and, where more have come, those behind; says how many of those.
+    /// Fills the first `n_needed` bytes, and more if they have arrived; returns the number of the latter.
     async fn fill_with_lookahead(&mut self, bytes: &mut [u8], n_needed: usize) -> Result<usize, WireError> {
         let mut n_filled = 0;
         while n_filled < n_needed {
@@ -171,7 +170,7 @@ fn truncated() -> WireError {
     io::Error::new(io::ErrorKind::UnexpectedEof, "the connection closed in mid-message").into()
 }
 
-/// A message of so many bytes is given to the system at once: copying it behind others would cost as much.
+/// A message of this size is written at once: copying it behind others would cost as much as a system call.
 const DIRECT_WRITE_BYTES: usize = 8 * 1024;
 
 /// Writes messages.
@@ -182,7 +181,7 @@ pub struct MessageWriter<S> {
 }
 
 impl<S: AsyncWrite + Unpin> MessageWriter<S> {
-    /// Writes to `stream`; the preamble goes before the first message.
+    /// Writes to `stream`, the preamble first.
     pub fn new(stream: S) -> Self {
         Self { stream, out: PREAMBLE.to_vec() }
     }
@@ -192,12 +191,12 @@ impl<S: AsyncWrite + Unpin> MessageWriter<S> {
         codec::encode(message, &mut self.out)
     }
 
-    /// Queues a message that is already encoded.
+    /// Queues an encoded message.
     pub fn push_encoded(&mut self, bytes: &[u8]) {
         self.out.extend_from_slice(bytes);
     }
 
-    /// Queues a message that is already encoded if it is short, and else sends it behind what is queued, without copying it.
+    /// Queues an encoded message if it is short; else sends the queue and then the message, without copying it.
     pub async fn write_encoded(&mut self, bytes: &[u8]) -> io::Result<()> {
         if bytes.len() < DIRECT_WRITE_BYTES {
             self.push_encoded(bytes);
@@ -208,7 +207,7 @@ impl<S: AsyncWrite + Unpin> MessageWriter<S> {
         self.stream.write_all(bytes).await
     }
 
-    /// Sends what is queued, and says how many bytes that was.
+    /// Sends the queue; returns its number of bytes.
     pub async fn flush(&mut self) -> io::Result<usize> {
         self.stream.write_all(&self.out).await?;
         self.stream.flush().await?;

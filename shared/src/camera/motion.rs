@@ -1,34 +1,33 @@
-//! Steering: each motion makes a camera from a camera. None ever makes a degenerate one: a step too far is not taken.
+//! Steering: each motion makes a camera from a camera. A step to a degenerate camera is not taken.
 
 use glam::{DQuat, DVec3};
 use serde::{Deserialize, Serialize};
+use strum::{Display, EnumString, VariantArray};
 
 use super::Camera;
+use crate::names::unknown_name;
 
-/// Vertical field of view of [`Camera::view_all`], in radians: 40°, about what a person sees of a wall at a comfortable
-/// distance.
+/// Vertical field of view of [`Camera::view_all`], in radians: 40°, the angle of a wall at a comfortable distance.
 const FOV_Y: f64 = 0.7;
 
-/// How near the view may come to straight up or down, in radians; beyond, left and right would change places.
+/// The least angle between the view and the up axis, in radians; beyond it, left and right would swap.
 const POLE_MARGIN: f64 = 0.02;
 
-/// Which axis of the model points up.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// The axis of the model that points up; a key steps through the variants in this order.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Display, EnumString, VariantArray)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase", parse_err_ty = String, parse_err_fn = unknown_name::<Self>)]
 pub enum UpAxis {
-    /// x.
-    X,
-    /// y, as most scans have it.
+    /// y, as in most scans.
     #[default]
     Y,
-    /// z, as most CAD models have it.
+    /// z, as in most CAD models.
     Z,
+    /// x.
+    X,
 }
 
 impl UpAxis {
-    /// Every axis, in the order in which a key steps through them.
-    pub const ALL: [Self; 3] = [Self::Y, Self::Z, Self::X];
-
     /// The unit vector along it.
     pub fn direction(self) -> DVec3 {
         match self {
@@ -38,34 +37,10 @@ impl UpAxis {
         }
     }
 
-    /// The name on command lines and on screen.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::X => "x",
-            Self::Y => "y",
-            Self::Z => "z",
-        }
-    }
-
-    /// The next in [`UpAxis::ALL`].
+    /// The next variant; the first follows the last.
     #[must_use]
     pub fn next(self) -> Self {
-        match self {
-            Self::Y => Self::Z,
-            Self::Z => Self::X,
-            Self::X => Self::Y,
-        }
-    }
-}
-
-impl std::str::FromStr for UpAxis {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        Self::ALL
-            .into_iter()
-            .find(|axis| axis.name() == text)
-            .ok_or_else(|| format!("\"{text}\" is no axis: it is x, y or z"))
+        Self::VARIANTS[(self as usize + 1) % Self::VARIANTS.len()]
     }
 }
 
@@ -73,27 +48,27 @@ impl Camera {
     /// A camera that sees a whole box, from the front, a little from the right and above.
     ///
     /// `min` and `max` are the box's corners in world space; `aspect` is the canvas's width over its height.
-    /// A box that is empty, or has no extent, is looked at as if it were a small cube.
+    /// A box that is empty or has no extent is viewed as a small cube.
     pub fn view_all(min: DVec3, max: DVec3, up: UpAxis, aspect: f64) -> Self {
         let (centre, half) = if min.cmple(max).all() && min.is_finite() && max.is_finite() {
             ((min + max) * 0.5, (max - min) * 0.5)
         } else {
             (DVec3::ZERO, DVec3::ONE)
         };
-        // From nearer, f32 would move the eye by a good part of its distance.
+        // From nearer, rounding to f32 would move the eye by much of its distance.
         let least = centre.abs().max_element() * f64::from(f32::EPSILON) * 4.0;
         let half = half.max(DVec3::splat((half.max_element() * 1e-3).max(least).max(1e-36)));
         let up_direction = up.direction();
         // For y up the front is +z, as in most scans; for z up it is −y, as in most CAD models.
         let front = match up {
-            UpAxis::Y => DVec3::Z,
+            UpAxis::X | UpAxis::Y => DVec3::Z,
             UpAxis::Z => -DVec3::Y,
-            UpAxis::X => DVec3::Z,
         };
         let side = up_direction.cross(front);
         let towards_eye = (front + side * 0.35 + up_direction * 0.25).normalize();
         let right = up_direction.cross(towards_eye).normalize();
         let top = towards_eye.cross(right);
+        // The least distance from which every corner is in view, and then 4 % more.
         let tan_y = (FOV_Y * 0.5).tan();
         let distance = (0..8)
             .map(|corner| {
@@ -107,7 +82,7 @@ impl Camera {
             .unwrap_or_else(|_| Self::fallback_camera(aspect))
     }
 
-    /// Where a box lies so far out that no ray reaches it in `f32`, nothing can be seen from anywhere.
+    /// A camera at the origin, for boxes so far away that no `f32` ray reaches them.
     fn fallback_camera(aspect: f64) -> Self {
         let half_height = (FOV_Y * 0.5).tan();
         let u = DVec3::X * (2.0 * half_height * aspect);
@@ -132,21 +107,15 @@ impl Camera {
         self.rotated(pivot, turn)
     }
 
-    /// Looks around from where the eye is: `yaw` about the up axis, `pitch` about the camera's right, in radians.
-    #[must_use]
-    pub fn look_around(&self, up: UpAxis, yaw: f64, pitch: f64) -> Self {
-        self.orbit(self.eye, up, yaw, pitch)
-    }
-
-    /// Moves sideways so that a point at `distance` from the eye follows the cursor: `right` and `up` are fractions of
-    /// the view plane's width and height.
+    /// Moves sideways so that a point at `distance` from the eye moves by `right` and `up`, as fractions of the view
+    /// plane's width and height.
     #[must_use]
     pub fn pan(&self, distance: f64, right: f64, up: f64) -> Self {
         let scale = distance / self.plane_distance();
         self.translated(-(self.u * right + self.v * up) * scale)
     }
 
-    /// Moves the eye towards `point` until its distance is `factor` times what it was: below 1 is nearer.
+    /// Moves the eye towards `point`, to `factor` times its distance: below 1 is nearer.
     #[must_use]
     pub fn dolly(&self, point: DVec3, factor: f64) -> Self {
         self.translated((self.eye - point) * (factor - 1.0))
@@ -164,7 +133,7 @@ impl Camera {
         if normal.dot(self.eye - self.ll) < 0.0 { -normal } else { normal }
     }
 
-    /// How far the eye is from the view plane.
+    /// Distance from the eye to the view plane.
     pub(super) fn plane_distance(&self) -> f64 {
         (self.eye - self.ll).dot(self.backward())
     }
@@ -185,13 +154,8 @@ mod tests {
 
     use super::*;
 
-    /// Where a point appears on the view plane, (0, 0) lower left to (1, 1) upper right.
     fn project(camera: &Camera, point: DVec3) -> (f64, f64) {
-        let (u, v) = (camera.u(), camera.v());
-        let normal = u.cross(v);
-        let ray = point - camera.eye();
-        let on_plane = camera.eye() + ray * ((camera.ll() - camera.eye()).dot(normal) / ray.dot(normal)) - camera.ll();
-        (on_plane.dot(u) / u.length_squared(), on_plane.dot(v) / v.length_squared())
+        camera.project(point).unwrap().into()
     }
 
     fn front() -> Camera {
@@ -206,7 +170,7 @@ mod tests {
             (DVec3::splat(1e6), DVec3::splat(1e6 + 1.0)),
             (DVec3::new(5e5, 0.0, -3.0), DVec3::new(5e5 + 1.0, 20.0, 1.0)),
         ];
-        for ((min, max), up) in boxes.into_iter().flat_map(|b| UpAxis::ALL.map(|up| (b, up))) {
+        for ((min, max), up) in boxes.into_iter().flat_map(|b| UpAxis::VARIANTS.iter().map(move |&up| (b, up))) {
             let camera = Camera::view_all(min, max, up, 16.0 / 9.0);
             let mut largest: f64 = 0.0;
             for corner in 0..8 {
@@ -286,7 +250,7 @@ mod tests {
                     1 => camera.pan(a, b, a),
                     2 => camera.dolly(DVec3::ZERO, a.abs()),
                     3 => camera.fly(a, b, 1e17 * a),
-                    _ => camera.look_around(UpAxis::X, a, b),
+                    _ => camera.orbit(camera.eye(), UpAxis::X, a, b),
                 };
                 prop_assert!(Camera::new(camera.eye(), camera.ll(), camera.u(), camera.v()).is_ok());
             }

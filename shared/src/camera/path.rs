@@ -1,4 +1,4 @@
-//! Camera paths: cameras at moments, smooth in between; recorded, kept in files, and played.
+//! Camera paths: cameras at given times with smooth motion between them; recorded, kept in files, and played.
 
 use std::fmt::Write;
 
@@ -11,11 +11,11 @@ use super::{
     pose::{POSE_LEN, Pose},
 };
 
-/// A camera that moves: a camera at each of some moments, and smooth motion in between.
+/// A camera that moves: keys, each a time and a camera, with smooth motion between them.
 ///
-/// Between keys each number of the [`Pose`] follows the monotone cubic of Fritsch and Butland, "A Method for
-/// Constructing Local Monotone Piecewise Cubic Interpolants" (1984): it never leaves the range of its two keys, so a
-/// camera that rests stays where it is, and no camera on the way is degenerate.
+/// Between keys, each number of the [`Pose`] follows the monotone cubic of Fritsch and Butland, "A Method for Constructing
+/// Local Monotone Piecewise Cubic Interpolants" (1984). It stays within the range of its two keys, so a camera that rests
+/// does not move, and no camera on the way is degenerate.
 ///
 /// Invariant: from 1 to [`CameraPath::MOST_KEYS`] keys; the first is at 0 s, each later than the one before, the last
 /// at [`CameraPath::LONGEST_SECONDS`] at most.
@@ -28,29 +28,29 @@ pub struct CameraPath {
     tangents: Vec<[f64; POSE_LEN]>,
 }
 
-/// Why keys make no path.
+/// The keys are not a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum CameraPathError {
-    /// There is nothing to play.
+    /// There are no keys.
     #[error("a path has at least one key")]
     NoKeys,
-    /// More than anybody records.
+    /// More than [`CameraPath::MOST_KEYS`].
     #[error("a path has at most {} keys", CameraPath::MOST_KEYS)]
     TooManyKeys,
-    /// The key's moment does not follow that of the one before.
+    /// The key's time is not after that of the key before it.
     #[error("key {0}: seconds must begin at 0 and grow from key to key, to {longest} at most",
         longest = CameraPath::LONGEST_SECONDS)]
     OutOfOrder(usize),
 }
 
 impl CameraPath {
-    /// More keys than this are not kept: an hour of recording at [`CameraRecorder::KEYS_PER_SECOND`].
+    /// The most keys: an hour of recording at [`CameraRecorder::KEYS_PER_SECOND`].
     pub const MOST_KEYS: usize = 72_000;
 
-    /// No path takes longer: a day.
+    /// The longest path: a day.
     pub const LONGEST_SECONDS: f64 = 86_400.0;
 
-    /// A path through cameras at moments in seconds; `up` says what level is.
+    /// A path through cameras at times in seconds; `up` defines a level horizon.
     pub fn new(keys: Vec<(f64, Camera)>, up: UpAxis) -> Result<Self, CameraPathError> {
         if keys.is_empty() {
             return Err(CameraPathError::NoKeys);
@@ -73,12 +73,12 @@ impl CameraPath {
         Ok(Self { up, keys, poses, tangents })
     }
 
-    /// When the last key is reached.
+    /// Time of the last key, in seconds.
     pub fn duration_seconds(&self) -> f64 {
         self.keys.last().map_or(0.0, |&(seconds, _)| seconds)
     }
 
-    /// The cameras that the path goes through, each with its moment in seconds.
+    /// The keys: times in seconds and cameras.
     pub fn keys(&self) -> &[(f64, Camera)] {
         &self.keys
     }
@@ -88,21 +88,21 @@ impl CameraPath {
         self.up
     }
 
-    /// The camera at a moment: the first before the path, the last after it, and exactly the key's at a key.
+    /// The camera at a time: the first before the path, the last after it, and exactly the key's at a key.
     pub fn at(&self, seconds: f64) -> Camera {
         let n_keys_passed = self.keys.partition_point(|&(at, _)| at <= seconds);
         let Some(index) = n_keys_passed.checked_sub(1) else { return self.keys[0].1 };
         let (start, camera) = self.keys[index];
         let Some(&(end, next)) = self.keys.get(index + 1) else { return camera };
         let (from, to) = (&self.poses[index], &self.poses[index + 1]);
-        // A camera that rests is the same to the last bit, and so its picture is not rendered again.
+        // A resting camera stays the same to the last bit, so that its frame is not rendered again.
         if seconds == start || camera == next || !from.can_interpolate_to(to) {
             return camera;
         }
         let step = end - start;
         let t = (seconds - start) / step;
         let interpolated = std::array::from_fn(|number| {
-            // Cubic Hermite, and never beyond either key however it is rounded.
+            // Cubic Hermite; the clamp undoes rounding beyond either key.
             let (a, b) = (from.0[number], to.0[number]);
             let (da, db) = (self.tangents[index][number] * step, self.tangents[index + 1][number] * step);
             let value = a + t * (da + t * (3.0 * (b - a) - 2.0 * da - db + t * (da + db - 2.0 * (b - a))));
@@ -140,7 +140,7 @@ impl CameraPath {
     /// Writes a path file: `up`, and for each key `seconds` and the camera's `eye`, `ll`, `u` and `v`, exact to the last
     /// bit.
     pub fn to_toml(&self) -> String {
-        let mut text = format!("up = \"{}\"\n", self.up.name());
+        let mut text = format!("up = \"{}\"\n", self.up);
         for (seconds, camera) in &self.keys {
             // Writing to a string cannot fail.
             let _ = write!(text, "\n[[key]]\nseconds = {seconds:?}\n{}", camera.to_toml());
@@ -149,7 +149,7 @@ impl CameraPath {
     }
 }
 
-/// What stands in a path file.
+/// The contents of a path file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PathFile {
@@ -169,6 +169,7 @@ struct PathKey {
     v: DVec3,
 }
 
+/// Change of each number per second at each key, after Fritsch and Butland.
 fn tangents(keys: &[(f64, Camera)], poses: &[Pose]) -> Vec<[f64; POSE_LEN]> {
     let slope = |index: usize, number: usize| {
         (poses[index + 1].0[number] - poses[index].0[number]) / (keys[index + 1].0 - keys[index].0)
@@ -181,27 +182,27 @@ fn tangents(keys: &[(f64, Camera)], poses: &[Pose]) -> Vec<[f64; POSE_LEN]> {
         if index == 0 || index == last {
             return slope(index.min(last - 1), number);
         }
-        let (before, unwrapped_after) = (slope(index - 1, number), slope(index, number));
-        if before * unwrapped_after <= 0.0 {
+        let (slope_before, slope_after) = (slope(index - 1, number), slope(index, number));
+        if slope_before * slope_after <= 0.0 {
             return 0.0;
         }
         let (h_before, h_after) = (keys[index].0 - keys[index - 1].0, keys[index + 1].0 - keys[index].0);
         let (w_before, w_after) = (2.0 * h_after + h_before, h_after + 2.0 * h_before);
-        (w_before + w_after) / (w_before / before + w_after / unwrapped_after)
+        (w_before + w_after) / (w_before / slope_before + w_after / slope_after)
     };
     (0..keys.len()).map(|index| std::array::from_fn(|number| tangent(index, number))).collect()
 }
 
-/// Follows a camera and makes a path of it. The clock is the caller's.
+/// Records a camera's path. The caller keeps the time.
 #[derive(Clone, Debug)]
 pub struct CameraRecorder {
     keys: Vec<(f64, Camera)>,
-    /// Where the camera was last seen, and when it came there.
+    /// The latest camera, and the time of its arrival.
     latest: (f64, Camera),
 }
 
 impl CameraRecorder {
-    /// No more keys than this are kept of a second; motion in between is smooth all the same.
+    /// The most keys a second; motion between them is interpolated.
     pub const KEYS_PER_SECOND: f64 = 20.0;
 
     /// Begins at a camera.
@@ -209,14 +210,13 @@ impl CameraRecorder {
         Self { keys: vec![(0.0, camera)], latest: (0.0, camera) }
     }
 
-    /// Notes where the camera is, `seconds` after the beginning, whenever it has moved; says whether there is room for
-    /// more.
+    /// Records the camera if it has moved, `seconds` after the beginning. False when the recording is full.
     pub fn record(&mut self, seconds: f64, camera: Camera) -> bool {
         let interval = 1.0 / Self::KEYS_PER_SECOND;
         let (arrived_seconds, latest) = self.latest;
         if camera != latest && seconds > arrived_seconds && seconds <= CameraPath::LONGEST_SECONDS {
             if seconds - arrived_seconds >= 2.0 * interval {
-                // It has rested, and set out a moment ago.
+                // The camera rested until a moment ago: a key at either end of the rest.
                 self.push_latest();
                 self.keys.push((seconds - interval, latest));
             }
@@ -228,7 +228,7 @@ impl CameraRecorder {
         seconds <= CameraPath::LONGEST_SECONDS && self.keys.len() + 4 <= CameraPath::MOST_KEYS
     }
 
-    /// The path to where the camera came to rest; `None` if it never moved.
+    /// The path, up to the last movement; `None` if the camera never moved.
     pub fn finish(mut self, up: UpAxis) -> Option<CameraPath> {
         self.push_latest();
         if self.keys.len() < 2 { None } else { CameraPath::new(self.keys, up).ok() }
@@ -248,6 +248,7 @@ impl CameraRecorder {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use strum::VariantArray;
 
     use super::{super::pose::tests::any_camera, *};
 
@@ -294,7 +295,7 @@ mod tests {
         assert_eq!((path.at(6.0), path.at(2.5)), (camera_at(6.0), camera_at(2.5)));
         for step in 0..=600 {
             let seconds = f64::from(step) / 100.0;
-            // A key lies at most a twentieth of a second, and a look of the recorder, from each start and stop.
+            // Each start and stop has a key within a twentieth of a second and one recording step.
             assert!((path.at(seconds).eye() - camera_at(seconds).eye()).length() < 0.12 * front().eye().length());
         }
         let still = CameraRecorder::new(front());
@@ -340,7 +341,7 @@ mod tests {
                 seconds += step;
                 key
             }).collect();
-            let path = CameraPath::new(keys.clone(), UpAxis::ALL[up]).unwrap();
+            let path = CameraPath::new(keys.clone(), UpAxis::VARIANTS[up]).unwrap();
             for (at, camera) in keys {
                 prop_assert_eq!(path.at(at), camera);
             }

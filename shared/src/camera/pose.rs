@@ -1,28 +1,28 @@
-//! Cameras between cameras: what smooth transitions and camera paths are made of.
+//! Interpolation of cameras, for smooth transitions and camera paths.
 
 use glam::DVec3;
 
 use super::{Camera, UpAxis};
 
-/// How many numbers a [`Pose`] is.
+/// Number of components of a [`Pose`].
 pub(super) const POSE_LEN: usize = 13;
 
-/// A camera as numbers, each of which can change without the others.
+/// A camera as independent numbers that can be interpolated.
 ///
-/// They are what a person would say: a point that is looked at, the logarithm of its distance, three angles about the
-/// up axis, and the shape of the view plane. Numbers between those of two cameras are a camera again: no distance
-/// between two distances is zero, and a horizon that is level at both ends stays level.
+/// The numbers are a target point, the logarithm of its distance, three angles about the up axis, and the shape of the
+/// view plane. Numbers between those of two cameras are a camera again: an interpolated distance is never zero, and a
+/// horizon that is level at both ends stays level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pose(pub(super) [f64; POSE_LEN]);
 
-/// The places of the angles among the numbers, in radians.
+/// Indices of the angles, which are in radians.
 const ANGLES: [usize; 3] = [4, 5, 6];
-/// The place of the view plane's height, whose sign says whether the picture is mirrored.
+/// Index of the view plane's height; a negative height mirrors the picture.
 const HEIGHT: usize = 12;
 
 impl Pose {
-    /// Takes a camera apart. `focus_distance` is how far before the eye, perpendicular to the view plane, the point lies
-    /// that a transition keeps in view; above zero.
+    /// The pose of a camera. `focus_distance` is the distance from the eye to the target, perpendicular to the view plane;
+    /// it must be above zero.
     pub(super) fn new(camera: &Camera, focus_distance: f64, up: UpAxis) -> Self {
         let [east, north, zenith] = axes(up);
         let backward = camera.backward();
@@ -52,7 +52,7 @@ impl Pose {
         ])
     }
 
-    /// The same camera, its angles less than half a turn from those of `before`.
+    /// The same camera with angles within half a turn of those of `before`.
     pub(super) fn unwrapped_after(mut self, before: &Self) -> Self {
         for angle in ANGLES {
             let turns = ((self.0[angle] - before.0[angle]) / std::f64::consts::TAU).round();
@@ -61,12 +61,12 @@ impl Pose {
         self
     }
 
-    /// Whether there are cameras between the two: not between a picture and its mirror image.
+    /// Whether the two can be interpolated: a picture and its mirror image cannot.
     pub(super) fn can_interpolate_to(&self, other: &Self) -> bool {
         self.0.iter().chain(&other.0).all(|number| number.is_finite()) && self.0[HEIGHT] * other.0[HEIGHT] > 0.0
     }
 
-    /// Puts the camera together again, unless its numbers have left the range of cameras.
+    /// The camera of this pose; `None` if it is degenerate.
     pub(super) fn camera(&self, up: UpAxis) -> Option<Camera> {
         let [x, y, z, focus_distance, yaw, pitch, roll, distance, left, bottom, width, lean, height] = self.0;
         let [east, north, zenith] = axes(up);
@@ -98,7 +98,7 @@ fn level(yaw: f64, pitch: f64, up: UpAxis) -> (DVec3, DVec3) {
     (right, zenith * pitch.cos() - outward * pitch.sin())
 }
 
-/// A smooth way from one camera to another.
+/// A smooth motion from one camera to another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Transition {
     ends: [Camera; 2],
@@ -107,8 +107,8 @@ pub struct Transition {
 }
 
 impl Transition {
-    /// From one camera to another, each with the distance of what it looks at, perpendicular to its view plane and in
-    /// world units; distances that are none are taken as those of the view planes.
+    /// From one camera to another, each with the distance of its target, perpendicular to its view plane, in world units.
+    /// The view plane's distance replaces one that is not positive and finite.
     pub fn new(from: (Camera, f64), to: (Camera, f64), up: UpAxis) -> Self {
         let pose = |(camera, distance): (Camera, f64)| {
             let is_usable = distance > 0.0 && distance.is_finite();
@@ -118,19 +118,18 @@ impl Transition {
         Self { ends: [from.0, to.0], poses: [start, pose(to).unwrapped_after(&start)], up }
     }
 
-    /// Where the way ends.
+    /// The last camera.
     pub fn end(&self) -> Camera {
         self.ends[1]
     }
 
-    /// The camera when a part of the time has passed, 0 to 1: slow at both ends, and exactly the first and the last
-    /// camera there.
+    /// The camera after a fraction of the time, 0 to 1: slow at both ends, and exactly the first and last camera there.
     pub fn at(&self, fraction: f64) -> Camera {
         let [start, end] = &self.poses;
         if fraction <= 0.0 {
             return self.ends[0];
         }
-        // A way that cannot be gone is skipped.
+        // Without an interpolation, the camera jumps to the end.
         if fraction >= 1.0 || fraction.is_nan() || !start.can_interpolate_to(end) {
             return self.ends[1];
         }
@@ -143,6 +142,7 @@ impl Transition {
 #[cfg(test)]
 pub(super) mod tests {
     use proptest::prelude::*;
+    use strum::VariantArray;
 
     use super::*;
 
@@ -153,7 +153,7 @@ pub(super) mod tests {
             .prop_filter_map("no camera", |(eye, ll, u, v)| Camera::new(eye, ll, u, v).ok())
     }
 
-    /// Whether two cameras send the same rays, as seen from how large they are.
+    /// Whether two cameras are equal within a millionth of their size.
     fn are_close(a: &Camera, b: &Camera) -> bool {
         let size = [a.eye, a.ll, a.u, a.v].iter().map(|vector| vector.length()).fold(0.0, f64::max);
         [a.eye - b.eye, a.ll - b.ll, a.u - b.u, a.v - b.v].iter().all(|by| by.length() <= 1e-6 * size)
@@ -170,7 +170,7 @@ pub(super) mod tests {
         for step in 0..=100 {
             let camera = transition.at(f64::from(step) / 100.0);
             assert!(camera.u.normalize().dot(DVec3::Y).abs() < 1e-9, "{camera:?}");
-            // Both look at the middle, so all between do, from the same distance.
+            // Both ends look at the middle from the same distance, so all cameras between do too.
             assert!((camera.target()).length() < 1e-9);
             assert!((camera.eye.length() / front().eye.length() - 1.0).abs() < 1e-9);
         }
@@ -181,7 +181,7 @@ pub(super) mod tests {
         let right = front().orbit(DVec3::ZERO, UpAxis::Y, 3.0, 0.0);
         let left = front().orbit(DVec3::ZERO, UpAxis::Y, -3.0, 0.0);
         let half = Transition::new((right, 3.0), (left, 3.0), UpAxis::Y).at(0.5);
-        assert!(half.backward().dot(front().backward()) < -0.8, "the way goes round the back");
+        assert!(half.backward().dot(front().backward()) < -0.8, "the motion passes the back");
     }
 
     #[test]
@@ -193,10 +193,10 @@ pub(super) mod tests {
 
     proptest! {
         #[test]
-        fn a_camera_taken_apart_is_the_same_put_together(camera in any_camera(), up in 0..3usize, part in 0.1..10.0f64) {
-            let up = UpAxis::ALL[up];
+        fn a_pose_gives_its_camera_back(camera in any_camera(), up in 0..3usize, part in 0.1..10.0f64) {
+            let up = UpAxis::VARIANTS[up];
             let pose = Pose::new(&camera, camera.plane_distance() * part, up);
-            // Where the view plane is nearly in the eye, putting together may fail, but never errs.
+            // If the eye is nearly in the view plane, there may be no camera, but never a wrong one.
             if let Some(again) = pose.camera(up) {
                 prop_assert!(are_close(&camera, &again), "{camera:?} {again:?}");
             }
@@ -208,7 +208,7 @@ pub(super) mod tests {
             distances in (prop_oneof![Just(0.0), Just(f64::NAN), 1e-9..1e9f64], 1e-9..1e9f64),
             fraction in prop_oneof![0.0..1.0f64, Just(f64::NAN), -2.0..3.0f64],
         ) {
-            let transition = Transition::new((from, distances.0), (to, distances.1), UpAxis::ALL[up]);
+            let transition = Transition::new((from, distances.0), (to, distances.1), UpAxis::VARIANTS[up]);
             let camera = transition.at(fraction);
             prop_assert!(Camera::new(camera.eye, camera.ll, camera.u, camera.v).is_ok());
             prop_assert_eq!((transition.at(0.0), transition.at(1.0)), (from, to));

@@ -1,38 +1,37 @@
-//! Views of a model that somebody wants to come back to, and the file that keeps them.
+//! Numbered views of a model, and the file that keeps them.
 
 use std::{collections::BTreeMap, fmt::Write, ops::RangeInclusive};
 
-use glam::DVec3;
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::{Camera, CameraFileError, UpAxis};
+use super::{Camera, CameraError, CameraFileError, CameraVectors, UpAxis};
 
-/// Numbered views of a model, and the axis of it that points up.
+/// Numbered views of a model, and its up axis.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Views {
-    /// The axis that points up, if somebody has said so.
+    /// The axis that points up, if it was chosen.
     pub up: Option<UpAxis>,
     views: BTreeMap<u8, Camera>,
 }
 
 impl Views {
-    /// The numbers that a view can have: one for each digit's key.
+    /// The numbers of views: the digit keys.
     pub const NUMBERS: RangeInclusive<u8> = 1..=9;
 
-    /// The view of a number.
+    /// The view with a number.
     pub fn get(&self, number: u8) -> Option<Camera> {
         self.views.get(&number).copied()
     }
 
-    /// Gives a view a number, which no longer means the view that had it; numbers beyond [`Views::NUMBERS`] mean none.
+    /// Keeps a view under a number and replaces the one that had it; ignored if the number is not in [`Views::NUMBERS`].
     pub fn keep(&mut self, number: u8, camera: Camera) {
         if Self::NUMBERS.contains(&number) {
             self.views.insert(number, camera);
         }
     }
 
-    /// The numbers that mean a view.
+    /// The numbers in use.
     pub fn numbers(&self) -> impl Iterator<Item = u8> {
         self.views.keys().copied()
     }
@@ -51,8 +50,10 @@ impl Views {
             let start = view.span().start;
             let number = name.parse().ok().filter(|number| Self::NUMBERS.contains(number));
             let number = number.ok_or_else(|| at(start, &format!("\"{name}\" is no number from 1 to 9")))?;
-            let ViewEntry { eye, ll, u, v } = view.into_inner();
-            views.keep(number, Camera::new(eye, ll, u, v).map_err(|error| at(start, &error.to_string()))?);
+            views.keep(
+                number,
+                view.into_inner().try_into().map_err(|error: CameraError| at(start, &error.to_string()))?,
+            );
         }
         Ok(views)
     }
@@ -63,7 +64,7 @@ impl Views {
         let mut text = "# Views of a model: on the wall, keys 1 to 9 go to them.\n".to_owned();
         // Writing to a string cannot fail.
         if let Some(up) = self.up {
-            let _ = writeln!(text, "up = \"{}\"", up.name());
+            let _ = writeln!(text, "up = \"{up}\"");
         }
         for (number, camera) in &self.views {
             let _ = write!(text, "\n[view.{number}]\n{}", camera.to_toml());
@@ -72,27 +73,19 @@ impl Views {
     }
 }
 
-/// What stands in a file of views.
+/// The contents of a file of views.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ViewsFile {
     up: Option<UpAxis>,
     #[serde(default)]
-    view: BTreeMap<String, Spanned<ViewEntry>>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ViewEntry {
-    eye: DVec3,
-    ll: DVec3,
-    u: DVec3,
-    v: DVec3,
+    view: BTreeMap<String, Spanned<CameraVectors>>,
 }
 
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
+    use strum::VariantArray;
 
     use super::{super::pose::tests::any_camera, *};
 
@@ -115,7 +108,7 @@ mod tests {
             cameras in proptest::collection::btree_map(0..12u8, any_camera(), 0..9),
             up in proptest::option::of(0..3usize),
         ) {
-            let mut views = Views { up: up.map(|up| UpAxis::ALL[up]), ..Views::default() };
+            let mut views = Views { up: up.map(|up| UpAxis::VARIANTS[up]), ..Views::default() };
             cameras.iter().for_each(|(&number, &camera)| views.keep(number, camera));
             prop_assert!(views.numbers().all(|number| Views::NUMBERS.contains(&number)));
             prop_assert_eq!(Views::from_toml(&views.to_toml()).unwrap(), views);

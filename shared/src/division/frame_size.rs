@@ -14,7 +14,7 @@ pub struct FrameSize {
     yres: u32,
 }
 
-/// Why two numbers make no frame size.
+/// The numbers are out of range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a frame of {0}×{1} samples: each side must be from 1 to {max}, and their product at most {most}",
     max = FrameSize::LARGEST, most = FrameSize::MOST_SAMPLES)]
@@ -36,10 +36,10 @@ impl From<FrameSize> for (u32, u32) {
 }
 
 impl FrameSize {
-    /// The largest side: what GPUs take as a texture.
+    /// The largest side: a limit of GPU textures.
     pub const LARGEST: u32 = 16384;
 
-    /// The most samples: seven times the paper's wall, and the bound on what a message can make a peer allocate.
+    /// The most samples: seven times the paper's wall; it bounds the memory that a message can make a peer allocate.
     pub const MOST_SAMPLES: u32 = 1 << 26;
 
     /// The paper's frame.

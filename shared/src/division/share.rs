@@ -1,4 +1,4 @@
-//! Shares of a frame: what one machine is given, and parts of that.
+//! Tasks and shares: the units of a frame that one node renders, and parts of them.
 
 use std::ops::Range;
 
@@ -6,60 +6,46 @@ use serde::{Deserialize, Serialize};
 
 use super::{Division, FrameSize, SampleRect, UnitKind, Units};
 
-/// A share of a frame: some of its units, in a fixed order.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+/// Some units of a frame, in a fixed order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Task {
-    /// Which units before the part is taken.
+    /// The units of which a part is taken.
     pub selection: Selection,
-    /// Which of those.
+    /// The part that is taken.
     pub part: Part,
 }
 
 /// Units of a frame, before a part of them is taken.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Selection {
-    /// The samples i with i mod machines = machine, ascending: the paper's equation 4.
-    Interleaved {
-        /// Which machine, from 0.
+    /// Every `n_machines`-th unit from unit `machine_idx` on: the paper's equations 4 and 5 for samples and tiles.
+    Strided {
+        /// Whose units these are.
+        division: Division,
+        /// Index of the machine, from 0.
         machine_idx: u32,
-        /// How many machines.
-        n_machines: u32,
-    },
-    /// The tiles t with t mod machines = machine, ascending: the paper's equation 5.
-    Tiled {
-        /// Which machine, from 0.
-        machine_idx: u32,
-        /// How many machines.
-        n_machines: u32,
-    },
-    /// Runs of tiles, in the order given.
-    TileRuns(Vec<TileRun>),
-    /// The tiles that are number t along the [`curve`](crate::curve), t mod machines = machine, ascending.
-    Curve {
-        /// Which machine, from 0.
-        machine_idx: u32,
-        /// How many machines.
+        /// Number of machines.
         n_machines: u32,
     },
     /// A run of tiles along the [`curve`](crate::curve); it may be empty.
     CurveRun(TileRun),
 }
 
-/// Tiles `first`, `first + 1`, …
+/// Tiles `first`, `first + 1`, … along the curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TileRun {
     /// The first tile.
     pub first: u32,
-    /// How many.
+    /// Number of tiles.
     pub count: u32,
 }
 
-/// Every `n_parts`-th unit from the `index`-th on: how the share of a lost machine is divided again among the others.
+/// Every `n_parts`-th unit from the `index`-th on: the task of a lost node is divided among the others in this way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Part {
-    /// Which part, from 0.
+    /// Index of the part, from 0.
     pub index: u32,
-    /// How many parts.
+    /// Number of parts.
     pub n_parts: u32,
 }
 
@@ -67,28 +53,27 @@ impl Part {
     /// Everything.
     pub const WHOLE: Self = Self { index: 0, n_parts: 1 };
 
-    /// Part `index` of `n_parts` of this part.
+    /// Part `index` of `n_parts` of this part; `None` if the product overflows.
     ///
-    /// Unit k of the inner part is unit `index + k·n_parts` of this one, so parts of parts are parts again.
-    /// `None` when the product no longer fits.
+    /// Unit k of the inner part is unit `index + k·n_parts` of this one, so a part of a part is a part again.
     pub fn of(self, index: u32, n_parts: u32) -> Option<Self> {
         let offset = index.checked_mul(self.n_parts)?;
         Some(Self { index: self.index.checked_add(offset)?, n_parts: self.n_parts.checked_mul(n_parts)? })
     }
 }
 
-/// Why a work does not fit a frame.
+/// The task does not fit the frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TaskError {
-    /// Machine or part is not below its count, or a count is 0.
+    /// The index of a machine or part is not below its count.
     #[error("machine or part {index} of {count} does not exist")]
     NoSuchPart {
         /// From 0.
         index: u32,
-        /// How many there are.
+        /// Number of machines or parts.
         count: u32,
     },
-    /// A run of tiles leaves the frame, or is one of several and empty.
+    /// A run of tiles leaves the frame.
     #[error("tile run {first}+{count} does not lie in a frame of {n_tiles} tiles")]
     RunOutside {
         /// The run's first tile.
@@ -98,143 +83,94 @@ pub enum TaskError {
         /// The frame's tiles.
         n_tiles: u32,
     },
-    /// Runs hold more tiles than the frame has, so some tile would be rendered twice.
-    #[error("the runs hold more tiles than the frame")]
-    TooManyTiles,
 }
 
 impl Task {
-    /// The same work, as part `index` of `n_parts` of it; see [`Part::of`].
-    pub fn part(&self, index: u32, n_parts: u32) -> Option<Self> {
-        Some(Self { selection: self.selection.clone(), part: self.part.of(index, n_parts)? })
+    /// Part `index` of `n_parts` of this task; see [`Part::of`].
+    pub fn part(self, index: u32, n_parts: u32) -> Option<Self> {
+        Some(Self { part: self.part.of(index, n_parts)?, ..self })
     }
 
-    /// Checks this work against a frame and makes its units addressable.
-    pub fn share(&self, size: FrameSize) -> Result<Share<'_>, TaskError> {
+    /// Checks this task against a frame and makes its units addressable.
+    pub fn share(&self, size: FrameSize) -> Result<Share, TaskError> {
         let check = |index: u32, count: u32| {
             if index < count { Ok(()) } else { Err(TaskError::NoSuchPart { index, count }) }
         };
         check(self.part.index, self.part.n_parts)?;
-        let strided = |machine_idx: u32, n_machines: u32, units: Units| {
-            check(machine_idx, n_machines)?;
-            Ok((
-                units,
-                UnitSource::Strided { first: machine_idx, step: n_machines },
-                units.count().saturating_sub(machine_idx).div_ceil(n_machines),
-            ))
-        };
-        let (units, source, n_selected) = match &self.selection {
-            Selection::Interleaved { machine_idx, n_machines } => {
-                strided(*machine_idx, *n_machines, Division::Interleaved.units(size))?
-            }
-            Selection::Tiled { machine_idx, n_machines } => {
-                strided(*machine_idx, *n_machines, Division::Tiled.units(size))?
-            }
-            Selection::TileRuns(runs) => {
-                let units = Division::Tiled.units(size);
-                let (ends, n_selected) = run_ends(runs, units.count())?;
-                (units, UnitSource::Runs { runs, ends }, n_selected)
-            }
-            Selection::Curve { machine_idx, n_machines } => {
-                strided(*machine_idx, *n_machines, Division::Dynamic.units(size))?
+        let (units, first, step, n_selected) = match self.selection {
+            Selection::Strided { division, machine_idx, n_machines } => {
+                check(machine_idx, n_machines)?;
+                let units = division.units(size);
+                let n_selected = units.count().saturating_sub(machine_idx).div_ceil(n_machines);
+                (units, machine_idx, n_machines, n_selected)
             }
             Selection::CurveRun(TileRun { first, count }) => {
                 let units = Division::Dynamic.units(size);
-                let (first, count, n_tiles) = (*first, *count, units.count());
+                let n_tiles = units.count();
                 if first.checked_add(count).is_none_or(|end| end > n_tiles) {
                     return Err(TaskError::RunOutside { first, count, n_tiles });
                 }
-                (units, UnitSource::Strided { first, step: 1 }, count)
+                (units, first, 1, count)
             }
         };
         let count = n_selected.saturating_sub(self.part.index).div_ceil(self.part.n_parts);
-        Ok(Share { units, source, part: self.part, count })
+        Ok(Share { units, first, step, part: self.part, count })
     }
 }
 
-/// The number of tiles up to the end of each run, and in all.
-fn run_ends(runs: &[TileRun], n_tiles: u32) -> Result<(Vec<u32>, u32), TaskError> {
-    let mut total = 0;
-    let mut ends = Vec::with_capacity(runs.len());
-    for &TileRun { first, count } in runs {
-        let inside = count > 0 && first.checked_add(count).is_some_and(|end| end <= n_tiles);
-        if !inside {
-            return Err(TaskError::RunOutside { first, count, n_tiles });
-        }
-        total += count;
-        if total > n_tiles {
-            return Err(TaskError::TooManyTiles);
-        }
-        ends.push(total);
-    }
-    Ok((ends, total))
-}
-
-/// A work checked against a frame: its units by their place in the work.
-#[derive(Clone, Debug)]
-pub struct Share<'a> {
+/// A task checked against a frame: its units by index.
+#[derive(Clone, Copy, Debug)]
+pub struct Share {
     units: Units,
-    source: UnitSource<'a>,
+    first: u32,
+    step: u32,
     part: Part,
     count: u32,
 }
 
-#[derive(Clone, Debug)]
-enum UnitSource<'a> {
-    Strided { first: u32, step: u32 },
-    Runs { runs: &'a [TileRun], ends: Vec<u32> },
-}
-
-impl Share<'_> {
-    /// How many units the share has.
+impl Share {
+    /// Number of units of the share.
     pub fn count(&self) -> u32 {
         self.count
     }
 
-    /// The frame's units, of which this share holds some.
+    /// All units of the frame.
     pub fn units(&self) -> Units {
         self.units
     }
 
-    /// How many of the frame's samples there are to each of this share's, where it has any: 1 within tiles.
+    /// The frame's samples for each sample of the share if units are single samples; 1 for tiles.
     pub fn sample_stride(&self) -> u32 {
-        match (&self.source, self.units.kind) {
-            (UnitSource::Strided { step, .. }, UnitKind::Sample) => step.saturating_mul(self.part.n_parts),
-            _ => 1,
+        match self.units.kind {
+            UnitKind::Sample => self.step.saturating_mul(self.part.n_parts),
+            UnitKind::Tile | UnitKind::CurveTile => 1,
         }
     }
 
-    /// Whether the units are tiles numbered along the curve: those of which render servers report what they cost.
+    /// Whether the units are tiles numbered along the curve: render servers report their costs.
     pub fn is_on_curve(&self) -> bool {
         self.units.kind == UnitKind::CurveTile
     }
 
-    /// Whether each unit's number is that of the one before and 1.
+    /// Whether the units follow each other in the frame's numbering.
     pub fn is_contiguous(&self) -> bool {
-        self.part.n_parts == 1 && matches!(self.source, UnitSource::Strided { step: 1, .. })
+        self.part.n_parts == 1 && self.step == 1
     }
 
     /// The frame's number of the share's `k`-th unit; `k` must be below [`Share::count`].
     #[inline]
     pub fn unit(&self, k: u32) -> u32 {
         debug_assert!(k < self.count, "unit {k} of {}", self.count);
-        let selection = self.part.index + k * self.part.n_parts;
-        match &self.source {
-            UnitSource::Strided { first, step } => first + selection * step,
-            UnitSource::Runs { runs, ends } => {
-                let run = ends.partition_point(|&end| end <= selection);
-                runs[run].first + (selection - (ends[run] - runs[run].count))
-            }
-        }
+        self.first + (self.part.index + k * self.part.n_parts) * self.step
     }
 
-    /// The numbers of samples, row by row from the bottom left, that units are; `None` if units are blocks of samples.
+    /// The sample numbers of single-sample units, row by row from the bottom left; `None` if units are tiles.
     #[inline]
-    pub fn single_samples(&self, units: Range<u32>) -> Option<impl ExactSizeIterator<Item = u32>> {
+    pub fn single_samples(&self, units: Range<u32>) -> Option<impl ExactSizeIterator<Item = u32> + use<>> {
         if self.units.kind != UnitKind::Sample {
             return None;
         }
-        // They are one step apart: what picks them is not asked for each.
+        // The numbers are one step apart, so only the first two are looked up.
         let first = if units.is_empty() { 0 } else { self.unit(units.start) };
         let step = if units.len() < 2 { 0 } else { self.unit(units.start + 1) - first };
         Some((0..units.len() as u32).map(move |k| first + k * step))

@@ -1,4 +1,4 @@
-//! Sealed records as streams of bytes: what is written at one end is read at the other, or nothing is.
+//! Byte streams over sealed records: bytes written at one end are read unchanged at the other, or not at all.
 
 use std::{
     fmt, io,
@@ -13,8 +13,8 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::TAG_BYTES;
 
-/// The most bytes in one record. A record is heard only when it is whole: at 1 Mbit/s this takes 130 ms, so that a slow
-/// link is not taken for a silent peer, which a record of the 64 KB that Noise allows would be.
+/// The most bytes in one record. A record opens only when it is complete, which takes 130 ms at 1 Mbit/s: with records of
+/// 64 KB, the most in Noise, the peer on a slow link would seem silent.
 pub const RECORD_BYTES: usize = 16 * 1024;
 
 /// Bytes before each record: its length.
@@ -23,7 +23,7 @@ const LENGTH_BYTES: usize = 2;
 /// The largest record as it is on the wire.
 const SEALED_BYTES: usize = LENGTH_BYTES + RECORD_BYTES + TAG_BYTES;
 
-/// Records that are sent, and asked for, with one call of the system.
+/// Records that are sent or received with one system call.
 const BATCH: usize = 4;
 
 /// The reading half of a channel.
@@ -31,10 +31,10 @@ pub struct RecordReader<R> {
     stream: R,
     transport: Arc<StatelessTransportState>,
     next_nonce: u64,
-    /// As it comes from the stream; the range is what is not opened yet.
+    /// Bytes from the stream; the range is not opened yet.
     sealed: Box<[u8]>,
     unopened: Range<usize>,
-    /// One opened record; the range is what is not read yet.
+    /// One opened record; the range is not read yet.
     opened: Box<[u8]>,
     unread: Range<usize>,
 }
@@ -52,7 +52,7 @@ impl<R> RecordReader<R> {
         }
     }
 
-    /// Opens the next record; false if it is not here as a whole.
+    /// Opens the next record; false if it has not arrived completely.
     fn open_record(&mut self) -> io::Result<bool> {
         let sealed = &self.sealed[self.unopened.clone()];
         let Some((&length, rest)) = sealed.split_first_chunk::<LENGTH_BYTES>() else { return Ok(false) };
@@ -81,7 +81,7 @@ impl<R: AsyncRead + Unpin> AsyncRead for RecordReader<R> {
             if this.open_record()? {
                 break;
             }
-            // Part of a record at most: it moves to the front, and the rest of it has room.
+            // Move the incomplete record to the front, to make room for its rest.
             this.sealed.copy_within(this.unopened.clone(), 0);
             this.unopened = 0..this.unopened.len();
             let mut more = ReadBuf::new(&mut this.sealed[this.unopened.end..]);
@@ -99,12 +99,12 @@ impl<R: AsyncRead + Unpin> AsyncRead for RecordReader<R> {
     }
 }
 
-/// The writing half of a channel. What is written is sealed at once, and surely on its way only after a flush.
+/// The writing half of a channel. Bytes are sealed at once; only a flush is sure to send them.
 pub struct RecordWriter<W> {
     stream: W,
     transport: Arc<StatelessTransportState>,
     next_nonce: u64,
-    /// Sealed records; the range is what is not sent yet.
+    /// Sealed records; the range is not sent yet.
     sealed: Box<[u8]>,
     unsent: Range<usize>,
 }
@@ -114,10 +114,10 @@ impl<W> RecordWriter<W> {
         Self { stream, transport, next_nonce, sealed: vec![0; BATCH * SEALED_BYTES].into(), unsent: 0..0 }
     }
 
-    /// Seals one record behind those that are unsent.
+    /// Seals one record after the unsent ones.
     fn seal_record(&mut self, bytes: &[u8]) -> io::Result<()> {
         let (length, sealed) = self.sealed[self.unsent.end..].split_at_mut(LENGTH_BYTES);
-        // Fails only when a direction's nonces are used up, which takes longer than a machine lasts.
+        // Fails only after 2⁶⁴ records, more than a machine can send in its life.
         let n_bytes = self.transport.write_message(self.next_nonce, bytes, sealed).map_err(io::Error::other)?;
         self.next_nonce += 1;
         length.copy_from_slice(&(n_bytes as u16).to_le_bytes());
@@ -145,7 +145,7 @@ impl<W: AsyncWrite + Unpin> AsyncWrite for RecordWriter<W> {
         self.unsent = 0..0;
         let n_bytes = bytes.len().min(BATCH * RECORD_BYTES);
         bytes[..n_bytes].chunks(RECORD_BYTES).try_for_each(|record| self.seal_record(record))?;
-        // These bytes are taken, whether the stream has room for them now or later.
+        // The bytes are accepted, even if the stream has no room for them yet.
         match self.poll_send(context) {
             Poll::Ready(Err(error)) => Poll::Ready(Err(error)),
             _ => Poll::Ready(Ok(n_bytes)),
@@ -164,14 +164,14 @@ impl<W: AsyncWrite + Unpin> AsyncWrite for RecordWriter<W> {
 }
 
 impl<R> fmt::Debug for RecordReader<R> {
-    /// Neither keys nor what was said.
+    /// Hides keys and data.
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.debug_struct("RecordReader").field("next_nonce", &self.next_nonce).finish_non_exhaustive()
     }
 }
 
 impl<W> fmt::Debug for RecordWriter<W> {
-    /// Neither keys nor what was said.
+    /// Hides keys and data.
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         formatter.debug_struct("RecordWriter").field("next_nonce", &self.next_nonce).finish_non_exhaustive()
     }

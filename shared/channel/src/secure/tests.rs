@@ -24,7 +24,7 @@ async fn channel_between(server_end: DuplexStream, wall_end: DuplexStream) -> (H
     (server.unwrap(), wall.unwrap())
 }
 
-/// A finished handshake, and the wire of each side in the hands of whoever is between.
+/// A finished handshake, and each side's wire in the hands of an attacker.
 async fn intercepted() -> ((Half, DuplexStream), (Half, DuplexStream)) {
     let (server_end, mut server_wire) = duplex(1 << 20);
     let (wall_end, mut wall_wire) = duplex(1 << 20);
@@ -70,7 +70,7 @@ fn noise_bytes(n_bytes: usize, mut state: u32) -> Vec<u8> {
 
 #[tokio::test]
 async fn both_directions_carry_every_byte_at_the_same_time() {
-    // Pipes of few bytes, but enough for a handshake message, cut records everywhere; those of many hold several.
+    // Small pipes, which hold a handshake message, cut records everywhere; large ones hold several records.
     for pipe_bytes in [61, 1000, 1 << 20] {
         let (server_end, wall_end) = duplex(pipe_bytes);
         let (server, wall) = channel_between(server_end, wall_end).await;
@@ -105,7 +105,7 @@ async fn both_directions_carry_every_byte_at_the_same_time() {
 }
 
 #[tokio::test]
-async fn nothing_that_is_said_is_on_the_wire() {
+async fn no_plain_text_is_on_the_wire() {
     let ((mut server, mut server_wire), (mut wall, mut wall_wire)) = intercepted().await;
     let text = b"the model of the customer";
     for _ in 0..2 {
@@ -116,7 +116,7 @@ async fn nothing_that_is_said_is_on_the_wire() {
     }
     let (first, second) =
         (record(&mut server, &mut server_wire, text).await, record(&mut server, &mut server_wire, text).await);
-    assert_ne!(first, second, "the same words twice are other bytes");
+    assert_ne!(first, second, "the same text twice gives different bytes");
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -137,7 +137,7 @@ async fn a_record_that_is_not_in_its_place_ends_the_channel() {
         let ((mut server, mut server_wire), (mut wall, mut wall_wire)) = intercepted().await;
         let first = record(&mut server, &mut server_wire, b"first!").await;
         let second = record(&mut server, &mut server_wire, b"second").await;
-        // The wall's second: its nonce is the one that the wall expects from the server.
+        // The wall's second record, whose nonce the wall expects from the server.
         let _ = record(&mut wall, &mut wall_wire, b"answer").await;
         let by_wall = record(&mut wall, &mut wall_wire, b"answer").await;
         let (before, forged): (&[u8], Vec<u8>) = match attack {
@@ -148,7 +148,7 @@ async fn a_record_that_is_not_in_its_place_ends_the_channel() {
             Flip(at) => {
                 let mut flipped = first.clone();
                 flipped[at] ^= 1;
-                // What is cut by a shorter length, or asked for by a longer one, follows.
+                // More bytes follow, so that a changed length finds enough of them.
                 (b"", [flipped, vec![0; 1000]].concat())
             }
             CutAndJoin => (b"", [&first[..first.len() - 3], &second].concat()),
@@ -183,7 +183,7 @@ async fn a_channel_that_is_cut_in_a_record_is_an_error_and_between_two_an_end() 
     }
 }
 
-/// What an acceptor and a connector with these keys say to bytes, and how many of them they take.
+/// The error of an acceptor that gets these bytes, and the number of bytes that it reads.
 async fn accepting(bytes: &[u8], key: &Key) -> (SecureError, usize) {
     let (near, far) = duplex(1 << 20);
     let (input, output) = split(near);
@@ -197,7 +197,7 @@ async fn accepting(bytes: &[u8], key: &Key) -> (SecureError, usize) {
     (error, taken)
 }
 
-/// Counts what is read.
+/// Counts the bytes read.
 struct Counting<R> {
     input: R,
     taken: Arc<Mutex<usize>>,
@@ -217,7 +217,7 @@ impl<R: AsyncRead + Unpin> AsyncRead for Counting<R> {
 }
 
 #[tokio::test]
-async fn strangers_are_told_apart_and_heard_for_72_bytes() {
+async fn strangers_are_told_apart_within_72_bytes() {
     let long = noise_bytes(1 << 19, 3);
     let with = |start: &[u8]| [start, &long].concat();
     let check = async |start: &[u8], expect: fn(&SecureError) -> bool, n_bytes: usize| {
@@ -272,12 +272,12 @@ async fn a_recorded_conversation_gets_nowhere_on_either_side() {
         tokio::join!(channel_between(server_end, wall_end), passing_on);
     by_server.extend(record(&mut server, &mut server_wire, b"samples of another frame").await);
 
-    // All that the server said, to the wall: it gets an answer that it cannot use, and no word further.
+    // Replay the server's bytes to the wall: they get one answer, and the wall reads no further.
     let (error, taken) = accepting(&by_server, &key(1)).await;
     assert!(matches!(error, SecureError::Replayed), "{error:?}");
     assert_eq!(taken, 8 + HANDSHAKE_BYTES + TAG_BYTES);
 
-    // All that the wall said, to the server, and what the server says itself.
+    // Replay the wall's bytes to the server, then reflect the server's own.
     let (near, mut far) = duplex(1 << 10);
     far.write_all(&by_wall).await.unwrap();
     let (input, output) = split(near);
@@ -296,6 +296,6 @@ async fn a_recorded_conversation_gets_nowhere_on_either_side() {
 
 #[test]
 fn a_handshake_costs_a_few_kilobytes() {
-    // What it holds on the heap besides is four ciphers, hashes and curve points of less than 1 KB each.
+    // Its heap holds four more ciphers, hashes and curve points of less than 1 KB each.
     assert!(size_of::<HandshakeState>() < 4096, "{}", size_of::<HandshakeState>());
 }
