@@ -1,18 +1,17 @@
-//! The paper's multi-level grid: cells over the scene's bounds, and macrocells that skip what is empty.
+//! The paper's multi-level grid: cells over the scene's bounds, and macrocells that skip empty space.
 //!
-//! [`tree`] is the default, cells within cells down to where there is little; [`uniform`] is the paper's own grid, of
-//! cells of one size, with [`row_displacement`] that compresses it and [`macrocells`] over it.
+//! [`tree`] is the default: cells are divided until they hold few triangles. [`uniform`] is the paper's own grid, with
+//! cells of one size: [`uniform::row_displacement`] compresses it, [`uniform::macrocells`] skips its empty cells.
 //!
-//! In reading order: [`options`] says what can be asked for, and [`budget`] within how much memory; [`choice`]
-//! chooses what is not asked for, [`resolution`] how many cells; [`overlap`] which cells a triangle touches; [`scatter`] puts triangles into cells; [`build`] makes the
-//! grid, [`divide`] the tree; [`boxes`] bounds the triangles. [`walk`] follows single rays, with [`filter`] before each
-//! list; [`packet`] follows many rays together through their [`frustum`], compiled by [`kernel`] for each instruction
-//! set; [`cull`] sorts out what they may hit, [`pairs`] which of them, and [`decide`] what they do.
+//! In reading order: [`options`] for a grid, and its memory [`budget`]; [`choice`] of the density; [`build`] makes the
+//! grid and orders the mesh by it; [`traced`] is that mesh; [`cells`] is how rays look cells up; [`figures`] are sizes
+//! and counts.
 
 use std::time::Duration;
 
 pub(crate) mod budget;
 pub(crate) mod build;
+pub(crate) mod cells;
 pub(crate) mod choice;
 pub(crate) mod figures;
 pub(crate) mod options;
@@ -22,20 +21,21 @@ pub mod traced;
 pub(crate) mod tree;
 pub(crate) mod uniform;
 
-use crate::intersect::InstructionSet;
+use crate::simd::InstructionSet;
+use cells::CellSpace;
+use traced::TracedMesh;
+use tree::Tree;
+use uniform::{DenseIndex, UniformGrid, row_displacement::RowDisplacement};
+
 pub use budget::{MemoryBudget, MemoryShortage};
 pub use choice::{Choice, Prediction, Reason};
 pub use figures::GridStats;
 pub use options::{GridOptions, MeshLayout, Storage};
-use tree::Tree;
-use uniform::{DenseIndex, UniformGrid, resolution::CellSpace, row_displacement::RowDisplacement};
-
-use traced::TracedMesh;
 
 /// A mesh and a grid over its triangles.
 ///
-/// Invariant: every point of a triangle lies in cells that list it, by a margin of [`overlap::DILATION`] around each
-/// cell; [`walk`] relies on it for rays that pass exactly between cells.
+/// Invariant: every cell lists all triangles within a margin of [`tree::overlap::DILATION`] around it, so that rays may
+/// pass exactly between cells.
 #[derive(Debug)]
 pub struct Grid {
     pub(crate) space: CellSpace,
@@ -48,20 +48,20 @@ pub struct Grid {
     pub(crate) instructions: InstructionSet,
 }
 
-/// How the cells are kept.
+/// Storage of the cells.
 #[derive(Debug)]
 pub(crate) enum Structure {
     Tree(Tree),
     Plain(UniformGrid<DenseIndex>),
     RowDisplacement {
         grid: UniformGrid<RowDisplacement>,
-        /// How long the places of the rows took to find.
+        /// Time to find the rows' offsets.
         placement: Duration,
     },
 }
 
 impl Structure {
-    /// The triangles of all lists.
+    /// Triangle indices of all lists.
     fn references_mut(&mut self) -> &mut [u32] {
         match self {
             Self::Tree(tree) => &mut tree.references,
@@ -72,12 +72,14 @@ impl Structure {
 }
 
 impl Grid {
-    /// The same grid, followed with other instructions: for tests and measurements. They change no hit.
+    /// The same grid, traced with other instructions, for tests and measurements. No hit changes.
     ///
-    /// Panics if this machine does not have them.
+    /// # Panics
+    ///
+    /// If this machine lacks the instructions.
     #[must_use]
     pub fn with_instructions(mut self, instructions: InstructionSet) -> Self {
-        assert!(InstructionSet::available().contains(&instructions), "this machine has no {instructions:?}");
+        assert!(InstructionSet::available().contains(&instructions), "this machine lacks {instructions:?}");
         self.instructions = instructions;
         self
     }
@@ -86,22 +88,22 @@ impl Grid {
         if layout == MeshLayout::Indexed { self } else { Self { mesh: self.mesh.into_flat(), ..self } }
     }
 
-    /// The mesh, in the order of the cells.
+    /// The mesh, ordered by the cells.
     pub fn mesh(&self) -> &TracedMesh {
         &self.mesh
     }
 
-    /// What the memory budget did to the grid, if it was too small for the one that was asked for.
+    /// The effect of the memory budget on the grid, if it was too small.
     pub fn shortage(&self) -> Option<MemoryShortage> {
         self.shortage
     }
 
-    /// How the scene is kept and why, and what else would have been possible.
+    /// The chosen storage and density, the reason, and predictions for others.
     pub fn choice(&self) -> &Choice {
         &self.choice
     }
 
-    /// Its storage and density; `None` where memory allowed so few cells that nobody could ask for them.
+    /// Storage and density; `None` where little memory led to a density below the options' range.
     pub fn structure(&self) -> Option<shared::structure::Structure> {
         let storage = match self.structure {
             Structure::Tree(_) => Storage::Tree,
@@ -111,13 +113,13 @@ impl Grid {
         (storage, self.density).try_into().ok()
     }
 
-    /// Bytes of the structure, the mesh not counted.
+    /// Bytes in memory, without the mesh.
     pub fn n_bytes(&self) -> usize {
         self.figures().n_bytes()
     }
 }
 
-/// The numbers of the bits that are set, ascending.
+/// Indices of the bits that are set, ascending.
 pub(crate) fn bits(mut mask: u64) -> impl Iterator<Item = u32> {
     std::iter::from_fn(move || {
         let bit = mask.trailing_zeros();

@@ -1,21 +1,21 @@
-//! Follows rays through a grid, alone or in packets, and decides what they hit.
+//! Traces rays through a grid, alone or in packets, and decides their hits.
 //!
-//! [`ray`] is a ray and its hit; [`triangle`] decides whether one is hit, with [`exact`] sums where rounding would spoil the
-//! sign. [`walk`] follows single rays, with [`filter`] before each list of triangles; [`packet`] follows many together,
-//! compiled by [`kernel`] for each instruction set that [`simd`] knows. [`clip`] leaves out what a plane cuts away.
+//! [`ray`] holds a ray and its hit; [`triangle`] decides whether a ray hits a triangle, with sums from [`exact`] where
+//! rounding could change the answer. [`walk`] traces single rays, with [`filter`] before each list of triangles;
+//! [`packet`] traces many rays together, and is compiled for each instruction set of [`crate::simd`]. [`margins`]
+//! bounds rounding errors. [`clip`] traces rays in a scene that a plane cuts open.
 
 pub mod clip;
 mod exact;
 #[expect(clippy::needless_range_loop, reason = "an axis or a corner indexes several arrays at once")]
 pub mod filter;
-mod instructions;
-mod kernel;
+mod margins;
 mod packet;
 pub mod ray;
-pub(crate) mod simd;
 pub mod triangle;
 pub(crate) mod walk;
 
-pub use instructions::InstructionSet;
 pub use packet::{MOST_PACKETS, Packet, PacketScratch};
 pub use walk::RayCost;
+
+pub use crate::simd::InstructionSet;

@@ -1,36 +1,35 @@
-//! How much memory a scene may take, and what is said when it is too little.
+//! The memory budget of a scene, and the message when it is too small.
 
 use std::{fmt, ops::RangeInclusive, str::FromStr};
 
-/// Bytes that a process may take while it makes a scene ready: the mesh as it was loaded, the mesh as it is traced, and
-/// the grid.
+/// Bytes that a process may take while it loads a scene: the mesh as loaded, the mesh as traced, and the grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct MemoryBudget(u64);
 
 impl MemoryBudget {
-    /// The budgets that can be asked for.
+    /// Valid budgets.
     pub const RANGE: RangeInclusive<Self> = Self(16_000_000)..=Self(1_000_000_000_000);
 
-    /// What a grid may take beside a mesh. A mesh that is too large by itself gets a grid of a quarter of its size: the
-    /// budget cannot be kept then, and a smaller grid would save little and be slow.
+    /// Bytes that are left for a grid beside a mesh. A mesh that exceeds the budget by itself gets a grid of a quarter
+    /// of its size: a smaller grid would save little and be slow.
     pub(crate) fn remaining_beside(self, mesh_bytes: u64) -> u64 {
         if mesh_bytes < self.0 { self.0 - mesh_bytes } else { mesh_bytes / 4 }
     }
 
-    /// Whether so many bytes are too many.
+    /// Whether `n_bytes` exceed the budget.
     pub(crate) fn is_exceeded_by(self, n_bytes: u64) -> bool {
         self.0 < n_bytes
     }
 }
 
 impl Default for MemoryBudget {
-    /// What each of the paper's machines had.
+    /// The memory of each of the paper's machines.
     fn default() -> Self {
         Self(1_000_000_000)
     }
 }
 
-/// Letters behind a number of bytes, the largest first.
+/// Unit letters, the largest first.
 const UNITS: [(char, u64); 3] = [('G', 1_000_000_000), ('M', 1_000_000), ('K', 1_000)];
 
 impl fmt::Display for MemoryBudget {
@@ -45,7 +44,7 @@ impl fmt::Display for MemoryBudget {
 impl FromStr for MemoryBudget {
     type Err = String;
 
-    /// Reads whole or decimal numbers of bytes, as in 512M or 1.5G.
+    /// Parses integers or decimals, as in 512M or 1.5G.
     fn from_str(text: &str) -> Result<Self, String> {
         let letter = text.chars().last().unwrap_or(' ').to_ascii_uppercase();
         let unit = UNITS.iter().find(|(unit, _)| *unit == letter);
@@ -61,13 +60,13 @@ impl FromStr for MemoryBudget {
     }
 }
 
-/// What a memory budget did to a grid.
+/// The effect of a memory budget on a grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryShortage {
     pub(crate) budget: MemoryBudget,
     /// Whether the grid was made coarser.
     pub(crate) is_coarser: bool,
-    /// Bytes that it may take to make the scene ready, if that is more than the budget nevertheless.
+    /// Bytes that loading the scene may take, if they exceed the budget nevertheless.
     pub(crate) needed_bytes: Option<u64>,
 }
 
@@ -79,7 +78,7 @@ impl fmt::Display for MemoryShortage {
             None => write!(f, "the grid is made coarser, to stay within --memory-budget {budget}"),
             Some(bytes) => {
                 let megabytes = bytes.div_ceil(1_000_000);
-                write!(f, "{coarser}making the scene ready may take {megabytes}M, more than --memory-budget {budget}")
+                write!(f, "{coarser}loading the scene may take {megabytes}M, more than --memory-budget {budget}")
             }
         }
     }
@@ -105,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_sizes_are_told_what_is_right() {
+    fn errors_name_the_valid_sizes() {
         for text in ["1K", "0", "-5G", "NaN", "NaNG", "2000G", "infG"] {
             let error = text.parse::<MemoryBudget>().unwrap_err();
             assert_eq!(error, "the memory budget must be from 16M to 1000G", "{text}");

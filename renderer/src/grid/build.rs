@@ -1,10 +1,11 @@
-//! Builds a grid, in parallel and within its memory.
+//! Builds a grid, in parallel and within a memory budget.
 
 use glam::Vec3;
 
 use crate::{
     grid::{
         Grid, GridOptions, MemoryShortage, MeshLayout, Storage, Structure,
+        cells::CellSpace,
         choice::Choice,
         traced::TracedMesh,
         tree::{
@@ -13,70 +14,69 @@ use crate::{
             divide::{Builder, TreePart},
             scatter::Scatter,
         },
-        uniform::{
-            DenseIndex, UniformGrid,
-            resolution::{CellSpace, resolution},
-            row_displacement::RowDisplacement,
-        },
+        uniform::{DenseIndex, UniformGrid, resolution::resolution, row_displacement::RowDisplacement},
     },
-    intersect::InstructionSet,
     model::mesh::{Aabb, Mesh},
+    simd::InstructionSet,
 };
 
-/// What one reference takes with its part of leaves and nodes.
+/// Bytes of a reference, with its part of leaves and nodes.
 const TREE_BYTES_PER_REFERENCE: u64 = 5;
 
-/// What its box takes, which is measured when the mesh as it was loaded is gone.
+/// Bytes of its box, which is measured after the loaded mesh is dropped.
 pub(crate) const BOX_BYTES_PER_REFERENCE: u64 = 6;
 
-/// What the program takes before it has a scene.
+/// Bytes of the program before it has a scene.
 pub(crate) const PROGRAM_BYTES: u64 = 40_000_000;
 
 impl Grid {
     /// Builds the grid of a mesh, and orders the mesh by it.
     ///
-    /// `progress` is told now and then what part is done, from 0 to 1, from any thread. A grid that would need more
-    /// memory than the options allow is made coarser; [`Grid::shortage`] says so.
+    /// `progress` is called from any thread with the part that is done, from 0 to 1. A grid that would need more memory
+    /// than the options allow is made coarser: see [`Grid::shortage`].
     pub fn build(mesh: Mesh, options: &GridOptions, progress: &(dyn Fn(f32) + Sync)) -> Self {
         let bounds = mesh.bounds();
         if bounds.is_empty() {
             return Self::empty(TracedMesh::new(mesh, &mut []));
         }
+
+        // Choose the density, and find the memory that is left for the grid beside the mesh.
         let choice = Choice::new(&mesh, options);
         let density = choice.density;
         let is_flat = options.mesh == MeshLayout::Flat;
         let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh, is_flat);
         let mesh_bytes_in_order = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh, is_flat);
         let most_bytes = options.memory_budget.remaining_beside(mesh_bytes);
-        let grid = match options.storage {
-            Storage::Tree => Self::masks(mesh, &bounds, density, options, most_bytes, progress),
+        let (grid, is_coarser) = match options.storage {
+            Storage::Tree => Self::tree(mesh, &bounds, density, options, most_bytes, progress),
             Storage::Plain | Storage::RowDisplacement => Self::uniform(mesh, &bounds, density, options, most_bytes),
         };
-        // Boxes come when the mesh as it was loaded is gone.
+
+        // Compare the peak with the budget; boxes are measured after the loaded mesh is dropped.
         let (grid_bytes, box_bytes) = (grid.n_bytes() as u64, grid.figures().box_bytes.unwrap_or(0) as u64);
         let all_bytes = (mesh_bytes + grid_bytes - box_bytes).max(mesh_bytes_in_order + grid_bytes);
         let budget = options.memory_budget;
-        let (is_coarser, is_too_much) = (grid.shortage.is_some(), budget.is_exceeded_by(all_bytes));
-        let needed_bytes = is_too_much.then_some(all_bytes);
-        let shortage = (is_coarser || is_too_much).then_some(MemoryShortage { budget, is_coarser, needed_bytes });
+        let needed_bytes = budget.is_exceeded_by(all_bytes).then_some(all_bytes);
+        let is_short = is_coarser || needed_bytes.is_some();
+        let shortage = is_short.then_some(MemoryShortage { budget, is_coarser, needed_bytes });
         Self { shortage, choice, ..grid }.with_mesh_layout(options.mesh)
     }
 
-    /// The tree of masks. Where it would take too much memory cubes stay undivided.
-    fn masks(
+    /// Builds a tree. Returns true, second, if cells stay undivided to save memory.
+    fn tree(
         mesh: Mesh,
         bounds: &Aabb,
         density: f64,
         options: &GridOptions,
         most_bytes: u64,
         progress: &(dyn Fn(f32) + Sync),
-    ) -> Self {
+    ) -> (Self, bool) {
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
         let corner = |corner: [f32; 3]| Vec3::from_array(corner).as_dvec3();
         let (cells, cell_size) = resolution(corner(bounds.max) - corner(bounds.min), n_triangles, density);
 
+        // Sort the triangles into bricks; bricks grow until most triangles lie in few of them.
         let mut cells_per_brick_side = CELLS_PER_BRICK;
-        // Room for triangles that each lie in several bricks; large ones are met with larger bricks.
         let most = (4 * n_triangles as u64 + (1 << 16)).min(u64::from(u32::MAX));
         let brick = |dims: [u32; 3], [x, y, z]: [u32; 3]| {
             (z as usize * dims[1] as usize + y as usize) * dims[0] as usize + x as usize
@@ -102,26 +102,27 @@ impl Grid {
         let (starts, references) = scatter.fill(counts, |cube| brick(scatter.dims, cube));
         progress(0.3);
         let (space, dims) = (scatter.space, scatter.dims);
-        // Small scenes can afford more references for each triangle, and large triangles need them.
+
+        // Limit the references: small scenes can afford more a triangle, and large triangles need them.
         let wanted_references = ((1 << 24) / n_triangles as u64).clamp(6, 64) * references.len() as u64;
         let mesh_bytes = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh, options.mesh == MeshLayout::Flat);
         let most_bytes_in_order = options.memory_budget.remaining_beside(mesh_bytes);
         let affordable_references = (most_bytes / TREE_BYTES_PER_REFERENCE)
             .min(most_bytes_in_order / (TREE_BYTES_PER_REFERENCE + BOX_BYTES_PER_REFERENCE))
             .min(u64::from(u32::MAX));
+
+        // Divide the bricks into a tree.
         let builder = Builder::new(
             scatter,
             references.len(),
             wanted_references.min(affordable_references),
             affordable_references < wanted_references,
         );
-        let (bricks, piece) = builder.divide(&starts, references, &|done| progress(0.3 + 0.6 * done));
-        let shortage = builder.hit_memory_limit().then_some(MemoryShortage {
-            budget: options.memory_budget,
-            is_coarser: true,
-            needed_bytes: None,
-        });
-        let TreePart { nodes, leaf_ends, mut references } = piece;
+        let (bricks, part) = builder.divide(&starts, references, &|done| progress(0.3 + 0.6 * done));
+        let is_coarser = builder.hit_memory_limit();
+
+        // Order the mesh by the tree, which drops the loaded mesh, and measure the boxes.
+        let TreePart { nodes, leaf_ends, mut references } = part;
         let mut leaf_starts = leaf_ends;
         leaf_starts.insert(0, 0);
         let mesh = TracedMesh::new(mesh, &mut references);
@@ -130,11 +131,17 @@ impl Grid {
         let extent = space.point_to_cells(corner(bounds.max)).to_array();
         let extent = [0, 1, 2].map(|axis| (extent[axis] as u32 + 1).min(dims[axis] * BRICK_SIZE));
         let tree = Tree { dims, extent, bricks, nodes, leaf_starts, references, boxes, largest_skip };
-        Self { space, structure: Structure::Tree(tree), density, shortage, ..Self::empty(mesh) }
+        (Self { space, structure: Structure::Tree(tree), density, ..Self::empty(mesh) }, is_coarser)
     }
 
-    /// The paper's uniform grid. One that would take too much memory is made coarser.
-    fn uniform(mesh: Mesh, bounds: &Aabb, requested_density: f64, options: &GridOptions, most_bytes: u64) -> Self {
+    /// Builds the paper's uniform grid. Returns true, second, if it is coarser to save memory.
+    fn uniform(
+        mesh: Mesh,
+        bounds: &Aabb,
+        requested_density: f64,
+        options: &GridOptions,
+        most_bytes: u64,
+    ) -> (Self, bool) {
         let extent = Vec3::from_array(bounds.max).as_dvec3() - Vec3::from_array(bounds.min).as_dvec3();
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
         let mut density = requested_density;
@@ -142,7 +149,7 @@ impl Grid {
             let (dims, cell_size) = resolution(extent, n_triangles, density);
             let space = CellSpace::new(bounds, cell_size);
             let scatter = Scatter { mesh: &mesh, space, cube_size: 1, dims };
-            // The coarsest grid of all is taken whatever it needs.
+            // The coarsest grid of all may take any memory.
             let most_bytes = if dims == [1; 3] { u64::MAX } else { most_bytes };
             let n_levels = options.macrocell_levels;
             let structure = if options.storage == Storage::Plain {
@@ -157,14 +164,10 @@ impl Grid {
             density /= 2.0;
         };
         let traced = TracedMesh::new(mesh, structure.references_mut());
-        let shortage = (density < requested_density).then_some(MemoryShortage {
-            budget: options.memory_budget,
-            is_coarser: true,
-            needed_bytes: None,
-        });
-        Self { space, structure, density, shortage, ..Self::empty(traced) }
+        (Self { space, structure, density, ..Self::empty(traced) }, density < requested_density)
     }
 
+    /// A grid without triangles.
     fn empty(mesh: TracedMesh) -> Self {
         Self {
             space: CellSpace::new(&Aabb { min: [0.0; 3], max: [0.0; 3] }, 1.0),

@@ -1,20 +1,21 @@
-//! Chooses how dense a scene's tree is, and predicts what this and other ways to keep the scene take.
+//! Chooses the density of a scene's tree, and predicts time and memory for this and other storages.
 //!
-//! The tree divides cubes into 4×4×4 until each holds at most [`LEAF_SIZE`] triangles, so densities 64 times apart lead to
-//! the same leaves; in between, leaves of an even scan hold 16 to 256 triangles, and the smaller they are, the more
-//! triangles lie in several. The model finds how many do:
+//! The tree divides cells into 4×4×4 until each holds at most [`LEAF_SIZE`] triangles, so densities 64 times apart give
+//! the same leaves. In between, leaves of an even scan hold 16 to 256 triangles; the smaller they are, the more leaves
+//! list the same triangle. The model predicts these references:
 //!
-//! 1. A triangle in a random place meets on average `1 + B/h + P/h²` cubes of side h, B being the sum of the sides of its
-//!    box and P that of its areas as seen along the three axes: the mixed volumes of a triangle and a cube (Schneider and
-//!    Weil, "Stochastic and Integral Geometry", 2008). This is exact.
+//! 1. A triangle in a random position overlaps on average `1 + B/h + P/h²` cubes of side h, where B is the sum of the
+//!    sides of its box, and P the sum of its projected areas along the three axes: the mixed volumes of a triangle and
+//!    a cube (Schneider and Weil, "Stochastic and Integral Geometry", 2008). This is exact.
 //! 2. Where triangles have a mean area a, a cube that their surface passes holds `h²/a` times as many as (1) says.
-//! 3. What the tree does not divide is a leaf. Cubes are cut differently, so that around the limit some are and some are
-//!    not, by a logistic curve.
+//! 3. Cells that the tree does not divide are leaves. The surface cuts cells differently, so near the limit only some
+//!    are divided: a logistic curve gives the portion of leaves.
 //!
-//! Areas come from runs of triangles that follow each other in the file, where they are neighbours in most files.
-//! On scans of 70,000 to ten million triangles the model finds the references within 2 % (`renderer trace --explain
-//! --json` has both). On CAD and on a hall with a teapot it is up to 40 % off: a cube there holds several surfaces, of
-//! triangles of all sizes. Such scenes are told by how much the areas vary, and get a fixed density: [`UNEVEN_DENSITY`].
+//! Areas come from runs of consecutive triangles of the file, which are neighbours in most files. On scans of 70,000 to
+//! ten million triangles the predicted references are within 2 % of the built ones (`renderer trace --explain --json`
+//! prints both). On CAD models and on a hall with a teapot the error is up to 40 %: a cube there holds several
+//! surfaces, of triangles of all sizes. The variation of areas reveals such scenes, and they get a fixed density:
+//! [`UNEVEN_DENSITY`].
 
 use glam::{DVec3, Vec3};
 use serde::Serialize;
@@ -30,99 +31,102 @@ use crate::{
     model::mesh::Mesh,
 };
 
-/// The densities that are chosen among: one period, in the steps of the chart.
+/// The densities to choose from: one period, in the steps of the chart.
 const DENSITIES: [f64; 6] = [4.0, 8.0, 16.0, 32.0, 64.0, 128.0];
 
-/// Where areas vary more than this from run to run, as the standard deviation of their logarithm, the model is not
-/// believed: scans have 0.1 to 0.7, the statue 1.1, the CAD board of the chart 2.2, a hall with a teapot 3.7.
+/// Largest variation of areas from run to run for which the model holds, as the standard deviation of their logarithm:
+/// scans have 0.1 to 0.7, the statue 1.1, the CAD board of the chart 2.2, a hall with a teapot 3.7.
 const MOST_VARIATION: f64 = 1.5;
 
-/// Nor with fewer triangles than this: a few leaves hold all of them, so that chance decides.
+/// Fewest triangles for which the model holds: a few leaves hold fewer, and chance decides.
 const FEWEST_TRIANGLES: usize = 1 << 15;
 
-/// The density of scenes that the model does not fit. Rays enter small bricks directly, large ones step by step, but pass
-/// more of the small: against 64 a frame takes up to 15 % less in the hall (5 % more where the teapot fills it), and from
-/// 7 % less to 9 % more on the board.
+/// The density of scenes that the model does not fit. Rays enter small bricks directly and large ones in several steps,
+/// but pass more of the small. Compared with 64, a frame takes up to 15 % less in the hall (5 % more where the teapot
+/// fills it), and from 7 % less to 9 % more on the board.
 const UNEVEN_DENSITY: f64 = 256.0;
 
-/// The paper's uniform grids are predicted for this density: no other is faster by much on the scans of the chart.
+/// The density at which uniform grids are predicted: no other is much faster on the scans of the chart.
 const UNIFORM_DENSITY: f64 = 4.0;
 
-/// Triangles of a run, and runs that are looked at.
+/// Triangles of a run.
 const TRIANGLES_PER_RUN: usize = 16;
+
+/// Most runs that are measured.
 const MOST_RUNS: usize = 1024;
 
-/// How much wider than a step the curve of (3) is, in the logarithm of a cube's triangles: fitted on the references that
-/// four scans and a bust get at eight densities.
+/// Width of the curve in (3), in the logarithm of a cell's triangles: fitted to the references of four scans and a bust
+/// at eight densities.
 const TRANSITION_WIDTH: f64 = 0.2 / 1.7;
 
-/// How much longer rays take for each reference of a triangle more: the slope over the densities of the chart is 0.25 to
-/// 0.38 on the bunny, Igea, the dragon and a knot of ten million triangles.
+/// Relative time that one more reference a triangle adds: the slope over the densities of the chart is 0.25 to 0.38 on
+/// the bunny, Igea, the dragon and a knot of ten million triangles.
 const TIME_PER_REFERENCE: f64 = 0.3;
 
-/// Uniform grids are followed by single rays: on even scenes at least so many times slower (the chart: 7 to 14), and
-/// slower by the triangles of a cell where these are many (hall: 273 times with 18,000 triangles, 683 with 45,000).
+/// Least relative time of uniform grids, which single rays walk, on even scenes; in the chart 7 to 14.
 const UNIFORM_TIME: f64 = 9.0;
+
+/// Relative time of uniform grids for each triangle of a cell: 273 in the hall with 18,000 triangles, 683 with 45,000.
 const UNIFORM_TIME_PER_TRIANGLE: f64 = 1.0 / 66.0;
 
-/// Bytes of row displacement for each cell, occupied or not: 0.13 to 0.29 on scans at densities of 4 to 64.
+/// Bytes of row displacement a cell, occupied or not: 0.13 to 0.29 on scans at densities of 4 to 64.
 const DISPLACED_BYTES_PER_CELL: f64 = 0.2;
 
-/// What a way to keep a scene is predicted to take.
+/// Predicted memory and time of a scene's storage.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Prediction {
-    /// How cells are kept.
+    /// Storage of the cells.
     pub storage: &'static str,
-    /// How triangles are kept.
+    /// Storage of the triangles.
     pub mesh: &'static str,
     /// Cells per triangle.
     pub density: f64,
     /// Cells or leaves that list a triangle.
     pub references_per_triangle: f64,
-    /// Triangles that a cell with any lists, as the average triangle sees it.
+    /// Triangles of an occupied cell's list, averaged over triangles.
     pub triangles_per_list: f64,
-    /// Mesh and grid in memory.
+    /// Bytes of mesh and grid.
     pub bytes_per_triangle: f64,
-    /// CPU time of camera rays, in that of the choice.
+    /// CPU time of camera rays, relative to the choice.
     pub relative_time: f64,
-    /// Whether making the scene ready so stays within the memory budget.
+    /// Whether loading the scene stays within the memory budget.
     pub fits: bool,
-    /// Whether this is how the scene is kept.
+    /// Whether this is the choice.
     pub is_chosen: bool,
 }
 
-/// Why a scene has its density.
+/// The reason for a scene's density.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Reason {
-    /// Somebody asked for it.
+    /// The options set it, or it is the paper's.
     Asked,
     /// It gives the fewest references.
     FewestReferences,
-    /// The model does not fit the scene, which is small or uneven, or has no triangle.
+    /// The model does not fit the scene: it is small, uneven or empty.
     #[default]
     Uneven,
 }
 
-/// How a scene is kept, why, and what else would have been possible.
+/// A scene's storage and density, the reason, and predictions for others.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Choice {
     /// Cells per triangle.
     pub density: f64,
-    /// Why this density.
+    /// Reason for this density.
     pub reason: Reason,
-    /// What this and other ways take; empty for a scene of nothing.
+    /// Predictions, that of the choice first; empty for an empty scene.
     pub predictions: Vec<Prediction>,
 }
 
-/// Means over triangles that lie close to each other.
+/// Means over the triangles of a run.
 struct Run {
     area: f64,
     box_sides: f64,
     projected_areas: f64,
 }
 
-/// What is known of a scene before its grid is built.
+/// Measurements of a mesh before its grid is built.
 struct Survey<'a> {
     mesh: &'a Mesh,
     n_triangles: usize,
@@ -131,18 +135,20 @@ struct Survey<'a> {
 }
 
 impl Choice {
-    /// Looks at some of a mesh's triangles, and chooses the density if the options leave it open: in an even scene that of
+    /// Measures some of a mesh's triangles, and chooses the density unless the options set it: in an even scene that of
     /// the fewest references, which is the fastest and nearly the smallest.
     pub(crate) fn new(mesh: &Mesh, options: &GridOptions) -> Self {
         let survey = Survey::new(mesh);
         let asked = match options.storage {
             Storage::Tree => options.density,
-            // The paper's own structure has the paper's own density.
+            // The paper's structure has the paper's density.
             Storage::Plain | Storage::RowDisplacement => options.density.or(Some(GridOptions::PAPER_DENSITY)),
         };
         if survey.runs.is_empty() {
             return Self { density: asked.unwrap_or(UNEVEN_DENSITY), ..Self::default() };
         }
+
+        // Choose the density of the fewest references.
         let tree =
             |density| survey.predict(&GridOptions { density: Some(density), storage: Storage::Tree, ..*options });
         let tree_predictions = DENSITIES.map(tree);
@@ -154,6 +160,8 @@ impl Choice {
             (None, _) => (UNEVEN_DENSITY, Reason::Uneven),
         };
         let chosen = survey.predict(&GridOptions { density: Some(density), ..*options });
+
+        // Predict other storages too, relative to the choice.
         let other_mesh = match options.mesh {
             MeshLayout::Indexed => MeshLayout::Flat,
             MeshLayout::Flat => MeshLayout::Indexed,
@@ -172,25 +180,25 @@ impl Choice {
         Self { density, reason, predictions }
     }
 
-    /// The choice in one line.
+    /// The choice, in one line.
     pub fn summary(&self) -> String {
-        let Some(chosen) = self.predictions.first() else { return "nothing to keep".to_owned() };
+        let Some(chosen) = self.predictions.first() else { return "the scene is empty".to_owned() };
         let Prediction { storage, mesh, density, triangles_per_list, .. } = chosen;
-        let origin = if self.reason == Reason::Asked { "as asked for" } else { "chosen" };
-        let lists = if *storage == Storage::Tree.name() { "leaf" } else { "cell" };
+        let origin = if self.reason == Reason::Asked { "as set" } else { "chosen" };
+        let lists = if *storage == <&str>::from(Storage::Tree) { "leaf" } else { "cell" };
         format!(
             "{storage}, {mesh} mesh, {density} cells a triangle ({origin}): about {triangles_per_list:.0} triangles a {lists}"
         )
     }
 
-    /// The choice, why, and a table of all predictions, for people.
+    /// The choice, its reason, and a table of all predictions.
     pub fn explanation(&self) -> String {
         let why = match self.reason {
-            Reason::Asked => "It is the density that is asked for, or the paper's.",
-            Reason::FewestReferences => {
-                "The scene is even: this density puts the fewest triangles into several leaves."
+            Reason::Asked => "The density is set by --density, or is the paper's.",
+            Reason::FewestReferences => "The scene is even: at this density the fewest leaves share triangles.",
+            Reason::Uneven => {
+                "The scene is small or uneven: densities differ little, and the model cannot predict how."
             }
-            Reason::Uneven => "The scene is small or uneven: its densities differ little, and not as can be predicted.",
         };
         let mut lines = vec![
             format!("grid        {}", self.summary()),
@@ -228,7 +236,7 @@ impl<'a> Survey<'a> {
         Self { mesh, n_triangles: mesh.triangles.len() - mesh.n_rejected, extent: max - min, runs }
     }
 
-    /// Whether the model fits.
+    /// Whether the model fits the scene.
     fn is_even(&self) -> bool {
         let n = self.runs.len() as f64;
         let logarithms = || self.runs.iter().map(|run| run.area.ln());
@@ -237,12 +245,14 @@ impl<'a> Survey<'a> {
         self.n_triangles >= FEWEST_TRIANGLES && variance.sqrt() < MOST_VARIATION
     }
 
-    /// What a way to keep the scene takes; times have no unit yet.
+    /// Predicts memory and time of a storage; the time has no unit yet.
     fn predict(&self, options: &GridOptions) -> Prediction {
         let GridOptions { density, storage, mesh, .. } = *options;
         let density = density.unwrap_or(GridOptions::PAPER_DENSITY);
         let (_, cell_size) = resolution(self.extent, self.n_triangles, density);
         let is_tree = storage == Storage::Tree;
+
+        // Average the lists over all runs.
         let lists = self
             .runs
             .iter()
@@ -255,7 +265,8 @@ impl<'a> Survey<'a> {
         let is_flat = mesh == MeshLayout::Flat;
         let n_triangles = self.n_triangles as f64;
         let mesh_bytes = if is_flat { 40.0 * n_triangles } else { TracedMesh::bytes_in_order(self.mesh, false) as f64 };
-        // Places, boxes, and where lists begin.
+
+        // Sum up the bytes: references, boxes, and the lists' starts.
         let tree_bytes = (4 + BOX_BYTES_PER_REFERENCE) as f64 * references + 4.0 * references / triangles_per_list;
         let (grid_bytes, relative_time) = match storage {
             Storage::Tree => (tree_bytes, 1.0 + TIME_PER_REFERENCE * (references - 1.0)),
@@ -263,16 +274,18 @@ impl<'a> Survey<'a> {
             Storage::RowDisplacement => (4.0 * references + DISPLACED_BYTES_PER_CELL * density, 0.0),
         };
         let uniform_time = UNIFORM_TIME.max(UNIFORM_TIME_PER_TRIANGLE * triangles_per_list);
+
+        // Compare the peak with the budget, as the build does.
         let peak = TracedMesh::peak_bytes(self.mesh, is_flat) as f64
             + (grid_bytes - if is_tree { BOX_BYTES_PER_REFERENCE as f64 * references } else { 0.0 }) * n_triangles;
         let ordered_bytes = TracedMesh::bytes_in_order(self.mesh, is_flat) as f64 + grid_bytes * n_triangles;
         let needed = PROGRAM_BYTES as f64 + peak.max(ordered_bytes);
         Prediction {
-            storage: storage.name(),
-            mesh: mesh.name(),
+            storage: storage.into(),
+            mesh: mesh.into(),
             density,
             references_per_triangle: references,
-            triangles_per_list: triangles_per_list,
+            triangles_per_list,
             bytes_per_triangle: mesh_bytes / n_triangles + grid_bytes,
             relative_time: if is_tree { relative_time } else { uniform_time },
             fits: !options.memory_budget.is_exceeded_by(needed as u64),
@@ -282,7 +295,7 @@ impl<'a> Survey<'a> {
 }
 
 impl Run {
-    /// The triangles from `first` on; `None` if none of them has an area.
+    /// Measures the triangles from `first` on; `None` if none of them has an area.
     fn of(mesh: &Mesh, first: usize) -> Option<Self> {
         let (mut n, mut sum) = (0.0, Self { area: 0.0, box_sides: 0.0, projected_areas: 0.0 });
         for corners in
@@ -302,13 +315,13 @@ impl Run {
         (n > 0.0 && mean.area > 0.0 && mean.area.is_finite()).then_some(mean)
     }
 
-    /// How many cubes of a side list each triangle, and how many triangles such a cube lists.
+    /// Cubes of a side that list a triangle, and triangles that a cube lists: (1) and (2) of the model.
     fn lists_in_cubes(&self, side: f64) -> (f64, f64) {
         let references = 1.0 + self.box_sides / side + self.projected_areas / (side * side);
         (references, references * (side * side / self.area).max(1.0))
     }
 
-    /// The same of the leaves of a tree over cells of a side.
+    /// The same for the leaves of a tree over cells of a side: (3) of the model.
     fn lists_in_tree(&self, cell_size: f64) -> (f64, f64) {
         let (mut references, mut triangles_per_list, mut divided) = (0.0, 0.0, 1.0);
         let mut side = cell_size * f64::from(CELLS_PER_BRICK);
@@ -316,7 +329,7 @@ impl Run {
             let (here, triangles) = self.lists_in_cubes(side);
             side /= 4.0;
             let (below, _) = self.lists_in_cubes(side);
-            // Where the tree stops dividing because triangles are larger than cubes.
+            // The tree stops dividing where triangles are larger than cells.
             let is_last = level == LEVELS || below >= 8.0 * here;
             let part =
                 if is_last { 1.0 } else { 1.0 / (1.0 + (triangles / LEAF_SIZE as f64).powf(1.0 / TRANSITION_WIDTH)) };
@@ -381,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_is_said() {
+    fn storages_beyond_the_budget_do_not_fit() {
         let mesh = statue::generate(200_000, &|_| ());
         let memory_budget: MemoryBudget = "52M".parse().unwrap();
         let choice = Choice::new(&mesh, &GridOptions { memory_budget, ..GridOptions::default() });

@@ -1,47 +1,47 @@
-//! What a grid is and takes, in numbers.
+//! Sizes and counts of a grid.
 
 use serde::Serialize;
 
 use crate::grid::{Grid, Structure};
 
-/// Sizes of a grid and its parts, the mesh not counted.
+/// Sizes of a grid and its parts, without the mesh.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct GridStats {
-    /// The name of how cells are kept.
+    /// Name of the storage.
     pub storage: &'static str,
-    /// Cells per triangle, less than was asked for where memory does not allow more.
+    /// Cells per triangle; less than in the options where memory is short.
     pub density: f64,
-    /// Cells in all, empty or not; with masks those that the paper's formula gives.
+    /// All cells, empty or not; in a tree the number that the paper's formula gives.
     pub cells: u64,
-    /// Cells that hold triangles.
+    /// Cells that list triangles.
     pub lists: usize,
-    /// Triangles in all lists.
+    /// Entries of all lists.
     pub references: usize,
-    /// Bytes of the macrocells: with masks those of the whole tree.
+    /// Bytes of the macrocells; in a tree those of its bricks and nodes.
     pub macrocell_bytes: usize,
-    /// Row displacement's D: a bit for each cell of the rows that hold anything.
+    /// Row displacement's D: a bit for each cell of rows that are not empty.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub d_bytes: Option<usize>,
-    /// Row displacement's O: the place of each row, and its offset.
+    /// Row displacement's O: index and offset of each row.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub o_bytes: Option<usize>,
-    /// Bytes of where lists begin: row displacement's H.
+    /// Bytes of the lists' starts: row displacement's H.
     pub list_bytes: usize,
     /// Bytes of the lists.
     pub reference_bytes: usize,
-    /// Four bytes for each cell, against D + O + H.
+    /// Four bytes a cell, divided by D + O + H.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub compression_ratio: Option<f64>,
-    /// With masks: bytes of the triangles' bounds.
+    /// In a tree: bytes of the triangles' bounds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub box_bytes: Option<usize>,
-    /// The time it took to displace all rows.
+    /// Time to find all rows' offsets.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub placement_seconds: Option<f64>,
 }
 
 impl GridStats {
-    /// Bytes in all.
+    /// Total bytes.
     pub fn n_bytes(&self) -> usize {
         let index_bytes = self.d_bytes.unwrap_or(0) + self.o_bytes.unwrap_or(0) + self.box_bytes.unwrap_or(0);
         self.macrocell_bytes + index_bytes + self.list_bytes + self.reference_bytes
@@ -49,7 +49,7 @@ impl GridStats {
 }
 
 impl Grid {
-    /// What the grid is and takes.
+    /// Sizes and counts of the grid.
     pub fn figures(&self) -> GridStats {
         let figures = match &self.structure {
             Structure::Tree(tree) => tree.figures(),

@@ -4,23 +4,22 @@ mod packets;
 
 use glam::Vec3;
 use proptest::prelude::*;
+use strum::VariantArray;
 
 use super::{Grid, GridOptions, MeshLayout, Storage, Structure, build::PROGRAM_BYTES, tree::overlap::DILATION};
 use crate::{
-    grid::traced::TracedMesh,
-    intersect::{
-        ray::{Hit, Ray},
-        walk::CellStructure,
-    },
+    grid::{cells::CellStructure, traced::TracedMesh},
+    intersect::ray::{Hit, Ray},
     model::mesh::Mesh,
 };
 
-/// What rounding may decide either way.
+/// Differences below this are left to rounding.
 const MARGIN: f64 = 1e-9;
 
-/// Where a ray hits a triangle: plane first, then the point against each edge. Independent of [`crate::intersect::triangle`].
+/// The t of a hit: plane first, then the point against each edge. Independent of [`crate::intersect::triangle`].
 ///
-/// Second: how far the point is inside the nearest edge, relative to the triangle's size; around 0 rounding decides.
+/// Second: the point's distance from the nearest edge, positive inside, relative to the triangle's size; near 0
+/// rounding decides.
 fn intersect_in_f64(ray: &Ray, corners: [[f32; 3]; 3]) -> Option<(f64, f64)> {
     let [a, b, c] = corners.map(|corner| Vec3::from_array(corner).as_dvec3());
     let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
@@ -35,7 +34,7 @@ fn intersect_in_f64(ray: &Ray, corners: [[f32; 3]; 3]) -> Option<(f64, f64)> {
     (t.is_finite() && inside.is_finite() && t >= f64::from(ray.t_min) - MARGIN).then_some((t, inside))
 }
 
-/// Checks the grid's hit against all triangles. Where the truth hangs on rounding, either answer is right.
+/// Checks the grid's hit against all triangles. Where rounding decides, both answers are right.
 fn check(mesh: &Mesh, grid: &Grid, ray: &Ray) {
     let hit = with_file_index(grid, grid.intersect(ray));
     let candidates: Vec<_> = (0..mesh.triangles.len())
@@ -63,7 +62,7 @@ fn check(mesh: &Mesh, grid: &Grid, ray: &Ray) {
     assert_eq!(grid.occluded(ray), !hit.is_miss(), "{ray:?}");
 }
 
-/// With the number in the file instead of the place.
+/// The hit with the file index instead of the triangle index.
 fn with_file_index(grid: &Grid, hit: Hit) -> Hit {
     if hit.is_miss() { hit } else { Hit { triangle: grid.mesh().file_index(hit.triangle), ..hit } }
 }
@@ -91,7 +90,7 @@ fn check_all(mesh: &Mesh, rays: &[Ray]) {
     }
 }
 
-/// Triangles that share nothing.
+/// Triangles without common vertices.
 fn soup(corners: Vec<[[f32; 3]; 3]>) -> Mesh {
     let n = corners.len() as u32;
     Mesh {
@@ -118,7 +117,7 @@ fn cube(n: i32) -> Mesh {
     soup(corners)
 }
 
-/// Numbers that lie on cell boundaries of small grids, and some that do not.
+/// Coordinates, many of them on cell boundaries of small grids.
 fn coordinate() -> impl Strategy<Value = f32> {
     prop_oneof![
         (-8i32..=8).prop_map(|n| n as f32),
@@ -182,7 +181,7 @@ fn no_ray_leaves_a_closed_box() {
     for (x, y, z) in (0..=16).flat_map(|x| (0..=16).flat_map(move |y| (0..=16).map(move |z| (x, y, z)))) {
         let target = Vec3::new(x as f32, y as f32, z as f32) / 4.0;
         if target != inside {
-            // Once more from far outside, towards the inside.
+            // And from far outside, towards the inside.
             let inwards = Ray::new(inside + (target - inside) * 1024.0, inside - target);
             for (grid, ray) in
                 grids.iter().flat_map(|grid| [(grid, Ray::new(inside, target - inside)), (grid, inwards)])
@@ -211,7 +210,7 @@ fn a_ray_s_cost_counts_cells_and_tests_up_to_the_hit() {
 fn check_cost(grid: &Grid) {
     let towards = Ray::new(Vec3::new(-5.0, 4.3, 6.6), Vec3::X);
     let onto_it = grid.cost(&towards);
-    // From just behind the first face to the second, through the hollow.
+    // From just behind the first face to the second, through the empty inside.
     let through_it = grid.cost(&Ray { t_min: 5.5, ..towards });
     let beside_it = grid.cost(&Ray { origin: towards.origin + Vec3::Y * 50.0, ..towards });
     assert!(onto_it.n_cells > 0 && onto_it.n_tests > 0, "{onto_it:?}");
@@ -222,7 +221,7 @@ fn check_cost(grid: &Grid) {
 }
 
 #[test]
-fn nothing_at_all_is_never_hit() {
+fn empty_scenes_are_never_hit() {
     let rejected = Mesh { vertices: vec![], triangles: vec![Mesh::REJECTED; 3], n_rejected: 3, ..Mesh::default() };
     let point = soup(vec![[[1.0; 3]; 3]]);
     for mesh in [Mesh::default(), rejected, point] {
@@ -235,7 +234,7 @@ fn nothing_at_all_is_never_hit() {
 }
 
 #[test]
-fn triangles_of_every_size_and_place_are_found() {
+fn triangles_of_every_size_and_position_are_found() {
     for scale in [1e-30f32, 1e-10, 1.0, 1e10, 1e18] {
         for offset in [0.0f32, 1.0, 1e3] {
             let at = |x: f32, y: f32| [(x + offset) * scale, (y + offset) * scale, offset * scale];
@@ -327,8 +326,8 @@ fn a_grid_stays_within_its_memory_and_hits_the_same() {
     assert_eq!(unlimited.shortage(), None);
     let (low, high) = (Vec3::from_array(bounds.min), Vec3::from_array(bounds.max));
     let packet = packets::raster(high + (high - low) * 0.3, (low + high) * 0.5, (high - low).length() / 40.0, u64::MAX);
-    for storage in Storage::ALL {
-        // The tree has little more than one reference for each triangle, whatever it is allowed.
+    for &storage in Storage::VARIANTS {
+        // The tree never has much more than one reference a triangle.
         let all_left =
             if storage == Storage::Tree { [300_000, 310_000, 320_000] } else { [300_000, 600_000, 1_000_000] };
         for left in all_left {
@@ -353,7 +352,7 @@ fn a_grid_stays_within_its_memory_and_hits_the_same() {
 #[test]
 fn a_mesh_beyond_the_budget_gets_a_grid_and_a_line_that_says_so() {
     let mesh = crate::model::statue::generate(500_000, &|_| ());
-    for storage in Storage::ALL {
+    for &storage in Storage::VARIANTS {
         let memory_budget = "16M".parse().unwrap();
         let options = GridOptions { density: Some(32.0), storage, memory_budget, ..GridOptions::default() };
         let grid = Grid::build(mesh.clone(), &options, &|_| ());
@@ -365,13 +364,13 @@ fn a_mesh_beyond_the_budget_gets_a_grid_and_a_line_that_says_so() {
 }
 
 #[test]
-fn directions_are_followed_from_far_away() {
+fn distant_origins_hit_as_near_ones() {
     let mesh = cube(4);
     for grid in build_modes(&mesh) {
         for distance in [1e3f32, 1e7, 1e12, 1e18] {
             let ray = Ray::new(Vec3::new(1.7, 2.3, distance), Vec3::new(0.0, 0.0, -distance));
             assert_eq!(grid.intersect(&ray).t, (distance - 4.0) / distance, "{distance}");
-            // As far away and not towards the box, or beside it.
+            // From as far away, but away from the box or beside it.
             let aside = Ray { direction: Vec3::new(1.0, 0.0, -distance), ..ray };
             for ray in [Ray { direction: -ray.direction, ..ray }, Ray { origin: ray.origin * 2.0, ..aside }, aside] {
                 assert_eq!(grid.intersect(&ray).is_miss(), !grid.occluded(&ray));

@@ -1,8 +1,8 @@
-//! The tree of masks: a dense array of bricks, each a tree of nodes of 4×4×4 children with one bit per child.
+//! The tree: a dense array of bricks, each a tree of nodes with 4×4×4 children and one mask bit per child.
 //!
-//! A node's mask of occupied children is a macrocell's bit array, so the masks are the macrocell levels.
-//! The paper's resolution sets the size of the bricks; each is divided only where it holds too much, and there as often
-//! as needed, so that a detailed object in a large plain scene costs no more than one alone.
+//! A node's mask of occupied children is the bit array of a macrocell, so the masks are the macrocell levels.
+//! The paper's resolution sets the size of bricks. A brick is divided only where it holds too many triangles, and there
+//! as often as needed, so a detailed object in a large plain scene costs no more than one alone.
 
 #[expect(clippy::needless_range_loop, reason = "an axis indexes several arrays at once")]
 pub(crate) mod boxes;
@@ -12,16 +12,17 @@ pub(crate) mod scatter;
 
 use std::ops::Range;
 
-use crate::{
-    grid::{Storage, figures::GridStats},
-    intersect::walk::{CellStructure, TriangleList},
+use crate::grid::{
+    Storage,
+    cells::{CellStructure, TriangleList},
+    figures::GridStats,
 };
 use boxes::QuantizedBoxes;
 
 /// Cells of the paper's resolution along a brick.
 pub(crate) const CELLS_PER_BRICK: u32 = 32;
 
-/// Levels of nodes in a brick at most. Integer coordinates count cells of the deepest level.
+/// Most levels of nodes in a brick. Integer coordinates count cells of the deepest level.
 pub(crate) const LEVELS: u32 = 5;
 
 /// Finest cells along a brick.
@@ -32,19 +33,19 @@ pub(crate) const BRICK_SIZE: u32 = 1 << (2 * LEVELS);
 pub(crate) struct Tree {
     /// Bricks per axis.
     pub(crate) dims: [u32; 3],
-    /// Finest cells per axis up to the last that the mesh's bounds reach. The last bricks of a model of few end far beyond:
-    /// packets that pass through nothing else would take a tenth of the time of the gears.
+    /// Finest cells per axis within the mesh's bounds. With few bricks, the last ones reach far beyond: packets that
+    /// pass only that empty part would take a tenth of the time of a model of gears.
     pub(crate) extent: [u32; 3],
-    /// For each brick, x fastest: [`Tree::EMPTY`], or a leaf with [`Tree::LEAF`] set, or a node.
+    /// For each brick, x fastest: [`Tree::EMPTY`], a leaf's index with [`Tree::LEAF`] set, or a node's index.
     pub(crate) bricks: Vec<u32>,
     pub(crate) nodes: Vec<TreeNode>,
-    /// Where each leaf's references begin; one more at the end.
+    /// Index of each leaf's first reference, and the number of references at the end.
     pub(crate) leaf_starts: Vec<u32>,
-    /// Triangles by their place in the mesh, leaf after leaf.
+    /// Triangle indices, leaf after leaf.
     pub(crate) references: Vec<u32>,
-    /// Small bounds of the triangle of each reference.
+    /// Quantised bounds of the triangle of each reference.
     pub(crate) boxes: QuantizedBoxes,
-    /// The largest empty cube that a single ray may skip whole, log₂ in finest cells.
+    /// Largest empty cube that a single ray may skip whole, log₂ in finest cells.
     pub(crate) largest_skip: u32,
 }
 
@@ -53,11 +54,11 @@ pub(crate) struct Tree {
 pub(crate) struct TreeNode {
     /// Children with triangles in them.
     pub(crate) occupied: u64,
-    /// Those of them that are nodes again; the others are leaves.
+    /// Occupied children that are nodes; the others are leaves.
     pub(crate) divided: u64,
-    /// The first divided child; the others follow in the order of their bits.
+    /// Index of the first divided child; the others follow in the order of their bits.
     pub(crate) first_node: u32,
-    /// The first leaf; the others follow likewise.
+    /// Index of the first leaf; the others follow in the order of their bits.
     pub(crate) first_leaf: u32,
 }
 
@@ -85,17 +86,17 @@ impl Tree {
         TriangleList { triangles: &self.references[references.clone()], boxes: self.boxes.leaf_bytes(references) }
     }
 
-    /// Which references are those of a leaf.
+    /// The references of a leaf.
     #[inline(always)]
     pub(crate) fn references_of(&self, leaf: u32) -> Range<usize> {
         let leaf = leaf as usize;
         self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize
     }
 
-    /// What it is and takes, without mesh and density.
+    /// Sizes and counts, without the density.
     pub(crate) fn figures(&self) -> GridStats {
         GridStats {
-            storage: Storage::Tree.name(),
+            storage: Storage::Tree.into(),
             cells: self.dims.iter().map(|&n| u64::from(n * CELLS_PER_BRICK)).product(),
             lists: self.leaf_starts.len() - 1,
             references: self.references.len(),
@@ -115,6 +116,7 @@ impl CellStructure for Tree {
 
     #[inline]
     fn locate(&self, cell: [i32; 3]) -> (Option<TriangleList<'_>>, u32) {
+        // Look up the brick.
         let cell = cell.map(|x| x as u32);
         let mut shift = 2 * LEVELS;
         let [x, y, z] = cell.map(|x| (x >> shift) as usize);
@@ -125,6 +127,8 @@ impl CellStructure for Tree {
         if brick & Self::LEAF != 0 {
             return (Some(self.leaf(brick & !Self::LEAF)), shift);
         }
+
+        // Descend to the child around the cell until it is empty or a leaf; its index counts the bits before its own.
         let mut node = &self.nodes[brick as usize];
         loop {
             shift -= 2;
@@ -142,8 +146,8 @@ impl CellStructure for Tree {
     }
 }
 
-/// The largest empty cube that may be skipped whole, log₂ in finest cells: half a cell of the paper's without
-/// macrocells, and four times as much for each level of them.
+/// The largest empty cube that may be skipped whole, log₂ in finest cells: half a cell of the paper's resolution
+/// without macrocells, four times that for each macrocell level.
 pub(crate) fn largest_skip(macrocell_levels: u8) -> u32 {
     2 * (LEVELS - 3) + 2 * u32::from(macrocell_levels)
 }

@@ -6,28 +6,25 @@ pub(crate) mod row_displacement;
 
 use std::time::{Duration, Instant};
 
-use crate::{
-    grid::{
-        Storage,
-        figures::GridStats,
-        tree::scatter::{self, Scatter},
-    },
-    intersect::walk::{CellStructure, TriangleList},
+use crate::grid::{
+    Storage,
+    cells::{CellStructure, TriangleList},
+    figures::GridStats,
+    tree::scatter::{self, Scatter},
 };
 use macrocells::Macrocells;
-use row_displacement::OccupiedCells;
-use row_displacement::RowDisplacement;
+use row_displacement::{OccupiedCells, RowDisplacement};
 
-/// Where the list of each cell stands.
+/// Maps cells to lists.
 pub(crate) trait CellIndex: Sync {
-    /// How many lists there are.
+    /// Number of lists.
     fn n_slots(&self) -> usize;
 
     /// The list of a cell, or `None` if the cell is known to be empty. No two cells share one.
     fn slot(&self, cell: [u32; 3]) -> Option<usize>;
 }
 
-/// Every cell has a list, and those of most are empty.
+/// One list for every cell; most are empty.
 #[derive(Debug, PartialEq)]
 pub(crate) struct DenseIndex {
     dims: [u32; 3],
@@ -49,9 +46,9 @@ impl CellIndex for DenseIndex {
 pub(crate) struct UniformGrid<I> {
     dims: [u32; 3],
     index: I,
-    /// Where each list begins; one more at the end.
+    /// Index of each list's first reference, and the number of references at the end.
     starts: Vec<u32>,
-    /// Triangles by their place in the mesh, list after list.
+    /// Triangle indices, list after list.
     pub(crate) references: Vec<u32>,
     macrocells: Macrocells,
 }
@@ -82,19 +79,19 @@ impl UniformGrid<DenseIndex> {
         let mut grid = Self::fill(scatter, index, most_bytes)?;
         let [x_dim, y_dim, _] = grid.dims.map(|n| n as usize);
         let occupied = grid.starts.windows(2).enumerate().filter(|(_, bounds)| bounds[0] < bounds[1]);
-        let place = |cell: usize| [cell % x_dim, cell / x_dim % y_dim, cell / x_dim / y_dim].map(|x| x as u32);
-        grid.macrocells = Macrocells::new(grid.dims, macrocell_levels, occupied.map(|(cell, _)| place(cell)));
+        let position = |cell: usize| [cell % x_dim, cell / x_dim % y_dim, cell / x_dim / y_dim].map(|x| x as u32);
+        grid.macrocells = Macrocells::new(grid.dims, macrocell_levels, occupied.map(|(cell, _)| position(cell)));
         Some(grid)
     }
 
-    /// What it is and takes, without mesh and density.
+    /// Sizes and counts, without the density.
     pub(crate) fn figures(&self) -> GridStats {
-        GridStats { storage: Storage::Plain.name(), ..self.sizes() }
+        GridStats { storage: Storage::Plain.into(), ..self.sizes() }
     }
 }
 
 impl UniformGrid<RowDisplacement> {
-    /// Builds the grid, or `None` if it would take more than `most_bytes`. Second: how long the rows' places took to find.
+    /// Builds the grid, or `None` if it would take more than `most_bytes`. Second: the time to find the rows' offsets.
     pub(crate) fn build(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<(Self, Duration)> {
         let dims = scatter.dims;
         let left = most_bytes.checked_sub(RowDisplacement::predicted_bytes(dims))?;
@@ -108,13 +105,13 @@ impl UniformGrid<RowDisplacement> {
         Some((grid, placement))
     }
 
-    /// What it is and takes, without mesh and density.
+    /// Sizes and counts, without the density.
     pub(crate) fn figures(&self, placement: Duration) -> GridStats {
         let [d_bytes, o_bytes] = self.index.n_bytes();
         let sizes = self.sizes();
         let displaced_bytes = d_bytes + o_bytes + sizes.list_bytes;
         GridStats {
-            storage: Storage::RowDisplacement.name(),
+            storage: Storage::RowDisplacement.into(),
             d_bytes: Some(d_bytes),
             o_bytes: Some(o_bytes),
             compression_ratio: Some(4.0 * sizes.cells as f64 / displaced_bytes as f64),
@@ -125,7 +122,7 @@ impl UniformGrid<RowDisplacement> {
 }
 
 impl<I: CellIndex> UniformGrid<I> {
-    /// The lists, without macrocells as yet.
+    /// Fills the lists; the caller adds the macrocells.
     fn fill(scatter: &Scatter<'_>, index: I, most_bytes: u64) -> Option<Self> {
         let left = most_bytes.checked_sub(4 * index.n_slots() as u64)?.min(REFERENCE_BYTES * u64::from(u32::MAX));
         let slot = |cell| index.slot(cell).expect("no triangle lies in an empty cell");
@@ -135,6 +132,7 @@ impl<I: CellIndex> UniformGrid<I> {
         Some(Self { dims: scatter.dims, index, starts, references, macrocells: Macrocells::default() })
     }
 
+    /// Sizes that do not depend on the index.
     fn sizes(&self) -> GridStats {
         GridStats {
             cells: self.dims.iter().map(|&n| u64::from(n)).product(),

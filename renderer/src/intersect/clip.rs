@@ -1,10 +1,11 @@
 //! Rays in a scene that a plane cuts open.
 //!
-//! What lies beyond the plane is not there for any ray, from the eye or from the light: a ray keeps the part of its way
-//! that lies on the other side, from where it passes the plane or up to there.
+//! The part of the scene beyond the plane does not exist for any ray, from the eye or from the light: the plane cuts
+//! the ray's interval.
 //!
-//! Packets have one range of t for all rays, so they take the widest; a ray whose hit lies outside of its own range, or
-//! on its end, goes on alone. A hit well inside is its answer: what is nearest within more is nearest within less.
+//! A packet has one interval for all rays, so it takes the hull of theirs. A hit inside a ray's own interval is its
+//! answer: the nearest of the larger interval is the nearest of the smaller one. Rays with other hits are traced again,
+//! alone.
 
 use shared::appearance::ClipPlane;
 
@@ -16,10 +17,10 @@ use crate::{
     },
 };
 
-/// The part of a ray that a plane keeps, if any; without a plane all of it.
+/// The part of a ray that a plane keeps, if any; without a plane the whole ray.
 ///
-/// Where the ray passes the plane is found in `f64` and rounded once, a step beyond it, so that what lies in the plane is
-/// kept everywhere: the same bits for a ray that is followed alone and in any packet.
+/// The crossing is computed in `f64` and rounded once, to the next number beyond the plane, so triangles in the plane
+/// are kept. A ray has the same bits alone and in any packet.
 pub fn clip_ray(clip: Option<&ClipPlane>, ray: Ray) -> Option<Ray> {
     let Some(ClipPlane { normal, offset }) = clip else { return Some(ray) };
     let distance = offset - normal.dot(ray.origin.as_dvec3());
@@ -36,18 +37,18 @@ pub fn clip_ray(clip: Option<&ClipPlane>, ray: Ray) -> Option<Ray> {
     (ray.t_min <= ray.t_max).then_some(ray)
 }
 
-/// The nearest triangle along what a plane keeps of a ray.
+/// The nearest hit on the part of a ray that a plane keeps.
 pub fn intersect(grid: &Grid, clip: Option<&ClipPlane>, ray: Ray) -> Hit {
     clip_ray(clip, ray).map_or(Hit::MISS, |ray| grid.intersect(&ray))
 }
 
-/// Whether what a plane keeps of a ray hits any triangle.
+/// Whether the part of a ray that a plane keeps hits any triangle.
 pub fn occluded(grid: &Grid, clip: Option<&ClipPlane>, ray: Ray) -> bool {
     clip_ray(clip, ray).is_some_and(|ray| grid.occluded(&ray))
 }
 
-/// [`Grid::intersect_packets`] on what a plane keeps of each ray. Of packets that any hit will do for, a hit's t is some
-/// hit's or 0.
+/// [`Grid::intersect_packets`] on the parts of rays that a plane keeps. In packets with `any_hit`, t is that of some
+/// hit, or 0.
 pub fn intersect_packets(
     grid: &Grid,
     clip: Option<&ClipPlane>,
@@ -64,6 +65,7 @@ pub fn intersect_packets(
 }
 
 fn intersect_packet(grid: &Grid, clip: Option<&ClipPlane>, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
+    // Clip each ray, and find the hull of their intervals.
     let mut rays = [None; 64];
     let mut hull = Packet { active: 0, t_min: f32::INFINITY, t_max: f32::NEG_INFINITY, ..*packet };
     for (lane, ray) in rays.iter_mut().enumerate().filter(|(lane, _)| packet.active >> lane & 1 == 1) {
@@ -76,6 +78,8 @@ fn intersect_packet(grid: &Grid, clip: Option<&ClipPlane>, packet: &Packet, scra
     if hull.active == 0 {
         return [Hit::MISS; 64];
     }
+
+    // Trace the hull; trace rays again whose hit may lie outside their own interval.
     let mut hits = grid.intersect_packet(&hull, scratch);
     for (hit, ray) in hits.iter_mut().zip(rays) {
         let Some(ray) = ray else {
@@ -87,7 +91,7 @@ fn intersect_packet(grid: &Grid, clip: Option<&ClipPlane>, packet: &Packet, scra
             continue;
         }
         *hit = match packet.any_hit {
-            // Rounding keeps order: a t that is beyond the end when rounded is beyond it.
+            // Rounding is monotonic: a t that lies beyond the end when rounded lies beyond it.
             false if hit.t > ray.t_max => Hit::MISS,
             false => grid.intersect(&ray),
             true if grid.occluded(&ray) => Hit { t: 0.0, ..*hit },
@@ -105,17 +109,18 @@ mod tests {
         camera::Camera,
         division::FrameSize,
     };
+    use strum::VariantArray;
 
     use super::*;
     use crate::{
         grid::{GridOptions, Storage},
         intersect::InstructionSet,
         model::{mesh::Mesh, statue},
-        render::tracer::{Scene, SceneOptions},
+        render::scene::Scene,
     };
 
     fn scene(mesh: &Mesh, storage: Storage, instructions: InstructionSet) -> Scene {
-        let options = SceneOptions { grid: GridOptions { storage, ..GridOptions::default() } };
+        let options = GridOptions { storage, ..GridOptions::default() };
         let grid = Scene::build(mesh.clone(), &options, &|_| ()).into_grid();
         Scene::from_grid(grid.with_instructions(instructions))
     }
@@ -135,7 +140,7 @@ mod tests {
         tiles.map(packet).collect()
     }
 
-    /// Asserts that packets answer as single rays do; returns each ray with what it hits, by its number in the file.
+    /// Asserts that packets hit as single rays do; returns each ray with its hit, by file index.
     fn check(scene: &Scene, plane: &ClipPlane, packets: &[Packet]) -> Vec<(Ray, Hit)> {
         let (grid, clip, mut scratch) = (scene.grid(), Some(plane), PacketScratch::default());
         let mut answers = Vec::new();
@@ -152,8 +157,8 @@ mod tests {
         answers
     }
 
-    /// What a ray hits first on the plane's side, by trying all triangles in `f64`: the triangle, t, and whether that is
-    /// beyond doubt.
+    /// A ray's first hit on the plane's side, by testing all triangles in `f64`: triangle, t, and whether it is
+    /// certain.
     fn search(mesh: &Mesh, plane: &ClipPlane, ray: &Ray) -> (Option<(u32, f64)>, bool) {
         let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
         let (mut nearest, mut doubtful) = (None, f64::INFINITY);
@@ -183,14 +188,14 @@ mod tests {
     }
 
     #[test]
-    fn rays_hit_what_a_search_of_the_kept_triangles_finds() {
+    fn rays_hit_as_in_a_search_of_all_kept_triangles() {
         let mesh = statue::generate(1500, &|_| ());
         let size = FrameSize::new(32, 16).unwrap();
         let (mut n_hits, mut n_inner, mut n_doubtful) = (0, 0, 0);
         let best = scene(&mesh, Storage::Tree, InstructionSet::best());
         let eyes = [DVec3::new(0.6, 1.5, 2.5), DVec3::new(-2.0, 0.4, -0.3), DVec3::new(0.05, 0.9, 0.02)];
         for (eye, (index, from)) in
-            eyes.into_iter().flat_map(|eye| ClipSide::ALL.into_iter().enumerate().map(move |from| (eye, from)))
+            eyes.into_iter().flat_map(|eye| ClipSide::VARIANTS.iter().copied().enumerate().map(move |from| (eye, from)))
         {
             let camera = Camera::look_at(eye, DVec3::new(0.0, 0.8, 0.1), DVec3::Y, 0.8, 2.0).unwrap();
             let clip = Clip::new(from, 380 + 40 * index as u16).unwrap();
@@ -225,7 +230,7 @@ mod tests {
             .chain([(Storage::Plain, InstructionSet::best()), (Storage::RowDisplacement, InstructionSet::Portable)])
             .map(|(storage, instructions)| scene(&mesh, storage, instructions))
             .collect();
-        for from in ClipSide::ALL {
+        for &from in ClipSide::VARIANTS {
             let answers = scenes.iter().map(|scene| {
                 let plane = scene.clip_plane(&camera, Some(Clip::new(from, 450).unwrap())).unwrap();
                 check(scene, &plane, &packets)
@@ -236,8 +241,8 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_in_the_plane_is_kept() {
-        // Two sheets that span the bounds, and one half way, where the cut is.
+    fn triangles_in_the_plane_are_kept() {
+        // Two sheets that span the bounds, and one halfway, in the plane.
         let sheet = |z: f32| [[-1.0, -1.0, z], [1.0, -1.0, z], [1.0, 1.0, z], [-1.0, 1.0, z]];
         let mesh = Mesh {
             vertices: [sheet(-1.0), sheet(0.0), sheet(1.0)].concat(),
@@ -262,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn rays_that_are_none_end_as_they_do_without_a_plane() {
+    fn degenerate_rays_are_clipped_without_nan() {
         let plane = ClipPlane { normal: DVec3::X, offset: 0.5 };
         let clip_ray =
             |origin: f32, direction: f32| clip_ray(Some(&plane), Ray::new(Vec3::splat(origin), Vec3::X * direction));

@@ -1,25 +1,26 @@
-//! The exact sign of a sum of products, for the few decisions that rounding would spoil.
+//! The exact sign of a sum of products, for the few decisions that rounding could change.
 //!
 //! After Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates" (1997).
 
-/// A sum kept exactly, as numbers that do not overlap, from the smallest to the largest.
+/// An exact sum, kept as numbers whose bits do not overlap, from the smallest to the largest.
 #[derive(Default)]
-pub(crate) struct ExactSum {
+pub(super) struct ExactSum {
     components: Vec<f64>,
 }
 
 impl ExactSum {
-    /// Adds a·b·c exactly. The factors are single precision, so no part can leave the range of `f64`.
-    pub(crate) fn add_product(&mut self, a: f32, b: f32, c: f32) {
+    /// Adds a·b·c exactly. The factors have single precision, so no part leaves the range of `f64`.
+    pub(super) fn add_product(&mut self, a: f32, b: f32, c: f32) {
         let ab = f64::from(a) * f64::from(b);
-        // At most 48 bits, cut into two parts of at most 27, each of which times 24 bits is exact again.
+        // The product has at most 48 bits: split it into parts of at most 27, whose products with 24 bits are exact
+        // again.
         let high = f64::from_bits(ab.to_bits() & !((1 << 27) - 1));
         let low = ab - high;
         self.add(high * f64::from(c));
         self.add(low * f64::from(c));
     }
 
-    /// Shewchuk's GROW-EXPANSION without its zeros.
+    /// Shewchuk's GROW-EXPANSION, without zero components.
     fn add(&mut self, summand: f64) {
         let mut sum = summand;
         let mut n_kept = 0;
@@ -38,17 +39,17 @@ impl ExactSum {
     }
 
     /// The sum, rounded.
-    pub(crate) fn value(&self) -> f64 {
+    pub(super) fn value(&self) -> f64 {
         self.components.iter().sum()
     }
 
     /// A number with the sign of the sum; zero only if the sum is.
-    pub(crate) fn signum(&self) -> f64 {
+    pub(super) fn signum(&self) -> f64 {
         self.components.last().map_or(0.0, |largest| largest.signum())
     }
 }
 
-/// a + b rounded, and what rounding lost (Knuth).
+/// a + b rounded, and the rounding error (Knuth).
 fn two_sum(a: f64, b: f64) -> (f64, f64) {
     let sum = a + b;
     let b_part = sum - a;
@@ -69,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cancels_is_zero_and_what_remains_keeps_its_sign() {
+    fn cancelled_sums_are_zero_and_others_keep_their_sign() {
         let x = [1.234_567_8e10, 9.876_543e-9, 2.345_678];
         let minus_x = [-x[0], x[2], x[1]];
         let tiny = [1e-30, 1e-3, 1e-3];

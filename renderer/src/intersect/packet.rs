@@ -1,126 +1,117 @@
-//! Packets of 64 rays with a common origin through the grid, up to four of them together.
+//! Traces packets of 64 rays with a common origin through the tree, up to four packets together.
 //!
-//! Packets that go together share the way and the triangles on it: what a step costs grows with the width of what they
-//! meet, not with their rays, and four tiles in a square are as wide as two.
+//! Packets that are traced together share traversal steps and triangles: a step costs by the width of its slab, not by
+//! the rays, and four tiles in a square are only twice as wide as one.
 //!
 //! After Wald et al., "Ray Tracing Animated Scenes using Coherent Grid Traversal" (2006): the grid is cut into slabs
-//! across the packet's major axis k, and the packet's least and largest slopes bound the cells (u, v) that it can meet
-//! in a slab. Slabs are as thick as a brick, then as a node's children, and so on down; a node's mask gives all occupied
-//! children within the bounds at once.
+//! across the packets' major axis k, and their least and largest slopes bound the cells (u, v) that they can pass in a
+//! slab. Slabs are as thick as a brick, then as a tree node's children, and so on down; a node's mask gives all
+//! occupied children within the bounds at once.
 //!
-//! Triangles on the way are culled many at a time, see [`crate::intersect::packet::cull`], and what is left is decided by
-//! [`crate::intersect::triangle`]: the hits are those of single rays, bit for bit.
+//! [`cull`] drops triangles that certainly miss, [`pairs`] tests the others against groups of rays, and [`decide`]
+//! keeps the nearest hits, with [`crate::intersect::triangle`] for doubtful ones: hits are those of single rays, bit
+//! for bit.
 
-pub(crate) mod cull;
+mod cull;
 #[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
-pub(crate) mod decide;
-pub(crate) mod frustum;
+mod decide;
+mod frustum;
 #[expect(clippy::needless_range_loop, reason = "an edge indexes several arrays at once")]
-pub(crate) mod pairs;
+mod pairs;
 #[expect(clippy::needless_range_loop, reason = "an axis or an edge indexes several arrays at once")]
-pub(crate) mod prepared;
-pub(crate) mod ray_set;
-
-use glam::Vec3;
+mod prepared;
+mod ray_set;
 
 use crate::{
     grid::{
         Grid, Structure,
         tree::{BRICK_SIZE, LEVELS, Tree, boxes::LeafBoxes},
     },
-    intersect::{
-        InstructionSet,
-        kernel::PacketKernel,
-        ray::{Hit, Ray},
-        simd::{Avx2, Avx512, Portable},
-    },
+    intersect::ray::{Hit, major_axis},
+    simd::{Kernel, Simd},
 };
-use cull::CullScratch;
-use cull::Culler;
-use frustum::CellBounds;
-use frustum::Frustum;
-use frustum::NarrowSlab;
+use cull::{CullScratch, Culler};
+use frustum::{CellBounds, Frustum, NarrowSlab};
 use ray_set::RaySet;
-#[cfg(target_arch = "x86_64")]
 
-/// Rays with a common origin, in world space.
-///
-/// Its vectors are aligned, as are others of the kernel: one that lies across two lines of the cache is read twice.
-#[repr(C, align(64))]
-pub struct Packet {
-    /// Their directions, component by component. Rays 16·n to 16·n + 15 are culled together, or half as many: they
-    /// should lie close to each other. Entries of no ray must repeat another's direction.
-    pub directions: [[f32; 64]; 3],
-    /// Where they begin.
-    pub origin: Vec3,
-    /// A bit for each entry that is a ray.
-    pub active: u64,
-    /// The first t that counts.
-    pub t_min: f32,
-    /// The last t that counts.
-    pub t_max: f32,
-    /// Whether any hit of a ray will do in place of the nearest, as for shadows.
-    pub any_hit: bool,
-}
+pub use ray_set::{MOST_PACKETS, Packet};
 
-impl Packet {
-    /// No rays.
-    pub const NONE: Self =
-        Self { directions: [[0.0; 64]; 3], origin: Vec3::ZERO, active: 0, t_min: 0.0, t_max: f32::MAX, any_hit: false };
-
-    /// One ray of a packet.
-    pub fn ray(&self, lane: usize) -> Ray {
-        let [x, y, z] = &self.directions;
-        let direction = Vec3::new(x[lane], y[lane], z[lane]);
-        Ray { origin: self.origin, direction, t_min: self.t_min, t_max: self.t_max }
-    }
-}
-
-/// Packets that can go together.
-pub const MOST_PACKETS: usize = 4;
-
-/// Memory that the packets of one thread use one after the other.
+/// Memory that one thread reuses from packet to packet.
 #[derive(Default)]
 pub struct PacketScratch {
     one: Scratch<1>,
     four: Scratch<MOST_PACKETS>,
 }
 
-/// What so many packets that go together need of it.
+/// The part of it for `N` packets that are traced together.
 #[derive(Default)]
-pub(crate) struct Scratch<const N: usize> {
-    /// The nodes that they meet in the slab at hand, level by level from number 1, bricks, on; the last has room for what is
-    /// not kept.
+struct Scratch<const N: usize> {
+    /// Tree nodes that the packets pass in the current slab, by level: bricks at index 1; the last entry takes the
+    /// children that are written and not kept.
     entries: [Vec<NodeEntry<N>>; LEVELS as usize + 2],
-    /// The leaves that they met, whose triangles wait for their test.
+    /// Leaves that the packets pass, whose triangles wait for their test.
     leaves: Vec<PendingLeaf<N>>,
     cull: CullScratch<N>,
 }
 
-/// A node within a packet's bounds.
+/// A tree node within the packets' bounds.
 #[derive(Clone, Copy)]
 struct NodeEntry<const N: usize> {
     node: u32,
     /// Its lowest corner across the major axis, in finest cells.
     u: i32,
     v: i32,
-    /// The rays that may pass it.
+    /// Rays that may pass it.
     rays: RaySet<N>,
 }
 
-/// A leaf that some rays pass.
+/// A leaf that some rays may pass.
 #[derive(Clone, Copy)]
-pub(crate) struct PendingLeaf<const N: usize> {
+struct PendingLeaf<const N: usize> {
     number: u32,
     /// Its lowest corner along the major axis and across, and its size, in finest cells.
     low: [i32; 3],
     size: i32,
-    /// The rays that may pass it.
+    /// Rays that may pass it.
     rays: RaySet<N>,
 }
 
+/// [`Grid::march`] as a kernel.
+struct March<'a, const N: usize> {
+    grid: &'a Grid,
+    tree: &'a Tree,
+    packets: [&'a Packet; N],
+    active: RaySet<N>,
+    scratch: &'a mut Scratch<N>,
+    hits: &'a mut [[Hit; 64]; N],
+}
+
+impl<const N: usize> Kernel for March<'_, N> {
+    type Output = bool;
+    #[inline(always)]
+    fn run<S: Simd>(self) -> bool {
+        self.grid.march::<S, N>(self.tree, self.packets, self.active, self.scratch, self.hits)
+    }
+}
+
+/// [`Tree::test_leaves`] as a kernel: a function of its own, which [`Grid::march`] calls in several places.
+struct TestLeaves<'a, 'b, const N: usize> {
+    tree: &'a Tree,
+    culler: &'a mut Culler<'b, N>,
+    origin: &'a [f64; 3],
+    leaves: &'a mut Vec<PendingLeaf<N>>,
+}
+
+impl<const N: usize> Kernel for TestLeaves<'_, '_, N> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self) {
+        self.tree.test_leaves::<S, N>(self.culler, self.origin, self.leaves);
+    }
+}
+
 impl Grid {
-    /// The nearest triangle along each ray of a packet; entries of no ray are undefined.
+    /// The nearest hit of each ray of a packet; hits of inactive lanes are undefined.
     pub fn intersect_packet(&self, packet: &Packet, scratch: &mut PacketScratch) -> [Hit; 64] {
         let mut hits = [[Hit::MISS; 64]];
         if !self.trace_together([packet], RaySet { masks: [packet.active] }, &mut scratch.one, &mut hits) {
@@ -131,8 +122,8 @@ impl Grid {
         hits[0]
     }
 
-    /// The same for packets with a common origin, [`MOST_PACKETS`] at a time: the closer they lie together, the less it
-    /// takes. `hits` has an entry for each of them.
+    /// The same for packets with a common origin, [`MOST_PACKETS`] at a time: faster, the closer they lie together.
+    /// `hits` has an entry for each packet.
     pub fn intersect_packets(&self, packets: &[Packet], scratch: &mut PacketScratch, hits: &mut [[Hit; 64]]) {
         debug_assert!(packets.len() == hits.len() && packets.iter().all(|packet| packet.origin == packets[0].origin));
         for (packets, hits) in packets.chunks(MOST_PACKETS).zip(hits.chunks_mut(MOST_PACKETS)) {
@@ -142,7 +133,7 @@ impl Grid {
                     continue;
                 }
             } else if packets.len() > 1 {
-                // Those that are missing repeat the first, without rays.
+                // Fill up with copies of the first packet, without active rays.
                 let four = std::array::from_fn(|index| packets.get(index).unwrap_or(&packets[0]));
                 let masks = std::array::from_fn(|index| packets.get(index).map_or(0, |packet| packet.active));
                 let mut quad_hits = [[Hit::MISS; 64]; MOST_PACKETS];
@@ -151,14 +142,15 @@ impl Grid {
                     continue;
                 }
             }
+            // A last packet alone, or packets that do not share a major axis.
             for (packet, hits) in packets.iter().zip(hits) {
                 *hits = self.intersect_packet(packet, scratch);
             }
         }
     }
 
-    /// Follows the active rays of packets together, if the grid is one for packets and all advance along one axis. Returns
-    /// whether it did.
+    /// Traces the active rays of packets together. Returns false if they must be traced one by one: the grid is no
+    /// tree, its cells are too small, or the rays share no major axis.
     fn trace_together<const N: usize>(
         &self,
         packets: [&Packet; N],
@@ -170,18 +162,14 @@ impl Grid {
         if self.space.length_to_world(1.0) < SMALLEST_CELL_SIZE {
             return false;
         }
-        match self.instructions {
-            InstructionSet::Portable => Portable::march(self, tree, packets, active, scratch, hits),
-            #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx2 => Avx2::march(self, tree, packets, active, scratch, hits),
-            #[cfg(target_arch = "x86_64")]
-            InstructionSet::Avx512 => Avx512::march(self, tree, packets, active, scratch, hits),
-        }
+        // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
+        unsafe { self.instructions.call(March { grid: self, tree, packets, active, scratch, hits }) }
     }
 
-    /// The way of some packets, if their rays all advance along one axis. Returns whether they do.
+    /// Traces packets together, slab by slab from their origin on. Returns false, without hits, if not all rays advance
+    /// the same way along one axis.
     #[inline(always)]
-    pub(crate) fn march<S: PacketKernel, const N: usize>(
+    fn march<S: Simd, const N: usize>(
         &self,
         tree: &Tree,
         packets: [&Packet; N],
@@ -189,7 +177,8 @@ impl Grid {
         scratch: &mut Scratch<N>,
         hits: &mut [[Hit; 64]; N],
     ) -> bool {
-        let Some(axis) = major_axis(&packets) else { return false };
+        // Choose the axes: k is the major axis, u and v lie across it.
+        let Some(axis) = common_major_axis(&packets) else { return false };
         let Scratch { entries, leaves, cull } = scratch;
         let axes = [axis, (axis + 1) % 3, (axis + 2) % 3];
         let is_forward = packets[0].directions[axis][0] > 0.0;
@@ -197,6 +186,8 @@ impl Grid {
         if !origin.is_finite() {
             return false;
         }
+
+        // Bound all rays by a frustum, in finest cells.
         let mut frustum = Frustum {
             origin: [origin[axes[0]], origin[axes[1]], origin[axes[2]]],
             is_forward,
@@ -205,13 +196,16 @@ impl Grid {
             cells_per_unit: self.space.cells_per_unit(),
             margin: origin.abs().max_element() * (16.0 * f64::EPSILON),
         };
+
+        // Leave packets that miss the grid before their groups are set up: saves 2 % on a board seen whole.
         let bricks_along_k = tree.dims[axis] as i32;
-        // Packets that pass the grid by need not be made ready: 2 % of the time of a board seen whole.
         let (near, far) = frustum.depths(0, tree.extent[axis] as i32);
         if far < 0.0 || frustum.cells(near, far).is_none() {
             hits.fill([Hit::MISS; 64]);
             return true;
         }
+
+        // Set up the rays' groups, then find the first slab of bricks that the frustum enters.
         let mut culler = Culler::new::<S>(self, packets, active, axes, if is_forward { 1.0 } else { -1.0 }, cull);
         frustum.slopes = culler.ray_bounds.slopes;
         let entry_depth = frustum.entry_depth();
@@ -224,12 +218,16 @@ impl Grid {
         }
         brick_k = brick_k.clamp(0, bricks_along_k - 1);
 
+        // March from slab to slab of bricks until all rays have their hits or leave the grid.
         let mut coverage = 0.0;
         let mut pending_near_depth = 0.0f64;
         leaves.clear();
         while (0..bricks_along_k).contains(&brick_k) {
             let low = brick_k * BRICK_SIZE as i32;
             brick_k += if is_forward { 1 } else { -1 };
+
+            // Bound the slab's cells; without any the frustum is beside the grid, and past it for good once it has
+            // entered.
             let (near, far) = frustum.depths(low, BRICK_SIZE as i32);
             let Some(bounds) = frustum.cells(near, far) else {
                 if near > entry_depth {
@@ -237,11 +235,15 @@ impl Grid {
                 }
                 continue;
             };
+
+            // Collect the bricks within the bounds; test those that are leaves at once.
             let narrow = frustum.narrow(near, far, BRICK_SIZE);
             tree.enter_bricks::<S, N>(&culler, leaves, &mut entries[1], axes, low, bounds, narrow);
             if !leaves.is_empty() {
-                S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
+                S::call(TestLeaves { tree, culler: &mut culler, origin: &frustum.origin, leaves });
             }
+
+            // Without divided bricks the slab is done: settle the rays up to its far side.
             if entries[1].is_empty() {
                 if culler.has_new_tests && culler.finish_to_depth::<S>(self.space.length_to_world(far)) {
                     culler.write_hits::<S>(hits);
@@ -251,7 +253,8 @@ impl Grid {
                 continue;
             }
 
-            // Depth first through the levels: lows and steps say which quarter of each level's slab is next.
+            // Descend depth first: each slab consists of four quarters, one child thick. `lows` holds the slab of each
+            // level, `steps` how many of its quarters are done.
             let mut level = 1;
             let mut lows = [low; LEVELS as usize + 1];
             let mut steps = [0; LEVELS as usize + 1];
@@ -260,6 +263,8 @@ impl Grid {
                     level -= 1;
                     continue;
                 }
+
+                // Take the level's next quarter, and bound the cells that the frustum passes in it.
                 let quarter = if is_forward { steps[level] } else { 3 - steps[level] };
                 steps[level] += 1;
                 let shift = 2 * (LEVELS - level as u32);
@@ -269,6 +274,8 @@ impl Grid {
                     continue;
                 }
                 let Some(bounds) = frustum.cells(near, far) else { continue };
+
+                // Collect the children within the bounds: nodes for the next level, leaves for their test.
                 let (above, below) = entries.split_at_mut(level + 1);
                 let children = &mut below[0];
                 let narrow = frustum.narrow(near, far, 1 << shift);
@@ -285,6 +292,8 @@ impl Grid {
                     narrow,
                     leaves,
                 );
+
+                // Test the pending leaves once together they may cover the packets.
                 if leaves.len() > n_before {
                     if n_before == 0 {
                         pending_near_depth = near;
@@ -293,14 +302,17 @@ impl Grid {
                     coverage += (leaves.len() - n_before) as f64 * f64::from(1u32 << shift).powi(2) / area;
                     if coverage >= FULL_COVERAGE || leaves.len() >= MOST_LEAVES {
                         coverage = 0.0;
-                        S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
+                        S::call(TestLeaves { tree, culler: &mut culler, origin: &frustum.origin, leaves });
                     }
                 }
+
+                // Descend into the nodes; without any settle the rays, and narrow the frustum to those without a final
+                // answer.
                 if !children.is_empty() {
                     level += 1;
                     (lows[level], steps[level]) = (low, 0);
                 } else if culler.has_new_tests {
-                    // What waits may lie before what was tested since.
+                    // Pending leaves may lie nearer than leaves that were tested.
                     let tested_to = if leaves.is_empty() { far } else { pending_near_depth.min(far) };
                     if culler.finish_to_depth::<S>(self.space.length_to_world(tested_to)) {
                         culler.write_hits::<S>(hits);
@@ -310,7 +322,9 @@ impl Grid {
                 }
             }
         }
-        S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
+
+        // Behind the last slab: test the pending leaves and settle all rays.
+        S::call(TestLeaves { tree, culler: &mut culler, origin: &frustum.origin, leaves });
         culler.finish_to_depth::<S>(f64::INFINITY);
         culler.write_hits::<S>(hits);
         true
@@ -318,15 +332,15 @@ impl Grid {
 }
 
 impl Tree {
-    /// Tests the triangles of leaves.
+    /// Tests the triangles of the pending leaves.
     #[inline(always)]
-    pub(crate) fn test_leaves<S: PacketKernel, const N: usize>(
+    fn test_leaves<S: Simd, const N: usize>(
         &self,
         culler: &mut Culler<'_, N>,
         origin: &[f64; 3],
         leaves: &mut Vec<PendingLeaf<N>>,
     ) {
-        // One after the other, so that memory is waited for only once.
+        // Prefetch the boxes and references of all leaves, so that their cache misses overlap.
         for leaf in &*leaves {
             let references = self.references_of(leaf.number);
             self.boxes.prefetch::<S>(references.clone());
@@ -336,6 +350,8 @@ impl Tree {
                 at += 16;
             }
         }
+
+        // Gather the triangles whose boxes some ray may pass.
         for leaf in &*leaves {
             let references = self.references_of(leaf.number);
             let mut corner_from_origin = [0.0; 3];
@@ -357,10 +373,10 @@ impl Tree {
         culler.has_new_tests = true;
     }
 
-    /// Adds the triangles of leaf bricks to the culler, and the nodes of others to the entries.
+    /// Collects the occupied bricks of a slab that some rays may pass: leaves in `leaves`, divided bricks in `entries`.
     #[inline(always)]
     #[expect(clippy::too_many_arguments, reason = "inlined into the loop whose variables these are")]
-    fn enter_bricks<S: PacketKernel, const N: usize>(
+    fn enter_bricks<S: Simd, const N: usize>(
         &self,
         culler: &Culler<'_, N>,
         leaves: &mut Vec<PendingLeaf<N>>,
@@ -373,6 +389,7 @@ impl Tree {
         entries.clear();
         let shift = 2 * LEVELS;
         let strides = [1, self.dims[0] as usize, self.dims[0] as usize * self.dims[1] as usize];
+        // Visit each occupied brick within the bounds.
         let first = (low >> shift) as usize * strides[axes[0]];
         for v in bounds.v[0] >> shift..=bounds.v[1] >> shift {
             for u in bounds.u[0] >> shift..=bounds.u[1] >> shift {
@@ -380,6 +397,8 @@ impl Tree {
                 if brick == Self::EMPTY {
                     continue;
                 }
+
+                // Keep it with the rays that may pass it.
                 let (u, v) = (u << shift, v << shift);
                 let rays = culler.rays_through_cell::<S>(&culler.active, narrow.as_ref(), u, v, BRICK_SIZE);
                 if rays.is_empty() {
@@ -399,10 +418,11 @@ impl Tree {
         }
     }
 
-    /// The same for the children of nodes in one quarter of their slab.
+    /// Collects the occupied children of `entries`, in one quarter of their slab, that some rays may pass: leaves in
+    /// `leaves`, divided children in `children`.
     #[inline(always)]
     #[expect(clippy::too_many_arguments, reason = "inlined into the loop whose variables these are")]
-    fn enter_children<S: PacketKernel, const N: usize>(
+    fn enter_children<S: Simd, const N: usize>(
         &self,
         culler: &Culler<'_, N>,
         entries: &[NodeEntry<N>],
@@ -418,6 +438,7 @@ impl Tree {
         children.clear();
         let slab = AXIS_PLANES[axes[0]] << (quarter << (2 * axes[0]));
         for entry in entries {
+            // Mask the children that lie in the quarter and within the bounds.
             let node = &self.nodes[entry.node as usize];
             let u = [(bounds.u[0] - entry.u) >> shift, (bounds.u[1] - entry.u) >> shift];
             let v = [(bounds.v[0] - entry.v) >> shift, (bounds.v[1] - entry.v) >> shift];
@@ -426,15 +447,20 @@ impl Tree {
             }
             let within =
                 slab & slab_mask(axes[1], u[0].max(0), u[1].min(3)) & slab_mask(axes[2], v[0].max(0), v[1].min(3));
+
+            // Visit each occupied one.
             let mut left = node.occupied & within;
             while left != 0 {
                 let bit = left.trailing_zeros();
                 let before = (left & left.wrapping_neg()) - 1;
                 left &= left - 1;
+
+                // Find the rays that may pass the child.
                 let u = entry.u + ((bit >> (2 * axes[1]) & 3) << shift) as i32;
                 let v = entry.v + ((bit >> (2 * axes[2]) & 3) << shift) as i32;
                 let rays = culler.rays_through_cell::<S>(&entry.rays, narrow.as_ref(), u, v, 1 << shift);
-                // Both are written and one or none is kept, without a branch, for nobody can predict which.
+
+                // Write it as a node and as a leaf, and keep one or neither: a branch here would be unpredictable.
                 let (is_met, is_divided) = (!rays.is_empty(), node.divided >> bit & 1 == 1);
                 let child = node.first_node + (node.divided & before).count_ones();
                 children.push(NodeEntry { node: child, u, v, rays });
@@ -448,10 +474,11 @@ impl Tree {
     }
 }
 
-/// For each axis the children of a node that have coordinate 0 along it; shifted by 4^axis for each further one.
+/// For each axis the mask of the children with coordinate 0 along it; shifted left by 4^axis for each further
+/// coordinate.
 const AXIS_PLANES: [u64; 3] = [0x1111_1111_1111_1111, 0x000f_000f_000f_000f, 0xffff];
 
-/// The children of a node with coordinates `first..=last` along an axis.
+/// Mask of the children with coordinates `first..=last` along an axis.
 #[inline(always)]
 fn slab_mask(axis: usize, first: i32, last: i32) -> u64 {
     const RANGES: [[[u64; 4]; 4]; 3] = {
@@ -476,24 +503,18 @@ fn slab_mask(axis: usize, first: i32, last: i32) -> u64 {
     RANGES[axis][first as usize & 3][last as usize & 3]
 }
 
-/// The least cell that packets can go through, in world units: the inverse of a depth within a smaller one may be more than
-/// single precision holds, and farther hits could not be told from nearer ones.
+/// Smallest cell size for packets, in world units: within smaller cells inverse depths may overflow single precision,
+/// and nearer hits would be confused with farther ones.
 const SMALLEST_CELL_SIZE: f64 = 1e-30;
 
-/// The least component along the major axis, so that it has an inverse.
+/// Least component of a direction along the major axis, so that its inverse is finite.
 const LEAST_COMPONENT: f32 = 1e-30;
 
-/// The axis along which the packets advance most, if all rays advance the same way.
+/// The axis along which the first ray advances most, if all rays of all packets advance the same way along it.
 #[inline(always)]
-fn major_axis(packets: &[&Packet]) -> Option<usize> {
-    let [x, y, z] = [0, 1, 2].map(|axis| packets[0].directions[axis][0].abs());
-    let axis = if x >= y && x >= z {
-        0
-    } else if y >= z {
-        1
-    } else {
-        2
-    };
+fn common_major_axis(packets: &[&Packet]) -> Option<usize> {
+    let axis = major_axis([0, 1, 2].map(|axis| packets[0].directions[axis][0]));
+    // All rays must share the sign of the first.
     let sign = packets[0].directions[axis][0].signum();
     let mut same = true;
     for packet in packets {
@@ -504,8 +525,8 @@ fn major_axis(packets: &[&Packet]) -> Option<usize> {
     same.then_some(axis)
 }
 
-/// Leaves wait until together they cover as much as the packet, for then they may well end it.
+/// Leaves wait until their area is this multiple of the frustum's section: then they may well hold the nearest hits.
 const FULL_COVERAGE: f64 = 1.0;
 
-/// Leaves that wait at most.
+/// Most leaves that wait.
 const MOST_LEAVES: usize = 64;

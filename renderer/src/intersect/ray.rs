@@ -1,43 +1,56 @@
-//! A ray and what it hits.
+//! A ray and its hit.
 
 use glam::Vec3;
 
 /// A ray in world space: the points `origin + t·direction` with t in `t_min..=t_max`.
 ///
-/// The direction is not normalised, and every t is in units of it.
+/// The direction is not normalised.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ray {
-    /// Where t = 0.
+    /// Point at t = 0.
     pub origin: Vec3,
-    /// The step of t = 1.
+    /// Vector from t = 0 to t = 1.
     pub direction: Vec3,
-    /// The first t that counts.
+    /// Start of the ray's interval, in units of `direction`.
     pub t_min: f32,
-    /// The last t that counts.
+    /// End of the ray's interval, in units of `direction`.
     pub t_max: f32,
 }
 
 impl Ray {
-    /// A ray from its origin to as far as a depth can be told.
+    /// A ray from its origin to the largest finite t.
     pub fn new(origin: Vec3, direction: Vec3) -> Self {
         Self { origin, direction, t_min: 0.0, t_max: f32::MAX }
     }
 }
 
-/// The nearest triangle along a ray.
+/// The axis of a direction's largest absolute component; the first of equal ones.
+#[inline(always)]
+pub(super) fn major_axis(direction: [f32; 3]) -> usize {
+    let [x, y, z] = direction.map(f32::abs);
+    if x >= y && x >= z {
+        0
+    } else if y >= z {
+        1
+    } else {
+        2
+    }
+}
+
+/// The hit of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
-    /// Which one: within the renderer its place in the [`crate::grid::traced::TracedMesh`], outside its number in the file.
+    /// Triangle index in the [`crate::grid::traced::TracedMesh`] within the renderer, file index outside of it.
     pub triangle: u32,
-    /// Where, in units of the ray's direction.
+    /// Position along the ray, in units of its direction.
     pub t: f32,
 }
 
 impl Hit {
-    /// No triangle at all.
+    /// No hit.
     pub const MISS: Self = Self { triangle: u32::MAX, t: f32::INFINITY };
 
-    /// Whether there is no triangle.
+    /// Whether the ray hits nothing.
     pub fn is_miss(self) -> bool {
         self.triangle == u32::MAX
     }

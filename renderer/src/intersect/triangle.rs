@@ -1,16 +1,18 @@
-//! The one routine that decides whether a ray hits a triangle, and where.
+//! Decides whether a ray hits a triangle, and where: the one routine on which all kernels agree.
 //!
-//! A ray hits a triangle when it passes all three edges on the same side, or through them.
-//! Which side is the sign of a determinant, and it is told exactly: in `f64` where rounding cannot change it, else in
-//! exact arithmetic. So a closed mesh has no leak, whatever the triangles' size and distance, and every kernel leads to
-//! the same picture: what one knows of a side by its own margins is what would be told here.
+//! A ray hits a triangle when it passes all three edges on the same side, or through them. The side is the sign of a
+//! determinant, and it is found exactly: in `f64` where rounding cannot change it, else in exact arithmetic. So a
+//! closed mesh has no leak at any size and distance, and every kernel gives the same hits: a side that a kernel proves
+//! by its own margins is the side found here.
 
-use crate::intersect::{exact::ExactSum, ray::Ray, simd::Real};
+use crate::{
+    intersect::{exact::ExactSum, ray::Ray},
+    simd::Real,
+};
 
-/// Where a ray hits a triangle, as t in `f64`, or `None` if it does not within `t_min..=t_max`.
+/// The t at which a ray meets the plane of a triangle that it hits, or `None` if it hits none within `t_min..=t_max`.
 ///
 /// Triangles seen exactly edge-on, and those without area, are not hit.
-/// t is where the ray meets the triangle's plane, in `f64`.
 #[inline]
 pub fn intersect(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
     let to_f64 = |vector: [f32; 3]| vector.map(f64::from);
@@ -23,38 +25,40 @@ pub fn intersect(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
     (f64::from(ray.t_min)..=f64::from(ray.t_max)).contains(&t).then_some(t)
 }
 
-/// What `f64` can tell of one or several pairs of ray and triangle, with a bit for each in the masks.
-pub(crate) struct Decision<R> {
-    /// The ray passes the triangle.
-    pub(crate) certain_miss: u32,
-    /// The answer is that of [`intersect_exactly`]. Bits of certain misses mean nothing.
-    pub(crate) uncertain: u32,
-    /// Where the ray meets the triangle's plane, unless uncertain.
-    pub(crate) t: R,
+/// The decision in `f64` on pairs of a ray and a triangle, with a bit for each pair in the masks.
+pub(super) struct Decision<R> {
+    /// The ray certainly misses the triangle.
+    pub(super) certain_miss: u32,
+    /// [`intersect_exactly`] must decide. Undefined for certain misses.
+    pub(super) uncertain: u32,
+    /// t of the hit; undefined where uncertain.
+    pub(super) t: R,
 }
 
-pub(crate) type Vector<R> = [R; 3];
+/// Three coordinates, each in one or several lanes.
+pub(super) type Vector<R> = [R; 3];
 
-/// What deciding whether rays from a common origin hit a triangle needs of both, for one triangle or for as many as there
-/// are lanes.
+/// A triangle prepared for rays from a common origin; with several lanes, one triangle per lane.
 ///
-/// No closures here: they would not be compiled for the caller's instruction set.
+/// No closures: they would not be compiled for the caller's instruction set.
 #[derive(Clone, Copy)]
-pub(crate) struct EdgePlanes<R> {
-    /// Normals of the planes through the origin and an edge: p × (q − p), seen from the origin, for the edge from p to q.
+pub(super) struct EdgePlanes<R> {
+    /// Normals of the planes through the origin and an edge: p × (q − p), relative to the origin, for the edge from p
+    /// to q.
     sides: [Vector<R>; 3],
     plane: Plane<R>,
-    /// More than rounding can do to a determinant, for a direction whose absolute components add up to one.
+    /// Bound of a determinant's rounding error, for a direction whose absolute components add up to one.
     error_bound: R,
 }
 
 impl<R: Real> EdgePlanes<R> {
-    /// The routine's first part.
+    /// Prepares a triangle.
     #[inline(always)]
-    pub(crate) fn new(origin: Vector<R>, [a, b, c]: [Vector<R>; 3]) -> Self {
+    pub(super) fn new(origin: Vector<R>, [a, b, c]: [Vector<R>; 3]) -> Self {
         let (a_from_origin, b_from_origin, c_from_origin) = (sub(a, origin), sub(b, origin), sub(c, origin));
         let (edge_ab, edge_bc, edge_ca) = (sub(b, a), sub(c, b), sub(a, c));
-        // Eight roundings lie between the inputs and a determinant, each of at most 2⁻⁵³ of the sum of absolute products.
+
+        // Eight roundings lie between the inputs and a determinant, each at most 2⁻⁵³ of the sum of absolute products.
         let from_origin = largest(a_from_origin).max(largest(b_from_origin)).max(largest(c_from_origin));
         let edges = largest(edge_ab).max(largest(edge_bc)).max(largest(edge_ca));
         Self {
@@ -64,17 +68,22 @@ impl<R: Real> EdgePlanes<R> {
         }
     }
 
-    /// The second part: the determinant |direction, p, q| for the edge from p to q, seen from the origin, is
-    /// direction·(p × (q − p)), and its sign is the side on which the ray passes.
+    /// Decides by the sides of the edges: the determinant |direction, p, q| for the edge from p to q, relative to the
+    /// origin, is direction·(p × (q − p)), and its sign is the side on which the ray passes.
     #[inline(always)]
-    pub(crate) fn decide(&self, direction: Vector<R>) -> Decision<R> {
+    pub(super) fn decide(&self, direction: Vector<R>) -> Decision<R> {
+        // Scale the error bound to the direction.
         let sum = direction[0].abs().add(direction[1].abs()).add(direction[2].abs());
         let error_bound = sum.mul(self.error_bound);
         let minus_bound = R::splat(0.0).sub(error_bound);
+
+        // Find the sides that are certain.
         let [ab, bc, ca] =
             [dot(direction, self.sides[0]), dot(direction, self.sides[1]), dot(direction, self.sides[2])];
         let left = [error_bound.lt(ab), error_bound.lt(bc), error_bound.lt(ca)];
         let right = [ab.lt(minus_bound), bc.lt(minus_bound), ca.lt(minus_bound)];
+
+        // Decided: all sides are certain, and the ray is not parallel to the plane.
         let determinant = dot(direction, self.plane.normal);
         let decided =
             (left[0] | right[0]) & (left[1] | right[1]) & (left[2] | right[2]) & R::splat(0.0).lt(determinant.abs());
@@ -86,9 +95,9 @@ impl<R: Real> EdgePlanes<R> {
     }
 }
 
-/// A triangle's plane, seen from the origin of rays: all points x with normal·x = offset.
+/// A triangle's plane, relative to the rays' origin: all points x with normal·x = offset.
 #[derive(Clone, Copy)]
-pub(crate) struct Plane<R> {
+pub(super) struct Plane<R> {
     /// (b − a) × (c − a).
     normal: Vector<R>,
     offset: R,
@@ -96,14 +105,14 @@ pub(crate) struct Plane<R> {
 
 impl<R: Real> Plane<R> {
     #[inline(always)]
-    pub(crate) fn new(origin: Vector<R>, [a, b, c]: [Vector<R>; 3]) -> Self {
+    pub(super) fn new(origin: Vector<R>, [a, b, c]: [Vector<R>; 3]) -> Self {
         let normal = cross(sub(b, a), sub(c, a));
         Self { normal, offset: dot(normal, sub(a, origin)) }
     }
 
-    /// Where a ray meets the plane: what [`EdgePlanes::decide`] tells if that is certain.
+    /// The t at which a ray meets the plane, with the bits of [`EdgePlanes::decide`].
     #[inline(always)]
-    pub(crate) fn t(&self, direction: Vector<R>) -> R {
+    pub(super) fn t(&self, direction: Vector<R>) -> R {
         self.offset.div(dot(direction, self.normal))
     }
 }
@@ -111,7 +120,7 @@ impl<R: Real> Plane<R> {
 impl Plane<f64> {
     /// The same plane in all lanes.
     #[inline(always)]
-    pub(crate) fn splat<R: Real>(&self) -> Plane<R> {
+    pub(super) fn splat<R: Real>(&self) -> Plane<R> {
         let [x, y, z] = self.normal;
         Plane { normal: [R::splat(x), R::splat(y), R::splat(z)], offset: R::splat(self.offset) }
     }
@@ -137,9 +146,9 @@ fn largest<R: Real>(vector: Vector<R>) -> R {
     vector[0].abs().max(vector[1].abs()).max(vector[2].abs())
 }
 
-/// The t of a hit that `f64` cannot decide, or `None` for a miss; the range of t is not looked at.
+/// The t of a hit, decided in exact arithmetic, or `None` for a miss. The ray's interval is ignored.
 #[cold]
-pub(crate) fn intersect_exactly(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
+pub(super) fn intersect_exactly(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
     if !hits_exactly(ray, corners) {
         return None;
     }
@@ -148,7 +157,7 @@ pub(crate) fn intersect_exactly(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f6
     let plane = Plane::new(origin, corners.map(to_f64));
     let determinant = dot(direction, plane.normal);
     Some(if determinant == 0.0 {
-        // A sliver too thin for `f64`: it lies along the ray, and any of its corners tells where.
+        // A sliver too thin for `f64` lies along the ray: take the t of any of its corners.
         dot(sub(to_f64(corners[0]), origin), direction) / dot(direction, direction)
     } else {
         plane.offset / determinant
@@ -219,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_area_is_not_hit() {
+    fn triangles_without_area_are_not_hit() {
         let p = [1.0, 1.0, 5.0];
         check(&ray_to(p), [p; 3], None);
         check(&ray_to(p), [[0.0, 0.0, 5.0], [2.0, 2.0, 5.0], p], None);
@@ -230,7 +239,7 @@ mod tests {
 
     #[test]
     fn a_fan_around_a_vertex_far_from_the_origin_has_no_leak() {
-        // Embree's test of watertightness stands at this place.
+        // The position of Embree's watertightness test.
         let centre = Vec3::new(148_376.0, 1234.0, -223_423.0);
         let rim: Vec<Vec3> = (0..7)
             .map(|k| {

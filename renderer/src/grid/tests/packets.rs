@@ -10,8 +10,8 @@ use crate::{
     model::mesh::Mesh,
 };
 
-/// Checks that with every instruction set and in every mode packets, alone or together, and single rays hit the same, bit
-/// for bit: rays without end, and rays that begin or end where one of them hits, or a bit beside.
+/// Checks that packets, alone or together, and single rays have the same hits, bit for bit, with every instruction set
+/// and in every mode: for unbounded rays, and for intervals that begin or end at a hit or next to it.
 fn check_packets(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
     check_range(grids, packets);
     let mut all_t = Vec::new();
@@ -27,13 +27,13 @@ fn check_packets(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
     }
 }
 
-/// Places in the mesh differ from mode to mode, so triangles are compared by their numbers in the file.
+/// Checks one interval. Triangle indices differ from mode to mode, so file indices are compared.
 fn check_range(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
     let single = |grid: &Grid, packet: &Packet, lane| with_file_index(grid, grid.intersect(&packet.ray(lane)));
     let expected = packets.each_ref().map(|packet| std::array::from_fn(|lane| single(&grids[0], packet, lane)));
     for grid in grids {
         let mut scratch = PacketScratch::default();
-        // What was there must not matter.
+        // Old content of the hits must not matter.
         let noise = [[Hit { triangle: 0, t: 1.0 }; 64]; MOST_PACKETS];
         for n_packets in [1, MOST_PACKETS - 1, MOST_PACKETS] {
             let mut hits = noise;
@@ -59,7 +59,7 @@ fn check_range(grids: &[Grid], packets: &[Packet; MOST_PACKETS]) {
     }
 }
 
-/// Checks that rays hit something where a nearest hit is expected, whichever triangle that is.
+/// Checks that rays hit some triangle exactly where a nearest hit is expected.
 fn check_any_hits(grid: &Grid, packet: &Packet, hits: &[Hit; 64], expected: &[Hit; 64]) {
     for lane in (0..64).filter(|lane| packet.active >> lane & 1 == 1) {
         let (hit, ray) = (hits[lane], packet.ray(lane));
@@ -78,8 +78,7 @@ fn check_hits(grid: &Grid, packet: &Packet, hits: &[Hit; 64], expected: &[Hit; 6
     }
 }
 
-/// A grid for each instruction set of this machine and each layout of the mesh, the plain ones first, and one in every
-/// mode.
+/// A grid for each instruction set of this machine and each mesh layout, portable ones first, and one in every mode.
 fn build_all(mesh: &Mesh) -> Vec<Grid> {
     let sets = InstructionSet::available().into_iter();
     let of_set = |set| {
@@ -103,7 +102,7 @@ pub(crate) fn raster(origin: Vec3, target: Vec3, spacing: f32, active: u64) -> P
     Packet { origin, directions, active, t_min: 0.0, t_max: f32::MAX, any_hit: false }
 }
 
-/// The packets of such a raster and of those beside, above, and both.
+/// The packet of this raster, and those beside, above, and diagonal to it.
 fn rasters(origin: Vec3, target: Vec3, spacing: f32, active: u64) -> [Packet; MOST_PACKETS] {
     let packet = raster(origin, target, spacing, active);
     let [right, up] = [1, 8].map(|lane| packet.ray(lane).direction - packet.ray(0).direction);
@@ -147,7 +146,7 @@ proptest! {
             (0..3).for_each(|axis| packets[ray / 64].directions[axis][ray % 64] = direction[axis]);
         }
         check_packets(&grids, &packets);
-        // Once more with one direction that each packet shares, and that all do.
+        // And with one component that all rays of a packet share, then all packets.
         for shared in [[5.0, 5.0, -5.0, 5.0], [5.0; MOST_PACKETS]] {
             packets.iter_mut().zip(shared).for_each(|(packet, along)| packet.directions[2] = [along; 64]);
             check_packets(&grids, &packets);
@@ -168,13 +167,13 @@ fn packets_hit_a_scan_from_near_and_far() {
             let origin = centre + Vec3::new(angle.cos(), (angle * 3.1).sin() * 0.4, angle.sin()) * (size * distance);
             let target = low + (high - low) * Vec3::new(0.3, step as f32 / 25.0, 0.6);
             check_range(&grids, &rasters(origin, target, size / 300.0, u64::MAX));
-            // Away from it.
+            // Away from the scan.
             check_range(&grids, &rasters(origin, origin + (origin - centre), size / 300.0, u64::MAX));
         }
     }
 }
 
-/// Numbers from 0 to below 1, the same in every run.
+/// Pseudo-random numbers in 0..1.
 fn random_numbers() -> impl FnMut() -> f32 {
     let mut state = 1u64;
     move || {
@@ -183,7 +182,8 @@ fn random_numbers() -> impl FnMut() -> f32 {
     }
 }
 
-/// Leaves of many triangles and of few at all depths, some behind each other in one leaf; all within a cube of `scale`.
+/// Triangles of many sizes within a cube of side `scale`: full and sparse leaves at all depths, several layers in one
+/// leaf.
 fn uneven_soup(n_triangles: u32, scale: f32, random: &mut impl FnMut() -> f32) -> Mesh {
     let triangle = |_| {
         let size = 0.4 * random().powi(6) + 0.002;
@@ -193,7 +193,7 @@ fn uneven_soup(n_triangles: u32, scale: f32, random: &mut impl FnMut() -> f32) -
     soup((0..n_triangles).map(triangle).collect())
 }
 
-/// Packets that go together, with a common origin within a cube of size 1 every third time, else without.
+/// Packets with a common origin: every third time within a cube of side 1, else outside of it.
 fn around_a_cube(step: usize, spacing: f32, random: &mut impl FnMut() -> f32) -> [Packet; MOST_PACKETS] {
     let from = Vec3::new(random(), random(), random());
     let origin = if step.is_multiple_of(3) { from } else { Vec3::splat(0.5) + (from - 0.5) * 6.0 };
@@ -211,9 +211,9 @@ fn packets_hit_an_uneven_soup_from_within_and_without() {
     }
 }
 
-/// Where the inverse of a depth, or of a ray's end, is more than single precision holds, and both have few bits left.
+/// Inverses of depths and of ray ends overflow single precision here, and both are subnormal.
 #[test]
-fn packets_hit_a_soup_whose_size_is_no_normal_number() {
+fn packets_hit_a_soup_of_subnormal_size() {
     for (scale, per_direction) in [(3e-39, 1.0), (1e-39, 1.0), (1e-42, 1.0), (1e-25, 1e15)] {
         let mut random = random_numbers();
         let grids = build_all(&uneven_soup(1_000, scale, &mut random));

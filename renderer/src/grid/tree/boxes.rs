@@ -1,9 +1,9 @@
-//! Small bounds of the triangles in each leaf, so that most of them need not be read.
+//! Quantised bounds of the triangles in each leaf: most triangles are rejected without reading their vertices.
 //!
-//! For each reference six bytes: the bounds of its triangle within the leaf's cube, in steps of a 250th of the cube.
-//! A box holds all of its triangle that the cube holds, and a ray that hits the triangle there passes the box; so what
-//! no ray passes is dropped without its vertices, which lie far apart in memory.
-//! In a scan seen from afar, where a cube is hardly wider than the distance of two rays, that is nearly all.
+//! Six bytes a reference: the bounds of its triangle within the leaf's cube, in steps of a 250th of the cube. A box
+//! holds the part of its triangle inside the cube, so a ray that hits the triangle there passes the box. Triangles
+//! whose box no ray passes are dropped without their vertices, which lie far apart in memory. In a scan seen from afar,
+//! where a cube is hardly wider than the distance of two rays, these are nearly all.
 
 use std::ops::Range;
 
@@ -12,34 +12,34 @@ use rayon::prelude::*;
 
 use crate::{
     grid::{
+        cells::CellSpace,
         traced::TracedMesh,
-        tree::{BRICK_SIZE, Tree, TreeNode},
-        uniform::resolution::CellSpace,
+        tree::{BRICK_SIZE, Tree, TreeNode, overlap::child_position},
     },
-    intersect::simd::Simd,
+    simd::Simd,
 };
 
-/// Steps along a cube. What remains of a byte's 256 values reaches beyond the cube on both sides.
+/// Steps along a cube. The rest of a byte's 256 values reaches beyond the cube on both sides.
 const N_STEPS: f64 = 250.0;
 
-/// The value that stands for the cube's beginning.
+/// Value of the cube's lower side.
 const FIRST_STEP: f64 = 3.0;
 
-/// What single precision can lose between a ray and a box, relative to their distances from the ray's origin.
+/// Rounding error of box tests in single precision, relative to the distances from the ray's origin.
 const MARGIN: f32 = 1.0 / (1u32 << 19) as f32;
 
-/// More bytes than there are boxes, so that a vector can be loaded from the last one.
+/// Bytes after the last box, so that a vector can be loaded from there.
 const PADDING: usize = 16;
 
 /// The boxes of all references, in their order.
 ///
-/// A leaf with n references from number r on has 6·n bytes from number 6·r on: n least x, n greatest x, then y and z.
+/// A leaf with n references from index r on has 6·n bytes from index 6·r on: n least x, n greatest x, then y and z.
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct QuantizedBoxes {
     bytes: Vec<u8>,
 }
 
-/// A leaf's place: a cube in finest cells.
+/// The cube of a leaf, in finest cells.
 #[derive(Clone, Copy, Default)]
 struct LeafCell {
     corner: [u32; 3],
@@ -47,7 +47,7 @@ struct LeafCell {
 }
 
 impl QuantizedBoxes {
-    /// Measures the triangles of a finished grid, in parallel.
+    /// Measures the triangles of a finished tree, in parallel.
     pub(crate) fn new(
         space: &CellSpace,
         dims: [u32; 3],
@@ -58,6 +58,7 @@ impl QuantizedBoxes {
         mesh: &TracedMesh,
     ) -> Self {
         const LEAVES_PER_JOB: usize = 1024;
+        // Divide the leaves, and the bytes of their boxes, into jobs.
         let leaf_cells = leaf_cells(dims, bricks, nodes, leaf_starts.len() - 1);
         let mut bytes = vec![0; 6 * references.len() + PADDING];
         let mut jobs = Vec::new();
@@ -68,6 +69,8 @@ impl QuantizedBoxes {
             jobs.push((first..end, chunk));
             rest = others;
         }
+
+        // Measure each leaf's triangles.
         jobs.into_par_iter().for_each(|(leaves, mut bytes)| {
             for leaf in leaves {
                 let triangles = &references[leaf_starts[leaf] as usize..leaf_starts[leaf + 1] as usize];
@@ -94,25 +97,24 @@ impl QuantizedBoxes {
         }
     }
 
-    /// The boxes of a leaf with these references, and some bytes more.
+    /// The boxes of a leaf with these references, and [`PADDING`].
     #[inline(always)]
     pub(crate) fn leaf_bytes(&self, references: Range<usize>) -> &[u8] {
         &self.bytes[6 * references.start..6 * references.end + PADDING]
     }
 }
 
-/// The boxes of one leaf, before rays with a common origin that all advance the same way along an axis k.
+/// The boxes of one leaf, relative to the origin of rays that all advance the same way along an axis k.
 pub(crate) struct LeafBoxes<'a> {
-    /// The values of the sides along k, nearer and farther, and of the least and greatest u and v; some bytes follow the
-    /// last of each.
+    /// Quantised near and far side along k, least and greatest u, least and greatest v; bytes follow the last of each.
     rows: [&'a [u8]; 6],
-    /// Where these count from, less the origin and with margins, in finest cells; along k in depth.
+    /// Positions of value 0, relative to the origin and with margins, in finest cells; depths along k.
     bases: [f32; 6],
-    /// Finest cells of a step, along k and across.
+    /// Finest cells of a step, along k (negative if rays go backward) and across.
     steps: [f32; 2],
 }
 
-/// Some boxes, in finest cells from the rays' origin: depth along k and bounds across it.
+/// Boxes, one per lane, in finest cells relative to the rays' origin: depths along k and bounds across it.
 #[derive(Clone, Copy)]
 pub(crate) struct BoxLanes<S> {
     near: S,
@@ -122,7 +124,7 @@ pub(crate) struct BoxLanes<S> {
 }
 
 impl<'a> LeafBoxes<'a> {
-    /// The boxes `bytes` of a leaf, whose cube has `size` finest cells along an edge, and its lowest corner at
+    /// The boxes in `bytes` of a leaf, whose cube has a side of `size` finest cells, and its lowest corner at
     /// `corner_from_origin` along k, u and v.
     #[inline(always)]
     pub(crate) fn new(
@@ -132,34 +134,39 @@ impl<'a> LeafBoxes<'a> {
         corner_from_origin: [f64; 3],
         size: i32,
     ) -> Self {
+        // Find the position of value 0, and the margin for its distance.
         let size = f64::from(size);
         let mut base = [0.0; 3];
-        for place in 0..3 {
-            base[place] = (corner_from_origin[place] - FIRST_STEP / N_STEPS * size) as f32;
+        for local_axis in 0..3 {
+            base[local_axis] = (corner_from_origin[local_axis] - FIRST_STEP / N_STEPS * size) as f32;
         }
-        let reach = base[0].abs() + base[1].abs().max(base[2].abs()) + 2.0 * size as f32;
-        let margin = reach * MARGIN;
+        let farthest = base[0].abs() + base[1].abs().max(base[2].abs()) + 2.0 * size as f32;
+        let margin = farthest * MARGIN;
+
+        // Backward rays swap near and far, and count depths down.
         let [k, u, v] = axes;
         let (near, depth, direction_sign) =
             if is_backward { (2 * k + 1, -base[0], -1.0) } else { (2 * k, base[0], 1.0) };
         let step = (size * (1.0 / N_STEPS)) as f32;
+
+        // Cut the bytes into rows, in the order of the rays' axes.
         let n = (bytes.len() - PADDING) / 6;
         let mut rows = [bytes; 6];
-        for (place, row) in [near, near ^ 1, 2 * u, 2 * u + 1, 2 * v, 2 * v + 1].into_iter().enumerate() {
-            rows[place] = &bytes[row * n..row * n + n + PADDING];
+        for (index, row) in [near, near ^ 1, 2 * u, 2 * u + 1, 2 * v, 2 * v + 1].into_iter().enumerate() {
+            rows[index] = &bytes[row * n..row * n + n + PADDING];
         }
         let [u, v] = [base[1], base[2]];
         let bases = [depth - margin, depth + margin, u - margin, u + margin, v - margin, v + margin];
         Self { rows, bases, steps: [step * direction_sign, step] }
     }
 
-    /// How many there are.
+    /// Number of boxes.
     #[inline(always)]
     pub(crate) fn n(&self) -> usize {
         self.rows[0].len() - PADDING
     }
 
-    /// The boxes from number `first` on, as many as a vector has lanes; what lies beyond the last is noise.
+    /// The boxes from index `first` on, one per lane; lanes beyond the last box are undefined.
     #[inline(always)]
     pub(crate) fn bounds<S: Simd>(&self, first: usize) -> BoxLanes<S> {
         let [along, across] = [S::splat(self.steps[0]), S::splat(self.steps[1])];
@@ -174,32 +181,32 @@ impl<'a> LeafBoxes<'a> {
 }
 
 impl<S: Simd> BoxLanes<S> {
-    /// Numbers with a minus for each box that begins behind the depth 1 / `inverse_limit` or that no ray may pass whose
+    /// Sign bit set in lanes of boxes that begin behind the depth 1 / `inverse_limit`, or that no ray passes whose
     /// slopes against k lie within `slopes`: least and greatest u, least and greatest v.
     #[inline(always)]
     pub(crate) fn miss_signs(&self, slopes: [f32; 4], inverse_limit: f32) -> S {
         let mut missed = self.near.neg_mul_add(S::splat(inverse_limit), S::splat(1.0));
         for (axis, [low, high]) in [self.u, self.v].into_iter().enumerate() {
             let (least, greatest) = (slopes[2 * axis], slopes[2 * axis + 1]);
-            // The depths at which these slopes lead farthest out.
+            // Extreme positions lie at the far side for slopes that lead outward, else at the near side.
             let depth_of_least = if least < 0.0 { self.far } else { self.near };
             let depth_of_greatest = if greatest < 0.0 { self.near } else { self.far };
             let above = S::splat(least).neg_mul_add(depth_of_least, high);
-            let lt = S::splat(greatest).mul_sub(depth_of_greatest, low);
-            missed = missed.or(above).or(lt);
+            let below = S::splat(greatest).mul_sub(depth_of_greatest, low);
+            missed = missed.or(above).or(below);
         }
         missed
     }
 }
 
-/// The cubes of all leaves.
+/// The cubes of all leaves, by leaf.
 fn leaf_cells(dims: [u32; 3], bricks: &[u32], nodes: &[TreeNode], n_leaves: usize) -> Vec<LeafCell> {
     let mut leaf_cells = vec![LeafCell::default(); n_leaves];
     let mut stack = Vec::new();
     for (index, &brick) in bricks.iter().enumerate() {
         let index = index as u32;
-        let place = [index % dims[0], index / dims[0] % dims[1], index / dims[0] / dims[1]];
-        let cell = LeafCell { corner: place.map(|along| along * BRICK_SIZE), size: BRICK_SIZE };
+        let position = [index % dims[0], index / dims[0] % dims[1], index / dims[0] / dims[1]];
+        let cell = LeafCell { corner: position.map(|along| along * BRICK_SIZE), size: BRICK_SIZE };
         if brick == Tree::EMPTY {
             continue;
         }
@@ -208,14 +215,15 @@ fn leaf_cells(dims: [u32; 3], bricks: &[u32], nodes: &[TreeNode], n_leaves: usiz
         } else {
             stack.push((brick, cell));
         }
+        // Visit the brick's nodes; children follow in the order of their bits.
         while let Some((number, cell)) = stack.pop() {
             let node = &nodes[number as usize];
             let (mut leaf, mut divided) = (node.first_leaf, node.first_node);
             for child in (0..64).filter(|child| node.occupied >> child & 1 == 1) {
                 let size = cell.size / 4;
-                let place = [child & 3, child >> 2 & 3, child >> 4];
+                let position = child_position(child);
                 let child_cell =
-                    LeafCell { corner: [0, 1, 2].map(|axis| cell.corner[axis] + place[axis] * size), size };
+                    LeafCell { corner: [0, 1, 2].map(|axis| cell.corner[axis] + position[axis] * size), size };
                 if node.divided >> child & 1 == 1 {
                     stack.push((divided, child_cell));
                     divided += 1;
@@ -229,19 +237,20 @@ fn leaf_cells(dims: [u32; 3], bricks: &[u32], nodes: &[TreeNode], n_leaves: usiz
     leaf_cells
 }
 
+/// Writes the quantised boxes of a leaf's triangles, rounded outward.
 fn measure(space: &CellSpace, cell: &LeafCell, mesh: &TracedMesh, triangles: &[u32], bytes: &mut [u8]) {
     const ROUNDING: f64 = 1e-3;
     let steps_per_cell = N_STEPS / f64::from(cell.size);
     let n = triangles.len();
-    for (place, &triangle) in triangles.iter().enumerate() {
+    for (index, &triangle) in triangles.iter().enumerate() {
         let [a, b, c] = mesh.corners(triangle).map(|corner| space.point_to_cells(Vec3::from_array(corner).as_dvec3()));
         let corner = glam::UVec3::from_array(cell.corner).as_dvec3();
         let low = ((a.min(b).min(c) - corner) * steps_per_cell + (FIRST_STEP - ROUNDING)).floor();
         let high = ((a.max(b).max(c) - corner) * steps_per_cell + (FIRST_STEP + ROUNDING)).ceil();
         for axis in 0..3 {
-            // The conversions keep what lies outside the cube at the ends of a byte's range.
-            bytes[2 * axis * n + place] = low[axis] as u8;
-            bytes[(2 * axis + 1) * n + place] = high[axis] as u8;
+            // Conversions saturate: sides outside the cube get the ends of a byte's range.
+            bytes[2 * axis * n + index] = low[axis] as u8;
+            bytes[(2 * axis + 1) * n + index] = high[axis] as u8;
         }
     }
 }

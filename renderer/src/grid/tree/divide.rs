@@ -1,7 +1,6 @@
 //! Divides bricks into nodes and leaves, in parallel.
 //!
-//! The result does not depend on the number of threads: bricks are divided by rules that look at nothing but the brick,
-//! and put together in order.
+//! The result does not depend on the number of threads: rules look at one brick only, and parts are joined in order.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 
@@ -13,29 +12,28 @@ use crate::grid::tree::{
     scatter::Scatter,
 };
 
-/// References that one task divides, and above which the children of one node are divided in parallel.
+/// References of one job; nodes with more divide their children in parallel.
 const REFERENCES_PER_JOB: usize = 1 << 15;
 
-/// Cubes that hold no more than this are not divided: the boxes of 16 triangles are tested faster than one more leaf is
-/// found. Between 128 and 512 speed is flat; memory falls with it.
+/// Cells with no more triangles than this are not divided: testing 16 boxes is faster than finding one more leaf.
+/// Between 128 and 512 speed is flat, and memory falls.
 pub(crate) const LEAF_SIZE: usize = 256;
 
-/// What all bricks are divided by.
+/// Divides all bricks of a tree.
 pub(crate) struct Builder<'a> {
     scatter: Scatter<'a>,
-    /// References of all bricks, before they are divided.
+    /// References of all bricks before they are divided.
     n_in_bricks: u64,
-    /// What all leaves may hold in all.
+    /// Most references of all leaves.
     most_references: u64,
-    /// Whether that is little for want of memory.
+    /// Whether memory, not speed, sets `most_references`.
     is_memory_limited: bool,
-    /// Whether a cube stays undivided because of that.
+    /// Whether a cell stayed undivided because of that.
     hit_memory_limit: AtomicBool,
 }
 
 impl<'a> Builder<'a> {
-    /// Bricks whose references, `n_in_bricks` of them, lie in `scatter`'s cubes, and whose leaves may hold
-    /// `most_references` in all; that `is_memory_limited` if there were more with more memory.
+    /// Takes the bricks of `scatter`, with `n_in_bricks` references, whose leaves may hold `most_references` in all.
     pub(crate) fn new(scatter: Scatter<'a>, n_in_bricks: usize, most_references: u64, is_memory_limited: bool) -> Self {
         Self {
             scatter,
@@ -46,19 +44,20 @@ impl<'a> Builder<'a> {
         }
     }
 
-    /// Whether a cube stayed undivided for want of memory.
+    /// Whether a cell stayed undivided to save memory.
     pub(crate) fn hit_memory_limit(&self) -> bool {
         self.hit_memory_limit.load(Relaxed)
     }
 
-    /// Divides bricks with their references, brick after brick, each from its start on. Returns the bricks' entries in
-    /// the grid, and the grid.
+    /// Divides all bricks. `references` lists their triangles, brick after brick, from `starts` on. Returns the entries
+    /// of [`Tree::bricks`], and the tree below them.
     pub(crate) fn divide(
         &self,
         starts: &[u32],
         mut references: Vec<u32>,
         progress: &(dyn Fn(f32) + Sync),
     ) -> (Vec<u32>, TreePart) {
+        // Group bricks into jobs of similar size.
         let total = references.len();
         let mut jobs = Vec::new();
         let mut rest = &mut *references;
@@ -71,30 +70,33 @@ impl<'a> Builder<'a> {
                 (first, rest) = (brick, others);
             }
         }
+
+        // Divide the bricks of each job into a part of the tree.
         let done = AtomicU64::new(0);
-        let pieces: Vec<_> = jobs
+        let parts: Vec<_> = jobs
             .into_par_iter()
             .map(|(bricks, references)| {
-                let mut piece = TreePart::default();
+                let mut part = TreePart::default();
                 let base = starts[bricks.start] as usize;
                 let roots: Vec<u32> = bricks
                     .map(|brick| {
                         let range = starts[brick] as usize - base..starts[brick + 1] as usize - base;
-                        self.divide_brick(&mut piece, brick, &mut references[range])
+                        self.divide_brick(&mut part, brick, &mut references[range])
                     })
                     .collect();
                 let done = done.fetch_add(references.len() as u64, Relaxed) + references.len() as u64;
                 progress(done as f32 / total as f32);
-                (roots, piece)
+                (roots, part)
             })
             .collect();
 
+        // Join the parts in order: indices of nodes and leaves move up.
         let mut bricks = Vec::with_capacity(starts.len() - 1);
-        let mut whole = TreePart::with_capacity(pieces.iter().map(|(_, piece)| piece));
-        let mut lists = Vec::with_capacity(pieces.len());
-        for (roots, piece) in pieces {
-            let offset = whole.append(&piece);
-            lists.push(piece.references);
+        let mut whole = TreePart::with_capacity(parts.iter().map(|(_, part)| part));
+        let mut lists = Vec::with_capacity(parts.len());
+        for (roots, part) in parts {
+            let offset = whole.append(&part);
+            lists.push(part.references);
             bricks.extend(roots.into_iter().map(|root| match root {
                 Tree::EMPTY => Tree::EMPTY,
                 leaf if leaf & Tree::LEAF != 0 => leaf + offset.leaf,
@@ -105,35 +107,41 @@ impl<'a> Builder<'a> {
         (bricks, whole)
     }
 
-    /// Adds one brick to a piece of the grid; returns its entry there.
-    fn divide_brick(&self, piece: &mut TreePart, brick: usize, references: &mut [u32]) -> u32 {
+    /// Adds one brick to a part of the tree; returns its entry there.
+    fn divide_brick(&self, part: &mut TreePart, brick: usize, references: &mut [u32]) -> u32 {
         if references.is_empty() {
             return Tree::EMPTY;
         }
+
+        // Sort the references, which threads found in any order, and give the brick its quota of references.
         references.sort_unstable();
         let [x_dim, y_dim, _] = self.scatter.dims.map(|n| n as usize);
         let corner = [brick % x_dim, brick / x_dim % y_dim, brick / x_dim / y_dim].map(|b| b as u32 * BRICK_SIZE);
         let quota = references.len() as u128 * u128::from(self.most_references) / u128::from(self.n_in_bricks);
         let cell = BuildCell { corner, level: 0, most_references: quota as usize };
+
+        // Make it a leaf or a node.
         match self.plan(references, &cell) {
             None => {
-                piece.push_leaf(references);
-                (piece.leaf_ends.len() as u32 - 1) | Tree::LEAF
+                part.push_leaf(references);
+                (part.leaf_ends.len() as u32 - 1) | Tree::LEAF
             }
             Some(plan) => {
-                let root = piece.nodes.len();
-                piece.nodes.push(TreeNode::default());
-                piece.nodes[root] = self.emit_node(piece, &cell, &plan);
+                let root = part.nodes.len();
+                part.nodes.push(TreeNode::default());
+                part.nodes[root] = self.emit_node(part, &cell, &plan);
                 root as u32
             }
         }
     }
 
-    /// Distributes a cube's triangles among its children, if that pays.
+    /// Distributes a cell's triangles among its children, if that pays.
     fn plan(&self, references: &[u32], cell: &BuildCell) -> Option<ChildLists> {
         if references.len() <= LEAF_SIZE || cell.level == LEVELS {
             return None;
         }
+
+        // Find the children that each triangle overlaps, and count the triangles of each child.
         let scale = 1.0 / f64::from(cell.child_size());
         let mut counts = [0u32; 64];
         let mut masks = Vec::with_capacity(references.len());
@@ -152,8 +160,10 @@ impl<'a> Builder<'a> {
         for child in 0..64 {
             starts[child + 1] = starts[child] + counts[child];
         }
-        // A ray through the cube meets a child with probability 1/16 on average (the ratio of their surfaces), so
-        // dividing saves tests only while the children hold less than 16 times as much; half of that pays the steps.
+
+        // A ray through the cell meets a child with probability 1/16 on average (the ratio of their surfaces), so
+        // dividing saves tests only while the children hold less than 16 times as many references; half of that pays
+        // the steps.
         let total = starts[64] as usize;
         if total >= 8 * references.len() {
             return None;
@@ -164,6 +174,8 @@ impl<'a> Builder<'a> {
             }
             return None;
         }
+
+        // Write each child's list.
         let mut next = starts;
         let mut distributed = vec![0; total];
         for (&triangle, &mask) in references.iter().zip(&masks) {
@@ -178,38 +190,42 @@ impl<'a> Builder<'a> {
         Some(ChildLists { starts, references: distributed })
     }
 
-    /// Adds the children of a planned node to a piece; returns the node.
-    fn emit_node(&self, piece: &mut TreePart, cell: &BuildCell, plan: &ChildLists) -> TreeNode {
+    /// Adds the children of a planned node to a part; returns the node.
+    fn emit_node(&self, part: &mut TreePart, cell: &BuildCell, plan: &ChildLists) -> TreeNode {
+        // Decide for each child whether it is divided.
         let children: Vec<_> = (0..64).filter(|&child| !plan.of(child).is_empty()).collect();
         let plan_child = |&child: &u32| {
             let child_cell = cell.child(child, plan);
             let child_plan = self.plan(plan.of(child), &child_cell);
             (child, child_cell, child_plan)
         };
-        let parallel = plan.references.len() > REFERENCES_PER_JOB;
-        let planned: Vec<_> = if parallel {
+        let is_parallel = plan.references.len() > REFERENCES_PER_JOB;
+        let planned: Vec<_> = if is_parallel {
             children.par_iter().map(plan_child).collect()
         } else {
             children.iter().map(plan_child).collect()
         };
 
+        // Add the leaves, and room for the nodes, so that siblings follow each other.
         let mut node = TreeNode {
-            first_node: piece.nodes.len() as u32,
-            first_leaf: piece.leaf_ends.len() as u32,
+            first_node: part.nodes.len() as u32,
+            first_leaf: part.leaf_ends.len() as u32,
             ..TreeNode::default()
         };
         for (child, _, child_plan) in &planned {
             node.occupied |= 1 << child;
             match child_plan {
-                None => piece.push_leaf(plan.of(*child)),
+                None => part.push_leaf(plan.of(*child)),
                 Some(_) => {
                     node.divided |= 1 << child;
-                    piece.nodes.push(TreeNode::default());
+                    part.nodes.push(TreeNode::default());
                 }
             }
         }
+
+        // Fill in the nodes; large subtrees are built in parallel and appended in order.
         let divided = planned.into_iter().filter_map(|(_, cell, plan)| Some((cell, plan?)));
-        if parallel {
+        if is_parallel {
             let subtrees: Vec<_> = divided
                 .collect::<Vec<_>>()
                 .into_par_iter()
@@ -219,26 +235,26 @@ impl<'a> Builder<'a> {
                 })
                 .collect();
             for (index, (root, subtree)) in subtrees.into_iter().enumerate() {
-                let offset = piece.append(&subtree);
-                piece.references.extend(subtree.references);
-                piece.nodes[node.first_node as usize + index] = root.moved(&offset);
+                let offset = part.append(&subtree);
+                part.references.extend(subtree.references);
+                part.nodes[node.first_node as usize + index] = root.moved(&offset);
             }
         } else {
             for (index, (cell, plan)) in divided.enumerate() {
-                piece.nodes[node.first_node as usize + index] = self.emit_node(piece, &cell, &plan);
+                part.nodes[node.first_node as usize + index] = self.emit_node(part, &cell, &plan);
             }
         }
         node
     }
 }
 
-/// The place of a node while it is built.
+/// A cell of the tree while it is built.
 struct BuildCell {
     /// Its lowest corner, in finest cells.
     corner: [u32; 3],
     /// 0 for a brick.
     level: u32,
-    /// What its leaves may hold in all.
+    /// Most references of its leaves.
     most_references: usize,
 }
 
@@ -258,7 +274,7 @@ impl BuildCell {
     }
 }
 
-/// The triangles of a node's 64 children.
+/// Triangles of a node's 64 children.
 struct ChildLists {
     starts: [u32; 65],
     references: Vec<u32>,
@@ -270,27 +286,27 @@ impl ChildLists {
     }
 }
 
-/// A part of a grid, with numbers that count from its own beginning.
+/// A part of a tree, with indices that count from its own beginning.
 #[derive(Default)]
 pub(crate) struct TreePart {
     pub(crate) nodes: Vec<TreeNode>,
-    /// Where the references of each leaf end; they begin where the last leaf's end.
+    /// End of each leaf's references; they begin where those of the leaf before end.
     pub(crate) leaf_ends: Vec<u32>,
     pub(crate) references: Vec<u32>,
 }
 
-/// Where one piece begins in another.
+/// Position of one part in another.
 struct Offset {
     node: u32,
     leaf: u32,
 }
 
 impl TreePart {
-    /// Room for the nodes and the leaves of some pieces.
-    fn with_capacity<'a>(pieces: impl Iterator<Item = &'a Self> + Clone) -> Self {
+    /// An empty part with room for the nodes and leaves of others.
+    fn with_capacity<'a>(parts: impl Iterator<Item = &'a Self> + Clone) -> Self {
         Self {
-            nodes: Vec::with_capacity(pieces.clone().map(|piece| piece.nodes.len()).sum()),
-            leaf_ends: Vec::with_capacity(pieces.map(|piece| piece.leaf_ends.len()).sum()),
+            nodes: Vec::with_capacity(parts.clone().map(|part| part.nodes.len()).sum()),
+            leaf_ends: Vec::with_capacity(parts.map(|part| part.leaf_ends.len()).sum()),
             references: Vec::new(),
         }
     }
@@ -300,7 +316,7 @@ impl TreePart {
         self.leaf_ends.push(self.references.len() as u32);
     }
 
-    /// Takes another's nodes and leaves, whose references the caller adds.
+    /// Appends the nodes and leaves of another; the caller adds its references.
     fn append(&mut self, other: &Self) -> Offset {
         let offset = Offset { node: self.nodes.len() as u32, leaf: self.leaf_ends.len() as u32 };
         let base = self.leaf_ends.last().copied().unwrap_or(0);
@@ -310,7 +326,7 @@ impl TreePart {
     }
 }
 
-/// One list after the other. By all threads, for memory that is written for the first time is waited for.
+/// Joins lists, in parallel: the first write to fresh memory waits for page faults.
 fn concat(lists: Vec<Vec<u32>>) -> Vec<u32> {
     let mut all = vec![0; lists.iter().map(Vec::len).sum()];
     let mut rest = &mut *all;

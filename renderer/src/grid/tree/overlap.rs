@@ -1,4 +1,4 @@
-//! Which of a node's 4×4×4 children a triangle touches.
+//! Which of a node's 4×4×4 children a triangle overlaps.
 //!
 //! After Schwarz and Seidel, "Fast Parallel Surface and Solid Voxelization on GPUs" (2010): a box meets a triangle if
 //! their bounds meet, the triangle's plane cuts the box, and in each of the three projections along an axis the box
@@ -6,22 +6,23 @@
 
 use glam::DVec3;
 
-/// How far boxes are enlarged, in finest cells: much more than traversal's rounding, and of no weight for speed.
+/// Enlargement of boxes, in finest cells: far above the rounding errors of traversal, too small to cost speed.
 pub(crate) const DILATION: f64 = 1.0 / 8192.0;
 
-/// The numbers of a node's children are sums of these: one for each step along x, y and z.
+/// Difference of child indices for a step along x, y and z.
 const STRIDES: [u32; 3] = [1, 4, 16];
 
-/// The four children of a row along x, y and z.
+/// Masks of the first row of four children along x, y and z.
 const ROWS: [u64; 3] = [0xf, 0x1111, 0x0001_0001_0001_0001];
 
-/// The children of a node that a triangle touches, as a mask with bit 16·z + 4·y + x.
+/// The children of a node that a triangle overlaps, as a mask with bit 16·z + 4·y + x.
 ///
 /// Corners are in a space where the node spans 0..4 and its children are unit cubes.
 //
-// No closures here: they are not inlined, and this is where most of the time of a build goes.
+// No closures: they are not inlined, and a build spends most of its time here.
 #[inline]
 pub(crate) fn overlapped_children(corners: &[DVec3; 3], dilation: f64) -> u64 {
+    // Begin with the children that the triangle's bounds overlap.
     let [a, b, c] = *corners;
     let (low, high) = (a.min(b).min(c) - dilation, a.max(b).max(c) + dilation);
     if low.max_element() > 4.0 || high.min_element() < 0.0 {
@@ -30,42 +31,46 @@ pub(crate) fn overlapped_children(corners: &[DVec3; 3], dilation: f64) -> u64 {
     let first = low.clamp(DVec3::ZERO, LAST_CHILD).as_uvec3().to_array();
     let last = high.clamp(DVec3::ZERO, LAST_CHILD).as_uvec3().to_array();
     let mut mask = block(first, last);
-    // Axes along which the triangle does not stay between two neighbouring planes.
+
+    // Find the axes along which the triangle is thicker than one layer of cubes; a triangle within a row overlaps all.
     let mut is_thick = [false; 3];
     for axis in 0..3 {
         is_thick[axis] = low[axis] < f64::from(first[axis]) || high[axis] > f64::from(first[axis] + 1);
     }
     let n_thick = is_thick[0] as u32 + is_thick[1] as u32 + is_thick[2] as u32;
-    // A triangle in a row of cubes touches all from the first to the last.
     if n_thick <= 1 {
         return mask;
     }
 
+    // Bound the rounding errors of the sums below.
     let edges = [b - a, c - b, a - c];
     let normal = edges[0].cross(edges[1]);
     let longest_edge = edges[0].abs().max(edges[1].abs()).max(edges[2].abs()).max_element();
+    let longest = longest_edge.max(8.0);
+    let edge_slack = longest * longest * (16.0 * f64::EPSILON);
     let side = 1.0 + 2.0 * dilation;
-    // What rounding can do to the sums below, for corners within reach.
-    let reach = longest_edge.max(8.0);
-    let edge_slack = reach * reach * (16.0 * f64::EPSILON);
 
+    // Drop cubes that the triangle misses in a projection along an axis.
     for axis in 0..3 {
         let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        // In a layer of cubes only the view across it tells; in a row as seen from the side, all cubes are met.
+        // For a layer of cubes only the projection across it matters: in the others it is a row.
         if n_thick == 2 && is_thick[axis] {
             continue;
         }
-        // The inward normals of the edges as seen along the axis, and the distances of the cubes' inmost corners.
+
+        // Set up the edges' inward normals in the projection, and the distance of each cube's innermost corner.
         let sign = if normal[axis] < 0.0 { -1.0 } else { 1.0 };
         let (mut along_u, mut along_v, mut offset) = ([0.0; 3], [0.0; 3], [0.0; 3]);
         for edge in 0..3 {
             let (inward_u, inward_v) = (-edges[edge][v] * sign, edges[edge][u] * sign);
             let from = corners[edge] + dilation;
             let at_corner = inward_u * from[u] + inward_v * from[v];
-            let reach_of_cube = side * (inward_u.max(0.0) + inward_v.max(0.0));
+            let innermost_offset = side * (inward_u.max(0.0) + inward_v.max(0.0));
             (along_u[edge], along_v[edge]) = (inward_u, inward_v);
-            offset[edge] = reach_of_cube - at_corner + edge_slack;
+            offset[edge] = innermost_offset - at_corner + edge_slack;
         }
+
+        // Test all columns of cubes against the three edges.
         let mut projected_mask = 0;
         for child_v in first[v]..=last[v] {
             for child_u in first[u]..=last[u] {
@@ -82,8 +87,8 @@ pub(crate) fn overlapped_children(corners: &[DVec3; 3], dilation: f64) -> u64 {
         return mask;
     }
 
-    // The cube's corners nearest and farthest along the normal bound its distances from the plane.
-    let slack = edge_slack * reach;
+    // Drop cubes that the plane misses: their corners nearest and farthest along the normal lie on one side.
+    let slack = edge_slack * longest;
     let at_corner = normal.dot(a + dilation);
     let farther = side * normal.max(DVec3::ZERO).element_sum() - at_corner + slack;
     let nearer = side * normal.min(DVec3::ZERO).element_sum() - at_corner - slack;
@@ -98,7 +103,7 @@ pub(crate) fn overlapped_children(corners: &[DVec3; 3], dilation: f64) -> u64 {
     mask
 }
 
-/// All children from one to another.
+/// Mask of the block of children from `first` to `last`.
 #[inline]
 fn block(first: [u32; 3], last: [u32; 3]) -> u64 {
     let along_x = (0xf << first[0]) & (0xf >> (3 - last[0]));
@@ -107,29 +112,29 @@ fn block(first: [u32; 3], last: [u32; 3]) -> u64 {
     (along_x * 0x1111_1111_1111_1111) & (along_y * ROWS[2]) & along_z
 }
 
-/// The place of a node's last child.
+/// Position of a node's last child.
 const LAST_CHILD: DVec3 = DVec3::splat(3.0);
 
-/// The number of a child by its place.
+/// Index of a child at a position, 0..4 along each axis.
 #[inline]
 pub(crate) fn child_index([x, y, z]: [u32; 3]) -> u32 {
     z << 4 | y << 2 | x
 }
 
-/// The place of a child by its number.
+/// Position of a child by its index.
 #[inline]
 pub(crate) fn child_position(child: u32) -> [u32; 3] {
     [child & 3, child >> 2 & 3, child >> 4]
 }
 
-/// Corners in a space whose origin lies at `corner`, scaled.
+/// Corners relative to `corner`, scaled.
 #[inline]
 pub(crate) fn corners_in_cube(corners: &[DVec3; 3], corner: [u32; 3], scale: f64) -> [DVec3; 3] {
     let corner = DVec3::new(f64::from(corner[0]), f64::from(corner[1]), f64::from(corner[2]));
     [(corners[0] - corner) * scale, (corners[1] - corner) * scale, (corners[2] - corner) * scale]
 }
 
-/// Calls `visit` with every unit cube within 0..dims that the triangle touches.
+/// Calls `visit` with every unit cube within 0..dims that the triangle overlaps.
 #[inline]
 pub(crate) fn for_each_cube(corners: &[DVec3; 3], dilation: f64, dims: [u32; 3], mut visit: impl FnMut([u32; 3])) {
     let [a, b, c] = *corners;
@@ -140,7 +145,7 @@ pub(crate) fn for_each_cube(corners: &[DVec3; 3], dilation: f64, dims: [u32; 3],
     if first == last {
         return visit(first);
     }
-    // Blocks of 4×4×4 cubes, and blocks of those, so that space beside a large triangle is left out at once.
+    // Begin with blocks of 4ⁿ cubes, so that empty space beside a large triangle is dropped at once.
     let longest = (last[0] - first[0]).max(last[1] - first[1]).max(last[2] - first[2]);
     visit_overlapped(corners, dilation, first, 4u32.pow(longest.ilog(4)), last, &mut visit);
 }
@@ -176,7 +181,7 @@ fn visit_overlapped(
 mod tests {
     use super::*;
 
-    /// Clips the triangle to the box: what is left says whether they meet (Sutherland and Hodgman).
+    /// Whether a part of the triangle remains when it is clipped to the box (Sutherland and Hodgman).
     fn meets_by_clipping(corners: &[DVec3; 3], min: DVec3, max: DVec3) -> bool {
         let mut polygon = corners.to_vec();
         for axis in 0..3 {
@@ -205,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn the_children_touched_are_those_that_clipping_finds() {
+    fn the_children_overlapped_are_those_that_clipping_finds() {
         let mut state = 7;
         let mut disagreements = 0;
         for round in 0..3000 {

@@ -1,4 +1,4 @@
-//! Puts triangles into equal cubes: into lists, one for each cube that has one, in parallel over the triangles.
+//! Sorts triangles into equal cubes: a list of triangles for each cube, in parallel over the triangles.
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
 
@@ -7,32 +7,32 @@ use rayon::prelude::*;
 
 use crate::{
     grid::{
+        cells::CellSpace,
         tree::overlap::{self, DILATION},
-        uniform::resolution::CellSpace,
     },
     model::mesh::Mesh,
 };
 
-/// Triangles that one task takes.
+/// Triangles of one job.
 const TRIANGLES_PER_JOB: usize = 1 << 14;
 
-/// Pairs of triangle and cube that a task finds before it tells the others.
+/// Pairs of triangle and cube that a job finds between updates of the shared count.
 const PAIRS_PER_REPORT: u64 = 1 << 12;
 
 /// A mesh and the cubes over it.
 pub(crate) struct Scatter<'a> {
     pub(crate) mesh: &'a Mesh,
     pub(crate) space: CellSpace,
-    /// The side of a cube, in finest cells.
+    /// Side of a cube, in finest cells.
     pub(crate) cube_size: u32,
     /// Cubes per axis.
     pub(crate) dims: [u32; 3],
 }
 
 impl Scatter<'_> {
-    /// The corners of a triangle in finest cells, or `None` if it was rejected or two of its corners are one point.
+    /// The corners of a triangle in finest cells, or `None` if it was rejected or two of its corners are equal.
     ///
-    /// No ray hits the latter, and a polygon can have millions of these in one place, where nothing would tell them apart.
+    /// No ray hits the latter; a polygon can have millions of them in one point, which no division separates.
     #[inline]
     pub(crate) fn corners(&self, triangle: u32) -> Option<[DVec3; 3]> {
         let [a, b, c] = self.mesh.corners(triangle as usize)?;
@@ -43,8 +43,8 @@ impl Scatter<'_> {
         Some([point(a), point(b), point(c)])
     }
 
-    /// Calls `visit` with the cube and the triangle of every pair that touches, in parallel and in any order.
-    /// Returns how many there are, or `None`, having stopped early, if there are more than `most_pairs`.
+    /// Calls `visit` with every cube and each triangle that overlaps it, in parallel and in any order.
+    /// Returns the number of pairs; stops early with `None` if there are more than `most_pairs`.
     pub(crate) fn for_each_pair(&self, most_pairs: u64, visit: impl Fn([u32; 3], u32) + Sync) -> Option<u64> {
         let n_triangles = self.mesh.triangles.len();
         let scale = 1.0 / f64::from(self.cube_size);
@@ -76,8 +76,8 @@ impl Scatter<'_> {
         (all && total <= most_pairs).then_some(total)
     }
 
-    /// How many triangles each list will hold, at the place after the list's own; `None` if there are more than `most_pairs`
-    /// in all.
+    /// The number of triangles in each list, at the list's index + 1; `None` if there are more than `most_pairs` in
+    /// all. `list` maps a cube to its list.
     pub(crate) fn count(
         &self,
         n_lists: usize,
@@ -91,16 +91,17 @@ impl Scatter<'_> {
         Some(counts)
     }
 
-    /// The lists whose sizes were counted: where each begins, with one more at the end, and what they hold.
-    /// The order within a list is left to chance.
+    /// Fills the lists that were counted: returns the start of each, with the end of the last, and their triangles.
+    /// The order within a list is random.
     pub(crate) fn fill(&self, counts: Vec<AtomicU32>, list: impl Fn([u32; 3]) -> usize + Sync) -> (Vec<u32>, Vec<u32>) {
         let mut total = 0;
         for count in &counts[1..] {
             total += count.swap(total, Relaxed);
         }
-        // Each list's beginning moves to its end while it is filled, and that is where the next one begins.
+        // Entry n + 1 is the start of list n; it moves to the list's end, the start of list n + 1, while the list is
+        // filled.
         let ends = counts;
-        // By all threads, for memory that is written for the first time is waited for.
+        // In parallel: the first write to fresh memory waits for page faults.
         let filled: Vec<_> = (0..total).into_par_iter().map(|_| AtomicU32::new(0)).collect();
         self.for_each_pair(u64::MAX, |cube, triangle| {
             filled[ends[list(cube) + 1].fetch_add(1, Relaxed) as usize].store(triangle, Relaxed);
@@ -110,10 +111,10 @@ impl Scatter<'_> {
     }
 }
 
-/// Lists that one task sorts.
+/// Lists of one job.
 const LISTS_PER_JOB: usize = 1 << 14;
 
-/// Brings each list into ascending order.
+/// Sorts each list, in parallel.
 pub(crate) fn sort_lists(starts: &[u32], references: &mut [u32]) {
     let mut jobs = Vec::new();
     let mut rest = references;

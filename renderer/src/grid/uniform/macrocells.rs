@@ -1,19 +1,19 @@
-//! The paper's macrocells: bit arrays over blocks of cells, for skipping empty space.
+//! The paper's macrocells: bit arrays over blocks of cells, to skip empty space.
 
-/// Cells (or smaller macrocells) along a macrocell, as a power of two.
+/// Cells, or smaller macrocells, along a macrocell, log₂.
 const LOG2_RATIO: u32 = 2;
 
-/// Bit arrays over blocks of 4³, 16³ and 64³ cells, as many of them as were asked for.
+/// Bit arrays over blocks of 4³, 16³ and 64³ cells, one a level.
 #[derive(Debug, Default, PartialEq)]
-pub(crate) struct Macrocells {
+pub(super) struct Macrocells {
     /// The largest blocks first.
     levels: Vec<Level>,
 }
 
-/// A bit for each block of one size that holds anything, x fastest.
+/// A bit for each block of one size, set if the block is occupied, x fastest.
 #[derive(Debug, PartialEq)]
 struct Level {
-    /// The size of a block, log₂ in cells.
+    /// Size of a block, log₂ in cells.
     shift: u32,
     /// Blocks along x, and in a layer of x and y.
     strides: [usize; 2],
@@ -21,10 +21,11 @@ struct Level {
 }
 
 impl Macrocells {
-    /// Takes the cells that hold anything, in any order.
-    pub(crate) fn new(dims: [u32; 3], n_levels: u8, occupied: impl Iterator<Item = [u32; 3]>) -> Self {
+    /// Takes the occupied cells, in any order.
+    pub(super) fn new(dims: [u32; 3], n_levels: u8, occupied: impl Iterator<Item = [u32; 3]>) -> Self {
         let mut levels: Vec<_> =
             (1..=u32::from(n_levels)).rev().map(|level| Level::new(dims, level * LOG2_RATIO)).collect();
+        // Fill the finest level from the cells, and each coarser one from the finer.
         if let Some(finest) = levels.last_mut() {
             occupied.for_each(|cell| finest.set(cell));
         }
@@ -37,13 +38,14 @@ impl Macrocells {
         Self { levels }
     }
 
-    /// The size (log₂ in cells) of the largest empty macrocell around a cell, if there is one.
+    /// Size (log₂ in cells) of the largest empty macrocell around a cell, if there is one.
     #[inline]
-    pub(crate) fn empty_around(&self, cell: [u32; 3]) -> Option<u32> {
+    pub(super) fn empty_around(&self, cell: [u32; 3]) -> Option<u32> {
         self.levels.iter().find(|level| !level.is_occupied(cell)).map(|level| level.shift)
     }
 
-    pub(crate) fn n_bytes(&self) -> usize {
+    /// Bytes in memory.
+    pub(super) fn n_bytes(&self) -> usize {
         self.levels.iter().map(|level| size_of_val(&*level.occupied)).sum()
     }
 }
@@ -71,7 +73,7 @@ impl Level {
         self.occupied[index / 64] |= 1 << (index % 64);
     }
 
-    /// Calls `visit` with a cell of each block that holds anything.
+    /// Calls `visit` with a cell of each occupied block.
     fn for_each(&self, mut visit: impl FnMut([u32; 3])) {
         for (word, &bits) in self.occupied.iter().enumerate() {
             for bit in crate::grid::bits(bits) {

@@ -1,17 +1,15 @@
-//! How many cells a grid has along each axis, and how space maps to them.
+//! The number and the size of cells.
 
 use glam::DVec3;
 
-use crate::model::mesh::Aabb;
-
-/// More cells than this along one axis are never made: an `i32` then holds the coordinates of all deeper cells.
+/// Most cells along one axis: an `i32` then holds the coordinates of all deeper cells.
 const MOST_CELLS_PER_AXIS: f64 = 16384.0;
 
 /// The paper's resolution: M = ρN cells, M_i = S_i·∛(ρN/V).
 ///
-/// An axis that would get less than one cell does not count, and the others share the cells in two or in one dimension:
-/// so flat models and lines get as many cells as any others, where the paper's formula divides by V = 0.
-/// Returns the number of cells per axis and the side of a cell in world units.
+/// An axis that would get less than one cell is left out, and the formula is used in two dimensions or in one: flat
+/// models and lines get as many cells as others, where the paper's formula divides by V = 0. Returns the cells per axis
+/// and the side of a cell in world units.
 pub(crate) fn resolution(extent: DVec3, n_triangles: usize, density: f64) -> ([u32; 3], f64) {
     let n_cells = density * n_triangles as f64;
     let mut has_extent = [true; 3];
@@ -20,55 +18,23 @@ pub(crate) fn resolution(extent: DVec3, n_triangles: usize, density: f64) -> ([u
         if n_axes == 0 {
             return ([1; 3], if extent.max_element() > 0.0 { extent.max_element() } else { 1.0 });
         }
-        // The root of each factor apart: V itself can leave the range of f64.
+
+        // Take the root of each factor: V itself can leave the range of f64.
         let root = 1.0 / n_axes as f64;
         let axes = || (0..3).filter(|&axis| has_extent[axis]);
         let cells_per_unit = axes().map(|axis| extent[axis].powf(-root)).product::<f64>() * n_cells.powf(root);
+
+        // Leave out a thin axis and begin again.
         let thin = axes().find(|&axis| extent[axis] == 0.0 || extent[axis] * cells_per_unit < 1.0);
         if let Some(axis) = thin {
             has_extent[axis] = false;
             continue;
         }
+
+        // Round up, within the limit of an axis.
         let cells_per_unit = cells_per_unit.min(MOST_CELLS_PER_AXIS / extent.max_element());
         let cells = extent.to_array().map(|s| ((s * cells_per_unit).ceil() as u32).max(1));
         return (cells, 1.0 / cells_per_unit);
-    }
-}
-
-/// The map from world space to a grid's finest cells: each is a unit cube with corners at integers.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct CellSpace {
-    /// The grid's lowest corner, in world space.
-    origin: [f32; 3],
-    /// Finest cells in one world unit.
-    cells_per_unit: f64,
-}
-
-impl CellSpace {
-    pub(crate) fn new(bounds: &Aabb, cell_size: f64) -> Self {
-        Self { origin: bounds.min, cells_per_unit: 1.0 / cell_size }
-    }
-
-    pub(crate) fn origin(&self) -> [f32; 3] {
-        self.origin
-    }
-
-    pub(crate) fn point_to_cells(&self, world: DVec3) -> DVec3 {
-        (world - DVec3::from_array(self.origin.map(f64::from))) * self.cells_per_unit
-    }
-
-    /// Finest cells in a world unit.
-    pub(crate) fn cells_per_unit(&self) -> f64 {
-        self.cells_per_unit
-    }
-
-    /// A length in world units.
-    pub(crate) fn length_to_world(&self, cells: f64) -> f64 {
-        cells / self.cells_per_unit
-    }
-
-    pub(crate) fn direction_to_cells(&self, world: DVec3) -> DVec3 {
-        world * self.cells_per_unit
     }
 }
 

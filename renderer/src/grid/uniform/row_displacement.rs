@@ -1,40 +1,40 @@
-//! Row displacement: the offsets of a grid's cells, compressed to those that are needed.
+//! Row displacement: compresses the index of a grid's cells.
 //!
-//! After Lagae and Dutré, "Compact, Fast and Robust Grids for Ray Tracing" (2008). A row is a line of cells.
-//! All rows lie on top of each other in one array of slots, H, each displaced by an offset O so that no two occupied
-//! cells share a slot; a bit for each cell, D, says whether it is occupied, so that slots need no names.
-//! Rows without any are left out of D, the largest part, and of O: 23 to 40 % of the rows of scans.
+//! After Lagae and Dutré, "Compact, Fast and Robust Grids for Ray Tracing" (2008). A row is a line of cells. All rows
+//! overlap in one array of slots, H, each displaced by an offset, O, so that no two occupied cells share a slot. A bit
+//! for each cell, D, is set if it is occupied, so slots need not name their cell. Rows without occupied cells, 23 to 40
+//! % of the rows of scans, have no entry in D, the largest part, nor in O.
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use crate::grid::uniform::CellIndex;
 
-/// Slots at the end that are tried for a row, in words of 64 bits. Trying all would take time quadratic in the number
-/// of rows, for a few per cent of slots.
+/// Slots at the end that are tried for a row, in words of 64. Trying all slots takes quadratic time and saves a few per
+/// cent of them.
 const WINDOW_WORDS: usize = 256;
 
-/// In place of a row without occupied cells.
+/// Marks a row without occupied cells.
 const EMPTY_ROW: u32 = u32::MAX;
 
-/// Which cells are occupied, and the slot of each of those.
+/// The occupied cells and their slots.
 #[derive(Debug, PartialEq)]
 pub(crate) struct RowDisplacement {
     layout: RowLayout,
-    /// The place of each row in D and O, or [`EMPTY_ROW`].
+    /// Index of each row in D and O, or [`EMPTY_ROW`].
     kept_row: Vec<u32>,
     /// D: a bit for each cell, kept row after kept row.
     occupied: Vec<u64>,
-    /// O: for each kept row, what added to a cell's place in it (modulo 2³²) gives the slot.
+    /// O: slot of a cell minus its index in the row (modulo 2³²), for each kept row.
     offsets: Vec<u32>,
     n_slots: usize,
 }
 
-/// How cells lie in rows: along the shortest axis, as short rows fit closer.
+/// Rows of cells, along the shortest axis: short rows interlock better.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct RowLayout {
-    /// The rows' own axis, and the two across, of which the first comes faster.
+    /// The axis along rows, then the fast and the slow axis across.
     axes: [usize; 3],
-    /// Cells along these.
+    /// Cells along these axes.
     dims: [usize; 3],
 }
 
@@ -49,14 +49,14 @@ impl RowLayout {
         self.dims[1] * self.dims[2]
     }
 
-    /// The row of a cell, and its place there.
+    /// A cell's row, and its index there.
     #[inline]
     fn row(&self, cell: [u32; 3]) -> (usize, u32) {
         let [along, fast, slow] = self.axes;
         (cell[slow] as usize * self.dims[1] + cell[fast] as usize, cell[along])
     }
 
-    /// The number of a cell, row after row.
+    /// Index of a cell, row after row.
     #[inline]
     fn cell_index(&self, cell: [u32; 3]) -> usize {
         let (row, along) = self.row(cell);
@@ -71,7 +71,7 @@ impl RowLayout {
     }
 }
 
-/// Occupied cells, as they are found by many threads.
+/// Occupied cells, collected by many threads.
 pub(crate) struct OccupiedCells {
     layout: RowLayout,
     bits: Vec<AtomicU64>,
@@ -88,7 +88,7 @@ impl OccupiedCells {
     pub(crate) fn insert(&self, cell: [u32; 3]) {
         let number = self.layout.cell_index(cell);
         let (word, bit) = (&self.bits[number / 64], 1 << (number % 64));
-        // Most cells are met by several triangles, and to read is cheaper.
+        // Several triangles insert most cells, and reading is cheaper.
         if word.load(Relaxed) & bit == 0 {
             word.fetch_or(bit, Relaxed);
         }
@@ -96,16 +96,16 @@ impl OccupiedCells {
 }
 
 impl RowDisplacement {
-    /// What D and O will take at most.
+    /// Upper bound of the bytes of D and O.
     pub(crate) fn predicted_bytes(dims: [u32; 3]) -> u64 {
         let [along, fast, slow] = RowLayout::new(dims).dims.map(|n| n as u64);
         (along * fast * slow).div_ceil(8) + 8 * fast * slow
     }
 
-    /// Finds the first place for each row among the last slots.
+    /// Finds an offset for each row: the first fit among the last slots.
     ///
-    /// Lagae and Dutré begin with the longest rows; here each row follows its neighbour, which resembles it, so that
-    /// they interlock: that fills 90 % of the slots where the other order fills 60 %.
+    /// Lagae and Dutré place the longest rows first. Here each row follows its neighbour, which resembles it, and they
+    /// interlock: 90 % of the slots are used, where the other order uses 60 %.
     pub(crate) fn new(OccupiedCells { layout, bits }: OccupiedCells) -> Self {
         let mut occupied: Vec<_> = bits.into_iter().map(AtomicU64::into_inner).collect();
         let length = layout.dims[0];
@@ -114,9 +114,12 @@ impl RowDisplacement {
         let mut offsets = Vec::new();
         let kept_row = (0..layout.n_rows())
             .map(|row| {
+                // Collect the occupied cells of the row.
                 cells.clear();
                 cells.extend(set_bits(&occupied, row * length, length));
                 let Some(&first) = cells.first() else { return EMPTY_ROW };
+
+                // Keep its bits, and find its offset.
                 let kept_row = offsets.len();
                 copy_bits(&mut occupied, row * length, kept_row * length, length);
                 cells.iter_mut().for_each(|along| *along -= first);
@@ -130,7 +133,7 @@ impl RowDisplacement {
         Self { layout, kept_row, occupied, offsets, n_slots: slots.end }
     }
 
-    /// Bytes of D and of O, the rows' places in them counted with O.
+    /// Bytes of D, and of O with the rows' indices.
     pub(crate) fn n_bytes(&self) -> [usize; 2] {
         [size_of_val(&*self.occupied), size_of_val(&*self.kept_row) + size_of_val(&*self.offsets)]
     }
@@ -164,7 +167,7 @@ impl CellIndex for RowDisplacement {
     }
 }
 
-/// 64 bits from any place on; those beyond the end are 0.
+/// 64 bits from index `first` on; bits beyond the end are 0.
 #[inline]
 fn word_at(words: &[u64], first: usize) -> u64 {
     let word = |index: usize| words.get(index).copied().unwrap_or(0);
@@ -172,7 +175,7 @@ fn word_at(words: &[u64], first: usize) -> u64 {
     if shift == 0 { word(index) } else { word(index) >> shift | word(index + 1) << (64 - shift) }
 }
 
-/// Which of `n` bits from `first` on are 1.
+/// Indices, from `first` on, of the bits that are set among `n`.
 fn set_bits(words: &[u64], first: usize, n: usize) -> impl Iterator<Item = u32> {
     (0..n).step_by(64).flat_map(move |done| {
         let word = word_at(words, first + done) & u64::MAX >> (64 - (n - done).min(64));
@@ -180,7 +183,7 @@ fn set_bits(words: &[u64], first: usize, n: usize) -> impl Iterator<Item = u32> 
     })
 }
 
-/// Copies bits over others that begin no later.
+/// Copies `n` bits to an index that is no greater than `from`.
 fn copy_bits(words: &mut [u64], from: usize, to: usize, n: usize) {
     for done in (0..n).step_by(64) {
         let mask = u64::MAX >> (64 - (n - done).min(64));
@@ -193,20 +196,21 @@ fn copy_bits(words: &mut [u64], from: usize, to: usize, n: usize) {
     }
 }
 
-/// The slots that are taken.
+/// Slots in use.
 #[derive(Default)]
 struct Slots {
     taken: Vec<u64>,
-    /// Behind the last one taken.
+    /// Index after the last slot in use.
     end: usize,
 }
 
 impl Slots {
-    /// Takes the first place that is free for a row, given by its occupied cells, the first of which is 0.
+    /// Takes the first slots that fit a row, given by its occupied cells, the first of which is 0.
     fn claim_first_fit(&mut self, cells: &[u32]) -> usize {
+        // Try 64 offsets at a time.
         let mut first = (self.end / 64).saturating_sub(WINDOW_WORDS) * 64;
         let first_slot = loop {
-            // A bit for each of 64 places where some cell would meet a slot that is taken.
+            // A bit for each offset at which some cell would hit a slot in use.
             let mut conflicts = 0;
             for &x in cells {
                 conflicts |= word_at(&self.taken, first + x as usize);
@@ -219,6 +223,8 @@ impl Slots {
             }
             first += 64;
         };
+
+        // Mark the slots.
         for &x in cells {
             let slot = first_slot + x as usize;
             self.end = self.end.max(slot + 1);

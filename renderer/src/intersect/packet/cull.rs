@@ -1,11 +1,10 @@
-//! From the triangles in packets' way to those that some rays may hit: gathers triangles, and culls them many at a
-//! time by their boxes; [`crate::intersect::packet::pairs`] tests the rest against rays, and [`crate::intersect::packet::decide`] decides.
+//! Drops triangles that rays certainly miss: gathers triangles of leaves by their boxes, many at a time;
+//! [`super::pairs`] tests the others against rays.
 //!
-//! Everything here may only drop triangles that certainly miss, with rounding accounted for.
-//! There are no closures over vectors: they would not be compiled for the caller's instruction set.
+//! Every test accounts for rounding. Distances are inverse depths along the major axis: across a triangle's plane they
+//! are linear in the rays' slopes, so no ray needs a division.
 //!
-//! How far away something is, is told by inverse depths along the major axis: across a triangle's plane they are linear
-//! in the rays' slopes, so that no ray needs a division.
+//! No closures over vectors: they would not be compiled for the caller's instruction set.
 
 use crate::{
     grid::{
@@ -14,66 +13,40 @@ use crate::{
         tree::boxes::{BoxLanes, LeafBoxes},
     },
     intersect::{
-        kernel::PacketKernel,
+        margins::{SLOPE_MARGIN, UNDERFLOW_MARGIN},
         packet::{
-            MOST_PACKETS, Packet,
             decide::{HitScratch, NearestHits},
             frustum::NarrowSlab,
-            pairs::Pair,
-            prepared::{PreparedTriangles, RayBounds, SLOPE_MARGIN, UNDERFLOW_MARGIN},
-            ray_set::RaySet,
+            pairs::{PacketRays, Pair, RayGroups},
+            prepared::{PreparedTriangles, RayBounds},
+            ray_set::{MOST_PACKETS, Packet, RaySet},
         },
         ray::Hit,
-        simd::Simd,
     },
+    simd::{Kernel, Simd},
 };
 
-/// From so many triangles for each ray on, a leaf's boxes are tested against its rays one by one: in a scan seen from
-/// afar most triangles lie between the rays.
+/// Triangles per ray from which on a leaf's boxes are tested against its rays one by one: in a scan seen from afar most
+/// triangles lie between the rays.
 const RAY_BY_RAY_RATIO: usize = 3;
 
-/// Triangles remembered as already tested, a power of two.
+/// Slots that remember tested triangles, a power of two.
 const N_RECENT: usize = 1024;
 
-/// Triangles that can wait for their test, a power of two.
+/// Most triangles that wait for their test, a power of two.
 const N_WAITING: usize = 256;
 
-/// Groups of rays at most, with vectors of eight.
-const MOST_GROUPS: usize = MOST_PACKETS * 64 / 8;
-
-/// The bounds of groups of rays, as many each as a vector has lanes.
+/// Memory of a [`Culler`], which resets it: it is too large to move. Vectors come first, where they are aligned.
 #[repr(C, align(64))]
-pub(crate) struct RayGroups {
-    /// Least and largest slopes.
-    pub(crate) u: [[f32; MOST_GROUPS]; 2],
-    pub(crate) v: [[f32; MOST_GROUPS]; 2],
-    /// The middles between them, of u and of v.
-    pub(crate) centres: [[f32; MOST_GROUPS]; 2],
-    /// The inverse of the farthest of their rays' limits.
-    pub(crate) inverse_limits: [f32; MOST_GROUPS],
-}
-
-impl RayGroups {
-    /// Groups that nothing passes, for they have no rays.
-    const NONE: Self = Self {
-        u: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
-        v: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
-        centres: [[0.0; MOST_GROUPS]; 2],
-        inverse_limits: [f32::INFINITY; MOST_GROUPS],
-    };
-}
-
-/// The memory of a [`Culler`], made ready anew for each: it is too much to be moved about. Vectors come first, where they
-/// are aligned.
-#[repr(C, align(64))]
-pub(crate) struct CullScratch<const N: usize> {
+pub(super) struct CullScratch<const N: usize> {
     /// Slopes of the rays against the major axis.
     u: [[f32; 64]; N],
     v: [[f32; 64]; N],
     groups: RayGroups,
     hits: HitScratch<N>,
-    /// Triangles that wait until a vector is full, and a vector more.
+    /// Triangles that wait for their test, and room for one more vector.
     waiting: [u32; N_WAITING + 16],
+    /// The triangle that was last gathered, by index modulo the size.
     recent: [u32; N_RECENT],
     pairs: [Pair; 64 * MOST_PACKETS],
 }
@@ -93,10 +66,11 @@ impl<const N: usize> Default for CullScratch<N> {
 }
 
 impl<const N: usize> CullScratch<N> {
-    /// Finds the slopes of packets' rays against the major axis, and returns their bounds: least and largest u, least and
-    /// largest v. In place of limits, which are not known yet, it leaves the inverse of the depth of each ray's t = 1.
+    /// Computes the rays' slopes against the major axis, and returns their bounds: least and largest u, least and
+    /// largest v. In place of limits it stores the inverse depth of each ray's t = 1; [`Culler::new`] makes limits of
+    /// them.
     #[inline(always)]
-    pub(crate) fn compute_slopes<S: Simd>(&mut self, packets: &[&Packet; N], axes: [usize; 3]) -> [f32; 4] {
+    pub(super) fn compute_slopes<S: Simd>(&mut self, packets: &[&Packet; N], axes: [usize; 3]) -> [f32; 4] {
         let (lowest, highest) = (S::splat(f32::INFINITY), S::splat(f32::NEG_INFINITY));
         let mut bounds = [lowest, highest, lowest, highest];
         for (index, packet) in packets.iter().enumerate() {
@@ -115,8 +89,7 @@ impl<const N: usize> CullScratch<N> {
     }
 }
 
-/// Bounds of slopes, least and largest in turn, with rounding accounted for, and at least so much wider that none is equal
-/// to what it bounds.
+/// Widens bounds of slopes, least and largest in turn, by the rounding error, and so that none equals a slope within.
 #[inline(always)]
 fn widen_slopes(mut bounds: [f32; 4]) -> [f32; 4] {
     for index in [0, 2] {
@@ -126,46 +99,36 @@ fn widen_slopes(mut bounds: [f32; 4]) -> [f32; 4] {
     bounds
 }
 
-/// Numbers with a minus where nothing from `low` to `high` lies within the bounds.
+/// Sign bit set in lanes where [low, high] misses the bounds.
 #[inline(always)]
 fn interval_miss_signs<S: Simd>(low: S, high: S, bounds: [S; 2]) -> S {
     high.sub(bounds[0]).or(bounds[1].sub(low))
 }
 
-/// Packets on their way, with the nearest hits so far.
-pub(crate) struct Culler<'a, const N: usize> {
-    pub(crate) u: &'a mut [[f32; 64]; N],
-    pub(crate) v: &'a mut [[f32; 64]; N],
-    pub(crate) groups: &'a mut RayGroups,
-    pub(crate) nearest: NearestHits<'a, N>,
+/// Packets while they are traced, with the triangles that wait for their test.
+pub(super) struct Culler<'a, const N: usize> {
+    rays: PacketRays<'a, N>,
     waiting: &'a mut [u32; N_WAITING + 16],
     n_waiting: usize,
-    /// How many of them, from the first on, [`Culler::drop_recently_tested`] has been through.
+    /// Waiting triangles, from the first on, that [`Culler::drop_recently_tested`] has checked.
     n_deduplicated: usize,
     recent: &'a mut [u32; N_RECENT],
-    /// Room for the pairs of one vector of triangles and all groups.
-    pub(crate) pairs: &'a mut [Pair; 64 * MOST_PACKETS],
     mesh: &'a TracedMesh,
-    /// The rays that there are.
-    pub(crate) active: RaySet<N>,
-    pub(crate) ray_bounds: RayBounds,
-    /// Least and largest u, least and largest v, of each packet.
-    pub(crate) packet_slopes: [[f32; 4]; N],
-    /// The side of a finest cell in world units, rounded down.
+    /// All rays of the packets.
+    pub(super) active: RaySet<N>,
+    pub(super) ray_bounds: RayBounds,
+    /// Side of a finest cell in world units, rounded down.
     cell_length: f32,
-    /// The inverse of the farthest limit of all rays without a final answer, per finest cell.
+    /// Inverse of the farthest limit of all rays without a final answer, per finest cell.
     least_inverse_limit: f32,
-    /// A bit for each group that has rays without a final answer.
-    pub(crate) unfinished_groups: u32,
-    /// Whether triangles were met since [`Culler::finish_to_depth`].
-    pub(crate) has_new_tests: bool,
+    /// Whether leaves were tested since the last [`Culler::finish_to_depth`].
+    pub(super) has_new_tests: bool,
 }
 
 impl<'a, const N: usize> Culler<'a, N> {
-    /// Takes the active rays of packets in which all rays have the sign `sign` along `axes[0]`, and whose slopes `scratch`
-    /// has found.
+    /// Sets up groups and limits. All rays have the sign `sign` along `axes[0]`, and `scratch` holds their slopes.
     #[inline(always)]
-    pub(crate) fn new<S: Simd>(
+    pub(super) fn new<S: Simd>(
         grid: &'a Grid,
         packets: [&'a Packet; N],
         active: RaySet<N>,
@@ -173,97 +136,115 @@ impl<'a, const N: usize> Culler<'a, N> {
         sign: f32,
         scratch: &'a mut CullScratch<N>,
     ) -> Self {
+        // Reset the memory that earlier packets used.
         let mesh = &grid.mesh;
         let CullScratch { u, v, groups, hits, waiting, recent, pairs } = scratch;
         *groups = RayGroups::NONE;
         recent.fill(u32::MAX);
         let origin = packets[0].origin.to_array();
         let mut culler = Self {
-            u,
-            v,
-            groups,
-            nearest: NearestHits::new(mesh, packets, axes[0], hits),
+            rays: PacketRays {
+                u,
+                v,
+                groups,
+                nearest: NearestHits::new(mesh, packets, axes[0], hits),
+                pairs,
+                packet_slopes: [[f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY]; N],
+                unfinished_groups: 0,
+            },
             waiting,
             n_waiting: 0,
             n_deduplicated: 0,
             recent,
-            pairs,
             mesh,
             active,
-            ray_bounds: RayBounds { origin, axes, sign, slopes: [0.0; 4], reach: [1.0; 3], group_half_width: [0.0; 2] },
-            packet_slopes: [[f32::INFINITY, f32::NEG_INFINITY, f32::INFINITY, f32::NEG_INFINITY]; N],
+            ray_bounds: RayBounds {
+                origin,
+                axes,
+                sign,
+                slopes: [0.0; 4],
+                max_abs_direction: [1.0; 3],
+                group_half_width: [0.0; 2],
+            },
             cell_length: (grid.space.length_to_world(1.0) * (1.0 - 1e-6)) as f32,
             least_inverse_limit: 0.0,
-            unfinished_groups: 0,
             has_new_tests: false,
         };
-        let mut reach = [S::splat(0.0); 2];
+
+        // Find the limits of all rays, and the bounds of each group and each packet.
+        let mut max_abs_slopes = [S::splat(0.0); 2];
         for (index, packet) in packets.iter().enumerate() {
-            // Numbers too small for all their bits are slow to find and to calculate with: zero in their place.
-            // What is too large for a number is the largest: a limit may be too far away, not too near.
+            // Zero in place of subnormal numbers, which are slow, and the largest in place of infinity: a limit may be
+            // too far, not too near.
             let inverse_t_max = if packet.t_max > 1e30 { 0.0 } else { ((1.0 - 1e-6) / packet.t_max).min(f32::MAX) };
             for group_of_packet in 0..64 / S::LANES {
                 let lane = group_of_packet * S::LANES;
                 let group = index * (64 / S::LANES) + group_of_packet;
-                let (u, v) = (S::load(&culler.u[index][lane..]), S::load(&culler.v[index][lane..]));
-                let inverse_depth = S::load(&culler.nearest.inverse_limits(index)[lane..]);
+                let (u, v) = (S::load(&culler.rays.u[index][lane..]), S::load(&culler.rays.v[index][lane..]));
+                let inverse_depth = S::load(&culler.rays.nearest.inverse_limits(index)[lane..]);
+
+                // The limit of a ray is the depth of its t_max.
                 let inverse_limits = inverse_depth.mul(S::splat(inverse_t_max)).sub(S::splat(UNDERFLOW_MARGIN));
                 let inverse_limits = inverse_limits.max(S::splat(0.0));
-                inverse_limits.store(&mut culler.nearest.inverse_limits_mut(index)[lane..]);
+                inverse_limits.store(&mut culler.rays.nearest.inverse_limits_mut(index)[lane..]);
+
+                // Reduce the slopes to the group's bounds, and those to the packet's.
                 let [u_low, u_high, v_low, v_high] = [u.reduce_min(), u.reduce_max(), v.reduce_min(), v.reduce_max()];
-                (culler.groups.u[0][group], culler.groups.u[1][group]) = (u_low, u_high);
-                (culler.groups.v[0][group], culler.groups.v[1][group]) = (v_low, v_high);
-                culler.groups.inverse_limits[group] = inverse_limits.reduce_min();
-                let packet_bounds = &mut culler.packet_slopes[index];
+                (culler.rays.groups.u[0][group], culler.rays.groups.u[1][group]) = (u_low, u_high);
+                (culler.rays.groups.v[0][group], culler.rays.groups.v[1][group]) = (v_low, v_high);
+                culler.rays.groups.inverse_limits[group] = inverse_limits.reduce_min();
+                let packet_bounds = &mut culler.rays.packet_slopes[index];
                 *packet_bounds = [
                     packet_bounds[0].min(u_low),
                     packet_bounds[1].max(u_high),
                     packet_bounds[2].min(v_low),
                     packet_bounds[3].max(v_high),
                 ];
-                reach = [reach[0].max(u.abs()), reach[1].max(v.abs())];
+                max_abs_slopes = [max_abs_slopes[0].max(u.abs()), max_abs_slopes[1].max(v.abs())];
                 let any = active.masks[index] >> lane & ((1 << S::LANES) - 1) != 0;
-                culler.unfinished_groups |= u32::from(any) << group;
+                culler.rays.unfinished_groups |= u32::from(any) << group;
             }
+            // Inactive lanes have no interval left.
             let mut inactive = !active.masks[index];
             while inactive != 0 {
-                culler.nearest.inverse_limits_mut(index)[inactive.trailing_zeros() as usize] = f32::INFINITY;
+                culler.rays.nearest.inverse_limits_mut(index)[inactive.trailing_zeros() as usize] = f32::INFINITY;
                 inactive &= inactive - 1;
             }
         }
-        // Small slopes may have lost bits.
-        culler.ray_bounds.reach =
-            [1.0, reach[0].reduce_max() + UNDERFLOW_MARGIN, reach[1].reduce_max() + UNDERFLOW_MARGIN];
+
+        // Subnormal slopes may have lost bits.
+        culler.ray_bounds.max_abs_direction =
+            [1.0, max_abs_slopes[0].reduce_max() + UNDERFLOW_MARGIN, max_abs_slopes[1].reduce_max() + UNDERFLOW_MARGIN];
         culler.compute_centres::<S>();
         culler.update_slope_bounds::<S>();
         culler
     }
 
-    /// Finds the groups' middles, and how far the others' slopes are from them.
+    /// Computes the centres of the groups' bounds, and the largest distance of a slope from its group's centre.
     #[inline(always)]
     fn compute_centres<S: Simd>(&mut self) {
         let half = S::splat(0.5);
-        let mut reach = [S::splat(0.0); 2];
+        let mut half_width = [S::splat(0.0); 2];
         for first_group in (0..N * (64 / S::LANES)).step_by(S::LANES) {
-            let RayGroups { u, v, centres, .. } = &mut *self.groups;
+            let RayGroups { u, v, centres, .. } = &mut *self.rays.groups;
             for (axis, bounds) in [u, v].into_iter().enumerate() {
                 let (low, high) = (S::load(&bounds[0][first_group..]), S::load(&bounds[1][first_group..]));
                 low.add(high).mul(half).store(&mut centres[axis][first_group..]);
-                // Less than none where there are no rays.
-                reach[axis] = high.sub(low).mul(half).max(reach[axis]);
+                // Negative in groups without rays.
+                half_width[axis] = high.sub(low).mul(half).max(half_width[axis]);
             }
         }
-        self.ray_bounds.group_half_width = [reach[0].reduce_max(), reach[1].reduce_max()];
+        self.ray_bounds.group_half_width = [half_width[0].reduce_max(), half_width[1].reduce_max()];
     }
 
-    /// Finds the bounds of the slopes of all rays without a final answer.
+    /// Recomputes the bounds of the slopes of all groups without a final answer.
     #[inline(always)]
     fn update_slope_bounds<S: Simd>(&mut self) {
         let (lowest, highest) = (S::splat(f32::INFINITY), S::splat(f32::NEG_INFINITY));
         let mut lane_bounds = [lowest, highest, lowest, highest];
         for first_group in (0..N * (64 / S::LANES)).step_by(S::LANES) {
-            let unfinished_groups = self.unfinished_groups >> first_group;
-            let RayGroups { u, v, .. } = &*self.groups;
+            let unfinished_groups = self.rays.unfinished_groups >> first_group;
+            let RayGroups { u, v, .. } = &*self.rays.groups;
             lane_bounds[0] = lane_bounds[0].min(S::select(unfinished_groups, S::load(&u[0][first_group..]), lowest));
             lane_bounds[1] = lane_bounds[1].max(S::select(unfinished_groups, S::load(&u[1][first_group..]), highest));
             lane_bounds[2] = lane_bounds[2].min(S::select(unfinished_groups, S::load(&v[0][first_group..]), lowest));
@@ -278,10 +259,11 @@ impl<'a, const N: usize> Culler<'a, N> {
         self.ray_bounds.slopes = widen_slopes(bounds);
     }
 
-    /// Those of some rays that may pass a cell of a slab and could still have a nearer hit there: all of them where it does
-    /// not pay to look. `u` and `v` are its lowest corner, in finest cells as its `size`.
+    /// The candidates that may pass a cell of a slab and could still have a nearer hit there; all of them where
+    /// `narrow` is `None` and a test does not pay. `u`, `v` and `size` are the cell's lowest corner and side, in finest
+    /// cells.
     #[inline(always)]
-    pub(crate) fn rays_through_cell<S: Simd>(
+    pub(super) fn rays_through_cell<S: Simd>(
         &self,
         candidates: &RaySet<N>,
         narrow: Option<&NarrowSlab<'_>>,
@@ -294,16 +276,18 @@ impl<'a, const N: usize> Culler<'a, N> {
         self.passing::<S>(candidates, slab.slopes(0, u, size), slab.slopes(1, v, size), slab.inverse_depth)
     }
 
-    /// Those of some rays that may pass between these slopes and could still have a nearer hit beyond a depth, given as
-    /// its inverse.
+    /// The candidates that may pass between these slopes and could still have a nearer hit beyond a depth, given as its
+    /// inverse.
     #[inline(always)]
     fn passing<S: Simd>(&self, candidates: &RaySet<N>, u: [f32; 2], v: [f32; 2], inverse_depth: f32) -> RaySet<N> {
         let [u_low, u_high, v_low, v_high] = widen_slopes([u[0], u[1], v[0], v[1]]);
         let (u, v) = ([S::splat(u_low), S::splat(u_high)], [S::splat(v_low), S::splat(v_high)]);
         let inverse_depth = S::splat(inverse_depth);
+
+        // Find the groups whose bounds meet the cell, a vector of groups at a time.
         let mut rays = RaySet::NONE;
         for first_group in (0..N * (64 / S::LANES)).step_by(S::LANES) {
-            let all_groups = &*self.groups;
+            let all_groups = &*self.rays.groups;
             let beside_u = interval_miss_signs(
                 S::load(&all_groups.u[0][first_group..]),
                 S::load(&all_groups.u[1][first_group..]),
@@ -315,15 +299,17 @@ impl<'a, const N: usize> Culler<'a, N> {
                 v,
             );
             let before = inverse_depth.sub(S::load(&all_groups.inverse_limits[first_group..]));
-            let mut groups = !beside_u.or(beside_v).or(before).sign_mask() & (self.unfinished_groups >> first_group);
+            let mut groups =
+                !beside_u.or(beside_v).or(before).sign_mask() & (self.rays.unfinished_groups >> first_group);
+
+            // Test the rays of these groups one by one.
             while groups != 0 {
                 let first = (first_group + groups.trailing_zeros() as usize) * S::LANES;
                 groups &= groups - 1;
                 let (packet, first) = (first / 64 % N, first % 64);
-                let (of_rays_u, of_rays_v) = (S::load(&self.u[packet][first..]), S::load(&self.v[packet][first..]));
-                let (beside_u, beside_v) =
-                    (interval_miss_signs(of_rays_u, of_rays_u, u), interval_miss_signs(of_rays_v, of_rays_v, v));
-                let before = inverse_depth.sub(S::load(&self.nearest.inverse_limits(packet)[first..]));
+                let (ray_u, ray_v) = (S::load(&self.rays.u[packet][first..]), S::load(&self.rays.v[packet][first..]));
+                let (beside_u, beside_v) = (interval_miss_signs(ray_u, ray_u, u), interval_miss_signs(ray_v, ray_v, v));
+                let before = inverse_depth.sub(S::load(&self.rays.nearest.inverse_limits(packet)[first..]));
                 let passing = !beside_u.or(beside_v).or(before).sign_mask() & ((1u64 << S::LANES) - 1) as u32;
                 rays.masks[packet] |= u64::from(passing) << first;
             }
@@ -331,19 +317,21 @@ impl<'a, const N: usize> Culler<'a, N> {
         rays.and(candidates)
     }
 
-    /// Has the triangles of a leaf wait for their test that the rays may hit; [`Culler::drop_recently_tested`] goes through them.
-    ///
-    /// `rays` are those that may pass the leaf, or all.
+    /// Adds the triangles of a leaf whose boxes some ray may pass to those that wait. `rays` may pass the leaf.
     #[inline(always)]
-    pub(crate) fn gather<S: PacketKernel>(&mut self, boxes: &LeafBoxes<'_>, triangles: &[u32], rays: &RaySet<N>) {
+    pub(super) fn gather<S: Simd>(&mut self, boxes: &LeafBoxes<'_>, triangles: &[u32], rays: &RaySet<N>) {
         let ray_by_ray = triangles.len() >= RAY_BY_RAY_RATIO * rays.count() as usize;
         for (batch, triangles) in triangles.chunks(S::LANES).enumerate() {
+            // Make room for a vector of triangles.
             if self.n_waiting + S::LANES > N_WAITING {
                 self.drop_recently_tested::<S>();
                 if self.n_waiting + S::LANES > N_WAITING {
-                    S::test_waiting(self);
+                    S::call(TestWaiting(self));
                 }
             }
+
+            // Test the boxes against the bounds of all rays, then against the rays of a sparse packet, and keep the
+            // rest.
             let bounds = boxes.bounds::<S>(batch * S::LANES);
             let missed = bounds.miss_signs(self.ray_bounds.slopes, self.least_inverse_limit).sign_mask();
             let mut passed = !missed & (u32::MAX >> (32 - triangles.len()));
@@ -354,12 +342,12 @@ impl<'a, const N: usize> Culler<'a, N> {
         }
     }
 
-    /// Drops those of the waiting triangles that were met lately.
+    /// Drops waiting triangles that were gathered before.
     ///
-    /// Without a branch, and for several leaves together: neither whether a triangle was met before can be predicted, nor
-    /// how many of a leaf's there are to look at.
+    /// Without a branch, and for several leaves together: a branch could predict neither whether a triangle is new nor
+    /// how many triangles a leaf adds.
     #[inline(always)]
-    pub(crate) fn drop_recently_tested<S: Simd>(&mut self) {
+    pub(super) fn drop_recently_tested<S: Simd>(&mut self) {
         let mut n_waiting = self.n_deduplicated;
         for index in self.n_deduplicated..self.n_waiting {
             let triangle = self.waiting[index];
@@ -373,7 +361,7 @@ impl<'a, const N: usize> Culler<'a, N> {
         self.n_deduplicated = n_waiting;
     }
 
-    /// A bit for each box that one of some rays may pass.
+    /// A bit for each box that at least one of the rays may pass.
     #[inline(always)]
     fn passed_by_any_ray<S: Simd>(&self, bounds: &BoxLanes<S>, rays: &RaySet<N>) -> u32 {
         let mut missed = S::splat(-0.0);
@@ -382,64 +370,72 @@ impl<'a, const N: usize> Culler<'a, N> {
             while left != 0 {
                 let lane = left.trailing_zeros() as usize;
                 left &= left - 1;
-                let (u, v) = (self.u[packet][lane], self.v[packet][lane]);
-                let inverse_limit = self.nearest.inverse_limits(packet)[lane] * self.cell_length;
+                let (u, v) = (self.rays.u[packet][lane], self.rays.v[packet][lane]);
+                let inverse_limit = self.rays.nearest.inverse_limits(packet)[lane] * self.cell_length;
                 missed = missed.and(bounds.miss_signs([u, u, v, v], inverse_limit));
             }
         }
         !missed.sign_mask()
     }
 
-    /// Ends the search up to a depth along the major axis, in world units. Returns true when no ray needs more.
+    /// Tests the waiting triangles, and settles all rays whose limit lies before a depth along the major axis, in world
+    /// units. Returns true when all rays are settled.
     #[inline(always)]
-    pub(crate) fn finish_to_depth<S: PacketKernel>(&mut self, depth: f64) -> bool {
+    pub(super) fn finish_to_depth<S: Simd>(&mut self, depth: f64) -> bool {
         self.has_new_tests = false;
         if self.n_waiting > 0 {
-            S::test_waiting(self);
+            S::call(TestWaiting(self));
         }
-        // Before the origin nothing is settled, not even a hit there.
+
+        // A group is settled when the depth lies beyond the limits of all its rays; behind the origin none is.
         let inverse_reached = S::splat(if depth < 0.0 { f32::NAN } else { ((1.0 + 1e-6) / depth) as f32 });
         let mut least_inverse_limit = f32::INFINITY;
-        let unfinished_groups = self.unfinished_groups;
+        let unfinished_groups = self.rays.unfinished_groups;
         let mut groups = unfinished_groups;
         while groups != 0 {
             let group = groups.trailing_zeros() as usize;
             groups &= groups - 1;
             let first = group * S::LANES;
-            let inverse_limits = S::load(&self.nearest.inverse_limits(first / 64 % N)[first % 64..]);
+            let inverse_limits = S::load(&self.rays.nearest.inverse_limits(first / 64 % N)[first % 64..]);
             let all = ((1u64 << S::LANES) - 1) as u32;
             if inverse_reached.le(inverse_limits) == all {
-                self.unfinished_groups &= !(1 << group);
+                self.rays.unfinished_groups &= !(1 << group);
             } else {
-                self.groups.inverse_limits[group] = inverse_limits.reduce_min();
+                self.rays.groups.inverse_limits[group] = inverse_limits.reduce_min();
                 least_inverse_limit = least_inverse_limit.min(inverse_limits.reduce_min());
             }
         }
+
+        // Narrow the bounds to the groups that remain.
         self.least_inverse_limit = least_inverse_limit * self.cell_length;
-        if self.unfinished_groups != unfinished_groups && self.unfinished_groups != 0 {
+        if self.rays.unfinished_groups != unfinished_groups && self.rays.unfinished_groups != 0 {
             self.update_slope_bounds::<S>();
         }
-        self.unfinished_groups == 0
+        self.rays.unfinished_groups == 0
     }
 
-    /// Writes the hits, when all is settled.
+    /// Writes the hits, once all rays are settled.
     #[inline(always)]
-    pub(crate) fn write_hits<S: Simd>(&mut self, hits: &mut [[Hit; 64]]) {
-        self.nearest.write::<S>(hits);
+    pub(super) fn write_hits<S: Simd>(&mut self, hits: &mut [[Hit; 64]]) {
+        self.rays.nearest.write::<S>(hits);
     }
 
     /// Tests the waiting triangles against all rays.
     #[inline(always)]
-    pub(crate) fn test_waiting<S: Simd>(&mut self) {
+    fn test_waiting<S: Simd>(&mut self) {
+        // Prefetch all corners, so that their cache misses overlap.
         let mut prepared = PreparedTriangles::default();
         let n_waiting = std::mem::take(&mut self.n_waiting);
         self.n_deduplicated = 0;
         for &triangle in &self.waiting[..n_waiting] {
             self.mesh.prefetch_corners::<S>(triangle);
         }
-        // The last vector is filled up with what is there already.
+
+        // Fill the last vector up with copies of the last triangle.
         let last = self.waiting[n_waiting.max(1) - 1];
         self.waiting[n_waiting..n_waiting + 16].fill(last);
+
+        // Prepare a vector of triangles at a time, and test those that the rays' bounds meet.
         let mut first = 0;
         while first < n_waiting {
             let n = (n_waiting - first).min(S::LANES);
@@ -447,9 +443,20 @@ impl<'a, const N: usize> Culler<'a, N> {
             first += n;
             let left = prepared.prepare::<S>(self.mesh, &self.ray_bounds) & ((1 << n) - 1);
             if left != 0 {
-                self.test_prepared::<S>(&prepared, left);
+                self.rays.test_prepared::<S>(&prepared, left);
             }
         }
-        self.nearest.decide_queued::<S>();
+        self.rays.nearest.decide_queued::<S>();
+    }
+}
+
+/// [`Culler::test_waiting`] as a kernel: a function of its own, which the culler calls in several places.
+struct TestWaiting<'a, 'b, const N: usize>(&'a mut Culler<'b, N>);
+
+impl<const N: usize> Kernel for TestWaiting<'_, '_, N> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self) {
+        self.0.test_waiting::<S>();
     }
 }

@@ -1,30 +1,30 @@
-//! The last step of a packet's way: the nearest hits are kept, and [`crate::intersect::triangle`] decides what single precision
-//! cannot tell, many pairs of ray and triangle at a time.
+//! Keeps the nearest hits, and lets [`crate::intersect::triangle`] decide, many pairs of ray and triangle at a time,
+//! where single precision is uncertain.
 //!
-//! Where single precision is sure that a ray hits a triangle, and between which depths, it can tell hits apart that do
-//! not lie too close together. So most that are not the nearest are dropped without a decision, and of the nearest only
-//! its t remains to be found.
+//! Where single precision proves a hit, it also bounds the hit's depth, and hits whose bounds do not overlap are
+//! ordered by them. So most hits that are not the nearest are dropped without the exact test, and only the t of the
+//! nearest is computed, at the end.
 
 use crate::{
     grid::traced::TracedMesh,
     intersect::{
-        packet::Packet,
+        packet::ray_set::Packet,
         ray::Hit,
-        simd::{Real, Simd},
         triangle::{self, EdgePlanes, Plane, Vector},
     },
+    simd::{Real, Simd},
 };
 
-/// The memory of [`NearestHits`]: what is known of each ray of each packet.
+/// Memory of [`NearestHits`]: the state of each ray of each packet.
 #[repr(C, align(64))]
-pub(crate) struct HitScratch<const N: usize> {
-    /// The inverse of the depth along the major axis beyond which a triangle cannot matter any more, per world unit.
-    pub(crate) inverse_limits: [[f32; 64]; N],
-    /// A triangle that it certainly hits, nearer than all others of which that was certain but those that were decided.
+pub(super) struct HitScratch<const N: usize> {
+    /// Inverse of the limit: no triangle at a greater depth along the major axis can be the nearest. Per world unit.
+    pub(super) inverse_limits: [[f32; 64]; N],
+    /// The nearest of the triangles that single precision proves to be hit: the estimate.
     estimated: [[u32; 64]; N],
-    /// The greatest inverse depth that this hit can have.
+    /// Greatest possible inverse depth of the estimate.
     estimated_inverse_depths: [[f32; 64]; N],
-    /// The nearest hit of those that were decided.
+    /// The nearest of the hits that were decided exactly.
     t: [[f64; 64]; N],
     triangles: [[u32; 64]; N],
 }
@@ -41,23 +41,23 @@ impl<const N: usize> Default for HitScratch<N> {
     }
 }
 
-/// The nearest hits of some packets so far.
-pub(crate) struct NearestHits<'a, const N: usize> {
+/// The nearest hits so far of packets that are traced together.
+pub(super) struct NearestHits<'a, const N: usize> {
     hits: &'a mut HitScratch<N>,
     mesh: &'a TracedMesh,
     packets: [&'a Packet; N],
     /// The packets' major axis.
     axis: usize,
-    /// Rays and triangles, pair by pair, that wait for a decision.
+    /// Pairs of a ray (64·packet + lane) and a triangle that wait for the exact test.
     rays: [u8; 16],
     triangles: [u32; 16],
     n_pairs: usize,
 }
 
 impl<'a, const N: usize> NearestHits<'a, N> {
-    /// No hits yet, and limits that the caller must set.
+    /// No hits; the caller sets the limits.
     #[inline(always)]
-    pub(crate) fn new(
+    pub(super) fn new(
         mesh: &'a TracedMesh,
         packets: [&'a Packet; N],
         axis: usize,
@@ -70,27 +70,28 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         Self { hits, mesh, packets, axis, rays: [0; 16], triangles: [0; 16], n_pairs: 0 }
     }
 
-    /// For each ray of a packet the inverse of the depth beyond which a triangle cannot matter to it any more.
+    /// Inverse limits of a packet's rays: see [`HitScratch::inverse_limits`].
     #[inline(always)]
-    pub(crate) fn inverse_limits(&self, packet: usize) -> &[f32; 64] {
+    pub(super) fn inverse_limits(&self, packet: usize) -> &[f32; 64] {
         &self.hits.inverse_limits[packet]
     }
 
+    /// The same, to change them.
     #[inline(always)]
-    pub(crate) fn inverse_limits_mut(&mut self, packet: usize) -> &mut [f32; 64] {
+    pub(super) fn inverse_limits_mut(&mut self, packet: usize) -> &mut [f32; 64] {
         &mut self.hits.inverse_limits[packet]
     }
 
-    /// Decides what remains, and writes the hits.
+    /// Decides the remaining pairs, computes the t of the estimates, and writes the hits.
     #[inline(always)]
-    pub(crate) fn write<S: Simd>(&mut self, hits: &mut [[Hit; 64]]) {
+    pub(super) fn write<S: Simd>(&mut self, hits: &mut [[Hit; 64]]) {
         self.decide_queued::<S>();
         for packet in 0..N {
             for first in (0..64).step_by(S::LANES) {
                 self.intersect_estimated::<S>(packet, first);
             }
         }
-        // What was never hit has the triangle and the t of a miss.
+        // Rays that hit nothing still have the triangle and the t of a miss.
         for (packet, hits) in hits.iter_mut().take(N).enumerate() {
             for lane in 0..64 {
                 hits[lane] = Hit { triangle: self.hits.triangles[packet][lane], t: self.hits.t[packet][lane] as f32 };
@@ -98,11 +99,11 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         }
     }
 
-    /// Keeps hits of a triangle by a packet's rays from number `first` on, of which single precision is certain, where
-    /// they are the nearest so far. Their inverse depths lie between two bounds. Returns those that cannot be told apart
-    /// from others, or from the ends of the ray.
+    /// Keeps hits of a triangle as estimates where they are the nearest so far. `certain` is a mask of the packet's
+    /// rays from lane `first` on that certainly hit it, at inverse depths within [least, greatest]. Returns the hits
+    /// whose bounds overlap those of other hits, or the ends of the ray's interval.
     #[inline(always)]
-    pub(crate) fn keep_estimate<S: Simd>(
+    pub(super) fn keep_estimate<S: Simd>(
         &mut self,
         triangle: u32,
         packet: usize,
@@ -110,16 +111,21 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         certain: u32,
         [least, greatest]: [S; 2],
     ) -> u32 {
+        // Test that the whole bounds lie within the ray's interval.
         let Packet { directions, t_min, t_max, any_hit, .. } = self.packets[packet];
         let along = S::load(&directions[self.axis][first..]).abs();
         let one = S::splat(1.0);
         let within = one.lt(least.mul(along).mul(S::splat(*t_max * (1.0 - 1e-6))))
             & greatest.mul(along).mul(S::splat(*t_min * (1.0 + 1e-6))).lt(one);
+
+        // Compare them with the estimate and the limit so far.
         let HitScratch { inverse_limits, estimated, estimated_inverse_depths, .. } = &mut *self.hits;
         let inverse_limits = &mut inverse_limits[packet][first..];
         let inverse_depths = &mut estimated_inverse_depths[packet][first..];
         let before = certain & within & S::load(inverse_depths).lt(least);
         let behind = greatest.lt(S::load(inverse_limits));
+
+        // Replace the estimate where the hit is nearer, and move the limit up.
         greatest.masked_store(before, inverse_depths);
         let inverse_limit = if *any_hit { S::splat(f32::INFINITY) } else { least.max(S::load(inverse_limits)) };
         inverse_limit.masked_store(before, inverse_limits);
@@ -127,10 +133,9 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         certain & !(before | behind)
     }
 
-    /// Keeps pairs of a triangle and some of the rays from number `first` on until there are enough of them for one
-    /// decision.
+    /// Queues pairs of a triangle and the rays in a mask, whose first bit is ray `first`, until they fill a vector.
     #[inline(always)]
-    pub(crate) fn queue_exact_test<S: Simd>(&mut self, triangle: u32, first: usize, rays: u32) {
+    pub(super) fn queue_exact_test<S: Simd>(&mut self, triangle: u32, first: usize, rays: u32) {
         let mut left = rays;
         while left != 0 {
             self.rays[self.n_pairs] = (first + left.trailing_zeros() as usize) as u8;
@@ -143,17 +148,18 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         }
     }
 
-    /// Decides what still waits.
+    /// Decides the pairs that still wait.
     #[inline(always)]
-    pub(crate) fn decide_queued<S: Simd>(&mut self) {
+    pub(super) fn decide_queued<S: Simd>(&mut self) {
         if self.n_pairs > 0 {
             self.decide::<S>();
         }
     }
 
-    /// Decides the pairs.
+    /// Decides the queued pairs in double precision, and exactly where that is uncertain.
     #[inline(always)]
     fn decide<S: Simd>(&mut self) {
+        // Gather directions and corners; lanes without a pair repeat the first.
         let n_pairs = std::mem::take(&mut self.n_pairs);
         let mut directions = [[0.0; 16]; 3];
         for slot in 0..S::LANES {
@@ -168,6 +174,8 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         }
         let [x, y, z] = &directions;
         let corners = CornerLanes::of::<S>(self.mesh, &self.triangles);
+
+        // Decide a vector of doubles at a time, and keep the hits.
         for first in (0..n_pairs).step_by(S::Double::LANES) {
             let planes = EdgePlanes::new(self.origin(), corners.double_lanes::<S::Double>(first));
             let direction = [S::Double::load(&x[first..]), S::Double::load(&y[first..]), S::Double::load(&z[first..])];
@@ -188,18 +196,20 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         }
     }
 
-    /// Finds where a packet's rays from number `first` on hit the triangles that they certainly hit.
+    /// Computes the t of the estimates of a vector of rays, from lane `first` on.
     #[inline(always)]
     fn intersect_estimated<S: Simd>(&mut self, packet: usize, first: usize) {
-        let places = &self.hits.estimated[packet][first..];
+        // Find the rays that have an estimate.
+        let indices = &self.hits.estimated[packet][first..];
         let all = ((1u64 << S::LANES) - 1) as u32;
-        let estimated = all & !S::eq_mask(places, Hit::MISS.triangle);
+        let estimated = all & !S::eq_mask(indices, Hit::MISS.triangle);
         if estimated == 0 {
             return;
         }
-        let any_triangle = places[estimated.trailing_zeros() as usize];
-        if estimated & !S::eq_mask(places, any_triangle) == 0 {
-            // A large triangle.
+
+        // All rays hit one large triangle: set its plane up once.
+        let any_triangle = indices[estimated.trailing_zeros() as usize];
+        if estimated & !S::eq_mask(indices, any_triangle) == 0 {
             let corners = self.mesh.corners(any_triangle).map(|corner| corner.map(f64::from));
             let plane = Plane::new(self.origin(), corners).splat::<S::Double>();
             for half in (0..S::LANES).step_by(S::Double::LANES) {
@@ -207,9 +217,11 @@ impl<'a, const N: usize> NearestHits<'a, N> {
             }
             return;
         }
+
+        // Set up the plane of each lane's triangle.
         let mut triangles = [any_triangle; 16];
         for lane in 0..S::LANES {
-            triangles[lane] = if estimated >> lane & 1 == 1 { places[lane] } else { any_triangle };
+            triangles[lane] = if estimated >> lane & 1 == 1 { indices[lane] } else { any_triangle };
         }
         let corners = CornerLanes::of::<S>(self.mesh, &triangles);
         for half in (0..S::LANES).step_by(S::Double::LANES) {
@@ -218,7 +230,7 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         }
     }
 
-    /// Finds where some of a packet's rays from number `first` on hit the planes of triangles that they certainly hit.
+    /// Computes the t at which a packet's rays in a mask, from lane `first` on, hit the planes of their triangles.
     #[inline(always)]
     fn intersect_planes<S: Simd>(
         &mut self,
@@ -232,6 +244,8 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         let direction = [S::Double::load(&x[first..]), S::Double::load(&y[first..]), S::Double::load(&z[first..])];
         let mut all_t = [0.0; 8];
         plane.t(direction).store(&mut all_t);
+
+        // Keep it where it is the ray's only hit, without a branch.
         let mut contested = 0u32;
         for lane in 0..S::Double::LANES {
             let (ray, is_met) = (first + lane, rays >> lane & 1 == 1);
@@ -240,6 +254,8 @@ impl<'a, const N: usize> NearestHits<'a, N> {
             self.hits.t[packet][ray] = if is_only { all_t[lane] } else { self.hits.t[packet][ray] };
             self.hits.triangles[packet][ray] = if is_only { triangles[lane] } else { self.hits.triangles[packet][ray] };
         }
+
+        // Compare it with hits that were decided exactly.
         while contested != 0 {
             let lane = contested.trailing_zeros() as usize;
             contested &= contested - 1;
@@ -247,14 +263,14 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         }
     }
 
-    /// Where all rays begin, in each lane.
+    /// The common origin in all lanes.
     #[inline(always)]
     fn origin<R: Real>(&self) -> Vector<R> {
         let origin = self.packets[0].origin;
         [R::splat(f64::from(origin.x)), R::splat(f64::from(origin.y)), R::splat(f64::from(origin.z))]
     }
 
-    /// Keeps a hit if it is a ray's nearest so far of those that were decided.
+    /// Keeps a hit if it is the nearest of those that were decided exactly, and lies within the ray's interval.
     #[inline(always)]
     fn keep_if_nearest(&mut self, ray: usize, triangle: u32, t: f64) {
         let (index, lane) = (ray / 64 % N, ray % 64);
@@ -272,13 +288,14 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         }
     }
 
-    /// Of triangles at the same t the first in the file wins.
+    /// Whether a triangle comes before another in the file: of several at the same t the first in the file is hit.
     #[cold]
     #[inline(never)]
     fn precedes_in_file(&self, triangle: u32, other: u32) -> bool {
         self.mesh.file_index(triangle) < self.mesh.file_index(other)
     }
 
+    /// The t of a hit in exact arithmetic, or `None` for a miss.
     #[cold]
     #[inline(never)]
     fn decide_exactly(&self, ray: usize, triangle: u32) -> Option<f64> {
@@ -286,14 +303,14 @@ impl<'a, const N: usize> NearestHits<'a, N> {
     }
 }
 
-/// The corners of triangles, one in each lane: for each corner and each axis a coordinate.
+/// Coordinates of triangles' corners by corner, axis and lane.
 struct CornerLanes([[[f32; 16]; 3]; 3]);
 
 impl CornerLanes {
-    /// Of as many triangles as there are lanes.
+    /// Gathers the corners of as many triangles as `S` has lanes.
     #[inline(always)]
-    fn of<S: Simd>(mesh: &TracedMesh, places: &[u32; 16]) -> Self {
-        let in_lanes = mesh.gather_corners::<S>(places);
+    fn of<S: Simd>(mesh: &TracedMesh, triangles: &[u32; 16]) -> Self {
+        let in_lanes = mesh.gather_corners::<S>(triangles);
         let mut corners = [[[0.0; 16]; 3]; 3];
         for corner in 0..3 {
             for axis in 0..3 {
@@ -303,7 +320,7 @@ impl CornerLanes {
         Self(corners)
     }
 
-    /// Those from number `first` on, as many as `R` has lanes.
+    /// The corners in lanes from `first` on, as many as `R` has lanes.
     #[inline(always)]
     fn double_lanes<R: Real>(&self, first: usize) -> [Vector<R>; 3] {
         let mut double = [[R::splat(0.0); 3]; 3];

@@ -1,32 +1,32 @@
-//! The region that a packet's rays pass, slab by slab.
+//! The frustum around the rays of packets, slab by slab.
 
 use crate::grid::tree::overlap::DILATION;
 
-/// Finest cells across the major axis: first and last.
+/// First and last finest cell along u and v.
 #[derive(Clone, Copy)]
-pub(crate) struct CellBounds {
-    pub(crate) u: [i32; 2],
-    pub(crate) v: [i32; 2],
+pub(super) struct CellBounds {
+    pub(super) u: [i32; 2],
+    pub(super) v: [i32; 2],
 }
 
-/// The region that a packet's rays pass, in finest cells along k, u and v.
-pub(crate) struct Frustum {
-    pub(crate) origin: [f64; 3],
-    pub(crate) is_forward: bool,
+/// Bounds of all rays of the packets, in finest cells along k, u and v.
+pub(super) struct Frustum {
+    pub(super) origin: [f64; 3],
+    pub(super) is_forward: bool,
     /// Least and largest du/dk, least and largest dv/dk.
-    pub(crate) slopes: [f32; 4],
+    pub(super) slopes: [f32; 4],
     /// The grid's size along u and v.
-    pub(crate) size: [f64; 2],
+    pub(super) size: [f64; 2],
     /// Finest cells in a world unit.
-    pub(crate) cells_per_unit: f64,
-    /// What rounding can do to a place, when the origin is far away.
-    pub(crate) margin: f64,
+    pub(super) cells_per_unit: f64,
+    /// Rounding error of a position, which grows with the origin's distance.
+    pub(super) margin: f64,
 }
 
 impl Frustum {
-    /// The depths at which a slab begins and ends, counted from the origin along the way.
+    /// The depths of a slab's near and far side, measured from the origin along the major axis.
     #[inline(always)]
-    pub(crate) fn depths(&self, low: i32, size: i32) -> (f64, f64) {
+    pub(super) fn depths(&self, low: i32, size: i32) -> (f64, f64) {
         let (low, high) = (f64::from(low), f64::from(low + size));
         if self.is_forward {
             (low - self.origin[0] - self.margin, high - self.origin[0] + self.margin)
@@ -35,13 +35,14 @@ impl Frustum {
         }
     }
 
-    /// The cells of the grid that lie within the frustum from one depth to another, if any do.
+    /// The cells of the grid within the frustum between two depths, if there are any.
     #[inline(always)]
-    pub(crate) fn cells(&self, near: f64, far: f64) -> Option<CellBounds> {
+    pub(super) fn cells(&self, near: f64, far: f64) -> Option<CellBounds> {
         let near = near.max(0.0);
         Some(CellBounds { u: self.cell_range(0, near, far)?, v: self.cell_range(1, near, far)? })
     }
 
+    /// The first and last cell along u (0) or v (1).
     #[inline(always)]
     fn cell_range(&self, axis: usize, near: f64, far: f64) -> Option<[i32; 2]> {
         let (low, high) = (f64::from(self.slopes[2 * axis]), f64::from(self.slopes[2 * axis + 1]));
@@ -54,16 +55,16 @@ impl Frustum {
         Some([(from.max(0.0) as i32).min(last), (to as i32).min(last)])
     }
 
-    /// The area of its section at a depth.
+    /// Area of the frustum's section at a depth.
     #[inline(always)]
-    pub(crate) fn area(&self, depth: f64) -> f64 {
+    pub(super) fn area(&self, depth: f64) -> f64 {
         let [u_low, u_high, v_low, v_high] = self.slopes;
         f64::from(u_high - u_low) * f64::from(v_high - v_low) * (depth * depth)
     }
 
-    /// A slab in which cells of this size may slip between the rays.
+    /// A slab in which cells of this size may lie between the rays, if the frustum is wide enough there.
     #[inline(always)]
-    pub(crate) fn narrow(&self, near: f64, far: f64, size: u32) -> Option<NarrowSlab<'_>> {
+    pub(super) fn narrow(&self, near: f64, far: f64, size: u32) -> Option<NarrowSlab<'_>> {
         let width = f64::from(self.slopes[1] - self.slopes[0]) * near;
         (near > f64::from(size) * 1e-3 && width > LEAST_CELLS_ACROSS * f64::from(size)).then(|| NarrowSlab {
             frustum: self,
@@ -73,9 +74,9 @@ impl Frustum {
         })
     }
 
-    /// A depth before which the frustum does not meet the grid.
+    /// A lower bound of the depth at which the frustum enters the grid; infinite if it never does.
     #[inline(always)]
-    pub(crate) fn entry_depth(&self) -> f64 {
+    pub(super) fn entry_depth(&self) -> f64 {
         let mut depth = 0.0f64;
         for axis in 0..2 {
             let (low, high) = (f64::from(self.slopes[2 * axis]), f64::from(self.slopes[2 * axis + 1]));
@@ -93,24 +94,24 @@ impl Frustum {
     }
 }
 
-/// How many cells must fit across a packet before it pays to look for cells between its rays.
+/// Cells that must fit across the packets before culling cells between their rays pays.
 const LEAST_CELLS_ACROSS: f64 = 1.0;
 
-/// A slab that lies wholly before the origin.
+/// A slab that lies in front of the origin.
 #[derive(Clone, Copy)]
-pub(crate) struct NarrowSlab<'a> {
+pub(super) struct NarrowSlab<'a> {
     frustum: &'a Frustum,
-    /// Inverse depth of the nearer side, per world unit.
-    pub(crate) inverse_depth: f32,
-    /// Inverse depths of its sides.
+    /// Inverse depth of the near side, per world unit.
+    pub(super) inverse_depth: f32,
+    /// Inverse depths of its sides, per finest cell.
     inverse_near: f64,
     inverse_far: f64,
 }
 
 impl NarrowSlab<'_> {
-    /// The slopes between which a cell of the slab is seen, from its lowest place along u (0) or v (1).
+    /// Bounds of the slopes of rays that pass a cell, whose lowest coordinate along u (0) or v (1) is `low`.
     #[inline(always)]
-    pub(crate) fn slopes(&self, axis: usize, low: i32, size: f64) -> [f32; 2] {
+    pub(super) fn slopes(&self, axis: usize, low: i32, size: f64) -> [f32; 2] {
         let margin = DILATION + self.frustum.margin;
         let low = f64::from(low) - self.frustum.origin[axis + 1];
         let (low, high) = (low - margin, low + size + margin);

@@ -1,44 +1,82 @@
-//! Which of many rays may hit a few triangles: pairs of a triangle and a group of rays, as many rays as a vector has
-//! lanes, are found by bounds, and then tested in single precision.
+//! Tests prepared triangles against groups of rays: pairs of a triangle and a group are found by their bounds, then
+//! tested in single precision.
 //!
-//! What certainly misses is dropped, what certainly hits is kept with bounds of its depth, and [`crate::intersect::packet::decide`] decides
-//! what is between.
+//! Certain misses are dropped, certain hits are kept with bounds of their depth, and [`super::decide`] decides the
+//! rest.
 
-use crate::intersect::{
-    packet::{
-        cull::{Culler, RayGroups},
-        prepared::PreparedTriangles,
-    },
+use crate::{
+    intersect::packet::{decide::NearestHits, prepared::PreparedTriangles, ray_set::MOST_PACKETS},
     simd::Simd,
 };
 
-/// A triangle and a group of rays some of which may hit it.
+/// Most groups of rays: with vectors of eight.
+const MOST_GROUPS: usize = MOST_PACKETS * 64 / 8;
+
+/// Bounds of all groups, one group a lane.
+#[repr(C, align(64))]
+pub(super) struct RayGroups {
+    /// Least and largest slopes.
+    pub(super) u: [[f32; MOST_GROUPS]; 2],
+    pub(super) v: [[f32; MOST_GROUPS]; 2],
+    /// Centres of these bounds, of u and of v.
+    pub(super) centres: [[f32; MOST_GROUPS]; 2],
+    /// The inverse of the farthest limit of a group's rays.
+    pub(super) inverse_limits: [f32; MOST_GROUPS],
+}
+
+impl RayGroups {
+    /// Groups without rays, whose bounds nothing overlaps.
+    pub(super) const NONE: Self = Self {
+        u: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
+        v: [[f32::INFINITY; MOST_GROUPS], [f32::NEG_INFINITY; MOST_GROUPS]],
+        centres: [[0.0; MOST_GROUPS]; 2],
+        inverse_limits: [f32::INFINITY; MOST_GROUPS],
+    };
+}
+
+/// The rays of packets, in groups, with their nearest hits so far.
+pub(super) struct PacketRays<'a, const N: usize> {
+    /// Slopes of the rays against the major axis.
+    pub(super) u: &'a mut [[f32; 64]; N],
+    pub(super) v: &'a mut [[f32; 64]; N],
+    pub(super) groups: &'a mut RayGroups,
+    pub(super) nearest: NearestHits<'a, N>,
+    /// Room for the pairs of one vector of triangles and all groups.
+    pub(super) pairs: &'a mut [Pair; 64 * MOST_PACKETS],
+    /// Least and largest u, least and largest v, of each packet.
+    pub(super) packet_slopes: [[f32; 4]; N],
+    /// A bit for each group that has rays without a final answer.
+    pub(super) unfinished_groups: u32,
+}
+
+/// A triangle, and a group of rays of which some may hit it.
 #[derive(Clone, Copy, Default)]
-pub(crate) struct Pair {
-    /// The lane of the triangle among those that are prepared.
+pub(super) struct Pair {
+    /// The triangle's lane among the prepared ones.
     lane: u8,
-    /// The group's packet and its first ray there.
+    /// The group's packet, and its first lane there.
     packet: u8,
     first: u8,
-    /// A bit for each ray of the group that may hit the triangle, or pass beside it by as much as rounding can do.
+    /// A bit for each ray of the group that hits the triangle or misses it by no more than the rounding error.
     possible: u16,
-    /// Those of them whose lines certainly pass the triangle.
+    /// A bit for each ray whose line certainly passes the triangle.
     certain: u16,
 }
 
-impl<const N: usize> Culler<'_, N> {
-    /// Tests prepared triangles against all rays.
+impl<const N: usize> PacketRays<'_, N> {
+    /// Tests the prepared triangles in the mask `triangles` against all rays.
     #[inline(always)]
-    pub(crate) fn test_prepared<S: Simd>(&mut self, prepared: &PreparedTriangles, triangles: u32) {
-        // Step by step for all packets, for whatever decides whether to go on is known late.
+    pub(super) fn test_prepared<S: Simd>(&mut self, prepared: &PreparedTriangles, triangles: u32) {
+        // Test the bounds of the packets. Each step runs for all packets, so that their latencies overlap.
         let mut hit_by_packet = [0; N];
         for packet in 0..N {
             let [u_low, u_high, v_low, v_high] = self.packet_slopes[packet];
             hit_by_packet[packet] = triangles & overlaps_slopes::<S>(prepared, [u_low, u_high], [v_low, v_high]);
         }
+
+        // Test the bounds of the groups of each packet that is left: one, for most triangles.
         let mut met = [0; N];
         for packet in 0..N {
-            // Most triangles are met by one packet alone.
             if hit_by_packet[packet] == 0 {
                 continue;
             }
@@ -49,6 +87,9 @@ impl<const N: usize> Culler<'_, N> {
                     u64::from(group_hits * (self.unfinished_groups >> group & 1)) << (group_of_packet * S::LANES);
             }
         }
+
+        // Test the rays of each pair of triangle and group, and keep those with a possible hit. Without a branch: three
+        // of four pairs have none.
         let mut n_pairs = 0;
         for packet in 0..N {
             let mut left = met[packet];
@@ -56,33 +97,35 @@ impl<const N: usize> Culler<'_, N> {
                 let pair = left.trailing_zeros() as usize;
                 left &= left - 1;
                 let pair = self.test_sides::<S>(prepared, pair % S::LANES, packet, pair / S::LANES * S::LANES);
-                // Without a branch: three of four pairs are none.
                 self.pairs[n_pairs] = pair;
                 n_pairs += usize::from(pair.possible != 0);
             }
         }
+
+        // Compute the depths of possible hits.
         for index in 0..n_pairs {
             self.record_pair::<S>(prepared, self.pairs[index]);
         }
     }
 
-    /// A bit for each prepared triangle that rays of a group may meet.
+    /// A bit for each prepared triangle that rays of a group may hit.
     #[inline(always)]
     fn group_may_hit<S: Simd>(&self, prepared: &PreparedTriangles, group: usize) -> u32 {
         let RayGroups { u, v, centres, inverse_limits } = &*self.groups;
-        let (u_middle, v_middle) = (S::splat(centres[0][group]), S::splat(centres[1][group]));
-        // Bounds across the axes meet where a large triangle passes beside the group.
-        let mut sides = [u_middle; 3];
+        let (u_centre, v_centre) = (S::splat(centres[0][group]), S::splat(centres[1][group]));
+        // Bound the sides of the edges too: bounds of slopes meet where a large triangle passes diagonally beside the
+        // group.
+        let mut sides = [u_centre; 3];
         for edge in 0..3 {
-            let along_v = S::load(&prepared.sides[edge][2]).mul_add(v_middle, S::load(&prepared.group_sides[edge]));
-            sides[edge] = S::load(&prepared.sides[edge][1]).mul_add(u_middle, along_v);
+            let along_v = S::load(&prepared.sides[edge][2]).mul_add(v_centre, S::load(&prepared.group_sides[edge]));
+            sides[edge] = S::load(&prepared.sides[edge][1]).mul_add(u_centre, along_v);
         }
         overlaps_slopes::<S>(prepared, [u[0][group], u[1][group]], [v[0][group], v[1][group]])
             & S::splat(inverse_limits[group]).le(S::load(&prepared.inverse_depth))
             & !sides[0].min(sides[1]).min(sides[2]).lt(S::splat(0.0))
     }
 
-    /// Tests a prepared triangle against a packet's group of rays from number `first` on.
+    /// Tests a prepared triangle against a packet's group of rays from lane `first` on.
     #[inline(always)]
     fn test_sides<S: Simd>(&self, prepared: &PreparedTriangles, lane: usize, packet: usize, first: usize) -> Pair {
         let (u, v) = (S::load(&self.u[packet][first..]), S::load(&self.v[packet][first..]));
@@ -90,11 +133,15 @@ impl<const N: usize> Culler<'_, N> {
         for edge in 0..3 {
             sides[edge] = dot_direction::<S>(&prepared.sides[edge], lane, u, v);
         }
+
+        // A ray passes the triangle if all sides have one sign, by more than the margin.
         let margin = prepared.side_margin[lane];
         let low = sides[0].min(sides[1]).min(sides[2]);
         let high = sides[0].max(sides[1]).max(sides[2]);
-        // How far all sides are on one side of zero, whichever.
+        // Least absolute side where the signs agree, else negative.
         let inside = low.max(S::splat(0.0).sub(high));
+
+        // Only triangles that begin before the ray's limit can be hit.
         let inverse_limits = S::load(&self.nearest.inverse_limits(packet)[first..]);
         let possible = inverse_limits.le(S::splat(prepared.inverse_depth[lane])) & !inside.lt(S::splat(-margin));
         let certain = possible & S::splat(margin).lt(inside);
@@ -107,16 +154,20 @@ impl<const N: usize> Culler<'_, N> {
         }
     }
 
-    /// Keeps what is certain about a pair, and has the rest decided.
+    /// Keeps the certain hits of a pair, and queues the others for the exact test.
     #[inline(always)]
     fn record_pair<S: Simd>(&mut self, prepared: &PreparedTriangles, pair: Pair) {
         let (lane, packet, first) = (usize::from(pair.lane), usize::from(pair.packet) % N, usize::from(pair.first));
         let (possible, certain) = (u32::from(pair.possible), u32::from(pair.certain));
         let (u, v) = (S::load(&self.u[packet][first..]), S::load(&self.v[packet][first..]));
+
+        // Bound the inverse depths of the hits.
         let inverse_depths = dot_direction::<S>(&prepared.plane, lane, u, v);
         let [relative, absolute] = &prepared.plane_margins;
         let error = inverse_depths.abs().mul_add(S::splat(relative[lane]), S::splat(absolute[lane]));
         let bounds = [inverse_depths.sub(error), inverse_depths.add(error)];
+
+        // Keep estimates; queue uncertain rays, and hits whose bounds overlap with others.
         let triangle = prepared.triangle_indices[lane];
         let undecided = self.nearest.keep_estimate::<S>(triangle, packet, first, certain, bounds);
         let rest = possible & !certain | undecided;
@@ -126,7 +177,7 @@ impl<const N: usize> Culler<'_, N> {
     }
 }
 
-/// A bit for each prepared triangle that has slopes between these.
+/// A bit for each prepared triangle whose bounds of slopes overlap these.
 #[inline(always)]
 fn overlaps_slopes<S: Simd>(prepared: &PreparedTriangles, u: [f32; 2], v: [f32; 2]) -> u32 {
     S::load(&prepared.u[0]).le(S::splat(u[1]))
@@ -135,7 +186,7 @@ fn overlaps_slopes<S: Simd>(prepared: &PreparedTriangles, u: [f32; 2], v: [f32; 
         & S::splat(v[0]).le(S::load(&prepared.v[1]))
 }
 
-/// The product of a prepared triangle's vector and the directions of rays that advance by one along the major axis.
+/// Dot product of a prepared vector with the rays' directions, of length 1 along the major axis.
 #[inline(always)]
 fn dot_direction<S: Simd>(vector: &[[f32; 16]; 3], lane: usize, u: S, v: S) -> S {
     u.mul_add(S::splat(vector[1][lane]), v.mul_add(S::splat(vector[2][lane]), S::splat(vector[0][lane])))

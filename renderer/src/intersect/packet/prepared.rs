@@ -1,67 +1,58 @@
-//! Triangles, one in each lane of a vector, made ready for many rays with a common origin.
+//! Prepares triangles, one per lane, for many rays with a common origin.
 
-use crate::{grid::traced::TracedMesh, intersect::simd::Simd};
+use crate::{
+    grid::traced::TracedMesh,
+    intersect::margins::{PLANE_MARGIN, SIDE_MARGIN, SLOPE_MARGIN, UNDERFLOW_MARGIN},
+    simd::Simd,
+};
 
-/// What single precision can lose, relative: four roundings of 2⁻²⁴ in a corner's slope and two in a ray's, and ten to
-/// spare.
-pub(crate) const SLOPE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
-
-/// The same for the sides of edges, relative to the sum of absolute products: nine roundings, and seven to spare.
-pub(crate) const SIDE_MARGIN: f32 = 1.0 / (1u32 << 20) as f32;
-
-/// The same for a triangle's plane, relative to products of sides that are half as large at least: eleven roundings, trebled,
-/// so that what is small against it can be inverted.
-const PLANE_MARGIN: f32 = 1.0 / (1u32 << 18) as f32;
-
-/// More than the absolute error where products leave the range of normal numbers.
-pub(crate) const UNDERFLOW_MARGIN: f32 = 1e-36;
-
-/// What the rays of a packet have in common.
-pub(crate) struct RayBounds {
-    /// Where they begin, in world space.
-    pub(crate) origin: [f32; 3],
-    /// The major axis and the two others.
-    pub(crate) axes: [usize; 3],
-    /// The sign of all directions along the major axis.
-    pub(crate) sign: f32,
+/// Common properties and bounds of all rays of the packets.
+pub(super) struct RayBounds {
+    /// Common origin, in world space.
+    pub(super) origin: [f32; 3],
+    /// The major axis k, then u and v.
+    pub(super) axes: [usize; 3],
+    /// Sign of all directions along the major axis.
+    pub(super) sign: f32,
     /// Bounds of the slopes of all rays without a final answer: least and largest u, least and largest v.
-    pub(crate) slopes: [f32; 4],
-    /// The largest absolute components of all directions, of length 1 along the major axis, along `axes`.
-    pub(crate) reach: [f32; 3],
-    /// How far the slopes u and v of a group's rays are at most from the middle of their bounds.
-    pub(crate) group_half_width: [f32; 2],
+    pub(super) slopes: [f32; 4],
+    /// Largest absolute components of all directions along `axes`, the directions scaled to 1 along the major axis.
+    pub(super) max_abs_direction: [f32; 3],
+    /// Largest distance of a slope u, v from the centre of its group's bounds.
+    pub(super) group_half_width: [f32; 2],
 }
 
-/// Triangles made ready for the rays, one in each lane.
+/// Triangles prepared for the rays, one per lane.
 #[derive(Default)]
 #[repr(align(64))]
-pub(crate) struct PreparedTriangles {
-    /// Their places in the mesh.
-    pub(crate) triangle_indices: [u32; 16],
-    /// Normals of the planes through the origin and the three edges, along the bundle's axes and its way: the product
-    /// with the direction of a ray that hits the triangle before it is positive.
-    pub(crate) sides: [[[f32; 16]; 3]; 3],
-    /// What may be wrong with these products.
-    pub(crate) side_margin: [f32; 16],
-    /// What the products with rays of a group are at most, less what slopes of their middle add.
-    pub(crate) group_sides: [[f32; 16]; 3],
-    /// The normal of the triangle's plane, likewise, over the plane's distance: the product with a direction of length 1
-    /// along the major axis is the inverse depth.
-    pub(crate) plane: [[f32; 16]; 3],
-    /// What may be wrong with inverse depths, relative and absolute.
-    pub(crate) plane_margins: [[f32; 16]; 2],
-    /// Bounds of the slopes.
-    pub(crate) u: [[f32; 16]; 2],
-    pub(crate) v: [[f32; 16]; 2],
-    /// The inverse of the least depth along the major axis.
-    pub(crate) inverse_depth: [f32; 16],
+pub(super) struct PreparedTriangles {
+    /// Triangle indices.
+    pub(super) triangle_indices: [u32; 16],
+    /// Normals of the planes through the origin and the three edges, along the rays' axes. All three dot products with
+    /// a ray's direction are positive if the ray hits the triangle in front of the origin.
+    pub(super) sides: [[[f32; 16]; 3]; 3],
+    /// Rounding error of these products.
+    pub(super) side_margin: [f32; 16],
+    /// Upper bound of the products with the rays of a group, less the terms of the group's centre.
+    pub(super) group_sides: [[f32; 16]; 3],
+    /// The normal of the triangle's plane, divided by its offset from the origin: the dot product with a direction of
+    /// length 1 along the major axis is the inverse depth of the hit.
+    pub(super) plane: [[f32; 16]; 3],
+    /// Rounding error of inverse depths, relative and absolute.
+    pub(super) plane_margins: [[f32; 16]; 2],
+    /// Bounds of the corners' slopes; infinite for triangles that reach behind the origin.
+    pub(super) u: [[f32; 16]; 2],
+    pub(super) v: [[f32; 16]; 2],
+    /// Inverse of the least depth along the major axis.
+    pub(super) inverse_depth: [f32; 16],
 }
 
 impl PreparedTriangles {
-    /// Reads the triangles at `coordinates`, and makes them ready; returns a bit for each that some ray of the bundle may hit.
-    /// The others are not ready.
+    /// Prepares the triangles of `triangle_indices`; returns a bit for each whose bounds meet those of the rays. Lanes
+    /// without a bit are undefined.
     #[inline(always)]
-    pub(crate) fn prepare<S: Simd>(&mut self, mesh: &TracedMesh, ray_bounds: &RayBounds) -> u32 {
+    pub(super) fn prepare<S: Simd>(&mut self, mesh: &TracedMesh, ray_bounds: &RayBounds) -> u32 {
+        // Load the corners, and move the origin to zero.
         let [k, u, v] = ray_bounds.axes;
         let corners = mesh.gather_corners::<S>(&self.triangle_indices);
         let mut from_origin = corners;
@@ -73,7 +64,7 @@ impl PreparedTriangles {
         let zero = S::splat(0.0);
         let [a, b, c] = &from_origin;
 
-        // Bounds in slopes and depth.
+        // Compute the triangles' bounds in slopes and inverse depth.
         let sign = S::splat(ray_bounds.sign);
         let depths = [a[k].mul(sign), b[k].mul(sign), c[k].mul(sign)];
         let nearest = depths[0].min(depths[1]).min(depths[2]);
@@ -83,7 +74,8 @@ impl PreparedTriangles {
         let nearest_inverse = inverse[0].max(inverse[1]).max(inverse[2]);
         let u_bounds = slope_bounds([a[u], b[u], c[u]], inverse);
         let v_bounds = slope_bounds([a[v], b[v], c[v]], inverse);
-        // Triangles that reach behind the origin have no such bounds.
+
+        // Keep triangles whose bounds meet the rays', and those that reach behind the origin and so have no bounds.
         let unbounded = nearest.lt(S::splat(1e-30));
         let [u_low, u_high, v_low, v_high] = ray_bounds.slopes;
         let within = u_bounds[0].le(S::splat(u_high))
@@ -94,6 +86,8 @@ impl PreparedTriangles {
         if left == 0 {
             return 0;
         }
+
+        // Store the bounds; infinite ones where there are none.
         u_bounds[0].store(&mut self.u[0]);
         u_bounds[1].store(&mut self.u[1]);
         v_bounds[0].store(&mut self.v[0]);
@@ -110,7 +104,7 @@ impl PreparedTriangles {
             self.inverse_depth[lane] = f32::INFINITY;
         }
 
-        // The planes through the origin and the edges: p × (q − p) for the edge from p to q.
+        // Compute the planes through the origin and the edges: p × (q − p) for the edge from p to q.
         let mut sides = [[zero; 3]; 3];
         let mut edges = [[zero; 3]; 3];
         let mut max_abs_corner = [zero; 3];
@@ -126,21 +120,23 @@ impl PreparedTriangles {
             }
             sides[edge] = cross(p, edges[edge]);
         }
+
+        // Compute the triangle's plane: normal · x = offset.
         let normal = cross(edges[0], edges[1]);
         let offset = normal[0].mul_add(a[k], normal[1].mul_add(a[u], normal[2].mul(a[v])));
 
-        // What rounding can do, from the largest components.
+        // Bound the rounding errors by products of the largest components.
         let (mut side_error, mut normal_error, mut offset_error, mut underflow) = (zero, zero, zero, one);
         for local_axis in 0..3 {
             let (next, last) = ((local_axis + 1) % 3, (local_axis + 2) % 3);
-            let reach = S::splat(ray_bounds.reach[local_axis]);
+            let max_abs_direction = S::splat(ray_bounds.max_abs_direction[local_axis]);
             let (next_corner, last_corner) = (max_abs_corner[next], max_abs_corner[last]);
             let side = next_corner.mul_add(max_abs_edge[last], last_corner.mul(max_abs_edge[next]));
             let area = max_abs_edge[next].mul(max_abs_edge[last]);
-            side_error = side.mul_add(reach, side_error);
-            normal_error = area.mul_add(reach, normal_error);
+            side_error = side.mul_add(max_abs_direction, side_error);
+            normal_error = area.mul_add(max_abs_direction, normal_error);
             offset_error = area.mul_add(max_abs_corner[local_axis], offset_error);
-            underflow = underflow.add(reach).add(max_abs_corner[local_axis]);
+            underflow = underflow.add(max_abs_direction).add(max_abs_corner[local_axis]);
         }
         let underflow = underflow.mul(S::splat(UNDERFLOW_MARGIN));
         let side_margin = side_error.mul_add(S::splat(SIDE_MARGIN), underflow);
@@ -148,6 +144,7 @@ impl PreparedTriangles {
         let offset_margin = offset_error.mul_add(S::splat(PLANE_MARGIN), underflow);
         side_margin.store(&mut self.side_margin);
 
+        // Scale the plane to give inverse depths, and its error with it.
         let inverse_offset = one.div(offset);
         normal[0].mul(inverse_offset).mul(sign).store(&mut self.plane[0]);
         normal[1].mul(inverse_offset).store(&mut self.plane[1]);
@@ -155,17 +152,19 @@ impl PreparedTriangles {
         offset_margin.mul_add(inverse_offset.abs(), S::splat(SLOPE_MARGIN)).store(&mut self.plane_margins[0]);
         normal_margin.mul(inverse_offset.abs()).store(&mut self.plane_margins[1]);
 
-        // A ray that hits the triangle before it passes all edges on the side on which the plane is.
+        // Orient the edge planes by the side of the triangle that faces the origin: then hits have positive products.
         let orientation = S::select(zero.lt(offset), one, zero.sub(one));
         let is_oriented = offset_margin.lt(offset.abs());
-        // As much as any of the group's rays can have more, with what rounding can do to it and to the rays.
+
+        // Bound the products of a group's rays; without a certain orientation the bound is infinite.
         let group_margin = S::select(is_oriented, side_margin.mul(S::splat(4.0)), S::splat(f32::INFINITY));
-        let (u_reach, v_reach) = (S::splat(ray_bounds.group_half_width[0]), S::splat(ray_bounds.group_half_width[1]));
+        let (u_half_width, v_half_width) =
+            (S::splat(ray_bounds.group_half_width[0]), S::splat(ray_bounds.group_half_width[1]));
         for edge in 0..3 {
             let along_k = sides[edge][0].mul(sign).mul(orientation);
             let (along_u, along_v) = (sides[edge][1].mul(orientation), sides[edge][2].mul(orientation));
-            let group_margin = along_v.abs().mul_add(v_reach, along_k.add(group_margin));
-            along_u.abs().mul_add(u_reach, group_margin).store(&mut self.group_sides[edge]);
+            let group_margin = along_v.abs().mul_add(v_half_width, along_k.add(group_margin));
+            along_u.abs().mul_add(u_half_width, group_margin).store(&mut self.group_sides[edge]);
             along_k.store(&mut self.sides[edge][0]);
             along_u.store(&mut self.sides[edge][1]);
             along_v.store(&mut self.sides[edge][2]);
@@ -179,7 +178,7 @@ fn cross<S: Simd>(a: [S; 3], b: [S; 3]) -> [S; 3] {
     [a[1].mul_sub(b[2], a[2].mul(b[1])), a[2].mul_sub(b[0], a[0].mul(b[2])), a[0].mul_sub(b[1], a[1].mul(b[0]))]
 }
 
-/// Bounds of three corners' slopes, from their places along an axis and their inverse depths.
+/// Bounds of three corners' slopes, from their coordinates along an axis and their inverse depths.
 #[inline(always)]
 fn slope_bounds<S: Simd>(coordinates: [S; 3], inverse_depths: [S; 3]) -> [S; 2] {
     let slopes = [

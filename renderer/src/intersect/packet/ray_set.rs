@@ -1,19 +1,59 @@
-//! Sets of rays that go together.
+//! Packets of rays, and sets of the rays of packets that are traced together.
 
-/// Some of the rays of packets that go together.
+use glam::Vec3;
+
+use crate::intersect::ray::Ray;
+
+/// Up to 64 rays with a common origin, in world space.
+///
+/// Aligned as all vectors of the kernel are: a vector that crosses a cache line is read twice.
+#[repr(C, align(64))]
+pub struct Packet {
+    /// Directions, one array per component. Lanes 16·n to 16·n + 15 (or 8·n to 8·n + 7) form a group that is culled
+    /// together: they should lie close to each other. Inactive lanes must repeat the direction of another.
+    pub directions: [[f32; 64]; 3],
+    /// Common origin.
+    pub origin: Vec3,
+    /// A bit for each lane that holds a ray.
+    pub active: u64,
+    /// Start of all rays' interval, in units of their directions.
+    pub t_min: f32,
+    /// End of all rays' interval.
+    pub t_max: f32,
+    /// Whether any hit of a ray will do in place of the nearest, as for shadows.
+    pub any_hit: bool,
+}
+
+impl Packet {
+    /// No rays.
+    pub const NONE: Self =
+        Self { directions: [[0.0; 64]; 3], origin: Vec3::ZERO, active: 0, t_min: 0.0, t_max: f32::MAX, any_hit: false };
+
+    /// The ray of one lane.
+    pub fn ray(&self, lane: usize) -> Ray {
+        let [x, y, z] = &self.directions;
+        let direction = Vec3::new(x[lane], y[lane], z[lane]);
+        Ray { origin: self.origin, direction, t_min: self.t_min, t_max: self.t_max }
+    }
+}
+
+/// Packets that can be traced together.
+pub const MOST_PACKETS: usize = 4;
+
+/// Some of the rays of packets that are traced together.
 #[derive(Clone, Copy)]
-pub(crate) struct RaySet<const N: usize> {
+pub(super) struct RaySet<const N: usize> {
     /// A bit for each ray of each packet.
-    pub(crate) masks: [u64; N],
+    pub(super) masks: [u64; N],
 }
 
 impl<const N: usize> RaySet<N> {
-    /// None of them.
-    pub(crate) const NONE: Self = Self { masks: [0; N] };
+    /// The empty set.
+    pub(super) const NONE: Self = Self { masks: [0; N] };
 
-    /// How many.
+    /// The number of rays in the set.
     #[inline(always)]
-    pub(crate) fn count(&self) -> u32 {
+    pub(super) fn count(&self) -> u32 {
         let mut count = 0;
         for packet in 0..N {
             count += self.masks[packet].count_ones();
@@ -21,9 +61,9 @@ impl<const N: usize> RaySet<N> {
         count
     }
 
-    /// Whether there are none.
+    /// Whether the set has no rays.
     #[inline(always)]
-    pub(crate) fn is_empty(&self) -> bool {
+    pub(super) fn is_empty(&self) -> bool {
         let mut any = 0;
         for packet in 0..N {
             any |= self.masks[packet];
@@ -31,9 +71,9 @@ impl<const N: usize> RaySet<N> {
         any == 0
     }
 
-    /// Those that are in both.
+    /// The intersection of two sets.
     #[inline(always)]
-    pub(crate) fn and(mut self, other: &Self) -> Self {
+    pub(super) fn and(mut self, other: &Self) -> Self {
         for packet in 0..N {
             self.masks[packet] &= other.masks[packet];
         }

@@ -1,0 +1,277 @@
+//! SIMD vectors: AVX-512, AVX2, and a portable form for any machine.
+//!
+//! Single precision decides only with margins to spare, so its `mul_add` may round once or twice. Double precision
+//! decides the rest and computes t: [`Real`] has no fused operations, and all its implementations give the bits of
+//! `f64`.
+
+mod instructions;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
+pub use instructions::InstructionSet;
+#[cfg(target_arch = "x86_64")]
+pub(crate) use x86::{Avx2, Avx512};
+
+/// A vector of double-precision numbers, of one lane or several.
+pub(crate) trait Real: Copy {
+    /// Number of lanes.
+    const LANES: usize;
+    fn splat(x: f64) -> Self;
+    /// Loads the first [`Real::LANES`] numbers of a slice as doubles.
+    fn load(from: &[f32]) -> Self;
+    /// Writes all lanes to the beginning of an array.
+    fn store(self, to: &mut [f64; 8]);
+    fn add(self, other: Self) -> Self;
+    fn sub(self, other: Self) -> Self;
+    fn mul(self, other: Self) -> Self;
+    fn div(self, other: Self) -> Self;
+    fn max(self, other: Self) -> Self;
+    fn abs(self) -> Self;
+    /// A bit for each lane where self < other; 0 for NaN.
+    fn lt(self, other: Self) -> u32;
+}
+
+/// Methods of one expression each.
+macro_rules! methods {
+    ($($name:ident($this:ident $(, $argument:ident)*) = $result:expr;)*) => {
+        $(#[inline(always)]
+        fn $name($this $(, $argument: Self)*) -> Self {
+            $result
+        })*
+    };
+}
+
+impl Real for f64 {
+    const LANES: usize = 1;
+    #[inline(always)]
+    fn splat(x: f64) -> Self {
+        x
+    }
+    #[inline(always)]
+    fn load(from: &[f32]) -> Self {
+        f64::from(from[0])
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [f64; 8]) {
+        to[0] = self;
+    }
+    methods! {
+        add(self, other) = self + other;
+        sub(self, other) = self - other;
+        mul(self, other) = self * other;
+        div(self, other) = self / other;
+        max(self, other) = if self > other { self } else { other };
+        abs(self) = f64::abs(self);
+    }
+    #[inline(always)]
+    fn lt(self, other: Self) -> u32 {
+        u32::from(self < other)
+    }
+}
+
+/// A function that is compiled once for each instruction set.
+///
+/// Its body must not hold closures over vectors: they would not be compiled for the caller's instruction set.
+pub(crate) trait Kernel {
+    /// Result of the function.
+    type Output;
+    /// Body of the function; it must be `#[inline(always)]`, as all that it calls with vectors.
+    fn run<S: Simd>(self) -> Self::Output;
+}
+
+/// Implements [`Simd::call`] for an instruction set with these target features.
+macro_rules! call_with_features {
+    ($set:ident $(, $features:literal)?) => {
+        #[inline(always)]
+        fn call<K: $crate::simd::Kernel>(kernel: K) -> K::Output {
+            $(#[target_feature(enable = $features)])?
+            unsafe fn call<K: $crate::simd::Kernel>(kernel: K) -> K::Output {
+                kernel.run::<$set>()
+            }
+            // SAFETY: an instruction set is used only where it was found at run time.
+            unsafe { call(kernel) }
+        }
+    };
+}
+#[cfg(target_arch = "x86_64")]
+use call_with_features;
+
+/// An instruction set: a vector of [`Simd::LANES`] single-precision numbers, and operations on vectors and slices.
+pub(crate) trait Simd: Copy {
+    /// Number of lanes: 8 or 16.
+    const LANES: usize;
+    /// Double-precision vectors of the same instruction set.
+    type Double: Real;
+    /// Runs a kernel in a function that is compiled for this instruction set.
+    fn call<K: Kernel>(kernel: K) -> K::Output;
+    /// Hints that `slice[index]` will be read soon.
+    #[inline(always)]
+    fn prefetch<T>(slice: &[T], index: usize) {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: a hint, which never faults; SSE is part of the architecture.
+        unsafe {
+            use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+            _mm_prefetch::<_MM_HINT_T0>(slice.as_ptr().wrapping_add(index).cast());
+        }
+    }
+    fn splat(x: f32) -> Self;
+    /// Loads the first [`Simd::LANES`] numbers of a slice.
+    fn load(from: &[f32]) -> Self;
+    /// Loads the first [`Simd::LANES`] numbers of a slice of at least 16, converted to `f32`.
+    fn load_bytes(from: &[u8]) -> Self;
+    /// Writes all lanes to the beginning of a slice.
+    fn store(self, to: &mut [f32]);
+    /// Takes each lane from `yes` where its bit is set in `mask`, else from `no`.
+    fn select(mask: u32, yes: Self, no: Self) -> Self;
+    /// Writes the lanes that have their bit set in `mask`, each to its own index, to a slice with room for all lanes.
+    #[inline(always)]
+    fn masked_store(self, mask: u32, to: &mut [f32]) {
+        // No masked store: a load after it would stall.
+        Self::select(mask, self, Self::load(to)).store(to);
+    }
+    /// Writes a number at the indices of the bits in `mask`, to a slice with room for all lanes.
+    fn masked_fill(number: u32, mask: u32, to: &mut [u32]);
+    /// A bit for each of the first [`Simd::LANES`] numbers of a slice that equals `number`.
+    fn eq_mask(numbers: &[u32], number: u32) -> u32;
+    /// The least lane.
+    fn reduce_min(self) -> f32;
+    /// The greatest lane.
+    fn reduce_max(self) -> f32;
+    /// Gathers x, y and z of the first [`Simd::LANES`] vertices; `coordinates` holds three numbers for each vertex of
+    /// the mesh.
+    ///
+    /// Four numbers are loaded for each vertex and three are kept: several times as fast as the gather instructions.
+    /// Loads are unchecked: checks would take up to 5 % of a frame's time.
+    ///
+    /// # Safety
+    ///
+    /// `coordinates` has at least `3 * vertex + 4` numbers for each of the first [`Simd::LANES`] vertices.
+    unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3];
+    /// Writes the numbers that have their bit set in `mask`, of up to [`Simd::LANES`], to the beginning of a slice with
+    /// room for all lanes, in order. Returns how many there are; lanes after them are undefined.
+    #[inline(always)]
+    fn compress(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
+        let mut n = 0;
+        for (lane, &number) in from.iter().enumerate() {
+            to[n] = number;
+            n += (mask >> lane & 1) as usize;
+        }
+        n
+    }
+    fn add(self, other: Self) -> Self;
+    fn sub(self, other: Self) -> Self;
+    fn mul(self, other: Self) -> Self;
+    fn div(self, other: Self) -> Self;
+    fn min(self, other: Self) -> Self;
+    fn max(self, other: Self) -> Self;
+    fn abs(self) -> Self;
+    /// self·factor + summand, rounded once or twice.
+    fn mul_add(self, factor: Self, summand: Self) -> Self;
+    /// self·factor − subtrahend, rounded once or twice.
+    fn mul_sub(self, factor: Self, subtrahend: Self) -> Self;
+    /// summand − self·factor, rounded once or twice.
+    fn neg_mul_add(self, factor: Self, summand: Self) -> Self;
+    /// Bitwise and: negative where both are.
+    fn and(self, other: Self) -> Self;
+    /// Bitwise or: negative where either is.
+    fn or(self, other: Self) -> Self;
+    /// The sign bit of each lane.
+    ///
+    /// Box tests read sign bits of differences: a Zen 5 compares one vector a cycle, but subtracts two and combines
+    /// four.
+    fn sign_mask(self) -> u32;
+    /// A bit for each lane where self ≤ other; 0 for NaN.
+    fn le(self, other: Self) -> u32;
+    /// A bit for each lane where self < other; 0 for NaN.
+    fn lt(self, other: Self) -> u32;
+}
+
+/// Eight lanes without special instructions.
+#[derive(Clone, Copy)]
+pub(crate) struct Portable([f32; 8]);
+
+impl Portable {
+    #[inline(always)]
+    fn zip(self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
+        Self(std::array::from_fn(|lane| f(self.0[lane], other.0[lane])))
+    }
+
+    #[inline(always)]
+    fn compare(self, other: Self, f: impl Fn(f32, f32) -> bool) -> u32 {
+        (0..8).fold(0, |mask, lane| mask | u32::from(f(self.0[lane], other.0[lane])) << lane)
+    }
+}
+
+impl Simd for Portable {
+    const LANES: usize = 8;
+    type Double = f64;
+    call_with_features!(Portable);
+    #[inline(always)]
+    fn splat(x: f32) -> Self {
+        Self([x; 8])
+    }
+    #[inline(always)]
+    fn load(from: &[f32]) -> Self {
+        Self(std::array::from_fn(|lane| from[lane]))
+    }
+    #[inline(always)]
+    fn load_bytes(from: &[u8]) -> Self {
+        Self(std::array::from_fn(|lane| f32::from(from[lane])))
+    }
+    #[inline(always)]
+    fn select(mask: u32, yes: Self, no: Self) -> Self {
+        // Bits are tested in place and all lanes are written, so that the compiler vectorises it.
+        Self(std::array::from_fn(|lane| if mask & 1 << lane != 0 { yes.0[lane] } else { no.0[lane] }))
+    }
+    #[inline(always)]
+    fn masked_fill(number: u32, mask: u32, to: &mut [u32]) {
+        let to: &mut [u32; 8] = (&mut to[..8]).try_into().expect("eight numbers");
+        *to = std::array::from_fn(|lane| if mask & 1 << lane != 0 { number } else { to[lane] });
+    }
+    #[inline(always)]
+    fn eq_mask(numbers: &[u32], number: u32) -> u32 {
+        (0..8).fold(0, |mask, lane| mask | u32::from(numbers[lane] == number) << lane)
+    }
+    #[inline(always)]
+    fn store(self, to: &mut [f32]) {
+        to[..8].copy_from_slice(&self.0);
+    }
+    #[inline(always)]
+    fn reduce_min(self) -> f32 {
+        self.0.into_iter().fold(f32::INFINITY, f32::min)
+    }
+    #[inline(always)]
+    fn reduce_max(self) -> f32 {
+        self.0.into_iter().fold(f32::NEG_INFINITY, f32::max)
+    }
+    #[inline(always)]
+    unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
+        std::array::from_fn(|axis| Self(std::array::from_fn(|lane| coordinates[3 * vertices[lane] as usize + axis])))
+    }
+    methods! {
+        add(self, other) = self.zip(other, |a, b| a + b);
+        sub(self, other) = self.zip(other, |a, b| a - b);
+        mul(self, other) = self.zip(other, |a, b| a * b);
+        div(self, other) = self.zip(other, |a, b| a / b);
+        min(self, other) = self.zip(other, |a, b| if a < b { a } else { b });
+        max(self, other) = self.zip(other, |a, b| if a > b { a } else { b });
+        abs(self) = Self(self.0.map(f32::abs));
+        mul_add(self, factor, summand) = self.mul(factor).add(summand);
+        mul_sub(self, factor, subtrahend) = self.mul(factor).sub(subtrahend);
+        neg_mul_add(self, factor, summand) = summand.sub(self.mul(factor));
+        and(self, other) = self.zip(other, |a, b| f32::from_bits(a.to_bits() & b.to_bits()));
+        or(self, other) = self.zip(other, |a, b| f32::from_bits(a.to_bits() | b.to_bits()));
+    }
+    #[inline(always)]
+    fn sign_mask(self) -> u32 {
+        (0..8).fold(0, |mask, lane| mask | self.0[lane].to_bits() >> 31 << lane)
+    }
+    #[inline(always)]
+    fn le(self, other: Self) -> u32 {
+        self.compare(other, |a, b| a <= b)
+    }
+    #[inline(always)]
+    fn lt(self, other: Self) -> u32 {
+        self.compare(other, |a, b| a < b)
+    }
+}
