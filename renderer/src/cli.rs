@@ -1,4 +1,4 @@
-//! The command line of the `renderer` program; the wall runs the same for its local render servers.
+//! The command line of the `renderer` program, which the wall also uses to start local render servers.
 
 pub mod appearance_args;
 pub mod generate;
@@ -11,28 +11,28 @@ pub mod trace;
 use std::{
     ffi::OsString,
     fmt::Display,
-    io::{BufRead, ErrorKind, IsTerminal, Read, Write},
+    io::{ErrorKind, IsTerminal, Write},
     process::ExitCode,
 };
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
 
-use crate::server::connect::{self, ConnectArgs};
-use generate::GenerateArgs;
-use key::KeyArgs;
-use trace::TraceArgs;
+use crate::{
+    cli::{generate::GenerateArgs, key::KeyArgs, trace::TraceArgs},
+    server::connect::{self, ConnectArgs},
+};
 
 /// Render server of the display wall
 #[derive(Debug, Parser)]
 #[command(version, about, long_about = None)]
 pub struct Cli {
-    /// What to do.
+    /// The subcommand.
     #[command(subcommand)]
     pub command: Command,
 }
 
-/// What the program can do.
+/// Subcommands of `renderer`.
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Render for a wall until told to stop
@@ -45,12 +45,12 @@ pub enum Command {
     Trace(TraceArgs),
 }
 
-/// Reads a program's command line; if there is something wrong with it, ends the program with what that is.
+/// Parses the program's command line; on an error, prints it and exits.
 pub fn parse<P: Parser>() -> P {
     try_parse(std::env::args_os()).unwrap_or_else(|error| error.exit())
 }
 
-/// Reads a command line, the program's name first.
+/// Parses a command line; the first argument is the program's name.
 pub(crate) fn try_parse<P: Parser>(
     arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>,
 ) -> Result<P, clap::Error> {
@@ -59,15 +59,14 @@ pub(crate) fn try_parse<P: Parser>(
     P::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
 }
 
-/// The same command line, but what looks like a negative number is an option's value, which is told its range, and not
-/// an option that does not exist.
+/// Lets options take negative numbers as values, so that the error names the option's range instead of an unknown option.
 fn with_negative_numbers(command: clap::Command) -> clap::Command {
     command
         .mut_args(|arg| if arg.get_action().takes_values() { arg.allow_negative_numbers(true) } else { arg })
         .mut_subcommands(with_negative_numbers)
 }
 
-/// Does it.
+/// Runs a subcommand.
 pub fn run(command: Command) -> Result<()> {
     match command {
         Command::Connect(args) => connect::run(args),
@@ -77,7 +76,7 @@ pub fn run(command: Command) -> Result<()> {
     }
 }
 
-/// Logs to standard error: what a person should know, or what the variable RUST_LOG asks for.
+/// Logs to standard error, at the levels of the variable RUST_LOG or at defaults for operators.
 pub fn start_logging() {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,winit=error,renderer=info,compositor=info"));
@@ -89,7 +88,7 @@ pub fn start_logging() {
         .init();
 }
 
-/// Prints a line to standard output. Nobody listening any more is no error; a full disk is.
+/// Prints a line to standard output. A closed pipe is no error; a full disk is.
 pub fn say(line: impl Display) -> Result<()> {
     match writeln!(std::io::stdout(), "{line}") {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("cannot write to standard output"),
@@ -97,18 +96,7 @@ pub fn say(line: impl Display) -> Result<()> {
     }
 }
 
-/// Bytes of a line that is read at most: paths are shorter on all systems.
-const LONGEST_LINE: u64 = 1 << 16;
-
-/// Reads the next line in place of the last; returns whether there is one. One that does not end is an error.
-pub fn read_line(input: &mut impl BufRead, line: &mut String) -> Result<bool> {
-    line.clear();
-    let n_bytes = input.take(LONGEST_LINE).read_line(line)? as u64;
-    ensure!(n_bytes < LONGEST_LINE, "a line has {LONGEST_LINE} bytes or more");
-    Ok(n_bytes > 0)
-}
-
-/// Prints an error as one line that names the whole chain of causes.
+/// Prints an error with its chain of causes on one line.
 pub fn exit_code(result: Result<()>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,

@@ -1,7 +1,7 @@
 //! The render server: loads a model, builds the paper's grid over it, and traces its share of each frame.
 //!
-//! In reading order, a room each: [`model`] reads or makes a mesh, [`grid`] sorts its triangles into cells, [`intersect`]
-//! follows rays through them, [`render`] turns hits into light and shares of frames into samples, [`server`] serves a wall,
+//! In reading order: [`model`] reads or generates a mesh, [`grid`] sorts its triangles into cells, [`intersect`] follows
+//! rays through the cells, [`render`] turns hits into light and shares of frames into samples, [`server`] serves a wall,
 //! and [`cli`] is the command line.
 
 pub mod cli;
@@ -10,3 +10,4 @@ pub mod intersect;
 pub mod model;
 pub mod render;
 pub mod server;
+mod simd;

@@ -1,4 +1,4 @@
-//! The `renderer` program.
+//! The `renderer` program: the render server's command line.
 
 use std::process::ExitCode;
 

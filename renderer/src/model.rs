@@ -1,6 +1,6 @@
-//! What is traced: triangle meshes, read from files or made.
+//! Triangle meshes, read from files or generated.
 //!
-//! [`mesh`] is one in memory; [`ply`] reads one, [`statue`] makes one, [`scene`] names and loads one.
+//! [`mesh`] is the type; [`ply`] reads and writes meshes, [`statue`] generates one, [`scene`] loads and identifies them.
 
 pub mod mesh;
 pub mod ply;

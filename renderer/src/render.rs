@@ -1,14 +1,17 @@
-//! From rays to samples: packets of camera rays, what lights their hits, and whole frames on all threads.
+//! From rays to samples: packets of camera rays, the light at their hits, and whole frames on all threads.
 //!
-//! [`blocks`] cuts a share of a frame into packets, [`tracer`] traces and shades them with [`lighting`], which asks
-//! [`secondary`] for the lights that reach a hit and [`shade`] for its colour. [`frame`] traces whole frames, [`parallel`]
-//! divides them among [`threads`], and [`image`] writes them.
+//! [`scene`] is a mesh with its grid. [`blocks`] cuts a share of a frame into packets, [`sampling`] places samples in
+//! pixels. [`secondary`] finds the lights that reach a hit, [`shade`] its colour; [`lighting`] joins the two, and
+//! [`tracer`] renders shares with it. [`frame`] traces whole frames, [`parallel`] divides them among [`threads`], and
+//! [`image`] writes them.
 
 pub mod blocks;
 pub mod frame;
 pub mod image;
 pub mod lighting;
 pub mod parallel;
+pub mod sampling;
+pub mod scene;
 pub mod secondary;
 pub mod shade;
 pub mod threads;

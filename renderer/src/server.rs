@@ -1,7 +1,7 @@
 //! The render server: `renderer connect`.
 //!
-//! [`connect`] finds the wall and finds it again, [`session`] is one conversation with it, [`scene_loader`] loads the scene that it
-//! names, [`task`] renders what it asks for; [`synthetic`] answers at once with stored samples, to measure the wall alone.
+//! [`connect`] connects to the wall and reconnects, [`session`] is one conversation with it, [`task`] renders what it asks
+//! for, and [`scene_loader`] loads the scene; [`synthetic`] answers at once with stored samples, to measure the wall alone.
 
 pub mod connect;
 mod scene_loader;

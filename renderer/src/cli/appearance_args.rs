@@ -1,26 +1,26 @@
-//! How a picture looks, as it is said on the command lines of all programs that make some.
+//! Command-line options of a picture's appearance, shared by all programs that render.
 
 use shared::appearance::{Appearance, Background, Clip, Light};
 
-/// How a picture looks beside what it shows.
+/// Appearance of a picture: light, background and clip plane.
 #[derive(Clone, Copy, Debug, clap::Args)]
-#[command(next_help_heading = "The look")]
+#[command(next_help_heading = "Appearance")]
 pub struct AppearanceArgs {
-    /// From where the light comes, in degrees to the right of the eye and above it
+    /// Direction of the key light, in degrees to the right of the eye and above it
     #[arg(long, value_name = "AZIMUTH,ELEVATION", default_value_t = Light::default(), allow_hyphen_values = true)]
     key_light: Light,
 
-    /// What is behind the model, as red, green and blue: one colour, or two, at the bottom and at the top
+    /// Background as red, green and blue: one colour, or one at the bottom and one at the top
     #[arg(long, value_name = "RRGGBB[,RRGGBB]", default_value_t = Background::default())]
     background: Background,
 
-    /// Cut the model open: how much of its extent is taken away, from x, y, z, -x, -y, -z or the eye, as in y:30
+    /// Cut the model open: remove this part of its extent from the side x, y, z, -x, -y, -z or eye, for example y:30
     #[arg(long, value_name = "SIDE:PERCENT", allow_hyphen_values = true)]
     clip: Option<Clip>,
 }
 
 impl AppearanceArgs {
-    /// What they ask for.
+    /// The appearance that the options describe.
     pub fn appearance(&self) -> Appearance {
         let Self { key_light: light, background, clip } = *self;
         Appearance { light, background, clip }

@@ -1,4 +1,4 @@
-//! `renderer generate`: writes the built-in models as files.
+//! `renderer generate`: writes the built-in model to a file.
 
 use std::path::PathBuf;
 
@@ -10,7 +10,7 @@ use crate::{
     model::{ply, statue},
 };
 
-/// What to generate.
+/// The model to generate.
 #[derive(Debug, Args)]
 pub struct GenerateArgs {
     #[command(subcommand)]
@@ -21,16 +21,16 @@ pub struct GenerateArgs {
 enum Model {
     /// The built-in statue, as a binary PLY file
     Statue {
-        /// About how many triangles
+        /// Approximate number of triangles
         #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES,
             value_parser = clap::value_parser!(u32).range(i64::from(statue::FEWEST_TRIANGLES)..=i64::from(statue::MOST_TRIANGLES)))]
         triangles: u32,
-        /// The file to write; it is replaced only when all is written
+        /// The file to write; an old one is replaced only when the new one is complete
         out: PathBuf,
     },
 }
 
-/// Writes the file and says what is in it.
+/// Writes the file and prints what it holds.
 pub fn run(args: &GenerateArgs) -> anyhow::Result<()> {
     let Model::Statue { triangles, out } = &args.model;
     let mesh = {
@@ -38,6 +38,5 @@ pub fn run(args: &GenerateArgs) -> anyhow::Result<()> {
         statue::generate(*triangles, &|fraction| progress.set(fraction))
     };
     ply::write(out, &mesh).with_context(|| format!("cannot write {}", out.display()))?;
-    say(format_args!("{}: {} vertices, {} triangles", out.display(), mesh.vertices.len(), mesh.triangles.len()))?;
-    Ok(())
+    say(format_args!("{}: {} vertices, {} triangles", out.display(), mesh.vertices.len(), mesh.triangles.len()))
 }

@@ -4,18 +4,18 @@ use std::path::PathBuf;
 
 use channel::key::Key;
 
-/// Makes a key file.
+/// Where to write the key.
 #[derive(Clone, Debug, clap::Args)]
 pub struct KeyArgs {
-    /// The file to write; one that is there is never overwritten
+    /// The file to write; an existing file is never overwritten
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
 }
 
-/// Makes a key file and says what to do with it.
+/// Makes a key file and prints what to do with it.
 ///
 /// # Errors
-/// The file is there already, or cannot be written.
+/// The file exists already, or cannot be written.
 pub fn run(args: &KeyArgs) -> anyhow::Result<()> {
     Key::random()?.write(&args.file)?;
     let file = args.file.display();

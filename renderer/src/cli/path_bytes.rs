@@ -1,13 +1,13 @@
-//! Paths as bytes, between programs of one machine: a file's name need not be text.
+//! Paths as bytes, between programs of one machine: a file name need not be valid text.
 
 use std::path::{Path, PathBuf};
 
-/// A path as [`from_bytes`] reads it on the same machine.
+/// Encodes a path for [`from_bytes`] on the same machine.
 pub fn to_bytes(path: &Path) -> Vec<u8> {
     path.as_os_str().as_encoded_bytes().to_vec()
 }
 
-/// The path that [`to_bytes`] wrote. Bytes that no such path has name a file that is not there.
+/// Decodes a path from [`to_bytes`]. Any other bytes give the path of no file.
 pub fn from_bytes(bytes: Vec<u8>) -> PathBuf {
     #[cfg(unix)]
     {

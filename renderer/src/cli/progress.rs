@@ -1,18 +1,18 @@
-//! Progress of long work, shown on a terminal.
+//! Progress bars on a terminal.
 
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// A bar on standard error that is gone when it is dropped; nothing where standard error is no terminal.
+/// A progress bar on standard error, erased on drop; invisible if standard error is not a terminal.
 pub struct Progress {
     bar: ProgressBar,
 }
 
 impl Progress {
-    /// Begins to show `task`, as in "reading dragon.ply".
+    /// Starts a bar labelled `task`, for example "reading dragon.ply".
     pub fn new(task: impl Into<String>) -> Self {
-        // indicatif draws on standard error, and only if that is a terminal.
+        // indicatif draws on standard error, and only on a terminal.
         let bar = ProgressBar::new(STEPS);
         if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {percent:>3} %") {
             bar.set_style(style);
@@ -22,7 +22,7 @@ impl Progress {
         Self { bar }
     }
 
-    /// Shows how much is done, 0 to 1. May be called from any thread, as often as one likes.
+    /// Shows the fraction done, 0 to 1. May be called from any thread, at any rate.
     pub fn set(&self, fraction: f32) {
         self.bar.set_position((fraction * STEPS as f32) as u64);
     }

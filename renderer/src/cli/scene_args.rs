@@ -1,44 +1,41 @@
-//! How a scene is made ready, as it is said on the command lines of all programs that do so.
+//! Command-line options of the grid, shared by all programs that build one.
 
-use crate::{
-    grid::{GridOptions, MemoryBudget, MeshLayout, Storage},
-    render::tracer::SceneOptions,
-};
+use crate::grid::{GridOptions, MemoryBudget, MeshLayout, Storage};
 
-/// How mesh and grid are kept. None of it changes a picture.
+/// Storage of mesh and grid. No option changes a picture.
 #[derive(Clone, Copy, Debug, clap::Args)]
-#[command(next_help_heading = "The grid, which changes time and memory but no picture")]
+#[command(next_help_heading = "The grid: changes time and memory, but no picture")]
 pub struct SceneArgs {
-    /// The paper's ρ: cells of the grid per triangle [default: chosen for the scene]
+    /// Cells of the grid for each triangle, the paper's ρ [default: chosen for the scene]
     #[arg(long, value_name = "RHO", value_parser = density)]
     density: Option<f64>,
 
-    /// How the grid is kept: plain or row-displacement, the paper's uniform grid, or masks, a tree divided where it holds
-    /// much
+    /// Storage of the grid: plain or row-displacement for the paper's uniform grid, or masks for a tree that is finer where
+    /// triangles are dense
     #[arg(long, value_name = "HOW", default_value_t = Storage::default())]
     storage: Storage,
 
-    /// Sizes of empty macrocells that a single ray may skip
+    /// Levels of empty macrocells that a single ray may skip
     #[arg(long, value_name = "N", default_value_t = GridOptions::default().macrocell_levels, value_parser = macrocell_levels)]
     macrocell_levels: u8,
 
-    /// How the mesh is kept: indexed, vertices once and three numbers for each triangle, or flat, three corners for each
+    /// Storage of the mesh: indexed, with shared vertices, or flat, with three corners for each triangle
     #[arg(long, value_name = "HOW", default_value_t = MeshLayout::default())]
     mesh: MeshLayout,
 
-    /// Memory that making a scene ready may take, as in 512M or 1.5G; where it is too little the grid is made coarser
+    /// Limit of the memory to load and build a scene, for example 512M or 1.5G; a smaller limit makes the grid coarser
     #[arg(long, value_name = "SIZE", default_value_t = MemoryBudget::default())]
     memory_budget: MemoryBudget,
 }
 
 impl SceneArgs {
-    /// What they ask for.
-    pub fn options(&self) -> SceneOptions {
+    /// The grid options that the arguments describe.
+    pub fn options(&self) -> GridOptions {
         let Self { density, storage, macrocell_levels, mesh, memory_budget } = *self;
-        SceneOptions { grid: GridOptions { density, macrocell_levels, storage, mesh, memory_budget } }
+        GridOptions { density, macrocell_levels, storage, mesh, memory_budget }
     }
 
-    /// The same on another program's command line.
+    /// The arguments that give another program the same options.
     pub fn to_arguments(&self) -> Vec<String> {
         let density = self.density.map(|density| format!("--density={density}"));
         let others = [
@@ -82,7 +79,7 @@ mod tests {
 
     #[test]
     fn nothing_asked_for_is_the_default() {
-        assert_eq!(parse(&[]).unwrap().options(), SceneOptions::default());
+        assert_eq!(parse(&[]).unwrap().options(), GridOptions::default());
     }
 
     #[test]
@@ -103,11 +100,11 @@ mod tests {
         let handed_on = options.to_arguments();
         let again = parse(&handed_on.iter().map(String::as_str).collect::<Vec<_>>()).unwrap();
         assert_eq!(again.options(), options.options());
-        assert_ne!(again.options(), SceneOptions::default());
+        assert_ne!(again.options(), GridOptions::default());
     }
 
     #[test]
-    fn what_is_out_of_range_is_told_the_range() {
+    fn values_out_of_range_are_answered_with_the_range() {
         for (arguments, told) in [
             (["--density", "0"], "from 0.015625 to 4096 cells per triangle"),
             (["--density", "NaN"], "from 0.015625 to 4096 cells per triangle"),
@@ -118,8 +115,8 @@ mod tests {
             (["--macrocell-levels", "-1"], "from 0 to 3 levels"),
             (["--memory-budget", "-1"], "from 16M to 1000G"),
             (["--memory-budget", "1K"], "from 16M to 1000G"),
-            (["--mesh", "round"], "it is indexed or flat"),
-            (["--storage", "hash"], "it is plain, row-displacement or masks"),
+            (["--mesh", "round"], "is not one of: indexed, flat"),
+            (["--storage", "hash"], "is not one of: plain, row-displacement, masks"),
         ] {
             let error = parse(&arguments).unwrap_err().to_string();
             assert!(error.contains(told), "{arguments:?}: {error}");

@@ -14,73 +14,74 @@ use serde::Serialize;
 use shared::{
     camera::{Camera, UpAxis},
     division::FrameSize,
-    protocol::{LightingMode, SampleRange, ShadingMode},
+    protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
 };
 
 use crate::{
     cli::{appearance_args::AppearanceArgs, progress::Progress, say, scene_args::SceneArgs},
     grid::{Choice, GridStats},
     model::{
-        scene::{self, SceneSource},
+        scene::{self, LoadedMesh, SceneSource},
         statue,
     },
     render::{
         frame::{Cost, Frame},
-        image, threads,
-        tracer::{FrameRequest, Scene},
+        image,
+        scene::Scene,
+        threads,
     },
 };
 
-/// What to trace, and what to write.
+/// What to trace and what to write.
 #[derive(Args, Debug)]
 pub struct TraceArgs {
-    /// A PLY file; without it the built-in statue is traced
+    /// A PLY file [default: the built-in statue]
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
 
-    /// Triangles of the built-in statue
+    /// Approximate number of triangles of the built-in statue
     #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES, conflicts_with = "model",
         value_parser = clap::value_parser!(u32).range(100..=100_000_000))]
     triangles: u32,
 
-    /// A camera file with eye, ll, u and v; without it the whole model is seen
+    /// A camera file with eye, ll, u and v [default: a view of the whole model]
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
 
-    /// Which axis of the model points up, when the whole model is seen: x, y or z
+    /// The model's axis that points up when no camera is given: x, y or z
     #[arg(long, value_name = "AXIS", default_value = "y")]
     up: UpAxis,
 
-    /// Samples across and down
+    /// Size of the frame in samples
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value_t = FrameSize::PAPER, allow_hyphen_values = true)]
     size: FrameSize,
 
-    /// Threads that build and trace; without it as many as there are cores
+    /// Number of threads that build and trace [default: one for each core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
 
-    /// How often the frame is traced, for measuring
+    /// Trace the frame this many times, to measure
     #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: u32,
 
-    /// What the picture shows: shaded, normals, or cost (cells passed in red, triangles tested in green)
+    /// What the picture shows: shaded, normals, or cost (cells visited in red, triangles tested in green)
     #[arg(long, value_name = "VIEW", default_value = "shaded")]
     view: ShadingMode,
 
-    /// By which rays the picture is lit: primary, shadows or ambient
-    #[arg(long, value_name = "RAYS", default_value = LightingMode::default().name())]
+    /// The rays that light the picture: primary, shadows, or ambient (shadows and ambient occlusion)
+    #[arg(long, value_name = "RAYS", default_value_t = LightingMode::default())]
     rays: LightingMode,
 
-    /// Write the picture, as PNG
+    /// Write the picture as PNG
     #[arg(long, value_name = "FILE")]
     image: Option<PathBuf>,
 
-    /// Write the hits: per sample, bottom row first, little endian, the triangle in file order as u32 (0xffffffff for
-    /// none) and t as f32 in units of the ray's direction (infinite for none)
+    /// Write the hits: for each sample, bottom row first, little endian, the triangle's number in the file as u32
+    /// (0xffffffff for a miss) and t as f32 in units of the ray's direction (infinite for a miss)
     #[arg(long, value_name = "FILE")]
     hits: Option<PathBuf>,
 
-    /// Also print how the grid was chosen, and what other ways to keep the scene are predicted to take
+    /// Also print how the grid was chosen, and the predicted cost of other ways to store the scene
     #[arg(long)]
     explain: bool,
 
@@ -88,16 +89,16 @@ pub struct TraceArgs {
     #[arg(long)]
     pub json: bool,
 
-    /// How the picture looks
+    /// Appearance of the picture
     #[command(flatten)]
     appearance: AppearanceArgs,
 
-    /// How the scene is made ready
+    /// Options of the grid
     #[command(flatten)]
     scene: SceneArgs,
 }
 
-/// What was measured. Times of frames are in milliseconds, one entry per frame.
+/// Measurements. Times of frames are in milliseconds, one entry per frame.
 #[derive(Debug, Serialize)]
 pub struct Report {
     triangles: usize,
@@ -108,7 +109,7 @@ pub struct Report {
     mesh_bytes: usize,
     structure_bytes: usize,
     grid: GridStats,
-    /// How the grid was chosen, if that was asked for.
+    /// How the grid was chosen, with `--explain`.
     #[serde(skip_serializing_if = "Option::is_none")]
     choice: Option<Choice>,
     hits: usize,
@@ -116,13 +117,13 @@ pub struct Report {
     pub mrays_per_second: f64,
     /// Wall time of tracing.
     pub frame_ms: Vec<f64>,
-    /// CPU time of all threads for making rays, following them and writing the hits.
+    /// CPU time of all threads for making rays, tracing them and storing the hits.
     frame_cpu_ms: Vec<f64>,
     /// CPU time of all threads for shading the hits.
     shade_cpu_ms: Vec<f64>,
 }
 
-/// Loads, builds, traces, and writes what was asked for.
+/// Loads, builds and traces, and writes the files that were asked for.
 pub fn run(args: &TraceArgs) -> Result<()> {
     args.pool()?.install(|| {
         let prepared = args.prepare()?;
@@ -131,12 +132,12 @@ pub fn run(args: &TraceArgs) -> Result<()> {
     })
 }
 
-/// A scene that is ready to be traced, and the picture of it that is asked for.
+/// A scene that is ready to be traced, and the frame that is asked for.
 pub struct Prepared {
     /// The scene.
     pub scene: Scene,
-    /// The picture.
-    pub spec: FrameRequest,
+    /// The frame.
+    pub spec: FrameSpec,
     triangles: usize,
     vertices: usize,
     rejected: usize,
@@ -145,10 +146,10 @@ pub struct Prepared {
 }
 
 impl TraceArgs {
-    /// The threads that build and trace.
+    /// The pool of threads that build and trace.
     ///
     /// # Errors
-    /// The system has no more threads.
+    /// The system cannot start more threads.
     pub fn pool(&self) -> Result<ThreadPool> {
         threads::pool(self.threads.map(usize::from))
     }
@@ -164,11 +165,11 @@ impl TraceArgs {
             Some(path) => (SceneSource::Ply(path.clone()), path.display().to_string()),
             None => (SceneSource::Statue { triangles: self.triangles }, "the statue".to_owned()),
         };
-        let (mesh, load_seconds) = timed(|| {
+        let (loaded, load_seconds) = timed(|| {
             let progress = Progress::new(format!("loading {name}"));
             scene::load(&source, &|done| progress.set(done))
         });
-        let mesh = mesh?.mesh;
+        let LoadedMesh { id, mesh } = loaded?;
         let (triangles, vertices, rejected) = (mesh.triangles.len(), mesh.vertices.len(), mesh.n_rejected);
         let (scene, build_seconds) = timed(|| {
             let progress = Progress::new("building the grid");
@@ -182,7 +183,8 @@ impl TraceArgs {
             let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
             Camera::view_all(min, max, self.up, CANVAS_ASPECT)
         });
-        let spec = FrameRequest {
+        let spec = FrameSpec {
+            scene: id,
             camera,
             size: self.size,
             view: self.view,
@@ -193,7 +195,7 @@ impl TraceArgs {
         Ok(Prepared { scene, spec, triangles, vertices, rejected, load_seconds, build_seconds })
     }
 
-    /// Traces and shades the frame as often as asked for, and writes picture and hits.
+    /// Traces and shades the frame `--frames` times, and writes picture and hits.
     ///
     /// # Errors
     /// A file cannot be written.
@@ -232,17 +234,17 @@ impl TraceArgs {
     }
 }
 
-/// The wall's canvas is 16:9 whatever the number of samples on it.
+/// Aspect of the wall's canvas, whatever the frame's size in samples.
 const CANVAS_ASPECT: f64 = 16.0 / 9.0;
 
 /// Reads and checks a camera file.
 pub fn read_camera(path: &Path) -> Result<Camera> {
     let mut text = String::new();
-    // A limit, for a device or a model named by mistake would be read for ever.
+    // The limit stops at a device or a large model named by mistake.
     std::fs::File::open(path)
         .and_then(|file| file.take(1 << 20).read_to_string(&mut text))
         .with_context(|| format!("cannot read the camera {}", path.display()))?;
-    Camera::from_toml(&text).with_context(|| format!("{} is no camera", path.display()))
+    Camera::from_toml(&text).with_context(|| format!("{} is not a camera file", path.display()))
 }
 
 fn cannot_write(path: &Path) -> String {
@@ -266,7 +268,7 @@ fn median(values: &[f64]) -> f64 {
 }
 
 impl Report {
-    /// For people; the frame has `size` samples.
+    /// The measurements as a table of text, for a frame of `size`.
     pub fn table(&self, size: FrameSize) -> String {
         let megabytes = |bytes: usize| bytes as f64 / 1e6;
         [

@@ -1,25 +1,25 @@
-//! A triangle mesh as it comes from a file: indexed, in file order, with what cannot be traced marked.
+//! A triangle mesh as read from a file: indexed, in file order, with unusable triangles marked.
 
 use rayon::prelude::*;
 
 /// A triangle mesh, in world space.
 ///
-/// Invariant: every triangle's indices lie within `vertices` and point at usable vertices, or it is [`Mesh::REJECTED`]:
-/// a rejected triangle keeps its place, so that a triangle's index is its number in the file.
+/// Invariant: every triangle either has indices of usable vertices or is [`Mesh::REJECTED`]. Rejected triangles are kept, so
+/// that a triangle's position in `triangles` is its file index.
 /// `colors` is empty or has one entry per vertex.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
-    /// Positions. Those that no accepted triangle uses may be anything.
+    /// Positions. Vertices that no accepted triangle uses may hold any value, even NaN.
     pub vertices: Vec<[f32; 3]>,
-    /// Indices of vertices, polygons fanned in file order.
+    /// Vertex indices, polygons fanned in file order.
     pub triangles: Vec<[u32; 3]>,
     /// sRGB colours of the vertices.
     pub colors: Vec<[u8; 3]>,
-    /// How many triangles are [`Mesh::REJECTED`].
+    /// Number of triangles that are [`Mesh::REJECTED`].
     pub n_rejected: usize,
 }
 
-/// A box aligned with the axes, in world space. Empty boxes have `min > max`.
+/// An axis-aligned bounding box in world space. Empty boxes have `min > max`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aabb {
     /// Lowest coordinates.
@@ -29,16 +29,16 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    /// The box that holds nothing.
+    /// The empty box.
     pub const EMPTY: Self = Self { min: [f32::INFINITY; 3], max: [f32::NEG_INFINITY; 3] };
 
-    /// The smallest box around this one and a point.
+    /// The smallest box around this box and a point.
     #[must_use]
     pub fn extend(self, point: [f32; 3]) -> Self {
         self.union(Self { min: point, max: point })
     }
 
-    /// The smallest box around both.
+    /// The smallest box around both boxes.
     #[must_use]
     pub fn union(mut self, other: Self) -> Self {
         for axis in 0..3 {
@@ -48,26 +48,26 @@ impl Aabb {
         self
     }
 
-    /// Whether nothing is inside.
+    /// Whether the box contains no point.
     pub fn is_empty(&self) -> bool {
         self.min[0] > self.max[0]
     }
 }
 
 impl Mesh {
-    /// What stands in place of a triangle that cannot be traced: a vertex of it is not finite or not below
-    /// [`Mesh::LARGEST_COORDINATE`], or an index points nowhere.
+    /// Replaces a triangle that cannot be traced: an index is out of range, or a coordinate is not finite or not below
+    /// [`Mesh::LARGEST_COORDINATE`].
     pub const REJECTED: [u32; 3] = [u32::MAX; 3];
 
-    /// Coordinates beyond this are rejected: their products with rays would leave the range of `f32` (Embree's limit).
+    /// Limit of coordinates: products of larger ones with rays would overflow `f32` (Embree's limit).
     pub const LARGEST_COORDINATE: f32 = 1.844e18;
 
-    /// Whether a position can be traced.
+    /// Whether a triangle with a vertex at this position can be traced.
     pub fn is_usable(position: [f32; 3]) -> bool {
         position.iter().all(|x| x.abs() < Self::LARGEST_COORDINATE)
     }
 
-    /// The corners of a triangle, or `None` if it was rejected.
+    /// The corners of a triangle; `None` if it was rejected.
     #[inline]
     pub fn corners(&self, triangle: usize) -> Option<[[f32; 3]; 3]> {
         let [a, b, c] = self.triangles[triangle];

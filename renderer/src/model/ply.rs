@@ -1,8 +1,8 @@
-//! Reads a PLY file into a mesh, and writes one.
+//! Reads and writes PLY files.
 //!
-//! ply-rs parses the header's lines and the binary rows; what it leaves to its caller is done here: header counts are
-//! held against the file's size, indices and vertices are checked, names that it cannot hold are skipped.
-//! ASCII rows are read by [`ascii`], because ply-rs' grammar knows neither `nan` and `inf` nor `1.` and `.5`.
+//! ply-rs parses the header's lines and the binary rows. This module compares the header's counts with the file's size,
+//! checks indices and vertices, and skips names that ply-rs cannot hold. [`ascii`] reads ASCII rows, because ply-rs'
+//! grammar lacks `nan`, `inf`, `1.` and `.5`.
 
 mod ascii;
 mod assembly;
@@ -12,26 +12,32 @@ mod header;
 mod tests;
 mod write;
 
-use std::fs::File;
-use std::io::{self, BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
+use std::{
+    fs::File,
+    io::{self, BufRead, BufReader, Read},
+    path::{Path, PathBuf},
+};
 
-use ply_rs::parser::Parser;
-use ply_rs::ply::{Encoding, PropertyAccess};
+use ply_rs::{
+    parser::Parser,
+    ply::{Encoding, PropertyAccess},
+};
 
-use self::assembly::MeshBuilder;
-use self::element::{Corners, Skipped, Vertex};
-use self::header::{Element, ElementKind, Header};
 pub use self::write::{write, write_to};
+use self::{
+    assembly::MeshBuilder,
+    element::{Corners, Skipped, Vertex},
+    header::{Element, ElementKind, Header},
+};
 use crate::model::mesh::Mesh;
 
-/// Why a file gives no mesh.
+/// Why a file cannot be read as a mesh.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {problem}", path.display())]
 pub struct PlyError {
     /// The file.
     pub path: PathBuf,
-    /// What is wrong with it. Not the error's source: it is in the text already.
+    /// What is wrong with it. Not the error's source, because the message contains it already.
     pub problem: Problem,
 }
 
@@ -41,11 +47,11 @@ pub enum Problem {
     /// It cannot be opened or read.
     #[error("cannot be read: {0}")]
     Io(#[from] io::Error),
-    /// A folder, a pipe: the header's counts could not be held against its size.
+    /// A folder or a pipe: it has no size to compare the header's counts with.
     #[error("is a folder or a pipe: name an ordinary file")]
     NotAFile,
-    /// Another format.
-    #[error("is no PLY file: it does not begin with a line `ply`")]
+    /// The file has another format.
+    #[error("is not a PLY file: it does not begin with a line `ply`")]
     NotPly,
     /// The header has no end.
     #[error("ends inside its header: no line `end_header`")]
@@ -53,7 +59,7 @@ pub enum Problem {
     /// The header is longer than any writer makes one.
     #[error("has no line `end_header` in its first {} KB", header::MAX_HEADER_BYTES / 1024)]
     HeaderTooLong,
-    /// A line of the header that is not PLY.
+    /// A line of the header is not PLY.
     #[error("header line {line} is not understood: `{text}`")]
     HeaderLine {
         /// Counted from 1.
@@ -64,15 +70,15 @@ pub enum Problem {
     /// The header as a whole is not PLY.
     #[error("its header is not understood: {0}")]
     Header(String),
-    /// An element is declared twice: which one to believe?
+    /// An element is declared twice.
     #[error("declares element `{0}` twice")]
     Repeated(String),
-    /// Vertices without a coordinate, or faces without indices.
+    /// Vertices lack a coordinate, or faces lack indices.
     #[error("its element `{element}` has no {property}")]
     Missing {
         /// The element's name.
         element: String,
-        /// What every such element needs.
+        /// The property that the element lacks.
         property: &'static str,
     },
     /// The header's counts and the file's size disagree.
@@ -82,25 +88,25 @@ pub enum Problem {
     TooShort {
         /// The element's name.
         element: String,
-        /// Its rows, as the header has it.
+        /// Its rows, by the header.
         count: usize,
-        /// The fewest bytes that they can take.
+        /// The fewest bytes that its rows can take.
         needed: u128,
-        /// Bytes between what comes before and the file's end.
+        /// Bytes left for them in the file.
         left: u64,
     },
-    /// More than 32-bit indices can name.
+    /// More vertices or triangles than a `u32` can count.
     #[error("holds more than 4294967294 {0}, which is more than this program can number")]
     TooMany(&'static str),
-    /// The mesh does not fit.
-    #[error("needs {n_bytes} bytes of memory for its {what}, which are not to be had")]
+    /// The mesh does not fit into memory.
+    #[error("needs {n_bytes} bytes of memory for its {what}, more than the system gives")]
     OutOfMemory {
         /// Vertices or triangles.
         what: &'static str,
-        /// What was asked for.
+        /// Bytes that were asked for.
         n_bytes: usize,
     },
-    /// A row that cannot be read.
+    /// A row cannot be read.
     #[error("row {row} of element `{element}`: {what}")]
     Row {
         /// The element's name.
@@ -115,10 +121,10 @@ pub enum Problem {
 /// Reads a PLY file: ASCII or binary, polygons fanned as (0, k, k+1), triangle strips unrolled.
 ///
 /// A file without faces or without vertices is a mesh without triangles.
-/// `progress` is told the fraction of the file read so far, 0 to 1.
+/// `progress` receives the fraction of the file read so far, 0 to 1.
 pub fn read(path: &Path, progress: &(dyn Fn(f32) + Sync)) -> Result<Mesh, PlyError> {
     let open = || -> Result<Mesh, Problem> {
-        // Asked before opening: to open a pipe is to wait for somebody to write to it.
+        // Check before opening: opening a pipe waits for a writer.
         if !std::fs::metadata(path)?.is_file() {
             return Err(Problem::NotAFile);
         }
@@ -132,7 +138,7 @@ pub fn read(path: &Path, progress: &(dyn Fn(f32) + Sync)) -> Result<Mesh, PlyErr
 
 /// Reads a PLY of `n_bytes` bytes from its beginning.
 ///
-/// The memory taken is bounded by a small multiple of `n_bytes`, whatever the content claims.
+/// Takes at most a small multiple of `n_bytes` of memory, even if the header lies.
 pub fn read_from(mut reader: impl BufRead, n_bytes: u64) -> Result<Mesh, Problem> {
     let header = Header::read(&mut reader)?;
     let mut n_left = n_bytes.saturating_sub(header.n_bytes);
@@ -194,7 +200,7 @@ fn read_rows<E: PropertyAccess>(
 
 const ENDS_HERE: &str = "the file ends here";
 
-/// Tells how far a file has been read.
+/// Reports how far a file has been read.
 struct ProgressReader<'a, R> {
     inner: R,
     n_read: u64,

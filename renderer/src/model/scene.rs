@@ -1,4 +1,4 @@
-//! Loads what is to be traced, and names it.
+//! Loads meshes and identifies them.
 
 use std::{fmt, path::PathBuf};
 
@@ -11,16 +11,14 @@ use crate::model::{
 };
 
 #[cfg(target_endian = "big")]
-compile_error!(
-    "a scene's identity is the hash of little-endian numbers as they lie in memory: swap them in `mesh_id` first"
-);
+compile_error!("a scene's id is the hash of its numbers in memory, little endian: swap their bytes in `mesh_id` first");
 
 /// Where a mesh comes from.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SceneSource {
     /// The built-in statue.
     Statue {
-        /// About how many triangles.
+        /// Approximate number of triangles.
         triangles: u32,
     },
     /// A PLY file.
@@ -36,35 +34,35 @@ impl fmt::Display for SceneSource {
     }
 }
 
-/// A mesh and its name.
+/// A mesh with its id.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadedMesh {
-    /// The same on all machines, for the same mesh only.
+    /// Identifies the mesh on all machines.
     pub id: SceneId,
-    /// At least one triangle of it can be traced.
+    /// Has at least one triangle that can be traced.
     pub mesh: Mesh,
 }
 
-/// Why there is nothing to trace.
+/// Why a scene cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum LoadError {
-    /// The file gives no mesh.
+    /// The file cannot be read as a mesh.
     #[error(transparent)]
     Ply(#[from] PlyError),
-    /// The file gives a mesh of which nothing can be seen.
+    /// No triangle of the file's mesh can be traced.
     #[error("{}: has no triangles that can be traced ({n_vertices} vertices, {n_rejected} triangles rejected): \
         a point cloud must be meshed first", path.display())]
     NoTriangles {
         /// The file.
         path: PathBuf,
-        /// What it holds.
+        /// Its vertices.
         n_vertices: usize,
-        /// Triangles with indices or coordinates that cannot be used.
+        /// Its triangles with unusable indices or coordinates.
         n_rejected: usize,
     },
 }
 
-/// Loads a scene; `progress` is told what fraction is done, 0 to 1.
+/// Loads a mesh; `progress` receives the fraction done, 0 to 1.
 pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<LoadedMesh, LoadError> {
     match source {
         &SceneSource::Statue { triangles } => {
@@ -81,7 +79,7 @@ pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Loa
     }
 }
 
-/// BLAKE3 over vertices, triangles and colours: of each first how many (`u64`), then the numbers, all little endian.
+/// BLAKE3 over vertices, triangles and colours: for each its length as `u64`, then its numbers, all little endian.
 pub fn mesh_id(mesh: &Mesh) -> SceneId {
     let mut hasher = blake3::Hasher::new();
     let mut part = |n_items: usize, bytes: &[u8]| {
@@ -99,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_mesh_is_named_by_its_little_endian_numbers() {
+    fn the_id_hashes_little_endian_numbers() {
         let mesh = Mesh {
             vertices: vec![[1.0, 0.0, 0.0]],
             triangles: vec![[0, 0, 0]],
@@ -112,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_change_sides_make_another_name() {
+    fn equal_numbers_in_other_roles_give_another_id() {
         let vertices = Mesh { vertices: vec![[0.0; 3]; 2], ..Mesh::default() };
         let both = Mesh { vertices: vec![[0.0; 3]], triangles: vec![[0; 3]], ..Mesh::default() };
         assert_ne!(mesh_id(&vertices), mesh_id(&both));

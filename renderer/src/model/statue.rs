@@ -1,10 +1,10 @@
-//! The built-in model: a closed, indexed mesh of a weathered stone figure, of any number of triangles.
+//! The built-in model: a closed, indexed mesh of a weathered stone figure, with any number of triangles.
 //!
 //! The mesh is the surface of a box, `n` cells around each of its four sides and `m` up, mapped to rays that leave the
 //! figure's axis in all directions without crossing; each vertex lies where its ray leaves the [`sculpture`].
 //!
-//! The same bits on every machine and for any number of threads: each vertex is computed on its own, with + − × ÷ √,
-//! comparisons and integers only, never with functions whose last bits differ between platforms.
+//! The bits are the same on every machine and for any number of threads: each vertex depends on itself alone, and uses only
+//! + − × ÷ √, comparisons and integers, never functions whose last bits differ between platforms.
 
 mod noise;
 mod sculpture;
@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 use crate::model::mesh::Mesh;
 
-/// Enough for a handsome picture, and ready in a second.
+/// Enough for a good picture, and generated within a second.
 pub const DEFAULT_TRIANGLES: u32 = 1_000_000;
 
 /// A box with one cell on each of its sides.
@@ -24,12 +24,12 @@ pub const FEWEST_TRIANGLES: u32 = 12;
 /// Takes 18 GB.
 pub const MOST_TRIANGLES: u32 = 1_000_000_000;
 
-/// Makes the statue with about `triangles` triangles, within [`FEWEST_TRIANGLES`] and [`MOST_TRIANGLES`].
+/// Generates the statue with about `triangles` triangles, clamped to [`FEWEST_TRIANGLES`] and [`MOST_TRIANGLES`].
 ///
-/// The number made is 4·n·(2m + n) for whole n and m: the nearest to `triangles` among cells of good shape, off by
-/// 0.2 % at most beyond 10,000, and exact for a million.
+/// The actual number is 4·n·(2m + n) for integers n and m: the nearest to `triangles` among cells of good shape, within
+/// 0.2 % beyond 10,000, and exact for a million.
 /// World space: y up, the face towards +z, the base around the origin, 3.4 high.
-/// `progress` is told what fraction is done, 0 to 1.
+/// `progress` receives the fraction done, 0 to 1.
 pub fn generate(triangles: u32, progress: &(dyn Fn(f32) + Sync)) -> Mesh {
     let cells = BoxCells::nearest(triangles.clamp(FEWEST_TRIANGLES, MOST_TRIANGLES));
     let n_vertices = cells.n_vertices();
@@ -38,7 +38,7 @@ pub fn generate(triangles: u32, progress: &(dyn Fn(f32) + Sync)) -> Mesh {
     let mut vertices = vec![[0.0; 3]; n_vertices];
     vertices.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, positions)| {
         for (i, position) in positions.iter_mut().enumerate() {
-            *position = sculpture::surface(cells.place(chunk * CHUNK + i));
+            *position = sculpture::surface(cells.box_point(chunk * CHUNK + i));
         }
         let done = n_done.fetch_add(positions.len(), Ordering::Relaxed) + positions.len();
         progress(done as f32 / n_vertices as f32);
@@ -51,7 +51,7 @@ pub fn generate(triangles: u32, progress: &(dyn Fn(f32) + Sync)) -> Mesh {
             let (p, q) = (vertices[from as usize], vertices[to as usize]);
             (0..3).map(|axis| (p[axis] - q[axis]) * (p[axis] - q[axis])).sum::<f32>()
         };
-        // The shorter diagonal: fewer slivers where rays meet the surface at a slant.
+        // Split along the shorter diagonal: fewer slivers where rays graze the surface.
         let split = if length2(a, c) <= length2(b, d) { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] };
         pair.copy_from_slice(&split);
     });
@@ -61,10 +61,10 @@ pub fn generate(triangles: u32, progress: &(dyn Fn(f32) + Sync)) -> Mesh {
 /// Vertices computed between two reports of progress.
 const CHUNK: usize = 4096;
 
-/// Where a vertex lies on the surface of the box.
+/// A vertex's position on the surface of the box.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum BoxPoint {
-    /// On a side or its edges: a point of the square's outline, −1 to 1, and the height, 0 to 1.
+    /// On a side or its edges: a point of the square's outline, −1 to 1, and a height, 0 to 1.
     Side([f32; 2], f32),
     /// Inside the top.
     Top([f32; 2]),
@@ -74,7 +74,7 @@ enum BoxPoint {
 
 /// The cells of the box: `n`×`n` on top and bottom, `n`×`m` on each side.
 ///
-/// Vertices: `m + 1` rings of 4n from the bottom upwards, then the inside of the bottom, then of the top.
+/// Vertices in order: `m + 1` rings of 4n from the bottom upwards, the inside of the bottom, the inside of the top.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct BoxCells {
     n: usize,
@@ -87,7 +87,7 @@ impl BoxCells {
             let rows = (f64::from(triangles) / (4 * n) as f64 - n as f64) / 2.0;
             Self { n, m: (rows.round() as usize).max(1) }
         };
-        // With m = 2.6 n, 4·n·(2m + n) = 24.8 n²; a third to either side of it still has cells of good shape.
+        // With m = 2.6 n, 4·n·(2m + n) = 24.8 n²; cells keep a good shape for n a quarter larger or a fifth smaller.
         let middle = (f64::from(triangles) / 24.8).sqrt();
         let [low, high] = [0.8, 1.25].map(|factor| ((middle * factor).round() as usize).max(1));
         (low..=high)
@@ -110,7 +110,7 @@ impl BoxCells {
         4 * self.n * self.m + 2 * self.n * self.n
     }
 
-    fn place(self, vertex: usize) -> BoxPoint {
+    fn box_point(self, vertex: usize) -> BoxPoint {
         let Self { n, m } = self;
         let on_square = |[i, j]: [usize; 2]| [i, j].map(|k| (2 * k) as f32 / n as f32 - 1.0);
         let inside = |k: usize| on_square([1 + k / (n - 1), 1 + k % (n - 1)]);
@@ -122,7 +122,7 @@ impl BoxCells {
         }
     }
 
-    /// The k-th point on the outline of the square, 0 to n either way.
+    /// The k-th point on the outline of the square, with coordinates 0 to n.
     fn outline(self, k: usize) -> [usize; 2] {
         let n = self.n;
         match (k / n, k % n) {
@@ -218,7 +218,7 @@ mod tests {
 
     #[test]
     fn the_bits_are_the_same_on_every_machine() {
-        // Whoever makes the figure more handsome writes the new hash here.
+        // A change of the figure changes this hash.
         let mesh = generate(20_000, &|_| ());
         let bytes: Vec<u8> = mesh.vertices.as_flattened().iter().flat_map(|x| x.to_le_bytes()).collect();
         assert_eq!(&blake3::hash(&bytes).to_hex()[..16], "e4d5b83c4d8e4954");

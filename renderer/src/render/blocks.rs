@@ -1,5 +1,6 @@
-//! Cuts the samples of a share into blocks of up to 64 that lie close together, whose rays are a packet, and says which
-//! blocks are neighbours, so that their packets go together.
+//! Cuts the samples of a share into blocks of up to 64 that lie close together, and groups neighbouring blocks.
+//!
+//! The rays of a block form one packet; the packets of a group are traced together.
 
 use shared::{
     curve,
@@ -8,22 +9,21 @@ use shared::{
 
 use crate::intersect::MOST_PACKETS;
 
-/// Up to 64 samples that lie close together, in an order of their own, and their places among the samples of the units that
-/// were cut.
+/// Up to 64 samples that lie close together, and the index of each among all samples of the units that were cut.
 #[derive(Clone)]
 pub enum SampleBlock<'a> {
-    /// Those of a unit, row by row, at places that follow each other.
+    /// The samples of one unit, row by row, with consecutive indices.
     Unit {
         /// The samples (i, j).
         samples: SampleRect,
-        /// The place of the first.
+        /// Index of the first sample.
         first_index: usize,
     },
-    /// Some of many.
+    /// Samples gathered from several units.
     Selection {
         /// The samples (i, j) of all units.
         all: &'a [(u32, u32)],
-        /// The places of the block's.
+        /// Indices into `all` of the block's samples.
         indices: &'a [usize],
     },
 }
@@ -31,7 +31,7 @@ pub enum SampleBlock<'a> {
 impl SampleBlock<'_> {
     const NONE: Self = Self::Selection { all: &[], indices: &[] };
 
-    /// How many samples.
+    /// Number of samples.
     #[inline]
     pub fn n_samples(&self) -> usize {
         match self {
@@ -40,7 +40,7 @@ impl SampleBlock<'_> {
         }
     }
 
-    /// Sample number `index`, (i, j).
+    /// Sample `index` of the block, as (i, j).
     #[inline]
     pub fn sample(&self, index: usize) -> (u32, u32) {
         match self {
@@ -58,7 +58,7 @@ impl SampleBlock<'_> {
         (0..self.n_samples()).map(|index| self.sample(index))
     }
 
-    /// The place of sample number `index`.
+    /// Index of sample `index` of the block among all samples of the units that were cut.
     #[inline]
     pub fn output_index(&self, index: usize) -> usize {
         match self {
@@ -67,7 +67,7 @@ impl SampleBlock<'_> {
         }
     }
 
-    /// The first sample of 8×8, row by row, if that is what the block is.
+    /// The first sample of a block of 8×8 samples, row by row; `None` for other blocks.
     #[inline]
     pub(crate) fn tile(&self) -> Option<(u32, u32)> {
         match self {
@@ -78,9 +78,9 @@ impl SampleBlock<'_> {
         }
     }
 
-    /// The sample that each lane of a packet follows; lanes beyond the samples repeat the last.
+    /// The sample of each lane of a packet; lanes beyond the samples repeat the last.
     ///
-    /// The lanes of a whole tile are ordered by quarters, so that lanes side by side are pixels side by side.
+    /// The lanes of a whole tile are ordered by quarters, so that adjacent lanes are adjacent pixels.
     #[inline]
     pub fn sample_of_lane(&self) -> [usize; 64] {
         let last = self.n_samples() - 1;
@@ -88,11 +88,12 @@ impl SampleBlock<'_> {
     }
 }
 
-/// Calls `visit` with all samples of some units of a share, block by block, up to [`MOST_PACKETS`] neighbours at once: a tile
-/// is a block, and 2×2 tiles are neighbours, or as many along the curve; single samples are gathered from patches of the
+/// Calls `visit` with all samples of some units of a share, in groups of up to [`MOST_PACKETS`] neighbouring blocks.
+///
+/// A tile is one block; 2×2 tiles, or four along the curve, form a group. Single samples are gathered from patches of the
 /// frame.
 pub(crate) fn for_each_group(
-    share: &Share<'_>,
+    share: &Share,
     units: impl Iterator<Item = u32> + Clone,
     visit: impl FnMut(&[SampleBlock<'_>]),
 ) {
@@ -105,9 +106,9 @@ pub(crate) fn for_each_group(
     }
 }
 
-/// A block, and where it is.
+/// A block with its group.
 struct KeyedBlock<'a> {
-    /// Equal for neighbours.
+    /// Equal for neighbouring blocks.
     group_key: [u32; 2],
     block: SampleBlock<'a>,
 }
@@ -123,10 +124,10 @@ fn visit_groups(mut blocks: Vec<KeyedBlock<'_>>, mut visit: impl FnMut(&[SampleB
     }
 }
 
-/// The blocks of units, each one of its own.
-fn tiles(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<KeyedBlock<'static>> {
+/// One block for each unit.
+fn tiles(share: &Share, units: impl Iterator<Item = u32>) -> Vec<KeyedBlock<'static>> {
     let mut n_samples = 0;
-    let place = |unit| {
+    let keyed_block = |unit| {
         let samples = share.samples(unit);
         let group_key = if share.is_on_curve() {
             [0, share.unit(unit) / curve::TILES_PER_SQUARE]
@@ -137,28 +138,29 @@ fn tiles(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<KeyedBlock<
         n_samples += samples.count() as usize;
         KeyedBlock { group_key, block: SampleBlock::Unit { samples, first_index } }
     };
-    units.map(place).collect()
+    units.map(keyed_block).collect()
 }
 
-/// Puts the samples' places in the order of the patches that they lie in, too.
-fn patches<'a>(share: &Share<'_>, all: &'a [(u32, u32)], indices: &'a mut [usize]) -> Vec<KeyedBlock<'a>> {
+/// Gathers single samples into blocks by patches of the frame; sorts `indices`, the samples' indices, by patch.
+fn patches<'a>(share: &Share, all: &'a [(u32, u32)], indices: &'a mut [usize]) -> Vec<KeyedBlock<'a>> {
     let (Some(&(_, first_row)), Some(&(_, last_row))) = (all.first(), all.last()) else { return Vec::new() };
-    // A patch holds about 64 samples of the share and is as square as the rows at hand allow.
+    // A patch holds about 64 samples of the share and is as square as the rows allow.
     let area = share.sample_stride().saturating_mul(64);
     let height = area.isqrt().clamp(1, last_row.abs_diff(first_row) + 1);
     let width = (area / height).max(1);
-    // Patches are numbered row by row from the first row at hand; samples are brought into their order by counting.
+    // Patches are numbered row by row from the first row; a counting sort orders the samples by patch.
     let patches_per_row = share.units().size().xres().div_ceil(width);
     let patch = |&(i, j): &(u32, u32)| (j.abs_diff(first_row) / height * patches_per_row + i / width) as usize;
     let n_patches = all.iter().map(patch).max().map_or(0, |last| last + 1);
     let mut ends = vec![0; n_patches + 1];
     all.iter().for_each(|sample| ends[patch(sample) + 1] += 1);
     (0..n_patches).for_each(|patch| ends[patch + 1] += ends[patch]);
-    for (place, sample) in all.iter().enumerate() {
+    for (index, sample) in all.iter().enumerate() {
         let end = &mut ends[patch(sample)];
-        indices[*end] = place;
+        indices[*end] = index;
         *end += 1;
     }
+    // Cut each patch into blocks; 2×2 patches form a group.
     let mut blocks = Vec::new();
     let indices = &*indices;
     let mut first = 0;
@@ -174,7 +176,7 @@ fn patches<'a>(share: &Share<'_>, all: &'a [(u32, u32)], indices: &'a mut [usize
 }
 
 /// All samples of some units, in the order of [`Share::samples`].
-fn collect_samples(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<(u32, u32)> {
+fn collect_samples(share: &Share, units: impl Iterator<Item = u32>) -> Vec<(u32, u32)> {
     let mut samples = Vec::with_capacity(units.size_hint().0);
     for unit in units {
         let SampleRect { columns, rows } = share.samples(unit);
@@ -185,7 +187,7 @@ fn collect_samples(share: &Share<'_>, units: impl Iterator<Item = u32>) -> Vec<(
     samples
 }
 
-/// The place of each lane in a tile of 8×8 samples, row by row: quarters of 4×4 one after the other.
+/// The sample of each lane in a tile of 8×8 samples: quarters of 4×4 one after the other, each row by row.
 const SAMPLE_OF_LANE: [usize; 64] = {
     let mut indices = [0; 64];
     let mut lane = 0;
@@ -198,7 +200,7 @@ const SAMPLE_OF_LANE: [usize; 64] = {
     indices
 };
 
-/// Gives the lanes of a tile the sums of what each of its columns has and what each of its rows.
+/// Sets each lane of a tile to the sum of its column's term and its row's term.
 pub(crate) fn sum_terms_by_lane([column_terms, row_terms]: &[[f32; 8]; 2], lanes: &mut [f32; 64]) {
     for (index, lanes) in lanes.as_chunks_mut::<4>().0.iter_mut().enumerate() {
         let (row, first_column) = (index % 4 + 4 * (index / 8), 4 * (index / 4 % 2));
@@ -208,10 +210,10 @@ pub(crate) fn sum_terms_by_lane([column_terms, row_terms]: &[[f32; 8]; 2], lanes
     }
 }
 
-/// Brings what is in the lanes of a tile into the order of its rows.
-pub(crate) fn lanes_to_rows<T: Copy>(in_lanes: &mut [T; 64]) {
-    // Half a row is together in both orders.
-    for [a, b, c, d, e, f, g, h] in in_lanes.as_chunks_mut::<4>().0.as_chunks_mut::<8>().0 {
+/// Reorders the values of a tile from lanes to samples, row by row.
+pub(crate) fn lanes_to_rows<T: Copy>(lanes: &mut [T; 64]) {
+    // Half a row is contiguous in both orders.
+    for [a, b, c, d, e, f, g, h] in lanes.as_chunks_mut::<4>().0.as_chunks_mut::<8>().0 {
         [*a, *b, *c, *d, *e, *f, *g, *h] = [*a, *e, *b, *f, *c, *g, *d, *h];
     }
 }
@@ -219,6 +221,7 @@ pub(crate) fn lanes_to_rows<T: Copy>(in_lanes: &mut [T; 64]) {
 #[cfg(test)]
 mod tests {
     use shared::division::{Division, FrameSize};
+    use strum::VariantArray;
 
     use super::*;
 
@@ -226,7 +229,9 @@ mod tests {
     fn every_sample_is_in_one_block_and_neighbours_lie_together() {
         for (xres, yres) in [(1, 1), (37, 21), (64, 48), (200, 100)] {
             let size = FrameSize::new(xres, yres).unwrap();
-            for (division, machines) in Division::ALL.into_iter().flat_map(|division| [(division, 1), (division, 5)]) {
+            for (division, machines) in
+                Division::VARIANTS.iter().copied().flat_map(|division| [(division, 1), (division, 5)])
+            {
                 for machine in 0..machines {
                     let task = division.task(machine, machines);
                     let share = task.share(size).unwrap();
@@ -238,9 +243,9 @@ mod tests {
                         for block in blocks {
                             assert!((1..=64).contains(&block.n_samples()));
                             for (index, sample) in block.samples().enumerate() {
-                                let place = block.output_index(index);
-                                assert_eq!(samples[place], sample);
-                                seen[place] += 1;
+                                let output_index = block.output_index(index);
+                                assert_eq!(samples[output_index], sample);
+                                seen[output_index] += 1;
                             }
                         }
                         if division == Division::Tiled {
@@ -262,10 +267,10 @@ mod tests {
         assert_eq!(unit(8..11, 16..17).sample_of_lane()[..5], [0, 1, 2, 2, 2]);
         let mut indices = SAMPLE_OF_LANE;
         lanes_to_rows(&mut indices);
-        assert_eq!(indices, std::array::from_fn(|place| place));
+        assert_eq!(indices, std::array::from_fn(|index| index));
         let (columns, rows) = ([0, 1, 2, 3, 4, 5, 6, 7], [0, 8, 16, 24, 32, 40, 48, 56]);
         let mut sums = [0.0; 64];
-        sum_terms_by_lane(&[columns, rows].map(|indices| indices.map(|place| place as f32)), &mut sums);
-        assert_eq!(sums.map(|place| place as usize), SAMPLE_OF_LANE);
+        sum_terms_by_lane(&[columns, rows].map(|indices| indices.map(|index| index as f32)), &mut sums);
+        assert_eq!(sums.map(|sum| sum as usize), SAMPLE_OF_LANE);
     }
 }

@@ -1,4 +1,4 @@
-//! One whole frame, traced and shaded in parallel, with the CPU time that it took.
+//! One whole frame, traced and shaded in parallel, with its CPU time.
 
 use std::{
     io,
@@ -11,6 +11,7 @@ use shared::{
     appearance::ClipPlane,
     camera::CameraRays,
     division::{Division, FrameSize, Share, TILE_SIZE},
+    protocol::FrameSpec,
     srgb,
 };
 
@@ -19,32 +20,32 @@ use crate::{
     render::{
         blocks::{SampleBlock, for_each_group},
         parallel::work_off,
-        tracer::{FrameRequest, Scene},
+        scene::Scene,
     },
 };
 
-/// The hits and the colours of one frame, row by row from the bottom.
+/// The hits and colours of one frame, row by row from the bottom.
 #[derive(Default)]
 pub struct Frame {
-    /// With the triangles' places in the mesh; their numbers in the file would have to be fetched from far away.
+    /// With triangle indices: looking up file indices here would cost a cache miss for each hit.
     hits: Vec<Hit>,
-    /// Colours, sRGB-encoded.
+    /// sRGB-encoded colours.
     pub rgb: Vec<u8>,
 }
 
-/// Everything that the primary rays of a frame need.
+/// Inputs of a frame's primary rays.
 pub struct Setup<'a> {
-    /// Where they are followed.
+    /// The scene to trace.
     pub scene: &'a Scene,
-    /// Their directions, in world space.
+    /// The rays' origin and directions, in world space.
     pub rays: CameraRays,
     /// The plane that cuts the scene open.
     pub clip: Option<ClipPlane>,
-    /// The tiles of the frame.
-    pub share: Share<'a>,
+    /// All tiles of the frame.
+    pub share: Share,
 }
 
-/// What tracing a frame took.
+/// Time spent on tracing a frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Cost {
     /// Wall time.
@@ -54,42 +55,42 @@ pub struct Cost {
 }
 
 impl Frame {
-    /// Traces all samples through their centres, on the threads of the current rayon pool.
-    pub fn trace(&mut self, scene: &Scene, request: &FrameRequest) -> Cost {
+    /// Traces one ray through the centre of each sample, on the current rayon pool.
+    pub fn trace(&mut self, scene: &Scene, spec: &FrameSpec) -> Cost {
         let follow = |setup: &Setup<'_>, tiles: &Tiles, scratch: &mut PacketScratch, (): &mut (), write: Write<'_>| {
             let Setup { scene, rays, clip, share } = setup;
             let write = |blocks: &[SampleBlock<'_>], hits: &[[Hit; 64]], _: &mut PacketScratch| write(blocks, hits);
             scene.trace_groups(rays, clip.as_ref(), share, tiles.numbers(), scratch, write);
         };
-        self.trace_with(scene, request, follow).0
+        self.trace_with(scene, spec, follow).0
     }
 
-    /// The same, but `follow` finds the hits of some tiles: it is given the frame's setup, the tiles, memory to work in, a
-    /// value of its thread, and a function to be called with all blocks of the tiles and their hits.
+    /// Like [`Frame::trace`], with hits found by `follow`: it receives the setup, some tiles, scratch memory, a value of
+    /// its thread, and a function that it must call with all blocks of the tiles and their hits.
     ///
-    /// Also returns the threads' values, which begin as their defaults.
+    /// Also returns the threads' values, which start as their defaults.
     pub fn trace_with<T: Default + Send>(
         &mut self,
         scene: &Scene,
-        request: &FrameRequest,
+        spec: &FrameSpec,
         follow: impl Fn(&Setup<'_>, &Tiles, &mut PacketScratch, &mut T, Write<'_>) + Sync,
     ) -> (Cost, Vec<T>) {
-        let rays = request.camera.rays(request.size);
-        let clip = scene.clip_plane(&request.camera, request.appearance.clip);
+        let rays = spec.camera.rays(spec.size);
+        let clip = scene.clip_plane(&spec.camera, spec.appearance.clip);
         let task = Division::Tiled.task(0, 1);
-        let Ok(share) = task.share(request.size) else { return (Cost::default(), Vec::new()) };
+        let Ok(share) = task.share(spec.size) else { return (Cost::default(), Vec::new()) };
         let setup = Setup { scene, rays, clip, share };
-        self.hits.resize(request.size.n_samples() as usize, Hit::MISS);
+        self.hits.resize(spec.size.n_samples() as usize, Hit::MISS);
 
         let start = Instant::now();
-        let of_threads = work_off(parts(&mut self.hits, 1, request.size), |next| {
+        let of_threads = work_off(parts(&mut self.hits, 1, spec.size), |next| {
             let mut value = T::default();
             let mut scratch = PacketScratch::default();
             while let Some(Part { tiles, mut samples }) = next() {
                 follow(&setup, &tiles, &mut scratch, &mut value, &mut |blocks, hits| {
                     for (block, hits) in blocks.iter().zip(hits) {
                         if let Some((i, first_j)) = block.tile() {
-                            // Of a known length, rows are copied without a call.
+                            // With a constant length, rows are copied without a call to memcpy.
                             for (j, hits) in (first_j..).zip(hits.as_chunks::<8>().0) {
                                 samples.row_from((i, j))[..8].copy_from_slice(hits);
                             }
@@ -105,15 +106,15 @@ impl Frame {
         (Cost { wall: start.elapsed(), cpu }, of_threads.into_iter().map(|(value, _)| value).collect())
     }
 
-    /// Shades all hits; returns the CPU time of all threads.
-    pub fn shade(&mut self, scene: &Scene, request: &FrameRequest) -> Duration {
-        let rays = request.camera.rays(request.size);
-        let lighting = scene.lighting(request);
+    /// Shades all hits; returns the CPU time, summed over all threads.
+    pub fn shade(&mut self, scene: &Scene, spec: &FrameSpec) -> Duration {
+        let rays = spec.camera.rays(spec.size);
+        let lighting = scene.lighting(spec);
         let task = Division::Tiled.task(0, 1);
-        let Ok(share) = task.share(request.size) else { return Duration::ZERO };
+        let Ok(share) = task.share(spec.size) else { return Duration::ZERO };
         self.rgb.resize(3 * self.hits.len(), 0);
         let all_hits = &self.hits;
-        let of_threads = work_off(parts(&mut self.rgb, 3, request.size), |next| {
+        let of_threads = work_off(parts(&mut self.rgb, 3, spec.size), |next| {
             let mut scratch = PacketScratch::default();
             let mut directions = [[Vec3::ZERO; 64]; MOST_PACKETS];
             let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
@@ -122,7 +123,7 @@ impl Frame {
                     for (index, block) in blocks.iter().enumerate() {
                         for (sample_idx, (i, j)) in block.samples().enumerate() {
                             directions[index][sample_idx] = rays.direction(i, j);
-                            hits[index][sample_idx] = all_hits[(j * request.size.xres() + i) as usize];
+                            hits[index][sample_idx] = all_hits[(j * spec.size.xres() + i) as usize];
                         }
                     }
                     let lights = lighting.light_group(blocks, 0, &directions, &hits, &mut scratch);
@@ -137,8 +138,8 @@ impl Frame {
         of_threads.into_iter().map(|((), cpu)| cpu).sum()
     }
 
-    /// Writes the hits: per sample, little endian, the triangle in file order as `u32` (0xffffffff for none) and t as
-    /// `f32` in units of the ray's direction (infinite for none).
+    /// Writes the hits: for each sample, little endian, the triangle's file index as `u32` (0xffffffff for a miss) and t
+    /// as `f32` in units of the ray's direction (infinite for a miss).
     pub fn write_hits(&self, scene: &Scene, out: &mut dyn io::Write) -> io::Result<()> {
         self.hits.iter().try_for_each(|&hit| {
             let hit = scene.with_file_index(hit);
@@ -147,7 +148,7 @@ impl Frame {
         })
     }
 
-    /// How many samples hit something.
+    /// Number of samples that hit something.
     pub fn n_hits(&self) -> usize {
         self.hits.iter().filter(|hit| !hit.is_miss()).count()
     }
@@ -156,14 +157,14 @@ impl Frame {
 /// Writes the hits of blocks, each block's in the order of its samples.
 pub type Write<'a> = &'a mut dyn FnMut(&[SampleBlock<'_>], &[[Hit; 64]]);
 
-/// Guided self-scheduling (Polychronopoulos and Kuck, 1987): each part is the rest of the frame / (8 × threads). Large parts
-/// come first, because each has a cost of its own; small ones last, so that threads end together.
+/// Guided self-scheduling (Polychronopoulos and Kuck, 1987): each part is the remaining frame / (8 × threads). Large parts
+/// come first, to save overhead; small ones last, so that threads finish together.
 const PARTS_PER_THREAD: u32 = 8;
 
-/// Columns of tiles in a part, at least.
+/// Minimum columns of tiles in a part.
 const LEAST_COLUMNS: u32 = 4;
 
-/// Some columns of up to two rows of tiles.
+/// A rectangle of tiles, up to two rows high.
 pub struct Tiles {
     columns: Range<u32>,
     rows: Range<u32>,
@@ -171,7 +172,7 @@ pub struct Tiles {
 }
 
 impl Tiles {
-    /// The tiles' numbers in the frame, one square of 2×2 after the other, as packets go together.
+    /// The tiles' numbers in the frame, in squares of 2×2, whose packets are traced together.
     pub fn numbers(&self) -> impl Iterator<Item = u32> + Clone + use<> {
         let Self { columns, rows, x_tiles } = self;
         let (end, rows, x_tiles) = (columns.end, rows.clone(), *x_tiles);
@@ -182,30 +183,30 @@ impl Tiles {
     }
 }
 
-/// A part of a frame, for one thread at a time.
+/// A part of a frame, processed by one thread.
 struct Part<'a, T> {
     tiles: Tiles,
     samples: Samples<'a, T>,
 }
 
-/// What belongs to the samples of a part.
+/// Mutable access to the values of a part's samples.
 struct Samples<'a, T> {
-    /// The part's first sample.
+    /// The part's first sample (i, j).
     first: (u32, u32),
-    /// Rows of samples, with as many `T` for each sample as the frame has.
+    /// Rows of samples, with `per_sample` values each.
     rows: Vec<&'a mut [T]>,
     per_sample: u32,
 }
 
 impl<T> Samples<'_, T> {
-    /// What belongs to a sample, and to those that follow in its row.
+    /// The values of a sample and of those that follow it in its row.
     fn row_from(&mut self, (i, j): (u32, u32)) -> &mut [T] {
         let first = (i - self.first.0) * self.per_sample;
         &mut self.rows[(j - self.first.1) as usize][first as usize..]
     }
 }
 
-/// All parts of a frame for the threads of the current rayon pool. `all` has `per_sample` values for each sample, row by row.
+/// Divides a frame into parts for the current rayon pool. `all` holds `per_sample` values for each sample, row by row.
 fn parts<T>(all: &mut [T], per_sample: u32, size: FrameSize) -> impl Iterator<Item = Part<'_, T>> {
     let row_length = (size.xres() * per_sample) as usize;
     let (x_tiles, y_tiles) = (size.x_tiles(), size.y_tiles());
@@ -213,7 +214,7 @@ fn parts<T>(all: &mut [T], per_sample: u32, size: FrameSize) -> impl Iterator<It
     let bands = (0..).step_by(2).zip(all.chunks_mut(row_length * 2 * TILE_SIZE as usize));
     bands.flat_map(move |(row, band)| {
         let n_tiles = (y_tiles - row) * x_tiles / (PARTS_PER_THREAD * n_threads);
-        // Two rows high, and as wide as whole squares.
+        // Parts are two rows high and whole squares wide.
         let n_columns = (n_tiles / 2).max(LEAST_COLUMNS).min(x_tiles).next_multiple_of(2);
         let mut parts: Vec<_> = (0..x_tiles)
             .step_by(n_columns as usize)
@@ -240,7 +241,7 @@ mod tests {
     use crate::render::threads;
 
     #[test]
-    fn parts_are_the_whole_frame_whatever_its_size() {
+    fn parts_cover_frames_of_any_size() {
         for (xres, yres) in [(1, 1), (7, 301), (37, 21), (301, 7), (1024, 512)] {
             let size = FrameSize::new(xres, yres).unwrap();
             let task = Division::Tiled.task(0, 1);

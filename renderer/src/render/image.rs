@@ -1,4 +1,4 @@
-//! Writes pictures as PNG.
+//! Writes images as PNG files, and any file atomically.
 
 use std::{
     fs::File,
@@ -8,14 +8,12 @@ use std::{
 
 use shared::division::FrameSize;
 
-/// BLAKE3 of a frame's samples, RGB, row by row from the bottom, as hexadecimal digits: equal hashes are equal pictures.
+/// BLAKE3 of a frame's RGB samples, row by row from the bottom, in hexadecimal. Equal hashes mean equal images.
 pub fn hash_samples(rgb: &[u8]) -> String {
     blake3::hash(rgb).to_hex().to_string()
 }
 
-/// Writes an RGB8 picture, sRGB-encoded, bottom row first as frames are.
-///
-/// The file appears only when it is whole.
+/// Atomically writes an sRGB-encoded RGB8 image, given bottom row first.
 pub fn write_png(path: &Path, size: FrameSize, rgb: &[u8]) -> io::Result<()> {
     write_atomically(path, |out| {
         let mut encoder = png::Encoder::new(out, size.xres(), size.yres());
@@ -29,8 +27,8 @@ pub fn write_png(path: &Path, size: FrameSize, rgb: &[u8]) -> io::Result<()> {
     })
 }
 
-/// Writes a file beside its place, and puts it there when it is whole. Devices and pipes are written to as they are, and
-/// links are followed.
+/// Writes a temporary file beside `path` and renames it when it is complete. Follows links; writes directly to devices
+/// and pipes.
 pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     let resolved = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let path = resolved.as_path();
@@ -49,7 +47,7 @@ pub fn write_atomically(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::R
     });
     let renamed = written.and_then(|()| std::fs::rename(temporary, path));
     if renamed.is_err() {
-        // The first error is what matters; the remains may not even exist.
+        // Report the first error; the temporary file may not even exist.
         let _ = std::fs::remove_file(temporary);
     }
     renamed
@@ -91,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_written_leaves_nothing_behind() {
+    fn failed_writes_leave_nothing_behind() {
         let folder = std::env::temp_dir();
         let path = folder.join(format!("half-{}.png", std::process::id()));
         write_atomically(&path, |_| Err(io::Error::other("disk full"))).unwrap_err();

@@ -1,7 +1,10 @@
-//! From the hits of a block of samples to their light, whatever the view and the ray tree.
+//! From the hits of a block of samples to their light, in any shading and lighting mode.
 
 use glam::Vec3;
-use shared::{appearance::ClipPlane, protocol::ShadingMode};
+use shared::{
+    appearance::ClipPlane,
+    protocol::{FrameSpec, ShadingMode},
+};
 
 use crate::{
     grid::Grid,
@@ -11,16 +14,16 @@ use crate::{
     },
     render::{
         blocks::SampleBlock,
+        sampling::sample_point,
         secondary::SecondaryRays,
         shade::{self, Shader},
-        tracer::{FrameRequest, sample_point},
     },
 };
 
-/// All that lights one frame.
+/// Lights the hits of one frame.
 pub struct Lighting<'a> {
     grid: &'a Grid,
-    view: ShadingMode,
+    shading: ShadingMode,
     eye: Vec3,
     clip: Option<ClipPlane>,
     shader: Shader<'a>,
@@ -28,11 +31,11 @@ pub struct Lighting<'a> {
 }
 
 impl<'a> Lighting<'a> {
-    /// Makes ready for one frame of a scene that a plane may cut open.
-    pub fn new(grid: &'a Grid, spec: &FrameRequest, clip: Option<ClipPlane>) -> Self {
+    /// Prepares for one frame of a scene that a plane may cut open.
+    pub fn new(grid: &'a Grid, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
         Self {
             grid,
-            view: spec.view,
+            shading: spec.view,
             eye: spec.camera.rays(spec.size).eye,
             clip,
             shader: Shader::new(grid.mesh(), spec),
@@ -40,8 +43,8 @@ impl<'a> Lighting<'a> {
         }
     }
 
-    /// The linear light of neighbouring blocks of at most 64 samples each: sample number `sample` of their pixels (i, j),
-    /// which follow `directions` to `hits`. Entries beyond a block are undefined.
+    /// The linear light of neighbouring blocks: of sample number `sample` of their pixels (i, j), whose rays follow
+    /// `directions` to `hits`. Entries beyond a block's samples are undefined.
     pub fn light_group(
         &self,
         blocks: &[SampleBlock<'_>],
@@ -51,7 +54,7 @@ impl<'a> Lighting<'a> {
         scratch: &mut PacketScratch,
     ) -> [[Vec3; 64]; MOST_PACKETS] {
         let mut lights = [[Vec3::ZERO; 64]; MOST_PACKETS];
-        if self.view == ShadingMode::Cost {
+        if self.shading == ShadingMode::Cost {
             for (index, block) in blocks.iter().enumerate() {
                 for (light, &direction) in lights[index].iter_mut().zip(&directions[index]).take(block.n_samples()) {
                     let ray = clip::clip_ray(self.clip.as_ref(), Ray::new(self.eye, direction));

@@ -1,4 +1,4 @@
-//! Divides work among the tracing threads, for render servers, `trace` and measurements alike.
+//! Divides work among the tracing threads, for render servers, `trace` and measurements.
 
 use std::{
     sync::{
@@ -11,18 +11,17 @@ use std::{
 
 use cpu_time::ThreadTime;
 
-/// How long a thread without work stays awake and waits for the others.
+/// How long a thread that has run out of parts spins before it sleeps.
 ///
-/// Waking a sleeping thread for the next frame took 0.2 to 0.4 % of a frame on two threads. The last parts of a frame are
-/// small and take less than this.
+/// Waking a sleeping thread for the next frame cost 0.2 to 0.4 % of a frame on two threads. The last parts of a frame are
+/// small and take less time than this.
 const AWAKE: Duration = Duration::from_millis(1);
 
-/// Works off `parts` on the threads of the current rayon pool. Each task calls `task` once with a function that gives it
-/// its next part, until none is left.
+/// Processes `parts` on the current rayon pool: calls `task` once per thread, with a function that returns the next part
+/// until none is left.
 ///
-/// Returns for each task what its `task` returned, and its CPU time. There is a task for each thread, and each takes one
-/// part at a time: a task that held several would keep the others waiting at the end. A thread that another program keeps
-/// from its core delays nothing: the others finish the parts, and its task with them.
+/// Returns each call's result and CPU time. A thread holds one part at a time, so that threads finish together. A thread
+/// that another program keeps from its core delays nothing: the other threads take its parts, and its call too.
 pub fn work_off<P: Send, T: Send>(
     parts: impl Iterator<Item = P> + Send,
     task: impl Fn(&mut dyn FnMut() -> Option<P>) -> T + Sync,
@@ -33,12 +32,12 @@ pub fn work_off<P: Send, T: Send>(
         n_at_work.fetch_add(1, Ordering::Relaxed);
         let start = ThreadTime::now();
         let result = task(&mut || parts.lock().ok()?.next());
-        // Waiting does not count as CPU time.
+        // Spinning does not count as CPU time.
         let cpu = start.elapsed();
         n_at_work.fetch_sub(1, Ordering::Relaxed);
         let done = Instant::now();
         while n_at_work.load(Ordering::Relaxed) > 0 && done.elapsed() < AWAKE {
-            // With more threads than cores, another may need this one.
+            // With more threads than cores, another thread may need this core.
             thread::yield_now();
         }
         (result, cpu)

@@ -1,15 +1,15 @@
-//! Secondary rays: which lights reach a hit.
+//! Secondary rays: shadows of the key light and ambient occlusion.
 //!
-//! The key light is a point (from where it comes is [`shared::appearance::Light`]), so that the shadow rays of neighbouring samples, followed from the light to the hits, are
-//! packets as coherent as the camera's. Surroundings are felt by short rays into the hemisphere above a hit.
+//! The key light is a point in the direction of [`shared::appearance::Light`]. Shadow rays start at the light, so that those
+//! of neighbouring samples form packets as coherent as the camera's. Ambient occlusion uses short hemisphere rays.
 //!
-//! Points on surfaces are found in `f64` and lifted off them by more than rounding can take back, so that no surface
-//! shades itself and nothing is skipped. Only + − × ÷ √ are used, in a fixed order: every machine computes the same bits.
+//! Surface points are computed in `f64` and lifted off the surface by more than the rounding error, so that no surface
+//! shadows itself and no blocker is skipped. Only + − × ÷ √ are used, in a fixed order: every machine computes the same bits.
 
 use glam::{DVec3, Vec3};
 use shared::{
     appearance::ClipPlane,
-    protocol::{LightingMode, ShadingMode},
+    protocol::{FrameSpec, LightingMode, ShadingMode},
 };
 
 use crate::{
@@ -18,62 +18,60 @@ use crate::{
         MOST_PACKETS, Packet, PacketScratch, clip,
         ray::{Hit, Ray},
     },
-    render::{
-        blocks::SampleBlock,
-        tracer::{FrameRequest, hash_u32},
-    },
+    render::{blocks::SampleBlock, sampling::hash_u32},
 };
 
-/// What reaches one hit.
+/// The light that reaches one hit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LightVisibility {
-    /// Towards the key light, of unit length, in world space.
+    /// Direction to the key light, unit length, world space.
     pub key_direction: Vec3,
-    /// How much of the key light arrives, 0 to 1.
+    /// Visible fraction of the key light, 0 or 1.
     pub key: f32,
-    /// How much of the surroundings is open, 0 to 1.
+    /// 1 − ambient occlusion.
     pub ambient_visibility: f32,
 }
 
 /// The secondary rays of one frame.
 pub struct SecondaryRays<'a> {
     grid: &'a Grid,
-    /// What is cut away casts no shadow.
+    /// Cuts the scene open: parts that it removes cast no shadow.
     clip: Option<ClipPlane>,
     lighting_mode: LightingMode,
     eye: DVec3,
-    /// Where the key light stands, in world space.
+    /// Position of the key light, world space.
     key_light: Vec3,
-    /// Towards it, where no point is known.
+    /// Direction to the key light from hits without a surface point, world space.
     key_direction: Vec3,
     /// How far points are lifted off their surfaces, in world units.
     ray_offset: f64,
-    /// The longest ambient ray, in world units.
+    /// Length of the longest ambient occlusion ray, in world units.
     ao_radius: f32,
 }
 
-/// Ambient rays of each sample.
+/// Ambient occlusion rays of each sample.
 const N_AO_RAYS: u32 = 4;
 
-/// The longest ambient ray, relative to the radius of the scene.
+/// Length of the longest ambient occlusion ray, relative to the radius of the scene.
 const AO_RADIUS_RELATIVE: f64 = 0.1;
 
-/// A point that a ray has hit.
+/// Surface at a hit.
 struct Surface {
-    /// Lifted off the surface.
+    /// The hit point, lifted off the surface; world space.
     point: DVec3,
-    /// Of unit length, towards the ray's origin.
+    /// Unit length, on the side of the ray's origin.
     normal: DVec3,
 }
 
 impl<'a> SecondaryRays<'a> {
-    /// Makes ready for one frame of a scene that a plane may cut open.
-    pub fn new(grid: &'a Grid, spec: &FrameRequest, clip: Option<ClipPlane>) -> Self {
-        // Other views have no light.
+    /// Prepares for one frame of a scene that a plane may cut open.
+    pub fn new(grid: &'a Grid, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
+        // Other shading modes ignore the lights.
         let lighting_mode = if spec.view == ShadingMode::Shaded { spec.rays } else { LightingMode::Primary };
         let bounds = grid.mesh().bounds();
         let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
         let (centre, radius) = ((min + max) * 0.5, (max - min).length() * 0.5);
+        // The light's direction is relative to the camera.
         let (right, up) = (spec.camera.u().normalize(), spec.camera.v().normalize());
         let back = right.cross(up).normalize();
         let light = spec.appearance.light;
@@ -86,8 +84,8 @@ impl<'a> SecondaryRays<'a> {
                 placement.light_position(grid, clip.as_ref(), light.is_on_eye_side())
             }
         };
-        // No coordinate is larger, and no difference more than twice as large. Rounding a point or a direction to single
-        // precision moves it by at most √3·2⁻²⁴ of that.
+        // No coordinate exceeds this, and no difference its double. Rounding a point or a direction to single precision
+        // moves it by at most √3·2⁻²⁴ of that.
         let max_coordinate = min.abs().max(max.abs()).max(key_light.as_dvec3().abs()).max_element();
         Self {
             grid,
@@ -101,13 +99,13 @@ impl<'a> SecondaryRays<'a> {
         }
     }
 
-    /// The same with the key light in another place, for tests.
+    /// The same with the key light elsewhere, for measurements of shadow rays.
     #[must_use]
     pub fn with_key_light(self, key_light: Vec3) -> Self {
         Self { key_light, ..self }
     }
 
-    /// What reaches the hits of neighbouring blocks of samples; undefined for samples without a hit.
+    /// The light that reaches the hits of neighbouring blocks; undefined for misses.
     pub fn visibility(
         &self,
         blocks: &[SampleBlock<'_>],
@@ -145,7 +143,7 @@ impl<'a> SecondaryRays<'a> {
         visibility
     }
 
-    /// Where a hit is; `None` for a miss, and for slivers too thin to have a normal.
+    /// The surface at a hit; `None` for a miss, and for slivers too thin to have a normal.
     fn surface(&self, direction: Vec3, hit: Hit) -> Option<Surface> {
         if hit.is_miss() {
             return None;
@@ -155,13 +153,13 @@ impl<'a> SecondaryRays<'a> {
         let normal = (b - a).cross(c - a);
         let length = normal.length();
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal } * (1.0 / length);
-        // The hit's t is rounded to single precision, too little for an eye far away.
+        // Recompute t from the triangle's plane: single precision is too coarse for an eye far away.
         let t = normal.dot(a - self.eye) / normal.dot(direction);
         let point = self.eye + direction * t + normal * self.ray_offset;
         (length > 0.0 && point.is_finite() && normal.is_finite()).then_some(Surface { point, normal })
     }
 
-    /// Follows rays from the key light to all surfaces that face it.
+    /// Casts shadow rays from the key light to all surfaces that face it.
     fn cast_shadows(
         &self,
         blocks: &[SampleBlock<'_>],
@@ -169,6 +167,7 @@ impl<'a> SecondaryRays<'a> {
         visibility: &mut [[LightVisibility; 64]],
         scratch: &mut PacketScratch,
     ) {
+        // Make a ray to each surface that faces the light; the others stay in shadow.
         let light = self.key_light.as_dvec3();
         let mut directions = [[None; 64]; MOST_PACKETS];
         for (index, block) in blocks.iter().enumerate() {
@@ -182,6 +181,7 @@ impl<'a> SecondaryRays<'a> {
                 }
             }
         }
+        // Trace them as packets, and light the surfaces that they reach.
         let directions = &directions[..blocks.len()];
         let occluded_lanes = occluded_lanes(self.grid, self.clip.as_ref(), self.key_light, directions, 1.0, scratch);
         for (index, block) in blocks.iter().enumerate() {
@@ -193,13 +193,14 @@ impl<'a> SecondaryRays<'a> {
         }
     }
 
-    /// What part of some rays into the hemisphere above a surface reaches their end.
+    /// 1 − ambient occlusion: the fraction of short hemisphere rays that hit nothing.
     ///
-    /// They are distributed as the cosine to the normal, so that each counts alike, and of different lengths, so that
-    /// what is near shades more than what is far.
+    /// Directions follow a cosine distribution, so that all rays weigh the same. Lengths differ, so that near blockers
+    /// occlude more than far ones.
     fn ambient_visibility(&self, surface: &Surface, (i, j): (u32, u32), sample: u32) -> f32 {
         let normal = surface.normal.as_vec3();
         let [tangent, bitangent] = tangent_basis(normal);
+        // One random offset for the strata of heights and of lengths, and one for the azimuths, per sample.
         let random = |seed: u32| hash_u32(i ^ hash_u32(j ^ hash_u32(sample ^ seed)));
         let fraction = |bits: u32| ((bits >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0);
         let (height, mut azimuth) = (fraction(random(11)), unit_circle(random(12)));
@@ -209,7 +210,7 @@ impl<'a> SecondaryRays<'a> {
             let r2 = (index as f32 + height) * (1.0 / N_AO_RAYS as f32);
             let (r, z) = (r2.sqrt(), (1.0 - r2).sqrt());
             let direction = (tangent * azimuth[0] + bitangent * azimuth[1]) * r + normal * z;
-            // Strata of length in another order than those of height.
+            // The strata of lengths come in another order than those of heights.
             let length = ((index * 3 + 1) % N_AO_RAYS) as f32 + length;
             let t_max = self.ao_radius * (length * (1.0 / N_AO_RAYS as f32));
             let ray = Ray { origin: surface.point.as_vec3(), direction, t_min: 0.0, t_max };
@@ -223,31 +224,31 @@ impl<'a> SecondaryRays<'a> {
     }
 }
 
-/// Cosine and sine of the golden angle: directions that are turned by it again and again keep apart.
+/// Cosine and sine of the golden angle: repeated rotation by it spreads directions evenly.
 const GOLDEN_ANGLE: [f32; 2] = [-0.737_368_9, 0.675_490_3];
 
-/// What says where the key light stands, in world space.
+/// Inputs of the key light's position, in world space.
 struct KeyLightPlacement {
     eye: DVec3,
-    /// From what is looked at to the eye's side, of unit length.
+    /// Opposite of the camera's direction, unit length.
     back: DVec3,
-    /// From what is looked at to the light, of unit length.
+    /// Direction to the light, unit length.
     to_light: DVec3,
-    /// The middle of the scene.
+    /// Centre of the scene's bounds.
     centre: DVec3,
     /// Half the diagonal of the scene's bounds.
     radius: f64,
 }
 
-/// How far the key light is from what is looked at, in distances of the eye: over its shoulder it is beside the eye.
+/// Distance of the key light from the viewed point, relative to the eye's: the default light stands beside the eye.
 const KEY_DISTANCE: f64 = 1.5;
 
 impl KeyLightPlacement {
-    /// In its direction from the point before the eye that is as far away as the middle of the scene. A light on the eye's
-    /// side stays inside the room that the eye is in; others are where they are, whatever hides them.
+    /// The light stands in its direction from the viewed point: the point in front of the eye that is as far away as the
+    /// centre of the scene. A light on the eye's side stays within the eye's room; another may stand behind walls.
     fn light_position(&self, grid: &Grid, clip: Option<&ClipPlane>, is_on_eye_side: bool) -> Vec3 {
         let Self { eye, back, to_light, centre, radius } = *self;
-        // An eye far away is replaced by one nearer: there lies nothing in between.
+        // Replace a far eye by a nearer one: the space between them is empty.
         let distance = (eye - centre).length();
         let base = if distance > 4.0 * radius { centre + (eye - centre) * (4.0 * radius / distance) } else { eye };
         let distance = (base - centre).length().max(0.5 * radius);
@@ -255,6 +256,7 @@ impl KeyLightPlacement {
         if !is_on_eye_side {
             return (base + step).as_vec3();
         }
+        // Stop halfway to an obstacle between eye and light.
         let ray = Ray { t_max: 1.0, ..Ray::new(base.as_vec3(), step.as_vec3()) };
         let obstacle = clip::intersect(grid, clip, ray);
         let part = if obstacle.is_miss() { 1.0 } else { 0.5 * f64::from(obstacle.t) };
@@ -262,8 +264,8 @@ impl KeyLightPlacement {
     }
 }
 
-/// A bit for each ray from `origin` that hits something up to `t_max`, of what a plane keeps: for up to [`MOST_PACKETS`]
-/// neighbouring blocks.
+/// For each of up to [`MOST_PACKETS`] neighbouring blocks, a bit for each ray from `origin` that hits something within
+/// `t_max` in the part of the scene that `clip` keeps.
 pub fn occluded_lanes(
     grid: &Grid,
     clip: Option<&ClipPlane>,
@@ -278,7 +280,7 @@ pub fn occluded_lanes(
         let Some(mut next) = directions.iter().rev().find_map(|direction| *direction) else { continue };
         let mut packet = Packet { origin, directions: [[0.0; 64]; 3], active: 0, t_min: 0.0, t_max, any_hit: true };
         for (lane, direction) in directions.iter().enumerate().rev() {
-            // Entries of no ray repeat the next, which lies close to them.
+            // Inactive lanes repeat the next ray, to keep the packet coherent.
             next = direction.unwrap_or(next);
             for axis in 0..3 {
                 packet.directions[axis][lane] = next[axis];
@@ -301,8 +303,7 @@ pub fn occluded_lanes(
     occluded_lanes
 }
 
-/// Two vectors of unit length at right angles to a normal and to each other: Duff et al., "Building an Orthonormal Basis,
-/// Revisited" (2017).
+/// Completes a unit normal to an orthonormal basis: Duff et al., "Building an Orthonormal Basis, Revisited" (2017).
 fn tangent_basis(n: Vec3) -> [Vec3; 2] {
     let sign = 1.0f32.copysign(n.z);
     let a = -1.0 / (sign + n.z);
@@ -310,7 +311,7 @@ fn tangent_basis(n: Vec3) -> [Vec3; 2] {
     [Vec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), Vec3::new(b, sign + n.y * n.y * a, -n.y)]
 }
 
-/// A point of the unit circle: one of eight arcs, and within it the tangent of half the angle.
+/// A point of the unit circle: the low bits choose one of eight arcs, the high bits the half-angle tangent within it.
 fn unit_circle(bits: u32) -> [f32; 2] {
     const TANGENT_OF_PI_8: f32 = 0.414_213_57;
     let s = (bits >> 9) as f32 * (TANGENT_OF_PI_8 / 8_388_608.0);

@@ -1,45 +1,48 @@
-//! From hits to light: what the samples look like.
+//! From hits to linear light.
 //!
 //! Only + − × ÷ √ are used, in a fixed order, so that every machine computes the same bits.
 
 use glam::Vec3;
-use shared::{protocol::ShadingMode, srgb};
+use shared::{
+    protocol::{FrameSpec, ShadingMode},
+    srgb,
+};
 
 use crate::{
     grid::traced::TracedMesh,
     intersect::{RayCost, ray::Hit},
-    render::{secondary::LightVisibility, tracer::FrameRequest},
+    render::secondary::LightVisibility,
 };
 
-/// Lights a mesh as seen by one camera: a light at the eye shows form, a sky above it shows which way is up.
+/// Shades a mesh seen by one camera: a light at the eye shows form, a key light relief, and a sky which way is up.
 pub struct Shader<'a> {
     mesh: &'a TracedMesh,
-    view: ShadingMode,
-    /// The camera's up, of unit length, in world space.
+    shading: ShadingMode,
+    /// The camera's up direction, unit length, world space.
     up: Vec3,
     n_rows: f32,
-    /// Linear light of the background, at the bottom and at the top.
+    /// Linear light of the background at the bottom and at the top.
     background: [Vec3; 2],
 }
 
-/// Linear light of surfaces without colours of their own: unglazed clay.
+/// Albedo of meshes without colours: unglazed clay, linear.
 const CLAY: Vec3 = Vec3::new(0.60, 0.55, 0.49);
 
-/// Light from the eye, from the key light, from the sky and from the ground.
+/// Linear intensities of the light at the eye, the key light, the sky and the ground.
 const EYE_LIGHT: Vec3 = Vec3::new(0.26, 0.26, 0.26);
 const KEY_LIGHT: Vec3 = Vec3::new(0.62, 0.58, 0.52);
 const SKY_LIGHT: Vec3 = Vec3::new(0.19, 0.22, 0.27);
 const GROUND_LIGHT: Vec3 = Vec3::new(0.055, 0.045, 0.04);
 
 impl<'a> Shader<'a> {
-    /// Makes ready for one frame.
-    pub fn new(mesh: &'a TracedMesh, spec: &FrameRequest) -> Self {
+    /// Prepares for one frame.
+    pub fn new(mesh: &'a TracedMesh, spec: &FrameSpec) -> Self {
         let up = normalize_or_zero(spec.camera.v().normalize().as_vec3());
         let background = [spec.appearance.background.bottom, spec.appearance.background.top].map(linear);
-        Self { mesh, view: spec.view, up, n_rows: spec.size.yres() as f32, background }
+        Self { mesh, shading: spec.view, up, n_rows: spec.size.yres() as f32, background }
     }
 
-    /// The linear light that one ray brings back, of what reaches its hit. `row` counts from the bottom, in samples.
+    /// The linear light along one ray, given the lights that reach its hit. `row` counts samples from the bottom.
     #[inline]
     pub fn light(&self, direction: Vec3, hit: Hit, row: f32, visibility: &LightVisibility) -> Vec3 {
         if hit.is_miss() {
@@ -48,10 +51,10 @@ impl<'a> Shader<'a> {
         }
         let [a, b, c] = self.mesh.corners(hit.triangle).map(Vec3::from_array);
         let normal = normalize_or_zero((b - a).cross(c - a));
-        // Scans are seen from both sides: the normal is turned towards the ray's origin.
+        // Scans are seen from both sides: turn the normal towards the ray's origin.
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
-        match self.view {
-            // What a ray costs has nothing to do with where it ends: see [`cost`].
+        match self.shading {
+            // The cost of a ray does not depend on its hit: see [`cost_color`].
             ShadingMode::Normals | ShadingMode::Cost => (normal + 1.0) * 0.5,
             ShadingMode::Shaded => {
                 let eye = normal.dot(-normalize_or_zero(direction)).max(0.0);
@@ -64,21 +67,22 @@ impl<'a> Shader<'a> {
     }
 
     /// The mean of the corners' colours.
-    fn albedo(&self, place: u32) -> Vec3 {
-        let Some(colors) = self.mesh.corner_colors(place) else { return CLAY };
+    fn albedo(&self, triangle: u32) -> Vec3 {
+        let Some(colors) = self.mesh.corner_colors(triangle) else { return CLAY };
         let [a, b, c] = colors.map(linear);
         (a + b + c) / 3.0
     }
 }
 
-/// The colour of what a ray costs: cells in red, tests in green, each half as bright as possible at [`HALF_CELLS`] and
-/// [`HALF_TESTS`], so that no cost is too high to be told from a higher one.
+/// The colour of a ray's cost: cells in red, tests in green, each at half brightness at [`HALF_CELLS`] and [`HALF_TESTS`].
+///
+/// Brightness never saturates, so that a higher cost is always brighter.
 pub fn cost_color(cost: RayCost) -> Vec3 {
     let brightness = |count: u32, half: f32| count as f32 / (count as f32 + half);
     Vec3::new(brightness(cost.n_cells, HALF_CELLS), brightness(cost.n_tests, HALF_TESTS), 0.0)
 }
 
-/// Well above what most rays cost, so that pictures of scans are dark with bright outlines.
+/// Well above the cost of most rays, so that images of scans are dark with bright outlines.
 const HALF_CELLS: f32 = 64.0;
 const HALF_TESTS: f32 = 256.0;
 
@@ -87,7 +91,7 @@ fn linear(color: [u8; 3]) -> Vec3 {
     Vec3::from_array(color.map(srgb::decode))
 }
 
-/// The vector of unit length, or zero. Scaled first, so that squares neither overflow nor vanish.
+/// The normalized vector, or zero. Scales first, so that squares neither overflow nor underflow.
 fn normalize_or_zero(v: Vec3) -> Vec3 {
     let largest = v.abs().max_element();
     if largest == 0.0 || !largest.is_finite() {
@@ -105,7 +109,9 @@ mod tests {
         camera::Camera,
         division::FrameSize,
         protocol::{LightingMode, SampleRange},
+        scene::SceneId,
     };
+    use strum::VariantArray;
 
     use super::*;
     use crate::model::mesh::Mesh;
@@ -115,23 +121,24 @@ mod tests {
         TracedMesh::new(mesh, &mut order)
     }
 
-    fn shader(mesh: &TracedMesh, view: ShadingMode) -> Shader<'_> {
-        Shader::new(mesh, &spec(view, Appearance::default()))
+    fn shader(mesh: &TracedMesh, shading: ShadingMode) -> Shader<'_> {
+        Shader::new(mesh, &spec(shading, Appearance::default()))
     }
 
-    fn spec(view: ShadingMode, appearance: Appearance) -> FrameRequest {
-        FrameRequest {
+    fn spec(shading: ShadingMode, appearance: Appearance) -> FrameSpec {
+        FrameSpec {
+            scene: SceneId::Statue { triangles: 0 },
             camera: Camera::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap(),
             size: FrameSize::PAPER,
-            view,
+            view: shading,
             rays: LightingMode::Primary,
             samples: SampleRange::CENTRE,
             appearance,
         }
     }
 
-    /// All the light that there is, with the key light at the eye's side.
-    const REACH: LightVisibility =
+    /// Nothing is in shadow; the key light is on the eye's side.
+    const UNOCCLUDED: LightVisibility =
         LightVisibility { key_direction: Vec3::new(-0.48, 0.6, 0.64), key: 1.0, ambient_visibility: 1.0 };
 
     fn facing_mesh() -> Mesh {
@@ -145,28 +152,30 @@ mod tests {
     #[test]
     fn both_sides_look_alike() {
         let mesh = traced(facing_mesh());
-        for view in ShadingMode::ALL {
-            let shader = shader(&mesh, view);
-            let [front, back] = [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, 0.0, &REACH));
+        for &shading in ShadingMode::VARIANTS {
+            let shader = shader(&mesh, shading);
+            let [front, back] =
+                [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, 0.0, &UNOCCLUDED));
             assert_eq!(front, back);
         }
-        let normals = shader(&mesh, ShadingMode::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
+        let normals =
+            shader(&mesh, ShadingMode::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &UNOCCLUDED);
         assert_eq!(normals, Vec3::new(0.5, 0.5, 1.0));
     }
 
     #[test]
-    fn what_hits_nothing_shows_the_background_from_bottom_to_top() {
+    fn misses_show_the_background_from_bottom_to_top() {
         let mesh = traced(facing_mesh());
         let background = Background { bottom: [255, 0, 10], top: [0, 255, 10] };
         let shader = Shader::new(&mesh, &spec(ShadingMode::Shaded, Appearance { background, ..Appearance::default() }));
-        let encoded = |row: f32| shader.light(-Vec3::Z, Hit::MISS, row, &REACH).to_array().map(srgb::encode);
+        let encoded = |row: f32| shader.light(-Vec3::Z, Hit::MISS, row, &UNOCCLUDED).to_array().map(srgb::encode);
         assert_eq!((encoded(0.0), encoded(512.0)), (background.bottom, background.top));
         // Half of the light is value 188.
         assert_eq!(encoded(256.0), [188, 188, 10]);
     }
 
     #[test]
-    fn what_costs_more_is_brighter() {
+    fn higher_costs_are_brighter() {
         let light = |n_cells, n_tests| cost_color(RayCost { n_cells, n_tests });
         assert_eq!(light(0, 0), Vec3::ZERO);
         for (less, more) in [(0, 1), (10, 11), (1000, 1100), (100_000, u32::MAX)] {
@@ -178,7 +187,7 @@ mod tests {
     #[test]
     fn vertex_colours_tint_the_light() {
         let red = traced(Mesh { colors: vec![[255, 0, 0]; 3], ..facing_mesh() });
-        let light = shader(&red, ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
+        let light = shader(&red, ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &UNOCCLUDED);
         assert!(light.x > 0.5 && light.y == 0.0 && light.z == 0.0, "{light}");
     }
 
@@ -187,8 +196,12 @@ mod tests {
         for scale in [1e-18f32, 1e-6, 1.0, 1e6, 1e18] {
             let mut mesh = facing_mesh();
             mesh.vertices.iter_mut().flatten().for_each(|x| *x *= scale);
-            let light =
-                shader(&traced(mesh), ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &REACH);
+            let light = shader(&traced(mesh), ShadingMode::Shaded).light(
+                -Vec3::Z,
+                Hit { triangle: 0, t: 5.0 },
+                0.0,
+                &UNOCCLUDED,
+            );
             assert!(light.is_finite() && light.min_element() > 0.1, "{scale}: {light}");
         }
     }

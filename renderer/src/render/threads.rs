@@ -1,15 +1,15 @@
-//! The threads that trace.
+//! The pool of tracing threads.
 
 use anyhow::Context;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-/// Starts so many threads, or one for each core.
+/// Starts `n_threads` threads, by default one for each core.
 ///
-/// Where there is one for each core, each keeps to its own. Some kernels of virtual machines pack threads on few cores after
-/// a pause: left to such a one, two of these threads shared a core for whole frames while another was idle.
+/// With one thread for each core, each is pinned to its own: some virtual machines' kernels pack threads on few cores after
+/// a pause, and two threads then shared a core for whole frames while another core was idle.
 ///
 /// # Errors
-/// The system has no more threads.
+/// The system cannot start more threads.
 pub fn pool(n_threads: Option<usize>) -> anyhow::Result<ThreadPool> {
     let n_threads = n_threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
     let cores = core_affinity::get_core_ids().unwrap_or_default();
@@ -18,12 +18,12 @@ pub fn pool(n_threads: Option<usize>) -> anyhow::Result<ThreadPool> {
         .thread_name(|index| format!("trace-{index}"))
         .start_handler(move |index| {
             if cores.len() == n_threads {
-                // A system that has no such choice has none to make wrongly.
+                // Failure is harmless: a system without affinity schedules as it likes.
                 core_affinity::set_for_current(cores[index]);
             }
         })
         .build()
-        .context("the tracing threads do not start")
+        .context("cannot start the tracing threads")
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! `renderer connect`: serves a wall until it is told to stop, and finds it again when it restarts.
+//! `renderer connect`: serves a wall until told to stop, and reconnects when the wall restarts.
 
 use std::{
     io,
@@ -9,6 +9,7 @@ use std::{
 };
 
 use anyhow::{Context, bail};
+use channel::key::{Key, make_key_command};
 use shared::protocol::{DEFAULT_PORT, LONGEST_NAME};
 use tokio::{
     net::{TcpStream, lookup_host},
@@ -24,15 +25,14 @@ use crate::{
         synthetic::SyntheticPicture,
     },
 };
-use channel::key::{Key, make_key_command};
 
 /// The pause before the first attempt to connect again; it doubles up to [`LONGEST_PAUSE`].
 const SHORTEST_PAUSE: Duration = Duration::from_millis(100);
 
-/// Short enough that a wall that restarts has its nodes back at once.
+/// Short enough that a restarted wall gets its nodes back at once.
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 
-/// How long the wall's machine may take to answer.
+/// Time limit of one attempt to connect.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Connects to a wall and renders what it asks for.
@@ -44,36 +44,36 @@ pub struct ConnectArgs {
     /// The PLY file that the wall shows; needed where the wall's own path does not reach
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
-    /// Threads to trace with [default: all cores]
+    /// Number of tracing threads [default: one for each core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub threads: Option<u32>,
-    /// The name that the wall shows [default: this machine's]
+    /// The name that the wall shows [default: this machine's name]
     #[arg(long, value_name = "NAME")]
     pub name: Option<String>,
-    /// The wall's key file: nobody else is talked to, and everything is encrypted
+    /// The wall's key file: talk only to a wall that has it, and encrypt everything
     #[arg(long, value_name = "FILE", conflicts_with = "insecure")]
     pub key: Option<PathBuf>,
-    /// Talk to a wall on another machine although nothing is encrypted and nobody is authenticated
+    /// Talk to a wall on another machine without encryption or authentication
     #[arg(long)]
     pub insecure: bool,
-    /// How scenes are made ready
+    /// Options of the grid
     #[command(flatten)]
     pub scene: SceneArgs,
-    /// Measure the wall, not rendering: answer at once with noise, whatever the scene
+    /// Measure the wall alone: answer at once with noise, for any scene
     #[arg(long, conflicts_with_all = ["model", "replay"])]
     pub blank: bool,
-    /// Measure the wall, not rendering: answer at once with this picture, whatever the scene
+    /// Measure the wall alone: answer at once with this picture, for any scene
     #[arg(long, value_name = "FILE.png", conflicts_with = "model")]
     pub replay: Option<PathBuf>,
-    /// Started by a wall on its own machine: read the files that it names, and end when it ends
+    /// Set by a wall that starts a server on its own machine: read the files that it names, and end with it
     #[arg(long, hide = true)]
     pub local: bool,
 }
 
-/// Runs until the process is told to stop.
+/// Serves the wall until the process is told to stop, or, with `--local`, until the wall ends.
 ///
 /// # Errors
-/// Arguments that cannot work; with `--local` also the end of the wall.
+/// The arguments cannot work.
 pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
     let name = name(args.name)?;
     let trust = match &args.key {
@@ -87,12 +87,12 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         None if args.blank => SceneLoader::synthetic(pool, SyntheticPicture::noise()),
         None => SceneLoader::start(pool, args.model, args.scene.options(), args.local)?,
     };
-    // This thread reads, writes and keeps the heart beating; it is never one that traces.
+    // This thread reads, writes and sends heartbeats; it never traces.
     let runtime = tokio::runtime::Builder::new_current_thread()
         .thread_name("work")
         .enable_all()
         .build()
-        .context("the network does not start")?;
+        .context("cannot start the network")?;
     runtime.block_on(async {
         tokio::select! {
             ended = keep_connected(&args.wall, &trust, &name, &loader) => ended,
@@ -102,14 +102,14 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
     })
 }
 
-/// Which walls are talked to.
+/// Which walls to trust.
 #[derive(Debug)]
 enum TrustPolicy {
-    /// Those on this machine, unencrypted.
+    /// Walls on this machine, unencrypted.
     ThisMachine,
-    /// Those that have the key, encrypted.
+    /// Walls that have the key, encrypted.
     Key(Key),
-    /// All, unencrypted: `--insecure`.
+    /// All walls, unencrypted: `--insecure`.
     Anyone,
 }
 
@@ -138,7 +138,7 @@ async fn keep_connected(wall: &str, trust: &TrustPolicy, name: &str, loader: &Sc
             }
             Err(error) => error.to_string(),
         };
-        // A wall that is away for hours is reported once.
+        // Report a repeated failure once.
         if failure != last_failure {
             tracing::warn!("{host}: {failure}; trying again until it answers");
             last_failure = failure;
@@ -148,12 +148,12 @@ async fn keep_connected(wall: &str, trust: &TrustPolicy, name: &str, loader: &Sc
     }
 }
 
-/// Connects once. The outer error is one that trying again does not cure.
+/// Connects once. The outer error is permanent; the inner one may go away on another attempt.
 async fn connect(host: &str, trust: &TrustPolicy) -> anyhow::Result<io::Result<TcpStream>> {
     let addresses: Vec<SocketAddr> = match lookup_host(host).await {
         Ok(addresses) => addresses.collect(),
         Err(error) if error.kind() == io::ErrorKind::InvalidInput => {
-            bail!("\"{host}\" is no address: write it as HOST:PORT, such as wall.example:{DEFAULT_PORT}")
+            bail!("\"{host}\" is not an address: write it as HOST:PORT, for example wall.example:{DEFAULT_PORT}")
         }
         Err(error) => return Ok(Err(error)),
     };
@@ -171,11 +171,11 @@ async fn connect(host: &str, trust: &TrustPolicy) -> anyhow::Result<io::Result<T
     Ok(stream.inspect(limit_send_buffer))
 }
 
-/// What was written and not yet sent is beyond recall: on a slow link the next motion waits for it.
+/// Bytes in the send buffer cannot be cancelled: on a slow link, the next motion waits for them.
 #[cfg(target_os = "linux")]
 const MOST_UNSENT_BYTES: u32 = 16 * 1024;
 
-/// Has the system send samples at once, and take no more than it can. A system that refuses is only slower.
+/// Has the system send at once, and buffer little. If it refuses, latency is higher.
 fn limit_send_buffer(stream: &TcpStream) {
     let _ = stream.set_nodelay(true);
     #[cfg(target_os = "linux")]
@@ -197,18 +197,18 @@ fn name(given: Option<String>) -> anyhow::Result<String> {
     Ok(name)
 }
 
-/// Waits for the end of standard input: of a pipe whose other end the wall's process holds, however that ends.
+/// Waits for the end of standard input: a pipe that closes when the wall's process ends, even by a crash.
 async fn wait_for_stdin_end() {
     let (ended, end) = tokio::sync::oneshot::channel();
     std::thread::spawn(move || {
-        // What comes is for nobody; an error is an end, too.
+        // The content does not matter, and an error is an end too.
         let _ = io::copy(&mut io::stdin(), &mut io::sink());
         let _ = ended.send(());
     });
     let _ = end.await;
 }
 
-/// Waits until the process is told to stop: by Ctrl-C or, on Unix, SIGTERM.
+/// Waits for Ctrl-C or, on Unix, SIGTERM.
 pub async fn stop_signal() -> io::Result<()> {
     #[cfg(unix)]
     {

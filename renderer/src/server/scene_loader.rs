@@ -1,4 +1,4 @@
-//! The scene that a render server has at hand: one at a time, loaded and built on a thread of its own.
+//! Loads and caches the one scene that a render server traces, on a thread of its own.
 
 use std::{
     path::PathBuf,
@@ -12,24 +12,24 @@ use tokio::sync::watch;
 
 use crate::{
     cli::{path_bytes, progress::Progress},
+    grid::GridOptions,
     model::scene::{self, SceneSource},
-    render::tracer::{Scene, SceneOptions},
+    render::scene::Scene,
     server::synthetic::SyntheticPicture,
 };
 
-/// What the stage is asked to show, and where it may be found.
-#[derive(Clone, Debug, PartialEq)]
+/// The scene that the wall shows, and where its file may be.
 struct LoadRequest {
     scene: SceneId,
     path: Option<PathBuf>,
     structure: Option<Structure>,
 }
 
-/// The scene at hand, if any; shared by those who load and those who trace.
+/// The loaded scene, if any; shared by the loading and the tracing threads.
 #[derive(Clone, Default)]
 struct CurrentScene(Arc<Mutex<Option<IdentifiedScene>>>);
 
-/// A scene and its identity.
+/// A scene with its id.
 type IdentifiedScene = (SceneId, Arc<Scene>);
 
 impl CurrentScene {
@@ -43,19 +43,19 @@ impl CurrentScene {
     }
 }
 
-/// How far the stage is with the scene last asked for.
+/// The state of the scene that was last asked for.
 pub(crate) type LoadProgress = Option<(SceneId, SceneState)>;
 
-/// What frames show.
+/// Where the samples of frames come from.
 #[derive(Clone)]
 pub(crate) enum RenderSource {
-    /// A scene, traced.
+    /// Traced in a scene.
     Scene(Arc<Scene>),
-    /// A picture, whatever scene the wall asks for.
+    /// Read from a picture, for any scene that the wall asks for.
     SyntheticPicture(Arc<SyntheticPicture>),
 }
 
-/// A render server's scene and the thread that loads it; or a picture in place of all scenes.
+/// Handle of the loading thread and its scene; or a synthetic picture in place of all scenes.
 pub(crate) struct SceneLoader {
     pool: Arc<ThreadPool>,
     synthetic: Option<Arc<SyntheticPicture>>,
@@ -65,13 +65,13 @@ pub(crate) struct SceneLoader {
 }
 
 impl SceneLoader {
-    /// Starts the loading thread; it begins with `model`, if one is given, before any wall asks.
+    /// Starts the loading thread, which first loads `model`, if given, before any wall asks.
     ///
-    /// `trusts_paths`: whether files that the wall names are read.
+    /// `trusts_paths`: whether to read files that the wall names.
     pub(crate) fn start(
         pool: Arc<ThreadPool>,
         model: Option<PathBuf>,
-        options: SceneOptions,
+        options: GridOptions,
         trusts_paths: bool,
     ) -> anyhow::Result<Self> {
         let (requests, inbox) = mpsc::channel();
@@ -89,23 +89,23 @@ impl SceneLoader {
         std::thread::Builder::new()
             .name("load".to_owned())
             .spawn(move || loader.run(&inbox))
-            .context("the loading thread does not start")?;
+            .context("cannot start the loading thread")?;
         Ok(Self { pool, synthetic: None, current, requests, progress })
     }
 
-    /// A stage that shows this picture, whatever it is asked for; nothing is loaded.
+    /// A loader that loads nothing, and answers every request with this picture.
     pub(crate) fn synthetic(pool: Arc<ThreadPool>, synthetic: SyntheticPicture) -> Self {
         let (requests, _) = mpsc::channel();
         let (progress, _) = watch::channel(None);
         Self { pool, synthetic: Some(Arc::new(synthetic)), current: CurrentScene::default(), requests, progress }
     }
 
-    /// The threads that trace.
+    /// The pool of tracing threads.
     pub(crate) fn pool(&self) -> &Arc<ThreadPool> {
         &self.pool
     }
 
-    /// What frames of a scene show, if it is the one at hand.
+    /// The source of a scene's samples, if it is the loaded scene.
     pub(crate) fn source_for(&self, id: SceneId) -> Option<RenderSource> {
         match &self.synthetic {
             Some(synthetic) => Some(RenderSource::SyntheticPicture(Arc::clone(synthetic))),
@@ -113,18 +113,18 @@ impl SceneLoader {
         }
     }
 
-    /// Gets another scene ready, or the same in another structure.
+    /// Orders another scene, or the same in another structure.
     pub(crate) fn order(&self, scene: SceneId, path: Option<Vec<u8>>, structure: Option<Structure>) {
         if let Some(synthetic) = &self.synthetic {
             let state = SceneState::Ready { triangles: 0, bytes: synthetic.n_bytes() as u64, grid: None };
             self.progress.send_replace(Some((scene, state)));
             return;
         }
-        // The loading thread ends only with the stage.
+        // The loading thread outlives this handle.
         let _ = self.requests.send(LoadRequest { scene, path: path.map(path_bytes::from_bytes), structure });
     }
 
-    /// Follows the loading.
+    /// Subscribes to the loading state.
     pub(crate) fn progressed(&self) -> watch::Receiver<LoadProgress> {
         self.progress.subscribe()
     }
@@ -134,9 +134,9 @@ struct LoaderThread {
     pool: Arc<ThreadPool>,
     current: CurrentScene,
     model: Option<PathBuf>,
-    /// As the server was started.
-    options: SceneOptions,
-    /// The structure of the scene at hand, if a wall had a say in it.
+    /// From the server's command line.
+    options: GridOptions,
+    /// The structure that the wall chose for the loaded scene, if it did.
     structure: Option<Structure>,
     trusts_paths: bool,
     progress: watch::Sender<LoadProgress>,
@@ -147,11 +147,11 @@ impl LoaderThread {
         if let Some(model) = self.model.clone()
             && let Err(reason) = self.load(None, &SceneSource::Ply(model))
         {
-            // Not the end: a wall may want a scene that needs no file.
+            // Carry on: the wall may ask for a scene that needs no file.
             tracing::error!("{reason}");
         }
         while let Ok(mut order) = requests.recv() {
-            // Only the last of several counts.
+            // Skip to the last of several orders.
             while let Ok(later) = requests.try_recv() {
                 order = later;
             }
@@ -167,7 +167,7 @@ impl LoaderThread {
         }
     }
 
-    /// Gets a scene ready, from wherever it can be had. The error says why not, and what to do.
+    /// Returns the ordered scene, loaded from the first source that has it. The error names the cause and the cure.
     fn prepare_scene(&mut self, order: &LoadRequest) -> Result<Arc<Scene>, String> {
         if let Some(scene) = self.current.get(order.scene).filter(|_| self.structure == order.structure) {
             return Ok(scene);
@@ -193,7 +193,7 @@ impl LoaderThread {
         Err(reason)
     }
 
-    /// Loads and builds; what was at hand before goes first, so that two scenes never lie in memory together.
+    /// Loads and builds a scene; drops the previous one first, so that memory never holds two.
     fn load(&self, ordered: Option<SceneId>, source: &SceneSource) -> Result<(SceneId, Arc<Scene>), String> {
         let report_progress = |progress: f32| {
             if let Some(scene) = ordered {
@@ -223,16 +223,16 @@ impl LoaderThread {
         Ok((id, scene))
     }
 
-    /// How the scene is to be kept: as the server was started, but for what a wall has said.
-    fn effective_options(&self) -> SceneOptions {
+    /// The command line's grid options, overridden by the wall's choice.
+    fn effective_options(&self) -> GridOptions {
         let mut options = self.options;
         if let Some(Structure { storage, density }) = self.structure {
-            (options.grid.storage, options.grid.density) = (storage, Some(density));
+            (options.storage, options.density) = (storage, Some(density));
         }
         options
     }
 
-    /// Reports progress in steps of one per cent, so that the network is not kept busy with it.
+    /// Reports progress in steps of 1 %, to spare the network.
     fn report_progress(&self, scene: SceneId, progress: f32) {
         self.progress.send_if_modified(|last| {
             let is_step = !matches!(last, Some((of, SceneState::Loading { progress: reported }))

@@ -8,6 +8,11 @@ use std::{
     time::Instant,
 };
 
+use channel::{
+    key::Key,
+    secure::{self, SecureError},
+    wire::{Incoming, MessageReader, MessageWriter, WireError},
+};
 use shared::{
     codec,
     printable::printable,
@@ -21,24 +26,19 @@ use tokio::{
 
 use crate::server::{
     scene_loader::{RenderSource, SceneLoader},
-    task::{self, Job},
-};
-use channel::{
-    key::Key,
-    secure::{self, SecureError},
-    wire::{Incoming, MessageReader, MessageWriter, WireError},
+    task::{self, Job, Outgoing},
 };
 
-/// Encoded messages that wait for the network; when it is full, tracing threads wait.
+/// Encoded messages that may wait for the network; when the queue is full, tracing threads wait.
 const LONGEST_QUEUE: usize = 64;
 
-/// Replies that wait for the network; when it is full, the wall is not listened to.
+/// Replies that may wait for the network; when the queue is full, no messages are read.
 const MOST_REPLIES: usize = 64;
 
-/// Works that a wall may ask for before the first is done: its own share, and parts of those of many lost ones.
+/// Tasks that a wall may ask for before the first is done: this server's own and parts of lost servers' tasks.
 const MOST_TASKS: usize = 256;
 
-/// Messages that are written before it is looked whether the heart must beat.
+/// Messages that are written between two looks at the heartbeat.
 const LONGEST_BATCH: usize = 16;
 
 /// How a conversation ended.
@@ -46,7 +46,7 @@ const LONGEST_BATCH: usize = 16;
 pub(crate) struct SessionEnd {
     /// Whether the wall had accepted this server.
     pub(crate) was_accepted: bool,
-    /// By the wall's will, or why.
+    /// `Ok` if the wall closed the connection.
     pub(crate) reason: Result<(), SessionError>,
 }
 
@@ -59,13 +59,13 @@ pub(crate) enum SessionError {
     Secure(#[from] SecureError),
     #[error("the wall refuses: {0}")]
     Refused(String),
-    #[error("the wall asks for more than {MOST_TASKS} works at once")]
+    #[error("the wall asks for more than {MOST_TASKS} tasks at once")]
     TooManyTasks,
-    #[error("the wall spoke out of turn")]
+    #[error("the wall sent an unexpected message")]
     OutOfTurn,
 }
 
-/// Runs a conversation over any stream; with a key, encrypted.
+/// Runs a conversation over any stream; encrypted if a key is given.
 pub(crate) async fn run(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
@@ -106,10 +106,10 @@ async fn run_session(
         reason = session.listen(&mut reader) => reason,
         reason = write_messages(&mut writer, outgoing, reply_queue, loader) => reason,
     };
-    // What is still being traced is for nobody.
+    // Nobody wants the tasks that are still being traced.
     session.unfinished.iter().for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
     drop(session);
-    // The worker ends with its inbox and outbox; a panic in it is a defect, and ends the program as one.
+    // The worker ends with its inbox and outbox; a panic in it is a bug, and ends the program.
     worker.await.expect("tracing does not panic");
     SessionEnd { was_accepted: true, reason }
 }
@@ -129,21 +129,13 @@ async fn shake_hands(
     }
 }
 
-/// An encoded message on its way to the wall.
-#[derive(Debug)]
-pub(crate) struct Outgoing {
-    pub(crate) bytes: Vec<u8>,
-    /// Set when the wall no longer wants it.
-    pub(crate) cancelled: Arc<AtomicBool>,
-}
-
 struct Session<'a> {
     loader: &'a SceneLoader,
-    /// Encoded messages that overtake samples: or whoever waits for the network with a reply would not hear, while it is
-    /// slow, that the samples in its way are wanted no longer.
+    /// Encoded messages that overtake samples: on a slow network, a session that waited to send a reply could not read that
+    /// the samples before it are cancelled.
     replies: mpsc::Sender<Vec<u8>>,
     jobs: mpsc::UnboundedSender<Job>,
-    /// Works given and perhaps not finished, with their switches.
+    /// Tasks that may not be finished, with their cancel flags.
     unfinished: Vec<(FrameId, Arc<AtomicBool>)>,
 }
 
@@ -158,7 +150,7 @@ impl Session<'_> {
                 ToServer::LoadScene { scene, path, structure } => self.loader.order(scene, path, structure),
                 ToServer::RenderFrame { frame, task_id, spec, task, encoding } => {
                     let Some(source) = self.loader.source_for(spec.scene) else {
-                        // The wall has moved on to another scene, and back; it hears when this one is ready.
+                        // The wall went to another scene and back; `SceneState::Ready` follows when this one is loaded.
                         let reason = format!("it does not have {} any more", spec.scene);
                         let state = SceneState::Missing { reason };
                         self.reply(&ToWall::SceneState { scene: spec.scene, state }).await;
@@ -172,7 +164,7 @@ impl Session<'_> {
                     self.unfinished.push((frame, Arc::clone(&cancelled)));
                     let job =
                         Job { frame, task_id, spec, task, encoding, source, cancelled, received_at: Instant::now() };
-                    // The worker lives as long as this conversation.
+                    // The worker lives as long as this session.
                     let _ = self.jobs.send(job);
                 }
                 ToServer::Cancel { frame } => {
@@ -181,7 +173,7 @@ impl Session<'_> {
                 }
                 ToServer::Ping { sent_us } => self.reply(&ToWall::Pong { sent_us }).await,
                 ToServer::Probe { number, scene, camera, at, clip } => {
-                    // A single ray takes less time than handing it to another thread.
+                    // Tracing one ray is faster than handing it to another thread.
                     if let Some(RenderSource::Scene(scene)) = self.loader.source_for(scene) {
                         self.reply(&ToWall::Probed { number, hit: scene.probe(&camera, at, clip) }).await;
                     }
@@ -194,7 +186,7 @@ impl Session<'_> {
     }
 
     async fn reply(&self, message: &ToWall) {
-        // A writer that has ended ends the conversation.
+        // If the writer has ended, the session ends too.
         let _ = self.replies.send(encoded(message)).await;
     }
 }
@@ -233,7 +225,7 @@ async fn write_messages(
             while let Ok(reply) = replies.try_recv() {
                 writer.push_encoded(&reply);
             }
-            // A link that is slow is not kept busy with what nobody wants.
+            // Cancelled samples would only delay others on a slow link.
             if !cancelled.load(Relaxed) {
                 writer.write_encoded(&bytes).await.map_err(WireError::from)?;
             }

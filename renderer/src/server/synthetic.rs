@@ -1,4 +1,4 @@
-//! Pictures that nobody traces: with them a render server answers at once, and what bounds a wall is the wall.
+//! Synthetic pictures: a render server that sends one answers at once, so that only the wall limits the frame rate.
 
 use std::{
     fs::File,
@@ -14,12 +14,12 @@ use shared::{
     protocol::CHUNK_BYTES,
 };
 
-/// A picture in place of a scene; frames of other sizes repeat it, or show a part.
+/// A picture in place of a scene; frames of other sizes tile or crop it.
 pub(crate) struct SyntheticPicture {
     size: FrameSize,
     /// Row by row, the bottom row first.
     rgb: Vec<u8>,
-    /// The last share: a wall asks for the same again and again.
+    /// The chunks of the last share: the wall asks for the same one repeatedly.
     cached: Mutex<Option<CachedChunks>>,
 }
 
@@ -29,7 +29,7 @@ struct CachedChunks {
     chunks: Arc<Vec<SyntheticChunk>>,
 }
 
-/// Units of a share, by their places in it, and their samples.
+/// Units of a share, by index, and their samples.
 pub(crate) struct SyntheticChunk {
     pub(crate) units: Range<u32>,
     pub(crate) rgb: Vec<u8>,
@@ -40,7 +40,7 @@ impl SyntheticPicture {
         Self { size, rgb, cached: Mutex::new(None) }
     }
 
-    /// The same noise for everybody, which no encoding makes shorter: SplitMix64 (Steele, Lea and Flood 2014), counting.
+    /// Incompressible noise, the same on every server: SplitMix64 (Steele, Lea and Flood 2014) in counter mode.
     pub(crate) fn noise() -> Self {
         let size = FrameSize::PAPER;
         let words = (1..).map(|count: u64| {
@@ -52,7 +52,7 @@ impl SyntheticPicture {
         Self::new(size, words.flat_map(u64::to_le_bytes).take(3 * size.n_samples() as usize).collect())
     }
 
-    /// A picture as `renderer trace --image` writes it.
+    /// Reads a picture that `renderer trace --image` wrote.
     pub(crate) fn read(path: &Path) -> anyhow::Result<Self> {
         let read = || -> anyhow::Result<Self> {
             let mut reader = png::Decoder::new(BufReader::new(File::open(path)?)).read_info()?;
@@ -60,7 +60,7 @@ impl SyntheticPicture {
             let size = FrameSize::new(width, height)?;
             ensure!(
                 reader.output_color_type() == (png::ColorType::Rgb, png::BitDepth::Eight),
-                "it is not RGB with 8 bits: `renderer trace --image` writes what is"
+                "it is not an 8-bit RGB image, as `renderer trace --image` writes"
             );
             let mut rows = vec![0; 3 * size.n_samples() as usize];
             reader.next_frame(&mut rows)?;
@@ -73,8 +73,8 @@ impl SyntheticPicture {
         self.rgb.len()
     }
 
-    /// The samples of a share, in its order.
-    pub(crate) fn chunks(&self, task: &Task, share: &Share<'_>) -> Arc<Vec<SyntheticChunk>> {
+    /// The samples of a share, in the share's order.
+    pub(crate) fn chunks(&self, task: &Task, share: &Share) -> Arc<Vec<SyntheticChunk>> {
         let size = share.units().size();
         let mut cached = self.cached.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(known) = cached.as_ref().filter(|known| known.size == size && known.task == *task) {
@@ -92,7 +92,7 @@ impl SyntheticPicture {
             SyntheticChunk { units, rgb }
         };
         let chunks = Arc::new((0..share.count()).step_by(n_per_chunk as usize).map(chunk).collect());
-        *cached = Some(CachedChunks { task: task.clone(), size, chunks: Arc::clone(&chunks) });
+        *cached = Some(CachedChunks { task: *task, size, chunks: Arc::clone(&chunks) });
         chunks
     }
 }
@@ -110,13 +110,13 @@ mod tests {
         let size = FrameSize::new(9, 5).unwrap();
         let rgb: Vec<u8> = (0..3 * size.n_samples()).map(|byte| byte as u8).collect();
         crate::render::image::write_png(&path, size, &rgb).unwrap();
-        let canned = SyntheticPicture::read(&path).unwrap();
+        let picture = SyntheticPicture::read(&path).unwrap();
         let samples = |task: &Task, size| -> Vec<u8> {
-            canned.chunks(task, &task.share(size).unwrap()).iter().flat_map(|chunk| chunk.rgb.clone()).collect()
+            picture.chunks(task, &task.share(size).unwrap()).iter().flat_map(|chunk| chunk.rgb.clone()).collect()
         };
         let task = Division::Interleaved.task(0, 1);
         assert_eq!(samples(&task, size), rgb);
-        // A larger frame repeats it, and what was gathered for another share is not taken for this one.
+        // A larger frame tiles the picture, and the cache of one share is not used for another.
         let larger = FrameSize::new(18, 5).unwrap();
         let twice: Vec<u8> = rgb.chunks(27).flat_map(|row| [row, row]).flatten().copied().collect();
         assert_eq!(samples(&task, larger), twice);

@@ -1,4 +1,4 @@
-//! Works off the shares that a wall asks for: one at a time, each by all tracing threads, samples sent as they are done.
+//! Renders the tasks that a wall asks for: one at a time, each on all tracing threads, and sends samples as they are done.
 
 use std::{
     ops::Range,
@@ -19,24 +19,29 @@ use shared::{
 use tokio::sync::mpsc;
 
 use crate::{
-    render::{
-        parallel::work_off,
-        tracer::{FrameRequest, Scene},
-    },
-    server::{scene_loader::RenderSource, session::Outgoing, synthetic::SyntheticPicture},
+    render::{parallel::work_off, scene::Scene},
+    server::{scene_loader::RenderSource, synthetic::SyntheticPicture},
 };
 
-/// Blocks of a share for each thread: enough that the threads end together.
+/// Chunks of a share for each thread: enough that the threads finish together.
 const CHUNKS_PER_THREAD: u32 = 8;
 
-/// The fewest samples in a block: below it, sending costs more than tracing.
+/// Minimum samples in a chunk: below it, sending costs more than tracing.
 const SMALLEST_CHUNK_SAMPLES: u32 = 512;
 
-/// The most rays from the eye in a block, if a block can have fewer: what is cancelled ends with the blocks that were
-/// begun, some ten milliseconds later.
+/// Maximum primary rays in a chunk, unless one unit has more: a cancelled task ends when its current chunks are done, about
+/// ten milliseconds later.
 const MOST_RAYS_PER_CHUNK: u32 = 1 << 16;
 
-/// A share of a frame to render.
+/// An encoded message on its way to the wall.
+#[derive(Debug)]
+pub(crate) struct Outgoing {
+    pub(crate) bytes: Vec<u8>,
+    /// Set when the wall no longer wants the message.
+    pub(crate) cancelled: Arc<AtomicBool>,
+}
+
+/// A task with the scene to render, or the picture to send.
 pub(crate) struct Job {
     pub(crate) frame: FrameId,
     pub(crate) task_id: TaskId,
@@ -44,18 +49,18 @@ pub(crate) struct Job {
     pub(crate) task: Task,
     pub(crate) encoding: Encoding,
     pub(crate) source: RenderSource,
-    /// Set when nobody wants the answer any more.
+    /// Set when the wall no longer wants the samples.
     pub(crate) cancelled: Arc<AtomicBool>,
     pub(crate) received_at: Instant,
 }
 
-/// Works off jobs in order until no more can come.
+/// Runs jobs in order until the sender is dropped.
 pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, outbox: &mpsc::Sender<Outgoing>) {
     while let Some(job) = jobs.blocking_recv() {
         let share = match job.task.share(job.spec.size) {
             Ok(share) => share,
             Err(error) => {
-                tracing::warn!("the wall asks for a share that does not exist: {error}");
+                tracing::warn!("the wall asks for an impossible task: {error}");
                 continue;
             }
         };
@@ -69,20 +74,20 @@ pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, out
         if !job.cancelled.load(Relaxed) {
             let done = ToWall::TaskDone { frame: job.frame, task_id: job.task_id, timings, costs };
             codec::encode(&done, &mut last_message).expect("timings and costs are short");
-            // Without a writer the conversation is over, and so are its jobs.
+            // Without a writer the session is over, and so are its jobs.
             let _ = outbox.blocking_send(Outgoing { bytes: last_message, cancelled: job.cancelled });
         }
     }
 }
 
 impl Job {
-    fn render(&self, scene: &Scene, share: &Share<'_>, outbox: &mpsc::Sender<Outgoing>) -> (TaskTimings, RunCosts) {
+    fn render(&self, scene: &Scene, share: &Share, outbox: &mpsc::Sender<Outgoing>) -> (TaskTimings, RunCosts) {
         let started_at = Instant::now();
         let (cpu_us, send_us) = (AtomicU64::new(0), AtomicU64::new(0));
-        let FrameSpec { camera, size, view, rays, samples, appearance, .. } = self.spec;
-        let spec = FrameRequest { camera, size, view, rays, samples, appearance };
-        let (units_per_chunk, units_per_run) = run_units(share, rayon::current_num_threads() as u32, samples.count);
+        let (units_per_chunk, units_per_run) =
+            chunk_units(share, rayon::current_num_threads() as u32, self.spec.samples.count);
         let n_chunks = share.count().div_ceil(units_per_chunk);
+        // Renders and sends one chunk; on the curve, measures each run of its units.
         let render = |chunk_idx: u32| {
             let mut costs = Vec::new();
             if self.cancelled.load(Relaxed) {
@@ -95,7 +100,7 @@ impl Job {
             let mut last_measured_at = cpu_started;
             for first in units.clone().step_by(units_per_run as usize) {
                 let measured = first..(first + units_per_run).min(units.end);
-                scene.render(&spec, share, measured, &mut rgb);
+                scene.render(&self.spec, share, measured, &mut rgb);
                 if share.is_on_curve() {
                     let now = ThreadTime::now();
                     let cpu = now.duration_since(last_measured_at);
@@ -125,12 +130,12 @@ impl Job {
         (timings, RunCosts { run_units: units_per_run, cpu_ns })
     }
 
-    /// Sends a picture's samples in place of traced ones, but for the last: they are left to go with the word that the
-    /// work is done, which follows at once, and would wake and write once more.
+    /// Sends a picture's samples in place of traced ones. Leaves the last chunk in `last_message`, to be sent together with
+    /// `TaskDone`: this saves a wake-up and a write.
     fn send_synthetic(
         &self,
         synthetic: &SyntheticPicture,
-        share: &Share<'_>,
+        share: &Share,
         outbox: &mpsc::Sender<Outgoing>,
         last_message: &mut Vec<u8>,
     ) -> (TaskTimings, RunCosts) {
@@ -157,16 +162,15 @@ impl Job {
     }
 
     fn send(&self, bytes: Vec<u8>, outbox: &mpsc::Sender<Outgoing>) {
-        // Without a writer the conversation is over.
+        // Without a writer the session is over.
         if outbox.blocking_send(Outgoing { bytes, cancelled: Arc::clone(&self.cancelled) }).is_err() {
             self.cancelled.store(true, Relaxed);
         }
     }
 }
 
-/// How many units of a share make a block, so that it fits one chunk; and how many of those are measured together. Each
-/// sample takes so many rays from the eye.
-pub fn run_units(share: &Share<'_>, n_threads: u32, n_rays: u32) -> (u32, u32) {
+/// Units in a chunk of a share, and units that are measured together; each sample takes `n_rays` primary rays.
+pub fn chunk_units(share: &Share, n_threads: u32, n_rays: u32) -> (u32, u32) {
     let largest_unit = share.units().samples_per_full_unit();
     let most_bytes = CHUNK_BYTES as u32 / (3 * largest_unit);
     let most_rays = MOST_RAYS_PER_CHUNK / n_rays.max(1) / largest_unit;
@@ -177,7 +181,7 @@ pub fn run_units(share: &Share<'_>, n_threads: u32, n_rays: u32) -> (u32, u32) {
     if !share.is_on_curve() {
         return (units_per_chunk, units_per_chunk);
     }
-    // A block has whole numbers of measurements, so that they are equally long throughout the share.
+    // A chunk holds a whole number of measured runs, so that all runs of the share have the same length.
     (units_per_chunk.next_multiple_of(units_per_run).min(most / units_per_run * units_per_run), units_per_run)
 }
 
@@ -191,20 +195,21 @@ mod tests {
         division::{Division, FrameSize},
         protocol::SampleRange,
     };
+    use strum::VariantArray;
 
     use super::*;
 
     #[test]
-    fn blocks_fit_chunks_and_hold_whole_measurements() {
+    fn chunks_fit_messages_and_hold_whole_runs() {
         for (xres, yres) in [(1, 1), (83, 45), (1024, 512), (4096, 2304), (16384, 4096)] {
             let size = FrameSize::new(xres, yres).unwrap();
             let farms = [(1, 1, 1), (12, 1, 16), (3, 64, 1), (1, 2, SampleRange::LARGEST_COUNT)];
             for (division, (machines, n_threads, n_rays)) in
-                Division::ALL.into_iter().flat_map(|division| farms.map(|farm| (division, farm)))
+                Division::VARIANTS.iter().copied().flat_map(|division| farms.map(|farm| (division, farm)))
             {
                 let task = division.task(0, machines);
                 let share = task.share(size).unwrap();
-                let (units_per_chunk, units_per_run) = run_units(&share, n_threads, n_rays);
+                let (units_per_chunk, units_per_run) = chunk_units(&share, n_threads, n_rays);
                 assert_eq!(units_per_chunk % units_per_run, 0);
                 let n_samples = units_per_chunk * share.units().samples_per_full_unit();
                 assert!(units_per_chunk > 0 && n_samples as usize * 3 <= CHUNK_BYTES);

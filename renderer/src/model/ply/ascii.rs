@@ -1,10 +1,9 @@
-//! Rows of an ASCII PLY: one to a line, as the format has it.
+//! Rows of an ASCII PLY, one on each line.
 //!
-//! As other readers do, blank lines are passed over, a row may go on in the next line, and what a line holds beyond its
-//! row is ignored.
+//! Like other readers, this one skips blank lines, continues a row on the next line, and ignores the rest of a line after
+//! its row.
 
-use std::io::BufRead;
-use std::str::FromStr;
+use std::{io::BufRead, str::FromStr};
 
 use ply_rs::ply::{ElementDef, Property, PropertyAccess, PropertyType, ScalarType};
 
@@ -15,7 +14,7 @@ pub(super) struct Rows<'a, R> {
     reader: &'a mut R,
     line_end: u8,
     line: Vec<u8>,
-    /// Where in `line` the next token is looked for.
+    /// Position in `line` from which the next token is searched.
     at: usize,
 }
 
@@ -36,7 +35,8 @@ impl<'a, R: BufRead> Rows<'a, R> {
                 }
                 PropertyType::List(..) => {
                     let length = self.token()?;
-                    let length: u32 = index(length)?.ok_or_else(|| format!("`{length}` is no length of a list"))?;
+                    let length: u32 =
+                        index(length)?.ok_or_else(|| format!("`{length}` is not the length of a list"))?;
                     let mut indices = Vec::new();
                     for _ in 0..length {
                         let token = self.token()?;
@@ -76,13 +76,13 @@ fn scalar_from_token(token: &str, scalar: &ScalarType) -> Result<Property, Strin
         ScalarType::Float => Property::Float(parse_real(token)?),
         ScalarType::Double => Property::Double(parse_real(token)?),
         ScalarType::UInt => Property::UInt(parse_real::<f64>(token)? as u32),
-        // A colour or coordinate that is declared whole and wide keeps its meaning: only `ushort` colours are scaled.
+        // Wide integers keep their values: only `ushort` colours are scaled.
         ScalarType::UShort => Property::UShort(parse_real::<f64>(token)? as u16),
         _ => Property::Int(parse_real::<f64>(token)? as i32),
     })
 }
 
-/// A vertex number or a length; `None` where it is none that fits `u32`.
+/// Parses a vertex index or a length; `None` if it is not a `u32`.
 fn index(token: &str) -> Result<Option<u32>, String> {
     match token.parse::<u32>() {
         Ok(value) => Ok(Some(value)),
@@ -93,12 +93,12 @@ fn index(token: &str) -> Result<Option<u32>, String> {
 fn parse_real<F: FromStr + From<f32>>(token: &str) -> Result<F, String> {
     match token.parse() {
         Ok(value) => Ok(value),
-        // What C's printf makes of NaN and infinities on some systems: `nan(ind)`, `-nan(0x7)`, `1.#QNAN`, `-1.#INF`.
+        // NaN and infinities by C's printf on some systems: `nan(ind)`, `-nan(0x7)`, `1.#QNAN`, `-1.#INF`.
         Err(_) if token.contains("nan(") || token.contains(".#") => Ok(F::from(f32::NAN)),
         Err(_) => Err(not_a_number(token)),
     }
 }
 
 fn not_a_number(token: &str) -> String {
-    format!("`{}` is no number", token.chars().take(40).collect::<String>())
+    format!("`{}` is not a number", token.chars().take(40).collect::<String>())
 }

@@ -1,11 +1,11 @@
-//! Puts a mesh together from rows in any order, and rejects at the end what cannot be traced.
+//! Assembles a mesh from rows in any order, and finally rejects triangles that cannot be traced.
 
 use crate::model::{
     mesh::Mesh,
     ply::{Problem, element::Vertex},
 };
 
-/// A mesh whose triangles may still point anywhere.
+/// A mesh whose indices are not checked yet.
 #[derive(Default)]
 pub(super) struct MeshBuilder {
     mesh: Mesh,
@@ -13,7 +13,7 @@ pub(super) struct MeshBuilder {
 }
 
 impl MeshBuilder {
-    /// Makes room; `n_vertices` has been held against the file's size.
+    /// Reserves memory; `n_vertices` must have been checked against the file's size.
     pub(super) fn reserve_vertices(&mut self, n_vertices: usize, colored: bool) -> Result<(), Problem> {
         if n_vertices >= u32::MAX as usize {
             return Err(Problem::TooMany("vertices"));
@@ -43,7 +43,7 @@ impl MeshBuilder {
         Ok(())
     }
 
-    /// Unrolls strips, a negative index between each two; every other triangle is turned so that all face one way.
+    /// Unrolls strips, separated by negative indices; flips every other triangle, so that all face the same way.
     pub(super) fn push_strips(&mut self, corners: &[u32]) -> Result<(), Problem> {
         self.check_triangle_count(corners.len())?;
         for strip in corners.split(|&index| index == u32::MAX) {
@@ -74,7 +74,7 @@ impl MeshBuilder {
     }
 
     fn check_triangle_count(&mut self, n_triangles: usize) -> Result<(), Problem> {
-        // `u32::MAX` is no triangle: it means a miss.
+        // The triangle index `u32::MAX` means a miss.
         if self.mesh.triangles.len() + n_triangles >= u32::MAX as usize {
             return Err(Problem::TooMany("triangles"));
         }

@@ -1,8 +1,8 @@
-//! What ply-rs fills row by row. Properties come named by their role: see [`super::header::Element::def`].
+//! The types that ply-rs fills row by row. Properties are named by their role: see [`super::header::Element::def`].
 
 use ply_rs::ply::{BeginList, Property, PropertyAccess, PropertyAccessResult};
 
-/// A row of which nothing is kept.
+/// A row that is skipped.
 pub(super) struct Skipped;
 
 impl PropertyAccess for Skipped {
@@ -60,7 +60,7 @@ impl PropertyAccess for Vertex {
 
 /// A row of `face` or `tristrips`.
 pub(super) struct Corners {
-    /// An index that is no `u32` is [`u32::MAX`], which no vertex has.
+    /// [`u32::MAX`], which no vertex has, replaces an index that is no `u32`.
     indices: Vec<u32>,
 }
 
@@ -98,7 +98,7 @@ impl PropertyAccess for Corners {
     }
 }
 
-/// The index that a number with a point stands for, if it does.
+/// The index equal to `value`, if there is one.
 pub(super) fn index_from_f64(value: f64) -> Option<u32> {
     let index = value as u32;
     (f64::from(index) == value).then_some(index)

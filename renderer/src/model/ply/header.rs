@@ -1,16 +1,18 @@
-//! The header of a PLY file: tidied for ply-rs' grammar, then held against the file's size.
+//! The header of a PLY file: normalized for ply-rs' grammar, then compared with the file's size.
 
 use std::io::{self, BufRead, Cursor, Read};
 
-use ply_rs::parser::{Parser, Reader};
-use ply_rs::ply::{ElementDef, Encoding, PropertyType, ScalarType};
+use ply_rs::{
+    parser::{Parser, Reader},
+    ply::{ElementDef, Encoding, PropertyType, ScalarType},
+};
 
 use crate::model::ply::{Problem, element::Skipped};
 
-/// A longer header is refused: real ones have a few KB, and one without an end must not fill the memory.
+/// Limit of a header's length: real headers have a few KB, and an endless one must not fill the memory.
 pub(super) const MAX_HEADER_BYTES: u64 = 1 << 20;
 
-/// What follows in the file.
+/// Describes the rest of the file.
 #[derive(Debug)]
 pub(super) struct Header {
     pub(super) encoding: Encoding,
@@ -22,17 +24,17 @@ pub(super) struct Header {
     pub(super) elements: Vec<Element>,
 }
 
-/// A run of rows.
+/// A table of rows.
 #[derive(Debug)]
 pub(super) struct Element {
     pub(super) kind: ElementKind,
     /// As in the file.
     pub(super) name: String,
-    /// As ply-rs wants it, each property named by its role: `x y z`, `r g b`, `i` for indices, `_0 _1 …` to be skipped.
+    /// For ply-rs, each property named by its role: `x y z`, `r g b`, `i` for indices, `_0 _1 …` to be skipped.
     pub(super) def: ElementDef,
 }
 
-/// What an element's rows mean here.
+/// Use of an element's rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ElementKind {
     Vertices { colored: bool },
@@ -45,7 +47,7 @@ impl Header {
     /// Reads up to and including `end_header` and its line end.
     pub(super) fn read(reader: &mut impl BufRead) -> Result<Self, Problem> {
         let mut lines = Lines::begin(reader)?;
-        // Line for line, so that ply-rs' line numbers are the file's.
+        // One line for each of the file's, so that ply-rs' line numbers are the file's.
         let mut tidy = String::from("ply\n");
         let mut texts = vec![String::from("ply")];
         let mut declared = Vec::<DeclaredElement>::new();
@@ -88,12 +90,12 @@ impl Header {
         Ok(Self { encoding: parsed.encoding, line_end, n_bytes, elements })
     }
 
-    /// Whether the counts can be true if `n_left` bytes follow the header.
+    /// Checks that `n_left` bytes after the header suffice for its counts.
     pub(super) fn check_size(&self, n_left: u64) -> Result<(), Problem> {
         let mut left = n_left;
         for Element { name, def, .. } in &self.elements {
             let needed = fewest_row_bytes(def, self.encoding) * def.count as u128;
-            // The last line of an ASCII file need not end.
+            // The last line of an ASCII file may lack its line end.
             let spared = u128::from(self.encoding == Encoding::Ascii);
             if needed > u128::from(left) + spared {
                 return Err(Problem::TooShort { element: name.clone(), count: def.count, needed, left });
@@ -124,12 +126,12 @@ impl Element {
         }
     }
 
-    /// The fewest bytes that all its rows can take.
+    /// The fewest bytes that its rows can take.
     pub(super) fn fewest_bytes(&self, encoding: Encoding) -> u128 {
         fewest_row_bytes(&self.def, encoding) * self.def.count as u128
     }
 
-    /// How many rows with three indices fit into `n_left` bytes, and its count at most.
+    /// The most rows with three indices that `n_left` bytes and the count allow.
     pub(super) fn most_triangle_rows(&self, encoding: Encoding, n_left: u64) -> usize {
         let index_bytes = match self.def.properties.get("i").map(|property| &property.data_type) {
             Some(PropertyType::List(_, scalar)) if encoding != Encoding::Ascii => scalar_bytes(scalar),
@@ -147,7 +149,7 @@ struct DeclaredElement {
 }
 
 impl DeclaredElement {
-    /// What a property is to us. A second one in the same role is skipped, like one without a role.
+    /// The role of a property. A second property in the same role is skipped, like one without a role.
     fn role(&mut self, property: &str, is_list: bool) -> String {
         let role = match (self.name.as_str(), property, is_list) {
             ("vertex", "x", false) => "x",
@@ -174,7 +176,7 @@ fn scalar_bytes(scalar: &ScalarType) -> u128 {
     }
 }
 
-/// Empty lists, and in ASCII one digit and one space each.
+/// Assumes empty lists and, in ASCII, one digit and one space for each number.
 fn fewest_row_bytes(def: &ElementDef, encoding: Encoding) -> u128 {
     let bytes = |property_type: &PropertyType| match property_type {
         _ if encoding == Encoding::Ascii => 2,
@@ -183,7 +185,7 @@ fn fewest_row_bytes(def: &ElementDef, encoding: Encoding) -> u128 {
     def.properties.values().map(|property| bytes(&property.data_type)).sum()
 }
 
-/// The header's lines after the first, trimmed, in whatever encoding their comments are.
+/// Reads the header's lines after the first, trimmed; comments may have any encoding.
 struct Lines<'a, R> {
     reader: &'a mut R,
     line_end: u8,

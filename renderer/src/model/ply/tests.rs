@@ -8,12 +8,12 @@ fn parse(bytes: &[u8]) -> Result<Mesh, Problem> {
     read_from(bytes, bytes.len() as u64)
 }
 
-/// Parses, or shows what the reader says of it.
+/// Parses a valid file; panics with the reader's error.
 fn mesh(bytes: impl AsRef<[u8]>) -> Mesh {
     parse(bytes.as_ref()).unwrap_or_else(|problem| panic!("{problem}"))
 }
 
-fn complaint(bytes: impl AsRef<[u8]>) -> String {
+fn error_text(bytes: impl AsRef<[u8]>) -> String {
     let text = parse(bytes.as_ref()).map(|mesh| panic!("read {mesh:?}")).unwrap_err().to_string();
     assert!(!text.contains('\n'), "{text}");
     text
@@ -153,7 +153,7 @@ fn header_may_have_any_line_ends_indents_and_comments() {
 }
 
 #[test]
-fn binary_begins_right_after_the_header_whatever_ends_its_lines() {
+fn binary_data_follows_the_header_with_any_line_ends() {
     let text = "ply\nformat binary_little_endian 1.0\nelement vertex 2\nproperty char x\nproperty char y\n\
         property char z\nend_header\n";
     for line_end in ["\n", "\r\n", "\r"] {
@@ -204,13 +204,13 @@ fn files_without_faces_or_vertices_have_no_triangles() {
 }
 
 #[test]
-fn complaints_say_what_and_where() {
-    let with = |from: &str, to: &str| complaint(TRIANGLE.replace(from, to));
+fn errors_say_what_and_where() {
+    let with = |from: &str, to: &str| error_text(TRIANGLE.replace(from, to));
     for (text, expected) in [
-        (complaint(""), "is no PLY file: it does not begin with a line `ply`"),
-        (complaint("plywood\n"), "is no PLY file: it does not begin with a line `ply`"),
-        (complaint("ply\nformat ascii 1.0\n"), "ends inside its header: no line `end_header`"),
-        (complaint("ply\nend_header\n"), "its header is not understood: No format line found."),
+        (error_text(""), "is not a PLY file: it does not begin with a line `ply`"),
+        (error_text("plywood\n"), "is not a PLY file: it does not begin with a line `ply`"),
+        (error_text("ply\nformat ascii 1.0\n"), "ends inside its header: no line `end_header`"),
+        (error_text("ply\nend_header\n"), "its header is not understood: No format line found."),
         (with("property float y", "property bool y"), "header line 5 is not understood: `property bool y`"),
         (with("property float y", "remark y"), "header line 5 is not understood: `remark y`"),
         (with("vertex 3", "vertex -3"), "header line 3 is not understood: `element vertex -3`"),
@@ -226,9 +226,9 @@ fn complaints_say_what_and_where() {
             with("vertex 3", "vertex 9999999"),
             "is cut short, or its header is wrong: 9999999 rows of `vertex` need at least 59999994 bytes, 26 are left",
         ),
-        (with("1 0 0", "1 O 0"), "row 1 of element `vertex`: `O` is no number"),
+        (with("1 0 0", "1 O 0"), "row 1 of element `vertex`: `O` is not a number"),
         (with("3 0 1 2", "3 0 1"), "row 0 of element `face`: the file ends here"),
-        (with("3 0 1 2", "-3 0 1 2"), "row 0 of element `face`: `-3` is no length of a list"),
+        (with("3 0 1 2", "-3 0 1 2"), "row 0 of element `face`: `-3` is not the length of a list"),
     ] {
         assert_eq!(text, expected);
     }
@@ -238,7 +238,7 @@ fn complaints_say_what_and_where() {
 fn headers_without_end_are_given_up() {
     let mut endless = b"ply\ncomment ".to_vec();
     endless.resize(3 << 20, b'x');
-    assert_eq!(complaint(endless), "has no line `end_header` in its first 1024 KB");
+    assert_eq!(error_text(endless), "has no line `end_header` in its first 1024 KB");
 }
 
 #[test]
@@ -251,10 +251,10 @@ fn huge_claims_are_refused_at_once() {
     };
     let mut bytes = header("int", "18446744073709551615").into_bytes();
     bytes.extend((-1i32).to_be_bytes());
-    assert_eq!(complaint(&bytes), "row 0 of element `face`: List length cannot be negative (i32).");
+    assert_eq!(error_text(&bytes), "row 0 of element `face`: List length cannot be negative (i32).");
     let mut bytes = header("uint", "1").into_bytes();
     bytes.extend(u32::MAX.to_be_bytes());
-    assert_eq!(complaint(&bytes), "row 0 of element `face`: the file ends here");
+    assert_eq!(error_text(&bytes), "row 0 of element `face`: the file ends here");
 }
 
 #[test]

@@ -1,18 +1,20 @@
 //! Writes a mesh as a binary little-endian PLY.
 
-use std::io::{self, Write};
-use std::path::Path;
+use std::{
+    io::{self, Write},
+    path::Path,
+};
 
 use crate::{model::mesh::Mesh, render::image::write_atomically};
 
-/// Writes all of the mesh or leaves what `path` held before: it becomes a file of that name only when it is complete.
+/// Atomically writes a mesh to `path`: an old file stays until the new one is complete.
 pub fn write(path: &Path, mesh: &Mesh) -> io::Result<()> {
     write_atomically(path, |mut out| write_to(&mut out, mesh))
 }
 
-/// Writes all of the mesh.
+/// Writes a mesh.
 ///
-/// Rejected triangles are written with the indices −1, so that they are rejected again and keep their place.
+/// Rejected triangles get the indices −1, so that a reader rejects them again and file indices stay.
 pub fn write_to(writer: &mut impl Write, mesh: &Mesh) -> io::Result<()> {
     let n_vertices = mesh.vertices.len();
     writeln!(writer, "ply\nformat binary_little_endian 1.0\nelement vertex {n_vertices}")?;

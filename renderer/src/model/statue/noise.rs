@@ -1,6 +1,6 @@
 //! Gradient noise after Perlin, "Improving Noise" (2002), with integer hashing in place of his table.
 
-/// Smooth noise, about −1 to 1, that varies over lengths of about 1.
+/// Smooth noise, about −1 to 1, with a feature size of about 1.
 pub(super) fn gradient(p: [f32; 3], seed: u32) -> f32 {
     let cell = p.map(f32::floor);
     let f = [p[0] - cell[0], p[1] - cell[1], p[2] - cell[2]];
@@ -20,7 +20,7 @@ fn lerp(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
 
-/// Mixes lattice coordinates, with the finalizer of MurmurHash3.
+/// Hashes lattice coordinates with the finalizer of MurmurHash3.
 fn hash(x: u32, y: u32, z: u32, seed: u32) -> u32 {
     let mut h = x.wrapping_mul(0x9e37_79b1)
         ^ y.wrapping_mul(0x85eb_ca77)

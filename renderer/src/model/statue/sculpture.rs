@@ -1,17 +1,17 @@
-//! The figure: a smooth union of simple solids, as a signed distance, and the stone's relief on it.
+//! The figure: the signed distance of a smooth union of simple solids, and the stone's relief on it.
 //!
 //! Distances and smooth unions after Quilez, "Distance functions" and "Smooth minimum" (iquilezles.org).
 
+use glam::Vec3;
+
 use crate::model::statue::{BoxPoint, noise::gradient};
 
-type Vector = [f32; 3];
+/// The point where a box point's ray leaves the figure, in world space.
+pub(super) fn surface(box_point: BoxPoint) -> [f32; 3] {
+    let (origin_y, direction) = ray(box_point);
+    let point = |t: f32| Vec3::new(direction.x * t, origin_y + direction.y * t, direction.z * t);
 
-/// Where the ray that belongs to a place on the box leaves the figure, in world space.
-pub(super) fn surface(place: BoxPoint) -> Vector {
-    let (origin_y, direction) = ray(place);
-    let point = |t: f32| [direction[0] * t, origin_y + direction[1] * t, direction[2] * t];
-
-    // From outside inwards, so that the outermost surface is found.
+    // March from outside inwards, to find the outermost surface.
     let mut t = FARTHEST;
     for _ in 0..64 {
         let d = distance(point(t));
@@ -21,12 +21,12 @@ pub(super) fn surface(place: BoxPoint) -> Vector {
         }
     }
     let t = max(t, NEAREST);
-    // How squarely the ray leaves: relief on stone that it only grazes would be drawn out into streaks.
+    // Fade the relief where the ray grazes the figure: it would stretch into streaks.
     let slope = (distance(point(t + PROBE)) - distance(point(t))) / PROBE;
-    point(t + relief(point(t)) * slope.clamp(0.0, 1.0))
+    point(t + relief(point(t)) * slope.clamp(0.0, 1.0)).to_array()
 }
 
-/// Small against the solids, large against the rounding of distances.
+/// Step of the slope's difference quotient: small against the solids, large against the rounding of distances.
 const PROBE: f32 = 0.01;
 
 /// Every solid lies within this distance of the axis, along any ray.
@@ -34,26 +34,26 @@ const FARTHEST: f32 = 1.4;
 /// Rays end here at the latest, so that the surface stays closed.
 const NEAREST: f32 = 0.05;
 
-/// The ray of a place: its origin's height on the y axis, and its direction of length 1.
-fn ray(place: BoxPoint) -> (f32, Vector) {
+/// The ray of a box point: the origin's height on the y axis, and the direction, unit length.
+fn ray(box_point: BoxPoint) -> (f32, Vec3) {
     let [lowest, .., highest] = FAN;
-    let (along, [_, origin_y, rise]) = match place {
+    let (along, [_, origin_y, rise]) = match box_point {
         BoxPoint::Side(along, height) => (along, fan(height)),
         BoxPoint::Top(along) => (along, highest),
         BoxPoint::Bottom(along) => (along, lowest),
     };
-    // On top and bottom, how far from the middle; 1 on the sides.
+    // Distance from the middle on top and bottom; 1 on the sides.
     let spread = max(along[0].abs(), along[1].abs());
     let around = if spread > 0.0 { along.map(|x| even_angle(x / spread)) } else { [0.0; 2] };
     let outwards = if spread > 0.0 { spread / (around[0] * around[0] + around[1] * around[1]).sqrt() } else { 0.0 };
-    (origin_y, normalize([around[0] * outwards, rise, around[1] * outwards]))
+    (origin_y, Vec3::new(around[0] * outwards, rise, around[1] * outwards).normalize())
 }
 
-/// How rays leave the axis, from the bottom of the box's sides to their top: height on the box, the origin's height in
-/// the world, rise of the ray per length outwards.
+/// The fan of rays from the bottom of the box's sides to their top: height on the box, height of the ray's origin in the
+/// world, rise of the ray per distance from the axis.
 ///
-/// They point down where the stone overhangs, up where it makes a shelf, and do not cross within the figure: at any
-/// distance from the axis up to the figure's, origin + rise × distance grows from row to row.
+/// Rays point down under overhangs and up above shelves. They do not cross within the figure: at any distance from the axis
+/// up to the figure's, origin + rise × distance grows from row to row.
 const FAN: [[f32; 3]; 14] = [
     [0.00, 0.12, -1.0],
     [0.03, 0.12, -0.12], // the plinth's lower edge
@@ -84,9 +84,10 @@ fn even_angle(x: f32) -> f32 {
 }
 
 /// Signed distance to the smooth figure, in world units; negative inside.
-fn distance(p: Vector) -> f32 {
-    // The figure is the same left and right.
-    let q = [p[0].abs(), p[1], p[2]];
+fn distance(p: Vec3) -> f32 {
+    // The figure is symmetric.
+    let mirrored = Vec3::new(p.x.abs(), p.y, p.z);
+    let q = mirrored;
 
     let torso = ellipsoid(q, [0.0, 0.95, -0.03], [0.72, 1.0, 0.46]);
     let shoulders = capsule(q, [0.0, 1.58, -0.05], [0.52, 1.50, -0.05], 0.27, 0.25);
@@ -103,7 +104,7 @@ fn distance(p: Vector) -> f32 {
     }
 
     // The head narrows upwards, and its face leans back.
-    let q = [q[0] * (1.0 + 0.10 * (q[1] - 2.4)), q[1], q[2] + 0.10 * (q[1] - 2.6)];
+    let q = Vec3::new(q.x * (1.0 + 0.10 * (q.y - 2.4)), q.y, q.z + 0.10 * (q.y - 2.6));
     let skull = rounded_box(q, [0.0, 2.66, 0.0], [0.42, 0.72, 0.40], 0.17);
     let neck = capsule(q, [0.0, 1.5, 0.0], [0.0, 2.1, 0.04], 0.40, 0.36);
     let jaw = rounded_box(q, [0.0, 2.10, 0.20], [0.37, 0.15, 0.27], 0.12);
@@ -124,14 +125,14 @@ fn distance(p: Vector) -> f32 {
     let ear_hollow = ellipsoid(q, [0.52, 2.72, -0.03], [0.04, 0.22, 0.05]);
     head = smooth_min(head, smooth_max(ear, -ear_hollow, 0.03), 0.03);
 
-    let plinth = rounded_box([p[0].abs(), p[1], p[2]], [0.0, 0.14, 0.0], [1.0, 0.14, 0.72], 0.04);
+    let plinth = rounded_box(mirrored, [0.0, 0.14, 0.0], [1.0, 0.14, 0.72], 0.04);
     min(smooth_min(body, head, 0.08), plinth)
 }
 
-/// The stone's relief at a point of the smooth figure: how far it stands out along the ray.
-fn relief(p: Vector) -> f32 {
-    let scaled = |s: f32| [p[0] * s, p[1] * s, p[2] * s];
-    // Weathering, from dents of a hand's width down to grains.
+/// The stone's relief at a point of the smooth figure: its height along the ray.
+fn relief(p: Vec3) -> f32 {
+    let scaled = |s: f32| (p * s).to_array();
+    // Weathering, from dents as wide as a hand down to grains.
     let mut height = 0.0;
     let (mut amplitude, mut frequency) = (0.019, 2.4);
     for octave in 0..8 {
@@ -146,8 +147,8 @@ fn relief(p: Vector) -> f32 {
         height -= 0.06 * min(patch, 0.5) * pore;
     }
     // Layers of ash, and a few cracks.
-    height += 0.004 * gradient([p[0] * 1.5, p[1] * 16.0, p[2] * 1.5], 22);
-    let crack = 1.0 - gradient([p[0] * 1.3, p[1] * 0.9, p[2] * 1.3], 23).abs() * 110.0;
+    height += 0.004 * gradient([p.x * 1.5, p.y * 16.0, p.z * 1.5], 22);
+    let crack = 1.0 - gradient([p.x * 1.3, p.y * 0.9, p.z * 1.3], 23).abs() * 110.0;
     let reach = gradient(scaled(1.4), 24) - 0.12;
     if crack > 0.0 && reach > 0.0 {
         height -= 0.03 * min(reach * 4.0, 0.6) * crack;
@@ -155,25 +156,23 @@ fn relief(p: Vector) -> f32 {
     height
 }
 
-fn ellipsoid(p: Vector, center: Vector, radii: Vector) -> f32 {
-    let q = sub(p, center);
-    let k0 = length([q[0] / radii[0], q[1] / radii[1], q[2] / radii[2]]);
-    let k1 = length([q[0] / (radii[0] * radii[0]), q[1] / (radii[1] * radii[1]), q[2] / (radii[2] * radii[2])]);
-    if k1 > 1e-6 { k0 * (k0 - 1.0) / k1 } else { -min(radii[0], min(radii[1], radii[2])) }
+fn ellipsoid(p: Vec3, centre: [f32; 3], radii: [f32; 3]) -> f32 {
+    let (q, radii) = (p - Vec3::from(centre), Vec3::from(radii));
+    let (k0, k1) = ((q / radii).length(), (q / (radii * radii)).length());
+    if k1 > 1e-6 { k0 * (k0 - 1.0) / k1 } else { -min(radii.x, min(radii.y, radii.z)) }
 }
 
-/// A capsule whose radius changes evenly from one end to the other.
-fn capsule(p: Vector, a: Vector, b: Vector, radius_a: f32, radius_b: f32) -> f32 {
-    let (pa, ba) = (sub(p, a), sub(b, a));
-    let s = (dot(pa, ba) / dot(ba, ba)).clamp(0.0, 1.0);
-    length([pa[0] - ba[0] * s, pa[1] - ba[1] * s, pa[2] - ba[2] * s]) - (radius_a + (radius_b - radius_a) * s)
+/// A capsule whose radius changes linearly from one end to the other.
+fn capsule(p: Vec3, a: [f32; 3], b: [f32; 3], radius_a: f32, radius_b: f32) -> f32 {
+    let (pa, ba) = (p - Vec3::from(a), Vec3::from(b) - Vec3::from(a));
+    let s = (pa.dot(ba) / ba.dot(ba)).clamp(0.0, 1.0);
+    (pa - ba * s).length() - (radius_a + (radius_b - radius_a) * s)
 }
 
-fn rounded_box(p: Vector, center: Vector, half: Vector, radius: f32) -> f32 {
-    let q = sub(p, center);
-    let d = [q[0].abs() - half[0] + radius, q[1].abs() - half[1] + radius, q[2].abs() - half[2] + radius];
-    let inside = min(max(d[0], max(d[1], d[2])), 0.0);
-    length(d.map(|x| max(x, 0.0))) + inside - radius
+fn rounded_box(p: Vec3, centre: [f32; 3], half: [f32; 3], radius: f32) -> f32 {
+    let d = (p - Vec3::from(centre)).abs() - Vec3::from(half) + radius;
+    let inside = min(max(d.x, max(d.y, d.z)), 0.0);
+    Vec3::from(d.to_array().map(|x| max(x, 0.0))).length() + inside - radius
 }
 
 /// The lesser of two distances, blended where they differ by less than `k`.
@@ -186,30 +185,13 @@ fn smooth_max(a: f32, b: f32, k: f32) -> f32 {
     -smooth_min(-a, -b, k)
 }
 
-// Not `f32::min` and `f32::max`: which zero they return of 0 and −0 is not specified.
+// `f32::min` and `f32::max` do not specify which zero they return of 0 and −0.
 fn min(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
 fn max(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
-}
-
-fn sub(a: Vector, b: Vector) -> Vector {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
-}
-
-fn dot(a: Vector, b: Vector) -> f32 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-}
-
-fn length(a: Vector) -> f32 {
-    dot(a, a).sqrt()
-}
-
-fn normalize(a: Vector) -> Vector {
-    let scale = 1.0 / length(a);
-    a.map(|x| x * scale)
 }
 
 #[cfg(test)]
@@ -233,9 +215,8 @@ mod tests {
         for k in 0..1000 {
             let along = [(k % 25) as f32 / 12.0 - 1.0, 1.0];
             let (origin_y, direction) = ray(BoxPoint::Side(along, k as f32 / 999.0));
-            let inside = [direction[0] * NEAREST, origin_y + direction[1] * NEAREST, direction[2] * NEAREST];
-            let [x, y, z] = [direction[0] * FARTHEST, origin_y + direction[1] * FARTHEST, direction[2] * FARTHEST];
-            assert!(distance(inside) < 0.0 && distance([x, y, z]) > 0.0, "{along:?} {k}");
+            let [inside, outside] = [NEAREST, FARTHEST].map(|t| Vec3::Y * origin_y + direction * t);
+            assert!(distance(inside) < 0.0 && distance(outside) > 0.0, "{along:?} {k}");
         }
     }
 }

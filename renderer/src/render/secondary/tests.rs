@@ -3,16 +3,19 @@ use shared::{
     camera::Camera,
     division::{FrameSize, SampleRect},
     protocol::SampleRange,
+    scene::SceneId,
 };
 
 use super::*;
 use crate::{
+    grid::GridOptions,
     model::{mesh::Mesh, statue},
-    render::tracer::{Scene, SceneOptions},
+    render::scene::Scene,
 };
 
-fn spec(eye: DVec3, target: DVec3, rays: LightingMode) -> FrameRequest {
-    FrameRequest {
+fn spec(eye: DVec3, target: DVec3, rays: LightingMode) -> FrameSpec {
+    FrameSpec {
+        scene: SceneId::Statue { triangles: 0 },
         camera: Camera::look_at(eye, target, DVec3::Y, 0.7, 2.0).unwrap(),
         size: FrameSize::new(128, 64).unwrap(),
         view: ShadingMode::Shaded,
@@ -22,11 +25,11 @@ fn spec(eye: DVec3, target: DVec3, rays: LightingMode) -> FrameRequest {
     }
 }
 
-/// Samples that are no tile, so that they are their lanes.
+/// Samples that are no tile, so that lanes are in the order of samples.
 const ROW: SampleBlock<'_> = SampleBlock::Unit { samples: SampleRect { columns: 0..64, rows: 0..1 }, first_index: 0 };
 
-/// What reaches every hit of a frame, with the ray's direction and the hit.
-fn visibility(scene: &Scene, spec: &FrameRequest) -> Vec<(Vec3, Hit, LightVisibility)> {
+/// The light that reaches every hit of a frame, with the ray's direction and the hit.
+fn visibility(scene: &Scene, spec: &FrameSpec) -> Vec<(Vec3, Hit, LightVisibility)> {
     let secondary = SecondaryRays::new(scene.grid(), spec, scene.clip_plane(&spec.camera, spec.appearance.clip));
     let rays = spec.camera.rays(spec.size);
     let mut scratch = PacketScratch::default();
@@ -64,10 +67,10 @@ fn ball(centre: Vec3, radius: f32) -> Mesh {
 }
 
 #[test]
-fn a_ball_does_not_shade_itself() {
+fn a_ball_does_not_shadow_itself() {
     let places = [(0.0, 1.0), (1000.0, 1.0), (0.0, 1e-6), (-1e6, 1e6), (3.0, 1e6), (50.0, 1e-1)];
     for (centre, radius) in places {
-        let scene = Scene::build(ball(Vec3::splat(centre), radius), &SceneOptions::default(), &|_| ());
+        let scene = Scene::build(ball(Vec3::splat(centre), radius), &GridOptions::default(), &|_| ());
         let (centre, radius) = (DVec3::splat(f64::from(centre)), f64::from(radius));
         for distance in [1.5, 4.0, 1e4] {
             let eye = centre + DVec3::new(0.5, 0.6, 1.0).normalize() * (distance * radius);
@@ -95,17 +98,17 @@ fn a_ball_does_not_shade_itself() {
 }
 
 #[test]
-fn the_light_comes_from_where_it_is_asked_to() {
-    let scene = Scene::build(ball(Vec3::ZERO, 1.0), &SceneOptions::default(), &|_| ());
+fn the_light_has_the_direction_that_is_asked_for() {
+    let scene = Scene::build(ball(Vec3::ZERO, 1.0), &GridOptions::default(), &|_| ());
     for (name, light) in Light::PRESETS {
         // The eye is on the z axis: its right, up and back are the world's axes.
         let appearance = Appearance { light, ..Appearance::default() };
-        let spec = FrameRequest { appearance, ..spec(DVec3::Z * 5.0, DVec3::ZERO, LightingMode::Shadows) };
+        let spec = FrameSpec { appearance, ..spec(DVec3::Z * 5.0, DVec3::ZERO, LightingMode::Shadows) };
         let secondary = SecondaryRays::new(scene.grid(), &spec, None);
         let expected = light.direction().as_vec3();
         assert!((secondary.key_direction - expected).length() < 1e-6, "{name}");
         assert!((secondary.key_light.normalize() - expected).length() < 1e-6, "{name}: {}", secondary.key_light);
-        // What turns away from the light is dark, and nothing else: a ball throws no shadow on itself.
+        // Exactly the points that face away from the light are dark: a ball casts no shadow on itself.
         for (direction, hit, visibility) in visibility(&scene, &spec) {
             let Surface { point, normal } = secondary.surface(direction, hit).unwrap();
             let cosine = normal.dot((secondary.key_light.as_dvec3() - point).normalize());
@@ -115,8 +118,8 @@ fn the_light_comes_from_where_it_is_asked_to() {
 }
 
 #[test]
-fn what_stands_on_the_ground_touches_its_shadow() {
-    // A wall on a floor, seen along the light: the floor behind the wall is dark up to its foot.
+fn objects_touch_their_shadows() {
+    // A wall on a floor, seen along the light: the floor behind the wall is dark up to the wall's foot.
     for offset in [0.0, 100.0f32] {
         let quad = |a: [f32; 3], b: [f32; 3], c: [f32; 3], d: [f32; 3]| [a, b, c, d].map(|p| p.map(|x| x + offset));
         let floor = quad([-2.0, 0.0, -2.0], [2.0, 0.0, -2.0], [2.0, 0.0, 2.0], [-2.0, 0.0, 2.0]);
@@ -126,7 +129,7 @@ fn what_stands_on_the_ground_touches_its_shadow() {
             triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]],
             ..Mesh::default()
         };
-        let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
+        let scene = Scene::build(mesh, &GridOptions::default(), &|_| ());
         let at = |p: [f64; 3]| DVec3::from_array(p) + DVec3::splat(f64::from(offset));
         let spec = spec(at([0.0, 1.0, 5.0]), at([0.0; 3]), LightingMode::Shadows);
         let mut secondary = SecondaryRays::new(scene.grid(), &spec, None);
@@ -146,19 +149,19 @@ fn what_stands_on_the_ground_touches_its_shadow() {
 }
 
 #[test]
-fn what_is_cut_away_casts_no_shadow() {
+fn removed_parts_cast_no_shadow() {
     let sheet = |y: f32| [[-2.0, y, -2.0], [2.0, y, -2.0], [2.0, y, 2.0], [-2.0, y, 2.0]];
     let mesh = Mesh {
         vertices: [sheet(0.0), sheet(1.0)].concat(),
         triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]],
         ..Mesh::default()
     };
-    let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
-    // Of a floor under a lid, the light above it, the whole floor is dark, or without the lid lit.
+    let scene = Scene::build(mesh, &GridOptions::default(), &|_| ());
+    // A floor under a lid, with the light above: dark with the lid, lit without.
     for (clip, key) in [(None, 0.0), ("y:50".parse().ok(), 1.0), ("-y:0".parse().ok(), 0.0)] {
         let appearance = Appearance { clip, ..Appearance::default() };
         let eye = DVec3::new(0.1, 0.5, 1.5);
-        let spec = FrameRequest { appearance, ..spec(eye, DVec3::new(0.0, 0.0, -0.3), LightingMode::AmbientOcclusion) };
+        let spec = FrameSpec { appearance, ..spec(eye, DVec3::new(0.0, 0.0, -0.3), LightingMode::AmbientOcclusion) };
         let plane = scene.clip_plane(&spec.camera, clip);
         let secondary = SecondaryRays::new(scene.grid(), &spec, plane).with_key_light(Vec3::new(0.2, 3.0, 0.1));
         let surface = Surface { point: DVec3::new(0.3, secondary.ray_offset, 0.2), normal: DVec3::Y };
@@ -171,7 +174,7 @@ fn what_is_cut_away_casts_no_shadow() {
     }
 }
 
-/// Whether a segment meets any triangle: Möller and Trumbore in `f64`, triangle by triangle.
+/// Whether a segment hits any triangle: Möller and Trumbore in `f64`, triangle by triangle.
 fn is_blocked(mesh: &Mesh, from: DVec3, to: DVec3) -> bool {
     let direction = to - from;
     (0..mesh.triangles.len()).filter_map(|triangle| mesh.corners(triangle)).any(|corners| {
@@ -187,9 +190,9 @@ fn is_blocked(mesh: &Mesh, from: DVec3, to: DVec3) -> bool {
 }
 
 #[test]
-fn shadows_are_where_a_search_of_all_triangles_finds_them() {
+fn shadows_match_a_search_of_all_triangles() {
     let mesh = statue::generate(2000, &|_| ());
-    let scene = Scene::build(mesh.clone(), &SceneOptions::default(), &|_| ());
+    let scene = Scene::build(mesh.clone(), &GridOptions::default(), &|_| ());
     let spec = spec(DVec3::new(0.5, 1.2, 3.0), DVec3::Y, LightingMode::Shadows);
     let secondary = SecondaryRays::new(scene.grid(), &spec, None);
     let light = secondary.key_light.as_dvec3();
@@ -208,7 +211,7 @@ fn shadows_are_where_a_search_of_all_triangles_finds_them() {
 }
 
 #[test]
-fn a_corner_is_less_open_than_a_plain() {
+fn a_corner_is_more_occluded_than_a_plain() {
     let quad = [[-2.0, 0.0, 0.0], [2.0, 0.0, 0.0], [2.0, 4.0, 0.0], [-2.0, 4.0, 0.0]];
     let floor = [[-2.0, 0.0, 4.0], [2.0, 0.0, 4.0]];
     let mesh = Mesh {
@@ -216,7 +219,7 @@ fn a_corner_is_less_open_than_a_plain() {
         triangles: vec![[0, 1, 2], [0, 2, 3], [0, 1, 5], [0, 5, 4]],
         ..Mesh::default()
     };
-    let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
+    let scene = Scene::build(mesh, &GridOptions::default(), &|_| ());
     let spec = spec(DVec3::new(0.0, 3.0, 6.0), DVec3::Y, LightingMode::AmbientOcclusion);
     let secondary = SecondaryRays::new(scene.grid(), &spec, None);
     let ambient_visibility = |height: f64| {
@@ -225,7 +228,7 @@ fn a_corner_is_less_open_than_a_plain() {
         samples.sum::<f32>() / 256.0
     };
     assert_eq!(ambient_visibility(2.0), 1.0);
-    // At the foot of the wall the floor hides half the hemisphere, of which rays by the cosine meet half.
+    // At the foot of the wall the floor hides half of the hemisphere, and with it half of the cosine-distributed rays.
     assert!((ambient_visibility(1e-3) - 0.5).abs() < 0.03, "{}", ambient_visibility(1e-3));
     assert!((0.5..1.0).contains(&ambient_visibility(0.1)), "{}", ambient_visibility(0.1));
 }

@@ -1,0 +1,43 @@
+//! Where samples lie in their pixels, and the hash that randomizes them.
+
+/// Point at which sample number `sample` of pixel (i, j) pierces the view plane, in samples from its lower-left corner.
+///
+/// Sample 0 is the pixel's centre. The others follow the R₂ sequence (Roberts, "The Unreasonable Effectiveness of
+/// Quasirandom Sequences", 2018), shifted differently in each pixel, so that neighbours do not share a pattern.
+pub fn sample_point(i: u32, j: u32, sample: u32) -> (f32, f32) {
+    if sample == 0 {
+        return (i as f32 + 0.5, j as f32 + 0.5);
+    }
+    // The steps are 2³² over the plastic number and over its square.
+    let along = |step: u32, seed: u32| {
+        let offset = hash_u32(i ^ hash_u32(j ^ seed)).wrapping_add(step.wrapping_mul(sample));
+        // 23 bits, so that neither the half step nor the product is rounded.
+        ((offset >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0)
+    };
+    (i as f32 + along(3_242_174_889, 1), j as f32 + along(2_447_445_414, 2))
+}
+
+/// Mixes bits: "lowbias32" of Wellons, "Prospecting for Hash Functions" (2018).
+pub(crate) fn hash_u32(mut x: u32) -> u32 {
+    x = (x ^ x >> 16).wrapping_mul(0x7feb_352d);
+    x = (x ^ x >> 15).wrapping_mul(0x846c_a68b);
+    x ^ x >> 16
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sample_points_fill_their_pixel() {
+        assert_eq!(sample_point(3, 4, 0), (3.5, 4.5));
+        let mut seen = [false; 16];
+        for sample in 1..=64 {
+            let (x, y) = sample_point(7, 1000, sample);
+            assert!((7.0..=8.0).contains(&x) && (1000.0..=1001.0).contains(&y), "{x} {y}");
+            seen[((x - 7.0) * 4.0) as usize % 4 * 4 + ((y - 1000.0) * 4.0) as usize % 4] = true;
+        }
+        assert_eq!(seen, [true; 16], "64 samples leave no sixteenth of a pixel empty");
+        assert_ne!(sample_point(7, 1, 1).0.fract(), sample_point(8, 1, 1).0.fract());
+    }
+}
