@@ -1,17 +1,15 @@
 //! The farm: render servers that connect over TCP, and the frames that they render together.
 //!
-//! [`Farm::start`] listens and runs the farm on the caller's tokio runtime. The rest of the wall steers it through
-//! [`Farm::want`] and takes finished frames from [`Farm::take_frame`]; neither ever waits.
+//! [`Farm::start`] runs the farm on the caller's tokio runtime. The rest of the wall sets its goal with
+//! [`Farm::update_goal`] and takes finished frames with [`Farm::take_frame`]; neither blocks.
 
 mod connection;
 mod frame_buffer;
-pub(crate) mod replay;
-mod scheduler;
+pub mod scheduler;
 mod service;
 mod silence;
 pub mod stats;
 mod tile_row;
-mod unit_set;
 
 use std::{
     io,
@@ -35,68 +33,71 @@ use tokio::{
     sync::{Notify, watch},
 };
 
-pub use self::frame_buffer::FrameSamples;
+pub use self::frame_buffer::{FrameSamples, PlaceError};
 use self::{
-    frame_buffer::{BufferPool, PlaceError},
+    frame_buffer::BufferPool,
     stats::{FarmStatus, FrameStats},
 };
 
-/// What the wall wants to see: always the latest, whatever was wanted before.
+/// What the wall wants rendered now. The latest goal replaces all earlier ones.
 #[derive(Clone, Debug)]
 pub struct RenderGoal {
-    /// The picture, once there is a scene to render.
+    /// The frame to render; `None` until there is a scene.
     pub spec: Option<FrameSpec>,
     /// Where render servers on this machine find the scene.
     pub scene_path: Option<PathBuf>,
-    /// Whether the picture only refines what was shown already: it is given up as soon as another is wanted.
+    /// Whether the frame only refines one that was shown: it is cancelled as soon as another is wanted.
     pub is_refinement: bool,
     /// How frames are divided.
     pub division: Division,
-    /// No frame starts with fewer render servers ready.
+    /// No frame starts while fewer render servers are ready.
     pub min_renderers: u32,
-    /// Render frame after frame, even if nothing changed.
+    /// Render frame after frame, even if nothing changes.
     pub repeat: bool,
-    /// How many frames are rendered at a time, so that render servers do not wait for the wall; at least 1.
+    /// Frames in flight: with several, render servers do not wait for the wall. At least 1.
     pub in_flight: u32,
-    /// How samples travel; `None`: whichever way each link is measured to be faster with.
+    /// How samples travel; `None`: by measurement, the faster way for each link.
     pub encoding: Option<Encoding>,
-    /// When the camera moved to where it is.
+    /// When the camera was set.
     pub moved_at: Instant,
 }
 
-/// A whole frame.
+/// A complete frame.
 #[derive(Clone, Debug)]
 pub struct Frame {
     /// What it shows.
     pub spec: FrameSpec,
     /// Its samples.
     pub rgba: FrameSamples,
-    /// How it came about.
+    /// How it was rendered.
     pub stats: FrameStats,
-    /// When its camera was set.
+    /// When its camera was set, or when it was started if an earlier frame shows that motion.
     pub moved_at: Instant,
 }
 
-/// A question about the model: what is seen at one point of the canvas.
+/// A question about the model: which triangle is visible at one point of the canvas.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Probe {
-    /// Each question has its own, from 1.
+    /// The question's number, from 1.
     pub number: u32,
-    /// What is looked at, and from where; `None` asks nothing.
+    /// The scene and the camera; `None` asks nothing.
     pub view: Option<(SceneId, Camera)>,
-    /// Which point of the view plane, as parts of its edges u and v.
+    /// The point, as fractions of the view plane's edges u and v.
     pub at: [f32; 2],
-    /// Where it is cut open, if anywhere.
+    /// The clip plane, if there is one.
     pub clip: Option<Clip>,
 }
 
-/// Puts whole frames in their places as connections do, to measure what that takes.
+/// Places whole frames as connections do, to measure the time that it takes.
 #[derive(Debug, Default)]
-pub(crate) struct SamplePlacer(BufferPool);
+pub struct SamplePlacer(BufferPool);
 
 impl SamplePlacer {
-    /// Takes all of a frame, divided for one render server, in chunks of at most so many bytes.
-    pub(crate) fn place(
+    /// Places a frame, divided for one render server, in chunks of at most `most_bytes` bytes.
+    ///
+    /// # Errors
+    /// Too few or too many bytes for the frame.
+    pub fn place(
         &self,
         size: FrameSize,
         division: Division,
@@ -118,7 +119,7 @@ impl SamplePlacer {
     }
 }
 
-/// A running farm. Dropping it ends it, and with it every connection.
+/// A running farm. Dropping it closes every connection.
 #[derive(Debug)]
 pub struct Farm {
     address: SocketAddr,
@@ -131,10 +132,10 @@ pub struct Farm {
 }
 
 impl Farm {
-    /// Serves render servers that connect to `listener`, with a key only those that have it too; must be called within a
-    /// tokio runtime.
+    /// Serves render servers that connect to `listener`: with a key, only those that have the same one. Must be called
+    /// within a tokio runtime.
     ///
-    /// `wake` is called from the farm's threads whenever there is a frame to take or the status has changed.
+    /// The farm's threads call `wake` whenever there is a frame to take or the status has changed.
     pub fn start(
         listener: TcpListener,
         key: Option<Key>,
@@ -143,48 +144,48 @@ impl Farm {
     ) -> io::Result<Self> {
         let address = listener.local_addr()?;
         let finished = Arc::new(FinishedFrame::default());
-        let (goal, wanted_receiver) = watch::channel(goal);
+        let (goal, goals) = watch::channel(goal);
         let (probe, probes) = watch::channel(Probe::default());
         let (structure, structures) = watch::channel(None);
         let (status_sender, status) = watch::channel(FarmStatus::default());
-        let service = service::Service::new(key, wanted_receiver, status_sender, Arc::clone(&finished), Box::new(wake));
+        let service = service::Service::new(key, goals, status_sender, Arc::clone(&finished), Box::new(wake));
         let service = tokio::spawn(service.run(listener, probes, structures));
         Ok(Self { address, goal, probe, structure, status, finished, service })
     }
 
-    /// The address that the farm listens on, with its real port.
+    /// The address that the farm listens on, with the actual port.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Changes what the wall wants to see.
+    /// Changes the goal.
     pub fn update_goal(&self, change: impl FnOnce(&mut RenderGoal)) {
         self.goal.send_modify(change);
     }
 
-    /// What the wall wants to see now.
+    /// The current goal.
     pub fn goal(&self) -> RenderGoal {
         self.goal.borrow().clone()
     }
 
-    /// Asks a render server what is seen at a point; the answer comes with the [`FarmStatus`], and to the last question
-    /// only. There is none while nobody has the scene.
+    /// Asks a render server which triangle is visible at a point. Only the last question is answered, in
+    /// [`FarmStatus::probed`], and none while no render server has the scene.
     pub fn probe(&self, probe: Probe) {
         self.probe.send_replace(probe);
     }
 
-    /// Has every render server keep the scene in another structure, those that join later too; the last frame stays until
-    /// the first is ready. `None`: as each was started.
+    /// Has every render server keep the scene in another structure, those that join later too. The last frame stays
+    /// visible until the first render server is ready. `None`: the structure that each was started with.
     pub fn set_structure(&self, structure: Option<Structure>) {
         self.structure.send_replace(structure);
     }
 
-    /// Takes the finished frame, if there is one; the farm finishes no other before.
+    /// Takes the finished frame, if there is one. The farm holds back the next until this one is taken.
     pub fn take_frame(&self) -> Option<Frame> {
         self.finished.take()
     }
 
-    /// The farm as it is now.
+    /// The farm's current status.
     pub fn status(&self) -> FarmStatus {
         self.status.borrow().clone()
     }
@@ -196,8 +197,8 @@ impl Drop for Farm {
     }
 }
 
-/// Where a finished frame waits for the wall to take it. Holding one frame is what keeps the farm from outrunning the
-/// wall, and every frame from being shown less or more than once.
+/// Holds a finished frame until the wall takes it. As it holds only one, the farm cannot outrun the wall, and each frame
+/// is shown once.
 #[derive(Debug, Default)]
 struct FinishedFrame {
     frame: Mutex<Option<Frame>>,

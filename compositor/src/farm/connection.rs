@@ -1,4 +1,4 @@
-//! One render server's connection: handshake, heartbeats, and samples put in place as they arrive.
+//! The connection to one render server: handshake, heartbeats, and samples placed as they arrive.
 
 use std::{
     collections::HashMap,
@@ -12,8 +12,9 @@ use channel::{
     secure::{self, SecureError},
     wire::{Incoming, MessageReader, MessageWriter, WireError},
 };
+use fixedbitset::FixedBitSet;
 use shared::{
-    division::Task,
+    division::{Share, Task},
     printable::printable,
     protocol::{
         Chunk, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME, ProbeHit, RunCosts,
@@ -32,27 +33,26 @@ use super::{
     scheduler::PlacedUnits,
     silence::{self, LastHeard},
     stats::NodeId,
-    unit_set::UnitSet,
 };
 
-/// What a connection tells the farm.
+/// What a connection reports to the farm.
 #[derive(Debug)]
 pub(super) enum ConnectionEvent {
-    /// Hands are shaken.
+    /// The handshake is over.
     Joined { name: String, threads: u32, outgoing: mpsc::Sender<Vec<u8>>, pending: Arc<PendingTasks> },
-    /// How far the render server is with a scene.
+    /// The render server's progress with a scene.
     Scene { scene: SceneId, state: SceneState },
-    /// Samples are in their places.
+    /// Samples are in the frame buffer.
     UnitsPlaced { frame: FrameId, task_id: TaskId, units: PlacedUnits },
-    /// A work is answered.
+    /// A task is done.
     TaskDone { frame: FrameId, task_id: TaskId, timings: TaskTimings, costs: RunCosts },
-    /// It has been silent for a moment, or is heard again.
+    /// The render server has become silent, or is heard again.
     Silent(bool),
-    /// A ping came back.
+    /// The round trip of a ping.
     RoundTrip(Duration),
-    /// A probe is answered.
+    /// The answer to a probe.
     Probed { number: u32, hit: Option<ProbeHit> },
-    /// The connection has ended: by the peer's will, or for a reason.
+    /// The connection has ended: the peer closed it, or an error did.
     Ended(Result<(), ConnectionError>),
 }
 
@@ -69,34 +69,39 @@ pub(super) enum ConnectionError {
     OutOfTurn,
     #[error("its name is longer than {LONGEST_NAME} bytes")]
     LongName,
-    #[error("it sent samples that do not fit their work: {0}")]
+    #[error("it sent samples that do not fit their task: {0}")]
     Misplaced(#[from] PlaceError),
-    #[error("it called a work done of which only {sent} of {n_units} units have come")]
+    #[error("it reported a task as done after {sent} of {n_units} units")]
     Incomplete { sent: u32, n_units: u32 },
-    #[error("it says what {n_blocks} blocks of {run_units} units cost in a work of {n_units}")]
-    MisfitCosts { n_blocks: usize, run_units: u32, n_units: u32 },
-    #[error("it does not read what it is sent")]
+    #[error("it reported the costs of {n_runs} runs of {run_units} units for a task of {n_units} units")]
+    MisfitCosts { n_runs: usize, run_units: u32, n_units: u32 },
+    #[error("it does not read its messages")]
     Clogged,
 }
 
-/// The works that a render server has been given and not yet answered.
+/// The tasks that a render server has been given and has not finished.
 #[derive(Debug, Default)]
 pub(super) struct PendingTasks(Mutex<HashMap<TaskId, PendingTask>>);
 
-/// A work and where its samples go.
+/// A task, and the frame buffer for its samples.
 #[derive(Debug)]
 pub(super) struct PendingTask {
-    pub(super) frame: FrameId,
-    pub(super) task: Task,
-    pub(super) buffer: Arc<FrameBuffer>,
-    received: UnitSet,
+    frame: FrameId,
+    task: Task,
+    buffer: Arc<FrameBuffer>,
+    received: FixedBitSet,
 }
 
 impl PendingTask {
-    /// A work of which nothing has come.
+    /// A task without samples yet.
     pub(super) fn new(frame: FrameId, task: Task, buffer: Arc<FrameBuffer>) -> Self {
-        let n_units = task.share(buffer.size()).expect("the wall gives out works that fit").count();
-        Self { frame, task, buffer, received: UnitSet::new(n_units) }
+        let mut pending = Self { frame, task, buffer, received: FixedBitSet::new() };
+        pending.received.grow(pending.share().count() as usize);
+        pending
+    }
+
+    fn share(&self) -> Share {
+        self.task.share(self.buffer.size()).expect("the wall's tasks fit their frames")
     }
 }
 
@@ -109,12 +114,12 @@ impl PendingTasks {
         self.lock().insert(task_id, pending_task);
     }
 
-    /// Forgets the works of a frame: late answers to them are dropped.
+    /// Forgets the tasks of a frame: samples that arrive late are dropped.
     pub(super) fn clear(&self, frame: FrameId) {
         self.lock().retain(|_, pending_task| pending_task.frame != frame);
     }
 
-    /// Puts a chunk in its place. `None` if its work is not, or no longer, wanted, and if all of it had come before.
+    /// Places a chunk. `None` if its task is not, or no longer, pending, and if all its units had arrived before.
     fn place(&self, chunk: Chunk<'_>, n_bytes: usize) -> Result<Option<PlacedUnits>, ConnectionError> {
         let started_at = Instant::now();
         let mut pending_tasks = self.lock();
@@ -122,37 +127,37 @@ impl PendingTasks {
         else {
             return Ok(None);
         };
-        let share = pending_task.task.share(pending_task.buffer.size()).expect("the wall gives out works that fit");
         let Chunk { first_unit: first, n_units: count, rgb, .. } = chunk;
-        pending_task.buffer.place(&share, first, count, rgb)?;
-        if pending_task.received.insert(first..first + count) == 0 {
+        pending_task.buffer.place(&pending_task.share(), first, count, rgb)?;
+        let units = first as usize..(first + count) as usize;
+        if pending_task.received.contains_all_in_range(units.clone()) {
             return Ok(None);
         }
+        pending_task.received.insert_range(units);
         Ok(Some(PlacedUnits { first, count, n_bytes: n_bytes as u64, place_time: started_at.elapsed() }))
     }
 
-    /// Takes a finished work off the desk; whether it was still there.
+    /// Removes a finished task; whether it was pending.
     fn finish(&self, frame: FrameId, task_id: TaskId, costs: &RunCosts) -> Result<bool, ConnectionError> {
         let mut pending_tasks = self.lock();
         if pending_tasks.get(&task_id).is_none_or(|pending_task| pending_task.frame != frame) {
             return Ok(false);
         }
         let Some(pending_task) = pending_tasks.remove(&task_id) else { return Ok(false) };
-        let share = pending_task.task.share(pending_task.buffer.size()).expect("the wall gives out works that fit");
-        let n_units = share.count();
-        let sent = n_units - pending_task.received.n_missing();
+        let n_units = pending_task.share().count();
+        let sent = pending_task.received.count_ones(..) as u32;
         if sent < n_units {
             return Err(ConnectionError::Incomplete { sent, n_units });
         }
         if !costs.fits(n_units) {
-            let (n_blocks, run_units) = (costs.cpu_ns.len(), costs.run_units);
-            return Err(ConnectionError::MisfitCosts { n_blocks, run_units, n_units });
+            let (n_runs, run_units) = (costs.cpu_ns.len(), costs.run_units);
+            return Err(ConnectionError::MisfitCosts { n_runs, run_units, n_units });
         }
         Ok(true)
     }
 }
 
-/// Where a connection's reports go.
+/// Sends a connection's events to the farm.
 #[derive(Clone, Debug)]
 pub(super) struct EventSender {
     pub(super) node: NodeId,
@@ -161,16 +166,16 @@ pub(super) struct EventSender {
 }
 
 impl EventSender {
-    async fn send(&self, report: ConnectionEvent) {
-        // The farm is gone only when the wall ends, and this connection with it.
-        let _ = self.farm.send((self.node, self.address, report)).await;
+    async fn send(&self, event: ConnectionEvent) {
+        // The farm ends only with the wall, and then this connection ends too.
+        let _ = self.farm.send((self.node, self.address, event)).await;
     }
 }
 
-/// Requests that a render server may leave unread before it is dropped.
+/// A render server that leaves more messages unread is dropped.
 const LONGEST_QUEUE: usize = 64;
 
-/// Runs a connection from its first byte to its end; with a key, encrypted.
+/// Runs a connection from its first byte to its end, encrypted if there is a key.
 pub(super) async fn serve(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
@@ -180,7 +185,7 @@ pub(super) async fn serve(
 ) {
     let heard = LastHeard::now();
     let input = heard.observe(input);
-    // The handshakes have one limit together, however slowly they go on.
+    // One time limit for both handshakes: a peer that sends slowly gets no more.
     let deadline = tokio::time::Instant::now() + HANDSHAKE_TIMEOUT;
     let ended = match key {
         None => converse(input, output, &events, &heard, started_at, deadline).await,
@@ -201,7 +206,7 @@ async fn converse(
     started_at: Instant,
     deadline: tokio::time::Instant,
 ) -> Result<(), ConnectionError> {
-    // The handshake as a whole has a limit; silence in it needs none of its own.
+    // The deadline bounds the handshake: silence within it needs no limit of its own.
     let mut reader = MessageReader::new(input, 2 * HANDSHAKE_TIMEOUT);
     let mut writer = MessageWriter::new(output);
     let shaking_hands = timeout_at(deadline, shake_hands(&mut reader, &mut writer));
@@ -221,7 +226,7 @@ async fn shake_hands(
     reader: &mut MessageReader<impl AsyncRead + Unpin, ToWall>,
     writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
 ) -> Result<(String, u32), ConnectionError> {
-    // The wall's preamble goes out in any case: a render server of another version learns of it.
+    // The wall's preamble always goes out: a render server of another version then reports the mismatch.
     writer.flush().await.map_err(WireError::from)?;
     reader.read_preamble().await?;
     let Some(Incoming::Control(ToWall::Hello { name, threads })) = reader.read().await? else {
@@ -231,7 +236,7 @@ async fn shake_hands(
         return Err(ConnectionError::LongName);
     }
     writer.send(&ToServer::Welcome).await?;
-    // Names are shown: nothing in them may disturb a log or the overlay.
+    // Logs and the overlay show names: control characters must not disturb them.
     let name = printable(&name);
     Ok((if name.is_empty() { "nameless".to_owned() } else { name }, threads))
 }
@@ -244,20 +249,20 @@ async fn receive(
 ) -> Result<(), ConnectionError> {
     let mut placed = PlacedRun::default();
     let received = receive_until_end(reader, pending, events, started_at, &mut placed).await;
-    // What is in its place need not be rendered again, even if this was the last that came.
+    // Placed samples need not be rendered again, even if the connection ends here.
     placed.report(events).await;
     received
 }
 
-/// Units that were placed one chunk after the other, and not yet reported: the farm hears of what comes together at once.
+/// Consecutive units that were placed and not yet reported: one event reports all chunks that arrive together.
 #[derive(Debug, Default)]
 struct PlacedRun(Option<(FrameId, TaskId, PlacedUnits)>);
 
 impl PlacedRun {
     async fn add(&mut self, frame: FrameId, task_id: TaskId, units: PlacedUnits, events: &EventSender) {
         match &mut self.0 {
-            Some((of_frame, of_work, run))
-                if (*of_frame, *of_work, run.first + run.count) == (frame, task_id, units.first) =>
+            Some((run_frame, run_task, run))
+                if (*run_frame, *run_task, run.first + run.count) == (frame, task_id, units.first) =>
             {
                 run.count += units.count;
                 run.n_bytes += units.n_bytes;
@@ -310,7 +315,7 @@ async fn receive_until_end(
                 events.send(ConnectionEvent::RoundTrip(started_at.elapsed().saturating_sub(sent_at))).await;
             }
             Incoming::Control(ToWall::Probed { number, hit }) => {
-                events.send(ConnectionEvent::Probed { number, hit }).await
+                events.send(ConnectionEvent::Probed { number, hit }).await;
             }
             Incoming::Control(ToWall::Heartbeat) => {}
             Incoming::Control(ToWall::Hello { .. }) => return Err(ConnectionError::OutOfTurn),
@@ -348,7 +353,7 @@ mod tests {
     use crate::farm::frame_buffer::BufferPool;
 
     #[test]
-    fn a_work_is_finished_by_all_its_samples_and_costs_that_fit_it() {
+    fn a_task_is_finished_by_all_its_samples_and_costs_that_fit_it() {
         let (frame, task_id, size) = (FrameId(1), TaskId(2), FrameSize::new(32, 8).unwrap());
         let finish_with = |chunks: &[(u32, u32)], costs: &RunCosts| {
             let (task, buffer) = (Division::Dynamic.task(0, 1), Arc::new(BufferPool::default().take(size)));
@@ -361,7 +366,7 @@ mod tests {
             pending.finish(frame, task_id, costs)
         };
         let finish = |n_units, costs: &RunCosts| finish_with(&[(0, n_units)], costs);
-        let costs = |run_units, n_blocks| RunCosts { run_units, cpu_ns: vec![1; n_blocks] };
+        let costs = |run_units, n_runs| RunCosts { run_units, cpu_ns: vec![1; n_runs] };
         assert!(finish(4, &costs(3, 2)).unwrap());
         assert!(finish(4, &RunCosts::default()).unwrap());
         assert!(matches!(finish(3, &costs(3, 2)), Err(ConnectionError::Incomplete { sent: 3, n_units: 4 })));

@@ -1,4 +1,4 @@
-//! The samples of one frame, put in place by many threads at once.
+//! The samples of one frame, placed by many threads at once.
 
 use std::{
     ops::{Deref, Range},
@@ -15,7 +15,8 @@ use shared::{
 
 use super::tile_row;
 
-/// Buffers that wait for their next frame: the system takes longer to find and clear memory than samples take to arrive.
+/// Buffers that are reused: the system takes longer to allocate and clear a frame's memory than its samples take to
+/// arrive.
 #[derive(Clone, Debug, Default)]
 pub(super) struct BufferPool(Arc<Mutex<PooledBuffers>>);
 
@@ -25,35 +26,34 @@ struct PooledBuffers {
     curve: Option<Arc<CurveTiles>>,
 }
 
-/// Where the tiles along the curve lie in frames of one size: to follow the curve to a tile takes longer than to put its
-/// samples in their places.
+/// Positions of the tiles along the curve in frames of one size: computing one takes longer than placing its samples.
 #[derive(Debug)]
 struct CurveTiles {
     size: FrameSize,
-    /// Numbers of tiles, row by row from the bottom left; found when the first is asked for.
+    /// By index along the curve: tile indices, row by row from the bottom left. Filled on first use.
     tiles: OnceLock<Vec<u32>>,
 }
 
 impl CurveTiles {
     fn tile(&self, index: u32) -> u32 {
         let (columns, rows) = (self.size.x_tiles(), self.size.y_tiles());
-        let number = |index| {
+        let tile_idx = |index| {
             let (column, row) = curve::tile_at(index, columns, rows);
             row * columns + column
         };
-        self.tiles.get_or_init(|| (0..columns * rows).map(number).collect())[index as usize]
+        self.tiles.get_or_init(|| (0..columns * rows).map(tile_idx).collect())[index as usize]
     }
 }
 
-/// Frames of so many samples are written to memory past all caches, none of which holds those in flight until they are
-/// uploaded: along the curve that takes little more than half the time. Smaller ones are uploaded from caches.
+/// Frames of at least this many samples are written past the caches, which cannot hold the frames in flight until they are
+/// uploaded: along the curve that takes little more than half the time. Smaller frames are uploaded from the caches.
 const LEAST_NON_TEMPORAL_SAMPLES: usize = 1 << 20;
 
-/// Frames in flight, one that waits, one that is shown, and one more.
+/// The frames in flight, one that waits, one that is shown, and one more.
 const MOST_SPARE: usize = 6;
 
 impl BufferPool {
-    /// A buffer for a frame; what is in it is of no frame.
+    /// A buffer for a frame; its contents are arbitrary.
     pub(super) fn take(&self, size: FrameSize) -> FrameBuffer {
         let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         spare.rgba.retain(|rgba| rgba.len() == size.n_samples() as usize);
@@ -72,7 +72,7 @@ impl BufferPool {
     }
 }
 
-/// The samples of a whole frame: red, green, blue, 255 in memory order, row by row, the bottom row first.
+/// The samples of a complete frame: red, green, blue, 255 in memory order, row by row, the bottom row first.
 #[derive(Clone, Debug)]
 pub struct FrameSamples {
     rgba: Vec<u32>,
@@ -95,8 +95,8 @@ impl Drop for FrameSamples {
 
 /// A frame's samples while they arrive.
 ///
-/// Receiving threads write to it together, without a lock: answers to the same work are equal bits, so it does not
-/// matter who writes a sample last.
+/// Receiving threads write to it together, without a lock: all answers to one task have equal bits, so the last writer of
+/// a sample does not matter.
 #[derive(Debug)]
 pub(super) struct FrameBuffer {
     size: FrameSize,
@@ -105,25 +105,25 @@ pub(super) struct FrameBuffer {
     curve: Arc<CurveTiles>,
 }
 
-/// Bytes that do not fit the units that they claim to be.
+/// Samples that do not fit their units.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum PlaceError {
-    /// Units beyond the work's.
-    #[error("units {first}+{count} of a work of {n_units}")]
+pub enum PlaceError {
+    /// The task has no such units.
+    #[error("units {first}+{count} of a task of {n_units}")]
     NoSuchUnits {
-        /// The first one.
+        /// Index of the first unit.
         first: u32,
-        /// How many.
+        /// Number of units.
         count: u32,
-        /// How many there are.
+        /// Number of units of the task.
         n_units: u32,
     },
-    /// Not three bytes for each sample.
+    /// Not three bytes a sample.
     #[error("{n_bytes} bytes for {n_samples} samples")]
     WrongLength {
-        /// As sent.
+        /// Bytes received.
         n_bytes: usize,
-        /// As the units have.
+        /// Samples of the units.
         n_samples: usize,
     },
 }
@@ -133,11 +133,11 @@ impl FrameBuffer {
         self.size
     }
 
-    /// Puts the samples of units `first..first + count` of a share of this frame in their places.
+    /// Places the samples of units `first..first + count` of a share of this frame.
     ///
     /// # Errors
-    /// Units that the share does not have, and bytes that are not theirs; some may be in place then.
-    pub(super) fn place(&self, share: &Share<'_>, first: u32, count: u32, rgb: &[u8]) -> Result<(), PlaceError> {
+    /// Units that the share does not have, and too few or too many bytes for them; some samples may be placed all the same.
+    pub(super) fn place(&self, share: &Share, first: u32, count: u32, rgb: &[u8]) -> Result<(), PlaceError> {
         let n_units = share.count();
         let Some(end) = first.checked_add(count).filter(|&end| end <= n_units) else {
             return Err(PlaceError::NoSuchUnits { first, count, n_units });
@@ -145,7 +145,7 @@ impl FrameBuffer {
         let units = first..end;
         let is_placed = match share.single_samples(units.clone()) {
             Some(samples) => self.place_samples(samples, rgb),
-            None => self.place_blocks(share, units.clone(), rgb),
+            None => self.place_tiles(share, units.clone(), rgb),
         };
         is_placed.ok_or_else(|| {
             let n_samples = units.map(|k| share.samples(k).count() as usize).sum();
@@ -153,7 +153,7 @@ impl FrameBuffer {
         })
     }
 
-    /// Puts single samples in their places. `None` if the bytes are too many or too few.
+    /// Places single samples. `None` if there are too few or too many bytes.
     fn place_samples(&self, samples: impl ExactSizeIterator<Item = u32>, rgb: &[u8]) -> Option<()> {
         let (pixels, rest) = rgb.as_chunks::<3>();
         if !rest.is_empty() || pixels.len() != samples.len() {
@@ -163,49 +163,49 @@ impl FrameBuffer {
         Some(())
     }
 
-    /// Puts blocks of samples in their places. `None` if the bytes are too many or too few.
-    fn place_blocks(&self, share: &Share<'_>, units: Range<u32>, rgb: &[u8]) -> Option<()> {
+    /// Places tiles. `None` if there are too few or too many bytes.
+    fn place_tiles(&self, share: &Share, units: Range<u32>, rgb: &[u8]) -> Option<()> {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: the machine has what it needs.
-            return unsafe { self.place_blocks_avx2(share, units, rgb) };
+            // SAFETY: the machine has AVX2.
+            return unsafe { self.place_tiles_avx2(share, units, rgb) };
         }
-        self.place_blocks_by(share, units, rgb, tile_row::store_row)
+        self.place_tiles_by(share, units, rgb, tile_row::store_row)
     }
 
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
-    fn place_blocks_avx2(&self, share: &Share<'_>, units: Range<u32>, rgb: &[u8]) -> Option<()> {
+    fn place_tiles_avx2(&self, share: &Share, units: Range<u32>, rgb: &[u8]) -> Option<()> {
         if self.rgba.len() < LEAST_NON_TEMPORAL_SAMPLES {
-            return self.place_blocks_by(share, units, rgb, |cells, rgb| tile_row::store_row_avx2(cells, rgb));
+            return self.place_tiles_by(share, units, rgb, |cells, rgb| tile_row::store_row_avx2(cells, rgb));
         }
         let is_placed =
-            self.place_blocks_by(share, units, rgb, |cells, rgb| tile_row::store_row_non_temporal(cells, rgb));
+            self.place_tiles_by(share, units, rgb, |cells, rgb| tile_row::store_row_non_temporal(cells, rgb));
         tile_row::fence_non_temporal();
         is_placed
     }
 
     #[inline(always)]
-    fn place_blocks_by(
+    fn place_tiles_by(
         &self,
-        share: &Share<'_>,
+        share: &Share,
         units: Range<u32>,
         mut rgb: &[u8],
-        put_tile_row: impl Fn(&tile_row::RowCells, &tile_row::RowRgb),
+        store_row: impl Fn(&tile_row::RowCells, &tile_row::RowRgb),
     ) -> Option<()> {
         let tiles = Division::Tiled.units(self.size);
         let is_on_curve = share.is_on_curve();
         for k in units {
             let unit = share.unit(k);
-            let block = tiles.samples(if is_on_curve { self.curve.tile(unit) } else { unit });
-            for j in block.rows {
+            let tile = tiles.samples(if is_on_curve { self.curve.tile(unit) } else { unit });
+            for j in tile.rows {
                 let row = j * self.size.xres();
-                let cells = &self.rgba[(row + block.columns.start) as usize..(row + block.columns.end) as usize];
+                let cells = &self.rgba[(row + tile.columns.start) as usize..(row + tile.columns.end) as usize];
                 let (row_rgb, after) = rgb.split_at_checked(3 * cells.len())?;
                 rgb = after;
                 match (cells.try_into(), row_rgb.try_into()) {
-                    (Ok(cells), Ok(row_rgb)) => put_tile_row(cells, row_rgb),
-                    // At the frame's right edge.
+                    (Ok(cells), Ok(row_rgb)) => store_row(cells, row_rgb),
+                    // The frame's right edge cuts the tile.
                     _ => store_samples(cells.iter(), row_rgb.as_chunks().0),
                 }
             }
@@ -213,11 +213,11 @@ impl FrameBuffer {
         rgb.is_empty().then_some(())
     }
 
-    /// The samples, once the scheduler has seen all of them placed; the buffer goes back when they are no longer needed.
+    /// The samples, once all of them are placed. Their buffer returns to the pool when they are dropped.
     pub(super) fn into_samples(self: Arc<Self>, spare: BufferPool) -> FrameSamples {
         let rgba = match Arc::try_unwrap(self) {
             Ok(buffer) => buffer.rgba.into_iter().map(AtomicU32::into_inner).collect(),
-            // A late second answer is still being placed; it changes no bit.
+            // A second answer is still being placed; it changes no bit.
             Err(shared) => shared.rgba.iter().map(|cell| cell.load(Relaxed)).collect(),
         };
         FrameSamples { rgba, spare }
@@ -239,8 +239,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn samples_of_every_machine_end_up_in_their_places() {
-        // One that is written to caches and one that is not, both with tiles that the edges cut.
+    fn samples_of_every_machine_are_placed() {
+        // One frame is written to the caches and one past them; the edges of both cut tiles.
         for (xres, yres) in [(19, 11), (1028, 1021)] {
             let size = FrameSize::new(xres, yres).unwrap();
             assert_eq!(size.n_samples() as usize >= LEAST_NON_TEMPORAL_SAMPLES, xres > 1000);
@@ -250,7 +250,7 @@ mod tests {
                 u32::from_ne_bytes([r, g, b, 255])
             };
             let expected: Vec<u32> = (0..yres).flat_map(|j| (0..xres).map(move |i| rgba_of((i, j)))).collect();
-            for division in Division::ALL {
+            for division in [Division::Interleaved, Division::Tiled, Division::Dynamic] {
                 let spare = BufferPool::default();
                 let buffer = Arc::new(spare.take(size));
                 thread::scope(|scope| {

@@ -1,7 +1,7 @@
-//! Who renders what, and what happens when somebody does not: a pure state machine.
+//! Divides frames among render servers, and reassigns the tasks of lost and late ones: a pure state machine.
 //!
-//! Events go in with the time at which they happened, actions come out. There is no clock, no socket and no thread in
-//! here, so tests invent all three.
+//! Events go in with their times, actions come out. The scheduler has no clock, no socket and no thread, so tests invent
+//! all three.
 
 mod balance;
 mod coverage;
@@ -10,7 +10,8 @@ mod frame;
 
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
-    time::Duration,
+    path::PathBuf,
+    time::{Duration, Instant},
 };
 
 use shared::{
@@ -20,73 +21,69 @@ use shared::{
 };
 
 use self::{balance::Balance, coverage::TaskPart, encoding_chooser::EncodingChooser, frame::FrameInFlight};
+pub use super::RenderGoal;
 use super::stats::{FrameStats, NodeId};
 
-/// Lost work is divided into parts of no fewer samples: many deaths in one frame do not crumble it.
+/// Lost tasks are divided into parts of at least this many samples, even if many render servers die in one frame.
 const SMALLEST_PART: u32 = 256;
 
 /// Time since the wall started.
-pub(super) type Time = Duration;
+pub type Time = Duration;
 
-/// What happens to the farm.
+/// An event in the farm.
 #[derive(Clone, Debug)]
-pub(super) enum Event {
-    /// A render server has shaken hands.
+#[expect(missing_docs, reason = "fields are named after their types")]
+pub enum Event {
+    /// A render server has joined.
     Joined { node: NodeId, name: String, threads: u32 },
-    /// It has, or no longer has, the scene that the wall wants.
+    /// It has, or no longer has, the wall's scene.
     SceneReady { node: NodeId, ready: bool },
-    /// Nothing comes from it any more, though its connection is there; or it is heard again.
+    /// It is connected but silent, or is heard again.
     Silent { node: NodeId, is_silent: bool },
     /// Its connection is gone.
     Lost { node: NodeId },
-    /// Units of a work are in their places in the frame buffer.
+    /// Units of a task are in the frame buffer.
     UnitsPlaced { node: NodeId, frame: FrameId, task_id: TaskId, units: PlacedUnits },
-    /// It has answered all of a work.
+    /// It has finished a task.
     TaskDone { node: NodeId, frame: FrameId, task_id: TaskId, timings: TaskTimings, costs: RunCosts },
-    /// The wall wants another picture, or the same divided otherwise.
+    /// The wall wants something else rendered.
     GoalChanged(RenderGoal),
+    /// Render servers must keep the scene in another structure.
+    StructureChanged,
     /// The wall has taken the finished frame.
     FrameTaken,
-    /// Time has passed.
+    /// Time has passed: look for late tasks.
     Tick,
 }
 
-/// Which units of a work were placed, and what that took.
+/// Units of a task that were placed.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct PlacedUnits {
-    pub(super) first: u32,
-    pub(super) count: u32,
-    pub(super) n_bytes: u64,
-    pub(super) place_time: Duration,
+pub struct PlacedUnits {
+    /// Index of the first unit in its task.
+    pub first: u32,
+    /// How many units.
+    pub count: u32,
+    /// Bytes received, headers included.
+    pub n_bytes: u64,
+    /// Time that placing took.
+    pub place_time: Duration,
 }
 
-/// What the wall wants to see.
+/// An action that the scheduler asks for.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct RenderGoal {
-    pub(super) spec: Option<FrameSpec>,
-    /// Whether it only refines what was shown already.
-    pub(super) is_refinement: bool,
-    pub(super) division: Division,
-    pub(super) min_renderers: u32,
-    pub(super) repeat: bool,
-    /// How many frames are rendered at a time; at least 1.
-    pub(super) in_flight: u32,
-    /// How samples travel, if not as measured to be best.
-    pub(super) encoding: Option<Encoding>,
-}
-
-/// What is to be done.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Action {
-    /// Have a buffer ready for the answers to this frame.
-    Open { frame: FrameId, spec: FrameSpec },
-    /// Send this work.
+#[expect(missing_docs, reason = "fields are named after their types")]
+pub enum Action {
+    /// Forget what a render server reported about its scene, and have it load the wall's, if there is one.
+    LoadScene { node: NodeId, scene: Option<SceneId>, path: Option<PathBuf> },
+    /// Open a buffer for this frame. `moved_at`: when its camera was set, if no earlier frame shows that motion.
+    Open { frame: FrameId, spec: FrameSpec, moved_at: Option<Instant> },
+    /// Send a task.
     Render { node: NodeId, frame: FrameId, task_id: TaskId, spec: FrameSpec, task: Task, encoding: Encoding },
-    /// Tell a render server that it may stop.
+    /// Tell a render server to stop rendering a frame.
     Cancel { node: NodeId, frame: FrameId },
-    /// Every sample is in its place: show the frame.
+    /// Show a complete frame.
     Show { frame: FrameId, stats: FrameStats },
-    /// The frame is no longer wanted; forget its buffer.
+    /// Drop the buffer of a frame that is no longer wanted.
     Discard { frame: FrameId },
 }
 
@@ -98,31 +95,34 @@ struct NodeState {
     threads: u32,
     ready: bool,
     is_silent: bool,
-    /// When it last had nothing to do, as far as is known: what it was given before, it began then.
+    /// When it last ran out of tasks: it began then with the next.
     free_at: Time,
     encoding_chooser: EncodingChooser,
 }
 
-/// The state of the farm.
+/// The scheduler's state.
 #[derive(Debug)]
-pub(super) struct Scheduler {
+pub struct Scheduler {
     nodes: BTreeMap<NodeId, NodeState>,
     goal: RenderGoal,
-    /// Whether `goal` differs from what was last asked for.
+    /// Whether no frame has been started for `goal` yet.
     is_stale: bool,
-    /// What the finished frame shows that waits to be taken, if one does.
+    /// The spec of the finished frame that waits to be taken, if there is one.
     untaken_spec: Option<FrameSpec>,
-    /// Frames being rendered, in the order in which they will be shown.
+    /// Frames in flight, in the order in which they will be shown.
     frames: VecDeque<FrameInFlight>,
     balance: Balance,
-    /// When the last frame that is shown became whole.
+    /// When the camera of the last frame that was opened was set.
+    last_moved_at: Option<Instant>,
+    /// When the last shown frame was complete.
     last_completed_at: Time,
     last_frame: FrameId,
     last_task: TaskId,
 }
 
 impl Scheduler {
-    pub(super) fn new(goal: RenderGoal) -> Self {
+    /// A farm without render servers.
+    pub fn new(goal: RenderGoal) -> Self {
         Self {
             nodes: BTreeMap::new(),
             goal,
@@ -130,14 +130,15 @@ impl Scheduler {
             untaken_spec: None,
             frames: VecDeque::new(),
             balance: Balance::default(),
+            last_moved_at: None,
             last_completed_at: Time::ZERO,
             last_frame: FrameId(0),
             last_task: TaskId(0),
         }
     }
 
-    /// Takes an event and says what is to be done, in order.
-    pub(super) fn on_event(&mut self, now: Time, event: Event) -> Vec<Action> {
+    /// Handles an event and returns the actions to take, in order.
+    pub fn on_event(&mut self, now: Time, event: Event) -> Vec<Action> {
         let mut actions = Vec::new();
         match event {
             Event::Joined { node, name, threads } => {
@@ -152,16 +153,9 @@ impl Scheduler {
                         encoding_chooser: EncodingChooser::default(),
                     },
                 );
+                actions.push(self.load_scene(node));
             }
-            Event::SceneReady { node, ready } => {
-                if let Some(node) = self.nodes.get_mut(&node) {
-                    node.ready = ready;
-                }
-                // Whoever does not have the scene does not render it, whatever it was given.
-                if !ready {
-                    self.frames.iter_mut().for_each(|frame| frame.mark_lost(node));
-                }
-            }
+            Event::SceneReady { node, ready } => self.set_ready(node, ready),
             Event::Silent { node, is_silent } => {
                 if let Some(node) = self.nodes.get_mut(&node) {
                     node.is_silent = is_silent;
@@ -181,14 +175,15 @@ impl Scheduler {
             Event::TaskDone { node, frame, task_id, timings, costs } => {
                 let since = self.nodes.get(&node).map_or(Time::ZERO, |node| node.free_at);
                 if let Some(in_flight) = self.in_flight(frame) {
-                    let answered = in_flight.finish(now, since, node, task_id, timings, costs);
-                    if let (Some((encoding, n_samples, took)), Some(node)) = (answered, self.nodes.get_mut(&node)) {
+                    let finished = in_flight.finish(now, since, node, task_id, timings, costs);
+                    if let (Some((encoding, n_samples, took)), Some(node)) = (finished, self.nodes.get_mut(&node)) {
                         node.encoding_chooser.learn(encoding, n_samples, took);
                     }
                 }
                 self.set_free(now, [node]);
             }
             Event::GoalChanged(goal) => self.set_goal(now, goal, &mut actions),
+            Event::StructureChanged => self.load_scenes(&mut actions),
             Event::FrameTaken => self.untaken_spec = None,
             Event::Tick => {}
         }
@@ -201,13 +196,13 @@ impl Scheduler {
         actions
     }
 
-    /// Whether ticks are worth sending.
-    pub(super) fn has_frame_in_flight(&self) -> bool {
+    /// Whether the scheduler needs ticks.
+    pub fn has_frame_in_flight(&self) -> bool {
         !self.frames.is_empty()
     }
 
-    /// The scene that render servers must have.
-    pub(super) fn scene(&self) -> Option<SceneId> {
+    /// The wall's scene.
+    pub fn scene(&self) -> Option<SceneId> {
         self.goal.spec.map(|spec| spec.scene)
     }
 
@@ -226,13 +221,10 @@ impl Scheduler {
     fn set_goal(&mut self, now: Time, goal: RenderGoal, actions: &mut Vec<Action>) {
         let is_other_scene = goal.spec.map(|spec| spec.scene) != self.scene();
         let is_other = (goal.spec, goal.division) != (self.goal.spec, self.goal.division);
-        if is_other_scene {
-            self.nodes.values_mut().for_each(|node| node.ready = false);
-        }
         self.goal = goal;
         self.is_stale |= is_other;
-        // The first frame in flight is finished in any case, or a camera that moves all the time would never be seen; and
-        // so is what somebody has begun to render. What is refined has been seen.
+        // Finish the first frame in flight, or nothing would be shown while the camera keeps moving, and finish frames
+        // with samples. Refinements show nothing new: cancel them.
         let is_superseded = |frame: &FrameInFlight, is_first: bool| {
             is_other_scene || is_other && (frame.is_refinement || !is_first && !frame.has_begun())
         };
@@ -244,6 +236,31 @@ impl Scheduler {
                 index += 1;
             }
         }
+        if is_other_scene {
+            self.load_scenes(actions);
+        }
+    }
+
+    fn set_ready(&mut self, node: NodeId, ready: bool) {
+        if let Some(node) = self.nodes.get_mut(&node) {
+            node.ready = ready;
+        }
+        // Without the scene it cannot finish its tasks.
+        if !ready {
+            self.frames.iter_mut().for_each(|frame| frame.mark_lost(node));
+        }
+    }
+
+    /// Has every render server load the scene anew; it is given no tasks before it reports that it is ready.
+    fn load_scenes(&mut self, actions: &mut Vec<Action>) {
+        for node in self.nodes.keys().copied().collect::<Vec<_>>() {
+            self.set_ready(node, false);
+            actions.push(self.load_scene(node));
+        }
+    }
+
+    fn load_scene(&self, node: NodeId) -> Action {
+        Action::LoadScene { node, scene: self.scene(), path: self.goal.scene_path.clone() }
     }
 
     fn cancel(&mut self, now: Time, index: usize, actions: &mut Vec<Action>) {
@@ -252,7 +269,7 @@ impl Scheduler {
         actions.push(Action::Discard { frame: frame.id });
     }
 
-    /// Tells whoever still works on a frame that nobody waits for it.
+    /// Cancels the tasks of a frame that are still running.
     fn stop_nodes(&mut self, now: Time, frame: &FrameInFlight, actions: &mut Vec<Action>) {
         actions.extend(frame.busy_nodes().map(|node| Action::Cancel { node, frame: frame.id }));
         self.set_free(now, frame.busy_nodes());
@@ -262,14 +279,15 @@ impl Scheduler {
         self.nodes.iter().filter(|(_, node)| node.ready && !node.is_silent).map(|(&id, _)| id).collect()
     }
 
-    /// Starts the next frame, if one is wanted and there is room and somebody to render it; whether it did.
+    /// Starts the next frame if one is wanted, fewer than `in_flight` are rendered, and enough render servers are ready.
+    /// Returns whether it did.
     fn start_frame(&mut self, now: Time, actions: &mut Vec<Action>) -> bool {
         let Some(spec) = self.goal.spec else { return false };
         let is_due = self.is_stale || self.goal.repeat;
         if !is_due || self.frames.len() >= self.goal.in_flight.max(1) as usize {
             return false;
         }
-        // A moving camera's frame is divided by what the last one cost: measured, that is worth more than not waiting.
+        // The dynamic division of a moving camera's frame waits for the costs of the last: measured, this wins.
         let division = self.goal.division;
         if division == Division::Dynamic && self.frames.back().is_some_and(|last| last.spec != spec) {
             return false;
@@ -281,7 +299,10 @@ impl Scheduler {
         self.is_stale = false;
         self.last_frame.0 += 1;
         let mut frame = FrameInFlight::new(self.last_frame, spec, self.goal.is_refinement, division, now);
-        actions.push(Action::Open { frame: frame.id, spec });
+        // Only the first frame that shows a motion measures its latency. The very first frame waited for the model.
+        let moved_at = self.goal.moved_at;
+        let is_first = self.last_moved_at.replace(moved_at).is_some_and(|last| last != moved_at);
+        actions.push(Action::Open { frame: frame.id, spec, moved_at: is_first.then_some(moved_at) });
         let machines = nodes.len() as u32;
         let balanced = match division {
             Division::Dynamic => {
@@ -302,8 +323,8 @@ impl Scheduler {
         true
     }
 
-    /// Divides the shares of lost and silent render servers among the others, those that joined since included. There are
-    /// about as many parts as render servers in all: works must not become more and more as silence follows silence.
+    /// Divides the tasks of lost and silent render servers among the ready ones, those that joined since included. All
+    /// parts together are about as many as render servers, so that tasks do not multiply as silences repeat.
     fn reassign_lost_tasks(&mut self, index: usize, now: Time, actions: &mut Vec<Action>) {
         let nodes = self.ready_nodes();
         if !nodes.is_empty() {
@@ -313,14 +334,14 @@ impl Scheduler {
         }
     }
 
-    /// Gives work that is late to render servers that have nothing left to do, too; the first answer wins.
+    /// Gives the oldest late task to idle render servers as well; the first answer wins.
     fn duplicate_late_tasks(&mut self, now: Time, actions: &mut Vec<Action>) {
         let at_work: BTreeSet<_> = self.frames.iter().flat_map(FrameInFlight::busy_nodes).collect();
         let idle: Vec<_> = self.ready_nodes().into_iter().filter(|node| !at_work.contains(node)).collect();
         if idle.is_empty() {
             return;
         }
-        // What a render server was given for a later frame has not been begun, and so is not late.
+        // A task for a later frame cannot be late while its render server is busy with an earlier frame.
         let mut busy = BTreeSet::new();
         for index in 0..self.frames.len() {
             let nodes = &self.nodes;
@@ -332,7 +353,7 @@ impl Scheduler {
         }
     }
 
-    /// Gives a piece of a frame to nodes, in so many parts at most.
+    /// Divides a task into at most `most_parts` parts, and gives them to nodes in turn.
     fn assign_parts(
         &mut self,
         index: usize,
@@ -344,38 +365,32 @@ impl Scheduler {
         let Some(mut frame) = self.frames.remove(index) else { return };
         frame.attempts += 1;
         let parts = most_parts.min(frame.n_samples(&task_part.task) / SMALLEST_PART).max(1);
-        // Those who got a part of the last work are not the first to get one of this.
+        // Begin after the nodes that got parts of the last task.
         let mut nodes = nodes.iter().cycle().skip(self.last_task.0 as usize % nodes.len());
         for part in 0..parts {
             let part = task_part.part(part, parts).expect("parts hold units, so there are no more than the frame has");
-            let &node = nodes.next().expect("nodes go round");
+            let &node = nodes.next().expect("the cycle has no end");
             actions.push(self.assign(&mut frame, now, node, part));
         }
         self.frames.insert(index, frame);
     }
 
     fn assign(&mut self, frame: &mut FrameInFlight, now: Time, node: NodeId, task_part: TaskPart) -> Action {
-        let task = task_part.task.clone();
+        let task = task_part.task;
         self.last_task.0 = self.last_task.0.wrapping_add(1);
         let n_samples = frame.n_samples(&task);
-        let encoding = |encoding_chooser: &mut EncodingChooser| {
-            self.goal.encoding.unwrap_or_else(|| encoding_chooser.choose(n_samples))
-        };
-        let (name_and_threads, encoding) = match self.nodes.get_mut(&node) {
-            Some(node) => ((node.name.clone(), node.threads), encoding(&mut node.encoding_chooser)),
-            None => ((String::new(), 1), Encoding::Raw),
-        };
+        let state = self.nodes.get_mut(&node).expect("only ready nodes get tasks");
+        let encoding = self.goal.encoding.unwrap_or_else(|| state.encoding_chooser.choose(n_samples));
+        let name_and_threads = (state.name.clone(), state.threads);
         frame.assign(now, self.last_task, node, name_and_threads, task_part, encoding);
         Action::Render { node, frame: frame.id, task_id: self.last_task, spec: frame.spec, task, encoding }
     }
 
-    /// Shows the first frame once it is whole and the one before it is taken, so that the next are rendered while one is
-    /// displayed; whether it did.
+    /// Shows the first frame once it is complete and the one before it is taken. Returns whether it did.
     ///
-    /// A frame that waits while the camera moves on is superseded: the newer one takes its place. Frames of the same
-    /// picture are each shown.
+    /// A newer frame replaces one that waits to be taken, unless their specs are equal: then each is shown.
     fn show_if_complete(&mut self, now: Time, actions: &mut Vec<Action>) -> bool {
-        // Each notes when it became whole, whether or not it is its turn.
+        // Every frame records when it was complete, even if it is not its turn.
         for frame in &mut self.frames {
             frame.is_complete(now);
         }
@@ -387,7 +402,7 @@ impl Scheduler {
         if frame.division == Division::Dynamic {
             self.balance.learn(&frame.spec, &frame.task_results().collect::<Vec<_>>());
         }
-        // Whoever still works on it does what another has done already.
+        // The tasks that are still running were done by others.
         self.stop_nodes(now, &frame, actions);
         let stats = frame.stats(now, self.last_completed_at);
         self.last_completed_at = frame.completed_at.unwrap_or(now);

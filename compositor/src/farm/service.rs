@@ -1,4 +1,4 @@
-//! The farm's thin edge: accepts connections, feeds the scheduler, and carries out what it says.
+//! The farm's edge: accepts connections, passes events to the scheduler, and executes its actions.
 
 use std::{
     collections::{BTreeMap, HashMap, VecDeque},
@@ -12,7 +12,7 @@ use renderer::cli::path_bytes;
 use shared::{
     codec,
     printable::printable,
-    protocol::{FrameId, FrameSpec, HEARTBEAT_TIMEOUT, SceneState, TaskId, ToServer},
+    protocol::{FrameId, FrameSpec, HEARTBEAT_TIMEOUT, SceneState, ToServer},
     structure::Structure,
 };
 use tokio::{
@@ -24,23 +24,23 @@ use tokio::{
 
 use super::{
     FinishedFrame, Frame, Probe, RenderGoal,
-    connection::{self, ConnectionEvent, EventSender, PendingTask, PendingTasks},
+    connection::{self, ConnectionError, ConnectionEvent, EventSender, PendingTask, PendingTasks},
     frame_buffer::{BufferPool, FrameBuffer},
-    scheduler::{self, Action, Event, Scheduler},
+    scheduler::{Action, Event, Scheduler},
     stats::{FarmStatus, FrameStats, NodeId, NodeStatus, Probed},
 };
 
-/// Render servers at a time: more than a wall has, few enough for the files that a process may open.
+/// Most render servers at a time: more than a wall has, and fewer than the files that a process may open.
 const MOST_NODES: usize = 512;
 
-/// Connections at a time that have not shaken hands. The next one displaces the oldest: a render server needs a few round
-/// trips, so a flood of strangers neither takes its place nor keeps it out.
+/// Most connections before their handshake is over; the next one displaces the oldest. A render server needs only a few
+/// round trips, so a flood of connections cannot keep it out.
 const MOST_STRANGERS: usize = 64;
 
-/// Reports that wait for the farm; when it is full, receiving threads wait.
-const LONGEST_REPORT_QUEUE: usize = 1024;
+/// Most events that wait for the farm; when the queue is full, connections wait.
+const LONGEST_EVENT_QUEUE: usize = 1024;
 
-/// How often the scheduler looks for late work while a frame is in flight.
+/// How often the scheduler looks for late tasks while a frame is in flight.
 const TICK: Duration = Duration::from_millis(10);
 
 /// A connected render server.
@@ -50,7 +50,7 @@ struct NodeConnection {
     pending: Arc<PendingTasks>,
 }
 
-/// A frame whose samples are coming in.
+/// A frame in flight, as the connections need it.
 #[derive(Debug)]
 struct OpenFrame {
     spec: FrameSpec,
@@ -59,7 +59,7 @@ struct OpenFrame {
     bytes_out: HashMap<NodeId, u64>,
 }
 
-/// The farm while it runs.
+/// A running farm, on a task of its own.
 pub(super) struct Service {
     started_at: Instant,
     key: Option<Key>,
@@ -68,18 +68,16 @@ pub(super) struct Service {
     finished: Arc<FinishedFrame>,
     wake: Box<dyn Fn() + Send + Sync>,
     scheduler: Scheduler,
-    /// Connections that have not shaken hands, the oldest first.
+    /// Connections whose handshake is not over, the oldest first.
     strangers: VecDeque<(NodeId, AbortHandle)>,
     nodes: BTreeMap<NodeId, NodeConnection>,
-    /// How often render servers were lost, by name and machine.
+    /// How often render servers were lost, by name and address.
     failures: HashMap<(String, IpAddr), u32>,
     frames: HashMap<FrameId, OpenFrame>,
-    spare_buffers: BufferPool,
-    /// When the camera of the last frame was set.
-    last_moved_at: Option<Instant>,
-    /// Whom the last question about the model was put to, and its number.
+    buffers: BufferPool,
+    /// The render server that the last probe was sent to, and the probe's number.
     pending_probe: Option<(NodeId, u32)>,
-    /// How render servers are to keep the scene, if not as they were started.
+    /// The structure that render servers must keep the scene in; `None`: the one that each was started with.
     structure: Option<Structure>,
 }
 
@@ -91,7 +89,7 @@ impl Service {
         finished: Arc<FinishedFrame>,
         wake: Box<dyn Fn() + Send + Sync>,
     ) -> Self {
-        let scheduler = Scheduler::new(scheduler_goal(&goal.borrow_and_update()));
+        let scheduler = Scheduler::new(goal.borrow_and_update().clone());
         let started_at = Instant::now();
         Self {
             started_at,
@@ -105,21 +103,20 @@ impl Service {
             nodes: BTreeMap::new(),
             failures: HashMap::new(),
             frames: HashMap::new(),
-            spare_buffers: BufferPool::default(),
-            last_moved_at: None,
+            buffers: BufferPool::default(),
             pending_probe: None,
             structure: None,
         }
     }
 
-    /// Runs until the task is aborted or the wall is gone.
+    /// Runs until it is aborted or the [`super::Farm`] is dropped.
     pub(super) async fn run(
         mut self,
         listener: TcpListener,
         mut probes: watch::Receiver<Probe>,
         mut structures: watch::Receiver<Option<Structure>>,
     ) {
-        let (reports_in, mut reports) = mpsc::channel(LONGEST_REPORT_QUEUE);
+        let (event_sender, mut events) = mpsc::channel(LONGEST_EVENT_QUEUE);
         let mut connections = JoinSet::new();
         let mut last_node = NodeId(0);
         let mut tick = interval(TICK);
@@ -129,17 +126,20 @@ impl Service {
             tokio::select! {
                 (stream, address) = accept(&listener) => {
                     last_node.0 += 1;
-                    let events = EventSender { node: last_node, address, farm: reports_in.clone() };
-                    let connection = run_connection(stream, self.key.clone(), events, self.started_at);
+                    let sender = EventSender { node: last_node, address, farm: event_sender.clone() };
+                    let connection = run_connection(stream, self.key.clone(), sender, self.started_at);
                     self.strangers.push_back((last_node, connections.spawn(connection)));
                     if self.strangers.len() > MOST_STRANGERS && let Some((_, oldest)) = self.strangers.pop_front() {
                         oldest.abort();
                     }
                 }
                 Some(_) = connections.join_next(), if !connections.is_empty() => {}
-                Some((node, address, report)) = reports.recv() => self.on_connection_event(node, address, report),
+                Some((node, address, event)) = events.recv() => self.on_connection_event(node, address, event),
                 changed = self.goal.changed() => match changed {
-                    Ok(()) => self.on_goal(),
+                    Ok(()) => {
+                        let goal = self.goal.borrow_and_update().clone();
+                        self.dispatch(Event::GoalChanged(goal));
+                    }
                     Err(_) => return,
                 },
                 Ok(()) = structures.changed() => {
@@ -156,34 +156,14 @@ impl Service {
         }
     }
 
-    fn on_goal(&mut self) {
-        let goal = self.goal.borrow_and_update().clone();
-        let scene = goal.spec.map(|spec| spec.scene);
-        let is_new_scene = scene != self.scheduler.scene();
-        self.dispatch(Event::GoalChanged(scheduler_goal(&goal)));
-        if is_new_scene {
-            self.status.send_modify(|status| status.nodes.iter_mut().for_each(|node| node.scene = None));
-            let nodes: Vec<_> = self.nodes.keys().copied().collect();
-            nodes.into_iter().for_each(|node| self.request_scene(node));
-        }
-    }
-
-    /// Has everybody build the scene anew. Nobody is given work until he has done so.
     fn on_structure(&mut self, structure: Option<Structure>) {
-        if self.structure == structure {
-            return;
+        if std::mem::replace(&mut self.structure, structure) != structure {
+            self.dispatch(Event::StructureChanged);
+            (self.wake)();
         }
-        self.structure = structure;
-        self.status.send_modify(|status| status.nodes.iter_mut().for_each(|node| node.scene = None));
-        for node in self.nodes.keys().copied().collect::<Vec<_>>() {
-            self.dispatch(Event::SceneReady { node, ready: false });
-            self.request_scene(node);
-        }
-        (self.wake)();
     }
 
-    /// Hands a question to the first who can answer it. Nobody waits for the answer: if its render server dies, the person
-    /// who asked sees none, and asks again.
+    /// Sends a probe to the first render server that is ready. If it dies before it answers, there is no answer.
     fn on_probe(&mut self, Probe { number, view, at, clip }: Probe) {
         let Some((scene, camera)) = view.filter(|&(scene, _)| self.scheduler.scene() == Some(scene)) else { return };
         let ready = self.status.borrow().nodes.iter().find(|node| node.is_ready()).map(|node| node.id);
@@ -193,16 +173,16 @@ impl Service {
         }
     }
 
-    fn on_connection_event(&mut self, id: NodeId, address: SocketAddr, report: ConnectionEvent) {
-        match report {
+    fn on_connection_event(&mut self, id: NodeId, address: SocketAddr, event: ConnectionEvent) {
+        match event {
             ConnectionEvent::Joined { name, threads, outgoing, pending } => {
-                // One that was displaced a moment before is gone.
+                // A newer connection has displaced it.
                 if !self.remove_stranger(id) {
                     return;
                 }
                 if self.nodes.len() >= MOST_NODES {
-                    tracing::warn!("render server {name} at {address} refused: {MOST_NODES} are the most");
-                    // Without its queue the connection ends.
+                    tracing::warn!("render server {name} at {address} refused: {MOST_NODES} have joined already");
+                    // Dropping its queue ends the connection.
                     return;
                 }
                 tracing::info!("render server {name} joined from {address} with {threads} threads");
@@ -220,7 +200,6 @@ impl Service {
                 };
                 self.status.send_modify(|status| status.nodes.push(joined));
                 self.dispatch(Event::Joined { node: id, name, threads });
-                self.request_scene(id);
                 (self.wake)();
             }
             ConnectionEvent::Scene { scene, state } => {
@@ -233,7 +212,7 @@ impl Service {
                 (self.wake)();
             }
             ConnectionEvent::UnitsPlaced { frame, task_id, units } => {
-                self.dispatch(Event::UnitsPlaced { node: id, frame, task_id, units })
+                self.dispatch(Event::UnitsPlaced { node: id, frame, task_id, units });
             }
             ConnectionEvent::TaskDone { frame, task_id, timings, costs } => {
                 self.dispatch(Event::TaskDone { node: id, frame, task_id, timings, costs });
@@ -244,10 +223,10 @@ impl Service {
                 (self.wake)();
             }
             ConnectionEvent::RoundTrip(round_trip) => {
-                // A resting wall stays at rest: this alone wakes nobody.
+                // No wake: a round trip alone must not disturb a resting wall.
                 self.change_node(id, |node| node.round_trip_ms = Some(round_trip.as_secs_f64() * 1e3));
             }
-            // Once, and by whom it was asked.
+            // Only the first answer, and only from the render server that was asked.
             ConnectionEvent::Probed { number, hit }
                 if self.pending_probe.take_if(|pending_probe| *pending_probe == (id, number)).is_some() =>
             {
@@ -259,7 +238,7 @@ impl Service {
         }
     }
 
-    /// Whether the connection was one of those that have not shaken hands.
+    /// Whether the connection was still a stranger.
     fn remove_stranger(&mut self, id: NodeId) -> bool {
         let index = self.strangers.iter().position(|&(stranger, _)| stranger == id);
         index.and_then(|index| self.strangers.remove(index)).is_some()
@@ -286,14 +265,14 @@ impl Service {
             let name = &node.name;
             if is_silent {
                 let milliseconds = HEARTBEAT_TIMEOUT.as_millis();
-                tracing::warn!("render server {name} is silent for {milliseconds} ms: the others render its share");
+                tracing::warn!("render server {name} has been silent for {milliseconds} ms: others render its share");
             } else {
                 tracing::info!("render server {name} is heard again");
             }
         });
     }
 
-    fn on_ended(&mut self, id: NodeId, address: SocketAddr, reason: Result<(), connection::ConnectionError>) {
+    fn on_ended(&mut self, id: NodeId, address: SocketAddr, reason: Result<(), ConnectionError>) {
         self.remove_stranger(id);
         if self.nodes.remove(&id).is_none() {
             if let Err(reason) = reason {
@@ -306,7 +285,7 @@ impl Service {
             let reason = reason.map_or_else(|error| error.to_string(), |()| "it closed the connection".to_owned());
             tracing::warn!("render server {name} at {address} lost: {reason}");
             let failed = (name.clone(), address.ip());
-            // Who takes a new name each time is not remembered for ever.
+            // Bounded: a peer may take a new name each time.
             if self.failures.len() < MOST_NODES || self.failures.contains_key(&failed) {
                 *self.failures.entry(failed).or_default() += 1;
             }
@@ -327,15 +306,6 @@ impl Service {
         });
     }
 
-    /// Tells a render server which scene to get ready.
-    fn request_scene(&mut self, id: NodeId) {
-        let Some(scene) = self.scheduler.scene() else { return };
-        let is_local = self.status.borrow().nodes.iter().any(|node| node.id == id && node.address.ip().is_loopback());
-        let path = self.goal.borrow().scene_path.as_ref().filter(|_| is_local).map(|path| path_bytes::to_bytes(path));
-        let structure = self.structure;
-        self.send(id, &ToServer::LoadScene { scene, path, structure });
-    }
-
     fn dispatch(&mut self, event: Event) {
         let actions = self.scheduler.on_event(self.started_at.elapsed(), event);
         actions.into_iter().for_each(|action| self.execute(action));
@@ -343,16 +313,27 @@ impl Service {
 
     fn execute(&mut self, action: Action) {
         match action {
-            Action::Open { frame, spec } => {
-                let buffer = Arc::new(self.spare_buffers.take(spec.size));
-                let moved_at = self.goal.borrow().moved_at;
-                // A frame that no motion asked for is as old as its beginning; so is the first, before which models load.
-                let is_first_since = self.last_moved_at.replace(moved_at).is_some_and(|last| last != moved_at);
-                let moved_at = if is_first_since { moved_at } else { Instant::now() };
+            Action::LoadScene { node, scene, path } => {
+                let mut is_local = false;
+                self.change_node(node, |node| {
+                    node.scene = None;
+                    is_local = node.address.ip().is_loopback();
+                });
+                if let Some(scene) = scene {
+                    let path = path.filter(|_| is_local).map(|path| path_bytes::to_bytes(&path));
+                    self.send(node, &ToServer::LoadScene { scene, path, structure: self.structure });
+                }
+            }
+            Action::Open { frame, spec, moved_at } => {
+                let buffer = Arc::new(self.buffers.take(spec.size));
+                let moved_at = moved_at.unwrap_or_else(Instant::now);
                 self.frames.insert(frame, OpenFrame { spec, buffer, moved_at, bytes_out: HashMap::new() });
             }
             Action::Render { node, frame, task_id, spec, task, encoding } => {
-                self.add_pending_task(node, frame, task_id, &task);
+                if let (Some(connection), Some(open)) = (self.nodes.get(&node), self.frames.get(&frame)) {
+                    let pending_task = PendingTask::new(frame, task, Arc::clone(&open.buffer));
+                    connection.pending.put(task_id, pending_task);
+                }
                 let n_bytes = self.send(node, &ToServer::RenderFrame { frame, task_id, spec, task, encoding });
                 if let Some(open) = self.frames.get_mut(&frame) {
                     *open.bytes_out.entry(node).or_default() += n_bytes;
@@ -369,7 +350,7 @@ impl Service {
                     self.status.send_modify(|status| status.n_healed += 1);
                 }
                 if let Some(open) = self.frames.remove(&frame) {
-                    let frame = open.finish(stats, &self.status.borrow(), self.spare_buffers.clone());
+                    let frame = open.finish(stats, &self.status.borrow(), self.buffers.clone());
                     self.finished.put(frame);
                     (self.wake)();
                 }
@@ -380,15 +361,8 @@ impl Service {
         }
     }
 
-    fn add_pending_task(&self, node: NodeId, frame: FrameId, task_id: TaskId, task: &shared::division::Task) {
-        if let (Some(node), Some(open)) = (self.nodes.get(&node), self.frames.get(&frame)) {
-            let buffer = Arc::clone(&open.buffer);
-            node.pending.put(task_id, PendingTask::new(frame, task.clone(), buffer));
-        }
-    }
-
-    /// Queues a message, and says how many bytes it has. A render server that leaves its queue unread loses it, and by
-    /// that its connection.
+    /// Queues a message and returns its size in bytes. A render server that does not read its messages is dropped when its
+    /// queue is full.
     fn send(&mut self, id: NodeId, message: &ToServer) -> u64 {
         let mut bytes = Vec::new();
         codec::encode(message, &mut bytes).expect("the wall's requests are short");
@@ -396,7 +370,7 @@ impl Service {
         if let Some(node) = self.nodes.get_mut(&id)
             && let Err(mpsc::error::TrySendError::Full(_)) = node.outgoing.try_send(bytes)
         {
-            // Closing the queue ends the connection's task, which reports the end.
+            // Closing the queue ends the connection, which reports it.
             (node.outgoing, _) = mpsc::channel(1);
         }
         n_bytes
@@ -408,7 +382,7 @@ impl OpenFrame {
         (stats.n_lost, stats.n_healed) = (farm.n_lost, farm.n_healed);
         for node in &mut stats.nodes {
             node.bytes_out = self.bytes_out.get(&node.id).copied().unwrap_or(0);
-            // One that died meanwhile is no longer known.
+            // A render server that was lost meanwhile is not listed.
             if let Some(known) = farm.nodes.iter().find(|known| known.id == node.id) {
                 node.address = Some(known.address);
                 (node.n_failures, node.round_trip_ms) = (known.n_failures, known.round_trip_ms);
@@ -419,17 +393,12 @@ impl OpenFrame {
     }
 }
 
-fn scheduler_goal(goal: &RenderGoal) -> scheduler::RenderGoal {
-    let RenderGoal { spec, is_refinement, division, min_renderers, repeat, in_flight, encoding, .. } = *goal;
-    scheduler::RenderGoal { spec, is_refinement, division, min_renderers, repeat, in_flight, encoding }
-}
-
 async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
     loop {
         match listener.accept().await {
             Ok(accepted) => return accepted,
             Err(error) => {
-                // Out of file descriptors, or the peer is gone already: neither ends the wall.
+                // Out of file descriptors, or the peer is gone already: the wall goes on.
                 tracing::warn!("cannot accept a connection: {error}");
                 tokio::time::sleep(Duration::from_millis(100)).await;
             }
@@ -438,7 +407,7 @@ async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
 }
 
 async fn run_connection(mut stream: TcpStream, key: Option<Key>, events: EventSender, started_at: Instant) {
-    // Requests are small and wanted at once.
+    // Requests are small and must not wait for more.
     let _ = stream.set_nodelay(true);
     let (input, output) = stream.split();
     connection::serve(input, output, key.as_ref(), events, started_at).await;

@@ -1,4 +1,4 @@
-//! How long ago a connection's peer was last heard: what is silent for a moment is given no work, but is not lost.
+//! Measures how long a connection's peer has been silent. A silent render server is given no tasks, but is not yet lost.
 
 use std::{
     io,
@@ -13,27 +13,27 @@ use std::{
 
 use tokio::io::{AsyncRead, ReadBuf};
 
-/// When a byte last came.
+/// When the last byte arrived.
 #[derive(Clone, Debug)]
 pub(super) struct LastHeard {
     since: Instant,
-    /// Nanoseconds from then.
+    /// Nanoseconds after `since`.
     at_ns: Arc<AtomicU64>,
 }
 
 impl LastHeard {
-    /// Now.
+    /// The peer is heard now.
     pub(super) fn now() -> Self {
         Self { since: Instant::now(), at_ns: Arc::default() }
     }
 
-    /// A stream that notes when its bytes come. It must be the outermost: a record that is decrypted as a whole is no
-    /// sign of life before all of it is there.
+    /// Wraps a stream to note when bytes arrive. Wrap the encrypted stream: the decrypted one delivers nothing before a
+    /// whole record is there.
     pub(super) fn observe<S>(&self, stream: S) -> ObservedStream<S> {
         ObservedStream { stream, heard: self.clone() }
     }
 
-    /// How long it has been silent.
+    /// The time since the last byte.
     pub(super) fn silence(&self) -> Duration {
         self.since.elapsed().saturating_sub(Duration::from_nanos(self.at_ns.load(Relaxed)))
     }
@@ -43,7 +43,7 @@ impl LastHeard {
     }
 }
 
-/// A stream whose bytes are noted as they come.
+/// A stream that notes when bytes arrive.
 #[derive(Debug)]
 pub(super) struct ObservedStream<S> {
     stream: S,
@@ -61,7 +61,8 @@ impl<S: AsyncRead + Unpin> AsyncRead for ObservedStream<S> {
     }
 }
 
-/// Calls `on_change` with true whenever the peer has been silent for `limit`, and with false when it is heard again. Never ends.
+/// Calls `on_change` with true when the peer has been silent for `limit`, and with false when it is heard again. Never
+/// returns.
 pub(super) async fn watch<F: Future<Output = ()>>(heard: &LastHeard, limit: Duration, on_change: impl Fn(bool) -> F) {
     let mut is_silent = false;
     loop {
@@ -70,7 +71,7 @@ pub(super) async fn watch<F: Future<Output = ()>>(heard: &LastHeard, limit: Dura
             is_silent = !is_silent;
             on_change(is_silent).await;
         }
-        // One that is heard again is wanted back at once.
+        // A silent peer is checked often, so that it gets tasks again soon.
         let pause = if is_silent { limit / 25 } else { limit.saturating_sub(silence).max(limit / 250) };
         tokio::time::sleep(pause).await;
     }
@@ -85,10 +86,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn silence_and_its_end_are_told_once_each() {
+    fn silence_and_its_end_are_reported_once_each() {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
         let limit = Duration::from_millis(60);
-        let told = RefCell::new(Vec::new());
+        let reported = RefCell::new(Vec::new());
         runtime.block_on(async {
             let heard = LastHeard::now();
             let (mut peer, stream) = duplex(64);
@@ -97,7 +98,7 @@ mod tests {
                 let mut bytes = [0; 8];
                 while stream.read(&mut bytes).await.is_ok_and(|n_read| n_read > 0) {}
             };
-            // A byte now and then is life, however few they are.
+            // Single bytes count.
             let speak = async {
                 for pause_ms in [5, 5, 300, 5, 5] {
                     peer.write_all(&[0]).await.unwrap();
@@ -106,7 +107,7 @@ mod tests {
                 drop(peer);
             };
             let on_change = |is_silent| {
-                told.borrow_mut().push(is_silent);
+                reported.borrow_mut().push(is_silent);
                 std::future::ready(())
             };
             tokio::select! {
@@ -114,8 +115,10 @@ mod tests {
                 () = watch(&heard, limit, on_change) => {}
             }
         });
-        // On a busy machine a short pause may have become a long one.
-        let told = told.into_inner();
-        assert!(told.len() >= 2 && told.iter().enumerate().all(|(index, &is_silent)| is_silent == (index % 2 == 0)));
+        // On a busy machine, a short pause may become a long one.
+        let reported = reported.into_inner();
+        assert!(
+            reported.len() >= 2 && reported.iter().enumerate().all(|(index, &is_silent)| is_silent == (index % 2 == 0))
+        );
     }
 }

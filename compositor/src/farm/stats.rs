@@ -1,4 +1,4 @@
-//! What is measured about the farm and about each frame: for the overlay, and for `--stats`.
+//! Measurements of the farm and of each frame, for the overlay and for `--stats`.
 
 use std::{net::SocketAddr, sync::Arc};
 
@@ -8,7 +8,7 @@ use shared::{
     protocol::{Encoding, ProbeHit, RunCosts, SceneState},
 };
 
-/// The number of a render server: counts up from 1 in the order of joining while a wall runs, never used twice.
+/// The number of a render server: from 1, in the order of connecting; a wall uses none twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub struct NodeId(pub u32);
 
@@ -17,24 +17,24 @@ pub struct NodeId(pub u32);
 pub struct NodeStatus {
     /// Its number.
     pub id: NodeId,
-    /// Its name, as it gave it.
+    /// The name that it gave.
     pub name: String,
     /// Where it connected from.
     pub address: SocketAddr,
-    /// Threads that it traces with.
+    /// Its tracing threads.
     pub threads: u32,
-    /// How far it is with the wall's scene; `None` until it has said anything about it.
+    /// Its progress with the wall's scene; `None` until it reports any.
     pub scene: Option<SceneState>,
-    /// Whether nothing has come from it for a moment: others have its work until it is heard again.
+    /// Whether nothing has arrived from it for a moment: others have its tasks until it is heard again.
     pub is_silent: bool,
-    /// How often a render server of this name, on this machine, was lost since the wall started.
+    /// How often a render server of this name on this machine was lost since the wall started.
     pub n_failures: u32,
     /// The last round trip of a ping, in milliseconds.
     pub round_trip_ms: Option<f64>,
 }
 
 impl NodeStatus {
-    /// Whether it is given frames of the wall's scene to render.
+    /// Whether it is given tasks.
     pub fn is_ready(&self) -> bool {
         !self.is_silent && matches!(self.scene, Some(SceneState::Ready { .. }))
     }
@@ -45,65 +45,65 @@ impl NodeStatus {
 pub struct FarmStatus {
     /// Every connected render server, in the order of joining.
     pub nodes: Vec<NodeStatus>,
-    /// How many render servers were lost since the wall started.
+    /// Render servers lost since the wall started.
     pub n_lost: u32,
-    /// How many frames became whole although a render server was lost or late.
+    /// Frames completed although a render server was lost or late.
     pub n_healed: u32,
-    /// What happened last that an operator should know, with its cure.
+    /// The last event that an operator should know about, with its cure.
     pub message: Option<String>,
-    /// The last answer to a question about the model.
+    /// The last answer to a probe.
     pub probed: Option<Probed>,
 }
 
-/// What a render server says is seen at a point.
+/// A render server's answer to a probe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Probed {
-    /// The question's number.
+    /// The probe's number.
     pub number: u32,
-    /// The triangle, if there is any.
+    /// The visible triangle, if there is one.
     pub hit: Option<ProbeHit>,
 }
 
-/// Where one render server's time in one frame went.
+/// How one render server spent its time in one frame.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct NodeFrameStats {
     /// Its number.
     pub id: NodeId,
     /// Its name.
     pub name: String,
-    /// Where it connected from; `None` where nothing is connected, as in predictions.
+    /// Where it connected from; `None` in simulations.
     pub address: Option<SocketAddr>,
-    /// How often a render server of this name, on its machine, had been lost until then.
+    /// How often a render server of this name on this machine had been lost until then.
     pub n_failures: u32,
     /// The last round trip of a ping until then, in milliseconds.
     pub round_trip_ms: Option<f64>,
-    /// How much of the frame's units it was given, 0 to 1.
+    /// The fraction of the frame's units that it was given, 0 to 1.
     pub share: f64,
     /// From its first ray to its last sample.
     pub trace_ms: f64,
     /// CPU time of all its tracing threads.
     pub trace_cpu_ms: f64,
-    /// CPU time of each of its tracing threads on average: how busy it was, whatever else its machine had to do.
+    /// CPU time of its tracing threads, averaged: its load, unaffected by other programs on its machine.
     pub busy_ms: f64,
-    /// From sending its work to having its last sample, less tracing: both ways over the network and waiting in queues.
+    /// From sending its task to receiving its last sample, less tracing: the network both ways, and waiting in queues.
     pub network_ms: f64,
-    /// From having its last sample to the end of the frame.
+    /// From receiving its last sample to the end of the frame.
     pub idle_ms: f64,
-    /// Works of others that it was given as well, because those were lost or late.
+    /// Tasks of lost or late render servers that it was given in addition.
     pub taken_over: u32,
     /// How its samples travelled.
     pub encoding: Encoding,
-    /// How fast they came while it had work, in megabits a second; 0 if others were faster.
+    /// Rate of its samples while it had a task, in megabits a second; 0 if others were faster.
     pub mbit_per_s: f64,
-    /// Samples and their headers.
+    /// Bytes of samples and their headers.
     pub bytes_in: u64,
-    /// Requests.
+    /// Bytes of requests.
     pub bytes_out: u64,
 }
 
 impl NodeFrameStats {
-    /// Adds what the same render server did for another piece of work of the frame.
-    pub(crate) fn add(&mut self, other: &Self) {
+    /// Adds the same render server's measurements for another task of the frame.
+    pub(super) fn add(&mut self, other: &Self) {
         self.share += other.share;
         self.trace_ms += other.trace_ms;
         self.trace_cpu_ms += other.trace_cpu_ms;
@@ -117,7 +117,7 @@ impl NodeFrameStats {
     }
 }
 
-/// How a frame came about in the farm.
+/// How a frame was rendered.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FrameStats {
     /// Its number.
@@ -127,20 +127,20 @@ pub struct FrameStats {
     pub size: FrameSize,
     /// How it was divided.
     pub division: Division,
-    /// From the first request to the last sample in its place.
+    /// From the first request to the last placed sample.
     pub render_ms: f64,
-    /// The same from when the frame before it was whole, if it was begun earlier: what one takes of many that follow each
-    /// other.
+    /// The same, but counted from the completion of the previous frame if that was later than the first request: the time
+    /// a frame takes of a sequence.
     pub interval_ms: f64,
     /// Time spent placing samples, summed over the receiving threads.
     pub place_ms: f64,
-    /// The busy time of the busiest render server over the mean of all: 1 is a perfect division.
+    /// The busiest render server's busy time over the mean: 1 is a perfect division.
     pub imbalance: f64,
-    /// 1, and one more each time work was given out again.
+    /// 1, and one more each time a task was given out again.
     pub attempts: u32,
-    /// How many render servers had been lost until then.
+    /// Render servers lost until then.
     pub n_lost: u32,
-    /// How many frames had become whole although a render server was lost or late, this one included.
+    /// Frames completed until then although a render server was lost or late, this one included.
     pub n_healed: u32,
     /// Bytes received.
     pub bytes_in: u64,
@@ -148,28 +148,28 @@ pub struct FrameStats {
     pub bytes_out: u64,
     /// Each render server that took part.
     pub nodes: Vec<NodeFrameStats>,
-    /// The works that were answered: together, who rendered what.
+    /// The finished tasks.
     #[serde(skip)]
     pub tasks: Arc<[FrameTask]>,
 }
 
-/// A work of a frame, who did it, and what it cost.
+/// A finished task of a frame, and its cost.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameTask {
-    /// Who.
+    /// The render server.
     pub node: NodeId,
-    /// Which units.
+    /// Its units.
     pub task: Task,
     /// CPU time of all tracing threads, in nanoseconds.
     pub trace_cpu_ns: u64,
-    /// Where in the work that went, if it was measured.
+    /// CPU time by runs of tiles, if measured.
     pub costs: RunCosts,
 }
 
-/// The largest of some times over their mean: at least 1, and 1 when there are none.
-pub(crate) fn max_over_mean(times: impl Iterator<Item = f64> + Clone) -> f64 {
+/// The largest of some times over their mean: at least 1, and 1 if there are none.
+pub(super) fn max_over_mean(times: impl Iterator<Item = f64> + Clone) -> f64 {
     let (sum, count) = (times.clone().sum::<f64>(), times.clone().count());
-    // The sum of equal times can be rounded up, so that their mean is above them all.
+    // Rounding can lift the mean of equal times above all of them.
     if sum > 0.0 { (times.fold(0.0, f64::max) * count as f64 / sum).max(1.0) } else { 1.0 }
 }
 
@@ -177,16 +177,16 @@ fn serialize_size<S: serde::Serializer>(size: &FrameSize, serializer: S) -> Resu
     serializer.collect_str(size)
 }
 
-/// Where the time of showing a frame went.
+/// How long it took to show a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct DisplayStats {
-    /// Handing the samples to the GPU.
+    /// Uploading the samples to the GPU.
     pub upload_ms: f64,
-    /// Scaling them over the wall.
+    /// Drawing them over the wall.
     pub draw_ms: f64,
-    /// Handing the picture to the screen; 0 without one.
+    /// Presenting to the screen; 0 without one.
     pub present_ms: f64,
-    /// From the camera's motion to its picture.
+    /// From the camera's motion to the picture that shows it.
     pub latency_ms: f64,
 }
 

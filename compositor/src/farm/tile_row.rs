@@ -1,4 +1,4 @@
-//! A row of a tile, from three bytes a sample as it travels to four as it is shown.
+//! Stores a row of a tile: from three bytes a sample, as on the wire, to four, as the GPU reads it.
 
 #[cfg(target_arch = "x86_64")]
 use std::arch::{
@@ -12,19 +12,19 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use shared::division::TILE_SIZE;
 
-/// Samples of a row.
+/// Samples in a row.
 const N: usize = TILE_SIZE as usize;
 
-/// Where the samples of a row belong.
+/// A row's samples in the frame buffer.
 pub(super) type RowCells = [AtomicU32; N];
 
 /// Red, green and blue of each sample of a row.
 pub(super) type RowRgb = [u8; 3 * N];
 
-/// Puts a row in its place, on any machine.
+/// Stores a row, on any machine.
 #[inline(always)]
 pub(super) fn store_row(cells: &RowCells, rgb: &RowRgb) {
-    // Four bytes at a time: the fourth is the next sample's, and becomes alpha.
+    // Read four bytes at a time: the fourth is the next sample's red, and becomes alpha.
     for x in 0..N - 1 {
         let with_next: u32 = bytemuck::pod_read_unaligned(&rgb[3 * x..3 * x + 4]);
         cells[x].store(with_next | u32::from_ne_bytes([0, 0, 0, 255]), Relaxed);
@@ -33,15 +33,14 @@ pub(super) fn store_row(cells: &RowCells, rgb: &RowRgb) {
     cells[N - 1].store(u32::from_ne_bytes([r, g, b, 255]), Relaxed);
 }
 
-/// The same by one store. A tile's rows lie in as many pages, so nearly each store waits for memory: eight to a row fill
-/// what a core can keep waiting, and placing frames takes twice as long.
+/// The same with one store. A tile's rows lie in different pages, so nearly every store waits for memory: eight stores a
+/// row fill the core's store buffer, and placing a frame takes twice as long.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 #[inline]
 pub(super) fn store_row_avx2(cells: &RowCells, rgb: &RowRgb) {
-    // SAFETY: the store writes the 32 bytes of the cells and no other. Like the plain one it may race with another thread's
-    // of the same bits; that is why it is written in assembly, where it stands for eight relaxed stores, as it is on the
-    // machine, and not as a plain store, which the language lets nobody race with.
+    // SAFETY: the store writes the 32 bytes of the cells and no others. Another thread may store the same bits at the same
+    // time. A plain store would then be a data race; in assembly it stands for eight relaxed stores, as on the machine.
     unsafe {
         asm!(
             "vmovdqu ymmword ptr [{cells}], {rgba}",
@@ -51,9 +50,9 @@ pub(super) fn store_row_avx2(cells: &RowCells, rgb: &RowRgb) {
     }
 }
 
-/// The same past all caches where the row allows: who has not seen [`fence_non_temporal`] since may see the old samples.
+/// The same past the caches, if the row is aligned. Other threads may see the old samples until [`fence_non_temporal`].
 ///
-/// A row is half a line of a cache, which would be read from memory to be written, and often twice.
+/// A row is half a cache line: storing through the cache reads the line from memory first, often twice.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 #[inline]
@@ -62,7 +61,7 @@ pub(super) fn store_row_non_temporal(cells: &RowCells, rgb: &RowRgb) {
         return store_row_avx2(cells, rgb);
     }
     let rgba = rgba_avx2(rgb);
-    // SAFETY: as above, and the addresses are multiples of 16.
+    // SAFETY: as above, and both addresses are multiples of 16.
     unsafe {
         asm!(
             "vmovntdq xmmword ptr [{cells}], {left}",
@@ -75,14 +74,14 @@ pub(super) fn store_row_non_temporal(cells: &RowCells, rgb: &RowRgb) {
     }
 }
 
-/// Who sees what this thread stores from now on sees what it stored past caches before.
+/// Orders this thread's non-temporal stores before its later stores.
 #[cfg(target_arch = "x86_64")]
 pub(super) fn fence_non_temporal() {
-    // SAFETY: it only orders stores.
+    // SAFETY: the fence only orders stores.
     unsafe { asm!("sfence", options(nostack, preserves_flags)) };
 }
 
-/// The samples of a row as they are stored.
+/// A row's samples with alpha 255.
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
 #[inline]
@@ -102,12 +101,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_ways_of_putting_a_row_give_the_same_bits() {
+    fn all_ways_to_store_a_row_give_the_same_bits() {
         let rgb: RowRgb = std::array::from_fn(|byte| 200 - 7 * byte as u8);
         let expected: [u32; N] =
             std::array::from_fn(|x| u32::from_ne_bytes([rgb[3 * x], rgb[3 * x + 1], rgb[3 * x + 2], 255]));
-        let put_by = |store_row: &dyn Fn(&RowCells, &RowRgb)| {
-            // Between others, which must stay as they are, and wherever a row may begin.
+        let check = |store_row: &dyn Fn(&RowCells, &RowRgb)| {
+            // Neighbouring cells must not change, wherever a row begins.
             let cells: [AtomicU32; N + 3] = std::array::from_fn(|_| AtomicU32::new(5));
             for start in 0..=3 {
                 cells.iter().for_each(|cell| cell.store(5, Relaxed));
@@ -117,13 +116,13 @@ mod tests {
                 assert!(cells[..start].iter().chain(&cells[start + N..]).all(|&cell| cell == 5));
             }
         };
-        put_by(&store_row);
+        check(&store_row);
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") {
-            // SAFETY: the machine has what it needs.
-            put_by(&|cells, rgb| unsafe { store_row_avx2(cells, rgb) });
-            // SAFETY: the same.
-            put_by(&|cells, rgb| unsafe { store_row_non_temporal(cells, rgb) });
+            // SAFETY: the machine has AVX2.
+            check(&|cells, rgb| unsafe { store_row_avx2(cells, rgb) });
+            // SAFETY: as above.
+            check(&|cells, rgb| unsafe { store_row_non_temporal(cells, rgb) });
         }
     }
 }

@@ -1,42 +1,41 @@
-//! How samples travel from one render server: as they are, or encoded, whichever was measured to bring more of them.
+//! Chooses by measurement how one render server's samples travel: raw or encoded.
 //!
-//! Nothing is assumed about links and machines. Most works travel as what was best; now and then a few travel the other
-//! way, and if these were clearly faster, that is best from then on. What is compared is samples in their places per time
-//! since the render server had nothing else to do, so tracing, encoding, the link and the wall all count as much as they
-//! hold up.
+//! Nothing is assumed about links and machines. Most tasks use the encoding that was best; now and then, a trial of a few
+//! tasks uses the other, which becomes the best if it was clearly faster. Rates are placed samples per time since the
+//! render server had nothing else to do, so tracing, encoding, the link and the wall all count.
 
 use std::{collections::VecDeque, time::Duration};
 
 use shared::protocol::Encoding;
 
-/// Works of a trial, and of what it is compared with.
+/// Tasks of a trial, and tasks that it is compared with.
 const TASKS_PER_TRIAL: usize = 8;
 
-/// Works between two trials; twice as many after each that failed…
+/// Tasks between two trials; the number doubles after each trial that fails…
 const SHORTEST_PAUSE: u32 = 32;
 
-/// …up to so many, of which a trial is less than a hundredth.
+/// …up to this many, of which a trial is less than 1 %.
 const LONGEST_PAUSE: u32 = 1024;
 
-/// How many times as fast the other encoding must be.
+/// The other encoding must be this many times as fast to become the best.
 const LEAST_SPEEDUP: f64 = 1.05;
 
-/// A trial whose work is so many times as slow ends there: eight works that each take ten times as long would be felt.
+/// A trial ends with the first task that is this many times as slow: eight tasks at a tenth of the speed would be visible.
 const ABORT_SLOWDOWN: f64 = 2.0;
 
-/// Smaller works tell more about latency than about rates.
+/// Smaller tasks measure latency rather than rates.
 const SMALLEST_TASK_SAMPLES: u32 = 4096;
 
-/// One render server's link.
+/// The encodings' rates from one render server, and the choice between them.
 #[derive(Clone, Debug)]
 pub(super) struct EncodingChooser {
     best: Encoding,
-    /// Samples per second of the last works, of `best` and of the other.
+    /// Samples per second of the last tasks, with `best` and with the other encoding.
     rates: [VecDeque<f64>; 2],
-    /// Works to be given before the next trial begins, and how long such a pause is.
+    /// Tasks left before the next trial.
     tasks_before_trial: u32,
     tasks_between_trials: u32,
-    /// Works of the trial still to be given.
+    /// Tasks left in this trial.
     tasks_of_trial: usize,
 }
 
@@ -54,7 +53,7 @@ impl Default for EncodingChooser {
 }
 
 impl EncodingChooser {
-    /// How the next work is to travel.
+    /// Chooses the encoding of the next task.
     pub(super) fn choose(&mut self, n_samples: u32) -> Encoding {
         if n_samples < SMALLEST_TASK_SAMPLES {
             return self.best;
@@ -71,7 +70,7 @@ impl EncodingChooser {
         self.best
     }
 
-    /// A work of so many samples took so long.
+    /// Learns from a task's duration.
     pub(super) fn learn(&mut self, encoding: Encoding, n_samples: u32, took: Duration) {
         if n_samples < SMALLEST_TASK_SAMPLES {
             return;
@@ -117,8 +116,7 @@ mod tests {
 
     const N_SAMPLES: u32 = 40_000;
 
-    /// Seconds for a work: encoding keeps part of the bytes, at so many of them per second, and while one work is sent the
-    /// next is encoded.
+    /// Seconds for a task: encoding keeps a part of the bytes, and a task is encoded while the one before it is sent.
     fn seconds(encoding: Encoding, link_mbit: f64, kept: f64, encoder_mb: f64) -> f64 {
         let n_bytes = f64::from(3 * N_SAMPLES);
         match encoding {
@@ -127,14 +125,14 @@ mod tests {
         }
     }
 
-    /// Plays so many works that waver by a tenth, and gives what the link came to, and how long they took altogether.
-    fn play(link: &mut EncodingChooser, n_works: u32, seconds: impl Fn(Encoding) -> f64) -> f64 {
+    /// Plays tasks whose durations vary by a tenth, and returns the sum of their durations.
+    fn play(chooser: &mut EncodingChooser, n_tasks: u32, seconds: impl Fn(Encoding) -> f64) -> f64 {
         let mut sum = 0.0;
-        for task in 0..n_works {
-            let encoding = link.choose(N_SAMPLES);
-            let waver = 0.95 + 0.1 * f64::from(task.wrapping_mul(2_654_435_761) >> 16 & 0xff) / 255.0;
-            let took = seconds(encoding) * waver;
-            link.learn(encoding, N_SAMPLES, Duration::from_secs_f64(took));
+        for task in 0..n_tasks {
+            let encoding = chooser.choose(N_SAMPLES);
+            let variation = 0.95 + 0.1 * f64::from(task.wrapping_mul(2_654_435_761) >> 16 & 0xff) / 255.0;
+            let took = seconds(encoding) * variation;
+            chooser.learn(encoding, N_SAMPLES, Duration::from_secs_f64(took));
             sum += took;
         }
         sum
@@ -142,34 +140,34 @@ mod tests {
 
     #[test]
     fn a_slow_link_gets_encoded_samples_and_a_fast_one_raw_samples() {
-        let mut link = EncodingChooser::default();
-        play(&mut link, 50, |encoding| seconds(encoding, 680.0, 0.3, 500.0));
-        assert_eq!(link.best, Encoding::Lz4);
-        // The cable is changed, and back.
-        play(&mut link, 1200, |encoding| seconds(encoding, 10_000.0, 0.3, 500.0));
-        assert_eq!(link.best, Encoding::Raw);
-        play(&mut link, 1200, |encoding| seconds(encoding, 680.0, 0.3, 500.0));
-        assert_eq!(link.best, Encoding::Lz4);
+        let mut chooser = EncodingChooser::default();
+        play(&mut chooser, 50, |encoding| seconds(encoding, 680.0, 0.3, 500.0));
+        assert_eq!(chooser.best, Encoding::Lz4);
+        // The cable is replaced by a faster one, and back.
+        play(&mut chooser, 1200, |encoding| seconds(encoding, 10_000.0, 0.3, 500.0));
+        assert_eq!(chooser.best, Encoding::Raw);
+        play(&mut chooser, 1200, |encoding| seconds(encoding, 680.0, 0.3, 500.0));
+        assert_eq!(chooser.best, Encoding::Lz4);
     }
 
     #[test]
-    fn what_makes_no_difference_changes_nothing() {
-        let mut link = EncodingChooser::default();
-        play(&mut link, 5000, |_| 0.03);
-        assert_eq!(link.best, Encoding::Raw);
-        assert_eq!(link.choose(100), Encoding::Raw);
+    fn equal_rates_change_nothing() {
+        let mut chooser = EncodingChooser::default();
+        play(&mut chooser, 5000, |_| 0.03);
+        assert_eq!(chooser.best, Encoding::Raw);
+        assert_eq!(chooser.choose(100), Encoding::Raw);
     }
 
     proptest! {
         #[test]
         fn trials_cost_next_to_nothing(link_mbit in 10.0..20_000.0, kept in 0.1..1.1, encoder_mb in 200.0..2000.0) {
-            let mut link = EncodingChooser::default();
+            let mut chooser = EncodingChooser::default();
             let of = |encoding| seconds(encoding, link_mbit, kept, encoder_mb);
             let faster = f64::min(of(Encoding::Raw), of(Encoding::Lz4));
-            play(&mut link, 4000, of);
-            let n_works = 10_000;
-            let took = play(&mut link, n_works, of);
-            prop_assert!(took < 1.08 * f64::from(n_works) * faster, "{took} s in place of {}", f64::from(n_works) * faster);
+            play(&mut chooser, 4000, of);
+            let n_tasks = 10_000;
+            let took = play(&mut chooser, n_tasks, of);
+            prop_assert!(took < 1.08 * f64::from(n_tasks) * faster, "{took} s in place of {}", f64::from(n_tasks) * faster);
         }
     }
 }

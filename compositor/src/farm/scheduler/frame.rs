@@ -1,4 +1,4 @@
-//! A frame while its samples come in.
+//! A frame in flight: its tasks, and which of its samples have arrived.
 
 use std::time::Duration;
 
@@ -14,20 +14,20 @@ use super::{
 };
 use crate::farm::stats::{FrameStats, FrameTask, NodeFrameStats, NodeId, max_over_mean};
 
-/// Work is late when it has taken this many times as long as the slowest finished work of the frame…
+/// A task is late after this many times the duration of the frame's slowest finished task…
 const LATE_FACTOR: u32 = 3;
 
-/// …and at least this long: below it, giving it out again costs more than waiting.
+/// …but not before this time: giving it out again sooner costs more than waiting.
 const LEAST_LATENESS: Duration = Duration::from_millis(30);
 
-/// A frame, who renders what of it, and what has come.
+/// A frame in flight.
 #[derive(Debug)]
 pub(super) struct FrameInFlight {
     pub(super) id: FrameId,
     pub(super) spec: FrameSpec,
-    /// Whether it only refines what was shown already.
+    /// Whether it only refines a frame that was shown.
     pub(super) is_refinement: bool,
-    /// 1, and one more each time work was given out again.
+    /// 1, and one more each time a task was given out again.
     pub(super) attempts: u32,
     pub(super) division: Division,
     started_at: Time,
@@ -36,7 +36,7 @@ pub(super) struct FrameInFlight {
     tasks: Vec<AssignedTask>,
 }
 
-/// A work, to whom it was given, and what became of it.
+/// A task that was given to a node, and its state.
 #[derive(Debug)]
 struct AssignedTask {
     id: TaskId,
@@ -54,18 +54,18 @@ struct AssignedTask {
 #[derive(Debug)]
 enum TaskState {
     Running,
-    /// Its node is silent, and nobody else has it yet.
+    /// Its node is silent, and no other has it yet.
     Silent,
-    /// Late, or its node is silent, and given to others as well.
+    /// Late, or its node is silent; others have it as well.
     Duplicated,
     Done {
         at: Time,
-        /// From when its node had received it and had nothing else to do.
+        /// Time since it was sent and its node had nothing else to do.
         took: Duration,
         timings: TaskTimings,
         costs: RunCosts,
     },
-    /// Its node is lost, and nobody else has it yet.
+    /// Its node is lost, and no other has it yet.
     Lost,
     /// Its node is lost, and others have it.
     Reassigned,
@@ -77,7 +77,7 @@ impl FrameInFlight {
         Self { id, spec, is_refinement, attempts: 1, division, started_at: now, completed_at: None, coverage, tasks }
     }
 
-    /// Adds one of the works that the frame is divided into at its beginning.
+    /// Adds one of the tasks that the frame is first divided into.
     pub(super) fn add(&mut self, task: Task) -> TaskPart {
         let n_units = share(&task, self.spec).count();
         self.coverage.add(task, n_units)
@@ -116,8 +116,8 @@ impl FrameInFlight {
         self.coverage.mark_received(&assigned.task_part, units.first..units.first + units.count);
     }
 
-    /// A work is answered by a node that had nothing else to do since some time. How it travelled, how many samples it
-    /// has, and how long it took.
+    /// Marks a task as done by a node that has had nothing else to do since `since`. Returns its encoding, number of
+    /// samples and duration.
     pub(super) fn finish(
         &mut self,
         now: Time,
@@ -128,7 +128,7 @@ impl FrameInFlight {
         costs: RunCosts,
     ) -> Option<(Encoding, u32, Duration)> {
         let assigned = self.tasks.iter_mut().find(|assigned| assigned.id == task_id && assigned.node == node)?;
-        // A render server that says "done" without having sent everything does not make the frame whole.
+        // Samples are missing: the report is false.
         if !self.coverage.has_received_all(&assigned.task_part) {
             assigned.state = TaskState::Lost;
             return None;
@@ -138,13 +138,13 @@ impl FrameInFlight {
         Some((assigned.encoding, n_samples(&share(&assigned.task_part.task, self.spec)), took))
     }
 
-    /// About how many samples a work of this frame has.
+    /// About how many samples a task of this frame has.
     pub(super) fn n_samples(&self, task: &Task) -> u32 {
         n_samples(&share(task, self.spec))
     }
 
-    /// A node is silent: it may still answer, but nobody waits for it. Or it is heard again, and what nobody else has
-    /// is its own as before.
+    /// Marks a node as silent: it may still answer, but others will get its tasks. Or as heard again: it keeps the tasks
+    /// that no other has.
     pub(super) fn set_silent(&mut self, node: NodeId, is_silent: bool) {
         for assigned in self.tasks.iter_mut().filter(|assigned| assigned.node == node) {
             match assigned.state {
@@ -165,7 +165,7 @@ impl FrameInFlight {
         }
     }
 
-    /// Works whose nodes are lost or silent and of which samples are missing: whoever calls this gives them to others.
+    /// The incomplete tasks of lost and silent nodes; the caller must give them to others.
     pub(super) fn take_lost_tasks(&mut self) -> Vec<TaskPart> {
         let mut missing = Vec::new();
         for assigned in &mut self.tasks {
@@ -181,9 +181,9 @@ impl FrameInFlight {
         missing
     }
 
-    /// The oldest work that is late: whoever calls this gives it to others as well.
+    /// The oldest late task; the caller must give it to others as well.
     ///
-    /// `free_at`: since when a node had nothing to do but works of this frame; `None` if it still has.
+    /// `free_at`: since when a node has had only tasks of this frame; `None` if it is busy with an earlier one.
     pub(super) fn take_late_task(&mut self, now: Time, free_at: impl Fn(NodeId) -> Option<Time>) -> Option<TaskPart> {
         let slowest = self.tasks.iter().filter_map(|assigned| match assigned.state {
             TaskState::Done { took, .. } => Some(took),
@@ -200,7 +200,7 @@ impl FrameInFlight {
         Some(late.task_part.clone())
     }
 
-    /// Whether anything of it has come.
+    /// Whether any samples have arrived.
     pub(super) fn has_begun(&self) -> bool {
         self.tasks.iter().any(|assigned| assigned.n_bytes > 0)
     }
@@ -212,7 +212,7 @@ impl FrameInFlight {
         self.tasks.iter().filter(is_at_work).map(|assigned| assigned.node)
     }
 
-    /// Whether every sample is in its place, and everybody whose answer counts has said how long it took.
+    /// Whether every sample is placed and no task is running; silent and late nodes do not count.
     pub(super) fn is_complete(&mut self, now: Time) -> bool {
         let is_complete = self.coverage.is_complete()
             && !self.tasks.iter().any(|assigned| matches!(assigned.state, TaskState::Running));
@@ -222,7 +222,7 @@ impl FrameInFlight {
         is_complete
     }
 
-    /// What became of each work, as far as render servers that are still there have shown it.
+    /// The tasks of connected nodes, with their costs as far as they are known.
     pub(super) fn task_results(&self) -> impl Iterator<Item = TaskResult<'_>> {
         self.tasks.iter().filter_map(|assigned| {
             let costs = match &assigned.state {
@@ -234,23 +234,22 @@ impl FrameInFlight {
         })
     }
 
-    /// What the frame took until it was whole, not until somebody had time to look at it. What only connections know is
-    /// left open.
+    /// Measurements up to the frame's completion, not up to its turn to be shown. The service fills in the fields that
+    /// only connections know.
     ///
-    /// `last_completed_at`: when the frame before it was whole.
+    /// `last_completed_at`: when the previous frame was complete.
     pub(super) fn stats(&self, now: Time, last_completed_at: Time) -> FrameStats {
         let now = self.completed_at.unwrap_or(now);
         let n_units = f64::from(self.division.units(self.spec.size).count());
         let mut nodes: Vec<NodeFrameStats> = Vec::new();
         for (index, assigned) in self.tasks.iter().enumerate() {
             let share = f64::from(share(&assigned.task_part.task, self.spec).count()) / n_units;
-            let (tracing, network, idle) = match assigned.state {
-                TaskState::Done { at, took, timings, .. } => {
-                    let tracing = Duration::from_micros(timings.trace_us.into());
-                    ((tracing, timings.trace_cpu_us), took.saturating_sub(tracing), now.saturating_sub(at))
-                }
+            let (timings, took, idle) = match assigned.state {
+                TaskState::Done { at, took, timings, .. } => (timings, took, now.saturating_sub(at)),
                 _ => Default::default(),
             };
+            let tracing = Duration::from_micros(timings.trace_us.into());
+            let trace_cpu_ms = f64::from(timings.trace_cpu_us) / 1e3;
             let node_stats = NodeFrameStats {
                 id: assigned.node,
                 name: assigned.name.clone(),
@@ -258,14 +257,14 @@ impl FrameInFlight {
                 n_failures: 0,
                 round_trip_ms: None,
                 share,
-                trace_ms: milliseconds(tracing.0),
-                trace_cpu_ms: f64::from(tracing.1) / 1e3,
-                busy_ms: f64::from(tracing.1) / 1e3 / f64::from(assigned.threads),
-                network_ms: milliseconds(network),
+                trace_ms: milliseconds(tracing),
+                trace_cpu_ms,
+                busy_ms: trace_cpu_ms / f64::from(assigned.threads),
+                network_ms: milliseconds(took.saturating_sub(tracing)),
                 idle_ms: milliseconds(idle),
                 taken_over: u32::from(index >= self.coverage.n_initial_tasks()),
                 encoding: assigned.encoding,
-                mbit_per_s: megabits(assigned),
+                mbit_per_s: if took.is_zero() { 0.0 } else { assigned.n_bytes as f64 * 8e-6 / took.as_secs_f64() },
                 bytes_in: assigned.n_bytes,
                 bytes_out: 0,
             };
@@ -292,12 +291,12 @@ impl FrameInFlight {
         }
     }
 
-    /// The works that were answered, each with what it cost.
+    /// The finished tasks and their costs.
     fn finished_tasks(&self) -> impl Iterator<Item = FrameTask> {
         self.tasks.iter().filter_map(|assigned| match &assigned.state {
             TaskState::Done { timings, costs, .. } => Some(FrameTask {
                 node: assigned.node,
-                task: assigned.task_part.task.clone(),
+                task: assigned.task_part.task,
                 trace_cpu_ns: 1000 * u64::from(timings.trace_cpu_us),
                 costs: costs.clone(),
             }),
@@ -306,21 +305,13 @@ impl FrameInFlight {
     }
 }
 
-/// The share behind a work that the scheduler made itself.
-fn share(task: &Task, spec: FrameSpec) -> Share<'_> {
-    task.share(spec.size).expect("the scheduler makes works that fit their frame")
+/// The share of a task.
+fn share(task: &Task, spec: FrameSpec) -> Share {
+    task.share(spec.size).expect("the scheduler's tasks fit their frames")
 }
 
-/// How fast a work's samples came, from when its node had nothing else to do: with tracing and encoding.
-fn megabits(assigned: &AssignedTask) -> f64 {
-    match assigned.state {
-        TaskState::Done { took, .. } if !took.is_zero() => assigned.n_bytes as f64 * 8e-6 / took.as_secs_f64(),
-        _ => 0.0,
-    }
-}
-
-/// How many samples a share has; tiles that the frame's edge cuts off count as whole ones.
-fn n_samples(share: &Share<'_>) -> u32 {
+/// How many samples a share has; tiles at the frame's edge count in full.
+fn n_samples(share: &Share) -> u32 {
     let units = share.units();
     units.size().n_samples().min(share.count().saturating_mul(units.samples_per_full_unit()))
 }

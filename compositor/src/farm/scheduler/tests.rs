@@ -1,4 +1,4 @@
-//! The scheduler under invented time, latency, speed and death.
+//! The scheduler under simulated time, latency, speed and losses.
 
 mod edges;
 mod in_flight;
@@ -14,6 +14,8 @@ use shared::{
     protocol::{LightingMode, SampleRange, ShadingMode},
     scene::SceneId,
 };
+
+use strum::VariantArray;
 
 use super::*;
 
@@ -37,16 +39,18 @@ fn spec(eye_x: f64, triangles: u32) -> FrameSpec {
 fn goal(division: Division) -> RenderGoal {
     RenderGoal {
         spec: Some(spec(0.0, 1000)),
+        scene_path: None,
         is_refinement: false,
         division,
         min_renderers: 1,
         repeat: false,
         in_flight: 1,
         encoding: None,
+        moved_at: Instant::now(),
     }
 }
 
-/// A work that was sent to a node.
+/// A task that was sent to a node.
 #[derive(Clone, Debug)]
 struct Sent {
     node: NodeId,
@@ -56,14 +60,18 @@ struct Sent {
     size: FrameSize,
 }
 
-/// A farm without computers: answers come when the test says so.
+/// A simulated farm: nodes answer when the test says so.
 struct Farm {
     scheduler: Scheduler,
     now: Time,
     at_work: VecDeque<Sent>,
     shown: Vec<FrameStats>,
     cancelled: Vec<NodeId>,
-    /// How often each sample of the open frames was placed.
+    /// The nodes that were told to load a scene, and which.
+    loading: Vec<(NodeId, Option<SceneId>)>,
+    /// The motion that each frame is the first to show.
+    motions: Vec<Option<Instant>>,
+    /// How often each sample of each open frame was placed.
     placed: BTreeMap<FrameId, Vec<u32>>,
 }
 
@@ -76,6 +84,8 @@ impl Farm {
             at_work: VecDeque::new(),
             shown: vec![],
             cancelled: vec![],
+            loading: vec![],
+            motions: vec![],
             placed: BTreeMap::new(),
         }
     }
@@ -91,13 +101,15 @@ impl Farm {
     fn on(&mut self, event: Event) {
         for action in self.scheduler.on_event(self.now, event) {
             match action {
-                Action::Open { frame, spec } => {
+                Action::LoadScene { node, scene, .. } => self.loading.push((node, scene)),
+                Action::Open { frame, spec, moved_at } => {
+                    self.motions.push(moved_at);
                     self.placed.insert(frame, vec![0; spec.size.n_samples() as usize]);
                     let in_flight = self.scheduler.goal.in_flight as usize;
                     assert!(self.placed.len() <= in_flight, "more than {in_flight} frames in flight");
                 }
                 Action::Render { node, frame, task_id, spec, task, .. } => {
-                    task.share(spec.size).expect("works fit their frame");
+                    task.share(spec.size).expect("tasks fit their frames");
                     self.at_work.push_back(Sent { node, frame, task_id, task, size: spec.size });
                 }
                 Action::Cancel { node, frame } => {
@@ -107,12 +119,12 @@ impl Farm {
                 Action::Show { frame, stats } => {
                     let placed = self.placed.remove(&frame).expect("a frame is shown once");
                     assert!(placed.iter().all(|&times| times > 0), "a frame with holes is shown");
-                    assert!(self.at_work.iter().all(|sent| sent.frame != frame), "somebody still works on it");
+                    assert!(self.at_work.iter().all(|sent| sent.frame != frame), "a node still renders it");
                     self.shown.push(stats);
                 }
                 Action::Discard { frame } => {
                     self.placed.remove(&frame).expect("only an open frame is discarded");
-                    assert!(self.at_work.iter().all(|sent| sent.frame != frame), "somebody still works on it");
+                    assert!(self.at_work.iter().all(|sent| sent.frame != frame), "a node still renders it");
                 }
             }
         }
@@ -131,21 +143,21 @@ impl Farm {
     fn place(&mut self, sent: &Sent, first: u32, count: u32) {
         let share = sent.task.share(sent.size).unwrap();
         for (i, j) in (first..first + count).flat_map(|k| share.samples(k).iter()) {
-            let placed = self.placed.get_mut(&sent.frame).expect("nobody works on a frame that is not open");
+            let placed = self.placed.get_mut(&sent.frame).expect("only open frames are rendered");
             placed[(j * sent.size.xres() + i) as usize] += 1;
         }
         let units = PlacedUnits { first, count, n_bytes: 3, place_time: Time::ZERO };
         self.on(Event::UnitsPlaced { node: sent.node, frame: sent.frame, task_id: sent.task_id, units });
     }
 
-    /// A node answers the whole of its oldest work.
+    /// A node finishes its oldest task.
     fn answer(&mut self, node: NodeId) {
-        let at = self.at_work.iter().position(|sent| sent.node == node).expect("the node has work");
+        let at = self.at_work.iter().position(|sent| sent.node == node).expect("the node has a task");
         let sent = self.at_work.remove(at).unwrap();
         let n_units = sent.task.share(sent.size).unwrap().count();
         self.place(&sent, 0, n_units);
         let timings = TaskTimings { trace_us: 1000, trace_cpu_us: 500, ..TaskTimings::default() };
-        // Any will do, and those of the first frames differ by a factor of thousands.
+        // Arbitrary, but those of the first frames differ by factors of thousands.
         let costs = RunCosts { run_units: n_units.max(1), cpu_ns: vec![1000 << (7 * sent.task_id.0 % 16)] };
         self.on(Event::TaskDone { node, frame: sent.frame, task_id: sent.task_id, timings, costs });
     }
@@ -157,8 +169,8 @@ impl Farm {
 }
 
 #[test]
-fn a_frame_is_shown_once_all_have_answered() {
-    for division in Division::ALL {
+fn a_frame_is_shown_once_all_tasks_are_done() {
+    for &division in Division::VARIANTS {
         let mut farm = Farm::with_nodes(goal(division), &[A, B, C]);
         farm.pass(4);
         farm.answer(B);
@@ -198,7 +210,7 @@ fn a_resting_wall_renders_nothing() {
 
 #[test]
 fn the_share_of_a_lost_node_goes_to_the_others() {
-    for division in Division::ALL {
+    for &division in Division::VARIANTS {
         let mut farm = Farm::with_nodes(goal(division), &[A, B, C]);
         farm.answer(A);
         farm.lose(B);
@@ -237,7 +249,7 @@ fn a_node_that_dies_after_its_last_sample_costs_nothing() {
 }
 
 #[test]
-fn who_joins_gets_work_in_the_next_frame() {
+fn a_node_that_joins_gets_a_task_of_the_next_frame() {
     let mut farm = Farm::with_nodes(RenderGoal { repeat: true, ..goal(Division::Tiled) }, &[A]);
     farm.join(B);
     assert!(farm.at_work.iter().all(|sent| sent.node == A));
@@ -246,7 +258,7 @@ fn who_joins_gets_work_in_the_next_frame() {
 }
 
 #[test]
-fn late_work_is_done_by_an_idle_node_too() {
+fn a_late_task_is_given_to_an_idle_node_too() {
     let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A, B]);
     farm.pass(20);
     farm.answer(A);
@@ -260,7 +272,7 @@ fn late_work_is_done_by_an_idle_node_too() {
 }
 
 #[test]
-fn who_no_longer_has_the_scene_does_not_hold_up_the_frame() {
+fn a_node_without_the_scene_does_not_hold_up_the_frame() {
     let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
     farm.at_work.clear();
     farm.on(Event::SceneReady { node: A, ready: false });
@@ -333,25 +345,65 @@ fn a_division_is_switched_between_two_frames() {
 }
 
 #[test]
-fn another_scene_ends_the_frame_and_asks_everybody_again() {
+fn another_scene_cancels_the_frame_and_every_node_loads_it() {
     let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A, B]);
+    let [first, second] = [1000, 2000].map(|triangles| Some(SceneId::Statue { triangles }));
+    assert_eq!(farm.loading, [(A, first), (B, first)], "each loads it on joining");
     farm.on(Event::GoalChanged(RenderGoal { spec: Some(spec(0.0, 2000)), ..goal(Division::Tiled) }));
     assert_eq!(farm.cancelled, [A, B]);
+    assert_eq!(farm.loading[2..], [(A, second), (B, second)]);
     assert!(farm.at_work.is_empty());
+    farm.on(Event::GoalChanged(RenderGoal { spec: Some(spec(1.0, 2000)), ..goal(Division::Tiled) }));
+    assert_eq!(farm.loading.len(), 4, "another camera is no other scene");
     farm.on(Event::SceneReady { node: B, ready: true });
     farm.answer(B);
     assert_eq!(farm.shown.len(), 1);
 }
 
+#[test]
+fn every_node_loads_another_structure_before_it_gets_tasks() {
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A, B]);
+    farm.at_work.clear();
+    farm.on(Event::StructureChanged);
+    assert_eq!(farm.loading.len(), 4, "two joined, and two load it again");
+    farm.pass(1000);
+    assert!(farm.at_work.is_empty(), "none has it yet");
+    farm.on(Event::SceneReady { node: A, ready: true });
+    farm.answer(A);
+    farm.answer(A);
+    assert_eq!(farm.shown.len(), 1, "the frame is kept");
+}
+
+#[test]
+fn a_frame_carries_the_time_of_the_motion_that_it_is_the_first_to_show() {
+    let moved = |farm: &mut Farm, eye_x: f64, moved_at| {
+        let goal = RenderGoal { repeat: true, moved_at, ..goal(Division::Tiled) };
+        farm.on(Event::GoalChanged(RenderGoal { spec: Some(spec(eye_x, 1000)), ..goal }));
+    };
+    let [first, second, third] = [1, 2, 3].map(|seconds| Instant::now() + Duration::from_secs(seconds));
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
+    assert_eq!(farm.motions, [None], "the first frame waited for its model");
+    // The second motion comes while the first waits for room, the third while the second's frame is rendered.
+    moved(&mut farm, 1.0, first);
+    moved(&mut farm, 2.0, second);
+    farm.answer(A);
+    moved(&mut farm, 3.0, third);
+    for _ in 0..2 {
+        farm.on(Event::FrameTaken);
+        farm.answer(A);
+    }
+    assert_eq!(farm.motions, [None, Some(second), Some(third), None], "no motion is shown first by two frames");
+}
+
 proptest! {
-    /// Whatever happens, in whatever order: no frame has holes, frames are shown in order, and once the chaos is over the
-    /// picture that was wanted last is finished.
+    /// In any sequence of events, no frame has holes and frames are shown in order. Afterwards, the last goal's frame is
+    /// finished.
     #[test]
-    fn every_frame_is_whole_whatever_happens(
+    fn every_frame_is_complete_in_any_sequence_of_events(
         events in proptest::collection::vec((0..8u8, 1..6u32, 0..40u64), 0..200), division in 0..3usize,
         in_flight in 1..4u32,
     ) {
-        let goal = RenderGoal { repeat: true, in_flight, ..goal(Division::ALL[division]) };
+        let goal = RenderGoal { repeat: true, in_flight, ..goal(Division::VARIANTS[division]) };
         let mut farm = Farm::new(goal.clone());
         let mut alive = BTreeSet::new();
         for (kind, node, milliseconds) in events {
@@ -370,7 +422,7 @@ proptest! {
                 }
                 2 => farm.on(Event::FrameTaken),
                 3 => {
-                    // Part of an answer, perhaps of the same units twice.
+                    // A part of a task's units, perhaps for the second time.
                     if let Some(sent) = farm.at_work.iter().find(|sent| sent.node == id).cloned() {
                         let n_units = sent.task.share(sent.size).unwrap().count();
                         farm.place(&sent, 0, n_units.min(milliseconds as u32));
@@ -380,7 +432,7 @@ proptest! {
                     let spec = Some(spec(node.into(), 1000));
                     farm.on(Event::GoalChanged(RenderGoal { spec, is_refinement: milliseconds % 3 == 0, ..goal.clone() }));
                 }
-                // It may answer all the same.
+                // A silent node may still answer.
                 5 => farm.on(Event::Silent { node: id, is_silent: milliseconds % 2 == 0 }),
                 _ => {
                     if farm.at_work.iter().any(|sent| sent.node == id) {

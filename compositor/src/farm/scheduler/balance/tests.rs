@@ -1,4 +1,6 @@
-//! Dynamic division on a cluster of invented computers: what tiles cost, how fast nodes are, who joins, slows down or dies.
+//! Dynamic division on a simulated cluster: costs of tiles, speeds of nodes, nodes that join, slow down or die.
+
+use std::time::Instant;
 
 use proptest::prelude::*;
 use shared::{
@@ -15,10 +17,10 @@ use crate::farm::{
 
 const SIZE: (u32, u32) = (1024, 512);
 
-/// What the tile in this column and row of this frame costs a usual node, in nanoseconds.
+/// The cost of the tile in this column and row of this frame, in nanoseconds on a node of slowness 1.
 type TileCost = fn(frame: u64, column: f64, row: f64) -> f64;
 
-/// A scan before an empty background: most of the frame costs next to nothing, an edge of the model fifty times as much.
+/// A scan before an empty background: most of the frame costs little, an edge of the model fifty times as much.
 fn still(_: u64, column: f64, row: f64) -> f64 {
     let model = |x: f64, y: f64, radius: f64| (1.0 - ((column - x).hypot(row - y) / radius).powi(4)).max(0.0);
     3e3 + 5e4 * model(40.0, 30.0, 18.0) + 1.5e5 * model(85.0, 20.0, 9.0) + 2e4 * model(100.0, 50.0, 12.0)
@@ -31,23 +33,25 @@ fn moving(frame: u64, column: f64, row: f64) -> f64 {
 }
 
 fn spec() -> FrameSpec {
-    picture_from(0.0)
+    spec_from(0.0)
 }
 
-fn wanted(min_renderers: usize) -> RenderGoal {
+fn goal(min_renderers: usize) -> RenderGoal {
     let min_renderers = min_renderers as u32;
     RenderGoal {
         spec: Some(spec()),
+        scene_path: None,
         is_refinement: false,
         division: Division::Dynamic,
         min_renderers,
         repeat: true,
         in_flight: 1,
         encoding: None,
+        moved_at: Instant::now(),
     }
 }
 
-fn picture_from(eye_x: f64) -> FrameSpec {
+fn spec_from(eye_x: f64) -> FrameSpec {
     FrameSpec {
         scene: SceneId::Statue { triangles: 1 },
         camera: Camera::look_at(glam::DVec3::new(eye_x, 0.0, 1.0), glam::DVec3::ZERO, glam::DVec3::Y, 0.7, 2.0)
@@ -60,7 +64,7 @@ fn picture_from(eye_x: f64) -> FrameSpec {
     }
 }
 
-/// A work that will be done.
+/// A task that is under way.
 struct Pending {
     done_at: Time,
     node: NodeId,
@@ -92,7 +96,7 @@ fn noise(a: u64, b: u64) -> f64 {
 
 impl Cluster {
     fn new(tile_cost: TileCost, slowness: &[f64]) -> Self {
-        let scheduler = Scheduler::new(wanted(slowness.len()));
+        let scheduler = Scheduler::new(goal(slowness.len()));
         let mut cluster = Self {
             scheduler,
             now: Time::ZERO,
@@ -116,7 +120,7 @@ impl Cluster {
     fn on(&mut self, event: Event) {
         for action in self.scheduler.on_event(self.now, event) {
             match action {
-                Action::Open { .. } => {}
+                Action::LoadScene { .. } | Action::Open { .. } => {}
                 Action::Render { node, frame, task_id, spec, task, .. } => {
                     self.pend(node, frame, task_id, &task, spec.size);
                 }
@@ -129,21 +133,21 @@ impl Cluster {
         }
     }
 
-    /// Plays the render server: measures in the blocks that a real one does.
+    /// Simulates a render server: measures costs in the same runs as a real one.
     fn pend(&mut self, node: NodeId, frame: FrameId, task_id: TaskId, task: &Task, size: FrameSize) {
         let share = task.share(size).unwrap();
         let n_units = share.count();
         let run_units = RunCosts::run_units(&share);
-        // Nodes waver by 2 %, tiles by 20.
+        // Speeds of nodes vary by 2 %, costs of tiles by 20 %.
         let slowness = self.slowness[&node] * (0.99 + 0.02 * noise(frame.0, node.0.into()));
         let cost = |k: u32| {
             let samples = share.samples(k);
-            // In tiles of the usual size, whatever the frame's.
+            // In tiles of a frame of `SIZE`.
             let scale = [f64::from(SIZE.0) / f64::from(size.xres()), f64::from(SIZE.1) / f64::from(size.yres())];
             let column = (f64::from(samples.columns.start / 8) * scale[0]).floor();
             let row = (f64::from(samples.rows.start / 8) * scale[1]).floor();
-            let waver = 0.9 + 0.2 * noise(frame.0, 1000 + u64::from(share.unit(k)));
-            (self.tile_cost)(frame.0, column, row) * slowness * waver
+            let variation = 0.9 + 0.2 * noise(frame.0, 1000 + u64::from(share.unit(k)));
+            (self.tile_cost)(frame.0, column, row) * slowness * variation
         };
         let tiles: Vec<f64> = (0..n_units).map(cost).collect();
         let cpu_ns = tiles.chunks(run_units as usize).map(|tiles| tiles.iter().sum::<f64>() as u32).collect();
@@ -154,7 +158,8 @@ impl Cluster {
     }
 
     fn answer_next(&mut self) {
-        let next = (0..self.pending.len()).min_by_key(|&index| self.pending[index].done_at).expect("somebody works");
+        let next =
+            (0..self.pending.len()).min_by_key(|&index| self.pending[index].done_at).expect("a task is under way");
         let Pending { done_at, node, frame, task_id, n_units, costs } = self.pending.swap_remove(next);
         self.now = self.now.max(done_at);
         let units = PlacedUnits { first: 0, count: n_units, n_bytes: 0, place_time: Time::ZERO };
@@ -163,15 +168,15 @@ impl Cluster {
         let timings = TaskTimings { trace_us: trace_cpu_us, trace_cpu_us, ..TaskTimings::default() };
         self.on(Event::TaskDone { node, frame, task_id, timings, costs });
         if self.is_moving || self.sizes.len() > 1 {
-            // Wanted while a frame is in flight, and rendered after it.
+            // The next goal comes while a frame is in flight, and is rendered after it.
             let size = self.sizes[self.shown.len() % self.sizes.len()].try_into().unwrap();
-            let spec = Some(FrameSpec { size, ..picture_from(self.shown.len() as f64) });
-            self.on(Event::GoalChanged(RenderGoal { spec, ..wanted(1) }));
+            let spec = Some(FrameSpec { size, ..spec_from(self.shown.len() as f64) });
+            self.on(Event::GoalChanged(RenderGoal { spec, ..goal(1) }));
         }
         self.on(Event::FrameTaken);
     }
 
-    /// Renders so many more frames; how unbalanced each is.
+    /// Renders `n_frames` more frames and returns the imbalance of each.
     fn render(&mut self, n_frames: usize) -> Vec<f64> {
         let n_shown = self.shown.len();
         while self.shown.len() < n_shown + n_frames {
@@ -206,7 +211,7 @@ fn equal_nodes_are_equally_busy() {
 #[test]
 fn frames_in_flight_do_not_unbalance_each_other() {
     let mut cluster = Cluster::new(still, &[1.0; 12]);
-    cluster.on(Event::GoalChanged(RenderGoal { in_flight: 3, ..wanted(12) }));
+    cluster.on(Event::GoalChanged(RenderGoal { in_flight: 3, ..goal(12) }));
     cluster.render(3);
     check("still, 12 nodes, 3 frames in flight", &cluster.render(40), 1.05, 1.10);
 }
@@ -234,13 +239,13 @@ fn a_node_at_a_third_of_the_speed_is_as_busy_as_the_others() {
 }
 
 #[test]
-fn another_resolution_is_divided_by_what_the_last_cost() {
+fn another_resolution_is_divided_by_the_costs_of_the_last() {
     let mut slowness = [1.0; 12];
     slowness[4] = 3.0;
     let mut cluster = Cluster::new(still, &slowness);
     cluster.sizes = [(1024, 512), (728, 360), (2048, 1024), (512, 256)].map(|size| [size; 3]).concat();
     cluster.render(6);
-    // Known of no other resolution, the slow node would have two and a half times its part in each third frame.
+    // If speeds were not kept across resolutions, the slow node would get 2.5 times its part in each third frame.
     check("another size after three frames, one of 12 nodes slow", &cluster.render(60), 1.15, 1.25);
 }
 
@@ -248,14 +253,14 @@ fn another_resolution_is_divided_by_what_the_last_cost() {
 fn a_node_that_never_finishes_gets_less_until_it_does() {
     let (spec, nodes) = (spec(), [(NodeId(1), 1), (NodeId(2), 1)]);
     let mut balance = Balance::default();
-    let mut works = vec![Division::Dynamic.task(0, 2), Division::Dynamic.task(1, 2)];
-    // What a tile takes node 1; node 2 is so slow that others have always done its work before.
-    let measure = |balance: &mut Balance, works: &[Task], slowness: Option<u32>| {
-        let shares: Vec<_> = works.iter().map(|task| task.share(spec.size).unwrap()).collect();
-        let costs = |share: &Share<'_>, ns| RunCosts { run_units: 1, cpu_ns: vec![ns; share.count() as usize] };
+    let mut tasks = vec![Division::Dynamic.task(0, 2), Division::Dynamic.task(1, 2)];
+    // Node 1 takes 1000 ns a tile; node 2 is so slow that others always finish its task before it does.
+    let measure = |balance: &mut Balance, tasks: &[Task], slowness: Option<u32>| {
+        let shares: Vec<_> = tasks.iter().map(|task| task.share(spec.size).unwrap()).collect();
+        let costs = |share: &Share, ns| RunCosts { run_units: 1, cpu_ns: vec![ns; share.count() as usize] };
         let of_first = costs(&shares[0], 1000);
         let of_second = slowness.map(|slowness| costs(&shares[1], 1000 * slowness));
-        let [first, second] = [0, 1].map(|index| shares[index].clone());
+        let [first, second] = [0, 1].map(|index| shares[index]);
         balance.learn(
             &spec,
             &[
@@ -265,17 +270,17 @@ fn a_node_that_never_finishes_gets_less_until_it_does() {
         );
         balance.divide(&spec, &nodes).unwrap()
     };
-    let n_tiles = |works: &[Task]| works[1].share(spec.size).unwrap().count();
+    let n_tiles = |tasks: &[Task]| tasks[1].share(spec.size).unwrap().count();
     for _ in 0..12 {
-        let before = n_tiles(&works);
-        works = measure(&mut balance, &works, None);
-        assert!(n_tiles(&works) <= before);
+        let before = n_tiles(&tasks);
+        tasks = measure(&mut balance, &tasks, None);
+        assert!(n_tiles(&tasks) <= before);
     }
-    assert!((1..1500).contains(&n_tiles(&works)), "{} of 8192 tiles", n_tiles(&works));
+    assert!((1..1500).contains(&n_tiles(&tasks)), "{} of 8192 tiles", n_tiles(&tasks));
     for _ in 0..12 {
-        works = measure(&mut balance, &works, Some(8));
+        tasks = measure(&mut balance, &tasks, Some(8));
     }
-    assert!((820..1000).contains(&n_tiles(&works)), "{} of 8192 tiles for a ninth of the speed", n_tiles(&works));
+    assert!((820..1000).contains(&n_tiles(&tasks)), "{} of 8192 tiles for a ninth of the speed", n_tiles(&tasks));
 }
 
 #[test]
@@ -304,7 +309,7 @@ fn one_slow_frame_of_a_node_moves_nothing() {
     cluster.render(10);
     cluster.slowness.insert(NodeId(3), 5.0);
     let n_shown = cluster.shown.len();
-    // The work under way was begun at full speed: the frame after it is the slow one.
+    // The tasks under way were begun at full speed: the next frame is the slow one.
     cluster.render(1);
     cluster.slowness.insert(NodeId(3), 1.0);
     cluster.render(1);
@@ -313,17 +318,17 @@ fn one_slow_frame_of_a_node_moves_nothing() {
 }
 
 #[test]
-fn nothing_is_known_of_another_scene_or_division() {
+fn costs_of_another_scene_or_division_are_not_used() {
     let mut balance = Balance::default();
     let nodes = [(NodeId(1), 1), (NodeId(2), 3)];
     assert_eq!(balance.divide(&spec(), &nodes), None);
     balance.learn(&spec(), &[]);
-    let Some([first, second]) = balance.divide(&spec(), &nodes).map(|works| <[Task; 2]>::try_from(works).unwrap())
+    let Some([first, second]) = balance.divide(&spec(), &nodes).map(|tasks| <[Task; 2]>::try_from(tasks).unwrap())
     else {
         panic!("a frame was learned from");
     };
     let run = |first, count| Task { selection: Selection::CurveRun(TileRun { first, count }), part: Part::WHOLE };
-    assert_eq!((first, second), (run(0, 2048), run(2048, 6144)), "three threads do three times the work");
+    assert_eq!((first, second), (run(0, 2048), run(2048, 6144)), "three threads get three times the tiles");
     let small = FrameSpec { size: FrameSize::new(64, 64).unwrap(), ..spec() };
     assert_eq!(balance.divide(&small, &nodes), Some(vec![run(0, 16), run(16, 48)]), "in any resolution");
     assert_eq!(balance.divide(&FrameSpec { scene: SceneId::Statue { triangles: 2 }, ..spec() }, &nodes), None);
@@ -362,7 +367,7 @@ proptest! {
         prop_assert_eq!(end as usize, of_tile.len());
     }
 
-    /// A render server that lies about its costs gets a share that does not fit it, and does nothing else.
+    /// A render server that lies about its costs gets a wrong share, and does no other harm.
     #[test]
     fn lies_about_costs_leave_a_division(
         lies in proptest::collection::vec((0..4u32, prop_oneof![Just(0u32), Just(u32::MAX), any::<u32>()]), 1..60),
@@ -373,11 +378,11 @@ proptest! {
         let nodes: Vec<_> = (0..4).map(|node| (NodeId(node), 1)).collect();
         for lies in lies.chunks(3) {
             let equal = || (0..4).map(|machine| Division::Dynamic.task(machine, 4)).collect();
-            let works = balance.divide(&spec, &nodes).unwrap_or_else(equal);
+            let tasks = balance.divide(&spec, &nodes).unwrap_or_else(equal);
             let costs: Vec<_> = lies
                 .iter()
                 .map(|&(node, lie)| {
-                    let n_units = works[node as usize].share(size).unwrap().count();
+                    let n_units = tasks[node as usize].share(size).unwrap().count();
                     (node, RunCosts { run_units: 2, cpu_ns: vec![lie; n_units.div_ceil(2) as usize] })
                 })
                 .collect();
@@ -385,13 +390,13 @@ proptest! {
                 .iter()
                 .map(|&(node, ref costs)| TaskResult {
                     node: NodeId(node),
-                    share: works[node as usize].share(size).unwrap(),
+                    share: tasks[node as usize].share(size).unwrap(),
                     costs: Some(costs),
                 })
                 .collect();
             balance.learn(&spec, &measured);
-            let works = balance.divide(&spec, &nodes).unwrap();
-            let n_tiles: u32 = works.iter().map(|task| task.share(size).unwrap().count()).sum();
+            let tasks = balance.divide(&spec, &nodes).unwrap();
+            let n_tiles: u32 = tasks.iter().map(|task| task.share(size).unwrap().count()).sum();
             prop_assert_eq!(n_tiles, 60);
         }
     }

@@ -1,4 +1,6 @@
-//! The farm at its edges: nobody, hundreds, a node that is hopelessly slow, numbers that wrap.
+//! Edge cases: no nodes, hundreds, a very slow one, task ids that wrap.
+
+use strum::VariantArray;
 
 use super::*;
 
@@ -6,11 +8,11 @@ fn nodes(n: u32) -> Vec<NodeId> {
     (1..=n).map(NodeId).collect()
 }
 
-/// Has everybody answer until `n_frames` have been shown, whoever is first in line first.
+/// Finishes tasks in the order of assignment until `n_frames` more are shown.
 fn show(farm: &mut Farm, n_frames: usize) {
     let before = farm.shown.len();
     while farm.shown.len() < before + n_frames {
-        let node = farm.at_work.front().expect("somebody works").node;
+        let node = farm.at_work.front().expect("a node has a task").node;
         farm.answer(node);
         farm.on(Event::FrameTaken);
         farm.pass(1);
@@ -18,9 +20,9 @@ fn show(farm: &mut Farm, n_frames: usize) {
 }
 
 #[test]
-fn a_farm_of_256_renders_whole_frames_and_so_does_its_last_node() {
-    for division in Division::ALL {
-        // More than there are tiles, so that some nodes have nothing to do.
+fn a_farm_of_256_renders_complete_frames_and_so_does_its_last_node() {
+    for &division in Division::VARIANTS {
+        // More nodes than tiles: some have nothing to do.
         let all = nodes(256);
         let mut farm = Farm::with_nodes(RenderGoal { repeat: true, ..goal(division) }, &all);
         show(&mut farm, 3);
@@ -31,8 +33,8 @@ fn a_farm_of_256_renders_whole_frames_and_so_does_its_last_node() {
 }
 
 #[test]
-fn a_farm_of_nobody_waits_and_begins_when_somebody_comes() {
-    for division in Division::ALL {
+fn an_empty_farm_starts_when_a_node_joins() {
+    for &division in Division::VARIANTS {
         let mut farm = Farm::new(RenderGoal { repeat: true, ..goal(division) });
         (0..1000).for_each(|_| farm.pass(1000));
         assert!(farm.at_work.is_empty() && farm.shown.is_empty());
@@ -47,7 +49,7 @@ fn a_farm_of_nobody_waits_and_begins_when_somebody_comes() {
 
 #[test]
 fn one_node_a_thousand_times_slower_holds_nothing_up() {
-    for division in Division::ALL {
+    for &division in Division::VARIANTS {
         let mut farm = Farm::with_nodes(RenderGoal { repeat: true, ..goal(division) }, &[A, B, C]);
         let mut since = farm.now;
         while farm.shown.len() < 5 {
@@ -69,8 +71,8 @@ fn one_node_a_thousand_times_slower_holds_nothing_up() {
 }
 
 #[test]
-fn numbers_of_works_wrap() {
-    for division in Division::ALL {
+fn task_ids_wrap() {
+    for &division in Division::VARIANTS {
         let mut farm = Farm::new(RenderGoal { repeat: true, in_flight: 3, ..goal(division) });
         farm.scheduler.last_task = TaskId(u32::MAX - 2);
         [A, B].into_iter().for_each(|node| farm.join(node));

@@ -1,4 +1,6 @@
-//! Several frames at a time, on invented computers at the ends of invented links.
+//! Several frames in flight, on simulated nodes and links.
+
+use strum::VariantArray;
 
 use super::*;
 
@@ -10,13 +12,13 @@ fn moved_to(eye_x: f64, in_flight: u32) -> Event {
     Event::GoalChanged(RenderGoal { spec: Some(spec(eye_x, 1000)), in_flight, ..goal(Division::Tiled) })
 }
 
-/// The frames that a node has been given work for and not answered, in order.
+/// The frames that a node has unfinished tasks of, in order.
 fn frames_of(farm: &Farm, node: NodeId) -> Vec<u64> {
     farm.at_work.iter().filter(|sent| sent.node == node).map(|sent| sent.frame.0).collect()
 }
 
 #[test]
-fn who_is_done_with_one_frame_has_the_next() {
+fn a_node_that_is_done_with_one_frame_has_the_next() {
     let mut farm = Farm::with_nodes(repeating(3), &[A, B]);
     assert_eq!(frames_of(&farm, A), [1, 2, 3]);
     farm.answer(A);
@@ -28,10 +30,10 @@ fn who_is_done_with_one_frame_has_the_next() {
 }
 
 #[test]
-fn a_frame_that_is_whole_early_waits_for_its_turn() {
+fn a_frame_that_is_complete_early_waits_for_its_turn() {
     let mut farm = Farm::with_nodes(repeating(2), &[A, B]);
     farm.lose(B);
-    // Half of the first frame is B's, and now A's: the second is whole before it is.
+    // A also has B's half of both frames, and finishes the second frame first.
     farm.pass(1);
     let second: Vec<_> = farm.at_work.iter().filter(|sent| sent.frame.0 == 2).cloned().collect();
     for sent in second {
@@ -63,25 +65,25 @@ fn the_death_of_a_node_is_healed_in_every_frame() {
 }
 
 #[test]
-fn a_newer_camera_supersedes_what_nobody_has_begun() {
+fn a_newer_camera_supersedes_frames_that_no_node_has_begun() {
     let mut farm = Farm::with_nodes(RenderGoal { in_flight: 3, ..goal(Division::Tiled) }, &[A]);
     farm.on(moved_to(1.0, 3));
     farm.on(moved_to(2.0, 3));
-    let pictures: Vec<_> = farm.scheduler.frames.iter().map(|frame| frame.spec).collect();
-    assert_eq!(pictures, [spec(0.0, 1000), spec(2.0, 1000)], "the first is shown, the second never seen");
+    let specs: Vec<_> = farm.scheduler.frames.iter().map(|frame| frame.spec).collect();
+    assert_eq!(specs, [spec(0.0, 1000), spec(2.0, 1000)], "the first is shown, the second never seen");
     assert_eq!(farm.cancelled, [A]);
     let begun = farm.at_work[1].clone();
     farm.place(&begun, 0, 1);
     farm.on(moved_to(3.0, 3));
-    assert_eq!(farm.scheduler.frames.len(), 3, "what is begun is finished");
+    assert_eq!(farm.scheduler.frames.len(), 3, "a frame that was begun is finished");
     (0..3).for_each(|_| farm.answer(A));
     assert_eq!(farm.shown.iter().map(|stats| stats.frame).collect::<Vec<_>>(), [1, 3, 4]);
     assert!(farm.at_work.is_empty());
 }
 
 #[test]
-fn a_refinement_is_given_up_for_any_other_picture_however_much_of_it_has_come() {
-    for division in Division::ALL {
+fn a_refinement_is_cancelled_for_any_other_frame_even_if_samples_have_arrived() {
+    for &division in Division::VARIANTS {
         let mut farm = Farm::with_nodes(goal(division), &[A, B]);
         farm.answer(A);
         farm.answer(B);
@@ -90,7 +92,7 @@ fn a_refinement_is_given_up_for_any_other_picture_however_much_of_it_has_come() 
         farm.on(Event::GoalChanged(refinement.clone()));
         farm.answer(A);
         farm.on(Event::GoalChanged(refinement));
-        assert!(farm.cancelled.is_empty(), "the same picture is no other");
+        assert!(farm.cancelled.is_empty(), "an equal spec changes nothing");
         farm.on(moved_to(1.0, 1));
         assert_eq!(farm.cancelled, [B]);
         farm.answer(A);
@@ -100,7 +102,7 @@ fn a_refinement_is_given_up_for_any_other_picture_however_much_of_it_has_come() 
 }
 
 #[test]
-fn a_frame_s_interval_begins_with_it_or_when_the_frame_before_it_is_whole() {
+fn a_frame_s_interval_begins_with_it_or_when_the_frame_before_it_is_complete() {
     let mut farm = Farm::with_nodes(repeating(2), &[A]);
     for milliseconds in [10, 7, 8] {
         farm.pass(milliseconds);
@@ -117,7 +119,7 @@ fn a_frame_s_interval_begins_with_it_or_when_the_frame_before_it_is_whole() {
     farm.on(moved_to(2.0, 1));
     farm.pass(3);
     farm.answer(A);
-    assert_eq!(farm.shown.last().map(|stats| stats.interval_ms), Some(3.0), "rest is not counted");
+    assert_eq!(farm.shown.last().map(|stats| stats.interval_ms), Some(3.0), "rest does not count");
 }
 
 #[test]
@@ -125,7 +127,7 @@ fn a_camera_that_moves_all_the_time_is_seen() {
     for in_flight in 1..=3 {
         let mut farm = Farm::with_nodes(RenderGoal { in_flight, ..goal(Division::Tiled) }, &[A, B]);
         for step in 0..30 {
-            // Ten motions for each answer.
+            // Ten motions for each finished task.
             (0..10).for_each(|motion| farm.on(moved_to(f64::from(10 * step + motion), in_flight)));
             farm.answer([A, B][step as usize % 2]);
             farm.on(Event::FrameTaken);
@@ -135,18 +137,18 @@ fn a_camera_that_moves_all_the_time_is_seen() {
 }
 
 #[test]
-fn work_for_a_later_frame_is_not_late_before_it_is_begun() {
+fn a_task_of_a_later_frame_is_not_late_before_it_is_begun() {
     let mut farm = Farm::with_nodes(repeating(2), &[A, B]);
     farm.pass(10);
     farm.answer(A);
     farm.answer(A);
-    // A is idle; B has both works before it, and is slow with the first.
+    // A is idle; B has both tasks, and is slow with the first.
     farm.pass(20);
     assert_eq!(frames_of(&farm, A), [] as [u64; 0]);
     farm.pass(1);
     assert_eq!(frames_of(&farm, A), [1], "the first is late");
     farm.answer(A);
-    assert_eq!(frames_of(&farm, A), [3], "the first is whole; the second was begun when B was told to stop the first");
+    assert_eq!(frames_of(&farm, A), [3], "the first is complete; B began the second when its first was cancelled");
     farm.answer(A);
     farm.pass(30);
     assert_eq!(frames_of(&farm, A), [] as [u64; 0]);
@@ -170,13 +172,12 @@ fn a_moving_cameras_frame_is_divided_by_what_the_last_one_cost() {
     assert_eq!(frames_of(&farm, A), [2, 3, 4], "without a motion none waits");
 }
 
-/// Milliseconds for each frame on nodes that need so long for one on their own, all at the end of a link of so much
-/// latency.
+/// Mean milliseconds a frame, on nodes that would each need `node_ms` for a whole frame alone. `latency_ms` is one way.
 fn frame_ms(in_flight: u32, node_ms: &[f64], latency_ms: f64) -> f64 {
     let nodes: Vec<_> = (1..).take(node_ms.len()).map(NodeId).collect();
     let mut farm = Farm::with_nodes(repeating(in_flight), &nodes);
     let mut free_ms = vec![0.0; nodes.len()];
-    // What is on its way or being done: when it is done, and what.
+    // The unfinished tasks, and when their last samples will arrive.
     let mut under_way: Vec<(f64, Sent)> = Vec::new();
     let n_frames = 40;
     while farm.shown.len() < n_frames {
@@ -200,7 +201,7 @@ fn frame_ms(in_flight: u32, node_ms: &[f64], latency_ms: f64) -> f64 {
 
 #[test]
 fn latency_costs_no_frame_rate_once_frames_overlap() {
-    // Ten milliseconds of work for each node, and five on the way there and back.
+    // Each node renders for 10 ms; the link adds 5 ms each way.
     let frame_ms = |in_flight| frame_ms(in_flight, &[40.0; 4], 5.0);
     assert!(frame_ms(1) > 19.9, "each frame waits for the link");
     assert!(frame_ms(2) < 10.6 && frame_ms(3) < 10.6, "{:?}", [frame_ms(2), frame_ms(3)]);

@@ -1,4 +1,6 @@
-//! Render servers that nothing comes from, though their connections are there.
+//! Render servers that are connected but silent.
+
+use strum::VariantArray;
 
 use super::*;
 
@@ -8,7 +10,7 @@ fn silent(node: NodeId, is_silent: bool) -> Event {
 
 #[test]
 fn the_share_of_a_silent_node_goes_to_the_others_and_it_is_told_to_stop() {
-    for division in Division::ALL {
+    for &division in Division::VARIANTS {
         let mut farm = Farm::with_nodes(RenderGoal { repeat: true, ..goal(division) }, &[A, B, C]);
         farm.answer(A);
         farm.on(silent(B, true));
@@ -23,16 +25,16 @@ fn the_share_of_a_silent_node_goes_to_the_others_and_it_is_told_to_stop() {
         farm.on(silent(B, false));
         farm.answer(A);
         farm.answer(C);
-        assert!(farm.at_work.iter().any(|sent| sent.node == B), "who is heard again does");
+        assert!(farm.at_work.iter().any(|sent| sent.node == B), "a node that is heard again does");
     }
 }
 
 #[test]
-fn what_a_silent_node_says_at_last_counts() {
+fn a_late_answer_of_a_silent_node_counts() {
     let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
     farm.on(silent(A, true));
     farm.pass(1000);
-    assert!(farm.shown.is_empty() && farm.at_work.len() == 1, "there is nobody else");
+    assert!(farm.shown.is_empty() && farm.at_work.len() == 1, "there is no other");
     farm.on(silent(A, false));
     farm.answer(A);
     assert_eq!((farm.shown.len(), farm.shown[0].attempts), (1, 1));
@@ -49,9 +51,9 @@ fn a_silent_node_may_be_lost_after_all() {
 }
 
 #[test]
-fn works_do_not_become_more_and_more_as_silence_follows_silence() {
-    // A link that is full: one after the other is not heard for a moment, and nothing is finished meanwhile.
-    for division in Division::ALL {
+fn tasks_do_not_multiply_as_silences_repeat() {
+    // On a full link, one node after the other is silent for a moment, and no task is finished meanwhile.
+    for &division in Division::VARIANTS {
         let nodes: Vec<_> = (1..=12).map(NodeId).collect();
         let native = FrameSpec { size: FrameSize::new(4096, 2304).unwrap(), ..spec(0.0, 1000) };
         let mut farm = Farm::with_nodes(RenderGoal { spec: Some(native), ..goal(division) }, &nodes);
@@ -60,10 +62,10 @@ fn works_do_not_become_more_and_more_as_silence_follows_silence() {
             let n_before = farm.at_work.len();
             farm.on(silent(node, true));
             let n_lost = farm.at_work.iter().take(n_before).filter(|sent| sent.node == node).count();
-            assert!(farm.at_work.len() - n_before <= n_lost + nodes.len(), "{n_lost} works were lost");
+            assert!(farm.at_work.len() - n_before <= n_lost + nodes.len(), "{n_lost} tasks were lost");
             farm.on(silent(node, false));
         }
         let of_one = nodes.iter().map(|&node| farm.at_work.iter().filter(|sent| sent.node == node).count()).max();
-        assert!(of_one.unwrap() <= 128, "more than a render server takes, and not yet begun: {of_one:?}");
+        assert!(of_one.unwrap() <= 128, "more tasks than a render server may be given: {of_one:?}");
     }
 }
