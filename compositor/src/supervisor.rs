@@ -1,12 +1,13 @@
-//! Keeps a wall alive that fills its screens: this program once more, started again whenever it dies.
+//! Restarts a full-screen wall when it crashes.
 //!
-//! The process that was started is the guard; the wall is its child, and [`SupervisorLink`] the guard's ear in it. Between them is
-//! one socket, the child's standard input: the child tells of its windows and of its first frame, and when either ends,
-//! the other sees the end of the socket. While there is no wall, a [`cover::DesktopCover`] hides the desktop.
+//! The process that the operator starts is the supervisor; the wall runs in a child process with the same arguments. A
+//! socket connects the two, as the child's standard input. Through its [`SupervisorLink`] the child reports its windows
+//! and its first frame, and each side sees the socket close when the other ends. Between two children a
+//! [`DesktopCover`] hides the desktop.
 
-mod cover;
+mod desktop_cover;
+mod link;
 mod restart_delay;
-mod ward;
 
 use std::{
     io::{BufRead, BufReader},
@@ -20,68 +21,67 @@ use std::{
 
 use anyhow::Context;
 
+pub use self::link::SupervisorLink;
 use self::{
-    cover::{DesktopCover, WallWindow, XDesktop},
+    desktop_cover::{DesktopCover, WallWindow, XDesktop},
     restart_delay::RestartDelay,
 };
 use crate::wall::OnLoss;
 
-pub use self::ward::SupervisorLink;
-
-/// Whether walls can have one.
+/// Whether this system has supervisors.
 pub const IS_SUPPORTED: bool = true;
 
-/// The picture may reach the screen a little later than the word that it is there.
+/// How long the cover stays after the report of the first frame, which may reach the screen a little later.
 const COVER_LINGER: Duration = Duration::from_millis(250);
 
-/// While a new window opens beneath it, the cover is put on top so often.
+/// How often the cover is raised while new windows open beneath it.
 const RAISE_INTERVAL: Duration = Duration::from_millis(50);
 
-/// A wall that is told to end has this long to do so.
+/// A child that does not end within this time after a stop request is killed.
 const STOP_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// What a guard hears.
+/// An event for the supervisor.
 #[derive(Debug)]
 enum Event {
-    /// Somebody wants all to end.
+    /// A signal asks to stop.
     Stop,
-    /// The wall has a window, by the X server's number.
+    /// The child has opened the window with this X11 identifier.
     Window(u32),
-    /// The wall's first frame is on screen.
+    /// The child's first frame is on screen.
     Shown,
-    /// The wall has ended.
+    /// The child has ended.
     Ended,
 }
 
-/// Runs the wall with the arguments of this process until it ends in order, or by a fault before it has shown anything.
+/// Runs the wall as a child with the arguments of this process, and again after each crash that follows a frame.
 ///
-/// `on_loss` is what is seen from another end of the wall until it is back. If the wall ends with a code that is not 0,
-/// having said why, this process ends with the same.
+/// `on_loss` decides what covers the desktop between a crash and the next first frame. If the child fails before its
+/// first frame, this process exits with the same code.
 ///
 /// # Errors
 ///
-/// The wall cannot be started, or was killed before it had shown anything.
+/// The child cannot be started, or was killed before its first frame.
 pub fn run(on_loss: OnLoss) -> anyhow::Result<()> {
     let (events_sender, events) = mpsc::channel();
     listen_for_signals(events_sender.clone())?;
     let desktop = XDesktop::connect();
-    let mut guard =
+    let mut supervisor =
         Supervisor { on_loss, desktop, events_sender, events, cover: None, has_shown: false, is_stopping: false };
     let mut restart_delay = RestartDelay::default();
     loop {
-        let (status, shown_for) = guard.run_child()?;
-        if guard.is_stopping || status.success() || !guard.has_shown {
+        let (status, shown_for) = supervisor.run_child()?;
+        if supervisor.is_stopping || status.success() || !supervisor.has_shown {
             match status.code() {
                 Some(0) => return Ok(()),
                 Some(code) => std::process::exit(code),
                 None => anyhow::bail!("the wall was killed ({status})"),
             }
         }
-        let pause = restart_delay.next_delay(shown_for);
-        tracing::error!("the wall has died ({status}) and is started again in {} s", pause.as_secs());
-        let resume_at = Instant::now() + pause;
+        let delay = restart_delay.next_delay(shown_for);
+        tracing::error!("the wall has died ({status}) and restarts in {} s", delay.as_secs());
+        let resume_at = Instant::now() + delay;
         while Instant::now() < resume_at {
-            if let Some(Event::Stop) = guard.next_event(Some(resume_at)) {
+            if let Some(Event::Stop) = supervisor.next_event(Some(resume_at)) {
                 return Ok(());
             }
         }
@@ -90,19 +90,19 @@ pub fn run(on_loss: OnLoss) -> anyhow::Result<()> {
 
 struct Supervisor {
     on_loss: OnLoss,
-    /// `None` where desktops cannot be covered.
+    /// `None` without an X server, where the desktop stays visible.
     desktop: Option<XDesktop>,
     events_sender: mpsc::Sender<Event>,
     events: mpsc::Receiver<Event>,
     cover: Option<DesktopCover>,
-    /// Whether any wall has shown a frame.
+    /// Whether any child has shown a frame.
     has_shown: bool,
     is_stopping: bool,
 }
 
 impl Supervisor {
-    /// Starts a wall and waits for its end; if that was no orderly one, the desktop is hidden. Also says how long frames
-    /// were shown.
+    /// Starts a child, waits for its end, and covers the desktop after a crash. Returns its status, and how long it has
+    /// shown frames.
     fn run_child(&mut self) -> anyhow::Result<(ExitStatus, Duration)> {
         let (mut child, link) = self.start()?;
         let mut windows: Vec<WallWindow> = Vec::new();
@@ -113,7 +113,7 @@ impl Supervisor {
                 Some(Event::Stop) => {
                     self.is_stopping = true;
                     kill_at = Some(Instant::now() + STOP_TIMEOUT);
-                    // One that has ended a moment before needs no word.
+                    // The child may have ended already.
                     let _ = link.shutdown(Shutdown::Write);
                 }
                 Some(Event::Window(id)) => windows.push(WallWindow { id, rect: None }),
@@ -131,12 +131,12 @@ impl Supervisor {
                 cover.raise();
             }
             if kill_at.is_some_and(|kill_at| Instant::now() >= kill_at) {
-                tracing::warn!("the wall does not end, and is killed");
-                child.kill().context("the wall cannot be killed")?;
+                tracing::warn!("the wall does not end within {} s and is killed", STOP_TIMEOUT.as_secs());
+                child.kill().context("cannot kill the wall")?;
                 kill_at = None;
             }
         }
-        let status = child.wait().context("the wall cannot be waited for")?;
+        let status = child.wait().context("cannot wait for the wall")?;
         if let Some(desktop) = &self.desktop
             && !self.is_stopping
             && !status.success()
@@ -150,55 +150,59 @@ impl Supervisor {
         Ok((status, shown_at.map_or(Duration::ZERO, |shown_at| shown_at.elapsed())))
     }
 
-    /// What happens next, if it does before a moment.
+    /// The next event; `None` if none comes before a moment.
     fn next_event(&self, before: Option<Instant>) -> Option<Event> {
-        let Some(before) = before else {
-            return Some(self.events.recv().expect("this guard can tell itself"));
+        let received = match before {
+            Some(before) => self.events.recv_timeout(before.saturating_duration_since(Instant::now())),
+            None => self.events.recv().map_err(|_| RecvTimeoutError::Disconnected),
         };
-        match self.events.recv_timeout(before.saturating_duration_since(Instant::now())) {
-            Ok(event) => Some(event),
-            Err(RecvTimeoutError::Timeout) => None,
-            Err(RecvTimeoutError::Disconnected) => unreachable!("this guard can tell itself"),
+        match received {
+            Err(RecvTimeoutError::Disconnected) => unreachable!("the supervisor holds a sender itself"),
+            received => received.ok(),
         }
     }
 
-    /// Starts the wall, and a thread that hears it.
+    /// Starts a child, and a thread that reads its reports.
     fn start(&self) -> anyhow::Result<(Child, UnixStream)> {
-        let (link, childs_end) = UnixStream::pair().context("no socket for the wall")?;
-        let child_output = link.try_clone().context("no socket for the wall")?;
-        let program = std::env::current_exe().context("this program does not know where it lies")?;
+        let (link, child_link) = UnixStream::pair().context("cannot make a socket for the wall")?;
+        let reports = link.try_clone().context("cannot make a socket for the wall")?;
+        let program = std::env::current_exe().context("this program cannot find its own file")?;
         let child = Command::new(program)
             .args(std::env::args_os().skip(1))
-            .env(ward::GUARDED, "1")
-            .stdin(Stdio::from(OwnedFd::from(childs_end)))
+            .env(link::SUPERVISED, "1")
+            .stdin(Stdio::from(OwnedFd::from(child_link)))
             .spawn()
-            .context("the wall does not start")?;
-        tracing::info!("the wall is process {}; this one starts it again if it dies", child.id());
+            .context("cannot start the wall")?;
+        tracing::info!("the wall is process {}; this one restarts it if it dies", child.id());
         let events_sender = self.events_sender.clone();
         let read_lines = move || {
-            for line in BufReader::new(child_output).lines().map_while(Result::ok) {
-                let event = match line.strip_prefix(ward::WINDOW) {
+            for line in BufReader::new(reports).lines().map_while(Result::ok) {
+                let event = match line.strip_prefix(link::WINDOW) {
                     Some(id) => id.trim().parse().ok().map(Event::Window),
-                    None => (line == ward::SHOWN).then_some(Event::Shown),
+                    None => (line == link::SHOWN).then_some(Event::Shown),
                 };
-                // The guard hears as long as it lives.
+                // The receiver lives as long as the supervisor.
                 event.into_iter().for_each(|event| drop(events_sender.send(event)));
             }
             drop(events_sender.send(Event::Ended));
         };
-        thread::Builder::new().name("ear".to_owned()).spawn(read_lines).context("no thread to hear the wall")?;
+        thread::Builder::new()
+            .name("ear".to_owned())
+            .spawn(read_lines)
+            .context("cannot start a thread to read the wall's reports")?;
         Ok((child, link))
     }
 }
 
-/// Has SIGTERM and Ctrl-C heard on a thread of their own.
+/// Turns SIGTERM and Ctrl-C into events, on a thread of its own.
 fn listen_for_signals(events_sender: mpsc::Sender<Event>) -> anyhow::Result<()> {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().context("no signals are heard")?;
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_all().build().context("cannot listen for signals")?;
     let listen = move || {
         while runtime.block_on(renderer::server::connect::stop_signal()).is_ok()
             && events_sender.send(Event::Stop).is_ok()
         {}
     };
-    thread::Builder::new().name("signals".to_owned()).spawn(listen).context("no thread to hear signals")?;
+    thread::Builder::new().name("signals".to_owned()).spawn(listen).context("cannot start a thread for signals")?;
     Ok(())
 }

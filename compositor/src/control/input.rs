@@ -1,4 +1,4 @@
-//! Keys and mouse, in words: what they ask of the wall.
+//! Commands, and the keys and mouse gestures that give them.
 
 use shared::{
     appearance::{Background, Clip, Light},
@@ -8,116 +8,140 @@ use shared::{
 };
 use winit::keyboard::NamedKey;
 
-use crate::overlay::Tint;
+/// The quantity that colours over the picture show.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Tint {
+    /// Nothing.
+    #[default]
+    None,
+    /// The render server of each tile: one colour each.
+    Nodes,
+    /// CPU time, from blue over yellow to red.
+    Cost,
+}
 
-/// What a person can ask of the wall, by key or on the overlay.
+impl Tint {
+    /// Every tint, in the order in which a key steps through them.
+    pub const ALL: [Self; 3] = [Self::None, Self::Nodes, Self::Cost];
+
+    /// The name on screen.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Nodes => "who",
+            Self::Cost => "time",
+        }
+    }
+}
+
+/// A command to the wall, given by a key or on the overlay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// See the whole model.
+    /// Show the whole model.
     ViewAll,
-    /// Go to the view of this number.
+    /// Go to the view with this number.
     GoToView(u8),
-    /// Give this view this number.
+    /// Keep the current view under this number.
     KeepView(u8),
-    /// Begin to record the camera's path, or end it.
+    /// Start to record the camera's path, or end it.
     ToggleRecording,
-    /// Follow the camera path, or stop.
+    /// Play the camera path, or stop it.
     TogglePlaying,
-    /// Fly faster by so many steps, or slower.
+    /// Make flying this many steps faster; slower if negative.
     ChangeSpeed(i32),
-    /// Say what lies under the cursor.
+    /// Show the triangle under the cursor.
     Inspect,
-    /// Tint the picture by the next of who rendered it, what it cost, or nothing.
+    /// Use the next tint.
     NextTint,
-    /// Tint the picture by this.
+    /// Use this tint.
     SetTint(Tint),
-    /// Have render servers keep the grid in the next of the storages.
+    /// Have render servers store the grid in the next way.
     NextStorage,
-    /// Have render servers keep the grid in this storage; without one, as they were started.
+    /// Have render servers store the grid this way; `None`: as they were started.
     SetStorage(Option<Storage>),
-    /// Have render servers build the next denser grid, and after the densest the coarsest.
+    /// Have render servers build the next denser grid; the coarsest after the densest.
     NextDensity,
-    /// Have render servers build a grid of so many cells a triangle.
+    /// Have render servers build a grid with this many cells per triangle.
     SetDensity(u32),
-    /// Show or hide the files that can be opened.
+    /// Show or hide the list of files.
     ToggleFiles,
-    /// Mark this entry of the files.
+    /// Select this entry of the list.
     Choose(usize),
-    /// Open this entry of the files.
+    /// Open this entry of the list.
     OpenEntry(usize),
-    /// Show the files of the folder above.
+    /// List the folder above.
     OpenParent,
-    /// Go near to what lies under the cursor, and orbit around it.
+    /// Go near the point under the cursor, and orbit around it.
     GoToCursor,
-    /// Take the next axis as up, and see the whole model.
+    /// Use the next axis as up, and show the whole model.
     NextUpAxis,
     /// Divide frames by the next heuristic.
     NextDivision,
     /// Divide frames by this heuristic.
     SetDivision(Division),
-    /// Show the next of the views.
-    NextView,
-    /// Show this view.
-    SetView(ShadingMode),
-    /// Light the picture by more rays, or by fewest again.
-    NextRays,
-    /// Light the picture by these rays.
-    SetRays(LightingMode),
-    /// Light the picture from the next place.
+    /// Use the next shading mode.
+    NextShading,
+    /// Use this shading mode.
+    SetShading(ShadingMode),
+    /// Use the next lighting mode.
+    NextLighting,
+    /// Use this lighting mode.
+    SetLighting(LightingMode),
+    /// Move the key light to its next place.
     NextLight,
-    /// Light the picture from here.
+    /// Move the key light here.
     SetLight(Light),
-    /// Have the next background behind the model.
+    /// Use the next background.
     NextBackground,
-    /// Have this background behind the model.
+    /// Use this background.
     SetBackground(Background),
-    /// Cut the model open from the next side, or no more.
+    /// Cut the model open from the next side; from none after the last.
     NextClip,
     /// Cut the model open here, or nowhere.
     SetClip(Option<Clip>),
-    /// Cut away so many thousandths of the model more, or less.
+    /// Cut this many thousandths of the model deeper; less deep if negative.
     MoveClip(i16),
-    /// Have the resolution follow the motion, or not.
+    /// Let the resolution follow the motion, or keep it.
     ToggleRefinement,
     /// Show or hide the overlay.
     ToggleOverlay,
-    /// Show or hide keys and mouse.
+    /// Show or hide the help.
     ToggleHelp,
     /// Fill the screen, or stop filling it.
     ToggleFullscreen,
     /// Stop filling the screen.
     LeaveFullscreen,
-    /// Write the wall to a file.
+    /// Write the wall to an image file.
     Screenshot,
-    /// Show the next test pattern instead of frames, and after the last frames again.
+    /// Show the next test pattern; frames after the last.
     NextPattern,
-    /// Write the corners of all projectors into the wall's file.
+    /// Write the corners of all projectors to the wall's file.
     SaveCorners,
-    /// Let visitors steer and nothing else, or let everybody do everything again.
+    /// Lock the wall for visitors, who can only steer, or unlock it.
     ToggleLock,
-    /// Forget the message on screen.
+    /// Clear the messages on screen.
     DismissMessage,
     /// End the wall.
     Quit,
 }
 
 impl Command {
-    /// Whether it is asked for again and again while its key is held.
+    /// Whether it is repeated while its key is held.
     pub fn repeats(self) -> bool {
         matches!(self, Self::MoveClip(_))
     }
 
-    /// Whether visitors of a locked wall may ask for it.
+    /// Whether visitors of a locked wall may give it.
     pub fn is_for_visitors(self) -> bool {
         use Command::*;
         matches!(self, ViewAll | GoToView(_) | TogglePlaying | ChangeSpeed(_) | GoToCursor | ToggleLock)
     }
 }
 
-/// Where to fly while a key is held.
+/// A direction to fly in, relative to the picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
-    /// Into the picture.
+    /// Into it.
     Forward,
     /// Out of it.
     Backward,
@@ -125,38 +149,38 @@ pub enum Direction {
     Left,
     /// To the right.
     Right,
-    /// Up in the picture.
+    /// Up.
     Up,
-    /// Down in the picture.
+    /// Down.
     Down,
 }
 
-/// What a key does.
+/// The effect of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum KeyAction {
-    /// Moves the camera while it is held.
+    /// Moves the camera while the key is held.
     Fly(Direction),
-    /// Asks for something when it is pressed.
+    /// Gives a command when the key is pressed.
     Trigger(Command),
 }
 
-/// A key as its cap says it, so that the table holds for every keyboard layout.
+/// A key by the letter on its cap, so that bindings hold for every keyboard layout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Key {
     /// A lower-case letter.
     Letter(char),
     /// A lower-case letter together with Ctrl.
     Ctrl(char),
-    /// A digit from 1 to 9: what its row asks for, it asks for with its number.
+    /// A digit from 1 to 9, which becomes the number of its command.
     AnyDigit,
     /// The same together with Ctrl.
     CtrlAnyDigit,
-    /// A key that makes no letter.
+    /// A key without a letter.
     Named(NamedKey),
 }
 
 impl Key {
-    /// The key that was pressed or let go; `None` if it is none that a table could name.
+    /// A key that was pressed or released; `None` for keys that no binding can name.
     pub fn from_winit(key: &winit::keyboard::Key, ctrl: bool) -> Option<Self> {
         match key {
             winit::keyboard::Key::Named(named) => Some(Self::Named(*named)),
@@ -189,22 +213,22 @@ impl std::fmt::Display for Key {
 /// A row of [`KEYS`].
 #[derive(Clone, Copy, Debug)]
 pub struct KeyBinding {
-    /// The keys that do it.
+    /// The keys.
     pub keys: &'static [Key],
-    /// What they do.
+    /// Their effect.
     pub action: KeyAction,
-    /// What they do, in words.
+    /// Their effect, for the help.
     pub help: &'static str,
 }
 
 impl KeyBinding {
-    /// The keys in words: `P or F12`.
+    /// The keys' names: `P or F12`.
     pub fn names(&self) -> String {
         self.keys.iter().map(Key::to_string).collect::<Vec<_>>().join(" or ")
     }
 }
 
-/// Every key of the window, the help panel and the table in `wall-config/README.md`.
+/// Every key of the window, of the help panel, and of the table in `wall-config/README.md`.
 pub const KEYS: &[KeyBinding] = {
     use {Command::*, Direction::*, Key::*, KeyAction::*};
     const fn row(keys: &'static [Key], action: KeyAction, help: &'static str) -> KeyBinding {
@@ -220,16 +244,16 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('+')], Trigger(ChangeSpeed(1)), "fly faster from now on"),
         row(&[Letter('-')], Trigger(ChangeSpeed(-1)), "fly slower from now on"),
         row(&[Letter('f')], Trigger(ViewAll), "view all of the model"),
-        row(&[Letter('g')], Trigger(GoToCursor), "go to what is under the cursor, and orbit around it"),
-        row(&[Letter('i')], Trigger(Inspect), "what is under the cursor: triangle, point, distance"),
+        row(&[Letter('g')], Trigger(GoToCursor), "go to the point under the cursor, and orbit around it"),
+        row(&[Letter('i')], Trigger(Inspect), "show triangle, point and distance under the cursor"),
         row(&[AnyDigit], Trigger(GoToView(0)), "go to a kept view"),
         row(&[CtrlAnyDigit], Trigger(KeepView(0)), "keep this view beside the model"),
-        row(&[Letter('c')], Trigger(ToggleRecording), "record the camera, or end recording"),
+        row(&[Letter('c')], Trigger(ToggleRecording), "record the camera, or end the recording"),
         row(&[Named(NamedKey::Space)], Trigger(TogglePlaying), "play the recorded camera path, or stop"),
         row(&[Letter('u')], Trigger(NextUpAxis), "next up axis: y, z, x"),
         row(&[Letter('h')], Trigger(NextDivision), "next heuristic: interleaved, tiled, dynamic"),
-        row(&[Letter('v')], Trigger(NextView), "next view: shaded, normals, cost"),
-        row(&[Letter('r')], Trigger(NextRays), "next rays: primary, shadows, ambient"),
+        row(&[Letter('v')], Trigger(NextShading), "next view: shaded, normals, cost"),
+        row(&[Letter('r')], Trigger(NextLighting), "next rays: primary, shadows, ambient"),
         row(
             &[Letter('l')],
             Trigger(NextLight),
@@ -240,7 +264,7 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('.')], Trigger(MoveClip(10)), "cut deeper"),
         row(&[Letter(',')], Trigger(MoveClip(-10)), "cut less deep"),
         row(&[Letter('m')], Trigger(ToggleRefinement), "resolution follows the motion, or not"),
-        row(&[Letter('t')], Trigger(NextTint), "next tint: none, who rendered it, CPU time"),
+        row(&[Letter('t')], Trigger(NextTint), "next tint: none, render server, CPU time"),
         row(&[Letter('k')], Trigger(NextStorage), "next storage of the grid"),
         row(&[Letter('j')], Trigger(NextDensity), "next density of the grid"),
         row(&[Ctrl('o')], Trigger(ToggleFiles), "open another model"),
@@ -250,25 +274,25 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Named(NamedKey::F11)], Trigger(ToggleFullscreen), "fullscreen on or off"),
         row(&[Named(NamedKey::Escape)], Trigger(LeaveFullscreen), "leave fullscreen"),
         row(&[Letter('n')], Trigger(NextPattern), "next test pattern: align, names, pixels, overlap, gamma, focus"),
-        row(&[Ctrl('s')], Trigger(SaveCorners), "save the corners that were moved on the wall"),
+        row(&[Ctrl('s')], Trigger(SaveCorners), "save the moved corners"),
         row(&[Ctrl('l')], Trigger(ToggleLock), "lock for visitors, who can only steer, or unlock"),
         row(&[Ctrl('q')], Trigger(Quit), "quit"),
     ]
 };
 
-/// The mouse, in words: gesture and effect.
+/// Mouse gestures and their effects, for the help.
 pub const MOUSE: &[(&str, &str)] = &[
     ("Left drag", "orbit around the model, or the point gone to"),
     ("Middle or Shift + left drag", "pan"),
     ("Right drag", "dolly: nearer or farther"),
-    ("Wheel", "nearer to what is under the cursor, or farther"),
-    ("Click", "what is there: triangle, point, distance"),
+    ("Wheel", "nearer to the point under the cursor, or farther"),
+    ("Click", "show triangle, point and distance there"),
     ("Double click", "go there, and orbit around it"),
     ("Shift while flying", "fly four times as fast"),
     ("Drop a PLY file", "open it"),
 ];
 
-/// What a key does, if anything.
+/// The effect of a key, if it has one.
 pub fn action(key: Key) -> Option<KeyAction> {
     let (key, number) = match key {
         Key::Letter(digit @ '1'..='9') => (Key::AnyDigit, digit as u8 - b'0'),

@@ -1,32 +1,58 @@
-//! When a wall in a kiosk goes back to its beginning: knows no clock, and is told what time it is.
+//! The lock against visitors, and a kiosk's return to its beginning. Pure: time is an argument.
 
 use std::time::{Duration, Instant};
 
-/// Waits for everybody to have gone.
+use super::input::Command;
+
+/// The lock against visitors, and the time since the last of them.
 #[derive(Clone, Debug)]
 pub struct Kiosk {
-    idle_timeout: Duration,
-    /// `None` once it has gone back, until somebody comes.
+    is_locked: bool,
+    /// `None` for a wall that is no kiosk, and never returns.
+    idle_timeout: Option<Duration>,
+    /// The last input; `None` once the kiosk has returned, until the next input.
     touched_at: Option<Instant>,
 }
 
 impl Kiosk {
-    /// Goes back when nobody has touched anything for so long.
-    pub fn new(idle_timeout: Duration, now: Instant) -> Self {
-        Self { idle_timeout, touched_at: Some(now) }
+    /// A kiosk is locked, and returns after this time without input.
+    pub fn new(idle_timeout: Option<Duration>, now: Instant) -> Self {
+        Self { is_locked: idle_timeout.is_some(), idle_timeout, touched_at: Some(now) }
     }
 
-    /// Somebody is there.
+    /// Whether only visitors' commands are allowed.
+    pub fn is_locked(&self) -> bool {
+        self.is_locked
+    }
+
+    /// Locks the wall, or unlocks it; returns whether it is locked now.
+    pub fn toggle_lock(&mut self) -> bool {
+        self.is_locked = !self.is_locked;
+        self.is_locked
+    }
+
+    /// Whether a command may be carried out now.
+    pub fn allows(&self, command: Command) -> bool {
+        !self.is_locked || command.is_for_visitors()
+    }
+
+    /// Whether camera paths repeat.
+    pub fn repeats_paths(&self) -> bool {
+        self.idle_timeout.is_some()
+    }
+
+    /// Notes some input.
     pub fn touch(&mut self, now: Instant) {
         self.touched_at = Some(now);
     }
 
-    /// When to go back, if nobody comes before.
+    /// When a locked kiosk returns, unless there is input before.
     pub fn returns_at(&self) -> Option<Instant> {
-        self.touched_at.map(|touched_at| touched_at + self.idle_timeout)
+        let touched_at = self.touched_at.filter(|_| self.is_locked)?;
+        Some(touched_at + self.idle_timeout?)
     }
 
-    /// Whether to go back now; once for each time that somebody was there.
+    /// Whether to return now: true once after each input.
     pub fn returns(&mut self, now: Instant) -> bool {
         let returns = self.returns_at().is_some_and(|returns_at| now >= returns_at);
         self.touched_at.take_if(|_| returns).is_some()
@@ -38,10 +64,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_kiosk_returns_once_when_everybody_has_gone() {
+    fn a_kiosk_returns_once_after_the_last_input() {
         let start = Instant::now();
         let at = |seconds| start + Duration::from_secs(seconds);
-        let mut kiosk = Kiosk::new(Duration::from_secs(60), start);
+        let mut kiosk = Kiosk::new(Some(Duration::from_secs(60)), start);
         assert_eq!(kiosk.returns_at(), Some(at(60)));
         assert!(!kiosk.returns(at(59)));
         kiosk.touch(at(59));
@@ -51,5 +77,16 @@ mod tests {
         kiosk.touch(at(3600));
         kiosk.touch(at(3610));
         assert!(!kiosk.returns(at(3661)) && kiosk.returns(at(3700)), "the last touch counts");
+    }
+
+    #[test]
+    fn a_locked_wall_takes_only_commands_of_visitors() {
+        let now = Instant::now();
+        let mut wall = Kiosk::new(None, now);
+        assert!(wall.allows(Command::Quit) && !wall.repeats_paths() && wall.returns_at().is_none());
+        assert!(wall.toggle_lock() && !wall.allows(Command::Quit) && wall.allows(Command::ViewAll));
+        assert_eq!(wall.returns_at(), None, "only kiosks return");
+        let mut kiosk = Kiosk::new(Some(Duration::ZERO), now);
+        assert!(kiosk.is_locked() && !kiosk.toggle_lock() && kiosk.returns_at().is_none());
     }
 }

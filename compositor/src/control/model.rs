@@ -1,41 +1,42 @@
-//! The model on the wall: the wall itself needs only its identity and its extent, and keeps no triangle.
+//! The model on the wall: the wall keeps its identity and its bounds, but no triangles.
 
 use std::path::PathBuf;
 
-use renderer::model::scene::{LoadError, SceneSource};
+use glam::{DVec3, Vec3};
+use renderer::model::scene::{self, LoadError, LoadedMesh, SceneSource};
 use shared::scene::SceneId;
 
-/// What the wall knows of the model that it shows.
+/// The model on the wall.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
-    /// Where it came from.
+    /// Its file, or the parameters of the built-in model.
     pub source: SceneSource,
-    /// What render servers must have.
+    /// The identity by which render servers find it.
     pub scene: SceneId,
-    /// The corners of the box around it, in world space; `min > max` if there is nothing to see.
-    pub bounds: (glam::DVec3, glam::DVec3),
-    /// Triangles, rejected ones left out.
+    /// Its bounding box (min, max) in world space; `min > max` if it is empty.
+    pub bounds: (DVec3, DVec3),
+    /// Triangles, without rejected ones.
     pub n_triangles: usize,
     /// Triangles that cannot be traced.
     pub n_rejected: usize,
 }
 
 impl Model {
-    /// Reads or makes the model; takes as long as that takes, so not on a thread that has to answer.
+    /// Reads or generates the model. May take minutes: not for the window's thread.
     pub fn load(source: SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Self, LoadError> {
-        let renderer::model::scene::LoadedMesh { id: scene, mesh } = renderer::model::scene::load(&source, progress)?;
+        let LoadedMesh { id, mesh } = scene::load(&source, progress)?;
         let bounds = mesh.bounds();
-        let corner = |point: [f32; 3]| glam::Vec3::from(point).as_dvec3();
+        let corner = |point: [f32; 3]| Vec3::from(point).as_dvec3();
         Ok(Self {
             source,
-            scene,
+            scene: id,
             bounds: (corner(bounds.min), corner(bounds.max)),
             n_triangles: mesh.triangles.len() - mesh.n_rejected,
             n_rejected: mesh.n_rejected,
         })
     }
 
-    /// The file, if it came from one.
+    /// The model's file; `None` for the built-in model.
     pub fn path(&self) -> Option<PathBuf> {
         match &self.source {
             SceneSource::Ply(path) => Some(path.clone()),

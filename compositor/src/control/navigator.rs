@@ -1,4 +1,4 @@
-//! The camera under mouse and keys. Pure: no window, no clock.
+//! The camera, moved by mouse and keys. Pure: no window, no clock.
 
 use std::sync::Arc;
 
@@ -7,18 +7,18 @@ use shared::camera::{Camera, CameraPath, Transition, UpAxis};
 
 use super::input::Direction;
 
-/// What a drag with the mouse does.
+/// The effect of a drag with the mouse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Drag {
-    /// Turns around the point that is looked at: the middle of the model unless another is chosen.
+    /// Orbits around the chosen point, or the middle of the model.
     Orbit,
-    /// Moves the model with the cursor.
+    /// Moves the model with the cursor, parallel to the view plane.
     Pan,
     /// Moves nearer (up) or farther (down).
     Dolly,
 }
 
-/// The camera under mouse and keys.
+/// The camera, moved by mouse and keys.
 ///
 /// Points on the canvas are fractions of its width and height, (0, 0) lower left.
 #[derive(Clone, Debug)]
@@ -30,49 +30,49 @@ pub struct Navigator {
     cursor: DVec2,
     drag: Option<Drag>,
     held: Vec<Direction>,
-    /// The point to orbit around, if not the middle of the model.
+    /// The point to orbit around; `None`: the middle of the model.
     focus: Option<DVec3>,
-    /// The surface that lies under the cursor, once somebody has said where.
+    /// The surface point under the cursor, in world space, once it is known.
     under_cursor: Option<DVec3>,
     motion: Option<Motion>,
-    /// Steps by which flying is faster than usual.
+    /// Steps of flying speed above the usual one.
     speed: i32,
 }
 
-/// What moves the camera by itself.
+/// A motion without mouse or keys.
 #[derive(Clone, Debug)]
 enum Motion {
-    /// On the way to another view.
+    /// Toward another view.
     Transition { transition: Box<Transition>, seconds: f64 },
     /// Along a path.
     Play { path: Arc<CameraPath>, seconds: f64, repeats: bool },
 }
 
-/// A drag over the canvas's whole height turns the model by half a turn.
+/// A drag over the height of the canvas turns the model by half a turn.
 const ORBIT_RADIANS_PER_HEIGHT: f64 = std::f64::consts::PI;
-/// A drag over the canvas's whole height changes the distance by this factor.
+/// A drag over the height of the canvas changes the distance by this factor.
 const DOLLY_FACTOR_PER_HEIGHT: f64 = 8.0;
 /// One notch of the wheel changes the distance by this factor.
 const DOLLY_FACTOR_PER_NOTCH: f64 = 1.15;
-/// Flying crosses the model in this many seconds.
+/// Seconds to fly across the model.
 const SECONDS_TO_CROSS: f64 = 2.5;
-/// A step of speed makes flying so much faster.
+/// Each step multiplies the flying speed by this.
 const SPEED_FACTOR: f64 = 1.5;
-/// No more steps than this either way: a fiftieth of the usual speed, or fifty times as fast.
+/// The most steps up or down: 1.5¹⁰ is about 58 times the usual speed.
 const MOST_SPEED_STEPS: i32 = 10;
-/// The way to another view takes so long.
+/// Duration of the transition to another view.
 const TRANSITION_SECONDS: f64 = 0.6;
-/// Going to a point of the model leaves this part of the distance to it.
+/// Going to a point leaves this part of the distance to it.
 const GO_TO_PART: f64 = 0.4;
 /// Nearer to a surface than this part of the model's size, the wheel goes through it.
 const PASS_THROUGH_PART: f64 = 1e-3;
-/// After a pause, no step is longer than this: one slow frame must not throw the eye through the model.
+/// The longest time step: one slow frame must not move the eye through the model.
 const LONGEST_STEP_SECONDS: f64 = 0.1;
-/// Nearer than this part of the model's size, pan and dolly go on as if the middle of the model were this far.
+/// The least depth that pan and dolly assume, as a part of the model's size.
 const LEAST_DEPTH_PART: f64 = 0.05;
 
 impl Navigator {
-    /// Sees all of a box, given by its corners in world space, on a canvas of `aspect`, its width over its height.
+    /// Shows a whole box (min, max) in world space, on a canvas with this aspect (width over height).
     pub fn new(bounds: (DVec3, DVec3), up: UpAxis, aspect: f64) -> Self {
         let camera = Camera::view_all(bounds.0, bounds.1, up, aspect);
         Self {
@@ -106,7 +106,7 @@ impl Navigator {
         self.up
     }
 
-    /// Where the camera will rest: where it is, unless it is on its way to another view.
+    /// The end of a transition to another view; otherwise the present camera.
     pub fn destination(&self) -> Camera {
         match &self.motion {
             Some(Motion::Transition { transition, .. }) => transition.end(),
@@ -114,7 +114,7 @@ impl Navigator {
         }
     }
 
-    /// Looks at another model at once, all of it; drags and keys that are held stay so.
+    /// Shows another model at once, as a whole; drags and held keys continue.
     pub fn set_bounds(&mut self, bounds: (DVec3, DVec3), up: UpAxis) {
         self.bounds = bounds;
         self.up = up;
@@ -123,42 +123,40 @@ impl Navigator {
         self.set_camera(self.view_all_camera());
     }
 
-    /// Goes to where all of the model is seen.
+    /// Starts a transition to a view of the whole model.
     pub fn view_all(&mut self) {
         self.focus = None;
         self.go_to(self.view_all_camera());
     }
 
-    /// Takes the next axis as up.
-    ///
-    /// Sees all of the model afresh: turned in place, the eye would end up above or below it.
+    /// Uses the next axis as up, and shows the whole model: turned in place, the eye would be above or below it.
     pub fn next_up_axis(&mut self) {
         self.up = self.up.next();
         self.view_all();
     }
 
-    /// Goes to another view.
+    /// Starts a transition to another view.
     pub fn go_to(&mut self, camera: Camera) {
         let (start, end) = ((self.camera, self.depth_of(&self.camera)), (camera, self.depth_of(&camera)));
         let transition = Box::new(Transition::new(start, end, self.up));
         self.motion = (camera != self.camera).then_some(Motion::Transition { transition, seconds: 0.0 });
     }
 
-    /// Goes nearer to a point of the model, in world space, until it is in the middle, to orbit around it from then on.
+    /// Moves nearer to a point in world space until it is in the middle, and orbits around it from then on.
     pub fn go_to_point(&mut self, point: DVec3) {
         if !point.is_finite() {
             return;
         }
         let distance = (point - self.camera.eye()).length();
         let nearer = self.camera.dolly(point, GO_TO_PART);
-        // In the middle: moved sideways, so that the picture does not turn.
+        // Move sideways until the point is in the middle: the picture does not turn.
         let (forward, plane_distance) = view_plane(&nearer);
         let depth = (point - nearer.eye()).dot(forward);
         let middle = nearer.eye() + (nearer.target() - nearer.eye()) * (depth / plane_distance);
         let aside = point - middle;
         let right = nearer.u().normalize();
         let up = nearer.v().normalize();
-        // Solved for both edges, which need not be perpendicular.
+        // Solve for both edges, which need not be perpendicular.
         let (a, b, c) = (right.dot(up), aside.dot(right), aside.dot(up));
         let by_up = (c - a * b) / (1.0 - a * a);
         self.focus = Some(point);
@@ -167,17 +165,17 @@ impl Navigator {
         }
     }
 
-    /// Says where the surface under the cursor is, in world space; `None`: nowhere.
+    /// Sets the surface point under the cursor, in world space; `None` if there is none.
     pub fn set_under_cursor(&mut self, point: Option<DVec3>) {
         self.under_cursor = point.filter(|point| point.is_finite());
     }
 
-    /// Whether it would help to know the surface under the cursor.
+    /// Whether the surface point under the cursor is unknown.
     pub fn needs_surface(&self) -> bool {
         self.under_cursor.is_none()
     }
 
-    /// Follows a path from its beginning; for ever, if it `repeats`.
+    /// Plays a path from its beginning, once or repeatedly.
     pub fn play(&mut self, path: Arc<CameraPath>, repeats: bool) {
         self.up = path.up();
         self.focus = None;
@@ -190,7 +188,7 @@ impl Navigator {
         matches!(self.motion, Some(Motion::Play { .. }))
     }
 
-    /// Stays where the camera is.
+    /// Ends a transition or a path where the camera is.
     pub fn stop(&mut self) {
         self.motion = None;
     }
@@ -201,7 +199,7 @@ impl Navigator {
         self.drag = Some(drag);
     }
 
-    /// The mouse button is up again.
+    /// The mouse button went up.
     pub fn release(&mut self) {
         self.drag = None;
     }
@@ -211,7 +209,7 @@ impl Navigator {
         self.drag.is_some()
     }
 
-    /// The cursor moved to a point on the canvas, or beyond its edge; says whether the camera moved with it.
+    /// Moves the cursor to a point on the canvas, or beyond its edge. Returns whether the camera moved.
     pub fn move_to(&mut self, point: DVec2) -> bool {
         if !point.is_finite() {
             return false;
@@ -225,7 +223,7 @@ impl Navigator {
         match self.drag {
             None => {}
             Some(Drag::Orbit) => {
-                // The model follows the hand, so the eye goes the other way.
+                // The model follows the cursor, so the eye moves the other way.
                 let yaw = -by.x * self.aspect * ORBIT_RADIANS_PER_HEIGHT;
                 let pitch = -by.y * ORBIT_RADIANS_PER_HEIGHT;
                 self.camera = self.camera.orbit(self.pivot(), self.up, yaw, pitch);
@@ -239,7 +237,7 @@ impl Navigator {
         self.camera != before
     }
 
-    /// The wheel turned, positive away from the person: nearer to what is under the cursor.
+    /// Turns the wheel; positive notches move toward the point under the cursor. Returns whether the camera moved.
     pub fn wheel(&mut self, notches: f64) -> bool {
         let before = self.camera;
         self.motion = None;
@@ -251,7 +249,7 @@ impl Navigator {
         self.camera != before
     }
 
-    /// A key to fly with went down.
+    /// A key for flying went down.
     pub fn hold(&mut self, direction: Direction) {
         self.motion = None;
         if !self.held.contains(&direction) {
@@ -259,12 +257,12 @@ impl Navigator {
         }
     }
 
-    /// A key to fly with is up again.
+    /// A key for flying went up.
     pub fn release_key(&mut self, direction: Direction) {
         self.held.retain(|&held| held != direction);
     }
 
-    /// Everything is let go, as when the window loses the keyboard.
+    /// Releases all keys and buttons, as when the window loses the focus.
     pub fn release_all(&mut self) {
         self.held.clear();
         self.drag = None;
@@ -275,14 +273,14 @@ impl Navigator {
         !self.held.is_empty() || self.motion.is_some()
     }
 
-    /// Flies faster from now on, by so many steps, or slower; says how many times as fast as usual that is.
+    /// Changes the flying speed by some steps. Returns the new speed as a multiple of the usual one.
     pub fn change_speed(&mut self, steps: i32) -> f64 {
         self.speed = self.speed.saturating_add(steps).clamp(-MOST_SPEED_STEPS, MOST_SPEED_STEPS);
         SPEED_FACTOR.powi(self.speed)
     }
 
-    /// Lets some seconds pass: flies on, `speed` times as fast as chosen, goes on to another view, or follows a path.
-    /// Says whether the camera moved.
+    /// Advances a transition, a path or flying by some seconds; `speed` multiplies the flying speed. Returns whether the
+    /// camera moved.
     pub fn advance(&mut self, seconds: f64, speed: f64) -> bool {
         let before = self.camera;
         let seconds = if seconds > 0.0 { seconds } else { 0.0 };
@@ -315,7 +313,7 @@ impl Navigator {
     }
 
     fn fly(&mut self, seconds: f64, speed: f64) {
-        // From far away the model is reached in the same time.
+        // From afar, reaching the model takes the same time.
         let (size, distance) = (self.size(), (self.camera.eye() - self.pivot()).length());
         let per_second = size.max(distance - size) / SECONDS_TO_CROSS;
         let step = per_second * seconds.min(LONGEST_STEP_SECONDS) * speed * SPEED_FACTOR.powi(self.speed);
@@ -339,7 +337,7 @@ impl Navigator {
         Camera::view_all(self.bounds.0, self.bounds.1, self.up, self.aspect)
     }
 
-    /// The point to orbit around: one that was chosen, the middle of the model, or of space if the model has none.
+    /// The point to orbit around: the chosen one, the middle of the model, or the origin if the model is empty.
     fn pivot(&self) -> DVec3 {
         let (min, max) = self.bounds;
         let middle = if min.cmple(max).all() { (min + max) * 0.5 } else { DVec3::ZERO };
@@ -357,15 +355,15 @@ impl Navigator {
         self.depth_of(&self.camera)
     }
 
-    /// How far the pivot lies in front of an eye, perpendicular to the view plane, and never too near to move by.
+    /// The pivot's distance from the eye, perpendicular to the view plane, but at least a small part of the model.
     fn depth_of(&self, camera: &Camera) -> f64 {
         let (forward, _) = view_plane(camera);
-        // A point that somebody chose was worth going near to.
+        // The eye may go nearer to a chosen point than to the middle of the model.
         let nearest = if self.focus.is_some() { PASS_THROUGH_PART } else { LEAST_DEPTH_PART };
         (self.pivot() - camera.eye()).dot(forward).max(self.size() * nearest)
     }
 
-    /// The point at the pivot's depth that is seen at a point of the canvas.
+    /// The point in world space at the pivot's depth behind a point of the canvas.
     fn point_under(&self, point: DVec2) -> DVec3 {
         let (_, distance) = view_plane(&self.camera);
         let eye = self.camera.eye();

@@ -1,4 +1,4 @@
-//! What is kept in files beside a model: its views and its camera path.
+//! Sidecar files: a model's views and its camera path, in files beside it.
 
 use std::{
     fs::File,
@@ -10,25 +10,25 @@ use std::{
 use renderer::{model::scene::SceneSource, render::image::write_atomically};
 use shared::camera::{Camera, CameraPath, UpAxis, Views};
 
-/// What is kept beside a model, as it was read with it and changed since.
+use super::numbered_file;
+
+/// The contents of a model's sidecar files, with the changes since they were read.
 #[derive(Clone, Debug)]
 pub struct SidecarFiles {
-    /// The model's own path, to which endings are added.
+    /// The model's path, the beginning of each sidecar file's name.
     model_path: PathBuf,
-    /// Why not, where the file is there and cannot be used: then it is not written over.
+    /// An error if the file exists but cannot be used: it is not overwritten then.
     views: Result<Views, String>,
     path: Result<Option<Arc<CameraPath>>, String>,
 }
 
-/// Larger files of views are none.
+/// Larger files are not views; bytes.
 const LONGEST_VIEWS: u64 = 1 << 20;
-/// Room for the longest camera path.
+/// Enough for the longest camera path; bytes.
 const LONGEST_PATH: u64 = 1 << 25;
-/// More former camera paths than this beside one model are surely a mistake.
-const MOST_FORMER_PATHS: u32 = 9999;
 
 impl SidecarFiles {
-    /// Reads what is kept beside a model; beside the built-in one, that is in the working folder.
+    /// Reads a model's sidecar files; those of the built-in model lie in the working folder.
     pub fn read(source: &SceneSource) -> Self {
         let model_path = match source {
             SceneSource::Ply(path) => path.clone(),
@@ -56,46 +56,47 @@ impl SidecarFiles {
         self.path.as_ref().ok().cloned().flatten()
     }
 
-    /// What an operator should know of files that could not be read.
+    /// Why a file could not be read.
     pub fn problem(&self) -> Option<&str> {
         self.views.as_ref().err().or(self.path.as_ref().err()).map(String::as_str)
     }
 
-    /// Gives a view a number, and says which file is to hold what then; not on this thread, for a disk may be slow.
+    /// Keeps a view under a number. Returns the file and its new text for [`write_views`], which the caller runs on a
+    /// thread that may wait for a disk.
     pub fn keep_view(&mut self, number: u8, camera: Camera, up: UpAxis) -> Result<(PathBuf, String), String> {
-        let views = self.views.as_mut().map_err(|problem| format!("no view is kept: {problem}"))?;
+        let views = self.views.as_mut().map_err(|problem| format!("the view is not kept: {problem}"))?;
         views.keep(number, camera);
         views.up = Some(up);
         Ok((with_suffix(&self.model_path, "views.toml"), views.to_toml()))
     }
 
-    /// Takes another camera path, and says in which file it is to be kept by [`write_path`].
+    /// Replaces the camera path. Returns its file for [`write_path`].
     pub fn keep_path(&mut self, path: Arc<CameraPath>) -> PathBuf {
         self.path = Ok(Some(path));
         with_suffix(&self.model_path, "path.toml")
     }
 }
 
-/// Reads a camera path for `--path`.
+/// Reads a camera path, for the option `--path`.
 pub fn read_path(file: &Path) -> Result<CameraPath, String> {
     let text = read_optional(file, LONGEST_PATH)?;
     let text = text.ok_or_else(|| {
         format!(
-            "{}: there is no such file: record a path with C on the wall, and it is beside the model",
+            "{}: there is no such file: record a path with C on the wall, which writes it beside the model",
             file.display()
         )
     })?;
     parse_path(file, &text)
 }
 
-/// Writes the views beside a model.
+/// Writes a model's views.
 pub fn write_views(file: &Path, text: &str) -> Result<(), String> {
     write_atomically(file, |out| out.write_all(text.as_bytes())).map_err(|error| {
         format!("the view is kept until the wall ends, but {} cannot be written: {error}", file.display())
     })
 }
 
-/// Writes a camera path; a file that is there already is renamed, and nothing that was recorded is lost.
+/// Writes a camera path; renames an existing file, so that no recording is lost.
 pub fn write_path(file: &Path, path: &CameraPath) -> Result<(), String> {
     let written =
         rename_existing(file).and_then(|()| write_atomically(file, |out| out.write_all(path.to_toml().as_bytes())));
@@ -108,22 +109,14 @@ fn rename_existing(file: &Path) -> io::Result<()> {
     if !file.try_exists()? {
         return Ok(());
     }
-    for number in 1..=MOST_FORMER_PATHS {
-        let former = file.with_extension(format!("{number:04}.toml"));
-        match File::create_new(&former) {
-            Ok(_) => return std::fs::rename(file, former),
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-            Err(error) => return Err(error),
-        }
-    }
-    Err(io::Error::other(format!("there are {MOST_FORMER_PATHS} former paths already: move some away")))
+    std::fs::rename(file, numbered_file::create(|number| file.with_extension(format!("{number:04}.toml")))?)
 }
 
 fn parse_path(file: &Path, text: &str) -> Result<CameraPath, String> {
     CameraPath::from_toml(text).map_err(|error| format!("{}: {error}", file.display()))
 }
 
-/// `dragon.ply` becomes `dragon.ply.views.toml`: two models that differ in their endings share nothing.
+/// `dragon.ply` becomes `dragon.ply.views.toml`, so that models of the same stem have separate files.
 fn with_suffix(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".");
@@ -131,7 +124,7 @@ fn with_suffix(path: &Path, ending: &str) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// A file's text; `None` if there is no such file.
+/// The text of a file; `None` if it does not exist.
 fn read_optional(path: &Path, longest: u64) -> Result<Option<String>, String> {
     let cannot = |error: &dyn std::fmt::Display| format!("{}: cannot be read: {error}", path.display());
     let file = match File::open(path) {
@@ -188,38 +181,38 @@ mod tests {
     #[test]
     fn views_come_back_with_their_model() {
         let folder = Folder::new("views");
-        let mut kept = SidecarFiles::read(&folder.model());
-        assert!(kept.problem().is_none() && kept.views().unwrap().numbers().next().is_none());
+        let mut sidecars = SidecarFiles::read(&folder.model());
+        assert!(sidecars.problem().is_none() && sidecars.views().unwrap().numbers().next().is_none());
         for (number, yaw) in [(3, 0.1), (9, 0.2), (3, 0.3)] {
-            let (file, text) = kept.keep_view(number, camera(yaw), UpAxis::Z).unwrap();
+            let (file, text) = sidecars.keep_view(number, camera(yaw), UpAxis::Z).unwrap();
             write_views(&file, &text).unwrap();
         }
         assert_eq!(folder.files(), ["a model.ply.views.toml"]);
         let again = SidecarFiles::read(&folder.model());
-        assert_eq!(again.views(), kept.views());
+        assert_eq!(again.views(), sidecars.views());
         assert_eq!((again.views().unwrap().get(3), again.views().unwrap().up), (Some(camera(0.3)), Some(UpAxis::Z)));
     }
 
     #[test]
-    fn a_file_that_somebody_broke_is_told_and_not_written_over() {
+    fn a_broken_file_is_reported_and_not_overwritten() {
         let folder = Folder::new("broken");
         std::fs::write(folder.0.join("a model.ply.views.toml"), "up = y").unwrap();
-        let mut kept = SidecarFiles::read(&folder.model());
-        assert!(kept.problem().unwrap().contains("a model.ply.views.toml: line 1:"), "{:?}", kept.problem());
-        let refused = kept.keep_view(1, camera(0.0), UpAxis::Y).unwrap_err();
+        let mut sidecars = SidecarFiles::read(&folder.model());
+        assert!(sidecars.problem().unwrap().contains("a model.ply.views.toml: line 1:"), "{:?}", sidecars.problem());
+        let refused = sidecars.keep_view(1, camera(0.0), UpAxis::Y).unwrap_err();
         assert!(refused.contains("line 1"), "{refused}");
         std::fs::write(folder.0.join("a model.ply.views.toml"), vec![b' '; 2 << 20]).unwrap();
         assert!(SidecarFiles::read(&folder.model()).problem().unwrap().contains("longer than"));
     }
 
     #[test]
-    fn no_path_that_was_recorded_is_lost() {
+    fn no_recorded_path_is_lost() {
         let folder = Folder::new("paths");
         let path = |yaw| Arc::new(CameraPath::new(vec![(0.0, camera(0.0)), (1.0, camera(yaw))], UpAxis::Z).unwrap());
-        let mut kept = SidecarFiles::read(&folder.model());
-        assert!(kept.path().is_none());
+        let mut sidecars = SidecarFiles::read(&folder.model());
+        assert!(sidecars.path().is_none());
         for yaw in [1.0, 2.0, 3.0] {
-            let file = kept.keep_path(path(yaw));
+            let file = sidecars.keep_path(path(yaw));
             write_path(&file, &path(yaw)).unwrap();
         }
         assert_eq!(

@@ -1,13 +1,13 @@
-//! Walls have guards under X11 and Wayland only: elsewhere the system's own means start them again.
+//! No supervisor: walls have one on Unix with X11 or Wayland only. Use the system's service manager elsewhere.
 
 use crate::wall::OnLoss;
 
-/// There is none.
+/// Has no values on this system.
 #[derive(Debug)]
 pub enum SupervisorLink {}
 
 impl SupervisorLink {
-    /// No process has a guard.
+    /// No process has a supervisor.
     pub fn of_this_process() -> Option<Self> {
         None
     }
@@ -33,10 +33,10 @@ impl SupervisorLink {
     }
 }
 
-/// Whether walls can have one.
+/// Whether this system has supervisors.
 pub const IS_SUPPORTED: bool = false;
 
 /// Never called.
 pub fn run(_: OnLoss) -> anyhow::Result<()> {
-    anyhow::bail!("no guard on this system")
+    anyhow::bail!("walls have no supervisor on this system")
 }

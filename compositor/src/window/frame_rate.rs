@@ -1,21 +1,21 @@
-//! How many frames a second are shown. Pure: time is an argument.
+//! The rate of frames on screen. Pure: time is an argument.
 
 use std::{
     collections::VecDeque,
     time::{Duration, Instant},
 };
 
-/// Counts the frames of the last second or so.
+/// Counts the frames of the last second.
 #[derive(Debug, Default)]
 pub(super) struct FrameRate {
     shown_at: VecDeque<Instant>,
 }
 
-/// Frames older than this are not counted, and a wall that has shown none for as long is at rest.
+/// Older frames do not count; a wall without a new frame for this time is at rest.
 const WINDOW: Duration = Duration::from_secs(1);
 
 impl FrameRate {
-    /// A whole new frame was shown.
+    /// Counts a frame that was shown.
     pub(super) fn count(&mut self, now: Instant) {
         self.forget_old(now);
         self.shown_at.push_back(now);
@@ -29,7 +29,7 @@ impl FrameRate {
         (intervals > 0 && last > first).then(|| intervals as f64 / (last - first).as_secs_f64())
     }
 
-    /// When the wall will be at rest, if it shows no further frame.
+    /// When the wall will be at rest, unless it shows another frame.
     pub(super) fn rests_at(&self) -> Option<Instant> {
         self.shown_at.back().map(|&last| last + WINDOW)
     }
@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_steady_rate_is_told_and_rest_is_no_rate() {
+    fn a_steady_rate_is_measured_and_rest_has_no_rate() {
         let start = Instant::now();
         let mut rate = FrameRate::default();
         assert_eq!(rate.per_second(start), None);

@@ -1,17 +1,18 @@
-//! What takes a disk's time: done one after the other on a thread of its own, and told of in words.
+//! File operations, one after the other on a thread of their own.
 
 use std::{
     sync::mpsc,
     thread::{self, JoinHandle},
 };
 
-use super::Waker;
+use super::waker::Waker;
 
-/// What came of a job: what an operator should read, if anything.
+/// A note or a problem for the operator.
 pub(super) type Outcome = Result<Option<String>, String>;
-type Job = Box<dyn FnOnce() -> Outcome + Send>;
+/// A file operation.
+pub(super) type Job = Box<dyn FnOnce() -> Outcome + Send>;
 
-/// Jobs in the order in which they were given; none is left undone when the window closes.
+/// Runs jobs in order; dropping it waits for the last one.
 pub(super) struct Jobs {
     waker: Waker,
     worker: Option<(mpsc::Sender<Job>, JoinHandle<()>)>,
@@ -23,21 +24,21 @@ impl Jobs {
         Self { waker, worker: None, outcomes: mpsc::channel() }
     }
 
-    /// Does a job as soon as those before are done; what came of it is told by [`Jobs::poll`].
-    pub(super) fn add(&mut self, job: impl FnOnce() -> Outcome + Send + 'static) {
+    /// Runs a job after those before it; [`Jobs::poll`] returns its outcome.
+    pub(super) fn add(&mut self, job: Job) {
         if self.worker.is_none() {
             match self.start() {
                 Ok(worker) => self.worker = Some(worker),
-                Err(error) => return tracing::error!("no thread to write files on: {error}"),
+                Err(error) => return tracing::error!("cannot start a thread for files: {error}"),
             }
         }
         if let Some((jobs, _)) = &self.worker {
-            // The thread ends only with this.
-            let _ = jobs.send(Box::new(job));
+            // The thread runs until this sender is dropped.
+            let _ = jobs.send(job);
         }
     }
 
-    /// What came of a job, once that is known.
+    /// The outcome of a job that has ended.
     pub(super) fn poll(&self) -> Option<Outcome> {
         self.outcomes.1.try_recv().ok()
     }
@@ -47,7 +48,7 @@ impl Jobs {
         let (waker, outcomes) = (self.waker.clone(), self.outcomes.0.clone());
         let task = move || {
             for job in jobs {
-                // Nobody waits for it once the window is closed.
+                // The receiver is gone once the window is closed.
                 let _ = outcomes.send(job());
                 waker.wake();
             }
@@ -60,7 +61,7 @@ impl Drop for Jobs {
     fn drop(&mut self) {
         if let Some((jobs, thread)) = self.worker.take() {
             drop(jobs);
-            // A panic has been told of by then.
+            // The panic hook has reported a panic already.
             let _ = thread.join();
         }
     }

@@ -1,4 +1,4 @@
-//! Reads models on a thread of its own, one at a time.
+//! Loads models on a thread of their own, one at a time.
 
 use std::{
     sync::{
@@ -11,14 +11,14 @@ use std::{
 
 use renderer::model::scene::SceneSource;
 
-use super::Waker;
+use super::waker::Waker;
 use crate::control::{model::Model, sidecar::SidecarFiles};
 
-/// Reads the latest model that was asked for.
+/// Loads the model that was asked for last.
 pub(super) struct ModelLoader {
     waker: Waker,
     running: Option<Loading>,
-    /// What to read next: only the latest wish counts.
+    /// The next model; a later request replaces it.
     next: Option<SceneSource>,
 }
 
@@ -30,30 +30,30 @@ struct Loading {
 }
 
 impl ModelLoader {
-    /// Calls `waker` whenever there is something new to [`ModelLoader::poll`].
+    /// Wakes the window on progress, and when [`ModelLoader::poll`] has an outcome.
     pub(super) fn new(waker: Waker) -> Self {
         Self { waker, running: None, next: None }
     }
 
-    /// Reads a model as soon as the one before is done.
+    /// Loads a model, after the one that is being loaded.
     pub(super) fn load(&mut self, source: SceneSource) {
         self.next = Some(source);
         self.start_next();
     }
 
-    /// What is being read, and how far: 0 to 1.
+    /// The name of the model that is being loaded, and the progress from 0 to 1.
     pub(super) fn progress(&self) -> Option<(String, f32)> {
         let loading = self.running.as_ref()?;
         Some((loading.name.clone(), f32::from_bits(loading.progress.load(Ordering::Relaxed))))
     }
 
-    /// The model and what is kept beside it, or why there is none, once that is known.
+    /// A loaded model with its sidecar files, or the reason why it cannot be loaded.
     pub(super) fn poll(&mut self) -> Option<Result<(Model, SidecarFiles), String>> {
         let outcome = match self.running.as_ref()?.outcome.try_recv() {
             Ok(outcome) => outcome,
             Err(mpsc::TryRecvError::Empty) => return None,
             Err(mpsc::TryRecvError::Disconnected) => {
-                Err("reading the model failed unexpectedly: see the log above, and try another file".to_owned())
+                Err("loading the model failed unexpectedly: see the log above, and try another file".to_owned())
             }
         };
         self.running = None;
@@ -80,17 +80,17 @@ impl ModelLoader {
             };
             let sidecars = SidecarFiles::read(&source);
             let model = Model::load(source, &report).map(|model| (model, sidecars)).map_err(|error| error.to_string());
-            // Nobody waits for it once the window is closed.
+            // The receiver is gone once the window is closed.
             let _ = sender.send(model);
         };
         let waker = self.waker.clone();
         let spawned = thread::Builder::new().name("model loader".to_owned()).spawn(move || {
-            // Woken even when the sender is dropped by a panic.
+            // Wakes the window even if a panic drops the sender.
             let _wake = WakeOnDrop(waker);
             load();
         });
         if let Err(error) = spawned {
-            tracing::error!("no thread to read the model on: {error}");
+            tracing::error!("cannot start a thread to load the model: {error}");
         }
     }
 }
@@ -103,7 +103,7 @@ impl Drop for WakeOnDrop {
     }
 }
 
-/// What people call a model.
+/// The name of a model on screen.
 pub(super) fn name_of(source: &SceneSource) -> String {
     match source {
         SceneSource::Ply(path) => path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),

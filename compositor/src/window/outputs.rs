@@ -1,4 +1,4 @@
-//! The outputs of a wall: a window on each monitor that it names, or one window that spans all of it.
+//! The outputs of a wall: a window on each monitor that it names, or one window for the whole wall.
 
 use std::time::{Duration, Instant};
 
@@ -12,7 +12,11 @@ use winit::{
     window::{Fullscreen, Window, WindowId},
 };
 
-use super::{ms_since, painter::Painter, screen::Screen, session::hotplug};
+use super::{
+    painter::{Painter, ms_since},
+    screen::Screen,
+    session::{hotplug, screensaver::ScreensaverHold},
+};
 use crate::{
     farm::{Frame, stats::DisplayStats},
     gpu::GpuError,
@@ -20,56 +24,58 @@ use crate::{
     wall::{PixelRect, Projector, Wall},
 };
 
-/// Monitors that come and go are noticed after this.
+/// How often monitors are checked.
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// All windows of a wall, and what draws on them.
+/// All windows of a wall, with the painter that draws on them.
 ///
-/// A wall that names no outputs has one, whose window is any on the desktop.
+/// A wall that names no outputs has one, whose window may be anywhere on the desktop.
 pub(super) struct Outputs {
     all: Vec<Output>,
-    /// Made with the first window, and kept when all are gone.
+    /// Created with the first window, and kept when all are closed.
     painter: Option<Painter>,
     /// Whether windows fill their monitors.
     is_filling: bool,
     title: String,
     cursor_is_visible: bool,
+    /// Held while windows fill their monitors.
+    screensaver: Option<ScreensaverHold>,
     checked_at: Option<Instant>,
 }
 
-/// A part of the wall, and the window that shows it.
+/// A part of the wall, and its window.
 struct Output {
-    /// The name of its monitor; `None` for a window that may be anywhere.
+    /// The name of its monitor; `None` for a window that may be on any.
     monitor: Option<String>,
-    /// Its pixels, of those of the output that spans all projectors.
+    /// Its pixels within the spanning output.
     part: PixelRect,
-    /// Closed while its monitor is away.
+    /// `None` while its monitor is missing.
     screen: Option<Screen>,
-    /// The monitor's place on the desktop at the last look.
+    /// The monitor's place on the desktop at the last check.
     geometry: Option<Geometry>,
-    /// Whether its monitor was there at the last look.
+    /// Whether its monitor was there at the last check.
     is_there: bool,
-    shows: OutputContent,
+    content: OutputContent,
 }
 
 type Geometry = (PhysicalPosition<i32>, PhysicalSize<u32>);
 
-/// What came of drawing once.
+/// The result of drawing once.
 pub(super) struct DrawResult {
-    /// Where the time went; without latency, which the caller knows.
+    /// Times of the display's parts, without the latency, which the caller knows.
     pub(super) stats: DisplayStats,
-    /// What came of the overlay.
+    /// The overlay's commands and areas.
     pub(super) overlay: OverlayOutput,
-    /// When the overlay wants to be drawn again by itself.
+    /// After which time the overlay wants to be drawn again.
     pub(super) repaint_after: Duration,
-    /// On which monitors, if the wall names them.
+    /// The named monitors that were drawn on.
     pub(super) monitors: Vec<String>,
-    /// Whether a window that has room for it could not be drawn on now.
+    /// Whether a window that is not empty could not be drawn on.
     pub(super) is_incomplete: bool,
 }
 
 impl Outputs {
-    /// The outputs of a wall, still without windows; walls that name monitors fill them.
+    /// The outputs of a wall, without windows yet; walls that name monitors fill them.
     pub(super) fn new(wall: &Wall, is_filling: bool) -> Self {
         let output = |monitor, part| Output {
             monitor,
@@ -77,7 +83,7 @@ impl Outputs {
             screen: None,
             geometry: None,
             is_there: false,
-            shows: OutputContent::Nothing,
+            content: OutputContent::Nothing,
         };
         let mut all: Vec<Output> =
             wall.monitors().into_iter().map(|(name, part)| output(Some(name.to_owned()), part)).collect();
@@ -85,10 +91,18 @@ impl Outputs {
         if all.is_empty() {
             all.push(output(None, wall.whole_output()));
         }
-        Self { all, painter: None, is_filling, title: "Raywall".to_owned(), cursor_is_visible: true, checked_at: None }
+        Self {
+            all,
+            painter: None,
+            is_filling,
+            title: "Raywall".to_owned(),
+            cursor_is_visible: true,
+            screensaver: None,
+            checked_at: None,
+        }
     }
 
-    /// Opens windows on monitors that are there, closes those of monitors that are gone, and says whether any did.
+    /// Opens windows on monitors that are there, and closes those of missing ones. Returns whether windows changed.
     pub(super) fn follow_monitors(&mut self, event_loop: &ActiveEventLoop) -> anyhow::Result<bool> {
         let is_first = self.checked_at.replace(Instant::now()).is_none();
         if is_first && self.names_monitors() {
@@ -106,7 +120,7 @@ impl Outputs {
             (output.is_there, output.geometry) = (is_there, geometry);
             if !is_settled && output.screen.take().is_some() {
                 tracing::warn!("the monitor {} is gone or has changed", output.name());
-                output.shows = OutputContent::Nothing;
+                output.content = OutputContent::Nothing;
                 has_changed = true;
             }
             if is_first && !is_there {
@@ -118,33 +132,36 @@ impl Outputs {
                     output.name()
                 );
             }
-            // One that has just come is left to the window manager until the next look.
+            // The window manager may still move a monitor that has just come: open the window at the next check.
             if is_there && is_settled && self.all[index].screen.is_none() {
                 match self.open(index, event_loop, monitor) {
                     Ok(screen) => self.all[index].screen = Some(screen),
-                    // Without any window there is nothing to go on with.
+                    // Without any window the wall cannot start.
                     Err(error) if self.painter.is_none() => return Err(error),
                     Err(error) => tracing::warn!("no window on {}: {error:#}", self.all[index].name()),
                 }
                 has_changed = true;
             }
         }
+        if has_changed {
+            self.hold_screensaver();
+        }
         Ok(has_changed)
     }
 
-    /// The longest side that a frame can have, once there has been a window.
+    /// The GPU's largest texture side, once there has been a window.
     pub(super) fn largest_frame_side(&self) -> Option<u32> {
         self.painter.as_ref().map(|painter| painter.gpu.device.limits().max_texture_dimension_2d)
     }
 
-    /// The time between two refreshes of the fastest monitor that shows a part of the wall, if any says.
+    /// The refresh interval of the fastest monitor with a part of the wall, if it is known.
     pub(super) fn refresh_interval(&self) -> Option<Duration> {
         let monitors = self.all.iter().filter_map(|output| output.screen.as_ref()?.window.current_monitor());
         let fastest_mhz = monitors.filter_map(|monitor| monitor.refresh_rate_millihertz()).max()?;
         (fastest_mhz > 0).then(|| Duration::from_secs_f64(1e3 / f64::from(fastest_mhz)))
     }
 
-    /// When to look at the monitors again: never for a window that may be anywhere.
+    /// When to check monitors again; never if the wall names none.
     pub(super) fn next_check_at(&self) -> Option<Instant> {
         self.checked_at.filter(|_| self.names_monitors()).map(|checked_at| checked_at + CHECK_INTERVAL)
     }
@@ -161,12 +178,12 @@ impl Outputs {
     ) -> anyhow::Result<Screen> {
         let PixelRect { width, height, .. } = self.all[index].part;
         let any = || event_loop.primary_monitor().or_else(|| event_loop.available_monitors().next());
-        // A window that leaves room for the desktop around it, for when it does not fill its monitor.
-        let room = monitor.cloned().or_else(any).map_or([1280, 720], |monitor| {
+        // A window that does not fill its monitor takes four fifths of it.
+        let most = monitor.cloned().or_else(any).map_or([1280, 720], |monitor| {
             let PhysicalSize { width, height } = monitor.size();
             [width / 5 * 4, height / 5 * 4]
         });
-        let fitted = PixelRect::fitted([width, height], [room[0].min(width), room[1].min(height)]);
+        let fitted = PixelRect::fitted([width, height], [most[0].min(width), most[1].min(height)]);
         let mut attributes = Window::default_attributes()
             .with_title(self.title_of(index))
             .with_inner_size(PhysicalSize::new(fitted.width, fitted.height))
@@ -175,7 +192,7 @@ impl Outputs {
         if let Some(monitor) = monitor {
             attributes = attributes.with_position(monitor.position());
         }
-        let window = event_loop.create_window(attributes).context("no window opens")?;
+        let window = event_loop.create_window(attributes).context("cannot open a window")?;
         window.set_cursor_visible(self.cursor_is_visible);
         if let Some(name) = &self.all[index].monitor {
             tracing::info!("the monitor {name} shows {width}×{height} pixels of the wall");
@@ -183,17 +200,17 @@ impl Outputs {
         Ok(Screen::new(window, &mut self.painter)?)
     }
 
-    /// The monitors that are named and show nothing.
+    /// The named monitors without a window.
     pub(super) fn missing(&self) -> Vec<String> {
         self.all.iter().filter(|output| output.screen.is_none()).filter_map(|output| output.monitor.clone()).collect()
     }
 
-    /// The first window, which has the panels of the overlay.
+    /// The first window, which shows the overlay's panels.
     fn lead(&self) -> Option<(usize, &Screen)> {
         self.all.iter().enumerate().find_map(|(index, output)| Some((index, output.screen.as_ref()?)))
     }
 
-    /// Which output an event is about.
+    /// The output of a window.
     pub(super) fn index_of(&self, id: WindowId) -> Option<usize> {
         self.all.iter().position(|output| output.screen.as_ref().is_some_and(|screen| screen.window.id() == id))
     }
@@ -204,7 +221,7 @@ impl Outputs {
         }
     }
 
-    /// A point of a window, in pixels of the output that spans all projectors.
+    /// Converts a point of a window to pixels of the spanning output.
     pub(super) fn on_wall(&self, index: usize, PhysicalPosition { x, y }: PhysicalPosition<f64>) -> DVec2 {
         let Some(Output { part, screen: Some(screen), .. }) = self.all.get(index) else { return DVec2::ZERO };
         let fitted = PixelRect::fitted([part.width, part.height], screen.size());
@@ -216,17 +233,17 @@ impl Outputs {
         DVec2::new(f64::from(part.x), f64::from(part.y)) + from_fitted * scale
     }
 
-    /// A point of a window in points of the overlay, if the overlay's panels are in that window.
+    /// Converts a point of a window to points of the overlay, if that window shows the panels.
     pub(super) fn on_overlay(&self, index: usize, at: PhysicalPosition<f64>) -> Option<egui::Pos2> {
         let (_, screen) = self.lead().filter(|(lead, _)| *lead == index)?;
         let scale = f64::from(screen.pixels_per_point());
         Some(egui::pos2((at.x / scale) as f32, (at.y / scale) as f32))
     }
 
-    /// Lets the overlay see an event of a window, if it is the overlay's.
+    /// Passes an event to the overlay if it belongs to the window with the panels.
     pub(super) fn forward_to_overlay(&mut self, index: usize, event: &WindowEvent) {
         let is_lead = self.lead().is_some_and(|(lead, _)| lead == index);
-        // Keys are held whichever window they were pressed in.
+        // Modifier keys count in every window.
         let index = if matches!(event, WindowEvent::ModifiersChanged(_)) {
             self.lead().map(|(lead, _)| lead)
         } else {
@@ -237,7 +254,7 @@ impl Outputs {
         }
     }
 
-    /// Puts what is shown into the windows' titles.
+    /// Sets the windows' titles.
     pub(super) fn set_title(&mut self, title: String) {
         self.title = title;
         for (index, output) in self.all.iter().enumerate() {
@@ -254,7 +271,7 @@ impl Outputs {
         }
     }
 
-    /// The windows that there are.
+    /// All open windows.
     pub(super) fn windows(&self) -> impl Iterator<Item = &Window> {
         self.all.iter().filter_map(|output| output.screen.as_ref()).map(|screen| &*screen.window)
     }
@@ -263,13 +280,20 @@ impl Outputs {
         self.is_filling
     }
 
-    /// Has windows fill their monitors, or no longer.
+    /// Makes windows fill their monitors, or no longer.
     pub(super) fn fill(&mut self, event_loop: &ActiveEventLoop, is_filling: bool) {
         self.is_filling = is_filling;
         for output in &self.all {
             let Some(screen) = &output.screen else { continue };
             let monitor = event_loop.available_monitors().find(|it| it.name().is_some() && it.name() == output.monitor);
             screen.window.set_fullscreen(is_filling.then_some(Fullscreen::Borderless(monitor)));
+        }
+        self.hold_screensaver();
+    }
+
+    fn hold_screensaver(&mut self) {
+        if self.is_filling != self.screensaver.is_some() {
+            self.screensaver = self.is_filling.then(ScreensaverHold::new).flatten();
         }
     }
 
@@ -286,14 +310,14 @@ impl Outputs {
         }
     }
 
-    /// What draws, once there was a window.
+    /// The painter, once there has been a window.
     pub(super) fn painter(&mut self) -> Option<&mut Painter> {
         self.painter.as_mut()
     }
 
-    /// Shows `new_frame`, or the frame before, in all windows, and the overlay over it.
+    /// Shows `new_frame`, or the previous one, in all windows, under the overlay.
     ///
-    /// `None`: there is nothing to draw on now, and `new_frame` is still to be shown.
+    /// `None` if no window can be drawn on now: `new_frame` has yet to be shown.
     pub(super) fn draw(
         &mut self,
         wall: &Wall,
@@ -318,14 +342,14 @@ impl Outputs {
         if let Some(frame) = new_frame {
             stats.upload_ms = painter.upload(frame)?;
         }
-        let shows = if painter.is_dark {
+        let content = if painter.is_dark {
             OutputContent::Black
         } else {
             painter.frame().map_or(OutputContent::Nothing, OutputContent::Frame)
         };
-        targets.iter().for_each(|(index, _)| self.all[*index].shows = shows);
+        targets.iter().for_each(|(index, _)| self.all[*index].content = content);
         let states: Vec<OutputState> = self.all.iter().map(Output::state).collect();
-        // One submission for all windows, so that none shows another frame than its neighbours.
+        // One submission for all windows, so that all show the same frame.
         let start = Instant::now();
         let mut encoder = painter.gpu.device.create_command_encoder(&Default::default());
         let wall_targets: Vec<_> =
@@ -365,7 +389,7 @@ impl Outputs {
 
 impl Output {
     fn state(&self) -> OutputState {
-        let shows = if self.is_there { self.shows } else { OutputContent::MonitorMissing };
+        let shows = if self.is_there { self.content } else { OutputContent::MonitorMissing };
         OutputState { monitor: self.monitor.clone(), shows }
     }
 
@@ -374,18 +398,18 @@ impl Output {
     }
 }
 
-/// Where the overlay finds the canvas in a window of `size` pixels that shows a part of the wall.
+/// The places of projectors in a window of `size` pixels that shows a part of the wall, in points of the overlay.
 fn regions(wall: &Wall, part: PixelRect, size: [u32; 2], pixels_per_point: f32) -> Vec<ProjectorRegion> {
     let fitted = PixelRect::fitted([part.width, part.height], size);
     let [x_scale, y_scale] = [fitted.width as f32 / part.width as f32, fitted.height as f32 / part.height as f32]
         .map(|it| it / pixels_per_point);
     let origin = egui::pos2(fitted.x as f32, fitted.y as f32) / pixels_per_point;
     let shown = wall.projectors().iter().filter(|projector| part.contains_rect(&projector.output));
-    let place = |projector: &Projector| {
+    let region = |projector: &Projector| {
         let PixelRect { x, y, width, height } = projector.output;
         let from = origin + egui::vec2((x - part.x) as f32 * x_scale, (y - part.y) as f32 * y_scale);
         let size = egui::vec2(width as f32 * x_scale, height as f32 * y_scale);
         ProjectorRegion::new(projector, egui::Rect::from_min_size(from, size))
     };
-    shown.filter_map(place).collect()
+    shown.filter_map(region).collect()
 }

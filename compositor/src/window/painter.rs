@@ -1,8 +1,7 @@
-//! What all windows of a wall share: the GPU, the frame on it, and the test pattern that may take its place.
+//! The state that all windows of a wall share: the GPU, the frame on it, and a test pattern in its place.
 
 use std::time::Instant;
 
-use super::ms_since;
 use crate::{
     control::alignment,
     farm::Frame,
@@ -10,15 +9,20 @@ use crate::{
     wall::{PixelRect, Wall},
 };
 
+/// Milliseconds since an instant.
+pub(super) fn ms_since(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64() * 1e3
+}
+
 /// Draws one frame on any number of windows.
 pub(super) struct Painter {
     pub(super) gpu: Gpu,
     present: Present,
-    /// The number of the frame that is on the GPU.
+    /// The number of the frame on the GPU.
     frame: Option<u64>,
-    /// Whether nothing is shown instead of the frame.
+    /// Whether the wall is black instead of showing the frame.
     pub(super) is_dark: bool,
-    /// What is shown instead of frames, and the wall to show it with.
+    /// A test pattern in place of frames, and the wall to draw it with.
     pattern: Option<(Present, Wall)>,
 }
 
@@ -28,12 +32,12 @@ impl Painter {
         Self { present: Present::new(&gpu), gpu, frame: None, is_dark: false, pattern: None }
     }
 
-    /// The number of the frame that is drawn.
+    /// The number of the frame on the GPU.
     pub(super) fn frame(&self) -> Option<u64> {
         self.frame
     }
 
-    /// Takes a frame, and says how many milliseconds that took.
+    /// Uploads a frame. Returns the time in milliseconds.
     pub(super) fn upload(&mut self, frame: &Frame) -> Result<f64, GpuError> {
         let start = Instant::now();
         self.present.upload(&self.gpu, frame.spec.size, bytemuck::cast_slice(&frame.rgba))?;
@@ -41,7 +45,7 @@ impl Painter {
         Ok(ms_since(start))
     }
 
-    /// Draws the frame, the pattern, or nothing, a part of the wall on each target.
+    /// Draws the frame, the pattern or black: a part of the wall on each target.
     pub(super) fn draw(
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
@@ -59,12 +63,12 @@ impl Painter {
         present.draw_all(&self.gpu, encoder, wall, outputs);
     }
 
-    /// How long the GPU took for the newest frame that it has drawn, in milliseconds; `None` where GPUs do not tell.
+    /// The GPU's time for the newest frame that it has drawn, in milliseconds; `None` without timestamp queries.
     pub(super) fn draw_ms(&mut self) -> Option<f64> {
         self.present.draw_ms(&self.gpu)
     }
 
-    /// The newest frame on the whole wall, without overlay, whatever windows there are.
+    /// The newest frame on the whole wall, without the overlay, independent of windows.
     pub(super) fn image(&mut self, wall: &Wall) -> Result<RgbImage, GpuError> {
         let offscreen = Offscreen::new(&self.gpu, wall.output_size())?;
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
@@ -73,7 +77,7 @@ impl Painter {
         offscreen.read(&self.gpu)
     }
 
-    /// Shows a test pattern from now on, or frames again.
+    /// Shows a test pattern, or frames again.
     pub(super) fn show_pattern(&mut self, pattern: Option<alignment::PatternImage>) -> Result<(), GpuError> {
         let Some(alignment::PatternImage { size, rgba, wall }) = pattern else {
             self.pattern = None;

@@ -1,4 +1,4 @@
-//! One window: where the wall is drawn, and the overlay over it.
+//! One window: its surface, and the overlay on it.
 
 use std::{sync::Arc, time::Duration};
 
@@ -11,18 +11,18 @@ use crate::{
     overlay::{self, OverlayModel, OverlayOutput},
 };
 
-/// A window, and what draws the overlay on it.
+/// A window with its surface and its overlay.
 pub(super) struct Screen {
     pub(super) window: Arc<Window>,
     surface: WallSurface,
     egui: egui_winit::State,
     egui_renderer: egui_wgpu::Renderer,
-    /// What egui has not yet been able to hand to the GPU.
+    /// Changes of egui's textures that are not on the GPU yet.
     textures: egui::TexturesDelta,
 }
 
 impl Screen {
-    /// What draws on a window; the first of a wall brings the `painter`.
+    /// Prepares a window for drawing; a wall's first window creates the `painter`.
     pub(super) fn new(window: Window, painter: &mut Option<Painter>) -> Result<Self, GpuError> {
         let window = Arc::new(window);
         let size = window.inner_size().into();
@@ -34,7 +34,7 @@ impl Screen {
                 surface
             }
         };
-        let device = &painter.as_ref().expect("made above, at the latest").gpu.device;
+        let device = &painter.as_ref().expect("created above if it was missing").gpu.device;
         let context = egui::Context::default();
         overlay::apply_style(&context);
         let largest_texture = device.limits().max_texture_dimension_2d as usize;
@@ -52,28 +52,28 @@ impl Screen {
         self.surface.resize(size);
     }
 
-    /// How many times larger than usual the overlay is drawn.
+    /// The scale of the overlay, 1 by default.
     fn zoom(&self) -> f32 {
         overlay::zoom(self.size(), self.window.scale_factor())
     }
 
-    /// Physical pixels per point of the overlay, when it is drawn next.
+    /// Physical pixels per point of the overlay when it is drawn next.
     pub(super) fn pixels_per_point(&self) -> f32 {
         self.zoom() * self.window.scale_factor() as f32
     }
 
-    /// Lets the overlay see an event.
+    /// Passes an event to the overlay.
     pub(super) fn overlay_event(&mut self, event: &WindowEvent) {
-        // Which events are the overlay's is decided by where it is on screen.
+        // The caller has decided that the event belongs to the overlay.
         let _ = self.egui.on_window_event(&self.window, event);
     }
 
-    /// What to draw on next, as [`WallSurface::acquire`] says.
+    /// The next texture to draw on; see [`WallSurface::acquire`].
     pub(super) fn acquire(&mut self, painter: &Painter) -> Result<Option<SurfaceFrame>, GpuError> {
         self.surface.acquire(&painter.gpu)
     }
 
-    /// Draws the overlay over the wall; also says when it wants to be drawn again by itself.
+    /// Draws the overlay over the wall. Also returns after which time it wants to be drawn again.
     pub(super) fn draw_overlay(
         &mut self,
         painter: &Painter,
@@ -98,7 +98,7 @@ impl Screen {
         }
         let triangles = context.tessellate(full.shapes, full.pixels_per_point);
         let descriptor = ScreenDescriptor { size_in_pixels: target.size(), pixels_per_point: full.pixels_per_point };
-        // Only paint callbacks make command buffers of their own, and the overlay has none.
+        // Only paint callbacks return command buffers, and the overlay has none.
         self.egui_renderer.update_buffers(device, queue, encoder, &triangles, &descriptor);
         let pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("overlay"),
@@ -117,7 +117,7 @@ impl Screen {
         (output, repaint_after)
     }
 
-    /// Shows what was drawn, after it was submitted.
+    /// Presents the frame after its commands were submitted.
     pub(super) fn present(&self, painter: &Painter, target: SurfaceFrame) {
         self.window.pre_present_notify();
         target.present(&painter.gpu);
@@ -126,7 +126,7 @@ impl Screen {
 
 impl Drop for Screen {
     fn drop(&mut self) {
-        // What was never shown needs no upload; egui would take it for a mistake.
+        // Changes that were never drawn need no upload, and egui reports dropped ones as a mistake.
         self.textures.clear();
     }
 }

@@ -1,4 +1,4 @@
-//! The graphical session around the windows.
+//! The graphical session: requirements, monitors, X11 windows, screensaver.
 
 pub mod display_environment;
 pub(super) mod hotplug;

@@ -1,38 +1,47 @@
-//! Test patterns: what they show, and what each is good for.
+//! Test patterns: their images, and their uses.
 
 use glam::DVec2;
 use shared::{division::FrameSize, srgb};
 
-use super::{Corner, sheet::Sheet};
+use super::sheet::Sheet;
 use crate::wall::{
     PixelRect, Projector, Wall,
     homography::{UNIT_SQUARE, apply},
 };
 
-/// What can be shown instead of frames.
+/// A corner of a projector's image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Corner {
+    /// Index of the projector in the wall.
+    pub projector_idx: usize,
+    /// 0 to 3: upper left, upper right, lower right, lower left, as seen on the wall.
+    pub corner_idx: usize,
+}
+
+/// A test pattern, shown in place of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pattern {
-    /// A grid of the canvas through each projector's warp, and the corners to drag. Projectors are not blended: where
-    /// they overlap, lines of both are seen, and lie over each other when the wall is aligned.
+    /// A grid of the canvas through each projector's warp, and the corners to drag. Projectors are not blended: in an
+    /// overlap, the lines of both are visible, and coincide once the wall is aligned.
     Align,
-    /// Each projector's name, number and pixels, as it shows them itself.
+    /// Each projector's name, number and pixels.
     Names,
-    /// Every pixel in a checkerboard by the corners, every 32nd in a grid: scaling anywhere on the way shows.
+    /// Checkerboards of single pixels at the corners, and a grid of every 32nd pixel, which reveal any scaling.
     Pixels,
-    /// White: each projector's share of it, which ramps down where others overlap.
+    /// White through the blend weights, which ramp down in overlaps.
     Overlap,
-    /// Stripes of black and white lines beside greys: they look alike where the projector's gamma is written.
+    /// Black and white lines beside greys: they look alike at the number of the projector's gamma.
     Gamma,
-    /// Fine lines and small text, to focus by.
+    /// Fine lines and small text, for focusing.
     Focus,
 }
 
-/// A test pattern, ready for the present stage.
+/// The image of a test pattern, for the present stage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PatternImage {
-    /// The samples of the frame to upload.
+    /// Its samples.
     pub size: FrameSize,
-    /// Four bytes a sample, as frames have them, bottom row first.
+    /// RGBA, four bytes a sample, bottom row first, as in frames.
     pub rgba: Vec<u8>,
     /// The wall to draw it with.
     pub wall: Wall,
@@ -44,10 +53,10 @@ const DIM: [u8; 3] = [45; 3];
 const ORANGE: [u8; 3] = [255, 150, 30];
 
 impl Pattern {
-    /// In the order in which a key steps through them.
+    /// All patterns, in the order in which a key steps through them.
     pub const ALL: [Self; 6] = [Self::Align, Self::Names, Self::Pixels, Self::Overlap, Self::Gamma, Self::Focus];
 
-    /// What people call it.
+    /// The name on screen.
     pub fn name(self) -> &'static str {
         match self {
             Self::Align => "align",
@@ -59,7 +68,7 @@ impl Pattern {
         }
     }
 
-    /// What it is for and what to do, in one line.
+    /// Its use, in one line.
     pub fn help(self) -> &'static str {
         match self {
             Self::Align => {
@@ -73,13 +82,13 @@ impl Pattern {
         }
     }
 
-    /// The one after `current`, and none after the last.
+    /// The pattern after `current`; none after the last.
     pub fn next(current: Option<Self>) -> Option<Self> {
         let next = current.map_or(0, |current| 1 + Self::ALL.iter().position(|&it| it == current).unwrap_or(0));
         Self::ALL.get(next).copied()
     }
 
-    /// What to upload and how to draw it.
+    /// The image of the pattern on a wall.
     ///
     /// # Errors
     ///
@@ -108,22 +117,22 @@ impl Pattern {
     }
 }
 
-/// Where a point of a projector's place is, in pixels of the output that spans all projectors.
-pub(super) fn to_output(projector: &Projector, place: DVec2) -> Option<DVec2> {
+/// A point of a projector's rectangle (0 to 1) in pixels of the spanning output.
+pub(super) fn to_output(projector: &Projector, rect_point: DVec2) -> Option<DVec2> {
     let PixelRect { x, y, width, height } = projector.output;
-    let raster = apply(projector.raster_from_rect()?, place)?;
+    let raster = apply(projector.raster_from_rect()?, rect_point)?;
     Some(DVec2::new(f64::from(x), f64::from(y)) + raster * DVec2::new(f64::from(width), f64::from(height)))
 }
 
 fn align(sheet: &mut Sheet, wall: &Wall, index: usize, selected: Option<Corner>) {
     let projector = &wall.projectors()[index];
-    let at = |place: DVec2| to_output(projector, place);
-    let mut line = |from: DVec2, to: DVec2, thickness: f64, colour: [u8; 3]| {
+    let at = |rect_point: DVec2| to_output(projector, rect_point);
+    let mut line = |from: DVec2, to: DVec2, thickness: f64, color: [u8; 3]| {
         if let (Some(from), Some(to)) = (at(from), at(to)) {
-            sheet.line(from, to, thickness, colour);
+            sheet.line(from, to, thickness, color);
         }
     };
-    // Lines of the canvas, the same for all projectors: an eighth of its shorter side apart, from its middle.
+    // Lines of the canvas, the same for all projectors: spaced by an eighth of its shorter side, from the middle.
     let [width_m, height_m] = wall.canvas_m();
     let step_m = width_m.min(height_m) / 8.0;
     for (axis, side_m) in [width_m, height_m].into_iter().enumerate() {
@@ -146,10 +155,10 @@ fn align(sheet: &mut Sheet, wall: &Wall, index: usize, selected: Option<Corner>)
         line(UNIT_SQUARE[corner], UNIT_SQUARE[(corner + 1) % 4], 3.0, WHITE);
     }
     for (corner_idx, corner) in UNIT_SQUARE.into_iter().enumerate() {
-        let Some(place) = at(corner) else { continue };
+        let Some(position_px) = at(corner) else { continue };
         let is_selected = selected.is_some_and(|selected| selected.corner_idx == corner_idx);
-        let colour = if is_selected { ORANGE } else { WHITE };
-        sheet.square(place, if is_selected { 34.0 } else { 22.0 }, colour);
+        let color = if is_selected { ORANGE } else { WHITE };
+        sheet.square(position_px, if is_selected { 34.0 } else { 22.0 }, color);
     }
     let Some(centre) = at(DVec2::splat(0.5)) else { return };
     let size = text_size(projector);
@@ -162,7 +171,7 @@ fn align(sheet: &mut Sheet, wall: &Wall, index: usize, selected: Option<Corner>)
     }
 }
 
-/// The part of a line across the canvas, along one of its axes, that lies in a place.
+/// The part of an axis-parallel line that lies within a projector's rectangle, in coordinates of the rectangle.
 fn within_rect(from: DVec2, to: DVec2) -> Option<(DVec2, DVec2)> {
     let is_within = |a: f64, b: f64| a != b || (0.0..=1.0).contains(&a);
     let clamped = (from.clamp(DVec2::ZERO, DVec2::ONE), to.clamp(DVec2::ZERO, DVec2::ONE));
@@ -174,7 +183,7 @@ fn names(sheet: &mut Sheet, index: usize, projector: &Projector) {
     let origin = DVec2::new(f64::from(x), f64::from(y));
     let size = DVec2::new(f64::from(width), f64::from(height));
     sheet.frame(projector.output, 3, WHITE);
-    // At the first pixel, its longer leg along the first row.
+    // A triangle at the first pixel, with its longer leg along the first row.
     let leg = 0.12 * size.min_element();
     for n in 0..leg as u32 {
         let across = f64::from(n) + 0.5;
@@ -197,21 +206,29 @@ fn pixels(sheet: &mut Sheet, output: PixelRect) {
     for row in (0..height).step_by(32) {
         sheet.fill(PixelRect { y: y + row, height: 1, ..output }, DIM);
     }
-    let side = (width.min(height) / 4).max(1);
-    let [right, bottom] = [x + width - side.min(width), y + height - side.min(height)];
-    let middle = [x + (width - side.min(width)) / 2, y + (height - side.min(height)) / 2];
-    for [x, y] in [[x, y], [right, y], [right, bottom], [x, bottom], middle] {
-        sheet.each_pixel(
-            PixelRect { x, y, width: side, height: side },
-            |x, y| if (x + y) % 2 == 0 { WHITE } else { [0; 3] },
-        );
+    for field in fields(output, 4) {
+        sheet.each_pixel(field, |x, y| if (x + y) % 2 == 0 { WHITE } else { [0; 3] });
     }
     sheet.frame(output, 1, ORANGE);
 }
 
+/// Squares at the corners and in the middle of an output, with a side of 1 / `part` of its shorter side.
+fn fields(output: PixelRect, part: u32) -> [PixelRect; 5] {
+    let PixelRect { x, y, width, height } = output;
+    let side = (width.min(height) / part).max(1);
+    let [right, bottom] = [x + width - side.min(width), y + height - side.min(height)];
+    let middle = [x + (width - side.min(width)) / 2, y + (height - side.min(height)) / 2];
+    [[x, y], [right, y], [right, bottom], [x, bottom], middle].map(|[x, y]| PixelRect {
+        x,
+        y,
+        width: side,
+        height: side,
+    })
+}
+
 fn gamma(sheet: &mut Sheet, projector: &Projector) {
     let output = projector.output;
-    // From afar lines of black and white are half of white's light, and so is a grey whose value is encoded rightly.
+    // From afar black and white lines give half of white's light, as does a grey that is encoded with the right gamma.
     sheet.each_pixel(output, |_, y| if y % 2 == 0 { WHITE } else { [0; 3] });
     let half_srgb = (f64::from(srgb::encode(0.5)), "srgb".to_owned());
     let half_of = |gamma: f64| (255.0 * 0.5_f64.powf(1.0 / gamma), format!("{gamma}"));
@@ -231,14 +248,11 @@ fn gamma(sheet: &mut Sheet, projector: &Projector) {
 
 fn focus(sheet: &mut Sheet, output: PixelRect) {
     let PixelRect { x, y, width, height } = output;
-    let side = (width.min(height) / 5).max(1);
-    let [right, bottom] = [x + width - side.min(width), y + height - side.min(height)];
-    let middle = [x + (width - side.min(width)) / 2, y + (height - side.min(height)) / 2];
-    for [x, y] in [[x, y], [right, y], [right, bottom], [x, bottom], middle] {
-        // Upright lines left, level ones right, of one pixel above and two below.
-        sheet.each_pixel(PixelRect { x, y, width: side, height: side }, |column, row| {
-            let along = if column - x < side / 2 { column } else { row };
-            let thickness = if row - y < side / 2 { 1 } else { 2 };
+    for field in fields(output, 5) {
+        // Vertical lines left, horizontal lines right; one pixel wide above, two below.
+        sheet.each_pixel(field, |column, row| {
+            let along = if column - field.x < field.width / 2 { column } else { row };
+            let thickness = if row - field.y < field.height / 2 { 1 } else { 2 };
             if along / thickness % 2 == 0 { WHITE } else { [0; 3] }
         });
     }
@@ -250,7 +264,7 @@ fn focus(sheet: &mut Sheet, output: PixelRect) {
     sheet.frame(output, 1, GREY);
 }
 
-/// Letters that are read from where one stands and fit into the projector's pixels.
+/// The size of letters in pixels: readable from a distance, and narrow enough for the projector's name.
 fn text_size(projector: &Projector) -> f64 {
     let PixelRect { width, height, .. } = projector.output;
     let n_letters = projector.name.chars().count().max(8) as f64 + 3.0;

@@ -1,4 +1,4 @@
-//! Changes one value of a wall file that a person wrote, and leaves all else as it is: order, comments, spaces.
+//! Edits one value of a handwritten wall file, and keeps its order, comments and spaces.
 
 use std::path::Path;
 
@@ -7,7 +7,7 @@ use toml::Spanned;
 
 use crate::wall::{Wall, WallError, read_text};
 
-/// What is looked for in the file; the rest is not of interest here.
+/// The parts of the file that are edited.
 #[derive(Deserialize)]
 struct Names {
     #[serde(default)]
@@ -20,12 +20,12 @@ struct Named {
     warp_px: Option<Spanned<toml::Value>>,
 }
 
-/// Writes the corners of all projectors of `wall` into the file that it came from.
+/// Writes the corners of all projectors of `wall` to its file.
 ///
 /// # Errors
 ///
-/// The file cannot be read or written, is no longer the file of this wall, or is written in a way that leaves no place
-/// for the corners; the file is then as it was.
+/// The file cannot be read or written, has changed to another wall, or has no place for the corners. It is unchanged
+/// then.
 pub fn save_warps(path: &Path, wall: &Wall) -> anyhow::Result<()> {
     let unreadable = |source| WallError::Unreadable { path: path.display().to_string(), source };
     let old_text = read_text(path).map_err(unreadable)?;
@@ -36,7 +36,7 @@ pub fn save_warps(path: &Path, wall: &Wall) -> anyhow::Result<()> {
             text = with_warp(&text, &projector.name, projector.warp_px);
         }
     }
-    // Whatever the file looks like: what is written is read as these very projectors, or it is not written.
+    // Write only a text that parses to exactly these projectors.
     let written = Wall::from_toml(&path.display().to_string(), &text);
     anyhow::ensure!(
         written.is_ok_and(|written| written.projectors() == wall.projectors()),
@@ -48,7 +48,7 @@ pub fn save_warps(path: &Path, wall: &Wall) -> anyhow::Result<()> {
         .map_err(|error| anyhow::anyhow!("{}: the corners cannot be saved: {error}", path.display()))
 }
 
-/// The text of a wall file with other corners of one projector.
+/// The text of a wall file with new corners of one projector.
 fn with_warp(text: &str, name: &str, warp_px: [[f64; 2]; 4]) -> String {
     let names = toml::from_str::<Names>(text).map(|names| names.projector).unwrap_or_default();
     match names.iter().find(|named| named.name.get_ref() == name) {

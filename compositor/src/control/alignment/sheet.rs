@@ -1,4 +1,4 @@
-//! A picture to draw test patterns on, pixel by pixel.
+//! An image to draw test patterns on.
 
 use egui::epaint::{
     Color32, FontId,
@@ -8,10 +8,10 @@ use glam::DVec2;
 
 use crate::wall::PixelRect;
 
-/// Pixels of all projectors, black at first.
+/// An image of the spanning output, black at first.
 pub(super) struct Sheet {
     size: [u32; 2],
-    /// Row by row from the bottom left, as frames have them.
+    /// Rows from the bottom up, as in frames.
     pixels: Vec<[u8; 4]>,
     clip: PixelRect,
     fonts: Fonts,
@@ -25,24 +25,24 @@ impl Sheet {
         Self { size, pixels: vec![[0, 0, 0, 255]; width as usize * height as usize], clip, fonts }
     }
 
-    /// From now on nothing is drawn outside of these pixels.
+    /// Restricts drawing to these pixels.
     pub(super) fn clip_to(&mut self, clip: PixelRect) {
         self.clip = clip;
     }
 
-    /// The pixels as samples of a frame.
+    /// The pixels as a frame's samples.
     pub(super) fn into_frame(self) -> Vec<u8> {
         self.pixels.into_flattened()
     }
 
-    /// A pixel by its column and its row from the top.
+    /// The pixel at a column and a row from the top.
     fn pixel(&mut self, x: u32, y: u32) -> &mut [u8; 4] {
         let [width, height] = self.size.map(|side| side as usize);
         &mut self.pixels[(height - 1 - y as usize) * width + x as usize]
     }
 
-    /// Gives each pixel of a rectangle the colour that a rule says.
-    pub(super) fn each_pixel(&mut self, rect: PixelRect, colour: impl Fn(u32, u32) -> [u8; 3]) {
+    /// Sets each pixel of a rectangle to the colour at its column and row.
+    pub(super) fn each_pixel(&mut self, rect: PixelRect, color: impl Fn(u32, u32) -> [u8; 3]) {
         let end =
             |from: u32, extent: u32, clip_from: u32, clip_extent: u32| (from + extent).min(clip_from + clip_extent);
         let (left, top) = (rect.x.max(self.clip.x), rect.y.max(self.clip.y));
@@ -50,40 +50,40 @@ impl Sheet {
         let bottom = end(rect.y, rect.height, self.clip.y, self.clip.height);
         for y in top..bottom {
             for x in left..right {
-                let [r, g, b] = colour(x, y);
+                let [r, g, b] = color(x, y);
                 *self.pixel(x, y) = [r, g, b, 255];
             }
         }
     }
 
-    pub(super) fn fill(&mut self, rect: PixelRect, colour: [u8; 3]) {
-        self.each_pixel(rect, |_, _| colour);
+    pub(super) fn fill(&mut self, rect: PixelRect, color: [u8; 3]) {
+        self.each_pixel(rect, |_, _| color);
     }
 
-    /// The outermost pixels of a rectangle.
-    pub(super) fn frame(&mut self, rect: PixelRect, thickness: u32, colour: [u8; 3]) {
+    /// Draws the border of a rectangle, inside it.
+    pub(super) fn frame(&mut self, rect: PixelRect, thickness: u32, color: [u8; 3]) {
         let PixelRect { x, y, width, height } = rect;
         let thickness = thickness.min(width).min(height);
-        self.fill(PixelRect { height: thickness, ..rect }, colour);
-        self.fill(PixelRect { y: y + height - thickness, height: thickness, ..rect }, colour);
-        self.fill(PixelRect { width: thickness, ..rect }, colour);
-        self.fill(PixelRect { x: x + width - thickness, width: thickness, ..rect }, colour);
+        self.fill(PixelRect { height: thickness, ..rect }, color);
+        self.fill(PixelRect { y: y + height - thickness, height: thickness, ..rect }, color);
+        self.fill(PixelRect { width: thickness, ..rect }, color);
+        self.fill(PixelRect { x: x + width - thickness, width: thickness, ..rect }, color);
     }
 
-    /// A square around a point.
-    pub(super) fn square(&mut self, centre: DVec2, side: f64, colour: [u8; 3]) {
+    /// Draws a filled square around a point.
+    pub(super) fn square(&mut self, centre: DVec2, side: f64, color: [u8; 3]) {
         let half = DVec2::splat(side / 2.0);
         let (from, to) = ((centre - half).round().max(DVec2::ZERO), (centre + half).round().max(DVec2::ZERO));
-        // What lies beyond the sheet is clipped, and floats become the nearest integers.
+        // Casts saturate, and `fill` clips.
         let [x, y, right, bottom] = [from.x as u32, from.y as u32, to.x as u32, to.y as u32];
-        self.fill(PixelRect { x, y, width: right - x, height: bottom - y }, colour);
+        self.fill(PixelRect { x, y, width: right - x, height: bottom - y }, color);
     }
 
-    /// A line between two points, with soft edges.
-    pub(super) fn line(&mut self, from: DVec2, to: DVec2, thickness: f64, colour: [u8; 3]) {
+    /// Draws an antialiased line between two points.
+    pub(super) fn line(&mut self, from: DVec2, to: DVec2, thickness: f64, color: [u8; 3]) {
         let along = to - from;
         let is_steep = along.y.abs() > along.x.abs();
-        // Column by column, or row by row where it is steep: the pixels on either side of its middle.
+        // Column by column, or row by row if it is steep: the pixels on both sides of the middle.
         let (main, cross) = if is_steep { (1, 0) } else { (0, 1) };
         let (from, to) = if along[main] < 0.0 { (to, from) } else { (from, to) };
         let extent = to[main] - from[main];
@@ -103,15 +103,15 @@ impl Sheet {
             while other < (middle + half + 0.5).min(limits[cross][1]) {
                 let coverage = (half + 0.5 - (other + 0.5 - middle).abs()).clamp(0.0, 1.0);
                 let [x, y] = if is_steep { [other, position] } else { [position, other] };
-                self.blend(x, y, colour, coverage);
+                self.blend(x, y, color, coverage);
                 other += 1.0;
             }
             position += 1.0;
         }
     }
 
-    /// One line of text, centred on a point; letters are `size` pixels high, with the space between lines.
-    pub(super) fn text(&mut self, centre: DVec2, size: f64, colour: [u8; 3], text: &str) {
+    /// Draws a line of text centred on a point; `size` is the line height in pixels.
+    pub(super) fn text(&mut self, centre: DVec2, size: f64, color: [u8; 3], text: &str) {
         let font = FontId::proportional(size as f32);
         let galley = self.fonts.with_pixels_per_point(1.0).layout_no_wrap(text.to_owned(), font, Color32::WHITE);
         let atlas = self.fonts.texture_atlas().image();
@@ -130,18 +130,18 @@ impl Sheet {
             })
             .collect();
         for (at, coverage) in coverage {
-            self.blend(at.x, at.y, colour, coverage);
+            self.blend(at.x, at.y, color, coverage);
         }
     }
 
-    /// Paints over a part of a pixel, unless it is outside.
-    fn blend(&mut self, x: f64, y: f64, colour: [u8; 3], coverage: f64) {
+    /// Blends a colour over a pixel inside the clip rectangle, by the part of it that is covered.
+    fn blend(&mut self, x: f64, y: f64, color: [u8; 3], coverage: f64) {
         let clip = self.clip;
         let is_inside = (f64::from(clip.x)..f64::from(clip.x + clip.width)).contains(&x)
             && (f64::from(clip.y)..f64::from(clip.y + clip.height)).contains(&y);
         if is_inside {
             let pixel = self.pixel(x as u32, y as u32);
-            for (channel, value) in pixel.iter_mut().zip(colour) {
+            for (channel, value) in pixel.iter_mut().zip(color) {
                 *channel = (f64::from(*channel) * (1.0 - coverage) + f64::from(value) * coverage).round() as u8;
             }
         }

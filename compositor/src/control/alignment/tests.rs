@@ -1,4 +1,4 @@
-//! Patterns and corners, without a window.
+//! Test patterns and corners, without a window.
 
 use std::{fs, path::Path};
 
@@ -46,7 +46,7 @@ fn every_pattern_lights_every_projector_and_no_pixel_of_another() {
             let PixelRect { x, y, width, height } = projector.output;
             assert!((y..y + height).any(|y| (x..x + width).any(|x| is_lit(x, y))), "{}", pattern.name());
         }
-        // Below the lower monitor there is nothing.
+        // Nothing is lit below the lower monitor.
         assert!(!(2560..4480).any(|x| (1080..1440).any(|y| is_lit(x, y))), "{}", pattern.name());
     }
 }
@@ -70,7 +70,7 @@ fn more_pixels_than_a_frame_may_have_are_refused_in_one_line() {
 }
 
 #[test]
-fn a_dragged_corner_follows_the_cursor_however_the_projector_hangs() {
+fn a_dragged_corner_follows_the_cursor_in_any_rotation() {
     for (rotation, expected) in [
         (Rotation::None, [10.0, 4.0]),
         (Rotation::Right, [-4.0, 10.0]),
@@ -101,15 +101,15 @@ fn corners_are_grabbed_near_by_and_nowhere_else() {
     assert!(alignment.drag_to(&wall, DVec2::ZERO).is_none());
     assert!(alignment.press(&wall, DVec2::new(1030.0, 5.0)));
     alignment.release();
-    assert!(!alignment.is_dragging() && alignment.selected().is_some());
+    assert!(!alignment.is_dragging() && alignment.selected.is_some());
     alignment.next_corner(&wall);
     assert!(alignment.moved(&wall, DVec2::new(1.0, 0.0)).is_some());
     assert!(alignment.moved(&wall, DVec2::new(f64::NAN, 0.0)).is_none());
-    assert!(alignment.moved(&wall, DVec2::new(-5000.0, 0.0)).is_none(), "a picture that crosses itself");
+    assert!(alignment.moved(&wall, DVec2::new(-5000.0, 0.0)).is_none(), "edges would cross");
 }
 
 #[test]
-fn saved_corners_are_read_again_and_all_else_in_the_file_stays() {
+fn saved_corners_can_be_read_and_the_rest_of_the_file_stays() {
     let folder = std::env::temp_dir().join(format!("corners-{}", std::process::id()));
     fs::create_dir_all(&folder).expect("a folder");
     for name in ["paper-4x3.toml", "blended-4x3.toml", "two-monitors.toml", "laptop.toml"] {
@@ -137,7 +137,7 @@ fn saved_corners_are_read_again_and_all_else_in_the_file_stays() {
 }
 
 #[test]
-fn corners_that_have_no_place_leave_the_file_as_it_was() {
+fn corners_without_a_place_leave_the_file_unchanged() {
     let folder = std::env::temp_dir().join(format!("no-corners-{}", std::process::id()));
     fs::create_dir_all(&folder).expect("a folder");
     let file = folder.join("inline.toml");

@@ -1,6 +1,7 @@
-//! What a person can do to the camera, and what no person can.
+//! The camera under mouse and keys, and its limits.
 
 use proptest::prelude::*;
+use strum::VariantArray;
 
 use super::*;
 
@@ -68,7 +69,7 @@ fn the_wheel_keeps_what_is_under_the_cursor_there() {
 }
 
 #[test]
-fn the_wheel_goes_through_the_model_rather_than_stop_at_its_middle() {
+fn the_wheel_goes_through_the_model_instead_of_stopping_at_its_middle() {
     let mut navigator = navigator();
     (0..200).for_each(|_| _ = navigator.wheel(1.0));
     let (forward, _) = view_plane(&navigator.camera());
@@ -89,7 +90,7 @@ fn flying_takes_time_and_opposite_keys_cancel() {
     assert!(!navigator.advance(0.05, 1.0));
     navigator.release_key(Direction::Backward);
     navigator.advance(3600.0, 1.0);
-    assert!((navigator.camera().eye() - eye).length() < navigator.size() * 0.1, "a pause threw the eye away");
+    assert!((navigator.camera().eye() - eye).length() < navigator.size() * 0.1, "a pause moved the eye too far");
     navigator.release_all();
     assert!(!navigator.is_moving());
 }
@@ -107,7 +108,7 @@ fn speed_fits_the_model_and_the_person() {
     assert!((step(1e6, 0) / step(1e-3, 0) / 1e9 - 1.0).abs() < 1e-9);
     assert!((step(1.0, 2) / step(1.0, 0) - 2.25).abs() < 1e-9);
     assert_eq!(step(1.0, i32::MAX), step(1.0, 10));
-    // However far away, the model comes nearer by the same part.
+    // At any distance, a step covers the same part of it.
     let mut far = navigator();
     far.press(Drag::Dolly);
     (0..6).for_each(|step| _ = far.move_to(DVec2::new(0.5, f64::from(-step))));
@@ -119,7 +120,7 @@ fn speed_fits_the_model_and_the_person() {
     assert!(distance(&far) < 0.97 * before);
 }
 
-/// Lets all transitions end.
+/// Advances until all transitions have ended.
 fn arrive(navigator: &mut Navigator) {
     navigator.advance(TRANSITION_SECONDS, 1.0);
     assert!(!navigator.is_moving());
@@ -136,7 +137,7 @@ fn view_all_and_up_axis_start_afresh() {
     assert_eq!((navigator.camera(), navigator.destination()), (turned, camera));
     arrive(&mut navigator);
     assert_eq!(navigator.camera(), camera);
-    for _ in UpAxis::ALL {
+    for _ in UpAxis::VARIANTS {
         navigator.next_up_axis();
         arrive(&mut navigator);
         let up = navigator.up().direction();
@@ -168,7 +169,7 @@ fn a_transition_is_smooth_and_a_hand_stops_it() {
 }
 
 #[test]
-fn a_point_that_is_gone_to_comes_nearer_into_the_middle_and_is_orbited() {
+fn going_to_a_point_brings_it_near_into_the_middle_and_orbits_around_it() {
     let mut navigator = navigator();
     let point = DVec3::new(0.9, 1.5, 0.8);
     let distance = |camera: &Camera| (point - camera.eye()).dot(view_plane(camera).0);
@@ -182,7 +183,7 @@ fn a_point_that_is_gone_to_comes_nearer_into_the_middle_and_is_orbited() {
     navigator.move_to(DVec2::new(0.1, 0.3));
     assert!((project(&navigator.camera(), point) - DVec2::splat(0.5)).length() < 1e-9);
     navigator.release();
-    // All of it is seen again around the middle of the model.
+    // The whole model is visible again, and orbits around its middle.
     navigator.view_all();
     arrive(&mut navigator);
     assert_eq!(navigator.pivot(), DVec3::new(0.5, 1.0, 0.5));
@@ -203,13 +204,13 @@ fn the_wheel_goes_to_the_surface_under_the_cursor() {
     let left = (surface - navigator.camera().eye()).length();
     assert!((left / distance - DOLLY_FACTOR_PER_NOTCH.powi(-10)).abs() < 1e-9, "{left} of {distance}");
     assert!((project(&navigator.camera(), surface) - at).length() < 1e-9);
-    // What lies under the cursor is another thing once the cursor has moved.
+    // Another point lies under the cursor once it has moved.
     navigator.move_to(DVec2::splat(0.5));
     assert!(navigator.needs_surface());
 }
 
 #[test]
-fn a_path_is_played_in_its_own_time_once_or_again_and_again() {
+fn a_path_plays_in_its_own_time_once_or_repeatedly() {
     let mut navigator = navigator();
     let turned = |yaw: f64| navigator.camera().orbit(DVec3::Y, UpAxis::Y, yaw, 0.0);
     let keys = vec![(0.0, turned(0.0)), (1.0, turned(0.5)), (4.0, turned(2.0))];
@@ -230,7 +231,7 @@ fn a_path_is_played_in_its_own_time_once_or_again_and_again() {
 
 proptest! {
     #[test]
-    fn nothing_that_a_person_does_breaks_the_camera(
+    fn no_input_breaks_the_camera(
         corner in -1e6..1e6f64, size in prop_oneof![Just(0.0), 1e-6..1e6f64, Just(f64::NEG_INFINITY)],
         steps in proptest::collection::vec(
             (0..13u8, prop_oneof![-2.0..2.0f64, Just(f64::NAN), -1e18..1e18f64], -2.0..2.0f64), 1..60),

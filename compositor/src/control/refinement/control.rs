@@ -1,15 +1,14 @@
-//! Which resolution holds the target rate, from what frames took.
+//! Chooses the resolution that holds the target rate, from the times that frames took.
 //!
-//! A frame takes a time that grows with its samples and a time that does not: render servers, network and wall are asked
-//! for every frame. How long the latter is shows when the resolution changes.
+//! A frame's time has a part that grows with its samples and a fixed part for messages. A change of the resolution
+//! reveals the fixed part.
 //!
-//! Late frames lower the resolution at once, as far as it takes; the fewer there are the later they must be, and a single
-//! one never does. Frames that leave room for the next finer resolution raise it by one, only after some time, and later
-//! still each time when that proved too much: steady nodes do not make the picture flicker.
+//! Late frames lower the resolution at once, as far as needed. The fewer frames there are, the later they must be; a
+//! single one never lowers it. Frames with enough time left raise the resolution by one rung, but only after a while,
+//! which doubles each time that a raise proved too much: with steady nodes the picture does not flicker.
 //!
-//! Frames are rendered while others are shown, so a frame is late that takes longer than the target rate allows either to
-//! render or to show. A rate that cannot be seen is not paid for: where the display could not show the target rate even with
-//! the coarsest frames, the rate that it can show takes its place.
+//! Frames are rendered while others are shown, so a frame is late if either takes longer than the target interval. If
+//! the display cannot reach the target rate even with the coarsest frames, its own maximum takes the target's place.
 
 use std::{collections::VecDeque, time::Duration};
 
@@ -20,45 +19,45 @@ use super::{
     ladder::Ladder,
 };
 
-/// How much of the time between two frames is aimed at: the rest is for frames that take longer than others.
+/// The part of the target interval to aim at; the rest is for frames that take longer than others.
 const TARGET_PART: f64 = 0.9;
-/// Where the coarsest frames take the display nearly as long as the target rate allows, or longer, frames may take so many
-/// times as long as those: what is finer is worth a part of a rate that is low in any case.
+/// Frames may always take this many times as long to show as the coarsest: on a slow display a finer picture is worth a
+/// part of a rate that is low in any case.
 const DISPLAY_ROOM: f64 = 1.25;
-/// The next finer resolution must be expected to leave this much of what is aimed at.
+/// A finer resolution may be expected to take at most this part of the aim.
 const HEADROOM: f64 = 0.9;
-/// With so much room it is not waited for longer, however often it proved too much.
+/// A finer resolution that is expected to take at most this part of the aim is tried without a longer wait.
 const CLEAR_ROOM: f64 = 0.5;
-/// A frame that takes longer than so many times what is aimed at counts as one that takes as long.
+/// Times are clamped to this multiple of the aim.
 const LONGEST: f64 = 3.0;
-/// The time of so many frames is remembered.
+/// Recent frames whose times are kept.
 const N_RECENT: usize = 8;
-/// A change shows what frames of any size take if so many of both sizes are known.
+/// Frames of both resolutions that are needed to compute the fixed time after a change.
 const N_KNOWN: usize = 4;
-/// Frames that must leave room before the resolution is raised, at first…
+/// Frames in time before the resolution is raised, at first…
 const FEWEST_FRAMES_BEFORE_RAISE: u32 = N_RECENT as u32;
 /// …and at most: a minute's worth at 30 a second.
 const MOST_FRAMES_BEFORE_RAISE: u32 = 2048;
 
-/// The resolution of a moving camera's frames.
+/// The resolution of frames in motion.
 #[derive(Clone, Debug)]
 pub(super) struct ResolutionControl {
-    /// The time between two frames at the target rate, in seconds.
+    /// The target interval between frames, in seconds.
     target_s: f64,
     display: DisplayCost,
     rung: usize,
-    /// What the last frames took since the resolution was changed, in seconds.
+    /// The times of the last frames since the resolution changed, in seconds.
     recent_s: VecDeque<f64>,
-    /// How many frames there were since then.
+    /// Frames since then.
     n_frames: u32,
-    /// What frames took on average since then, or the last of them if there were more than patience asks for; in seconds.
+    /// Mean time of the frames since then, or of the last `frames_before_raise` of them, in seconds.
     long_mean_s: f64,
     frames_before_raise: u32,
-    /// Whether the resolution was raised when it was last changed.
+    /// Whether the last change raised the resolution.
     was_raised: bool,
-    /// What a frame of any size takes, in seconds.
+    /// The fixed part of a frame's time, in seconds.
     fixed_s: f64,
-    /// The resolution before, in samples, and what its frames took, in seconds.
+    /// The previous resolution in samples, and the mean time of its frames in seconds.
     previous: Option<(f64, f64)>,
 }
 
@@ -82,25 +81,25 @@ impl ResolutionControl {
         self.rung
     }
 
-    /// The camera rests: what comes after has little to do with what was before.
+    /// The camera rests: the next motion may differ from this one.
     pub(super) fn rest(&mut self) {
         self.set_rung(self.rung);
         self.frames_before_raise = FEWEST_FRAMES_BEFORE_RAISE;
         (self.was_raised, self.previous) = (false, None);
     }
 
-    /// The time between two frames to hold, in seconds: the target's, or the display's where that cannot be had.
+    /// The interval to hold, in seconds: the target's, or the display's if that is longer.
     fn interval_s(&self, ladder: &Ladder) -> f64 {
         let coarsest_s = self.shown_s(ladder, ladder.last());
         self.target_s.max(DISPLAY_ROOM * coarsest_s).max(self.display.refresh_s())
     }
 
-    /// A frame of any size was shown.
+    /// Accounts for a frame of any size that was shown.
     pub(super) fn learn_shown(&mut self, size: FrameSize, times: &ShowTimes) {
         self.display.learn(size, times);
     }
 
-    /// A frame of this rung took the farm so long.
+    /// Accounts for a frame of the present rung that the farm has completed, and changes the rung if needed.
     pub(super) fn learn(&mut self, ladder: &Ladder, took: Duration) {
         let interval_s = self.interval_s(ladder);
         let aim_s = TARGET_PART * interval_s;
@@ -113,7 +112,7 @@ impl ResolutionControl {
         self.long_mean_s += weight * (took.as_secs_f64().min(LONGEST * aim_s) - self.long_mean_s);
         let Some(mean_s) = self.mean_s() else { return };
         self.learn_fixed(ladder, mean_s, aim_s);
-        // The fewer frames there are, the less their mean says.
+        // The mean of few frames is less certain.
         let is_late = mean_s > aim_s * (1.0 + 1.0 / self.recent_s.len() as f64);
         if (is_late || self.shown_s(ladder, self.rung) > interval_s) && self.rung < ladder.last() {
             if self.was_raised {
@@ -136,20 +135,20 @@ impl ResolutionControl {
         }
     }
 
-    /// What the last frames took on average but for the one that took longest, which says nothing of those to come.
+    /// Mean time of the last frames in seconds, without the longest, which is an outlier.
     fn mean_s(&self) -> Option<f64> {
         let n_others = self.recent_s.len().checked_sub(1).filter(|&n_others| n_others > 0)?;
         let longest = self.recent_s.iter().copied().fold(0.0, f64::max);
         Some((self.recent_s.iter().sum::<f64>() - longest) / n_others as f64)
     }
 
-    /// What a frame of another rung will take, where those of this one take `mean_s`.
+    /// The expected time of a frame of another rung, if those of this rung take `mean_s`; in seconds.
     fn expected_s(&self, ladder: &Ladder, mean_s: f64, rung: usize) -> f64 {
         let fixed_s = self.fixed_s.min(mean_s);
         fixed_s + (mean_s - fixed_s) * n_samples(ladder, rung) / n_samples(ladder, self.rung)
     }
 
-    /// What the display will take for a frame of a rung.
+    /// The expected time to show a frame of a rung, in seconds.
     fn shown_s(&self, ladder: &Ladder, rung: usize) -> f64 {
         self.display.expected_s(ladder.size(rung))
     }
@@ -159,8 +158,7 @@ impl ResolutionControl {
             let n_now = n_samples(ladder, self.rung);
             let per_sample_s = (mean_s - before_s) / (n_now - n_before);
             let fixed_s = mean_s - per_sample_s * n_now;
-            // Nodes may have become slower or faster meanwhile, so this is no more than a hint; and believed too much it
-            // would lower the resolution too far.
+            // Nodes may have changed their speed meanwhile: average with the previous value, within limits.
             self.fixed_s = (self.fixed_s + fixed_s.clamp(0.0, aim_s / 2.0)) / 2.0;
         }
     }

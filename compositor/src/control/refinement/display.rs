@@ -1,41 +1,41 @@
-//! What the display takes for frames: the time between two refreshes, and the time to upload and draw one, of which a part
-//! grows with the frame's samples.
+//! A model of the display's time: the interval between refreshes, and the time to upload and draw a frame, a part of
+//! which grows with its samples.
 
 use std::time::Duration;
 
 use shared::division::FrameSize;
 
-/// What showing a frame took.
+/// The times of showing a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ShowTimes {
-    /// All of it, from when the frame was there until the next can be shown.
+    /// From the frame's arrival until the next can be shown.
     pub took: Duration,
     /// The upload alone.
     pub upload: Duration,
-    /// Between two refreshes of the fastest output; zero where it is not known.
+    /// The refresh interval of the fastest output; zero if unknown.
     pub refresh: Duration,
 }
 
-/// Older frames than about so many are forgotten: two seconds' worth.
+/// Frames that the averages cover, about two seconds' worth.
 const N_REMEMBERED: u32 = 64;
-/// A frame that takes longer than so many times the mean counts as one that takes as long.
+/// Times are clamped to this multiple of the mean.
 const LONGEST: f64 = 3.0;
-/// How far sizes must differ before what they took says more of the part that grows with samples than the upload does: the
-/// variance of their samples, as parts of those of the wall's own resolution.
+/// The weight of the upload's slope in the regression: a variance of samples, as parts of the native resolution. Only
+/// sizes that differ by more outweigh it.
 const LEAST_VARIANCE: f64 = 1e-3;
 
-/// A straight line through what the last frames took over their samples, with the slope of the upload alone as long as
-/// these have about the same size: ridge regression, with forgetting.
+/// A line through the last frames' times over their samples: ridge regression with forgetting, toward the slope of the
+/// upload alone.
 #[derive(Clone, Debug)]
 pub(super) struct DisplayCost {
     native: FrameSize,
     last_size: Option<FrameSize>,
     refresh_s: f64,
     n_frames: u32,
-    /// Only the very first frame is known.
+    /// Only the first frame is known, which includes one-time costs.
     is_guess: bool,
     mean_upload_s: f64,
-    /// Samples are parts of those of the wall's own resolution.
+    /// In parts of the native resolution's samples.
     mean_samples: f64,
     mean_s: f64,
     variance: f64,
@@ -43,7 +43,7 @@ pub(super) struct DisplayCost {
 }
 
 impl DisplayCost {
-    /// Nothing is known yet.
+    /// A model without data.
     pub(super) fn new(native: FrameSize) -> Self {
         Self {
             native,
@@ -59,10 +59,10 @@ impl DisplayCost {
         }
     }
 
-    /// A frame of this size was shown.
+    /// Accounts for a frame of this size that was shown.
     pub(super) fn learn(&mut self, size: FrameSize, times: &ShowTimes) {
         self.refresh_s = times.refresh.as_secs_f64();
-        // The first frame of a size also takes what is done once: it counts only while there is nothing better.
+        // The first frame of a size includes one-time costs: use it only while there is no other.
         let is_first_of_size = self.last_size.replace(size) != Some(size);
         if is_first_of_size && self.n_frames > 0 {
             return;
@@ -83,19 +83,19 @@ impl DisplayCost {
         self.covariance_s = (1.0 - weight) * (self.covariance_s + weight * delta_samples * delta_s);
     }
 
-    /// Between two refreshes, in seconds; 0 where it is not known.
+    /// The refresh interval in seconds; 0 if unknown.
     pub(super) fn refresh_s(&self) -> f64 {
         self.refresh_s
     }
 
-    /// What a frame of some size is expected to take, in seconds; 0 as long as nothing is known.
+    /// The expected time of a frame of this size, in seconds; 0 without data.
     pub(super) fn expected_s(&self, size: FrameSize) -> f64 {
         if self.n_frames == 0 {
             return 0.0;
         }
-        let of_upload_s = self.mean_upload_s / self.mean_samples;
-        let slope_s = (self.covariance_s + LEAST_VARIANCE * of_upload_s) / (self.variance + LEAST_VARIANCE);
-        // No frame takes less than no time.
+        let upload_slope_s = self.mean_upload_s / self.mean_samples;
+        let slope_s = (self.covariance_s + LEAST_VARIANCE * upload_slope_s) / (self.variance + LEAST_VARIANCE);
+        // No size may be expected to take negative time.
         let slope_s = slope_s.clamp(0.0, self.mean_s / self.mean_samples);
         self.mean_s + slope_s * (self.samples(size) - self.mean_samples)
     }
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn the_upload_says_what_other_sizes_take_until_they_say_it_themselves() {
+    fn the_upload_predicts_other_sizes_until_they_are_measured() {
         let of_one_size = display(&[([2048, 1152], 0.1, 0.02); 20]);
         assert!((expected_s(&of_one_size, [2048, 1152]) - 0.1).abs() < 1e-9);
         assert!((expected_s(&of_one_size, [4096, 2304]) - 0.16).abs() < 1e-9, "four times the upload");
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_done_once_for_a_size_and_what_was_long_ago_do_not_count() {
+    fn one_time_costs_and_old_frames_do_not_count() {
         let times = [[([1024, 576], 9.0, 0.0); 1].as_slice(), &[([1024, 576], 0.03, 0.0); 3]].concat();
         assert!((expected_s(&display(&times), [1024, 576]) - 0.03).abs() < 1e-9);
         let times = [[([1024, 576], 0.3, 0.0); 100], [([1024, 576], 0.03, 0.0); 100]].concat();

@@ -1,23 +1,23 @@
-//! The resolutions that a moving camera's frames can have.
+//! The resolutions of frames in motion.
 
 use shared::division::{FrameSize, TILE_SIZE};
 
-/// Resolutions from the finest down, of about the same shape; each has about √2 times fewer samples than the one before.
+/// Resolutions of about the same aspect, from the finest down; each has about 1/√2 of the samples of the one before.
 ///
-/// Coarse enough that measurements tell one from the next, fine enough that a change is hardly seen: a sixth of a side.
+/// A step changes each side by a sixth: enough to measure a difference in time, and hardly visible.
 #[derive(Clone, Debug)]
 pub(super) struct Ladder(Vec<FrameSize>);
 
-/// Below this nothing is recognised; samples.
+/// Fewer samples show nothing recognisable.
 const FEWEST_SAMPLES: u32 = 1 << 15;
 
 impl Ladder {
-    /// From the wall's own resolution down.
+    /// From the wall's native resolution down.
     pub(super) fn down_from(native: FrameSize) -> Self {
         let mut sizes = vec![native];
         loop {
             let scale = 0.5f64.powf(sizes.len() as f64 / 4.0);
-            // Whole tiles, so that none is cut off; but never more than there are.
+            // Whole tiles, but never more pixels than there are.
             let side = |native: u32| {
                 let n_tiles = (f64::from(native) * scale / f64::from(TILE_SIZE)).round().max(1.0);
                 (n_tiles as u32 * TILE_SIZE).min(native)
@@ -33,7 +33,7 @@ impl Ladder {
         }
     }
 
-    /// The resolution of a rung; the finest is rung 0, and there is none below the last.
+    /// The resolution of a rung: 0 is the finest; higher numbers than the last give the last.
     pub(super) fn size(&self, rung: usize) -> FrameSize {
         self.0[rung.min(self.last())]
     }
@@ -43,7 +43,7 @@ impl Ladder {
         self.0.len() - 1
     }
 
-    /// The rung whose resolution has about so many samples.
+    /// The rung whose resolution is nearest to a number of samples.
     pub(super) fn rung_of(&self, n_samples: u32) -> usize {
         let distance = |size: &FrameSize| (f64::from(size.n_samples()) / f64::from(n_samples.max(1))).ln().abs();
         let nearest = (0..self.0.len()).min_by(|&a, &b| distance(&self.0[a]).total_cmp(&distance(&self.0[b])));

@@ -1,4 +1,4 @@
-//! Cameras that move and rest, before farms of invented speed.
+//! Cameras in motion and at rest, with simulated farms.
 
 use glam::DVec3;
 use proptest::prelude::*;
@@ -11,7 +11,7 @@ use shared::{
 
 use super::*;
 
-/// What a frame should take at the default target rate, in seconds.
+/// The interval at the default target rate, in seconds.
 const INTERVAL_S: f64 = 1.0 / DEFAULT_TARGET_RATE;
 
 fn options() -> RefinementOptions {
@@ -37,18 +37,18 @@ fn spec_at(eye_x: f64) -> FrameSpec {
     }
 }
 
-/// A wall before a farm that takes so long for each frame, and for each sample of it.
+/// A wall with a simulated farm: each frame takes a fixed time, and a time for each sample.
 struct Wall {
     refinement: Refinement,
     now: Instant,
     n_moves: u32,
     fixed_s: f64,
     per_sample_s: f64,
-    /// What the display takes for a frame; of the part for each sample, all is upload.
+    /// The display's fixed time, and its time for each sample, all of which is upload.
     display_fixed_s: f64,
     display_per_sample_s: f64,
     refresh: Duration,
-    /// By how much times differ either way, as a part of them; and numbers to make them from.
+    /// The largest relative deviation of times, and the state of a random generator.
     waver: f64,
     random: u64,
 }
@@ -70,12 +70,12 @@ impl Wall {
         }
     }
 
-    /// A farm that takes as long as this for a frame of the paper's size.
+    /// A farm that takes this time for a frame of the paper's size.
     fn with_paper_frame_of(seconds: f64) -> Self {
         Self::new(0.0, seconds / f64::from(FrameSize::PAPER.n_samples()), 0.0)
     }
 
-    /// Renders what is asked for while the display shows the frame before; how long that takes.
+    /// Renders a frame while the display shows the previous one. Returns the time in seconds.
     fn render(&mut self, spec: &FrameSpec) -> f64 {
         let n_rays = f64::from(spec.size.n_samples()) * f64::from(spec.samples.count);
         let took = self.wavering(self.fixed_s + self.per_sample_s * n_rays);
@@ -96,7 +96,7 @@ impl Wall {
         Duration::from_secs_f64(seconds * waver)
     }
 
-    /// The camera moves, and its frame is rendered: what size it has, and how long it takes.
+    /// Moves the camera and renders its frame. Returns the frame's size and time in seconds.
     fn move_on(&mut self) -> (FrameSize, f64) {
         self.n_moves += 1;
         let step = self.refinement.change(self.now, spec_at(f64::from(self.n_moves)));
@@ -108,7 +108,7 @@ impl Wall {
         (0..n_frames).map(|_| self.move_on()).collect()
     }
 
-    /// The camera rests until nothing is asked for any more: all refinements.
+    /// Rests until no frame is asked for. Returns all refinements.
     fn rest(&mut self) -> Vec<FrameSpec> {
         let mut refinements = Vec::new();
         while let Some(refines_at) = self.refinement.refines_at() {
@@ -172,7 +172,7 @@ fn one_frame_that_takes_long_changes_nothing() {
 }
 
 #[test]
-fn a_farm_that_nothing_helps_gets_the_coarsest_frames() {
+fn a_hopelessly_slow_farm_gets_the_coarsest_frames() {
     let mut wall = Wall::new(10.0 * INTERVAL_S, 0.0, 0.1);
     let frames = wall.move_for(200);
     assert_eq!(frames.last().map(|frame| frame.0), Some(wall.refinement.ladder.size(usize::MAX)));
@@ -181,16 +181,16 @@ fn a_farm_that_nothing_helps_gets_the_coarsest_frames() {
 
 #[test]
 fn resolution_is_not_traded_for_a_rate_that_the_display_cannot_show() {
-    // Three intervals for each frame, of any size: a software driver that draws a large wall.
+    // Three intervals for each frame of any size, as with a software driver on a large wall.
     let mut wall = Wall { display_fixed_s: 3.0 * INTERVAL_S, ..Wall::with_paper_frame_of(2.0 * INTERVAL_S) };
     let frames = wall.move_for(200);
     assert!(frames.iter().all(|frame| frame.0.n_samples() >= FrameSize::PAPER.n_samples()));
-    assert!(frames[100..].iter().all(|frame| frame.1 < 1.25 * 3.0 * INTERVAL_S), "the farm is not what is waited for");
+    assert!(frames[100..].iter().all(|frame| frame.1 < 1.25 * 3.0 * INTERVAL_S), "nothing waits for the farm");
     // An output that is refreshed 24 times a second.
     let refresh = Duration::from_secs_f64(1.0 / 24.0);
     let mut wall = Wall { refresh, ..Wall::with_paper_frame_of(1.1 * INTERVAL_S) };
-    assert_eq!(n_changes(&wall.move_for(200)), 0, "every frame that is seen is there in time");
-    // The same farm before a display that keeps up.
+    assert_eq!(n_changes(&wall.move_for(200)), 0, "every frame comes in time");
+    // The same farm with a display that keeps up.
     let mut wall = Wall::with_paper_frame_of(2.0 * INTERVAL_S);
     assert!(wall.move_for(10).last().is_some_and(|frame| frame.0.n_samples() < FrameSize::PAPER.n_samples()));
 }
@@ -216,7 +216,7 @@ fn resolution_is_lowered_as_far_as_it_makes_a_slow_display_faster() {
 }
 
 #[test]
-fn a_camera_that_rests_is_refined_and_then_nothing_is_asked_for() {
+fn a_resting_camera_is_refined_and_then_no_frame_is_asked_for() {
     let mut wall = Wall::with_paper_frame_of(INTERVAL_S);
     let moving = wall.move_for(30).last().unwrap().0;
     assert!(moving.n_samples() < options().native.n_samples());
@@ -228,7 +228,7 @@ fn a_camera_that_rests_is_refined_and_then_nothing_is_asked_for() {
     // The same camera again is no motion.
     let step = wall.refinement.change(wall.now, spec_at(30.0));
     assert_eq!((step.spec, wall.refinement.is_done()), (refinements[2], true));
-    assert_eq!(wall.move_on().0, moving, "the next motion goes on as the last");
+    assert_eq!(wall.move_on().0, moving, "the next motion starts with the last one's resolution");
 }
 
 #[test]
@@ -242,7 +242,7 @@ fn refinement_waits_for_a_rest_and_for_the_coarse_frame() {
     assert_eq!(wall.refinement.refine(start + REST / 2), None);
     let finer = wall.refinement.refine(start + REST).unwrap();
     assert_eq!(wall.refinement.refine(start + 9 * REST), None, "one refinement at a time");
-    // A motion ends the refinement; should its frame come all the same, it is of a picture that nobody wants.
+    // A motion ends the refinement; a frame of it that comes later does not count.
     let step = wall.refinement.change(start + REST, spec_at(2.0));
     assert!(!step.is_refinement);
     wall.refinement.on_frame(&finer.spec, Duration::from_secs(1));
@@ -252,7 +252,7 @@ fn refinement_waits_for_a_rest_and_for_the_coarse_frame() {
 }
 
 #[test]
-fn switched_off_every_frame_has_the_resolution_that_was_set() {
+fn without_refinement_every_frame_has_the_fixed_resolution() {
     let mut wall = Wall::with_paper_frame_of(10.0 * INTERVAL_S);
     wall.refinement.set_on(false);
     let frames = wall.move_for(20);
@@ -261,7 +261,7 @@ fn switched_off_every_frame_has_the_resolution_that_was_set() {
     wall.refinement.set_on(true);
     let step = wall.refinement.change(wall.now, spec_at(20.0));
     wall.render(&step.spec);
-    assert_eq!(wall.rest().len(), 3, "switched on, what is there is refined");
+    assert_eq!(wall.rest().len(), 3, "switched on, the picture is refined");
 }
 
 #[test]
@@ -280,15 +280,15 @@ fn no_frame_is_larger_than_the_gpu_takes() {
 }
 
 proptest! {
-    /// Whatever a farm's speed is and becomes: within a second or so of motion the rate is held, by frames that are no
-    /// coarser than that takes; and at rest the picture is refined in as many frames as ever.
+    /// With a farm of any speed, even a changing one, motion holds the rate within about a second, with frames no coarser
+    /// than needed; at rest the refinement always has the same frames.
     #[test]
     fn the_rate_is_held_by_any_farm_and_does_not_flicker(
         fixed in 0.0..0.3f64,
-        // What a frame of the paper's size takes beyond that, in intervals: as powers of two.
+        // The additional time of a frame of the paper's size, in intervals: powers of two.
         speeds in proptest::collection::vec(-5.0..3.0f64, 1..5),
         waver in 0.0..0.15f64,
-        // What the display takes for a frame of no samples, and what the wall's own resolution adds, in intervals.
+        // The display's time for a frame without samples, and the addition of the native resolution, in intervals.
         draw in 0.0..4.0f64,
         upload in 0.0..4.0f64,
         random: u64,
@@ -311,7 +311,7 @@ proptest! {
         }
     }
 
-    /// A farm of steady speed makes the picture change ever more rarely, however much frames differ.
+    /// A farm with a steady mean changes the resolution ever more rarely, even if single frames differ much.
     #[test]
     fn unsteady_frames_change_the_resolution_ever_more_rarely(
         speed in -5.0..3.0f64, waver in 0.0..0.6f64, random: u64,

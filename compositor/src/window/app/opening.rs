@@ -1,4 +1,4 @@
-//! Choosing a model among the files of a folder.
+//! Lists the files of a folder, to choose a model.
 
 use std::{
     path::{Path, PathBuf},
@@ -8,85 +8,93 @@ use std::{
 use renderer::model::scene::SceneSource;
 use winit::keyboard::NamedKey;
 
-use super::App;
+use super::effect::Effect;
 use crate::{
     control::input::{Command, Key},
     overlay::{FileEntry, FileList},
 };
 
-/// A folder with more entries than this is shown in part.
+/// At most this many entries of a folder are shown.
 const MOST_ENTRIES: usize = 2000;
-/// What Page Up and Page Down pass over.
+/// Entries that Page Up and Page Down skip.
 const PAGE: isize = 15;
 
-/// The folder that is looked at, and what others read of it.
+/// The list of files on screen, and the folder that it shows.
 pub(super) struct Browser {
+    /// `None` while the list is hidden.
+    files: Option<FileList>,
     folder: PathBuf,
     listings: (mpsc::Sender<FileListing>, mpsc::Receiver<FileListing>),
 }
 
-/// What was read of a folder.
+/// The contents of a folder.
 struct FileListing {
     folder: PathBuf,
     list: FileList,
 }
 
 impl Browser {
-    /// Begins at the folder of a model.
+    /// Starts at the folder of a model.
     pub(super) fn new(source: &SceneSource) -> Self {
         let folder = match source {
             SceneSource::Ply(path) => path.parent().map(Path::to_owned).filter(|path| !path.as_os_str().is_empty()),
             SceneSource::Statue { .. } => None,
         };
         let folder = folder.unwrap_or_else(|| PathBuf::from("."));
-        Self { folder: std::path::absolute(&folder).unwrap_or(folder), listings: mpsc::channel() }
-    }
-}
-
-impl App<'_> {
-    /// Shows the folder, or no longer.
-    pub(super) fn toggle_files(&mut self) {
-        if self.overlay.files.take().is_none() {
-            self.list_folder(self.browser.folder.clone());
-        }
+        Self { files: None, folder: std::path::absolute(&folder).unwrap_or(folder), listings: mpsc::channel() }
     }
 
-    fn list_folder(&mut self, folder: PathBuf) {
-        self.overlay.files = Some(FileList { folder: folder.display().to_string(), ..FileList::default() });
-        self.browser.folder = folder.clone();
-        let sender = self.browser.listings.0.clone();
-        self.jobs.add(move || {
+    /// The list on screen.
+    pub(super) fn files(&self) -> Option<&FileList> {
+        self.files.as_ref()
+    }
+
+    pub(super) fn hide(&mut self) {
+        self.files = None;
+    }
+
+    pub(super) fn toggle(&mut self) -> Effect {
+        if self.files.take().is_some() { Effect::default() } else { self.list_folder(self.folder.clone()) }
+    }
+
+    fn list_folder(&mut self, folder: PathBuf) -> Effect {
+        self.files = Some(FileList { folder: folder.display().to_string(), ..FileList::default() });
+        self.folder = folder.clone();
+        let sender = self.listings.0.clone();
+        Effect::job(move || {
             let list = list(&folder);
-            // Nobody waits for it once the window is closed.
+            // The receiver is gone once the window is closed.
             let _ = sender.send(FileListing { folder, list });
             Ok(None)
-        });
+        })
     }
 
-    /// Takes what was read of the folder that is still looked at.
-    pub(super) fn take_listing(&mut self) {
-        while let Ok(FileListing { folder, list }) = self.browser.listings.1.try_recv() {
-            if self.overlay.files.is_some() && folder == self.browser.folder {
-                self.overlay.files = Some(list);
+    /// Shows the folder's contents once they are read.
+    pub(super) fn take_listings(&mut self) {
+        while let Ok(FileListing { folder, list }) = self.listings.1.try_recv() {
+            if self.files.is_some() && folder == self.folder {
+                self.files = Some(list);
             }
         }
     }
 
-    /// Opens a file of the folder, or a folder in it.
-    pub(super) fn open_entry(&mut self, index: usize) {
-        let Some(entry) = self.overlay.files.as_ref().and_then(|files| files.entries.get(index)) else { return };
-        let path = self.browser.folder.join(&entry.name);
+    /// Opens an entry: returns a file to load, or lists a folder.
+    pub(super) fn open(&mut self, index: usize) -> (Option<PathBuf>, Effect) {
+        let Some(entry) = self.files.as_ref().and_then(|files| files.entries.get(index)) else {
+            return (None, Effect::default());
+        };
+        let path = self.folder.join(&entry.name);
         if entry.bytes.is_some() {
-            self.overlay.files = None;
-            self.loader.load(SceneSource::Ply(path));
+            self.files = None;
+            (Some(path), Effect::default())
         } else {
-            self.list_folder(path);
+            (None, self.list_folder(path))
         }
     }
 
-    /// What a key does while files are shown; `None` if what it always does.
-    pub(super) fn files_key(&mut self, key: Key) -> Option<Command> {
-        let files = self.overlay.files.as_mut()?;
+    /// The command of a key while files are on screen; `None` for keys with their usual command.
+    pub(super) fn command(&self, key: Key) -> Option<Command> {
+        let files = self.files.as_ref()?;
         let Key::Named(named) = key else { return None };
         let step = match named {
             NamedKey::Escape => return Some(Command::ToggleFiles),
@@ -103,35 +111,35 @@ impl App<'_> {
         Some(Command::Choose(files.chosen.saturating_add_signed(step)))
     }
 
-    /// Marks another entry.
+    /// Selects an entry, or the last one if there are fewer.
     pub(super) fn choose(&mut self, index: usize) {
-        if let Some(files) = &mut self.overlay.files {
+        if let Some(files) = &mut self.files {
             files.chosen = index.min(files.entries.len().saturating_sub(1));
         }
     }
 
-    /// Shows the folder above.
-    pub(super) fn open_parent(&mut self) {
-        if let Some(parent) = self.browser.folder.parent().filter(|_| self.overlay.files.is_some()) {
-            self.list_folder(parent.to_owned());
+    pub(super) fn open_parent(&mut self) -> Effect {
+        match self.folder.parent().filter(|_| self.files.is_some()) {
+            Some(parent) => self.list_folder(parent.to_owned()),
+            None => Effect::default(),
         }
     }
 }
 
-/// Folders and PLY files of a folder, hidden ones left out.
+/// Folders and PLY files of a folder, without hidden ones.
 fn list(folder: &Path) -> FileList {
     let mut list = FileList { folder: folder.display().to_string(), ..FileList::default() };
     let entries = match std::fs::read_dir(folder) {
         Ok(entries) => entries,
         Err(error) => {
-            list.problem = Some(format!("This folder cannot be read ({error}): Backspace is the folder above"));
+            list.problem = Some(format!("This folder cannot be read ({error}): Backspace opens the folder above"));
             return list;
         }
     };
     for entry in entries.flatten() {
-        // Names that are no text cannot be shown, and such a file can still be dropped on the window.
+        // Names that are not UTF-8 cannot be shown; those files can still be dropped on the window.
         let Ok(name) = entry.file_name().into_string() else { continue };
-        // Of links, what they lead to counts.
+        // Metadata of a link's target.
         let Ok(metadata) = std::fs::metadata(entry.path()) else { continue };
         let is_ply = Path::new(&name).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("ply"));
         if name.starts_with('.') || !(metadata.is_dir() || metadata.is_file() && is_ply) {
@@ -145,7 +153,7 @@ fn list(folder: &Path) -> FileList {
     list.entries.sort_by(|a, b| {
         (a.bytes.is_some(), a.name.to_lowercase(), &a.name).cmp(&(b.bytes.is_some(), b.name.to_lowercase(), &b.name))
     });
-    // The first file is most likely wanted.
+    // Select the first file.
     list.chosen = list.entries.iter().position(|entry| entry.bytes.is_some()).unwrap_or(0);
     list
 }
@@ -166,7 +174,16 @@ mod tests {
         let entry = |name: &str, bytes| FileEntry { name: name.to_owned(), bytes };
         assert_eq!(listed.entries, [entry("scans", None), entry("A.ply", Some(4)), entry("b.PLY", Some(3))]);
         assert_eq!((listed.chosen, listed.problem), (1, None));
+        let mut browser = Browser::new(&SceneSource::Ply(folder.join("b.PLY")));
+        let job = browser.toggle().job.expect("the folder is to be read");
+        assert_eq!(job(), Ok(None));
+        browser.take_listings();
+        assert_eq!(browser.command(Key::Named(NamedKey::ArrowDown)), Some(Command::Choose(2)));
+        browser.choose(9);
+        assert_eq!(browser.files().map(|files| files.chosen), Some(2));
+        assert_eq!(browser.open(2).0, Some(folder.join("b.PLY")));
+        assert!(browser.files().is_none());
         std::fs::remove_dir_all(&folder).unwrap();
-        assert!(list(&folder).problem.unwrap().contains("Backspace is the folder above"));
+        assert!(list(&folder).problem.unwrap().contains("Backspace opens the folder above"));
     }
 }

@@ -1,60 +1,60 @@
-//! What a person does: keys, mouse and commands.
+//! Keys, mouse and commands.
 
 use std::{path::Path, time::Instant};
 
 use glam::DVec2;
+use renderer::model::scene::SceneSource;
 use shared::{
-    appearance::{Appearance, Background, Clip, ClipSide, Light},
     division::Division,
     protocol::{LightingMode, ShadingMode},
     structure::{Storage, Structure},
 };
+use strum::VariantArray;
 use winit::{
     dpi::PhysicalPosition,
     event::{ElementState, KeyEvent, MouseButton, MouseScrollDelta, WindowEvent},
     event_loop::ActiveEventLoop,
+    keyboard,
 };
 
-use super::{App, probing::Purpose};
+use super::{App, effect::Effect, picture::next, probing::Purpose};
 use crate::{
     control::{
-        input::{self, Command, Key, KeyAction},
+        input::{self, Command, Key, KeyAction, Tint},
         navigator::{Drag, Navigator},
     },
-    overlay::{DENSITIES, STORAGES, Tint},
-    window::{screenshots, session::screensaver::ScreensaverHold},
+    farm::Probe,
+    overlay::{DENSITIES, STORAGES},
+    window::screenshots,
 };
 
-/// A mouse that moves less than this while its button is down has clicked.
-const CLICK_PIXELS: f64 = 4.0;
-/// Pixels that a touchpad scrolls for what a wheel does with one notch.
+/// Pixels that a touchpad scrolls for one notch of a wheel.
 const PIXELS_PER_NOTCH: f64 = 50.0;
 
 impl App<'_> {
     pub(super) fn key(&mut self, event_loop: &ActiveEventLoop, event: &KeyEvent) {
-        let pressed = event.state == ElementState::Pressed;
-        // A key that was pressed before Ctrl is let go as the key that it was.
-        self.touch();
-        if self.align_key(event) {
-            return;
+        let is_pressed = event.state == ElementState::Pressed;
+        let now = Instant::now();
+        self.kiosk.touch(now);
+        // Alignment takes only presses: a key that was pressed before the pattern came must still be released.
+        if let keyboard::Key::Named(key) = event.logical_key
+            && is_pressed
+            && !self.kiosk.is_locked()
+            && self.wall.press_key(key, self.modifiers.shift_key())
+        {
+            return self.redraw();
         }
-        let Some(key) = Key::from_winit(&event.logical_key, pressed && self.modifiers.control_key()) else { return };
-        if pressed && let Some(command) = self.files_key(key) {
+        // Likewise for a key that was pressed before Ctrl.
+        let has_ctrl = is_pressed && self.modifiers.control_key();
+        let Some(key) = Key::from_winit(&event.logical_key, has_ctrl) else { return };
+        if is_pressed && let Some(command) = self.browser.command(key) {
             return self.execute(event_loop, command);
         }
         match input::action(key) {
-            Some(KeyAction::Fly(direction)) => {
-                let Some(navigator) = &mut self.navigator else { return };
-                if !pressed {
-                    navigator.release_key(direction);
-                } else if !event.repeat {
-                    if !navigator.is_moving() {
-                        self.stepped_at = Instant::now();
-                    }
-                    navigator.hold(direction);
-                }
+            Some(KeyAction::Fly(direction)) if !(is_pressed && event.repeat) => {
+                self.camera.fly(direction, is_pressed, now);
             }
-            Some(KeyAction::Trigger(command)) if pressed && (!event.repeat || command.repeats()) => {
+            Some(KeyAction::Trigger(command)) if is_pressed && (!event.repeat || command.repeats()) => {
                 self.execute(event_loop, command);
             }
             _ => {}
@@ -62,245 +62,243 @@ impl App<'_> {
     }
 
     pub(super) fn execute(&mut self, event_loop: &ActiveEventLoop, command: Command) {
-        self.touch();
-        if self.is_locked && !command.is_for_visitors() {
+        let now = Instant::now();
+        self.kiosk.touch(now);
+        if !self.kiosk.allows(command) {
             return;
         }
-        match command {
-            Command::ViewAll => self.steer(Navigator::view_all),
-            Command::GoToView(number) => self.go_to_view(number),
-            Command::KeepView(number) => self.keep_view(number),
-            Command::ToggleRecording => self.toggle_recording(),
-            Command::TogglePlaying => self.toggle_playing(),
-            Command::ChangeSpeed(steps) => self.change_speed(steps),
+        let effect = match command {
+            Command::ViewAll => self.camera.steer(now, Navigator::view_all),
+            Command::NextUpAxis => self.camera.steer(now, Navigator::next_up_axis),
+            Command::GoToView(number) => self.camera.go_to_view(number, now),
+            Command::KeepView(number) => self.camera.keep_view(number),
+            Command::ToggleRecording => self.camera.toggle_recording(now),
+            Command::TogglePlaying => self.camera.toggle_playing(self.kiosk.repeats_paths(), now),
+            Command::ChangeSpeed(steps) => self.camera.change_speed(steps),
             Command::Inspect => self.probe(Purpose::Inspect),
-            Command::NextTint => self.overlay.tint = next(&Tint::ALL, self.overlay.tint),
-            Command::SetTint(tint) => self.overlay.tint = tint,
+            Command::GoToCursor => self.probe(Purpose::GoTo),
+            Command::NextTint => self.set_tint(next(&Tint::ALL, self.overlay.tint)),
+            Command::SetTint(tint) => self.set_tint(tint),
             Command::NextStorage => {
                 let storage = self.overlay.structure.map(|structure| structure.storage);
-                self.set_storage(next(&STORAGES, storage));
+                self.set_storage(next(&STORAGES, storage))
             }
             Command::SetStorage(storage) => self.set_storage(storage),
             Command::NextDensity => {
                 let density = self.overlay.structure.unwrap_or_default().density;
-                self.set_density(next(&DENSITIES, density as u32));
+                self.set_density(next(&DENSITIES, density as u32))
             }
             Command::SetDensity(density) => self.set_density(density),
-            Command::ToggleFiles => self.toggle_files(),
-            Command::Choose(index) => self.choose(index),
-            Command::OpenEntry(index) => self.open_entry(index),
-            Command::OpenParent => self.open_parent(),
-            Command::GoToCursor => self.probe(Purpose::GoTo),
-            Command::NextUpAxis => self.steer(Navigator::next_up_axis),
-            Command::NextDivision => self.set_division(next(&Division::ALL, self.farm.goal().division)),
+            Command::ToggleFiles => self.browser.toggle(),
+            Command::Choose(index) => {
+                self.browser.choose(index);
+                Effect::default()
+            }
+            Command::OpenEntry(index) => {
+                let (file, effect) = self.browser.open(index);
+                file.into_iter().for_each(|file| self.loader.load(SceneSource::Ply(file)));
+                effect
+            }
+            Command::OpenParent => self.browser.open_parent(),
+            Command::NextDivision => self.set_division(next(Division::VARIANTS, self.farm.goal().division)),
             Command::SetDivision(division) => self.set_division(division),
-            Command::NextView => self.set_view(next(&ShadingMode::ALL, self.view)),
-            Command::SetView(view) => self.set_view(view),
-            Command::NextRays => self.set_rays(next(&LightingMode::ALL, self.rays)),
-            Command::SetRays(rays) => self.set_rays(rays),
-            Command::NextLight => {
-                let (name, light) = next_of(&Light::PRESETS, self.appearance.light);
-                self.show_note(format!("Light: {name}"));
-                self.set_appearance(Appearance { light, ..self.appearance });
+            Command::NextShading => self.picture.set_shading(next(ShadingMode::VARIANTS, self.picture.shading)),
+            Command::SetShading(shading) => self.picture.set_shading(shading),
+            Command::NextLighting => self.picture.set_lighting(next(LightingMode::VARIANTS, self.picture.lighting)),
+            Command::SetLighting(lighting) => self.picture.set_lighting(lighting),
+            Command::NextLight => self.picture.next_light(),
+            Command::SetLight(light) => self.picture.set_light(light),
+            Command::NextBackground => self.picture.next_background(),
+            Command::SetBackground(background) => self.picture.set_background(background),
+            Command::NextClip => self.picture.next_clip(),
+            Command::SetClip(clip) => self.picture.set_clip(clip),
+            Command::MoveClip(permille) => self.picture.move_clip(permille),
+            Command::ToggleRefinement => self.picture.toggle_refinement(),
+            Command::ToggleOverlay => {
+                self.overlay.panel = !self.overlay.panel;
+                Effect::default()
             }
-            Command::SetLight(light) => self.set_appearance(Appearance { light, ..self.appearance }),
-            Command::NextBackground => {
-                let (name, background) = next_of(&Background::PRESETS, self.appearance.background);
-                self.show_note(format!("Background: {name}"));
-                self.set_appearance(Appearance { background, ..self.appearance });
+            Command::ToggleHelp => {
+                self.overlay.help = !self.overlay.help;
+                Effect::default()
             }
-            Command::SetBackground(background) => self.set_appearance(Appearance { background, ..self.appearance }),
-            Command::NextClip => self.next_clip(),
-            Command::SetClip(clip) => self.set_appearance(Appearance { clip, ..self.appearance }),
-            Command::MoveClip(permille) => {
-                let clip = self.appearance.clip.map(|clip| clip.deepened_by(permille));
-                self.set_appearance(Appearance { clip, ..self.appearance });
-            }
-            Command::ToggleRefinement => self.set_refining(!self.refinement.is_on()),
-            Command::ToggleOverlay => self.overlay.panel = !self.overlay.panel,
-            Command::ToggleHelp => self.overlay.help = !self.overlay.help,
-            Command::ToggleFullscreen => self.fill(event_loop, !self.outputs.is_filling()),
-            Command::LeaveFullscreen => self.fill(event_loop, false),
+            Command::ToggleFullscreen => self.fill(event_loop, !self.outputs.is_filling(), now),
+            Command::LeaveFullscreen => self.fill(event_loop, false, now),
             Command::Screenshot => self.take_screenshot(),
-            Command::NextPattern => self.next_pattern(),
-            Command::SaveCorners => self.save_corners(),
+            Command::NextPattern => self.wall.next_pattern(),
+            Command::SaveCorners => self.wall.save_corners(),
             Command::ToggleLock => self.toggle_lock(),
             Command::DismissMessage => {
-                self.error = None;
-                self.note = None;
-                let status = self.farm.status();
-                self.dismissed = (status.message, status.n_lost);
-                self.dismissed_missing = self.outputs.missing();
+                self.messages.dismiss(self.farm.status(), self.outputs.missing());
+                Effect::default()
             }
-            Command::Quit => event_loop.exit(),
-        }
+            Command::Quit => {
+                event_loop.exit();
+                Effect::default()
+            }
+        };
+        self.apply(effect);
         self.redraw();
     }
 
-    /// Locks the wall for visitors and hides what is not for them, or unlocks it.
-    fn toggle_lock(&mut self) {
-        self.is_locked = !self.is_locked;
-        if self.is_locked {
-            (self.overlay.panel, self.overlay.help) = (false, false);
-            (self.overlay.files, self.overlay.tint) = (None, Tint::None);
-            self.overlay.pick = None;
-            self.show_note("Locked: visitors can steer; Ctrl+L unlocks");
-        } else {
-            self.show_note("Unlocked");
+    /// Locks the wall and hides everything that is not for visitors, or unlocks it.
+    fn toggle_lock(&mut self) -> Effect {
+        if !self.kiosk.toggle_lock() {
+            return Effect::note("Unlocked");
         }
+        (self.overlay.panel, self.overlay.help) = (false, false);
+        (self.overlay.tint, self.overlay.pick) = (Tint::None, None);
+        self.browser.hide();
+        Effect::note("Locked: visitors can only steer; Ctrl+L unlocks")
     }
 
-    fn set_division(&mut self, division: Division) {
-        tracing::info!("dividing frames {}", division.name());
-        self.farm.update_goal(|wanted| {
-            wanted.division = division;
-            wanted.moved_at = Instant::now();
+    fn set_tint(&mut self, tint: Tint) -> Effect {
+        self.overlay.tint = tint;
+        Effect::default()
+    }
+
+    fn set_division(&mut self, division: Division) -> Effect {
+        tracing::info!("dividing frames {division}");
+        self.farm.update_goal(|goal| {
+            goal.division = division;
+            goal.moved_at = Instant::now();
         });
-        // To be seen at once: in coarse frames first.
-        self.refinement.start_again();
-        self.want_picture();
+        // Coarse frames first, to show the new division at once.
+        self.picture.refinement.start_again();
+        Effect::picture()
     }
 
-    fn set_refining(&mut self, is_on: bool) {
-        self.refinement.set_on(is_on);
-        self.want_picture();
-        self.show_note(if is_on { "The resolution follows the motion" } else { "All frames have the same resolution" });
-    }
-
-    fn set_storage(&mut self, storage: Option<Storage>) {
+    fn set_storage(&mut self, storage: Option<Storage>) -> Effect {
         let density = self.overlay.structure.unwrap_or_default().density;
-        self.set_structure(storage.map(|storage| Structure { storage, density }));
+        self.set_structure(storage.map(|storage| Structure { storage, density }))
     }
 
-    fn set_density(&mut self, density: u32) {
+    fn set_density(&mut self, density: u32) -> Effect {
         let storage = self.overlay.structure.unwrap_or_default().storage;
-        self.set_structure(Some(Structure { storage, density: density.into() }));
+        self.set_structure(Some(Structure { storage, density: density.into() }))
     }
 
-    fn set_structure(&mut self, structure: Option<Structure>) {
+    fn set_structure(&mut self, structure: Option<Structure>) -> Effect {
         self.overlay.structure = structure;
         self.farm.set_structure(structure);
-        self.show_note(match structure {
+        Effect::note(match structure {
             Some(Structure { storage, density }) => format!("Grids become {storage}, {density} cells a triangle"),
             None => "Grids become as the render servers were started".to_owned(),
-        });
+        })
     }
 
-    fn set_view(&mut self, view: ShadingMode) {
-        self.view = view;
-        self.want_picture();
-    }
-
-    fn set_rays(&mut self, rays: LightingMode) {
-        self.rays = rays;
-        self.want_picture();
-    }
-
-    fn set_appearance(&mut self, appearance: Appearance) {
-        self.appearance = appearance;
-        self.want_picture();
-    }
-
-    fn next_clip(&mut self) {
-        let from = match self.appearance.clip {
-            None => Some(ClipSide::ALL[0]),
-            Some(clip) => {
-                let index = ClipSide::ALL.iter().position(|&from| from == clip.side());
-                index.and_then(|index| ClipSide::ALL.get(index + 1)).copied()
-            }
-        };
-        self.show_note(from.map_or("Whole again".to_owned(), |from| format!("Cut open from {}", from.name())));
-        self.set_appearance(Appearance {
-            clip: from.map(|from| Clip::with_side(from, self.appearance.clip)),
-            ..self.appearance
-        });
-    }
-
-    fn fill(&mut self, event_loop: &ActiveEventLoop, is_filling: bool) {
+    fn fill(&mut self, event_loop: &ActiveEventLoop, is_filling: bool, now: Instant) -> Effect {
         self.outputs.fill(event_loop, is_filling);
-        self.hold_screensaver();
-        self.cursor_moved_at = Instant::now();
+        self.pointer.show(now);
         self.outputs.show_cursor(true);
+        Effect::default()
     }
 
-    /// Holds the screensaver off while windows fill their monitors.
-    pub(super) fn hold_screensaver(&mut self) {
-        if self.outputs.is_filling() != self.screensaver.is_some() {
-            self.screensaver = self.outputs.is_filling().then(ScreensaverHold::new).flatten();
-        }
-    }
-
-    fn take_screenshot(&mut self) {
-        let (Some(painter), Some(_)) = (self.outputs.painter(), &self.frame) else {
-            self.show_problem("no screenshot: nothing has been rendered yet".to_owned());
-            return;
+    fn take_screenshot(&mut self) -> Effect {
+        let (Some(painter), Some(_)) = (self.outputs.painter(), &self.presentation.frame) else {
+            return Effect::problem("no screenshot: nothing has been rendered yet");
         };
-        match painter.image(&self.options.wall) {
+        match painter.image(self.wall.wall()) {
             Ok(image) => {
-                let folder = self.options.screenshot_folder.clone();
-                self.jobs.add(move || screenshots::write(&folder, &image));
+                let folder = self.screenshot_folder.clone();
+                Effect::job(move || screenshots::write(&folder, &image))
             }
-            Err(error) => self.show_problem(format!("no screenshot: {error}")),
+            Err(error) => Effect::problem(format!("no screenshot: {error}")),
         }
     }
 
     pub(super) fn write_last_picture(&mut self, path: &Path) -> anyhow::Result<()> {
-        let (Some(painter), Some(_)) = (self.outputs.painter(), &self.frame) else {
+        let (Some(painter), Some(_)) = (self.outputs.painter(), &self.presentation.frame) else {
             anyhow::bail!("no screenshot {}: the window was closed before anything was rendered", path.display());
         };
-        painter.image(&self.options.wall)?.write_png(path)?;
+        painter.image(self.wall.wall())?.write_png(path)?;
         tracing::info!("wrote {}", path.display());
         Ok(())
     }
 
+    /// Asks a render server for the triangle under the cursor; [`App::take_probed`] takes the answer.
+    fn probe(&mut self, purpose: Purpose) -> Effect {
+        let point = self.point_on_canvas();
+        let (Some(model), Some(navigator)) = (&self.model, self.camera.navigator()) else { return Effect::default() };
+        let (camera, at) = (navigator.camera(), [point.x as f32, point.y as f32]);
+        if let Some(number) = self.probing.start(purpose, camera, at, Instant::now()) {
+            let (view, clip) = (Some((model.scene, camera)), self.picture.appearance.clip);
+            self.farm.probe(Probe { number, view, at, clip });
+        }
+        Effect::default()
+    }
+
+    /// Takes the answer to the last probe, once it has come.
+    pub(super) fn take_probed(&mut self) {
+        let probed = self.farm.status().probed;
+        let Some((purpose, pick)) = probed.and_then(|probed| self.probing.finish(probed)) else { return };
+        let effect = match (purpose, pick) {
+            (Purpose::Inspect, pick) => {
+                self.overlay.pick = pick;
+                pick.map_or_else(Effect::default, |pick| Effect::note(pick.to_string()))
+            }
+            (Purpose::GoTo, None) => Effect::note("The model is not under the cursor"),
+            (Purpose::GoTo, Some(pick)) => {
+                self.overlay.pick = Some(pick);
+                self.camera.steer(Instant::now(), |navigator| navigator.go_to_point(pick.point))
+            }
+            (Purpose::Approach, pick) => {
+                let navigator = self.camera.navigator_mut();
+                navigator.into_iter().for_each(|navigator| navigator.set_under_cursor(pick.map(|pick| pick.point)));
+                Effect::default()
+            }
+        };
+        self.apply(effect);
+        self.redraw();
+    }
+
     pub(super) fn cursor_moved(&mut self, index: usize, event: &WindowEvent, position: PhysicalPosition<f64>) {
         let was_over_overlay = self.cursor_is_over_overlay();
-        (self.cursor, self.cursor_output) = (position, index);
-        self.cursor_moved_at = Instant::now();
-        self.touch();
-        self.pressed_at.take_if(|from| (from.x - position.x).hypot(from.y - position.y) > CLICK_PIXELS);
+        let now = Instant::now();
+        self.kiosk.touch(now);
+        self.pointer.move_to(index, position, now);
         self.outputs.show_cursor(true);
-        self.align_cursor();
-        let point = self.point_on_canvas();
-        if self.navigator.as_mut().is_some_and(|navigator| navigator.move_to(point)) {
+        let (on_output, on_canvas) = (self.point_on_output(), self.point_on_canvas());
+        if self.wall.drag_to(on_output) {
+            self.redraw();
+        }
+        if self.camera.navigator_mut().is_some_and(|navigator| navigator.move_to(on_canvas)) {
             self.want_picture();
         }
         let is_over_overlay = was_over_overlay || self.cursor_is_over_overlay();
-        if self.overlay_is_pressed || (is_over_overlay && !self.is_dragging()) {
+        if self.pointer.overlay_is_pressed || (is_over_overlay && !self.camera.is_dragging()) {
             self.forward_to_overlay(index, event);
         }
     }
 
     pub(super) fn mouse_button(&mut self, index: usize, event: &WindowEvent, state: ElementState, button: MouseButton) {
-        // Who has seen a button go down sees it come up.
-        let is_for_overlay = self.overlay_is_pressed || (self.cursor_is_over_overlay() && !self.is_dragging());
-        if is_for_overlay {
-            self.overlay_is_pressed = state == ElementState::Pressed;
+        let is_pressed = state == ElementState::Pressed;
+        // The overlay also gets the release of a button that was pressed on it.
+        if self.pointer.overlay_is_pressed || (self.cursor_is_over_overlay() && !self.camera.is_dragging()) {
+            self.pointer.overlay_is_pressed = is_pressed;
             return self.forward_to_overlay(index, event);
         }
-        self.touch();
-        if self.align_button(state, button) {
-            return;
+        let now = Instant::now();
+        self.kiosk.touch(now);
+        if !self.kiosk.is_locked() && self.wall.takes_corners() && button == MouseButton::Left {
+            let at = self.point_on_output();
+            self.wall.grab(is_pressed, at);
+            return self.redraw();
         }
-        let is_click = state == ElementState::Released && self.pressed_at.take().is_some();
-        self.pressed_at = (state == ElementState::Pressed && button == MouseButton::Left).then_some(self.cursor);
-        let Some(navigator) = &mut self.navigator else { return };
-        match (state, button, self.modifiers.shift_key()) {
-            (ElementState::Released, ..) => {
-                navigator.release();
-                if is_click && !self.is_locked {
-                    self.click();
-                }
-            }
+        let is_click = !is_pressed && self.pointer.release();
+        self.pointer.press(is_pressed && button == MouseButton::Left);
+        let Some(navigator) = self.camera.navigator_mut() else { return };
+        match (is_pressed, button, self.modifiers.shift_key()) {
+            (false, ..) => navigator.release(),
             (_, MouseButton::Left, false) => navigator.press(Drag::Orbit),
             (_, MouseButton::Left, true) | (_, MouseButton::Middle, _) => navigator.press(Drag::Pan),
             (_, MouseButton::Right, _) => navigator.press(Drag::Dolly),
             _ => {}
         }
-    }
-
-    fn is_dragging(&self) -> bool {
-        self.navigator.as_ref().is_some_and(Navigator::is_dragging)
+        if is_click && !self.kiosk.is_locked() {
+            let is_double = self.pointer.is_double_click(self.point_on_canvas(), now);
+            self.probe(if is_double { Purpose::GoTo } else { Purpose::Inspect });
+        }
     }
 
     pub(super) fn wheel(&mut self, index: usize, event: &WindowEvent, delta: MouseScrollDelta) {
@@ -311,53 +309,35 @@ impl App<'_> {
             MouseScrollDelta::LineDelta(_, lines) => f64::from(lines),
             MouseScrollDelta::PixelDelta(pixels) => pixels.y / PIXELS_PER_NOTCH,
         };
-        self.touch();
-        // The first notch goes by the model's middle; the answer is here before the next.
-        if self.navigator.as_ref().is_some_and(Navigator::needs_surface) {
+        self.kiosk.touch(Instant::now());
+        // The first notch moves toward the middle of the model; the answer comes before the next notch.
+        if self.camera.navigator().is_some_and(Navigator::needs_surface) {
             self.probe(Purpose::Approach);
         }
-        if self.navigator.as_mut().is_some_and(|navigator| navigator.wheel(notches)) {
+        if self.camera.navigator_mut().is_some_and(|navigator| navigator.wheel(notches)) {
             self.want_picture();
         }
     }
 
+    /// The cursor in pixels of the spanning output.
+    fn point_on_output(&self) -> DVec2 {
+        self.outputs.on_wall(self.pointer.output_idx, self.pointer.position)
+    }
+
     /// The cursor as a fraction of the canvas, (0, 0) lower left.
-    pub(super) fn point_on_canvas(&self) -> DVec2 {
-        self.options.wall.canvas_at(self.cursor_on_output())
+    fn point_on_canvas(&self) -> DVec2 {
+        self.wall.wall().canvas_at(self.point_on_output())
     }
 
     fn cursor_is_over_overlay(&self) -> bool {
-        let point = self.outputs.on_overlay(self.cursor_output, self.cursor);
+        let point = self.outputs.on_overlay(self.pointer.output_idx, self.pointer.position);
         point.is_some_and(|point| self.overlay_areas.iter().any(|area| area.contains(point)))
     }
 
     pub(super) fn forward_to_overlay(&mut self, index: usize, event: &WindowEvent) {
-        if self.overlay_is_visible() {
+        if self.overlay.is_visible() {
             self.outputs.forward_to_overlay(index, event);
             self.redraw();
         }
-    }
-}
-
-/// The one after `current`, and after the last the first.
-fn next<T: Copy + PartialEq>(all: &[T], current: T) -> T {
-    let index = all.iter().position(|&one| one == current).map_or(0, |index| index + 1);
-    all[index % all.len()]
-}
-
-/// The named one after `current`, and after the last or one without a name the first.
-fn next_of<T: Copy + PartialEq>(all: &[(&'static str, T)], current: T) -> (&'static str, T) {
-    let index = all.iter().position(|&(_, one)| one == current).map_or(0, |index| index + 1);
-    all[index % all.len()]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_key_steps_through_all_choices() {
-        assert_eq!(next(&[1, 2, 3], 1), 2);
-        assert_eq!(next(&[1, 2, 3], 3), 1);
     }
 }

@@ -1,16 +1,15 @@
-//! What a window needs of the system, checked before one is opened: later, what is missing shows as a panic or as
-//! riddles.
+//! Checks the display and the libraries that a window needs, before it opens: winit would panic or report unclearly.
 
-/// Why no window can be opened here.
+/// The reason why no window can be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DisplayError {
-    /// No session with a screen.
+    /// There is no graphical session.
     #[error(
         "there is no display: neither WAYLAND_DISPLAY nor DISPLAY is set; run this in a graphical session, or use \
          --headless"
     )]
     NoDisplay,
-    /// Libraries that are opened while running are not installed.
+    /// Libraries that winit loads at run time are not installed.
     #[error(
         "the window needs {libraries}, which cannot be opened here; install: apt install {debian} (Debian, Ubuntu), \
          dnf install {fedora} (Fedora), or pacman -S {arch} (Arch); or use --headless"
@@ -18,16 +17,16 @@ pub enum DisplayError {
     MissingLibraries {
         /// Their names.
         libraries: String,
-        /// The packages that hold them, apart by spaces.
+        /// Their packages in Debian, separated by spaces.
         debian: String,
-        /// The same elsewhere.
+        /// Their packages in Fedora.
         fedora: String,
-        /// The same elsewhere.
+        /// Their packages in Arch.
         arch: String,
     },
 }
 
-/// Checks that a window can be opened, as far as that can be known without opening one.
+/// Checks that a window can be opened, as far as possible without opening one.
 pub fn check() -> Result<(), DisplayError> {
     #[cfg(all(unix, not(target_os = "macos")))]
     {
@@ -42,7 +41,7 @@ pub fn check() -> Result<(), DisplayError> {
 fn check_session(is_set: impl Fn(&str) -> bool, can_be_opened: impl Fn(&str) -> bool) -> Result<(), DisplayError> {
     use libraries::{Library, WAYLAND, X11};
 
-    // The same order in which winit chooses.
+    // The order in which winit chooses.
     let needed = if is_set("WAYLAND_DISPLAY") || is_set("WAYLAND_SOCKET") {
         WAYLAND
     } else if is_set("DISPLAY") {
@@ -69,7 +68,7 @@ fn check_session(is_set: impl Fn(&str) -> bool, can_be_opened: impl Fn(&str) -> 
 
 #[cfg(all(unix, not(target_os = "macos")))]
 mod libraries {
-    /// A library that winit opens while running, and the packages that bring it.
+    /// A library that winit loads at run time, and its package in three distributions.
     pub(super) struct Library {
         pub(super) name: &'static str,
         pub(super) debian: &'static str,
@@ -96,7 +95,7 @@ mod libraries {
         },
     ];
 
-    /// Opens a library with the very code that winit uses.
+    /// Loads a library with the same code as winit.
     pub(super) fn can_be_opened(name: &str) -> bool {
         match name {
             "libX11" => x11_dl::xlib::Xlib::open().is_ok(),
@@ -139,7 +138,7 @@ mod tests {
 
     #[test]
     fn every_library_can_be_asked_for() {
-        // An unknown name would make a system look broken; here at least one that every desktop has must open.
+        // A misspelt name would make every system seem broken: on a desktop all must open, elsewhere none.
         let opened = libraries::X11.iter().filter(|library| libraries::can_be_opened(library.name)).count();
         let all = libraries::X11.len();
         assert!(opened == all || opened == 0, "{opened} of {all} libraries open: install what `make test` installs");

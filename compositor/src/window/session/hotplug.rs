@@ -1,11 +1,11 @@
-//! Has winit hear of monitors that come and go.
+//! Lets winit notice monitors that come and go under X11.
 //!
-//! Under X, winit 0.30 asks for such events and forgets its list of monitors when one comes; but none comes, for Xlib
-//! drops the events of an extension until that extension's own library is in use.
+//! winit 0.30 asks for RandR events and updates its list of monitors on one. But Xlib drops an extension's events until
+//! the extension's own library is in use.
 
 use winit::event_loop::ActiveEventLoop;
 
-/// Puts RandR's library to use under X; what cannot be had is told of, and costs no more than that.
+/// Starts to use RandR's library under X11. Logs a warning if it is missing; the wall then does not notice monitors.
 #[cfg(all(unix, not(target_os = "macos")))]
 pub(in crate::window) fn listen(event_loop: &ActiveEventLoop) {
     use winit::raw_window_handle::{HasDisplayHandle, RawDisplayHandle};
@@ -15,7 +15,7 @@ pub(in crate::window) fn listen(event_loop: &ActiveEventLoop) {
     match x11_dl::xrandr::Xrandr::open() {
         Ok(library) => {
             let [mut first_event, mut first_error] = [0; 2];
-            // Xlib calls the library for each event from now on; once opened it is never closed.
+            // Xlib calls the library for each event from now on; it is never closed.
             // SAFETY: the display is winit's, and open as long as its event loop; both numbers outlive the call.
             unsafe { (library.XRRQueryExtension)(display.as_ptr().cast(), &mut first_event, &mut first_error) };
         }
@@ -26,6 +26,6 @@ pub(in crate::window) fn listen(event_loop: &ActiveEventLoop) {
     }
 }
 
-/// Elsewhere winit does.
+/// Not needed on other systems.
 #[cfg(not(all(unix, not(target_os = "macos"))))]
 pub(in crate::window) fn listen(_: &ActiveEventLoop) {}

@@ -1,8 +1,8 @@
-//! Windows of a wall that dies are left to the X server, with what is on them, until its guard has copied it.
+//! Keeps the windows of a crashed wall in the X server, until the supervisor has copied their contents.
 
 use winit::{event_loop::ActiveEventLoop, window::Window};
 
-/// Has windows outlive this process, or no longer; without X11 nothing is done.
+/// Makes windows outlive this process, or no longer; does nothing without X11.
 #[cfg(all(unix, not(target_os = "macos")))]
 pub(in crate::window) fn retain_windows(event_loop: &ActiveEventLoop, retain_windows: bool) {
     use winit::raw_window_handle::{HasDisplayHandle, RawDisplayHandle};
@@ -19,7 +19,7 @@ pub(in crate::window) fn retain_windows(event_loop: &ActiveEventLoop, retain_win
     }
 }
 
-/// The X server's number for a window.
+/// The X11 identifier of a window.
 #[cfg(all(unix, not(target_os = "macos")))]
 pub(in crate::window) fn x_window_id(window: &Window) -> Option<u32> {
     use winit::raw_window_handle::{HasWindowHandle, RawWindowHandle};

@@ -1,7 +1,7 @@
-//! Hides the desktop where a wall was, under X11.
+//! Hides the desktop where a crashed wall was, under X11.
 //!
-//! The X server keeps the windows of a wall that has died (see `window/session/legacy.rs`), so the last frame is still on screen
-//! when its guard hears of the death: the server copies it, whole and in no time, and showing frames costs nothing more.
+//! The X server keeps the windows of a crashed child (see `window/session/legacy.rs`), so its last frame is still on
+//! screen when the supervisor sees the crash. The server copies that frame itself: a running wall pays nothing for this.
 
 use std::rc::Rc;
 
@@ -17,7 +17,7 @@ use x11rb::{
 
 use crate::wall::OnLoss;
 
-/// The X server's screen.
+/// The connection to the X server, and the number of its screen.
 pub(super) struct XDesktop {
     connection: Rc<RustConnection>,
     number: usize,
@@ -26,48 +26,48 @@ pub(super) struct XDesktop {
 /// A window of the wall.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct WallWindow {
-    /// The X server's number for it.
+    /// Its X11 identifier.
     pub(super) id: u32,
-    /// Where on the desktop it was seen last.
+    /// Its last known place on the desktop.
     pub(super) rect: Option<Rectangle>,
 }
 
-/// Windows above all others; dropped, they close.
+/// Windows above all others; they close on drop.
 pub(super) struct DesktopCover {
     connection: Rc<RustConnection>,
     windows: Vec<u32>,
 }
 
 impl XDesktop {
-    /// `None` without an X server that shows the wall, which is logged.
+    /// Connects to the X server that shows the wall; logs a failure and returns `None`.
     pub(super) fn connect() -> Option<Self> {
         let is_wayland = std::env::var_os("WAYLAND_DISPLAY").is_some_and(|name| !name.is_empty());
         if is_wayland {
-            tracing::info!("under Wayland the desktop is seen from the death of the wall to its return");
+            tracing::info!("under Wayland the desktop is visible while a crashed wall restarts");
             return None;
         }
         let (connection, number) = x11rb::connect(None)
-            .inspect_err(|error| tracing::debug!("no X server to cover a desktop of: {error}"))
+            .inspect_err(|error| tracing::debug!("no X server, so the desktop cannot be covered: {error}"))
             .ok()?;
         Some(Self { connection: connection.into(), number })
     }
 
-    /// Finds out where windows are; those that are no longer there stay where they were.
+    /// Updates the places of windows; a closed window keeps its last place.
     pub(super) fn find(&self, windows: &mut [WallWindow]) {
         windows.iter_mut().for_each(|window| window.rect = self.visible_rect(window.id).or(window.rect));
     }
 
-    /// Hides the desktop where these windows are or were, by what is seen there now or by black.
+    /// Covers the places of windows with their present contents or with black.
     ///
-    /// `None` if that fails, which is logged, or if there is nothing to hide.
+    /// Logs failures; `None` if no place is covered.
     pub(super) fn cover(&self, windows: &[WallWindow], on_loss: OnLoss) -> Option<DesktopCover> {
         let mut cover = DesktopCover { connection: Rc::clone(&self.connection), windows: Vec::new() };
         for window in windows {
-            // What was closed shows the desktop already.
+            // In place of a closed window the desktop is visible already: nothing to copy.
             let now = self.visible_rect(window.id);
-            let shows_last = now.is_some() && on_loss == OnLoss::LastFrame;
+            let copies_screen = now.is_some() && on_loss == OnLoss::LastFrame;
             let Some(rect) = now.or(window.rect) else { continue };
-            match self.cover_rect(rect, shows_last) {
+            match self.cover_rect(rect, copies_screen) {
                 Ok(id) => cover.windows.push(id),
                 Err(error) => tracing::warn!("the desktop cannot be covered: {error:#}"),
             }
@@ -75,17 +75,17 @@ impl XDesktop {
         (!cover.windows.is_empty()).then_some(cover)
     }
 
-    /// Closes windows that a wall has left behind, and all else that the server keeps of it.
+    /// Closes the windows that a crashed child left behind, and frees its other X11 resources.
     pub(super) fn forget(&self, windows: &[WallWindow]) {
         for window in windows {
-            // The first takes all others of its wall with it, and what is gone needs no closing.
+            // The first call also closes the child's other windows, so later ones may fail.
             if let Ok(request) = self.connection.kill_client(window.id) {
                 let _ = request.check();
             }
         }
     }
 
-    /// `None` for a window that is not to be seen.
+    /// The place of a window; `None` if it is not visible.
     fn visible_rect(&self, window: u32) -> Option<Rectangle> {
         let root = self.root();
         let attributes = self.connection.get_window_attributes(window).ok()?.reply().ok()?;
@@ -95,24 +95,24 @@ impl XDesktop {
         (attributes.map_state == MapState::VIEWABLE).then_some(Rectangle { x, y, width, height })
     }
 
-    fn cover_rect(&self, rect: Rectangle, shows_last: bool) -> anyhow::Result<u32> {
+    fn cover_rect(&self, rect: Rectangle, copies_screen: bool) -> anyhow::Result<u32> {
         let (connection, root) = (&self.connection, self.root());
         let Rectangle { x, y, width, height } = rect;
         let screen = &connection.setup().roots[self.number];
-        // A cursor without a pixel.
+        // An invisible cursor.
         let (shape, clear, cursor) = (connection.generate_id()?, connection.generate_id()?, connection.generate_id()?);
         connection.create_pixmap(1, shape, root, 1, 1)?;
         connection.create_gc(clear, shape, &CreateGCAux::new().foreground(0))?;
         connection.poly_fill_rectangle(shape, clear, &[Rectangle { x: 0, y: 0, width: 1, height: 1 }])?;
         connection.create_cursor(cursor, shape, shape, 0, 0, 0, 0, 0, 0, 0, 0)?;
-        // Window managers leave it alone.
+        // Window managers ignore a window with override_redirect.
         let attributes = CreateWindowAux::new().override_redirect(1).cursor(cursor);
         let (picture, copying) = (connection.generate_id()?, connection.generate_id()?);
-        let attributes = if shows_last {
+        let attributes = if copies_screen {
             connection.create_pixmap(screen.root_depth, picture, root, width, height)?;
-            // Windows are part of what is seen.
-            let of_all = CreateGCAux::new().subwindow_mode(SubwindowMode::INCLUDE_INFERIORS);
-            connection.create_gc(copying, root, &of_all)?;
+            // The copy includes windows.
+            let with_windows = CreateGCAux::new().subwindow_mode(SubwindowMode::INCLUDE_INFERIORS);
+            connection.create_gc(copying, root, &with_windows)?;
             connection.copy_area(root, picture, copying, x, y, 0, 0, width, height)?;
             attributes.background_pixmap(picture)
         } else {
@@ -124,11 +124,11 @@ impl XDesktop {
         let created =
             connection.create_window(depth, window, root, x, y, width, height, 0, class, visual, &attributes)?;
         connection.map_window(window)?;
-        // The window keeps what it needs of them.
+        // The window keeps its own references.
         connection.free_cursor(cursor)?;
         connection.free_gc(clear)?;
         connection.free_pixmap(shape)?;
-        if shows_last {
+        if copies_screen {
             connection.free_gc(copying)?;
             connection.free_pixmap(picture)?;
         }
@@ -142,10 +142,10 @@ impl XDesktop {
 }
 
 impl DesktopCover {
-    /// Puts it above windows that have opened since.
+    /// Raises the cover above windows that have opened since.
     pub(super) fn raise(&self) {
         for &window in &self.windows {
-            // Where the X server is gone, there is nothing to cover.
+            // Without an X server there is nothing to cover.
             let _ = self.connection.configure_window(window, &ConfigureWindowAux::new().stack_mode(StackMode::ABOVE));
         }
         let _ = self.connection.flush();

@@ -1,0 +1,294 @@
+//! The camera: steered by hand, sent to kept views, recorded, and moved along paths. Pure: time is an argument.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use shared::camera::{Camera, CameraPath, CameraRecorder, UpAxis};
+
+use super::effect::Effect;
+use crate::{
+    control::{
+        input::Direction,
+        model::Model,
+        navigator::Navigator,
+        sidecar::{self, SidecarFiles},
+    },
+    window::options::WindowOptions,
+};
+
+/// The time between two steps of a camera that moves by itself.
+const STEP_INTERVAL: Duration = Duration::from_millis(16);
+/// Shift multiplies the speed of flying by this.
+const FAST: f64 = 4.0;
+
+/// The camera on the current model, and the model's views and path.
+pub(super) struct CameraControl {
+    /// `None` until the first model is loaded.
+    navigator: Option<Navigator>,
+    sidecars: Option<SidecarFiles>,
+    recording: Option<Recording>,
+    /// When time last moved the camera.
+    stepped_at: Instant,
+    /// Width over height of the canvas.
+    aspect: f64,
+    /// The axis that the operator chose as up.
+    up: Option<UpAxis>,
+    first_camera: Option<Camera>,
+    first_path: Option<CameraPath>,
+}
+
+struct Recording {
+    since: Instant,
+    recorder: CameraRecorder,
+}
+
+impl CameraControl {
+    pub(super) fn new(options: &WindowOptions, now: Instant) -> Self {
+        Self {
+            navigator: None,
+            sidecars: None,
+            recording: None,
+            stepped_at: now,
+            aspect: options.wall.aspect(),
+            up: options.up,
+            first_camera: options.camera,
+            first_path: options.path.clone(),
+        }
+    }
+
+    pub(super) fn navigator(&self) -> Option<&Navigator> {
+        self.navigator.as_ref()
+    }
+
+    pub(super) fn navigator_mut(&mut self) -> Option<&mut Navigator> {
+        self.navigator.as_mut()
+    }
+
+    pub(super) fn is_recording(&self) -> bool {
+        self.recording.is_some()
+    }
+
+    /// Whether time moves the camera; true before the first model.
+    pub(super) fn is_moving(&self) -> bool {
+        self.navigator.as_ref().is_none_or(Navigator::is_moving)
+    }
+
+    pub(super) fn is_playing(&self) -> bool {
+        self.navigator.as_ref().is_some_and(Navigator::is_playing)
+    }
+
+    pub(super) fn is_dragging(&self) -> bool {
+        self.navigator.as_ref().is_some_and(Navigator::is_dragging)
+    }
+
+    /// The numbers of the model's views.
+    pub(super) fn view_numbers(&self) -> Vec<u8> {
+        let views = self.sidecars.as_ref().and_then(SidecarFiles::views);
+        views.map(|views| views.numbers().collect()).unwrap_or_default()
+    }
+
+    /// Shows a model: the first from the camera or along the path of the options, others as a whole.
+    pub(super) fn set_model(&mut self, model: &Model, sidecars: SidecarFiles, now: Instant) -> Effect {
+        let up = self.up.or_else(|| sidecars.views().and_then(|views| views.up)).unwrap_or_default();
+        self.recording = None;
+        let sidecars = self.sidecars.insert(sidecars);
+        if let Some(navigator) = &mut self.navigator {
+            navigator.set_bounds(model.bounds, up);
+            return Effect::picture();
+        }
+        let navigator = Navigator::new(model.bounds, up, self.aspect);
+        self.navigator = Some(match self.first_camera {
+            Some(camera) => navigator.with_camera(camera),
+            None => navigator,
+        });
+        let Some(path) = self.first_path.take().map(Arc::new) else { return Effect::picture() };
+        sidecars.keep_path(Arc::clone(&path));
+        self.play(path, true, now)
+    }
+
+    /// Moves the camera, or sets it in motion.
+    pub(super) fn steer(&mut self, now: Instant, motion: impl FnOnce(&mut Navigator)) -> Effect {
+        let Some(navigator) = &mut self.navigator else { return Effect::default() };
+        if !navigator.is_moving() {
+            self.stepped_at = now;
+        }
+        motion(navigator);
+        Effect::picture()
+    }
+
+    /// Flies in a direction from when its key goes down until it goes up.
+    pub(super) fn fly(&mut self, direction: Direction, is_pressed: bool, now: Instant) {
+        let Some(navigator) = &mut self.navigator else { return };
+        if !is_pressed {
+            return navigator.release_key(direction);
+        }
+        if !navigator.is_moving() {
+            self.stepped_at = now;
+        }
+        navigator.hold(direction);
+    }
+
+    /// Lets time move the camera. Returns whether it moved, and when to call this again.
+    pub(super) fn advance(&mut self, is_fast: bool, now: Instant) -> (bool, Option<Instant>) {
+        let Some(navigator) = self.navigator.as_mut().filter(|navigator| navigator.is_moving()) else {
+            return (false, None);
+        };
+        let elapsed = now.duration_since(self.stepped_at);
+        let is_due = elapsed >= STEP_INTERVAL;
+        if is_due {
+            self.stepped_at = now;
+        }
+        let has_moved = is_due && navigator.advance(elapsed.as_secs_f64(), if is_fast { FAST } else { 1.0 });
+        (has_moved, Some(self.stepped_at + STEP_INTERVAL))
+    }
+
+    pub(super) fn change_speed(&mut self, steps: i32) -> Effect {
+        let factor = self.navigator.as_mut().map(|navigator| navigator.change_speed(steps));
+        factor.map_or_else(Effect::default, |factor| Effect::note(format!("Flying speed: {factor:.2}×")))
+    }
+
+    pub(super) fn go_to_view(&mut self, number: u8, now: Instant) -> Effect {
+        match self.sidecars.as_ref().and_then(SidecarFiles::views).and_then(|views| views.get(number)) {
+            Some(camera) => self.steer(now, |navigator| navigator.go_to(camera)),
+            None => Effect::note(format!("There is no view {number}: Ctrl+{number} keeps the current view")),
+        }
+    }
+
+    pub(super) fn keep_view(&mut self, number: u8) -> Effect {
+        let (Some(sidecars), Some(navigator)) = (&mut self.sidecars, &self.navigator) else { return Effect::default() };
+        match sidecars.keep_view(number, navigator.destination(), navigator.up()) {
+            Ok((file, text)) => Effect::job(move || sidecar::write_views(&file, &text).map(|()| None))
+                .with_note(format!("View {number} is kept: key {number} goes there")),
+            Err(problem) => Effect::problem(problem),
+        }
+    }
+
+    pub(super) fn toggle_recording(&mut self, now: Instant) -> Effect {
+        if let Some(Recording { recorder, .. }) = self.recording.take() {
+            return self.end_recording(recorder);
+        }
+        let Some(navigator) = &self.navigator else { return Effect::default() };
+        self.recording = Some(Recording { since: now, recorder: CameraRecorder::new(navigator.camera()) });
+        Effect::note("Recording the camera: C ends it")
+    }
+
+    /// Adds the camera to the recording, if there is one; ends it when it is full.
+    pub(super) fn record(&mut self, now: Instant) -> Effect {
+        let Some(navigator) = &self.navigator else { return Effect::default() };
+        let is_full = |recording: &mut Recording| {
+            !recording.recorder.record(now.duration_since(recording.since).as_secs_f64(), navigator.camera())
+        };
+        match self.recording.take_if(is_full) {
+            Some(Recording { recorder, .. }) => self.end_recording(recorder),
+            None => Effect::default(),
+        }
+    }
+
+    fn end_recording(&mut self, recorder: CameraRecorder) -> Effect {
+        let up = self.navigator.as_ref().map_or_else(UpAxis::default, Navigator::up);
+        let (Some(path), Some(sidecars)) = (recorder.finish(up), &mut self.sidecars) else {
+            return Effect::note("The camera did not move: no path is recorded");
+        };
+        let path = Arc::new(path);
+        let file = sidecars.keep_path(Arc::clone(&path));
+        let note = format!("Camera path of {:.1} s: Space plays it", path.duration_seconds());
+        Effect::job(move || sidecar::write_path(&file, &path).map(|()| None)).with_note(note)
+    }
+
+    pub(super) fn toggle_playing(&mut self, repeats: bool, now: Instant) -> Effect {
+        if self.is_playing() {
+            return self.steer(now, Navigator::stop);
+        }
+        match self.sidecars.as_ref().and_then(SidecarFiles::path) {
+            Some(path) => self.play(path, repeats, now),
+            None => Effect::note("There is no camera path: C starts to record one"),
+        }
+    }
+
+    /// Returns to the beginning: plays the model's path repeatedly, or shows the whole model.
+    pub(super) fn start_again(&mut self, now: Instant) -> Effect {
+        match self.sidecars.as_ref().and_then(SidecarFiles::path) {
+            Some(path) => self.play(path, true, now),
+            None => self.steer(now, Navigator::view_all),
+        }
+    }
+
+    fn play(&mut self, path: Arc<CameraPath>, repeats: bool, now: Instant) -> Effect {
+        self.steer(now, |navigator| navigator.play(path, repeats))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DVec2, DVec3};
+    use renderer::model::scene::SceneSource;
+
+    use super::*;
+    use crate::control::navigator::Drag;
+
+    fn camera_on_a_cube(now: Instant) -> CameraControl {
+        let mut control = CameraControl {
+            navigator: None,
+            sidecars: None,
+            recording: None,
+            stepped_at: now,
+            aspect: 1.5,
+            up: None,
+            first_camera: None,
+            first_path: None,
+        };
+        let source = SceneSource::Ply("/no/such/folder/cube.ply".into());
+        let sidecars = SidecarFiles::read(&source);
+        let scene = renderer::model::scene::load(&SceneSource::Statue { triangles: 8 }, &|_| {}).unwrap().id;
+        let bounds = (DVec3::ZERO, DVec3::ONE);
+        let model = Model { source, scene, bounds, n_triangles: 12, n_rejected: 0 };
+        assert!(control.set_model(&model, sidecars, now).wants_picture);
+        control
+    }
+
+    #[test]
+    fn a_held_key_flies_step_by_step_and_shift_flies_faster() {
+        let start = Instant::now();
+        let eye_after_a_step = |is_fast| {
+            let mut control = camera_on_a_cube(start);
+            control.fly(Direction::Forward, true, start);
+            assert_eq!(control.advance(is_fast, start), (false, Some(start + STEP_INTERVAL)));
+            let (has_moved, next) = control.advance(is_fast, start + STEP_INTERVAL);
+            assert!(has_moved && next == Some(start + 2 * STEP_INTERVAL));
+            control.fly(Direction::Forward, false, start);
+            assert_eq!(control.advance(is_fast, start + 3 * STEP_INTERVAL), (false, None));
+            control.navigator().unwrap().camera().eye()
+        };
+        let eye = camera_on_a_cube(start).navigator().unwrap().camera().eye();
+        let [slow, fast] = [false, true].map(|is_fast| (eye_after_a_step(is_fast) - eye).length());
+        assert!((fast / slow - FAST).abs() < 1e-6, "{slow} {fast}");
+    }
+
+    #[test]
+    fn a_recorded_path_can_be_played() {
+        let start = Instant::now();
+        let mut control = camera_on_a_cube(start);
+        assert!(control.toggle_playing(false, start).note.is_some(), "there is no path yet");
+        control.toggle_recording(start);
+        assert!(control.is_recording());
+        control.navigator_mut().unwrap().press(Drag::Orbit);
+        control.navigator_mut().unwrap().move_to(DVec2::new(0.7, 0.5));
+        control.record(start + Duration::from_secs(1));
+        let effect = control.toggle_recording(start + Duration::from_secs(1));
+        assert!(effect.job.is_some() && effect.note.is_some() && !control.is_recording());
+        assert!(control.toggle_playing(false, start).wants_picture && control.is_playing());
+        assert!(control.toggle_playing(false, start).wants_picture && !control.is_playing());
+    }
+
+    #[test]
+    fn views_are_kept_and_found_again() {
+        let start = Instant::now();
+        let mut control = camera_on_a_cube(start);
+        assert!(control.go_to_view(3, start).note.unwrap().contains("Ctrl+3"));
+        assert!(control.keep_view(3).job.is_some());
+        assert_eq!(control.view_numbers(), [3]);
+        assert!(control.go_to_view(3, start).wants_picture);
+    }
+}

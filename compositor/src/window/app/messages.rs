@@ -1,0 +1,90 @@
+//! Notes and problems on screen, and when they leave it. Pure: time is an argument.
+
+use std::time::{Duration, Instant};
+
+use crate::farm::stats::FarmStatus;
+
+/// How long a note stays on screen.
+const NOTE_LIFE: Duration = Duration::from_secs(8);
+
+/// The texts that an operator has yet to read.
+#[derive(Debug, Default)]
+pub(super) struct Messages {
+    note: Option<(String, Instant)>,
+    problem: Option<String>,
+    /// The farm's message when it was dismissed, and the number of lost render servers then.
+    dismissed: (Option<String>, u32),
+    /// The missing monitors when the message about them was dismissed.
+    dismissed_monitors: Vec<String>,
+}
+
+impl Messages {
+    /// Shows a text for a while.
+    pub(super) fn show_note(&mut self, note: String, now: Instant) {
+        self.note = Some((note, now));
+    }
+
+    /// Shows a problem until it is dismissed, or clears the last one.
+    pub(super) fn set_problem(&mut self, problem: Option<String>) {
+        self.problem = problem;
+    }
+
+    /// Clears all messages; those of farm and monitors return when they change.
+    pub(super) fn dismiss(&mut self, status: FarmStatus, missing_monitors: Vec<String>) {
+        let dismissed = (status.message, status.n_lost);
+        *self = Self { dismissed, dismissed_monitors: missing_monitors, ..Self::default() };
+    }
+
+    /// The note that is on screen now.
+    pub(super) fn note(&mut self, now: Instant) -> Option<String> {
+        self.note.take_if(|(_, since)| now.duration_since(*since) >= NOTE_LIFE);
+        self.note.as_ref().map(|(note, _)| note.clone())
+    }
+
+    /// When the note leaves the screen.
+    pub(super) fn note_ends_at(&self) -> Option<Instant> {
+        self.note.as_ref().map(|(_, since)| *since + NOTE_LIFE)
+    }
+
+    /// All messages that stay until they are dismissed.
+    pub(super) fn list(&self, status: &FarmStatus, missing_monitors: &[String]) -> Vec<String> {
+        let is_news = (&status.message, status.n_lost) != (&self.dismissed.0, self.dismissed.1);
+        let farm_message = status.message.clone().filter(|_| is_news);
+        let is_missing = !missing_monitors.is_empty() && missing_monitors != self.dismissed_monitors;
+        let missing = is_missing.then(|| {
+            format!(
+                "Monitor missing: {}. The wall uses it again once it is connected and on",
+                missing_monitors.join(", ")
+            )
+        });
+        self.problem.clone().into_iter().chain(missing).chain(farm_message).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_note_leaves_the_screen_by_itself() {
+        let (mut messages, start) = (Messages::default(), Instant::now());
+        messages.show_note("saved".to_owned(), start);
+        assert_eq!(messages.note(start + NOTE_LIFE / 2).as_deref(), Some("saved"));
+        assert_eq!(messages.note_ends_at(), Some(start + NOTE_LIFE));
+        assert_eq!(messages.note(start + NOTE_LIFE), None);
+        assert_eq!(messages.note_ends_at(), None);
+    }
+
+    #[test]
+    fn dismissed_messages_return_only_with_news() {
+        let lost = |n_lost| FarmStatus { message: Some("node lost".to_owned()), n_lost, ..FarmStatus::default() };
+        let (left, both) = (["DP-1".to_owned()], ["DP-1".to_owned(), "DP-2".to_owned()]);
+        let mut messages = Messages::default();
+        messages.set_problem(Some("disk full".to_owned()));
+        assert_eq!(messages.list(&lost(1), &left).len(), 3);
+        messages.dismiss(lost(1), left.to_vec());
+        assert_eq!(messages.list(&lost(1), &left), Vec::<String>::new());
+        assert_eq!(messages.list(&lost(2), &left), ["node lost"]);
+        assert!(messages.list(&lost(1), &both)[0].contains("DP-1, DP-2"));
+    }
+}

@@ -1,0 +1,131 @@
+//! How the model is rendered: shading, lighting, appearance, resolution.
+
+use shared::{
+    appearance::{Appearance, Background, Clip, ClipSide, Light},
+    camera::Camera,
+    protocol::{FrameSpec, LightingMode, ShadingMode},
+    scene::SceneId,
+};
+use strum::VariantArray;
+
+use super::effect::Effect;
+use crate::{
+    control::refinement::{Refinement, RefinementOptions},
+    window::options::WindowOptions,
+};
+
+/// The parts of a [`FrameSpec`] that commands change, except for the camera.
+#[derive(Debug)]
+pub(super) struct PictureControl {
+    pub(super) shading: ShadingMode,
+    pub(super) lighting: LightingMode,
+    pub(super) appearance: Appearance,
+    pub(super) refinement: Refinement,
+    options: RefinementOptions,
+}
+
+impl PictureControl {
+    pub(super) fn new(options: &WindowOptions) -> Self {
+        Self {
+            shading: options.shading,
+            lighting: options.lighting,
+            appearance: options.appearance,
+            refinement: Refinement::new(options.refinement),
+            options: options.refinement,
+        }
+    }
+
+    /// The frame to ask for; [`Refinement::change`] sets its size and samples.
+    pub(super) fn spec(&self, scene: SceneId, camera: Camera) -> FrameSpec {
+        FrameSpec {
+            scene,
+            camera,
+            size: self.options.fixed_size,
+            view: self.shading,
+            rays: self.lighting,
+            samples: self.options.fixed_samples,
+            appearance: self.appearance,
+        }
+    }
+
+    pub(super) fn set_shading(&mut self, shading: ShadingMode) -> Effect {
+        self.shading = shading;
+        Effect::picture()
+    }
+
+    pub(super) fn set_lighting(&mut self, lighting: LightingMode) -> Effect {
+        self.lighting = lighting;
+        Effect::picture()
+    }
+
+    pub(super) fn set_light(&mut self, light: Light) -> Effect {
+        self.appearance.light = light;
+        Effect::picture()
+    }
+
+    pub(super) fn next_light(&mut self) -> Effect {
+        let (name, light) = next_named(&Light::PRESETS, self.appearance.light);
+        self.set_light(light).with_note(format!("Light: {name}"))
+    }
+
+    pub(super) fn set_background(&mut self, background: Background) -> Effect {
+        self.appearance.background = background;
+        Effect::picture()
+    }
+
+    pub(super) fn next_background(&mut self) -> Effect {
+        let (name, background) = next_named(&Background::PRESETS, self.appearance.background);
+        self.set_background(background).with_note(format!("Background: {name}"))
+    }
+
+    pub(super) fn set_clip(&mut self, clip: Option<Clip>) -> Effect {
+        self.appearance.clip = clip;
+        Effect::picture()
+    }
+
+    /// Clips from the next side, and from none after the last.
+    pub(super) fn next_clip(&mut self) -> Effect {
+        let clip = self.appearance.clip;
+        let next =
+            clip.map_or(0, |clip| 1 + ClipSide::VARIANTS.iter().position(|&side| side == clip.side()).unwrap_or(0));
+        let side = ClipSide::VARIANTS.get(next).copied();
+        let note = side.map_or("Whole again".to_owned(), |side| format!("Cut open from {side}"));
+        self.set_clip(side.map(|side| Clip::with_side(side, clip))).with_note(note)
+    }
+
+    pub(super) fn move_clip(&mut self, permille: i16) -> Effect {
+        self.set_clip(self.appearance.clip.map(|clip| clip.deepened_by(permille)))
+    }
+
+    pub(super) fn toggle_refinement(&mut self) -> Effect {
+        let is_on = !self.refinement.is_on();
+        self.refinement.set_on(is_on);
+        let note = if is_on { "The resolution follows the motion" } else { "All frames have the same resolution" };
+        Effect::picture().with_note(note)
+    }
+}
+
+/// The choice after `current`; the first after the last.
+pub(super) fn next<T: Copy + PartialEq>(all: &[T], current: T) -> T {
+    let index = all.iter().position(|&one| one == current).map_or(0, |index| index + 1);
+    all[index % all.len()]
+}
+
+/// The named choice after `current`; the first after the last, or where `current` has no name.
+fn next_named<T: Copy + PartialEq>(all: &[(&'static str, T)], current: T) -> (&'static str, T) {
+    let named = all.iter().copied().find(|&(_, one)| one == current);
+    named.map_or(all[0], |named| next(all, named))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_steps_through_all_choices() {
+        assert_eq!(next(&[1, 2, 3], 1), 2);
+        assert_eq!(next(&[1, 2, 3], 3), 1);
+        assert_eq!(next_named(&[("a", 1), ("b", 2)], 1), ("b", 2));
+        assert_eq!(next_named(&[("a", 1), ("b", 2)], 7), ("a", 1));
+    }
+}

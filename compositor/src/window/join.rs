@@ -1,0 +1,84 @@
+//! The line by which a render server joins the wall.
+
+use std::{net::SocketAddr, path::Path};
+
+use crate::overlay::JoinHint;
+
+/// The command by which a render server joins the wall that listens on `address`, and a note on where it works.
+///
+/// `key` is the wall's key file; `model` is the file that the wall shows, if it is one.
+pub(super) fn join_hint(address: SocketAddr, key: Option<&Path>, model: Option<&Path>) -> JoinHint {
+    let port = address.port();
+    let is_local = address.ip().is_loopback();
+    let host = if address.ip().is_unspecified() { host_name() } else { address.ip().to_string() };
+    let host = if host.contains(':') { format!("[{host}]") } else { host };
+    let mut command = format!("renderer connect {host}:{port}");
+    let mut note = match (is_local, key) {
+        (false, _) => "On this machine, or on any that reaches it.".to_owned(),
+        (true, Some(_)) => {
+            format!(
+                "On this machine. To let other machines reach the wall, add --listen 0.0.0.0:{port} to its options."
+            )
+        }
+        (true, None) => format!(
+            "On this machine. To let other machines reach the wall, start it with --listen 0.0.0.0:{port} --insecure."
+        ),
+    };
+    if let Some(key) = key {
+        command += &format!(" --key {}", shell_word(key));
+        note += " The key file must be on the render server's machine.";
+    } else if !is_local {
+        command += " --insecure";
+    }
+    if let Some(model) = model {
+        command += &format!(" --model {}", shell_word(model));
+        note += " The model is read from the render server's own disk.";
+    }
+    JoinHint { command, note }
+}
+
+/// The absolute path of a file, quoted for a shell.
+fn shell_word(path: &Path) -> String {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+    let text = path.to_string_lossy();
+    // Only a NUL cannot be quoted, and no path holds one.
+    shlex::try_quote(&text).map_or_else(|_| text.to_string(), Into::into)
+}
+
+/// This machine's name in the network, as far as the system knows it.
+fn host_name() -> String {
+    std::fs::read_to_string("/proc/sys/kernel/hostname")
+        .ok()
+        .map(|name| name.trim().to_owned())
+        .filter(|name| !name.is_empty())
+        .unwrap_or_else(|| "THIS-MACHINE".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_to_join_can_be_typed_as_it_stands() {
+        let hint = |address: &str| join_hint(address.parse().expect(address), None, None);
+        assert_eq!(hint("127.0.0.1:7117").command, "renderer connect 127.0.0.1:7117");
+        assert!(hint("127.0.0.1:7117").note.contains("--listen 0.0.0.0:7117 --insecure"));
+        assert_eq!(hint("10.1.2.3:80").command, "renderer connect 10.1.2.3:80 --insecure");
+        assert_eq!(hint("[fe80::1]:80").command, "renderer connect [fe80::1]:80 --insecure");
+        let any = hint("0.0.0.0:7117").command;
+        assert!(any.ends_with(":7117 --insecure") && !any.contains("0.0.0.0"), "{any}");
+        let with_model = join_hint(([127, 0, 0, 1], 80).into(), None, Some(Path::new("/models/it's a dragon.ply")));
+        let words = shlex::split(&with_model.command).expect("a shell can read it");
+        assert_eq!(words, ["renderer", "connect", "127.0.0.1:80", "--model", "/models/it's a dragon.ply"]);
+    }
+
+    #[test]
+    fn a_wall_with_a_key_is_joined_with_the_key() {
+        let hint = |ip| join_hint((ip, 80).into(), Some(Path::new("/keys/wall.key")), None);
+        assert_eq!(hint([10, 1, 2, 3]).command, "renderer connect 10.1.2.3:80 --key /keys/wall.key");
+        assert_eq!(hint([127, 0, 0, 1]).command, "renderer connect 127.0.0.1:80 --key /keys/wall.key");
+        for ip in [[10, 1, 2, 3], [127, 0, 0, 1]] {
+            assert!(!hint(ip).note.contains("--insecure"), "a wall with a key refuses render servers without it");
+        }
+    }
+}
