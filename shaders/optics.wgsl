@@ -1,4 +1,4 @@
-// Shows the frame through projectors that stand askew, overlap, or have a light of their own: one quad for each, in the
+// Shows the frame through projectors that are warped, overlap, or need their light corrected: one quad for each, in the
 // same pass as those of present.wgsl.
 //
 // Paired with compositor/src/gpu/optics.rs; its twin on the CPU is compositor/src/gpu/present_cpu.rs.
@@ -8,37 +8,37 @@
 // Bilinear, clamped to the edge.
 @group(0) @binding(1) var bilinear: sampler;
 
-// What each pixel of the target gives of the light, and the light of all projectors' black there, by shares.wgsl.
-@group(1) @binding(0) var shares: texture_2d<f32>;
+// Each pixel's blend weight, and the light of all projectors' black there, drawn by blend_weights.wgsl.
+@group(1) @binding(0) var blend_weights: texture_2d<f32>;
 
 // One projector on the target. Matches `ProjectorInstance` in optics.rs.
 struct Projector {
-    // Columns of the map from pixels right and down of `origin_px` to its place, homogeneous: (0, 0) is the place's
-    // upper-left corner as seen on the wall, (1, 1) its lower-right corner.
-    @location(0) place_per_column: vec3f,
-    @location(1) place_per_row: vec3f,
-    @location(2) place_at_origin: vec3f,
+    // Columns of the homography from pixels right and down of `origin_px` to its rectangle of the canvas: (0, 0) is the
+    // rectangle's upper-left corner as seen on the wall, (1, 1) its lower-right corner.
+    @location(0) rect_per_column: vec3f,
+    @location(1) rect_per_row: vec3f,
+    @location(2) rect_at_origin: vec3f,
     // The quad's left, bottom, right and top in clip coordinates.
     @location(3) clip: vec4f,
-    // The place's upper-left corner in the frame, and its extent to the right and down.
-    @location(4) frame_from_place: vec4f,
-    // Light that it has to give, to the value's light: red, green, blue.
+    // The rectangle's upper-left corner in the frame, and its extent to the right and down.
+    @location(4) frame_from_rect: vec4f,
+    // Factors that correct for its gain and black level: red, green, blue.
     @location(5) drive_per_light: vec3f,
-    // The exponent of its light, 0 for sRGB.
+    // The exponent of its light curve, 0 for sRGB.
     @location(6) gamma: f32,
-    // The pixel at the quad's middle, counted in the target.
+    // The pixel in the quad's middle, in the target's pixels.
     @location(7) origin_px: vec2f,
-    // What the black of the whole wall is lifted to.
+    // The light of black everywhere on the wall: the most that projectors' black levels add up to.
     @location(8) wall_black: f32,
 }
 
-// Flat values cost less than records that each pixel reads for itself.
+// Flat values cost less than a buffer that each pixel reads.
 struct Quad {
     @builtin(position) position: vec4f,
-    @location(0) @interpolate(flat) place_per_column: vec3f,
-    @location(1) @interpolate(flat) place_per_row: vec3f,
-    @location(2) @interpolate(flat) place_at_origin: vec3f,
-    @location(3) @interpolate(flat) frame_from_place: vec4f,
+    @location(0) @interpolate(flat) rect_per_column: vec3f,
+    @location(1) @interpolate(flat) rect_per_row: vec3f,
+    @location(2) @interpolate(flat) rect_at_origin: vec3f,
+    @location(3) @interpolate(flat) frame_from_rect: vec4f,
     @location(4) @interpolate(flat) drive_per_light: vec3f,
     @location(5) @interpolate(flat) gamma: f32,
     @location(6) @interpolate(flat) origin_px: vec2f,
@@ -52,10 +52,10 @@ fn vertex(@builtin(vertex_index) corner: u32, projector: Projector) -> Quad {
     let y = select(projector.clip.y, projector.clip.w, corner >= 2u);
     return Quad(
         vec4f(x, y, 0.0, 1.0),
-        projector.place_per_column,
-        projector.place_per_row,
-        projector.place_at_origin,
-        projector.frame_from_place,
+        projector.rect_per_column,
+        projector.rect_per_row,
+        projector.rect_at_origin,
+        projector.frame_from_rect,
         projector.drive_per_light,
         projector.gamma,
         projector.origin_px,
@@ -63,20 +63,21 @@ fn vertex(@builtin(vertex_index) corner: u32, projector: Projector) -> Quad {
     );
 }
 
-// The part of its white that the projector is to give at the pixel.
+// The projector's light at the pixel, as a part of its white.
 fn drive_at(quad: Quad) -> vec3f {
-    let share = textureLoad(shares, vec2i(quad.position.xy), 0);
+    // Red is the blend weight, green the black that leaks in.
+    let blended = textureLoad(blend_weights, vec2i(quad.position.xy), 0);
     let px = quad.position.xy - quad.origin_px;
-    let image = quad.place_per_column * px.x + quad.place_per_row * px.y + quad.place_at_origin;
-    // At and behind the horizon there is no wall, and the share is nothing.
+    let image = quad.rect_per_column * px.x + quad.rect_per_row * px.y + quad.rect_at_origin;
+    // At and behind the horizon there is no wall, and the weight is 0.
     let within = clamp(image.xy / max(image.z, 1e-9), vec2f(0.0), vec2f(1.0));
-    let at = quad.frame_from_place.xy + within * quad.frame_from_place.zw;
+    let at = quad.frame_from_rect.xy + within * quad.frame_from_rect.zw;
     let linear = textureSampleLevel(frame, bilinear, at, 0.0).rgb;
-    let light = share.r * max(quad.wall_black + (1.0 - quad.wall_black) * linear - share.g, vec3f(0.0));
+    let light = blended.r * max(quad.wall_black + (1.0 - quad.wall_black) * linear - blended.g, vec3f(0.0));
     return clamp(light * quad.drive_per_light, vec3f(0.0), vec3f(1.0));
 }
 
-// The value, from 0 to 1, that makes a projector of this gamma give it.
+// The pixel value, from 0 to 1, for which a projector of this gamma gives the light `drive`.
 fn value_of(drive: vec3f, gamma: f32) -> vec3f {
     // pow of 0 is not defined everywhere.
     return select(pow(drive, vec3f(1.0 / gamma)), vec3f(0.0), drive <= vec3f(0.0));
@@ -92,7 +93,7 @@ fn srgb_decode(value: vec3f) -> vec3f {
     return select(curve, value / 12.92, value <= vec3f(0.04045));
 }
 
-// For targets that encode sRGB themselves, whatever the projector's gamma.
+// For targets that encode sRGB themselves, whichever gamma the projector has.
 @fragment
 fn fragment_linear(quad: Quad) -> @location(0) vec4f {
     let drive = drive_at(quad);
@@ -102,7 +103,7 @@ fn fragment_linear(quad: Quad) -> @location(0) vec4f {
     return vec4f(srgb_decode(value_of(drive, quad.gamma)), 1.0);
 }
 
-// For surfaces that offer no sRGB view.
+// For surfaces without an sRGB view.
 @fragment
 fn fragment_encoded(quad: Quad) -> @location(0) vec4f {
     let drive = drive_at(quad);

@@ -4,7 +4,7 @@
 
 // The frame's samples, row 0 at the bottom. The view is sRGB, so the filter mixes linear light.
 @group(0) @binding(0) var frame: texture_2d<f32>;
-// Bilinear, clamped to the edge; where the pixels' centres are those of samples it may as well be nearest.
+// Clamped to the edge. Bilinear; nearest where the pixels' centres are those of samples.
 @group(0) @binding(1) var filtered: sampler;
 
 // One projector on the target. Matches `ProjectorInstance` in present.rs.
@@ -15,7 +15,7 @@ struct Projector {
     @location(1) origin_px: vec2f,
     // The same point in the frame, whose lower-left corner is (0, 0) and whose upper-right corner is (1, 1).
     @location(2) origin_frame: vec2f,
-    // How far one pixel to the right and one pixel down go in the frame.
+    // The step in the frame for one pixel to the right, and for one pixel down.
     @location(3) frame_per_px: vec2f,
 }
 
@@ -34,8 +34,8 @@ fn vertex(@builtin(vertex_index) corner: u32, projector: Projector) -> Quad {
     return Quad(vec4f(x, y, 0.0, 1.0), projector.origin_px, projector.origin_frame, projector.frame_per_px);
 }
 
-// From the pixel's centre, not interpolated: rasterizers shift corners of scaled walls by up to 1/512 of a pixel,
-// which beside black is several steps of 8 bits.
+// Computed from the pixel's centre instead of interpolated: rasterizers shift the corners of scaled walls by up to 1/512
+// of a pixel, which beside black is several steps of 8 bits.
 fn frame_at(quad: Quad) -> vec3f {
     let at = quad.origin_frame + (quad.position.xy - quad.origin_px) * quad.frame_per_px;
     return textureSampleLevel(frame, filtered, at, 0.0).rgb;
@@ -47,7 +47,7 @@ fn fragment_linear(quad: Quad) -> @location(0) vec4f {
     return vec4f(frame_at(quad), 1.0);
 }
 
-// For surfaces that offer no sRGB view.
+// For surfaces without an sRGB view.
 @fragment
 fn fragment_encoded(quad: Quad) -> @location(0) vec4f {
     let linear = frame_at(quad);

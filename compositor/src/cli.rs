@@ -1,4 +1,4 @@
-//! The command line: starts a wall, shows it without a window, checks wall files, and reports.
+//! The command line: starts a wall with or without a window, checks wall files, and reports measurements.
 
 pub mod args;
 pub mod check;

@@ -1,8 +1,8 @@
-//! The GPU's part: one texture of the frame's samples, shown by every projector of the wall.
+//! The GPU's part: one texture holds the frame's samples, and every projector of the wall shows its part of it.
 //!
-//! In reading order: [`context`] finds the GPU, [`frame_texture`] holds the frame, [`present`] draws it on a target,
-//! `optics` what of it is warped or blended, by `shares` that are kept, [`offscreen`] and [`surface`] are targets, [`timer`] measures, and
-//! [`present_cpu`] is the stage's twin for tests.
+//! In reading order: [`context`] finds the GPU, [`frame_texture`] holds the frame, `quad` has the stages' shared types,
+//! [`present`] draws the frame on a target; `optics` corrects warped and blended projectors, by `blend_weights` that are
+//! drawn once. [`offscreen`] and [`surface`] are targets, [`timer`] measures, and [`present_cpu`] is the stage's twin for tests.
 
 mod blend_weights;
 pub mod context;
@@ -12,13 +12,15 @@ mod optics;
 pub mod picture;
 pub mod present;
 pub mod present_cpu;
+mod quad;
 pub mod surface;
 pub mod timer;
 
 pub use context::{Gpu, GpuError};
 pub use offscreen::Offscreen;
 pub use picture::RgbImage;
-pub use present::{Present, Target};
+pub use present::Present;
+pub use quad::Target;
 pub use surface::WallSurface;
 
 #[cfg(test)]

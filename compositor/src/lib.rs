@@ -1,11 +1,10 @@
 //! The wall: divides frames among render servers, composes their samples and shows them.
 //!
-//! In reading order, a room each: [`cli`] is the command line, starts a wall from it, with a window or without, and
-//! checks wall files; [`control`] is what is shown, and how keys, mouse and time change it; [`wall`] is where it is shown;
-//! [`farm`] has it rendered by others and [`gpu`] draws it. [`window`] shows it, [`overlay`] is what an operator reads,
-//! and [`supervisor`] starts a wall again when it dies. [`mod@bench`] is the paper's experiment.
+//! In reading order: [`cli`] is the command line, which starts a wall and checks wall files; [`control`] turns keys, mouse
+//! and time into the render goal; [`wall`] is the geometry of the projectors; [`farm`] has frames rendered by render
+//! servers, [`gpu`] draws them, and [`window`] shows them; [`overlay`] is the operator's panels, and [`supervisor`] restarts
+//! a wall that crashed.
 
-pub mod bench;
 pub mod cli;
 pub mod control;
 pub mod farm;

@@ -1,4 +1,4 @@
-//! The wall.
+//! The wall's program.
 
 use std::process::ExitCode;
 
@@ -9,7 +9,6 @@ fn main() -> ExitCode {
     renderer::cli::start_logging();
     let result = match args.command {
         Some(Command::Renderer(command)) => renderer::cli::run(command),
-        Some(Command::Bench(args)) => compositor::bench::run(&args),
         Some(Command::Check(args)) => compositor::cli::check::run(&args),
         None => compositor::cli::run::run(&args.wall),
     };

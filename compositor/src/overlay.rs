@@ -1,4 +1,4 @@
-//! What an operator sees over the wall: a pure function of an [`OverlayModel`], that gives back [`Command`]s.
+//! The operator's panels over the wall: a pure function of an [`OverlayModel`] that returns [`Command`]s.
 
 mod appearance;
 mod figures;
@@ -7,7 +7,7 @@ mod help;
 mod history;
 mod info;
 mod nodes;
-mod place;
+mod region;
 mod style;
 mod tint;
 mod wall;
@@ -16,9 +16,8 @@ pub use figures::{DENSITIES, STORAGES};
 pub use files::{FileEntry, FileList};
 pub use history::{FrameTimes, History};
 pub use info::{ModelSummary, Pick};
-pub use place::ProjectorRegion;
+pub use region::ProjectorRegion;
 pub use style::{apply_style, zoom};
-pub use tint::Tint;
 pub use wall::{OutputContent, OutputState, WallDrawing};
 
 use egui::{Align2, Ui};
@@ -31,74 +30,74 @@ use shared::{
 };
 
 use crate::{
-    control::input::Command,
+    control::input::{Command, Tint},
     farm::stats::{DisplayStats, FarmStatus, FrameStats},
 };
 
 /// Everything that the overlay shows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct OverlayModel {
-    /// Whether the panel of figures is shown.
+    /// Whether the panel of measurements is shown.
     pub panel: bool,
-    /// Whether keys and mouse are shown.
+    /// Whether the help on keys and mouse is shown.
     pub help: bool,
-    /// How the newest frame on the wall came about.
+    /// Measurements of the farm's work on the newest frame.
     pub frame: Option<FrameStats>,
-    /// How the newest frame was shown, once that is known.
+    /// Measurements of the newest frame's display, once there are any.
     pub display: Option<DisplayStats>,
-    /// Whole frames shown per second; `None` while the wall rests.
+    /// Frames shown per second; `None` at rest.
     pub frames_per_second: Option<f64>,
-    /// The farm as it is now.
+    /// The farm's state.
     pub status: FarmStatus,
     /// The division in force.
     pub division: Division,
-    /// The view in force.
+    /// The shading mode in force.
     pub view: ShadingMode,
-    /// The rays in force.
+    /// The lighting mode in force.
     pub rays: LightingMode,
-    /// The look in force.
+    /// The appearance in force.
     pub appearance: Appearance,
     /// Whether the resolution follows the motion.
     pub is_refining: bool,
-    /// Samples a pixel of the newest frame, and of the picture once it is refined.
+    /// Samples a pixel: of the newest frame, and after refinement.
     pub n_samples: [u32; 2],
     /// The axis that points up.
     pub up: UpAxis,
     /// The model on the wall.
     pub model: Option<ModelSummary>,
-    /// The model that is being read, and how far: 0 to 1.
+    /// The model that is being read, and the progress: 0 to 1.
     pub loading: Option<(String, f32)>,
     /// Whether the camera's path is being recorded.
     pub is_recording: bool,
     /// Whether the camera follows a path.
     pub is_playing: bool,
-    /// The numbers of the views that are kept with the model.
+    /// The numbers of the model's views.
     pub views: Vec<u8>,
-    /// What lay under the cursor when somebody asked.
+    /// The point of the model that somebody clicked on.
     pub pick: Option<Pick>,
-    /// Where that is on the canvas of the frame that is shown, (0, 0) upper left.
+    /// That point on the canvas in the frame on the wall, (0, 0) upper left.
     pub pick_on_canvas: Option<egui::Pos2>,
-    /// The files that can be opened, while they are shown.
+    /// The panel of files that can be opened, while it is shown.
     pub files: Option<FileList>,
-    /// How render servers keep the grid, if not as they were started.
+    /// The grid's structure, if it differs from the one with which render servers were started.
     pub structure: Option<Structure>,
-    /// What the picture is tinted by.
+    /// The tint over the picture.
     pub tint: Tint,
-    /// Where the canvas is seen in the window, projector by projector.
+    /// The regions of the window in which projectors show the canvas.
     pub regions: Vec<ProjectorRegion>,
-    /// The wall as it is built.
+    /// The drawing of the wall.
     pub wall: WallDrawing,
-    /// What each of its outputs shows.
+    /// The state of each of its outputs.
     pub outputs: Vec<OutputState>,
-    /// What the last frames took.
+    /// The times of the last frames.
     pub history: History,
-    /// What was done, for a moment.
+    /// The effect of the last command, shown for a moment.
     pub note: Option<String>,
-    /// What an operator should know, each with its cure.
+    /// Warnings, each with its cure.
     pub messages: Vec<String>,
-    /// The command that makes another render server join, and what else must be known for it.
+    /// The command with which a render server joins, and a note on it.
     pub join: JoinHint,
-    /// No frame starts with fewer render servers ready.
+    /// Frames wait until this many render servers are ready.
     pub min_renderers: u32,
 }
 
@@ -109,7 +108,7 @@ impl OverlayModel {
         self.panel || self.help || self.files.is_some() || self.note.is_some() || has_tint
     }
 
-    /// The same without all that is said once, in one window: what belongs to the picture in any.
+    /// The model without panels, which only one window shows; every window shows the rest.
     pub fn without_panels(&self) -> Self {
         Self { panel: false, help: false, files: None, note: None, ..self.clone() }
     }
@@ -118,16 +117,16 @@ impl OverlayModel {
 /// How a render server joins.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct JoinHint {
-    /// What to type.
+    /// The command line.
     pub command: String,
-    /// Where, and what to do for other places.
+    /// Where to type it, and how to join from other machines.
     pub note: String,
 }
 
-/// What came of showing the overlay once.
+/// The result of showing the overlay once.
 #[derive(Clone, Debug, Default)]
 pub struct OverlayOutput {
-    /// What was asked for, in order.
+    /// The operator's commands, in order.
     pub commands: Vec<Command>,
     /// The parts of the window that the overlay covers, in points.
     pub areas: Vec<egui::Rect>,
@@ -183,7 +182,7 @@ pub fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
         }
     }
     if let Some(note) = &model.note {
-        // Below everything, where it moves nothing.
+        // At the bottom, where it moves nothing.
         let area = egui::Area::new(egui::Id::unique("note")).anchor(Align2::CENTER_BOTTOM, [0.0, -MARGIN]);
         let width = (ui.ctx().content_rect().width() - 4.0 * MARGIN).max(1.0);
         area.interactable(false).default_width(width).show(ui.ctx(), |ui| {

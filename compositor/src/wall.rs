@@ -1,29 +1,29 @@
-//! The wall's geometry: which projector lights which part of the canvas, from which pixels, and with what light.
+//! The wall's geometry: the projectors, their parts of the canvas, their pixels and their light.
 //!
-//! In reading order: [`projector`] is one of them, [`homography`] how it stands askew, [`blend`] what several do where
-//! they overlap; `file` reads walls and writes them.
+//! In reading order: [`projector`] is one projector, [`homography`] the warp of one that stands askew, [`blend`] the light
+//! of several where they overlap; [`outline`] is the layout of drawings, and `file` reads and writes wall files.
 
 pub mod blend;
 mod file;
 pub mod homography;
+pub mod outline;
 pub mod projector;
 
-use std::io::Read;
-use std::path::Path;
+use std::{io::Read, path::Path};
 
-use serde::Deserialize;
+use glam::DVec2;
+use serde::{Deserialize, Serialize};
 use shared::division::FrameSize;
 
 use blend::Neighbour;
-use glam::DVec2;
 pub use projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
 
 /// A canvas and the projectors that light it.
 ///
 /// Every projector shows its own part of one frame, which covers the whole canvas.
 ///
-/// Invariant: there is at least one projector, [`Wall::output_size`] is at most [`Wall::LARGEST_SIDE`] either way, no
-/// two projectors have the same pixels or name, each lies on the canvas, and its corners make a picture.
+/// Invariant: there is at least one projector, both sides of [`Wall::output_size`] are at most [`Wall::LARGEST_SIDE`], no
+/// two projectors share a pixel or a name, each lies on the canvas, and its warped corners are convex.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Wall {
     canvas_m: [f64; 2],
@@ -34,18 +34,18 @@ pub struct Wall {
     on_loss: OnLoss,
 }
 
-/// What a wall shows when no render server is left, and from its own death until it is started again.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+/// The wall's content while no render server is left, and between a crash and the restart.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnLoss {
-    /// The last frame, until there is another.
+    /// The last frame.
     #[default]
     LastFrame,
-    /// Nothing, until one joins or the wall is back.
+    /// Black.
     Black,
 }
 
-/// Why a file makes no wall.
+/// Why a wall file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum WallError {
     /// The file cannot be read.
@@ -53,35 +53,35 @@ pub enum WallError {
     Unreadable {
         /// As given.
         path: String,
-        /// Why not.
+        /// The cause.
         source: std::io::Error,
     },
-    /// The file is no TOML, has other keys, or describes a wall that cannot be.
+    /// The file is not TOML, has unknown keys, or describes an impossible wall.
     #[error("{path}:{line}: {problem}")]
     Invalid {
         /// As given.
         path: String,
         /// From 1.
         line: usize,
-        /// What is wrong there, and what would be right.
+        /// The problem, and its cure.
         problem: String,
     },
 }
 
-/// What keeps projectors from being a wall.
+/// Why projectors do not make a wall.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{problem}")]
 pub struct InvalidWall {
-    /// The projector that it is about; `None` for all of them.
+    /// The projector at fault; `None` for all of them.
     pub projector_idx: Option<usize>,
-    /// The key of the wall file that would have to change.
+    /// The key of the wall file to change.
     pub key: &'static str,
-    /// What is wrong, and what would be right.
+    /// The problem, and its cure.
     pub problem: String,
 }
 
 impl Wall {
-    /// The longest side of the spanning output in pixels: what GPUs take as one texture.
+    /// The longest side of the spanning output in pixels: GPUs take it as one texture.
     pub const LARGEST_SIDE: u32 = 16384;
 
     /// The paper's wall: 4×3 projectors of 1024×768 pixels on a canvas of 4.00 m × 2.25 m.
@@ -90,7 +90,7 @@ impl Wall {
         Self::new([4.0, 2.25], FrameSize::PAPER, projectors).expect("twelve projectors side by side")
     }
 
-    /// A wall of these projectors, on a canvas whose sides are some length of metres.
+    /// A wall of these projectors on a canvas of this width and height in metres.
     pub fn new(canvas_m: [f64; 2], frame_size: FrameSize, projectors: Vec<Projector>) -> Result<Self, InvalidWall> {
         let wrong = |projector_idx, key, problem| Err(InvalidWall { projector_idx, key, problem });
         if projectors.is_empty() {
@@ -107,7 +107,7 @@ impl Wall {
                     format!("there are two projectors \"{name}\": give one another name"),
                 );
             }
-            // A hair for what rounding does to metres.
+            // A little tolerance for rounded metres.
             let on_canvas = |from: f64, extent: f64| from >= -1e-6 && extent >= 1e-4 && from + extent <= 1.0 + 1e-6;
             if !on_canvas(canvas.left, canvas.width) || !on_canvas(canvas.bottom, canvas.height) {
                 let [width_m, height_m] = canvas_m;
@@ -122,7 +122,7 @@ impl Wall {
                 .is_some_and(|corners| corners.iter().all(|corner| corner.abs().max_element() <= FARTHEST_CORNER))
             {
                 let problem = format!(
-                    "\"{name}\" with warp_px = {warp_px:?} makes no picture: its corners (upper left, upper right, lower \
+                    "\"{name}\" with warp_px = {warp_px:?} is impossible: its corners (upper left, upper right, lower \
                      right, lower left, each moved to the right and down) must keep their order and a sensible distance"
                 );
                 return wrong(Some(index), "warp_px", problem);
@@ -140,15 +140,15 @@ impl Wall {
         let black = blend::wall_black(&projectors, &neighbours);
         if black > MOST_BLACK {
             let problem = format!(
-                "where most projectors overlap their black adds up to {black:.3} of white, and more than {MOST_BLACK} \
-                 leaves no picture: measure black_level again"
+                "where most projectors overlap, their black adds up to {black:.3} of white, and at most {MOST_BLACK} leaves \
+                 enough contrast: measure black_level again"
             );
             return wrong(None, "black_level", problem);
         }
         Ok(Self { canvas_m, frame_size, projectors, neighbours, black, on_loss: OnLoss::default() })
     }
 
-    /// One projector that shows frames of its own size as they are.
+    /// One uncorrected projector.
     pub fn of_one_output([width, height]: [u32; 2]) -> Self {
         let projectors =
             file::grid(1, 1, [width.clamp(1, Self::LARGEST_SIDE), height.clamp(1, Self::LARGEST_SIDE)], [0.0; 2]);
@@ -164,7 +164,7 @@ impl Wall {
         }
     }
 
-    /// Reads the text of a wall file; `path` is what messages call it.
+    /// Reads the text of a wall file; messages name it `path`.
     pub fn from_toml(path: &str, text: &str) -> Result<Self, WallError> {
         file::parse(text).map_err(|(offset, problem)| {
             let before = text.get(..offset).unwrap_or(text);
@@ -173,12 +173,12 @@ impl Wall {
         })
     }
 
-    /// The text of a wall file that leaves nothing to defaults.
+    /// The text of a wall file in which every default is filled in.
     pub fn to_toml(&self) -> String {
         file::write(self)
     }
 
-    /// The same wall with other corners of one projector, as [`Projector::warp_px`] has them.
+    /// The same wall with other corners of one projector; see [`Projector::warp_px`].
     pub fn with_warp(&self, projector_idx: usize, warp_px: [[f64; 2]; 4]) -> Result<Self, InvalidWall> {
         let mut projectors = self.projectors.clone();
         if let Some(projector) = projectors.get_mut(projector_idx) {
@@ -192,7 +192,7 @@ impl Wall {
         Self { frame_size, ..self }
     }
 
-    /// The same wall, which shows something else when no render server is left.
+    /// The same wall with other content while no render server is left.
     pub fn with_on_loss(self, on_loss: OnLoss) -> Self {
         Self { on_loss, ..self }
     }
@@ -208,18 +208,18 @@ impl Wall {
         self.canvas_m
     }
 
-    /// The canvas's width over its height: the aspect of what the camera sees, whatever the shape of samples and pixels.
+    /// The canvas's width over its height: the camera's aspect ratio, independent of the shape of samples and pixels.
     pub fn aspect(&self) -> f64 {
         self.canvas_m[0] / self.canvas_m[1]
     }
 
-    /// The resolution of frames that suits the wall.
+    /// The wall file's resolution of frames.
     pub fn frame_size(&self) -> FrameSize {
         self.frame_size
     }
 
-    /// The resolution of frames that have a sample for each pixel where projectors' pixels lie densest; coarser where
-    /// frames cannot have as many.
+    /// The resolution at which a frame has one sample for each pixel where projectors' pixels are densest; coarser if that
+    /// exceeds the limits of frames.
     pub fn native_size(&self) -> FrameSize {
         let densest = self.projectors.iter().fold([1.0f64; 2], |[across, up], projector| {
             let [columns, rows] = projector.upright_size().map(f64::from);
@@ -228,7 +228,7 @@ impl Wall {
         let largest = f64::from(FrameSize::LARGEST) / densest[0].max(densest[1]);
         let most = (f64::from(FrameSize::MOST_SAMPLES) / (densest[0] * densest[1])).sqrt();
         let scale = largest.min(most);
-        // A hair for what rounding does to metres.
+        // A little tolerance for rounded metres.
         let side = |side: f64| match scale < 1.0 {
             true => (side * scale).max(1.0) as u32,
             false => (side - 1e-3).ceil() as u32,
@@ -236,7 +236,7 @@ impl Wall {
         FrameSize::new(side(densest[0]), side(densest[1])).unwrap_or(self.frame_size)
     }
 
-    /// What it shows when no render server is left.
+    /// The content while no render server is left.
     pub fn on_loss(&self) -> OnLoss {
         self.on_loss
     }
@@ -246,17 +246,17 @@ impl Wall {
         &self.projectors
     }
 
-    /// Who else lights a part of a projector's place, itself first.
+    /// The projectors that light a part of this projector's rectangle, itself first.
     pub fn neighbours(&self, projector_idx: usize) -> &[Neighbour] {
         &self.neighbours[projector_idx]
     }
 
-    /// The light of the darkest picture everywhere: what several projectors' black adds up to where most of them overlap.
+    /// The light of black everywhere, as a part of white: the greatest sum of black levels where projectors overlap.
     pub fn black(&self) -> f64 {
         self.black
     }
 
-    /// Whether a projector shows its part of the frame as it is: upright, alone there, with sRGB's light.
+    /// Whether a projector shows its part of the frame uncorrected: it is upright, alone there, and its light is sRGB's.
     pub fn is_plain(&self, projector_idx: usize) -> bool {
         let Projector { gamma, gain, .. } = &self.projectors[projector_idx];
         self.projectors[projector_idx].is_upright()
@@ -266,22 +266,22 @@ impl Wall {
             && *gain == [1.0; 3]
     }
 
-    /// Width and height in pixels of the output that spans all projectors.
+    /// Width and height of the spanning output in pixels.
     pub fn output_size(&self) -> [u32; 2] {
         self.projectors.iter().fold([0, 0], |[width, height], Projector { output, .. }| {
             [width.max(output.x + output.width), height.max(output.y + output.height)]
         })
     }
 
-    /// All of that output.
+    /// All of the spanning output.
     pub fn whole_output(&self) -> PixelRect {
         let [width, height] = self.output_size();
         PixelRect { x: 0, y: 0, width, height }
     }
 
-    /// The point of the canvas, from (0, 0) lower left to (1, 1), that is lit from a point of that output, in its pixels.
+    /// The point of the canvas, from (0, 0) lower left to (1, 1), that a point of the spanning output lights; in pixels.
     ///
-    /// Beside all projectors' pixels it is what the nearest projector's would light if there were more of them.
+    /// A point outside of all projectors' pixels is extrapolated from the nearest projector.
     pub fn canvas_at(&self, output_px: DVec2) -> DVec2 {
         let away = |projector: &&Projector| projector.output.nearest(output_px).distance_squared(output_px);
         let nearest = self.projectors.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
@@ -289,37 +289,36 @@ impl Wall {
             let PixelRect { x, y, width, height } = projector.output;
             let corner = DVec2::new(f64::from(x), f64::from(y));
             let raster = (output_px - corner) / DVec2::new(f64::from(width), f64::from(height));
-            let place = homography::apply(projector.raster_from_rect()?.inverse(), raster)?;
-            Some(projector.canvas.canvas_from_rect(place))
+            let rect_point = homography::apply(projector.raster_from_rect()?.inverse(), raster)?;
+            Some(projector.canvas.canvas_from_rect(rect_point))
         };
-        // Beyond a warped projector's horizon nothing can be lit.
+        // Beyond a warped projector's horizon, take the nearest of its own pixels.
         nearest
             .and_then(|nearest| lit(nearest, output_px).or_else(|| lit(nearest, nearest.output.nearest(output_px))))
             .unwrap_or(DVec2::splat(0.5))
     }
 
-    /// The monitors that the projectors name, and the part of the spanning output that each shows; none if they name
-    /// none.
+    /// The monitors that projectors name, and the part of the spanning output that each shows.
     pub fn monitors(&self) -> Vec<(&str, PixelRect)> {
         monitors(&self.projectors)
     }
 }
 
-/// Corners of pixels lie at most so many of their place's sides away from it.
+/// A warped corner's greatest coordinate, in sides of the projector's rectangle.
 const FARTHEST_CORNER: f64 = 10.0;
-/// Projectors whose black adds up to more show no picture worth the name.
+/// Above this sum of black levels, an image has too little contrast.
 const MOST_BLACK: f64 = 0.5;
-/// Wall files are read up to this many bytes: a device or a model named by mistake would be read for ever.
+/// Wall files are read up to this many bytes: somebody may name a device or a model by mistake.
 const LARGEST_FILE: u64 = 1 << 20;
 
-/// The text of a file that may be a wall's.
+/// The text of a wall file, or the beginning of another large file.
 pub(crate) fn read_text(path: &Path) -> std::io::Result<String> {
     let mut text = String::new();
     std::fs::File::open(path)?.take(LARGEST_FILE).read_to_string(&mut text)?;
     Ok(text)
 }
 
-/// Every projector has pixels, all of them fit in one picture, and none belongs to two projectors.
+/// Checks that every projector has pixels, that all of them fit into one image, and that no pixel has two projectors.
 fn check_pixels(projectors: &[Projector]) -> Result<(), InvalidWall> {
     for (index, Projector { name, output, .. }) in projectors.iter().enumerate() {
         let wrong = |key, problem| Err(InvalidWall { projector_idx: Some(index), key, problem });
@@ -328,8 +327,8 @@ fn check_pixels(projectors: &[Projector]) -> Result<(), InvalidWall> {
         };
         if !fits(output.x, output.width) || !fits(output.y, output.height) {
             let problem = format!(
-                "\"{name}\" has {}×{} pixels from column {} and row {} of the picture that spans all projectors: each \
-                 needs at least one, and that picture has at most {} a side",
+                "\"{name}\" has {}×{} pixels from column {} and row {} of the spanning output: each needs at least one, \
+                 and that output has at most {} a side",
                 output.width,
                 output.height,
                 output.x,
@@ -358,7 +357,7 @@ fn monitors(projectors: &[Projector]) -> Vec<(&str, PixelRect)> {
     all
 }
 
-/// Either no projector names its monitor, or each does, and its pixels lie in no other monitor's part.
+/// Checks that all projectors name a monitor or none does, and that no pixel lies in another monitor's part.
 fn check_monitors(projectors: &[Projector]) -> Result<(), InvalidWall> {
     let all = monitors(projectors);
     for (index, Projector { name, monitor, output, .. }) in projectors.iter().enumerate() {
@@ -377,7 +376,7 @@ fn check_monitors(projectors: &[Projector]) -> Result<(), InvalidWall> {
     Ok(())
 }
 
-// Frames and walls meet in the same textures.
+// The same textures hold frames and walls.
 const _: () = assert!(Wall::LARGEST_SIDE == FrameSize::LARGEST);
 
 #[cfg(test)]

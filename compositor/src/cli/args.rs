@@ -15,7 +15,6 @@ use shared::{
 
 use super::check::CheckArgs;
 use crate::{
-    bench::BenchArgs,
     control::refinement::{self, DEFAULT_TARGET_RATE, RefinementOptions},
     wall::{OnLoss, Wall, WallError},
 };
@@ -26,7 +25,7 @@ use crate::{
 #[derive(Debug, clap::Parser)]
 #[command(version, args_conflicts_with_subcommands = true, args_override_self = true)]
 pub struct Args {
-    /// What the program is when it is not the wall
+    /// The program to run instead of the wall
     #[command(subcommand)]
     pub command: Option<Command>,
     /// The wall's own arguments
@@ -37,16 +36,14 @@ pub struct Args {
 /// Programs beside the wall.
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
-    /// The paper's experiment: bytes and time per frame by division and number of render servers
-    Bench(BenchArgs),
-    /// Checks a wall file, draws the wall, and prints the file with every default filled in
+    /// Checks a wall file, prints it with every default filled in, and draws the wall with --svg
     Check(CheckArgs),
     /// The render server: the same as the program `renderer`
     #[command(subcommand)]
     Renderer(renderer::cli::Command),
 }
 
-/// What is shown on which wall, and from where.
+/// The model, the wall and the camera.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ShowArgs {
     /// The PLY file to show [default: the built-in statue]
@@ -59,7 +56,7 @@ pub struct ShowArgs {
     /// The wall file [default: the paper's 4×3 projectors]
     #[arg(long, value_name = "FILE.toml")]
     pub wall: Option<PathBuf>,
-    /// The camera file [default: one that sees all]
+    /// The camera file [default: a camera that sees the whole model]
     #[arg(long, value_name = "FILE.toml")]
     pub camera: Option<PathBuf>,
 }
@@ -71,51 +68,51 @@ impl ShowArgs {
         self.model.clone().map_or(statue, SceneSource::Ply)
     }
 
-    /// The wall of the file, or the default. An error names the file, and what is wrong with it.
+    /// The wall of the file, or the default.
     pub fn load_wall(&self) -> Result<Wall, WallError> {
         self.wall.as_deref().map_or_else(|| Ok(Wall::paper()), Wall::load)
     }
 
-    /// The camera of the file, if there is one. An error names the file, and what is wrong with it.
+    /// The camera of the file, if there is one.
     pub fn read_camera(&self) -> anyhow::Result<Option<Camera>> {
         self.camera.as_deref().map(renderer::cli::trace::read_camera).transpose()
     }
 }
 
-/// How a wall is run.
+/// The wall's options.
 #[derive(Clone, Debug, clap::Args)]
 pub struct WallArgs {
-    /// What is shown, and where.
+    /// The model, the wall and the camera.
     #[command(flatten)]
     pub show: ShowArgs,
-    /// The model's axis that points up: x, y or z [default: the one kept with the model's views, or y]
+    /// The model's axis that points up: x, y or z [default: the one in the file of the model's views, or y]
     #[arg(long, value_name = "AXIS")]
     pub up: Option<UpAxis>,
-    /// A recorded camera path: followed again and again, or with --headless once, a frame for each picture of a film
+    /// A recorded camera path, which is repeated; with --headless it is followed once, as a film
     #[arg(long, value_name = "FILE.toml", conflicts_with = "camera")]
     pub path: Option<PathBuf>,
-    /// Pictures of a second of film, with --headless and --path
+    /// Pictures a second of the film, with --headless and --path
     #[arg(long, value_name = "F", default_value_t = 30.0, requires = "path", value_parser = pictures_per_second)]
     pub fps: f64,
-    /// Write each picture of the film to this folder, the whole wall in its full resolution, with --headless and --path
+    /// Write each picture of the film, the whole wall at full resolution, to this folder; with --headless and --path
     #[arg(long, value_name = "FOLDER", requires = "path", requires = "headless")]
     pub pictures: Option<PathBuf>,
-    /// Rays averaged for each sample, in linear light: 1 to 256 [default: 16 of a wall at rest whose resolution follows the
-    /// motion, else 1]
+    /// Rays averaged for each sample, in linear light: 1 to 256 [default: 16 at rest if the resolution follows the motion,
+    /// else 1]
     #[arg(long, value_name = "N",
         value_parser = clap::value_parser!(u32).range(1..=i64::from(SampleRange::LARGEST_COUNT)))]
     pub samples: Option<u32>,
-    /// Frames a second to hold while the camera moves, by lowering the resolution; at rest the picture is refined to the
-    /// wall's own. 0: every frame has the same resolution [default: 30 in a window, 0 with --headless, --size or --frames]
+    /// Frames a second while the camera moves: the resolution drops until this rate is reached; at rest the wall returns to
+    /// native resolution. 0 keeps the resolution [default: 30 in a window, 0 with --headless, --size or --frames]
     #[arg(long, value_name = "F", value_parser = target_rate)]
     pub target_rate: Option<f64>,
-    /// The address to wait for render servers on; port 0 takes a free one [default: 127.0.0.1:7117]
+    /// The address on which to wait for render servers; port 0 takes a free port [default: 127.0.0.1:7117]
     #[arg(long, value_name = "ADDR")]
     pub listen: Option<SocketAddr>,
-    /// The key file: only render servers with a copy of it are let in, and everything is encrypted
+    /// The key file: only render servers with a copy of it can join, and everything is encrypted
     #[arg(long, value_name = "FILE", conflicts_with = "insecure")]
     pub key: Option<PathBuf>,
-    /// Listen on the network although nothing is encrypted and nobody is authenticated
+    /// Listen on the network without encryption and authentication
     #[arg(long)]
     pub insecure: bool,
     /// Render servers to start on this machine [default: 2; 0 with --listen]
@@ -126,53 +123,55 @@ pub struct WallArgs {
     #[arg(long, value_name = "K")]
     pub min_renderers: Option<u32>,
     /// How frames are divided among render servers: interleaved, tiled or dynamic
-    #[arg(long, value_name = "D", default_value = Division::default().name())]
+    #[arg(long, value_name = "D", default_value_t = Division::default())]
     pub division: Division,
-    /// Frames rendered at a time, 1 to 3: with one, render servers wait for each other after each frame
+    /// Frames in flight, 1 to 3: with 1, render servers wait for each other after each frame
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=3))]
     pub in_flight: u32,
-    /// How samples travel: raw or lz4 [default: whichever each link is measured to be faster with]
+    /// How samples travel: raw or lz4 [default: the faster one, as measured on each link]
     #[arg(long, value_name = "E")]
     pub encoding: Option<Encoding>,
-    /// What the samples show: shaded, normals or cost
-    #[arg(long, value_name = "V", default_value = ShadingMode::default().name())]
+    /// What samples show: shaded, normals or cost
+    #[arg(long, value_name = "V", default_value_t = ShadingMode::default())]
     pub view: ShadingMode,
-    /// By which rays the picture is lit: primary, shadows (and a ray to a light), or ambient (and short rays all around)
-    #[arg(long, value_name = "RAYS", default_value = LightingMode::default().name())]
+    /// The rays that light a sample: primary; shadows, which adds a ray to the key light; or ambient, which adds ambient
+    /// occlusion
+    #[arg(long, value_name = "RAYS", default_value_t = LightingMode::default())]
     pub rays: LightingMode,
-    /// How the picture looks.
+    /// Key light, background and clip plane.
     #[command(flatten)]
     pub appearance: AppearanceArgs,
-    /// Samples of a frame [default: what the wall file says, or 1024x512]
+    /// Samples of a frame [default: as in the wall file, or 1024x512]
     #[arg(long, value_name = "WxH")]
     pub size: Option<FrameSize>,
-    /// Fill the screen; a wall whose file names outputs fills each of them anyway
+    /// Fill the screen; a wall whose file names outputs always fills them
     #[arg(long)]
     pub fullscreen: bool,
-    /// What the wall shows when no render server is left, or when it has died and is started again [default: what the wall file says, or last-frame]
+    /// The wall's content while no render server is left, and after a crash until the restart [default: as in the wall
+    /// file, or last-frame]
     #[arg(long, value_name = "WHAT")]
     pub on_loss: Option<OnLoss>,
-    /// Show all of a wall whose file names outputs in one window, on whatever monitor
+    /// Show all of a wall whose file names outputs in one window
     #[arg(long)]
     pub spanning: bool,
-    /// Fill the screen, let visitors steer and nothing else, and go back to the path or the whole model when nobody has
-    /// touched anything for so many seconds, 60 unless given; Ctrl+L unlocks
+    /// Kiosk: fill the screen, let visitors steer and nothing else, and return to the path or the whole model after this
+    /// many seconds without input, 60 unless given; Ctrl+L unlocks
     #[arg(long, value_name = "SECONDS", conflicts_with = "headless", num_args = 0..=1, require_equals = true,
         default_missing_value = "60", value_parser = clap::value_parser!(u32).range(1..=86400))]
     pub kiosk: Option<u32>,
-    /// No window: render frames, print a table of timings, and end
+    /// Open no window: render frames, print a table of timings, and end
     #[arg(long)]
     pub headless: bool,
-    /// End after this many whole frames [default with --headless: 10]
+    /// End after this many frames [default with --headless: 10]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub frames: Option<u32>,
-    /// Write the wall, without overlay, to this file at the end
+    /// At the end, write the wall without overlay to this file
     #[arg(long, value_name = "FILE.png")]
     pub screenshot: Option<PathBuf>,
-    /// Write every frame's figures to this file at the end
+    /// At the end, write the measurements of every frame to this file
     #[arg(long, value_name = "FILE.json")]
     pub stats: Option<PathBuf>,
-    /// How the local render servers make scenes ready
+    /// How local render servers prepare scenes
     #[command(flatten)]
     pub scene: SceneArgs,
 }
@@ -188,13 +187,12 @@ fn target_rate(text: &str) -> Result<f64, String> {
 }
 
 impl WallArgs {
-    /// Which samples of each pixel are averaged in frames whose resolution does not follow the motion.
+    /// The rays averaged for each sample of frames whose resolution does not follow the motion.
     pub fn sample_range(&self) -> SampleRange {
         SampleRange { first: 0, count: self.samples.unwrap_or(1) }
     }
 
-    /// How finely this wall is rendered. Frames that are counted or have a size of their own are measured, unless somebody
-    /// says otherwise.
+    /// The refinement's options. It is off by default where frames are counted or have a fixed size: these are measured.
     pub fn refinement(&self, wall: &Wall) -> RefinementOptions {
         let is_measured = self.headless || self.size.is_some() || self.frames.is_some();
         let target_rate = self.target_rate.unwrap_or(if is_measured { 0.0 } else { DEFAULT_TARGET_RATE });
@@ -208,17 +206,17 @@ impl WallArgs {
         }
     }
 
-    /// How many local render servers are started.
+    /// The number of local render servers.
     pub fn n_local(&self) -> u32 {
         self.local.unwrap_or(if self.listen.is_some() { 0 } else { 2 })
     }
 
-    /// Where the wall waits for render servers.
+    /// The address on which the wall waits for render servers.
     pub fn listen(&self) -> SocketAddr {
         self.listen.unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))
     }
 
-    /// How many render servers the first frame waits for.
+    /// The number of render servers for which the first frame waits.
     pub fn min_renderers(&self) -> u32 {
         self.min_renderers.unwrap_or_else(|| self.n_local().max(1))
     }
@@ -262,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_kiosk_returns_after_a_minute_or_as_it_is_told() {
+    fn a_kiosk_returns_after_a_minute_or_the_given_seconds() {
         let kiosk = |args: &[&str]| {
             Args::try_parse_from(["compositor"].iter().chain(args)).map(|args| args.wall.kiosk).map_err(drop)
         };
@@ -282,14 +280,5 @@ mod tests {
     fn the_wall_is_its_own_render_server() {
         let args = Args::parse_from(["compositor", "renderer", "connect", "127.0.0.1:1", "--local"]);
         assert!(matches!(args.command, Some(Command::Renderer(renderer::cli::Command::Connect(_)))));
-    }
-
-    #[test]
-    fn a_bench_has_a_folder_for_its_figures_or_measures_the_display() {
-        let parse = |args: &[&str]| Args::try_parse_from(["compositor", "bench"].iter().chain(args)).is_ok();
-        assert!(parse(&["--out", "figures"]) && parse(&["--display"]) && parse(&["--display", "--json"]));
-        for refused in [&[][..], &["--display", "--out", "figures"], &["--json", "--out", "figures"], &["--json"]] {
-            assert!(!parse(refused), "{refused:?}");
-        }
     }
 }

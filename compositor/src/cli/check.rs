@@ -1,4 +1,4 @@
-//! Looks at a wall file before anybody climbs a ladder: is it right, what does it leave to defaults, how does it look?
+//! Checks a wall file before anybody climbs a ladder: its errors, its defaults, and a drawing of it.
 
 mod drawing;
 
@@ -10,39 +10,40 @@ use renderer::{cli::say, render::image::write_atomically};
 
 use crate::wall::{OnLoss, Wall, homography::apply};
 
-/// Checks a wall file, draws the wall, and prints the file with every default filled in.
+/// Checks a wall file, and prints it with every default filled in.
 #[derive(Clone, Debug, clap::Args)]
 pub struct CheckArgs {
     /// The wall file
     pub file: PathBuf,
-    /// Where the drawing goes [default: the wall file's name with .svg, in this folder]
+    /// Draw the wall into this file
     #[arg(long, value_name = "FILE.svg")]
     pub svg: Option<PathBuf>,
 }
 
-/// Does what the arguments ask for.
+/// Prints the summary and the complete file, and draws the wall if asked to.
 ///
 /// # Errors
 ///
-/// The file is no wall file, or the drawing cannot be written; each with its cure.
+/// The file is no wall file, or the drawing cannot be written; each message names the cure.
 pub fn run(args: &CheckArgs) -> anyhow::Result<()> {
     let wall = Wall::load(&args.file)?;
-    let svg_path = args.svg.clone().unwrap_or_else(|| {
-        let stem = args.file.file_stem().unwrap_or_else(|| "wall".as_ref());
-        PathBuf::from(stem).with_extension("svg")
-    });
-    let svg = drawing::draw(&wall, &args.file.display().to_string());
-    write_atomically(&svg_path, |out| out.write_all(svg.as_bytes())).with_context(|| {
-        format!("cannot write the drawing {}: --svg FILE.svg puts it elsewhere", svg_path.display())
-    })?;
+    if let Some(path) = &args.svg {
+        let svg = drawing::draw(&wall, &args.file.display().to_string());
+        write_atomically(path, |out| out.write_all(svg.as_bytes())).with_context(|| {
+            format!("cannot write the drawing {}: --svg FILE.svg puts it elsewhere", path.display())
+        })?;
+    }
     for line in summary(&wall) {
         say(format_args!("# {line}"))?;
     }
-    say(format_args!("# drawn in {}\n", svg_path.display()))?;
+    match &args.svg {
+        Some(path) => say(format_args!("# drawn in {}\n", path.display()))?,
+        None => say("# --svg FILE.svg draws the wall\n")?,
+    }
     say(wall.to_toml().trim_end())
 }
 
-/// What an operator wants to know of a wall at a glance.
+/// A wall at a glance, and its likely mistakes.
 fn summary(wall: &Wall) -> Vec<String> {
     let [width, height] = wall.output_size();
     let [width_m, height_m] = wall.canvas_m();
@@ -57,28 +58,31 @@ fn summary(wall: &Wall) -> Vec<String> {
         format!("a sample of a {frame} frame is {sample_width_mm:.2} mm × {sample_height_mm:.2} mm"),
     ];
     if wall.black() > 0.0 {
-        lines.push(format!("all black is lifted to {:.4} of white, where most projectors overlap", wall.black()));
+        lines.push(format!(
+            "black is lifted everywhere to {:.4} of white, the sum where most projectors overlap",
+            wall.black()
+        ));
     }
     for (monitor, part) in wall.monitors() {
         lines.push(format!("output {monitor} shows {}×{} pixels", part.width, part.height));
     }
     lines.push(match wall.on_loss() {
-        OnLoss::LastFrame => "when no render server is left or the program dies, the last frame stays".to_owned(),
-        OnLoss::Black => "when no render server is left or the program dies, the wall is black".to_owned(),
+        OnLoss::LastFrame => "if no render server is left or the program crashes, the last frame stays".to_owned(),
+        OnLoss::Black => "if no render server is left or the program crashes, the wall is black".to_owned(),
     });
     let is_cut = |index: &usize| {
         wall.projectors()[*index].warp_px != [[0.0; 2]; 4] && n_projectors > 1 && wall.neighbours(*index).len() == 1
     };
     if let Some(index) = (0..n_projectors).find(is_cut) {
         lines.push(format!(
-            "\"{}\" is warped and overlaps no other: its edges are cut at whole pixels, and an overlap would hide them",
+            "\"{}\" is warped and overlaps no other: its edges end at whole pixels, which an overlap would hide",
             wall.projectors()[index].name
         ));
     }
     let falls_short = |index: &usize| wall.neighbours(*index)[0].raster_edges != DVec4::ZERO;
     if let Some(index) = (0..n_projectors).find(falls_short) {
         lines.push(format!(
-            "the pixels of \"{}\" do not reach all of its place: move its corners inwards, or make its place smaller",
+            "the pixels of \"{}\" do not reach all of its rectangle: move its corners inwards, or make at_m and size_m smaller",
             wall.projectors()[index].name
         ));
     }
@@ -87,7 +91,7 @@ fn summary(wall: &Wall) -> Vec<String> {
 
 /// The parts of the canvas that at least one projector lights, and that at least two do.
 fn lit_parts(wall: &Wall) -> (f64, f64) {
-    /// Points of a side: a part of a thousandth is not missed.
+    /// Points a side: a thousandth of the canvas is not missed.
     const SIDE: u32 = 2500;
     let mut n_lit = vec![0_u8; (SIDE * SIDE) as usize];
     for projector in wall.projectors() {
@@ -128,20 +132,20 @@ mod tests {
         assert_eq!(lines[1], "100.0 % of the canvas is lit, 0.0 % by several of them");
         let lines = summary(&shipped("blended-4x3.toml"));
         assert!(lines[1].starts_with("100.0 % of the canvas is lit, 14."), "{lines:?}");
-        assert!(lines[3].starts_with("all black is lifted to 0.0090 of white"), "{lines:?}");
+        assert!(lines[3].starts_with("black is lifted everywhere to 0.0090 of white"), "{lines:?}");
         let lines = summary(&shipped("lcd-5x3.toml"));
         assert!(lines[1].starts_with("98.9 % of the canvas is lit, 0.0 %"), "{lines:?}");
         let lines = summary(&shipped("two-monitors.toml"));
         let expected = [
             "output HDMI-1 shows 2560×1440 pixels",
             "output DP-1 shows 1920×1080 pixels",
-            "when no render server is left or the program dies, the last frame stays",
+            "if no render server is left or the program crashes, the last frame stays",
         ];
         assert_eq!(lines[3..], expected);
         let black = summary(&shipped("two-monitors.toml").with_on_loss(OnLoss::Black));
         assert_eq!(
             black.last().map(String::as_str),
-            Some("when no render server is left or the program dies, the wall is black")
+            Some("if no render server is left or the program crashes, the wall is black")
         );
     }
 
@@ -163,6 +167,17 @@ mod tests {
     }
 
     #[test]
+    fn a_drawing_is_written_only_where_it_is_asked_for() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../wall-config/laptop.toml");
+        run(&CheckArgs { file: file.clone(), svg: None }).unwrap();
+        assert!(!Path::new("laptop.svg").exists(), "written without --svg");
+        let svg = std::env::temp_dir().join(format!("check-{}.svg", std::process::id()));
+        run(&CheckArgs { file, svg: Some(svg.clone()) }).unwrap();
+        assert!(std::fs::read_to_string(&svg).unwrap().starts_with("<svg"));
+        std::fs::remove_file(svg).unwrap();
+    }
+
+    #[test]
     fn every_projector_is_in_the_drawing_by_name() {
         for name in ["paper-4x3.toml", "blended-4x3.toml", "lcd-5x3.toml", "two-monitors.toml", "laptop.toml"] {
             let wall = shipped(name);
@@ -180,7 +195,7 @@ mod tests {
         let is_the_same = std::fs::read_to_string(&reference_path).is_ok_and(|reference| reference == svg);
         assert!(
             is_the_same,
-            "look at what `compositor check wall-config/blended-4x3.toml --svg {}` makes of it",
+            "look at the drawing of `compositor check wall-config/blended-4x3.toml --svg {}`",
             reference_path.display()
         );
     }

@@ -3,9 +3,13 @@
 mod film;
 mod refined;
 
-use std::time::{Duration, Instant};
+use std::{
+    path::Path,
+    time::{Duration, Instant},
+};
 
 use anyhow::Context;
+use shared::division::FrameSize;
 
 use super::report::Report;
 use crate::{
@@ -16,19 +20,19 @@ use crate::{
 
 pub use film::Film;
 
-/// What a wall without a window waits for.
+/// News for a wall without a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wakeup {
     /// The farm has news.
     Farm,
-    /// The operator wants it to end.
+    /// The operator stops it.
     Stop,
 }
 
 /// Where wake-up calls arrive.
 pub type Wakeups = std::sync::mpsc::Receiver<Wakeup>;
 
-/// How long the farm may be silent before the operator is told what it waits for.
+/// After this time without news, a log line says what the wall waits for.
 const REPORT_WAIT_AFTER: Duration = Duration::from_secs(5);
 
 /// An offscreen wall.
@@ -40,7 +44,7 @@ pub struct Headless {
 }
 
 impl Headless {
-    /// Finds a GPU and makes room for the wall's pixels.
+    /// Finds a GPU and creates the offscreen image.
     pub fn new(wall: Wall) -> anyhow::Result<Self> {
         let gpu = Gpu::headless()?;
         tracing::info!("drawing on {}", gpu.name());
@@ -54,16 +58,7 @@ impl Headless {
         let mut report = Report::default();
         let mut ended_at = Instant::now();
         while report.n_frames() < n_frames as usize {
-            // Looked at before each frame: a farm that is faster than the display never makes the wall wait.
-            if wakeups.try_recv() == Ok(Wakeup::Stop) {
-                break;
-            }
-            let Some(frame) = farm.take_frame() else {
-                if wait(farm, wakeups)? == Wakeup::Stop {
-                    break;
-                }
-                continue;
-            };
+            let Some(frame) = next_frame(farm, wakeups)? else { break };
             let display = self.show(&frame)?;
             report.add(Some(&frame), display, milliseconds(ended_at.elapsed()));
             ended_at = Instant::now();
@@ -72,8 +67,8 @@ impl Headless {
         Ok(report)
     }
 
-    /// Shows blank frames: what the display alone can do.
-    pub fn show_blank_frames(&mut self, size: shared::division::FrameSize, n_frames: u32) -> anyhow::Result<Report> {
+    /// Shows blank frames, to measure the display alone.
+    pub fn show_blank_frames(&mut self, size: FrameSize, n_frames: u32) -> anyhow::Result<Report> {
         let mut report = Report::default();
         for _ in 0..n_frames {
             let started_at = Instant::now();
@@ -84,58 +79,51 @@ impl Headless {
     }
 
     /// Shows one blank frame.
-    pub fn show_blank(&mut self, size: shared::division::FrameSize) -> anyhow::Result<DisplayStats> {
+    pub fn show_blank(&mut self, size: FrameSize) -> anyhow::Result<DisplayStats> {
         let blank = vec![u32::from_ne_bytes([0, 0, 0, 255]); size.n_samples() as usize];
-        let started_at = Instant::now();
-        let (upload, draw) = self.upload_and_draw(size, &blank)?;
-        Ok(DisplayStats {
-            upload_ms: milliseconds(upload),
-            draw_ms: milliseconds(draw),
-            latency_ms: milliseconds(started_at.elapsed()),
-            ..DisplayStats::default()
-        })
-    }
-
-    /// The wall as it is now, for a screenshot.
-    pub fn write_screenshot(&self, path: &std::path::Path) -> anyhow::Result<()> {
-        self.image()?.write_png(path).with_context(|| format!("no screenshot {}", path.display()))
+        self.show_samples(size, &blank, Instant::now())
     }
 
     /// Shows one frame.
     pub fn show(&mut self, frame: &Frame) -> anyhow::Result<DisplayStats> {
-        let (upload, draw) = self.upload_and_draw(frame.spec.size, &frame.rgba)?;
+        self.show_samples(frame.spec.size, &frame.rgba, frame.moved_at)
+    }
+
+    fn show_samples(&mut self, size: FrameSize, rgba: &[u32], moved_at: Instant) -> anyhow::Result<DisplayStats> {
+        let (upload, draw) = self.upload_and_draw(size, rgba)?;
         Ok(DisplayStats {
             upload_ms: milliseconds(upload),
             draw_ms: milliseconds(draw),
             present_ms: 0.0,
-            latency_ms: milliseconds(frame.moved_at.elapsed()),
+            latency_ms: milliseconds(moved_at.elapsed()),
         })
     }
 
+    /// The wall as it is now, for a screenshot.
+    pub fn write_screenshot(&self, path: &Path) -> anyhow::Result<()> {
+        self.image()?.write_png(path).with_context(|| format!("no screenshot {}", path.display()))
+    }
+
     /// The wall as it is now.
-    pub(crate) fn image(&self) -> Result<RgbImage, GpuError> {
+    pub fn image(&self) -> Result<RgbImage, GpuError> {
         self.offscreen.read(&self.gpu)
     }
 
-    /// What it draws with.
-    pub(crate) fn gpu(&self) -> &Gpu {
+    /// The GPU that draws.
+    pub fn gpu(&self) -> &Gpu {
         &self.gpu
     }
 
-    /// How long the GPU took for the newest draw, in milliseconds; `None` where GPUs do not tell.
-    pub(crate) fn gpu_draw_ms(&mut self) -> Option<f64> {
+    /// GPU time of the newest draw in milliseconds; `None` on GPUs without timestamps.
+    pub fn gpu_draw_ms(&mut self) -> Option<f64> {
         self.present.draw_ms(&self.gpu)
     }
 
-    /// Hands samples to the GPU and has it draw the wall; how long each took.
-    pub(crate) fn upload_and_draw(
-        &mut self,
-        size: shared::division::FrameSize,
-        rgba: &[u32],
-    ) -> anyhow::Result<(Duration, Duration)> {
+    /// Uploads samples to the GPU and draws the wall; returns the times of both.
+    pub fn upload_and_draw(&mut self, size: FrameSize, rgba: &[u32]) -> anyhow::Result<(Duration, Duration)> {
         let started_at = Instant::now();
         self.present.upload(&self.gpu, size, bytemuck::cast_slice(rgba))?;
-        // Without a submission the samples would stay on this side until the draw.
+        // Without a submission the samples would reach the GPU only with the draw.
         self.gpu.queue.submit([]);
         self.gpu.wait()?;
         let upload = started_at.elapsed();
@@ -143,15 +131,31 @@ impl Headless {
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.present.draw(&self.gpu, &mut encoder, &self.offscreen.target(), &self.wall, self.wall.whole_output());
         self.gpu.queue.submit([encoder.finish()]);
-        // Without a screen, a frame counts when the GPU has drawn it.
+        // Without a screen, a frame is shown when the GPU has drawn it.
         self.gpu.wait()?;
         self.gpu.check()?;
         Ok((upload, started_at.elapsed()))
     }
 }
 
-/// Waits for news; says what is missing when that takes long.
-pub(crate) fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Wakeup> {
+/// The farm's next frame; `None` once the operator stops the wall.
+fn next_frame(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Option<Frame>> {
+    loop {
+        // Check for a stop before each frame: with a farm faster than the display, the wall never waits.
+        if wakeups.try_recv() == Ok(Wakeup::Stop) {
+            return Ok(None);
+        }
+        if let Some(frame) = farm.take_frame() {
+            return Ok(Some(frame));
+        }
+        if wait(farm, wakeups)? == Wakeup::Stop {
+            return Ok(None);
+        }
+    }
+}
+
+/// Waits for news, and after a while logs what is missing.
+pub fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Wakeup> {
     use std::sync::mpsc::RecvTimeoutError::{Disconnected, Timeout};
     match wakeups.recv_timeout(REPORT_WAIT_AFTER) {
         Ok(wakeup) => Ok(wakeup),

@@ -1,4 +1,4 @@
-//! Render servers on the wall's own machine: processes of the wall's own program, over real TCP like all others.
+//! Render servers on the wall's own machine: processes of the wall's own program, connected over TCP like all others.
 
 use std::{
     net::SocketAddr,
@@ -20,8 +20,8 @@ pub struct LocalServers {
 }
 
 impl LocalServers {
-    /// Starts `n_servers` that share this machine's cores, connect to a wall at `address` with its key file, if it has
-    /// one, and make scenes ready as `scene` says.
+    /// Starts `n_servers` that share this machine's cores and connect to the wall at `address`, with its key file if it has
+    /// one.
     pub fn start(n_servers: u32, address: SocketAddr, key: Option<&Path>, scene: &SceneArgs) -> anyhow::Result<Self> {
         let mut servers = Self::empty(address, key, scene)?;
         let n_cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
@@ -31,14 +31,14 @@ impl LocalServers {
 
     /// None yet.
     pub fn empty(address: SocketAddr, key: Option<&Path>, scene: &SceneArgs) -> anyhow::Result<Self> {
-        let program = std::env::current_exe().context("this program does not know where it lies")?;
+        let program = std::env::current_exe().context("the path of this program is unknown")?;
         // A wall that listens on every address is reached on loopback.
         let ip = if address.ip().is_unspecified() { loopback_like(address) } else { address.ip() };
         let wall = SocketAddr::new(ip, address.port());
         Ok(Self { program, wall, key: key.map(Path::to_owned), scene: *scene, children: Vec::new() })
     }
 
-    /// Starts one more, with so many threads.
+    /// Starts one more, with `n_threads`.
     pub fn add(&mut self, n_threads: u32) -> anyhow::Result<()> {
         let mut command = Command::new(&self.program);
         command.args(["renderer", "connect", &self.wall.to_string(), "--local"]);
@@ -51,7 +51,7 @@ impl LocalServers {
             .args(["--name", &format!("local-{}", self.children.len() + 1)])
             .args(self.scene.to_arguments())
             .args(["--threads", &n_threads.to_string()])
-            // Held open as long as this process lives: its end is theirs.
+            // Open as long as this process lives: render servers end with their standard input.
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .spawn()
@@ -64,7 +64,7 @@ impl LocalServers {
 impl Drop for LocalServers {
     fn drop(&mut self) {
         for child in &mut self.children {
-            // One that has ended by itself is only waited for.
+            // Killing fails for one that has already ended.
             let _ = child.kill();
             let _ = child.wait();
         }

@@ -1,4 +1,4 @@
-//! What a run measured: the table that is printed, and the file that `--stats` writes.
+//! The measurements of a run: the printed table, and the file of `--stats`.
 
 use std::{fmt::Write, path::Path};
 
@@ -16,12 +16,12 @@ pub struct Report {
     frames: Vec<ShownFrame>,
 }
 
-/// A frame that was shown, with every figure of the overlay.
+/// A frame that was shown, with all measurements of the overlay.
 #[derive(Debug, Serialize)]
 struct ShownFrame {
-    /// BLAKE3 of the samples, RGB, row by row from the bottom: equal hashes are equal pictures.
+    /// BLAKE3 of the samples, RGB, row by row from the bottom: equal hashes mean equal frames.
     samples_blake3: Option<String>,
-    /// Rays from the eye that were averaged for each of them.
+    /// Primary rays averaged for each sample.
     samples: Option<u32>,
     /// `None` for a frame without samples.
     #[serde(flatten)]
@@ -40,18 +40,18 @@ impl Report {
         self.frames.push(ShownFrame { samples_blake3, samples, farm, display, frame_ms });
     }
 
-    /// How many frames were shown.
+    /// The number of frames shown.
     pub fn n_frames(&self) -> usize {
         self.frames.len()
     }
 
     /// Writes all of it as JSON.
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {
-        let text = serde_json::to_string_pretty(self).context("figures are plain numbers")?;
+        let text = serde_json::to_string_pretty(self).context("the report is plain numbers")?;
         std::fs::write(path, text).with_context(|| format!("cannot write --stats {}", path.display()))
     }
 
-    /// Medians and 95th percentiles, for a person.
+    /// Medians and 95th percentiles as text.
     pub fn table(&self) -> String {
         let mut table = format!("{} frames{:>30}{:>10}\n", self.frames.len(), "median ms", "p95 ms");
         let mut row = |name: &str, values: Vec<f64>| {
@@ -100,7 +100,7 @@ impl Report {
         table
     }
 
-    /// Who a render server is, and what it did in all.
+    /// A render server's address and its totals.
     fn node_line(&self, id: NodeId, name: &str) -> String {
         let of_node = |value: fn(&NodeFrameStats) -> f64| {
             let values: Vec<_> = self.frames_of(id).map(value).collect();
@@ -111,16 +111,16 @@ impl Report {
         let known = last.map_or_else(String::new, |node| {
             let address = node.address.map(|address| format!(" at {address}")).unwrap_or_default();
             let ping = node.round_trip_ms.map(|ms| format!(", ping {ms:.2} ms")).unwrap_or_default();
-            format!("{address}: {}{ping}, lost {} times before", node.encoding.name(), node.n_failures)
+            format!("{address}: {}{ping}, lost {} times before", node.encoding, node.n_failures)
         });
         format!(
-            "{name}{known}; share {:.0} %, {:.0} Mbit/s, {n_taken_over} works of others",
+            "{name}{known}; share {:.0} %, {:.0} Mbit/s, {n_taken_over} tasks of others",
             100.0 * of_node(|node| node.share),
             of_node(|node| node.mbit_per_s)
         )
     }
 
-    /// The frames that a render server took part in.
+    /// A render server's measurements in the frames that it took part in.
     fn frames_of(&self, id: NodeId) -> impl Iterator<Item = &NodeFrameStats> {
         let frames = self.frames.iter().filter_map(|frame| frame.farm.as_ref());
         frames.flat_map(|stats| &stats.nodes).filter(move |node| node.id == id)
@@ -140,7 +140,7 @@ impl Report {
     }
 }
 
-/// BLAKE3 of the samples as they came: RGB, row by row from the bottom.
+/// BLAKE3 of the samples: RGB, row by row from the bottom.
 fn hash_samples(rgba: &[u32]) -> String {
     let rgb: Vec<u8> = rgba
         .iter()
@@ -152,7 +152,7 @@ fn hash_samples(rgba: &[u32]) -> String {
     renderer::render::image::hash_samples(&rgb)
 }
 
-/// The value below which a fraction of the values lies; the nearest rank.
+/// The quantile at `fraction`, by nearest rank.
 fn quantile(values: &[f64], fraction: f64) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);

@@ -1,4 +1,4 @@
-//! Starts a wall from its command line: model, farm, local render servers, and then a window or none.
+//! Runs a wall from its command line: model, farm, local render servers, with or without a window.
 
 use std::{
     cell::RefCell,
@@ -55,7 +55,7 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
     let on_loss = args.on_loss.unwrap_or(wall.on_loss());
     let supervisor = SupervisorLink::of_this_process();
     let fills_screens = args.fullscreen || args.kiosk.is_some() || !wall.monitors().is_empty();
-    // One that is measured runs alone.
+    // A wall that is measured runs without a supervisor.
     if supervisor::IS_SUPPORTED && supervisor.is_none() && fills_screens && args.frames.is_none() {
         return supervisor::run(on_loss);
     }
@@ -66,7 +66,7 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
     let n_frames = args.frames.unwrap_or(10);
     let (aspect, size) = (wall.aspect(), wall.frame_size());
     let mut refinement = Refinement::new(args.refinement(&wall));
-    // First what fails at once: an operator learns of it before a model of minutes is read.
+    // Whatever fails fast comes first: reading a model can take minutes.
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
@@ -74,11 +74,11 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
     let report = if args.min_renderers() == 0 {
         headless.show_blank_frames(size, n_frames)?
     } else {
-        // Before the farm, so that it ends after it, and nobody takes the end for a loss.
+        // Started before the farm, so that they end after it: otherwise the farm would report them as lost.
         let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
         let (wake, wakeups) = wakeups(&runtime);
         let farm = start_farm(&runtime, listener, key, args, args.min_renderers(), move || {
-            // A call that is still waiting to be heard is enough.
+            // A full channel already holds a wake-up call.
             let _ = wake.try_send(Wakeup::Farm);
         })?;
         let model = load_model(args.show.source())?;
@@ -93,7 +93,7 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
             let up = args.up.or_else(kept_up).unwrap_or_default();
             Camera::view_all(model.bounds.0, model.bounds.1, up, aspect)
         });
-        farm.update_goal(|wanted| want_model(wanted, &model, camera, size, args));
+        farm.update_goal(|goal| set_goal(goal, &model, camera, size, args));
         match film {
             Some(film) => headless.show_film(&farm, &wakeups, &film)?,
             None if refinement.is_on() => {
@@ -105,12 +105,12 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
         }
     };
     say(report.table())?;
-    // Figures first: a picture that cannot be written costs no measurement.
+    // Measurements first: a screenshot that cannot be written must not lose them.
     if let Some(path) = &args.stats {
         report.write(path)?;
     }
     if report.n_frames() == 0 {
-        bail!("stopped before the first frame: nothing is shown, and no screenshot written");
+        bail!("stopped before the first frame: nothing was shown, and no screenshot was written");
     }
     if let Some(path) = &args.screenshot {
         headless.write_screenshot(path)?;
@@ -131,10 +131,10 @@ fn frame_spec(model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) -
     }
 }
 
-fn want_model(wanted: &mut RenderGoal, model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) {
-    wanted.spec = Some(frame_spec(model, camera, size, args));
-    wanted.scene_path = model.path();
-    wanted.moved_at = Instant::now();
+fn set_goal(goal: &mut RenderGoal, model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) {
+    goal.spec = Some(frame_spec(model, camera, size, args));
+    goal.scene_path = model.path();
+    goal.moved_at = Instant::now();
 }
 
 fn run_window(
@@ -147,13 +147,15 @@ fn run_window(
     let window = WindowLoop::new()?;
     if let Some(supervisor) = &supervisor {
         let waker = window.waker();
-        supervisor.on_stop_request(move || waker.close()).context("no thread to hear the guard")?;
+        supervisor
+            .on_stop_request(move || waker.close())
+            .context("cannot start a thread to listen to the supervisor")?;
         supervisor.abort_on_panic();
     }
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
-    // A wall that people look at goes on with one render server; frames that are counted wait for all.
+    // A wall for people runs with one render server; frames that are counted wait for all of them.
     let n_needed = if args.frames.is_some() { args.min_renderers() } else { args.min_renderers.unwrap_or(1) };
     let waker = window.waker();
     runtime.spawn({
@@ -164,11 +166,12 @@ fn run_window(
             }
         }
     });
-    // Before the farm, so that it ends after it, and nobody takes the end for a loss.
+    // Started before the farm, so that they end after it: otherwise the farm would report them as lost.
     let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;
     let options = WindowOptions {
         wall_file: args.show.wall.clone(),
+        key_file: args.key.clone(),
         source: args.show.source(),
         camera,
         up: args.up,
@@ -176,8 +179,8 @@ fn run_window(
         kiosk: args.kiosk.map(|seconds| Duration::from_secs(seconds.into())),
         refinement: args.refinement(&wall),
         wall,
-        view: args.view,
-        rays: args.rays,
+        shading: args.view,
+        lighting: args.rays,
         appearance: args.appearance.appearance(),
         fullscreen: args.fullscreen || args.kiosk.is_some(),
         overlay: args.kiosk.is_none(),
@@ -187,7 +190,7 @@ fn run_window(
     let report = Rc::new(RefCell::new(Report::default()));
     let on_shown = watch_frames(args, Rc::clone(&report));
     let outcome = window.run(options, &farm, on_shown, supervisor);
-    // Before its local render servers end: their loss is no news then.
+    // Ends before its local render servers, so that their end is not reported as a loss.
     drop(farm);
     outcome?;
     if args.frames.is_some() {
@@ -199,15 +202,16 @@ fn run_window(
     Ok(())
 }
 
-/// Counts frames for `--frames`, and keeps their figures for `--stats`; a wall that runs for days keeps none unasked.
+/// Counts frames for `--frames`, and collects measurements for `--stats`; without both, a wall collects nothing, however
+/// long it runs.
 fn watch_frames(args: &WallArgs, report: Rc<RefCell<Report>>) -> OnShown {
-    let (n_frames, keeps_figures) = (args.frames, args.stats.is_some() || args.frames.is_some());
+    let (n_frames, is_collecting) = (args.frames, args.stats.is_some() || args.frames.is_some());
     let mut n_shown = 0;
     let mut shown_at = Instant::now();
     Box::new(move |frame, display| {
         let frame_ms = shown_at.elapsed().as_secs_f64() * 1e3;
         shown_at = Instant::now();
-        if keeps_figures {
+        if is_collecting {
             report.borrow_mut().add(Some(frame), *display, frame_ms);
         }
         n_shown += 1;
@@ -219,7 +223,7 @@ fn watch_frames(args: &WallArgs, report: Rc<RefCell<Report>>) -> OnShown {
     })
 }
 
-/// The farm, wanting nothing yet; `wake` is called when it has news.
+/// The farm, with nothing to render yet; it calls `wake` when it has news.
 fn start_farm(
     runtime: &Runtime,
     listener: TcpListener,
@@ -228,43 +232,44 @@ fn start_farm(
     min_renderers: u32,
     wake: impl Fn() + Send + Sync + 'static,
 ) -> anyhow::Result<Farm> {
-    let wanted = RenderGoal {
+    let goal = RenderGoal {
         spec: None,
         scene_path: None,
         is_refinement: false,
         division: args.division,
         min_renderers,
-        // Frames that are counted come one after another; a window renders when something changes.
+        // Frames that are counted follow each other; a window renders when something changes.
         repeat: args.headless || args.frames.is_some(),
         in_flight: args.in_flight,
         encoding: args.encoding,
         moved_at: Instant::now(),
     };
     let _guard = runtime.enter();
-    Ok(Farm::start(listener, key, wanted, wake)?)
+    Ok(Farm::start(listener, key, goal, wake)?)
 }
 
-/// Wake-up calls for a wall without a window; a signal to stop is one of them.
-pub(crate) fn wakeups(runtime: &Runtime) -> (mpsc::SyncSender<Wakeup>, Wakeups) {
-    // Room for one of each kind.
+/// Wake-up calls for a wall without a window, including the signal to stop.
+pub fn wakeups(runtime: &Runtime) -> (mpsc::SyncSender<Wakeup>, Wakeups) {
+    // Holds one of each kind.
     let (wake, wakeups) = mpsc::sync_channel(2);
     let stop = wake.clone();
     runtime.spawn(async move {
         if renderer::server::connect::stop_signal().await.is_ok() {
-            // On a thread that may wait: the wall may be drawing.
+            // `send` may block while the wall draws.
             let _ = tokio::task::spawn_blocking(move || stop.send(Wakeup::Stop)).await;
         }
     });
     (wake, wakeups)
 }
 
-pub(crate) fn network_threads() -> anyhow::Result<Runtime> {
+/// The runtime of the farm's connections.
+pub fn network_threads() -> anyhow::Result<Runtime> {
     tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .thread_name("network")
         .enable_all()
         .build()
-        .context("the network threads do not start")
+        .context("cannot start the network threads")
 }
 
 fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
@@ -279,7 +284,7 @@ fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
     let listener = runtime.block_on(TcpListener::bind(address)).with_context(|| {
         format!("cannot listen on {address}: is another wall running? --listen {}:0 takes a free port", address.ip())
     })?;
-    // Scripts and people read where to connect to.
+    // Scripts and people read the address to connect to.
     say(format_args!("listening on {}", listener.local_addr()?))?;
     Ok(listener)
 }

@@ -1,24 +1,24 @@
-//! The part of the present stage that does not change from frame to frame: what each pixel gives of the picture's light
-//! where projectors stand askew or overlap; paired with `shaders/shares.wgsl`.
+//! Blend weights and black of projectors that stand askew or overlap: drawn once, as they do not change from frame to
+//! frame; paired with `shaders/blend_weights.wgsl`.
 
 use glam::{DMat3, DVec2};
 
-use super::context::Gpu;
-use super::optics::TargetProjector;
-use super::present::{clip_of, quad_pipeline};
-use crate::wall::blend::Neighbour;
-use crate::wall::{PixelRect, Wall};
+use super::{
+    context::Gpu,
+    quad::{TargetProjector, begin_pass, buffer, pipeline_layout, quad_pipeline},
+};
+use crate::wall::{PixelRect, Wall, blend::Neighbour};
 
-/// Shares of the light, kept for as long as a part of the wall is drawn in the same way.
+/// Draws blend weights, and caches them until a part of the wall is drawn differently.
 pub(super) struct BlendStage {
     pipeline: wgpu::RenderPipeline,
     records_layout: wgpu::BindGroupLayout,
     weights_layout: wgpu::BindGroupLayout,
-    /// The newest of each part of the wall.
+    /// The newest for each part of the wall.
     cached: Vec<BlendWeights>,
 }
 
-/// Those of one part of the wall on a target.
+/// The weights of one part of the wall on a target, and everything that they depend on.
 struct BlendWeights {
     part: PixelRect,
     target_size: [u32; 2],
@@ -27,7 +27,7 @@ struct BlendWeights {
     group: wgpu::BindGroup,
 }
 
-/// One projector on one target. Matches `Projector` in `shaders/shares.wgsl`.
+/// One projector on one target. Matches `Projector` in `shaders/blend_weights.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 struct ProjectorRecord {
@@ -40,7 +40,7 @@ struct ProjectorRecord {
 
 const _: () = assert!(size_of::<ProjectorRecord>() == 80);
 
-/// A projector's neighbour. Matches `Neighbour` in `shaders/shares.wgsl`.
+/// A projector's neighbour. Matches `Neighbour` in `shaders/blend_weights.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 struct NeighbourRecord {
@@ -56,13 +56,13 @@ struct NeighbourRecord {
 
 const _: () = assert!(size_of::<NeighbourRecord>() == 128);
 
-/// Eleven bits hold a share to a fortieth of a percent of itself: less than a sixth of a step of 8 bits.
+/// The 11 bits of a half float hold a weight to 1/4096 of itself: less than a sixth of a step of 8 bits.
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg16Float;
 
 impl BlendStage {
     pub(super) fn new(gpu: &Gpu) -> Self {
         let device = &gpu.device;
-        let shader = device.create_shader_module(wgpu::include_wgsl!("../../../shaders/shares.wgsl"));
+        let shader = device.create_shader_module(wgpu::include_wgsl!("../../../shaders/blend_weights.wgsl"));
         let entry = |binding, visibility, ty| wgpu::BindGroupLayoutEntry { binding, visibility, ty, count: None };
         let records = wgpu::BindingType::Buffer {
             ty: wgpu::BufferBindingType::Storage { read_only: true },
@@ -82,24 +82,20 @@ impl BlendStage {
             multisampled: false,
         };
         let weights_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("shares"),
+            label: Some("blend weights"),
             entries: &[entry(0, wgpu::ShaderStages::FRAGMENT, texture)],
         });
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("shares"),
-            bind_group_layouts: &[Some(&records_layout)],
-            immediate_size: 0,
-        });
-        let pipeline = quad_pipeline(gpu, "shares", &layout, &shader, &[], "fragment", FORMAT);
+        let layout = pipeline_layout(gpu, "blend weights", &[Some(&records_layout)]);
+        let pipeline = quad_pipeline(gpu, "blend weights", &layout, &shader, &[], "fragment", FORMAT);
         Self { pipeline, records_layout, weights_layout, cached: Vec::new() }
     }
 
-    /// The layout of the group that [`BlendStage::prepare`] gives.
+    /// The layout of the group that [`BlendStage::prepare`] returns.
     pub(super) fn layout(&self) -> &wgpu::BindGroupLayout {
         &self.weights_layout
     }
 
-    /// The shares of a part of a wall on a target, for the shader; drawn by `encoder` unless they are at hand.
+    /// The blend weights of a part of the wall on a target, drawn by `encoder` unless they are cached.
     pub(super) fn prepare(
         &mut self,
         gpu: &Gpu,
@@ -113,9 +109,9 @@ impl BlendStage {
         let mut projectors = Vec::with_capacity(on_target.len());
         for on_target in on_target {
             projectors.push(ProjectorRecord::new(wall, on_target, target_size, neighbours.len() as u32));
-            neighbours.extend(wall.neighbours(on_target.projector_idx).iter().map(NeighbourRecord::new));
+            neighbours.extend(wall.neighbours(on_target.quad.projector_idx).iter().map(NeighbourRecord::new));
         }
-        // What the records say is all that shares depend on.
+        // Equal records give equal weights.
         let cached = self.cached.iter().position(|cached| cached.part == part);
         if let Some(cached) = cached.map(|index| &self.cached[index])
             && (cached.target_size, &cached.projectors, &cached.neighbours) == (target_size, &projectors, &neighbours)
@@ -134,52 +130,30 @@ impl BlendStage {
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        [width, height]: [u32; 2],
+        target_size: [u32; 2],
         projectors: &[ProjectorRecord],
         neighbours: &[NeighbourRecord],
     ) -> wgpu::BindGroup {
         let device = &gpu.device;
-        let texture = device.create_texture(&wgpu::TextureDescriptor {
-            label: Some("shares"),
-            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format: FORMAT,
-            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING,
-            view_formats: &[],
-        });
-        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
+        let (_, view) = gpu.texture("blend weights", target_size, FORMAT, usage);
+        let storage = wgpu::BufferUsages::STORAGE;
+        let [projector_buffer, neighbour_buffer] = [buffer(gpu, storage, projectors), buffer(gpu, storage, neighbours)];
         let records = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("projectors and neighbours"),
             layout: &self.records_layout,
             entries: &[
-                wgpu::BindGroupEntry {
-                    binding: 0,
-                    resource: storage(gpu, bytemuck::cast_slice(projectors)).as_entire_binding(),
-                },
-                wgpu::BindGroupEntry {
-                    binding: 1,
-                    resource: storage(gpu, bytemuck::cast_slice(neighbours)).as_entire_binding(),
-                },
+                wgpu::BindGroupEntry { binding: 0, resource: projector_buffer.as_entire_binding() },
+                wgpu::BindGroupEntry { binding: 1, resource: neighbour_buffer.as_entire_binding() },
             ],
         });
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("shares"),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: &view,
-                depth_slice: None,
-                resolve_target: None,
-                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
-            })],
-            ..Default::default()
-        });
+        let mut pass = begin_pass(encoder, "blend weights", &view, None);
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &records, &[]);
         pass.draw(0..4, 0..projectors.len() as u32);
         drop(pass);
         device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some("shares"),
+            label: Some("blend weights"),
             layout: &self.weights_layout,
             entries: &[wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&view) }],
         })
@@ -190,10 +164,10 @@ impl ProjectorRecord {
     fn new(wall: &Wall, on_target: &TargetProjector, target_size: [u32; 2], first_neighbour: u32) -> Self {
         Self {
             rect_from_px: columns(on_target.rect_from_px),
-            clip: clip_of(on_target.quad, target_size),
+            clip: on_target.quad.clip(target_size),
             origin_px: on_target.origin_px.as_vec2().to_array(),
             first_neighbour,
-            n_neighbours: wall.neighbours(on_target.projector_idx).len() as u32,
+            n_neighbours: wall.neighbours(on_target.quad.projector_idx).len() as u32,
         }
     }
 }
@@ -218,15 +192,4 @@ impl NeighbourRecord {
 /// A matrix as WGSL lays it out: columns of three, each padded to four.
 fn columns(matrix: DMat3) -> [[f32; 4]; 3] {
     matrix.to_cols_array_2d().map(|[x, y, z]| [x as f32, y as f32, z as f32, 0.0])
-}
-
-fn storage(gpu: &Gpu, bytes: &[u8]) -> wgpu::Buffer {
-    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("projectors or neighbours"),
-        size: bytes.len() as u64,
-        usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    });
-    gpu.queue.write_buffer(&buffer, 0, bytes);
-    buffer
 }

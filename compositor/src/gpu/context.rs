@@ -1,29 +1,29 @@
-//! Finds a GPU and keeps what goes wrong on it.
+//! Finds a GPU and collects its errors.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// An adapter, its device and its queue.
 pub struct Gpu {
-    /// Where resources are made.
+    /// Creates resources.
     pub device: wgpu::Device,
-    /// Where work is submitted.
+    /// Takes submissions.
     pub queue: wgpu::Queue,
     instance: wgpu::Instance,
     adapter: wgpu::Adapter,
     problem: Arc<Mutex<Option<GpuError>>>,
 }
 
-/// Why the GPU cannot do what was asked.
+/// Why the GPU cannot draw.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum GpuError {
     /// The machine has no usable driver.
     #[error(
-        "no graphics driver found (Vulkan, Metal or Direct3D 12): without a graphics card a software driver will do, \
+        "no graphics driver found (Vulkan, Metal or Direct3D 12): a machine without a graphics card needs a software driver, \
          install mesa-vulkan-drivers (Debian, Fedora) or vulkan-swrast (Arch)"
     )]
     NoDriver,
-    /// There are drivers, but none can show pictures in this window.
-    #[error("none of the graphics drivers found can show pictures in this window: {0}")]
+    /// There are drivers, but none can draw on this window.
+    #[error("none of the graphics drivers can draw on this window: {0}")]
     NoDriverForWindow(String),
     /// `WGPU_ADAPTER_NAME` names something else.
     #[error("WGPU_ADAPTER_NAME={wanted} matches none of the graphics adapters found: {found}")]
@@ -33,18 +33,18 @@ pub enum GpuError {
         /// The names of those found.
         found: String,
     },
-    /// The driver refuses.
-    #[error("the graphics driver gives no device: {0}")]
+    /// The driver refuses a device.
+    #[error("the graphics driver cannot open the device: {0}")]
     NoDevice(String),
-    /// A window system refuses.
-    #[error("the window takes no pictures: {0}")]
+    /// The window system refuses a surface.
+    #[error("cannot draw on the window: {0}")]
     NoSurface(String),
-    /// A picture or a frame is larger than the GPU's textures.
+    /// An image is larger than the GPU's textures.
     #[error(
-        "{what} of {width}×{height} pixels is larger than the {limit} a side that {adapter} takes: make it smaller"
+        "{what} of {width}×{height} pixels is too large for {adapter}, which takes {limit} a side: make it smaller"
     )]
     TooLarge {
-        /// What it is.
+        /// The image: a frame, a window, a picture.
         what: &'static str,
         /// Columns.
         width: u32,
@@ -58,21 +58,21 @@ pub enum GpuError {
     /// The bytes are not those of a frame of this size.
     #[error("{n_bytes} bytes are no frame of {size} samples, 4 bytes each")]
     NotAFrame {
-        /// How many there are.
+        /// Their number.
         n_bytes: usize,
-        /// What they should be.
+        /// The frame's size.
         size: shared::division::FrameSize,
     },
-    /// The device went away, by a fault of the driver or by being unplugged.
+    /// The driver failed, or the device was unplugged.
     #[error("the graphics device is lost: {0}: start again")]
     Lost(String),
-    /// Memory ran out, or the driver or this program did something wrong.
+    /// Memory ran out, or the driver or this program made an error.
     #[error("the graphics device failed: {0}")]
     Failed(String),
 }
 
 impl Gpu {
-    /// The connection to the system's drivers. `WGPU_BACKEND` chooses among Vulkan, Metal and Direct3D 12.
+    /// Connects to the system's drivers. `WGPU_BACKEND` chooses among Vulkan, Metal and Direct3D 12.
     pub fn instance() -> wgpu::Instance {
         wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env())
     }
@@ -84,12 +84,12 @@ impl Gpu {
         pollster::block_on(Self::open(&Self::instance(), None))
     }
 
-    /// The best adapter that can show pictures in a window; chosen as in [`Gpu::headless`].
+    /// The best adapter that can draw on a window; chosen as in [`Gpu::headless`].
     pub fn for_surface(instance: &wgpu::Instance, surface: &wgpu::Surface<'_>) -> Result<Self, GpuError> {
         pollster::block_on(Self::open(instance, Some(surface)))
     }
 
-    /// Whether the system has nothing to draw with at all.
+    /// Whether the system has no graphics driver at all.
     pub(super) fn has_no_driver(instance: &wgpu::Instance) -> bool {
         pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all())).is_empty()
     }
@@ -125,17 +125,17 @@ impl Gpu {
         Ok(Self { device, queue, instance: instance.clone(), adapter, problem })
     }
 
-    /// The connection to the system's drivers that the adapter came from: surfaces on it can be drawn on.
+    /// The connection that the adapter came from; surfaces must come from it too.
     pub(super) fn connection(&self) -> &wgpu::Instance {
         &self.instance
     }
 
-    /// The adapter that was chosen.
+    /// The chosen adapter.
     pub fn adapter(&self) -> &wgpu::Adapter {
         &self.adapter
     }
 
-    /// The adapter's name and the interface that leads to it, such as "llvmpipe (LLVM 15.0.6, 256 bits), vulkan".
+    /// The adapter's name and its interface, for example "llvmpipe (LLVM 15.0.6, 256 bits), vulkan".
     pub fn name(&self) -> String {
         let info = self.adapter.get_info();
         format!("{}, {}", info.name, info.backend)
@@ -146,9 +146,9 @@ impl Gpu {
         self.adapter.get_info().device_type == wgpu::DeviceType::Cpu
     }
 
-    /// The first failure since the last call, of any use of this GPU; also of those that only came up meanwhile.
+    /// The first failure of this GPU since the last call.
     ///
-    /// Nothing fails where it is called: whoever draws asks once a frame, and after work whose result counts.
+    /// wgpu reports failures later and elsewhere: check once a frame, and after work whose result counts.
     pub fn check(&self) -> Result<(), GpuError> {
         match self.problem.lock().unwrap_or_else(PoisonError::into_inner).take() {
             Some(problem) => Err(problem),
@@ -156,7 +156,7 @@ impl Gpu {
         }
     }
 
-    /// Waits until the GPU has done all that was submitted.
+    /// Waits until the GPU has finished all submissions.
     pub fn wait(&self) -> Result<(), GpuError> {
         self.device
             .poll(wgpu::PollType::wait_indefinitely())
@@ -164,7 +164,29 @@ impl Gpu {
         self.check()
     }
 
-    /// Refuses pictures that no texture can hold.
+    /// A texture of plain pixels, and its view.
+    pub(super) fn texture(
+        &self,
+        label: &str,
+        [width, height]: [u32; 2],
+        format: wgpu::TextureFormat,
+        usage: wgpu::TextureUsages,
+    ) -> (wgpu::Texture, wgpu::TextureView) {
+        let texture = self.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some(label),
+            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format,
+            usage,
+            view_formats: &[],
+        });
+        let view = texture.create_view(&Default::default());
+        (texture, view)
+    }
+
+    /// Refuses images that no texture can hold.
     pub fn check_size(&self, what: &'static str, [width, height]: [u32; 2]) -> Result<(), GpuError> {
         let limit = self.device.limits().max_texture_dimension_2d;
         if width.max(height) <= limit {
@@ -216,7 +238,7 @@ async fn choose_adapter(
     }
 }
 
-/// Drivers and validators report on many lines; a log line and an exit message have one.
+/// Joins the many lines of drivers' and validators' reports: a log line and an exit message have one.
 fn one_line(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }

@@ -12,21 +12,13 @@ pub struct FrameTexture {
 }
 
 impl FrameTexture {
-    /// Room for frames of one resolution.
+    /// A texture for frames of one resolution.
     pub fn new(gpu: &Gpu, size: FrameSize) -> Result<Self, GpuError> {
-        gpu.check_size("a frame", [size.xres(), size.yres()])?;
-        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
-            label: Some("frame"),
-            size: extent(size),
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            // Loads give linear light, in which the wall is filtered and blended.
-            format: wgpu::TextureFormat::Rgba8UnormSrgb,
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
-            view_formats: &[],
-        });
-        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let extent = [size.xres(), size.yres()];
+        gpu.check_size("a frame", extent)?;
+        // Loads from sRGB give linear light, in which the wall is filtered and blended.
+        let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST;
+        let (texture, view) = gpu.texture("frame", extent, wgpu::TextureFormat::Rgba8UnormSrgb, usage);
         Ok(Self { texture, view, size })
     }
 
@@ -35,7 +27,7 @@ impl FrameTexture {
         self.size
     }
 
-    /// What shaders load from: linear light, row 0 is the frame's bottom row.
+    /// The view for shaders: linear light, row 0 is the frame's bottom row.
     pub fn view(&self) -> &wgpu::TextureView {
         &self.view
     }
@@ -49,11 +41,7 @@ impl FrameTexture {
         }
         let layout =
             wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * self.size.xres()), rows_per_image: None };
-        gpu.queue.write_texture(self.texture.as_image_copy(), rgba, layout, extent(self.size));
+        gpu.queue.write_texture(self.texture.as_image_copy(), rgba, layout, self.texture.size());
         Ok(())
     }
-}
-
-fn extent(size: FrameSize) -> wgpu::Extent3d {
-    wgpu::Extent3d { width: size.xres(), height: size.yres(), depth_or_array_layers: 1 }
 }

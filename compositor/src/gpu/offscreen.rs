@@ -1,49 +1,43 @@
 //! The wall without a window: drawn at any resolution into memory.
 
-use super::context::{Gpu, GpuError};
-use super::picture::RgbImage;
-use super::present::Target;
+use super::{
+    context::{Gpu, GpuError},
+    picture::RgbImage,
+    quad::Target,
+};
 
-/// A picture on the GPU that can be read back.
+/// An image on the GPU that can be read back.
 pub struct Offscreen {
     texture: wgpu::Texture,
     view: wgpu::TextureView,
     size: [u32; 2],
 }
 
-/// Rows are read back at once up to about this many bytes, so that no wall needs a second copy in full.
+/// About this many bytes of rows are read back at once, so that no wall needs a second full copy.
 const BAND_BYTES: u32 = 16 << 20;
 
 impl Offscreen {
-    /// Room for a picture of `size`: columns, rows.
+    /// An image of `size`: columns, rows.
     pub fn new(gpu: &Gpu, size: [u32; 2]) -> Result<Self, GpuError> {
         Self::with_srgb_view(gpu, size, true)
     }
 
-    /// The same, drawn on as a surface that offers an sRGB view is, or as one that does not.
+    /// The same, with or without the sRGB view that some surfaces lack.
     pub fn with_srgb_view(gpu: &Gpu, size: [u32; 2], has_srgb_view: bool) -> Result<Self, GpuError> {
         gpu.check_size("a picture", size)?;
         let size = size.map(|side| side.max(1));
-        let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
-            label: Some("offscreen"),
-            size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
-            mip_level_count: 1,
-            sample_count: 1,
-            dimension: wgpu::TextureDimension::D2,
-            format: if has_srgb_view { wgpu::TextureFormat::Rgba8UnormSrgb } else { wgpu::TextureFormat::Rgba8Unorm },
-            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
-            view_formats: &[],
-        });
-        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let format = if has_srgb_view { wgpu::TextureFormat::Rgba8UnormSrgb } else { wgpu::TextureFormat::Rgba8Unorm };
+        let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC;
+        let (texture, view) = gpu.texture("offscreen", size, format, usage);
         Ok(Self { texture, view, size })
     }
 
-    /// What [`super::Present::draw`] draws on.
+    /// The target for [`super::Present::draw`].
     pub fn target(&self) -> Target<'_> {
         Target { view: &self.view, format: self.texture.format(), size: self.size }
     }
 
-    /// Waits for all that was submitted, and copies the picture back.
+    /// Waits for all submissions, and copies the image back.
     pub fn read(&self, gpu: &Gpu) -> Result<RgbImage, GpuError> {
         let [width, height] = self.size;
         let padded_row_bytes = (4 * width).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);

@@ -1,39 +1,24 @@
-//! The part of the present stage for projectors that stand askew, overlap, or have a light of their own; paired with
-//! `shaders/optics.wgsl`.
+//! Draws projectors that stand askew, overlap, or have a light of their own; paired with `shaders/optics.wgsl`.
 
-use glam::{DMat3, DVec2};
-
-use super::blend_weights::BlendStage;
-use super::context::Gpu;
-use super::present::{Target, clip_of, fragment_for, quad_pipeline, vertex_buffer};
+use super::{
+    blend_weights::BlendStage,
+    context::Gpu,
+    quad::{Quad, QuadPipelines, Target, TargetProjector, buffer},
+};
 use crate::wall::{Gamma, PixelRect, Wall};
 
-/// The pipelines of this part, for any wall.
+/// The pipelines of this stage, for any wall.
 pub(super) struct OpticsStage {
-    shader: wgpu::ShaderModule,
-    layout: wgpu::PipelineLayout,
     blend_weights: BlendStage,
-    /// One for each format of the targets so far.
-    pipelines: Vec<(wgpu::TextureFormat, wgpu::RenderPipeline)>,
+    pipelines: QuadPipelines,
 }
 
-/// All that one pass draws of it.
+/// Everything that one pass draws of it.
 pub(super) struct OpticsDraw {
     pipeline: wgpu::RenderPipeline,
     blend_weights: wgpu::BindGroup,
     instances: wgpu::Buffer,
     n_projectors: u32,
-}
-
-/// A projector, and where it is on a target.
-pub(super) struct TargetProjector {
-    pub(super) projector_idx: usize,
-    /// Left, top, right and bottom of its pixels on the target.
-    pub(super) quad: [f64; 4],
-    /// A pixel in their middle: offsets from there are small, and f32 holds them well.
-    pub(super) origin_px: DVec2,
-    /// From pixels right and down of it to the projector's place.
-    pub(super) rect_from_px: DMat3,
 }
 
 /// One projector on one target. Matches `Projector` in `shaders/optics.wgsl`.
@@ -59,19 +44,14 @@ const INSTANCE_ATTRIBUTES: [wgpu::VertexAttribute; 9] = wgpu::vertex_attr_array!
 impl OpticsStage {
     /// `frame_layout` is the group of the frame's texture and sampler.
     pub(super) fn new(gpu: &Gpu, frame_layout: &wgpu::BindGroupLayout) -> Self {
-        let device = &gpu.device;
-        let shader = device.create_shader_module(wgpu::include_wgsl!("../../../shaders/optics.wgsl"));
+        let shader = wgpu::include_wgsl!("../../../shaders/optics.wgsl");
         let blend_weights = BlendStage::new(gpu);
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("optics"),
-            bind_group_layouts: &[Some(frame_layout), Some(blend_weights.layout())],
-            immediate_size: 0,
-        });
-        Self { shader, layout, blend_weights, pipelines: Vec::new() }
+        let groups = [Some(frame_layout), Some(blend_weights.layout())];
+        let pipelines = QuadPipelines::new::<ProjectorInstance>(gpu, "optics", shader, &groups, &INSTANCE_ATTRIBUTES);
+        Self { blend_weights, pipelines }
     }
 
-    /// What to draw of the projectors `quads` of a part of a wall: their indices, and left, top, right and bottom on the
-    /// target.
+    /// Prepares a pass that draws `quads`, the corrected projectors of a part of the wall; `None` if there are none.
     pub(super) fn prepare(
         &mut self,
         gpu: &Gpu,
@@ -79,36 +59,20 @@ impl OpticsStage {
         target: &Target<'_>,
         wall: &Wall,
         part: PixelRect,
-        quads: &[(usize, [f64; 4])],
+        quads: &[Quad],
     ) -> Option<OpticsDraw> {
-        let on_target: Vec<TargetProjector> =
-            quads.iter().filter_map(|&(index, quad)| TargetProjector::new(wall, index, quad)).collect();
+        let on_target: Vec<_> = quads.iter().filter_map(|&quad| TargetProjector::new(wall, quad)).collect();
         if on_target.is_empty() {
             return None;
         }
         let instances: Vec<_> =
             on_target.iter().map(|on_target| ProjectorInstance::new(wall, on_target, target.size)).collect();
         Some(OpticsDraw {
-            pipeline: self.pipeline(gpu, target.format),
+            pipeline: self.pipelines.get(gpu, target.format),
             blend_weights: self.blend_weights.prepare(gpu, encoder, target.size, wall, part, &on_target),
-            instances: vertex_buffer(gpu, &instances),
+            instances: buffer(gpu, wgpu::BufferUsages::VERTEX, &instances),
             n_projectors: instances.len() as u32,
         })
-    }
-
-    fn pipeline(&mut self, gpu: &Gpu, format: wgpu::TextureFormat) -> wgpu::RenderPipeline {
-        if let Some((_, pipeline)) = self.pipelines.iter().find(|(made_for, _)| *made_for == format) {
-            return pipeline.clone();
-        }
-        let instances = wgpu::VertexBufferLayout {
-            array_stride: size_of::<ProjectorInstance>() as u64,
-            step_mode: wgpu::VertexStepMode::Instance,
-            attributes: &INSTANCE_ATTRIBUTES,
-        };
-        let fragment = fragment_for(format);
-        let pipeline = quad_pipeline(gpu, "optics", &self.layout, &self.shader, &[Some(instances)], fragment, format);
-        self.pipelines.push((format, pipeline.clone()));
-        pipeline
     }
 }
 
@@ -122,25 +86,14 @@ impl OpticsDraw {
     }
 }
 
-impl TargetProjector {
-    fn new(wall: &Wall, projector_idx: usize, quad: [f64; 4]) -> Option<Self> {
-        let [left, top, right, bottom] = quad;
-        let origin_px = DVec2::new((left + right) / 2.0, (top + bottom) / 2.0).floor();
-        let raster_from_px = DMat3::from_scale(DVec2::new(1.0 / (right - left), 1.0 / (bottom - top)))
-            * DMat3::from_translation(origin_px - DVec2::new(left, top));
-        let rect_from_raster = wall.projectors()[projector_idx].raster_from_rect()?.inverse();
-        Some(Self { projector_idx, quad, origin_px, rect_from_px: rect_from_raster * raster_from_px })
-    }
-}
-
 impl ProjectorInstance {
     fn new(wall: &Wall, on_target: &TargetProjector, target_size: [u32; 2]) -> Self {
-        let projector = &wall.projectors()[on_target.projector_idx];
+        let projector = &wall.projectors()[on_target.quad.projector_idx];
         let canvas = projector.canvas;
         Self {
             rect_from_px: on_target.rect_from_px.to_cols_array_2d().map(|column| column.map(|it| it as f32)),
-            clip: clip_of(on_target.quad, target_size),
-            // The frame covers the canvas, so a place on the canvas is the same place in the frame.
+            clip: on_target.quad.clip(target_size),
+            // The frame covers the canvas: a point of the canvas is the same point of the frame.
             frame_from_rect: [canvas.left, canvas.bottom + canvas.height, canvas.width, -canvas.height]
                 .map(|it| it as f32),
             drive_per_light: projector.gain.map(|gain| (gain / (1.0 - projector.black_level)) as f32),

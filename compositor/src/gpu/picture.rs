@@ -1,12 +1,13 @@
-//! Pictures in memory, and as PNG files.
+//! Images in memory, and as PNG files.
 
-use std::fs::File;
-use std::io::{self, BufReader, Write};
-use std::path::{Path, PathBuf};
+use std::{
+    io::{self, Write},
+    path::{Path, PathBuf},
+};
 
 use renderer::render::image::write_atomically;
 
-/// A picture in sRGB-encoded R, G, B bytes, row by row from the top left.
+/// An image in sRGB-encoded R, G, B bytes, row by row from the top left.
 #[derive(Clone, PartialEq, Eq)]
 pub struct RgbImage {
     /// Columns and rows.
@@ -15,25 +16,12 @@ pub struct RgbImage {
     pub rgb: Vec<u8>,
 }
 
-/// Why there is no picture in a file.
+/// An image cannot be written.
 #[derive(Debug, thiserror::Error)]
-pub enum PictureError {
-    /// It cannot be written.
-    #[error("cannot write the picture {path}: {source}")]
-    Unwritable {
-        /// Where to.
-        path: PathBuf,
-        /// Why not.
-        source: io::Error,
-    },
-    /// It cannot be read.
-    #[error("cannot read {path} as a PNG of 8-bit RGB: {source}")]
-    Unreadable {
-        /// Where from.
-        path: PathBuf,
-        /// Why not.
-        source: io::Error,
-    },
+#[error("cannot write the picture {path}: {source}")]
+pub struct PictureError {
+    path: PathBuf,
+    source: io::Error,
 }
 
 impl RgbImage {
@@ -43,17 +31,9 @@ impl RgbImage {
         [self.rgb[first], self.rgb[first + 1], self.rgb[first + 2]]
     }
 
-    /// Writes a PNG; `path` holds a whole picture or what it held before.
+    /// Writes a PNG; on an error, the file at `path` stays as it was.
     pub fn write_png(&self, path: &Path) -> Result<(), PictureError> {
-        write_atomically(path, |out| self.encode(out))
-            .map_err(|source| PictureError::Unwritable { path: path.to_owned(), source })
-    }
-
-    /// Reads a PNG as [`RgbImage::write_png`] writes them.
-    pub fn read_png(path: &Path) -> Result<Self, PictureError> {
-        File::open(path)
-            .and_then(|file| Self::decode(BufReader::new(file)))
-            .map_err(|source| PictureError::Unreadable { path: path.to_owned(), source })
+        write_atomically(path, |out| self.encode(out)).map_err(|source| PictureError { path: path.to_owned(), source })
     }
 
     fn encode(&self, out: &mut dyn Write) -> io::Result<()> {
@@ -62,28 +42,17 @@ impl RgbImage {
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
         encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
-        // A wall has millions of pixels, and a screenshot must not hold it up.
+        // A wall has millions of pixels, and a screenshot must not delay it.
         encoder.set_compression(png::Compression::Fast);
         let mut writer = encoder.write_header()?;
         writer.write_image_data(&self.rgb)?;
         Ok(writer.finish()?)
     }
-
-    fn decode(file: BufReader<File>) -> io::Result<Self> {
-        let mut reader = png::Decoder::new(file).read_info()?;
-        if reader.output_color_type() != (png::ColorType::Rgb, png::BitDepth::Eight) {
-            return Err(io::Error::other("it has another kind of pixels"));
-        }
-        let n_bytes = reader.output_buffer_size().ok_or_else(|| io::Error::other("it is too large"))?;
-        let mut rgb = vec![0; n_bytes];
-        let info = reader.next_frame(&mut rgb)?;
-        Ok(Self { size: [info.width, info.height], rgb })
-    }
 }
 
 impl std::fmt::Debug for RgbImage {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Picture of {}×{} pixels", self.size[0], self.size[1])
+        write!(f, "RgbImage of {}×{} pixels", self.size[0], self.size[1])
     }
 }
 
@@ -101,7 +70,10 @@ mod tests {
         let picture = RgbImage { size: [3, 2], rgb: (0..18).map(|byte| byte * 14).collect() };
         picture.write_png(&path).unwrap();
         picture.write_png(&path).unwrap();
-        assert_eq!(RgbImage::read_png(&path).unwrap(), picture);
+        let mut reader = png::Decoder::new(io::BufReader::new(fs::File::open(&path).unwrap())).read_info().unwrap();
+        let mut rgb = vec![0; 18];
+        assert_eq!(reader.next_frame(&mut rgb).map(|info| [info.width, info.height]).unwrap(), picture.size);
+        assert_eq!(rgb, picture.rgb);
         assert_eq!(fs::read_dir(&folder).unwrap().count(), 1, "no partial files are left");
         fs::remove_dir_all(&folder).unwrap();
     }
@@ -111,12 +83,5 @@ mod tests {
         let picture = RgbImage { size: [1, 1], rgb: vec![0; 3] };
         let error = picture.write_png(Path::new("no/such/folder/a.png")).unwrap_err().to_string();
         assert!(error.contains("no/such/folder/a.png"), "{error}");
-    }
-
-    #[test]
-    fn what_is_no_picture_is_refused() {
-        let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
-        let error = RgbImage::read_png(&manifest).unwrap_err().to_string();
-        assert!(error.contains("Cargo.toml as a PNG of 8-bit RGB"), "{error}");
     }
 }

@@ -2,22 +2,22 @@
 
 use shared::division::FrameSize;
 
-use super::context::{Gpu, GpuError};
-use super::frame_texture::FrameTexture;
-use super::optics::OpticsStage;
-use super::timer::DrawTimer;
-use crate::wall::{CanvasRect, PixelRect, Projector, Wall};
+use super::{
+    context::{Gpu, GpuError},
+    frame_texture::FrameTexture,
+    optics::OpticsStage,
+    quad::{Quad, QuadPipelines, Target, begin_pass, buffer},
+    timer::DrawTimer,
+};
+use crate::wall::{CanvasRect, PixelRect, Wall};
 
 /// Draws the newest frame on any target: a window, an offscreen wall, one output of several.
 ///
-/// Every projector is a quad that samples its part of the frame, bilinearly and in linear light, or sample by sample where
-/// it has a pixel for each. Those that are warped,
-/// overlap others, or have a light of their own are drawn by [`super::optics`] in the same pass.
+/// Every projector is a quad that samples its part of the frame in linear light: bilinearly, or sample by sample where it
+/// has a pixel for each. [`super::optics`] draws, in the same pass, those that are warped, overlap others, or have a light
+/// of their own.
 pub struct Present {
-    shader: wgpu::ShaderModule,
-    layout: wgpu::PipelineLayout,
-    /// One for each format of the targets so far: a window and a screenshot may differ.
-    pipelines: Vec<(wgpu::TextureFormat, wgpu::RenderPipeline)>,
+    pipelines: QuadPipelines,
     optics: OpticsStage,
     frame_layout: wgpu::BindGroupLayout,
     samplers: PerFilter<wgpu::Sampler>,
@@ -25,22 +25,12 @@ pub struct Present {
     timer: Option<DrawTimer>,
 }
 
-/// Ways to read the frame, one of which each draw binds.
+/// Two ways to read the frame; each draw binds one.
 struct PerFilter<T> {
     bilinear: T,
-    /// The same picture where pixels and samples coincide, as they do when a resting wall has become as fine as it gets;
-    /// on a software adapter in two thirds of the time.
+    /// The same image where pixels and samples coincide, as on a resting wall after refinement; on a software adapter in
+    /// two thirds of the time.
     nearest: T,
-}
-
-/// A picture to draw on.
-pub struct Target<'a> {
-    /// The picture.
-    pub view: &'a wgpu::TextureView,
-    /// The view's format. Those without sRGB get values encoded by the shader.
-    pub format: wgpu::TextureFormat,
-    /// Its columns and rows.
-    pub size: [u32; 2],
 }
 
 /// One projector on one target. Matches `Projector` in `shaders/present.wgsl`.
@@ -62,7 +52,7 @@ impl Present {
     /// The stage, without a frame yet.
     pub fn new(gpu: &Gpu) -> Self {
         let device = &gpu.device;
-        let shader = device.create_shader_module(wgpu::include_wgsl!("../../../shaders/present.wgsl"));
+        let shader = wgpu::include_wgsl!("../../../shaders/present.wgsl");
         let frame_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("frame"),
             entries: &[
@@ -87,17 +77,13 @@ impl Present {
         };
         let samplers =
             PerFilter { bilinear: sampler(wgpu::FilterMode::Linear), nearest: sampler(wgpu::FilterMode::Nearest) };
-        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
-            label: Some("present"),
-            bind_group_layouts: &[Some(&frame_layout)],
-            immediate_size: 0,
-        });
-        let optics = OpticsStage::new(gpu, &frame_layout);
-        let timer = DrawTimer::new(gpu);
-        Self { shader, layout, pipelines: Vec::new(), optics, frame_layout, samplers, frame: None, timer }
+        let groups = [Some(&frame_layout)];
+        let pipelines = QuadPipelines::new::<ProjectorInstance>(gpu, "present", shader, &groups, &INSTANCE_ATTRIBUTES);
+        let (optics, timer) = (OpticsStage::new(gpu, &frame_layout), DrawTimer::new(gpu));
+        Self { pipelines, optics, frame_layout, samplers, frame: None, timer }
     }
 
-    /// Takes a whole frame, as [`FrameTexture::upload`] does; its resolution may differ from the last one's.
+    /// Takes a complete frame, as [`FrameTexture::upload`] does; its resolution may differ from the last one's.
     pub fn upload(&mut self, gpu: &Gpu, size: FrameSize, rgba: &[u8]) -> Result<(), GpuError> {
         match &self.frame {
             Some((texture, _)) if texture.size() == size => texture.upload(gpu, rgba),
@@ -125,10 +111,10 @@ impl Present {
         }
     }
 
-    /// Draws a part of the wall over all of `target`, and black around it and before any frame.
+    /// Draws a part of the wall over all of `target`; black around it, and black before the first frame.
     ///
-    /// `part` is a rectangle of the output that spans all projectors, and holds each of them whole or none of it; it is
-    /// scaled to fit the target whole, centred.
+    /// `part` is a rectangle of the spanning output that contains each projector wholly or not at all; it is scaled to fit
+    /// into the target, centred.
     pub fn draw(
         &mut self,
         gpu: &Gpu,
@@ -140,7 +126,7 @@ impl Present {
         self.draw_all(gpu, encoder, wall, &[(target, part)]);
     }
 
-    /// Draws the same frame on several targets, a part of the wall on each, as [`Present::draw`] does.
+    /// Draws the same frame on several targets as [`Present::draw`] does, a part of the wall on each.
     pub fn draw_all(
         &mut self,
         gpu: &Gpu,
@@ -159,7 +145,7 @@ impl Present {
         }
     }
 
-    /// `is_end`: whether it is the first pass that counts as one draw, and whether it is the last.
+    /// `is_end`: whether this is the first pass of a draw, and whether it is the last.
     fn draw_pass(
         &mut self,
         gpu: &Gpu,
@@ -169,29 +155,19 @@ impl Present {
         part: PixelRect,
         is_end: [bool; 2],
     ) {
-        let pipeline = self.pipeline(gpu, target.format);
+        let pipeline = self.pipelines.get(gpu, target.format);
         let (plain, corrected): (Vec<_>, Vec<_>) =
-            quads(wall, part, target.size).partition(|(projector_idx, _)| wall.is_plain(*projector_idx));
-        let frame_from_px: Vec<_> =
-            plain.iter().map(|(index, quad)| FrameFromPx::new(&wall.projectors()[*index], *quad)).collect();
+            Quad::of_part(wall, part, target.size).partition(|quad| wall.is_plain(quad.projector_idx));
+        let frame_from_px: Vec<_> = plain.iter().map(|quad| FrameFromPx::new(wall, quad)).collect();
         let instances: Vec<_> = (frame_from_px.iter().zip(&plain))
-            .map(|(frame_from_px, (_, quad))| ProjectorInstance::new(frame_from_px, *quad, target.size))
+            .map(|(frame_from_px, quad)| ProjectorInstance::new(frame_from_px, quad, target.size))
             .collect();
-        // Made anew for each draw: half a kilobyte, and several targets in one submission cannot disturb each other.
-        let instance_buffer = (!instances.is_empty()).then(|| vertex_buffer(gpu, &instances));
+        // A new buffer for each draw costs half a kilobyte, and several targets in one submission share nothing.
+        let instance_buffer = (!instances.is_empty()).then(|| buffer(gpu, wgpu::BufferUsages::VERTEX, &instances));
         let corrected = self.optics.prepare(gpu, encoder, target, wall, part, &corrected);
 
-        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
-            label: Some("present"),
-            color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: target.view,
-                depth_slice: None,
-                resolve_target: None,
-                ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
-            })],
-            timestamp_writes: self.timer.as_ref().and_then(|timer| timer.pass_timestamps(is_end)),
-            ..Default::default()
-        });
+        let timestamps = self.timer.as_ref().and_then(|timer| timer.pass_timestamps(is_end));
+        let mut pass = begin_pass(encoder, "present", target.view, timestamps);
         if let Some((texture, frame)) = &self.frame {
             if let Some(instance_buffer) = &instance_buffer {
                 let is_sample_per_px = frame_from_px.iter().all(|it| it.is_sample_per_px(texture.size(), target.size));
@@ -207,119 +183,30 @@ impl Present {
         }
     }
 
-    /// How long the GPU took for the newest draw that it has finished, in milliseconds; `None` where GPUs do not tell.
+    /// GPU time of the newest finished draw in milliseconds; `None` on GPUs without timestamps.
     pub fn draw_ms(&mut self, gpu: &Gpu) -> Option<f64> {
         self.timer.as_mut()?.newest_ms(gpu)
     }
-
-    /// The pipeline for targets of a format, made when the format first comes up.
-    fn pipeline(&mut self, gpu: &Gpu, format: wgpu::TextureFormat) -> wgpu::RenderPipeline {
-        if let Some((_, pipeline)) = self.pipelines.iter().find(|(made_for, _)| *made_for == format) {
-            return pipeline.clone();
-        }
-        let instances = wgpu::VertexBufferLayout {
-            array_stride: size_of::<ProjectorInstance>() as u64,
-            step_mode: wgpu::VertexStepMode::Instance,
-            attributes: &INSTANCE_ATTRIBUTES,
-        };
-        let fragment = fragment_for(format);
-        let pipeline = quad_pipeline(gpu, "present", &self.layout, &self.shader, &[Some(instances)], fragment, format);
-        self.pipelines.push((format, pipeline.clone()));
-        pipeline
-    }
-}
-
-/// The fragment stage for targets of a format, which encode sRGB themselves or have the shader do it.
-pub(super) fn fragment_for(format: wgpu::TextureFormat) -> &'static str {
-    if format.is_srgb() { "fragment_linear" } else { "fragment_encoded" }
-}
-
-/// Draws one quad for each projector on targets of a format.
-pub(super) fn quad_pipeline(
-    gpu: &Gpu,
-    label: &str,
-    layout: &wgpu::PipelineLayout,
-    shader: &wgpu::ShaderModule,
-    buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
-    fragment: &'static str,
-    format: wgpu::TextureFormat,
-) -> wgpu::RenderPipeline {
-    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: Some(label),
-        layout: Some(layout),
-        vertex: wgpu::VertexState {
-            module: shader,
-            entry_point: Some("vertex"),
-            compilation_options: Default::default(),
-            buffers,
-        },
-        primitive: wgpu::PrimitiveState { topology: wgpu::PrimitiveTopology::TriangleStrip, ..Default::default() },
-        depth_stencil: None,
-        multisample: Default::default(),
-        fragment: Some(wgpu::FragmentState {
-            module: shader,
-            entry_point: Some(fragment),
-            compilation_options: Default::default(),
-            targets: &[Some(format.into())],
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
-}
-
-pub(super) fn vertex_buffer<T: bytemuck::NoUninit>(gpu: &Gpu, instances: &[T]) -> wgpu::Buffer {
-    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
-        label: Some("projectors"),
-        size: size_of_val(instances) as u64,
-        usage: wgpu::BufferUsages::VERTEX | wgpu::BufferUsages::COPY_DST,
-        mapped_at_creation: false,
-    });
-    gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(instances));
-    buffer
-}
-
-/// The quads on a target of the projectors in a part of the wall: left, top, right and bottom in pixels, not whole when
-/// the wall is scaled.
-fn quads(wall: &Wall, part: PixelRect, target_size: [u32; 2]) -> impl Iterator<Item = (usize, [f64; 4])> {
-    let fitted = PixelRect::fitted([part.width, part.height], target_size);
-    let x_scale = f64::from(fitted.width) / f64::from(part.width.max(1));
-    let y_scale = f64::from(fitted.height) / f64::from(part.height.max(1));
-    let shown =
-        wall.projectors().iter().enumerate().filter(move |(_, projector)| part.contains_rect(&projector.output));
-    shown.map(move |(index, projector)| {
-        let PixelRect { x, y, width, height } = projector.output;
-        // Edges, not extents, are scaled: neighbours share the same numbers, and no seam opens.
-        let x_of = |edge: u32| f64::from(fitted.x) + f64::from(edge - part.x) * x_scale;
-        let y_of = |edge: u32| f64::from(fitted.y) + f64::from(edge - part.y) * y_scale;
-        (index, [x_of(x), y_of(y), x_of(x + width), y_of(y + height)])
-    })
-}
-
-/// A quad's left, bottom, right and top in clip coordinates.
-pub(super) fn clip_of([left, top, right, bottom]: [f64; 4], target_size: [u32; 2]) -> [f32; 4] {
-    let [target_width, target_height] = target_size.map(f64::from);
-    let clip_x = |x: f64| (2.0 * x / target_width - 1.0) as f32;
-    let clip_y = |y: f64| (1.0 - 2.0 * y / target_height) as f32;
-    [clip_x(left), clip_y(bottom), clip_x(right), clip_y(top)]
 }
 
 /// Where a projector's pixels on a target lie in the frame, whose lower-left corner is (0, 0) and whose upper-right corner
 /// is (1, 1).
 struct FrameFromPx {
-    /// A point at the upper-left corner of its quad, in whole pixels, which f32 holds exactly: the corner of a scaled wall
-    /// would be rounded.
+    /// A point near the quad's upper-left corner, in whole pixels: f32 holds it exactly, but not the corner of a scaled
+    /// wall.
     origin_px: [f64; 2],
     /// The same point in the frame.
     origin_frame: [f64; 2],
-    /// How far one pixel to the right and one pixel down go in the frame.
+    /// The step in the frame for one pixel to the right, and for one pixel down.
     frame_per_px: [f64; 2],
 }
 
 impl FrameFromPx {
-    fn new(projector: &Projector, quad: [f64; 4]) -> Self {
-        let [left, top, right, bottom] = quad;
-        // The frame covers the canvas, so a place on the canvas is the same place in the frame.
-        let CanvasRect { left: canvas_left, bottom: canvas_bottom, width, height } = projector.canvas;
+    fn new(wall: &Wall, quad: &Quad) -> Self {
+        let [left, top, right, bottom] = quad.edges;
+        // The frame covers the canvas: a point of the canvas is the same point of the frame.
+        let CanvasRect { left: canvas_left, bottom: canvas_bottom, width, height } =
+            wall.projectors()[quad.projector_idx].canvas;
         let frame_per_px = [width / (right - left), -height / (bottom - top)];
         let origin_px = [left.floor(), top.floor()];
         let frame_x = canvas_left + (origin_px[0] - left) * frame_per_px[0];
@@ -327,7 +214,7 @@ impl FrameFromPx {
         Self { origin_px, origin_frame: [frame_x, frame_y], frame_per_px }
     }
 
-    /// Whether the centre of each pixel is that of a sample, to a hundredth of it over all of a target.
+    /// Whether each pixel's centre is a sample's centre, to a hundredth of a pixel over all of a target.
     fn is_sample_per_px(&self, frame: FrameSize, target_size: [u32; 2]) -> bool {
         [frame.xres(), frame.yres()].into_iter().enumerate().all(|(axis, n_samples)| {
             let samples_per_px = self.frame_per_px[axis].abs() * f64::from(n_samples);
@@ -338,10 +225,10 @@ impl FrameFromPx {
 }
 
 impl ProjectorInstance {
-    fn new(frame_from_px: &FrameFromPx, quad: [f64; 4], target_size: [u32; 2]) -> Self {
+    fn new(frame_from_px: &FrameFromPx, quad: &Quad, target_size: [u32; 2]) -> Self {
         let f32s = |it: [f64; 2]| it.map(|it| it as f32);
         Self {
-            clip: clip_of(quad, target_size),
+            clip: quad.clip(target_size),
             origin_px: f32s(frame_from_px.origin_px),
             origin_frame: f32s(frame_from_px.origin_frame),
             frame_per_px: f32s(frame_from_px.frame_per_px),
@@ -363,10 +250,9 @@ mod tests {
             Wall::from_toml("small.toml", "canvas_m = [4.0, 1.0]\n[grid]\ncolumns = 3\nrows = 2\npixels = [111, 70]\n")
                 .unwrap();
         let is_sample_per_px = |frame: [u32; 2], target_size| {
-            quads(&wall, wall.whole_output(), target_size).all(|(index, quad)| {
-                let frame = FrameSize::new(frame[0], frame[1]).unwrap();
-                FrameFromPx::new(&wall.projectors()[index], quad).is_sample_per_px(frame, target_size)
-            })
+            let frame = FrameSize::new(frame[0], frame[1]).unwrap();
+            let mut quads = Quad::of_part(&wall, wall.whole_output(), target_size);
+            quads.all(|quad| FrameFromPx::new(&wall, &quad).is_sample_per_px(frame, target_size))
         };
         assert_eq!(wall.output_size(), [333, 140]);
         assert!(is_sample_per_px([333, 140], [333, 140]));

@@ -1,15 +1,16 @@
-//! The twin of the present stage on the CPU, in f64: the truth that tests hold the GPU against.
+//! The present stage's twin on the CPU, in f64: the truth that the GPU is tested against.
 
 use glam::DVec2;
-use shared::division::FrameSize;
-use shared::srgb;
+use shared::{division::FrameSize, srgb};
 
 use super::picture::RgbImage;
-use crate::wall::blend::{BlendWeight, blend_weight};
-use crate::wall::homography::apply;
-use crate::wall::{PixelRect, Projector, Wall};
+use crate::wall::{
+    PixelRect, Projector, Wall,
+    blend::{BlendWeight, blend_weight},
+    homography::apply,
+};
 
-/// What [`super::Present::draw`] shows of a frame on a target of `target_size`.
+/// The image that [`super::Present::draw`] makes of a frame on a target of `target_size`.
 ///
 /// `rgba` holds the frame's samples as [`super::frame_texture::FrameTexture::upload`] takes them.
 pub fn present(size: FrameSize, rgba: &[u8], wall: &Wall, part: PixelRect, target_size: [u32; 2]) -> RgbImage {
@@ -20,7 +21,7 @@ pub fn present(size: FrameSize, rgba: &[u8], wall: &Wall, part: PixelRect, targe
     let mut rgb = vec![0; 3 * width as usize * height as usize];
     for (pixel, encoded) in rgb.chunks_exact_mut(3).enumerate() {
         let [x, y] = [pixel as u32 % width, pixel as u32 / width];
-        // From the pixel's centre to the output that spans the projectors, in pixels of that output.
+        // From the pixel's centre to the spanning output, in pixels of that output.
         let from_fitted = DVec2::new(f64::from(x) - f64::from(fitted.x), f64::from(y) - f64::from(fitted.y)) + 0.5;
         let output = DVec2::new(f64::from(part.x), f64::from(part.y)) + from_fitted * scale;
         let shown = |projector: &&Projector| part.contains_rect(&projector.output) && projector.output.contains(output);
@@ -42,39 +43,39 @@ fn plain(size: FrameSize, rgba: &[u8], projector: &Projector, output: DVec2) -> 
     linear.map(|light| srgb::encode(light as f32))
 }
 
-/// A pixel of a projector that is warped, overlaps others, or has a light of its own; `pixel` is its width and height
-/// in pixels of the output.
+/// A pixel of a projector that is warped, overlaps others, or has a light of its own; `pixel` is its width and height in
+/// pixels of the output.
 fn corrected(size: FrameSize, rgba: &[u8], wall: &Wall, projector_idx: usize, output: DVec2, pixel: DVec2) -> [u8; 3] {
     let projector = &wall.projectors()[projector_idx];
     let Some(rect_from_raster) = projector.raster_from_rect().map(|map| map.inverse()) else { return [0; 3] };
-    let place_of = |output: DVec2| apply(rect_from_raster, raster_of(projector, output));
-    let Some(place) = place_of(output) else { return [0; 3] };
+    let rect_point_of = |output: DVec2| apply(rect_from_raster, raster_of(projector, output));
+    let Some(rect_point) = rect_point_of(output) else { return [0; 3] };
 
-    // The size of the pixel on the place, by what a hundredth of it makes there.
-    let step = |direction: DVec2| place_of(output + direction * pixel / 100.0).map(|it| (it - place) * 100.0);
+    // The size of the pixel in the projector's rectangle, by finite differences of a hundredth of a pixel.
+    let step = |direction: DVec2| rect_point_of(output + direction * pixel / 100.0).map(|it| (it - rect_point) * 100.0);
     let (Some(per_column), Some(per_row)) = (step(DVec2::X), step(DVec2::Y)) else { return [0; 3] };
     let extent = DVec2::new(per_column.x.hypot(per_row.x), per_column.y.hypot(per_row.y));
-    let covered = (place.min(1.0 - place) / extent + 0.5).clamp(DVec2::ZERO, DVec2::ONE);
+    let covered = (rect_point.min(1.0 - rect_point) / extent + 0.5).clamp(DVec2::ZERO, DVec2::ONE);
 
-    let BlendWeight { weight, leak } = blend_weight(wall.neighbours(projector_idx), place);
-    let share = covered.x * covered.y * weight;
-    let linear = frame_at(size, rgba, projector, place.clamp(DVec2::ZERO, DVec2::ONE));
+    let BlendWeight { weight, leak } = blend_weight(wall.neighbours(projector_idx), rect_point);
+    let light_fraction = covered.x * covered.y * weight;
+    let linear = frame_at(size, rgba, projector, rect_point.clamp(DVec2::ZERO, DVec2::ONE));
     std::array::from_fn(|channel| {
-        let light = share * (wall.black() + (1.0 - wall.black()) * linear[channel] - leak).max(0.0);
+        let light = light_fraction * (wall.black() + (1.0 - wall.black()) * linear[channel] - leak).max(0.0);
         let drive = (light * projector.gain[channel] / (1.0 - projector.black_level)).clamp(0.0, 1.0);
         (projector.gamma.encode(drive) * 255.0).round() as u8
     })
 }
 
-/// A point of the output in units of a projector's pixels.
+/// A point of the output among a projector's pixels, which run from (0, 0) to (1, 1).
 fn raster_of(projector: &Projector, output: DVec2) -> DVec2 {
     let PixelRect { x, y, width, height } = projector.output;
     (output - DVec2::new(f64::from(x), f64::from(y))) / DVec2::new(f64::from(width), f64::from(height))
 }
 
-/// Linear light of the frame at a point of a projector's place.
-fn frame_at(size: FrameSize, rgba: &[u8], projector: &Projector, place: DVec2) -> [f64; 3] {
-    let canvas = projector.canvas.canvas_from_rect(place);
+/// Linear light of the frame at a point of a projector's rectangle.
+fn frame_at(size: FrameSize, rgba: &[u8], projector: &Projector, rect_point: DVec2) -> [f64; 3] {
+    let canvas = projector.canvas.canvas_from_rect(rect_point);
     bilinear(size, rgba, canvas.x * f64::from(size.xres()), canvas.y * f64::from(size.yres()))
 }
 

@@ -1,12 +1,14 @@
 //! The window as a target: the wall in its sRGB view, the overlay in its plain view.
 
-use super::context::{Gpu, GpuError};
-use super::present::Target;
+use super::{
+    context::{Gpu, GpuError},
+    quad::Target,
+};
 
-/// A window's swapchain, kept in step with its size and made anew when it is lost.
+/// A window's swapchain; it follows the window's size, and is created again when it is lost.
 pub struct WallSurface {
     surface: wgpu::Surface<'static>,
-    /// Makes the surface again after it was lost.
+    /// Creates the surface again after a loss.
     create: Create,
     config: wgpu::SurfaceConfiguration,
     wall_format: wgpu::TextureFormat,
@@ -17,7 +19,7 @@ pub struct WallSurface {
 
 type Create = Box<dyn Fn() -> Result<wgpu::Surface<'static>, wgpu::CreateSurfaceError>>;
 
-/// The picture that the window shows next.
+/// The image that the window shows next.
 pub struct SurfaceFrame {
     texture: wgpu::SurfaceTexture,
     wall_view: wgpu::TextureView,
@@ -27,14 +29,14 @@ pub struct SurfaceFrame {
 }
 
 impl WallSurface {
-    /// A surface on the first `window` (an `Arc<Window>`, say) of `size` pixels, and the GPU that can draw on it.
+    /// A surface on the first `window`, for example an `Arc<Window>`, of `size` pixels; and the GPU that can draw on it.
     pub fn first<W>(window: W, size: [u32; 2]) -> Result<(Gpu, Self), GpuError>
     where
         W: Into<wgpu::SurfaceTarget<'static>> + Clone + 'static,
     {
         let instance = Gpu::instance();
         let create = creating(instance.clone(), window);
-        // Without any driver there is not even a way to make surfaces.
+        // Without any driver, creating a surface fails already.
         let surface = create()
             .map_err(|error| if Gpu::has_no_driver(&instance) { GpuError::NoDriver } else { no_surface(&error) })?;
         let gpu = Gpu::for_surface(&instance, &surface)?;
@@ -72,7 +74,7 @@ impl WallSurface {
         let mut view_formats = vec![wall_format, overlay_format];
         view_formats.retain(|&view_format| view_format != format);
 
-        // Mailbox shows the newest picture without tearing and without making the wall wait for the display.
+        // Mailbox shows the newest image without tearing, and the wall does not wait for the display.
         let present_mode = if capabilities.present_modes.contains(&wgpu::PresentMode::Mailbox) {
             wgpu::PresentMode::Mailbox
         } else {
@@ -85,7 +87,7 @@ impl WallSurface {
             width: size[0],
             height: size[1],
             present_mode,
-            // A picture in waiting is a picture late.
+            // A queued image is a late image.
             desired_maximum_frame_latency: 1,
             alpha_mode: wgpu::CompositeAlphaMode::Auto,
             view_formats,
@@ -94,17 +96,17 @@ impl WallSurface {
         Ok(Self { surface, create, config, wall_format, overlay_format, is_configured: false })
     }
 
-    /// The format of [`SurfaceFrame::overlay_view`]: what to give to egui's renderer.
+    /// The format of [`SurfaceFrame::overlay_view`], for egui's renderer.
     pub fn overlay_format(&self) -> wgpu::TextureFormat {
         self.overlay_format
     }
 
-    /// How pictures are handed to the display.
+    /// Mailbox or FIFO.
     pub fn present_mode(&self) -> wgpu::PresentMode {
         self.config.present_mode
     }
 
-    /// Columns and rows of the next picture.
+    /// Columns and rows of the next image.
     pub fn size(&self) -> [u32; 2] {
         [self.config.width, self.config.height]
     }
@@ -117,8 +119,8 @@ impl WallSurface {
         }
     }
 
-    /// The next picture to draw, or `None` when there is nothing to draw on now: the window is empty or hidden, or the
-    /// display is late. Ask again with the next event.
+    /// The next image to draw on; `None` while the window is empty or hidden, or the display is late: ask again with the
+    /// next event.
     ///
     /// # Errors
     ///
@@ -128,7 +130,7 @@ impl WallSurface {
             return Ok(None);
         }
         gpu.check_size("a window", self.size())?;
-        // A second try with a fresh swapchain; what fails twice waits for the next event.
+        // Try a second time with a fresh swapchain; after that, wait for the next event.
         for _ in 0..2 {
             if !self.is_configured {
                 self.surface.configure(&gpu.device, &self.config);
@@ -168,12 +170,12 @@ impl WallSurface {
 }
 
 impl SurfaceFrame {
-    /// Where [`super::Present::draw`] draws the wall.
+    /// The target for [`super::Present::draw`].
     pub fn target(&self) -> Target<'_> {
         Target { view: &self.wall_view, format: self.wall_format, size: self.size }
     }
 
-    /// Where the overlay is drawn, over the wall, in encoded values.
+    /// The view for the overlay, which is drawn over the wall in encoded values.
     pub fn overlay_view(&self) -> &wgpu::TextureView {
         &self.overlay_view
     }
@@ -183,7 +185,7 @@ impl SurfaceFrame {
         self.size
     }
 
-    /// Shows the picture, after what draws it was submitted.
+    /// Shows the image. Submit its draws first.
     pub fn present(self, gpu: &Gpu) {
         gpu.queue.present(self.texture);
     }

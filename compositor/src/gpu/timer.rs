@@ -1,17 +1,19 @@
-//! How long the GPU takes for a draw, where it offers timestamps.
+//! GPU time of a draw, where the GPU offers timestamps.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
 
 use super::context::Gpu;
 
-/// Times one draw at a time, of one render pass or several, and never waits: draws that come while a time is on its way
-/// are not timed.
+/// Times one draw at a time, of one or more render passes, and never waits: draws are not timed while a readback is
+/// pending.
 pub(super) struct DrawTimer {
     timestamps: wgpu::QuerySet,
     resolved: wgpu::Buffer,
     readback: wgpu::Buffer,
-    /// What the GPU is still to deliver.
+    /// Set when the GPU has delivered.
     pending_readback: Option<Arc<AtomicBool>>,
     newest_ms: Option<f64>,
 }
@@ -46,7 +48,7 @@ impl DrawTimer {
         })
     }
 
-    /// For a pass of the draw to be timed: whether it is the first of them, and whether it is the last.
+    /// Timestamps of a pass: whether it is the draw's first, and whether it is the last.
     pub(super) fn pass_timestamps(
         &self,
         [is_first, is_last]: [bool; 2],
@@ -58,7 +60,7 @@ impl DrawTimer {
         })
     }
 
-    /// Right after the last pass, into the same encoder.
+    /// Reads the timestamps back; call it right after the last pass, with the same encoder.
     pub(super) fn read_after(&mut self, encoder: &mut wgpu::CommandEncoder) {
         if self.pending_readback.is_none() {
             encoder.resolve_query_set(&self.timestamps, 0..2, &self.resolved, 0);
@@ -72,7 +74,7 @@ impl DrawTimer {
     }
 
     pub(super) fn newest_ms(&mut self, gpu: &Gpu) -> Option<f64> {
-        // A lost device is told by `Gpu::check`.
+        // `Gpu::check` reports a lost device.
         let _ = gpu.device.poll(wgpu::PollType::Poll);
         if self.pending_readback.as_ref().is_some_and(|arrived| arrived.load(Ordering::Acquire)) {
             self.pending_readback = None;

@@ -1,13 +1,15 @@
-//! How the picture looks: from where it is lit, what is behind the model, and where the model is cut open.
+//! Controls of the [`Appearance`]: key light, background and clip plane.
 
 use egui::{Role, Slider, Ui, WidgetInfo};
 use shared::appearance::{Appearance, Background, Clip, ClipSide, Light};
+use strum::VariantArray;
 
 use crate::control::input::Command;
 
-pub(super) fn show(ui: &mut Ui, look: &Appearance, commands: &mut Vec<Command>) {
-    let (mut azimuth, mut elevation) = (look.light.azimuth_deg(), look.light.elevation_deg());
-    let name = Light::PRESETS.iter().find(|(_, light)| *light == look.light).map_or("set by hand", |(name, _)| name);
+pub(super) fn show(ui: &mut Ui, appearance: &Appearance, commands: &mut Vec<Command>) {
+    let (mut azimuth, mut elevation) = (appearance.light.azimuth_deg(), appearance.light.elevation_deg());
+    let name =
+        Light::PRESETS.iter().find(|(_, light)| *light == appearance.light).map_or("set by hand", |(name, _)| name);
     ui.label(format!("Light (L): {name}"));
     let mut angle = |degrees: &mut i16, limit: i16, name: &str| {
         ui.add(Slider::new(degrees, -limit..=limit).text(name).suffix("°")).changed()
@@ -22,22 +24,22 @@ pub(super) fn show(ui: &mut Ui, look: &Appearance, commands: &mut Vec<Command>) 
     ui.label("Background (B)");
     ui.horizontal(|ui| {
         for (name, background) in Background::PRESETS {
-            if ui.selectable_label(background == look.background, name).clicked() {
+            if ui.selectable_label(background == appearance.background, name).clicked() {
                 commands.push(Command::SetBackground(background));
             }
         }
     });
-    cut(ui, look.clip, commands);
+    cut(ui, appearance.clip, commands);
 }
 
 fn cut(ui: &mut Ui, clip: Option<Clip>, commands: &mut Vec<Command>) {
     ui.horizontal(|ui| {
         ui.label("Cut (X)");
         ui.spacing_mut().item_spacing.x = 0.0;
-        let sides = std::iter::once(None).chain(ClipSide::ALL.map(Some));
+        let sides = std::iter::once(None).chain(ClipSide::VARIANTS.iter().copied().map(Some));
         for side in sides {
             let is_chosen = side == clip.map(Clip::side);
-            let name = side.map_or("none", ClipSide::name);
+            let name = side.map_or("none", Into::into);
             let button = ui.selectable_label(is_chosen, name);
             let accessible_label = format!("cut from {name}");
             button.widget_info(|| WidgetInfo::selected(Role::Button, true, is_chosen, &accessible_label));

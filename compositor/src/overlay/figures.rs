@@ -1,4 +1,4 @@
-//! The panel of figures: how fast, why not, and what can be switched.
+//! The panel of measurements: speed, its causes, and switches.
 
 use egui::{Align, Layout, RichText, Ui};
 use shared::{
@@ -6,6 +6,7 @@ use shared::{
     protocol::{LightingMode, ShadingMode},
     structure::Storage,
 };
+use strum::VariantArray;
 
 use super::{
     OverlayModel, Tint, history, nodes,
@@ -13,10 +14,10 @@ use super::{
 };
 use crate::control::input::Command;
 
-/// The storages of the grid, in the order in which a key steps through them; the first is as render servers were started.
+/// Storages of the grid, in the order of the key; `None` is the one with which render servers were started.
 pub const STORAGES: [Option<Storage>; 4] =
     [None, Some(Storage::Tree), Some(Storage::RowDisplacement), Some(Storage::Plain)];
-/// The densities of the grid, in the order in which a key steps through them, in cells per triangle.
+/// Densities of the grid in cells per triangle, in the order of the key.
 pub const DENSITIES: [u32; 6] = [4, 8, 16, 32, 64, 128];
 
 pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
@@ -54,7 +55,7 @@ fn headline(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     ui.label(latency);
 }
 
-/// Why there is nothing to see, or nothing new, and what to do.
+/// Why there is nothing to see, or nothing new, and the cure.
 fn waiting(ui: &mut Ui, model: &OverlayModel) {
     if let Some((name, progress)) = &model.loading {
         callout(ui, Tone::Note, |ui| {
@@ -105,7 +106,7 @@ fn timings(ui: &mut Ui, model: &OverlayModel) {
     );
 }
 
-/// Whether the resolution follows the motion, and how many samples a pixel there are so far.
+/// Whether the resolution follows the motion, and the samples a pixel so far.
 fn refinement(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     ui.horizontal(|ui| {
         let mut is_refining = model.is_refining;
@@ -124,63 +125,49 @@ fn switches(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     ui.add_space(6.0);
     refinement(ui, model, commands);
     egui::Grid::new("switches").num_columns(2).show(ui, |ui| {
-        ui.horizontal(|ui| ui.label("division (H)"));
-        ui.horizontal(|ui| {
-            for division in Division::ALL {
-                if ui.selectable_label(division == model.division, division.name()).clicked() {
-                    commands.push(Command::SetDivision(division));
-                }
-            }
+        let mut row = |ui: &mut Ui, name: &str, add: &mut dyn FnMut(&mut Ui, &mut Vec<Command>)| {
+            ui.horizontal(|ui| ui.label(name));
+            ui.horizontal(|ui| add(ui, commands));
+            ui.end_row();
+        };
+        row(ui, "division (H)", &mut |ui, commands| {
+            choices(ui, Division::VARIANTS, |it| it == model.division, |it| it, Command::SetDivision, commands);
         });
-        ui.end_row();
-        ui.horizontal(|ui| ui.label("view (V)"));
-        ui.horizontal(|ui| {
-            for view in ShadingMode::ALL {
-                if ui.selectable_label(view == model.view, view.name()).clicked() {
-                    commands.push(Command::SetView(view));
-                }
-            }
+        row(ui, "view (V)", &mut |ui, commands| {
+            choices(ui, ShadingMode::VARIANTS, |it| it == model.view, |it| it, Command::SetShading, commands);
         });
-        ui.end_row();
-        ui.horizontal(|ui| ui.label("grid (K)"));
-        ui.horizontal(|ui| {
+        row(ui, "grid (K)", &mut |ui, commands| {
             ui.spacing_mut().item_spacing.x = 0.0;
-            for storage in STORAGES {
-                let is_chosen = storage == model.structure.map(|structure| structure.storage);
-                if ui.selectable_label(is_chosen, storage.map_or("as started", Storage::name)).clicked() {
-                    commands.push(Command::SetStorage(storage));
-                }
-            }
+            let is_chosen = |storage| storage == model.structure.map(|structure| structure.storage);
+            let name = |storage: Option<Storage>| storage.map_or("as started", Into::into);
+            choices(ui, &STORAGES, is_chosen, name, Command::SetStorage, commands);
         });
-        ui.end_row();
-        ui.horizontal(|ui| ui.label("cells (J)"));
-        ui.horizontal(|ui| {
-            for density in DENSITIES {
-                let is_chosen = model.structure.is_some_and(|structure| structure.density == f64::from(density));
-                if ui.selectable_label(is_chosen, density.to_string()).clicked() {
-                    commands.push(Command::SetDensity(density));
-                }
-            }
+        row(ui, "cells (J)", &mut |ui, commands| {
+            let is_chosen = |it| model.structure.is_some_and(|structure| structure.density == f64::from(it));
+            choices(ui, &DENSITIES, is_chosen, |it| it, Command::SetDensity, commands);
             ui.label(RichText::new("a triangle").small().weak());
         });
-        ui.end_row();
-        ui.horizontal(|ui| ui.label("tint (T)"));
-        ui.horizontal(|ui| {
-            for tint in Tint::ALL {
-                if ui.selectable_label(tint == model.tint, tint.name()).clicked() {
-                    commands.push(Command::SetTint(tint));
-                }
-            }
+        row(ui, "tint (T)", &mut |ui, commands| {
+            choices(ui, &Tint::ALL, |it| it == model.tint, Tint::name, Command::SetTint, commands);
         });
-        ui.end_row();
-        ui.horizontal(|ui| ui.label("rays (R)"));
-        ui.horizontal(|ui| {
-            for rays in LightingMode::ALL {
-                if ui.selectable_label(rays == model.rays, rays.name()).clicked() {
-                    commands.push(Command::SetRays(rays));
-                }
-            }
+        row(ui, "rays (R)", &mut |ui, commands| {
+            choices(ui, LightingMode::VARIANTS, |it| it == model.rays, |it| it, Command::SetLighting, commands);
         });
-        ui.end_row();
     });
+}
+
+/// A selectable label for each of `all`; a click asks for it.
+fn choices<T: Copy, S: ToString>(
+    ui: &mut Ui,
+    all: &[T],
+    is_chosen: impl Fn(T) -> bool,
+    name: impl Fn(T) -> S,
+    command: impl Fn(T) -> Command,
+    commands: &mut Vec<Command>,
+) {
+    for &choice in all {
+        if ui.selectable_label(is_chosen(choice), name(choice).to_string()).clicked() {
+            commands.push(command(choice));
+        }
+    }
 }

@@ -1,4 +1,4 @@
-//! Opening a model: the folders and PLY files of one folder, chosen by mouse or by keys.
+//! The panel that opens a model: the folders and PLY files of one folder, chosen by mouse or keys.
 
 use egui::{Align, Layout, RichText, Ui};
 
@@ -8,10 +8,10 @@ use crate::control::input::Command;
 /// The panel's width in points.
 pub(super) const WIDTH: f32 = 420.0;
 
-/// What a folder holds that can be chosen.
+/// A folder's entries.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FileList {
-    /// The folder, in words.
+    /// The folder's name.
     pub folder: String,
     /// Folders first, then files, each by name.
     pub entries: Vec<FileEntry>,

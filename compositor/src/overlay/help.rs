@@ -1,4 +1,4 @@
-//! Keys and mouse, as [`crate::control::input`] has them.
+//! Help on keys and mouse, from the tables of [`crate::control::input`].
 
 use egui::{Align, Layout, RichText, Ui};
 
@@ -18,7 +18,7 @@ pub(super) fn show(ui: &mut Ui, commands: &mut Vec<Command>) {
         });
     });
     ui.separator();
-    // Side by side: one below the other they would be higher than a window.
+    // Two columns: one would be higher than a window.
     let (left, right) = KEYS.split_at((KEYS.len() + MOUSE.len()).div_ceil(2));
     ui.horizontal_top(|ui| {
         columns("keys").show(ui, |ui| left.iter().for_each(|binding| row(ui, &binding.names(), binding.help)));

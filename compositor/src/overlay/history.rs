@@ -1,4 +1,4 @@
-//! How long the last frames took, as a curve whose scale does not jump.
+//! The times of the last frames, as curves whose scale does not jump.
 
 use std::collections::VecDeque;
 
@@ -7,28 +7,28 @@ use egui_plot::{Line, Plot, PlotPoints};
 
 use super::style;
 
-/// So many frames are shown.
+/// The number of frames shown.
 const N_FRAMES: usize = 240;
 /// The curve's height in points.
 const HEIGHT: f32 = 64.0;
 
-/// What the last frames took, the oldest first.
+/// The times of the last frames, oldest first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct History {
     frames: VecDeque<FrameTimes>,
 }
 
-/// What one frame took, in milliseconds.
+/// The times of one frame in milliseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameTimes {
-    /// In the farm: from the first request to the last sample in its place.
+    /// In the farm: from the first task to the last sample placed.
     pub render_ms: f64,
-    /// From the camera's motion to its picture.
+    /// From the camera's motion to the frame on the wall.
     pub latency_ms: f64,
 }
 
 impl History {
-    /// Adds a frame; the oldest is forgotten.
+    /// Adds a frame, and drops the oldest if there are too many.
     pub fn add(&mut self, times: FrameTimes) {
         if self.frames.len() == N_FRAMES {
             self.frames.pop_front();
@@ -36,9 +36,9 @@ impl History {
         self.frames.push_back(times);
     }
 
-    /// The upper end of the scale: the first of 10, 20, 50, 100 … ms that nearly all frames stay below.
+    /// The upper end of the scale: the first of 10, 20, 50, 100 … ms that is above 95 % of the frames.
     ///
-    /// A single slow frame, such as the first of a model, leaves the rest readable.
+    /// After a single slow frame, for example a model's first, the rest stays legible.
     fn top_ms(&self) -> f64 {
         let mut times: Vec<_> = self.frames.iter().map(|times| times.render_ms.max(times.latency_ms)).collect();
         times.sort_by(f64::total_cmp);

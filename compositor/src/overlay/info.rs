@@ -1,4 +1,4 @@
-//! What is shown: the model, its views and paths, the point that somebody asked for, and how it looks.
+//! The panel of the model: its views and camera path, the point clicked on, and its appearance.
 
 use std::fmt;
 
@@ -15,17 +15,17 @@ pub(super) const WIDTH: f32 = 310.0;
 /// The model on the wall.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ModelSummary {
-    /// What people call it.
+    /// Its name.
     pub name: String,
-    /// Triangles that can be seen.
+    /// Triangles that are traced.
     pub n_triangles: usize,
-    /// Triangles that cannot be traced.
+    /// Degenerate triangles, which cannot be traced.
     pub n_rejected: usize,
     /// Width, height and depth of the box around it, in its own unit.
     pub extent: DVec3,
 }
 
-/// A point of the model that somebody asked for.
+/// A point of the model that somebody clicked on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pick {
     /// The triangle's number in the file, from 0.
@@ -56,7 +56,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
             });
         });
     });
-    let mut text = format!("{} triangles, {} up", style::grouped(summary.n_triangles), model.up.name());
+    let mut text = format!("{} triangles, {} up", style::grouped(summary.n_triangles), model.up);
     if summary.n_rejected > 0 {
         text += &format!(", {} more cannot be traced", style::grouped(summary.n_rejected));
     }
@@ -74,7 +74,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
     if let Some(pick) = &model.pick {
         ui.label(RichText::new(pick.to_string()).color(style::ACCENT));
     } else {
-        ui.label(RichText::new("Click on the model for a triangle's number, place and distance.").small().weak());
+        ui.label(RichText::new("Click on the model for a triangle's number, position and distance.").small().weak());
     }
     ui.horizontal(|ui| {
         ui.label(if model.views.is_empty() { "No views: Ctrl+1 to 9 keeps one" } else { "Views" });
@@ -101,7 +101,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
     appearance::show(ui, &model.appearance, commands);
 }
 
-/// The most bytes of mesh and structure that a render server has in memory, and how many of them a triangle takes.
+/// The most bytes of mesh and structure in a render server's memory, and bytes a triangle.
 fn most_bytes(model: &OverlayModel) -> Option<(u64, f64)> {
     let sizes = model.status.nodes.iter().filter_map(|node| match node.scene {
         Some(SceneState::Ready { triangles, bytes, .. }) if triangles > 0 => {
@@ -112,7 +112,7 @@ fn most_bytes(model: &OverlayModel) -> Option<(u64, f64)> {
     sizes.max_by_key(|&(bytes, _)| bytes)
 }
 
-/// How the first render server that has the scene keeps it.
+/// The structure on the first render server that is ready.
 fn grid(model: &OverlayModel) -> Option<Structure> {
     model.status.nodes.iter().find_map(|node| match node.scene {
         Some(SceneState::Ready { grid, .. }) => grid,
@@ -124,7 +124,7 @@ fn coordinates(point: DVec3) -> String {
     format!("({}, {}, {})", length(point.x), length(point.y), length(point.z))
 }
 
-/// A length in a unit that nobody knows: with five digits, whatever it is.
+/// A length in an unknown unit, with five digits.
 fn length(value: f64) -> String {
     let magnitude = value.abs();
     if magnitude != 0.0 && !(1e-3..1e6).contains(&magnitude) {

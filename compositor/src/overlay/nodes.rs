@@ -1,12 +1,12 @@
-//! One row for each render server: who it is, how it is, and where its time in the newest frame went.
+//! One row for each render server: its name, its state, and its times in the newest frame.
 
 use egui::{Align, Color32, Label, Layout, RichText, Ui};
 use shared::protocol::SceneState;
 
-use super::{OverlayModel, Tint, style, tint::node_colour};
+use super::{OverlayModel, Tint, style, tint::node_color};
 use crate::farm::stats::{FarmStatus, NodeFrameStats, NodeStatus};
 
-/// How many render servers can be given work.
+/// The number of render servers that can take tasks.
 pub(super) fn n_ready(status: &FarmStatus) -> usize {
     status.nodes.iter().filter(|node| node.is_ready()).count()
 }
@@ -23,7 +23,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
     let longest_ms = nodes.iter().filter_map(frame_of).map(|frame| times(frame).iter().sum()).fold(0.0, f64::max);
     style::legend(ui, "ms in the newest frame", &[("tracing", TRACE), ("network", NETWORK), ("idle", IDLE)]);
     for node in nodes {
-        let swatch = (model.tint == Tint::Nodes).then(|| node_colour(node.id));
+        let swatch = (model.tint == Tint::Nodes).then(|| node_color(node.id));
         let is_compact = nodes.len() > MOST_WITH_FIGURES;
         let head = row(ui, is_compact, node, swatch, frame_of(node), longest_ms);
         if is_compact {
@@ -37,9 +37,9 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
     }
 }
 
-/// With more render servers than this, each has one line, and its figures are shown while the mouse rests on it.
+/// With more render servers than this, each has one line, and details are a tooltip.
 const MOST_WITH_FIGURES: usize = 4;
-/// Names in lines, in points.
+/// Width of names in these lines, in points.
 const COMPACT_NAME_WIDTH: f32 = 84.0;
 const TRACE: Color32 = style::ACCENT;
 const NETWORK: Color32 = style::BUSY;
@@ -57,7 +57,7 @@ fn row(
     frame: Option<&NodeFrameStats>,
     longest_ms: f64,
 ) -> egui::Response {
-    let (state, colour, reason) = state(node);
+    let (state, color, reason) = state(node);
     let [trace, network, idle] = frame.map_or([0.0; 3], times);
     let bar = |ui: &mut Ui| {
         let accessible_label =
@@ -81,7 +81,7 @@ fn row(
             ui.label(RichText::new(address_and_threads(node, frame)).small().weak());
         }
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            ui.label(RichText::new(state).color(colour));
+            ui.label(RichText::new(state).color(color));
             if is_compact {
                 bar(ui);
             }
@@ -118,11 +118,11 @@ fn address_and_threads(node: &NodeStatus, frame: Option<&NodeFrameStats>) -> Str
         0 => String::new(),
         n_failures => format!(", lost {n_failures} times"),
     };
-    let encoding = frame.map(|frame| format!(", {}", frame.encoding.name())).unwrap_or_default();
+    let encoding = frame.map(|frame| format!(", {}", frame.encoding)).unwrap_or_default();
     format!("{}, {} {threads}{encoding}{failures}", node.address, node.threads)
 }
 
-/// The state in a word, its colour, and what to do about it.
+/// The state in a word, its colour, and the cure.
 fn state(node: &NodeStatus) -> (String, Color32, Option<&str>) {
     match &node.scene {
         _ if node.is_silent => ("silent".to_owned(), style::BUSY, None),

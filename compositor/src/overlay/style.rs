@@ -1,14 +1,14 @@
-//! How the overlay looks: calm, dark, readable from across a room.
+//! The overlay's style: calm, dark, legible from across a room.
 
 use egui::{Color32, FontFamily, FontId, Frame, Layout, RichText, TextStyle, Ui};
 
-/// What asks for attention without alarm.
+/// Emphasis without alarm.
 pub(super) const ACCENT: Color32 = Color32::from_rgb(122, 200, 255);
-/// Ready, as it should be.
+/// Ready.
 pub(super) const GOOD: Color32 = Color32::from_rgb(126, 211, 136);
-/// On its way.
+/// Not ready yet.
 pub(super) const BUSY: Color32 = Color32::from_rgb(240, 196, 92);
-/// Needs somebody.
+/// Needs an operator.
 pub(super) const BAD: Color32 = Color32::from_rgb(255, 128, 112);
 const TEXT: Color32 = Color32::from_gray(225);
 const WEAK: Color32 = Color32::from_gray(160);
@@ -16,16 +16,16 @@ const WEAK: Color32 = Color32::from_gray(160);
 /// Space inside the panels in points.
 pub(super) const PANEL_PADDING: f32 = 14.0;
 
-/// What a box is about.
+/// The importance of a callout.
 #[derive(Clone, Copy)]
 pub(super) enum Tone {
-    /// Something goes on.
+    /// Information.
     Note,
-    /// Something needs somebody.
+    /// An operator has to act.
     Warning,
 }
 
-/// Sets colours and sizes; once for each context.
+/// Sets colours and sizes, once for each context.
 pub fn apply_style(context: &egui::Context) {
     context.set_theme(egui::Theme::Dark);
     context.all_styles_mut(|style| {
@@ -49,9 +49,9 @@ pub fn apply_style(context: &egui::Context) {
     });
 }
 
-/// How much larger than usual everything is drawn, for a window of so many physical pixels.
+/// The zoom for a window of `size` in physical pixels.
 ///
-/// A wall is seen from farther away than a screen of its resolution, so text keeps its share of the height; in a small
+/// People see a wall from farther away than a screen of its resolution, so text keeps its part of the height; in a small
 /// window it stays legible instead.
 pub fn zoom(size: [u32; 2], scale_factor: f64) -> f32 {
     let height_in_points = f64::from(size[1]) / scale_factor;
@@ -64,14 +64,14 @@ pub(super) fn panel_frame() -> Frame {
 
 /// A box that stands out from the panel.
 pub(super) fn callout<R>(ui: &mut Ui, tone: Tone, add: impl FnOnce(&mut Ui) -> R) {
-    let colour = match tone {
+    let color = match tone {
         Tone::Note => ACCENT,
         Tone::Warning => BUSY,
     };
     ui.add_space(4.0);
     Frame::new()
-        .fill(colour.gamma_multiply(0.12))
-        .stroke(egui::Stroke::new(1.0, colour.gamma_multiply(0.6)))
+        .fill(color.gamma_multiply(0.12))
+        .stroke(egui::Stroke::new(1.0, color.gamma_multiply(0.6)))
         .corner_radius(6.0)
         .inner_margin(10.0)
         .show(ui, |ui| {
@@ -80,7 +80,7 @@ pub(super) fn callout<R>(ui: &mut Ui, tone: Tone, add: impl FnOnce(&mut Ui) -> R
         });
 }
 
-/// The head of a part of the panel, and the unit of its figures.
+/// The heading of a section, and the unit of its values.
 pub(super) fn section(ui: &mut Ui, name: &str, unit: &str) {
     ui.add_space(6.0);
     ui.separator();
@@ -90,35 +90,35 @@ pub(super) fn section(ui: &mut Ui, name: &str, unit: &str) {
     });
 }
 
-/// A line of small text, and what its colours mean.
-pub(super) fn legend(ui: &mut Ui, text: &str, colours: &[(&str, Color32)]) {
+/// A line of small text with the meaning of colours.
+pub(super) fn legend(ui: &mut Ui, text: &str, colors: &[(&str, Color32)]) {
     ui.horizontal(|ui| {
         ui.label(RichText::new(text).small().weak());
         ui.with_layout(Layout::right_to_left(egui::Align::Center), |ui| {
-            for (name, colour) in colours.iter().rev() {
-                ui.label(RichText::new(*name).small().color(*colour));
+            for (name, color) in colors.iter().rev() {
+                ui.label(RichText::new(*name).small().color(*color));
             }
         });
     });
 }
 
-/// Parts of a whole side by side, each in its colour; `accessible_label` says them in words.
+/// Parts of a whole side by side, each in its colour.
 pub(super) fn stacked_bar(ui: &mut Ui, parts: &[(f64, Color32)], whole: f64, accessible_label: &str) {
     let size = egui::vec2(ui.available_width(), 9.0);
     let (rect, response) = ui.allocate_exact_size(size, egui::Sense::hover());
     response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Meter, true, accessible_label));
     ui.painter().rect_filled(rect, 2.0, Color32::from_white_alpha(14));
     let mut left = rect.min.x;
-    for &(part, colour) in parts {
+    for &(part, color) in parts {
         let width = if whole > 0.0 { (part / whole).clamp(0.0, 1.0) as f32 * rect.width() } else { 0.0 };
         let right = (left + width).min(rect.max.x);
         let bar = egui::Rect::from_min_max(egui::pos2(left, rect.min.y), egui::pos2(right, rect.max.y));
-        ui.painter().rect_filled(bar, 2.0, colour);
+        ui.painter().rect_filled(bar, 2.0, color);
         left = right;
     }
 }
 
-/// Figures side by side, each under its name.
+/// Values side by side, each under its name.
 pub(super) fn metrics<const N: usize>(ui: &mut Ui, figures: &[(&str, String); N]) {
     ui.columns_const(|columns: &mut [Ui; N]| {
         for (column, (name, value)) in columns.iter_mut().zip(figures) {
@@ -133,12 +133,12 @@ pub(super) fn metrics<const N: usize>(ui: &mut Ui, figures: &[(&str, String); N]
     });
 }
 
-/// Milliseconds, without the unit.
+/// Milliseconds without the unit.
 pub(super) fn ms(ms: f64) -> String {
     if ms < 99.95 { format!("{ms:.1}") } else { format!("{ms:.0}") }
 }
 
-/// Bytes in the unit that leaves three digits.
+/// Bytes with up to three digits and a unit.
 pub(super) fn bytes(bytes: u64) -> String {
     let bytes = bytes as f64;
     match bytes {
@@ -150,7 +150,7 @@ pub(super) fn bytes(bytes: u64) -> String {
     }
 }
 
-/// A number with its thousands apart.
+/// A number with spaces between thousands.
 pub(super) fn grouped(number: usize) -> String {
     let digits = number.to_string();
     let mut grouped = String::new();

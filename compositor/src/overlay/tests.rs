@@ -1,4 +1,4 @@
-//! The overlay as a person or a screen reader finds it.
+//! The overlay as a person or a screen reader sees it.
 
 mod switches;
 
@@ -19,7 +19,7 @@ use crate::{
     wall::Wall,
 };
 
-/// What commands come of showing `model` and doing something with it.
+/// The commands that come of showing `model` and of `act`.
 fn commands_of(model: &OverlayModel, act: impl FnOnce(&mut Harness<'_>)) -> Vec<Command> {
     let commands = RefCell::new(Vec::new());
     let mut harness = Harness::builder()
@@ -282,7 +282,7 @@ fn a_dozen_render_servers_fit_without_scrolling() {
 }
 
 #[test]
-fn the_model_its_views_and_what_was_clicked_are_told() {
+fn the_model_its_views_and_the_clicked_point_are_shown() {
     let pick = Pick { triangle: 123_456, point: DVec3::new(0.25, -1.5, 30.0), distance: 2.5 };
     let model = OverlayModel { views: vec![1, 4], pick: Some(pick), is_playing: true, ..running() };
     let commands = commands_of(&model, |harness| {
@@ -323,7 +323,7 @@ fn files_are_listed_and_can_be_opened() {
 }
 
 #[test]
-fn a_note_is_seen_without_the_panel_and_is_in_nobody_s_way() {
+fn a_note_is_shown_without_the_panel_and_takes_no_clicks() {
     let model = OverlayModel { note: Some("View 3 is kept".to_owned()), ..OverlayModel::default() };
     let areas = RefCell::new(Vec::new());
     let mut harness =
@@ -340,8 +340,9 @@ fn no_window_is_too_small_for_any_panel() {
     let files =
         Some(FileList { entries: vec![FileEntry { name: "a.ply".to_owned(), bytes: Some(1) }], ..FileList::default() });
     let wall = Wall::of_one_output([4, 4]);
-    let place = ProjectorRegion::new(&wall.projectors()[0], egui::Rect::ZERO).expect("upright");
-    let model = OverlayModel { files, tint: Tint::Cost, regions: vec![place], note: Some("a".to_owned()), ..running() };
+    let region = ProjectorRegion::new(&wall.projectors()[0], egui::Rect::ZERO).expect("upright");
+    let model =
+        OverlayModel { files, tint: Tint::Cost, regions: vec![region], note: Some("a".to_owned()), ..running() };
     for side in [1.0, 17.0, 64.0] {
         let mut harness = Harness::builder().with_size([side, side]).with_context_setup(apply_style).build_ui(|ui| {
             show(ui, &model);
@@ -350,7 +351,7 @@ fn no_window_is_too_small_for_any_panel() {
     }
 }
 
-/// A wall of columns of projectors on so many monitors, that all show a frame.
+/// A wall of one projector on each of `n_monitors` side by side; all show a frame.
 fn columns(n_monitors: usize) -> OverlayModel {
     let projector = |index: usize| {
         format!(

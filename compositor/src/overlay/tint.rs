@@ -1,4 +1,4 @@
-//! Colours over the picture: who rendered each part of it, or what each part cost.
+//! Colours over the picture: the render server of each part, or its cost.
 
 use std::ops::RangeInclusive;
 
@@ -6,42 +6,19 @@ use egui::{Color32, ColorImage, LayerId, Pos2, TextureHandle, TextureOptions, Ui
 use shared::division::{FrameSize, Share, TILE_SIZE};
 
 use super::OverlayModel;
-use crate::farm::stats::{FrameStats, FrameTask, NodeId};
+use crate::{
+    control::input::Tint,
+    farm::stats::{FrameStats, FrameTask, NodeId},
+};
 
-/// What the picture is tinted by.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Tint {
-    /// Nothing.
-    #[default]
-    None,
-    /// Who rendered it: a colour for each render server.
-    Nodes,
-    /// CPU time: from blue over yellow to red.
-    Cost,
-}
-
-impl Tint {
-    /// Every tint, in the order in which a key steps through them.
-    pub const ALL: [Self; 3] = [Self::None, Self::Nodes, Self::Cost];
-
-    /// The name on screen.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Nodes => "who",
-            Self::Cost => "time",
-        }
-    }
-}
-
-/// The colour of a render server: as different as can be from those that joined before and after.
-pub(super) fn node_colour(NodeId(id): NodeId) -> Color32 {
-    // Steps of the golden ratio around the circle of hues, and every second eight of them darker.
+/// The colour of a render server: very different from those that joined before and after it.
+pub(super) fn node_color(NodeId(id): NodeId) -> Color32 {
+    // Steps of the golden ratio around the circle of hues; every second group of eight is darker.
     let value = if id.wrapping_sub(1) / 8 % 2 == 0 { 0.95 } else { 0.55 };
     Hsva::new((id as f32 * 0.618_034).fract(), 0.9, value, 1.0).into()
 }
 
-/// How much of the picture is left to be seen through the tint.
+/// The tint's opacity.
 const OPACITY: f32 = 0.45;
 
 /// Draws the tint over the picture, under all panels.
@@ -60,20 +37,20 @@ pub(super) fn show(ui: &Ui, model: &OverlayModel) {
             texture
         }
     };
-    // The last tiles may reach beyond the frame.
+    // The last tiles may extend beyond the frame.
     let texels = texture.size_vec2();
     let unit = if texels == size_vec(frame.size) { 1.0 } else { TILE_SIZE as f32 };
     let frame_in_texture = size_vec(frame.size) / (texels * unit);
     let painter = ui.ctx().layer_painter(LayerId::background());
     for region in &model.regions {
-        // Frames and textures of them begin at the bottom.
+        // Row 0 of a frame and of its texture is at the bottom.
         let uv = |point: Pos2| (egui::vec2(point.x, 1.0 - point.y) * frame_in_texture).to_pos2();
-        let colour = Color32::WHITE.gamma_multiply(OPACITY);
-        painter.with_clip_rect(region.window).add(region.textured(texture.id(), colour, uv));
+        let color = Color32::WHITE.gamma_multiply(OPACITY);
+        painter.with_clip_rect(region.window).add(region.textured(texture.id(), color, uv));
     }
 }
 
-/// Marks the point that somebody asked for.
+/// Marks the point that somebody clicked on.
 pub(super) fn mark_pick(ui: &Ui, model: &OverlayModel) {
     let Some(point) = model.pick_on_canvas else { return };
     let painter = ui.ctx().layer_painter(LayerId::background());
@@ -89,7 +66,7 @@ fn size_vec(size: FrameSize) -> egui::Vec2 {
     egui::vec2(size.xres() as f32, size.yres() as f32)
 }
 
-/// One texel for each unit of the frame, the bottom row first: tiles, or samples where the frame is divided by samples.
+/// One texel for each unit of the frame, bottom row first: a tile, or a sample if the frame is interleaved.
 fn image(tint: Tint, frame: &FrameStats) -> ColorImage {
     let size = frame.size;
     let shares = || frame.tasks.iter().filter_map(|task| Some((task, task.task.share(size).ok()?)));
@@ -97,18 +74,18 @@ fn image(tint: Tint, frame: &FrameStats) -> ColorImage {
     let unit = if is_by_tiles { TILE_SIZE } else { 1 };
     let texels = [size.xres().div_ceil(unit), size.yres().div_ceil(unit)].map(|side| side as usize);
     let mut image = ColorImage::filled(texels, Color32::TRANSPARENT);
-    let mut set = |share: &Share<'_>, k: u32, colour: Color32| {
+    let mut set = |share: &Share, k: u32, color: Color32| {
         let samples = share.samples(k);
         let (column, row) = (samples.columns.start / unit, samples.rows.start / unit);
         if let Some(texel) = image.pixels.get_mut(row as usize * texels[0] + column as usize) {
-            *texel = colour;
+            *texel = color;
         }
     };
     match tint {
         Tint::None => {}
         Tint::Nodes => {
             for (task, share) in shares() {
-                (0..share.count()).for_each(|k| set(&share, k, node_colour(task.node)));
+                (0..share.count()).for_each(|k| set(&share, k, node_color(task.node)));
             }
         }
         Tint::Cost => {
@@ -122,8 +99,8 @@ fn image(tint: Tint, frame: &FrameStats) -> ColorImage {
     image
 }
 
-/// CPU time of each unit of a work in nanoseconds: as its block was measured, or the work's mean.
-fn unit_costs(task: &FrameTask, share: &Share<'_>) -> Vec<f32> {
+/// CPU time of each unit of a task in nanoseconds: its run's mean, or the task's if no runs were measured.
+fn unit_costs(task: &FrameTask, share: &Share) -> Vec<f32> {
     let n_units = share.count();
     let mean = task.trace_cpu_ns as f32 / n_units.max(1) as f32;
     let mut costs = vec![mean; n_units as usize];
@@ -136,8 +113,7 @@ fn unit_costs(task: &FrameTask, share: &Share<'_>) -> Vec<f32> {
     costs
 }
 
-/// From nothing to what all but a hundredth stay below: one tile during which a node was interrupted does not make all
-/// others look free.
+/// From 0 to the 99th percentile: one tile during which a node was interrupted does not make all others look free.
 fn usual_range(costs: impl Iterator<Item = f32>) -> RangeInclusive<f32> {
     let mut sorted: Vec<f32> = costs.collect();
     sorted.sort_by(f32::total_cmp);
@@ -176,40 +152,40 @@ mod tests {
     }
 
     #[test]
-    fn each_unit_has_the_colour_of_who_rendered_it() {
+    fn each_unit_has_the_color_of_who_rendered_it() {
         let tiled = image(Tint::Nodes, &frame(Division::Tiled, [20, 9], 4));
         assert_eq!(tiled.size, [3, 2]);
-        let expected: Vec<_> = (0..6).map(|tile| node_colour(NodeId(tile % 4 + 1))).collect();
+        let expected: Vec<_> = (0..6).map(|tile| node_color(NodeId(tile % 4 + 1))).collect();
         assert_eq!(tiled.pixels, expected);
         let interleaved = image(Tint::Nodes, &frame(Division::Interleaved, [5, 2], 3));
         assert_eq!(interleaved.size, [5, 2]);
-        let expected: Vec<_> = (0..10).map(|sample| node_colour(NodeId(sample % 3 + 1))).collect();
+        let expected: Vec<_> = (0..10).map(|sample| node_color(NodeId(sample % 3 + 1))).collect();
         assert_eq!(interleaved.pixels, expected);
     }
 
     #[test]
-    fn measured_blocks_have_their_own_colours_and_others_the_mean() {
+    fn measured_blocks_have_their_own_colors_and_others_the_mean() {
         let mut frame = frame(Division::Dynamic, [32, 8], 1);
         assert_eq!(image(Tint::Cost, &frame).pixels, vec![heat(1.0, &(0.0..=1.0)); 4], "one cost for all");
         let mut tasks = frame.tasks.to_vec();
         tasks[0].costs = RunCosts { run_units: 2, cpu_ns: vec![100, 900] };
         frame.tasks = tasks.into();
-        let mut colours = image(Tint::Cost, &frame).pixels;
-        colours.sort_by_key(Color32::to_array);
+        let mut colors = image(Tint::Cost, &frame).pixels;
+        colors.sort_by_key(Color32::to_array);
         let mut expected = [50.0, 50.0, 450.0, 450.0].map(|cost| heat(cost, &(0.0..=450.0)));
         expected.sort_by_key(Color32::to_array);
-        assert_eq!(colours, expected);
+        assert_eq!(colors, expected);
     }
 
     #[test]
-    fn neighbours_in_the_list_of_nodes_differ_in_colour() {
-        let colours: Vec<_> = (1..=12).map(|id| node_colour(NodeId(id))).collect();
+    fn neighbours_in_the_list_of_nodes_differ_in_color() {
+        let colors: Vec<_> = (1..=12).map(|id| node_color(NodeId(id))).collect();
         let distance = |a: Color32, b: Color32| {
             let channels = a.to_array().into_iter().zip(b.to_array());
             channels.map(|(a, b)| u32::from(a.abs_diff(b))).sum::<u32>()
         };
-        for (index, &colour) in colours.iter().enumerate() {
-            assert!(colours[..index].iter().all(|&other| distance(colour, other) > 60), "{index}: {colours:?}");
+        for (index, &color) in colors.iter().enumerate() {
+            assert!(colors[..index].iter().all(|&other| distance(color, other) > 60), "{index}: {colors:?}");
         }
     }
 }

@@ -1,41 +1,42 @@
-//! Who gives how much of the light where projectors overlap, and how dark the darkest black of all of them is.
+//! Blend weights where projectors overlap, and the black level of the whole wall.
 
 use glam::{DMat3, DVec2, DVec4};
 
-use super::homography::{UNIT_SQUARE, apply};
-use super::projector::{CanvasRect, Projector};
+use super::{
+    homography::{UNIT_SQUARE, apply},
+    projector::{CanvasRect, Projector},
+};
 
-/// What a projector knows of one that lights a part of the same canvas, or of itself.
+/// A projector that lights a part of another one's rectangle, or that one itself.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Neighbour {
-    /// Which of the wall's projectors it is.
+    /// Its index among the wall's projectors.
     pub projector_idx: usize,
-    /// Whether it gives a share of the picture there. If not, only its black does any harm.
+    /// Whether it has a blend weight there. If not, only its black counts.
     pub blends: bool,
     /// Its black level.
     pub black_level: f64,
-    /// A point of the projector's place, in units of that place, is at `rect_origin + rect_scale * point` in the
-    /// neighbour's place.
+    /// From units of the projector's rectangle to those of the neighbour's: `rect_origin + rect_scale * point`.
     pub rect_scale: DVec2,
     /// See `rect_scale`.
     pub rect_origin: DVec2,
-    /// From the projector's place to the neighbour's pixels, as [`Projector::raster_from_rect`] counts both.
+    /// From the projector's rectangle to the neighbour's pixels, in the units of [`Projector::raster_from_rect`].
     pub raster_from_rect: DMat3,
     /// The columns and rows of those pixels.
     pub raster_size: DVec2,
-    /// Which edges of its place its light fades towards, 1 or 0: left, upper, right, lower. Not those on the canvas's
-    /// own edges, beyond which nobody takes over.
+    /// The edges of its rectangle towards which its light fades, 1 or 0: left, upper, right, lower. Edges of the canvas are
+    /// not among them: no projector takes over there.
     pub rect_edges: DVec4,
-    /// The same for the edges of its pixels: those that cut the place.
+    /// The same for the edges of its pixels: those that cut its rectangle.
     pub raster_edges: DVec4,
-    /// Beyond this rectangle of the projector's place, least and greatest corner, it makes no difference.
+    /// The least and greatest corner of the part of the projector's rectangle that it can change.
     pub reach: [DVec2; 2],
 }
 
-/// What one projector does at one point of its place.
+/// One projector's blend weight at one point of its rectangle, and the black there.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlendWeight {
-    /// Its part of the picture's light, from 0 to 1. All projectors' parts add up to 1.
+    /// Its part of the image's light, from 0 to 1. All projectors' weights add up to 1.
     pub weight: f64,
     /// The light of all projectors' black there.
     pub leak: f64,
@@ -44,11 +45,11 @@ pub struct BlendWeight {
 /// The most neighbours that a projector may have.
 pub const MOST_NEIGHBOURS: usize = 24;
 
-/// No distance from an edge counts as less than this, in units of the place or the pixels: where all weights vanish, they
-/// keep their ratios. A tenth of a pixel of the largest projectors.
+/// The least distance from an edge, in units of the rectangle or the pixels: where all weights vanish, they keep their
+/// ratios. A tenth of a pixel of the largest projectors.
 pub const LEAST_DISTANCE: f64 = 1e-5;
 
-/// The neighbours of each projector, itself first; or a projector that has too many, and how many.
+/// The neighbours of each projector, itself first; or a projector that has too many, and their number.
 pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usize, usize)> {
     let maps: Vec<Option<DMat3>> = projectors.iter().map(Projector::raster_from_rect).collect();
     let boxes: Vec<_> = projectors.iter().map(|projector| bounds(&lit_corners(projector))).collect();
@@ -61,17 +62,17 @@ pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usiz
             if !blends && !leaks {
                 return None;
             }
-            let (place, other_place) = (projector.canvas, other.canvas);
-            let rect_origin = other_place.rect_from_canvas(place.canvas_from_rect(DVec2::ZERO));
-            let rect_scale = DVec2::new(place.width / other_place.width, place.height / other_place.height);
-            let other_from_place = DMat3::from_translation(rect_origin) * DMat3::from_scale(rect_scale);
+            let (rect, other_rect) = (projector.canvas, other.canvas);
+            let rect_origin = other_rect.rect_from_canvas(rect.canvas_from_rect(DVec2::ZERO));
+            let rect_scale = DVec2::new(rect.width / other_rect.width, rect.height / other_rect.height);
+            let other_from_rect = DMat3::from_translation(rect_origin) * DMat3::from_scale(rect_scale);
             Some(Neighbour {
                 projector_idx: other_idx,
                 blends,
                 black_level: other.black_level,
                 rect_scale,
                 rect_origin,
-                raster_from_rect: maps[other_idx]? * other_from_place,
+                raster_from_rect: maps[other_idx]? * other_from_rect,
                 raster_size: DVec2::new(f64::from(other.output.width), f64::from(other.output.height)),
                 rect_edges: inner_edges(other.canvas),
                 raster_edges: cutting_edges(maps[other_idx]?),
@@ -85,25 +86,25 @@ pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usiz
     (0..projectors.len()).map(of).collect()
 }
 
-/// What a projector with these `neighbours`, itself first, does at a point of its place.
+/// The blend weight of a projector with these `neighbours`, itself first, at a point of its rectangle.
 ///
-/// The weight of a projector is the product of the distances from the edges that it fades towards, over the sum of all
-/// these products: continuous, and for a regular wall the same along the whole of an edge.
-pub fn blend_weight(neighbours: &[Neighbour], place: DVec2) -> BlendWeight {
-    // Pixels that an edge of the place cuts count as within.
-    let within = place.clamp(DVec2::ZERO, DVec2::ONE);
+/// The weight is the product of the distances from the edges towards which the light fades, divided by the sum of these
+/// products over all neighbours: continuous, and on a regular wall constant along an edge.
+pub fn blend_weight(neighbours: &[Neighbour], rect_point: DVec2) -> BlendWeight {
+    // Pixels that an edge of the rectangle cuts count as inside.
+    let within = rect_point.clamp(DVec2::ZERO, DVec2::ONE);
     let raw_weight = |neighbour: &Neighbour| {
-        let place = neighbour.rect_origin + neighbour.rect_scale * within;
+        let neighbour_point = neighbour.rect_origin + neighbour.rect_scale * within;
         match apply(neighbour.raster_from_rect, within) {
             Some(raster) if neighbour.blends => {
-                distances(place, neighbour.rect_edges) * distances(raster, neighbour.raster_edges)
+                distances(neighbour_point, neighbour.rect_edges) * distances(raster, neighbour.raster_edges)
             }
             _ => 0.0,
         }
     };
     // A pixel at the edge gives its light on both sides of it.
     let leak = |neighbour: &Neighbour| {
-        let covered = apply(neighbour.raster_from_rect, place).map_or(DVec2::ZERO, |raster| {
+        let covered = apply(neighbour.raster_from_rect, rect_point).map_or(DVec2::ZERO, |raster| {
             (raster.min(1.0 - raster) * neighbour.raster_size + 0.5).clamp(DVec2::ZERO, DVec2::ONE)
         });
         neighbour.black_level * covered.x * covered.y
@@ -113,8 +114,8 @@ pub fn blend_weight(neighbours: &[Neighbour], place: DVec2) -> BlendWeight {
     BlendWeight { weight: if all > 0.0 { own / all } else { 0.0 }, leak: neighbours.iter().map(leak).sum() }
 }
 
-/// Where on a projector's place another gives a share of the picture, or of its black if it `lights` that part of the
-/// canvas, and two pixels more.
+/// The part of a projector's rectangle where another has a blend weight, or leaks black onto the part of the canvas that it
+/// `lights`, plus a margin of two pixels.
 fn reach(projector: &Projector, other: &Projector, lights: Option<[DVec2; 2]>) -> [DVec2; 2] {
     let [mut least, mut greatest] = box_of(other);
     if let Some([lit_least, lit_greatest]) = lights {
@@ -125,7 +126,7 @@ fn reach(projector: &Projector, other: &Projector, lights: Option<[DVec2; 2]>) -
     [corners[0].min(corners[1]), corners[0].max(corners[1])]
 }
 
-/// The product of a point's distances from those edges of the unit square that count, 0 beyond them.
+/// The product of a point's distances from the chosen edges of the unit square; 0 outside of the square.
 fn distances(point: DVec2, edges: DVec4) -> f64 {
     let all = distances_from_edges(point);
     if all.cmplt(DVec4::splat(-LEAST_DISTANCE)).any() {
@@ -140,26 +141,26 @@ fn distances_from_edges(point: DVec2) -> DVec4 {
     DVec4::new(point.x, point.y, 1.0 - point.x, 1.0 - point.y)
 }
 
-/// Which edges of a place are not edges of the canvas.
+/// The edges of a rectangle that are not edges of the canvas, 1 or 0.
 fn inner_edges(CanvasRect { left, bottom, width, height }: CanvasRect) -> DVec4 {
     let is_inner = |gap: f64| f64::from(u8::from(gap > 1e-6));
     DVec4::new(left, 1.0 - bottom - height, 1.0 - left - width, bottom).map(is_inner)
 }
 
-/// Which edges of a projector's pixels have a part of its place, more than a rounding error, beyond them.
+/// The edges of a projector's pixels that cut its rectangle by more than a rounding error, 1 or 0.
 fn cutting_edges(raster_from_rect: DMat3) -> DVec4 {
     let corners = UNIT_SQUARE.map(|corner| apply(raster_from_rect, corner).map_or(DVec4::ZERO, distances_from_edges));
     let nearest = corners.into_iter().fold(DVec4::INFINITY, DVec4::min);
     nearest.map(|distance| f64::from(u8::from(distance < -LEAST_DISTANCE)))
 }
 
-/// The light of black where most of it adds up: what the whole wall is lifted to.
+/// The greatest sum of black levels on the canvas, to which the black of the whole wall is lifted.
 pub fn wall_black(projectors: &[Projector], neighbours: &[Vec<Neighbour>]) -> f64 {
     let corners: Vec<Option<[DVec2; 4]>> = projectors.iter().map(shrunk_corners).collect();
     let canvas = UNIT_SQUARE;
     let mut most: f64 = 0.0;
     for all in neighbours {
-        // Where most polygons overlap, that overlap has corners: those of polygons, or points where two edges cross.
+        // The overlap with the most black is a polygon. Its corners are corners of projectors, or crossings of two edges.
         let polygons: Vec<(&[DVec2; 4], f64)> = all
             .iter()
             .filter_map(|neighbour| Some((corners[neighbour.projector_idx].as_ref()?, neighbour.black_level)))
@@ -180,14 +181,14 @@ pub fn wall_black(projectors: &[Projector], neighbours: &[Vec<Neighbour>]) -> f6
     most
 }
 
-/// Whether both light a part of the canvas that is more than a pixel wide and high: what merely touches is no overlap.
+/// Whether both light a part of the canvas more than a pixel wide and high: projectors that only touch do not overlap.
 fn overlap(a: &Projector, b: &Projector) -> bool {
     let ([a_min, a_max], [b_min, b_max]) = (box_of(a), box_of(b));
     let shared = a_max.min(b_max) - a_min.max(b_min);
     shared.cmpgt(pixel_of(a).max(pixel_of(b))).all()
 }
 
-/// The width and height of a pixel on the canvas, but for the warp.
+/// The width and height of an unwarped pixel on the canvas.
 fn pixel_of(projector: &Projector) -> DVec2 {
     let [columns, rows] = projector.upright_size().map(f64::from);
     DVec2::new(projector.canvas.width / columns, projector.canvas.height / rows)
@@ -202,12 +203,12 @@ fn boxes_meet([a_min, a_max]: [DVec2; 2], [b_min, b_max]: [DVec2; 2]) -> bool {
     a_min.cmple(b_max).all() && b_min.cmple(a_max).all()
 }
 
-/// The corners of what a projector's pixels light on the canvas, in order.
+/// The corners on the canvas of a projector's light, in order.
 fn lit_corners(projector: &Projector) -> Option<[DVec2; 4]> {
     Some(projector.raster_corners_in_rect()?.map(|corner| projector.canvas.canvas_from_rect(corner)))
 }
 
-/// The same, half a pixel smaller all around: projectors that touch do not overlap.
+/// The same, half a pixel smaller on all sides: projectors that touch do not overlap.
 fn shrunk_corners(projector: &Projector) -> Option<[DVec2; 4]> {
     let corners = lit_corners(projector)?;
     let centre = (corners[0] + corners[1] + corners[2] + corners[3]) / 4.0;
@@ -231,14 +232,14 @@ fn crossings<'a>(a: &'a [DVec2; 4], b: &'a [DVec2; 4]) -> impl Iterator<Item = D
             let (along_a, along_b) = (a1 - a0, b1 - b0);
             let area = along_a.perp_dot(along_b);
             let [s, t] = [(b0 - a0).perp_dot(along_b) / area, (b0 - a0).perp_dot(along_a) / area];
-            // Parallel edges give no numbers from 0 to 1.
+            // Parallel edges give infinities or NaN.
             let is_on_both = (0.0..=1.0).contains(&s) && (0.0..=1.0).contains(&t);
             is_on_both.then(|| a0 + s * along_a)
         })
     })
 }
 
-/// Whether a convex polygon of either orientation has a point in it or on its edge.
+/// Whether a point lies in or on the edge of a convex polygon of either orientation.
 fn contains(polygon: &[DVec2; 4], point: DVec2) -> bool {
     let sides = || edges(polygon).map(|(from, to)| (to - from).perp_dot(point - from));
     sides().all(|side| side >= -1e-12) || sides().all(|side| side <= 1e-12)

@@ -1,19 +1,17 @@
-//! Wall files: TOML in, and TOML out with every default filled in.
+//! Wall files: reads TOML, and writes it with every default filled in.
 
-use std::fmt::Write;
-use std::ops::RangeInclusive;
+use std::{fmt::Write, ops::RangeInclusive};
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use shared::division::FrameSize;
 use toml::Spanned;
 
-use super::projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
-use super::{InvalidWall, OnLoss, Wall};
+use super::{CanvasRect, Flip, Gamma, InvalidWall, OnLoss, PixelRect, Projector, Rotation, Wall};
 
-/// What is wrong at which byte of the file.
+/// The byte of the file at fault, and the problem.
 type Problem = (usize, String);
 
-/// What stands in a wall file.
+/// A wall file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WallFile {
@@ -28,7 +26,7 @@ struct WallFile {
     projector: Vec<Spanned<ProjectorSection>>,
 }
 
-/// What all projectors have in common, unless one says otherwise.
+/// Defaults for all projectors.
 #[derive(Clone, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct OpticsSection {
@@ -50,7 +48,7 @@ struct GridSection {
     bezel_m: Option<Spanned<[f64; 2]>>,
 }
 
-/// One projector; or, with a grid, what one of the grid's has of its own.
+/// One projector; with a grid, the settings of one of the grid's projectors.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ProjectorSection {
@@ -68,22 +66,22 @@ struct ProjectorSection {
     gain: Option<Spanned<[f64; 3]>>,
 }
 
-/// Sides of canvases that are not slips of the pen, in metres.
+/// Plausible sides of canvases, in metres.
 const CANVAS_SIDES_M: RangeInclusive<f64> = 0.01..=1000.0;
-/// Columns or rows that are not slips of the pen.
+/// Plausible numbers of columns or rows.
 const GRID_SIDES: RangeInclusive<u32> = 1..=64;
-/// So many projectors a grid has at most, and any other wall as well.
+/// The most projectors of a wall; the largest grid has as many.
 const MOST_PROJECTORS: usize = 4096;
-/// The part of a projector that a neighbour on one side can share, so that no more than two share it.
+/// The part of a projector's side that overlaps with the next: up to a half, so that no more than two share a point.
 const OVERLAPS: RangeInclusive<f64> = 0.0..=0.5;
 /// Exponents of projectors' and screens' light curves.
 const GAMMAS: RangeInclusive<f64> = 1.0..=4.0;
 /// Light of black as a part of white: the worst projectors reach 1/100.
 const BLACK_LEVELS: RangeInclusive<f64> = 0.0..=0.25;
-/// How far a channel can be dimmed.
+/// Factors by which a channel is dimmed.
 const GAINS: RangeInclusive<f64> = 0.05..=1.0;
 
-/// The wall that a file describes, or what is wrong at which byte of it.
+/// The wall that a file describes.
 pub(super) fn parse(text: &str) -> Result<Wall, Problem> {
     toml::from_str::<WallFile>(text)
         .map_err(|error| (error.span().map_or(0, |span| span.start), error.message().to_owned()))
@@ -113,7 +111,7 @@ impl WallFile {
         for projector in &mut projectors {
             self.optics.apply_to(projector)?;
         }
-        // Which [[projector]] each is about.
+        // The [[projector]] table of each projector.
         let mut sections: Vec<Option<&Spanned<ProjectorSection>>> = vec![None; projectors.len()];
         for spanned in &self.projector {
             let section = spanned.get_ref();
@@ -161,7 +159,7 @@ impl GridSection {
             if !(1..=largest).contains(&side) {
                 let problem = format!(
                     "pixels = {:?}: {n_projectors} of these side by side, so each may have from 1 to {largest} pixels: \
-                     the whole wall is one picture of at most {} pixels a side",
+                     the spanning output has at most {} pixels a side",
                     pixels.get_ref(),
                     Wall::LARGEST_SIDE
                 );
@@ -223,18 +221,30 @@ impl OpticsSection {
         if let Some(gamma) = &self.gamma {
             projector.gamma = *gamma.get_ref();
             if let Gamma::Power(exponent) = projector.gamma {
-                check_range("gamma", exponent, &GAMMAS, "the exponent of its light, or \"srgb\"", gamma.span().start)?;
+                check_range(
+                    "gamma",
+                    exponent,
+                    &GAMMAS,
+                    "the exponent of its light curve, or \"srgb\"",
+                    gamma.span().start,
+                )?;
             }
         }
         if let Some(black_level) = &self.black_level {
             projector.black_level = *black_level.get_ref();
             let offset = black_level.span().start;
-            check_range("black_level", projector.black_level, &BLACK_LEVELS, "its black as a part of white", offset)?;
+            check_range(
+                "black_level",
+                projector.black_level,
+                &BLACK_LEVELS,
+                "the light of black as a part of white",
+                offset,
+            )?;
         }
         if let Some(gain) = &self.gain {
             projector.gain = *gain.get_ref();
             for channel in projector.gain {
-                check_range("gain", channel, &GAINS, "by what red, green and blue are dimmed", gain.span().start)?;
+                check_range("gain", channel, &GAINS, "the factors of red, green and blue", gain.span().start)?;
             }
         }
         Ok(())
@@ -242,7 +252,7 @@ impl OpticsSection {
 }
 
 impl ProjectorSection {
-    /// A projector of a wall without a grid, to the right of those before.
+    /// A projector of a wall without a grid; its pixels are to the right of those before, unless it says where.
     fn projector(&self, canvas_m: [f64; 2], before: &[Projector]) -> Result<Projector, Problem> {
         let name = self.name.get_ref();
         let missing =
@@ -263,7 +273,7 @@ impl ProjectorSection {
         Ok(Projector::plain(name.clone(), canvas, PixelRect { x, y, width, height }))
     }
 
-    /// Which of a grid's projectors it is about.
+    /// The index of the grid's projector that this table names.
     fn index_in_grid(&self, grid: &[Projector]) -> Result<usize, Problem> {
         let fixed = [
             ("pixels", self.pixels.as_ref().map(Spanned::span)),
@@ -278,7 +288,7 @@ impl ProjectorSection {
         grid.iter().position(|projector| projector.name == *name).ok_or_else(|| {
             let last = grid.last().map_or("", |projector| &projector.name);
             let problem =
-                format!("no projector is called \"{name}\": those of the grid are \"row 1 column 1\" to \"{last}\"");
+                format!("no projector is named \"{name}\": those of the grid are \"row 1 column 1\" to \"{last}\"");
             (self.name.span().start, problem)
         })
     }
@@ -324,16 +334,16 @@ fn check_range(key: &str, value: f64, range: &RangeInclusive<f64>, what: &str, o
 
 /// `columns` × `rows` projectors of `pixels` each, row by row from the top left.
 ///
-/// Each has the parts `shared` of its width and height in common with the next; negative parts are gaps between them.
+/// Each overlaps with the next by the parts `shared` of its width and height; negative parts are gaps between them.
 pub(super) fn grid(columns: u32, rows: u32, [width, height]: [u32; 2], shared: [f64; 2]) -> Vec<Projector> {
-    // From the canvas's left or lower edge, and the extent.
-    let place = |index: u32, n_projectors: u32, shared: f64| {
+    // Distance from the canvas's left or lower edge, and extent.
+    let extent = |index: u32, n_projectors: u32, shared: f64| {
         let n_sides = f64::from(n_projectors) - f64::from(n_projectors - 1) * shared;
         (f64::from(index) * (1.0 - shared) / n_sides, 1.0 / n_sides)
     };
     let projector = |column: u32, row: u32| {
-        let (left, canvas_width) = place(column, columns, shared[0]);
-        let (bottom, canvas_height) = place(rows - 1 - row, rows, shared[1]);
+        let (left, canvas_width) = extent(column, columns, shared[0]);
+        let (bottom, canvas_height) = extent(rows - 1 - row, rows, shared[1]);
         Projector::plain(
             format!("row {} column {}", row + 1, column + 1),
             CanvasRect { left, bottom, width: canvas_width, height: canvas_height },
@@ -343,16 +353,12 @@ pub(super) fn grid(columns: u32, rows: u32, [width, height]: [u32; 2], shared: [
     (0..rows).flat_map(|row| (0..columns).map(move |column| projector(column, row))).collect()
 }
 
-/// The text of a file for a wall, with nothing left out.
+/// The text of a complete wall file.
 pub(super) fn write(wall: &Wall) -> String {
     let [width_m, height_m] = wall.canvas_m();
     let frame = wall.frame_size();
-    let on_loss = match wall.on_loss() {
-        OnLoss::LastFrame => "last-frame",
-        OnLoss::Black => "black",
-    };
-    let [xres, yres] = [frame.xres(), frame.yres()];
-    let mut text = format!("canvas_m = [{width_m}, {height_m}]\nframe = [{xres}, {yres}]\non_loss = \"{on_loss}\"\n");
+    let (xres, yres, on_loss) = (frame.xres(), frame.yres(), quoted(wall.on_loss()));
+    let mut text = format!("canvas_m = [{width_m}, {height_m}]\nframe = [{xres}, {yres}]\non_loss = {on_loss}\n");
     for projector in wall.projectors() {
         // Writing to a string cannot fail.
         let _ = write_projector(&mut text, projector, wall.canvas_m());
@@ -362,28 +368,27 @@ pub(super) fn write(wall: &Wall) -> String {
 
 fn write_projector(text: &mut String, projector: &Projector, [width_m, height_m]: [f64; 2]) -> std::fmt::Result {
     let Projector { name, monitor, canvas, output, rotation, flip, warp_px, gamma, black_level, gain } = projector;
-    let quoted = |text: &str| toml::Value::String(text.to_owned()).to_string();
     writeln!(text, "\n[[projector]]\nname = {}", quoted(name))?;
     if let Some(monitor) = monitor {
         writeln!(text, "output = {}", quoted(monitor))?;
     }
     let PixelRect { x, y, width, height } = output;
     writeln!(text, "pixels = [{width}, {height}]\npixels_at = [{x}, {y}]")?;
-    // Nanometres: what rounding left of a third is of no use to anybody.
+    // To the nanometre: hides the rounding error of thirds.
     let metres = |fraction: f64, side_m: f64| (fraction * side_m * 1e9).round() / 1e9;
     writeln!(text, "at_m = [{}, {}]", metres(canvas.left, width_m), metres(canvas.bottom, height_m))?;
     writeln!(text, "size_m = [{}, {}]", metres(canvas.width, width_m), metres(canvas.height, height_m))?;
-    let flip = match flip {
-        Flip::None => "none",
-        Flip::Horizontal => "horizontal",
-        Flip::Vertical => "vertical",
-    };
-    writeln!(text, "rotation = {}\nflip = \"{flip}\"\nwarp_px = {warp_px:?}", rotation.degrees())?;
+    writeln!(text, "rotation = {}\nflip = {}\nwarp_px = {warp_px:?}", rotation.degrees(), quoted(flip))?;
     match gamma {
         Gamma::Srgb => writeln!(text, "gamma = \"srgb\"")?,
         Gamma::Power(exponent) => writeln!(text, "gamma = {exponent}")?,
     }
     writeln!(text, "black_level = {black_level}\ngain = {gain:?}")
+}
+
+/// A text, or the name of an enum's value, as TOML writes it.
+fn quoted(value: impl Serialize) -> String {
+    toml::Value::try_from(value).expect("a string is TOML").to_string()
 }
 
 impl<'de> Deserialize<'de> for Gamma {

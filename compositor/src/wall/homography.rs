@@ -1,4 +1,4 @@
-//! Plane to plane: what a projector that stands askew does to its picture.
+//! Homographies: maps from plane to plane, as a projector that stands askew makes them.
 
 use glam::{DMat3, DVec2};
 
@@ -6,13 +6,13 @@ use glam::{DMat3, DVec2};
 pub const UNIT_SQUARE: [DVec2; 4] =
     [DVec2::new(0.0, 0.0), DVec2::new(1.0, 0.0), DVec2::new(1.0, 1.0), DVec2::new(0.0, 1.0)];
 
-/// A corner of a picture is at least this sharp or blunt: the sine of its angle, times the lengths of its edges.
+/// The least sine of a corner's angle, times the lengths of its edges.
 const LEAST_CORNER: f64 = 1e-3;
 
-/// The projective map that takes the corners of [`UNIT_SQUARE`] to `corners`, after Heckbert, "Fundamentals of Texture
-/// Mapping and Image Warping" (1989), section 2.2.3.
+/// The homography that maps the corners of [`UNIT_SQUARE`] to `corners`, after Heckbert, "Fundamentals of Texture Mapping
+/// and Image Warping" (1989), section 2.2.3.
 ///
-/// `None` unless the corners make a convex quadrilateral that runs the same way round.
+/// `None` unless the corners make a convex quadrilateral of the same orientation.
 pub fn square_to_quad(corners: [DVec2; 4]) -> Option<DMat3> {
     let [p0, p1, p2, p3] = corners;
     let turns = [(p3, p0, p1), (p0, p1, p2), (p1, p2, p3), (p2, p3, p0)];
@@ -28,7 +28,7 @@ pub fn square_to_quad(corners: [DVec2; 4]) -> Option<DMat3> {
     Some(DMat3::from_cols(x.extend(g), y.extend(h), p0.extend(1.0)))
 }
 
-/// Where a projective map takes a point; `None` at and behind the horizon.
+/// The image of a point; `None` at and behind the horizon.
 pub fn apply(map: DMat3, point: DVec2) -> Option<DVec2> {
     let image = map * point.extend(1.0);
     (image.z > 1e-9).then(|| image.truncate() / image.z)

@@ -1,33 +1,33 @@
-//! One projector: what it lights, from which pixels, and how it renders light.
+//! One projector: its part of the canvas, its pixels, and its light.
 
 use glam::{DMat3, DVec2};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::homography::{UNIT_SQUARE, apply, square_to_quad};
 
 /// One projector of the wall, or one screen.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Projector {
-    /// What people call it: on the wall, in messages, and in its file.
+    /// Its name, on the wall, in messages, and in the wall file.
     pub name: String,
-    /// The monitor that it is for the window system; named for all projectors or for none.
+    /// The window system's name of its monitor; all projectors have one, or none has.
     pub monitor: Option<String>,
     /// The part of the canvas that it lights.
     pub canvas: CanvasRect,
-    /// Its pixels in the output that spans all projectors.
+    /// Its pixels in the spanning output.
     pub output: PixelRect,
-    /// How far it is turned clockwise, seen from the audience.
+    /// Its clockwise rotation, seen from the audience.
     pub rotation: Rotation,
-    /// Whether it shows mirror images, before it is turned.
+    /// Its mirroring, which comes before the rotation.
     pub flip: Flip,
-    /// How far inwards or outwards the picture's corners lie from those of its pixels: upper left, upper right, lower
-    /// right, lower left, each to the right and down in pixels, as seen on the wall.
+    /// The offset of its image's corners from those of its pixels: upper left, upper right, lower right, lower left, each to
+    /// the right and down in pixels, as seen on the wall.
     pub warp_px: [[f64; 2]; 4],
-    /// What light it makes of a value.
+    /// Its light curve.
     pub gamma: Gamma,
     /// The light that it gives for black, as a part of white.
     pub black_level: f64,
-    /// By what its red, green and blue are dimmed to match the dimmest projector.
+    /// Factors that dim its red, green and blue to match the dimmest projector.
     pub gain: [f64; 3],
 }
 
@@ -39,14 +39,14 @@ pub enum Rotation {
     None,
     /// Its upper edge is on the right.
     Right,
-    /// Upside down, as projectors that hang from ceilings.
+    /// Upside down, as a projector that hangs from the ceiling.
     Half,
     /// Its upper edge is on the left.
     Left,
 }
 
-/// Mirror images.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+/// Mirroring.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Flip {
     /// None.
@@ -58,7 +58,7 @@ pub enum Flip {
     Vertical,
 }
 
-/// The light of a value v from 0 to 1, black level apart.
+/// The light for a value v from 0 to 1, without the black level.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Gamma {
     /// The curve of sRGB.
@@ -81,7 +81,7 @@ pub struct CanvasRect {
     pub height: f64,
 }
 
-/// A rectangle of pixels, counted from the upper-left corner of a picture or a window.
+/// A rectangle of pixels, from the upper-left corner of an image or a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PixelRect {
     /// Left edge.
@@ -95,7 +95,7 @@ pub struct PixelRect {
 }
 
 impl Projector {
-    /// An upright projector without any correction.
+    /// An upright projector without corrections.
     pub fn plain(name: String, canvas: CanvasRect, output: PixelRect) -> Self {
         Self {
             name,
@@ -122,10 +122,10 @@ impl Projector {
         if matches!(self.rotation, Rotation::Right | Rotation::Left) { [height, width] } else { [width, height] }
     }
 
-    /// From its place, whose upper-left corner is (0, 0) and lower-right corner (1, 1) as seen on the wall, to its
-    /// pixels, whose upper-left corner is (0, 0) and lower-right corner (1, 1) as they are stored.
+    /// From its rectangle of the canvas to its pixels. The rectangle runs from (0, 0) upper left to (1, 1) lower right as
+    /// seen on the wall, the pixels from (0, 0) upper left to (1, 1) lower right as stored.
     ///
-    /// `None` if the warped corners make no picture: crossed, folded, or mirrored.
+    /// `None` if the warped corners are crossed, folded, or mirrored.
     pub fn raster_from_rect(&self) -> Option<DMat3> {
         let upright_px = DVec2::from(self.upright_size().map(f64::from));
         let corner = |index: usize| UNIT_SQUARE[index] + DVec2::from(self.warp_px[index]) / upright_px;
@@ -133,7 +133,7 @@ impl Projector {
         Some(self.raster_from_upright() * upright_from_rect)
     }
 
-    /// From pixels as seen on the wall to pixels as they are stored, both from (0, 0) to (1, 1).
+    /// From pixels as seen on the wall to pixels as stored, both from (0, 0) to (1, 1).
     fn raster_from_upright(&self) -> DMat3 {
         let affine = |x: [f64; 2], y: [f64; 2], origin: [f64; 2]| {
             DMat3::from_cols(DVec2::from(x).extend(0.0), DVec2::from(y).extend(0.0), DVec2::from(origin).extend(1.0))
@@ -152,8 +152,8 @@ impl Projector {
         unflipped * unturned
     }
 
-    /// The corners of its pixels on its place, in the units of [`Projector::raster_from_rect`]; `None` where the
-    /// projector would have to light what lies behind it.
+    /// The corners of its pixels, in units of its rectangle as for [`Projector::raster_from_rect`]; `None` if one is at or
+    /// behind the horizon.
     pub fn raster_corners_in_rect(&self) -> Option<[DVec2; 4]> {
         let rect_from_raster = self.raster_from_rect()?.inverse();
         let corners = UNIT_SQUARE.map(|corner| apply(rect_from_raster, corner));
@@ -163,7 +163,7 @@ impl Projector {
 }
 
 impl Rotation {
-    /// From degrees clockwise, if they make quarter turns.
+    /// From clockwise degrees; `None` unless they are quarter turns.
     pub fn from_degrees(degrees: u32) -> Option<Self> {
         Some(match degrees {
             0 => Self::None,
@@ -174,7 +174,7 @@ impl Rotation {
         })
     }
 
-    /// Clockwise.
+    /// Clockwise degrees.
     pub fn degrees(self) -> u32 {
         match self {
             Self::None => 0,
@@ -186,7 +186,7 @@ impl Rotation {
 }
 
 impl Gamma {
-    /// The value that makes `light`, from 0 to 1.
+    /// The value for `light`, both from 0 to 1.
     pub fn encode(self, light: f64) -> f64 {
         match self {
             Self::Srgb if light <= 0.003_130_8 => 12.92 * light,
@@ -202,16 +202,22 @@ impl CanvasRect {
         DVec2::new((point.x - self.left) / self.width, 1.0 - (point.y - self.bottom) / self.height)
     }
 
-    /// The point of the canvas at a place in units of this rectangle.
-    pub fn canvas_from_rect(&self, place: DVec2) -> DVec2 {
-        DVec2::new(self.left + place.x * self.width, self.bottom + (1.0 - place.y) * self.height)
+    /// The point of the canvas at a point in units of this rectangle.
+    pub fn canvas_from_rect(&self, rect_point: DVec2) -> DVec2 {
+        DVec2::new(self.left + rect_point.x * self.width, self.bottom + (1.0 - rect_point.y) * self.height)
+    }
+
+    /// The same point in drawings: (0, 0) is the canvas's upper-left corner, (1, 1) its lower-right corner.
+    pub fn drawing_from_rect(&self, rect_point: DVec2) -> DVec2 {
+        let point = self.canvas_from_rect(rect_point);
+        DVec2::new(point.x, 1.0 - point.y)
     }
 }
 
 impl PixelRect {
-    /// The largest rectangle of the shape of `content` that lies in a picture of size `target`, centred there.
+    /// The largest rectangle with the aspect ratio of `content` in an image of size `target`, centred.
     ///
-    /// Sides and margins are whole pixels, and at least one pixel is left of a side when the target has any.
+    /// Sides and margins are whole pixels; a side is at least one pixel unless the target has none.
     pub fn fitted(content: [u32; 2], target: [u32; 2]) -> Self {
         let [content_width, content_height] = content.map(|side| u64::from(side.max(1)));
         let [target_width, target_height] = target.map(u64::from);
@@ -224,7 +230,7 @@ impl PixelRect {
             (width.clamp(1, target_width.max(1)).min(target_width), target_height)
         };
         let [x, y] = [(target_width - width) / 2, (target_height - height) / 2];
-        // None exceeds the target's sides, which are u32.
+        // All fit into u32, as the target's sides do.
         let [x, y, width, height] = [x, y, width, height].map(|side| side as u32);
         Self { x, y, width, height }
     }
@@ -235,7 +241,7 @@ impl PixelRect {
         !apart(self.x, self.width, other.x, other.width) && !apart(self.y, self.height, other.y, other.height)
     }
 
-    /// The smallest rectangle that holds both.
+    /// The smallest rectangle that contains both.
     pub fn union(&self, other: &Self) -> Self {
         let [x, y] = [self.x.min(other.x), self.y.min(other.y)];
         let right = (self.x + self.width).max(other.x + other.width);
@@ -249,7 +255,7 @@ impl PixelRect {
             && (0.0..f64::from(self.height)).contains(&(point.y - f64::from(self.y)))
     }
 
-    /// The point of it, its edges included, that is nearest to another.
+    /// Its point, edges included, that is nearest to another point.
     pub fn nearest(&self, point: DVec2) -> DVec2 {
         let corner = DVec2::new(f64::from(self.x), f64::from(self.y));
         point.clamp(corner, corner + DVec2::new(f64::from(self.width), f64::from(self.height)))
@@ -276,7 +282,7 @@ mod tests {
             let rotation = Rotation::from_degrees(degrees).expect("a quarter turn");
             assert_eq!(rotation.degrees(), degrees);
             let projector = Projector { rotation, flip, ..Projector::plain("a".into(), rect, output) };
-            // Where the pixels' upper-left, upper-right, lower-right and lower-left corners are seen.
+            // The pixels' upper-left, upper-right, lower-right and lower-left corners as seen on the wall.
             let seen = projector.raster_corners_in_rect().expect("no warp");
             assert_eq!(seen.map(|corner| corner.to_array()), expected, "{degrees} {flip:?}");
         };
@@ -286,7 +292,7 @@ mod tests {
         check(270, Flip::None, [[0.0, 1.0], [0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]);
         check(0, Flip::Horizontal, [[1.0, 0.0], [0.0, 0.0], [0.0, 1.0], [1.0, 1.0]]);
         check(0, Flip::Vertical, [[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]]);
-        // Mirrored first: its upper-left pixel goes to the upper right, and is turned from there to the lower right.
+        // Mirrored first: its upper-left pixel goes to the upper right, and the rotation takes it to the lower right.
         check(90, Flip::Horizontal, [[1.0, 1.0], [1.0, 0.0], [0.0, 0.0], [0.0, 1.0]]);
     }
 

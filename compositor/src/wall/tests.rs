@@ -1,4 +1,4 @@
-//! Wall files, and what they say of walls.
+//! Wall files and the walls that they describe.
 
 use proptest::prelude::*;
 
@@ -80,20 +80,20 @@ fn overlapping_projectors_share_what_the_file_says() {
     assert!((shared / first.canvas.width - 0.1).abs() < 1e-12);
     // Itself, and those to the right, below, and both.
     assert_eq!(wall.neighbours(0).iter().map(|neighbour| neighbour.projector_idx).collect::<Vec<_>>(), [0, 1, 4, 5]);
-    // Where the old lamp meets three others.
+    // The projector with the old lamp overlaps three others.
     assert!((wall.black() - (3.0 * 0.002 + 0.003)).abs() < 1e-12, "{}", wall.black());
     assert!(!(0..12).any(|index| wall.is_plain(index)));
 }
 
 #[test]
-fn shares_of_light_add_up_everywhere_and_vanish_at_inner_edges() {
+fn blend_weights_add_up_to_one_everywhere_and_vanish_at_inner_edges() {
     let wall = config("blended-4x3.toml");
     for step in 0..10_000_u32 {
         let point = DVec2::new(f64::from(step % 100) + 0.5, f64::from(step / 100) + 0.5) / 100.0;
         let weights = (0..12).map(|index| {
-            let place = wall.projectors()[index].canvas.rect_from_canvas(point);
-            let is_within = place.cmpge(DVec2::ZERO).all() && place.cmple(DVec2::ONE).all();
-            if is_within { blend::blend_weight(wall.neighbours(index), place).weight } else { 0.0 }
+            let rect_point = wall.projectors()[index].canvas.rect_from_canvas(point);
+            let is_within = rect_point.cmpge(DVec2::ZERO).all() && rect_point.cmple(DVec2::ONE).all();
+            if is_within { blend::blend_weight(wall.neighbours(index), rect_point).weight } else { 0.0 }
         });
         let sum: f64 = weights.sum();
         assert!((sum - 1.0).abs() < 1e-9, "{sum} at {point}");
@@ -249,7 +249,7 @@ fn native_frames_have_a_sample_for_each_pixel_and_no_more_than_frames_can_have()
     assert_eq!(size(&Wall::of_one_output([1, 1])), (1, 1));
     assert_eq!(size(&Wall::of_one_output([16384, 4096])), (16384, 4096));
     assert_eq!(size(&Wall::of_one_output([16384, 16384])), (8192, 8192));
-    // A third of the canvas has a thousand columns, however few the rest has.
+    // A third of the canvas has a thousand columns; the rest has fewer.
     let parts = [(0.0, 1.0 / 3.0, [1000, 600], 0), (1.0 / 3.0, 2.0 / 3.0, [500, 700], 1000)];
     let projectors = parts.map(|(left, width, [columns, rows], x)| {
         let canvas = CanvasRect { left, bottom: 0.0, width, height: 1.0 };

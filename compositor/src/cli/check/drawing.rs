@@ -1,18 +1,22 @@
-//! The wall as a drawing: what lies where on the canvas, and where its pixels come from.
+//! The wall as an SVG drawing: its projectors on the canvas, and their pixels in the spanning output.
 
 use std::fmt::Write;
 
 use glam::DVec2;
 
-use crate::wall::{Projector, Wall, homography::UNIT_SQUARE};
+use crate::wall::{
+    Flip, Gamma, Projector, Wall,
+    homography::UNIT_SQUARE,
+    outline::{self, Outline},
+};
 
-/// Width of what is drawn, in the drawing's own units: pixels, unless it is scaled.
+/// Width of the canvas in the drawing's units: pixels, unless the drawing is scaled.
 const WIDTH: f64 = 1400.0;
-/// Space around it, and between its two parts.
+/// Space around the canvas, and between the two parts of the drawing.
 const MARGIN: f64 = 70.0;
 /// A wall that is higher than this is drawn narrower.
 const HEIGHT: f64 = 900.0;
-/// The part below, of the pixels, is smaller.
+/// The lower part, of the pixels, is smaller.
 const PIXELS_WIDTH: f64 = 700.0;
 const PIXELS_HEIGHT: f64 = 450.0;
 
@@ -43,25 +47,24 @@ fn draw_to(svg: &mut String, wall: &Wall, title: &str) -> std::fmt::Result {
     )?;
     text(svg, DVec2::new(MARGIN, MARGIN * 0.7), 22.0, "start", INK, title)?;
 
-    // The canvas, upper-left corner first.
+    // The canvas and its projectors, upper-left corner first.
     let origin = DVec2::new(MARGIN + (WIDTH - canvas_px.x) / 2.0, 1.6 * MARGIN);
-    let on_wall = |point: DVec2| origin + DVec2::new(point.x, 1.0 - point.y) * canvas_px;
+    let on_canvas = |from_top: DVec2| origin + from_top * canvas_px;
     let frame = format!("fill=\"#f2f2f0\" stroke=\"{FAINT}\" stroke-width=\"1\" stroke-dasharray=\"6 4\"");
-    polygon(svg, &UNIT_SQUARE.map(on_wall), &frame)?;
-    let below = on_wall(DVec2::new(0.5, 0.0)) + DVec2::new(0.0, 26.0);
+    polygon(svg, &UNIT_SQUARE.map(|corner| on_canvas(DVec2::new(corner.x, 1.0 - corner.y))), &frame)?;
+    let below = on_canvas(DVec2::new(0.5, 1.0)) + DVec2::new(0.0, 26.0);
     text(svg, below, 16.0, "middle", FAINT, &format!("the canvas: {width_m} m × {height_m} m"))?;
-    for (index, projector) in wall.projectors().iter().enumerate() {
-        let canvas = projector.canvas;
-        let place = UNIT_SQUARE.map(|corner| on_wall(canvas.canvas_from_rect(corner)));
-        // Where several lie over each other the colours add up, and overlaps are seen.
-        let fill = format!("fill=\"{}\" fill-opacity=\"0.38\" stroke=\"{INK}\" stroke-width=\"1.2\"", colour(index));
-        polygon(svg, &place, &fill)?;
+    let outlines: Vec<_> = Outline::all(wall).collect();
+    for (index, outline) in outlines.iter().enumerate() {
+        // Translucent, so that overlaps are darker.
+        let fill = format!("fill=\"{}\" fill-opacity=\"0.38\" stroke=\"{INK}\" stroke-width=\"1.2\"", color(index));
+        polygon(svg, &UNIT_SQUARE.map(|corner| on_canvas(outline.canvas.drawing_from_rect(corner))), &fill)?;
     }
-    for (index, projector) in wall.projectors().iter().enumerate() {
-        let on_wall = |place: DVec2| on_wall(projector.canvas.canvas_from_rect(place));
-        label(svg, wall, index, &on_wall)?;
+    for (index, outline) in outlines.iter().enumerate() {
+        label(svg, wall, index, &|rect_point| on_canvas(outline.canvas.drawing_from_rect(rect_point)))?;
     }
 
+    // The same projectors in the spanning output.
     let below = DVec2::new(MARGIN + WIDTH / 2.0, pixels_top - 18.0);
     text(svg, below, 16.0, "middle", FAINT, &format!("its pixels: {columns} × {rows} in the picture of all outputs"))?;
     let origin = DVec2::new(MARGIN + (WIDTH - columns * px_per_pixel) / 2.0, pixels_top);
@@ -69,7 +72,7 @@ fn draw_to(svg: &mut String, wall: &Wall, title: &str) -> std::fmt::Result {
         let output = projector.output;
         let at = origin + DVec2::new(f64::from(output.x), f64::from(output.y)) * px_per_pixel;
         let size = DVec2::new(f64::from(output.width), f64::from(output.height)) * px_per_pixel;
-        let fill = format!("fill=\"{}\" fill-opacity=\"0.38\" stroke=\"{INK}\" stroke-width=\"0.8\"", colour(index));
+        let fill = format!("fill=\"{}\" fill-opacity=\"0.38\" stroke=\"{INK}\" stroke-width=\"0.8\"", color(index));
         polygon(svg, &UNIT_SQUARE.map(|corner| at + corner * size), &fill)?;
         let monitor = projector.monitor.as_ref().map(|monitor| format!(" {monitor}")).unwrap_or_default();
         let number = format!("{}{monitor}", index + 1);
@@ -78,14 +81,14 @@ fn draw_to(svg: &mut String, wall: &Wall, title: &str) -> std::fmt::Result {
     writeln!(svg, "</svg>")
 }
 
-/// Name, number, pixels and peculiarities of a projector, a mark where its upper-left pixel is, and the outline of its
-/// pixels where that is not the outline of its place.
-fn label(svg: &mut String, wall: &Wall, index: usize, on_wall: &dyn Fn(DVec2) -> DVec2) -> std::fmt::Result {
+/// Name, number, pixels and special settings of a projector, a mark at its first pixel, and for a warped projector the
+/// outline of its pixels.
+fn label(svg: &mut String, wall: &Wall, index: usize, in_drawing: &dyn Fn(DVec2) -> DVec2) -> std::fmt::Result {
     let projector = &wall.projectors()[index];
-    let (upper_left, lower_right) = (on_wall(DVec2::ZERO), on_wall(DVec2::ONE));
+    let (upper_left, lower_right) = (in_drawing(DVec2::ZERO), in_drawing(DVec2::ONE));
     let size = lower_right - upper_left;
     if let Some(corners) = projector.raster_corners_in_rect() {
-        let corners = corners.map(on_wall);
+        let corners = corners.map(in_drawing);
         if projector.warp_px != [[0.0; 2]; 4] {
             let dashes = "fill=\"none\" stroke=\"#c22f2f\" stroke-width=\"1\" stroke-dasharray=\"3 3\"";
             polygon(svg, &corners, dashes)?;
@@ -113,20 +116,20 @@ fn label(svg: &mut String, wall: &Wall, index: usize, on_wall: &dyn Fn(DVec2) ->
 fn details(index: usize, projector: &Projector) -> Vec<String> {
     let Projector { output, rotation, flip, warp_px, gamma, black_level, gain, monitor, .. } = projector;
     let mut lines = vec![format!("{}: {} × {} pixels", index + 1, output.width, output.height)];
-    let mut special = Vec::new();
+    let mut special = Vec::new(); // settings that are not the default
     special.extend(monitor.clone());
     if rotation.degrees() != 0 {
         special.push(format!("turned {}°", rotation.degrees()));
     }
     match flip {
-        crate::wall::Flip::None => {}
-        crate::wall::Flip::Horizontal => special.push("mirrored".to_owned()),
-        crate::wall::Flip::Vertical => special.push("top down".to_owned()),
+        Flip::None => {}
+        Flip::Horizontal => special.push("mirrored".to_owned()),
+        Flip::Vertical => special.push("top down".to_owned()),
     }
     if *warp_px != [[0.0; 2]; 4] {
         special.push("warped".to_owned());
     }
-    if let crate::wall::Gamma::Power(exponent) = gamma {
+    if let Gamma::Power(exponent) = gamma {
         special.push(format!("gamma {exponent}"));
     }
     if *black_level > 0.0 {
@@ -139,14 +142,13 @@ fn details(index: usize, projector: &Projector) -> Vec<String> {
     lines
 }
 
-/// A size in which a text fits into a box, at most `largest`.
+/// A font size at which a text fits into a box with some space around it, at most `largest`.
 fn font_size(text: &str, box_size: DVec2, largest: f64) -> f64 {
-    // Letters are a little more than half as wide as high.
-    (0.9 * box_size.x / (0.58 * text.chars().count().max(1) as f64)).min(box_size.y / 4.5).min(largest)
+    outline::font_size(text, DVec2::new(0.9 * box_size.x, box_size.y / 4.5)).min(largest)
 }
 
-/// Neighbours differ, and black text can be read on all.
-fn colour(index: usize) -> &'static str {
+/// Neighbours differ, and black text is legible on all of them.
+fn color(index: usize) -> &'static str {
     ["#7fb2e5", "#f2c14e", "#8fd19e", "#e59bb4", "#b8a1e0"][index % 5]
 }
 
@@ -158,13 +160,13 @@ fn polygon(svg: &mut String, corners: &[DVec2], attributes: &str) -> std::fmt::R
     writeln!(svg, "\" {attributes}/>")
 }
 
-fn text(svg: &mut String, at: DVec2, size: f64, anchor: &str, colour: &str, text: &str) -> std::fmt::Result {
+fn text(svg: &mut String, at: DVec2, size: f64, anchor: &str, color: &str, text: &str) -> std::fmt::Result {
     let escaped = text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
-    // What XML does not know, control characters above all, no drawing can hold.
+    // XML has no control characters.
     let escaped: String = escaped.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
     writeln!(
         svg,
-        "<text x=\"{:.1}\" y=\"{:.1}\" font-size=\"{size:.1}\" text-anchor=\"{anchor}\" fill=\"{colour}\">{escaped}</text>",
+        "<text x=\"{:.1}\" y=\"{:.1}\" font-size=\"{size:.1}\" text-anchor=\"{anchor}\" fill=\"{color}\">{escaped}</text>",
         at.x, at.y
     )
 }

@@ -1,4 +1,4 @@
-//! A camera path as a film: one frame for each picture, none left out however long it takes.
+//! A camera path as a film: one frame for each picture, without dropped frames.
 
 use std::{
     path::{Path, PathBuf},
@@ -11,33 +11,33 @@ use anyhow::{Context, bail};
 use renderer::cli::progress::Progress;
 use shared::camera::{Camera, CameraPath};
 
-use super::{Headless, Wakeup, Wakeups, milliseconds, wait};
+use super::{Headless, Wakeups, milliseconds, next_frame};
 use crate::{
     cli::report::Report,
     farm::{Farm, Frame},
     gpu::{RgbImage, picture::PictureError},
 };
 
-/// What to film.
+/// A film of a camera path.
 #[derive(Clone, Debug)]
 pub struct Film {
-    /// Where the camera goes.
+    /// The camera's path.
     pub path: CameraPath,
-    /// Pictures of a second, above zero.
+    /// Pictures a second, above 0.
     pub fps: f64,
-    /// No more pictures than this.
+    /// The most pictures.
     pub most: u32,
-    /// Where the pictures go, if anywhere.
+    /// The folder for the pictures, if they are written.
     pub folder: Option<PathBuf>,
 }
 
-/// Threads that compress pictures: a wall's takes about as long to compress as to render.
+/// Threads that compress pictures: a wall's picture takes about as long to compress as to render.
 const N_WRITERS: usize = 2;
 
 impl Film {
-    /// How many pictures the film has: the last is where the path ends, or just before.
+    /// The number of pictures: the last is at the path's end, or just before.
     pub fn n_pictures(&self) -> u32 {
-        // Half a millionth of a picture is a rounding error.
+        // Tolerates rounding errors of half a millionth of a picture.
         let n = (self.path.duration_seconds() * self.fps + 5e-7).floor() + 1.0;
         (n as u32).min(self.most)
     }
@@ -48,9 +48,9 @@ impl Film {
 }
 
 impl Headless {
-    /// Shows each picture of a film once, in order, and writes them to files if a folder is given.
+    /// Shows each picture of a film once, in order, and writes it to the film's folder, if there is one.
     ///
-    /// The next is rendered while one is drawn, read back and compressed. A camera that rests is rendered once.
+    /// The next picture is rendered while one is drawn, read back and compressed. A camera at rest is rendered once.
     pub fn show_film(&mut self, farm: &Farm, wakeups: &Wakeups, film: &Film) -> anyhow::Result<Report> {
         if let Some(folder) = &film.folder {
             prepare(folder)?;
@@ -66,7 +66,7 @@ impl Headless {
                 let camera = film.camera(index);
                 let frame = match last.take().filter(|frame| frame.spec.camera == camera) {
                     Some(frame) => frame,
-                    None => match next_frame(farm, wakeups, camera)? {
+                    None => match frame_of(farm, wakeups, camera)? {
                         Some(frame) => frame,
                         None => break,
                     },
@@ -91,27 +91,21 @@ impl Headless {
 }
 
 fn request_frame(farm: &Farm, camera: Camera) {
-    farm.update_goal(|wanted| {
-        wanted.repeat = false;
-        wanted.moved_at = Instant::now();
-        if let Some(picture) = &mut wanted.spec {
-            picture.camera = camera;
+    farm.update_goal(|goal| {
+        goal.repeat = false;
+        goal.moved_at = Instant::now();
+        if let Some(spec) = &mut goal.spec {
+            spec.camera = camera;
         }
     });
 }
 
-/// Waits for the frame of a camera; `None` if the operator wants an end.
-fn next_frame(farm: &Farm, wakeups: &Wakeups, camera: Camera) -> anyhow::Result<Option<Frame>> {
+/// The next frame of a camera, without those of earlier cameras; `None` once the operator stops the wall.
+fn frame_of(farm: &Farm, wakeups: &Wakeups, camera: Camera) -> anyhow::Result<Option<Frame>> {
     loop {
-        if wakeups.try_recv() == Ok(Wakeup::Stop) {
-            return Ok(None);
-        }
-        match farm.take_frame() {
-            Some(frame) if frame.spec.camera == camera => return Ok(Some(frame)),
-            // Of a camera that was wanted before.
-            Some(_) => {}
-            None if wait(farm, wakeups)? == Wakeup::Stop => return Ok(None),
-            None => {}
+        match next_frame(farm, wakeups)? {
+            Some(frame) if frame.spec.camera != camera => {}
+            frame => return Ok(frame),
         }
     }
 }
@@ -120,7 +114,7 @@ fn picture_file(folder: &Path, index: u32) -> PathBuf {
     folder.join(format!("picture-{:06}.png", index + 1))
 }
 
-/// Makes the folder, and refuses one that holds a film: two would be mixed.
+/// Creates the folder, and refuses one that holds a film: the two would be mixed.
 fn prepare(folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     if picture_file(folder, 0).exists() {
@@ -129,38 +123,38 @@ fn prepare(folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Threads that compress and write pictures; who gives them one waits while all are busy.
+/// Threads that compress and write pictures; `write` blocks while all are busy.
 struct Writers<'scope> {
-    pictures: mpsc::SyncSender<(u32, RgbImage)>,
+    queue: mpsc::SyncSender<(u32, RgbImage)>,
     threads: Vec<thread::ScopedJoinHandle<'scope, Result<(), PictureError>>>,
 }
 
 impl<'scope> Writers<'scope> {
     fn start<'env>(scope: &'scope thread::Scope<'scope, 'env>, folder: &'env Path) -> Self {
-        let (pictures, inbox) = mpsc::sync_channel::<(u32, RgbImage)>(1);
+        let (queue, inbox) = mpsc::sync_channel::<(u32, RgbImage)>(1);
         let inbox = Arc::new(Mutex::new(inbox));
         let threads = (0..N_WRITERS).map(|_| {
             let inbox = Arc::clone(&inbox);
             scope.spawn(move || {
                 loop {
-                    // Held only while waiting.
+                    // The lock is held only while waiting.
                     let next = inbox.lock().unwrap_or_else(PoisonError::into_inner).recv();
-                    let Ok((index, picture)) = next else { return Ok(()) };
-                    picture.write_png(&picture_file(folder, index))?;
+                    let Ok((index, image)) = next else { return Ok(()) };
+                    image.write_png(&picture_file(folder, index))?;
                 }
             })
         });
-        Self { pictures, threads: threads.collect() }
+        Self { queue, threads: threads.collect() }
     }
 
-    /// Whether the picture was taken; it is not once all threads have failed.
-    fn write(&self, index: u32, picture: RgbImage) -> bool {
-        !self.threads.iter().any(thread::ScopedJoinHandle::is_finished) && self.pictures.send((index, picture)).is_ok()
+    /// Queues an image; false once a thread has failed.
+    fn write(&self, index: u32, image: RgbImage) -> bool {
+        !self.threads.iter().any(thread::ScopedJoinHandle::is_finished) && self.queue.send((index, image)).is_ok()
     }
 
     /// Waits until everything is written.
     fn finish(self) -> Result<(), PictureError> {
-        drop(self.pictures);
+        drop(self.queue);
         for thread in self.threads {
             thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
         }

@@ -1,11 +1,11 @@
-//! Frames whose resolution follows a motion, and then the picture of a camera at rest.
+//! Frames whose resolution follows a motion, and then refinement at rest.
 
 use std::time::{Duration, Instant};
 
 use renderer::cli::progress::Progress;
 use shared::protocol::FrameSpec;
 
-use super::{Headless, Wakeup, Wakeups, milliseconds, wait};
+use super::{Headless, Wakeups, milliseconds, next_frame};
 use crate::{
     cli::report::Report,
     control::refinement::{Refinement, ShowTimes},
@@ -13,8 +13,8 @@ use crate::{
 };
 
 impl Headless {
-    /// Shows `n_frames` as if the camera moved from each to the next, and then the same picture as fine as it gets. The
-    /// report has the former only.
+    /// Shows `n_frames` as if the camera moved between them, and then refines the last one fully. The report has only the
+    /// former.
     pub fn show_refined(
         &mut self,
         farm: &Farm,
@@ -33,21 +33,13 @@ impl Headless {
                 if refinement.is_done() {
                     break;
                 }
-                // Nobody's hand is on this camera: it rests at once.
+                // Nobody moves this camera: it is at rest immediately.
                 if let Some(step) = refinement.refines_at().and_then(|rested_at| refinement.refine(rested_at)) {
                     tracing::info!("refining to {}, samples a pixel: {}", step.spec.size, step.spec.samples.count);
                     request_frame(farm, step.spec, false);
                 }
             }
-            if wakeups.try_recv() == Ok(Wakeup::Stop) {
-                break;
-            }
-            let Some(frame) = farm.take_frame() else {
-                if wait(farm, wakeups)? == Wakeup::Stop {
-                    break;
-                }
-                continue;
-            };
+            let Some(frame) = next_frame(farm, wakeups)? else { break };
             refinement.on_frame(&frame.spec, Duration::from_secs_f64(frame.stats.interval_ms / 1e3));
             let display = self.show(&frame)?;
             let [took_ms, upload_ms] = [display.upload_ms + display.draw_ms, display.upload_ms];
@@ -63,7 +55,7 @@ impl Headless {
                 refinement.start_again();
                 request_frame(farm, refinement.change(ended_at, spec).spec, true);
             } else {
-                farm.update_goal(|wanted| wanted.repeat = false);
+                farm.update_goal(|goal| goal.repeat = false);
             }
         }
         Ok(report)
@@ -71,5 +63,5 @@ impl Headless {
 }
 
 fn request_frame(farm: &Farm, spec: FrameSpec, repeat: bool) {
-    farm.update_goal(|wanted| (wanted.spec, wanted.repeat, wanted.moved_at) = (Some(spec), repeat, Instant::now()));
+    farm.update_goal(|goal| (goal.spec, goal.repeat, goal.moved_at) = (Some(spec), repeat, Instant::now()));
 }

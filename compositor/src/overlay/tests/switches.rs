@@ -1,4 +1,4 @@
-//! What can be switched and set on the panels: each widget asks for what its name says.
+//! Switches and settings on the panels: each widget asks for the command that its name says.
 
 use shared::appearance::{Background, Clip, ClipSide, Light};
 
@@ -17,13 +17,13 @@ fn the_division_in_force_is_marked_and_can_be_switched() {
 #[test]
 fn the_view_can_be_switched() {
     let commands = commands_of(&running(), |harness| harness.get_by_label("normals").click());
-    assert_eq!(commands, [Command::SetView(ShadingMode::Normals)]);
+    assert_eq!(commands, [Command::SetShading(ShadingMode::Normals)]);
 }
 
 #[test]
 fn the_rays_can_be_switched() {
     let commands = commands_of(&running(), |harness| harness.get_by_label("shadows").click());
-    assert_eq!(commands, [Command::SetRays(LightingMode::Shadows)]);
+    assert_eq!(commands, [Command::SetLighting(LightingMode::Shadows)]);
 }
 
 #[test]

@@ -1,45 +1,45 @@
-//! Where the canvas is seen in a window, through projectors that may be turned, flipped and warped.
+//! Where a window shows the canvas, through projectors that may be rotated, flipped and warped.
 
 use std::sync::Arc;
 
 use egui::{Color32, Mesh, Pos2, Rect, Shape, epaint::Vertex, pos2, vec2};
 use glam::{DMat3, DVec2};
 
-use crate::wall::{Projector, homography::apply};
+use crate::wall::{CanvasRect, Projector, homography::apply};
 
-/// Where a part of the canvas is seen in the window.
+/// A projector's part of the canvas, and where the window shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ProjectorRegion {
     /// The part of the canvas, whose upper-left corner is (0, 0) and whose lower-right corner is (1, 1).
     pub canvas: Rect,
     /// Where the projector's pixels are in the window, in points.
     pub window: Rect,
-    /// From the part to those pixels, both from (0, 0) upper left to (1, 1): [`Projector::raster_from_rect`].
+    /// From that part to those pixels, both from (0, 0) upper left to (1, 1): [`Projector::raster_from_rect`].
     pub raster_from_rect: DMat3,
 }
 
-/// What a projector does to straight lines of the canvas is drawn by so many cells a side.
+/// Cells a side of the mesh that bends with a warped projector.
 const N_CELLS: u16 = 12;
 
 impl ProjectorRegion {
-    /// That of a projector, whose pixels are somewhere in the window.
+    /// A projector's region; `window` is where its pixels are.
     pub fn new(projector: &Projector, window: Rect) -> Option<Self> {
-        Some(Self { canvas: on_canvas(projector), window, raster_from_rect: projector.raster_from_rect()? })
+        Some(Self { canvas: to_rect(&projector.canvas), window, raster_from_rect: projector.raster_from_rect()? })
     }
 
-    /// Where a point of the canvas is in the window, (0, 0) upper left; `None` if the projector does not show it.
+    /// The window position of a point of the canvas, (0, 0) upper left; `None` if the projector does not show it.
     pub(super) fn window_position(&self, point: Pos2) -> Option<Pos2> {
         let at = self.in_window((point - self.canvas.min) / self.canvas.size())?;
         (self.canvas.contains(point) && self.window.contains(at)).then_some(at)
     }
 
-    /// A texture that lies on the canvas, as it is seen in the window; `uv` says where on the texture a point is.
-    pub(super) fn textured(&self, texture: egui::TextureId, colour: Color32, uv: impl Fn(Pos2) -> Pos2) -> Shape {
+    /// A texture that lies on the canvas, as the window shows it; `uv` maps a point of the canvas to the texture.
+    pub(super) fn textured(&self, texture: egui::TextureId, color: Color32, uv: impl Fn(Pos2) -> Pos2) -> Shape {
         let mut mesh = Mesh::with_texture(texture);
         let steps = || (0..=N_CELLS).map(|step| f32::from(step) / f32::from(N_CELLS));
         for part in steps().flat_map(|y| steps().map(move |x| vec2(x, y))) {
             let Some(pos) = self.in_window(part) else { return Shape::Noop };
-            mesh.vertices.push(Vertex { pos, uv: uv(self.canvas.lerp_inside(part)), color: colour });
+            mesh.vertices.push(Vertex { pos, uv: uv(self.canvas.lerp_inside(part)), color });
         }
         let row = u32::from(N_CELLS) + 1;
         for corner in (0..u32::from(N_CELLS)).flat_map(|y| (0..u32::from(N_CELLS)).map(move |x| y * row + x)) {
@@ -49,24 +49,23 @@ impl ProjectorRegion {
         Shape::Mesh(Arc::new(mesh))
     }
 
-    /// Where a part of the place is in the window, or beyond its edges.
+    /// The window position, or one beyond its edges, of a point of the part, from (0, 0) to (1, 1).
     fn in_window(&self, part: egui::Vec2) -> Option<Pos2> {
         let raster = apply(self.raster_from_rect, DVec2::new(part.x.into(), part.y.into()))?;
         Some(self.window.min + vec2(raster.x as f32, raster.y as f32) * self.window.size())
     }
 }
 
-/// What a projector lights of the canvas, (0, 0) upper left.
-pub(super) fn on_canvas(projector: &Projector) -> Rect {
-    let canvas = projector.canvas;
-    let min = pos2(canvas.left as f32, (1.0 - canvas.bottom - canvas.height) as f32);
-    Rect::from_min_size(min, vec2(canvas.width as f32, canvas.height as f32))
+/// A part of the canvas, whose upper-left corner is (0, 0) and whose lower-right corner is (1, 1).
+pub(super) fn to_rect(canvas: &CanvasRect) -> Rect {
+    let min = canvas.drawing_from_rect(DVec2::ZERO).as_vec2();
+    Rect::from_min_size(pos2(min.x, min.y), vec2(canvas.width as f32, canvas.height as f32))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wall::{CanvasRect, PixelRect, Rotation};
+    use crate::wall::{PixelRect, Rotation};
 
     fn right_half() -> Projector {
         let canvas = CanvasRect { left: 0.5, bottom: 0.0, width: 0.5, height: 1.0 };
@@ -76,28 +75,28 @@ mod tests {
     #[test]
     fn a_point_of_the_canvas_is_found_on_its_projector() {
         let window = Rect::from_min_size(pos2(100.0, 0.0), vec2(20.0, 1.0));
-        let place = ProjectorRegion::new(&right_half(), window).expect("upright");
-        assert_eq!(place.window_position(pos2(0.75, 0.5)), Some(pos2(110.0, 0.5)));
-        assert_eq!(place.window_position(pos2(0.25, 0.5)), None);
+        let region = ProjectorRegion::new(&right_half(), window).expect("upright");
+        assert_eq!(region.window_position(pos2(0.75, 0.5)), Some(pos2(110.0, 0.5)));
+        assert_eq!(region.window_position(pos2(0.25, 0.5)), None);
     }
 
     #[test]
     fn a_turned_projector_shows_it_turned_and_a_warped_one_cuts_it() {
         let window = Rect::from_min_size(pos2(0.0, 0.0), vec2(40.0, 20.0));
         let turned = Projector { rotation: Rotation::Right, ..right_half() };
-        let place = ProjectorRegion::new(&turned, window).expect("turned");
-        // Its upper edge is on the right: what is high on the canvas is left in its picture, what is right is high.
-        let at = place.window_position(pos2(0.975, 0.05)).expect("on the canvas");
+        let region = ProjectorRegion::new(&turned, window).expect("turned");
+        // Its upper edge is on the right: the canvas's top is on the left of its image, the canvas's right on top.
+        let at = region.window_position(pos2(0.975, 0.05)).expect("on the canvas");
         assert!((at - pos2(2.0, 1.0)).length() < 1e-4, "{at}");
-        let Shape::Mesh(mesh) = place.textured(egui::TextureId::default(), Color32::WHITE, |point| point) else {
+        let Shape::Mesh(mesh) = region.textured(egui::TextureId::default(), Color32::WHITE, |point| point) else {
             panic!("a mesh")
         };
         let upper_right = mesh.vertices.iter().find(|vertex| vertex.uv == pos2(1.0, 0.0)).expect("a corner");
         assert_eq!(upper_right.pos, pos2(0.0, 0.0));
 
         let outwards = Projector { warp_px: [[-4.0, 0.0], [0.0; 2], [0.0; 2], [-4.0, 0.0]], ..right_half() };
-        let place = ProjectorRegion::new(&outwards, window).expect("warped");
-        assert_eq!(place.window_position(pos2(0.51, 0.5)), None, "left of its first pixel");
-        assert!(place.window_position(pos2(0.6, 0.5)).is_some());
+        let region = ProjectorRegion::new(&outwards, window).expect("warped");
+        assert_eq!(region.window_position(pos2(0.51, 0.5)), None, "left of its first pixel");
+        assert!(region.window_position(pos2(0.6, 0.5)).is_some());
     }
 }

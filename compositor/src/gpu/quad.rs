@@ -1,0 +1,188 @@
+//! Shared by the stages that draw the wall: targets, and a quad for each projector.
+
+use glam::{DMat3, DVec2};
+
+use super::context::Gpu;
+use crate::wall::{PixelRect, Wall};
+
+/// An image to draw on.
+pub struct Target<'a> {
+    /// The image.
+    pub view: &'a wgpu::TextureView,
+    /// The view's format. Shaders encode values for views without sRGB.
+    pub format: wgpu::TextureFormat,
+    /// Columns and rows.
+    pub size: [u32; 2],
+}
+
+/// A projector's pixels on a target.
+#[derive(Clone, Copy)]
+pub(super) struct Quad {
+    pub(super) projector_idx: usize,
+    /// Left, top, right and bottom in pixels of the target; not whole when the wall is scaled.
+    pub(super) edges: [f64; 4],
+}
+
+/// A quad whose projector stands askew, overlaps others, or has a light of its own.
+pub(super) struct TargetProjector {
+    pub(super) quad: Quad,
+    /// A pixel in the quad's middle: f32 holds the small offsets from it well.
+    pub(super) origin_px: DVec2,
+    /// From pixels right and down of `origin_px` to the projector's rectangle of the canvas.
+    pub(super) rect_from_px: DMat3,
+}
+
+impl Quad {
+    /// The quads on a target of the projectors in a part of the wall.
+    pub(super) fn of_part(wall: &Wall, part: PixelRect, target_size: [u32; 2]) -> impl Iterator<Item = Self> {
+        let fitted = PixelRect::fitted([part.width, part.height], target_size);
+        let x_scale = f64::from(fitted.width) / f64::from(part.width.max(1));
+        let y_scale = f64::from(fitted.height) / f64::from(part.height.max(1));
+        let shown =
+            wall.projectors().iter().enumerate().filter(move |(_, projector)| part.contains_rect(&projector.output));
+        shown.map(move |(projector_idx, projector)| {
+            let PixelRect { x, y, width, height } = projector.output;
+            // Scale edges instead of extents: neighbours get the same numbers, and no seam opens.
+            let x_of = |edge: u32| f64::from(fitted.x) + f64::from(edge - part.x) * x_scale;
+            let y_of = |edge: u32| f64::from(fitted.y) + f64::from(edge - part.y) * y_scale;
+            Self { projector_idx, edges: [x_of(x), y_of(y), x_of(x + width), y_of(y + height)] }
+        })
+    }
+
+    /// Left, bottom, right and top in clip coordinates.
+    pub(super) fn clip(&self, target_size: [u32; 2]) -> [f32; 4] {
+        let [left, top, right, bottom] = self.edges;
+        let [target_width, target_height] = target_size.map(f64::from);
+        let clip_x = |x: f64| (2.0 * x / target_width - 1.0) as f32;
+        let clip_y = |y: f64| (1.0 - 2.0 * y / target_height) as f32;
+        [clip_x(left), clip_y(bottom), clip_x(right), clip_y(top)]
+    }
+}
+
+impl TargetProjector {
+    pub(super) fn new(wall: &Wall, quad: Quad) -> Option<Self> {
+        let [left, top, right, bottom] = quad.edges;
+        let origin_px = DVec2::new((left + right) / 2.0, (top + bottom) / 2.0).floor();
+        let raster_from_px = DMat3::from_scale(DVec2::new(1.0 / (right - left), 1.0 / (bottom - top)))
+            * DMat3::from_translation(origin_px - DVec2::new(left, top));
+        let rect_from_raster = wall.projectors()[quad.projector_idx].raster_from_rect()?.inverse();
+        Some(Self { quad, origin_px, rect_from_px: rect_from_raster * raster_from_px })
+    }
+}
+
+/// Pipelines that draw quads, one for each format of the targets so far: a window and a screenshot may differ.
+pub(super) struct QuadPipelines {
+    label: &'static str,
+    shader: wgpu::ShaderModule,
+    layout: wgpu::PipelineLayout,
+    instances: wgpu::VertexBufferLayout<'static>,
+    by_format: Vec<(wgpu::TextureFormat, wgpu::RenderPipeline)>,
+}
+
+impl QuadPipelines {
+    /// None yet. `T` is an instance with these attributes, `groups` are the shader's bindings.
+    pub(super) fn new<T>(
+        gpu: &Gpu,
+        label: &'static str,
+        shader: wgpu::ShaderModuleDescriptor<'_>,
+        groups: &[Option<&wgpu::BindGroupLayout>],
+        attributes: &'static [wgpu::VertexAttribute],
+    ) -> Self {
+        let instances = wgpu::VertexBufferLayout {
+            array_stride: size_of::<T>() as u64,
+            step_mode: wgpu::VertexStepMode::Instance,
+            attributes,
+        };
+        let shader = gpu.device.create_shader_module(shader);
+        Self { label, shader, layout: pipeline_layout(gpu, label, groups), instances, by_format: Vec::new() }
+    }
+
+    /// The pipeline for targets of a format, which encode sRGB themselves or leave it to the shader.
+    pub(super) fn get(&mut self, gpu: &Gpu, format: wgpu::TextureFormat) -> wgpu::RenderPipeline {
+        if let Some((_, pipeline)) = self.by_format.iter().find(|(made_for, _)| *made_for == format) {
+            return pipeline.clone();
+        }
+        let fragment = if format.is_srgb() { "fragment_linear" } else { "fragment_encoded" };
+        let buffers = [Some(self.instances.clone())];
+        let pipeline = quad_pipeline(gpu, self.label, &self.layout, &self.shader, &buffers, fragment, format);
+        self.by_format.push((format, pipeline.clone()));
+        pipeline
+    }
+}
+
+pub(super) fn pipeline_layout(
+    gpu: &Gpu,
+    label: &str,
+    groups: &[Option<&wgpu::BindGroupLayout>],
+) -> wgpu::PipelineLayout {
+    gpu.device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some(label),
+        bind_group_layouts: groups,
+        immediate_size: 0,
+    })
+}
+
+/// Draws one quad for each projector on targets of a format.
+pub(super) fn quad_pipeline(
+    gpu: &Gpu,
+    label: &str,
+    layout: &wgpu::PipelineLayout,
+    shader: &wgpu::ShaderModule,
+    buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
+    fragment: &'static str,
+    format: wgpu::TextureFormat,
+) -> wgpu::RenderPipeline {
+    gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some(label),
+        layout: Some(layout),
+        vertex: wgpu::VertexState {
+            module: shader,
+            entry_point: Some("vertex"),
+            compilation_options: Default::default(),
+            buffers,
+        },
+        primitive: wgpu::PrimitiveState { topology: wgpu::PrimitiveTopology::TriangleStrip, ..Default::default() },
+        depth_stencil: None,
+        multisample: Default::default(),
+        fragment: Some(wgpu::FragmentState {
+            module: shader,
+            entry_point: Some(fragment),
+            compilation_options: Default::default(),
+            targets: &[Some(format.into())],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
+
+/// A buffer that holds `records`.
+pub(super) fn buffer<T: bytemuck::NoUninit>(gpu: &Gpu, usage: wgpu::BufferUsages, records: &[T]) -> wgpu::Buffer {
+    let buffer = gpu.device.create_buffer(&wgpu::BufferDescriptor {
+        label: Some("projectors"),
+        size: size_of_val(records) as u64,
+        usage: usage | wgpu::BufferUsages::COPY_DST,
+        mapped_at_creation: false,
+    });
+    gpu.queue.write_buffer(&buffer, 0, bytemuck::cast_slice(records));
+    buffer
+}
+
+/// A pass that clears `view` to black and draws on it.
+pub(super) fn begin_pass<'a>(
+    encoder: &'a mut wgpu::CommandEncoder,
+    label: &str,
+    view: &wgpu::TextureView,
+    timestamp_writes: Option<wgpu::RenderPassTimestampWrites<'_>>,
+) -> wgpu::RenderPass<'a> {
+    encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+        label: Some(label),
+        color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+            view,
+            depth_slice: None,
+            resolve_target: None,
+            ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
+        })],
+        timestamp_writes,
+        ..Default::default()
+    })
+}
