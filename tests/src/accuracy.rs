@@ -5,9 +5,10 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3, Vec3};
 use renderer::{
+    grid::GridOptions,
     intersect::ray::Hit,
     model::{mesh::Mesh, ply},
-    render::tracer::{Scene, SceneOptions},
+    render::scene::Scene,
 };
 use shared::{
     camera::{Camera, CameraRays},
@@ -105,7 +106,7 @@ fn check(name: &str, hits: &[Hit], reference: &Reference) {
 
 fn check_model(models: &Path, name: &str) {
     let mesh = ply::read(&models.join(format!("{name}.ply")), &|_| ()).unwrap();
-    let scene = Scene::build(mesh.clone(), &SceneOptions::default(), &|_| ());
+    let scene = Scene::build(mesh.clone(), &GridOptions::default(), &|_| ());
     for view in ["full", "close"] {
         let camera = std::fs::read_to_string(models.join(format!("{name}.{view}.toml"))).unwrap();
         let rays = Camera::from_toml(&camera).unwrap().rays(FrameSize::PAPER);
@@ -130,7 +131,7 @@ fn a_million_triangles_of_cad_are_hit_as_in_f64() {
 fn the_statue_is_hit_as_in_f64() {
     let mesh = renderer::model::statue::generate(200_000, &|_| ());
     let bounds = mesh.bounds();
-    let scene = Scene::build(mesh.clone(), &SceneOptions::default(), &|_| ());
+    let scene = Scene::build(mesh.clone(), &GridOptions::default(), &|_| ());
     let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
     let camera = Camera::view_all(min, max, shared::camera::UpAxis::Y, 16.0 / 9.0);
     let rays = camera.rays(FrameSize::PAPER);

@@ -57,7 +57,7 @@ fn files_that_are_missing_or_wrong_are_named_with_the_cure() {
 fn values_out_of_range_name_the_range() {
     assert!(fails(compositor(&["--size", "0x512"])).contains("from 1 to 16384"));
     assert!(fails(compositor(&["--size", "wide"])).contains("1024x512"));
-    assert!(fails(compositor(&["--division", "random"])).contains("interleaved, tiled or dynamic"));
+    assert!(fails(compositor(&["--division", "random"])).contains("interleaved, tiled, dynamic"));
     assert!(fails(renderer(&["connect", "127.0.0.1:1", "--threads", "0"])).contains("1..=1024"));
     assert!(fails(renderer(&["trace", "--size", "-5x5"])).contains("1024x512"));
     assert!(fails(renderer(&["trace", "--frames", "-1"])).contains("1..=1000000"));
@@ -66,7 +66,7 @@ fn values_out_of_range_name_the_range() {
 #[test]
 fn an_impossible_experiment_is_refused() {
     let bench = |args: &[&str]| {
-        let mut command = Program::command("compositor");
+        let mut command = Program::command("lab");
         command.arg("bench").args(args);
         fails(command)
     };

@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::process::Program;
 
 fn bench(out: &Path, args: &[&str]) -> Program {
-    let mut command = Program::command("compositor");
+    let mut command = Program::command("lab");
     command.args(["bench", "--triangles", "1000", "--size", "64x32"]).args(args).arg("--out").arg(out);
     Program::start(command)
 }
@@ -61,6 +61,6 @@ fn an_interrupted_experiment_leaves_its_measurements() {
     program.wait_for("measured interleaved");
     program.signal("TERM");
     let (status, said) = program.wait();
-    assert!(status.success() && said.contains("stopped: what was found so far"), "{said}");
+    assert!(status.success() && said.contains("stopped: results so far"), "{said}");
     assert!(figures(folder.path())["measured"].as_array().unwrap().len() >= 2);
 }

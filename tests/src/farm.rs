@@ -212,7 +212,7 @@ fn a_stopped_renderer_is_lost_and_comes_back() {
     wall.wait_for_ready(2);
     wall.wait_for_frames(3);
     stopped.signal("STOP");
-    wall.program.wait_for("stopped is silent for 250 ms");
+    wall.program.wait_for("stopped has been silent for 250 ms");
     wall.wait_for_frames(3);
     wall.program.wait_for("stopped at");
     assert!(wall.program.said().contains("the peer was silent for 2000 ms"), "{}", wall.program.said());
@@ -230,7 +230,7 @@ fn a_renderer_that_is_silent_for_a_moment_goes_on() {
     wall.wait_for_ready(2);
     wall.wait_for_frames(3);
     stopped.signal("STOP");
-    wall.program.wait_for("stopped is silent for 250 ms");
+    wall.program.wait_for("stopped has been silent for 250 ms");
     stopped.signal("CONT");
     wall.program.wait_for("stopped is heard again");
     wall.wait_for_frames(6);
@@ -302,7 +302,7 @@ fn strangers_are_dropped_with_a_clear_line_and_the_wall_goes_on() {
     oversized.extend(1_000_000_u32.to_le_bytes());
     oversized.push(0);
     wall.connect().write_all(&oversized).unwrap();
-    wall.program.wait_for("a message of 1000000 bytes, where 1024 is the most");
+    wall.program.wait_for("a message of 1000000 bytes: at most 1024 are allowed");
 
     let mut garbage = PREAMBLE.to_vec();
     garbage.extend(100_u32.to_le_bytes());

@@ -35,7 +35,7 @@ fn a_film_has_each_picture_once_from_its_camera() {
     assert_eq!(names, (1..=6).map(|number| format!("picture-{number:06}.png")).collect::<Vec<_>>());
     let pictures: Vec<_> = names
         .iter()
-        .map(|name| compositor::gpu::RgbImage::read_png(&folder.join(name)).unwrap())
+        .map(|name| crate::references::read_png(&folder.join(name)).unwrap())
         .inspect(|picture| assert_eq!(picture.size, [128, 72], "not the whole wall in full resolution"))
         .collect();
     assert!(pictures[0] == pictures[1] && pictures[1] == pictures[2], "the camera moves before 0.2 s");

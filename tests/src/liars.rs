@@ -86,14 +86,14 @@ fn lie(stream: &mut TcpStream, name: &str, mut answer: impl FnMut(&GivenTask) ->
 fn a_renderer_that_breaks_the_rules_is_dropped_and_costs_no_sample() {
     type Lie = fn(&GivenTask) -> Vec<u8>;
     let lies: [(&str, Lie, &str); 8] = [
-        ("short", |asked| asked.chunk(0, 1, &[0; 2]), "sent samples that do not fit their work"),
-        ("long", |asked| asked.chunk(0, 1, &[0; 65_000]), "sent samples that do not fit their work"),
-        ("beyond", |asked| asked.chunk(u32::MAX, 2, &[0; 384]), "sent samples that do not fit their work"),
-        ("idle", GivenTask::done, "called a work done of which only 0 of"),
+        ("short", |asked| asked.chunk(0, 1, &[0; 2]), "sent samples that do not fit their task"),
+        ("long", |asked| asked.chunk(0, 1, &[0; 65_000]), "sent samples that do not fit their task"),
+        ("beyond", |asked| asked.chunk(u32::MAX, 2, &[0; 384]), "sent samples that do not fit their task"),
+        ("idle", GivenTask::done, "reported a task as done after 0 of"),
         (
             "repeating",
             |asked| [asked.chunk(0, 1, &[0; 192]), asked.chunk(0, 1, &[0; 192]), asked.done()].concat(),
-            "called a work done of which only 1 of",
+            "reported a task as done after 1 of",
         ),
         (
             "packed",
@@ -169,7 +169,7 @@ fn old_and_repeated_answers_change_nothing() {
             bytes.extend(asked.chunk(0, 1, &[n_tasks as u8; 192]));
             bytes.extend(asked.done());
             let GivenTask { frame, task_id, size, .. } = *asked;
-            last = Some(GivenTask { frame, task_id, task: asked.task.clone(), size });
+            last = Some(GivenTask { frame, task_id, task: asked.task, size });
             bytes
         })
     });

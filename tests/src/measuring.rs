@@ -6,7 +6,6 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
-use compositor::gpu::RgbImage;
 use serde_json::Value;
 use shared::srgb;
 
@@ -110,7 +109,7 @@ fn a_wrong_request_or_camera_ends_with_one_line() {
     prepare(folder);
     std::fs::write(folder.join("flat.cam"), "eye 0 0 1\nll 0 0 0\nu 1 0 0\nv 2 0 0\n").unwrap();
     let orders = [
-        ("frame", "is no order"),
+        ("frame", "is not an order"),
         ("frame plücker 1 1 0 view.cam", "packet or single"),
         ("frame packet 1 0 0 view.cam", "frames"),
         ("frame packet 1 1 0 none.cam", "none.cam"),
@@ -166,7 +165,7 @@ fn the_cost_view_shows_what_the_counters_count() {
         let count = |name: &str| report[name].as_u64().unwrap();
         let counts = (count("cell_traversals"), count("triangle_tests"));
         let per_ray = ["cell_traversals_per_ray", "triangle_tests_per_ray"].map(|name| report[name].as_f64().unwrap());
-        (counts, per_ray, RgbImage::read_png(&folder.join("cost.png")).unwrap())
+        (counts, per_ray, crate::references::read_png(&folder.join("cost.png")).unwrap())
     };
     // With one ray, the picture is one pixel that shows its cost.
     let ((n_cells, n_tests), per_ray, picture) = trace("1x1");
@@ -254,6 +253,6 @@ fn check_svg(folder: &Path, name: &str, labels: &[&str]) {
     for label in labels {
         assert!(svg.contains(label), "{label}");
     }
-    let png = RgbImage::read_png(&folder.join(format!("figures/{name}.png"))).unwrap();
+    let png = crate::references::read_png(&folder.join(format!("figures/{name}.png"))).unwrap();
     assert!(png.size[0] > 1000 && png.rgb.iter().any(|&byte| byte < 100), "{name}.png");
 }

@@ -2,8 +2,10 @@
 
 use std::path::Path;
 
-use compositor::gpu::{Offscreen, Present};
-use compositor::wall::Wall;
+use compositor::{
+    gpu::{Offscreen, Present},
+    wall::Wall,
+};
 
 use crate::pictures::{Frame, check_reference, check_twin, draw, gpu, statue_frame};
 

@@ -2,17 +2,21 @@
 
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 
-use compositor::gpu::{Gpu, Offscreen, Present, RgbImage, present_cpu};
-use compositor::wall::{PixelRect, Wall};
+use compositor::{
+    gpu::{Gpu, Offscreen, Present, RgbImage, present_cpu},
+    wall::{PixelRect, Wall},
+};
 use glam::DVec3;
 use renderer::{
+    grid::GridOptions,
     model::{mesh::Aabb, statue},
-    render::tracer::{FrameRequest, Scene, SceneOptions},
+    render::scene::Scene,
 };
 use shared::appearance::Appearance;
 use shared::camera::{Camera, UpAxis};
 use shared::division::{Division, FrameSize};
-use shared::protocol::{LightingMode, SampleRange, ShadingMode};
+use shared::protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode};
+use shared::scene::SceneId;
 use shared::srgb;
 
 use crate::{random::Random, references};
@@ -308,7 +312,7 @@ pub(crate) fn statue_frame_of(n_triangles: u32, wall: &Wall, up: UpAxis) -> Fram
 }
 
 fn statue_of(n_triangles: u32) -> Scene {
-    Scene::build(statue::generate(n_triangles, &|_| {}), &SceneOptions::default(), &|_| {})
+    Scene::build(statue::generate(n_triangles, &|_| {}), &GridOptions::default(), &|_| {})
 }
 
 fn frame_of(scene: &Scene, wall: &Wall, up: UpAxis) -> Frame {
@@ -317,9 +321,12 @@ fn frame_of(scene: &Scene, wall: &Wall, up: UpAxis) -> Frame {
     let camera = Camera::view_all(min, max, up, wall.aspect());
     let size = wall.frame_size();
     let (view, rays, samples) = (ShadingMode::Shaded, LightingMode::default(), SampleRange::CENTRE);
-    let request = FrameRequest { camera, size, view, rays, samples, appearance: Appearance::default() };
+    let scene_id = SceneId::Statue { triangles: 0 };
+    let spec = FrameSpec { scene: scene_id, camera, size, view, rays, samples, appearance: Appearance::default() };
     let task = Division::Interleaved.task(0, 1);
-    let rgb = scene.render_parallel(&request, &task.share(size).unwrap());
+    let share = task.share(size).unwrap();
+    let mut rgb = Vec::new();
+    scene.render(&spec, &share, 0..share.count(), &mut rgb);
     Frame::new([size.xres(), size.yres()], |i, j| {
         let first = 3 * (j * size.xres() + i) as usize;
         [rgb[first], rgb[first + 1], rgb[first + 2]]

@@ -26,7 +26,7 @@ impl Program {
         let path = folder.join(name);
         assert!(
             path.is_file(),
-            "{} is not built: cargo build --release builds it, as `make test` does",
+            "{} is not built: `make test` builds every program; so does cargo build --release --workspace --bins",
             path.display()
         );
         Command::new(path)

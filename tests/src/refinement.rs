@@ -17,7 +17,7 @@ const SCREEN: [usize; 2] = [320, 180];
 const SAMPLES: &str = "4";
 const RAYS: &str = "ambient";
 /// Logged when nothing is left to refine.
-const DONE: &str = "as fine as it gets";
+const DONE: &str = "fully refined";
 
 #[test]
 fn a_moving_camera_lowers_the_resolution_and_a_resting_one_refines_whoever_dies() {
@@ -96,7 +96,7 @@ fn a_wall_without_a_window_writes_the_refined_picture() {
         let mut command = files.wall(size);
         command.args(["--local", "1", "--frames", "2", "--samples", samples, "--screenshot"]).arg(&picture).args(args);
         let said = Program::succeed(command);
-        (compositor::gpu::RgbImage::read_png(&picture).unwrap(), said)
+        (crate::references::read_png(&picture).unwrap(), said)
     };
     // The wall file has 128×72 pixels.
     let (refined, said) = fixed("64x36", "9", &["--target-rate", "30"]);

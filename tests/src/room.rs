@@ -4,14 +4,18 @@
 //! It shares only the wall file's numbers with the code under test: it solves the geometry as linear equations, and adds
 //! up light. A projector's pixel gives light like a tent two pixels wide, as through a lens, and its black's light always.
 
-use compositor::gpu::{Gpu, Offscreen, Present, RgbImage};
-use compositor::wall::{Flip, Gamma, Projector, Wall};
+use compositor::{
+    gpu::{Gpu, Offscreen, Present, RgbImage},
+    wall::{Flip, Gamma, Projector, Wall},
+};
 use glam::DVec2;
 use proptest::prelude::*;
 
-use crate::optics::{CROOKED, shipped};
-use crate::pictures::{Frame, draw, gpu, statue_frame};
-use crate::references;
+use crate::{
+    optics::{CROOKED, shipped},
+    pictures::{Frame, draw, gpu, statue_frame},
+    references,
+};
 
 /// Ten levels of grey, sRGB-encoded; three at a time, because red, green and blue are independent.
 const LEVELS: [[u8; 3]; 4] = [[0, 16, 40], [64, 96, 128], [160, 192, 224], [255, 0, 255]];

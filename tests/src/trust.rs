@@ -132,7 +132,7 @@ fn changed_or_replayed_bytes_cost_a_connection_and_no_sample() {
     let mut replay = wall.connect();
     // Fails when the wall closes the connection.
     let _ = replay.write_all(&recording);
-    wall.program.wait_for("the peer repeats what another machine has said, and does not have the key");
+    wall.program.wait_for("the peer replays another machine's handshake and does not have the key");
 
     wall.wait_for_frames(3);
     let (frames, said) = wall.end();

@@ -238,7 +238,7 @@ fn a_session_from_opening_a_model_to_leaving() {
     wall.session.key("p");
     wait_until("the screenshot is written", || folder.path().join("wall-0001.png").is_file());
     wall.quit();
-    let picture = compositor::gpu::RgbImage::read_png(&folder.path().join("wall-0001.png")).unwrap();
+    let picture = crate::references::read_png(&folder.path().join("wall-0001.png")).unwrap();
     assert_eq!(picture.size, [4096, 2304]);
     let stats: serde_json::Value = serde_json::from_str(&fs::read_to_string(stats).unwrap()).unwrap();
     let last = stats["frames"].as_array().unwrap().last().unwrap();

@@ -1,14 +1,14 @@
-//! How fast the grid is built, and how fast rays are followed through it, on generated models.
+//! Times building and traversing the grid, on generated models: `make bench`.
 //!
-//! `make bench` prints times on the machine's clock and what they come to a second. All run on one thread, except
-//! building.
+//! It prints elapsed times and items a second. Everything but building runs on one thread.
 
 use std::{hint::black_box, sync::LazyLock};
 
 use divan::{Bencher, counter::ItemsCount};
-use glam::{DVec3, Vec3};
-use lab::random::Random;
+use glam::Vec3;
+use lab::{chart::view_all, random::Random};
 use renderer::{
+    grid::GridOptions,
     intersect::{
         ray::{Hit, Ray},
         triangle,
@@ -17,10 +17,10 @@ use renderer::{
         mesh::{Aabb, Mesh},
         statue,
     },
-    render::tracer::{Scene, SceneOptions},
+    render::scene::Scene,
 };
 use shared::{
-    camera::{Camera, CameraRays, UpAxis},
+    camera::CameraRays,
     division::{Division, FrameSize, Share},
 };
 
@@ -28,7 +28,7 @@ fn main() {
     divan::main();
 }
 
-/// The models: one surface, as scans are; triangles of one size all over the place; both in one, of very different size.
+/// The models: a surface like a scan's; scattered triangles of one size; and both at once, of very different sizes.
 #[derive(Clone, Copy, Debug)]
 enum Model {
     Statue,
@@ -59,17 +59,17 @@ impl Model {
         }
     }
 
-    fn stage(self) -> &'static Fixture {
-        static STAGES: [LazyLock<Fixture>; 3] = [
+    fn fixture(self) -> &'static Fixture {
+        static FIXTURES: [LazyLock<Fixture>; 3] = [
             LazyLock::new(|| Fixture::new(Model::Statue)),
             LazyLock::new(|| Fixture::new(Model::Soup)),
             LazyLock::new(|| Fixture::new(Model::StatueInSoup)),
         ];
-        &STAGES[self as usize]
+        &FIXTURES[self as usize]
     }
 }
 
-/// Triangles in random places of a cube around the origin.
+/// Triangles at random positions in a cube around the origin.
 fn soup(n_triangles: u32, extent: f32, edge: f32) -> Mesh {
     let mut random = Random::new(1);
     let mut point = |size: f32| random.point() * size;
@@ -92,20 +92,18 @@ struct Fixture {
 impl Fixture {
     fn new(model: Model) -> Self {
         let mesh = model.mesh();
-        // The statue is what is looked at wherever it stands.
+        // The camera always looks at the statue.
         let seen = match model {
-            Model::StatueInSoup => Model::Statue.stage().scene.mesh().bounds(),
+            Model::StatueInSoup => Model::Statue.fixture().scene.mesh().bounds(),
             Model::Statue | Model::Soup => mesh.bounds(),
         };
-        let scene = Scene::build(mesh, &SceneOptions::default(), &|_| ());
-        let Aabb { min, max } = seen;
-        let [min, max] = [min, max].map(|corner| DVec3::from_array(corner.map(f64::from)));
+        let scene = Scene::build(mesh, &GridOptions::default(), &|_| ());
         let size = FrameSize::new(FRAME.0, FRAME.1).expect("a frame of samples");
-        let rays = Camera::view_all(min, max, UpAxis::Y, 16.0 / 9.0).rays(size);
+        let rays = view_all(seen, 16.0 / 9.0).rays(size);
         Self { scene, rays, size }
     }
 
-    /// Of all samples, tile by tile.
+    /// The directions of all samples, tile by tile.
     fn directions(&self) -> Vec<Vec3> {
         let mut directions = Vec::new();
         with_tiles(self.size, |share| {
@@ -116,7 +114,7 @@ impl Fixture {
     }
 }
 
-fn with_tiles(size: FrameSize, mut visit: impl FnMut(&Share<'_>)) {
+fn with_tiles(size: FrameSize, mut visit: impl FnMut(&Share)) {
     let task = Division::Tiled.task(0, 1);
     visit(&task.share(size).expect("a whole frame"));
 }
@@ -127,56 +125,58 @@ fn build(bencher: Bencher, model: Model) {
     bencher
         .counter(ItemsCount::new(N_TRIANGLES))
         .with_inputs(|| model.mesh())
-        .bench_values(|mesh| Scene::build(mesh, &SceneOptions::default(), &|_| ()));
+        .bench_values(|mesh| Scene::build(mesh, &GridOptions::default(), &|_| ()));
 }
 
-/// Camera rays in packets, with the best instructions of this machine.
+/// Camera rays in packets, with this machine's best instructions.
 #[divan::bench(args = MODELS, sample_count = 20, sample_size = 1)]
 fn packets(bencher: Bencher, model: Model) {
-    let stage = model.stage();
-    let mut hits: Vec<Hit> = Vec::with_capacity(stage.size.n_samples() as usize);
-    bencher.counter(ItemsCount::new(stage.size.n_samples())).bench_local(|| {
+    let fixture = model.fixture();
+    let mut hits: Vec<Hit> = Vec::with_capacity(fixture.size.n_samples() as usize);
+    bencher.counter(ItemsCount::new(fixture.size.n_samples())).bench_local(|| {
         hits.clear();
-        with_tiles(stage.size, |share| {
-            stage.scene.trace(&stage.rays, None, share, 0..share.count(), |_, of_tile| hits.extend_from_slice(of_tile));
+        with_tiles(fixture.size, |share| {
+            fixture
+                .scene
+                .trace(&fixture.rays, None, share, 0..share.count(), |_, tile_hits| hits.extend_from_slice(tile_hits));
         });
         hits.len()
     });
 }
 
-/// The same rays one after the other.
+/// The same rays one by one.
 #[divan::bench(args = MODELS, sample_count = 10, sample_size = 1)]
 fn single_rays(bencher: Bencher, model: Model) {
-    let stage = model.stage();
-    let directions = stage.directions();
+    let fixture = model.fixture();
+    let directions = fixture.directions();
     bencher.counter(ItemsCount::new(directions.len())).bench_local(|| {
         for &direction in &directions {
-            black_box(stage.scene.grid().intersect(&Ray::new(stage.rays.eye, direction)));
+            black_box(fixture.scene.grid().intersect(&Ray::new(fixture.rays.eye, direction)));
         }
     });
 }
 
-/// Rays from the hits to a light above them: does anything stand in between?
+/// Shadow rays from the hits to a light above them.
 #[divan::bench(args = MODELS, sample_count = 10, sample_size = 1)]
 fn occlusion(bencher: Bencher, model: Model) {
-    let stage = model.stage();
-    let Aabb { min, max } = stage.scene.mesh().bounds();
+    let fixture = model.fixture();
+    let Aabb { min, max } = fixture.scene.mesh().bounds();
     let [min, max] = [min, max].map(Vec3::from_array);
     let light = max + (max - min);
     let shadow_ray = |direction| {
-        let hit = stage.scene.grid().intersect(&Ray::new(stage.rays.eye, direction));
-        let origin = stage.rays.eye + direction * hit.t;
+        let hit = fixture.scene.grid().intersect(&Ray::new(fixture.rays.eye, direction));
+        let origin = fixture.rays.eye + direction * hit.t;
         (!hit.is_miss()).then(|| Ray { origin, direction: light - origin, t_min: 1e-4, t_max: 1.0 })
     };
-    let shadow_rays: Vec<_> = stage.directions().into_iter().filter_map(shadow_ray).collect();
+    let shadow_rays: Vec<_> = fixture.directions().into_iter().filter_map(shadow_ray).collect();
     bencher
         .counter(ItemsCount::new(shadow_rays.len()))
-        .bench_local(|| shadow_rays.iter().filter(|ray| stage.scene.grid().occluded(ray)).count());
+        .bench_local(|| shadow_rays.iter().filter(|ray| fixture.scene.grid().occluded(ray)).count());
 }
 
-/// Pairs of ray and triangle: through its middle, beside it, and through an edge, which is decided exactly.
+/// Pairs of ray and triangle: through its centre, beside it, and through a corner, which needs the exact test.
 #[divan::bench(args = ["hit", "miss", "edge"], sample_count = 100)]
-fn intersection(bencher: Bencher, what: &str) {
+fn intersection(bencher: Bencher, outcome: &str) {
     const N_PAIRS: u32 = 1024;
     let mesh = soup(N_PAIRS, 1.0, 0.1);
     let origin = Vec3::new(0.0, 0.0, 4.0);
@@ -184,7 +184,7 @@ fn intersection(bencher: Bencher, what: &str) {
         .filter_map(|triangle| mesh.corners(triangle))
         .map(|corners| {
             let [a, b, c] = corners.map(Vec3::from_array);
-            let target = match what {
+            let target = match outcome {
                 "hit" => (a + b + c) / 3.0,
                 "miss" => a + (a - b) + (a - c),
                 _ => a,

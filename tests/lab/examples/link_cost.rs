@@ -1,6 +1,6 @@
-//! What encryption costs: bytes that one core seals, opens and copies in a second of CPU time.
+//! Measures the cost of encryption: bytes that one core encrypts, decrypts and copies in a second of CPU time.
 //!
-//! `cargo run --release -p lab --example link_cost`
+//!     cargo run --release -p lab --example link_cost
 
 use std::{
     pin::Pin,
@@ -13,13 +13,13 @@ use cpu_time::ThreadTime;
 use lab::statistics::median;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf, duplex, split};
 
-/// One frame of 1024×512 samples at 3 bytes.
+/// One frame of 1024×512 samples, 3 bytes each.
 const FRAME_BYTES: usize = 1024 * 512 * 3;
 
-/// Frames in each measurement: 250 ms or more, whichever cipher.
+/// Frames of a measurement: 250 ms or more with any cipher.
 const N_FRAMES: usize = 200;
 
-/// Measurements, of which the median counts.
+/// Measurements; the median counts.
 const N_RUNS: usize = 7;
 
 fn main() -> anyhow::Result<()> {
@@ -32,7 +32,7 @@ fn main() -> anyhow::Result<()> {
         copying.push(copy());
     }
     println!("{:<24}{:>12}{:>24}", "one core, CPU time", "MB/s", "ms per 1024×512 frame");
-    let rows = [("seal", sealing), ("open", opening), ("memcpy", copying)];
+    let rows = [("encrypt", sealing), ("decrypt", opening), ("memcpy", copying)];
     for (name, seconds) in rows {
         let frame_s = median(seconds) / N_FRAMES as f64;
         println!("{name:<24}{:>12.0}{:>24.3}", FRAME_BYTES as f64 / 1e6 / frame_s, frame_s * 1e3);
@@ -40,7 +40,7 @@ fn main() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Seconds for all frames, in writes as large as those of a render server and in reads of a chunk.
+/// Seconds to encrypt and to decrypt all frames, in writes of a render server's size and reads of a chunk.
 async fn seal_and_open() -> anyhow::Result<(f64, f64)> {
     let key = Key::random()?;
     let (server, wall) = duplex(1 << 20);
@@ -68,12 +68,12 @@ async fn seal_and_open() -> anyhow::Result<(f64, f64)> {
             reader.read_exact(&mut chunk[..bytes.len()]).await?;
         }
         open_s += started.elapsed().as_secs_f64();
-        anyhow::ensure!(chunk[..] == frame[FRAME_BYTES - chunk.len()..], "what is opened is what was sealed");
+        anyhow::ensure!(chunk[..] == frame[FRAME_BYTES - chunk.len()..], "decrypted bytes differ");
     }
     Ok((seal_s, open_s))
 }
 
-/// Seconds for all frames, from memory to memory in chunks.
+/// Seconds to copy all frames in chunks.
 fn copy() -> f64 {
     let frame = vec![1; FRAME_BYTES];
     let mut to = vec![0_u8; FRAME_BYTES];
@@ -87,9 +87,10 @@ fn copy() -> f64 {
     started.elapsed().as_secs_f64()
 }
 
-/// Sealed bytes in memory in place of a socket, once the handshake is over: bytes, and how many of them are read.
+/// Encrypted bytes, and how many of them have been read; `None` during the handshake.
 type Sealed = Option<(Vec<u8>, usize)>;
 
+/// Stands in for a socket after the handshake: keeps encrypted bytes in memory.
 #[derive(Clone, Default)]
 struct Tape(Arc<Mutex<Sealed>>);
 

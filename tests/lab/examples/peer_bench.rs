@@ -1,14 +1,14 @@
-//! Raywall as a peer among other ray tracers: frames on demand, taken in turn with theirs, so that other work on the
-//! machine hits all alike.
+//! Raywall for comparisons with other ray tracers: frames on demand, which alternate with theirs, so that other load on the
+//! machine slows all of them alike.
 //!
 //! `peer_bench --model FILE.ply` answers lines on standard input with lines of JSON:
 //!
-//! - `frame KERNEL THREADS N SHADOW CAMERA`: traces N frames, with threads that have been busy before; KERNEL is `packet` or
+//! - `frame KERNEL THREADS N SHADOW CAMERA`: traces N frames, after its threads were kept busy; KERNEL is `packet` or
 //!   `single`, SHADOW is 1 for a shadow ray from each hit, else 0
 //! - `dump KERNEL FILE CAMERA`: writes the hits of a frame, as `renderer trace --hits` does
 //! - `quit`
 //!
-//! Camera files have lines of a name and numbers: `eye`, `ll`, `u`, `v` and `light` in world space, and `res`, the
+//! Each line of a camera file is a name with numbers: `eye`, `ll`, `u`, `v` and `light` in world space, and `res`, the
 //! samples across and down.
 
 use std::{
@@ -23,23 +23,26 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::{Parser, ValueEnum};
 use cpu_time::ProcessTime;
 use glam::DVec3;
-use lab::trace::frame::{self, FrameOptions, Kernel};
+use lab::{
+    statistics::milliseconds,
+    trace::{
+        cameras::read_line,
+        frame::{self, FrameOptions, Kernel},
+    },
+};
 use rayon::ThreadPool;
 use renderer::{
-    cli::{self, read_line, say, scene_args::SceneArgs},
+    cli::{self, say, scene_args::SceneArgs},
     model::scene::{self, SceneSource},
-    render::{
-        frame::Frame,
-        image, threads,
-        tracer::{FrameRequest, Scene},
-    },
+    render::{frame::Frame, image, scene::Scene, threads},
 };
 use serde_json::json;
 use shared::{
     appearance::Appearance,
     camera::Camera,
     division::FrameSize,
-    protocol::{LightingMode, SampleRange, ShadingMode},
+    protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
+    scene::SceneId,
 };
 
 /// Traces frames on demand, for comparisons with other ray tracers
@@ -49,11 +52,11 @@ struct Args {
     #[arg(long, alias = "ply", value_name = "FILE")]
     model: PathBuf,
 
-    /// How the scene is made ready
+    /// How the scene is built.
     #[command(flatten)]
     scene: SceneArgs,
 
-    /// Threads that build; without it as many as there are cores
+    /// Threads that build the scene [default: one a core]
     #[arg(long, value_name = "N")]
     build_threads: Option<NonZero<usize>>,
 }
@@ -72,7 +75,7 @@ fn serve() -> Result<()> {
     let pool = threads::pool(args.build_threads.map(NonZero::get))?;
     let (started, started_cpu) = (Instant::now(), ProcessTime::now());
     let scene = pool.install(|| Scene::build(mesh, &options, &|_| ()));
-    let engine = format!("raywall, {}, density {}", options.grid.storage, scene.grid().figures().density);
+    let engine = format!("raywall, {}, density {}", options.storage, scene.grid().figures().density);
     say(json!({
         "event": "ready", "engine": engine, "ply": args.model, "tris": n_triangles, "verts": n_vertices,
         "load_s": load_s, "build_threads": pool.current_num_threads(), "build_s": started.elapsed().as_secs_f64(),
@@ -94,7 +97,7 @@ fn serve() -> Result<()> {
                 server.trace(kernel, n_threads, n_frames, shadow == "1", Path::new(camera))?;
             }
             ["dump", kernel, file, camera] => server.dump(kernel, Path::new(file), Path::new(camera))?,
-            _ => bail!("\"{line}\" is no order: see the head of peer_bench.rs"),
+            _ => bail!("\"{line}\" is not an order: see the head of peer_bench.rs"),
         }
     }
     Ok(())
@@ -103,7 +106,7 @@ fn serve() -> Result<()> {
 struct Server {
     scene: Scene,
     engine: String,
-    /// By their number of threads.
+    /// By number of threads.
     pools: HashMap<usize, ThreadPool>,
     frame: Frame,
 }
@@ -115,18 +118,18 @@ impl Server {
         let options = FrameOptions { kernel: named_kernel(kernel)?, light };
         let pool = match self.pools.entry(n_threads) {
             Entry::Occupied(pool) => pool.into_mut(),
-            Entry::Vacant(place) => place.insert(threads::pool(Some(n_threads))?),
+            Entry::Vacant(entry) => entry.insert(threads::pool(Some(n_threads))?),
         };
         keep_busy(pool, BEFORE_FRAMES);
-        // All in the pool: threads that went to sleep between frames would be late for the next.
+        // One call for all frames: a thread that sleeps between frames is late for the next.
         let trace = |_| frame::trace(&mut self.frame, &self.scene, &spec, &options);
         let (costs, counts): (Vec<_>, Vec<_>) = pool.install(|| (0..n_frames).map(trace).unzip());
         let last = counts[counts.len() - 1];
         say(json!({
             "event": "frames", "engine": self.engine, "mode": kernel, "threads": n_threads,
             "shadow": u8::from(shadow), "cam": camera,
-            "ms": costs.iter().map(|cost| cost.wall.as_secs_f64() * 1e3).collect::<Vec<_>>(),
-            "cpu_ms": costs.iter().map(|cost| cost.cpu.as_secs_f64() * 1e3).collect::<Vec<_>>(),
+            "ms": costs.iter().map(|cost| milliseconds(cost.wall)).collect::<Vec<_>>(),
+            "cpu_ms": costs.iter().map(|cost| milliseconds(cost.cpu)).collect::<Vec<_>>(),
             "rays": spec.size.n_samples() as usize + last.n_shadow_rays, "hits": self.frame.n_hits(),
             "shadow_rays": last.n_shadow_rays, "shadowed": last.n_shadowed,
         }))
@@ -141,11 +144,11 @@ impl Server {
     }
 }
 
-/// How long threads are busy before frames are timed.
+/// How long threads are kept busy before frames are timed.
 ///
-/// The host of a virtual machine gives processors that were idle whatever is near, such as two hyperthreads of one core, and
-/// takes its time to move them apart: in the first 40 ms after frames on one thread more than half of those on two took 1.1
-/// times their due and longer, from 200 ms on one of seven. Whoever comes first in a comparison would pay for that.
+/// The host of a virtual machine may place processors that wake up on two hyperthreads of one core, and separates them only
+/// later. In the first 40 ms after frames on one thread, more than half of the frames on two took 1.1 times as long or
+/// longer; from 200 ms on, one in seven. The first ray tracer of a comparison would pay for that.
 const BEFORE_FRAMES: Duration = Duration::from_millis(200);
 
 /// Keeps all threads of a pool busy, without touching memory.
@@ -157,12 +160,12 @@ fn keep_busy(pool: &ThreadPool, time: Duration) {
 }
 
 fn named_kernel(name: &str) -> Result<Kernel> {
-    Kernel::from_str(name, false).map_err(|_| anyhow::anyhow!("\"{name}\" is no kernel: it is packet or single"))
+    Kernel::from_str(name, false).map_err(|_| anyhow::anyhow!("\"{name}\" is not a kernel: write packet or single"))
 }
 
-/// A camera as the peers read it.
+/// A camera and a light, in the format of the other ray tracers.
 struct PeerCamera {
-    spec: FrameRequest,
+    spec: FrameSpec,
     light: DVec3,
 }
 
@@ -170,7 +173,7 @@ impl PeerCamera {
     fn read(path: &Path) -> Result<Self> {
         let text =
             std::fs::read_to_string(path).with_context(|| format!("cannot read the camera {}", path.display()))?;
-        Self::parse(&text).with_context(|| format!("{} is no camera", path.display()))
+        Self::parse(&text).with_context(|| format!("{} is not a camera", path.display()))
     }
 
     fn parse(text: &str) -> Result<Self> {
@@ -199,7 +202,11 @@ impl PeerCamera {
         }
         let (Some(eye), Some(ll), Some(u), Some(v)) = (eye, ll, u, v) else { bail!("it lacks one of eye, ll, u, v") };
         let camera = Camera::new(eye, ll, u, v)?;
+        let scene = SceneId::Statue { triangles: 0 };
         let (view, rays, samples) = (ShadingMode::Shaded, LightingMode::Primary, SampleRange::CENTRE);
-        Ok(Self { spec: FrameRequest { camera, size, view, rays, samples, appearance: Appearance::default() }, light })
+        Ok(Self {
+            spec: FrameSpec { scene, camera, size, view, rays, samples, appearance: Appearance::default() },
+            light,
+        })
     }
 }

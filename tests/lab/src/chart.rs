@@ -1,4 +1,4 @@
-//! `lab chart`: what speed costs in accuracy, in sharpness and in memory, measured on any model.
+//! `lab chart`: charts of speed against accuracy, memory and sharpness, measured on any model.
 
 pub(crate) mod candidates;
 mod kernel;
@@ -19,14 +19,11 @@ use renderer::{
     grid::MemoryBudget,
     intersect::InstructionSet,
     model::{
-        mesh::Mesh,
+        mesh::{Aabb, Mesh},
         scene::{self, SceneSource},
         statue,
     },
-    render::{
-        image,
-        tracer::{Scene, SceneOptions},
-    },
+    render::scene::Scene,
 };
 use serde::Serialize;
 use serde_json::json;
@@ -36,12 +33,12 @@ use shared::{
 };
 
 use self::peers::Peer;
-use crate::plot::Figure;
+use crate::{files, plot::Figure};
 
-/// What to measure, and where to write it.
+/// The charts, and the folder of their files.
 #[derive(Args, Debug)]
 pub struct ChartArgs {
-    /// A PLY file; without it the built-in statue is measured
+    /// The PLY file to measure [default: the built-in statue]
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
 
@@ -50,16 +47,16 @@ pub struct ChartArgs {
         value_parser = clap::value_parser!(u32).range(100..=100_000_000))]
     triangles: u32,
 
-    /// A camera file with eye, ll, u and v; may be given several times; without it the whole model is seen
+    /// A camera file with eye, ll, u and v; may be repeated [default: a camera that sees the whole model]
     #[arg(long, value_name = "FILE")]
     camera: Vec<PathBuf>,
 
-    /// The folder for the charts, as SVG and PNG, and the figures, as CSV and JSON; it is made if it is not there
+    /// The folder for charts, as SVG and PNG, and results, as CSV and JSON; created if missing
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 
-    /// Which charts: kernel (speed against depth errors and wrong pixels), memory (speed against bytes and build time),
-    /// image (time against sharpness), with commas between them
+    /// Charts, separated by commas: kernel (speed against depth errors and wrong pixels), memory (speed against bytes and
+    /// build time), image (time against sharpness)
     #[arg(long, value_name = "CHARTS", value_enum, value_delimiter = ',', default_values_t = Chart::ALL)]
     charts: Vec<Chart>,
 
@@ -67,12 +64,12 @@ pub struct ChartArgs {
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     size: Option<FrameSize>,
 
-    /// Memory that making a scene ready may take; what does not fit is left out
+    /// Memory for building a scene; settings that do not fit are left out
     #[arg(long, value_name = "SIZE", default_value_t = MemoryBudget::default())]
     memory_budget: MemoryBudget,
 
-    /// A CSV file with points of other ray tracers, which are drawn too: columns name, cpu_ns_per_ray, depth_error_p999,
-    /// wrong_per_million, bytes_per_triangle, build_seconds, cpu_ms, flip, psnr; all but the name may be missing
+    /// A CSV file of other ray tracers to add to the charts; columns: name, cpu_ns_per_ray, depth_error_p999,
+    /// wrong_per_million, bytes_per_triangle, build_seconds, cpu_ms, flip, psnr; all but name may be missing
     #[arg(long, value_name = "FILE")]
     points: Option<PathBuf>,
 
@@ -81,7 +78,7 @@ pub struct ChartArgs {
     quick: bool,
 }
 
-/// What can be charted.
+/// The charts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Chart {
     Kernel,
@@ -101,9 +98,9 @@ impl Chart {
     }
 }
 
-/// Measures, and writes what it has after each step.
+/// Measures, and writes the results so far after each step.
 pub fn run(args: &ChartArgs) -> Result<()> {
-    // What is asked for is checked before a large model is read.
+    // Wrong arguments are found before a large model is read.
     let cameras = args.camera.iter().map(|path| Ok((name_of(path), read_camera(path)?))).collect::<Result<Vec<_>>>()?;
     let peers = args.points.as_deref().map(peers::read).transpose()?.unwrap_or_default();
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
@@ -115,7 +112,11 @@ pub fn run(args: &ChartArgs) -> Result<()> {
         let progress = Progress::new(format!("loading {name}"));
         scene::load(&source, &|done| progress.set(done))?.mesh
     };
-    let cameras = if cameras.is_empty() { vec![("whole model".to_owned(), view_all(&mesh))] } else { cameras };
+    let cameras = if cameras.is_empty() {
+        vec![("whole model".to_owned(), view_all(mesh.bounds(), 16.0 / 9.0))]
+    } else {
+        cameras
+    };
     let mut session = Session {
         args,
         name,
@@ -146,16 +147,16 @@ fn name_of(path: &Path) -> String {
     path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
-fn view_all(mesh: &Mesh) -> Camera {
-    let bounds = mesh.bounds();
+/// The camera that sees all of a model.
+pub fn view_all(bounds: Aabb, aspect: f64) -> Camera {
     let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
-    Camera::view_all(min, max, UpAxis::Y, 16.0 / 9.0)
+    Camera::view_all(min, max, UpAxis::Y, aspect)
 }
 
-/// A run, with what was measured so far.
+/// A run and its results so far.
 struct Session<'a> {
     args: &'a ChartArgs,
-    /// The model's.
+    /// The model's name.
     name: String,
     mesh: Mesh,
     cameras: Vec<(String, Camera)>,
@@ -163,32 +164,32 @@ struct Session<'a> {
     kernel: kernel::Results,
     image: Vec<picture::PictureRow>,
     memory: Vec<memory::MemoryRow>,
-    /// What could not be measured, and why.
+    /// Measurements that are impossible, with reasons.
     left_out: Vec<String>,
 }
 
 impl Session<'_> {
     fn chart_kernel(&mut self) -> Result<()> {
         let quick = self.args.quick;
-        let effort = kernel::Settings {
+        let settings = kernel::Settings {
             size: self.size()?,
             n_repeats: if quick { 15 } else { 9 },
             decades: if quick { vec![0, 2, 4, 6] } else { (0..=6).collect() },
         };
         for (name, camera) in self.cameras.clone() {
-            for placement in effort.placements() {
+            for placement in settings.placements() {
                 let progress = Progress::new(format!("measuring {name}, {placement}"));
                 let measured =
-                    self.kernel.measure(&self.mesh, (&name, &camera), placement, &effort, &|done| progress.set(done));
+                    self.kernel.measure(&self.mesh, (&name, &camera), placement, &settings, &|done| progress.set(done));
                 drop(progress);
                 if let Err(reason) = measured {
                     self.leave_out(format!("{name}, {placement}: {reason}"));
                 }
                 if !self.kernel.rows.is_empty() {
-                    let title = format!("Rays against triangles: speed and accuracy on {}", self.name);
-                    let reading = "Further left is faster, further down more accurate; dashed is the Pareto front. \
-                        Depth: 99.9 % of hits are within the dot, the bar goes from the median to the worst.";
-                    let figure = self.kernel.figure(title, self.notes(effort.size, reading), &self.peers);
+                    let title = format!("Intersection methods: speed and accuracy on {}", self.name);
+                    let reading = "Left is faster, down is more accurate; the dashed line is the Pareto front. \
+                        Depth: the dot is the error at 99.9 % of hits, the bar spans from the median to the maximum.";
+                    let figure = self.kernel.figure(title, self.notes(settings.size, reading), &self.peers);
                     self.write(Chart::Kernel, &self.kernel.rows, &figure)?;
                 }
             }
@@ -198,39 +199,39 @@ impl Session<'_> {
 
     fn chart_memory(&mut self) -> Result<()> {
         let quick = self.args.quick;
-        let effort = memory::Settings {
+        let settings = memory::Settings {
             size: self.size()?,
             n_repeats: if quick { 21 } else { 7 },
             densities: if quick { vec![4.0, 32.0, 128.0] } else { (0..8).map(|n| f64::from(1 << n)).collect() },
             uniform_densities: if quick { vec![4.0, 32.0] } else { vec![1.0, 4.0, 32.0] },
             memory_budget: self.args.memory_budget,
         };
-        let progress = Progress::new("measuring ways to keep the scene");
+        let progress = Progress::new("measuring scene structures");
         let cameras = self.cameras.iter().map(|(_, camera)| *camera).collect();
         let mesh = std::mem::take(&mut self.mesh);
-        let standard = memory::Baseline::new(&mesh, cameras, &effort);
-        let chosen = standard.chosen_density();
-        let settings = if standard.is_empty() { Vec::new() } else { effort.settings(chosen) };
-        if settings.is_empty() {
-            self.leave_out("ways to keep the scene: no triangle of the model can be hit".to_owned());
+        let baseline = memory::Baseline::new(&mesh, cameras, &settings);
+        let chosen = baseline.chosen_density();
+        let variants = if baseline.is_empty() { Vec::new() } else { settings.variants(chosen) };
+        if variants.is_empty() {
+            self.leave_out("scene structures: no triangle of the model can be hit".to_owned());
         }
-        for (index, setting) in settings.iter().enumerate() {
-            progress.set(index as f32 / settings.len() as f32);
-            match standard.measure(setting, &effort)? {
+        for (index, variant) in variants.iter().enumerate() {
+            progress.set(index as f32 / variants.len() as f32);
+            match baseline.measure(variant, &settings)? {
                 Ok(row) => self.memory.push(row),
-                Err(reason) => self.leave_out(format!("{}: {reason}", setting.name())),
+                Err(reason) => self.leave_out(format!("{}: {reason}", variant.name())),
             }
             if !self.memory.is_empty() {
-                let title = format!("Keeping a scene: speed, memory and time to build on {}", self.name);
-                let reading = "Further left is smaller or sooner ready, further down faster; dashed is the Pareto front. \
-                    All hit the same, bit for bit.";
+                let title = format!("Scene structures: speed, memory and build time on {}", self.name);
+                let reading = "Left is smaller or sooner built, down is faster; the dashed line is the Pareto front. \
+                    All hits are the same, bit for bit.";
                 let figure =
-                    memory::figure(title, self.notes_of(&mesh, effort.size, reading), &self.memory, &self.peers);
+                    memory::figure(title, self.notes_of(&mesh, settings.size, reading), &self.memory, &self.peers);
                 self.write(Chart::Memory, &self.memory, &figure)?;
             }
         }
         drop(progress);
-        drop(standard);
+        drop(baseline);
         self.mesh = mesh;
         if self.memory.is_empty() {
             return Ok(());
@@ -250,19 +251,19 @@ impl Session<'_> {
         let native = sizes[sizes.len() - 1];
         let n_reference_samples = if quick { 16 } else { 64 };
         let samples = if quick { vec![1, 4, 16] } else { vec![1, 2, 4, 8, 16] };
-        let effort = picture::Settings { native, n_reference_samples, sizes, samples };
+        let settings = picture::Settings { native, n_reference_samples, sizes, samples };
         let scene = {
             let progress = Progress::new("building the grid");
-            let grid = renderer::grid::GridOptions { memory_budget: self.args.memory_budget, ..Default::default() };
-            Scene::build(self.mesh.clone(), &SceneOptions { grid }, &|done| progress.set(done))
+            let options = renderer::grid::GridOptions { memory_budget: self.args.memory_budget, ..Default::default() };
+            Scene::build(self.mesh.clone(), &options, &|done| progress.set(done))
         };
         let reading = format!(
-            "Further left is faster, further down closer to a picture of {native} pixels with {n_reference_samples} samples each; \
-             dashed is the Pareto front."
+            "Left is faster, down is closer to a picture of {native} pixels with {n_reference_samples} samples each; \
+             the dashed line is the Pareto front."
         );
         for (name, camera) in self.cameras.clone() {
             let progress = Progress::new(format!("comparing pictures of {name}"));
-            picture::measure(&scene, (&name, &camera), &effort, |row, done| {
+            picture::measure(&scene, (&name, &camera), &settings, |row, done| {
                 progress.set(done);
                 let Some(row) = row else { return Ok(()) };
                 self.image.push(row);
@@ -303,22 +304,15 @@ impl Session<'_> {
         vec![format!("{n_triangles} triangles, {size}, {views}, {instructions:?}"), reading.to_owned()]
     }
 
-    /// Replaces the files by what is known now.
+    /// Writes a chart's files with the results so far.
     fn write(&self, chart: Chart, rows: &[impl Serialize], figure: &Figure) -> Result<()> {
         let folder = &self.args.out;
-        let mut csv = csv::Writer::from_writer(Vec::new());
-        rows.iter().try_for_each(|row| csv.serialize(row))?;
-        let csv = csv.into_inner()?;
         let json = json!({
             "model": self.name, "instructions": format!("{:?}", InstructionSet::best()), "kernel": self.kernel.rows,
             "memory": self.memory, "image": self.image, "points": self.peers, "left_out": self.left_out,
         });
-        let json = serde_json::to_string_pretty(&json)?;
-        for (name, content) in [(format!("{}.csv", chart.name()), &*csv), ("chart.json".to_owned(), json.as_bytes())] {
-            let path = folder.join(name);
-            image::write_atomically(&path, |out| out.write_all(content))
-                .with_context(|| format!("cannot write {}", path.display()))?;
-        }
+        files::write(folder, &format!("{}.csv", chart.name()), files::csv(rows)?.as_bytes())?;
+        files::write(folder, "chart.json", serde_json::to_string_pretty(&json)?.as_bytes())?;
         figure.write(folder, chart.name())
     }
 }

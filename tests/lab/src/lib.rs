@@ -1,10 +1,13 @@
-//! The laboratory: everything that only measures. It stands on top of the programs and uses their own code, so that what
-//! is measured is what runs.
+//! The laboratory: everything that measures and compares, and nothing that a wall needs. It measures the programs' own
+//! code.
 //!
-//! [`trace`], [`chart`] and [`stability`] are its commands. [`plot`], [`statistics`], [`random`] and [`vector`] serve all of
-//! them.
+//! [`mod@bench`], [`chart`], [`stability`] and [`trace`] are its commands; [`farm`] serves the examples. [`files`], [`plot`],
+//! [`random`], [`statistics`] and [`vector`] serve all of them.
 
+pub mod bench;
 pub mod chart;
+pub mod farm;
+pub mod files;
 pub mod plot;
 pub mod random;
 pub mod stability;
@@ -15,37 +18,44 @@ pub mod vector;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::{chart::ChartArgs, stability::StabilityArgs, trace::LabTraceArgs};
+use crate::{bench::BenchArgs, chart::ChartArgs, stability::StabilityArgs, trace::LabTraceArgs};
 
-/// Laboratory of the display wall
+/// Measures what a display wall runs
 #[derive(Debug, Parser)]
 #[command(version, about, long_about = None)]
 pub struct Cli {
-    /// What to measure.
+    /// The measurement.
     #[command(subcommand)]
     pub command: Command,
 }
 
-/// What the program can measure.
+/// The measurements.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Measure speed against accuracy of ways to intersect rays with triangles, and draw a chart
+    /// Chart the speed of intersection methods against accuracy, memory and sharpness
     Chart(ChartArgs),
-    /// Try the ways to intersect rays with triangles where they fail
+    /// Try intersection methods in difficult cases, and count wrong hits
     Stability(StabilityArgs),
-    /// Trace frames as `renderer trace` does, and measure more of them
+    /// Repeat the paper's experiment: bytes and time per frame by division and number of render servers
+    Bench(BenchArgs),
+    /// Trace frames as `renderer trace` does, with more measurements
     Trace(Box<LabTraceArgs>),
+    /// Run a render server: `lab bench` starts them
+    #[command(subcommand, hide = true)]
+    Renderer(Box<renderer::cli::Command>),
 }
 
 /// Runs a command.
 ///
 /// # Errors
-/// What the command cannot do.
-pub fn run(command: &Command) -> Result<()> {
+/// The command cannot be done; the text says why.
+pub fn run(command: Command) -> Result<()> {
     match command {
-        Command::Chart(args) => chart::run(args),
-        Command::Stability(args) => stability::run(args),
-        Command::Trace(args) => trace::run(args),
+        Command::Bench(args) => bench::run(&args),
+        Command::Chart(args) => chart::run(&args),
+        Command::Stability(args) => stability::run(&args),
+        Command::Trace(args) => trace::run(&args),
+        Command::Renderer(command) => renderer::cli::run(*command),
     }
 }
 
@@ -53,8 +63,19 @@ pub fn run(command: &Command) -> Result<()> {
 mod tests {
     use clap::CommandFactory;
 
+    use super::*;
+
     #[test]
     fn the_command_line_is_consistent() {
-        super::Cli::command().debug_assert();
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn a_bench_has_a_folder_for_its_figures_or_measures_the_display() {
+        let parse = |args: &[&str]| Cli::try_parse_from(["lab", "bench"].iter().chain(args)).is_ok();
+        assert!(parse(&["--out", "figures"]) && parse(&["--display"]) && parse(&["--display", "--json"]));
+        for refused in [&[][..], &["--display", "--out", "figures"], &["--json", "--out", "figures"], &["--json"]] {
+            assert!(!parse(refused), "{refused:?}");
+        }
     }
 }

@@ -7,5 +7,5 @@ use renderer::cli;
 fn main() -> ExitCode {
     let command = cli::parse::<lab::Cli>().command;
     cli::start_logging();
-    cli::exit_code(lab::run(&command))
+    cli::exit_code(lab::run(command))
 }

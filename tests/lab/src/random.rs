@@ -1,4 +1,4 @@
-//! Random numbers that are the same in every run.
+//! Pseudorandom numbers, the same in every run.
 
 use glam::Vec3;
 
@@ -7,9 +7,9 @@ use glam::Vec3;
 pub struct Random(u64);
 
 impl Random {
-    /// One of many sequences.
+    /// The sequence of a seed.
     pub fn new(seed: u64) -> Self {
-        // Stirred: the first numbers of neighbouring seeds are much alike.
+        // Sequences of neighbouring seeds begin alike: skip the first numbers.
         let mut random = Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ seed.rotate_left(31));
         (0..4).for_each(|_| {
             random.bits();
@@ -39,7 +39,7 @@ impl Random {
         Vec3::new(self.unit() - 0.5, self.unit() - 0.5, self.unit() - 0.5)
     }
 
-    /// One of some items.
+    /// One of the items.
     pub fn choose<'a, T>(&mut self, items: &'a [T]) -> &'a T {
         &items[self.whole(0, items.len() as i32 - 1) as usize]
     }

@@ -1,7 +1,8 @@
-//! `lab stability`: the ways to intersect rays with triangles where they fail, one case after the other.
+//! `lab stability`: intersection methods in difficult cases.
 //!
-//! The truth is always found another way: in whole numbers ([`exact`]), from the shape of a closed surface ([`closed`],
-//! [`shadows`]), in `f64` triangle by triangle ([`cameras`]), or by changing what must change nothing ([`invariance`]).
+//! The truth never comes from a method under test: it is computed in integers ([`exact`]), from the shape of a closed surface
+//! ([`closed`], [`shadows`]), in `f64` triangle by triangle ([`cameras`]), or by transformations that must change nothing
+//! ([`invariance`]).
 
 mod cameras;
 mod closed;
@@ -23,26 +24,26 @@ use closed::Aim;
 use contenders::{Contender, Tally};
 use renderer::cli::{progress::Progress, say, trace::read_camera};
 
-/// How much to try, or what to try again.
+/// The extent of the trial, or a failure to replay.
 #[derive(Args, Debug)]
 pub struct StabilityArgs {
     /// Rays of each case
     #[arg(long, value_name = "N", default_value_t = 10_000_000, value_parser = clap::value_parser!(u64).range(10_000..=1_000_000_000_000))]
     rays: u64,
 
-    /// Only the cases with this in their name
+    /// Try only the cases whose names contain this text
     #[arg(long, value_name = "TEXT")]
     case: Option<String>,
 
-    /// Try a mesh (PLY) and a camera instead, as a failed test has left them
+    /// Try a mesh (PLY) and a camera instead, as a failed test wrote them
     #[arg(long, num_args = 2, value_names = ["MESH", "CAMERA"])]
     replay: Option<Vec<PathBuf>>,
 }
 
-/// A situation in which methods fail.
+/// A situation in which some methods fail.
 struct Case {
     name: &'static str,
-    /// Given about how many rays to trace, and whether times may be measured.
+    /// Takes the approximate number of rays, and whether to measure times.
     run: fn(u64, bool) -> Tally,
 }
 
@@ -67,10 +68,13 @@ const CASES: &[Case] = &[
         run: |n, _| lattice::solids_and_soups(lattice::Aim::FromSurfaces, n),
     },
     Case { name: "from 10⁶ extents away", run: |n, _| lattice::solids_and_soups(lattice::Aim::Far, n) },
-    Case { name: "flat scenes, on each axis", run: |n, _| sum([0, 1, 2].map(|axis| lattice::flat(&[axis], n / 3))) },
+    Case {
+        name: "flat scenes, on each axis",
+        run: |n, _| [0, 1, 2].map(|axis| lattice::flat(&[axis], n / 3)).into_iter().sum(),
+    },
     Case {
         name: "a line, a point",
-        run: |n, _| sum([lattice::flat(&[0, 2], n / 2), lattice::flat(&[0, 1, 2], n / 2)]),
+        run: |n, _| [&[0, 2][..], &[0, 1, 2]].map(|axes| lattice::flat(axes, n / 2)).into_iter().sum(),
     },
     Case { name: "no triangle, one triangle", run: |n, _| lattice::few(n) },
     Case { name: "NaN, infinite and 10³⁰ vertices", run: |n, _| hostile::bad_vertices(n) },
@@ -89,27 +93,18 @@ const CASES: &[Case] = &[
     Case { name: "degenerate cameras", run: |n, _| cameras::degenerate(n) },
 ];
 
-fn sum(tallies: impl IntoIterator<Item = Tally>) -> Tally {
-    tallies.into_iter().fold(Tally::default(), |mut sum, tally| {
-        sum += tally;
-        sum
-    })
-}
-
 fn every_sphere(aim: Aim, n_rays: u64) -> Tally {
     let centres = [[0.0; 3], [1e3, -1e3, 1e3], [148_376.0, 1234.0, -223_423.0], [1e7, 1e7, -1e7]];
-    sum(centres.map(|centre| closed::sphere(centre, 2.0, aim, n_rays / 4)))
+    centres.into_iter().map(|centre| closed::sphere(centre, 2.0, aim, n_rays / 4)).sum()
 }
 
 fn coordinates(n_rays: u64) -> Tally {
-    let decades = -8..=8;
-    sum(decades.map(|decade| {
-        let scale = 10f64.powi(decade);
-        closed::sphere([3.0 * scale, -2.0 * scale, scale], scale, Aim::Anywhere, n_rays / 17)
-    }))
+    let scales = (-8..=8).map(|decade| 10f64.powi(decade));
+    let sphere = |scale: f64| closed::sphere([3.0, -2.0, 1.0].map(|x| x * scale), scale, Aim::Anywhere, n_rays / 17);
+    scales.map(sphere).sum()
 }
 
-/// Tries the cases and prints the table; the default failing anywhere is an error.
+/// Tries the cases and prints the table. A wrong hit of the default is an error.
 pub fn run(args: &StabilityArgs) -> Result<()> {
     if let Some([mesh, camera]) = args.replay.as_deref() {
         return replay::run(mesh, &read_camera(camera)?);
@@ -135,7 +130,7 @@ pub fn run(args: &StabilityArgs) -> Result<()> {
     if failures.is_empty() { Ok(()) } else { bail!("the default fails: {}", failures.join("; ")) }
 }
 
-/// The table is Markdown, so that it can be kept as it is printed.
+/// The head of the table, in Markdown.
 fn head() -> String {
     let names = Contender::ALL.map(Contender::name).join(" | ");
     format!("| wrong of a million rays | rays | {names} |\n|---|---:{}|", "|---:".repeat(Contender::ALL.len()))
@@ -150,7 +145,7 @@ fn line(name: &str, tally: &Tally) -> String {
     format!("| {name} | {} | {} |", per_million(tally.n_rays as f64), cells.join(" | "))
 }
 
-/// Two digits, for more would not be the same in the next version.
+/// Two significant digits: more are not reproducible across versions.
 fn per_million(x: f64) -> String {
     if x >= 9.95 {
         let unit = 10f64.powf(x.log10().floor() - 1.0);
@@ -174,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_method_that_is_known_to_fail_is_seen_to() {
+    fn a_method_that_is_known_to_fail_fails() {
         let tally = every_sphere(Aim::VerticesAndEdges, 40_000);
         let of_rivals = Contender::ALL.iter().zip(tally.wrong).filter(|(contender, _)| !contender.is_default());
         let wrong: Vec<_> = of_rivals.map(|(_, wrong)| wrong).collect();

@@ -1,35 +1,40 @@
-//! Quantiles, medians and means.
+//! Quantiles, medians and means, and durations as numbers.
 
 use std::time::Duration;
 
-/// The values below which parts of the values lie, by the nearest rank; 0 of none.
+/// Quantiles at some fractions, by the nearest rank; 0 without values.
 pub fn quantiles<const N: usize>(values: impl IntoIterator<Item = f64>, parts: [f64; N]) -> [f64; N] {
     let mut sorted: Vec<f64> = values.into_iter().collect();
     sorted.sort_by(f64::total_cmp);
     parts.map(|part| sorted.get(nearest_rank(sorted.len(), part)).copied().unwrap_or(0.0))
 }
 
-/// The value below which a part of the values lies, by the nearest rank; 0 of none.
+/// One quantile, by the nearest rank; 0 without values.
 pub fn quantile(values: impl IntoIterator<Item = f64>, part: f64) -> f64 {
     let [value] = quantiles(values, [part]);
     value
 }
 
-/// The middle value, of an even number the upper one; 0 of none.
+/// The median, of an even number the upper one; 0 without values.
 pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     quantile(values, 0.5)
 }
 
-/// The middle duration, of an even number the upper one; zero of none.
+/// The median duration, of an even number the upper one; zero without values.
 pub fn median_duration(durations: &mut [Duration]) -> Duration {
     durations.sort_unstable();
     durations.get(nearest_rank(durations.len(), 0.5)).copied().unwrap_or_default()
 }
 
-/// The arithmetic mean; NaN of none.
+/// The arithmetic mean; NaN without values.
 pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
     let (sum, n) = values.into_iter().fold((0.0, 0), |(sum, n), value| (sum + value, n + 1));
     sum / f64::from(n)
+}
+
+/// A duration in milliseconds.
+pub fn milliseconds(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
 }
 
 fn nearest_rank(n: usize, part: f64) -> usize {

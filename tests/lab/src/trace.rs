@@ -1,6 +1,6 @@
-//! `lab trace`: what `renderer trace` does, with shadow rays, rays that are followed alone, counters, and frames on demand.
+//! `lab trace`: `renderer trace` with shadow rays, single rays, counters, and frames on demand.
 
-mod cameras;
+pub mod cameras;
 mod counts;
 pub mod frame;
 mod shadows;
@@ -17,27 +17,27 @@ use serde::Serialize;
 use self::frame::{FrameOptions, Kernel, RayCounts};
 use crate::statistics::median;
 
-/// What to trace, and how.
+/// The picture, and the measurements.
 #[derive(Args, Debug)]
 pub struct LabTraceArgs {
-    /// The picture
+    /// The picture.
     #[command(flatten)]
     picture: TraceArgs,
 
-    /// Trace one frame for each camera file whose path stands on a line of standard input, and answer each with a line
-    /// of JSON; one that cannot be read ends it; the only value is -
+    /// Read paths of camera files from standard input ("-", the only value), one a line; trace a frame for each and
+    /// answer with a line of JSON; the first unreadable camera ends the program
     #[arg(long, value_name = "-", conflicts_with_all = ["camera", "frames", "image", "hits", "explain"])]
     cameras: Option<String>,
 
-    /// Follow the rays of a tile together, or each alone
+    /// Trace the rays of tiles in packets, or one by one
     #[arg(long, value_name = "KERNEL", value_enum, default_value_t)]
     kernel: Kernel,
 
-    /// Also trace a ray from each hit to the light
+    /// Also trace a shadow ray for each hit
     #[arg(long, conflicts_with = "clip")]
     shadow_rays: bool,
 
-    /// Where the light of the shadow rays stands, in world space
+    /// Position of the light of the shadow rays, in world space
     #[arg(long, value_name = "X,Y,Z", default_value = "3,5,4", value_parser = point)]
     light: Vec3,
 }
@@ -50,26 +50,25 @@ fn point(text: &str) -> Result<Vec3, String> {
     }
 }
 
-/// What was measured.
+/// The results, as JSON.
 #[derive(Serialize)]
 struct LabReport {
     #[serde(flatten)]
     report: Report,
-    /// `None` where the system does not tell.
+    /// `None` where the system does not report it.
     peak_rss_bytes: Option<u64>,
-    /// Rays from hits to the light.
+    /// Traced shadow rays.
     shadow_rays: usize,
     /// Hits that the light does not reach.
     shadowed: usize,
-    /// Cells that the primary rays of a frame pass when each is followed alone, and triangles that they are tested
-    /// against: all of them, and per ray.
+    /// Cells passed and triangles tested by the primary rays of a frame, traced one by one: sums, and means per ray.
     cell_traversals: u64,
     triangle_tests: u64,
     cell_traversals_per_ray: f64,
     triangle_tests_per_ray: f64,
 }
 
-/// Loads, builds, traces, and writes what was asked for.
+/// Loads, builds and traces, and writes files and results.
 ///
 /// # Errors
 /// A file cannot be read or written.
@@ -79,7 +78,7 @@ pub fn run(args: &LabTraceArgs) -> Result<()> {
 
 fn run_in_pool(args: &LabTraceArgs) -> Result<()> {
     if let Some(source) = &args.cameras {
-        ensure!(source == "-", "--cameras {source}: cameras are only read from standard input, which is written as -");
+        ensure!(source == "-", "--cameras {source}: cameras are only read from standard input, written as -");
     }
     let options = FrameOptions { kernel: args.kernel, light: args.shadow_rays.then_some(args.light) };
     let prepared = args.picture.prepare()?;
@@ -100,7 +99,7 @@ fn run_in_pool(args: &LabTraceArgs) -> Result<()> {
     if !args.picture.json {
         return say(report.table(spec.size));
     }
-    // Counting follows each ray alone, so only those who see the figures wait for it.
+    // Counting traces rays one by one, so the table does without it.
     let cost_sum = counts::cost_sum(scene, spec);
     let per_ray = |sum: u64| sum as f64 / f64::from(n_samples);
     say(serde_json::to_string(&LabReport {
@@ -115,7 +114,7 @@ fn run_in_pool(args: &LabTraceArgs) -> Result<()> {
     })?)
 }
 
-/// The most memory that this process ever had, as Linux tells it.
+/// The peak memory of this process, where Linux reports it.
 fn peak_rss_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;

@@ -1,6 +1,6 @@
-//! Vectors of three numbers of any type: single and double precision, and integers, where nothing is rounded.
+//! Vectors of three numbers of any type: `f32`, `f64`, and integers, which are exact.
 //!
-//! Methods under test are written with these, so that all of them round in the same order.
+//! All methods under test use these, so that they round in the same order.
 
 use std::ops::{Add, Mul, Sub};
 

@@ -1,4 +1,4 @@
-//! Which triangles each ray of a frame may hit, found by projecting every triangle onto the view plane.
+//! Finds the triangles that each ray of a frame may hit, by projecting all triangles onto the view plane.
 
 use std::fmt;
 
@@ -9,18 +9,18 @@ use shared::{
     division::FrameSize,
 };
 
-/// Where model and eye stand when they are measured.
+/// The positions of model and eye.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Placement {
-    /// As they are.
+    /// In place.
     Near,
-    /// The eye drawn back to 10 to the power of so much times the model's size, with the same things in view.
+    /// The eye moved back to 10ⁿ model sizes, with the same view.
     EyeFar(u8),
-    /// Model and eye together moved away from the origin by [`FAR`] times the model's size.
+    /// Model and eye moved [`FAR`] model sizes from the origin.
     ModelMoved,
 }
 
-/// Far, in sizes of the model.
+/// In model sizes.
 const FAR: f64 = 1e4;
 
 impl fmt::Display for Placement {
@@ -39,15 +39,15 @@ impl serde::Serialize for Placement {
     }
 }
 
-/// A model with an eye, ready to be measured.
+/// A model and a camera at a placement.
 pub(crate) struct PlacedModel {
-    /// Instead of the mesh's, where it was moved.
+    /// The moved vertices; `None` stands for the mesh's own.
     vertices: Option<Vec<[f32; 3]>>,
     pub(crate) camera: Camera,
 }
 
 impl PlacedModel {
-    /// Puts the model and a camera somewhere; the error says why that is impossible.
+    /// Moves model and camera to a placement; the error says why that is impossible.
     pub(crate) fn new(mesh: &Mesh, camera: &Camera, placement: Placement) -> Result<Self, String> {
         let bounds = mesh.bounds();
         let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
@@ -57,10 +57,10 @@ impl PlacedModel {
             Placement::EyeFar(decade) => {
                 let forward = camera.u().cross(camera.v()).normalize();
                 let depth = |point: DVec3| (point - camera.eye()).dot(forward);
-                // The view plane is put into the model before the eye leaves it.
+                // Move the view plane into the model before the eye moves back.
                 let scale = depth(centre) / depth(camera.ll());
                 if scale <= 0.0 {
-                    return Err("the model's middle lies behind the eye".to_owned());
+                    return Err("the model's centre lies behind the eye".to_owned());
                 }
                 let ll = camera.eye() + (camera.ll() - camera.eye()) * scale;
                 let (u, v) = (camera.u() * scale, camera.v() * scale);
@@ -80,7 +80,7 @@ impl PlacedModel {
         }
     }
 
-    /// The corners of a triangle, or `None` if it cannot be traced.
+    /// The corners of a triangle; `None` if it was rejected.
     pub(crate) fn corners(&self, mesh: &Mesh, triangle: usize) -> Option<[[f32; 3]; 3]> {
         let vertices = self.vertices.as_ref().unwrap_or(&mesh.vertices);
         let indices = mesh.triangles[triangle];
@@ -89,25 +89,25 @@ impl PlacedModel {
     }
 }
 
-/// The candidates of all rays of a frame.
+/// The candidate triangles of all rays of a frame.
 pub(crate) struct Candidates {
     rays: CameraRays,
     size: FrameSize,
-    /// Where the candidates of each sample end, row by row.
+    /// The end of each sample's candidates, row by row.
     ends: Vec<u32>,
-    /// Triangles by their number, ascending for each sample.
+    /// File indices of triangles, ascending for each sample.
     triangles: Vec<u32>,
 }
 
-/// More pairs of ray and triangle than this are not kept: 1 GB of them would be the whole of a node's memory.
+/// Largest number of pairs of ray and triangle: 400 MB.
 const MOST_PAIRS: u64 = 100_000_000;
 
-/// How far outside a triangle's bounds rays may pass it and still be candidates, in samples: more than any method's error
-/// where it is of any use, and as much as the cells of a grid add.
+/// Margin around a triangle's bounds in samples: more than the error of any useful method, and as much as a grid's cells
+/// add.
 const MARGIN: f64 = 0.25;
 
 impl Candidates {
-    /// Finds them; the error says why there are none to be had.
+    /// Finds all candidates; an error if there are too many.
     pub(crate) fn find(mesh: &Mesh, placed: &PlacedModel, size: FrameSize) -> Result<Self, String> {
         let rays = placed.camera.rays(size);
         let mut counts = vec![0u32; size.n_samples() as usize];
@@ -135,17 +135,17 @@ impl Candidates {
         Ok(Self { rays, size, ends, triangles })
     }
 
-    /// How many chunks of `n` samples there are.
+    /// The number of chunks of `n` samples.
     pub(crate) fn n_chunks(&self, n: usize) -> usize {
         self.ends.len().div_ceil(n)
     }
 
-    /// Samples that have candidates, in runs of `n` at most: each run's rays with their candidates.
+    /// Rays with their candidates, in chunks of at most `n`; rays without candidates are left out.
     pub(crate) fn chunks(&self, n: usize) -> impl Iterator<Item = Vec<(Ray, &[u32])>> {
         self.samples(n).map(|samples| samples.into_iter().map(|(_, _, ray, candidates)| (ray, candidates)).collect())
     }
 
-    /// The same with column and row of each sample.
+    /// As [`Self::chunks`], with column and row of each sample.
     pub(crate) fn samples(&self, n: usize) -> impl Iterator<Item = Vec<(u32, u32, Ray, &[u32])>> {
         let xres = self.size.xres();
         (0..self.size.n_samples()).step_by(n).map(move |first| {
@@ -161,7 +161,7 @@ impl Candidates {
     }
 }
 
-/// Calls `visit` with sample and triangle of each pair, triangle by triangle, until it returns false.
+/// Calls `visit` with sample and triangle of each pair, in the order of triangles, until it returns false.
 fn for_each_pair(
     mesh: &Mesh,
     placed: &PlacedModel,
@@ -184,10 +184,10 @@ fn for_each_pair(
             if crosses_eye {
                 return 0..n;
             }
-            let places = projected.map(|p| p[axis] / p.x);
-            let low = places.into_iter().fold(f64::INFINITY, f64::min) - MARGIN - 0.5;
-            let high = places.into_iter().fold(f64::NEG_INFINITY, f64::max) + MARGIN - 0.5;
-            // Centres of samples lie halfway between whole numbers.
+            let positions = projected.map(|p| p[axis] / p.x);
+            let low = positions.into_iter().fold(f64::INFINITY, f64::min) - MARGIN - 0.5;
+            let high = positions.into_iter().fold(f64::NEG_INFINITY, f64::max) + MARGIN - 0.5;
+            // Sample centres lie halfway between whole numbers.
             low.ceil().clamp(0.0, f64::from(n)) as u32..(high.floor() + 1.0).clamp(0.0, f64::from(n)) as u32
         };
         for j in span(2, yres) {
@@ -204,10 +204,7 @@ fn for_each_pair(
 mod tests {
     use super::*;
     use crate::chart::reference::{Truth, truth};
-    use renderer::{
-        model::statue,
-        render::tracer::{Scene, SceneOptions},
-    };
+    use renderer::{grid::GridOptions, model::statue, render::scene::Scene};
 
     #[test]
     fn the_truth_among_the_candidates_is_what_the_grid_finds_wherever_the_model_stands() {
@@ -218,7 +215,7 @@ mod tests {
             let placed = PlacedModel::new(&mesh, &camera, placement).unwrap();
             let candidates = Candidates::find(&mesh, &placed, size).unwrap();
             let moved = Mesh { vertices: placed.vertices.clone().unwrap_or(mesh.vertices.clone()), ..mesh.clone() };
-            let scene = Scene::build(moved, &SceneOptions::default(), &|_| ());
+            let scene = Scene::build(moved, &GridOptions::default(), &|_| ());
             let (mut n_hits, mut n_unknown) = (0, 0);
             for (ray, triangles) in candidates.chunks(777).flatten() {
                 let corners = triangles.iter().map(|&triangle| placed.corners(&mesh, triangle as usize).unwrap());

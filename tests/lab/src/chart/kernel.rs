@@ -1,6 +1,9 @@
-//! Speed and error of ways to intersect rays with triangles, near by, far away and moved.
+//! Speed and error of intersection methods: near the model, far from it, and with the model moved.
+
+use std::ops::Range;
 
 use anyhow::Result;
+use plotters::style::RGBColor;
 use renderer::model::mesh::Mesh;
 use serde::Serialize;
 use shared::{camera::Camera, division::FrameSize};
@@ -9,16 +12,16 @@ use super::{
     candidates::{Candidates, PlacedModel, Placement},
     measure::{self, Measurement},
     methods::Method,
-    peers::Peer,
+    peers::{self, Peer},
 };
-use crate::plot::{Axis, COLORS, Figure, PEER_COLOR, Plot, Point, Series, power, significant, whole_decades};
+use crate::plot::{Axis, COLORS, Figure, Plot, Point, Series, power, significant, whole_decades};
 
-/// How much is measured.
+/// The extent of the measurement.
 pub(super) struct Settings {
     pub(super) size: FrameSize,
-    /// How often each method takes its turn; the median counts.
+    /// Repetitions of each method; the median counts.
     pub(super) n_repeats: usize,
-    /// Powers of ten: distances of the eye to the model, in sizes of the model.
+    /// Distances of the eye to the model: powers of ten, in sizes of the model.
     pub(super) decades: Vec<u8>,
 }
 
@@ -29,7 +32,7 @@ impl Settings {
     }
 }
 
-/// A line of the table: one method on one view, or on all.
+/// One method with one camera, or with all: a line of the table.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct KernelRow {
     camera: String,
@@ -68,7 +71,7 @@ impl KernelRow {
     }
 }
 
-/// What was measured so far.
+/// The results so far.
 #[derive(Default)]
 pub(super) struct Results {
     pub(super) rows: Vec<KernelRow>,
@@ -77,7 +80,7 @@ pub(super) struct Results {
 }
 
 impl Results {
-    /// Measures one view; the error says why nothing can be measured on it.
+    /// Measures one camera; the error says why that is impossible.
     pub(super) fn measure(
         &mut self,
         mesh: &Mesh,
@@ -121,8 +124,8 @@ impl Results {
         for (placement, of_placement) in &summary {
             let peers = if *placement == Placement::Near { peers } else { &[] };
             let title = match placement {
-                Placement::Near => "near: model and eye as they are",
-                Placement::ModelMoved => "moved: model and eye 10 000 times the model's size away from the origin",
+                Placement::Near => "near: model and eye in place",
+                Placement::ModelMoved => "moved: model and eye 10 000 model sizes from the origin",
                 Placement::EyeFar(_) => continue,
             };
             rows.push((340, vec![depth_plot(title, of_placement, peers, &depth), wrong_plot(of_placement, peers)]));
@@ -134,15 +137,15 @@ impl Results {
                 360,
                 vec![
                     over_distance("CPU ns per ray", &far, significant, |row| row.cpu_ns_per_ray.log10()),
-                    over_distance("relative depth error, 99.9 % are within", &far, power, depth),
-                    over_distance("wrong pixels in a million", &far, none_or_power, decades_per_million),
+                    over_distance("relative depth error at 99.9 % of hits", &far, power, depth),
+                    over_distance("wrong pixels per million", &far, none_or_power, wrong_decades),
                 ],
             ));
         }
         Figure { title, notes, rows }
     }
 
-    /// For people: all methods at all placements.
+    /// All methods at all placements, as text.
     pub(super) fn table(&self) -> String {
         let mut lines = vec![format!(
             "{:12} {:20} {:>9} {:>10} {:>10} {:>10} {:>8} {:>9} {:>9}",
@@ -166,58 +169,49 @@ impl Results {
     }
 }
 
-fn single(name: &str, color: plotters::style::RGBColor, is_hollow: bool, point: Point) -> Series {
-    Series { name: name.to_owned(), color, is_hollow, is_joined: false, points: vec![point] }
-}
-
-fn method_color(method: Method) -> plotters::style::RGBColor {
+fn method_color(method: Method) -> RGBColor {
     let index = Method::ALL.iter().position(|&other| other == method);
     COLORS[index.unwrap_or(0)]
 }
 
-fn speed_axis() -> Axis {
-    Axis { title: "CPU ns per ray", label: significant, range: None }
-}
-
-fn depth_plot(title: &str, rows: &[KernelRow], peers: &[Peer], range: &std::ops::Range<f64>) -> Plot {
-    let of_methods = rows.iter().map(|row| {
-        let bar = Some(decades(row.depth_error_p50)..decades(row.depth_error_max));
-        let (x, y) = (row.cpu_ns_per_ray.log10(), decades(row.depth_error_p999));
-        single(row.method.label(), method_color(row.method), false, Point { label: String::new(), x, y, bar })
-    });
-    let of_peers = peers.iter().filter_map(|peer| {
-        let (x, y) = (peer.cpu_ns_per_ray?.log10(), decades(peer.depth_error_p999?));
-        Some(single(&peer.name, PEER_COLOR, true, Point { label: String::new(), x, y, bar: None }))
-    });
+/// One point of each method and peer, over the time of a ray.
+fn speed_plot(
+    title: String,
+    y: Axis,
+    rows: &[KernelRow],
+    point: impl Fn(&KernelRow) -> Point,
+    of_peers: impl Iterator<Item = Series>,
+) -> Plot {
+    let series = |row: &KernelRow| Series::single(row.method.label(), method_color(row.method), false, point(row));
     Plot {
-        title: title.to_owned(),
-        x: speed_axis(),
-        y: Axis { title: "relative depth error", label: power, range: Some(range.clone()) },
-        series: of_methods.chain(of_peers).collect(),
+        title,
+        x: Axis { title: "CPU ns per ray", label: significant, range: None },
+        y,
+        series: rows.iter().map(series).chain(of_peers).collect(),
         has_front: true,
     }
+}
+
+fn depth_plot(title: &str, rows: &[KernelRow], peers: &[Peer], range: &Range<f64>) -> Plot {
+    let point = |row: &KernelRow| Point {
+        bar: Some(decades(row.depth_error_p50)..decades(row.depth_error_max)),
+        ..Point::new(row.cpu_ns_per_ray.log10(), decades(row.depth_error_p999))
+    };
+    let of_peers = peers::series(peers, |peer| Some((peer.cpu_ns_per_ray?.log10(), decades(peer.depth_error_p999?))));
+    let y = Axis { title: "relative depth error", label: power, range: Some(range.clone()) };
+    speed_plot(title.to_owned(), y, rows, point, of_peers)
 }
 
 fn wrong_plot(rows: &[KernelRow], peers: &[Peer]) -> Plot {
-    let of_methods = rows.iter().map(|row| {
-        let (x, y) = (row.cpu_ns_per_ray.log10(), decades_per_million(row));
-        single(row.method.label(), method_color(row.method), false, Point { label: String::new(), x, y, bar: None })
-    });
-    let of_peers = peers.iter().filter_map(|peer| {
-        let wrong = peer.wrong_per_million?;
-        let (x, y) = (peer.cpu_ns_per_ray?.log10(), if wrong == 0.0 { NONE } else { wrong.log10().max(0.0) });
-        Some(single(&peer.name, PEER_COLOR, true, Point { label: String::new(), x, y, bar: None }))
-    });
-    Plot {
-        title: format!("{} pixels compared", rows.first().map_or(0, |row| row.compared)),
-        x: speed_axis(),
-        y: Axis { title: "wrong pixels in a million", label: none_or_power, range: Some(NONE - 0.4..7.4) },
-        series: of_methods.chain(of_peers).collect(),
-        has_front: true,
-    }
+    let title = format!("{} pixels compared", rows.first().map_or(0, |row| row.compared));
+    let point = |row: &KernelRow| Point::new(row.cpu_ns_per_ray.log10(), wrong_decades(row));
+    let of_peers =
+        peers::series(peers, |peer| Some((peer.cpu_ns_per_ray?.log10(), decades_per_million(peer.wrong_per_million?))));
+    let y = Axis { title: "wrong pixels per million", label: none_or_power, range: Some(NONE - 0.4..7.4) };
+    speed_plot(title, y, rows, point, of_peers)
 }
 
-/// A curve for each method, over the distance of the eye.
+/// A curve of each method over the distance of the eye.
 fn over_distance(
     title: &'static str,
     far: &[&(Placement, Vec<KernelRow>)],
@@ -230,7 +224,7 @@ fn over_distance(
             let point = |(placement, rows): &&(Placement, Vec<KernelRow>)| {
                 let Placement::EyeFar(decade) = *placement else { return None };
                 let row = rows.iter().find(|row| row.method == method)?;
-                Some(Point { label: String::new(), x: f64::from(decade), y: value(row), bar: None })
+                Some(Point::new(f64::from(decade), value(row)))
             };
             Series {
                 name: method.label().to_owned(),
@@ -243,13 +237,13 @@ fn over_distance(
         .collect();
     let values = || series.iter().flat_map(|series| &series.points).map(|point| point.y);
     let (least, most) = values().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
-    // Where less than two decades are shown, they are not filled up.
+    // Less than two decades are shown at full height.
     let y = if most - least < 2.0 { least - 0.1..most + 0.1 } else { whole_decades(values(), 0.5) };
     let last = series.iter().flat_map(|series| &series.points).map(|point| point.x).fold(0.0, f64::max);
     Plot {
-        title: "far: the eye is drawn back".to_owned(),
+        title: "far: the eye moves back".to_owned(),
         x: Axis {
-            title: "distance of the eye, in sizes of the model",
+            title: "distance of the eye, in model sizes",
             label: |decade| if decade > 6.5 { String::new() } else { power(decade) },
             range: Some(-0.2..last + 3.2),
         },
@@ -259,19 +253,20 @@ fn over_distance(
     }
 }
 
-/// Errors below what `f64` resolves are shown as that.
+/// The logarithm of an error, at least the resolution of `f64`.
 fn decades(error: f64) -> f64 {
     error.max(1e-17).log10()
 }
 
-/// Where no wrong pixel at all is shown: one decade below one in a million.
+/// The decade of "no wrong pixel": one below one in a million.
 const NONE: f64 = -1.0;
 
-fn decades_per_million(row: &KernelRow) -> f64 {
-    if row.wrong_pixels == 0 {
-        return NONE;
-    }
-    (row.wrong_pixels as f64 * 1e6 / row.compared as f64).log10().max(0.0)
+fn decades_per_million(wrong: f64) -> f64 {
+    if wrong == 0.0 { NONE } else { wrong.log10().max(0.0) }
+}
+
+fn wrong_decades(row: &KernelRow) -> f64 {
+    decades_per_million(row.wrong_pixels as f64 * 1e6 / row.compared as f64)
 }
 
 fn none_or_power(decade: f64) -> String {

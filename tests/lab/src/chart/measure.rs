@@ -1,5 +1,5 @@
-//! Speed and error of all methods, in one run: they take turns on the same rays and candidates, a few microseconds each,
-//! so that whatever else the machine does hits all alike.
+//! Measures speed and error of all methods in one run. They alternate on the same rays and candidates, every few
+//! microseconds, so that other load on the machine slows all of them alike.
 
 use std::time::Duration;
 
@@ -13,32 +13,32 @@ use super::{
 };
 use crate::statistics::{median_duration, quantiles};
 
-/// What was measured of one method.
+/// Measurements of one method.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Measurement {
     cpu: Duration,
     n_rays: u64,
-    /// Rays that the reference could decide.
+    /// Rays that the reference decides.
     pub(super) n_compared: u64,
-    /// Rays that pass an edge more closely than it could tell.
+    /// Rays that pass too close to an edge for the reference.
     pub(super) n_undecided: u64,
-    /// Hits that are missed.
+    /// Hits that the method misses.
     pub(super) n_lost: u64,
-    /// Misses that are hit.
+    /// Hits that the method invents.
     pub(super) n_invented: u64,
-    /// Hits of a triangle that lies behind the nearest, or is none at all.
+    /// Hits of a triangle that is not the nearest.
     pub(super) n_other_triangle: u64,
-    /// Relative errors of depth where both hit.
+    /// Relative depth errors where method and reference hit.
     depth_errors: Vec<f32>,
 }
 
-/// Triangles at depths that differ by less are equally near, as where faces of two solids coincide.
+/// Relative depth difference of triangles that count as equally near, for example coincident faces of two solids.
 const SAME_DEPTH: f64 = 1e-12;
 
-/// Rays that all methods take in turn before the next: their candidates fit the second cache.
+/// Rays of a chunk: their candidates fit the second-level cache.
 const CHUNK: usize = 1024;
 
-/// Measures all methods, in the order of [`Method::ALL`]. `progress` is told what part is done, 0 to 1.
+/// Measures all methods, in the order of [`Method::ALL`]. `progress` gets the fraction done, 0 to 1.
 pub(super) fn measure(
     mesh: &Mesh,
     placed: &PlacedModel,
@@ -57,10 +57,10 @@ pub(super) fn measure(
     measurements
 }
 
-/// Some rays with their candidates side by side in memory.
+/// Some rays, with their candidates contiguous in memory.
 struct Chunk {
     rays: Vec<Ray>,
-    /// One triangle for each pair.
+    /// One triangle for each pair of ray and candidate.
     mesh: TracedMesh,
     candidates: Vec<u32>,
     ends: Vec<usize>,
@@ -134,7 +134,7 @@ impl Chunk {
 }
 
 impl Measurement {
-    /// Adds what was measured of the same method elsewhere.
+    /// Adds other measurements of the same method.
     pub(super) fn add(&mut self, other: &Self) {
         self.cpu += other.cpu;
         self.n_rays += other.n_rays;
@@ -146,12 +146,12 @@ impl Measurement {
         self.depth_errors.extend_from_slice(&other.depth_errors);
     }
 
-    /// CPU time of one ray with all its candidates, in nanoseconds.
+    /// CPU nanoseconds of one ray with all its candidates.
     pub(super) fn cpu_ns_per_ray(&self) -> f64 {
         self.cpu.as_secs_f64() * 1e9 / self.n_rays as f64
     }
 
-    /// Rays that hit what they should.
+    /// Rays where method and reference hit.
     pub(super) fn n_hits(&self) -> usize {
         self.depth_errors.len()
     }
@@ -160,7 +160,7 @@ impl Measurement {
         self.n_lost + self.n_invented + self.n_other_triangle
     }
 
-    /// The relative errors of depth that half, 99.9 % and all of the hits do not exceed.
+    /// Relative depth errors: median, 99.9 % and maximum.
     pub(super) fn depth_error_quantiles(&self) -> [f64; 3] {
         quantiles(self.depth_errors.iter().map(|&error| f64::from(error)), [0.5, 0.999, 1.0])
     }

@@ -1,4 +1,4 @@
-//! What the ways to keep a scene take and give: bytes, time to build, and speed. Their hits must be the same.
+//! Bytes, build time and speed of scene structures. All of them must hit the same triangles.
 
 use anyhow::{Result, ensure};
 use cpu_time::{ProcessTime, ThreadTime};
@@ -6,7 +6,7 @@ use renderer::{
     grid::{GridOptions, MemoryBudget, MeshLayout, Storage},
     intersect::ray::{Hit, Ray},
     model::mesh::Mesh,
-    render::tracer::{Scene, SceneOptions},
+    render::scene::Scene,
 };
 use serde::Serialize;
 use shared::{
@@ -14,32 +14,32 @@ use shared::{
     division::{Division, FrameSize},
 };
 
-use super::peers::Peer;
+use super::peers::{self, Peer};
 use crate::{
-    plot::{Axis, COLORS, Figure, PEER_COLOR, Plot, Point, Series, significant},
+    plot::{Axis, COLORS, Figure, Plot, Point, Series, significant},
     statistics::median,
 };
 
-/// How much is measured.
+/// The extent of the measurement.
 pub(super) struct Settings {
     pub(super) size: FrameSize,
-    /// How often each setting takes its turn with the default; the median counts.
+    /// How often each variant alternates with the default; the median counts.
     pub(super) n_repeats: usize,
-    /// Cells per triangle, with masks.
+    /// Cells per triangle of the tree.
     pub(super) densities: Vec<f64>,
-    /// The same with the uniform grids.
+    /// Cells per triangle of uniform grids.
     pub(super) uniform_densities: Vec<f64>,
     pub(super) memory_budget: MemoryBudget,
 }
 
-/// A line of the table: one way to keep the scene, over all cameras.
+/// One scene structure over all cameras: a line of the table.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct MemoryRow {
     storage: &'static str,
     mesh: &'static str,
     density: f64,
     macrocell_levels: u8,
-    /// Packets where the structure is followed by them, else single rays.
+    /// `packets` or `single`.
     rays: &'static str,
     bytes_per_triangle: f64,
     /// CPU time of all threads.
@@ -51,15 +51,15 @@ pub(super) struct MemoryRow {
 /// Cells per triangle of uniform grids with fewer levels of macrocells.
 const FEW_LEVELS_DENSITY: f64 = 4.0;
 
-/// One way to keep a scene.
+/// One scene structure.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Setting {
+pub(super) struct Variant {
     options: GridOptions,
-    /// Single rays are measured beside packets for one setting only.
+    /// Whether rays are traced one by one; the tree is measured so with one density only.
     is_single: bool,
 }
 
-impl Setting {
+impl Variant {
     pub(super) fn name(&self) -> String {
         let Self { options, is_single } = self;
         let GridOptions { macrocell_levels, storage, mesh, .. } = options;
@@ -70,8 +70,8 @@ impl Setting {
 }
 
 impl Settings {
-    /// All settings that are measured, where `chosen` is the density that a grid chooses by itself.
-    pub(super) fn settings(&self, chosen: f64) -> Vec<Setting> {
+    /// All variants; `chosen` is the density that the grid chooses.
+    pub(super) fn variants(&self, chosen: f64) -> Vec<Variant> {
         let options =
             GridOptions { density: Some(chosen), memory_budget: self.memory_budget, ..GridOptions::default() };
         let mut densities = self.densities.clone();
@@ -79,22 +79,22 @@ impl Settings {
             densities.push(chosen);
             densities.sort_by(f64::total_cmp);
         }
-        let mut settings = Vec::new();
+        let mut variants = Vec::new();
         for mesh in [MeshLayout::Indexed, MeshLayout::Flat] {
-            settings.extend(densities.iter().map(|&density| Setting {
+            variants.extend(densities.iter().map(|&density| Variant {
                 options: GridOptions { density: Some(density), mesh, ..options },
                 is_single: false,
             }));
         }
-        let single = |options: GridOptions| Setting { options, is_single: true };
-        settings.push(single(options));
+        let single = |options: GridOptions| Variant { options, is_single: true };
+        variants.push(single(options));
         for storage in [Storage::RowDisplacement, Storage::Plain] {
             for &density in &self.uniform_densities {
-                settings.push(single(GridOptions { density: Some(density), storage, ..options }));
+                variants.push(single(GridOptions { density: Some(density), storage, ..options }));
             }
-            // Fewer levels change little but the time, so one density tells.
+            // Fewer levels change little but the time: one density is enough.
             for macrocell_levels in [2, 1, 0] {
-                settings.push(single(GridOptions {
+                variants.push(single(GridOptions {
                     density: Some(FEW_LEVELS_DENSITY),
                     storage,
                     macrocell_levels,
@@ -102,72 +102,72 @@ impl Settings {
                 }));
             }
         }
-        settings
+        variants
     }
 }
 
-/// The default, which all others take turns with and must hit the same as.
+/// The default structure: all variants alternate with it and must hit the same.
 pub(super) struct Baseline<'a> {
     mesh: &'a Mesh,
     cameras: Vec<Camera>,
     scene: Scene,
     hash: blake3::Hash,
-    /// Nanoseconds per ray, the best seen.
+    /// Nanoseconds per ray, the median.
     cpu_ns: f64,
 }
 
 impl<'a> Baseline<'a> {
     pub(super) fn new(mesh: &'a Mesh, cameras: Vec<Camera>, settings: &Settings) -> Self {
-        let grid = GridOptions { memory_budget: settings.memory_budget, ..GridOptions::default() };
-        let scene = Scene::build(mesh.clone(), &SceneOptions { grid }, &|_| ());
-        let mut standard = Self { mesh, cameras, scene, hash: blake3::hash(&[]), cpu_ns: f64::INFINITY };
+        let options = GridOptions { memory_budget: settings.memory_budget, ..GridOptions::default() };
+        let scene = Scene::build(mesh.clone(), &options, &|_| ());
+        let mut baseline = Self { mesh, cameras, scene, hash: blake3::hash(&[]), cpu_ns: f64::INFINITY };
         let mut hasher = blake3::Hasher::new();
-        standard.trace(&standard.scene, settings.size, false, Some(&mut hasher));
-        standard.hash = hasher.finalize();
-        let times = (0..settings.n_repeats).map(|_| standard.trace(&standard.scene, settings.size, false, None));
-        standard.cpu_ns = median(times);
-        standard
+        baseline.trace(&baseline.scene, settings.size, false, Some(&mut hasher));
+        baseline.hash = hasher.finalize();
+        let times = (0..settings.n_repeats).map(|_| baseline.trace(&baseline.scene, settings.size, false, None));
+        baseline.cpu_ns = median(times);
+        baseline
     }
 
-    /// Whether there is nothing that a ray could hit.
+    /// Whether rays can hit nothing.
     pub(super) fn is_empty(&self) -> bool {
         self.scene.n_triangles() == 0
     }
 
-    /// The density that a grid chooses by itself.
+    /// The density that the grid chose.
     pub(super) fn chosen_density(&self) -> f64 {
         self.scene.grid().choice().density
     }
 
-    /// Measures a setting. Inside, why it is left out; outside, that its hits are wrong.
-    pub(super) fn measure(&self, setting: &Setting, settings: &Settings) -> Result<Result<MemoryRow, String>> {
-        let options = &setting.options;
+    /// Measures a variant. The inner error says why it is left out; the outer one, that its hits are wrong.
+    pub(super) fn measure(&self, variant: &Variant, settings: &Settings) -> Result<Result<MemoryRow, String>> {
+        let options = &variant.options;
         let mesh = self.mesh.clone();
         let started = ProcessTime::now();
-        let scene = Scene::build(mesh, &SceneOptions { grid: *options }, &|_| ());
+        let scene = Scene::build(mesh, options, &|_| ());
         let build_seconds = started.elapsed().as_secs_f64();
         if let Some(shortage) = scene.grid().shortage() {
             return Ok(Err(shortage.to_string()));
         }
         let mut hasher = blake3::Hasher::new();
-        self.trace(&scene, settings.size, setting.is_single, Some(&mut hasher));
+        self.trace(&scene, settings.size, variant.is_single, Some(&mut hasher));
         ensure!(
             hasher.finalize() == self.hash,
             "{} hits other triangles than the default: this is a bug",
-            setting.name()
+            variant.name()
         );
-        // In turn with the default, so that whatever else the machine does hits both alike.
+        // Alternates with the default, so that other load on the machine slows both alike.
         let ratios = (0..settings.n_repeats).map(|_| {
-            let ours = self.trace(&scene, settings.size, setting.is_single, None);
+            let ours = self.trace(&scene, settings.size, variant.is_single, None);
             ours / self.trace(&self.scene, settings.size, false, None)
         });
         let cpu_ns_per_ray = self.cpu_ns * median(ratios);
         Ok(Ok(MemoryRow {
-            storage: options.storage.name(),
-            mesh: options.mesh.name(),
+            storage: options.storage.into(),
+            mesh: options.mesh.into(),
             density: scene.grid().figures().density,
             macrocell_levels: options.macrocell_levels,
-            rays: if setting.is_single { "single" } else { "packets" },
+            rays: if variant.is_single { "single" } else { "packets" },
             bytes_per_triangle: scene.n_bytes() as f64 / scene.n_triangles() as f64,
             build_seconds,
             cpu_ns_per_ray,
@@ -175,23 +175,23 @@ impl<'a> Baseline<'a> {
         }))
     }
 
-    /// All cameras on this thread: nanoseconds per ray, and the hits if there is a hasher for them.
+    /// Traces all cameras on this thread; returns nanoseconds per ray. The hits go to `hasher`.
     fn trace(&self, scene: &Scene, size: FrameSize, is_single: bool, mut hasher: Option<&mut blake3::Hasher>) -> f64 {
         let task = Division::Tiled.task(0, 1);
         let Ok(share) = task.share(size) else { return f64::NAN };
         let mut hits = vec![Hit::MISS; size.n_samples() as usize];
-        let place = |(i, j): (u32, u32)| (j * size.xres() + i) as usize;
+        let index = |(i, j): (u32, u32)| (j * size.xres() + i) as usize;
         let mut cpu = 0.0;
         for camera in &self.cameras {
             let rays = camera.rays(size);
             let started = ThreadTime::now();
             if is_single {
                 for (i, j) in (0..share.count()).flat_map(|unit| share.samples(unit).iter()) {
-                    hits[place((i, j))] = scene.grid().intersect(&Ray::new(rays.eye, rays.direction(i, j)));
+                    hits[index((i, j))] = scene.grid().intersect(&Ray::new(rays.eye, rays.direction(i, j)));
                 }
             } else {
-                scene.trace(&rays, None, &share, 0..share.count(), |block, of_block| {
-                    block.samples().zip(of_block).for_each(|(sample, &hit)| hits[place(sample)] = hit);
+                scene.trace(&rays, None, &share, 0..share.count(), |block, block_hits| {
+                    block.samples().zip(block_hits).for_each(|(sample, &hit)| hits[index(sample)] = hit);
                 });
             }
             cpu += started.elapsed().as_secs_f64();
@@ -230,8 +230,8 @@ fn plot(
     let mut series: Vec<Series> = Vec::new();
     for row in rows {
         let name = name(row);
-        let point =
-            Point { label: row.density.to_string(), x: value(row).log10(), y: row.cpu_ns_per_ray.log10(), bar: None };
+        let point = Point::new(value(row).log10(), row.cpu_ns_per_ray.log10());
+        let point = Point { label: row.density.to_string(), ..point };
         match series.iter_mut().find(|series| series.name == name) {
             Some(series) => series.points.push(point),
             None => {
@@ -247,14 +247,9 @@ fn plot(
             }
         }
     }
-    series.extend(peers.iter().filter_map(|peer| {
-        let (x, y) = (of_peer(peer)?.log10(), peer.cpu_ns_per_ray?.log10());
-        let points = vec![Point { label: String::new(), x, y, bar: None }];
-        Some(Series { name: peer.name.clone(), color: PEER_COLOR, is_hollow: true, is_joined: false, points })
-    }));
+    series.extend(peers::series(peers, |peer| Some((of_peer(peer)?.log10(), peer.cpu_ns_per_ray?.log10()))));
     Plot {
-        title: "numbers at points are cells per triangle; packets unless it says single rays or levels of macrocells"
-            .to_owned(),
+        title: "labels: cells per triangle; packets, unless a name says single rays or levels of macrocells".to_owned(),
         x,
         y: Axis { title: "CPU ns per ray", label: significant, range: None },
         series,
@@ -262,12 +257,12 @@ fn plot(
     }
 }
 
-/// How the grid that chooses itself, with `chosen` cells a triangle, stands among all that were measured.
+/// Compares the grid's own choice, `chosen` cells a triangle, with the fastest variant.
 pub(super) fn verdict(rows: &[MemoryRow], chosen: f64) -> Option<String> {
     let fastest = rows.iter().min_by(|a, b| a.cpu_ns_per_ray.total_cmp(&b.cpu_ns_per_ray))?;
     let is_chosen = |row: &&MemoryRow| {
-        row.storage == Storage::default().name()
-            && row.mesh == MeshLayout::default().name()
+        row.storage == <&str>::from(Storage::default())
+            && row.mesh == <&str>::from(MeshLayout::default())
             && row.rays == "packets"
             && row.density == chosen
     };
@@ -283,7 +278,7 @@ pub(super) fn verdict(rows: &[MemoryRow], chosen: f64) -> Option<String> {
     ))
 }
 
-/// For people.
+/// All rows as text.
 pub(super) fn table(rows: &[MemoryRow]) -> String {
     let mut lines = vec![format!(
         "{:16} {:8} {:>7} {:>6} {:8} {:>10} {:>8} {:>8} {:>8}",

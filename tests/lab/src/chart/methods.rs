@@ -1,7 +1,6 @@
-//! The methods that the chart compares: Raywall's own, and its rivals as they stand in the literature.
+//! The intersection methods that `lab chart` and `lab stability` compare: Raywall's own, and rivals from the literature.
 //!
-//! Rivals are plain: no margins, no second look. They are used for nothing but the chart and the trial of stability, and
-//! are always inlined, so that none is slow for a call that another is spared.
+//! Rivals have no margins and no second test. All are inlined, so that none pays for a call.
 
 use std::ops::{Add, Div, Mul, Sub};
 
@@ -13,7 +12,7 @@ use serde::Serialize;
 
 use crate::vector::{add, cross, dot, sub};
 
-/// A way to decide whether a ray hits a triangle, and where.
+/// A method that decides whether and where a ray hits a triangle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub(crate) enum Method {
@@ -29,7 +28,7 @@ pub(crate) enum Method {
     MollerTrumboreF64,
 }
 
-/// What a method says of one ray: the place of the nearest triangle, and t.
+/// The nearest hit of a ray: triangle index and t.
 pub(crate) type Answer = Option<(u32, f64)>;
 
 impl Method {
@@ -47,7 +46,7 @@ impl Method {
         }
     }
 
-    /// Where a ray hits a triangle, as t, or `None` if it does not.
+    /// The t of a ray's hit with a triangle; `None` without a hit.
     pub(crate) fn intersect(self, ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
         match self {
             Self::OriginEdgesF32 => origin_edges(ray, corners),
@@ -58,8 +57,8 @@ impl Method {
         }
     }
 
-    /// The nearest candidate along each ray; of several at the same t the first. `candidates` are places in the mesh, and
-    /// `ends` says where those of each ray end.
+    /// The nearest candidate of each ray, of several at the same t the first. `candidates` are triangle indices, and `ends`
+    /// holds the end of each ray's candidates.
     pub(crate) fn run(
         self,
         mesh: &TracedMesh,
@@ -101,7 +100,7 @@ fn one_by_one(
     }
 }
 
-/// As single rays do it on their way through the grid, with t rounded to `f32` as in a hit.
+/// As single rays test the candidates of a cell, with t rounded to `f32` as in a hit.
 fn raywall(mesh: &TracedMesh, rays: &[Ray], candidates: &[u32], ends: &[usize], out: &mut Vec<Answer>) {
     let instructions = InstructionSet::best();
     let mut first = 0;
@@ -174,7 +173,7 @@ fn origin_edges(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
     let normals = [(v0, v1), (v1, v2), (v2, v0)].map(|(from, to)| cross(from, to));
     let sides = normals.map(|normal| dot(direction, normal));
     is_one_side(sides)?;
-    // The plane's normal is the sum of those through the edges.
+    // The triangle's normal is the sum of the normals of the planes through origin and edges.
     let normal = add(add(normals[0], normals[1]), normals[2]);
     distance(dot(normal, v0), sides[0] + sides[1] + sides[2])
 }

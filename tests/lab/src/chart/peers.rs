@@ -1,11 +1,13 @@
-//! Points of other ray tracers, read from a file to be drawn among ours.
+//! Reads results of other ray tracers, to add them to the charts.
 
 use std::path::Path;
 
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 
-/// One of them, with what is known of it; it is drawn wherever both of a plot's numbers are.
+use crate::plot::{PEER_COLOR, Point, Series};
+
+/// One ray tracer. A plot shows it if both of its numbers are known.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, PartialEq)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct Peer {
@@ -20,16 +22,27 @@ pub(super) struct Peer {
     pub(super) psnr: Option<f64>,
 }
 
+/// The points of all ray tracers that have both numbers; `point` takes x and y from one of them, in decades.
+pub(super) fn series(peers: &[Peer], point: impl Fn(&Peer) -> Option<(f64, f64)>) -> impl Iterator<Item = Series> {
+    peers.iter().filter_map(move |peer| {
+        let (x, y) = point(peer)?;
+        Some(Series::single(&peer.name, PEER_COLOR, true, Point::new(x, y)))
+    })
+}
+
 /// Reads CSV whose first line names the columns; all but `name` may be missing or empty.
 pub(super) fn read(path: &Path) -> Result<Vec<Peer>> {
-    let told = || {
-        format!("{}: is no CSV of points, with columns name, cpu_ns_per_ray, bytes_per_triangle, ...", path.display())
+    let wrong_file = || {
+        format!(
+            "{}: is not a CSV file of points with columns name, cpu_ns_per_ray, bytes_per_triangle, …",
+            path.display()
+        )
     };
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).with_context(told)?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).with_context(wrong_file)?;
     let mut peers = Vec::new();
     for row in reader.deserialize() {
-        let peer: Peer = row.with_context(told)?;
-        // Logarithms are drawn.
+        let peer: Peer = row.with_context(wrong_file)?;
+        // Axes are logarithmic.
         let positive = [peer.cpu_ns_per_ray, peer.bytes_per_triangle, peer.build_seconds, peer.cpu_ms, peer.flip];
         let all_positive = positive.into_iter().flatten().all(|x| x.is_finite() && x > 0.0);
         let others = [peer.depth_error_p999, peer.wrong_per_million, peer.psnr];
@@ -57,14 +70,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_is_left_empty() {
+    fn unknown_numbers_are_empty() {
         let peers = read_text("name, cpu_ns_per_ray, build_seconds\n\"Embree, robust\", 12.5,\nother,,3\n").unwrap();
         assert_eq!(peers[0], Peer { name: "Embree, robust".to_owned(), cpu_ns_per_ray: Some(12.5), ..Peer::default() });
         assert_eq!(peers[1].build_seconds, Some(3.0));
     }
 
     #[test]
-    fn what_cannot_be_drawn_is_told() {
+    fn a_number_that_cannot_be_drawn_is_an_error() {
         for text in [
             "name,speed\na,1\n",
             "name,cpu_ns_per_ray\na,fast\n",

@@ -1,4 +1,4 @@
-//! What resolution, samples and scaling do to the wall's picture, and what they cost.
+//! Cost and sharpness of the wall's picture by resolution, samples and scaling.
 
 use std::time::Duration;
 
@@ -6,32 +6,30 @@ use anyhow::Result;
 use nv_flip::{DEFAULT_PIXELS_PER_DEGREE, FlipImageRgb8, FlipPool};
 use plotters::style::RGBColor;
 use rayon::prelude::*;
-use renderer::render::{
-    parallel::work_off,
-    tracer::{FrameRequest, Scene, unit_ranges},
-};
+use renderer::render::{parallel::work_off, scene::Scene};
 use serde::Serialize;
 use shared::{
     appearance::Appearance,
     camera::Camera,
     division::{Division, FrameSize},
-    protocol::{LightingMode, SampleRange, ShadingMode},
+    protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
+    scene::SceneId,
     srgb,
 };
 
-use super::peers::Peer;
+use super::peers::{self, Peer};
 use crate::{
-    plot::{Axis, COLORS, Figure, PEER_COLOR, Plot, Point, Series, significant},
+    plot::{Axis, COLORS, Figure, Plot, Point, Series, significant},
     statistics::{mean, median},
 };
 
-/// How much is measured.
+/// The extent of the measurement.
 pub(super) struct Settings {
-    /// The wall's.
+    /// The wall's own resolution.
     pub(super) native: FrameSize,
-    /// Samples a pixel of the picture that all are compared with.
+    /// Samples a pixel of the reference picture.
     pub(super) n_reference_samples: u32,
-    /// Resolutions of the frame, the native one last.
+    /// Resolutions of frames, the native one last.
     pub(super) sizes: Vec<FrameSize>,
     pub(super) samples: Vec<u32>,
 }
@@ -41,11 +39,11 @@ pub(super) struct Settings {
 #[serde(rename_all = "kebab-case")]
 enum Scaling {
     Nearest,
-    /// In linear light, as the wall does it.
+    /// In linear light, as on the wall.
     Bilinear,
 }
 
-/// A line of the table: one setting from one camera.
+/// One resolution, number of samples and scaling with one camera: a line of the table.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct PictureRow {
     camera: String,
@@ -60,10 +58,10 @@ pub(super) struct PictureRow {
     psnr: f64,
 }
 
-/// The first sample of the reference: far from those of the frames, so that none is compared with itself.
+/// First sample of the reference: frames and reference have no sample in common.
 const FIRST_REFERENCE_SAMPLE: u32 = 1 << 20;
 
-/// Measures all settings from one camera. `done` is given each row, and what part is done.
+/// Measures all settings with one camera. `done` gets each row, and the fraction done.
 pub(super) fn measure(
     scene: &Scene,
     (name, camera): (&str, &Camera),
@@ -72,7 +70,7 @@ pub(super) fn measure(
 ) -> Result<()> {
     let native = settings.native;
     let range = SampleRange { first: FIRST_REFERENCE_SAMPLE, count: settings.n_reference_samples };
-    // What is left to do goes by the rays and by the comparisons, of which each takes about as long as a few rays a pixel.
+    // Progress counts rays; a comparison costs about as much as some rays a pixel.
     let rays = |size: FrameSize, n_samples: u32| f64::from(size.n_samples()) * f64::from(n_samples);
     let comparison = rays(native, 8);
     let n_scalings = |size: FrameSize| if size == native { 1.0 } else { 2.0 };
@@ -86,7 +84,7 @@ pub(super) fn measure(
     done(None, (n_done / total) as f32)?;
     for (size, n_samples) in settings() {
         let samples = SampleRange { first: 0, count: n_samples };
-        // Small frames are so quick that one time says little.
+        // One time of a small frame is too noisy.
         let n_repeats = if rays(size, n_samples) < 4e6 { 3 } else { 1 };
         let (mut rgb, mut times) = (Vec::new(), Vec::new());
         for _ in 0..n_repeats {
@@ -108,9 +106,10 @@ pub(super) fn measure(
     Ok(())
 }
 
-/// A frame row by row from the bottom, and CPU milliseconds of all threads for it.
+/// A frame row by row from the bottom, and the CPU milliseconds of all threads.
 fn render(scene: &Scene, camera: &Camera, size: FrameSize, samples: SampleRange) -> (Vec<u8>, f64) {
-    let spec = FrameRequest {
+    let spec = FrameSpec {
+        scene: SceneId::Statue { triangles: 0 },
         camera: *camera,
         size,
         view: ShadingMode::Shaded,
@@ -120,9 +119,12 @@ fn render(scene: &Scene, camera: &Camera, size: FrameSize, samples: SampleRange)
     };
     let task = Division::Tiled.task(0, 1);
     let Ok(share) = task.share(size) else { return (Vec::new(), 0.0) };
-    let of_threads = work_off(unit_ranges(&share, 2048).into_iter(), |next| {
+    let units_per_part = (2048 / share.samples(0).count()).max(1);
+    let parts = (0..share.count()).step_by(units_per_part as usize);
+    let of_threads = work_off(parts, |next| {
         let mut parts = Vec::new();
-        while let Some(units) = next() {
+        while let Some(first) = next() {
+            let units = first..(first + units_per_part).min(share.count());
             let mut rgb = Vec::new();
             scene.render(&spec, &share, units.clone(), &mut rgb);
             parts.push((units, rgb));
@@ -132,8 +134,8 @@ fn render(scene: &Scene, camera: &Camera, size: FrameSize, samples: SampleRange)
     let cpu: Duration = of_threads.iter().map(|(_, cpu)| *cpu).sum();
     let mut rows = vec![0; 3 * size.n_samples() as usize];
     for (units, rgb) in of_threads.into_iter().flat_map(|(parts, _)| parts) {
-        let places = units.flat_map(|unit| share.samples(unit).iter());
-        for ((i, j), color) in places.zip(rgb.chunks_exact(3)) {
+        let samples = units.flat_map(|unit| share.samples(unit).iter());
+        for ((i, j), color) in samples.zip(rgb.chunks_exact(3)) {
             let at = 3 * (j * size.xres() + i) as usize;
             rows[at..at + 3].copy_from_slice(color);
         }
@@ -141,22 +143,22 @@ fn render(scene: &Scene, camera: &Camera, size: FrameSize, samples: SampleRange)
     (rows, cpu.as_secs_f64() * 1e3)
 }
 
-/// A frame as the wall shows it.
+/// A frame scaled to the wall's resolution.
 fn scale(rgb: &[u8], from: FrameSize, to: FrameSize, scaling: Scaling) -> Vec<u8> {
     let (xres, yres) = (from.xres() as usize, from.yres() as usize);
     let linear: Vec<f32> = rgb.iter().map(|&byte| srgb::decode(byte)).collect();
     let at = |i: usize, j: usize| 3 * (j.min(yres - 1) * xres + i.min(xres - 1));
-    // The lower of two neighbours, and how far the pixel's centre is on the way to the next.
-    let place = |pixel: usize, n_pixels: u32, n: usize| {
+    // Nearest sample, lower neighbour, and the fraction of the way to the next.
+    let position = |pixel: usize, n_pixels: u32, n: usize| {
         let centre = (pixel as f32 + 0.5) * n as f32 / n_pixels as f32;
         let beyond = (centre - 0.5).max(0.0);
         (centre as usize, beyond as usize, beyond.fract())
     };
     let mut out = vec![0; 3 * to.n_samples() as usize];
     out.par_chunks_mut(3 * to.xres() as usize).enumerate().for_each(|(y, row)| {
-        let (nearest_j, j, part_j) = place(y, to.yres(), yres);
+        let (nearest_j, j, part_j) = position(y, to.yres(), yres);
         for (x, pixel) in row.chunks_exact_mut(3).enumerate() {
-            let (nearest_i, i, part_i) = place(x, to.xres(), xres);
+            let (nearest_i, i, part_i) = position(x, to.xres(), xres);
             match scaling {
                 Scaling::Nearest => {
                     let at = at(nearest_i, nearest_j);
@@ -190,24 +192,14 @@ fn psnr(reference: &[u8], picture: &[u8]) -> f64 {
     10.0 * (255.0 * 255.0 / mean).log10()
 }
 
-/// The chart, of the means over all cameras.
+/// The chart: means over all cameras.
 pub(super) fn figure(title: String, notes: Vec<String>, rows: &[PictureRow], peers: &[Peer]) -> Figure {
-    let flip = plot(rows, "FLIP difference from the picture of many samples (mean)", significant, |row| {
-        row.flip.max(1e-6).log10()
-    });
-    // Negative, so that down is better.
+    let flip = plot(rows, "mean FLIP difference from the reference", significant, |row| row.flip.max(1e-6).log10());
+    // Negated, so that down is better.
     let psnr = plot(rows, "PSNR in dB", |decibels| format!("{:.0}", -decibels), |row| -row.psnr.min(99.0));
-    let of_peers = |value: fn(&Peer) -> Option<f64>| {
-        let point = move |peer: &Peer| {
-            let (x, y) = (peer.cpu_ms?.log10(), value(peer)?);
-            let points = vec![Point { label: String::new(), x, y, bar: None }];
-            Some(Series { name: peer.name.clone(), color: PEER_COLOR, is_hollow: true, is_joined: false, points })
-        };
-        peers.iter().filter_map(point).collect::<Vec<_>>()
-    };
     let [mut flip, mut psnr] = [flip, psnr];
-    flip.series.extend(of_peers(|peer| Some(peer.flip?.log10())));
-    psnr.series.extend(of_peers(|peer| Some(-peer.psnr?)));
+    flip.series.extend(peers::series(peers, |peer| Some((peer.cpu_ms?.log10(), peer.flip?.log10()))));
+    psnr.series.extend(peers::series(peers, |peer| Some((peer.cpu_ms?.log10(), -peer.psnr?))));
     Figure { title, notes, rows: vec![(560, vec![flip]), (560, vec![psnr])] }
 }
 
@@ -230,14 +222,14 @@ fn plot(
         sizes
     });
     let series = names.iter().map(|&(size, scaling)| {
-        let of_series = || rows.iter().filter(|row| row.size == size && row.scaling == scaling);
-        let mut samples: Vec<_> = of_series().map(|row| row.samples).collect();
+        let series_rows = || rows.iter().filter(|row| row.size == size && row.scaling == scaling);
+        let mut samples: Vec<_> = series_rows().map(|row| row.samples).collect();
         samples.sort_unstable();
         samples.dedup();
         let point = |&n: &u32| {
-            let of_point: Vec<_> = of_series().filter(|row| row.samples == n).collect();
-            let mean = |value: &dyn Fn(&PictureRow) -> f64| mean(of_point.iter().map(|row| value(row)));
-            Point { label: n.to_string(), x: mean(&|row| row.cpu_ms.log10()), y: mean(&|row| value(row)), bar: None }
+            let point_rows: Vec<_> = series_rows().filter(|row| row.samples == n).collect();
+            let mean = |value: &dyn Fn(&PictureRow) -> f64| mean(point_rows.iter().map(|row| value(row)));
+            Point { label: n.to_string(), ..Point::new(mean(&|row| row.cpu_ms.log10()), mean(&|row| value(row))) }
         };
         let is_native = Some(&size) == sizes.last();
         let scaling_name = match scaling {
@@ -255,7 +247,8 @@ fn plot(
         }
     });
     Plot {
-        title: "numbers at points are samples a pixel; hollow points are scaled to the nearest sample, filled ones bilinearly".to_owned(),
+        title: "labels: samples a pixel; hollow points: scaled to the nearest sample; filled points: bilinearly"
+            .to_owned(),
         x: Axis { title: "CPU ms per frame", label: significant, range: None },
         y: Axis { title, label, range: None },
         series: series.collect(),
@@ -263,7 +256,7 @@ fn plot(
     }
 }
 
-/// For people.
+/// All rows as text.
 pub(super) fn table(rows: &[PictureRow]) -> String {
     let mut lines = vec![format!(
         "{:12} {:>10} {:>7} {:9} {:>9} {:>8} {:>7}",

@@ -1,21 +1,21 @@
-//! The truth that methods are held against, in `f64` and by another way than any of them.
+//! The reference for all methods, in `f64` and by an algorithm of its own.
 //!
-//! After Badouel, "An Efficient Ray-Polygon Intersection" (1990): where the ray meets the plane, then whether that point
-//! lies inside, in two dimensions. With bounds on its own rounding: what it cannot tell is left out of the comparison.
+//! After Badouel, "An Efficient Ray-Polygon Intersection" (1990): the intersection of ray and plane, then a test in two
+//! dimensions whether that point lies inside. It bounds its own rounding; rays that it cannot decide are not compared.
 
 use glam::{DVec3, Vec3};
 use renderer::intersect::ray::Ray;
 
-/// What the reference says of a ray and a triangle.
+/// The reference's result for a ray and a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Verdict {
     Miss,
     Hit(f64),
-    /// The ray passes an edge, or lies in the plane, more closely than `f64` can tell.
+    /// The ray passes too close to an edge, or is too nearly parallel, for `f64`.
     Unknown,
 }
 
-/// What the reference says of a ray.
+/// The reference's result for a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Truth {
     Miss,
@@ -23,10 +23,10 @@ pub(crate) enum Truth {
     Unknown,
 }
 
-/// A bound on the relative error of a handful of operations.
+/// Bound on the relative error of a few operations.
 const ROUNDING: f64 = 32.0 * f64::EPSILON;
 
-/// One ray, one triangle.
+/// Tests one ray against one triangle.
 pub(crate) fn verdict(ray: &Ray, corners: &[[f32; 3]; 3]) -> Verdict {
     let [a, b, c] = corners.map(|corner| Vec3::from_array(corner).as_dvec3());
     let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
@@ -44,10 +44,10 @@ pub(crate) fn verdict(ray: &Ray, corners: &[[f32; 3]; 3]) -> Verdict {
         return Verdict::Miss;
     }
     let point = direction * t - to_plane;
-    // The more the ray grazes, the farther the point can be off.
+    // The error grows as the ray becomes parallel to the plane.
     let slant = normal.length() * direction.length() / facing.abs();
     let error = ROUNDING * (to_plane.length() + direction.length() * t) * slant;
-    // Seen along the axis in which the triangle is largest.
+    // Project along the normal's largest axis.
     let axis = normal.abs().max_position();
     let (x, y) = ((axis + 1) % 3, (axis + 2) % 3);
     let corners = [DVec3::ZERO, b - a, c - a];
@@ -71,13 +71,13 @@ pub(crate) fn verdict(ray: &Ray, corners: &[[f32; 3]; 3]) -> Verdict {
     }
 }
 
-/// One ray, and all triangles that it may hit.
+/// Tests one ray against all of its candidates.
 pub(crate) fn truth(ray: &Ray, candidates: impl Iterator<Item = [[f32; 3]; 3]>) -> Truth {
     let mut truth = Truth::Miss;
     for corners in candidates {
         match verdict(ray, &corners) {
             Verdict::Miss => {}
-            // It may be behind the nearest, but few are.
+            // It may lie behind the nearest hit, but that is rare.
             Verdict::Unknown => return Truth::Unknown,
             Verdict::Hit(t) => {
                 if !matches!(truth, Truth::Nearest(nearest) if nearest <= t) {
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn inside_outside_and_what_cannot_be_told() {
+    fn inside_outside_and_undecided() {
         assert_eq!(towards(1.0, 1.0), Verdict::Hit(1.0));
         assert_eq!(towards(3.0, 3.0), Verdict::Miss);
         assert_eq!(towards(-1.0, 1.0), Verdict::Miss);

@@ -1,24 +1,26 @@
-//! Figures: plots of points in a plane where left is better and down is better, both logarithmic.
+//! Figures: scatter plots with logarithmic axes, where left is better and down is better.
 
-use std::{ops::Range, path::Path, sync::Once};
+use std::{ops::Range, path::Path};
 
 use anyhow::{Context, Result, anyhow};
 use plotters::{
     coord::{Shift, types::RangedCoordf64},
     prelude::*,
-    style::{
-        FontStyle, register_font,
-        text_anchor::{HPos, Pos, VPos},
-    },
+    style::text_anchor::{HPos, Pos, VPos},
 };
 use renderer::render::image;
 use shared::division::FrameSize;
 
-use super::labels::{self, Label, Mark, Rect, Side};
+use super::{
+    DrawResult, INK,
+    labels::{self, Label, Mark, Rect, Side},
+    register_fonts, style,
+};
+use crate::files;
 
 /// A sheet of plots, in rows.
 pub struct Figure {
-    /// Above everything.
+    /// Above all plots.
     pub title: String,
     /// Lines below the title.
     pub notes: Vec<String>,
@@ -34,9 +36,9 @@ pub struct Plot {
     pub x: Axis,
     /// From the bottom up.
     pub y: Axis,
-    /// What is drawn.
+    /// The points, by series.
     pub series: Vec<Series>,
-    /// Whether what no other point beats in both is joined and named.
+    /// Whether the Pareto front is drawn and named.
     pub has_front: bool,
 }
 
@@ -44,9 +46,9 @@ pub struct Plot {
 pub struct Axis {
     /// Beside the axis.
     pub title: &'static str,
-    /// What is written at a decade, or nothing.
+    /// The label at a decade; may be empty.
     pub label: fn(f64) -> String,
-    /// From where to where, if not as the points ask for.
+    /// The range in decades; `None` fits the points.
     pub range: Option<Range<f64>>,
 }
 
@@ -54,11 +56,11 @@ pub struct Axis {
 pub struct Series {
     /// Written beside a point.
     pub name: String,
-    /// Of points, lines and names.
+    /// The colour of points, lines and names.
     pub color: RGBColor,
     /// Whether points are circles instead of discs.
     pub is_hollow: bool,
-    /// Whether a line joins them; then their name stands at one of the points once.
+    /// Whether a line joins them; then one point carries the name.
     pub is_joined: bool,
     /// From one end of the line to the other.
     pub points: Vec<Point>,
@@ -66,58 +68,41 @@ pub struct Series {
 
 /// A point of a series.
 pub struct Point {
-    /// The setting that made it; may be empty.
+    /// The setting that it was measured with; may be empty.
     pub label: String,
     /// Its decade along x.
     pub x: f64,
     /// Its decade along y.
     pub y: f64,
-    /// Another range of y, drawn as a bar.
+    /// A range of y, drawn as a bar.
     pub bar: Option<Range<f64>>,
+}
+
+impl Series {
+    /// A single point that carries the name of its series.
+    pub fn single(name: &str, color: RGBColor, is_hollow: bool, point: Point) -> Self {
+        Self { name: name.to_owned(), color, is_hollow, is_joined: false, points: vec![point] }
+    }
+}
+
+impl Point {
+    /// A point without label and bar.
+    pub fn new(x: f64, y: f64) -> Self {
+        Self { label: String::new(), x, y, bar: None }
+    }
 }
 
 const WIDTH: u32 = 1240;
 const HEADER_HEIGHT: u32 = 50;
 const NOTE_HEIGHT: u32 = 20;
-/// The font of all letters.
-pub const FONT: &str = "sans-serif";
-/// Letters, axes and lines.
-pub const INK: RGBColor = RGBColor(40, 44, 52);
 const FRONT: RGBColor = RGBColor(120, 120, 120);
 
-/// Okabe and Ito's colours, which those who see few colours can tell apart.
-pub const COLORS: [RGBColor; 7] = [
-    RGBColor(213, 94, 0),
-    RGBColor(204, 121, 167),
-    RGBColor(0, 114, 178),
-    RGBColor(0, 158, 115),
-    RGBColor(86, 60, 20),
-    RGBColor(178, 132, 0),
-    RGBColor(70, 150, 200),
-];
-
-/// Of other ray tracers.
-pub const PEER_COLOR: RGBColor = RGBColor(90, 90, 90);
-
 type Plane<'a, DB> = ChartContext<'a, DB, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
-type Drawn = Result<(), Box<dyn std::error::Error>>;
-
-/// The font that letters are measured and painted with; to be called before anything is drawn.
-pub fn register_fonts() {
-    static REGISTERED: Once = Once::new();
-    REGISTERED.call_once(|| {
-        // What is built in is a font.
-        let _ = register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT);
-    });
-}
 
 impl Figure {
     /// Writes NAME.svg and NAME.png.
     pub fn write(&self, folder: &Path, name: &str) -> Result<()> {
-        let svg_path = folder.join(format!("{name}.svg"));
-        let svg = self.svg()?;
-        image::write_atomically(&svg_path, |out| out.write_all(svg.as_bytes()))
-            .with_context(|| format!("cannot write {}", svg_path.display()))?;
+        files::write(folder, &format!("{name}.svg"), self.svg()?.as_bytes())?;
         let png_path = folder.join(format!("{name}.png"));
         let (size, rows) = self.bitmap()?;
         image::write_png(&png_path, size, &rows).with_context(|| format!("cannot write {}", png_path.display()))
@@ -137,7 +122,7 @@ impl Figure {
         Ok(svg)
     }
 
-    /// As pixels, the bottom row first.
+    /// Pixels, the bottom row first.
     fn bitmap(&self) -> Result<(FrameSize, Vec<u8>)> {
         let size = FrameSize::new(WIDTH, self.height())?;
         let mut rgb = vec![0; 3 * size.n_samples() as usize];
@@ -153,7 +138,7 @@ impl Figure {
         self.draw(&backend.into_drawing_area()).map_err(|error| anyhow!("cannot draw the chart: {error}"))
     }
 
-    fn draw<DB: DrawingBackend>(&self, root: &DrawingArea<DB, Shift>) -> Drawn
+    fn draw<DB: DrawingBackend>(&self, root: &DrawingArea<DB, Shift>) -> DrawResult
     where
         DB::ErrorType: 'static,
     {
@@ -180,7 +165,7 @@ impl Plot {
         self.series.iter().flat_map(|series| series.points.iter().map(move |point| (series, point)))
     }
 
-    fn draw<DB: DrawingBackend>(&self, area: &DrawingArea<DB, Shift>) -> Drawn
+    fn draw<DB: DrawingBackend>(&self, area: &DrawingArea<DB, Shift>) -> DrawResult
     where
         DB::ErrorType: 'static,
     {
@@ -223,13 +208,13 @@ impl Plot {
         self.draw_labels(area, &chart, &front)
     }
 
-    /// Names the front, every series and every point where no other name, point, bar or line is.
+    /// Writes the names of the front, of series and of points where they cover no name, point, bar or line.
     fn draw_labels<DB: DrawingBackend>(
         &self,
         area: &DrawingArea<DB, Shift>,
         chart: &Plane<'_, DB>,
         front: &[(&Series, &Point)],
-    ) -> Drawn
+    ) -> DrawResult
     where
         DB::ErrorType: 'static,
     {
@@ -247,7 +232,7 @@ impl Plot {
         }
 
         let marks = self.points().map(|(_, point)| Mark {
-            place: at(point.x, point.y),
+            position_px: at(point.x, point.y),
             bar: point.bar.as_ref().map(|bar| at(point.x, bar.end).1..at(point.x, bar.start).1),
         });
         let joined = self.series.iter().filter(|series| series.is_joined);
@@ -257,16 +242,16 @@ impl Plot {
 
         let mut texts: Vec<(&str, &Series, (i32, i32), i32)> = Vec::new();
         for series in &self.series {
-            // A line is named where it ends; a single point has its series' name.
+            // The last point carries the name of its series.
             if let Some(point) = series.points.last() {
                 texts.push((&series.name, series, at(point.x, point.y), 14));
             }
             let labelled = series.points.iter().filter(|point| !point.label.is_empty());
             texts.extend(labelled.map(|point| (&*point.label, series, at(point.x, point.y), 12)));
         }
-        let sized = texts.iter().map(|&(text, _, place, size)| {
+        let sized = texts.iter().map(|&(text, _, position_px, size)| {
             let (width, height) = area.estimate_text_size(text, &style(size))?;
-            Ok(Label { place, size: (width as i32 + 4, height as i32 + 2) })
+            Ok(Label { position_px, size: (width as i32 + 4, height as i32 + 2) })
         });
         let sized: Vec<_> = sized.collect::<Result<_, DrawingAreaErrorKind<DB::ErrorType>>>()?;
         for ((text, series, point, size), place) in
@@ -280,7 +265,7 @@ impl Plot {
             };
             let text_style = style(size).color(&series.color).pos(Pos::new(horizontal, VPos::Top));
             area.draw_text(text, &text_style, (x, rect.top))?;
-            // A name that stands apart is tied to its point.
+            // A line ties a distant name to its point.
             let middle = (rect.top + rect.bottom) / 2;
             if (middle - point.1).abs() > 20 {
                 let end = (x, if middle < point.1 { rect.bottom } else { rect.top });
@@ -296,7 +281,7 @@ fn draw_point<DB: DrawingBackend>(
     chart: &mut Plane<'_, DB>,
     series: &Series,
     point: &Point,
-) -> Drawn
+) -> DrawResult
 where
     DB::ErrorType: 'static,
 {
@@ -321,7 +306,7 @@ where
     Ok(())
 }
 
-/// Points that no other beats in both, the fastest first.
+/// Points that no other point beats in both coordinates, the fastest first.
 fn pareto_front<'a>(points: impl Iterator<Item = (&'a Series, &'a Point)>) -> Vec<(&'a Series, &'a Point)> {
     let mut by_x: Vec<_> = points.collect();
     by_x.sort_by(|(_, a), (_, b)| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
@@ -334,7 +319,7 @@ fn pareto_front<'a>(points: impl Iterator<Item = (&'a Series, &'a Point)>) -> Ve
     by_x
 }
 
-/// The front's names in lines that fit.
+/// The names of the front's points, in lines of at most `width` pixels.
 fn front_lines(front: &[(&Series, &Point)], width: i32) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
     for (series, point) in front {
@@ -351,7 +336,7 @@ fn front_lines(front: &[(&Series, &Point)], width: i32) -> Vec<String> {
     lines
 }
 
-/// With room for names.
+/// The range of some values, with room for names.
 fn around(values: Vec<f64>) -> Range<f64> {
     let (low, high) =
         values.into_iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
@@ -359,18 +344,13 @@ fn around(values: Vec<f64>) -> Range<f64> {
     low - room..high + room
 }
 
-/// Whole decades, with room above.
+/// Whole decades around some values, with `above` more.
 pub fn whole_decades(values: impl Iterator<Item = f64>, above: f64) -> Range<f64> {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
     (low - 0.05).floor()..(high + 0.05).ceil().max((low - 0.05).floor() + 2.0) + above
 }
 
-/// Letters of `size` pixels.
-pub fn style(size: i32) -> TextStyle<'static> {
-    (FONT, size).into_font().color(&INK)
-}
-
-/// Two significant digits of a number given by its logarithm.
+/// A number given by its logarithm, with two significant digits.
 pub fn significant(decade: f64) -> String {
     let x = 10f64.powf(decade);
     let unit = 10f64.powf(x.log10().floor() - 1.0);
@@ -384,7 +364,7 @@ pub fn significant(decade: f64) -> String {
     }
 }
 
-/// A power of ten.
+/// A power of ten given by its exponent.
 pub fn power(decade: f64) -> String {
     let decade = decade.round();
     if (-1.0..=4.0).contains(&decade) { format!("{}", 10f64.powf(decade)) } else { format!("1e{decade}") }
@@ -392,10 +372,10 @@ pub fn power(decade: f64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{super::COLORS, *};
 
     fn series(name: &str, points: &[(f64, f64)]) -> Series {
-        let point = |&(x, y): &(f64, f64)| Point { label: String::new(), x, y, bar: None };
+        let point = |&(x, y): &(f64, f64)| Point::new(x, y);
         Series {
             name: name.to_owned(),
             color: COLORS[0],

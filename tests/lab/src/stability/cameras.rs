@@ -1,4 +1,4 @@
-//! Cameras: their rays against rays in `f64`, and such as nobody would make on purpose.
+//! Cameras: their rays against rays in `f64`, and degenerate cameras.
 
 use glam::{DMat3, DVec2, DVec3, Vec3};
 use rayon::prelude::*;
@@ -7,10 +7,7 @@ use renderer::{
     intersect::{PacketScratch, ray::Ray},
     model::{mesh::Mesh, statue},
 };
-use shared::{
-    camera::{Camera, UpAxis},
-    division::FrameSize,
-};
+use shared::{camera::Camera, division::FrameSize};
 
 use super::{
     contenders::{Answer, Contender, RayBundle, Tally, tally},
@@ -19,26 +16,25 @@ use super::{
 use crate::chart::{
     candidates::{Candidates, PlacedModel, Placement},
     reference::{self, Truth},
+    view_all,
 };
 
-/// Closer to an edge than this, in pixels, rounding a ray to `f32` may decide.
+/// Distance from an edge, in pixels, below which the rounding of a ray to `f32` decides.
 const NEAR_EDGE: f64 = 1e-3;
 
-/// Of a thousand pixels one may have a depth that is off by more than this, relative to it.
+/// Relative depth error that one pixel in a thousand may exceed.
 const DEPTH_P999: f64 = 1e-6;
 
-/// Pictures of the statue against what a camera sees whose rays nobody rounds.
+/// Compares pictures of the statue with those of a camera whose rays are not rounded.
 pub(super) fn against_f64(n_rays: u64) -> Tally {
     let mesh = statue::generate(100_000, &|_| ());
     let grid = Grid::build(mesh.clone(), &GridOptions::default(), &|_| ());
-    let bounds = mesh.bounds();
-    let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
-    let full = Camera::view_all(min, max, UpAxis::Y, 16.0 / 9.0);
-    let looks = [(0.5, 1.9, 2.0, 2.6), (-2.0, 2.8, 1.5, 2.4), (3.0, 4.0, -3.0, 1.7)];
-    let appearance = |&(x, y, z, up): &(f64, f64, f64, f64)| {
+    let full = view_all(mesh.bounds(), 16.0 / 9.0);
+    let eyes = [(0.5, 1.9, 2.0, 2.6), (-2.0, 2.8, 1.5, 2.4), (3.0, 4.0, -3.0, 1.7)];
+    let close = |&(x, y, z, up): &(f64, f64, f64, f64)| {
         Camera::look_at(DVec3::new(x, y, z), DVec3::Y * up, DVec3::Y, 0.5, 16.0 / 9.0).ok()
     };
-    let cameras: Vec<_> = [full].into_iter().chain(looks.iter().filter_map(appearance)).collect();
+    let cameras: Vec<_> = [full].into_iter().chain(eyes.iter().filter_map(close)).collect();
     let height = (n_rays / 2 / cameras.len() as u64).isqrt().clamp(64, 1024) as u32;
     let Ok(size) = FrameSize::new(2 * height, height) else { return Tally::default() };
     let mut sum = Tally::default();
@@ -69,34 +65,34 @@ fn picture(mesh: &Mesh, grid: &Grid, camera: &Camera, size: FrameSize) -> Tally 
             })
             .collect();
         let bundle = RayBundle { origin, directions };
-        let mut far_off = [0; Contender::ALL.len()];
+        let mut n_far_off = [0; Contender::ALL.len()];
         tally.n_rays = truths.iter().flatten().count() as u64;
-        for (&contender, far_off) in Contender::ALL.iter().zip(&mut far_off) {
+        for (&contender, n_far_off) in Contender::ALL.iter().zip(&mut n_far_off) {
             for (answer, truth) in contender.trace(grid, &bundle, scratch).into_iter().zip(&truths) {
                 let Some(depth) = *truth else { continue };
                 let is_right = answer.is_some() == depth.is_some();
                 tally.count(contender, is_right, || format!("{answer:?} instead of {depth:?}"));
                 if let (Some((_, t)), Some(depth)) = (answer, depth) {
-                    *far_off += u64::from((t - depth).abs() > DEPTH_P999 * depth);
+                    *n_far_off += u64::from((t - depth).abs() > DEPTH_P999 * depth);
                 }
             }
         }
-        (tally, far_off)
+        (tally, n_far_off)
     });
-    let add = |(mut sum, mut far_off): (Tally, [u64; 6]), (tally, others): (Tally, [u64; 6])| {
+    let add = |(mut sum, mut n_far_off): (Tally, [u64; 6]), (tally, others): (Tally, [u64; 6])| {
         sum += tally;
-        far_off.iter_mut().zip(others).for_each(|(sum, other)| *sum += other);
-        (sum, far_off)
+        n_far_off.iter_mut().zip(others).for_each(|(sum, other)| *sum += other);
+        (sum, n_far_off)
     };
-    let (mut tally, far_off) = tallies.reduce(Default::default, add);
-    for (contender, far_off) in Contender::ALL.into_iter().zip(far_off) {
-        let is_right = far_off * 1000 <= tally.n_rays;
-        tally.count(contender, is_right, || format!("the depths of {far_off} pixels are off"));
+    let (mut tally, n_far_off) = tallies.reduce(Default::default, add);
+    for (contender, n_far_off) in Contender::ALL.into_iter().zip(n_far_off) {
+        let is_right = n_far_off * 1000 <= tally.n_rays;
+        tally.count(contender, is_right, || format!("the depths of {n_far_off} pixels are off"));
     }
     tally
 }
 
-/// The depth of the nearest triangle at a pixel, of triangles as (s, s·x, s·y); `None` where an edge is too near to tell.
+/// The depth of the nearest triangle at a pixel; corners are (s, s·x, s·y). `None` if an edge is too near.
 fn truth(pixel: DVec2, triangles: impl Iterator<Item = [DVec3; 3]>) -> Option<Option<f64>> {
     let mut nearest: Option<f64> = None;
     for corners in triangles {
@@ -109,7 +105,7 @@ fn truth(pixel: DVec2, triangles: impl Iterator<Item = [DVec3; 3]>) -> Option<Op
             return None;
         }
         if areas.iter().all(|&area| area > 0.0) || areas.iter().all(|&area| area < 0.0) {
-            // What is linear on the view plane is 1/s.
+            // 1/s is linear on the view plane.
             let inverse: f64 = areas.iter().zip(corners).map(|(area, corner)| area / corner.x).sum();
             let depth = areas.iter().sum::<f64>() / inverse;
             nearest = Some(nearest.map_or(depth, |nearest| nearest.min(depth)));
@@ -118,14 +114,14 @@ fn truth(pixel: DVec2, triangles: impl Iterator<Item = [DVec3; 3]>) -> Option<Op
     Some(nearest)
 }
 
-/// From the origin to the segment from p to q.
+/// The distance of the origin from the segment from p to q.
 fn distance_of_origin(p: DVec2, q: DVec2) -> f64 {
     let along = q - p;
     let part = (-p.dot(along) / along.length_squared()).clamp(0.0, 1.0);
     if part.is_nan() { p.length() } else { (p + along * part).length() }
 }
 
-/// Cameras in the model, mirrored, upside down, and a million times as wide as high, or the other way round.
+/// Cameras in the model, mirrored, upside down, and with an aspect ratio of a million or a millionth.
 pub(super) fn degenerate(n_rays: u64) -> Tally {
     let mesh = solids::sphere([0.3, -0.2, 0.1], 1.0, 8);
     let grid = Grid::build(mesh.clone(), &GridOptions::default(), &|_| ());
@@ -149,7 +145,7 @@ pub(super) fn degenerate(n_rays: u64) -> Tally {
     let mut sum = Tally::default();
     for camera in cameras {
         let Ok(camera) = camera else {
-            sum.count(Contender::Single, false, || "a camera is refused that sees something".to_owned());
+            sum.count(Contender::Single, false, || "a valid camera is refused".to_owned());
             continue;
         };
         sum += rays_of(&mesh, &grid, &camera, n_rays / n_cameras / COSTLY);
@@ -159,15 +155,15 @@ pub(super) fn degenerate(n_rays: u64) -> Tally {
         [(eye, ll, u * 0.0, v), (eye, ll, u, u * 2.0), (ll, ll, u, v), (ll + u * 3.0, ll, u, v), (nan, ll, u, v)];
     for (eye, ll, u, v) in wrong {
         let is_refused = Camera::new(eye, ll, u, v).is_err();
-        sum.count(Contender::Single, is_refused, || format!("a camera is not refused: {eye} {ll} {u} {v}"));
+        sum.count(Contender::Single, is_refused, || format!("an invalid camera is accepted: {eye} {ll} {u} {v}"));
     }
     sum
 }
 
-/// The reference tests each ray with each triangle, so there are fewer rays.
+/// Divides the number of rays, because the reference tests each ray against each triangle.
 const COSTLY: u64 = 4;
 
-/// All rays of a camera against [`reference::truth`], triangle by triangle, where it can tell.
+/// Compares all rays of a camera with [`reference::truth`] over all triangles, where it decides.
 pub(super) fn rays_of(mesh: &Mesh, grid: &Grid, camera: &Camera, n_rays: u64) -> Tally {
     let height = ((n_rays / 2).isqrt() as u32 / 8 * 8).clamp(8, 1024);
     let Ok(size) = FrameSize::new(2 * height, height) else { return Tally::default() };
@@ -179,7 +175,7 @@ pub(super) fn rays_of(mesh: &Mesh, grid: &Grid, camera: &Camera, n_rays: u64) ->
         u64::from(size.n_samples() / 64),
         |tile| {
             let (i, j) = (tile as u32 % tiles_per_row * 8, tile as u32 / tiles_per_row * 8);
-            let directions = (0..64).map(|place| rays.direction(i + place % 8, j + place / 8)).collect();
+            let directions = (0..64).map(|sample_idx| rays.direction(i + sample_idx % 8, j + sample_idx / 8)).collect();
             RayBundle { origin: rays.eye, directions }
         },
         |ray| reference::truth(ray, triangles.iter().copied()),

@@ -1,4 +1,4 @@
-//! Closed surfaces from inside: every ray must hit.
+//! Closed surfaces, seen from inside: every ray must hit.
 
 use glam::{DVec3, Vec3};
 use renderer::{
@@ -16,16 +16,16 @@ use crate::random::Random;
 /// Rays that share an origin.
 const RAYS_PER_BUNDLE: usize = 64;
 
-/// Where the rays from inside a sphere go.
+/// The targets of rays from inside a sphere.
 #[derive(Clone, Copy)]
 pub(super) enum Aim {
     /// Anywhere.
     Anywhere,
-    /// At every vertex and the middle of every edge, in turn.
+    /// Every vertex and every edge midpoint, in turn.
     VerticesAndEdges,
 }
 
-/// From inside a sphere of triangles. Where coordinates resolve it well enough, hits must also lie on the sphere.
+/// Rays from inside a sphere of triangles. Hits must also lie on the sphere, as far as coordinates resolve it.
 pub(super) fn sphere(centre: [f64; 3], radius: f64, aim: Aim, n_rays: u64) -> Tally {
     let mesh = solids::sphere(centre, radius, 16);
     let targets = targets(&mesh);
@@ -56,20 +56,20 @@ fn at(ray: &Ray, t: f64) -> DVec3 {
     ray.origin.as_dvec3() + ray.direction.as_dvec3() * t
 }
 
-/// All vertices, and the middles of all edges of triangles.
+/// All vertices and all edge midpoints.
 fn targets(mesh: &Mesh) -> Vec<Vec3> {
     let vertex = |number: u32| Vec3::from_array(mesh.vertices[number as usize]);
     let edges = mesh.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
-    // Each edge is met from both sides; from one of them its numbers ascend.
+    // Two triangles share each edge; in one of them its vertex numbers ascend.
     let midpoints =
         edges.filter(|(p, q)| p < q).map(|(p, q)| ((vertex(p).as_dvec3() + vertex(q).as_dvec3()) * 0.5).as_vec3());
     (0..mesh.vertices.len() as u32).map(vertex).chain(midpoints).collect()
 }
 
-/// From inside a box, along planes between cells: every ray hits, and where is told by the box's six sides.
+/// Rays inside a box, along planes between cells: every ray hits one of the box's six sides.
 pub(super) fn cell_planes(n_rays: u64) -> Tally {
     const N: i32 = 12;
-    // Four cells along a unit, so that all cells of the tree end at 1/4ⁿ.
+    // Four cells a unit: all cells of the tree end at multiples of 1/4ⁿ.
     let options = GridOptions { density: Some(64.0), ..GridOptions::default() };
     let grid = Grid::build(solids::mesh_of(&solids::cube(N), 1.0), &options, &|_| ());
     let expected = |ray: &Ray| {
@@ -90,7 +90,7 @@ pub(super) fn cell_planes(n_rays: u64) -> Tally {
             let origin = origin.min(Vec3::splat(N as f32 - 0.25));
             let directions = (0..16).map(|_| {
                 let mut direction = [(); 3].map(|()| random.whole(-16, 16) as f32 / 16.0);
-                // Within one plane, or two.
+                // Parallel to one plane, or to two.
                 (0..=random.whole(0, 1)).for_each(|_| direction[random.whole(0, 2) as usize] = 0.0);
                 let direction = Vec3::from_array(direction);
                 let signs = [(); 3].map(|()| random.whole(0, 1) as f32 * 2.0 - 1.0);
@@ -103,7 +103,7 @@ pub(super) fn cell_planes(n_rays: u64) -> Tally {
     )
 }
 
-/// A plane of slivers a million times as long as they are wide, from both sides: every ray towards it hits.
+/// Rays from both sides at a plane of slivers, a million times as long as wide: every ray hits.
 pub(super) fn slivers(n_rays: u64) -> Tally {
     const N: i32 = 32;
     const LENGTH: i32 = 1_000_000;

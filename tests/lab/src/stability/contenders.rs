@@ -1,6 +1,6 @@
-//! Who is tried: every method of the chart on the grid's candidates, and the grid itself.
+//! The contenders: every method of the chart on the grid's candidates, and the grid itself.
 
-use std::ops::AddAssign;
+use std::{iter::Sum, ops::AddAssign};
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -14,15 +14,15 @@ use renderer::{
 
 use crate::chart::methods::Method;
 
-/// What is said of a ray: the number in the file of the nearest triangle, and t.
+/// The nearest hit of a ray: file index of the triangle, and t.
 pub(super) type Answer = Option<(u32, f64)>;
 
-/// A way to find the nearest triangle along rays.
+/// An algorithm that finds the nearest triangle along rays.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Contender {
-    /// One triangle after the other, all that the grid has in the cells along the ray.
+    /// A method on all triangles of the cells along the ray, one by one.
     Rival(Method),
-    /// Raywall's rays that are followed alone, and whether anything is hit at all.
+    /// Raywall's single rays: nearest hit and any hit.
     Single,
     /// Raywall's packets.
     Packets,
@@ -38,7 +38,7 @@ impl Contender {
         Self::Packets,
     ];
 
-    /// The head of its column.
+    /// The head of its column in the table.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Rival(method) => method.label(),
@@ -47,7 +47,7 @@ impl Contender {
         }
     }
 
-    /// Whether it must be right always.
+    /// Whether it must never be wrong.
     pub(super) fn is_default(self) -> bool {
         !matches!(self, Self::Rival(_))
     }
@@ -62,7 +62,7 @@ impl Contender {
     }
 }
 
-/// The nearest triangle along each ray of a bundle, by packets of so many rays each that go together.
+/// The nearest triangle along each ray of a bundle, by packets of `n_rays` rays that are traced together.
 fn packets(grid: &Grid, bundle: &RayBundle, n_rays: usize, scratch: &mut PacketScratch) -> Vec<Answer> {
     let packets: Vec<_> = bundle.directions.chunks(n_rays).map(|rays| packet(bundle.origin, rays)).collect();
     let mut hits = vec![[Hit::MISS; 64]; packets.len()];
@@ -84,7 +84,12 @@ fn packet(origin: Vec3, rays: &[Vec3]) -> Packet {
 }
 
 fn rival(method: Method, grid: &Grid, ray: &Ray) -> Answer {
-    let mut nearest: Answer = None;
+    nearest_candidate(grid, method, ray).map(|(triangle_idx, t)| (grid.mesh().file_index(triangle_idx), t))
+}
+
+/// The nearest of the grid's candidates along a ray, by a method: triangle index and t.
+pub(super) fn nearest_candidate(grid: &Grid, method: Method, ray: &Ray) -> Option<(u32, f64)> {
+    let mut nearest: Option<(u32, f64)> = None;
     grid.for_each_candidate(ray, |triangle_idx| {
         if let Some(t) = method.intersect(ray, &grid.mesh().corners(triangle_idx))
             && nearest.is_none_or(|(_, nearest_t)| t < nearest_t)
@@ -92,7 +97,7 @@ fn rival(method: Method, grid: &Grid, ray: &Ray) -> Answer {
             nearest = Some((triangle_idx, t));
         }
     });
-    nearest.map(|(triangle_idx, t)| (grid.mesh().file_index(triangle_idx), t))
+    nearest
 }
 
 fn answer(grid: &Grid, hit: Hit) -> Answer {
@@ -112,18 +117,18 @@ impl RayBundle {
     }
 }
 
-/// Rays that were traced, and how many of them each contender got wrong, in the order of [`Contender::ALL`].
+/// The number of rays, and of each contender's wrong answers.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tally {
     pub(super) n_rays: u64,
-    /// `None` for those that the case does not concern.
+    /// In the order of [`Contender::ALL`]; `None` if the case does not try a contender.
     pub(super) wrong: [Option<u64>; Contender::ALL.len()],
-    /// Of the default.
+    /// The default's first wrong answer.
     pub(super) first_failure: Option<String>,
 }
 
 impl Tally {
-    /// Counts one answer; `what` says what it was, should it be wrong.
+    /// Counts one answer; `what` describes a wrong one.
     pub(super) fn count(&mut self, contender: Contender, is_right: bool, what: impl FnOnce() -> String) {
         let index = Contender::ALL.iter().position(|&other| other == contender);
         let wrong = &mut self.wrong[index.expect("a contender")];
@@ -148,8 +153,17 @@ impl AddAssign for Tally {
     }
 }
 
-/// Has all contenders trace the bundles number 0 to `n_bundles` on all threads. `truth` tells what is right of a ray,
-/// and `is_right` whether an answer agrees with it.
+impl Sum for Tally {
+    fn sum<I: Iterator<Item = Self>>(tallies: I) -> Self {
+        tallies.fold(Self::default(), |mut sum, tally| {
+            sum += tally;
+            sum
+        })
+    }
+}
+
+/// Lets all contenders trace bundles 0 to `n_bundles`, on all threads. `truth` computes the right answer for a ray, and
+/// `is_right` compares an answer with it.
 pub(super) fn tally<T>(
     grid: &Grid,
     n_bundles: u64,
@@ -166,9 +180,9 @@ pub(super) fn tally<T>(
             let answers = contender.trace(grid, &bundle, scratch);
             for (((ray, truth), answer), of_one_packet) in rays.iter().zip(answers).zip(&of_one_packet) {
                 let agrees = match contender {
-                    // What ends rays early must agree with what finds the nearest,
+                    // Any hit must agree with the nearest hit,
                     Contender::Single => grid.occluded(ray) == answer.is_some(),
-                    // and a packet alone with packets that go together.
+                    // and one packet with packets that are traced together.
                     Contender::Packets => answer == *of_one_packet,
                     Contender::Rival(_) => true,
                 };
@@ -178,9 +192,5 @@ pub(super) fn tally<T>(
         }
         tally
     };
-    let tallies = (0..n_bundles).into_par_iter().map_init(PacketScratch::default, one);
-    tallies.reduce(Tally::default, |mut sum, tally| {
-        sum += tally;
-        sum
-    })
+    (0..n_bundles).into_par_iter().map_init(PacketScratch::default, one).sum()
 }

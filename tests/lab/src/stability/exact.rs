@@ -1,24 +1,24 @@
-//! The truth where all numbers are whole: in integers, without any rounding, triangle by triangle.
+//! The exact truth where all numbers are integers, triangle by triangle.
 
 use super::{contenders::Answer, solids::Lattice};
 use crate::vector::{cross, dot, sub};
 
-/// What a ray hits, truly.
+/// The true hits of a ray.
 pub(super) struct ExactTruth {
-    /// All triangles that it hits, with t.
+    /// All triangles hit, with t.
     hits: Vec<(u32, f64)>,
     /// The least t, or infinity.
     nearest: f64,
 }
 
-/// How far a t may be off, relative to it: no method is wrong for that alone.
+/// Relative error of t that does not make a hit wrong.
 const DEPTH_TOLERANCE: f64 = 1e-4;
 
-/// Triangles whose t differ by less are equally near: quotients of whole numbers are rounded once.
+/// Relative difference of t of triangles that count as equally near: their quotients are rounded once.
 const SAME_DEPTH: f64 = 1e-9;
 
-/// A ray hits a triangle if no two edges are passed on opposite sides and at least one is passed at all; not if it lies
-/// in its plane. Coordinates up to 2²⁴ are far from the end of `i128`.
+/// A ray hits a triangle if it passes no two edges on opposite sides and at least one edge at a distance; a ray in the
+/// triangle's plane misses. Coordinates up to 2²⁴ are far from the limits of `i128`.
 pub(super) fn truth(lattice: &Lattice, origin: [i32; 3], direction: [i32; 3]) -> ExactTruth {
     let wide = |vector: [i32; 3]| vector.map(i128::from);
     let (origin, direction) = (wide(origin), wide(direction));
@@ -41,12 +41,12 @@ pub(super) fn truth(lattice: &Lattice, origin: [i32; 3], direction: [i32; 3]) ->
 }
 
 impl ExactTruth {
-    /// Whether an answer names a nearest triangle, and where it is.
+    /// Whether an answer names a nearest triangle and its t.
     pub(super) fn allows(&self, answer: Answer) -> bool {
         let Some((number, t)) = answer else { return self.hits.is_empty() };
-        let is_near = |truly: f64, tolerance: f64| (t - truly).abs() <= tolerance * truly.max(1e-2);
-        self.hits.iter().any(|&(other, truly)| {
-            other == number && truly <= self.nearest * (1.0 + SAME_DEPTH) && is_near(truly, DEPTH_TOLERANCE)
+        let is_near = |expected: f64, tolerance: f64| (t - expected).abs() <= tolerance * expected.max(1e-2);
+        self.hits.iter().any(|&(other, expected)| {
+            other == number && expected <= self.nearest * (1.0 + SAME_DEPTH) && is_near(expected, DEPTH_TOLERANCE)
         })
     }
 }

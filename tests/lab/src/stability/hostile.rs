@@ -1,4 +1,4 @@
-//! What no honest program sends: vertices and rays that are no numbers, and many triangles in one place.
+//! Hostile input: vertices and rays that are not finite, and many triangles in one place.
 
 use glam::Vec3;
 use renderer::{
@@ -14,7 +14,7 @@ use super::{
 };
 use crate::random::Random;
 
-/// Triangles with corners that cannot be traced, among others, as they come from a file.
+/// Triangles with invalid corners among valid ones, read from a file.
 pub(super) fn bad_vertices(n_rays: u64) -> Tally {
     let mut sum = Tally::default();
     for seed in 0..8 {
@@ -36,19 +36,19 @@ pub(super) fn bad_vertices(n_rays: u64) -> Tally {
         let read = written.ok().and_then(|()| ply::read_from(&*file, file.len() as u64).ok()).unwrap_or_default();
         let all_rejected = read.n_rejected + n_triangles == mesh.triangles.len();
         let mut tally = lattice::one(&scene, read, 1.0, Aim::All, n_rays / 8, seed);
-        tally.count(Contender::Single, all_rejected, || "a bad vertex was taken for a good one".to_owned());
+        tally.count(Contender::Single, all_rejected, || "an invalid vertex was accepted".to_owned());
         sum += tally;
     }
     sum
 }
 
-/// A hundred thousand triangles in one place: the first is hit, in bounded time and memory.
+/// A hundred thousand triangles in one place: rays hit the first, in bounded time and memory.
 pub(super) fn coincident(n_rays: u64) -> Tally {
     const N: usize = 100_000;
     let triangle = [[0, 0, 5], [16, 0, 5], [0, 16, 5]];
     let mesh = solids::mesh_of(&vec![triangle; N], 1.0);
     let grid = Grid::build(mesh, &GridOptions::default(), &|_| ());
-    // Each tests all of the triangles.
+    // Each ray tests all triangles, so there are few.
     let mut tally = tally(
         &grid,
         n_rays / 1_000_000 + 1,
@@ -65,14 +65,15 @@ pub(super) fn coincident(n_rays: u64) -> Tally {
     tally
 }
 
-/// Components that no ray should have.
+/// Components that rays should not have.
 const ODD: [f32; 10] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN, 1e-45, -1e-45, -0.0, 0.0, 1.0];
 
-/// Rays with odd components end, and hit nothing unless all of them are finite.
+/// Rays with odd components terminate, and hit nothing unless all components are finite.
 pub(super) fn odd_rays(n_rays: u64) -> Tally {
     let scene = lattice::scaled(&solids::soup(&mut Random::new(600), 40, 4), 4);
     let grid = Grid::build(solids::mesh_of(&scene, 1.0), &GridOptions::default(), &|_| ());
-    let triangles: Vec<_> = (0..grid.mesh().n_triangles() as u32).map(|place| grid.mesh().corners(place)).collect();
+    let triangles: Vec<_> =
+        (0..grid.mesh().n_triangles() as u32).map(|triangle_idx| grid.mesh().corners(triangle_idx)).collect();
     let mut sum = Tally::default();
     let mut scratch = PacketScratch::default();
     for index in 0..n_rays.div_ceil(8) {
@@ -81,7 +82,7 @@ pub(super) fn odd_rays(n_rays: u64) -> Tally {
         let bundle = RayBundle { origin: vector(), directions: (0..8).map(|_| vector()).collect() };
         for contender in Contender::ALL {
             let answers = match contender {
-                // Methods without a grid that would have dropped the ray before.
+                // The grid would drop the ray before a method sees it.
                 Contender::Rival(method) => {
                     let hits = |ray: Ray| triangles.iter().find_map(|corners| method.intersect(&ray, corners));
                     bundle.rays().map(|ray| hits(ray).map(|t| (0, t))).collect()
@@ -112,5 +113,5 @@ pub(super) fn odd_rays(n_rays: u64) -> Tally {
     sum
 }
 
-/// More than a ray can pass of this scene, which has some hundred cells along each axis at the very most.
+/// More cells than a ray can pass here: each axis has a few hundred at most.
 const MOST_CELLS: u32 = 10_000;

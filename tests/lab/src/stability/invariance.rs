@@ -1,70 +1,61 @@
-//! What must not change a hit: the scene's scale and place, and how it is kept, divided and traced.
+//! Transformations that must not change a hit: scale and position of the scene, its structure, division and instructions.
 
-use std::sync::Mutex;
-
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use renderer::{
     grid::{Grid, GridOptions, MeshLayout, Storage},
     intersect::{InstructionSet, PacketScratch, ray::Hit},
     model::{mesh::Mesh, statue},
-    render::tracer::Scene,
+    render::scene::Scene,
 };
 use shared::{
-    camera::{Camera, UpAxis},
+    camera::Camera,
     division::{Division, FrameSize},
 };
+use strum::VariantArray;
 
 use super::contenders::{Answer, Contender, RayBundle, Tally};
-use crate::random::Random;
+use crate::{chart::view_all, random::Random};
 
-/// A power of two as the unit of all coordinates leaves triangle and t of every hit as they are, to the last bit.
+/// Scaling by a power of two changes no bit of any hit.
 pub(super) fn scale(n_rays: u64) -> Tally {
     let mesh = statue::generate(3000, &|_| ());
-    let mut sum = Tally::default();
-    let exponents = [-40, -20, 20, 40];
-    for exponent in exponents {
-        let factor = 2f32.powi(exponent);
-        let by = |vector: Vec3| vector * factor;
-        sum += compare(&mesh, n_rays / exponents.len() as u64, by, by, |ours, theirs| ours == theirs);
-    }
-    sum
+    let scaled = |exponent| {
+        let by = |vector: Vec3| vector * 2f32.powi(exponent);
+        compare(&mesh, n_rays / 4, by, by, |before, after| before == after)
+    };
+    [-40, -20, 20, 40].into_iter().map(scaled).sum()
 }
 
-/// Moved by so much that no coordinate is rounded, the same triangles are hit.
+/// A translation that rounds no coordinate leaves the triangles of all hits.
 pub(super) fn translation(n_rays: u64) -> Tally {
     let mut mesh = statue::generate(3000, &|_| ());
     for x in mesh.vertices.as_flattened_mut() {
         *x = on_lattice(*x);
     }
-    let mut sum = Tally::default();
     let offsets =
         [Vec3::X * 16.0, Vec3::new(-1024.0, 512.0, 3.0), Vec3::splat(4096.0), Vec3::new(0.25, -8000.0, 8000.0)];
-    for offset in offsets {
-        let same_triangle =
-            |ours: Answer, theirs: Answer| ours.map(|(number, _)| number) == theirs.map(|(number, _)| number);
-        let n_rays = n_rays / offsets.len() as u64;
-        sum += compare(&mesh, n_rays, |place| place + offset, |direction| direction, same_triangle);
-    }
-    sum
+    let triangle = |answer: Answer| answer.map(|(file_index, _)| file_index);
+    let is_same = |before, after| triangle(before) == triangle(after);
+    let moved = |offset| compare(&mesh, n_rays / 4, |point| point + offset, |direction| direction, is_same);
+    offsets.into_iter().map(moved).sum()
 }
 
-/// Multiples of 2⁻¹⁰: with coordinates below 2¹³ they have no more than 24 bits.
+/// Rounds to multiples of 2⁻¹⁰, which have at most 24 bits below 2¹³.
 fn on_lattice(x: f32) -> f32 {
     (x * 1024.0).round() / 1024.0
 }
 
-/// Traces the same rays before and after the world has changed; `place` and `direction` are what becomes of points and
-/// directions, and `is_same` compares the answers before and after.
+/// Traces the same rays before and after a transformation of points and directions; `is_same` compares the answers.
 fn compare(
     mesh: &Mesh,
     n_rays: u64,
-    place: impl Fn(Vec3) -> Vec3 + Sync,
+    point: impl Fn(Vec3) -> Vec3 + Sync,
     direction: impl Fn(Vec3) -> Vec3 + Sync,
     is_same: impl Fn(Answer, Answer) -> bool + Sync,
 ) -> Tally {
     let changed = Mesh {
-        vertices: mesh.vertices.iter().map(|&vertex| place(Vec3::from_array(vertex)).to_array()).collect(),
+        vertices: mesh.vertices.iter().map(|&vertex| point(Vec3::from_array(vertex)).to_array()).collect(),
         ..mesh.clone()
     };
     let grids = [mesh.clone(), changed].map(|mesh| Grid::build(mesh, &GridOptions::default(), &|_| ()));
@@ -72,11 +63,11 @@ fn compare(
         let mut random = Random::new(index);
         let origin = (Vec3::Y + random.point() * 8.0).to_array().map(on_lattice);
         let origin = Vec3::from_array(origin);
-        // At the model, more or less.
+        // Roughly towards the model.
         let mut towards = || Vec3::from_array((Vec3::Y + random.point() * 3.0 - origin).to_array().map(on_lattice));
         let before = RayBundle { origin, directions: (0..32).map(|_| towards()).collect() };
         let after = RayBundle {
-            origin: place(origin),
+            origin: point(origin),
             directions: before.directions.iter().map(|&towards| direction(towards)).collect(),
         };
         let mut tally = Tally { n_rays: 32, ..Tally::default() };
@@ -89,21 +80,15 @@ fn compare(
         }
         tally
     };
-    let tallies = (0..n_rays.div_ceil(32)).into_par_iter().map_init(PacketScratch::default, one);
-    tallies.reduce(Tally::default, |mut sum, tally| {
-        sum += tally;
-        sum
-    })
+    (0..n_rays.div_ceil(32)).into_par_iter().map_init(PacketScratch::default, one).sum()
 }
 
-/// Every instruction set, storage, density and layout, one and two threads, and every division of the frame: one hash.
+/// Every instruction set, storage, density, layout, number of threads and division gives one hash of all hits.
 pub(super) fn one_hash(n_rays: u64) -> Tally {
     let mesh = statue::generate(20_000, &|_| ());
-    let bounds = mesh.bounds();
-    let [min, max] = [bounds.min, bounds.max].map(|corner| DVec3::from_array(corner.map(f64::from)));
-    let camera = Camera::view_all(min, max, UpAxis::Y, 16.0 / 9.0);
+    let camera = view_all(mesh.bounds(), 16.0 / 9.0);
     let mut ways = Vec::new();
-    for storage in Storage::ALL {
+    for &storage in Storage::VARIANTS {
         for density in [1.0, 32.0, 128.0].map(Some) {
             for (layout, n_threads) in [(MeshLayout::Indexed, 1), (MeshLayout::Flat, 2)] {
                 ways.push((GridOptions { storage, density, mesh: layout, ..GridOptions::default() }, n_threads));
@@ -113,12 +98,11 @@ pub(super) fn one_hash(n_rays: u64) -> Tally {
     let sets = InstructionSet::available();
     let divisions = [(Division::Tiled, 1), (Division::Tiled, 3), (Division::Interleaved, 5), (Division::Dynamic, 2)];
     let n_frames = (ways.len() * sets.len() * divisions.len()) as u64;
-    // A frame is twice as wide as high.
     let height = (n_rays / n_frames / 2).isqrt().clamp(16, 512) as u32;
     let Ok(size) = FrameSize::new(2 * height, height) else { return Tally::default() };
 
-    let sum = Mutex::new(Tally::default());
-    let mut expected: Option<Vec<u8>> = None;
+    let mut sum = Tally::default();
+    let mut expected: Option<blake3::Hash> = None;
     for (options, n_threads) in ways {
         let Ok(pool) = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build() else { continue };
         let mut grid = pool.install(|| Grid::build(mesh.clone(), &options, &|_| ()));
@@ -127,23 +111,21 @@ pub(super) fn one_hash(n_rays: u64) -> Tally {
             let scene = Scene::from_grid(grid);
             for (division, n_machines) in divisions {
                 let hits = pool.install(|| hits(&scene, &camera, size, division, n_machines));
-                let is_same = *expected.get_or_insert_with(|| hits.clone()) == hits;
+                let is_same = *expected.get_or_insert(hits) == hits;
                 let mut tally = Tally { n_rays: u64::from(size.n_samples()), ..Tally::default() };
                 for contender in [Contender::Single, Contender::Packets] {
-                    tally.count(contender, is_same, || {
-                        format!("{options:?}, {set:?}, {division:?} give another picture")
-                    });
+                    tally.count(contender, is_same, || format!("{options:?}, {set:?}, {division:?} give other hits"));
                 }
-                *sum.lock().expect("nobody panics with it") += tally;
+                sum += tally;
             }
             grid = scene.into_grid();
         }
     }
-    sum.into_inner().expect("nobody panics with it")
+    sum
 }
 
-/// The hash of a frame's hits, row by row, as machines trace their shares of it one after the other, the last first.
-fn hits(scene: &Scene, camera: &Camera, size: FrameSize, division: Division, n_machines: u32) -> Vec<u8> {
+/// The hash of a frame's hits, row by row. Its machines trace their shares one after the other, the last first.
+fn hits(scene: &Scene, camera: &Camera, size: FrameSize, division: Division, n_machines: u32) -> blake3::Hash {
     let rays = camera.rays(size);
     let mut rows = vec![Hit::MISS; size.n_samples() as usize];
     for machine in (0..n_machines).rev() {
@@ -160,5 +142,5 @@ fn hits(scene: &Scene, camera: &Camera, size: FrameSize, division: Division, n_m
         hasher.update(&hit.triangle.to_le_bytes());
         hasher.update(&hit.t.to_bits().to_le_bytes());
     }
-    hasher.finalize().as_bytes().to_vec()
+    hasher.finalize()
 }

@@ -1,5 +1,5 @@
-//! Scenes and rays in whole numbers, where the truth is exact: rays along axes, planes and edges, through corners, from
-//! surfaces and from far away.
+//! Scenes and rays with integer coordinates, where the truth is exact: rays along axes, planes and edges, through corners,
+//! from surfaces and from far away.
 
 use glam::Vec3;
 use renderer::{
@@ -15,31 +15,31 @@ use super::{
 };
 use crate::{random::Random, vector::sub};
 
-/// How rays meet a scene.
+/// The rays at a scene.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Aim {
     /// Along an axis; the other two components are +0 or −0.
     Axes,
-    /// Along an edge of a triangle, and from the same place at other corners.
+    /// Along an edge of a triangle, and from the same origin at other corners.
     Edges,
-    /// At corners and middles of edges.
+    /// At corners and edge midpoints.
     Corners,
-    /// From a corner, the middle of an edge, or within a triangle, into any direction.
+    /// From a corner, an edge midpoint, or within a triangle, in any direction.
     FromSurfaces,
-    /// From a million times the scene's size away, at corners, middles of edges, and anywhere.
+    /// From a million scene sizes away, at corners, edge midpoints, and anywhere.
     Far,
     /// Each of these.
     All,
 }
 
-/// Whole numbers up to this make scenes.
+/// Largest coordinate of scenes.
 const SIZE: i32 = 16;
 
-/// Random soups, and boxes with corners at whole numbers.
+/// Random soups, and boxes with integer corners.
 pub(super) fn solids_and_soups(aim: Aim, n_rays: u64) -> Tally {
     let soups = (0..12).map(|seed| {
         let mut random = Random::new(seed);
-        // Multiples of four, so that middles of edges and of triangles are whole.
+        // Multiples of four: midpoints of edges and triangles are integers.
         scaled(&solids::soup(&mut random, 4 + 3 * seed as usize, SIZE / 4), 4)
     });
     let boxes = [1, 2, 4].map(|n| scaled(&solids::cube(n), SIZE / n));
@@ -47,7 +47,7 @@ pub(super) fn solids_and_soups(aim: Aim, n_rays: u64) -> Tally {
     many(&scenes, 1.0, aim, n_rays)
 }
 
-/// Some scenes, with a share of the rays for each.
+/// Tries some scenes, with an equal number of rays for each.
 pub(super) fn many(scenes: &[Lattice], unit: f32, aim: Aim, n_rays: u64) -> Tally {
     let mut sum = Tally::default();
     for (scene, seed) in scenes.iter().zip(0..) {
@@ -56,7 +56,7 @@ pub(super) fn many(scenes: &[Lattice], unit: f32, aim: Aim, n_rays: u64) -> Tall
     sum
 }
 
-/// Rays at a mesh that begins with the triangles of `scene`; others must never be hit.
+/// Rays at a mesh that begins with the triangles of `scene`; rays must not hit its other triangles.
 pub(super) fn one(scene: &Lattice, mesh: Mesh, unit: f32, aim: Aim, n_rays: u64, seed: u64) -> Tally {
     let grid = Grid::build(mesh, &GridOptions::default(), &|_| ());
     let whole = |vector: Vec3| (vector / unit).to_array().map(|x| x as i32);
@@ -69,7 +69,7 @@ pub(super) fn one(scene: &Lattice, mesh: Mesh, unit: f32, aim: Aim, n_rays: u64,
     )
 }
 
-/// Rays of a bundle: few, for what is special is the origin as often as the direction.
+/// Rays of a bundle: few, because many cases depend on the origin.
 const N_DIRECTIONS: usize = 8;
 
 fn bundle(scene: &Lattice, unit: f32, aim: Aim, random: &mut Random) -> RayBundle {
@@ -77,13 +77,13 @@ fn bundle(scene: &Lattice, unit: f32, aim: Aim, random: &mut Random) -> RayBundl
         Aim::All => *random.choose(&[Aim::Axes, Aim::Edges, Aim::Corners, Aim::FromSurfaces]),
         aim => aim,
     };
-    let nowhere = [[0; 3]; 3];
-    let triangle = |random: &mut Random| if scene.is_empty() { nowhere } else { *random.choose(scene) };
+    let no_triangle = [[0; 3]; 3];
+    let triangle = |random: &mut Random| if scene.is_empty() { no_triangle } else { *random.choose(scene) };
     let anywhere = |random: &mut Random| [(); 3].map(|()| random.whole(-2, SIZE + 2));
     let [a, b, c] = triangle(random);
     let origin = match aim {
         Aim::Axes | Aim::Corners | Aim::All => {
-            // Often in a plane that a corner lies in.
+            // Often in an axis-parallel plane through a corner.
             let mut origin = anywhere(random);
             let axis = random.whole(0, 5) as usize;
             if axis < 3 {
@@ -137,7 +137,7 @@ fn middle(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
     [0, 1, 2].map(|axis| (a[axis] + b[axis]) / 2)
 }
 
-/// What has no extent along one axis, two, or three.
+/// Scenes without extent along some axes.
 pub(super) fn flat(axes: &[usize], n_rays: u64) -> Tally {
     let scenes = (0..8).map(|seed| {
         let mut soup = scaled(&solids::soup(&mut Random::new(100 + seed), 20, SIZE / 4), 4);
@@ -149,13 +149,13 @@ pub(super) fn flat(axes: &[usize], n_rays: u64) -> Tally {
     many(&scenes.collect::<Vec<_>>(), 1.0, Aim::All, n_rays)
 }
 
-/// No triangle, and one.
+/// Scenes of no triangle and of one.
 pub(super) fn few(n_rays: u64) -> Tally {
     let ones = (0..15).map(|seed| scaled(&solids::soup(&mut Random::new(200 + seed), 1, SIZE / 4), 4));
     many(&[vec![]].into_iter().chain(ones).collect::<Vec<_>>(), 1.0, Aim::All, n_rays)
 }
 
-/// Triangles several times, and among them such without area.
+/// Repeated triangles, among them some without area.
 pub(super) fn duplicates(n_rays: u64) -> Tally {
     let scenes = (0..8).map(|seed| {
         let soup = scaled(&solids::soup(&mut Random::new(300 + seed), 12, SIZE / 4), 4);
@@ -166,11 +166,11 @@ pub(super) fn duplicates(n_rays: u64) -> Tally {
     many(&scenes.collect::<Vec<_>>(), 1.0, Aim::All, n_rays)
 }
 
-/// Coordinates below the smallest normal number.
+/// Scenes with coordinates below the smallest normal number.
 pub(super) fn denormal(n_rays: u64) -> Tally {
     let scenes = (0..8).map(|seed| scaled(&solids::soup(&mut Random::new(400 + seed), 20, SIZE / 4), 4));
     many(&scenes.collect::<Vec<_>>(), DENORMAL_UNIT, Aim::All, n_rays)
 }
 
-/// 2⁻¹⁴⁰: sixteen of them still are 2⁻¹³⁶.
+/// 2⁻¹⁴⁰: the largest coordinate is 2⁻¹³⁶.
 const DENORMAL_UNIT: f32 = f32::from_bits(1 << 9);

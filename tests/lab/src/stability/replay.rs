@@ -1,4 +1,4 @@
-//! Any mesh seen by any camera, and pairs of them that have failed once.
+//! Random meshes and cameras, and the replay of a pair that failed.
 
 use std::path::Path;
 
@@ -13,13 +13,14 @@ use renderer::{
     },
 };
 use shared::camera::Camera;
+use strum::VariantArray;
 
 use super::{cameras, contenders::Tally, head, line};
 
-/// Rays of a picture: few, for each is tested with each triangle.
+/// Rays of a picture: few, because each is tested against each triangle.
 const N_RAYS: u64 = 512;
 
-/// Tries a mesh from a file again.
+/// Replays a mesh from a file.
 pub(super) fn run(mesh: &Path, camera: &Camera) -> Result<()> {
     let mesh = scene::load(&SceneSource::Ply(mesh.to_owned()), &|_| ())?.mesh;
     let tally = check(&mesh, camera);
@@ -30,18 +31,20 @@ pub(super) fn run(mesh: &Path, camera: &Camera) -> Result<()> {
     }
 }
 
-/// A picture against the reference, for every way to keep the mesh and every instruction set.
+/// Compares a picture with the reference, for every storage, layout and instruction set.
 pub(super) fn check(mesh: &Mesh, camera: &Camera) -> Tally {
     let mut sum = Tally::default();
-    for (storage, layout) in
-        Storage::ALL.into_iter().flat_map(|storage| [(storage, MeshLayout::Indexed), (storage, MeshLayout::Flat)])
+    for (storage, layout) in Storage::VARIANTS
+        .iter()
+        .copied()
+        .flat_map(|storage| [(storage, MeshLayout::Indexed), (storage, MeshLayout::Flat)])
     {
         let options = GridOptions { storage, mesh: layout, ..GridOptions::default() };
         let mut grid = Grid::build(mesh.clone(), &options, &|_| ());
         for set in InstructionSet::available() {
             grid = grid.with_instructions(set);
             let mut tally = cameras::rays_of(mesh, &grid, camera, N_RAYS);
-            tally.first_failure = tally.first_failure.map(|what| format!("{storage}, {layout}, {set:?}: {what}"));
+            tally.first_failure = tally.first_failure.map(|failure| format!("{storage}, {layout}, {set:?}: {failure}"));
             sum += tally;
         }
     }
@@ -56,7 +59,7 @@ mod tests {
     use super::{super::contenders::Contender, *};
     use renderer::model::ply;
 
-    /// Numbers that meet each other often, and some that do not.
+    /// Numbers that often coincide, and some that do not.
     fn coordinate() -> impl Strategy<Value = f32> {
         prop_oneof![
             (-8i32..=8).prop_map(|n| n as f32),
@@ -87,7 +90,7 @@ mod tests {
     }
 
     prop_compose! {
-        /// From near or far towards somewhere in a mesh, or any other way.
+        /// A camera near or far that looks at a vertex.
         fn camera(mesh: Mesh)(
             (eye, target) in (point(), any::<prop::sample::Index>()),
             (far, fov) in (prop_oneof![Just(1.0), Just(30.0), Just(1e4)], prop_oneof![Just(0.6), Just(1e-3), Just(2.8)]),
@@ -104,7 +107,7 @@ mod tests {
         }
     }
 
-    /// Leaves what failed in files, each failure in place of the last: the smallest stays.
+    /// Writes a failure to files; the last and smallest one stays.
     fn keep(mesh: &Mesh, camera: &Camera) -> String {
         let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../target/stability-found"));
         let [mesh_path, camera_path] = ["mesh.ply", "camera.toml"].map(|name| folder.join(name));
@@ -113,7 +116,7 @@ mod tests {
             .and_then(|()| std::fs::write(&camera_path, camera.to_toml()));
         match kept {
             Ok(()) => format!("lab stability --replay {} {}", mesh_path.display(), camera_path.display()),
-            Err(error) => format!("(nothing could be kept: {error})"),
+            Err(error) => format!("(cannot write the failure: {error})"),
         }
     }
 
@@ -121,19 +124,19 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(32))]
 
         #[test]
-        fn any_mesh_is_seen_right_by_any_camera(scene in mesh().prop_flat_map(camera)) {
+        fn any_camera_sees_any_mesh_right(scene in mesh().prop_flat_map(camera)) {
             if let Some((mesh, camera)) = scene {
                 let tally = check(&mesh, &camera);
                 if let Some(failure) = tally.first_failure {
                     let command = keep(&mesh, &camera);
-                    return Err(TestCaseError::fail(format!("{failure}\ntry it again: {command}")));
+                    return Err(TestCaseError::fail(format!("{failure}\nreplay it: {command}")));
                 }
             }
         }
     }
 
     #[test]
-    fn what_is_kept_can_be_tried_again() {
+    fn a_written_failure_can_be_replayed() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("mesh.ply");
         let mesh = Mesh {

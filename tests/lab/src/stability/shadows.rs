@@ -1,4 +1,4 @@
-//! Shadow rays that leave the surface that they start from: no acne, no lost contact.
+//! Shadow rays must neither hit the surface that they start from (acne) nor miss an occluder that touches it (contact).
 
 use glam::{DVec3, Vec3};
 use renderer::{
@@ -8,25 +8,26 @@ use renderer::{
         ray::{Hit, Ray},
     },
     model::mesh::Mesh,
-    render::{blocks::SampleBlock, secondary::SecondaryRays, tracer::FrameRequest},
+    render::{blocks::SampleBlock, secondary::SecondaryRays},
 };
 use shared::{
     appearance::Appearance,
     camera::Camera,
     division::{FrameSize, SampleRect},
-    protocol::{LightingMode, SampleRange, ShadingMode},
+    protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
+    scene::SceneId,
 };
 
 use super::{
-    contenders::{Contender, Tally},
+    contenders::{Contender, Tally, nearest_candidate},
     solids,
 };
 use crate::chart::methods::Method;
 
-/// What rivals add to t where a shadow ray starts, as is usual: this part of the way to the light.
+/// Start of the rivals' shadow rays, as usual: this fraction of the way to the light.
 const USUAL_EPSILON: f32 = 1e-4;
 
-/// A ball, which shades itself where it faces away from the light and nowhere else.
+/// A sphere shades itself where it faces away from the light, and nowhere else.
 pub(super) fn acne(n_rays: u64) -> Tally {
     let places = [(0.0, 1.0), (1000.0, 1.0), (0.0, 1e-6), (-1e6, 1e6), (3.0, 1e6)];
     let mut sum = Tally::default();
@@ -36,7 +37,7 @@ pub(super) fn acne(n_rays: u64) -> Tally {
         let eye = centre + DVec3::new(0.5, 0.6, 1.0) * (1.5 * radius);
         let Ok(camera) = Camera::look_at(eye, centre, DVec3::Y, 0.9, 2.0) else { continue };
         let light = centre + DVec3::new(-1.0, 3.0, 2.0) * radius;
-        // Near the border between light and shade the triangles' own angles tell.
+        // Near the terminator the angles of single triangles decide.
         let expect = |point: DVec3, normal: DVec3| {
             let cosine = normal.dot((light - point).normalize());
             (cosine.abs() > 1e-3 && (point - centre).length() < 1.1 * radius).then_some(cosine > 0.0)
@@ -46,7 +47,7 @@ pub(super) fn acne(n_rays: u64) -> Tally {
     sum
 }
 
-/// A wall on a floor: the floor behind the wall is dark up to the wall's foot, and bright before it.
+/// A wall on a floor: behind the wall the floor is dark up to the wall's foot, before it lit.
 pub(super) fn contact(n_rays: u64) -> Tally {
     let offsets = [0.0, 100.0, 1e4];
     let mut sum = Tally::default();
@@ -62,13 +63,13 @@ pub(super) fn contact(n_rays: u64) -> Tally {
         let offset = f64::from(offset);
         let at = |x: f64, y: f64, z: f64| DVec3::new(x, y, z) + DVec3::splat(offset);
         let light = at(0.3, 1.5, 3.0);
-        // Within a few units in the last place of the largest coordinate nobody can tell on which side a point lies.
+        // Rounding of the largest coordinate hides on which side of the wall a nearer point lies.
         let nearest = 100.0 * f64::from(f32::EPSILON) * (offset + 2.0);
         let expect = |point: DVec3, normal: DVec3| {
             let z = point.z - offset;
             (normal.y > 0.5 && z.abs() > nearest && z.abs() < 1.0).then_some(z > 0.0)
         };
-        // From above: the strip on both sides of the wall's foot, ever narrower.
+        // From above: strips on both sides of the wall's foot, of decreasing width.
         for width in [1.0, 1e-2, 1e-3] {
             let (eye, ll) = (at(0.1, 4.0, -0.5 * width), at(-1.0, 2.0, -width));
             let Ok(camera) = Camera::new(eye, ll, DVec3::X * 2.0, DVec3::NEG_Z * width) else { continue };
@@ -84,8 +85,8 @@ pub(super) fn contact(n_rays: u64) -> Tally {
     sum
 }
 
-/// Compares whether the light reaches what a camera sees with what `expect` says of points and their normals, where it
-/// knows.
+/// Compares the visibility of the light at a camera's hits with `expect`, which takes a point and its normal; `None` leaves
+/// the point out.
 fn light_of(
     mesh: Mesh,
     camera: &Camera,
@@ -97,7 +98,8 @@ fn light_of(
     let side = 8 * ((n_rays / 2).isqrt() as u32 / 8).clamp(4, 256);
     let Ok(size) = FrameSize::new(2 * side, side) else { return Tally::default() };
     let samples = SampleRange::CENTRE;
-    let spec = FrameRequest {
+    let spec = FrameSpec {
+        scene: SceneId::Statue { triangles: 0 },
         camera: *camera,
         size,
         view: ShadingMode::Shaded,
@@ -128,15 +130,15 @@ fn light_of(
             });
             for contender in Contender::ALL {
                 let Contender::Rival(method) = contender else { continue };
-                let says_lit = reaches_light(&grid, method, &ray, light);
-                tally.count(contender, says_lit == Some(is_lit), String::new);
+                let is_seen_lit = reaches_light(&grid, method, &ray, light);
+                tally.count(contender, is_seen_lit == Some(is_lit), String::new);
             }
         }
     }
     tally
 }
 
-/// Where a ray hits a triangle's plane, and the plane's normal towards the ray, in `f64`.
+/// The intersection of a ray with a triangle's plane, and the plane's normal towards the ray's origin, in `f64`.
 fn surface(grid: &Grid, ray: &Ray, hit: Hit) -> (DVec3, DVec3) {
     let [a, b, c] = grid.mesh().corners(hit.triangle).map(|corner| Vec3::from_array(corner).as_dvec3());
     let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
@@ -145,28 +147,19 @@ fn surface(grid: &Grid, ray: &Ray, hit: Hit) -> (DVec3, DVec3) {
     (origin + direction * t, if normal.dot(direction) > 0.0 { -normal } else { normal })
 }
 
-/// As it is usually done: the point is the ray's at t, and the shadow ray starts a little later. `None` where the method
-/// sees nothing.
+/// The usual way: the shadow ray starts a little beyond the ray's point at t. `None` if the method misses.
 fn reaches_light(grid: &Grid, method: Method, ray: &Ray, light: Vec3) -> Option<bool> {
-    let mut nearest: Option<(u32, f64)> = None;
-    grid.for_each_candidate(ray, |sample_idx| {
-        if let Some(t) = method.intersect(ray, &grid.mesh().corners(sample_idx))
-            && nearest.is_none_or(|(_, nearest_t)| t < nearest_t)
-        {
-            nearest = Some((sample_idx, t));
-        }
-    });
-    let (sample_idx, t) = nearest?;
+    let (triangle_idx, t) = nearest_candidate(grid, method, ray)?;
     let point = ray.origin + ray.direction * t as f32;
-    let [a, b, c] = grid.mesh().corners(sample_idx).map(Vec3::from_array);
+    let [a, b, c] = grid.mesh().corners(triangle_idx).map(Vec3::from_array);
     let normal = (b - a).cross(c - a);
     if normal.dot(light - point) * normal.dot(-ray.direction) <= 0.0 {
         return Some(false);
     }
     let shadow = Ray { t_min: USUAL_EPSILON, t_max: 1.0, ..Ray::new(point, light - point) };
     let mut is_lit = true;
-    grid.for_each_candidate(&shadow, |sample_idx| {
-        let t = method.intersect(&shadow, &grid.mesh().corners(sample_idx));
+    grid.for_each_candidate(&shadow, |triangle_idx| {
+        let t = method.intersect(&shadow, &grid.mesh().corners(triangle_idx));
         is_lit &= !t.is_some_and(|t| (f64::from(shadow.t_min)..=1.0).contains(&t));
     });
     Some(is_lit)

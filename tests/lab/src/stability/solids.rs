@@ -1,14 +1,14 @@
-//! The meshes that methods are tried on.
+//! The meshes of the cases.
 
 use glam::DVec3;
 use renderer::model::mesh::Mesh;
 
 use crate::random::Random;
 
-/// Corners of triangles in whole numbers, so that what a ray hits can be told exactly.
+/// Triangles with integer corners, for which hits are exact.
 pub(super) type Lattice = Vec<[[i32; 3]; 3]>;
 
-/// Triangles that share no vertices; a whole number is `unit` of the world.
+/// A mesh of triangles that share no vertices; `unit` is the size of an integer step.
 pub(super) fn mesh_of(lattice: &Lattice, unit: f32) -> Mesh {
     Mesh {
         vertices: lattice.iter().flatten().map(|corner| corner.map(|x| x as f32 * unit)).collect(),
@@ -17,7 +17,7 @@ pub(super) fn mesh_of(lattice: &Lattice, unit: f32) -> Mesh {
     }
 }
 
-/// A closed sphere around `centre`: circles of latitude, and two poles.
+/// A closed sphere of `n_rows` circles of latitude between two poles.
 pub(super) fn sphere(centre: [f64; 3], radius: f64, n_rows: u32) -> Mesh {
     let centre = DVec3::from_array(centre);
     let n_columns = 2 * n_rows;
@@ -37,7 +37,7 @@ pub(super) fn sphere(centre: [f64; 3], radius: f64, n_rows: u32) -> Mesh {
             }
             let [a, b] = [vertex(row, column), vertex(row, column + 1)];
             let [c, d] = [vertex(row + 1, column), vertex(row + 1, column + 1)];
-            // At the poles one of the two would have no area.
+            // At the poles one of the two triangles would have no area.
             mesh.triangles.extend((row > 0).then_some([a, b, d]));
             mesh.triangles.extend((row + 1 < n_rows).then_some([a, d, c]));
         }
@@ -45,7 +45,7 @@ pub(super) fn sphere(centre: [f64; 3], radius: f64, n_rows: u32) -> Mesh {
     mesh
 }
 
-/// The surface of a box of n×n×n unit cubes with a corner at the origin, two triangles to each of their faces.
+/// The surface of n×n×n unit cubes with a corner at the origin, two triangles for each face.
 pub(super) fn cube(n: i32) -> Lattice {
     let mut lattice = Lattice::new();
     for axis in 0..3 {
@@ -62,15 +62,15 @@ pub(super) fn cube(n: i32) -> Lattice {
     lattice
 }
 
-/// Random triangles with corners from 0 to `size`; one in eight lies across an axis.
+/// Random triangles with coordinates from 0 to `size`; one in eight is perpendicular to an axis.
 pub(super) fn soup(random: &mut Random, n: usize, size: i32) -> Lattice {
     (0..n)
         .map(|_| {
             let mut triangle = [[0; 3]; 3].map(|corner| corner.map(|_: i32| random.whole(0, size)));
             let axis = random.whole(0, 23) as usize;
             if axis < 3 {
-                let place = triangle[0][axis];
-                triangle.iter_mut().for_each(|corner| corner[axis] = place);
+                let position = triangle[0][axis];
+                triangle.iter_mut().for_each(|corner| corner[axis] = position);
             }
             triangle
         })

@@ -1,4 +1,4 @@
-//! A teapot in a stadium: much detail in a small place of a large plain scene.
+//! A teapot in a stadium: fine detail in a small part of a large scene.
 
 use cpu_time::ThreadTime;
 use glam::{DVec3, Vec3};
@@ -6,7 +6,7 @@ use renderer::{
     grid::{Grid, GridOptions},
     intersect::ray::Ray,
     model::mesh::Mesh,
-    render::tracer::Scene,
+    render::scene::Scene,
 };
 use shared::{
     camera::Camera,
@@ -18,12 +18,11 @@ use super::{
     solids,
 };
 
-/// More than this many times what the teapot takes alone is a failure.
+/// Largest cost in the stadium, relative to the teapot alone.
 const MOST_TIMES: f64 = 10.0;
 
-/// Looks at the teapot alone, and at the same in a stadium a thousand times as large, with as many triangles again.
-/// Counts cells and tests of single rays, and the CPU time of packets if `times` are to be measured; memory must not
-/// exceed the budget.
+/// Compares the teapot alone with the same view in a stadium a thousand times as large, of as many triangles: cells and
+/// tests of single rays, and with `times` the CPU time of packets. Memory must not exceed the budget.
 pub(super) fn teapot(n_rays: u64, times: bool) -> Tally {
     let teapot = solids::sphere([0.3, 1.0, -0.2], 1.0, 120);
     let mut stadium = teapot.clone();
@@ -41,7 +40,7 @@ pub(super) fn teapot(n_rays: u64, times: bool) -> Tally {
     let [alone, within] = &costs;
     let ratios = [(Contender::Single, within.steps / alone.steps), (Contender::Packets, within.cpu / alone.cpu)];
     for (contender, ratio) in ratios.into_iter().take(if times { 2 } else { 1 }) {
-        tally.count(contender, ratio <= MOST_TIMES, || format!("{ratio:.1} times what the teapot takes alone"));
+        tally.count(contender, ratio <= MOST_TIMES, || format!("{ratio:.1} times the cost of the teapot alone"));
     }
     tally.count(Contender::Single, within.is_in_budget, || "the grid does not fit the memory budget".to_owned());
     tally

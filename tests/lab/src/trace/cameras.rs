@@ -1,21 +1,31 @@
-//! `lab trace --cameras -`: frames on demand, the model loaded and built once.
+//! `lab trace --cameras -`: frames on demand of a scene that is built once.
 
 use std::{
-    io::{BufRead, Write},
+    io::{BufRead, Read, Write},
     path::Path,
 };
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use renderer::{
-    cli::{read_line, trace::read_camera},
-    render::{
-        frame::Frame,
-        tracer::{FrameRequest, Scene},
-    },
+    cli::trace::read_camera,
+    render::{frame::Frame, scene::Scene},
 };
 use serde::Serialize;
+use shared::protocol::FrameSpec;
 
 use super::frame::{self, FrameOptions};
+use crate::statistics::milliseconds;
+
+/// Limit of a line in bytes: paths are shorter on all systems.
+const LONGEST_LINE: u64 = 1 << 16;
+
+/// Replaces `line` by the next line of the input; returns false at the end of the input. An endless line is an error.
+pub fn read_line(input: &mut impl BufRead, line: &mut String) -> Result<bool> {
+    line.clear();
+    let n_bytes = input.take(LONGEST_LINE).read_line(line)? as u64;
+    ensure!(n_bytes < LONGEST_LINE, "a line has {LONGEST_LINE} bytes or more");
+    Ok(n_bytes > 0)
+}
 
 /// One line of the answer.
 #[derive(Serialize)]
@@ -28,12 +38,13 @@ struct FrameReport {
     mrays_per_second: f64,
 }
 
-/// Reads the path of a camera file from each line, traces one frame, and answers with a line of JSON.
+/// Reads the path of a camera file from each line, traces one frame, and answers with a line of JSON, until the input ends.
 ///
-/// The first wrong camera ends it with an error; so does the end of the input, without one.
+/// # Errors
+/// A camera cannot be read; the error names its line.
 pub(super) fn run(
     scene: &Scene,
-    request: &FrameRequest,
+    request: &FrameSpec,
     options: &FrameOptions,
     mut paths: impl BufRead,
     mut answers: impl Write,
@@ -48,12 +59,12 @@ pub(super) fn run(
             continue;
         }
         let camera = read_camera(Path::new(path)).with_context(|| format!("line {n_lines} of the cameras"))?;
-        let request = FrameRequest { camera, ..*request };
+        let request = FrameSpec { camera, ..*request };
         let (cost, counts) = frame::trace(&mut frame, scene, &request, options);
         let n_rays = request.size.n_samples() as usize + counts.n_shadow_rays;
         let report = FrameReport {
-            frame_ms: cost.wall.as_secs_f64() * 1e3,
-            frame_cpu_ms: cost.cpu.as_secs_f64() * 1e3,
+            frame_ms: milliseconds(cost.wall),
+            frame_cpu_ms: milliseconds(cost.cpu),
             hits: frame.n_hits(),
             shadow_rays: counts.n_shadow_rays,
             shadowed: counts.n_shadowed,

@@ -1,22 +1,23 @@
-//! Counts what the rays of a frame meet.
+//! Counts the cells and triangles that the rays of a frame meet.
 
 use rayon::prelude::*;
 use renderer::{
     intersect::{RayCost, clip, ray::Ray},
-    render::tracer::{FrameRequest, Scene},
+    render::scene::Scene,
 };
+use shared::protocol::FrameSpec;
 
-/// What the primary rays of a frame cost when each is followed alone.
+/// Cost of a frame's primary rays, traced one by one.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct CostSum {
-    /// Cells that they pass.
+    /// Cells passed.
     pub(super) n_cells: u64,
-    /// Triangles that they are tested against.
+    /// Triangles tested.
     pub(super) n_tests: u64,
 }
 
 /// Counts what the primary rays of a frame cost, on the threads of the rayon pool that this is called in.
-pub(super) fn cost_sum(scene: &Scene, request: &FrameRequest) -> CostSum {
+pub(super) fn cost_sum(scene: &Scene, request: &FrameSpec) -> CostSum {
     let rays = request.camera.rays(request.size);
     let clip = scene.clip_plane(&request.camera, request.appearance.clip);
     let of_row = |j: u32| {

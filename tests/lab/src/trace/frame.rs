@@ -1,4 +1,4 @@
-//! Frames by the renderer's own driver, with shadow rays and with rays that are followed alone.
+//! Frames by the renderer's own driver, with shadow rays and with single rays.
 
 use clap::ValueEnum;
 use glam::Vec3;
@@ -10,47 +10,48 @@ use renderer::{
     render::{
         blocks::SampleBlock,
         frame::{Cost, Frame, Setup, Tiles, Write},
-        tracer::{FrameRequest, Scene},
+        scene::Scene,
     },
 };
+use shared::protocol::FrameSpec;
 
 use super::shadows::ShadowCaster;
 
-/// How the primary rays of a measured frame are followed: to the same hits.
+/// How rays are traced; the hits are the same.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Kernel {
-    /// Those of a square of four tiles together
+    /// Those of four tiles of a square together
     #[default]
     Packet,
-    /// One after the other, as if they had nothing in common
+    /// One by one
     Single,
 }
 
-/// What is traced for a measured frame.
+/// Options of a measured frame.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct FrameOptions {
-    /// How primary rays are followed.
+    /// How rays are traced.
     pub kernel: Kernel,
-    /// Where the light of the shadow rays stands, in world space; without one there are no shadow rays.
+    /// Position of the light in world space; `None` traces no shadow rays.
     pub light: Option<Vec3>,
 }
 
 /// Rays beside the primary ones.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RayCounts {
-    /// Shadow rays that were traced.
+    /// Shadow rays traced.
     pub n_shadow_rays: usize,
-    /// Hits that the light does not reach, because they face away from it or something is in between.
+    /// Hits that face away from the light or are occluded from it.
     pub n_shadowed: usize,
 }
 
 /// Traces all samples through their centres, and from each hit a shadow ray to the light if there is one, on the threads
 /// of the current rayon pool.
-pub fn trace(frame: &mut Frame, scene: &Scene, request: &FrameRequest, options: &FrameOptions) -> (Cost, RayCounts) {
+pub fn trace(frame: &mut Frame, scene: &Scene, request: &FrameSpec, options: &FrameOptions) -> (Cost, RayCounts) {
     let follow =
         |setup: &Setup<'_>, tiles: &Tiles, scratch: &mut PacketScratch, counts: &mut RayCounts, write: Write<'_>| {
             let Setup { scene, rays, clip, share } = setup;
-            // The triangles that a group's rays met are still in the cache for its shadow rays.
+            // Shadow rays follow at once, while their triangles are in the cache.
             let mut visit = |blocks: &[SampleBlock<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch| {
                 write(blocks, hits);
                 if let Some(light) = options.light {

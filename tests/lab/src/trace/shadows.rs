@@ -1,4 +1,4 @@
-//! Shadow rays by the convention of the peers that Raywall is measured against.
+//! Shadow rays by the convention of the ray tracers that Raywall is compared with.
 
 use glam::Vec3;
 use renderer::{
@@ -6,13 +6,13 @@ use renderer::{
         MOST_PACKETS, PacketScratch,
         ray::{Hit, Ray},
     },
-    render::{blocks::SampleBlock, secondary, tracer::Scene},
+    render::{blocks::SampleBlock, scene::Scene, secondary},
 };
 use shared::camera::CameraRays;
 
 use super::frame::Kernel;
 
-/// What a point light in world space needs to find its shadows.
+/// Casts the shadows of a point light at `light`, in world space.
 pub(super) struct ShadowCaster<'a> {
     pub(super) scene: &'a Scene,
     pub(super) rays: &'a CameraRays,
@@ -20,13 +20,13 @@ pub(super) struct ShadowCaster<'a> {
     pub(super) kernel: Kernel,
 }
 
-/// Peers begin at the hit and count what lies beyond 1e-4 of the way to the light; here rays come from the light, so that
-/// those of a tile have a common origin.
+/// Others trace from the hit and ignore the first 1e-4 of the way to the light. Here rays start at the light, so that those
+/// of a tile have a common origin.
 const T_MAX: f32 = 1.0 - 1e-4;
 
 impl ShadowCaster<'_> {
-    /// Casts a ray for each hit of neighbouring tiles that faces the light. Returns how many rays that were, and how many
-    /// hits the light does not reach, because they face away from it or something is in between.
+    /// Casts a ray for each hit of neighbouring tiles that faces the light. Returns the number of rays, and of hits that
+    /// face away from the light or are occluded from it.
     pub(super) fn cast(
         &self,
         tiles: &[SampleBlock<'_>],
@@ -36,7 +36,7 @@ impl ShadowCaster<'_> {
         let mut directions = [[None; 64]; MOST_PACKETS];
         let mut n_dark = 0;
         for (index, tile) in tiles.iter().enumerate() {
-            // Lanes beyond the samples repeat the last.
+            // Lanes beyond the samples repeat the last sample.
             for (direction, &sample_idx) in
                 directions[index].iter_mut().zip(&tile.sample_of_lane()).take(tile.n_samples())
             {
