@@ -16,22 +16,26 @@ mod cull;
 #[expect(clippy::needless_range_loop, reason = "an axis, a corner or a lane indexes several arrays at once")]
 mod decide;
 mod frustum;
+mod kernel;
 #[expect(clippy::needless_range_loop, reason = "an edge indexes several arrays at once")]
 mod pairs;
 #[expect(clippy::needless_range_loop, reason = "an axis or an edge indexes several arrays at once")]
 mod prepared;
 mod ray_set;
 
+#[cfg(target_arch = "x86_64")]
+use crate::simd::{Avx2, Avx512};
 use crate::{
     grid::{
         Grid, Structure,
         tree::{BRICK_SIZE, LEVELS, Tree, boxes::LeafBoxes},
     },
     intersect::ray::{Hit, major_axis},
-    simd::{Kernel, Simd},
+    simd::{InstructionSet, Portable},
 };
 use cull::{CullScratch, Culler};
 use frustum::{CellBounds, Frustum, NarrowSlab};
+use kernel::PacketKernel;
 use ray_set::RaySet;
 
 pub use ray_set::{MOST_PACKETS, Packet};
@@ -74,40 +78,6 @@ struct PendingLeaf<const N: usize> {
     size: i32,
     /// Rays that may pass it.
     rays: RaySet<N>,
-}
-
-/// [`Grid::march`] as a kernel.
-struct March<'a, const N: usize> {
-    grid: &'a Grid,
-    tree: &'a Tree,
-    packets: [&'a Packet; N],
-    active: RaySet<N>,
-    scratch: &'a mut Scratch<N>,
-    hits: &'a mut [[Hit; 64]; N],
-}
-
-impl<const N: usize> Kernel for March<'_, N> {
-    type Output = bool;
-    #[inline(always)]
-    fn run<S: Simd>(self) -> bool {
-        self.grid.march::<S, N>(self.tree, self.packets, self.active, self.scratch, self.hits)
-    }
-}
-
-/// [`Tree::test_leaves`] as a kernel: a function of its own, which [`Grid::march`] calls in several places.
-struct TestLeaves<'a, 'b, const N: usize> {
-    tree: &'a Tree,
-    culler: &'a mut Culler<'b, N>,
-    origin: &'a [f64; 3],
-    leaves: &'a mut Vec<PendingLeaf<N>>,
-}
-
-impl<const N: usize> Kernel for TestLeaves<'_, '_, N> {
-    type Output = ();
-    #[inline(always)]
-    fn run<S: Simd>(self) {
-        self.tree.test_leaves::<S, N>(self.culler, self.origin, self.leaves);
-    }
 }
 
 impl Grid {
@@ -162,14 +132,19 @@ impl Grid {
         if self.space.length_to_world(1.0) < SMALLEST_CELL_SIZE {
             return false;
         }
-        // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-        unsafe { self.instructions.call(March { grid: self, tree, packets, active, scratch, hits }) }
+        match self.instructions {
+            InstructionSet::Portable => Portable::march(self, tree, packets, active, scratch, hits),
+            #[cfg(target_arch = "x86_64")]
+            InstructionSet::Avx2 => Avx2::march(self, tree, packets, active, scratch, hits),
+            #[cfg(target_arch = "x86_64")]
+            InstructionSet::Avx512 => Avx512::march(self, tree, packets, active, scratch, hits),
+        }
     }
 
     /// Traces packets together, slab by slab from their origin on. Returns false, without hits, if not all rays advance
     /// the same way along one axis.
     #[inline(always)]
-    fn march<S: Simd, const N: usize>(
+    fn march<S: PacketKernel, const N: usize>(
         &self,
         tree: &Tree,
         packets: [&Packet; N],
@@ -240,7 +215,7 @@ impl Grid {
             let narrow = frustum.narrow(near, far, BRICK_SIZE);
             tree.enter_bricks::<S, N>(&culler, leaves, &mut entries[1], axes, low, bounds, narrow);
             if !leaves.is_empty() {
-                S::call(TestLeaves { tree, culler: &mut culler, origin: &frustum.origin, leaves });
+                S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
             }
 
             // Without divided bricks the slab is done: settle the rays up to its far side.
@@ -302,7 +277,7 @@ impl Grid {
                     coverage += (leaves.len() - n_before) as f64 * f64::from(1u32 << shift).powi(2) / area;
                     if coverage >= FULL_COVERAGE || leaves.len() >= MOST_LEAVES {
                         coverage = 0.0;
-                        S::call(TestLeaves { tree, culler: &mut culler, origin: &frustum.origin, leaves });
+                        S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
                     }
                 }
 
@@ -324,7 +299,7 @@ impl Grid {
         }
 
         // Behind the last slab: test the pending leaves and settle all rays.
-        S::call(TestLeaves { tree, culler: &mut culler, origin: &frustum.origin, leaves });
+        S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
         culler.finish_to_depth::<S>(f64::INFINITY);
         culler.write_hits::<S>(hits);
         true
@@ -334,7 +309,7 @@ impl Grid {
 impl Tree {
     /// Tests the triangles of the pending leaves.
     #[inline(always)]
-    fn test_leaves<S: Simd, const N: usize>(
+    fn test_leaves<S: PacketKernel, const N: usize>(
         &self,
         culler: &mut Culler<'_, N>,
         origin: &[f64; 3],
@@ -376,7 +351,7 @@ impl Tree {
     /// Collects the occupied bricks of a slab that some rays may pass: leaves in `leaves`, divided bricks in `entries`.
     #[inline(always)]
     #[expect(clippy::too_many_arguments, reason = "inlined into the loop whose variables these are")]
-    fn enter_bricks<S: Simd, const N: usize>(
+    fn enter_bricks<S: PacketKernel, const N: usize>(
         &self,
         culler: &Culler<'_, N>,
         leaves: &mut Vec<PendingLeaf<N>>,
@@ -422,7 +397,7 @@ impl Tree {
     /// `leaves`, divided children in `children`.
     #[inline(always)]
     #[expect(clippy::too_many_arguments, reason = "inlined into the loop whose variables these are")]
-    fn enter_children<S: Simd, const N: usize>(
+    fn enter_children<S: PacketKernel, const N: usize>(
         &self,
         culler: &Culler<'_, N>,
         entries: &[NodeEntry<N>],

@@ -17,13 +17,14 @@ use crate::{
         packet::{
             decide::{HitScratch, NearestHits},
             frustum::NarrowSlab,
+            kernel::PacketKernel,
             pairs::{PacketRays, Pair, RayGroups},
             prepared::{PreparedTriangles, RayBounds},
             ray_set::{MOST_PACKETS, Packet, RaySet},
         },
         ray::Hit,
     },
-    simd::{Kernel, Simd},
+    simd::Simd,
 };
 
 /// Triangles per ray from which on a leaf's boxes are tested against its rays one by one: in a scan seen from afar most
@@ -319,14 +320,14 @@ impl<'a, const N: usize> Culler<'a, N> {
 
     /// Adds the triangles of a leaf whose boxes some ray may pass to those that wait. `rays` may pass the leaf.
     #[inline(always)]
-    pub(super) fn gather<S: Simd>(&mut self, boxes: &LeafBoxes<'_>, triangles: &[u32], rays: &RaySet<N>) {
+    pub(super) fn gather<S: PacketKernel>(&mut self, boxes: &LeafBoxes<'_>, triangles: &[u32], rays: &RaySet<N>) {
         let ray_by_ray = triangles.len() >= RAY_BY_RAY_RATIO * rays.count() as usize;
         for (batch, triangles) in triangles.chunks(S::LANES).enumerate() {
             // Make room for a vector of triangles.
             if self.n_waiting + S::LANES > N_WAITING {
                 self.drop_recently_tested::<S>();
                 if self.n_waiting + S::LANES > N_WAITING {
-                    S::call(TestWaiting(self));
+                    S::test_waiting(self);
                 }
             }
 
@@ -381,10 +382,10 @@ impl<'a, const N: usize> Culler<'a, N> {
     /// Tests the waiting triangles, and settles all rays whose limit lies before a depth along the major axis, in world
     /// units. Returns true when all rays are settled.
     #[inline(always)]
-    pub(super) fn finish_to_depth<S: Simd>(&mut self, depth: f64) -> bool {
+    pub(super) fn finish_to_depth<S: PacketKernel>(&mut self, depth: f64) -> bool {
         self.has_new_tests = false;
         if self.n_waiting > 0 {
-            S::call(TestWaiting(self));
+            S::test_waiting(self);
         }
 
         // A group is settled when the depth lies beyond the limits of all its rays; behind the origin none is.
@@ -422,7 +423,7 @@ impl<'a, const N: usize> Culler<'a, N> {
 
     /// Tests the waiting triangles against all rays.
     #[inline(always)]
-    fn test_waiting<S: Simd>(&mut self) {
+    pub(super) fn test_waiting<S: Simd>(&mut self) {
         // Prefetch all corners, so that their cache misses overlap.
         let mut prepared = PreparedTriangles::default();
         let n_waiting = std::mem::take(&mut self.n_waiting);
@@ -447,16 +448,5 @@ impl<'a, const N: usize> Culler<'a, N> {
             }
         }
         self.rays.nearest.decide_queued::<S>();
-    }
-}
-
-/// [`Culler::test_waiting`] as a kernel: a function of its own, which the culler calls in several places.
-struct TestWaiting<'a, 'b, const N: usize>(&'a mut Culler<'b, N>);
-
-impl<const N: usize> Kernel for TestWaiting<'_, '_, N> {
-    type Output = ();
-    #[inline(always)]
-    fn run<S: Simd>(self) {
-        self.0.test_waiting::<S>();
     }
 }
