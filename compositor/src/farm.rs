@@ -39,7 +39,7 @@ use self::{
     stats::{FarmStatus, FrameStats},
 };
 
-/// What the wall wants rendered now. The latest goal replaces all earlier ones.
+/// The frame that the wall wants rendered now, and how. The latest goal replaces all earlier ones.
 #[derive(Clone, Debug)]
 pub struct RenderGoal {
     /// The frame to render; `None` until there is a scene.

@@ -131,7 +131,7 @@ pub struct WallArgs {
     /// How samples travel: raw or lz4 [default: the faster one, as measured on each link]
     #[arg(long, value_name = "E")]
     pub encoding: Option<Encoding>,
-    /// What samples show: shaded, normals or cost
+    /// Shading of the samples: shaded, normals or cost
     #[arg(long, value_name = "V", default_value_t = ShadingMode::default())]
     pub view: ShadingMode,
     /// The rays that light a sample: primary; shadows, which adds a ray to the key light; or ambient, which adds ambient

@@ -66,7 +66,7 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
     let n_frames = args.frames.unwrap_or(10);
     let (aspect, size) = (wall.aspect(), wall.frame_size());
     let mut refinement = Refinement::new(args.refinement(&wall));
-    // Whatever fails fast comes first: reading a model can take minutes.
+    // Quick checks come first: reading a model can take minutes.
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;

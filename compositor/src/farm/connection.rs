@@ -35,7 +35,7 @@ use super::{
     stats::NodeId,
 };
 
-/// What a connection reports to the farm.
+/// A report of a connection to the farm.
 #[derive(Debug)]
 pub(super) enum ConnectionEvent {
     /// The handshake is over.

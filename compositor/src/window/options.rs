@@ -35,7 +35,7 @@ pub struct WindowOptions {
     /// In a kiosk visitors can only steer. After this time without input the wall returns to its path, or to the whole
     /// model.
     pub kiosk: Option<Duration>,
-    /// What samples show at first.
+    /// Shading of the samples at first.
     pub shading: ShadingMode,
     /// How they are lit at first.
     pub lighting: LightingMode,

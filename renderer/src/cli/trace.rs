@@ -32,7 +32,7 @@ use crate::{
     },
 };
 
-/// What to trace and what to write.
+/// The frame to trace and the files to write.
 #[derive(Args, Debug)]
 pub struct TraceArgs {
     /// A PLY file [default: the built-in statue]
