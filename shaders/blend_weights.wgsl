@@ -1,7 +1,7 @@
 // Blend weight and black of each pixel of a wall, which do not change from frame to frame: drawn once, and read by
 // optics.wgsl for each frame.
 //
-// Paired with compositor/src/gpu/blend_weights.rs; its twin on the CPU is `blend_weight` in compositor/src/wall/blend.rs.
+// Paired with compositor/src/gpu/blend_weights.rs; its twin on the CPU is `blend_weight` in tests/src/present_cpu.rs.
 
 @group(0) @binding(0) var<storage, read> projectors: array<Projector>;
 @group(0) @binding(1) var<storage, read> neighbours: array<Neighbour>;

@@ -1,7 +1,7 @@
 // Shows the frame through projectors that are warped, overlap, or need their light corrected: one quad for each, in the
 // same pass as those of present.wgsl.
 //
-// Paired with compositor/src/gpu/optics.rs; its twin on the CPU is compositor/src/gpu/present_cpu.rs.
+// Paired with compositor/src/gpu/optics.rs; its twin on the CPU is tests/src/present_cpu.rs.
 
 // The frame's samples, row 0 at the bottom. The view is sRGB, so the filter mixes linear light.
 @group(0) @binding(0) var frame: texture_2d<f32>;

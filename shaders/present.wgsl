@@ -1,6 +1,6 @@
 // Shows the frame on the wall: one quad for each projector, which samples its part of the frame.
 //
-// Paired with compositor/src/gpu/present.rs; its twin on the CPU is compositor/src/gpu/present_cpu.rs.
+// Paired with compositor/src/gpu/present.rs; its twin on the CPU is tests/src/present_cpu.rs.
 
 // The frame's samples, row 0 at the bottom. The view is sRGB, so the filter mixes linear light.
 @group(0) @binding(0) var frame: texture_2d<f32>;

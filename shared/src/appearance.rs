@@ -25,7 +25,7 @@ pub struct Appearance {
 ///
 /// Invariant, on the wire too: the azimuth is in −180..=180 and the elevation in −90..=90.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(try_from = "(i16, i16)", into = "(i16, i16)")]
+#[serde(try_from = "(i16, i16)")]
 pub struct Light {
     azimuth_deg: i16,
     elevation_deg: i16,
@@ -104,12 +104,6 @@ impl TryFrom<(i16, i16)> for Light {
     }
 }
 
-impl From<Light> for (i16, i16) {
-    fn from(Light { azimuth_deg, elevation_deg }: Light) -> Self {
-        (azimuth_deg, elevation_deg)
-    }
-}
-
 impl fmt::Display for Light {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{},{}", self.azimuth_deg, self.elevation_deg)
@@ -165,13 +159,8 @@ impl Default for Background {
 
 impl fmt::Display for Background {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let color = |f: &mut fmt::Formatter<'_>, [r, g, b]: [u8; 3]| write!(f, "{r:02x}{g:02x}{b:02x}");
-        color(f, self.bottom)?;
-        if self.top == self.bottom {
-            return Ok(());
-        }
-        f.write_str(",")?;
-        color(f, self.top)
+        let [bottom, top] = [self.bottom, self.top].map(|[r, g, b]| format!("{r:02x}{g:02x}{b:02x}"));
+        if bottom == top { f.write_str(&bottom) } else { write!(f, "{bottom},{top}") }
     }
 }
 
@@ -199,7 +188,7 @@ impl FromStr for Background {
 ///
 /// Invariant, on the wire too: at most the whole scene is cut away.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(try_from = "(ClipSide, u16)", into = "(ClipSide, u16)")]
+#[serde(try_from = "(ClipSide, u16)")]
 pub struct Clip {
     side: ClipSide,
     cut_permille: u16,
@@ -312,12 +301,6 @@ impl TryFrom<(ClipSide, u16)> for Clip {
 
     fn try_from((side, cut_permille): (ClipSide, u16)) -> Result<Self, ClipError> {
         Self::new(side, cut_permille)
-    }
-}
-
-impl From<Clip> for (ClipSide, u16) {
-    fn from(Clip { side, cut_permille }: Clip) -> Self {
-        (side, cut_permille)
     }
 }
 

@@ -23,7 +23,7 @@ use crate::division::FrameSize;
 ///
 /// Invariant: every component is finite and the plane has an area that the eye does not lie in; [`Camera::new`] checks it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "CameraVectors", into = "CameraVectors")]
+#[serde(try_from = "CameraVectors")]
 pub struct Camera {
     eye: DVec3,
     ll: DVec3,
@@ -32,7 +32,7 @@ pub struct Camera {
 }
 
 /// Unchecked vectors of a camera, from a file or a message.
-#[derive(Clone, Copy, Serialize, Deserialize)]
+#[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CameraVectors {
     eye: DVec3,
@@ -43,14 +43,13 @@ struct CameraVectors {
 
 /// The vectors are not a valid camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum CameraError {
-    /// A component is NaN, infinite, or too large for the `f32` rays made from it.
+    // Larger numbers are too large for `f32` rays.
     #[error("a component of eye, ll, u or v is not a finite number below 1e18")]
     NotFinite,
-    /// `u` and `v` are zero or parallel.
     #[error("the view plane has no area: u and v must be nonzero and not parallel")]
     NoArea,
-    /// The eye lies in the view plane.
     #[error("the eye lies in the view plane: move ll away from eye")]
     EyeInPlane,
 }
@@ -81,12 +80,6 @@ impl TryFrom<CameraVectors> for Camera {
 
     fn try_from(CameraVectors { eye, ll, u, v }: CameraVectors) -> Result<Self, CameraError> {
         Self::new(eye, ll, u, v)
-    }
-}
-
-impl From<Camera> for CameraVectors {
-    fn from(Camera { eye, ll, u, v }: Camera) -> Self {
-        Self { eye, ll, u, v }
     }
 }
 

@@ -31,28 +31,20 @@ pub const CHUNK_LIMIT: usize = CHUNK_HEADER_BYTES + CHUNK_BYTES;
 
 /// The bytes are not a message.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum CodecError {
-    /// The body is longer than its kind may be here.
     #[error("a message of {n_bytes} bytes: at most {limit} are allowed")]
-    TooLong {
-        /// Announced length.
-        n_bytes: usize,
-        /// Largest length.
-        limit: usize,
-    },
-    /// A kind that does not exist, or is not allowed yet.
+    TooLong { n_bytes: usize, limit: usize },
+    // Or of one that is not allowed yet.
     #[error("a message of unknown kind {0}")]
     UnknownKind(u8),
-    /// The body does not decode.
     #[error("a malformed message: {0}")]
     Malformed(#[from] bincode::error::DecodeError),
-    /// Bytes remain after the message.
     #[error("a message with {0} bytes too many")]
     Trailing(usize),
-    /// The chunk ends within its header.
     #[error("a chunk of {0} bytes: too short for its header")]
     ShortChunk(usize),
-    /// The LZ4 block is malformed or unpacks to more than a chunk.
+    // Or that unpack to more than a chunk.
     #[error("samples that do not unpack: {0}")]
     Unpack(#[from] lz4_flex::block::DecompressError),
 }

@@ -72,7 +72,6 @@ impl Division {
     }
 }
 
-/// The kind of a unit, and the order of its numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum UnitKind {
     Sample,

@@ -1,11 +1,39 @@
-//! Text from peers, made safe for logs and screens.
+//! Text from peers and files, made safe for terminals, logs and screens.
+//!
+//! The last step before a text is shown makes it printable: the error of a program, a line of a log, standard output,
+//! progress bars and the overlay. Messages before that quote names as they are.
 
 /// The most characters of a peer's text that are kept.
 const MAX_CHARS: usize = 300;
 
+/// The most characters of a line that are shown: enough for a path and what is wrong with its file.
+const LONGEST_LINE: usize = 5000;
+
 /// The text without characters that forge lines, reverse the direction of writing or are invisible; cut to a few lines.
 pub fn printable(text: &str) -> String {
-    text.chars().filter(|&letter| !letter.is_control() && !is_invisible(letter)).take(MAX_CHARS).collect()
+    text.chars().filter(|&letter| is_printable(letter)).take(MAX_CHARS).collect()
+}
+
+/// The text as one line, with a space for each line end and tab, and without other characters that [`printable`] leaves
+/// out. Cut at 5000 characters.
+pub fn printable_line(text: &str) -> String {
+    let space = |letter: char| if letter.is_control() && letter.is_whitespace() { ' ' } else { letter };
+    let mut line: String =
+        text.trim_end().chars().map(space).filter(|&letter| is_printable(letter)).take(LONGEST_LINE + 1).collect();
+    if let Some((end, _)) = line.char_indices().nth(LONGEST_LINE) {
+        line.truncate(end);
+        line.push('…');
+    }
+    line
+}
+
+/// The lines of a table or of a file, without control characters.
+pub fn printable_lines(text: &str) -> String {
+    text.chars().filter(|&letter| letter == '\n' || !letter.is_control()).collect()
+}
+
+fn is_printable(letter: char) -> bool {
+    !letter.is_control() && !is_invisible(letter)
 }
 
 /// Direction marks, joiners and other characters of no width.
@@ -23,5 +51,14 @@ mod tests {
         assert_eq!(printable("a\nERROR fake\u{1b}[31m\u{202e}b"), "aERROR fake[31mb");
         assert_eq!(printable("Zürich – 研究室 1"), "Zürich – 研究室 1");
         assert_eq!(printable(&"x".repeat(5000)).len(), 300);
+    }
+
+    #[test]
+    fn a_line_stays_one_line_and_a_table_keeps_its_lines() {
+        let text = "element `a\r\nerror: fake\u{1b}[2J\u{9b}1m\u{202e}`:\t1 – Zürich\n";
+        assert_eq!(printable_line(text), "element `a  error: fake[2J1m`: 1 – Zürich");
+        assert_eq!(printable_lines("one\u{1b}[1A\r\ntwo\u{7}\n"), "one[1A\ntwo\n");
+        let cut = printable_line(&"é".repeat(10_000));
+        assert!(cut.chars().count() == 5001 && cut.ends_with("é…"));
     }
 }

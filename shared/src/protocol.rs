@@ -102,7 +102,7 @@ pub enum LightingMode {
 ///
 /// Invariant on the wire: at least one and at most [`SampleRange::LARGEST_COUNT`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(try_from = "(u32, u32)", into = "(u32, u32)")]
+#[serde(try_from = "(u32, u32)")]
 pub struct SampleRange {
     /// The first sample's number.
     pub first: u32,
@@ -129,12 +129,6 @@ impl TryFrom<(u32, u32)> for SampleRange {
     fn try_from((first, count): (u32, u32)) -> Result<Self, SampleRangeError> {
         let is_valid = (1..=Self::LARGEST_COUNT).contains(&count);
         if is_valid { Ok(Self { first, count }) } else { Err(SampleRangeError(count)) }
-    }
-}
-
-impl From<SampleRange> for (u32, u32) {
-    fn from(SampleRange { first, count }: SampleRange) -> Self {
-        (first, count)
     }
 }
 
@@ -165,25 +159,20 @@ impl Encoding {
 
 /// The frame that is asked for. It decides all samples: equal specs give equal bits.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the fields' types say it")]
 pub struct FrameSpec {
-    /// The scene.
     pub scene: SceneId,
-    /// The camera.
     pub camera: Camera,
-    /// The resolution.
     pub size: FrameSize,
-    /// What the samples show.
     pub view: ShadingMode,
-    /// The rays that light them.
     pub rays: LightingMode,
-    /// The samples of each pixel.
     pub samples: SampleRange,
-    /// Key light, background and clip plane.
     pub appearance: Appearance,
 }
 
 /// A message from the wall to a render server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the types of most fields say it")]
 pub enum ToServer {
     /// The answer to [`ToWall::Hello`].
     Welcome,
@@ -194,7 +183,6 @@ pub enum ToServer {
     },
     /// Load this scene.
     LoadScene {
-        /// The scene.
         scene: SceneId,
         /// The model's path, in the bytes of the system's paths, for a server on the wall's own machine. Other servers use
         /// the models that they were started with.
@@ -204,11 +192,9 @@ pub enum ToServer {
     },
     /// Render a share of a frame.
     RenderFrame {
-        /// The frame's number.
         frame: FrameId,
         /// The task's number, repeated in every answer.
         task_id: TaskId,
-        /// The whole frame.
         spec: FrameSpec,
         /// The units to render.
         task: Task,
@@ -216,10 +202,7 @@ pub enum ToServer {
         encoding: Encoding,
     },
     /// The wall wants no more answers to this frame.
-    Cancel {
-        /// The frame.
-        frame: FrameId,
-    },
+    Cancel { frame: FrameId },
     /// The wall's heartbeat; the server answers with the same number.
     Ping {
         /// Microseconds on the wall's clock.
@@ -229,19 +212,17 @@ pub enum ToServer {
     Probe {
         /// The probe's number, repeated in the answer.
         number: u32,
-        /// The scene.
         scene: SceneId,
-        /// The camera.
         camera: Camera,
         /// The point of the view plane, as parts of its edges u and v.
         at: [f32; 2],
-        /// The clip plane, if any.
         clip: Option<Clip>,
     },
 }
 
 /// A message from a render server to the wall.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the types of most fields say it")]
 pub enum ToWall {
     /// The first message.
     Hello {
@@ -251,23 +232,9 @@ pub enum ToWall {
         threads: u32,
     },
     /// The scene's state; sent after every change, and a few times a second while loading.
-    SceneState {
-        /// The scene.
-        scene: SceneId,
-        /// Its state.
-        state: SceneState,
-    },
+    SceneState { scene: SceneId, state: SceneState },
     /// All chunks of a task are sent.
-    TaskDone {
-        /// The task's frame.
-        frame: FrameId,
-        /// The task.
-        task_id: TaskId,
-        /// How long it took.
-        timings: TaskTimings,
-        /// The cost of its tiles.
-        costs: RunCosts,
-    },
+    TaskDone { frame: FrameId, task_id: TaskId, timings: TaskTimings, costs: RunCosts },
     /// The server's heartbeat.
     Heartbeat,
     /// The answer to a ping.

@@ -39,7 +39,7 @@ pub enum Storage {
 ///
 /// Invariant on the wire: the density is one of [`Structure::DENSITIES`].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "(Storage, f64)", into = "(Storage, f64)")]
+#[serde(try_from = "(Storage, f64)")]
 pub struct Structure {
     /// How the cells are kept.
     pub storage: Storage,
@@ -72,12 +72,6 @@ impl TryFrom<(Storage, f64)> for Structure {
     }
 }
 
-impl From<Structure> for (Storage, f64) {
-    fn from(Structure { storage, density }: Structure) -> Self {
-        (storage, density)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -88,6 +82,6 @@ mod tests {
             assert!(Structure::try_from((Storage::Plain, density)).is_err(), "{density}");
         }
         let dense = Structure { storage: Storage::Plain, density: 4096.0 };
-        assert_eq!(Structure::try_from(<(Storage, f64)>::from(dense)), Ok(dense));
+        assert_eq!(Structure::try_from((Storage::Plain, 4096.0)), Ok(dense));
     }
 }

@@ -2,10 +2,11 @@
 
 use std::{
     fmt,
-    fs::{File, OpenOptions},
-    io::{self, Read, Write},
+    io::{self, Read},
     path::{Path, PathBuf},
 };
+
+use crate::files::{self, ReadError};
 
 /// Bytes of a key.
 pub const KEY_BYTES: usize = 32;
@@ -21,37 +22,23 @@ pub struct Key([u8; KEY_BYTES]);
 
 /// A key cannot be read, written or made.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum KeyError {
-    /// The file cannot be read.
     #[error("{}: cannot be read: {cause}; `{}` makes a key", path.display(), make_key_command(path))]
-    Unreadable {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        cause: io::Error,
-    },
-    /// The file cannot be written.
+    Unreadable { path: PathBuf, cause: io::Error },
     #[error("{}: cannot be written: {cause}", .path.display())]
-    Unwritable {
-        /// The file.
-        path: PathBuf,
-        /// The cause.
-        cause: io::Error,
-    },
-    /// The file exists: it may be the key of a running wall.
+    Unwritable { path: PathBuf, cause: io::Error },
+    // It may be the key of a running wall.
     #[error("{0}: already exists, and a key is never overwritten: give --key this file, or choose another name")]
     Exists(PathBuf),
-    /// The file's mode lets others than its owner read or write it.
     #[error(
         "{0}: is accessible to others than its owner (mode {1:03o}): `chmod 600 {0}`, and make a new key if one of them may \
          have read it"
     )]
     OpenToOthers(PathBuf, u32),
-    /// The file does not hold a key.
     #[error("{}: is not a key of one line with {} hexadecimal digits: copy the wall's key file again, or make a new one: `{}`",
         .0.display(), 2 * KEY_BYTES, make_key_command(&unused_name(.0)))]
     NoKey(PathBuf),
-    /// The system gives no random numbers.
     #[error("the system gives no random numbers: {0}")]
     NoRandom(getrandom::Error),
 }
@@ -67,11 +54,10 @@ impl Key {
     /// Reads a key file; on Unix, only its owner may have access to it.
     pub fn read(path: &Path) -> Result<Self, KeyError> {
         let unreadable = |cause| KeyError::Unreadable { path: path.to_owned(), cause };
-        // Checked before the file is opened: opening a pipe would block until it has a writer.
-        if !std::fs::metadata(path).map_err(unreadable)?.is_file() {
-            return Err(KeyError::NoKey(path.to_owned()));
-        }
-        let file = File::open(path).map_err(unreadable)?;
+        let file = files::open(path).map_err(|error| match error {
+            ReadError::Io(cause) => unreadable(cause),
+            ReadError::NotAFile | ReadError::TooLong(_) => KeyError::NoKey(path.to_owned()),
+        })?;
         #[cfg(unix)]
         {
             use std::os::unix::fs::PermissionsExt;
@@ -88,21 +74,14 @@ impl Key {
 
     /// Writes the key to a new file that only its owner can read.
     pub fn write(&self, path: &Path) -> Result<(), KeyError> {
-        let mut options = OpenOptions::new();
-        options.write(true).create_new(true);
-        #[cfg(unix)]
-        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-        let unwritable = |cause: io::Error| match cause.kind() {
-            io::ErrorKind::AlreadyExists => KeyError::Exists(path.to_owned()),
-            _ => KeyError::Unwritable { path: path.to_owned(), cause },
-        };
-        let mut file = options.open(path).map_err(unwritable)?;
         let mut text: String = self.0.iter().map(|byte| format!("{byte:02x}")).collect();
         text.push('\n');
-        file.write_all(text.as_bytes()).and_then(|()| file.sync_all()).map_err(unwritable)
+        files::write_new_private(path, text.as_bytes()).map_err(|cause| match cause.kind() {
+            io::ErrorKind::AlreadyExists => KeyError::Exists(path.to_owned()),
+            _ => KeyError::Unwritable { path: path.to_owned(), cause },
+        })
     }
 
-    /// The bytes, for the handshake.
     pub(crate) fn bytes(&self) -> &[u8; KEY_BYTES] {
         &self.0
     }

@@ -1,8 +1,10 @@
-//! The channel between the wall and its render servers: messages over a byte stream, encrypted if both have the wall's key.
+//! The channel between the wall and its render servers: messages over a byte stream, encrypted if both have the wall's key;
+//! and the files of all programs.
 //!
 //! In reading order: [`wire`] reads and writes messages, [`secure`] encrypts the stream beneath them, [`key`] is the shared
-//! secret.
+//! secret. [`files`] reads and writes files.
 
+pub mod files;
 pub mod key;
 pub mod secure;
 pub mod wire;

@@ -16,17 +16,11 @@
 //! - `psk0` instead of a later place: a stranger fails at the tag of its first message, which costs the wall a few hashes
 //!   and no curve arithmetic. A recorded first message gets the wall's answer, and fails at the last tag.
 //! - AES-256-GCM through ring seals and opens about seven times the bytes of the pure Rust ciphers on one core, and the
-//!   wall opens the records of all nodes; `cargo run --release -p lab --example link_cost` measures it. Nonces are counted
-//!   and never repeat; one connection stays far below the cipher's limit of bytes for a key.
+//!   wall opens the records of all nodes. Nonces are counted and never repeat; one connection stays far below the cipher's
+//!   limit of bytes for a key.
 //!
-//! Guarantees: every byte is secret, comes from a machine with the key, and arrives once, in order and unchanged. Each
-//! direction has its own keys, new for each connection: a record that is reflected, repeated, swapped, cut or changed does
-//! not open, and the connection ends. A recording stays secret even if the key is stolen later.
-//!
-//! Limits: an observer sees when machines talk and how much. An attacker on the line can cut the connection; no answer is
-//! taken as complete because of that, since each answer marks its own end. A machine with the key is trusted with
-//! everything that a wall or a render server may do. The key's file and the memory of the programs are not protected.
-//! Without a key, on loopback, every user of the machine is trusted.
+//! A recording stays secret even if the key is stolen later, and a cut connection completes no answer, because each marks
+//! its own end. ARCHITECTURE.md ("Trust") has the other guarantees, and the limits.
 
 mod records;
 
@@ -39,10 +33,8 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 pub use self::records::{RECORD_BYTES, RecordReader, RecordWriter};
 use crate::key::Key;
 
-/// The protocol's name in Noise.
 const NOISE: &str = "Noise_NNpsk0_25519_AESGCM_SHA256";
 
-/// Bytes of an authentication tag.
 const TAG_BYTES: usize = 16;
 
 /// Bytes of either handshake message: an X25519 public key and the tag of an empty payload.
@@ -53,34 +45,27 @@ const PROOF_NONCE: u64 = 0;
 
 /// The handshake fails.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum SecureError {
-    /// The stream failed.
     #[error("{0}")]
     Io(#[from] io::Error),
-    /// The peer closed the connection before it proved that it has a key.
     #[error("the peer closed the connection in the handshake")]
     Closed,
-    /// The peer is not a Raywall program.
     #[error("the peer speaks another protocol")]
     NotRaywall,
-    /// The peer is a Raywall program without a key.
     #[error("the peer has no key, and this side has one: start the peer with a copy of it, --key FILE")]
     NoKey,
-    /// The peer is a Raywall program of another version.
     #[error("the peer speaks protocol {0}, this program speaks {PROTOCOL_VERSION}: build both from one commit")]
     OtherVersion(u8),
-    /// The peer has another key.
     #[error("the peer has another key: start both sides with --key and copies of one key file")]
     OtherKey,
-    /// The peer closed the connection after this side's first message with its key.
+    // It closed the connection after this side's first message with its key.
     #[error("the peer refuses this side's key: start both sides with --key and copies of one key file")]
     Refused,
-    /// The peer repeated a recorded first message, and does not have the key.
     #[error(
         "the peer replays another machine's handshake and does not have the key: look for an attacker in the network"
     )]
     Replayed,
-    /// The Noise library reports an error.
     #[error("the handshake fails: {0}")]
     Noise(snow::Error),
 }

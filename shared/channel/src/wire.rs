@@ -14,23 +14,18 @@ use tokio::{
 
 /// The conversation fails.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum WireError {
-    /// The stream failed, perhaps in mid-message.
     #[error("{0}")]
     Io(#[from] io::Error),
-    /// The peer's bytes are not a message of this protocol.
     #[error("{0}")]
     Codec(#[from] CodecError),
-    /// The peer is not a Raywall program.
     #[error("the peer speaks another protocol")]
     NotRaywall,
-    /// The peer is a Raywall program of another version.
     #[error("the peer speaks protocol {0}, this program speaks {PROTOCOL_VERSION}: build both from one commit")]
     OtherVersion(u8),
-    /// The peer has a key, and this side has none.
     #[error("the peer encrypts with a key, and this side was given none: give it the peer's key file with --key FILE")]
     Encrypted,
-    /// No byte came for this long.
     #[error("the peer was silent for {} ms", .0.as_millis())]
     Silent(Duration),
 }

@@ -30,14 +30,12 @@ pub struct CameraPath {
 
 /// The keys are not a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum CameraPathError {
-    /// There are no keys.
     #[error("a path has at least one key")]
     NoKeys,
-    /// More than [`CameraPath::MOST_KEYS`].
     #[error("a path has at most {} keys", CameraPath::MOST_KEYS)]
     TooManyKeys,
-    /// The key's time is not after that of the key before it.
     #[error("key {0}: seconds must begin at 0 and grow from key to key, to {longest} at most",
         longest = CameraPath::LONGEST_SECONDS)]
     OutOfOrder(usize),
@@ -112,23 +110,38 @@ impl CameraPath {
     }
 
     /// Reads the text of a path file; see [`CameraPath::to_toml`].
+    ///
+    /// Each table is parsed alone, because a parsed text takes about 75 times its own memory. So a table has at most
+    /// 256 KB, a thousand times a key.
     pub fn from_toml(text: &str) -> Result<Self, CameraFileError> {
         let at = |offset, problem: &str| {
             let format = "a path file has up = \"x\", \"y\" or \"z\", and for each camera a [[key]] with seconds, eye, \
                           ll, u and v";
             CameraFileError::at(text, offset, problem, format)
         };
-        let file: PathFile =
-            toml::from_str(text).map_err(|error| at(error.span().map_or(0, |span| span.start), error.message()))?;
-        let mut keys = Vec::with_capacity(file.key.len());
-        let mut starts = Vec::with_capacity(file.key.len());
-        for key in file.key {
-            let start = key.span().start;
-            let PathKey { seconds, eye, ll, u, v } = key.into_inner();
-            keys.push((seconds, Camera::new(eye, ll, u, v).map_err(|error| at(start, &error.to_string()))?));
-            starts.push(start);
+        let (mut up, mut keys, mut starts) = (UpAxis::default(), Vec::new(), Vec::new());
+        let mut table_start = 0;
+        for table in tables(text) {
+            if table.len() > LONGEST_TABLE {
+                return Err(at(table_start, &format!("a part of the file has more than {LONGEST_TABLE} bytes")));
+            }
+            let file: PathFile = toml::from_str(table)
+                .map_err(|error| at(table_start + error.span().map_or(0, |span| span.start), error.message()))?;
+            if table_start == 0 {
+                up = file.up;
+            }
+            for key in file.key {
+                let start = table_start + key.span().start;
+                let PathKey { seconds, eye, ll, u, v } = key.into_inner();
+                keys.push((seconds, Camera::new(eye, ll, u, v).map_err(|error| at(start, &error.to_string()))?));
+                starts.push(start);
+            }
+            if keys.len() > Self::MOST_KEYS {
+                break;
+            }
+            table_start += table.len();
         }
-        Self::new(keys, file.up).map_err(|error| {
+        Self::new(keys, up).map_err(|error| {
             let start = match error {
                 CameraPathError::OutOfOrder(number) => starts[number - 1],
                 CameraPathError::NoKeys | CameraPathError::TooManyKeys => 0,
@@ -149,7 +162,6 @@ impl CameraPath {
     }
 }
 
-/// The contents of a path file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct PathFile {
@@ -167,6 +179,27 @@ struct PathKey {
     ll: DVec3,
     u: DVec3,
     v: DVec3,
+}
+
+/// The longest table of a path file; bytes.
+const LONGEST_TABLE: usize = 1 << 18;
+
+/// The text before the first line that begins a table of an array (`[[key]]`), and the text from each to the next.
+fn tables(text: &str) -> impl Iterator<Item = &str> {
+    let mut rest = Some(text);
+    std::iter::from_fn(move || {
+        let text = rest?;
+        let mut end = 0;
+        for line in text.split_inclusive('\n') {
+            if end > 0 && line.trim_start().starts_with("[[") {
+                rest = Some(&text[end..]);
+                return Some(&text[..end]);
+            }
+            end += line.len();
+        }
+        rest = None;
+        Some(text)
+    })
 }
 
 /// Change of each number per second at each key, after Fritsch and Butland.
@@ -325,8 +358,25 @@ mod tests {
         assert!(told("up = \"north\"").starts_with("line 1:"), "{}", told("up = \"north\""));
         assert!(told("up = \"y\"\nspeed = 3").starts_with("line 2:"), "{}", told("up = \"y\"\nspeed = 3"));
         assert!(told("").contains("at least one key"));
+        let unknown = format!("{}\n\n[[lens]]\nzoom = 2", path.to_toml().trim_end());
+        assert!(told(&unknown).starts_with("line 24: "), "{}", told(&unknown));
         let flat = "\n[[key]]\nseconds=0.0\neye=[0,0,1]\nll=[0,0,0]\nu=[1,0,0]\nv=[2,0,0]";
         assert!(told(flat).contains("line 2: the view plane has no area"), "{}", told(flat));
+    }
+
+    #[test]
+    fn any_spelling_of_tables_is_read_and_a_huge_one_is_refused() {
+        let key = |seconds: f64| format!("seconds = {seconds:?}\n{}", turned(seconds).to_toml());
+        let spelled = format!("# up is y\n[[ key ]] # one\n{}\n  [[\"key\"]]\r\n{}", key(0.0), key(1.0));
+        assert_eq!(CameraPath::from_toml(&spelled).unwrap().keys().len(), 2);
+        let inline = "key = [{ seconds = 0.0, eye = [0,0,1], ll = [-1,-1,0], u = [2,0,0], v = [0,2,0] }]";
+        assert_eq!(CameraPath::from_toml(inline).unwrap().keys().len(), 1);
+        let told = |text: &str| CameraPath::from_toml(text).unwrap_err().to_string();
+        // As one text, either would take gigabytes.
+        let huge = format!("up = \"y\"\n[[key]]\nseconds = [{}]", "0,".repeat(1 << 24));
+        assert!(told(&huge).starts_with("line 2: a part of the file has more than"), "{}", told(&huge));
+        let many = format!("[[key]]\n{}", key(0.0)).repeat(CameraPath::MOST_KEYS + 1);
+        assert!(told(&many).contains("at most 72000 keys"), "{}", told(&many));
     }
 
     proptest! {

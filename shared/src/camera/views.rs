@@ -73,7 +73,6 @@ impl Views {
     }
 }
 
-/// The contents of a file of views.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ViewsFile {

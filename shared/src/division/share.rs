@@ -64,25 +64,12 @@ impl Part {
 
 /// The task does not fit the frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum TaskError {
-    /// The index of a machine or part is not below its count.
     #[error("machine or part {index} of {count} does not exist")]
-    NoSuchPart {
-        /// From 0.
-        index: u32,
-        /// Number of machines or parts.
-        count: u32,
-    },
-    /// A run of tiles leaves the frame.
+    NoSuchPart { index: u32, count: u32 },
     #[error("tile run {first}+{count} does not lie in a frame of {n_tiles} tiles")]
-    RunOutside {
-        /// The run's first tile.
-        first: u32,
-        /// The run's length.
-        count: u32,
-        /// The frame's tiles.
-        n_tiles: u32,
-    },
+    RunOutside { first: u32, count: u32, n_tiles: u32 },
 }
 
 impl Task {
