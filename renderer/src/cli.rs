@@ -3,23 +3,31 @@
 pub mod appearance_args;
 pub mod generate;
 pub mod key;
-pub mod path_bytes;
+pub mod picture_args;
 pub mod progress;
 pub mod scene_args;
+pub mod stop;
 pub mod trace;
 
 use std::{
     ffi::OsString,
-    fmt::Display,
+    fmt::{Debug, Display},
     io::{ErrorKind, IsTerminal, Write},
     process::ExitCode,
 };
 
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
+use shared::printable::{printable_line, printable_lines};
+use tracing::{Subscriber, field::Field};
+use tracing_subscriber::{
+    EnvFilter,
+    field::MakeExt,
+    fmt::{MakeWriter, format},
+};
 
 use crate::{
-    cli::{generate::GenerateArgs, key::KeyArgs, trace::TraceArgs},
+    cli::{generate::GenerateArgs, key::KeyArgs, stop::Stopped, trace::TraceArgs},
     server::connect::{self, ConnectArgs},
 };
 
@@ -76,32 +84,63 @@ pub fn run(command: Command) -> Result<()> {
     }
 }
 
-/// Logs to standard error, at the levels of the variable RUST_LOG or at defaults for operators.
-pub fn start_logging() {
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
-        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,winit=error,renderer=info,compositor=info"));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_target(false)
-        .init();
+/// Starts what every program needs first: its log, the thread that listens for signals, and rayon's threads, which panic
+/// if they are first asked for where the system has none left.
+pub fn start() -> Result<()> {
+    start_logging();
+    stop::listen();
+    rayon::ThreadPoolBuilder::new()
+        .build_global()
+        .context("the system starts no more threads: allow more (ulimit -u) or free memory")
 }
 
-/// Prints a line to standard output. A closed pipe is no error; a full disk is.
-pub fn say(line: impl Display) -> Result<()> {
-    match writeln!(std::io::stdout(), "{line}") {
+/// Logs to standard error, at the levels of the variable RUST_LOG or at defaults for operators.
+fn start_logging() {
+    let filter = EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| EnvFilter::new("warn,winit=error,renderer=info,compositor=info"));
+    // Fails only if a subscriber is set already.
+    let _ = tracing::subscriber::set_global_default(log(filter, std::io::stderr, std::io::stderr().is_terminal()));
+}
+
+/// A log with one line for each event, whatever peers and files put into its message.
+fn log(
+    filter: EnvFilter,
+    writer: impl for<'a> MakeWriter<'a> + Send + Sync + 'static,
+    has_colors: bool,
+) -> impl Subscriber {
+    let field = |out: &mut format::Writer<'_>, field: &Field, value: &dyn Debug| {
+        let name = if field.name() == "message" { String::new() } else { format!("{field}=") };
+        write!(out, "{name}{}", printable_line(&format!("{value:?}")))
+    };
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(writer)
+        .with_ansi(has_colors)
+        .with_target(false)
+        .fmt_fields(format::debug_fn(field).delimited(" "))
+        .finish()
+}
+
+/// Prints lines to standard output, without control characters. A closed pipe is no error; a full disk is.
+pub fn say(lines: impl Display) -> Result<()> {
+    match writeln!(std::io::stdout(), "{}", printable_lines(&lines.to_string())) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("cannot write to standard output"),
         _ => Ok(()),
     }
 }
 
-/// Prints an error with its chain of causes on one line.
+/// Prints an error with its chain of causes on one line, whatever files and peers put into it. Work that a signal has cut
+/// off is no error of its own: its exit code names the signal.
 pub fn exit_code(result: Result<()>) -> ExitCode {
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {error:#}");
+    let Err(error) = result else { return ExitCode::SUCCESS };
+    let text = printable_line(&format!("{error:#}"));
+    match error.downcast_ref::<Stopped>() {
+        Some(stopped) => {
+            eprintln!("{text}");
+            ExitCode::from(stopped.signal.exit_code())
+        }
+        None => {
+            eprintln!("error: {text}");
             ExitCode::FAILURE
         }
     }
@@ -109,10 +148,38 @@ pub fn exit_code(result: Result<()>) -> ExitCode {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::{Arc, Mutex};
+
     use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn a_logged_text_forges_no_line_and_no_color() {
+        #[derive(Clone, Default)]
+        struct Written(Arc<Mutex<Vec<u8>>>);
+        impl Write for Written {
+            fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+                self.0.lock().unwrap().write(bytes)
+            }
+            fn flush(&mut self) -> std::io::Result<()> {
+                Ok(())
+            }
+        }
+        let written = Written::default();
+        let out = written.clone();
+        let log = log(EnvFilter::new("info"), move || out.clone(), false);
+        tracing::subscriber::with_default(log, || {
+            let reason = "no\n2026-01-01T00:00:00Z  INFO forged\u{1b}[31m\u{9b}1m\u{202e}";
+            tracing::warn!(count = 3, "lost: {reason}");
+        });
+        let text = String::from_utf8(written.0.lock().unwrap().clone()).unwrap();
+        assert!(text.ends_with(" WARN lost: no 2026-01-01T00:00:00Z  INFO forged[31m1m count=3\n"), "{text:?}");
+        assert_eq!(text.lines().count(), 1);
+    }
 
     #[test]
     fn the_command_line_is_consistent() {
-        super::Cli::command().debug_assert();
+        Cli::command().debug_assert();
     }
 }

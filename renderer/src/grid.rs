@@ -7,8 +7,6 @@
 //! grid and orders the mesh by it; [`traced`] is that mesh; [`cells`] is how rays look cells up; [`figures`] are sizes
 //! and counts.
 
-use std::time::Duration;
-
 pub(crate) mod budget;
 pub(crate) mod build;
 pub(crate) mod cells;
@@ -28,9 +26,8 @@ use tree::Tree;
 use uniform::{DenseIndex, UniformGrid, row_displacement::RowDisplacement};
 
 pub use budget::{MemoryBudget, MemoryShortage};
-pub use choice::{Choice, Prediction, Reason};
 pub use figures::GridStats;
-pub use options::{GridOptions, MeshLayout, Storage};
+pub use options::{GridOptions, Storage};
 
 /// A mesh and a grid over its triangles.
 ///
@@ -43,30 +40,23 @@ pub struct Grid {
     /// Cells per triangle.
     density: f64,
     shortage: Option<MemoryShortage>,
-    choice: Choice,
     pub(crate) mesh: TracedMesh,
     pub(crate) instructions: InstructionSet,
 }
 
-/// Storage of the cells.
 #[derive(Debug)]
 pub(crate) enum Structure {
     Tree(Tree),
     Plain(UniformGrid<DenseIndex>),
-    RowDisplacement {
-        grid: UniformGrid<RowDisplacement>,
-        /// Time to find the rows' offsets.
-        placement: Duration,
-    },
+    RowDisplacement(UniformGrid<RowDisplacement>),
 }
 
 impl Structure {
-    /// Triangle indices of all lists.
     fn references_mut(&mut self) -> &mut [u32] {
         match self {
             Self::Tree(tree) => &mut tree.references,
             Self::Plain(grid) => &mut grid.references,
-            Self::RowDisplacement { grid, .. } => &mut grid.references,
+            Self::RowDisplacement(grid) => &mut grid.references,
         }
     }
 }
@@ -84,10 +74,6 @@ impl Grid {
         self
     }
 
-    fn with_mesh_layout(self, layout: MeshLayout) -> Self {
-        if layout == MeshLayout::Indexed { self } else { Self { mesh: self.mesh.into_flat(), ..self } }
-    }
-
     /// The mesh, ordered by the cells.
     pub fn mesh(&self) -> &TracedMesh {
         &self.mesh
@@ -98,32 +84,21 @@ impl Grid {
         self.shortage
     }
 
-    /// The chosen storage and density, the reason, and predictions for others.
-    pub fn choice(&self) -> &Choice {
-        &self.choice
-    }
-
     /// Storage and density; `None` where little memory led to a density below the options' range.
     pub fn structure(&self) -> Option<shared::structure::Structure> {
-        let storage = match self.structure {
+        (self.storage(), self.density).try_into().ok()
+    }
+
+    fn storage(&self) -> Storage {
+        match self.structure {
             Structure::Tree(_) => Storage::Tree,
             Structure::Plain(_) => Storage::Plain,
-            Structure::RowDisplacement { .. } => Storage::RowDisplacement,
-        };
-        (storage, self.density).try_into().ok()
+            Structure::RowDisplacement(_) => Storage::RowDisplacement,
+        }
     }
 
     /// Bytes in memory, without the mesh.
     pub fn n_bytes(&self) -> usize {
         self.figures().n_bytes()
     }
-}
-
-/// Indices of the bits that are set, ascending.
-pub(crate) fn bits(mut mask: u64) -> impl Iterator<Item = u32> {
-    std::iter::from_fn(move || {
-        let bit = mask.trailing_zeros();
-        mask &= mask.wrapping_sub(1);
-        (bit < 64).then_some(bit)
-    })
 }

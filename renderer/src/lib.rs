@@ -2,11 +2,12 @@
 //!
 //! In reading order: [`model`] reads or generates a mesh, [`grid`] sorts its triangles into cells, [`intersect`] follows
 //! rays through the cells, [`render`] turns hits into light and shares of frames into samples, [`server`] serves a wall,
-//! and [`cli`] is the command line.
+//! and [`cli`] is the command line. [`memory`] says what to do when it runs out.
 
 pub mod cli;
 pub mod grid;
 pub mod intersect;
+pub mod memory;
 pub mod model;
 pub mod render;
 pub mod server;

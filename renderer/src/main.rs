@@ -2,10 +2,16 @@
 
 use std::process::ExitCode;
 
-use renderer::cli::{self, Cli};
+use renderer::{
+    cli::{self, Cli},
+    memory::EndingAllocator,
+};
+
+/// Without memory, the program ends with a line that names the cure.
+#[global_allocator]
+static ALLOCATOR: EndingAllocator = EndingAllocator;
 
 fn main() -> ExitCode {
     let command = cli::parse::<Cli>().command;
-    cli::start_logging();
-    cli::exit_code(cli::run(command))
+    cli::exit_code(cli::start().and_then(|()| cli::run(command)))
 }

@@ -2,11 +2,10 @@
 //!
 //! [`scene`] is a mesh with its grid. [`blocks`] cuts a share of a frame into packets, [`sampling`] places samples in
 //! pixels. [`secondary`] finds the lights that reach a hit, [`shade`] its colour; [`lighting`] joins the two, and
-//! [`tracer`] renders shares with it. [`frame`] traces whole frames, [`parallel`] divides them among [`threads`], and
-//! [`image`] writes them.
+//! [`tracer`] renders shares and whole frames with it. [`parallel`] divides them among [`threads`], and [`image`] writes
+//! them.
 
 pub mod blocks;
-pub mod frame;
 pub mod image;
 pub mod lighting;
 pub mod parallel;

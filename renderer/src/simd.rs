@@ -1,8 +1,7 @@
 //! SIMD vectors: AVX-512, AVX2, and a portable form for any machine.
 //!
 //! Single precision decides only with margins to spare, so its `mul_add` may round once or twice. Double precision
-//! decides the rest and computes t: [`Real`] has no fused operations, and all its implementations give the bits of
-//! `f64`.
+//! decides the rest and computes t: [`Real`] has no fused operations, so all sets give the bits of `f64`.
 
 mod instructions;
 #[cfg(target_arch = "x86_64")]
@@ -14,7 +13,6 @@ pub(crate) use x86::{Avx2, Avx512};
 
 /// A vector of double-precision numbers, of one lane or several.
 pub(crate) trait Real: Copy {
-    /// Number of lanes.
     const LANES: usize;
     fn splat(x: f64) -> Self;
     /// Loads the first [`Real::LANES`] numbers of a slice as doubles.
@@ -31,41 +29,28 @@ pub(crate) trait Real: Copy {
     fn lt(self, other: Self) -> u32;
 }
 
-/// Methods of one expression each.
 macro_rules! methods {
-    ($($name:ident($this:ident $(, $argument:ident)*) = $result:expr;)*) => {
+    ($(fn $name:ident($($argument:tt)*) -> $result:ty = $expression:expr;)*) => {
         $(#[inline(always)]
-        fn $name($this $(, $argument: Self)*) -> Self {
-            $result
+        fn $name($($argument)*) -> $result {
+            $expression
         })*
     };
 }
 
 impl Real for f64 {
     const LANES: usize = 1;
-    #[inline(always)]
-    fn splat(x: f64) -> Self {
-        x
-    }
-    #[inline(always)]
-    fn load(from: &[f32]) -> Self {
-        f64::from(from[0])
-    }
-    #[inline(always)]
-    fn store(self, to: &mut [f64; 8]) {
-        to[0] = self;
-    }
     methods! {
-        add(self, other) = self + other;
-        sub(self, other) = self - other;
-        mul(self, other) = self * other;
-        div(self, other) = self / other;
-        max(self, other) = if self > other { self } else { other };
-        abs(self) = f64::abs(self);
-    }
-    #[inline(always)]
-    fn lt(self, other: Self) -> u32 {
-        u32::from(self < other)
+        fn store(self, to: &mut [f64; 8]) -> () = to[0] = self;
+        fn splat(x: f64) -> Self = x;
+        fn load(from: &[f32]) -> Self = f64::from(from[0]);
+        fn add(self, other: Self) -> Self = self + other;
+        fn sub(self, other: Self) -> Self = self - other;
+        fn mul(self, other: Self) -> Self = self * other;
+        fn div(self, other: Self) -> Self = self / other;
+        fn max(self, other: Self) -> Self = if self > other { self } else { other };
+        fn abs(self) -> Self = f64::abs(self);
+        fn lt(self, other: Self) -> u32 = u32::from(self < other);
     }
 }
 
@@ -73,7 +58,6 @@ impl Real for f64 {
 ///
 /// Its body must not hold closures over vectors: they would not be compiled for the caller's instruction set.
 pub(crate) trait Kernel {
-    /// Result of the function.
     type Output;
     /// Body of the function; it must be `#[inline(always)]`, as all that it calls with vectors.
     fn run<S: Simd>(self) -> Self::Output;
@@ -133,12 +117,9 @@ pub(crate) trait Simd: Copy {
     fn masked_fill(number: u32, mask: u32, to: &mut [u32]);
     /// A bit for each of the first [`Simd::LANES`] numbers of a slice that equals `number`.
     fn eq_mask(numbers: &[u32], number: u32) -> u32;
-    /// The least lane.
     fn reduce_min(self) -> f32;
-    /// The greatest lane.
     fn reduce_max(self) -> f32;
-    /// Gathers x, y and z of the first [`Simd::LANES`] vertices; `coordinates` holds three numbers for each vertex of
-    /// the mesh.
+    /// Gathers x, y and z of the first [`Simd::LANES`] vertices; `coordinates` has three numbers a vertex.
     ///
     /// Four numbers are loaded for each vertex and three are kept: several times as fast as the gather instructions.
     /// Loads are unchecked: checks would take up to 5 % of a frame's time.
@@ -147,8 +128,8 @@ pub(crate) trait Simd: Copy {
     ///
     /// `coordinates` has at least `3 * vertex + 4` numbers for each of the first [`Simd::LANES`] vertices.
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3];
-    /// Writes the numbers that have their bit set in `mask`, of up to [`Simd::LANES`], to the beginning of a slice with
-    /// room for all lanes, in order. Returns how many there are; lanes after them are undefined.
+    /// Writes the numbers with a bit in `mask`, of up to [`Simd::LANES`], in order to a slice with room for all lanes.
+    /// Returns how many there are; lanes after them are undefined.
     #[inline(always)]
     fn compress(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
         let mut n = 0;
@@ -177,8 +158,7 @@ pub(crate) trait Simd: Copy {
     fn or(self, other: Self) -> Self;
     /// The sign bit of each lane.
     ///
-    /// Box tests read sign bits of differences: a Zen 5 compares one vector a cycle, but subtracts two and combines
-    /// four.
+    /// Box tests read sign bits of differences: a Zen 5 compares one vector a cycle, but subtracts two.
     fn sign_mask(self) -> u32;
     /// A bit for each lane where self ≤ other; 0 for NaN.
     fn le(self, other: Self) -> u32;
@@ -207,18 +187,6 @@ impl Simd for Portable {
     type Double = f64;
     call_with_features!(Portable);
     #[inline(always)]
-    fn splat(x: f32) -> Self {
-        Self([x; 8])
-    }
-    #[inline(always)]
-    fn load(from: &[f32]) -> Self {
-        Self(std::array::from_fn(|lane| from[lane]))
-    }
-    #[inline(always)]
-    fn load_bytes(from: &[u8]) -> Self {
-        Self(std::array::from_fn(|lane| f32::from(from[lane])))
-    }
-    #[inline(always)]
     fn select(mask: u32, yes: Self, no: Self) -> Self {
         // Bits are tested in place and all lanes are written, so that the compiler vectorises it.
         Self(std::array::from_fn(|lane| if mask & 1 << lane != 0 { yes.0[lane] } else { no.0[lane] }))
@@ -229,49 +197,32 @@ impl Simd for Portable {
         *to = std::array::from_fn(|lane| if mask & 1 << lane != 0 { number } else { to[lane] });
     }
     #[inline(always)]
-    fn eq_mask(numbers: &[u32], number: u32) -> u32 {
-        (0..8).fold(0, |mask, lane| mask | u32::from(numbers[lane] == number) << lane)
-    }
-    #[inline(always)]
-    fn store(self, to: &mut [f32]) {
-        to[..8].copy_from_slice(&self.0);
-    }
-    #[inline(always)]
-    fn reduce_min(self) -> f32 {
-        self.0.into_iter().fold(f32::INFINITY, f32::min)
-    }
-    #[inline(always)]
-    fn reduce_max(self) -> f32 {
-        self.0.into_iter().fold(f32::NEG_INFINITY, f32::max)
-    }
-    #[inline(always)]
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
         std::array::from_fn(|axis| Self(std::array::from_fn(|lane| coordinates[3 * vertices[lane] as usize + axis])))
     }
     methods! {
-        add(self, other) = self.zip(other, |a, b| a + b);
-        sub(self, other) = self.zip(other, |a, b| a - b);
-        mul(self, other) = self.zip(other, |a, b| a * b);
-        div(self, other) = self.zip(other, |a, b| a / b);
-        min(self, other) = self.zip(other, |a, b| if a < b { a } else { b });
-        max(self, other) = self.zip(other, |a, b| if a > b { a } else { b });
-        abs(self) = Self(self.0.map(f32::abs));
-        mul_add(self, factor, summand) = self.mul(factor).add(summand);
-        mul_sub(self, factor, subtrahend) = self.mul(factor).sub(subtrahend);
-        neg_mul_add(self, factor, summand) = summand.sub(self.mul(factor));
-        and(self, other) = self.zip(other, |a, b| f32::from_bits(a.to_bits() & b.to_bits()));
-        or(self, other) = self.zip(other, |a, b| f32::from_bits(a.to_bits() | b.to_bits()));
-    }
-    #[inline(always)]
-    fn sign_mask(self) -> u32 {
-        (0..8).fold(0, |mask, lane| mask | self.0[lane].to_bits() >> 31 << lane)
-    }
-    #[inline(always)]
-    fn le(self, other: Self) -> u32 {
-        self.compare(other, |a, b| a <= b)
-    }
-    #[inline(always)]
-    fn lt(self, other: Self) -> u32 {
-        self.compare(other, |a, b| a < b)
+        fn store(self, to: &mut [f32]) -> () = to[..8].copy_from_slice(&self.0);
+        fn splat(x: f32) -> Self = Self([x; 8]);
+        fn load(from: &[f32]) -> Self = Self(std::array::from_fn(|lane| from[lane]));
+        fn load_bytes(from: &[u8]) -> Self = Self(std::array::from_fn(|lane| f32::from(from[lane])));
+        fn eq_mask(numbers: &[u32], number: u32) -> u32 =
+            (0..8).fold(0, |mask, lane| mask | u32::from(numbers[lane] == number) << lane);
+        fn reduce_min(self) -> f32 = self.0.into_iter().fold(f32::INFINITY, f32::min);
+        fn reduce_max(self) -> f32 = self.0.into_iter().fold(f32::NEG_INFINITY, f32::max);
+        fn add(self, other: Self) -> Self = self.zip(other, |a, b| a + b);
+        fn sub(self, other: Self) -> Self = self.zip(other, |a, b| a - b);
+        fn mul(self, other: Self) -> Self = self.zip(other, |a, b| a * b);
+        fn div(self, other: Self) -> Self = self.zip(other, |a, b| a / b);
+        fn min(self, other: Self) -> Self = self.zip(other, |a, b| if a < b { a } else { b });
+        fn max(self, other: Self) -> Self = self.zip(other, |a, b| if a > b { a } else { b });
+        fn abs(self) -> Self = Self(self.0.map(f32::abs));
+        fn mul_add(self, factor: Self, summand: Self) -> Self = self.mul(factor).add(summand);
+        fn mul_sub(self, factor: Self, subtrahend: Self) -> Self = self.mul(factor).sub(subtrahend);
+        fn neg_mul_add(self, factor: Self, summand: Self) -> Self = summand.sub(self.mul(factor));
+        fn and(self, other: Self) -> Self = self.zip(other, |a, b| f32::from_bits(a.to_bits() & b.to_bits()));
+        fn or(self, other: Self) -> Self = self.zip(other, |a, b| f32::from_bits(a.to_bits() | b.to_bits()));
+        fn sign_mask(self) -> u32 = (0..8).fold(0, |mask, lane| mask | self.0[lane].to_bits() >> 31 << lane);
+        fn le(self, other: Self) -> u32 = self.compare(other, |a, b| a <= b);
+        fn lt(self, other: Self) -> u32 = self.compare(other, |a, b| a < b);
     }
 }

@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::{Args, Subcommand};
 
 use crate::{
-    cli::{progress::Progress, say},
+    cli::{progress::Progress, say, stop::Task},
     model::{ply, statue},
 };
 
@@ -37,6 +37,7 @@ pub fn run(args: &GenerateArgs) -> anyhow::Result<()> {
         let progress = Progress::new(format!("generating {triangles} triangles"));
         statue::generate(*triangles, &|fraction| progress.set(fraction))
     };
+    let _task = Task::named(format!("writing {}", out.display()));
     ply::write(out, &mesh).with_context(|| format!("cannot write {}", out.display()))?;
     say(format_args!("{}: {} vertices, {} triangles", out.display(), mesh.vertices.len(), mesh.triangles.len()))
 }

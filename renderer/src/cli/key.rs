@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use channel::key::Key;
 
+use crate::cli::say;
+
 /// Where to write the key.
 #[derive(Clone, Debug, clap::Args)]
 pub struct KeyArgs {
@@ -19,6 +21,7 @@ pub struct KeyArgs {
 pub fn run(args: &KeyArgs) -> anyhow::Result<()> {
     Key::random()?.write(&args.file)?;
     let file = args.file.display();
-    println!("wrote {file}: copy it to the wall and to every render server (scp -p), and start both with --key {file}");
-    Ok(())
+    say(format_args!(
+        "wrote {file}: copy it to the wall and to every render server (scp -p), and start both with --key {file}"
+    ))
 }

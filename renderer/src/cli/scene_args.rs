@@ -1,6 +1,6 @@
 //! Command-line options of the grid, shared by all programs that build one.
 
-use crate::grid::{GridOptions, MemoryBudget, MeshLayout, Storage};
+use crate::grid::{GridOptions, MemoryBudget, Storage};
 
 /// Storage of mesh and grid. No option changes a picture.
 #[derive(Clone, Copy, Debug, clap::Args)]
@@ -19,10 +19,6 @@ pub struct SceneArgs {
     #[arg(long, value_name = "N", default_value_t = GridOptions::default().macrocell_levels, value_parser = macrocell_levels)]
     macrocell_levels: u8,
 
-    /// Storage of the mesh: indexed, with shared vertices, or flat, with three corners for each triangle
-    #[arg(long, value_name = "HOW", default_value_t = MeshLayout::default())]
-    mesh: MeshLayout,
-
     /// Limit of the memory to load and build a scene, for example 512M or 1.5G; a smaller limit makes the grid coarser
     #[arg(long, value_name = "SIZE", default_value_t = MemoryBudget::default())]
     memory_budget: MemoryBudget,
@@ -31,8 +27,8 @@ pub struct SceneArgs {
 impl SceneArgs {
     /// The grid options that the arguments describe.
     pub fn options(&self) -> GridOptions {
-        let Self { density, storage, macrocell_levels, mesh, memory_budget } = *self;
-        GridOptions { density, macrocell_levels, storage, mesh, memory_budget }
+        let Self { density, storage, macrocell_levels, memory_budget } = *self;
+        GridOptions { density, macrocell_levels, storage, memory_budget }
     }
 
     /// The arguments that give another program the same options.
@@ -41,7 +37,6 @@ impl SceneArgs {
         let others = [
             format!("--storage={}", self.storage),
             format!("--macrocell-levels={}", self.macrocell_levels),
-            format!("--mesh={}", self.mesh),
             format!("--memory-budget={}", self.memory_budget),
         ];
         density.into_iter().chain(others).collect()
@@ -91,8 +86,6 @@ mod tests {
             "row-displacement",
             "--macrocell-levels",
             "1",
-            "--mesh",
-            "flat",
             "--memory-budget",
             "0.123G",
         ];
@@ -115,7 +108,6 @@ mod tests {
             (["--macrocell-levels", "-1"], "from 0 to 3 levels"),
             (["--memory-budget", "-1"], "from 16M to 1000G"),
             (["--memory-budget", "1K"], "from 16M to 1000G"),
-            (["--mesh", "round"], "is not one of: indexed, flat"),
             (["--storage", "hash"], "is not one of: plain, row-displacement, masks"),
         ] {
             let error = parse(&arguments).unwrap_err().to_string();

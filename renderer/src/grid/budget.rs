@@ -10,13 +10,11 @@ impl MemoryBudget {
     /// Valid budgets.
     pub const RANGE: RangeInclusive<Self> = Self(16_000_000)..=Self(1_000_000_000_000);
 
-    /// Bytes that are left for a grid beside a mesh. A mesh that exceeds the budget by itself gets a grid of a quarter
-    /// of its size: a smaller grid would save little and be slow.
+    /// Bytes left for a grid beside a mesh: at least a quarter of the mesh, as less would save little and be slow.
     pub(crate) fn remaining_beside(self, mesh_bytes: u64) -> u64 {
         if mesh_bytes < self.0 { self.0 - mesh_bytes } else { mesh_bytes / 4 }
     }
 
-    /// Whether `n_bytes` exceed the budget.
     pub(crate) fn is_exceeded_by(self, n_bytes: u64) -> bool {
         self.0 < n_bytes
     }
@@ -64,7 +62,6 @@ impl FromStr for MemoryBudget {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemoryShortage {
     pub(crate) budget: MemoryBudget,
-    /// Whether the grid was made coarser.
     pub(crate) is_coarser: bool,
     /// Bytes that loading the scene may take, if they exceed the budget nevertheless.
     pub(crate) needed_bytes: Option<u64>,

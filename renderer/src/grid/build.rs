@@ -1,12 +1,12 @@
 //! Builds a grid, in parallel and within a memory budget.
 
-use glam::Vec3;
+use std::sync::atomic::AtomicBool;
 
 use crate::{
     grid::{
-        Grid, GridOptions, MemoryShortage, MeshLayout, Storage, Structure,
+        Grid, GridOptions, MemoryShortage, Storage, Structure,
         cells::CellSpace,
-        choice::Choice,
+        choice,
         traced::TracedMesh,
         tree::{
             self, BRICK_SIZE, CELLS_PER_BRICK, Tree,
@@ -24,7 +24,7 @@ use crate::{
 const TREE_BYTES_PER_REFERENCE: u64 = 5;
 
 /// Bytes of its box, which is measured after the loaded mesh is dropped.
-pub(crate) const BOX_BYTES_PER_REFERENCE: u64 = 6;
+const BOX_BYTES_PER_REFERENCE: u64 = 6;
 
 /// Bytes of the program before it has a scene.
 pub(crate) const PROGRAM_BYTES: u64 = 40_000_000;
@@ -41,11 +41,9 @@ impl Grid {
         }
 
         // Choose the density, and find the memory that is left for the grid beside the mesh.
-        let choice = Choice::new(&mesh, options);
-        let density = choice.density;
-        let is_flat = options.mesh == MeshLayout::Flat;
-        let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh, is_flat);
-        let mesh_bytes_in_order = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh, is_flat);
+        let density = choice::density(&mesh, options);
+        let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh);
+        let mesh_bytes_in_order = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh);
         let most_bytes = options.memory_budget.remaining_beside(mesh_bytes);
         let (grid, is_coarser) = match options.storage {
             Storage::Tree => Self::tree(mesh, &bounds, density, options, most_bytes, progress),
@@ -59,7 +57,7 @@ impl Grid {
         let needed_bytes = budget.is_exceeded_by(all_bytes).then_some(all_bytes);
         let is_short = is_coarser || needed_bytes.is_some();
         let shortage = is_short.then_some(MemoryShortage { budget, is_coarser, needed_bytes });
-        Self { shortage, choice, ..grid }.with_mesh_layout(options.mesh)
+        Self { shortage, ..grid }
     }
 
     /// Builds a tree. Returns true, second, if cells stay undivided to save memory.
@@ -72,8 +70,8 @@ impl Grid {
         progress: &(dyn Fn(f32) + Sync),
     ) -> (Self, bool) {
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
-        let corner = |corner: [f32; 3]| Vec3::from_array(corner).as_dvec3();
-        let (cells, cell_size) = resolution(corner(bounds.max) - corner(bounds.min), n_triangles, density);
+        let [min, max] = bounds.corners();
+        let (cells, cell_size) = resolution(max - min, n_triangles, density);
 
         // Sort the triangles into bricks; bricks grow until most triangles lie in few of them.
         let mut cells_per_brick_side = CELLS_PER_BRICK;
@@ -105,30 +103,30 @@ impl Grid {
 
         // Limit the references: small scenes can afford more a triangle, and large triangles need them.
         let wanted_references = ((1 << 24) / n_triangles as u64).clamp(6, 64) * references.len() as u64;
-        let mesh_bytes = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh, options.mesh == MeshLayout::Flat);
+        let mesh_bytes = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh);
         let most_bytes_in_order = options.memory_budget.remaining_beside(mesh_bytes);
         let affordable_references = (most_bytes / TREE_BYTES_PER_REFERENCE)
             .min(most_bytes_in_order / (TREE_BYTES_PER_REFERENCE + BOX_BYTES_PER_REFERENCE))
             .min(u64::from(u32::MAX));
 
         // Divide the bricks into a tree.
-        let builder = Builder::new(
+        let builder = Builder {
             scatter,
-            references.len(),
-            wanted_references.min(affordable_references),
-            affordable_references < wanted_references,
-        );
+            n_in_bricks: references.len() as u64,
+            most_references: wanted_references.min(affordable_references),
+            is_memory_limited: affordable_references < wanted_references,
+            hit_memory_limit: AtomicBool::default(),
+        };
         let (bricks, part) = builder.divide(&starts, references, &|done| progress(0.3 + 0.6 * done));
-        let is_coarser = builder.hit_memory_limit();
+        let is_coarser = builder.hit_memory_limit.into_inner();
 
         // Order the mesh by the tree, which drops the loaded mesh, and measure the boxes.
-        let TreePart { nodes, leaf_ends, mut references } = part;
-        let mut leaf_starts = leaf_ends;
+        let TreePart { nodes, leaf_ends: mut leaf_starts, mut references } = part;
         leaf_starts.insert(0, 0);
         let mesh = TracedMesh::new(mesh, &mut references);
         let boxes = QuantizedBoxes::new(&space, dims, &bricks, &nodes, &leaf_starts, &references, &mesh);
         let largest_skip = tree::largest_skip(options.macrocell_levels);
-        let extent = space.point_to_cells(corner(bounds.max)).to_array();
+        let extent = space.point_to_cells(max).to_array();
         let extent = [0, 1, 2].map(|axis| (extent[axis] as u32 + 1).min(dims[axis] * BRICK_SIZE));
         let tree = Tree { dims, extent, bricks, nodes, leaf_starts, references, boxes, largest_skip };
         (Self { space, structure: Structure::Tree(tree), density, ..Self::empty(mesh) }, is_coarser)
@@ -142,11 +140,11 @@ impl Grid {
         options: &GridOptions,
         most_bytes: u64,
     ) -> (Self, bool) {
-        let extent = Vec3::from_array(bounds.max).as_dvec3() - Vec3::from_array(bounds.min).as_dvec3();
+        let [min, max] = bounds.corners();
         let n_triangles = mesh.triangles.len() - mesh.n_rejected;
         let mut density = requested_density;
         let (space, mut structure) = loop {
-            let (dims, cell_size) = resolution(extent, n_triangles, density);
+            let (dims, cell_size) = resolution(max - min, n_triangles, density);
             let space = CellSpace::new(bounds, cell_size);
             let scatter = Scatter { mesh: &mesh, space, cube_size: 1, dims };
             // The coarsest grid of all may take any memory.
@@ -155,8 +153,7 @@ impl Grid {
             let structure = if options.storage == Storage::Plain {
                 UniformGrid::<DenseIndex>::build(&scatter, n_levels, most_bytes).map(Structure::Plain)
             } else {
-                UniformGrid::<RowDisplacement>::build(&scatter, n_levels, most_bytes)
-                    .map(|(grid, placement)| Structure::RowDisplacement { grid, placement })
+                UniformGrid::<RowDisplacement>::build(&scatter, n_levels, most_bytes).map(Structure::RowDisplacement)
             };
             if let Some(structure) = structure {
                 break (space, structure);
@@ -167,14 +164,12 @@ impl Grid {
         (Self { space, structure, density, ..Self::empty(traced) }, density < requested_density)
     }
 
-    /// A grid without triangles.
     fn empty(mesh: TracedMesh) -> Self {
         Self {
             space: CellSpace::new(&Aabb { min: [0.0; 3], max: [0.0; 3] }, 1.0),
             structure: Structure::Tree(Tree::empty()),
             density: 0.0,
             shortage: None,
-            choice: Choice::default(),
             mesh,
             instructions: InstructionSet::best(),
         }

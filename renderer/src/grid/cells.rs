@@ -8,9 +8,9 @@ use crate::model::mesh::Aabb;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CellSpace {
     /// The grid's lowest corner, in world space.
-    origin: [f32; 3],
+    pub(crate) origin: [f32; 3],
     /// Finest cells per world unit.
-    cells_per_unit: f64,
+    pub(crate) cells_per_unit: f64,
 }
 
 impl CellSpace {
@@ -19,19 +19,8 @@ impl CellSpace {
         Self { origin: bounds.min, cells_per_unit: 1.0 / cell_size }
     }
 
-    /// The grid's lowest corner, in world space.
-    pub(crate) fn origin(&self) -> [f32; 3] {
-        self.origin
-    }
-
-    /// A point, converted to finest cells.
     pub(crate) fn point_to_cells(&self, world: DVec3) -> DVec3 {
         (world - DVec3::from_array(self.origin.map(f64::from))) * self.cells_per_unit
-    }
-
-    /// Finest cells per world unit.
-    pub(crate) fn cells_per_unit(&self) -> f64 {
-        self.cells_per_unit
     }
 
     /// A length in finest cells, converted to world units.
@@ -39,26 +28,21 @@ impl CellSpace {
         cells / self.cells_per_unit
     }
 
-    /// A direction, converted to finest cells.
     pub(crate) fn direction_to_cells(&self, world: DVec3) -> DVec3 {
         world * self.cells_per_unit
     }
 }
 
-/// Cells with lists of triangles.
 pub(crate) trait CellStructure {
     /// Finest cells per axis.
     fn dims(&self) -> [i32; 3];
 
-    /// The list of triangles around a finest cell, if there is one, and the size (log₂ in finest cells) of the cube
-    /// around the cell in which this answer holds.
+    /// The list around a finest cell, if any, and the size (log₂ in finest cells) of the cube in which it holds.
     fn locate(&self, cell: [i32; 3]) -> (Option<TriangleList<'_>>, u32);
 }
 
-/// The triangles of a cell.
 #[derive(Clone, Copy)]
 pub(crate) struct TriangleList<'a> {
-    /// Triangle indices.
     pub(crate) triangles: &'a [u32],
     /// Their boxes; empty in grids that have none.
     pub(crate) boxes: &'a [u8],

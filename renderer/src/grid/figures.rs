@@ -35,9 +35,6 @@ pub struct GridStats {
     /// In a tree: bytes of the triangles' bounds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub box_bytes: Option<usize>,
-    /// Time to find all rows' offsets.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub placement_seconds: Option<f64>,
 }
 
 impl GridStats {
@@ -54,8 +51,13 @@ impl Grid {
         let figures = match &self.structure {
             Structure::Tree(tree) => tree.figures(),
             Structure::Plain(grid) => grid.figures(),
-            Structure::RowDisplacement { grid, placement } => grid.figures(*placement),
+            Structure::RowDisplacement(grid) => {
+                let (figures, [d_bytes, o_bytes]) = (grid.figures(), grid.index.n_bytes());
+                let displaced_bytes = d_bytes + o_bytes + figures.list_bytes;
+                let compression_ratio = Some(4.0 * figures.cells as f64 / displaced_bytes as f64);
+                GridStats { d_bytes: Some(d_bytes), o_bytes: Some(o_bytes), compression_ratio, ..figures }
+            }
         };
-        GridStats { density: self.density, ..figures }
+        GridStats { storage: self.storage().into(), density: self.density, ..figures }
     }
 }

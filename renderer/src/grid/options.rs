@@ -3,35 +3,21 @@
 use std::ops::RangeInclusive;
 
 pub use shared::structure::Storage;
-use shared::{names::unknown_name, structure::Structure};
-use strum::{Display, EnumString, IntoStaticStr, VariantArray};
+use shared::structure::Structure;
 
 use crate::grid::budget::MemoryBudget;
 
 /// Options for building a grid. None changes a hit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GridOptions {
-    /// The paper's ρ: cells per triangle; `None` to choose it for the scene, see [`crate::grid::Choice`].
+    /// The paper's ρ: cells per triangle; `None` to choose it for the scene.
     pub density: Option<f64>,
     /// Sizes of empty macrocells that a single ray may skip.
     pub macrocell_levels: u8,
     /// Storage of the cells.
     pub storage: Storage,
-    /// Storage of the triangles.
-    pub mesh: MeshLayout,
     /// Memory that loading the scene may take; the grid is made coarser to stay within it.
     pub memory_budget: MemoryBudget,
-}
-
-/// Storage of a traced mesh.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Display, EnumString, IntoStaticStr, VariantArray)]
-#[strum(serialize_all = "lowercase", parse_err_ty = String, parse_err_fn = unknown_name::<Self>)]
-pub enum MeshLayout {
-    /// Each vertex once, and three vertex indices for each triangle.
-    #[default]
-    Indexed,
-    /// Three vertices of its own for each triangle.
-    Flat,
 }
 
 impl GridOptions {
@@ -51,7 +37,6 @@ impl Default for GridOptions {
             density: None,
             macrocell_levels: *Self::MACROCELL_LEVELS.end(),
             storage: Storage::default(),
-            mesh: MeshLayout::default(),
             memory_budget: MemoryBudget::default(),
         }
     }

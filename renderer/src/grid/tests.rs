@@ -6,7 +6,7 @@ use glam::Vec3;
 use proptest::prelude::*;
 use strum::VariantArray;
 
-use super::{Grid, GridOptions, MeshLayout, Storage, Structure, build::PROGRAM_BYTES, tree::overlap::DILATION};
+use super::{Grid, GridOptions, Storage, Structure, build::PROGRAM_BYTES, tree::overlap::DILATION};
 use crate::{
     grid::{cells::CellStructure, traced::TracedMesh},
     intersect::ray::{Hit, Ray},
@@ -74,10 +74,10 @@ fn build(mesh: &Mesh) -> Grid {
 /// A grid in every mode, the default first.
 fn build_modes(mesh: &Mesh) -> Vec<Grid> {
     let storages = [Storage::Tree, Storage::Plain, Storage::RowDisplacement].into_iter();
-    let modes = storages.flat_map(|storage| [(storage, 3, MeshLayout::Indexed), (storage, 0, MeshLayout::Flat)]);
+    let modes = storages.flat_map(|storage| [(storage, 3), (storage, 0)]);
     modes
-        .map(|(storage, macrocell_levels, layout)| {
-            let options = GridOptions { storage, macrocell_levels, mesh: layout, ..GridOptions::default() };
+        .map(|(storage, macrocell_levels)| {
+            let options = GridOptions { storage, macrocell_levels, ..GridOptions::default() };
             Grid::build(mesh.clone(), &options, &|_| ())
         })
         .collect()
@@ -269,7 +269,7 @@ fn the_number_of_threads_changes_nothing() {
             match (&one.structure, &several.structure) {
                 (Structure::Tree(one), Structure::Tree(several)) => assert!(one == several),
                 (Structure::Plain(one), Structure::Plain(several)) => assert!(one == several),
-                (Structure::RowDisplacement { grid: one, .. }, Structure::RowDisplacement { grid: several, .. }) => {
+                (Structure::RowDisplacement(one), Structure::RowDisplacement(several)) => {
                     assert!(one == several);
                 }
                 _ => panic!("the number of threads decides nothing"),
@@ -288,7 +288,7 @@ fn rays_along_the_border_stay_inside() {
             let dims = match &grid.structure {
                 Structure::Tree(tree) => tree.dims(),
                 Structure::Plain(grid) => grid.dims(),
-                Structure::RowDisplacement { grid, .. } => grid.dims(),
+                Structure::RowDisplacement(grid) => grid.dims(),
             };
             for (axis, n_cells) in dims.into_iter().enumerate() {
                 let mut ray = Ray::new(Vec3::splat(9.5), Vec3::ZERO);
@@ -321,7 +321,7 @@ fn large_triangles_do_not_fill_memory() {
 fn a_grid_stays_within_its_memory_and_hits_the_same() {
     let mesh = crate::model::statue::generate(60_000, &|_| ());
     let bounds = mesh.bounds();
-    let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh, false);
+    let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh);
     let unlimited = build(&mesh);
     assert_eq!(unlimited.shortage(), None);
     let (low, high) = (Vec3::from_array(bounds.min), Vec3::from_array(bounds.max));
@@ -339,7 +339,7 @@ fn a_grid_stays_within_its_memory_and_hits_the_same() {
             let box_bytes = grid.figures().box_bytes.unwrap_or(0) as u64;
             let tree_bytes = grid.n_bytes() as u64 - box_bytes;
             assert!(tree_bytes <= left, "{storage}: {tree_bytes} in {left} bytes");
-            let as_loaded = TracedMesh::peak_bytes(&mesh, false) - TracedMesh::bytes_in_order(&mesh, false);
+            let as_loaded = TracedMesh::peak_bytes(&mesh) - TracedMesh::bytes_in_order(&mesh);
             assert!(box_bytes + tree_bytes <= left + as_loaded, "{storage}: {box_bytes} bytes of boxes");
             for lane in 0..64 {
                 let [limited, free] = [&grid, &unlimited].map(|g| with_file_index(g, g.intersect(&packet.ray(lane))));
@@ -358,7 +358,7 @@ fn a_mesh_beyond_the_budget_gets_a_grid_and_a_line_that_says_so() {
         let grid = Grid::build(mesh.clone(), &options, &|_| ());
         let shortage = grid.shortage().unwrap().to_string();
         assert!(shortage.contains("M, more than --memory-budget 16M"), "{storage}: {shortage}");
-        assert!(grid.n_bytes() * 4 <= TracedMesh::peak_bytes(&mesh, false) as usize + PROGRAM_BYTES as usize);
+        assert!(grid.n_bytes() * 4 <= TracedMesh::peak_bytes(&mesh) as usize + PROGRAM_BYTES as usize);
         assert!(grid.figures().lists > 10_000, "{storage} is not starved");
     }
 }

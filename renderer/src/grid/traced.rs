@@ -12,11 +12,10 @@ use crate::{
 /// A triangle index is a position here; [`TracedMesh::file_index`] gives the triangle's number in the file.
 #[derive(Debug)]
 pub struct TracedMesh {
-    /// Positions; in a flat mesh three for each triangle. One more at the end, see [`TracedMesh::coordinates`].
+    /// Positions, and one more at the end, see [`TracedMesh::coordinates`].
     vertices: Vec<[f32; 3]>,
-    /// The vertices of each triangle; empty in a flat mesh.
+    /// The vertices of each triangle, all within [`TracedMesh::coordinates`].
     triangles: Vec<[u32; 3]>,
-    /// File indices, by triangle index.
     file_indices: Vec<u32>,
     /// sRGB, one for each vertex; empty in a mesh without colours.
     colors: Vec<[u8; 3]>,
@@ -25,25 +24,20 @@ pub struct TracedMesh {
 
 impl TracedMesh {
     /// Most bytes that a mesh takes while it is ordered, as loaded and as traced, without the references.
-    pub(crate) fn peak_bytes(mesh: &Mesh, is_flat: bool) -> u64 {
+    pub(crate) fn peak_bytes(mesh: &Mesh) -> u64 {
         // With the renumbering of triangles and vertices in both directions.
         let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
-        let ordering = mesh.n_bytes() as u64 + Self::bytes_in_order(mesh, false) + 4 * n_triangles + 8 * n_vertices;
-        ordering.max(Self::bytes_in_order(mesh, is_flat))
+        mesh.n_bytes() as u64 + Self::bytes_in_order(mesh) + 4 * n_triangles + 8 * n_vertices
     }
 
     /// Most bytes that an ordered mesh takes, without the references.
-    pub(crate) fn bytes_in_order(mesh: &Mesh, is_flat: bool) -> u64 {
+    pub(crate) fn bytes_in_order(mesh: &Mesh) -> u64 {
         let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
-        let color_bytes = size_of_val(&*mesh.colors) as u64;
         // With file indices.
-        let indexed = 16 * n_triangles + 12 * n_vertices + color_bytes;
-        let flat_corner_bytes = if mesh.colors.is_empty() { 12 } else { 15 };
-        if is_flat { indexed + 3 * flat_corner_bytes * n_triangles } else { indexed }
+        16 * n_triangles + 12 * n_vertices + size_of_val(&*mesh.colors) as u64
     }
 
-    /// Orders a mesh by the first mention of each triangle in `references`, and makes triangle indices of these file
-    /// indices.
+    /// Orders a mesh by the first mention of each triangle in `references`, which become triangle indices.
     pub fn new(mesh: Mesh, references: &mut [u32]) -> Self {
         let bounds = mesh.bounds();
         let Mesh { vertices, triangles, colors, .. } = mesh;
@@ -83,23 +77,6 @@ impl TracedMesh {
         }
     }
 
-    /// The same mesh with three vertices of its own for each triangle, and no indices.
-    #[must_use]
-    pub(crate) fn into_flat(self) -> Self {
-        let Self { vertices, triangles, file_indices, colors, bounds } = self;
-        let is_colored = !colors.is_empty();
-        Self {
-            vertices: padded((0..3 * triangles.len()).into_par_iter().map(|corner| {
-                let vertex = triangles[corner / 3][corner % 3];
-                vertices[vertex as usize]
-            })),
-            colors: triangles.iter().flatten().filter(|_| is_colored).map(|&v| colors[v as usize]).collect(),
-            triangles: Vec::new(),
-            file_indices,
-            bounds,
-        }
-    }
-
     /// Number of triangles.
     pub fn n_triangles(&self) -> usize {
         self.file_indices.len()
@@ -114,29 +91,14 @@ impl TracedMesh {
     /// A triangle's corners, in world space.
     #[inline]
     pub fn corners(&self, triangle_idx: u32) -> [[f32; 3]; 3] {
-        self.indices(triangle_idx).map(|vertex| self.vertices[vertex as usize])
-    }
-
-    /// A triangle's vertices, all within [`TracedMesh::coordinates`].
-    ///
-    /// # Panics
-    ///
-    /// If `triangle_idx` is out of range.
-    #[inline]
-    pub(crate) fn indices(&self, triangle_idx: u32) -> [u32; 3] {
-        if self.triangles.is_empty() {
-            assert!((triangle_idx as usize) < self.n_triangles(), "no triangle {triangle_idx}");
-            [3 * triangle_idx, 3 * triangle_idx + 1, 3 * triangle_idx + 2]
-        } else {
-            self.triangles[triangle_idx as usize]
-        }
+        self.triangles[triangle_idx as usize].map(|vertex| self.vertices[vertex as usize])
     }
 
     /// The sRGB colours of a triangle's corners, if the mesh has colours.
     #[inline]
     pub fn corner_colors(&self, triangle_idx: u32) -> Option<[[u8; 3]; 3]> {
         let color = |vertex: u32| self.colors[vertex as usize];
-        (!self.colors.is_empty()).then(|| self.indices(triangle_idx).map(color))
+        (!self.colors.is_empty()).then(|| self.triangles[triangle_idx as usize].map(color))
     }
 
     /// Bounds of all triangles, in world space.
@@ -152,14 +114,9 @@ impl TracedMesh {
             + size_of_val(&*self.colors)
     }
 
-    /// Hints that a triangle will be read soon.
     #[inline(always)]
     pub(crate) fn prefetch<S: Simd>(&self, triangle_idx: u32) {
-        if self.triangles.is_empty() {
-            S::prefetch(&self.vertices, 3 * triangle_idx as usize);
-        } else {
-            S::prefetch(&self.triangles, triangle_idx as usize);
-        }
+        S::prefetch(&self.triangles, triangle_idx as usize);
     }
 
     /// Hints that a triangle's corners will be read soon; its vertex indices are read now.
@@ -177,7 +134,7 @@ impl TracedMesh {
     pub(crate) fn gather_corners<S: Simd>(&self, triangle_indices: &[u32; 16]) -> [[S; 3]; 3] {
         let mut vertices = [[0; 16]; 3];
         for lane in 0..S::LANES {
-            let [a, b, c] = self.indices(triangle_indices[lane]);
+            let [a, b, c] = self.triangles[triangle_indices[lane] as usize];
             (vertices[0][lane], vertices[1][lane], vertices[2][lane]) = (a, b, c);
         }
         let coordinates = self.coordinates();

@@ -1,8 +1,6 @@
 //! The tree: a dense array of bricks, each a tree of nodes with 4×4×4 children and one mask bit per child.
 //!
-//! A node's mask of occupied children is the bit array of a macrocell, so the masks are the macrocell levels.
-//! The paper's resolution sets the size of bricks. A brick is divided only where it holds too many triangles, and there
-//! as often as needed, so a detailed object in a large plain scene costs no more than one alone.
+//! The paper's resolution sets the size of bricks. ARCHITECTURE.md ("The grid") has the reasons.
 
 #[expect(clippy::needless_range_loop, reason = "an axis indexes several arrays at once")]
 pub(crate) mod boxes;
@@ -13,7 +11,6 @@ pub(crate) mod scatter;
 use std::ops::Range;
 
 use crate::grid::{
-    Storage,
     cells::{CellStructure, TriangleList},
     figures::GridStats,
 };
@@ -43,7 +40,6 @@ pub(crate) struct Tree {
     pub(crate) leaf_starts: Vec<u32>,
     /// Triangle indices, leaf after leaf.
     pub(crate) references: Vec<u32>,
-    /// Quantised bounds of the triangle of each reference.
     pub(crate) boxes: QuantizedBoxes,
     /// Largest empty cube that a single ray may skip whole, log₂ in finest cells.
     pub(crate) largest_skip: u32,
@@ -66,7 +62,6 @@ impl Tree {
     pub(crate) const EMPTY: u32 = u32::MAX;
     pub(crate) const LEAF: u32 = 1 << 31;
 
-    /// A tree without triangles.
     pub(crate) fn empty() -> Self {
         Self {
             dims: [1; 3],
@@ -86,17 +81,15 @@ impl Tree {
         TriangleList { triangles: &self.references[references.clone()], boxes: self.boxes.leaf_bytes(references) }
     }
 
-    /// The references of a leaf.
     #[inline(always)]
     pub(crate) fn references_of(&self, leaf: u32) -> Range<usize> {
         let leaf = leaf as usize;
         self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize
     }
 
-    /// Sizes and counts, without the density.
+    /// Sizes and counts, without storage and density.
     pub(crate) fn figures(&self) -> GridStats {
         GridStats {
-            storage: Storage::Tree.into(),
             cells: self.dims.iter().map(|&n| u64::from(n * CELLS_PER_BRICK)).product(),
             lists: self.leaf_starts.len() - 1,
             references: self.references.len(),
@@ -146,8 +139,7 @@ impl CellStructure for Tree {
     }
 }
 
-/// The largest empty cube that may be skipped whole, log₂ in finest cells: half a cell of the paper's resolution
-/// without macrocells, four times that for each macrocell level.
+/// Largest empty cube that may be skipped, log₂ in finest cells: half a cell of the paper, times 4 for each level.
 pub(crate) fn largest_skip(macrocell_levels: u8) -> u32 {
     2 * (LEVELS - 3) + 2 * u32::from(macrocell_levels)
 }

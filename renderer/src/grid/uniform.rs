@@ -4,10 +4,7 @@ pub(crate) mod macrocells;
 pub(crate) mod resolution;
 pub(crate) mod row_displacement;
 
-use std::time::{Duration, Instant};
-
 use crate::grid::{
-    Storage,
     cells::{CellStructure, TriangleList},
     figures::GridStats,
     tree::scatter::{self, Scatter},
@@ -15,9 +12,7 @@ use crate::grid::{
 use macrocells::Macrocells;
 use row_displacement::{OccupiedCells, RowDisplacement};
 
-/// Maps cells to lists.
 pub(crate) trait CellIndex: Sync {
-    /// Number of lists.
     fn n_slots(&self) -> usize;
 
     /// The list of a cell, or `None` if the cell is known to be empty. No two cells share one.
@@ -45,7 +40,7 @@ impl CellIndex for DenseIndex {
 #[derive(Debug, PartialEq)]
 pub(crate) struct UniformGrid<I> {
     dims: [u32; 3],
-    index: I,
+    pub(crate) index: I,
     /// Index of each list's first reference, and the number of references at the end.
     starts: Vec<u32>,
     /// Triangle indices, list after list.
@@ -83,41 +78,18 @@ impl UniformGrid<DenseIndex> {
         grid.macrocells = Macrocells::new(grid.dims, macrocell_levels, occupied.map(|(cell, _)| position(cell)));
         Some(grid)
     }
-
-    /// Sizes and counts, without the density.
-    pub(crate) fn figures(&self) -> GridStats {
-        GridStats { storage: Storage::Plain.into(), ..self.sizes() }
-    }
 }
 
 impl UniformGrid<RowDisplacement> {
-    /// Builds the grid, or `None` if it would take more than `most_bytes`. Second: the time to find the rows' offsets.
-    pub(crate) fn build(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<(Self, Duration)> {
+    /// Builds the grid, or `None` if it would take more than `most_bytes`.
+    pub(crate) fn build(scatter: &Scatter<'_>, macrocell_levels: u8, most_bytes: u64) -> Option<Self> {
         let dims = scatter.dims;
         let left = most_bytes.checked_sub(RowDisplacement::predicted_bytes(dims))?;
         let occupied = OccupiedCells::new(dims);
         scatter.for_each_pair(left / REFERENCE_BYTES, |cell, _| occupied.insert(cell))?;
-        let started_at = Instant::now();
-        let index = RowDisplacement::new(occupied);
-        let placement = started_at.elapsed();
-        let mut grid = Self::fill(scatter, index, left)?;
+        let mut grid = Self::fill(scatter, RowDisplacement::new(occupied), left)?;
         grid.macrocells = Macrocells::new(dims, macrocell_levels, grid.index.cells());
-        Some((grid, placement))
-    }
-
-    /// Sizes and counts, without the density.
-    pub(crate) fn figures(&self, placement: Duration) -> GridStats {
-        let [d_bytes, o_bytes] = self.index.n_bytes();
-        let sizes = self.sizes();
-        let displaced_bytes = d_bytes + o_bytes + sizes.list_bytes;
-        GridStats {
-            storage: Storage::RowDisplacement.into(),
-            d_bytes: Some(d_bytes),
-            o_bytes: Some(o_bytes),
-            compression_ratio: Some(4.0 * sizes.cells as f64 / displaced_bytes as f64),
-            placement_seconds: Some(placement.as_secs_f64()),
-            ..sizes
-        }
+        Some(grid)
     }
 }
 
@@ -132,8 +104,8 @@ impl<I: CellIndex> UniformGrid<I> {
         Some(Self { dims: scatter.dims, index, starts, references, macrocells: Macrocells::default() })
     }
 
-    /// Sizes that do not depend on the index.
-    fn sizes(&self) -> GridStats {
+    /// Sizes and counts, without storage, density and index.
+    pub(crate) fn figures(&self) -> GridStats {
         GridStats {
             cells: self.dims.iter().map(|&n| u64::from(n)).product(),
             lists: self.starts.windows(2).filter(|bounds| bounds[0] < bounds[1]).count(),
@@ -146,5 +118,4 @@ impl<I: CellIndex> UniformGrid<I> {
     }
 }
 
-/// Bytes of one triangle in a list.
 const REFERENCE_BYTES: u64 = size_of::<u32>() as u64;

@@ -1,11 +1,7 @@
 //! Rays in a scene that a plane cuts open.
 //!
-//! The part of the scene beyond the plane does not exist for any ray, from the eye or from the light: the plane cuts
-//! the ray's interval.
-//!
-//! A packet has one interval for all rays, so it takes the hull of theirs. A hit inside a ray's own interval is its
-//! answer: the nearest of the larger interval is the nearest of the smaller one. Rays with other hits are traced again,
-//! alone.
+//! A packet takes the hull of its rays' intervals. A hit inside a ray's own interval is its answer: the nearest of the
+//! larger interval is the nearest of the smaller one. Rays with other hits are traced again, alone.
 
 use shared::appearance::ClipPlane;
 
@@ -47,8 +43,7 @@ pub fn occluded(grid: &Grid, clip: Option<&ClipPlane>, ray: Ray) -> bool {
     clip_ray(clip, ray).is_some_and(|ray| grid.occluded(&ray))
 }
 
-/// [`Grid::intersect_packets`] on the parts of rays that a plane keeps. In packets with `any_hit`, t is that of some
-/// hit, or 0.
+/// [`Grid::intersect_packets`] on the parts of rays that a plane keeps; with `any_hit`, t may be 0.
 pub fn intersect_packets(
     grid: &Grid,
     clip: Option<&ClipPlane>,
@@ -121,8 +116,8 @@ mod tests {
 
     fn scene(mesh: &Mesh, storage: Storage, instructions: InstructionSet) -> Scene {
         let options = GridOptions { storage, ..GridOptions::default() };
-        let grid = Scene::build(mesh.clone(), &options, &|_| ()).into_grid();
-        Scene::from_grid(grid.with_instructions(instructions))
+        let grid = Scene::build(mesh.clone(), &options, &|_| ()).grid;
+        Scene { grid: grid.with_instructions(instructions) }
     }
 
     /// The packets of a frame.
@@ -142,7 +137,7 @@ mod tests {
 
     /// Asserts that packets hit as single rays do; returns each ray with its hit, by file index.
     fn check(scene: &Scene, plane: &ClipPlane, packets: &[Packet]) -> Vec<(Ray, Hit)> {
-        let (grid, clip, mut scratch) = (scene.grid(), Some(plane), PacketScratch::default());
+        let (grid, clip, mut scratch) = (&scene.grid, Some(plane), PacketScratch::default());
         let mut answers = Vec::new();
         for packet in packets {
             let hits = intersect_packet(grid, clip, packet, &mut scratch);
@@ -202,7 +197,7 @@ mod tests {
             let plane = best.clip_plane(&camera, Some(clip)).unwrap();
             for (ray, hit) in check(&best, &plane, &packets(&camera, size)) {
                 let (expected, is_certain) = search(&mesh, &plane, &ray);
-                let whole = best.grid().intersect(&ray);
+                let whole = best.grid.intersect(&ray);
                 n_doubtful += u32::from(!is_certain);
                 n_hits += u32::from(!hit.is_miss());
                 n_inner += u32::from(!hit.is_miss() && hit.t > whole.t);

@@ -12,8 +12,7 @@ impl ExactSum {
     /// Adds a·b·c exactly. The factors have single precision, so no part leaves the range of `f64`.
     pub(super) fn add_product(&mut self, a: f32, b: f32, c: f32) {
         let ab = f64::from(a) * f64::from(b);
-        // The product has at most 48 bits: split it into parts of at most 27, whose products with 24 bits are exact
-        // again.
+        // The product has at most 48 bits: split it into parts of at most 27, whose products with 24 bits are exact.
         let high = f64::from_bits(ab.to_bits() & !((1 << 27) - 1));
         let low = ab - high;
         self.add(high * f64::from(c));
@@ -38,7 +37,6 @@ impl ExactSum {
         }
     }
 
-    /// The sum, rounded.
     pub(super) fn value(&self) -> f64 {
         self.components.iter().sum()
     }

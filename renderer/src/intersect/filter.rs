@@ -36,8 +36,7 @@ impl<'a> RayFilter<'a> {
         Self { instructions, mesh, ray, axes, u: ray.direction[axes[1]] / depth, v: ray.direction[axes[2]] / depth }
     }
 
-    /// Calls `visit` with each triangle of a list that the ray may hit. The list's cell has a side of `size` finest
-    /// cells, and its lowest corner at `corner_from_origin`, relative to the ray's origin.
+    /// Calls `visit` with each triangle of a list that the ray may hit; cell as in [`LeafBoxes::new`].
     #[inline(always)]
     pub(super) fn for_each(
         &self,
@@ -70,27 +69,22 @@ impl<'a> RayFilter<'a> {
             type Output = u32;
             #[inline(always)]
             fn run<S: Simd>(self) -> u32 {
-                self.0.passed_boxes_generic::<S>(self.1, self.2)
+                let Self(&RayFilter { u, v, .. }, boxes, first) = self;
+                let mut all = 0;
+                let mut first_in_batch = 0;
+                while first_in_batch < BATCH {
+                    let missed = boxes.bounds::<S>(first + first_in_batch).miss_signs([u, u, v, v], 0.0).sign_mask();
+                    all |= (!missed & ((1 << S::LANES) - 1)) << first_in_batch;
+                    first_in_batch += S::LANES;
+                    if first + first_in_batch >= boxes.n() {
+                        break;
+                    }
+                }
+                all & (u32::MAX >> (32 - (boxes.n() - first).min(BATCH)))
             }
         }
         // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
         unsafe { self.instructions.call(PassedBoxes(self, boxes, first)) }
-    }
-
-    #[inline(always)]
-    fn passed_boxes_generic<S: Simd>(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
-        let slopes = [self.u, self.u, self.v, self.v];
-        let mut all = 0;
-        let mut first_in_batch = 0;
-        while first_in_batch < BATCH {
-            let missed = boxes.bounds::<S>(first + first_in_batch).miss_signs(slopes, 0.0).sign_mask();
-            all |= (!missed & ((1 << S::LANES) - 1)) << first_in_batch;
-            first_in_batch += S::LANES;
-            if first + first_in_batch >= boxes.n() {
-                break;
-            }
-        }
-        all & (u32::MAX >> (32 - (boxes.n() - first).min(BATCH)))
     }
 }
 

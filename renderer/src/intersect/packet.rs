@@ -1,7 +1,6 @@
 //! Traces packets of 64 rays with a common origin through the tree, up to four packets together.
 //!
-//! Packets that are traced together share traversal steps and triangles: a step costs by the width of its slab, not by
-//! the rays, and four tiles in a square are only twice as wide as one.
+//! A step costs by the width of its slab, not by the rays, and four tiles in a square are only twice as wide as one.
 //!
 //! After Wald et al., "Ray Tracing Animated Scenes using Coherent Grid Traversal" (2006): the grid is cut into slabs
 //! across the packets' major axis k, and their least and largest slopes bound the cells (u, v) that they can pass in a
@@ -65,7 +64,6 @@ struct NodeEntry<const N: usize> {
     /// Its lowest corner across the major axis, in finest cells.
     u: i32,
     v: i32,
-    /// Rays that may pass it.
     rays: RaySet<N>,
 }
 
@@ -76,7 +74,6 @@ struct PendingLeaf<const N: usize> {
     /// Its lowest corner along the major axis and across, and its size, in finest cells.
     low: [i32; 3],
     size: i32,
-    /// Rays that may pass it.
     rays: RaySet<N>,
 }
 
@@ -168,7 +165,7 @@ impl Grid {
             is_forward,
             slopes: cull.compute_slopes::<S>(&packets, axes),
             size: [f64::from(tree.extent[axes[1]]), f64::from(tree.extent[axes[2]])],
-            cells_per_unit: self.space.cells_per_unit(),
+            cells_per_unit: self.space.cells_per_unit,
             margin: origin.abs().max_element() * (16.0 * f64::EPSILON),
         };
 
@@ -221,7 +218,7 @@ impl Grid {
             // Without divided bricks the slab is done: settle the rays up to its far side.
             if entries[1].is_empty() {
                 if culler.has_new_tests && culler.finish_to_depth::<S>(self.space.length_to_world(far)) {
-                    culler.write_hits::<S>(hits);
+                    culler.rays.nearest.write::<S>(hits);
                     return true;
                 }
                 frustum.slopes = culler.ray_bounds.slopes;
@@ -290,7 +287,7 @@ impl Grid {
                     // Pending leaves may lie nearer than leaves that were tested.
                     let tested_to = if leaves.is_empty() { far } else { pending_near_depth.min(far) };
                     if culler.finish_to_depth::<S>(self.space.length_to_world(tested_to)) {
-                        culler.write_hits::<S>(hits);
+                        culler.rays.nearest.write::<S>(hits);
                         return true;
                     }
                     frustum.slopes = culler.ray_bounds.slopes;
@@ -301,13 +298,12 @@ impl Grid {
         // Behind the last slab: test the pending leaves and settle all rays.
         S::test_leaves(tree, &mut culler, &frustum.origin, leaves);
         culler.finish_to_depth::<S>(f64::INFINITY);
-        culler.write_hits::<S>(hits);
+        culler.rays.nearest.write::<S>(hits);
         true
     }
 }
 
 impl Tree {
-    /// Tests the triangles of the pending leaves.
     #[inline(always)]
     fn test_leaves<S: PacketKernel, const N: usize>(
         &self,
@@ -503,5 +499,4 @@ fn common_major_axis(packets: &[&Packet]) -> Option<usize> {
 /// Leaves wait until their area is this multiple of the frustum's section: then they may well hold the nearest hits.
 const FULL_COVERAGE: f64 = 1.0;
 
-/// Most leaves that wait.
 const MOST_LEAVES: usize = 64;

@@ -43,8 +43,7 @@ pub(super) type Vector<R> = [R; 3];
 /// No closures: they would not be compiled for the caller's instruction set.
 #[derive(Clone, Copy)]
 pub(super) struct EdgePlanes<R> {
-    /// Normals of the planes through the origin and an edge: p × (q − p), relative to the origin, for the edge from p
-    /// to q.
+    /// Normals of the planes through the origin and an edge from p to q: p × (q − p), relative to the origin.
     sides: [Vector<R>; 3],
     plane: Plane<R>,
     /// Bound of a determinant's rounding error, for a direction whose absolute components add up to one.
@@ -52,7 +51,6 @@ pub(super) struct EdgePlanes<R> {
 }
 
 impl<R: Real> EdgePlanes<R> {
-    /// Prepares a triangle.
     #[inline(always)]
     pub(super) fn new(origin: Vector<R>, [a, b, c]: [Vector<R>; 3]) -> Self {
         let (a_from_origin, b_from_origin, c_from_origin) = (sub(a, origin), sub(b, origin), sub(c, origin));
@@ -118,7 +116,6 @@ impl<R: Real> Plane<R> {
 }
 
 impl Plane<f64> {
-    /// The same plane in all lanes.
     #[inline(always)]
     pub(super) fn splat<R: Real>(&self) -> Plane<R> {
         let [x, y, z] = self.normal;

@@ -91,8 +91,7 @@ impl Grid {
         occluded
     }
 
-    /// Calls `visit` with the index of each triangle in the cells along the whole ray, nearest cells first, some
-    /// triangles several times. Measurements try other intersection routines on them.
+    /// Calls `visit` with each triangle in the cells along a ray, some several times, for tests by other routines.
     pub fn for_each_candidate(&self, ray: &Ray, mut visit: impl FnMut(u32)) {
         self.walk(ray, |cell| {
             cell.list.triangles.iter().copied().for_each(&mut visit);
@@ -107,7 +106,7 @@ impl Grid {
         match &self.structure {
             Structure::Tree(tree) => walk(tree, &self.space, ray, visit),
             Structure::Plain(grid) => walk(grid, &self.space, ray, visit),
-            Structure::RowDisplacement { grid, .. } => walk(grid, &self.space, ray, visit),
+            Structure::RowDisplacement(grid) => walk(grid, &self.space, ray, visit),
         }
     }
 }
@@ -176,8 +175,7 @@ fn walk<C: CellStructure>(
             return n_cells;
         }
 
-        // Step into the next cell. The exit axis always advances and no axis goes back, so the walk ends despite
-        // rounding.
+        // Step into the next cell. The exit axis advances and none goes back, so the walk ends despite rounding.
         for axis in 0..3 {
             if axis == step_axis {
                 cell[axis] = if step(axis) > 0 { low[axis] + size } else { low[axis] - 1 };
@@ -246,7 +244,7 @@ impl GridRay {
                 let mut sum = ExactSum::default();
                 delta_ts.iter().for_each(|&delta_t| sum.add_product(delta_t, ray.direction[axis], 1.0));
                 sum.add_product(ray.origin[axis], 1.0, 1.0);
-                sum.add_product(-space.origin()[axis], 1.0, 1.0);
+                sum.add_product(-space.origin[axis], 1.0, 1.0);
                 sum.value()
             });
             point = space.direction_to_cells(DVec3::from_array(from_low));

@@ -1,5 +1,6 @@
 //! A triangle mesh as read from a file: indexed, in file order, with unusable triangles marked.
 
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 /// A triangle mesh, in world space.
@@ -48,6 +49,11 @@ impl Aabb {
         self
     }
 
+    /// Lowest and highest corner.
+    pub fn corners(&self) -> [DVec3; 2] {
+        [self.min, self.max].map(|corner| Vec3::from_array(corner).as_dvec3())
+    }
+
     /// Whether the box contains no point.
     pub fn is_empty(&self) -> bool {
         self.min[0] > self.max[0]
@@ -55,8 +61,7 @@ impl Aabb {
 }
 
 impl Mesh {
-    /// Replaces a triangle that cannot be traced: an index is out of range, or a coordinate is not finite or not below
-    /// [`Mesh::LARGEST_COORDINATE`].
+    /// Replaces a triangle with an index out of range, or a vertex that is not [usable](Mesh::is_usable).
     pub const REJECTED: [u32; 3] = [u32::MAX; 3];
 
     /// Limit of coordinates: products of larger ones with rays would overflow `f32` (Embree's limit).

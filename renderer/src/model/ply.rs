@@ -13,11 +13,11 @@ mod tests;
 mod write;
 
 use std::{
-    fs::File,
     io::{self, BufRead, BufReader, Read},
     path::{Path, PathBuf},
 };
 
+use channel::files::{self, ReadError};
 use ply_rs::{
     parser::Parser,
     ply::{Encoding, PropertyAccess},
@@ -37,85 +37,45 @@ use crate::model::mesh::Mesh;
 pub struct PlyError {
     /// The file.
     pub path: PathBuf,
-    /// What is wrong with it. Not the error's source, because the message contains it already.
+    /// The fault. Not the error's source, because the message contains it already.
     pub problem: Problem,
 }
 
-/// What is wrong with a PLY file, and where.
+/// What is wrong with a PLY file, and where: lines count from 1, rows from 0.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum Problem {
-    /// It cannot be opened or read.
     #[error("cannot be read: {0}")]
     Io(#[from] io::Error),
-    /// A folder or a pipe: it has no size to compare the header's counts with.
-    #[error("is a folder or a pipe: name an ordinary file")]
-    NotAFile,
-    /// The file has another format.
+    // It has no size to compare the header's counts with, or cannot be opened.
+    #[error(transparent)]
+    Unreadable(#[from] ReadError),
     #[error("is not a PLY file: it does not begin with a line `ply`")]
     NotPly,
-    /// The header has no end.
     #[error("ends inside its header: no line `end_header`")]
     HeaderEnds,
-    /// The header is longer than any writer makes one.
     #[error("has no line `end_header` in its first {} KB", header::MAX_HEADER_BYTES / 1024)]
     HeaderTooLong,
-    /// A line of the header is not PLY.
     #[error("header line {line} is not understood: `{text}`")]
-    HeaderLine {
-        /// Counted from 1.
-        line: usize,
-        /// The line, shortened.
-        text: String,
-    },
-    /// The header as a whole is not PLY.
+    HeaderLine { line: usize, text: String },
     #[error("its header is not understood: {0}")]
     Header(String),
-    /// An element is declared twice.
+    #[error("declares more than {1} {0}")]
+    TooManyDeclared(&'static str, usize),
     #[error("declares element `{0}` twice")]
     Repeated(String),
-    /// Vertices lack a coordinate, or faces lack indices.
     #[error("its element `{element}` has no {property}")]
-    Missing {
-        /// The element's name.
-        element: String,
-        /// The property that the element lacks.
-        property: &'static str,
-    },
-    /// The header's counts and the file's size disagree.
+    Missing { element: String, property: &'static str },
     #[error(
         "is cut short, or its header is wrong: {count} rows of `{element}` need at least {needed} bytes, {left} are left"
     )]
-    TooShort {
-        /// The element's name.
-        element: String,
-        /// Its rows, by the header.
-        count: usize,
-        /// The fewest bytes that its rows can take.
-        needed: u128,
-        /// Bytes left for them in the file.
-        left: u64,
-    },
-    /// More vertices or triangles than a `u32` can count.
+    TooShort { element: String, count: usize, needed: u128, left: u64 },
     #[error("holds more than 4294967294 {0}, which is more than this program can number")]
     TooMany(&'static str),
-    /// The mesh does not fit into memory.
     #[error("needs {n_bytes} bytes of memory for its {what}, more than the system gives")]
-    OutOfMemory {
-        /// Vertices or triangles.
-        what: &'static str,
-        /// Bytes that were asked for.
-        n_bytes: usize,
-    },
-    /// A row cannot be read.
+    OutOfMemory { what: &'static str, n_bytes: usize },
     #[error("row {row} of element `{element}`: {what}")]
-    Row {
-        /// The element's name.
-        element: String,
-        /// Counted from 0.
-        row: usize,
-        /// What is wrong with it.
-        what: String,
-    },
+    Row { element: String, row: usize, what: String },
 }
 
 /// Reads a PLY file: ASCII or binary, polygons fanned as (0, k, k+1), triangle strips unrolled.
@@ -124,11 +84,7 @@ pub enum Problem {
 /// `progress` receives the fraction of the file read so far, 0 to 1.
 pub fn read(path: &Path, progress: &(dyn Fn(f32) + Sync)) -> Result<Mesh, PlyError> {
     let open = || -> Result<Mesh, Problem> {
-        // Check before opening: opening a pipe waits for a writer.
-        if !std::fs::metadata(path)?.is_file() {
-            return Err(Problem::NotAFile);
-        }
-        let file = File::open(path)?;
+        let file = files::open(path)?;
         let metadata = file.metadata()?;
         let metered = ProgressReader { inner: file, n_read: 0, n_bytes: metadata.len(), progress };
         read_from(BufReader::with_capacity(BUFFER_BYTES, metered), metadata.len())
@@ -152,10 +108,10 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64) -> Result<Mesh, Problem
             }
             ElementKind::Faces => {
                 assembly.reserve_triangles(element.most_triangle_rows(header.encoding, n_left))?;
-                read_rows(&mut reader, &header, element, |face: &Corners| assembly.push_polygon(face.indices()))?;
+                read_rows(&mut reader, &header, element, |face: &Corners| assembly.push_polygon(&face.indices))?;
             }
             ElementKind::Strips => {
-                read_rows(&mut reader, &header, element, |strip: &Corners| assembly.push_strips(strip.indices()))?;
+                read_rows(&mut reader, &header, element, |strip: &Corners| assembly.push_strips(&strip.indices))?;
             }
             ElementKind::Other => read_rows(&mut reader, &header, element, |_: &Skipped| Ok(()))?,
         }
@@ -200,7 +156,6 @@ fn read_rows<E: PropertyAccess>(
 
 const ENDS_HERE: &str = "the file ends here";
 
-/// Reports how far a file has been read.
 struct ProgressReader<'a, R> {
     inner: R,
     n_read: u64,

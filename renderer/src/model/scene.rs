@@ -45,21 +45,13 @@ pub struct LoadedMesh {
 
 /// Why a scene cannot be loaded.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum LoadError {
-    /// The file cannot be read as a mesh.
     #[error(transparent)]
     Ply(#[from] PlyError),
-    /// No triangle of the file's mesh can be traced.
     #[error("{}: has no triangles that can be traced ({n_vertices} vertices, {n_rejected} triangles rejected): \
         a point cloud must be meshed first", path.display())]
-    NoTriangles {
-        /// The file.
-        path: PathBuf,
-        /// Its vertices.
-        n_vertices: usize,
-        /// Its triangles with unusable indices or coordinates.
-        n_rejected: usize,
-    },
+    NoTriangles { path: PathBuf, n_vertices: usize, n_rejected: usize },
 }
 
 /// Loads a mesh; `progress` receives the fraction done, 0 to 1.

@@ -66,9 +66,7 @@ const CHUNK: usize = 4096;
 enum BoxPoint {
     /// On a side or its edges: a point of the square's outline, −1 to 1, and a height, 0 to 1.
     Side([f32; 2], f32),
-    /// Inside the top.
     Top([f32; 2]),
-    /// Inside the bottom.
     Bottom([f32; 2]),
 }
 

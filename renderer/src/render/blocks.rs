@@ -78,9 +78,7 @@ impl SampleBlock<'_> {
         }
     }
 
-    /// The sample of each lane of a packet; lanes beyond the samples repeat the last.
-    ///
-    /// The lanes of a whole tile are ordered by quarters, so that adjacent lanes are adjacent pixels.
+    /// The sample of each lane of a packet, a tile's by quarters; lanes beyond the samples repeat the last.
     #[inline]
     pub fn sample_of_lane(&self) -> [usize; 64] {
         let last = self.n_samples() - 1;
@@ -92,11 +90,7 @@ impl SampleBlock<'_> {
 ///
 /// A tile is one block; 2×2 tiles, or four along the curve, form a group. Single samples are gathered from patches of the
 /// frame.
-pub(crate) fn for_each_group(
-    share: &Share,
-    units: impl Iterator<Item = u32> + Clone,
-    visit: impl FnMut(&[SampleBlock<'_>]),
-) {
+pub fn for_each_group(share: &Share, units: impl Iterator<Item = u32> + Clone, visit: impl FnMut(&[SampleBlock<'_>])) {
     if units.clone().any(|unit| share.samples(unit).count() > 1) {
         visit_groups(tiles(share, units), visit);
     } else {
@@ -106,7 +100,6 @@ pub(crate) fn for_each_group(
     }
 }
 
-/// A block with its group.
 struct KeyedBlock<'a> {
     /// Equal for neighbouring blocks.
     group_key: [u32; 2],

@@ -22,10 +22,7 @@ use crate::{
 
 /// Lights the hits of one frame.
 pub struct Lighting<'a> {
-    grid: &'a Grid,
     shading: ShadingMode,
-    eye: Vec3,
-    clip: Option<ClipPlane>,
     shader: Shader<'a>,
     secondary: SecondaryRays<'a>,
 }
@@ -33,14 +30,8 @@ pub struct Lighting<'a> {
 impl<'a> Lighting<'a> {
     /// Prepares for one frame of a scene that a plane may cut open.
     pub fn new(grid: &'a Grid, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
-        Self {
-            grid,
-            shading: spec.view,
-            eye: spec.camera.rays(spec.size).eye,
-            clip,
-            shader: Shader::new(grid.mesh(), spec),
-            secondary: SecondaryRays::new(grid, spec, clip),
-        }
+        let secondary = SecondaryRays::new(grid, spec, clip);
+        Self { shading: spec.view, shader: Shader::new(grid.mesh(), spec), secondary }
     }
 
     /// The linear light of neighbouring blocks: of sample number `sample` of their pixels (i, j), whose rays follow
@@ -55,10 +46,11 @@ impl<'a> Lighting<'a> {
     ) -> [[Vec3; 64]; MOST_PACKETS] {
         let mut lights = [[Vec3::ZERO; 64]; MOST_PACKETS];
         if self.shading == ShadingMode::Cost {
+            let SecondaryRays { grid, clip, eye, .. } = &self.secondary;
             for (index, block) in blocks.iter().enumerate() {
                 for (light, &direction) in lights[index].iter_mut().zip(&directions[index]).take(block.n_samples()) {
-                    let ray = clip::clip_ray(self.clip.as_ref(), Ray::new(self.eye, direction));
-                    *light = shade::cost_color(ray.map_or(RayCost::default(), |ray| self.grid.cost(&ray)));
+                    let ray = clip::clip_ray(clip.as_ref(), Ray::new(eye.as_vec3(), direction));
+                    *light = shade::cost_color(ray.map_or(RayCost::default(), |ray| grid.cost(&ray)));
                 }
             }
             return lights;

@@ -11,17 +11,14 @@ use std::{
 
 use cpu_time::ThreadTime;
 
-/// How long a thread that has run out of parts spins before it sleeps.
-///
-/// Waking a sleeping thread for the next frame cost 0.2 to 0.4 % of a frame on two threads. The last parts of a frame are
-/// small and take less time than this.
+/// How long a thread without parts spins before it sleeps: waking it for the next frame cost up to 0.4 % of a frame.
 const AWAKE: Duration = Duration::from_millis(1);
 
 /// Processes `parts` on the current rayon pool: calls `task` once per thread, with a function that returns the next part
 /// until none is left.
 ///
-/// Returns each call's result and CPU time. A thread holds one part at a time, so that threads finish together. A thread
-/// that another program keeps from its core delays nothing: the other threads take its parts, and its call too.
+/// Returns each call's result and CPU time. A thread that another program keeps from its core delays nothing: the other
+/// threads take its parts, and its call too.
 pub fn work_off<P: Send, T: Send>(
     parts: impl Iterator<Item = P> + Send,
     task: impl Fn(&mut dyn FnMut() -> Option<P>) -> T + Sync,

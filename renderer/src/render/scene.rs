@@ -1,6 +1,5 @@
 //! A mesh with its grid, and the questions that one ray answers.
 
-use glam::Vec3;
 use shared::{
     appearance::{Clip, ClipPlane},
     camera::Camera,
@@ -19,7 +18,8 @@ use crate::{
 
 /// A mesh with its grid: all that rays need.
 pub struct Scene {
-    grid: Grid,
+    /// The grid, which holds the mesh.
+    pub grid: Grid,
 }
 
 impl Scene {
@@ -28,24 +28,9 @@ impl Scene {
         Self { grid: Grid::build(mesh, options, progress) }
     }
 
-    /// Wraps a grid that is already built.
-    pub fn from_grid(grid: Grid) -> Self {
-        Self { grid }
-    }
-
-    /// Unwraps the grid.
-    pub fn into_grid(self) -> Grid {
-        self.grid
-    }
-
     /// The mesh, in the grid's order.
     pub fn mesh(&self) -> &TracedMesh {
         self.grid.mesh()
-    }
-
-    /// The grid.
-    pub fn grid(&self) -> &Grid {
-        &self.grid
     }
 
     /// Number of triangles that can be hit.
@@ -80,8 +65,7 @@ impl Scene {
 
     /// The plane that cuts this scene open for this camera.
     pub fn clip_plane(&self, camera: &Camera, clip: Option<Clip>) -> Option<ClipPlane> {
-        let bounds = self.mesh().bounds();
-        let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
+        let [min, max] = self.mesh().bounds().corners();
         clip?.plane((min, max), camera)
     }
 }

@@ -1,10 +1,7 @@
 //! Secondary rays: shadows of the key light and ambient occlusion.
 //!
-//! The key light is a point in the direction of [`shared::appearance::Light`]. Shadow rays start at the light, so that those
-//! of neighbouring samples form packets as coherent as the camera's. Ambient occlusion uses short hemisphere rays.
-//!
-//! Surface points are computed in `f64` and lifted off the surface by more than the rounding error, so that no surface
-//! shadows itself and no blocker is skipped. Only + − × ÷ √ are used, in a fixed order: every machine computes the same bits.
+//! ARCHITECTURE.md ("Lighting") says which rays these are. Only + − × ÷ √ are used, in a fixed order: every machine computes
+//! the same bits.
 
 use glam::{DVec3, Vec3};
 use shared::{
@@ -34,13 +31,14 @@ pub struct LightVisibility {
 
 /// The secondary rays of one frame.
 pub struct SecondaryRays<'a> {
-    grid: &'a Grid,
+    pub(super) grid: &'a Grid,
     /// Cuts the scene open: parts that it removes cast no shadow.
-    clip: Option<ClipPlane>,
+    pub(super) clip: Option<ClipPlane>,
     lighting_mode: LightingMode,
-    eye: DVec3,
+    /// Has single precision, as the origin of all rays.
+    pub(super) eye: DVec3,
     /// Position of the key light, world space.
-    key_light: Vec3,
+    pub key_light: Vec3,
     /// Direction to the key light from hits without a surface point, world space.
     key_direction: Vec3,
     /// How far points are lifted off their surfaces, in world units.
@@ -68,20 +66,17 @@ impl<'a> SecondaryRays<'a> {
     pub fn new(grid: &'a Grid, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
         // Other shading modes ignore the lights.
         let lighting_mode = if spec.view == ShadingMode::Shaded { spec.rays } else { LightingMode::Primary };
-        let bounds = grid.mesh().bounds();
-        let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
+        let [min, max] = grid.mesh().bounds().corners();
         let (centre, radius) = ((min + max) * 0.5, (max - min).length() * 0.5);
         // The light's direction is relative to the camera.
         let (right, up) = (spec.camera.u().normalize(), spec.camera.v().normalize());
         let back = right.cross(up).normalize();
-        let light = spec.appearance.light;
-        let to_light = light.direction();
+        let to_light = spec.appearance.light.direction();
         let to_light = (right * to_light.x + up * to_light.y + back * to_light.z).normalize();
         let key_light = match lighting_mode {
             LightingMode::Primary => Vec3::ZERO,
             LightingMode::Shadows | LightingMode::AmbientOcclusion => {
-                let placement = KeyLightPlacement { eye: spec.camera.eye(), back, to_light, centre, radius };
-                placement.light_position(grid, clip.as_ref(), light.is_on_eye_side())
+                key_light_position(grid, spec, clip.as_ref(), [back, to_light], (centre, radius))
             }
         };
         // No coordinate exceeds this, and no difference its double. Rounding a point or a direction to single precision
@@ -97,12 +92,6 @@ impl<'a> SecondaryRays<'a> {
             ray_offset: max_coordinate * (8.0 * f64::from(f32::EPSILON)),
             ao_radius: (radius * AO_RADIUS_RELATIVE) as f32,
         }
-    }
-
-    /// The same with the key light elsewhere, for measurements of shadow rays.
-    #[must_use]
-    pub fn with_key_light(self, key_light: Vec3) -> Self {
-        Self { key_light, ..self }
     }
 
     /// The light that reaches the hits of neighbouring blocks; undefined for misses.
@@ -227,41 +216,35 @@ impl<'a> SecondaryRays<'a> {
 /// Cosine and sine of the golden angle: repeated rotation by it spreads directions evenly.
 const GOLDEN_ANGLE: [f32; 2] = [-0.737_368_9, 0.675_490_3];
 
-/// Inputs of the key light's position, in world space.
-struct KeyLightPlacement {
-    eye: DVec3,
-    /// Opposite of the camera's direction, unit length.
-    back: DVec3,
-    /// Direction to the light, unit length.
-    to_light: DVec3,
-    /// Centre of the scene's bounds.
-    centre: DVec3,
-    /// Half the diagonal of the scene's bounds.
-    radius: f64,
-}
-
 /// Distance of the key light from the viewed point, relative to the eye's: the default light stands beside the eye.
 const KEY_DISTANCE: f64 = 1.5;
 
-impl KeyLightPlacement {
-    /// The light stands in its direction from the viewed point: the point in front of the eye that is as far away as the
-    /// centre of the scene. A light on the eye's side stays within the eye's room; another may stand behind walls.
-    fn light_position(&self, grid: &Grid, clip: Option<&ClipPlane>, is_on_eye_side: bool) -> Vec3 {
-        let Self { eye, back, to_light, centre, radius } = *self;
-        // Replace a far eye by a nearer one: the space between them is empty.
-        let distance = (eye - centre).length();
-        let base = if distance > 4.0 * radius { centre + (eye - centre) * (4.0 * radius / distance) } else { eye };
-        let distance = (base - centre).length().max(0.5 * radius);
-        let step = to_light * (KEY_DISTANCE * distance) - back * distance;
-        if !is_on_eye_side {
-            return (base + step).as_vec3();
-        }
-        // Stop halfway to an obstacle between eye and light.
-        let ray = Ray { t_max: 1.0, ..Ray::new(base.as_vec3(), step.as_vec3()) };
-        let obstacle = clip::intersect(grid, clip, ray);
-        let part = if obstacle.is_miss() { 1.0 } else { 0.5 * f64::from(obstacle.t) };
-        (base + step * part).as_vec3()
+/// The key light's position, for unit vectors opposite to the camera's direction and to the light, and the centre of the
+/// scene's bounds with half their diagonal; all in world space.
+///
+/// The light stands in its direction from the viewed point: the point in front of the eye that is as far away as the
+/// centre of the scene. A light on the eye's side stays within the eye's room; another may stand behind walls.
+fn key_light_position(
+    grid: &Grid,
+    spec: &FrameSpec,
+    clip: Option<&ClipPlane>,
+    [back, to_light]: [DVec3; 2],
+    (centre, radius): (DVec3, f64),
+) -> Vec3 {
+    let eye = spec.camera.eye();
+    // Replace a far eye by a nearer one: the space between them is empty.
+    let distance = (eye - centre).length();
+    let base = if distance > 4.0 * radius { centre + (eye - centre) * (4.0 * radius / distance) } else { eye };
+    let distance = (base - centre).length().max(0.5 * radius);
+    let step = to_light * (KEY_DISTANCE * distance) - back * distance;
+    if !spec.appearance.light.is_on_eye_side() {
+        return (base + step).as_vec3();
     }
+    // Stop halfway to an obstacle between eye and light.
+    let ray = Ray { t_max: 1.0, ..Ray::new(base.as_vec3(), step.as_vec3()) };
+    let obstacle = clip::intersect(grid, clip, ray);
+    let part = if obstacle.is_miss() { 1.0 } else { 0.5 * f64::from(obstacle.t) };
+    (base + step * part).as_vec3()
 }
 
 /// For each of up to [`MOST_PACKETS`] neighbouring blocks, a bit for each ray from `origin` that hits something within

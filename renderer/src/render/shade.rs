@@ -74,9 +74,7 @@ impl<'a> Shader<'a> {
     }
 }
 
-/// The colour of a ray's cost: cells in red, tests in green, each at half brightness at [`HALF_CELLS`] and [`HALF_TESTS`].
-///
-/// Brightness never saturates, so that a higher cost is always brighter.
+/// The colour of a ray's cost: cells in red, tests in green; a higher cost is always brighter.
 pub fn cost_color(cost: RayCost) -> Vec3 {
     let brightness = |count: u32, half: f32| count as f32 / (count as f32 + half);
     Vec3::new(brightness(cost.n_cells, HALF_CELLS), brightness(cost.n_tests, HALF_TESTS), 0.0)

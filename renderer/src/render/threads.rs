@@ -5,11 +5,8 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 /// Starts `n_threads` threads, by default one for each core.
 ///
-/// With one thread for each core, each is pinned to its own: some virtual machines' kernels pack threads on few cores after
-/// a pause, and two threads then shared a core for whole frames while another core was idle.
-///
-/// # Errors
-/// The system cannot start more threads.
+/// With one thread for each core, each is pinned to its own: after a pause, some virtual machines' kernels let two threads
+/// share a core for whole frames while another core is idle.
 pub fn pool(n_threads: Option<usize>) -> anyhow::Result<ThreadPool> {
     let n_threads = n_threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
     let cores = core_affinity::get_core_ids().unwrap_or_default();

@@ -1,26 +1,31 @@
 //! Traces and shades a share of a frame.
 
-use std::ops::Range;
+use std::{ops::Range, time::Duration};
 
 use glam::Vec3;
-use shared::{appearance::ClipPlane, camera::CameraRays, division::Share, protocol::FrameSpec, srgb};
+use shared::{
+    appearance::ClipPlane,
+    camera::CameraRays,
+    division::{Division, Share},
+    protocol::FrameSpec,
+    srgb,
+};
 
 use crate::{
     intersect::{MOST_PACKETS, Packet, PacketScratch, clip, ray::Hit},
     render::{
         blocks::{SampleBlock, for_each_group, lanes_to_rows, sum_terms_by_lane},
         lighting::Lighting,
+        parallel::work_off,
         sampling::sample_point,
         scene::Scene,
     },
 };
 
-impl Scene {
-    /// The lighting of one frame.
-    pub fn lighting(&self, spec: &FrameSpec) -> Lighting<'_> {
-        Lighting::new(self.grid(), spec, self.clip_plane(&spec.camera, spec.appearance.clip))
-    }
+/// Tiles of a frame that a thread renders at once.
+const TILES_PER_PART: u32 = 32;
 
+impl Scene {
     /// Renders `units` of a share (indices in the share, not in the frame), on the calling thread.
     ///
     /// Appends their samples to `rgb`, sRGB-encoded, in the order of [`Share::samples`]. The bits depend only on scene,
@@ -28,7 +33,7 @@ impl Scene {
     pub fn render(&self, spec: &FrameSpec, share: &Share, units: Range<u32>, rgb: &mut Vec<u8>) {
         let rays = spec.camera.rays(spec.size);
         let clip = self.clip_plane(&spec.camera, spec.appearance.clip);
-        let lighting = self.lighting(spec);
+        let lighting = Lighting::new(&self.grid, spec, clip);
         let mut scratch = PacketScratch::default();
         let n_samples: u32 = units.clone().map(|unit| share.samples(unit).count()).sum();
         let first = rgb.len();
@@ -67,44 +72,33 @@ impl Scene {
         });
     }
 
-    /// Traces `units` of a share through the centres of their samples, in a scene that a plane may cut open, on the calling
-    /// thread; calls `visit` with each block and the hits of its samples.
-    pub fn trace(
-        &self,
-        rays: &CameraRays,
-        clip: Option<&ClipPlane>,
-        share: &Share,
-        units: Range<u32>,
-        mut visit: impl FnMut(&SampleBlock<'_>, &[Hit]),
-    ) {
-        let mut scratch = PacketScratch::default();
-        self.trace_groups(rays, clip, share, units, &mut scratch, |blocks, hits, _| {
-            blocks.iter().zip(hits).for_each(|(block, hits)| visit(block, &hits[..block.n_samples()]));
+    /// Renders a whole frame on the current rayon pool.
+    ///
+    /// Returns its samples, sRGB-encoded, row by row from the bottom, and the CPU time of all threads.
+    pub fn render_frame(&self, spec: &FrameSpec) -> (Vec<u8>, Duration) {
+        let share = Division::Tiled.task(0, 1).share(spec.size).expect("one machine renders any frame");
+        let of_threads = work_off((0..share.count()).step_by(TILES_PER_PART as usize), |next| {
+            let parts = std::iter::from_fn(next).map(|first| {
+                let units = first..(first + TILES_PER_PART).min(share.count());
+                let mut rgb = Vec::new();
+                self.render(spec, &share, units.clone(), &mut rgb);
+                (units, rgb)
+            });
+            parts.collect::<Vec<_>>()
         });
-    }
-
-    /// Like [`Scene::trace`], but calls `visit` with groups of neighbouring blocks; it may use `scratch` too.
-    pub fn trace_groups(
-        &self,
-        rays: &CameraRays,
-        clip: Option<&ClipPlane>,
-        share: &Share,
-        units: impl Iterator<Item = u32> + Clone,
-        scratch: &mut PacketScratch,
-        mut visit: impl FnMut(&[SampleBlock<'_>], &[[Hit; 64]], &mut PacketScratch),
-    ) {
-        let mut packets = [Packet::NONE; MOST_PACKETS];
-        let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
-        for_each_group(share, units, |blocks| {
-            let (packets, hits) = (&mut packets[..blocks.len()], &mut hits[..blocks.len()]);
-            packets.iter_mut().zip(blocks).for_each(|(packet, block)| set_camera_rays(packet, rays, block, 0));
-            self.trace_group(blocks, packets, clip, scratch, hits);
-            visit(blocks, hits, scratch);
-        });
+        let cpu = of_threads.iter().map(|(_, cpu)| *cpu).sum();
+        let mut rows = vec![[0; 3]; spec.size.n_samples() as usize];
+        for (units, rgb) in of_threads.iter().flat_map(|(parts, _)| parts) {
+            let samples = units.clone().flat_map(|unit| share.samples(unit).iter());
+            for ((i, j), &color) in samples.zip(rgb.as_chunks().0) {
+                rows[(j * spec.size.xres() + i) as usize] = color;
+            }
+        }
+        (rows.into_flattened(), cpu)
     }
 
     /// Intersects the packets of neighbouring blocks; hits are in the order of each block's samples.
-    fn trace_group(
+    pub fn trace_group(
         &self,
         blocks: &[SampleBlock<'_>],
         packets: &[Packet],
@@ -112,7 +106,7 @@ impl Scene {
         scratch: &mut PacketScratch,
         hits: &mut [[Hit; 64]],
     ) {
-        clip::intersect_packets(self.grid(), clip, packets, scratch, hits);
+        clip::intersect_packets(&self.grid, clip, packets, scratch, hits);
         for (block, hits) in blocks.iter().zip(hits) {
             if block.tile().is_some() {
                 lanes_to_rows(hits);
@@ -122,7 +116,9 @@ impl Scene {
 }
 
 /// Fills a packet with the rays through sample number `sample` of a block's pixels, by [`SampleBlock::sample_of_lane`].
-fn set_camera_rays(packet: &mut Packet, rays: &CameraRays, block: &SampleBlock<'_>, sample: u32) {
+// The laboratory calls it from another crate: not inlined, it took twice as long.
+#[inline]
+pub fn set_camera_rays(packet: &mut Packet, rays: &CameraRays, block: &SampleBlock<'_>, sample: u32) {
     packet.origin = rays.eye;
     packet.active = u64::MAX >> (64 - block.n_samples());
     if let (Some((i, j)), 0) = (block.tile(), sample) {
@@ -193,7 +189,7 @@ mod tests {
         let (rays, size) = (spec.camera.rays(spec.size), spec.size);
         let (mut n_hits, mut n_other) = (0, 0);
         for (i, j) in (0..size.yres()).flat_map(|j| (0..size.xres()).map(move |i| (i, j))) {
-            let seen = scene.with_file_index(scene.grid().intersect(&Ray::new(rays.eye, rays.direction(i, j))));
+            let seen = scene.with_file_index(scene.grid.intersect(&Ray::new(rays.eye, rays.direction(i, j))));
             let at = [(i as f32 + 0.5) / size.xres() as f32, (j as f32 + 0.5) / size.yres() as f32];
             let probed = scene.probe(&spec.camera, at, None);
             n_hits += u32::from(probed.is_some());
@@ -223,7 +219,7 @@ mod tests {
             let spec = FrameSpec { camera, rays, appearance, ..spec(1, 2) };
             let frames = InstructionSet::available().into_iter().map(|instructions| {
                 let grid = Grid::build(mesh.clone(), &GridOptions::default(), &|_| ()).with_instructions(instructions);
-                check_divisions(&Scene::from_grid(grid), &spec)
+                check_divisions(&Scene { grid }, &spec)
             });
             let frames: Vec<_> = frames.collect();
             assert!(frames.iter().all(|frame| frame == &frames[0]), "{rays:?} {appearance:?}");

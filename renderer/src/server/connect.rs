@@ -13,15 +13,19 @@ use channel::key::{Key, make_key_command};
 use shared::protocol::{DEFAULT_PORT, LONGEST_NAME};
 use tokio::{
     net::{TcpStream, lookup_host},
+    sync::watch,
     time::{sleep, timeout},
 };
 
 use crate::{
-    cli::scene_args::SceneArgs,
+    cli::{
+        scene_args::SceneArgs,
+        stop::{self, Signal},
+    },
     render::threads,
     server::{
         scene_loader::SceneLoader,
-        session::{self, SessionEnd},
+        session::{self, SessionEnd, SessionError},
         synthetic::SyntheticPicture,
     },
 };
@@ -31,6 +35,9 @@ const SHORTEST_PAUSE: Duration = Duration::from_millis(100);
 
 /// Short enough that a restarted wall gets its nodes back at once.
 const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+
+/// The longest pause while the wall refuses this server: it says so, and is not asked over and over.
+const LONGEST_PAUSE_IF_REFUSED: Duration = Duration::from_secs(30);
 
 /// Time limit of one attempt to connect.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
@@ -71,16 +78,17 @@ pub struct ConnectArgs {
 }
 
 /// Serves the wall until the process is told to stop, or, with `--local`, until the wall ends.
-///
-/// # Errors
-/// The arguments cannot work.
 pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
     let name = name(args.name)?;
-    let trust = match &args.key {
-        Some(path) => TrustPolicy::Key(Key::read(path)?),
-        None if args.insecure => TrustPolicy::Anyone,
-        None => TrustPolicy::ThisMachine,
-    };
+    let key = args.key.as_deref().map(Key::read).transpose()?;
+    let only_this_machine = key.is_none() && !args.insecure;
+    let (stop, mut told_to_stop) = watch::channel(());
+    stop::on_signal(move |signal| {
+        // A terminal sends Ctrl-C to the wall too, and a local server ends with its wall.
+        if !(args.local && signal == Signal::Interrupt) {
+            stop.send_replace(());
+        }
+    });
     let pool = Arc::new(threads::pool(args.threads.map(|n| n as usize))?);
     let loader = match &args.replay {
         Some(picture) => SceneLoader::synthetic(pool, SyntheticPicture::read(picture)?),
@@ -93,44 +101,43 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         .enable_all()
         .build()
         .context("cannot start the network")?;
-    runtime.block_on(async {
+    let ended = runtime.block_on(async {
         tokio::select! {
-            ended = keep_connected(&args.wall, &trust, &name, &loader) => ended,
-            signal = stop_signal() => signal.context("cannot listen for signals"),
+            ended = keep_connected(&args.wall, key.as_ref(), only_this_machine, &name, &loader) => ended,
+            _ = told_to_stop.changed() => match stop::unfinished() {
+                // The wall speaks for its own servers.
+                Some(stopped) if !args.local => Err(stopped.into()),
+                _ => Ok(()),
+            },
             () = wait_for_stdin_end(), if args.local => Ok(()),
         }
-    })
+    });
+    // Nobody waits for the chunks that are being rendered: with thousands of triangles in one place each takes seconds.
+    runtime.shutdown_background();
+    ended
 }
 
-/// Which walls to trust.
-#[derive(Debug)]
-enum TrustPolicy {
-    /// Walls on this machine, unencrypted.
-    ThisMachine,
-    /// Walls that have the key, encrypted.
-    Key(Key),
-    /// All walls, unencrypted: `--insecure`.
-    Anyone,
-}
-
-impl TrustPolicy {
-    fn key(&self) -> Option<&Key> {
-        if let Self::Key(key) = self { Some(key) } else { None }
-    }
-}
-
-async fn keep_connected(wall: &str, trust: &TrustPolicy, name: &str, loader: &SceneLoader) -> anyhow::Result<()> {
-    let host = if wall.contains(':') { wall.to_owned() } else { format!("{wall}:{DEFAULT_PORT}") };
+async fn keep_connected(
+    wall: &str,
+    key: Option<&Key>,
+    only_this_machine: bool,
+    name: &str,
+    loader: &SceneLoader,
+) -> anyhow::Result<()> {
+    let host = with_port(wall);
     let mut pause = SHORTEST_PAUSE;
     let mut last_failure = String::new();
     loop {
-        let failure = match connect(&host, trust).await? {
+        let mut longest_pause = LONGEST_PAUSE;
+        let failure = match connect(&host, only_this_machine).await? {
             Ok(mut stream) => {
-                let security = if trust.key().is_some() { "with a key" } else { "unencrypted" };
+                let security = if key.is_some() { "with a key" } else { "unencrypted" };
                 tracing::info!("connected to the wall at {host}, {security}");
                 let (input, output) = stream.split();
-                let SessionEnd { was_accepted, reason } = session::run(input, output, trust.key(), name, loader).await;
-                if was_accepted {
+                let SessionEnd { was_accepted, reason } = session::run(input, output, key, name, loader).await;
+                if matches!(reason, Err(SessionError::Refused(_))) {
+                    longest_pause = LONGEST_PAUSE_IF_REFUSED;
+                } else if was_accepted {
                     pause = SHORTEST_PAUSE;
                     last_failure.clear();
                 }
@@ -138,18 +145,29 @@ async fn keep_connected(wall: &str, trust: &TrustPolicy, name: &str, loader: &Sc
             }
             Err(error) => error.to_string(),
         };
+        // A local server ends here with its wall, before it complains about the connection.
+        sleep(SHORTEST_PAUSE).await;
         // Report a repeated failure once.
         if failure != last_failure {
             tracing::warn!("{host}: {failure}; trying again until it answers");
             last_failure = failure;
         }
-        sleep(pause).await;
-        pause = (pause * 2).min(LONGEST_PAUSE);
+        sleep(pause - SHORTEST_PAUSE).await;
+        pause = (pause * 2).min(longest_pause);
     }
 }
 
-/// Connects once. The outer error is permanent; the inner one may go away on another attempt.
-async fn connect(host: &str, trust: &TrustPolicy) -> anyhow::Result<io::Result<TcpStream>> {
+/// The address with a port: [`DEFAULT_PORT`] unless it names one.
+fn with_port(wall: &str) -> String {
+    match wall.trim_matches(['[', ']']).parse::<IpAddr>() {
+        Ok(address) => SocketAddr::new(address, DEFAULT_PORT).to_string(),
+        Err(_) if wall.contains(':') => wall.to_owned(),
+        Err(_) => format!("{wall}:{DEFAULT_PORT}"),
+    }
+}
+
+/// Connects once, to this machine or to any. The outer error is permanent; the inner one may go away on another attempt.
+async fn connect(host: &str, only_this_machine: bool) -> anyhow::Result<io::Result<TcpStream>> {
     let addresses: Vec<SocketAddr> = match lookup_host(host).await {
         Ok(addresses) => addresses.collect(),
         Err(error) if error.kind() == io::ErrorKind::InvalidInput => {
@@ -157,8 +175,8 @@ async fn connect(host: &str, trust: &TrustPolicy) -> anyhow::Result<io::Result<T
         }
         Err(error) => return Ok(Err(error)),
     };
-    if matches!(trust, TrustPolicy::ThisMachine)
-        && let Some(address) = addresses.iter().find(|address| !is_loopback(address.ip()))
+    if only_this_machine
+        && let Some(address) = addresses.iter().find(|address| !address.ip().to_canonical().is_loopback())
     {
         bail!(
             "{address} is another machine: give --key a copy of the wall's key file, which `{}` makes, \
@@ -180,10 +198,6 @@ fn limit_send_buffer(stream: &TcpStream) {
     let _ = stream.set_nodelay(true);
     #[cfg(target_os = "linux")]
     let _ = socket2::SockRef::from(stream).set_tcp_notsent_lowat(MOST_UNSENT_BYTES);
-}
-
-fn is_loopback(address: IpAddr) -> bool {
-    address.to_canonical().is_loopback()
 }
 
 fn name(given: Option<String>) -> anyhow::Result<String> {
@@ -208,16 +222,21 @@ async fn wait_for_stdin_end() {
     let _ = end.await;
 }
 
-/// Waits for Ctrl-C or, on Unix, SIGTERM.
-pub async fn stop_signal() -> io::Result<()> {
-    #[cfg(unix)]
-    {
-        let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
-        tokio::select! {
-            interrupted = tokio::signal::ctrl_c() => interrupted,
-            _ = terminate.recv() => Ok(()),
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_needs_no_port() {
+        for (wall, address) in [
+            ("wall.example", "wall.example:7117"),
+            ("wall.example:80", "wall.example:80"),
+            ("192.0.2.1", "192.0.2.1:7117"),
+            ("::1", "[::1]:7117"),
+            ("[::1]", "[::1]:7117"),
+            ("[::1]:80", "[::1]:80"),
+        ] {
+            assert_eq!(with_port(wall), address);
         }
     }
-    #[cfg(not(unix))]
-    tokio::signal::ctrl_c().await
 }

@@ -2,7 +2,8 @@
 
 use std::{
     path::PathBuf,
-    sync::{Arc, Mutex, PoisonError, mpsc},
+    sync::{Arc, Condvar, Mutex, PoisonError},
+    time::{Duration, SystemTime},
 };
 
 use anyhow::Context;
@@ -11,18 +12,45 @@ use shared::{protocol::SceneState, scene::SceneId, structure::Structure};
 use tokio::sync::watch;
 
 use crate::{
-    cli::{path_bytes, progress::Progress},
+    cli::progress::Progress,
     grid::GridOptions,
     model::scene::{self, SceneSource},
     render::scene::Scene,
     server::synthetic::SyntheticPicture,
 };
 
+/// How often a scene that is missing is looked for.
+const RETRY_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Length and time of a file, if it is there.
+type FileState = Option<(u64, Option<SystemTime>)>;
+
 /// The scene that the wall shows, and where its file may be.
 struct LoadRequest {
     scene: SceneId,
     path: Option<PathBuf>,
     structure: Option<Structure>,
+}
+
+/// The scene that was last ordered, until the loading thread takes the order: a wall that orders many has one loaded.
+#[derive(Default)]
+struct LatestRequest {
+    request: Mutex<Option<LoadRequest>>,
+    changed: Condvar,
+}
+
+impl LatestRequest {
+    fn put(&self, request: LoadRequest) {
+        *self.request.lock().unwrap_or_else(PoisonError::into_inner) = Some(request);
+        self.changed.notify_one();
+    }
+
+    /// Waits for a request, at most for `limit`.
+    fn take(&self, limit: Duration) -> Option<LoadRequest> {
+        let request = self.request.lock().unwrap_or_else(PoisonError::into_inner);
+        let waited = self.changed.wait_timeout_while(request, limit, |request| request.is_none());
+        waited.unwrap_or_else(PoisonError::into_inner).0.take()
+    }
 }
 
 /// The loaded scene, if any; shared by the loading and the tracing threads.
@@ -60,7 +88,7 @@ pub(crate) struct SceneLoader {
     pool: Arc<ThreadPool>,
     synthetic: Option<Arc<SyntheticPicture>>,
     current: CurrentScene,
-    requests: mpsc::Sender<LoadRequest>,
+    requests: Arc<LatestRequest>,
     progress: watch::Sender<LoadProgress>,
 }
 
@@ -74,7 +102,7 @@ impl SceneLoader {
         options: GridOptions,
         trusts_paths: bool,
     ) -> anyhow::Result<Self> {
-        let (requests, inbox) = mpsc::channel();
+        let requests = Arc::new(LatestRequest::default());
         let (progress, _) = watch::channel(None);
         let current = CurrentScene::default();
         let loader = LoaderThread {
@@ -88,16 +116,19 @@ impl SceneLoader {
         };
         std::thread::Builder::new()
             .name("load".to_owned())
-            .spawn(move || loader.run(&inbox))
+            .spawn({
+                let requests = Arc::clone(&requests);
+                move || loader.run(&requests)
+            })
             .context("cannot start the loading thread")?;
         Ok(Self { pool, synthetic: None, current, requests, progress })
     }
 
     /// A loader that loads nothing, and answers every request with this picture.
     pub(crate) fn synthetic(pool: Arc<ThreadPool>, synthetic: SyntheticPicture) -> Self {
-        let (requests, _) = mpsc::channel();
+        let (requests, current) = Default::default();
         let (progress, _) = watch::channel(None);
-        Self { pool, synthetic: Some(Arc::new(synthetic)), current: CurrentScene::default(), requests, progress }
+        Self { pool, synthetic: Some(Arc::new(synthetic)), current, requests, progress }
     }
 
     /// The pool of tracing threads.
@@ -120,8 +151,7 @@ impl SceneLoader {
             self.progress.send_replace(Some((scene, state)));
             return;
         }
-        // The loading thread outlives this handle.
-        let _ = self.requests.send(LoadRequest { scene, path: path.map(path_bytes::from_bytes), structure });
+        self.requests.put(LoadRequest { scene, path: path.map(path_from_bytes), structure });
     }
 
     /// Subscribes to the loading state.
@@ -143,28 +173,44 @@ struct LoaderThread {
 }
 
 impl LoaderThread {
-    fn run(mut self, requests: &mpsc::Receiver<LoadRequest>) {
+    fn run(mut self, requests: &LatestRequest) {
         if let Some(model) = self.model.clone()
             && let Err(reason) = self.load(None, &SceneSource::Ply(model))
         {
             // Carry on: the wall may ask for a scene that needs no file.
             tracing::error!("{reason}");
         }
-        while let Ok(mut order) = requests.recv() {
-            // Skip to the last of several orders.
-            while let Ok(later) = requests.try_recv() {
-                order = later;
-            }
+        // An order that could not be met, and the files that it needs as they were then.
+        let mut unmet: Option<(LoadRequest, Vec<FileState>)> = None;
+        loop {
+            let order = requests.take(if unmet.is_some() { RETRY_INTERVAL } else { Duration::MAX });
+            // A file that has come back, or was replaced, is read without being asked for again.
+            let order =
+                order.or_else(|| unmet.take_if(|(order, files)| self.files(order) != *files).map(|(order, _)| order));
+            let Some(order) = order else { continue };
+            let files = self.files(&order);
+            let scene = order.scene;
             let state = match self.prepare_scene(&order) {
                 Ok(scene) => SceneState::Ready {
                     triangles: scene.n_triangles() as u64,
                     bytes: scene.n_bytes() as u64,
-                    grid: scene.grid().structure(),
+                    grid: scene.grid.structure(),
                 },
                 Err(reason) => SceneState::Missing { reason },
             };
-            self.progress.send_replace(Some((order.scene, state)));
+            unmet = matches!(state, SceneState::Missing { .. }).then_some((order, files));
+            self.progress.send_replace(Some((scene, state)));
         }
+    }
+
+    /// The files that may hold the ordered scene, the first to try first.
+    fn paths<'a>(&'a self, order: &'a LoadRequest) -> impl Iterator<Item = &'a PathBuf> {
+        order.path.iter().filter(|_| self.trusts_paths).chain(&self.model)
+    }
+
+    fn files(&self, order: &LoadRequest) -> Vec<FileState> {
+        let state = |path: &PathBuf| path.metadata().ok().map(|file| (file.len(), file.modified().ok()));
+        self.paths(order).map(state).collect()
     }
 
     /// Returns the ordered scene, loaded from the first source that has it. The error names the cause and the cure.
@@ -175,10 +221,7 @@ impl LoaderThread {
         self.structure = order.structure;
         let sources = match order.scene {
             SceneId::Statue { triangles } => vec![SceneSource::Statue { triangles }],
-            SceneId::Mesh { .. } => {
-                let named = order.path.iter().filter(|_| self.trusts_paths);
-                named.chain(&self.model).cloned().map(SceneSource::Ply).collect()
-            }
+            SceneId::Mesh { .. } => self.paths(order).cloned().map(SceneSource::Ply).collect(),
         };
         let mut reason = format!("it has no {}: start it with --model FILE, the file that the wall shows", order.scene);
         for source in sources {
@@ -216,7 +259,7 @@ impl LoaderThread {
             Ok((loaded.id, Arc::new(scene)))
         })?;
         tracing::info!("{source} is ready: {} triangles in {} MB", scene.n_triangles(), scene.n_bytes() / 1_000_000);
-        if let Some(shortage) = scene.grid().shortage() {
+        if let Some(shortage) = scene.grid.shortage() {
             tracing::warn!("{source}: {shortage}");
         }
         self.current.set(Some((id, Arc::clone(&scene))));
@@ -242,5 +285,27 @@ impl LoaderThread {
             }
             is_step
         });
+    }
+}
+
+/// The path in [`std::ffi::OsStr::as_encoded_bytes`] of this machine; it need not be text. Other bytes name no file.
+fn path_from_bytes(bytes: Vec<u8>) -> PathBuf {
+    #[cfg(unix)]
+    let path = <std::ffi::OsString as std::os::unix::ffi::OsStringExt>::from_vec(bytes);
+    #[cfg(not(unix))]
+    let path = String::from_utf8_lossy(&bytes).into_owned();
+    path.into()
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_that_is_no_text_comes_out_as_it_went_in() {
+        let bytes = b"/models/b\xfcste.ply".to_vec();
+        let path = path_from_bytes(bytes.clone());
+        assert!(path.to_str().is_none());
+        assert_eq!(path.as_os_str().as_encoded_bytes(), bytes);
     }
 }

@@ -1,11 +1,8 @@
 //! One conversation with a wall, from the handshake to its end.
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering::Relaxed},
-    },
-    time::Instant,
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering::Relaxed},
 };
 
 use channel::{
@@ -21,12 +18,12 @@ use shared::{
 use tokio::{
     io::{AsyncRead, AsyncWrite},
     sync::mpsc,
-    time::{MissedTickBehavior, interval, timeout},
+    time::{Instant, MissedTickBehavior, interval, timeout_at},
 };
 
 use crate::server::{
     scene_loader::{RenderSource, SceneLoader},
-    task::{self, Job, Outgoing},
+    task::{self, Job, JobQueue, Outgoing, TooManyTasks},
 };
 
 /// Encoded messages that may wait for the network; when the queue is full, tracing threads wait.
@@ -34,9 +31,6 @@ const LONGEST_QUEUE: usize = 64;
 
 /// Replies that may wait for the network; when the queue is full, no messages are read.
 const MOST_REPLIES: usize = 64;
-
-/// Tasks that a wall may ask for before the first is done: this server's own and parts of lost servers' tasks.
-const MOST_TASKS: usize = 256;
 
 /// Messages that are written between two looks at the heartbeat.
 const LONGEST_BATCH: usize = 16;
@@ -59,8 +53,10 @@ pub(crate) enum SessionError {
     Secure(#[from] SecureError),
     #[error("the wall refuses: {0}")]
     Refused(String),
-    #[error("the wall asks for more than {MOST_TASKS} tasks at once")]
-    TooManyTasks,
+    #[error(transparent)]
+    TooManyTasks(#[from] TooManyTasks),
+    #[error("no handshake within {} s", HANDSHAKE_TIMEOUT.as_secs())]
+    NoHandshake,
     #[error("the wall sent an unexpected message")]
     OutOfTurn,
 }
@@ -73,12 +69,13 @@ pub(crate) async fn run(
     name: &str,
     loader: &SceneLoader,
 ) -> SessionEnd {
-    let Some(key) = key else { return run_session(input, output, name, loader).await };
-    let silent = |_| Err(SessionError::from(WireError::Silent(HANDSHAKE_TIMEOUT)));
-    let connecting = timeout(HANDSHAKE_TIMEOUT, secure::connect(input, output, key));
-    match connecting.await.map_or_else(silent, |channel| Ok(channel?)) {
-        Ok((input, output)) => run_session(input, output, name, loader).await,
-        Err(error) => SessionEnd { was_accepted: false, reason: Err(error) },
+    // One time limit for both handshakes: a wall that sends slowly gets no more.
+    let deadline = Instant::now() + HANDSHAKE_TIMEOUT;
+    let Some(key) = key else { return run_session(input, output, name, loader, deadline).await };
+    match timeout_at(deadline, secure::connect(input, output, key)).await {
+        Ok(Ok((input, output))) => run_session(input, output, name, loader, deadline).await,
+        Ok(Err(error)) => SessionEnd { was_accepted: false, reason: Err(error.into()) },
+        Err(_) => SessionEnd { was_accepted: false, reason: Err(SessionError::NoHandshake) },
     }
 }
 
@@ -87,29 +84,30 @@ async fn run_session(
     output: impl AsyncWrite + Unpin,
     name: &str,
     loader: &SceneLoader,
+    deadline: Instant,
 ) -> SessionEnd {
-    let mut reader = MessageReader::new(input, HANDSHAKE_TIMEOUT);
+    // The deadline bounds the handshake: silence within it needs no limit of its own.
+    let mut reader = MessageReader::new(input, 2 * HANDSHAKE_TIMEOUT);
     let mut writer = MessageWriter::new(output);
-    if let Err(error) = shake_hands(&mut reader, &mut writer, name, loader.pool().current_num_threads()).await {
+    let shaking_hands = shake_hands(&mut reader, &mut writer, name, loader.pool().current_num_threads());
+    if let Err(error) = timeout_at(deadline, shaking_hands).await.unwrap_or(Err(SessionError::NoHandshake)) {
         return SessionEnd { was_accepted: false, reason: Err(error) };
     }
     reader.raise_limits(SILENCE_LIMIT);
     let (outbox, outgoing) = mpsc::channel(LONGEST_QUEUE);
     let (replies, reply_queue) = mpsc::channel(MOST_REPLIES);
-    let (jobs, inbox) = mpsc::unbounded_channel();
-    let mut session = Session { loader, replies, jobs, unfinished: Vec::new() };
+    let jobs = Arc::new(JobQueue::new());
+    let mut session = Session { loader, replies, jobs: Arc::clone(&jobs), unfinished: Vec::new() };
     let worker = tokio::task::spawn_blocking({
-        let pool = Arc::clone(loader.pool());
-        move || task::run(inbox, &pool, &outbox)
+        let (pool, jobs) = (Arc::clone(loader.pool()), Arc::clone(&jobs));
+        move || task::run(&jobs, &pool, &outbox)
     });
     let reason = tokio::select! {
         reason = session.listen(&mut reader) => reason,
         reason = write_messages(&mut writer, outgoing, reply_queue, loader) => reason,
     };
-    // Nobody wants the tasks that are still being traced.
-    session.unfinished.iter().for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
     drop(session);
-    // The worker ends with its inbox and outbox; a panic in it is a bug, and ends the program.
+    // The worker ends with its queue and outbox; a panic in it is a bug, and ends the program.
     worker.await.expect("tracing does not panic");
     SessionEnd { was_accepted: true, reason }
 }
@@ -134,9 +132,17 @@ struct Session<'a> {
     /// Encoded messages that overtake samples: on a slow network, a session that waited to send a reply could not read that
     /// the samples before it are cancelled.
     replies: mpsc::Sender<Vec<u8>>,
-    jobs: mpsc::UnboundedSender<Job>,
-    /// Tasks that may not be finished, with their cancel flags.
+    jobs: Arc<JobQueue>,
+    /// Tasks whose samples may not all be sent, with their cancel flags.
     unfinished: Vec<(FrameId, Arc<AtomicBool>)>,
+}
+
+impl Drop for Session<'_> {
+    /// Ends the worker, whether the conversation has ended or the program is told to stop: nobody wants its tasks any more.
+    fn drop(&mut self) {
+        self.unfinished.iter().for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
+        self.jobs.close();
+    }
 }
 
 impl Session<'_> {
@@ -158,18 +164,15 @@ impl Session<'_> {
                     };
                     let cancelled = Arc::new(AtomicBool::new(false));
                     self.unfinished.retain(|(_, cancelled)| Arc::strong_count(cancelled) > 1);
-                    if self.unfinished.len() >= MOST_TASKS {
-                        return Err(SessionError::TooManyTasks);
-                    }
                     self.unfinished.push((frame, Arc::clone(&cancelled)));
-                    let job =
-                        Job { frame, task_id, spec, task, encoding, source, cancelled, received_at: Instant::now() };
-                    // The worker lives as long as this session.
-                    let _ = self.jobs.send(job);
+                    let received_at = std::time::Instant::now();
+                    let job = Job { frame, task_id, spec, task, encoding, source, cancelled, received_at };
+                    self.jobs.push(job)?;
                 }
                 ToServer::Cancel { frame } => {
                     let of_frame = self.unfinished.iter().filter(|(of, _)| *of == frame);
                     of_frame.for_each(|(_, cancelled)| cancelled.store(true, Relaxed));
+                    self.jobs.drop_cancelled();
                 }
                 ToServer::Ping { sent_us } => self.reply(&ToWall::Pong { sent_us }).await,
                 ToServer::Probe { number, scene, camera, at, clip } => {

@@ -1,7 +1,6 @@
 //! Synthetic pictures: a render server that sends one answers at once, so that only the wall limits the frame rate.
 
 use std::{
-    fs::File,
     io::BufReader,
     ops::Range,
     path::Path,
@@ -9,6 +8,7 @@ use std::{
 };
 
 use anyhow::{Context, ensure};
+use channel::files;
 use shared::{
     division::{FrameSize, Share, Task},
     protocol::CHUNK_BYTES,
@@ -55,7 +55,7 @@ impl SyntheticPicture {
     /// Reads a picture that `renderer trace --image` wrote.
     pub(crate) fn read(path: &Path) -> anyhow::Result<Self> {
         let read = || -> anyhow::Result<Self> {
-            let mut reader = png::Decoder::new(BufReader::new(File::open(path)?)).read_info()?;
+            let mut reader = png::Decoder::new(BufReader::new(files::open(path)?)).read_info()?;
             let (width, height) = reader.info().size();
             let size = FrameSize::new(width, height)?;
             ensure!(

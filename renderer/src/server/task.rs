@@ -1,9 +1,10 @@
 //! Renders the tasks that a wall asks for: one at a time, each on all tracing threads, and sends samples as they are done.
 
 use std::{
+    collections::VecDeque,
     ops::Range,
     sync::{
-        Arc,
+        Arc, Condvar, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, AtomicU64, Ordering::Relaxed},
     },
     time::{Duration, Instant},
@@ -54,9 +55,65 @@ pub(crate) struct Job {
     pub(crate) received_at: Instant,
 }
 
-/// Runs jobs in order until the sender is dropped.
-pub(crate) fn run(mut jobs: mpsc::UnboundedReceiver<Job>, pool: &ThreadPool, outbox: &mpsc::Sender<Outgoing>) {
-    while let Some(job) = jobs.blocking_recv() {
+/// Most jobs that may wait: a wall hands out a few, and cancels them when it wants others.
+const MOST_WAITING: usize = 256;
+
+/// The wall asks for too much.
+#[derive(Debug, thiserror::Error)]
+#[error("the wall asks for more than {MOST_WAITING} tasks at once")]
+pub(crate) struct TooManyTasks;
+
+/// Jobs that wait for the worker.
+pub(crate) struct JobQueue {
+    /// `None` once the session is over.
+    waiting: Mutex<Option<VecDeque<Job>>>,
+    changed: Condvar,
+}
+
+impl JobQueue {
+    pub(crate) fn new() -> Self {
+        Self { waiting: Mutex::new(Some(VecDeque::new())), changed: Condvar::new() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Option<VecDeque<Job>>> {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn push(&self, job: Job) -> Result<(), TooManyTasks> {
+        if let Some(waiting) = &mut *self.lock() {
+            if waiting.len() >= MOST_WAITING {
+                return Err(TooManyTasks);
+            }
+            waiting.push_back(job);
+        }
+        self.changed.notify_one();
+        Ok(())
+    }
+
+    /// Drops the jobs that were cancelled while they waited.
+    pub(crate) fn drop_cancelled(&self) {
+        if let Some(waiting) = &mut *self.lock() {
+            waiting.retain(|job| !job.cancelled.load(Relaxed));
+        }
+    }
+
+    /// Drops all jobs, and ends the worker.
+    pub(crate) fn close(&self) {
+        *self.lock() = None;
+        self.changed.notify_one();
+    }
+
+    /// Waits for a job; `None` if the queue is closed.
+    fn pop(&self) -> Option<Job> {
+        let is_empty = |waiting: &mut Option<VecDeque<Job>>| waiting.as_ref().is_some_and(VecDeque::is_empty);
+        let mut waiting = self.changed.wait_while(self.lock(), is_empty).unwrap_or_else(PoisonError::into_inner);
+        waiting.as_mut()?.pop_front()
+    }
+}
+
+/// Runs jobs in order until their queue is closed.
+pub(crate) fn run(jobs: &JobQueue, pool: &ThreadPool, outbox: &mpsc::Sender<Outgoing>) {
+    while let Some(job) = jobs.pop() {
         let share = match job.task.share(job.spec.size) {
             Ok(share) => share,
             Err(error) => {
@@ -130,8 +187,7 @@ impl Job {
         (timings, RunCosts { run_units: units_per_run, cpu_ns })
     }
 
-    /// Sends a picture's samples in place of traced ones. Leaves the last chunk in `last_message`, to be sent together with
-    /// `TaskDone`: this saves a wake-up and a write.
+    /// Sends a picture's samples. Leaves the last chunk in `last_message`: sending it with `TaskDone` saves a wake-up.
     fn send_synthetic(
         &self,
         synthetic: &SyntheticPicture,

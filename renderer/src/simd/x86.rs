@@ -8,7 +8,6 @@ use super::{Real, Simd, call_with_features};
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(__m256);
 
-/// Four lanes in an AVX2 register.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2Double(__m256d);
 
@@ -16,19 +15,31 @@ pub(crate) struct Avx2Double(__m256d);
 #[derive(Clone, Copy)]
 pub(crate) struct Avx512(__m512);
 
-/// Eight lanes in an AVX-512 register.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx512Double(__m512d);
 
-/// Methods of one instruction each.
-macro_rules! instructions {
-    ($($name:ident($($argument:ident),*) = $intrinsic:expr;)*) => {
+/// Methods of one expression each, which may use the intrinsics of the type's instruction set.
+macro_rules! intrinsics {
+    ($(fn $name:ident($($argument:tt)*) -> $result:ty = $expression:expr;)*) => {
         $(#[inline(always)]
-        fn $name(self $(, $argument: Self)*) -> Self {
-            // SAFETY: values of this type exist only where the instruction set was found at run time.
-            Self(unsafe { $intrinsic(self.0 $(, $argument.0)*) })
+        fn $name($($argument)*) -> $result {
+            // SAFETY: values of this type exist only where the instruction set was found at run time, and numbers are
+            // loaded from arrays that hold them, and stored to arrays with room for them.
+            unsafe { $expression }
         })*
     };
+}
+
+/// The first numbers of a slice, which has no fewer.
+#[inline(always)]
+fn first<const N: usize, T>(numbers: &[T]) -> &[T; N] {
+    numbers[..N].try_into().expect("a slice of N numbers")
+}
+
+/// The same to write to.
+#[inline(always)]
+fn first_mut<const N: usize, T>(numbers: &mut [T]) -> &mut [T; N] {
+    (&mut numbers[..N]).try_into().expect("a slice of N numbers")
 }
 
 /// All ones in the lanes whose bit is set in a mask.
@@ -59,72 +70,6 @@ impl Simd for Avx2 {
     type Double = Avx2Double;
     call_with_features!(Avx2, "avx2,fma,bmi1,bmi2,popcnt,lzcnt");
     #[inline(always)]
-    fn splat(x: f32) -> Self {
-        // SAFETY: as above.
-        Self(unsafe { _mm256_set1_ps(x) })
-    }
-    #[inline(always)]
-    fn load(from: &[f32]) -> Self {
-        let from: &[f32; 8] = from[..8].try_into().expect("eight numbers");
-        // SAFETY: as above, and eight numbers are there.
-        Self(unsafe { _mm256_loadu_ps(from.as_ptr()) })
-    }
-    #[inline(always)]
-    fn load_bytes(from: &[u8]) -> Self {
-        let from: &[u8; 16] = from[..16].try_into().expect("sixteen numbers");
-        // SAFETY: as above, and eight numbers are there.
-        Self(unsafe { _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64(from.as_ptr().cast()))) })
-    }
-    #[inline(always)]
-    fn select(mask: u32, yes: Self, no: Self) -> Self {
-        // SAFETY: as above.
-        Self(unsafe { _mm256_blendv_ps(no.0, yes.0, _mm256_castsi256_ps(lane_masks(mask))) })
-    }
-    #[inline(always)]
-    fn masked_fill(number: u32, mask: u32, to: &mut [u32]) {
-        let to: &mut [u32; 8] = (&mut to[..8]).try_into().expect("eight numbers");
-        // SAFETY: as above, and there is room for eight.
-        unsafe {
-            let all = _mm256_loadu_si256(to.as_ptr().cast());
-            let all = _mm256_blendv_epi8(all, _mm256_set1_epi32(number as i32), lane_masks(mask));
-            _mm256_storeu_si256(to.as_mut_ptr().cast(), all);
-        }
-    }
-    #[inline(always)]
-    fn eq_mask(numbers: &[u32], number: u32) -> u32 {
-        let numbers: &[u32; 8] = numbers[..8].try_into().expect("eight numbers");
-        // SAFETY: as above, and eight numbers are there.
-        unsafe {
-            let numbers = _mm256_loadu_si256(numbers.as_ptr().cast());
-            let equal = _mm256_cmpeq_epi32(numbers, _mm256_set1_epi32(number as i32));
-            _mm256_movemask_ps(_mm256_castsi256_ps(equal)) as u32
-        }
-    }
-    #[inline(always)]
-    fn store(self, to: &mut [f32]) {
-        let to: &mut [f32; 8] = (&mut to[..8]).try_into().expect("eight numbers");
-        // SAFETY: as above, and there is room for eight.
-        unsafe { _mm256_storeu_ps(to.as_mut_ptr(), self.0) };
-    }
-    #[inline(always)]
-    fn reduce_min(self) -> f32 {
-        // SAFETY: as above.
-        unsafe {
-            let four = _mm_min_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
-            let two = _mm_min_ps(four, _mm_movehl_ps(four, four));
-            _mm_cvtss_f32(_mm_min_ss(two, _mm_shuffle_ps::<1>(two, two)))
-        }
-    }
-    #[inline(always)]
-    fn reduce_max(self) -> f32 {
-        // SAFETY: as above.
-        unsafe {
-            let four = _mm_max_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
-            let two = _mm_max_ps(four, _mm_movehl_ps(four, four));
-            _mm_cvtss_f32(_mm_max_ss(two, _mm_shuffle_ps::<1>(two, two)))
-        }
-    }
-    #[inline(always)]
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all vertices are there.
         unsafe {
@@ -143,75 +88,64 @@ impl Simd for Avx2 {
             ]
         }
     }
-    instructions! {
-        add(other) = _mm256_add_ps;
-        sub(other) = _mm256_sub_ps;
-        mul(other) = _mm256_mul_ps;
-        div(other) = _mm256_div_ps;
-        min(other) = _mm256_min_ps;
-        max(other) = _mm256_max_ps;
-        mul_add(factor, summand) = _mm256_fmadd_ps;
-        mul_sub(factor, subtrahend) = _mm256_fmsub_ps;
-        neg_mul_add(factor, summand) = _mm256_fnmadd_ps;
-        and(other) = _mm256_and_ps;
-        or(other) = _mm256_or_ps;
-    }
-    #[inline(always)]
-    fn abs(self) -> Self {
-        // SAFETY: as above.
-        Self(unsafe { _mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0) })
-    }
-    #[inline(always)]
-    fn sign_mask(self) -> u32 {
-        // SAFETY: as above.
-        unsafe { _mm256_movemask_ps(self.0) as u32 }
-    }
-    #[inline(always)]
-    fn le(self, other: Self) -> u32 {
-        // SAFETY: as above.
-        unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(self.0, other.0)) as u32 }
-    }
-    #[inline(always)]
-    fn lt(self, other: Self) -> u32 {
-        // SAFETY: as above.
-        unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(self.0, other.0)) as u32 }
+    intrinsics! {
+        fn splat(x: f32) -> Self = Self(_mm256_set1_ps(x));
+        fn load(from: &[f32]) -> Self = Self(_mm256_loadu_ps(first::<8, _>(from).as_ptr()));
+        fn load_bytes(from: &[u8]) -> Self =
+            Self(_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64(first::<16, _>(from).as_ptr().cast()))));
+        fn store(self, to: &mut [f32]) -> () = _mm256_storeu_ps(first_mut::<8, _>(to).as_mut_ptr(), self.0);
+        fn masked_fill(number: u32, mask: u32, to: &mut [u32]) -> () = {
+            let to = first_mut::<8, _>(to);
+            let all = _mm256_loadu_si256(to.as_ptr().cast());
+            let all = _mm256_blendv_epi8(all, _mm256_set1_epi32(number as i32), lane_masks(mask));
+            _mm256_storeu_si256(to.as_mut_ptr().cast(), all);
+        };
+        fn reduce_min(self) -> f32 = {
+            let four = _mm_min_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
+            let two = _mm_min_ps(four, _mm_movehl_ps(four, four));
+            _mm_cvtss_f32(_mm_min_ss(two, _mm_shuffle_ps::<1>(two, two)))
+        };
+        fn reduce_max(self) -> f32 = {
+            let four = _mm_max_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
+            let two = _mm_max_ps(four, _mm_movehl_ps(four, four));
+            _mm_cvtss_f32(_mm_max_ss(two, _mm_shuffle_ps::<1>(two, two)))
+        };
+        fn select(mask: u32, yes: Self, no: Self) -> Self =
+            Self(_mm256_blendv_ps(no.0, yes.0, _mm256_castsi256_ps(lane_masks(mask))));
+        fn add(self, other: Self) -> Self = Self(_mm256_add_ps(self.0, other.0));
+        fn sub(self, other: Self) -> Self = Self(_mm256_sub_ps(self.0, other.0));
+        fn mul(self, other: Self) -> Self = Self(_mm256_mul_ps(self.0, other.0));
+        fn div(self, other: Self) -> Self = Self(_mm256_div_ps(self.0, other.0));
+        fn min(self, other: Self) -> Self = Self(_mm256_min_ps(self.0, other.0));
+        fn max(self, other: Self) -> Self = Self(_mm256_max_ps(self.0, other.0));
+        fn mul_add(self, factor: Self, summand: Self) -> Self = Self(_mm256_fmadd_ps(self.0, factor.0, summand.0));
+        fn mul_sub(self, factor: Self, subtrahend: Self) -> Self =
+            Self(_mm256_fmsub_ps(self.0, factor.0, subtrahend.0));
+        fn neg_mul_add(self, factor: Self, summand: Self) -> Self = Self(_mm256_fnmadd_ps(self.0, factor.0, summand.0));
+        fn and(self, other: Self) -> Self = Self(_mm256_and_ps(self.0, other.0));
+        fn or(self, other: Self) -> Self = Self(_mm256_or_ps(self.0, other.0));
+        fn abs(self) -> Self = Self(_mm256_andnot_ps(_mm256_set1_ps(-0.0), self.0));
+        fn sign_mask(self) -> u32 = _mm256_movemask_ps(self.0) as u32;
+        fn eq_mask(numbers: &[u32], number: u32) -> u32 = _mm256_movemask_ps(_mm256_castsi256_ps(_mm256_cmpeq_epi32(
+            _mm256_loadu_si256(first::<8, _>(numbers).as_ptr().cast()), _mm256_set1_epi32(number as i32)))) as u32;
+        fn le(self, other: Self) -> u32 = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(self.0, other.0)) as u32;
+        fn lt(self, other: Self) -> u32 = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(self.0, other.0)) as u32;
     }
 }
 
 impl Real for Avx2Double {
     const LANES: usize = 4;
-    #[inline(always)]
-    fn splat(x: f64) -> Self {
-        // SAFETY: as above.
-        Self(unsafe { _mm256_set1_pd(x) })
-    }
-    #[inline(always)]
-    fn load(from: &[f32]) -> Self {
-        let from: &[f32; 4] = from[..4].try_into().expect("four numbers");
-        // SAFETY: as above, and four numbers are there.
-        Self(unsafe { _mm256_cvtps_pd(_mm_loadu_ps(from.as_ptr())) })
-    }
-    #[inline(always)]
-    fn store(self, to: &mut [f64; 8]) {
-        // SAFETY: as above, and there is room for eight.
-        unsafe { _mm256_storeu_pd(to.as_mut_ptr(), self.0) };
-    }
-    instructions! {
-        add(other) = _mm256_add_pd;
-        sub(other) = _mm256_sub_pd;
-        mul(other) = _mm256_mul_pd;
-        div(other) = _mm256_div_pd;
-        max(other) = _mm256_max_pd;
-    }
-    #[inline(always)]
-    fn abs(self) -> Self {
-        // SAFETY: as above.
-        Self(unsafe { _mm256_andnot_pd(_mm256_set1_pd(-0.0), self.0) })
-    }
-    #[inline(always)]
-    fn lt(self, other: Self) -> u32 {
-        // SAFETY: as above.
-        unsafe { _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LT_OQ>(self.0, other.0)) as u32 }
+    intrinsics! {
+        fn store(self, to: &mut [f64; 8]) -> () = _mm256_storeu_pd(to.as_mut_ptr(), self.0);
+        fn splat(x: f64) -> Self = Self(_mm256_set1_pd(x));
+        fn load(from: &[f32]) -> Self = Self(_mm256_cvtps_pd(_mm_loadu_ps(first::<4, _>(from).as_ptr())));
+        fn add(self, other: Self) -> Self = Self(_mm256_add_pd(self.0, other.0));
+        fn sub(self, other: Self) -> Self = Self(_mm256_sub_pd(self.0, other.0));
+        fn mul(self, other: Self) -> Self = Self(_mm256_mul_pd(self.0, other.0));
+        fn div(self, other: Self) -> Self = Self(_mm256_div_pd(self.0, other.0));
+        fn max(self, other: Self) -> Self = Self(_mm256_max_pd(self.0, other.0));
+        fn abs(self) -> Self = Self(_mm256_andnot_pd(_mm256_set1_pd(-0.0), self.0));
+        fn lt(self, other: Self) -> u32 = _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LT_OQ>(self.0, other.0)) as u32;
     }
 }
 
@@ -219,62 +153,6 @@ impl Simd for Avx512 {
     const LANES: usize = 16;
     type Double = Avx512Double;
     call_with_features!(Avx512, "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt");
-    #[inline(always)]
-    fn splat(x: f32) -> Self {
-        // SAFETY: as above.
-        Self(unsafe { _mm512_set1_ps(x) })
-    }
-    #[inline(always)]
-    fn load(from: &[f32]) -> Self {
-        let from: &[f32; 16] = from[..16].try_into().expect("sixteen numbers");
-        // SAFETY: as above, and sixteen numbers are there.
-        Self(unsafe { _mm512_loadu_ps(from.as_ptr()) })
-    }
-    #[inline(always)]
-    fn load_bytes(from: &[u8]) -> Self {
-        let from: &[u8; 16] = from[..16].try_into().expect("sixteen numbers");
-        // SAFETY: as above, and sixteen numbers are there.
-        Self(unsafe { _mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128(from.as_ptr().cast()))) })
-    }
-    #[inline(always)]
-    fn store(self, to: &mut [f32]) {
-        let to: &mut [f32; 16] = (&mut to[..16]).try_into().expect("sixteen numbers");
-        // SAFETY: as above, and there is room for sixteen.
-        unsafe { _mm512_storeu_ps(to.as_mut_ptr(), self.0) };
-    }
-    #[inline(always)]
-    fn select(mask: u32, yes: Self, no: Self) -> Self {
-        // SAFETY: as above.
-        Self(unsafe { _mm512_mask_blend_ps(mask as u16, no.0, yes.0) })
-    }
-    #[inline(always)]
-    fn masked_fill(number: u32, mask: u32, to: &mut [u32]) {
-        let to: &mut [u32; 16] = (&mut to[..16]).try_into().expect("sixteen numbers");
-        // SAFETY: as above, and there is room for sixteen.
-        unsafe {
-            let all = _mm512_loadu_epi32(to.as_ptr().cast());
-            let all = _mm512_mask_mov_epi32(all, mask as u16, _mm512_set1_epi32(number as i32));
-            _mm512_storeu_epi32(to.as_mut_ptr().cast(), all);
-        }
-    }
-    #[inline(always)]
-    fn eq_mask(numbers: &[u32], number: u32) -> u32 {
-        let numbers: &[u32; 16] = numbers[..16].try_into().expect("sixteen numbers");
-        // SAFETY: as above, and sixteen numbers are there.
-        u32::from(unsafe {
-            _mm512_cmpeq_epi32_mask(_mm512_loadu_epi32(numbers.as_ptr().cast()), _mm512_set1_epi32(number as i32))
-        })
-    }
-    #[inline(always)]
-    fn reduce_min(self) -> f32 {
-        // SAFETY: as above.
-        unsafe { _mm512_reduce_min_ps(self.0) }
-    }
-    #[inline(always)]
-    fn reduce_max(self) -> f32 {
-        // SAFETY: as above.
-        unsafe { _mm512_reduce_max_ps(self.0) }
-    }
     #[inline(always)]
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all vertices are there.
@@ -298,7 +176,7 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     fn compress(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
-        let to: &mut [u32; 16] = (&mut to[..16]).try_into().expect("sixteen numbers");
+        let to = first_mut::<16, _>(to);
         let mask = mask & (u32::from(u16::MAX) >> (16 - from.len()));
         // SAFETY: as above; only numbers are read that are there, and there is room for sixteen.
         unsafe {
@@ -307,66 +185,54 @@ impl Simd for Avx512 {
         }
         mask.count_ones() as usize
     }
-    instructions! {
-        add(other) = _mm512_add_ps;
-        sub(other) = _mm512_sub_ps;
-        mul(other) = _mm512_mul_ps;
-        div(other) = _mm512_div_ps;
-        min(other) = _mm512_min_ps;
-        max(other) = _mm512_max_ps;
-        abs() = _mm512_abs_ps;
-        mul_add(factor, summand) = _mm512_fmadd_ps;
-        mul_sub(factor, subtrahend) = _mm512_fmsub_ps;
-        neg_mul_add(factor, summand) = _mm512_fnmadd_ps;
-        and(other) = _mm512_and_ps;
-        or(other) = _mm512_or_ps;
-    }
-    #[inline(always)]
-    fn sign_mask(self) -> u32 {
-        // SAFETY: as above.
-        u32::from(unsafe { _mm512_movepi32_mask(_mm512_castps_si512(self.0)) })
-    }
-    #[inline(always)]
-    fn le(self, other: Self) -> u32 {
-        // SAFETY: as above.
-        u32::from(unsafe { _mm512_cmp_ps_mask::<_CMP_LE_OQ>(self.0, other.0) })
-    }
-    #[inline(always)]
-    fn lt(self, other: Self) -> u32 {
-        // SAFETY: as above.
-        u32::from(unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(self.0, other.0) })
+    intrinsics! {
+        fn splat(x: f32) -> Self = Self(_mm512_set1_ps(x));
+        fn load(from: &[f32]) -> Self = Self(_mm512_loadu_ps(first::<16, _>(from).as_ptr()));
+        fn load_bytes(from: &[u8]) -> Self =
+            Self(_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128(first::<16, _>(from).as_ptr().cast()))));
+        fn store(self, to: &mut [f32]) -> () = _mm512_storeu_ps(first_mut::<16, _>(to).as_mut_ptr(), self.0);
+        fn masked_fill(number: u32, mask: u32, to: &mut [u32]) -> () = {
+            let to = first_mut::<16, _>(to);
+            let all = _mm512_loadu_epi32(to.as_ptr().cast());
+            let all = _mm512_mask_mov_epi32(all, mask as u16, _mm512_set1_epi32(number as i32));
+            _mm512_storeu_epi32(to.as_mut_ptr().cast(), all);
+        };
+        fn select(mask: u32, yes: Self, no: Self) -> Self = Self(_mm512_mask_blend_ps(mask as u16, no.0, yes.0));
+        fn reduce_min(self) -> f32 = _mm512_reduce_min_ps(self.0);
+        fn reduce_max(self) -> f32 = _mm512_reduce_max_ps(self.0);
+        fn add(self, other: Self) -> Self = Self(_mm512_add_ps(self.0, other.0));
+        fn sub(self, other: Self) -> Self = Self(_mm512_sub_ps(self.0, other.0));
+        fn mul(self, other: Self) -> Self = Self(_mm512_mul_ps(self.0, other.0));
+        fn div(self, other: Self) -> Self = Self(_mm512_div_ps(self.0, other.0));
+        fn min(self, other: Self) -> Self = Self(_mm512_min_ps(self.0, other.0));
+        fn max(self, other: Self) -> Self = Self(_mm512_max_ps(self.0, other.0));
+        fn abs(self) -> Self = Self(_mm512_abs_ps(self.0));
+        fn mul_add(self, factor: Self, summand: Self) -> Self = Self(_mm512_fmadd_ps(self.0, factor.0, summand.0));
+        fn mul_sub(self, factor: Self, subtrahend: Self) -> Self =
+            Self(_mm512_fmsub_ps(self.0, factor.0, subtrahend.0));
+        fn neg_mul_add(self, factor: Self, summand: Self) -> Self = Self(_mm512_fnmadd_ps(self.0, factor.0, summand.0));
+        fn and(self, other: Self) -> Self = Self(_mm512_and_ps(self.0, other.0));
+        fn or(self, other: Self) -> Self = Self(_mm512_or_ps(self.0, other.0));
+        fn sign_mask(self) -> u32 = u32::from(_mm512_movepi32_mask(_mm512_castps_si512(self.0)));
+        fn eq_mask(numbers: &[u32], number: u32) -> u32 = u32::from(_mm512_cmpeq_epi32_mask(
+            _mm512_loadu_epi32(first::<16, _>(numbers).as_ptr().cast()), _mm512_set1_epi32(number as i32)));
+        fn le(self, other: Self) -> u32 = u32::from(_mm512_cmp_ps_mask::<_CMP_LE_OQ>(self.0, other.0));
+        fn lt(self, other: Self) -> u32 = u32::from(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(self.0, other.0));
     }
 }
 
 impl Real for Avx512Double {
     const LANES: usize = 8;
-    #[inline(always)]
-    fn splat(x: f64) -> Self {
-        // SAFETY: as above.
-        Self(unsafe { _mm512_set1_pd(x) })
-    }
-    #[inline(always)]
-    fn load(from: &[f32]) -> Self {
-        let from: &[f32; 8] = from[..8].try_into().expect("eight numbers");
-        // SAFETY: as above, and eight numbers are there.
-        Self(unsafe { _mm512_cvtps_pd(_mm256_loadu_ps(from.as_ptr())) })
-    }
-    #[inline(always)]
-    fn store(self, to: &mut [f64; 8]) {
-        // SAFETY: as above, and there is room for eight.
-        unsafe { _mm512_storeu_pd(to.as_mut_ptr(), self.0) };
-    }
-    instructions! {
-        add(other) = _mm512_add_pd;
-        sub(other) = _mm512_sub_pd;
-        mul(other) = _mm512_mul_pd;
-        div(other) = _mm512_div_pd;
-        max(other) = _mm512_max_pd;
-        abs() = _mm512_abs_pd;
-    }
-    #[inline(always)]
-    fn lt(self, other: Self) -> u32 {
-        // SAFETY: as above.
-        u32::from(unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(self.0, other.0) })
+    intrinsics! {
+        fn store(self, to: &mut [f64; 8]) -> () = _mm512_storeu_pd(to.as_mut_ptr(), self.0);
+        fn splat(x: f64) -> Self = Self(_mm512_set1_pd(x));
+        fn load(from: &[f32]) -> Self = Self(_mm512_cvtps_pd(_mm256_loadu_ps(first::<8, _>(from).as_ptr())));
+        fn add(self, other: Self) -> Self = Self(_mm512_add_pd(self.0, other.0));
+        fn sub(self, other: Self) -> Self = Self(_mm512_sub_pd(self.0, other.0));
+        fn mul(self, other: Self) -> Self = Self(_mm512_mul_pd(self.0, other.0));
+        fn div(self, other: Self) -> Self = Self(_mm512_div_pd(self.0, other.0));
+        fn max(self, other: Self) -> Self = Self(_mm512_max_pd(self.0, other.0));
+        fn abs(self) -> Self = Self(_mm512_abs_pd(self.0));
+        fn lt(self, other: Self) -> u32 = u32::from(_mm512_cmp_pd_mask::<_CMP_LT_OQ>(self.0, other.0));
     }
 }

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::{build, build_modes, point, soup, with_file_index};
 use crate::{
-    grid::{Grid, MeshLayout},
+    grid::Grid,
     intersect::{InstructionSet, MOST_PACKETS, Packet, PacketScratch, ray::Hit, triangle},
     model::mesh::Mesh,
 };
@@ -78,14 +78,10 @@ fn check_hits(grid: &Grid, packet: &Packet, hits: &[Hit; 64], expected: &[Hit; 6
     }
 }
 
-/// A grid for each instruction set of this machine and each mesh layout, portable ones first, and one in every mode.
+/// A grid for each instruction set of this machine, portable ones first, and one in every mode.
 fn build_all(mesh: &Mesh) -> Vec<Grid> {
     let sets = InstructionSet::available().into_iter();
-    let of_set = |set| {
-        [MeshLayout::Indexed, MeshLayout::Flat]
-            .map(|layout| build(mesh).with_instructions(set).with_mesh_layout(layout))
-    };
-    sets.flat_map(of_set).chain(build_modes(mesh)).collect()
+    sets.map(|set| build(mesh).with_instructions(set)).chain(build_modes(mesh)).collect()
 }
 
 /// Rays from a point through an 8×8 raster around another.

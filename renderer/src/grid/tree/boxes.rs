@@ -1,9 +1,8 @@
 //! Quantised bounds of the triangles in each leaf: most triangles are rejected without reading their vertices.
 //!
 //! Six bytes a reference: the bounds of its triangle within the leaf's cube, in steps of a 250th of the cube. A box
-//! holds the part of its triangle inside the cube, so a ray that hits the triangle there passes the box. Triangles
-//! whose box no ray passes are dropped without their vertices, which lie far apart in memory. In a scan seen from afar,
-//! where a cube is hardly wider than the distance of two rays, these are nearly all.
+//! holds the part of its triangle inside the cube, so a ray that hits the triangle there passes the box. Vertices lie
+//! far apart in memory; in a scan seen from afar nearly all boxes lie between the rays.
 
 use std::ops::Range;
 
@@ -82,12 +81,10 @@ impl QuantizedBoxes {
         Self { bytes }
     }
 
-    /// Bytes in memory.
     pub(crate) fn n_bytes(&self) -> usize {
         self.bytes.len()
     }
 
-    /// Hints that the boxes of these references will be read soon.
     #[inline(always)]
     pub(crate) fn prefetch<S: Simd>(&self, references: Range<usize>) {
         let mut at = 6 * references.start;
@@ -124,8 +121,7 @@ pub(crate) struct BoxLanes<S> {
 }
 
 impl<'a> LeafBoxes<'a> {
-    /// The boxes in `bytes` of a leaf, whose cube has a side of `size` finest cells, and its lowest corner at
-    /// `corner_from_origin` along k, u and v.
+    /// The boxes in `bytes` of a leaf: a cube of side `size` and lowest corner `corner_from_origin`, in finest cells.
     #[inline(always)]
     pub(crate) fn new(
         bytes: &'a [u8],
@@ -160,7 +156,6 @@ impl<'a> LeafBoxes<'a> {
         Self { rows, bases, steps: [step * direction_sign, step] }
     }
 
-    /// Number of boxes.
     #[inline(always)]
     pub(crate) fn n(&self) -> usize {
         self.rows[0].len() - PADDING
@@ -199,7 +194,6 @@ impl<S: Simd> BoxLanes<S> {
     }
 }
 
-/// The cubes of all leaves, by leaf.
 fn leaf_cells(dims: [u32; 3], bricks: &[u32], nodes: &[TreeNode], n_leaves: usize) -> Vec<LeafCell> {
     let mut leaf_cells = vec![LeafCell::default(); n_leaves];
     let mut stack = Vec::new();

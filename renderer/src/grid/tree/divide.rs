@@ -19,38 +19,19 @@ const REFERENCES_PER_JOB: usize = 1 << 15;
 /// Between 128 and 512 speed is flat, and memory falls.
 pub(crate) const LEAF_SIZE: usize = 256;
 
-/// Divides all bricks of a tree.
 pub(crate) struct Builder<'a> {
-    scatter: Scatter<'a>,
+    pub(crate) scatter: Scatter<'a>,
     /// References of all bricks before they are divided.
-    n_in_bricks: u64,
-    /// Most references of all leaves.
-    most_references: u64,
+    pub(crate) n_in_bricks: u64,
+    pub(crate) most_references: u64,
     /// Whether memory, not speed, sets `most_references`.
-    is_memory_limited: bool,
+    pub(crate) is_memory_limited: bool,
     /// Whether a cell stayed undivided because of that.
-    hit_memory_limit: AtomicBool,
+    pub(crate) hit_memory_limit: AtomicBool,
 }
 
-impl<'a> Builder<'a> {
-    /// Takes the bricks of `scatter`, with `n_in_bricks` references, whose leaves may hold `most_references` in all.
-    pub(crate) fn new(scatter: Scatter<'a>, n_in_bricks: usize, most_references: u64, is_memory_limited: bool) -> Self {
-        Self {
-            scatter,
-            n_in_bricks: n_in_bricks as u64,
-            most_references,
-            is_memory_limited,
-            hit_memory_limit: AtomicBool::new(false),
-        }
-    }
-
-    /// Whether a cell stayed undivided to save memory.
-    pub(crate) fn hit_memory_limit(&self) -> bool {
-        self.hit_memory_limit.load(Relaxed)
-    }
-
-    /// Divides all bricks. `references` lists their triangles, brick after brick, from `starts` on. Returns the entries
-    /// of [`Tree::bricks`], and the tree below them.
+impl Builder<'_> {
+    /// Divides all bricks, whose `references` begin at `starts`, into [`Tree::bricks`] and the tree below them.
     pub(crate) fn divide(
         &self,
         starts: &[u32],
@@ -161,9 +142,8 @@ impl<'a> Builder<'a> {
             starts[child + 1] = starts[child] + counts[child];
         }
 
-        // A ray through the cell meets a child with probability 1/16 on average (the ratio of their surfaces), so
-        // dividing saves tests only while the children hold less than 16 times as many references; half of that pays
-        // the steps.
+        // A ray through the cell meets a child with probability 1/16 (the ratio of their surfaces), so dividing saves
+        // tests only while the references grow less than 16 times; half of that pays the steps.
         let total = starts[64] as usize;
         if total >= 8 * references.len() {
             return None;
@@ -248,7 +228,6 @@ impl<'a> Builder<'a> {
     }
 }
 
-/// A cell of the tree while it is built.
 struct BuildCell {
     /// Its lowest corner, in finest cells.
     corner: [u32; 3],
@@ -274,7 +253,6 @@ impl BuildCell {
     }
 }
 
-/// Triangles of a node's 64 children.
 struct ChildLists {
     starts: [u32; 65],
     references: Vec<u32>,
@@ -295,7 +273,6 @@ pub(crate) struct TreePart {
     pub(crate) references: Vec<u32>,
 }
 
-/// Position of one part in another.
 struct Offset {
     node: u32,
     leaf: u32,

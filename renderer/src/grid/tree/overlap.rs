@@ -112,7 +112,6 @@ fn block(first: [u32; 3], last: [u32; 3]) -> u64 {
     (along_x * 0x1111_1111_1111_1111) & (along_y * ROWS[2]) & along_z
 }
 
-/// Position of a node's last child.
 const LAST_CHILD: DVec3 = DVec3::splat(3.0);
 
 /// Index of a child at a position, 0..4 along each axis.
@@ -121,7 +120,6 @@ pub(crate) fn child_index([x, y, z]: [u32; 3]) -> u32 {
     z << 4 | y << 2 | x
 }
 
-/// Position of a child by its index.
 #[inline]
 pub(crate) fn child_position(child: u32) -> [u32; 3] {
     [child & 3, child >> 2 & 3, child >> 4]

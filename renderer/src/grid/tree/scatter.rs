@@ -13,19 +13,16 @@ use crate::{
     model::mesh::Mesh,
 };
 
-/// Triangles of one job.
 const TRIANGLES_PER_JOB: usize = 1 << 14;
 
 /// Pairs of triangle and cube that a job finds between updates of the shared count.
 const PAIRS_PER_REPORT: u64 = 1 << 12;
 
-/// A mesh and the cubes over it.
 pub(crate) struct Scatter<'a> {
     pub(crate) mesh: &'a Mesh,
     pub(crate) space: CellSpace,
     /// Side of a cube, in finest cells.
     pub(crate) cube_size: u32,
-    /// Cubes per axis.
     pub(crate) dims: [u32; 3],
 }
 
@@ -91,15 +88,13 @@ impl Scatter<'_> {
         Some(counts)
     }
 
-    /// Fills the lists that were counted: returns the start of each, with the end of the last, and their triangles.
-    /// The order within a list is random.
+    /// Fills the counted lists, each in random order: returns their starts, with the last's end, and the triangles.
     pub(crate) fn fill(&self, counts: Vec<AtomicU32>, list: impl Fn([u32; 3]) -> usize + Sync) -> (Vec<u32>, Vec<u32>) {
         let mut total = 0;
         for count in &counts[1..] {
             total += count.swap(total, Relaxed);
         }
-        // Entry n + 1 is the start of list n; it moves to the list's end, the start of list n + 1, while the list is
-        // filled.
+        // Entry n + 1 begins as the start of list n, and ends as its end.
         let ends = counts;
         // In parallel: the first write to fresh memory waits for page faults.
         let filled: Vec<_> = (0..total).into_par_iter().map(|_| AtomicU32::new(0)).collect();
@@ -111,10 +106,8 @@ impl Scatter<'_> {
     }
 }
 
-/// Lists of one job.
 const LISTS_PER_JOB: usize = 1 << 14;
 
-/// Sorts each list, in parallel.
 pub(crate) fn sort_lists(starts: &[u32], references: &mut [u32]) {
     let mut jobs = Vec::new();
     let mut rest = references;

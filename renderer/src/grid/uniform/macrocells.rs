@@ -25,16 +25,7 @@ impl Macrocells {
     pub(super) fn new(dims: [u32; 3], n_levels: u8, occupied: impl Iterator<Item = [u32; 3]>) -> Self {
         let mut levels: Vec<_> =
             (1..=u32::from(n_levels)).rev().map(|level| Level::new(dims, level * LOG2_RATIO)).collect();
-        // Fill the finest level from the cells, and each coarser one from the finer.
-        if let Some(finest) = levels.last_mut() {
-            occupied.for_each(|cell| finest.set(cell));
-        }
-        for fine in (1..levels.len()).rev() {
-            let (coarse, fine) = levels.split_at_mut(fine);
-            if let Some(coarse) = coarse.last_mut() {
-                fine[0].for_each(|cell| coarse.set(cell));
-            }
-        }
+        occupied.for_each(|cell| levels.iter_mut().for_each(|level| level.set(cell)));
         Self { levels }
     }
 
@@ -44,7 +35,6 @@ impl Macrocells {
         self.levels.iter().find(|level| !level.is_occupied(cell)).map(|level| level.shift)
     }
 
-    /// Bytes in memory.
     pub(super) fn n_bytes(&self) -> usize {
         self.levels.iter().map(|level| size_of_val(&*level.occupied)).sum()
     }
@@ -71,17 +61,6 @@ impl Level {
     fn set(&mut self, cell: [u32; 3]) {
         let index = self.index(cell);
         self.occupied[index / 64] |= 1 << (index % 64);
-    }
-
-    /// Calls `visit` with a cell of each occupied block.
-    fn for_each(&self, mut visit: impl FnMut([u32; 3])) {
-        for (word, &bits) in self.occupied.iter().enumerate() {
-            for bit in crate::grid::bits(bits) {
-                let index = 64 * word + bit as usize;
-                let [row, layer] = self.strides;
-                visit([index % row, index % layer / row, index / layer].map(|x| (x as u32) << self.shift));
-            }
-        }
     }
 }
 

@@ -9,11 +9,9 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 use crate::grid::uniform::CellIndex;
 
-/// Slots at the end that are tried for a row, in words of 64. Trying all slots takes quadratic time and saves a few per
-/// cent of them.
+/// Slots at the end that are tried for a row, in words of 64: all slots would take quadratic time and save a few %.
 const WINDOW_WORDS: usize = 256;
 
-/// Marks a row without occupied cells.
 const EMPTY_ROW: u32 = u32::MAX;
 
 /// The occupied cells and their slots.
@@ -56,13 +54,6 @@ impl RowLayout {
         (cell[slow] as usize * self.dims[1] + cell[fast] as usize, cell[along])
     }
 
-    /// Index of a cell, row after row.
-    #[inline]
-    fn cell_index(&self, cell: [u32; 3]) -> usize {
-        let (row, along) = self.row(cell);
-        row * self.dims[0] + along as usize
-    }
-
     fn cell(&self, row: usize, along: u32) -> [u32; 3] {
         let mut cell = [0; 3];
         let position = [along, (row % self.dims[1]) as u32, (row / self.dims[1]) as u32];
@@ -86,7 +77,8 @@ impl OccupiedCells {
 
     #[inline]
     pub(crate) fn insert(&self, cell: [u32; 3]) {
-        let number = self.layout.cell_index(cell);
+        let (row, along) = self.layout.row(cell);
+        let number = row * self.layout.dims[0] + along as usize;
         let (word, bit) = (&self.bits[number / 64], 1 << (number % 64));
         // Several triangles insert most cells, and reading is cheaper.
         if word.load(Relaxed) & bit == 0 {
@@ -104,8 +96,7 @@ impl RowDisplacement {
 
     /// Finds an offset for each row: the first fit among the last slots.
     ///
-    /// Lagae and Dutré place the longest rows first. Here each row follows its neighbour, which resembles it, and they
-    /// interlock: 90 % of the slots are used, where the other order uses 60 %.
+    /// Each row follows its neighbour, which resembles it, and they interlock; Lagae and Dutré begin with the longest rows.
     pub(crate) fn new(OccupiedCells { layout, bits }: OccupiedCells) -> Self {
         let mut occupied: Vec<_> = bits.into_iter().map(AtomicU64::into_inner).collect();
         let length = layout.dims[0];
@@ -138,7 +129,6 @@ impl RowDisplacement {
         [size_of_val(&*self.occupied), size_of_val(&*self.kept_row) + size_of_val(&*self.offsets)]
     }
 
-    /// The occupied cells.
     pub(crate) fn cells(&self) -> impl Iterator<Item = [u32; 3]> {
         let length = self.layout.dims[0];
         let kept_row = self.kept_row.iter().enumerate().filter(|&(_, &kept_row)| kept_row != EMPTY_ROW);
@@ -178,8 +168,12 @@ fn word_at(words: &[u64], first: usize) -> u64 {
 /// Indices, from `first` on, of the bits that are set among `n`.
 fn set_bits(words: &[u64], first: usize, n: usize) -> impl Iterator<Item = u32> {
     (0..n).step_by(64).flat_map(move |done| {
-        let word = word_at(words, first + done) & u64::MAX >> (64 - (n - done).min(64));
-        crate::grid::bits(word).map(move |bit| done as u32 + bit)
+        let mut word = word_at(words, first + done) & u64::MAX >> (64 - (n - done).min(64));
+        std::iter::from_fn(move || {
+            let bit = word.trailing_zeros();
+            word &= word.wrapping_sub(1);
+            (bit < 64).then_some(done as u32 + bit)
+        })
     })
 }
 
@@ -196,7 +190,6 @@ fn copy_bits(words: &mut [u64], from: usize, to: usize, n: usize) {
     }
 }
 
-/// Slots in use.
 #[derive(Default)]
 struct Slots {
     taken: Vec<u64>,

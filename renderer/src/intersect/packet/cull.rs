@@ -1,8 +1,7 @@
 //! Drops triangles that rays certainly miss: gathers triangles of leaves by their boxes, many at a time;
 //! [`super::pairs`] tests the others against rays.
 //!
-//! Every test accounts for rounding. Distances are inverse depths along the major axis: across a triangle's plane they
-//! are linear in the rays' slopes, so no ray needs a division.
+//! Every test accounts for rounding. Distances are inverse depths along the major axis.
 //!
 //! No closures over vectors: they would not be compiled for the caller's instruction set.
 
@@ -22,13 +21,11 @@ use crate::{
             prepared::{PreparedTriangles, RayBounds},
             ray_set::{MOST_PACKETS, Packet, RaySet},
         },
-        ray::Hit,
     },
     simd::Simd,
 };
 
-/// Triangles per ray from which on a leaf's boxes are tested against its rays one by one: in a scan seen from afar most
-/// triangles lie between the rays.
+/// Triangles per ray from which a leaf's boxes are tested ray by ray: seen from afar, most lie between the rays.
 const RAY_BY_RAY_RATIO: usize = 3;
 
 /// Slots that remember tested triangles, a power of two.
@@ -108,14 +105,13 @@ fn interval_miss_signs<S: Simd>(low: S, high: S, bounds: [S; 2]) -> S {
 
 /// Packets while they are traced, with the triangles that wait for their test.
 pub(super) struct Culler<'a, const N: usize> {
-    rays: PacketRays<'a, N>,
+    pub(super) rays: PacketRays<'a, N>,
     waiting: &'a mut [u32; N_WAITING + 16],
     n_waiting: usize,
     /// Waiting triangles, from the first on, that [`Culler::drop_recently_tested`] has checked.
     n_deduplicated: usize,
     recent: &'a mut [u32; N_RECENT],
     mesh: &'a TracedMesh,
-    /// All rays of the packets.
     pub(super) active: RaySet<N>,
     pub(super) ray_bounds: RayBounds,
     /// Side of a finest cell in world units, rounded down.
@@ -175,19 +171,18 @@ impl<'a, const N: usize> Culler<'a, N> {
         // Find the limits of all rays, and the bounds of each group and each packet.
         let mut max_abs_slopes = [S::splat(0.0); 2];
         for (index, packet) in packets.iter().enumerate() {
-            // Zero in place of subnormal numbers, which are slow, and the largest in place of infinity: a limit may be
-            // too far, not too near.
+            // No subnormal numbers, which are slow, and no infinity: a limit may be too far, not too near.
             let inverse_t_max = if packet.t_max > 1e30 { 0.0 } else { ((1.0 - 1e-6) / packet.t_max).min(f32::MAX) };
             for group_of_packet in 0..64 / S::LANES {
                 let lane = group_of_packet * S::LANES;
                 let group = index * (64 / S::LANES) + group_of_packet;
                 let (u, v) = (S::load(&culler.rays.u[index][lane..]), S::load(&culler.rays.v[index][lane..]));
-                let inverse_depth = S::load(&culler.rays.nearest.inverse_limits(index)[lane..]);
+                let inverse_depth = S::load(&culler.rays.nearest.hits.inverse_limits[index][lane..]);
 
                 // The limit of a ray is the depth of its t_max.
                 let inverse_limits = inverse_depth.mul(S::splat(inverse_t_max)).sub(S::splat(UNDERFLOW_MARGIN));
                 let inverse_limits = inverse_limits.max(S::splat(0.0));
-                inverse_limits.store(&mut culler.rays.nearest.inverse_limits_mut(index)[lane..]);
+                inverse_limits.store(&mut culler.rays.nearest.hits.inverse_limits[index][lane..]);
 
                 // Reduce the slopes to the group's bounds, and those to the packet's.
                 let [u_low, u_high, v_low, v_high] = [u.reduce_min(), u.reduce_max(), v.reduce_min(), v.reduce_max()];
@@ -208,7 +203,7 @@ impl<'a, const N: usize> Culler<'a, N> {
             // Inactive lanes have no interval left.
             let mut inactive = !active.masks[index];
             while inactive != 0 {
-                culler.rays.nearest.inverse_limits_mut(index)[inactive.trailing_zeros() as usize] = f32::INFINITY;
+                culler.rays.nearest.hits.inverse_limits[index][inactive.trailing_zeros() as usize] = f32::INFINITY;
                 inactive &= inactive - 1;
             }
         }
@@ -277,8 +272,7 @@ impl<'a, const N: usize> Culler<'a, N> {
         self.passing::<S>(candidates, slab.slopes(0, u, size), slab.slopes(1, v, size), slab.inverse_depth)
     }
 
-    /// The candidates that may pass between these slopes and could still have a nearer hit beyond a depth, given as its
-    /// inverse.
+    /// The candidates that may pass between these slopes and could have a nearer hit beyond 1 / `inverse_depth`.
     #[inline(always)]
     fn passing<S: Simd>(&self, candidates: &RaySet<N>, u: [f32; 2], v: [f32; 2], inverse_depth: f32) -> RaySet<N> {
         let [u_low, u_high, v_low, v_high] = widen_slopes([u[0], u[1], v[0], v[1]]);
@@ -310,7 +304,7 @@ impl<'a, const N: usize> Culler<'a, N> {
                 let (packet, first) = (first / 64 % N, first % 64);
                 let (ray_u, ray_v) = (S::load(&self.rays.u[packet][first..]), S::load(&self.rays.v[packet][first..]));
                 let (beside_u, beside_v) = (interval_miss_signs(ray_u, ray_u, u), interval_miss_signs(ray_v, ray_v, v));
-                let before = inverse_depth.sub(S::load(&self.rays.nearest.inverse_limits(packet)[first..]));
+                let before = inverse_depth.sub(S::load(&self.rays.nearest.hits.inverse_limits[packet][first..]));
                 let passing = !beside_u.or(beside_v).or(before).sign_mask() & ((1u64 << S::LANES) - 1) as u32;
                 rays.masks[packet] |= u64::from(passing) << first;
             }
@@ -331,8 +325,7 @@ impl<'a, const N: usize> Culler<'a, N> {
                 }
             }
 
-            // Test the boxes against the bounds of all rays, then against the rays of a sparse packet, and keep the
-            // rest.
+            // Test the boxes against the bounds of all rays, then against the rays of a sparse packet.
             let bounds = boxes.bounds::<S>(batch * S::LANES);
             let missed = bounds.miss_signs(self.ray_bounds.slopes, self.least_inverse_limit).sign_mask();
             let mut passed = !missed & (u32::MAX >> (32 - triangles.len()));
@@ -345,8 +338,7 @@ impl<'a, const N: usize> Culler<'a, N> {
 
     /// Drops waiting triangles that were gathered before.
     ///
-    /// Without a branch, and for several leaves together: a branch could predict neither whether a triangle is new nor
-    /// how many triangles a leaf adds.
+    /// Without a branch, and for several leaves together: neither new triangles nor their number are predictable.
     #[inline(always)]
     pub(super) fn drop_recently_tested<S: Simd>(&mut self) {
         let mut n_waiting = self.n_deduplicated;
@@ -372,15 +364,14 @@ impl<'a, const N: usize> Culler<'a, N> {
                 let lane = left.trailing_zeros() as usize;
                 left &= left - 1;
                 let (u, v) = (self.rays.u[packet][lane], self.rays.v[packet][lane]);
-                let inverse_limit = self.rays.nearest.inverse_limits(packet)[lane] * self.cell_length;
+                let inverse_limit = self.rays.nearest.hits.inverse_limits[packet][lane] * self.cell_length;
                 missed = missed.and(bounds.miss_signs([u, u, v, v], inverse_limit));
             }
         }
         !missed.sign_mask()
     }
 
-    /// Tests the waiting triangles, and settles all rays whose limit lies before a depth along the major axis, in world
-    /// units. Returns true when all rays are settled.
+    /// Tests the waiting triangles, and settles rays whose limit lies before a depth (world units); true if all are.
     #[inline(always)]
     pub(super) fn finish_to_depth<S: PacketKernel>(&mut self, depth: f64) -> bool {
         self.has_new_tests = false;
@@ -397,7 +388,7 @@ impl<'a, const N: usize> Culler<'a, N> {
             let group = groups.trailing_zeros() as usize;
             groups &= groups - 1;
             let first = group * S::LANES;
-            let inverse_limits = S::load(&self.rays.nearest.inverse_limits(first / 64 % N)[first % 64..]);
+            let inverse_limits = S::load(&self.rays.nearest.hits.inverse_limits[first / 64 % N][first % 64..]);
             let all = ((1u64 << S::LANES) - 1) as u32;
             if inverse_reached.le(inverse_limits) == all {
                 self.rays.unfinished_groups &= !(1 << group);
@@ -413,12 +404,6 @@ impl<'a, const N: usize> Culler<'a, N> {
             self.update_slope_bounds::<S>();
         }
         self.rays.unfinished_groups == 0
-    }
-
-    /// Writes the hits, once all rays are settled.
-    #[inline(always)]
-    pub(super) fn write_hits<S: Simd>(&mut self, hits: &mut [[Hit; 64]]) {
-        self.rays.nearest.write::<S>(hits);
     }
 
     /// Tests the waiting triangles against all rays.

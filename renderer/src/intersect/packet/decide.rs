@@ -43,10 +43,9 @@ impl<const N: usize> Default for HitScratch<N> {
 
 /// The nearest hits so far of packets that are traced together.
 pub(super) struct NearestHits<'a, const N: usize> {
-    hits: &'a mut HitScratch<N>,
+    pub(super) hits: &'a mut HitScratch<N>,
     mesh: &'a TracedMesh,
     packets: [&'a Packet; N],
-    /// The packets' major axis.
     axis: usize,
     /// Pairs of a ray (64·packet + lane) and a triangle that wait for the exact test.
     rays: [u8; 16],
@@ -68,18 +67,6 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         hits.t = [[f64::from(Hit::MISS.t); 64]; N];
         hits.triangles = [[Hit::MISS.triangle; 64]; N];
         Self { hits, mesh, packets, axis, rays: [0; 16], triangles: [0; 16], n_pairs: 0 }
-    }
-
-    /// Inverse limits of a packet's rays: see [`HitScratch::inverse_limits`].
-    #[inline(always)]
-    pub(super) fn inverse_limits(&self, packet: usize) -> &[f32; 64] {
-        &self.hits.inverse_limits[packet]
-    }
-
-    /// The same, to change them.
-    #[inline(always)]
-    pub(super) fn inverse_limits_mut(&mut self, packet: usize) -> &mut [f32; 64] {
-        &mut self.hits.inverse_limits[packet]
     }
 
     /// Decides the remaining pairs, computes the t of the estimates, and writes the hits.
@@ -263,7 +250,6 @@ impl<'a, const N: usize> NearestHits<'a, N> {
         }
     }
 
-    /// The common origin in all lanes.
     #[inline(always)]
     fn origin<R: Real>(&self) -> Vector<R> {
         let origin = self.packets[0].origin;

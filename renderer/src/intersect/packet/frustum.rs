@@ -15,7 +15,6 @@ pub(super) struct Frustum {
     pub(super) is_forward: bool,
     /// Least and largest du/dk, least and largest dv/dk.
     pub(super) slopes: [f32; 4],
-    /// The grid's size along u and v.
     pub(super) size: [f64; 2],
     /// Finest cells in a world unit.
     pub(super) cells_per_unit: f64,

@@ -37,69 +37,37 @@ pub(super) trait PacketKernel: Simd {
     fn test_waiting<const N: usize>(culler: &mut Culler<'_, N>);
 }
 
-/// Compiles the steps with an instruction set's target features.
-macro_rules! kernel {
-    ($set:ident $(, $features:literal)?) => {
-        impl PacketKernel for $set {
-            #[inline(always)]
-            fn march<const N: usize>(
-                grid: &Grid,
-                tree: &Tree,
-                packets: [&Packet; N],
-                active: RaySet<N>,
-                scratch: &mut Scratch<N>,
-                hits: &mut [[Hit; 64]; N],
-            ) -> bool {
-                $(#[target_feature(enable = $features)])?
-                unsafe fn march<const N: usize>(
-                    grid: &Grid,
-                    tree: &Tree,
-                    packets: [&Packet; N],
-                    active: RaySet<N>,
-                    scratch: &mut Scratch<N>,
-                    hits: &mut [[Hit; 64]; N],
-                ) -> bool {
-                    grid.march::<$set, N>(tree, packets, active, scratch, hits)
-                }
-                // SAFETY: a grid holds only what `InstructionSet::available` has found.
-                unsafe { march(grid, tree, packets, active, scratch, hits) }
+/// One step, compiled with target features.
+macro_rules! step {
+    ([$($features:literal)?] $name:ident($($argument:ident: $type:ty),*) -> $result:ty = $call:expr) => {
+        #[inline(always)]
+        fn $name<const N: usize>($($argument: $type),*) -> $result {
+            $(#[target_feature(enable = $features)])?
+            unsafe fn $name<const N: usize>($($argument: $type),*) -> $result {
+                $call
             }
-
-            #[inline(always)]
-            fn test_leaves<const N: usize>(
-                tree: &Tree,
-                culler: &mut Culler<'_, N>,
-                origin: &[f64; 3],
-                leaves: &mut Vec<PendingLeaf<N>>,
-            ) {
-                $(#[target_feature(enable = $features)])?
-                unsafe fn test_leaves<const N: usize>(
-                    tree: &Tree,
-                    culler: &mut Culler<'_, N>,
-                    origin: &[f64; 3],
-                    leaves: &mut Vec<PendingLeaf<N>>,
-                ) {
-                    tree.test_leaves::<$set, N>(culler, origin, leaves);
-                }
-                // SAFETY: as above.
-                unsafe { test_leaves(tree, culler, origin, leaves) }
-            }
-
-            #[inline(always)]
-            fn test_waiting<const N: usize>(culler: &mut Culler<'_, N>) {
-                $(#[target_feature(enable = $features)])?
-                unsafe fn test_waiting<const N: usize>(culler: &mut Culler<'_, N>) {
-                    culler.test_waiting::<$set>();
-                }
-                // SAFETY: as above.
-                unsafe { test_waiting(culler) }
-            }
+            // SAFETY: a grid holds only what `InstructionSet::available` has found.
+            unsafe { $name($($argument),*) }
         }
     };
 }
 
-kernel!(Portable);
+/// Compiles the steps with an instruction set's target features.
+macro_rules! kernel {
+    ($set:ident, $features:tt) => {
+        impl PacketKernel for $set {
+            step!($features march(grid: &Grid, tree: &Tree, packets: [&Packet; N], active: RaySet<N>,
+                scratch: &mut Scratch<N>, hits: &mut [[Hit; 64]; N]) -> bool =
+                grid.march::<$set, N>(tree, packets, active, scratch, hits));
+            step!($features test_leaves(tree: &Tree, culler: &mut Culler<'_, N>, origin: &[f64; 3],
+                leaves: &mut Vec<PendingLeaf<N>>) -> () = tree.test_leaves::<$set, N>(culler, origin, leaves));
+            step!($features test_waiting(culler: &mut Culler<'_, N>) -> () = culler.test_waiting::<$set>());
+        }
+    };
+}
+
+kernel!(Portable, []);
 #[cfg(target_arch = "x86_64")]
-kernel!(Avx2, "avx2,fma,bmi1,bmi2,popcnt,lzcnt");
+kernel!(Avx2, ["avx2,fma,bmi1,bmi2,popcnt,lzcnt"]);
 #[cfg(target_arch = "x86_64")]
-kernel!(Avx512, "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt");
+kernel!(Avx512, ["avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt"]);

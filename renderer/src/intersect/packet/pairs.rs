@@ -1,8 +1,6 @@
-//! Tests prepared triangles against groups of rays: pairs of a triangle and a group are found by their bounds, then
-//! tested in single precision.
+//! Tests prepared triangles against groups of rays: by their bounds, then in single precision.
 //!
-//! Certain misses are dropped, certain hits are kept with bounds of their depth, and [`super::decide`] decides the
-//! rest.
+//! Certain misses are dropped, certain hits kept with bounds of their depth; [`super::decide`] decides the rest.
 
 use crate::{
     intersect::packet::{decide::NearestHits, prepared::PreparedTriangles, ray_set::MOST_PACKETS},
@@ -36,7 +34,6 @@ impl RayGroups {
 
 /// The rays of packets, in groups, with their nearest hits so far.
 pub(super) struct PacketRays<'a, const N: usize> {
-    /// Slopes of the rays against the major axis.
     pub(super) u: &'a mut [[f32; 64]; N],
     pub(super) v: &'a mut [[f32; 64]; N],
     pub(super) groups: &'a mut RayGroups,
@@ -88,8 +85,7 @@ impl<const N: usize> PacketRays<'_, N> {
             }
         }
 
-        // Test the rays of each pair of triangle and group, and keep those with a possible hit. Without a branch: three
-        // of four pairs have none.
+        // Test the rays of each pair, and keep those with a possible hit; no branch, as three of four pairs have none.
         let mut n_pairs = 0;
         for packet in 0..N {
             let mut left = met[packet];
@@ -113,8 +109,7 @@ impl<const N: usize> PacketRays<'_, N> {
     fn group_may_hit<S: Simd>(&self, prepared: &PreparedTriangles, group: usize) -> u32 {
         let RayGroups { u, v, centres, inverse_limits } = &*self.groups;
         let (u_centre, v_centre) = (S::splat(centres[0][group]), S::splat(centres[1][group]));
-        // Bound the sides of the edges too: bounds of slopes meet where a large triangle passes diagonally beside the
-        // group.
+        // Bound the sides of the edges too: a large triangle may pass diagonally beside the group.
         let mut sides = [u_centre; 3];
         for edge in 0..3 {
             let along_v = S::load(&prepared.sides[edge][2]).mul_add(v_centre, S::load(&prepared.group_sides[edge]));
@@ -142,7 +137,7 @@ impl<const N: usize> PacketRays<'_, N> {
         let inside = low.max(S::splat(0.0).sub(high));
 
         // Only triangles that begin before the ray's limit can be hit.
-        let inverse_limits = S::load(&self.nearest.inverse_limits(packet)[first..]);
+        let inverse_limits = S::load(&self.nearest.hits.inverse_limits[packet][first..]);
         let possible = inverse_limits.le(S::splat(prepared.inverse_depth[lane])) & !inside.lt(S::splat(-margin));
         let certain = possible & S::splat(margin).lt(inside);
         Pair {

@@ -26,7 +26,6 @@ pub(super) struct RayBounds {
 #[derive(Default)]
 #[repr(align(64))]
 pub(super) struct PreparedTriangles {
-    /// Triangle indices.
     pub(super) triangle_indices: [u32; 16],
     /// Normals of the planes through the origin and the three edges, along the rays' axes. All three dot products with
     /// a ray's direction are positive if the ray hits the triangle in front of the origin.
@@ -48,8 +47,7 @@ pub(super) struct PreparedTriangles {
 }
 
 impl PreparedTriangles {
-    /// Prepares the triangles of `triangle_indices`; returns a bit for each whose bounds meet those of the rays. Lanes
-    /// without a bit are undefined.
+    /// Prepares `triangle_indices`; returns a bit for each that the rays' bounds meet. Lanes without it are undefined.
     #[inline(always)]
     pub(super) fn prepare<S: Simd>(&mut self, mesh: &TracedMesh, ray_bounds: &RayBounds) -> u32 {
         // Load the corners, and move the origin to zero.

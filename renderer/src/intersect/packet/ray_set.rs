@@ -48,10 +48,8 @@ pub(super) struct RaySet<const N: usize> {
 }
 
 impl<const N: usize> RaySet<N> {
-    /// The empty set.
     pub(super) const NONE: Self = Self { masks: [0; N] };
 
-    /// The number of rays in the set.
     #[inline(always)]
     pub(super) fn count(&self) -> u32 {
         let mut count = 0;
@@ -61,7 +59,6 @@ impl<const N: usize> RaySet<N> {
         count
     }
 
-    /// Whether the set has no rays.
     #[inline(always)]
     pub(super) fn is_empty(&self) -> bool {
         let mut any = 0;
@@ -71,7 +68,6 @@ impl<const N: usize> RaySet<N> {
         any == 0
     }
 
-    /// The intersection of two sets.
     #[inline(always)]
     pub(super) fn and(mut self, other: &Self) -> Self {
         for packet in 0..N {

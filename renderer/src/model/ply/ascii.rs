@@ -1,7 +1,6 @@
 //! Rows of an ASCII PLY, one on each line.
 //!
-//! Like other readers, this one skips blank lines, continues a row on the next line, and ignores the rest of a line after
-//! its row.
+//! As in other readers, rows may go on in the next line, and blank lines and the rest of a row's last line are skipped.
 
 use std::{io::BufRead, str::FromStr};
 
@@ -9,7 +8,6 @@ use ply_rs::ply::{ElementDef, Property, PropertyAccess, PropertyType, ScalarType
 
 use crate::model::ply::{ENDS_HERE, element::index_from_f64};
 
-/// Reads row after row.
 pub(super) struct Rows<'a, R> {
     reader: &'a mut R,
     line_end: u8,
@@ -23,7 +21,6 @@ impl<'a, R: BufRead> Rows<'a, R> {
         Self { reader, line_end, line: Vec::new(), at: 0 }
     }
 
-    /// The next row, or what is wrong with it.
     pub(super) fn next<E: PropertyAccess>(&mut self, def: &ElementDef) -> Result<E, String> {
         self.at = self.line.len();
         let mut row = E::new();

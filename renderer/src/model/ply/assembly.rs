@@ -1,8 +1,11 @@
 //! Assembles a mesh from rows in any order, and finally rejects triangles that cannot be traced.
 
-use crate::model::{
-    mesh::Mesh,
-    ply::{Problem, element::Vertex},
+use crate::{
+    memory,
+    model::{
+        mesh::Mesh,
+        ply::{Problem, element::Vertex},
+    },
 };
 
 /// A mesh whose indices are not checked yet.
@@ -84,5 +87,5 @@ impl MeshBuilder {
 
 fn reserve<T>(items: &mut Vec<T>, n_items: usize, what: &'static str) -> Result<(), Problem> {
     let n_bytes = n_items.saturating_mul(size_of::<T>());
-    items.try_reserve_exact(n_items).map_err(|_| Problem::OutOfMemory { what, n_bytes })
+    memory::handling_failure(|| items.try_reserve_exact(n_items)).map_err(|_| Problem::OutOfMemory { what, n_bytes })
 }

@@ -2,7 +2,6 @@
 
 use ply_rs::ply::{BeginList, Property, PropertyAccess, PropertyAccessResult};
 
-/// A row that is skipped.
 pub(super) struct Skipped;
 
 impl PropertyAccess for Skipped {
@@ -11,7 +10,6 @@ impl PropertyAccess for Skipped {
     }
 }
 
-/// A row of `vertex`.
 pub(super) struct Vertex {
     pub(super) position: [f32; 3],
     pub(super) color: [u8; 3],
@@ -33,22 +31,18 @@ impl PropertyAccess for Vertex {
     }
 
     fn set_property(&mut self, role: &str, value: Property) -> PropertyAccessResult {
-        let (coordinate, color) = match value {
-            Property::Char(v) => (f32::from(v), v.max(0).unsigned_abs()),
-            Property::UChar(v) => (f32::from(v), v),
-            Property::Short(v) => (f32::from(v), v.clamp(0, 255) as u8),
-            Property::UShort(v) => (f32::from(v), ((u32::from(v) * 255 + 32767) / 65535) as u8),
-            Property::Int(v) => (v as f32, v.clamp(0, 255) as u8),
-            Property::UInt(v) => (v as f32, v.min(255) as u8),
-            // `as` saturates, and takes NaN to 0.
-            Property::Float(v) => (v, (v * 255.0).round() as u8),
-            Property::Double(v) => (v as f32, (v * 255.0).round() as u8),
-            _ => return PropertyAccessResult::Ignored,
+        let Some(number) = value.to_f32_lossy() else { return PropertyAccessResult::Ignored };
+        // `as` saturates, and takes NaN to 0.
+        let color = match value {
+            Property::UShort(v) => ((u32::from(v) * 255 + 32767) / 65535) as u8,
+            Property::Float(v) => (v * 255.0).round() as u8,
+            Property::Double(v) => (v * 255.0).round() as u8,
+            _ => number as u8,
         };
         match role {
-            "x" => self.position[0] = coordinate,
-            "y" => self.position[1] = coordinate,
-            "z" => self.position[2] = coordinate,
+            "x" => self.position[0] = number,
+            "y" => self.position[1] = number,
+            "z" => self.position[2] = number,
             "r" => self.color[0] = color,
             "g" => self.color[1] = color,
             "b" => self.color[2] = color,
@@ -58,16 +52,9 @@ impl PropertyAccess for Vertex {
     }
 }
 
-/// A row of `face` or `tristrips`.
 pub(super) struct Corners {
     /// [`u32::MAX`], which no vertex has, replaces an index that is no `u32`.
-    indices: Vec<u32>,
-}
-
-impl Corners {
-    pub(super) fn indices(&self) -> &[u32] {
-        &self.indices
-    }
+    pub(super) indices: Vec<u32>,
 }
 
 impl PropertyAccess for Corners {

@@ -12,19 +12,21 @@ use crate::model::ply::{Problem, element::Skipped};
 /// Limit of a header's length: real headers have a few KB, and an endless one must not fill the memory.
 pub(super) const MAX_HEADER_BYTES: u64 = 1 << 20;
 
-/// Describes the rest of the file.
+/// Real files have a handful of elements: each costs time wherever elements are gone through.
+pub(super) const MOST_ELEMENTS: usize = 1000;
+
+/// The most properties of all elements together; real files have up to a few hundred.
+pub(super) const MOST_PROPERTIES: usize = 10_000;
+
 #[derive(Debug)]
 pub(super) struct Header {
     pub(super) encoding: Encoding,
     /// Ends each line: `\n` (also after `\r`), or `\r` alone.
     pub(super) line_end: u8,
-    /// Length of the header in the file.
     pub(super) n_bytes: u64,
-    /// In file order.
     pub(super) elements: Vec<Element>,
 }
 
-/// A table of rows.
 #[derive(Debug)]
 pub(super) struct Element {
     pub(super) kind: ElementKind,
@@ -34,7 +36,6 @@ pub(super) struct Element {
     pub(super) def: ElementDef,
 }
 
-/// Use of an element's rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ElementKind {
     Vertices { colored: bool },
@@ -51,6 +52,7 @@ impl Header {
         let mut tidy = String::from("ply\n");
         let mut texts = vec![String::from("ply")];
         let mut declared = Vec::<DeclaredElement>::new();
+        let mut n_properties = 0;
         loop {
             let text = lines.next()?;
             let words: Vec<&str> = text.split_whitespace().collect();
@@ -61,10 +63,17 @@ impl Header {
                     if declared.iter().any(|element| element.name == name) {
                         return Err(Problem::Repeated(name.to_owned()));
                     }
+                    if declared.len() == MOST_ELEMENTS {
+                        return Err(Problem::TooManyDeclared("elements", MOST_ELEMENTS));
+                    }
                     declared.push(DeclaredElement { name: name.to_owned(), taken_roles: Vec::new() });
                     format!("element e{} {count}", declared.len())
                 }
                 ["property", ref types @ .., name] if !types.is_empty() => {
+                    n_properties += 1;
+                    if n_properties > MOST_PROPERTIES {
+                        return Err(Problem::TooManyDeclared("properties", MOST_PROPERTIES));
+                    }
                     let role =
                         declared.last_mut().map_or("_".to_owned(), |element| element.role(name, types[0] == "list"));
                     format!("property {} {role}", types.join(" "))
@@ -126,7 +135,6 @@ impl Element {
         }
     }
 
-    /// The fewest bytes that its rows can take.
     pub(super) fn fewest_bytes(&self, encoding: Encoding) -> u128 {
         fewest_row_bytes(&self.def, encoding) * self.def.count as u128
     }

@@ -242,6 +242,22 @@ fn headers_without_end_are_given_up() {
 }
 
 #[test]
+fn headers_of_many_lines_take_no_time() {
+    let header = |lines: String| error_text(format!("ply\nformat ascii 1.0\n{lines}"));
+    let started_at = std::time::Instant::now();
+    let elements: String = (0..65_000).map(|i| format!("element {i} 0\n")).collect();
+    assert_eq!(header(elements), "declares more than 1000 elements");
+    let properties =
+        format!("element vertex 0\n{}{}", "property char q\n".repeat(30_000), "property char y\n".repeat(30_000));
+    assert_eq!(header(properties), "declares more than 10000 properties");
+    let most: String = (0..1000).map(|i| format!("element {i} 0\n")).collect();
+    let most = format!("ply\nformat ascii 1.0\n{most}{}end_header\n", "property char q\n".repeat(10_000));
+    assert!(mesh(most).triangles.is_empty());
+    // Without limits, seconds for each of the first two.
+    assert!(started_at.elapsed().as_secs_f64() < 1.0);
+}
+
+#[test]
 fn huge_claims_are_refused_at_once() {
     let header = |count: &str, n: &str| {
         format!(

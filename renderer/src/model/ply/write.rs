@@ -5,11 +5,13 @@ use std::{
     path::Path,
 };
 
-use crate::{model::mesh::Mesh, render::image::write_atomically};
+use channel::files;
+
+use crate::model::mesh::Mesh;
 
 /// Atomically writes a mesh to `path`: an old file stays until the new one is complete.
 pub fn write(path: &Path, mesh: &Mesh) -> io::Result<()> {
-    write_atomically(path, |mut out| write_to(&mut out, mesh))
+    files::write(path, |mut out| write_to(&mut out, mesh))
 }
 
 /// Writes a mesh.

@@ -30,7 +30,7 @@ const ROW: SampleBlock<'_> = SampleBlock::Unit { samples: SampleRect { columns: 
 
 /// The light that reaches every hit of a frame, with the ray's direction and the hit.
 fn visibility(scene: &Scene, spec: &FrameSpec) -> Vec<(Vec3, Hit, LightVisibility)> {
-    let secondary = SecondaryRays::new(scene.grid(), spec, scene.clip_plane(&spec.camera, spec.appearance.clip));
+    let secondary = SecondaryRays::new(&scene.grid, spec, scene.clip_plane(&spec.camera, spec.appearance.clip));
     let rays = spec.camera.rays(spec.size);
     let mut scratch = PacketScratch::default();
     let mut all = Vec::new();
@@ -38,7 +38,7 @@ fn visibility(scene: &Scene, spec: &FrameSpec) -> Vec<(Vec3, Hit, LightVisibilit
         let samples = SampleRect { columns: first_i..first_i + 8, rows: first_j..first_j + 8 };
         let mut directions = [Vec3::ZERO; 64];
         directions.iter_mut().zip(samples.iter()).for_each(|(to, (i, j))| *to = rays.direction(i, j));
-        let hits = directions.map(|direction| scene.grid().intersect(&Ray::new(rays.eye, direction)));
+        let hits = directions.map(|direction| scene.grid.intersect(&Ray::new(rays.eye, direction)));
         let blocks = [SampleBlock::Unit { samples, first_index: 0 }];
         let [visibility, ..] = secondary.visibility(&blocks, 0, &[directions], &[hits], &mut scratch);
         all.extend((0..64).map(|lane| (directions[lane], hits[lane], visibility[lane])));
@@ -80,7 +80,7 @@ fn a_ball_does_not_shadow_itself() {
                 let (u, v) = (u * (4.0 / distance), v * (4.0 / distance));
                 spec.camera = Camera::new(eye, centre - (u + v) * 0.5, u, v).unwrap();
             }
-            let secondary = SecondaryRays::new(scene.grid(), &spec, None);
+            let secondary = SecondaryRays::new(&scene.grid, &spec, None);
             let all = visibility(&scene, &spec);
             assert!(all.len() > 1000, "the ball is seen");
             for (direction, hit, visibility) in all {
@@ -104,7 +104,7 @@ fn the_light_has_the_direction_that_is_asked_for() {
         // The eye is on the z axis: its right, up and back are the world's axes.
         let appearance = Appearance { light, ..Appearance::default() };
         let spec = FrameSpec { appearance, ..spec(DVec3::Z * 5.0, DVec3::ZERO, LightingMode::Shadows) };
-        let secondary = SecondaryRays::new(scene.grid(), &spec, None);
+        let secondary = SecondaryRays::new(&scene.grid, &spec, None);
         let expected = light.direction().as_vec3();
         assert!((secondary.key_direction - expected).length() < 1e-6, "{name}");
         assert!((secondary.key_light.normalize() - expected).length() < 1e-6, "{name}: {}", secondary.key_light);
@@ -132,7 +132,7 @@ fn objects_touch_their_shadows() {
         let scene = Scene::build(mesh, &GridOptions::default(), &|_| ());
         let at = |p: [f64; 3]| DVec3::from_array(p) + DVec3::splat(f64::from(offset));
         let spec = spec(at([0.0, 1.0, 5.0]), at([0.0; 3]), LightingMode::Shadows);
-        let mut secondary = SecondaryRays::new(scene.grid(), &spec, None);
+        let mut secondary = SecondaryRays::new(&scene.grid, &spec, None);
         secondary.key_light = at([0.3, 1.5, 3.0]).as_vec3();
         // Contact begins within a few units in the last place of the largest coordinate.
         let nearest = 100.0 * f64::from(f32::EPSILON) * (f64::from(offset) + 2.0);
@@ -163,7 +163,8 @@ fn removed_parts_cast_no_shadow() {
         let eye = DVec3::new(0.1, 0.5, 1.5);
         let spec = FrameSpec { appearance, ..spec(eye, DVec3::new(0.0, 0.0, -0.3), LightingMode::AmbientOcclusion) };
         let plane = scene.clip_plane(&spec.camera, clip);
-        let secondary = SecondaryRays::new(scene.grid(), &spec, plane).with_key_light(Vec3::new(0.2, 3.0, 0.1));
+        let mut secondary = SecondaryRays::new(&scene.grid, &spec, plane);
+        secondary.key_light = Vec3::new(0.2, 3.0, 0.1);
         let surface = Surface { point: DVec3::new(0.3, secondary.ray_offset, 0.2), normal: DVec3::Y };
         let surfaces = std::array::from_fn(|_| Some(Surface { ..surface }));
         let mut visibility = [[LightVisibility { key_direction: Vec3::Y, key: 0.5, ambient_visibility: 1.0 }; 64]];
@@ -194,7 +195,7 @@ fn shadows_match_a_search_of_all_triangles() {
     let mesh = statue::generate(2000, &|_| ());
     let scene = Scene::build(mesh.clone(), &GridOptions::default(), &|_| ());
     let spec = spec(DVec3::new(0.5, 1.2, 3.0), DVec3::Y, LightingMode::Shadows);
-    let secondary = SecondaryRays::new(scene.grid(), &spec, None);
+    let secondary = SecondaryRays::new(&scene.grid, &spec, None);
     let light = secondary.key_light.as_dvec3();
     let (mut n_dark, mut n_lit, mut n_wrong) = (0, 0, 0);
     for (direction, hit, visibility) in visibility(&scene, &spec) {
@@ -221,7 +222,7 @@ fn a_corner_is_more_occluded_than_a_plain() {
     };
     let scene = Scene::build(mesh, &GridOptions::default(), &|_| ());
     let spec = spec(DVec3::new(0.0, 3.0, 6.0), DVec3::Y, LightingMode::AmbientOcclusion);
-    let secondary = SecondaryRays::new(scene.grid(), &spec, None);
+    let secondary = SecondaryRays::new(&scene.grid, &spec, None);
     let ambient_visibility = |height: f64| {
         let surface = Surface { point: DVec3::new(0.0, height, secondary.ray_offset), normal: DVec3::Z };
         let samples = (0..256).map(|sample| secondary.ambient_visibility(&surface, (3, 4), sample));

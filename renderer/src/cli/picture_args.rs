@@ -1,0 +1,137 @@
+//! Command-line options of a model and of a picture of it, shared by all programs that render.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use channel::files;
+use rayon::ThreadPool;
+use shared::{
+    camera::{Camera, UpAxis},
+    division::FrameSize,
+    protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
+    scene::SceneId,
+};
+
+use crate::{
+    cli::{appearance_args::AppearanceArgs, progress::Progress, scene_args::SceneArgs},
+    model::{
+        mesh::Mesh,
+        scene::{self, LoadError, LoadedMesh, SceneSource},
+        statue,
+    },
+    render::{scene::Scene, threads},
+};
+
+/// The model.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ModelArgs {
+    /// The PLY file of the model [default: the built-in statue]
+    #[arg(long, value_name = "FILE")]
+    pub model: Option<PathBuf>,
+
+    /// Approximate number of triangles of the built-in statue
+    #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES, conflicts_with = "model",
+        value_parser = clap::value_parser!(u32).range(100..=i64::from(SceneId::LARGEST_STATUE)))]
+    pub triangles: u32,
+}
+
+impl ModelArgs {
+    /// The file, or the statue.
+    pub fn source(&self) -> SceneSource {
+        let statue = SceneSource::Statue { triangles: self.triangles };
+        self.model.clone().map_or(statue, SceneSource::Ply)
+    }
+
+    /// Loads the model, with a progress bar.
+    pub fn load(&self) -> Result<LoadedMesh, LoadError> {
+        let source = self.source();
+        let progress = Progress::new(format!("loading {source}"));
+        scene::load(&source, &|done| progress.set(done))
+    }
+}
+
+/// A picture of a model.
+#[derive(Debug, clap::Args)]
+pub struct PictureArgs {
+    /// The model.
+    #[command(flatten)]
+    pub model: ModelArgs,
+
+    /// A camera file with eye, ll, u and v [default: a camera that sees the whole model]
+    #[arg(long, value_name = "FILE")]
+    camera: Option<PathBuf>,
+
+    /// The model's axis that points up when no camera is given: x, y or z
+    #[arg(long, value_name = "AXIS", default_value = "y")]
+    up: UpAxis,
+
+    /// Size of the frame in samples
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value_t = FrameSize::PAPER, allow_hyphen_values = true)]
+    size: FrameSize,
+
+    /// Number of threads that build and trace [default: one for each core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+
+    /// Shading of the samples: shaded, normals, or cost (cells visited in red, triangles tested in green)
+    #[arg(long, value_name = "VIEW", default_value = "shaded")]
+    view: ShadingMode,
+
+    /// The rays that light the picture: primary, shadows, or ambient (shadows and ambient occlusion)
+    #[arg(long, value_name = "RAYS", default_value_t = LightingMode::default())]
+    rays: LightingMode,
+
+    #[command(flatten)]
+    appearance: AppearanceArgs,
+
+    #[command(flatten)]
+    scene: SceneArgs,
+}
+
+/// Aspect of the wall's canvas, whatever the frame's size in samples.
+const CANVAS_ASPECT: f64 = 16.0 / 9.0;
+
+impl PictureArgs {
+    /// The pool of threads that build and trace.
+    pub fn pool(&self) -> Result<ThreadPool> {
+        threads::pool(self.threads.map(usize::from))
+    }
+
+    /// The camera of the file, if there is one.
+    pub fn read_camera(&self) -> Result<Option<Camera>> {
+        self.camera.as_deref().map(read_camera).transpose()
+    }
+
+    /// Builds the grid on the current rayon pool, with a progress bar.
+    pub fn build(&self, mesh: Mesh) -> Scene {
+        let progress = Progress::new("building the grid");
+        let scene = Scene::build(mesh, &self.scene.options(), &|done| progress.set(done));
+        if let Some(shortage) = scene.grid.shortage() {
+            tracing::warn!("{}: {shortage}", self.model.source());
+        }
+        scene
+    }
+
+    /// The frame that shows `scene`, named `id`, through the centres of its samples.
+    pub fn spec(&self, id: SceneId, scene: &Scene, camera: Option<Camera>) -> FrameSpec {
+        let camera = camera.unwrap_or_else(|| {
+            let [min, max] = scene.mesh().bounds().corners();
+            Camera::view_all(min, max, self.up, CANVAS_ASPECT)
+        });
+        FrameSpec {
+            scene: id,
+            camera,
+            size: self.size,
+            view: self.view,
+            rays: self.rays,
+            samples: SampleRange::CENTRE,
+            appearance: self.appearance.appearance(),
+        }
+    }
+}
+
+/// Reads and checks a camera file.
+pub fn read_camera(path: &Path) -> Result<Camera> {
+    let text = files::read_text(path, 1 << 20).with_context(|| path.display().to_string())?;
+    Camera::from_toml(&text).with_context(|| format!("{} is not a camera file", path.display()))
+}

@@ -1,0 +1,112 @@
+//! Ends a program that runs out of memory with one line and status 1; Rust's own end is an abort without a cure.
+
+use std::{
+    alloc::{GlobalAlloc, Layout, System},
+    cell::Cell,
+    io::{Cursor, Write},
+    process,
+    sync::atomic::{AtomicBool, Ordering::Relaxed},
+    thread,
+    time::Duration,
+};
+
+thread_local! {
+    /// Whether this thread's code handles an allocation that fails.
+    static HANDLES_FAILURE: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Whether some thread is ending the program.
+static IS_ENDING: AtomicBool = AtomicBool::new(false);
+
+/// How long other threads that run out of memory wait for the end.
+const LONGEST_END: Duration = Duration::from_secs(5);
+
+/// The system's allocator, for the `#[global_allocator]` of a program. When memory runs out, it prints the cure and ends
+/// the program.
+///
+/// Meshes, grids, messages, pictures and their libraries allocate in hundreds of places, so the failure is handled in the
+/// one place that all of them pass. The hook of the standard library for this is not stable.
+#[derive(Debug)]
+pub struct EndingAllocator;
+
+// SAFETY: every call goes to the system's allocator unchanged. A pointer comes from there, or the program has ended.
+// Nothing here allocates or unwinds.
+unsafe impl GlobalAlloc for EndingAllocator {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        // SAFETY: the caller's promises are those of `System`.
+        end_if_null(unsafe { System.alloc(layout) }, layout.size())
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        // SAFETY: as above.
+        end_if_null(unsafe { System.alloc_zeroed(layout) }, layout.size())
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, n_bytes: usize) -> *mut u8 {
+        // SAFETY: as above.
+        end_if_null(unsafe { System.realloc(pointer, layout, n_bytes) }, n_bytes)
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: as above.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+/// Runs code that handles a failed allocation itself: the program goes on.
+pub(crate) fn handling_failure<T>(allocate: impl FnOnce() -> T) -> T {
+    HANDLES_FAILURE.set(true);
+    let allocated = allocate();
+    HANDLES_FAILURE.set(false);
+    allocated
+}
+
+#[inline]
+fn end_if_null(pointer: *mut u8, n_bytes: usize) -> *mut u8 {
+    if pointer.is_null() && !HANDLES_FAILURE.get() {
+        end(n_bytes);
+    }
+    pointer
+}
+
+#[cold]
+fn end(n_bytes: usize) -> ! {
+    // Tracing threads may fail together: one prints the line. If the end itself needs memory, it is an abort after all.
+    if IS_ENDING.swap(true, Relaxed) {
+        thread::sleep(LONGEST_END);
+        process::abort();
+    }
+    let mut line = [0; 256];
+    let mut cursor = Cursor::new(&mut line[..]);
+    // The line fits, and nothing can be done if standard error is closed.
+    let _ = write_line(&mut cursor, n_bytes);
+    let n_written = cursor.position() as usize;
+    let _ = std::io::stderr().write_all(&line[..n_written]);
+    process::exit(1);
+}
+
+fn write_line(out: &mut impl Write, n_bytes: usize) -> std::io::Result<()> {
+    let (amount, unit) = if n_bytes < 1_000_000 { (n_bytes, "bytes") } else { (n_bytes / 1_000_000, "MB") };
+    writeln!(
+        out,
+        "error: memory ran out: the system has no {amount} {unit} more. Lower --memory-budget, show a model of fewer \
+         triangles, or use a machine with more memory"
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_line_names_the_amount_and_the_cure_and_fits() {
+        for (n_bytes, amount) in [(999, " 999 bytes "), (2_500_000, " 2 MB "), (usize::MAX, " 18446744073709 MB ")] {
+            let mut line = [0; 256];
+            let mut cursor = Cursor::new(&mut line[..]);
+            write_line(&mut cursor, n_bytes).unwrap();
+            let n_written = cursor.position() as usize;
+            let line = str::from_utf8(&line[..n_written]).unwrap();
+            assert!(line.contains(amount) && line.contains("--memory-budget") && line.ends_with("memory\n"), "{line}");
+        }
+    }
+}
