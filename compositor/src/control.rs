@@ -1,10 +1,9 @@
 //! The state of a wall, and how keys, mouse and time change it.
 
-pub mod alignment;
+pub(crate) mod alignment;
 pub mod input;
-pub mod kiosk;
-pub mod model;
-pub mod navigator;
-pub(crate) mod numbered_file;
-pub mod refinement;
-pub mod sidecar;
+pub(crate) mod kiosk;
+pub(crate) mod model;
+pub(crate) mod navigator;
+pub(crate) mod refinement;
+pub(crate) mod sidecar;

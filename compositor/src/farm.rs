@@ -5,6 +5,11 @@
 
 mod connection;
 mod frame_buffer;
+mod log_limit;
+mod losses;
+mod open_frame;
+mod outbox;
+mod rate_limit;
 pub mod scheduler;
 mod service;
 mod silence;
@@ -23,7 +28,7 @@ use channel::key::Key;
 use shared::{
     appearance::Clip,
     camera::Camera,
-    division::{Division, FrameSize},
+    division::Division,
     protocol::{Encoding, FrameSpec},
     scene::SceneId,
     structure::Structure,
@@ -33,11 +38,8 @@ use tokio::{
     sync::{Notify, watch},
 };
 
-pub use self::frame_buffer::{FrameSamples, PlaceError};
-use self::{
-    frame_buffer::BufferPool,
-    stats::{FarmStatus, FrameStats},
-};
+pub use self::frame_buffer::{BufferPool, FrameBuffer, FrameSamples, PlaceError};
+use self::stats::{FarmStatus, FrameStats};
 
 /// The frame that the wall wants rendered now, and how. The latest goal replaces all earlier ones.
 #[derive(Clone, Debug)]
@@ -86,37 +88,6 @@ pub struct Probe {
     pub at: [f32; 2],
     /// The clip plane, if there is one.
     pub clip: Option<Clip>,
-}
-
-/// Places whole frames as connections do, to measure the time that it takes.
-#[derive(Debug, Default)]
-pub struct SamplePlacer(BufferPool);
-
-impl SamplePlacer {
-    /// Places a frame, divided for one render server, in chunks of at most `most_bytes` bytes.
-    ///
-    /// # Errors
-    /// Too few or too many bytes for the frame.
-    pub fn place(
-        &self,
-        size: FrameSize,
-        division: Division,
-        mut rgb: &[u8],
-        most_bytes: usize,
-    ) -> Result<FrameSamples, PlaceError> {
-        let task = division.task(0, 1);
-        let share = task.share(size).expect("one render server can have all of a frame");
-        let buffer = Arc::new(self.0.take(size));
-        let n_units = (most_bytes as u32 / (3 * share.units().samples_per_full_unit())).max(1);
-        for first in (0..share.count()).step_by(n_units as usize) {
-            let count = n_units.min(share.count() - first);
-            let n_samples: u32 = (first..first + count).map(|k| share.samples(k).count()).sum();
-            let (chunk, rest) = rgb.split_at(rgb.len().min(3 * n_samples as usize));
-            buffer.place(&share, first, count, chunk)?;
-            rgb = rest;
-        }
-        Ok(buffer.into_samples(self.0.clone()))
-    }
 }
 
 /// A running farm. Dropping it closes every connection.

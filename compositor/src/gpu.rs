@@ -1,27 +1,26 @@
 //! The GPU's part: one texture holds the frame's samples, and every projector of the wall shows its part of it.
 //!
-//! In reading order: [`context`] finds the GPU, [`frame_texture`] holds the frame, `quad` has the stages' shared types,
-//! [`present`] draws the frame on a target; `optics` corrects warped and blended projectors, by `blend_weights` that are
-//! drawn once. [`offscreen`] and [`surface`] are targets, [`timer`] measures, and [`present_cpu`] is the stage's twin for tests.
+//! In reading order: [`context`] finds the GPU, `quad` has the stages' shared types, [`present`] holds the frame and draws it
+//! on a target; `optics` corrects warped and blended projectors, by `blend_weights` that are drawn once. [`offscreen`] and
+//! [`surface`] are targets, and [`timer`] measures.
 
 mod blend_weights;
-pub mod context;
-pub mod frame_texture;
-pub mod offscreen;
+mod context;
+mod offscreen;
 mod optics;
-pub mod picture;
-pub mod present;
-pub mod present_cpu;
+mod picture;
+mod present;
 mod quad;
-pub mod surface;
-pub mod timer;
+mod surface;
+mod timer;
 
 pub use context::{Gpu, GpuError};
 pub use offscreen::Offscreen;
 pub use picture::RgbImage;
 pub use present::Present;
+pub(crate) use quad::Quad;
 pub use quad::Target;
-pub use surface::WallSurface;
+pub(crate) use surface::{SurfaceFrame, WallSurface};
 
 #[cfg(test)]
 mod tests {

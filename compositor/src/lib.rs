@@ -9,11 +9,11 @@ pub mod cli;
 pub mod control;
 pub mod farm;
 pub mod gpu;
-pub mod overlay;
+mod overlay;
 #[cfg(all(unix, not(target_os = "macos")))]
-pub mod supervisor;
+mod supervisor;
 #[cfg(not(all(unix, not(target_os = "macos"))))]
 #[path = "supervisor/none.rs"]
-pub mod supervisor;
+mod supervisor;
 pub mod wall;
-pub mod window;
+mod window;

@@ -12,20 +12,21 @@ mod style;
 mod tint;
 mod wall;
 
-pub use figures::{DENSITIES, STORAGES};
-pub use files::{FileEntry, FileList};
-pub use history::{FrameTimes, History};
-pub use info::{ModelSummary, Pick};
-pub use region::ProjectorRegion;
-pub use style::{apply_style, zoom};
-pub use wall::{OutputContent, OutputState, WallDrawing};
+pub(crate) use figures::{DENSITIES, STORAGES};
+pub(crate) use files::{FileEntry, FileList};
+pub(crate) use history::{FrameTimes, History};
+pub(crate) use info::{ModelSummary, Pick};
+pub(crate) use region::ProjectorRegion;
+pub(crate) use style::{apply_style, zoom};
+pub(crate) use wall::{OutputContent, OutputState, WallDrawing};
 
 use egui::{Align2, Ui};
 use shared::{
     appearance::Appearance,
     camera::UpAxis,
     division::Division,
-    protocol::{LightingMode, ShadingMode},
+    printable::printable_line,
+    protocol::{LightingMode, SceneState, ShadingMode},
     structure::Structure,
 };
 
@@ -34,12 +35,10 @@ use crate::{
     farm::stats::{DisplayStats, FarmStatus, FrameStats},
 };
 
-/// Everything that the overlay shows.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct OverlayModel {
+pub(crate) struct OverlayModel {
     /// Whether the panel of measurements is shown.
     pub panel: bool,
-    /// Whether the help on keys and mouse is shown.
     pub help: bool,
     /// Measurements of the farm's work on the newest frame.
     pub frame: Option<FrameStats>,
@@ -47,29 +46,20 @@ pub struct OverlayModel {
     pub display: Option<DisplayStats>,
     /// Frames shown per second; `None` at rest.
     pub frames_per_second: Option<f64>,
-    /// The farm's state.
     pub status: FarmStatus,
-    /// The division in force.
     pub division: Division,
-    /// The shading mode in force.
     pub view: ShadingMode,
-    /// The lighting mode in force.
     pub rays: LightingMode,
-    /// The appearance in force.
     pub appearance: Appearance,
     /// Whether the resolution follows the motion.
     pub is_refining: bool,
     /// Samples a pixel: of the newest frame, and after refinement.
     pub n_samples: [u32; 2],
-    /// The axis that points up.
     pub up: UpAxis,
-    /// The model on the wall.
     pub model: Option<ModelSummary>,
     /// The model that is being read, and the progress: 0 to 1.
     pub loading: Option<(String, f32)>,
-    /// Whether the camera's path is being recorded.
     pub is_recording: bool,
-    /// Whether the camera follows a path.
     pub is_playing: bool,
     /// The numbers of the model's views.
     pub views: Vec<u8>,
@@ -81,15 +71,11 @@ pub struct OverlayModel {
     pub files: Option<FileList>,
     /// The grid's structure, if it differs from the one with which render servers were started.
     pub structure: Option<Structure>,
-    /// The tint over the picture.
     pub tint: Tint,
     /// The regions of the window in which projectors show the canvas.
     pub regions: Vec<ProjectorRegion>,
-    /// The drawing of the wall.
     pub wall: WallDrawing,
-    /// The state of each of its outputs.
     pub outputs: Vec<OutputState>,
-    /// The times of the last frames.
     pub history: History,
     /// The effect of the last command, shown for a moment.
     pub note: Option<String>,
@@ -102,31 +88,56 @@ pub struct OverlayModel {
 }
 
 impl OverlayModel {
-    /// Whether there is anything to see.
-    pub fn is_visible(&self) -> bool {
+    pub(crate) fn is_visible(&self) -> bool {
         let has_tint = self.tint != Tint::None || self.pick_on_canvas.is_some();
         self.panel || self.help || self.files.is_some() || self.note.is_some() || has_tint
     }
 
+    /// The model with all texts fit for the screen: peers, files and the wall's file name much of what it shows.
+    fn printable(&self) -> Self {
+        let mut model = self.clone();
+        let nodes = model.status.nodes.iter_mut().flat_map(|node| {
+            let reason = match &mut node.scene {
+                Some(SceneState::Missing { reason }) => Some(reason),
+                _ => None,
+            };
+            [Some(&mut node.name), reason]
+        });
+        let files = model.files.iter_mut().flat_map(|files| {
+            let names = files.entries.iter_mut().map(|entry| &mut entry.name);
+            names.chain([&mut files.folder]).chain(&mut files.problem)
+        });
+        let texts = nodes
+            .flatten()
+            .chain(files)
+            .chain(model.frame.iter_mut().flat_map(|frame| frame.nodes.iter_mut().map(|node| &mut node.name)))
+            .chain(model.model.iter_mut().map(|model| &mut model.name))
+            .chain(model.loading.iter_mut().map(|(name, _)| name))
+            .chain(model.outputs.iter_mut().filter_map(|output| output.monitor.as_mut()))
+            .chain([&mut model.join.command, &mut model.join.note])
+            .chain(&mut model.note)
+            .chain(&mut model.messages);
+        for text in texts {
+            *text = printable_line(text);
+        }
+        model
+    }
+
     /// The model without panels, which only one window shows; every window shows the rest.
-    pub fn without_panels(&self) -> Self {
+    pub(crate) fn without_panels(&self) -> Self {
         Self { panel: false, help: false, files: None, note: None, ..self.clone() }
     }
 }
 
-/// How a render server joins.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct JoinHint {
-    /// The command line.
+pub(crate) struct JoinHint {
     pub command: String,
     /// Where to type it, and how to join from other machines.
     pub note: String,
 }
 
-/// The result of showing the overlay once.
 #[derive(Clone, Debug, Default)]
-pub struct OverlayOutput {
-    /// The operator's commands, in order.
+pub(crate) struct OverlayOutput {
     pub commands: Vec<Command>,
     /// The parts of the window that the overlay covers, in points.
     pub areas: Vec<egui::Rect>,
@@ -138,7 +149,8 @@ const PANEL_WIDTH: f32 = 394.0;
 const MARGIN: f32 = 16.0;
 
 /// Shows the overlay; `ui` is the whole window.
-pub fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
+pub(crate) fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
+    let model = &model.printable();
     let mut output = OverlayOutput::default();
     tint::show(ui, model);
     tint::mark_pick(ui, model);

@@ -1,13 +1,10 @@
 //! Restarts a full-screen wall when it crashes.
 //!
-//! The process that the operator starts is the supervisor; the wall runs in a child process with the same arguments. A
-//! socket connects the two, as the child's standard input. Through its [`SupervisorLink`] the child reports its windows
-//! and its first frame, and each side sees the socket close when the other ends. Between two children a
-//! [`DesktopCover`] hides the desktop.
+//! Through its [`SupervisorLink`], a socket, the child reports its windows and its first frame. Between two children a
+//! [`DesktopCover`] hides the desktop. ARCHITECTURE.md ("Supervisor") says more.
 
 mod desktop_cover;
 mod link;
-mod restart_delay;
 
 use std::{
     io::{BufRead, BufReader},
@@ -20,16 +17,14 @@ use std::{
 };
 
 use anyhow::Context;
+use renderer::cli::stop;
 
-pub use self::link::SupervisorLink;
-use self::{
-    desktop_cover::{DesktopCover, WallWindow, XDesktop},
-    restart_delay::RestartDelay,
-};
+use self::desktop_cover::{DesktopCover, WallWindow, XDesktop};
+pub(crate) use self::link::SupervisorLink;
 use crate::wall::OnLoss;
 
 /// Whether this system has supervisors.
-pub const IS_SUPPORTED: bool = true;
+pub(crate) const IS_SUPPORTED: bool = true;
 
 /// How long the cover stays after the report of the first frame, which may reach the screen a little later.
 const COVER_LINGER: Duration = Duration::from_millis(250);
@@ -37,37 +32,39 @@ const COVER_LINGER: Duration = Duration::from_millis(250);
 /// How often the cover is raised while new windows open beneath it.
 const RAISE_INTERVAL: Duration = Duration::from_millis(50);
 
+/// The delays before a crashed wall restarts: the first, and the longest.
+const RESTART_DELAYS: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(60)];
+
+/// A child that showed frames for this long resets the delay: its start was not what failed.
+const LONG_LIFE: Duration = Duration::from_secs(60);
+
 /// A child that does not end within this time after a stop request is killed.
 const STOP_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// An event for the supervisor.
 #[derive(Debug)]
 enum Event {
-    /// A signal asks to stop.
     Stop,
     /// The child has opened the window with this X11 identifier.
     Window(u32),
-    /// The child's first frame is on screen.
     Shown,
-    /// The child has ended.
     Ended,
 }
 
 /// Runs the wall as a child with the arguments of this process, and again after each crash that follows a frame.
 ///
 /// `on_loss` decides what covers the desktop between a crash and the next first frame. If the child fails before its
-/// first frame, this process exits with the same code.
-///
-/// # Errors
-///
-/// The child cannot be started, or was killed before its first frame.
-pub fn run(on_loss: OnLoss) -> anyhow::Result<()> {
+/// first frame, this process exits with the same code; if it was killed, with an error.
+pub(crate) fn run(on_loss: OnLoss) -> anyhow::Result<()> {
     let (events_sender, events) = mpsc::channel();
-    listen_for_signals(events_sender.clone())?;
+    stop::on_signal({
+        let events_sender = events_sender.clone();
+        // The receiver lives as long as the supervisor.
+        move |_| drop(events_sender.send(Event::Stop))
+    });
     let desktop = XDesktop::connect();
     let mut supervisor =
         Supervisor { on_loss, desktop, events_sender, events, cover: None, has_shown: false, is_stopping: false };
-    let mut restart_delay = RestartDelay::default();
+    let mut last_delay = None;
     loop {
         let (status, shown_for) = supervisor.run_child()?;
         if supervisor.is_stopping || status.success() || !supervisor.has_shown {
@@ -77,7 +74,8 @@ pub fn run(on_loss: OnLoss) -> anyhow::Result<()> {
                 None => anyhow::bail!("the wall was killed ({status})"),
             }
         }
-        let delay = restart_delay.next_delay(shown_for);
+        let delay = next_delay(last_delay, shown_for);
+        last_delay = Some(delay);
         tracing::error!("the wall has died ({status}) and restarts in {} s", delay.as_secs());
         let resume_at = Instant::now() + delay;
         while Instant::now() < resume_at {
@@ -162,7 +160,6 @@ impl Supervisor {
         }
     }
 
-    /// Starts a child, and a thread that reads its reports.
     fn start(&self) -> anyhow::Result<(Child, UnixStream)> {
         let (link, child_link) = UnixStream::pair().context("cannot make a socket for the wall")?;
         let reports = link.try_clone().context("cannot make a socket for the wall")?;
@@ -194,15 +191,24 @@ impl Supervisor {
     }
 }
 
-/// Turns SIGTERM and Ctrl-C into events, on a thread of its own.
-fn listen_for_signals(events_sender: mpsc::Sender<Event>) -> anyhow::Result<()> {
-    let runtime =
-        tokio::runtime::Builder::new_current_thread().enable_all().build().context("cannot listen for signals")?;
-    let listen = move || {
-        while runtime.block_on(renderer::server::connect::stop_signal()).is_ok()
-            && events_sender.send(Event::Stop).is_ok()
-        {}
-    };
-    thread::Builder::new().name("signals".to_owned()).spawn(listen).context("cannot start a thread for signals")?;
-    Ok(())
+/// The delay before the next start, after a child that showed frames for `shown_for`; doubles with each crash in a row.
+fn next_delay(last: Option<Duration>, shown_for: Duration) -> Duration {
+    let [first, longest] = RESTART_DELAYS;
+    last.filter(|_| shown_for < LONG_LIFE).map_or(first, |last| (2 * last).min(longest))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn repeated_crashes_double_the_delay_up_to_a_minute() {
+        let mut last = None;
+        let mut next = |shown_s| {
+            last = Some(next_delay(last, Duration::from_secs(shown_s)));
+            last.map(|delay| delay.as_secs())
+        };
+        assert_eq!([5; 9].map(&mut next), [1, 2, 4, 8, 16, 32, 60, 60, 60].map(Some));
+        assert_eq!([3600, 0].map(next), [1, 2].map(Some));
+    }
 }

@@ -9,8 +9,9 @@ pub mod homography;
 pub mod outline;
 pub mod projector;
 
-use std::{io::Read, path::Path};
+use std::path::Path;
 
+use channel::files::{self, ReadError};
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 use shared::division::FrameSize;
@@ -18,9 +19,7 @@ use shared::division::FrameSize;
 use blend::Neighbour;
 pub use projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
 
-/// A canvas and the projectors that light it.
-///
-/// Every projector shows its own part of one frame, which covers the whole canvas.
+/// A canvas and the projectors that light it; each shows its own part of one frame, which covers the whole canvas.
 ///
 /// Invariant: there is at least one projector, both sides of [`Wall::output_size`] are at most [`Wall::LARGEST_SIDE`], no
 /// two projectors share a pixel or a name, each lies on the canvas, and its warped corners are convex.
@@ -47,36 +46,22 @@ pub enum OnLoss {
 
 /// Why a wall file cannot be used.
 #[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum WallError {
-    /// The file cannot be read.
-    #[error("{path}: {source}: --wall takes a file like those in wall-config/")]
-    Unreadable {
-        /// As given.
-        path: String,
-        /// The cause.
-        source: std::io::Error,
-    },
-    /// The file is not TOML, has unknown keys, or describes an impossible wall.
+    #[error("{path}: {cause}: --wall takes a file like those in wall-config/")]
+    Unreadable { path: String, cause: ReadError },
     #[error("{path}:{line}: {problem}")]
-    Invalid {
-        /// As given.
-        path: String,
-        /// From 1.
-        line: usize,
-        /// The problem, and its cure.
-        problem: String,
-    },
+    Invalid { path: String, line: usize, problem: String },
 }
 
-/// Why projectors do not make a wall.
+/// Why projectors do not make a wall: the projector at fault, or all of them, the key of the wall file to change, and the
+/// problem with its cure.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{problem}")]
+#[expect(missing_docs, reason = "said above")]
 pub struct InvalidWall {
-    /// The projector at fault; `None` for all of them.
     pub projector_idx: Option<usize>,
-    /// The key of the wall file to change.
     pub key: &'static str,
-    /// The problem, and its cure.
     pub problem: String,
 }
 
@@ -160,7 +145,7 @@ impl Wall {
         let name = path.display().to_string();
         match read_text(path) {
             Ok(text) => Self::from_toml(&name, &text),
-            Err(source) => Err(WallError::Unreadable { path: name, source }),
+            Err(cause) => Err(WallError::Unreadable { path: name, cause }),
         }
     }
 
@@ -286,9 +271,7 @@ impl Wall {
         let away = |projector: &&Projector| projector.output.nearest(output_px).distance_squared(output_px);
         let nearest = self.projectors.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
         let lit = |projector: &Projector, output_px: DVec2| {
-            let PixelRect { x, y, width, height } = projector.output;
-            let corner = DVec2::new(f64::from(x), f64::from(y));
-            let raster = (output_px - corner) / DVec2::new(f64::from(width), f64::from(height));
+            let raster = (output_px - projector.output.origin()) / projector.output.size();
             let rect_point = homography::apply(projector.raster_from_rect()?.inverse(), raster)?;
             Some(projector.canvas.canvas_from_rect(rect_point))
         };
@@ -308,14 +291,11 @@ impl Wall {
 const FARTHEST_CORNER: f64 = 10.0;
 /// Above this sum of black levels, an image has too little contrast.
 const MOST_BLACK: f64 = 0.5;
-/// Wall files are read up to this many bytes: somebody may name a device or a model by mistake.
+/// Larger files are not walls; bytes.
 const LARGEST_FILE: u64 = 1 << 20;
 
-/// The text of a wall file, or the beginning of another large file.
-pub(crate) fn read_text(path: &Path) -> std::io::Result<String> {
-    let mut text = String::new();
-    std::fs::File::open(path)?.take(LARGEST_FILE).read_to_string(&mut text)?;
-    Ok(text)
+pub(crate) fn read_text(path: &Path) -> Result<String, ReadError> {
+    files::read_text(path, LARGEST_FILE)
 }
 
 /// Checks that every projector has pixels, that all of them fit into one image, and that no pixel has two projectors.

@@ -4,39 +4,41 @@
 //! a [`Waker`]. A wall at rest uses no CPU time.
 
 mod app;
+mod effect;
 mod frame_rate;
 mod jobs;
 mod join;
 mod model_loader;
-mod options;
 mod outputs;
 mod painter;
 mod screen;
 mod screenshots;
-pub mod session;
+pub(crate) mod session;
 mod waker;
+
+use std::ops::ControlFlow;
 
 use anyhow::Context;
 use winit::event_loop::EventLoop;
 
-pub use self::{
-    options::{OnShown, WindowOptions},
-    waker::Waker,
-};
+pub(crate) use self::waker::Waker;
 use self::{session::display_environment, waker::Call};
-use crate::{farm::Farm, supervisor::SupervisorLink};
+use crate::{
+    cli::args::{Inputs, WallArgs},
+    farm::{Farm, Frame, stats::DisplayStats},
+    supervisor::SupervisorLink,
+};
+
+/// Called for every new frame once it is on screen; breaks to close the window.
+pub(crate) type OnShown = Box<dyn FnMut(&Frame, &DisplayStats) -> ControlFlow<()>>;
 
 /// The connection to the display; [`WindowLoop::run`] opens the window.
 #[derive(Debug)]
-pub struct WindowLoop(EventLoop<Call>);
+pub(crate) struct WindowLoop(EventLoop<Call>);
 
 impl WindowLoop {
-    /// Connects to the display. Call it on the main thread, and only once in a program.
-    ///
-    /// # Errors
-    ///
-    /// There is no display, or a library that windows need is not installed.
-    pub fn new() -> anyhow::Result<Self> {
+    /// Connects to the display, unless there is none or a library is missing. Call it on the main thread, and only once.
+    pub(crate) fn new() -> anyhow::Result<Self> {
         display_environment::check()?;
         let event_loop = EventLoop::with_user_event().build().with_context(|| {
             let display = |name| std::env::var(name).unwrap_or_default();
@@ -51,26 +53,22 @@ impl WindowLoop {
     }
 
     /// Wakes this window: for [`Farm::start`].
-    pub fn waker(&self) -> Waker {
+    pub(crate) fn waker(&self) -> Waker {
         Waker(self.0.create_proxy())
     }
 
-    /// Opens the windows and shows the frames of `farm` until one of them is closed.
-    ///
-    /// Reports windows and the first frame to the process at the other end of `supervisor`, if there is one.
-    ///
-    /// # Errors
-    ///
-    /// No GPU can draw on the window, the GPU fails, or the first model cannot be read. Each message says what to do.
-    pub fn run(
+    /// Opens the windows and shows the frames of `farm` until one is closed, the GPU fails, or the first model cannot be
+    /// read. Reports windows and the first frame to the `supervisor`.
+    pub(crate) fn run(
         self,
-        options: WindowOptions,
+        args: &WallArgs,
+        inputs: Inputs,
         farm: &Farm,
         on_shown: OnShown,
         supervisor: Option<SupervisorLink>,
     ) -> anyhow::Result<()> {
         let waker = self.waker();
-        let mut app = app::App::new(options, farm, on_shown, waker, supervisor);
+        let mut app = app::App::new(args, inputs, farm, on_shown, waker, supervisor);
         self.0.run_app(&mut app).context("the display connection failed")?;
         app.into_outcome()
     }

@@ -2,15 +2,15 @@
 
 use std::{net::SocketAddr, path::PathBuf};
 
-use renderer::{
-    cli::{appearance_args::AppearanceArgs, scene_args::SceneArgs},
-    model::scene::SceneSource,
+use renderer::cli::{
+    appearance_args::AppearanceArgs,
+    picture_args::{ModelArgs, read_camera},
+    scene_args::SceneArgs,
 };
 use shared::{
-    camera::{Camera, UpAxis},
+    camera::{Camera, CameraPath, UpAxis},
     division::{Division, FrameSize},
     protocol::{DEFAULT_PORT, Encoding, LightingMode, SampleRange, ShadingMode},
-    scene::SceneId,
 };
 
 use super::check::CheckArgs;
@@ -46,13 +46,9 @@ pub enum Command {
 /// The model, the wall and the camera.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ShowArgs {
-    /// The PLY file to show [default: the built-in statue]
-    #[arg(long, value_name = "FILE")]
-    pub model: Option<PathBuf>,
-    /// Triangles of the built-in statue
-    #[arg(long, value_name = "N", default_value_t = 1_000_000, conflicts_with = "model",
-        value_parser = clap::value_parser!(u32).range(100..=i64::from(SceneId::LARGEST_STATUE)))]
-    pub triangles: u32,
+    /// The model.
+    #[command(flatten)]
+    pub model: ModelArgs,
     /// The wall file [default: the paper's 4×3 projectors]
     #[arg(long, value_name = "FILE.toml")]
     pub wall: Option<PathBuf>,
@@ -62,12 +58,6 @@ pub struct ShowArgs {
 }
 
 impl ShowArgs {
-    /// The model's file, or the statue.
-    pub fn source(&self) -> SceneSource {
-        let statue = SceneSource::Statue { triangles: self.triangles };
-        self.model.clone().map_or(statue, SceneSource::Ply)
-    }
-
     /// The wall of the file, or the default.
     pub fn load_wall(&self) -> Result<Wall, WallError> {
         self.wall.as_deref().map_or_else(|| Ok(Wall::paper()), Wall::load)
@@ -75,8 +65,19 @@ impl ShowArgs {
 
     /// The camera of the file, if there is one.
     pub fn read_camera(&self) -> anyhow::Result<Option<Camera>> {
-        self.camera.as_deref().map(renderer::cli::trace::read_camera).transpose()
+        self.camera.as_deref().map(read_camera).transpose()
     }
+}
+
+/// The files that a wall starts with.
+#[derive(Clone, Debug)]
+pub struct Inputs {
+    /// The wall.
+    pub wall: Wall,
+    /// The first camera; `None` shows the whole model.
+    pub camera: Option<Camera>,
+    /// The path that the camera takes from the start.
+    pub path: Option<CameraPath>,
 }
 
 /// The wall's options.
@@ -118,9 +119,8 @@ pub struct WallArgs {
     /// Render servers to start on this machine [default: 2; 0 with --listen]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=256))]
     pub local: Option<u32>,
-    /// Wait for this many render servers before the first frame; 0 with --headless shows blank frames
-    /// [default: as many as --local, at least 1]
-    #[arg(long, value_name = "K")]
+    /// Wait for this many render servers before the first frame [default: as many as --local, at least 1]
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..))]
     pub min_renderers: Option<u32>,
     /// How frames are divided among render servers: interleaved, tiled or dynamic
     #[arg(long, value_name = "D", default_value_t = Division::default())]
@@ -193,7 +193,7 @@ impl WallArgs {
     }
 
     /// The refinement's options. It is off by default where frames are counted or have a fixed size: these are measured.
-    pub fn refinement(&self, wall: &Wall) -> RefinementOptions {
+    pub(crate) fn refinement(&self, wall: &Wall) -> RefinementOptions {
         let is_measured = self.headless || self.size.is_some() || self.frames.is_some();
         let target_rate = self.target_rate.unwrap_or(if is_measured { 0.0 } else { DEFAULT_TARGET_RATE });
         RefinementOptions {

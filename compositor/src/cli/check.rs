@@ -5,8 +5,10 @@ mod drawing;
 use std::path::PathBuf;
 
 use anyhow::Context;
+use channel::files;
 use glam::{DVec2, DVec4};
-use renderer::{cli::say, render::image::write_atomically};
+use renderer::cli::say;
+use shared::printable::printable_line;
 
 use crate::wall::{OnLoss, Wall, homography::apply};
 
@@ -20,21 +22,17 @@ pub struct CheckArgs {
     pub svg: Option<PathBuf>,
 }
 
-/// Prints the summary and the complete file, and draws the wall if asked to.
-///
-/// # Errors
-///
-/// The file is no wall file, or the drawing cannot be written; each message names the cure.
+/// Prints the summary and the complete file, and draws the wall if asked to; each error names the cure.
 pub fn run(args: &CheckArgs) -> anyhow::Result<()> {
     let wall = Wall::load(&args.file)?;
     if let Some(path) = &args.svg {
         let svg = drawing::draw(&wall, &args.file.display().to_string());
-        write_atomically(path, |out| out.write_all(svg.as_bytes())).with_context(|| {
+        files::write(path, |out| out.write_all(svg.as_bytes())).with_context(|| {
             format!("cannot write the drawing {}: --svg FILE.svg puts it elsewhere", path.display())
         })?;
     }
     for line in summary(&wall) {
-        say(format_args!("# {line}"))?;
+        say(format_args!("# {}", printable_line(&line)))?;
     }
     match &args.svg {
         Some(path) => say(format_args!("# drawn in {}\n", path.display()))?,

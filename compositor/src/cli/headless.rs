@@ -3,12 +3,8 @@
 mod film;
 mod refined;
 
-use std::{
-    path::Path,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
-use anyhow::Context;
 use shared::division::FrameSize;
 
 use super::report::Report;
@@ -60,48 +56,22 @@ impl Headless {
         while report.n_frames() < n_frames as usize {
             let Some(frame) = next_frame(farm, wakeups)? else { break };
             let display = self.show(&frame)?;
-            report.add(Some(&frame), display, milliseconds(ended_at.elapsed()));
+            report.add(&frame, display, milliseconds(ended_at.elapsed()));
             ended_at = Instant::now();
             tracing::debug!("frame shown: {}", frame.stats.frame);
         }
         Ok(report)
     }
 
-    /// Shows blank frames, to measure the display alone.
-    pub fn show_blank_frames(&mut self, size: FrameSize, n_frames: u32) -> anyhow::Result<Report> {
-        let mut report = Report::default();
-        for _ in 0..n_frames {
-            let started_at = Instant::now();
-            let display = self.show_blank(size)?;
-            report.add(None, display, milliseconds(started_at.elapsed()));
-        }
-        Ok(report)
-    }
-
-    /// Shows one blank frame.
-    pub fn show_blank(&mut self, size: FrameSize) -> anyhow::Result<DisplayStats> {
-        let blank = vec![u32::from_ne_bytes([0, 0, 0, 255]); size.n_samples() as usize];
-        self.show_samples(size, &blank, Instant::now())
-    }
-
     /// Shows one frame.
     pub fn show(&mut self, frame: &Frame) -> anyhow::Result<DisplayStats> {
-        self.show_samples(frame.spec.size, &frame.rgba, frame.moved_at)
-    }
-
-    fn show_samples(&mut self, size: FrameSize, rgba: &[u32], moved_at: Instant) -> anyhow::Result<DisplayStats> {
-        let (upload, draw) = self.upload_and_draw(size, rgba)?;
+        let (upload, draw) = self.upload_and_draw(frame.spec.size, &frame.rgba)?;
         Ok(DisplayStats {
             upload_ms: milliseconds(upload),
             draw_ms: milliseconds(draw),
             present_ms: 0.0,
-            latency_ms: milliseconds(moved_at.elapsed()),
+            latency_ms: milliseconds(frame.moved_at.elapsed()),
         })
-    }
-
-    /// The wall as it is now, for a screenshot.
-    pub fn write_screenshot(&self, path: &Path) -> anyhow::Result<()> {
-        self.image()?.write_png(path).with_context(|| format!("no screenshot {}", path.display()))
     }
 
     /// The wall as it is now.
@@ -114,11 +84,6 @@ impl Headless {
         &self.gpu
     }
 
-    /// GPU time of the newest draw in milliseconds; `None` on GPUs without timestamps.
-    pub fn gpu_draw_ms(&mut self) -> Option<f64> {
-        self.present.draw_ms(&self.gpu)
-    }
-
     /// Uploads samples to the GPU and draws the wall; returns the times of both.
     pub fn upload_and_draw(&mut self, size: FrameSize, rgba: &[u32]) -> anyhow::Result<(Duration, Duration)> {
         let started_at = Instant::now();
@@ -129,7 +94,8 @@ impl Headless {
         let upload = started_at.elapsed();
         let started_at = Instant::now();
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        self.present.draw(&self.gpu, &mut encoder, &self.offscreen.target(), &self.wall, self.wall.whole_output());
+        let target = (self.offscreen.target(), self.wall.whole_output());
+        self.present.draw(&self.gpu, &mut encoder, &self.wall, &[target]);
         self.gpu.queue.submit([encoder.finish()]);
         // Without a screen, a frame is shown when the GPU has drawn it.
         self.gpu.wait()?;

@@ -1,13 +1,24 @@
 //! Render servers on the wall's own machine: processes of the wall's own program, connected over TCP like all others.
 
 use std::{
+    io,
     net::SocketAddr,
     path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
+    process::{Child, ChildStdout, Command, ExitStatus, Stdio},
+    sync::{
+        Arc, Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering::Relaxed},
+    },
+    thread,
+    time::Duration,
 };
 
 use anyhow::Context;
 use renderer::cli::scene_args::SceneArgs;
+
+/// A process closes its pipes a moment before its status can be read: how often that is tried, and how long apart.
+const STATUS_TRIES: u32 = 100;
+const STATUS_PAUSE: Duration = Duration::from_millis(10);
 
 /// Render servers that end with the wall.
 #[derive(Debug)]
@@ -16,7 +27,9 @@ pub struct LocalServers {
     wall: SocketAddr,
     key: Option<PathBuf>,
     scene: SceneArgs,
-    children: Vec<Child>,
+    children: Vec<Arc<Mutex<Child>>>,
+    /// Whether the wall ends them.
+    are_ending: Arc<AtomicBool>,
 }
 
 impl LocalServers {
@@ -24,7 +37,7 @@ impl LocalServers {
     /// one.
     pub fn start(n_servers: u32, address: SocketAddr, key: Option<&Path>, scene: &SceneArgs) -> anyhow::Result<Self> {
         let mut servers = Self::empty(address, key, scene)?;
-        let n_cores = std::thread::available_parallelism().map_or(1, usize::from) as u32;
+        let n_cores = thread::available_parallelism().map_or(1, usize::from) as u32;
         (0..n_servers).try_for_each(|_| servers.add((n_cores / n_servers).max(1)))?;
         Ok(servers)
     }
@@ -35,7 +48,14 @@ impl LocalServers {
         // A wall that listens on every address is reached on loopback.
         let ip = if address.ip().is_unspecified() { loopback_like(address) } else { address.ip() };
         let wall = SocketAddr::new(ip, address.port());
-        Ok(Self { program, wall, key: key.map(Path::to_owned), scene: *scene, children: Vec::new() })
+        Ok(Self {
+            program,
+            wall,
+            key: key.map(Path::to_owned),
+            scene: *scene,
+            children: Vec::new(),
+            are_ending: Arc::default(),
+        })
     }
 
     /// Starts one more, with `n_threads`.
@@ -47,23 +67,41 @@ impl LocalServers {
             // The wall may listen on an address of this machine that is not loopback.
             None => command.arg("--insecure"),
         };
-        let child = command
-            .args(["--name", &format!("local-{}", self.children.len() + 1)])
+        let name = format!("local-{}", self.children.len() + 1);
+        let mut child = command
+            .args(["--name", &name])
             .args(self.scene.to_arguments())
             .args(["--threads", &n_threads.to_string()])
             // Open as long as this process lives: render servers end with their standard input.
             .stdin(Stdio::piped())
-            .stdout(Stdio::null())
+            // It prints nothing there; the pipe's end tells that it has ended.
+            .stdout(Stdio::piped())
             .spawn()
             .with_context(|| format!("cannot start a local render server ({})", self.program.display()))?;
-        self.children.push(child);
+        let pipe = child.stdout.take();
+        let child = Arc::new(Mutex::new(child));
+        self.children.push(Arc::clone(&child));
+        let are_ending = Arc::clone(&self.are_ending);
+        let watch = move || {
+            let status = pipe.and_then(|pipe| wait_for_end(pipe, &child));
+            // Other ends are explained by the render server's own lines.
+            if status.is_some_and(was_killed) && !are_ending.load(Relaxed) {
+                tracing::warn!(
+                    "render server {name} was killed, most likely by the system because memory ran out: lower \
+                     --memory-budget or --local, show a model of fewer triangles, or use a machine with more memory"
+                );
+            }
+        };
+        thread::Builder::new().name("local".to_owned()).spawn(watch).context("cannot watch a local render server")?;
         Ok(())
     }
 }
 
 impl Drop for LocalServers {
     fn drop(&mut self) {
-        for child in &mut self.children {
+        self.are_ending.store(true, Relaxed);
+        for child in &self.children {
+            let mut child = child.lock().unwrap_or_else(PoisonError::into_inner);
             // Killing fails for one that has already ended.
             let _ = child.kill();
             let _ = child.wait();
@@ -73,4 +111,25 @@ impl Drop for LocalServers {
 
 fn loopback_like(address: SocketAddr) -> std::net::IpAddr {
     if address.is_ipv4() { std::net::Ipv4Addr::LOCALHOST.into() } else { std::net::Ipv6Addr::LOCALHOST.into() }
+}
+
+/// Waits for the end of a child by its pipe; `None` if its status cannot be read.
+fn wait_for_end(mut pipe: ChildStdout, child: &Mutex<Child>) -> Option<ExitStatus> {
+    // An error is an end too.
+    let _ = io::copy(&mut pipe, &mut io::sink());
+    (0..STATUS_TRIES).find_map(|_| {
+        let status = child.lock().unwrap_or_else(PoisonError::into_inner).try_wait();
+        status.ok().flatten().or_else(|| {
+            thread::sleep(STATUS_PAUSE);
+            None
+        })
+    })
+}
+
+/// Whether the process was ended by SIGKILL: Linux sends it when memory runs out.
+fn was_killed(status: ExitStatus) -> bool {
+    #[cfg(unix)]
+    return std::os::unix::process::ExitStatusExt::signal(&status) == Some(9);
+    #[cfg(not(unix))]
+    return false;
 }

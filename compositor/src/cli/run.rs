@@ -1,28 +1,22 @@
 //! Runs a wall from its command line: model, farm, local render servers, with or without a window.
 
-use std::{
-    cell::RefCell,
-    ops::ControlFlow,
-    rc::Rc,
-    sync::mpsc,
-    time::{Duration, Instant},
-};
+use std::{cell::RefCell, ops::ControlFlow, rc::Rc, sync::mpsc, time::Instant};
 
 use anyhow::{Context, bail};
 use channel::key::{Key, make_key_command};
 use renderer::{
-    cli::{progress::Progress, say},
+    cli::{
+        progress::Progress,
+        say,
+        stop::{self, Signal, Stopped},
+    },
     model::scene::SceneSource,
 };
-use shared::{
-    camera::{Camera, CameraPath},
-    division::FrameSize,
-    protocol::FrameSpec,
-};
+use shared::{camera::Camera, protocol::FrameSpec};
 use tokio::{net::TcpListener, runtime::Runtime};
 
 use super::{
-    args::WallArgs,
+    args::{Inputs, WallArgs},
     headless::{Film, Headless, Wakeup, Wakeups},
     local::LocalServers,
     report::Report,
@@ -35,34 +29,37 @@ use crate::{
     },
     farm::{Farm, RenderGoal},
     supervisor::{self, SupervisorLink},
-    wall::Wall,
-    window::{OnShown, WindowLoop, WindowOptions},
+    window::{OnShown, WindowLoop},
 };
 
 /// Runs a wall to its end.
 pub fn run(args: &WallArgs) -> anyhow::Result<()> {
-    let wall = args.show.load_wall()?;
-    let wall = match args.size {
-        Some(size) => wall.with_frame_size(size),
-        None => wall,
+    let mut inputs = Inputs {
+        wall: args.show.load_wall()?,
+        camera: args.show.read_camera()?,
+        path: args.path.as_deref().map(sidecar::read_path).transpose().map_err(anyhow::Error::msg)?,
     };
-    let camera = args.show.read_camera()?;
-    let path = args.path.as_deref().map(sidecar::read_path).transpose().map_err(anyhow::Error::msg)?;
-    if args.headless {
-        return run_headless(args, wall, camera, path);
+    if let Some(size) = args.size {
+        inputs.wall = inputs.wall.with_frame_size(size);
     }
-    let wall = if args.spanning { wall.without_monitors() } else { wall };
-    let on_loss = args.on_loss.unwrap_or(wall.on_loss());
+    if args.headless {
+        return run_headless(args, inputs);
+    }
+    if args.spanning {
+        inputs.wall = inputs.wall.without_monitors();
+    }
+    let on_loss = args.on_loss.unwrap_or(inputs.wall.on_loss());
     let supervisor = SupervisorLink::of_this_process();
-    let fills_screens = args.fullscreen || args.kiosk.is_some() || !wall.monitors().is_empty();
+    let fills_screens = args.fullscreen || args.kiosk.is_some() || !inputs.wall.monitors().is_empty();
     // A wall that is measured runs without a supervisor.
     if supervisor::IS_SUPPORTED && supervisor.is_none() && fills_screens && args.frames.is_none() {
         return supervisor::run(on_loss);
     }
-    run_window(args, wall.with_on_loss(on_loss), camera, path, supervisor)
+    inputs.wall = inputs.wall.with_on_loss(on_loss);
+    run_window(args, inputs, supervisor)
 }
 
-fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Option<CameraPath>) -> anyhow::Result<()> {
+fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyhow::Result<()> {
     let n_frames = args.frames.unwrap_or(10);
     let (aspect, size) = (wall.aspect(), wall.frame_size());
     let mut refinement = Refinement::new(args.refinement(&wall));
@@ -71,56 +68,27 @@ fn run_headless(args: &WallArgs, wall: Wall, camera: Option<Camera>, path: Optio
     let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
     let mut headless = Headless::new(wall)?;
-    let report = if args.min_renderers() == 0 {
-        headless.show_blank_frames(size, n_frames)?
-    } else {
-        // Started before the farm, so that they end after it: otherwise the farm would report them as lost.
-        let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
-        let (wake, wakeups) = wakeups(&runtime);
-        let farm = start_farm(&runtime, listener, key, args, args.min_renderers(), move || {
-            // A full channel already holds a wake-up call.
-            let _ = wake.try_send(Wakeup::Farm);
-        })?;
-        let model = load_model(args.show.source())?;
-        let film = path.map(|path| Film {
-            path,
-            fps: args.fps,
-            most: args.frames.unwrap_or(u32::MAX),
-            folder: args.pictures.clone(),
-        });
-        let camera = camera.or_else(|| film.as_ref().map(|film| film.path.at(0.0))).unwrap_or_else(|| {
-            let kept_up = || SidecarFiles::read(&model.source).views().and_then(|views| views.up);
-            let up = args.up.or_else(kept_up).unwrap_or_default();
-            Camera::view_all(model.bounds.0, model.bounds.1, up, aspect)
-        });
-        farm.update_goal(|goal| set_goal(goal, &model, camera, size, args));
-        match film {
-            Some(film) => headless.show_film(&farm, &wakeups, &film)?,
-            None if refinement.is_on() => {
-                let spec = frame_spec(&model, camera, size, args);
-                refinement.limit_sides(headless.gpu().device.limits().max_texture_dimension_2d);
-                headless.show_refined(&farm, &wakeups, n_frames, spec, &mut refinement)?
-            }
-            None => headless.show_frames(&farm, &wakeups, n_frames)?,
-        }
-    };
-    say(report.table())?;
-    // Measurements first: a screenshot that cannot be written must not lose them.
-    if let Some(path) = &args.stats {
-        report.write(path)?;
-    }
-    if report.n_frames() == 0 {
-        bail!("stopped before the first frame: nothing was shown, and no screenshot was written");
-    }
-    if let Some(path) = &args.screenshot {
-        headless.write_screenshot(path)?;
-        say(format_args!("wrote {}", path.display()))?;
-    }
-    Ok(())
-}
-
-fn frame_spec(model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) -> FrameSpec {
-    FrameSpec {
+    // Started before the farm, so that they end after it: otherwise the farm would report them as lost.
+    let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
+    let (wake, wakeups) = wakeups();
+    let wake_farm = wake.clone();
+    let farm = start_farm(&runtime, listener, key, args, args.min_renderers(), move || {
+        // A full channel already holds a wake-up call.
+        let _ = wake_farm.try_send(Wakeup::Farm);
+    })?;
+    let model = load_model(args.show.model.source())?;
+    let film = path.map(|path| Film {
+        path,
+        fps: args.fps,
+        most: args.frames.unwrap_or(u32::MAX),
+        folder: args.pictures.clone(),
+    });
+    let camera = camera.or_else(|| film.as_ref().map(|film| film.path.at(0.0))).unwrap_or_else(|| {
+        let kept_up = || SidecarFiles::read(&model.source).views().and_then(|views| views.up);
+        let up = args.up.or_else(kept_up).unwrap_or_default();
+        Camera::view_all(model.bounds.0, model.bounds.1, up, aspect)
+    });
+    let spec = FrameSpec {
         scene: model.scene,
         camera,
         size,
@@ -128,27 +96,50 @@ fn frame_spec(model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) -
         rays: args.rays,
         samples: args.sample_range(),
         appearance: args.appearance.appearance(),
+    };
+    farm.update_goal(|goal| {
+        goal.spec = Some(spec);
+        goal.scene_path = model.path();
+        goal.moved_at = Instant::now();
+    });
+    // A film that is stopped is cut off, as loading is. Without one, the wall serves until it is stopped.
+    if film.is_none() {
+        wake_to_stop(wake);
     }
+    let report = match film {
+        Some(film) => headless.show_film(&farm, &wakeups, &film)?,
+        None if refinement.is_on() => {
+            refinement.limit_sides(headless.gpu().device.limits().max_texture_dimension_2d);
+            headless.show_refined(&farm, &wakeups, n_frames, spec, &mut refinement)?
+        }
+        None => headless.show_frames(&farm, &wakeups, n_frames)?,
+    };
+    say(report.table())?;
+    // Measurements first: a screenshot that cannot be written must not lose them.
+    if let Some(path) = &args.stats {
+        report.write(path)?;
+    }
+    if report.n_frames() == 0
+        && let Some(stopped) = Stopped::by_signal("stopped before the first frame: nothing was shown or written")
+    {
+        return Err(stopped.into());
+    }
+    if let Some(path) = &args.screenshot {
+        headless.image()?.write_png(path).with_context(|| format!("no screenshot {}", path.display()))?;
+        say(format_args!("wrote {}", path.display()))?;
+    }
+    Ok(())
 }
 
-fn set_goal(goal: &mut RenderGoal, model: &Model, camera: Camera, size: FrameSize, args: &WallArgs) {
-    goal.spec = Some(frame_spec(model, camera, size, args));
-    goal.scene_path = model.path();
-    goal.moved_at = Instant::now();
-}
-
-fn run_window(
-    args: &WallArgs,
-    wall: Wall,
-    camera: Option<Camera>,
-    path: Option<CameraPath>,
-    supervisor: Option<SupervisorLink>,
-) -> anyhow::Result<()> {
+fn run_window(args: &WallArgs, inputs: Inputs, supervisor: Option<SupervisorLink>) -> anyhow::Result<()> {
     let window = WindowLoop::new()?;
-    if let Some(supervisor) = &supervisor {
+    stop::on_signal({
         let waker = window.waker();
+        move |_| waker.close()
+    });
+    if let Some(supervisor) = &supervisor {
         supervisor
-            .on_stop_request(move || waker.close())
+            .on_stop_request(|| stop::receive(Signal::Terminate))
             .context("cannot start a thread to listen to the supervisor")?;
         supervisor.abort_on_panic();
     }
@@ -158,40 +149,17 @@ fn run_window(
     // A wall for people runs with one render server; frames that are counted wait for all of them.
     let n_needed = if args.frames.is_some() { args.min_renderers() } else { args.min_renderers.unwrap_or(1) };
     let waker = window.waker();
-    runtime.spawn({
-        let waker = window.waker();
-        async move {
-            if renderer::server::connect::stop_signal().await.is_ok() {
-                waker.close();
-            }
-        }
-    });
     // Started before the farm, so that they end after it: otherwise the farm would report them as lost.
     let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;
-    let options = WindowOptions {
-        wall_file: args.show.wall.clone(),
-        key_file: args.key.clone(),
-        source: args.show.source(),
-        camera,
-        up: args.up,
-        path,
-        kiosk: args.kiosk.map(|seconds| Duration::from_secs(seconds.into())),
-        refinement: args.refinement(&wall),
-        wall,
-        shading: args.view,
-        lighting: args.rays,
-        appearance: args.appearance.appearance(),
-        fullscreen: args.fullscreen || args.kiosk.is_some(),
-        overlay: args.kiosk.is_none(),
-        screenshot_folder: ".".into(),
-        screenshot_at_end: args.screenshot.clone(),
-    };
     let report = Rc::new(RefCell::new(Report::default()));
     let on_shown = watch_frames(args, Rc::clone(&report));
-    let outcome = window.run(options, &farm, on_shown, supervisor);
+    let outcome = window.run(args, inputs, &farm, on_shown, supervisor);
     // Ends before its local render servers, so that their end is not reported as a loss.
     drop(farm);
+    if let Some(stopped) = stop::unfinished() {
+        return Err(stopped.into());
+    }
     outcome?;
     if args.frames.is_some() {
         say(report.borrow().table())?;
@@ -212,7 +180,7 @@ fn watch_frames(args: &WallArgs, report: Rc<RefCell<Report>>) -> OnShown {
         let frame_ms = shown_at.elapsed().as_secs_f64() * 1e3;
         shown_at = Instant::now();
         if is_collecting {
-            report.borrow_mut().add(Some(frame), *display, frame_ms);
+            report.borrow_mut().add(frame, *display, frame_ms);
         }
         n_shown += 1;
         if n_frames.is_some_and(|n_frames| n_shown >= n_frames) {
@@ -248,18 +216,18 @@ fn start_farm(
     Ok(Farm::start(listener, key, goal, wake)?)
 }
 
-/// Wake-up calls for a wall without a window, including the signal to stop.
-pub fn wakeups(runtime: &Runtime) -> (mpsc::SyncSender<Wakeup>, Wakeups) {
+/// Wake-up calls for a wall without a window.
+pub fn wakeups() -> (mpsc::SyncSender<Wakeup>, Wakeups) {
     // Holds one of each kind.
-    let (wake, wakeups) = mpsc::sync_channel(2);
-    let stop = wake.clone();
-    runtime.spawn(async move {
-        if renderer::server::connect::stop_signal().await.is_ok() {
-            // `send` may block while the wall draws.
-            let _ = tokio::task::spawn_blocking(move || stop.send(Wakeup::Stop)).await;
-        }
+    mpsc::sync_channel(2)
+}
+
+/// From now on, a signal wakes the wall to end in its own way.
+pub fn wake_to_stop(wake: mpsc::SyncSender<Wakeup>) {
+    // `send` may wait while the wall draws; it fails once the wall has ended.
+    stop::on_signal(move |_| {
+        let _ = wake.send(Wakeup::Stop);
     });
-    (wake, wakeups)
 }
 
 /// The runtime of the farm's connections.
@@ -290,6 +258,7 @@ fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
 }
 
 fn load_model(source: SceneSource) -> anyhow::Result<Model> {
+    tracing::info!("loading {source}");
     let bar = Progress::new(format!("loading {source}"));
     Ok(Model::load(source, &|fraction| bar.set(fraction))?)
 }

@@ -2,127 +2,150 @@
 //!
 //! Pure except for saving. Points are pixels of the spanning output. [`pattern`] draws, [`save`] edits the wall's file.
 
-pub mod pattern;
-pub mod save;
+pub(crate) mod pattern;
+pub(crate) mod save;
 mod sheet;
 
 use std::path::PathBuf;
 
 use anyhow::Context;
 use glam::DVec2;
+use winit::keyboard::NamedKey;
 
-pub use self::pattern::{Corner, Pattern, PatternImage};
+pub(crate) use self::pattern::{Corner, Pattern, PatternImage};
 use crate::wall::{Projector, Wall, homography::UNIT_SQUARE};
 
-/// The test pattern on the wall, and the corner that is selected in it.
-#[derive(Clone, Debug, Default)]
-pub struct Alignment {
+/// A wall, the test pattern on it, and the corner that is selected in the pattern.
+#[derive(Clone, Debug)]
+pub(crate) struct Alignment {
+    /// With the corners as they are now.
+    pub wall: Wall,
     /// The wall's file, where corners are saved.
     file: Option<PathBuf>,
     pattern: Option<Pattern>,
     selected: Option<Corner>,
     /// Vector from the cursor to the corner that it drags.
     drag_offset_px: Option<DVec2>,
+    /// Whether the image on the wall is out of date.
+    is_stale: bool,
 }
 
 /// Corners lie on multiples of this, in pixels: finer than the eye resolves.
 const STEP_PX: f64 = 0.05;
 /// The mouse grabs a corner within this distance, in pixels of the output.
 const GRAB_RADIUS_PX: f64 = 60.0;
+/// The distance that an arrow key moves a corner, in pixels: alone, and with Shift.
+const NUDGE_PX: [f64; 2] = [1.0, 0.1];
 
 impl Alignment {
     /// No pattern, on a wall from this file.
-    pub fn new(file: Option<PathBuf>) -> Self {
-        Self { file, ..Self::default() }
+    pub(crate) fn new(file: Option<PathBuf>, wall: Wall) -> Self {
+        Self { wall, file, pattern: None, selected: None, drag_offset_px: None, is_stale: false }
     }
 
-    /// The test pattern in place of frames.
-    pub fn pattern(&self) -> Option<Pattern> {
+    /// Shows the next pattern, and returns it; frames after the last.
+    pub(crate) fn next_pattern(&mut self) -> Option<Pattern> {
+        self.show(Pattern::next(self.pattern));
         self.pattern
     }
 
-    /// Whether a corner follows the cursor.
-    pub fn is_dragging(&self) -> bool {
-        self.drag_offset_px.is_some()
-    }
-
-    /// Shows the next pattern; frames after the last.
-    pub fn next_pattern(&mut self) {
-        self.show(Pattern::next(self.pattern));
-    }
-
     /// Shows a pattern, or frames again.
-    pub fn show(&mut self, pattern: Option<Pattern>) {
+    pub(crate) fn show(&mut self, pattern: Option<Pattern>) {
         self.pattern = pattern;
         self.drag_offset_px = None;
         self.selected = None;
+        self.is_stale = true;
     }
 
-    /// The pattern's image; `None` for frames.
-    pub fn shown(&self, wall: &Wall) -> Option<anyhow::Result<PatternImage>> {
-        self.pattern.map(|pattern| pattern.shown(wall, self.selected))
+    /// The pattern's image, or `None` for frames, if it has changed since the last call.
+    pub(crate) fn take_shown(&mut self) -> Option<anyhow::Result<Option<PatternImage>>> {
+        let is_stale = std::mem::take(&mut self.is_stale);
+        is_stale.then(|| self.pattern.map(|pattern| pattern.shown(&self.wall, self.selected)).transpose())
     }
 
     /// Whether mouse and arrow keys move corners now.
-    pub fn takes_corners(&self) -> bool {
+    pub(crate) fn takes_corners(&self) -> bool {
         self.pattern == Some(Pattern::Align)
     }
 
+    /// Moves the selected corner, selects the next, or ends the pattern; `false` for keys that do none of that now.
+    pub(crate) fn press_key(&mut self, key: NamedKey, has_shift: bool) -> bool {
+        let arrow = match key {
+            NamedKey::ArrowUp => DVec2::NEG_Y,
+            NamedKey::ArrowDown => DVec2::Y,
+            NamedKey::ArrowLeft => DVec2::NEG_X,
+            NamedKey::ArrowRight => DVec2::X,
+            _ => DVec2::ZERO,
+        };
+        match key {
+            NamedKey::Escape if self.pattern.is_some() => self.show(None),
+            NamedKey::Tab if self.takes_corners() => self.next_corner(),
+            _ if self.takes_corners() && arrow != DVec2::ZERO => {
+                self.move_by(arrow * NUDGE_PX[usize::from(has_shift)]);
+            }
+            _ => return false,
+        }
+        true
+    }
+
     /// Grabs the corner near a point of the output. Returns whether there is one.
-    pub fn press(&mut self, wall: &Wall, at: DVec2) -> bool {
+    pub(crate) fn press(&mut self, at: DVec2) -> bool {
         let away_from = |(corner, corner_px): (Corner, DVec2)| {
             let away = corner_px - at;
             // Where corners of two projectors meet, prefer the projector under the cursor.
-            let is_elsewhere = !wall.projectors()[corner.projector_idx].output.contains(at);
+            let is_elsewhere = !self.wall.projectors()[corner.projector_idx].output.contains(at);
             (corner, away, (is_elsewhere, away.length_squared()))
         };
-        let near = corners(wall).map(away_from).filter(|(_, away, _)| away.length() <= GRAB_RADIUS_PX);
-        let grabbed = near
-            .min_by(|(_, _, a), (_, _, b)| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)))
-            .map(|(corner, away, _)| (corner, away));
-        self.selected = grabbed.map(|(corner, _)| corner);
-        self.drag_offset_px = grabbed.map(|(_, away)| away);
+        let near = corners(&self.wall).map(away_from).filter(|(_, away, _)| away.length() <= GRAB_RADIUS_PX);
+        let grabbed = near.min_by(|(_, _, a), (_, _, b)| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+        (self.selected, self.drag_offset_px) = grabbed.map(|(corner, away, _)| (corner, away)).unzip();
+        self.is_stale = true;
         self.selected.is_some()
     }
 
-    /// The wall with the grabbed corner at the cursor; `None` without one, or if it cannot be there.
-    pub fn drag_to(&self, wall: &Wall, at: DVec2) -> Option<Wall> {
-        let Corner { projector_idx, corner_idx } = self.selected?;
-        let projector = wall.projectors().get(projector_idx)?;
-        let wanted = at + self.drag_offset_px?;
-        self.moved(wall, seen_from_stored(projector, wanted - corner_px(projector, corner_idx)?))
+    /// Moves the grabbed corner to the cursor, unless it cannot be there. Returns whether one is grabbed.
+    pub(crate) fn drag_to(&mut self, at: DVec2) -> bool {
+        let (Some(corner), Some(offset_px)) = (self.selected, self.drag_offset_px) else { return false };
+        let projector = &self.wall.projectors()[corner.projector_idx];
+        if let Some(corner_px) = corner_px(projector, corner.corner_idx) {
+            self.move_by(seen_from_stored(projector, at + offset_px - corner_px));
+        }
+        true
     }
 
     /// Releases the corner, which stays selected.
-    pub fn release(&mut self) {
+    pub(crate) fn release(&mut self) {
         self.drag_offset_px = None;
     }
 
-    /// The wall with the selected corner moved by pixels right and down, as seen on the wall.
-    pub fn moved(&self, wall: &Wall, by_px: DVec2) -> Option<Wall> {
-        let Corner { projector_idx, corner_idx } = self.selected?;
-        let mut warp_px = wall.projectors().get(projector_idx)?.warp_px;
+    /// Moves the selected corner by pixels right and down, as seen on the wall. Returns whether it can be there.
+    pub(crate) fn move_by(&mut self, by_px: DVec2) -> bool {
+        let Some(Corner { projector_idx, corner_idx }) = self.selected else { return false };
+        let mut warp_px = self.wall.projectors()[projector_idx].warp_px;
         let moved = (DVec2::from(warp_px[corner_idx]) + by_px) / STEP_PX;
         // Divide by a whole number, which gives the double nearest to each decimal.
         warp_px[corner_idx] = moved.to_array().map(|steps| steps.round() / (1.0 / STEP_PX));
         // A warp whose edges would cross is refused.
-        wall.with_warp(projector_idx, warp_px).ok()
+        let Ok(wall) = self.wall.with_warp(projector_idx, warp_px) else { return false };
+        self.wall = wall;
+        self.is_stale = true;
+        true
     }
 
-    /// Selects the next corner of the wall.
-    pub fn next_corner(&mut self, wall: &Wall) {
-        let all: Vec<Corner> = corners(wall).map(|(corner, _)| corner).collect();
+    pub(crate) fn next_corner(&mut self) {
+        let all: Vec<Corner> = corners(&self.wall).map(|(corner, _)| corner).collect();
         let position = self.selected.and_then(|selected| all.iter().position(|&corner| corner == selected));
         self.selected = all.get(position.map_or(0, |position| (position + 1) % all.len().max(1))).copied();
+        self.is_stale = true;
     }
 
     /// Writes all corners to the wall's file. Returns a note for the operator.
-    pub fn save(&self, wall: &Wall) -> anyhow::Result<String> {
+    pub(crate) fn save(&self) -> anyhow::Result<String> {
         let file = self.file.as_deref().context(
             "the corners cannot be saved: the wall was started without a file; copy a wall file, for example \
              wall-config/blended-4x3.toml, and start with --wall FILE",
         )?;
-        save::save_warps(file, wall)?;
+        save::save_warps(file, &self.wall)?;
         Ok(format!("saved the corners in {}", file.display()))
     }
 }
@@ -145,9 +168,8 @@ fn seen_from_stored(projector: &Projector, step: DVec2) -> DVec2 {
     let upright = Projector { warp_px: [[0.0; 2]; 4], ..projector.clone() };
     // Without a warp, the rectangle and its pixels as seen differ only by scale.
     let Some(stored_from_seen) = upright.raster_from_rect() else { return step };
-    let stored_size = DVec2::new(f64::from(projector.output.width), f64::from(projector.output.height));
     let seen_size = DVec2::from(projector.upright_size().map(f64::from));
-    stored_from_seen.inverse().transform_vector2(step / stored_size) * seen_size
+    stored_from_seen.inverse().transform_vector2(step / projector.output.size()) * seen_size
 }
 
 #[cfg(test)]

@@ -8,131 +8,80 @@ use shared::{
 };
 use winit::keyboard::NamedKey;
 
-/// The quantity that colours over the picture show.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Tint {
-    /// Nothing.
+/// The quantity that colours over the picture show, in the order in which a key steps through them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, strum::IntoStaticStr, strum::VariantArray)]
+pub(crate) enum Tint {
     #[default]
+    #[strum(serialize = "none")]
     None,
     /// The render server of each tile: one colour each.
+    #[strum(serialize = "who")]
     Nodes,
     /// CPU time, from blue over yellow to red.
+    #[strum(serialize = "time")]
     Cost,
 }
 
-impl Tint {
-    /// Every tint, in the order in which a key steps through them.
-    pub const ALL: [Self; 3] = [Self::None, Self::Nodes, Self::Cost];
-
-    /// The name on screen.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Nodes => "who",
-            Self::Cost => "time",
-        }
-    }
-}
-
-/// A command to the wall, given by a key or on the overlay.
+/// A command to the wall, given by a key or on the overlay; [`KEYS`] has the help on most of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Command {
-    /// Show the whole model.
+pub(crate) enum Command {
     ViewAll,
-    /// Go to the view with this number.
     GoToView(u8),
-    /// Keep the current view under this number.
     KeepView(u8),
-    /// Start to record the camera's path, or end it.
     ToggleRecording,
-    /// Play the camera path, or stop it.
     TogglePlaying,
     /// Make flying this many steps faster; slower if negative.
     ChangeSpeed(i32),
-    /// Show the triangle under the cursor.
     Inspect,
-    /// Use the next tint.
     NextTint,
-    /// Use this tint.
     SetTint(Tint),
-    /// Have render servers store the grid in the next way.
     NextStorage,
     /// Have render servers store the grid this way; `None`: as they were started.
     SetStorage(Option<Storage>),
-    /// Have render servers build the next denser grid; the coarsest after the densest.
     NextDensity,
     /// Have render servers build a grid with this many cells per triangle.
     SetDensity(u32),
-    /// Show or hide the list of files.
     ToggleFiles,
-    /// Select this entry of the list.
     Choose(usize),
-    /// Open this entry of the list.
     OpenEntry(usize),
-    /// List the folder above.
     OpenParent,
-    /// Go near the point under the cursor, and orbit around it.
     GoToCursor,
-    /// Use the next axis as up, and show the whole model.
     NextUpAxis,
-    /// Divide frames by the next heuristic.
     NextDivision,
-    /// Divide frames by this heuristic.
     SetDivision(Division),
-    /// Use the next shading mode.
     NextShading,
-    /// Use this shading mode.
     SetShading(ShadingMode),
-    /// Use the next lighting mode.
     NextLighting,
-    /// Use this lighting mode.
     SetLighting(LightingMode),
-    /// Move the key light to its next place.
     NextLight,
-    /// Move the key light here.
     SetLight(Light),
-    /// Use the next background.
     NextBackground,
-    /// Use this background.
     SetBackground(Background),
-    /// Cut the model open from the next side; from none after the last.
     NextClip,
     /// Cut the model open here, or nowhere.
     SetClip(Option<Clip>),
     /// Cut this many thousandths of the model deeper; less deep if negative.
     MoveClip(i16),
-    /// Let the resolution follow the motion, or keep it.
     ToggleRefinement,
-    /// Show or hide the overlay.
     ToggleOverlay,
-    /// Show or hide the help.
     ToggleHelp,
-    /// Fill the screen, or stop filling it.
     ToggleFullscreen,
-    /// Stop filling the screen.
     LeaveFullscreen,
-    /// Write the wall to an image file.
     Screenshot,
-    /// Show the next test pattern; frames after the last.
     NextPattern,
-    /// Write the corners of all projectors to the wall's file.
     SaveCorners,
-    /// Lock the wall for visitors, who can only steer, or unlock it.
     ToggleLock,
-    /// Clear the messages on screen.
     DismissMessage,
-    /// End the wall.
     Quit,
 }
 
 impl Command {
-    /// Whether it is repeated while its key is held.
-    pub fn repeats(self) -> bool {
+    pub(crate) fn repeats(self) -> bool {
         matches!(self, Self::MoveClip(_))
     }
 
     /// Whether visitors of a locked wall may give it.
-    pub fn is_for_visitors(self) -> bool {
+    pub(crate) fn is_for_visitors(self) -> bool {
         use Command::*;
         matches!(self, ViewAll | GoToView(_) | TogglePlaying | ChangeSpeed(_) | GoToCursor | ToggleLock)
     }
@@ -140,24 +89,17 @@ impl Command {
 
 /// A direction to fly in, relative to the picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Direction {
-    /// Into it.
+pub(crate) enum Direction {
     Forward,
-    /// Out of it.
     Backward,
-    /// To the left.
     Left,
-    /// To the right.
     Right,
-    /// Up.
     Up,
-    /// Down.
     Down,
 }
 
-/// The effect of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum KeyAction {
+pub(crate) enum KeyAction {
     /// Moves the camera while the key is held.
     Fly(Direction),
     /// Gives a command when the key is pressed.
@@ -181,7 +123,7 @@ pub enum Key {
 
 impl Key {
     /// A key that was pressed or released; `None` for keys that no binding can name.
-    pub fn from_winit(key: &winit::keyboard::Key, ctrl: bool) -> Option<Self> {
+    pub(crate) fn from_winit(key: &winit::keyboard::Key, ctrl: bool) -> Option<Self> {
         match key {
             winit::keyboard::Key::Named(named) => Some(Self::Named(*named)),
             winit::keyboard::Key::Character(text) => {
@@ -216,7 +158,7 @@ pub struct KeyBinding {
     /// The keys.
     pub keys: &'static [Key],
     /// Their effect.
-    pub action: KeyAction,
+    pub(crate) action: KeyAction,
     /// Their effect, for the help.
     pub help: &'static str,
 }
@@ -292,8 +234,7 @@ pub const MOUSE: &[(&str, &str)] = &[
     ("Drop a PLY file", "open it"),
 ];
 
-/// The effect of a key, if it has one.
-pub fn action(key: Key) -> Option<KeyAction> {
+pub(crate) fn action(key: Key) -> Option<KeyAction> {
     let (key, number) = match key {
         Key::Letter(digit @ '1'..='9') => (Key::AnyDigit, digit as u8 - b'0'),
         Key::Ctrl(digit @ '1'..='9') => (Key::CtrlAnyDigit, digit as u8 - b'0'),

@@ -6,8 +6,9 @@ use super::input::Command;
 
 /// The lock against visitors, and the time since the last of them.
 #[derive(Clone, Debug)]
-pub struct Kiosk {
-    is_locked: bool,
+pub(crate) struct Kiosk {
+    /// Whether only visitors' commands are allowed.
+    pub is_locked: bool,
     /// `None` for a wall that is no kiosk, and never returns.
     idle_timeout: Option<Duration>,
     /// The last input; `None` once the kiosk has returned, until the next input.
@@ -16,44 +17,36 @@ pub struct Kiosk {
 
 impl Kiosk {
     /// A kiosk is locked, and returns after this time without input.
-    pub fn new(idle_timeout: Option<Duration>, now: Instant) -> Self {
+    pub(crate) fn new(idle_timeout: Option<Duration>, now: Instant) -> Self {
         Self { is_locked: idle_timeout.is_some(), idle_timeout, touched_at: Some(now) }
     }
 
-    /// Whether only visitors' commands are allowed.
-    pub fn is_locked(&self) -> bool {
-        self.is_locked
-    }
-
     /// Locks the wall, or unlocks it; returns whether it is locked now.
-    pub fn toggle_lock(&mut self) -> bool {
+    pub(crate) fn toggle_lock(&mut self) -> bool {
         self.is_locked = !self.is_locked;
         self.is_locked
     }
 
-    /// Whether a command may be carried out now.
-    pub fn allows(&self, command: Command) -> bool {
+    pub(crate) fn allows(&self, command: Command) -> bool {
         !self.is_locked || command.is_for_visitors()
     }
 
-    /// Whether camera paths repeat.
-    pub fn repeats_paths(&self) -> bool {
+    pub(crate) fn repeats_paths(&self) -> bool {
         self.idle_timeout.is_some()
     }
 
-    /// Notes some input.
-    pub fn touch(&mut self, now: Instant) {
+    pub(crate) fn touch(&mut self, now: Instant) {
         self.touched_at = Some(now);
     }
 
     /// When a locked kiosk returns, unless there is input before.
-    pub fn returns_at(&self) -> Option<Instant> {
+    pub(crate) fn returns_at(&self) -> Option<Instant> {
         let touched_at = self.touched_at.filter(|_| self.is_locked)?;
         Some(touched_at + self.idle_timeout?)
     }
 
     /// Whether to return now: true once after each input.
-    pub fn returns(&mut self, now: Instant) -> bool {
+    pub(crate) fn returns(&mut self, now: Instant) -> bool {
         let returns = self.returns_at().is_some_and(|returns_at| now >= returns_at);
         self.touched_at.take_if(|_| returns).is_some()
     }
@@ -87,6 +80,6 @@ mod tests {
         assert!(wall.toggle_lock() && !wall.allows(Command::Quit) && wall.allows(Command::ViewAll));
         assert_eq!(wall.returns_at(), None, "only kiosks return");
         let mut kiosk = Kiosk::new(Some(Duration::ZERO), now);
-        assert!(kiosk.is_locked() && !kiosk.toggle_lock() && kiosk.returns_at().is_none());
+        assert!(kiosk.is_locked && !kiosk.toggle_lock() && kiosk.returns_at().is_none());
     }
 }

@@ -2,13 +2,12 @@
 
 use std::path::PathBuf;
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use renderer::model::scene::{self, LoadError, LoadedMesh, SceneSource};
 use shared::scene::SceneId;
 
-/// The model on the wall.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Model {
+pub(crate) struct Model {
     /// Its file, or the parameters of the built-in model.
     pub source: SceneSource,
     /// The identity by which render servers find it.
@@ -23,21 +22,19 @@ pub struct Model {
 
 impl Model {
     /// Reads or generates the model. May take minutes: not for the window's thread.
-    pub fn load(source: SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Self, LoadError> {
+    pub(crate) fn load(source: SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Self, LoadError> {
         let LoadedMesh { id, mesh } = scene::load(&source, progress)?;
-        let bounds = mesh.bounds();
-        let corner = |point: [f32; 3]| Vec3::from(point).as_dvec3();
         Ok(Self {
             source,
             scene: id,
-            bounds: (corner(bounds.min), corner(bounds.max)),
+            bounds: mesh.bounds().corners().into(),
             n_triangles: mesh.triangles.len() - mesh.n_rejected,
             n_rejected: mesh.n_rejected,
         })
     }
 
     /// The model's file; `None` for the built-in model.
-    pub fn path(&self) -> Option<PathBuf> {
+    pub(crate) fn path(&self) -> Option<PathBuf> {
         match &self.source {
             SceneSource::Ply(path) => Some(path.clone()),
             SceneSource::Statue { .. } => None,

@@ -7,9 +7,8 @@ use shared::camera::{Camera, CameraPath, Transition, UpAxis};
 
 use super::input::Direction;
 
-/// The effect of a drag with the mouse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Drag {
+pub(crate) enum Drag {
     /// Orbits around the chosen point, or the middle of the model.
     Orbit,
     /// Moves the model with the cursor, parallel to the view plane.
@@ -22,7 +21,7 @@ pub enum Drag {
 ///
 /// Points on the canvas are fractions of its width and height, (0, 0) lower left.
 #[derive(Clone, Debug)]
-pub struct Navigator {
+pub(crate) struct Navigator {
     camera: Camera,
     bounds: (DVec3, DVec3),
     up: UpAxis,
@@ -42,9 +41,7 @@ pub struct Navigator {
 /// A motion without mouse or keys.
 #[derive(Clone, Debug)]
 enum Motion {
-    /// Toward another view.
     Transition { transition: Box<Transition>, seconds: f64 },
-    /// Along a path.
     Play { path: Arc<CameraPath>, seconds: f64, repeats: bool },
 }
 
@@ -73,7 +70,7 @@ const LEAST_DEPTH_PART: f64 = 0.05;
 
 impl Navigator {
     /// Shows a whole box (min, max) in world space, on a canvas with this aspect (width over height).
-    pub fn new(bounds: (DVec3, DVec3), up: UpAxis, aspect: f64) -> Self {
+    pub(crate) fn new(bounds: (DVec3, DVec3), up: UpAxis, aspect: f64) -> Self {
         let camera = Camera::view_all(bounds.0, bounds.1, up, aspect);
         Self {
             camera,
@@ -90,24 +87,16 @@ impl Navigator {
         }
     }
 
-    /// The same, seen through another camera.
-    #[must_use]
-    pub fn with_camera(self, camera: Camera) -> Self {
-        Self { camera, ..self }
-    }
-
-    /// The camera as it is now.
-    pub fn camera(&self) -> Camera {
+    pub(crate) fn camera(&self) -> Camera {
         self.camera
     }
 
-    /// The axis that points up.
-    pub fn up(&self) -> UpAxis {
+    pub(crate) fn up(&self) -> UpAxis {
         self.up
     }
 
     /// The end of a transition to another view; otherwise the present camera.
-    pub fn destination(&self) -> Camera {
+    pub(crate) fn destination(&self) -> Camera {
         match &self.motion {
             Some(Motion::Transition { transition, .. }) => transition.end(),
             Some(Motion::Play { .. }) | None => self.camera,
@@ -115,7 +104,7 @@ impl Navigator {
     }
 
     /// Shows another model at once, as a whole; drags and held keys continue.
-    pub fn set_bounds(&mut self, bounds: (DVec3, DVec3), up: UpAxis) {
+    pub(crate) fn set_bounds(&mut self, bounds: (DVec3, DVec3), up: UpAxis) {
         self.bounds = bounds;
         self.up = up;
         self.focus = None;
@@ -123,27 +112,26 @@ impl Navigator {
         self.set_camera(self.view_all_camera());
     }
 
-    /// Starts a transition to a view of the whole model.
-    pub fn view_all(&mut self) {
+    pub(crate) fn view_all(&mut self) {
         self.focus = None;
         self.go_to(self.view_all_camera());
     }
 
     /// Uses the next axis as up, and shows the whole model: turned in place, the eye would be above or below it.
-    pub fn next_up_axis(&mut self) {
+    pub(crate) fn next_up_axis(&mut self) {
         self.up = self.up.next();
         self.view_all();
     }
 
     /// Starts a transition to another view.
-    pub fn go_to(&mut self, camera: Camera) {
+    pub(crate) fn go_to(&mut self, camera: Camera) {
         let (start, end) = ((self.camera, self.depth_of(&self.camera)), (camera, self.depth_of(&camera)));
         let transition = Box::new(Transition::new(start, end, self.up));
         self.motion = (camera != self.camera).then_some(Motion::Transition { transition, seconds: 0.0 });
     }
 
     /// Moves nearer to a point in world space until it is in the middle, and orbits around it from then on.
-    pub fn go_to_point(&mut self, point: DVec3) {
+    pub(crate) fn go_to_point(&mut self, point: DVec3) {
         if !point.is_finite() {
             return;
         }
@@ -166,51 +154,48 @@ impl Navigator {
     }
 
     /// Sets the surface point under the cursor, in world space; `None` if there is none.
-    pub fn set_under_cursor(&mut self, point: Option<DVec3>) {
+    pub(crate) fn set_under_cursor(&mut self, point: Option<DVec3>) {
         self.under_cursor = point.filter(|point| point.is_finite());
     }
 
-    /// Whether the surface point under the cursor is unknown.
-    pub fn needs_surface(&self) -> bool {
+    pub(crate) fn needs_surface(&self) -> bool {
         self.under_cursor.is_none()
     }
 
     /// Plays a path from its beginning, once or repeatedly.
-    pub fn play(&mut self, path: Arc<CameraPath>, repeats: bool) {
+    pub(crate) fn play(&mut self, path: Arc<CameraPath>, repeats: bool) {
         self.up = path.up();
         self.focus = None;
         self.set_camera(path.at(0.0));
         self.motion = Some(Motion::Play { path, seconds: 0.0, repeats });
     }
 
-    /// Whether the camera follows a path.
-    pub fn is_playing(&self) -> bool {
+    pub(crate) fn is_playing(&self) -> bool {
         matches!(self.motion, Some(Motion::Play { .. }))
     }
 
     /// Ends a transition or a path where the camera is.
-    pub fn stop(&mut self) {
+    pub(crate) fn stop(&mut self) {
         self.motion = None;
     }
 
     /// A mouse button went down.
-    pub fn press(&mut self, drag: Drag) {
+    pub(crate) fn press(&mut self, drag: Drag) {
         self.motion = None;
         self.drag = Some(drag);
     }
 
     /// The mouse button went up.
-    pub fn release(&mut self) {
+    pub(crate) fn release(&mut self) {
         self.drag = None;
     }
 
-    /// Whether a mouse button is down.
-    pub fn is_dragging(&self) -> bool {
+    pub(crate) fn is_dragging(&self) -> bool {
         self.drag.is_some()
     }
 
     /// Moves the cursor to a point on the canvas, or beyond its edge. Returns whether the camera moved.
-    pub fn move_to(&mut self, point: DVec2) -> bool {
+    pub(crate) fn move_to(&mut self, point: DVec2) -> bool {
         if !point.is_finite() {
             return false;
         }
@@ -238,7 +223,7 @@ impl Navigator {
     }
 
     /// Turns the wheel; positive notches move toward the point under the cursor. Returns whether the camera moved.
-    pub fn wheel(&mut self, notches: f64) -> bool {
+    pub(crate) fn wheel(&mut self, notches: f64) -> bool {
         let before = self.camera;
         self.motion = None;
         let notches = if notches.is_finite() { notches.clamp(-20.0, 20.0) } else { 0.0 };
@@ -250,7 +235,7 @@ impl Navigator {
     }
 
     /// A key for flying went down.
-    pub fn hold(&mut self, direction: Direction) {
+    pub(crate) fn hold(&mut self, direction: Direction) {
         self.motion = None;
         if !self.held.contains(&direction) {
             self.held.push(direction);
@@ -258,30 +243,30 @@ impl Navigator {
     }
 
     /// A key for flying went up.
-    pub fn release_key(&mut self, direction: Direction) {
+    pub(crate) fn release_key(&mut self, direction: Direction) {
         self.held.retain(|&held| held != direction);
     }
 
     /// Releases all keys and buttons, as when the window loses the focus.
-    pub fn release_all(&mut self) {
+    pub(crate) fn release_all(&mut self) {
         self.held.clear();
         self.drag = None;
     }
 
     /// Whether time moves the camera.
-    pub fn is_moving(&self) -> bool {
+    pub(crate) fn is_moving(&self) -> bool {
         !self.held.is_empty() || self.motion.is_some()
     }
 
     /// Changes the flying speed by some steps. Returns the new speed as a multiple of the usual one.
-    pub fn change_speed(&mut self, steps: i32) -> f64 {
+    pub(crate) fn change_speed(&mut self, steps: i32) -> f64 {
         self.speed = self.speed.saturating_add(steps).clamp(-MOST_SPEED_STEPS, MOST_SPEED_STEPS);
         SPEED_FACTOR.powi(self.speed)
     }
 
     /// Advances a transition, a path or flying by some seconds; `speed` multiplies the flying speed. Returns whether the
     /// camera moved.
-    pub fn advance(&mut self, seconds: f64, speed: f64) -> bool {
+    pub(crate) fn advance(&mut self, seconds: f64, speed: f64) -> bool {
         let before = self.camera;
         let seconds = if seconds > 0.0 { seconds } else { 0.0 };
         match &mut self.motion {
@@ -326,7 +311,7 @@ impl Navigator {
         self.set_camera(camera);
     }
 
-    fn set_camera(&mut self, camera: Camera) {
+    pub(crate) fn set_camera(&mut self, camera: Camera) {
         if camera != self.camera {
             self.camera = camera;
             self.under_cursor = None;

@@ -1,9 +1,7 @@
 //! Resolution and samples per pixel: the target rate in motion, refinement at rest. Pure: time is an argument.
 //!
-//! While the camera moves, each frame has one sample a pixel; [`control`] chooses its resolution from a [`ladder`], by
-//! the times that frames take the farm and the [`display`]. At rest, frames in the wall's native resolution follow with
-//! 1, 4, 16 … samples a pixel. Each is a complete [`FrameSpec`] whose samples render servers average in linear light.
-//! The wall accumulates nothing, so lost nodes cannot change a bit of the result.
+//! While the camera moves, [`control`] chooses each frame's resolution from a [`ladder`], by the times that frames take the
+//! farm and the [`display`]. At rest, frames in the wall's native resolution follow with 1, 4, 16 … samples a pixel.
 
 mod control;
 mod display;
@@ -16,14 +14,14 @@ use shared::{
     protocol::{FrameSpec, SampleRange},
 };
 
-pub use self::display::ShowTimes;
+pub(crate) use self::display::ShowTimes;
 use self::{control::ResolutionControl, ladder::Ladder};
 
 /// Default target rate while the camera moves, in frames a second.
-pub const DEFAULT_TARGET_RATE: f64 = 30.0;
+pub(crate) const DEFAULT_TARGET_RATE: f64 = 30.0;
 
 /// Default samples a pixel at rest.
-pub const DEFAULT_SAMPLES: u32 = 16;
+pub(crate) const DEFAULT_SAMPLES: u32 = 16;
 
 /// The camera is at rest after this time. A shorter time would start a refinement between two motions of a hand.
 const REST: Duration = Duration::from_millis(200);
@@ -31,9 +29,8 @@ const REST: Duration = Duration::from_millis(200);
 /// Each refinement multiplies the samples by this: all of them together take a third longer than the last alone.
 const SAMPLES_FACTOR: u32 = 4;
 
-/// Limits of resolution and samples.
 #[derive(Clone, Copy, Debug)]
-pub struct RefinementOptions {
+pub(crate) struct RefinementOptions {
     /// Whether the resolution follows the motion at first.
     pub is_on: bool,
     /// Frames a second while the camera moves; above zero.
@@ -50,8 +47,7 @@ pub struct RefinementOptions {
 
 /// A frame to ask for.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct RenderStep {
-    /// The frame.
+pub(crate) struct RenderStep {
     pub spec: FrameSpec,
     /// Whether it only refines a frame that was shown already.
     pub is_refinement: bool,
@@ -59,7 +55,7 @@ pub struct RenderStep {
 
 /// Decides which frame to ask for.
 #[derive(Clone, Debug)]
-pub struct Refinement {
+pub(crate) struct Refinement {
     options: RefinementOptions,
     ladder: Ladder,
     control: ResolutionControl,
@@ -77,7 +73,7 @@ struct LastStep {
 
 impl Refinement {
     /// Asks for nothing yet.
-    pub fn new(options: RefinementOptions) -> Self {
+    pub(crate) fn new(options: RefinementOptions) -> Self {
         let ladder = Ladder::down_from(options.native);
         let rung = ladder.rung_of(options.fixed_size.n_samples());
         let interval = Duration::from_secs_f64(1.0 / options.target_rate);
@@ -85,7 +81,7 @@ impl Refinement {
     }
 
     /// Limits the sides of frames to the GPU's largest texture.
-    pub fn limit_sides(&mut self, largest: u32) {
+    pub(crate) fn limit_sides(&mut self, largest: u32) {
         let [xres, yres] =
             <[u32; 2]>::from(<(u32, u32)>::from(self.options.native)).map(|side| side.min(largest.max(1)));
         if let Ok(native) = FrameSize::new(xres, yres)
@@ -95,31 +91,30 @@ impl Refinement {
         }
     }
 
-    /// Whether the resolution follows the motion.
-    pub fn is_on(&self) -> bool {
+    pub(crate) fn is_on(&self) -> bool {
         self.options.is_on
     }
 
     /// Lets the resolution follow the motion, or not, from the next change on.
-    pub fn set_on(&mut self, is_on: bool) {
+    pub(crate) fn set_on(&mut self, is_on: bool) {
         self.options.is_on = is_on;
         self.start_again();
     }
 
     /// Forgets the last frame: the next change starts coarse even if nothing differs.
-    pub fn start_again(&mut self) {
+    pub(crate) fn start_again(&mut self) {
         self.last = None;
     }
 
     /// Samples a pixel of a fully refined picture.
-    pub fn n_samples(&self) -> u32 {
+    pub(crate) fn n_samples(&self) -> u32 {
         if self.is_on() { self.options.n_samples } else { self.options.fixed_samples.count }
     }
 
     /// The frame to ask for after a change of camera, scene or appearance. Ignores the size and samples of `spec`.
-    pub fn change(&mut self, now: Instant, spec: FrameSpec) -> RenderStep {
+    pub(crate) fn change(&mut self, now: Instant, spec: FrameSpec) -> RenderStep {
         let (size, samples) = match self.is_on() {
-            true => (self.ladder.size(self.control.rung()), SampleRange::CENTRE),
+            true => (self.ladder.size(self.control.rung), SampleRange::CENTRE),
             false => (self.options.fixed_size, self.options.fixed_samples),
         };
         let is_same = |last: &LastStep| {
@@ -133,8 +128,8 @@ impl Refinement {
     }
 
     /// Accounts for a frame that the farm has completed in this time.
-    pub fn on_frame(&mut self, spec: &FrameSpec, took: Duration) {
-        let is_moving_size = spec.size == self.ladder.size(self.control.rung());
+    pub(crate) fn on_frame(&mut self, spec: &FrameSpec, took: Duration) {
+        let is_moving_size = spec.size == self.ladder.size(self.control.rung);
         if self.is_on() && is_moving_size && spec.samples == SampleRange::CENTRE {
             self.control.learn(&self.ladder, took);
         }
@@ -143,19 +138,18 @@ impl Refinement {
         }
     }
 
-    /// Accounts for a frame that was shown.
-    pub fn on_shown(&mut self, spec: &FrameSpec, times: &ShowTimes) {
-        self.control.learn_shown(spec.size, times);
+    pub(crate) fn on_shown(&mut self, spec: &FrameSpec, times: &ShowTimes) {
+        self.control.display.learn(spec.size, times);
     }
 
     /// When the next refinement is due; `None` if there is none, or the last frame has yet to come.
-    pub fn refines_at(&self) -> Option<Instant> {
+    pub(crate) fn refines_at(&self) -> Option<Instant> {
         let last = self.last.filter(|last| last.is_shown)?;
         self.finer(&last.step.spec).map(|_| last.changed_at + REST)
     }
 
     /// The next refinement, once it is due.
-    pub fn refine(&mut self, now: Instant) -> Option<RenderStep> {
+    pub(crate) fn refine(&mut self, now: Instant) -> Option<RenderStep> {
         if now < self.refines_at()? {
             return None;
         }
@@ -167,7 +161,7 @@ impl Refinement {
     }
 
     /// Whether the last frame has come and is fully refined.
-    pub fn is_done(&self) -> bool {
+    pub(crate) fn is_done(&self) -> bool {
         self.last.is_some_and(|last| last.is_shown && self.finer(&last.step.spec).is_none())
     }
 

@@ -1,20 +1,18 @@
 //! Sidecar files: a model's views and its camera path, in files beside it.
 
 use std::{
-    fs::File,
-    io::{self, Read},
+    io,
     path::{Path, PathBuf},
     sync::Arc,
 };
 
-use renderer::{model::scene::SceneSource, render::image::write_atomically};
+use channel::files::{self, ReadError};
+use renderer::model::scene::SceneSource;
 use shared::camera::{Camera, CameraPath, UpAxis, Views};
-
-use super::numbered_file;
 
 /// The contents of a model's sidecar files, with the changes since they were read.
 #[derive(Clone, Debug)]
-pub struct SidecarFiles {
+pub(crate) struct SidecarFiles {
     /// The model's path, the beginning of each sidecar file's name.
     model_path: PathBuf,
     /// An error if the file exists but cannot be used: it is not overwritten then.
@@ -29,7 +27,7 @@ const LONGEST_PATH: u64 = 1 << 25;
 
 impl SidecarFiles {
     /// Reads a model's sidecar files; those of the built-in model lie in the working folder.
-    pub fn read(source: &SceneSource) -> Self {
+    pub(crate) fn read(source: &SceneSource) -> Self {
         let model_path = match source {
             SceneSource::Ply(path) => path.clone(),
             SceneSource::Statue { .. } => PathBuf::from("statue"),
@@ -46,24 +44,23 @@ impl SidecarFiles {
         Self { model_path, views, path: path.map(|path| path.map(Arc::new)) }
     }
 
-    /// The views, if they could be read.
-    pub fn views(&self) -> Option<&Views> {
+    pub(crate) fn views(&self) -> Option<&Views> {
         self.views.as_ref().ok()
     }
 
     /// The camera path, if there is one that could be read.
-    pub fn path(&self) -> Option<Arc<CameraPath>> {
+    pub(crate) fn path(&self) -> Option<Arc<CameraPath>> {
         self.path.as_ref().ok().cloned().flatten()
     }
 
     /// Why a file could not be read.
-    pub fn problem(&self) -> Option<&str> {
+    pub(crate) fn problem(&self) -> Option<&str> {
         self.views.as_ref().err().or(self.path.as_ref().err()).map(String::as_str)
     }
 
     /// Keeps a view under a number. Returns the file and its new text for [`write_views`], which the caller runs on a
     /// thread that may wait for a disk.
-    pub fn keep_view(&mut self, number: u8, camera: Camera, up: UpAxis) -> Result<(PathBuf, String), String> {
+    pub(crate) fn keep_view(&mut self, number: u8, camera: Camera, up: UpAxis) -> Result<(PathBuf, String), String> {
         let views = self.views.as_mut().map_err(|problem| format!("the view is not kept: {problem}"))?;
         views.keep(number, camera);
         views.up = Some(up);
@@ -71,14 +68,14 @@ impl SidecarFiles {
     }
 
     /// Replaces the camera path. Returns its file for [`write_path`].
-    pub fn keep_path(&mut self, path: Arc<CameraPath>) -> PathBuf {
+    pub(crate) fn keep_path(&mut self, path: Arc<CameraPath>) -> PathBuf {
         self.path = Ok(Some(path));
         with_suffix(&self.model_path, "path.toml")
     }
 }
 
 /// Reads a camera path, for the option `--path`.
-pub fn read_path(file: &Path) -> Result<CameraPath, String> {
+pub(crate) fn read_path(file: &Path) -> Result<CameraPath, String> {
     let text = read_optional(file, LONGEST_PATH)?;
     let text = text.ok_or_else(|| {
         format!(
@@ -89,27 +86,19 @@ pub fn read_path(file: &Path) -> Result<CameraPath, String> {
     parse_path(file, &text)
 }
 
-/// Writes a model's views.
-pub fn write_views(file: &Path, text: &str) -> Result<(), String> {
-    write_atomically(file, |out| out.write_all(text.as_bytes())).map_err(|error| {
+pub(crate) fn write_views(file: &Path, text: &str) -> Result<(), String> {
+    files::write(file, |out| out.write_all(text.as_bytes())).map_err(|error| {
         format!("the view is kept until the wall ends, but {} cannot be written: {error}", file.display())
     })
 }
 
-/// Writes a camera path; renames an existing file, so that no recording is lost.
-pub fn write_path(file: &Path, path: &CameraPath) -> Result<(), String> {
-    let written =
-        rename_existing(file).and_then(|()| write_atomically(file, |out| out.write_all(path.to_toml().as_bytes())));
+/// Writes a camera path; copies an existing file to a numbered one, so that no recording is lost.
+pub(crate) fn write_path(file: &Path, path: &CameraPath) -> Result<(), String> {
+    let written = files::copy_numbered(file, |number| file.with_extension(format!("{number:04}.toml")))
+        .and_then(|_| files::write(file, |out| out.write_all(path.to_toml().as_bytes())));
     written.map_err(|error| {
         format!("the camera path is kept until the wall ends, but {} cannot be written: {error}", file.display())
     })
-}
-
-fn rename_existing(file: &Path) -> io::Result<()> {
-    if !file.try_exists()? {
-        return Ok(());
-    }
-    std::fs::rename(file, numbered_file::create(|number| file.with_extension(format!("{number:04}.toml")))?)
 }
 
 fn parse_path(file: &Path, text: &str) -> Result<CameraPath, String> {
@@ -126,18 +115,11 @@ fn with_suffix(path: &Path, ending: &str) -> PathBuf {
 
 /// The text of a file; `None` if it does not exist.
 fn read_optional(path: &Path, longest: u64) -> Result<Option<String>, String> {
-    let cannot = |error: &dyn std::fmt::Display| format!("{}: cannot be read: {error}", path.display());
-    let file = match File::open(path) {
-        Ok(file) => file,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-        Err(error) => return Err(cannot(&error)),
-    };
-    let mut text = String::new();
-    let n_bytes = file.take(longest + 1).read_to_string(&mut text).map_err(|error| cannot(&error))?;
-    if n_bytes as u64 > longest {
-        return Err(cannot(&format_args!("it is longer than {longest} bytes")));
+    match files::read_text(path, longest) {
+        Ok(text) => Ok(Some(text)),
+        Err(ReadError::Io(error)) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(format!("{}: {error}", path.display())),
     }
-    Ok(Some(text))
 }
 
 #[cfg(test)]
@@ -203,6 +185,10 @@ mod tests {
         assert!(refused.contains("line 1"), "{refused}");
         std::fs::write(folder.0.join("a model.ply.views.toml"), vec![b' '; 2 << 20]).unwrap();
         assert!(SidecarFiles::read(&folder.model()).problem().unwrap().contains("longer than"));
+        std::fs::remove_file(folder.0.join("a model.ply.views.toml")).unwrap();
+        std::fs::create_dir(folder.0.join("a model.ply.path.toml")).unwrap();
+        let problem = SidecarFiles::read(&folder.model()).problem().unwrap().to_owned();
+        assert!(problem.ends_with("path.toml: is a folder or a pipe: name an ordinary file"), "{problem}");
     }
 
     #[test]

@@ -25,11 +25,13 @@ use shared::{
 use tokio::{
     io::{AsyncRead, AsyncWrite},
     sync::mpsc,
-    time::{MissedTickBehavior, interval, timeout_at},
+    time::{MissedTickBehavior, interval, sleep, timeout, timeout_at},
 };
 
 use super::{
     frame_buffer::{FrameBuffer, PlaceError},
+    losses::Losses,
+    outbox::Outbox,
     scheduler::PlacedUnits,
     silence::{self, LastHeard},
     stats::NodeId,
@@ -39,7 +41,7 @@ use super::{
 #[derive(Debug)]
 pub(super) enum ConnectionEvent {
     /// The handshake is over.
-    Joined { name: String, threads: u32, outgoing: mpsc::Sender<Vec<u8>>, pending: Arc<PendingTasks> },
+    Joined { name: String, threads: u32, outbox: Arc<Outbox>, pending: Arc<PendingTasks> },
     /// The render server's progress with a scene.
     Scene { scene: SceneId, state: SceneState },
     /// Samples are in the frame buffer.
@@ -75,8 +77,10 @@ pub(super) enum ConnectionError {
     Incomplete { sent: u32, n_units: u32 },
     #[error("it reported the costs of {n_runs} runs of {run_units} units for a task of {n_units} units")]
     MisfitCosts { n_runs: usize, run_units: u32, n_units: u32 },
-    #[error("it does not read its messages")]
+    #[error("it did not read its messages for {} s", SILENCE_LIMIT.as_secs())]
     Clogged,
+    #[error("refused: no more render servers can join")]
+    Refused,
 }
 
 /// The tasks that a render server has been given and has not finished.
@@ -172,15 +176,13 @@ impl EventSender {
     }
 }
 
-/// A render server that leaves more messages unread is dropped.
-const LONGEST_QUEUE: usize = 64;
-
 /// Runs a connection from its first byte to its end, encrypted if there is a key.
 pub(super) async fn serve(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
     key: Option<&Key>,
     events: EventSender,
+    losses: &Losses,
     started_at: Instant,
 ) {
     let heard = LastHeard::now();
@@ -188,11 +190,11 @@ pub(super) async fn serve(
     // One time limit for both handshakes: a peer that sends slowly gets no more.
     let deadline = tokio::time::Instant::now() + HANDSHAKE_TIMEOUT;
     let ended = match key {
-        None => converse(input, output, &events, &heard, started_at, deadline).await,
+        None => converse(input, output, &events, losses, &heard, started_at, deadline).await,
         Some(key) => match timeout_at(deadline, secure::accept(input, output, key)).await {
             Err(_) => Err(ConnectionError::NoHandshake),
             Ok(Err(error)) => Err(error.into()),
-            Ok(Ok((input, output))) => converse(input, output, &events, &heard, started_at, deadline).await,
+            Ok(Ok((input, output))) => converse(input, output, &events, losses, &heard, started_at, deadline).await,
         },
     };
     events.send(ConnectionEvent::Ended(ended)).await;
@@ -202,6 +204,7 @@ async fn converse(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
     events: &EventSender,
+    losses: &Losses,
     heard: &LastHeard,
     started_at: Instant,
     deadline: tokio::time::Instant,
@@ -209,15 +212,17 @@ async fn converse(
     // The deadline bounds the handshake: silence within it needs no limit of its own.
     let mut reader = MessageReader::new(input, 2 * HANDSHAKE_TIMEOUT);
     let mut writer = MessageWriter::new(output);
-    let shaking_hands = timeout_at(deadline, shake_hands(&mut reader, &mut writer));
-    let (name, threads) = shaking_hands.await.map_err(|_| ConnectionError::NoHandshake)??;
-    let (outgoing, requests) = mpsc::channel(LONGEST_QUEUE);
+    let admission_wait = |name: &str| losses.wait(Instant::now(), name, events.address.ip());
+    let shaking_hands = shake_hands(&mut reader, &mut writer, admission_wait);
+    let (name, threads) = timeout_at(deadline, shaking_hands).await.map_err(|_| ConnectionError::NoHandshake)??;
+    let outbox = Arc::new(Outbox::default());
     let pending = Arc::new(PendingTasks::default());
     reader.raise_limits(SILENCE_LIMIT);
-    events.send(ConnectionEvent::Joined { name, threads, outgoing, pending: Arc::clone(&pending) }).await;
+    let (farms_outbox, farms_pending) = (Arc::clone(&outbox), Arc::clone(&pending));
+    events.send(ConnectionEvent::Joined { name, threads, outbox: farms_outbox, pending: farms_pending }).await;
     tokio::select! {
         ended = receive(&mut reader, &pending, events, started_at) => ended,
-        ended = transmit(&mut writer, requests, started_at) => ended,
+        ended = transmit(&mut writer, &outbox, started_at) => ended,
         () = silence::watch(heard, HEARTBEAT_TIMEOUT, |is_silent| events.send(ConnectionEvent::Silent(is_silent))) => Ok(()),
     }
 }
@@ -225,6 +230,7 @@ async fn converse(
 async fn shake_hands(
     reader: &mut MessageReader<impl AsyncRead + Unpin, ToWall>,
     writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
+    admission_wait: impl Fn(&str) -> Duration,
 ) -> Result<(String, u32), ConnectionError> {
     // The wall's preamble always goes out: a render server of another version then reports the mismatch.
     writer.flush().await.map_err(WireError::from)?;
@@ -235,10 +241,12 @@ async fn shake_hands(
     if name.len() > LONGEST_NAME {
         return Err(ConnectionError::LongName);
     }
-    writer.send(&ToServer::Welcome).await?;
     // Logs and the overlay show names: control characters must not disturb them.
     let name = printable(&name);
-    Ok((if name.is_empty() { "nameless".to_owned() } else { name }, threads))
+    let name = if name.is_empty() { "nameless".to_owned() } else { name };
+    sleep(admission_wait(&name)).await;
+    writer.send(&ToServer::Welcome).await?;
+    Ok((name, threads))
 }
 
 async fn receive(
@@ -325,23 +333,25 @@ async fn receive_until_end(
 
 async fn transmit(
     writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
-    mut requests: mpsc::Receiver<Vec<u8>>,
+    outbox: &Outbox,
     started_at: Instant,
 ) -> Result<(), ConnectionError> {
     let mut heartbeat = interval(HEARTBEAT_INTERVAL);
     heartbeat.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tokio::select! {
-            request = requests.recv() => match request {
-                Some(request) => writer.push_encoded(&request),
-                None => return Err(ConnectionError::Clogged),
+            messages = outbox.take() => match messages {
+                Some(messages) => writer.push_encoded(&messages),
+                None => return Err(ConnectionError::Refused),
             },
             _ = heartbeat.tick() => {
                 let sent_us = started_at.elapsed().as_micros() as u64;
                 writer.push(&ToServer::Ping { sent_us }).map_err(WireError::from)?;
             }
         }
-        writer.flush().await.map_err(WireError::from)?;
+        // The system buffers more than a wall says in this time.
+        let flushed = timeout(SILENCE_LIMIT, writer.flush()).await.map_err(|_| ConnectionError::Clogged)?;
+        flushed.map_err(WireError::from)?;
     }
 }
 

@@ -18,7 +18,7 @@ use super::tile_row;
 /// Buffers that are reused: the system takes longer to allocate and clear a frame's memory than its samples take to
 /// arrive.
 #[derive(Clone, Debug, Default)]
-pub(super) struct BufferPool(Arc<Mutex<PooledBuffers>>);
+pub struct BufferPool(Arc<Mutex<PooledBuffers>>);
 
 #[derive(Debug, Default)]
 struct PooledBuffers {
@@ -54,7 +54,7 @@ const MOST_SPARE: usize = 6;
 
 impl BufferPool {
     /// A buffer for a frame; its contents are arbitrary.
-    pub(super) fn take(&self, size: FrameSize) -> FrameBuffer {
+    pub fn take(&self, size: FrameSize) -> FrameBuffer {
         let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         spare.rgba.retain(|rgba| rgba.len() == size.n_samples() as usize);
         let rgba = spare.rgba.pop().unwrap_or_else(|| vec![0; size.n_samples() as usize]);
@@ -98,7 +98,7 @@ impl Drop for FrameSamples {
 /// Receiving threads write to it together, without a lock: all answers to one task have equal bits, so the last writer of
 /// a sample does not matter.
 #[derive(Debug)]
-pub(super) struct FrameBuffer {
+pub struct FrameBuffer {
     size: FrameSize,
     /// Red, green, blue, 255 in memory order, row by row, the bottom row first.
     rgba: Vec<AtomicU32>,
@@ -137,7 +137,7 @@ impl FrameBuffer {
     ///
     /// # Errors
     /// Units that the share does not have, and too few or too many bytes for them; some samples may be placed all the same.
-    pub(super) fn place(&self, share: &Share, first: u32, count: u32, rgb: &[u8]) -> Result<(), PlaceError> {
+    pub fn place(&self, share: &Share, first: u32, count: u32, rgb: &[u8]) -> Result<(), PlaceError> {
         let n_units = share.count();
         let Some(end) = first.checked_add(count).filter(|&end| end <= n_units) else {
             return Err(PlaceError::NoSuchUnits { first, count, n_units });
@@ -214,7 +214,7 @@ impl FrameBuffer {
     }
 
     /// The samples, once all of them are placed. Their buffer returns to the pool when they are dropped.
-    pub(super) fn into_samples(self: Arc<Self>, spare: BufferPool) -> FrameSamples {
+    pub fn into_samples(self: Arc<Self>, spare: BufferPool) -> FrameSamples {
         let rgba = match Arc::try_unwrap(self) {
             Ok(buffer) => buffer.rgba.into_iter().map(AtomicU32::into_inner).collect(),
             // A second answer is still being placed; it changes no bit.

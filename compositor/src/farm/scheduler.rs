@@ -9,7 +9,7 @@ mod encoding_chooser;
 mod frame;
 
 use std::{
-    collections::{BTreeMap, BTreeSet, VecDeque},
+    collections::{BTreeMap, VecDeque},
     path::PathBuf,
     time::{Duration, Instant},
 };
@@ -20,12 +20,17 @@ use shared::{
     scene::SceneId,
 };
 
-use self::{balance::Balance, coverage::TaskPart, encoding_chooser::EncodingChooser, frame::FrameInFlight};
+use self::{
+    balance::Balance,
+    encoding_chooser::EncodingChooser,
+    frame::{FrameInFlight, HandedOut},
+};
 pub use super::RenderGoal;
 use super::stats::{FrameStats, NodeId};
 
-/// Lost tasks are divided into parts of at least this many samples, even if many render servers die in one frame.
-const SMALLEST_PART: u32 = 256;
+/// The most unfinished tasks of a frame that a render server holds: one to render, and one to begin with when that is done.
+/// Others wait, and go to whoever is done first.
+const MOST_HELD: u32 = 2;
 
 /// Time since the wall started.
 pub type Time = Duration;
@@ -155,7 +160,7 @@ impl Scheduler {
                 );
                 actions.push(self.load_scene(node));
             }
-            Event::SceneReady { node, ready } => self.set_ready(node, ready),
+            Event::SceneReady { node, ready } => self.set_ready(node, ready, &mut actions),
             Event::Silent { node, is_silent } => {
                 if let Some(node) = self.nodes.get_mut(&node) {
                     node.is_silent = is_silent;
@@ -165,7 +170,9 @@ impl Scheduler {
             Event::Lost { node } => {
                 self.nodes.remove(&node);
                 self.balance.mark_lost(node);
-                self.frames.iter_mut().for_each(|frame| frame.mark_lost(node));
+                for frame in &mut self.frames {
+                    frame.give_up(node);
+                }
             }
             Event::UnitsPlaced { node, frame, task_id, units } => {
                 if let Some(in_flight) = self.in_flight(frame) {
@@ -185,14 +192,11 @@ impl Scheduler {
             Event::GoalChanged(goal) => self.set_goal(now, goal, &mut actions),
             Event::StructureChanged => self.load_scenes(&mut actions),
             Event::FrameTaken => self.untaken_spec = None,
-            Event::Tick => {}
+            Event::Tick => self.repeat_late_task(now),
         }
         while self.show_if_complete(now, &mut actions) {}
         while self.start_frame(now, &mut actions) {}
-        for index in 0..self.frames.len() {
-            self.reassign_lost_tasks(index, now, &mut actions);
-        }
-        self.duplicate_late_tasks(now, &mut actions);
+        self.hand_out_waiting(now, &mut actions);
         actions
     }
 
@@ -241,20 +245,21 @@ impl Scheduler {
         }
     }
 
-    fn set_ready(&mut self, node: NodeId, ready: bool) {
+    fn set_ready(&mut self, node: NodeId, ready: bool, actions: &mut Vec<Action>) {
         if let Some(node) = self.nodes.get_mut(&node) {
             node.ready = ready;
         }
         // Without the scene it cannot finish its tasks.
         if !ready {
-            self.frames.iter_mut().for_each(|frame| frame.mark_lost(node));
+            let given_up = self.frames.iter_mut().filter_map(|frame| frame.give_up(node).then_some(frame.id));
+            actions.extend(given_up.map(|frame| Action::Cancel { node, frame }));
         }
     }
 
     /// Has every render server load the scene anew; it is given no tasks before it reports that it is ready.
     fn load_scenes(&mut self, actions: &mut Vec<Action>) {
         for node in self.nodes.keys().copied().collect::<Vec<_>>() {
-            self.set_ready(node, false);
+            self.set_ready(node, false, actions);
             actions.push(self.load_scene(node));
         }
     }
@@ -271,8 +276,9 @@ impl Scheduler {
 
     /// Cancels the tasks of a frame that are still running.
     fn stop_nodes(&mut self, now: Time, frame: &FrameInFlight, actions: &mut Vec<Action>) {
-        actions.extend(frame.busy_nodes().map(|node| Action::Cancel { node, frame: frame.id }));
-        self.set_free(now, frame.busy_nodes());
+        let busy = frame.n_unfinished();
+        actions.extend(busy.keys().map(|&node| Action::Cancel { node, frame: frame.id }));
+        self.set_free(now, busy.into_keys());
     }
 
     fn ready_nodes(&self) -> Vec<NodeId> {
@@ -316,73 +322,89 @@ impl Scheduler {
         };
         let tasks = balanced.unwrap_or_else(|| (0..machines).map(|machine| division.task(machine, machines)).collect());
         for (node, task) in nodes.into_iter().zip(tasks) {
-            let task_part = frame.add(task);
-            actions.push(self.assign(&mut frame, now, node, task_part));
+            let task = frame.add(task);
+            actions.push(self.assign(&mut frame, now, node, task));
         }
         self.frames.push_back(frame);
         true
     }
 
-    /// Divides the tasks of lost and silent render servers among the ready ones, those that joined since included. All
-    /// parts together are about as many as render servers, so that tasks do not multiply as silences repeat.
-    fn reassign_lost_tasks(&mut self, index: usize, now: Time, actions: &mut Vec<Action>) {
-        let nodes = self.ready_nodes();
-        if !nodes.is_empty() {
-            let lost = self.frames[index].take_lost_tasks();
-            let parts = nodes.len().div_ceil(lost.len().max(1)) as u32;
-            lost.iter().for_each(|lost| self.assign_parts(index, now, &nodes, (lost, parts), actions));
-        }
-    }
-
-    /// Gives the oldest late task to idle render servers as well; the first answer wins.
-    fn duplicate_late_tasks(&mut self, now: Time, actions: &mut Vec<Action>) {
-        let at_work: BTreeSet<_> = self.frames.iter().flat_map(FrameInFlight::busy_nodes).collect();
-        let idle: Vec<_> = self.ready_nodes().into_iter().filter(|node| !at_work.contains(node)).collect();
-        if idle.is_empty() {
-            return;
-        }
-        // A task for a later frame cannot be late while its render server is busy with an earlier frame.
-        let mut busy = BTreeSet::new();
+    /// Hands out the tasks of lost and silent render servers to those that hold few, those that joined since included, and
+    /// late ones to those that hold none.
+    fn hand_out_waiting(&mut self, now: Time, actions: &mut Vec<Action>) {
         for index in 0..self.frames.len() {
-            let nodes = &self.nodes;
-            let begun_at = |node| nodes.get(&node).filter(|_| !busy.contains(&node)).map(|node| node.free_at);
-            if let Some(late) = self.frames[index].take_late_task(now, begun_at) {
-                return self.assign_parts(index, now, &idle, (&late, idle.len() as u32), actions);
+            if !self.frames[index].has_waiting() {
+                continue;
             }
-            busy.extend(self.frames[index].busy_nodes());
+            let n_held = self.frames[index].n_unfinished();
+            let mut takers: Vec<_> =
+                self.ready_nodes().into_iter().map(|node| (n_held.get(&node).unwrap_or(&0), node)).collect();
+            takers.retain(|&(&n_held, _)| n_held < MOST_HELD);
+            // Begin with those that hold least, and after the one that took the last task.
+            if let n_takers @ 1.. = takers.len() {
+                takers.rotate_left(self.last_task.0 as usize % n_takers);
+            }
+            takers.sort_by_key(|&(n_held, _)| n_held);
+            let takers = takers.into_iter().map(|(n_held, node)| (node, MOST_HELD - n_held));
+            self.hand_out(index, now, takers.collect(), false, actions);
+            let idle = self.idle_nodes().into_iter().map(|node| (node, 1));
+            self.hand_out(index, now, idle.collect(), true, actions);
         }
     }
 
-    /// Divides a task into at most `most_parts` parts, and gives them to nodes in turn.
-    fn assign_parts(
+    /// Hands out a frame's waiting tasks to nodes in turn; each takes at most as many as its number says.
+    fn hand_out(
         &mut self,
         index: usize,
         now: Time,
-        nodes: &[NodeId],
-        (task_part, most_parts): (&TaskPart, u32),
+        mut takers: VecDeque<(NodeId, u32)>,
+        are_idle: bool,
         actions: &mut Vec<Action>,
     ) {
         let Some(mut frame) = self.frames.remove(index) else { return };
-        frame.attempts += 1;
-        let parts = most_parts.min(frame.n_samples(&task_part.task) / SMALLEST_PART).max(1);
-        // Begin after the nodes that got parts of the last task.
-        let mut nodes = nodes.iter().cycle().skip(self.last_task.0 as usize % nodes.len());
-        for part in 0..parts {
-            let part = task_part.part(part, parts).expect("parts hold units, so there are no more than the frame has");
-            let &node = nodes.next().expect("the cycle has no end");
-            actions.push(self.assign(&mut frame, now, node, part));
+        while let Some((node, room)) = takers.pop_front() {
+            let Some(task) = frame.take_waiting(takers.len() as u32 + 1, are_idle) else { break };
+            actions.push(self.assign(&mut frame, now, node, task));
+            if room > 1 {
+                takers.push_back((node, room - 1));
+            }
         }
         self.frames.insert(index, frame);
     }
 
-    fn assign(&mut self, frame: &mut FrameInFlight, now: Time, node: NodeId, task_part: TaskPart) -> Action {
-        let task = task_part.task;
+    /// Ready nodes without a task.
+    fn idle_nodes(&self) -> Vec<NodeId> {
+        let at_work: Vec<_> = self.frames.iter().map(FrameInFlight::n_unfinished).collect();
+        let is_idle = |node: &NodeId| at_work.iter().all(|n_unfinished| !n_unfinished.contains_key(node));
+        self.ready_nodes().into_iter().filter(is_idle).collect()
+    }
+
+    /// Has the oldest late task wait for idle render servers as well; the first answer wins.
+    fn repeat_late_task(&mut self, now: Time) {
+        let n_idle = self.idle_nodes().len() as u32;
+        if n_idle == 0 || self.frames.iter().any(FrameInFlight::has_waiting) {
+            return;
+        }
+        // A task for a later frame cannot be late while its render server is busy with an earlier frame.
+        let mut busy: Vec<BTreeMap<NodeId, u32>> = Vec::new();
+        for frame in &mut self.frames {
+            let is_busy = |node: &NodeId| busy.iter().any(|n_unfinished| n_unfinished.contains_key(node));
+            let free_at = |node| self.nodes.get(&node).filter(|_| !is_busy(&node)).map(|node| node.free_at);
+            if frame.repeat_late_task(now, n_idle, free_at) {
+                return;
+            }
+            busy.push(frame.n_unfinished());
+        }
+    }
+
+    fn assign(&mut self, frame: &mut FrameInFlight, now: Time, node: NodeId, handed_out: HandedOut) -> Action {
+        let task = handed_out.task_part.task;
         self.last_task.0 = self.last_task.0.wrapping_add(1);
         let n_samples = frame.n_samples(&task);
         let state = self.nodes.get_mut(&node).expect("only ready nodes get tasks");
         let encoding = self.goal.encoding.unwrap_or_else(|| state.encoding_chooser.choose(n_samples));
         let name_and_threads = (state.name.clone(), state.threads);
-        frame.assign(now, self.last_task, node, name_and_threads, task_part, encoding);
+        frame.assign(now, self.last_task, node, name_and_threads, handed_out, encoding);
         Action::Render { node, frame: frame.id, task_id: self.last_task, spec: frame.spec, task, encoding }
     }
 
@@ -413,4 +435,4 @@ impl Scheduler {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

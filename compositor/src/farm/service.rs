@@ -2,32 +2,36 @@
 
 use std::{
     collections::{BTreeMap, HashMap, VecDeque},
-    net::{IpAddr, SocketAddr},
+    io,
+    net::SocketAddr,
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use channel::key::Key;
-use renderer::cli::path_bytes;
 use shared::{
-    codec,
     printable::printable,
-    protocol::{FrameId, FrameSpec, HEARTBEAT_TIMEOUT, SceneState, ToServer},
+    protocol::{FrameId, HEARTBEAT_TIMEOUT, SceneState, ToServer},
     structure::Structure,
 };
 use tokio::{
     net::{TcpListener, TcpStream},
     sync::{mpsc, watch},
     task::{AbortHandle, JoinSet},
-    time::{MissedTickBehavior, interval},
+    time::{MissedTickBehavior, interval, sleep_until},
 };
 
 use super::{
-    FinishedFrame, Frame, Probe, RenderGoal,
+    FinishedFrame, Probe, RenderGoal,
     connection::{self, ConnectionError, ConnectionEvent, EventSender, PendingTask, PendingTasks},
-    frame_buffer::{BufferPool, FrameBuffer},
+    frame_buffer::BufferPool,
+    log_limit::LogLimit,
+    losses::Losses,
+    open_frame::OpenFrame,
+    outbox::Outbox,
+    rate_limit::RateLimit,
     scheduler::{Action, Event, Scheduler},
-    stats::{FarmStatus, FrameStats, NodeId, NodeStatus, Probed},
+    stats::{FarmStatus, NodeId, NodeStatus, Probed},
 };
 
 /// Most render servers at a time: more than a wall has, and fewer than the files that a process may open.
@@ -40,23 +44,36 @@ const MOST_STRANGERS: usize = 64;
 /// Most events that wait for the farm; when the queue is full, connections wait.
 const LONGEST_EVENT_QUEUE: usize = 1024;
 
+/// The pause after a connection that could not be accepted.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+
+/// Connections that are accepted at once: four times those of a whole farm, which may come from one address.
+const MOST_ACCEPTED_AT_ONCE: u32 = 4 * MOST_NODES as u32;
+
+/// The pause between further ones: each costs the wall about 0.1 ms. A render server waits for the few that the system
+/// queues, which takes less than a handshake may take.
+const ACCEPT_INTERVAL: Duration = Duration::from_micros(500);
+
+/// Log lines about render servers that are written at once: all of a farm join, are ready, fall silent and are lost.
+const MOST_NODE_LINES_AT_ONCE: u32 = 4 * MOST_NODES as u32;
+
+/// Log lines about strangers that are written at once: more than there are reasons to drop one.
+const MOST_STRANGER_LINES_AT_ONCE: u32 = 32;
+
+/// The pause between further log lines, of render servers and of strangers each.
+const LINE_INTERVAL: Duration = Duration::from_millis(250);
+
+/// News of render servers wake the wall at most this often: each may redraw its windows.
+const NEWS_INTERVAL: Duration = Duration::from_millis(50);
+
 /// How often the scheduler looks for late tasks while a frame is in flight.
 const TICK: Duration = Duration::from_millis(10);
 
 /// A connected render server.
 #[derive(Debug)]
 struct NodeConnection {
-    outgoing: mpsc::Sender<Vec<u8>>,
+    outbox: Arc<Outbox>,
     pending: Arc<PendingTasks>,
-}
-
-/// A frame in flight, as the connections need it.
-#[derive(Debug)]
-struct OpenFrame {
-    spec: FrameSpec,
-    buffer: Arc<FrameBuffer>,
-    moved_at: Instant,
-    bytes_out: HashMap<NodeId, u64>,
 }
 
 /// A running farm, on a task of its own.
@@ -71,8 +88,17 @@ pub(super) struct Service {
     /// Connections whose handshake is not over, the oldest first.
     strangers: VecDeque<(NodeId, AbortHandle)>,
     nodes: BTreeMap<NodeId, NodeConnection>,
-    /// How often render servers were lost, by name and address.
-    failures: HashMap<(String, IpAddr), u32>,
+    losses: Arc<Losses>,
+    /// Lines about strangers, by reason.
+    stranger_lines: LogLimit<String>,
+    /// Lines about render servers, by event and name.
+    node_lines: LogLimit<(&'static str, String)>,
+    accepts: RateLimit,
+    next_accept_at: tokio::time::Instant,
+    /// When the wall is woken for news of render servers, if there are any.
+    news_at: Option<tokio::time::Instant>,
+    /// When it may be woken for more.
+    next_news_at: tokio::time::Instant,
     frames: HashMap<FrameId, OpenFrame>,
     buffers: BufferPool,
     /// The render server that the last probe was sent to, and the probe's number.
@@ -101,7 +127,13 @@ impl Service {
             scheduler,
             strangers: VecDeque::new(),
             nodes: BTreeMap::new(),
-            failures: HashMap::new(),
+            losses: Arc::default(),
+            stranger_lines: LogLimit::new(RateLimit::new(MOST_STRANGER_LINES_AT_ONCE, LINE_INTERVAL)),
+            node_lines: LogLimit::new(RateLimit::new(MOST_NODE_LINES_AT_ONCE, LINE_INTERVAL)),
+            accepts: RateLimit::new(MOST_ACCEPTED_AT_ONCE, ACCEPT_INTERVAL),
+            next_accept_at: tokio::time::Instant::now(),
+            news_at: None,
+            next_news_at: tokio::time::Instant::now(),
             frames: HashMap::new(),
             buffers: BufferPool::default(),
             pending_probe: None,
@@ -124,10 +156,11 @@ impl Service {
         let finished = Arc::clone(&self.finished);
         loop {
             tokio::select! {
-                (stream, address) = accept(&listener) => {
+                accepted = accept_after(self.next_accept_at, &listener) => {
+                    let Some((stream, address)) = self.on_accepted(accepted) else { continue };
                     last_node.0 += 1;
                     let sender = EventSender { node: last_node, address, farm: event_sender.clone() };
-                    let connection = run_connection(stream, self.key.clone(), sender, self.started_at);
+                    let connection = run_connection(stream, self.key.clone(), sender, Arc::clone(&self.losses), self.started_at);
                     self.strangers.push_back((last_node, connections.spawn(connection)));
                     if self.strangers.len() > MOST_STRANGERS && let Some((_, oldest)) = self.strangers.pop_front() {
                         oldest.abort();
@@ -151,7 +184,28 @@ impl Service {
                     self.on_probe(probe);
                 }
                 () = finished.taken.notified() => self.dispatch(Event::FrameTaken),
+                () = sleep_until(self.news_at.unwrap_or(self.next_news_at)), if self.news_at.is_some() => self.on_news(),
                 _ = tick.tick(), if self.scheduler.has_frame_in_flight() => self.dispatch(Event::Tick),
+            }
+        }
+    }
+
+    /// The connection, unless it could not be accepted; the next is accepted after a pause then.
+    fn on_accepted(&mut self, accepted: io::Result<(TcpStream, SocketAddr)>) -> Option<(TcpStream, SocketAddr)> {
+        let now = self.started_at.elapsed();
+        match accepted {
+            Ok(accepted) => {
+                self.accepts.count(now);
+                self.next_accept_at = tokio::time::Instant::now() + self.accepts.wait(now);
+                Some(accepted)
+            }
+            Err(error) => {
+                // Out of file descriptors, or the peer is gone already: the wall goes on.
+                if let Some(more) = self.stranger_lines.admit(now, "cannot accept".to_owned()) {
+                    tracing::warn!("cannot accept a connection: {error}{more}");
+                }
+                self.next_accept_at = tokio::time::Instant::now() + ACCEPT_PAUSE;
+                None
             }
         }
     }
@@ -161,6 +215,17 @@ impl Service {
             self.dispatch(Event::StructureChanged);
             (self.wake)();
         }
+    }
+
+    /// Wakes the wall soon, and not often: nodes that come and go must not keep it drawing.
+    fn wake_for_news(&mut self) {
+        self.news_at.get_or_insert(self.next_news_at);
+    }
+
+    fn on_news(&mut self) {
+        self.news_at = None;
+        self.next_news_at = tokio::time::Instant::now() + NEWS_INTERVAL;
+        (self.wake)();
     }
 
     /// Sends a probe to the first render server that is ready. If it dies before it answers, there is no answer.
@@ -175,19 +240,22 @@ impl Service {
 
     fn on_connection_event(&mut self, id: NodeId, address: SocketAddr, event: ConnectionEvent) {
         match event {
-            ConnectionEvent::Joined { name, threads, outgoing, pending } => {
+            ConnectionEvent::Joined { name, threads, outbox, pending } => {
                 // A newer connection has displaced it.
                 if !self.remove_stranger(id) {
                     return;
                 }
                 if self.nodes.len() >= MOST_NODES {
-                    tracing::warn!("render server {name} at {address} refused: {MOST_NODES} have joined already");
-                    // Dropping its queue ends the connection.
+                    let reason = format!("{MOST_NODES} render servers have joined already");
+                    outbox.push(&ToServer::Refused { reason });
+                    outbox.close();
                     return;
                 }
-                tracing::info!("render server {name} joined from {address} with {threads} threads");
-                self.nodes.insert(id, NodeConnection { outgoing, pending });
-                let n_failures = self.failures.get(&(name.clone(), address.ip())).copied().unwrap_or(0);
+                if let Some(more) = self.admit_line("joined", &name) {
+                    tracing::info!("render server {name} joined from {address} with {threads} threads{more}");
+                }
+                self.nodes.insert(id, NodeConnection { outbox, pending });
+                let n_failures = self.losses.n_lost(&name, address.ip());
                 let joined = NodeStatus {
                     id,
                     name: name.clone(),
@@ -200,7 +268,7 @@ impl Service {
                 };
                 self.status.send_modify(|status| status.nodes.push(joined));
                 self.dispatch(Event::Joined { node: id, name, threads });
-                (self.wake)();
+                self.wake_for_news();
             }
             ConnectionEvent::Scene { scene, state } => {
                 if self.scheduler.scene() != Some(scene) {
@@ -209,7 +277,7 @@ impl Service {
                 let ready = matches!(state, SceneState::Ready { .. });
                 self.on_scene_state(id, state);
                 self.dispatch(Event::SceneReady { node: id, ready });
-                (self.wake)();
+                self.wake_for_news();
             }
             ConnectionEvent::UnitsPlaced { frame, task_id, units } => {
                 self.dispatch(Event::UnitsPlaced { node: id, frame, task_id, units });
@@ -220,7 +288,7 @@ impl Service {
             ConnectionEvent::Silent(is_silent) => {
                 self.on_silent(id, is_silent);
                 self.dispatch(Event::Silent { node: id, is_silent });
-                (self.wake)();
+                self.wake_for_news();
             }
             ConnectionEvent::RoundTrip(round_trip) => {
                 // No wake: a round trip alone must not disturb a resting wall.
@@ -244,58 +312,77 @@ impl Service {
         index.and_then(|index| self.strangers.remove(index)).is_some()
     }
 
-    fn on_scene_state(&self, id: NodeId, state: SceneState) {
-        self.status.send_modify(|status| {
-            let Some(node) = status.nodes.iter_mut().find(|node| node.id == id) else { return };
-            if let SceneState::Missing { reason } = &state {
-                let reason = printable(reason);
-                tracing::warn!("render server {} does not have the model: {reason}", node.name);
-                status.message = Some(format!("{}: {reason}", node.name));
-            }
-            if matches!(state, SceneState::Ready { .. }) && !node.is_ready() {
-                tracing::info!("render server {} is ready", node.name);
-            }
-            node.scene = Some(state);
-        });
+    /// Whether a line about a render server may be written now; if so, what to add to it.
+    fn admit_line(&mut self, line: &'static str, name: &str) -> Option<String> {
+        self.node_lines.admit(self.started_at.elapsed(), (line, name.to_owned()))
     }
 
-    fn on_silent(&self, id: NodeId, is_silent: bool) {
-        self.change_node(id, |node| {
-            node.is_silent = is_silent;
-            let name = &node.name;
-            if is_silent {
-                let milliseconds = HEARTBEAT_TIMEOUT.as_millis();
-                tracing::warn!("render server {name} has been silent for {milliseconds} ms: others render its share");
-            } else {
-                tracing::info!("render server {name} is heard again");
+    fn name(&self, id: NodeId) -> String {
+        let status = self.status.borrow();
+        status.nodes.iter().find(|node| node.id == id).map_or_else(String::new, |node| node.name.clone())
+    }
+
+    fn on_scene_state(&mut self, id: NodeId, mut state: SceneState) {
+        if let SceneState::Missing { reason } = &mut state {
+            *reason = printable(reason);
+        }
+        let name = self.name(id);
+        let was_ready = self.status.borrow().nodes.iter().any(|node| node.id == id && node.is_ready());
+        match &state {
+            SceneState::Missing { reason } => {
+                if let Some(more) = self.admit_line("missing", &name) {
+                    tracing::warn!("render server {name} does not have the model: {reason}{more}");
+                }
+                self.status.send_modify(|status| status.message = Some(format!("{name}: {reason}")));
             }
-        });
+            SceneState::Ready { .. } if !was_ready => {
+                if let Some(more) = self.admit_line("ready", &name) {
+                    tracing::info!("render server {name} is ready{more}");
+                }
+            }
+            _ => {}
+        }
+        self.change_node(id, |node| node.scene = Some(state));
+    }
+
+    fn on_silent(&mut self, id: NodeId, is_silent: bool) {
+        self.change_node(id, |node| node.is_silent = is_silent);
+        let name = self.name(id);
+        let Some(more) = self.admit_line(if is_silent { "silent" } else { "heard" }, &name) else { return };
+        if is_silent {
+            let milliseconds = HEARTBEAT_TIMEOUT.as_millis();
+            tracing::warn!("render server {name} has been silent for {milliseconds} ms: others render its share{more}");
+        } else {
+            tracing::info!("render server {name} is heard again{more}");
+        }
     }
 
     fn on_ended(&mut self, id: NodeId, address: SocketAddr, reason: Result<(), ConnectionError>) {
         self.remove_stranger(id);
         if self.nodes.remove(&id).is_none() {
             if let Err(reason) = reason {
-                tracing::warn!("connection from {address} dropped: {reason}");
+                // Without the numbers in it, which a stranger chooses.
+                let kind = reason.to_string().replace(char::is_numeric, "");
+                if let Some(more) = self.stranger_lines.admit(self.started_at.elapsed(), kind) {
+                    tracing::warn!("connection from {address} dropped: {reason}{more}");
+                }
             }
             return;
         }
+        let name = self.name(id);
+        let reason = reason.map_or_else(|error| error.to_string(), |()| "it closed the connection".to_owned());
+        if let Some(more) = self.admit_line("lost", &name) {
+            tracing::warn!("render server {name} at {address} lost: {reason}{more}");
+        }
+        self.losses.add(Instant::now(), &name, address.ip());
         self.status.send_modify(|status| {
-            let name = status.nodes.iter().find(|node| node.id == id).map_or("", |node| &node.name).to_owned();
-            let reason = reason.map_or_else(|error| error.to_string(), |()| "it closed the connection".to_owned());
-            tracing::warn!("render server {name} at {address} lost: {reason}");
-            let failed = (name.clone(), address.ip());
-            // Bounded: a peer may take a new name each time.
-            if self.failures.len() < MOST_NODES || self.failures.contains_key(&failed) {
-                *self.failures.entry(failed).or_default() += 1;
-            }
             status.nodes.retain(|node| node.id != id);
             status.n_lost += 1;
             status.message =
                 Some(format!("{name} lost: {reason}. The others render its share; start it again to have it back."));
         });
         self.dispatch(Event::Lost { node: id });
-        (self.wake)();
+        self.wake_for_news();
     }
 
     fn change_node(&self, id: NodeId, change: impl FnOnce(&mut NodeStatus)) {
@@ -320,7 +407,7 @@ impl Service {
                     is_local = node.address.ip().is_loopback();
                 });
                 if let Some(scene) = scene {
-                    let path = path.filter(|_| is_local).map(|path| path_bytes::to_bytes(&path));
+                    let path = path.filter(|_| is_local).map(|path| path.into_os_string().into_encoded_bytes());
                     self.send(node, &ToServer::LoadScene { scene, path, structure: self.structure });
                 }
             }
@@ -346,6 +433,7 @@ impl Service {
                 self.send(node, &ToServer::Cancel { frame });
             }
             Action::Show { frame, stats } => {
+                self.forget(frame);
                 if stats.attempts > 1 {
                     self.status.send_modify(|status| status.n_healed += 1);
                 }
@@ -356,59 +444,38 @@ impl Service {
                 }
             }
             Action::Discard { frame } => {
+                self.forget(frame);
                 self.frames.remove(&frame);
             }
         }
     }
 
-    /// Queues a message and returns its size in bytes. A render server that does not read its messages is dropped when its
-    /// queue is full.
-    fn send(&mut self, id: NodeId, message: &ToServer) -> u64 {
-        let mut bytes = Vec::new();
-        codec::encode(message, &mut bytes).expect("the wall's requests are short");
-        let n_bytes = bytes.len() as u64;
-        if let Some(node) = self.nodes.get_mut(&id)
-            && let Err(mpsc::error::TrySendError::Full(_)) = node.outgoing.try_send(bytes)
-        {
-            // Closing the queue ends the connection, which reports it.
-            (node.outgoing, _) = mpsc::channel(1);
-        }
-        n_bytes
+    /// Queues a message and returns its size in bytes.
+    fn send(&self, id: NodeId, message: &ToServer) -> u64 {
+        self.nodes.get(&id).map_or(0, |node| node.outbox.push(message))
     }
-}
 
-impl OpenFrame {
-    fn finish(self, mut stats: FrameStats, farm: &FarmStatus, spare: BufferPool) -> Frame {
-        (stats.n_lost, stats.n_healed) = (farm.n_lost, farm.n_healed);
-        for node in &mut stats.nodes {
-            node.bytes_out = self.bytes_out.get(&node.id).copied().unwrap_or(0);
-            // A render server that was lost meanwhile is not listed.
-            if let Some(known) = farm.nodes.iter().find(|known| known.id == node.id) {
-                node.address = Some(known.address);
-                (node.n_failures, node.round_trip_ms) = (known.n_failures, known.round_trip_ms);
-            }
-        }
-        stats.bytes_out = self.bytes_out.values().sum();
-        Frame { spec: self.spec, rgba: self.buffer.into_samples(spare), stats, moved_at: self.moved_at }
-    }
-}
-
-async fn accept(listener: &TcpListener) -> (TcpStream, SocketAddr) {
-    loop {
-        match listener.accept().await {
-            Ok(accepted) => return accepted,
-            Err(error) => {
-                // Out of file descriptors, or the peer is gone already: the wall goes on.
-                tracing::warn!("cannot accept a connection: {error}");
-                tokio::time::sleep(Duration::from_millis(100)).await;
-            }
+    fn forget(&self, frame: FrameId) {
+        for node in self.nodes.values() {
+            node.outbox.forget(frame);
         }
     }
 }
 
-async fn run_connection(mut stream: TcpStream, key: Option<Key>, events: EventSender, started_at: Instant) {
+async fn accept_after(when: tokio::time::Instant, listener: &TcpListener) -> io::Result<(TcpStream, SocketAddr)> {
+    sleep_until(when).await;
+    listener.accept().await
+}
+
+async fn run_connection(
+    mut stream: TcpStream,
+    key: Option<Key>,
+    events: EventSender,
+    losses: Arc<Losses>,
+    started_at: Instant,
+) {
     // Requests are small and must not wait for more.
     let _ = stream.set_nodelay(true);
     let (input, output) = stream.split();
-    connection::serve(input, output, key.as_ref(), events, started_at).await;
+    connection::serve(input, output, key.as_ref(), events, &losses, started_at).await;
 }

@@ -13,7 +13,8 @@ use crate::wall::{PixelRect, Wall, blend::Neighbour};
 pub(super) struct BlendStage {
     pipeline: wgpu::RenderPipeline,
     records_layout: wgpu::BindGroupLayout,
-    weights_layout: wgpu::BindGroupLayout,
+    /// The layout of the group that [`BlendStage::prepare`] returns.
+    pub(super) weights_layout: wgpu::BindGroupLayout,
     /// The newest for each part of the wall.
     cached: Vec<BlendWeights>,
 }
@@ -88,11 +89,6 @@ impl BlendStage {
         let layout = pipeline_layout(gpu, "blend weights", &[Some(&records_layout)]);
         let pipeline = quad_pipeline(gpu, "blend weights", &layout, &shader, &[], "fragment", FORMAT);
         Self { pipeline, records_layout, weights_layout, cached: Vec::new() }
-    }
-
-    /// The layout of the group that [`BlendStage::prepare`] returns.
-    pub(super) fn layout(&self) -> &wgpu::BindGroupLayout {
-        &self.weights_layout
     }
 
     /// The blend weights of a part of the wall on a target, drawn by `encoder` unless they are cached.

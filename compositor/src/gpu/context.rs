@@ -8,65 +8,40 @@ pub struct Gpu {
     pub device: wgpu::Device,
     /// Takes submissions.
     pub queue: wgpu::Queue,
-    instance: wgpu::Instance,
-    adapter: wgpu::Adapter,
+    /// The connection that the adapter came from; surfaces must come from it too.
+    pub(super) instance: wgpu::Instance,
+    /// The chosen adapter.
+    pub adapter: wgpu::Adapter,
     problem: Arc<Mutex<Option<GpuError>>>,
 }
 
 /// Why the GPU cannot draw.
 #[derive(Clone, Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
 pub enum GpuError {
-    /// The machine has no usable driver.
     #[error(
         "no graphics driver found (Vulkan, Metal or Direct3D 12): a machine without a graphics card needs a software driver, \
          install mesa-vulkan-drivers (Debian, Fedora) or vulkan-swrast (Arch)"
     )]
     NoDriver,
-    /// There are drivers, but none can draw on this window.
     #[error("none of the graphics drivers can draw on this window: {0}")]
     NoDriverForWindow(String),
-    /// `WGPU_ADAPTER_NAME` names something else.
     #[error("WGPU_ADAPTER_NAME={wanted} matches none of the graphics adapters found: {found}")]
-    NoSuchAdapter {
-        /// The variable's value.
-        wanted: String,
-        /// The names of those found.
-        found: String,
-    },
-    /// The driver refuses a device.
+    NoSuchAdapter { wanted: String, found: String },
     #[error("the graphics driver cannot open the device: {0}")]
     NoDevice(String),
-    /// The window system refuses a surface.
     #[error("cannot draw on the window: {0}")]
     NoSurface(String),
-    /// An image is larger than the GPU's textures.
     #[error(
         "{what} of {width}×{height} pixels is too large for {adapter}, which takes {limit} a side: make it smaller"
     )]
-    TooLarge {
-        /// The image: a frame, a window, a picture.
-        what: &'static str,
-        /// Columns.
-        width: u32,
-        /// Rows.
-        height: u32,
-        /// The longest side.
-        limit: u32,
-        /// The adapter's name.
-        adapter: String,
-    },
-    /// The bytes are not those of a frame of this size.
+    TooLarge { what: &'static str, width: u32, height: u32, limit: u32, adapter: String },
     #[error("{n_bytes} bytes are no frame of {size} samples, 4 bytes each")]
-    NotAFrame {
-        /// Their number.
-        n_bytes: usize,
-        /// The frame's size.
-        size: shared::division::FrameSize,
-    },
-    /// The driver failed, or the device was unplugged.
+    NotAFrame { n_bytes: usize, size: shared::division::FrameSize },
+    // The driver failed, or the device was unplugged.
     #[error("the graphics device is lost: {0}: start again")]
     Lost(String),
-    /// Memory ran out, or the driver or this program made an error.
+    // Memory ran out, or the driver or this program made an error.
     #[error("the graphics device failed: {0}")]
     Failed(String),
 }
@@ -84,17 +59,8 @@ impl Gpu {
         pollster::block_on(Self::open(&Self::instance(), None))
     }
 
-    /// The best adapter that can draw on a window; chosen as in [`Gpu::headless`].
-    pub fn for_surface(instance: &wgpu::Instance, surface: &wgpu::Surface<'_>) -> Result<Self, GpuError> {
-        pollster::block_on(Self::open(instance, Some(surface)))
-    }
-
-    /// Whether the system has no graphics driver at all.
-    pub(super) fn has_no_driver(instance: &wgpu::Instance) -> bool {
-        pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all())).is_empty()
-    }
-
-    async fn open(instance: &wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self, GpuError> {
+    /// The best adapter that can draw on a surface, if there is one; chosen as in [`Gpu::headless`].
+    pub(super) async fn open(instance: &wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self, GpuError> {
         let adapter = choose_adapter(instance, surface).await?;
         let offered = adapter.limits();
         let required_limits = wgpu::Limits {
@@ -125,25 +91,10 @@ impl Gpu {
         Ok(Self { device, queue, instance: instance.clone(), adapter, problem })
     }
 
-    /// The connection that the adapter came from; surfaces must come from it too.
-    pub(super) fn connection(&self) -> &wgpu::Instance {
-        &self.instance
-    }
-
-    /// The chosen adapter.
-    pub fn adapter(&self) -> &wgpu::Adapter {
-        &self.adapter
-    }
-
     /// The adapter's name and its interface, for example "llvmpipe (LLVM 15.0.6, 256 bits), vulkan".
     pub fn name(&self) -> String {
         let info = self.adapter.get_info();
         format!("{}, {}", info.name, info.backend)
-    }
-
-    /// Whether the adapter computes on the CPU, as lavapipe does.
-    pub fn is_software(&self) -> bool {
-        self.adapter.get_info().device_type == wgpu::DeviceType::Cpu
     }
 
     /// The first failure of this GPU since the last call.

@@ -46,7 +46,7 @@ impl OpticsStage {
     pub(super) fn new(gpu: &Gpu, frame_layout: &wgpu::BindGroupLayout) -> Self {
         let shader = wgpu::include_wgsl!("../../../shaders/optics.wgsl");
         let blend_weights = BlendStage::new(gpu);
-        let groups = [Some(frame_layout), Some(blend_weights.layout())];
+        let groups = [Some(frame_layout), Some(&blend_weights.weights_layout)];
         let pipelines = QuadPipelines::new::<ProjectorInstance>(gpu, "optics", shader, &groups, &INSTANCE_ATTRIBUTES);
         Self { blend_weights, pipelines }
     }

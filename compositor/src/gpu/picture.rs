@@ -2,10 +2,11 @@
 
 use std::{
     io::{self, Write},
-    path::{Path, PathBuf},
+    path::Path,
 };
 
-use renderer::render::image::write_atomically;
+use channel::files;
+use renderer::render::image::encode_png;
 
 /// An image in sRGB-encoded R, G, B bytes, row by row from the top left.
 #[derive(Clone, PartialEq, Eq)]
@@ -16,14 +17,6 @@ pub struct RgbImage {
     pub rgb: Vec<u8>,
 }
 
-/// An image cannot be written.
-#[derive(Debug, thiserror::Error)]
-#[error("cannot write the picture {path}: {source}")]
-pub struct PictureError {
-    path: PathBuf,
-    source: io::Error,
-}
-
 impl RgbImage {
     /// The pixel in a column from the left and a row from the top.
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
@@ -32,21 +25,15 @@ impl RgbImage {
     }
 
     /// Writes a PNG; on an error, the file at `path` stays as it was.
-    pub fn write_png(&self, path: &Path) -> Result<(), PictureError> {
-        write_atomically(path, |out| self.encode(out)).map_err(|source| PictureError { path: path.to_owned(), source })
+    pub fn write_png(&self, path: &Path) -> io::Result<()> {
+        files::write(path, |out| self.encode(out)).map_err(|error| {
+            io::Error::new(error.kind(), format!("cannot write the picture {}: {error}", path.display()))
+        })
     }
 
-    fn encode(&self, out: &mut dyn Write) -> io::Result<()> {
-        let [width, height] = self.size;
-        let mut encoder = png::Encoder::new(out, width, height);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
-        // A wall has millions of pixels, and a screenshot must not delay it.
-        encoder.set_compression(png::Compression::Fast);
-        let mut writer = encoder.write_header()?;
-        writer.write_image_data(&self.rgb)?;
-        Ok(writer.finish()?)
+    /// Writes the bytes of a PNG.
+    pub(crate) fn encode(&self, out: &mut dyn Write) -> io::Result<()> {
+        encode_png(out, self.size.into(), &self.rgb)
     }
 }
 

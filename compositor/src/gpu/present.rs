@@ -4,7 +4,6 @@ use shared::division::FrameSize;
 
 use super::{
     context::{Gpu, GpuError},
-    frame_texture::FrameTexture,
     optics::OpticsStage,
     quad::{Quad, QuadPipelines, Target, begin_pass, buffer},
     timer::DrawTimer,
@@ -20,17 +19,20 @@ pub struct Present {
     pipelines: QuadPipelines,
     optics: OpticsStage,
     frame_layout: wgpu::BindGroupLayout,
-    samplers: PerFilter<wgpu::Sampler>,
-    frame: Option<(FrameTexture, PerFilter<wgpu::BindGroup>)>,
+    /// Bilinear and nearest.
+    samplers: [wgpu::Sampler; 2],
+    frame: Option<FrameTexture>,
     timer: Option<DrawTimer>,
 }
 
-/// Two ways to read the frame; each draw binds one.
-struct PerFilter<T> {
-    bilinear: T,
+/// A frame's samples on the GPU: row 0 is the bottom row, and shaders read linear light. Each draw binds one filter.
+struct FrameTexture {
+    size: FrameSize,
+    texture: wgpu::Texture,
+    bilinear: wgpu::BindGroup,
     /// The same image where pixels and samples coincide, as on a resting wall after refinement; on a software adapter in
     /// two thirds of the time.
-    nearest: T,
+    nearest: wgpu::BindGroup,
 }
 
 /// One projector on one target. Matches `Projector` in `shaders/present.wgsl`.
@@ -75,111 +77,93 @@ impl Present {
                 ..Default::default()
             })
         };
-        let samplers =
-            PerFilter { bilinear: sampler(wgpu::FilterMode::Linear), nearest: sampler(wgpu::FilterMode::Nearest) };
+        let samplers = [sampler(wgpu::FilterMode::Linear), sampler(wgpu::FilterMode::Nearest)];
         let groups = [Some(&frame_layout)];
         let pipelines = QuadPipelines::new::<ProjectorInstance>(gpu, "present", shader, &groups, &INSTANCE_ATTRIBUTES);
         let (optics, timer) = (OpticsStage::new(gpu, &frame_layout), DrawTimer::new(gpu));
         Self { pipelines, optics, frame_layout, samplers, frame: None, timer }
     }
 
-    /// Takes a complete frame, as [`FrameTexture::upload`] does; its resolution may differ from the last one's.
+    /// Takes a complete frame, whose resolution may differ from the last one's: sRGB-encoded R, G, B and one byte unused,
+    /// row by row from the bottom left. The bytes are copied at once and reach the GPU with the next submission.
     pub fn upload(&mut self, gpu: &Gpu, size: FrameSize, rgba: &[u8]) -> Result<(), GpuError> {
-        match &self.frame {
-            Some((texture, _)) if texture.size() == size => texture.upload(gpu, rgba),
-            _ => {
-                let texture = FrameTexture::new(gpu, size)?;
-                texture.upload(gpu, rgba)?;
-                let read_by = |sampler| {
-                    gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                        label: Some("frame"),
-                        layout: &self.frame_layout,
-                        entries: &[
-                            wgpu::BindGroupEntry {
-                                binding: 0,
-                                resource: wgpu::BindingResource::TextureView(texture.view()),
-                            },
-                            wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(sampler) },
-                        ],
-                    })
-                };
-                let bilinear = read_by(&self.samplers.bilinear);
-                let nearest = read_by(&self.samplers.nearest);
-                self.frame = Some((texture, PerFilter { bilinear, nearest }));
-                Ok(())
-            }
+        if rgba.len() as u64 != 4 * u64::from(size.n_samples()) {
+            return Err(GpuError::NotAFrame { n_bytes: rgba.len(), size });
         }
+        let frame = match self.frame.take().filter(|frame| frame.size == size) {
+            Some(frame) => frame,
+            None => self.frame_texture(gpu, size)?,
+        };
+        let layout =
+            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * size.xres()), rows_per_image: None };
+        gpu.queue.write_texture(frame.texture.as_image_copy(), rgba, layout, frame.texture.size());
+        self.frame = Some(frame);
+        Ok(())
     }
 
-    /// Draws a part of the wall over all of `target`; black around it, and black before the first frame.
+    fn frame_texture(&self, gpu: &Gpu, size: FrameSize) -> Result<FrameTexture, GpuError> {
+        let extent = [size.xres(), size.yres()];
+        gpu.check_size("a frame", extent)?;
+        // Loads from sRGB give linear light, in which the wall is filtered and blended.
+        let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST;
+        let (texture, view) = gpu.texture("frame", extent, wgpu::TextureFormat::Rgba8UnormSrgb, usage);
+        let [bilinear, nearest] = self.samplers.each_ref().map(|sampler| {
+            gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some("frame"),
+                layout: &self.frame_layout,
+                entries: &[
+                    wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&view) },
+                    wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(sampler) },
+                ],
+            })
+        });
+        Ok(FrameTexture { size, texture, bilinear, nearest })
+    }
+
+    /// Draws parts of the wall, each over all of a target; black around it, and black before the first frame.
     ///
-    /// `part` is a rectangle of the spanning output that contains each projector wholly or not at all; it is scaled to fit
-    /// into the target, centred.
+    /// A part is a rectangle of the spanning output that contains each projector wholly or not at all; it is scaled to fit
+    /// into its target, centred.
     pub fn draw(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        target: &Target<'_>,
         wall: &Wall,
-        part: PixelRect,
+        outputs: &[(Target<'_>, PixelRect)],
     ) {
-        self.draw_all(gpu, encoder, wall, &[(target, part)]);
-    }
+        for (index, &(target, part)) in outputs.iter().enumerate() {
+            let pipeline = self.pipelines.get(gpu, target.format);
+            let (plain, corrected): (Vec<_>, Vec<_>) =
+                Quad::of_part(wall, part, target.size).partition(|quad| wall.is_plain(quad.projector_idx));
+            let frame_from_px: Vec<_> = plain.iter().map(|quad| FrameFromPx::new(wall, quad)).collect();
+            let instances: Vec<_> = (frame_from_px.iter().zip(&plain))
+                .map(|(frame_from_px, quad)| ProjectorInstance::new(frame_from_px, quad, target.size))
+                .collect();
+            // A new buffer for each draw costs half a kilobyte, and several targets in one submission share nothing.
+            let instance_buffer = (!instances.is_empty()).then(|| buffer(gpu, wgpu::BufferUsages::VERTEX, &instances));
+            let corrected = self.optics.prepare(gpu, encoder, &target, wall, part, &corrected);
 
-    /// Draws the same frame on several targets as [`Present::draw`] does, a part of the wall on each.
-    pub fn draw_all(
-        &mut self,
-        gpu: &Gpu,
-        encoder: &mut wgpu::CommandEncoder,
-        wall: &Wall,
-        outputs: &[(&Target<'_>, PixelRect)],
-    ) {
-        for (index, (target, part)) in outputs.iter().enumerate() {
             let is_end = [index == 0, index + 1 == outputs.len()];
-            self.draw_pass(gpu, encoder, target, wall, *part, is_end);
+            let timestamps = self.timer.as_ref().and_then(|timer| timer.pass_timestamps(is_end));
+            let mut pass = begin_pass(encoder, "present", target.view, timestamps);
+            if let Some(frame) = &self.frame {
+                if let Some(instance_buffer) = &instance_buffer {
+                    let is_sample_per_px = frame_from_px.iter().all(|it| it.is_sample_per_px(frame.size, target.size));
+                    pass.set_bind_group(0, if is_sample_per_px { &frame.nearest } else { &frame.bilinear }, &[]);
+                    pass.set_pipeline(&pipeline);
+                    pass.set_vertex_buffer(0, instance_buffer.slice(..));
+                    pass.draw(0..4, 0..instances.len() as u32);
+                }
+                if let Some(corrected) = &corrected {
+                    pass.set_bind_group(0, &frame.bilinear, &[]);
+                    corrected.draw(&mut pass);
+                }
+            }
         }
         if let Some(timer) = &mut self.timer
             && !outputs.is_empty()
         {
             timer.read_after(encoder);
-        }
-    }
-
-    /// `is_end`: whether this is the first pass of a draw, and whether it is the last.
-    fn draw_pass(
-        &mut self,
-        gpu: &Gpu,
-        encoder: &mut wgpu::CommandEncoder,
-        target: &Target<'_>,
-        wall: &Wall,
-        part: PixelRect,
-        is_end: [bool; 2],
-    ) {
-        let pipeline = self.pipelines.get(gpu, target.format);
-        let (plain, corrected): (Vec<_>, Vec<_>) =
-            Quad::of_part(wall, part, target.size).partition(|quad| wall.is_plain(quad.projector_idx));
-        let frame_from_px: Vec<_> = plain.iter().map(|quad| FrameFromPx::new(wall, quad)).collect();
-        let instances: Vec<_> = (frame_from_px.iter().zip(&plain))
-            .map(|(frame_from_px, quad)| ProjectorInstance::new(frame_from_px, quad, target.size))
-            .collect();
-        // A new buffer for each draw costs half a kilobyte, and several targets in one submission share nothing.
-        let instance_buffer = (!instances.is_empty()).then(|| buffer(gpu, wgpu::BufferUsages::VERTEX, &instances));
-        let corrected = self.optics.prepare(gpu, encoder, target, wall, part, &corrected);
-
-        let timestamps = self.timer.as_ref().and_then(|timer| timer.pass_timestamps(is_end));
-        let mut pass = begin_pass(encoder, "present", target.view, timestamps);
-        if let Some((texture, frame)) = &self.frame {
-            if let Some(instance_buffer) = &instance_buffer {
-                let is_sample_per_px = frame_from_px.iter().all(|it| it.is_sample_per_px(texture.size(), target.size));
-                pass.set_bind_group(0, if is_sample_per_px { &frame.nearest } else { &frame.bilinear }, &[]);
-                pass.set_pipeline(&pipeline);
-                pass.set_vertex_buffer(0, instance_buffer.slice(..));
-                pass.draw(0..4, 0..instances.len() as u32);
-            }
-            if let Some(corrected) = &corrected {
-                pass.set_bind_group(0, &frame.bilinear, &[]);
-                corrected.draw(&mut pass);
-            }
         }
     }
 

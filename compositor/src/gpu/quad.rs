@@ -6,6 +6,7 @@ use super::context::Gpu;
 use crate::wall::{PixelRect, Wall};
 
 /// An image to draw on.
+#[derive(Clone, Copy)]
 pub struct Target<'a> {
     /// The image.
     pub view: &'a wgpu::TextureView,
@@ -17,10 +18,10 @@ pub struct Target<'a> {
 
 /// A projector's pixels on a target.
 #[derive(Clone, Copy)]
-pub(super) struct Quad {
-    pub(super) projector_idx: usize,
+pub(crate) struct Quad {
+    pub(crate) projector_idx: usize,
     /// Left, top, right and bottom in pixels of the target; not whole when the wall is scaled.
-    pub(super) edges: [f64; 4],
+    pub(crate) edges: [f64; 4],
 }
 
 /// A quad whose projector stands askew, overlaps others, or has a light of its own.
@@ -34,7 +35,7 @@ pub(super) struct TargetProjector {
 
 impl Quad {
     /// The quads on a target of the projectors in a part of the wall.
-    pub(super) fn of_part(wall: &Wall, part: PixelRect, target_size: [u32; 2]) -> impl Iterator<Item = Self> {
+    pub(crate) fn of_part(wall: &Wall, part: PixelRect, target_size: [u32; 2]) -> impl Iterator<Item = Self> {
         let fitted = PixelRect::fitted([part.width, part.height], target_size);
         let x_scale = f64::from(fitted.width) / f64::from(part.width.max(1));
         let y_scale = f64::from(fitted.height) / f64::from(part.height.max(1));

@@ -6,13 +6,14 @@ use super::{
 };
 
 /// A window's swapchain; it follows the window's size, and is created again when it is lost.
-pub struct WallSurface {
+pub(crate) struct WallSurface {
     surface: wgpu::Surface<'static>,
     /// Creates the surface again after a loss.
     create: Create,
     config: wgpu::SurfaceConfiguration,
     wall_format: wgpu::TextureFormat,
-    overlay_format: wgpu::TextureFormat,
+    /// The format of [`SurfaceFrame::overlay_view`], for egui's renderer.
+    pub(crate) overlay_format: wgpu::TextureFormat,
     /// Whether the swapchain has the size and state of `config`.
     is_configured: bool,
 }
@@ -20,36 +21,41 @@ pub struct WallSurface {
 type Create = Box<dyn Fn() -> Result<wgpu::Surface<'static>, wgpu::CreateSurfaceError>>;
 
 /// The image that the window shows next.
-pub struct SurfaceFrame {
-    texture: wgpu::SurfaceTexture,
+pub(crate) struct SurfaceFrame {
+    /// To be presented once its draws are submitted.
+    pub(crate) texture: wgpu::SurfaceTexture,
     wall_view: wgpu::TextureView,
     wall_format: wgpu::TextureFormat,
-    overlay_view: wgpu::TextureView,
-    size: [u32; 2],
+    /// For the overlay, which is drawn over the wall in encoded values.
+    pub(crate) overlay_view: wgpu::TextureView,
+    /// Columns and rows.
+    pub(crate) size: [u32; 2],
 }
 
 impl WallSurface {
     /// A surface on the first `window`, for example an `Arc<Window>`, of `size` pixels; and the GPU that can draw on it.
-    pub fn first<W>(window: W, size: [u32; 2]) -> Result<(Gpu, Self), GpuError>
+    pub(crate) fn first<W>(window: W, size: [u32; 2]) -> Result<(Gpu, Self), GpuError>
     where
         W: Into<wgpu::SurfaceTarget<'static>> + Clone + 'static,
     {
         let instance = Gpu::instance();
         let create = creating(instance.clone(), window);
-        // Without any driver, creating a surface fails already.
-        let surface = create()
-            .map_err(|error| if Gpu::has_no_driver(&instance) { GpuError::NoDriver } else { no_surface(&error) })?;
-        let gpu = Gpu::for_surface(&instance, &surface)?;
+        let surface = create().map_err(|error| {
+            // Without any driver, creating a surface fails already.
+            let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+            if adapters.is_empty() { GpuError::NoDriver } else { no_surface(&error) }
+        })?;
+        let gpu = pollster::block_on(Gpu::open(&instance, Some(&surface)))?;
         let surface = Self::configured(&gpu, surface, create, size)?;
         Ok((gpu, surface))
     }
 
     /// A surface on one more window, for the GPU that draws on the first.
-    pub fn new<W>(gpu: &Gpu, window: W, size: [u32; 2]) -> Result<Self, GpuError>
+    pub(crate) fn new<W>(gpu: &Gpu, window: W, size: [u32; 2]) -> Result<Self, GpuError>
     where
         W: Into<wgpu::SurfaceTarget<'static>> + Clone + 'static,
     {
-        let create = creating(gpu.connection().clone(), window);
+        let create = creating(gpu.instance.clone(), window);
         let surface = create().map_err(|error| no_surface(&error))?;
         Self::configured(gpu, surface, create, size)
     }
@@ -60,14 +66,14 @@ impl WallSurface {
         create: Create,
         size: [u32; 2],
     ) -> Result<Self, GpuError> {
-        let capabilities = surface.get_capabilities(gpu.adapter());
+        let capabilities = surface.get_capabilities(&gpu.adapter);
         let is_plain_8_bit = |format: &&wgpu::TextureFormat| {
             matches!(format, wgpu::TextureFormat::Bgra8Unorm | wgpu::TextureFormat::Rgba8Unorm)
         };
         let Some(&format) = capabilities.formats.iter().find(is_plain_8_bit).or(capabilities.formats.first()) else {
             return Err(GpuError::NoSurface(format!("{} offers no format for it", gpu.name())));
         };
-        let downlevel = gpu.adapter().get_downlevel_capabilities().flags;
+        let downlevel = gpu.adapter.get_downlevel_capabilities().flags;
         let has_views = downlevel.contains(wgpu::DownlevelFlags::SURFACE_VIEW_FORMATS);
         let [wall_format, overlay_format] =
             if has_views { [format.add_srgb_suffix(), format.remove_srgb_suffix()] } else { [format; 2] };
@@ -96,23 +102,13 @@ impl WallSurface {
         Ok(Self { surface, create, config, wall_format, overlay_format, is_configured: false })
     }
 
-    /// The format of [`SurfaceFrame::overlay_view`], for egui's renderer.
-    pub fn overlay_format(&self) -> wgpu::TextureFormat {
-        self.overlay_format
-    }
-
-    /// Mailbox or FIFO.
-    pub fn present_mode(&self) -> wgpu::PresentMode {
-        self.config.present_mode
-    }
-
     /// Columns and rows of the next image.
-    pub fn size(&self) -> [u32; 2] {
+    pub(crate) fn size(&self) -> [u32; 2] {
         [self.config.width, self.config.height]
     }
 
     /// Takes the window's new size; the swapchain follows with the next [`WallSurface::acquire`].
-    pub fn resize(&mut self, size: [u32; 2]) {
+    pub(crate) fn resize(&mut self, size: [u32; 2]) {
         if size != self.size() {
             [self.config.width, self.config.height] = size;
             self.is_configured = false;
@@ -120,12 +116,8 @@ impl WallSurface {
     }
 
     /// The next image to draw on; `None` while the window is empty or hidden, or the display is late: ask again with the
-    /// next event.
-    ///
-    /// # Errors
-    ///
-    /// The window is larger than the GPU's textures, or the device or the window is gone.
-    pub fn acquire(&mut self, gpu: &Gpu) -> Result<Option<SurfaceFrame>, GpuError> {
+    /// next event. An error if the window is larger than the GPU's textures, or the device or the window is gone.
+    pub(crate) fn acquire(&mut self, gpu: &Gpu) -> Result<Option<SurfaceFrame>, GpuError> {
         if self.size().contains(&0) {
             return Ok(None);
         }
@@ -171,23 +163,8 @@ impl WallSurface {
 
 impl SurfaceFrame {
     /// The target for [`super::Present::draw`].
-    pub fn target(&self) -> Target<'_> {
+    pub(crate) fn target(&self) -> Target<'_> {
         Target { view: &self.wall_view, format: self.wall_format, size: self.size }
-    }
-
-    /// The view for the overlay, which is drawn over the wall in encoded values.
-    pub fn overlay_view(&self) -> &wgpu::TextureView {
-        &self.overlay_view
-    }
-
-    /// Columns and rows.
-    pub fn size(&self) -> [u32; 2] {
-        self.size
-    }
-
-    /// Shows the image. Submit its draws first.
-    pub fn present(self, gpu: &Gpu) {
-        gpu.queue.present(self.texture);
     }
 }
 

@@ -24,9 +24,8 @@ pub(super) fn show(ui: &mut Ui, appearance: &Appearance, commands: &mut Vec<Comm
     ui.label("Background (B)");
     ui.horizontal(|ui| {
         for (name, background) in Background::PRESETS {
-            if ui.selectable_label(background == appearance.background, name).clicked() {
-                commands.push(Command::SetBackground(background));
-            }
+            let label = ui.selectable_label(background == appearance.background, name);
+            commands.extend(label.clicked().then_some(Command::SetBackground(background)));
         }
     });
     cut(ui, appearance.clip, commands);
@@ -43,9 +42,7 @@ fn cut(ui: &mut Ui, clip: Option<Clip>, commands: &mut Vec<Command>) {
             let button = ui.selectable_label(is_chosen, name);
             let accessible_label = format!("cut from {name}");
             button.widget_info(|| WidgetInfo::selected(Role::Button, true, is_chosen, &accessible_label));
-            if button.clicked() {
-                commands.push(Command::SetClip(side.map(|from| Clip::with_side(from, clip))));
-            }
+            commands.extend(button.clicked().then_some(Command::SetClip(side.map(|from| Clip::with_side(from, clip)))));
         }
     });
     if let Some(clip) = clip {

@@ -10,24 +10,22 @@ use strum::VariantArray;
 
 use super::{
     OverlayModel, Tint, history, nodes,
-    style::{self, Tone, callout, metrics, section},
+    style::{self, callout, metrics, section},
 };
 use crate::control::input::Command;
 
 /// Storages of the grid, in the order of the key; `None` is the one with which render servers were started.
-pub const STORAGES: [Option<Storage>; 4] =
+pub(crate) const STORAGES: [Option<Storage>; 4] =
     [None, Some(Storage::Tree), Some(Storage::RowDisplacement), Some(Storage::Plain)];
 /// Densities of the grid in cells per triangle, in the order of the key.
-pub const DENSITIES: [u32; 6] = [4, 8, 16, 32, 64, 128];
+pub(crate) const DENSITIES: [u32; 6] = [4, 8, 16, 32, 64, 128];
 
 pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     headline(ui, model, commands);
     for message in &model.messages {
-        callout(ui, Tone::Warning, |ui| {
+        callout(ui, style::BUSY, |ui| {
             ui.label(message);
-            if ui.small_button("Dismiss").clicked() {
-                commands.push(Command::DismissMessage);
-            }
+            commands.extend(ui.small_button("Dismiss").clicked().then_some(Command::DismissMessage));
         });
     }
     waiting(ui, model);
@@ -45,9 +43,7 @@ fn headline(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
         };
         ui.label(RichText::new(rate).heading().strong());
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            if ui.button("Keys (F1)").clicked() {
-                commands.push(Command::ToggleHelp);
-            }
+            commands.extend(ui.button("Keys (F1)").clicked().then_some(Command::ToggleHelp));
         });
     });
     let latency = model.display.map(|display| display.latency_ms);
@@ -58,21 +54,21 @@ fn headline(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
 /// Why there is nothing to see, or nothing new, and the cure.
 fn waiting(ui: &mut Ui, model: &OverlayModel) {
     if let Some((name, progress)) = &model.loading {
-        callout(ui, Tone::Note, |ui| {
+        callout(ui, style::ACCENT, |ui| {
             ui.label(format!("Reading {name}: {:.0} %", progress * 100.0));
             ui.add(egui::ProgressBar::new(*progress).desired_height(6.0));
         });
     }
     let n_ready = nodes::n_ready(&model.status);
     if model.status.nodes.is_empty() {
-        callout(ui, Tone::Warning, |ui| {
+        callout(ui, style::BUSY, |ui| {
             ui.label(RichText::new("No render server is connected.").strong());
             ui.label("Start one with:");
             ui.label(RichText::new(&model.join.command).monospace().color(style::ACCENT));
             ui.label(RichText::new(&model.join.note).small());
         });
     } else if n_ready < model.min_renderers as usize {
-        callout(ui, Tone::Note, |ui| {
+        callout(ui, style::ACCENT, |ui| {
             ui.label(format!("Waiting for render servers: {n_ready} of {} are ready.", model.min_renderers));
         });
     }
@@ -110,9 +106,8 @@ fn timings(ui: &mut Ui, model: &OverlayModel) {
 fn refinement(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     ui.horizontal(|ui| {
         let mut is_refining = model.is_refining;
-        if ui.checkbox(&mut is_refining, "resolution follows the motion (M)").changed() {
-            commands.push(Command::ToggleRefinement);
-        }
+        let checkbox = ui.checkbox(&mut is_refining, "resolution follows the motion (M)");
+        commands.extend(checkbox.changed().then_some(Command::ToggleRefinement));
         if model.frame.is_some() {
             let [so_far, in_all] = model.n_samples;
             let so_far = if so_far < in_all { format!("{so_far} of {in_all}") } else { so_far.to_string() };
@@ -148,7 +143,7 @@ fn switches(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
             ui.label(RichText::new("a triangle").small().weak());
         });
         row(ui, "tint (T)", &mut |ui, commands| {
-            choices(ui, &Tint::ALL, |it| it == model.tint, Tint::name, Command::SetTint, commands);
+            choices(ui, Tint::VARIANTS, |it| it == model.tint, <&str>::from, Command::SetTint, commands);
         });
         row(ui, "rays (R)", &mut |ui, commands| {
             choices(ui, LightingMode::VARIANTS, |it| it == model.rays, |it| it, Command::SetLighting, commands);
@@ -166,8 +161,7 @@ fn choices<T: Copy, S: ToString>(
     commands: &mut Vec<Command>,
 ) {
     for &choice in all {
-        if ui.selectable_label(is_chosen(choice), name(choice).to_string()).clicked() {
-            commands.push(command(choice));
-        }
+        let label = ui.selectable_label(is_chosen(choice), name(choice).to_string());
+        commands.extend(label.clicked().then_some(command(choice)));
     }
 }

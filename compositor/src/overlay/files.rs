@@ -8,10 +8,8 @@ use crate::control::input::Command;
 /// The panel's width in points.
 pub(super) const WIDTH: f32 = 420.0;
 
-/// A folder's entries.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct FileList {
-    /// The folder's name.
+pub(crate) struct FileList {
     pub folder: String,
     /// Folders first, then files, each by name.
     pub entries: Vec<FileEntry>,
@@ -21,10 +19,8 @@ pub struct FileList {
     pub problem: Option<String>,
 }
 
-/// A folder or a file that can be chosen.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FileEntry {
-    /// Its name in its folder.
+pub(crate) struct FileEntry {
     pub name: String,
     /// Its bytes; `None` for a folder.
     pub bytes: Option<u64>,
@@ -34,9 +30,7 @@ pub(super) fn show(ui: &mut Ui, files: &FileList, commands: &mut Vec<Command>) {
     ui.horizontal(|ui| {
         ui.label(RichText::new("Open a model").heading().strong());
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            if ui.button("Close (Esc)").clicked() {
-                commands.push(Command::ToggleFiles);
-            }
+            commands.extend(ui.button("Close (Esc)").clicked().then_some(Command::ToggleFiles));
         });
     });
     ui.label(RichText::new(&files.folder).small().weak());
@@ -52,9 +46,7 @@ pub(super) fn show(ui: &mut Ui, files: &FileList, commands: &mut Vec<Command>) {
         let is_chosen = index == files.chosen;
         ui.horizontal(|ui| {
             let label = ui.selectable_label(is_chosen, name);
-            if label.clicked() {
-                commands.push(Command::OpenEntry(index));
-            }
+            commands.extend(label.clicked().then_some(Command::OpenEntry(index)));
             if is_chosen {
                 label.scroll_to_me(None);
             }

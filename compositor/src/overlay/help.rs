@@ -12,9 +12,7 @@ pub(super) fn show(ui: &mut Ui, commands: &mut Vec<Command>) {
     ui.horizontal(|ui| {
         ui.label(RichText::new("Keys and mouse").heading().strong());
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            if ui.button("Close (F1)").clicked() {
-                commands.push(Command::ToggleHelp);
-            }
+            commands.extend(ui.button("Close (F1)").clicked().then_some(Command::ToggleHelp));
         });
     });
     ui.separator();

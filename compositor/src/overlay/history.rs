@@ -7,20 +7,19 @@ use egui_plot::{Line, Plot, PlotPoints};
 
 use super::style;
 
-/// The number of frames shown.
 const N_FRAMES: usize = 240;
 /// The curve's height in points.
 const HEIGHT: f32 = 64.0;
 
 /// The times of the last frames, oldest first.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct History {
+pub(crate) struct History {
     frames: VecDeque<FrameTimes>,
 }
 
 /// The times of one frame in milliseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FrameTimes {
+pub(crate) struct FrameTimes {
     /// In the farm: from the first task to the last sample placed.
     pub render_ms: f64,
     /// From the camera's motion to the frame on the wall.
@@ -28,8 +27,7 @@ pub struct FrameTimes {
 }
 
 impl History {
-    /// Adds a frame, and drops the oldest if there are too many.
-    pub fn add(&mut self, times: FrameTimes) {
+    pub(crate) fn add(&mut self, times: FrameTimes) {
         if self.frames.len() == N_FRAMES {
             self.frames.pop_front();
         }

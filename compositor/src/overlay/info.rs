@@ -14,8 +14,7 @@ pub(super) const WIDTH: f32 = 310.0;
 
 /// The model on the wall.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct ModelSummary {
-    /// Its name.
+pub(crate) struct ModelSummary {
     pub name: String,
     /// Triangles that are traced.
     pub n_triangles: usize,
@@ -27,7 +26,7 @@ pub struct ModelSummary {
 
 /// A point of the model that somebody clicked on.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Pick {
+pub(crate) struct Pick {
     /// The triangle's number in the file, from 0.
     pub triangle: u32,
     /// The point, in the model's own coordinates.
@@ -48,9 +47,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
     let Some(summary) = &model.model else { return };
     ui.horizontal(|ui| {
         ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            if ui.button("Open (Ctrl+O)").clicked() {
-                commands.push(Command::ToggleFiles);
-            }
+            commands.extend(ui.button("Open (Ctrl+O)").clicked().then_some(Command::ToggleFiles));
             ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
                 ui.add(Label::new(RichText::new(&summary.name).strong()).truncate());
             });
@@ -65,10 +62,12 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
     if summary.extent.is_finite() && summary.extent.min_element() >= 0.0 {
         ui.label(format!("{} × {} × {} in its own unit", length(x), length(y), length(z)));
     }
-    if let Some(bytes) = most_bytes(model) {
-        ui.label(format!("{} in memory, {:.0} bytes a triangle", style::bytes(bytes.0), bytes.1));
+    let largest = ready_scenes(model).filter(|(triangles, ..)| *triangles > 0).max_by_key(|(_, bytes, _)| *bytes);
+    if let Some((triangles, bytes, _)) = largest {
+        let per_triangle = bytes as f64 / triangles as f64;
+        ui.label(format!("{} in memory, {per_triangle:.0} bytes a triangle", style::bytes(bytes)));
     }
-    if let Some(Structure { storage, density }) = grid(model) {
+    if let Some(Structure { storage, density }) = ready_scenes(model).find_map(|(_, _, grid)| grid) {
         ui.label(format!("Grid: {storage}, {density} cells a triangle"));
     }
     if let Some(pick) = &model.pick {
@@ -82,40 +81,25 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
             let button = ui.small_button(number.to_string());
             let accessible_label = format!("view {number}");
             button.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &accessible_label));
-            if button.clicked() {
-                commands.push(Command::GoToView(number));
-            }
+            commands.extend(button.clicked().then_some(Command::GoToView(number)));
         }
     });
     ui.horizontal(|ui| {
         ui.label("Camera path");
         let recording = if model.is_recording { "End recording (C)" } else { "Record (C)" };
-        if ui.selectable_label(model.is_recording, recording).clicked() {
-            commands.push(Command::ToggleRecording);
-        }
+        let label = ui.selectable_label(model.is_recording, recording);
+        commands.extend(label.clicked().then_some(Command::ToggleRecording));
         let playing = if model.is_playing { "Stop (Space)" } else { "Play (Space)" };
-        if ui.selectable_label(model.is_playing, playing).clicked() {
-            commands.push(Command::TogglePlaying);
-        }
+        let label = ui.selectable_label(model.is_playing, playing);
+        commands.extend(label.clicked().then_some(Command::TogglePlaying));
     });
     appearance::show(ui, &model.appearance, commands);
 }
 
-/// The most bytes of mesh and structure in a render server's memory, and bytes a triangle.
-fn most_bytes(model: &OverlayModel) -> Option<(u64, f64)> {
-    let sizes = model.status.nodes.iter().filter_map(|node| match node.scene {
-        Some(SceneState::Ready { triangles, bytes, .. }) if triangles > 0 => {
-            Some((bytes, bytes as f64 / triangles as f64))
-        }
-        _ => None,
-    });
-    sizes.max_by_key(|&(bytes, _)| bytes)
-}
-
-/// The structure on the first render server that is ready.
-fn grid(model: &OverlayModel) -> Option<Structure> {
-    model.status.nodes.iter().find_map(|node| match node.scene {
-        Some(SceneState::Ready { grid, .. }) => grid,
+/// Triangles, bytes of mesh and structure, and the structure on each render server that is ready.
+fn ready_scenes(model: &OverlayModel) -> impl Iterator<Item = (u64, u64, Option<Structure>)> {
+    model.status.nodes.iter().filter_map(|node| match node.scene {
+        Some(SceneState::Ready { triangles, bytes, grid }) => Some((triangles, bytes, grid)),
         _ => None,
     })
 }

@@ -6,7 +6,6 @@ use shared::protocol::SceneState;
 use super::{OverlayModel, Tint, style, tint::node_color};
 use crate::farm::stats::{FarmStatus, NodeFrameStats, NodeStatus};
 
-/// The number of render servers that can take tasks.
 pub(super) fn n_ready(status: &FarmStatus) -> usize {
     status.nodes.iter().filter(|node| node.is_ready()).count()
 }

@@ -9,7 +9,7 @@ use crate::wall::{CanvasRect, Projector, homography::apply};
 
 /// A projector's part of the canvas, and where the window shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ProjectorRegion {
+pub(crate) struct ProjectorRegion {
     /// The part of the canvas, whose upper-left corner is (0, 0) and whose lower-right corner is (1, 1).
     pub canvas: Rect,
     /// Where the projector's pixels are in the window, in points.
@@ -23,7 +23,7 @@ const N_CELLS: u16 = 12;
 
 impl ProjectorRegion {
     /// A projector's region; `window` is where its pixels are.
-    pub fn new(projector: &Projector, window: Rect) -> Option<Self> {
+    pub(crate) fn new(projector: &Projector, window: Rect) -> Option<Self> {
         Some(Self { canvas: to_rect(&projector.canvas), window, raster_from_rect: projector.raster_from_rect()? })
     }
 

@@ -4,7 +4,6 @@ use egui::{Color32, FontFamily, FontId, Frame, Layout, RichText, TextStyle, Ui};
 
 /// Emphasis without alarm.
 pub(super) const ACCENT: Color32 = Color32::from_rgb(122, 200, 255);
-/// Ready.
 pub(super) const GOOD: Color32 = Color32::from_rgb(126, 211, 136);
 /// Not ready yet.
 pub(super) const BUSY: Color32 = Color32::from_rgb(240, 196, 92);
@@ -16,17 +15,8 @@ const WEAK: Color32 = Color32::from_gray(160);
 /// Space inside the panels in points.
 pub(super) const PANEL_PADDING: f32 = 14.0;
 
-/// The importance of a callout.
-#[derive(Clone, Copy)]
-pub(super) enum Tone {
-    /// Information.
-    Note,
-    /// An operator has to act.
-    Warning,
-}
-
 /// Sets colours and sizes, once for each context.
-pub fn apply_style(context: &egui::Context) {
+pub(crate) fn apply_style(context: &egui::Context) {
     context.set_theme(egui::Theme::Dark);
     context.all_styles_mut(|style| {
         let sizes = [
@@ -53,7 +43,7 @@ pub fn apply_style(context: &egui::Context) {
 ///
 /// People see a wall from farther away than a screen of its resolution, so text keeps its part of the height; in a small
 /// window it stays legible instead.
-pub fn zoom(size: [u32; 2], scale_factor: f64) -> f32 {
+pub(crate) fn zoom(size: [u32; 2], scale_factor: f64) -> f32 {
     let height_in_points = f64::from(size[1]) / scale_factor;
     (height_in_points / 800.0).clamp(0.9, 6.0) as f32
 }
@@ -62,12 +52,8 @@ pub(super) fn panel_frame() -> Frame {
     Frame::new().fill(Color32::from_rgba_unmultiplied(14, 17, 22, 218)).corner_radius(10.0).inner_margin(PANEL_PADDING)
 }
 
-/// A box that stands out from the panel.
-pub(super) fn callout<R>(ui: &mut Ui, tone: Tone, add: impl FnOnce(&mut Ui) -> R) {
-    let color = match tone {
-        Tone::Note => ACCENT,
-        Tone::Warning => BUSY,
-    };
+/// A box that stands out from the panel: in [`ACCENT`] to note something, in [`BUSY`] if an operator has to act.
+pub(super) fn callout<R>(ui: &mut Ui, color: Color32, add: impl FnOnce(&mut Ui) -> R) {
     ui.add_space(4.0);
     Frame::new()
         .fill(color.gamma_multiply(0.12))
@@ -133,7 +119,6 @@ pub(super) fn metrics<const N: usize>(ui: &mut Ui, figures: &[(&str, String); N]
     });
 }
 
-/// Milliseconds without the unit.
 pub(super) fn ms(ms: f64) -> String {
     if ms < 99.95 { format!("{ms:.1}") } else { format!("{ms:.0}") }
 }

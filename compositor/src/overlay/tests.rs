@@ -143,6 +143,23 @@ fn every_figure_has_its_name() {
 }
 
 #[test]
+fn foreign_texts_forge_no_lines() {
+    let mut model = running();
+    let foreign = |text: &str| format!("{text}\n\u{202e}\u{1b}[31mx");
+    model.status.nodes[1].name = foreign("south");
+    model.status.nodes[1].scene = Some(SceneState::Missing { reason: foreign("no file") });
+    model.messages = vec![foreign("problem")];
+    model.note = Some(foreign("note"));
+    let entries = vec![FileEntry { name: foreign("dragon"), bytes: Some(1) }];
+    model.files = Some(FileList { folder: foreign("models"), entries, ..FileList::default() });
+    commands_of(&model, |harness| {
+        for label in ["south [31mx", "no file [31mx", "problem [31mx", "note [31mx", "models [31mx", "dragon [31mx"] {
+            harness.get_by_label(label);
+        }
+    });
+}
+
+#[test]
 fn every_render_server_has_its_row() {
     let mut model = running();
     let south = "south has another file: start it with --model dragon.ply";

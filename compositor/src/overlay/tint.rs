@@ -1,7 +1,5 @@
 //! Colours over the picture: the render server of each part, or its cost.
 
-use std::ops::RangeInclusive;
-
 use egui::{Color32, ColorImage, LayerId, Pos2, TextureHandle, TextureOptions, Ui, ecolor::Hsva};
 use shared::division::{FrameSize, Share, TILE_SIZE};
 
@@ -18,7 +16,6 @@ pub(super) fn node_color(NodeId(id): NodeId) -> Color32 {
     Hsva::new((id as f32 * 0.618_034).fract(), 0.9, value, 1.0).into()
 }
 
-/// The tint's opacity.
 const OPACITY: f32 = 0.45;
 
 /// Draws the tint over the picture, under all panels.
@@ -50,7 +47,6 @@ pub(super) fn show(ui: &Ui, model: &OverlayModel) {
     }
 }
 
-/// Marks the point that somebody clicked on.
 pub(super) fn mark_pick(ui: &Ui, model: &OverlayModel) {
     let Some(point) = model.pick_on_canvas else { return };
     let painter = ui.ctx().layer_painter(LayerId::background());
@@ -90,9 +86,9 @@ fn image(tint: Tint, frame: &FrameStats) -> ColorImage {
         }
         Tint::Cost => {
             let costs: Vec<_> = shares().map(|(task, share)| unit_costs(task, &share)).collect();
-            let range = usual_range(costs.iter().flatten().copied());
+            let most = usual_most(costs.iter().flatten().copied());
             for ((_, share), costs) in shares().zip(&costs) {
-                (0..).zip(costs).for_each(|(k, &cost)| set(&share, k, heat(cost, &range)));
+                (0..).zip(costs).for_each(|(k, &cost)| set(&share, k, heat(cost, most)));
             }
         }
     }
@@ -113,17 +109,16 @@ fn unit_costs(task: &FrameTask, share: &Share) -> Vec<f32> {
     costs
 }
 
-/// From 0 to the 99th percentile: one tile during which a node was interrupted does not make all others look free.
-fn usual_range(costs: impl Iterator<Item = f32>) -> RangeInclusive<f32> {
+/// The 99th percentile: one tile during which a node was interrupted does not make all others look free.
+fn usual_most(costs: impl Iterator<Item = f32>) -> f32 {
     let mut sorted: Vec<f32> = costs.collect();
     sorted.sort_by(f32::total_cmp);
-    0.0..=sorted.get(sorted.len().saturating_sub(1) * 99 / 100).copied().unwrap_or(0.0)
+    sorted.get(sorted.len().saturating_sub(1) * 99 / 100).copied().unwrap_or(0.0)
 }
 
-/// Blue, yellow, red.
-fn heat(cost: f32, range: &RangeInclusive<f32>) -> Color32 {
-    let extent = range.end() - range.start();
-    let part = if extent > 0.0 { ((cost - range.start()) / extent).clamp(0.0, 1.0) } else { 0.0 };
+/// From blue at 0 over yellow to red.
+fn heat(cost: f32, most: f32) -> Color32 {
+    let part = if most > 0.0 { (cost / most).clamp(0.0, 1.0) } else { 0.0 };
     let stops = [[30.0, 60.0, 200.0], [250.0, 220.0, 60.0], [230.0, 40.0, 30.0]];
     let (index, within) = if part < 0.5 { (0, part * 2.0) } else { (1, part * 2.0 - 1.0) };
     let [r, g, b] = [0, 1, 2].map(|channel: usize| {
@@ -166,13 +161,13 @@ mod tests {
     #[test]
     fn measured_blocks_have_their_own_colors_and_others_the_mean() {
         let mut frame = frame(Division::Dynamic, [32, 8], 1);
-        assert_eq!(image(Tint::Cost, &frame).pixels, vec![heat(1.0, &(0.0..=1.0)); 4], "one cost for all");
+        assert_eq!(image(Tint::Cost, &frame).pixels, vec![heat(1.0, 1.0); 4], "one cost for all");
         let mut tasks = frame.tasks.to_vec();
         tasks[0].costs = RunCosts { run_units: 2, cpu_ns: vec![100, 900] };
         frame.tasks = tasks.into();
         let mut colors = image(Tint::Cost, &frame).pixels;
         colors.sort_by_key(Color32::to_array);
-        let mut expected = [50.0, 50.0, 450.0, 450.0].map(|cost| heat(cost, &(0.0..=450.0)));
+        let mut expected = [50.0, 50.0, 450.0, 450.0].map(|cost| heat(cost, 450.0));
         expected.sort_by_key(Color32::to_array);
         assert_eq!(colors, expected);
     }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use egui::{Align, Align2, Color32, FontId, Layout, Rect, RichText, Sense, Stroke, StrokeKind, Ui, vec2};
 use glam::DVec2;
+use shared::printable::printable_line;
 
 use super::{OverlayModel, region::to_rect, style};
 use crate::wall::{
@@ -20,9 +21,8 @@ const MOST_LINES: usize = 4;
 /// With more projectors than this, outlines have no names.
 const MOST_NAMES: usize = 256;
 
-/// A wall's outlines.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct WallDrawing {
+pub(crate) struct WallDrawing {
     /// The canvas's width over its height.
     aspect: f32,
     projectors: Arc<[Outline]>,
@@ -30,31 +30,28 @@ pub struct WallDrawing {
 
 /// An output: a monitor, or a window that spans all projectors.
 #[derive(Clone, Debug, PartialEq)]
-pub struct OutputState {
+pub(crate) struct OutputState {
     /// The monitor's name; `None` for a window that may be anywhere.
     pub monitor: Option<String>,
-    /// Its content.
     pub shows: OutputContent,
 }
 
-/// An output's content.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum OutputContent {
-    /// Nothing yet.
+pub(crate) enum OutputContent {
     #[default]
     Nothing,
     /// Nothing: its monitor is not connected.
     MonitorMissing,
     /// Nothing: no render server is left.
     Black,
-    /// The frame of this number.
     Frame(u64),
 }
 
 impl WallDrawing {
     /// The drawing of a wall, whose outputs are in the order of [`Wall::monitors`].
-    pub fn new(wall: &Wall) -> Self {
-        Self { aspect: wall.aspect() as f32, projectors: Outline::all(wall).collect() }
+    pub(crate) fn new(wall: &Wall) -> Self {
+        let printable = Outline::all(wall).map(|outline| Outline { name: printable_line(&outline.name), ..outline });
+        Self { aspect: wall.aspect() as f32, projectors: printable.collect() }
     }
 }
 
@@ -63,20 +60,12 @@ impl OutputState {
         self.monitor.as_deref().unwrap_or("window")
     }
 
-    fn state_text(&self) -> String {
+    fn state(&self) -> (String, Color32) {
         match self.shows {
-            OutputContent::Nothing => "nothing yet".to_owned(),
-            OutputContent::MonitorMissing => "monitor missing".to_owned(),
-            OutputContent::Black => "black".to_owned(),
-            OutputContent::Frame(number) => format!("frame {number}"),
-        }
-    }
-
-    fn color(&self) -> Color32 {
-        match self.shows {
-            OutputContent::Nothing | OutputContent::Black => style::BUSY,
-            OutputContent::MonitorMissing => style::BAD,
-            OutputContent::Frame(_) => style::GOOD,
+            OutputContent::Nothing => ("nothing yet".to_owned(), style::BUSY),
+            OutputContent::MonitorMissing => ("monitor missing".to_owned(), style::BAD),
+            OutputContent::Black => ("black".to_owned(), style::BUSY),
+            OutputContent::Frame(number) => (format!("frame {number}"), style::GOOD),
         }
     }
 }
@@ -101,7 +90,8 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
         ui.horizontal(|ui| {
             ui.label(output.name());
             ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                ui.label(RichText::new(output.state_text()).color(output.color()));
+                let (state, color) = output.state();
+                ui.label(RichText::new(state).color(color));
             });
         });
     }
@@ -118,7 +108,7 @@ fn draw(ui: &mut Ui, drawing: &WallDrawing, outputs: &[OutputState]) {
         let on_canvas = to_rect(&outline.canvas);
         let rect =
             Rect { min: canvas.lerp_inside(on_canvas.min.to_vec2()), max: canvas.lerp_inside(on_canvas.max.to_vec2()) };
-        let color = output.color();
+        let (state, color) = output.state();
         ui.painter().rect(
             rect,
             0.0,
@@ -136,7 +126,7 @@ fn draw(ui: &mut Ui, drawing: &WallDrawing, outputs: &[OutputState]) {
             let font = FontId::proportional(size);
             ui.painter().text(rect.center(), Align2::CENTER_CENTER, &outline.name, font, text_color);
         }
-        let accessible_label = format!("{} on {}: {}", outline.name, output.name(), output.state_text());
+        let accessible_label = format!("{} on {}: {}", outline.name, output.name(), state);
         let response = ui.interact(rect, ui.scope_id().with(("projector", index)), Sense::hover());
         response.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Image, true, &accessible_label));
         response.on_hover_text(accessible_label);

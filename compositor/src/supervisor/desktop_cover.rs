@@ -1,7 +1,4 @@
-//! Hides the desktop where a crashed wall was, under X11.
-//!
-//! The X server keeps the windows of a crashed child (see `window/session/legacy.rs`), so its last frame is still on
-//! screen when the supervisor sees the crash. The server copies that frame itself: a running wall pays nothing for this.
+//! Hides the desktop where a crashed wall was, under X11, with a copy of its windows: see `window/session/legacy.rs`.
 
 use std::rc::Rc;
 
@@ -23,12 +20,10 @@ pub(super) struct XDesktop {
     number: usize,
 }
 
-/// A window of the wall.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct WallWindow {
     /// Its X11 identifier.
     pub(super) id: u32,
-    /// Its last known place on the desktop.
     pub(super) rect: Option<Rectangle>,
 }
 

@@ -14,25 +14,23 @@ pub(super) const WINDOW: &str = "window ";
 /// The line that reports the first frame.
 pub(super) const SHOWN: &str = "shown";
 
-/// Reports the child's state to its supervisor.
 #[derive(Debug)]
-pub struct SupervisorLink {
+pub(crate) struct SupervisorLink {
     supervisor: UnixStream,
-    /// The windows reported so far.
     windows: Vec<u32>,
     has_shown: bool,
 }
 
 impl SupervisorLink {
     /// The link to the supervisor that started this process, if one did.
-    pub fn of_this_process() -> Option<Self> {
+    pub(crate) fn of_this_process() -> Option<Self> {
         std::env::var_os(SUPERVISED)?;
         let supervisor = std::io::stdin().as_fd().try_clone_to_owned().ok()?.into();
         Some(Self { supervisor, windows: Vec::new(), has_shown: false })
     }
 
     /// Calls `leave` when the supervisor asks the child to stop, or has ended itself.
-    pub fn on_stop_request(&self, leave: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
+    pub(crate) fn on_stop_request(&self, leave: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
         let mut supervisor = self.supervisor.try_clone()?;
         let wait = move || {
             // The supervisor writes nothing: this returns when it closes the socket.
@@ -44,7 +42,7 @@ impl SupervisorLink {
 
     /// Makes a panic of the main thread abort the process: unwinding would close the windows that the supervisor copies
     /// to cover the desktop.
-    pub fn abort_on_panic(&self) {
+    pub(crate) fn abort_on_panic(&self) {
         let default_hook = std::panic::take_hook();
         std::panic::set_hook(Box::new(move |panic| {
             default_hook(panic);
@@ -55,7 +53,7 @@ impl SupervisorLink {
     }
 
     /// Reports windows by their X11 identifiers, each once.
-    pub fn report_windows(&mut self, windows: impl IntoIterator<Item = u32>) {
+    pub(crate) fn report_windows(&mut self, windows: impl IntoIterator<Item = u32>) {
         for window in windows {
             if !self.windows.contains(&window) {
                 self.windows.push(window);
@@ -64,8 +62,7 @@ impl SupervisorLink {
         }
     }
 
-    /// Reports that a frame is on screen, once.
-    pub fn report_first_frame(&mut self) {
+    pub(crate) fn report_first_frame(&mut self) {
         if !std::mem::replace(&mut self.has_shown, true) {
             self.report(SHOWN);
         }

@@ -4,39 +4,34 @@ use crate::wall::OnLoss;
 
 /// Has no values on this system.
 #[derive(Debug)]
-pub enum SupervisorLink {}
+pub(crate) enum SupervisorLink {}
 
 impl SupervisorLink {
     /// No process has a supervisor.
-    pub fn of_this_process() -> Option<Self> {
+    pub(crate) fn of_this_process() -> Option<Self> {
         None
     }
 
-    /// Never called.
-    pub fn on_stop_request(&self, _: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
+    pub(crate) fn on_stop_request(&self, _: impl FnOnce() + Send + 'static) -> std::io::Result<()> {
         match *self {}
     }
 
-    /// Never called.
-    pub fn abort_on_panic(&self) {
+    pub(crate) fn abort_on_panic(&self) {
         match *self {}
     }
 
-    /// Never called.
-    pub fn report_windows(&mut self, _: impl IntoIterator<Item = u32>) {
+    pub(crate) fn report_windows(&mut self, _: impl IntoIterator<Item = u32>) {
         match *self {}
     }
 
-    /// Never called.
-    pub fn report_first_frame(&mut self) {
+    pub(crate) fn report_first_frame(&mut self) {
         match *self {}
     }
 }
 
 /// Whether this system has supervisors.
-pub const IS_SUPPORTED: bool = false;
+pub(crate) const IS_SUPPORTED: bool = false;
 
-/// Never called.
-pub fn run(_: OnLoss) -> anyhow::Result<()> {
+pub(crate) fn run(_: OnLoss) -> anyhow::Result<()> {
     anyhow::bail!("walls have no supervisor on this system")
 }

@@ -33,15 +33,6 @@ pub struct Neighbour {
     pub reach: [DVec2; 2],
 }
 
-/// One projector's blend weight at one point of its rectangle, and the black there.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BlendWeight {
-    /// Its part of the image's light, from 0 to 1. All projectors' weights add up to 1.
-    pub weight: f64,
-    /// The light of all projectors' black there.
-    pub leak: f64,
-}
-
 /// The most neighbours that a projector may have.
 pub const MOST_NEIGHBOURS: usize = 24;
 
@@ -73,7 +64,7 @@ pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usiz
                 rect_scale,
                 rect_origin,
                 raster_from_rect: maps[other_idx]? * other_from_rect,
-                raster_size: DVec2::new(f64::from(other.output.width), f64::from(other.output.height)),
+                raster_size: other.output.size(),
                 rect_edges: inner_edges(other.canvas),
                 raster_edges: cutting_edges(maps[other_idx]?),
                 reach: reach(projector, other, boxes[other_idx].filter(|_| leaks)),
@@ -84,34 +75,6 @@ pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usiz
         if all.len() <= MOST_NEIGHBOURS + 1 { Ok(all) } else { Err((projector_idx, all.len() - 1)) }
     };
     (0..projectors.len()).map(of).collect()
-}
-
-/// The blend weight of a projector with these `neighbours`, itself first, at a point of its rectangle.
-///
-/// The weight is the product of the distances from the edges towards which the light fades, divided by the sum of these
-/// products over all neighbours: continuous, and on a regular wall constant along an edge.
-pub fn blend_weight(neighbours: &[Neighbour], rect_point: DVec2) -> BlendWeight {
-    // Pixels that an edge of the rectangle cuts count as inside.
-    let within = rect_point.clamp(DVec2::ZERO, DVec2::ONE);
-    let raw_weight = |neighbour: &Neighbour| {
-        let neighbour_point = neighbour.rect_origin + neighbour.rect_scale * within;
-        match apply(neighbour.raster_from_rect, within) {
-            Some(raster) if neighbour.blends => {
-                distances(neighbour_point, neighbour.rect_edges) * distances(raster, neighbour.raster_edges)
-            }
-            _ => 0.0,
-        }
-    };
-    // A pixel at the edge gives its light on both sides of it.
-    let leak = |neighbour: &Neighbour| {
-        let covered = apply(neighbour.raster_from_rect, rect_point).map_or(DVec2::ZERO, |raster| {
-            (raster.min(1.0 - raster) * neighbour.raster_size + 0.5).clamp(DVec2::ZERO, DVec2::ONE)
-        });
-        neighbour.black_level * covered.x * covered.y
-    };
-    let own = neighbours.first().map_or(0.0, raw_weight);
-    let all: f64 = neighbours.iter().map(raw_weight).sum();
-    BlendWeight { weight: if all > 0.0 { own / all } else { 0.0 }, leak: neighbours.iter().map(leak).sum() }
 }
 
 /// The part of a projector's rectangle where another has a blend weight, or leaks black onto the part of the canvas that it
@@ -126,18 +89,8 @@ fn reach(projector: &Projector, other: &Projector, lights: Option<[DVec2; 2]>) -
     [corners[0].min(corners[1]), corners[0].max(corners[1])]
 }
 
-/// The product of a point's distances from the chosen edges of the unit square; 0 outside of the square.
-fn distances(point: DVec2, edges: DVec4) -> f64 {
-    let all = distances_from_edges(point);
-    if all.cmplt(DVec4::splat(-LEAST_DISTANCE)).any() {
-        return 0.0;
-    }
-    let counted = DVec4::ONE + edges * (all.max(DVec4::splat(LEAST_DISTANCE)) - 1.0);
-    counted.element_product()
-}
-
 /// A point's distances from the edges of the unit square: left, upper, right, lower.
-fn distances_from_edges(point: DVec2) -> DVec4 {
+pub fn distances_from_edges(point: DVec2) -> DVec4 {
     DVec4::new(point.x, point.y, 1.0 - point.x, 1.0 - point.y)
 }
 

@@ -59,7 +59,8 @@ pub enum Flip {
 }
 
 /// The light for a value v from 0 to 1, without the black level.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[serde(try_from = "toml::Value", into = "toml::Value")]
 pub enum Gamma {
     /// The curve of sRGB.
     #[default]
@@ -70,27 +71,21 @@ pub enum Gamma {
 
 /// A rectangle of the canvas, whose lower-left corner is (0, 0) and whose upper-right corner is (1, 1).
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[expect(missing_docs, reason = "the fields' names say it")]
 pub struct CanvasRect {
-    /// Left edge.
     pub left: f64,
-    /// Lower edge.
     pub bottom: f64,
-    /// Extent to the right.
     pub width: f64,
-    /// Extent upwards.
     pub height: f64,
 }
 
-/// A rectangle of pixels, from the upper-left corner of an image or a window.
+/// A rectangle of pixels, from the upper-left corner of an image or a window: left and upper edge, columns and rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "said above")]
 pub struct PixelRect {
-    /// Left edge.
     pub x: u32,
-    /// Upper edge.
     pub y: u32,
-    /// Columns.
     pub width: u32,
-    /// Rows.
     pub height: u32,
 }
 
@@ -165,34 +160,12 @@ impl Projector {
 impl Rotation {
     /// From clockwise degrees; `None` unless they are quarter turns.
     pub fn from_degrees(degrees: u32) -> Option<Self> {
-        Some(match degrees {
-            0 => Self::None,
-            90 => Self::Right,
-            180 => Self::Half,
-            270 => Self::Left,
-            _ => return None,
-        })
+        [Self::None, Self::Right, Self::Half, Self::Left].into_iter().find(|rotation| rotation.degrees() == degrees)
     }
 
     /// Clockwise degrees.
     pub fn degrees(self) -> u32 {
-        match self {
-            Self::None => 0,
-            Self::Right => 90,
-            Self::Half => 180,
-            Self::Left => 270,
-        }
-    }
-}
-
-impl Gamma {
-    /// The value for `light`, both from 0 to 1.
-    pub fn encode(self, light: f64) -> f64 {
-        match self {
-            Self::Srgb if light <= 0.003_130_8 => 12.92 * light,
-            Self::Srgb => 1.055 * light.powf(1.0 / 2.4) - 0.055,
-            Self::Power(gamma) => light.powf(1.0 / gamma),
-        }
+        90 * self as u32
     }
 }
 
@@ -235,6 +208,16 @@ impl PixelRect {
         Self { x, y, width, height }
     }
 
+    /// The upper-left corner in pixels.
+    pub fn origin(&self) -> DVec2 {
+        DVec2::new(f64::from(self.x), f64::from(self.y))
+    }
+
+    /// Columns and rows.
+    pub fn size(&self) -> DVec2 {
+        DVec2::new(f64::from(self.width), f64::from(self.height))
+    }
+
     /// Whether the two share a pixel.
     pub fn overlaps(&self, other: &Self) -> bool {
         let apart = |a: u32, a_extent: u32, b: u32, b_extent: u32| a >= b + b_extent || b >= a + a_extent;
@@ -257,8 +240,7 @@ impl PixelRect {
 
     /// Its point, edges included, that is nearest to another point.
     pub fn nearest(&self, point: DVec2) -> DVec2 {
-        let corner = DVec2::new(f64::from(self.x), f64::from(self.y));
-        point.clamp(corner, corner + DVec2::new(f64::from(self.width), f64::from(self.height)))
+        point.clamp(self.origin(), self.origin() + self.size())
     }
 
     /// Whether all of `other` lies in it.

@@ -86,23 +86,6 @@ fn overlapping_projectors_share_what_the_file_says() {
 }
 
 #[test]
-fn blend_weights_add_up_to_one_everywhere_and_vanish_at_inner_edges() {
-    let wall = config("blended-4x3.toml");
-    for step in 0..10_000_u32 {
-        let point = DVec2::new(f64::from(step % 100) + 0.5, f64::from(step / 100) + 0.5) / 100.0;
-        let weights = (0..12).map(|index| {
-            let rect_point = wall.projectors()[index].canvas.rect_from_canvas(point);
-            let is_within = rect_point.cmpge(DVec2::ZERO).all() && rect_point.cmple(DVec2::ONE).all();
-            if is_within { blend::blend_weight(wall.neighbours(index), rect_point).weight } else { 0.0 }
-        });
-        let sum: f64 = weights.sum();
-        assert!((sum - 1.0).abs() < 1e-9, "{sum} at {point}");
-    }
-    let at_right_edge = blend::blend_weight(wall.neighbours(0), DVec2::new(1.0, 0.5)).weight;
-    assert!(at_right_edge < 1e-3, "{at_right_edge}");
-}
-
-#[test]
 fn a_projector_that_many_others_overlap_is_refused() {
     let one = |index: u32| {
         let x = index * 4;

@@ -1,21 +1,15 @@
 //! The window's events: dispatches them to the parts of the window, asks the farm for frames and shows them.
 
-mod aligning;
 mod camera;
-mod effect;
 mod messages;
 mod opening;
 mod picture;
 mod pointer;
-mod presentation;
 mod probing;
 mod showing;
 mod steering;
 
-use std::{
-    path::PathBuf,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
 use renderer::model::scene::SceneSource;
 use winit::{
@@ -27,20 +21,22 @@ use winit::{
 };
 
 use self::{
-    aligning::WallControl, camera::CameraControl, effect::Effect, messages::Messages, opening::Browser,
-    picture::PictureControl, pointer::Pointer, presentation::Presentation, probing::Probing,
+    camera::CameraControl, messages::Messages, opening::Browser, picture::PictureControl, pointer::Pointer,
+    probing::Probing, showing::Presentation,
 };
 use super::{
+    OnShown,
+    effect::Effect,
     jobs::Jobs,
     join::join_hint,
-    model_loader::{ModelLoader, name_of},
-    options::{OnShown, WindowOptions},
+    model_loader::{Loaded, ModelLoader, name_of},
     outputs::Outputs,
     session::legacy,
     waker::{Call, Waker},
 };
 use crate::{
-    control::{kiosk::Kiosk, model::Model, sidecar::SidecarFiles},
+    cli::args::{Inputs, WallArgs},
+    control::{alignment::Alignment, kiosk::Kiosk, model::Model, sidecar::SidecarFiles},
     farm::Farm,
     overlay::{ModelSummary, OverlayModel, WallDrawing},
     supervisor::SupervisorLink,
@@ -53,9 +49,7 @@ pub(super) struct App<'a> {
     supervisor: Option<SupervisorLink>,
     on_shown: OnShown,
     outcome: anyhow::Result<()>,
-    key_file: Option<PathBuf>,
-    screenshot_folder: PathBuf,
-    screenshot_at_end: Option<PathBuf>,
+    args: &'a WallArgs,
 
     loader: ModelLoader,
     model: Option<Model>,
@@ -63,7 +57,7 @@ pub(super) struct App<'a> {
     camera: CameraControl,
     picture: PictureControl,
     probing: Probing,
-    wall: WallControl,
+    wall: Alignment,
     kiosk: Kiosk,
     pointer: Pointer,
     modifiers: ModifiersState,
@@ -79,7 +73,8 @@ pub(super) struct App<'a> {
 
 impl<'a> App<'a> {
     pub(super) fn new(
-        options: WindowOptions,
+        args: &'a WallArgs,
+        inputs: Inputs,
         farm: &'a Farm,
         on_shown: OnShown,
         waker: Waker,
@@ -87,38 +82,37 @@ impl<'a> App<'a> {
     ) -> Self {
         let now = Instant::now();
         let overlay = OverlayModel {
-            panel: options.overlay,
-            wall: WallDrawing::new(&options.wall),
-            join: join_hint(farm.address(), options.key_file.as_deref(), None),
-            min_renderers: farm.goal().min_renderers,
+            panel: args.kiosk.is_none(),
+            wall: WallDrawing::new(&inputs.wall),
+            join: join_hint(farm.address(), args.key.as_deref(), None),
             ..Default::default()
         };
         let mut loader = ModelLoader::new(waker.clone());
-        loader.load(options.source.clone());
+        let source = args.show.model.source();
+        loader.load(source.clone());
+        let kiosk = args.kiosk.map(|seconds| Duration::from_secs(seconds.into()));
         Self {
             farm,
             supervisor,
             on_shown,
             outcome: Ok(()),
+            args,
             loader,
             model: None,
-            browser: Browser::new(&options.source),
-            camera: CameraControl::new(&options, now),
-            picture: PictureControl::new(&options),
+            browser: Browser::new(&source),
+            camera: CameraControl::new(args.up, &inputs, now),
+            picture: PictureControl::new(args, &inputs.wall),
             probing: Probing::default(),
-            wall: WallControl::new(&options),
-            kiosk: Kiosk::new(options.kiosk, now),
+            kiosk: Kiosk::new(kiosk, now),
             pointer: Pointer::new(now),
             modifiers: ModifiersState::empty(),
             messages: Messages::default(),
             jobs: Jobs::new(waker),
-            presentation: Presentation::default(),
+            presentation: Presentation { is_stale: true, ..Presentation::default() },
             overlay,
             overlay_areas: Vec::new(),
-            outputs: Outputs::new(&options.wall, options.fullscreen),
-            key_file: options.key_file,
-            screenshot_folder: options.screenshot_folder,
-            screenshot_at_end: options.screenshot_at_end,
+            outputs: Outputs::new(&inputs.wall, args.fullscreen || args.kiosk.is_some()),
+            wall: Alignment::new(args.show.wall.clone(), inputs.wall),
         }
     }
 
@@ -154,7 +148,7 @@ impl<'a> App<'a> {
 
     /// Carries out the requests of a part of the window.
     fn apply(&mut self, effect: Effect) {
-        let Effect { wants_picture, note, problem, job } = effect;
+        let Effect { wants_picture, note, problem, job, files } = effect;
         if let Some(note) = note {
             tracing::info!("{note}");
             self.messages.show_note(note, Instant::now());
@@ -162,13 +156,16 @@ impl<'a> App<'a> {
         if let Some(problem) = problem {
             tracing::error!("{problem}");
             // Only the panel shows problems.
-            if !self.overlay.panel && !self.kiosk.is_locked() {
+            if !self.overlay.panel && !self.kiosk.is_locked {
                 self.messages.show_note(problem.clone(), Instant::now());
             }
-            self.messages.set_problem(Some(problem));
+            self.messages.problem = Some(problem);
         }
         if let Some(job) = job {
             self.jobs.add(job);
+        }
+        if let Some(files) = files {
+            self.browser.show(files);
         }
         if wants_picture {
             self.want_picture();
@@ -180,7 +177,7 @@ impl<'a> App<'a> {
         let now = Instant::now();
         let recorded = self.camera.record(now);
         self.apply(recorded);
-        let (Some(model), Some(navigator)) = (&self.model, self.camera.navigator()) else { return };
+        let (Some(model), Some(navigator)) = (&self.model, &self.camera.navigator) else { return };
         let spec = self.picture.spec(model.scene, navigator.camera());
         let step = self.picture.refinement.change(now, spec);
         self.farm.update_goal(|goal| {
@@ -191,27 +188,22 @@ impl<'a> App<'a> {
         });
     }
 
-    /// Takes everything that other threads have finished.
-    fn take_results(&mut self, event_loop: &ActiveEventLoop) {
-        while let Some(outcome) = self.loader.poll() {
-            match outcome {
-                Ok((model, sidecars)) => self.show_model(model, sidecars),
-                Err(problem) if self.model.is_none() => return self.fail(event_loop, anyhow::anyhow!(problem)),
-                Err(problem) => self.apply(Effect::problem(problem)),
-            }
-        }
-        while let Some(outcome) = self.jobs.poll() {
-            self.apply(match outcome {
-                Ok(note) => Effect { note, ..Effect::default() },
-                Err(problem) => Effect::problem(problem),
-            });
-        }
+    /// Takes everything that the farm has finished, and redraws if anything on screen has changed.
+    fn take_results(&mut self) {
         self.take_probed();
-        self.browser.take_listings();
         self.take_frame();
         self.update_darkness();
         if self.overlay_changed() || self.presentation.is_new {
             self.redraw();
+        }
+    }
+
+    fn take_model(&mut self, event_loop: &ActiveEventLoop, loaded: Loaded) {
+        self.loader.load_next();
+        match loaded {
+            Ok(loaded) => self.show_model(loaded.0, loaded.1),
+            Err(problem) if self.model.is_none() => self.fail(event_loop, anyhow::anyhow!(problem)),
+            Err(problem) => self.apply(Effect::problem(problem)),
         }
     }
 
@@ -222,7 +214,7 @@ impl<'a> App<'a> {
         if let Some(problem) = &problem {
             tracing::warn!("{problem}");
         }
-        self.messages.set_problem(problem);
+        self.messages.problem = problem;
         self.overlay.pick = None;
         self.overlay.model = Some(ModelSummary {
             name: name.clone(),
@@ -230,7 +222,7 @@ impl<'a> App<'a> {
             n_rejected: model.n_rejected,
             extent: model.bounds.1 - model.bounds.0,
         });
-        self.overlay.join = join_hint(self.farm.address(), self.key_file.as_deref(), model.path().as_deref());
+        self.overlay.join = join_hint(self.farm.address(), self.args.key.as_deref(), model.path().as_deref());
         self.outputs.set_title(format!("{name} – Raywall"));
         let effect = self.camera.set_model(&model, sidecars, Instant::now());
         self.model = Some(model);
@@ -254,11 +246,11 @@ impl<'a> App<'a> {
 
     /// A wall that is black on loss goes dark with its last render server, and lights up when one has joined.
     fn update_darkness(&mut self) {
-        if self.wall.wall().on_loss() == OnLoss::LastFrame {
+        if self.wall.wall.on_loss() == OnLoss::LastFrame {
             return;
         }
         let is_dark = self.farm.status().nodes.is_empty();
-        if let Some(painter) = self.outputs.painter()
+        if let Some(painter) = &mut self.outputs.painter
             && std::mem::replace(&mut painter.is_dark, is_dark) != is_dark
         {
             tracing::info!("the wall {}", if is_dark { "is black: no render server is left" } else { "shows frames" });
@@ -277,9 +269,12 @@ impl ApplicationHandler<Call> for App<'_> {
 
     fn user_event(&mut self, event_loop: &ActiveEventLoop, call: Call) {
         match call {
-            Call::Check => self.take_results(event_loop),
+            Call::Check => {}
+            Call::Apply(effect) => self.apply(effect),
+            Call::Show(loaded) => self.take_model(event_loop, loaded),
             Call::Close => event_loop.exit(),
         }
+        self.take_results();
     }
 
     fn window_event(&mut self, event_loop: &ActiveEventLoop, window: WindowId, event: WindowEvent) {
@@ -294,7 +289,7 @@ impl ApplicationHandler<Call> for App<'_> {
             }
             WindowEvent::Occluded(false) | WindowEvent::ScaleFactorChanged { .. } => self.redraw(),
             WindowEvent::Focused(false) => {
-                if let Some(navigator) = self.camera.navigator_mut() {
+                if let Some(navigator) = &mut self.camera.navigator {
                     navigator.release_all();
                 }
             }
@@ -307,7 +302,7 @@ impl ApplicationHandler<Call> for App<'_> {
             WindowEvent::CursorLeft { .. } => self.forward_to_overlay(index, &event),
             WindowEvent::MouseInput { state, button, .. } => self.mouse_button(index, &event, *state, *button),
             WindowEvent::MouseWheel { delta, .. } => self.wheel(index, &event, *delta),
-            WindowEvent::DroppedFile(path) if !self.kiosk.is_locked() => {
+            WindowEvent::DroppedFile(path) if !self.kiosk.is_locked => {
                 self.loader.load(SceneSource::Ply(path.clone()));
                 self.redraw();
             }
@@ -317,9 +312,9 @@ impl ApplicationHandler<Call> for App<'_> {
 
     fn exiting(&mut self, event_loop: &ActiveEventLoop) {
         if self.outcome.is_ok()
-            && let Some(path) = self.screenshot_at_end.take()
+            && let Some(path) = &self.args.screenshot
         {
-            self.outcome = self.write_last_picture(&path);
+            self.outcome = self.write_last_picture(path);
         }
         if self.supervisor.is_some() && self.outcome.is_ok() {
             legacy::retain_windows(event_loop, false);

@@ -5,7 +5,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-/// Counts the frames of the last second.
 #[derive(Debug, Default)]
 pub(super) struct FrameRate {
     shown_at: VecDeque<Instant>,
@@ -15,7 +14,6 @@ pub(super) struct FrameRate {
 const WINDOW: Duration = Duration::from_secs(1);
 
 impl FrameRate {
-    /// Counts a frame that was shown.
     pub(super) fn count(&mut self, now: Instant) {
         self.forget_old(now);
         self.shown_at.push_back(now);

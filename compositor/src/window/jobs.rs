@@ -1,59 +1,45 @@
 //! File operations, one after the other on a thread of their own.
 
 use std::{
+    io,
     sync::mpsc,
     thread::{self, JoinHandle},
 };
 
-use super::waker::Waker;
-
-/// A note or a problem for the operator.
-pub(super) type Outcome = Result<Option<String>, String>;
-/// A file operation.
-pub(super) type Job = Box<dyn FnOnce() -> Outcome + Send>;
+use super::{
+    effect::Job,
+    waker::{Call, Waker},
+};
 
 /// Runs jobs in order; dropping it waits for the last one.
 pub(super) struct Jobs {
     waker: Waker,
     worker: Option<(mpsc::Sender<Job>, JoinHandle<()>)>,
-    outcomes: (mpsc::Sender<Outcome>, mpsc::Receiver<Outcome>),
 }
 
 impl Jobs {
     pub(super) fn new(waker: Waker) -> Self {
-        Self { waker, worker: None, outcomes: mpsc::channel() }
+        Self { waker, worker: None }
     }
 
-    /// Runs a job after those before it; [`Jobs::poll`] returns its outcome.
+    /// Runs a job after those before it; its effect comes as a [`Call`].
     pub(super) fn add(&mut self, job: Job) {
-        if self.worker.is_none() {
-            match self.start() {
-                Ok(worker) => self.worker = Some(worker),
-                Err(error) => return tracing::error!("cannot start a thread for files: {error}"),
+        let worker = self.worker.take().map_or_else(|| self.start(), Ok);
+        match worker {
+            Ok(worker) => {
+                // The thread runs until this sender is dropped.
+                let _ = worker.0.send(job);
+                self.worker = Some(worker);
             }
-        }
-        if let Some((jobs, _)) = &self.worker {
-            // The thread runs until this sender is dropped.
-            let _ = jobs.send(job);
+            Err(error) => tracing::error!("cannot start a thread for files: {error}"),
         }
     }
 
-    /// The outcome of a job that has ended.
-    pub(super) fn poll(&self) -> Option<Outcome> {
-        self.outcomes.1.try_recv().ok()
-    }
-
-    fn start(&self) -> std::io::Result<(mpsc::Sender<Job>, JoinHandle<()>)> {
+    fn start(&self) -> io::Result<(mpsc::Sender<Job>, JoinHandle<()>)> {
         let (sender, jobs) = mpsc::channel::<Job>();
-        let (waker, outcomes) = (self.waker.clone(), self.outcomes.0.clone());
-        let task = move || {
-            for job in jobs {
-                // The receiver is gone once the window is closed.
-                let _ = outcomes.send(job());
-                waker.wake();
-            }
-        };
-        Ok((sender, thread::Builder::new().name("files".to_owned()).spawn(task)?))
+        let waker = self.waker.clone();
+        let run = move || jobs.into_iter().for_each(|job| waker.call(Call::Apply(job())));
+        Ok((sender, thread::Builder::new().name("files".to_owned()).spawn(run)?))
     }
 }
 

@@ -1,75 +1,62 @@
 //! Loads models on a thread of their own, one at a time.
 
 use std::{
+    panic::{AssertUnwindSafe, catch_unwind},
     sync::{
         Arc,
         atomic::{AtomicU32, Ordering},
-        mpsc,
     },
     thread,
 };
 
-use renderer::model::scene::SceneSource;
+use renderer::{cli::stop::Task, model::scene::SceneSource};
+use shared::printable::printable_line;
 
-use super::waker::Waker;
+use super::waker::{Call, Waker};
 use crate::control::{model::Model, sidecar::SidecarFiles};
+
+/// A model with its sidecar files, or the reason why it cannot be loaded.
+pub(super) type Loaded = Result<Box<(Model, SidecarFiles)>, String>;
 
 /// Loads the model that was asked for last.
 pub(super) struct ModelLoader {
     waker: Waker,
-    running: Option<Loading>,
+    /// The name of the model that is being loaded, and the progress: the bits of an `f32`, 0 to 1.
+    running: Option<(String, Arc<AtomicU32>)>,
     /// The next model; a later request replaces it.
     next: Option<SceneSource>,
-}
-
-struct Loading {
-    name: String,
-    /// The bits of an `f32`, 0 to 1.
-    progress: Arc<AtomicU32>,
-    outcome: mpsc::Receiver<Result<(Model, SidecarFiles), String>>,
+    has_begun: bool,
 }
 
 impl ModelLoader {
-    /// Wakes the window on progress, and when [`ModelLoader::poll`] has an outcome.
+    /// Wakes the window on progress, and calls it with each [`Loaded`].
     pub(super) fn new(waker: Waker) -> Self {
-        Self { waker, running: None, next: None }
+        Self { waker, running: None, next: None, has_begun: false }
     }
 
-    /// Loads a model, after the one that is being loaded.
     pub(super) fn load(&mut self, source: SceneSource) {
         self.next = Some(source);
-        self.start_next();
+        if self.running.is_none() {
+            self.load_next();
+        }
     }
 
     /// The name of the model that is being loaded, and the progress from 0 to 1.
     pub(super) fn progress(&self) -> Option<(String, f32)> {
-        let loading = self.running.as_ref()?;
-        Some((loading.name.clone(), f32::from_bits(loading.progress.load(Ordering::Relaxed))))
+        let (name, progress) = self.running.as_ref()?;
+        Some((name.clone(), f32::from_bits(progress.load(Ordering::Relaxed))))
     }
 
-    /// A loaded model with its sidecar files, or the reason why it cannot be loaded.
-    pub(super) fn poll(&mut self) -> Option<Result<(Model, SidecarFiles), String>> {
-        let outcome = match self.running.as_ref()?.outcome.try_recv() {
-            Ok(outcome) => outcome,
-            Err(mpsc::TryRecvError::Empty) => return None,
-            Err(mpsc::TryRecvError::Disconnected) => {
-                Err("loading the model failed unexpectedly: see the log above, and try another file".to_owned())
-            }
-        };
+    /// Loads the next model, if there is one; call it once the last has come.
+    pub(super) fn load_next(&mut self) {
         self.running = None;
-        self.start_next();
-        Some(outcome)
-    }
-
-    fn start_next(&mut self) {
-        if self.running.is_some() {
-            return;
-        }
         let Some(source) = self.next.take() else { return };
-        let (sender, outcome) = mpsc::channel();
         let progress = Arc::new(AtomicU32::new(0));
-        self.running = Some(Loading { name: name_of(&source), progress: Arc::clone(&progress), outcome });
+        self.running = Some((name_of(&source), Arc::clone(&progress)));
         let waker = self.waker.clone();
+        tracing::info!("loading {source}");
+        // Without its first model the wall shows nothing; later, it goes on showing the old one.
+        let task = (!std::mem::replace(&mut self.has_begun, true)).then(|| Task::named(format!("loading {source}")));
         let load = move || {
             let report = |fraction: f32| {
                 let percent = |fraction: f32| (fraction * 100.0) as u32;
@@ -78,35 +65,27 @@ impl ModelLoader {
                     waker.wake();
                 }
             };
-            let sidecars = SidecarFiles::read(&source);
-            let model = Model::load(source, &report).map(|model| (model, sidecars)).map_err(|error| error.to_string());
-            // The receiver is gone once the window is closed.
-            let _ = sender.send(model);
+            let load = || {
+                let sidecars = SidecarFiles::read(&source);
+                let model = Model::load(source, &report).map_err(|error| error.to_string())?;
+                Ok(Box::new((model, sidecars)))
+            };
+            // Nothing that a panic leaves half done is used again.
+            let loaded = catch_unwind(AssertUnwindSafe(load)).unwrap_or_else(|_panic| {
+                Err("loading the model failed unexpectedly: see the log above, and try another file".to_owned())
+            });
+            drop(task);
+            waker.call(Call::Show(loaded));
         };
-        let waker = self.waker.clone();
-        let spawned = thread::Builder::new().name("model loader".to_owned()).spawn(move || {
-            // Wakes the window even if a panic drops the sender.
-            let _wake = WakeOnDrop(waker);
-            load();
-        });
-        if let Err(error) = spawned {
-            tracing::error!("cannot start a thread to load the model: {error}");
+        if let Err(error) = thread::Builder::new().name("model loader".to_owned()).spawn(load) {
+            self.waker.call(Call::Show(Err(format!("cannot start a thread to load the model: {error}"))));
         }
     }
 }
 
-struct WakeOnDrop(Waker);
-
-impl Drop for WakeOnDrop {
-    fn drop(&mut self) {
-        self.0.wake();
-    }
-}
-
-/// The name of a model on screen.
 pub(super) fn name_of(source: &SceneSource) -> String {
     match source {
-        SceneSource::Ply(path) => path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
+        SceneSource::Ply(path) => printable_line(&path.file_name().unwrap_or(path.as_os_str()).to_string_lossy()),
         SceneSource::Statue { .. } => "built-in statue".to_owned(),
     }
 }

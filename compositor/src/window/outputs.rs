@@ -19,12 +19,11 @@ use super::{
 };
 use crate::{
     farm::{Frame, stats::DisplayStats},
-    gpu::GpuError,
+    gpu::{GpuError, Quad},
     overlay::{OutputContent, OutputState, OverlayModel, OverlayOutput, ProjectorRegion},
-    wall::{PixelRect, Projector, Wall},
+    wall::{PixelRect, Wall},
 };
 
-/// How often monitors are checked.
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
 /// All windows of a wall, with the painter that draws on them.
@@ -33,11 +32,10 @@ const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 pub(super) struct Outputs {
     all: Vec<Output>,
     /// Created with the first window, and kept when all are closed.
-    painter: Option<Painter>,
-    /// Whether windows fill their monitors.
-    is_filling: bool,
+    pub(super) painter: Option<Painter>,
+    pub(super) is_filling: bool,
     title: String,
-    cursor_is_visible: bool,
+    pub(super) cursor_is_visible: bool,
     /// Held while windows fill their monitors.
     screensaver: Option<ScreensaverHold>,
     checked_at: Option<Instant>,
@@ -60,13 +58,10 @@ struct Output {
 
 type Geometry = (PhysicalPosition<i32>, PhysicalSize<u32>);
 
-/// The result of drawing once.
 pub(super) struct DrawResult {
     /// Times of the display's parts, without the latency, which the caller knows.
     pub(super) stats: DisplayStats,
-    /// The overlay's commands and areas.
     pub(super) overlay: OverlayOutput,
-    /// After which time the overlay wants to be drawn again.
     pub(super) repaint_after: Duration,
     /// The named monitors that were drawn on.
     pub(super) monitors: Vec<String>,
@@ -200,7 +195,6 @@ impl Outputs {
         Ok(Screen::new(window, &mut self.painter)?)
     }
 
-    /// The named monitors without a window.
     pub(super) fn missing(&self) -> Vec<String> {
         self.all.iter().filter(|output| output.screen.is_none()).filter_map(|output| output.monitor.clone()).collect()
     }
@@ -210,27 +204,22 @@ impl Outputs {
         self.all.iter().enumerate().find_map(|(index, output)| Some((index, output.screen.as_ref()?)))
     }
 
-    /// The output of a window.
     pub(super) fn index_of(&self, id: WindowId) -> Option<usize> {
         self.all.iter().position(|output| output.screen.as_ref().is_some_and(|screen| screen.window.id() == id))
     }
 
     pub(super) fn resize(&mut self, index: usize, size: [u32; 2]) {
         if let Some(screen) = &mut self.all[index].screen {
-            screen.resize(size);
+            screen.surface.resize(size);
         }
     }
 
     /// Converts a point of a window to pixels of the spanning output.
     pub(super) fn on_wall(&self, index: usize, PhysicalPosition { x, y }: PhysicalPosition<f64>) -> DVec2 {
         let Some(Output { part, screen: Some(screen), .. }) = self.all.get(index) else { return DVec2::ZERO };
-        let fitted = PixelRect::fitted([part.width, part.height], screen.size());
-        let from_fitted = DVec2::new(x - f64::from(fitted.x), y - f64::from(fitted.y));
-        let scale = DVec2::new(
-            f64::from(part.width) / f64::from(fitted.width.max(1)),
-            f64::from(part.height) / f64::from(fitted.height.max(1)),
-        );
-        DVec2::new(f64::from(part.x), f64::from(part.y)) + from_fitted * scale
+        let fitted = PixelRect::fitted([part.width, part.height], screen.surface.size());
+        let scale = part.size() / fitted.size().max(DVec2::ONE);
+        part.origin() + (DVec2::new(x, y) - fitted.origin()) * scale
     }
 
     /// Converts a point of a window to points of the overlay, if that window shows the panels.
@@ -250,11 +239,11 @@ impl Outputs {
             is_lead.then_some(index)
         };
         if let Some(screen) = index.and_then(|index| self.all[index].screen.as_mut()) {
-            screen.overlay_event(event);
+            // Whether the overlay used the event does not matter: it was meant for it.
+            let _ = screen.egui.on_window_event(&screen.window, event);
         }
     }
 
-    /// Sets the windows' titles.
     pub(super) fn set_title(&mut self, title: String) {
         self.title = title;
         for (index, output) in self.all.iter().enumerate() {
@@ -271,13 +260,8 @@ impl Outputs {
         }
     }
 
-    /// All open windows.
     pub(super) fn windows(&self) -> impl Iterator<Item = &Window> {
         self.all.iter().filter_map(|output| output.screen.as_ref()).map(|screen| &*screen.window)
-    }
-
-    pub(super) fn is_filling(&self) -> bool {
-        self.is_filling
     }
 
     /// Makes windows fill their monitors, or no longer.
@@ -297,10 +281,6 @@ impl Outputs {
         }
     }
 
-    pub(super) fn cursor_is_visible(&self) -> bool {
-        self.cursor_is_visible
-    }
-
     pub(super) fn show_cursor(&mut self, is_visible: bool) {
         if is_visible != self.cursor_is_visible {
             self.cursor_is_visible = is_visible;
@@ -308,11 +288,6 @@ impl Outputs {
                 screen.window.set_cursor_visible(is_visible);
             }
         }
-    }
-
-    /// The painter, once there has been a window.
-    pub(super) fn painter(&mut self) -> Option<&mut Painter> {
-        self.painter.as_mut()
     }
 
     /// Shows `new_frame`, or the previous one, in all windows, under the overlay.
@@ -330,9 +305,9 @@ impl Outputs {
         let mut is_incomplete = false;
         for (index, output) in self.all.iter_mut().enumerate() {
             let Some(screen) = &mut output.screen else { continue };
-            match screen.acquire(painter)? {
+            match screen.surface.acquire(&painter.gpu)? {
                 Some(target) => targets.push((index, target)),
-                None => is_incomplete |= !screen.size().contains(&0),
+                None => is_incomplete |= !screen.surface.size().contains(&0),
             }
         }
         if targets.is_empty() {
@@ -345,7 +320,7 @@ impl Outputs {
         let content = if painter.is_dark {
             OutputContent::Black
         } else {
-            painter.frame().map_or(OutputContent::Nothing, OutputContent::Frame)
+            painter.frame.map_or(OutputContent::Nothing, OutputContent::Frame)
         };
         targets.iter().for_each(|(index, _)| self.all[*index].content = content);
         let states: Vec<OutputState> = self.all.iter().map(Output::state).collect();
@@ -354,8 +329,7 @@ impl Outputs {
         let mut encoder = painter.gpu.device.create_command_encoder(&Default::default());
         let wall_targets: Vec<_> =
             targets.iter().map(|(index, target)| (target.target(), self.all[*index].part)).collect();
-        let borrowed: Vec<_> = wall_targets.iter().map(|(target, part)| (target, *part)).collect();
-        painter.draw(&mut encoder, wall, &borrowed);
+        painter.draw(&mut encoder, wall, &wall_targets);
         let mut overlay = OverlayOutput::default();
         let mut repaint_after = Duration::MAX;
         for (index, target) in &targets {
@@ -365,7 +339,7 @@ impl Outputs {
                 continue;
             }
             model.outputs = states.clone();
-            model.regions = regions(wall, *part, target.size(), screen.pixels_per_point());
+            model.regions = regions(wall, *part, target.size, screen.pixels_per_point());
             let (output, wanted_after) = screen.draw_overlay(painter, &mut encoder, target, &model);
             repaint_after = repaint_after.min(wanted_after);
             if Some(*index) == lead {
@@ -373,12 +347,13 @@ impl Outputs {
             }
         }
         painter.gpu.queue.submit([encoder.finish()]);
-        stats.draw_ms = painter.draw_ms().unwrap_or_else(|| ms_since(start));
+        stats.draw_ms = painter.present.draw_ms(&painter.gpu).unwrap_or_else(|| ms_since(start));
         let start = Instant::now();
         let mut monitors = Vec::new();
         for (index, target) in targets {
             let Output { monitor, screen: Some(screen), .. } = &self.all[index] else { continue };
-            screen.present(painter, target);
+            screen.window.pre_present_notify();
+            painter.gpu.queue.present(target.texture);
             monitors.extend(monitor.clone());
         }
         stats.present_ms = ms_since(start);
@@ -400,16 +375,10 @@ impl Output {
 
 /// The places of projectors in a window of `size` pixels that shows a part of the wall, in points of the overlay.
 fn regions(wall: &Wall, part: PixelRect, size: [u32; 2], pixels_per_point: f32) -> Vec<ProjectorRegion> {
-    let fitted = PixelRect::fitted([part.width, part.height], size);
-    let [x_scale, y_scale] = [fitted.width as f32 / part.width as f32, fitted.height as f32 / part.height as f32]
-        .map(|it| it / pixels_per_point);
-    let origin = egui::pos2(fitted.x as f32, fitted.y as f32) / pixels_per_point;
-    let shown = wall.projectors().iter().filter(|projector| part.contains_rect(&projector.output));
-    let region = |projector: &Projector| {
-        let PixelRect { x, y, width, height } = projector.output;
-        let from = origin + egui::vec2((x - part.x) as f32 * x_scale, (y - part.y) as f32 * y_scale);
-        let size = egui::vec2(width as f32 * x_scale, height as f32 * y_scale);
-        ProjectorRegion::new(projector, egui::Rect::from_min_size(from, size))
+    let region = |quad: Quad| {
+        let [left, top, right, bottom] = quad.edges.map(|edge| edge as f32 / pixels_per_point);
+        let window = egui::Rect::from_min_max(egui::pos2(left, top), egui::pos2(right, bottom));
+        ProjectorRegion::new(&wall.projectors()[quad.projector_idx], window)
     };
-    shown.filter_map(region).collect()
+    Quad::of_part(wall, part, size).filter_map(region).collect()
 }

@@ -9,17 +9,15 @@ use crate::{
     wall::{PixelRect, Wall},
 };
 
-/// Milliseconds since an instant.
 pub(super) fn ms_since(start: Instant) -> f64 {
     start.elapsed().as_secs_f64() * 1e3
 }
 
-/// Draws one frame on any number of windows.
 pub(super) struct Painter {
     pub(super) gpu: Gpu,
-    present: Present,
+    pub(super) present: Present,
     /// The number of the frame on the GPU.
-    frame: Option<u64>,
+    pub(super) frame: Option<u64>,
     /// Whether the wall is black instead of showing the frame.
     pub(super) is_dark: bool,
     /// A test pattern in place of frames, and the wall to draw it with.
@@ -30,11 +28,6 @@ impl Painter {
     pub(super) fn new(gpu: Gpu) -> Self {
         tracing::info!("drawing with {}", gpu.name());
         Self { present: Present::new(&gpu), gpu, frame: None, is_dark: false, pattern: None }
-    }
-
-    /// The number of the frame on the GPU.
-    pub(super) fn frame(&self) -> Option<u64> {
-        self.frame
     }
 
     /// Uploads a frame. Returns the time in milliseconds.
@@ -50,7 +43,7 @@ impl Painter {
         &mut self,
         encoder: &mut wgpu::CommandEncoder,
         wall: &Wall,
-        outputs: &[(&Target<'_>, PixelRect)],
+        outputs: &[(Target<'_>, PixelRect)],
     ) {
         // No projector lies in an empty part.
         let dark: Vec<_> =
@@ -60,19 +53,14 @@ impl Painter {
             None if self.is_dark => (&mut self.present, wall, dark.as_slice()),
             None => (&mut self.present, wall, outputs),
         };
-        present.draw_all(&self.gpu, encoder, wall, outputs);
-    }
-
-    /// The GPU's time for the newest frame that it has drawn, in milliseconds; `None` without timestamp queries.
-    pub(super) fn draw_ms(&mut self) -> Option<f64> {
-        self.present.draw_ms(&self.gpu)
+        present.draw(&self.gpu, encoder, wall, outputs);
     }
 
     /// The newest frame on the whole wall, without the overlay, independent of windows.
     pub(super) fn image(&mut self, wall: &Wall) -> Result<RgbImage, GpuError> {
         let offscreen = Offscreen::new(&self.gpu, wall.output_size())?;
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
-        self.present.draw(&self.gpu, &mut encoder, &offscreen.target(), wall, wall.whole_output());
+        self.present.draw(&self.gpu, &mut encoder, wall, &[(offscreen.target(), wall.whole_output())]);
         self.gpu.queue.submit([encoder.finish()]);
         offscreen.read(&self.gpu)
     }

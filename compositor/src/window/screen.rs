@@ -3,19 +3,18 @@
 use std::{sync::Arc, time::Duration};
 
 use egui_wgpu::ScreenDescriptor;
-use winit::{event::WindowEvent, window::Window};
+use winit::window::Window;
 
 use super::painter::Painter;
 use crate::{
-    gpu::{GpuError, WallSurface, surface::SurfaceFrame},
+    gpu::{GpuError, SurfaceFrame, WallSurface},
     overlay::{self, OverlayModel, OverlayOutput},
 };
 
-/// A window with its surface and its overlay.
 pub(super) struct Screen {
     pub(super) window: Arc<Window>,
-    surface: WallSurface,
-    egui: egui_winit::State,
+    pub(super) surface: WallSurface,
+    pub(super) egui: egui_winit::State,
     egui_renderer: egui_wgpu::Renderer,
     /// Changes of egui's textures that are not on the GPU yet.
     textures: egui::TexturesDelta,
@@ -39,38 +38,18 @@ impl Screen {
         overlay::apply_style(&context);
         let largest_texture = device.limits().max_texture_dimension_2d as usize;
         let egui = egui_winit::State::new(context, egui::ViewportId::ROOT, &window, None, None, Some(largest_texture));
-        let egui_renderer = egui_wgpu::Renderer::new(device, surface.overlay_format(), Default::default());
+        let egui_renderer = egui_wgpu::Renderer::new(device, surface.overlay_format, Default::default());
         Ok(Self { window, surface, egui, egui_renderer, textures: egui::TexturesDelta::default() })
-    }
-
-    /// Columns and rows of the window.
-    pub(super) fn size(&self) -> [u32; 2] {
-        self.surface.size()
-    }
-
-    pub(super) fn resize(&mut self, size: [u32; 2]) {
-        self.surface.resize(size);
     }
 
     /// The scale of the overlay, 1 by default.
     fn zoom(&self) -> f32 {
-        overlay::zoom(self.size(), self.window.scale_factor())
+        overlay::zoom(self.surface.size(), self.window.scale_factor())
     }
 
     /// Physical pixels per point of the overlay when it is drawn next.
     pub(super) fn pixels_per_point(&self) -> f32 {
         self.zoom() * self.window.scale_factor() as f32
-    }
-
-    /// Passes an event to the overlay.
-    pub(super) fn overlay_event(&mut self, event: &WindowEvent) {
-        // The caller has decided that the event belongs to the overlay.
-        let _ = self.egui.on_window_event(&self.window, event);
-    }
-
-    /// The next texture to draw on; see [`WallSurface::acquire`].
-    pub(super) fn acquire(&mut self, painter: &Painter) -> Result<Option<SurfaceFrame>, GpuError> {
-        self.surface.acquire(&painter.gpu)
     }
 
     /// Draws the overlay over the wall. Also returns after which time it wants to be drawn again.
@@ -97,13 +76,13 @@ impl Screen {
             }
         }
         let triangles = context.tessellate(full.shapes, full.pixels_per_point);
-        let descriptor = ScreenDescriptor { size_in_pixels: target.size(), pixels_per_point: full.pixels_per_point };
+        let descriptor = ScreenDescriptor { size_in_pixels: target.size, pixels_per_point: full.pixels_per_point };
         // Only paint callbacks return command buffers, and the overlay has none.
         self.egui_renderer.update_buffers(device, queue, encoder, &triangles, &descriptor);
         let pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("overlay"),
             color_attachments: &[Some(wgpu::RenderPassColorAttachment {
-                view: target.overlay_view(),
+                view: &target.overlay_view,
                 depth_slice: None,
                 resolve_target: None,
                 ops: wgpu::Operations { load: wgpu::LoadOp::Load, store: wgpu::StoreOp::Store },
@@ -115,12 +94,6 @@ impl Screen {
             self.egui_renderer.free_texture(&id);
         }
         (output, repaint_after)
-    }
-
-    /// Presents the frame after its commands were submitted.
-    pub(super) fn present(&self, painter: &Painter, target: SurfaceFrame) {
-        self.window.pre_present_notify();
-        target.present(&painter.gpu);
     }
 }
 

@@ -1,6 +1,6 @@
 //! The graphical session: requirements, monitors, X11 windows, screensaver.
 
-pub mod display_environment;
+pub(crate) mod display_environment;
 pub(super) mod hotplug;
 pub(super) mod legacy;
-pub mod screensaver;
+pub(crate) mod screensaver;

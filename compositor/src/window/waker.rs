@@ -1,29 +1,33 @@
-//! Wakes the window from other threads.
+//! Calls of other threads to the window.
 
 use winit::event_loop::EventLoopProxy;
 
-/// A request of another thread to the window.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+use super::{effect::Effect, model_loader::Loaded};
+
 pub(super) enum Call {
-    /// Check for frames, loaded models and other results.
+    /// Check for frames and other news.
     Check,
-    /// Close the window.
+    Apply(Effect),
+    /// Show a model, or the reason why it cannot be loaded.
+    Show(Loaded),
     Close,
 }
 
-/// Wakes the window from other threads.
 #[derive(Clone, Debug)]
-pub struct Waker(pub(super) EventLoopProxy<Call>);
+pub(crate) struct Waker(pub(super) EventLoopProxy<Call>);
 
 impl Waker {
-    /// Makes the window check for results.
-    pub fn wake(&self) {
-        // The window may be closed already.
-        let _ = self.0.send_event(Call::Check);
+    pub(crate) fn wake(&self) {
+        self.call(Call::Check);
     }
 
     /// Closes the window, as an operator would.
-    pub fn close(&self) {
-        let _ = self.0.send_event(Call::Close);
+    pub(crate) fn close(&self) {
+        self.call(Call::Close);
+    }
+
+    pub(super) fn call(&self, call: Call) {
+        // The window may be closed already.
+        let _ = self.0.send_event(call);
     }
 }

@@ -1,21 +1,26 @@
 //! A camera path as a film: one frame for each picture, without dropped frames.
 
 use std::{
+    collections::VecDeque,
+    io,
+    panic::resume_unwind,
     path::{Path, PathBuf},
-    sync::{Arc, Mutex, PoisonError, mpsc},
-    thread,
+    sync::{
+        Arc,
+        atomic::{AtomicU32, Ordering::Relaxed},
+    },
+    thread::{self, ScopedJoinHandle},
     time::Instant,
 };
 
 use anyhow::{Context, bail};
-use renderer::cli::progress::Progress;
+use renderer::cli::{progress::Progress, stop::Task};
 use shared::camera::{Camera, CameraPath};
 
 use super::{Headless, Wakeups, milliseconds, next_frame};
 use crate::{
     cli::report::Report,
     farm::{Farm, Frame},
-    gpu::{RgbImage, picture::PictureError},
 };
 
 /// A film of a camera path.
@@ -31,7 +36,7 @@ pub struct Film {
     pub folder: Option<PathBuf>,
 }
 
-/// Threads that compress pictures: a wall's picture takes about as long to compress as to render.
+/// Pictures that are compressed at once: a wall's picture takes about as long to compress as to render.
 const N_WRITERS: usize = 2;
 
 impl Film {
@@ -57,8 +62,13 @@ impl Headless {
         }
         let (n_pictures, mut report) = (film.n_pictures(), Report::default());
         let bar = Progress::new(format!("filming {n_pictures} pictures"));
+        let n_begun = Arc::new(AtomicU32::new(0));
+        let _task = film.folder.clone().map(|folder| {
+            let n_begun = Arc::clone(&n_begun);
+            Task::with_line(move || written_so_far(&folder, n_begun.load(Relaxed), n_pictures))
+        });
         thread::scope(|scope| {
-            let writers = film.folder.as_deref().map(|folder| Writers::start(scope, folder));
+            let mut writers = VecDeque::with_capacity(N_WRITERS);
             let mut last: Option<Frame> = None;
             request_frame(farm, film.camera(0));
             for index in 0..n_pictures {
@@ -75,19 +85,27 @@ impl Headless {
                     request_frame(farm, film.camera(index + 1));
                 }
                 let display = self.show(&frame)?;
-                if let Some(writers) = &writers
-                    && !writers.write(index, self.offscreen.read(&self.gpu)?)
-                {
-                    break;
+                if let Some(folder) = &film.folder {
+                    if writers.len() == N_WRITERS {
+                        writers.pop_front().map_or(Ok(()), finish)?;
+                    }
+                    n_begun.store(index + 1, Relaxed);
+                    let image = self.offscreen.read(&self.gpu)?;
+                    writers.push_back(scope.spawn(move || image.write_png(&picture_file(folder, index))));
                 }
-                report.add(Some(&frame), display, milliseconds(started_at.elapsed()));
+                report.add(&frame, display, milliseconds(started_at.elapsed()));
                 last = Some(frame);
                 bar.set((index + 1) as f32 / n_pictures as f32);
             }
-            anyhow::Ok(writers.map_or(Ok(()), Writers::finish)?)
+            anyhow::Ok(writers.into_iter().try_for_each(finish)?)
         })?;
         Ok(report)
     }
+}
+
+/// Waits until a picture is written.
+fn finish(writer: ScopedJoinHandle<'_, io::Result<()>>) -> io::Result<()> {
+    writer.join().unwrap_or_else(|panic| resume_unwind(panic))
 }
 
 fn request_frame(farm: &Farm, camera: Camera) {
@@ -110,6 +128,15 @@ fn frame_of(farm: &Farm, wakeups: &Wakeups, camera: Camera) -> anyhow::Result<Op
     }
 }
 
+/// The line about a film that is cut off, after `n_begun` of its pictures were handed to writers.
+fn written_so_far(folder: &Path, n_begun: u32, n_pictures: u32) -> String {
+    // Only the pictures of the writers may be missing.
+    let first_open = n_begun.saturating_sub(N_WRITERS as u32);
+    let n_open = (first_open..n_begun).filter(|&index| picture_file(folder, index).exists()).count();
+    let n_written = first_open as usize + n_open;
+    format!("stopped after {n_written} of {n_pictures} pictures; those in {} are complete", folder.display())
+}
+
 fn picture_file(folder: &Path, index: u32) -> PathBuf {
     folder.join(format!("picture-{:06}.png", index + 1))
 }
@@ -121,45 +148,6 @@ fn prepare(folder: &Path) -> anyhow::Result<()> {
         bail!("{} holds a film already: give --pictures another folder, or remove its pictures", folder.display());
     }
     Ok(())
-}
-
-/// Threads that compress and write pictures; `write` blocks while all are busy.
-struct Writers<'scope> {
-    queue: mpsc::SyncSender<(u32, RgbImage)>,
-    threads: Vec<thread::ScopedJoinHandle<'scope, Result<(), PictureError>>>,
-}
-
-impl<'scope> Writers<'scope> {
-    fn start<'env>(scope: &'scope thread::Scope<'scope, 'env>, folder: &'env Path) -> Self {
-        let (queue, inbox) = mpsc::sync_channel::<(u32, RgbImage)>(1);
-        let inbox = Arc::new(Mutex::new(inbox));
-        let threads = (0..N_WRITERS).map(|_| {
-            let inbox = Arc::clone(&inbox);
-            scope.spawn(move || {
-                loop {
-                    // The lock is held only while waiting.
-                    let next = inbox.lock().unwrap_or_else(PoisonError::into_inner).recv();
-                    let Ok((index, image)) = next else { return Ok(()) };
-                    image.write_png(&picture_file(folder, index))?;
-                }
-            })
-        });
-        Self { queue, threads: threads.collect() }
-    }
-
-    /// Queues an image; false once a thread has failed.
-    fn write(&self, index: u32, image: RgbImage) -> bool {
-        !self.threads.iter().any(thread::ScopedJoinHandle::is_finished) && self.queue.send((index, image)).is_ok()
-    }
-
-    /// Waits until everything is written.
-    fn finish(self) -> Result<(), PictureError> {
-        drop(self.queue);
-        for thread in self.threads {
-            thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
-        }
-        Ok(())
-    }
 }
 
 #[cfg(test)]

@@ -15,7 +15,7 @@ use crate::{
 impl Headless {
     /// Shows `n_frames` as if the camera moved between them, and then refines the last one fully. The report has only the
     /// former.
-    pub fn show_refined(
+    pub(crate) fn show_refined(
         &mut self,
         farm: &Farm,
         wakeups: &Wakeups,
@@ -49,7 +49,7 @@ impl Headless {
                 bar.set(frame.spec.samples.count as f32 / refinement.n_samples() as f32);
                 continue;
             }
-            report.add(Some(&frame), display, milliseconds(ended_at.elapsed()));
+            report.add(&frame, display, milliseconds(ended_at.elapsed()));
             ended_at = Instant::now();
             if is_moving(&report) {
                 refinement.start_again();

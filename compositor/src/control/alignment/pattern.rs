@@ -2,6 +2,7 @@
 
 use glam::DVec2;
 use shared::{division::FrameSize, srgb};
+use strum::VariantArray;
 
 use super::sheet::Sheet;
 use crate::wall::{
@@ -9,18 +10,17 @@ use crate::wall::{
     homography::{UNIT_SQUARE, apply},
 };
 
-/// A corner of a projector's image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Corner {
-    /// Index of the projector in the wall.
+pub(crate) struct Corner {
     pub projector_idx: usize,
     /// 0 to 3: upper left, upper right, lower right, lower left, as seen on the wall.
     pub corner_idx: usize,
 }
 
-/// A test pattern, shown in place of frames.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Pattern {
+/// A test pattern, shown in place of frames; in the order in which a key steps through them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, strum::Display, strum::VariantArray)]
+#[strum(serialize_all = "lowercase")]
+pub(crate) enum Pattern {
     /// A grid of the canvas through each projector's warp, and the corners to drag. Projectors are not blended: in an
     /// overlap, the lines of both are visible, and coincide once the wall is aligned.
     Align,
@@ -38,7 +38,7 @@ pub enum Pattern {
 
 /// The image of a test pattern, for the present stage.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PatternImage {
+pub(crate) struct PatternImage {
     /// Its samples.
     pub size: FrameSize,
     /// RGBA, four bytes a sample, bottom row first, as in frames.
@@ -53,23 +53,8 @@ const DIM: [u8; 3] = [45; 3];
 const ORANGE: [u8; 3] = [255, 150, 30];
 
 impl Pattern {
-    /// All patterns, in the order in which a key steps through them.
-    pub const ALL: [Self; 6] = [Self::Align, Self::Names, Self::Pixels, Self::Overlap, Self::Gamma, Self::Focus];
-
-    /// The name on screen.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Align => "align",
-            Self::Names => "names",
-            Self::Pixels => "pixels",
-            Self::Overlap => "overlap",
-            Self::Gamma => "gamma",
-            Self::Focus => "focus",
-        }
-    }
-
     /// Its use, in one line.
-    pub fn help(self) -> &'static str {
+    pub(crate) fn help(self) -> &'static str {
         match self {
             Self::Align => {
                 "drag a corner, or Tab and arrows (Shift: finer); lines of neighbours must meet; Ctrl+S saves"
@@ -83,27 +68,22 @@ impl Pattern {
     }
 
     /// The pattern after `current`; none after the last.
-    pub fn next(current: Option<Self>) -> Option<Self> {
-        let next = current.map_or(0, |current| 1 + Self::ALL.iter().position(|&it| it == current).unwrap_or(0));
-        Self::ALL.get(next).copied()
+    pub(crate) fn next(current: Option<Self>) -> Option<Self> {
+        Self::VARIANTS.get(current.map_or(0, |current| 1 + current as usize)).copied()
     }
 
-    /// The image of the pattern on a wall.
-    ///
-    /// # Errors
-    ///
-    /// The wall has more pixels than a frame may have samples.
-    pub fn shown(self, wall: &Wall, selected: Option<Corner>) -> anyhow::Result<PatternImage> {
+    /// The image of the pattern on a wall, unless the wall has more pixels than a frame may have samples.
+    pub(crate) fn shown(self, wall: &Wall, selected: Option<Corner>) -> anyhow::Result<PatternImage> {
         if self == Self::Overlap {
             return Ok(PatternImage { size: FrameSize::new(1, 1)?, rgba: vec![255; 4], wall: wall.clone() });
         }
         let [width, height] = wall.output_size();
         let too_large =
-            |error| anyhow::anyhow!("no test pattern {}: it would have {width}×{height} pixels, {error}", self.name());
+            |error| anyhow::anyhow!("no test pattern {self}: it would have {width}×{height} pixels, {error}");
         let size = FrameSize::new(width, height).map_err(too_large)?;
         let mut sheet = Sheet::new(wall.output_size());
         for (index, projector) in wall.projectors().iter().enumerate() {
-            sheet.clip_to(projector.output);
+            sheet.clip = projector.output;
             match self {
                 Self::Align => align(&mut sheet, wall, index, selected.filter(|corner| corner.projector_idx == index)),
                 Self::Names => names(&mut sheet, index, projector),
@@ -113,15 +93,14 @@ impl Pattern {
                 Self::Overlap => {}
             }
         }
-        Ok(PatternImage { size, rgba: sheet.into_frame(), wall: Wall::of_one_output([width, height]) })
+        Ok(PatternImage { size, rgba: sheet.pixels.into_flattened(), wall: Wall::of_one_output([width, height]) })
     }
 }
 
 /// A point of a projector's rectangle (0 to 1) in pixels of the spanning output.
 pub(super) fn to_output(projector: &Projector, rect_point: DVec2) -> Option<DVec2> {
-    let PixelRect { x, y, width, height } = projector.output;
     let raster = apply(projector.raster_from_rect()?, rect_point)?;
-    Some(DVec2::new(f64::from(x), f64::from(y)) + raster * DVec2::new(f64::from(width), f64::from(height)))
+    Some(projector.output.origin() + raster * projector.output.size())
 }
 
 fn align(sheet: &mut Sheet, wall: &Wall, index: usize, selected: Option<Corner>) {
@@ -180,8 +159,7 @@ fn within_rect(from: DVec2, to: DVec2) -> Option<(DVec2, DVec2)> {
 
 fn names(sheet: &mut Sheet, index: usize, projector: &Projector) {
     let PixelRect { x, y, width, height } = projector.output;
-    let origin = DVec2::new(f64::from(x), f64::from(y));
-    let size = DVec2::new(f64::from(width), f64::from(height));
+    let (origin, size) = (projector.output.origin(), projector.output.size());
     sheet.frame(projector.output, 3, WHITE);
     // A triangle at the first pixel, with its longer leg along the first row.
     let leg = 0.12 * size.min_element();
@@ -238,16 +216,13 @@ fn gamma(sheet: &mut Sheet, projector: &Projector) {
     for (n, (value, name)) in (0..).zip(greys) {
         let field = PixelRect { x: output.x + (2 * n + 1) * width, y: output.y + height, width, height };
         sheet.fill(field, [value.round() as u8; 3]);
-        let below = DVec2::new(
-            f64::from(field.x) + f64::from(width) / 2.0,
-            f64::from(field.y + height) - 0.1 * f64::from(height),
-        );
-        sheet.text(below, (0.45 * f64::from(width)).min(0.12 * f64::from(height)), [0; 3], &name);
+        let size = field.size();
+        let below = field.origin() + size * DVec2::new(0.5, 0.9);
+        sheet.text(below, (0.45 * size.x).min(0.12 * size.y), [0; 3], &name);
     }
 }
 
 fn focus(sheet: &mut Sheet, output: PixelRect) {
-    let PixelRect { x, y, width, height } = output;
     for field in fields(output, 5) {
         // Vertical lines left, horizontal lines right; one pixel wide above, two below.
         sheet.each_pixel(field, |column, row| {
@@ -256,10 +231,9 @@ fn focus(sheet: &mut Sheet, output: PixelRect) {
             if along / thickness % 2 == 0 { WHITE } else { [0; 3] }
         });
     }
-    let column = f64::from(x) + 0.5 * f64::from(width);
     for (n, size) in (0..).zip([8.0, 10.0, 13.0, 18.0]) {
-        let row = f64::from(y) + (0.18 + 0.05 * f64::from(n)) * f64::from(height);
-        sheet.text(DVec2::new(column, row), size, WHITE, "sphinx of black quartz, judge my vow 0123456789");
+        let at = output.origin() + output.size() * DVec2::new(0.5, 0.18 + 0.05 * f64::from(n));
+        sheet.text(at, size, WHITE, "sphinx of black quartz, judge my vow 0123456789");
     }
     sheet.frame(output, 1, GREY);
 }

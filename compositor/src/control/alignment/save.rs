@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use channel::files;
 use serde::Deserialize;
 use toml::Spanned;
 
@@ -20,14 +21,10 @@ struct Named {
     warp_px: Option<Spanned<toml::Value>>,
 }
 
-/// Writes the corners of all projectors of `wall` to its file.
-///
-/// # Errors
-///
-/// The file cannot be read or written, has changed to another wall, or has no place for the corners. It is unchanged
-/// then.
-pub fn save_warps(path: &Path, wall: &Wall) -> anyhow::Result<()> {
-    let unreadable = |source| WallError::Unreadable { path: path.display().to_string(), source };
+/// Writes the corners of all projectors of `wall` to its file. On an error, for example in a file that has changed to
+/// another wall or has no place for the corners, the file stays as it was.
+pub(crate) fn save_warps(path: &Path, wall: &Wall) -> anyhow::Result<()> {
+    let unreadable = |cause| WallError::Unreadable { path: path.display().to_string(), cause };
     let old_text = read_text(path).map_err(unreadable)?;
     let old = Wall::from_toml(&path.display().to_string(), &old_text)?;
     let mut text = old_text;
@@ -44,7 +41,7 @@ pub fn save_warps(path: &Path, wall: &Wall) -> anyhow::Result<()> {
          line of its own, and do not change the file while the wall runs",
         path.display()
     );
-    renderer::render::image::write_atomically(path, |out| out.write_all(text.as_bytes()))
+    files::write(path, |out| out.write_all(text.as_bytes()))
         .map_err(|error| anyhow::anyhow!("{}: the corners cannot be saved: {error}", path.display()))
 }
 

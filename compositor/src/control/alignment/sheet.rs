@@ -12,8 +12,9 @@ use crate::wall::PixelRect;
 pub(super) struct Sheet {
     size: [u32; 2],
     /// Rows from the bottom up, as in frames.
-    pixels: Vec<[u8; 4]>,
-    clip: PixelRect,
+    pub pixels: Vec<[u8; 4]>,
+    /// Drawing is restricted to these pixels.
+    pub clip: PixelRect,
     fonts: Fonts,
 }
 
@@ -23,16 +24,6 @@ impl Sheet {
         let fonts = Fonts::new(TextOptions::default(), FontDefinitions::default());
         let clip = PixelRect { x: 0, y: 0, width, height };
         Self { size, pixels: vec![[0, 0, 0, 255]; width as usize * height as usize], clip, fonts }
-    }
-
-    /// Restricts drawing to these pixels.
-    pub(super) fn clip_to(&mut self, clip: PixelRect) {
-        self.clip = clip;
-    }
-
-    /// The pixels as a frame's samples.
-    pub(super) fn into_frame(self) -> Vec<u8> {
-        self.pixels.into_flattened()
     }
 
     /// The pixel at a column and a row from the top.
@@ -70,7 +61,6 @@ impl Sheet {
         self.fill(PixelRect { x: x + width - thickness, width: thickness, ..rect }, color);
     }
 
-    /// Draws a filled square around a point.
     pub(super) fn square(&mut self, centre: DVec2, side: f64, color: [u8; 3]) {
         let half = DVec2::splat(side / 2.0);
         let (from, to) = ((centre - half).round().max(DVec2::ZERO), (centre + half).round().max(DVec2::ZERO));
@@ -79,7 +69,6 @@ impl Sheet {
         self.fill(PixelRect { x, y, width: right - x, height: bottom - y }, color);
     }
 
-    /// Draws an antialiased line between two points.
     pub(super) fn line(&mut self, from: DVec2, to: DVec2, thickness: f64, color: [u8; 3]) {
         let along = to - from;
         let is_steep = along.y.abs() > along.x.abs();

@@ -2,6 +2,8 @@
 
 use std::{fs, path::Path};
 
+use strum::VariantArray;
+
 use super::*;
 use crate::wall::{PixelRect, Rotation};
 
@@ -13,29 +15,28 @@ fn shipped_path(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../wall-config").join(name)
 }
 
-fn aligning(file: Option<PathBuf>) -> Alignment {
-    let mut alignment = Alignment::new(file);
+fn aligning(file: Option<PathBuf>, wall: Wall) -> Alignment {
+    let mut alignment = Alignment::new(file, wall);
     alignment.show(Some(Pattern::Align));
     alignment
 }
 
 #[test]
 fn a_key_steps_through_all_patterns_and_back_to_frames() {
-    let mut alignment = Alignment::new(None);
-    for pattern in Pattern::ALL {
-        alignment.next_pattern();
-        assert_eq!(alignment.pattern(), Some(pattern));
+    let mut alignment = Alignment::new(None, Wall::paper());
+    for &pattern in Pattern::VARIANTS {
+        assert_eq!(alignment.next_pattern(), Some(pattern));
         assert!(!pattern.help().is_empty());
     }
-    alignment.next_pattern();
-    assert_eq!(alignment.pattern(), None);
-    assert!(alignment.shown(&Wall::paper()).is_none());
+    assert_eq!(alignment.next_pattern(), None);
+    assert!(matches!(alignment.take_shown(), Some(Ok(None))));
+    assert!(alignment.take_shown().is_none(), "nothing has changed since");
 }
 
 #[test]
 fn every_pattern_lights_every_projector_and_no_pixel_of_another() {
     let wall = shipped("two-monitors.toml");
-    for pattern in Pattern::ALL.into_iter().filter(|&pattern| pattern != Pattern::Overlap) {
+    for pattern in Pattern::VARIANTS.iter().copied().filter(|&pattern| pattern != Pattern::Overlap) {
         let shown = pattern.shown(&wall, None).expect("a small wall");
         assert_eq!([shown.size.xres(), shown.size.yres()], wall.output_size());
         let is_lit = |x: u32, y: u32| {
@@ -44,10 +45,10 @@ fn every_pattern_lights_every_projector_and_no_pixel_of_another() {
         };
         for projector in wall.projectors() {
             let PixelRect { x, y, width, height } = projector.output;
-            assert!((y..y + height).any(|y| (x..x + width).any(|x| is_lit(x, y))), "{}", pattern.name());
+            assert!((y..y + height).any(|y| (x..x + width).any(|x| is_lit(x, y))), "{pattern}");
         }
         // Nothing is lit below the lower monitor.
-        assert!(!(2560..4480).any(|x| (1080..1440).any(|y| is_lit(x, y))), "{}", pattern.name());
+        assert!(!(2560..4480).any(|x| (1080..1440).any(|y| is_lit(x, y))), "{pattern}");
     }
 }
 
@@ -55,7 +56,7 @@ fn every_pattern_lights_every_projector_and_no_pixel_of_another() {
 fn tiny_projectors_have_patterns_too() {
     let text = "canvas_m = [1.0, 1.0]\n[grid]\ncolumns = 3\nrows = 2\npixels = [1, 2]\n";
     let wall = Wall::from_toml("tiny", text).expect("a wall of six pixels");
-    for pattern in Pattern::ALL {
+    for &pattern in Pattern::VARIANTS {
         pattern.shown(&wall, Some(Corner { projector_idx: 5, corner_idx: 2 })).expect("six pixels are enough");
     }
 }
@@ -82,30 +83,40 @@ fn a_dragged_corner_follows_the_cursor_in_any_rotation() {
             "canvas_m = [1.0, 1.0]\n[optics]\nrotation = {degrees}\n[grid]\ncolumns = 1\nrows = 1\npixels = [400, 300]\n"
         );
         let wall = Wall::from_toml("turned", &text).expect("one projector");
-        let mut alignment = aligning(None);
         let start = corner_px(&wall.projectors()[0], 0).expect("in front");
-        assert!(alignment.press(&wall, start + 3.0), "{degrees}");
-        let cursor = start + 3.0 + DVec2::new(10.0, 4.0);
-        let moved = alignment.drag_to(&wall, cursor).expect("a small step");
-        assert_eq!(moved.projectors()[0].warp_px[0], expected, "{degrees}");
-        let corner = corner_px(&moved.projectors()[0], 0).expect("in front");
+        let mut alignment = aligning(None, wall);
+        assert!(alignment.press(start + 3.0), "{degrees}");
+        assert!(alignment.drag_to(start + 3.0 + DVec2::new(10.0, 4.0)), "{degrees}");
+        let moved = &alignment.wall.projectors()[0];
+        assert_eq!(moved.warp_px[0], expected, "{degrees}");
+        let corner = corner_px(moved, 0).expect("in front");
         assert!((corner - (start + DVec2::new(10.0, 4.0))).length() < 1e-9, "{degrees}: {corner}");
     }
 }
 
 #[test]
 fn corners_are_grabbed_near_by_and_nowhere_else() {
-    let wall = Wall::paper();
-    let mut alignment = aligning(None);
-    assert!(!alignment.press(&wall, DVec2::new(500.0, 400.0)));
-    assert!(alignment.drag_to(&wall, DVec2::ZERO).is_none());
-    assert!(alignment.press(&wall, DVec2::new(1030.0, 5.0)));
+    let mut alignment = aligning(None, Wall::paper());
+    assert!(!alignment.press(DVec2::new(500.0, 400.0)));
+    assert!(!alignment.drag_to(DVec2::ZERO));
+    assert!(alignment.press(DVec2::new(1030.0, 5.0)));
     alignment.release();
-    assert!(!alignment.is_dragging() && alignment.selected.is_some());
-    alignment.next_corner(&wall);
-    assert!(alignment.moved(&wall, DVec2::new(1.0, 0.0)).is_some());
-    assert!(alignment.moved(&wall, DVec2::new(f64::NAN, 0.0)).is_none());
-    assert!(alignment.moved(&wall, DVec2::new(-5000.0, 0.0)).is_none(), "edges would cross");
+    assert!(!alignment.drag_to(DVec2::ZERO) && alignment.selected.is_some());
+    alignment.next_corner();
+    assert!(alignment.move_by(DVec2::new(1.0, 0.0)));
+    assert!(!alignment.move_by(DVec2::new(f64::NAN, 0.0)));
+    assert!(!alignment.move_by(DVec2::new(-5000.0, 0.0)), "edges would cross");
+}
+
+#[test]
+fn arrows_move_the_selected_corner_of_the_align_pattern_only() {
+    let mut alignment = Alignment::new(None, Wall::of_one_output([640, 360]));
+    assert!(!alignment.press_key(NamedKey::Tab, false) && !alignment.press_key(NamedKey::Escape, false));
+    alignment.next_pattern();
+    assert!(alignment.press_key(NamedKey::Tab, false) && alignment.press_key(NamedKey::ArrowRight, false));
+    assert!(alignment.press_key(NamedKey::ArrowDown, true) && !alignment.press_key(NamedKey::Space, false));
+    assert_eq!(alignment.wall.projectors()[0].warp_px[0], [1.0, 0.1]);
+    assert!(alignment.press_key(NamedKey::Escape, false) && !alignment.press_key(NamedKey::ArrowDown, false));
 }
 
 #[test]
@@ -115,18 +126,18 @@ fn saved_corners_can_be_read_and_the_rest_of_the_file_stays() {
     for name in ["paper-4x3.toml", "blended-4x3.toml", "two-monitors.toml", "laptop.toml"] {
         let file = folder.join(name);
         fs::copy(shipped_path(name), &file).expect("a copy");
-        let mut wall = Wall::load(&file).expect("shipped");
-        let mut alignment = aligning(Some(file.clone()));
+        let wall = Wall::load(&file).expect("shipped");
+        let mut alignment = aligning(Some(file.clone()), wall);
         // The second projector has corners of its own in one file, and not even a table in others.
         for _ in 0..6 {
-            alignment.next_corner(&wall);
+            alignment.next_corner();
         }
-        wall = alignment.moved(&wall, DVec2::new(-3.35, 2.0)).expect("a small step");
-        alignment.save(&wall).expect("saved");
-        alignment.next_corner(&wall);
-        wall = alignment.moved(&wall, DVec2::new(-1.0, -2.0)).expect("a small step");
-        alignment.save(&wall).expect("saved over the last");
-        assert_eq!(Wall::load(&file).expect("still a wall file"), wall, "{name}");
+        assert!(alignment.move_by(DVec2::new(-3.35, 2.0)));
+        alignment.save().expect("saved");
+        alignment.next_corner();
+        assert!(alignment.move_by(DVec2::new(-1.0, -2.0)));
+        alignment.save().expect("saved over the last");
+        assert_eq!(Wall::load(&file).expect("still a wall file"), alignment.wall, "{name}");
         let (before, after) = (fs::read_to_string(shipped_path(name)), fs::read_to_string(&file));
         let (before, after) = (before.expect("text"), after.expect("text"));
         let is_kept = |line: &&str| line.starts_with("warp_px") || after.lines().any(|it| it == *line);
@@ -145,13 +156,13 @@ fn corners_without_a_place_leave_the_file_unchanged() {
         "canvas_m = [1.0, 1.0]\nprojector = [{ name = \"a\", pixels = [40, 30], at_m = [0, 0], size_m = [1, 1] }]\n";
     fs::write(&file, text).expect("written");
     let wall = Wall::load(&file).expect("a wall file");
-    let mut alignment = aligning(Some(file.clone()));
-    alignment.next_corner(&wall);
-    let moved = alignment.moved(&wall, DVec2::new(1.0, 1.0)).expect("a small step");
-    let error = alignment.save(&moved).expect_err("no place").to_string();
+    let mut alignment = aligning(Some(file.clone()), wall.clone());
+    alignment.next_corner();
+    assert!(alignment.move_by(DVec2::new(1.0, 1.0)));
+    let error = alignment.save().expect_err("no place").to_string();
     assert!(error.contains("[[projector]]") && !error.contains('\n'), "{error}");
     assert_eq!(fs::read_to_string(&file).expect("text"), text);
     fs::remove_dir_all(&folder).expect("removed");
-    let error = Alignment::new(None).save(&wall).expect_err("no file").to_string();
+    let error = Alignment::new(None, wall).save().expect_err("no file").to_string();
     assert!(error.contains("--wall FILE"), "{error}");
 }

@@ -1,23 +1,11 @@
 //! Chooses the resolution that holds the target rate, from the times that frames took.
 //!
-//! A frame's time has a part that grows with its samples and a fixed part for messages. A change of the resolution
-//! reveals the fixed part.
-//!
-//! Late frames lower the resolution at once, as far as needed. The fewer frames there are, the later they must be; a
-//! single one never lowers it. Frames with enough time left raise the resolution by one rung, but only after a while,
-//! which doubles each time that a raise proved too much: with steady nodes the picture does not flicker.
-//!
-//! Frames are rendered while others are shown, so a frame is late if either takes longer than the target interval. If
-//! the display cannot reach the target rate even with the coarsest frames, its own maximum takes the target's place.
+//! ARCHITECTURE.md ("Resolution") has the model. The fewer late frames there are, the later they must be to lower the
+//! resolution. Raises wait longer each time, so that with steady nodes the picture does not flicker.
 
 use std::{collections::VecDeque, time::Duration};
 
-use shared::division::FrameSize;
-
-use super::{
-    display::{DisplayCost, ShowTimes},
-    ladder::Ladder,
-};
+use super::{display::DisplayCost, ladder::Ladder};
 
 /// The part of the target interval to aim at; the rest is for frames that take longer than others.
 const TARGET_PART: f64 = 0.9;
@@ -39,13 +27,11 @@ const FEWEST_FRAMES_BEFORE_RAISE: u32 = N_RECENT as u32;
 /// …and at most: a minute's worth at 30 a second.
 const MOST_FRAMES_BEFORE_RAISE: u32 = 2048;
 
-/// The resolution of frames in motion.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct ResolutionControl {
-    /// The target interval between frames, in seconds.
     target_s: f64,
-    display: DisplayCost,
-    rung: usize,
+    pub(super) display: DisplayCost,
+    pub(super) rung: usize,
     /// The times of the last frames since the resolution changed, in seconds.
     recent_s: VecDeque<f64>,
     /// Frames since then.
@@ -53,7 +39,6 @@ pub(super) struct ResolutionControl {
     /// Mean time of the frames since then, or of the last `frames_before_raise` of them, in seconds.
     long_mean_s: f64,
     frames_before_raise: u32,
-    /// Whether the last change raised the resolution.
     was_raised: bool,
     /// The fixed part of a frame's time, in seconds.
     fixed_s: f64,
@@ -67,18 +52,9 @@ impl ResolutionControl {
             target_s: target_interval.as_secs_f64(),
             display: DisplayCost::new(ladder.size(0)),
             rung,
-            recent_s: VecDeque::with_capacity(N_RECENT),
-            n_frames: 0,
-            long_mean_s: 0.0,
             frames_before_raise: FEWEST_FRAMES_BEFORE_RAISE,
-            was_raised: false,
-            fixed_s: 0.0,
-            previous: None,
+            ..Self::default()
         }
-    }
-
-    pub(super) fn rung(&self) -> usize {
-        self.rung
     }
 
     /// The camera rests: the next motion may differ from this one.
@@ -91,12 +67,7 @@ impl ResolutionControl {
     /// The interval to hold, in seconds: the target's, or the display's if that is longer.
     fn interval_s(&self, ladder: &Ladder) -> f64 {
         let coarsest_s = self.shown_s(ladder, ladder.last());
-        self.target_s.max(DISPLAY_ROOM * coarsest_s).max(self.display.refresh_s())
-    }
-
-    /// Accounts for a frame of any size that was shown.
-    pub(super) fn learn_shown(&mut self, size: FrameSize, times: &ShowTimes) {
-        self.display.learn(size, times);
+        self.target_s.max(DISPLAY_ROOM * coarsest_s).max(self.display.refresh_s)
     }
 
     /// Accounts for a frame of the present rung that the farm has completed, and changes the rung if needed.
@@ -148,7 +119,6 @@ impl ResolutionControl {
         fixed_s + (mean_s - fixed_s) * n_samples(ladder, rung) / n_samples(ladder, self.rung)
     }
 
-    /// The expected time to show a frame of a rung, in seconds.
     fn shown_s(&self, ladder: &Ladder, rung: usize) -> f64 {
         self.display.expected_s(ladder.size(rung))
     }

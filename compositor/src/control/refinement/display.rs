@@ -5,12 +5,10 @@ use std::time::Duration;
 
 use shared::division::FrameSize;
 
-/// The times of showing a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ShowTimes {
+pub(crate) struct ShowTimes {
     /// From the frame's arrival until the next can be shown.
     pub took: Duration,
-    /// The upload alone.
     pub upload: Duration,
     /// The refresh interval of the fastest output; zero if unknown.
     pub refresh: Duration,
@@ -26,11 +24,12 @@ const LEAST_VARIANCE: f64 = 1e-3;
 
 /// A line through the last frames' times over their samples: ridge regression with forgetting, toward the slope of the
 /// upload alone.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct DisplayCost {
-    native: FrameSize,
+    native_samples: f64,
     last_size: Option<FrameSize>,
-    refresh_s: f64,
+    /// The refresh interval; 0 if unknown.
+    pub(super) refresh_s: f64,
     n_frames: u32,
     /// Only the first frame is known, which includes one-time costs.
     is_guess: bool,
@@ -45,18 +44,7 @@ pub(super) struct DisplayCost {
 impl DisplayCost {
     /// A model without data.
     pub(super) fn new(native: FrameSize) -> Self {
-        Self {
-            native,
-            last_size: None,
-            refresh_s: 0.0,
-            n_frames: 0,
-            is_guess: false,
-            mean_upload_s: 0.0,
-            mean_samples: 0.0,
-            mean_s: 0.0,
-            variance: 0.0,
-            covariance_s: 0.0,
-        }
+        Self { native_samples: f64::from(native.n_samples()), ..Self::default() }
     }
 
     /// Accounts for a frame of this size that was shown.
@@ -83,11 +71,6 @@ impl DisplayCost {
         self.covariance_s = (1.0 - weight) * (self.covariance_s + weight * delta_samples * delta_s);
     }
 
-    /// The refresh interval in seconds; 0 if unknown.
-    pub(super) fn refresh_s(&self) -> f64 {
-        self.refresh_s
-    }
-
     /// The expected time of a frame of this size, in seconds; 0 without data.
     pub(super) fn expected_s(&self, size: FrameSize) -> f64 {
         if self.n_frames == 0 {
@@ -101,7 +84,7 @@ impl DisplayCost {
     }
 
     fn samples(&self, size: FrameSize) -> f64 {
-        f64::from(size.n_samples()) / f64::from(self.native.n_samples())
+        f64::from(size.n_samples()) / self.native_samples
     }
 }
 

@@ -38,7 +38,6 @@ impl Ladder {
         self.0[rung.min(self.last())]
     }
 
-    /// The coarsest rung.
     pub(super) fn last(&self) -> usize {
         self.0.len() - 1
     }

@@ -24,9 +24,10 @@ pub(super) struct TaskPart {
 
 impl TaskPart {
     /// Part `index` of `n_parts` of this one.
-    pub(super) fn part(&self, index: u32, n_parts: u32) -> Option<Self> {
+    pub(super) fn part(&self, index: u32, n_parts: u32) -> Self {
         let n_units = self.n_units.saturating_sub(index).div_ceil(n_parts);
-        Some(Self { task: self.task.part(index, n_parts)?, n_units, ..*self })
+        let task = self.task.part(index, n_parts).expect("parts hold units, so there are no more than the frame has");
+        Self { task, n_units, ..*self }
     }
 }
 

@@ -1,6 +1,9 @@
 //! A frame in flight: its tasks, and which of its samples have arrived.
 
-use std::time::Duration;
+use std::{
+    collections::{BTreeMap, VecDeque},
+    time::Duration,
+};
 
 use shared::{
     division::{Division, Share, Task},
@@ -20,6 +23,17 @@ const LATE_FACTOR: u32 = 3;
 /// …but not before this time: giving it out again sooner costs more than waiting.
 const LEAST_LATENESS: Duration = Duration::from_millis(30);
 
+/// While no task of the frame is finished, a task is late after this time. It doubles with each time that the same samples
+/// were handed out, so that copies of a heavy task do not multiply.
+const LATENESS_WITHOUT_RESULTS: Duration = Duration::from_millis(250);
+
+/// While no task of the frame is finished, a late one is divided into at least this many parts, so that render servers that
+/// join later can help.
+const LATE_TASK_PARTS: u32 = 4;
+
+/// Parts have at least this many samples, even if many render servers die in one frame.
+const SMALLEST_PART: u32 = 256;
+
 /// A frame in flight.
 #[derive(Debug)]
 pub(super) struct FrameInFlight {
@@ -34,6 +48,27 @@ pub(super) struct FrameInFlight {
     pub(super) completed_at: Option<Time>,
     coverage: Coverage,
     tasks: Vec<AssignedTask>,
+    waiting: VecDeque<WaitingTask>,
+}
+
+/// A task that waits for a node to take it: its node is lost, silent or late.
+#[derive(Debug)]
+struct WaitingTask {
+    task: HandedOut,
+    /// The assigned task that it repeats.
+    of: TaskId,
+    /// Whether its node may still answer in time, so that only idle nodes take it.
+    is_late: bool,
+    /// Whether it is a part of that task, and is not divided again.
+    is_divided: bool,
+}
+
+/// A task on its way to a node.
+#[derive(Clone, Debug)]
+pub(super) struct HandedOut {
+    pub(super) task_part: TaskPart,
+    /// How often its samples were handed out before.
+    copies: u32,
 }
 
 /// A task that was given to a node, and its state.
@@ -44,6 +79,7 @@ struct AssignedTask {
     name: String,
     threads: u32,
     task_part: TaskPart,
+    copies: u32,
     encoding: Encoding,
     sent_at: Time,
     state: TaskState,
@@ -54,9 +90,9 @@ struct AssignedTask {
 #[derive(Debug)]
 enum TaskState {
     Running,
-    /// Its node is silent, and no other has it yet.
+    /// Its node is silent; the task waits for others.
     Silent,
-    /// Late, or its node is silent; others have it as well.
+    /// Late, or its node is silent; others have it, or it waits for them.
     Duplicated,
     Done {
         at: Time,
@@ -65,22 +101,42 @@ enum TaskState {
         timings: TaskTimings,
         costs: RunCosts,
     },
-    /// Its node is lost, and no other has it yet.
-    Lost,
-    /// Its node is lost, and others have it.
-    Reassigned,
+    /// Its node is lost, or is without the scene; others have it, or it waits for them.
+    GivenUp,
+}
+
+impl AssignedTask {
+    /// Whether its node may still answer.
+    fn is_unfinished(&self) -> bool {
+        matches!(self.state, TaskState::Running | TaskState::Silent | TaskState::Duplicated)
+    }
+
+    fn waiting(&self, is_late: bool) -> WaitingTask {
+        let task = HandedOut { task_part: self.task_part.clone(), copies: self.copies + 1 };
+        WaitingTask { task, of: self.id, is_late, is_divided: false }
+    }
 }
 
 impl FrameInFlight {
     pub(super) fn new(id: FrameId, spec: FrameSpec, is_refinement: bool, division: Division, now: Time) -> Self {
-        let (coverage, tasks) = (Coverage::default(), Vec::new());
-        Self { id, spec, is_refinement, attempts: 1, division, started_at: now, completed_at: None, coverage, tasks }
+        Self {
+            id,
+            spec,
+            is_refinement,
+            attempts: 1,
+            division,
+            started_at: now,
+            completed_at: None,
+            coverage: Coverage::default(),
+            tasks: Vec::new(),
+            waiting: VecDeque::new(),
+        }
     }
 
     /// Adds one of the tasks that the frame is first divided into.
-    pub(super) fn add(&mut self, task: Task) -> TaskPart {
+    pub(super) fn add(&mut self, task: Task) -> HandedOut {
         let n_units = share(&task, self.spec).count();
-        self.coverage.add(task, n_units)
+        HandedOut { task_part: self.coverage.add(task, n_units), copies: 0 }
     }
 
     pub(super) fn assign(
@@ -89,7 +145,7 @@ impl FrameInFlight {
         id: TaskId,
         node: NodeId,
         (name, threads): (String, u32),
-        task_part: TaskPart,
+        HandedOut { task_part, copies }: HandedOut,
         encoding: Encoding,
     ) {
         self.tasks.push(AssignedTask {
@@ -98,6 +154,7 @@ impl FrameInFlight {
             name,
             threads,
             task_part,
+            copies,
             encoding,
             sent_at: now,
             state: TaskState::Running,
@@ -130,7 +187,8 @@ impl FrameInFlight {
         let assigned = self.tasks.iter_mut().find(|assigned| assigned.id == task_id && assigned.node == node)?;
         // Samples are missing: the report is false.
         if !self.coverage.has_received_all(&assigned.task_part) {
-            assigned.state = TaskState::Lost;
+            assigned.state = TaskState::GivenUp;
+            self.waiting.push_back(assigned.waiting(false));
             return None;
         }
         let took = now.saturating_sub(assigned.sent_at.max(since));
@@ -143,73 +201,121 @@ impl FrameInFlight {
         n_samples(&share(task, self.spec))
     }
 
-    /// Marks a node as silent: it may still answer, but others will get its tasks. Or as heard again: it keeps the tasks
-    /// that no other has.
+    /// Marks a node as silent: it may still answer, but its tasks wait for others. Or as heard again: it keeps the tasks that
+    /// no other has taken.
     pub(super) fn set_silent(&mut self, node: NodeId, is_silent: bool) {
         for assigned in self.tasks.iter_mut().filter(|assigned| assigned.node == node) {
             match assigned.state {
-                TaskState::Running if is_silent => assigned.state = TaskState::Silent,
-                TaskState::Silent if !is_silent => assigned.state = TaskState::Running,
+                TaskState::Running if is_silent => {
+                    assigned.state = TaskState::Silent;
+                    self.waiting.push_back(assigned.waiting(false));
+                }
+                TaskState::Silent if !is_silent => {
+                    assigned.state = TaskState::Running;
+                    self.waiting.retain(|waiting| waiting.of != assigned.id);
+                }
                 _ => {}
             }
         }
     }
 
-    pub(super) fn mark_lost(&mut self, node: NodeId) {
-        for assigned in self.tasks.iter_mut().filter(|assigned| assigned.node == node) {
-            assigned.state = match assigned.state {
-                TaskState::Running | TaskState::Silent => TaskState::Lost,
-                TaskState::Duplicated => TaskState::Reassigned,
-                _ => continue,
-            };
-        }
-    }
-
-    /// The incomplete tasks of lost and silent nodes; the caller must give them to others.
-    pub(super) fn take_lost_tasks(&mut self) -> Vec<TaskPart> {
-        let mut missing = Vec::new();
-        for assigned in &mut self.tasks {
-            assigned.state = match assigned.state {
-                TaskState::Lost => TaskState::Reassigned,
-                TaskState::Silent => TaskState::Duplicated,
-                _ => continue,
-            };
-            if !self.coverage.has_received_all(&assigned.task_part) {
-                missing.push(assigned.task_part.clone());
+    /// Gives up a node's tasks; they wait for others. Returns whether it had any.
+    pub(super) fn give_up(&mut self, node: NodeId) -> bool {
+        let mut had_tasks = false;
+        for assigned in self.tasks.iter_mut().filter(|assigned| assigned.node == node && assigned.is_unfinished()) {
+            had_tasks = true;
+            match assigned.state {
+                TaskState::Running => self.waiting.push_back(assigned.waiting(false)),
+                // Those that wait are no longer only late.
+                _ => self.waiting.iter_mut().filter(|w| w.of == assigned.id).for_each(|w| w.is_late = false),
             }
+            assigned.state = TaskState::GivenUp;
         }
-        missing
+        had_tasks
     }
 
-    /// The oldest late task; the caller must give it to others as well.
+    pub(super) fn has_waiting(&self) -> bool {
+        !self.waiting.is_empty()
+    }
+
+    /// Takes the task that has waited longest, or a part of it if fewer wait than there are takers. Only idle nodes take late
+    /// tasks.
+    pub(super) fn take_waiting(&mut self, n_takers: u32, is_idle: bool) -> Option<HandedOut> {
+        loop {
+            let index = self.waiting.iter().position(|waiting| is_idle || !waiting.is_late)?;
+            let n_parts = n_takers.div_ceil(self.waiting.len() as u32);
+            let whole = self.waiting.remove(index)?;
+            // Its node has answered after all.
+            if self.coverage.has_received_all(&whole.task.task_part) {
+                continue;
+            }
+            if whole.is_divided {
+                return Some(whole.task);
+            }
+            self.attempts += 1;
+            if let Some(repeated) = self.tasks.iter_mut().find(|assigned| assigned.id == whole.of)
+                && matches!(repeated.state, TaskState::Silent)
+            {
+                repeated.state = TaskState::Duplicated;
+            }
+            let mut parts = self.parts(&whole, n_parts);
+            let first = parts.next()?;
+            parts.enumerate().for_each(|(offset, part)| self.waiting.insert(index + offset, part));
+            return Some(first.task);
+        }
+    }
+
+    /// Divides a task into at most `most_parts` parts.
+    fn parts(&self, whole: &WaitingTask, most_parts: u32) -> impl Iterator<Item = WaitingTask> + use<> {
+        let WaitingTask { task: HandedOut { task_part, copies }, of, is_late, .. } = whole;
+        let n_parts = most_parts.min(self.n_samples(&task_part.task) / SMALLEST_PART).max(1);
+        let (task_part, copies, of, is_late) = (task_part.clone(), *copies, *of, *is_late);
+        (0..n_parts).map(move |index| {
+            let task = HandedOut { task_part: task_part.part(index, n_parts), copies };
+            WaitingTask { task, of, is_late, is_divided: true }
+        })
+    }
+
+    /// Has the oldest late task wait for `n_idle` idle nodes as well. Returns whether there is one.
     ///
     /// `free_at`: since when a node has had only tasks of this frame; `None` if it is busy with an earlier one.
-    pub(super) fn take_late_task(&mut self, now: Time, free_at: impl Fn(NodeId) -> Option<Time>) -> Option<TaskPart> {
+    pub(super) fn repeat_late_task(
+        &mut self,
+        now: Time,
+        n_idle: u32,
+        free_at: impl Fn(NodeId) -> Option<Time>,
+    ) -> bool {
         let slowest = self.tasks.iter().filter_map(|assigned| match assigned.state {
             TaskState::Done { took, .. } => Some(took),
             _ => None,
         });
-        let late_after = (slowest.max()? * LATE_FACTOR).max(LEAST_LATENESS);
+        let slowest = slowest.max().map(|slowest| (slowest * LATE_FACTOR).max(LEAST_LATENESS));
+        let late_after = |copies: u32| slowest.unwrap_or(LATENESS_WITHOUT_RESULTS * 2_u32.pow(copies.min(16)));
         let is_late = |assigned: &&mut AssignedTask| {
-            matches!(assigned.state, TaskState::Running)
-                && free_at(assigned.node)
-                    .is_some_and(|free_at| now.saturating_sub(assigned.sent_at.max(free_at)) > late_after)
+            let is_overdue = |free_at| now.saturating_sub(assigned.sent_at.max(free_at)) > late_after(assigned.copies);
+            matches!(assigned.state, TaskState::Running) && free_at(assigned.node).is_some_and(is_overdue)
         };
-        let late = self.tasks.iter_mut().find(is_late)?;
+        let Some(late) = self.tasks.iter_mut().find(is_late) else { return false };
         late.state = TaskState::Duplicated;
-        Some(late.task_part.clone())
+        let late = late.waiting(true);
+        self.attempts += 1;
+        let n_parts = if slowest.is_none() { n_idle.max(LATE_TASK_PARTS) } else { n_idle };
+        self.waiting.extend(self.parts(&late, n_parts));
+        true
+    }
+
+    /// The nodes with unfinished tasks of this frame, and how many each has.
+    pub(super) fn n_unfinished(&self) -> BTreeMap<NodeId, u32> {
+        let mut n_unfinished = BTreeMap::new();
+        for assigned in self.tasks.iter().filter(|assigned| assigned.is_unfinished()) {
+            *n_unfinished.entry(assigned.node).or_default() += 1;
+        }
+        n_unfinished
     }
 
     /// Whether any samples have arrived.
     pub(super) fn has_begun(&self) -> bool {
         self.tasks.iter().any(|assigned| assigned.n_bytes > 0)
-    }
-
-    pub(super) fn busy_nodes(&self) -> impl Iterator<Item = NodeId> {
-        let is_at_work = |assigned: &&AssignedTask| {
-            matches!(assigned.state, TaskState::Running | TaskState::Silent | TaskState::Duplicated)
-        };
-        self.tasks.iter().filter(is_at_work).map(|assigned| assigned.node)
     }
 
     /// Whether every sample is placed and no task is running; silent and late nodes do not count.

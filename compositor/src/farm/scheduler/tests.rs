@@ -2,9 +2,10 @@
 
 mod edges;
 mod in_flight;
+mod losses;
 mod silence;
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use proptest::prelude::*;
 use shared::{
@@ -23,7 +24,7 @@ const A: NodeId = NodeId(1);
 const B: NodeId = NodeId(2);
 const C: NodeId = NodeId(3);
 
-fn spec(eye_x: f64, triangles: u32) -> FrameSpec {
+pub(in crate::farm) fn spec(eye_x: f64, triangles: u32) -> FrameSpec {
     let eye = glam::DVec3::new(eye_x, 0.0, 5.0);
     FrameSpec {
         scene: SceneId::Statue { triangles },
@@ -65,6 +66,8 @@ struct Farm {
     scheduler: Scheduler,
     now: Time,
     at_work: VecDeque<Sent>,
+    /// The units of all tasks that were sent.
+    n_units_sent: u64,
     shown: Vec<FrameStats>,
     cancelled: Vec<NodeId>,
     /// The nodes that were told to load a scene, and which.
@@ -82,6 +85,7 @@ impl Farm {
             scheduler,
             now: Time::ZERO,
             at_work: VecDeque::new(),
+            n_units_sent: 0,
             shown: vec![],
             cancelled: vec![],
             loading: vec![],
@@ -109,7 +113,8 @@ impl Farm {
                     assert!(self.placed.len() <= in_flight, "more than {in_flight} frames in flight");
                 }
                 Action::Render { node, frame, task_id, spec, task, .. } => {
-                    task.share(spec.size).expect("tasks fit their frames");
+                    let share = task.share(spec.size).expect("tasks fit their frames");
+                    self.n_units_sent += u64::from(share.count());
                     self.at_work.push_back(Sent { node, frame, task_id, task, size: spec.size });
                 }
                 Action::Cancel { node, frame } => {

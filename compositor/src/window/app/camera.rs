@@ -7,15 +7,15 @@ use std::{
 
 use shared::camera::{Camera, CameraPath, CameraRecorder, UpAxis};
 
-use super::effect::Effect;
 use crate::{
+    cli::args::Inputs,
     control::{
         input::Direction,
         model::Model,
         navigator::Navigator,
         sidecar::{self, SidecarFiles},
     },
-    window::options::WindowOptions,
+    window::effect::Effect,
 };
 
 /// The time between two steps of a camera that moves by itself.
@@ -26,14 +26,12 @@ const FAST: f64 = 4.0;
 /// The camera on the current model, and the model's views and path.
 pub(super) struct CameraControl {
     /// `None` until the first model is loaded.
-    navigator: Option<Navigator>,
+    pub(super) navigator: Option<Navigator>,
     sidecars: Option<SidecarFiles>,
     recording: Option<Recording>,
     /// When time last moved the camera.
     stepped_at: Instant,
-    /// Width over height of the canvas.
     aspect: f64,
-    /// The axis that the operator chose as up.
     up: Option<UpAxis>,
     first_camera: Option<Camera>,
     first_path: Option<CameraPath>,
@@ -45,25 +43,17 @@ struct Recording {
 }
 
 impl CameraControl {
-    pub(super) fn new(options: &WindowOptions, now: Instant) -> Self {
+    pub(super) fn new(up: Option<UpAxis>, inputs: &Inputs, now: Instant) -> Self {
         Self {
             navigator: None,
             sidecars: None,
             recording: None,
             stepped_at: now,
-            aspect: options.wall.aspect(),
-            up: options.up,
-            first_camera: options.camera,
-            first_path: options.path.clone(),
+            aspect: inputs.wall.aspect(),
+            up,
+            first_camera: inputs.camera,
+            first_path: inputs.path.clone(),
         }
-    }
-
-    pub(super) fn navigator(&self) -> Option<&Navigator> {
-        self.navigator.as_ref()
-    }
-
-    pub(super) fn navigator_mut(&mut self) -> Option<&mut Navigator> {
-        self.navigator.as_mut()
     }
 
     pub(super) fn is_recording(&self) -> bool {
@@ -83,7 +73,6 @@ impl CameraControl {
         self.navigator.as_ref().is_some_and(Navigator::is_dragging)
     }
 
-    /// The numbers of the model's views.
     pub(super) fn view_numbers(&self) -> Vec<u8> {
         let views = self.sidecars.as_ref().and_then(SidecarFiles::views);
         views.map(|views| views.numbers().collect()).unwrap_or_default()
@@ -98,11 +87,8 @@ impl CameraControl {
             navigator.set_bounds(model.bounds, up);
             return Effect::picture();
         }
-        let navigator = Navigator::new(model.bounds, up, self.aspect);
-        self.navigator = Some(match self.first_camera {
-            Some(camera) => navigator.with_camera(camera),
-            None => navigator,
-        });
+        let navigator = self.navigator.insert(Navigator::new(model.bounds, up, self.aspect));
+        self.first_camera.into_iter().for_each(|camera| navigator.set_camera(camera));
         let Some(path) = self.first_path.take().map(Arc::new) else { return Effect::picture() };
         sidecars.keep_path(Arc::clone(&path));
         self.play(path, true, now)
@@ -159,7 +145,7 @@ impl CameraControl {
     pub(super) fn keep_view(&mut self, number: u8) -> Effect {
         let (Some(sidecars), Some(navigator)) = (&mut self.sidecars, &self.navigator) else { return Effect::default() };
         match sidecars.keep_view(number, navigator.destination(), navigator.up()) {
-            Ok((file, text)) => Effect::job(move || sidecar::write_views(&file, &text).map(|()| None))
+            Ok((file, text)) => Effect::job(move || sidecar::write_views(&file, &text).map(|()| Effect::default()))
                 .with_note(format!("View {number} is kept: key {number} goes there")),
             Err(problem) => Effect::problem(problem),
         }
@@ -194,7 +180,7 @@ impl CameraControl {
         let path = Arc::new(path);
         let file = sidecars.keep_path(Arc::clone(&path));
         let note = format!("Camera path of {:.1} s: Space plays it", path.duration_seconds());
-        Effect::job(move || sidecar::write_path(&file, &path).map(|()| None)).with_note(note)
+        Effect::job(move || sidecar::write_path(&file, &path).map(|()| Effect::default())).with_note(note)
     }
 
     pub(super) fn toggle_playing(&mut self, repeats: bool, now: Instant) -> Effect {
@@ -259,9 +245,9 @@ mod tests {
             assert!(has_moved && next == Some(start + 2 * STEP_INTERVAL));
             control.fly(Direction::Forward, false, start);
             assert_eq!(control.advance(is_fast, start + 3 * STEP_INTERVAL), (false, None));
-            control.navigator().unwrap().camera().eye()
+            control.navigator.as_ref().unwrap().camera().eye()
         };
-        let eye = camera_on_a_cube(start).navigator().unwrap().camera().eye();
+        let eye = camera_on_a_cube(start).navigator.unwrap().camera().eye();
         let [slow, fast] = [false, true].map(|is_fast| (eye_after_a_step(is_fast) - eye).length());
         assert!((fast / slow - FAST).abs() < 1e-6, "{slow} {fast}");
     }
@@ -273,8 +259,8 @@ mod tests {
         assert!(control.toggle_playing(false, start).note.is_some(), "there is no path yet");
         control.toggle_recording(start);
         assert!(control.is_recording());
-        control.navigator_mut().unwrap().press(Drag::Orbit);
-        control.navigator_mut().unwrap().move_to(DVec2::new(0.7, 0.5));
+        control.navigator.as_mut().unwrap().press(Drag::Orbit);
+        control.navigator.as_mut().unwrap().move_to(DVec2::new(0.7, 0.5));
         control.record(start + Duration::from_secs(1));
         let effect = control.toggle_recording(start + Duration::from_secs(1));
         assert!(effect.job.is_some() && effect.note.is_some() && !control.is_recording());

@@ -4,14 +4,13 @@ use std::time::{Duration, Instant};
 
 use crate::farm::stats::FarmStatus;
 
-/// How long a note stays on screen.
 const NOTE_LIFE: Duration = Duration::from_secs(8);
 
-/// The texts that an operator has yet to read.
 #[derive(Debug, Default)]
 pub(super) struct Messages {
     note: Option<(String, Instant)>,
-    problem: Option<String>,
+    /// Shown until it is dismissed.
+    pub(super) problem: Option<String>,
     /// The farm's message when it was dismissed, and the number of lost render servers then.
     dismissed: (Option<String>, u32),
     /// The missing monitors when the message about them was dismissed.
@@ -19,14 +18,8 @@ pub(super) struct Messages {
 }
 
 impl Messages {
-    /// Shows a text for a while.
     pub(super) fn show_note(&mut self, note: String, now: Instant) {
         self.note = Some((note, now));
-    }
-
-    /// Shows a problem until it is dismissed, or clears the last one.
-    pub(super) fn set_problem(&mut self, problem: Option<String>) {
-        self.problem = problem;
     }
 
     /// Clears all messages; those of farm and monitors return when they change.
@@ -35,13 +28,11 @@ impl Messages {
         *self = Self { dismissed, dismissed_monitors: missing_monitors, ..Self::default() };
     }
 
-    /// The note that is on screen now.
     pub(super) fn note(&mut self, now: Instant) -> Option<String> {
         self.note.take_if(|(_, since)| now.duration_since(*since) >= NOTE_LIFE);
         self.note.as_ref().map(|(note, _)| note.clone())
     }
 
-    /// When the note leaves the screen.
     pub(super) fn note_ends_at(&self) -> Option<Instant> {
         self.note.as_ref().map(|(_, since)| *since + NOTE_LIFE)
     }
@@ -79,8 +70,7 @@ mod tests {
     fn dismissed_messages_return_only_with_news() {
         let lost = |n_lost| FarmStatus { message: Some("node lost".to_owned()), n_lost, ..FarmStatus::default() };
         let (left, both) = (["DP-1".to_owned()], ["DP-1".to_owned(), "DP-2".to_owned()]);
-        let mut messages = Messages::default();
-        messages.set_problem(Some("disk full".to_owned()));
+        let mut messages = Messages { problem: Some("disk full".to_owned()), ..Messages::default() };
         assert_eq!(messages.list(&lost(1), &left).len(), 3);
         messages.dismiss(lost(1), left.to_vec());
         assert_eq!(messages.list(&lost(1), &left), Vec::<String>::new());

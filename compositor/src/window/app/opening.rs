@@ -1,17 +1,14 @@
 //! Lists the files of a folder, to choose a model.
 
-use std::{
-    path::{Path, PathBuf},
-    sync::mpsc,
-};
+use std::path::{Path, PathBuf};
 
 use renderer::model::scene::SceneSource;
 use winit::keyboard::NamedKey;
 
-use super::effect::Effect;
 use crate::{
     control::input::{Command, Key},
     overlay::{FileEntry, FileList},
+    window::effect::Effect,
 };
 
 /// At most this many entries of a folder are shown.
@@ -22,35 +19,18 @@ const PAGE: isize = 15;
 /// The list of files on screen, and the folder that it shows.
 pub(super) struct Browser {
     /// `None` while the list is hidden.
-    files: Option<FileList>,
+    pub(super) files: Option<FileList>,
     folder: PathBuf,
-    listings: (mpsc::Sender<FileListing>, mpsc::Receiver<FileListing>),
-}
-
-/// The contents of a folder.
-struct FileListing {
-    folder: PathBuf,
-    list: FileList,
 }
 
 impl Browser {
-    /// Starts at the folder of a model.
     pub(super) fn new(source: &SceneSource) -> Self {
         let folder = match source {
             SceneSource::Ply(path) => path.parent().map(Path::to_owned).filter(|path| !path.as_os_str().is_empty()),
             SceneSource::Statue { .. } => None,
         };
         let folder = folder.unwrap_or_else(|| PathBuf::from("."));
-        Self { files: None, folder: std::path::absolute(&folder).unwrap_or(folder), listings: mpsc::channel() }
-    }
-
-    /// The list on screen.
-    pub(super) fn files(&self) -> Option<&FileList> {
-        self.files.as_ref()
-    }
-
-    pub(super) fn hide(&mut self) {
-        self.files = None;
+        Self { files: None, folder: std::path::absolute(&folder).unwrap_or(folder) }
     }
 
     pub(super) fn toggle(&mut self) -> Effect {
@@ -60,21 +40,13 @@ impl Browser {
     fn list_folder(&mut self, folder: PathBuf) -> Effect {
         self.files = Some(FileList { folder: folder.display().to_string(), ..FileList::default() });
         self.folder = folder.clone();
-        let sender = self.listings.0.clone();
-        Effect::job(move || {
-            let list = list(&folder);
-            // The receiver is gone once the window is closed.
-            let _ = sender.send(FileListing { folder, list });
-            Ok(None)
-        })
+        Effect::job(move || Ok(Effect { files: Some(list(&folder)), ..Effect::default() }))
     }
 
-    /// Shows the folder's contents once they are read.
-    pub(super) fn take_listings(&mut self) {
-        while let Ok(FileListing { folder, list }) = self.listings.1.try_recv() {
-            if self.files.is_some() && folder == self.folder {
-                self.files = Some(list);
-            }
+    /// Shows the contents of a folder, unless another is on screen now.
+    pub(super) fn show(&mut self, list: FileList) {
+        if let Some(files) = self.files.as_mut().filter(|files| files.folder == list.folder) {
+            *files = list;
         }
     }
 
@@ -176,13 +148,12 @@ mod tests {
         assert_eq!((listed.chosen, listed.problem), (1, None));
         let mut browser = Browser::new(&SceneSource::Ply(folder.join("b.PLY")));
         let job = browser.toggle().job.expect("the folder is to be read");
-        assert_eq!(job(), Ok(None));
-        browser.take_listings();
+        browser.show(job().files.expect("the folder's files"));
         assert_eq!(browser.command(Key::Named(NamedKey::ArrowDown)), Some(Command::Choose(2)));
         browser.choose(9);
-        assert_eq!(browser.files().map(|files| files.chosen), Some(2));
+        assert_eq!(browser.files.as_ref().map(|files| files.chosen), Some(2));
         assert_eq!(browser.open(2).0, Some(folder.join("b.PLY")));
-        assert!(browser.files().is_none());
+        assert!(browser.files.as_ref().is_none());
         std::fs::remove_dir_all(&folder).unwrap();
         assert!(list(&folder).problem.unwrap().contains("Backspace opens the folder above"));
     }

@@ -8,10 +8,11 @@ use shared::{
 };
 use strum::VariantArray;
 
-use super::effect::Effect;
 use crate::{
+    cli::args::WallArgs,
     control::refinement::{Refinement, RefinementOptions},
-    window::options::WindowOptions,
+    wall::Wall,
+    window::effect::Effect,
 };
 
 /// The parts of a [`FrameSpec`] that commands change, except for the camera.
@@ -25,13 +26,14 @@ pub(super) struct PictureControl {
 }
 
 impl PictureControl {
-    pub(super) fn new(options: &WindowOptions) -> Self {
+    pub(super) fn new(args: &WallArgs, wall: &Wall) -> Self {
+        let options = args.refinement(wall);
         Self {
-            shading: options.shading,
-            lighting: options.lighting,
-            appearance: options.appearance,
-            refinement: Refinement::new(options.refinement),
-            options: options.refinement,
+            shading: args.view,
+            lighting: args.rays,
+            appearance: args.appearance.appearance(),
+            refinement: Refinement::new(options),
+            options,
         }
     }
 
@@ -48,39 +50,21 @@ impl PictureControl {
         }
     }
 
-    pub(super) fn set_shading(&mut self, shading: ShadingMode) -> Effect {
-        self.shading = shading;
-        Effect::picture()
-    }
-
-    pub(super) fn set_lighting(&mut self, lighting: LightingMode) -> Effect {
-        self.lighting = lighting;
-        Effect::picture()
-    }
-
-    pub(super) fn set_light(&mut self, light: Light) -> Effect {
-        self.appearance.light = light;
+    pub(super) fn change(&mut self, change: impl FnOnce(&mut Self)) -> Effect {
+        change(self);
         Effect::picture()
     }
 
     pub(super) fn next_light(&mut self) -> Effect {
         let (name, light) = next_named(&Light::PRESETS, self.appearance.light);
-        self.set_light(light).with_note(format!("Light: {name}"))
-    }
-
-    pub(super) fn set_background(&mut self, background: Background) -> Effect {
-        self.appearance.background = background;
-        Effect::picture()
+        self.appearance.light = light;
+        Effect::picture().with_note(format!("Light: {name}"))
     }
 
     pub(super) fn next_background(&mut self) -> Effect {
         let (name, background) = next_named(&Background::PRESETS, self.appearance.background);
-        self.set_background(background).with_note(format!("Background: {name}"))
-    }
-
-    pub(super) fn set_clip(&mut self, clip: Option<Clip>) -> Effect {
-        self.appearance.clip = clip;
-        Effect::picture()
+        self.appearance.background = background;
+        Effect::picture().with_note(format!("Background: {name}"))
     }
 
     /// Clips from the next side, and from none after the last.
@@ -90,11 +74,8 @@ impl PictureControl {
             clip.map_or(0, |clip| 1 + ClipSide::VARIANTS.iter().position(|&side| side == clip.side()).unwrap_or(0));
         let side = ClipSide::VARIANTS.get(next).copied();
         let note = side.map_or("Whole again".to_owned(), |side| format!("Cut open from {side}"));
-        self.set_clip(side.map(|side| Clip::with_side(side, clip))).with_note(note)
-    }
-
-    pub(super) fn move_clip(&mut self, permille: i16) -> Effect {
-        self.set_clip(self.appearance.clip.map(|clip| clip.deepened_by(permille)))
+        self.appearance.clip = side.map(|side| Clip::with_side(side, clip));
+        Effect::picture().with_note(note)
     }
 
     pub(super) fn toggle_refinement(&mut self) -> Effect {

@@ -12,7 +12,6 @@ const DOUBLE_CLICK: (Duration, f64) = (Duration::from_millis(400), 0.01);
 /// The cursor of a full-screen wall disappears after this time at rest.
 const CURSOR_REST: Duration = Duration::from_secs(2);
 
-/// The mouse over the windows.
 #[derive(Debug)]
 pub(super) struct Pointer {
     /// The output whose window has the cursor.
@@ -41,12 +40,10 @@ impl Pointer {
         self.show(now);
     }
 
-    /// Keeps the cursor visible for a while.
     pub(super) fn show(&mut self, now: Instant) {
         self.moved_at = now;
     }
 
-    /// When a cursor at rest disappears.
     pub(super) fn hides_at(&self) -> Instant {
         self.moved_at + CURSOR_REST
     }

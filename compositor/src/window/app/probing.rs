@@ -7,18 +7,15 @@ use shared::{camera::Camera, division::FrameSize, protocol::ProbeHit};
 
 use crate::{farm::stats::Probed, overlay::Pick};
 
-/// The purpose of a probe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Purpose {
     /// To read which triangle it is.
     Inspect,
-    /// To go there.
     GoTo,
     /// To move nearer to it with the wheel.
     Approach,
 }
 
-/// A probe without an answer yet.
 #[derive(Clone, Copy, Debug)]
 struct PendingProbe {
     purpose: Purpose,
@@ -30,7 +27,6 @@ struct PendingProbe {
 /// A probe without an answer by then is dropped.
 const PROBE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// The wall's last probe.
 #[derive(Debug, Default)]
 pub(super) struct Probing {
     last_number: u32,

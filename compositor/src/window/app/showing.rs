@@ -7,15 +7,29 @@ use winit::event_loop::ActiveEventLoop;
 use super::App;
 use crate::{
     control::{navigator::Navigator, refinement::ShowTimes},
-    farm::stats::DisplayStats,
+    farm::{Frame, stats::DisplayStats},
     overlay::{FrameTimes, OverlayModel},
     supervisor::SupervisorLink,
+    window::{effect::Effect, frame_rate::FrameRate},
 };
 
 /// A waiting frame that has nothing to be drawn on is tried again after this.
 const RETRY_INTERVAL: Duration = Duration::from_millis(100);
 /// The overlay shows the times of the last frame after this, unless another frame comes first.
 const SETTLE_TIME: Duration = Duration::from_millis(100);
+
+/// The newest frame, and when to draw.
+#[derive(Debug, Default)]
+pub(super) struct Presentation {
+    pub(super) frame: Option<Frame>,
+    /// The frame has yet to be shown.
+    pub(super) is_new: bool,
+    pub(super) is_stale: bool,
+    pub(super) rate: FrameRate,
+    pub(super) repaint_at: Option<Instant>,
+    /// When to draw again after a window could not be drawn on.
+    pub(super) retry_at: Option<Instant>,
+}
 
 impl App<'_> {
     /// Draws all windows once the pending events are handled.
@@ -48,11 +62,11 @@ impl App<'_> {
             let [x, y] = frame.spec.camera.project(pick.point)?;
             Some(egui::pos2(x as f32, (1.0 - y) as f32))
         });
-        overlay.up = self.camera.navigator().map(Navigator::up).unwrap_or_default();
+        overlay.up = self.camera.navigator.as_ref().map(Navigator::up).unwrap_or_default();
         overlay.is_recording = self.camera.is_recording();
         overlay.is_playing = self.camera.is_playing();
         overlay.views = self.camera.view_numbers();
-        overlay.files = self.browser.files().cloned();
+        overlay.files = self.browser.files.clone();
         overlay.loading = self.loader.progress();
         overlay.frames_per_second = self.presentation.rate.per_second(now);
         overlay.note = self.messages.note(now);
@@ -62,12 +76,11 @@ impl App<'_> {
     pub(super) fn draw(&mut self, event_loop: &ActiveEventLoop) {
         self.presentation.is_stale = false;
         self.take_frame();
-        let effect = self.wall.refresh(self.outputs.painter());
-        self.apply(effect);
+        self.show_pattern();
         self.update_overlay(Instant::now());
         let new_frame = self.presentation.frame.as_ref().filter(|_| self.presentation.is_new);
         let started_at = Instant::now();
-        let drawn = match self.outputs.draw(self.wall.wall(), new_frame, &self.overlay) {
+        let drawn = match self.outputs.draw(&self.wall.wall, new_frame, &self.overlay) {
             Ok(Some(drawn)) => drawn,
             Ok(None) => {
                 self.presentation.retry_at = self.presentation.is_new.then(|| Instant::now() + RETRY_INTERVAL);
@@ -85,6 +98,17 @@ impl App<'_> {
         for command in drawn.overlay.commands {
             self.execute(event_loop, command);
         }
+    }
+
+    /// Updates the pattern on screen. Once for each redraw: a hand may move faster than patterns are drawn.
+    fn show_pattern(&mut self) {
+        let Some(shown) = self.wall.take_shown() else { return };
+        let Some(painter) = &mut self.outputs.painter else { return };
+        let Err(problem) = shown.and_then(|shown| Ok(painter.show_pattern(shown)?)) else { return };
+        self.wall.show(None);
+        // Taking a pattern away cannot fail.
+        let _ = painter.show_pattern(None);
+        self.apply(Effect::problem(problem.to_string()));
     }
 
     /// Accounts for a frame that has just reached the screen.
@@ -139,7 +163,7 @@ impl App<'_> {
             self.farm.update_goal(|goal| (goal.spec, goal.is_refinement) = (Some(step.spec), step.is_refinement));
         }
         next.push(self.picture.refinement.refines_at());
-        if self.outputs.is_filling() && self.outputs.cursor_is_visible() {
+        if self.outputs.is_filling && self.outputs.cursor_is_visible {
             let hides_at = self.pointer.hides_at();
             if now >= hides_at {
                 self.outputs.show_cursor(false);

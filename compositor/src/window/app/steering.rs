@@ -17,7 +17,7 @@ use winit::{
     keyboard,
 };
 
-use super::{App, effect::Effect, picture::next, probing::Purpose};
+use super::{App, picture::next, probing::Purpose};
 use crate::{
     control::{
         input::{self, Command, Key, KeyAction, Tint},
@@ -25,7 +25,7 @@ use crate::{
     },
     farm::Probe,
     overlay::{DENSITIES, STORAGES},
-    window::screenshots,
+    window::{effect::Effect, screenshots},
 };
 
 /// Pixels that a touchpad scrolls for one notch of a wheel.
@@ -39,7 +39,7 @@ impl App<'_> {
         // Alignment takes only presses: a key that was pressed before the pattern came must still be released.
         if let keyboard::Key::Named(key) = event.logical_key
             && is_pressed
-            && !self.kiosk.is_locked()
+            && !self.kiosk.is_locked
             && self.wall.press_key(key, self.modifiers.shift_key())
         {
             return self.redraw();
@@ -77,7 +77,7 @@ impl App<'_> {
             Command::ChangeSpeed(steps) => self.camera.change_speed(steps),
             Command::Inspect => self.probe(Purpose::Inspect),
             Command::GoToCursor => self.probe(Purpose::GoTo),
-            Command::NextTint => self.set_tint(next(&Tint::ALL, self.overlay.tint)),
+            Command::NextTint => self.set_tint(next(Tint::VARIANTS, self.overlay.tint)),
             Command::SetTint(tint) => self.set_tint(tint),
             Command::NextStorage => {
                 let storage = self.overlay.structure.map(|structure| structure.storage);
@@ -102,17 +102,19 @@ impl App<'_> {
             Command::OpenParent => self.browser.open_parent(),
             Command::NextDivision => self.set_division(next(Division::VARIANTS, self.farm.goal().division)),
             Command::SetDivision(division) => self.set_division(division),
-            Command::NextShading => self.picture.set_shading(next(ShadingMode::VARIANTS, self.picture.shading)),
-            Command::SetShading(shading) => self.picture.set_shading(shading),
-            Command::NextLighting => self.picture.set_lighting(next(LightingMode::VARIANTS, self.picture.lighting)),
-            Command::SetLighting(lighting) => self.picture.set_lighting(lighting),
+            Command::NextShading => self.picture.change(|it| it.shading = next(ShadingMode::VARIANTS, it.shading)),
+            Command::SetShading(shading) => self.picture.change(|it| it.shading = shading),
+            Command::NextLighting => self.picture.change(|it| it.lighting = next(LightingMode::VARIANTS, it.lighting)),
+            Command::SetLighting(lighting) => self.picture.change(|it| it.lighting = lighting),
             Command::NextLight => self.picture.next_light(),
-            Command::SetLight(light) => self.picture.set_light(light),
+            Command::SetLight(light) => self.picture.change(|it| it.appearance.light = light),
             Command::NextBackground => self.picture.next_background(),
-            Command::SetBackground(background) => self.picture.set_background(background),
+            Command::SetBackground(background) => self.picture.change(|it| it.appearance.background = background),
             Command::NextClip => self.picture.next_clip(),
-            Command::SetClip(clip) => self.picture.set_clip(clip),
-            Command::MoveClip(permille) => self.picture.move_clip(permille),
+            Command::SetClip(clip) => self.picture.change(|it| it.appearance.clip = clip),
+            Command::MoveClip(permille) => self.picture.change(|it| {
+                it.appearance.clip = it.appearance.clip.map(|clip| clip.deepened_by(permille));
+            }),
             Command::ToggleRefinement => self.picture.toggle_refinement(),
             Command::ToggleOverlay => {
                 self.overlay.panel = !self.overlay.panel;
@@ -122,11 +124,16 @@ impl App<'_> {
                 self.overlay.help = !self.overlay.help;
                 Effect::default()
             }
-            Command::ToggleFullscreen => self.fill(event_loop, !self.outputs.is_filling(), now),
+            Command::ToggleFullscreen => self.fill(event_loop, !self.outputs.is_filling, now),
             Command::LeaveFullscreen => self.fill(event_loop, false, now),
             Command::Screenshot => self.take_screenshot(),
-            Command::NextPattern => self.wall.next_pattern(),
-            Command::SaveCorners => self.wall.save_corners(),
+            Command::NextPattern => Effect::note(match self.wall.next_pattern() {
+                Some(pattern) => format!("{pattern}: {}", pattern.help()),
+                None => "No test pattern".to_owned(),
+            }),
+            Command::SaveCorners => {
+                self.wall.save().map_or_else(|problem| Effect::problem(problem.to_string()), Effect::note)
+            }
             Command::ToggleLock => self.toggle_lock(),
             Command::DismissMessage => {
                 self.messages.dismiss(self.farm.status(), self.outputs.missing());
@@ -148,7 +155,7 @@ impl App<'_> {
         }
         (self.overlay.panel, self.overlay.help) = (false, false);
         (self.overlay.tint, self.overlay.pick) = (Tint::None, None);
-        self.browser.hide();
+        self.browser.files = None;
         Effect::note("Locked: visitors can only steer; Ctrl+L unlocks")
     }
 
@@ -195,23 +202,20 @@ impl App<'_> {
     }
 
     fn take_screenshot(&mut self) -> Effect {
-        let (Some(painter), Some(_)) = (self.outputs.painter(), &self.presentation.frame) else {
+        let (Some(painter), Some(_)) = (&mut self.outputs.painter, &self.presentation.frame) else {
             return Effect::problem("no screenshot: nothing has been rendered yet");
         };
-        match painter.image(self.wall.wall()) {
-            Ok(image) => {
-                let folder = self.screenshot_folder.clone();
-                Effect::job(move || screenshots::write(&folder, &image))
-            }
+        match painter.image(&self.wall.wall) {
+            Ok(image) => Effect::job(move || screenshots::write(".".as_ref(), &image)),
             Err(error) => Effect::problem(format!("no screenshot: {error}")),
         }
     }
 
     pub(super) fn write_last_picture(&mut self, path: &Path) -> anyhow::Result<()> {
-        let (Some(painter), Some(_)) = (self.outputs.painter(), &self.presentation.frame) else {
+        let (Some(painter), Some(_)) = (&mut self.outputs.painter, &self.presentation.frame) else {
             anyhow::bail!("no screenshot {}: the window was closed before anything was rendered", path.display());
         };
-        painter.image(self.wall.wall())?.write_png(path)?;
+        painter.image(&self.wall.wall)?.write_png(path)?;
         tracing::info!("wrote {}", path.display());
         Ok(())
     }
@@ -219,7 +223,7 @@ impl App<'_> {
     /// Asks a render server for the triangle under the cursor; [`App::take_probed`] takes the answer.
     fn probe(&mut self, purpose: Purpose) -> Effect {
         let point = self.point_on_canvas();
-        let (Some(model), Some(navigator)) = (&self.model, self.camera.navigator()) else { return Effect::default() };
+        let (Some(model), Some(navigator)) = (&self.model, &self.camera.navigator) else { return Effect::default() };
         let (camera, at) = (navigator.camera(), [point.x as f32, point.y as f32]);
         if let Some(number) = self.probing.start(purpose, camera, at, Instant::now()) {
             let (view, clip) = (Some((model.scene, camera)), self.picture.appearance.clip);
@@ -243,7 +247,7 @@ impl App<'_> {
                 self.camera.steer(Instant::now(), |navigator| navigator.go_to_point(pick.point))
             }
             (Purpose::Approach, pick) => {
-                let navigator = self.camera.navigator_mut();
+                let navigator = self.camera.navigator.as_mut();
                 navigator.into_iter().for_each(|navigator| navigator.set_under_cursor(pick.map(|pick| pick.point)));
                 Effect::default()
             }
@@ -262,7 +266,7 @@ impl App<'_> {
         if self.wall.drag_to(on_output) {
             self.redraw();
         }
-        if self.camera.navigator_mut().is_some_and(|navigator| navigator.move_to(on_canvas)) {
+        if self.camera.navigator.as_mut().is_some_and(|navigator| navigator.move_to(on_canvas)) {
             self.want_picture();
         }
         let is_over_overlay = was_over_overlay || self.cursor_is_over_overlay();
@@ -280,14 +284,18 @@ impl App<'_> {
         }
         let now = Instant::now();
         self.kiosk.touch(now);
-        if !self.kiosk.is_locked() && self.wall.takes_corners() && button == MouseButton::Left {
+        if !self.kiosk.is_locked && self.wall.takes_corners() && button == MouseButton::Left {
             let at = self.point_on_output();
-            self.wall.grab(is_pressed, at);
+            if is_pressed {
+                self.wall.press(at);
+            } else {
+                self.wall.release();
+            }
             return self.redraw();
         }
         let is_click = !is_pressed && self.pointer.release();
         self.pointer.press(is_pressed && button == MouseButton::Left);
-        let Some(navigator) = self.camera.navigator_mut() else { return };
+        let Some(navigator) = &mut self.camera.navigator else { return };
         match (is_pressed, button, self.modifiers.shift_key()) {
             (false, ..) => navigator.release(),
             (_, MouseButton::Left, false) => navigator.press(Drag::Orbit),
@@ -295,7 +303,7 @@ impl App<'_> {
             (_, MouseButton::Right, _) => navigator.press(Drag::Dolly),
             _ => {}
         }
-        if is_click && !self.kiosk.is_locked() {
+        if is_click && !self.kiosk.is_locked {
             let is_double = self.pointer.is_double_click(self.point_on_canvas(), now);
             self.probe(if is_double { Purpose::GoTo } else { Purpose::Inspect });
         }
@@ -311,10 +319,10 @@ impl App<'_> {
         };
         self.kiosk.touch(Instant::now());
         // The first notch moves toward the middle of the model; the answer comes before the next notch.
-        if self.camera.navigator().is_some_and(Navigator::needs_surface) {
+        if self.camera.navigator.as_ref().is_some_and(Navigator::needs_surface) {
             self.probe(Purpose::Approach);
         }
-        if self.camera.navigator_mut().is_some_and(|navigator| navigator.wheel(notches)) {
+        if self.camera.navigator.as_mut().is_some_and(|navigator| navigator.wheel(notches)) {
             self.want_picture();
         }
     }
@@ -326,7 +334,7 @@ impl App<'_> {
 
     /// The cursor as a fraction of the canvas, (0, 0) lower left.
     fn point_on_canvas(&self) -> DVec2 {
-        self.wall.wall().canvas_at(self.point_on_output())
+        self.wall.wall.canvas_at(self.point_on_output())
     }
 
     fn cursor_is_over_overlay(&self) -> bool {

@@ -1,33 +1,21 @@
 //! Checks the display and the libraries that a window needs, before it opens: winit would panic or report unclearly.
 
-/// The reason why no window can be opened.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum DisplayError {
-    /// There is no graphical session.
+pub(crate) enum DisplayError {
     #[error(
         "there is no display: neither WAYLAND_DISPLAY nor DISPLAY is set; run this in a graphical session, or use \
          --headless"
     )]
     NoDisplay,
-    /// Libraries that winit loads at run time are not installed.
     #[error(
         "the window needs {libraries}, which cannot be opened here; install: apt install {debian} (Debian, Ubuntu), \
          dnf install {fedora} (Fedora), or pacman -S {arch} (Arch); or use --headless"
     )]
-    MissingLibraries {
-        /// Their names.
-        libraries: String,
-        /// Their packages in Debian, separated by spaces.
-        debian: String,
-        /// Their packages in Fedora.
-        fedora: String,
-        /// Their packages in Arch.
-        arch: String,
-    },
+    MissingLibraries { libraries: String, debian: String, fedora: String, arch: String },
 }
 
 /// Checks that a window can be opened, as far as possible without opening one.
-pub fn check() -> Result<(), DisplayError> {
+pub(crate) fn check() -> Result<(), DisplayError> {
     #[cfg(all(unix, not(target_os = "macos")))]
     {
         let is_set = |name: &str| std::env::var_os(name).is_some_and(|value| !value.is_empty());
@@ -39,61 +27,40 @@ pub fn check() -> Result<(), DisplayError> {
 
 #[cfg(all(unix, not(target_os = "macos")))]
 fn check_session(is_set: impl Fn(&str) -> bool, can_be_opened: impl Fn(&str) -> bool) -> Result<(), DisplayError> {
-    use libraries::{Library, WAYLAND, X11};
-
     // The order in which winit chooses.
     let needed = if is_set("WAYLAND_DISPLAY") || is_set("WAYLAND_SOCKET") {
-        WAYLAND
+        libraries::WAYLAND
     } else if is_set("DISPLAY") {
-        X11
+        libraries::X11
     } else {
         return Err(DisplayError::NoDisplay);
     };
-    let missing: Vec<&Library> = needed.iter().filter(|library| !can_be_opened(library.name)).collect();
+    let missing: Vec<_> = needed.iter().filter(|[name, ..]| !can_be_opened(name)).collect();
     if missing.is_empty() {
         return Ok(());
     }
-    let list = |field: fn(&Library) -> &'static str| {
-        let mut names: Vec<_> = missing.iter().copied().map(field).collect();
+    let list = |column: usize, separator: &str| {
+        let mut names: Vec<_> = missing.iter().map(|row| row[column]).collect();
         names.dedup();
-        names
+        names.join(separator)
     };
-    Err(DisplayError::MissingLibraries {
-        libraries: list(|library| library.name).join(", "),
-        debian: list(|library| library.debian).join(" "),
-        fedora: list(|library| library.fedora).join(" "),
-        arch: list(|library| library.arch).join(" "),
-    })
+    let [libraries, debian, fedora, arch] = [list(0, ", "), list(1, " "), list(2, " "), list(3, " ")];
+    Err(DisplayError::MissingLibraries { libraries, debian, fedora, arch })
 }
 
 #[cfg(all(unix, not(target_os = "macos")))]
 mod libraries {
-    /// A library that winit loads at run time, and its package in three distributions.
-    pub(super) struct Library {
-        pub(super) name: &'static str,
-        pub(super) debian: &'static str,
-        pub(super) fedora: &'static str,
-        pub(super) arch: &'static str,
-    }
-
-    const XKBCOMMON: Library =
-        Library { name: "libxkbcommon", debian: "libxkbcommon0", fedora: "libxkbcommon", arch: "libxkbcommon" };
-
-    pub(super) const WAYLAND: &[Library] = &[XKBCOMMON];
-
-    pub(super) const X11: &[Library] = &[
-        Library { name: "libX11", debian: "libx11-6", fedora: "libX11", arch: "libx11" },
-        Library { name: "libX11-xcb", debian: "libx11-xcb1", fedora: "libX11-xcb", arch: "libx11" },
-        Library { name: "libXcursor", debian: "libxcursor1", fedora: "libXcursor", arch: "libxcursor" },
-        Library { name: "libXi", debian: "libxi6", fedora: "libXi", arch: "libxi" },
-        XKBCOMMON,
-        Library {
-            name: "libxkbcommon-x11",
-            debian: "libxkbcommon-x11-0",
-            fedora: "libxkbcommon-x11",
-            arch: "libxkbcommon-x11",
-        },
+    /// The libraries that winit loads at run time, and their packages in Debian, Fedora and Arch.
+    pub(super) const X11: &[[&str; 4]] = &[
+        ["libX11", "libx11-6", "libX11", "libx11"],
+        ["libX11-xcb", "libx11-xcb1", "libX11-xcb", "libx11"],
+        ["libXcursor", "libxcursor1", "libXcursor", "libxcursor"],
+        ["libXi", "libxi6", "libXi", "libxi"],
+        ["libxkbcommon", "libxkbcommon0", "libxkbcommon", "libxkbcommon"],
+        ["libxkbcommon-x11", "libxkbcommon-x11-0", "libxkbcommon-x11", "libxkbcommon-x11"],
     ];
+    /// The same for Wayland.
+    pub(super) const WAYLAND: &[[&str; 4]] = &[["libxkbcommon", "libxkbcommon0", "libxkbcommon", "libxkbcommon"]];
 
     /// Loads a library with the same code as winit.
     pub(super) fn can_be_opened(name: &str) -> bool {
@@ -139,7 +106,7 @@ mod tests {
     #[test]
     fn every_library_can_be_asked_for() {
         // A misspelt name would make every system seem broken: on a desktop all must open, elsewhere none.
-        let opened = libraries::X11.iter().filter(|library| libraries::can_be_opened(library.name)).count();
+        let opened = libraries::X11.iter().filter(|[name, ..]| libraries::can_be_opened(name)).count();
         let all = libraries::X11.len();
         assert!(opened == all || opened == 0, "{opened} of {all} libraries open: install what `make test` installs");
     }

@@ -19,7 +19,6 @@ pub(in crate::window) fn retain_windows(event_loop: &ActiveEventLoop, retain_win
     }
 }
 
-/// The X11 identifier of a window.
 #[cfg(all(unix, not(target_os = "macos")))]
 pub(in crate::window) fn x_window_id(window: &Window) -> Option<u32> {
     use winit::raw_window_handle::{HasWindowHandle, RawWindowHandle};

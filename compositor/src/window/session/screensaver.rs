@@ -3,16 +3,15 @@
 //! On X11 through the MIT screen saver extension, which also stops the screen's power saving. winit 0.30 has no way to do
 //! this on Wayland: switch off the session's own power saving there.
 
-/// Inhibits the screensaver until it is dropped.
 #[derive(Debug)]
-pub struct ScreensaverHold {
+pub(crate) struct ScreensaverHold {
     #[cfg(all(unix, not(target_os = "macos")))]
     _connection: x11rb::rust_connection::RustConnection,
 }
 
 impl ScreensaverHold {
     /// Inhibits the screensaver; logs a failure and returns `None`.
-    pub fn new() -> Option<Self> {
+    pub(crate) fn new() -> Option<Self> {
         #[cfg(all(unix, not(target_os = "macos")))]
         match hold() {
             Ok(connection) => return Some(Self { _connection: connection }),

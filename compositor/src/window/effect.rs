@@ -1,8 +1,11 @@
-//! Requests of one part of the window to the others.
+//! Requests of one part of the window, or of another thread, to the other parts.
 
-use crate::window::jobs::{Job, Outcome};
+use crate::overlay::FileList;
 
-/// The consequences of a command or an event, which `App::apply` carries out.
+/// A file operation, on the thread of [`super::jobs::Jobs`].
+pub(super) type Job = Box<dyn FnOnce() -> Effect + Send>;
+
+/// The consequences of a command, an event or a job, which `App::apply` carries out.
 #[derive(Default)]
 pub(super) struct Effect {
     /// The camera or the appearance has changed: render a new picture.
@@ -11,8 +14,8 @@ pub(super) struct Effect {
     pub(super) note: Option<String>,
     /// A text to show until it is dismissed.
     pub(super) problem: Option<String>,
-    /// A file operation to run.
     pub(super) job: Option<Job>,
+    pub(super) files: Option<FileList>,
 }
 
 impl Effect {
@@ -28,8 +31,9 @@ impl Effect {
         Self { problem: Some(text.into()), ..Self::default() }
     }
 
-    pub(super) fn job(job: impl FnOnce() -> Outcome + Send + 'static) -> Self {
-        Self { job: Some(Box::new(job)), ..Self::default() }
+    /// The job returns its own effect, or a problem.
+    pub(super) fn job(job: impl FnOnce() -> Result<Self, String> + Send + 'static) -> Self {
+        Self { job: Some(Box::new(|| job().unwrap_or_else(Self::problem))), ..Self::default() }
     }
 
     pub(super) fn with_note(self, text: impl Into<String>) -> Self {
