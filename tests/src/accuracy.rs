@@ -6,9 +6,9 @@ use std::path::Path;
 use glam::{DMat3, DVec3, Vec3};
 use renderer::{
     grid::GridOptions,
-    intersect::ray::Hit,
+    intersect::{MOST_PACKETS, Packet, PacketScratch, ray::Hit},
     model::{mesh::Mesh, ply},
-    render::scene::Scene,
+    render::{blocks::for_each_group, scene::Scene, tracer::set_camera_rays},
 };
 use shared::{
     camera::{Camera, CameraRays},
@@ -73,9 +73,17 @@ fn hits(scene: &Scene, rays: &CameraRays, size: FrameSize) -> Vec<Hit> {
     let task = Division::Tiled.task(0, 1);
     let share = task.share(size).unwrap();
     let mut rows = vec![Hit::MISS; size.n_samples() as usize];
-    scene.trace(rays, None, &share, 0..share.count(), |block, hits| {
-        for ((i, j), &hit) in block.samples().zip(hits) {
-            rows[(j * size.xres() + i) as usize] = scene.with_file_index(hit);
+    let mut packets = [Packet::NONE; MOST_PACKETS];
+    let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
+    let mut scratch = PacketScratch::default();
+    for_each_group(&share, 0..share.count(), |blocks| {
+        let (packets, hits) = (&mut packets[..blocks.len()], &mut hits[..blocks.len()]);
+        packets.iter_mut().zip(blocks).for_each(|(packet, block)| set_camera_rays(packet, rays, block, 0));
+        scene.trace_group(blocks, packets, None, &mut scratch, hits);
+        for (block, hits) in blocks.iter().zip(hits) {
+            for ((i, j), &hit) in block.samples().zip(&*hits) {
+                rows[(j * size.xres() + i) as usize] = scene.with_file_index(hit);
+            }
         }
     });
     rows

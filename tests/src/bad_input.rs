@@ -46,11 +46,9 @@ fn files_that_are_missing_or_wrong_are_named_with_the_cure() {
     assert!(fails(compositor(&["--camera", "no/such.toml"])).contains("no/such.toml"));
     let line = fails(compositor(&["--camera", bad]));
     assert!(line.contains("eye, ll, u and v"), "{line}");
-    assert!(fails(renderer(&["trace", "--model", bad])).contains(bad));
-    assert!(
-        fails(renderer(&["trace", "--triangles", "1000", "--size", "8x8", "--camera", bad]))
-            .contains("eye, ll, u and v")
-    );
+    assert!(fails(renderer(&["trace", "--image", "none.png", "--model", bad])).contains(bad));
+    let line = fails(renderer(&["trace", "--image", "none.png", "--triangles", "1000", "--camera", bad]));
+    assert!(line.contains("eye, ll, u and v"), "{line}");
 }
 
 #[test]
@@ -60,7 +58,7 @@ fn values_out_of_range_name_the_range() {
     assert!(fails(compositor(&["--division", "random"])).contains("interleaved, tiled, dynamic"));
     assert!(fails(renderer(&["connect", "127.0.0.1:1", "--threads", "0"])).contains("1..=1024"));
     assert!(fails(renderer(&["trace", "--size", "-5x5"])).contains("1024x512"));
-    assert!(fails(renderer(&["trace", "--frames", "-1"])).contains("1..=1000000"));
+    assert!(fails(renderer(&["trace", "--threads", "-1"])).contains("1..=1024"));
 }
 
 #[test]
@@ -137,4 +135,90 @@ fn without_a_vulkan_driver_the_cure_is_named() {
 fn a_screenshot_that_cannot_be_written_is_a_failure() {
     let line = fails(compositor(&["--screenshot", "/no/such/folder/wall.png"]));
     assert!(line.contains("/no/such/folder/wall.png"), "{line}");
+}
+
+#[test]
+fn names_in_files_forge_no_lines_and_no_colors() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let [model, wall, camera] = ["model.ply", "wall.toml", "camera.toml"].map(path);
+    let vertex = "element vertex\u{1b}[31m\u{9b}1m 1\n";
+    std::fs::write(&model, format!("ply\nformat ascii 1.0\n{vertex}{vertex}end_header\n")).unwrap();
+    std::fs::write(&wall, "\"a\\nerror: forged\\u001B[31m\" = 1\n").unwrap();
+    std::fs::write(&camera, "\"a\\nerror: forged\\u001B[31m\" = 1\n").unwrap();
+    let trace = ["trace", "--image", "/dev/null", "--triangles", "1000", "--size", "8x8"];
+    for command in [
+        renderer(&["trace", "--image", "/dev/null", "--model", &model]),
+        compositor(&["--wall", &wall]),
+        renderer(&[&trace[..], &["--camera", &camera]].concat()),
+        renderer(&[&trace[..], &["--camera", "no\nerror: forged\u{1b}[31m"]].concat()),
+    ] {
+        let line = fails(command);
+        assert!(!line.contains(char::is_control), "{line:?}");
+    }
+}
+
+/// All of these are read whole, so one without an end must not be opened.
+#[cfg(unix)]
+#[test]
+fn pipes_folders_and_devices_in_place_of_files_are_refused_alike() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("pipe");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let camera = folder.path().join("camera.toml");
+    std::fs::write(&camera, "eye = [0, 0, 1]\nll = [-1, -1, 0]\nu = [2, 0, 0]\nv = [0, 2, 0]\n").unwrap();
+    let camera = camera.to_str().unwrap();
+    let lab = |args: &[&str]| {
+        let mut command = Program::command("lab");
+        command.args(args);
+        command
+    };
+    let points = folder.path().join("figures");
+    for file in [pipe.to_str().unwrap(), folder.path().to_str().unwrap(), "/dev/zero"] {
+        for command in [
+            renderer(&["trace", "--image", "/dev/null", "--model", file]),
+            renderer(&["trace", "--image", "/dev/null", "--triangles", "1000", "--size", "8x8", "--camera", file]),
+            renderer(&["connect", "127.0.0.1:1", "--replay", file]),
+            compositor(&["--wall", file]),
+            compositor(&["--camera", file]),
+            compositor(&["--path", file]),
+            lab(&["stability", "--replay", file, camera]),
+            lab(&["stability", "--replay", camera, file]),
+            lab(&["chart", "--points", file, "--out", points.to_str().unwrap()]),
+        ] {
+            let line = fails(command);
+            assert!(line.contains(&format!("{file}: is a folder or a pipe: name an ordinary file")), "{line}");
+        }
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_model_that_does_not_fit_in_memory_ends_with_the_cure() {
+    let limited = |limit_kb: u32, program: &str, args: &[&str]| {
+        let mut command = Command::new("sh");
+        command.args(["-c", &format!("ulimit -v {limit_kb}; exec \"$@\""), "sh"]);
+        command.arg(Program::command(program).get_program()).args(args);
+        command
+    };
+    for command in [
+        limited(200_000, "renderer", &["trace", "--triangles", "5000000", "--size", "8x8", "--image", "none.png"]),
+        limited(200_000, "lab", &["trace", "--triangles", "5000000", "--frames", "1"]),
+    ] {
+        let line = fails(command);
+        assert!(line.contains("memory ran out") && line.contains("Lower --memory-budget"), "{line}");
+    }
+
+    // The wall's GPU driver reserves more on machines with more cores: the limit grows until a small model is shown.
+    let wall = |limit_kb, n_triangles| {
+        let args = ["--headless", "--listen", "127.0.0.1:0", "--local", "1", "--frames", "1"];
+        limited(limit_kb, "compositor", &[&args[..], &["--triangles", n_triangles]].concat())
+    };
+    let mut limit_kb = 1_000_000;
+    while !Program::start(wall(limit_kb, "1000")).wait().0.success() {
+        assert!(limit_kb < 16_000_000, "no wall starts with {limit_kb} KB");
+        limit_kb += limit_kb / 4;
+    }
+    let line = fails(wall(limit_kb, "100000000"));
+    assert!(line.contains("memory ran out") && line.contains("Lower --memory-budget"), "at {limit_kb} KB: {line}");
 }

@@ -351,7 +351,7 @@ fn a_renderer_without_the_model_is_told_the_cure() {
 }
 
 /// The running local render servers: the process identifiers of their wall and of themselves.
-fn local_renderers() -> Vec<(u32, u32)> {
+pub(crate) fn local_renderers() -> Vec<(u32, u32)> {
     let output = Command::new("ps").args(["-e", "-o", "ppid=,pid=,args="]).output().unwrap();
     let lines = String::from_utf8_lossy(&output.stdout).into_owned();
     let number = |line: &str, at: usize| line.split_whitespace().nth(at).unwrap().parse().unwrap();
@@ -359,7 +359,7 @@ fn local_renderers() -> Vec<(u32, u32)> {
     lines.lines().filter(is_one).map(|line| (number(line, 0), number(line, 1))).collect()
 }
 
-fn local_renderers_of(wall: &Program) -> Vec<u32> {
+pub(crate) fn local_renderers_of(wall: &Program) -> Vec<u32> {
     local_renderers().into_iter().filter(|&(parent, _)| parent == wall.id()).map(|(_, pid)| pid).collect()
 }
 
@@ -391,6 +391,21 @@ fn a_local_renderer_that_was_lost_comes_back() {
     wall.wait_for_count("local-1 is ready", 2);
     let n_shown = wall.count("frame shown");
     wall.wait_for_count("frame shown", n_shown + 3);
+}
+
+#[test]
+fn a_local_renderer_that_the_system_kills_is_reported_with_the_likely_cause() {
+    let files = Files::new();
+    let mut command = files.wall("64x32");
+    command.args(["--local", "2", "--frames", "1000000"]);
+    let mut wall = Program::start(command);
+    wall.wait_for("frame shown");
+    let pid = local_renderers_of(&wall)[0].to_string();
+    assert!(Command::new("kill").args(["-KILL", &pid]).status().unwrap().success());
+    wall.wait_for("was killed, most likely by the system because memory ran out: lower --memory-budget");
+    wall.signal("TERM");
+    let (_, said) = wall.wait();
+    assert_eq!(said.matches("was killed").count(), 1, "the wall ends the other one itself\n{said}");
 }
 
 #[cfg(unix)]

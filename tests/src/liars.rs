@@ -15,7 +15,7 @@ use shared::{
 use crate::farm::RunningWall;
 
 /// A task from the wall.
-struct GivenTask {
+pub(crate) struct GivenTask {
     frame: FrameId,
     task_id: TaskId,
     task: Task,
@@ -24,7 +24,7 @@ struct GivenTask {
 
 impl GivenTask {
     /// The right answer, from the frame's samples: one chunk for each 64 units.
-    fn chunks(&self, rgb: &[u8]) -> Vec<Vec<u8>> {
+    pub(crate) fn chunks(&self, rgb: &[u8]) -> Vec<Vec<u8>> {
         let share = self.task.share(self.size).unwrap();
         let sample = |(i, j): (u32, u32)| {
             let at = 3 * (j * self.size.xres() + i) as usize;
@@ -46,29 +46,52 @@ impl GivenTask {
         bytes
     }
 
-    fn done(&self) -> Vec<u8> {
+    pub(crate) fn done(&self) -> Vec<u8> {
         let (timings, costs) = (TaskTimings::default(), RunCosts::default());
         message(&ToWall::TaskDone { frame: self.frame, task_id: self.task_id, timings, costs })
     }
 }
 
-fn message(message: &ToWall) -> Vec<u8> {
+pub(crate) fn message(message: &ToWall) -> Vec<u8> {
     let mut bytes = Vec::new();
     codec::encode(message, &mut bytes).unwrap();
     bytes
 }
 
-/// Joins a wall and answers each task with the bytes that `answer` makes, until the wall drops the connection.
-fn lie(stream: &mut TcpStream, name: &str, mut answer: impl FnMut(&GivenTask) -> Vec<u8>) -> std::io::Result<()> {
+/// Joins a wall: says hello and waits for the welcome.
+pub(crate) fn shake_hands(stream: &mut TcpStream, name: &str) -> std::io::Result<()> {
     stream.write_all(&PREAMBLE)?;
     stream.write_all(&message(&ToWall::Hello { name: name.to_owned(), threads: 1 }))?;
     stream.read_exact(&mut [0; PREAMBLE.len()])?;
+    receive(stream).map(|welcome| assert_eq!(welcome, ToServer::Welcome))
+}
+
+/// Reads one message.
+pub(crate) fn receive(stream: &mut TcpStream) -> std::io::Result<ToServer> {
+    let mut header = [0; HEADER_BYTES];
+    stream.read_exact(&mut header)?;
+    let mut body = vec![0; u32::from_le_bytes([header[0], header[1], header[2], header[3]]) as usize];
+    stream.read_exact(&mut body)?;
+    Ok(codec::decode(&body).unwrap())
+}
+
+/// Joins a wall and answers each task with the bytes that `answer` makes, until the wall drops the connection.
+pub(crate) fn lie(
+    stream: &mut TcpStream,
+    name: &str,
+    answer: impl FnMut(&GivenTask) -> Vec<u8>,
+) -> std::io::Result<()> {
+    shake_hands(stream, name)?;
+    answer_tasks(stream, answer)
+}
+
+/// What [`lie`] does once it has joined.
+pub(crate) fn answer_tasks(
+    stream: &mut TcpStream,
+    mut answer: impl FnMut(&GivenTask) -> Vec<u8>,
+) -> std::io::Result<()> {
     loop {
-        let mut header = [0; HEADER_BYTES];
-        stream.read_exact(&mut header)?;
-        let mut body = vec![0; u32::from_le_bytes([header[0], header[1], header[2], header[3]]) as usize];
-        stream.read_exact(&mut body)?;
-        match codec::decode(&body).unwrap() {
+        match receive(stream)? {
             ToServer::LoadScene { scene, .. } => {
                 let state = SceneState::Ready { triangles: 1, bytes: 1, grid: None };
                 stream.write_all(&message(&ToWall::SceneState { scene, state }))?;

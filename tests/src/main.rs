@@ -30,6 +30,8 @@ mod guard;
 #[cfg(test)]
 mod liars;
 #[cfg(test)]
+mod losses;
+#[cfg(test)]
 mod measuring;
 #[cfg(test)]
 mod optics;
@@ -39,6 +41,8 @@ mod outputs;
 mod pictures;
 #[cfg(test)]
 mod ply_suite;
+#[cfg(test)]
+mod present_cpu;
 #[cfg(test)]
 mod process;
 #[cfg(test)]
@@ -53,6 +57,8 @@ mod references;
 mod refinement;
 #[cfg(test)]
 mod room;
+#[cfg(all(test, unix))]
+mod stopping;
 #[cfg(test)]
 #[path = "../../compositor/src/farm/tile_row.rs"]
 mod tile_row;

@@ -74,7 +74,7 @@ fn each_output_shows_its_part_of_the_wall() {
     for (monitor, part) in wall.monitors() {
         let offscreen = Offscreen::new(&gpu, [part.width, part.height]).unwrap();
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
-        present.draw(&gpu, &mut encoder, &offscreen.target(), &wall, part);
+        present.draw(&gpu, &mut encoder, &wall, &[(offscreen.target(), part)]);
         gpu.queue.submit([encoder.finish()]);
         let shown = offscreen.read(&gpu).unwrap();
         let differs = (0..part.height).flat_map(|y| (0..part.width).map(move |x| (x, y))).any(|(x, y)| {

@@ -2,16 +2,13 @@
 
 use std::{fs, path::Path};
 
-use compositor::{
-    gpu::{RgbImage, present_cpu},
-    wall::Wall,
-};
-
+use compositor::{gpu::RgbImage, wall::Wall};
 use shared::camera::UpAxis;
 
 use crate::{
     farm::RunningWall,
     pictures::statue_frame_of,
+    present_cpu,
     process::{Program, wait_until},
     references,
     x_monitors::{self, Desk, Monitor},

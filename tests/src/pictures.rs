@@ -3,7 +3,7 @@
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 
 use compositor::{
-    gpu::{Gpu, Offscreen, Present, RgbImage, present_cpu},
+    gpu::{Gpu, Offscreen, Present, RgbImage},
     wall::{PixelRect, Wall},
 };
 use glam::DVec3;
@@ -19,7 +19,7 @@ use shared::protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode};
 use shared::scene::SceneId;
 use shared::srgb;
 
-use crate::{random::Random, references};
+use crate::{present_cpu, random::Random, references};
 
 /// One GPU for all tests, used by one test at a time, because a software GPU uses every core.
 static GPU: LazyLock<Result<Mutex<Gpu>, String>> =
@@ -96,7 +96,7 @@ fn wall(columns: u32, rows: u32, pixels: [u32; 2]) -> Wall {
 /// Draws the wall on `offscreen`, and reads it back.
 pub(crate) fn draw(gpu: &Gpu, present: &mut Present, wall: &Wall, offscreen: &Offscreen) -> RgbImage {
     let mut encoder = gpu.device.create_command_encoder(&Default::default());
-    present.draw(gpu, &mut encoder, &offscreen.target(), wall, wall.whole_output());
+    present.draw(gpu, &mut encoder, wall, &[(offscreen.target(), wall.whole_output())]);
     gpu.queue.submit([encoder.finish()]);
     offscreen.read(gpu).unwrap()
 }
@@ -108,7 +108,7 @@ pub(crate) fn check_twin(gpu: &Gpu, shown: &RgbImage, what: &str, frame: &Frame,
     // The sRGB curve rounds by one step of 8 bits. Graphics cards also round the filter's weights, to 1/256 on either
     // axis: a step of light that is many steps of 8 bits near black.
     // A projector that fades out with a gamma of its own has many values for next to no light.
-    let least_light = if !gpu.is_software() {
+    let least_light = if gpu.adapter.get_info().device_type != wgpu::DeviceType::Cpu {
         1.0 / 128.0
     } else if (0..wall.projectors().len()).all(|index| wall.is_plain(index)) {
         0.0
@@ -200,7 +200,7 @@ fn several_targets_in_one_submission_each_show_their_wall() {
     let targets = [[320, 180], [200, 100], [31, 64]].map(|size| Offscreen::new(&gpu, size).unwrap());
     let mut encoder = gpu.device.create_command_encoder(&Default::default());
     for (wall, target) in walls.iter().zip(&targets) {
-        present.draw(&gpu, &mut encoder, &target.target(), wall, wall.whole_output());
+        present.draw(&gpu, &mut encoder, wall, &[(target.target(), wall.whole_output())]);
     }
     gpu.queue.submit([encoder.finish()]);
     for (wall, target) in walls.iter().zip(&targets) {
@@ -218,13 +218,8 @@ fn the_wall_is_black_before_any_frame_and_without_projectors() {
     let frame = Frame::checker([8, 8]);
     present.upload(&gpu, frame.size, &frame.rgba).unwrap();
     let mut encoder = gpu.device.create_command_encoder(&Default::default());
-    present.draw(
-        &gpu,
-        &mut encoder,
-        &offscreen.target(),
-        &Wall::paper(),
-        PixelRect { x: 0, y: 0, width: 9, height: 9 },
-    );
+    let part = PixelRect { x: 0, y: 0, width: 9, height: 9 };
+    present.draw(&gpu, &mut encoder, &Wall::paper(), &[(offscreen.target(), part)]);
     gpu.queue.submit([encoder.finish()]);
     assert!(offscreen.read(&gpu).unwrap().rgb.iter().all(|&byte| byte == 0));
 }
@@ -267,7 +262,7 @@ fn a_lost_device_is_an_error_and_no_panic() {
     let _ = present.upload(&gpu, frame.size, &frame.rgba);
     let mut encoder = gpu.device.create_command_encoder(&Default::default());
     let wall = Wall::paper();
-    present.draw(&gpu, &mut encoder, &offscreen.target(), &wall, wall.whole_output());
+    present.draw(&gpu, &mut encoder, &wall, &[(offscreen.target(), wall.whole_output())]);
     gpu.queue.submit([encoder.finish()]);
     let error = offscreen.read(&gpu).unwrap_err().to_string();
     assert!(error.starts_with("the graphics device "), "{error}");

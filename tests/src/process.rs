@@ -91,7 +91,7 @@ impl Program {
         self.child.id()
     }
 
-    /// Sends it a signal, by name: KILL, STOP, CONT, TERM.
+    /// Sends it a signal, by name: KILL, STOP, CONT, TERM, INT.
     pub(crate) fn signal(&self, name: &str) {
         let status = Command::new("kill").args([&format!("-{name}"), &self.id().to_string()]).status();
         assert!(status.is_ok_and(|status| status.success()), "the program cannot be signalled");

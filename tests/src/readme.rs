@@ -1,6 +1,6 @@
 //! The documents: keys, paths and links.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use compositor::control::input::{KEYS, MOUSE};
 
@@ -54,4 +54,32 @@ fn every_file_that_the_documents_name_exists() {
             }
         }
     }
+}
+
+/// The part of every source file that is not a test.
+fn sources(folder: &Path, found: &mut Vec<(PathBuf, String)>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            sources(&path, found);
+        } else if path.extension().is_some_and(|extension| extension == "rs") && !path.ends_with("tests.rs") {
+            let text = std::fs::read_to_string(&path).unwrap();
+            let end = text.find("#[cfg(test)]\nmod ").unwrap_or(text.len());
+            found.push((path, text[..end].to_owned()));
+        }
+    }
+}
+
+#[test]
+fn one_place_writes_files() {
+    let mut found = Vec::new();
+    for room in ["shared/src", "shared/channel/src", "renderer/src", "compositor/src", "tests/lab/src"] {
+        sources(&root().join(room), &mut found);
+    }
+    for (path, text) in found.iter().filter(|(path, _)| !path.ends_with("channel/src/files.rs")) {
+        for call in ["File::create", "fs::write(", "fs::rename(", "fs::copy(", "OpenOptions", "File::options"] {
+            assert!(!text.contains(call), "{} calls {call}: channel::files writes files", path.display());
+        }
+    }
+    assert!(found.len() > 100, "{}", found.len());
 }

@@ -4,6 +4,10 @@
 //!
 //! In each round one render server is killed, or frozen so that its connection stays open, while the wall renders frame
 //! after frame; another is started in its place. All of them share the cores of this machine.
+//!
+//!     cargo run --release -p lab --example healing -- --nodes 64 --lose 1,10,50,95 --rounds 20
+//!
+//! kills so many percent of them at once instead, at a random phase of a frame.
 
 use std::{
     process::Command,
@@ -36,15 +40,16 @@ struct Args {
     /// Triangles of the built-in statue
     #[arg(long, default_value_t = 100_000)]
     triangles: u32,
+    /// Kill so many percent of the render servers at once, in as many rounds
+    #[arg(long, value_name = "PERCENT", value_delimiter = ',', value_parser = clap::value_parser!(u32).range(1..100))]
+    lose: Vec<u32>,
 }
 
 /// Nothing that the wall is expected to do takes longer.
 const TIMEOUT: Duration = Duration::from_secs(20);
 
-/// A wall without a display.
 struct Wall {
     farm: MeasuredFarm,
-    /// The newest complete frame.
     newest: Option<Frame>,
 }
 
@@ -85,8 +90,9 @@ impl Wall {
     }
 }
 
-fn signal(server: &ServerProcess, name: &str) -> anyhow::Result<()> {
-    let status = Command::new("kill").args([format!("-{name}"), server.id().to_string()]).status()?;
+fn signal(servers: &[ServerProcess], name: &str) -> anyhow::Result<()> {
+    let numbers = servers.iter().map(|server| server.id().to_string());
+    let status = Command::new("kill").arg(format!("-{name}")).args(numbers).status()?;
     ensure!(status.success(), "a render server has ended by itself");
     Ok(())
 }
@@ -98,6 +104,9 @@ fn main() -> anyhow::Result<()> {
     let goal = RenderGoal { spec: Some(spec), ..goal(Division::Dynamic, 1) };
     let mut wall = Wall { farm: MeasuredFarm::start(([127, 0, 0, 1], 0).into(), goal)?, newest: None };
     let mut servers = (1..=args.nodes).map(|number| wall.start_server(number)).collect::<Result<Vec<_>, _>>()?;
+    if !args.lose.is_empty() {
+        return lose_many(&args, &mut wall, servers);
+    }
     // Times from a failure until it is noticed and until a frame is complete, of killed and of frozen render servers.
     let mut lost = [(vec![], vec![]), (vec![], vec![])];
     let (mut frames_ms, mut first_share_ms, mut ready_ms) = (vec![], vec![], vec![]);
@@ -107,7 +116,7 @@ fn main() -> anyhow::Result<()> {
         let victim = servers.remove(round as usize % servers.len());
         let is_frozen = round % 2 == 1;
         let failed_at = Instant::now();
-        signal(&victim, if is_frozen { "STOP" } else { "KILL" })?;
+        signal(std::slice::from_ref(&victim), if is_frozen { "STOP" } else { "KILL" })?;
         let noticed_at = wall.wait_until("the loss is noticed", |wall| !wall.is_responding(&victim.name))?;
         let newest = wall.newest_number();
         let healed_at = wall.wait_until("a frame is complete", |wall| wall.newest_number() > newest)?;
@@ -139,8 +148,49 @@ fn main() -> anyhow::Result<()> {
         ("a frame without a loss", frames_ms),
     ] {
         if !times_ms.is_empty() {
-            let [p50, p99, max] = quantiles(times_ms, [0.5, 0.99, 1.0]);
-            println!("{name:<56}{p50:>9.0}{p99:>9.0}{max:>9.0}");
+            print_row(name, times_ms);
+        }
+    }
+    Ok(())
+}
+
+fn print_row(name: &str, times_ms: Vec<f64>) {
+    let [p50, p99, max] = quantiles(times_ms, [0.5, 0.99, 1.0]);
+    println!("{name:<56}{p50:>9.0}{p99:>9.0}{max:>9.0}");
+}
+
+/// Kills many render servers at once, and measures the time until the next whole frame.
+fn lose_many(args: &Args, wall: &mut Wall, mut servers: Vec<ServerProcess>) -> anyhow::Result<()> {
+    println!(
+        "{} render servers, {} losses of each size{:>19}{:>9}{:>9}",
+        args.nodes, args.rounds, "p50 ms", "p99 ms", "max ms"
+    );
+    for &percent in &args.lose {
+        let n_lost = (args.nodes * percent).div_ceil(100).min(args.nodes - 1) as usize;
+        let (mut frames_ms, mut healed_ms) = (Vec::new(), Vec::new());
+        for round in 0..args.rounds {
+            wall.wait_until("all render", |wall| servers.iter().all(|server| wall.shows_share_of(&server.name)))?;
+            let frame_ms = wall.newest.as_ref().map_or(0.0, |frame| frame.stats.render_ms);
+            frames_ms.push(frame_ms);
+            // The golden ratio spreads the phases evenly.
+            let phase = (f64::from(round) * 0.618).fract();
+            std::thread::sleep(Duration::from_secs_f64(frame_ms * phase / 1e3));
+            let lost: Vec<_> = servers.drain(..n_lost).collect();
+            while let Some(frame) = wall.farm.farm.take_frame() {
+                wall.newest = Some(frame);
+            }
+            let newest = wall.newest_number();
+            let failed_at = Instant::now();
+            signal(&lost, "KILL")?;
+            let healed_at = wall.wait_until("a frame is complete", |wall| wall.newest_number() > newest)?;
+            healed_ms.push(milliseconds(healed_at - failed_at));
+            drop(lost);
+            for index in 0..n_lost as u32 {
+                servers.push(wall.start_server(args.nodes * (percent * args.rounds + round + 1) + index)?);
+            }
+        }
+        for (name, times_ms) in [("until the next whole frame", healed_ms), ("a frame without a loss", frames_ms)] {
+            print_row(&format!("{percent} % killed at once ({n_lost}): {name}"), times_ms);
         }
     }
     Ok(())

@@ -58,7 +58,6 @@ struct Args {
     division: Option<Division>,
 }
 
-/// One measurement of one division.
 #[derive(Clone, Copy, Default)]
 struct Rate {
     frames_per_s: f64,

@@ -49,6 +49,7 @@ struct Args {
 
 fn main() -> anyhow::Result<()> {
     let args: Args = renderer::cli::parse();
+    anyhow::ensure!(args.native != args.size, "--native equals --size: there is nothing to refine");
     let goal = RenderGoal { repeat: false, ..goal(args.division, args.nodes) };
     let mut wall = Wall { farm: MeasuredFarm::start(args.servers.listen, goal)?, n_motions: 0 };
     let _servers = args.servers.start(args.nodes, wall.farm.farm.address())?;

@@ -5,7 +5,7 @@
 //!
 //! - `frame KERNEL THREADS N SHADOW CAMERA`: traces N frames, after its threads were kept busy; KERNEL is `packet` or
 //!   `single`, SHADOW is 1 for a shadow ray from each hit, else 0
-//! - `dump KERNEL FILE CAMERA`: writes the hits of a frame, as `renderer trace --hits` does
+//! - `dump KERNEL FILE CAMERA`: writes the hits of a frame, as `lab trace --hits` does
 //! - `quit`
 //!
 //! Each line of a camera file is a name with numbers: `eye`, `ll`, `u`, `v` and `light` in world space, and `res`, the
@@ -20,30 +20,26 @@ use std::{
 };
 
 use anyhow::{Context, Result, bail, ensure};
+use channel::files;
 use clap::{Parser, ValueEnum};
 use cpu_time::ProcessTime;
 use glam::DVec3;
 use lab::{
+    farm::frame_spec,
     statistics::milliseconds,
     trace::{
         cameras::read_line,
-        frame::{self, FrameOptions, Kernel},
+        frame::{Frame, FrameOptions, Kernel},
     },
 };
 use rayon::ThreadPool;
 use renderer::{
     cli::{self, say, scene_args::SceneArgs},
     model::scene::{self, SceneSource},
-    render::{frame::Frame, image, scene::Scene, threads},
+    render::{scene::Scene, threads},
 };
 use serde_json::json;
-use shared::{
-    appearance::Appearance,
-    camera::Camera,
-    division::FrameSize,
-    protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
-    scene::SceneId,
-};
+use shared::{camera::Camera, division::FrameSize, protocol::FrameSpec, scene::SceneId};
 
 /// Traces frames on demand, for comparisons with other ray tracers
 #[derive(Parser)]
@@ -52,7 +48,6 @@ struct Args {
     #[arg(long, alias = "ply", value_name = "FILE")]
     model: PathBuf,
 
-    /// How the scene is built.
     #[command(flatten)]
     scene: SceneArgs,
 
@@ -75,15 +70,15 @@ fn serve() -> Result<()> {
     let pool = threads::pool(args.build_threads.map(NonZero::get))?;
     let (started, started_cpu) = (Instant::now(), ProcessTime::now());
     let scene = pool.install(|| Scene::build(mesh, &options, &|_| ()));
-    let engine = format!("raywall, {}, density {}", options.storage, scene.grid().figures().density);
+    let engine = format!("raywall, {}, density {}", options.storage, scene.grid.figures().density);
     say(json!({
         "event": "ready", "engine": engine, "ply": args.model, "tris": n_triangles, "verts": n_vertices,
         "load_s": load_s, "build_threads": pool.current_num_threads(), "build_s": started.elapsed().as_secs_f64(),
-        "build_cpu_s": started_cpu.elapsed().as_secs_f64(), "mem_bytes": scene.grid().n_bytes(),
+        "build_cpu_s": started_cpu.elapsed().as_secs_f64(), "mem_bytes": scene.grid.n_bytes(),
         "mesh_bytes": scene.mesh().n_bytes(),
     }))?;
 
-    let mut server = Server { scene, engine, pools: HashMap::new(), frame: Frame::default() };
+    let mut server = Server { scene, engine, pools: HashMap::new() };
     let (mut orders, mut line) = (std::io::stdin().lock(), String::new());
     while read_line(&mut orders, &mut line).context("cannot read the next order")? {
         let line = line.trim();
@@ -108,7 +103,6 @@ struct Server {
     engine: String,
     /// By number of threads.
     pools: HashMap<usize, ThreadPool>,
-    frame: Frame,
 }
 
 impl Server {
@@ -120,25 +114,31 @@ impl Server {
             Entry::Occupied(pool) => pool.into_mut(),
             Entry::Vacant(entry) => entry.insert(threads::pool(Some(n_threads))?),
         };
-        keep_busy(pool, BEFORE_FRAMES);
+        // Registers only, no memory.
+        pool.broadcast(|_| {
+            let start = Instant::now();
+            while start.elapsed() < BEFORE_FRAMES {}
+        });
         // One call for all frames: a thread that sleeps between frames is late for the next.
-        let trace = |_| frame::trace(&mut self.frame, &self.scene, &spec, &options);
-        let (costs, counts): (Vec<_>, Vec<_>) = pool.install(|| (0..n_frames).map(trace).unzip());
-        let last = counts[counts.len() - 1];
+        let mut frame = Frame::new(spec.size);
+        let costs: Vec<_> = pool.install(|| (0..n_frames).map(|_| frame.trace(&self.scene, &spec, &options)).collect());
+        let last = costs[costs.len() - 1];
         say(json!({
             "event": "frames", "engine": self.engine, "mode": kernel, "threads": n_threads,
             "shadow": u8::from(shadow), "cam": camera,
             "ms": costs.iter().map(|cost| milliseconds(cost.wall)).collect::<Vec<_>>(),
             "cpu_ms": costs.iter().map(|cost| milliseconds(cost.cpu)).collect::<Vec<_>>(),
-            "rays": spec.size.n_samples() as usize + last.n_shadow_rays, "hits": self.frame.n_hits(),
+            "rays": spec.size.n_samples() as usize + last.n_shadow_rays, "hits": frame.n_hits(),
             "shadow_rays": last.n_shadow_rays, "shadowed": last.n_shadowed,
         }))
     }
 
-    fn dump(&mut self, kernel: &str, file: &Path, camera: &Path) -> Result<()> {
+    fn dump(&self, kernel: &str, file: &Path, camera: &Path) -> Result<()> {
         let options = FrameOptions { kernel: named_kernel(kernel)?, light: None };
-        frame::trace(&mut self.frame, &self.scene, &PeerCamera::read(camera)?.spec, &options);
-        image::write_atomically(file, |out| self.frame.write_hits(&self.scene, out))
+        let PeerCamera { spec, .. } = PeerCamera::read(camera)?;
+        let mut frame = Frame::new(spec.size);
+        frame.trace(&self.scene, &spec, &options);
+        files::write(file, |out| frame.write_hits(&self.scene, out))
             .with_context(|| format!("cannot write {}", file.display()))?;
         say(json!({ "event": "dumped" }))
     }
@@ -150,14 +150,6 @@ impl Server {
 /// later. In the first 40 ms after frames on one thread, more than half of the frames on two took 1.1 times as long or
 /// longer; from 200 ms on, one in seven. The first ray tracer of a comparison would pay for that.
 const BEFORE_FRAMES: Duration = Duration::from_millis(200);
-
-/// Keeps all threads of a pool busy, without touching memory.
-fn keep_busy(pool: &ThreadPool, time: Duration) {
-    pool.broadcast(|_| {
-        let start = Instant::now();
-        while start.elapsed() < time {}
-    });
-}
 
 fn named_kernel(name: &str) -> Result<Kernel> {
     Kernel::from_str(name, false).map_err(|_| anyhow::anyhow!("\"{name}\" is not a kernel: write packet or single"))
@@ -171,42 +163,26 @@ struct PeerCamera {
 
 impl PeerCamera {
     fn read(path: &Path) -> Result<Self> {
-        let text =
-            std::fs::read_to_string(path).with_context(|| format!("cannot read the camera {}", path.display()))?;
+        let text = files::read_text(path, 1 << 20).with_context(|| path.display().to_string())?;
         Self::parse(&text).with_context(|| format!("{} is not a camera", path.display()))
     }
 
     fn parse(text: &str) -> Result<Self> {
-        let [mut eye, mut ll, mut u, mut v] = [None; 4];
-        let mut light = DVec3::new(3.0, 5.0, 4.0);
-        let mut size = FrameSize::PAPER;
-        for line in text.lines() {
-            let mut words = line.split_whitespace();
-            let Some(name) = words.next() else { continue };
-            let numbers = words.map(str::parse).collect::<Result<Vec<f64>, _>>().with_context(|| line.to_owned())?;
-            if name == "res" {
-                ensure!(numbers.len() == 2, "res needs two numbers");
-                size = FrameSize::new(numbers[0] as u32, numbers[1] as u32)?;
-                continue;
-            }
-            ensure!(numbers.len() == 3, "{name} needs three numbers");
-            let point = DVec3::from_slice(&numbers);
-            match name {
-                "eye" => eye = Some(point),
-                "ll" => ll = Some(point),
-                "u" => u = Some(point),
-                "v" => v = Some(point),
-                "light" => light = point,
-                _ => bail!("\"{name}\" is none of eye, ll, u, v, light and res"),
-            }
+        let mut named = HashMap::from([("light", vec![3.0, 5.0, 4.0]), ("res", vec![1024.0, 512.0])]);
+        for line in text.lines().map(str::trim).filter(|line| !line.is_empty()) {
+            let (name, numbers) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
+            let is_known = ["eye", "ll", "u", "v", "light", "res"].contains(&name);
+            ensure!(is_known, "\"{name}\" is none of eye, ll, u, v, light and res");
+            let numbers = numbers.split_whitespace().map(str::parse).collect::<Result<_, _>>();
+            named.insert(name, numbers.with_context(|| line.to_owned())?);
         }
-        let (Some(eye), Some(ll), Some(u), Some(v)) = (eye, ll, u, v) else { bail!("it lacks one of eye, ll, u, v") };
-        let camera = Camera::new(eye, ll, u, v)?;
-        let scene = SceneId::Statue { triangles: 0 };
-        let (view, rays, samples) = (ShadingMode::Shaded, LightingMode::Primary, SampleRange::CENTRE);
-        Ok(Self {
-            spec: FrameSpec { scene, camera, size, view, rays, samples, appearance: Appearance::default() },
-            light,
-        })
+        let point = |name: &str| match named.get(name).map_or(&[][..], Vec::as_slice) {
+            &[x, y, z] => Ok(DVec3::new(x, y, z)),
+            _ => bail!("{name} needs three numbers"),
+        };
+        let &[xres, yres] = &named["res"][..] else { bail!("res needs two numbers") };
+        let size = FrameSize::new(xres as u32, yres as u32)?;
+        let camera = Camera::new(point("eye")?, point("ll")?, point("u")?, point("v")?)?;
+        Ok(Self { spec: frame_spec(SceneId::Statue { triangles: 0 }, camera, size), light: point("light")? })
     }
 }

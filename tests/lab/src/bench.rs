@@ -20,15 +20,14 @@ use compositor::{
     cli::{
         args::ShowArgs,
         headless::{Headless, Wakeup, Wakeups},
-        run::{network_threads, wakeups},
+        run::{network_threads, wake_to_stop, wakeups},
     },
     farm::RenderGoal,
 };
-use glam::Vec3;
 use indicatif::{ProgressBar, ProgressStyle};
 use renderer::{
-    cli::{progress::Progress, say, scene_args::SceneArgs},
-    model::mesh::Mesh,
+    cli::{say, scene_args::SceneArgs},
+    model::{mesh::Mesh, scene::LoadedMesh},
     render::scene::Scene,
 };
 use shared::{
@@ -48,7 +47,6 @@ use crate::{chart::view_all, farm};
 /// The measurements, and the folder of their results.
 #[derive(Clone, Debug, clap::Args)]
 pub struct BenchArgs {
-    /// The model and the wall.
     #[command(flatten)]
     pub show: ShowArgs,
     /// Samples of a measured frame
@@ -57,7 +55,6 @@ pub struct BenchArgs {
     /// By which rays the picture is lit: primary, shadows or ambient
     #[arg(long, value_name = "RAYS", default_value_t = LightingMode::default())]
     pub rays: LightingMode,
-    /// How scenes are built.
     #[command(flatten)]
     pub scene: SceneArgs,
     /// Frames in flight, 1 to 3
@@ -125,8 +122,7 @@ fn seconds(text: &str) -> Result<f64, String> {
     if (0.01..=3600.0).contains(&seconds) { Ok(seconds) } else { Err("from 0.01 to 3600 seconds are possible".into()) }
 }
 
-/// Runs the experiment.
-pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
+pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     // Errors that show at once come before a large model is read.
     let show = &args.show;
     let wall = show.load_wall()?;
@@ -137,7 +133,7 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     std::fs::create_dir_all(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
     let n_cores = std::thread::available_parallelism().map_or(1, usize::from);
     let mut results = Results {
-        model: show.model.as_ref().map_or_else(|| "built-in statue".into(), |path| path.display().to_string()),
+        model: show.model.source().to_string(),
         camera: show.camera.as_ref().map(|path| path.display().to_string()),
         n_cores,
         ..Results::default()
@@ -145,22 +141,17 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     results.write(out)?;
 
     let runtime = network_threads()?;
-    let (wake, wakeups) = wakeups(&runtime);
+    let (wake, wakeups) = wakeups();
     let aspect = wall.aspect();
     let headless = if args.nodes.0.is_empty() { None } else { Some(Headless::new(wall)?) };
-    let source = show.source();
-    let renderer::model::scene::LoadedMesh { id, mesh } = {
-        let bar = Progress::new(format!("loading {source}"));
-        renderer::model::scene::load(&source, &|fraction| bar.set(fraction))?
-    };
+    let LoadedMesh { id, mesh } = show.model.load()?;
+    // From here on, an experiment that is stopped has results.
+    wake_to_stop(wake.clone());
     let bounds = mesh.bounds();
     let camera = camera.unwrap_or_else(|| view_all(bounds, aspect));
     let spec = FrameSpec { rays: args.rays, ..farm::frame_spec(id, camera, args.size) };
-    let path = Path {
-        spec,
-        centre: (Vec3::from(bounds.min).as_dvec3() + Vec3::from(bounds.max).as_dvec3()) * 0.5,
-        in_flight: args.in_flight,
-    };
+    let [min, max] = bounds.corners();
+    let path = Path { spec, centre: (min + max) * 0.5, in_flight: args.in_flight };
 
     let sizes = if args.predict_size.is_empty() {
         vec![FrameSize::PAPER, FrameSize::new(4096, 2304)?]
@@ -169,13 +160,17 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
     };
     let scenarios: Vec<_> = sizes.iter().flat_map(|&size| predict::scenarios(size, &args.predict.0)).collect();
     let n_scenarios = if args.predict.0.is_empty() { 0 } else { scenarios.len() };
-    let steps = Steps::new(args.nodes.0.len() * Division::VARIANTS.len() + n_scenarios);
+    let steps = ProgressBar::new((args.nodes.0.len() * Division::VARIANTS.len() + n_scenarios) as u64);
+    if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len}, {eta} left") {
+        steps.set_style(style);
+    }
+    steps.enable_steady_tick(Duration::from_millis(100));
 
     let mut experiment =
         Experiment { args, out, results: &mut results, steps, wakeups: &wakeups, undisplayed: Vec::new() };
     let goal = RenderGoal {
         spec: Some(spec),
-        scene_path: show.model.clone(),
+        scene_path: show.model.model.clone(),
         in_flight: args.in_flight,
         // Measured and predicted bytes are those of plain samples.
         encoding: Some(Encoding::Raw),
@@ -186,22 +181,25 @@ pub fn run(args: &BenchArgs) -> anyhow::Result<()> {
         outcome = experiment.measure(&runtime, &mut headless, goal, move || {
             // One unread wake-up call is enough.
             let _ = wake.try_send(Wakeup::Farm);
-        })?;
+        });
     }
     if outcome.is_ok() && n_scenarios > 0 {
-        outcome = experiment.predict(&path, &scenarios, mesh)?;
+        outcome = experiment.predict(&path, &scenarios, mesh);
     }
-    experiment.steps.bar.finish_and_clear();
-    let end = if outcome == Err(Stopped) { "stopped: results so far" } else { "all results" };
+    experiment.steps.finish_and_clear();
+    let end = match outcome {
+        Err(error) if !error.is::<Stopped>() => return Err(error),
+        Err(_) => "stopped: results so far",
+        Ok(()) => "all results",
+    };
     say(format_args!("{end}: {}", out.display()))
 }
 
-/// A run of the experiment.
 struct Experiment<'a> {
     args: &'a BenchArgs,
     out: &'a std::path::Path,
     results: &'a mut Results,
-    steps: Steps,
+    steps: ProgressBar,
     wakeups: &'a Wakeups,
     /// Measurements without display, to check predictions with.
     undisplayed: Vec<MeasuredRow>,
@@ -215,44 +213,31 @@ impl Experiment<'_> {
         headless: &mut Headless,
         goal: RenderGoal,
         wake: impl Fn() + Send + Sync + 'static,
-    ) -> anyhow::Result<Result<(), Stopped>> {
+    ) -> anyhow::Result<()> {
         let duration = Duration::from_secs_f64(self.args.seconds);
         let node_counts = &self.args.nodes.0;
         if node_counts.contains(&0) {
-            self.steps.begin("the display alone");
-            match measure::measure_display(headless, self.wakeups, self.args.size, duration)? {
-                Ok(row) => self.add_measured(row, Division::VARIANTS.len())?,
-                Err(Stopped) => return Ok(Err(Stopped)),
-            }
+            self.steps.set_message("the display alone");
+            let row = measure::measure_display(headless, self.wakeups, self.args.size, duration)?;
+            self.add_measured(row, Division::VARIANTS.len())?;
         }
         let mut wall = RealWall::start(runtime, headless, self.wakeups, goal, &self.args.scene, wake)?;
         for &n_nodes in node_counts.iter().filter(|&&n_nodes| n_nodes > 0) {
             wall.grow_to(n_nodes)?;
             for &division in Division::VARIANTS {
-                self.steps.begin(&format!("{n_nodes} render servers, {division}"));
-                match wall.measure(division, duration, true)? {
-                    Ok(row) => self.add_measured(row, 1)?,
-                    Err(Stopped) => return Ok(Err(Stopped)),
-                }
+                self.steps.set_message(format!("{n_nodes} render servers, {division}"));
+                self.add_measured(wall.measure(division, duration, true)?, 1)?;
                 if n_nodes <= 2 && n_nodes as usize <= self.results.n_cores {
-                    match wall.measure(division, duration, false)? {
-                        Ok(row) => self.undisplayed.push(row),
-                        Err(Stopped) => return Ok(Err(Stopped)),
-                    }
+                    self.undisplayed.push(wall.measure(division, duration, false)?);
                 }
             }
         }
-        Ok(Ok(()))
+        Ok(())
     }
 
     /// Checks the prediction on this machine, then predicts clusters.
-    fn predict(
-        &mut self,
-        path: &Path,
-        scenarios: &[predict::Scenario],
-        mesh: Mesh,
-    ) -> anyhow::Result<Result<(), Stopped>> {
-        self.steps.begin("building the grid");
+    fn predict(&mut self, path: &Path, scenarios: &[predict::Scenario], mesh: Mesh) -> anyhow::Result<()> {
+        self.steps.set_message("building the grid");
         let scene = Scene::build(mesh, &self.args.scene.options(), &|_| ());
         let wakeups = self.wakeups;
         // The wake-up call to stop comes once; the answer stays.
@@ -263,21 +248,21 @@ impl Experiment<'_> {
         };
         for measured in &self.undisplayed {
             let mut tracer = ShareTracer::new(&scene);
-            let Some(check) = predict::check(measured, path, &mut tracer, is_stopped) else { return Ok(Err(Stopped)) };
-            self.steps.say(&format!(
+            let check = predict::check(measured, path, &mut tracer, is_stopped).ok_or(Stopped)?;
+            self.steps.suspend(|| say(format_args!(
                 "check of the prediction, {:<11} {} nodes: {:.1} ms measured ({:.1} of CPU by the busiest), {:.1} ms predicted",
                 check.division,
                 check.n_nodes,
                 check.measured_ms,
                 check.measured_busy_ms,
                 check.predicted_ms
-            ))?;
+            )))?;
             self.results.checks.push(check);
         }
         for scenario in scenarios {
             let &predict::Scenario { size, is_moving, division, n_nodes, n_slow } = scenario;
             let motion = if is_moving { "moving" } else { "still" };
-            self.steps.begin(&format!("predicting {n_nodes} nodes, {size}, {division}, {motion}"));
+            self.steps.set_message(format!("predicting {n_nodes} nodes, {size}, {division}, {motion}"));
             let alone_ms = |mbit_per_s: f64| {
                 let is_alone = |row: &&PredictedRow| {
                     (row.division, row.is_moving, row.n_nodes) == (division, is_moving, 1)
@@ -288,10 +273,9 @@ impl Experiment<'_> {
             };
             let n_frames = usize::from(self.args.predict_frames);
             let mut tracer = ShareTracer::new(&scene);
-            let rows = predict::predict(scenario, path, n_frames, &mut tracer, alone_ms, is_stopped);
-            let Some(rows) = rows else { return Ok(Err(Stopped)) };
+            let rows = predict::predict(scenario, path, n_frames, &mut tracer, alone_ms, is_stopped).ok_or(Stopped)?;
             for row in &rows {
-                self.steps.say(&format!(
+                self.steps.suspend(|| say(format_args!(
                     "predicted {size} {motion:<6} {:<11} {n_nodes:>3} nodes{} {:>5.0} Mbit/s: {:>8.2} ms a frame, {} binds, \
                      {:.2} of it, efficiency {:.2}, imbalance {:.3} (p95 {:.3})",
                     division,
@@ -303,58 +287,35 @@ impl Experiment<'_> {
                     row.efficiency,
                     row.imbalance_median,
                     row.imbalance_p95
-                ))?;
+                )))?;
             }
             self.results.predicted.extend(rows);
             self.write(1)?;
         }
-        Ok(Ok(()))
+        Ok(())
     }
 
     fn add_measured(&mut self, row: MeasuredRow, n_steps: usize) -> anyhow::Result<()> {
-        self.steps.say(&format!(
-            "measured {:<11} {:>2} render servers: {:>8.1} ms a frame (p95 {:.1}), {:>9.0} bytes in, {:>5.0} out",
-            row.division.map_or("display", Into::into),
-            row.n_nodes,
-            row.frame_ms_median,
-            row.frame_ms_p95,
-            row.bytes_in,
-            row.bytes_out
-        ))?;
+        self.steps.suspend(|| {
+            say(format_args!(
+                "measured {:<11} {:>2} render servers: {:>8.1} ms a frame (p95 {:.1}), {:>9.0} bytes in, {:>5.0} out",
+                row.division.map_or("display", Into::into),
+                row.n_nodes,
+                row.frame_ms_median,
+                row.frame_ms_p95,
+                row.bytes_in,
+                row.bytes_out
+            ))
+        })?;
         self.results.measured.push(row);
         self.write(n_steps)
     }
 
-    /// Writes all results so far; called after each step.
     fn write(&mut self, n_steps: usize) -> anyhow::Result<()> {
         self.results.write(self.out)?;
         charts::draw(self.results, self.out)?;
-        self.steps.bar.inc(n_steps as u64);
+        self.steps.inc(n_steps as u64);
         Ok(())
-    }
-}
-
-/// Progress of the experiment, on a terminal.
-struct Steps {
-    bar: ProgressBar,
-}
-
-impl Steps {
-    fn new(n_steps: usize) -> Self {
-        let bar = ProgressBar::new(n_steps as u64);
-        if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len}, {eta} left") {
-            bar.set_style(style);
-        }
-        bar.enable_steady_tick(Duration::from_millis(100));
-        Self { bar }
-    }
-
-    fn begin(&self, step: &str) {
-        self.bar.set_message(step.to_owned());
-    }
-
-    fn say(&self, line: &str) -> anyhow::Result<()> {
-        self.bar.suspend(|| say(line))
     }
 }
 

@@ -13,16 +13,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use clap::{Args, ValueEnum};
-use glam::Vec3;
 use renderer::{
-    cli::{progress::Progress, say, trace::read_camera},
+    cli::{
+        picture_args::{ModelArgs, read_camera},
+        progress::Progress,
+        say,
+    },
     grid::MemoryBudget,
     intersect::InstructionSet,
-    model::{
-        mesh::{Aabb, Mesh},
-        scene::{self, SceneSource},
-        statue,
-    },
+    model::mesh::{Aabb, Mesh},
     render::scene::Scene,
 };
 use serde::Serialize;
@@ -38,14 +37,8 @@ use crate::{files, plot::Figure};
 /// The charts, and the folder of their files.
 #[derive(Args, Debug)]
 pub struct ChartArgs {
-    /// The PLY file to measure [default: the built-in statue]
-    #[arg(long, value_name = "FILE")]
-    model: Option<PathBuf>,
-
-    /// Triangles of the built-in statue
-    #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES, conflicts_with = "model",
-        value_parser = clap::value_parser!(u32).range(100..=100_000_000))]
-    triangles: u32,
+    #[command(flatten)]
+    model: ModelArgs,
 
     /// A camera file with eye, ll, u and v; may be repeated [default: a camera that sees the whole model]
     #[arg(long, value_name = "FILE")]
@@ -57,7 +50,7 @@ pub struct ChartArgs {
 
     /// Charts, separated by commas: kernel (speed against depth errors and wrong pixels), memory (speed against bytes and
     /// build time), image (time against sharpness)
-    #[arg(long, value_name = "CHARTS", value_enum, value_delimiter = ',', default_values_t = Chart::ALL)]
+    #[arg(long, value_name = "CHARTS", value_enum, value_delimiter = ',', default_value = "kernel,memory,image")]
     charts: Vec<Chart>,
 
     /// Samples across and down of the kernel and memory charts [default: 1024x512; with --quick 256x128]
@@ -78,40 +71,22 @@ pub struct ChartArgs {
     quick: bool,
 }
 
-/// The charts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, strum::Display)]
+#[strum(serialize_all = "lowercase")]
 enum Chart {
     Kernel,
     Memory,
     Image,
 }
 
-impl Chart {
-    const ALL: [Self; 3] = [Self::Kernel, Self::Memory, Self::Image];
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Kernel => "kernel",
-            Self::Memory => "memory",
-            Self::Image => "image",
-        }
-    }
-}
-
 /// Measures, and writes the results so far after each step.
-pub fn run(args: &ChartArgs) -> Result<()> {
+pub(crate) fn run(args: &ChartArgs) -> Result<()> {
     // Wrong arguments are found before a large model is read.
     let cameras = args.camera.iter().map(|path| Ok((name_of(path), read_camera(path)?))).collect::<Result<Vec<_>>>()?;
     let peers = args.points.as_deref().map(peers::read).transpose()?.unwrap_or_default();
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
-    let (source, name) = match &args.model {
-        Some(path) => (SceneSource::Ply(path.clone()), name_of(path)),
-        None => (SceneSource::Statue { triangles: args.triangles }, "the built-in statue".to_owned()),
-    };
-    let mesh = {
-        let progress = Progress::new(format!("loading {name}"));
-        scene::load(&source, &|done| progress.set(done))?.mesh
-    };
+    let name = args.model.model.as_deref().map_or_else(|| args.model.source().to_string(), name_of);
+    let mesh = args.model.load()?.mesh;
     let cameras = if cameras.is_empty() {
         vec![("whole model".to_owned(), view_all(mesh.bounds(), 16.0 / 9.0))]
     } else {
@@ -120,6 +95,7 @@ pub fn run(args: &ChartArgs) -> Result<()> {
     let mut session = Session {
         args,
         name,
+        n_triangles: mesh.triangles.len(),
         mesh,
         cameras,
         peers,
@@ -135,7 +111,7 @@ pub fn run(args: &ChartArgs) -> Result<()> {
             Chart::Image => session.chart_image()?,
         }
         if session.is_charted(chart) {
-            say(format_args!("wrote {}", args.out.join(format!("{}.svg", chart.name())).display()))?;
+            say(format_args!("wrote {}", args.out.join(format!("{chart}.svg")).display()))?;
         }
     }
     let is_any = args.charts.iter().any(|&chart| session.is_charted(chart));
@@ -147,18 +123,16 @@ fn name_of(path: &Path) -> String {
     path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
-/// The camera that sees all of a model.
-pub fn view_all(bounds: Aabb, aspect: f64) -> Camera {
-    let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
+pub(crate) fn view_all(bounds: Aabb, aspect: f64) -> Camera {
+    let [min, max] = bounds.corners();
     Camera::view_all(min, max, UpAxis::Y, aspect)
 }
 
-/// A run and its results so far.
 struct Session<'a> {
     args: &'a ChartArgs,
-    /// The model's name.
     name: String,
     mesh: Mesh,
+    n_triangles: usize,
     cameras: Vec<(String, Camera)>,
     peers: Vec<Peer>,
     kernel: kernel::Results,
@@ -194,7 +168,7 @@ impl Session<'_> {
                 }
             }
         }
-        if self.kernel.rows.is_empty() { Ok(()) } else { say(self.kernel.table()) }
+        if self.kernel.rows.is_empty() { Ok(()) } else { say(self.kernel.table()?) }
     }
 
     fn chart_memory(&mut self) -> Result<()> {
@@ -225,8 +199,7 @@ impl Session<'_> {
                 let title = format!("Scene structures: speed, memory and build time on {}", self.name);
                 let reading = "Left is smaller or sooner built, down is faster; the dashed line is the Pareto front. \
                     All hits are the same, bit for bit.";
-                let figure =
-                    memory::figure(title, self.notes_of(&mesh, settings.size, reading), &self.memory, &self.peers);
+                let figure = memory::figure(title, self.notes(settings.size, reading), &self.memory, &self.peers);
                 self.write(Chart::Memory, &self.memory, &figure)?;
             }
         }
@@ -236,18 +209,17 @@ impl Session<'_> {
         if self.memory.is_empty() {
             return Ok(());
         }
-        say(memory::table(&self.memory))?;
+        say(files::table(&self.memory)?)?;
         memory::verdict(&self.memory, chosen).map_or(Ok(()), say)
     }
 
     fn chart_image(&mut self) -> Result<()> {
         let quick = self.args.quick;
-        let sizes: &[(u32, u32)] = if quick {
-            &[(512, 256), (1024, 512), (2048, 1152)]
-        } else {
-            &[(512, 256), (1024, 512), (2048, 1152), (4096, 2304)]
-        };
-        let sizes = sizes.iter().map(|&(xres, yres)| FrameSize::new(xres, yres)).collect::<Result<Vec<_>, _>>()?;
+        let sizes = [(512, 256), (1024, 512), (2048, 1152), (4096, 2304)];
+        let sizes = sizes[..if quick { 3 } else { 4 }]
+            .iter()
+            .map(|&(xres, yres)| FrameSize::new(xres, yres))
+            .collect::<Result<Vec<_>, _>>()?;
         let native = sizes[sizes.len() - 1];
         let n_reference_samples = if quick { 16 } else { 64 };
         let samples = if quick { vec![1, 4, 16] } else { vec![1, 2, 4, 8, 16] };
@@ -272,7 +244,7 @@ impl Session<'_> {
                 self.write(Chart::Image, &self.image, &figure)
             })?;
         }
-        say(picture::table(&self.image))
+        say(files::table(&self.image)?)
     }
 
     fn is_charted(&self, chart: Chart) -> bool {
@@ -294,25 +266,20 @@ impl Session<'_> {
     }
 
     fn notes(&self, size: FrameSize, reading: &str) -> Vec<String> {
-        self.notes_of(&self.mesh, size, reading)
-    }
-
-    fn notes_of(&self, mesh: &Mesh, size: FrameSize, reading: &str) -> Vec<String> {
-        let (n_triangles, instructions) = (mesh.triangles.len(), InstructionSet::best());
+        let (n_triangles, instructions) = (self.n_triangles, InstructionSet::best());
         let n_cameras = self.cameras.len();
         let views = if n_cameras == 1 { "1 view".to_owned() } else { format!("{n_cameras} views") };
         vec![format!("{n_triangles} triangles, {size}, {views}, {instructions:?}"), reading.to_owned()]
     }
 
-    /// Writes a chart's files with the results so far.
     fn write(&self, chart: Chart, rows: &[impl Serialize], figure: &Figure) -> Result<()> {
         let folder = &self.args.out;
         let json = json!({
             "model": self.name, "instructions": format!("{:?}", InstructionSet::best()), "kernel": self.kernel.rows,
             "memory": self.memory, "image": self.image, "points": self.peers, "left_out": self.left_out,
         });
-        files::write(folder, &format!("{}.csv", chart.name()), files::csv(rows)?.as_bytes())?;
+        files::write(folder, &format!("{chart}.csv"), files::csv(rows)?.as_bytes())?;
         files::write(folder, "chart.json", serde_json::to_string_pretty(&json)?.as_bytes())?;
-        figure.write(folder, chart.name())
+        figure.write(folder, &chart.to_string())
     }
 }

@@ -4,21 +4,21 @@
 //! [`mod@bench`], [`chart`], [`stability`] and [`trace`] are its commands; [`farm`] serves the examples. [`files`], [`plot`],
 //! [`random`], [`statistics`] and [`vector`] serve all of them.
 
-pub mod bench;
-pub mod chart;
+mod bench;
+mod chart;
 pub mod farm;
-pub mod files;
-pub mod plot;
-pub mod random;
-pub mod stability;
+mod files;
+mod plot;
+mod random;
+mod stability;
 pub mod statistics;
 pub mod trace;
-pub mod vector;
+mod vector;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
-use crate::{bench::BenchArgs, chart::ChartArgs, stability::StabilityArgs, trace::LabTraceArgs};
+use crate::{bench::BenchArgs, chart::ChartArgs, stability::StabilityArgs, trace::TraceArgs};
 
 /// Measures what a display wall runs
 #[derive(Debug, Parser)]
@@ -38,8 +38,8 @@ pub enum Command {
     Stability(StabilityArgs),
     /// Repeat the paper's experiment: bytes and time per frame by division and number of render servers
     Bench(BenchArgs),
-    /// Trace frames as `renderer trace` does, with more measurements
-    Trace(Box<LabTraceArgs>),
+    /// Trace frames without a network, and measure them
+    Trace(Box<TraceArgs>),
     /// Run a render server: `lab bench` starts them
     #[command(subcommand, hide = true)]
     Renderer(Box<renderer::cli::Command>),

@@ -22,7 +22,7 @@ use anyhow::{Result, bail};
 use clap::Args;
 use closed::Aim;
 use contenders::{Contender, Tally};
-use renderer::cli::{progress::Progress, say, trace::read_camera};
+use renderer::cli::{picture_args::read_camera, progress::Progress, say};
 
 /// The extent of the trial, or a failure to replay.
 #[derive(Args, Debug)]
@@ -40,57 +40,40 @@ pub struct StabilityArgs {
     replay: Option<Vec<PathBuf>>,
 }
 
-/// A situation in which some methods fail.
-struct Case {
-    name: &'static str,
-    /// Takes the approximate number of rays, and whether to measure times.
-    run: fn(u64, bool) -> Tally,
-}
+/// A situation in which some methods fail: its name, and a function of the approximate number of rays, and of whether to
+/// measure times.
+type Case = (&'static str, fn(u64, bool) -> Tally);
 
 const CASES: &[Case] = &[
-    Case { name: "inside a sphere, centred at 0", run: |n, _| closed::sphere([0.0; 3], 2.0, Aim::Anywhere, n) },
-    Case { name: "… at 10³", run: |n, _| closed::sphere([1e3, -1e3, 1e3], 2.0, Aim::Anywhere, n) },
-    Case {
-        name: "… at 1.5·10⁵", run: |n, _| closed::sphere([148_376.0, 1234.0, -223_423.0], 2.0, Aim::Anywhere, n)
-    },
-    Case { name: "… at 10⁷", run: |n, _| closed::sphere([1e7, 1e7, -1e7], 2.0, Aim::Anywhere, n) },
-    Case { name: "… at its vertices and edge midpoints", run: |n, _| every_sphere(Aim::VerticesAndEdges, n) },
-    Case { name: "coordinates from 10⁻⁸ to 10⁸", run: |n, _| coordinates(n) },
-    Case { name: "along axes, with +0 and −0", run: |n, _| lattice::solids_and_soups(lattice::Aim::Axes, n) },
-    Case { name: "within planes between cells", run: |n, _| closed::cell_planes(n) },
-    Case { name: "along edges", run: |n, _| lattice::solids_and_soups(lattice::Aim::Edges, n) },
-    Case {
-        name: "through corners and edge midpoints",
-        run: |n, _| lattice::solids_and_soups(lattice::Aim::Corners, n),
-    },
-    Case {
-        name: "from vertices, edges and faces",
-        run: |n, _| lattice::solids_and_soups(lattice::Aim::FromSurfaces, n),
-    },
-    Case { name: "from 10⁶ extents away", run: |n, _| lattice::solids_and_soups(lattice::Aim::Far, n) },
-    Case {
-        name: "flat scenes, on each axis",
-        run: |n, _| [0, 1, 2].map(|axis| lattice::flat(&[axis], n / 3)).into_iter().sum(),
-    },
-    Case {
-        name: "a line, a point",
-        run: |n, _| [&[0, 2][..], &[0, 1, 2]].map(|axes| lattice::flat(axes, n / 2)).into_iter().sum(),
-    },
-    Case { name: "no triangle, one triangle", run: |n, _| lattice::few(n) },
-    Case { name: "NaN, infinite and 10³⁰ vertices", run: |n, _| hostile::bad_vertices(n) },
-    Case { name: "denormal coordinates", run: |n, _| lattice::denormal(n) },
-    Case { name: "duplicates, triangles without area", run: |n, _| lattice::duplicates(n) },
-    Case { name: "10⁵ coincident triangles", run: |n, _| hostile::coincident(n) },
-    Case { name: "slivers of 1:10⁶", run: |n, _| closed::slivers(n) },
-    Case { name: "scaled by 2^±20 and 2^±40", run: |n, _| invariance::scale(n) },
-    Case { name: "translated", run: |n, _| invariance::translation(n) },
-    Case { name: "a teapot in a stadium", run: stadium::teapot },
-    Case { name: "shadow rays: acne", run: |n, _| shadows::acne(n) },
-    Case { name: "shadow rays: lost contact", run: |n, _| shadows::contact(n) },
-    Case { name: "NaN, infinite and huge rays", run: |n, _| hostile::odd_rays(n) },
-    Case { name: "instructions, threads, divisions, storage", run: |n, _| invariance::one_hash(n) },
-    Case { name: "camera rays against f64", run: |n, _| cameras::against_f64(n) },
-    Case { name: "degenerate cameras", run: |n, _| cameras::degenerate(n) },
+    ("inside a sphere, centred at 0", |n, _| closed::sphere([0.0; 3], 2.0, Aim::Anywhere, n)),
+    ("… at 10³", |n, _| closed::sphere([1e3, -1e3, 1e3], 2.0, Aim::Anywhere, n)),
+    ("… at 1.5·10⁵", |n, _| closed::sphere([148_376.0, 1234.0, -223_423.0], 2.0, Aim::Anywhere, n)),
+    ("… at 10⁷", |n, _| closed::sphere([1e7, 1e7, -1e7], 2.0, Aim::Anywhere, n)),
+    ("… at its vertices and edge midpoints", |n, _| every_sphere(Aim::VerticesAndEdges, n)),
+    ("coordinates from 10⁻⁸ to 10⁸", |n, _| coordinates(n)),
+    ("along axes, with +0 and −0", |n, _| lattice::solids_and_soups(lattice::Aim::Axes, n)),
+    ("within planes between cells", |n, _| closed::cell_planes(n)),
+    ("along edges", |n, _| lattice::solids_and_soups(lattice::Aim::Edges, n)),
+    ("through corners and edge midpoints", |n, _| lattice::solids_and_soups(lattice::Aim::Corners, n)),
+    ("from vertices, edges and faces", |n, _| lattice::solids_and_soups(lattice::Aim::FromSurfaces, n)),
+    ("from 10⁶ extents away", |n, _| lattice::solids_and_soups(lattice::Aim::Far, n)),
+    ("flat scenes, on each axis", |n, _| [0, 1, 2].map(|axis| lattice::flat(&[axis], n / 3)).into_iter().sum()),
+    ("a line, a point", |n, _| [&[0, 2][..], &[0, 1, 2]].map(|axes| lattice::flat(axes, n / 2)).into_iter().sum()),
+    ("no triangle, one triangle", |n, _| lattice::few(n)),
+    ("NaN, infinite and 10³⁰ vertices", |n, _| hostile::bad_vertices(n)),
+    ("denormal coordinates", |n, _| lattice::denormal(n)),
+    ("duplicates, triangles without area", |n, _| lattice::duplicates(n)),
+    ("10⁵ coincident triangles", |n, _| hostile::coincident(n)),
+    ("slivers of 1:10⁶", |n, _| closed::slivers(n)),
+    ("scaled by 2^±20 and 2^±40", |n, _| invariance::scale(n)),
+    ("translated", |n, _| invariance::translation(n)),
+    ("a teapot in a stadium", stadium::teapot),
+    ("shadow rays: acne", |n, _| shadows::acne(n)),
+    ("shadow rays: lost contact", |n, _| shadows::contact(n)),
+    ("NaN, infinite and huge rays", |n, _| hostile::odd_rays(n)),
+    ("instructions, threads, divisions, storage", |n, _| invariance::one_hash(n)),
+    ("camera rays against f64", |n, _| cameras::against_f64(n)),
+    ("degenerate cameras", |n, _| cameras::degenerate(n)),
 ];
 
 fn every_sphere(aim: Aim, n_rays: u64) -> Tally {
@@ -105,32 +88,31 @@ fn coordinates(n_rays: u64) -> Tally {
 }
 
 /// Tries the cases and prints the table. A wrong hit of the default is an error.
-pub fn run(args: &StabilityArgs) -> Result<()> {
+pub(crate) fn run(args: &StabilityArgs) -> Result<()> {
     if let Some([mesh, camera]) = args.replay.as_deref() {
         return replay::run(mesh, &read_camera(camera)?);
     }
     let wanted = args.case.as_deref().unwrap_or_default();
-    let cases: Vec<_> = CASES.iter().filter(|case| case.name.contains(wanted)).collect();
+    let cases: Vec<_> = CASES.iter().filter(|(name, _)| name.contains(wanted)).collect();
     if cases.is_empty() {
-        let names: Vec<_> = CASES.iter().map(|case| case.name).collect();
+        let names: Vec<_> = CASES.iter().map(|(name, _)| *name).collect();
         bail!("no case has {wanted:?} in its name; there are: {}", names.join("; "));
     }
     say(head())?;
     let mut failures = Vec::new();
-    for case in cases {
+    for (name, run) in cases {
         let tally = {
-            let _progress = Progress::new(case.name);
-            (case.run)(args.rays, true)
+            let _progress = Progress::new(*name);
+            run(args.rays, true)
         };
-        say(line(case.name, &tally))?;
+        say(line(name, &tally))?;
         if let Some(failure) = &tally.first_failure {
-            failures.push(format!("{}: {failure}", case.name));
+            failures.push(format!("{name}: {failure}"));
         }
     }
     if failures.is_empty() { Ok(()) } else { bail!("the default fails: {}", failures.join("; ")) }
 }
 
-/// The head of the table, in Markdown.
 fn head() -> String {
     let names = Contender::ALL.map(Contender::name).join(" | ");
     format!("| wrong of a million rays | rays | {names} |\n|---|---:{}|", "|---:".repeat(Contender::ALL.len()))
@@ -161,10 +143,10 @@ mod tests {
 
     #[test]
     fn the_default_fails_nowhere() {
-        for case in CASES {
-            let tally = (case.run)(100_000, false);
-            assert!(tally.n_rays > 0, "{}: nothing was tried", case.name);
-            assert_eq!(tally.first_failure, None, "{}", case.name);
+        for (name, run) in CASES {
+            let tally = run(100_000, false);
+            assert!(tally.n_rays > 0, "{name}: nothing was tried");
+            assert_eq!(tally.first_failure, None, "{name}");
         }
     }
 

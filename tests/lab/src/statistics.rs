@@ -6,7 +6,8 @@ use std::time::Duration;
 pub fn quantiles<const N: usize>(values: impl IntoIterator<Item = f64>, parts: [f64; N]) -> [f64; N] {
     let mut sorted: Vec<f64> = values.into_iter().collect();
     sorted.sort_by(f64::total_cmp);
-    parts.map(|part| sorted.get(nearest_rank(sorted.len(), part)).copied().unwrap_or(0.0))
+    let nearest_rank = |part: f64| (sorted.len().saturating_sub(1) as f64 * part).round() as usize;
+    parts.map(|part| sorted.get(nearest_rank(part)).copied().unwrap_or(0.0))
 }
 
 /// One quantile, by the nearest rank; 0 without values.
@@ -20,12 +21,6 @@ pub fn median(values: impl IntoIterator<Item = f64>) -> f64 {
     quantile(values, 0.5)
 }
 
-/// The median duration, of an even number the upper one; zero without values.
-pub fn median_duration(durations: &mut [Duration]) -> Duration {
-    durations.sort_unstable();
-    durations.get(nearest_rank(durations.len(), 0.5)).copied().unwrap_or_default()
-}
-
 /// The arithmetic mean; NaN without values.
 pub fn mean(values: impl IntoIterator<Item = f64>) -> f64 {
     let (sum, n) = values.into_iter().fold((0.0, 0), |(sum, n), value| (sum + value, n + 1));
@@ -37,10 +32,6 @@ pub fn milliseconds(duration: Duration) -> f64 {
     duration.as_secs_f64() * 1e3
 }
 
-fn nearest_rank(n: usize, part: f64) -> usize {
-    (n.saturating_sub(1) as f64 * part).round() as usize
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -50,7 +41,6 @@ mod tests {
         assert_eq!(quantiles([3.0, 1.0, 2.0], [0.0, 0.5, 0.95]), [1.0, 2.0, 3.0]);
         assert_eq!(quantile([], 0.5), 0.0);
         assert_eq!(median([4.0, 1.0, 2.0, 3.0]), 3.0);
-        assert_eq!(median_duration(&mut [3, 1, 2].map(Duration::from_secs)), Duration::from_secs(2));
         assert_eq!(mean([1.0, 2.0, 6.0]), 3.0);
     }
 }

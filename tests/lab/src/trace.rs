@@ -1,32 +1,54 @@
-//! `lab trace`: `renderer trace` with shadow rays, single rays, counters, and frames on demand.
+//! `lab trace`: measures frames of one render server without a network.
 
 pub mod cameras;
 mod counts;
 pub mod frame;
 mod shadows;
 
-use anyhow::{Result, ensure};
+use std::{path::PathBuf, time::Instant};
+
+use anyhow::{Context, Result, ensure};
+use channel::files;
 use clap::Args;
 use glam::Vec3;
-use renderer::cli::{
-    say,
-    trace::{Report, TraceArgs},
+use renderer::{
+    cli::{picture_args::PictureArgs, say},
+    grid::GridStats,
+    model::scene::LoadedMesh,
+    render::image,
 };
 use serde::Serialize;
+use shared::division::FrameSize;
 
-use self::frame::{FrameOptions, Kernel, RayCounts};
-use crate::statistics::median;
+use self::frame::{Cost, Frame, FrameOptions, Kernel};
+use crate::statistics::{median, milliseconds};
 
-/// The picture, and the measurements.
+/// The frame to trace, the measurements, and the files to write.
 #[derive(Args, Debug)]
-pub struct LabTraceArgs {
-    /// The picture.
+pub struct TraceArgs {
     #[command(flatten)]
-    picture: TraceArgs,
+    picture: PictureArgs,
+
+    /// Trace the frame this many times, to measure
+    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    frames: u32,
+
+    /// Write the picture as PNG
+    #[arg(long, value_name = "FILE")]
+    image: Option<PathBuf>,
+
+    /// Write the hits: for each sample, bottom row first, little endian, the triangle's number in the file as u32
+    /// (0xffffffff for a miss) and t as f32 in units of the ray's direction (infinite for a miss)
+    #[arg(long, value_name = "FILE")]
+    hits: Option<PathBuf>,
+
+    /// Print the measurements as one JSON object
+    #[arg(long)]
+    json: bool,
 
     /// Read paths of camera files from standard input ("-", the only value), one a line; trace a frame for each and
     /// answer with a line of JSON; the first unreadable camera ends the program
-    #[arg(long, value_name = "-", conflicts_with_all = ["camera", "frames", "image", "hits", "explain"])]
+    #[arg(long, value_name = "-", conflicts_with_all = ["camera", "frames", "image", "hits"])]
     cameras: Option<String>,
 
     /// Trace the rays of tiles in packets, or one by one
@@ -50,14 +72,27 @@ fn point(text: &str) -> Result<Vec3, String> {
     }
 }
 
-/// The results, as JSON.
+/// Measurements. Times of frames are in milliseconds, one entry per frame.
 #[derive(Serialize)]
-struct LabReport {
-    #[serde(flatten)]
-    report: Report,
+struct Report {
+    triangles: usize,
+    vertices: usize,
+    rejected: usize,
+    load_seconds: f64,
+    build_seconds: f64,
+    mesh_bytes: usize,
+    structure_bytes: usize,
+    grid: GridStats,
+    hits: usize,
+    /// Rays of a frame over the median of `frame_ms`.
+    mrays_per_second: f64,
+    frame_ms: Vec<f64>,
+    /// CPU time of all threads for making rays, tracing them and storing the hits.
+    frame_cpu_ms: Vec<f64>,
+    /// CPU time of all threads for shading the hits.
+    shade_cpu_ms: Vec<f64>,
     /// `None` where the system does not report it.
     peak_rss_bytes: Option<u64>,
-    /// Traced shadow rays.
     shadow_rays: usize,
     /// Hits that the light does not reach.
     shadowed: usize,
@@ -69,49 +104,74 @@ struct LabReport {
 }
 
 /// Loads, builds and traces, and writes files and results.
-///
-/// # Errors
-/// A file cannot be read or written.
-pub fn run(args: &LabTraceArgs) -> Result<()> {
+pub fn run(args: &TraceArgs) -> Result<()> {
     args.picture.pool()?.install(|| run_in_pool(args))
 }
 
-fn run_in_pool(args: &LabTraceArgs) -> Result<()> {
+fn run_in_pool(args: &TraceArgs) -> Result<()> {
     if let Some(source) = &args.cameras {
         ensure!(source == "-", "--cameras {source}: cameras are only read from standard input, written as -");
     }
     let options = FrameOptions { kernel: args.kernel, light: args.shadow_rays.then_some(args.light) };
-    let prepared = args.picture.prepare()?;
-    let (scene, spec) = (&prepared.scene, &prepared.spec);
+    // The camera is checked before a large model is read.
+    let camera = args.picture.read_camera()?;
+    let (loaded, load_seconds) = timed(|| args.picture.model.load());
+    let LoadedMesh { id, mesh } = loaded?;
+    let (triangles, vertices, rejected) = (mesh.triangles.len(), mesh.vertices.len(), mesh.n_rejected);
+    let (scene, build_seconds) = timed(|| args.picture.build(mesh));
+    let spec = args.picture.spec(id, &scene, camera);
     if args.cameras.is_some() {
-        return cameras::run(scene, spec, &options, std::io::stdin().lock(), std::io::stdout().lock());
+        return cameras::run(&scene, &spec, &options, std::io::stdin().lock(), std::io::stdout().lock());
     }
 
-    let mut counts = RayCounts::default();
-    let mut report = args.picture.trace(&prepared, |frame| {
-        let (cost, counted) = frame::trace(frame, scene, spec, &options);
-        counts = counted;
-        cost
-    })?;
-    let n_samples = spec.size.n_samples();
-    report.mrays_per_second =
-        (n_samples as usize + counts.n_shadow_rays) as f64 / median(report.frame_ms.iter().copied()) / 1e3;
-    if !args.picture.json {
-        return say(report.table(spec.size));
+    let (mut frame_ms, mut frame_cpu_ms, mut shade_cpu_ms) = (Vec::new(), Vec::new(), Vec::new());
+    let mut frame = Frame::new(spec.size);
+    let mut cost = Cost::default();
+    for _ in 0..args.frames {
+        cost = frame.trace(&scene, &spec, &options);
+        frame_ms.push(milliseconds(cost.wall));
+        frame_cpu_ms.push(milliseconds(cost.cpu));
+        shade_cpu_ms.push(milliseconds(frame.shade(&scene, &spec)));
+    }
+    if let Some(path) = &args.image {
+        image::write_png(path, spec.size, &frame.rgb()).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    if let Some(path) = &args.hits {
+        files::write(path, |out| frame.write_hits(&scene, out))
+            .with_context(|| format!("cannot write {}", path.display()))?;
     }
     // Counting traces rays one by one, so the table does without it.
-    let cost_sum = counts::cost_sum(scene, spec);
-    let per_ray = |sum: u64| sum as f64 / f64::from(n_samples);
-    say(serde_json::to_string(&LabReport {
-        report,
+    let [cell_traversals, triangle_tests] = if args.json { counts::cost_sum(&scene, &spec) } else { [0, 0] };
+    let n_samples = f64::from(spec.size.n_samples());
+    let report = Report {
+        triangles,
+        vertices,
+        rejected,
+        load_seconds,
+        build_seconds,
+        mesh_bytes: scene.mesh().n_bytes(),
+        structure_bytes: scene.grid.n_bytes(),
+        grid: scene.grid.figures(),
+        hits: frame.n_hits(),
+        mrays_per_second: (n_samples + cost.n_shadow_rays as f64) / median(frame_ms.iter().copied()) / 1e3,
+        frame_ms,
+        frame_cpu_ms,
+        shade_cpu_ms,
         peak_rss_bytes: peak_rss_bytes(),
-        shadow_rays: counts.n_shadow_rays,
-        shadowed: counts.n_shadowed,
-        cell_traversals: cost_sum.n_cells,
-        triangle_tests: cost_sum.n_tests,
-        cell_traversals_per_ray: per_ray(cost_sum.n_cells),
-        triangle_tests_per_ray: per_ray(cost_sum.n_tests),
-    })?)
+        shadow_rays: cost.n_shadow_rays,
+        shadowed: cost.n_shadowed,
+        cell_traversals,
+        triangle_tests,
+        cell_traversals_per_ray: cell_traversals as f64 / n_samples,
+        triangle_tests_per_ray: triangle_tests as f64 / n_samples,
+    };
+    if args.json { say(serde_json::to_string(&report)?) } else { say(report.table(spec.size)) }
+}
+
+fn timed<T>(task: impl FnOnce() -> T) -> (T, f64) {
+    let start = Instant::now();
+    let result = task();
+    (result, start.elapsed().as_secs_f64())
 }
 
 /// The peak memory of this process, where Linux reports it.
@@ -119,4 +179,33 @@ fn peak_rss_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
     Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
+}
+
+impl Report {
+    /// The measurements as a table of text, for a frame of `size`.
+    fn table(&self, size: FrameSize) -> String {
+        let megabytes = |bytes: usize| bytes as f64 / 1e6;
+        let median = |values: &[f64]| median(values.iter().copied());
+        format!(
+            "triangles   {} ({} rejected), {} vertices\n\
+             load        {:.2} s\n\
+             build       {:.2} s\n\
+             memory      mesh {:.1} MB, grid {:.1} MB\n\
+             frame       {size} samples, {} hits\n\
+             median      {:.2} ms, {:.2} ms of CPU; shading {:.2} ms of CPU\n\
+             speed       {:.2} million rays a second",
+            self.triangles,
+            self.rejected,
+            self.vertices,
+            self.load_seconds,
+            self.build_seconds,
+            megabytes(self.mesh_bytes),
+            megabytes(self.structure_bytes),
+            self.hits,
+            median(&self.frame_ms),
+            median(&self.frame_cpu_ms),
+            median(&self.shade_cpu_ms),
+            self.mrays_per_second,
+        )
+    }
 }

@@ -4,26 +4,22 @@
 
 use std::ops::{Add, Mul, Sub};
 
-/// a + b.
 #[inline(always)]
-pub fn add<R: Copy + Add<Output = R>>(a: [R; 3], b: [R; 3]) -> [R; 3] {
+pub(crate) fn add<R: Copy + Add<Output = R>>(a: [R; 3], b: [R; 3]) -> [R; 3] {
     [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
 }
 
-/// a − b.
 #[inline(always)]
-pub fn sub<R: Copy + Sub<Output = R>>(a: [R; 3], b: [R; 3]) -> [R; 3] {
+pub(crate) fn sub<R: Copy + Sub<Output = R>>(a: [R; 3], b: [R; 3]) -> [R; 3] {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
-/// The dot product.
 #[inline(always)]
-pub fn dot<R: Copy + Add<Output = R> + Mul<Output = R>>(a: [R; 3], b: [R; 3]) -> R {
+pub(crate) fn dot<R: Copy + Add<Output = R> + Mul<Output = R>>(a: [R; 3], b: [R; 3]) -> R {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// The cross product.
 #[inline(always)]
-pub fn cross<R: Copy + Sub<Output = R> + Mul<Output = R>>(a: [R; 3], b: [R; 3]) -> [R; 3] {
+pub(crate) fn cross<R: Copy + Sub<Output = R> + Mul<Output = R>>(a: [R; 3], b: [R; 3]) -> [R; 3] {
     [a[1] * b[2] - b[1] * a[2], a[2] * b[0] - b[2] * a[0], a[0] * b[1] - b[0] * a[1]]
 }

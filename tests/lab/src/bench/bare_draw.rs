@@ -1,10 +1,9 @@
 //! The lowest cost of scaling a frame to a wall: one triangle that samples one texture bilinearly, in the formats of the
 //! wall's own drawing.
 
-use std::time::{Duration, Instant};
-
 use compositor::gpu::{Gpu, GpuError, Offscreen};
 use shared::division::FrameSize;
+use wgpu::util::{DeviceExt, TextureDataOrder};
 
 const SHADER: &str = "
 @group(0) @binding(0) var frame: texture_2d<f32>;
@@ -27,7 +26,6 @@ fn fragment(corner: Corner) -> @location(0) vec4f {
 }
 ";
 
-/// A frame on the GPU, and an offscreen target for it.
 pub(super) struct BareDraw {
     offscreen: Offscreen,
     pipeline: wgpu::RenderPipeline,
@@ -40,20 +38,18 @@ impl BareDraw {
         let device = &gpu.device;
         let offscreen = Offscreen::new(gpu, wall)?;
         gpu.check_size("a frame", [size.xres(), size.yres()])?;
-        let extent = wgpu::Extent3d { width: size.xres(), height: size.yres(), depth_or_array_layers: 1 };
-        let texture = device.create_texture(&wgpu::TextureDescriptor {
+        let descriptor = wgpu::TextureDescriptor {
             label: Some("bare frame"),
-            size: extent,
+            size: wgpu::Extent3d { width: size.xres(), height: size.yres(), depth_or_array_layers: 1 },
             mip_level_count: 1,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format: wgpu::TextureFormat::Rgba8UnormSrgb,
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING,
             view_formats: &[],
-        });
-        let layout =
-            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * size.xres()), rows_per_image: None };
-        gpu.queue.write_texture(texture.as_image_copy(), bytemuck::cast_slice(rgba), layout, extent);
+        };
+        let (order, bytes) = (TextureDataOrder::LayerMajor, bytemuck::cast_slice(rgba));
+        let texture = device.create_texture_with_data(&gpu.queue, &descriptor, order, bytes);
         let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some("bare draw"),
             source: wgpu::ShaderSource::Wgsl(SHADER.into()),
@@ -99,9 +95,7 @@ impl BareDraw {
         Ok(Self { offscreen, pipeline, frame })
     }
 
-    /// Draws and waits for the GPU; returns the elapsed time.
-    pub(super) fn draw(&self, gpu: &Gpu) -> Result<Duration, GpuError> {
-        let started_at = Instant::now();
+    pub(super) fn draw(&self, gpu: &Gpu) -> Result<(), GpuError> {
         let mut encoder = gpu.device.create_command_encoder(&Default::default());
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             label: Some("bare draw"),
@@ -118,11 +112,9 @@ impl BareDraw {
         pass.draw(0..3, 0..1);
         drop(pass);
         gpu.queue.submit([encoder.finish()]);
-        gpu.wait()?;
-        Ok(started_at.elapsed())
+        gpu.wait()
     }
 
-    /// The drawn picture.
     #[cfg(test)]
     pub(super) fn read(&self, gpu: &Gpu) -> Result<compositor::gpu::RgbImage, GpuError> {
         self.offscreen.read(gpu)

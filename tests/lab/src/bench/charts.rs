@@ -7,131 +7,131 @@ use shared::division::Division;
 use strum::VariantArray;
 
 use super::results::{MeasuredRow, PredictedRow, Results};
-use crate::plot::{COLORS, GREY, Line, LineChart, write_line_charts};
+use crate::plot::{Axis, COLORS, Figure, GREY, Mark, Plot, Series, plain, significant};
 
-/// Draws every chart that has results.
+const HEIGHT: u32 = 420;
+
 pub(super) fn draw(results: &Results, folder: &Path) -> anyhow::Result<()> {
     if !results.measured.is_empty() {
-        write_line_charts(folder, "bytes-per-frame.svg", &bytes_charts(&results.measured))?;
-        write_line_charts(folder, "time-per-frame.svg", &[time_chart(&results.measured, results.n_cores)])?;
+        bytes_figure(&results.measured).write(folder, "bytes-per-frame")?;
+        time_figure(&results.measured, results.n_cores).write(folder, "time-per-frame")?;
     }
     let mut sizes: Vec<&str> = results.predicted.iter().map(|row| &*row.size).collect();
     sizes.dedup();
     for size in sizes {
-        let rows: Vec<_> = results.predicted.iter().filter(|row| row.size == size && row.n_slow == 0).collect();
-        for (name, is_moving) in [("still", false), ("moving", true)] {
-            let rows: Vec<_> = rows.iter().copied().filter(|row| row.is_moving == is_moving).collect();
-            let mut links: Vec<f64> = rows.iter().map(|row| row.mbit_per_s).collect();
-            links.sort_by(f64::total_cmp);
-            links.dedup();
-            let charts: Vec<_> = links.into_iter().map(|link| cluster_chart(&rows, size, name, link)).collect();
-            if !charts.is_empty() {
-                write_line_charts(folder, &format!("predicted-{size}-{name}.svg"), &charts)?;
+        for (motion, is_moving) in [("still", false), ("moving", true)] {
+            let is_shown = |row: &&PredictedRow| row.size == size && row.n_slow == 0 && row.is_moving == is_moving;
+            let rows: Vec<_> = results.predicted.iter().filter(is_shown).collect();
+            if !rows.is_empty() {
+                cluster_figure(&rows, size, motion).write(folder, &format!("predicted-{size}-{motion}"))?;
             }
         }
     }
     Ok(())
 }
 
-fn color(division: Division) -> RGBColor {
-    match division {
-        Division::Interleaved => COLORS[0],
-        Division::Tiled => COLORS[2],
-        Division::Dynamic => COLORS[3],
-    }
-}
-
-fn by_division<T>(
-    rows: &[&T],
-    division: impl Fn(&T) -> Option<Division>,
-    point: impl Fn(&T) -> (f64, f64),
-) -> Vec<Line> {
-    let line = |of: Division| Line {
-        name: of.to_string(),
-        color: color(of),
-        is_bound: false,
-        points: rows.iter().filter(|row| division(row) == Some(of)).map(|row| point(row)).collect(),
+/// A line for each division of points with a division, x and y.
+fn by_division(points: &[(Division, f64, f64)]) -> Vec<Series> {
+    let line = |of: Division| {
+        let color = match of {
+            Division::Interleaved => COLORS[0],
+            Division::Tiled => COLORS[2],
+            Division::Dynamic => COLORS[3],
+        };
+        let points = points.iter().filter(|(division, ..)| *division == of).map(|&(_, x, y)| (x, y));
+        Series::line(of.to_string(), color, Mark::Disc, points)
     };
     Division::VARIANTS.iter().copied().map(line).filter(|line| !line.points.is_empty()).collect()
 }
 
-/// The paper's figure 8.
-fn bytes_charts(rows: &[MeasuredRow]) -> [LineChart; 2] {
-    let chart = |title: &str, unit: &str, value: fn(&MeasuredRow) -> f64| LineChart {
+/// A plot over the number of render servers, from 0 up.
+fn measured_plot(
+    title: &str,
+    unit: &'static str,
+    rows: &[MeasuredRow],
+    value: fn(&MeasuredRow) -> f64,
+    bound: Option<Series>,
+) -> Plot {
+    let points = rows.iter().filter_map(|row| Some((row.division?, f64::from(row.n_nodes), value(row))));
+    let points: Vec<_> = points.collect();
+    let most = rows.iter().map(value).fold(1e-3, f64::max);
+    Plot {
         title: title.to_owned(),
-        note: "median over frames; lines that coincide lie one upon another".to_owned(),
-        x_label: "render servers",
-        y_label: unit.to_owned(),
-        lines: by_division(
-            &rows.iter().collect::<Vec<_>>(),
-            |row| row.division,
-            |row| (f64::from(row.n_nodes), value(row)),
-        ),
-        ..LineChart::default()
-    };
-    [
-        chart("Received by the wall per frame", "kB", |row| row.bytes_in / 1e3),
-        chart("Sent by the wall per frame", "kB", |row| row.bytes_out / 1e3),
-    ]
+        x: Axis { title: "render servers", label: plain, range: None },
+        y: Axis { title: unit, label: plain, range: Some(0.0..most * 1.1) },
+        series: by_division(&points).into_iter().chain(bound).collect(),
+    }
+}
+
+/// The paper's figure 8.
+fn bytes_figure(rows: &[MeasuredRow]) -> Figure {
+    let plots = vec![
+        measured_plot("Received by the wall per frame", "kB", rows, |row| row.bytes_in / 1e3, None),
+        measured_plot("Sent by the wall per frame", "kB", rows, |row| row.bytes_out / 1e3, None),
+    ];
+    Figure {
+        title: "Bytes per frame".to_owned(),
+        notes: vec!["median over frames; lines that coincide lie one upon another".to_owned()],
+        rows: vec![(HEIGHT, plots)],
+    }
 }
 
 /// The paper's figure 9.
-fn time_chart(rows: &[MeasuredRow], n_cores: usize) -> LineChart {
-    let mut lines = by_division(
-        &rows.iter().collect::<Vec<_>>(),
-        |row| row.division,
-        |row| (f64::from(row.n_nodes), row.frame_ms_median),
-    );
-    if let Some(alone) = rows.iter().find(|row| row.division.is_none()) {
-        let last = rows.iter().map(|row| row.n_nodes).max().unwrap_or(0);
-        lines.push(Line {
-            name: "display alone".to_owned(),
-            color: GREY,
-            is_bound: true,
-            points: vec![(0.0, alone.frame_ms_median), (f64::from(last), alone.frame_ms_median)],
-        });
-    }
-    LineChart {
+fn time_figure(rows: &[MeasuredRow], n_cores: usize) -> Figure {
+    let last = rows.iter().map(|row| f64::from(row.n_nodes)).fold(0.0, f64::max);
+    let alone = rows.iter().find(|row| row.division.is_none()).map(|row| {
+        let points = [0.0, last].map(|n_nodes| (n_nodes, row.frame_ms_median));
+        Series::line("display alone".to_owned(), GREY, Mark::Nothing, points)
+    });
+    Figure {
         title: "Time per frame".to_owned(),
-        note: format!("render servers of one thread; they and the wall share {n_cores} cores"),
-        x_label: "render servers",
-        y_label: "ms, median".to_owned(),
-        lines,
-        ..LineChart::default()
+        notes: vec![format!("render servers of one thread; they and the wall share {n_cores} cores")],
+        rows: vec![(HEIGHT, vec![measured_plot("", "ms, median", rows, |row| row.frame_ms_median, alone)])],
     }
 }
 
-fn cluster_chart(rows: &[&PredictedRow], size: &str, motion: &str, mbit_per_s: f64) -> LineChart {
+fn cluster_figure(rows: &[&PredictedRow], size: &str, motion: &str) -> Figure {
+    let mut links: Vec<f64> = rows.iter().map(|row| row.mbit_per_s).collect();
+    links.sort_by(f64::total_cmp);
+    links.dedup();
+    Figure {
+        title: format!("Predicted: {size}, {motion} camera"),
+        notes: Vec::new(),
+        rows: vec![(HEIGHT, links.into_iter().map(|link| cluster_plot(rows, link)).collect())],
+    }
+}
+
+fn cluster_plot(rows: &[&PredictedRow], mbit_per_s: f64) -> Plot {
     let rows: Vec<_> = rows.iter().copied().filter(|row| row.mbit_per_s == mbit_per_s).collect();
-    let rate = |ms: f64| 1e3 / ms;
-    let mut lines = by_division(&rows, |row| Some(row.division), |row| (f64::from(row.n_nodes), rate(row.frame_ms)));
+    let decades = |n_nodes: f64, frame_ms: f64| (n_nodes.log10(), (1e3 / frame_ms).log10());
+    let points = rows.iter().map(|row| {
+        let (x, y) = decades(f64::from(row.n_nodes), row.frame_ms);
+        (row.division, x, y)
+    });
+    let mut series = by_division(&points.collect::<Vec<_>>());
     let of_dynamic: Vec<_> = rows.iter().filter(|row| row.division == Division::Dynamic).collect();
     if let (Some(first), Some(last)) = (of_dynamic.first(), of_dynamic.last()) {
-        let alone = first.compute_ms * f64::from(first.n_nodes);
-        let ends = [f64::from(first.n_nodes), f64::from(last.n_nodes)];
-        let bound = |name: &str, color: RGBColor, rate: &dyn Fn(f64) -> f64| Line {
-            name: name.to_owned(),
-            color,
-            is_bound: true,
-            points: ends.map(|n_nodes| (n_nodes, rate(n_nodes))).to_vec(),
+        let ends = [first.n_nodes, last.n_nodes].map(f64::from);
+        let bound = |name: &str, color: RGBColor, frame_ms: &dyn Fn(f64) -> f64| {
+            let points = ends.map(|n_nodes| decades(n_nodes, frame_ms(n_nodes)));
+            Series::line(name.to_owned(), color, Mark::Nothing, points)
         };
-        lines.push(bound("bound by compute: linear", GREY, &|n_nodes| rate(alone / n_nodes)));
-        lines.push(bound("bound by the link", BLACK, &|_| rate(last.link_ms)));
+        let alone_ms = first.compute_ms * ends[0];
+        series.push(bound("bound by compute: linear", GREY, &|n_nodes| alone_ms / n_nodes));
+        series.push(bound("bound by the link", BLACK, &|_| last.link_ms));
     }
     let bound_by = |by: &str| {
         let nodes: Vec<_> =
             of_dynamic.iter().filter(|row| row.binds == by).map(|row| row.n_nodes.to_string()).collect();
         (!nodes.is_empty()).then(|| format!("{by} binds at {}", nodes.join(", ")))
     };
-    let note = ["compute", "link"].into_iter().filter_map(bound_by).collect::<Vec<_>>().join("; ");
+    let binds = ["compute", "link"].into_iter().filter_map(bound_by).collect::<Vec<_>>().join("; ");
     let link = if mbit_per_s >= 1e3 { format!("{} Gbit/s", mbit_per_s / 1e3) } else { format!("{mbit_per_s} Mbit/s") };
-    LineChart {
-        title: format!("Predicted: {size}, {motion} camera, {link} into the wall"),
-        note,
-        x_label: "one-core render servers",
-        y_label: "frames a second".to_owned(),
-        is_log: true,
-        lines,
+    Plot {
+        title: format!("{link} into the wall: {binds}"),
+        x: Axis { title: "one-core render servers", label: significant, range: None },
+        y: Axis { title: "frames a second", label: significant, range: None },
+        series,
     }
 }
 
@@ -160,9 +160,9 @@ mod tests {
             bytes_in: 1.6e6,
         };
         let rows = [row(1, 121.0, "compute"), row(64, 19.0, "link")];
-        let chart = cluster_chart(&rows.iter().collect::<Vec<_>>(), "1024x512", "still", 680.0);
         let folder = tempfile::tempdir().unwrap();
-        write_line_charts(folder.path(), "chart.svg", &[chart]).unwrap();
+        let figure = cluster_figure(&rows.iter().collect::<Vec<_>>(), "1024x512", "still");
+        figure.write(folder.path(), "chart").unwrap();
         let svg = std::fs::read_to_string(folder.path().join("chart.svg")).unwrap();
         for text in
             ["680 Mbit/s", "compute binds at 1; link binds at 64", "dynamic", "bound by the link", "frames a second"]

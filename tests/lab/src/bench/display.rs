@@ -5,13 +5,15 @@
 
 use std::{
     fmt::Write,
+    hint::black_box,
+    sync::Arc,
     time::{Duration, Instant},
 };
 
 use anyhow::Context;
 use compositor::{
     cli::headless::Headless,
-    farm::{FrameSamples, SamplePlacer},
+    farm::{BufferPool, FrameSamples},
     wall::Wall,
 };
 use cpu_time::ProcessTime;
@@ -29,13 +31,11 @@ use crate::{
     statistics::{median, milliseconds},
 };
 
-/// Measured rounds, however long they take.
 const FEWEST_ROUNDS: usize = 5;
 
 /// Rounds that do not count: they create pipelines and fault in memory.
 const N_FIRST: usize = 2;
 
-/// The results.
 #[derive(Debug, Serialize)]
 struct DisplayTimings {
     adapter: String,
@@ -50,44 +50,26 @@ struct DisplayTimings {
     native_over_bare_cpu: f64,
 }
 
-/// Medians of one kind of work. Steps that it does not have are `None`.
 #[derive(Debug, Serialize)]
 struct DisplayRow {
     what: String,
-    place_ms: Option<f64>,
-    upload_ms: Option<f64>,
-    draw_ms: Option<f64>,
-    /// On the GPU's own clock.
-    gpu_draw_ms: Option<f64>,
     whole_ms: f64,
     /// CPU time of all threads, those of a software adapter included.
     cpu_ms: f64,
 }
 
-/// One measurement.
-#[derive(Clone, Copy, Debug, Default)]
-struct Timing {
-    place: Option<Duration>,
-    upload: Option<Duration>,
-    draw: Option<Duration>,
-    gpu_draw_ms: Option<f64>,
-    whole: Duration,
-    cpu: Duration,
-}
+const FULL: usize = 0;
+const FULL_NATIVE: usize = 1;
+const BARE: usize = 2;
+const BARE_NATIVE: usize = 3;
+const COPY: usize = 4;
 
-/// Indices of rows.
-const FULL: usize = 1;
-const FULL_NATIVE: usize = 2;
-const BARE: usize = 3;
-const BARE_NATIVE: usize = 4;
-
-/// Measures for `duration` and prints the results.
 pub(super) fn run(wall: Wall, size: FrameSize, duration: Duration, is_json: bool) -> anyhow::Result<()> {
-    let figures = measure(wall, size, duration)?;
+    let timings = measure(wall, size, duration)?;
     if is_json {
-        say(serde_json::to_string_pretty(&figures).context("results are plain numbers")?)
+        say(serde_json::to_string_pretty(&timings).context("results are plain numbers")?)
     } else {
-        say(figures.table())
+        say(timings.table())
     }
 }
 
@@ -95,16 +77,21 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
     let wall_size @ [width, height] = wall.output_size();
     let mut headless = Headless::new(wall)?;
     let native = FrameSize::new(width, height)?;
-    let blank = vec![u32::from_ne_bytes([0, 0, 0, 255]); size.n_samples() as usize];
-    let (full, full_native) = (NoiseFrame::new(size), NoiseFrame::new(native));
-    let bare = BareDraw::new(headless.gpu(), wall_size, size, &full.placed()?)?;
-    let bare_native = BareDraw::new(headless.gpu(), wall_size, native, &full_native.placed()?)?;
+    let full = [NoiseFrame::new(size), NoiseFrame::new(native)];
+    let bare = [
+        BareDraw::new(headless.gpu(), wall_size, size, &full[0].placed()?)?,
+        BareDraw::new(headless.gpu(), wall_size, native, &full[1].placed()?)?,
+    ];
     let pixels = vec![0x55_u32; native.n_samples() as usize];
     let mut copy = pixels.clone();
-    let mut resizer = Resize::new(size, native, &full.placed()?)?;
+    // The same scaling on one CPU core.
+    let bytes = bytemuck::cast_slice(&full[0].placed()?).to_vec();
+    let from = Image::from_vec_u8(size.xres(), size.yres(), bytes, PixelType::U8x4)?;
+    let mut to = Image::new(width, height, PixelType::U8x4);
+    let options = ResizeOptions::new().resize_alg(ResizeAlg::Interpolation(FilterType::Bilinear)).use_alpha(false);
+    let mut resizer = Resizer::new();
 
     let names = [
-        format!("blank frame, {size}"),
         format!("full frame, {size}"),
         format!("full frame, {native}"),
         format!("bare bilinear draw, {size}"),
@@ -112,39 +99,34 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
         "memcpy of the wall's pixels".to_owned(),
         format!("fast_image_resize, {size}"),
     ];
-    let mut samples = vec![Vec::new(); names.len()];
-    let started_at = Instant::now();
+    let mut timings = names.each_ref().map(|_| (Vec::new(), Vec::new()));
+    let first_at = Instant::now();
     let mut n_rounds = 0;
-    while n_rounds < N_FIRST + FEWEST_ROUNDS || started_at.elapsed() < duration {
-        for (index, samples) in samples.iter_mut().enumerate() {
+    while n_rounds < N_FIRST + FEWEST_ROUNDS || first_at.elapsed() < duration {
+        for (index, (whole_ms, cpu_ms)) in timings.iter_mut().enumerate() {
             // A frame of another size needs another texture: create it before the measurement.
-            match index {
-                0 => drop(headless.upload_and_draw(size, &blank)?),
-                FULL_NATIVE => drop(full_native.shown(&mut headless)?),
-                _ => {}
+            if let Some(frame) = full.get(index) {
+                frame.show(&mut headless)?;
             }
-            let sample = timed(|| match index {
-                0 => shown(&mut headless, size, &blank),
-                FULL => full.shown(&mut headless),
-                FULL_NATIVE => full_native.shown(&mut headless),
-                BARE | BARE_NATIVE => {
-                    let bare = if index == BARE { &bare } else { &bare_native };
-                    Ok(Timing { draw: Some(bare.draw(headless.gpu())?), ..Timing::default() })
+            let (started_at, cpu) = (Instant::now(), ProcessTime::now());
+            match index {
+                FULL | FULL_NATIVE => full[index].show(&mut headless)?,
+                BARE | BARE_NATIVE => bare[index - BARE].draw(headless.gpu())?,
+                COPY => {
+                    copy.copy_from_slice(black_box(&pixels));
+                    black_box(&copy);
                 }
-                5 => {
-                    copy.copy_from_slice(std::hint::black_box(&pixels));
-                    std::hint::black_box(&copy);
-                    Ok(Timing::default())
-                }
-                _ => resizer.resize().map(|()| Timing::default()),
-            })?;
+                _ => resizer.resize(&from, &mut to, &options)?,
+            }
             if n_rounds >= N_FIRST {
-                samples.push(sample);
+                whole_ms.push(milliseconds(started_at.elapsed()));
+                cpu_ms.push(milliseconds(cpu.elapsed()));
             }
         }
         n_rounds += 1;
     }
-    let rows: Vec<_> = names.into_iter().zip(&samples).map(|(what, samples)| DisplayRow::new(what, samples)).collect();
+    let row = |(what, (whole_ms, cpu_ms))| DisplayRow { what, whole_ms: median(whole_ms), cpu_ms: median(cpu_ms) };
+    let rows: Vec<_> = names.into_iter().zip(timings).map(row).collect();
     Ok(DisplayTimings {
         adapter: headless.gpu().name(),
         wall: format!("{width}x{height}"),
@@ -156,23 +138,11 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
     })
 }
 
-/// Adds the elapsed and the CPU time of all of `act`.
-fn timed(act: impl FnOnce() -> anyhow::Result<Timing>) -> anyhow::Result<Timing> {
-    let (started_at, cpu) = (Instant::now(), ProcessTime::now());
-    let sample = act()?;
-    Ok(Timing { whole: started_at.elapsed(), cpu: cpu.elapsed(), ..sample })
-}
-
-fn shown(headless: &mut Headless, size: FrameSize, rgba: &[u32]) -> anyhow::Result<Timing> {
-    let (upload, draw) = headless.upload_and_draw(size, rgba)?;
-    Ok(Timing { upload: Some(upload), draw: Some(draw), gpu_draw_ms: headless.gpu_draw_ms(), ..Timing::default() })
-}
-
 /// A frame of noise, in the encoding of render servers.
 struct NoiseFrame {
     size: FrameSize,
     rgb: Vec<u8>,
-    placing: SamplePlacer,
+    pool: BufferPool,
 }
 
 impl NoiseFrame {
@@ -180,82 +150,39 @@ impl NoiseFrame {
         // Bytes that repeat would flatter caches.
         let mut random = Random::new(1);
         let rgb = (0..3 * size.n_samples()).map(|_| random.bits() as u8).collect();
-        Self { size, rgb, placing: SamplePlacer::default() }
+        Self { size, rgb, pool: BufferPool::default() }
     }
 
+    /// Places the samples as connections do, in the chunks of one render server.
     fn placed(&self) -> anyhow::Result<FrameSamples> {
-        Ok(self.placing.place(self.size, Division::default(), &self.rgb, CHUNK_BYTES)?)
-    }
-
-    fn shown(&self, headless: &mut Headless) -> anyhow::Result<Timing> {
-        let started_at = Instant::now();
-        let samples = self.placed()?;
-        let place = started_at.elapsed();
-        Ok(Timing { place: Some(place), ..shown(headless, self.size, &samples)? })
-    }
-}
-
-/// The same scaling on one CPU core.
-struct Resize {
-    resizer: Resizer,
-    options: ResizeOptions,
-    from: Image<'static>,
-    to: Image<'static>,
-}
-
-impl Resize {
-    fn new(from: FrameSize, to: FrameSize, rgba: &[u32]) -> anyhow::Result<Self> {
-        let bytes = bytemuck::cast_slice(rgba).to_vec();
-        Ok(Self {
-            resizer: Resizer::new(),
-            options: ResizeOptions::new().resize_alg(ResizeAlg::Interpolation(FilterType::Bilinear)).use_alpha(false),
-            from: Image::from_vec_u8(from.xres(), from.yres(), bytes, PixelType::U8x4)?,
-            to: Image::new(to.xres(), to.yres(), PixelType::U8x4),
-        })
-    }
-
-    fn resize(&mut self) -> anyhow::Result<()> {
-        Ok(self.resizer.resize(&self.from, &mut self.to, &self.options)?)
-    }
-}
-
-impl DisplayRow {
-    fn new(what: String, samples: &[Timing]) -> Self {
-        let median_of = |of: &dyn Fn(&Timing) -> Option<f64>| {
-            let values: Vec<f64> = samples.iter().filter_map(of).collect();
-            (!values.is_empty()).then(|| median(values))
-        };
-        let part = |of: fn(&Timing) -> Option<Duration>| median_of(&|sample| of(sample).map(milliseconds));
-        Self {
-            what,
-            place_ms: part(|sample| sample.place),
-            upload_ms: part(|sample| sample.upload),
-            draw_ms: part(|sample| sample.draw),
-            gpu_draw_ms: median_of(&|sample| sample.gpu_draw_ms),
-            whole_ms: part(|sample| Some(sample.whole)).unwrap_or(0.0),
-            cpu_ms: part(|sample| Some(sample.cpu)).unwrap_or(0.0),
+        let task = Division::default().task(0, 1);
+        let share = task.share(self.size).expect("one render server can have all of a frame");
+        let buffer = Arc::new(self.pool.take(self.size));
+        let n_units = (CHUNK_BYTES as u32 / (3 * share.units().samples_per_full_unit())).max(1);
+        let mut rgb = self.rgb.as_slice();
+        for first in (0..share.count()).step_by(n_units as usize) {
+            let count = n_units.min(share.count() - first);
+            let n_samples: u32 = (first..first + count).map(|k| share.samples(k).count()).sum();
+            let (chunk, rest) = rgb.split_at(3 * n_samples as usize);
+            buffer.place(&share, first, count, chunk)?;
+            rgb = rest;
         }
+        Ok(buffer.into_samples(self.pool.clone()))
+    }
+
+    fn show(&self, headless: &mut Headless) -> anyhow::Result<()> {
+        headless.upload_and_draw(self.size, &self.placed()?).map(drop)
     }
 }
 
 impl DisplayTimings {
-    /// The results as text.
     fn table(&self) -> String {
         let Self { adapter, wall, rows, .. } = self;
         let mut table = format!("a wall of {wall} pixels, drawn by {adapter}; medians in ms\n");
         // Writing to a string cannot fail.
-        let _ = writeln!(
-            table,
-            "{:<36}{:>9}{:>9}{:>9}{:>10}{:>9}{:>9}",
-            "", "place", "upload", "draw", "GPU draw", "whole", "CPU"
-        );
-        for row in rows {
-            let _ = write!(table, "{:<36}", row.what);
-            for (figure, width) in [(row.place_ms, 9), (row.upload_ms, 9), (row.draw_ms, 9), (row.gpu_draw_ms, 10)] {
-                let text = figure.map_or_else(String::new, |ms| format!("{ms:.2}"));
-                let _ = write!(table, "{text:>width$}");
-            }
-            let _ = writeln!(table, "{:>9.2}{:>9.2}", row.whole_ms, row.cpu_ms);
+        let _ = writeln!(table, "{:<36}{:>9}{:>9}", "", "whole", "CPU");
+        for DisplayRow { what, whole_ms, cpu_ms } in rows {
+            let _ = writeln!(table, "{what:<36}{whole_ms:>9.2}{cpu_ms:>9.2}");
         }
         for (row, over_bare, over_bare_cpu) in [
             (FULL, self.whole_over_bare, self.whole_over_bare_cpu),
@@ -278,27 +205,24 @@ mod tests {
         let text = "canvas_m = [4.0, 2.25]\n[grid]\ncolumns = 1\nrows = 1\npixels = [64, 36]\n";
         let wall = Wall::from_toml("small.toml", text).unwrap();
         let size = FrameSize::new(32, 16).unwrap();
-        let figures = match measure(wall.clone(), size, Duration::ZERO) {
-            Ok(figures) => figures,
+        let timings = match measure(wall.clone(), size, Duration::ZERO) {
+            Ok(timings) => timings,
             Err(error) if error.to_string().contains("no graphics driver") => return println!("skipped: {error}"),
             Err(error) => panic!("{error}"),
         };
-        assert_eq!(figures.rows.len(), 7);
-        assert!(figures.rows.iter().all(|row| row.whole_ms > 0.0), "{figures:?}");
-        assert!(figures.rows[FULL].place_ms.is_some() && figures.rows[BARE].draw_ms.is_some());
-        assert!(figures.table().contains("fast_image_resize, 32x16"));
+        assert_eq!(timings.rows.len(), 6);
+        assert!(timings.rows.iter().all(|row| row.whole_ms > 0.0), "{timings:?}");
+        assert!(timings.table().contains("fast_image_resize, 32x16"));
 
         // Bare draw and wall draw the same picture.
         let mut headless = Headless::new(wall).unwrap();
         let full = NoiseFrame::new(size);
-        let samples = full.placed().unwrap();
-        let bare = BareDraw::new(headless.gpu(), [64, 36], size, &samples).unwrap();
+        let bare = BareDraw::new(headless.gpu(), [64, 36], size, &full.placed().unwrap()).unwrap();
         bare.draw(headless.gpu()).unwrap();
         let bare = bare.read(headless.gpu()).unwrap();
-        headless.upload_and_draw(size, &samples).unwrap();
+        full.show(&mut headless).unwrap();
         let wall = headless.image().unwrap();
-        let differs = |(a, b): (&u8, &u8)| a.abs_diff(*b) > 2;
         assert_eq!(bare.rgb.len(), 3 * 64 * 36);
-        assert_eq!(bare.rgb.iter().zip(&wall.rgb).filter(|&pair| differs(pair)).count(), 0);
+        assert_eq!(bare.rgb.iter().zip(&wall.rgb).filter(|(a, b)| a.abs_diff(**b) > 2).count(), 0);
     }
 }

@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use anyhow::ensure;
 use compositor::{
     cli::{
         headless::{self, Headless, Wakeup, Wakeups},
@@ -26,10 +27,10 @@ const N_FIRST: usize = 4;
 const FEWEST_FRAMES: usize = 5;
 
 /// The operator has stopped the experiment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Debug, thiserror::Error)]
+#[error("stopped")]
 pub(super) struct Stopped;
 
-/// A wall and its render servers.
 pub(super) struct RealWall<'a> {
     headless: &'a mut Headless,
     wakeups: &'a Wakeups,
@@ -41,7 +42,6 @@ pub(super) struct RealWall<'a> {
 }
 
 impl<'a> RealWall<'a> {
-    /// A wall without render servers.
     pub(super) fn start(
         runtime: &Runtime,
         headless: &'a mut Headless,
@@ -60,7 +60,6 @@ impl<'a> RealWall<'a> {
         Ok(Self { headless, wakeups, size, farm, servers, n_nodes: 0 })
     }
 
-    /// Starts render servers of one thread each until there are `n_nodes`.
     pub(super) fn grow_to(&mut self, n_nodes: u32) -> anyhow::Result<()> {
         while self.n_nodes < n_nodes {
             self.servers.add(1)?;
@@ -70,19 +69,18 @@ impl<'a> RealWall<'a> {
         Ok(())
     }
 
-    /// Renders frames for `duration`, and shows them if `is_shown`.
     pub(super) fn measure(
         &mut self,
         division: Division,
         duration: Duration,
         is_shown: bool,
-    ) -> anyhow::Result<Result<MeasuredRow, Stopped>> {
+    ) -> anyhow::Result<MeasuredRow> {
         self.farm.update_goal(|wanted| wanted.division = division);
         let mut n_first = 0;
         let mut rows = Vec::new();
         let (mut started_at, mut ended_at) = (Instant::now(), Instant::now());
         while rows.len() < FEWEST_FRAMES || started_at.elapsed() < duration {
-            let Some(frame) = self.next_frame()? else { return Ok(Err(Stopped)) };
+            let frame = self.next_frame()?;
             let display = if is_shown { self.headless.show(&frame)? } else { DisplayStats::default() };
             // Frames of the division before, or of fewer nodes, may still be in flight.
             let is_other = frame.stats.division != division || frame.stats.nodes.len() < self.n_nodes as usize;
@@ -96,7 +94,7 @@ impl<'a> RealWall<'a> {
             }
         }
         let median_of = |value: &dyn Fn(&(FrameStats, DisplayStats, f64)) -> f64| median(rows.iter().map(value));
-        Ok(Ok(MeasuredRow {
+        Ok(MeasuredRow {
             division: Some(division),
             n_nodes: self.n_nodes,
             size: self.size.to_string(),
@@ -109,21 +107,16 @@ impl<'a> RealWall<'a> {
             bytes_in: median_of(&|row| row.0.bytes_in as f64),
             bytes_out: median_of(&|row| row.0.bytes_out as f64),
             imbalance_median: median_of(&|row| row.0.imbalance),
-        }))
+        })
     }
 
-    /// The next complete frame; `None` when the operator stops the experiment.
-    fn next_frame(&mut self) -> anyhow::Result<Option<Frame>> {
+    fn next_frame(&mut self) -> anyhow::Result<Frame> {
         loop {
-            if self.wakeups.try_recv() == Ok(Wakeup::Stop) {
-                return Ok(None);
-            }
+            ensure!(self.wakeups.try_recv() != Ok(Wakeup::Stop), Stopped);
             if let Some(frame) = self.farm.take_frame() {
-                return Ok(Some(frame));
+                return Ok(frame);
             }
-            if headless::wait(&self.farm, self.wakeups)? == Wakeup::Stop {
-                return Ok(None);
-            }
+            ensure!(headless::wait(&self.farm, self.wakeups)? != Wakeup::Stop, Stopped);
         }
     }
 }
@@ -134,34 +127,28 @@ pub(super) fn measure_display(
     wakeups: &Wakeups,
     size: FrameSize,
     duration: Duration,
-) -> anyhow::Result<Result<MeasuredRow, Stopped>> {
+) -> anyhow::Result<MeasuredRow> {
     let started_at = Instant::now();
+    let blank = vec![u32::from_ne_bytes([0, 0, 0, 255]); size.n_samples() as usize];
     let mut shown_ms = Vec::new();
     let mut n_first = 0;
     while shown_ms.len() < FEWEST_FRAMES || started_at.elapsed() < duration {
-        if wakeups.try_recv() == Ok(Wakeup::Stop) {
-            return Ok(Err(Stopped));
-        }
+        ensure!(wakeups.try_recv() != Ok(Wakeup::Stop), Stopped);
         let began_at = Instant::now();
-        headless.show_blank(size)?;
+        headless.upload_and_draw(size, &blank)?;
         n_first += 1;
         if n_first > N_FIRST {
             shown_ms.push(milliseconds(began_at.elapsed()));
         }
     }
     let quantile = |part| quantile(shown_ms.iter().copied(), part);
-    Ok(Ok(MeasuredRow {
-        division: None,
-        n_nodes: 0,
+    Ok(MeasuredRow {
         size: size.to_string(),
         n_frames: shown_ms.len(),
         frame_ms_median: quantile(0.5),
         frame_ms_p95: quantile(0.95),
-        render_ms_median: 0.0,
         display_ms_median: quantile(0.5),
-        busiest_ms_median: 0.0,
-        bytes_in: 0.0,
-        bytes_out: 0.0,
         imbalance_median: 1.0,
-    }))
+        ..MeasuredRow::default()
+    })
 }

@@ -32,7 +32,6 @@ const LATENCY: Duration = Duration::from_micros(100);
 /// The paper's link, as its authors measured it, and a fast one; Mbit/s.
 const LINKS_MBIT_PER_S: [f64; 2] = [680.0, 10_000.0];
 
-/// Time of a slow node relative to the others.
 const SLOW: f64 = 3.0;
 
 /// One prediction: frames of one size, with one division among some nodes.
@@ -42,7 +41,6 @@ pub(super) struct Scenario {
     pub(super) is_moving: bool,
     pub(super) division: Division,
     pub(super) n_nodes: u32,
-    /// Nodes with a third of the others' speed.
     pub(super) n_slow: u32,
 }
 
@@ -69,7 +67,6 @@ pub(super) struct Path {
     pub(super) spec: FrameSpec,
     /// The centre of the orbit, in world space.
     pub(super) centre: DVec3,
-    /// Frames rendered at a time.
     pub(super) in_flight: u32,
 }
 

@@ -7,7 +7,7 @@ use std::{
     cmp::Reverse,
     collections::{BinaryHeap, HashMap, VecDeque},
     rc::Rc,
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use compositor::farm::{
@@ -20,10 +20,11 @@ use shared::{
     protocol::{Encoding, FrameId, FrameSpec, RunCosts, TaskId, TaskTimings, ToWall},
 };
 
+use crate::farm;
+
 /// Interval of the scheduler's ticks, as in the farm.
 const TICK: Duration = Duration::from_millis(10);
 
-/// The link between render servers and the wall.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct SimulatedLink {
     /// Bits of payload a second into the wall, of all render servers together; infinity for a link without delay.
@@ -57,18 +58,15 @@ pub(super) struct TracedChunk {
     pub(super) cpu: Duration,
 }
 
-/// The simulated cluster.
 #[derive(Clone, Debug)]
 pub(super) struct SimulatedCluster {
     /// For each one-core render server its time relative to this machine's.
     pub(super) slowness: Vec<f64>,
     pub(super) link: SimulatedLink,
     pub(super) division: Division,
-    /// Frames rendered at a time.
     pub(super) in_flight: u32,
 }
 
-/// A frame that the simulated wall has shown.
 #[derive(Clone, Debug)]
 pub(super) struct ReplayedFrame {
     /// Since the replay began.
@@ -113,21 +111,10 @@ where
 }
 
 fn goal(cluster: &SimulatedCluster, spec: FrameSpec) -> RenderGoal {
-    let min_renderers = cluster.slowness.len() as u32;
-    RenderGoal {
-        spec: Some(spec),
-        scene_path: None,
-        is_refinement: false,
-        division: cluster.division,
-        min_renderers,
-        repeat: true,
-        in_flight: cluster.in_flight,
-        encoding: Some(Encoding::Raw),
-        moved_at: Instant::now(),
-    }
+    let (in_flight, encoding) = (cluster.in_flight, Some(Encoding::Raw));
+    RenderGoal { spec: Some(spec), in_flight, encoding, ..farm::goal(cluster.division, cluster.slowness.len() as u32) }
 }
 
-/// A task of one render server.
 #[derive(Clone, Debug)]
 struct Job {
     frame: FrameId,
@@ -146,12 +133,9 @@ struct SimulatedServer {
     began_at: Time,
 }
 
-/// An event at a known time.
 #[derive(Debug)]
 enum SimulationEvent {
-    /// A task reaches a render server.
     Asked(NodeId, Job),
-    /// A cancellation reaches a render server.
     Cancelled(NodeId, FrameId),
     /// A render server has done a chunk of its first job.
     ChunkDone(NodeId, TaskId),
@@ -159,7 +143,6 @@ enum SimulationEvent {
     AtLink(u64, Event),
     /// A message has passed the link.
     Arrived(Event),
-    /// The scheduler's tick.
     Tick,
 }
 

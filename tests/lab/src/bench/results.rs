@@ -8,10 +8,8 @@ use shared::division::Division;
 
 use crate::files;
 
-/// All results of a run.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct Results {
-    /// The model's file, or the statue.
     pub(super) model: String,
     /// The camera's file; `None` for a camera that sees the whole model.
     pub(super) camera: Option<String>,
@@ -26,7 +24,7 @@ pub(super) struct Results {
 }
 
 /// Frames of one division by one number of render servers. Times are in milliseconds.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub(super) struct MeasuredRow {
     /// `None` for the display alone.
     pub(super) division: Option<Division>,
@@ -85,14 +83,12 @@ pub(super) struct Check {
     pub(super) division: Division,
     pub(super) n_nodes: u32,
     pub(super) measured_ms: f64,
-    /// CPU time of the busiest node, measured.
     pub(super) measured_busy_ms: f64,
     pub(super) predicted_ms: f64,
     pub(super) predicted_over_measured: f64,
 }
 
 impl Results {
-    /// Writes all results into a folder.
     pub(super) fn write(&self, folder: &Path) -> anyhow::Result<()> {
         let json = serde_json::to_string_pretty(self).context("results are plain numbers")?;
         let files = [

@@ -22,10 +22,8 @@ const SETTLED_PASSES: u32 = 2;
 /// …by more than this fraction: other load on this machine delays some shares and not others.
 const LEAST_GAIN: f64 = 0.01;
 
-/// Largest number of passes.
 const MOST_PASSES: u32 = 16;
 
-/// Decides when shares have been traced often enough.
 #[derive(Debug, Default)]
 struct Passes {
     n_done: u32,
@@ -56,7 +54,6 @@ impl<'a> ShareTracer<'a> {
         Self { scene, known: HashMap::new() }
     }
 
-    /// The traced shares of some tasks; `None` when `is_stopped`.
     pub(super) fn trace(
         &mut self,
         tasks: &[(FrameSpec, Task)],
@@ -106,7 +103,6 @@ impl TracedShare {
         self
     }
 
-    /// CPU time of the whole share.
     fn cpu(&self) -> Duration {
         self.chunks.iter().map(|chunk| chunk.cpu).sum()
     }

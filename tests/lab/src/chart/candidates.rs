@@ -1,7 +1,5 @@
 //! Finds the triangles that each ray of a frame may hit, by projecting all triangles onto the view plane.
 
-use std::fmt;
-
 use glam::{DMat3, DVec3, Vec3};
 use renderer::{intersect::ray::Ray, model::mesh::Mesh};
 use shared::{
@@ -9,12 +7,12 @@ use shared::{
     division::FrameSize,
 };
 
-/// The positions of model and eye.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, strum::Display)]
+#[strum(serialize_all = "kebab-case")]
 pub(crate) enum Placement {
-    /// In place.
     Near,
     /// The eye moved back to 10ⁿ model sizes, with the same view.
+    #[strum(to_string = "eye-far-1e{0}")]
     EyeFar(u8),
     /// Model and eye moved [`FAR`] model sizes from the origin.
     ModelMoved,
@@ -23,23 +21,12 @@ pub(crate) enum Placement {
 /// In model sizes.
 const FAR: f64 = 1e4;
 
-impl fmt::Display for Placement {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Near => f.write_str("near"),
-            Self::EyeFar(decade) => write!(f, "eye-far-1e{decade}"),
-            Self::ModelMoved => f.write_str("model-moved"),
-        }
-    }
-}
-
 impl serde::Serialize for Placement {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_str(self)
     }
 }
 
-/// A model and a camera at a placement.
 pub(crate) struct PlacedModel {
     /// The moved vertices; `None` stands for the mesh's own.
     vertices: Option<Vec<[f32; 3]>>,
@@ -49,8 +36,7 @@ pub(crate) struct PlacedModel {
 impl PlacedModel {
     /// Moves model and camera to a placement; the error says why that is impossible.
     pub(crate) fn new(mesh: &Mesh, camera: &Camera, placement: Placement) -> Result<Self, String> {
-        let bounds = mesh.bounds();
-        let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
+        let [min, max] = mesh.bounds().corners();
         let (centre, size) = ((min + max) * 0.5, (max - min).length());
         match placement {
             Placement::Near => Ok(Self { vertices: None, camera: *camera }),
@@ -89,7 +75,6 @@ impl PlacedModel {
     }
 }
 
-/// The candidate triangles of all rays of a frame.
 pub(crate) struct Candidates {
     rays: CameraRays,
     size: FrameSize,
@@ -107,7 +92,6 @@ const MOST_PAIRS: u64 = 100_000_000;
 const MARGIN: f64 = 0.25;
 
 impl Candidates {
-    /// Finds all candidates; an error if there are too many.
     pub(crate) fn find(mesh: &Mesh, placed: &PlacedModel, size: FrameSize) -> Result<Self, String> {
         let rays = placed.camera.rays(size);
         let mut counts = vec![0u32; size.n_samples() as usize];
@@ -135,7 +119,6 @@ impl Candidates {
         Ok(Self { rays, size, ends, triangles })
     }
 
-    /// The number of chunks of `n` samples.
     pub(crate) fn n_chunks(&self, n: usize) -> usize {
         self.ends.len().div_ceil(n)
     }
@@ -203,7 +186,7 @@ fn for_each_pair(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chart::reference::{Truth, truth};
+    use crate::chart::reference::{Verdict, truth};
     use renderer::{grid::GridOptions, model::statue, render::scene::Scene};
 
     #[test]
@@ -219,11 +202,11 @@ mod tests {
             let (mut n_hits, mut n_unknown) = (0, 0);
             for (ray, triangles) in candidates.chunks(777).flatten() {
                 let corners = triangles.iter().map(|&triangle| placed.corners(&mesh, triangle as usize).unwrap());
-                let hit = scene.grid().intersect(&ray);
+                let hit = scene.grid.intersect(&ray);
                 match truth(&ray, corners) {
-                    Truth::Miss => assert!(hit.is_miss(), "{placement:?} {ray:?} {hit:?}"),
-                    Truth::Unknown => n_unknown += 1,
-                    Truth::Nearest(t) => {
+                    Verdict::Miss => assert!(hit.is_miss(), "{placement:?} {ray:?} {hit:?}"),
+                    Verdict::Unknown => n_unknown += 1,
+                    Verdict::Hit(t) => {
                         n_hits += 1;
                         assert!((f64::from(hit.t) - t).abs() <= 1e-7 * t, "{placement:?} {ray:?} {hit:?} {t}");
                     }

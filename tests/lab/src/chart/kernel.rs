@@ -14,9 +14,11 @@ use super::{
     methods::Method,
     peers::{self, Peer},
 };
-use crate::plot::{Axis, COLORS, Figure, Plot, Point, Series, power, significant, whole_decades};
+use crate::{
+    files,
+    plot::{Axis, COLORS, Figure, Mark, Plot, Point, Series, power, significant, whole_decades},
+};
 
-/// The extent of the measurement.
 pub(super) struct Settings {
     pub(super) size: FrameSize,
     /// Repetitions of each method; the median counts.
@@ -71,7 +73,6 @@ impl KernelRow {
     }
 }
 
-/// The results so far.
 #[derive(Default)]
 pub(super) struct Results {
     pub(super) rows: Vec<KernelRow>,
@@ -114,7 +115,6 @@ impl Results {
         self.pooled.iter().map(rows).collect()
     }
 
-    /// The chart.
     pub(super) fn figure(&self, title: String, notes: Vec<String>, peers: &[Peer]) -> Figure {
         let summary = self.summary();
         let all = || summary.iter().flat_map(|(_, rows)| rows);
@@ -145,27 +145,8 @@ impl Results {
         Figure { title, notes, rows }
     }
 
-    /// All methods at all placements, as text.
-    pub(super) fn table(&self) -> String {
-        let mut lines = vec![format!(
-            "{:12} {:20} {:>9} {:>10} {:>10} {:>10} {:>8} {:>9} {:>9}",
-            "placement", "method", "ns/ray", "p50", "p99.9", "max", "wrong", "compared", "undecided"
-        )];
-        for row in self.summary().iter().flat_map(|(_, rows)| rows) {
-            lines.push(format!(
-                "{:12} {:20} {:9.1} {:10.1e} {:10.1e} {:10.1e} {:8} {:9} {:9}",
-                row.placement.to_string(),
-                row.method.label(),
-                row.cpu_ns_per_ray,
-                row.depth_error_p50,
-                row.depth_error_p999,
-                row.depth_error_max,
-                row.wrong_pixels,
-                row.compared,
-                row.undecided
-            ));
-        }
-        lines.join("\n")
+    pub(super) fn table(&self) -> Result<String> {
+        files::table(&self.summary().into_iter().flat_map(|(_, rows)| rows).collect::<Vec<_>>())
     }
 }
 
@@ -182,14 +163,14 @@ fn speed_plot(
     point: impl Fn(&KernelRow) -> Point,
     of_peers: impl Iterator<Item = Series>,
 ) -> Plot {
-    let series = |row: &KernelRow| Series::single(row.method.label(), method_color(row.method), false, point(row));
+    let series = |row: &KernelRow| Series::single(row.method.label(), method_color(row.method), Mark::Disc, point(row));
     Plot {
         title,
         x: Axis { title: "CPU ns per ray", label: significant, range: None },
         y,
         series: rows.iter().map(series).chain(of_peers).collect(),
-        has_front: true,
     }
+    .with_front()
 }
 
 fn depth_plot(title: &str, rows: &[KernelRow], peers: &[Peer], range: &Range<f64>) -> Plot {
@@ -224,32 +205,21 @@ fn over_distance(
             let point = |(placement, rows): &&(Placement, Vec<KernelRow>)| {
                 let Placement::EyeFar(decade) = *placement else { return None };
                 let row = rows.iter().find(|row| row.method == method)?;
-                Some(Point::new(f64::from(decade), value(row)))
+                Some((f64::from(decade), value(row)))
             };
-            Series {
-                name: method.label().to_owned(),
-                color: method_color(method),
-                is_hollow: false,
-                is_joined: true,
-                points: far.iter().filter_map(point).collect(),
-            }
+            let points = far.iter().filter_map(point);
+            Series::line(method.label().to_owned(), method_color(method), Mark::Disc, points)
         })
         .collect();
     let values = || series.iter().flat_map(|series| &series.points).map(|point| point.y);
     let (least, most) = values().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
     // Less than two decades are shown at full height.
     let y = if most - least < 2.0 { least - 0.1..most + 0.1 } else { whole_decades(values(), 0.5) };
-    let last = series.iter().flat_map(|series| &series.points).map(|point| point.x).fold(0.0, f64::max);
     Plot {
         title: "far: the eye moves back".to_owned(),
-        x: Axis {
-            title: "distance of the eye, in model sizes",
-            label: |decade| if decade > 6.5 { String::new() } else { power(decade) },
-            range: Some(-0.2..last + 3.2),
-        },
+        x: Axis { title: "distance of the eye, in model sizes", label: power, range: None },
         y: Axis { title, label, range: Some(y.start - 0.1..y.end) },
         series,
-        has_front: false,
     }
 }
 

@@ -1,30 +1,25 @@
 //! Measures speed and error of all methods in one run. They alternate on the same rays and candidates, every few
 //! microseconds, so that other load on the machine slows all of them alike.
 
-use std::time::Duration;
-
 use cpu_time::ThreadTime;
 use renderer::{grid::traced::TracedMesh, intersect::ray::Ray, model::mesh::Mesh};
 
 use super::{
     candidates::{Candidates, PlacedModel},
     methods::{Answer, Method},
-    reference::{self, Truth, Verdict},
+    reference::{self, Verdict},
 };
-use crate::statistics::{median_duration, quantiles};
+use crate::statistics::{median, quantiles};
 
-/// Measurements of one method.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Measurement {
-    cpu: Duration,
+    cpu_s: f64,
     n_rays: u64,
     /// Rays that the reference decides.
     pub(super) n_compared: u64,
     /// Rays that pass too close to an edge for the reference.
     pub(super) n_undecided: u64,
-    /// Hits that the method misses.
     pub(super) n_lost: u64,
-    /// Hits that the method invents.
     pub(super) n_invented: u64,
     /// Hits of a triangle that is not the nearest.
     pub(super) n_other_triangle: u64,
@@ -92,12 +87,12 @@ impl Chunk {
                 answers[index].clear();
                 let started = ThreadTime::now();
                 Method::ALL[index].run(&self.mesh, &self.rays, &self.candidates, &self.ends, &mut answers[index]);
-                times[index].push(started.elapsed());
+                times[index].push(started.elapsed().as_secs_f64());
             }
         }
         let truths: Vec<_> = (0..self.rays.len()).map(|ray| self.truth(ray)).collect();
-        for ((measurement, times), answers) in measurements.iter_mut().zip(&mut times).zip(&answers) {
-            measurement.cpu += median_duration(times);
+        for ((measurement, times), answers) in measurements.iter_mut().zip(times).zip(&answers) {
+            measurement.cpu_s += median(times);
             measurement.n_rays += self.rays.len() as u64;
             for (ray, (&truth, &answer)) in truths.iter().zip(answers).enumerate() {
                 self.compare(measurement, ray, truth, answer);
@@ -105,21 +100,21 @@ impl Chunk {
         }
     }
 
-    fn truth(&self, ray: usize) -> Truth {
+    fn truth(&self, ray: usize) -> Verdict {
         let first = if ray == 0 { 0 } else { self.ends[ray - 1] };
         let candidates = &self.candidates[first..self.ends[ray]];
         reference::truth(&self.rays[ray], candidates.iter().map(|&triangle_idx| self.mesh.corners(triangle_idx)))
     }
 
-    fn compare(&self, measurement: &mut Measurement, ray: usize, truth: Truth, answer: Answer) {
-        if truth == Truth::Unknown {
+    fn compare(&self, measurement: &mut Measurement, ray: usize, truth: Verdict, answer: Answer) {
+        if truth == Verdict::Unknown {
             measurement.n_undecided += 1;
             return;
         }
         measurement.n_compared += 1;
         match (truth, answer) {
-            (Truth::Nearest(_), None) => measurement.n_lost += 1,
-            (Truth::Nearest(nearest), Some((triangle_idx, t))) => {
+            (Verdict::Hit(_), None) => measurement.n_lost += 1,
+            (Verdict::Hit(nearest), Some((triangle_idx, t))) => {
                 let verdict = reference::verdict(&self.rays[ray], &self.mesh.corners(triangle_idx));
                 let is_nearest = matches!(verdict, Verdict::Hit(t) if t <= nearest * (1.0 + SAME_DEPTH));
                 measurement.n_other_triangle += u64::from(!is_nearest);
@@ -134,9 +129,8 @@ impl Chunk {
 }
 
 impl Measurement {
-    /// Adds other measurements of the same method.
     pub(super) fn add(&mut self, other: &Self) {
-        self.cpu += other.cpu;
+        self.cpu_s += other.cpu_s;
         self.n_rays += other.n_rays;
         self.n_compared += other.n_compared;
         self.n_undecided += other.n_undecided;
@@ -146,9 +140,8 @@ impl Measurement {
         self.depth_errors.extend_from_slice(&other.depth_errors);
     }
 
-    /// CPU nanoseconds of one ray with all its candidates.
     pub(super) fn cpu_ns_per_ray(&self) -> f64 {
-        self.cpu.as_secs_f64() * 1e9 / self.n_rays as f64
+        self.cpu_s * 1e9 / self.n_rays as f64
     }
 
     /// Rays where method and reference hit.

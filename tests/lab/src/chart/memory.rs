@@ -3,7 +3,7 @@
 use anyhow::{Result, ensure};
 use cpu_time::{ProcessTime, ThreadTime};
 use renderer::{
-    grid::{GridOptions, MemoryBudget, MeshLayout, Storage},
+    grid::{GridOptions, MemoryBudget, Storage},
     intersect::ray::{Hit, Ray},
     model::mesh::Mesh,
     render::scene::Scene,
@@ -16,18 +16,17 @@ use shared::{
 
 use super::peers::{self, Peer};
 use crate::{
-    plot::{Axis, COLORS, Figure, Plot, Point, Series, significant},
+    plot::{Axis, COLORS, Figure, Mark, Plot, Point, Series, significant},
     statistics::median,
+    trace::frame::trace_share,
 };
 
-/// The extent of the measurement.
 pub(super) struct Settings {
     pub(super) size: FrameSize,
     /// How often each variant alternates with the default; the median counts.
     pub(super) n_repeats: usize,
     /// Cells per triangle of the tree.
     pub(super) densities: Vec<f64>,
-    /// Cells per triangle of uniform grids.
     pub(super) uniform_densities: Vec<f64>,
     pub(super) memory_budget: MemoryBudget,
 }
@@ -36,7 +35,6 @@ pub(super) struct Settings {
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct MemoryRow {
     storage: &'static str,
-    mesh: &'static str,
     density: f64,
     macrocell_levels: u8,
     /// `packets` or `single`.
@@ -51,7 +49,6 @@ pub(super) struct MemoryRow {
 /// Cells per triangle of uniform grids with fewer levels of macrocells.
 const FEW_LEVELS_DENSITY: f64 = 4.0;
 
-/// One scene structure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Variant {
     options: GridOptions,
@@ -62,10 +59,10 @@ pub(super) struct Variant {
 impl Variant {
     pub(super) fn name(&self) -> String {
         let Self { options, is_single } = self;
-        let GridOptions { macrocell_levels, storage, mesh, .. } = options;
+        let GridOptions { macrocell_levels, storage, .. } = options;
         let density = options.density.unwrap_or(GridOptions::PAPER_DENSITY);
         let rays = if *is_single && *storage == Storage::Tree { ", single rays" } else { "" };
-        format!("{storage}, {mesh}, density {density}, {macrocell_levels} levels{rays}")
+        format!("{storage}, density {density}, {macrocell_levels} levels{rays}")
     }
 }
 
@@ -79,13 +76,9 @@ impl Settings {
             densities.push(chosen);
             densities.sort_by(f64::total_cmp);
         }
-        let mut variants = Vec::new();
-        for mesh in [MeshLayout::Indexed, MeshLayout::Flat] {
-            variants.extend(densities.iter().map(|&density| Variant {
-                options: GridOptions { density: Some(density), mesh, ..options },
-                is_single: false,
-            }));
-        }
+        let packets =
+            |&density| Variant { options: GridOptions { density: Some(density), ..options }, is_single: false };
+        let mut variants: Vec<_> = densities.iter().map(packets).collect();
         let single = |options: GridOptions| Variant { options, is_single: true };
         variants.push(single(options));
         for storage in [Storage::RowDisplacement, Storage::Plain] {
@@ -129,14 +122,12 @@ impl<'a> Baseline<'a> {
         baseline
     }
 
-    /// Whether rays can hit nothing.
     pub(super) fn is_empty(&self) -> bool {
         self.scene.n_triangles() == 0
     }
 
-    /// The density that the grid chose.
     pub(super) fn chosen_density(&self) -> f64 {
-        self.scene.grid().choice().density
+        self.scene.grid.figures().density
     }
 
     /// Measures a variant. The inner error says why it is left out; the outer one, that its hits are wrong.
@@ -146,7 +137,7 @@ impl<'a> Baseline<'a> {
         let started = ProcessTime::now();
         let scene = Scene::build(mesh, options, &|_| ());
         let build_seconds = started.elapsed().as_secs_f64();
-        if let Some(shortage) = scene.grid().shortage() {
+        if let Some(shortage) = scene.grid.shortage() {
             return Ok(Err(shortage.to_string()));
         }
         let mut hasher = blake3::Hasher::new();
@@ -164,8 +155,7 @@ impl<'a> Baseline<'a> {
         let cpu_ns_per_ray = self.cpu_ns * median(ratios);
         Ok(Ok(MemoryRow {
             storage: options.storage.into(),
-            mesh: options.mesh.into(),
-            density: scene.grid().figures().density,
+            density: scene.grid.figures().density,
             macrocell_levels: options.macrocell_levels,
             rays: if variant.is_single { "single" } else { "packets" },
             bytes_per_triangle: scene.n_bytes() as f64 / scene.n_triangles() as f64,
@@ -187,10 +177,10 @@ impl<'a> Baseline<'a> {
             let started = ThreadTime::now();
             if is_single {
                 for (i, j) in (0..share.count()).flat_map(|unit| share.samples(unit).iter()) {
-                    hits[index((i, j))] = scene.grid().intersect(&Ray::new(rays.eye, rays.direction(i, j)));
+                    hits[index((i, j))] = scene.grid.intersect(&Ray::new(rays.eye, rays.direction(i, j)));
                 }
             } else {
-                scene.trace(&rays, None, &share, 0..share.count(), |block, block_hits| {
+                trace_share(scene, &rays, &share, |block, block_hits| {
                     block.samples().zip(block_hits).for_each(|(sample, &hit)| hits[index(sample)] = hit);
                 });
             }
@@ -206,7 +196,6 @@ impl<'a> Baseline<'a> {
     }
 }
 
-/// The chart.
 pub(super) fn figure(title: String, notes: Vec<String>, rows: &[MemoryRow], peers: &[Peer]) -> Figure {
     let memory = Axis { title: "bytes per triangle, mesh and grid", label: significant, range: None };
     let build = Axis { title: "CPU seconds to build, all threads", label: significant, range: None };
@@ -224,26 +213,28 @@ fn plot(
 ) -> Plot {
     let name = |row: &MemoryRow| match (row.storage, row.rays) {
         ("masks", "single") => "masks, single rays".to_owned(),
-        ("masks", _) => format!("masks, {} mesh", row.mesh),
+        ("masks", _) => "masks".to_owned(),
+        (storage, _) if row.macrocell_levels < 3 => format!("{storage}, fewer levels"),
         (storage, _) => format!("{storage}, {} levels", row.macrocell_levels),
     };
     let mut series: Vec<Series> = Vec::new();
     for row in rows {
         let name = name(row);
         let point = Point::new(value(row).log10(), row.cpu_ns_per_ray.log10());
-        let point = Point { label: row.density.to_string(), ..point };
+        let is_coarse = row.storage != "masks" && row.macrocell_levels < 3;
+        let label = if is_coarse { format!("{} levels", row.macrocell_levels) } else { row.density.to_string() };
+        let point = Point { label, ..point };
         match series.iter_mut().find(|series| series.name == name) {
             Some(series) => series.points.push(point),
             None => {
-                let color = match (row.storage, row.rays, row.mesh) {
-                    ("masks", "single", _) => COLORS[6],
-                    ("masks", _, "indexed") => COLORS[3],
-                    ("masks", ..) => COLORS[2],
-                    ("plain", ..) => COLORS[5],
+                let color = match (row.storage, row.rays) {
+                    ("masks", "single") => COLORS[6],
+                    ("masks", _) => COLORS[3],
+                    ("plain", _) => COLORS[5],
                     _ => COLORS[0],
                 };
-                let is_hollow = row.storage != "masks" && row.macrocell_levels < 3;
-                series.push(Series { name, color, is_hollow, is_joined: true, points: vec![point] });
+                let mark = if is_coarse { Mark::Circle } else { Mark::Disc };
+                series.push(Series { name, color, mark, is_joined: true, points: vec![point] });
             }
         }
     }
@@ -253,18 +244,15 @@ fn plot(
         x,
         y: Axis { title: "CPU ns per ray", label: significant, range: None },
         series,
-        has_front: true,
     }
+    .with_front()
 }
 
 /// Compares the grid's own choice, `chosen` cells a triangle, with the fastest variant.
 pub(super) fn verdict(rows: &[MemoryRow], chosen: f64) -> Option<String> {
     let fastest = rows.iter().min_by(|a, b| a.cpu_ns_per_ray.total_cmp(&b.cpu_ns_per_ray))?;
     let is_chosen = |row: &&MemoryRow| {
-        row.storage == <&str>::from(Storage::default())
-            && row.mesh == <&str>::from(MeshLayout::default())
-            && row.rays == "packets"
-            && row.density == chosen
+        row.storage == <&str>::from(Storage::default()) && row.rays == "packets" && row.density == chosen
     };
     let ours = rows.iter().find(is_chosen)?;
     let excess = |ours: f64, best: f64| 100.0 * (ours / best - 1.0);
@@ -273,30 +261,7 @@ pub(super) fn verdict(rows: &[MemoryRow], chosen: f64) -> Option<String> {
         excess(ours.bytes_per_triangle, fastest.bytes_per_triangle),
     );
     Some(format!(
-        "chosen: density {chosen}, within {slower:.1} % of the fastest ({}, {} mesh, density {}) with {larger:+.1} % of its bytes",
-        fastest.storage, fastest.mesh, fastest.density
+        "chosen: density {chosen}, within {slower:.1} % of the fastest ({}, density {}) with {larger:+.1} % of its bytes",
+        fastest.storage, fastest.density
     ))
-}
-
-/// All rows as text.
-pub(super) fn table(rows: &[MemoryRow]) -> String {
-    let mut lines = vec![format!(
-        "{:16} {:8} {:>7} {:>6} {:8} {:>10} {:>8} {:>8} {:>8}",
-        "storage", "mesh", "density", "levels", "rays", "bytes/tri", "build s", "ns/ray", "Mrays/s"
-    )];
-    for row in rows {
-        lines.push(format!(
-            "{:16} {:8} {:7} {:6} {:8} {:10.1} {:8.2} {:8.0} {:8.2}",
-            row.storage,
-            row.mesh,
-            row.density,
-            row.macrocell_levels,
-            row.rays,
-            row.bytes_per_triangle,
-            row.build_seconds,
-            row.cpu_ns_per_ray,
-            row.mrays_per_second
-        ));
-    }
-    lines.join("\n")
 }

@@ -24,7 +24,6 @@ pub(crate) enum Method {
     PluckerF32,
     /// Raywall: candidates are filtered in `f32`, many at a time; [`triangle::intersect`] decides what is left.
     Raywall,
-    /// Möller and Trumbore in `f64`.
     MollerTrumboreF64,
 }
 
@@ -35,7 +34,6 @@ impl Method {
     pub(crate) const ALL: [Self; 5] =
         [Self::OriginEdgesF32, Self::MollerTrumboreF32, Self::PluckerF32, Self::Raywall, Self::MollerTrumboreF64];
 
-    /// The name on the chart.
     pub(crate) fn label(self) -> &'static str {
         match self {
             Self::OriginEdgesF32 => "origin edges f32",

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 
-use crate::plot::{PEER_COLOR, Point, Series};
+use crate::plot::{GREY, Mark, Point, Series};
 
 /// One ray tracer. A plot shows it if both of its numbers are known.
 #[derive(Clone, Debug, Default, Deserialize, Serialize, PartialEq)]
@@ -26,19 +26,20 @@ pub(super) struct Peer {
 pub(super) fn series(peers: &[Peer], point: impl Fn(&Peer) -> Option<(f64, f64)>) -> impl Iterator<Item = Series> {
     peers.iter().filter_map(move |peer| {
         let (x, y) = point(peer)?;
-        Some(Series::single(&peer.name, PEER_COLOR, true, Point::new(x, y)))
+        Some(Series::single(&peer.name, GREY, Mark::Circle, Point::new(x, y)))
     })
 }
 
+/// Larger files are not points; bytes.
+const LONGEST_FILE: u64 = 1 << 20;
+
 /// Reads CSV whose first line names the columns; all but `name` may be missing or empty.
 pub(super) fn read(path: &Path) -> Result<Vec<Peer>> {
-    let wrong_file = || {
-        format!(
-            "{}: is not a CSV file of points with columns name, cpu_ns_per_ray, bytes_per_triangle, …",
-            path.display()
-        )
-    };
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).with_context(wrong_file)?;
+    let file = path.display();
+    let wrong_file =
+        || format!("{file}: is not a CSV file of points with columns name, cpu_ns_per_ray, bytes_per_triangle, …");
+    let text = channel::files::read_text(path, LONGEST_FILE).with_context(|| file.to_string())?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(text.as_bytes());
     let mut peers = Vec::new();
     for row in reader.deserialize() {
         let peer: Peer = row.with_context(wrong_file)?;
@@ -47,12 +48,7 @@ pub(super) fn read(path: &Path) -> Result<Vec<Peer>> {
         let all_positive = positive.into_iter().flatten().all(|x| x.is_finite() && x > 0.0);
         let others = [peer.depth_error_p999, peer.wrong_per_million, peer.psnr];
         let all_usable = others.into_iter().flatten().all(|x| x.is_finite() && x >= 0.0);
-        anyhow::ensure!(
-            all_positive && all_usable,
-            "{}: {} has a number that cannot be drawn",
-            path.display(),
-            peer.name
-        );
+        anyhow::ensure!(all_positive && all_usable, "{file}: {} has a number that cannot be drawn", peer.name);
         peers.push(peer);
     }
     Ok(peers)

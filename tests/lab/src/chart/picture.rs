@@ -1,31 +1,26 @@
 //! Cost and sharpness of the wall's picture by resolution, samples and scaling.
 
-use std::time::Duration;
-
 use anyhow::Result;
 use nv_flip::{DEFAULT_PIXELS_PER_DEGREE, FlipImageRgb8, FlipPool};
-use plotters::style::RGBColor;
 use rayon::prelude::*;
-use renderer::render::{parallel::work_off, scene::Scene};
+use renderer::render::scene::Scene;
 use serde::Serialize;
 use shared::{
-    appearance::Appearance,
     camera::Camera,
-    division::{Division, FrameSize},
-    protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
+    division::FrameSize,
+    protocol::{FrameSpec, SampleRange},
     scene::SceneId,
     srgb,
 };
 
 use super::peers::{self, Peer};
 use crate::{
-    plot::{Axis, COLORS, Figure, Plot, Point, Series, significant},
-    statistics::{mean, median},
+    farm::frame_spec,
+    plot::{Axis, COLORS, Figure, Mark, Plot, Point, Series, significant},
+    statistics::{mean, median, milliseconds},
 };
 
-/// The extent of the measurement.
 pub(super) struct Settings {
-    /// The wall's own resolution.
     pub(super) native: FrameSize,
     /// Samples a pixel of the reference picture.
     pub(super) n_reference_samples: u32,
@@ -34,7 +29,6 @@ pub(super) struct Settings {
     pub(super) samples: Vec<u32>,
 }
 
-/// How a frame is scaled to the wall.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 enum Scaling {
@@ -108,42 +102,11 @@ pub(super) fn measure(
 
 /// A frame row by row from the bottom, and the CPU milliseconds of all threads.
 fn render(scene: &Scene, camera: &Camera, size: FrameSize, samples: SampleRange) -> (Vec<u8>, f64) {
-    let spec = FrameSpec {
-        scene: SceneId::Statue { triangles: 0 },
-        camera: *camera,
-        size,
-        view: ShadingMode::Shaded,
-        rays: LightingMode::Primary,
-        samples,
-        appearance: Appearance::default(),
-    };
-    let task = Division::Tiled.task(0, 1);
-    let Ok(share) = task.share(size) else { return (Vec::new(), 0.0) };
-    let units_per_part = (2048 / share.samples(0).count()).max(1);
-    let parts = (0..share.count()).step_by(units_per_part as usize);
-    let of_threads = work_off(parts, |next| {
-        let mut parts = Vec::new();
-        while let Some(first) = next() {
-            let units = first..(first + units_per_part).min(share.count());
-            let mut rgb = Vec::new();
-            scene.render(&spec, &share, units.clone(), &mut rgb);
-            parts.push((units, rgb));
-        }
-        parts
-    });
-    let cpu: Duration = of_threads.iter().map(|(_, cpu)| *cpu).sum();
-    let mut rows = vec![0; 3 * size.n_samples() as usize];
-    for (units, rgb) in of_threads.into_iter().flat_map(|(parts, _)| parts) {
-        let samples = units.flat_map(|unit| share.samples(unit).iter());
-        for ((i, j), color) in samples.zip(rgb.chunks_exact(3)) {
-            let at = 3 * (j * size.xres() + i) as usize;
-            rows[at..at + 3].copy_from_slice(color);
-        }
-    }
-    (rows, cpu.as_secs_f64() * 1e3)
+    let spec = FrameSpec { samples, ..frame_spec(SceneId::Statue { triangles: 0 }, *camera, size) };
+    let (rgb, cpu) = scene.render_frame(&spec);
+    (rgb, milliseconds(cpu))
 }
 
-/// A frame scaled to the wall's resolution.
 fn scale(rgb: &[u8], from: FrameSize, to: FrameSize, scaling: Scaling) -> Vec<u8> {
     let (xres, yres) = (from.xres() as usize, from.yres() as usize);
     let linear: Vec<f32> = rgb.iter().map(|&byte| srgb::decode(byte)).collect();
@@ -185,7 +148,6 @@ fn flip(reference: &[u8], picture: &[u8], size: FrameSize) -> f64 {
     f64::from(FlipPool::from_image(&errors).mean())
 }
 
-/// Peak signal-to-noise ratio.
 fn psnr(reference: &[u8], picture: &[u8]) -> f64 {
     let squares = reference.iter().zip(picture).map(|(&a, &b)| u64::from(a.abs_diff(b)).pow(2));
     let mean = squares.sum::<u64>() as f64 / reference.len() as f64;
@@ -194,12 +156,12 @@ fn psnr(reference: &[u8], picture: &[u8]) -> f64 {
 
 /// The chart: means over all cameras.
 pub(super) fn figure(title: String, notes: Vec<String>, rows: &[PictureRow], peers: &[Peer]) -> Figure {
-    let flip = plot(rows, "mean FLIP difference from the reference", significant, |row| row.flip.max(1e-6).log10());
+    let of_flip = peers::series(peers, |peer| Some((peer.cpu_ms?.log10(), peer.flip?.log10())));
+    let of_psnr = peers::series(peers, |peer| Some((peer.cpu_ms?.log10(), -peer.psnr?)));
+    let title_of_flip = "mean FLIP difference from the reference";
+    let flip = plot(rows, title_of_flip, significant, |row| row.flip.max(1e-6).log10(), of_flip);
     // Negated, so that down is better.
-    let psnr = plot(rows, "PSNR in dB", |decibels| format!("{:.0}", -decibels), |row| -row.psnr.min(99.0));
-    let [mut flip, mut psnr] = [flip, psnr];
-    flip.series.extend(peers::series(peers, |peer| Some((peer.cpu_ms?.log10(), peer.flip?.log10()))));
-    psnr.series.extend(peers::series(peers, |peer| Some((peer.cpu_ms?.log10(), -peer.psnr?))));
+    let psnr = plot(rows, "PSNR in dB", |decibels| format!("{:.0}", -decibels), |row| -row.psnr.min(99.0), of_psnr);
     Figure { title, notes, rows: vec![(560, vec![flip]), (560, vec![psnr])] }
 }
 
@@ -208,66 +170,42 @@ fn plot(
     title: &'static str,
     label: fn(f64) -> String,
     value: impl Fn(&PictureRow) -> f64,
+    of_peers: impl Iterator<Item = Series>,
 ) -> Plot {
-    let mut names: Vec<(&str, Scaling)> = Vec::new();
+    let mut sizes: Vec<&str> = Vec::new();
     for row in rows {
-        if !names.contains(&(&row.size, row.scaling)) {
-            names.push((&row.size, row.scaling));
+        if !sizes.contains(&&*row.size) {
+            sizes.push(&row.size);
         }
     }
-    let sizes: Vec<&str> = names.iter().fold(Vec::new(), |mut sizes, (size, _)| {
-        if !sizes.contains(size) {
-            sizes.push(size);
-        }
-        sizes
-    });
-    let series = names.iter().map(|&(size, scaling)| {
-        let series_rows = || rows.iter().filter(|row| row.size == size && row.scaling == scaling);
-        let mut samples: Vec<_> = series_rows().map(|row| row.samples).collect();
+    let names = sizes.iter().flat_map(|size| [(size, Scaling::Nearest), (size, Scaling::Bilinear)]);
+    let series = names.filter_map(|(&size, scaling)| {
+        let of_series = || rows.iter().filter(|row| row.size == size && row.scaling == scaling);
+        let mut samples: Vec<_> = of_series().map(|row| row.samples).collect();
         samples.sort_unstable();
         samples.dedup();
         let point = |&n: &u32| {
-            let point_rows: Vec<_> = series_rows().filter(|row| row.samples == n).collect();
-            let mean = |value: &dyn Fn(&PictureRow) -> f64| mean(point_rows.iter().map(|row| value(row)));
-            Point { label: n.to_string(), ..Point::new(mean(&|row| row.cpu_ms.log10()), mean(&|row| value(row))) }
+            let mean = |value: &dyn Fn(&PictureRow) -> f64| mean(of_series().filter(|row| row.samples == n).map(value));
+            Point { label: n.to_string(), ..Point::new(mean(&|row| row.cpu_ms.log10()), mean(&value)) }
         };
-        let is_native = Some(&size) == sizes.last();
-        let scaling_name = match scaling {
-            _ if is_native => "native",
-            Scaling::Nearest => "nearest",
-            Scaling::Bilinear => "bilinear",
+        let (scaling_name, mark) = match scaling {
+            _ if Some(&size) == sizes.last() => ("native", Mark::Disc),
+            Scaling::Nearest => ("nearest", Mark::Circle),
+            Scaling::Bilinear => ("bilinear", Mark::Disc),
         };
-        let color: RGBColor = COLORS[sizes.iter().position(|&other| other == size).unwrap_or(0) % COLORS.len()];
-        Series {
-            name: format!("{size} {scaling_name}"),
-            color,
-            is_hollow: scaling == Scaling::Nearest && !is_native,
-            is_joined: true,
-            points: samples.iter().map(point).collect(),
-        }
+        let color = COLORS[sizes.iter().position(|&other| other == size).unwrap_or(0) % COLORS.len()];
+        let points: Vec<_> = samples.iter().map(point).collect();
+        let name = format!("{size} {scaling_name}");
+        (!points.is_empty()).then_some(Series { name, color, mark, is_joined: true, points })
     });
     Plot {
         title: "labels: samples a pixel; hollow points: scaled to the nearest sample; filled points: bilinearly"
             .to_owned(),
         x: Axis { title: "CPU ms per frame", label: significant, range: None },
         y: Axis { title, label, range: None },
-        series: series.collect(),
-        has_front: true,
+        series: series.chain(of_peers).collect(),
     }
-}
-
-/// All rows as text.
-pub(super) fn table(rows: &[PictureRow]) -> String {
-    let mut lines = vec![format!(
-        "{:12} {:>10} {:>7} {:9} {:>9} {:>8} {:>7}",
-        "camera", "size", "samples", "scaling", "CPU ms", "FLIP", "PSNR"
-    )];
-    for row in rows {
-        let PictureRow { camera, size, samples, scaling, cpu_ms, flip, psnr } = row;
-        let scaling = format!("{scaling:?}").to_lowercase();
-        lines.push(format!("{camera:12} {size:>10} {samples:7} {scaling:9} {cpu_ms:9.1} {flip:8.5} {psnr:7.2}"));
-    }
-    lines.join("\n")
+    .with_front()
 }
 
 #[cfg(test)]

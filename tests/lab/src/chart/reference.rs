@@ -6,7 +6,7 @@
 use glam::{DVec3, Vec3};
 use renderer::intersect::ray::Ray;
 
-/// The reference's result for a ray and a triangle.
+/// The reference's result for a ray and a triangle, or for a ray and all of its candidates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Verdict {
     Miss,
@@ -15,18 +15,9 @@ pub(crate) enum Verdict {
     Unknown,
 }
 
-/// The reference's result for a ray.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Truth {
-    Miss,
-    Nearest(f64),
-    Unknown,
-}
-
 /// Bound on the relative error of a few operations.
 const ROUNDING: f64 = 32.0 * f64::EPSILON;
 
-/// Tests one ray against one triangle.
 pub(crate) fn verdict(ray: &Ray, corners: &[[f32; 3]; 3]) -> Verdict {
     let [a, b, c] = corners.map(|corner| Vec3::from_array(corner).as_dvec3());
     let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
@@ -71,22 +62,17 @@ pub(crate) fn verdict(ray: &Ray, corners: &[[f32; 3]; 3]) -> Verdict {
     }
 }
 
-/// Tests one ray against all of its candidates.
-pub(crate) fn truth(ray: &Ray, candidates: impl Iterator<Item = [[f32; 3]; 3]>) -> Truth {
-    let mut truth = Truth::Miss;
+pub(crate) fn truth(ray: &Ray, candidates: impl Iterator<Item = [[f32; 3]; 3]>) -> Verdict {
+    let mut nearest = f64::INFINITY;
     for corners in candidates {
         match verdict(ray, &corners) {
             Verdict::Miss => {}
             // It may lie behind the nearest hit, but that is rare.
-            Verdict::Unknown => return Truth::Unknown,
-            Verdict::Hit(t) => {
-                if !matches!(truth, Truth::Nearest(nearest) if nearest <= t) {
-                    truth = Truth::Nearest(t);
-                }
-            }
+            Verdict::Unknown => return Verdict::Unknown,
+            Verdict::Hit(t) => nearest = nearest.min(t),
         }
     }
-    truth
+    if nearest < f64::INFINITY { Verdict::Hit(nearest) } else { Verdict::Miss }
 }
 
 #[cfg(test)]
@@ -119,7 +105,7 @@ mod tests {
     fn the_nearest_counts() {
         let nearer = CORNERS.map(|[x, y, _]| [x, y, 2.5]);
         let ray = Ray::new(Vec3::ZERO, Vec3::new(1.0, 1.0, 5.0));
-        assert_eq!(truth(&ray, [CORNERS, nearer].into_iter()), Truth::Nearest(0.5));
-        assert_eq!(truth(&ray, [].into_iter()), Truth::Miss);
+        assert_eq!(truth(&ray, [CORNERS, nearer].into_iter()), Verdict::Hit(0.5));
+        assert_eq!(truth(&ray, [].into_iter()), Verdict::Miss);
     }
 }

@@ -15,7 +15,7 @@ use super::{
 };
 use crate::chart::{
     candidates::{Candidates, PlacedModel, Placement},
-    reference::{self, Truth},
+    reference::{self, Verdict},
     view_all,
 };
 
@@ -37,11 +37,7 @@ pub(super) fn against_f64(n_rays: u64) -> Tally {
     let cameras: Vec<_> = [full].into_iter().chain(eyes.iter().filter_map(close)).collect();
     let height = (n_rays / 2 / cameras.len() as u64).isqrt().clamp(64, 1024) as u32;
     let Ok(size) = FrameSize::new(2 * height, height) else { return Tally::default() };
-    let mut sum = Tally::default();
-    for camera in cameras {
-        sum += picture(&mesh, &grid, &camera, size);
-    }
-    sum
+    cameras.iter().map(|camera| picture(&mesh, &grid, camera, size)).sum()
 }
 
 fn picture(mesh: &Mesh, grid: &Grid, camera: &Camera, size: FrameSize) -> Tally {
@@ -180,8 +176,8 @@ pub(super) fn rays_of(mesh: &Mesh, grid: &Grid, camera: &Camera, n_rays: u64) ->
         },
         |ray| reference::truth(ray, triangles.iter().copied()),
         |_, truth, answer: Answer| match (truth, answer) {
-            (Truth::Unknown, _) | (Truth::Miss, None) => true,
-            (Truth::Nearest(depth), Some((_, t))) => (t - depth).abs() <= 1e-4 * depth.max(1e-6),
+            (Verdict::Unknown, _) | (Verdict::Miss, None) => true,
+            (Verdict::Hit(depth), Some((_, t))) => (t - depth).abs() <= 1e-4 * depth.max(1e-6),
             _ => false,
         },
     )

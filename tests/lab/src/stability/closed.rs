@@ -13,13 +13,10 @@ use super::{
 };
 use crate::random::Random;
 
-/// Rays that share an origin.
 const RAYS_PER_BUNDLE: usize = 64;
 
-/// The targets of rays from inside a sphere.
 #[derive(Clone, Copy)]
 pub(super) enum Aim {
-    /// Anywhere.
     Anywhere,
     /// Every vertex and every edge midpoint, in turn.
     VerticesAndEdges,

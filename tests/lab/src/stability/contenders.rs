@@ -24,7 +24,6 @@ pub(super) enum Contender {
     Rival(Method),
     /// Raywall's single rays: nearest hit and any hit.
     Single,
-    /// Raywall's packets.
     Packets,
 }
 
@@ -38,7 +37,6 @@ impl Contender {
         Self::Packets,
     ];
 
-    /// The head of its column in the table.
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::Rival(method) => method.label(),
@@ -47,15 +45,16 @@ impl Contender {
         }
     }
 
-    /// Whether it must never be wrong.
     pub(super) fn is_default(self) -> bool {
         !matches!(self, Self::Rival(_))
     }
 
-    /// The nearest triangle along each ray of a bundle.
     pub(super) fn trace(self, grid: &Grid, bundle: &RayBundle, scratch: &mut PacketScratch) -> Vec<Answer> {
         match self {
-            Self::Rival(method) => bundle.rays().map(|ray| rival(method, grid, &ray)).collect(),
+            Self::Rival(method) => {
+                let file_index = |(triangle_idx, t)| (grid.mesh().file_index(triangle_idx), t);
+                bundle.rays().map(|ray| nearest_candidate(grid, method, &ray).map(file_index)).collect()
+            }
             Self::Single => bundle.rays().map(|ray| answer(grid, grid.intersect(&ray))).collect(),
             Self::Packets => packets(grid, bundle, bundle.directions.len().div_ceil(MOST_PACKETS), scratch),
         }
@@ -81,10 +80,6 @@ fn packet(origin: Vec3, rays: &[Vec3]) -> Packet {
         t_max: f32::MAX,
         any_hit: false,
     }
-}
-
-fn rival(method: Method, grid: &Grid, ray: &Ray) -> Answer {
-    nearest_candidate(grid, method, ray).map(|(triangle_idx, t)| (grid.mesh().file_index(triangle_idx), t))
 }
 
 /// The nearest of the grid's candidates along a ray, by a method: triangle index and t.
@@ -123,7 +118,6 @@ pub(super) struct Tally {
     pub(super) n_rays: u64,
     /// In the order of [`Contender::ALL`]; `None` if the case does not try a contender.
     pub(super) wrong: [Option<u64>; Contender::ALL.len()],
-    /// The default's first wrong answer.
     pub(super) first_failure: Option<String>,
 }
 

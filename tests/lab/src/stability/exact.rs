@@ -3,11 +3,9 @@
 use super::{contenders::Answer, solids::Lattice};
 use crate::vector::{cross, dot, sub};
 
-/// The true hits of a ray.
 pub(super) struct ExactTruth {
     /// All triangles hit, with t.
     hits: Vec<(u32, f64)>,
-    /// The least t, or infinity.
     nearest: f64,
 }
 

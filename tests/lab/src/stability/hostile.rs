@@ -18,8 +18,7 @@ use crate::random::Random;
 pub(super) fn bad_vertices(n_rays: u64) -> Tally {
     let mut sum = Tally::default();
     for seed in 0..8 {
-        let mut random = Random::new(500 + seed);
-        let scene = lattice::scaled(&solids::soup(&mut random, 20, 4), 4);
+        let scene = lattice::soup(500 + seed, 20);
         let mut mesh = solids::mesh_of(&scene, 1.0);
         let (n_triangles, n_vertices) = (mesh.triangles.len(), mesh.vertices.len() as u32);
         for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e30, -1e30] {
@@ -70,7 +69,7 @@ const ODD: [f32; 10] = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f3
 
 /// Rays with odd components terminate, and hit nothing unless all components are finite.
 pub(super) fn odd_rays(n_rays: u64) -> Tally {
-    let scene = lattice::scaled(&solids::soup(&mut Random::new(600), 40, 4), 4);
+    let scene = lattice::soup(600, 40);
     let grid = Grid::build(solids::mesh_of(&scene, 1.0), &GridOptions::default(), &|_| ());
     let triangles: Vec<_> =
         (0..grid.mesh().n_triangles() as u32).map(|triangle_idx| grid.mesh().corners(triangle_idx)).collect();

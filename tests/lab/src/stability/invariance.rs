@@ -3,7 +3,7 @@
 use glam::Vec3;
 use rayon::prelude::*;
 use renderer::{
-    grid::{Grid, GridOptions, MeshLayout, Storage},
+    grid::{Grid, GridOptions, Storage},
     intersect::{InstructionSet, PacketScratch, ray::Hit},
     model::{mesh::Mesh, statue},
     render::scene::Scene,
@@ -15,7 +15,7 @@ use shared::{
 use strum::VariantArray;
 
 use super::contenders::{Answer, Contender, RayBundle, Tally};
-use crate::{chart::view_all, random::Random};
+use crate::{chart::view_all, random::Random, trace::frame::trace_share};
 
 /// Scaling by a power of two changes no bit of any hit.
 pub(super) fn scale(n_rays: u64) -> Tally {
@@ -83,15 +83,15 @@ fn compare(
     (0..n_rays.div_ceil(32)).into_par_iter().map_init(PacketScratch::default, one).sum()
 }
 
-/// Every instruction set, storage, density, layout, number of threads and division gives one hash of all hits.
+/// Every instruction set, storage, density, number of threads and division gives one hash of all hits.
 pub(super) fn one_hash(n_rays: u64) -> Tally {
     let mesh = statue::generate(20_000, &|_| ());
     let camera = view_all(mesh.bounds(), 16.0 / 9.0);
     let mut ways = Vec::new();
     for &storage in Storage::VARIANTS {
         for density in [1.0, 32.0, 128.0].map(Some) {
-            for (layout, n_threads) in [(MeshLayout::Indexed, 1), (MeshLayout::Flat, 2)] {
-                ways.push((GridOptions { storage, density, mesh: layout, ..GridOptions::default() }, n_threads));
+            for n_threads in [1, 2] {
+                ways.push((GridOptions { storage, density, ..GridOptions::default() }, n_threads));
             }
         }
     }
@@ -105,10 +105,9 @@ pub(super) fn one_hash(n_rays: u64) -> Tally {
     let mut expected: Option<blake3::Hash> = None;
     for (options, n_threads) in ways {
         let Ok(pool) = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build() else { continue };
-        let mut grid = pool.install(|| Grid::build(mesh.clone(), &options, &|_| ()));
+        let mut scene = pool.install(|| Scene::build(mesh.clone(), &options, &|_| ()));
         for &set in &sets {
-            grid = grid.with_instructions(set);
-            let scene = Scene::from_grid(grid);
+            scene.grid = scene.grid.with_instructions(set);
             for (division, n_machines) in divisions {
                 let hits = pool.install(|| hits(&scene, &camera, size, division, n_machines));
                 let is_same = *expected.get_or_insert(hits) == hits;
@@ -118,7 +117,6 @@ pub(super) fn one_hash(n_rays: u64) -> Tally {
                 }
                 sum += tally;
             }
-            grid = scene.into_grid();
         }
     }
     sum
@@ -131,7 +129,7 @@ fn hits(scene: &Scene, camera: &Camera, size: FrameSize, division: Division, n_m
     for machine in (0..n_machines).rev() {
         let task = division.task(machine, n_machines);
         let Ok(share) = task.share(size) else { continue };
-        scene.trace(&rays, None, &share, 0..share.count(), |block, hits| {
+        trace_share(scene, &rays, &share, |block, hits| {
             for ((i, j), &hit) in block.samples().zip(hits) {
                 rows[(j * size.xres() + i) as usize] = scene.with_file_index(hit);
             }

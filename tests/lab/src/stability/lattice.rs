@@ -15,7 +15,6 @@ use super::{
 };
 use crate::{random::Random, vector::sub};
 
-/// The rays at a scene.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Aim {
     /// Along an axis; the other two components are +0 or −0.
@@ -28,20 +27,14 @@ pub(super) enum Aim {
     FromSurfaces,
     /// From a million scene sizes away, at corners, edge midpoints, and anywhere.
     Far,
-    /// Each of these.
     All,
 }
 
-/// Largest coordinate of scenes.
 const SIZE: i32 = 16;
 
 /// Random soups, and boxes with integer corners.
 pub(super) fn solids_and_soups(aim: Aim, n_rays: u64) -> Tally {
-    let soups = (0..12).map(|seed| {
-        let mut random = Random::new(seed);
-        // Multiples of four: midpoints of edges and triangles are integers.
-        scaled(&solids::soup(&mut random, 4 + 3 * seed as usize, SIZE / 4), 4)
-    });
+    let soups = (0..12).map(|seed| soup(seed, 4 + 3 * seed as usize));
     let boxes = [1, 2, 4].map(|n| scaled(&solids::cube(n), SIZE / n));
     let scenes: Vec<_> = soups.chain(boxes).collect();
     many(&scenes, 1.0, aim, n_rays)
@@ -49,11 +42,9 @@ pub(super) fn solids_and_soups(aim: Aim, n_rays: u64) -> Tally {
 
 /// Tries some scenes, with an equal number of rays for each.
 pub(super) fn many(scenes: &[Lattice], unit: f32, aim: Aim, n_rays: u64) -> Tally {
-    let mut sum = Tally::default();
-    for (scene, seed) in scenes.iter().zip(0..) {
-        sum += one(scene, solids::mesh_of(scene, unit), unit, aim, n_rays / scenes.len() as u64, seed);
-    }
-    sum
+    let n_rays = n_rays / scenes.len() as u64;
+    let of_scene = |(scene, seed)| one(scene, solids::mesh_of(scene, unit), unit, aim, n_rays, seed);
+    scenes.iter().zip(0..).map(of_scene).sum()
 }
 
 /// Rays at a mesh that begins with the triangles of `scene`; rays must not hit its other triangles.
@@ -125,7 +116,12 @@ fn bundle(scene: &Lattice, unit: f32, aim: Aim, random: &mut Random) -> RayBundl
     RayBundle { origin: Vec3::from_array(origin.map(|x| x as f32 * unit)), directions }
 }
 
-pub(super) fn scaled(lattice: &Lattice, factor: i32) -> Lattice {
+/// `n` random triangles. Multiples of four: midpoints of edges and triangles are integers.
+pub(super) fn soup(seed: u64, n: usize) -> Lattice {
+    scaled(&solids::soup(&mut Random::new(seed), n, SIZE / 4), 4)
+}
+
+fn scaled(lattice: &Lattice, factor: i32) -> Lattice {
     lattice.iter().map(|triangle| triangle.map(|corner| corner.map(|x| x * factor))).collect()
 }
 
@@ -140,7 +136,7 @@ fn middle(a: [i32; 3], b: [i32; 3]) -> [i32; 3] {
 /// Scenes without extent along some axes.
 pub(super) fn flat(axes: &[usize], n_rays: u64) -> Tally {
     let scenes = (0..8).map(|seed| {
-        let mut soup = scaled(&solids::soup(&mut Random::new(100 + seed), 20, SIZE / 4), 4);
+        let mut soup = soup(100 + seed, 20);
         for corner in soup.iter_mut().flatten() {
             axes.iter().for_each(|&axis| corner[axis] = 8);
         }
@@ -149,16 +145,15 @@ pub(super) fn flat(axes: &[usize], n_rays: u64) -> Tally {
     many(&scenes.collect::<Vec<_>>(), 1.0, Aim::All, n_rays)
 }
 
-/// Scenes of no triangle and of one.
 pub(super) fn few(n_rays: u64) -> Tally {
-    let ones = (0..15).map(|seed| scaled(&solids::soup(&mut Random::new(200 + seed), 1, SIZE / 4), 4));
+    let ones = (0..15).map(|seed| soup(200 + seed, 1));
     many(&[vec![]].into_iter().chain(ones).collect::<Vec<_>>(), 1.0, Aim::All, n_rays)
 }
 
 /// Repeated triangles, among them some without area.
 pub(super) fn duplicates(n_rays: u64) -> Tally {
     let scenes = (0..8).map(|seed| {
-        let soup = scaled(&solids::soup(&mut Random::new(300 + seed), 12, SIZE / 4), 4);
+        let soup = soup(300 + seed, 12);
         let no_area = soup.iter().map(|&[a, b, _]| [a, b, middle(a, b)]);
         let points = soup.iter().map(|&[a, _, _]| [a; 3]);
         [&*soup, &*no_area.collect::<Vec<_>>(), &*soup, &*points.collect::<Vec<_>>()].concat()
@@ -168,7 +163,7 @@ pub(super) fn duplicates(n_rays: u64) -> Tally {
 
 /// Scenes with coordinates below the smallest normal number.
 pub(super) fn denormal(n_rays: u64) -> Tally {
-    let scenes = (0..8).map(|seed| scaled(&solids::soup(&mut Random::new(400 + seed), 20, SIZE / 4), 4));
+    let scenes = (0..8).map(|seed| soup(400 + seed, 20));
     many(&scenes.collect::<Vec<_>>(), DENORMAL_UNIT, Aim::All, n_rays)
 }
 

@@ -11,10 +11,9 @@ use renderer::{
     render::{blocks::SampleBlock, secondary::SecondaryRays},
 };
 use shared::{
-    appearance::Appearance,
     camera::Camera,
     division::{FrameSize, SampleRect},
-    protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
+    protocol::{FrameSpec, LightingMode},
     scene::SceneId,
 };
 
@@ -22,7 +21,7 @@ use super::{
     contenders::{Contender, Tally, nearest_candidate},
     solids,
 };
-use crate::chart::methods::Method;
+use crate::{chart::methods::Method, farm::frame_spec};
 
 /// Start of the rivals' shadow rays, as usual: this fraction of the way to the light.
 const USUAL_EPSILON: f32 = 1e-4;
@@ -70,16 +69,10 @@ pub(super) fn contact(n_rays: u64) -> Tally {
             (normal.y > 0.5 && z.abs() > nearest && z.abs() < 1.0).then_some(z > 0.0)
         };
         // From above: strips on both sides of the wall's foot, of decreasing width.
-        for width in [1.0, 1e-2, 1e-3] {
-            let (eye, ll) = (at(0.1, 4.0, -0.5 * width), at(-1.0, 2.0, -width));
+        for (side, width) in [1.0, 1e-2, 1e-3].into_iter().flat_map(|width: f64| [(-width, width), (width, width)]) {
+            let (eye, ll) = (at(0.1, 4.0, 0.5 * side), at(-1.0, 2.0, side));
             let Ok(camera) = Camera::new(eye, ll, DVec3::X * 2.0, DVec3::NEG_Z * width) else { continue };
-            let n_rays = n_rays / (3 * offsets.len() as u64);
-            sum += light_of(mesh.clone(), &camera, light, n_rays / 2, expect);
-            let before =
-                Camera::new(at(0.1, 4.0, 0.5 * width), at(-1.0, 2.0, width), DVec3::X * 2.0, DVec3::NEG_Z * width);
-            if let Ok(before) = before {
-                sum += light_of(mesh.clone(), &before, light, n_rays / 2, expect);
-            }
+            sum += light_of(mesh.clone(), &camera, light, n_rays / (6 * offsets.len() as u64), expect);
         }
     }
     sum
@@ -97,18 +90,10 @@ fn light_of(
     let grid = Grid::build(mesh, &GridOptions::default(), &|_| ());
     let side = 8 * ((n_rays / 2).isqrt() as u32 / 8).clamp(4, 256);
     let Ok(size) = FrameSize::new(2 * side, side) else { return Tally::default() };
-    let samples = SampleRange::CENTRE;
-    let spec = FrameSpec {
-        scene: SceneId::Statue { triangles: 0 },
-        camera: *camera,
-        size,
-        view: ShadingMode::Shaded,
-        rays: LightingMode::Shadows,
-        samples,
-        appearance: Appearance::default(),
-    };
+    let spec = FrameSpec { rays: LightingMode::Shadows, ..frame_spec(SceneId::Statue { triangles: 0 }, *camera, size) };
     let light = light.as_vec3();
-    let secondary = SecondaryRays::new(&grid, &spec, None).with_key_light(light);
+    let mut secondary = SecondaryRays::new(&grid, &spec, None);
+    secondary.key_light = light;
     let rays = camera.rays(size);
     let mut scratch = PacketScratch::default();
     let mut tally = Tally::default();

@@ -17,6 +17,7 @@ use super::{
     contenders::{Contender, Tally},
     solids,
 };
+use crate::trace::frame::trace_share;
 
 /// Largest cost in the stadium, relative to the teapot alone.
 const MOST_TIMES: f64 = 10.0;
@@ -65,13 +66,13 @@ impl Cost {
         };
         let steps = samples.map(|(i, j)| cost(rays.direction(i, j))).sum();
         let is_in_budget = grid.shortage().is_none();
-        let scene = Scene::from_grid(grid);
+        let scene = Scene { grid };
         let task = Division::Tiled.task(0, 1);
         let mut cpu = f64::INFINITY;
         if let (true, Ok(share)) = (times, task.share(size)) {
             for _ in 0..9 {
                 let started = ThreadTime::now();
-                scene.trace(&rays, None, &share, 0..share.count(), |_, hits| {
+                trace_share(&scene, &rays, &share, |_, hits| {
                     std::hint::black_box(hits);
                 });
                 cpu = cpu.min(started.elapsed().as_secs_f64());

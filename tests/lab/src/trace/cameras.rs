@@ -6,14 +6,11 @@ use std::{
 };
 
 use anyhow::{Context, Result, ensure};
-use renderer::{
-    cli::trace::read_camera,
-    render::{frame::Frame, scene::Scene},
-};
+use renderer::{cli::picture_args::read_camera, render::scene::Scene};
 use serde::Serialize;
 use shared::protocol::FrameSpec;
 
-use super::frame::{self, FrameOptions};
+use super::frame::{Frame, FrameOptions};
 use crate::statistics::milliseconds;
 
 /// Limit of a line in bytes: paths are shorter on all systems.
@@ -27,7 +24,6 @@ pub fn read_line(input: &mut impl BufRead, line: &mut String) -> Result<bool> {
     Ok(n_bytes > 0)
 }
 
-/// One line of the answer.
 #[derive(Serialize)]
 struct FrameReport {
     frame_ms: f64,
@@ -49,7 +45,7 @@ pub(super) fn run(
     mut paths: impl BufRead,
     mut answers: impl Write,
 ) -> Result<()> {
-    let mut frame = Frame::default();
+    let mut frame = Frame::new(request.size);
     let mut line = String::new();
     let mut n_lines = 0;
     while read_line(&mut paths, &mut line).context("cannot read the next camera's path")? {
@@ -60,14 +56,14 @@ pub(super) fn run(
         }
         let camera = read_camera(Path::new(path)).with_context(|| format!("line {n_lines} of the cameras"))?;
         let request = FrameSpec { camera, ..*request };
-        let (cost, counts) = frame::trace(&mut frame, scene, &request, options);
-        let n_rays = request.size.n_samples() as usize + counts.n_shadow_rays;
+        let cost = frame.trace(scene, &request, options);
+        let n_rays = request.size.n_samples() as usize + cost.n_shadow_rays;
         let report = FrameReport {
             frame_ms: milliseconds(cost.wall),
             frame_cpu_ms: milliseconds(cost.cpu),
             hits: frame.n_hits(),
-            shadow_rays: counts.n_shadow_rays,
-            shadowed: counts.n_shadowed,
+            shadow_rays: cost.n_shadow_rays,
+            shadowed: cost.n_shadowed,
             mrays_per_second: n_rays as f64 / cost.wall.as_secs_f64() / 1e6,
         };
         writeln!(answers, "{}", serde_json::to_string(&report)?).context("cannot write the answer")?;

@@ -51,7 +51,7 @@ impl ShadowCaster<'_> {
         }
         let directions = &directions[..tiles.len()];
         let rays = directions.as_flattened().iter().flatten();
-        let grid = self.scene.grid();
+        let grid = &self.scene.grid;
         let n_hidden = match self.kernel {
             Kernel::Packet => {
                 let occluded_lanes = secondary::occluded_lanes(grid, None, self.light, directions, T_MAX, scratch);

@@ -1,0 +1,169 @@
+//! The present stage's twin on the CPU, in f64: the truth that the GPU is tested against.
+
+use compositor::{
+    gpu::RgbImage,
+    wall::{
+        Gamma, PixelRect, Projector, Wall,
+        blend::{LEAST_DISTANCE, Neighbour, distances_from_edges},
+        homography::apply,
+    },
+};
+use glam::{DVec2, DVec4};
+use shared::{division::FrameSize, srgb};
+
+/// The image that `Present::draw` makes of a frame on a target of `target_size`, of samples as `Present::upload` takes them.
+pub(crate) fn present(size: FrameSize, rgba: &[u8], wall: &Wall, part: PixelRect, target_size: [u32; 2]) -> RgbImage {
+    let fitted = PixelRect::fitted([part.width, part.height], target_size);
+    let scale = part.size() / fitted.size();
+    let [width, height] = target_size;
+    let mut rgb = vec![0; 3 * width as usize * height as usize];
+    for (pixel, encoded) in rgb.chunks_exact_mut(3).enumerate() {
+        let [x, y] = [pixel as u32 % width, pixel as u32 / width];
+        // From the pixel's centre to the spanning output, in pixels of that output.
+        let from_fitted = DVec2::new(f64::from(x), f64::from(y)) - fitted.origin() + 0.5;
+        let output = part.origin() + from_fitted * scale;
+        let shown = |projector: &&Projector| part.contains_rect(&projector.output) && projector.output.contains(output);
+        if let Some(projector_idx) = wall.projectors().iter().position(|projector| shown(&projector)) {
+            let value = if wall.is_plain(projector_idx) {
+                plain(size, rgba, &wall.projectors()[projector_idx], output)
+            } else {
+                corrected(size, rgba, wall, projector_idx, output, scale)
+            };
+            encoded.copy_from_slice(&value);
+        }
+    }
+    RgbImage { size: target_size, rgb }
+}
+
+/// A pixel of a projector that shows its part of the frame as it is.
+fn plain(size: FrameSize, rgba: &[u8], projector: &Projector, output: DVec2) -> [u8; 3] {
+    let linear = frame_at(size, rgba, projector, raster_of(projector, output));
+    linear.map(|light| srgb::encode(light as f32))
+}
+
+/// A pixel of a projector that is warped, overlaps others, or has a light of its own; `pixel` is its width and height in
+/// pixels of the output.
+fn corrected(size: FrameSize, rgba: &[u8], wall: &Wall, projector_idx: usize, output: DVec2, pixel: DVec2) -> [u8; 3] {
+    let projector = &wall.projectors()[projector_idx];
+    let Some(rect_from_raster) = projector.raster_from_rect().map(|map| map.inverse()) else { return [0; 3] };
+    let rect_point_of = |output: DVec2| apply(rect_from_raster, raster_of(projector, output));
+    let Some(rect_point) = rect_point_of(output) else { return [0; 3] };
+
+    // The size of the pixel in the projector's rectangle, by finite differences of a hundredth of a pixel.
+    let step = |direction: DVec2| rect_point_of(output + direction * pixel / 100.0).map(|it| (it - rect_point) * 100.0);
+    let (Some(per_column), Some(per_row)) = (step(DVec2::X), step(DVec2::Y)) else { return [0; 3] };
+    let extent = DVec2::new(per_column.x.hypot(per_row.x), per_column.y.hypot(per_row.y));
+    let covered = (rect_point.min(1.0 - rect_point) / extent + 0.5).clamp(DVec2::ZERO, DVec2::ONE);
+
+    let BlendWeight { weight, leak } = blend_weight(wall.neighbours(projector_idx), rect_point);
+    let light_fraction = covered.x * covered.y * weight;
+    let linear = frame_at(size, rgba, projector, rect_point.clamp(DVec2::ZERO, DVec2::ONE));
+    std::array::from_fn(|channel| {
+        let light = light_fraction * (wall.black() + (1.0 - wall.black()) * linear[channel] - leak).max(0.0);
+        let drive = (light * projector.gain[channel] / (1.0 - projector.black_level)).clamp(0.0, 1.0);
+        (encode(projector.gamma, drive) * 255.0).round() as u8
+    })
+}
+
+/// A point of the output among a projector's pixels, which run from (0, 0) to (1, 1).
+fn raster_of(projector: &Projector, output: DVec2) -> DVec2 {
+    (output - projector.output.origin()) / projector.output.size()
+}
+
+/// Linear light of the frame at a point of a projector's rectangle.
+fn frame_at(size: FrameSize, rgba: &[u8], projector: &Projector, rect_point: DVec2) -> [f64; 3] {
+    let canvas = projector.canvas.canvas_from_rect(rect_point);
+    bilinear(size, rgba, canvas.x * f64::from(size.xres()), canvas.y * f64::from(size.yres()))
+}
+
+/// Linear light at a point of the frame, in samples from its lower-left corner; sample (i, j) has its centre at
+/// (i + ½, j + ½), and the outermost samples continue outwards.
+fn bilinear(size: FrameSize, rgba: &[u8], x: f64, y: f64) -> [f64; 3] {
+    let [x, y] = [x - 0.5, y - 0.5];
+    let [x_weight, y_weight] = [x - x.floor(), y - y.floor()];
+    let sample = |i: f64, j: f64| {
+        let i = i.clamp(0.0, f64::from(size.xres() - 1)) as usize;
+        let j = j.clamp(0.0, f64::from(size.yres() - 1)) as usize;
+        let first = 4 * (j * size.xres() as usize + i);
+        [0, 1, 2].map(|channel| f64::from(srgb::decode(rgba[first + channel])))
+    };
+    let corners = [
+        (sample(x.floor(), y.floor()), (1.0 - x_weight) * (1.0 - y_weight)),
+        (sample(x.floor() + 1.0, y.floor()), x_weight * (1.0 - y_weight)),
+        (sample(x.floor(), y.floor() + 1.0), (1.0 - x_weight) * y_weight),
+        (sample(x.floor() + 1.0, y.floor() + 1.0), x_weight * y_weight),
+    ];
+    [0, 1, 2].map(|channel| corners.iter().map(|(linear, weight)| linear[channel] * weight).sum())
+}
+
+/// One projector's blend weight at one point of its rectangle, and the black there.
+struct BlendWeight {
+    /// Its part of the image's light, from 0 to 1. All projectors' weights add up to 1.
+    weight: f64,
+    /// The light of all projectors' black there.
+    leak: f64,
+}
+
+/// The blend weight of a projector with these `neighbours`, itself first, at a point of its rectangle.
+///
+/// The weight is the product of the distances from the edges towards which the light fades, divided by the sum of these
+/// products over all neighbours: continuous, and on a regular wall constant along an edge.
+fn blend_weight(neighbours: &[Neighbour], rect_point: DVec2) -> BlendWeight {
+    // Pixels that an edge of the rectangle cuts count as inside.
+    let within = rect_point.clamp(DVec2::ZERO, DVec2::ONE);
+    let raw_weight = |neighbour: &Neighbour| {
+        let neighbour_point = neighbour.rect_origin + neighbour.rect_scale * within;
+        match apply(neighbour.raster_from_rect, within) {
+            Some(raster) if neighbour.blends => {
+                distances(neighbour_point, neighbour.rect_edges) * distances(raster, neighbour.raster_edges)
+            }
+            _ => 0.0,
+        }
+    };
+    // A pixel at the edge gives its light on both sides of it.
+    let leak = |neighbour: &Neighbour| {
+        let covered = apply(neighbour.raster_from_rect, rect_point).map_or(DVec2::ZERO, |raster| {
+            (raster.min(1.0 - raster) * neighbour.raster_size + 0.5).clamp(DVec2::ZERO, DVec2::ONE)
+        });
+        neighbour.black_level * covered.x * covered.y
+    };
+    let own = neighbours.first().map_or(0.0, raw_weight);
+    let all: f64 = neighbours.iter().map(raw_weight).sum();
+    BlendWeight { weight: if all > 0.0 { own / all } else { 0.0 }, leak: neighbours.iter().map(leak).sum() }
+}
+
+/// The product of a point's distances from the chosen edges of the unit square; 0 outside of the square.
+fn distances(point: DVec2, edges: DVec4) -> f64 {
+    let all = distances_from_edges(point);
+    if all.cmplt(DVec4::splat(-LEAST_DISTANCE)).any() {
+        return 0.0;
+    }
+    let counted = DVec4::ONE + edges * (all.max(DVec4::splat(LEAST_DISTANCE)) - 1.0);
+    counted.element_product()
+}
+
+/// The value from 0 to 1 at which a projector of this gamma gives `light`, from 0 to 1.
+fn encode(gamma: Gamma, light: f64) -> f64 {
+    match gamma {
+        Gamma::Srgb if light <= 0.003_130_8 => 12.92 * light,
+        Gamma::Srgb => 1.055 * light.powf(1.0 / 2.4) - 0.055,
+        Gamma::Power(exponent) => light.powf(1.0 / exponent),
+    }
+}
+
+#[test]
+fn blend_weights_add_up_to_one_everywhere_and_vanish_at_inner_edges() {
+    let wall = Wall::load(std::path::Path::new("../wall-config/blended-4x3.toml")).expect("a shipped wall file");
+    for step in 0..10_000_u32 {
+        let point = DVec2::new(f64::from(step % 100) + 0.5, f64::from(step / 100) + 0.5) / 100.0;
+        let weights = (0..12).map(|index| {
+            let rect_point = wall.projectors()[index].canvas.rect_from_canvas(point);
+            let is_within = rect_point.cmpge(DVec2::ZERO).all() && rect_point.cmple(DVec2::ONE).all();
+            if is_within { blend_weight(wall.neighbours(index), rect_point).weight } else { 0.0 }
+        });
+        let sum: f64 = weights.sum();
+        assert!((sum - 1.0).abs() < 1e-9, "{sum} at {point}");
+    }
+    let at_right_edge = blend_weight(wall.neighbours(0), DVec2::new(1.0, 0.5)).weight;
+    assert!(at_right_edge < 1e-3, "{at_right_edge}");
+}
