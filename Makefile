@@ -20,10 +20,11 @@ test: setup-test format clippy docs
 	$(CARGO) build --release --workspace --bins
 	$(CARGO) test --release --workspace
 
-# Ten minutes of render servers that join, freeze, wake and die at random; `make test` runs twenty seconds of it.
+# Ten minutes of render servers that join, freeze, wake and die at random, with lying nodes, floods and the deaths of most
+# of 512 nodes beside it; `make test` runs twenty seconds of it, and 64 nodes.
 soak: setup-test
 	$(CARGO) build --release
-	RAYWALL_CHURN_SECONDS=600 $(CARGO) test --release -p tests --test wall -- churn --nocapture
+	RAYWALL_CHURN_SECONDS=600 $(CARGO) test --release -p tests --test wall -- churn liars losses --nocapture
 
 # Difficult cases for every intersection method, ten million rays each; `make test` runs a hundredth of them.
 STABILITY_RAYS ?= 10000000
@@ -40,9 +41,13 @@ clippy:
 docs:
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --workspace --no-deps --document-private-items
 
-# Times building and traversing the grid, on generated models: a minute or two.
+# Times building the grid of the built-in statue, then packets, single rays and shadow rays on one thread.
+BENCH_TRIANGLES ?= 1000000
 bench:
-	$(CARGO) bench -p lab --bench grid
+	@for options in "--kernel packet" "--kernel single" "--shadow-rays"; do \
+		echo "== $$options" && \
+		$(CARGO) run --release --quiet -p lab -- trace --triangles $(BENCH_TRIANGLES) --threads 1 --frames 20 $$options || exit 1; \
+	done
 
 # Fuzzes every decoder with FUZZ_RUNS inputs each (a fiftieth for the slow one, records). Findings go to target/fuzz-found,
 # new inputs worth keeping to target/fuzz-corpus. RUSTC_BOOTSTRAP allows sanitizers on a stable compiler.
