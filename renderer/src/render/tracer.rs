@@ -196,7 +196,7 @@ mod tests {
             // The rays differ in their last bits, which only on an edge is another triangle.
             let is_same = match probed {
                 None => seen.is_miss(),
-                Some(hit) => hit.triangle == seen.triangle && (hit.t - seen.t).abs() < 1e-5 * seen.t,
+                Some(hit) => hit.triangle == Some(seen.triangle) && (hit.t - seen.t).abs() < 1e-5 * seen.t,
             };
             n_other += u32::from(!is_same);
         }
