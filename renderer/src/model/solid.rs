@@ -56,12 +56,12 @@ fn signed_edges(corners: [[f32; 3]; 3]) -> u64 {
     let [a, b, c] = corners.map(|corner| {
         // Adding 0 makes −0 equal to 0.
         let [x, y, z] = corner.map(|coordinate| u64::from((coordinate + 0.0).to_bits()));
-        scramble(scramble(x | y << 32) ^ z)
+        scramble((x | y << 32).wrapping_mul(0xd6e8_feb8_6659_fd93) ^ z.rotate_left(20))
     });
     let edge = |from: u64, to: u64| match from.cmp(&to) {
-        Ordering::Less => scramble(from.rotate_left(1) ^ scramble(to)),
+        Ordering::Less => scramble(from.wrapping_mul(3) ^ to),
         Ordering::Equal => 0,
-        Ordering::Greater => scramble(to.rotate_left(1) ^ scramble(from)).wrapping_neg(),
+        Ordering::Greater => scramble(to.wrapping_mul(3) ^ from).wrapping_neg(),
     };
     edge(a, b).wrapping_add(edge(b, c)).wrapping_add(edge(c, a))
 }
