@@ -1,8 +1,10 @@
 //! Triangle meshes, read from files or generated.
 //!
-//! [`mesh`] is the type; [`ply`] reads and writes meshes, [`statue`] generates one, [`scene`] loads and identifies them.
+//! [`mesh`] is the type, and [`solid`] says whether one is closed; [`ply`] reads and writes meshes, [`statue`] generates
+//! one, [`scene`] loads and identifies them.
 
 pub mod mesh;
 pub mod ply;
 pub mod scene;
+pub mod solid;
 pub mod statue;

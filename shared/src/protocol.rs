@@ -24,7 +24,7 @@ use crate::{
 };
 
 /// The version of all messages; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 10;
+pub const PROTOCOL_VERSION: u8 = 11;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -246,16 +246,16 @@ pub enum ToWall {
     Probed {
         /// As in the probe.
         number: u32,
-        /// The nearest triangle, if any.
+        /// The nearest triangle or cap, if any.
         hit: Option<ProbeHit>,
     },
 }
 
-/// The triangle at a point of the view plane.
+/// The triangle, or the cap of a cut, at a point of the view plane.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ProbeHit {
-    /// Its file index, from 0.
-    pub triangle: u32,
+    /// Its file index, from 0; `None` on the cap of a cut.
+    pub triangle: Option<u32>,
     /// Distance of the hit, in units of the vector from the eye to the point of the view plane.
     pub t: f32,
 }

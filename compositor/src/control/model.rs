@@ -18,6 +18,8 @@ pub(crate) struct Model {
     pub n_triangles: usize,
     /// Triangles that cannot be traced.
     pub n_rejected: usize,
+    /// Whether the triangles bound a solid, which cuts fill.
+    pub is_solid: bool,
 }
 
 impl Model {
@@ -30,6 +32,7 @@ impl Model {
             bounds: mesh.bounds().corners().into(),
             n_triangles: mesh.triangles.len() - mesh.n_rejected,
             n_rejected: mesh.n_rejected,
+            is_solid: mesh.facing().is_some(),
         })
     }
 

@@ -4,6 +4,7 @@ use std::fmt;
 
 use egui::{Align, Label, Layout, RichText, Ui};
 use glam::DVec3;
+use renderer::model::solid::UNFILLED;
 use shared::{protocol::SceneState, structure::Structure};
 
 use super::{OverlayModel, appearance, style};
@@ -20,6 +21,8 @@ pub(crate) struct ModelSummary {
     pub n_triangles: usize,
     /// Degenerate triangles, which cannot be traced.
     pub n_rejected: usize,
+    /// Whether the triangles bound a solid, which cuts fill.
+    pub is_solid: bool,
     /// Width, height and depth of the box around it, in its own unit.
     pub extent: DVec3,
 }
@@ -27,8 +30,8 @@ pub(crate) struct ModelSummary {
 /// A point of the model that somebody clicked on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Pick {
-    /// The triangle's number in the file, from 0.
-    pub triangle: u32,
+    /// The triangle's number in the file, from 0; `None` on the cap of a cut.
+    pub triangle: Option<u32>,
     /// The point, in the model's own coordinates.
     pub point: DVec3,
     /// From the eye to the point, in the model's own unit.
@@ -38,8 +41,8 @@ pub(crate) struct Pick {
 impl fmt::Display for Pick {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { triangle, point, distance } = self;
-        let number = style::grouped(*triangle as usize);
-        write!(f, "Triangle {number} at {}, {} from the eye", coordinates(*point), length(*distance))
+        let name = triangle.map_or("Cut".to_owned(), |number| format!("Triangle {}", style::grouped(number as usize)));
+        write!(f, "{name} at {}, {} from the eye", coordinates(*point), length(*distance))
     }
 }
 
@@ -94,6 +97,9 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
         commands.extend(label.clicked().then_some(Command::TogglePlaying));
     });
     appearance::show(ui, &model.appearance, commands);
+    if model.appearance.clip.is_some() && !summary.is_solid {
+        ui.label(RichText::new(UNFILLED).small().weak());
+    }
 }
 
 /// Triangles, bytes of mesh and structure, and the structure on each render server that is ready.

@@ -111,6 +111,7 @@ pub(super) fn running() -> OverlayModel {
             name: "statue".to_owned(),
             n_triangles: 1_000_000,
             n_rejected: 0,
+            is_solid: true,
             extent: DVec3::new(1.0, 1.9, 1.0),
         }),
         min_renderers: 1,
@@ -300,7 +301,7 @@ fn a_dozen_render_servers_fit_without_scrolling() {
 
 #[test]
 fn the_model_its_views_and_the_clicked_point_are_shown() {
-    let pick = Pick { triangle: 123_456, point: DVec3::new(0.25, -1.5, 30.0), distance: 2.5 };
+    let pick = Pick { triangle: Some(123_456), point: DVec3::new(0.25, -1.5, 30.0), distance: 2.5 };
     let model = OverlayModel { views: vec![1, 4], pick: Some(pick), is_playing: true, ..running() };
     let commands = commands_of(&model, |harness| {
         harness.get_by_label("Triangle 123 456 at (0.2500, -1.5000, 30.000), 2.5000 from the eye");

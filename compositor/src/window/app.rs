@@ -220,6 +220,7 @@ impl<'a> App<'a> {
             name: name.clone(),
             n_triangles: model.n_triangles,
             n_rejected: model.n_rejected,
+            is_solid: model.is_solid,
             extent: model.bounds.1 - model.bounds.0,
         });
         self.overlay.join = join_hint(self.farm.address(), self.args.key.as_deref(), model.path().as_deref());

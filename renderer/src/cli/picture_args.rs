@@ -17,6 +17,7 @@ use crate::{
     model::{
         mesh::Mesh,
         scene::{self, LoadError, LoadedMesh, SceneSource},
+        solid::UNFILLED,
         statue,
     },
     render::{scene::Scene, threads},
@@ -108,6 +109,9 @@ impl PictureArgs {
         let scene = Scene::build(mesh, &self.scene.options(), &|done| progress.set(done));
         if let Some(shortage) = scene.grid.shortage() {
             tracing::warn!("{}: {shortage}", self.model.source());
+        }
+        if self.appearance.appearance().clip.is_some() && scene.mesh().facing().is_none() {
+            tracing::warn!("{}: {UNFILLED}", self.model.source());
         }
         scene
     }

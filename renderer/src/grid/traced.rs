@@ -1,9 +1,13 @@
 //! The mesh that rays hit: ordered so that triangles close in space are close in memory.
 
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::{
-    model::mesh::{Aabb, Mesh},
+    model::{
+        mesh::{Aabb, Mesh},
+        solid::Facing,
+    },
     simd::Simd,
 };
 
@@ -20,6 +24,7 @@ pub struct TracedMesh {
     /// sRGB, one for each vertex; empty in a mesh without colours.
     colors: Vec<[u8; 3]>,
     bounds: Aabb,
+    facing: Option<Facing>,
 }
 
 impl TracedMesh {
@@ -39,7 +44,7 @@ impl TracedMesh {
 
     /// Orders a mesh by the first mention of each triangle in `references`, which become triangle indices.
     pub fn new(mesh: Mesh, references: &mut [u32]) -> Self {
-        let bounds = mesh.bounds();
+        let (bounds, facing) = (mesh.bounds(), mesh.facing());
         let Mesh { vertices, triangles, colors, .. } = mesh;
 
         // Number the triangles in the order of their first mention.
@@ -74,6 +79,7 @@ impl TracedMesh {
             file_indices,
             colors: kept_vertices.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
             bounds,
+            facing,
         }
     }
 
@@ -92,6 +98,17 @@ impl TracedMesh {
     #[inline]
     pub fn corners(&self, triangle_idx: u32) -> [[f32; 3]; 3] {
         self.triangles[triangle_idx as usize].map(|vertex| self.vertices[vertex as usize])
+    }
+
+    /// A vector of any length across a triangle, on the side where its corners run counter-clockwise.
+    pub(crate) fn normal(&self, triangle_idx: u32) -> DVec3 {
+        let [a, b, c] = self.corners(triangle_idx).map(|corner| Vec3::from_array(corner).as_dvec3());
+        (b - a).cross(c - a)
+    }
+
+    /// How the triangles face, if they bound a solid.
+    pub fn facing(&self) -> Option<Facing> {
+        self.facing
     }
 
     /// The sRGB colours of a triangle's corners, if the mesh has colours.

@@ -2,6 +2,9 @@
 //!
 //! A packet takes the hull of its rays' intervals. A hit inside a ray's own interval is its answer: the nearest of the
 //! larger interval is the nearest of the smaller one. Rays with other hits are traced again, alone.
+//!
+//! A ray that enters the kept half and then leaves a solid entered it within the solid: its hit is the cap, in the plane.
+//! Rays that only ask for any hit need no cap, because the side on which they leave the solid hides as much.
 
 use shared::appearance::ClipPlane;
 
@@ -11,6 +14,7 @@ use crate::{
         Packet, PacketScratch,
         ray::{Hit, Ray},
     },
+    model::solid::Facing,
 };
 
 /// The part of a ray that a plane keeps, if any; without a plane the whole ray.
@@ -35,7 +39,16 @@ pub fn clip_ray(clip: Option<&ClipPlane>, ray: Ray) -> Option<Ray> {
 
 /// The nearest hit on the part of a ray that a plane keeps.
 pub fn intersect(grid: &Grid, clip: Option<&ClipPlane>, ray: Ray) -> Hit {
-    clip_ray(clip, ray).map_or(Hit::MISS, |ray| grid.intersect(&ray))
+    clip_ray(clip, ray).map_or(Hit::MISS, |kept| or_cap(grid, &ray, &kept, grid.intersect(&kept)))
+}
+
+/// The hit of the part of a ray that a plane keeps, or the cap in its place.
+fn or_cap(grid: &Grid, ray: &Ray, kept: &Ray, hit: Hit) -> Hit {
+    let enters = kept.t_min > ray.t_min;
+    let Some(facing) = grid.mesh().facing().filter(|_| enters && !hit.is_miss()) else { return hit };
+    let along = grid.mesh().normal(hit.triangle).dot(ray.direction.as_dvec3());
+    let leaves_solid = if facing == Facing::Outward { along > 0.0 } else { along < 0.0 };
+    if leaves_solid { Hit { triangle: Hit::CAP, t: kept.t_min } } else { hit }
 }
 
 /// Whether the part of a ray that a plane keeps hits any triangle.
@@ -76,28 +89,31 @@ fn intersect_packet(grid: &Grid, clip: Option<&ClipPlane>, packet: &Packet, scra
 
     // Trace the hull; trace rays again whose hit may lie outside their own interval.
     let mut hits = grid.intersect_packet(&hull, scratch);
-    for (hit, ray) in hits.iter_mut().zip(rays) {
-        let Some(ray) = ray else {
+    for (lane, (hit, kept)) in hits.iter_mut().zip(rays).enumerate() {
+        let Some(kept) = kept else {
             *hit = Hit::MISS;
             continue;
         };
-        let is_within = ray.t_min < hit.t && hit.t < ray.t_max;
-        if hit.is_miss() || is_within {
-            continue;
-        }
+        let is_within = kept.t_min < hit.t && hit.t < kept.t_max;
         *hit = match packet.any_hit {
+            _ if hit.is_miss() || is_within => *hit,
             // Rounding is monotonic: a t that lies beyond the end when rounded lies beyond it.
-            false if hit.t > ray.t_max => Hit::MISS,
-            false => grid.intersect(&ray),
-            true if grid.occluded(&ray) => Hit { t: 0.0, ..*hit },
+            false if hit.t > kept.t_max => Hit::MISS,
+            false => grid.intersect(&kept),
+            true if grid.occluded(&kept) => Hit { t: 0.0, ..*hit },
             true => Hit::MISS,
         };
+        if !packet.any_hit {
+            *hit = or_cap(grid, &packet.ray(lane), &kept, *hit);
+        }
     }
     hits
 }
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::{PI, TAU};
+
     use glam::{DVec3, Vec3};
     use shared::{
         appearance::{Clip, ClipSide},
@@ -186,7 +202,7 @@ mod tests {
     fn rays_hit_as_in_a_search_of_all_kept_triangles() {
         let mesh = statue::generate(1500, &|_| ());
         let size = FrameSize::new(32, 16).unwrap();
-        let (mut n_hits, mut n_inner, mut n_doubtful) = (0, 0, 0);
+        let (mut n_hits, mut n_inner, mut n_caps, mut n_doubtful) = (0, 0, 0, 0);
         let best = scene(&mesh, Storage::Tree, InstructionSet::best());
         let eyes = [DVec3::new(0.6, 1.5, 2.5), DVec3::new(-2.0, 0.4, -0.3), DVec3::new(0.05, 0.9, 0.02)];
         for (eye, (index, from)) in
@@ -197,10 +213,19 @@ mod tests {
             let plane = best.clip_plane(&camera, Some(clip)).unwrap();
             for (ray, hit) in check(&best, &plane, &packets(&camera, size)) {
                 let (expected, is_certain) = search(&mesh, &plane, &ray);
+                // A ray that enters the kept half and leaves the statue first meets the cap.
+                let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
+                let (distance, slope) = (plane.offset - plane.normal.dot(origin), plane.normal.dot(direction));
+                let expected = expected.map(|(triangle, t)| {
+                    let [a, b, c] = mesh.corners(triangle as usize).unwrap().map(|p| Vec3::from(p).as_dvec3());
+                    let is_cap = distance < 0.0 && (b - a).cross(c - a).dot(direction) > 0.0;
+                    if is_cap { (Hit::CAP, distance / slope) } else { (triangle, t) }
+                });
                 let whole = best.grid.intersect(&ray);
                 n_doubtful += u32::from(!is_certain);
                 n_hits += u32::from(!hit.is_miss());
                 n_inner += u32::from(!hit.is_miss() && hit.t > whole.t);
+                n_caps += u32::from(hit.is_cap());
                 if is_certain {
                     assert_eq!(
                         expected.map(|(triangle, _)| triangle),
@@ -211,7 +236,102 @@ mod tests {
                 }
             }
         }
-        assert!(n_hits > 1000 && n_inner > 300 && n_doubtful < 30, "{n_hits} {n_inner} {n_doubtful}");
+        let all = (n_hits, n_inner, n_caps, n_doubtful);
+        assert!(n_hits > 1000 && n_inner > 300 && n_caps > 300 && n_doubtful < 30, "{all:?}");
+    }
+
+    /// A torus around the z axis; with a radius of 0 around the axis, and half of the tube, a ball.
+    fn torus(radius: f64, tube: f64, turns: f64) -> Mesh {
+        let (n_around, n_across) = (256u32, 128u32);
+        let mut mesh = Mesh::default();
+        for (i, j) in (0..n_around).flat_map(|i| (0..=n_across).map(move |j| (i, j))) {
+            let around = f64::from(i) / f64::from(n_around) * TAU;
+            // Both ends of a row are the same point, and so are the poles of all rows.
+            let across = f64::from(if turns == 1.0 { j % n_across } else { j }) / f64::from(n_across) * TAU * turns;
+            let is_pole = turns != 1.0 && (j == 0 || j == n_across);
+            let (from_axis, z) = if is_pole {
+                (0.0, 1.0 - 2.0 * f64::from(j) / f64::from(n_across))
+            } else {
+                (across.sin(), across.cos())
+            };
+            let from_axis = radius + tube * from_axis;
+            mesh.vertices
+                .push(DVec3::new(from_axis * around.cos(), from_axis * around.sin(), tube * z).as_vec3().into());
+            if j < n_across {
+                let (a, b) = (i * (n_across + 1) + j, (i + 1) % n_around * (n_across + 1) + j);
+                mesh.triangles.extend([[a, a + 1, b + 1], [a, b + 1, b]]);
+            }
+        }
+        mesh
+    }
+
+    fn joined(mut mesh: Mesh, other: &Mesh) -> Mesh {
+        let n = mesh.vertices.len() as u32;
+        mesh.vertices.extend(&other.vertices);
+        mesh.triangles.extend(other.triangles.iter().map(|corners| corners.map(|vertex| vertex + n)));
+        mesh
+    }
+
+    fn turned_inside_out(mut mesh: Mesh) -> Mesh {
+        mesh.triangles.iter_mut().for_each(|corners| corners.swap(1, 2));
+        mesh
+    }
+
+    #[test]
+    fn caps_cover_the_matter_in_the_plane() {
+        // Distance to the surface where the plane cuts; negative within the matter.
+        let in_torus = |p: DVec3| (p.truncate().length() - 1.0).hypot(p.z) - 0.4;
+        let in_shell = |p: DVec3| (p.length() - 1.0).max(0.6 - p.length());
+        let solid_torus = torus(1.0, 0.4, 1.0);
+        let shell = joined(torus(0.0, 1.0, 0.5), &turned_inside_out(torus(0.0, 0.6, 0.5)));
+        type Solid<'a> = (&'a Mesh, &'a dyn Fn(DVec3) -> f64, &'a str, f64);
+        let solids: [Solid<'_>; 4] = [
+            (&solid_torus, &in_torus, "z:50", PI * (1.4 * 1.4 - 0.6 * 0.6)),
+            (&solid_torus, &in_torus, "-x:50", 2.0 * PI * 0.4 * 0.4),
+            (&shell, &in_shell, "y:50", PI * (1.0 - 0.6 * 0.6)),
+            (&shell, &in_shell, "eye:25", PI * (0.75 - (0.6 * 0.6 - 0.25))),
+        ];
+        for (mesh, distance, clip, area) in solids {
+            for mesh in [mesh.clone(), turned_inside_out(mesh.clone())] {
+                let scene = scene(&mesh, Storage::Tree, InstructionSet::best());
+                let size = FrameSize::new(256, 128).unwrap();
+                let clip: Clip = clip.parse().unwrap();
+                // The eye looks straight at the plane, so all samples cover the same area of it.
+                let side = match clip.side() {
+                    ClipSide::MinusX => -DVec3::X,
+                    ClipSide::Y => DVec3::Y,
+                    _ => DVec3::Z,
+                };
+                let up = if side == DVec3::Y { DVec3::Z } else { DVec3::Y };
+                let camera = Camera::look_at(side * 5.0, DVec3::ZERO, up, 0.7, 2.0).unwrap();
+                let plane = scene.clip_plane(&camera, Some(clip)).unwrap();
+                let (mut n_caps, mut of_sample) = (0.0, 0.0);
+                for (ray, hit) in check(&scene, &plane, &packets(&camera, size)) {
+                    let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
+                    let t = (plane.offset - plane.normal.dot(origin)) / plane.normal.dot(direction);
+                    let distance = distance(origin + direction * t);
+                    // Flat triangles lie within 0.001 of the surface.
+                    if distance.abs() > 1e-3 {
+                        assert_eq!(hit.is_cap(), distance < 0.0, "{clip} {ray:?} {distance}");
+                    }
+                    assert!(!hit.is_cap() || (f64::from(hit.t) - t).abs() < 1e-6 * t, "{clip} {ray:?}");
+                    n_caps += f64::from(u8::from(hit.is_cap()));
+                    of_sample = t * t * camera.u().length() * camera.v().length() / size.n_samples() as f64;
+                }
+                assert!((n_caps * of_sample / area - 1.0).abs() < 0.01, "{clip} {}", n_caps * of_sample / area);
+            }
+        }
+    }
+
+    #[test]
+    fn open_surfaces_show_their_inside() {
+        let mut mesh = torus(1.0, 0.4, 1.0);
+        mesh.triangles.truncate(mesh.triangles.len() - 1);
+        let scene = scene(&mesh, Storage::Tree, InstructionSet::best());
+        let camera = Camera::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap();
+        let plane = scene.clip_plane(&camera, "z:50".parse().ok()).unwrap();
+        let answers = check(&scene, &plane, &packets(&camera, FrameSize::new(64, 32).unwrap()));
+        assert!(answers.iter().any(|(_, hit)| !hit.is_miss()) && !answers.iter().any(|(_, hit)| hit.is_cap()));
     }
 
     #[test]

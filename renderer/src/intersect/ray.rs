@@ -40,7 +40,8 @@ pub(super) fn major_axis(direction: [f32; 3]) -> usize {
 /// The hit of a ray.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
-    /// Triangle index in the [`crate::grid::traced::TracedMesh`] within the renderer, file index outside of it.
+    /// Triangle index in the [`crate::grid::traced::TracedMesh`] within the renderer, file index outside of it; or
+    /// [`Hit::CAP`].
     pub triangle: u32,
     /// Position along the ray, in units of its direction.
     pub t: f32,
@@ -49,6 +50,14 @@ pub struct Hit {
 impl Hit {
     /// No hit.
     pub const MISS: Self = Self { triangle: u32::MAX, t: f32::INFINITY };
+
+    /// The index of the cap of a cut, in place of a triangle's; no mesh has as many triangles.
+    pub const CAP: u32 = u32::MAX - 1;
+
+    /// Whether the ray enters the cut through a solid.
+    pub fn is_cap(self) -> bool {
+        self.triangle == Self::CAP
+    }
 
     /// Whether the ray hits nothing.
     pub fn is_miss(self) -> bool {

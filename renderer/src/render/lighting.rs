@@ -31,7 +31,7 @@ impl<'a> Lighting<'a> {
     /// Prepares for one frame of a scene that a plane may cut open.
     pub fn new(grid: &'a Grid, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
         let secondary = SecondaryRays::new(grid, spec, clip);
-        Self { shading: spec.view, shader: Shader::new(grid.mesh(), spec), secondary }
+        Self { shading: spec.view, shader: Shader::new(grid.mesh(), spec, clip), secondary }
     }
 
     /// The linear light of neighbouring blocks: of sample number `sample` of their pixels (i, j), whose rays follow

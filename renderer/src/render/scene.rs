@@ -46,7 +46,7 @@ impl Scene {
     /// The same hit with the triangle's file index in place of its triangle index.
     #[inline]
     pub fn with_file_index(&self, hit: Hit) -> Hit {
-        if hit.is_miss() { hit } else { Hit { triangle: self.mesh().file_index(hit.triangle), ..hit } }
+        if hit.is_miss() || hit.is_cap() { hit } else { Hit { triangle: self.mesh().file_index(hit.triangle), ..hit } }
     }
 
     /// The nearest triangle at a point of the view plane, in fractions of its edges u and v.
@@ -60,7 +60,7 @@ impl Scene {
         let plane = self.clip_plane(camera, clip);
         let ray = Ray::new(camera.eye().as_vec3(), direction);
         let hit = self.with_file_index(clip::intersect(&self.grid, plane.as_ref(), ray));
-        (!hit.is_miss()).then_some(ProbeHit { triangle: hit.triangle, t: hit.t })
+        (!hit.is_miss()).then_some(ProbeHit { triangle: (!hit.is_cap()).then_some(hit.triangle), t: hit.t })
     }
 
     /// The plane that cuts this scene open for this camera.

@@ -137,9 +137,12 @@ impl<'a> SecondaryRays<'a> {
         if hit.is_miss() {
             return None;
         }
-        let [a, b, c] = self.grid.mesh().corners(hit.triangle).map(|corner| Vec3::from_array(corner).as_dvec3());
+        let mesh = self.grid.mesh();
+        let (a, normal) = match self.clip {
+            Some(ClipPlane { normal, offset }) if hit.is_cap() => (normal * offset, normal),
+            _ => (Vec3::from_array(mesh.corners(hit.triangle)[0]).as_dvec3(), mesh.normal(hit.triangle)),
+        };
         let direction = direction.as_dvec3();
-        let normal = (b - a).cross(c - a);
         let length = normal.length();
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal } * (1.0 / length);
         // Recompute t from the triangle's plane: single precision is too coarse for an eye far away.

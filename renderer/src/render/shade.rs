@@ -4,6 +4,7 @@
 
 use glam::Vec3;
 use shared::{
+    appearance::ClipPlane,
     protocol::{FrameSpec, ShadingMode},
     srgb,
 };
@@ -23,10 +24,15 @@ pub struct Shader<'a> {
     n_rows: f32,
     /// Linear light of the background at the bottom and at the top.
     background: [Vec3; 2],
+    /// Points away from the kept half; unit length, world space.
+    cap_normal: Vec3,
 }
 
 /// Albedo of meshes without colours: unglazed clay, linear.
 const CLAY: Vec3 = Vec3::new(0.60, 0.55, 0.49);
+
+/// Albedo of the cap of a cut: the red of sections in drawings, linear; few scans have it.
+const CAP: Vec3 = Vec3::new(0.50, 0.12, 0.07);
 
 /// Linear intensities of the light at the eye, the key light, the sky and the ground.
 const EYE_LIGHT: Vec3 = Vec3::new(0.26, 0.26, 0.26);
@@ -35,11 +41,12 @@ const SKY_LIGHT: Vec3 = Vec3::new(0.19, 0.22, 0.27);
 const GROUND_LIGHT: Vec3 = Vec3::new(0.055, 0.045, 0.04);
 
 impl<'a> Shader<'a> {
-    /// Prepares for one frame.
-    pub fn new(mesh: &'a TracedMesh, spec: &FrameSpec) -> Self {
+    /// Prepares for one frame of a scene that a plane may cut open.
+    pub fn new(mesh: &'a TracedMesh, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
         let up = normalize_or_zero(spec.camera.v().normalize().as_vec3());
         let background = [spec.appearance.background.bottom, spec.appearance.background.top].map(linear);
-        Self { mesh, shading: spec.view, up, n_rows: spec.size.yres() as f32, background }
+        let cap_normal = clip.map_or(Vec3::ZERO, |plane| plane.normal.as_vec3());
+        Self { mesh, shading: spec.view, up, n_rows: spec.size.yres() as f32, background, cap_normal }
     }
 
     /// The linear light along one ray, given the lights that reach its hit. `row` counts samples from the bottom.
@@ -49,8 +56,12 @@ impl<'a> Shader<'a> {
             let height = row / self.n_rows;
             return self.background[0] * (1.0 - height) + self.background[1] * height;
         }
-        let [a, b, c] = self.mesh.corners(hit.triangle).map(Vec3::from_array);
-        let normal = normalize_or_zero((b - a).cross(c - a));
+        let normal = if hit.is_cap() {
+            self.cap_normal
+        } else {
+            let [a, b, c] = self.mesh.corners(hit.triangle).map(Vec3::from_array);
+            normalize_or_zero((b - a).cross(c - a))
+        };
         // Scans are seen from both sides: turn the normal towards the ray's origin.
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
         match self.shading {
@@ -61,14 +72,17 @@ impl<'a> Shader<'a> {
                 let key = normal.dot(visibility.key_direction).max(0.0) * visibility.key;
                 let sky = 0.5 + 0.5 * normal.dot(self.up);
                 let ambient = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
-                self.albedo(hit.triangle) * (KEY_LIGHT * key + ambient * visibility.ambient_visibility)
+                self.albedo(hit) * (KEY_LIGHT * key + ambient * visibility.ambient_visibility)
             }
         }
     }
 
     /// The mean of the corners' colours.
-    fn albedo(&self, triangle: u32) -> Vec3 {
-        let Some(colors) = self.mesh.corner_colors(triangle) else { return CLAY };
+    fn albedo(&self, hit: Hit) -> Vec3 {
+        if hit.is_cap() {
+            return CAP;
+        }
+        let Some(colors) = self.mesh.corner_colors(hit.triangle) else { return CLAY };
         let [a, b, c] = colors.map(linear);
         (a + b + c) / 3.0
     }
@@ -120,7 +134,7 @@ mod tests {
     }
 
     fn shader(mesh: &TracedMesh, shading: ShadingMode) -> Shader<'_> {
-        Shader::new(mesh, &spec(shading, Appearance::default()))
+        Shader::new(mesh, &spec(shading, Appearance::default()), None)
     }
 
     fn spec(shading: ShadingMode, appearance: Appearance) -> FrameSpec {
@@ -165,7 +179,8 @@ mod tests {
     fn misses_show_the_background_from_bottom_to_top() {
         let mesh = traced(facing_mesh());
         let background = Background { bottom: [255, 0, 10], top: [0, 255, 10] };
-        let shader = Shader::new(&mesh, &spec(ShadingMode::Shaded, Appearance { background, ..Appearance::default() }));
+        let shader =
+            Shader::new(&mesh, &spec(ShadingMode::Shaded, Appearance { background, ..Appearance::default() }), None);
         let encoded = |row: f32| shader.light(-Vec3::Z, Hit::MISS, row, &UNOCCLUDED).to_array().map(srgb::encode);
         assert_eq!((encoded(0.0), encoded(512.0)), (background.bottom, background.top));
         // Half of the light is value 188.

@@ -187,20 +187,28 @@ mod tests {
     fn a_probe_finds_what_a_frame_shows() {
         let (scene, spec) = (tetrahedron(), spec(0, 1));
         let (rays, size) = (spec.camera.rays(spec.size), spec.size);
-        let (mut n_hits, mut n_other) = (0, 0);
-        for (i, j) in (0..size.yres()).flat_map(|j| (0..size.xres()).map(move |i| (i, j))) {
-            let seen = scene.with_file_index(scene.grid.intersect(&Ray::new(rays.eye, rays.direction(i, j))));
+        let (mut n_hits, mut n_caps, mut n_other) = (0, 0, 0);
+        let samples = || (0..size.yres()).flat_map(|j| (0..size.xres()).map(move |i| (i, j)));
+        for (cut, (i, j)) in
+            [None, "eye:40".parse().ok()].into_iter().flat_map(|cut| samples().map(move |at| (cut, at)))
+        {
+            let plane = scene.clip_plane(&spec.camera, cut);
+            let ray = Ray::new(rays.eye, rays.direction(i, j));
+            let seen = scene.with_file_index(clip::intersect(&scene.grid, plane.as_ref(), ray));
             let at = [(i as f32 + 0.5) / size.xres() as f32, (j as f32 + 0.5) / size.yres() as f32];
-            let probed = scene.probe(&spec.camera, at, None);
+            let probed = scene.probe(&spec.camera, at, cut);
             n_hits += u32::from(probed.is_some());
+            n_caps += u32::from(probed.is_some_and(|hit| hit.triangle.is_none()));
             // The rays differ in their last bits, which only on an edge is another triangle.
             let is_same = match probed {
                 None => seen.is_miss(),
-                Some(hit) => hit.triangle == seen.triangle && (hit.t - seen.t).abs() < 1e-5 * seen.t,
+                Some(hit) => {
+                    hit.triangle.unwrap_or(Hit::CAP) == seen.triangle && (hit.t - seen.t).abs() < 1e-5 * seen.t
+                }
             };
             n_other += u32::from(!is_same);
         }
-        assert!(n_hits > 80 && n_other <= 2, "{n_hits} hits, {n_other} of them others");
+        assert!(n_hits > 160 && n_caps > 20 && n_other <= 4, "{n_hits} hits, {n_caps} caps, {n_other} others");
         for at in [[f32::NAN, 0.5], [f32::INFINITY, 0.0], [f32::MAX, f32::MAX], [-9.0, 0.5]] {
             assert_eq!(scene.probe(&spec.camera, at, None), None);
         }

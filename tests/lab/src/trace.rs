@@ -38,7 +38,7 @@ pub struct TraceArgs {
     image: Option<PathBuf>,
 
     /// Write the hits: for each sample, bottom row first, little endian, the triangle's number in the file as u32
-    /// (0xffffffff for a miss) and t as f32 in units of the ray's direction (infinite for a miss)
+    /// (0xffffffff for a miss, 0xfffffffe for a cap) and t as f32 in units of the ray's direction (infinite for a miss)
     #[arg(long, value_name = "FILE")]
     hits: Option<PathBuf>,
 

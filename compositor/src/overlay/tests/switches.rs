@@ -1,5 +1,6 @@
 //! Switches and settings on the panels: each widget asks for the command that its name says.
 
+use renderer::model::solid::UNFILLED;
 use shared::appearance::{Background, Clip, ClipSide, Light};
 
 use super::*;
@@ -64,6 +65,21 @@ fn the_model_can_be_cut_open() {
     let [Command::SetClip(Some(deeper)), rest @ ..] = &*commands else { panic!("{commands:?}") };
     assert!(deeper.side() == ClipSide::Eye && deeper.cut_permille() > 250, "{deeper}");
     assert_eq!(rest, [Command::SetClip(Some(Clip::new(ClipSide::X, 250).unwrap())), Command::SetClip(None)]);
+}
+
+#[test]
+fn a_cut_says_what_it_shows() {
+    let appearance = Appearance { clip: "eye:25".parse().ok(), ..Appearance::default() };
+    let pick = Pick { triangle: None, point: DVec3::ZERO, distance: 1.0 };
+    let mut model = OverlayModel { appearance, pick: Some(pick), ..running() };
+    commands_of(&model, |harness| {
+        harness.get_by_label("Cut at (0.0000, 0.0000, 0.0000), 1.0000 from the eye");
+        assert!(harness.query_by_label(UNFILLED).is_none());
+    });
+    model.model.as_mut().unwrap().is_solid = false;
+    commands_of(&model, |harness| {
+        harness.get_by_label(UNFILLED);
+    });
 }
 
 #[test]

@@ -229,7 +229,7 @@ mod tests {
         let sidecars = SidecarFiles::read(&source);
         let scene = renderer::model::scene::load(&SceneSource::Statue { triangles: 8 }, &|_| {}).unwrap().id;
         let bounds = (DVec3::ZERO, DVec3::ONE);
-        let model = Model { source, scene, bounds, n_triangles: 12, n_rejected: 0 };
+        let model = Model { source, scene, bounds, n_triangles: 12, n_rejected: 0, is_solid: true };
         assert!(control.set_model(&model, sidecars, now).wants_picture);
         control
     }

@@ -76,7 +76,7 @@ mod tests {
     #[test]
     fn a_hit_on_the_view_plane_is_the_point_of_the_view_plane() {
         let camera = camera();
-        let pick = pick(ProbeHit { triangle: 7, t: 1.0 }, &camera, [0.25, 0.5]);
+        let pick = pick(ProbeHit { triangle: Some(7), t: 1.0 }, &camera, [0.25, 0.5]);
         let expected = camera.ll() + camera.u() * 0.25 + camera.v() * 0.5;
         assert!((pick.point - expected).length() < 1e-5, "{pick:?}");
         assert!((pick.distance - (expected - camera.eye()).length()).abs() < 1e-5);

@@ -77,7 +77,7 @@ impl MeshBuilder {
     }
 
     fn check_triangle_count(&mut self, n_triangles: usize) -> Result<(), Problem> {
-        // The triangle index `u32::MAX` means a miss.
+        // The triangle index `u32::MAX` means a miss, and the one before it a cap.
         if self.mesh.triangles.len() + n_triangles >= u32::MAX as usize {
             return Err(Problem::TooMany("triangles"));
         }

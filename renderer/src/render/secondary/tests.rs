@@ -38,7 +38,8 @@ fn visibility(scene: &Scene, spec: &FrameSpec) -> Vec<(Vec3, Hit, LightVisibilit
         let samples = SampleRect { columns: first_i..first_i + 8, rows: first_j..first_j + 8 };
         let mut directions = [Vec3::ZERO; 64];
         directions.iter_mut().zip(samples.iter()).for_each(|(to, (i, j))| *to = rays.direction(i, j));
-        let hits = directions.map(|direction| scene.grid.intersect(&Ray::new(rays.eye, direction)));
+        let cut = |direction| clip::intersect(&scene.grid, secondary.clip.as_ref(), Ray::new(rays.eye, direction));
+        let hits = directions.map(cut);
         let blocks = [SampleBlock::Unit { samples, first_index: 0 }];
         let [visibility, ..] = secondary.visibility(&blocks, 0, &[directions], &[hits], &mut scratch);
         all.extend((0..64).map(|lane| (directions[lane], hits[lane], visibility[lane])));
@@ -172,6 +173,21 @@ fn removed_parts_cast_no_shadow() {
         secondary.cast_shadows(&blocks, &[surfaces], &mut visibility, &mut PacketScratch::default());
         assert!(visibility[0].iter().all(|visibility| visibility.key == key), "{clip:?}");
         assert_eq!(secondary.ambient_visibility(&surface, (1, 2), 3), 1.0, "the lid is too far away");
+    }
+}
+
+#[test]
+fn caps_are_lit_as_a_plane_with_nothing_on_it() {
+    let scene = Scene::build(statue::generate(4000, &|_| ()), &GridOptions::default(), &|_| ());
+    // A light on the eye's side reaches all of the cap, and one behind the statue nothing.
+    for (azimuth, key) in [(-30, 1.0), (180, 0.0)] {
+        let light = Light::new(azimuth, 20).unwrap();
+        let appearance = Appearance { light, clip: "z:50".parse().ok(), ..Appearance::default() };
+        let spec =
+            FrameSpec { appearance, ..spec(DVec3::new(0.0, 1.7, 6.0), DVec3::Y * 1.7, LightingMode::AmbientOcclusion) };
+        let caps: Vec<_> = visibility(&scene, &spec).into_iter().filter(|(_, hit, _)| hit.is_cap()).collect();
+        assert!(caps.len() > 300, "{}", caps.len());
+        assert!(caps.iter().all(|(.., light)| (light.key, light.ambient_visibility) == (key, 1.0)), "{azimuth}");
     }
 }
 

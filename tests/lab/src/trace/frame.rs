@@ -156,8 +156,8 @@ impl Frame {
         of_threads.into_iter().map(|((), cpu)| cpu).sum()
     }
 
-    /// Writes the hits: for each sample, little endian, the triangle's file index as `u32` (0xffffffff for a miss) and t
-    /// as `f32` in units of the ray's direction (infinite for a miss).
+    /// Writes the hits: for each sample, little endian, the triangle's file index as `u32` (0xffffffff for a miss,
+    /// 0xfffffffe for a cap) and t as `f32` in units of the ray's direction (infinite for a miss).
     pub fn write_hits(&self, scene: &Scene, out: &mut dyn io::Write) -> io::Result<()> {
         self.row_by_row(&self.hits).try_for_each(|hit| {
             let hit = scene.with_file_index(hit);
