@@ -162,8 +162,20 @@ pub(crate) fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
         let area = show_panel(ui, &layout, panel, model, &mut output.commands);
         output.areas.push(area);
     }
-    output.areas.extend(show_texts(ui, layout.free, model, &mut output.commands));
+    let texts = show_texts(ui, layout.free, model, &mut output.commands);
+    settle(ui, output.areas.iter().copied().chain(texts).collect());
+    // Notes and the legend take no clicks.
+    output.areas.extend(texts.filter(|_| !model.messages.is_empty()));
     output
+}
+
+/// Shows everything once more if a size has changed: egui places an area by its last size.
+fn settle(ui: &Ui, areas: Vec<Rect>) {
+    let id = egui::Id::unique("areas");
+    if ui.data(|data| data.get_temp(id)).as_ref() != Some(&areas) {
+        ui.data_mut(|data| data.insert_temp(id, areas));
+        ui.ctx().request_discard("a panel has another size");
+    }
 }
 
 fn layout_of(window: Rect, model: &OverlayModel) -> Layout {
@@ -218,17 +230,17 @@ fn show_part(ui: &mut Ui, part: Part, model: &OverlayModel, commands: &mut Vec<C
     }
 }
 
-/// Shows messages, the note and the legend above all panels. Returns the area, unless it takes no clicks.
+/// Shows messages, the note and the legend above all panels. Returns their area.
 fn show_texts(ui: &Ui, free: Rect, model: &OverlayModel, commands: &mut Vec<Command>) -> Option<Rect> {
     let has_legend = legend::is_needed(model);
     if model.messages.is_empty() && model.note.is_none() && !has_legend {
         return None;
     }
-    let takes_clicks = !model.messages.is_empty();
     // At the bottom, where they move nothing.
     let area = egui::Area::new(egui::Id::unique("texts")).anchor(Align2::CENTER_BOTTOM, [0.0, 0.0]);
     let width = (free.width() - 2.0 * style::PANEL_PADDING).clamp(1.0, MOST_TEXT_WIDTH);
-    let area = area.order(Order::Foreground).constrain_to(free).interactable(takes_clicks).default_width(width);
+    let area =
+        area.order(Order::Foreground).constrain_to(free).interactable(!model.messages.is_empty()).default_width(width);
     let shown = area.show(ui.ctx(), |ui| {
         ui.set_max_width(width);
         for message in &model.messages {
@@ -244,7 +256,7 @@ fn show_texts(ui: &Ui, free: Rect, model: &OverlayModel, commands: &mut Vec<Comm
             style::panel_frame().show(ui, |ui| legend::show(ui, model));
         }
     });
-    takes_clicks.then_some(shown.response.rect)
+    Some(shown.response.rect)
 }
 
 /// Longer lines of messages are hard to read; points.

@@ -38,7 +38,7 @@ pub(super) struct Layout {
 /// Space around and between panels in points.
 const MARGIN: f32 = 16.0;
 /// Messages need this width in points.
-const LEAST_FREE: f32 = 240.0;
+const LEAST_FREE: f32 = 160.0;
 
 impl Part {
     /// The width of its content in points, where there is room.
@@ -123,5 +123,6 @@ mod tests {
     fn messages_have_what_panels_leave_or_the_window() {
         assert_eq!(layout(1600.0, None).free.x_range(), egui::Rangef::new(454.0, 1230.0));
         assert_eq!(layout(500.0, None).free, layout(500.0, None).room);
+        assert_eq!(layout(711.0, None).free.x_range(), egui::Rangef::new(454.0, 695.0), "beside one panel");
     }
 }

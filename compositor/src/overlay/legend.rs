@@ -13,14 +13,19 @@ const WIDTH: f32 = 120.0;
 
 /// Whether colours on the picture need a legend.
 pub(super) fn is_needed(model: &OverlayModel) -> bool {
-    !model.is_aligning
-        && (model.view == ShadingMode::Cost
-            || model.tint != Tint::None && model.frame.as_ref().is_some_and(|frame| !frame.tasks.is_empty()))
+    let is_covered = model.is_aligning || model.help || model.files.is_some();
+    let has_tint = model.tint != Tint::None && model.frame.as_ref().is_some_and(|frame| !frame.tasks.is_empty());
+    !is_covered && (has_tint || shows_costs(model))
+}
+
+/// Visitors may see the cost view, but need no explanation.
+fn shows_costs(model: &OverlayModel) -> bool {
+    model.panel && model.view == ShadingMode::Cost
 }
 
 pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
     ui.horizontal_wrapped(|ui| {
-        if model.view == ShadingMode::Cost {
+        if shows_costs(model) {
             entry(ui, Color32::from_rgb(255, 60, 60), "cells of the grid");
             entry(ui, Color32::from_rgb(60, 220, 60), "triangle tests");
             ui.label(RichText::new("brighter is more").small().weak());

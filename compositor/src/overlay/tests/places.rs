@@ -9,7 +9,7 @@ fn long() -> OverlayModel {
     model.status.nodes.iter_mut().for_each(|node| node.name = name.to_owned());
     let frame = model.frame.as_mut().expect("a frame");
     (frame.bytes_in, frame.bytes_out, frame.render_ms) = (987_654_321, 87_654_321, 123_456.7);
-    frame.size = FrameSize::new(16_384, 16_384).expect("the largest");
+    frame.size = FrameSize::new(16_384, 4096).expect("the largest");
     for node in &mut frame.nodes {
         (node.name, node.bytes_in, node.mbit_per_s, node.trace_ms) = (name.to_owned(), 987_654_321, 98_765.0, 54_321.0);
     }
@@ -80,7 +80,7 @@ fn colours_on_the_picture_have_a_legend() {
     commands_of(&OverlayModel { tint: Tint::Cost, ..model.clone() }, |harness| {
         harness.get_by_label("2.5 µs a tile");
     });
-    commands_of(&OverlayModel { tint: Tint::None, view: ShadingMode::Cost, ..model }, |harness| {
+    commands_of(&OverlayModel { tint: Tint::None, view: ShadingMode::Cost, panel: true, ..model }, |harness| {
         harness.get_by_label("triangle tests");
     });
 }

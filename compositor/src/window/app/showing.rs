@@ -72,7 +72,8 @@ impl App<'_> {
         overlay.loading = self.loader.progress();
         overlay.frames_per_second = self.presentation.rate.per_second(now);
         overlay.note = self.messages.note(now);
-        let messages = self.messages.list(&overlay.status, &self.outputs.missing(), overlay.panel, now);
+        let has_panel = overlay.panel && !overlay.is_aligning;
+        let messages = self.messages.list(&overlay.status, &self.outputs.missing(), has_panel, now);
         // Messages are for operators.
         overlay.messages = if self.kiosk.is_locked { Vec::new() } else { messages };
     }
@@ -180,8 +181,8 @@ impl App<'_> {
         if self.overlay.is_visible() {
             let rests_at = self.overlay.frames_per_second.and_then(|_| self.presentation.rate.rests_at());
             let note_ends_at = self.overlay.note.as_ref().and_then(|_| self.messages.note_ends_at());
-            let is_brief = !self.overlay.panel && !self.overlay.messages.is_empty();
-            let news_end_at = self.messages.news_end_at().filter(|_| is_brief);
+            let has_messages = !self.overlay.messages.is_empty();
+            let news_end_at = self.messages.news_end_at().filter(|_| has_messages);
             redraws.extend([rests_at, note_ends_at, news_end_at, self.presentation.repaint_at]);
         }
         if redraws.iter().flatten().any(|&redraw_at| now >= redraw_at) {
