@@ -197,9 +197,13 @@ fn show_panel(ui: &Ui, layout: &Layout, panel: &Panel, model: &OverlayModel, com
     let height = (layout.room.height() - 2.0 * style::PANEL_PADDING).max(1.0);
     let area = egui::Area::new(egui::Id::unique(("panel", panel.parts[0] as u8))).anchor(panel.align, [0.0, 0.0]);
     let shown = area.constrain_to(layout.room).show(ui.ctx(), |ui| {
-        style::panel_frame().show(ui, |ui| {
+        let mut frame = style::panel_frame();
+        // The scroll bar is beside the content, not over it.
+        frame.inner_margin.right -= style::SCROLL_BAR as i8;
+        frame.show(ui, |ui| {
+            ui.set_width(panel.width + style::SCROLL_BAR);
             let scroll = egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height);
-            scroll.show(ui, |ui| {
+            scroll.auto_shrink([false, true]).show(ui, |ui| {
                 ui.set_width(panel.width);
                 for (index, part) in panel.parts.iter().enumerate() {
                     if index > 0 {

@@ -251,9 +251,19 @@ fn a_session_from_opening_a_model_to_leaving() {
 fn keys_belong_to_the_field_that_has_the_focus() {
     let mut wall = Wall::start(&["--fullscreen"]);
     let before = wall.session.steady_screenshot();
-    // The number beside the slider that turns the light.
-    wall.session.xdotool(&["mousemove", LIGHT[0], LIGHT[1], "click", "--repeat", "2", "--delay", "60", "1"]);
-    wait_until("the field is open", || before != wall.session.screenshot());
+    let open_field = |before: &Screenshot| {
+        // The number beside the slider that turns the light.
+        wall.session.xdotool(&["mousemove", LIGHT[0], LIGHT[1], "click", "--repeat", "2", "--delay", "60", "1"]);
+        wait_until("the field is open", || *before != wall.session.screenshot());
+        wall.session.steady_screenshot()
+    };
+    let field = open_field(&before);
+    // A press outside the overlay takes the focus away.
+    wall.session.xdotool(&["mousemove", "600", "20", "click", "1"]);
+    wait_until("the field is closed", || field != wall.session.screenshot());
+    wall.session.key("8");
+    wall.program.wait_for("There is no view 8");
+    open_field(&wall.session.steady_screenshot());
     let n_shown = wall.program.count(SHOWN);
     for key in ["h", "BackSpace", "ctrl+3", "9", "0", "Return"] {
         wall.session.key(key);

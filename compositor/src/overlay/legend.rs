@@ -8,8 +8,8 @@ use crate::{control::input::Tint, farm::stats::FrameStats};
 
 /// With more render servers than this, the rest are counted.
 const MOST_NAMES: usize = 12;
-/// Width of a name, and of the scale of times, in points.
-const WIDTH: f32 = 120.0;
+/// Width of the scale of times in points.
+const SCALE_WIDTH: f32 = 120.0;
 
 /// Whether colours on the picture need a legend.
 pub(super) fn is_needed(model: &OverlayModel) -> bool {
@@ -39,8 +39,9 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
 }
 
 fn entry(ui: &mut Ui, color: Color32, name: &str) {
+    let width = style::SWATCH + 2.0 * ui.spacing().item_spacing.x + style::body_width(ui, name);
     let layout = Layout::left_to_right(egui::Align::Center);
-    ui.allocate_ui_with_layout(egui::vec2(WIDTH, 18.0), layout, |ui| {
+    ui.allocate_ui_with_layout(egui::vec2(width.min(ui.max_rect().width()), 18.0), layout, |ui| {
         style::swatch(ui, color);
         ui.add(egui::Label::new(name).truncate());
     });
@@ -59,7 +60,7 @@ fn nodes(ui: &mut Ui, frame: &FrameStats) {
 fn times(ui: &mut Ui, frame: &FrameStats) {
     const STEPS: u16 = 32;
     ui.label("CPU time: 0");
-    let (rect, _) = ui.allocate_exact_size(egui::vec2(WIDTH, 12.0), Sense::hover());
+    let (rect, _) = ui.allocate_exact_size(egui::vec2(SCALE_WIDTH, 12.0), Sense::hover());
     for step in 0..STEPS {
         let [from, to] = [step, step + 1].map(|step| f32::from(step) / f32::from(STEPS));
         let x_range = rect.left() + from * rect.width()..=rect.left() + to * rect.width();

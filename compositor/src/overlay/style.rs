@@ -16,6 +16,8 @@ const WEAK: Color32 = Color32::from_gray(160);
 
 /// Space inside the panels in points.
 pub(super) const PANEL_PADDING: f32 = 14.0;
+/// The part of it in which a scroll bar is, in points.
+pub(super) const SCROLL_BAR: f32 = 10.0;
 
 /// Sets colours and sizes, once for each context.
 pub(crate) fn apply_style(context: &egui::Context) {
@@ -102,9 +104,12 @@ pub(super) fn section(ui: &mut Ui, name: &str, unit: &str) {
     });
 }
 
+/// The side of a swatch in points.
+pub(super) const SWATCH: f32 = 10.0;
+
 /// A small square in a colour that a legend explains.
 pub(super) fn swatch(ui: &mut Ui, color: Color32) {
-    let (rect, _) = ui.allocate_exact_size(egui::Vec2::splat(10.0), egui::Sense::hover());
+    let (rect, _) = ui.allocate_exact_size(egui::Vec2::splat(SWATCH), egui::Sense::hover());
     ui.painter().rect_filled(rect, 2.0, color);
 }
 
@@ -158,7 +163,7 @@ pub(super) fn metrics(ui: &mut Ui, figures: &[(&str, String)]) {
 }
 
 /// The width of a text in points.
-fn body_width(ui: &Ui, text: &str) -> f32 {
+pub(super) fn body_width(ui: &Ui, text: &str) -> f32 {
     let font = TextStyle::Body.resolve(ui.style());
     ui.fonts_mut(|fonts| fonts.layout_no_wrap(text.to_owned(), font, TEXT)).size().x
 }

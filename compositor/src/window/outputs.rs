@@ -239,6 +239,12 @@ impl Outputs {
         self.lead().is_some_and(|(_, screen)| screen.egui.egui_ctx().egui_wants_keyboard_input())
     }
 
+    /// Takes the focus from the overlay's field, as a press outside the overlay does.
+    pub(super) fn take_focus(&self) {
+        let context = self.lead().map(|(_, screen)| screen.egui.egui_ctx());
+        context.into_iter().for_each(|context| context.memory_mut(egui::Memory::stop_text_input));
+    }
+
     /// Passes an event to the overlay if it belongs to the window with the panels.
     pub(super) fn forward_to_overlay(&mut self, index: usize, event: &WindowEvent) {
         let is_lead = self.lead().is_some_and(|(lead, _)| lead == index);

@@ -293,6 +293,10 @@ impl App<'_> {
             self.pointer.overlay_is_pressed = is_pressed;
             return self.forward_to_overlay(index, event);
         }
+        if is_pressed && self.outputs.field_has_focus() {
+            self.outputs.take_focus();
+            self.redraw();
+        }
         let now = Instant::now();
         self.kiosk.touch(now);
         if !self.kiosk.is_locked && self.wall.takes_corners() && button == MouseButton::Left {
