@@ -143,7 +143,9 @@ pub(super) fn stacked_bar(ui: &mut Ui, parts: &[(f64, Color32)], whole: f64, acc
 
 /// Values side by side, each under its name; on several lines where they are too long for one.
 pub(super) fn metrics(ui: &mut Ui, figures: &[(&str, String)]) {
-    let column_width = ui.available_width() / figures.len().max(1) as f32 - ui.spacing().item_spacing.x;
+    let spacing = ui.spacing().item_spacing.x;
+    // A value may reach into half of the space after it.
+    let column_width = (ui.available_width() + spacing) / figures.len().max(1) as f32 - 0.5 * spacing;
     if figures.len() > 1 && figures.iter().any(|(_, value)| body_width(ui, value) > column_width) {
         let (first, rest) = figures.split_at(figures.len() / 2);
         metrics(ui, first);
