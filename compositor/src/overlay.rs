@@ -6,6 +6,8 @@ mod files;
 mod help;
 mod history;
 mod info;
+mod layout;
+mod legend;
 mod nodes;
 mod region;
 mod style;
@@ -20,7 +22,7 @@ pub(crate) use region::ProjectorRegion;
 pub(crate) use style::{apply_style, zoom};
 pub(crate) use wall::{OutputContent, OutputState, WallDrawing};
 
-use egui::{Align2, Ui};
+use egui::{Align2, Order, Rect, Ui};
 use shared::{
     appearance::Appearance,
     camera::UpAxis,
@@ -30,6 +32,7 @@ use shared::{
     structure::Structure,
 };
 
+use self::layout::{Layout, Panel, Part};
 use crate::{
     control::input::{Command, Tint},
     farm::stats::{DisplayStats, FarmStatus, FrameStats},
@@ -72,6 +75,8 @@ pub(crate) struct OverlayModel {
     /// The grid's structure, if it differs from the one with which render servers were started.
     pub structure: Option<Structure>,
     pub tint: Tint,
+    /// Whether a test pattern is on the wall, which panels must not cover.
+    pub is_aligning: bool,
     /// The regions of the window in which projectors show the canvas.
     pub regions: Vec<ProjectorRegion>,
     pub wall: WallDrawing,
@@ -90,7 +95,8 @@ pub(crate) struct OverlayModel {
 impl OverlayModel {
     pub(crate) fn is_visible(&self) -> bool {
         let has_tint = self.tint != Tint::None || self.pick_on_canvas.is_some();
-        self.panel || self.help || self.files.is_some() || self.note.is_some() || has_tint
+        let has_text = self.note.is_some() || !self.messages.is_empty() || legend::is_needed(self);
+        self.panel || self.help || self.files.is_some() || has_text || has_tint
     }
 
     /// The model with all texts fit for the screen: peers, files and the wall's file name much of what it shows.
@@ -125,7 +131,7 @@ impl OverlayModel {
 
     /// The model without panels, which only one window shows; every window shows the rest.
     pub(crate) fn without_panels(&self) -> Self {
-        Self { panel: false, help: false, files: None, note: None, ..self.clone() }
+        Self { panel: false, help: false, files: None, note: None, messages: Vec::new(), ..self.clone() }
     }
 }
 
@@ -140,70 +146,125 @@ pub(crate) struct JoinHint {
 pub(crate) struct OverlayOutput {
     pub commands: Vec<Command>,
     /// The parts of the window that the overlay covers, in points.
-    pub areas: Vec<egui::Rect>,
+    pub areas: Vec<Rect>,
 }
-
-/// The panel's width in points.
-const PANEL_WIDTH: f32 = 394.0;
-/// Space around the panels in points.
-const MARGIN: f32 = 16.0;
 
 /// Shows the overlay; `ui` is the whole window.
 pub(crate) fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
     let model = &model.printable();
     let mut output = OverlayOutput::default();
-    tint::show(ui, model);
-    tint::mark_pick(ui, model);
-    let height = ui.ctx().content_rect().height() - 2.0 * MARGIN;
-    let anchored = |name: &'static str, align, x, y| egui::Area::new(egui::Id::unique(name)).anchor(align, [x, y]);
-    let area = |name, align, x| anchored(name, align, x, MARGIN);
-    let mut panel = |area: egui::Area, width: f32, add: &mut dyn FnMut(&mut Ui, &mut Vec<Command>)| {
-        let response = area.show(ui.ctx(), |ui| {
-            style::panel_frame().show(ui, |ui| {
-                let inner_height = height - 2.0 * style::PANEL_PADDING;
-                egui::ScrollArea::vertical().max_height(inner_height).min_scrolled_height(inner_height).show(
-                    ui,
-                    |ui| {
-                        ui.set_width(width);
-                        add(ui, &mut output.commands);
-                    },
-                );
-            });
-        });
-        output.areas.push(response.response.rect);
-    };
-    if model.panel {
-        panel(area("figures", Align2::LEFT_TOP, MARGIN), PANEL_WIDTH, &mut |ui, commands| {
-            figures::show(ui, model, commands);
-        });
+    if !model.is_aligning {
+        tint::show(ui, model);
+        tint::mark_pick(ui, model);
     }
-    if let Some(files) = &model.files {
-        panel(area("files", Align2::RIGHT_TOP, -MARGIN), files::WIDTH, &mut |ui, commands| {
-            files::show(ui, files, commands);
-        });
-    } else if model.help {
-        panel(area("help", Align2::RIGHT_TOP, -MARGIN), help::WIDTH, &mut |ui, commands| help::show(ui, commands));
+    let layout = layout_of(ui.ctx().content_rect(), model);
+    for panel in &layout.panels {
+        let area = show_panel(ui, &layout, panel, model, &mut output.commands);
+        output.areas.push(area);
     }
-    if model.panel && model.model.is_some() && model.files.is_none() && !model.help {
-        panel(area("model", Align2::RIGHT_TOP, -MARGIN), info::WIDTH, &mut |ui, commands| {
-            info::show(ui, model, commands);
-        });
-        if !model.outputs.is_empty() {
-            let area = anchored("wall", Align2::RIGHT_BOTTOM, -MARGIN, -MARGIN);
-            panel(area, wall::WIDTH, &mut |ui, _| wall::show(ui, model));
-        }
-    }
-    if let Some(note) = &model.note {
-        // At the bottom, where it moves nothing.
-        let area = egui::Area::new(egui::Id::unique("note")).anchor(Align2::CENTER_BOTTOM, [0.0, -MARGIN]);
-        let width = (ui.ctx().content_rect().width() - 4.0 * MARGIN).max(1.0);
-        area.interactable(false).default_width(width).show(ui.ctx(), |ui| {
-            ui.set_max_width(width);
-            style::panel_frame().show(ui, |ui| ui.label(note));
-        });
-    }
+    let texts = show_texts(ui, layout.free, model, &mut output.commands);
+    settle(ui, output.areas.iter().copied().chain(texts).collect());
+    // Notes and the legend take no clicks.
+    output.areas.extend(texts.filter(|_| !model.messages.is_empty()));
     output
 }
+
+/// Shows everything once more if a size has changed: egui places an area by its last size.
+fn settle(ui: &Ui, areas: Vec<Rect>) {
+    let id = egui::Id::unique("areas");
+    if ui.data(|data| data.get_temp(id)).as_ref() != Some(&areas) {
+        ui.data_mut(|data| data.insert_temp(id, areas));
+        ui.ctx().request_discard("a panel has another size");
+    }
+}
+
+fn layout_of(window: Rect, model: &OverlayModel) -> Layout {
+    let dialog = match model {
+        OverlayModel { files: Some(_), .. } => Some(Part::Files),
+        OverlayModel { help: true, .. } => Some(Part::Help),
+        _ => None,
+    };
+    let sides: &[Part] = match model {
+        OverlayModel { panel: false, .. } | OverlayModel { is_aligning: true, .. } => &[],
+        OverlayModel { model: None, .. } => &[Part::Figures],
+        _ => &[Part::Figures, Part::Model],
+    };
+    Layout::new(window, dialog, sides)
+}
+
+/// Shows a panel, and returns its area.
+fn show_panel(ui: &Ui, layout: &Layout, panel: &Panel, model: &OverlayModel, commands: &mut Vec<Command>) -> Rect {
+    let height = (layout.room.height() - 2.0 * style::PANEL_PADDING).max(1.0);
+    let area = egui::Area::new(egui::Id::unique(("panel", panel.parts[0] as u8))).anchor(panel.align, [0.0, 0.0]);
+    let shown = area.constrain_to(layout.room).show(ui.ctx(), |ui| {
+        let mut frame = style::panel_frame();
+        // The scroll bar is beside the content, not over it.
+        frame.inner_margin.right -= style::SCROLL_BAR as i8;
+        frame.show(ui, |ui| {
+            ui.set_width(panel.width + style::SCROLL_BAR);
+            let scroll = egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height);
+            scroll.auto_shrink([false, true]).show(ui, |ui| {
+                ui.set_width(panel.width);
+                for (index, part) in panel.parts.iter().enumerate() {
+                    if index > 0 {
+                        ui.separator();
+                    }
+                    show_part(ui, *part, model, commands);
+                }
+            });
+        });
+    });
+    shown.response.rect
+}
+
+fn show_part(ui: &mut Ui, part: Part, model: &OverlayModel, commands: &mut Vec<Command>) {
+    match part {
+        Part::Figures => figures::show(ui, model, commands),
+        Part::Model => {
+            info::show(ui, model, commands);
+            if !model.outputs.is_empty() {
+                ui.separator();
+                wall::show(ui, model);
+            }
+        }
+        Part::Help => help::show(ui, commands),
+        Part::Files => {
+            model.files.iter().for_each(|files| files::show(ui, files, commands));
+        }
+    }
+}
+
+/// Shows messages, the note and the legend above all panels. Returns their area.
+fn show_texts(ui: &Ui, free: Rect, model: &OverlayModel, commands: &mut Vec<Command>) -> Option<Rect> {
+    let has_legend = legend::is_needed(model);
+    if model.messages.is_empty() && model.note.is_none() && !has_legend {
+        return None;
+    }
+    // At the bottom, where they move nothing.
+    let area = egui::Area::new(egui::Id::unique("texts")).anchor(Align2::CENTER_BOTTOM, [0.0, 0.0]);
+    let width = (free.width() - 2.0 * style::PANEL_PADDING).clamp(1.0, MOST_TEXT_WIDTH);
+    let area =
+        area.order(Order::Foreground).constrain_to(free).interactable(!model.messages.is_empty()).default_width(width);
+    let shown = area.show(ui.ctx(), |ui| {
+        ui.set_max_width(width);
+        for message in &model.messages {
+            style::panel_frame().stroke(egui::Stroke::new(1.0, style::BUSY)).show(ui, |ui| {
+                ui.label(message);
+                commands.extend(ui.small_button("Dismiss").clicked().then_some(Command::DismissMessage));
+            });
+        }
+        if let Some(note) = &model.note {
+            style::panel_frame().show(ui, |ui| ui.label(note));
+        }
+        if has_legend {
+            style::panel_frame().show(ui, |ui| legend::show(ui, model));
+        }
+    });
+    Some(shown.response.rect)
+}
+
+/// Longer lines of messages are hard to read; points.
+const MOST_TEXT_WIDTH: f32 = 640.0;
 
 #[cfg(test)]
 mod tests;

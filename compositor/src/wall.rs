@@ -163,11 +163,13 @@ impl Wall {
         file::write(self)
     }
 
-    /// The same wall with other corners of one projector; see [`Projector::warp_px`].
-    pub fn with_warp(&self, projector_idx: usize, warp_px: [[f64; 2]; 4]) -> Result<Self, InvalidWall> {
+    /// The same wall with other corners of some projectors, by index; see [`Projector::warp_px`].
+    pub fn with_warps(&self, warps: &[(usize, [[f64; 2]; 4])]) -> Result<Self, InvalidWall> {
         let mut projectors = self.projectors.clone();
-        if let Some(projector) = projectors.get_mut(projector_idx) {
-            projector.warp_px = warp_px;
+        for &(projector_idx, warp_px) in warps {
+            if let Some(projector) = projectors.get_mut(projector_idx) {
+                projector.warp_px = warp_px;
+            }
         }
         Ok(Self::new(self.canvas_m, self.frame_size, projectors)?.with_on_loss(self.on_loss))
     }

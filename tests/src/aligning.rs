@@ -33,6 +33,9 @@ fn a_corner_dragged_on_the_wall_is_saved_in_its_file() {
     wait_until("the corner has moved", || straight.difference(&session.screenshot(), 30) > 0.001);
     session.key("Right");
     session.key("shift+Down");
+    for key in ["Left", "ctrl+z", "ctrl+z", "ctrl+shift+z"] {
+        session.key(key);
+    }
     session.key("ctrl+s");
     program.wait_for("saved the corners in");
     let saved = fs::read_to_string(&file).unwrap();
@@ -58,8 +61,11 @@ fn without_a_wall_file_the_note_says_how_to_save_corners() {
     let mut program = Program::start(session.wall(&["--local", "1", "--triangles", "1000", "--size", "64x32"]));
     program.wait_for(SHOWN);
     session.wait_for_window("Raywall");
+    session.key("o");
+    let picture = session.steady_screenshot();
     session.key("ctrl+s");
     program.wait_for("start with --wall FILE");
+    wait_until("the message is seen without the overlay", || picture != session.screenshot());
     session.key("ctrl+q");
     program.wait();
 }

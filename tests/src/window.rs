@@ -11,6 +11,8 @@ use crate::{
 };
 
 const SCREEN: [usize; 2] = [1280, 720];
+/// Where a wall that fills this screen has the number of the light's angle.
+const LIGHT: [&str; 2] = ["1089", "227"];
 
 /// A wall of two local render servers in a window.
 struct Wall {
@@ -243,6 +245,36 @@ fn a_session_from_opening_a_model_to_leaving() {
     let stats: serde_json::Value = serde_json::from_str(&fs::read_to_string(stats).unwrap()).unwrap();
     let last = stats["frames"].as_array().unwrap().last().unwrap();
     assert_eq!((&last["division"], last["nodes"].as_array().unwrap().len()), (&"dynamic".into(), 2));
+}
+
+#[test]
+fn keys_belong_to_the_field_that_has_the_focus() {
+    let mut wall = Wall::start(&["--fullscreen"]);
+    let before = wall.session.steady_screenshot();
+    let open_field = |before: &Screenshot| {
+        // The number beside the slider that turns the light.
+        wall.session.xdotool(&["mousemove", LIGHT[0], LIGHT[1], "click", "--repeat", "2", "--delay", "60", "1"]);
+        wait_until("the field is open", || *before != wall.session.screenshot());
+        wall.session.steady_screenshot()
+    };
+    let field = open_field(&before);
+    // A press outside the overlay takes the focus away.
+    wall.session.xdotool(&["mousemove", "600", "20", "click", "1"]);
+    wait_until("the field is closed", || field != wall.session.screenshot());
+    wall.session.key("8");
+    wall.program.wait_for("There is no view 8");
+    open_field(&wall.session.steady_screenshot());
+    let n_shown = wall.program.count(SHOWN);
+    for key in ["h", "BackSpace", "ctrl+3", "9", "0", "Return"] {
+        wall.session.key(key);
+    }
+    wall.program.wait_for_count(SHOWN, n_shown + 1);
+    wait_until("the light has turned", || before.difference(&wall.session.steady_screenshot(), 16) > 0.005);
+    wall.session.key("9");
+    wall.program.wait_for("There is no view 9");
+    let said = wall.quit();
+    assert!(!said.contains("dividing frames") && !said.contains("View 3 is kept"), "{said}");
+    assert_eq!(said.matches("There is no view 9").count(), 1, "{said}");
 }
 
 #[test]

@@ -2,6 +2,7 @@
 //!
 //! Pure except for saving. Points are pixels of the spanning output. [`pattern`] draws, [`save`] edits the wall's file.
 
+mod history;
 pub(crate) mod pattern;
 pub(crate) mod save;
 mod sheet;
@@ -12,6 +13,7 @@ use anyhow::Context;
 use glam::DVec2;
 use winit::keyboard::NamedKey;
 
+use self::history::{Corners, History};
 pub(crate) use self::pattern::{Corner, Pattern, PatternImage};
 use crate::wall::{Projector, Wall, homography::UNIT_SQUARE};
 
@@ -24,10 +26,18 @@ pub(crate) struct Alignment {
     file: Option<PathBuf>,
     pattern: Option<Pattern>,
     selected: Option<Corner>,
-    /// Vector from the cursor to the corner that it drags.
-    drag_offset_px: Option<DVec2>,
+    drag: Option<Drag>,
+    history: History,
     /// Whether the image on the wall is out of date.
     is_stale: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Drag {
+    /// From the cursor to the corner.
+    offset_px: DVec2,
+    /// All moves of a drag are one step of the history.
+    has_moved: bool,
 }
 
 /// Corners lie on multiples of this, in pixels: finer than the eye resolves.
@@ -40,7 +50,7 @@ const NUDGE_PX: [f64; 2] = [1.0, 0.1];
 impl Alignment {
     /// No pattern, on a wall from this file.
     pub(crate) fn new(file: Option<PathBuf>, wall: Wall) -> Self {
-        Self { wall, file, pattern: None, selected: None, drag_offset_px: None, is_stale: false }
+        Self { wall, file, pattern: None, selected: None, drag: None, history: History::default(), is_stale: false }
     }
 
     /// Shows the next pattern, and returns it; frames after the last.
@@ -52,7 +62,7 @@ impl Alignment {
     /// Shows a pattern, or frames again.
     pub(crate) fn show(&mut self, pattern: Option<Pattern>) {
         self.pattern = pattern;
-        self.drag_offset_px = None;
+        self.drag = None;
         self.selected = None;
         self.is_stale = true;
     }
@@ -63,12 +73,17 @@ impl Alignment {
         is_stale.then(|| self.pattern.map(|pattern| pattern.shown(&self.wall, self.selected)).transpose())
     }
 
+    /// Whether a test pattern is on the wall.
+    pub(crate) fn has_pattern(&self) -> bool {
+        self.pattern.is_some()
+    }
+
     /// Whether mouse and arrow keys move corners now.
     pub(crate) fn takes_corners(&self) -> bool {
         self.pattern == Some(Pattern::Align)
     }
 
-    /// Moves the selected corner, selects the next, or ends the pattern; `false` for keys that do none of that now.
+    /// Moves or resets the selected corner, selects the next, or ends the pattern; `false` for keys that do none of that now.
     pub(crate) fn press_key(&mut self, key: NamedKey, has_shift: bool) -> bool {
         let arrow = match key {
             NamedKey::ArrowUp => DVec2::NEG_Y,
@@ -80,6 +95,7 @@ impl Alignment {
         match key {
             NamedKey::Escape if self.pattern.is_some() => self.show(None),
             NamedKey::Tab if self.takes_corners() => self.next_corner(),
+            NamedKey::Backspace if self.takes_corners() => self.reset(has_shift),
             _ if self.takes_corners() && arrow != DVec2::ZERO => {
                 self.move_by(arrow * NUDGE_PX[usize::from(has_shift)]);
             }
@@ -98,14 +114,15 @@ impl Alignment {
         };
         let near = corners(&self.wall).map(away_from).filter(|(_, away, _)| away.length() <= GRAB_RADIUS_PX);
         let grabbed = near.min_by(|(_, _, a), (_, _, b)| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
-        (self.selected, self.drag_offset_px) = grabbed.map(|(corner, away, _)| (corner, away)).unzip();
+        let drag = |away| Drag { offset_px: away, has_moved: false };
+        (self.selected, self.drag) = grabbed.map(|(corner, away, _)| (corner, drag(away))).unzip();
         self.is_stale = true;
         self.selected.is_some()
     }
 
     /// Moves the grabbed corner to the cursor, unless it cannot be there. Returns whether one is grabbed.
     pub(crate) fn drag_to(&mut self, at: DVec2) -> bool {
-        let (Some(corner), Some(offset_px)) = (self.selected, self.drag_offset_px) else { return false };
+        let (Some(corner), Some(Drag { offset_px, .. })) = (self.selected, self.drag) else { return false };
         let projector = &self.wall.projectors()[corner.projector_idx];
         if let Some(corner_px) = corner_px(projector, corner.corner_idx) {
             self.move_by(seen_from_stored(projector, at + offset_px - corner_px));
@@ -115,7 +132,7 @@ impl Alignment {
 
     /// Releases the corner, which stays selected.
     pub(crate) fn release(&mut self) {
-        self.drag_offset_px = None;
+        self.drag = None;
     }
 
     /// Moves the selected corner by pixels right and down, as seen on the wall. Returns whether it can be there.
@@ -125,11 +142,64 @@ impl Alignment {
         let moved = (DVec2::from(warp_px[corner_idx]) + by_px) / STEP_PX;
         // Divide by a whole number, which gives the double nearest to each decimal.
         warp_px[corner_idx] = moved.to_array().map(|steps| steps.round() / (1.0 / STEP_PX));
-        // A warp whose edges would cross is refused.
-        let Ok(wall) = self.wall.with_warp(projector_idx, warp_px) else { return false };
-        self.wall = wall;
-        self.is_stale = true;
+        self.change(vec![(projector_idx, warp_px)])
+    }
+
+    /// Returns the selected corner, or all corners, to those of the projectors' pixels.
+    fn reset(&mut self, resets_all: bool) {
+        let projectors = self.wall.projectors();
+        let corners = if resets_all {
+            (0..projectors.len()).map(|projector_idx| (projector_idx, [[0.0; 2]; 4])).collect()
+        } else {
+            let Some(Corner { projector_idx, corner_idx }) = self.selected else { return };
+            let mut warp_px = projectors[projector_idx].warp_px;
+            warp_px[corner_idx] = [0.0; 2];
+            vec![(projector_idx, warp_px)]
+        };
+        self.change(corners);
+    }
+
+    /// Takes the last change of corners back. Returns a note for the operator.
+    pub(crate) fn undo(&mut self) -> &'static str {
+        self.drag = None;
+        let step = self.history.done.pop_back();
+        let Some(replaced) = step.and_then(|corners| self.replace(corners)) else { return "No corner was moved" };
+        self.history.undone.push(replaced);
+        "The last move of corners is taken back: Ctrl+Shift+Z moves them again"
+    }
+
+    /// Makes the change again that was taken back last. Returns a note for the operator.
+    pub(crate) fn redo(&mut self) -> &'static str {
+        self.drag = None;
+        let step = self.history.undone.pop();
+        let Some(replaced) = step.and_then(|corners| self.replace(corners)) else {
+            return "No move of corners was taken back";
+        };
+        self.history.add_done(replaced);
+        "The corners are moved again"
+    }
+
+    /// Changes corners, which can be undone. Returns whether they can be there.
+    fn change(&mut self, corners: Corners) -> bool {
+        let Some(replaced) = self.replace(corners) else { return false };
+        if replaced.is_empty() {
+            return true;
+        }
+        let is_continued = self.drag.as_mut().is_some_and(|drag| std::mem::replace(&mut drag.has_moved, true));
+        if !is_continued {
+            self.history.add(replaced);
+        }
         true
+    }
+
+    /// Sets corners, and returns those that were different; `None` for a warp whose edges would cross.
+    fn replace(&mut self, mut corners: Corners) -> Option<Corners> {
+        let current = |projector_idx: usize| self.wall.projectors()[projector_idx].warp_px;
+        corners.retain(|&(projector_idx, warp_px)| warp_px != current(projector_idx));
+        let replaced = corners.iter().map(|&(projector_idx, _)| (projector_idx, current(projector_idx))).collect();
+        self.wall = self.wall.with_warps(&corners).ok()?;
+        self.is_stale = true;
+        Some(replaced)
     }
 
     pub(crate) fn next_corner(&mut self) {

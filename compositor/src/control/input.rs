@@ -17,7 +17,7 @@ pub(crate) enum Tint {
     /// The render server of each tile: one colour each.
     #[strum(serialize = "who")]
     Nodes,
-    /// CPU time, from blue over yellow to red.
+    /// CPU time, from dark to bright.
     #[strum(serialize = "time")]
     Cost,
 }
@@ -70,6 +70,9 @@ pub(crate) enum Command {
     Screenshot,
     NextPattern,
     SaveCorners,
+    /// Take the last move of corners back.
+    Undo,
+    Redo,
     ToggleLock,
     DismissMessage,
     Quit,
@@ -77,7 +80,7 @@ pub(crate) enum Command {
 
 impl Command {
     pub(crate) fn repeats(self) -> bool {
-        matches!(self, Self::MoveClip(_))
+        matches!(self, Self::MoveClip(_) | Self::Undo | Self::Redo)
     }
 
     /// Whether visitors of a locked wall may give it.
@@ -113,6 +116,8 @@ pub enum Key {
     Letter(char),
     /// A lower-case letter together with Ctrl.
     Ctrl(char),
+    /// A lower-case letter together with Ctrl and Shift.
+    CtrlShift(char),
     /// A digit from 1 to 9, which becomes the number of its command.
     AnyDigit,
     /// The same together with Ctrl.
@@ -123,12 +128,17 @@ pub enum Key {
 
 impl Key {
     /// A key that was pressed or released; `None` for keys that no binding can name.
-    pub(crate) fn from_winit(key: &winit::keyboard::Key, ctrl: bool) -> Option<Self> {
+    pub(crate) fn from_winit(key: &winit::keyboard::Key, ctrl: bool, shift: bool) -> Option<Self> {
         match key {
             winit::keyboard::Key::Named(named) => Some(Self::Named(*named)),
             winit::keyboard::Key::Character(text) => {
                 let letter = text.chars().next()?.to_ascii_lowercase();
-                Some(if ctrl { Self::Ctrl(letter) } else { Self::Letter(letter) })
+                Some(match (ctrl, shift) {
+                    (false, _) => Self::Letter(letter),
+                    // Some keyboards need Shift for digits.
+                    (true, true) if letter.is_alphabetic() => Self::CtrlShift(letter),
+                    (true, _) => Self::Ctrl(letter),
+                })
             }
             _ => None,
         }
@@ -140,6 +150,7 @@ impl std::fmt::Display for Key {
         match self {
             Self::Letter(letter) => write!(f, "{}", letter.to_ascii_uppercase()),
             Self::Ctrl(letter) => write!(f, "Ctrl+{}", letter.to_ascii_uppercase()),
+            Self::CtrlShift(letter) => write!(f, "Ctrl+Shift+{}", letter.to_ascii_uppercase()),
             Self::AnyDigit => f.write_str("1 to 9"),
             Self::CtrlAnyDigit => f.write_str("Ctrl+1 to 9"),
             Self::Named(NamedKey::ArrowUp) => f.write_str("Up"),
@@ -217,6 +228,8 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Named(NamedKey::Escape)], Trigger(LeaveFullscreen), "leave fullscreen"),
         row(&[Letter('n')], Trigger(NextPattern), "next test pattern: align, names, pixels, overlap, gamma, focus"),
         row(&[Ctrl('s')], Trigger(SaveCorners), "save the moved corners"),
+        row(&[Ctrl('z')], Trigger(Undo), "take the last move of corners back"),
+        row(&[CtrlShift('z')], Trigger(Redo), "move the corners again"),
         row(&[Ctrl('l')], Trigger(ToggleLock), "lock for visitors, who can only steer, or unlock"),
         row(&[Ctrl('q')], Trigger(Quit), "quit"),
     ]
@@ -263,7 +276,7 @@ mod tests {
     #[test]
     fn keys_are_known_by_their_caps() {
         let letter = |text: &str| winit::keyboard::Key::Character(text.into());
-        let pressed = |key, ctrl| Key::from_winit(&key, ctrl).and_then(action);
+        let pressed = |key, ctrl| Key::from_winit(&key, ctrl, false).and_then(action);
         assert_eq!(pressed(letter("h"), false), Some(KeyAction::Trigger(Command::NextDivision)));
         assert_eq!(pressed(letter("H"), false), Some(KeyAction::Trigger(Command::NextDivision)));
         assert_eq!(pressed(letter("h"), true), None);
@@ -275,6 +288,10 @@ mod tests {
         assert_eq!(pressed(letter("7"), false), Some(KeyAction::Trigger(Command::GoToView(7))));
         assert_eq!(pressed(letter("1"), true), Some(KeyAction::Trigger(Command::KeepView(1))));
         assert_eq!(pressed(letter("0"), true), None);
+        let pressed_with_shift = |text| Key::from_winit(&letter(text), true, true).and_then(action);
+        assert_eq!(pressed(letter("z"), true), Some(KeyAction::Trigger(Command::Undo)));
+        assert_eq!(pressed_with_shift("Z"), Some(KeyAction::Trigger(Command::Redo)));
+        assert_eq!(pressed_with_shift("1"), Some(KeyAction::Trigger(Command::KeepView(1))));
     }
 
     #[test]

@@ -22,7 +22,7 @@ pub(super) fn show(ui: &mut Ui, appearance: &Appearance, commands: &mut Vec<Comm
         commands.push(Command::SetLight(light));
     }
     ui.label("Background (B)");
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         for (name, background) in Background::PRESETS {
             let label = ui.selectable_label(background == appearance.background, name);
             commands.extend(label.clicked().then_some(Command::SetBackground(background)));
@@ -32,7 +32,7 @@ pub(super) fn show(ui: &mut Ui, appearance: &Appearance, commands: &mut Vec<Comm
 }
 
 fn cut(ui: &mut Ui, clip: Option<Clip>, commands: &mut Vec<Command>) {
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         ui.label("Cut (X)");
         ui.spacing_mut().item_spacing.x = 0.0;
         let sides = std::iter::once(None).chain(ClipSide::VARIANTS.iter().copied().map(Some));

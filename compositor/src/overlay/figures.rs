@@ -22,12 +22,6 @@ pub(crate) const DENSITIES: [u32; 6] = [4, 8, 16, 32, 64, 128];
 
 pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     headline(ui, model, commands);
-    for message in &model.messages {
-        callout(ui, style::BUSY, |ui| {
-            ui.label(message);
-            commands.extend(ui.small_button("Dismiss").clicked().then_some(Command::DismissMessage));
-        });
-    }
     waiting(ui, model);
     timings(ui, model);
     history::show(ui, &model.history);
@@ -36,16 +30,11 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
 }
 
 fn headline(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
-    ui.horizontal(|ui| {
-        let rate = match model.frames_per_second {
-            Some(rate) => format!("{rate:.1} frames/s"),
-            None => "at rest".to_owned(),
-        };
-        ui.label(RichText::new(rate).heading().strong());
-        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            commands.extend(ui.button("Keys (F1)").clicked().then_some(Command::ToggleHelp));
-        });
-    });
+    let rate = match model.frames_per_second {
+        Some(rate) => format!("{rate:.1} frames/s"),
+        None => "at rest".to_owned(),
+    };
+    style::heading(ui, &rate, "Keys (F1)", Command::ToggleHelp, commands);
     let latency = model.display.map(|display| display.latency_ms);
     let latency = latency.map_or_else(|| "no frame yet".to_owned(), |ms| format!("{ms:.0} ms from camera to picture"));
     ui.label(latency);
@@ -104,52 +93,60 @@ fn timings(ui: &mut Ui, model: &OverlayModel) {
 
 /// Whether the resolution follows the motion, and the samples a pixel so far.
 fn refinement(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
-    ui.horizontal(|ui| {
+    let [so_far, in_all] = model.n_samples;
+    let so_far = if so_far < in_all { format!("{so_far} of {in_all}") } else { so_far.to_string() };
+    let samples = |ui: &mut Ui| {
+        if model.frame.is_some() {
+            ui.label(format!("samples: {so_far}"));
+        }
+    };
+    style::line(ui, samples, |ui| {
         let mut is_refining = model.is_refining;
         let checkbox = ui.checkbox(&mut is_refining, "resolution follows the motion (M)");
         commands.extend(checkbox.changed().then_some(Command::ToggleRefinement));
-        if model.frame.is_some() {
-            let [so_far, in_all] = model.n_samples;
-            let so_far = if so_far < in_all { format!("{so_far} of {in_all}") } else { so_far.to_string() };
-            ui.with_layout(Layout::right_to_left(Align::Center), |ui| ui.label(format!("samples: {so_far}")));
-        }
     });
 }
 
 fn switches(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     ui.add_space(6.0);
     refinement(ui, model, commands);
-    egui::Grid::new("switches").num_columns(2).show(ui, |ui| {
-        let mut row = |ui: &mut Ui, name: &str, add: &mut dyn FnMut(&mut Ui, &mut Vec<Command>)| {
-            ui.horizontal(|ui| ui.label(name));
-            ui.horizontal(|ui| add(ui, commands));
-            ui.end_row();
-        };
-        row(ui, "division (H)", &mut |ui, commands| {
-            choices(ui, Division::VARIANTS, |it| it == model.division, |it| it, Command::SetDivision, commands);
+    let mut row = |ui: &mut Ui, name: &str, add: &mut dyn FnMut(&mut Ui, &mut Vec<Command>)| {
+        ui.horizontal_wrapped(|ui| {
+            let layout = Layout::left_to_right(Align::Center);
+            ui.allocate_ui_with_layout(egui::vec2(SWITCH_NAME_WIDTH, 24.0), layout, |ui| {
+                ui.set_min_width(SWITCH_NAME_WIDTH);
+                ui.label(name);
+            });
+            add(ui, commands);
         });
-        row(ui, "view (V)", &mut |ui, commands| {
-            choices(ui, ShadingMode::VARIANTS, |it| it == model.view, |it| it, Command::SetShading, commands);
-        });
-        row(ui, "grid (K)", &mut |ui, commands| {
-            ui.spacing_mut().item_spacing.x = 0.0;
-            let is_chosen = |storage| storage == model.structure.map(|structure| structure.storage);
-            let name = |storage: Option<Storage>| storage.map_or("as started", Into::into);
-            choices(ui, &STORAGES, is_chosen, name, Command::SetStorage, commands);
-        });
-        row(ui, "cells (J)", &mut |ui, commands| {
-            let is_chosen = |it| model.structure.is_some_and(|structure| structure.density == f64::from(it));
-            choices(ui, &DENSITIES, is_chosen, |it| it, Command::SetDensity, commands);
-            ui.label(RichText::new("a triangle").small().weak());
-        });
-        row(ui, "tint (T)", &mut |ui, commands| {
-            choices(ui, Tint::VARIANTS, |it| it == model.tint, <&str>::from, Command::SetTint, commands);
-        });
-        row(ui, "rays (R)", &mut |ui, commands| {
-            choices(ui, LightingMode::VARIANTS, |it| it == model.rays, |it| it, Command::SetLighting, commands);
-        });
+    };
+    row(ui, "division (H)", &mut |ui, commands| {
+        choices(ui, Division::VARIANTS, |it| it == model.division, |it| it, Command::SetDivision, commands);
+    });
+    row(ui, "view (V)", &mut |ui, commands| {
+        choices(ui, ShadingMode::VARIANTS, |it| it == model.view, |it| it, Command::SetShading, commands);
+    });
+    row(ui, "grid (K)", &mut |ui, commands| {
+        ui.spacing_mut().item_spacing.x = 0.0;
+        let is_chosen = |storage| storage == model.structure.map(|structure| structure.storage);
+        let name = |storage: Option<Storage>| storage.map_or("as started", Into::into);
+        choices(ui, &STORAGES, is_chosen, name, Command::SetStorage, commands);
+    });
+    row(ui, "cells (J)", &mut |ui, commands| {
+        let is_chosen = |it| model.structure.is_some_and(|structure| structure.density == f64::from(it));
+        choices(ui, &DENSITIES, is_chosen, |it| it, Command::SetDensity, commands);
+        ui.label(RichText::new("a triangle").small().weak());
+    });
+    row(ui, "tint (T)", &mut |ui, commands| {
+        choices(ui, Tint::VARIANTS, |it| it == model.tint, <&str>::from, Command::SetTint, commands);
+    });
+    row(ui, "rays (R)", &mut |ui, commands| {
+        choices(ui, LightingMode::VARIANTS, |it| it == model.rays, |it| it, Command::SetLighting, commands);
     });
 }
+
+/// Width of the switches' names in points.
+const SWITCH_NAME_WIDTH: f32 = 66.0;
 
 /// A selectable label for each of `all`; a click asks for it.
 fn choices<T: Copy, S: ToString>(

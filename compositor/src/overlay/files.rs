@@ -1,12 +1,9 @@
 //! The panel that opens a model: the folders and PLY files of one folder, chosen by mouse or keys.
 
-use egui::{Align, Layout, RichText, Ui};
+use egui::{RichText, Ui};
 
 use super::style;
 use crate::control::input::Command;
-
-/// The panel's width in points.
-pub(super) const WIDTH: f32 = 420.0;
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct FileList {
@@ -15,6 +12,8 @@ pub(crate) struct FileList {
     pub entries: Vec<FileEntry>,
     /// The entry that Enter opens.
     pub chosen: usize,
+    /// Whether the folder is still being read.
+    pub is_loading: bool,
     /// Why the folder cannot be read.
     pub problem: Option<String>,
 }
@@ -27,33 +26,30 @@ pub(crate) struct FileEntry {
 }
 
 pub(super) fn show(ui: &mut Ui, files: &FileList, commands: &mut Vec<Command>) {
-    ui.horizontal(|ui| {
-        ui.label(RichText::new("Open a model").heading().strong());
-        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            commands.extend(ui.button("Close (Esc)").clicked().then_some(Command::ToggleFiles));
-        });
-    });
+    style::heading(ui, "Open a model", "Close (Esc)", Command::ToggleFiles, commands);
     ui.label(RichText::new(&files.folder).small().weak());
     ui.label(RichText::new("Up and Down choose, Enter opens, Backspace is the folder above").small().weak());
     ui.separator();
     if let Some(problem) = &files.problem {
         ui.label(RichText::new(problem).color(style::BUSY));
+    } else if files.is_loading {
+        ui.label("Looking …");
     } else if files.entries.is_empty() {
         ui.label("No PLY file is in this folder.");
     }
     for (index, entry) in files.entries.iter().enumerate() {
         let name = if entry.bytes.is_some() { entry.name.clone() } else { format!("{}/", entry.name) };
         let is_chosen = index == files.chosen;
-        ui.horizontal(|ui| {
+        let size = |ui: &mut Ui| {
+            if let Some(bytes) = entry.bytes {
+                ui.label(RichText::new(style::bytes(bytes)).small().weak());
+            }
+        };
+        style::line(ui, size, |ui| {
             let label = ui.selectable_label(is_chosen, name);
             commands.extend(label.clicked().then_some(Command::OpenEntry(index)));
             if is_chosen {
                 label.scroll_to_me(None);
-            }
-            if let Some(bytes) = entry.bytes {
-                ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                    ui.label(RichText::new(style::bytes(bytes)).small().weak());
-                });
             }
         });
     }

@@ -1,39 +1,39 @@
 //! Help on keys and mouse, from the tables of [`crate::control::input`].
 
-use egui::{Align, Layout, RichText, Ui};
+use egui::{RichText, Ui};
 
 use super::style;
 use crate::control::input::{Command, KEYS, MOUSE};
 
-/// The panel's width in points.
-pub(super) const WIDTH: f32 = 880.0;
+/// Narrower panels have one column; points.
+const TWO_COLUMNS: f32 = 860.0;
 
 pub(super) fn show(ui: &mut Ui, commands: &mut Vec<Command>) {
-    ui.horizontal(|ui| {
-        ui.label(RichText::new("Keys and mouse").heading().strong());
-        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            commands.extend(ui.button("Close (F1)").clicked().then_some(Command::ToggleHelp));
-        });
-    });
+    style::heading(ui, "Keys and mouse", "Close (F1)", Command::ToggleHelp, commands);
     ui.separator();
+    let keys = KEYS.iter().map(|binding| (binding.names(), binding.help));
+    let all: Vec<_> = keys.chain(MOUSE.iter().map(|&(gesture, effect)| (gesture.to_owned(), effect))).collect();
+    if ui.available_width() < TWO_COLUMNS {
+        return all.iter().for_each(|row| show_row(ui, row));
+    }
     // Two columns: one would be higher than a window.
-    let (left, right) = KEYS.split_at((KEYS.len() + MOUSE.len()).div_ceil(2));
-    ui.horizontal_top(|ui| {
-        columns("keys").show(ui, |ui| left.iter().for_each(|binding| row(ui, &binding.names(), binding.help)));
-        ui.add_space(18.0);
-        columns("more keys and mouse").show(ui, |ui| {
-            right.iter().for_each(|binding| row(ui, &binding.names(), binding.help));
-            MOUSE.iter().for_each(|(gesture, effect)| row(ui, gesture, effect));
-        });
+    let (left, right) = all.split_at(all.len().div_ceil(2));
+    ui.columns_const(|[left_ui, right_ui]| {
+        left.iter().for_each(|row| show_row(left_ui, row));
+        right.iter().for_each(|row| show_row(right_ui, row));
     });
 }
 
-fn columns(name: &str) -> egui::Grid {
-    egui::Grid::new(name).num_columns(2).spacing([14.0, 5.0])
+fn show_row(ui: &mut Ui, (gesture, effect): &(String, &str)) {
+    ui.horizontal_top(|ui| {
+        let width = (0.3 * ui.available_width()).min(GESTURE_WIDTH);
+        ui.allocate_ui(egui::vec2(width, 0.0), |ui| {
+            ui.set_width(width);
+            ui.label(RichText::new(gesture).color(style::ACCENT));
+        });
+        ui.add(egui::Label::new(*effect).wrap());
+    });
 }
 
-fn row(ui: &mut Ui, what: &str, effect: &str) {
-    ui.label(RichText::new(what).color(style::ACCENT));
-    ui.label(effect);
-    ui.end_row();
-}
+/// Width of keys and gestures in points.
+const GESTURE_WIDTH: f32 = 130.0;

@@ -2,16 +2,13 @@
 
 use std::fmt;
 
-use egui::{Align, Label, Layout, RichText, Ui};
+use egui::{RichText, Ui};
 use glam::DVec3;
 use renderer::model::solid::UNFILLED;
 use shared::{protocol::SceneState, structure::Structure};
 
 use super::{OverlayModel, appearance, style};
 use crate::control::input::Command;
-
-/// The panel's width in points.
-pub(super) const WIDTH: f32 = 310.0;
 
 /// The model on the wall.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -48,13 +45,11 @@ impl fmt::Display for Pick {
 
 pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     let Some(summary) = &model.model else { return };
-    ui.horizontal(|ui| {
-        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            commands.extend(ui.button("Open (Ctrl+O)").clicked().then_some(Command::ToggleFiles));
-            ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
-                ui.add(Label::new(RichText::new(&summary.name).strong()).truncate());
-            });
-        });
+    let open = |ui: &mut Ui| {
+        commands.extend(ui.button("Open (Ctrl+O)").clicked().then_some(Command::ToggleFiles));
+    };
+    style::line(ui, open, |ui| {
+        ui.label(RichText::new(&summary.name).strong());
     });
     let mut text = format!("{} triangles, {} up", style::grouped(summary.n_triangles), model.up);
     if summary.n_rejected > 0 {
@@ -78,7 +73,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
     } else {
         ui.label(RichText::new("Click on the model for a triangle's number, position and distance.").small().weak());
     }
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         ui.label(if model.views.is_empty() { "No views: Ctrl+1 to 9 keeps one" } else { "Views" });
         for &number in &model.views {
             let button = ui.small_button(number.to_string());
@@ -87,7 +82,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
             commands.extend(button.clicked().then_some(Command::GoToView(number)));
         }
     });
-    ui.horizontal(|ui| {
+    ui.horizontal_wrapped(|ui| {
         ui.label("Camera path");
         let recording = if model.is_recording { "End recording (C)" } else { "Record (C)" };
         let label = ui.selectable_label(model.is_recording, recording);

@@ -1,6 +1,6 @@
 //! One row for each render server: its name, its state, and its times in the newest frame.
 
-use egui::{Align, Color32, Label, Layout, RichText, Ui};
+use egui::{Color32, RichText, Ui};
 use shared::protocol::SceneState;
 
 use super::{OverlayModel, Tint, style, tint::node_color};
@@ -63,36 +63,28 @@ fn row(
             format!("{}: tracing {trace:.1} ms, network {network:.1} ms, idle {idle:.1} ms", node.name);
         style::stacked_bar(ui, &[(trace, TRACE), (network, NETWORK), (idle, IDLE)], longest_ms, &accessible_label);
     };
-    let head = ui.horizontal(|ui| {
-        if let Some(swatch) = swatch {
-            let (rect, _) = ui.allocate_exact_size(egui::Vec2::splat(10.0), egui::Sense::hover());
-            ui.painter().rect_filled(rect, 2.0, swatch);
-        }
-        let name = RichText::new(&node.name).strong();
+    let state = |ui: &mut Ui| {
+        ui.label(RichText::new(state).color(color));
         if is_compact {
-            let (size, layout) = (egui::vec2(COMPACT_NAME_WIDTH, 16.0), Layout::left_to_right(Align::Center));
-            ui.allocate_ui_with_layout(size, layout, |ui| {
-                ui.set_min_width(COMPACT_NAME_WIDTH);
-                ui.add(Label::new(name).truncate());
-            });
-        } else {
-            ui.label(name);
-            ui.label(RichText::new(address_and_threads(node, frame)).small().weak());
+            ui.allocate_ui(egui::vec2((ui.available_width() - COMPACT_NAME_WIDTH).max(1.0), 16.0), bar);
         }
-        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            ui.label(RichText::new(state).color(color));
-            if is_compact {
-                bar(ui);
-            }
-        });
+    };
+    let head = style::line(ui, state, |ui| {
+        if let Some(swatch) = swatch {
+            style::swatch(ui, swatch);
+        }
+        ui.label(RichText::new(&node.name).strong());
     });
+    if !is_compact {
+        ui.label(RichText::new(address_and_threads(node, frame)).small().weak());
+    }
     if let Some(reason) = reason {
         ui.label(RichText::new(reason).color(style::BUSY));
     }
     if !is_compact {
         bar(ui);
     }
-    head.response
+    head
 }
 
 fn details(ui: &mut Ui, node: &NodeStatus, frame: Option<&NodeFrameStats>) {

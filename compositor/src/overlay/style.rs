@@ -1,6 +1,8 @@
 //! The overlay's style: calm, dark, legible from across a room.
 
-use egui::{Color32, FontFamily, FontId, Frame, Layout, RichText, TextStyle, Ui};
+use egui::{Align, Color32, FontFamily, FontId, Frame, Layout, RichText, TextStyle, Ui};
+
+use crate::control::input::Command;
 
 /// Emphasis without alarm.
 pub(super) const ACCENT: Color32 = Color32::from_rgb(122, 200, 255);
@@ -14,6 +16,8 @@ const WEAK: Color32 = Color32::from_gray(160);
 
 /// Space inside the panels in points.
 pub(super) const PANEL_PADDING: f32 = 14.0;
+/// The part of it in which a scroll bar is, in points.
+pub(super) const SCROLL_BAR: f32 = 10.0;
 
 /// Sets colours and sizes, once for each context.
 pub(crate) fn apply_style(context: &egui::Context) {
@@ -49,7 +53,7 @@ pub(crate) fn zoom(size: [u32; 2], scale_factor: f64) -> f32 {
 }
 
 pub(super) fn panel_frame() -> Frame {
-    Frame::new().fill(Color32::from_rgba_unmultiplied(14, 17, 22, 218)).corner_radius(10.0).inner_margin(PANEL_PADDING)
+    Frame::new().fill(Color32::from_rgba_unmultiplied(14, 17, 22, 232)).corner_radius(10.0).inner_margin(PANEL_PADDING)
 }
 
 /// A box that stands out from the panel: in [`ACCENT`] to note something, in [`BUSY`] if an operator has to act.
@@ -66,25 +70,58 @@ pub(super) fn callout<R>(ui: &mut Ui, color: Color32, add: impl FnOnce(&mut Ui) 
         });
 }
 
+/// A line with something at its right end; what is left of it has the rest, and long texts in it are cut.
+pub(super) fn line(ui: &mut Ui, right: impl FnOnce(&mut Ui), left: impl FnOnce(&mut Ui)) -> egui::Response {
+    let both = ui.horizontal(|ui| {
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            right(ui);
+            ui.with_layout(Layout::left_to_right(Align::Center), |ui| {
+                ui.style_mut().wrap_mode = Some(egui::TextWrapMode::Truncate);
+                left(ui);
+            });
+        });
+    });
+    both.response
+}
+
+/// A panel's heading, with a button that gives a command.
+pub(super) fn heading(ui: &mut Ui, text: &str, button: &str, command: Command, commands: &mut Vec<Command>) {
+    let button = |ui: &mut Ui| commands.extend(ui.button(button).clicked().then_some(command));
+    line(ui, button, |ui| {
+        ui.label(RichText::new(text).heading().strong());
+    });
+}
+
 /// The heading of a section, and the unit of its values.
 pub(super) fn section(ui: &mut Ui, name: &str, unit: &str) {
     ui.add_space(6.0);
     ui.separator();
-    ui.horizontal(|ui| {
+    let unit = |ui: &mut Ui| {
+        ui.label(RichText::new(unit).small().weak());
+    };
+    line(ui, unit, |ui| {
         ui.label(RichText::new(name).strong().color(ACCENT));
-        ui.with_layout(Layout::right_to_left(egui::Align::Center), |ui| ui.label(RichText::new(unit).small().weak()));
     });
+}
+
+/// The side of a swatch in points.
+pub(super) const SWATCH: f32 = 10.0;
+
+/// A small square in a colour that a legend explains.
+pub(super) fn swatch(ui: &mut Ui, color: Color32) {
+    let (rect, _) = ui.allocate_exact_size(egui::Vec2::splat(SWATCH), egui::Sense::hover());
+    ui.painter().rect_filled(rect, 2.0, color);
 }
 
 /// A line of small text with the meaning of colours.
 pub(super) fn legend(ui: &mut Ui, text: &str, colors: &[(&str, Color32)]) {
-    ui.horizontal(|ui| {
+    let names = |ui: &mut Ui| {
+        for (name, color) in colors.iter().rev() {
+            ui.label(RichText::new(*name).small().color(*color));
+        }
+    };
+    line(ui, names, |ui| {
         ui.label(RichText::new(text).small().weak());
-        ui.with_layout(Layout::right_to_left(egui::Align::Center), |ui| {
-            for (name, color) in colors.iter().rev() {
-                ui.label(RichText::new(*name).small().color(*color));
-            }
-        });
     });
 }
 
@@ -104,9 +141,17 @@ pub(super) fn stacked_bar(ui: &mut Ui, parts: &[(f64, Color32)], whole: f64, acc
     }
 }
 
-/// Values side by side, each under its name.
-pub(super) fn metrics<const N: usize>(ui: &mut Ui, figures: &[(&str, String); N]) {
-    ui.columns_const(|columns: &mut [Ui; N]| {
+/// Values side by side, each under its name; on several lines where they are too long for one.
+pub(super) fn metrics(ui: &mut Ui, figures: &[(&str, String)]) {
+    let spacing = ui.spacing().item_spacing.x;
+    // A value may reach into half of the space after it.
+    let column_width = (ui.available_width() + spacing) / figures.len().max(1) as f32 - 0.5 * spacing;
+    if figures.len() > 1 && figures.iter().any(|(_, value)| body_width(ui, value) > column_width) {
+        let (first, rest) = figures.split_at(figures.len() / 2);
+        metrics(ui, first);
+        return metrics(ui, rest);
+    }
+    ui.columns(figures.len(), |columns| {
         for (column, (name, value)) in columns.iter_mut().zip(figures) {
             column.spacing_mut().item_spacing.y = 0.0;
             column.style_mut().wrap_mode = Some(egui::TextWrapMode::Extend);
@@ -117,6 +162,12 @@ pub(super) fn metrics<const N: usize>(ui: &mut Ui, figures: &[(&str, String); N]
                 .widget_info(|| egui::WidgetInfo::labeled(egui::Role::Label, true, &accessible_label));
         }
     });
+}
+
+/// The width of a text in points.
+pub(super) fn body_width(ui: &Ui, text: &str) -> f32 {
+    let font = TextStyle::Body.resolve(ui.style());
+    ui.fonts_mut(|fonts| fonts.layout_no_wrap(text.to_owned(), font, TEXT)).size().x
 }
 
 pub(super) fn ms(ms: f64) -> String {

@@ -1,5 +1,6 @@
 //! The overlay as a person or a screen reader sees it.
 
+mod places;
 mod switches;
 
 use std::cell::RefCell;
@@ -152,9 +153,14 @@ fn foreign_texts_forge_no_lines() {
     model.messages = vec![foreign("problem")];
     model.note = Some(foreign("note"));
     let entries = vec![FileEntry { name: foreign("dragon"), bytes: Some(1) }];
-    model.files = Some(FileList { folder: foreign("models"), entries, ..FileList::default() });
+    let files = Some(FileList { folder: foreign("models"), entries, ..FileList::default() });
     commands_of(&model, |harness| {
-        for label in ["south [31mx", "no file [31mx", "problem [31mx", "note [31mx", "models [31mx", "dragon [31mx"] {
+        for label in ["south [31mx", "no file [31mx", "problem [31mx", "note [31mx"] {
+            harness.get_by_label(label);
+        }
+    });
+    commands_of(&OverlayModel { files, ..model }, |harness| {
+        for label in ["models [31mx", "dragon [31mx", "problem [31mx"] {
             harness.get_by_label(label);
         }
     });
@@ -321,7 +327,7 @@ fn the_model_its_views_and_the_clicked_point_are_shown() {
 fn files_are_listed_and_can_be_opened() {
     let entry = |name: &str, bytes| FileEntry { name: name.to_owned(), bytes };
     let entries = vec![entry("scans", None), entry("dragon.ply", Some(23_000_000))];
-    let files = FileList { folder: "/models".to_owned(), entries, chosen: 1, problem: None };
+    let files = FileList { folder: "/models".to_owned(), entries, chosen: 1, ..FileList::default() };
     let model = OverlayModel { files: Some(files), help: true, ..running() };
     let commands = commands_of(&model, |harness| {
         harness.get_by_label("/models");
@@ -334,10 +340,16 @@ fn files_are_listed_and_can_be_opened() {
     });
     assert_eq!(commands, [Command::OpenEntry(0), Command::ToggleFiles]);
     let problem = Some("This folder cannot be read".to_owned());
-    let model = OverlayModel { files: Some(FileList { problem, ..FileList::default() }), ..OverlayModel::default() };
-    commands_of(&model, |harness| {
-        harness.get_by_label("This folder cannot be read");
-    });
+    let loading = FileList { is_loading: true, ..FileList::default() };
+    for (files, label) in [
+        (FileList { problem, ..FileList::default() }, "This folder cannot be read"),
+        (loading, "Looking …"),
+        (FileList::default(), "No PLY file is in this folder."),
+    ] {
+        commands_of(&OverlayModel { files: Some(files), ..OverlayModel::default() }, |harness| {
+            harness.get_by_label(label);
+        });
+    }
 }
 
 #[test]
@@ -358,7 +370,7 @@ fn no_window_is_too_small_for_any_panel() {
     let files =
         Some(FileList { entries: vec![FileEntry { name: "a.ply".to_owned(), bytes: Some(1) }], ..FileList::default() });
     let wall = Wall::of_one_output([4, 4]);
-    let region = ProjectorRegion::new(&wall.projectors()[0], egui::Rect::ZERO).expect("upright");
+    let region = ProjectorRegion::new(&wall.projectors()[0], Rect::ZERO).expect("upright");
     let model =
         OverlayModel { files, tint: Tint::Cost, regions: vec![region], note: Some("a".to_owned()), ..running() };
     for side in [1.0, 17.0, 64.0] {

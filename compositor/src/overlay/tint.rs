@@ -1,6 +1,6 @@
 //! Colours over the picture: the render server of each part, or its cost.
 
-use egui::{Color32, ColorImage, LayerId, Pos2, TextureHandle, TextureOptions, Ui, ecolor::Hsva};
+use egui::{Color32, ColorImage, LayerId, Pos2, TextureHandle, TextureOptions, Ui};
 use shared::division::{FrameSize, Share, TILE_SIZE};
 
 use super::OverlayModel;
@@ -9,14 +9,32 @@ use crate::{
     farm::stats::{FrameStats, FrameTask, NodeId},
 };
 
+/// Okabe and Ito's colours without black, which colour-blind people can tell apart: "Color Universal Design", 2008,
+/// <https://jfly.uni-koeln.de/color/>. Those that differ least are far from each other.
+const NODE_COLORS: [[u8; 3]; 7] =
+    [[230, 159, 0], [86, 180, 233], [0, 158, 115], [240, 228, 66], [204, 121, 167], [0, 114, 178], [213, 94, 0]];
+
 /// The colour of a render server: very different from those that joined before and after it.
 pub(super) fn node_color(NodeId(id): NodeId) -> Color32 {
-    // Steps of the golden ratio around the circle of hues; every second group of eight is darker.
-    let value = if id.wrapping_sub(1) / 8 % 2 == 0 { 0.95 } else { 0.55 };
-    Hsva::new((id as f32 * 0.618_034).fract(), 0.9, value, 1.0).into()
+    let index = id.wrapping_sub(1) as usize;
+    let [r, g, b] = NODE_COLORS[index % NODE_COLORS.len()];
+    let is_darker = index / NODE_COLORS.len() % 2 == 1;
+    let color = Color32::from_rgb(r, g, b);
+    if is_darker { color.lerp_to_gamma(Color32::BLACK, 0.45) } else { color }
 }
 
 const OPACITY: f32 = 0.45;
+/// Units at least this large on screen have sharp edges, in physical pixels; smaller ones would make a moiré.
+const SHARP_PX: f32 = 4.0;
+
+/// A tint on the GPU.
+#[derive(Clone)]
+struct Shown {
+    frame: u64,
+    tint: Tint,
+    n_merged: u32,
+    texture: TextureHandle,
+}
 
 /// Draws the tint over the picture, under all panels.
 pub(super) fn show(ui: &Ui, model: &OverlayModel) {
@@ -24,27 +42,60 @@ pub(super) fn show(ui: &Ui, model: &OverlayModel) {
     if tint == Tint::None || frame.tasks.is_empty() {
         return;
     }
+    let unit = unit_side(frame) as f32;
+    let unit_px = unit_pixels(model, size_vec(frame.size) / unit) * ui.pixels_per_point();
+    // Units smaller than a pixel are merged.
+    let n_merged = if unit_px < 1.0 { (1.0 / unit_px).ceil().min(MOST_MERGED) as u32 } else { 1 };
     let id = egui::Id::unique("tint");
-    let cached: Option<(u64, Tint, TextureHandle)> = ui.data(|data| data.get_temp(id));
-    let texture = match cached {
-        Some((number, of, texture)) if (number, of) == (frame.frame, tint) => texture,
-        _ => {
-            let texture = ui.ctx().load_texture("tint", image(tint, frame), TextureOptions::NEAREST);
-            ui.data_mut(|data| data.insert_temp(id, (frame.frame, tint, texture.clone())));
-            texture
-        }
-    };
-    // The last tiles may extend beyond the frame.
-    let texels = texture.size_vec2();
-    let unit = if texels == size_vec(frame.size) { 1.0 } else { TILE_SIZE as f32 };
-    let frame_in_texture = size_vec(frame.size) / (texels * unit);
+    let cached: Option<Shown> = ui.data(|data| data.get_temp(id));
+    let is_current = |it: &Shown| (it.frame, it.tint, it.n_merged) == (frame.frame, tint, n_merged);
+    let shown = cached.filter(is_current).unwrap_or_else(|| {
+        let is_sharp = unit_px * n_merged as f32 >= SHARP_PX;
+        let options = if is_sharp { TextureOptions::NEAREST } else { TextureOptions::LINEAR };
+        let texture = ui.ctx().load_texture("tint", merged(&image(tint, frame), n_merged as usize), options);
+        let shown = Shown { frame: frame.frame, tint, n_merged, texture };
+        ui.data_mut(|data| data.insert_temp(id, shown.clone()));
+        shown
+    });
+    // The last units may extend beyond the frame.
+    let frame_in_texture = size_vec(frame.size) / (shown.texture.size_vec2() * unit * n_merged as f32);
     let painter = ui.ctx().layer_painter(LayerId::background());
     for region in &model.regions {
         // Row 0 of a frame and of its texture is at the bottom.
         let uv = |point: Pos2| (egui::vec2(point.x, 1.0 - point.y) * frame_in_texture).to_pos2();
         let color = Color32::WHITE.gamma_multiply(OPACITY);
-        painter.with_clip_rect(region.window).add(region.textured(texture.id(), color, uv));
+        painter.with_clip_rect(region.window).add(region.textured(shown.texture.id(), color, uv));
     }
+}
+
+/// Units merged along each side, at most.
+const MOST_MERGED: f32 = 256.0;
+
+/// The least side of a unit on screen, in points, if the canvas has this many columns and rows of them.
+fn unit_pixels(model: &OverlayModel, n_units: egui::Vec2) -> f32 {
+    let unit = model.regions.iter().map(|region| region.window.size() / (region.canvas.size() * n_units));
+    unit.map(egui::Vec2::min_elem).fold(f32::INFINITY, f32::min).max(f32::MIN_POSITIVE)
+}
+
+/// Each square of `n` texels a side becomes one, of their mean colour.
+fn merged(image: &ColorImage, n: usize) -> ColorImage {
+    if n == 1 {
+        return image.clone();
+    }
+    let [width, height] = image.size;
+    let mean = |(left, top): (usize, usize)| {
+        let rows =
+            (top..(top + n).min(height)).map(|y| &image.pixels[y * width + left..y * width + (left + n).min(width)]);
+        let (mut sum, mut count) = ([0; 4], 0);
+        for texel in rows.flatten() {
+            sum.iter_mut().zip(texel.to_array()).for_each(|(sum, channel)| *sum += u32::from(channel));
+            count += 1;
+        }
+        let [r, g, b, a] = sum.map(|sum| (sum / count) as u8);
+        Color32::from_rgba_premultiplied(r, g, b, a)
+    };
+    let corners = (0..height).step_by(n).flat_map(|top| (0..width).step_by(n).map(move |left| (left, top)));
+    ColorImage::new([width.div_ceil(n), height.div_ceil(n)], corners.map(mean).collect())
 }
 
 pub(super) fn mark_pick(ui: &Ui, model: &OverlayModel) {
@@ -62,12 +113,18 @@ fn size_vec(size: FrameSize) -> egui::Vec2 {
     egui::vec2(size.xres() as f32, size.yres() as f32)
 }
 
-/// One texel for each unit of the frame, bottom row first: a tile, or a sample if the frame is interleaved.
+fn shares(frame: &FrameStats) -> impl Iterator<Item = (&FrameTask, Share)> {
+    frame.tasks.iter().filter_map(|task| Some((task, task.task.share(frame.size).ok()?)))
+}
+
+/// The side of a unit in samples: of a tile, or of a sample if the frame is interleaved.
+fn unit_side(frame: &FrameStats) -> u32 {
+    if shares(frame).any(|(_, share)| share.units().samples_per_full_unit() > 1) { TILE_SIZE } else { 1 }
+}
+
+/// One texel for each unit of the frame, bottom row first.
 fn image(tint: Tint, frame: &FrameStats) -> ColorImage {
-    let size = frame.size;
-    let shares = || frame.tasks.iter().filter_map(|task| Some((task, task.task.share(size).ok()?)));
-    let is_by_tiles = shares().any(|(_, share)| share.units().samples_per_full_unit() > 1);
-    let unit = if is_by_tiles { TILE_SIZE } else { 1 };
+    let (size, unit) = (frame.size, unit_side(frame));
     let texels = [size.xres().div_ceil(unit), size.yres().div_ceil(unit)].map(|side| side as usize);
     let mut image = ColorImage::filled(texels, Color32::TRANSPARENT);
     let mut set = |share: &Share, k: u32, color: Color32| {
@@ -80,15 +137,14 @@ fn image(tint: Tint, frame: &FrameStats) -> ColorImage {
     match tint {
         Tint::None => {}
         Tint::Nodes => {
-            for (task, share) in shares() {
+            for (task, share) in shares(frame) {
                 (0..share.count()).for_each(|k| set(&share, k, node_color(task.node)));
             }
         }
         Tint::Cost => {
-            let costs: Vec<_> = shares().map(|(task, share)| unit_costs(task, &share)).collect();
-            let most = usual_most(costs.iter().flatten().copied());
-            for ((_, share), costs) in shares().zip(&costs) {
-                (0..).zip(costs).for_each(|(k, &cost)| set(&share, k, heat(cost, most)));
+            let (most, _) = usual_most_ns(frame);
+            for (task, share) in shares(frame) {
+                (0..).zip(unit_costs(task, &share)).for_each(|(k, cost)| set(&share, k, heat(cost / most)));
             }
         }
     }
@@ -109,23 +165,35 @@ fn unit_costs(task: &FrameTask, share: &Share) -> Vec<f32> {
     costs
 }
 
+/// The cost at the end of the scale, in nanoseconds above zero, and the name of a unit.
+///
 /// The 99th percentile: one tile during which a node was interrupted does not make all others look free.
-fn usual_most(costs: impl Iterator<Item = f32>) -> f32 {
-    let mut sorted: Vec<f32> = costs.collect();
-    sorted.sort_by(f32::total_cmp);
-    sorted.get(sorted.len().saturating_sub(1) * 99 / 100).copied().unwrap_or(0.0)
+pub(super) fn usual_most_ns(frame: &FrameStats) -> (f32, &'static str) {
+    let mut sorted: Vec<f32> = shares(frame).flat_map(|(task, share)| unit_costs(task, &share)).collect();
+    let nth = sorted.len().saturating_sub(1) * 99 / 100;
+    let most = if sorted.is_empty() { 0.0 } else { *sorted.select_nth_unstable_by(nth, f32::total_cmp).1 };
+    (most.max(f32::MIN_POSITIVE), if unit_side(frame) > 1 { "tile" } else { "sample" })
 }
 
-/// From blue at 0 over yellow to red.
-fn heat(cost: f32, most: f32) -> Color32 {
-    let part = if most > 0.0 { (cost / most).clamp(0.0, 1.0) } else { 0.0 };
-    let stops = [[30.0, 60.0, 200.0], [250.0, 220.0, 60.0], [230.0, 40.0, 30.0]];
-    let (index, within) = if part < 0.5 { (0, part * 2.0) } else { (1, part * 2.0 - 1.0) };
-    let [r, g, b] = [0, 1, 2].map(|channel: usize| {
-        let (from, to): (f32, f32) = (stops[index][channel], stops[index + 1][channel]);
-        (from + (to - from) * within) as u8
-    });
-    Color32::from_rgb(r, g, b)
+/// The colour of a part of the scale, from dark at 0 to bright at 1: viridis, by Smith and van der Walt, whose order
+/// colour-blind people see too.
+pub(super) fn heat(part: f32) -> Color32 {
+    const STOPS: [[u8; 3]; 9] = [
+        [68, 1, 84],
+        [71, 44, 122],
+        [59, 81, 139],
+        [44, 113, 142],
+        [33, 144, 141],
+        [39, 173, 129],
+        [92, 200, 99],
+        [170, 220, 50],
+        [253, 231, 37],
+    ];
+    let at = part.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
+    let index = (at as usize).min(STOPS.len() - 2);
+    let [from, to] =
+        [index, index + 1].map(|index| Color32::from_rgb(STOPS[index][0], STOPS[index][1], STOPS[index][2]));
+    from.lerp_to_gamma(to, at - index as f32)
 }
 
 #[cfg(test)]
@@ -161,15 +229,33 @@ mod tests {
     #[test]
     fn measured_blocks_have_their_own_colors_and_others_the_mean() {
         let mut frame = frame(Division::Dynamic, [32, 8], 1);
-        assert_eq!(image(Tint::Cost, &frame).pixels, vec![heat(1.0, 1.0); 4], "one cost for all");
+        assert_eq!(image(Tint::Cost, &frame).pixels, vec![heat(1.0); 4], "one cost for all");
         let mut tasks = frame.tasks.to_vec();
         tasks[0].costs = RunCosts { run_units: 2, cpu_ns: vec![100, 900] };
         frame.tasks = tasks.into();
         let mut colors = image(Tint::Cost, &frame).pixels;
         colors.sort_by_key(Color32::to_array);
-        let mut expected = [50.0, 50.0, 450.0, 450.0].map(|cost| heat(cost, 450.0));
+        let mut expected = [50.0, 50.0, 450.0, 450.0].map(|cost: f32| heat(cost / 450.0));
         expected.sort_by_key(Color32::to_array);
         assert_eq!(colors, expected);
+    }
+
+    #[test]
+    fn units_smaller_than_a_pixel_are_merged_into_their_mean() {
+        let interleaved = image(Tint::Nodes, &frame(Division::Interleaved, [6, 3], 2));
+        let half = merged(&interleaved, 2);
+        assert_eq!(half.size, [3, 2]);
+        let [a, b] = [1, 2].map(|id| node_color(NodeId(id)).to_array());
+        let mean = half.pixels[0].to_array();
+        assert!((0..4).all(|channel| mean[channel] == ((u32::from(a[channel]) + u32::from(b[channel])) / 2) as u8));
+        assert!(half.pixels.iter().all(|&pixel| pixel == half.pixels[0]), "no moiré: {half:?}");
+    }
+
+    #[test]
+    fn higher_costs_are_brighter() {
+        let brightness = |step: u8| heat(f32::from(step) / 20.0).intensity();
+        assert!((0..20).all(|step| brightness(step) < brightness(step + 1)));
+        assert_eq!((heat(-1.0), heat(2.0)), (heat(0.0), heat(1.0)));
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use egui::{Align, Align2, Color32, FontId, Layout, Rect, RichText, Sense, Stroke, StrokeKind, Ui, vec2};
+use egui::{Align2, Color32, FontId, Rect, RichText, Sense, Stroke, StrokeKind, Ui, vec2};
 use glam::DVec2;
 use shared::printable::printable_line;
 
@@ -12,8 +12,6 @@ use crate::wall::{
     outline::{Outline, font_size},
 };
 
-/// The panel's width in points.
-pub(super) const WIDTH: f32 = 310.0;
 /// The drawing's greatest height in points.
 const MAX_HEIGHT: f32 = 190.0;
 /// With more outputs than this, only those that show nothing have a line.
@@ -72,13 +70,13 @@ impl OutputState {
 
 pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
     let (drawing, outputs) = (&model.wall, &model.outputs);
-    ui.horizontal(|ui| {
+    let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+    let text = format!("{}, {}", count(drawing.projectors.len(), "projector"), count(outputs.len(), "output"));
+    let counts = |ui: &mut Ui| {
+        ui.label(RichText::new(text).small().weak());
+    };
+    style::line(ui, counts, |ui| {
         ui.label(RichText::new("Wall").strong());
-        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-            let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
-            let text = format!("{}, {}", count(drawing.projectors.len(), "projector"), count(outputs.len(), "output"));
-            ui.label(RichText::new(text).small().weak());
-        });
     });
     draw(ui, drawing, outputs);
     let n_showing = outputs.iter().filter(|output| matches!(output.shows, OutputContent::Frame(_))).count();
@@ -87,12 +85,12 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
         ui.label(format!("{n_showing} of {} outputs show frames", outputs.len()));
     }
     for output in outputs.iter().filter(|output| !is_long || !matches!(output.shows, OutputContent::Frame(_))) {
-        ui.horizontal(|ui| {
+        let (state, color) = output.state();
+        let state = |ui: &mut Ui| {
+            ui.label(RichText::new(state).color(color));
+        };
+        style::line(ui, state, |ui| {
             ui.label(output.name());
-            ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
-                let (state, color) = output.state();
-                ui.label(RichText::new(state).color(color));
-            });
         });
     }
 }

@@ -51,7 +51,7 @@ fn what_is_shown_when_nobody_renders_is_a_setting() {
     assert_eq!(of("on_loss = \"last-frame\"\n"), OnLoss::LastFrame);
     let black = Wall::from_toml("a.toml", &text("on_loss = \"black\"\n")).unwrap();
     assert!(black.to_toml().contains("on_loss = \"black\""));
-    let warped = black.with_warp(0, [[0.5, 0.0], [0.0; 2], [0.0; 2], [0.0; 2]]).unwrap();
+    let warped = black.with_warps(&[(0, [[0.5, 0.0], [0.0; 2], [0.0; 2], [0.0; 2]])]).unwrap();
     assert_eq!(warped.on_loss(), OnLoss::Black, "moving a corner changes nothing else");
     let problem = problem(&text("on_loss = \"white\"\n"));
     assert!(problem.starts_with("a.toml:2: ") && problem.contains("`last-frame` or `black`"), "{problem}");

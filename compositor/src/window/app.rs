@@ -155,11 +155,7 @@ impl<'a> App<'a> {
         }
         if let Some(problem) = problem {
             tracing::error!("{problem}");
-            // Only the panel shows problems.
-            if !self.overlay.panel && !self.kiosk.is_locked {
-                self.messages.show_note(problem.clone(), Instant::now());
-            }
-            self.messages.problem = Some(problem);
+            self.messages.show_problem(problem, Instant::now());
         }
         if let Some(job) = job {
             self.jobs.add(job);
@@ -210,11 +206,10 @@ impl<'a> App<'a> {
     fn show_model(&mut self, model: Model, sidecars: SidecarFiles) {
         let name = name_of(&model.source);
         tracing::info!("showing {name}: {} triangles", model.n_triangles);
-        let problem = sidecars.problem().map(str::to_owned);
-        if let Some(problem) = &problem {
-            tracing::warn!("{problem}");
+        self.messages.problem = None;
+        if let Some(problem) = sidecars.problem() {
+            self.apply(Effect::problem(problem));
         }
-        self.messages.problem = problem;
         self.overlay.pick = None;
         self.overlay.model = Some(ModelSummary {
             name: name.clone(),
@@ -298,9 +293,11 @@ impl ApplicationHandler<Call> for App<'_> {
                 self.modifiers = modifiers.state();
                 self.forward_to_overlay(index, &event);
             }
-            WindowEvent::KeyboardInput { event: key, is_synthetic: false, .. } => self.key(event_loop, key),
+            WindowEvent::KeyboardInput { event: key, is_synthetic: false, .. } => {
+                self.key(event_loop, index, &event, key);
+            }
             WindowEvent::CursorMoved { position, .. } => self.cursor_moved(index, &event, *position),
-            WindowEvent::CursorLeft { .. } => self.forward_to_overlay(index, &event),
+            WindowEvent::CursorLeft { .. } | WindowEvent::Ime(_) => self.forward_to_overlay(index, &event),
             WindowEvent::MouseInput { state, button, .. } => self.mouse_button(index, &event, *state, *button),
             WindowEvent::MouseWheel { delta, .. } => self.wheel(index, &event, *delta),
             WindowEvent::DroppedFile(path) if !self.kiosk.is_locked => {

@@ -199,6 +199,11 @@ impl Outputs {
         self.all.iter().filter(|output| output.screen.is_none()).filter_map(|output| output.monitor.clone()).collect()
     }
 
+    /// Whether a window has pixels to draw on.
+    pub(super) fn is_open(&self) -> bool {
+        self.all.iter().filter_map(|output| output.screen.as_ref()).any(|screen| !screen.surface.size().contains(&0))
+    }
+
     /// The first window, which shows the overlay's panels.
     fn lead(&self) -> Option<(usize, &Screen)> {
         self.all.iter().enumerate().find_map(|(index, output)| Some((index, output.screen.as_ref()?)))
@@ -229,15 +234,24 @@ impl Outputs {
         Some(egui::pos2((at.x / scale) as f32, (at.y / scale) as f32))
     }
 
+    /// Whether a field of the overlay has the focus, and so the keys.
+    pub(super) fn field_has_focus(&self) -> bool {
+        self.lead().is_some_and(|(_, screen)| screen.egui.egui_ctx().egui_wants_keyboard_input())
+    }
+
+    /// Takes the focus from the overlay's field, as a press outside the overlay does.
+    pub(super) fn take_focus(&self) {
+        let context = self.lead().map(|(_, screen)| screen.egui.egui_ctx());
+        context.into_iter().for_each(|context| context.memory_mut(egui::Memory::stop_text_input));
+    }
+
     /// Passes an event to the overlay if it belongs to the window with the panels.
     pub(super) fn forward_to_overlay(&mut self, index: usize, event: &WindowEvent) {
         let is_lead = self.lead().is_some_and(|(lead, _)| lead == index);
-        // Modifier keys count in every window.
-        let index = if matches!(event, WindowEvent::ModifiersChanged(_)) {
-            self.lead().map(|(lead, _)| lead)
-        } else {
-            is_lead.then_some(index)
-        };
+        // Keys count in every window.
+        let is_typed =
+            matches!(event, WindowEvent::ModifiersChanged(_) | WindowEvent::KeyboardInput { .. } | WindowEvent::Ime(_));
+        let index = if is_typed { self.lead().map(|(lead, _)| lead) } else { is_lead.then_some(index) };
         if let Some(screen) = index.and_then(|index| self.all[index].screen.as_mut()) {
             // Whether the overlay used the event does not matter: it was meant for it.
             let _ = screen.egui.on_window_event(&screen.window, event);

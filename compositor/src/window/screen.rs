@@ -64,7 +64,12 @@ impl Screen {
         context.set_zoom_factor(self.zoom());
         let input = self.egui.take_egui_input(&self.window);
         let mut output = OverlayOutput::default();
-        let full = context.run_ui(input, |ui| output = overlay::show(ui, model));
+        // egui may run twice; only the first time sees clicks.
+        let full = context.run_ui(input, |ui| {
+            let OverlayOutput { commands, areas } = overlay::show(ui, model);
+            output.commands.extend(commands);
+            output.areas = areas;
+        });
         let repaint_after =
             full.viewport_output.get(&egui::ViewportId::ROOT).map_or(Duration::MAX, |viewport| viewport.repaint_delay);
         self.egui.handle_platform_output(&self.window, full.platform_output);

@@ -57,7 +57,8 @@ impl Pattern {
     pub(crate) fn help(self) -> &'static str {
         match self {
             Self::Align => {
-                "drag a corner, or Tab and arrows (Shift: finer); lines of neighbours must meet; Ctrl+S saves"
+                "drag a corner, or Tab and arrows (Shift: finer), until lines of neighbours meet; Backspace resets a \
+                 corner (Shift: all), Ctrl+Z undoes, Ctrl+S saves"
             }
             Self::Names => "which projector is which; the triangle is at its first pixel",
             Self::Pixels => "the checkerboards must be even: if not, something scales the picture",

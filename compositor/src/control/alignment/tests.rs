@@ -120,6 +120,48 @@ fn arrows_move_the_selected_corner_of_the_align_pattern_only() {
 }
 
 #[test]
+fn moves_of_corners_are_undone_and_redone_step_by_step() {
+    let mut alignment = aligning(None, Wall::paper());
+    let straight = alignment.wall.clone();
+    assert!(alignment.press(DVec2::new(1030.0, 5.0)));
+    for step in 1..=5 {
+        assert!(alignment.drag_to(DVec2::new(1030.0 + f64::from(step), 5.0)), "a drag of five events is one step");
+    }
+    alignment.release();
+    let dragged = alignment.wall.clone();
+    assert!(alignment.press_key(NamedKey::ArrowDown, false));
+    let nudged = alignment.wall.clone();
+    assert!(alignment.press_key(NamedKey::Backspace, false));
+    assert_eq!(alignment.wall, straight, "one corner was moved");
+    alignment.next_corner();
+    assert!(alignment.move_by(DVec2::new(2.0, 2.0)) && alignment.press_key(NamedKey::Backspace, true));
+    assert_eq!(alignment.wall, straight, "all corners are reset");
+    for _ in 0..3 {
+        alignment.undo();
+    }
+    assert_eq!(alignment.wall, nudged);
+    alignment.undo();
+    assert_eq!(alignment.wall, dragged);
+    alignment.undo();
+    assert_eq!(alignment.wall, straight);
+    assert_eq!(alignment.undo(), "No corner was moved");
+    alignment.redo();
+    alignment.redo();
+    assert_eq!(alignment.wall, nudged);
+    assert!(alignment.press_key(NamedKey::ArrowLeft, false), "a new step");
+    assert_eq!(alignment.redo(), "No move of corners was taken back");
+}
+
+#[test]
+fn the_history_of_moves_is_bounded() {
+    let mut alignment = aligning(None, Wall::of_one_output([640, 360]));
+    alignment.next_corner();
+    assert!((0..1000).all(|_| alignment.move_by(DVec2::new(0.05, 0.0))));
+    let n_undone = (0..1000).filter(|_| alignment.undo() != "No corner was moved").count();
+    assert_eq!(n_undone, 256);
+}
+
+#[test]
 fn saved_corners_can_be_read_and_the_rest_of_the_file_stays() {
     let folder = std::env::temp_dir().join(format!("corners-{}", std::process::id()));
     fs::create_dir_all(&folder).expect("a folder");

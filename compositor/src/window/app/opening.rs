@@ -38,7 +38,8 @@ impl Browser {
     }
 
     fn list_folder(&mut self, folder: PathBuf) -> Effect {
-        self.files = Some(FileList { folder: folder.display().to_string(), ..FileList::default() });
+        let files = FileList { folder: folder.display().to_string(), is_loading: true, ..FileList::default() };
+        self.files = Some(files);
         self.folder = folder.clone();
         Effect::job(move || Ok(Effect { files: Some(list(&folder)), ..Effect::default() }))
     }
@@ -148,7 +149,10 @@ mod tests {
         assert_eq!((listed.chosen, listed.problem), (1, None));
         let mut browser = Browser::new(&SceneSource::Ply(folder.join("b.PLY")));
         let job = browser.toggle().job.expect("the folder is to be read");
+        let is_loading = |browser: &Browser| browser.files.as_ref().map(|files| files.is_loading);
+        assert_eq!(is_loading(&browser), Some(true));
         browser.show(job().files.expect("the folder's files"));
+        assert_eq!(is_loading(&browser), Some(false));
         assert_eq!(browser.command(Key::Named(NamedKey::ArrowDown)), Some(Command::Choose(2)));
         browser.choose(9);
         assert_eq!(browser.files.as_ref().map(|files| files.chosen), Some(2));

@@ -13,7 +13,7 @@ use crate::{
     window::{effect::Effect, frame_rate::FrameRate},
 };
 
-/// A waiting frame that has nothing to be drawn on is tried again after this.
+/// What has nothing to be drawn on is drawn again after this.
 const RETRY_INTERVAL: Duration = Duration::from_millis(100);
 /// The overlay shows the times of the last frame after this, unless another frame comes first.
 const SETTLE_TIME: Duration = Duration::from_millis(100);
@@ -42,7 +42,8 @@ impl App<'_> {
         let before = self.overlay.clone();
         self.update_overlay(Instant::now());
         // A new round-trip time alone does not redraw a resting wall.
-        self.overlay.is_visible() && without_pings(before) != without_pings(self.overlay.clone())
+        let is_seen = before.is_visible() || self.overlay.is_visible();
+        is_seen && without_pings(before) != without_pings(self.overlay.clone())
     }
 
     fn update_overlay(&mut self, now: Instant) {
@@ -67,10 +68,14 @@ impl App<'_> {
         overlay.is_playing = self.camera.is_playing();
         overlay.views = self.camera.view_numbers();
         overlay.files = self.browser.files.clone();
+        overlay.is_aligning = self.wall.has_pattern();
         overlay.loading = self.loader.progress();
         overlay.frames_per_second = self.presentation.rate.per_second(now);
         overlay.note = self.messages.note(now);
-        overlay.messages = self.messages.list(&overlay.status, &self.outputs.missing());
+        let has_panel = overlay.panel && !overlay.is_aligning;
+        let messages = self.messages.list(&overlay.status, &self.outputs.missing(), has_panel, now);
+        // Messages are for operators.
+        overlay.messages = if self.kiosk.is_locked { Vec::new() } else { messages };
     }
 
     pub(super) fn draw(&mut self, event_loop: &ActiveEventLoop) {
@@ -82,8 +87,9 @@ impl App<'_> {
         let started_at = Instant::now();
         let drawn = match self.outputs.draw(&self.wall.wall, new_frame, &self.overlay) {
             Ok(Some(drawn)) => drawn,
+            // Whatever was to be shown has yet to be: a frame, or a change of the overlay.
             Ok(None) => {
-                self.presentation.retry_at = self.presentation.is_new.then(|| Instant::now() + RETRY_INTERVAL);
+                self.presentation.retry_at = self.outputs.is_open().then(|| Instant::now() + RETRY_INTERVAL);
                 return;
             }
             Err(error) => return self.fail(event_loop, error),
@@ -175,7 +181,9 @@ impl App<'_> {
         if self.overlay.is_visible() {
             let rests_at = self.overlay.frames_per_second.and_then(|_| self.presentation.rate.rests_at());
             let note_ends_at = self.overlay.note.as_ref().and_then(|_| self.messages.note_ends_at());
-            redraws.extend([rests_at, note_ends_at, self.presentation.repaint_at]);
+            let has_messages = !self.overlay.messages.is_empty();
+            let news_end_at = self.messages.news_end_at().filter(|_| has_messages);
+            redraws.extend([rests_at, note_ends_at, news_end_at, self.presentation.repaint_at]);
         }
         if redraws.iter().flatten().any(|&redraw_at| now >= redraw_at) {
             self.redraw();

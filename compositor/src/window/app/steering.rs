@@ -32,29 +32,38 @@ use crate::{
 const PIXELS_PER_NOTCH: f64 = 50.0;
 
 impl App<'_> {
-    pub(super) fn key(&mut self, event_loop: &ActiveEventLoop, event: &KeyEvent) {
-        let is_pressed = event.state == ElementState::Pressed;
+    pub(super) fn key(&mut self, event_loop: &ActiveEventLoop, index: usize, event: &WindowEvent, key: &KeyEvent) {
+        let is_pressed = key.state == ElementState::Pressed;
         let now = Instant::now();
         self.kiosk.touch(now);
+        // The field that has the focus gets every press; releases are for all, who may have seen the press.
+        let is_typed = self.overlay.is_visible() && self.outputs.field_has_focus();
+        if is_typed || !is_pressed {
+            self.forward_to_overlay(index, event);
+        }
+        if is_typed && is_pressed {
+            return;
+        }
         // Alignment takes only presses: a key that was pressed before the pattern came must still be released.
-        if let keyboard::Key::Named(key) = event.logical_key
+        if let keyboard::Key::Named(named) = key.logical_key
             && is_pressed
             && !self.kiosk.is_locked
-            && self.wall.press_key(key, self.modifiers.shift_key())
+            && self.wall.press_key(named, self.modifiers.shift_key())
         {
             return self.redraw();
         }
         // Likewise for a key that was pressed before Ctrl.
         let has_ctrl = is_pressed && self.modifiers.control_key();
-        let Some(key) = Key::from_winit(&event.logical_key, has_ctrl) else { return };
-        if is_pressed && let Some(command) = self.browser.command(key) {
+        let has_shift = self.modifiers.shift_key();
+        let Some(cap) = Key::from_winit(&key.logical_key, has_ctrl, has_shift) else { return };
+        if is_pressed && let Some(command) = self.browser.command(cap) {
             return self.execute(event_loop, command);
         }
-        match input::action(key) {
-            Some(KeyAction::Fly(direction)) if !(is_pressed && event.repeat) => {
+        match input::action(cap) {
+            Some(KeyAction::Fly(direction)) if !(is_pressed && key.repeat) => {
                 self.camera.fly(direction, is_pressed, now);
             }
-            Some(KeyAction::Trigger(command)) if is_pressed && (!event.repeat || command.repeats()) => {
+            Some(KeyAction::Trigger(command)) if is_pressed && (!key.repeat || command.repeats()) => {
                 self.execute(event_loop, command);
             }
             _ => {}
@@ -134,6 +143,8 @@ impl App<'_> {
             Command::SaveCorners => {
                 self.wall.save().map_or_else(|problem| Effect::problem(problem.to_string()), Effect::note)
             }
+            Command::Undo => Effect::note(self.wall.undo()),
+            Command::Redo => Effect::note(self.wall.redo()),
             Command::ToggleLock => self.toggle_lock(),
             Command::DismissMessage => {
                 self.messages.dismiss(self.farm.status(), self.outputs.missing());
@@ -281,6 +292,10 @@ impl App<'_> {
         if self.pointer.overlay_is_pressed || (self.cursor_is_over_overlay() && !self.camera.is_dragging()) {
             self.pointer.overlay_is_pressed = is_pressed;
             return self.forward_to_overlay(index, event);
+        }
+        if is_pressed && self.outputs.field_has_focus() {
+            self.outputs.take_focus();
+            self.redraw();
         }
         let now = Instant::now();
         self.kiosk.touch(now);
