@@ -1,11 +1,12 @@
 //! Runs a wall from its command line: model, farm, local render servers, with or without a window.
 
-use std::{cell::RefCell, ops::ControlFlow, rc::Rc, sync::mpsc, time::Instant};
+use std::{cell::RefCell, net::SocketAddr, ops::ControlFlow, rc::Rc, sync::mpsc, time::Instant};
 
 use anyhow::{Context, bail};
 use channel::key::{Key, make_key_command};
 use renderer::{
     cli::{
+        check_writable,
         progress::Progress,
         say,
         stop::{self, Signal, Stopped},
@@ -13,7 +14,10 @@ use renderer::{
     model::scene::SceneSource,
 };
 use shared::{camera::Camera, protocol::FrameSpec};
-use tokio::{net::TcpListener, runtime::Runtime};
+use tokio::{
+    net::{TcpListener, lookup_host},
+    runtime::Runtime,
+};
 
 use super::{
     args::{Inputs, WallArgs},
@@ -42,6 +46,7 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
     if let Some(size) = args.size {
         inputs.wall = inputs.wall.with_frame_size(size);
     }
+    [&args.screenshot, &args.stats].into_iter().flatten().try_for_each(|path| check_writable(path))?;
     if args.headless {
         return run_headless(args, inputs);
     }
@@ -125,7 +130,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         return Err(stopped.into());
     }
     if let Some(path) = &args.screenshot {
-        headless.image()?.write_png(path).with_context(|| format!("no screenshot {}", path.display()))?;
+        headless.image()?.write_png(path)?;
         say(format_args!("wrote {}", path.display()))?;
     }
     Ok(())
@@ -242,15 +247,23 @@ pub fn network_threads() -> anyhow::Result<Runtime> {
 
 fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
     let address = args.listen();
-    if !address.ip().to_canonical().is_loopback() && args.key.is_none() && !args.insecure {
+    let resolved = runtime.block_on(lookup_host(&address)).with_context(|| {
+        format!(
+            "--listen {address} is no address or name of this machine: write it as HOST:PORT, for example 0.0.0.0:7117"
+        )
+    })?;
+    let addresses: Vec<SocketAddr> = resolved.collect();
+    let is_loopback = addresses.iter().all(|address| address.ip().to_canonical().is_loopback());
+    if !is_loopback && args.key.is_none() && !args.insecure {
         bail!(
             "--listen {address} is open to the network: make a key with `{}`, copy it to the render servers and \
              give it to both sides with --key wall.key, or add --insecure if you trust everybody on the network",
             make_key_command("wall.key".as_ref())
         );
     }
-    let listener = runtime.block_on(TcpListener::bind(address)).with_context(|| {
-        format!("cannot listen on {address}: is another wall running? --listen {}:0 takes a free port", address.ip())
+    let listener = runtime.block_on(TcpListener::bind(&*addresses)).with_context(|| {
+        let host = address.rsplit_once(':').map_or(&*address, |(host, _)| host);
+        format!("cannot listen on {address}: is another wall running? --listen {host}:0 takes a free port")
     })?;
     // Scripts and people read the address to connect to.
     say(format_args!("listening on {}", listener.local_addr()?))?;

@@ -19,6 +19,7 @@ use tokio::{
 
 use crate::{
     cli::{
+        between,
         scene_args::SceneArgs,
         stop::{self, Signal},
     },
@@ -52,7 +53,7 @@ pub struct ConnectArgs {
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Number of tracing threads [default: one for each core]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = between(1_u32..=1024))]
     pub threads: Option<u32>,
     /// The name that the wall shows [default: this machine's name]
     #[arg(long, value_name = "NAME")]
@@ -95,6 +96,9 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         None if args.blank => SceneLoader::synthetic(pool, SyntheticPicture::noise()),
         None => SceneLoader::start(pool, args.model, args.scene.options(), args.local)?,
     };
+    if with_port(&args.wall).starts_with(':') {
+        bail!("the wall has no name: write it as HOST or HOST:PORT, for example wall.example:{DEFAULT_PORT}");
+    }
     // This thread reads, writes and sends heartbeats; it never traces.
     let runtime = tokio::runtime::Builder::new_current_thread()
         .thread_name("work")
@@ -158,7 +162,7 @@ async fn keep_connected(
 }
 
 /// The address with a port: [`DEFAULT_PORT`] unless it names one.
-fn with_port(wall: &str) -> String {
+pub fn with_port(wall: &str) -> String {
     match wall.trim_matches(['[', ']']).parse::<IpAddr>() {
         Ok(address) => SocketAddr::new(address, DEFAULT_PORT).to_string(),
         Err(_) if wall.contains(':') => wall.to_owned(),
