@@ -101,11 +101,16 @@ pub struct WallArgs {
     #[arg(long, help_heading = "Film", value_name = "F", default_value_t = 30.0, requires = "path",
         value_parser = pictures_per_second)]
     pub fps: f64,
-    /// Write each picture of the film, the whole wall at full resolution, to this folder; with --headless and --path
+    /// Write each picture of the film, the whole wall at full resolution, to this folder, and go on with a film that was
+    /// begun there; with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "FOLDER", requires = "path", requires = "headless")]
     pub pictures: Option<PathBuf>,
-    /// Rays averaged for each sample, in linear light: 1 to 256 [default: 16 at rest if the resolution follows the motion,
-    /// else 1]
+    /// Write the film to this file, through ffmpeg; with --headless and --path
+    #[arg(long, help_heading = "Film", value_name = "FILE.mp4", requires = "path", requires = "headless",
+        conflicts_with = "pictures", value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "mp4")))]
+    pub film: Option<PathBuf>,
+    /// Rays averaged for each sample, in linear light: 1 to 256 [default: 16 in a film, and at rest if the resolution
+    /// follows the motion; else 1]
     #[arg(long, value_name = "N", value_parser = between(1..=SampleRange::LARGEST_COUNT))]
     pub samples: Option<u32>,
     /// Frames a second while the camera moves: the resolution drops until this rate is reached; at rest the wall returns to
@@ -146,7 +151,7 @@ pub struct WallArgs {
     /// Key light, background and clip plane.
     #[command(flatten)]
     pub appearance: AppearanceArgs,
-    /// Samples of a frame [default: as in the wall file, or 1024x512]
+    /// Samples of a frame [default: of a film the wall's resolution, else as in the wall file, or 1024x512]
     #[arg(long, value_name = "WxH")]
     pub size: Option<FrameSize>,
     /// Fill the screen; a wall whose file names outputs always fills them
@@ -195,7 +200,13 @@ fn target_rate(text: &str) -> Result<f64, String> {
 impl WallArgs {
     /// The rays averaged for each sample of frames whose resolution does not follow the motion.
     pub fn sample_range(&self) -> SampleRange {
-        SampleRange { first: 0, count: self.samples.unwrap_or(1) }
+        let default = if self.writes_film() { refinement::DEFAULT_SAMPLES } else { 1 };
+        SampleRange { first: 0, count: self.samples.unwrap_or(default) }
+    }
+
+    /// Whether pictures of a film are kept; otherwise a path is only measured.
+    pub fn writes_film(&self) -> bool {
+        self.pictures.is_some() || self.film.is_some()
     }
 
     /// The refinement's options. It is off by default where frames are counted or have a fixed size: these are measured.
@@ -248,6 +259,15 @@ mod tests {
         };
         assert_eq!(["size", "headless", "stats", "model"].map(heading), [None; 4]);
         assert_eq!([heading("clip"), heading("kiosk")], [Some("Appearance"), Some("Window")]);
+    }
+
+    #[test]
+    fn a_film_has_the_walls_samples() {
+        let parse =
+            |args: &[&str]| Args::parse_from(["compositor", "--headless", "--path", "p"].iter().chain(args)).wall;
+        let count = |args: &[&str]| parse(args).sample_range().count;
+        assert_eq!([count(&[]), count(&["--pictures", "p"]), count(&["--film", "f.mp4"])], [1, 16, 16]);
+        assert_eq!(count(&["--film", "f.mp4", "--samples", "2"]), 2);
     }
 
     #[test]

@@ -14,7 +14,7 @@ use crate::{
     wall::Wall,
 };
 
-pub use film::Film;
+pub use film::{Film, Output, Pictures, Video};
 
 /// News for a wall without a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -21,7 +21,7 @@ use tokio::{
 
 use super::{
     args::{Inputs, WallArgs},
-    headless::{Film, Headless, Wakeup, Wakeups},
+    headless::{Film, Headless, Output, Pictures, Video, Wakeup, Wakeups},
     local::LocalServers,
     report::Report,
 };
@@ -43,7 +43,8 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
         camera: args.show.read_camera()?,
         path: args.path.as_deref().map(sidecar::read_path).transpose().map_err(anyhow::Error::msg)?,
     };
-    if let Some(size) = args.size {
+    let native_of_film = args.writes_film().then(|| inputs.wall.native_size());
+    if let Some(size) = args.size.or(native_of_film) {
         inputs.wall = inputs.wall.with_frame_size(size);
     }
     [&args.screenshot, &args.stats].into_iter().flatten().try_for_each(|path| check_writable(path))?;
@@ -69,6 +70,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
     let (aspect, size) = (wall.aspect(), wall.frame_size());
     let mut refinement = Refinement::new(args.refinement(&wall));
     // Quick checks come first: reading a model can take minutes.
+    let output = film_output(args, wall.output_size())?;
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
@@ -82,12 +84,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         let _ = wake_farm.try_send(Wakeup::Farm);
     })?;
     let model = load_model(args.show.model.source())?;
-    let film = path.map(|path| Film {
-        path,
-        fps: args.fps,
-        most: args.frames.unwrap_or(u32::MAX),
-        folder: args.pictures.clone(),
-    });
+    let film = path.map(|path| Film { path, fps: args.fps, most: args.frames.unwrap_or(u32::MAX) });
     let camera = camera.or_else(|| film.as_ref().map(|film| film.path.at(0.0))).unwrap_or_else(|| {
         let kept_up = || SidecarFiles::read(&model.source).views().and_then(|views| views.up);
         let up = args.up.or_else(kept_up).unwrap_or_default();
@@ -112,7 +109,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         wake_to_stop(wake);
     }
     let report = match film {
-        Some(film) => headless.show_film(&farm, &wakeups, &film)?,
+        Some(film) => headless.show_film(&farm, &wakeups, &film, output)?,
         None if refinement.is_on() => {
             refinement.limit_sides(headless.gpu().device.limits().max_texture_dimension_2d);
             headless.show_refined(&farm, &wakeups, n_frames, spec, &mut refinement)?
@@ -134,6 +131,15 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         say(format_args!("wrote {}", path.display()))?;
     }
     Ok(())
+}
+
+/// Begins what the film goes to; pictures have `size`: columns, rows.
+fn film_output(args: &WallArgs, size: [u32; 2]) -> anyhow::Result<Output> {
+    Ok(match (&args.pictures, &args.film) {
+        (Some(folder), _) => Output::Pictures(Pictures::begin(folder, args.fps)?),
+        (_, Some(path)) => Output::Video(Box::new(Video::begin(path, args.fps, size)?)),
+        _ => Output::Nowhere,
+    })
 }
 
 fn run_window(args: &WallArgs, inputs: Inputs, supervisor: Option<SupervisorLink>) -> anyhow::Result<()> {
