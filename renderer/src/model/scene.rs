@@ -118,7 +118,7 @@ mod tests {
     fn a_model_without_triangles_is_told_from_one_with_wrong_indices() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.ply");
-        let mut error = |faces: &str| {
+        let error = |faces: &str| {
             let header =
                 "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
             std::fs::write(&path, format!("{header}{faces}")).unwrap();
