@@ -71,7 +71,8 @@ case $manager in
 esac
 
 echo "Missing packages:$missing"
-echo "To install it: $install"
+echo "To install them: $install"
+[ $manager != apt ] || echo "apt may upgrade packages that these depend on; add --simulate to see which."
 if [ "${YES:-}" != 1 ] && [ -z "${CI:-}" ]; then
     printf 'Install now? [Y/n] '
     read -r answer || answer=n

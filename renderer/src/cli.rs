@@ -13,11 +13,15 @@ use std::{
     ffi::OsString,
     fmt::{Debug, Display},
     io::{ErrorKind, IsTerminal, Write},
+    ops::RangeInclusive,
+    path::Path,
     process::ExitCode,
+    str::FromStr,
 };
 
 use anyhow::{Context, Result};
-use clap::{Parser, Subcommand};
+use channel::files;
+use clap::{Parser, Subcommand, error::ErrorKind as ParseErrorKind};
 use shared::printable::{printable_line, printable_lines};
 use tracing::{Subscriber, field::Field};
 use tracing_subscriber::{
@@ -55,7 +59,42 @@ pub enum Command {
 
 /// Parses the program's command line; on an error, prints it and exits.
 pub fn parse<P: Parser>() -> P {
-    try_parse(std::env::args_os()).unwrap_or_else(|error| error.exit())
+    try_parse(std::env::args_os()).unwrap_or_else(|error| {
+        let is_help = error.kind() == ParseErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
+        if is_help || !error.use_stderr() {
+            error.exit()
+        }
+        eprintln!("{}", one_line(&error));
+        std::process::exit(error.exit_code())
+    })
+}
+
+/// An error of the command line, without the usage and the hint at --help that follow it.
+fn one_line(error: &clap::Error) -> String {
+    let text = error.to_string();
+    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty());
+    let told = lines.take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more information"));
+    let join = |text: String, line: &str| {
+        let between = if text.ends_with(':') { " " } else { "; " };
+        text + between + line
+    };
+    printable_line(&told.map(str::to_owned).reduce(|text, line| join(text, &line)).unwrap_or_default())
+}
+
+/// Parses whole numbers of a range.
+pub fn between<T: FromStr + PartialOrd + Display>(
+    range: RangeInclusive<T>,
+) -> impl Fn(&str) -> Result<T, String> + Clone
+where
+    RangeInclusive<T>: Clone,
+{
+    move |text| {
+        let number = text.parse().ok().filter(|number| range.contains(number));
+        number.ok_or_else(|| match text.parse::<i128>() {
+            Ok(_) => format!("{text} is not between {} and {}", range.start(), range.end()),
+            Err(_) => format!("it is not a whole number between {} and {}", range.start(), range.end()),
+        })
+    }
 }
 
 /// Parses a command line; the first argument is the program's name.
@@ -82,6 +121,16 @@ pub fn run(command: Command) -> Result<()> {
         Command::Key(args) => key::run(&args),
         Command::Trace(args) => trace::run(&args),
     }
+}
+
+/// Checks that a file can be written, before the work whose result it takes.
+///
+/// # Errors
+/// The file or its folder cannot be written.
+pub fn check_writable(path: &Path) -> Result<()> {
+    files::check(path).with_context(|| {
+        format!("cannot write {}: name a file in a folder that is there and may be written", path.display())
+    })
 }
 
 /// Starts what every program needs first: its log, the thread that listens for signals, and rayon's threads, which panic
@@ -176,6 +225,20 @@ mod tests {
         let text = String::from_utf8(written.0.lock().unwrap().clone()).unwrap();
         assert!(text.ends_with(" WARN lost: no 2026-01-01T00:00:00Z  INFO forged[31m1m count=3\n"), "{text:?}");
         assert_eq!(text.lines().count(), 1);
+    }
+
+    #[test]
+    fn mistakes_on_the_command_line_take_one_plain_line() {
+        for (arguments, told) in [
+            (&["connect", "a", "--threads", "0"][..], "--threads <N>': 0 is not between 1 and 1024"),
+            (&["connect", "a", "--threads", "-1"], "-1 is not between 1 and 1024"),
+            (&["connect", "a", "--threads", "all"], "it is not a whole number between 1 and 1024"),
+            (&["connect", "a", "--thread", "1"], "'--thread' found; tip: a similar argument exists: '--threads'"),
+            (&["trace"], "were not provided: --image <FILE.png>"),
+        ] {
+            let line = one_line(&try_parse::<Cli>(["renderer"].iter().chain(arguments)).unwrap_err());
+            assert!(line.starts_with("error: ") && line.ends_with(told), "{line}");
+        }
     }
 
     #[test]

@@ -56,9 +56,9 @@ fn values_out_of_range_name_the_range() {
     assert!(fails(compositor(&["--size", "0x512"])).contains("from 1 to 16384"));
     assert!(fails(compositor(&["--size", "wide"])).contains("1024x512"));
     assert!(fails(compositor(&["--division", "random"])).contains("interleaved, tiled, dynamic"));
-    assert!(fails(renderer(&["connect", "127.0.0.1:1", "--threads", "0"])).contains("1..=1024"));
+    assert!(fails(renderer(&["connect", "127.0.0.1:1", "--threads", "0"])).contains("0 is not between 1 and 1024"));
     assert!(fails(renderer(&["trace", "--size", "-5x5"])).contains("1024x512"));
-    assert!(fails(renderer(&["trace", "--threads", "-1"])).contains("1..=1024"));
+    assert!(fails(renderer(&["trace", "--threads", "-1"])).contains("-1 is not between 1 and 1024"));
 }
 
 #[test]
@@ -132,9 +132,46 @@ fn without_a_vulkan_driver_the_cure_is_named() {
 }
 
 #[test]
-fn a_screenshot_that_cannot_be_written_is_a_failure() {
-    let line = fails(compositor(&["--screenshot", "/no/such/folder/wall.png"]));
-    assert!(line.contains("/no/such/folder/wall.png"), "{line}");
+fn what_cannot_be_written_is_told_before_the_work() {
+    for command in [
+        compositor(&["--screenshot", "/no/such/folder/out.png"]),
+        compositor(&["--stats", "/no/such/folder/out.json"]),
+        renderer(&["trace", "--triangles", "80000000", "--image", "/no/such/folder/out.png"]),
+        renderer(&["generate", "statue", "--triangles", "80000000", "/no/such/folder/out.ply"]),
+    ] {
+        let shown = format!("{command:?}");
+        let (_, said) = Program::start(command).wait();
+        assert_eq!(said.matches("No such file").count(), 1, "{shown}\n{said}");
+        assert!(said.starts_with("error: ") && said.contains("/no/such/folder/out."), "{shown}\n{said}");
+    }
+    for command in [compositor(&["--screenshot", "a.jpg"]), renderer(&["trace", "--image", "a.jpg"])] {
+        assert!(fails(command).ends_with("give a name that ends with .png"));
+    }
+}
+
+#[test]
+fn other_formats_and_wrong_indices_have_their_own_cures() {
+    let folder = tempfile::tempdir().unwrap();
+    let trace = |name: &str, content: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        fails(renderer(&["trace", "--image", "/dev/null", "--model", path.to_str().unwrap()]))
+    };
+    for name in ["a.obj", "a.stl", "a.glb"] {
+        let line = trace(name, "v 0 0 0\n");
+        assert!(line.contains("MeshLab"), "{line}");
+    }
+}
+
+#[test]
+fn addresses_may_be_names() {
+    let listening = Program::succeed(compositor(&["--listen", "localhost:0"]));
+    assert!(listening.contains("listening on 127.0.0.1:") || listening.contains("listening on [::1]:"), "{listening}");
+    let line = fails(compositor(&["--listen", "no such name:1"]));
+    assert!(line.contains("--listen no such name:1") && line.contains("0.0.0.0:7117"), "{line}");
+    for wall in ["", ":7117"] {
+        assert!(fails(renderer(&["connect", wall])).contains("HOST:PORT"));
+    }
 }
 
 #[test]

@@ -330,6 +330,47 @@ fn strangers_are_dropped_with_a_clear_line_and_the_wall_goes_on() {
 }
 
 #[test]
+fn a_renderer_on_the_walls_machine_reads_the_walls_file() {
+    let files = Files::new();
+    generate_statue(1000, &files.path("model.ply"));
+    // The wall names its file in full, from whichever folder it was started.
+    let start = |address: &str, model: &Path| {
+        let mut command = Program::command("compositor");
+        command.args(["--headless", "--listen", address, "--local", "0", "--frames", "2", "--size", "64x32"]);
+        command.arg("--model").arg(model).current_dir(files.path(""));
+        Program::start(command)
+    };
+    let mut wall = start("127.0.0.1:0", "model.ply".as_ref());
+    let address = wall.wait_for_address();
+    let mut server = RunningWall::join_at(&address, "beside", &[]);
+    let (status, said) = wall.wait();
+    assert!(status.success(), "{said}");
+    server.wait_for("has closed the connection; trying again until it answers");
+    let (status, said) = start(&address, &files.path("model.ply")).wait();
+    assert!(status.success(), "{said}");
+    server.wait_for_count("has closed the connection; trying again until it answers", 2);
+    assert!(!server.said().contains("WARN"), "an orderly end is no warning\n{}", server.said());
+}
+
+#[test]
+fn a_renderer_that_cannot_read_the_walls_file_says_so_itself() {
+    let files = Files::new();
+    generate_statue(1000, &files.path("model.ply"));
+    let mut command = Program::command("compositor");
+    command.args(["--headless", "--listen", "127.0.0.1:0", "--local", "1", "--frames", "1000000", "--size", "64x32"]);
+    command.arg("--model").arg(files.path("model.ply")).env("RUST_LOG", "compositor=debug");
+    let mut wall = Program::start(command);
+    let address = wall.wait_for_address();
+    wall.wait_for("frame shown");
+    std::fs::remove_file(files.path("model.ply")).unwrap();
+    let mut server = RunningWall::join_at(&address, "beside", &[]);
+    for program in [&mut server, &mut wall] {
+        program.wait_for("model.ply: cannot be read: ");
+        program.wait_for("; --model FILE names the file that the wall shows");
+    }
+}
+
+#[test]
 fn a_renderer_without_the_model_is_told_the_cure() {
     let files = Files::new();
     generate_statue(2000, &files.path("other.ply"));

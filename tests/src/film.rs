@@ -1,6 +1,10 @@
 //! Films of a camera path, without a window.
 
-use std::{fs, path::Path};
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Stdio},
+};
 
 use glam::DVec3;
 use shared::camera::{Camera, CameraPath, UpAxis};
@@ -11,16 +15,30 @@ const SIZE: &str = "64x36";
 
 /// Films a path of half a second, at the start of which the camera rests for 0.2 s; returns success and output.
 fn film(files: &Files, folder: &Path, arguments: &[&str]) -> (bool, String) {
+    let mut command = command(files);
+    command.args(["--size", SIZE, "--samples", "1", "--pictures"]).arg(folder).args(arguments);
+    let (status, said) = Program::start(command).wait();
+    (status.success(), said)
+}
+
+/// The command that films this path, without the film's name, size and samples.
+fn command(files: &Files) -> Command {
     let start = Camera::from_toml(&fs::read_to_string(files.path("camera.toml")).unwrap()).unwrap();
     let end = start.orbit(DVec3::Y, UpAxis::Y, 1.0, 0.2);
     let path = CameraPath::new(vec![(0.0, start), (0.2, start), (0.5, end)], UpAxis::Y).unwrap();
     fs::write(files.path("path.toml"), path.to_toml()).unwrap();
     let mut command = Program::command("compositor");
-    command.args(["--headless", "--listen", "127.0.0.1:0", "--local", "1", "--triangles", "20000", "--size", SIZE]);
-    command.args(["--fps", "10"]).arg("--wall").arg(files.path("wall.toml")).arg("--path").arg(files.path("path.toml"));
-    command.arg("--pictures").arg(folder).arg("--stats").arg(files.path("stats.json")).args(arguments);
-    let (status, said) = Program::start(command).wait();
-    (status.success(), said)
+    command.args(["--headless", "--listen", "127.0.0.1:0", "--local", "1", "--triangles", "20000", "--fps", "10"]);
+    command.arg("--wall").arg(files.path("wall.toml")).arg("--path").arg(files.path("path.toml"));
+    command.arg("--stats").arg(files.path("stats.json"));
+    command
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<_> =
+        fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
 }
 
 #[test]
@@ -29,9 +47,8 @@ fn a_film_has_each_picture_once_from_its_camera() {
     let folder = files.path("film");
     let (is_done, said) = film(&files, &folder, &[]);
     assert!(is_done, "{said}");
-    let mut names: Vec<_> =
-        fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
+    assert!(said.contains("picture 1 of 6"), "no progress\n{said}");
+    let names = names(&folder);
     assert_eq!(names, (1..=6).map(|number| format!("picture-{number:06}.png")).collect::<Vec<_>>());
     let pictures: Vec<_> = names
         .iter()
@@ -49,9 +66,81 @@ fn a_film_has_each_picture_once_from_its_camera() {
     })
     .unwrap();
     assert_eq!(hashes[5], files.traced_hash(SIZE), "the film does not end with the last camera");
+}
 
+#[test]
+fn a_film_goes_on_where_it_ended_and_never_holds_another() {
+    let files = Files::new();
+    let folder = files.path("film");
+    let bytes =
+        |folder: &Path| names(folder).iter().map(|name| fs::read(folder.join(name)).unwrap()).collect::<Vec<_>>();
+    assert!(film(&files, &folder, &["--frames", "4"]).0);
+    let (is_done, said) = film(&files, &folder, &["--background", "102030"]);
+    assert!(!is_done && said.lines().last().unwrap().contains("picture-000004.png is of another film"), "{said}");
+    assert_eq!(names(&folder).len(), 4);
     let (is_done, said) = film(&files, &folder, &[]);
-    assert!(!is_done && said.lines().last().unwrap().contains("holds a film already"), "{said}");
+    assert!(is_done && said.contains("going on after"), "{said}");
+    assert_eq!(files.frames().len(), 3, "one to compare, and two that were missing");
+    assert!(film(&files, &files.path("whole"), &[]).0);
+    assert!(bytes(&folder) == bytes(&files.path("whole")), "a film that goes on differs from one made at once");
+}
+
+#[test]
+fn a_film_has_the_walls_resolution_and_sixteen_samples() {
+    let files = Files::new();
+    let mut command = command(&files);
+    command.args(["--frames", "1", "--pictures"]).arg(files.path("film"));
+    Program::succeed(command);
+    let by_default = files.frames()[0]["samples_blake3"].clone();
+    assert!(film(&files, &files.path("asked"), &["--frames", "1", "--size", "128x72", "--samples", "16"]).0);
+    assert_eq!(by_default, files.frames()[0]["samples_blake3"]);
+}
+
+#[test]
+fn a_film_without_ffmpeg_is_told_the_cure() {
+    let files = Files::new();
+    let mut command = command(&files);
+    command.arg("--film").arg(files.path("film.mp4")).env("PATH", files.path("no"));
+    let (status, said) = Program::start(command).wait();
+    let line = said.lines().last().unwrap();
+    assert!(!status.success() && line.contains("install it") && line.contains("--pictures FOLDER"), "{said}");
+    assert!(!names(files.path("").as_path()).iter().any(|name| name.contains("film") || name.ends_with(".part")));
+}
+
+#[test]
+fn ffmpeg_makes_a_film_with_the_colours_of_the_pictures() {
+    if Command::new("ffmpeg").arg("-version").stdout(Stdio::null()).status().is_err() {
+        return println!("skipped: ffmpeg is not installed");
+    }
+    let files = Files::new();
+    let path = files.path("film.mp4");
+    let filmed = |size: &str| {
+        let mut command = command(&files);
+        command.args(["--size", size, "--film"]).arg(&path);
+        Program::start(command).wait()
+    };
+    let (status, said) = filmed(SIZE);
+    assert!(status.success() && said.contains("wrote "), "{said}");
+    assert!(!names(files.path("").as_path()).iter().any(|name| name.ends_with(".part")));
+    let decoded = Command::new("ffmpeg")
+        .args(["-loglevel", "error", "-i"])
+        .arg(&path)
+        .args(["-vf", "scale=in_color_matrix=bt709", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"])
+        .output()
+        .unwrap();
+    let (frames, _) = decoded.stdout.as_chunks::<{ 128 * 72 * 3 }>();
+    assert_eq!(frames.len(), 6, "{decoded:?}");
+    let mut command = command(&files);
+    command.args(["--size", SIZE, "--pictures"]).arg(files.path("film"));
+    Program::succeed(command);
+    let picture = crate::references::read_png(&files.path("film/picture-000006.png")).unwrap();
+    let mean = |channel: usize, bytes: &[u8]| {
+        bytes.iter().skip(channel).step_by(3).map(|&byte| f64::from(byte)).sum::<f64>() / (128.0 * 72.0)
+    };
+    for channel in 0..3 {
+        let [film, picture] = [&frames[5][..], &picture.rgb].map(|bytes| mean(channel, bytes));
+        assert!((film - picture).abs() < 2.0, "channel {channel}: {film} in the film, {picture} in the picture");
+    }
 }
 
 #[test]

@@ -157,11 +157,36 @@ fn a_film_that_is_cut_off_keeps_its_complete_pictures() {
     let names: Vec<_> =
         fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
     let (n_written, folder) = (names.len(), folder.display());
-    assert_eq!(line, format!("stopped after {n_written} of 1801 pictures; those in {folder} are complete"));
+    assert_eq!(
+        line,
+        format!("stopped after {n_written} of 1801 pictures; those in {folder} are complete: the same command goes on")
+    );
     for name in names {
         let picture = crate::references::read_png(&files.path("film").join(&name)).unwrap();
         assert_eq!(picture.size, [1920, 1080], "{name}");
     }
+}
+
+#[test]
+fn a_video_that_is_cut_off_leaves_nothing() {
+    if std::process::Command::new("ffmpeg").arg("-version").stdout(std::process::Stdio::null()).status().is_err() {
+        return println!("skipped: ffmpeg is not installed");
+    }
+    let files = Files::new();
+    let start = Camera::from_toml(&fs::read_to_string(files.path("camera.toml")).unwrap()).unwrap();
+    let path = CameraPath::new(vec![(0.0, start), (600.0, start.orbit(DVec3::Y, UpAxis::Y, 1.0, 0.2))], UpAxis::Y);
+    fs::write(files.path("path.toml"), path.unwrap().to_toml()).unwrap();
+    let mut command = Program::command("compositor");
+    command.args(["--headless", "--listen", "127.0.0.1:0", "--triangles", "20000", "--local", "1", "--size", "64x36"]);
+    command.arg("--wall").arg(files.path("wall.toml")).arg("--path").arg(files.path("path.toml"));
+    command.arg("--film").arg(files.path("film.mp4"));
+    let mut wall = Program::start(command);
+    wall.wait_for("picture 1 of 18001");
+    let line = cut_off(wall, "INT");
+    assert!(line.contains(" of 18001 pictures; ") && line.contains("film.mp4 is not written"), "{line}");
+    let names = fs::read_dir(files.path("")).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let left: Vec<_> = names.filter(|name| !name.ends_with(".toml")).collect();
+    assert!(left.is_empty(), "{left:?}");
 }
 
 #[cfg(target_os = "linux")]

@@ -1,16 +1,21 @@
 //! The command line of the wall.
 
-use std::{net::SocketAddr, path::PathBuf};
+use std::path::PathBuf;
 
-use renderer::cli::{
-    appearance_args::AppearanceArgs,
-    picture_args::{ModelArgs, read_camera},
-    scene_args::SceneArgs,
+use clap::builder::{PathBufValueParser, TypedValueParser};
+use renderer::{
+    cli::{
+        appearance_args::AppearanceArgs,
+        between,
+        picture_args::{ModelArgs, read_camera, with_ending},
+        scene_args::SceneArgs,
+    },
+    server::connect::with_port,
 };
 use shared::{
     camera::{Camera, CameraPath, UpAxis},
     division::{Division, FrameSize},
-    protocol::{DEFAULT_PORT, Encoding, LightingMode, SampleRange, ShadingMode},
+    protocol::{Encoding, LightingMode, SampleRange, ShadingMode},
 };
 
 use super::check::CheckArgs;
@@ -90,46 +95,51 @@ pub struct WallArgs {
     #[arg(long, value_name = "AXIS")]
     pub up: Option<UpAxis>,
     /// A recorded camera path, which is repeated; with --headless it is followed once, as a film
-    #[arg(long, value_name = "FILE.toml", conflicts_with = "camera")]
+    #[arg(long, help_heading = "Film", value_name = "FILE.toml", conflicts_with = "camera")]
     pub path: Option<PathBuf>,
     /// Pictures a second of the film, with --headless and --path
-    #[arg(long, value_name = "F", default_value_t = 30.0, requires = "path", value_parser = pictures_per_second)]
+    #[arg(long, help_heading = "Film", value_name = "F", default_value_t = 30.0, requires = "path",
+        value_parser = pictures_per_second)]
     pub fps: f64,
-    /// Write each picture of the film, the whole wall at full resolution, to this folder; with --headless and --path
-    #[arg(long, value_name = "FOLDER", requires = "path", requires = "headless")]
+    /// Write each picture of the film, the whole wall at full resolution, to this folder, and go on with a film that was
+    /// begun there; with --headless and --path
+    #[arg(long, help_heading = "Film", value_name = "FOLDER", requires = "path", requires = "headless")]
     pub pictures: Option<PathBuf>,
-    /// Rays averaged for each sample, in linear light: 1 to 256 [default: 16 at rest if the resolution follows the motion,
-    /// else 1]
-    #[arg(long, value_name = "N",
-        value_parser = clap::value_parser!(u32).range(1..=i64::from(SampleRange::LARGEST_COUNT)))]
+    /// Write the film to this file, through ffmpeg; with --headless and --path
+    #[arg(long, help_heading = "Film", value_name = "FILE.mp4", requires = "path", requires = "headless",
+        conflicts_with = "pictures", value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "mp4")))]
+    pub film: Option<PathBuf>,
+    /// Rays averaged for each sample, in linear light: 1 to 256 [default: 16 in a film, and at rest if the resolution
+    /// follows the motion; else 1]
+    #[arg(long, value_name = "N", value_parser = between(1..=SampleRange::LARGEST_COUNT))]
     pub samples: Option<u32>,
     /// Frames a second while the camera moves: the resolution drops until this rate is reached; at rest the wall returns to
     /// native resolution. 0 keeps the resolution [default: 30 in a window, 0 with --headless, --size or --frames]
     #[arg(long, value_name = "F", value_parser = target_rate)]
     pub target_rate: Option<f64>,
-    /// The address on which to wait for render servers; port 0 takes a free port [default: 127.0.0.1:7117]
-    #[arg(long, value_name = "ADDR")]
-    pub listen: Option<SocketAddr>,
+    /// The address or name on which to wait for render servers; port 0 takes a free port [default: 127.0.0.1:7117]
+    #[arg(long, help_heading = "Render servers", value_name = "HOST:PORT")]
+    pub listen: Option<String>,
     /// The key file: only render servers with a copy of it can join, and everything is encrypted
-    #[arg(long, value_name = "FILE", conflicts_with = "insecure")]
+    #[arg(long, help_heading = "Render servers", value_name = "FILE", conflicts_with = "insecure")]
     pub key: Option<PathBuf>,
     /// Listen on the network without encryption and authentication
-    #[arg(long)]
+    #[arg(long, help_heading = "Render servers")]
     pub insecure: bool,
     /// Render servers to start on this machine [default: 2; 0 with --listen]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=256))]
+    #[arg(long, help_heading = "Render servers", value_name = "N", value_parser = between(0_u32..=256))]
     pub local: Option<u32>,
     /// Wait for this many render servers before the first frame [default: as many as --local, at least 1]
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, help_heading = "Render servers", value_name = "K", value_parser = between(1_u32..=u32::MAX))]
     pub min_renderers: Option<u32>,
     /// How frames are divided among render servers: interleaved, tiled or dynamic
-    #[arg(long, value_name = "D", default_value_t = Division::default())]
+    #[arg(long, help_heading = "Render servers", value_name = "D", default_value_t = Division::default())]
     pub division: Division,
     /// Frames in flight, 1 to 3: with 1, render servers wait for each other after each frame
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=3))]
+    #[arg(long, help_heading = "Render servers", value_name = "N", default_value_t = 2, value_parser = between(1_u32..=3))]
     pub in_flight: u32,
     /// How samples travel: raw or lz4 [default: the faster one, as measured on each link]
-    #[arg(long, value_name = "E")]
+    #[arg(long, help_heading = "Render servers", value_name = "E")]
     pub encoding: Option<Encoding>,
     /// Shading of the samples: shaded, normals or cost
     #[arg(long, value_name = "V", default_value_t = ShadingMode::default())]
@@ -141,32 +151,33 @@ pub struct WallArgs {
     /// Key light, background and clip plane.
     #[command(flatten)]
     pub appearance: AppearanceArgs,
-    /// Samples of a frame [default: as in the wall file, or 1024x512]
+    /// Samples of a frame [default: of a film the wall's resolution, else as in the wall file, or 1024x512]
     #[arg(long, value_name = "WxH")]
     pub size: Option<FrameSize>,
     /// Fill the screen; a wall whose file names outputs always fills them
-    #[arg(long)]
+    #[arg(long, help_heading = "Window")]
     pub fullscreen: bool,
     /// The wall's content while no render server is left, and after a crash until the restart [default: as in the wall
     /// file, or last-frame]
-    #[arg(long, value_name = "WHAT")]
+    #[arg(long, help_heading = "Window", value_name = "WHAT")]
     pub on_loss: Option<OnLoss>,
     /// Show all of a wall whose file names outputs in one window
-    #[arg(long)]
+    #[arg(long, help_heading = "Window")]
     pub spanning: bool,
     /// Kiosk: fill the screen, let visitors steer and nothing else, and return to the path or the whole model after this
     /// many seconds without input, 60 unless given; Ctrl+L unlocks
-    #[arg(long, value_name = "SECONDS", conflicts_with = "headless", num_args = 0..=1, require_equals = true,
-        default_missing_value = "60", value_parser = clap::value_parser!(u32).range(1..=86400))]
+    #[arg(long, help_heading = "Window", value_name = "SECONDS", conflicts_with = "headless", num_args = 0..=1,
+        require_equals = true, default_missing_value = "60", value_parser = between(1_u32..=86400))]
     pub kiosk: Option<u32>,
     /// Open no window: render frames, print a table of timings, and end
     #[arg(long)]
     pub headless: bool,
     /// End after this many frames [default with --headless: 10]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "N", value_parser = between(1_u32..=u32::MAX))]
     pub frames: Option<u32>,
     /// At the end, write the wall without overlay to this file
-    #[arg(long, value_name = "FILE.png")]
+    #[arg(long, value_name = "FILE.png",
+        value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "png")))]
     pub screenshot: Option<PathBuf>,
     /// At the end, write the measurements of every frame to this file
     #[arg(long, value_name = "FILE.json")]
@@ -189,7 +200,13 @@ fn target_rate(text: &str) -> Result<f64, String> {
 impl WallArgs {
     /// The rays averaged for each sample of frames whose resolution does not follow the motion.
     pub fn sample_range(&self) -> SampleRange {
-        SampleRange { first: 0, count: self.samples.unwrap_or(1) }
+        let default = if self.writes_film() { refinement::DEFAULT_SAMPLES } else { 1 };
+        SampleRange { first: 0, count: self.samples.unwrap_or(default) }
+    }
+
+    /// Whether pictures of a film are kept; otherwise a path is only measured.
+    pub fn writes_film(&self) -> bool {
+        self.pictures.is_some() || self.film.is_some()
     }
 
     /// The refinement's options. It is off by default where frames are counted or have a fixed size: these are measured.
@@ -211,9 +228,9 @@ impl WallArgs {
         self.local.unwrap_or(if self.listen.is_some() { 0 } else { 2 })
     }
 
-    /// The address on which the wall waits for render servers.
-    pub fn listen(&self) -> SocketAddr {
-        self.listen.unwrap_or_else(|| SocketAddr::from(([127, 0, 0, 1], DEFAULT_PORT)))
+    /// HOST:PORT on which the wall waits for render servers.
+    pub fn listen(&self) -> String {
+        with_port(self.listen.as_deref().unwrap_or("127.0.0.1"))
     }
 
     /// The number of render servers for which the first frame waits.
@@ -231,6 +248,26 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         Args::command().debug_assert();
+    }
+
+    #[test]
+    fn a_heading_stands_over_its_own_options_only() {
+        let command = Args::command();
+        let heading = |name: &str| {
+            let option = command.get_arguments().find(|option| option.get_long() == Some(name));
+            option.expect("an option").get_help_heading()
+        };
+        assert_eq!(["size", "headless", "stats", "model"].map(heading), [None; 4]);
+        assert_eq!([heading("clip"), heading("kiosk")], [Some("Appearance"), Some("Window")]);
+    }
+
+    #[test]
+    fn a_film_has_the_walls_samples() {
+        let parse =
+            |args: &[&str]| Args::parse_from(["compositor", "--headless", "--path", "p"].iter().chain(args)).wall;
+        let count = |args: &[&str]| parse(args).sample_range().count;
+        assert_eq!([count(&[]), count(&["--pictures", "p"]), count(&["--film", "f.mp4"])], [1, 16, 16]);
+        assert_eq!(count(&["--film", "f.mp4", "--samples", "2"]), 2);
     }
 
     #[test]

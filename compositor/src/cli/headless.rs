@@ -3,18 +3,24 @@
 mod film;
 mod refined;
 
-use std::time::{Duration, Instant};
+use std::{
+    net::SocketAddr,
+    time::{Duration, Instant},
+};
 
 use shared::division::FrameSize;
 
 use super::report::Report;
 use crate::{
-    farm::{Farm, Frame, stats::DisplayStats},
+    farm::{
+        Farm, Frame,
+        stats::{DisplayStats, FarmStatus},
+    },
     gpu::{Gpu, GpuError, Offscreen, Present, RgbImage},
     wall::Wall,
 };
 
-pub use film::Film;
+pub use film::{Film, Output, Pictures, Video};
 
 /// News for a wall without a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -127,20 +133,56 @@ pub fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Wakeup> {
         Ok(wakeup) => Ok(wakeup),
         Err(Disconnected) => anyhow::bail!("the farm has ended"),
         Err(Timeout) => {
-            let status = farm.status();
-            let n_ready = status.nodes.iter().filter(|node| node.is_ready()).count();
-            let n_needed = farm.goal().min_renderers.max(1);
             tracing::info!(
-                "{n_ready} of {n_needed} render servers are ready, {} connected; start one with: renderer connect {}{}",
-                status.nodes.len(),
-                farm.address(),
-                status.message.map(|message| format!("; last: {message}")).unwrap_or_default()
+                "{}",
+                waiting_for(&farm.status(), farm.goal().min_renderers.max(1) as usize, farm.address())
             );
             Ok(Wakeup::Farm)
         }
     }
 }
 
+/// The line about a frame that is not there yet: what is missing, and the cure if there is one.
+fn waiting_for(status: &FarmStatus, n_needed: usize, address: SocketAddr) -> String {
+    let (n_joined, n_ready) = (status.nodes.len(), status.nodes.iter().filter(|node| node.is_ready()).count());
+    let last = status.message.as_ref().map(|message| format!("; last: {message}")).unwrap_or_default();
+    if n_joined < n_needed {
+        format!("{n_joined} of {n_needed} render servers have joined; start one with: renderer connect {address}{last}")
+    } else if n_ready < n_needed {
+        format!("{n_ready} of {n_joined} render servers have the model{last}")
+    } else {
+        format!("{n_ready} render servers are rendering a frame")
+    }
+}
+
 fn milliseconds(duration: Duration) -> f64 {
     duration.as_secs_f64() * 1e3
+}
+
+#[cfg(test)]
+mod tests {
+    use shared::protocol::SceneState;
+
+    use super::*;
+    use crate::farm::stats::{NodeId, NodeStatus};
+
+    #[test]
+    fn render_servers_are_asked_for_only_where_some_are_missing() {
+        let address = "127.0.0.1:7117".parse().unwrap();
+        let node = |scene| NodeStatus {
+            id: NodeId(1),
+            name: "left".to_owned(),
+            address,
+            threads: 1,
+            scene: Some(scene),
+            is_silent: false,
+            n_failures: 0,
+            round_trip_ms: None,
+        };
+        let line = |nodes| waiting_for(&FarmStatus { nodes, ..FarmStatus::default() }, 1, address);
+        assert!(line(vec![]).ends_with("start one with: renderer connect 127.0.0.1:7117"));
+        assert_eq!(line(vec![node(SceneState::Loading { progress: 0.5 })]), "0 of 1 render servers have the model");
+        let ready = SceneState::Ready { triangles: 1, bytes: 1, grid: None };
+        assert_eq!(line(vec![node(ready)]), "1 render servers are rendering a frame");
+    }
 }

@@ -1,11 +1,12 @@
 //! Runs a wall from its command line: model, farm, local render servers, with or without a window.
 
-use std::{cell::RefCell, ops::ControlFlow, rc::Rc, sync::mpsc, time::Instant};
+use std::{cell::RefCell, net::SocketAddr, ops::ControlFlow, rc::Rc, sync::mpsc, time::Instant};
 
 use anyhow::{Context, bail};
 use channel::key::{Key, make_key_command};
 use renderer::{
     cli::{
+        check_writable,
         progress::Progress,
         say,
         stop::{self, Signal, Stopped},
@@ -13,11 +14,14 @@ use renderer::{
     model::scene::SceneSource,
 };
 use shared::{camera::Camera, protocol::FrameSpec};
-use tokio::{net::TcpListener, runtime::Runtime};
+use tokio::{
+    net::{TcpListener, lookup_host},
+    runtime::Runtime,
+};
 
 use super::{
     args::{Inputs, WallArgs},
-    headless::{Film, Headless, Wakeup, Wakeups},
+    headless::{Film, Headless, Output, Pictures, Video, Wakeup, Wakeups},
     local::LocalServers,
     report::Report,
 };
@@ -39,9 +43,11 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
         camera: args.show.read_camera()?,
         path: args.path.as_deref().map(sidecar::read_path).transpose().map_err(anyhow::Error::msg)?,
     };
-    if let Some(size) = args.size {
+    let native_of_film = args.writes_film().then(|| inputs.wall.native_size());
+    if let Some(size) = args.size.or(native_of_film) {
         inputs.wall = inputs.wall.with_frame_size(size);
     }
+    [&args.screenshot, &args.stats].into_iter().flatten().try_for_each(|path| check_writable(path))?;
     if args.headless {
         return run_headless(args, inputs);
     }
@@ -64,6 +70,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
     let (aspect, size) = (wall.aspect(), wall.frame_size());
     let mut refinement = Refinement::new(args.refinement(&wall));
     // Quick checks come first: reading a model can take minutes.
+    let output = film_output(args, wall.output_size())?;
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
@@ -77,12 +84,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         let _ = wake_farm.try_send(Wakeup::Farm);
     })?;
     let model = load_model(args.show.model.source())?;
-    let film = path.map(|path| Film {
-        path,
-        fps: args.fps,
-        most: args.frames.unwrap_or(u32::MAX),
-        folder: args.pictures.clone(),
-    });
+    let film = path.map(|path| Film { path, fps: args.fps, most: args.frames.unwrap_or(u32::MAX) });
     let camera = camera.or_else(|| film.as_ref().map(|film| film.path.at(0.0))).unwrap_or_else(|| {
         let kept_up = || SidecarFiles::read(&model.source).views().and_then(|views| views.up);
         let up = args.up.or_else(kept_up).unwrap_or_default();
@@ -107,7 +109,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         wake_to_stop(wake);
     }
     let report = match film {
-        Some(film) => headless.show_film(&farm, &wakeups, &film)?,
+        Some(film) => headless.show_film(&farm, &wakeups, &film, output)?,
         None if refinement.is_on() => {
             refinement.limit_sides(headless.gpu().device.limits().max_texture_dimension_2d);
             headless.show_refined(&farm, &wakeups, n_frames, spec, &mut refinement)?
@@ -125,10 +127,19 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         return Err(stopped.into());
     }
     if let Some(path) = &args.screenshot {
-        headless.image()?.write_png(path).with_context(|| format!("no screenshot {}", path.display()))?;
+        headless.image()?.write_png(path)?;
         say(format_args!("wrote {}", path.display()))?;
     }
     Ok(())
+}
+
+/// Begins what the film goes to; pictures have `size`: columns, rows.
+fn film_output(args: &WallArgs, size: [u32; 2]) -> anyhow::Result<Output> {
+    Ok(match (&args.pictures, &args.film) {
+        (Some(folder), _) => Output::Pictures(Pictures::begin(folder, args.fps)?),
+        (_, Some(path)) => Output::Video(Box::new(Video::begin(path, args.fps, size)?)),
+        _ => Output::Nowhere,
+    })
 }
 
 fn run_window(args: &WallArgs, inputs: Inputs, supervisor: Option<SupervisorLink>) -> anyhow::Result<()> {
@@ -242,15 +253,23 @@ pub fn network_threads() -> anyhow::Result<Runtime> {
 
 fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
     let address = args.listen();
-    if !address.ip().to_canonical().is_loopback() && args.key.is_none() && !args.insecure {
+    let resolved = runtime.block_on(lookup_host(&address)).with_context(|| {
+        format!(
+            "--listen {address} is no address or name of this machine: write it as HOST:PORT, for example 0.0.0.0:7117"
+        )
+    })?;
+    let addresses: Vec<SocketAddr> = resolved.collect();
+    let is_loopback = addresses.iter().all(|address| address.ip().to_canonical().is_loopback());
+    if !is_loopback && args.key.is_none() && !args.insecure {
         bail!(
             "--listen {address} is open to the network: make a key with `{}`, copy it to the render servers and \
              give it to both sides with --key wall.key, or add --insecure if you trust everybody on the network",
             make_key_command("wall.key".as_ref())
         );
     }
-    let listener = runtime.block_on(TcpListener::bind(address)).with_context(|| {
-        format!("cannot listen on {address}: is another wall running? --listen {}:0 takes a free port", address.ip())
+    let listener = runtime.block_on(TcpListener::bind(&*addresses)).with_context(|| {
+        let host = address.rsplit_once(':').map_or(&*address, |(host, _)| host);
+        format!("cannot listen on {address}: is another wall running? --listen {host}:0 takes a free port")
     })?;
     // Scripts and people read the address to connect to.
     say(format_args!("listening on {}", listener.local_addr()?))?;

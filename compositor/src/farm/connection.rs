@@ -41,7 +41,7 @@ use super::{
 #[derive(Debug)]
 pub(super) enum ConnectionEvent {
     /// The handshake is over.
-    Joined { name: String, threads: u32, outbox: Arc<Outbox>, pending: Arc<PendingTasks> },
+    Joined { name: String, threads: u32, is_local: bool, outbox: Arc<Outbox>, pending: Arc<PendingTasks> },
     /// The render server's progress with a scene.
     Scene { scene: SceneId, state: SceneState },
     /// Samples are in the frame buffer.
@@ -166,6 +166,8 @@ impl PendingTasks {
 pub(super) struct EventSender {
     pub(super) node: NodeId,
     pub(super) address: SocketAddr,
+    /// Whether it runs on the wall's machine.
+    pub(super) is_local: bool,
     pub(super) farm: mpsc::Sender<(NodeId, SocketAddr, ConnectionEvent)>,
 }
 
@@ -218,8 +220,9 @@ async fn converse(
     let outbox = Arc::new(Outbox::default());
     let pending = Arc::new(PendingTasks::default());
     reader.raise_limits(SILENCE_LIMIT);
-    let (farms_outbox, farms_pending) = (Arc::clone(&outbox), Arc::clone(&pending));
-    events.send(ConnectionEvent::Joined { name, threads, outbox: farms_outbox, pending: farms_pending }).await;
+    let (farms_outbox, farms_pending, is_local) = (Arc::clone(&outbox), Arc::clone(&pending), events.is_local);
+    let joined = ConnectionEvent::Joined { name, threads, is_local, outbox: farms_outbox, pending: farms_pending };
+    events.send(joined).await;
     tokio::select! {
         ended = receive(&mut reader, &pending, events, started_at) => ended,
         ended = transmit(&mut writer, &outbox, started_at) => ended,

@@ -8,7 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use channel::key::Key;
+use channel::{key::Key, wire::is_same_machine};
 use shared::{
     printable::printable,
     protocol::{FrameId, HEARTBEAT_TIMEOUT, SceneState, ToServer},
@@ -72,6 +72,8 @@ const TICK: Duration = Duration::from_millis(10);
 /// A connected render server.
 #[derive(Debug)]
 struct NodeConnection {
+    /// Whether it runs on the wall's machine, and can read the wall's files.
+    is_local: bool,
     outbox: Arc<Outbox>,
     pending: Arc<PendingTasks>,
 }
@@ -159,7 +161,8 @@ impl Service {
                 accepted = accept_after(self.next_accept_at, &listener) => {
                     let Some((stream, address)) = self.on_accepted(accepted) else { continue };
                     last_node.0 += 1;
-                    let sender = EventSender { node: last_node, address, farm: event_sender.clone() };
+                    let is_local = stream.local_addr().is_ok_and(|here| is_same_machine(here, address));
+                    let sender = EventSender { node: last_node, address, is_local, farm: event_sender.clone() };
                     let connection = run_connection(stream, self.key.clone(), sender, Arc::clone(&self.losses), self.started_at);
                     self.strangers.push_back((last_node, connections.spawn(connection)));
                     if self.strangers.len() > MOST_STRANGERS && let Some((_, oldest)) = self.strangers.pop_front() {
@@ -240,7 +243,7 @@ impl Service {
 
     fn on_connection_event(&mut self, id: NodeId, address: SocketAddr, event: ConnectionEvent) {
         match event {
-            ConnectionEvent::Joined { name, threads, outbox, pending } => {
+            ConnectionEvent::Joined { name, threads, is_local, outbox, pending } => {
                 // A newer connection has displaced it.
                 if !self.remove_stranger(id) {
                     return;
@@ -254,7 +257,7 @@ impl Service {
                 if let Some(more) = self.admit_line("joined", &name) {
                     tracing::info!("render server {name} joined from {address} with {threads} threads{more}");
                 }
-                self.nodes.insert(id, NodeConnection { outbox, pending });
+                self.nodes.insert(id, NodeConnection { is_local, outbox, pending });
                 let n_failures = self.losses.n_lost(&name, address.ip());
                 let joined = NodeStatus {
                     id,
@@ -401,11 +404,8 @@ impl Service {
     fn execute(&mut self, action: Action) {
         match action {
             Action::LoadScene { node, scene, path } => {
-                let mut is_local = false;
-                self.change_node(node, |node| {
-                    node.scene = None;
-                    is_local = node.address.ip().is_loopback();
-                });
+                self.change_node(node, |node| node.scene = None);
+                let is_local = self.nodes.get(&node).is_some_and(|node| node.is_local);
                 if let Some(scene) = scene {
                     let path = path.filter(|_| is_local).map(|path| path.into_os_string().into_encoded_bytes());
                     self.send(node, &ToServer::LoadScene { scene, path, structure: self.structure });

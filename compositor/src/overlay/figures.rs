@@ -3,7 +3,7 @@
 use egui::{Align, Layout, RichText, Ui};
 use shared::{
     division::Division,
-    protocol::{LightingMode, ShadingMode},
+    protocol::{LightingMode, SceneState, ShadingMode},
     structure::Storage,
 };
 use strum::VariantArray;
@@ -12,7 +12,7 @@ use super::{
     OverlayModel, Tint, history, nodes,
     style::{self, callout, metrics, section},
 };
-use crate::control::input::Command;
+use crate::{control::input::Command, farm::stats::NodeStatus};
 
 /// Storages of the grid, in the order of the key; `None` is the one with which render servers were started.
 pub(crate) const STORAGES: [Option<Storage>; 4] =
@@ -32,12 +32,20 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
 fn headline(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     let rate = match model.frames_per_second {
         Some(rate) => format!("{rate:.1} frames/s"),
+        None if is_loading(model) => "loading".to_owned(),
+        None if model.frame.is_none() => "waiting".to_owned(),
         None => "at rest".to_owned(),
     };
     style::heading(ui, &rate, "Keys (F1)", Command::ToggleHelp, commands);
     let latency = model.display.map(|display| display.latency_ms);
     let latency = latency.map_or_else(|| "no frame yet".to_owned(), |ms| format!("{ms:.0} ms from camera to picture"));
     ui.label(latency);
+}
+
+/// Whether the wall, or the first of its render servers, is not ready yet.
+fn is_loading(model: &OverlayModel) -> bool {
+    let is_loading = |node: &NodeStatus| matches!(node.scene, Some(SceneState::Loading { .. }));
+    model.loading.is_some() || nodes::n_ready(&model.status) == 0 && model.status.nodes.iter().any(is_loading)
 }
 
 /// Why there is nothing to see, or nothing new, and the cure.

@@ -233,9 +233,11 @@ fn a_message_stays_until_it_is_dismissed() {
 
 #[test]
 fn reading_a_model_shows_how_far_it_is() {
-    let model = OverlayModel { loading: Some(("dragon.ply".to_owned(), 0.5)), ..running() };
+    let model = OverlayModel { loading: Some(("dragon.ply".to_owned(), 0.5)), frames_per_second: None, ..running() };
     commands_of(&model, |harness| {
         harness.get_by_label("Reading dragon.ply: 50 %");
+        harness.get_by_label("loading");
+        assert!(harness.query_by_label("at rest").is_none());
     });
 }
 

@@ -2,6 +2,8 @@
 
 use std::{net::SocketAddr, path::Path};
 
+use channel::key::make_key_command;
+
 use crate::overlay::JoinHint;
 
 /// The command by which a render server joins the wall that listens on `address`, and a note on where it works.
@@ -21,7 +23,9 @@ pub(super) fn join_hint(address: SocketAddr, key: Option<&Path>, model: Option<&
             )
         }
         (true, None) => format!(
-            "On this machine. To let other machines reach the wall, start it with --listen 0.0.0.0:{port} --insecure."
+            "On this machine. To let other machines reach the wall, make a key with `{}`, and start it with \
+             --listen 0.0.0.0:{port} --key wall.key.",
+            make_key_command("wall.key".as_ref())
         ),
     };
     if let Some(key) = key {
@@ -62,7 +66,8 @@ mod tests {
     fn the_command_to_join_can_be_typed_as_it_stands() {
         let hint = |address: &str| join_hint(address.parse().expect(address), None, None);
         assert_eq!(hint("127.0.0.1:7117").command, "renderer connect 127.0.0.1:7117");
-        assert!(hint("127.0.0.1:7117").note.contains("--listen 0.0.0.0:7117 --insecure"));
+        let note = hint("127.0.0.1:7117").note;
+        assert!(note.contains("--listen 0.0.0.0:7117 --key wall.key") && !note.contains("--insecure"), "{note}");
         assert_eq!(hint("10.1.2.3:80").command, "renderer connect 10.1.2.3:80 --insecure");
         assert_eq!(hint("[fe80::1]:80").command, "renderer connect [fe80::1]:80 --insecure");
         let any = hint("0.0.0.0:7117").command;

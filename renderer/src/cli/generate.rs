@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::{Args, Subcommand};
 
 use crate::{
-    cli::{progress::Progress, say, stop::Task},
+    cli::{between, check_writable, progress::Progress, say, stop::Task},
     model::{ply, statue},
 };
 
@@ -23,7 +23,7 @@ enum Model {
     Statue {
         /// Approximate number of triangles
         #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES,
-            value_parser = clap::value_parser!(u32).range(i64::from(statue::FEWEST_TRIANGLES)..=i64::from(statue::MOST_TRIANGLES)))]
+            value_parser = between(statue::FEWEST_TRIANGLES..=statue::MOST_TRIANGLES))]
         triangles: u32,
         /// The file to write; an old one is replaced only when the new one is complete
         out: PathBuf,
@@ -33,6 +33,7 @@ enum Model {
 /// Writes the file and prints what it holds.
 pub fn run(args: &GenerateArgs) -> anyhow::Result<()> {
     let Model::Statue { triangles, out } = &args.model;
+    check_writable(out)?;
     let mesh = {
         let progress = Progress::new(format!("generating {triangles} triangles"));
         statue::generate(*triangles, &|fraction| progress.set(fraction))

@@ -13,7 +13,7 @@ use shared::{
 };
 
 use crate::{
-    cli::{appearance_args::AppearanceArgs, progress::Progress, scene_args::SceneArgs},
+    cli::{appearance_args::AppearanceArgs, between, progress::Progress, scene_args::SceneArgs},
     model::{
         mesh::Mesh,
         scene::{self, LoadError, LoadedMesh, SceneSource},
@@ -32,7 +32,7 @@ pub struct ModelArgs {
 
     /// Approximate number of triangles of the built-in statue
     #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES, conflicts_with = "model",
-        value_parser = clap::value_parser!(u32).range(100..=i64::from(SceneId::LARGEST_STATUE)))]
+        value_parser = between(100..=SceneId::LARGEST_STATUE))]
     pub triangles: u32,
 }
 
@@ -71,7 +71,7 @@ pub struct PictureArgs {
     size: FrameSize,
 
     /// Number of threads that build and trace [default: one for each core]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = between(1_u16..=1024))]
     threads: Option<u16>,
 
     /// Shading of the samples: shaded, normals, or cost (cells visited in red, triangles tested in green)
@@ -131,6 +131,19 @@ impl PictureArgs {
             samples: SampleRange::CENTRE,
             appearance: self.appearance.appearance(),
         }
+    }
+}
+
+/// A file's path, unless its name ends like a file of another kind; a path without an ending is of any kind.
+///
+/// # Errors
+/// A text that names the ending to give.
+pub fn with_ending(path: PathBuf, ending: &str) -> Result<PathBuf, String> {
+    match path.extension() {
+        Some(other) if !other.eq_ignore_ascii_case(ending) => {
+            Err(format!("no other format is written: give a name that ends with .{ending}"))
+        }
+        _ => Ok(path),
     }
 }
 

@@ -1,8 +1,11 @@
 //! Progress bars on a terminal, for tasks that a signal cuts off.
 
-use std::time::Duration;
+use std::{
+    sync::{Mutex, PoisonError},
+    time::{Duration, Instant},
+};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 use shared::printable::printable_line;
 
 use crate::cli::stop::Task;
@@ -10,6 +13,8 @@ use crate::cli::stop::Task;
 /// A progress bar on standard error, erased on drop; invisible if standard error is not a terminal.
 pub struct Progress {
     bar: ProgressBar,
+    /// When the label last changed, if standard error is not a terminal.
+    logged_at: Mutex<Option<Instant>>,
     _task: Task,
 }
 
@@ -29,7 +34,17 @@ impl Progress {
             cleared.finish_and_clear();
             format!("stopped while {task}")
         };
-        Self { bar, _task: Task::with_line(line) }
+        Self { bar, logged_at: Mutex::default(), _task: Task::with_line(line) }
+    }
+
+    /// Changes the label. Where there is no terminal, the log has it, from time to time.
+    pub fn tell(&self, label: &str) {
+        self.bar.set_message(printable_line(label));
+        let mut logged_at = self.logged_at.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.bar.is_hidden() && logged_at.is_none_or(|at| at.elapsed() >= LOG_INTERVAL) {
+            tracing::info!("{label}");
+            *logged_at = Some(Instant::now());
+        }
     }
 
     /// Shows the fraction done, 0 to 1. May be called from any thread, at any rate.
@@ -46,9 +61,27 @@ impl Drop for Progress {
 
 const STEPS: u64 = 1000;
 
+/// The pause between log lines of one task.
+const LOG_INTERVAL: Duration = Duration::from_secs(10);
+
+/// The time that is left after `n_done` items in `elapsed`, in words such as ", 3 minutes left"; empty if unknown.
+pub fn time_left(elapsed: Duration, n_done: u32, n_left: u32) -> String {
+    match n_done {
+        0 => String::new(),
+        _ => format!(", {} left", HumanDuration(elapsed / n_done * n_left)),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_time_left_is_told_in_words() {
+        assert_eq!(time_left(Duration::from_secs(9), 0, 10), "");
+        assert_eq!(time_left(Duration::from_secs(30), 10, 60), ", 3 minutes left");
+        assert_eq!(time_left(Duration::from_secs(30), 10, 0), ", 0 seconds left");
+    }
 
     #[test]
     fn any_fraction_can_be_shown_from_any_thread() {

@@ -2,25 +2,28 @@
 
 use crate::grid::{GridOptions, MemoryBudget, Storage};
 
+/// Each option names it: a heading of the struct would also head the options after it.
+const HEADING: &str = "The grid: changes time and memory, but no picture";
+
 /// Storage of mesh and grid. No option changes a picture.
 #[derive(Clone, Copy, Debug, clap::Args)]
-#[command(next_help_heading = "The grid: changes time and memory, but no picture")]
 pub struct SceneArgs {
     /// Cells of the grid for each triangle, the paper's ρ [default: chosen for the scene]
-    #[arg(long, value_name = "RHO", value_parser = density)]
+    #[arg(long, help_heading = HEADING, value_name = "RHO", value_parser = density)]
     density: Option<f64>,
 
     /// Storage of the grid: plain or row-displacement for the paper's uniform grid, or masks for a tree that is finer where
     /// triangles are dense
-    #[arg(long, value_name = "HOW", default_value_t = Storage::default())]
+    #[arg(long, help_heading = HEADING, value_name = "HOW", default_value_t = Storage::default())]
     storage: Storage,
 
     /// Levels of empty macrocells that a single ray may skip
-    #[arg(long, value_name = "N", default_value_t = GridOptions::default().macrocell_levels, value_parser = macrocell_levels)]
+    #[arg(long, help_heading = HEADING, value_name = "N", default_value_t = GridOptions::default().macrocell_levels,
+        value_parser = macrocell_levels)]
     macrocell_levels: u8,
 
     /// Limit of the memory to load and build a scene, for example 512M or 1.5G; a smaller limit makes the grid coarser
-    #[arg(long, value_name = "SIZE", default_value_t = MemoryBudget::default())]
+    #[arg(long, help_heading = HEADING, value_name = "SIZE", default_value_t = MemoryBudget::default())]
     memory_budget: MemoryBudget,
 }
 

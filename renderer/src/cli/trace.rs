@@ -3,9 +3,15 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result};
+use clap::builder::{PathBufValueParser, TypedValueParser};
 
 use crate::{
-    cli::{picture_args::PictureArgs, say, stop::Task},
+    cli::{
+        check_writable,
+        picture_args::{PictureArgs, with_ending},
+        say,
+        stop::Task,
+    },
     model::scene::LoadedMesh,
     render::image,
 };
@@ -17,12 +23,14 @@ pub struct TraceArgs {
     picture: PictureArgs,
 
     /// The PNG file to write
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE.png",
+        value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "png")))]
     image: PathBuf,
 }
 
 /// Loads, builds and renders, and writes the picture.
 pub fn run(TraceArgs { picture, image }: &TraceArgs) -> Result<()> {
+    check_writable(image)?;
     picture.pool()?.install(|| {
         // The camera is checked before a large model is read.
         let camera = picture.read_camera()?;

@@ -50,7 +50,10 @@ pub enum Problem {
     // It has no size to compare the header's counts with, or cannot be opened.
     #[error(transparent)]
     Unreadable(#[from] ReadError),
-    #[error("is not a PLY file: it does not begin with a line `ply`")]
+    #[error(
+        "is not a PLY file, which begins with a line `ply`: convert other formats (OBJ, STL, GLB) to PLY, for example with \
+         MeshLab, or meshio"
+    )]
     NotPly,
     #[error("ends inside its header: no line `end_header`")]
     HeaderEnds,

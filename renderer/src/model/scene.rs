@@ -49,9 +49,11 @@ pub struct LoadedMesh {
 pub enum LoadError {
     #[error(transparent)]
     Ply(#[from] PlyError),
-    #[error("{}: has no triangles that can be traced ({n_vertices} vertices, {n_rejected} triangles rejected): \
-        a point cloud must be meshed first", path.display())]
-    NoTriangles { path: PathBuf, n_vertices: usize, n_rejected: usize },
+    #[error("{}: has {n_vertices} vertices and no triangles: a point cloud must be meshed first", path.display())]
+    NoTriangles { path: PathBuf, n_vertices: usize },
+    #[error("{}: has {n_vertices} vertices, and each of its {n_rejected} triangles has a corner that is none of them, or \
+        that has no usable position: export the model again", path.display())]
+    NoneUsable { path: PathBuf, n_vertices: usize, n_rejected: usize },
 }
 
 /// Loads a mesh; `progress` receives the fraction done, 0 to 1.
@@ -63,8 +65,12 @@ pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Loa
         SceneSource::Ply(path) => {
             let mesh = ply::read(path, progress)?;
             let (n_vertices, n_rejected) = (mesh.vertices.len(), mesh.n_rejected);
+            let path = path.clone();
+            if mesh.triangles.is_empty() {
+                return Err(LoadError::NoTriangles { path, n_vertices });
+            }
             if n_rejected == mesh.triangles.len() {
-                return Err(LoadError::NoTriangles { path: path.clone(), n_vertices, n_rejected });
+                return Err(LoadError::NoneUsable { path, n_vertices, n_rejected });
             }
             Ok(LoadedMesh { id: mesh_id(&mesh), mesh })
         }
@@ -106,6 +112,21 @@ mod tests {
         let vertices = Mesh { vertices: vec![[0.0; 3]; 2], ..Mesh::default() };
         let both = Mesh { vertices: vec![[0.0; 3]], triangles: vec![[0; 3]], ..Mesh::default() };
         assert_ne!(mesh_id(&vertices), mesh_id(&both));
+    }
+
+    #[test]
+    fn a_model_without_triangles_is_told_from_one_with_wrong_indices() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.ply");
+        let error = |faces: &str| {
+            let header =
+                "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
+            std::fs::write(&path, format!("{header}{faces}")).unwrap();
+            load(&SceneSource::Ply(path.clone()), &|_| ()).unwrap_err().to_string()
+        };
+        assert!(error("end_header\n0 0 0\n").ends_with("a point cloud must be meshed first"));
+        let face = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 1 2\n";
+        assert!(error(face).ends_with("export the model again"), "{}", error(face));
     }
 
     #[test]

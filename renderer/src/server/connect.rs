@@ -9,7 +9,10 @@ use std::{
 };
 
 use anyhow::{Context, bail};
-use channel::key::{Key, make_key_command};
+use channel::{
+    key::{Key, make_key_command},
+    wire::is_same_machine,
+};
 use shared::protocol::{DEFAULT_PORT, LONGEST_NAME};
 use tokio::{
     net::{TcpStream, lookup_host},
@@ -19,6 +22,7 @@ use tokio::{
 
 use crate::{
     cli::{
+        between,
         scene_args::SceneArgs,
         stop::{self, Signal},
     },
@@ -48,11 +52,11 @@ pub struct ConnectArgs {
     /// The wall, as HOST or HOST:PORT
     #[arg(value_name = "HOST:PORT")]
     pub wall: String,
-    /// The PLY file that the wall shows; needed where the wall's own path does not reach
+    /// The PLY file that the wall shows [default: the wall's own file, if the wall runs on this machine]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Number of tracing threads [default: one for each core]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = between(1_u32..=1024))]
     pub threads: Option<u32>,
     /// The name that the wall shows [default: this machine's name]
     #[arg(long, value_name = "NAME")]
@@ -72,7 +76,7 @@ pub struct ConnectArgs {
     /// Measure the wall alone: answer at once with this picture, for any scene
     #[arg(long, value_name = "FILE.png", conflicts_with = "model")]
     pub replay: Option<PathBuf>,
-    /// Set by a wall that starts a server on its own machine: read the files that it names, and end with it
+    /// Set by a wall that starts a server on its own machine: end with it
     #[arg(long, hide = true)]
     pub local: bool,
 }
@@ -93,8 +97,13 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
     let loader = match &args.replay {
         Some(picture) => SceneLoader::synthetic(pool, SyntheticPicture::read(picture)?),
         None if args.blank => SceneLoader::synthetic(pool, SyntheticPicture::noise()),
-        None => SceneLoader::start(pool, args.model, args.scene.options(), args.local)?,
+        None => SceneLoader::start(pool, args.model, args.scene.options())?,
     };
+    if with_port(&args.wall).starts_with(':') {
+        bail!("the wall has no name: write it as HOST or HOST:PORT, for example wall.example:{DEFAULT_PORT}");
+    }
+    // A local server ends with its wall, before it complains about the connection.
+    let patience = if args.local { LONGEST_PAUSE } else { SHORTEST_PAUSE };
     // This thread reads, writes and sends heartbeats; it never traces.
     let runtime = tokio::runtime::Builder::new_current_thread()
         .thread_name("work")
@@ -103,7 +112,7 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         .context("cannot start the network")?;
     let ended = runtime.block_on(async {
         tokio::select! {
-            ended = keep_connected(&args.wall, key.as_ref(), only_this_machine, &name, &loader) => ended,
+            ended = keep_connected(&args.wall, key.as_ref(), only_this_machine, &name, &loader, patience) => ended,
             _ = told_to_stop.changed() => match stop::unfinished() {
                 // The wall speaks for its own servers.
                 Some(stopped) if !args.local => Err(stopped.into()),
@@ -123,42 +132,62 @@ async fn keep_connected(
     only_this_machine: bool,
     name: &str,
     loader: &SceneLoader,
+    patience: Duration,
 ) -> anyhow::Result<()> {
     let host = with_port(wall);
     let mut pause = SHORTEST_PAUSE;
     let mut last_failure = String::new();
+    let mut has_ended = false;
     loop {
         let mut longest_pause = LONGEST_PAUSE;
-        let failure = match connect(&host, only_this_machine).await? {
+        let ended = match connect(&host, only_this_machine).await? {
             Ok(mut stream) => {
                 let security = if key.is_some() { "with a key" } else { "unencrypted" };
                 tracing::info!("connected to the wall at {host}, {security}");
+                has_ended = false;
+                let is_local = match (stream.local_addr(), stream.peer_addr()) {
+                    (Ok(here), Ok(wall)) => is_same_machine(here, wall),
+                    _ => false,
+                };
                 let (input, output) = stream.split();
-                let SessionEnd { was_accepted, reason } = session::run(input, output, key, name, loader).await;
+                let SessionEnd { was_accepted, reason } =
+                    session::run(input, output, key, name, loader, is_local).await;
                 if matches!(reason, Err(SessionError::Refused(_))) {
                     longest_pause = LONGEST_PAUSE_IF_REFUSED;
                 } else if was_accepted {
                     pause = SHORTEST_PAUSE;
                     last_failure.clear();
                 }
-                reason.map_or_else(|error| error.to_string(), |()| "the wall closed the connection".to_owned())
+                match reason {
+                    Err(error) if !(was_accepted && error.is_end()) => Err(error.to_string()),
+                    _ => Ok(()),
+                }
             }
-            Err(error) => error.to_string(),
+            // Nothing new: a wall that has ended does not listen.
+            Err(error) if has_ended && error.kind() == io::ErrorKind::ConnectionRefused => Ok(()),
+            Err(error) => Err(error.to_string()),
         };
-        // A local server ends here with its wall, before it complains about the connection.
-        sleep(SHORTEST_PAUSE).await;
-        // Report a repeated failure once.
-        if failure != last_failure {
-            tracing::warn!("{host}: {failure}; trying again until it answers");
-            last_failure = failure;
+        sleep(patience).await;
+        match ended {
+            Ok(()) if has_ended => {}
+            Ok(()) => {
+                tracing::info!("the wall at {host} has closed the connection; trying again until it answers");
+                has_ended = true;
+            }
+            // Report a repeated failure once.
+            Err(failure) if failure != last_failure => {
+                tracing::warn!("{host}: {failure}; trying again until it answers");
+                last_failure = failure;
+            }
+            Err(_) => {}
         }
-        sleep(pause - SHORTEST_PAUSE).await;
+        sleep(pause.saturating_sub(patience)).await;
         pause = (pause * 2).min(longest_pause);
     }
 }
 
 /// The address with a port: [`DEFAULT_PORT`] unless it names one.
-fn with_port(wall: &str) -> String {
+pub fn with_port(wall: &str) -> String {
     match wall.trim_matches(['[', ']']).parse::<IpAddr>() {
         Ok(address) => SocketAddr::new(address, DEFAULT_PORT).to_string(),
         Err(_) if wall.contains(':') => wall.to_owned(),

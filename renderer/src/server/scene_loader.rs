@@ -94,14 +94,7 @@ pub(crate) struct SceneLoader {
 
 impl SceneLoader {
     /// Starts the loading thread, which first loads `model`, if given, before any wall asks.
-    ///
-    /// `trusts_paths`: whether to read files that the wall names.
-    pub(crate) fn start(
-        pool: Arc<ThreadPool>,
-        model: Option<PathBuf>,
-        options: GridOptions,
-        trusts_paths: bool,
-    ) -> anyhow::Result<Self> {
+    pub(crate) fn start(pool: Arc<ThreadPool>, model: Option<PathBuf>, options: GridOptions) -> anyhow::Result<Self> {
         let requests = Arc::new(LatestRequest::default());
         let (progress, _) = watch::channel(None);
         let current = CurrentScene::default();
@@ -111,7 +104,6 @@ impl SceneLoader {
             model,
             options,
             structure: None,
-            trusts_paths,
             progress: progress.clone(),
         };
         std::thread::Builder::new()
@@ -144,7 +136,7 @@ impl SceneLoader {
         }
     }
 
-    /// Orders another scene, or the same in another structure.
+    /// Orders another scene, or the same in another structure. `path`: a file on this machine that may hold it.
     pub(crate) fn order(&self, scene: SceneId, path: Option<Vec<u8>>, structure: Option<Structure>) {
         if let Some(synthetic) = &self.synthetic {
             let state = SceneState::Ready { triangles: 0, bytes: synthetic.n_bytes() as u64, grid: None };
@@ -168,27 +160,28 @@ struct LoaderThread {
     options: GridOptions,
     /// The structure that the wall chose for the loaded scene, if it did.
     structure: Option<Structure>,
-    trusts_paths: bool,
     progress: watch::Sender<LoadProgress>,
 }
 
 impl LoaderThread {
     fn run(mut self, requests: &LatestRequest) {
+        let mut last_reason = String::new();
         if let Some(model) = self.model.clone()
             && let Err(reason) = self.load(None, &SceneSource::Ply(model))
         {
             // Carry on: the wall may ask for a scene that needs no file.
             tracing::error!("{reason}");
+            last_reason = reason;
         }
-        // An order that could not be met, and the files that it needs as they were then.
-        let mut unmet: Option<(LoadRequest, Vec<FileState>)> = None;
+        // An order that could not be met, and the file that it needs as it was then.
+        let mut unmet: Option<(LoadRequest, FileState)> = None;
         loop {
             let order = requests.take(if unmet.is_some() { RETRY_INTERVAL } else { Duration::MAX });
             // A file that has come back, or was replaced, is read without being asked for again.
             let order =
-                order.or_else(|| unmet.take_if(|(order, files)| self.files(order) != *files).map(|(order, _)| order));
+                order.or_else(|| unmet.take_if(|(order, file)| self.file(order) != *file).map(|(order, _)| order));
             let Some(order) = order else { continue };
-            let files = self.files(&order);
+            let file = self.file(&order);
             let scene = order.scene;
             let state = match self.prepare_scene(&order) {
                 Ok(scene) => SceneState::Ready {
@@ -196,44 +189,52 @@ impl LoaderThread {
                     bytes: scene.n_bytes() as u64,
                     grid: scene.grid.structure(),
                 },
-                Err(reason) => SceneState::Missing { reason },
+                Err(reason) => {
+                    // A wall may order the same scene over and over.
+                    if reason != last_reason {
+                        tracing::warn!("cannot render for the wall: {reason}");
+                        last_reason.clone_from(&reason);
+                    }
+                    SceneState::Missing { reason }
+                }
             };
-            unmet = matches!(state, SceneState::Missing { .. }).then_some((order, files));
+            unmet = matches!(state, SceneState::Missing { .. }).then_some((order, file));
             self.progress.send_replace(Some((scene, state)));
         }
     }
 
-    /// The files that may hold the ordered scene, the first to try first.
-    fn paths<'a>(&'a self, order: &'a LoadRequest) -> impl Iterator<Item = &'a PathBuf> {
-        order.path.iter().filter(|_| self.trusts_paths).chain(&self.model)
+    /// The file that should hold the ordered scene: the one of the command line, or the wall's own.
+    fn path<'a>(&'a self, order: &'a LoadRequest) -> Option<&'a PathBuf> {
+        self.model.as_ref().or(order.path.as_ref())
     }
 
-    fn files(&self, order: &LoadRequest) -> Vec<FileState> {
-        let state = |path: &PathBuf| path.metadata().ok().map(|file| (file.len(), file.modified().ok()));
-        self.paths(order).map(state).collect()
+    fn file(&self, order: &LoadRequest) -> FileState {
+        let file = self.path(order)?.metadata().ok()?;
+        Some((file.len(), file.modified().ok()))
     }
 
-    /// Returns the ordered scene, loaded from the first source that has it. The error names the cause and the cure.
+    /// Returns the ordered scene. The error names the cause and the cure.
     fn prepare_scene(&mut self, order: &LoadRequest) -> Result<Arc<Scene>, String> {
-        if let Some(scene) = self.current.get(order.scene).filter(|_| self.structure == order.structure) {
+        let ordered = order.scene;
+        if let Some(scene) = self.current.get(ordered).filter(|_| self.structure == order.structure) {
             return Ok(scene);
         }
         self.structure = order.structure;
-        let sources = match order.scene {
-            SceneId::Statue { triangles } => vec![SceneSource::Statue { triangles }],
-            SceneId::Mesh { .. } => self.paths(order).cloned().map(SceneSource::Ply).collect(),
+        let source = match ordered {
+            SceneId::Statue { triangles } => Some(SceneSource::Statue { triangles }),
+            SceneId::Mesh { .. } => self.path(order).cloned().map(SceneSource::Ply),
         };
-        let mut reason = format!("it has no {}: start it with --model FILE, the file that the wall shows", order.scene);
-        for source in sources {
-            match self.load(Some(order.scene), &source) {
-                Ok((id, scene)) if id == order.scene => return Ok(scene),
-                Ok((id, _)) => {
-                    reason = format!("{source} is {id}, the wall shows {}: give it the wall's own file", order.scene);
-                }
-                Err(error) => reason = error,
+        let Some(source) = source else {
+            return Err(format!("it has no {ordered}: start it with --model FILE, the file that the wall shows"));
+        };
+        match self.load(Some(ordered), &source) {
+            Ok((id, scene)) if id == ordered => Ok(scene),
+            Ok((id, _)) => Err(format!("{source} is {id}, the wall shows {ordered}: give it the wall's own file")),
+            Err(error) if self.model.is_none() => {
+                Err(format!("{error}; --model FILE names the file that the wall shows"))
             }
+            Err(error) => Err(error),
         }
-        Err(reason)
     }
 
     /// Loads and builds a scene; drops the previous one first, so that memory never holds two.

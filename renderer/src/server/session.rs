@@ -61,19 +61,30 @@ pub(crate) enum SessionError {
     OutOfTurn,
 }
 
-/// Runs a conversation over any stream; encrypted if a key is given.
+impl SessionError {
+    /// Whether the wall's end may be the cause: with samples under way, it resets the connection.
+    pub(crate) fn is_end(&self) -> bool {
+        use std::io::ErrorKind::{BrokenPipe, ConnectionReset, UnexpectedEof};
+        matches!(self, Self::Wire(WireError::Io(error))
+            if matches!(error.kind(), BrokenPipe | ConnectionReset | UnexpectedEof))
+    }
+}
+
+/// Runs a conversation over any stream; encrypted if a key is given. Files that the wall names are read only if it
+/// `is_local`: runs on this machine.
 pub(crate) async fn run(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
     key: Option<&Key>,
     name: &str,
     loader: &SceneLoader,
+    is_local: bool,
 ) -> SessionEnd {
     // One time limit for both handshakes: a wall that sends slowly gets no more.
     let deadline = Instant::now() + HANDSHAKE_TIMEOUT;
-    let Some(key) = key else { return run_session(input, output, name, loader, deadline).await };
+    let Some(key) = key else { return run_session(input, output, name, loader, deadline, is_local).await };
     match timeout_at(deadline, secure::connect(input, output, key)).await {
-        Ok(Ok((input, output))) => run_session(input, output, name, loader, deadline).await,
+        Ok(Ok((input, output))) => run_session(input, output, name, loader, deadline, is_local).await,
         Ok(Err(error)) => SessionEnd { was_accepted: false, reason: Err(error.into()) },
         Err(_) => SessionEnd { was_accepted: false, reason: Err(SessionError::NoHandshake) },
     }
@@ -85,6 +96,7 @@ async fn run_session(
     name: &str,
     loader: &SceneLoader,
     deadline: Instant,
+    is_local: bool,
 ) -> SessionEnd {
     // The deadline bounds the handshake: silence within it needs no limit of its own.
     let mut reader = MessageReader::new(input, 2 * HANDSHAKE_TIMEOUT);
@@ -97,7 +109,7 @@ async fn run_session(
     let (outbox, outgoing) = mpsc::channel(LONGEST_QUEUE);
     let (replies, reply_queue) = mpsc::channel(MOST_REPLIES);
     let jobs = Arc::new(JobQueue::new());
-    let mut session = Session { loader, replies, jobs: Arc::clone(&jobs), unfinished: Vec::new() };
+    let mut session = Session { loader, is_local, replies, jobs: Arc::clone(&jobs), unfinished: Vec::new() };
     let worker = tokio::task::spawn_blocking({
         let (pool, jobs) = (Arc::clone(loader.pool()), Arc::clone(&jobs));
         move || task::run(&jobs, &pool, &outbox)
@@ -129,6 +141,8 @@ async fn shake_hands(
 
 struct Session<'a> {
     loader: &'a SceneLoader,
+    /// Whether the wall runs on this machine.
+    is_local: bool,
     /// Encoded messages that overtake samples: on a slow network, a session that waited to send a reply could not read that
     /// the samples before it are cancelled.
     replies: mpsc::Sender<Vec<u8>>,
@@ -153,7 +167,9 @@ impl Session<'_> {
         while let Some(incoming) = reader.read().await? {
             let Incoming::Control(message) = incoming else { return Err(SessionError::OutOfTurn) };
             match message {
-                ToServer::LoadScene { scene, path, structure } => self.loader.order(scene, path, structure),
+                ToServer::LoadScene { scene, path, structure } => {
+                    self.loader.order(scene, path.filter(|_| self.is_local), structure);
+                }
                 ToServer::RenderFrame { frame, task_id, spec, task, encoding } => {
                     let Some(source) = self.loader.source_for(spec.scene) else {
                         // The wall went to another scene and back; `SceneState::Ready` follows when this one is loaded.

@@ -60,30 +60,87 @@ pub fn read_text(path: &Path, longest: u64) -> Result<String, ReadError> {
 /// # Errors
 /// `write` fails, or the file or its folder cannot be written.
 pub fn write(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
-    // Follows links as far as the system lets it: in /tmp, it refuses those of other users.
-    let old = match fs::metadata(path) {
-        Ok(metadata) => Some(metadata),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => None,
-        Err(error) => return Err(error),
-    };
-    if let Some(stream) = stream(path, old.as_ref())? {
-        let mut out = BufWriter::new(stream);
+    let old = old_file(path)?;
+    if is_stream(path, old.as_ref()) {
+        let mut out = BufWriter::new(stream(path)?);
         write(&mut out)?;
         return out.flush();
     }
-    let path = match old {
-        Some(_) => {
-            File::options().write(true).open(path)?;
-            path.canonicalize()?
+    let mut new = NewFile::beside(path, old)?;
+    new.part.fill(write)?;
+    new.finish()
+}
+
+/// Checks that [`write`] can write this file, before work whose result it takes. The old file stays as it is.
+///
+/// # Errors
+/// The file or its folder cannot be written.
+pub fn check(path: &Path) -> io::Result<()> {
+    let old = old_file(path)?;
+    if is_stream(path, old.as_ref()) { Ok(()) } else { NewFile::beside(path, old).map(drop) }
+}
+
+/// A file that another program writes: it lies beside the old one until it is finished. If it is dropped before, the old
+/// file is as it was.
+#[derive(Debug)]
+pub struct NewFile {
+    part: Part,
+    path: PathBuf,
+    old: Option<Metadata>,
+}
+
+impl NewFile {
+    /// Begins a file that will replace `path`, as [`write`] does.
+    ///
+    /// # Errors
+    /// It is a device, pipe or descriptor; or the file or its folder cannot be written.
+    pub fn begin(path: &Path) -> io::Result<Self> {
+        let old = old_file(path)?;
+        if is_stream(path, old.as_ref()) {
+            return Err(io::Error::other("it is a pipe or a device: name an ordinary file"));
         }
-        None => path.to_owned(),
-    };
-    let mode = if old.is_some() { PRIVATE } else { PUBLIC };
-    let complete = complete(folder_of(&path), mode, write)?;
-    if let Some(old) = old {
-        keep_access(complete.file.as_file(), &old)?;
+        Self::beside(path, old)
     }
-    complete.persist(&path)
+
+    /// The open file.
+    pub fn file(&self) -> &File {
+        self.part.file.as_file()
+    }
+
+    /// Replaces the old file.
+    ///
+    /// # Errors
+    /// The disk or its folder cannot be written.
+    pub fn finish(self) -> io::Result<()> {
+        // A disk over the network reports here that it is full; and a power cut must not leave an empty file.
+        self.file().sync_all()?;
+        if let Some(old) = &self.old {
+            keep_access(self.file(), old)?;
+        }
+        self.part.persist(&self.path)
+    }
+
+    fn beside(path: &Path, old: Option<Metadata>) -> io::Result<Self> {
+        let path = match old {
+            Some(_) => {
+                File::options().write(true).open(path)?;
+                path.canonicalize()?
+            }
+            None => path.to_owned(),
+        };
+        let mode = if old.is_some() { PRIVATE } else { PUBLIC };
+        Ok(Self { part: Part::begin(folder_of(&path), mode)?, path, old })
+    }
+}
+
+/// What is there; follows links as far as the system lets it: in /tmp, it refuses those of other users.
+fn old_file(path: &Path) -> io::Result<Option<Metadata>> {
+    match fs::metadata(path) {
+        Ok(metadata) if metadata.is_dir() => Err(io::ErrorKind::IsADirectory.into()),
+        Ok(metadata) => Ok(Some(metadata)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error),
+    }
 }
 
 /// Writes a new file that only its owner can read; it appears when it is complete.
@@ -137,16 +194,18 @@ const PUBLIC: u32 = 0o666;
 /// Of keys, and of files that take an old file's mode later.
 const PRIVATE: u32 = 0o600;
 
-/// A device, pipe or descriptor, which has no file beside it.
-fn stream(path: &Path, old: Option<&Metadata>) -> io::Result<Option<Box<dyn Write>>> {
-    // A redirected descriptor is a file that others go on writing: it must not be replaced, nor written from its start.
+/// Whether it is a device, pipe or descriptor, which has no file beside it. A redirected descriptor is a file that others
+/// go on writing: it must not be replaced, nor written from its start.
+fn is_stream(path: &Path, old: Option<&Metadata>) -> bool {
+    let is_named = ["/dev/stdout", "/dev/stderr"].iter().any(|name| path == Path::new(name));
+    is_named || old.is_some_and(|old| !old.is_file()) || path.starts_with("/dev/fd") || path.starts_with("/proc")
+}
+
+fn stream(path: &Path) -> io::Result<Box<dyn Write>> {
     Ok(match path.to_str() {
-        Some("/dev/stdout") => Some(Box::new(io::stdout())),
-        Some("/dev/stderr") => Some(Box::new(io::stderr())),
-        _ if old.is_some_and(|old| !old.is_file()) || path.starts_with("/dev/fd") || path.starts_with("/proc") => {
-            Some(Box::new(File::options().write(true).truncate(true).open(path)?))
-        }
-        _ => None,
+        Some("/dev/stdout") => Box::new(io::stdout()),
+        Some("/dev/stderr") => Box::new(io::stderr()),
+        _ => Box::new(File::options().write(true).truncate(true).open(path)?),
     })
 }
 
@@ -169,6 +228,7 @@ fn parts() -> MutexGuard<'static, Vec<PathBuf>> {
 }
 
 /// A file under a random name; it is removed if it is not renamed.
+#[derive(Debug)]
 struct Part {
     file: NamedTempFile,
     /// Dropped after the file.
@@ -176,6 +236,29 @@ struct Part {
 }
 
 impl Part {
+    /// An empty file.
+    fn begin(folder: &Path, mode: u32) -> io::Result<Self> {
+        let create = |path: &Path| {
+            let mut options = File::options();
+            // Fails if anything is there, be it a link.
+            options.write(true).create_new(true);
+            #[cfg(unix)]
+            std::os::unix::fs::OpenOptionsExt::mode(&mut options, mode);
+            options.open(path)
+        };
+        let _ = mode; // unused where files have no mode
+        let mut parts = parts();
+        let file = Builder::new().prefix(".raywall-").suffix(".part").rand_bytes(16).make_in(folder, create)?;
+        parts.push(file.path().to_owned());
+        Ok(Self { _entry: PartEntry(file.path().to_owned()), file })
+    }
+
+    fn fill(&mut self, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+        let mut out = BufWriter::new(self.file.as_file_mut());
+        write(&mut out)?;
+        out.flush()
+    }
+
     fn persist(self, path: &Path) -> io::Result<()> {
         let Self { file, _entry } = self;
         let _parts = parts();
@@ -185,6 +268,7 @@ impl Part {
 }
 
 /// An entry of [`PARTS`], until it is dropped.
+#[derive(Debug)]
 struct PartEntry(PathBuf);
 
 impl Drop for PartEntry {
@@ -195,28 +279,9 @@ impl Drop for PartEntry {
 
 /// A complete file on disk under a random name.
 fn complete(folder: &Path, mode: u32, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<Part> {
-    let create = |path: &Path| {
-        let mut options = File::options();
-        // Fails if anything is there, be it a link.
-        options.write(true).create_new(true);
-        #[cfg(unix)]
-        std::os::unix::fs::OpenOptionsExt::mode(&mut options, mode);
-        options.open(path)
-    };
-    let _ = mode; // unused where files have no mode
-    let mut part = {
-        let mut parts = parts();
-        let file = Builder::new().prefix(".raywall-").suffix(".part").rand_bytes(16).make_in(folder, create)?;
-        parts.push(file.path().to_owned());
-        Part { _entry: PartEntry(file.path().to_owned()), file }
-    };
-    let file = &mut part.file;
-    let mut out = BufWriter::new(file.as_file_mut());
-    write(&mut out)?;
-    out.flush()?;
-    drop(out);
-    // A disk over the network reports here that it is full; and a power cut must not leave an empty file.
-    file.as_file().sync_all()?;
+    let mut part = Part::begin(folder, mode)?;
+    part.fill(write)?;
+    part.file.as_file().sync_all()?;
     Ok(part)
 }
 
@@ -279,6 +344,35 @@ mod tests {
         assert_eq!(names(folder.path()), ["stats.json"]);
         assert!(write(Path::new("/no/such/folder/a"), |_| Ok(())).is_err());
         assert!(write(folder.path(), |_| Ok(())).is_err(), "a folder");
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_told_before_the_work() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("wall.png");
+        check(&path).unwrap();
+        assert!(names(folder.path()).is_empty(), "a check leaves nothing");
+        fs::write(&path, "old").unwrap();
+        check(&path).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(check(&folder.path().join("no/wall.png")).unwrap_err().kind(), io::ErrorKind::NotFound);
+        assert_eq!(check(folder.path()).unwrap_err().kind(), io::ErrorKind::IsADirectory);
+    }
+
+    #[test]
+    fn a_file_of_another_program_appears_when_it_is_finished() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("film.mp4");
+        fs::write(&path, "old").unwrap();
+        let new = NewFile::begin(&path).unwrap();
+        new.file().write_all(b"half").unwrap();
+        drop(new);
+        assert_eq!((fs::read(&path).unwrap(), names(folder.path()).len()), (b"old".to_vec(), 1));
+        let new = NewFile::begin(&path).unwrap();
+        new.file().write_all(b"new").unwrap();
+        new.finish().unwrap();
+        assert_eq!((fs::read(&path).unwrap(), names(folder.path()).len()), (b"new".to_vec(), 1));
+        assert!(NewFile::begin(folder.path()).is_err());
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Messages over any byte stream: a socket, an encrypted channel ([`crate::secure`]), a test's pipe.
 
-use std::{io, marker::PhantomData, time::Duration};
+use std::{io, marker::PhantomData, net::SocketAddr, time::Duration};
 
 use serde::{Serialize, de::DeserializeOwned};
 use shared::{
@@ -11,6 +11,12 @@ use tokio::{
     io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt},
     time::timeout,
 };
+
+/// Whether a connection's two ends are on one machine: it reaches itself on loopback, or from the address that it goes to.
+pub fn is_same_machine(here: SocketAddr, peer: SocketAddr) -> bool {
+    let [here, peer] = [here, peer].map(|address| address.ip().to_canonical());
+    peer.is_loopback() || here == peer
+}
 
 /// The conversation fails.
 #[derive(Debug, thiserror::Error)]
@@ -215,5 +221,19 @@ impl<S: AsyncWrite + Unpin> MessageWriter<S> {
     pub async fn send(&mut self, message: &impl Serialize) -> Result<usize, WireError> {
         self.push(message)?;
         Ok(self.flush().await?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_machine_is_known_by_loopback_and_by_its_own_address() {
+        let is_same = |here: &str, peer: &str| is_same_machine(here.parse().unwrap(), peer.parse().unwrap());
+        assert!(is_same("127.0.0.1:7117", "127.0.0.1:40000") && is_same("[::1]:7117", "[::1]:40000"));
+        assert!(is_same("192.0.2.1:7117", "192.0.2.1:40000"));
+        assert!(is_same("[::ffff:192.0.2.1]:7117", "192.0.2.1:40000"));
+        assert!(!is_same("192.0.2.1:7117", "192.0.2.2:7117"));
     }
 }

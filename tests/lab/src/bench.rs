@@ -58,7 +58,7 @@ pub struct BenchArgs {
     #[command(flatten)]
     pub scene: SceneArgs,
     /// Frames in flight, 1 to 3
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=3))]
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = renderer::cli::between(1_u32..=3))]
     pub in_flight: u32,
     /// Numbers of local render servers to measure, for example 0..12 or 1,2,4; 0 is the display alone; "none" measures
     /// nothing
@@ -74,7 +74,7 @@ pub struct BenchArgs {
     #[arg(long, value_name = "WxH")]
     pub predict_size: Vec<FrameSize>,
     /// Frames of each prediction
-    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = renderer::cli::between(1_u16..=1000))]
     pub predict_frames: u16,
     /// The folder for the results; created if missing
     #[arg(long, value_name = "DIR", required_unless_present = "display")]

@@ -28,7 +28,8 @@ use renderer::cli::{picture_args::read_camera, progress::Progress, say};
 #[derive(Args, Debug)]
 pub struct StabilityArgs {
     /// Rays of each case
-    #[arg(long, value_name = "N", default_value_t = 10_000_000, value_parser = clap::value_parser!(u64).range(10_000..=1_000_000_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 10_000_000,
+        value_parser = renderer::cli::between(10_000_u64..=1_000_000_000_000))]
     rays: u64,
 
     /// Try only the cases whose names contain this text

@@ -30,7 +30,7 @@ pub struct TraceArgs {
     picture: PictureArgs,
 
     /// Trace the frame this many times, to measure
-    #[arg(long, value_name = "K", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "K", default_value_t = 1, value_parser = renderer::cli::between(1_u32..=1_000_000))]
     frames: u32,
 
     /// Write the picture as PNG

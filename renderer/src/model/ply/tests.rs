@@ -206,9 +206,11 @@ fn files_without_faces_or_vertices_have_no_triangles() {
 #[test]
 fn errors_say_what_and_where() {
     let with = |from: &str, to: &str| error_text(TRIANGLE.replace(from, to));
+    let not_ply = "is not a PLY file, which begins with a line `ply`: convert other formats (OBJ, STL, GLB) to PLY, for \
+                   example with MeshLab, or meshio";
     for (text, expected) in [
-        (error_text(""), "is not a PLY file: it does not begin with a line `ply`"),
-        (error_text("plywood\n"), "is not a PLY file: it does not begin with a line `ply`"),
+        (error_text(""), not_ply),
+        (error_text("plywood\n"), not_ply),
         (error_text("ply\nformat ascii 1.0\n"), "ends inside its header: no line `end_header`"),
         (error_text("ply\nend_header\n"), "its header is not understood: No format line found."),
         (with("property float y", "property bool y"), "header line 5 is not understood: `property bool y`"),

@@ -1,0 +1,229 @@
+//! Where a film's pictures go: to numbered files in a folder, or through ffmpeg into a video.
+
+use std::{
+    collections::VecDeque,
+    io::{self, Read, Write},
+    panic::resume_unwind,
+    path::{Path, PathBuf},
+    process::{Child, Command, Stdio},
+    thread::JoinHandle,
+};
+
+use anyhow::{Context, bail};
+use channel::files::NewFile;
+use renderer::cli::check_writable;
+
+use crate::gpu::RgbImage;
+
+/// Pictures that are compressed at once: a wall's picture takes about as long to compress as to render.
+const N_WRITERS: usize = 2;
+
+/// The receiver of a film's pictures, which come in order.
+#[derive(Debug)]
+pub enum Output {
+    /// None: the film is only measured.
+    Nowhere,
+    /// A folder of pictures, which goes on where another run ended.
+    Pictures(Pictures),
+    /// A video.
+    Video(Box<Video>),
+}
+
+impl Output {
+    /// The first picture of `n_pictures` that it takes: 0, or the last one of a begun film, to be compared.
+    pub(super) fn first(&self, n_pictures: u32) -> u32 {
+        let Self::Pictures(Pictures { folder, .. }) = self else { return 0 };
+        let n_there = (0..n_pictures).find(|&index| !picture_file(folder, index).exists()).unwrap_or(n_pictures);
+        n_there.saturating_sub(1)
+    }
+
+    /// Says what is left of the film when it is cut off, after `n_begun` pictures were handed over.
+    pub(super) fn line_if_cut_off(&self, n_pictures: u32) -> Box<dyn Fn(u32) -> String + Send> {
+        match self {
+            Self::Nowhere => Box::new(move |n_begun| format!("stopped after {n_begun} of {n_pictures} pictures")),
+            Self::Pictures(Pictures { folder, .. }) => {
+                let folder = folder.clone();
+                Box::new(move |n_begun| written_so_far(&folder, n_begun, n_pictures))
+            }
+            Self::Video(video) => {
+                let path = video.path.clone();
+                Box::new(move |n_begun| {
+                    format!(
+                        "stopped after {n_begun} of {n_pictures} pictures; {} is not written: a film with --pictures \
+                         FOLDER can go on later",
+                        path.display()
+                    )
+                })
+            }
+        }
+    }
+
+    /// Takes the next picture.
+    pub(super) fn put(&mut self, index: u32, image: impl FnOnce() -> anyhow::Result<RgbImage>) -> anyhow::Result<()> {
+        match self {
+            Self::Nowhere => Ok(()),
+            Self::Pictures(pictures) => pictures.put(index, image()?),
+            Self::Video(video) => video.put(&image()?),
+        }
+    }
+
+    /// Waits until everything is written; returns a line about it.
+    pub(super) fn finish(self) -> anyhow::Result<Option<String>> {
+        match self {
+            Self::Nowhere => Ok(None),
+            Self::Pictures(pictures) => pictures.finish().map(Some),
+            Self::Video(video) => video.finish().map(Some),
+        }
+    }
+}
+
+/// A folder of pictures.
+#[derive(Debug)]
+pub struct Pictures {
+    folder: PathBuf,
+    fps: f64,
+    writers: VecDeque<JoinHandle<io::Result<()>>>,
+}
+
+impl Pictures {
+    /// Creates the folder, if there is none.
+    pub fn begin(folder: &Path, fps: f64) -> anyhow::Result<Self> {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        let file = picture_file(folder, 0);
+        check_writable(&file)?;
+        Ok(Self { folder: folder.to_owned(), fps, writers: VecDeque::with_capacity(N_WRITERS) })
+    }
+
+    /// Writes a picture, or compares it with the one that is there: a film never holds pictures of two.
+    fn put(&mut self, index: u32, image: RgbImage) -> anyhow::Result<()> {
+        let file = picture_file(&self.folder, index);
+        if self.writers.is_empty() && file.exists() {
+            return check_same(&file, &image);
+        }
+        if self.writers.len() == N_WRITERS {
+            self.writers.pop_front().map_or(Ok(()), finish)?;
+        }
+        let write = move || image.write_png(&file);
+        let writer = std::thread::Builder::new().name("picture".to_owned()).spawn(write);
+        self.writers.push_back(writer.context("cannot start a thread to write a picture")?);
+        Ok(())
+    }
+
+    fn finish(self) -> anyhow::Result<String> {
+        self.writers.into_iter().try_for_each(finish)?;
+        let (folder, fps) = (self.folder.display(), self.fps);
+        Ok(format!("all pictures are in {folder}: ffmpeg -framerate {fps} -i {folder}/picture-%06d.png film.mp4"))
+    }
+}
+
+/// Waits until a picture is written.
+fn finish(writer: JoinHandle<io::Result<()>>) -> io::Result<()> {
+    writer.join().unwrap_or_else(|panic| resume_unwind(panic))
+}
+
+fn picture_file(folder: &Path, index: u32) -> PathBuf {
+    folder.join(format!("picture-{:06}.png", index + 1))
+}
+
+/// The same film gives the same bytes.
+fn check_same(file: &Path, image: &RgbImage) -> anyhow::Result<()> {
+    let mut expected = Vec::new();
+    image.encode(&mut expected)?;
+    if std::fs::read(file).with_context(|| file.display().to_string())? != expected {
+        bail!(
+            "{} is of another film: give the begun film's options to go on with it, or --pictures another folder",
+            file.display()
+        );
+    }
+    tracing::info!("going on after {}", file.display());
+    Ok(())
+}
+
+/// The line about a film that is cut off.
+fn written_so_far(folder: &Path, n_begun: u32, n_pictures: u32) -> String {
+    // Only the pictures of the writers may be missing.
+    let first_open = n_begun.saturating_sub(N_WRITERS as u32);
+    let n_open = (first_open..n_begun).filter(|&index| picture_file(folder, index).exists()).count();
+    let n_written = first_open as usize + n_open;
+    format!(
+        "stopped after {n_written} of {n_pictures} pictures; those in {} are complete: the same command goes on",
+        folder.display()
+    )
+}
+
+/// A video that ffmpeg writes.
+#[derive(Debug)]
+pub struct Video {
+    path: PathBuf,
+    ffmpeg: Child,
+    file: NewFile,
+}
+
+impl Video {
+    /// Starts ffmpeg for pictures of `size`: columns, rows.
+    pub fn begin(path: &Path, fps: f64, size: [u32; 2]) -> anyhow::Result<Self> {
+        check_writable(path)?;
+        let file = NewFile::begin(path).with_context(|| format!("cannot write --film {}", path.display()))?;
+        let [columns, rows] = size;
+        let mut command = Command::new("ffmpeg");
+        command.args(["-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
+        command.args(["-video_size", &format!("{columns}x{rows}"), "-framerate", &fps.to_string(), "-i", "-"]);
+        // H.264 has even sides; and players expect the colours of high definition.
+        command.args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv"]);
+        command.args([
+            "-pix_fmt",
+            "yuv420p",
+            "-colorspace",
+            "bt709",
+            "-color_primaries",
+            "bt709",
+            "-color_trc",
+            "bt709",
+        ]);
+        // The open file, by its descriptor: it has no name yet.
+        command.args(["-crf", "16", "-f", "mp4", "-y", "/dev/fd/1"]);
+        // Ctrl+C is for this program, whose end is ffmpeg's.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        let out = file.file().try_clone().context("cannot hand the film to ffmpeg")?;
+        let ffmpeg = command.stdin(Stdio::piped()).stdout(out).stderr(Stdio::piped()).spawn().context(
+            "--film needs ffmpeg, which cannot be started: install it (apt, dnf or pacman: ffmpeg), or write pictures with \
+             --pictures FOLDER",
+        )?;
+        Ok(Self { path: path.to_owned(), ffmpeg, file })
+    }
+
+    fn put(&mut self, image: &RgbImage) -> anyhow::Result<()> {
+        let written = self.ffmpeg.stdin.as_mut().map_or(Ok(()), |stdin| stdin.write_all(&image.rgb));
+        match written {
+            // It has ended before the film.
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => self.wait(),
+            written => written.context("cannot send a picture to ffmpeg"),
+        }
+    }
+
+    fn finish(mut self) -> anyhow::Result<String> {
+        self.wait()?;
+        let path = self.path.display().to_string();
+        self.file.finish().with_context(|| format!("cannot write --film {path}"))?;
+        Ok(format!("wrote {path}"))
+    }
+
+    /// Waits for ffmpeg's end; its own words explain a failure.
+    fn wait(&mut self) -> anyhow::Result<()> {
+        drop(self.ffmpeg.stdin.take());
+        let mut said = String::new();
+        if let Some(mut errors) = self.ffmpeg.stderr.take() {
+            errors.read_to_string(&mut said).context("cannot read what ffmpeg says")?;
+        }
+        let status = self.ffmpeg.wait().context("cannot wait for ffmpeg")?;
+        if status.success() {
+            return Ok(());
+        }
+        let said = said.trim();
+        bail!(
+            "ffmpeg cannot write {} ({status}): {said}; --pictures FOLDER writes pictures instead",
+            self.path.display()
+        )
+    }
+}
