@@ -1,5 +1,6 @@
 //! The mesh that rays hit: ordered so that triangles close in space are close in memory.
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::{
@@ -20,6 +21,7 @@ pub struct TracedMesh {
     /// sRGB, one for each vertex; empty in a mesh without colours.
     colors: Vec<[u8; 3]>,
     bounds: Aabb,
+    origin: DVec3,
 }
 
 impl TracedMesh {
@@ -40,7 +42,7 @@ impl TracedMesh {
     /// Orders a mesh by the first mention of each triangle in `references`, which become triangle indices.
     pub fn new(mesh: Mesh, references: &mut [u32]) -> Self {
         let bounds = mesh.bounds();
-        let Mesh { vertices, triangles, colors, .. } = mesh;
+        let Mesh { vertices, triangles, colors, origin, .. } = mesh;
 
         // Number the triangles in the order of their first mention.
         let mut file_indices = Vec::new();
@@ -74,6 +76,7 @@ impl TracedMesh {
             file_indices,
             colors: kept_vertices.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
             bounds,
+            origin,
         }
     }
 
@@ -88,7 +91,7 @@ impl TracedMesh {
         self.file_indices[triangle_idx as usize]
     }
 
-    /// A triangle's corners, in world space.
+    /// A triangle's corners, in model space.
     #[inline]
     pub fn corners(&self, triangle_idx: u32) -> [[f32; 3]; 3] {
         self.triangles[triangle_idx as usize].map(|vertex| self.vertices[vertex as usize])
@@ -101,9 +104,14 @@ impl TracedMesh {
         (!self.colors.is_empty()).then(|| self.triangles[triangle_idx as usize].map(color))
     }
 
-    /// Bounds of all triangles, in world space.
+    /// Bounds of all triangles, in model space.
     pub fn bounds(&self) -> Aabb {
         self.bounds
+    }
+
+    /// The zero of model space, in world space.
+    pub fn origin(&self) -> DVec3 {
+        self.origin
     }
 
     /// Bytes in memory.
