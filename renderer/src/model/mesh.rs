@@ -16,8 +16,6 @@ pub struct Mesh {
     pub vertices: Vec<[f32; 3]>,
     /// The zero of model space, in world space; finite. It is zero if `f32` holds the file's coordinates as they are.
     pub origin: DVec3,
-    /// The farthest that rounding to `f32` moved a usable coordinate, in world units.
-    pub largest_rounding: f64,
     /// Vertex indices, polygons fanned in file order.
     pub triangles: Vec<[u32; 3]>,
     /// sRGB colours of the vertices.
@@ -96,6 +94,13 @@ impl Mesh {
     /// The lowest and highest corner of the bounds, in world space.
     pub fn extent(&self) -> [DVec3; 2] {
         self.bounds().corners().map(|corner| corner + self.origin)
+    }
+
+    /// The farthest that rounding to `f32` can have moved a coordinate of a triangle, in world units.
+    pub fn largest_rounding(&self) -> f64 {
+        let largest = self.bounds().corners().map(|corner| corner.abs().max_element());
+        let half_step = 0.5 * f64::from(f32::EPSILON);
+        if self.origin == DVec3::ZERO { 0.0 } else { largest[0].max(largest[1]) * half_step }
     }
 
     /// Bytes of the mesh in memory.

@@ -69,7 +69,7 @@ pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Loa
             }
             if mesh.origin != DVec3::ZERO {
                 let DVec3 { x, y, z } = mesh.origin;
-                let rounding = mesh.largest_rounding;
+                let rounding = mesh.largest_rounding();
                 let path = path.display();
                 tracing::info!("{path}: traced relative to ({x}, {y}, {z}), rounded by at most {rounding:.1e}");
             }

@@ -34,8 +34,7 @@ impl MeshBuilder {
 
     pub(super) fn push_vertex(&mut self, vertex: &Vertex) -> Result<(), Problem> {
         self.place_origin(vertex.position);
-        let position = self.relative(vertex.position);
-        self.mesh.vertices.push(position);
+        self.mesh.vertices.push((vertex.position - self.mesh.origin).as_vec3().to_array());
         if self.colored {
             self.mesh.colors.push(vertex.color);
         }
@@ -51,20 +50,9 @@ impl MeshBuilder {
             return;
         }
         self.mesh.origin = position;
-        for index in 0..self.mesh.vertices.len() {
-            self.mesh.vertices[index] = self.relative(Vec3::from_array(self.mesh.vertices[index]).as_dvec3());
+        for vertex in &mut self.mesh.vertices {
+            *vertex = (Vec3::from_array(*vertex).as_dvec3() - position).as_vec3().to_array();
         }
-    }
-
-    /// A point relative to the origin, rounded.
-    fn relative(&mut self, position: DVec3) -> [f32; 3] {
-        let exact = position - self.mesh.origin;
-        let rounded = exact.as_vec3();
-        if Mesh::is_usable(rounded.to_array()) {
-            let rounding = (rounded.as_dvec3() - exact).abs().max_element();
-            self.mesh.largest_rounding = self.mesh.largest_rounding.max(rounding);
-        }
-        rounded.to_array()
     }
 
     /// Fans a polygon: (0, 1, 2), (0, 2, 3), …
