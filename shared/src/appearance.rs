@@ -219,14 +219,14 @@ pub enum ClipSide {
     Eye,
 }
 
-/// Half of space: the points `p` with `normal·p ≤ offset`, in world space.
+/// Half of space: the points `p` with `normal·p ≤ offset`, in model space.
 ///
 /// Invariant: all numbers are finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClipPlane {
     /// Points away from the kept half.
     pub normal: DVec3,
-    /// Offset from the world's origin, in units of the normal's length.
+    /// Offset from the model's origin, in units of the normal's length.
     pub offset: f64,
 }
 

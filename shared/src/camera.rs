@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::division::FrameSize;
 
-/// The paper's camera: an eye and a view plane, in world space.
+/// The paper's camera: an eye and a view plane, in world space: the coordinates of the model's file.
 ///
 /// Points of the view plane are `ll + s·u + t·v` with s and t in 0..1: `ll` is its lower-left corner, `u` runs along its
 /// bottom edge to the right, `v` along its left edge upwards.
@@ -159,6 +159,12 @@ impl Camera {
         self.ll + (self.u + self.v) * 0.5
     }
 
+    /// The same camera in a space whose zero is at `origin`.
+    #[must_use]
+    pub fn relative_to(&self, origin: DVec3) -> Self {
+        Self { eye: self.eye - origin, ll: self.ll - origin, ..*self }
+    }
+
     /// A point's projection, as parts of the edges u and v; `None` if it lies beside or behind the eye.
     pub fn project(&self, point: DVec3) -> Option<[f64; 2]> {
         // Solve eye + t·(point − eye) = ll + s·u + p·v for t, s and p.
@@ -191,7 +197,7 @@ impl Camera {
 /// then [`CameraRays::direction`] adds in `f32` without fused multiply-add.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraRays {
-    /// The origin of every ray, in world space.
+    /// The origin of every ray, in the camera's space.
     pub eye: Vec3,
     /// From the eye to the lower-left corner of the view plane.
     pub a: Vec3,

@@ -156,6 +156,7 @@ pub fn ply(data: &[u8]) {
     let n_rejected = mesh.triangles.iter().filter(|&&triangle| triangle == Mesh::REJECTED).count();
     assert_eq!(n_rejected, mesh.n_rejected);
     assert!(mesh.triangles.iter().all(|triangle| *triangle == Mesh::REJECTED || is_sound(triangle)));
+    assert!(mesh.origin.is_finite());
     assert!(mesh.colors.is_empty() || mesh.colors.len() == mesh.vertices.len());
 }
 

@@ -75,7 +75,7 @@ impl Files {
 }
 
 /// The hash of a picture's samples, as `--stats` has it.
-fn hash_of_png(path: &Path) -> String {
+pub(crate) fn hash_of_png(path: &Path) -> String {
     renderer::render::image::hash_samples(&samples_of_png(path))
 }
 

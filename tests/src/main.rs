@@ -32,6 +32,8 @@ mod liars;
 #[cfg(test)]
 mod losses;
 #[cfg(test)]
+mod map_grid;
+#[cfg(test)]
 mod measuring;
 #[cfg(test)]
 mod optics;

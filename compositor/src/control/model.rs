@@ -29,7 +29,7 @@ impl Model {
         Ok(Self {
             source,
             scene: id,
-            bounds: mesh.bounds().corners().into(),
+            bounds: mesh.extent().into(),
             n_triangles: mesh.triangles.len() - mesh.n_rejected,
             n_rejected: mesh.n_rejected,
             is_solid: mesh.facing().is_some(),

@@ -29,7 +29,7 @@ pub(crate) struct ModelSummary {
 pub(crate) struct Pick {
     /// The triangle's number in the file, from 0; `None` on the cap of a cut.
     pub triangle: Option<u32>,
-    /// The point, in the model's own coordinates.
+    /// The point, in the coordinates of the model's file.
     pub point: DVec3,
     /// From the eye to the point, in the model's own unit.
     pub distance: f64,
@@ -39,7 +39,7 @@ impl fmt::Display for Pick {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { triangle, point, distance } = self;
         let name = triangle.map_or("Cut".to_owned(), |number| format!("Triangle {}", style::grouped(number as usize)));
-        write!(f, "{name} at {}, {} from the eye", coordinates(*point), length(*distance))
+        write!(f, "{name} at {}, {} from the eye", coordinates(*point, *distance), length(*distance))
     }
 }
 
@@ -105,18 +105,36 @@ fn ready_scenes(model: &OverlayModel) -> impl Iterator<Item = (u64, u64, Option<
     })
 }
 
-fn coordinates(point: DVec3) -> String {
-    format!("({}, {}, {})", length(point.x), length(point.y), length(point.z))
+/// A point as precise as its distance from the eye: on a map grid, coordinates have more digits than distances.
+fn coordinates(point: DVec3, distance: f64) -> String {
+    let coordinate = |value: f64| {
+        // More digits than `f64` has say nothing.
+        let n_more = (n_whole(value).saturating_sub(n_whole(distance))).min(15 - N_DIGITS);
+        number(value, N_DIGITS + n_more)
+    };
+    format!("({}, {}, {})", coordinate(point.x), coordinate(point.y), coordinate(point.z))
 }
 
-/// A length in an unknown unit, with five digits.
+/// Digits of a length.
+const N_DIGITS: usize = 5;
+
+/// A length in an unknown unit.
 fn length(value: f64) -> String {
+    number(value, N_DIGITS)
+}
+
+fn number(value: f64, n_digits: usize) -> String {
     let magnitude = value.abs();
-    if magnitude != 0.0 && !(1e-3..1e6).contains(&magnitude) {
-        return format!("{value:.4e}");
+    let is_long = magnitude >= 1e6 && n_digits < n_whole(value);
+    if magnitude != 0.0 && (magnitude < 1e-3 || is_long) {
+        return format!("{value:.*e}", n_digits - 1);
     }
-    let n_whole = if magnitude >= 1.0 { magnitude.log10().floor() as usize + 1 } else { 1 };
-    format!("{value:.*}", 5usize.saturating_sub(n_whole))
+    format!("{value:.*}", n_digits.saturating_sub(n_whole(value)))
+}
+
+/// Digits before the decimal point.
+fn n_whole(value: f64) -> usize {
+    if value.abs() >= 1.0 { (value.abs().log10().floor() as usize).saturating_add(1) } else { 1 }
 }
 
 #[cfg(test)]
@@ -128,5 +146,18 @@ mod tests {
         let lengths = [0.0, 1.0, -0.123_456, 12.345_67, 99_999.4, 123_456.0, 1.5e-7, 2e9];
         let expected = ["0.0000", "1.0000", "-0.1235", "12.346", "99999", "123456", "1.5000e-7", "2.0000e9"];
         assert_eq!(lengths.map(length), expected);
+    }
+
+    #[test]
+    fn coordinates_are_as_precise_as_the_distance_from_the_eye() {
+        let on_a_map = DVec3::new(512_345.123_4, 5_412_345.678_9, -70.25);
+        assert_eq!(coordinates(on_a_map, 98.1), "(512345.123, 5412345.679, -70.250)");
+        assert_eq!(coordinates(on_a_map, 0.1), "(512345.1234, 5412345.6789, -70.2500)");
+        assert_eq!(coordinates(on_a_map, 5e6), "(512345, 5.4123e6, -70.250)");
+        assert_eq!(coordinates(DVec3::splat(f64::INFINITY), f64::NAN), "(inf, inf, inf)");
+        assert_eq!(
+            coordinates(DVec3::splat(1e300), 1e-300),
+            "(1.00000000000000e300, 1.00000000000000e300, 1.00000000000000e300)"
+        );
     }
 }

@@ -119,7 +119,7 @@ impl PictureArgs {
     /// The frame that shows `scene`, named `id`, through the centres of its samples.
     pub fn spec(&self, id: SceneId, scene: &Scene, camera: Option<Camera>) -> FrameSpec {
         let camera = camera.unwrap_or_else(|| {
-            let [min, max] = scene.mesh().bounds().corners();
+            let [min, max] = scene.mesh().bounds().corners().map(|corner| corner + scene.mesh().origin());
             Camera::view_all(min, max, self.up, CANVAS_ASPECT)
         });
         FrameSpec {

@@ -4,10 +4,10 @@ use glam::DVec3;
 
 use crate::model::mesh::Aabb;
 
-/// The map from world space to a grid's finest cells: each is a unit cube with corners at integers.
+/// The map from model space to a grid's finest cells: each is a unit cube with corners at integers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct CellSpace {
-    /// The grid's lowest corner, in world space.
+    /// The grid's lowest corner, in model space.
     pub(crate) origin: [f32; 3],
     /// Finest cells per world unit.
     pub(crate) cells_per_unit: f64,

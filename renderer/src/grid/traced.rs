@@ -25,6 +25,7 @@ pub struct TracedMesh {
     colors: Vec<[u8; 3]>,
     bounds: Aabb,
     facing: Option<Facing>,
+    origin: DVec3,
 }
 
 impl TracedMesh {
@@ -45,7 +46,7 @@ impl TracedMesh {
     /// Orders a mesh by the first mention of each triangle in `references`, which become triangle indices.
     pub fn new(mesh: Mesh, references: &mut [u32]) -> Self {
         let (bounds, facing) = (mesh.bounds(), mesh.facing());
-        let Mesh { vertices, triangles, colors, .. } = mesh;
+        let Mesh { vertices, triangles, colors, origin, .. } = mesh;
 
         // Number the triangles in the order of their first mention.
         let mut file_indices = Vec::new();
@@ -80,6 +81,7 @@ impl TracedMesh {
             colors: kept_vertices.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
             bounds,
             facing,
+            origin,
         }
     }
 
@@ -94,7 +96,7 @@ impl TracedMesh {
         self.file_indices[triangle_idx as usize]
     }
 
-    /// A triangle's corners, in world space.
+    /// A triangle's corners, in model space.
     #[inline]
     pub fn corners(&self, triangle_idx: u32) -> [[f32; 3]; 3] {
         self.triangles[triangle_idx as usize].map(|vertex| self.vertices[vertex as usize])
@@ -118,9 +120,14 @@ impl TracedMesh {
         (!self.colors.is_empty()).then(|| self.triangles[triangle_idx as usize].map(color))
     }
 
-    /// Bounds of all triangles, in world space.
+    /// Bounds of all triangles, in model space.
     pub fn bounds(&self) -> Aabb {
         self.bounds
+    }
+
+    /// The zero of model space, in world space.
+    pub fn origin(&self) -> DVec3 {
+        self.origin
     }
 
     /// Bytes in memory.

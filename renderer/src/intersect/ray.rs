@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-/// A ray in world space: the points `origin + t·direction` with t in `t_min..=t_max`.
+/// A ray in model space: the points `origin + t·direction` with t in `t_min..=t_max`.
 ///
 /// The direction is not normalised.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,7 +3,9 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-/// A triangle mesh, in world space.
+/// A triangle mesh, in model space: the file's coordinates, which are world space, relative to an origin.
+///
+/// At the coordinates of a map grid `f32` steps by half a metre, beside an origin on the model by micrometres.
 ///
 /// Invariant: every triangle either has indices of usable vertices or is [`Mesh::REJECTED`]. Rejected triangles are kept, so
 /// that a triangle's position in `triangles` is its file index.
@@ -12,6 +14,8 @@ use rayon::prelude::*;
 pub struct Mesh {
     /// Positions. Vertices that no accepted triangle uses may hold any value, even NaN.
     pub vertices: Vec<[f32; 3]>,
+    /// The zero of model space, in world space; finite. It is zero if `f32` holds the file's coordinates as they are.
+    pub origin: DVec3,
     /// Vertex indices, polygons fanned in file order.
     pub triangles: Vec<[u32; 3]>,
     /// sRGB colours of the vertices.
@@ -20,7 +24,7 @@ pub struct Mesh {
     pub n_rejected: usize,
 }
 
-/// An axis-aligned bounding box in world space. Empty boxes have `min > max`.
+/// An axis-aligned bounding box, in model space. Empty boxes have `min > max`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Aabb {
     /// Lowest coordinates.
@@ -85,6 +89,18 @@ impl Mesh {
         let extend = |bounds: Aabb, triangle| self.corners(triangle).into_iter().flatten().fold(bounds, Aabb::extend);
         let parts = (0..self.triangles.len()).into_par_iter().fold(|| Aabb::EMPTY, extend);
         parts.reduce(|| Aabb::EMPTY, Aabb::union)
+    }
+
+    /// The lowest and highest corner of the bounds, in world space.
+    pub fn extent(&self) -> [DVec3; 2] {
+        self.bounds().corners().map(|corner| corner + self.origin)
+    }
+
+    /// The farthest that rounding to `f32` can have moved a coordinate of a triangle, in world units.
+    pub fn largest_rounding(&self) -> f64 {
+        let largest = self.bounds().corners().map(|corner| corner.abs().max_element());
+        let half_step = 0.5 * f64::from(f32::EPSILON);
+        if self.origin == DVec3::ZERO { 0.0 } else { largest[0].max(largest[1]) * half_step }
     }
 
     /// Bytes of the mesh in memory.

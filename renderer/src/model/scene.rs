@@ -2,6 +2,7 @@
 
 use std::{fmt, path::PathBuf};
 
+use glam::DVec3;
 use shared::scene::SceneId;
 
 use crate::model::{
@@ -72,12 +73,19 @@ pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Loa
             if n_rejected == mesh.triangles.len() {
                 return Err(LoadError::NoneUsable { path, n_vertices, n_rejected });
             }
+            if mesh.origin != DVec3::ZERO {
+                let DVec3 { x, y, z } = mesh.origin;
+                let rounding = mesh.largest_rounding();
+                let path = path.display();
+                tracing::info!("{path}: traced relative to ({x}, {y}, {z}), rounded by at most {rounding:.1e}");
+            }
             Ok(LoadedMesh { id: mesh_id(&mesh), mesh })
         }
     }
 }
 
-/// BLAKE3 over vertices, triangles and colours: for each its length as `u64`, then its numbers, all little endian.
+/// BLAKE3 over vertices, triangles and colours: for each its length as `u64`, then its numbers, all little endian; then
+/// over the origin's numbers if it is not zero.
 pub fn mesh_id(mesh: &Mesh) -> SceneId {
     let mut hasher = blake3::Hasher::new();
     let mut part = |n_items: usize, bytes: &[u8]| {
@@ -87,6 +95,9 @@ pub fn mesh_id(mesh: &Mesh) -> SceneId {
     part(mesh.vertices.len(), bytemuck::cast_slice(&mesh.vertices));
     part(mesh.triangles.len(), bytemuck::cast_slice(&mesh.triangles));
     part(mesh.colors.len(), bytemuck::cast_slice(&mesh.colors));
+    if mesh.origin != DVec3::ZERO {
+        hasher.update(bytemuck::cast_slice(&mesh.origin.to_array()));
+    }
     SceneId::Mesh { blake3: *hasher.finalize().as_bytes() }
 }
 
@@ -100,7 +111,7 @@ mod tests {
             vertices: vec![[1.0, 0.0, 0.0]],
             triangles: vec![[0, 0, 0]],
             colors: vec![[1, 2, 3]],
-            n_rejected: 0,
+            ..Mesh::default()
         };
         let bytes = [&[1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x80, 0x3f][..], &[0; 8], &[1, 0, 0, 0, 0, 0, 0, 0], &[0; 12]];
         let bytes = [bytes.concat(), vec![1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3]].concat();
@@ -112,6 +123,7 @@ mod tests {
         let vertices = Mesh { vertices: vec![[0.0; 3]; 2], ..Mesh::default() };
         let both = Mesh { vertices: vec![[0.0; 3]], triangles: vec![[0; 3]], ..Mesh::default() };
         assert_ne!(mesh_id(&vertices), mesh_id(&both));
+        assert_ne!(mesh_id(&both), mesh_id(&Mesh { origin: DVec3::X, ..both.clone() }));
     }
 
     #[test]

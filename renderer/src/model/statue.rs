@@ -55,7 +55,7 @@ pub fn generate(triangles: u32, progress: &(dyn Fn(f32) + Sync)) -> Mesh {
         let split = if length2(a, c) <= length2(b, d) { [[a, b, c], [a, c, d]] } else { [[a, b, d], [b, c, d]] };
         pair.copy_from_slice(&split);
     });
-    Mesh { vertices, triangles, colors: Vec::new(), n_rejected: 0 }
+    Mesh { vertices, triangles, ..Mesh::default() }
 }
 
 /// Vertices computed between two reports of progress.

@@ -37,7 +37,7 @@ pub struct SecondaryRays<'a> {
     lighting_mode: LightingMode,
     /// Has single precision, as the origin of all rays.
     pub(super) eye: DVec3,
-    /// Position of the key light, world space.
+    /// Position of the key light, model space.
     pub key_light: Vec3,
     /// Direction to the key light from hits without a surface point, world space.
     key_direction: Vec3,
@@ -55,7 +55,7 @@ const AO_RADIUS_RELATIVE: f64 = 0.1;
 
 /// Surface at a hit.
 struct Surface {
-    /// The hit point, lifted off the surface; world space.
+    /// The hit point, lifted off the surface; model space.
     point: DVec3,
     /// Unit length, on the side of the ray's origin.
     normal: DVec3,
@@ -223,7 +223,7 @@ const GOLDEN_ANGLE: [f32; 2] = [-0.737_368_9, 0.675_490_3];
 const KEY_DISTANCE: f64 = 1.5;
 
 /// The key light's position, for unit vectors opposite to the camera's direction and to the light, and the centre of the
-/// scene's bounds with half their diagonal; all in world space.
+/// scene's bounds with half their diagonal; all in model space.
 ///
 /// The light stands in its direction from the viewed point: the point in front of the eye that is as far away as the
 /// centre of the scene. A light on the eye's side stays within the eye's room; another may stand behind walls.

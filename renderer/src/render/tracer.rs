@@ -31,6 +31,7 @@ impl Scene {
     /// Appends their samples to `rgb`, sRGB-encoded, in the order of [`Share::samples`]. The bits depend only on scene,
     /// spec and sample, so several threads may render parts of one share.
     pub fn render(&self, spec: &FrameSpec, share: &Share, units: Range<u32>, rgb: &mut Vec<u8>) {
+        let spec = &FrameSpec { camera: self.local(&spec.camera), ..*spec };
         let rays = spec.camera.rays(spec.size);
         let clip = self.clip_plane(&spec.camera, spec.appearance.clip);
         let lighting = Lighting::new(&self.grid, spec, clip);

@@ -55,8 +55,8 @@ impl Camera {
         } else {
             (DVec3::ZERO, DVec3::ONE)
         };
-        // From nearer, rounding to f32 would move the eye by much of its distance.
-        let least = centre.abs().max_element() * f64::from(f32::EPSILON) * 4.0;
+        // From nearer, rounding would move the eye by much of its distance.
+        let least = centre.abs().max_element() * f64::EPSILON * 4096.0;
         let half = half.max(DVec3::splat((half.max_element() * 1e-3).max(least).max(1e-36)));
         let up_direction = up.direction();
         // For y up the front is +z, as in most scans; for z up it is −y, as in most CAD models.

@@ -108,7 +108,7 @@ struct Server {
 impl Server {
     fn trace(&mut self, kernel: &str, n_threads: usize, n_frames: u32, shadow: bool, camera: &Path) -> Result<()> {
         let PeerCamera { spec, light } = PeerCamera::read(camera)?;
-        let light = shadow.then_some(light.as_vec3());
+        let light = shadow.then_some(light);
         let options = FrameOptions { kernel: named_kernel(kernel)?, light };
         let pool = match self.pools.entry(n_threads) {
             Entry::Occupied(pool) => pool.into_mut(),

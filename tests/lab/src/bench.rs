@@ -31,6 +31,7 @@ use renderer::{
     render::scene::Scene,
 };
 use shared::{
+    camera::{Camera, UpAxis},
     division::{Division, FrameSize},
     protocol::{Encoding, FrameSpec, LightingMode},
 };
@@ -42,7 +43,7 @@ use self::{
     results::{MeasuredRow, PredictedRow, Results},
     shares::ShareTracer,
 };
-use crate::{chart::view_all, farm};
+use crate::farm;
 
 /// The measurements, and the folder of their results.
 #[derive(Clone, Debug, clap::Args)]
@@ -147,10 +148,9 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let LoadedMesh { id, mesh } = show.model.load()?;
     // From here on, an experiment that is stopped has results.
     wake_to_stop(wake.clone());
-    let bounds = mesh.bounds();
-    let camera = camera.unwrap_or_else(|| view_all(bounds, aspect));
+    let [min, max] = mesh.extent();
+    let camera = camera.unwrap_or_else(|| Camera::view_all(min, max, UpAxis::Y, aspect));
     let spec = FrameSpec { rays: args.rays, ..farm::frame_spec(id, camera, args.size) };
-    let [min, max] = bounds.corners();
     let path = Path { spec, centre: (min + max) * 0.5, in_flight: args.in_flight };
 
     let sizes = if args.predict_size.is_empty() {

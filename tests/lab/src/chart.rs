@@ -86,11 +86,13 @@ pub(crate) fn run(args: &ChartArgs) -> Result<()> {
     let peers = args.points.as_deref().map(peers::read).transpose()?.unwrap_or_default();
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let name = args.model.model.as_deref().map_or_else(|| args.model.source().to_string(), name_of);
-    let mesh = args.model.load()?.mesh;
+    let mut mesh = args.model.load()?.mesh;
+    // Rivals and reference know no origin: all compare in the mesh's coordinates.
+    let origin = std::mem::take(&mut mesh.origin);
     let cameras = if cameras.is_empty() {
         vec![("whole model".to_owned(), view_all(mesh.bounds(), 16.0 / 9.0))]
     } else {
-        cameras
+        cameras.into_iter().map(|(name, camera)| (name, camera.relative_to(origin))).collect()
     };
     let mut session = Session {
         args,

@@ -10,7 +10,7 @@ use std::{path::PathBuf, time::Instant};
 use anyhow::{Context, Result, ensure};
 use channel::files;
 use clap::Args;
-use glam::Vec3;
+use glam::DVec3;
 use renderer::{
     cli::{picture_args::PictureArgs, say},
     grid::GridStats,
@@ -61,13 +61,13 @@ pub struct TraceArgs {
 
     /// Position of the light of the shadow rays, in world space
     #[arg(long, value_name = "X,Y,Z", default_value = "3,5,4", value_parser = point)]
-    light: Vec3,
+    light: DVec3,
 }
 
-fn point(text: &str) -> Result<Vec3, String> {
-    let numbers: Result<Vec<f32>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+fn point(text: &str) -> Result<DVec3, String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
     match numbers.as_deref() {
-        Ok(&[x, y, z]) if x.is_finite() && y.is_finite() && z.is_finite() => Ok(Vec3::new(x, y, z)),
+        Ok(&[x, y, z]) if x.is_finite() && y.is_finite() && z.is_finite() => Ok(DVec3::new(x, y, z)),
         _ => Err("a point is three finite numbers, as in 3,5,4".to_owned()),
     }
 }

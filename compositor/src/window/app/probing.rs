@@ -65,6 +65,7 @@ fn pick(ProbeHit { triangle, t }: ProbeHit, camera: &Camera, at: [f32; 2]) -> Pi
 
 #[cfg(test)]
 mod tests {
+    use renderer::{grid::GridOptions, model::ply, render::scene::Scene};
     use shared::camera::UpAxis;
 
     use super::*;
@@ -80,6 +81,19 @@ mod tests {
         let expected = camera.ll() + camera.u() * 0.25 + camera.v() * 0.5;
         assert!((pick.point - expected).length() < 1e-5, "{pick:?}");
         assert!((pick.distance - (expected - camera.eye()).length()).abs() < 1e-5);
+    }
+
+    #[test]
+    fn a_point_on_a_map_grid_has_the_digits_of_its_file() {
+        let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n\
+            element face 1\nproperty list uchar int vertex_indices\nend_header\n512345.123 5412345.678 71.25\n\
+            512355.123 5412345.678 71.25\n512345.123 5412355.678 71.25\n3 0 1 2\n";
+        let mesh = ply::read_from(text.as_bytes(), text.len() as u64).unwrap();
+        let scene = Scene::build(mesh, &GridOptions::default(), &|_| ());
+        let target = DVec3::new(512_347.501, 5_412_348.252, 71.25);
+        let camera = Camera::look_at(target + DVec3::Z * 98.0, target, DVec3::Y, 0.7, 2.0).unwrap();
+        let pick = pick(scene.probe(&camera, [0.5; 2], None).unwrap(), &camera, [0.5; 2]);
+        assert_eq!(pick.to_string(), "Triangle 0 at (512347.501, 5412348.252, 71.250), 98.000 from the eye");
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::{
 
 /// Common properties and bounds of all rays of the packets.
 pub(super) struct RayBounds {
-    /// Common origin, in world space.
+    /// Common origin, in model space.
     pub(super) origin: [f32; 3],
     /// The major axis k, then u and v.
     pub(super) axes: [usize; 3],

@@ -4,7 +4,7 @@ use glam::Vec3;
 
 use crate::intersect::ray::Ray;
 
-/// Up to 64 rays with a common origin, in world space.
+/// Up to 64 rays with a common origin, in model space.
 ///
 /// Aligned as all vectors of the kernel are: a vector that crosses a cache line is read twice.
 #[repr(C, align(64))]

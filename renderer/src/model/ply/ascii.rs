@@ -14,19 +14,30 @@ pub(super) struct Rows<'a, R> {
     line: Vec<u8>,
     /// Position in `line` from which the next token is searched.
     at: usize,
+    /// Whether a coordinate declared `float` had more digits than that holds.
+    is_precise: bool,
 }
 
 impl<'a, R: BufRead> Rows<'a, R> {
     pub(super) fn new(reader: &'a mut R, line_end: u8) -> Self {
-        Self { reader, line_end, line: Vec::new(), at: 0 }
+        Self { reader, line_end, line: Vec::new(), at: 0, is_precise: false }
     }
 
     pub(super) fn next<E: PropertyAccess>(&mut self, def: &ElementDef) -> Result<E, String> {
         self.at = self.line.len();
         let mut row = E::new();
+        let mut doubles = [None; 3];
         for (role, property) in &def.properties {
             match &property.data_type {
                 PropertyType::Scalar(_) if role.starts_with('_') => drop(self.token()?),
+                PropertyType::Scalar(ScalarType::Float) if let Some(axis) = axis(role) => {
+                    let token = self.token()?;
+                    let (single, double) = (parse_real(token)?, parse_real(token)?);
+                    let is_kept = keeps_digits(token, single, double);
+                    row.set_property(role, Property::Float(single));
+                    doubles[axis] = Some((role, double));
+                    self.is_precise |= !is_kept;
+                }
                 PropertyType::Scalar(scalar) => {
                     row.set_property(role, scalar_from_token(self.token()?, scalar)?);
                 }
@@ -44,6 +55,10 @@ impl<'a, R: BufRead> Rows<'a, R> {
                     row.set_list_uint(role, indices);
                 }
             }
+        }
+        // All coordinates from the first row on that needs it: zeros at a number's end are often left out.
+        for (role, double) in doubles.into_iter().flatten().filter(|_| self.is_precise) {
+            row.set_property(role, Property::Double(double));
         }
         Ok(row)
     }
@@ -77,6 +92,22 @@ fn scalar_from_token(token: &str, scalar: &ScalarType) -> Result<Property, Strin
         ScalarType::UShort => Property::UShort(parse_real::<f64>(token)? as u16),
         _ => Property::Int(parse_real::<f64>(token)? as i32),
     })
+}
+
+fn axis(role: &str) -> Option<usize> {
+    ["x", "y", "z"].iter().position(|axis| *axis == role)
+}
+
+/// Whether `single` is the number of a token to the last digit that is written.
+///
+/// Scans on map grids are written with more digits than the `float` of their header holds; other programs write `f32` with
+/// fewer digits or more, and their numbers are those of the same model in a binary file.
+fn keeps_digits(token: &str, single: f32, double: f64) -> bool {
+    let (mantissa, exponent) = token.split_once(['e', 'E']).unwrap_or((token, "0"));
+    let n_decimals = mantissa.split_once('.').map_or(0, |(_, decimals)| decimals.len());
+    let last_digit = 10f64.powi(exponent.parse::<i32>().unwrap_or(0).saturating_sub(n_decimals as i32));
+    let is_off = (f64::from(single) - double).abs() > 0.500_001 * last_digit;
+    !(is_off && single.is_finite())
 }
 
 /// Parses a vertex index or a length; `None` if it is not a `u32`.

@@ -1,5 +1,7 @@
 //! Assembles a mesh from rows in any order, and finally rejects triangles that cannot be traced.
 
+use glam::{DVec3, Vec3};
+
 use crate::{
     memory,
     model::{
@@ -31,11 +33,26 @@ impl MeshBuilder {
     }
 
     pub(super) fn push_vertex(&mut self, vertex: &Vertex) -> Result<(), Problem> {
-        self.mesh.vertices.push(vertex.position);
+        self.place_origin(vertex.position);
+        self.mesh.vertices.push((vertex.position - self.mesh.origin).as_vec3().to_array());
         if self.colored {
             self.mesh.colors.push(vertex.color);
         }
         Ok(())
+    }
+
+    /// Moves the origin to the first vertex that `f32` cannot hold. All before it are exact, so each coordinate is rounded
+    /// once, and every machine finds the same origin as it reads.
+    fn place_origin(&mut self, position: DVec3) {
+        let rounded = position.as_vec3();
+        let is_exact = rounded.as_dvec3() == position;
+        if self.mesh.origin != DVec3::ZERO || is_exact || !Mesh::is_usable(rounded.to_array()) {
+            return;
+        }
+        self.mesh.origin = position;
+        for vertex in &mut self.mesh.vertices {
+            *vertex = (Vec3::from_array(*vertex).as_dvec3() - position).as_vec3().to_array();
+        }
     }
 
     /// Fans a polygon: (0, 1, 2), (0, 2, 3), …

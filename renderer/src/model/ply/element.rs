@@ -1,5 +1,6 @@
 //! The types that ply-rs fills row by row. Properties are named by their role: see [`super::header::Element::def`].
 
+use glam::DVec3;
 use ply_rs::ply::{BeginList, Property, PropertyAccess, PropertyAccessResult};
 
 pub(super) struct Skipped;
@@ -11,27 +12,36 @@ impl PropertyAccess for Skipped {
 }
 
 pub(super) struct Vertex {
-    pub(super) position: [f32; 3],
+    pub(super) position: DVec3,
     pub(super) color: [u8; 3],
 }
 
 impl PropertyAccess for Vertex {
     fn new() -> Self {
-        Self { position: [0.0; 3], color: [0; 3] }
+        Self { position: DVec3::ZERO, color: [0; 3] }
     }
 
     fn set_float(&mut self, role: &str, value: f32) -> PropertyAccessResult {
         match role {
-            "x" => self.position[0] = value,
-            "y" => self.position[1] = value,
-            "z" => self.position[2] = value,
+            "x" => self.position.x = value.into(),
+            "y" => self.position.y = value.into(),
+            "z" => self.position.z = value.into(),
             _ => return self.set_property(role, Property::Float(value)),
         }
         PropertyAccessResult::Set
     }
 
     fn set_property(&mut self, role: &str, value: Property) -> PropertyAccessResult {
-        let Some(number) = value.to_f32_lossy() else { return PropertyAccessResult::Ignored };
+        let number = match value {
+            Property::Int(v) => v.into(),
+            Property::UInt(v) => v.into(),
+            Property::Double(v) => v,
+            // The others fit `f32`.
+            _ => match value.to_f32_lossy() {
+                Some(v) => v.into(),
+                None => return PropertyAccessResult::Ignored,
+            },
+        };
         // `as` saturates, and takes NaN to 0.
         let color = match value {
             Property::UShort(v) => ((u32::from(v) * 255 + 32767) / 65535) as u8,
@@ -40,9 +50,9 @@ impl PropertyAccess for Vertex {
             _ => number as u8,
         };
         match role {
-            "x" => self.position[0] = number,
-            "y" => self.position[1] = number,
-            "z" => self.position[2] = number,
+            "x" => self.position.x = number,
+            "y" => self.position.y = number,
+            "z" => self.position.z = number,
             "r" => self.color[0] = color,
             "g" => self.color[1] = color,
             "b" => self.color[2] = color,

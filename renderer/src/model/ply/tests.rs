@@ -1,5 +1,6 @@
 //! The reader against files written by hand.
 
+use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 
 use super::*;
@@ -192,6 +193,64 @@ fn triangles_that_cannot_be_traced_keep_their_place() {
     }
 }
 
+/// A PLY of doubles: a patch of ground a hundred metres wide and its corners, far from the map's zero.
+fn survey() -> (Vec<[f64; 3]>, Vec<u8>) {
+    let point = |k: u32| [0.1, 0.037, 0.009].map(|step| f64::from((k * k + 7) % 1000) * step);
+    let far = |[x, y, z]: [f64; 3]| [x + 512_345.0, y + 5_412_345.0, z - 71.0];
+    // Exporters write zeros where a scanner saw nothing.
+    let points: Vec<_> = [[0.0; 3]].into_iter().chain((0..500).map(point).map(far)).collect();
+    let header = "ply\nformat binary_little_endian 1.0\nelement vertex 501\nproperty double x\nproperty double y\n\
+        property double z\nelement face 1\nproperty list int int vertex_indices\nend_header\n";
+    let numbers = points.as_flattened().iter().flat_map(|x| x.to_le_bytes());
+    let polygon = [500].into_iter().chain(1..=500i32).flat_map(i32::to_le_bytes);
+    (points.clone(), header.bytes().chain(numbers).chain(polygon).collect())
+}
+
+#[test]
+fn coordinates_beyond_single_precision_are_kept_relative_to_an_origin() {
+    let (points, bytes) = survey();
+    let mesh = mesh(bytes);
+    assert_eq!(mesh.origin.to_array(), points[1], "the first that f32 cannot hold");
+    let rounding = |(vertex, point): (&[f32; 3], &[f64; 3])| {
+        (Vec3::from_array(*vertex).as_dvec3() + mesh.origin - DVec3::from_array(*point)).abs().max_element()
+    };
+    let largest = mesh.vertices.iter().zip(&points).skip(1).map(rounding).fold(0.0, f64::max);
+    let [min, max] = mesh.extent();
+    let extent = (max - min).max_element();
+    assert!(extent > 98.0 && largest > 0.0 && largest < extent * 2f64.powi(-24), "{largest} of {extent}");
+    // Adding the origin rounds to a billionth of a metre.
+    assert!((largest - 1e-9..=extent * 2f64.powi(-24)).contains(&mesh.largest_rounding()));
+}
+
+#[test]
+fn text_keeps_all_digits_whatever_its_header_declares() {
+    let rows = "512345.12 5412345.1 70.25\n512346.1 5412345.2 70.5\n512345.98 5412346.67 71\n3 0 1 2\n";
+    let text = |scalar: &str| TRIANGLE.replace("float", scalar).replace("0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", rows);
+    let double = mesh(text("double"));
+    assert_eq!(double.origin, DVec3::new(512_345.12, 5_412_345.1, 70.25));
+    assert!(double.largest_rounding() < 1e-7, "{}", double.largest_rounding());
+    assert_eq!(mesh(text("float")), double);
+}
+
+#[test]
+fn models_that_fit_single_precision_have_no_origin() {
+    // Printed with fewer digits than f32 has, with more, and with all.
+    for row in ["0.1 -0.0378297 1e-7\n", "0.100000001 0.12 3.00000000\n", "0.10000000149011612 5412345.5 1e30\n"] {
+        let mesh = mesh(TRIANGLE.replace("1 0 0\n", row));
+        assert_eq!((mesh.origin, mesh.largest_rounding()), (DVec3::ZERO, 0.0), "{row}");
+        let as_f32: Vec<f32> = row.split_whitespace().map(|number| number.parse().unwrap()).collect();
+        assert_eq!(mesh.vertices[1].to_vec(), as_f32);
+    }
+    // What cannot be traced is no reason to move the rest.
+    for row in ["nan 0.1 0\n", "1e39 0 0\n", "inf 0 0\n"] {
+        let mesh = mesh(TRIANGLE.replace("float", "double").replace("1 0 0\n", row));
+        assert_eq!((mesh.origin, mesh.n_rejected), (DVec3::ZERO, 1), "{row}");
+    }
+    let exact = TRIANGLE.replace("float", "double").replace("1 0 0\n", "8388609.5 0.1015625 -3e6\n");
+    assert_eq!(mesh(exact.replace("8388609.5", "8388609")).origin, DVec3::ZERO);
+    assert_ne!(mesh(exact).origin, DVec3::ZERO);
+}
+
 #[test]
 fn files_without_faces_or_vertices_have_no_triangles() {
     for text in [
@@ -282,6 +341,7 @@ fn a_written_mesh_reads_back_the_same() {
         triangles: vec![[2, 1, 0], Mesh::REJECTED, [0, 1, 2]],
         colors: vec![[1, 2, 3], [4, 5, 6], [7, 8, 9]],
         n_rejected: 1,
+        ..Mesh::default()
     };
     for mesh in [Mesh { colors: Vec::new(), ..colored.clone() }, colored, Mesh::default()] {
         let mut bytes = Vec::new();

@@ -14,7 +14,7 @@ pub fn write(path: &Path, mesh: &Mesh) -> io::Result<()> {
     files::write(path, |mut out| write_to(&mut out, mesh))
 }
 
-/// Writes a mesh.
+/// Writes a mesh, whose origin must be zero, as that of everything generated is.
 ///
 /// Rejected triangles get the indices −1, so that a reader rejects them again and file indices stay.
 pub fn write_to(writer: &mut impl Write, mesh: &Mesh) -> io::Result<()> {

@@ -99,7 +99,7 @@ fn answer(grid: &Grid, hit: Hit) -> Answer {
     (!hit.is_miss()).then(|| (grid.mesh().file_index(hit.triangle), f64::from(hit.t)))
 }
 
-/// From 1 to 64 rays with a common origin, in world space.
+/// From 1 to 64 rays with a common origin, in model space.
 #[derive(Clone, Debug)]
 pub(super) struct RayBundle {
     pub(super) origin: Vec3,

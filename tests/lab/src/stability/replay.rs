@@ -22,7 +22,7 @@ const N_RAYS: u64 = 512;
 
 pub(super) fn run(mesh: &Path, camera: &Camera) -> Result<()> {
     let mesh = scene::load(&SceneSource::Ply(mesh.to_owned()), &|_| ())?.mesh;
-    let tally = check(&mesh, camera);
+    let tally = check(&mesh, &camera.relative_to(mesh.origin));
     say(format_args!("{}\n{}", head(), line("replayed", &tally)))?;
     match tally.first_failure {
         None => Ok(()),

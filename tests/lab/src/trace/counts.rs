@@ -9,8 +9,9 @@ use shared::protocol::FrameSpec;
 
 /// Cells passed and triangles tested by the primary rays of a frame, traced one by one on the current rayon pool.
 pub(super) fn cost_sum(scene: &Scene, request: &FrameSpec) -> [u64; 2] {
-    let rays = request.camera.rays(request.size);
-    let clip = scene.clip_plane(&request.camera, request.appearance.clip);
+    let camera = scene.local(&request.camera);
+    let rays = camera.rays(request.size);
+    let clip = scene.clip_plane(&camera, request.appearance.clip);
     let of_row = |j: u32| {
         (0..request.size.xres()).fold([0, 0], |[n_cells, n_tests], i| {
             let ray = clip::clip_ray(clip.as_ref(), Ray::new(rays.eye, rays.direction(i, j)));

@@ -6,7 +6,7 @@ use std::{
 };
 
 use clap::ValueEnum;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use renderer::{
     intersect::{
         MOST_PACKETS, Packet, PacketScratch, clip,
@@ -46,7 +46,7 @@ pub struct FrameOptions {
     /// How rays are traced.
     pub kernel: Kernel,
     /// Position of the light in world space; `None` traces no shadow rays.
-    pub light: Option<Vec3>,
+    pub light: Option<DVec3>,
 }
 
 /// Time spent on tracing a frame, and the rays beside the primary ones.
@@ -83,8 +83,9 @@ impl Frame {
     /// Traces all samples through their centres, and from each hit a shadow ray to the light if there is one, on the
     /// current rayon pool. `spec` has the frame's size.
     pub fn trace(&mut self, scene: &Scene, spec: &FrameSpec, options: &FrameOptions) -> Cost {
-        let rays = spec.camera.rays(self.size);
-        let clip = scene.clip_plane(&spec.camera, spec.appearance.clip);
+        let camera = scene.local(&spec.camera);
+        let rays = camera.rays(self.size);
+        let clip = scene.clip_plane(&camera, spec.appearance.clip);
         let share = &self.share;
 
         let start = Instant::now();
@@ -97,6 +98,7 @@ impl Frame {
                 let mut visit = |blocks: &[SampleBlock<'_>], hits: &[[Hit; 64]], scratch: &mut PacketScratch| {
                     blocks.iter().zip(hits).for_each(|(block, hits)| *part.values_of(block) = *hits);
                     if let Some(light) = options.light {
+                        let light = (light - scene.mesh().origin()).as_vec3();
                         let caster = ShadowCaster { scene, rays: &rays, light, kernel: options.kernel };
                         let (n_rays, n_hidden) = caster.cast(blocks, hits, scratch);
                         n_shadow_rays += n_rays;
@@ -129,6 +131,7 @@ impl Frame {
 
     /// Shades all hits; returns the CPU time, summed over all threads.
     pub fn shade(&mut self, scene: &Scene, spec: &FrameSpec) -> Duration {
+        let spec = &FrameSpec { camera: scene.local(&spec.camera), ..*spec };
         let rays = spec.camera.rays(self.size);
         let lighting = Lighting::new(&scene.grid, spec, scene.clip_plane(&spec.camera, spec.appearance.clip));
         let (share, all_hits, x_tiles) = (&self.share, &self.hits, self.size.x_tiles());

@@ -12,7 +12,7 @@ use shared::camera::CameraRays;
 
 use super::frame::Kernel;
 
-/// Casts the shadows of a point light at `light`, in world space.
+/// Casts the shadows of a point light at `light`, in model space.
 pub(super) struct ShadowCaster<'a> {
     pub(super) scene: &'a Scene,
     pub(super) rays: &'a CameraRays,
