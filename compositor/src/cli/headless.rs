@@ -10,7 +10,7 @@ use shared::division::FrameSize;
 use super::report::Report;
 use crate::{
     farm::{Farm, Frame, stats::DisplayStats},
-    gpu::{Gpu, GpuError, Offscreen, Present, RgbImage},
+    gpu::{Gpu, GpuError, OffscreenWall, Present, RgbImage},
     wall::Wall,
 };
 
@@ -35,7 +35,7 @@ const REPORT_WAIT_AFTER: Duration = Duration::from_secs(5);
 pub struct Headless {
     gpu: Gpu,
     present: Present,
-    offscreen: Offscreen,
+    offscreen: OffscreenWall,
     wall: Wall,
 }
 
@@ -44,7 +44,7 @@ impl Headless {
     pub fn new(wall: Wall) -> anyhow::Result<Self> {
         let gpu = Gpu::headless()?;
         tracing::info!("drawing on {}", gpu.name());
-        let offscreen = Offscreen::new(&gpu, wall.output_size())?;
+        let offscreen = OffscreenWall::new(&gpu, &wall)?;
         let present = Present::new(&gpu);
         Ok(Self { gpu, present, offscreen, wall })
     }
@@ -94,8 +94,7 @@ impl Headless {
         let upload = started_at.elapsed();
         let started_at = Instant::now();
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let target = (self.offscreen.target(), self.wall.whole_output());
-        self.present.draw(&self.gpu, &mut encoder, &self.wall, &[target]);
+        self.present.draw(&self.gpu, &mut encoder, &self.wall, &self.offscreen.outputs());
         self.gpu.queue.submit([encoder.finish()]);
         // Without a screen, a frame is shown when the GPU has drawn it.
         self.gpu.wait()?;
