@@ -86,12 +86,21 @@ impl Headless {
 
     /// Uploads samples to the GPU and draws the wall; returns the times of both.
     pub fn upload_and_draw(&mut self, size: FrameSize, rgba: &[u32]) -> anyhow::Result<(Duration, Duration)> {
+        Ok((self.upload(size, rgba)?, self.draw()?))
+    }
+
+    /// Uploads samples to the GPU; returns the time.
+    pub fn upload(&mut self, size: FrameSize, rgba: &[u32]) -> anyhow::Result<Duration> {
         let started_at = Instant::now();
         self.present.upload(&self.gpu, size, bytemuck::cast_slice(rgba))?;
         // Without a submission the samples would reach the GPU only with the draw.
         self.gpu.queue.submit([]);
         self.gpu.wait()?;
-        let upload = started_at.elapsed();
+        Ok(started_at.elapsed())
+    }
+
+    /// Draws the wall with the last samples; returns the time.
+    pub fn draw(&mut self) -> anyhow::Result<Duration> {
         let started_at = Instant::now();
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
         self.present.draw(&self.gpu, &mut encoder, &self.wall, &self.offscreen.outputs());
@@ -99,7 +108,7 @@ impl Headless {
         // Without a screen, a frame is shown when the GPU has drawn it.
         self.gpu.wait()?;
         self.gpu.check()?;
-        Ok((upload, started_at.elapsed()))
+        Ok(started_at.elapsed())
     }
 }
 
