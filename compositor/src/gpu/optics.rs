@@ -64,9 +64,8 @@ impl OpticsStage {
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        target: &Target<'_>,
         wall: &Wall,
-        part: PixelRect,
+        &(target, part): &(Target<'_>, PixelRect),
         quads: &[Quad],
         is_cut: bool,
     ) -> Option<OpticsDraw> {

@@ -52,21 +52,26 @@ impl Present {
     /// Takes a complete frame, whose resolution may differ from the last one's: sRGB-encoded R, G, B and one byte unused,
     /// row by row from the bottom left. The bytes are copied at once and reach the GPU with the next submission.
     pub fn upload(&mut self, gpu: &Gpu, size: FrameSize, rgba: &[u8]) -> Result<(), GpuError> {
-        if rgba.len() as u64 != 4 * u64::from(size.n_samples()) {
-            return Err(GpuError::NotAFrame { n_bytes: rgba.len(), size });
-        }
-        let frame = match self.frame.take().filter(|frame| frame.size == size) {
-            Some(frame) => frame,
-            None => FrameTexture::new(gpu, &self.layouts, size)?,
-        };
-        frame.write(gpu, rgba);
-        self.frame = Some(frame);
+        let old = self.frame.take();
+        self.frame = Some(self.texture(gpu, size, rgba, old)?);
         Ok(())
     }
 
-    /// A texture of other samples, for [`Present::draw_frame`].
-    pub(crate) fn texture(&self, gpu: &Gpu, size: FrameSize, rgba: &[u8]) -> Result<FrameTexture, GpuError> {
-        let texture = FrameTexture::new(gpu, &self.layouts, size)?;
+    /// A texture with a frame's samples, for [`Present::draw_frame`]; the old one, if it has the size.
+    pub(crate) fn texture(
+        &self,
+        gpu: &Gpu,
+        size: FrameSize,
+        rgba: &[u8],
+        old: Option<FrameTexture>,
+    ) -> Result<FrameTexture, GpuError> {
+        if rgba.len() as u64 != 4 * u64::from(size.n_samples()) {
+            return Err(GpuError::NotAFrame { n_bytes: rgba.len(), size });
+        }
+        let texture = match old.filter(|old| old.size == size) {
+            Some(old) => old,
+            None => FrameTexture::new(gpu, &self.layouts, size)?,
+        };
         texture.write(gpu, rgba);
         Ok(texture)
     }
@@ -97,7 +102,8 @@ impl Present {
         outputs: &[(Target<'_>, PixelRect)],
     ) {
         let is_cut = frame.is_some_and(FrameTexture::is_cut);
-        for (index, &(target, part)) in outputs.iter().enumerate() {
+        for (index, output) in outputs.iter().enumerate() {
+            let &(target, part) = output;
             let pipeline = self.pipelines.get(gpu, target.format, is_cut);
             let (plain, corrected): (Vec<_>, Vec<_>) =
                 Quad::of_part(wall, part, target.size).partition(|quad| wall.is_plain(quad.projector_idx));
@@ -107,7 +113,7 @@ impl Present {
                 .collect();
             // A new buffer for each draw costs half a kilobyte, and several targets in one submission share nothing.
             let instance_buffer = (!instances.is_empty()).then(|| buffer(gpu, wgpu::BufferUsages::VERTEX, &instances));
-            let corrected = self.optics.prepare(gpu, encoder, &target, wall, part, &corrected, is_cut);
+            let corrected = self.optics.prepare(gpu, encoder, wall, output, &corrected, is_cut);
 
             let is_end = [index == 0, index + 1 == outputs.len()];
             let timestamps = self.timer.as_ref().and_then(|timer| timer.pass_timestamps(is_end));

@@ -52,16 +52,16 @@ impl Painter {
         wall: &Wall,
         outputs: &[(Target<'_>, PixelRect)],
     ) {
-        for &(target, part) in outputs.iter().filter(|_| !self.pattern.is_empty()) {
-            if let Some(shown) = self.pattern.iter().find(|shown| shown.output == part) {
-                let (wall, part) = &shown.wall;
-                self.present.draw_frame(&self.gpu, encoder, Some(&shown.texture), wall, &[(target, *part)]);
-            }
-        }
         if self.pattern.is_empty() && !self.is_dark {
-            self.present.draw(&self.gpu, encoder, wall, outputs);
-        } else if self.pattern.is_empty() {
-            self.present.draw_frame(&self.gpu, encoder, None, wall, outputs);
+            return self.present.draw(&self.gpu, encoder, wall, outputs);
+        }
+        for &(target, part) in outputs {
+            match self.pattern.iter().find(|shown| shown.output == part) {
+                Some(ShownPattern { texture, wall: (wall, part), .. }) => {
+                    self.present.draw_frame(&self.gpu, encoder, Some(texture), wall, &[(target, *part)]);
+                }
+                None => self.present.draw_frame(&self.gpu, encoder, None, wall, &[(target, part)]),
+            }
         }
     }
 
@@ -76,10 +76,10 @@ impl Painter {
 
     /// Shows a test pattern, or frames again.
     pub(super) fn show_pattern(&mut self, pattern: &[PatternImage]) -> Result<(), GpuError> {
-        // The old one makes room first.
-        self.pattern.clear();
+        let mut old = std::mem::take(&mut self.pattern);
         for PatternImage { output, size, rgba, wall } in pattern {
-            let texture = self.present.texture(&self.gpu, *size, rgba)?;
+            let old = old.iter().position(|old| old.output == *output).map(|index| old.swap_remove(index).texture);
+            let texture = self.present.texture(&self.gpu, *size, rgba, old)?;
             self.pattern.push(ShownPattern { output: *output, texture, wall: wall.clone() });
         }
         Ok(())
