@@ -1,12 +1,8 @@
 // Shows the frame through projectors that are warped, overlap, or need their light corrected: one quad for each, in the
 // same pass as those of present.wgsl.
 //
-// Paired with compositor/src/gpu/optics.rs; its twin on the CPU is tests/src/present_cpu.rs.
-
-// The frame's samples, row 0 at the bottom. The view is sRGB, so the filter mixes linear light.
-@group(0) @binding(0) var frame: texture_2d<f32>;
-// Bilinear, clamped to the edge.
-@group(0) @binding(1) var bilinear: sampler;
+// Paired with compositor/src/gpu/optics.rs; its twin on the CPU is tests/src/present_cpu.rs. `frame_at` is in frame.wgsl or
+// frame_pieces.wgsl.
 
 // Each pixel's blend weight, and the light of all projectors' black there, drawn by blend_weights.wgsl.
 @group(1) @binding(0) var blend_weights: texture_2d<f32>;
@@ -72,7 +68,7 @@ fn drive_at(quad: Quad) -> vec3f {
     // At and behind the horizon there is no wall, and the weight is 0.
     let within = clamp(image.xy / max(image.z, 1e-9), vec2f(0.0), vec2f(1.0));
     let at = quad.frame_from_rect.xy + within * quad.frame_from_rect.zw;
-    let linear = textureSampleLevel(frame, bilinear, at, 0.0).rgb;
+    let linear = frame_at(at);
     let light = blended.r * max(quad.wall_black + (1.0 - quad.wall_black) * linear - blended.g, vec3f(0.0));
     return clamp(light * quad.drive_per_light, vec3f(0.0), vec3f(1.0));
 }

@@ -1,11 +1,7 @@
 // Shows the frame on the wall: one quad for each projector, which samples its part of the frame.
 //
-// Paired with compositor/src/gpu/present.rs; its twin on the CPU is tests/src/present_cpu.rs.
-
-// The frame's samples, row 0 at the bottom. The view is sRGB, so the filter mixes linear light.
-@group(0) @binding(0) var frame: texture_2d<f32>;
-// Clamped to the edge. Bilinear; nearest where the pixels' centres are those of samples.
-@group(0) @binding(1) var filtered: sampler;
+// Paired with compositor/src/gpu/present.rs; its twin on the CPU is tests/src/present_cpu.rs. `frame_at` is in frame.wgsl or
+// frame_pieces.wgsl.
 
 // One projector on the target. Matches `ProjectorInstance` in present.rs.
 struct Projector {
@@ -36,21 +32,21 @@ fn vertex(@builtin(vertex_index) corner: u32, projector: Projector) -> Quad {
 
 // Computed from the pixel's centre instead of interpolated: rasterizers shift the corners of scaled walls by up to 1/512
 // of a pixel, which beside black is several steps of 8 bits.
-fn frame_at(quad: Quad) -> vec3f {
+fn shown_at(quad: Quad) -> vec3f {
     let at = quad.origin_frame + (quad.position.xy - quad.origin_px) * quad.frame_per_px;
-    return textureSampleLevel(frame, filtered, at, 0.0).rgb;
+    return frame_at(at);
 }
 
 // For targets that encode sRGB themselves.
 @fragment
 fn fragment_linear(quad: Quad) -> @location(0) vec4f {
-    return vec4f(frame_at(quad), 1.0);
+    return vec4f(shown_at(quad), 1.0);
 }
 
 // For surfaces without an sRGB view.
 @fragment
 fn fragment_encoded(quad: Quad) -> @location(0) vec4f {
-    let linear = frame_at(quad);
+    let linear = shown_at(quad);
     let curve = 1.055 * pow(linear, vec3f(1.0 / 2.4)) - 0.055;
     return vec4f(select(curve, linear * 12.92, linear <= vec3f(0.0031308)), 1.0);
 }

@@ -38,6 +38,7 @@ use tokio::{
     sync::{Notify, watch},
 };
 
+pub(crate) use self::frame_buffer::MOST_FRAMES;
 pub use self::frame_buffer::{BufferPool, FrameBuffer, FrameSamples, PlaceError};
 use self::stats::{FarmStatus, FrameStats};
 

@@ -66,8 +66,8 @@ pub struct InvalidWall {
 }
 
 impl Wall {
-    /// The longest side of the spanning output in pixels: GPUs take it as one texture.
-    pub const LARGEST_SIDE: u32 = 16384;
+    /// The longest side of the spanning output in pixels, the same as of frames: seventeen displays of 3840.
+    pub const LARGEST_SIDE: u32 = FrameSize::LARGEST;
 
     /// The paper's wall: 4×3 projectors of 1024×768 pixels on a canvas of 4.00 m × 2.25 m.
     pub fn paper() -> Self {
@@ -283,6 +283,12 @@ impl Wall {
             .unwrap_or(DVec2::splat(0.5))
     }
 
+    /// The part of the spanning output that each output shows: each monitor's, or all of it.
+    pub fn output_parts(&self) -> Vec<PixelRect> {
+        let of_monitors: Vec<_> = self.monitors().into_iter().map(|(_, part)| part).collect();
+        if of_monitors.is_empty() { vec![self.whole_output()] } else { of_monitors }
+    }
+
     /// The monitors that projectors name, and the part of the spanning output that each shows.
     pub fn monitors(&self) -> Vec<(&str, PixelRect)> {
         monitors(&self.projectors)
@@ -300,7 +306,7 @@ pub(crate) fn read_text(path: &Path) -> Result<String, ReadError> {
     files::read_text(path, LARGEST_FILE)
 }
 
-/// Checks that every projector has pixels, that all of them fit into one image, and that no pixel has two projectors.
+/// Checks that every projector has pixels, that all of them fit into the largest output, and that no pixel has two projectors.
 fn check_pixels(projectors: &[Projector]) -> Result<(), InvalidWall> {
     for (index, Projector { name, output, .. }) in projectors.iter().enumerate() {
         let wrong = |key, problem| Err(InvalidWall { projector_idx: Some(index), key, problem });
@@ -357,9 +363,6 @@ fn check_monitors(projectors: &[Projector]) -> Result<(), InvalidWall> {
     }
     Ok(())
 }
-
-// The same textures hold frames and walls.
-const _: () = assert!(Wall::LARGEST_SIDE == FrameSize::LARGEST);
 
 #[cfg(test)]
 mod tests;

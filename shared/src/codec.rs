@@ -295,8 +295,10 @@ mod tests {
             let scene = SceneId::Statue { triangles };
             assert_eq!(is_message(&ToServer::LoadScene { scene, path: None, structure: None }), fits, "{triangles}");
         }
-        assert!(FrameSize::new(8192, 8192).is_ok() && FrameSize::new(16384, 4096).is_ok());
-        assert!(FrameSize::new(16384, 4097).is_err() && FrameSize::new(16384, 16384).is_err());
+        assert!(FrameSize::new(38_400, 2160).is_ok() && FrameSize::new(65_536, 4096).is_ok());
+        for (xres, yres) in [(65_536, 4097), (65_537, 1), (65_536, 65_536), (u32::MAX, u32::MAX)] {
+            assert!(FrameSize::new(xres, yres).is_err(), "{xres}×{yres}");
+        }
     }
 
     #[test]

@@ -151,8 +151,11 @@ mod tests {
 
     #[test]
     fn the_largest_frame_has_a_last_tile() {
-        let (x, y) = tile_at(2048 * 2048 - 1, 2048, 2048);
-        assert!(x < 2048 && y < 2048);
-        assert_eq!(index_at(x, y, 2048, 2048), 2048 * 2048 - 1);
+        for (columns, rows) in [(2048, 2048), (8192, 512), (1, 8192)] {
+            let last = columns * rows - 1;
+            let (x, y) = tile_at(last, columns, rows);
+            assert!(x < columns && y < rows);
+            assert_eq!(index_at(x, y, columns, rows), last);
+        }
     }
 }

@@ -53,7 +53,7 @@ fn files_that_are_missing_or_wrong_are_named_with_the_cure() {
 
 #[test]
 fn values_out_of_range_name_the_range() {
-    assert!(fails(compositor(&["--size", "0x512"])).contains("from 1 to 16384"));
+    assert!(fails(compositor(&["--size", "0x512"])).contains("from 1 to 65536"));
     assert!(fails(compositor(&["--size", "wide"])).contains("1024x512"));
     assert!(fails(compositor(&["--division", "random"])).contains("interleaved, tiled, dynamic"));
     assert!(fails(renderer(&["connect", "127.0.0.1:1", "--threads", "0"])).contains("0 is not between 1 and 1024"));
@@ -72,7 +72,7 @@ fn an_impossible_experiment_is_refused() {
     assert!(bench(&["--out", "x", "--nodes", "twelve"]).contains("0..12"));
     assert!(bench(&["--out", "x", "--predict", "9999"]).contains("from 0 to 1024"));
     assert!(bench(&["--out", "x", "--seconds", "0"]).contains("from 0.01 to 3600"));
-    assert!(bench(&["--out", "x", "--predict-size", "0x1"]).contains("from 1 to 16384"));
+    assert!(bench(&["--out", "x", "--predict-size", "0x1"]).contains("from 1 to 65536"));
     assert!(bench(&["--out", "/proc/no/such", "--nodes", "none"]).contains("cannot make the folder /proc/no/such"));
 }
 

@@ -42,6 +42,11 @@ fn the_experiment_measures_predicts_and_draws() {
             "{row}"
         );
     }
+    for row in predicted {
+        let cpu_over_alone = row["cpu_over_alone"].as_f64().unwrap();
+        assert!(if row["n_nodes"] == 1 { cpu_over_alone == 1.0 } else { cpu_over_alone > 0.0 }, "{row}");
+    }
+    assert!(said.contains("each task is traced alone on one core, 4 to 16 times"), "{said}");
     assert!(predicted.iter().any(|row| row["n_nodes"] == 12 && row["n_slow"] == 1));
     let lines = std::fs::read_to_string(out.join("predicted.csv")).unwrap().lines().count();
     assert_eq!(lines, 1 + predicted.len());

@@ -3,7 +3,7 @@
 use std::sync::{LazyLock, Mutex, MutexGuard, PoisonError};
 
 use compositor::{
-    gpu::{Gpu, Offscreen, Present, RgbImage},
+    gpu::{Gpu, Offscreen, OffscreenWall, Present, RgbImage},
     wall::{PixelRect, Wall},
 };
 use glam::DVec3;
@@ -208,6 +208,40 @@ fn several_targets_in_one_submission_each_show_their_wall() {
     }
 }
 
+/// Frames and walls that are larger than the GPU's textures give the bits of one texture.
+#[test]
+fn frames_and_walls_are_cut_where_textures_are_too_small() {
+    let whole = gpu();
+    let small = Gpu::headless_with_textures_of(64).unwrap();
+    assert_eq!(small.device.limits().max_texture_dimension_2d, 64);
+    let is_software = small.adapter.get_info().device_type == wgpu::DeviceType::Cpu;
+    let blended = "canvas_m = [4.0, 2.25]\n[grid]\ncolumns = 3\nrows = 2\npixels = [50, 70]\noverlap = [0.5, 0.4]\n\
+                   [optics]\ngamma = 2.2\nblack_level = 0.01\n";
+    let walls = [wall(3, 2, [50, 70]), wall(1, 1, [200, 30]), Wall::from_toml("blended", blended).unwrap()];
+    let presents = [Present::new(&whole), Present::new(&small)];
+    let [mut present_whole, mut present_small] = presents;
+    // The last is the first wall's native resolution, whose samples are read one by one.
+    for frame_size in [[200, 60], [65, 64], [60, 129], [113, 97], [150, 140]] {
+        for (what, frame) in Frame::all(frame_size) {
+            present_whole.upload(&whole, frame.size, &frame.rgba).unwrap();
+            present_small.upload(&small, frame.size, &frame.rgba).unwrap();
+            for wall in &walls {
+                let offscreen = Offscreen::new(&whole, wall.output_size()).unwrap();
+                let expected = draw(&whole, &mut present_whole, wall, &offscreen);
+                let offscreen = OffscreenWall::new(&small, wall).unwrap();
+                assert!(offscreen.outputs().len() > 1);
+                let mut encoder = small.device.create_command_encoder(&Default::default());
+                present_small.draw(&small, &mut encoder, wall, &offscreen.outputs());
+                small.queue.submit([encoder.finish()]);
+                let shown = offscreen.read(&small).unwrap();
+                check_twin(&small, &shown, what, &frame, wall);
+                let n_differ = shown.rgb.iter().zip(&expected.rgb).filter(|(a, b)| a != b).count();
+                assert!(n_differ == 0 || !is_software, "{what} of {frame_size:?} samples: {n_differ} bytes differ");
+            }
+        }
+    }
+}
+
 #[test]
 fn the_wall_is_black_before_any_frame_and_without_projectors() {
     let gpu = gpu();
@@ -218,7 +252,7 @@ fn the_wall_is_black_before_any_frame_and_without_projectors() {
     let frame = Frame::checker([8, 8]);
     present.upload(&gpu, frame.size, &frame.rgba).unwrap();
     let mut encoder = gpu.device.create_command_encoder(&Default::default());
-    let part = PixelRect { x: 0, y: 0, width: 9, height: 9 };
+    let part = PixelRect { x: 0, y: 0, width: 0, height: 0 };
     present.draw(&gpu, &mut encoder, &Wall::paper(), &[(offscreen.target(), part)]);
     gpu.queue.submit([encoder.finish()]);
     assert!(offscreen.read(&gpu).unwrap().rgb.iter().all(|&byte| byte == 0));

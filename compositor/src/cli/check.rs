@@ -10,7 +10,10 @@ use glam::{DVec2, DVec4};
 use renderer::cli::say;
 use shared::printable::printable_line;
 
-use crate::wall::{OnLoss, Wall, homography::apply};
+use crate::{
+    farm::MOST_FRAMES,
+    wall::{OnLoss, PixelRect, Wall, homography::apply},
+};
 
 /// Checks a wall file, and prints it with every default filled in.
 #[derive(Clone, Debug, clap::Args)]
@@ -54,7 +57,9 @@ fn summary(wall: &Wall) -> Vec<String> {
         format!("{n_projectors} projectors or screens on {width_m} m × {height_m} m, {width}×{height} pixels in all"),
         format!("{:.1} % of the canvas is lit, {:.1} % by several of them", 100.0 * lit, 100.0 * shared),
         format!("a sample of a {frame} frame is {sample_width_mm:.2} mm × {sample_height_mm:.2} mm"),
+        frame_memory(wall),
     ];
+    lines.extend(too_large_output(wall));
     if wall.black() > 0.0 {
         lines.push(format!(
             "black is lifted everywhere to {:.4} of white, the sum where most projectors overlap",
@@ -85,6 +90,33 @@ fn summary(wall: &Wall) -> Vec<String> {
         ));
     }
     lines
+}
+
+/// The memory that the wall's finest frames take.
+fn frame_memory(wall: &Wall) -> String {
+    let native = wall.native_size();
+    let megabytes = 4.0 * f64::from(native.n_samples()) / 1e6;
+    let most = MOST_FRAMES as f64 * megabytes;
+    format!(
+        "at rest a frame has {native} samples: {megabytes:.0} MB on the GPU, as much again for its upload, and up to \
+         {most:.0} MB in main memory"
+    )
+}
+
+/// Most GPUs draw on at most this many pixels a side.
+const USUAL_LARGEST_TEXTURE: u32 = 16_384;
+
+/// A window that most GPUs cannot draw on. Frames may be larger: they are cut.
+fn too_large_output(wall: &Wall) -> Option<String> {
+    let largest = wall.output_parts().into_iter().max_by_key(|part| part.width.max(part.height))?;
+    let PixelRect { width, height, .. } = largest;
+    (width.max(height) > USUAL_LARGEST_TEXTURE).then(|| {
+        format!(
+            "one window of {width}×{height} pixels asks for a GPU that draws on {} a side, and most draw on \
+             {USUAL_LARGEST_TEXTURE}: name the output of each projector, so that each has a window",
+            width.max(height)
+        )
+    })
 }
 
 /// The parts of the canvas that at least one projector lights, and that at least two do.
@@ -128,9 +160,12 @@ mod tests {
         let lines = summary(&shipped("paper-4x3.toml"));
         assert_eq!(lines[0], "12 projectors or screens on 4 m × 2.25 m, 4096×2304 pixels in all");
         assert_eq!(lines[1], "100.0 % of the canvas is lit, 0.0 % by several of them");
+        let memory = "at rest a frame has 4096x2304 samples: 38 MB on the GPU, as much again for its upload, and up to \
+                      226 MB in main memory";
+        assert_eq!(lines[3], memory);
         let lines = summary(&shipped("blended-4x3.toml"));
         assert!(lines[1].starts_with("100.0 % of the canvas is lit, 14."), "{lines:?}");
-        assert!(lines[3].starts_with("black is lifted everywhere to 0.0090 of white"), "{lines:?}");
+        assert!(lines[4].starts_with("black is lifted everywhere to 0.0090 of white"), "{lines:?}");
         let lines = summary(&shipped("lcd-5x3.toml"));
         assert!(lines[1].starts_with("98.9 % of the canvas is lit, 0.0 %"), "{lines:?}");
         let lines = summary(&shipped("two-monitors.toml"));
@@ -139,12 +174,33 @@ mod tests {
             "output DP-1 shows 1920×1080 pixels",
             "if no render server is left or the program crashes, the last frame stays",
         ];
-        assert_eq!(lines[3..], expected);
+        assert_eq!(lines[4..], expected);
         let black = summary(&shipped("two-monitors.toml").with_on_loss(OnLoss::Black));
         assert_eq!(
             black.last().map(String::as_str),
             Some("if no render server is left or the program crashes, the wall is black")
         );
+    }
+
+    #[test]
+    fn the_summary_says_what_a_large_wall_asks_of_the_gpu() {
+        let displays = |outputs: &str| {
+            let display = |column: u32| {
+                let output =
+                    if outputs.is_empty() { String::new() } else { format!("output = \"{outputs}-{column}\"\n") };
+                format!(
+                    "[[projector]]\nname = \"{column}\"\npixels = [3840, 2160]\npixels_at = [{}, 0]\n\
+                     at_m = [{column}, 0]\nsize_m = [1, 1]\n{output}",
+                    3840 * column
+                )
+            };
+            let text = format!("canvas_m = [10, 1]\n{}", (0..10).map(display).collect::<String>());
+            summary(&Wall::from_toml("ten", &text).expect("a wall")).join("\n")
+        };
+        let lines = displays("DP");
+        assert!(lines.contains("38400x2160 samples: 332 MB on the GPU") && !lines.contains("one window"), "{lines}");
+        let lines = displays("");
+        assert!(lines.contains("one window of 38400×2160 pixels") && lines.contains("name the output"), "{lines}");
     }
 
     #[test]

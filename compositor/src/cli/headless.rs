@@ -16,7 +16,7 @@ use crate::{
         Farm, Frame,
         stats::{DisplayStats, FarmStatus},
     },
-    gpu::{Gpu, GpuError, Offscreen, Present, RgbImage},
+    gpu::{Gpu, GpuError, OffscreenWall, Present, RgbImage},
     wall::Wall,
 };
 
@@ -41,7 +41,7 @@ const REPORT_WAIT_AFTER: Duration = Duration::from_secs(5);
 pub struct Headless {
     gpu: Gpu,
     present: Present,
-    offscreen: Offscreen,
+    offscreen: OffscreenWall,
     wall: Wall,
 }
 
@@ -50,7 +50,7 @@ impl Headless {
     pub fn new(wall: Wall) -> anyhow::Result<Self> {
         let gpu = Gpu::headless()?;
         tracing::info!("drawing on {}", gpu.name());
-        let offscreen = Offscreen::new(&gpu, wall.output_size())?;
+        let offscreen = OffscreenWall::new(&gpu, &wall)?;
         let present = Present::new(&gpu);
         Ok(Self { gpu, present, offscreen, wall })
     }
@@ -92,21 +92,29 @@ impl Headless {
 
     /// Uploads samples to the GPU and draws the wall; returns the times of both.
     pub fn upload_and_draw(&mut self, size: FrameSize, rgba: &[u32]) -> anyhow::Result<(Duration, Duration)> {
+        Ok((self.upload(size, rgba)?, self.draw()?))
+    }
+
+    /// Uploads samples to the GPU; returns the time.
+    pub fn upload(&mut self, size: FrameSize, rgba: &[u32]) -> anyhow::Result<Duration> {
         let started_at = Instant::now();
         self.present.upload(&self.gpu, size, bytemuck::cast_slice(rgba))?;
         // Without a submission the samples would reach the GPU only with the draw.
         self.gpu.queue.submit([]);
         self.gpu.wait()?;
-        let upload = started_at.elapsed();
+        Ok(started_at.elapsed())
+    }
+
+    /// Draws the wall with the last samples; returns the time.
+    pub fn draw(&mut self) -> anyhow::Result<Duration> {
         let started_at = Instant::now();
         let mut encoder = self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let target = (self.offscreen.target(), self.wall.whole_output());
-        self.present.draw(&self.gpu, &mut encoder, &self.wall, &[target]);
+        self.present.draw(&self.gpu, &mut encoder, &self.wall, &self.offscreen.outputs());
         self.gpu.queue.submit([encoder.finish()]);
         // Without a screen, a frame is shown when the GPU has drawn it.
         self.gpu.wait()?;
         self.gpu.check()?;
-        Ok((upload, started_at.elapsed()))
+        Ok(started_at.elapsed())
     }
 }
 

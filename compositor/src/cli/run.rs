@@ -110,10 +110,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
     }
     let report = match film {
         Some(film) => headless.show_film(&farm, &wakeups, &film, output)?,
-        None if refinement.is_on() => {
-            refinement.limit_sides(headless.gpu().device.limits().max_texture_dimension_2d);
-            headless.show_refined(&farm, &wakeups, n_frames, spec, &mut refinement)?
-        }
+        None if refinement.is_on() => headless.show_refined(&farm, &wakeups, n_frames, spec, &mut refinement)?,
         None => headless.show_frames(&farm, &wakeups, n_frames)?,
     };
     say(report.table())?;

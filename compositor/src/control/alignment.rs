@@ -67,10 +67,10 @@ impl Alignment {
         self.is_stale = true;
     }
 
-    /// The pattern's image, or `None` for frames, if it has changed since the last call.
-    pub(crate) fn take_shown(&mut self) -> Option<anyhow::Result<Option<PatternImage>>> {
+    /// The pattern's images, none for frames, if it has changed since the last call.
+    pub(crate) fn take_shown(&mut self) -> Option<anyhow::Result<Vec<PatternImage>>> {
         let is_stale = std::mem::take(&mut self.is_stale);
-        is_stale.then(|| self.pattern.map(|pattern| pattern.shown(&self.wall, self.selected)).transpose())
+        is_stale.then(|| self.pattern.map_or(Ok(Vec::new()), |pattern| pattern.shown(&self.wall, self.selected)))
     }
 
     /// Whether a test pattern is on the wall.

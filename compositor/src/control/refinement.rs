@@ -80,17 +80,6 @@ impl Refinement {
         Self { control: ResolutionControl::new(interval, &ladder, rung), ladder, options, last: None }
     }
 
-    /// Limits the sides of frames to the GPU's largest texture.
-    pub(crate) fn limit_sides(&mut self, largest: u32) {
-        let [xres, yres] =
-            <[u32; 2]>::from(<(u32, u32)>::from(self.options.native)).map(|side| side.min(largest.max(1)));
-        if let Ok(native) = FrameSize::new(xres, yres)
-            && native != self.options.native
-        {
-            *self = Self::new(RefinementOptions { native, ..self.options });
-        }
-    }
-
     pub(crate) fn is_on(&self) -> bool {
         self.options.is_on
     }

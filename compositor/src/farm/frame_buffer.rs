@@ -50,7 +50,7 @@ impl CurveTiles {
 const LEAST_NON_TEMPORAL_SAMPLES: usize = 1 << 20;
 
 /// The frames in flight, one that waits, one that is shown, and one more.
-const MOST_SPARE: usize = 6;
+pub(crate) const MOST_FRAMES: usize = 6;
 
 impl BufferPool {
     /// A buffer for a frame; its contents are arbitrary.
@@ -66,7 +66,7 @@ impl BufferPool {
 
     fn put(&self, rgba: Vec<u32>) {
         let mut spare = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if spare.rgba.len() < MOST_SPARE {
+        if spare.rgba.len() < MOST_FRAMES {
             spare.rgba.push(rgba);
         }
     }

@@ -56,15 +56,25 @@ impl Gpu {
     ///
     /// `WGPU_ADAPTER_NAME` chooses by a part of the name, `WGPU_POWER_PREF` (low, high) by power.
     pub fn headless() -> Result<Self, GpuError> {
-        pollster::block_on(Self::open(&Self::instance(), None))
+        Self::headless_with_textures_of(u32::MAX)
+    }
+
+    /// The same, with textures of at most `largest` texels a side.
+    pub fn headless_with_textures_of(largest: u32) -> Result<Self, GpuError> {
+        pollster::block_on(Self::open(&Self::instance(), None, largest))
     }
 
     /// The best adapter that can draw on a surface, if there is one; chosen as in [`Gpu::headless`].
-    pub(super) async fn open(instance: &wgpu::Instance, surface: Option<&wgpu::Surface<'_>>) -> Result<Self, GpuError> {
+    pub(super) async fn open(
+        instance: &wgpu::Instance,
+        surface: Option<&wgpu::Surface<'_>>,
+        largest_texture: u32,
+    ) -> Result<Self, GpuError> {
         let adapter = choose_adapter(instance, surface).await?;
         let offered = adapter.limits();
         let required_limits = wgpu::Limits {
             max_buffer_size: offered.max_buffer_size,
+            max_texture_dimension_2d: offered.max_texture_dimension_2d.min(largest_texture),
             ..wgpu::Limits::downlevel_defaults().using_resolution(offered)
         };
         let descriptor = wgpu::DeviceDescriptor {
@@ -119,13 +129,25 @@ impl Gpu {
     pub(super) fn texture(
         &self,
         label: &str,
+        size: [u32; 2],
+        format: wgpu::TextureFormat,
+        usage: wgpu::TextureUsages,
+    ) -> (wgpu::Texture, wgpu::TextureView) {
+        self.layered_texture(label, size, 1, format, usage)
+    }
+
+    /// The same of several layers; its view is an array if there is more than one.
+    pub(super) fn layered_texture(
+        &self,
+        label: &str,
         [width, height]: [u32; 2],
+        n_layers: u32,
         format: wgpu::TextureFormat,
         usage: wgpu::TextureUsages,
     ) -> (wgpu::Texture, wgpu::TextureView) {
         let texture = self.device.create_texture(&wgpu::TextureDescriptor {
             label: Some(label),
-            size: wgpu::Extent3d { width, height, depth_or_array_layers: 1 },
+            size: wgpu::Extent3d { width, height, depth_or_array_layers: n_layers },
             mip_level_count: 1,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
@@ -138,13 +160,14 @@ impl Gpu {
     }
 
     /// Refuses images that no texture can hold.
-    pub fn check_size(&self, what: &'static str, [width, height]: [u32; 2]) -> Result<(), GpuError> {
+    pub fn check_size(&self, what: &'static str, size: [u32; 2]) -> Result<(), GpuError> {
         let limit = self.device.limits().max_texture_dimension_2d;
-        if width.max(height) <= limit {
-            Ok(())
-        } else {
-            Err(GpuError::TooLarge { what, width, height, limit, adapter: self.adapter.get_info().name })
-        }
+        if size.iter().all(|&side| side <= limit) { Ok(()) } else { Err(self.too_large(what, size)) }
+    }
+
+    pub(super) fn too_large(&self, what: &'static str, [width, height]: [u32; 2]) -> GpuError {
+        let limit = self.device.limits().max_texture_dimension_2d;
+        GpuError::TooLarge { what, width, height, limit, adapter: self.adapter.get_info().name }
     }
 }
 

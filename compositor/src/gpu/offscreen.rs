@@ -5,6 +5,7 @@ use super::{
     picture::RgbImage,
     quad::Target,
 };
+use crate::wall::{PixelRect, Wall};
 
 /// An image on the GPU that can be read back.
 pub struct Offscreen {
@@ -39,12 +40,19 @@ impl Offscreen {
 
     /// Waits for all submissions, and copies the image back.
     pub fn read(&self, gpu: &Gpu) -> Result<RgbImage, GpuError> {
+        let mut image = RgbImage::black(self.size);
+        self.read_into(gpu, &mut image, [0, 0])?;
+        Ok(image)
+    }
+
+    /// The same, into a larger image at a column and a row.
+    fn read_into(&self, gpu: &Gpu, image: &mut RgbImage, [left, top_of_image]: [u32; 2]) -> Result<(), GpuError> {
         let [width, height] = self.size;
         let padded_row_bytes = (4 * width).next_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT);
         let band_rows = (BAND_BYTES / padded_row_bytes).clamp(1, height);
         let band_bytes = u64::from(band_rows) * u64::from(padded_row_bytes);
-        let mut rgb = vec![0; 3 * width as usize * height as usize];
-        let mut rgb_rows = rgb.chunks_exact_mut(3 * width as usize);
+        let columns = 3 * left as usize..3 * (left + width) as usize;
+        let mut rgb_rows = image.rgb.chunks_exact_mut(3 * image.size[0] as usize).skip(top_of_image as usize);
         for top in (0..height).step_by(band_rows as usize) {
             let n_rows = band_rows.min(height - top);
             // A buffer for each band: none is ever mapped twice.
@@ -79,12 +87,44 @@ impl Offscreen {
             let rgba_rows = bytes.chunks_exact(padded_row_bytes as usize).take(n_rows as usize);
             for (rgba_row, rgb_row) in rgba_rows.zip(&mut rgb_rows) {
                 let (rgba_pixels, _) = rgba_row.as_chunks::<4>();
-                let (rgb_pixels, _) = rgb_row.as_chunks_mut::<3>();
+                let (rgb_pixels, _) = rgb_row[columns.clone()].as_chunks_mut::<3>();
                 for ([r, g, b, _], rgb_pixel) in rgba_pixels.iter().zip(rgb_pixels) {
                     *rgb_pixel = [*r, *g, *b];
                 }
             }
         }
-        Ok(RgbImage { size: self.size, rgb })
+        Ok(())
+    }
+}
+
+/// All of a wall's pixels: several images where one texture is too small for them.
+pub struct OffscreenWall {
+    parts: Vec<(PixelRect, Offscreen)>,
+    size: [u32; 2],
+}
+
+impl OffscreenWall {
+    /// For a wall's spanning output.
+    pub fn new(gpu: &Gpu, wall: &Wall) -> Result<Self, GpuError> {
+        let size = wall.output_size();
+        let largest = gpu.device.limits().max_texture_dimension_2d;
+        let along = |side: u32| (0..side).step_by(largest as usize).map(move |from| (from, largest.min(side - from)));
+        let parts = along(size[1])
+            .flat_map(|(y, height)| along(size[0]).map(move |(x, width)| PixelRect { x, y, width, height }));
+        let parts =
+            parts.map(|part| Ok((part, Offscreen::new(gpu, [part.width, part.height])?))).collect::<Result<_, _>>()?;
+        Ok(Self { parts, size })
+    }
+
+    /// The outputs for [`super::Present::draw`].
+    pub fn outputs(&self) -> Vec<(Target<'_>, PixelRect)> {
+        self.parts.iter().map(|(part, offscreen)| (offscreen.target(), *part)).collect()
+    }
+
+    /// Waits for all submissions, and copies the wall's image back.
+    pub fn read(&self, gpu: &Gpu) -> Result<RgbImage, GpuError> {
+        let mut image = RgbImage::black(self.size);
+        self.parts.iter().try_for_each(|(part, offscreen)| offscreen.read_into(gpu, &mut image, [part.x, part.y]))?;
+        Ok(image)
     }
 }

@@ -3,6 +3,7 @@
 use super::{
     blend_weights::BlendStage,
     context::Gpu,
+    frame::FrameLayouts,
     quad::{Quad, QuadPipelines, Target, TargetProjector, buffer},
 };
 use crate::wall::{Gamma, PixelRect, Wall};
@@ -42,24 +43,31 @@ const INSTANCE_ATTRIBUTES: [wgpu::VertexAttribute; 9] = wgpu::vertex_attr_array!
 ];
 
 impl OpticsStage {
-    /// `frame_layout` is the group of the frame's texture and sampler.
-    pub(super) fn new(gpu: &Gpu, frame_layout: &wgpu::BindGroupLayout) -> Self {
-        let shader = wgpu::include_wgsl!("../../../shaders/optics.wgsl");
+    pub(super) fn new(gpu: &Gpu, layouts: &FrameLayouts) -> Self {
+        let source = include_str!("../../../shaders/optics.wgsl");
         let blend_weights = BlendStage::new(gpu);
-        let groups = [Some(frame_layout), Some(&blend_weights.weights_layout)];
-        let pipelines = QuadPipelines::new::<ProjectorInstance>(gpu, "optics", shader, &groups, &INSTANCE_ATTRIBUTES);
+        let weights_layout = Some(&blend_weights.weights_layout);
+        let pipelines = QuadPipelines::new::<ProjectorInstance>(
+            gpu,
+            "optics",
+            source,
+            layouts,
+            weights_layout,
+            &INSTANCE_ATTRIBUTES,
+        );
         Self { blend_weights, pipelines }
     }
 
-    /// Prepares a pass that draws `quads`, the corrected projectors of a part of the wall; `None` if there are none.
+    /// Prepares a pass that draws `quads`, the corrected projectors of a part of the wall, from a frame that [is
+    /// cut](super::frame::FrameTexture::is_cut) or not; `None` if there are no projectors.
     pub(super) fn prepare(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
-        target: &Target<'_>,
         wall: &Wall,
-        part: PixelRect,
+        &(target, part): &(Target<'_>, PixelRect),
         quads: &[Quad],
+        is_cut: bool,
     ) -> Option<OpticsDraw> {
         let on_target: Vec<_> = quads.iter().filter_map(|&quad| TargetProjector::new(wall, quad)).collect();
         if on_target.is_empty() {
@@ -68,7 +76,7 @@ impl OpticsStage {
         let instances: Vec<_> =
             on_target.iter().map(|on_target| ProjectorInstance::new(wall, on_target, target.size)).collect();
         Some(OpticsDraw {
-            pipeline: self.pipelines.get(gpu, target.format),
+            pipeline: self.pipelines.get(gpu, target.format, is_cut),
             blend_weights: self.blend_weights.prepare(gpu, encoder, target.size, wall, part, &on_target),
             instances: buffer(gpu, wgpu::BufferUsages::VERTEX, &instances),
             n_projectors: instances.len() as u32,

@@ -18,6 +18,11 @@ pub struct RgbImage {
 }
 
 impl RgbImage {
+    /// A black image.
+    pub(super) fn black(size: [u32; 2]) -> Self {
+        Self { size, rgb: vec![0; 3 * size[0] as usize * size[1] as usize] }
+    }
+
     /// The pixel in a column from the left and a row from the top.
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
         let first = 3 * (y as usize * self.size[0] as usize + x as usize);

@@ -4,6 +4,7 @@ use shared::division::FrameSize;
 
 use super::{
     context::{Gpu, GpuError},
+    frame::{FrameLayouts, FrameTexture},
     optics::OpticsStage,
     quad::{Quad, QuadPipelines, Target, begin_pass, buffer},
     timer::DrawTimer,
@@ -18,21 +19,9 @@ use crate::wall::{CanvasRect, PixelRect, Wall};
 pub struct Present {
     pipelines: QuadPipelines,
     optics: OpticsStage,
-    frame_layout: wgpu::BindGroupLayout,
-    /// Bilinear and nearest.
-    samplers: [wgpu::Sampler; 2],
+    layouts: FrameLayouts,
     frame: Option<FrameTexture>,
     timer: Option<DrawTimer>,
-}
-
-/// A frame's samples on the GPU: row 0 is the bottom row, and shaders read linear light. Each draw binds one filter.
-struct FrameTexture {
-    size: FrameSize,
-    texture: wgpu::Texture,
-    bilinear: wgpu::BindGroup,
-    /// The same image where pixels and samples coincide, as on a resting wall after refinement; on a software adapter in
-    /// two thirds of the time.
-    nearest: wgpu::BindGroup,
 }
 
 /// One projector on one target. Matches `Projector` in `shaders/present.wgsl`.
@@ -53,77 +42,44 @@ const INSTANCE_ATTRIBUTES: [wgpu::VertexAttribute; 4] =
 impl Present {
     /// The stage, without a frame yet.
     pub fn new(gpu: &Gpu) -> Self {
-        let device = &gpu.device;
-        let shader = wgpu::include_wgsl!("../../../shaders/present.wgsl");
-        let frame_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("frame"),
-            entries: &[
-                fragment_binding(
-                    0,
-                    wgpu::BindingType::Texture {
-                        sample_type: wgpu::TextureSampleType::Float { filterable: true },
-                        view_dimension: wgpu::TextureViewDimension::D2,
-                        multisampled: false,
-                    },
-                ),
-                fragment_binding(1, wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering)),
-            ],
-        });
-        let sampler = |filter| {
-            device.create_sampler(&wgpu::SamplerDescriptor {
-                label: Some("frame"),
-                mag_filter: filter,
-                min_filter: filter,
-                ..Default::default()
-            })
-        };
-        let samplers = [sampler(wgpu::FilterMode::Linear), sampler(wgpu::FilterMode::Nearest)];
-        let groups = [Some(&frame_layout)];
-        let pipelines = QuadPipelines::new::<ProjectorInstance>(gpu, "present", shader, &groups, &INSTANCE_ATTRIBUTES);
-        let (optics, timer) = (OpticsStage::new(gpu, &frame_layout), DrawTimer::new(gpu));
-        Self { pipelines, optics, frame_layout, samplers, frame: None, timer }
+        let layouts = FrameLayouts::new(gpu);
+        let source = include_str!("../../../shaders/present.wgsl");
+        let pipelines =
+            QuadPipelines::new::<ProjectorInstance>(gpu, "present", source, &layouts, None, &INSTANCE_ATTRIBUTES);
+        Self { pipelines, optics: OpticsStage::new(gpu, &layouts), layouts, frame: None, timer: DrawTimer::new(gpu) }
     }
 
     /// Takes a complete frame, whose resolution may differ from the last one's: sRGB-encoded R, G, B and one byte unused,
     /// row by row from the bottom left. The bytes are copied at once and reach the GPU with the next submission.
     pub fn upload(&mut self, gpu: &Gpu, size: FrameSize, rgba: &[u8]) -> Result<(), GpuError> {
-        if rgba.len() as u64 != 4 * u64::from(size.n_samples()) {
-            return Err(GpuError::NotAFrame { n_bytes: rgba.len(), size });
-        }
-        let frame = match self.frame.take().filter(|frame| frame.size == size) {
-            Some(frame) => frame,
-            None => self.frame_texture(gpu, size)?,
-        };
-        let layout =
-            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * size.xres()), rows_per_image: None };
-        gpu.queue.write_texture(frame.texture.as_image_copy(), rgba, layout, frame.texture.size());
-        self.frame = Some(frame);
+        let old = self.frame.take();
+        self.frame = Some(self.texture(gpu, size, rgba, old)?);
         Ok(())
     }
 
-    fn frame_texture(&self, gpu: &Gpu, size: FrameSize) -> Result<FrameTexture, GpuError> {
-        let extent = [size.xres(), size.yres()];
-        gpu.check_size("a frame", extent)?;
-        // Loads from sRGB give linear light, in which the wall is filtered and blended.
-        let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST;
-        let (texture, view) = gpu.texture("frame", extent, wgpu::TextureFormat::Rgba8UnormSrgb, usage);
-        let [bilinear, nearest] = self.samplers.each_ref().map(|sampler| {
-            gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some("frame"),
-                layout: &self.frame_layout,
-                entries: &[
-                    wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&view) },
-                    wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(sampler) },
-                ],
-            })
-        });
-        Ok(FrameTexture { size, texture, bilinear, nearest })
+    /// A texture with a frame's samples, for [`Present::draw_frame`]; the old one, if it has the size.
+    pub(crate) fn texture(
+        &self,
+        gpu: &Gpu,
+        size: FrameSize,
+        rgba: &[u8],
+        old: Option<FrameTexture>,
+    ) -> Result<FrameTexture, GpuError> {
+        if rgba.len() as u64 != 4 * u64::from(size.n_samples()) {
+            return Err(GpuError::NotAFrame { n_bytes: rgba.len(), size });
+        }
+        let texture = match old.filter(|old| old.size == size) {
+            Some(old) => old,
+            None => FrameTexture::new(gpu, &self.layouts, size)?,
+        };
+        texture.write(gpu, rgba);
+        Ok(texture)
     }
 
     /// Draws parts of the wall, each over all of a target; black around it, and black before the first frame.
     ///
-    /// A part is a rectangle of the spanning output that contains each projector wholly or not at all; it is scaled to fit
-    /// into its target, centred.
+    /// A part is a rectangle of the spanning output; it is scaled to fit into its target, centred. A part that cuts a
+    /// projector must fit its target exactly.
     pub fn draw(
         &mut self,
         gpu: &Gpu,
@@ -131,8 +87,24 @@ impl Present {
         wall: &Wall,
         outputs: &[(Target<'_>, PixelRect)],
     ) {
-        for (index, &(target, part)) in outputs.iter().enumerate() {
-            let pipeline = self.pipelines.get(gpu, target.format);
+        let frame = self.frame.take();
+        self.draw_frame(gpu, encoder, frame.as_ref(), wall, outputs);
+        self.frame = frame;
+    }
+
+    /// The same with another frame, or black without one.
+    pub(crate) fn draw_frame(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        frame: Option<&FrameTexture>,
+        wall: &Wall,
+        outputs: &[(Target<'_>, PixelRect)],
+    ) {
+        let is_cut = frame.is_some_and(FrameTexture::is_cut);
+        for (index, output) in outputs.iter().enumerate() {
+            let &(target, part) = output;
+            let pipeline = self.pipelines.get(gpu, target.format, is_cut);
             let (plain, corrected): (Vec<_>, Vec<_>) =
                 Quad::of_part(wall, part, target.size).partition(|quad| wall.is_plain(quad.projector_idx));
             let frame_from_px: Vec<_> = plain.iter().map(|quad| FrameFromPx::new(wall, quad)).collect();
@@ -141,12 +113,12 @@ impl Present {
                 .collect();
             // A new buffer for each draw costs half a kilobyte, and several targets in one submission share nothing.
             let instance_buffer = (!instances.is_empty()).then(|| buffer(gpu, wgpu::BufferUsages::VERTEX, &instances));
-            let corrected = self.optics.prepare(gpu, encoder, &target, wall, part, &corrected);
+            let corrected = self.optics.prepare(gpu, encoder, wall, output, &corrected, is_cut);
 
             let is_end = [index == 0, index + 1 == outputs.len()];
             let timestamps = self.timer.as_ref().and_then(|timer| timer.pass_timestamps(is_end));
             let mut pass = begin_pass(encoder, "present", target.view, timestamps);
-            if let Some(frame) = &self.frame {
+            if let Some(frame) = frame {
                 if let Some(instance_buffer) = &instance_buffer {
                     let is_sample_per_px = frame_from_px.iter().all(|it| it.is_sample_per_px(frame.size, target.size));
                     pass.set_bind_group(0, if is_sample_per_px { &frame.nearest } else { &frame.bilinear }, &[]);
@@ -218,10 +190,6 @@ impl ProjectorInstance {
             frame_per_px: f32s(frame_from_px.frame_per_px),
         }
     }
-}
-
-fn fragment_binding(binding: u32, ty: wgpu::BindingType) -> wgpu::BindGroupLayoutEntry {
-    wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::FRAGMENT, ty, count: None }
 }
 
 #[cfg(test)]

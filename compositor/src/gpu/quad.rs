@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec2};
 
-use super::context::Gpu;
+use super::{context::Gpu, frame::FrameLayouts};
 use crate::wall::{PixelRect, Wall};
 
 /// An image to draw on.
@@ -39,13 +39,12 @@ impl Quad {
         let fitted = PixelRect::fitted([part.width, part.height], target_size);
         let x_scale = f64::from(fitted.width) / f64::from(part.width.max(1));
         let y_scale = f64::from(fitted.height) / f64::from(part.height.max(1));
-        let shown =
-            wall.projectors().iter().enumerate().filter(move |(_, projector)| part.contains_rect(&projector.output));
+        let shown = wall.projectors().iter().enumerate().filter(move |(_, projector)| part.overlaps(&projector.output));
         shown.map(move |(projector_idx, projector)| {
             let PixelRect { x, y, width, height } = projector.output;
             // Scale edges instead of extents: neighbours get the same numbers, and no seam opens.
-            let x_of = |edge: u32| f64::from(fitted.x) + f64::from(edge - part.x) * x_scale;
-            let y_of = |edge: u32| f64::from(fitted.y) + f64::from(edge - part.y) * y_scale;
+            let x_of = |edge: u32| f64::from(fitted.x) + (f64::from(edge) - f64::from(part.x)) * x_scale;
+            let y_of = |edge: u32| f64::from(fitted.y) + (f64::from(edge) - f64::from(part.y)) * y_scale;
             Self { projector_idx, edges: [x_of(x), y_of(y), x_of(x + width), y_of(y + height)] }
         })
     }
@@ -71,22 +70,24 @@ impl TargetProjector {
     }
 }
 
-/// Pipelines that draw quads, one for each format of the targets so far: a window and a screenshot may differ.
+/// Pipelines that draw quads, one for each format of the targets so far, because a window and a screenshot may differ, and
+/// for frames that are cut or not.
 pub(super) struct QuadPipelines {
     label: &'static str,
-    shader: wgpu::ShaderModule,
-    layout: wgpu::PipelineLayout,
+    /// For frames that are whole, and for frames in pieces.
+    variants: [(wgpu::ShaderModule, wgpu::PipelineLayout); 2],
     instances: wgpu::VertexBufferLayout<'static>,
-    by_format: Vec<(wgpu::TextureFormat, wgpu::RenderPipeline)>,
+    used: Vec<((wgpu::TextureFormat, bool), wgpu::RenderPipeline)>,
 }
 
 impl QuadPipelines {
-    /// None yet. `T` is an instance with these attributes, `groups` are the shader's bindings.
+    /// None yet. `T` is an instance with these attributes; group 0 is the frame, `group` the shader's other one.
     pub(super) fn new<T>(
         gpu: &Gpu,
         label: &'static str,
-        shader: wgpu::ShaderModuleDescriptor<'_>,
-        groups: &[Option<&wgpu::BindGroupLayout>],
+        source: &str,
+        layouts: &FrameLayouts,
+        group: Option<&wgpu::BindGroupLayout>,
         attributes: &'static [wgpu::VertexAttribute],
     ) -> Self {
         let instances = wgpu::VertexBufferLayout {
@@ -94,19 +95,28 @@ impl QuadPipelines {
             step_mode: wgpu::VertexStepMode::Instance,
             attributes,
         };
-        let shader = gpu.device.create_shader_module(shader);
-        Self { label, shader, layout: pipeline_layout(gpu, label, groups), instances, by_format: Vec::new() }
+        let [whole, in_pieces] = FrameLayouts::sources(source);
+        let [whole_layout, pieces_layout] = layouts.both();
+        let variants = [(whole, whole_layout), (in_pieces, pieces_layout)].map(|(source, frame)| {
+            let source = wgpu::ShaderSource::Wgsl(source.into());
+            let descriptor = wgpu::ShaderModuleDescriptor { label: Some(label), source };
+            let groups: Vec<_> = [Some(frame), group].into_iter().filter(Option::is_some).collect();
+            (gpu.device.create_shader_module(descriptor), pipeline_layout(gpu, label, &groups))
+        });
+        Self { label, variants, instances, used: Vec::new() }
     }
 
-    /// The pipeline for targets of a format, which encode sRGB themselves or leave it to the shader.
-    pub(super) fn get(&mut self, gpu: &Gpu, format: wgpu::TextureFormat) -> wgpu::RenderPipeline {
-        if let Some((_, pipeline)) = self.by_format.iter().find(|(made_for, _)| *made_for == format) {
+    /// The pipeline for targets of a format, which encode sRGB themselves or leave it to the shader, and a frame that is cut
+    /// or not.
+    pub(super) fn get(&mut self, gpu: &Gpu, format: wgpu::TextureFormat, is_cut: bool) -> wgpu::RenderPipeline {
+        if let Some((_, pipeline)) = self.used.iter().find(|(made_for, _)| *made_for == (format, is_cut)) {
             return pipeline.clone();
         }
         let fragment = if format.is_srgb() { "fragment_linear" } else { "fragment_encoded" };
         let buffers = [Some(self.instances.clone())];
-        let pipeline = quad_pipeline(gpu, self.label, &self.layout, &self.shader, &buffers, fragment, format);
-        self.by_format.push((format, pipeline.clone()));
+        let (shader, layout) = &self.variants[usize::from(is_cut)];
+        let pipeline = quad_pipeline(gpu, self.label, layout, shader, &buffers, fragment, format);
+        self.used.push(((format, is_cut), pipeline.clone()));
         pipeline
     }
 }

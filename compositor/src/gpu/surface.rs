@@ -45,7 +45,7 @@ impl WallSurface {
             let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
             if adapters.is_empty() { GpuError::NoDriver } else { no_surface(&error) }
         })?;
-        let gpu = pollster::block_on(Gpu::open(&instance, Some(&surface)))?;
+        let gpu = pollster::block_on(Gpu::open(&instance, Some(&surface), u32::MAX))?;
         let surface = Self::configured(&gpu, surface, create, size)?;
         Ok((gpu, surface))
     }

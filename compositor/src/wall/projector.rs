@@ -220,8 +220,8 @@ impl PixelRect {
 
     /// Whether the two share a pixel.
     pub fn overlaps(&self, other: &Self) -> bool {
-        let apart = |a: u32, a_extent: u32, b: u32, b_extent: u32| a >= b + b_extent || b >= a + a_extent;
-        !apart(self.x, self.width, other.x, other.width) && !apart(self.y, self.height, other.y, other.height)
+        let meet = |a: u32, a_extent: u32, b: u32, b_extent: u32| a.max(b) < (a + a_extent).min(b + b_extent);
+        meet(self.x, self.width, other.x, other.width) && meet(self.y, self.height, other.y, other.height)
     }
 
     /// The smallest rectangle that contains both.

@@ -130,9 +130,9 @@ fn what_cannot_be_a_wall_is_refused_with_line_and_cure() {
         (grid("4", "65", "[1024, 768]"), 4, "rows = 65"),
         (grid("4", "-3", "[1024, 768]"), 4, "invalid value"),
         (grid("4", "4294967296", "[1024, 768]"), 4, "invalid value"),
-        (grid("4", "3", "[0, 768]"), 5, "each may have from 1 to 4096"),
-        (grid("4", "3", "[4097, 768]"), 5, "each may have from 1 to 4096"),
-        (grid("4", "3", "[1024, 4294967295]"), 5, "each may have from 1 to 5461"),
+        (grid("4", "3", "[0, 768]"), 5, "each may have from 1 to 16384"),
+        (grid("4", "3", "[16385, 768]"), 5, "each may have from 1 to 16384"),
+        (grid("4", "3", "[1024, 4294967295]"), 5, "each may have from 1 to 21845"),
         (grid("4", "3", "[1024]"), 5, "invalid length 1"),
         (grid("4", "3", "\"1024x768\""), 5, "invalid type"),
         (grid("4", "3", "[1024, 768]\nbezel = 3"), 6, "unknown field `bezel`, expected one of `columns`"),
@@ -163,7 +163,7 @@ fn what_cannot_be_a_wall_is_refused_with_line_and_cure() {
         (
             explicit("name = \"a\"\npixels = [4, 4]\npixels_at = [4294967295, 0]\nat_m = [0, 0]\nsize_m = [1, 1]"),
             4,
-            "at most 16384",
+            "at most 65536",
         ),
         (explicit("name = \"a\"\npixels = [4, 0]\nat_m = [0, 0]\nsize_m = [1, 1]"), 4, "each needs at least one"),
         (
@@ -231,7 +231,9 @@ fn native_frames_have_a_sample_for_each_pixel_and_no_more_than_frames_can_have()
     assert_eq!(size(&Wall::of_one_output([1366, 768])), (1366, 768));
     assert_eq!(size(&Wall::of_one_output([1, 1])), (1, 1));
     assert_eq!(size(&Wall::of_one_output([16384, 4096])), (16384, 4096));
-    assert_eq!(size(&Wall::of_one_output([16384, 16384])), (8192, 8192));
+    assert_eq!(size(&Wall::of_one_output([38_400, 2160])), (38_400, 2160), "ten displays side by side");
+    assert_eq!(size(&Wall::of_one_output([16_384, 16_384])), (16_384, 16_384));
+    assert_eq!(size(&Wall::of_one_output([65_536, 65_536])), (16_384, 16_384));
     // A third of the canvas has a thousand columns; the rest has fewer.
     let parts = [(0.0, 1.0 / 3.0, [1000, 600], 0), (1.0 / 3.0, 2.0 / 3.0, [500, 700], 1000)];
     let projectors = parts.map(|(left, width, [columns, rows], x)| {
@@ -244,5 +246,5 @@ fn native_frames_have_a_sample_for_each_pixel_and_no_more_than_frames_can_have()
     let canvas = CanvasRect { left: 0.0, bottom: 0.0, width: 1e-4, height: 1e-4 };
     let sliver = Projector::plain("sliver".into(), canvas, PixelRect { x: 0, y: 0, width: 16384, height: 1 });
     let wall = Wall::new([1.0, 1.0], FrameSize::PAPER, vec![sliver]).unwrap();
-    assert_eq!(size(&wall), (16384, 1));
+    assert_eq!(size(&wall), (65_536, 4));
 }

@@ -136,9 +136,6 @@ impl<'a> App<'a> {
                 if let Some(supervisor) = &mut self.supervisor {
                     supervisor.report_windows(self.outputs.windows().filter_map(legacy::x_window_id));
                 }
-                if let Some(largest) = self.outputs.largest_frame_side() {
-                    self.picture.refinement.limit_sides(largest);
-                }
                 self.redraw();
             }
             Ok(false) => {}

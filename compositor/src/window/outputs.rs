@@ -144,11 +144,6 @@ impl Outputs {
         Ok(has_changed)
     }
 
-    /// The GPU's largest texture side, once there has been a window.
-    pub(super) fn largest_frame_side(&self) -> Option<u32> {
-        self.painter.as_ref().map(|painter| painter.gpu.device.limits().max_texture_dimension_2d)
-    }
-
     /// The refresh interval of the fastest monitor with a part of the wall, if it is known.
     pub(super) fn refresh_interval(&self) -> Option<Duration> {
         let monitors = self.all.iter().filter_map(|output| output.screen.as_ref()?.window.current_monitor());

@@ -3,9 +3,9 @@
 use std::time::Instant;
 
 use crate::{
-    control::alignment,
+    control::alignment::PatternImage,
     farm::Frame,
-    gpu::{Gpu, GpuError, Offscreen, Present, RgbImage, Target},
+    gpu::{FrameTexture, Gpu, GpuError, OffscreenWall, Present, RgbImage, Target},
     wall::{PixelRect, Wall},
 };
 
@@ -20,14 +20,21 @@ pub(super) struct Painter {
     pub(super) frame: Option<u64>,
     /// Whether the wall is black instead of showing the frame.
     pub(super) is_dark: bool,
-    /// A test pattern in place of frames, and the wall to draw it with.
-    pattern: Option<(Present, Wall)>,
+    /// A test pattern in place of frames.
+    pattern: Vec<ShownPattern>,
+}
+
+/// A test pattern on one output, the wall to draw it with, and the part of that wall.
+struct ShownPattern {
+    output: PixelRect,
+    texture: FrameTexture,
+    wall: (Wall, PixelRect),
 }
 
 impl Painter {
     pub(super) fn new(gpu: Gpu) -> Self {
         tracing::info!("drawing with {}", gpu.name());
-        Self { present: Present::new(&gpu), gpu, frame: None, is_dark: false, pattern: None }
+        Self { present: Present::new(&gpu), gpu, frame: None, is_dark: false, pattern: Vec::new() }
     }
 
     /// Uploads a frame. Returns the time in milliseconds.
@@ -45,35 +52,36 @@ impl Painter {
         wall: &Wall,
         outputs: &[(Target<'_>, PixelRect)],
     ) {
-        // No projector lies in an empty part.
-        let dark: Vec<_> =
-            outputs.iter().map(|&(target, part)| (target, PixelRect { width: 0, height: 0, ..part })).collect();
-        let (present, wall, outputs) = match &mut self.pattern {
-            Some((present, wall)) => (present, &*wall, outputs),
-            None if self.is_dark => (&mut self.present, wall, dark.as_slice()),
-            None => (&mut self.present, wall, outputs),
-        };
-        present.draw(&self.gpu, encoder, wall, outputs);
+        if self.pattern.is_empty() && !self.is_dark {
+            return self.present.draw(&self.gpu, encoder, wall, outputs);
+        }
+        for &(target, part) in outputs {
+            match self.pattern.iter().find(|shown| shown.output == part) {
+                Some(ShownPattern { texture, wall: (wall, part), .. }) => {
+                    self.present.draw_frame(&self.gpu, encoder, Some(texture), wall, &[(target, *part)]);
+                }
+                None => self.present.draw_frame(&self.gpu, encoder, None, wall, &[(target, part)]),
+            }
+        }
     }
 
     /// The newest frame on the whole wall, without the overlay, independent of windows.
     pub(super) fn image(&mut self, wall: &Wall) -> Result<RgbImage, GpuError> {
-        let offscreen = Offscreen::new(&self.gpu, wall.output_size())?;
+        let offscreen = OffscreenWall::new(&self.gpu, wall)?;
         let mut encoder = self.gpu.device.create_command_encoder(&Default::default());
-        self.present.draw(&self.gpu, &mut encoder, wall, &[(offscreen.target(), wall.whole_output())]);
+        self.present.draw(&self.gpu, &mut encoder, wall, &offscreen.outputs());
         self.gpu.queue.submit([encoder.finish()]);
         offscreen.read(&self.gpu)
     }
 
     /// Shows a test pattern, or frames again.
-    pub(super) fn show_pattern(&mut self, pattern: Option<alignment::PatternImage>) -> Result<(), GpuError> {
-        let Some(alignment::PatternImage { size, rgba, wall }) = pattern else {
-            self.pattern = None;
-            return Ok(());
-        };
-        let mut present = self.pattern.take().map_or_else(|| Present::new(&self.gpu), |(present, _)| present);
-        present.upload(&self.gpu, size, &rgba)?;
-        self.pattern = Some((present, wall));
+    pub(super) fn show_pattern(&mut self, pattern: &[PatternImage]) -> Result<(), GpuError> {
+        let mut old = std::mem::take(&mut self.pattern);
+        for PatternImage { output, size, rgba, wall } in pattern {
+            let old = old.iter().position(|old| old.output == *output).map(|index| old.swap_remove(index).texture);
+            let texture = self.present.texture(&self.gpu, *size, rgba, old)?;
+            self.pattern.push(ShownPattern { output: *output, texture, wall: wall.clone() });
+        }
         Ok(())
     }
 }

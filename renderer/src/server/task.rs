@@ -257,7 +257,7 @@ mod tests {
 
     #[test]
     fn chunks_fit_messages_and_hold_whole_runs() {
-        for (xres, yres) in [(1, 1), (83, 45), (1024, 512), (4096, 2304), (16384, 4096)] {
+        for (xres, yres) in [(1, 1), (83, 45), (1024, 512), (4096, 2304), (16384, 16384), (65536, 4096)] {
             let size = FrameSize::new(xres, yres).unwrap();
             let farms = [(1, 1, 1), (12, 1, 16), (3, 64, 1), (1, 2, SampleRange::LARGEST_COUNT)];
             for (division, (machines, n_threads, n_rays)) in

@@ -36,11 +36,12 @@ impl From<FrameSize> for (u32, u32) {
 }
 
 impl FrameSize {
-    /// The largest side: a limit of GPU textures.
-    pub const LARGEST: u32 = 16384;
+    /// The largest side: seventeen displays of 3840 pixels.
+    pub const LARGEST: u32 = 1 << 16;
 
-    /// The most samples: seven times the paper's wall; it bounds the memory that a message can make a peer allocate.
-    pub const MOST_SAMPLES: u32 = 1 << 26;
+    /// The most samples: 32 displays of 3840×2160. A wall that asks for them needs 1 GB for each frame; a render server
+    /// holds a few chunks of any frame, so no message makes it allocate more.
+    pub const MOST_SAMPLES: u32 = 1 << 28;
 
     /// The paper's frame.
     pub const PAPER: Self = Self { xres: 1024, yres: 512 };
@@ -51,7 +52,8 @@ impl FrameSize {
     /// A frame of `xres` × `yres` samples.
     pub fn new(xres: u32, yres: u32) -> Result<Self, FrameSizeError> {
         let valid = 1..=Self::LARGEST;
-        if valid.contains(&xres) && valid.contains(&yres) && xres * yres <= Self::MOST_SAMPLES {
+        let n_samples = u64::from(xres) * u64::from(yres);
+        if valid.contains(&xres) && valid.contains(&yres) && n_samples <= u64::from(Self::MOST_SAMPLES) {
             Ok(Self { xres, yres })
         } else {
             Err(FrameSizeError(xres, yres))

@@ -41,7 +41,7 @@ use self::{
     measure::{RealWall, Stopped},
     predict::Path,
     results::{MeasuredRow, PredictedRow, Results},
-    shares::ShareTracer,
+    shares::{FEWEST_PASSES, MOST_PASSES, ShareTracer},
 };
 use crate::farm;
 
@@ -247,7 +247,8 @@ impl Experiment<'_> {
             has_stopped.get()
         };
         for measured in &self.undisplayed {
-            let mut tracer = ShareTracer::new(&scene);
+            self.steps.set_message("checking the prediction");
+            let mut tracer = ShareTracer::new(&scene, &|_, _| ());
             let check = predict::check(measured, path, &mut tracer, is_stopped).ok_or(Stopped)?;
             self.steps.suspend(|| say(format_args!(
                 "check of the prediction, {:<11} {} nodes: {:.1} ms measured ({:.1} of CPU by the busiest), {:.1} ms predicted",
@@ -259,25 +260,36 @@ impl Experiment<'_> {
             )))?;
             self.results.checks.push(check);
         }
+        self.steps.suspend(|| say(format_args!(
+            "predicting {} clusters: each task is traced alone on one core, {FEWEST_PASSES} to {MOST_PASSES} times, until its \
+             time settles; that takes nearly all of the time",
+            scenarios.len()
+        )))?;
         for scenario in scenarios {
             let &predict::Scenario { size, is_moving, division, n_nodes, n_slow } = scenario;
             let motion = if is_moving { "moving" } else { "still" };
-            self.steps.set_message(format!("predicting {n_nodes} nodes, {size}, {division}, {motion}"));
-            let alone_ms = |mbit_per_s: f64| {
+            let steps = self.steps.clone();
+            let on_pass = move |frame, pass| {
+                steps.set_message(format!(
+                    "predicting {n_nodes} nodes, {size}, {division}, {motion}: tracing frame {frame}, pass {pass}"
+                ));
+            };
+            let alone = |mbit_per_s: f64| {
                 let is_alone = |row: &&PredictedRow| {
                     (row.division, row.is_moving, row.n_nodes) == (division, is_moving, 1)
                         && row.size == size.to_string()
                         && row.mbit_per_s == mbit_per_s
                 };
-                self.results.predicted.iter().find(is_alone).map(|row| row.frame_ms)
+                let row = self.results.predicted.iter().find(is_alone)?;
+                Some(predict::Alone { frame_ms: row.frame_ms, compute_ms: row.compute_ms })
             };
             let n_frames = usize::from(self.args.predict_frames);
-            let mut tracer = ShareTracer::new(&scene);
-            let rows = predict::predict(scenario, path, n_frames, &mut tracer, alone_ms, is_stopped).ok_or(Stopped)?;
+            let mut tracer = ShareTracer::new(&scene, &on_pass);
+            let rows = predict::predict(scenario, path, n_frames, &mut tracer, alone, is_stopped).ok_or(Stopped)?;
             for row in &rows {
                 self.steps.suspend(|| say(format_args!(
                     "predicted {size} {motion:<6} {:<11} {n_nodes:>3} nodes{} {:>5.0} Mbit/s: {:>8.2} ms a frame, {} binds, \
-                     {:.2} of it, efficiency {:.2}, imbalance {:.3} (p95 {:.3})",
+                     {:.2} of it, efficiency {:.2} (all tasks take {:.2} of one node's CPU time), imbalance {:.3} (p95 {:.3})",
                     division,
                     if n_slow > 0 { " (one slow)" } else { "" },
                     row.mbit_per_s,
@@ -285,6 +297,7 @@ impl Experiment<'_> {
                     row.binds,
                     row.over_bound,
                     row.efficiency,
+                    row.cpu_over_alone,
                     row.imbalance_median,
                     row.imbalance_p95
                 )))?;

@@ -66,7 +66,7 @@ pub struct ChartArgs {
     #[arg(long, value_name = "FILE")]
     points: Option<PathBuf>,
 
-    /// Fewer rays, settings and repetitions: about a minute for a million triangles, with more noise
+    /// Fewer rays, settings and repetitions: two or three minutes for a million triangles, with more noise
     #[arg(long)]
     quick: bool,
 }

@@ -1,5 +1,7 @@
 //! Draws figures as SVG and PNG: rows of plots, each with a legend at its right.
 
+mod bitmap;
+
 use std::{ops::Range, path::Path, sync::Once};
 
 use anyhow::{Context, Result, anyhow};
@@ -14,6 +16,7 @@ use plotters::{
 use renderer::render::image;
 use shared::division::FrameSize;
 
+use self::bitmap::Bitmap;
 use crate::files;
 
 /// Okabe and Ito's colours, which colour-blind people can tell apart.
@@ -33,6 +36,7 @@ pub(crate) const GREY: RGBColor = RGBColor(110, 110, 110);
 const INK: RGBColor = RGBColor(40, 44, 52);
 
 const FONT: &str = "sans-serif";
+const FONT_BYTES: &[u8] = epaint_default_fonts::UBUNTU_LIGHT;
 
 const WIDTH: u32 = 1240;
 const LEGEND_WIDTH: u32 = 230;
@@ -108,7 +112,8 @@ impl Figure {
         self.draw(SVGBackend::with_string(&mut svg, (size.xres(), size.yres())), header_height)?;
         files::write(folder, &format!("{name}.svg"), svg.as_bytes())?;
         let mut rgb = vec![0; 3 * size.n_samples() as usize];
-        self.draw(BitMapBackend::with_buffer(&mut rgb, (size.xres(), size.yres())), header_height)?;
+        let font = ab_glyph::FontRef::try_from_slice(FONT_BYTES).context("the built-in font is valid")?;
+        self.draw(Bitmap::new(&mut rgb, (size.xres(), size.yres()), font), header_height)?;
         // PNG takes the bottom row first.
         let rows: Vec<u8> = rgb.rchunks_exact(3 * WIDTH as usize).flatten().copied().collect();
         let png_path = folder.join(format!("{name}.png"));
@@ -119,7 +124,7 @@ impl Figure {
         static REGISTERED: Once = Once::new();
         REGISTERED.call_once(|| {
             // The built-in bytes are a valid font.
-            let _ = register_font(FONT, FontStyle::Normal, epaint_default_fonts::UBUNTU_LIGHT);
+            let _ = register_font(FONT, FontStyle::Normal, FONT_BYTES);
         });
         self.draw_on(&backend.into_drawing_area(), header_height)
             .map_err(|error| anyhow!("cannot draw the chart: {error}"))

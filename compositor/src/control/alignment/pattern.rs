@@ -36,15 +36,17 @@ pub(crate) enum Pattern {
     Focus,
 }
 
-/// The image of a test pattern, for the present stage.
+/// The image of a test pattern on one output, for the present stage.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct PatternImage {
+    /// The output's part of the spanning output.
+    pub output: PixelRect,
     /// Its samples.
     pub size: FrameSize,
     /// RGBA, four bytes a sample, bottom row first, as in frames.
     pub rgba: Vec<u8>,
-    /// The wall to draw it with.
-    pub wall: Wall,
+    /// The wall to draw it with, and the part of that wall.
+    pub wall: (Wall, PixelRect),
 }
 
 const WHITE: [u8; 3] = [255; 3];
@@ -73,17 +75,27 @@ impl Pattern {
         Self::VARIANTS.get(current.map_or(0, |current| 1 + current as usize)).copied()
     }
 
-    /// The image of the pattern on a wall, unless the wall has more pixels than a frame may have samples.
-    pub(crate) fn shown(self, wall: &Wall, selected: Option<Corner>) -> anyhow::Result<PatternImage> {
+    /// The images of the pattern, one for each output, unless one has more pixels than a frame may have samples.
+    pub(crate) fn shown(self, wall: &Wall, selected: Option<Corner>) -> anyhow::Result<Vec<PatternImage>> {
+        wall.output_parts().into_iter().map(|output| self.shown_on(output, wall, selected)).collect()
+    }
+
+    fn shown_on(self, output: PixelRect, wall: &Wall, selected: Option<Corner>) -> anyhow::Result<PatternImage> {
         if self == Self::Overlap {
-            return Ok(PatternImage { size: FrameSize::new(1, 1)?, rgba: vec![255; 4], wall: wall.clone() });
+            let rgba = vec![255; 4];
+            return Ok(PatternImage { output, size: FrameSize::ONE, rgba, wall: (wall.clone(), output) });
         }
-        let [width, height] = wall.output_size();
-        let too_large =
-            |error| anyhow::anyhow!("no test pattern {self}: it would have {width}×{height} pixels, {error}");
+        let PixelRect { width, height, .. } = output;
+        let too_large = |error| {
+            anyhow::anyhow!(
+                "no test pattern {self}: one output would have {width}×{height} pixels, {error}: name the output of each \
+                 projector"
+            )
+        };
         let size = FrameSize::new(width, height).map_err(too_large)?;
-        let mut sheet = Sheet::new(wall.output_size());
-        for (index, projector) in wall.projectors().iter().enumerate() {
+        let mut sheet = Sheet::new(output);
+        let on_output = |(_, projector): &(usize, &Projector)| output.contains_rect(&projector.output);
+        for (index, projector) in wall.projectors().iter().enumerate().filter(on_output) {
             sheet.clip = projector.output;
             match self {
                 Self::Align => align(&mut sheet, wall, index, selected.filter(|corner| corner.projector_idx == index)),
@@ -94,7 +106,9 @@ impl Pattern {
                 Self::Overlap => {}
             }
         }
-        Ok(PatternImage { size, rgba: sheet.pixels.into_flattened(), wall: Wall::of_one_output([width, height]) })
+        let wall = Wall::of_one_output([width, height]);
+        let part = wall.whole_output();
+        Ok(PatternImage { output, size, rgba: sheet.pixels.into_flattened(), wall: (wall, part) })
     }
 }
 

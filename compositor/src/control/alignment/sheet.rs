@@ -8,28 +8,27 @@ use glam::DVec2;
 
 use crate::wall::PixelRect;
 
-/// An image of the spanning output, black at first.
+/// An image of a part of the spanning output, black at first. Places are pixels of that output.
 pub(super) struct Sheet {
-    size: [u32; 2],
+    part: PixelRect,
     /// Rows from the bottom up, as in frames.
     pub pixels: Vec<[u8; 4]>,
-    /// Drawing is restricted to these pixels.
+    /// Drawing is restricted to these pixels of the part.
     pub clip: PixelRect,
     fonts: Fonts,
 }
 
 impl Sheet {
-    pub(super) fn new(size: [u32; 2]) -> Self {
-        let [width, height] = size;
+    pub(super) fn new(part: PixelRect) -> Self {
         let fonts = Fonts::new(TextOptions::default(), FontDefinitions::default());
-        let clip = PixelRect { x: 0, y: 0, width, height };
-        Self { size, pixels: vec![[0, 0, 0, 255]; width as usize * height as usize], clip, fonts }
+        let n_pixels = part.width as usize * part.height as usize;
+        Self { part, pixels: vec![[0, 0, 0, 255]; n_pixels], clip: part, fonts }
     }
 
     /// The pixel at a column and a row from the top.
     fn pixel(&mut self, x: u32, y: u32) -> &mut [u8; 4] {
-        let [width, height] = self.size.map(|side| side as usize);
-        &mut self.pixels[(height - 1 - y as usize) * width + x as usize]
+        let PixelRect { x: left, y: top, width, height } = self.part;
+        &mut self.pixels[(height - 1 - (y - top)) as usize * width as usize + (x - left) as usize]
     }
 
     /// Sets each pixel of a rectangle to the colour at its column and row.

@@ -73,7 +73,9 @@ mod tests {
 
     #[test]
     fn walls_of_any_size_have_a_ladder() {
-        for (xres, yres) in [(1, 1), (1, 16384), (7, 3), (200, 100), (256, 128), (257, 129), (16384, 4096)] {
+        for (xres, yres) in
+            [(1, 1), (1, 16384), (7, 3), (200, 100), (256, 128), (257, 129), (38400, 2160), (16384, 16384)]
+        {
             let native = FrameSize::new(xres, yres).unwrap();
             let ladder = Ladder::down_from(native);
             assert_eq!(ladder.size(0), native);

@@ -264,21 +264,6 @@ fn without_refinement_every_frame_has_the_fixed_resolution() {
     assert_eq!(wall.rest().len(), 3, "switched on, the picture is refined");
 }
 
-#[test]
-fn no_frame_is_larger_than_the_gpu_takes() {
-    let mut refinement = Refinement::new(options());
-    for (largest, native) in [(8192, [4096, 2304]), (2048, [2048, 2048]), (0, [1, 1])] {
-        refinement.limit_sides(largest);
-        let native = FrameSize::new(native[0], native[1]).unwrap();
-        let step = refinement.change(Instant::now(), spec_at(0.0));
-        assert!(step.spec.size.n_samples() <= native.n_samples());
-        refinement.on_frame(&step.spec, Duration::ZERO);
-        if let Some(refines_at) = refinement.refines_at() {
-            assert_eq!(refinement.refine(refines_at).map(|step| step.spec.size), Some(native));
-        }
-    }
-}
-
 proptest! {
     /// With a farm of any speed, even a changing one, motion holds the rate within about a second, with frames no coarser
     /// than needed; at rest the refinement always has the same frames.

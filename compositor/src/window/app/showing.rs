@@ -110,10 +110,10 @@ impl App<'_> {
     fn show_pattern(&mut self) {
         let Some(shown) = self.wall.take_shown() else { return };
         let Some(painter) = &mut self.outputs.painter else { return };
-        let Err(problem) = shown.and_then(|shown| Ok(painter.show_pattern(shown)?)) else { return };
+        let Err(problem) = shown.and_then(|shown| Ok(painter.show_pattern(&shown)?)) else { return };
         self.wall.show(None);
         // Taking a pattern away cannot fail.
-        let _ = painter.show_pattern(None);
+        let _ = painter.show_pattern(&[]);
         self.apply(Effect::problem(problem.to_string()));
     }
 

@@ -155,6 +155,7 @@ mod tests {
             binds,
             over_bound: 1.0,
             efficiency: 1.0,
+            cpu_over_alone: 1.0,
             imbalance_median: 1.0,
             imbalance_p95: 1.0,
             bytes_in: 1.6e6,

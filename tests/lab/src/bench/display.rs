@@ -39,6 +39,9 @@ const N_FIRST: usize = 2;
 #[derive(Debug, Serialize)]
 struct DisplayTimings {
     adapter: String,
+    n_cores: usize,
+    /// Processes that ran or wanted to in the last minute, this one included; `None` where the system does not tell.
+    load: Option<f64>,
     wall: String,
     rows: Vec<DisplayRow>,
     /// Placing, uploading and drawing a full frame of the usual size, relative to its bare draw: elapsed time, and CPU
@@ -48,6 +51,16 @@ struct DisplayTimings {
     /// The same of a frame with one sample for each pixel of the wall.
     native_over_bare: f64,
     native_over_bare_cpu: f64,
+    /// CPU time of the steps of both full frames.
+    steps: [Steps; 2],
+}
+
+/// CPU times in milliseconds.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Steps {
+    place_ms: f64,
+    upload_ms: f64,
+    draw_ms: f64,
 }
 
 #[derive(Debug, Serialize)]
@@ -100,6 +113,7 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
         format!("fast_image_resize, {size}"),
     ];
     let mut timings = names.each_ref().map(|_| (Vec::new(), Vec::new()));
+    let mut steps: [Vec<Steps>; 2] = Default::default();
     let first_at = Instant::now();
     let mut n_rounds = 0;
     while n_rounds < N_FIRST + FEWEST_ROUNDS || first_at.elapsed() < duration {
@@ -110,7 +124,10 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
             }
             let (started_at, cpu) = (Instant::now(), ProcessTime::now());
             match index {
-                FULL | FULL_NATIVE => full[index].show(&mut headless)?,
+                FULL | FULL_NATIVE => {
+                    let shown = full[index].show(&mut headless)?;
+                    steps[index].extend((n_rounds >= N_FIRST).then_some(shown));
+                }
                 BARE | BARE_NATIVE => bare[index - BARE].draw(headless.gpu())?,
                 COPY => {
                     copy.copy_from_slice(black_box(&pixels));
@@ -127,8 +144,17 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
     }
     let row = |(what, (whole_ms, cpu_ms))| DisplayRow { what, whole_ms: median(whole_ms), cpu_ms: median(cpu_ms) };
     let rows: Vec<_> = names.into_iter().zip(timings).map(row).collect();
+    let median_of = |steps: &[Steps], ms: fn(&Steps) -> f64| median(steps.iter().map(ms));
+    let steps = steps.map(|steps| Steps {
+        place_ms: median_of(&steps, |it| it.place_ms),
+        upload_ms: median_of(&steps, |it| it.upload_ms),
+        draw_ms: median_of(&steps, |it| it.draw_ms),
+    });
     Ok(DisplayTimings {
         adapter: headless.gpu().name(),
+        n_cores: std::thread::available_parallelism().map_or(1, usize::from),
+        load: load(),
+        steps,
         wall: format!("{width}x{height}"),
         whole_over_bare: rows[FULL].whole_ms / rows[BARE].whole_ms,
         whole_over_bare_cpu: rows[FULL].cpu_ms / rows[BARE].cpu_ms,
@@ -170,15 +196,27 @@ impl NoiseFrame {
         Ok(buffer.into_samples(self.pool.clone()))
     }
 
-    fn show(&self, headless: &mut Headless) -> anyhow::Result<()> {
-        headless.upload_and_draw(self.size, &self.placed()?).map(drop)
+    fn show(&self, headless: &mut Headless) -> anyhow::Result<Steps> {
+        let started = ProcessTime::now();
+        let samples = self.placed()?;
+        let place_ms = milliseconds(started.elapsed());
+        headless.upload(self.size, &samples)?;
+        let upload_ms = milliseconds(started.elapsed()) - place_ms;
+        headless.draw()?;
+        Ok(Steps { place_ms, upload_ms, draw_ms: milliseconds(started.elapsed()) - place_ms - upload_ms })
     }
+}
+
+/// The load of the last minute, on Linux.
+fn load() -> Option<f64> {
+    std::fs::read_to_string("/proc/loadavg").ok()?.split_whitespace().next()?.parse().ok()
 }
 
 impl DisplayTimings {
     fn table(&self) -> String {
-        let Self { adapter, wall, rows, .. } = self;
-        let mut table = format!("a wall of {wall} pixels, drawn by {adapter}; medians in ms\n");
+        let Self { adapter, wall, rows, n_cores, .. } = self;
+        let load = self.load.map_or(String::new(), |load| format!(", load {load}"));
+        let mut table = format!("a wall of {wall} pixels, drawn by {adapter}; {n_cores} cores{load}; medians in ms\n");
         // Writing to a string cannot fail.
         let _ = writeln!(table, "{:<36}{:>9}{:>9}", "", "whole", "CPU");
         for DisplayRow { what, whole_ms, cpu_ms } in rows {
@@ -191,7 +229,14 @@ impl DisplayTimings {
             let what = &rows[row].what;
             let _ =
                 writeln!(table, "{what}, relative to the bare draw: {over_bare:.2}; in CPU time: {over_bare_cpu:.2}");
+            let Steps { place_ms, upload_ms, draw_ms } = self.steps[row];
+            let _ = writeln!(
+                table,
+                "  of that CPU time: placing {place_ms:.2}, uploading {upload_ms:.2}, drawing {draw_ms:.2}"
+            );
         }
+        table +=
+            "placing and uploading wait for memory and drawing for the cores: busy or slow memory raises the ratios\n";
         table + "presenting needs a screen: a wall in a window prints its time after --frames 100"
     }
 }
@@ -212,6 +257,7 @@ mod tests {
         };
         assert_eq!(timings.rows.len(), 6);
         assert!(timings.rows.iter().all(|row| row.whole_ms > 0.0), "{timings:?}");
+        assert!(timings.table().contains("of that CPU time: placing"), "{}", timings.table());
         assert!(timings.table().contains("fast_image_resize, 32x16"));
 
         // Bare draw and wall draw the same picture.

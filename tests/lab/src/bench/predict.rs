@@ -61,6 +61,13 @@ pub(super) fn scenarios(size: FrameSize, node_counts: &[u32]) -> Vec<Scenario> {
     scenarios
 }
 
+/// One node's times for a frame: from one to the next, and of CPU.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Alone {
+    pub(super) frame_ms: f64,
+    pub(super) compute_ms: f64,
+}
+
 /// The frames of a camera that orbits the model.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Path {
@@ -78,14 +85,14 @@ impl Path {
     }
 }
 
-/// Predicts one scenario for each link; `None` when `is_stopped`. `alone_ms` gives the time of one node for a frame of this
+/// Predicts one scenario for each link; `None` when `is_stopped`. `alone` gives the times of one node for a frame of this
 /// scenario behind a link, given in Mbit/s.
 pub(super) fn predict(
     scenario: &Scenario,
     path: &Path,
     n_frames: usize,
     tracer: &mut ShareTracer<'_>,
-    alone_ms: impl Fn(f64) -> Option<f64>,
+    alone: impl Fn(f64) -> Option<Alone>,
     is_stopped: impl Fn() -> bool,
 ) -> Option<Vec<PredictedRow>> {
     let slowness: Vec<f64> =
@@ -116,7 +123,7 @@ pub(super) fn predict(
             let link_ms = milliseconds(link.time_for(bytes_in as u64));
             let imbalances = counted.iter().map(|frame| frame.stats.imbalance);
             let [imbalance_median, imbalance_p95] = quantiles(imbalances, [0.5, 0.95]);
-            let alone_ms = if scenario.n_nodes == 1 { frame_ms } else { alone_ms(mbit_per_s)? };
+            let alone = if scenario.n_nodes == 1 { Alone { frame_ms, compute_ms } } else { alone(mbit_per_s)? };
             Some(PredictedRow {
                 division: scenario.division,
                 n_nodes: scenario.n_nodes,
@@ -130,7 +137,8 @@ pub(super) fn predict(
                 link_ms,
                 binds: if compute_ms >= link_ms { "compute" } else { "link" },
                 over_bound: frame_ms / compute_ms.max(link_ms),
-                efficiency: alone_ms / (frame_ms * speed),
+                efficiency: alone.frame_ms / (frame_ms * speed),
+                cpu_over_alone: compute_ms * speed / alone.compute_ms,
                 imbalance_median,
                 imbalance_p95,
                 bytes_in,

@@ -69,8 +69,11 @@ pub(super) struct PredictedRow {
     pub(super) binds: &'static str,
     /// `frame_ms` over the larger of the two; at best 1.
     pub(super) over_bound: f64,
-    /// Speed-up over one node behind the same link, divided by the speed of all nodes.
+    /// Speed-up over one node behind the same link, divided by the speed of all nodes; above 1 only if all tasks together
+    /// take less CPU time than one node's.
     pub(super) efficiency: f64,
+    /// CPU time of all tasks over that of the whole frame on one node: a share has packets of other rays than the frame.
+    pub(super) cpu_over_alone: f64,
     /// CPU time of the busiest node over the mean.
     pub(super) imbalance_median: f64,
     pub(super) imbalance_p95: f64,

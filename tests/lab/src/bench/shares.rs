@@ -14,7 +14,7 @@ use super::replay::{TracedChunk, TracedShare};
 
 /// Least number of passes over all shares of a frame; of each part the fastest time counts. The first pass fills the
 /// caches, which on a render server the frame before has filled.
-const FEWEST_PASSES: u32 = 4;
+pub(super) const FEWEST_PASSES: u32 = 4;
 
 /// Passes end when this many in a row have made no share faster…
 const SETTLED_PASSES: u32 = 2;
@@ -22,7 +22,7 @@ const SETTLED_PASSES: u32 = 2;
 /// …by more than this fraction: other load on this machine delays some shares and not others.
 const LEAST_GAIN: f64 = 0.01;
 
-const MOST_PASSES: u32 = 16;
+pub(super) const MOST_PASSES: u32 = 16;
 
 #[derive(Debug, Default)]
 struct Passes {
@@ -47,11 +47,14 @@ impl Passes {
 pub(super) struct ShareTracer<'a> {
     scene: &'a Scene,
     known: HashMap<String, Rc<TracedShare>>,
+    n_frames: u32,
+    /// Called before each pass with the number of the traced frame and of the pass, both from 1.
+    on_pass: &'a dyn Fn(u32, u32),
 }
 
 impl<'a> ShareTracer<'a> {
-    pub(super) fn new(scene: &'a Scene) -> Self {
-        Self { scene, known: HashMap::new() }
+    pub(super) fn new(scene: &'a Scene, on_pass: &'a dyn Fn(u32, u32)) -> Self {
+        Self { scene, known: HashMap::new(), n_frames: 0, on_pass }
     }
 
     pub(super) fn trace(
@@ -64,7 +67,9 @@ impl<'a> ShareTracer<'a> {
         let new: Vec<_> = (0..tasks.len()).filter(|&index| !self.known.contains_key(&keys[index])).collect();
         let mut traced: Vec<Option<TracedShare>> = vec![None; new.len()];
         let mut passes = Passes::default();
+        self.n_frames += u32::from(!new.is_empty());
         while !new.is_empty() && !passes.are_enough() {
+            (self.on_pass)(self.n_frames, passes.n_done + 1);
             let mut largest_gain = 0.0f64;
             for (&index, so_far) in new.iter().zip(&mut traced) {
                 if is_stopped() {
