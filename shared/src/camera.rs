@@ -3,11 +3,13 @@
 mod motion;
 mod path;
 mod pose;
+mod shape;
 mod views;
 
 pub use motion::UpAxis;
 pub use path::{CameraPath, CameraPathError, CameraRecorder};
 pub use pose::Transition;
+pub use shape::{CanvasPart, Shape};
 pub use views::Views;
 
 use glam::{DVec3, Vec3};

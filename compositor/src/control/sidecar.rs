@@ -156,7 +156,7 @@ mod tests {
     }
 
     fn camera(yaw: f64) -> Camera {
-        let front = Camera::view_all(DVec3::ZERO, DVec3::ONE, UpAxis::Z, 1.5);
+        let front = Camera::look_at(DVec3::splat(3.0), DVec3::ZERO, DVec3::Z, 0.7, 1.5).unwrap();
         front.orbit(DVec3::ZERO, UpAxis::Z, yaw, 0.0)
     }
 

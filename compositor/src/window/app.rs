@@ -220,7 +220,7 @@ impl<'a> App<'a> {
             name: name.clone(),
             n_triangles: model.n_triangles,
             n_rejected: model.n_rejected,
-            extent: model.bounds.1 - model.bounds.0,
+            extent: model.shape.bounds.1 - model.shape.bounds.0,
         });
         self.overlay.join = join_hint(self.farm.address(), self.args.key.as_deref(), model.path().as_deref());
         self.outputs.set_title(format!("{name} – Raywall"));

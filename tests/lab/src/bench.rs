@@ -148,7 +148,7 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     // From here on, an experiment that is stopped has results.
     wake_to_stop(wake.clone());
     let bounds = mesh.bounds();
-    let camera = camera.unwrap_or_else(|| view_all(bounds, aspect));
+    let camera = camera.unwrap_or_else(|| view_all(&mesh, aspect));
     let spec = FrameSpec { rays: args.rays, ..farm::frame_spec(id, camera, args.size) };
     let [min, max] = bounds.corners();
     let path = Path { spec, centre: (min + max) * 0.5, in_flight: args.in_flight };

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use shared::camera::{Camera, CameraPath, CameraRecorder, UpAxis};
+use shared::camera::{Camera, CameraPath, CameraRecorder, CanvasPart, UpAxis};
 
 use crate::{
     cli::args::Inputs,
@@ -80,14 +80,14 @@ impl CameraControl {
 
     /// Shows a model: the first from the camera or along the path of the options, others as a whole.
     pub(super) fn set_model(&mut self, model: &Model, sidecars: SidecarFiles, now: Instant) -> Effect {
-        let up = self.up.or_else(|| sidecars.views().and_then(|views| views.up)).unwrap_or_default();
+        let up = self.up.or_else(|| sidecars.views().and_then(|views| views.up)).unwrap_or(model.shape.up);
         self.recording = None;
         let sidecars = self.sidecars.insert(sidecars);
         if let Some(navigator) = &mut self.navigator {
-            navigator.set_bounds(model.bounds, up);
+            navigator.set_model(model.shape.clone(), up);
             return Effect::picture();
         }
-        let navigator = self.navigator.insert(Navigator::new(model.bounds, up, self.aspect));
+        let navigator = self.navigator.insert(Navigator::new(model.shape.clone(), up, self.aspect));
         self.first_camera.into_iter().for_each(|camera| navigator.set_camera(camera));
         let Some(path) = self.first_path.take().map(Arc::new) else { return Effect::picture() };
         sidecars.keep_path(Arc::clone(&path));
@@ -193,11 +193,18 @@ impl CameraControl {
         }
     }
 
+    /// Moves a model that nobody has moved yet out of the way of panels.
+    pub(super) fn make_room(&mut self, parts: &[CanvasPart], now: Instant) -> Effect {
+        let before = self.navigator.as_ref().map(Navigator::camera);
+        let effect = self.steer(now, |navigator| navigator.make_room(parts));
+        if self.navigator.as_ref().map(Navigator::camera) == before { Effect::default() } else { effect }
+    }
+
     /// Returns to the beginning: plays the model's path repeatedly, or shows the whole model.
-    pub(super) fn start_again(&mut self, now: Instant) -> Effect {
+    pub(super) fn start_again(&mut self, parts: &[CanvasPart], now: Instant) -> Effect {
         match self.sidecars.as_ref().and_then(SidecarFiles::path) {
             Some(path) => self.play(path, true, now),
-            None => self.steer(now, Navigator::view_all),
+            None => self.steer(now, |navigator| navigator.view_all(parts)),
         }
     }
 
@@ -210,6 +217,7 @@ impl CameraControl {
 mod tests {
     use glam::{DVec2, DVec3};
     use renderer::model::scene::SceneSource;
+    use shared::camera::Shape;
 
     use super::*;
     use crate::control::navigator::Drag;
@@ -228,8 +236,8 @@ mod tests {
         let source = SceneSource::Ply("/no/such/folder/cube.ply".into());
         let sidecars = SidecarFiles::read(&source);
         let scene = renderer::model::scene::load(&SceneSource::Statue { triangles: 8 }, &|_| {}).unwrap().id;
-        let bounds = (DVec3::ZERO, DVec3::ONE);
-        let model = Model { source, scene, bounds, n_triangles: 12, n_rejected: 0 };
+        let shape = Shape::of_box(DVec3::ZERO, DVec3::ONE);
+        let model = Model { source, scene, shape, n_triangles: 12, n_rejected: 0 };
         assert!(control.set_model(&model, sidecars, now).wants_picture);
         control
     }

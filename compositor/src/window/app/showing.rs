@@ -91,7 +91,10 @@ impl App<'_> {
         let now = Instant::now();
         self.presentation.retry_at = drawn.is_incomplete.then(|| now + RETRY_INTERVAL);
         self.presentation.repaint_at = now.checked_add(drawn.repaint_after);
-        self.overlay_areas = drawn.overlay.areas;
+        if std::mem::replace(&mut self.overlay_areas, drawn.overlay.areas) != self.overlay_areas {
+            let effect = self.camera.make_room(&self.free_parts(), now);
+            self.apply(effect);
+        }
         if std::mem::take(&mut self.presentation.is_new) {
             self.on_new_frame(event_loop, drawn.stats, now - started_at, &drawn.monitors);
         }
@@ -143,7 +146,7 @@ impl App<'_> {
         let mut next: Vec<Option<Instant>> = Vec::new();
         if !self.camera.is_moving() {
             if self.kiosk.returns(now) {
-                let effect = self.camera.start_again(now);
+                let effect = self.camera.start_again(&self.free_parts(), now);
                 self.apply(effect);
             } else {
                 next.push(self.kiosk.returns_at());

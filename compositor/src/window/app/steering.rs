@@ -5,6 +5,7 @@ use std::{path::Path, time::Instant};
 use glam::DVec2;
 use renderer::model::scene::SceneSource;
 use shared::{
+    camera::CanvasPart,
     division::Division,
     protocol::{LightingMode, ShadingMode},
     structure::{Storage, Structure},
@@ -20,6 +21,7 @@ use winit::{
 use super::{App, picture::next, probing::Purpose};
 use crate::{
     control::{
+        free_parts::free_parts,
         input::{self, Command, Key, KeyAction, Tint},
         navigator::{Drag, Navigator},
     },
@@ -68,8 +70,14 @@ impl App<'_> {
             return;
         }
         let effect = match command {
-            Command::ViewAll => self.camera.steer(now, Navigator::view_all),
-            Command::NextUpAxis => self.camera.steer(now, Navigator::next_up_axis),
+            Command::ViewAll => {
+                let parts = self.free_parts();
+                self.camera.steer(now, |navigator| navigator.view_all(&parts))
+            }
+            Command::NextUpAxis => {
+                let parts = self.free_parts();
+                self.camera.steer(now, |navigator| navigator.next_up_axis(&parts))
+            }
             Command::GoToView(number) => self.camera.go_to_view(number, now),
             Command::KeepView(number) => self.camera.keep_view(number),
             Command::ToggleRecording => self.camera.toggle_recording(now),
@@ -335,6 +343,17 @@ impl App<'_> {
     /// The cursor as a fraction of the canvas, (0, 0) lower left.
     fn point_on_canvas(&self) -> DVec2 {
         self.wall.wall.canvas_at(self.point_on_output())
+    }
+
+    /// The parts of the canvas that panels leave free.
+    pub(super) fn free_parts(&self) -> Vec<CanvasPart> {
+        let on_canvas = |point| self.wall.wall.canvas_at(self.outputs.overlay_on_wall(point));
+        let panel = |area: &egui::Rect| {
+            let corners = [area.left_top(), area.right_top(), area.left_bottom(), area.right_bottom()].map(on_canvas);
+            let (min, max) = (corners.into_iter().reduce(DVec2::min), corners.into_iter().reduce(DVec2::max));
+            CanvasPart { min: min.unwrap_or_default(), max: max.unwrap_or_default() }
+        };
+        free_parts(&self.overlay_areas.iter().map(panel).collect::<Vec<_>>())
     }
 
     fn cursor_is_over_overlay(&self) -> bool {
