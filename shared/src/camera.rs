@@ -10,7 +10,7 @@ pub use motion::UpAxis;
 pub use path::{CameraPath, CameraPathError, CameraRecorder};
 pub use pose::Transition;
 pub use shape::{CanvasPart, Shape};
-pub use views::Views;
+pub use views::{Look, View, Views};
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};

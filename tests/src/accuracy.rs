@@ -11,7 +11,7 @@ use renderer::{
     render::{blocks::for_each_group, scene::Scene, tracer::set_camera_rays},
 };
 use shared::{
-    camera::{Camera, CameraRays},
+    camera::{Camera, CameraRays, CanvasPart, UpAxis},
     division::{Division, FrameSize},
 };
 

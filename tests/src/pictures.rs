@@ -6,12 +6,7 @@ use compositor::{
     gpu::{Gpu, Offscreen, Present, RgbImage},
     wall::{PixelRect, Wall},
 };
-use glam::DVec3;
-use renderer::{
-    grid::GridOptions,
-    model::statue,
-    render::scene::Scene,
-};
+use renderer::{grid::GridOptions, model::statue, render::scene::Scene};
 use shared::appearance::Appearance;
 use shared::camera::{Camera, CanvasPart, Shape, UpAxis};
 use shared::division::{Division, FrameSize};

@@ -96,7 +96,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         camera,
         size,
         view: args.view,
-        rays: args.rays,
+        rays: args.rays.unwrap_or_default(),
         samples: args.sample_range(),
         appearance: args.appearance.appearance(),
     };

@@ -3,21 +3,26 @@
 use glam::DVec2;
 use shared::camera::CanvasPart;
 
-/// The rectangles between panels, from edge to edge; the whole canvas if panels leave nothing.
+/// The largest rectangles that touch no panel; the whole canvas if panels leave nothing.
 pub(crate) fn free_parts(panels: &[CanvasPart]) -> Vec<CanvasPart> {
     let ranges = |axis: usize| {
         let panel_edges = panels.iter().flat_map(|panel| [panel.min[axis], panel.max[axis]]);
-        let edges: Vec<_> = panel_edges.filter(|edge| (0.0..=1.0).contains(edge)).chain([0.0, 1.0]).collect();
+        let mut edges: Vec<_> = panel_edges.filter(|edge| (0.0..=1.0).contains(edge)).chain([0.0, 1.0]).collect();
+        edges.sort_by(f64::total_cmp);
+        edges.dedup();
         let ranges = edges.iter().flat_map(|&low| edges.iter().map(move |&high| [low, high]));
         ranges.filter(|[low, high]| low < high).collect::<Vec<_>>()
     };
-    let ([across, upwards], is_free) = ([ranges(0), ranges(1)], |part: &CanvasPart| {
+    let is_free = |part: &CanvasPart| {
         panels.iter().all(|panel| part.min.cmpge(panel.max).any() || part.max.cmple(panel.min).any())
-    });
+    };
+    let [across, upwards] = [ranges(0), ranges(1)];
     let part = |x: &[f64; 2], y: &[f64; 2]| CanvasPart { min: DVec2::new(x[0], y[0]), max: DVec2::new(x[1], y[1]) };
     let parts = across.iter().flat_map(|x| upwards.iter().map(move |y| part(x, y)));
     let free: Vec<_> = parts.filter(is_free).collect();
-    if free.is_empty() { vec![CanvasPart::WHOLE] } else { free }
+    let is_in = |a: &CanvasPart, b: &CanvasPart| a != b && a.min.cmpge(b.min).all() && a.max.cmple(b.max).all();
+    let largest: Vec<_> = free.iter().filter(|a| !free.iter().any(|b| is_in(a, b))).copied().collect();
+    if largest.is_empty() { vec![CanvasPart::WHOLE] } else { largest }
 }
 
 #[cfg(test)]
@@ -34,9 +39,7 @@ mod tests {
         assert_eq!(free_parts(&[part([-0.1, -0.1], [1.1, 1.1])]), [CanvasPart::WHOLE], "nothing is free");
         let panels = [part([0.0, 0.1], [0.3, 1.0]), part([0.8, 0.5], [1.0, 1.0]), part([0.8, 0.0], [1.0, 0.4])];
         let free = free_parts(&panels);
-        for expected in [part([0.3, 0.0], [0.8, 1.0]), part([0.0, 0.0], [0.8, 0.1]), part([0.3, 0.4], [1.0, 0.5])] {
-            assert!(free.contains(&expected), "{expected:?} of {free:?}");
-        }
-        assert!(!free.contains(&part([0.3, 0.0], [1.0, 1.0])) && !free.contains(&CanvasPart::WHOLE));
+        let expected = [part([0.3, 0.0], [0.8, 1.0]), part([0.3, 0.4], [1.0, 0.5]), part([0.0, 0.0], [0.8, 0.1])];
+        assert!(free.len() == 3 && expected.iter().all(|part| free.contains(part)), "{free:?}");
     }
 }

@@ -23,8 +23,8 @@ pub(crate) enum Drag {
 #[derive(Clone, Debug)]
 pub(crate) struct Navigator {
     camera: Camera,
-    /// The view of the whole model that nobody asked for.
-    unprompted: Camera,
+    /// The last view of the whole model; the camera differs once it was steered.
+    whole: Camera,
     shape: Shape,
     up: UpAxis,
     aspect: f64,
@@ -76,7 +76,7 @@ impl Navigator {
         let camera = Camera::view_all(&shape, up, aspect, CanvasPart::WHOLE);
         Self {
             camera,
-            unprompted: camera,
+            whole: camera,
             shape,
             up,
             aspect,
@@ -112,21 +112,22 @@ impl Navigator {
         self.up = up;
         self.focus = None;
         self.motion = None;
-        self.unprompted = self.view_all_camera(&[CanvasPart::WHOLE]);
-        self.set_camera(self.unprompted);
+        self.whole = self.view_all_camera(&[CanvasPart::WHOLE]);
+        self.set_camera(self.whole);
     }
 
     /// Shows the whole model in the part of the canvas in which it is largest.
     pub(crate) fn view_all(&mut self, parts: &[CanvasPart]) {
         self.focus = None;
-        self.go_to(self.view_all_camera(parts));
+        self.whole = self.view_all_camera(parts);
+        self.go_to(self.whole);
     }
 
-    /// Moves a model that nobody has moved yet into the parts of the canvas that are free now.
+    /// Keeps a whole model in the parts of the canvas that are free now, unless the camera was steered since.
     pub(crate) fn make_room(&mut self, parts: &[CanvasPart]) {
-        if self.camera == self.unprompted && !self.is_moving() && !self.is_dragging() {
-            self.unprompted = self.view_all_camera(parts);
-            self.set_camera(self.unprompted);
+        if self.destination() == self.whole && self.held.is_empty() && !self.is_dragging() {
+            self.whole = self.view_all_camera(parts);
+            if self.is_moving() { self.go_to(self.whole) } else { self.set_camera(self.whole) }
         }
     }
 
@@ -134,6 +135,12 @@ impl Navigator {
     pub(crate) fn next_up_axis(&mut self, parts: &[CanvasPart]) {
         self.up = self.up.next();
         self.view_all(parts);
+    }
+
+    /// Starts a transition to a kept view, and has its axis point up from then on.
+    pub(crate) fn go_to_view(&mut self, camera: Camera, up: Option<UpAxis>) {
+        self.up = up.unwrap_or(self.up);
+        self.go_to(camera);
     }
 
     /// Starts a transition to another view.

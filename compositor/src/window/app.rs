@@ -225,6 +225,9 @@ impl<'a> App<'a> {
         self.overlay.join = join_hint(self.farm.address(), self.args.key.as_deref(), model.path().as_deref());
         self.outputs.set_title(format!("{name} – Raywall"));
         let effect = self.camera.set_model(&model, sidecars, Instant::now());
+        if let (up, true) = self.camera.up() {
+            tracing::info!("{up} is guessed to point up in {name}: U on the wall, or --up, chooses another axis");
+        }
         self.model = Some(model);
         self.apply(effect);
     }

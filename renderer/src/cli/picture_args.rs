@@ -135,3 +135,26 @@ pub fn read_camera(path: &Path) -> Result<Camera> {
     let text = files::read_text(path, 1 << 20).with_context(|| path.display().to_string())?;
     Camera::from_toml(&text).with_context(|| format!("{} is not a camera file", path.display()))
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::cli;
+
+    #[derive(Debug, Parser)]
+    struct Program {
+        #[command(flatten)]
+        picture: PictureArgs,
+    }
+
+    #[test]
+    fn without_a_camera_samples_are_as_wide_as_high() {
+        for (size, aspect) in [("480x360", 4.0 / 3.0), ("1024x512", 2.0)] {
+            let Program { picture } = cli::try_parse(["program", "--size", size]).unwrap();
+            let camera = picture.view_all(&statue::generate(1000, &|_| ()));
+            assert!((camera.u().length() / camera.v().length() - aspect).abs() < 1e-9, "{size}");
+        }
+    }
+}

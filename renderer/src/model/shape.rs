@@ -10,7 +10,7 @@ use crate::model::mesh::Mesh;
 /// Triangles that are compared with the outline by their common bounds first.
 const BLOCK: usize = 64;
 /// A model stands on all points within this part of its size above the lowest.
-const SOLE: f64 = 0.02;
+const SOLE: f64 = 0.03;
 /// Another axis than y points up only if the model would stand on this many times the area: scans have y up.
 const CLEARLY: f64 = 2.0;
 
@@ -44,6 +44,7 @@ impl Mesh {
         let [y, others @ ..] = &*areas.collect::<Vec<_>>() else { unreachable!("there are three axes") };
         let larger = others.iter().filter(|(_, area)| *area > y.1 * CLEARLY).max_by(|a, b| a.1.total_cmp(&b.1));
         let mut outline: Vec<_> = found[0].points().collect();
+        outline.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z)));
         outline.dedup();
         Shape { bounds: (min, max), outline, up: larger.unwrap_or(y).0 }
     }
@@ -75,9 +76,10 @@ impl Extremes {
     /// Adds points. Equally far ones are ordered by their coordinates, so the order of calls does not matter.
     fn add(&mut self, points: &[DVec3]) {
         let inside = |point: &&DVec3| point.dot(self.axis) <= self.highest;
-        let (min, max) = points.iter().filter(inside).fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(min, max), point| {
-            (min.min(*point), max.max(*point))
-        });
+        let (min, max) = points
+            .iter()
+            .filter(inside)
+            .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(min, max), point| (min.min(*point), max.max(*point)));
         if min.x > max.x {
             return;
         }
@@ -108,7 +110,8 @@ impl Extremes {
         let mut corners: Vec<_> = self.farthest.iter().filter(|(_, reach, _)| reach.is_finite()).collect();
         corners.sort_by(|a, b| angle(a.0).total_cmp(&angle(b.0)));
         let next = corners.iter().cycle().skip(1);
-        corners.iter().zip(next).map(|(a, b)| (a.2 - corners[0].2).cross(b.2 - corners[0].2).dot(axis)).sum::<f64>() * 0.5
+        corners.iter().zip(next).map(|(a, b)| (a.2 - corners[0].2).cross(b.2 - corners[0].2).dot(axis)).sum::<f64>()
+            * 0.5
     }
 }
 
@@ -119,7 +122,7 @@ mod tests {
 
     /// The statue with its axes renamed: coordinate `axes[i]` becomes coordinate i.
     fn turned(axes: [usize; 3]) -> Mesh {
-        let mut mesh = statue::generate(20_000, &|_| ());
+        let mut mesh = statue::generate(100_000, &|_| ());
         mesh.vertices.iter_mut().for_each(|vertex| *vertex = axes.map(|axis| vertex[axis]));
         mesh
     }
@@ -149,7 +152,8 @@ mod tests {
         let Shape { outline, .. } = mesh.shape();
         for direction in [DVec3::new(1.0, 2.0, 0.3), DVec3::new(-0.2, 0.1, 1.0), DVec3::new(-5.0, -3.0, -4.0)] {
             let reach = |point: DVec3| point.dot(direction.normalize());
-            let farthest = |points: &mut dyn Iterator<Item = DVec3>| points.map(reach).fold(f64::NEG_INFINITY, f64::max);
+            let farthest =
+                |points: &mut dyn Iterator<Item = DVec3>| points.map(reach).fold(f64::NEG_INFINITY, f64::max);
             let inner = farthest(&mut outline.iter().copied());
             let outer = farthest(&mut mesh.vertices.iter().map(|vertex| DVec3::from(vertex.map(f64::from))));
             assert!((0.0..0.03).contains(&(outer - inner)), "{outer} {inner}");

@@ -87,11 +87,8 @@ pub(crate) fn run(args: &ChartArgs) -> Result<()> {
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let name = args.model.model.as_deref().map_or_else(|| args.model.source().to_string(), name_of);
     let mesh = args.model.load()?.mesh;
-    let cameras = if cameras.is_empty() {
-        vec![("whole model".to_owned(), view_all(&mesh, 16.0 / 9.0))]
-    } else {
-        cameras
-    };
+    let cameras =
+        if cameras.is_empty() { vec![("whole model".to_owned(), view_all(&mesh, 16.0 / 9.0))] } else { cameras };
     let mut session = Session {
         args,
         name,

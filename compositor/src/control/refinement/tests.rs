@@ -22,6 +22,7 @@ fn options() -> RefinementOptions {
         n_samples: DEFAULT_SAMPLES,
         fixed_size: FrameSize::PAPER,
         fixed_samples: SampleRange::CENTRE,
+        lights_at_rest: false,
     }
 }
 
@@ -277,6 +278,24 @@ fn no_frame_is_larger_than_the_gpu_takes() {
             assert_eq!(refinement.refine(refines_at).map(|step| step.spec.size), Some(native));
         }
     }
+}
+
+#[test]
+fn all_rays_light_a_picture_at_rest_unless_they_were_chosen() {
+    use LightingMode::{AmbientOcclusion, Primary};
+    let mut wall = Wall::with_paper_frame_of(0.02);
+    let rest = |wall: &mut Wall| {
+        wall.move_on();
+        wall.rest().iter().map(|spec| (spec.samples.count, spec.rays)).collect::<Vec<_>>()
+    };
+    assert_eq!(rest(&mut wall), [(1, Primary), (4, Primary), (16, Primary)]);
+    wall.refinement.set_lights_at_rest(true);
+    assert_eq!(rest(&mut wall), [(1, Primary), (4, Primary), (4, AmbientOcclusion), (16, AmbientOcclusion)]);
+    let same = wall.refinement.change(wall.now, spec_at(f64::from(wall.n_moves))).spec;
+    assert_eq!((same.samples.count, same.rays), (16, AmbientOcclusion), "it need not become coarse again");
+    wall.refinement.set_lights_at_rest(false);
+    let chosen = wall.refinement.change(wall.now, spec_at(f64::from(wall.n_moves))).spec;
+    assert_eq!((chosen.samples.count, chosen.rays), (1, Primary));
 }
 
 proptest! {

@@ -6,7 +6,7 @@ use winit::event_loop::ActiveEventLoop;
 
 use super::App;
 use crate::{
-    control::{navigator::Navigator, refinement::ShowTimes},
+    control::refinement::ShowTimes,
     farm::{Frame, stats::DisplayStats},
     overlay::{FrameTimes, OverlayModel},
     supervisor::SupervisorLink,
@@ -52,7 +52,7 @@ impl App<'_> {
         overlay.division = goal.division;
         overlay.min_renderers = goal.min_renderers;
         overlay.view = self.picture.shading;
-        overlay.rays = self.picture.lighting;
+        overlay.rays = self.picture.rays;
         overlay.appearance = self.picture.appearance;
         overlay.is_refining = self.picture.refinement.is_on();
         let frame = self.presentation.frame.as_ref();
@@ -62,7 +62,7 @@ impl App<'_> {
             let [x, y] = frame.spec.camera.project(pick.point)?;
             Some(egui::pos2(x as f32, (1.0 - y) as f32))
         });
-        overlay.up = self.camera.navigator.as_ref().map(Navigator::up).unwrap_or_default();
+        (overlay.up, overlay.up_is_guessed) = self.camera.up();
         overlay.is_recording = self.camera.is_recording();
         overlay.is_playing = self.camera.is_playing();
         overlay.views = self.camera.view_numbers();

@@ -7,7 +7,7 @@ use renderer::model::scene::SceneSource;
 use shared::{
     camera::CanvasPart,
     division::Division,
-    protocol::{LightingMode, ShadingMode},
+    protocol::ShadingMode,
     structure::{Storage, Structure},
 };
 use strum::VariantArray;
@@ -26,7 +26,7 @@ use crate::{
         navigator::{Drag, Navigator},
     },
     farm::Probe,
-    overlay::{DENSITIES, STORAGES},
+    overlay::{DENSITIES, RAYS, STORAGES},
     window::{effect::Effect, screenshots},
 };
 
@@ -76,10 +76,15 @@ impl App<'_> {
             }
             Command::NextUpAxis => {
                 let parts = self.free_parts();
-                self.camera.steer(now, |navigator| navigator.next_up_axis(&parts))
+                let effect = self.camera.steer(now, |navigator| navigator.next_up_axis(&parts));
+                effect.with_note(format!("Up: {}", self.camera.up().0))
             }
-            Command::GoToView(number) => self.camera.go_to_view(number, now),
-            Command::KeepView(number) => self.camera.keep_view(number),
+            Command::GoToView(number) => {
+                let look = self.camera.view(number).and_then(|view| view.look);
+                look.into_iter().for_each(|look| self.picture.set_look(look));
+                self.camera.go_to_view(number, now)
+            }
+            Command::KeepView(number) => self.camera.keep_view(number, self.picture.look()),
             Command::ToggleRecording => self.camera.toggle_recording(now),
             Command::TogglePlaying => self.camera.toggle_playing(self.kiosk.repeats_paths(), now),
             Command::ChangeSpeed(steps) => self.camera.change_speed(steps),
@@ -112,8 +117,8 @@ impl App<'_> {
             Command::SetDivision(division) => self.set_division(division),
             Command::NextShading => self.picture.change(|it| it.shading = next(ShadingMode::VARIANTS, it.shading)),
             Command::SetShading(shading) => self.picture.change(|it| it.shading = shading),
-            Command::NextLighting => self.picture.change(|it| it.lighting = next(LightingMode::VARIANTS, it.lighting)),
-            Command::SetLighting(lighting) => self.picture.change(|it| it.lighting = lighting),
+            Command::NextLighting => self.picture.choose_rays(next(&RAYS, self.picture.rays)),
+            Command::SetLighting(rays) => self.picture.choose_rays(rays),
             Command::NextLight => self.picture.next_light(),
             Command::SetLight(light) => self.picture.change(|it| it.appearance.light = light),
             Command::NextBackground => self.picture.next_background(),
