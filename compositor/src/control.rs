@@ -1,6 +1,7 @@
 //! The state of a wall, and how keys, mouse and time change it.
 
 pub(crate) mod alignment;
+pub(crate) mod free_parts;
 pub mod input;
 pub(crate) mod kiosk;
 pub(crate) mod model;

@@ -14,7 +14,7 @@ mod style;
 mod tint;
 mod wall;
 
-pub(crate) use figures::{DENSITIES, STORAGES};
+pub(crate) use figures::{DENSITIES, RAYS, STORAGES};
 pub(crate) use files::{FileEntry, FileList};
 pub(crate) use history::{FrameTimes, History};
 pub(crate) use info::{ModelSummary, Pick};
@@ -52,13 +52,15 @@ pub(crate) struct OverlayModel {
     pub status: FarmStatus,
     pub division: Division,
     pub view: ShadingMode,
-    pub rays: LightingMode,
+    /// The rays that were chosen, if any.
+    pub rays: Option<LightingMode>,
     pub appearance: Appearance,
     /// Whether the resolution follows the motion.
     pub is_refining: bool,
     /// Samples a pixel: of the newest frame, and after refinement.
     pub n_samples: [u32; 2],
     pub up: UpAxis,
+    pub up_is_guessed: bool,
     pub model: Option<ModelSummary>,
     /// The model that is being read, and the progress: 0 to 1.
     pub loading: Option<(String, f32)>,

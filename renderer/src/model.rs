@@ -1,10 +1,11 @@
 //! Triangle meshes, read from files or generated.
 //!
-//! [`mesh`] is the type, and [`solid`] says whether one is closed; [`ply`] reads and writes meshes, [`statue`] generates
-//! one, [`scene`] loads and identifies them.
+//! [`mesh`] is the type, [`shape`] its outline, and [`solid`] says whether it is closed; [`ply`] reads and writes meshes,
+//! [`statue`] generates one, [`scene`] loads and identifies them.
 
 pub mod mesh;
 pub mod ply;
 pub mod scene;
+pub mod shape;
 pub mod solid;
 pub mod statue;

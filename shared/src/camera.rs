@@ -3,12 +3,14 @@
 mod motion;
 mod path;
 mod pose;
+mod shape;
 mod views;
 
 pub use motion::UpAxis;
 pub use path::{CameraPath, CameraPathError, CameraRecorder};
 pub use pose::Transition;
-pub use views::Views;
+pub use shape::{CanvasPart, Shape};
+pub use views::{Look, View, Views};
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};

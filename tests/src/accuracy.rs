@@ -11,7 +11,7 @@ use renderer::{
     render::{blocks::for_each_group, scene::Scene, tracer::set_camera_rays},
 };
 use shared::{
-    camera::{Camera, CameraRays},
+    camera::{Camera, CameraRays, CanvasPart, UpAxis},
     division::{Division, FrameSize},
 };
 
@@ -138,10 +138,8 @@ fn a_million_triangles_of_cad_are_hit_as_in_f64() {
 #[test]
 fn the_statue_is_hit_as_in_f64() {
     let mesh = renderer::model::statue::generate(200_000, &|_| ());
-    let bounds = mesh.bounds();
     let scene = Scene::build(mesh.clone(), &GridOptions::default(), &|_| ());
-    let [min, max] = [bounds.min, bounds.max].map(|corner| Vec3::from_array(corner).as_dvec3());
-    let camera = Camera::view_all(min, max, shared::camera::UpAxis::Y, 16.0 / 9.0);
+    let camera = Camera::view_all(&mesh.shape(), UpAxis::Y, 16.0 / 9.0, CanvasPart::WHOLE);
     let rays = camera.rays(FrameSize::PAPER);
     let reference = reference(&mesh, &rays, FrameSize::PAPER);
     check("statue", &hits(&scene, &rays, FrameSize::PAPER), &reference);

@@ -6,14 +6,9 @@ use compositor::{
     gpu::{Gpu, Offscreen, OffscreenWall, Present, RgbImage},
     wall::{PixelRect, Wall},
 };
-use glam::DVec3;
-use renderer::{
-    grid::GridOptions,
-    model::{mesh::Aabb, statue},
-    render::scene::Scene,
-};
+use renderer::{grid::GridOptions, model::statue, render::scene::Scene};
 use shared::appearance::Appearance;
-use shared::camera::{Camera, UpAxis};
+use shared::camera::{Camera, CanvasPart, Shape, UpAxis};
 use shared::division::{Division, FrameSize};
 use shared::protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode};
 use shared::scene::SceneId;
@@ -331,8 +326,8 @@ pub(crate) fn check_reference(name: &str, frame: &Frame, wall: &Wall, size: [u32
 
 /// A frame of the whole built-in model, for a wall.
 pub(crate) fn statue_frame(wall: &Wall) -> Frame {
-    static SCENE: LazyLock<Scene> = LazyLock::new(|| statue_of(statue::DEFAULT_TRIANGLES));
-    frame_of(&SCENE, wall, UpAxis::Y)
+    static STATUE: LazyLock<(Shape, Scene)> = LazyLock::new(|| statue_of(statue::DEFAULT_TRIANGLES));
+    frame_of(&STATUE, wall, UpAxis::Y)
 }
 
 /// Like `statue_frame`, with `n_triangles` triangles and the axis `up`.
@@ -340,14 +335,13 @@ pub(crate) fn statue_frame_of(n_triangles: u32, wall: &Wall, up: UpAxis) -> Fram
     frame_of(&statue_of(n_triangles), wall, up)
 }
 
-fn statue_of(n_triangles: u32) -> Scene {
-    Scene::build(statue::generate(n_triangles, &|_| {}), &GridOptions::default(), &|_| {})
+fn statue_of(n_triangles: u32) -> (Shape, Scene) {
+    let mesh = statue::generate(n_triangles, &|_| {});
+    (mesh.shape(), Scene::build(mesh, &GridOptions::default(), &|_| {}))
 }
 
-fn frame_of(scene: &Scene, wall: &Wall, up: UpAxis) -> Frame {
-    let Aabb { min, max } = scene.mesh().bounds();
-    let [min, max] = [min, max].map(|corner| DVec3::from_array(corner.map(f64::from)));
-    let camera = Camera::view_all(min, max, up, wall.aspect());
+fn frame_of((shape, scene): &(Shape, Scene), wall: &Wall, up: UpAxis) -> Frame {
+    let camera = Camera::view_all(shape, up, wall.aspect(), CanvasPart::WHOLE);
     let size = wall.frame_size();
     let (view, rays, samples) = (ShadingMode::Shaded, LightingMode::default(), SampleRange::CENTRE);
     let scene_id = SceneId::Statue { triangles: 0 };

@@ -91,7 +91,8 @@ pub struct WallArgs {
     /// The model, the wall and the camera.
     #[command(flatten)]
     pub show: ShowArgs,
-    /// The model's axis that points up: x, y or z [default: the one in the file of the model's views, or y]
+    /// The model's axis that points up: x, y or z [default: the one in the file of the model's views, or
+    /// guessed from what the model stands on]
     #[arg(long, value_name = "AXIS")]
     pub up: Option<UpAxis>,
     /// A recorded camera path, which is repeated; with --headless it is followed once, as a film
@@ -145,9 +146,9 @@ pub struct WallArgs {
     #[arg(long, value_name = "V", default_value_t = ShadingMode::default())]
     pub view: ShadingMode,
     /// The rays that light a sample: primary; shadows, which adds a ray to the key light; or ambient, which adds ambient
-    /// occlusion
-    #[arg(long, value_name = "RAYS", default_value_t = LightingMode::default())]
-    pub rays: LightingMode,
+    /// occlusion [default: primary; at rest ambient if the resolution follows the motion]
+    #[arg(long, value_name = "RAYS")]
+    pub rays: Option<LightingMode>,
     /// Key light, background and clip plane.
     #[command(flatten)]
     pub appearance: AppearanceArgs,
@@ -220,6 +221,7 @@ impl WallArgs {
             n_samples: self.samples.unwrap_or(refinement::DEFAULT_SAMPLES),
             fixed_size: wall.frame_size(),
             fixed_samples: self.sample_range(),
+            lights_at_rest: self.rays.is_none(),
         }
     }
 

@@ -13,7 +13,10 @@ use renderer::{
     },
     model::scene::SceneSource,
 };
-use shared::{camera::Camera, protocol::FrameSpec};
+use shared::{
+    camera::{Camera, CanvasPart},
+    protocol::FrameSpec,
+};
 use tokio::{
     net::{TcpListener, lookup_host},
     runtime::Runtime,
@@ -87,15 +90,15 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
     let film = path.map(|path| Film { path, fps: args.fps, most: args.frames.unwrap_or(u32::MAX) });
     let camera = camera.or_else(|| film.as_ref().map(|film| film.path.at(0.0))).unwrap_or_else(|| {
         let kept_up = || SidecarFiles::read(&model.source).views().and_then(|views| views.up);
-        let up = args.up.or_else(kept_up).unwrap_or_default();
-        Camera::view_all(model.bounds.0, model.bounds.1, up, aspect)
+        let up = args.up.or_else(kept_up).unwrap_or(model.shape.up);
+        Camera::view_all(&model.shape, up, aspect, CanvasPart::WHOLE)
     });
     let spec = FrameSpec {
         scene: model.scene,
         camera,
         size,
         view: args.view,
-        rays: args.rays,
+        rays: args.rays.unwrap_or_default(),
         samples: args.sample_range(),
         appearance: args.appearance.appearance(),
     };

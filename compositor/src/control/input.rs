@@ -52,7 +52,7 @@ pub(crate) enum Command {
     NextShading,
     SetShading(ShadingMode),
     NextLighting,
-    SetLighting(LightingMode),
+    SetLighting(Option<LightingMode>),
     NextLight,
     SetLight(Light),
     NextBackground,
@@ -206,7 +206,7 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('u')], Trigger(NextUpAxis), "next up axis: y, z, x"),
         row(&[Letter('h')], Trigger(NextDivision), "next heuristic: interleaved, tiled, dynamic"),
         row(&[Letter('v')], Trigger(NextShading), "next view: shaded, normals, cost"),
-        row(&[Letter('r')], Trigger(NextLighting), "next rays: primary, shadows, ambient"),
+        row(&[Letter('r')], Trigger(NextLighting), "next rays: auto, primary, shadows, ambient"),
         row(
             &[Letter('l')],
             Trigger(NextLight),

@@ -1,10 +1,9 @@
-//! The model on the wall: the wall keeps its identity and its bounds, but no triangles.
+//! The model on the wall: the wall keeps its identity and its shape, but no triangles.
 
 use std::path::PathBuf;
 
-use glam::DVec3;
 use renderer::model::scene::{self, LoadError, LoadedMesh, SceneSource};
-use shared::scene::SceneId;
+use shared::{camera::Shape, scene::SceneId};
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Model {
@@ -12,8 +11,8 @@ pub(crate) struct Model {
     pub source: SceneSource,
     /// The identity by which render servers find it.
     pub scene: SceneId,
-    /// Its bounding box (min, max) in world space; `min > max` if it is empty.
-    pub bounds: (DVec3, DVec3),
+    /// Its bounds, outline and likely up axis.
+    pub shape: Shape,
     /// Triangles, without rejected ones.
     pub n_triangles: usize,
     /// Triangles that cannot be traced.
@@ -29,7 +28,7 @@ impl Model {
         Ok(Self {
             source,
             scene: id,
-            bounds: mesh.extent().into(),
+            shape: mesh.shape(),
             n_triangles: mesh.triangles.len() - mesh.n_rejected,
             n_rejected: mesh.n_rejected,
             is_solid: mesh.facing().is_some(),

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use glam::{DVec2, DVec3};
-use shared::camera::{Camera, CameraPath, Transition, UpAxis};
+use shared::camera::{Camera, CameraPath, CanvasPart, Shape, Transition, UpAxis};
 
 use super::input::Direction;
 
@@ -23,7 +23,9 @@ pub(crate) enum Drag {
 #[derive(Clone, Debug)]
 pub(crate) struct Navigator {
     camera: Camera,
-    bounds: (DVec3, DVec3),
+    /// The last view of the whole model; the camera differs once it was steered.
+    whole: Camera,
+    shape: Shape,
     up: UpAxis,
     aspect: f64,
     cursor: DVec2,
@@ -69,12 +71,13 @@ const LONGEST_STEP_SECONDS: f64 = 0.1;
 const LEAST_DEPTH_PART: f64 = 0.05;
 
 impl Navigator {
-    /// Shows a whole box (min, max) in world space, on a canvas with this aspect (width over height).
-    pub(crate) fn new(bounds: (DVec3, DVec3), up: UpAxis, aspect: f64) -> Self {
-        let camera = Camera::view_all(bounds.0, bounds.1, up, aspect);
+    /// Shows a whole model on a canvas with this aspect (width over height).
+    pub(crate) fn new(shape: Shape, up: UpAxis, aspect: f64) -> Self {
+        let camera = Camera::view_all(&shape, up, aspect, CanvasPart::WHOLE);
         Self {
             camera,
-            bounds,
+            whole: camera,
+            shape,
             up,
             aspect,
             cursor: DVec2::splat(0.5),
@@ -104,23 +107,40 @@ impl Navigator {
     }
 
     /// Shows another model at once, as a whole; drags and held keys continue.
-    pub(crate) fn set_bounds(&mut self, bounds: (DVec3, DVec3), up: UpAxis) {
-        self.bounds = bounds;
+    pub(crate) fn set_model(&mut self, shape: Shape, up: UpAxis) {
+        self.shape = shape;
         self.up = up;
         self.focus = None;
         self.motion = None;
-        self.set_camera(self.view_all_camera());
+        self.whole = self.view_all_camera(&[CanvasPart::WHOLE]);
+        self.set_camera(self.whole);
     }
 
-    pub(crate) fn view_all(&mut self) {
+    /// Shows the whole model in the part of the canvas in which it is largest.
+    pub(crate) fn view_all(&mut self, parts: &[CanvasPart]) {
         self.focus = None;
-        self.go_to(self.view_all_camera());
+        self.whole = self.view_all_camera(parts);
+        self.go_to(self.whole);
+    }
+
+    /// Keeps a whole model in the parts of the canvas that are free now, unless the camera was steered since.
+    pub(crate) fn make_room(&mut self, parts: &[CanvasPart]) {
+        if self.destination() == self.whole && self.held.is_empty() && !self.is_dragging() {
+            self.whole = self.view_all_camera(parts);
+            if self.is_moving() { self.go_to(self.whole) } else { self.set_camera(self.whole) }
+        }
     }
 
     /// Uses the next axis as up, and shows the whole model: turned in place, the eye would be above or below it.
-    pub(crate) fn next_up_axis(&mut self) {
+    pub(crate) fn next_up_axis(&mut self, parts: &[CanvasPart]) {
         self.up = self.up.next();
-        self.view_all();
+        self.view_all(parts);
+    }
+
+    /// Starts a transition to a kept view, and has its axis point up from then on.
+    pub(crate) fn go_to_view(&mut self, camera: Camera, up: Option<UpAxis>) {
+        self.up = up.unwrap_or(self.up);
+        self.go_to(camera);
     }
 
     /// Starts a transition to another view.
@@ -318,20 +338,23 @@ impl Navigator {
         }
     }
 
-    fn view_all_camera(&self) -> Camera {
-        Camera::view_all(self.bounds.0, self.bounds.1, self.up, self.aspect)
+    fn view_all_camera(&self, parts: &[CanvasPart]) -> Camera {
+        let cameras = parts.iter().map(|&part| Camera::view_all(&self.shape, self.up, self.aspect, part));
+        let distance = |camera: &Camera| camera.eye().distance_squared(camera.target());
+        let nearest = cameras.min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        nearest.unwrap_or(self.camera)
     }
 
     /// The point to orbit around: the chosen one, the middle of the model, or the origin if the model is empty.
     fn pivot(&self) -> DVec3 {
-        let (min, max) = self.bounds;
+        let (min, max) = self.shape.bounds;
         let middle = if min.cmple(max).all() { (min + max) * 0.5 } else { DVec3::ZERO };
         self.focus.unwrap_or(middle)
     }
 
     /// The length of the box's diagonal in world units.
     fn size(&self) -> f64 {
-        let (min, max) = self.bounds;
+        let (min, max) = self.shape.bounds;
         let size = if min.cmple(max).all() { (max - min).length() } else { 0.0 };
         if size > 0.0 && size.is_finite() { size } else { 1.0 }
     }

@@ -1,7 +1,8 @@
 //! Resolution and samples per pixel: the target rate in motion, refinement at rest. Pure: time is an argument.
 //!
 //! While the camera moves, [`control`] chooses each frame's resolution from a [`ladder`], by the times that frames take the
-//! farm and the [`display`]. At rest, frames in the wall's native resolution follow with 1, 4, 16 … samples a pixel.
+//! farm and the [`display`]. At rest, frames in the wall's native resolution follow with 1, 4, 16 … samples a pixel; once
+//! edges are smooth, all rays light them, unless the operator chose the rays.
 
 mod control;
 mod display;
@@ -11,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use shared::{
     division::FrameSize,
-    protocol::{FrameSpec, SampleRange},
+    protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
 };
 
 pub(crate) use self::display::ShowTimes;
@@ -43,6 +44,8 @@ pub(crate) struct RefinementOptions {
     pub fixed_size: FrameSize,
     /// The samples of each pixel that frames average while refinement is off.
     pub fixed_samples: SampleRange,
+    /// Whether all rays light a picture at rest, though only primary ones light it in motion.
+    pub lights_at_rest: bool,
 }
 
 /// A frame to ask for.
@@ -90,6 +93,11 @@ impl Refinement {
         self.start_again();
     }
 
+    /// Lights pictures at rest by all rays, or not, from the next change on.
+    pub(crate) fn set_lights_at_rest(&mut self, lights_at_rest: bool) {
+        self.options.lights_at_rest = lights_at_rest;
+    }
+
     /// Forgets the last frame: the next change starts coarse even if nothing differs.
     pub(crate) fn start_again(&mut self) {
         self.last = None;
@@ -107,8 +115,9 @@ impl Refinement {
             false => (self.options.fixed_size, self.options.fixed_samples),
         };
         let is_same = |last: &LastStep| {
-            let FrameSpec { size, samples, .. } = last.step.spec;
-            last.step.spec == FrameSpec { size, samples, ..spec }
+            let FrameSpec { size, samples, rays, .. } = last.step.spec;
+            let rays = if self.options.lights_at_rest { rays } else { spec.rays };
+            last.step.spec == FrameSpec { size, samples, rays, ..spec }
         };
         let step = RenderStep { spec: FrameSpec { size, samples, ..spec }, is_refinement: false };
         // A picture that did not change need not become coarse again.
@@ -119,7 +128,8 @@ impl Refinement {
     /// Accounts for a frame that the farm has completed in this time.
     pub(crate) fn on_frame(&mut self, spec: &FrameSpec, took: Duration) {
         let is_moving_size = spec.size == self.ladder.size(self.control.rung);
-        if self.is_on() && is_moving_size && spec.samples == SampleRange::CENTRE {
+        let is_lit = self.options.lights_at_rest && spec.rays != LightingMode::Primary;
+        if self.is_on() && is_moving_size && spec.samples == SampleRange::CENTRE && !is_lit {
             self.control.learn(&self.ladder, took);
         }
         if let Some(last) = self.last.as_mut().filter(|last| last.step.spec == *spec) {
@@ -156,12 +166,18 @@ impl Refinement {
 
     /// The frame after this one in the refinement.
     fn finer(&self, spec: &FrameSpec) -> Option<FrameSpec> {
-        let RefinementOptions { is_on, native, n_samples, .. } = self.options;
-        let count = match spec.size == native {
-            true => spec.samples.count.saturating_mul(SAMPLES_FACTOR).min(n_samples),
-            false => 1,
+        let RefinementOptions { is_on, native, n_samples, lights_at_rest, .. } = self.options;
+        let is_native = spec.size == native;
+        let is_smooth = is_native && spec.samples.count >= SAMPLES_FACTOR.min(n_samples);
+        let is_plain = spec.rays == LightingMode::Primary && spec.view == ShadingMode::Shaded;
+        let (count, rays) = if lights_at_rest && is_smooth && is_plain {
+            (spec.samples.count, LightingMode::AmbientOcclusion)
+        } else if is_native {
+            (spec.samples.count.saturating_mul(SAMPLES_FACTOR).min(n_samples), spec.rays)
+        } else {
+            (1, spec.rays)
         };
-        let finer = FrameSpec { size: native, samples: SampleRange { first: 0, count }, ..*spec };
+        let finer = FrameSpec { size: native, samples: SampleRange { first: 0, count }, rays, ..*spec };
         (is_on && finer != *spec).then_some(finer)
     }
 }

@@ -8,7 +8,7 @@ use std::{
 
 use channel::files::{self, ReadError};
 use renderer::model::scene::SceneSource;
-use shared::camera::{Camera, CameraPath, UpAxis, Views};
+use shared::camera::{CameraPath, View, Views};
 
 /// The contents of a model's sidecar files, with the changes since they were read.
 #[derive(Clone, Debug)]
@@ -60,10 +60,10 @@ impl SidecarFiles {
 
     /// Keeps a view under a number. Returns the file and its new text for [`write_views`], which the caller runs on a
     /// thread that may wait for a disk.
-    pub(crate) fn keep_view(&mut self, number: u8, camera: Camera, up: UpAxis) -> Result<(PathBuf, String), String> {
+    pub(crate) fn keep_view(&mut self, number: u8, view: View) -> Result<(PathBuf, String), String> {
         let views = self.views.as_mut().map_err(|problem| format!("the view is not kept: {problem}"))?;
-        views.keep(number, camera);
-        views.up = Some(up);
+        views.keep(number, view);
+        views.up = view.up.or(views.up);
         Ok((with_suffix(&self.model_path, "views.toml"), views.to_toml()))
     }
 
@@ -125,6 +125,7 @@ fn read_optional(path: &Path, longest: u64) -> Result<Option<String>, String> {
 #[cfg(test)]
 mod tests {
     use glam::DVec3;
+    use shared::camera::{Camera, Look, UpAxis};
 
     use super::*;
 
@@ -156,8 +157,12 @@ mod tests {
     }
 
     fn camera(yaw: f64) -> Camera {
-        let front = Camera::view_all(DVec3::ZERO, DVec3::ONE, UpAxis::Z, 1.5);
+        let front = Camera::look_at(DVec3::splat(3.0), DVec3::ZERO, DVec3::Z, 0.7, 1.5).unwrap();
         front.orbit(DVec3::ZERO, UpAxis::Z, yaw, 0.0)
+    }
+
+    fn view(yaw: f64) -> View {
+        View { camera: camera(yaw), up: Some(UpAxis::Z), look: Some(Look::default()) }
     }
 
     #[test]
@@ -166,13 +171,13 @@ mod tests {
         let mut sidecars = SidecarFiles::read(&folder.model());
         assert!(sidecars.problem().is_none() && sidecars.views().unwrap().numbers().next().is_none());
         for (number, yaw) in [(3, 0.1), (9, 0.2), (3, 0.3)] {
-            let (file, text) = sidecars.keep_view(number, camera(yaw), UpAxis::Z).unwrap();
+            let (file, text) = sidecars.keep_view(number, view(yaw)).unwrap();
             write_views(&file, &text).unwrap();
         }
         assert_eq!(folder.files(), ["a model.ply.views.toml"]);
         let again = SidecarFiles::read(&folder.model());
         assert_eq!(again.views(), sidecars.views());
-        assert_eq!((again.views().unwrap().get(3), again.views().unwrap().up), (Some(camera(0.3)), Some(UpAxis::Z)));
+        assert_eq!((again.views().unwrap().get(3), again.views().unwrap().up), (Some(view(0.3)), Some(UpAxis::Z)));
     }
 
     #[test]
@@ -181,7 +186,7 @@ mod tests {
         std::fs::write(folder.0.join("a model.ply.views.toml"), "up = y").unwrap();
         let mut sidecars = SidecarFiles::read(&folder.model());
         assert!(sidecars.problem().unwrap().contains("a model.ply.views.toml: line 1:"), "{:?}", sidecars.problem());
-        let refused = sidecars.keep_view(1, camera(0.0), UpAxis::Y).unwrap_err();
+        let refused = sidecars.keep_view(1, view(0.0)).unwrap_err();
         assert!(refused.contains("line 1"), "{refused}");
         std::fs::write(folder.0.join("a model.ply.views.toml"), vec![b' '; 2 << 20]).unwrap();
         assert!(SidecarFiles::read(&folder.model()).problem().unwrap().contains("longer than"));

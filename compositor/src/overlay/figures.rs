@@ -17,6 +17,9 @@ use crate::{control::input::Command, farm::stats::NodeStatus};
 /// Storages of the grid, in the order of the key; `None` is the one with which render servers were started.
 pub(crate) const STORAGES: [Option<Storage>; 4] =
     [None, Some(Storage::Tree), Some(Storage::RowDisplacement), Some(Storage::Plain)];
+/// Rays that light the picture, in the order of the key; `None` leaves the choice to the wall.
+pub(crate) const RAYS: [Option<LightingMode>; 4] =
+    [None, Some(LightingMode::Primary), Some(LightingMode::Shadows), Some(LightingMode::AmbientOcclusion)];
 /// Densities of the grid in cells per triangle, in the order of the key.
 pub(crate) const DENSITIES: [u32; 6] = [4, 8, 16, 32, 64, 128];
 
@@ -149,7 +152,8 @@ fn switches(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
         choices(ui, Tint::VARIANTS, |it| it == model.tint, <&str>::from, Command::SetTint, commands);
     });
     row(ui, "rays (R)", &mut |ui, commands| {
-        choices(ui, LightingMode::VARIANTS, |it| it == model.rays, |it| it, Command::SetLighting, commands);
+        let name = |rays: Option<LightingMode>| rays.map_or("auto".to_owned(), |rays| rays.to_string());
+        choices(ui, &RAYS, |it| it == model.rays, name, Command::SetLighting, commands);
     });
 }
 

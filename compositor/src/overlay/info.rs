@@ -51,7 +51,8 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
     style::line(ui, open, |ui| {
         ui.label(RichText::new(&summary.name).strong());
     });
-    let mut text = format!("{} triangles, {} up", style::grouped(summary.n_triangles), model.up);
+    let guessed = if model.up_is_guessed { ", as guessed (U)" } else { "" };
+    let mut text = format!("{} triangles, {} up{guessed}", style::grouped(summary.n_triangles), model.up);
     if summary.n_rejected > 0 {
         text += &format!(", {} more cannot be traced", style::grouped(summary.n_rejected));
     }

@@ -213,11 +213,14 @@ impl<'a> App<'a> {
             n_triangles: model.n_triangles,
             n_rejected: model.n_rejected,
             is_solid: model.is_solid,
-            extent: model.bounds.1 - model.bounds.0,
+            extent: model.shape.bounds.1 - model.shape.bounds.0,
         });
         self.overlay.join = join_hint(self.farm.address(), self.args.key.as_deref(), model.path().as_deref());
         self.outputs.set_title(format!("{name} – Raywall"));
         let effect = self.camera.set_model(&model, sidecars, Instant::now());
+        if let (up, true) = self.camera.up() {
+            tracing::info!("{up} is guessed to point up in {name}: U on the wall, or --up, chooses another axis");
+        }
         self.model = Some(model);
         self.apply(effect);
     }

@@ -240,6 +240,13 @@ impl Outputs {
         context.into_iter().for_each(|context| context.memory_mut(egui::Memory::stop_text_input));
     }
 
+    /// Converts a point of the overlay's panels to pixels of the spanning output.
+    pub(super) fn overlay_on_wall(&self, point: egui::Pos2) -> DVec2 {
+        let Some((lead, screen)) = self.lead() else { return DVec2::ZERO };
+        let scale = screen.pixels_per_point();
+        self.on_wall(lead, PhysicalPosition::new((point.x * scale).into(), (point.y * scale).into()))
+    }
+
     /// Passes an event to the overlay if it belongs to the window with the panels.
     pub(super) fn forward_to_overlay(&mut self, index: usize, event: &WindowEvent) {
         let is_lead = self.lead().is_some_and(|(lead, _)| lead == index);

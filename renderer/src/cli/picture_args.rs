@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use channel::files;
 use rayon::ThreadPool;
 use shared::{
-    camera::{Camera, UpAxis},
+    camera::{Camera, CanvasPart, UpAxis},
     division::FrameSize,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::SceneId,
@@ -62,9 +62,9 @@ pub struct PictureArgs {
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
 
-    /// The model's axis that points up when no camera is given: x, y or z
-    #[arg(long, value_name = "AXIS", default_value = "y")]
-    up: UpAxis,
+    /// The model's axis that points up when no camera is given: x, y or z [default: guessed from what the model stands on]
+    #[arg(long, value_name = "AXIS")]
+    up: Option<UpAxis>,
 
     /// Size of the frame in samples
     #[arg(long, value_name = "WIDTHxHEIGHT", default_value_t = FrameSize::PAPER, allow_hyphen_values = true)]
@@ -89,9 +89,6 @@ pub struct PictureArgs {
     scene: SceneArgs,
 }
 
-/// Aspect of the wall's canvas, whatever the frame's size in samples.
-const CANVAS_ASPECT: f64 = 16.0 / 9.0;
-
 impl PictureArgs {
     /// The pool of threads that build and trace.
     pub fn pool(&self) -> Result<ThreadPool> {
@@ -101,6 +98,13 @@ impl PictureArgs {
     /// The camera of the file, if there is one.
     pub fn read_camera(&self) -> Result<Option<Camera>> {
         self.camera.as_deref().map(read_camera).transpose()
+    }
+
+    /// A camera that sees all of a mesh, with samples as wide as high.
+    pub fn view_all(&self, mesh: &Mesh) -> Camera {
+        let aspect = f64::from(self.size.xres()) / f64::from(self.size.yres());
+        let shape = mesh.shape();
+        Camera::view_all(&shape, self.up.unwrap_or(shape.up), aspect, CanvasPart::WHOLE)
     }
 
     /// Builds the grid on the current rayon pool, with a progress bar.
@@ -116,12 +120,8 @@ impl PictureArgs {
         scene
     }
 
-    /// The frame that shows `scene`, named `id`, through the centres of its samples.
-    pub fn spec(&self, id: SceneId, scene: &Scene, camera: Option<Camera>) -> FrameSpec {
-        let camera = camera.unwrap_or_else(|| {
-            let [min, max] = scene.mesh().bounds().corners().map(|corner| corner + scene.mesh().origin());
-            Camera::view_all(min, max, self.up, CANVAS_ASPECT)
-        });
+    /// The frame that shows the scene named `id`, through the centres of its samples.
+    pub fn spec(&self, id: SceneId, camera: Camera) -> FrameSpec {
         FrameSpec {
             scene: id,
             camera,
@@ -151,4 +151,27 @@ pub fn with_ending(path: PathBuf, ending: &str) -> Result<PathBuf, String> {
 pub fn read_camera(path: &Path) -> Result<Camera> {
     let text = files::read_text(path, 1 << 20).with_context(|| path.display().to_string())?;
     Camera::from_toml(&text).with_context(|| format!("{} is not a camera file", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::cli;
+
+    #[derive(Debug, Parser)]
+    struct Program {
+        #[command(flatten)]
+        picture: PictureArgs,
+    }
+
+    #[test]
+    fn without_a_camera_samples_are_as_wide_as_high() {
+        for (size, aspect) in [("480x360", 4.0 / 3.0), ("1024x512", 2.0)] {
+            let Program { picture } = cli::try_parse(["program", "--size", size]).unwrap();
+            let camera = picture.view_all(&statue::generate(1000, &|_| ()));
+            assert!((camera.u().length() / camera.v().length() - aspect).abs() < 1e-9, "{size}");
+        }
+    }
 }

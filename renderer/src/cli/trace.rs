@@ -35,8 +35,8 @@ pub fn run(TraceArgs { picture, image }: &TraceArgs) -> Result<()> {
         // The camera is checked before a large model is read.
         let camera = picture.read_camera()?;
         let LoadedMesh { id, mesh } = picture.model.load()?;
+        let spec = picture.spec(id, camera.unwrap_or_else(|| picture.view_all(&mesh)));
         let scene = picture.build(mesh);
-        let spec = picture.spec(id, &scene, camera);
         let _task = Task::named("rendering the picture");
         let (rgb, _) = scene.render_frame(&spec);
         image::write_png(image, spec.size, &rgb).with_context(|| format!("cannot write {}", image.display()))?;

@@ -7,9 +7,6 @@ use strum::{Display, EnumString, VariantArray};
 use super::Camera;
 use crate::names::unknown_name;
 
-/// Vertical field of view of [`Camera::view_all`], in radians: 40°, the angle of a wall at a comfortable distance.
-const FOV_Y: f64 = 0.7;
-
 /// The least angle between the view and the up axis, in radians; beyond it, left and right would swap.
 const POLE_MARGIN: f64 = 0.02;
 
@@ -45,51 +42,6 @@ impl UpAxis {
 }
 
 impl Camera {
-    /// A camera that sees a whole box, from the front, a little from the right and above.
-    ///
-    /// `min` and `max` are the box's corners in world space; `aspect` is the canvas's width over its height.
-    /// A box that is empty or has no extent is viewed as a small cube.
-    pub fn view_all(min: DVec3, max: DVec3, up: UpAxis, aspect: f64) -> Self {
-        let (centre, half) = if min.cmple(max).all() && min.is_finite() && max.is_finite() {
-            ((min + max) * 0.5, (max - min) * 0.5)
-        } else {
-            (DVec3::ZERO, DVec3::ONE)
-        };
-        // From nearer, rounding would move the eye by much of its distance.
-        let least = centre.abs().max_element() * f64::EPSILON * 4096.0;
-        let half = half.max(DVec3::splat((half.max_element() * 1e-3).max(least).max(1e-36)));
-        let up_direction = up.direction();
-        // For y up the front is +z, as in most scans; for z up it is −y, as in most CAD models.
-        let front = match up {
-            UpAxis::X | UpAxis::Y => DVec3::Z,
-            UpAxis::Z => -DVec3::Y,
-        };
-        let side = up_direction.cross(front);
-        let towards_eye = (front + side * 0.35 + up_direction * 0.25).normalize();
-        let right = up_direction.cross(towards_eye).normalize();
-        let top = towards_eye.cross(right);
-        // The least distance from which every corner is in view, and then 4 % more.
-        let tan_y = (FOV_Y * 0.5).tan();
-        let distance = (0..8)
-            .map(|corner| {
-                let sign = |bit: u32| if corner >> bit & 1 == 0 { -1.0 } else { 1.0 };
-                let offset = half * DVec3::new(sign(0), sign(1), sign(2));
-                let across = (offset.dot(right).abs() / aspect).max(offset.dot(top).abs());
-                across / tan_y + offset.dot(towards_eye)
-            })
-            .fold(0.0, f64::max);
-        Self::look_at(centre + towards_eye * (distance * 1.04), centre, up_direction, FOV_Y, aspect)
-            .unwrap_or_else(|_| Self::fallback_camera(aspect))
-    }
-
-    /// A camera at the origin, for boxes so far away that no `f32` ray reaches them.
-    fn fallback_camera(aspect: f64) -> Self {
-        let half_height = (FOV_Y * 0.5).tan();
-        let u = DVec3::X * (2.0 * half_height * aspect);
-        let v = DVec3::Y * (2.0 * half_height);
-        Self { eye: DVec3::Z, ll: (u + v) * -0.5, u, v }
-    }
-
     /// Turns around `pivot`: `yaw` about the up axis, `pitch` about the camera's right, both in radians.
     ///
     /// Positive angles carry the eye to the right and upwards. The view never passes the poles.
@@ -159,43 +111,7 @@ mod tests {
     }
 
     fn front() -> Camera {
-        Camera::view_all(DVec3::splat(-1.0), DVec3::splat(1.0), UpAxis::Y, 16.0 / 9.0)
-    }
-
-    #[test]
-    fn view_all_sees_every_corner_and_fills_the_canvas() {
-        let boxes = [
-            (DVec3::ZERO, DVec3::ONE),
-            (DVec3::ZERO, DVec3::splat(1e-30)),
-            (DVec3::splat(1e6), DVec3::splat(1e6 + 1.0)),
-            (DVec3::new(5e5, 0.0, -3.0), DVec3::new(5e5 + 1.0, 20.0, 1.0)),
-        ];
-        for ((min, max), up) in boxes.into_iter().flat_map(|b| UpAxis::VARIANTS.iter().map(move |&up| (b, up))) {
-            let camera = Camera::view_all(min, max, up, 16.0 / 9.0);
-            let mut largest: f64 = 0.0;
-            for corner in 0..8 {
-                let pick = |bit: usize| if corner >> bit & 1 == 0 { min[bit] } else { max[bit] };
-                let (x, y) = project(&camera, DVec3::new(pick(0), pick(1), pick(2)));
-                assert!((0.0..=1.0).contains(&x) && (0.0..=1.0).contains(&y), "{x} {y}");
-                largest = largest.max((x - 0.5).abs()).max((y - 0.5).abs());
-            }
-            // A long box seen end on is nearer at one end, so it cannot fill the canvas about its centre.
-            assert!(largest > 0.25, "the box fills only {largest} of the half canvas");
-        }
-    }
-
-    #[test]
-    fn view_all_survives_boxes_without_extent() {
-        for (min, max) in [
-            (DVec3::INFINITY, DVec3::NEG_INFINITY),
-            (DVec3::ONE, DVec3::ONE),
-            (DVec3::splat(1e17), DVec3::splat(1e17)),
-            (DVec3::splat(-1e18), DVec3::splat(1e18)),
-            (DVec3::ZERO, DVec3::X),
-        ] {
-            let camera = Camera::view_all(min, max, UpAxis::Z, 1.0);
-            assert!(camera.u().length() > 0.0);
-        }
+        Camera::look_at(DVec3::new(1.5, 1.0, 4.0), DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap()
     }
 
     #[test]

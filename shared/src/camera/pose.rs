@@ -160,7 +160,7 @@ pub(super) mod tests {
     }
 
     fn front() -> Camera {
-        Camera::view_all(DVec3::splat(-1.0), DVec3::splat(1.0), UpAxis::Y, 16.0 / 9.0)
+        Camera::look_at(DVec3::new(1.5, 1.0, 4.0), DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap()
     }
 
     #[test]

@@ -1,18 +1,50 @@
 //! Numbered views of a model, and the file that keeps them.
 
-use std::{collections::BTreeMap, fmt::Write, ops::RangeInclusive};
+use std::{
+    collections::BTreeMap,
+    fmt::{Display, Write},
+    ops::RangeInclusive,
+    str::FromStr,
+};
 
-use serde::Deserialize;
+use glam::DVec3;
+use serde::{Deserialize, Deserializer, de::Error};
 use toml::Spanned;
 
-use super::{Camera, CameraError, CameraFileError, CameraVectors, UpAxis};
+use super::{Camera, CameraFileError, UpAxis};
+use crate::{
+    appearance::{Clip, Light},
+    protocol::LightingMode,
+};
 
 /// Numbered views of a model, and its up axis.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Views {
     /// The axis that points up, if it was chosen.
     pub up: Option<UpAxis>,
-    views: BTreeMap<u8, Camera>,
+    views: BTreeMap<u8, View>,
+}
+
+/// A kept view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct View {
+    /// The camera.
+    pub camera: Camera,
+    /// The axis that pointed up; `None` in files of a camera alone.
+    pub up: Option<UpAxis>,
+    /// How the model looked; `None` in files of a camera alone.
+    pub look: Option<Look>,
+}
+
+/// The parts of a picture's look that belong to a view.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Look {
+    /// The key light's direction.
+    pub light: Light,
+    /// The clip plane, if any.
+    pub clip: Option<Clip>,
+    /// The rays that light the picture, if they were chosen.
+    pub rays: Option<LightingMode>,
 }
 
 impl Views {
@@ -20,14 +52,14 @@ impl Views {
     pub const NUMBERS: RangeInclusive<u8> = 1..=9;
 
     /// The view with a number.
-    pub fn get(&self, number: u8) -> Option<Camera> {
+    pub fn get(&self, number: u8) -> Option<View> {
         self.views.get(&number).copied()
     }
 
     /// Keeps a view under a number and replaces the one that had it; ignored if the number is not in [`Views::NUMBERS`].
-    pub fn keep(&mut self, number: u8, camera: Camera) {
+    pub fn keep(&mut self, number: u8, view: View) {
         if Self::NUMBERS.contains(&number) {
-            self.views.insert(number, camera);
+            self.views.insert(number, view);
         }
     }
 
@@ -40,7 +72,7 @@ impl Views {
     pub fn from_toml(text: &str) -> Result<Self, CameraFileError> {
         let at = |offset, problem: &str| {
             let format = "a file of views has up = \"x\", \"y\" or \"z\", and tables [view.1] to [view.9], each with \
-                          eye, ll, u and v, each = [x, y, z]";
+                          eye, ll, u and v, each = [x, y, z], and perhaps up, light, clip and rays";
             CameraFileError::at(text, offset, problem, format)
         };
         let file: ViewsFile =
@@ -50,24 +82,34 @@ impl Views {
             let start = view.span().start;
             let number = name.parse().ok().filter(|number| Self::NUMBERS.contains(number));
             let number = number.ok_or_else(|| at(start, &format!("\"{name}\" is no number from 1 to 9")))?;
-            views.keep(
-                number,
-                view.into_inner().try_into().map_err(|error: CameraError| at(start, &error.to_string()))?,
-            );
+            let ViewTable { eye, ll, u, v, up, light, clip, rays } = view.into_inner();
+            let camera = Camera::new(eye, ll, u, v).map_err(|error| at(start, &error.to_string()))?;
+            let has_look = light.is_some() || clip.is_some() || rays.is_some();
+            let look = has_look.then(|| Look { light: light.unwrap_or_default(), clip, rays });
+            views.keep(number, View { camera, up, look });
         }
         Ok(views)
     }
 
     /// Writes a file of views: `up`, and for each a table `view.N` with the camera's `eye`, `ll`, `u` and `v`, exact to
-    /// the last bit.
+    /// the last bit, and with its own `up`, `light`, `clip` and `rays`, in the words of the options.
     pub fn to_toml(&self) -> String {
         let mut text = "# Views of a model: on the wall, keys 1 to 9 go to them.\n".to_owned();
         // Writing to a string cannot fail.
         if let Some(up) = self.up {
             let _ = writeln!(text, "up = \"{up}\"");
         }
-        for (number, camera) in &self.views {
+        for (number, View { camera, up, look }) in &self.views {
             let _ = write!(text, "\n[view.{number}]\n{}", camera.to_toml());
+            let mut add = |name: &str, value: Option<&dyn Display>| {
+                value.into_iter().for_each(|value| _ = writeln!(text, "{name} = \"{value}\""));
+            };
+            add("up", up.as_ref().map(|up| up as _));
+            if let Some(Look { light, clip, rays }) = look {
+                add("light", Some(light));
+                add("clip", clip.as_ref().map(|clip| clip as _));
+                add("rays", rays.as_ref().map(|rays| rays as _));
+            }
         }
         text
     }
@@ -78,7 +120,26 @@ impl Views {
 struct ViewsFile {
     up: Option<UpAxis>,
     #[serde(default)]
-    view: BTreeMap<String, Spanned<CameraVectors>>,
+    view: BTreeMap<String, Spanned<ViewTable>>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ViewTable {
+    eye: DVec3,
+    ll: DVec3,
+    u: DVec3,
+    v: DVec3,
+    up: Option<UpAxis>,
+    #[serde(default, deserialize_with = "from_text")]
+    light: Option<Light>,
+    #[serde(default, deserialize_with = "from_text")]
+    clip: Option<Clip>,
+    rays: Option<LightingMode>,
+}
+
+fn from_text<'de, T: FromStr<Err: Display>, D: Deserializer<'de>>(input: D) -> Result<Option<T>, D::Error> {
+    String::deserialize(input)?.parse().map(Some).map_err(D::Error::custom)
 }
 
 #[cfg(test)]
@@ -87,6 +148,7 @@ mod tests {
     use strum::VariantArray;
 
     use super::{super::pose::tests::any_camera, *};
+    use crate::appearance::ClipSide;
 
     #[test]
     fn a_wrong_file_says_where_and_what_would_be_right() {
@@ -99,16 +161,32 @@ mod tests {
         assert!(told("up = \"w\"").starts_with("line 1:"));
         let flat = told(&format!("[view.1]\n{}", view.replace("v = [0, 1, 0]", "v = [3, 0, 0]")));
         assert!(flat.contains("no area"), "{flat}");
+        let dim = told(&format!("[view.1]\n{view}light = \"200,0\""));
+        assert!(dim.starts_with("line 6:") && dim.contains("from -180 to 180"), "{dim}");
+    }
+
+    #[test]
+    fn a_camera_alone_is_a_view() {
+        let views =
+            Views::from_toml("[view.1]\neye = [0, 0, 1]\nll = [0, 0, 0]\nu = [1, 0, 0]\nv = [0, 1, 0]").unwrap();
+        let View { up, look, .. } = views.get(1).unwrap();
+        assert_eq!((up, look), (None, None));
     }
 
     proptest! {
         #[test]
         fn a_file_keeps_every_bit(
             cameras in proptest::collection::btree_map(0..12u8, any_camera(), 0..9),
+            look in proptest::option::of((-180..=180i16, -90..=90i16, proptest::option::of(0..=1000u16), 0..4usize)),
             up in proptest::option::of(0..3usize),
         ) {
             let mut views = Views { up: up.map(|up| UpAxis::VARIANTS[up]), ..Views::default() };
-            cameras.iter().for_each(|(&number, &camera)| views.keep(number, camera));
+            let look = look.map(|(azimuth, elevation, cut, rays)| Look {
+                light: Light::new(azimuth, elevation).unwrap(),
+                clip: cut.map(|cut| Clip::new(ClipSide::VARIANTS[usize::from(cut) % ClipSide::VARIANTS.len()], cut).unwrap()),
+                rays: LightingMode::VARIANTS.get(rays).copied(),
+            });
+            cameras.iter().for_each(|(&number, &camera)| views.keep(number, View { camera, up: views.up, look }));
             prop_assert!(views.numbers().all(|number| Views::NUMBERS.contains(&number)));
             prop_assert_eq!(Views::from_toml(&views.to_toml()).unwrap(), views);
         }

@@ -31,7 +31,6 @@ use renderer::{
     render::scene::Scene,
 };
 use shared::{
-    camera::{Camera, UpAxis},
     division::{Division, FrameSize},
     protocol::{Encoding, FrameSpec, LightingMode},
 };
@@ -43,7 +42,7 @@ use self::{
     results::{MeasuredRow, PredictedRow, Results},
     shares::{FEWEST_PASSES, MOST_PASSES, ShareTracer},
 };
-use crate::farm;
+use crate::{chart::view_all, farm};
 
 /// The measurements, and the folder of their results.
 #[derive(Clone, Debug, clap::Args)]
@@ -149,7 +148,7 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     // From here on, an experiment that is stopped has results.
     wake_to_stop(wake.clone());
     let [min, max] = mesh.extent();
-    let camera = camera.unwrap_or_else(|| Camera::view_all(min, max, UpAxis::Y, aspect));
+    let camera = camera.unwrap_or_else(|| view_all(&mesh, aspect));
     let spec = FrameSpec { rays: args.rays, ..farm::frame_spec(id, camera, args.size) };
     let path = Path { spec, centre: (min + max) * 0.5, in_flight: args.in_flight };
 

@@ -21,13 +21,13 @@ use renderer::{
     },
     grid::MemoryBudget,
     intersect::InstructionSet,
-    model::mesh::{Aabb, Mesh},
+    model::mesh::Mesh,
     render::scene::Scene,
 };
 use serde::Serialize;
 use serde_json::json;
 use shared::{
-    camera::{Camera, UpAxis},
+    camera::{Camera, CanvasPart},
     division::FrameSize,
 };
 
@@ -87,10 +87,10 @@ pub(crate) fn run(args: &ChartArgs) -> Result<()> {
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
     let name = args.model.model.as_deref().map_or_else(|| args.model.source().to_string(), name_of);
     let mut mesh = args.model.load()?.mesh;
-    // Rivals and reference know no origin: all compare in the mesh's coordinates.
+    // Rivals and reference know no origin: all compare in the coordinates of the mesh.
     let origin = std::mem::take(&mut mesh.origin);
     let cameras = if cameras.is_empty() {
-        vec![("whole model".to_owned(), view_all(mesh.bounds(), 16.0 / 9.0))]
+        vec![("whole model".to_owned(), view_all(&mesh, 16.0 / 9.0))]
     } else {
         cameras.into_iter().map(|(name, camera)| (name, camera.relative_to(origin))).collect()
     };
@@ -125,9 +125,9 @@ fn name_of(path: &Path) -> String {
     path.file_stem().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
-pub(crate) fn view_all(bounds: Aabb, aspect: f64) -> Camera {
-    let [min, max] = bounds.corners();
-    Camera::view_all(min, max, UpAxis::Y, aspect)
+pub(crate) fn view_all(mesh: &Mesh, aspect: f64) -> Camera {
+    let shape = mesh.shape();
+    Camera::view_all(&shape, shape.up, aspect, CanvasPart::WHOLE)
 }
 
 struct Session<'a> {

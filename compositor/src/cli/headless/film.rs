@@ -131,7 +131,7 @@ mod tests {
 
     #[test]
     fn a_film_has_a_picture_at_each_end_and_no_more_than_asked_for() {
-        let camera = Camera::view_all(DVec3::ZERO, DVec3::ONE, UpAxis::Y, 1.0);
+        let camera = Camera::look_at(DVec3::splat(3.0), DVec3::ZERO, DVec3::Y, 0.7, 1.0).unwrap();
         let film = |seconds: f64, fps: f64, most: u32| {
             let keys = [(0.0, camera), (seconds, camera)].into_iter().take(if seconds > 0.0 { 2 } else { 1 });
             let path = CameraPath::new(keys.collect(), UpAxis::Y).unwrap();

@@ -22,6 +22,7 @@ fn options() -> RefinementOptions {
         n_samples: DEFAULT_SAMPLES,
         fixed_size: FrameSize::PAPER,
         fixed_samples: SampleRange::CENTRE,
+        lights_at_rest: false,
     }
 }
 
@@ -262,6 +263,24 @@ fn without_refinement_every_frame_has_the_fixed_resolution() {
     let step = wall.refinement.change(wall.now, spec_at(20.0));
     wall.render(&step.spec);
     assert_eq!(wall.rest().len(), 3, "switched on, the picture is refined");
+}
+
+#[test]
+fn all_rays_light_a_picture_at_rest_unless_they_were_chosen() {
+    use LightingMode::{AmbientOcclusion, Primary};
+    let mut wall = Wall::with_paper_frame_of(0.02);
+    let rest = |wall: &mut Wall| {
+        wall.move_on();
+        wall.rest().iter().map(|spec| (spec.samples.count, spec.rays)).collect::<Vec<_>>()
+    };
+    assert_eq!(rest(&mut wall), [(1, Primary), (4, Primary), (16, Primary)]);
+    wall.refinement.set_lights_at_rest(true);
+    assert_eq!(rest(&mut wall), [(1, Primary), (4, Primary), (4, AmbientOcclusion), (16, AmbientOcclusion)]);
+    let same = wall.refinement.change(wall.now, spec_at(f64::from(wall.n_moves))).spec;
+    assert_eq!((same.samples.count, same.rays), (16, AmbientOcclusion), "it need not become coarse again");
+    wall.refinement.set_lights_at_rest(false);
+    let chosen = wall.refinement.change(wall.now, spec_at(f64::from(wall.n_moves))).spec;
+    assert_eq!((chosen.samples.count, chosen.rays), (1, Primary));
 }
 
 proptest! {

@@ -1,7 +1,10 @@
 //! Switches and settings on the panels: each widget asks for the command that its name says.
 
 use renderer::model::solid::UNFILLED;
-use shared::appearance::{Background, Clip, ClipSide, Light};
+use shared::{
+    appearance::{Background, Clip, ClipSide, Light},
+    camera::UpAxis,
+};
 
 use super::*;
 
@@ -24,7 +27,7 @@ fn the_view_can_be_switched() {
 #[test]
 fn the_rays_can_be_switched() {
     let commands = commands_of(&running(), |harness| harness.get_by_label("shadows").click());
-    assert_eq!(commands, [Command::SetLighting(LightingMode::Shadows)]);
+    assert_eq!(commands, [Command::SetLighting(Some(LightingMode::Shadows))]);
 }
 
 #[test]
@@ -122,4 +125,10 @@ fn storage_and_density_can_be_switched() {
     });
     let expected = [Command::SetStorage(Some(Storage::Plain)), Command::SetDensity(128), Command::SetStorage(None)];
     assert_eq!(commands, expected);
+}
+
+#[test]
+fn a_guessed_axis_is_called_a_guess() {
+    let overlay = OverlayModel { up: UpAxis::Z, up_is_guessed: true, ..running() };
+    commands_of(&overlay, |harness| _ = harness.get_by_label_contains("z up, as guessed (U)"));
 }

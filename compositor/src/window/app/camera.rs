@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use shared::camera::{Camera, CameraPath, CameraRecorder, UpAxis};
+use shared::camera::{Camera, CameraPath, CameraRecorder, CanvasPart, Look, UpAxis, View};
 
 use crate::{
     cli::args::Inputs,
@@ -32,7 +32,10 @@ pub(super) struct CameraControl {
     /// When time last moved the camera.
     stepped_at: Instant,
     aspect: f64,
+    /// The axis of the options.
     up: Option<UpAxis>,
+    /// The axis that points up by the model's shape alone.
+    guessed_up: Option<UpAxis>,
     first_camera: Option<Camera>,
     first_path: Option<CameraPath>,
 }
@@ -51,6 +54,7 @@ impl CameraControl {
             stepped_at: now,
             aspect: inputs.wall.aspect(),
             up,
+            guessed_up: None,
             first_camera: inputs.camera,
             first_path: inputs.path.clone(),
         }
@@ -80,14 +84,16 @@ impl CameraControl {
 
     /// Shows a model: the first from the camera or along the path of the options, others as a whole.
     pub(super) fn set_model(&mut self, model: &Model, sidecars: SidecarFiles, now: Instant) -> Effect {
-        let up = self.up.or_else(|| sidecars.views().and_then(|views| views.up)).unwrap_or_default();
+        let known_up = self.up.or_else(|| sidecars.views().and_then(|views| views.up));
+        let up = known_up.unwrap_or(model.shape.up);
+        self.guessed_up = known_up.is_none().then_some(up);
         self.recording = None;
         let sidecars = self.sidecars.insert(sidecars);
         if let Some(navigator) = &mut self.navigator {
-            navigator.set_bounds(model.bounds, up);
+            navigator.set_model(model.shape.clone(), up);
             return Effect::picture();
         }
-        let navigator = self.navigator.insert(Navigator::new(model.bounds, up, self.aspect));
+        let navigator = self.navigator.insert(Navigator::new(model.shape.clone(), up, self.aspect));
         self.first_camera.into_iter().for_each(|camera| navigator.set_camera(camera));
         let Some(path) = self.first_path.take().map(Arc::new) else { return Effect::picture() };
         sidecars.keep_path(Arc::clone(&path));
@@ -135,16 +141,21 @@ impl CameraControl {
         factor.map_or_else(Effect::default, |factor| Effect::note(format!("Flying speed: {factor:.2}×")))
     }
 
+    pub(super) fn view(&self, number: u8) -> Option<View> {
+        self.sidecars.as_ref().and_then(SidecarFiles::views).and_then(|views| views.get(number))
+    }
+
     pub(super) fn go_to_view(&mut self, number: u8, now: Instant) -> Effect {
-        match self.sidecars.as_ref().and_then(SidecarFiles::views).and_then(|views| views.get(number)) {
-            Some(camera) => self.steer(now, |navigator| navigator.go_to(camera)),
+        match self.view(number) {
+            Some(View { camera, up, .. }) => self.steer(now, |navigator| navigator.go_to_view(camera, up)),
             None => Effect::note(format!("There is no view {number}: Ctrl+{number} keeps the current view")),
         }
     }
 
-    pub(super) fn keep_view(&mut self, number: u8) -> Effect {
+    pub(super) fn keep_view(&mut self, number: u8, look: Look) -> Effect {
         let (Some(sidecars), Some(navigator)) = (&mut self.sidecars, &self.navigator) else { return Effect::default() };
-        match sidecars.keep_view(number, navigator.destination(), navigator.up()) {
+        let view = View { camera: navigator.destination(), up: Some(navigator.up()), look: Some(look) };
+        match sidecars.keep_view(number, view) {
             Ok((file, text)) => Effect::job(move || sidecar::write_views(&file, &text).map(|()| Effect::default()))
                 .with_note(format!("View {number} is kept: key {number} goes there")),
             Err(problem) => Effect::problem(problem),
@@ -193,11 +204,24 @@ impl CameraControl {
         }
     }
 
+    /// The axis that points up, and whether it is only guessed.
+    pub(super) fn up(&self) -> (UpAxis, bool) {
+        let up = self.navigator.as_ref().map(Navigator::up).unwrap_or_default();
+        (up, self.guessed_up == Some(up))
+    }
+
+    /// Keeps a whole model, that nobody has moved since, out of the way of panels.
+    pub(super) fn make_room(&mut self, parts: &[CanvasPart], now: Instant) -> Effect {
+        let before = self.navigator.as_ref().map(Navigator::camera);
+        let effect = self.steer(now, |navigator| navigator.make_room(parts));
+        if self.navigator.as_ref().map(Navigator::camera) == before { Effect::default() } else { effect }
+    }
+
     /// Returns to the beginning: plays the model's path repeatedly, or shows the whole model.
-    pub(super) fn start_again(&mut self, now: Instant) -> Effect {
+    pub(super) fn start_again(&mut self, parts: &[CanvasPart], now: Instant) -> Effect {
         match self.sidecars.as_ref().and_then(SidecarFiles::path) {
             Some(path) => self.play(path, true, now),
-            None => self.steer(now, Navigator::view_all),
+            None => self.steer(now, |navigator| navigator.view_all(parts)),
         }
     }
 
@@ -210,6 +234,7 @@ impl CameraControl {
 mod tests {
     use glam::{DVec2, DVec3};
     use renderer::model::scene::SceneSource;
+    use shared::camera::Shape;
 
     use super::*;
     use crate::control::navigator::Drag;
@@ -222,14 +247,15 @@ mod tests {
             stepped_at: now,
             aspect: 1.5,
             up: None,
+            guessed_up: None,
             first_camera: None,
             first_path: None,
         };
         let source = SceneSource::Ply("/no/such/folder/cube.ply".into());
         let sidecars = SidecarFiles::read(&source);
         let scene = renderer::model::scene::load(&SceneSource::Statue { triangles: 8 }, &|_| {}).unwrap().id;
-        let bounds = (DVec3::ZERO, DVec3::ONE);
-        let model = Model { source, scene, bounds, n_triangles: 12, n_rejected: 0, is_solid: true };
+        let shape = Shape::of_box(DVec3::ZERO, DVec3::ONE);
+        let model = Model { source, scene, shape, n_triangles: 12, n_rejected: 0, is_solid: true };
         assert!(control.set_model(&model, sidecars, now).wants_picture);
         control
     }
@@ -273,8 +299,30 @@ mod tests {
         let start = Instant::now();
         let mut control = camera_on_a_cube(start);
         assert!(control.go_to_view(3, start).note.unwrap().contains("Ctrl+3"));
-        assert!(control.keep_view(3).job.is_some());
+        assert!(control.keep_view(3, Look::default()).job.is_some());
         assert_eq!(control.view_numbers(), [3]);
         assert!(control.go_to_view(3, start).wants_picture);
+        control.steer(start, |navigator| navigator.next_up_axis(&[CanvasPart::WHOLE]));
+        assert_eq!(control.up(), (UpAxis::Z, false));
+        control.go_to_view(3, start);
+        assert_eq!(control.up(), (UpAxis::Y, true), "a view has its own axis");
+        assert_eq!(control.view(3).unwrap().look, Some(Look::default()));
+    }
+
+    #[test]
+    fn a_whole_model_makes_room_for_panels_until_it_is_moved() {
+        let start = Instant::now();
+        let mut control = camera_on_a_cube(start);
+        let left = [CanvasPart { max: DVec2::new(0.5, 1.0), ..CanvasPart::WHOLE }];
+        let middle = |control: &CameraControl| {
+            DVec2::from(control.navigator.as_ref().unwrap().camera().project(DVec3::splat(0.5)).unwrap())
+        };
+        assert!(control.make_room(&left, start).wants_picture && middle(&control).x < 0.3);
+        assert!(!control.make_room(&left, start).wants_picture, "there is room already");
+        control.steer(start, |navigator| _ = navigator.wheel(1.0));
+        assert!(!control.make_room(&[CanvasPart::WHOLE], start).wants_picture, "a hand has moved it");
+        control.steer(start, |navigator| navigator.view_all(&[CanvasPart::WHOLE]));
+        control.navigator.as_mut().unwrap().advance(1.0, 1.0);
+        assert!((middle(&control).x - 0.5).abs() < 0.05);
     }
 }

@@ -2,7 +2,7 @@
 
 use shared::{
     appearance::{Appearance, Background, Clip, ClipSide, Light},
-    camera::Camera,
+    camera::{Camera, Look},
     protocol::{FrameSpec, LightingMode, ShadingMode},
     scene::SceneId,
 };
@@ -19,7 +19,8 @@ use crate::{
 #[derive(Debug)]
 pub(super) struct PictureControl {
     pub(super) shading: ShadingMode,
-    pub(super) lighting: LightingMode,
+    /// `None`: primary rays in motion, all at rest.
+    pub(super) rays: Option<LightingMode>,
     pub(super) appearance: Appearance,
     pub(super) refinement: Refinement,
     options: RefinementOptions,
@@ -30,7 +31,7 @@ impl PictureControl {
         let options = args.refinement(wall);
         Self {
             shading: args.view,
-            lighting: args.rays,
+            rays: args.rays,
             appearance: args.appearance.appearance(),
             refinement: Refinement::new(options),
             options,
@@ -44,7 +45,7 @@ impl PictureControl {
             camera,
             size: self.options.fixed_size,
             view: self.shading,
-            rays: self.lighting,
+            rays: self.rays.unwrap_or_default(),
             samples: self.options.fixed_samples,
             appearance: self.appearance,
         }
@@ -53,6 +54,23 @@ impl PictureControl {
     pub(super) fn change(&mut self, change: impl FnOnce(&mut Self)) -> Effect {
         change(self);
         Effect::picture()
+    }
+
+    pub(super) fn choose_rays(&mut self, rays: Option<LightingMode>) -> Effect {
+        self.rays = rays;
+        self.refinement.set_lights_at_rest(rays.is_none());
+        Effect::picture()
+    }
+
+    /// The parts that a kept view includes.
+    pub(super) fn look(&self) -> Look {
+        Look { light: self.appearance.light, clip: self.appearance.clip, rays: self.rays }
+    }
+
+    /// Looks as a kept view did; its camera asks for the picture.
+    pub(super) fn set_look(&mut self, Look { light, clip, rays }: Look) {
+        self.appearance = Appearance { light, clip, ..self.appearance };
+        let _ = self.choose_rays(rays);
     }
 
     pub(super) fn next_light(&mut self) -> Effect {

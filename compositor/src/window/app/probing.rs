@@ -66,12 +66,11 @@ fn pick(ProbeHit { triangle, t }: ProbeHit, camera: &Camera, at: [f32; 2]) -> Pi
 #[cfg(test)]
 mod tests {
     use renderer::{grid::GridOptions, model::ply, render::scene::Scene};
-    use shared::camera::UpAxis;
 
     use super::*;
 
     fn camera() -> Camera {
-        Camera::view_all(DVec3::ZERO, DVec3::new(3.0, 1.0, 2.0), UpAxis::Z, 2.0)
+        Camera::look_at(DVec3::new(5.0, -9.0, 4.0), DVec3::ONE, DVec3::Z, 0.7, 2.0).unwrap()
     }
 
     #[test]

@@ -6,7 +6,7 @@ use winit::event_loop::ActiveEventLoop;
 
 use super::App;
 use crate::{
-    control::{navigator::Navigator, refinement::ShowTimes},
+    control::refinement::ShowTimes,
     farm::{Frame, stats::DisplayStats},
     overlay::{FrameTimes, OverlayModel},
     supervisor::SupervisorLink,
@@ -53,7 +53,7 @@ impl App<'_> {
         overlay.division = goal.division;
         overlay.min_renderers = goal.min_renderers;
         overlay.view = self.picture.shading;
-        overlay.rays = self.picture.lighting;
+        overlay.rays = self.picture.rays;
         overlay.appearance = self.picture.appearance;
         overlay.is_refining = self.picture.refinement.is_on();
         let frame = self.presentation.frame.as_ref();
@@ -63,7 +63,7 @@ impl App<'_> {
             let [x, y] = frame.spec.camera.project(pick.point)?;
             Some(egui::pos2(x as f32, (1.0 - y) as f32))
         });
-        overlay.up = self.camera.navigator.as_ref().map(Navigator::up).unwrap_or_default();
+        (overlay.up, overlay.up_is_guessed) = self.camera.up();
         overlay.is_recording = self.camera.is_recording();
         overlay.is_playing = self.camera.is_playing();
         overlay.views = self.camera.view_numbers();
@@ -97,7 +97,10 @@ impl App<'_> {
         let now = Instant::now();
         self.presentation.retry_at = drawn.is_incomplete.then(|| now + RETRY_INTERVAL);
         self.presentation.repaint_at = now.checked_add(drawn.repaint_after);
-        self.overlay_areas = drawn.overlay.areas;
+        if std::mem::replace(&mut self.overlay_areas, drawn.overlay.areas) != self.overlay_areas {
+            let effect = self.camera.make_room(&self.free_parts(), now);
+            self.apply(effect);
+        }
         if std::mem::take(&mut self.presentation.is_new) {
             self.on_new_frame(event_loop, drawn.stats, now - started_at, &drawn.monitors);
         }
@@ -149,7 +152,7 @@ impl App<'_> {
         let mut next: Vec<Option<Instant>> = Vec::new();
         if !self.camera.is_moving() {
             if self.kiosk.returns(now) {
-                let effect = self.camera.start_again(now);
+                let effect = self.camera.start_again(&self.free_parts(), now);
                 self.apply(effect);
             } else {
                 next.push(self.kiosk.returns_at());

@@ -5,8 +5,9 @@ use std::{path::Path, time::Instant};
 use glam::DVec2;
 use renderer::model::scene::SceneSource;
 use shared::{
+    camera::CanvasPart,
     division::Division,
-    protocol::{LightingMode, ShadingMode},
+    protocol::ShadingMode,
     structure::{Storage, Structure},
 };
 use strum::VariantArray;
@@ -20,11 +21,12 @@ use winit::{
 use super::{App, picture::next, probing::Purpose};
 use crate::{
     control::{
+        free_parts::free_parts,
         input::{self, Command, Key, KeyAction, Tint},
         navigator::{Drag, Navigator},
     },
     farm::Probe,
-    overlay::{DENSITIES, STORAGES},
+    overlay::{DENSITIES, RAYS, STORAGES},
     window::{effect::Effect, screenshots},
 };
 
@@ -77,10 +79,21 @@ impl App<'_> {
             return;
         }
         let effect = match command {
-            Command::ViewAll => self.camera.steer(now, Navigator::view_all),
-            Command::NextUpAxis => self.camera.steer(now, Navigator::next_up_axis),
-            Command::GoToView(number) => self.camera.go_to_view(number, now),
-            Command::KeepView(number) => self.camera.keep_view(number),
+            Command::ViewAll => {
+                let parts = self.free_parts();
+                self.camera.steer(now, |navigator| navigator.view_all(&parts))
+            }
+            Command::NextUpAxis => {
+                let parts = self.free_parts();
+                let effect = self.camera.steer(now, |navigator| navigator.next_up_axis(&parts));
+                effect.with_note(format!("Up: {}", self.camera.up().0))
+            }
+            Command::GoToView(number) => {
+                let look = self.camera.view(number).and_then(|view| view.look);
+                look.into_iter().for_each(|look| self.picture.set_look(look));
+                self.camera.go_to_view(number, now)
+            }
+            Command::KeepView(number) => self.camera.keep_view(number, self.picture.look()),
             Command::ToggleRecording => self.camera.toggle_recording(now),
             Command::TogglePlaying => self.camera.toggle_playing(self.kiosk.repeats_paths(), now),
             Command::ChangeSpeed(steps) => self.camera.change_speed(steps),
@@ -113,8 +126,8 @@ impl App<'_> {
             Command::SetDivision(division) => self.set_division(division),
             Command::NextShading => self.picture.change(|it| it.shading = next(ShadingMode::VARIANTS, it.shading)),
             Command::SetShading(shading) => self.picture.change(|it| it.shading = shading),
-            Command::NextLighting => self.picture.change(|it| it.lighting = next(LightingMode::VARIANTS, it.lighting)),
-            Command::SetLighting(lighting) => self.picture.change(|it| it.lighting = lighting),
+            Command::NextLighting => self.picture.choose_rays(next(&RAYS, self.picture.rays)),
+            Command::SetLighting(rays) => self.picture.choose_rays(rays),
             Command::NextLight => self.picture.next_light(),
             Command::SetLight(light) => self.picture.change(|it| it.appearance.light = light),
             Command::NextBackground => self.picture.next_background(),
@@ -350,6 +363,17 @@ impl App<'_> {
     /// The cursor as a fraction of the canvas, (0, 0) lower left.
     fn point_on_canvas(&self) -> DVec2 {
         self.wall.wall.canvas_at(self.point_on_output())
+    }
+
+    /// The parts of the canvas that panels leave free.
+    pub(super) fn free_parts(&self) -> Vec<CanvasPart> {
+        let on_canvas = |point| self.wall.wall.canvas_at(self.outputs.overlay_on_wall(point));
+        let panel = |area: &egui::Rect| {
+            let corners = [area.left_top(), area.right_top(), area.left_bottom(), area.right_bottom()].map(on_canvas);
+            let (min, max) = (corners.into_iter().reduce(DVec2::min), corners.into_iter().reduce(DVec2::max));
+            CanvasPart { min: min.unwrap_or_default(), max: max.unwrap_or_default() }
+        };
+        free_parts(&self.overlay_areas.iter().map(panel).collect::<Vec<_>>())
     }
 
     fn cursor_is_over_overlay(&self) -> bool {

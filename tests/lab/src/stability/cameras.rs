@@ -29,7 +29,7 @@ const DEPTH_P999: f64 = 1e-6;
 pub(super) fn against_f64(n_rays: u64) -> Tally {
     let mesh = statue::generate(100_000, &|_| ());
     let grid = Grid::build(mesh.clone(), &GridOptions::default(), &|_| ());
-    let full = view_all(mesh.bounds(), 16.0 / 9.0);
+    let full = view_all(&mesh, 16.0 / 9.0);
     let eyes = [(0.5, 1.9, 2.0, 2.6), (-2.0, 2.8, 1.5, 2.4), (3.0, 4.0, -3.0, 1.7)];
     let close = |&(x, y, z, up): &(f64, f64, f64, f64)| {
         Camera::look_at(DVec3::new(x, y, z), DVec3::Y * up, DVec3::Y, 0.5, 16.0 / 9.0).ok()

@@ -86,7 +86,7 @@ fn compare(
 /// Every instruction set, storage, density, number of threads and division gives one hash of all hits.
 pub(super) fn one_hash(n_rays: u64) -> Tally {
     let mesh = statue::generate(20_000, &|_| ());
-    let camera = view_all(mesh.bounds(), 16.0 / 9.0);
+    let camera = view_all(&mesh, 16.0 / 9.0);
     let mut ways = Vec::new();
     for &storage in Storage::VARIANTS {
         for density in [1.0, 32.0, 128.0].map(Some) {
