@@ -71,7 +71,7 @@ pub fn write(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) 
     new.finish()
 }
 
-/// Checks that [`write`] can write this file, before work whose result it takes. The old file stays as it is.
+/// Checks that [`write()`] can write this file, before work whose result it takes. The old file stays as it is.
 ///
 /// # Errors
 /// The file or its folder cannot be written.
@@ -90,7 +90,7 @@ pub struct NewFile {
 }
 
 impl NewFile {
-    /// Begins a file that will replace `path`, as [`write`] does.
+    /// Begins a file that will replace `path`, as [`write()`] does.
     ///
     /// # Errors
     /// It is a device, pipe or descriptor; or the file or its folder cannot be written.
