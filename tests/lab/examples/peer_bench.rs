@@ -5,6 +5,7 @@
 //!
 //! - `frame KERNEL THREADS N SHADOW CAMERA`: traces N frames, after its threads were kept busy; KERNEL is `packet` or
 //!   `single`, SHADOW is 1 for a shadow ray from each hit, else 0
+//! - `rays single THREADS N ANY FILE`: traces the rays of a file N times, each alone; ANY is 1 for any hit, 0 for the nearest
 //! - `dump KERNEL FILE CAMERA`: writes the hits of a frame, as `lab trace --hits` does
 //! - `quit`
 //!
@@ -13,6 +14,7 @@
 
 use std::{
     collections::{HashMap, hash_map::Entry},
+    fs,
     num::NonZero,
     path::{Path, PathBuf},
     process::ExitCode,
@@ -23,7 +25,7 @@ use anyhow::{Context, Result, bail, ensure};
 use channel::files;
 use clap::{Parser, ValueEnum};
 use cpu_time::ProcessTime;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use lab::{
     farm::frame_spec,
     statistics::milliseconds,
@@ -32,9 +34,10 @@ use lab::{
         frame::{Frame, FrameOptions, Kernel},
     },
 };
-use rayon::ThreadPool;
+use rayon::{ThreadPool, prelude::*};
 use renderer::{
     cli::{self, say, scene_args::SceneArgs},
+    intersect::ray::{Hit, Ray},
     model::scene::{self, SceneSource},
     render::{scene::Scene, threads},
 };
@@ -91,8 +94,13 @@ fn serve() -> Result<()> {
                 let n_threads = n_threads.parse::<NonZero<usize>>().context("threads")?.get();
                 server.trace(kernel, n_threads, n_frames, shadow == "1", Path::new(camera))?;
             }
+            ["rays", mode @ "single", n_threads, n_repeats, any, file] => {
+                let n_repeats = n_repeats.parse::<NonZero<u32>>().context("repeats")?.get();
+                let n_threads = n_threads.parse::<NonZero<usize>>().context("threads")?.get();
+                server.trace_rays(mode, n_threads, n_repeats, any == "1", Path::new(file))?;
+            }
             ["dump", kernel, file, camera] => server.dump(kernel, Path::new(file), Path::new(camera))?,
-            _ => bail!("\"{line}\" is not an order: see the head of peer_bench.rs"),
+            _ => say(json!({ "event": "error", "why": format!("\"{line}\": see the head of peer_bench.rs") }))?,
         }
     }
     Ok(())
@@ -110,10 +118,7 @@ impl Server {
         let PeerCamera { spec, light } = PeerCamera::read(camera)?;
         let light = shadow.then_some(light);
         let options = FrameOptions { kernel: named_kernel(kernel)?, light };
-        let pool = match self.pools.entry(n_threads) {
-            Entry::Occupied(pool) => pool.into_mut(),
-            Entry::Vacant(entry) => entry.insert(threads::pool(Some(n_threads))?),
-        };
+        let pool = pool(&mut self.pools, n_threads)?;
         // Registers only, no memory.
         pool.broadcast(|_| {
             let start = Instant::now();
@@ -133,6 +138,28 @@ impl Server {
         }))
     }
 
+    fn trace_rays(&mut self, mode: &str, n_threads: usize, n_repeats: u32, any: bool, file: &Path) -> Result<()> {
+        let rays = read_rays(file)?;
+        let pool = pool(&mut self.pools, n_threads)?;
+        let scene = &self.scene;
+        let mut found = Found::default();
+        let (mut walls, mut cpus) = (Vec::new(), Vec::new());
+        pool.install(|| {
+            for _ in 0..n_repeats {
+                let (wall, cpu) = (Instant::now(), ProcessTime::now());
+                let chunks = rays.par_chunks(RAYS_PER_CHUNK).map(|rays| Found::trace(scene, rays, any));
+                found = chunks.reduce(Found::default, Found::plus);
+                walls.push(milliseconds(wall.elapsed()));
+                cpus.push(milliseconds(cpu.elapsed()));
+            }
+        });
+        say(json!({
+            "event": "frames", "engine": self.engine, "mode": mode, "threads": n_threads, "any": u8::from(any),
+            "file": file, "ms": walls, "cpu_ms": cpus, "rays": rays.len(), "hits": found.n_hits,
+            "sum": found.sum_of_triangles,
+        }))
+    }
+
     fn dump(&self, kernel: &str, file: &Path, camera: &Path) -> Result<()> {
         let options = FrameOptions { kernel: named_kernel(kernel)?, light: None };
         let PeerCamera { spec, .. } = PeerCamera::read(camera)?;
@@ -141,6 +168,59 @@ impl Server {
         files::write(file, |out| frame.write_hits(&self.scene, out))
             .with_context(|| format!("cannot write {}", file.display()))?;
         say(json!({ "event": "dumped" }))
+    }
+}
+
+/// The pool of this many threads.
+fn pool(pools: &mut HashMap<usize, ThreadPool>, n_threads: usize) -> Result<&ThreadPool> {
+    Ok(match pools.entry(n_threads) {
+        Entry::Occupied(pool) => pool.into_mut(),
+        Entry::Vacant(entry) => entry.insert(threads::pool(Some(n_threads))?),
+    })
+}
+
+/// Rays that a thread takes at a time.
+const RAYS_PER_CHUNK: usize = 256;
+
+/// Reads a ray file: eight little-endian `f32` a ray, origin and start of its interval, direction and end.
+fn read_rays(file: &Path) -> Result<Vec<Ray>> {
+    let bytes = fs::read(file).with_context(|| file.display().to_string())?;
+    ensure!(bytes.len().is_multiple_of(32), "{} is no ray file: rays have 32 bytes", file.display());
+    let rays = bytes.chunks_exact(32).map(|ray| {
+        let n: [f32; 8] =
+            std::array::from_fn(|index| f32::from_le_bytes(std::array::from_fn(|byte| ray[4 * index + byte])));
+        Ray { origin: Vec3::new(n[0], n[1], n[2]), t_min: n[3], direction: Vec3::new(n[4], n[5], n[6]), t_max: n[7] }
+    });
+    Ok(rays.collect())
+}
+
+/// The answers to rays, summed up.
+#[derive(Clone, Copy, Default)]
+struct Found {
+    n_hits: usize,
+    /// Of the numbers in the file, modulo 2³².
+    sum_of_triangles: u32,
+}
+
+impl Found {
+    /// Traces up to [`RAYS_PER_CHUNK`] rays to any hit or to the nearest.
+    fn trace(scene: &Scene, rays: &[Ray], any: bool) -> Self {
+        if any {
+            let mut occluded = [false; RAYS_PER_CHUNK];
+            scene.grid.occluded_rays(rays, &mut occluded);
+            return Self { n_hits: occluded.iter().filter(|&&occluded| occluded).count(), sum_of_triangles: 0 };
+        }
+        let mut hits = [Hit::MISS; RAYS_PER_CHUNK];
+        scene.grid.intersect_rays(rays, &mut hits);
+        let numbers = hits.iter().filter(|hit| !hit.is_miss()).map(|hit| scene.mesh().file_index(hit.triangle));
+        Self { n_hits: numbers.clone().count(), sum_of_triangles: numbers.fold(0, u32::wrapping_add) }
+    }
+
+    fn plus(self, other: Self) -> Self {
+        Self {
+            n_hits: self.n_hits + other.n_hits,
+            sum_of_triangles: self.sum_of_triangles.wrapping_add(other.sum_of_triangles),
+        }
     }
 }
 
