@@ -17,7 +17,7 @@ pub struct SceneArgs {
     #[arg(long, help_heading = HEADING, value_name = "HOW", default_value_t = Storage::default())]
     storage: Storage,
 
-    /// Levels of empty macrocells that a single ray may skip
+    /// Levels of empty macrocells over the paper's uniform grid that a ray may skip
     #[arg(long, help_heading = HEADING, value_name = "N", default_value_t = GridOptions::default().macrocell_levels,
         value_parser = macrocell_levels)]
     macrocell_levels: u8,

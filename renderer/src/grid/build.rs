@@ -9,7 +9,7 @@ use crate::{
         choice,
         traced::TracedMesh,
         tree::{
-            self, BRICK_SIZE, CELLS_PER_BRICK, Tree,
+            BRICK_SIZE, CELLS_PER_BRICK, Tree,
             boxes::QuantizedBoxes,
             divide::{Builder, TreePart},
             scatter::Scatter,
@@ -125,10 +125,9 @@ impl Grid {
         leaf_starts.insert(0, 0);
         let mesh = TracedMesh::new(mesh, &mut references);
         let boxes = QuantizedBoxes::new(&space, dims, &bricks, &nodes, &leaf_starts, &references, &mesh);
-        let largest_skip = tree::largest_skip(options.macrocell_levels);
         let extent = space.point_to_cells(max).to_array();
         let extent = [0, 1, 2].map(|axis| (extent[axis] as u32 + 1).min(dims[axis] * BRICK_SIZE));
-        let tree = Tree { dims, extent, bricks, nodes, leaf_starts, references, boxes, largest_skip };
+        let tree = Tree { dims, extent, bricks, nodes, leaf_starts, references, boxes };
         (Self { space, structure: Structure::Tree(tree), density, ..Self::empty(mesh) }, is_coarser)
     }
 

@@ -37,13 +37,6 @@ pub(crate) trait CellStructure {
     /// Finest cells per axis.
     fn dims(&self) -> [i32; 3];
 
-    /// The list around a finest cell, if any, and the size (log₂ in finest cells) of the cube in which it holds.
-    fn locate(&self, cell: [i32; 3]) -> (Option<TriangleList<'_>>, u32);
-}
-
-#[derive(Clone, Copy)]
-pub(crate) struct TriangleList<'a> {
-    pub(crate) triangles: &'a [u32],
-    /// Their boxes; empty in grids that have none.
-    pub(crate) boxes: &'a [u8],
+    /// The triangles around a finest cell, if it has a list, and the size (log₂ in finest cells) of the cube in which it holds.
+    fn locate(&self, cell: [i32; 3]) -> (Option<&[u32]>, u32);
 }

@@ -12,7 +12,7 @@ use crate::grid::budget::MemoryBudget;
 pub struct GridOptions {
     /// The paper's ρ: cells per triangle; `None` to choose it for the scene.
     pub density: Option<f64>,
-    /// Sizes of empty macrocells that a single ray may skip.
+    /// Sizes of empty macrocells over a uniform grid that a ray may skip.
     pub macrocell_levels: u8,
     /// Storage of the cells.
     pub storage: Storage,

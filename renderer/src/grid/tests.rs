@@ -1,6 +1,7 @@
 //! The grid against brute force: every triangle tested, in plain `f64`.
 
 mod packets;
+mod rays;
 
 use glam::Vec3;
 use proptest::prelude::*;
@@ -286,7 +287,7 @@ fn rays_along_the_border_stay_inside() {
         let mesh = soup((0..n).map(|k| at(if k == 0 { 0.0 } else { 9.0 + k as f32 / n as f32 })).collect());
         for grid in build_modes(&mesh) {
             let dims = match &grid.structure {
-                Structure::Tree(tree) => tree.dims(),
+                Structure::Tree(tree) => tree.extent.map(|n| n as i32),
                 Structure::Plain(grid) => grid.dims(),
                 Structure::RowDisplacement(grid) => grid.dims(),
             };

@@ -10,10 +10,7 @@ pub(crate) mod scatter;
 
 use std::ops::Range;
 
-use crate::grid::{
-    cells::{CellStructure, TriangleList},
-    figures::GridStats,
-};
+use crate::grid::figures::GridStats;
 use boxes::QuantizedBoxes;
 
 /// Cells of the paper's resolution along a brick.
@@ -41,8 +38,6 @@ pub(crate) struct Tree {
     /// Triangle indices, leaf after leaf.
     pub(crate) references: Vec<u32>,
     pub(crate) boxes: QuantizedBoxes,
-    /// Largest empty cube that a single ray may skip whole, log₂ in finest cells.
-    pub(crate) largest_skip: u32,
 }
 
 /// A cube of 4×4×4 children, child (x, y, z) at bit 16·z + 4·y + x.
@@ -71,14 +66,7 @@ impl Tree {
             leaf_starts: vec![0],
             references: Vec::new(),
             boxes: QuantizedBoxes::default(),
-            largest_skip: largest_skip(0),
         }
-    }
-
-    #[inline(always)]
-    fn leaf(&self, leaf: u32) -> TriangleList<'_> {
-        let references = self.references_of(leaf);
-        TriangleList { triangles: &self.references[references.clone()], boxes: self.boxes.leaf_bytes(references) }
     }
 
     #[inline(always)]
@@ -100,46 +88,4 @@ impl Tree {
             ..GridStats::default()
         }
     }
-}
-
-impl CellStructure for Tree {
-    fn dims(&self) -> [i32; 3] {
-        self.extent.map(|n| n as i32)
-    }
-
-    #[inline]
-    fn locate(&self, cell: [i32; 3]) -> (Option<TriangleList<'_>>, u32) {
-        // Look up the brick.
-        let cell = cell.map(|x| x as u32);
-        let mut shift = 2 * LEVELS;
-        let [x, y, z] = cell.map(|x| (x >> shift) as usize);
-        let brick = self.bricks[(z * self.dims[1] as usize + y) * self.dims[0] as usize + x];
-        if brick == Self::EMPTY {
-            return (None, shift.min(self.largest_skip));
-        }
-        if brick & Self::LEAF != 0 {
-            return (Some(self.leaf(brick & !Self::LEAF)), shift);
-        }
-
-        // Descend to the child around the cell until it is empty or a leaf; its index counts the bits before its own.
-        let mut node = &self.nodes[brick as usize];
-        loop {
-            shift -= 2;
-            let child = overlap::child_index(cell.map(|x| x >> shift & 3));
-            if node.occupied >> child & 1 == 0 {
-                return (None, shift.min(self.largest_skip));
-            }
-            let before = (1 << child) - 1;
-            if node.divided >> child & 1 == 0 {
-                let leaf = node.first_leaf + (node.occupied & !node.divided & before).count_ones();
-                return (Some(self.leaf(leaf)), shift);
-            }
-            node = &self.nodes[(node.first_node + (node.divided & before).count_ones()) as usize];
-        }
-    }
-}
-
-/// Largest empty cube that may be skipped, log₂ in finest cells: half a cell of the paper, times 4 for each level.
-pub(crate) fn largest_skip(macrocell_levels: u8) -> u32 {
-    2 * (LEVELS - 3) + 2 * u32::from(macrocell_levels)
 }

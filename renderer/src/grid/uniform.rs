@@ -5,7 +5,7 @@ pub(crate) mod resolution;
 pub(crate) mod row_displacement;
 
 use crate::grid::{
-    cells::{CellStructure, TriangleList},
+    cells::CellStructure,
     figures::GridStats,
     tree::scatter::{self, Scatter},
 };
@@ -54,14 +54,14 @@ impl<I: CellIndex> CellStructure for UniformGrid<I> {
     }
 
     #[inline]
-    fn locate(&self, cell: [i32; 3]) -> (Option<TriangleList<'_>>, u32) {
+    fn locate(&self, cell: [i32; 3]) -> (Option<&[u32]>, u32) {
         let cell = cell.map(|x| x as u32);
         if let Some(shift) = self.macrocells.empty_around(cell) {
             return (None, shift);
         }
         let list = self.index.slot(cell).map(|slot| {
             let [first, end] = [self.starts[slot], self.starts[slot + 1]];
-            TriangleList { triangles: &self.references[first as usize..end as usize], boxes: &[] }
+            &self.references[first as usize..end as usize]
         });
         (list, 0)
     }

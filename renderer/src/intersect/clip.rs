@@ -51,9 +51,13 @@ fn or_cap(grid: &Grid, ray: &Ray, kept: &Ray, hit: Hit) -> Hit {
     if leaves_solid { Hit { triangle: Hit::CAP, t: kept.t_min } } else { hit }
 }
 
-/// Whether the part of a ray that a plane keeps hits any triangle.
-pub fn occluded(grid: &Grid, clip: Option<&ClipPlane>, ray: Ray) -> bool {
-    clip_ray(clip, ray).is_some_and(|ray| grid.occluded(&ray))
+/// [`Grid::occluded_rays`] on the parts of rays that a plane keeps; the rays are cut.
+pub fn occluded_rays(grid: &Grid, clip: Option<&ClipPlane>, rays: &mut [Ray], occluded: &mut [bool]) {
+    for ray in &mut *rays {
+        // An empty interval where nothing is left.
+        *ray = clip_ray(clip, *ray).unwrap_or(Ray { t_max: f32::NEG_INFINITY, ..*ray });
+    }
+    grid.occluded_rays(rays, occluded);
 }
 
 /// [`Grid::intersect_packets`] on the parts of rays that a plane keeps; with `any_hit`, t may be 0.
@@ -161,7 +165,9 @@ mod tests {
             for lane in 0..64 {
                 let ray = packet.ray(lane);
                 assert_eq!(hits[lane], intersect(grid, clip, ray), "{ray:?} {plane:?}");
-                assert_eq!(!any[lane].is_miss(), occluded(grid, clip, ray), "{ray:?} {plane:?}");
+                let mut occluded = [false];
+                occluded_rays(grid, clip, &mut [ray], &mut occluded);
+                assert_eq!(!any[lane].is_miss(), occluded[0], "{ray:?} {plane:?}");
                 answers.push((ray, scene.with_file_index(hits[lane])));
             }
         }

@@ -3,90 +3,16 @@
 //! Every test accounts for rounding; [`crate::intersect::triangle`] decides the rest.
 
 use crate::{
-    grid::{cells::TriangleList, traced::TracedMesh, tree::boxes::LeafBoxes},
+    grid::traced::TracedMesh,
     intersect::{
         margins::{SIDE_MARGIN, UNDERFLOW_MARGIN},
-        ray::{Ray, major_axis},
+        ray::Ray,
     },
     simd::{InstructionSet, Kernel, Simd},
 };
 
 /// Triangles that are filtered together.
 pub const BATCH: usize = 16;
-
-/// A ray, prepared to reject triangles.
-pub(super) struct RayFilter<'a> {
-    instructions: InstructionSet,
-    mesh: &'a TracedMesh,
-    ray: &'a Ray,
-    /// The ray's major axis, and the two others.
-    axes: [usize; 3],
-    /// Slopes against the major axis.
-    u: f32,
-    v: f32,
-}
-
-impl<'a> RayFilter<'a> {
-    /// Prepares a ray; `instructions` are those of a grid.
-    #[inline]
-    pub(super) fn new(instructions: InstructionSet, mesh: &'a TracedMesh, ray: &'a Ray) -> Self {
-        let k = major_axis(ray.direction.to_array());
-        let axes = [k, (k + 1) % 3, (k + 2) % 3];
-        let depth = ray.direction[k].abs();
-        Self { instructions, mesh, ray, axes, u: ray.direction[axes[1]] / depth, v: ray.direction[axes[2]] / depth }
-    }
-
-    /// Calls `visit` with each triangle of a list that the ray may hit; cell as in [`LeafBoxes::new`].
-    #[inline(always)]
-    pub(super) fn for_each(
-        &self,
-        list: &TriangleList<'_>,
-        corner_from_origin: [f64; 3],
-        size: i32,
-        mut visit: impl FnMut(u32),
-    ) {
-        let is_backward = self.ray.direction[self.axes[0]] < 0.0;
-        let corner = self.axes.map(|axis| corner_from_origin[axis]);
-        let boxes = (!list.boxes.is_empty()).then(|| LeafBoxes::new(list.boxes, self.axes, is_backward, corner, size));
-        for (batch, triangles) in list.triangles.chunks(BATCH).enumerate() {
-            let mut left = match &boxes {
-                Some(boxes) => self.passed_boxes(boxes, batch * BATCH),
-                // SAFETY: as in `passed_boxes`.
-                None => unsafe { may_hit(self.instructions, self.mesh, self.ray, triangles) },
-            };
-            while left != 0 {
-                visit(triangles[left.trailing_zeros() as usize]);
-                left &= left - 1;
-            }
-        }
-    }
-
-    /// A bit for each of the [`BATCH`] boxes from number `first` on that the ray may pass.
-    #[inline]
-    fn passed_boxes(&self, boxes: &LeafBoxes<'_>, first: usize) -> u32 {
-        struct PassedBoxes<'a>(&'a RayFilter<'a>, &'a LeafBoxes<'a>, usize);
-        impl Kernel for PassedBoxes<'_> {
-            type Output = u32;
-            #[inline(always)]
-            fn run<S: Simd>(self) -> u32 {
-                let Self(&RayFilter { u, v, .. }, boxes, first) = self;
-                let mut all = 0;
-                let mut first_in_batch = 0;
-                while first_in_batch < BATCH {
-                    let missed = boxes.bounds::<S>(first + first_in_batch).miss_signs([u, u, v, v], 0.0).sign_mask();
-                    all |= (!missed & ((1 << S::LANES) - 1)) << first_in_batch;
-                    first_in_batch += S::LANES;
-                    if first + first_in_batch >= boxes.n() {
-                        break;
-                    }
-                }
-                all & (u32::MAX >> (32 - (boxes.n() - first).min(BATCH)))
-            }
-        }
-        // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-        unsafe { self.instructions.call(PassedBoxes(self, boxes, first)) }
-    }
-}
 
 /// A bit for each of up to [`BATCH`] triangles that the ray may hit.
 ///

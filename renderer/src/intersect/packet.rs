@@ -329,7 +329,7 @@ impl Tree {
             for local_axis in 0..3 {
                 corner_from_origin[local_axis] = f64::from(leaf.low[local_axis]) - origin[local_axis];
             }
-            let bytes = self.boxes.leaf_bytes(references.clone());
+            let bytes = self.boxes.of_leaf(references.clone());
             let boxes = LeafBoxes::new(
                 bytes,
                 culler.ray_bounds.axes,

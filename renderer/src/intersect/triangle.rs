@@ -21,8 +21,31 @@ pub fn intersect(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f64> {
     if decision.certain_miss == 1 {
         return None;
     }
-    let t = if decision.uncertain == 1 { intersect_exactly(ray, corners)? } else { decision.t };
+    finish(ray, (decision.uncertain == 0).then_some(decision.t), || *corners)
+}
+
+/// The t of a hit within the ray's interval, from a certain t, or decided exactly for the corners.
+#[inline(always)]
+pub(super) fn finish(ray: &Ray, certain_t: Option<f64>, corners: impl FnOnce() -> [[f32; 3]; 3]) -> Option<f64> {
+    let t = match certain_t {
+        Some(t) => t,
+        None => intersect_exactly(ray, &corners())?,
+    };
     (f64::from(ray.t_min)..=f64::from(ray.t_max)).contains(&t).then_some(t)
+}
+
+/// Decides on a ray and triangles whose corners lie in lanes, by corner and axis.
+#[inline(always)]
+pub(super) fn decide_lanes<R: Real>(ray: &Ray, corners: &[[[f32; 8]; 3]; 3]) -> Decision<R> {
+    let (mut origin, mut direction, mut points) = ([R::splat(0.0); 3], [R::splat(0.0); 3], [[R::splat(0.0); 3]; 3]);
+    for axis in 0..3 {
+        origin[axis] = R::splat(f64::from(ray.origin[axis]));
+        direction[axis] = R::splat(f64::from(ray.direction[axis]));
+        for corner in 0..3 {
+            points[corner][axis] = R::load(&corners[corner][axis]);
+        }
+    }
+    EdgePlanes::new(origin, points).decide(direction)
 }
 
 /// The decision in `f64` on pairs of a ray and a triangle, with a bit for each pair in the masks.

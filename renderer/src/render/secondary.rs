@@ -48,7 +48,7 @@ pub struct SecondaryRays<'a> {
 }
 
 /// Ambient occlusion rays of each sample.
-const N_AO_RAYS: u32 = 4;
+const N_AO_RAYS: usize = 4;
 
 /// Length of the longest ambient occlusion ray, relative to the radius of the scene.
 const AO_RADIUS_RELATIVE: f64 = 0.1;
@@ -121,12 +121,7 @@ impl<'a> SecondaryRays<'a> {
         self.cast_shadows(blocks, &surfaces, &mut visibility, scratch);
         if self.lighting_mode == LightingMode::AmbientOcclusion {
             for (index, block) in blocks.iter().enumerate() {
-                for (sample_idx, pixel) in block.samples().enumerate() {
-                    if let Some(surface) = &surfaces[index][sample_idx] {
-                        visibility[index][sample_idx].ambient_visibility =
-                            self.ambient_visibility(surface, pixel, sample);
-                    }
-                }
+                self.look_around(block, sample, &surfaces[index], &mut visibility[index]);
             }
         }
         visibility
@@ -185,11 +180,34 @@ impl<'a> SecondaryRays<'a> {
         }
     }
 
-    /// 1 − ambient occlusion: the fraction of short hemisphere rays that hit nothing.
+    /// Ambient occlusion of a block: the fraction of each surface's short hemisphere rays that hit something.
+    fn look_around(
+        &self,
+        block: &SampleBlock<'_>,
+        sample: u32,
+        surfaces: &[Option<Surface>; 64],
+        visibility: &mut [LightVisibility; 64],
+    ) {
+        let (mut rays, mut sample_of_rays) = (Vec::with_capacity(64 * N_AO_RAYS), Vec::with_capacity(64));
+        for (sample_idx, pixel) in block.samples().enumerate() {
+            if let Some(surface) = &surfaces[sample_idx] {
+                rays.extend(self.ambient_rays(surface, pixel, sample));
+                sample_of_rays.push(sample_idx);
+            }
+        }
+        let mut occluded = [false; 64 * N_AO_RAYS];
+        clip::occluded_rays(self.grid, self.clip.as_ref(), &mut rays, &mut occluded);
+        for (sample_idx, occluded) in sample_of_rays.into_iter().zip(occluded.chunks(N_AO_RAYS)) {
+            let n_unoccluded = occluded.iter().filter(|&&occluded| !occluded).count();
+            visibility[sample_idx].ambient_visibility = n_unoccluded as f32 * (1.0 / N_AO_RAYS as f32);
+        }
+    }
+
+    /// The ambient occlusion rays of a surface.
     ///
     /// Directions follow a cosine distribution, so that all rays weigh the same. Lengths differ, so that near blockers
     /// occlude more than far ones.
-    fn ambient_visibility(&self, surface: &Surface, (i, j): (u32, u32), sample: u32) -> f32 {
+    fn ambient_rays(&self, surface: &Surface, (i, j): (u32, u32), sample: u32) -> [Ray; N_AO_RAYS] {
         let normal = surface.normal.as_vec3();
         let [tangent, bitangent] = tangent_basis(normal);
         // One random offset for the strata of heights and of lengths, and one for the azimuths, per sample.
@@ -197,22 +215,19 @@ impl<'a> SecondaryRays<'a> {
         let fraction = |bits: u32| ((bits >> 9) as f32 + 0.5) * (1.0 / 8_388_608.0);
         let (height, mut azimuth) = (fraction(random(11)), unit_circle(random(12)));
         let length = fraction(random(13));
-        let mut n_unoccluded = 0;
-        for index in 0..N_AO_RAYS {
+        std::array::from_fn(|index| {
             let r2 = (index as f32 + height) * (1.0 / N_AO_RAYS as f32);
             let (r, z) = (r2.sqrt(), (1.0 - r2).sqrt());
             let direction = (tangent * azimuth[0] + bitangent * azimuth[1]) * r + normal * z;
             // The strata of lengths come in another order than those of heights.
             let length = ((index * 3 + 1) % N_AO_RAYS) as f32 + length;
             let t_max = self.ao_radius * (length * (1.0 / N_AO_RAYS as f32));
-            let ray = Ray { origin: surface.point.as_vec3(), direction, t_min: 0.0, t_max };
-            n_unoccluded += u32::from(!clip::occluded(self.grid, self.clip.as_ref(), ray));
             azimuth = [
                 azimuth[0] * GOLDEN_ANGLE[0] - azimuth[1] * GOLDEN_ANGLE[1],
                 azimuth[0] * GOLDEN_ANGLE[1] + azimuth[1] * GOLDEN_ANGLE[0],
             ];
-        }
-        n_unoccluded as f32 * (1.0 / N_AO_RAYS as f32)
+            Ray { origin: surface.point.as_vec3(), direction, t_min: 0.0, t_max }
+        })
     }
 }
 

@@ -19,10 +19,10 @@ use crate::{
 };
 
 /// Steps along a cube. The rest of a byte's 256 values reaches beyond the cube on both sides.
-const N_STEPS: f64 = 250.0;
+pub(crate) const N_STEPS: f64 = 250.0;
 
 /// Value of the cube's lower side.
-const FIRST_STEP: f64 = 3.0;
+pub(crate) const FIRST_STEP: f64 = 3.0;
 
 /// Rounding error of box tests in single precision, relative to the distances from the ray's origin.
 const MARGIN: f32 = 1.0 / (1u32 << 19) as f32;
@@ -30,12 +30,46 @@ const MARGIN: f32 = 1.0 / (1u32 << 19) as f32;
 /// Bytes after the last box, so that a vector can be loaded from there.
 const PADDING: usize = 16;
 
-/// The boxes of all references, in their order.
-///
-/// A leaf with n references from index r on has 6·n bytes from index 6·r on: n least x, n greatest x, then y and z.
+/// References of a group: neighbours in space, whose boxes lie side by side.
+pub(crate) const GROUP: usize = 16;
+
+/// The boxes of all references, in their order, and of groups of them.
 #[derive(Debug, Default, PartialEq)]
 pub(crate) struct QuantizedBoxes {
+    /// A leaf's groups follow each other. A group of n references from index r on has 6·n bytes from index 6·r on: n least
+    /// x, n greatest x, then y and z.
     bytes: Vec<u8>,
+    /// Bounds of each group, in the same form: a leaf with n groups has 6·n bytes from index 6·[`first_group`] on.
+    group_bytes: Vec<u8>,
+}
+
+/// Index of a leaf's first group, if its references begin at `start`. No leaf has more groups than lie before the next's.
+#[inline(always)]
+fn first_group(leaf: u32, start: usize) -> usize {
+    start / GROUP + leaf as usize
+}
+
+/// Boxes of a leaf or of its groups: six rows for every 16, the last of fewer.
+#[derive(Clone, Copy)]
+pub(crate) struct BoxBytes<'a> {
+    /// With [`PADDING`].
+    bytes: &'a [u8],
+    n: usize,
+}
+
+impl BoxBytes<'_> {
+    #[inline(always)]
+    pub(crate) fn n(&self) -> usize {
+        self.n
+    }
+
+    /// One side of the boxes from number `first` on: twice the axis, and one more for the greatest side.
+    #[inline(always)]
+    pub(crate) fn side<S: Simd>(&self, side: usize, first: usize) -> S {
+        let group = first / GROUP * GROUP;
+        let n_in_group = (self.n - group).min(GROUP);
+        S::load_bytes(&self.bytes[6 * group + side * n_in_group + (first - group)..])
+    }
 }
 
 /// The cube of a leaf, in finest cells.
@@ -78,11 +112,12 @@ impl QuantizedBoxes {
                 measure(space, &leaf_cells[leaf], mesh, triangles, chunk);
             }
         });
-        Self { bytes }
+        let group_bytes = group_bounds(&bytes, leaf_starts);
+        Self { bytes, group_bytes }
     }
 
     pub(crate) fn n_bytes(&self) -> usize {
-        self.bytes.len()
+        self.bytes.len() + self.group_bytes.len()
     }
 
     #[inline(always)]
@@ -94,17 +129,25 @@ impl QuantizedBoxes {
         }
     }
 
-    /// The boxes of a leaf with these references, and [`PADDING`].
+    /// The boxes of a leaf with these references.
     #[inline(always)]
-    pub(crate) fn leaf_bytes(&self, references: Range<usize>) -> &[u8] {
-        &self.bytes[6 * references.start..6 * references.end + PADDING]
+    pub(crate) fn of_leaf(&self, references: Range<usize>) -> BoxBytes<'_> {
+        BoxBytes { bytes: &self.bytes[6 * references.start..6 * references.end + PADDING], n: references.len() }
+    }
+
+    /// The bounds of the groups of a leaf with these references.
+    #[inline(always)]
+    pub(crate) fn of_groups(&self, leaf: u32, references: Range<usize>) -> BoxBytes<'_> {
+        let (first, n) = (first_group(leaf, references.start), references.len().div_ceil(GROUP));
+        BoxBytes { bytes: &self.group_bytes[6 * first..6 * (first + n) + PADDING], n }
     }
 }
 
 /// The boxes of one leaf, relative to the origin of rays that all advance the same way along an axis k.
 pub(crate) struct LeafBoxes<'a> {
-    /// Quantised near and far side along k, least and greatest u, least and greatest v; bytes follow the last of each.
-    rows: [&'a [u8]; 6],
+    bytes: BoxBytes<'a>,
+    /// The near and far side along k, the least and greatest u, the least and greatest v.
+    sides: [usize; 6],
     /// Positions of value 0, relative to the origin and with margins, in finest cells; depths along k.
     bases: [f32; 6],
     /// Finest cells of a step, along k (negative if rays go backward) and across.
@@ -124,7 +167,7 @@ impl<'a> LeafBoxes<'a> {
     /// The boxes in `bytes` of a leaf: a cube of side `size` and lowest corner `corner_from_origin`, in finest cells.
     #[inline(always)]
     pub(crate) fn new(
-        bytes: &'a [u8],
+        bytes: BoxBytes<'a>,
         axes: [usize; 3],
         is_backward: bool,
         corner_from_origin: [f64; 3],
@@ -145,20 +188,10 @@ impl<'a> LeafBoxes<'a> {
             if is_backward { (2 * k + 1, -base[0], -1.0) } else { (2 * k, base[0], 1.0) };
         let step = (size * (1.0 / N_STEPS)) as f32;
 
-        // Cut the bytes into rows, in the order of the rays' axes.
-        let n = (bytes.len() - PADDING) / 6;
-        let mut rows = [bytes; 6];
-        for (index, row) in [near, near ^ 1, 2 * u, 2 * u + 1, 2 * v, 2 * v + 1].into_iter().enumerate() {
-            rows[index] = &bytes[row * n..row * n + n + PADDING];
-        }
+        let sides = [near, near ^ 1, 2 * u, 2 * u + 1, 2 * v, 2 * v + 1];
         let [u, v] = [base[1], base[2]];
         let bases = [depth - margin, depth + margin, u - margin, u + margin, v - margin, v + margin];
-        Self { rows, bases, steps: [step * direction_sign, step] }
-    }
-
-    #[inline(always)]
-    pub(crate) fn n(&self) -> usize {
-        self.rows[0].len() - PADDING
+        Self { bytes, sides, bases, steps: [step * direction_sign, step] }
     }
 
     /// The boxes from index `first` on, one per lane; lanes beyond the last box are undefined.
@@ -168,7 +201,7 @@ impl<'a> LeafBoxes<'a> {
         let mut sides = [along; 6];
         for side in 0..6 {
             let step = if side < 2 { along } else { across };
-            sides[side] = S::load_bytes(&self.rows[side][first..]).mul_add(step, S::splat(self.bases[side]));
+            sides[side] = self.bytes.side::<S>(self.sides[side], first).mul_add(step, S::splat(self.bases[side]));
         }
         let [near, far, u_low, u_high, v_low, v_high] = sides;
         BoxLanes { near, far, u: [u_low, u_high], v: [v_low, v_high] }
@@ -235,16 +268,42 @@ fn leaf_cells(dims: [u32; 3], bricks: &[u32], nodes: &[TreeNode], n_leaves: usiz
 fn measure(space: &CellSpace, cell: &LeafCell, mesh: &TracedMesh, triangles: &[u32], bytes: &mut [u8]) {
     const ROUNDING: f64 = 1e-3;
     let steps_per_cell = N_STEPS / f64::from(cell.size);
-    let n = triangles.len();
     for (index, &triangle) in triangles.iter().enumerate() {
         let [a, b, c] = mesh.corners(triangle).map(|corner| space.point_to_cells(Vec3::from_array(corner).as_dvec3()));
         let corner = glam::UVec3::from_array(cell.corner).as_dvec3();
         let low = ((a.min(b).min(c) - corner) * steps_per_cell + (FIRST_STEP - ROUNDING)).floor();
         let high = ((a.max(b).max(c) - corner) * steps_per_cell + (FIRST_STEP + ROUNDING)).ceil();
-        for axis in 0..3 {
-            // Conversions saturate: sides outside the cube get the ends of a byte's range.
-            bytes[2 * axis * n + index] = low[axis] as u8;
-            bytes[(2 * axis + 1) * n + index] = high[axis] as u8;
+        // Conversions saturate: sides outside the cube get the ends of a byte's range.
+        let sides = [0, 1, 2].map(|axis| [low[axis] as u8, high[axis] as u8]);
+        write_box(bytes, triangles.len(), index, sides);
+    }
+}
+
+/// Writes box `index` of `n`.
+fn write_box(bytes: &mut [u8], n: usize, index: usize, sides: [[u8; 2]; 3]) {
+    let group = index / GROUP * GROUP;
+    let n_in_group = (n - group).min(GROUP);
+    for (side, value) in sides.into_iter().flatten().enumerate() {
+        bytes[6 * group + side * n_in_group + index - group] = value;
+    }
+}
+
+/// The bounds of all groups.
+fn group_bounds(bytes: &[u8], leaf_starts: &[u32]) -> Vec<u8> {
+    let n_leaves = leaf_starts.len() as u32 - 1;
+    let mut group_bytes = vec![0; 6 * first_group(n_leaves, leaf_starts[n_leaves as usize] as usize) + PADDING];
+    for leaf in 0..n_leaves {
+        let (start, end) = (leaf_starts[leaf as usize] as usize, leaf_starts[leaf as usize + 1] as usize);
+        let n_groups = (end - start).div_ceil(GROUP);
+        let of_leaf = &mut group_bytes[6 * first_group(leaf, start)..];
+        for group in 0..n_groups {
+            let first = start + group * GROUP;
+            let n_in_group = (end - first).min(GROUP);
+            let row = |side: usize| bytes[6 * first + side * n_in_group..][..n_in_group].iter().copied();
+            let sides =
+                [0, 1, 2].map(|axis| [row(2 * axis).min().unwrap_or(u8::MAX), row(2 * axis + 1).max().unwrap_or(0)]);
+            write_box(of_leaf, n_groups, group, sides);
         }
     }
+    group_bytes
 }

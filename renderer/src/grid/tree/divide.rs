@@ -4,10 +4,12 @@
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::grid::tree::{
     BRICK_SIZE, LEVELS, Tree, TreeNode,
+    boxes::GROUP,
     overlap::{self, DILATION},
     scatter::Scatter,
 };
@@ -104,7 +106,7 @@ impl Builder<'_> {
         // Make it a leaf or a node.
         match self.plan(references, &cell) {
             None => {
-                part.push_leaf(references);
+                self.push_leaf(part, &cell, references);
                 (part.leaf_ends.len() as u32 - 1) | Tree::LEAF
             }
             Some(plan) => {
@@ -113,6 +115,25 @@ impl Builder<'_> {
                 part.nodes[root] = self.emit_node(part, &cell, &plan);
                 root as u32
             }
+        }
+    }
+
+    /// Adds a leaf. Its references follow a Morton curve through the cell, so that those of a group of boxes are close.
+    fn push_leaf(&self, part: &mut TreePart, cell: &BuildCell, references: &[u32]) {
+        let first = part.references.len();
+        part.references.extend_from_slice(references);
+        part.leaf_ends.push(part.references.len() as u32);
+        if references.len() > GROUP {
+            let scale = 16.0 / f64::from(cell.size());
+            let corner = DVec3::from_array(cell.corner.map(f64::from));
+            let key = |&triangle: &u32| {
+                let [a, b, c] = self.scatter.corners(triangle).unwrap_or_default();
+                let centroid = (a + b + c) * (1.0 / 3.0);
+                morton(
+                    ((centroid - corner) * scale).clamp(DVec3::ZERO, DVec3::splat(15.0)).to_array().map(|x| x as u32),
+                )
+            };
+            part.references[first..].sort_by_cached_key(key);
         }
     }
 
@@ -192,10 +213,10 @@ impl Builder<'_> {
             first_leaf: part.leaf_ends.len() as u32,
             ..TreeNode::default()
         };
-        for (child, _, child_plan) in &planned {
+        for (child, child_cell, child_plan) in &planned {
             node.occupied |= 1 << child;
             match child_plan {
-                None => part.push_leaf(plan.of(*child)),
+                None => self.push_leaf(part, child_cell, plan.of(*child)),
                 Some(_) => {
                     node.divided |= 1 << child;
                     part.nodes.push(TreeNode::default());
@@ -238,8 +259,12 @@ struct BuildCell {
 }
 
 impl BuildCell {
+    fn size(&self) -> u32 {
+        BRICK_SIZE >> (2 * self.level)
+    }
+
     fn child_size(&self) -> u32 {
-        BRICK_SIZE >> (2 * (self.level + 1))
+        self.size() / 4
     }
 
     fn child(&self, child: u32, plan: &ChildLists) -> Self {
@@ -288,11 +313,6 @@ impl TreePart {
         }
     }
 
-    fn push_leaf(&mut self, references: &[u32]) {
-        self.references.extend_from_slice(references);
-        self.leaf_ends.push(self.references.len() as u32);
-    }
-
     /// Appends the nodes and leaves of another; the caller adds its references.
     fn append(&mut self, other: &Self) -> Offset {
         let offset = Offset { node: self.nodes.len() as u32, leaf: self.leaf_ends.len() as u32 };
@@ -301,6 +321,13 @@ impl TreePart {
         self.leaf_ends.extend(other.leaf_ends.iter().map(|end| base + end));
         offset
     }
+}
+
+/// Interleaves the four lowest bits of three coordinates.
+fn morton(position: [u32; 3]) -> u16 {
+    let spread = |x: u32| x & 1 | (x & 2) << 2 | (x & 4) << 4 | (x & 8) << 6;
+    let [x, y, z] = position.map(spread);
+    (x | y << 1 | z << 2) as u16
 }
 
 /// Joins lists, in parallel: the first write to fresh memory waits for page faults.

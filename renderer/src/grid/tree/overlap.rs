@@ -114,12 +114,7 @@ fn block(first: [u32; 3], last: [u32; 3]) -> u64 {
 
 const LAST_CHILD: DVec3 = DVec3::splat(3.0);
 
-/// Index of a child at a position, 0..4 along each axis.
-#[inline]
-pub(crate) fn child_index([x, y, z]: [u32; 3]) -> u32 {
-    z << 4 | y << 2 | x
-}
-
+/// Position of child number z·16 + y·4 + x, 0..4 along each axis.
 #[inline]
 pub(crate) fn child_position(child: u32) -> [u32; 3] {
     [child & 3, child >> 2 & 3, child >> 4]

@@ -1,0 +1,86 @@
+//! Rays that share nothing, many at a time.
+
+use super::*;
+use crate::{
+    intersect::{InstructionSet, RayCost},
+    model::statue,
+};
+
+/// Directions of every kind: random, along axes, almost along axes, with zeros of either sign.
+fn direction() -> impl Strategy<Value = Vec3> {
+    let component =
+        prop_oneof![4 => -1.0..1.0f32, 1 => prop::sample::select(vec![0.0, -0.0, 1.0, -1.0, 1e-13, -1e-13, 1e-30])];
+    prop::array::uniform3(component)
+        .prop_map(Vec3::from_array)
+        .prop_filter("a direction", |direction| *direction != Vec3::ZERO)
+}
+
+/// A ray from a triangle's surface, lifted off by part of its size, or from anywhere.
+fn ray(mesh: &Mesh) -> impl Strategy<Value = Ray> + use<> {
+    let corners: Vec<_> = (0..mesh.triangles.len()).filter_map(|triangle| mesh.corners(triangle)).collect();
+    let on_surface = (prop::sample::select(corners), prop::array::uniform3(0.0..1.0f32), -1.0..1.0f32).prop_map(
+        |(corners, weights, lift)| {
+            let [a, b, c] = corners.map(Vec3::from_array);
+            let [u, v, w] = weights;
+            (a * u + b * v + c * w) / (u + v + w).max(1e-3) + (b - a).cross(c - a).normalize_or_zero() * lift * 1e-3
+        },
+    );
+    let anywhere = prop::array::uniform3(-8.0..8.0f32).prop_map(Vec3::from_array);
+    let length = prop_oneof![2 => Just(f32::MAX), 1 => Just(f32::INFINITY), 3 => 0.0..2.0f32, 1 => Just(0.0f32)];
+    (prop_oneof![3 => on_surface, 1 => anywhere], direction(), length)
+        .prop_map(|(origin, direction, t_max)| Ray { t_max, ..Ray::new(origin, direction) })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(8))]
+
+    /// The statue's leaves have many groups of boxes.
+    #[test]
+    fn rays_from_surfaces_hit_as_by_brute_force_in_any_batch_with_any_instructions(
+        rays in prop::collection::vec(ray(&statue::generate(6000, &|_| ())), 1..80),
+    ) {
+        let mesh = statue::generate(6000, &|_| ());
+        let (mut hits, mut occluded) = (vec![Hit::MISS; rays.len()], vec![false; rays.len()]);
+        let grid = build(&mesh);
+        grid.intersect_rays(&rays, &mut hits);
+        grid.occluded_rays(&rays, &mut occluded);
+        for (index, ray) in rays.iter().enumerate() {
+            prop_assert_eq!(grid.intersect(ray), hits[index]);
+            prop_assert_eq!(occluded[index], !hits[index].is_miss());
+            let whole = Ray { t_max: f32::MAX, ..*ray };
+            check(&mesh, &grid, &whole);
+            let unlimited = grid.intersect(&whole);
+            let is_beyond = unlimited.t > ray.t_max;
+            prop_assert!(hits[index] == unlimited || (hits[index].is_miss() && is_beyond), "{:?}", ray);
+        }
+        for instructions in InstructionSet::available() {
+            let grid = build(&mesh).with_instructions(instructions);
+            let mut same = vec![Hit::MISS; rays.len()];
+            grid.intersect_rays(&rays, &mut same);
+            prop_assert_eq!(&same, &hits, "{:?}", instructions);
+        }
+    }
+}
+
+#[test]
+fn rays_that_lead_nowhere_miss_in_bounded_time() {
+    let grid = build(&statue::generate(6000, &|_| ()));
+    let numbers = [0.0, -0.0, 1.0, f32::MIN_POSITIVE, f32::MAX, f32::INFINITY, f32::NEG_INFINITY, f32::NAN];
+    let mut rays = Vec::new();
+    for a in numbers {
+        for b in numbers {
+            for (t_min, t_max) in [(0.0, f32::MAX), (a, b), (f32::NAN, 1.0), (0.0, f32::NAN), (1.0, 0.0)] {
+                rays.push(Ray { origin: Vec3::new(a, 0.5, b), direction: Vec3::new(b, a, 1.0), t_min, t_max });
+                rays.push(Ray { origin: Vec3::splat(a), direction: Vec3::splat(b), t_min, t_max });
+            }
+        }
+    }
+    let mut hits = vec![Hit::MISS; rays.len()];
+    grid.intersect_rays(&rays, &mut hits);
+    for (ray, hit) in rays.iter().zip(&hits) {
+        let is_sound = ray.origin.is_finite() && ray.direction.is_finite() && ray.t_min <= ray.t_max;
+        assert!(is_sound || hit.is_miss(), "{ray:?} hits {hit:?}");
+        let RayCost { n_cells, n_tests } = grid.cost(ray);
+        assert!(n_cells < 1000 && n_tests < 6000, "{ray:?}");
+    }
+}
