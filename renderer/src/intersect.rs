@@ -6,7 +6,6 @@
 //! [`packet`] traces many rays together, and is compiled for each instruction set of [`crate::simd`]. [`margins`]
 //! bounds rounding errors. [`clip`] traces rays in a scene that a plane cuts open.
 
-#[expect(clippy::needless_range_loop, reason = "an axis indexes several arrays at once")]
 mod bricks;
 pub mod clip;
 #[expect(clippy::needless_range_loop, reason = "an axis indexes several arrays at once")]
@@ -19,7 +18,6 @@ mod grid_ray;
 mod margins;
 mod packet;
 pub mod ray;
-#[expect(clippy::needless_range_loop, reason = "an axis or a corner indexes several arrays at once")]
 mod rays;
 pub mod triangle;
 pub(crate) mod walk;
