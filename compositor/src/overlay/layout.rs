@@ -4,7 +4,7 @@ use egui::{Align2, Rect};
 
 use super::style::PANEL_PADDING;
 
-/// What a panel shows.
+/// The contents of a panel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Part {
     Figures,

@@ -133,7 +133,7 @@ impl NewFile {
     }
 }
 
-/// What is there; follows links as far as the system lets it: in /tmp, it refuses those of other users.
+/// The metadata of a file; follows links as far as the system lets it: in /tmp, it refuses those of other users.
 fn old_file(path: &Path) -> io::Result<Option<Metadata>> {
     match fs::metadata(path) {
         Ok(metadata) if metadata.is_dir() => Err(io::ErrorKind::IsADirectory.into()),

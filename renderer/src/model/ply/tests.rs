@@ -241,7 +241,7 @@ fn models_that_fit_single_precision_have_no_origin() {
         let as_f32: Vec<f32> = row.split_whitespace().map(|number| number.parse().unwrap()).collect();
         assert_eq!(mesh.vertices[1].to_vec(), as_f32);
     }
-    // What cannot be traced is no reason to move the rest.
+    // A vertex that cannot be traced is no reason to move the rest.
     for row in ["nan 0.1 0\n", "1e39 0 0\n", "inf 0 0\n"] {
         let mesh = mesh(TRIANGLE.replace("float", "double").replace("1 0 0\n", row));
         assert_eq!((mesh.origin, mesh.n_rejected), (DVec3::ZERO, 1), "{row}");
