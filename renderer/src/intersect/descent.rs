@@ -28,9 +28,6 @@ pub(super) trait LeafVisitor {
     /// Visits a leaf whose triangles matter within `s_range`, in units of `slabs`.
     fn visit<S: Simd>(&mut self, tree: &Tree, leaf: u32, slabs: &LeafSlabs, s_range: [f32; 2]);
 
-    /// Decides all that waits; called at the end of each brick.
-    fn settle<S: Simd>(&mut self);
-
     /// The t beyond which nothing matters any more.
     fn t_end(&self) -> f64;
 }
@@ -84,7 +81,6 @@ pub(super) fn descend<S: Simd>(space: &CellSpace, tree: &Tree, ray: &Ray, visito
             } else {
                 n_cells += descend_brick::<S>(tree, &walk, &local, brick, s_range, visitor);
             }
-            visitor.settle::<S>();
         }
         if !walk.step(visitor.t_end()) {
             return n_cells;

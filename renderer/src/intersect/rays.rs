@@ -164,8 +164,6 @@ impl<F: FnMut(u32)> LeafVisitor for Candidates<F> {
         tree.references[tree.references_of(leaf)].iter().copied().for_each(&mut self.0);
     }
 
-    fn settle<S: Simd>(&mut self) {}
-
     fn t_end(&self) -> f64 {
         f64::INFINITY
     }
@@ -188,7 +186,8 @@ impl<const ANY: bool> LeafVisitor for TriangleTester<'_, ANY> {
         let triangles = &tree.references[references.clone()];
         let boxes = tree.boxes.of_leaf(references.clone());
         if triangles.len() <= GROUP {
-            return self.visit_group::<S>(slabs, s_range, boxes, 0, triangles);
+            self.visit_group::<S>(slabs, s_range, boxes, 0, triangles);
+            return self.settle::<S>();
         }
 
         // Test the bounds of the groups, then the triangles of those that the ray passes.
@@ -204,17 +203,7 @@ impl<const ANY: bool> LeafVisitor for TriangleTester<'_, ANY> {
             }
             first_group += S::LANES;
         }
-    }
-
-    #[inline(always)]
-    fn settle<S: Simd>(&mut self) {
-        let n = std::mem::take(&mut self.n_waiting);
-        let mut first = 0;
-        while first < n {
-            let end = (first + S::Double::LANES).min(n);
-            self.test::<S::Double>(first, end);
-            first = end;
-        }
+        self.settle::<S>();
     }
 
     #[inline(always)]
@@ -251,6 +240,18 @@ impl<'a, const ANY: bool> TriangleTester<'a, ANY> {
                 }
             }
             offset += S::LANES;
+        }
+    }
+
+    /// Decides all triangles that wait.
+    #[inline(always)]
+    fn settle<S: Simd>(&mut self) {
+        let n = std::mem::take(&mut self.n_waiting);
+        let mut first = 0;
+        while first < n {
+            let end = (first + S::Double::LANES).min(n);
+            self.test::<S::Double>(first, end);
+            first = end;
         }
     }
 
