@@ -109,12 +109,12 @@ fn a_wrong_request_or_camera_ends_with_one_line() {
     prepare(folder);
     std::fs::write(folder.join("flat.cam"), "eye 0 0 1\nll 0 0 0\nu 1 0 0\nv 2 0 0\n").unwrap();
     let orders = [
-        ("frame", "is not an order"),
         ("frame plücker 1 1 0 view.cam", "packet or single"),
         ("frame packet 1 0 0 view.cam", "frames"),
         ("frame packet 1 1 0 none.cam", "none.cam"),
         ("frame packet 1 1 0 flat.cam", "no area"),
         ("frame packet 1 1 0 statue.ply", "statue.ply"),
+        ("rays single 1 1 0 view.cam", "rays have 32 bytes"),
     ];
     for (order, expected) in orders {
         let mut peer = Program::command("examples/peer_bench");
@@ -124,6 +124,38 @@ fn a_wrong_request_or_camera_ends_with_one_line() {
         assert!(!output.status.success() && said.contains(expected) && !said.contains("panicked"), "{order}: {said}");
         assert_eq!(said.trim().lines().count(), 1, "{said}");
     }
+
+    // Orders that only other ray tracers know are answered.
+    let mut peer = Program::command("examples/peer_bench");
+    peer.args(["--model", "statue.ply"]).current_dir(folder);
+    let output = run(peer, "frame\nrays packet 1 1 0 view.rays\n");
+    let said = str::from_utf8(&output.stdout).unwrap();
+    assert!(output.status.success() && said.matches(r#""event":"error""#).count() == 2, "{said}");
+}
+
+#[test]
+fn ray_files_are_answered_with_the_hits_of_their_rays() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    prepare(folder);
+    // Down the statue's axis, and past it.
+    let rays: [[f32; 8]; 3] = [
+        [0.0, 99.0, 0.0, 0.0, 0.0, -1.0, 0.0, f32::INFINITY],
+        [0.0, 99.0, 0.0, 0.0, 0.0, -1.0, 0.0, 10.0],
+        [50.0, 99.0, 0.0, 0.0, 0.0, -1.0, 0.0, f32::INFINITY],
+    ];
+    let bytes: Vec<u8> = rays.iter().flatten().flat_map(|number| number.to_le_bytes()).collect();
+    std::fs::write(folder.join("down.rays"), bytes).unwrap();
+    let mut peer = Program::command("examples/peer_bench");
+    peer.args(["--model", "statue.ply"]).current_dir(folder);
+    let output = run(peer, "rays single 1 2 0 down.rays\nrays single 2 1 1 down.rays\n");
+    let answers: Vec<Value> =
+        str::from_utf8(&output.stdout).unwrap().lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    for answer in &answers[1..] {
+        assert_eq!((answer["rays"].as_u64(), answer["hits"].as_u64()), (Some(3), Some(1)), "{answer}");
+    }
+    assert!(answers[1]["sum"].as_u64() > Some(0) && answers[1]["cpu_ms"].as_array().unwrap().len() == 2);
+    assert_eq!(answers.len(), 3);
 }
 
 #[test]
