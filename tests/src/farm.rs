@@ -184,9 +184,9 @@ fn any_number_of_renderers_gives_the_samples_that_one_gives_alone() {
             Program::succeed(command);
             for frame in files.frames() {
                 assert_eq!(frame["samples_blake3"], expected.as_str(), "{n_renderers} renderers, {division}");
-                assert_eq!(nodes_of(&frame).len(), n_renderers);
-                assert_eq!((&frame["division"], &frame["attempts"]), (&division.into(), &1.into()));
+                assert_eq!(frame["division"], division);
             }
+            assert_eq!(nodes_of(&files.frames()[0]).len(), n_renderers, "the first frame waits for all");
         }
     }
 }
@@ -444,6 +444,9 @@ fn a_local_renderer_that_the_system_kills_is_reported_with_the_likely_cause() {
     let pid = local_renderers_of(&wall)[0].to_string();
     assert!(Command::new("kill").args(["-KILL", &pid]).status().unwrap().success());
     wall.wait_for("was killed, most likely by the system because memory ran out: lower --memory-budget");
+    // The other goes on alone, though the first frame waited for both.
+    let n_frames = wall.count("frame shown");
+    wall.wait_for_count("frame shown", n_frames + 5);
     wall.signal("TERM");
     let (_, said) = wall.wait();
     assert_eq!(said.matches("was killed").count(), 1, "the wall ends the other one itself\n{said}");

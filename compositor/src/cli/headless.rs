@@ -126,6 +126,10 @@ fn next_frame(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Option<Frame>> {
             return Ok(None);
         }
         if let Some(frame) = farm.take_frame() {
+            // Only the first frame waits for render servers that are missing.
+            if farm.goal().min_renderers > 1 {
+                farm.update_goal(|goal| goal.min_renderers = 1);
+            }
             return Ok(Some(frame));
         }
         if wait(farm, wakeups)? == Wakeup::Stop {
@@ -155,7 +159,10 @@ fn waiting_for(status: &FarmStatus, n_needed: usize, address: SocketAddr) -> Str
     let (n_joined, n_ready) = (status.nodes.len(), status.nodes.iter().filter(|node| node.is_ready()).count());
     let last = status.message.as_ref().map(|message| format!("; last: {message}")).unwrap_or_default();
     if n_joined < n_needed {
-        format!("{n_joined} of {n_needed} render servers have joined; start one with: renderer connect {address}{last}")
+        format!(
+            "{n_joined} of {n_needed} render servers have joined; start one with: renderer connect {address}, and the \
+             wall's --key if it has one{last}"
+        )
     } else if n_ready < n_needed {
         format!("{n_ready} of {n_joined} render servers have the model{last}")
     } else {
@@ -188,7 +195,7 @@ mod tests {
             round_trip_ms: None,
         };
         let line = |nodes| waiting_for(&FarmStatus { nodes, ..FarmStatus::default() }, 1, address);
-        assert!(line(vec![]).ends_with("start one with: renderer connect 127.0.0.1:7117"));
+        assert!(line(vec![]).contains("start one with: renderer connect 127.0.0.1:7117, "));
         assert_eq!(line(vec![node(SceneState::Loading { progress: 0.5 })]), "0 of 1 render servers have the model");
         let ready = SceneState::Ready { triangles: 1, bytes: 1, grid: None };
         assert_eq!(line(vec![node(ready)]), "1 render servers are rendering a frame");

@@ -7,6 +7,7 @@ use channel::key::{Key, make_key_command};
 use renderer::{
     cli::{
         check_writable,
+        picture_args::guessed_up,
         progress::Progress,
         say,
         stop::{self, Signal, Stopped},
@@ -90,7 +91,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
     let film = path.map(|path| Film { path, fps: args.fps, most: args.frames.unwrap_or(u32::MAX) });
     let camera = camera.or_else(|| film.as_ref().map(|film| film.path.at(0.0))).unwrap_or_else(|| {
         let kept_up = || SidecarFiles::read(&model.source).views().and_then(|views| views.up);
-        let up = args.up.or_else(kept_up).unwrap_or(model.shape.up);
+        let up = args.up.or_else(kept_up).unwrap_or_else(|| guessed_up(&model.shape));
         Camera::view_all(&model.shape, up, aspect, CanvasPart::WHOLE)
     });
     let spec = FrameSpec {
@@ -269,7 +270,7 @@ fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
     }
     let listener = runtime.block_on(TcpListener::bind(&*addresses)).with_context(|| {
         let host = address.rsplit_once(':').map_or(&*address, |(host, _)| host);
-        format!("cannot listen on {address}: is another wall running? --listen {host}:0 takes a free port")
+        format!("cannot listen on {address}: is another wall running? --listen {host}:0 --local 2 takes a free port")
     })?;
     // Scripts and people read the address to connect to.
     say(format_args!("listening on {}", listener.local_addr()?))?;

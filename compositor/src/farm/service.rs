@@ -381,8 +381,8 @@ impl Service {
         self.status.send_modify(|status| {
             status.nodes.retain(|node| node.id != id);
             status.n_lost += 1;
-            status.message =
-                Some(format!("{name} lost: {reason}. The others render its share; start it again to have it back."));
+            let rest = if status.nodes.is_empty() { "No other is left" } else { "The others render its share" };
+            status.message = Some(format!("{name} lost: {reason}. {rest}; start it again to have it back."));
         });
         self.dispatch(Event::Lost { node: id });
         self.wake_for_news();
