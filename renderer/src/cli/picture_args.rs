@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use channel::files;
 use rayon::ThreadPool;
 use shared::{
-    camera::{Camera, CanvasPart, UpAxis},
+    camera::{Camera, CanvasPart, Shape, UpAxis},
     division::FrameSize,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::SceneId,
@@ -34,6 +34,14 @@ pub struct ModelArgs {
     #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES, conflicts_with = "model",
         value_parser = between(100..=SceneId::LARGEST_STATUE))]
     pub triangles: u32,
+}
+
+/// The axis that points up where nobody chose one, told in the log unless it is the usual.
+pub fn guessed_up(shape: &Shape) -> UpAxis {
+    if shape.up != UpAxis::Y {
+        tracing::info!("{} is guessed to point up: --up chooses another axis", shape.up);
+    }
+    shape.up
 }
 
 impl ModelArgs {
@@ -104,7 +112,7 @@ impl PictureArgs {
     pub fn view_all(&self, mesh: &Mesh) -> Camera {
         let aspect = f64::from(self.size.xres()) / f64::from(self.size.yres());
         let shape = mesh.shape();
-        Camera::view_all(&shape, self.up.unwrap_or(shape.up), aspect, CanvasPart::WHOLE)
+        Camera::view_all(&shape, self.up.unwrap_or_else(|| guessed_up(&shape)), aspect, CanvasPart::WHOLE)
     }
 
     /// Builds the grid on the current rayon pool, with a progress bar.

@@ -73,6 +73,10 @@ pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Loa
             if n_rejected == mesh.triangles.len() {
                 return Err(LoadError::NoneUsable { path, n_vertices, n_rejected });
             }
+            if n_rejected > 0 {
+                let (path, n) = (path.display(), mesh.triangles.len());
+                tracing::warn!("{path}: {n_rejected} of {n} triangles are left out: a corner is missing or not finite");
+            }
             if mesh.origin != DVec3::ZERO {
                 let DVec3 { x, y, z } = mesh.origin;
                 let rounding = mesh.largest_rounding();
