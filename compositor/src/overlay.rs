@@ -149,6 +149,10 @@ pub(crate) struct OverlayOutput {
     pub commands: Vec<Command>,
     /// The parts of the window that the overlay covers, in points.
     pub areas: Vec<Rect>,
+    /// Those of panels.
+    pub panels: Vec<Rect>,
+    /// Whether the panels are a dialog, which covers the model for a moment.
+    pub has_dialog: bool,
 }
 
 /// Shows the overlay; `ui` is the whole window.
@@ -164,6 +168,8 @@ pub(crate) fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
         let area = show_panel(ui, &layout, panel, model, &mut output.commands);
         output.areas.push(area);
     }
+    output.panels.clone_from(&output.areas);
+    output.has_dialog = model.help || model.files.is_some();
     let texts = show_texts(ui, layout.free, model, &mut output.commands);
     settle(ui, output.areas.iter().copied().chain(texts).collect());
     // Notes and the legend take no clicks.

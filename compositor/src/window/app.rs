@@ -68,6 +68,8 @@ pub(super) struct App<'a> {
     overlay: OverlayModel,
     /// The parts of the leading window that the overlay covers.
     overlay_areas: Vec<egui::Rect>,
+    /// The panels beside which the model makes room, in points.
+    panels: Vec<egui::Rect>,
     outputs: Outputs,
 }
 
@@ -111,6 +113,7 @@ impl<'a> App<'a> {
             presentation: Presentation { is_stale: true, ..Presentation::default() },
             overlay,
             overlay_areas: Vec::new(),
+            panels: Vec::new(),
             outputs: Outputs::new(&inputs.wall, args.fullscreen || args.kiosk.is_some()),
             wall: Alignment::new(args.show.wall.clone(), inputs.wall),
         }

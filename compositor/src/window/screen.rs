@@ -66,9 +66,9 @@ impl Screen {
         let mut output = OverlayOutput::default();
         // egui may run twice; only the first time sees clicks.
         let full = context.run_ui(input, |ui| {
-            let OverlayOutput { commands, areas } = overlay::show(ui, model);
-            output.commands.extend(commands);
-            output.areas = areas;
+            let mut shown = overlay::show(ui, model);
+            shown.commands.splice(..0, std::mem::take(&mut output.commands));
+            output = shown;
         });
         let repaint_after =
             full.viewport_output.get(&egui::ViewportId::ROOT).map_or(Duration::MAX, |viewport| viewport.repaint_delay);

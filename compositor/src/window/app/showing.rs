@@ -97,7 +97,9 @@ impl App<'_> {
         let now = Instant::now();
         self.presentation.retry_at = drawn.is_incomplete.then(|| now + RETRY_INTERVAL);
         self.presentation.repaint_at = now.checked_add(drawn.repaint_after);
-        if std::mem::replace(&mut self.overlay_areas, drawn.overlay.areas) != self.overlay_areas {
+        self.overlay_areas = drawn.overlay.areas;
+        if !drawn.overlay.has_dialog && self.panels != drawn.overlay.panels {
+            self.panels = drawn.overlay.panels;
             let effect = self.camera.make_room(&self.free_parts(), now);
             self.apply(effect);
         }

@@ -373,7 +373,7 @@ impl App<'_> {
             let (min, max) = (corners.into_iter().reduce(DVec2::min), corners.into_iter().reduce(DVec2::max));
             CanvasPart { min: min.unwrap_or_default(), max: max.unwrap_or_default() }
         };
-        free_parts(&self.overlay_areas.iter().map(panel).collect::<Vec<_>>())
+        free_parts(&self.panels.iter().map(panel).collect::<Vec<_>>())
     }
 
     fn cursor_is_over_overlay(&self) -> bool {
