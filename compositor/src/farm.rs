@@ -53,7 +53,7 @@ pub struct RenderGoal {
     pub is_refinement: bool,
     /// How frames are divided.
     pub division: Division,
-    /// No frame starts while fewer render servers are ready.
+    /// The first frame waits until so many render servers are ready, and the next one does if this number changes.
     pub min_renderers: u32,
     /// Render frame after frame, even if nothing changes.
     pub repeat: bool,

@@ -126,10 +126,6 @@ fn next_frame(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Option<Frame>> {
             return Ok(None);
         }
         if let Some(frame) = farm.take_frame() {
-            // Only the first frame waits for render servers that are missing.
-            if farm.goal().min_renderers > 1 {
-                farm.update_goal(|goal| goal.min_renderers = 1);
-            }
             return Ok(Some(frame));
         }
         if wait(farm, wakeups)? == Wakeup::Stop {

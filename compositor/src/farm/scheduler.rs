@@ -112,6 +112,8 @@ pub struct Scheduler {
     goal: RenderGoal,
     /// Whether no frame has been started for `goal` yet.
     is_stale: bool,
+    /// Whether no frame has been started since `goal.min_renderers` was set.
+    waits_for_renderers: bool,
     /// The spec of the finished frame that waits to be taken, if there is one.
     untaken_spec: Option<FrameSpec>,
     /// Frames in flight, in the order in which they will be shown.
@@ -132,6 +134,7 @@ impl Scheduler {
             nodes: BTreeMap::new(),
             goal,
             is_stale: true,
+            waits_for_renderers: true,
             untaken_spec: None,
             frames: VecDeque::new(),
             balance: Balance::default(),
@@ -225,6 +228,7 @@ impl Scheduler {
     fn set_goal(&mut self, now: Time, goal: RenderGoal, actions: &mut Vec<Action>) {
         let is_other_scene = goal.spec.map(|spec| spec.scene) != self.scene();
         let is_other = (goal.spec, goal.division) != (self.goal.spec, self.goal.division);
+        self.waits_for_renderers |= goal.min_renderers != self.goal.min_renderers;
         self.goal = goal;
         self.is_stale |= is_other;
         // Finish the first frame in flight, or nothing would be shown while the camera keeps moving, and finish frames
@@ -299,10 +303,11 @@ impl Scheduler {
             return false;
         }
         let nodes = self.ready_nodes();
-        if nodes.is_empty() || nodes.len() < self.goal.min_renderers as usize {
+        let has_too_few = self.waits_for_renderers && nodes.len() < self.goal.min_renderers as usize;
+        if nodes.is_empty() || has_too_few {
             return false;
         }
-        self.is_stale = false;
+        (self.is_stale, self.waits_for_renderers) = (false, false);
         self.last_frame.0 += 1;
         let mut frame = FrameInFlight::new(self.last_frame, spec, self.goal.is_refinement, division, now);
         // Only the first frame that shows a motion measures its latency. The very first frame waited for the model.

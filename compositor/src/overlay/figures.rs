@@ -67,7 +67,7 @@ fn waiting(ui: &mut Ui, model: &OverlayModel) {
             ui.label(RichText::new(&model.join.command).monospace().color(style::ACCENT));
             ui.label(RichText::new(&model.join.note).small());
         });
-    } else if n_ready < model.min_renderers as usize {
+    } else if model.frame.is_none() && n_ready < model.min_renderers as usize {
         callout(ui, style::ACCENT, |ui| {
             ui.label(format!("Waiting for render servers: {n_ready} of {} are ready.", model.min_renderers));
         });

@@ -214,11 +214,12 @@ fn without_render_servers_the_wall_says_how_to_start_one() {
 }
 
 #[test]
-fn too_few_render_servers_are_counted() {
+fn too_few_render_servers_are_counted_before_the_first_frame() {
+    const WAITING: &str = "Waiting for render servers: 2 of 3 are ready.";
+    let model = OverlayModel { min_renderers: 3, frame: None, ..running() };
+    commands_of(&model, |harness| _ = harness.get_by_label(WAITING));
     let model = OverlayModel { min_renderers: 3, ..running() };
-    commands_of(&model, |harness| {
-        harness.get_by_label("Waiting for render servers: 2 of 3 are ready.");
-    });
+    commands_of(&model, |harness| assert!(harness.query_by_label(WAITING).is_none()));
 }
 
 #[test]

@@ -201,6 +201,19 @@ fn nothing_is_rendered_until_enough_are_ready() {
     assert!(farm.at_work.is_empty());
     farm.on(Event::SceneReady { node: B, ready: true });
     assert_eq!(farm.at_work.len(), 2);
+
+    // Once a frame has begun, those that are left render alone, unless the wall asks for others.
+    farm.lose(B);
+    while !farm.at_work.is_empty() {
+        farm.answer(A);
+    }
+    farm.on(Event::FrameTaken);
+    farm.on(Event::GoalChanged(RenderGoal { min_renderers: 2, ..goal(Division::Interleaved) }));
+    assert_eq!(farm.at_work.len(), 1);
+    farm.answer(A);
+    farm.on(Event::FrameTaken);
+    farm.on(Event::GoalChanged(RenderGoal { min_renderers: 3, ..goal(Division::Tiled) }));
+    assert!(farm.at_work.is_empty());
 }
 
 #[test]
