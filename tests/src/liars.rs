@@ -85,7 +85,7 @@ pub(crate) fn lie(
     answer_tasks(stream, answer)
 }
 
-/// What [`lie`] does once it has joined.
+/// The rest of [`lie`], once the node has joined.
 pub(crate) fn answer_tasks(
     stream: &mut TcpStream,
     mut answer: impl FnMut(&GivenTask) -> Vec<u8>,

@@ -41,7 +41,7 @@ pub struct PlyError {
     pub problem: Problem,
 }
 
-/// What is wrong with a PLY file, and where: lines count from 1, rows from 0.
+/// A fault of a PLY file, and its place: lines count from 1, rows from 0.
 #[derive(Debug, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum Problem {

@@ -87,7 +87,7 @@ impl App<'_> {
         let started_at = Instant::now();
         let drawn = match self.outputs.draw(&self.wall.wall, new_frame, &self.overlay) {
             Ok(Some(drawn)) => drawn,
-            // Whatever was to be shown has yet to be: a frame, or a change of the overlay.
+            // The frame, or the change of the overlay, is still to be shown.
             Ok(None) => {
                 self.presentation.retry_at = self.outputs.is_open().then(|| Instant::now() + RETRY_INTERVAL);
                 return;
