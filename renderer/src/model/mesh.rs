@@ -3,13 +3,16 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::model::{material::Materials, normal::Normal};
+
 /// A triangle mesh, in model space: the file's coordinates, which are world space, relative to an origin.
 ///
 /// At the coordinates of a map grid `f32` steps by half a metre, beside an origin on the model by micrometres.
 ///
 /// Invariant: every triangle either has indices of usable vertices or is [`Mesh::REJECTED`]. Rejected triangles are kept, so
 /// that a triangle's position in `triangles` is its file index.
-/// `colors` is empty or has one entry per vertex.
+/// `colors`, `normals` and `texture_coordinates` are empty or have one entry per vertex. Vertices that differ in one of these
+/// alone have equal positions, so hits do not depend on them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
     /// Positions. Vertices that no accepted triangle uses may hold any value, even NaN.
@@ -20,6 +23,13 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// sRGB colours of the vertices.
     pub colors: Vec<[u8; 3]>,
+    /// Normals of the vertices.
+    pub normals: Vec<Normal>,
+    /// Coordinates u and v of the vertices on textures, as glTF has them: (0, 0) is the upper left corner of the image, (1, 1)
+    /// the lower right. They may hold any value, even NaN.
+    pub texture_coordinates: Vec<[f32; 2]>,
+    /// The materials of the triangles.
+    pub materials: Materials,
     /// Number of triangles that are [`Mesh::REJECTED`].
     pub n_rejected: usize,
 }
@@ -105,6 +115,11 @@ impl Mesh {
 
     /// Bytes of the mesh in memory.
     pub fn n_bytes(&self) -> usize {
-        size_of_val(&*self.vertices) + size_of_val(&*self.triangles) + size_of_val(&*self.colors)
+        size_of_val(&*self.vertices)
+            + size_of_val(&*self.triangles)
+            + size_of_val(&*self.colors)
+            + size_of_val(&*self.normals)
+            + size_of_val(&*self.texture_coordinates)
+            + self.materials.n_bytes()
     }
 }
