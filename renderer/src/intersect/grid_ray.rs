@@ -27,7 +27,7 @@ pub(super) struct GridRay {
 
 impl GridRay {
     /// `None` for rays that are not finite, and for some that pass far from the grid.
-    #[inline]
+    #[inline(always)]
     pub(super) fn new(space: &CellSpace, ray: &Ray, dims: [i32; 3]) -> Option<Self> {
         let origin = space.point_to_cells(ray.origin.as_dvec3());
         let direction = space.direction_to_cells(ray.direction.as_dvec3());
@@ -40,8 +40,10 @@ impl GridRay {
 
     /// The interval of t, from `t_base` on, in which a ray may pass the grid's bounds, enlarged as its cells are; `None` if
     /// there is none.
+    ///
+    /// `inverse` is one over the direction.
     #[inline(always)]
-    pub(super) fn clip(&self, ray: &Ray, dims: [i32; 3]) -> Option<[f64; 2]> {
+    pub(super) fn clip(&self, ray: &Ray, inverse: &[f64; 3], dims: [i32; 3]) -> Option<[f64; 2]> {
         let mut t_enter = f64::from(ray.t_min) - self.t_base - self.t_slack;
         let mut t_end = f64::from(ray.t_max) - self.t_base + self.t_slack;
         for axis in 0..3 {
@@ -52,9 +54,10 @@ impl GridRay {
                     return None;
                 }
             } else {
-                let (a, b) = (low / self.direction[axis], high / self.direction[axis]);
-                t_enter = t_enter.max(a.min(b));
-                t_end = t_end.min(a.max(b));
+                let (a, b) = (low * inverse[axis], high * inverse[axis]);
+                let (near, far) = if a < b { (a, b) } else { (b, a) };
+                t_enter = if near > t_enter { near } else { t_enter };
+                t_end = if far < t_end { far } else { t_end };
             }
         }
         (t_enter <= t_end).then_some([t_enter, t_end])

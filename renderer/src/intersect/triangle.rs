@@ -34,18 +34,25 @@ pub(super) fn finish(ray: &Ray, certain_t: Option<f64>, corners: impl FnOnce() -
     (f64::from(ray.t_min)..=f64::from(ray.t_max)).contains(&t).then_some(t)
 }
 
-/// Decides on a ray and triangles whose corners lie in lanes, by corner and axis.
+/// Decides on pairs of a ray and a triangle, one a lane from `first` on: the rays' origins and directions by axis, and the
+/// triangles' corners by corner and axis.
 #[inline(always)]
-pub(super) fn decide_lanes<R: Real>(ray: &Ray, corners: &[[[f32; 8]; 3]; 3]) -> Decision<R> {
-    let (mut origin, mut direction, mut points) = ([R::splat(0.0); 3], [R::splat(0.0); 3], [[R::splat(0.0); 3]; 3]);
-    for axis in 0..3 {
-        origin[axis] = R::splat(f64::from(ray.origin[axis]));
-        direction[axis] = R::splat(f64::from(ray.direction[axis]));
-        for corner in 0..3 {
-            points[corner][axis] = R::load(&corners[corner][axis]);
-        }
+pub(super) fn decide_lanes<R: Real>(
+    origin: &[[f32; 16]; 3],
+    direction: &[[f32; 16]; 3],
+    corners: &[[[f32; 16]; 3]; 3],
+    first: usize,
+) -> Decision<R> {
+    let mut points = [[R::splat(0.0); 3]; 3];
+    for corner in 0..3 {
+        points[corner] = load(&corners[corner], first);
     }
-    EdgePlanes::new(origin, points).decide(direction)
+    EdgePlanes::new(load(origin, first), points).decide(load(direction, first))
+}
+
+#[inline(always)]
+fn load<R: Real>([x, y, z]: &[[f32; 16]; 3], first: usize) -> Vector<R> {
+    [R::load(&x[first..]), R::load(&y[first..]), R::load(&z[first..])]
 }
 
 /// The decision in `f64` on pairs of a ray and a triangle, with a bit for each pair in the masks.

@@ -59,7 +59,8 @@ pub(super) fn walk<C: CellStructure>(
 ) -> u32 {
     let dims = cells.dims();
     let Some(grid_ray) = GridRay::new(space, ray, dims) else { return 0 };
-    let Some([t_enter, t_end]) = grid_ray.clip(ray, dims) else { return 0 };
+    let inverse = grid_ray.direction.map(|d| 1.0 / d);
+    let Some([t_enter, t_end]) = grid_ray.clip(ray, &inverse, dims) else { return 0 };
     let GridRay { origin, direction, t_base, t_slack } = grid_ray;
     let inverse_direction = direction.map(|d| 1.0 / d);
 

@@ -57,10 +57,12 @@ pub(crate) struct BoxBytes<'a> {
     n: usize,
 }
 
-impl BoxBytes<'_> {
+impl<'a> BoxBytes<'a> {
+    /// The boxes from number `first` on, which begins a group.
     #[inline(always)]
-    pub(crate) fn n(&self) -> usize {
-        self.n
+    pub(crate) fn group(&self, first: usize) -> GroupBytes<'a> {
+        let n = (self.n - first).min(GROUP);
+        GroupBytes { bytes: &self.bytes[6 * first..6 * first + 6 * n + PADDING], n }
     }
 
     /// One side of the boxes from number `first` on: twice the axis, and one more for the greatest side.
@@ -69,6 +71,27 @@ impl BoxBytes<'_> {
         let group = first / GROUP * GROUP;
         let n_in_group = (self.n - group).min(GROUP);
         S::load_bytes(&self.bytes[6 * group + side * n_in_group + (first - group)..])
+    }
+}
+
+/// Boxes of one group.
+#[derive(Clone, Copy)]
+pub(crate) struct GroupBytes<'a> {
+    bytes: &'a [u8],
+    n: usize,
+}
+
+impl GroupBytes<'_> {
+    /// A bit for each box.
+    #[inline(always)]
+    pub(crate) fn mask(&self) -> u32 {
+        u32::MAX >> (32 - self.n)
+    }
+
+    /// One side of the boxes from number `first` on, as in [`BoxBytes::side`].
+    #[inline(always)]
+    pub(crate) fn side<S: Simd>(&self, side: usize, first: usize) -> S {
+        S::load_bytes(&self.bytes[side * self.n + first..])
     }
 }
 
@@ -127,6 +150,12 @@ impl QuantizedBoxes {
             S::prefetch(&self.bytes, at);
             at += 64;
         }
+    }
+
+    /// The boxes of a group of `n` references from `first` on.
+    #[inline(always)]
+    pub(crate) fn group(&self, first: usize, n: usize) -> GroupBytes<'_> {
+        GroupBytes { bytes: &self.bytes[6 * first..6 * (first + n) + PADDING], n }
     }
 
     /// The boxes of a leaf with these references.
