@@ -102,10 +102,13 @@ pub struct WallArgs {
     #[arg(long, help_heading = "Film", value_name = "F", default_value_t = 30.0, requires = "path",
         value_parser = pictures_per_second)]
     pub fps: f64,
-    /// Write each picture of the film, the whole wall at full resolution, to this folder, and go on with a film that was
-    /// begun there; with --headless and --path
+    /// Write each picture of the film, the whole wall at full resolution, to this folder; with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "FOLDER", requires = "path", requires = "headless")]
     pub pictures: Option<PathBuf>,
+    /// Go on after the last picture of the film that was begun in --pictures, with the same options; in an empty folder,
+    /// begin it
+    #[arg(long, help_heading = "Film", requires = "pictures")]
+    pub resume: bool,
     /// Write the film to this file, through ffmpeg; with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "FILE.mp4", requires = "path", requires = "headless",
         conflicts_with = "pictures", value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "mp4")))]
