@@ -82,7 +82,7 @@ pub struct PictureArgs {
     #[arg(long, value_name = "N", value_parser = between(1_u16..=1024))]
     threads: Option<u16>,
 
-    /// Shading of the samples: shaded, normals, or cost (cells visited in red, triangles tested in green)
+    /// Shading of the samples: shaded, normals, or cost (cells visited in blue, triangles tested in orange)
     #[arg(long, value_name = "VIEW", default_value = "shaded")]
     view: ShadingMode,
 
