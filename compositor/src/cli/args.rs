@@ -319,6 +319,17 @@ mod tests {
     }
 
     #[test]
+    fn a_model_needs_no_option() {
+        let path = |args: &[&str]| {
+            let args = Args::try_parse_from(["compositor"].iter().chain(args)).map_err(drop)?;
+            Ok(args.wall.show.model.path().map(PathBuf::from))
+        };
+        assert_eq!(path(&["scan.ply", "--headless"]), Ok(Some("scan.ply".into())));
+        assert_eq!(path(&["--model", "scan.ply"]), Ok(Some("scan.ply".into())));
+        assert_eq!(path(&["scan.ply", "--model", "scan.ply"]), Err(()));
+    }
+
+    #[test]
     fn the_wall_is_its_own_render_server() {
         let args = Args::parse_from(["compositor", "renderer", "connect", "127.0.0.1:1", "--local"]);
         assert!(matches!(args.command, Some(Command::Renderer(renderer::cli::Command::Connect(_)))));

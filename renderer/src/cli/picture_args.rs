@@ -27,11 +27,15 @@ use crate::{
 #[derive(Clone, Debug, clap::Args)]
 pub struct ModelArgs {
     /// The PLY file of the model [default: the built-in statue]
-    #[arg(long, value_name = "FILE")]
-    pub model: Option<PathBuf>,
+    #[arg(value_name = "MODEL")]
+    file: Option<PathBuf>,
+
+    /// The same as MODEL
+    #[arg(long, value_name = "FILE", conflicts_with = "file")]
+    model: Option<PathBuf>,
 
     /// Approximate number of triangles of the built-in statue
-    #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES, conflicts_with = "model",
+    #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES, conflicts_with_all = ["model", "file"],
         value_parser = between(100..=SceneId::LARGEST_STATUE))]
     pub triangles: u32,
 }
@@ -45,10 +49,15 @@ pub fn guessed_up(shape: &Shape) -> UpAxis {
 }
 
 impl ModelArgs {
+    /// The file, if one is given.
+    pub fn path(&self) -> Option<&Path> {
+        self.model.as_deref().or(self.file.as_deref())
+    }
+
     /// The file, or the statue.
     pub fn source(&self) -> SceneSource {
         let statue = SceneSource::Statue { triangles: self.triangles };
-        self.model.clone().map_or(statue, SceneSource::Ply)
+        self.path().map_or(statue, |path| SceneSource::Ply(path.to_owned()))
     }
 
     /// Loads the model, with a progress bar.
@@ -172,6 +181,17 @@ mod tests {
     struct Program {
         #[command(flatten)]
         picture: PictureArgs,
+    }
+
+    #[test]
+    fn a_model_is_given_with_or_without_its_option_but_once() {
+        for arguments in [&["a.ply"][..], &["--model", "a.ply"], &["--size", "8x8", "a.ply", "--view", "cost"]] {
+            let Program { picture } = cli::try_parse(["program"].iter().chain(arguments)).unwrap();
+            assert_eq!(picture.model.source(), SceneSource::Ply("a.ply".into()), "{arguments:?}");
+        }
+        for refused in [&["a.ply", "--model", "a.ply"][..], &["a.ply", "b.ply"], &["a.ply", "--triangles", "1000"]] {
+            assert!(cli::try_parse::<Program>(["program"].iter().chain(refused)).is_err(), "{refused:?}");
+        }
     }
 
     #[test]
