@@ -77,6 +77,15 @@ fn an_impossible_experiment_is_refused() {
 }
 
 #[test]
+fn an_up_axis_that_nothing_would_follow_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let camera = folder.path().join("camera.toml");
+    std::fs::write(&camera, "eye = [0, 0, 1]\nll = [-1, -1, 0]\nu = [2, 0, 0]\nv = [0, 2, 0]\n").unwrap();
+    let line = fails(compositor(&["--up", "z", "--camera", camera.to_str().unwrap()]));
+    assert!(line.contains("--up has no effect on a --camera"), "{line}");
+}
+
+#[test]
 fn a_port_in_use_is_reported() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let line = fails(compositor(&["--listen", &taken.local_addr().unwrap().to_string()]));

@@ -100,7 +100,7 @@ pub struct WallArgs {
     pub path: Option<PathBuf>,
     /// Pictures a second of the film, with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "F", default_value_t = 30.0, requires = "path",
-        value_parser = pictures_per_second)]
+        requires = "headless", value_parser = pictures_per_second)]
     pub fps: f64,
     /// Write each picture of the film, the whole wall at full resolution, to this folder; with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "FOLDER", requires = "path", requires = "headless")]
@@ -119,7 +119,7 @@ pub struct WallArgs {
     pub samples: Option<u32>,
     /// Frames a second while the camera moves: the resolution drops until this rate is reached; at rest the wall returns to
     /// native resolution. 0 keeps the resolution [default: 30 in a window, 0 with --headless, --size or --frames]
-    #[arg(long, value_name = "F", value_parser = target_rate)]
+    #[arg(long, value_name = "F", conflicts_with_all = ["pictures", "film"], value_parser = target_rate)]
     pub target_rate: Option<f64>,
     /// The address or name on which to wait for render servers; port 0 takes a free port [default: 127.0.0.1:7117]
     #[arg(long, help_heading = "Render servers", value_name = "HOST:PORT")]
@@ -159,14 +159,14 @@ pub struct WallArgs {
     #[arg(long, value_name = "WxH")]
     pub size: Option<FrameSize>,
     /// Fill the screen; a wall whose file names outputs always fills them
-    #[arg(long, help_heading = "Window")]
+    #[arg(long, help_heading = "Window", conflicts_with = "headless")]
     pub fullscreen: bool,
     /// The wall's content while no render server is left, and after a crash until the restart [default: as in the wall
     /// file, or last-frame]
-    #[arg(long, help_heading = "Window", value_name = "WHAT")]
+    #[arg(long, help_heading = "Window", value_name = "WHAT", conflicts_with = "headless")]
     pub on_loss: Option<OnLoss>,
     /// Show all of a wall whose file names outputs in one window
-    #[arg(long, help_heading = "Window")]
+    #[arg(long, help_heading = "Window", conflicts_with = "headless")]
     pub spanning: bool,
     /// Kiosk: fill the screen, let visitors steer and nothing else, and return to the path or the whole model after this
     /// many seconds without input, 60 unless given; Ctrl+L unlocks
@@ -299,6 +299,17 @@ mod tests {
             let args = ["compositor".to_owned(), format!("--target-rate={refused}")];
             assert!(Args::try_parse_from(args).is_err(), "{refused}");
         }
+    }
+
+    #[test]
+    fn options_without_effect_are_refused() {
+        let is_refused = |args: &[&str]| Args::try_parse_from(["compositor"].iter().chain(args)).is_err();
+        for window in [&["--fullscreen"][..], &["--spanning"], &["--on-loss", "black"], &["--kiosk"]] {
+            assert!(!is_refused(window) && is_refused(&[&["--headless"], window].concat()), "{window:?}");
+        }
+        assert!(is_refused(&["--path", "p", "--fps", "10"]) && is_refused(&["--resume"]));
+        let film = ["--headless", "--path", "p", "--pictures", "film"];
+        assert!(!is_refused(&film) && is_refused(&[&film[..], &["--target-rate", "30"]].concat()));
     }
 
     #[test]

@@ -70,6 +70,9 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
 }
 
 fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyhow::Result<()> {
+    if args.up.is_some() && (camera.is_some() || path.is_some()) {
+        bail!("--up has no effect on a --camera or --path without a window: leave out one of them");
+    }
     let n_frames = args.frames.unwrap_or(10);
     let (aspect, size) = (wall.aspect(), wall.frame_size());
     let mut refinement = Refinement::new(args.refinement(&wall));

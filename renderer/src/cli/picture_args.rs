@@ -80,7 +80,7 @@ pub struct PictureArgs {
     camera: Option<PathBuf>,
 
     /// The model's axis that points up when no camera is given: x, y or z [default: guessed from what the model stands on]
-    #[arg(long, value_name = "AXIS")]
+    #[arg(long, value_name = "AXIS", conflicts_with = "camera")]
     up: Option<UpAxis>,
 
     /// Size of the frame in samples
