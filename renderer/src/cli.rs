@@ -239,6 +239,7 @@ mod tests {
                 &["trace", "--camera", "a", "--up", "x", "--image", "a.png"],
                 "'--camera <FILE>' cannot be used with '--up <AXIS>'",
             ),
+            (&["generate", "statue", "st.obj"], "no other format is written: give a name that ends with .ply"),
             (&["trace", "a.ply", "--model", "b.ply"], "argument '[MODEL]' cannot be used with '--model <FILE>'"),
         ] {
             let line = one_line(&try_parse::<Cli>(["renderer"].iter().chain(arguments)).unwrap_err());
