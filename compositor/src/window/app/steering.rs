@@ -85,8 +85,7 @@ impl App<'_> {
             }
             Command::NextUpAxis => {
                 let parts = self.free_parts();
-                let effect = self.camera.steer(now, |navigator| navigator.next_up_axis(&parts));
-                effect.with_note(format!("Up: {}", self.camera.up().0))
+                self.camera.steer(now, |navigator| navigator.next_up_axis(&parts))
             }
             Command::GoToView(number) => {
                 let look = self.camera.view(number).and_then(|view| view.look);
