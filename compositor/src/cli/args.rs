@@ -91,9 +91,9 @@ pub struct WallArgs {
     /// The model, the wall and the camera.
     #[command(flatten)]
     pub show: ShowArgs,
-    /// The model's axis that points up: x, y or z [default: the one in the file of the model's views, or
+    /// The model's axis that points up: x, y, z, -x, -y or -z [default: the one in the file of the model's views, or
     /// guessed from what the model stands on]
-    #[arg(long, value_name = "AXIS")]
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
     /// A recorded camera path, which is repeated; with --headless it is followed once, as a film
     #[arg(long, help_heading = "Film", value_name = "FILE.toml", conflicts_with = "camera")]

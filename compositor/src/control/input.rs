@@ -203,7 +203,7 @@ pub const KEYS: &[KeyBinding] = {
         row(&[CtrlAnyDigit], Trigger(KeepView(0)), "keep this view beside the model"),
         row(&[Letter('c')], Trigger(ToggleRecording), "record the camera, or end the recording"),
         row(&[Named(NamedKey::Space)], Trigger(TogglePlaying), "play the recorded camera path, or stop"),
-        row(&[Letter('u')], Trigger(NextUpAxis), "next up axis: y, z, x"),
+        row(&[Letter('u')], Trigger(NextUpAxis), "next up axis: y, z, x, -y, -z, -x"),
         row(&[Letter('h')], Trigger(NextDivision), "next heuristic: interleaved, tiled, dynamic"),
         row(&[Letter('v')], Trigger(NextShading), "next view: shaded, normals, cost"),
         row(&[Letter('r')], Trigger(NextLighting), "next rays: auto, primary, shadows, ambient"),

@@ -79,8 +79,8 @@ pub struct PictureArgs {
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
 
-    /// The model's axis that points up when no camera is given: x, y or z [default: guessed from what the model stands on]
-    #[arg(long, value_name = "AXIS", conflicts_with = "camera")]
+    /// The model's axis that points up when no camera is given: x, y, z, -x, -y or -z [default: guessed from what the model stands on]
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true, conflicts_with = "camera")]
     up: Option<UpAxis>,
 
     /// Size of the frame in samples
@@ -192,6 +192,13 @@ mod tests {
         for refused in [&["a.ply", "--model", "a.ply"][..], &["a.ply", "b.ply"], &["a.ply", "--triangles", "1000"]] {
             assert!(cli::try_parse::<Program>(["program"].iter().chain(refused)).is_err(), "{refused:?}");
         }
+    }
+
+    #[test]
+    fn the_opposite_of_an_axis_may_point_up() {
+        let Program { picture } = cli::try_parse(["program", "--up", "-z"]).unwrap();
+        let camera = picture.view_all(&statue::generate(1000, &|_| ()));
+        assert!(camera.v().z < 0.0 && camera.v().z.abs() > camera.v().y.abs(), "{}", camera.v());
     }
 
     #[test]
