@@ -45,6 +45,8 @@ pub(crate) enum Command {
     Choose(usize),
     OpenEntry(usize),
     OpenParent,
+    /// Take the last typed letter away.
+    Untype,
     GoToCursor,
     NextUpAxis,
     NextDivision,
@@ -80,7 +82,7 @@ pub(crate) enum Command {
 
 impl Command {
     pub(crate) fn repeats(self) -> bool {
-        matches!(self, Self::MoveClip(_) | Self::Undo | Self::Redo)
+        matches!(self, Self::MoveClip(_) | Self::Undo | Self::Redo | Self::Choose(_) | Self::Untype)
     }
 
     /// Whether visitors of a locked wall may give it.
