@@ -211,6 +211,25 @@ fn an_idle_kiosk_returns_to_the_whole_model() {
 }
 
 #[test]
+fn a_folder_that_takes_long_to_read_is_listed_without_another_key() {
+    let folder = tempfile::tempdir().unwrap();
+    for index in 0..20_000 {
+        fs::write(folder.path().join(format!("notes {index}.txt")), "").unwrap();
+    }
+    // Only its listed names make the panel as high as the screen.
+    for index in 0..40 {
+        fs::write(folder.path().join(format!("scan {index}.ply")), "ply\n").unwrap();
+    }
+    let wall = Wall::start_in(folder.path(), &[]);
+    let statue = wall.hide_overlay();
+    wall.session.key("ctrl+o");
+    wait_until("the files are listed", || statue.difference(&wall.session.screenshot(), 4) > 0.2);
+    wall.session.key("Escape");
+    wait_until("the list is gone", || wall.session.screenshot() == statue);
+    wall.quit();
+}
+
+#[test]
 fn a_session_from_opening_a_model_to_leaving() {
     let folder = tempfile::tempdir().unwrap();
     let (model, stats) = (folder.path().join("a model.ply"), folder.path().join("stats.json"));
