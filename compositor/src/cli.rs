@@ -5,4 +5,5 @@ pub mod check;
 pub mod headless;
 pub mod local;
 pub mod report;
+pub(crate) mod restart;
 pub mod run;

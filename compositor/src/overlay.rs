@@ -113,7 +113,7 @@ impl OverlayModel {
         });
         let files = model.files.iter_mut().flat_map(|files| {
             let names = files.entries.iter_mut().map(|entry| &mut entry.name);
-            names.chain([&mut files.folder]).chain(&mut files.problem)
+            names.chain([&mut files.folder, &mut files.filter]).chain(&mut files.problem)
         });
         let texts = nodes
             .flatten()

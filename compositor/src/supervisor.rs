@@ -21,7 +21,7 @@ use renderer::cli::stop;
 
 use self::desktop_cover::{DesktopCover, WallWindow, XDesktop};
 pub(crate) use self::link::SupervisorLink;
-use crate::wall::OnLoss;
+use crate::{cli::restart::next_delay, wall::OnLoss};
 
 /// Whether this system has supervisors.
 pub(crate) const IS_SUPPORTED: bool = true;
@@ -31,12 +31,6 @@ const COVER_LINGER: Duration = Duration::from_millis(250);
 
 /// How often the cover is raised while new windows open beneath it.
 const RAISE_INTERVAL: Duration = Duration::from_millis(50);
-
-/// The delays before a crashed wall restarts: the first, and the longest.
-const RESTART_DELAYS: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(60)];
-
-/// A child that showed frames for this long resets the delay: its start was not what failed.
-const LONG_LIFE: Duration = Duration::from_secs(60);
 
 /// A child that does not end within this time after a stop request is killed.
 const STOP_TIMEOUT: Duration = Duration::from_secs(10);
@@ -188,27 +182,5 @@ impl Supervisor {
             .spawn(read_lines)
             .context("cannot start a thread to read the wall's reports")?;
         Ok((child, link))
-    }
-}
-
-/// The delay before the next start, after a child that showed frames for `shown_for`; doubles with each crash in a row.
-fn next_delay(last: Option<Duration>, shown_for: Duration) -> Duration {
-    let [first, longest] = RESTART_DELAYS;
-    last.filter(|_| shown_for < LONG_LIFE).map_or(first, |last| (2 * last).min(longest))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn repeated_crashes_double_the_delay_up_to_a_minute() {
-        let mut last = None;
-        let mut next = |shown_s| {
-            last = Some(next_delay(last, Duration::from_secs(shown_s)));
-            last.map(|delay| delay.as_secs())
-        };
-        assert_eq!([5; 9].map(&mut next), [1, 2, 4, 8, 16, 32, 60, 60, 60].map(Some));
-        assert_eq!([3600, 0].map(next), [1, 2].map(Some));
     }
 }

@@ -235,6 +235,12 @@ mod tests {
             (&["connect", "a", "--threads", "all"], "it is not a whole number between 1 and 1024"),
             (&["connect", "a", "--thread", "1"], "'--thread' found; tip: a similar argument exists: '--threads'"),
             (&["trace"], "were not provided: --image <FILE.png>"),
+            (
+                &["trace", "--camera", "a", "--up", "x", "--image", "a.png"],
+                "'--camera <FILE>' cannot be used with '--up <AXIS>'",
+            ),
+            (&["generate", "statue", "st.obj"], "no other format is written: give a name that ends with .ply"),
+            (&["trace", "a.ply", "--model", "b.ply"], "argument '[MODEL]' cannot be used with '--model <FILE>'"),
         ] {
             let line = one_line(&try_parse::<Cli>(["renderer"].iter().chain(arguments)).unwrap_err());
             assert!(line.starts_with("error: ") && line.ends_with(told), "{line}");

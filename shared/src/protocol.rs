@@ -74,7 +74,7 @@ pub enum ShadingMode {
     Shaded,
     /// The geometric normals, as colours.
     Normals,
-    /// The cost of each ray: cells passed in red, triangles tested in green.
+    /// The cost of each ray: cells passed in blue, triangles tested in orange.
     Cost,
 }
 

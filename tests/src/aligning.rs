@@ -62,10 +62,17 @@ fn without_a_wall_file_the_note_says_how_to_save_corners() {
     program.wait_for(SHOWN);
     session.wait_for_window("Raywall");
     session.key("o");
-    let picture = session.steady_screenshot();
+    session.key("ctrl+s");
+    program.wait_for("INFO No corner has moved: there is nothing to save");
+    for key in ["n", "Tab", "Right"] {
+        session.key(key);
+    }
+    // Notes leave the screen after eight seconds.
+    std::thread::sleep(std::time::Duration::from_secs(9));
+    let pattern = session.steady_screenshot();
     session.key("ctrl+s");
     program.wait_for("start with --wall FILE");
-    wait_until("the message is seen without the overlay", || picture != session.screenshot());
+    wait_until("the message is seen without the overlay", || pattern != session.screenshot());
     session.key("ctrl+q");
     program.wait();
 }

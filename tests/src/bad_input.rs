@@ -77,6 +77,26 @@ fn an_impossible_experiment_is_refused() {
 }
 
 #[test]
+fn a_wall_whose_name_is_unknown_is_told_once_and_tried_again() {
+    let mut program = Program::start(renderer(&["connect", "no-such-wall.invalid"]));
+    program.wait_for("no-such-wall.invalid:7117: no machine of this name is known: check the name");
+    // By then it has tried again several times.
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    program.signal("TERM");
+    let (status, said) = program.wait();
+    assert_eq!((status.code(), said.matches("no machine").count()), (Some(0), 1), "{said}");
+}
+
+#[test]
+fn an_up_axis_that_nothing_would_follow_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let camera = folder.path().join("camera.toml");
+    std::fs::write(&camera, "eye = [0, 0, 1]\nll = [-1, -1, 0]\nu = [2, 0, 0]\nv = [0, 2, 0]\n").unwrap();
+    let line = fails(compositor(&["--up", "z", "--camera", camera.to_str().unwrap()]));
+    assert!(line.contains("--up has no effect on a --camera"), "{line}");
+}
+
+#[test]
 fn a_port_in_use_is_reported() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let line = fails(compositor(&["--listen", &taken.local_addr().unwrap().to_string()]));

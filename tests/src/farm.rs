@@ -435,7 +435,7 @@ fn a_local_renderer_that_was_lost_comes_back() {
 }
 
 #[test]
-fn a_local_renderer_that_the_system_kills_is_reported_with_the_likely_cause() {
+fn a_local_renderer_that_the_system_kills_is_reported_with_the_likely_cause_and_starts_again() {
     let files = Files::new();
     let mut command = files.wall("64x32");
     command.args(["--local", "2", "--frames", "1000000"]);
@@ -443,10 +443,12 @@ fn a_local_renderer_that_the_system_kills_is_reported_with_the_likely_cause() {
     wall.wait_for("frame shown");
     let pid = local_renderers_of(&wall)[0].to_string();
     assert!(Command::new("kill").args(["-KILL", &pid]).status().unwrap().success());
-    wall.wait_for("was killed, most likely by the system because memory ran out: lower --memory-budget");
+    wall.wait_for("was killed, most likely by the system because memory ran out, and restarts in 1 s: lower");
     // The other goes on alone, though the first frame waited for both.
     let n_frames = wall.count("frame shown");
     wall.wait_for_count("frame shown", n_frames + 5);
+    wall.wait_for_count(" is ready", 3);
+    assert_eq!(local_renderers_of(&wall).len(), 2);
     wall.signal("TERM");
     let (_, said) = wall.wait();
     assert_eq!(said.matches("was killed").count(), 1, "the wall ends the other one itself\n{said}");

@@ -75,13 +75,15 @@ fn a_film_goes_on_where_it_ended_and_never_holds_another() {
     let bytes =
         |folder: &Path| names(folder).iter().map(|name| fs::read(folder.join(name)).unwrap()).collect::<Vec<_>>();
     assert!(film(&files, &folder, &["--frames", "4"]).0);
-    let (is_done, said) = film(&files, &folder, &["--background", "102030"]);
+    let (is_done, said) = film(&files, &folder, &[]);
+    assert!(!is_done && said.lines().last().unwrap().contains("--resume goes on"), "{said}");
+    let (is_done, said) = film(&files, &folder, &["--resume", "--background", "102030"]);
     assert!(!is_done && said.lines().last().unwrap().contains("picture-000004.png is of another film"), "{said}");
     assert_eq!(names(&folder).len(), 4);
-    let (is_done, said) = film(&files, &folder, &[]);
+    let (is_done, said) = film(&files, &folder, &["--resume"]);
     assert!(is_done && said.contains("going on after"), "{said}");
     assert_eq!(files.frames().len(), 3, "one to compare, and two that were missing");
-    assert!(film(&files, &files.path("whole"), &[]).0);
+    assert!(film(&files, &files.path("whole"), &["--resume"]).0, "an empty folder begins the film");
     assert!(bytes(&folder) == bytes(&files.path("whole")), "a film that goes on differs from one made at once");
 }
 

@@ -6,6 +6,7 @@ use std::{
     process::{Command, Output, Stdio},
 };
 
+use renderer::render::shade::{CELLS_COLOR, TESTS_COLOR};
 use serde_json::Value;
 use shared::srgb;
 
@@ -201,9 +202,13 @@ fn the_cost_view_shows_what_the_counters_count() {
     };
     // With one ray, the picture is one pixel that shows its cost.
     let ((n_cells, n_tests), per_ray, picture) = trace("1x1");
-    let brightness = |count: u64, half: f32| srgb::encode(count as f32 / (count as f32 + half));
+    let brightness = |count: u64, half: f32| count as f32 / (count as f32 + half);
+    let color = [0, 1, 2].map(|channel: usize| {
+        let [cells, tests] = [CELLS_COLOR, TESTS_COLOR].map(|color| srgb::decode(color[channel]));
+        srgb::encode(cells * brightness(n_cells, 64.0) + tests * brightness(n_tests, 256.0))
+    });
     assert!(n_cells > 0 && n_tests > 0, "the ray through the middle misses the statue");
-    assert_eq!(picture.rgb, [brightness(n_cells, 64.0), brightness(n_tests, 256.0), 0]);
+    assert_eq!(picture.rgb, color);
     assert_eq!(per_ray, [n_cells as f64, n_tests as f64]);
     let ((n_cells, n_tests), per_ray, picture) = trace("40x20");
     assert_eq!(per_ray.map(|mean| (mean * 800.0).round() as u64), [n_cells, n_tests]);

@@ -56,6 +56,32 @@ fn every_file_that_the_documents_name_exists() {
     }
 }
 
+/// On a machine with apt, and without anything that the wall needs.
+#[cfg(unix)]
+#[test]
+fn the_set_up_says_what_apt_may_do_and_asks_first() {
+    use std::{
+        os::unix::fs::PermissionsExt,
+        process::{Command, Stdio},
+    };
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["apt-get", "cargo"] {
+        let program = folder.path().join(name);
+        std::fs::write(&program, format!("#!/bin/sh\necho {name} was started\n")).unwrap();
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+    }
+    let mut command = Command::new("/bin/sh");
+    command.arg(root().join("tests/setup.sh")).arg("run").env("PATH", folder.path()).env_remove("YES").env_remove("CI");
+    let output = command.stdin(Stdio::null()).output().unwrap();
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(1), "nobody has agreed\n{said}");
+    assert!(said.contains("To install them: sudo apt-get install") && said.contains("Install now?"), "{said}");
+    assert!(!said.contains("was started"), "{said}");
+    let warning = "apt may upgrade packages that these depend on";
+    let readme = std::fs::read_to_string(root().join("README.md")).unwrap();
+    assert!(said.contains(warning) && readme.contains(warning), "{said}");
+}
+
 /// The part of every source file that is not a test.
 fn sources(folder: &Path, found: &mut Vec<(PathBuf, String)>) {
     for entry in std::fs::read_dir(folder).unwrap() {

@@ -159,7 +159,9 @@ fn a_film_that_is_cut_off_keeps_its_complete_pictures() {
     let (n_written, folder) = (names.len(), folder.display());
     assert_eq!(
         line,
-        format!("stopped after {n_written} of 1801 pictures; those in {folder} are complete: the same command goes on")
+        format!(
+            "stopped after {n_written} of 1801 pictures; those in {folder} are complete: the same command with --resume goes on"
+        )
     );
     for name in names {
         let picture = crate::references::read_png(&files.path("film").join(&name)).unwrap();

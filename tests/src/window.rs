@@ -210,6 +210,27 @@ fn an_idle_kiosk_returns_to_the_whole_model() {
     wall.quit();
 }
 
+#[cfg(unix)]
+#[test]
+fn a_folder_that_takes_long_to_read_is_listed_without_another_key() {
+    let folder = tempfile::tempdir().unwrap();
+    // Reading them takes longer than drawing after the key's release.
+    for index in 0..200_000 {
+        std::os::unix::fs::symlink("missing", folder.path().join(index.to_string())).unwrap();
+    }
+    // Only its listed names make the panel as high as the screen.
+    for index in 0..40 {
+        fs::write(folder.path().join(format!("scan {index}.ply")), "ply\n").unwrap();
+    }
+    let wall = Wall::start_in(folder.path(), &[]);
+    let statue = wall.hide_overlay();
+    wall.session.key("ctrl+o");
+    wait_until("the files are listed", || statue.difference(&wall.session.screenshot(), 4) > 0.2);
+    wall.session.key("Escape");
+    wait_until("the list is gone", || wall.session.screenshot() == statue);
+    wall.quit();
+}
+
 #[test]
 fn a_session_from_opening_a_model_to_leaving() {
     let folder = tempfile::tempdir().unwrap();
@@ -219,7 +240,13 @@ fn a_session_from_opening_a_model_to_leaving() {
     let statue = wall.hide_overlay();
     wall.session.key("ctrl+o");
     wait_until("the files are listed", || statue.difference(&wall.session.screenshot(), 4) > 0.02);
-    let _ = wall.session.steady_screenshot();
+    let listed = wall.session.steady_screenshot();
+    // Without the list, these keys would switch the division, keep a view and quit.
+    for key in ["h", "q", "ctrl+3", "ctrl+q", "BackSpace", "BackSpace"] {
+        wall.session.key(key);
+    }
+    wait_until("the letters are typed and taken away", || wall.session.steady_screenshot() == listed);
+    wall.session.key("m");
     wall.session.key("Return");
     wall.session.wait_for_window("a model.ply");
     wait_until("the model is seen", || statue.difference(&wall.session.screenshot(), 16) > 0.005);
@@ -240,7 +267,9 @@ fn a_session_from_opening_a_model_to_leaving() {
     wait_until("tiles have their render servers' colours", || normals.difference(&wall.session.screenshot(), 16) > 0.5);
     wall.session.key("p");
     wait_until("the screenshot is written", || folder.path().join("wall-0001.png").is_file());
-    wall.quit();
+    let said = wall.quit();
+    assert_eq!(said.matches("dividing frames").count(), 1, "a letter for the list is a command\n{said}");
+    assert!(!said.contains("View 3 is kept"), "{said}");
     let picture = crate::references::read_png(&folder.path().join("wall-0001.png")).unwrap();
     assert_eq!(picture.size, [4096, 2304]);
     let stats: serde_json::Value = serde_json::from_str(&fs::read_to_string(stats).unwrap()).unwrap();

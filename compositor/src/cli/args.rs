@@ -91,21 +91,24 @@ pub struct WallArgs {
     /// The model, the wall and the camera.
     #[command(flatten)]
     pub show: ShowArgs,
-    /// The model's axis that points up: x, y or z [default: the one in the file of the model's views, or
+    /// The model's axis that points up: x, y, z, -x, -y or -z [default: the one in the file of the model's views, or
     /// guessed from what the model stands on]
-    #[arg(long, value_name = "AXIS")]
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
     /// A recorded camera path, which is repeated; with --headless it is followed once, as a film
     #[arg(long, help_heading = "Film", value_name = "FILE.toml", conflicts_with = "camera")]
     pub path: Option<PathBuf>,
     /// Pictures a second of the film, with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "F", default_value_t = 30.0, requires = "path",
-        value_parser = pictures_per_second)]
+        requires = "headless", value_parser = pictures_per_second)]
     pub fps: f64,
-    /// Write each picture of the film, the whole wall at full resolution, to this folder, and go on with a film that was
-    /// begun there; with --headless and --path
+    /// Write each picture of the film, the whole wall at full resolution, to this folder; with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "FOLDER", requires = "path", requires = "headless")]
     pub pictures: Option<PathBuf>,
+    /// Go on after the last picture of the film that was begun in --pictures, with the same options; in an empty folder,
+    /// begin it
+    #[arg(long, help_heading = "Film", requires = "pictures")]
+    pub resume: bool,
     /// Write the film to this file, through ffmpeg; with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "FILE.mp4", requires = "path", requires = "headless",
         conflicts_with = "pictures", value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "mp4")))]
@@ -116,7 +119,7 @@ pub struct WallArgs {
     pub samples: Option<u32>,
     /// Frames a second while the camera moves: the resolution drops until this rate is reached; at rest the wall returns to
     /// native resolution. 0 keeps the resolution [default: 30 in a window, 0 with --headless, --size or --frames]
-    #[arg(long, value_name = "F", value_parser = target_rate)]
+    #[arg(long, value_name = "F", conflicts_with_all = ["pictures", "film"], value_parser = target_rate)]
     pub target_rate: Option<f64>,
     /// The address or name on which to wait for render servers; port 0 takes a free port [default: 127.0.0.1:7117]
     #[arg(long, help_heading = "Render servers", value_name = "HOST:PORT")]
@@ -156,14 +159,14 @@ pub struct WallArgs {
     #[arg(long, value_name = "WxH")]
     pub size: Option<FrameSize>,
     /// Fill the screen; a wall whose file names outputs always fills them
-    #[arg(long, help_heading = "Window")]
+    #[arg(long, help_heading = "Window", conflicts_with = "headless")]
     pub fullscreen: bool,
     /// The wall's content while no render server is left, and after a crash until the restart [default: as in the wall
     /// file, or last-frame]
-    #[arg(long, help_heading = "Window", value_name = "WHAT")]
+    #[arg(long, help_heading = "Window", value_name = "WHAT", conflicts_with = "headless")]
     pub on_loss: Option<OnLoss>,
     /// Show all of a wall whose file names outputs in one window
-    #[arg(long, help_heading = "Window")]
+    #[arg(long, help_heading = "Window", conflicts_with = "headless")]
     pub spanning: bool,
     /// Kiosk: fill the screen, let visitors steer and nothing else, and return to the path or the whole model after this
     /// many seconds without input, 60 unless given; Ctrl+L unlocks
@@ -299,6 +302,17 @@ mod tests {
     }
 
     #[test]
+    fn options_without_effect_are_refused() {
+        let is_refused = |args: &[&str]| Args::try_parse_from(["compositor"].iter().chain(args)).is_err();
+        for window in [&["--fullscreen"][..], &["--spanning"], &["--on-loss", "black"], &["--kiosk"]] {
+            assert!(!is_refused(window) && is_refused(&[&["--headless"], window].concat()), "{window:?}");
+        }
+        assert!(is_refused(&["--path", "p", "--fps", "10"]) && is_refused(&["--resume"]));
+        let film = ["--headless", "--path", "p", "--pictures", "film"];
+        assert!(!is_refused(&film) && is_refused(&[&film[..], &["--target-rate", "30"]].concat()));
+    }
+
+    #[test]
     fn a_kiosk_returns_after_a_minute_or_the_given_seconds() {
         let kiosk = |args: &[&str]| {
             Args::try_parse_from(["compositor"].iter().chain(args)).map(|args| args.wall.kiosk).map_err(drop)
@@ -313,6 +327,17 @@ mod tests {
     fn a_wall_for_other_machines_starts_none() {
         let args = Args::parse_from(["compositor", "--listen", "0.0.0.0:7117"]);
         assert_eq!((args.wall.n_local(), args.wall.min_renderers()), (0, 1));
+    }
+
+    #[test]
+    fn a_model_needs_no_option() {
+        let path = |args: &[&str]| {
+            let args = Args::try_parse_from(["compositor"].iter().chain(args)).map_err(drop)?;
+            Ok(args.wall.show.model.path().map(PathBuf::from))
+        };
+        assert_eq!(path(&["scan.ply", "--headless"]), Ok(Some("scan.ply".into())));
+        assert_eq!(path(&["--model", "scan.ply"]), Ok(Some("scan.ply".into())));
+        assert_eq!(path(&["scan.ply", "--model", "scan.ply"]), Err(()));
     }
 
     #[test]

@@ -6,21 +6,23 @@ use std::{
     path::{Path, PathBuf},
     process::{Child, ChildStdout, Command, ExitStatus, Stdio},
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicBool, Ordering::Relaxed},
     },
     thread,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use anyhow::Context;
 use renderer::cli::scene_args::SceneArgs;
 
+use super::restart::next_delay;
+
 /// A process closes its pipes a moment before its status can be read: how often that is tried, and how long apart.
 const STATUS_TRIES: u32 = 100;
 const STATUS_PAUSE: Duration = Duration::from_millis(10);
 
-/// Render servers that end with the wall.
+/// Render servers that end with the wall, and start again when they are killed.
 #[derive(Debug)]
 pub struct LocalServers {
     program: PathBuf,
@@ -68,30 +70,21 @@ impl LocalServers {
             None => command.arg("--insecure"),
         };
         let name = format!("local-{}", self.children.len() + 1);
-        let mut child = command
+        command
             .args(["--name", &name])
             .args(self.scene.to_arguments())
             .args(["--threads", &n_threads.to_string()])
             // Open as long as this process lives: render servers end with their standard input.
             .stdin(Stdio::piped())
             // It prints nothing there; the pipe's end tells that it has ended.
-            .stdout(Stdio::piped())
+            .stdout(Stdio::piped());
+        let child = command
             .spawn()
             .with_context(|| format!("cannot start a local render server ({})", self.program.display()))?;
-        let pipe = child.stdout.take();
         let child = Arc::new(Mutex::new(child));
         self.children.push(Arc::clone(&child));
         let are_ending = Arc::clone(&self.are_ending);
-        let watch = move || {
-            let status = pipe.and_then(|pipe| wait_for_end(pipe, &child));
-            // Other ends are explained by the render server's own lines.
-            if status.is_some_and(was_killed) && !are_ending.load(Relaxed) {
-                tracing::warn!(
-                    "render server {name} was killed, most likely by the system because memory ran out: lower \
-                     --memory-budget or --local, show a model of fewer triangles, or use a machine with more memory"
-                );
-            }
-        };
+        let watch = move || keep_running(&name, &child, command, &are_ending);
         thread::Builder::new().name("local".to_owned()).spawn(watch).context("cannot watch a local render server")?;
         Ok(())
     }
@@ -101,7 +94,7 @@ impl Drop for LocalServers {
     fn drop(&mut self) {
         self.are_ending.store(true, Relaxed);
         for child in &self.children {
-            let mut child = child.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut child = locked(child);
             // Killing fails for one that has already ended.
             let _ = child.kill();
             let _ = child.wait();
@@ -113,12 +106,47 @@ fn loopback_like(address: SocketAddr) -> std::net::IpAddr {
     if address.is_ipv4() { std::net::Ipv4Addr::LOCALHOST.into() } else { std::net::Ipv6Addr::LOCALHOST.into() }
 }
 
+/// Starts a render server again whenever it was killed, until it ends in another way, which its own lines explain, or
+/// the wall ends.
+fn keep_running(name: &str, child: &Mutex<Child>, mut command: Command, are_ending: &AtomicBool) {
+    let mut last_delay = None;
+    loop {
+        let started_at = Instant::now();
+        let status = wait_for_end(child);
+        if are_ending.load(Relaxed) || !status.is_some_and(was_killed) {
+            return;
+        }
+        let delay = next_delay(last_delay, started_at.elapsed());
+        last_delay = Some(delay);
+        tracing::warn!(
+            "render server {name} was killed, most likely by the system because memory ran out, and restarts in {} s: \
+             lower --memory-budget or --local, show a model of fewer triangles, or use a machine with more memory",
+            delay.as_secs()
+        );
+        thread::sleep(delay);
+        let mut child = locked(child);
+        // Read under the lock: the wall's end kills the child that is there then.
+        if are_ending.load(Relaxed) {
+            return;
+        }
+        match command.spawn() {
+            Ok(started) => *child = started,
+            Err(error) => return tracing::error!("render server {name} cannot be started again: {error}"),
+        }
+    }
+}
+
+fn locked(child: &Mutex<Child>) -> MutexGuard<'_, Child> {
+    child.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Waits for the end of a child by its pipe; `None` if its status cannot be read.
-fn wait_for_end(mut pipe: ChildStdout, child: &Mutex<Child>) -> Option<ExitStatus> {
+fn wait_for_end(child: &Mutex<Child>) -> Option<ExitStatus> {
+    let mut pipe: ChildStdout = locked(child).stdout.take()?;
     // An error is an end too.
     let _ = io::copy(&mut pipe, &mut io::sink());
     (0..STATUS_TRIES).find_map(|_| {
-        let status = child.lock().unwrap_or_else(PoisonError::into_inner).try_wait();
+        let status = locked(child).try_wait();
         status.ok().flatten().or_else(|| {
             thread::sleep(STATUS_PAUSE);
             None

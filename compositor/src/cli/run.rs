@@ -70,6 +70,9 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
 }
 
 fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyhow::Result<()> {
+    if args.up.is_some() && (camera.is_some() || path.is_some()) {
+        bail!("--up has no effect on a --camera or --path without a window: leave out one of them");
+    }
     let n_frames = args.frames.unwrap_or(10);
     let (aspect, size) = (wall.aspect(), wall.frame_size());
     let mut refinement = Refinement::new(args.refinement(&wall));
@@ -137,7 +140,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
 /// Begins what the film goes to; pictures have `size`: columns, rows.
 fn film_output(args: &WallArgs, size: [u32; 2]) -> anyhow::Result<Output> {
     Ok(match (&args.pictures, &args.film) {
-        (Some(folder), _) => Output::Pictures(Pictures::begin(folder, args.fps)?),
+        (Some(folder), _) => Output::Pictures(Pictures::begin(folder, args.fps, args.resume)?),
         (_, Some(path)) => Output::Video(Box::new(Video::begin(path, args.fps, size)?)),
         _ => Output::Nowhere,
     })

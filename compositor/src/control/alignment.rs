@@ -24,6 +24,8 @@ pub(crate) struct Alignment {
     pub wall: Wall,
     /// The wall's file, where corners are saved.
     file: Option<PathBuf>,
+    /// The projectors as they are in the file.
+    saved: Vec<Projector>,
     pattern: Option<Pattern>,
     selected: Option<Corner>,
     drag: Option<Drag>,
@@ -50,7 +52,16 @@ const NUDGE_PX: [f64; 2] = [1.0, 0.1];
 impl Alignment {
     /// No pattern, on a wall from this file.
     pub(crate) fn new(file: Option<PathBuf>, wall: Wall) -> Self {
-        Self { wall, file, pattern: None, selected: None, drag: None, history: History::default(), is_stale: false }
+        Self {
+            saved: wall.projectors().to_vec(),
+            wall,
+            file,
+            pattern: None,
+            selected: None,
+            drag: None,
+            history: History::default(),
+            is_stale: false,
+        }
     }
 
     /// Shows the next pattern, and returns it; frames after the last.
@@ -209,13 +220,17 @@ impl Alignment {
         self.is_stale = true;
     }
 
-    /// Writes all corners to the wall's file. Returns a note for the operator.
-    pub(crate) fn save(&self) -> anyhow::Result<String> {
+    /// Writes all corners to the wall's file, if any has moved. Returns a note for the operator.
+    pub(crate) fn save(&mut self) -> anyhow::Result<String> {
+        if self.saved == self.wall.projectors() {
+            return Ok("No corner has moved: there is nothing to save".to_owned());
+        }
         let file = self.file.as_deref().context(
             "the corners cannot be saved: the wall was started without a file; copy a wall file, for example \
              wall-config/blended-4x3.toml, and start with --wall FILE",
         )?;
         save::save_warps(file, &self.wall)?;
+        self.saved = self.wall.projectors().to_vec();
         Ok(format!("saved the corners in {}", file.display()))
     }
 }

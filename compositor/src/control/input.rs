@@ -45,6 +45,8 @@ pub(crate) enum Command {
     Choose(usize),
     OpenEntry(usize),
     OpenParent,
+    /// Take the last typed letter away.
+    Untype,
     GoToCursor,
     NextUpAxis,
     NextDivision,
@@ -80,7 +82,7 @@ pub(crate) enum Command {
 
 impl Command {
     pub(crate) fn repeats(self) -> bool {
-        matches!(self, Self::MoveClip(_) | Self::Undo | Self::Redo)
+        matches!(self, Self::MoveClip(_) | Self::Undo | Self::Redo | Self::Choose(_) | Self::Untype)
     }
 
     /// Whether visitors of a locked wall may give it.
@@ -203,7 +205,7 @@ pub const KEYS: &[KeyBinding] = {
         row(&[CtrlAnyDigit], Trigger(KeepView(0)), "keep this view beside the model"),
         row(&[Letter('c')], Trigger(ToggleRecording), "record the camera, or end the recording"),
         row(&[Named(NamedKey::Space)], Trigger(TogglePlaying), "play the recorded camera path, or stop"),
-        row(&[Letter('u')], Trigger(NextUpAxis), "next up axis: y, z, x"),
+        row(&[Letter('u')], Trigger(NextUpAxis), "next up axis: y, z, x, -y, -z, -x"),
         row(&[Letter('h')], Trigger(NextDivision), "next heuristic: interleaved, tiled, dynamic"),
         row(&[Letter('v')], Trigger(NextShading), "next view: shaded, normals, cost"),
         row(&[Letter('r')], Trigger(NextLighting), "next rays: auto, primary, shadows, ambient"),

@@ -8,6 +8,8 @@ use crate::control::input::Command;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct FileList {
     pub folder: String,
+    /// A part of the names of the entries that are listed.
+    pub filter: String,
     /// Folders first, then files, each by name.
     pub entries: Vec<FileEntry>,
     /// The entry that Enter opens.
@@ -28,12 +30,18 @@ pub(crate) struct FileEntry {
 pub(super) fn show(ui: &mut Ui, files: &FileList, commands: &mut Vec<Command>) {
     style::heading(ui, "Open a model", "Close (Esc)", Command::ToggleFiles, commands);
     ui.label(RichText::new(&files.folder).small().weak());
-    ui.label(RichText::new("Up and Down choose, Enter opens, Backspace is the folder above").small().weak());
+    let help = "Type a part of a name; Up and Down choose, Enter opens, Backspace is the folder above";
+    ui.label(RichText::new(help).small().weak());
+    if !files.filter.is_empty() {
+        ui.add(egui::Label::new(RichText::new(format!("Names with {}", files.filter)).color(style::ACCENT)).truncate());
+    }
     ui.separator();
     if let Some(problem) = &files.problem {
         ui.label(RichText::new(problem).color(style::BUSY));
     } else if files.is_loading {
         ui.label("Looking …");
+    } else if files.entries.is_empty() && !files.filter.is_empty() {
+        ui.label("No name has these letters: Backspace takes the last one away.");
     } else if files.entries.is_empty() {
         ui.label("No PLY file is in this folder.");
     }

@@ -1,6 +1,7 @@
 //! The meaning of colours on the picture.
 
 use egui::{Color32, Layout, RichText, Sense, Ui};
+use renderer::render::shade::{CELLS_COLOR, TESTS_COLOR};
 use shared::protocol::ShadingMode;
 
 use super::{OverlayModel, style, tint};
@@ -26,8 +27,9 @@ fn shows_costs(model: &OverlayModel) -> bool {
 pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
     ui.horizontal_wrapped(|ui| {
         if shows_costs(model) {
-            entry(ui, Color32::from_rgb(255, 60, 60), "cells of the grid");
-            entry(ui, Color32::from_rgb(60, 220, 60), "triangle tests");
+            let [cells, tests] = [CELLS_COLOR, TESTS_COLOR].map(|[r, g, b]| Color32::from_rgb(r, g, b));
+            entry(ui, cells, "cells of the grid");
+            entry(ui, tests, "triangle tests");
             ui.label(RichText::new("brighter is more").small().weak());
         }
         match (model.tint, &model.frame) {

@@ -34,6 +34,9 @@ pub(crate) fn apply_style(context: &egui::Context) {
         style.interaction.selectable_labels = false;
         style.spacing.button_padding = egui::vec2(8.0, 3.0);
         style.spacing.item_spacing = egui::vec2(8.0, 4.0);
+        // The scroll bars of panels that are longer than the window are seen before the mouse is there.
+        style.spacing.scroll.dormant_handle_opacity = 0.6;
+        style.spacing.scroll.floating_width = 5.0;
         let visuals = &mut style.visuals;
         visuals.override_text_color = None;
         visuals.widgets.noninteractive.fg_stroke.color = TEXT;

@@ -3,10 +3,13 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use clap::{Args, Subcommand};
+use clap::{
+    Args, Subcommand,
+    builder::{PathBufValueParser, TypedValueParser},
+};
 
 use crate::{
-    cli::{between, check_writable, progress::Progress, say, stop::Task},
+    cli::{between, check_writable, picture_args::with_ending, progress::Progress, say, stop::Task},
     model::{ply, statue},
 };
 
@@ -25,7 +28,9 @@ enum Model {
         #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES,
             value_parser = between(statue::FEWEST_TRIANGLES..=statue::MOST_TRIANGLES))]
         triangles: u32,
-        /// The file to write; an old one is replaced only when the new one is complete
+        /// The file to write, .ply; an old one is replaced only when the new one is complete
+        #[arg(value_name = "FILE.ply",
+            value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "ply")))]
         out: PathBuf,
     },
 }

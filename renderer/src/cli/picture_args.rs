@@ -27,11 +27,15 @@ use crate::{
 #[derive(Clone, Debug, clap::Args)]
 pub struct ModelArgs {
     /// The PLY file of the model [default: the built-in statue]
-    #[arg(long, value_name = "FILE")]
-    pub model: Option<PathBuf>,
+    #[arg(value_name = "MODEL")]
+    file: Option<PathBuf>,
+
+    /// The same as MODEL
+    #[arg(long, value_name = "FILE", conflicts_with = "file")]
+    model: Option<PathBuf>,
 
     /// Approximate number of triangles of the built-in statue
-    #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES, conflicts_with = "model",
+    #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES, conflicts_with_all = ["model", "file"],
         value_parser = between(100..=SceneId::LARGEST_STATUE))]
     pub triangles: u32,
 }
@@ -45,10 +49,15 @@ pub fn guessed_up(shape: &Shape) -> UpAxis {
 }
 
 impl ModelArgs {
+    /// The file, if one is given.
+    pub fn path(&self) -> Option<&Path> {
+        self.model.as_deref().or(self.file.as_deref())
+    }
+
     /// The file, or the statue.
     pub fn source(&self) -> SceneSource {
         let statue = SceneSource::Statue { triangles: self.triangles };
-        self.model.clone().map_or(statue, SceneSource::Ply)
+        self.path().map_or(statue, |path| SceneSource::Ply(path.to_owned()))
     }
 
     /// Loads the model, with a progress bar.
@@ -70,8 +79,8 @@ pub struct PictureArgs {
     #[arg(long, value_name = "FILE")]
     camera: Option<PathBuf>,
 
-    /// The model's axis that points up when no camera is given: x, y or z [default: guessed from what the model stands on]
-    #[arg(long, value_name = "AXIS")]
+    /// The model's axis that points up when no camera is given: x, y, z, -x, -y or -z [default: guessed from what the model stands on]
+    #[arg(long, value_name = "AXIS", allow_hyphen_values = true, conflicts_with = "camera")]
     up: Option<UpAxis>,
 
     /// Size of the frame in samples
@@ -82,7 +91,7 @@ pub struct PictureArgs {
     #[arg(long, value_name = "N", value_parser = between(1_u16..=1024))]
     threads: Option<u16>,
 
-    /// Shading of the samples: shaded, normals, or cost (cells visited in red, triangles tested in green)
+    /// Shading of the samples: shaded, normals, or cost (cells visited in blue, triangles tested in orange)
     #[arg(long, value_name = "VIEW", default_value = "shaded")]
     view: ShadingMode,
 
@@ -172,6 +181,24 @@ mod tests {
     struct Program {
         #[command(flatten)]
         picture: PictureArgs,
+    }
+
+    #[test]
+    fn a_model_is_given_with_or_without_its_option_but_once() {
+        for arguments in [&["a.ply"][..], &["--model", "a.ply"], &["--size", "8x8", "a.ply", "--view", "cost"]] {
+            let Program { picture } = cli::try_parse(["program"].iter().chain(arguments)).unwrap();
+            assert_eq!(picture.model.source(), SceneSource::Ply("a.ply".into()), "{arguments:?}");
+        }
+        for refused in [&["a.ply", "--model", "a.ply"][..], &["a.ply", "b.ply"], &["a.ply", "--triangles", "1000"]] {
+            assert!(cli::try_parse::<Program>(["program"].iter().chain(refused)).is_err(), "{refused:?}");
+        }
+    }
+
+    #[test]
+    fn the_opposite_of_an_axis_may_point_up() {
+        let Program { picture } = cli::try_parse(["program", "--up", "-z"]).unwrap();
+        let camera = picture.view_all(&statue::generate(1000, &|_| ()));
+        assert!(camera.v().z < 0.0 && camera.v().z.abs() > camera.v().y.abs(), "{}", camera.v());
     }
 
     #[test]

@@ -3,7 +3,6 @@
 use glam::DVec3;
 use rayon::prelude::*;
 use shared::camera::{Shape, UpAxis};
-use strum::VariantArray;
 
 use crate::model::mesh::Mesh;
 
@@ -28,7 +27,7 @@ impl Mesh {
             Extremes::new(ring, axis, min.dot(axis) + height)
         };
         let mut all = vec![Extremes::new(directions.clone(), DVec3::ZERO, 0.0)];
-        all.extend(UpAxis::VARIANTS.iter().map(sole));
+        all.extend(UpAxis::POSITIVE.iter().map(sole));
         let add_block = |mut all: Vec<Extremes>, block: &[[u32; 3]]| {
             let used = block.iter().filter(|&&triangle| triangle != Self::REJECTED).flatten();
             let points: Vec<_> = used.map(|&index| DVec3::from(self.vertices[index as usize].map(f64::from))).collect();
@@ -40,7 +39,7 @@ impl Mesh {
             a
         };
         let found = self.triangles.par_chunks(BLOCK).fold(|| all.clone(), add_block).reduce(|| all.clone(), merge);
-        let areas = UpAxis::VARIANTS.iter().zip(&found[1..]).map(|(&up, sole)| (up, sole.hull_area(up.direction())));
+        let areas = UpAxis::POSITIVE.iter().zip(&found[1..]).map(|(&up, sole)| (up, sole.hull_area(up.direction())));
         let [y, others @ ..] = &*areas.collect::<Vec<_>>() else { unreachable!("there are three axes") };
         let larger = others.iter().filter(|(_, area)| *area > y.1 * CLEARLY).max_by(|a, b| a.1.total_cmp(&b.1));
         let mut outline: Vec<_> = found[0].points().map(|point| point + self.origin).collect();

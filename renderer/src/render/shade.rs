@@ -88,10 +88,18 @@ impl<'a> Shader<'a> {
     }
 }
 
-/// The colour of a ray's cost: cells in red, tests in green; a higher cost is always brighter.
+/// The colours of many cells and of many tests in the cost view, encoded: Okabe and Ito's sky blue and orange, which
+/// colour-blind people can tell apart.
+pub const CELLS_COLOR: [u8; 3] = [86, 180, 233];
+/// See [`CELLS_COLOR`].
+pub const TESTS_COLOR: [u8; 3] = [230, 159, 0];
+
+/// The linear light of a ray's cost: cells in [`CELLS_COLOR`] plus tests in [`TESTS_COLOR`]; a higher cost is always
+/// brighter, and much of both is nearly white.
 pub fn cost_color(cost: RayCost) -> Vec3 {
     let brightness = |count: u32, half: f32| count as f32 / (count as f32 + half);
-    Vec3::new(brightness(cost.n_cells, HALF_CELLS), brightness(cost.n_tests, HALF_TESTS), 0.0)
+    linear(CELLS_COLOR) * brightness(cost.n_cells, HALF_CELLS)
+        + linear(TESTS_COLOR) * brightness(cost.n_tests, HALF_TESTS)
 }
 
 /// Well above the cost of most rays, so that images of scans are dark with bright outlines.
@@ -192,9 +200,17 @@ mod tests {
         let light = |n_cells, n_tests| cost_color(RayCost { n_cells, n_tests });
         assert_eq!(light(0, 0), Vec3::ZERO);
         for (less, more) in [(0, 1), (10, 11), (1000, 1100), (100_000, u32::MAX)] {
-            assert!(light(less, 7).x < light(more, 7).x && light(7, less).y < light(7, more).y);
+            assert!(light(less, 7).z < light(more, 7).z && light(7, less).x < light(7, more).x);
         }
         assert!(light(u32::MAX, u32::MAX).max_element() <= 1.0);
+    }
+
+    #[test]
+    fn cells_and_tests_have_colours_that_the_colour_blind_can_tell_apart() {
+        let encoded = |n_cells, n_tests| cost_color(RayCost { n_cells, n_tests }).to_array().map(srgb::encode);
+        assert_eq!([encoded(u32::MAX, 0), encoded(0, u32::MAX)], [CELLS_COLOR, TESTS_COLOR]);
+        // Without red and green, blue is left: all of one colour and none of the other.
+        assert!(CELLS_COLOR[2] > 200 && TESTS_COLOR[2] == 0);
     }
 
     #[test]

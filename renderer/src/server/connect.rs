@@ -206,7 +206,11 @@ async fn connect(host: &str, only_this_machine: bool) -> anyhow::Result<io::Resu
         Err(error) if error.kind() == io::ErrorKind::InvalidInput => {
             bail!("\"{host}\" is not an address: write it as HOST:PORT, for example wall.example:{DEFAULT_PORT}")
         }
-        Err(error) => return Ok(Err(error)),
+        // The system's own words differ from one attempt to the next.
+        Err(_) => {
+            let told = "no machine of this name is known: check the name and this machine's network, or give the wall's address";
+            return Ok(Err(io::Error::new(io::ErrorKind::NotFound, told)));
+        }
     };
     if only_this_machine
         && let Some(address) = addresses.iter().find(|address| !address.ip().to_canonical().is_loopback())
@@ -258,6 +262,13 @@ async fn wait_for_stdin_end() {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_unknown_name_is_told_in_plain_words_and_may_be_known_later() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        let failure = runtime.block_on(connect("no-such-wall.invalid:7117", true)).unwrap().unwrap_err();
+        assert!(failure.to_string().starts_with("no machine of this name is known: check the name"), "{failure}");
+    }
 
     #[test]
     fn an_address_needs_no_port() {

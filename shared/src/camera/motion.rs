@@ -22,15 +22,33 @@ pub enum UpAxis {
     Z,
     /// x.
     X,
+    /// −y.
+    #[serde(rename = "-y")]
+    #[strum(serialize = "-y")]
+    MinusY,
+    /// −z.
+    #[serde(rename = "-z")]
+    #[strum(serialize = "-z")]
+    MinusZ,
+    /// −x.
+    #[serde(rename = "-x")]
+    #[strum(serialize = "-x")]
+    MinusX,
 }
 
 impl UpAxis {
+    /// The axes without their opposites.
+    pub const POSITIVE: [Self; 3] = [Self::Y, Self::Z, Self::X];
+
     /// The unit vector along it.
     pub fn direction(self) -> DVec3 {
         match self {
             Self::X => DVec3::X,
             Self::Y => DVec3::Y,
             Self::Z => DVec3::Z,
+            Self::MinusX => DVec3::NEG_X,
+            Self::MinusY => DVec3::NEG_Y,
+            Self::MinusZ => DVec3::NEG_Z,
         }
     }
 

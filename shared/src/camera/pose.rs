@@ -87,6 +87,9 @@ fn axes(up: UpAxis) -> [DVec3; 3] {
         UpAxis::X => [DVec3::Y, DVec3::Z, DVec3::X],
         UpAxis::Y => [DVec3::Z, DVec3::X, DVec3::Y],
         UpAxis::Z => [DVec3::X, DVec3::Y, DVec3::Z],
+        UpAxis::MinusX => [DVec3::Z, DVec3::Y, DVec3::NEG_X],
+        UpAxis::MinusY => [DVec3::X, DVec3::Z, DVec3::NEG_Y],
+        UpAxis::MinusZ => [DVec3::Y, DVec3::X, DVec3::NEG_Z],
     }
 }
 
@@ -193,7 +196,7 @@ pub(super) mod tests {
 
     proptest! {
         #[test]
-        fn a_pose_gives_its_camera_back(camera in any_camera(), up in 0..3usize, part in 0.1..10.0f64) {
+        fn a_pose_gives_its_camera_back(camera in any_camera(), up in 0..UpAxis::VARIANTS.len(), part in 0.1..10.0f64) {
             let up = UpAxis::VARIANTS[up];
             let pose = Pose::new(&camera, camera.plane_distance() * part, up);
             // If the eye is nearly in the view plane, there may be no camera, but never a wrong one.
@@ -204,7 +207,7 @@ pub(super) mod tests {
 
         #[test]
         fn every_camera_on_the_way_is_one(
-            from in any_camera(), to in any_camera(), up in 0..3usize,
+            from in any_camera(), to in any_camera(), up in 0..UpAxis::VARIANTS.len(),
             distances in (prop_oneof![Just(0.0), Just(f64::NAN), 1e-9..1e9f64], 1e-9..1e9f64),
             fraction in prop_oneof![0.0..1.0f64, Just(f64::NAN), -2.0..3.0f64],
         ) {

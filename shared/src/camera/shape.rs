@@ -50,13 +50,14 @@ impl Shape {
         let up_direction = up.direction();
         // For y up the front is +z, as in most scans; for z up it is −y, as in most CAD models.
         let front = match up {
-            UpAxis::X | UpAxis::Y => DVec3::Z,
-            UpAxis::Z => -DVec3::Y,
+            UpAxis::X | UpAxis::Y | UpAxis::MinusX | UpAxis::MinusY => DVec3::Z,
+            UpAxis::Z | UpAxis::MinusZ => -DVec3::Y,
         };
         let side = up_direction.cross(front);
         let extent = self.bounds.1 - self.bounds.0;
-        let width = (extent * (DVec3::ONE - up_direction)).max_element();
-        let flatness = 1.0 - extent.dot(up_direction) / width;
+        let axis = up_direction.abs();
+        let width = (extent * (DVec3::ONE - axis)).max_element();
+        let flatness = 1.0 - extent.dot(axis) / width;
         let above = if flatness.is_finite() { flatness.clamp(0.25, 0.8) } else { 0.25 };
         let towards_eye = (front + side * 0.35 + up_direction * above).normalize();
         let right = up_direction.cross(towards_eye).normalize();
@@ -174,7 +175,9 @@ mod tests {
             camera.backward().dot(up.direction()).asin().to_degrees()
         };
         assert!((13.0..14.0).contains(&elevation(DVec3::ONE, UpAxis::Y)));
-        assert!((36.0..38.0).contains(&elevation(DVec3::new(2.0, 1.0, 0.1), UpAxis::Z)));
+        for up in [UpAxis::Z, UpAxis::MinusZ] {
+            assert!((36.0..38.0).contains(&elevation(DVec3::new(2.0, 1.0, 0.1), up)), "{up}");
+        }
     }
 
     #[test]

@@ -71,7 +71,7 @@ impl Views {
     /// Reads the text of a file of views; see [`Views::to_toml`].
     pub fn from_toml(text: &str) -> Result<Self, CameraFileError> {
         let at = |offset, problem: &str| {
-            let format = "a file of views has up = \"x\", \"y\" or \"z\", and tables [view.1] to [view.9], each with \
+            let format = "a file of views has up = \"y\" or another axis, and tables [view.1] to [view.9], each with \
                           eye, ll, u and v, each = [x, y, z], and perhaps up, light, clip and rays";
             CameraFileError::at(text, offset, problem, format)
         };
@@ -178,7 +178,7 @@ mod tests {
         fn a_file_keeps_every_bit(
             cameras in proptest::collection::btree_map(0..12u8, any_camera(), 0..9),
             look in proptest::option::of((-180..=180i16, -90..=90i16, proptest::option::of(0..=1000u16), 0..4usize)),
-            up in proptest::option::of(0..3usize),
+            up in proptest::option::of(0..UpAxis::VARIANTS.len()),
         ) {
             let mut views = Views { up: up.map(|up| UpAxis::VARIANTS[up]), ..Views::default() };
             let look = look.map(|(azimuth, elevation, cut, rays)| Look {

@@ -80,7 +80,7 @@ pub struct BenchArgs {
     #[arg(long, value_name = "DIR", required_unless_present = "display")]
     pub out: Option<PathBuf>,
     /// Measure the wall's own work instead: placing, uploading and drawing frames, beside the best that this machine can do
-    #[arg(long, conflicts_with_all = ["model", "triangles", "camera", "nodes", "predict", "predict_size", "out"])]
+    #[arg(long, conflicts_with_all = ["file", "model", "triangles", "camera", "nodes", "predict", "predict_size", "out"])]
     pub display: bool,
     /// Print the results of --display as JSON
     #[arg(long, conflicts_with = "out")]
@@ -169,7 +169,7 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
         Experiment { args, out, results: &mut results, steps, wakeups: &wakeups, undisplayed: Vec::new() };
     let goal = RenderGoal {
         spec: Some(spec),
-        scene_path: show.model.model.clone(),
+        scene_path: show.model.path().map(PathBuf::from),
         in_flight: args.in_flight,
         // Measured and predicted bytes are those of plain samples.
         encoding: Some(Encoding::Raw),

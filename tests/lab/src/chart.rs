@@ -85,7 +85,7 @@ pub(crate) fn run(args: &ChartArgs) -> Result<()> {
     let cameras = args.camera.iter().map(|path| Ok((name_of(path), read_camera(path)?))).collect::<Result<Vec<_>>>()?;
     let peers = args.points.as_deref().map(peers::read).transpose()?.unwrap_or_default();
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make the folder {}", args.out.display()))?;
-    let name = args.model.model.as_deref().map_or_else(|| args.model.source().to_string(), name_of);
+    let name = args.model.path().map_or_else(|| args.model.source().to_string(), name_of);
     let mut mesh = args.model.load()?.mesh;
     // Rivals and reference know no origin: all compare in the coordinates of the mesh.
     let origin = std::mem::take(&mut mesh.origin);

@@ -49,7 +49,7 @@ impl Film {
 }
 
 impl Headless {
-    /// Shows each picture of a film once, in order, and hands it on. A film that was begun goes on after its last picture.
+    /// Shows each picture of a film once, in order, and hands it on. A film that resumes goes on after its last picture.
     ///
     /// The next picture is rendered while one is drawn, read back and compressed. A camera at rest is rendered once.
     pub fn show_film(

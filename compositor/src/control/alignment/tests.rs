@@ -182,6 +182,7 @@ fn saved_corners_can_be_read_and_the_rest_of_the_file_stays() {
         alignment.next_corner();
         assert!(alignment.move_by(DVec2::new(-1.0, -2.0)));
         alignment.save().expect("saved over the last");
+        assert!(alignment.save().expect("no mistake").contains("nothing to save"));
         assert_eq!(Wall::load(&file).expect("still a wall file"), alignment.wall, "{name}");
         let (before, after) = (fs::read_to_string(shipped_path(name)), fs::read_to_string(&file));
         let (before, after) = (before.expect("text"), after.expect("text"));
@@ -208,6 +209,10 @@ fn corners_without_a_place_leave_the_file_unchanged() {
     assert!(error.contains("[[projector]]") && !error.contains('\n'), "{error}");
     assert_eq!(fs::read_to_string(&file).expect("text"), text);
     fs::remove_dir_all(&folder).expect("removed");
-    let error = Alignment::new(None, wall).save().expect_err("no file").to_string();
+    let mut alignment = aligning(None, wall);
+    assert!(alignment.save().expect("no mistake").contains("nothing to save"));
+    alignment.next_corner();
+    assert!(alignment.move_by(DVec2::new(1.0, 1.0)));
+    let error = alignment.save().expect_err("no file").to_string();
     assert!(error.contains("--wall FILE"), "{error}");
 }

@@ -40,6 +40,26 @@ fn no_text_lies_over_another_in_any_window() {
 }
 
 #[test]
+fn a_help_that_is_longer_than_the_window_has_a_scroll_bar_that_is_seen() {
+    /// The least opacity of a bar, of 255.
+    const SEEN: u8 = 60;
+    let is_bar = |shape: &egui::epaint::ClippedShape| match &shape.shape {
+        egui::Shape::Rect(bar) => {
+            bar.rect.width() <= style::SCROLL_BAR && bar.rect.height() > 100.0 && bar.fill.a() >= SEEN
+        }
+        _ => false,
+    };
+    for (size, needs_bar) in [([889.0, 667.0], true), ([1600.0, 1400.0], false)] {
+        let model = OverlayModel { help: true, ..running() };
+        let mut harness = Harness::builder().with_size(size).with_context_setup(apply_style).build_ui(|ui| {
+            show(ui, &model);
+        });
+        harness.run();
+        assert_eq!(harness.output().shapes.iter().any(is_bar), needs_bar, "{size:?}");
+    }
+}
+
+#[test]
 fn test_patterns_are_free_of_panels_but_not_of_messages() {
     let model = OverlayModel {
         is_aligning: true,

@@ -100,14 +100,16 @@ impl CameraControl {
         self.play(path, true, now)
     }
 
-    /// Moves the camera, or sets it in motion.
+    /// Moves the camera, or sets it in motion; a note tells another up axis.
     pub(super) fn steer(&mut self, now: Instant, motion: impl FnOnce(&mut Navigator)) -> Effect {
         let Some(navigator) = &mut self.navigator else { return Effect::default() };
         if !navigator.is_moving() {
             self.stepped_at = now;
         }
+        let up_before = navigator.up();
         motion(navigator);
-        Effect::picture()
+        let up = navigator.up();
+        if up == up_before { Effect::picture() } else { Effect::picture().with_note(format!("Up: {up}")) }
     }
 
     /// Flies in a direction from when its key goes down until it goes up.
@@ -302,10 +304,12 @@ mod tests {
         assert!(control.keep_view(3, Look::default()).job.is_some());
         assert_eq!(control.view_numbers(), [3]);
         assert!(control.go_to_view(3, start).wants_picture);
-        control.steer(start, |navigator| navigator.next_up_axis(&[CanvasPart::WHOLE]));
-        assert_eq!(control.up(), (UpAxis::Z, false));
-        control.go_to_view(3, start);
+        let effect = control.steer(start, |navigator| navigator.next_up_axis(&[CanvasPart::WHOLE]));
+        assert_eq!((effect.note, control.up()), (Some("Up: z".to_owned()), (UpAxis::Z, false)));
+        let effect = control.go_to_view(3, start);
         assert_eq!(control.up(), (UpAxis::Y, true), "a view has its own axis");
+        assert_eq!(effect.note.as_deref(), Some("Up: y"), "the note on screen is still of the old axis");
+        assert_eq!(control.go_to_view(3, start).note, None);
         assert_eq!(control.view(3).unwrap().look, Some(Look::default()));
     }
 

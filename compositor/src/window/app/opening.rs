@@ -15,11 +15,15 @@ use crate::{
 const MOST_ENTRIES: usize = 2000;
 /// Entries that Page Up and Page Down skip.
 const PAGE: isize = 15;
+/// The most letters of a filter.
+const LONGEST_FILTER: usize = 100;
 
 /// The list of files on screen, and the folder that it shows.
 pub(super) struct Browser {
     /// `None` while the list is hidden.
     pub(super) files: Option<FileList>,
+    /// The folder's entries, of which those with the typed letters are on screen.
+    entries: Vec<FileEntry>,
     folder: PathBuf,
 }
 
@@ -30,7 +34,7 @@ impl Browser {
             SceneSource::Statue { .. } => None,
         };
         let folder = folder.unwrap_or_else(|| PathBuf::from("."));
-        Self { files: None, folder: std::path::absolute(&folder).unwrap_or(folder) }
+        Self { files: None, entries: Vec::new(), folder: std::path::absolute(&folder).unwrap_or(folder) }
     }
 
     pub(super) fn toggle(&mut self) -> Effect {
@@ -40,6 +44,7 @@ impl Browser {
     fn list_folder(&mut self, folder: PathBuf) -> Effect {
         let files = FileList { folder: folder.display().to_string(), is_loading: true, ..FileList::default() };
         self.files = Some(files);
+        self.entries.clear();
         self.folder = folder.clone();
         Effect::job(move || Ok(Effect { files: Some(list(&folder)), ..Effect::default() }))
     }
@@ -47,8 +52,29 @@ impl Browser {
     /// Shows the contents of a folder, unless another is on screen now.
     pub(super) fn show(&mut self, list: FileList) {
         if let Some(files) = self.files.as_mut().filter(|files| files.folder == list.folder) {
+            self.entries.clone_from(&list.entries);
+            let filter = std::mem::take(&mut files.filter);
             *files = list;
+            self.set_filter(filter);
         }
+    }
+
+    /// Lists the entries whose names have these letters, in either case.
+    fn set_filter(&mut self, filter: String) {
+        let Some(files) = &mut self.files else { return };
+        let letters = filter.to_lowercase();
+        let has_letters = |entry: &&FileEntry| entry.name.to_lowercase().contains(&letters);
+        files.entries = self.entries.iter().filter(has_letters).cloned().collect();
+        // Select the first file.
+        files.chosen = files.entries.iter().position(|entry| entry.bytes.is_some()).unwrap_or(0);
+        files.filter = filter;
+    }
+
+    /// Adds typed letters to the filter.
+    pub(super) fn type_text(&mut self, text: &str) {
+        let Some(files) = &self.files else { return };
+        let letters = text.chars().filter(|letter| !letter.is_control());
+        self.set_filter(files.filter.chars().chain(letters).take(LONGEST_FILTER).collect());
     }
 
     /// Opens an entry: returns a file to load, or lists a folder.
@@ -65,14 +91,18 @@ impl Browser {
         }
     }
 
-    /// The command of a key while files are on screen; `None` for keys with their usual command.
+    /// The command of a key while files are on screen, when all keys belong to them; `None` for letters and keys without.
     pub(super) fn command(&self, key: Key) -> Option<Command> {
         let files = self.files.as_ref()?;
+        if key == Key::Ctrl('o') {
+            return Some(Command::ToggleFiles);
+        }
         let Key::Named(named) = key else { return None };
         let step = match named {
             NamedKey::Escape => return Some(Command::ToggleFiles),
             NamedKey::Enter => return Some(Command::OpenEntry(files.chosen)),
-            NamedKey::Backspace => return Some(Command::OpenParent),
+            NamedKey::Backspace if files.filter.is_empty() => return Some(Command::OpenParent),
+            NamedKey::Backspace => return Some(Command::Untype),
             NamedKey::ArrowUp => -1,
             NamedKey::ArrowDown => 1,
             NamedKey::PageUp => -PAGE,
@@ -89,6 +119,14 @@ impl Browser {
         if let Some(files) = &mut self.files {
             files.chosen = index.min(files.entries.len().saturating_sub(1));
         }
+    }
+
+    /// Takes the last letter of the filter away.
+    pub(super) fn untype(&mut self) {
+        let Some(files) = &self.files else { return };
+        let mut filter = files.filter.clone();
+        filter.pop();
+        self.set_filter(filter);
     }
 
     pub(super) fn open_parent(&mut self) -> Effect {
@@ -126,8 +164,6 @@ fn list(folder: &Path) -> FileList {
     list.entries.sort_by(|a, b| {
         (a.bytes.is_some(), a.name.to_lowercase(), &a.name).cmp(&(b.bytes.is_some(), b.name.to_lowercase(), &b.name))
     });
-    // Select the first file.
-    list.chosen = list.entries.iter().position(|entry| entry.bytes.is_some()).unwrap_or(0);
     list
 }
 
@@ -146,13 +182,14 @@ mod tests {
         let listed = list(&folder);
         let entry = |name: &str, bytes| FileEntry { name: name.to_owned(), bytes };
         assert_eq!(listed.entries, [entry("scans", None), entry("A.ply", Some(4)), entry("b.PLY", Some(3))]);
-        assert_eq!((listed.chosen, listed.problem), (1, None));
+        assert_eq!(listed.problem, None);
         let mut browser = Browser::new(&SceneSource::Ply(folder.join("b.PLY")));
         let job = browser.toggle().job.expect("the folder is to be read");
         let is_loading = |browser: &Browser| browser.files.as_ref().map(|files| files.is_loading);
         assert_eq!(is_loading(&browser), Some(true));
         browser.show(job().files.expect("the folder's files"));
         assert_eq!(is_loading(&browser), Some(false));
+        assert_eq!(browser.files.as_ref().map(|files| files.chosen), Some(1), "not the first file");
         assert_eq!(browser.command(Key::Named(NamedKey::ArrowDown)), Some(Command::Choose(2)));
         browser.choose(9);
         assert_eq!(browser.files.as_ref().map(|files| files.chosen), Some(2));
@@ -160,5 +197,31 @@ mod tests {
         assert!(browser.files.as_ref().is_none());
         std::fs::remove_dir_all(&folder).unwrap();
         assert!(list(&folder).problem.unwrap().contains("Backspace opens the folder above"));
+    }
+
+    #[test]
+    fn typed_letters_choose_among_the_names_and_backspace_takes_them_away() {
+        let mut browser = Browser::new(&SceneSource::Ply("/scans/a.ply".into()));
+        let _job = browser.toggle();
+        browser.type_text("S");
+        let entry = |name: &str, bytes| FileEntry { name: name.to_owned(), bytes };
+        let entries = vec![entry("scans", None), entry("a.ply", Some(4)), entry("Statue s.ply", Some(3))];
+        browser.show(FileList { folder: "/scans".to_owned(), entries, ..FileList::default() });
+        let names = |browser: &Browser| -> Vec<String> {
+            browser.files.iter().flat_map(|files| &files.entries).map(|entry| entry.name.clone()).collect()
+        };
+        assert_eq!(names(&browser), ["scans", "Statue s.ply"], "letters that were typed too early count");
+        assert_eq!(browser.command(Key::Named(NamedKey::Enter)), Some(Command::OpenEntry(1)), "not the first file");
+        browser.type_text("\u{8}tA");
+        assert_eq!(names(&browser), ["Statue s.ply"]);
+        assert_eq!(browser.open(0).0, Some("/scans/Statue s.ply".into()));
+        let _job = browser.toggle();
+        browser.type_text("x");
+        assert_eq!(names(&browser), [""; 0]);
+        assert_eq!(browser.command(Key::Letter('q')), None);
+        assert_eq!(browser.command(Key::Named(NamedKey::Backspace)), Some(Command::Untype));
+        browser.untype();
+        assert_eq!(browser.command(Key::Named(NamedKey::Backspace)), Some(Command::OpenParent));
+        assert_eq!(browser.command(Key::Ctrl('o')), Some(Command::ToggleFiles));
     }
 }

@@ -41,9 +41,7 @@ impl App<'_> {
     pub(super) fn overlay_changed(&mut self) -> bool {
         let before = self.overlay.clone();
         self.update_overlay(Instant::now());
-        // A new round-trip time alone does not redraw a resting wall.
-        let is_seen = before.is_visible() || self.overlay.is_visible();
-        is_seen && without_pings(before) != without_pings(self.overlay.clone())
+        is_seen_change(before, self.overlay.clone())
     }
 
     fn update_overlay(&mut self, now: Instant) {
@@ -198,7 +196,50 @@ impl App<'_> {
     }
 }
 
+/// Whether a change of the overlay is to be drawn. A new round-trip time alone does not redraw a resting wall.
+fn is_seen_change(before: OverlayModel, now: OverlayModel) -> bool {
+    let is_seen = before.is_visible() || now.is_visible();
+    is_seen && without_pings(before) != without_pings(now)
+}
+
 fn without_pings(mut model: OverlayModel) -> OverlayModel {
     model.status.nodes.iter_mut().for_each(|node| node.round_trip_ms = None);
     model
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        farm::stats::{FarmStatus, NodeId, NodeStatus},
+        overlay::{FileEntry, FileList},
+    };
+
+    #[test]
+    fn the_end_of_a_listing_is_drawn_and_a_round_trip_time_is_not() {
+        let looking = FileList { is_loading: true, ..FileList::default() };
+        let entries = vec![FileEntry { name: "a.ply".to_owned(), bytes: Some(1) }];
+        let listed = FileList { entries, ..FileList::default() };
+        let with = |files: &FileList| OverlayModel { files: Some(files.clone()), ..OverlayModel::default() };
+        assert!(is_seen_change(with(&looking), with(&listed)));
+        assert!(is_seen_change(with(&looking), with(&FileList::default())), "an empty folder is no longer looked into");
+        assert!(is_seen_change(with(&listed), OverlayModel::default()), "a list that is closed leaves the screen");
+        let node = |round_trip_ms| NodeStatus {
+            id: NodeId(1),
+            name: "left".to_owned(),
+            address: ([127, 0, 0, 1], 1).into(),
+            threads: 1,
+            scene: None,
+            is_silent: false,
+            n_failures: 0,
+            round_trip_ms,
+        };
+        let pinged = |ms, panel| OverlayModel {
+            panel,
+            status: FarmStatus { nodes: vec![node(ms)], ..FarmStatus::default() },
+            ..OverlayModel::default()
+        };
+        assert!(!is_seen_change(pinged(None, true), pinged(Some(0.5), true)));
+        assert!(!is_seen_change(OverlayModel::default(), pinged(None, false)), "a hidden overlay is not drawn");
+    }
 }

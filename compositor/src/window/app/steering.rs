@@ -46,27 +46,39 @@ impl App<'_> {
         if is_typed && is_pressed {
             return;
         }
+        // A release is of the key that was pressed, perhaps before Ctrl.
+        let has_ctrl = is_pressed && self.modifiers.control_key();
+        let has_shift = self.modifiers.shift_key();
+        let cap = Key::from_winit(&key.logical_key, has_ctrl, has_shift);
+        if is_pressed && self.browser.files.is_some() {
+            return self.key_to_browser(event_loop, cap, key, has_ctrl);
+        }
         // Alignment takes only presses: a key that was pressed before the pattern came must still be released.
         if let keyboard::Key::Named(named) = key.logical_key
             && is_pressed
             && !self.kiosk.is_locked
-            && self.wall.press_key(named, self.modifiers.shift_key())
+            && self.wall.press_key(named, has_shift)
         {
             return self.redraw();
         }
-        // Likewise for a key that was pressed before Ctrl.
-        let has_ctrl = is_pressed && self.modifiers.control_key();
-        let has_shift = self.modifiers.shift_key();
-        let Some(cap) = Key::from_winit(&key.logical_key, has_ctrl, has_shift) else { return };
-        if is_pressed && let Some(command) = self.browser.command(cap) {
-            return self.execute(event_loop, command);
-        }
-        match input::action(cap) {
+        match cap.and_then(input::action) {
             Some(KeyAction::Fly(direction)) if !(is_pressed && key.repeat) => {
                 self.camera.fly(direction, is_pressed, now);
             }
             Some(KeyAction::Trigger(command)) if is_pressed && (!key.repeat || command.repeats()) => {
                 self.execute(event_loop, command);
+            }
+            _ => {}
+        }
+    }
+
+    /// While files are on screen, all keys that are pressed belong to them.
+    fn key_to_browser(&mut self, event_loop: &ActiveEventLoop, cap: Option<Key>, key: &KeyEvent, has_ctrl: bool) {
+        match (cap.and_then(|cap| self.browser.command(cap)), &key.text) {
+            (Some(command), _) if !key.repeat || command.repeats() => self.execute(event_loop, command),
+            (None, Some(text)) if !has_ctrl => {
+                self.browser.type_text(text);
+                self.redraw();
             }
             _ => {}
         }
@@ -85,8 +97,7 @@ impl App<'_> {
             }
             Command::NextUpAxis => {
                 let parts = self.free_parts();
-                let effect = self.camera.steer(now, |navigator| navigator.next_up_axis(&parts));
-                effect.with_note(format!("Up: {}", self.camera.up().0))
+                self.camera.steer(now, |navigator| navigator.next_up_axis(&parts))
             }
             Command::GoToView(number) => {
                 let look = self.camera.view(number).and_then(|view| view.look);
@@ -122,6 +133,10 @@ impl App<'_> {
                 effect
             }
             Command::OpenParent => self.browser.open_parent(),
+            Command::Untype => {
+                self.browser.untype();
+                Effect::default()
+            }
             Command::NextDivision => self.set_division(next(Division::VARIANTS, self.farm.goal().division)),
             Command::SetDivision(division) => self.set_division(division),
             Command::NextShading => self.picture.change(|it| it.shading = next(ShadingMode::VARIANTS, it.shading)),

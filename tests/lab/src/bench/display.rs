@@ -235,8 +235,7 @@ impl DisplayTimings {
                 "  of that CPU time: placing {place_ms:.2}, uploading {upload_ms:.2}, drawing {draw_ms:.2}"
             );
         }
-        table +=
-            "placing and uploading wait for memory and drawing for the cores: busy or slow memory raises the ratios\n";
+        table += "placing and uploading run on one thread, and drawing on all of the driver's: these raise the first ratio\n";
         table + "presenting needs a screen: a wall in a window prints its time after --frames 100"
     }
 }

@@ -23,7 +23,7 @@ const N_WRITERS: usize = 2;
 pub enum Output {
     /// None: the film is only measured.
     Nowhere,
-    /// A folder of pictures, which goes on where another run ended.
+    /// A folder of pictures, which may go on where another run ended.
     Pictures(Pictures),
     /// A video.
     Video(Box<Video>),
@@ -50,7 +50,7 @@ impl Output {
                 Box::new(move |n_begun| {
                     format!(
                         "stopped after {n_begun} of {n_pictures} pictures; {} is not written: a film with --pictures \
-                         FOLDER can go on later",
+                         FOLDER can go on later, with --resume",
                         path.display()
                     )
                 })
@@ -86,9 +86,15 @@ pub struct Pictures {
 }
 
 impl Pictures {
-    /// Creates the folder, if there is none.
-    pub fn begin(folder: &Path, fps: f64) -> anyhow::Result<Self> {
+    /// Creates the folder, if there is none. One that holds a film's pictures is taken only if the film resumes.
+    pub fn begin(folder: &Path, fps: f64, resumes: bool) -> anyhow::Result<Self> {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        if !resumes && holds_pictures(folder).with_context(|| format!("cannot read {}", folder.display()))? {
+            bail!(
+                "{} holds pictures of a film: --resume goes on with it, or give --pictures another folder",
+                folder.display()
+            );
+        }
         let file = picture_file(folder, 0);
         check_writable(&file)?;
         Ok(Self { folder: folder.to_owned(), fps, writers: VecDeque::with_capacity(N_WRITERS) })
@@ -125,6 +131,12 @@ fn picture_file(folder: &Path, index: u32) -> PathBuf {
     folder.join(format!("picture-{:06}.png", index + 1))
 }
 
+fn holds_pictures(folder: &Path) -> io::Result<bool> {
+    let is_picture = |name: &str| name.starts_with("picture-") && name.ends_with(".png");
+    let mut names = std::fs::read_dir(folder)?.map_while(Result::ok).map(|entry| entry.file_name());
+    Ok(names.any(|name| name.to_str().is_some_and(is_picture)))
+}
+
 /// The same film gives the same bytes.
 fn check_same(file: &Path, image: &RgbImage) -> anyhow::Result<()> {
     let mut expected = Vec::new();
@@ -146,7 +158,7 @@ fn written_so_far(folder: &Path, n_begun: u32, n_pictures: u32) -> String {
     let n_open = (first_open..n_begun).filter(|&index| picture_file(folder, index).exists()).count();
     let n_written = first_open as usize + n_open;
     format!(
-        "stopped after {n_written} of {n_pictures} pictures; those in {} are complete: the same command goes on",
+        "stopped after {n_written} of {n_pictures} pictures; those in {} are complete: the same command with --resume goes on",
         folder.display()
     )
 }
