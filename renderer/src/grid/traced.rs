@@ -1,14 +1,19 @@
 //! The mesh that rays hit: ordered so that triangles close in space are close in memory.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::{
+    intersect::ray::Ray,
     model::{
         mesh::{Aabb, Mesh},
         solid::Facing,
     },
     simd::Simd,
+    texture::{
+        footprint::{SampleRay, texture_point},
+        materials::{PointMaterial, TracedMaterials},
+    },
 };
 
 /// A mesh in the order of a grid's cells, without triangles that cannot be hit.
@@ -23,6 +28,9 @@ pub struct TracedMesh {
     file_indices: Vec<u32>,
     /// sRGB, one for each vertex; empty in a mesh without colours.
     colors: Vec<[u8; 3]>,
+    /// One for each vertex; empty in a mesh without textures.
+    texture_coordinates: Vec<[f32; 2]>,
+    materials: TracedMaterials,
     bounds: Aabb,
     facing: Option<Facing>,
     origin: DVec3,
@@ -33,20 +41,30 @@ impl TracedMesh {
     pub(crate) fn peak_bytes(mesh: &Mesh) -> u64 {
         // With the renumbering of triangles and vertices in both directions.
         let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
-        mesh.n_bytes() as u64 + Self::bytes_in_order(mesh) + 4 * n_triangles + 8 * n_vertices
+        let geometry_bytes = mesh.n_bytes() - mesh.materials.n_bytes();
+        geometry_bytes as u64
+            + Self::geometry_bytes_in_order(mesh)
+            + 4 * n_triangles
+            + 8 * n_vertices
+            + TracedMaterials::peak_bytes(&mesh.materials)
     }
 
     /// Most bytes that an ordered mesh takes, without the references.
     pub(crate) fn bytes_in_order(mesh: &Mesh) -> u64 {
+        Self::geometry_bytes_in_order(mesh) + TracedMaterials::n_bytes_of(&mesh.materials)
+    }
+
+    fn geometry_bytes_in_order(mesh: &Mesh) -> u64 {
         let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
         // With file indices.
-        16 * n_triangles + 12 * n_vertices + size_of_val(&*mesh.colors) as u64
+        let of_vertices = size_of_val(&*mesh.colors) + size_of_val(&*mesh.texture_coordinates);
+        16 * n_triangles + 12 * n_vertices + of_vertices as u64
     }
 
     /// Orders a mesh by the first mention of each triangle in `references`, which become triangle indices.
     pub fn new(mesh: Mesh, references: &mut [u32]) -> Self {
         let (bounds, facing) = (mesh.bounds(), mesh.facing());
-        let Mesh { vertices, triangles, colors, origin, .. } = mesh;
+        let Mesh { vertices, triangles, colors, texture_coordinates, materials, origin, .. } = mesh;
 
         // Number the triangles in the order of their first mention.
         let mut file_indices = Vec::new();
@@ -73,12 +91,17 @@ impl TracedMesh {
         let triangles_in_order =
             in_order.map(|corners| corners.map(|vertex| vertex_renumbering.new_indices[vertex as usize])).collect();
         drop((triangles, vertex_renumbering));
+        let materials = TracedMaterials::new(materials, &file_indices);
         let is_colored = !colors.is_empty();
+        let is_textured = materials.has_textures() && !texture_coordinates.is_empty();
+        let coordinates = kept_vertices.iter().filter(|_| is_textured);
         Self {
             vertices: padded(kept_vertices.par_iter().map(|&vertex| vertices[vertex as usize])),
             triangles: triangles_in_order,
             file_indices,
             colors: kept_vertices.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
+            texture_coordinates: coordinates.map(|&vertex| texture_coordinates[vertex as usize]).collect(),
+            materials,
             bounds,
             facing,
             origin,
@@ -120,6 +143,33 @@ impl TracedMesh {
         (!self.colors.is_empty()).then(|| self.triangles[triangle_idx as usize].map(color))
     }
 
+    /// A triangle's material where a camera's ray hits it; `None` in a mesh without materials.
+    #[inline]
+    pub(crate) fn material(&self, triangle_idx: u32, ray: &SampleRay) -> Option<PointMaterial> {
+        let footprint = || Some(ray.footprint(self.corners(triangle_idx), self.corner_coordinates(triangle_idx)?));
+        self.materials.at(triangle_idx, footprint)
+    }
+
+    /// Whether a ray passes a triangle that it hits, where the triangle's material has a gap.
+    #[inline]
+    pub(crate) fn is_passed(&self, triangle_idx: u32, ray: &Ray) -> bool {
+        let point = || Some(texture_point(ray, self.corners(triangle_idx), self.corner_coordinates(triangle_idx)?));
+        self.materials.is_cut(triangle_idx, point)
+    }
+
+    /// Whether rays pass some triangles that they hit.
+    #[inline]
+    pub(crate) fn has_masks(&self) -> bool {
+        self.materials.has_masks()
+    }
+
+    /// The texture coordinates of a triangle's corners, if the mesh has textures.
+    #[inline]
+    fn corner_coordinates(&self, triangle_idx: u32) -> Option<[Vec2; 3]> {
+        let coordinates = |vertex: u32| Vec2::from_array(self.texture_coordinates[vertex as usize]);
+        (!self.texture_coordinates.is_empty()).then(|| self.triangles[triangle_idx as usize].map(coordinates))
+    }
+
     /// Bounds of all triangles, in model space.
     pub fn bounds(&self) -> Aabb {
         self.bounds
@@ -136,6 +186,8 @@ impl TracedMesh {
             + size_of_val(&*self.triangles)
             + size_of_val(&*self.file_indices)
             + size_of_val(&*self.colors)
+            + size_of_val(&*self.texture_coordinates)
+            + self.materials.n_bytes()
     }
 
     #[inline(always)]

@@ -49,10 +49,12 @@ impl Nearest {
         self.triangle != u32::MAX
     }
 
-    /// Takes a hit if it is nearer; of several at the same t that of the first triangle in the file.
+    /// Takes a hit if it is nearer, and the ray does not pass it; of several at the same t that of the first triangle in the
+    /// file.
     #[inline(always)]
-    pub(super) fn offer(&mut self, mesh: &TracedMesh, triangle: u32, t: f64) {
-        if t < self.t || (t == self.t && mesh.file_index(triangle) < mesh.file_index(self.triangle)) {
+    pub(super) fn offer(&mut self, mesh: &TracedMesh, ray: &Ray, triangle: u32, t: f64) {
+        let is_nearer = t < self.t || (t == self.t && mesh.file_index(triangle) < mesh.file_index(self.triangle));
+        if is_nearer && !(mesh.has_masks() && mesh.is_passed(triangle, ray)) {
             (self.triangle, self.t) = (triangle, t);
         }
     }
@@ -277,7 +279,7 @@ impl<'a, const ANY: bool> TriangleTester<'a, ANY> {
             let triangle = self.waiting[first + lane];
             let certain_t = (decision.uncertain >> lane & 1 == 0).then_some(ts[lane]);
             if let Some(t) = triangle::finish(self.ray, certain_t, || self.mesh.corners(triangle)) {
-                self.nearest.offer(self.mesh, triangle, t);
+                self.nearest.offer(self.mesh, self.ray, triangle, t);
             }
         }
     }

@@ -12,7 +12,8 @@ use shared::{
 use crate::{
     grid::traced::TracedMesh,
     intersect::{RayCost, ray::Hit},
-    render::secondary::LightVisibility,
+    render::{gloss::GlossySurface, secondary::LightVisibility},
+    texture::{footprint::SampleRay, materials::PointMaterial},
 };
 
 /// Shades a mesh seen by one camera: a light at the eye shows form, a key light relief, and a sky which way is up.
@@ -22,6 +23,9 @@ pub struct Shader<'a> {
     /// The camera's up direction, unit length, world space.
     up: Vec3,
     n_rows: f32,
+    eye: Vec3,
+    /// Change of a ray's direction across the width and the height of its share of a pixel.
+    sample_sides: [Vec3; 2],
     /// Linear light of the background at the bottom and at the top.
     background: [Vec3; 2],
     /// Points away from the kept half; unit length, world space.
@@ -46,7 +50,12 @@ impl<'a> Shader<'a> {
         let up = normalize_or_zero(spec.camera.v().normalize().as_vec3());
         let background = [spec.appearance.background.bottom, spec.appearance.background.top].map(linear);
         let cap_normal = clip.map_or(Vec3::ZERO, |plane| plane.normal.as_vec3());
-        Self { mesh, shading: spec.view, up, n_rows: spec.size.yres() as f32, background, cap_normal }
+        let rays = spec.camera.rays(spec.size);
+        // All samples of a pixel share it.
+        let side = 1.0 / (spec.samples.count as f32).sqrt();
+        let sample_sides = [rays.du * side, rays.dv * side];
+        let n_rows = spec.size.yres() as f32;
+        Self { mesh, shading: spec.view, up, n_rows, eye: rays.eye, sample_sides, background, cap_normal }
     }
 
     /// The linear light along one ray, given the lights that reach its hit. `row` counts samples from the bottom.
@@ -68,23 +77,50 @@ impl<'a> Shader<'a> {
             // The cost of a ray does not depend on its hit: see [`cost_color`].
             ShadingMode::Normals | ShadingMode::Cost => (normal + 1.0) * 0.5,
             ShadingMode::Shaded => {
-                let eye = normal.dot(-normalize_or_zero(direction)).max(0.0);
+                let to_eye = -normalize_or_zero(direction);
+                let eye = normal.dot(to_eye).max(0.0);
                 let key = normal.dot(visibility.key_direction).max(0.0) * visibility.key;
                 let sky = 0.5 + 0.5 * normal.dot(self.up);
                 let ambient = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
-                self.albedo(hit) * (KEY_LIGHT * key + ambient * visibility.ambient_visibility)
+                let scattered = KEY_LIGHT * key + ambient * visibility.ambient_visibility;
+                let Some(material) = self.material(hit, direction) else { return self.albedo(hit) * scattered };
+                let color = self.vertex_color(hit).unwrap_or(Vec3::ONE) * Vec3::from(material.base_color);
+                let emissive = Vec3::from(material.emissive);
+                match material.gloss {
+                    None => color * scattered + emissive,
+                    Some([roughness, metallic]) => {
+                        let surface = GlossySurface { color, roughness, metallic, normal, to_eye };
+                        color * (1.0 - metallic) * scattered + self.reflected(&surface, visibility) + emissive
+                    }
+                }
             }
         }
     }
 
-    /// The mean of the corners' colours.
+    /// The light that a glossy surface reflects rather than scatters.
+    fn reflected(&self, surface: &GlossySurface, visibility: &LightVisibility) -> Vec3 {
+        let mirrored = surface.mirrored();
+        let sky = 0.5 + 0.5 * mirrored.dot(self.up);
+        let ambient = EYE_LIGHT * surface.highlight(surface.to_eye)
+            + surface.sheen() * (SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky));
+        KEY_LIGHT * surface.highlight(visibility.key_direction) * visibility.key
+            + ambient * visibility.ambient_visibility
+    }
+
+    /// The material at a hit; `None` for caps, and in meshes without materials.
+    fn material(&self, hit: Hit, direction: Vec3) -> Option<PointMaterial> {
+        let ray = SampleRay { eye: self.eye, direction, sides: self.sample_sides };
+        if hit.is_cap() { None } else { self.mesh.material(hit.triangle, &ray) }
+    }
+
     fn albedo(&self, hit: Hit) -> Vec3 {
-        if hit.is_cap() {
-            return CAP;
-        }
-        let Some(colors) = self.mesh.corner_colors(hit.triangle) else { return CLAY };
-        let [a, b, c] = colors.map(linear);
-        (a + b + c) / 3.0
+        if hit.is_cap() { CAP } else { self.vertex_color(hit).unwrap_or(CLAY) }
+    }
+
+    /// The mean of the corners' colours.
+    fn vertex_color(&self, hit: Hit) -> Option<Vec3> {
+        let [a, b, c] = self.mesh.corner_colors(hit.triangle)?.map(linear);
+        Some((a + b + c) / 3.0)
     }
 }
 

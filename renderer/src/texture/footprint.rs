@@ -1,0 +1,129 @@
+//! The part of a texture that one sample of the picture shows, and the lookups that cover it.
+//!
+//! Ray differentials after Igehy, "Tracing Ray Differentials" (1999), for rays of a camera, where they are exact; several
+//! lookups along the longer axis after McCormack et al., "Feline: Fast Elliptical Lines for Anisotropic Texture Mapping"
+//! (1999).
+
+use glam::{DVec3, Vec2, Vec3, Vec3A};
+
+use crate::{intersect::ray::Ray, model::material::Wrap, texture::mip_map::MipMap};
+
+/// A parallelogram on a texture.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Footprint {
+    /// Its centre, in texture coordinates.
+    pub(crate) centre: Vec2,
+    /// Its sides.
+    pub(crate) sides: [Vec2; 2],
+}
+
+/// A ray of a camera, and the change of its direction across the width and the height of its sample.
+pub(crate) struct SampleRay {
+    pub(crate) eye: Vec3,
+    pub(crate) direction: Vec3,
+    pub(crate) sides: [Vec3; 2],
+}
+
+/// The point `a + β(b − a) + γ(c − a)` where rays from one origin meet the plane of a triangle.
+///
+/// By Cramer's rule β and γ are linear functions of the direction over another. In `f64`, products of coordinates of any size
+/// are finite.
+struct PlanePoint {
+    of_beta: DVec3,
+    of_gamma: DVec3,
+    of_both: DVec3,
+}
+
+/// Squares along a footprint's longer axis that cover it.
+struct Squares {
+    first: Vec2,
+    step: Vec2,
+    n: u32,
+    /// In texels of the image.
+    width: f32,
+}
+
+/// Limit of [`Squares::n`]: longer footprints are blurred across.
+const MOST_SQUARES: f32 = 8.0;
+
+impl PlanePoint {
+    #[inline]
+    fn new(origin: Vec3, corners: [[f32; 3]; 3]) -> Self {
+        let [a, b, c] = corners.map(|corner| Vec3::from_array(corner).as_dvec3());
+        let (ab, ac, from_a) = (b - a, c - a, origin.as_dvec3() - a);
+        Self { of_beta: from_a.cross(ac), of_gamma: ab.cross(from_a), of_both: ab.cross(ac) }
+    }
+}
+
+/// Where a ray meets a triangle, in texture coordinates; `coordinates` are those of its corners.
+#[inline]
+pub(crate) fn texture_point(ray: &Ray, corners: [[f32; 3]; 3], [a, b, c]: [Vec2; 3]) -> Vec2 {
+    let PlanePoint { of_beta, of_gamma, of_both } = PlanePoint::new(ray.origin, corners);
+    let direction = ray.direction.as_dvec3();
+    let scale = 1.0 / of_both.dot(direction);
+    let [beta, gamma] = [of_beta, of_gamma].map(|numerator| (numerator.dot(direction) * scale) as f32);
+    a + (b - a) * beta + (c - a) * gamma
+}
+
+impl SampleRay {
+    /// The footprint on a triangle; `coordinates` are those of its corners.
+    #[inline]
+    pub(crate) fn footprint(&self, corners: [[f32; 3]; 3], [a, b, c]: [Vec2; 3]) -> Footprint {
+        let PlanePoint { of_beta, of_gamma, of_both } = PlanePoint::new(self.eye, corners);
+        let direction = self.direction.as_dvec3();
+        let scale = 1.0 / of_both.dot(direction);
+        let (beta, gamma) = (of_beta.dot(direction) * scale, of_gamma.dot(direction) * scale);
+        let on_texture = |beta: f64, gamma: f64| (b - a) * beta as f32 + (c - a) * gamma as f32;
+        // The quotient rule.
+        let sides = self.sides.map(|side| {
+            let side = side.as_dvec3();
+            let change = of_both.dot(side);
+            on_texture((of_beta.dot(side) - beta * change) * scale, (of_gamma.dot(side) - gamma * change) * scale)
+        });
+        Footprint { centre: a + on_texture(beta, gamma), sides }
+    }
+}
+
+impl Footprint {
+    /// The footprint on a texture whose coordinates are this matrix times (u, v, 1).
+    pub(crate) fn transformed(&self, rows: &[[f32; 3]; 2]) -> Self {
+        let [[a, b, _], [c, d, _]] = *rows;
+        let sides = self.sides.map(|side| Vec2::new(a * side.x + b * side.y, c * side.x + d * side.y));
+        Self { centre: transformed(self.centre, rows), sides }
+    }
+
+    /// The mean of a texture over the footprint.
+    pub(crate) fn mean(&self, map: &MipMap, wrap: [Wrap; 2]) -> Vec3A {
+        let Squares { first, step, n, width } = self.squares(Vec2::from_array(map.size()));
+        let at = |index: u32| map.mean((first + step * index as f32).to_array(), width, wrap);
+        let sum = (1..n).fold(at(0), |sum, index| sum + at(index));
+        if n == 1 { sum } else { sum * (1.0 / n as f32) }
+    }
+
+    /// The squares for an image of `size` texels.
+    fn squares(&self, size: Vec2) -> Squares {
+        // The axes are those of the ellipse that the sides span: the singular values and vectors of a matrix.
+        let [a, b] = self.sides.map(|side| side * size);
+        let (sum, area) = (a.length_squared() + b.length_squared(), a.perp_dot(b).abs());
+        let difference = ((sum - 2.0 * area).max(0.0) * (sum + 2.0 * area)).sqrt();
+        let major_squared = (sum + difference) * 0.5;
+        let major = major_squared.sqrt();
+        // Texels are never narrower than one.
+        let minor = (area / major).max(1.0);
+        let n = ((major / minor).min(MOST_SQUARES) + 0.5) as u32;
+        if n <= 1 {
+            return Squares { first: self.centre, step: Vec2::ZERO, n: 1, width: major };
+        }
+        let (xx, yy, xy) = (a.x * a.x + b.x * b.x, a.y * a.y + b.y * b.y, a.x * a.y + b.x * b.y);
+        let along = if xx > yy { Vec2::new(major_squared - yy, xy) } else { Vec2::new(xy, major_squared - xx) };
+        let axis = along * (major / along.length()) / size;
+        let step = axis * (1.0 / n as f32);
+        Squares { first: self.centre - (axis - step) * 0.5, step, n, width: major / n as f32 }
+    }
+}
+
+/// The matrix of these rows times (u, v, 1).
+#[inline]
+pub(crate) fn transformed(at: Vec2, [u, v]: &[[f32; 3]; 2]) -> Vec2 {
+    Vec2::new(u[0] * at.x + u[1] * at.y + u[2], v[0] * at.x + v[1] * at.y + v[2])
+}
