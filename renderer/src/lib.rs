@@ -13,4 +13,4 @@ pub mod model;
 pub mod render;
 pub mod server;
 mod simd;
-mod texture;
+pub mod texture;

@@ -5,6 +5,8 @@
 
 pub(crate) mod footprint;
 mod level;
-pub(crate) mod materials;
+mod lookup;
+mod mask;
+pub mod materials;
 mod mip_map;
 mod texel;

@@ -4,7 +4,7 @@ use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::{
-    intersect::ray::Ray,
+    intersect::ray::{Hit, Ray},
     model::{
         mesh::{Aabb, Mesh},
         solid::Facing,
@@ -143,11 +143,19 @@ impl TracedMesh {
         (!self.colors.is_empty()).then(|| self.triangles[triangle_idx as usize].map(color))
     }
 
-    /// A triangle's material where a camera's ray hits it; `None` in a mesh without materials.
-    #[inline]
-    pub(crate) fn material(&self, triangle_idx: u32, ray: &SampleRay) -> Option<PointMaterial> {
-        let footprint = || Some(ray.footprint(self.corners(triangle_idx), self.corner_coordinates(triangle_idx)?));
-        self.materials.at(triangle_idx, footprint)
+    /// Whether surfaces have materials.
+    pub(crate) fn has_materials(&self) -> bool {
+        self.materials.has_materials()
+    }
+
+    /// The materials where up to 64 rays of a camera hit triangles; `None` for misses, caps, and in meshes without materials.
+    pub(crate) fn materials(&self, hits: &[Hit], ray: impl Fn(usize) -> SampleRay) -> [Option<PointMaterial>; 64] {
+        let triangles = hits.iter().map(|hit| (!hit.is_miss() && !hit.is_cap()).then_some(hit.triangle));
+        let footprint = |sample: usize| {
+            let triangle_idx = hits[sample].triangle;
+            Some(ray(sample).footprint(self.corners(triangle_idx), self.corner_coordinates(triangle_idx)?))
+        };
+        self.materials.at(triangles, footprint)
     }
 
     /// Whether a ray passes a triangle that it hits, where the triangle's material has a gap.

@@ -57,11 +57,14 @@ impl<'a> Lighting<'a> {
         }
         let visibility = self.secondary.visibility(blocks, sample, directions, hits, scratch);
         for (index, block) in blocks.iter().enumerate() {
+            let n_samples = block.n_samples();
+            let materials = self.shader.materials(&directions[index][..n_samples], &hits[index][..n_samples]);
             for (sample_idx, (i, j)) in block.samples().enumerate() {
                 let (_, y) = sample_point(i, j, sample);
                 lights[index][sample_idx] = self.shader.light(
                     directions[index][sample_idx],
                     hits[index][sample_idx],
+                    materials[sample_idx].as_ref(),
                     y,
                     &visibility[index][sample_idx],
                 );

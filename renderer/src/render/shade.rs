@@ -58,9 +58,16 @@ impl<'a> Shader<'a> {
         Self { mesh, shading: spec.view, up, n_rows, eye: rays.eye, sample_sides, background, cap_normal }
     }
 
-    /// The linear light along one ray, given the lights that reach its hit. `row` counts samples from the bottom.
+    /// The linear light along one ray, given its hit's material and the lights that reach it. `row` counts samples from the bottom.
     #[inline]
-    pub fn light(&self, direction: Vec3, hit: Hit, row: f32, visibility: &LightVisibility) -> Vec3 {
+    pub fn light(
+        &self,
+        direction: Vec3,
+        hit: Hit,
+        material: Option<&PointMaterial>,
+        row: f32,
+        visibility: &LightVisibility,
+    ) -> Vec3 {
         if hit.is_miss() {
             let height = row / self.n_rows;
             return self.background[0] * (1.0 - height) + self.background[1] * height;
@@ -83,7 +90,7 @@ impl<'a> Shader<'a> {
                 let sky = 0.5 + 0.5 * normal.dot(self.up);
                 let ambient = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
                 let scattered = KEY_LIGHT * key + ambient * visibility.ambient_visibility;
-                let Some(material) = self.material(hit, direction) else { return self.albedo(hit) * scattered };
+                let Some(material) = material else { return self.albedo(hit) * scattered };
                 let color = self.vertex_color(hit).unwrap_or(Vec3::ONE) * Vec3::from(material.base_color);
                 let emissive = Vec3::from(material.emissive);
                 match material.gloss {
@@ -107,10 +114,13 @@ impl<'a> Shader<'a> {
             + ambient * visibility.ambient_visibility
     }
 
-    /// The material at a hit; `None` for caps, and in meshes without materials.
-    fn material(&self, hit: Hit, direction: Vec3) -> Option<PointMaterial> {
-        let ray = SampleRay { eye: self.eye, direction, sides: self.sample_sides };
-        if hit.is_cap() { None } else { self.mesh.material(hit.triangle, &ray) }
+    /// The materials at up to 64 hits; `None` for misses, caps, and in meshes without materials.
+    pub fn materials(&self, directions: &[Vec3], hits: &[Hit]) -> [Option<PointMaterial>; 64] {
+        if self.shading != ShadingMode::Shaded || !self.mesh.has_materials() {
+            return [None; 64];
+        }
+        let ray = |sample| SampleRay { eye: self.eye, direction: directions[sample], sides: self.sample_sides };
+        self.mesh.materials(hits, ray)
     }
 
     fn albedo(&self, hit: Hit) -> Vec3 {

@@ -4,9 +4,9 @@
 //! lookups along the longer axis after McCormack et al., "Feline: Fast Elliptical Lines for Anisotropic Texture Mapping"
 //! (1999).
 
-use glam::{DVec3, Vec2, Vec3, Vec3A};
+use glam::{DVec3, Vec2, Vec3};
 
-use crate::{intersect::ray::Ray, model::material::Wrap, texture::mip_map::MipMap};
+use crate::intersect::ray::Ray;
 
 /// A parallelogram on a texture.
 #[derive(Clone, Copy, Debug)]
@@ -16,6 +16,20 @@ pub(crate) struct Footprint {
     /// Its sides.
     pub(crate) sides: [Vec2; 2],
 }
+
+/// Squares along a footprint's longer axis that cover it.
+#[derive(Clone, Copy)]
+pub(super) struct Squares {
+    pub(super) first: Vec2,
+    pub(super) step: Vec2,
+    /// At least 1.
+    pub(super) n: u32,
+    /// In texels of the image.
+    pub(super) width: f32,
+}
+
+/// Limit of [`Squares::n`]: longer footprints are blurred across.
+const MOST_SQUARES: f32 = 8.0;
 
 /// A ray of a camera, and the change of its direction across the width and the height of its sample.
 pub(crate) struct SampleRay {
@@ -34,22 +48,10 @@ struct PlanePoint {
     of_both: DVec3,
 }
 
-/// Squares along a footprint's longer axis that cover it.
-struct Squares {
-    first: Vec2,
-    step: Vec2,
-    n: u32,
-    /// In texels of the image.
-    width: f32,
-}
-
-/// Limit of [`Squares::n`]: longer footprints are blurred across.
-const MOST_SQUARES: f32 = 8.0;
-
 impl PlanePoint {
-    #[inline]
-    fn new(origin: Vec3, corners: [[f32; 3]; 3]) -> Self {
-        let [a, b, c] = corners.map(|corner| Vec3::from_array(corner).as_dvec3());
+    #[inline(always)]
+    fn new(origin: Vec3, [a, b, c]: [[f32; 3]; 3]) -> Self {
+        let (a, b, c) = (Vec3::from(a).as_dvec3(), Vec3::from(b).as_dvec3(), Vec3::from(c).as_dvec3());
         let (ab, ac, from_a) = (b - a, c - a, origin.as_dvec3() - a);
         Self { of_beta: from_a.cross(ac), of_gamma: ab.cross(from_a), of_both: ab.cross(ac) }
     }
@@ -75,50 +77,52 @@ impl SampleRay {
         let (beta, gamma) = (of_beta.dot(direction) * scale, of_gamma.dot(direction) * scale);
         let on_texture = |beta: f64, gamma: f64| (b - a) * beta as f32 + (c - a) * gamma as f32;
         // The quotient rule.
-        let sides = self.sides.map(|side| {
+        let change = |side: Vec3| {
             let side = side.as_dvec3();
             let change = of_both.dot(side);
             on_texture((of_beta.dot(side) - beta * change) * scale, (of_gamma.dot(side) - gamma * change) * scale)
-        });
-        Footprint { centre: a + on_texture(beta, gamma), sides }
+        };
+        Footprint { centre: a + on_texture(beta, gamma), sides: [change(self.sides[0]), change(self.sides[1])] }
     }
 }
 
 impl Footprint {
+    pub(super) const NONE: Self = Self { centre: Vec2::ZERO, sides: [Vec2::ZERO; 2] };
+
     /// The footprint on a texture whose coordinates are this matrix times (u, v, 1).
+    #[inline(always)]
     pub(crate) fn transformed(&self, rows: &[[f32; 3]; 2]) -> Self {
         let [[a, b, _], [c, d, _]] = *rows;
-        let sides = self.sides.map(|side| Vec2::new(a * side.x + b * side.y, c * side.x + d * side.y));
-        Self { centre: transformed(self.centre, rows), sides }
+        let [right, up] = self.sides;
+        let [right, up] = [
+            Vec2::new(a * right.x + b * right.y, c * right.x + d * right.y),
+            Vec2::new(a * up.x + b * up.y, c * up.x + d * up.y),
+        ];
+        Self { centre: transformed(self.centre, rows), sides: [right, up] }
     }
 
-    /// The mean of a texture over the footprint.
-    pub(crate) fn mean(&self, map: &MipMap, wrap: [Wrap; 2]) -> Vec3A {
-        let Squares { first, step, n, width } = self.squares(Vec2::from_array(map.size()));
-        let at = |index: u32| map.mean((first + step * index as f32).to_array(), width, wrap);
-        let sum = (1..n).fold(at(0), |sum, index| sum + at(index));
-        if n == 1 { sum } else { sum * (1.0 / n as f32) }
-    }
-
-    /// The squares for an image of `size` texels.
-    fn squares(&self, size: Vec2) -> Squares {
+    /// The squares for an image of `size` texels. Nothing branches, so that a loop becomes vector instructions.
+    #[inline(always)]
+    pub(super) fn squares(&self, size: Vec2) -> Squares {
         // The axes are those of the ellipse that the sides span: the singular values and vectors of a matrix.
-        let [a, b] = self.sides.map(|side| side * size);
+        let (a, b) = (self.sides[0] * size, self.sides[1] * size);
         let (sum, area) = (a.length_squared() + b.length_squared(), a.perp_dot(b).abs());
         let difference = ((sum - 2.0 * area).max(0.0) * (sum + 2.0 * area)).sqrt();
         let major_squared = (sum + difference) * 0.5;
         let major = major_squared.sqrt();
         // Texels are never narrower than one.
         let minor = (area / major).max(1.0);
-        let n = ((major / minor).min(MOST_SQUARES) + 0.5) as u32;
-        if n <= 1 {
-            return Squares { first: self.centre, step: Vec2::ZERO, n: 1, width: major };
-        }
+        let n = ((major / minor).min(MOST_SQUARES) + 0.5) as i32;
+        let (n, is_one) = (n.max(1), n <= 1);
+        let part = 1.0 / n as f32;
+
+        // A single square needs no axis, and a circle has none.
         let (xx, yy, xy) = (a.x * a.x + b.x * b.x, a.y * a.y + b.y * b.y, a.x * a.y + b.x * b.y);
         let along = if xx > yy { Vec2::new(major_squared - yy, xy) } else { Vec2::new(xy, major_squared - xx) };
-        let axis = along * (major / along.length()) / size;
-        let step = axis * (1.0 / n as f32);
-        Squares { first: self.centre - (axis - step) * 0.5, step, n, width: major / n as f32 }
+        let scale = if is_one { 0.0 } else { major / along.length() };
+        let axis = along * scale / size;
+        let step = axis * part;
+        Squares { first: self.centre - (axis - step) * 0.5, step, n: n as u32, width: major * part }
     }
 }
 

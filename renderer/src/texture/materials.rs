@@ -4,9 +4,11 @@ use glam::{Vec2, Vec3A};
 
 use crate::{
     model::material::{Material, Materials, TextureUse, Wrap},
+    simd::InstructionSet,
     texture::{
         footprint::{self, Footprint},
-        level::Level,
+        lookup::Means,
+        mask::Mask,
         mip_map::{Encoding, MipMap},
     },
 };
@@ -19,7 +21,7 @@ pub(crate) struct TracedMaterials {
     of_triangles: Vec<u16>,
     maps: Vec<MipMap>,
     /// Coverage, for materials that are not everywhere.
-    masks: Vec<Level<u8>>,
+    masks: Vec<Mask>,
     /// Whether some surfaces are not everywhere.
     has_masks: bool,
 }
@@ -33,7 +35,7 @@ struct TracedMaterial {
     gloss_texture: Option<Texture>,
     emissive: Vec3A,
     emissive_texture: Option<Texture>,
-    mask: Option<Mask>,
+    gaps: Option<Gaps>,
 }
 
 /// A use of one of [`TracedMaterials::maps`] or [`TracedMaterials::masks`].
@@ -45,7 +47,7 @@ struct Texture {
 }
 
 #[derive(Debug)]
-struct Mask {
+struct Gaps {
     /// Without one, coverage is 1 everywhere.
     texture: Option<Texture>,
     /// Where the texture is below this, the surface is not there.
@@ -54,13 +56,13 @@ struct Mask {
 
 /// A material at one point of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct PointMaterial {
+pub struct PointMaterial {
     /// Linear, without the vertices' colours.
-    pub(crate) base_color: Vec3A,
+    pub base_color: Vec3A,
     /// Roughness and metallic, each from 0 to 1; `None` for a surface that only scatters light.
-    pub(crate) gloss: Option<[f32; 2]>,
+    pub gloss: Option<[f32; 2]>,
     /// Linear light that the surface gives off.
-    pub(crate) emissive: Vec3A,
+    pub emissive: Vec3A,
 }
 
 /// The part of an image that a material needs.
@@ -99,7 +101,7 @@ impl TracedMaterials {
                 match part {
                     Part::Colors => maps.push(MipMap::new(&image, Encoding::Srgb)),
                     Part::Numbers => maps.push(MipMap::new(&image, Encoding::Linear)),
-                    Part::Coverage => masks.push(Level::of_image(&image, |[.., coverage]| coverage)),
+                    Part::Coverage => masks.push(Mask::new(&image)),
                 }
             }
         }
@@ -118,7 +120,7 @@ impl TracedMaterials {
                 gloss_texture: texture(material.metallic_roughness_texture, Part::Numbers),
                 emissive: Vec3A::from_array(material.emissive),
                 emissive_texture: texture(material.emissive_texture, Part::Colors),
-                mask: material.alpha_cutoff.map(|cutoff| Mask {
+                gaps: material.alpha_cutoff.map(|cutoff| Gaps {
                     texture: texture(material.base_color_texture, Part::Coverage),
                     cutoff: cutoff / coverage,
                 }),
@@ -133,9 +135,14 @@ impl TracedMaterials {
     /// Bytes in memory.
     pub(crate) fn n_bytes(&self) -> usize {
         self.maps.iter().map(MipMap::n_bytes).sum::<usize>()
-            + self.masks.iter().map(Level::n_bytes).sum::<usize>()
+            + self.masks.iter().map(Mask::n_bytes).sum::<usize>()
             + size_of_val(&*self.materials)
             + size_of_val(&*self.of_triangles)
+    }
+
+    /// Whether surfaces have materials.
+    pub(crate) fn has_materials(&self) -> bool {
+        !self.materials.is_empty()
     }
 
     /// Whether there are textures, so that triangles need texture coordinates.
@@ -148,45 +155,110 @@ impl TracedMaterials {
         self.has_masks
     }
 
-    /// The material of a triangle where a sample shows it; `None` without materials. `footprint` is called if it has textures.
-    #[inline]
-    pub(crate) fn at(&self, triangle_idx: u32, footprint: impl FnOnce() -> Option<Footprint>) -> Option<PointMaterial> {
-        let material = self.of_triangle(triangle_idx)?;
-        let textures = [&material.base_color_texture, &material.gloss_texture, &material.emissive_texture];
-        let footprint = if textures.iter().any(|texture| texture.is_some()) { footprint() } else { None };
-        let [base_color, gloss, emissive] = textures.map(|texture| match (texture, &footprint) {
-            (Some(texture), Some(footprint)) => {
-                footprint.transformed(&texture.transform).mean(&self.maps[texture.index], texture.wrap)
+    /// The materials of triangles where up to 64 samples show them; `None` for samples without a triangle, and in meshes without
+    /// materials. `footprint` gives that of a sample, if its triangle has texture coordinates.
+    pub(crate) fn at(
+        &self,
+        triangles: impl Iterator<Item = Option<u32>>,
+        footprint: impl Fn(usize) -> Option<Footprint>,
+    ) -> [Option<PointMaterial>; 64] {
+        let mut points = [None; 64];
+        let mut indices = [usize::MAX; 64];
+        let mut textured = 0u64;
+        for (sample, triangle_idx) in triangles.enumerate().take(64) {
+            let index = triangle_idx.map_or(usize::MAX, |triangle_idx| self.index_of_triangle(triangle_idx));
+            let Some(material) = self.materials.get(index) else { continue };
+            points[sample] = Some(material.without_textures());
+            indices[sample] = index;
+            textured |= u64::from(material.has_textures()) << sample;
+        }
+
+        // Look up the textures of one material after the other.
+        while textured != 0 {
+            let index = indices[textured.trailing_zeros() as usize];
+            let (mut samples, mut footprints, mut n) = ([0; 64], [Footprint::NONE; 64], 0);
+            for sample in 0..64 {
+                if indices[sample] == index {
+                    textured &= !(1 << sample);
+                    if let Some(footprint) = footprint(sample) {
+                        (samples[n], footprints[n]) = (sample, footprint);
+                        n += 1;
+                    }
+                }
             }
-            _ => Vec3A::ONE,
-        });
-        let [roughness, metallic] = material.gloss;
-        let is_glossy = roughness < 1.0 || metallic > 0.0 || material.gloss_texture.is_some();
-        Some(PointMaterial {
-            base_color: material.base_color * base_color,
-            gloss: is_glossy.then_some([roughness * gloss.y, metallic * gloss.z]),
-            emissive: material.emissive * emissive,
-        })
+            self.multiply(&self.materials[index], &footprints[..n], &samples, &mut points);
+        }
+        points
+    }
+
+    /// Multiplies materials by their textures.
+    fn multiply(
+        &self,
+        material: &TracedMaterial,
+        footprints: &[Footprint],
+        samples: &[usize; 64],
+        points: &mut [Option<PointMaterial>; 64],
+    ) {
+        let mut means = [Vec3A::ZERO; 64];
+        let mut transformed = [Footprint::NONE; 64];
+        let n = footprints.len();
+        for (kind, texture) in material.textures().into_iter().enumerate() {
+            let Some(Texture { index, wrap, transform }) = texture else { continue };
+            for (transformed, footprint) in transformed.iter_mut().zip(footprints) {
+                *transformed = footprint.transformed(transform);
+            }
+            let map = &self.maps[*index];
+            let lookups = Means { map, wrap: *wrap, footprints: &transformed[..n], means: &mut means[..n] };
+            // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
+            unsafe { InstructionSet::best().call(lookups) };
+            for (mean, &sample) in means[..n].iter().zip(samples) {
+                let Some(point) = &mut points[sample] else { continue };
+                match (kind, &mut point.gloss) {
+                    (0, _) => point.base_color *= *mean,
+                    (1, Some([roughness, metallic])) => {
+                        (*roughness, *metallic) = (*roughness * mean.y, *metallic * mean.z)
+                    }
+                    (1, None) => {}
+                    _ => point.emissive *= *mean,
+                }
+            }
+        }
     }
 
     /// Whether a triangle's surface is missing at a point; `coordinates` is called if its material has a mask with a texture.
     #[inline]
     pub(crate) fn is_cut(&self, triangle_idx: u32, coordinates: impl FnOnce() -> Option<Vec2>) -> bool {
-        let Some(Mask { texture, cutoff }) = self.of_triangle(triangle_idx).and_then(|material| material.mask.as_ref())
+        let Some(Gaps { texture, cutoff }) =
+            self.materials.get(self.index_of_triangle(triangle_idx)).and_then(|material| material.gaps.as_ref())
         else {
             return false;
         };
         let coverage = texture.as_ref().and_then(|texture| {
             let at = footprint::transformed(coordinates()?, &texture.transform).to_array();
-            Some(self.masks[texture.index].bilinear(at, texture.wrap, |coverage| f32::from(coverage) / 255.0))
+            Some(self.masks[texture.index].at(at, texture.wrap))
         });
         coverage.unwrap_or(1.0) < *cutoff
     }
 
     #[inline]
-    fn of_triangle(&self, triangle_idx: u32) -> Option<&TracedMaterial> {
-        let index = self.of_triangles.get(triangle_idx as usize).copied().unwrap_or(0);
-        self.materials.get(usize::from(index))
+    fn index_of_triangle(&self, triangle_idx: u32) -> usize {
+        self.of_triangles.get(triangle_idx as usize).map_or(0, |&index| usize::from(index))
+    }
+}
+
+impl TracedMaterial {
+    fn textures(&self) -> [Option<&Texture>; 3] {
+        [self.base_color_texture.as_ref(), self.gloss_texture.as_ref(), self.emissive_texture.as_ref()]
+    }
+
+    fn has_textures(&self) -> bool {
+        self.textures().iter().any(Option::is_some)
+    }
+
+    fn without_textures(&self) -> PointMaterial {
+        let [roughness, metallic] = self.gloss;
+        let is_glossy = roughness < 1.0 || metallic > 0.0 || self.gloss_texture.is_some();
+        PointMaterial { base_color: self.base_color, gloss: is_glossy.then_some(self.gloss), emissive: self.emissive }
     }
 }
 
@@ -211,6 +283,6 @@ fn n_bytes_of_part(materials: &Materials, (image, part): (u32, Part)) -> u64 {
     let image = &materials.images[image as usize];
     match part {
         Part::Colors | Part::Numbers => MipMap::n_bytes_of(image),
-        Part::Coverage => Level::<u8>::n_bytes_of_size([image.width, image.height]),
+        Part::Coverage => Mask::n_bytes_of(image),
     }
 }
