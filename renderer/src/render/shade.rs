@@ -11,7 +11,7 @@ use shared::{
 
 use crate::{
     grid::traced::TracedMesh,
-    intersect::{RayCost, ray::Hit},
+    intersect::{RayCost, ray::Hit, triangle},
     render::secondary::LightVisibility,
 };
 
@@ -19,6 +19,8 @@ use crate::{
 pub struct Shader<'a> {
     mesh: &'a TracedMesh,
     shading: ShadingMode,
+    /// The origin of all rays, model space.
+    eye: Vec3,
     /// The camera's up direction, unit length, world space.
     up: Vec3,
     n_rows: f32,
@@ -46,7 +48,8 @@ impl<'a> Shader<'a> {
         let up = normalize_or_zero(spec.camera.v().normalize().as_vec3());
         let background = [spec.appearance.background.bottom, spec.appearance.background.top].map(linear);
         let cap_normal = clip.map_or(Vec3::ZERO, |plane| plane.normal.as_vec3());
-        Self { mesh, shading: spec.view, up, n_rows: spec.size.yres() as f32, background, cap_normal }
+        let eye = spec.camera.eye().as_vec3();
+        Self { mesh, shading: spec.view, eye, up, n_rows: spec.size.yres() as f32, background, cap_normal }
     }
 
     /// The linear light along one ray, given the lights that reach its hit. `row` counts samples from the bottom.
@@ -72,19 +75,24 @@ impl<'a> Shader<'a> {
                 let key = normal.dot(visibility.key_direction).max(0.0) * visibility.key;
                 let sky = 0.5 + 0.5 * normal.dot(self.up);
                 let ambient = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
-                self.albedo(hit) * (KEY_LIGHT * key + ambient * visibility.ambient_visibility)
+                self.albedo(direction, hit) * (KEY_LIGHT * key + ambient * visibility.ambient_visibility)
             }
         }
     }
 
-    /// The mean of the corners' colours.
-    fn albedo(&self, hit: Hit) -> Vec3 {
+    /// The corners' colours, interpolated in linear light.
+    fn albedo(&self, direction: Vec3, hit: Hit) -> Vec3 {
         if hit.is_cap() {
             return CAP;
         }
         let Some(colors) = self.mesh.corner_colors(hit.triangle) else { return CLAY };
-        let [a, b, c] = colors.map(linear);
-        (a + b + c) / 3.0
+        interpolate(colors.map(linear), self.corner_weights(direction, hit))
+    }
+
+    /// The parts of the hit triangle's corners in the hit point; undefined for misses and caps.
+    #[inline]
+    fn corner_weights(&self, direction: Vec3, hit: Hit) -> [f32; 3] {
+        triangle::corner_weights(self.eye, direction, &self.mesh.corners(hit.triangle)).map(|weight| weight as f32)
     }
 }
 
@@ -97,6 +105,10 @@ pub fn cost_color(cost: RayCost) -> Vec3 {
 /// Well above the cost of most rays, so that images of scans are dark with bright outlines.
 const HALF_CELLS: f32 = 64.0;
 const HALF_TESTS: f32 = 256.0;
+
+fn interpolate([a, b, c]: [Vec3; 3], weights: [f32; 3]) -> Vec3 {
+    a * weights[0] + b * weights[1] + c * weights[2]
+}
 
 /// Linear light of an encoded colour.
 fn linear(color: [u8; 3]) -> Vec3 {
@@ -202,6 +214,21 @@ mod tests {
         let red = traced(Mesh { colors: vec![[255, 0, 0]; 3], ..facing_mesh() });
         let light = shader(&red, ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &UNOCCLUDED);
         assert!(light.x > 0.5 && light.y == 0.0 && light.z == 0.0, "{light}");
+    }
+
+    #[test]
+    fn colours_are_interpolated_in_linear_light() {
+        let mesh = traced(Mesh { colors: vec![[255, 0, 0], [0, 255, 0], [0, 0, 255]], ..facing_mesh() });
+        let shader = shader(&mesh, ShadingMode::Shaded);
+        let albedo = |triangle, target: Vec3| shader.albedo(target - shader.eye, Hit { triangle, t: 1.0 });
+        for triangle in [0, 1] {
+            for (weights, target) in [[1.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.25, 0.25, 0.5], [0.1, 0.2, 0.7]]
+                .map(|[a, b, c]: [f32; 3]| (Vec3::new(a, b, c), Vec3::new(-a + b, -a - b + c, 0.0)))
+            {
+                let albedo = albedo(triangle, target);
+                assert!((albedo - weights).length() < 1e-6, "{albedo} at {target}");
+            }
+        }
     }
 
     #[test]
