@@ -161,7 +161,7 @@ impl TracedMesh {
     /// Whether a ray passes a triangle that it hits, where the triangle's material has a gap.
     #[inline]
     pub(crate) fn is_passed(&self, triangle_idx: u32, ray: &Ray) -> bool {
-        let point = || Some(texture_point(ray, self.corners(triangle_idx), self.corner_coordinates(triangle_idx)?));
+        let point = || Some(texture_point(ray, &self.corners(triangle_idx), self.corner_coordinates(triangle_idx)?));
         self.materials.is_cut(triangle_idx, point)
     }
 

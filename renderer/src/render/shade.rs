@@ -11,7 +11,7 @@ use shared::{
 
 use crate::{
     grid::traced::TracedMesh,
-    intersect::{RayCost, ray::Hit},
+    intersect::{RayCost, ray::Hit, triangle},
     render::{gloss::GlossySurface, secondary::LightVisibility},
     texture::{footprint::SampleRay, materials::PointMaterial},
 };
@@ -20,10 +20,11 @@ use crate::{
 pub struct Shader<'a> {
     mesh: &'a TracedMesh,
     shading: ShadingMode,
+    /// The origin of all rays, model space.
+    eye: Vec3,
     /// The camera's up direction, unit length, world space.
     up: Vec3,
     n_rows: f32,
-    eye: Vec3,
     /// Change of a ray's direction across the width and the height of its share of a pixel.
     sample_sides: [Vec3; 2],
     /// Linear light of the background at the bottom and at the top.
@@ -55,7 +56,7 @@ impl<'a> Shader<'a> {
         let side = 1.0 / (spec.samples.count as f32).sqrt();
         let sample_sides = [rays.du * side, rays.dv * side];
         let n_rows = spec.size.yres() as f32;
-        Self { mesh, shading: spec.view, up, n_rows, eye: rays.eye, sample_sides, background, cap_normal }
+        Self { mesh, shading: spec.view, eye: rays.eye, sample_sides, up, n_rows, background, cap_normal }
     }
 
     /// The linear light along one ray, given its hit's material and the lights that reach it. `row` counts samples from the bottom.
@@ -90,8 +91,8 @@ impl<'a> Shader<'a> {
                 let sky = 0.5 + 0.5 * normal.dot(self.up);
                 let ambient = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
                 let scattered = KEY_LIGHT * key + ambient * visibility.ambient_visibility;
-                let Some(material) = material else { return self.albedo(hit) * scattered };
-                let color = self.vertex_color(hit).unwrap_or(Vec3::ONE) * Vec3::from(material.base_color);
+                let Some(material) = material else { return self.albedo(direction, hit) * scattered };
+                let color = self.vertex_color(direction, hit).unwrap_or(Vec3::ONE) * Vec3::from(material.base_color);
                 let emissive = Vec3::from(material.emissive);
                 match material.gloss {
                     None => color * scattered + emissive,
@@ -123,14 +124,20 @@ impl<'a> Shader<'a> {
         self.mesh.materials(hits, ray)
     }
 
-    fn albedo(&self, hit: Hit) -> Vec3 {
-        if hit.is_cap() { CAP } else { self.vertex_color(hit).unwrap_or(CLAY) }
+    fn albedo(&self, direction: Vec3, hit: Hit) -> Vec3 {
+        if hit.is_cap() { CAP } else { self.vertex_color(direction, hit).unwrap_or(CLAY) }
     }
 
-    /// The mean of the corners' colours.
-    fn vertex_color(&self, hit: Hit) -> Option<Vec3> {
-        let [a, b, c] = self.mesh.corner_colors(hit.triangle)?.map(linear);
-        Some((a + b + c) / 3.0)
+    /// The corners' colours, interpolated in linear light.
+    fn vertex_color(&self, direction: Vec3, hit: Hit) -> Option<Vec3> {
+        let colors = self.mesh.corner_colors(hit.triangle)?;
+        Some(interpolate(colors.map(linear), self.corner_weights(direction, hit)))
+    }
+
+    /// The parts of the hit triangle's corners in the hit point; undefined for misses and caps.
+    #[inline]
+    fn corner_weights(&self, direction: Vec3, hit: Hit) -> [f32; 3] {
+        triangle::corner_weights(self.eye, direction, &self.mesh.corners(hit.triangle)).map(|weight| weight as f32)
     }
 }
 
@@ -143,6 +150,10 @@ pub fn cost_color(cost: RayCost) -> Vec3 {
 /// Well above the cost of most rays, so that images of scans are dark with bright outlines.
 const HALF_CELLS: f32 = 64.0;
 const HALF_TESTS: f32 = 256.0;
+
+fn interpolate([a, b, c]: [Vec3; 3], weights: [f32; 3]) -> Vec3 {
+    a * weights[0] + b * weights[1] + c * weights[2]
+}
 
 /// Linear light of an encoded colour.
 fn linear(color: [u8; 3]) -> Vec3 {
@@ -248,6 +259,21 @@ mod tests {
         let red = traced(Mesh { colors: vec![[255, 0, 0]; 3], ..facing_mesh() });
         let light = shader(&red, ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &UNOCCLUDED);
         assert!(light.x > 0.5 && light.y == 0.0 && light.z == 0.0, "{light}");
+    }
+
+    #[test]
+    fn colours_are_interpolated_in_linear_light() {
+        let mesh = traced(Mesh { colors: vec![[255, 0, 0], [0, 255, 0], [0, 0, 255]], ..facing_mesh() });
+        let shader = shader(&mesh, ShadingMode::Shaded);
+        let albedo = |triangle, target: Vec3| shader.albedo(target - shader.eye, Hit { triangle, t: 1.0 });
+        for triangle in [0, 1] {
+            for (weights, target) in [[1.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.25, 0.25, 0.5], [0.1, 0.2, 0.7]]
+                .map(|[a, b, c]: [f32; 3]| (Vec3::new(a, b, c), Vec3::new(-a + b, -a - b + c, 0.0)))
+            {
+                let albedo = albedo(triangle, target);
+                assert!((albedo - weights).length() < 1e-6, "{albedo} at {target}");
+            }
+        }
     }
 
     #[test]

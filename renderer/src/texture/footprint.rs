@@ -6,7 +6,7 @@
 
 use glam::{DVec3, Vec2, Vec3};
 
-use crate::intersect::ray::Ray;
+use crate::intersect::{ray::Ray, triangle};
 
 /// A parallelogram on a texture.
 #[derive(Clone, Copy, Debug)]
@@ -57,14 +57,11 @@ impl PlanePoint {
     }
 }
 
-/// Where a ray meets a triangle, in texture coordinates; `coordinates` are those of its corners.
+/// Where a ray hits a triangle, in texture coordinates; `coordinates` are those of its corners.
 #[inline]
-pub(crate) fn texture_point(ray: &Ray, corners: [[f32; 3]; 3], [a, b, c]: [Vec2; 3]) -> Vec2 {
-    let PlanePoint { of_beta, of_gamma, of_both } = PlanePoint::new(ray.origin, corners);
-    let direction = ray.direction.as_dvec3();
-    let scale = 1.0 / of_both.dot(direction);
-    let [beta, gamma] = [of_beta, of_gamma].map(|numerator| (numerator.dot(direction) * scale) as f32);
-    a + (b - a) * beta + (c - a) * gamma
+pub(crate) fn texture_point(ray: &Ray, corners: &[[f32; 3]; 3], [a, b, c]: [Vec2; 3]) -> Vec2 {
+    let weights = triangle::corner_weights(ray.origin, ray.direction, corners);
+    a * weights[0] as f32 + b * weights[1] as f32 + c * weights[2] as f32
 }
 
 impl SampleRay {
