@@ -9,4 +9,6 @@ mod lookup;
 mod mask;
 pub mod materials;
 mod mip_map;
+#[cfg(test)]
+mod tests;
 mod texel;

@@ -9,7 +9,7 @@ use crate::{
         mesh::{Aabb, Mesh},
         solid::Facing,
     },
-    simd::Simd,
+    simd::{InstructionSet, Simd},
     texture::{
         footprint::{SampleRay, texture_point},
         materials::{PointMaterial, TracedMaterials},
@@ -149,13 +149,18 @@ impl TracedMesh {
     }
 
     /// The materials where up to 64 rays of a camera hit triangles; `None` for misses, caps, and in meshes without materials.
-    pub(crate) fn materials(&self, hits: &[Hit], ray: impl Fn(usize) -> SampleRay) -> [Option<PointMaterial>; 64] {
+    pub(crate) fn materials(
+        &self,
+        instructions: InstructionSet,
+        hits: &[Hit],
+        ray: impl Fn(usize) -> SampleRay,
+    ) -> [Option<PointMaterial>; 64] {
         let triangles = hits.iter().map(|hit| (!hit.is_miss() && !hit.is_cap()).then_some(hit.triangle));
         let footprint = |sample: usize| {
             let triangle_idx = hits[sample].triangle;
             Some(ray(sample).footprint(self.corners(triangle_idx), self.corner_coordinates(triangle_idx)?))
         };
-        self.materials.at(triangles, footprint)
+        self.materials.at(instructions, triangles, footprint)
     }
 
     /// Whether a ray passes a triangle that it hits, where the triangle's material has a gap.

@@ -13,7 +13,7 @@ use crate::{
     grid::traced::TracedMesh,
     intersect::{RayCost, ray::Hit, triangle},
     render::{gloss::GlossySurface, secondary::LightVisibility},
-    texture::{footprint::SampleRay, materials::PointMaterial},
+    texture::materials::PointMaterial,
 };
 
 /// Shades a mesh seen by one camera: a light at the eye shows form, a key light relief, and a sky which way is up.
@@ -25,8 +25,6 @@ pub struct Shader<'a> {
     /// The camera's up direction, unit length, world space.
     up: Vec3,
     n_rows: f32,
-    /// Change of a ray's direction across the width and the height of its share of a pixel.
-    sample_sides: [Vec3; 2],
     /// Linear light of the background at the bottom and at the top.
     background: [Vec3; 2],
     /// Points away from the kept half; unit length, world space.
@@ -51,12 +49,8 @@ impl<'a> Shader<'a> {
         let up = normalize_or_zero(spec.camera.v().normalize().as_vec3());
         let background = [spec.appearance.background.bottom, spec.appearance.background.top].map(linear);
         let cap_normal = clip.map_or(Vec3::ZERO, |plane| plane.normal.as_vec3());
-        let rays = spec.camera.rays(spec.size);
-        // All samples of a pixel share it.
-        let side = 1.0 / (spec.samples.count as f32).sqrt();
-        let sample_sides = [rays.du * side, rays.dv * side];
-        let n_rows = spec.size.yres() as f32;
-        Self { mesh, shading: spec.view, eye: rays.eye, sample_sides, up, n_rows, background, cap_normal }
+        let eye = spec.camera.eye().as_vec3();
+        Self { mesh, shading: spec.view, eye, up, n_rows: spec.size.yres() as f32, background, cap_normal }
     }
 
     /// The linear light along one ray, given its hit's material and the lights that reach it. `row` counts samples from the bottom.
@@ -113,15 +107,6 @@ impl<'a> Shader<'a> {
             + surface.sheen() * (SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky));
         KEY_LIGHT * surface.highlight(visibility.key_direction) * visibility.key
             + ambient * visibility.ambient_visibility
-    }
-
-    /// The materials at up to 64 hits; `None` for misses, caps, and in meshes without materials.
-    pub fn materials(&self, directions: &[Vec3], hits: &[Hit]) -> [Option<PointMaterial>; 64] {
-        if self.shading != ShadingMode::Shaded || !self.mesh.has_materials() {
-            return [None; 64];
-        }
-        let ray = |sample| SampleRay { eye: self.eye, direction: directions[sample], sides: self.sample_sides };
-        self.mesh.materials(hits, ray)
     }
 
     fn albedo(&self, direction: Vec3, hit: Hit) -> Vec3 {
@@ -224,11 +209,11 @@ mod tests {
         for &shading in ShadingMode::VARIANTS {
             let shader = shader(&mesh, shading);
             let [front, back] =
-                [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, 0.0, &UNOCCLUDED));
+                [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, None, 0.0, &UNOCCLUDED));
             assert_eq!(front, back);
         }
         let normals =
-            shader(&mesh, ShadingMode::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &UNOCCLUDED);
+            shader(&mesh, ShadingMode::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, None, 0.0, &UNOCCLUDED);
         assert_eq!(normals, Vec3::new(0.5, 0.5, 1.0));
     }
 
@@ -238,7 +223,7 @@ mod tests {
         let background = Background { bottom: [255, 0, 10], top: [0, 255, 10] };
         let shader =
             Shader::new(&mesh, &spec(ShadingMode::Shaded, Appearance { background, ..Appearance::default() }), None);
-        let encoded = |row: f32| shader.light(-Vec3::Z, Hit::MISS, row, &UNOCCLUDED).to_array().map(srgb::encode);
+        let encoded = |row: f32| shader.light(-Vec3::Z, Hit::MISS, None, row, &UNOCCLUDED).to_array().map(srgb::encode);
         assert_eq!((encoded(0.0), encoded(512.0)), (background.bottom, background.top));
         // Half of the light is value 188.
         assert_eq!(encoded(256.0), [188, 188, 10]);
@@ -257,7 +242,8 @@ mod tests {
     #[test]
     fn vertex_colours_tint_the_light() {
         let red = traced(Mesh { colors: vec![[255, 0, 0]; 3], ..facing_mesh() });
-        let light = shader(&red, ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &UNOCCLUDED);
+        let light =
+            shader(&red, ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, None, 0.0, &UNOCCLUDED);
         assert!(light.x > 0.5 && light.y == 0.0 && light.z == 0.0, "{light}");
     }
 
@@ -284,6 +270,7 @@ mod tests {
             let light = shader(&traced(mesh), ShadingMode::Shaded).light(
                 -Vec3::Z,
                 Hit { triangle: 0, t: 5.0 },
+                None,
                 0.0,
                 &UNOCCLUDED,
             );

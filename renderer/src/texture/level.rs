@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::model::material::Wrap;
+use crate::model::material::{Image, Wrap};
 
 /// The place of a level among the texels of all levels: blocks row by row, and in each its texels row by row.
 #[derive(Clone, Copy, Debug)]
@@ -19,8 +19,10 @@ const BLOCK_SIZE: u32 = 4;
 
 const TEXELS_PER_BLOCK: u32 = BLOCK_SIZE * BLOCK_SIZE;
 
-/// Most texels of an image, so that those of all levels have indices.
-pub(super) const MOST_TEXELS: u64 = 1 << 30;
+/// Whether the texels of all levels of an image have indices: up to 32768×32768 they do.
+pub(super) fn is_indexable(image: &Image) -> bool {
+    u64::from(image.width.div_ceil(BLOCK_SIZE)) * u64::from(image.height.div_ceil(BLOCK_SIZE)) <= 1 << 26
+}
 
 impl Level {
     /// A level of this size, whose texels follow `first` others.
@@ -131,13 +133,11 @@ mod tests {
             for coordinate in (-200..200).map(|step| step as f32 / 37.0) {
                 let x = f64::from(coordinate) * f64::from(n) - 0.5;
                 let [left, right] = [0, 1].map(|right| texel_of_row(x.floor() as i64 + right, i64::from(n), wrap));
-                let [left, right] = [left, right].map(|index| (index * index) as f64);
-                let expected = left + (right - left) * (x - x.floor());
-                let found = row.bilinear([coordinate, 0.3], [wrap, Wrap::Repeat], |texel| texel);
-                assert!(
-                    (f64::from(found) - expected).abs() < 0.02,
-                    "{wrap:?} {n} {coordinate}: {found}, not {expected}"
-                );
+                let blend = |left: f64, right: f64, part: f64| left * left + (right * right - left * left) * part;
+                let expected = blend(left as f64, right as f64, x - x.floor());
+                let ([left, right], part) = neighbours(coordinate, n, wrap);
+                let found = blend(left.into(), right.into(), part.into());
+                assert!((found - expected).abs() < 0.02, "{wrap:?} {n} {coordinate}: {found}, not {expected}");
             }
         }
     }

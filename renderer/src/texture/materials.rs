@@ -7,6 +7,7 @@ use crate::{
     simd::InstructionSet,
     texture::{
         footprint::{self, Footprint},
+        level,
         lookup::Means,
         mask::Mask,
         mip_map::{Encoding, MipMap},
@@ -159,6 +160,7 @@ impl TracedMaterials {
     /// materials. `footprint` gives that of a sample, if its triangle has texture coordinates.
     pub(crate) fn at(
         &self,
+        instructions: InstructionSet,
         triangles: impl Iterator<Item = Option<u32>>,
         footprint: impl Fn(usize) -> Option<Footprint>,
     ) -> [Option<PointMaterial>; 64] {
@@ -186,7 +188,7 @@ impl TracedMaterials {
                     }
                 }
             }
-            self.multiply(&self.materials[index], &footprints[..n], &samples, &mut points);
+            self.multiply(instructions, &self.materials[index], &footprints[..n], &samples, &mut points);
         }
         points
     }
@@ -194,6 +196,7 @@ impl TracedMaterials {
     /// Multiplies materials by their textures.
     fn multiply(
         &self,
+        instructions: InstructionSet,
         material: &TracedMaterial,
         footprints: &[Footprint],
         samples: &[usize; 64],
@@ -210,7 +213,7 @@ impl TracedMaterials {
             let map = &self.maps[*index];
             let lookups = Means { map, wrap: *wrap, footprints: &transformed[..n], means: &mut means[..n] };
             // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-            unsafe { InstructionSet::best().call(lookups) };
+            unsafe { instructions.call(lookups) };
             for (mean, &sample) in means[..n].iter().zip(samples) {
                 let Some(point) = &mut points[sample] else { continue };
                 match (kind, &mut point.gloss) {
@@ -273,7 +276,8 @@ fn parts(Materials { materials, images, .. }: &Materials) -> Vec<(u32, Part)> {
         ]
     };
     let used = materials.iter().flat_map(of_material).filter_map(|(texture, part)| Some((texture?.image, part)));
-    let mut parts: Vec<_> = used.filter(|(image, _)| (*image as usize) < images.len()).collect();
+    let exists = |(image, _): &(u32, Part)| images.get(*image as usize).is_some_and(level::is_indexable);
+    let mut parts: Vec<_> = used.filter(exists).collect();
     parts.sort_unstable();
     parts.dedup();
     parts

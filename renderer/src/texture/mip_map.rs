@@ -107,3 +107,113 @@ fn taps(index: u32, n: u32) -> [(u32, f32); 3] {
         std::array::from_fn(|tap| (first + tap as u32, weights[tap]))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use glam::{Vec2, Vec3A};
+
+    use super::*;
+    use crate::{
+        model::material::Wrap,
+        simd::InstructionSet,
+        texture::{footprint::Footprint, lookup::Means},
+    };
+
+    fn noise(width: u32, height: u32) -> Image {
+        let texel =
+            |index: u32| index.wrapping_mul(0x9e37_79b9).rotate_left(11).wrapping_mul(0x85eb_ca6b).to_le_bytes();
+        Image { width, height, texels: (0..width * height).map(texel).collect() }
+    }
+
+    /// The mean of an image over a rectangle of texels, in linear light and `f64`.
+    fn integral(image: &Image, [left, right]: [f64; 2], [top, bottom]: [f64; 2]) -> [f64; 3] {
+        let (mut sum, mut area) = ([0.0; 3], 0.0);
+        for (x, y) in (0..image.width).flat_map(|x| (0..image.height).map(move |y| (x, y))) {
+            let along = |at: u32, from: f64, to: f64| (to.min(f64::from(at) + 1.0) - from.max(f64::from(at))).max(0.0);
+            let weight = along(x, left, right) * along(y, top, bottom);
+            let texel = image.texels[(y * image.width + x) as usize];
+            (0..3).for_each(|channel| sum[channel] += weight * f64::from(srgb::decode(texel[channel])));
+            area += weight;
+        }
+        sum.map(|sum| sum / area)
+    }
+
+    #[test]
+    fn texels_of_all_levels_are_means_of_the_image() {
+        for (width, height) in [(64, 64), (37, 21), (1, 9), (5, 1), (1, 1)] {
+            let image = noise(width, height);
+            let map = MipMap::new(&image, Encoding::Srgb);
+            assert_eq!(map.levels.last().map(|level| level.size), Some([1, 1]));
+            assert_eq!(map.n_bytes() as u64, MipMap::n_bytes_of(&image));
+            for level in &map.levels {
+                for (x, y) in (0..level.size[0]).flat_map(|x| (0..level.size[1]).map(move |y| (x, y))) {
+                    let texel = map.texels[level.index(x, y)];
+                    let along = |at: u32, n: u32, all: u32| {
+                        [at, at + 1].map(|end| f64::from(end) * f64::from(all) / f64::from(n))
+                    };
+                    let columns = along(x, level.size[0], width);
+                    let expected = integral(&image, columns, along(y, level.size[1], height));
+                    for channel in 0..3 {
+                        let found = f64::from(texel.scaled(channel) * UNITS[channel]);
+                        let error = (found - expected[channel]).abs();
+                        // Parts of texels that are means themselves are not exact.
+                        let is_exact = width == 64 || 2 * level.size[0] + 1 >= width;
+                        let most = if is_exact { 2e-3 } else { 0.03 };
+                        assert!(error < most, "{width}x{height} {:?} {x} {y}: {error}", level.size);
+                    }
+                }
+            }
+        }
+    }
+
+    fn means(map: &MipMap, wrap: [Wrap; 2], footprints: &[Footprint], instructions: InstructionSet) -> Vec<Vec3A> {
+        let mut means = vec![Vec3A::ZERO; footprints.len()];
+        // SAFETY: the callers ask for available instructions alone.
+        unsafe { instructions.call(Means { map, wrap, footprints, means: &mut means }) };
+        means
+    }
+
+    #[test]
+    fn lookups_are_means_of_their_footprint() {
+        let image = noise(128, 64);
+        let map = MipMap::new(&image, Encoding::Srgb);
+        let (mut errors, mut n) = (0.0, 0.0);
+        for index in 0..60u8 {
+            let width = 5.0 + 0.2 * f64::from(index);
+            let centre = [30.0 + f64::from(index), 20.0 + 0.4 * f64::from(index)];
+            let sides = [Vec2::new(width as f32 / 128.0, 0.0), Vec2::new(0.0, width as f32 / 64.0)];
+            let footprint = Footprint { centre: Vec2::new(centre[0] as f32 / 128.0, centre[1] as f32 / 64.0), sides };
+            let found = means(&map, [Wrap::Clamp; 2], &[footprint], InstructionSet::Portable)[0].to_array();
+            let along = |axis: usize| [centre[axis] - 0.5 * width, centre[axis] + 0.5 * width];
+            let expected = integral(&image, along(0), along(1));
+            for channel in 0..3 {
+                errors += (f64::from(found[channel]) - expected[channel]).powi(2);
+                n += 1.0;
+            }
+        }
+        // A texel deviates by 0.3.
+        assert!((errors / n).sqrt() < 0.03, "{}", (errors / n).sqrt());
+    }
+
+    #[test]
+    fn lookups_anywhere_are_finite_and_equal_with_all_instructions() {
+        let odd = [0.3, -7.9, 1e9, f32::NAN, f32::INFINITY, -f32::MAX, 1e-40];
+        let mut footprints = Vec::new();
+        for (x, y) in odd.into_iter().flat_map(|x| odd.map(|y| (x, y))) {
+            footprints
+                .push(Footprint { centre: Vec2::new(x, 0.3), sides: [Vec2::new(y, 0.0), Vec2::new(0.001, 0.02)] });
+            footprints.push(Footprint { centre: Vec2::new(0.1, y), sides: [Vec2::new(0.0, x), Vec2::new(x, y)] });
+        }
+        for (width, height) in [(1, 1), (64, 16), (3, 300)] {
+            let map = MipMap::new(&noise(width, height), Encoding::Linear);
+            for wrap in [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp] {
+                let all: Vec<_> = InstructionSet::available()
+                    .into_iter()
+                    .map(|instructions| means(&map, [wrap, Wrap::Repeat], &footprints, instructions))
+                    .collect();
+                assert!(all.iter().all(|means| means == &all[0]), "{wrap:?}");
+                assert!(all[0].iter().all(|mean| mean.is_finite() && mean.max_element() < 1.001), "{wrap:?}");
+            }
+        }
+    }
+}
