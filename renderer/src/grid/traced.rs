@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use crate::{
     model::{
         mesh::{Aabb, Mesh},
+        normal::Normal,
         solid::Facing,
     },
     simd::Simd,
@@ -23,6 +24,8 @@ pub struct TracedMesh {
     file_indices: Vec<u32>,
     /// sRGB, one for each vertex; empty in a mesh without colours.
     colors: Vec<[u8; 3]>,
+    /// One for each vertex; empty in a mesh of flat triangles.
+    normals: Vec<Normal>,
     bounds: Aabb,
     facing: Option<Facing>,
     origin: DVec3,
@@ -40,13 +43,13 @@ impl TracedMesh {
     pub(crate) fn bytes_in_order(mesh: &Mesh) -> u64 {
         let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
         // With file indices.
-        16 * n_triangles + 12 * n_vertices + size_of_val(&*mesh.colors) as u64
+        16 * n_triangles + 12 * n_vertices + (size_of_val(&*mesh.colors) + size_of_val(&*mesh.normals)) as u64
     }
 
     /// Orders a mesh by the first mention of each triangle in `references`, which become triangle indices.
     pub fn new(mesh: Mesh, references: &mut [u32]) -> Self {
         let (bounds, facing) = (mesh.bounds(), mesh.facing());
-        let Mesh { vertices, triangles, colors, origin, .. } = mesh;
+        let Mesh { vertices, triangles, colors, normals, origin, .. } = mesh;
 
         // Number the triangles in the order of their first mention.
         let mut file_indices = Vec::new();
@@ -73,12 +76,14 @@ impl TracedMesh {
         let triangles_in_order =
             in_order.map(|corners| corners.map(|vertex| vertex_renumbering.new_indices[vertex as usize])).collect();
         drop((triangles, vertex_renumbering));
-        let is_colored = !colors.is_empty();
+        let (is_colored, has_normals) = (!colors.is_empty(), !normals.is_empty());
+        let kept_normals = kept_vertices.iter().filter(|_| has_normals);
         Self {
             vertices: padded(kept_vertices.par_iter().map(|&vertex| vertices[vertex as usize])),
             triangles: triangles_in_order,
             file_indices,
             colors: kept_vertices.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
+            normals: kept_normals.map(|&vertex| normals[vertex as usize]).collect(),
             bounds,
             facing,
             origin,
@@ -120,6 +125,13 @@ impl TracedMesh {
         (!self.colors.is_empty()).then(|| self.triangles[triangle_idx as usize].map(color))
     }
 
+    /// The normals of a triangle's corners, if the mesh has normals.
+    #[inline]
+    pub fn corner_normals(&self, triangle_idx: u32) -> Option<[Normal; 3]> {
+        let normal = |vertex: u32| self.normals[vertex as usize];
+        (!self.normals.is_empty()).then(|| self.triangles[triangle_idx as usize].map(normal))
+    }
+
     /// Bounds of all triangles, in model space.
     pub fn bounds(&self) -> Aabb {
         self.bounds
@@ -136,6 +148,7 @@ impl TracedMesh {
             + size_of_val(&*self.triangles)
             + size_of_val(&*self.file_indices)
             + size_of_val(&*self.colors)
+            + size_of_val(&*self.normals)
     }
 
     #[inline(always)]
