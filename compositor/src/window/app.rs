@@ -89,7 +89,7 @@ impl<'a> App<'a> {
             join: join_hint(farm.address(), args.key.as_deref(), None),
             ..Default::default()
         };
-        let mut loader = ModelLoader::new(waker.clone());
+        let mut loader = ModelLoader::new(waker.clone(), args.show.model.crease);
         let source = args.show.model.source();
         loader.load(source.clone());
         let kiosk = args.kiosk.map(|seconds| Duration::from_secs(seconds.into()));

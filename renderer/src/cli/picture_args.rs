@@ -9,7 +9,7 @@ use shared::{
     camera::{Camera, CanvasPart, Shape, UpAxis},
     division::FrameSize,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
-    scene::SceneId,
+    scene::{Crease, SceneId},
 };
 
 use crate::{
@@ -34,6 +34,10 @@ pub struct ModelArgs {
     #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES, conflicts_with = "model",
         value_parser = between(100..=SceneId::LARGEST_STATUE))]
     pub triangles: u32,
+
+    /// Angle between triangles, in degrees, up to which a model without normals is smooth; 0 shows each triangle flat
+    #[arg(long, value_name = "DEGREES", default_value_t = Crease::default(), allow_hyphen_values = true)]
+    pub crease: Crease,
 }
 
 /// The axis that points up where nobody chose one, told in the log unless it is the usual.
@@ -51,11 +55,11 @@ impl ModelArgs {
         self.model.clone().map_or(statue, SceneSource::Ply)
     }
 
-    /// Loads the model, with a progress bar.
+    /// Loads the model and smooths it, with a progress bar.
     pub fn load(&self) -> Result<LoadedMesh, LoadError> {
         let source = self.source();
         let progress = Progress::new(format!("loading {source}"));
-        scene::load(&source, &|done| progress.set(done))
+        Ok(scene::load(&source, self.crease, &|done| progress.set(done))?.smooth())
     }
 }
 

@@ -7,6 +7,7 @@ use crate::{
     intersect::ray::{Hit, Ray},
     model::{
         mesh::{Aabb, Mesh},
+        normal::Normal,
         solid::Facing,
     },
     simd::{InstructionSet, Simd},
@@ -31,6 +32,8 @@ pub struct TracedMesh {
     /// One for each vertex; empty in a mesh without textures.
     texture_coordinates: Vec<[f32; 2]>,
     materials: TracedMaterials,
+    /// One for each vertex; empty in a mesh of flat triangles.
+    normals: Vec<Normal>,
     bounds: Aabb,
     facing: Option<Facing>,
     origin: DVec3,
@@ -57,14 +60,15 @@ impl TracedMesh {
     fn geometry_bytes_in_order(mesh: &Mesh) -> u64 {
         let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
         // With file indices.
-        let of_vertices = size_of_val(&*mesh.colors) + size_of_val(&*mesh.texture_coordinates);
+        let of_vertices =
+            size_of_val(&*mesh.colors) + size_of_val(&*mesh.normals) + size_of_val(&*mesh.texture_coordinates);
         16 * n_triangles + 12 * n_vertices + of_vertices as u64
     }
 
     /// Orders a mesh by the first mention of each triangle in `references`, which become triangle indices.
     pub fn new(mesh: Mesh, references: &mut [u32]) -> Self {
         let (bounds, facing) = (mesh.bounds(), mesh.facing());
-        let Mesh { vertices, triangles, colors, texture_coordinates, materials, origin, .. } = mesh;
+        let Mesh { vertices, triangles, colors, normals, texture_coordinates, materials, origin, .. } = mesh;
 
         // Number the triangles in the order of their first mention.
         let mut file_indices = Vec::new();
@@ -92,15 +96,17 @@ impl TracedMesh {
             in_order.map(|corners| corners.map(|vertex| vertex_renumbering.new_indices[vertex as usize])).collect();
         drop((triangles, vertex_renumbering));
         let materials = TracedMaterials::new(materials, &file_indices);
-        let is_colored = !colors.is_empty();
+        let (is_colored, has_normals) = (!colors.is_empty(), !normals.is_empty());
+        let kept_normals = kept_vertices.iter().filter(|_| has_normals);
         let is_textured = materials.has_textures() && !texture_coordinates.is_empty();
-        let coordinates = kept_vertices.iter().filter(|_| is_textured);
+        let kept_coordinates = kept_vertices.iter().filter(|_| is_textured);
         Self {
             vertices: padded(kept_vertices.par_iter().map(|&vertex| vertices[vertex as usize])),
             triangles: triangles_in_order,
             file_indices,
             colors: kept_vertices.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
-            texture_coordinates: coordinates.map(|&vertex| texture_coordinates[vertex as usize]).collect(),
+            normals: kept_normals.map(|&vertex| normals[vertex as usize]).collect(),
+            texture_coordinates: kept_coordinates.map(|&vertex| texture_coordinates[vertex as usize]).collect(),
             materials,
             bounds,
             facing,
@@ -141,6 +147,13 @@ impl TracedMesh {
     pub fn corner_colors(&self, triangle_idx: u32) -> Option<[[u8; 3]; 3]> {
         let color = |vertex: u32| self.colors[vertex as usize];
         (!self.colors.is_empty()).then(|| self.triangles[triangle_idx as usize].map(color))
+    }
+
+    /// The normals of a triangle's corners, if the mesh has normals.
+    #[inline]
+    pub fn corner_normals(&self, triangle_idx: u32) -> Option<[Normal; 3]> {
+        let normal = |vertex: u32| self.normals[vertex as usize];
+        (!self.normals.is_empty()).then(|| self.triangles[triangle_idx as usize].map(normal))
     }
 
     /// Whether surfaces have materials.
@@ -201,6 +214,7 @@ impl TracedMesh {
             + size_of_val(&*self.colors)
             + size_of_val(&*self.texture_coordinates)
             + self.materials.n_bytes()
+            + size_of_val(&*self.normals)
     }
 
     #[inline(always)]

@@ -3,7 +3,7 @@
 use std::{fmt, path::PathBuf};
 
 use glam::DVec3;
-use shared::scene::SceneId;
+use shared::scene::{Crease, SceneId};
 
 use crate::model::{
     mesh::Mesh,
@@ -57,11 +57,21 @@ pub enum LoadError {
     NoneUsable { path: PathBuf, n_vertices: usize, n_rejected: usize },
 }
 
-/// Loads a mesh; `progress` receives the fraction done, 0 to 1.
-pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<LoadedMesh, LoadError> {
+impl LoadedMesh {
+    /// The same scene with the normals that its id asks for.
+    #[must_use]
+    pub fn smooth(self) -> Self {
+        Self { mesh: self.mesh.smooth(self.id.crease()), ..self }
+    }
+}
+
+/// Loads a mesh, for a scene that is as smooth as `crease` says; `progress` receives the fraction done, 0 to 1.
+///
+/// The mesh is that of the source: who renders it must [smooth](LoadedMesh::smooth) it.
+pub fn load(source: &SceneSource, crease: Crease, progress: &(dyn Fn(f32) + Sync)) -> Result<LoadedMesh, LoadError> {
     match source {
         &SceneSource::Statue { triangles } => {
-            Ok(LoadedMesh { id: SceneId::Statue { triangles }, mesh: statue::generate(triangles, progress) })
+            Ok(LoadedMesh { id: SceneId::Statue { triangles, crease }, mesh: statue::generate(triangles, progress) })
         }
         SceneSource::Ply(path) => {
             let mesh = ply::read(path, progress)?;
@@ -83,14 +93,14 @@ pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Loa
                 let path = path.display();
                 tracing::info!("{path}: traced relative to ({x}, {y}, {z}), rounded by at most {rounding:.1e}");
             }
-            Ok(LoadedMesh { id: mesh_id(&mesh), mesh })
+            Ok(LoadedMesh { id: mesh_id(&mesh, crease), mesh })
         }
     }
 }
 
 /// BLAKE3 over vertices, triangles and colours: for each its length as `u64`, then its numbers, all little endian; then
 /// over the origin's numbers if it is not zero.
-pub fn mesh_id(mesh: &Mesh) -> SceneId {
+pub fn mesh_id(mesh: &Mesh, crease: Crease) -> SceneId {
     let mut hasher = blake3::Hasher::new();
     let mut part = |n_items: usize, bytes: &[u8]| {
         hasher.update(&(n_items as u64).to_le_bytes());
@@ -102,7 +112,7 @@ pub fn mesh_id(mesh: &Mesh) -> SceneId {
     if mesh.origin != DVec3::ZERO {
         hasher.update(bytemuck::cast_slice(&mesh.origin.to_array()));
     }
-    SceneId::Mesh { blake3: *hasher.finalize().as_bytes() }
+    SceneId::Mesh { blake3: *hasher.finalize().as_bytes(), crease }
 }
 
 #[cfg(test)]
@@ -119,13 +129,15 @@ mod tests {
         };
         let bytes = [&[1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x80, 0x3f][..], &[0; 8], &[1, 0, 0, 0, 0, 0, 0, 0], &[0; 12]];
         let bytes = [bytes.concat(), vec![1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3]].concat();
-        assert_eq!(mesh_id(&mesh), SceneId::Mesh { blake3: *blake3::hash(&bytes).as_bytes() });
+        let id = SceneId::Mesh { blake3: *blake3::hash(&bytes).as_bytes(), crease: Crease::FLAT };
+        assert_eq!(mesh_id(&mesh, Crease::FLAT), id);
     }
 
     #[test]
     fn equal_numbers_in_other_roles_give_another_id() {
         let vertices = Mesh { vertices: vec![[0.0; 3]; 2], ..Mesh::default() };
         let both = Mesh { vertices: vec![[0.0; 3]], triangles: vec![[0; 3]], ..Mesh::default() };
+        let mesh_id = |mesh| mesh_id(mesh, Crease::FLAT);
         assert_ne!(mesh_id(&vertices), mesh_id(&both));
         assert_ne!(mesh_id(&both), mesh_id(&Mesh { origin: DVec3::X, ..both.clone() }));
     }
@@ -138,7 +150,7 @@ mod tests {
             let header =
                 "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
             std::fs::write(&path, format!("{header}{faces}")).unwrap();
-            load(&SceneSource::Ply(path.clone()), &|_| ()).unwrap_err().to_string()
+            load(&SceneSource::Ply(path.clone()), Crease::FLAT, &|_| ()).unwrap_err().to_string()
         };
         assert!(error("end_header\n0 0 0\n").ends_with("a point cloud must be meshed first"));
         let face = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 1 2\n";
@@ -147,7 +159,7 @@ mod tests {
 
     #[test]
     fn a_missing_model_is_named() {
-        let error = load(&SceneSource::Ply("no/such.ply".into()), &|_| ()).unwrap_err();
+        let error = load(&SceneSource::Ply("no/such.ply".into()), Crease::FLAT, &|_| ()).unwrap_err();
         assert!(error.to_string().starts_with("no/such.ply: cannot be read: "), "{error}");
     }
 }

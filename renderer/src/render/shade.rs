@@ -5,7 +5,7 @@
 use glam::Vec3;
 use shared::{
     appearance::ClipPlane,
-    protocol::{FrameSpec, ShadingMode},
+    protocol::{FrameSpec, LightingMode, ShadingMode},
     srgb,
 };
 
@@ -27,6 +27,8 @@ pub struct Shader<'a> {
     n_rows: f32,
     /// Linear light of the background at the bottom and at the top.
     background: [Vec3; 2],
+    /// Whether shadow rays are traced.
+    has_shadows: bool,
     /// Points away from the kept half; unit length, world space.
     cap_normal: Vec3,
 }
@@ -50,7 +52,8 @@ impl<'a> Shader<'a> {
         let background = [spec.appearance.background.bottom, spec.appearance.background.top].map(linear);
         let cap_normal = clip.map_or(Vec3::ZERO, |plane| plane.normal.as_vec3());
         let eye = spec.camera.eye().as_vec3();
-        Self { mesh, shading: spec.view, eye, up, n_rows: spec.size.yres() as f32, background, cap_normal }
+        let has_shadows = spec.rays != LightingMode::Primary;
+        Self { mesh, shading: spec.view, eye, up, n_rows: spec.size.yres() as f32, background, has_shadows, cap_normal }
     }
 
     /// The linear light along one ray, given its hit's material and the lights that reach it. `row` counts samples from the bottom.
@@ -67,21 +70,18 @@ impl<'a> Shader<'a> {
             let height = row / self.n_rows;
             return self.background[0] * (1.0 - height) + self.background[1] * height;
         }
-        let normal = if hit.is_cap() {
-            self.cap_normal
-        } else {
-            let [a, b, c] = self.mesh.corners(hit.triangle).map(Vec3::from_array);
-            normalize_or_zero((b - a).cross(c - a))
-        };
-        // Scans are seen from both sides: turn the normal towards the ray's origin.
-        let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
+        let to_eye = -normalize_or_zero(direction);
+        let Normals { geometric, shading: normal } = self.normals(direction, to_eye, hit);
         match self.shading {
             // The cost of a ray does not depend on its hit: see [`cost_color`].
             ShadingMode::Normals | ShadingMode::Cost => (normal + 1.0) * 0.5,
             ShadingMode::Shaded => {
-                let to_eye = -normalize_or_zero(direction);
                 let eye = normal.dot(to_eye).max(0.0);
-                let key = normal.dot(visibility.key_direction).max(0.0) * visibility.key;
+                let mut key_visibility = visibility.key;
+                if self.has_shadows {
+                    key_visibility *= soft_terminator(geometric, normal, visibility.key_direction);
+                }
+                let key = normal.dot(visibility.key_direction).max(0.0) * key_visibility;
                 let sky = 0.5 + 0.5 * normal.dot(self.up);
                 let ambient = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
                 let scattered = KEY_LIGHT * key + ambient * visibility.ambient_visibility;
@@ -92,7 +92,9 @@ impl<'a> Shader<'a> {
                     None => color * scattered + emissive,
                     Some([roughness, metallic]) => {
                         let surface = GlossySurface { color, roughness, metallic, normal, to_eye };
-                        color * (1.0 - metallic) * scattered + self.reflected(&surface, visibility) + emissive
+                        color * (1.0 - metallic) * scattered
+                            + self.reflected(&surface, key_visibility, visibility)
+                            + emissive
                     }
                 }
             }
@@ -100,13 +102,31 @@ impl<'a> Shader<'a> {
     }
 
     /// The light that a glossy surface reflects rather than scatters.
-    fn reflected(&self, surface: &GlossySurface, visibility: &LightVisibility) -> Vec3 {
+    fn reflected(&self, surface: &GlossySurface, key_visibility: f32, visibility: &LightVisibility) -> Vec3 {
         let mirrored = surface.mirrored();
         let sky = 0.5 + 0.5 * mirrored.dot(self.up);
         let ambient = EYE_LIGHT * surface.highlight(surface.to_eye)
             + surface.sheen() * (SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky));
-        KEY_LIGHT * surface.highlight(visibility.key_direction) * visibility.key
+        KEY_LIGHT * surface.highlight(visibility.key_direction) * key_visibility
             + ambient * visibility.ambient_visibility
+    }
+
+    /// The normals at a hit, on the side of the eye: scans are seen from both sides.
+    #[inline]
+    fn normals(&self, direction: Vec3, to_eye: Vec3, hit: Hit) -> Normals {
+        let (geometric, corners) = if hit.is_cap() {
+            (self.cap_normal, None)
+        } else {
+            let [a, b, c] = self.mesh.corners(hit.triangle).map(Vec3::from_array);
+            (normalize_or_zero((b - a).cross(c - a)), self.mesh.corner_normals(hit.triangle))
+        };
+        let interpolated = corners.map(|corners| {
+            let normals = corners.map(|normal| normal.vector().unwrap_or(geometric));
+            interpolate(normals, self.corner_weights(direction, hit))
+        });
+        let geometric = if geometric.dot(to_eye) < 0.0 { -geometric } else { geometric };
+        let shading = interpolated.map_or(geometric, |normal| visible_normal(normal, geometric, to_eye));
+        Normals { geometric, shading }
     }
 
     fn albedo(&self, direction: Vec3, hit: Hit) -> Vec3 {
@@ -124,6 +144,36 @@ impl<'a> Shader<'a> {
     fn corner_weights(&self, direction: Vec3, hit: Hit) -> [f32; 3] {
         triangle::corner_weights(self.eye, direction, &self.mesh.corners(hit.triangle)).map(|weight| weight as f32)
     }
+}
+
+/// Normals of unit length on the eye's side.
+struct Normals {
+    /// The triangle's, or the cap's; zero for slivers too thin to have one.
+    geometric: Vec3,
+    /// The one that light falls on.
+    shading: Vec3,
+}
+
+/// An interpolated normal of any length, turned to the side of the geometric normal; bent to the rim of what the eye sees
+/// if it points away from it.
+fn visible_normal(normal: Vec3, geometric: Vec3, to_eye: Vec3) -> Vec3 {
+    let normal = if normal.dot(geometric) < 0.0 { -normal } else { normal };
+    let normal = normal - to_eye * normal.dot(to_eye).min(0.0);
+    let length = normal.length();
+    // Too short is the mean of opposite normals.
+    if length > 1e-3 { normal * (1.0 / length) } else { geometric }
+}
+
+/// The part of a light that a smooth surface keeps where its triangles turn away from the light, so that light ends
+/// smoothly where their shadows begin: Chiang, Li and Burley, "Taming the Shadow Terminator" (2019).
+fn soft_terminator(geometric: Vec3, shading: Vec3, to_light: Vec3) -> f32 {
+    let product = shading.dot(to_light) * geometric.dot(shading);
+    let cosine = geometric.dot(to_light).max(0.0);
+    if cosine >= product {
+        return 1.0;
+    }
+    let part = cosine / product;
+    part + part * part - part * part * part
 }
 
 /// The colour of a ray's cost: cells in red, tests in green; a higher cost is always brighter.
@@ -162,13 +212,13 @@ mod tests {
         appearance::{Appearance, Background},
         camera::Camera,
         division::FrameSize,
-        protocol::{LightingMode, SampleRange},
+        protocol::SampleRange,
         scene::SceneId,
     };
     use strum::VariantArray;
 
     use super::*;
-    use crate::model::mesh::Mesh;
+    use crate::model::{mesh::Mesh, normal::Normal};
 
     fn traced(mesh: Mesh) -> TracedMesh {
         let mut order: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
@@ -181,7 +231,7 @@ mod tests {
 
     fn spec(shading: ShadingMode, appearance: Appearance) -> FrameSpec {
         FrameSpec {
-            scene: SceneId::Statue { triangles: 0 },
+            scene: SceneId::Statue { triangles: 0, crease: Default::default() },
             camera: Camera::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap(),
             size: FrameSize::PAPER,
             view: shading,
@@ -245,6 +295,66 @@ mod tests {
         let light =
             shader(&red, ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, None, 0.0, &UNOCCLUDED);
         assert!(light.x > 0.5 && light.y == 0.0 && light.z == 0.0, "{light}");
+    }
+
+    #[test]
+    fn normals_are_interpolated_on_the_side_of_the_eye() {
+        let corners = [Vec3::new(-0.5, 0.0, 1.0), Vec3::new(0.5, 0.0, 1.0), Vec3::new(0.0, 0.4, 1.0)];
+        for sign in [1.0, -1.0] {
+            let normals = corners.map(|normal| Normal::new(normal * sign)).to_vec();
+            let mesh = traced(Mesh { normals, ..facing_mesh() });
+            let shader = shader(&mesh, ShadingMode::Normals);
+            for triangle in [0, 1] {
+                for (target, expected) in [
+                    (Vec3::new(-1.0, -1.0, 0.0), corners[0]),
+                    (Vec3::new(0.0, -1.0, 0.0), Vec3::Z),
+                    (Vec3::new(0.0, 1.0, 0.0), corners[2]),
+                ] {
+                    let light = shader.light(target - shader.eye, Hit { triangle, t: 1.0 }, None, 0.0, &UNOCCLUDED);
+                    assert!((light * 2.0 - 1.0).dot(expected.normalize()) > 0.9999, "{light} at {target}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_corner_without_a_normal_has_the_triangle_s() {
+        let normals = vec![Normal::new(Vec3::new(1.0, 0.0, 1.0)), Normal::OF_TRIANGLE, Normal::new(Vec3::NAN)];
+        let mesh = traced(Mesh { normals, ..facing_mesh() });
+        let shader = shader(&mesh, ShadingMode::Normals);
+        for triangle in [0, 1] {
+            let at = |target: Vec3| shader.light(target - shader.eye, Hit { triangle, t: 1.0 }, None, 0.0, &UNOCCLUDED);
+            assert_eq!(at(Vec3::new(1.0, -1.0, 0.0)), Vec3::new(0.5, 0.5, 1.0));
+            assert!(at(Vec3::new(-1.0, -1.0, 0.0)).x > 0.8);
+        }
+    }
+
+    #[test]
+    fn normals_of_any_direction_are_visible_unit_vectors() {
+        let directions = || {
+            let axis = |n: u32| [-1.0f32, 0.0, 1e-30, 1.0][n as usize % 4];
+            (0..64).map(move |n| Vec3::new(axis(n), axis(n / 4), axis(n / 16)))
+        };
+        for to_eye in directions().map(normalize_or_zero).filter(|direction| *direction != Vec3::ZERO) {
+            for geometric in directions().map(normalize_or_zero).filter(|geometric| geometric.dot(to_eye) >= 0.0) {
+                for normal in directions() {
+                    let visible = visible_normal(normal, geometric, to_eye);
+                    let is_unit = (visible.length() - 1.0).abs() < 1e-6 || visible == geometric;
+                    assert!(is_unit && visible.dot(to_eye) > -1e-6, "{normal} {geometric} {to_eye}: {visible}");
+                    let part = soft_terminator(geometric, visible, to_eye);
+                    assert!((0.0..=1.0).contains(&part), "{normal} {geometric} {to_eye}: {part}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn light_ends_smoothly_where_triangles_turn_away_from_it() {
+        let shading = Vec3::Y;
+        let tilted = |degrees: f32| Vec3::new(degrees.to_radians().sin(), degrees.to_radians().cos(), 0.0);
+        let parts = [0.0, 40.0, 60.0, 79.9, 80.1].map(|tilt| soft_terminator(tilted(tilt), shading, tilted(-10.0)));
+        assert_eq!((parts[0], parts[4]), (1.0, 0.0));
+        assert!(parts.is_sorted_by(|a, b| a > b) && parts[3] < 0.02, "{parts:?}");
     }
 
     #[test]
