@@ -48,7 +48,7 @@ impl ModelArgs {
     /// The file, or the statue.
     pub fn source(&self) -> SceneSource {
         let statue = SceneSource::Statue { triangles: self.triangles };
-        self.model.clone().map_or(statue, SceneSource::Ply)
+        self.model.clone().map_or(statue, SceneSource::File)
     }
 
     /// Loads the model, with a progress bar.

@@ -22,15 +22,15 @@ pub enum SceneSource {
         /// Approximate number of triangles.
         triangles: u32,
     },
-    /// A PLY file.
-    Ply(PathBuf),
+    /// A file.
+    File(PathBuf),
 }
 
 impl fmt::Display for SceneSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Statue { .. } => f.write_str("the built-in statue"),
-            Self::Ply(path) => write!(f, "{}", path.display()),
+            Self::File(path) => write!(f, "{}", path.display()),
         }
     }
 }
@@ -63,7 +63,7 @@ pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Loa
         &SceneSource::Statue { triangles } => {
             Ok(LoadedMesh { id: SceneId::Statue { triangles }, mesh: statue::generate(triangles, progress) })
         }
-        SceneSource::Ply(path) => {
+        SceneSource::File(path) => {
             let mesh = ply::read(path, progress)?;
             let (n_vertices, n_rejected) = (mesh.vertices.len(), mesh.n_rejected);
             let path = path.clone();
@@ -138,7 +138,7 @@ mod tests {
             let header =
                 "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
             std::fs::write(&path, format!("{header}{faces}")).unwrap();
-            load(&SceneSource::Ply(path.clone()), &|_| ()).unwrap_err().to_string()
+            load(&SceneSource::File(path.clone()), &|_| ()).unwrap_err().to_string()
         };
         assert!(error("end_header\n0 0 0\n").ends_with("a point cloud must be meshed first"));
         let face = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 1 2\n";
@@ -147,7 +147,7 @@ mod tests {
 
     #[test]
     fn a_missing_model_is_named() {
-        let error = load(&SceneSource::Ply("no/such.ply".into()), &|_| ()).unwrap_err();
+        let error = load(&SceneSource::File("no/such.ply".into()), &|_| ()).unwrap_err();
         assert!(error.to_string().starts_with("no/such.ply: cannot be read: "), "{error}");
     }
 }

@@ -26,7 +26,7 @@ pub(super) struct Browser {
 impl Browser {
     pub(super) fn new(source: &SceneSource) -> Self {
         let folder = match source {
-            SceneSource::Ply(path) => path.parent().map(Path::to_owned).filter(|path| !path.as_os_str().is_empty()),
+            SceneSource::File(path) => path.parent().map(Path::to_owned).filter(|path| !path.as_os_str().is_empty()),
             SceneSource::Statue { .. } => None,
         };
         let folder = folder.unwrap_or_else(|| PathBuf::from("."));
@@ -147,7 +147,7 @@ mod tests {
         let entry = |name: &str, bytes| FileEntry { name: name.to_owned(), bytes };
         assert_eq!(listed.entries, [entry("scans", None), entry("A.ply", Some(4)), entry("b.PLY", Some(3))]);
         assert_eq!((listed.chosen, listed.problem), (1, None));
-        let mut browser = Browser::new(&SceneSource::Ply(folder.join("b.PLY")));
+        let mut browser = Browser::new(&SceneSource::File(folder.join("b.PLY")));
         let job = browser.toggle().job.expect("the folder is to be read");
         let is_loading = |browser: &Browser| browser.files.as_ref().map(|files| files.is_loading);
         assert_eq!(is_loading(&browser), Some(true));
