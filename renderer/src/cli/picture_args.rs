@@ -26,7 +26,7 @@ use crate::{
 /// The model.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ModelArgs {
-    /// The PLY file of the model [default: the built-in statue]
+    /// The model's file: PLY, OBJ, STL, glTF or GLB [default: the built-in statue]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
 

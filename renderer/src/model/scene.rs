@@ -1,13 +1,18 @@
 //! Loads meshes and identifies them.
 
-use std::{fmt, path::PathBuf};
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+};
 
+use bytemuck::NoUninit;
 use glam::DVec3;
-use shared::scene::SceneId;
+use shared::{printable::printable_line, scene::SceneId};
 
 use crate::model::{
+    file::{self, FileError, Reading},
+    material::{Material, Materials, TextureUse},
     mesh::Mesh,
-    ply::{self, PlyError},
     statue,
 };
 
@@ -22,7 +27,7 @@ pub enum SceneSource {
         /// Approximate number of triangles.
         triangles: u32,
     },
-    /// A file.
+    /// A file of any format that is read.
     File(PathBuf),
 }
 
@@ -49,7 +54,7 @@ pub struct LoadedMesh {
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum LoadError {
     #[error(transparent)]
-    Ply(#[from] PlyError),
+    File(#[from] FileError),
     #[error("{}: has {n_vertices} vertices and no triangles: a point cloud must be meshed first", path.display())]
     NoTriangles { path: PathBuf, n_vertices: usize },
     #[error("{}: has {n_vertices} vertices, and each of its {n_rejected} triangles has a corner that is none of them, or \
@@ -64,7 +69,7 @@ pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Loa
             Ok(LoadedMesh { id: SceneId::Statue { triangles }, mesh: statue::generate(triangles, progress) })
         }
         SceneSource::File(path) => {
-            let mesh = ply::read(path, progress)?;
+            let Reading { mesh, remarks } = file::read(path, progress)?;
             let (n_vertices, n_rejected) = (mesh.vertices.len(), mesh.n_rejected);
             let path = path.clone();
             if mesh.triangles.is_empty() {
@@ -73,41 +78,101 @@ pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Loa
             if n_rejected == mesh.triangles.len() {
                 return Err(LoadError::NoneUsable { path, n_vertices, n_rejected });
             }
-            if n_rejected > 0 {
-                let (path, n) = (path.display(), mesh.triangles.len());
-                tracing::warn!("{path}: {n_rejected} of {n} triangles are left out: a corner is missing or not finite");
-            }
-            if mesh.origin != DVec3::ZERO {
-                let DVec3 { x, y, z } = mesh.origin;
-                let rounding = mesh.largest_rounding();
-                let path = path.display();
-                tracing::info!("{path}: traced relative to ({x}, {y}, {z}), rounded by at most {rounding:.1e}");
-            }
+            log(&path, &mesh, &remarks);
             Ok(LoadedMesh { id: mesh_id(&mesh), mesh })
         }
     }
 }
 
+/// Lines of remarks that are logged; a model that has moved may lack a thousand images.
+const MOST_REMARKS: usize = 10;
+
+/// Tells what a file holds, and what was left out.
+fn log(path: &Path, mesh: &Mesh, remarks: &[String]) {
+    let (path, n_triangles, n_rejected) = (path.display(), mesh.triangles.len(), mesh.n_rejected);
+    if let Some(look) = mesh.materials.summary() {
+        tracing::info!("{path}: {look}");
+    }
+    for remark in remarks.iter().take(MOST_REMARKS) {
+        tracing::warn!("{path}: {}", printable_line(remark));
+    }
+    if remarks.len() > MOST_REMARKS {
+        tracing::warn!("{path}: {} more lines like these", remarks.len() - MOST_REMARKS);
+    }
+    if n_rejected > 0 {
+        tracing::warn!(
+            "{path}: {n_rejected} of {n_triangles} triangles are left out: a corner is missing or not finite"
+        );
+    }
+    if mesh.origin != DVec3::ZERO {
+        let DVec3 { x, y, z } = mesh.origin;
+        let rounding = mesh.largest_rounding();
+        tracing::info!("{path}: traced relative to ({x}, {y}, {z}), rounded by at most {rounding:.1e}");
+    }
+}
+
 /// BLAKE3 over vertices, triangles and colours: for each its length as `u64`, then its numbers, all little endian; then
-/// over the origin's numbers if it is not zero.
+/// over the origin's numbers if it is not zero; then over normals, texture coordinates and materials if there are any, each
+/// after its name.
 pub fn mesh_id(mesh: &Mesh) -> SceneId {
     let mut hasher = blake3::Hasher::new();
-    let mut part = |n_items: usize, bytes: &[u8]| {
-        hasher.update(&(n_items as u64).to_le_bytes());
-        hasher.update(bytes);
-    };
-    part(mesh.vertices.len(), bytemuck::cast_slice(&mesh.vertices));
-    part(mesh.triangles.len(), bytemuck::cast_slice(&mesh.triangles));
-    part(mesh.colors.len(), bytemuck::cast_slice(&mesh.colors));
+    hash(&mut hasher, "", &mesh.vertices);
+    hash(&mut hasher, "", &mesh.triangles);
+    hash(&mut hasher, "", &mesh.colors);
     if mesh.origin != DVec3::ZERO {
         hasher.update(bytemuck::cast_slice(&mesh.origin.to_array()));
     }
+    if !mesh.normals.is_empty() {
+        hash(&mut hasher, "normals", &mesh.normals);
+    }
+    if !mesh.texture_coordinates.is_empty() {
+        hash(&mut hasher, "texture coordinates", &mesh.texture_coordinates);
+    }
+    if mesh.materials != Materials::default() {
+        hash_materials(&mut hasher, &mesh.materials);
+    }
     SceneId::Mesh { blake3: *hasher.finalize().as_bytes() }
+}
+
+fn hash<T: NoUninit>(hasher: &mut blake3::Hasher, name: &str, items: &[T]) {
+    hasher.update(name.as_bytes());
+    hasher.update(&(items.len() as u64).to_le_bytes());
+    hasher.update(bytemuck::cast_slice(items));
+}
+
+/// Hashes all but names: materials that look the same are the same.
+fn hash_materials(hasher: &mut blake3::Hasher, materials: &Materials) {
+    hash(hasher, "materials", &[materials.materials.len() as u64]);
+    for material in &materials.materials {
+        let Material { name: _, base_color, metallic, roughness, emissive, alpha_cutoff, .. } = material;
+        hash(hasher, "", base_color);
+        hash(hasher, "", &[*metallic, *roughness]);
+        hash(hasher, "", emissive);
+        hash(hasher, "", alpha_cutoff.as_slice());
+        let Material { base_color_texture, metallic_roughness_texture, emissive_texture, .. } = material;
+        for texture in [base_color_texture, metallic_roughness_texture, emissive_texture] {
+            hash(hasher, "", texture.map(|texture| texture.image).as_slice());
+            if let Some(TextureUse { wrap, transform, .. }) = texture {
+                hash(hasher, "", &wrap.map(|wrap| wrap as u8));
+                hash(hasher, "", transform);
+            }
+        }
+    }
+    hash(hasher, "images", &[materials.images.len() as u64]);
+    for image in &materials.images {
+        hash(hasher, "", &[image.width, image.height]);
+        hash(hasher, "", &image.texels);
+    }
+    hash(hasher, "of triangles", &materials.of_triangles);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::{
+        material::{Image, Wrap},
+        normal::Normal,
+    };
 
     #[test]
     fn the_id_hashes_little_endian_numbers() {
@@ -128,6 +193,37 @@ mod tests {
         let both = Mesh { vertices: vec![[0.0; 3]], triangles: vec![[0; 3]], ..Mesh::default() };
         assert_ne!(mesh_id(&vertices), mesh_id(&both));
         assert_ne!(mesh_id(&both), mesh_id(&Mesh { origin: DVec3::X, ..both.clone() }));
+    }
+
+    #[test]
+    fn every_part_of_a_look_gives_another_id() {
+        let texture = TextureUse { image: 0, wrap: Default::default(), transform: [[1.0; 3]; 2] };
+        let material = Material { base_color_texture: Some(texture), ..Material::default() };
+        let image = Image { width: 1, height: 1, texels: vec![[0; 4]] };
+        let materials = Materials { materials: vec![material], images: vec![image], of_triangles: Vec::new() };
+        let plain = Mesh { vertices: vec![[0.0; 3]], triangles: vec![[0; 3]], ..Mesh::default() };
+        let look = Mesh { materials, ..plain.clone() };
+        let changes: [fn(&mut Mesh); 9] = [
+            |mesh| mesh.normals = vec![Normal::OF_TRIANGLE],
+            |mesh| mesh.texture_coordinates = vec![[0.0; 2]],
+            |mesh| mesh.materials.of_triangles = vec![0],
+            |mesh| mesh.materials.images[0].texels[0][3] = 1,
+            |mesh| mesh.materials.materials[0].roughness = 0.5,
+            |mesh| mesh.materials.materials[0].alpha_cutoff = Some(0.0),
+            |mesh| mesh.materials.materials[0].base_color_texture = None,
+            |mesh| mesh.materials.materials[0].emissive_texture = mesh.materials.materials[0].base_color_texture,
+            |mesh| mesh.materials.materials[0].base_color_texture.as_mut().unwrap().wrap[1] = Wrap::Clamp,
+        ];
+        let changed = changes.iter().map(|change| {
+            let mut mesh = look.clone();
+            change(&mut mesh);
+            mesh
+        });
+        let ids: Vec<_> = [plain, look.clone()].into_iter().chain(changed).map(|mesh| mesh_id(&mesh)).collect();
+        assert!(ids.iter().enumerate().all(|(i, id)| !ids[..i].contains(id)), "{ids:?}");
+        let mut renamed = look;
+        renamed.materials.materials[0].name = "other".to_owned();
+        assert_eq!(mesh_id(&renamed), ids[1]);
     }
 
     #[test]
