@@ -196,7 +196,7 @@ impl Model {
             let row = |corners: &[[u32; 3]], triangle: usize, corner: usize| {
                 corners.get(triangle).map_or(usize::MAX, |rows| rows[corner] as usize)
             };
-            wedges::split(&mut mesh, |triangle, corner| Look {
+            wedges::split(&mut mesh, |triangle, corner, _| Look {
                 texture_coordinates: (self.texture_coordinates)
                     .get(row(&self.texture_corners, triangle, corner))
                     .copied()
@@ -205,6 +205,7 @@ impl Model {
                     .get(row(&self.normal_corners, triangle, corner))
                     .copied()
                     .unwrap_or(Normal::OF_TRIANGLE),
+                color: None,
             })?;
         }
         let mut draft = Draft { mesh, ..Draft::default() };

@@ -7,6 +7,7 @@
 mod ascii;
 mod element;
 mod header;
+mod look;
 #[cfg(test)]
 mod tests;
 mod write;
@@ -22,10 +23,12 @@ pub use self::write::{write, write_to};
 use self::{
     element::{Corners, Skipped, Vertex},
     header::{Element, ElementKind, Header},
+    look::FaceLooks,
 };
 use crate::model::{
     assembly::{AssemblyError, MeshBuilder, reserve},
     file::Draft,
+    normal::Normal,
 };
 
 /// A fault of a PLY file, and its place: lines count from 1, rows from 0.
@@ -69,22 +72,42 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Proble
     let mut n_left = n_bytes.saturating_sub(header.n_bytes);
     header.check_size(n_left)?;
     let mut assembly = MeshBuilder::default();
+    let mut faces = FaceLooks::default();
     for element in &header.elements {
         match element.kind {
-            ElementKind::Vertices { colored } => {
+            ElementKind::Vertices { colored, with_normals, textured } => {
                 assembly.reserve_vertices(element.def.count)?;
                 if colored {
                     reserve(&mut assembly.mesh.colors, element.def.count, "colours")?;
                 }
+                if with_normals {
+                    reserve(&mut assembly.mesh.normals, element.def.count, "normals")?;
+                }
+                if textured {
+                    reserve(&mut assembly.mesh.texture_coordinates, element.def.count, "texture coordinates")?;
+                }
                 read_rows(&mut reader, &header, element, |vertex: &Vertex| {
                     assembly.push_vertex(vertex.position);
-                    assembly.mesh.colors.extend(colored.then_some(vertex.color));
+                    let mesh = &mut assembly.mesh;
+                    mesh.colors.extend(colored.then_some(vertex.color));
+                    mesh.normals.extend(with_normals.then(|| Normal::new(vertex.normal.into())));
+                    mesh.texture_coordinates.extend(textured.then(|| look::flipped(vertex.texture_coordinates)));
                     Ok(())
                 })?;
             }
-            ElementKind::Faces => {
+            ElementKind::Faces { colored, textured, numbered } => {
                 assembly.reserve_triangles(element.most_triangle_rows(header.encoding, n_left))?;
-                read_rows(&mut reader, &header, element, |face: &Corners| Ok(assembly.push_polygon(&face.indices)?))?;
+                read_rows(&mut reader, &header, element, |face: &Corners| {
+                    let first = assembly.n_triangles();
+                    assembly.push_polygon(&face.indices)?;
+                    let n = assembly.n_triangles() - first;
+                    faces.colors.extend(std::iter::repeat_n(face.color, if colored { n } else { 0 }));
+                    faces.textures.extend(std::iter::repeat_n(face.texture, if numbered { n } else { 0 }));
+                    if textured {
+                        faces.push_corners(face);
+                    }
+                    Ok(())
+                })?;
             }
             ElementKind::Strips => {
                 read_rows(&mut reader, &header, element, |strip: &Corners| Ok(assembly.push_strips(&strip.indices)?))?;
@@ -93,7 +116,7 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Proble
         }
         n_left = n_left.saturating_sub(element.fewest_bytes(header.encoding) as u64);
     }
-    Ok(Draft { mesh: assembly.finish(), ..Draft::default() })
+    Ok(faces.finish(assembly.finish(), header.textures)?)
 }
 
 fn read_rows<E: PropertyAccess>(

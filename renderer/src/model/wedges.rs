@@ -7,12 +7,14 @@ use crate::model::{assembly::AssemblyError, mesh::Mesh, normal::Normal};
 pub(super) struct Look {
     pub(super) texture_coordinates: [f32; 2],
     pub(super) normal: Normal,
+    /// Replaces the vertex's own, if there is one.
+    pub(super) color: Option<[u8; 3]>,
 }
 
 impl Look {
     fn is_same(&self, other: &Self) -> bool {
         let bits = |look: &Self| look.texture_coordinates.map(f32::to_bits);
-        bits(self) == bits(other) && self.normal == other.normal
+        bits(self) == bits(other) && self.normal == other.normal && self.color == other.color
     }
 }
 
@@ -23,11 +25,11 @@ const LAST: u32 = u32::MAX;
 /// No corner has this vertex yet.
 const UNUSED: u32 = u32::MAX - 1;
 
-/// Gives vertices the looks of their corners, and splits those whose corners differ. `look` receives a triangle and one of
-/// its corners, 0 to 2.
-pub(super) fn split(mesh: &mut Mesh, look: impl Fn(usize, usize) -> Look) -> Result<(), AssemblyError> {
+/// Gives vertices the looks of their corners, and splits those whose corners differ. `look` receives a triangle, one of
+/// its corners, 0 to 2, and the vertex there.
+pub(super) fn split(mesh: &mut Mesh, look: impl Fn(usize, usize, usize) -> Look) -> Result<(), AssemblyError> {
     let n_positions = mesh.vertices.len();
-    let none = Look { texture_coordinates: [0.0; 2], normal: Normal::OF_TRIANGLE };
+    let none = Look { texture_coordinates: [0.0; 2], normal: Normal::OF_TRIANGLE, color: None };
     let mut looks = vec![none; n_positions];
     let mut next = vec![UNUSED; n_positions];
     for triangle in 0..mesh.triangles.len() {
@@ -36,7 +38,7 @@ pub(super) fn split(mesh: &mut Mesh, look: impl Fn(usize, usize) -> Look) -> Res
         }
         for corner in 0..3 {
             let position = mesh.triangles[triangle][corner] as usize;
-            let look = look(triangle, corner);
+            let look = look(triangle, corner, position);
             if next[position] == UNUSED {
                 (looks[position], next[position]) = (look, LAST);
             }
@@ -70,6 +72,9 @@ pub(super) fn split(mesh: &mut Mesh, look: impl Fn(usize, usize) -> Look) -> Res
     if looks.iter().any(|look| look.texture_coordinates != [0.0; 2]) {
         mesh.texture_coordinates = looks.iter().map(|look| look.texture_coordinates).collect();
     }
+    if looks.iter().any(|look| look.color.is_some()) {
+        mesh.colors = looks.iter().map(|look| look.color.unwrap_or([u8::MAX; 3])).collect();
+    }
     Ok(())
 }
 
@@ -86,9 +91,10 @@ mod tests {
             ..Mesh::default()
         };
         let before: Vec<_> = (0..4).map(|triangle| mesh.corners(triangle)).collect();
-        split(&mut mesh, |triangle, corner| Look {
+        split(&mut mesh, |triangle, corner, _| Look {
             texture_coordinates: if (triangle, corner) == (2, 2) { [1.0, 0.0] } else { [0.0; 2] },
             normal: Normal::OF_TRIANGLE,
+            color: None,
         })
         .unwrap();
         assert_eq!(mesh.triangles, [[0, 1, 2], Mesh::REJECTED, [2, 1, 4], [0, 1, 2]]);
@@ -101,9 +107,10 @@ mod tests {
     fn many_looks_of_one_position_take_no_time() {
         let n = 200_000;
         let mut mesh = Mesh { vertices: vec![[0.0; 3]], triangles: vec![[0; 3]; n], ..Mesh::default() };
-        split(&mut mesh, |triangle, corner| Look {
+        split(&mut mesh, |triangle, corner, _| Look {
             texture_coordinates: [triangle as f32, corner as f32],
             normal: Normal::OF_TRIANGLE,
+            color: None,
         })
         .unwrap();
         assert_eq!(mesh.vertices.len(), 3 * n);

@@ -47,14 +47,20 @@ impl<'a, R: BufRead> Rows<'a, R> {
                     let length = self.token()?;
                     let length: u32 =
                         index(length)?.ok_or_else(|| format!("`{length}` is not the length of a list"))?;
-                    let mut indices = Vec::new();
+                    let (mut indices, mut numbers) = (Vec::new(), Vec::new());
                     for _ in 0..length {
                         let token = self.token()?;
-                        if role == "i" {
-                            indices.push(index(token)?.unwrap_or(u32::MAX));
+                        match role.as_str() {
+                            "i" => indices.push(index(token)?.unwrap_or(u32::MAX)),
+                            "c" => numbers.push(real(token)? as f32),
+                            _ => {}
                         }
                     }
-                    row.set_list_uint(role, indices);
+                    if role == "c" {
+                        row.set_property(role, Property::ListFloat(numbers));
+                    } else {
+                        row.set_list_uint(role, indices);
+                    }
                 }
             }
         }
