@@ -3,7 +3,7 @@
 //! `make fuzz` calls these with libFuzzer's inputs, `make test` with the kept corpus and mutations of it.
 
 use channel::{key::Key, secure};
-use renderer::model::{mesh::Mesh, ply};
+use renderer::model::{file::Draft, mesh::Mesh, ply};
 use serde::{Serialize, de::DeserializeOwned};
 use shared::{
     camera::{Camera, CameraPath, Views},
@@ -151,7 +151,7 @@ pub fn wall(data: &[u8]) {
 
 /// A PLY file.
 pub fn ply(data: &[u8]) {
-    let Ok(mesh) = ply::read_from(data, data.len() as u64) else { return };
+    let Ok(Draft { mesh, .. }) = ply::read_from(data, data.len() as u64) else { return };
     let is_sound = |triangle: &[u32; 3]| triangle.iter().all(|&index| (index as usize) < mesh.vertices.len());
     let n_rejected = mesh.triangles.iter().filter(|&&triangle| triangle == Mesh::REJECTED).count();
     assert_eq!(n_rejected, mesh.n_rejected);

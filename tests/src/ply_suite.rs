@@ -131,7 +131,7 @@ fn read(case: &Case, n_bytes: usize) -> Result<Mesh, String> {
     let bytes = &case.bytes[..n_bytes];
     let before = LIVE.get();
     PEAK.set(before);
-    let read = catch_unwind(AssertUnwindSafe(|| ply::read_from(bytes, n_bytes as u64)));
+    let read = catch_unwind(AssertUnwindSafe(|| ply::read_from(bytes, n_bytes as u64).map(|draft| draft.mesh)));
     let n_allocated = PEAK.get() - before;
     let read = read.unwrap_or_else(|_| panic!("{name} cut to {n_bytes} bytes makes the reader panic"));
     let most = MOST_FIXED_BYTES + MOST_BYTES_PER_BYTE * n_bytes;

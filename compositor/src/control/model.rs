@@ -45,7 +45,7 @@ impl Model {
     /// The model's file, where all programs on this machine find it; `None` for the built-in model.
     pub(crate) fn path(&self) -> Option<PathBuf> {
         match &self.source {
-            SceneSource::Ply(path) => Some(std::path::absolute(path).unwrap_or_else(|_| path.clone())),
+            SceneSource::File(path) => Some(std::path::absolute(path).unwrap_or_else(|_| path.clone())),
             SceneSource::Statue { .. } => None,
         }
     }

@@ -304,7 +304,7 @@ impl ApplicationHandler<Call> for App<'_> {
             WindowEvent::MouseInput { state, button, .. } => self.mouse_button(index, &event, *state, *button),
             WindowEvent::MouseWheel { delta, .. } => self.wheel(index, &event, *delta),
             WindowEvent::DroppedFile(path) if !self.kiosk.is_locked => {
-                self.loader.load(SceneSource::Ply(path.clone()));
+                self.loader.load(SceneSource::File(path.clone()));
                 self.redraw();
             }
             _ => {}

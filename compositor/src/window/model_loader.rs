@@ -86,7 +86,7 @@ impl ModelLoader {
 
 pub(super) fn name_of(source: &SceneSource) -> String {
     match source {
-        SceneSource::Ply(path) => printable_line(&path.file_name().unwrap_or(path.as_os_str()).to_string_lossy()),
+        SceneSource::File(path) => printable_line(&path.file_name().unwrap_or(path.as_os_str()).to_string_lossy()),
         SceneSource::Statue { .. } => "built-in statue".to_owned(),
     }
 }

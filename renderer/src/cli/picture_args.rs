@@ -26,7 +26,7 @@ use crate::{
 /// The model.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ModelArgs {
-    /// The PLY file of the model [default: the built-in statue]
+    /// The model's file: PLY, OBJ, STL, glTF or GLB [default: the built-in statue]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
 
@@ -52,7 +52,7 @@ impl ModelArgs {
     /// The file, or the statue.
     pub fn source(&self) -> SceneSource {
         let statue = SceneSource::Statue { triangles: self.triangles };
-        self.model.clone().map_or(statue, SceneSource::Ply)
+        self.model.clone().map_or(statue, SceneSource::File)
     }
 
     /// Loads the model and smooths it, with a progress bar.

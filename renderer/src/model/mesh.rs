@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use shared::camera::UpAxis;
 
 use crate::model::{material::Materials, normal::Normal};
 
@@ -30,6 +31,8 @@ pub struct Mesh {
     pub texture_coordinates: Vec<[f32; 2]>,
     /// The materials of the triangles.
     pub materials: Materials,
+    /// The axis that points up, if the file's format says so.
+    pub up: Option<UpAxis>,
     /// Number of triangles that are [`Mesh::REJECTED`].
     pub n_rejected: usize,
 }

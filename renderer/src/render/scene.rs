@@ -111,7 +111,7 @@ mod tests {
             file.push(3);
             file.extend(triangle.map(u32::to_le_bytes).as_flattened());
         }
-        let mesh = ply::read_from(&*file, file.len() as u64).unwrap();
+        let mesh = ply::read_from(&*file, file.len() as u64).unwrap().mesh;
         Scene::build(mesh, &GridOptions::default(), &|_| ())
     }
 

@@ -171,7 +171,7 @@ impl LoaderThread {
     fn run(mut self, requests: &LatestRequest) {
         let mut last_reason = String::new();
         if let Some(model) = self.model.clone()
-            && let Err(reason) = self.load(None, Crease::default(), &SceneSource::Ply(model))
+            && let Err(reason) = self.load(None, Crease::default(), &SceneSource::File(model))
         {
             // Carry on: the wall may ask for a scene that needs no file.
             tracing::error!("{reason}");
@@ -226,7 +226,7 @@ impl LoaderThread {
         self.structure = order.structure;
         let source = match ordered {
             SceneId::Statue { triangles, .. } => Some(SceneSource::Statue { triangles }),
-            SceneId::Mesh { .. } => self.path(order).cloned().map(SceneSource::Ply),
+            SceneId::Mesh { .. } => self.path(order).cloned().map(SceneSource::File),
         };
         let Some(source) = source else {
             return Err(format!("it has no {ordered}: start it with --model FILE, the file that the wall shows"));

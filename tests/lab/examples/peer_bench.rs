@@ -71,7 +71,7 @@ fn main() -> ExitCode {
 fn serve() -> Result<()> {
     let args: Args = cli::parse();
     let started = Instant::now();
-    let mesh = scene::load(&SceneSource::Ply(args.model.clone()), Crease::FLAT, &|_| ())?.mesh;
+    let mesh = scene::load(&SceneSource::File(args.model.clone()), Crease::FLAT, &|_| ())?.mesh;
     let load_s = started.elapsed().as_secs_f64();
     let (n_triangles, n_vertices) = (mesh.triangles.len(), mesh.vertices.len());
     let options = args.scene.options();

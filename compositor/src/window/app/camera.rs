@@ -251,7 +251,7 @@ mod tests {
             first_camera: None,
             first_path: None,
         };
-        let source = SceneSource::Ply("/no/such/folder/cube.ply".into());
+        let source = SceneSource::File("/no/such/folder/cube.ply".into());
         let sidecars = SidecarFiles::read(&source);
         let scene = renderer::model::scene::load(&SceneSource::Statue { triangles: 8 }, Default::default(), &|_| {})
             .unwrap()

@@ -1,0 +1,1 @@
+//! The reader against files written by hand.
