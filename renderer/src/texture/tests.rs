@@ -83,12 +83,6 @@ const FINER: u32 = 33;
 /// A frame of [`FINER`] times the size has footprints too small for any filter, and its centre samples are the picture's.
 fn quality(mesh: &Mesh, eye: DVec3, target: DVec3) -> [f64; 2] {
     let scene = scene(mesh.clone());
-    if let Ok(path) = std::env::var("PICTURE") {
-        let size = FrameSize::new(1024, 512).unwrap();
-        let rgb = scene.render_frame(&spec(eye, target, size)).0;
-        crate::render::image::write_png(std::path::Path::new(&format!("{path}{}{}.png", eye.z, target.y)), size, &rgb)
-            .unwrap();
-    }
     let [width, height] = [96, 48];
     let picture = scene.render_frame(&spec(eye, target, FrameSize::new(width, height).unwrap())).0;
     let finer = scene.render_frame(&spec(eye, target, FrameSize::new(FINER * width, FINER * height).unwrap())).0;
@@ -112,7 +106,6 @@ fn one_sample_of_a_texture_is_nearly_as_good_as_a_thousand() {
         ("magnified", plane(60.0, 6.0, checkerboard(64)), eye, below, 0.0),
     ] {
         let [filtered, unfiltered] = quality(&mesh, eye, target);
-        println!("{name}: {filtered:.1} dB, {unfiltered:.1} dB without a filter");
         assert!(filtered >= unfiltered + gain, "{name}: {filtered} dB, {unfiltered} dB without a filter");
     }
 }
