@@ -41,7 +41,7 @@ impl ImageSource {
 }
 
 /// Decodes all images of a draft. One that cannot be used is left out, and a remark says why.
-pub(super) fn decode(draft: Draft, companions: &Companions) -> Reading {
+pub fn decode(draft: Draft, companions: &Companions) -> Reading {
     let Draft { mut mesh, images, mut remarks } = draft;
     let decoded: Vec<_> = images.par_iter().map(|source| decode_source(source, companions)).collect();
     let mut places = Vec::new();
