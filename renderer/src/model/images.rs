@@ -144,8 +144,8 @@ mod tests {
     #[test]
     fn images_that_cannot_be_used_are_left_out_with_a_line() {
         let use_of = |image| Some(TextureUse { image, wrap: Default::default(), transform: [[0.0; 3]; 2] });
-        let mut draft = Draft::default();
-        draft.images = vec![ImageSource::file("no.png"), embedded(png(2, 1)), embedded(b"what".to_vec())];
+        let images = vec![ImageSource::file("no.png"), embedded(png(2, 1)), embedded(b"what".to_vec())];
+        let mut draft = Draft { images, ..Draft::default() };
         draft.mesh.materials.materials = vec![Material {
             base_color_texture: use_of(1),
             emissive_texture: use_of(0),
