@@ -69,7 +69,7 @@ fn reference(mesh: &Mesh, rays: &CameraRays, size: FrameSize) -> Reference {
     nearest
 }
 
-fn hits(scene: &Scene, rays: &CameraRays, size: FrameSize) -> Vec<Hit> {
+pub(crate) fn hits(scene: &Scene, rays: &CameraRays, size: FrameSize) -> Vec<Hit> {
     let task = Division::Tiled.task(0, 1);
     let share = task.share(size).unwrap();
     let mut rows = vec![Hit::MISS; size.n_samples() as usize];

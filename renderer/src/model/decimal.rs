@@ -80,7 +80,8 @@ mod tests {
                 let parsed = Decimal::parse(text.as_bytes()).unwrap();
                 prop_assert_eq!(parsed.value.to_bits(), text.parse::<f64>().unwrap().to_bits(), "{}", text);
             }
-            let shortest = Decimal::parse(format!("{:e}", value).as_bytes()).unwrap();
+            let shortest = format!("{value:e}");
+            let shortest = Decimal::parse(shortest.as_bytes()).unwrap();
             prop_assert!(shortest.fits_single && (shortest.value as f32).to_bits() == value.to_bits());
         }
     }

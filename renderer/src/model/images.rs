@@ -41,7 +41,7 @@ impl ImageSource {
 }
 
 /// Decodes all images of a draft. One that cannot be used is left out, and a remark says why.
-pub(super) fn decode(draft: Draft, companions: &Companions) -> Reading {
+pub fn decode(draft: Draft, companions: &Companions) -> Reading {
     let Draft { mut mesh, images, mut remarks } = draft;
     let decoded: Vec<_> = images.par_iter().map(|source| decode_source(source, companions)).collect();
     let mut places = Vec::new();
@@ -144,8 +144,8 @@ mod tests {
     #[test]
     fn images_that_cannot_be_used_are_left_out_with_a_line() {
         let use_of = |image| Some(TextureUse { image, wrap: Default::default(), transform: [[0.0; 3]; 2] });
-        let mut draft = Draft::default();
-        draft.images = vec![ImageSource::file("no.png"), embedded(png(2, 1)), embedded(b"what".to_vec())];
+        let images = vec![ImageSource::file("no.png"), embedded(png(2, 1)), embedded(b"what".to_vec())];
+        let mut draft = Draft { images, ..Draft::default() };
         draft.mesh.materials.materials = vec![Material {
             base_color_texture: use_of(1),
             emissive_texture: use_of(0),

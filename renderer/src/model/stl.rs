@@ -163,7 +163,7 @@ impl Welder {
             if vertex == Self::EMPTY || is_here() {
                 return slot;
             }
-            slot = slot + 1 & mask;
+            slot = (slot + 1) & mask;
         }
     }
 

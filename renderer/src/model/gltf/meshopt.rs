@@ -113,7 +113,7 @@ fn attributes(data: &[u8], count: usize, stride: usize) -> Option<Vec<u8>> {
     let (first, channels) = tail.split_at(stride);
     let mut last = first.to_vec();
     let mut rows = vec![0; count * stride];
-    let block_rows = (BLOCK_BYTES / stride & !(GROUP - 1)).min(BLOCK_ROWS);
+    let block_rows = ((BLOCK_BYTES / stride) & !(GROUP - 1)).min(BLOCK_ROWS);
     for block in rows.chunks_mut(block_rows * stride) {
         let control = if is_new { data.take(stride / 4)? } else { &[] };
         for word in 0..stride / 4 {
@@ -213,7 +213,7 @@ impl<T: Copy> Recent<T> {
 
     fn push(&mut self, item: T) {
         self.items[self.at] = item;
-        self.at = self.at + 1 & 15;
+        self.at = (self.at + 1) % 16;
     }
 
     /// The item that was pushed `back` items ago; 1 is the last.
