@@ -336,7 +336,7 @@ pub(crate) fn statue_frame_of(n_triangles: u32, wall: &Wall, up: UpAxis) -> Fram
 }
 
 fn statue_of(n_triangles: u32) -> (Shape, Scene) {
-    let mesh = statue::generate(n_triangles, &|_| {});
+    let mesh = statue::generate(n_triangles, &|_| {}).smooth(Default::default());
     (mesh.shape(), Scene::build(mesh, &GridOptions::default(), &|_| {}))
 }
 

@@ -132,6 +132,7 @@ impl TracedMesh {
     }
 
     /// A vector of any length across a triangle, on the side where its corners run counter-clockwise.
+    #[inline]
     pub(crate) fn normal(&self, triangle_idx: u32) -> DVec3 {
         let [a, b, c] = self.corners(triangle_idx).map(|corner| Vec3::from_array(corner).as_dvec3());
         (b - a).cross(c - a)

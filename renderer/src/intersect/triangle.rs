@@ -190,7 +190,7 @@ pub(super) fn intersect_exactly(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f6
 ///
 /// They are the determinants of [`EdgePlanes::decide`], whose signs decide the hit: the farther a ray passes from an edge,
 /// the more the opposite corner counts. Where none has a size, as in slivers seen along the ray, the parts are equal.
-#[inline]
+#[inline(always)]
 pub fn corner_weights(origin: Vec3, direction: Vec3, [a, b, c]: &[[f32; 3]; 3]) -> [f64; 3] {
     let to_f64 = |vector: [f32; 3]| vector.map(f64::from);
     let (origin, direction) = (to_f64(origin.to_array()), to_f64(direction.to_array()));
@@ -317,7 +317,7 @@ mod tests {
                 let target = corners[0] * parts.x + corners[1] * parts.y + corners[2] * parts.z;
                 let target = target / parts.element_sum();
                 let direction = target - origin;
-                let [a, b, c] = corners.map(|corner| corner.as_dvec3());
+                let [a, b, c] = corners.map(Vec3::as_dvec3);
                 // The point of the plane, and the areas of the triangles that it makes with the edges.
                 let (origin_f64, along) = (origin.as_dvec3(), direction.as_dvec3());
                 let normal = (b - a).cross(c - a);

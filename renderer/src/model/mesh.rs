@@ -24,7 +24,7 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// sRGB colours of the vertices.
     pub colors: Vec<[u8; 3]>,
-    /// Normals of the vertices.
+    /// Normals of the vertices; see [`Mesh::smooth`].
     pub normals: Vec<Normal>,
     /// Coordinates u and v of the vertices on textures, as glTF has them: (0, 0) is the upper left corner of the image, (1, 1)
     /// the lower right. They may hold any value, even NaN.

@@ -2,7 +2,7 @@
 //!
 //! Only + − × ÷ √ are used, in a fixed order, so that every machine computes the same bits.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use shared::{
     appearance::ClipPlane,
     protocol::{FrameSpec, LightingMode, ShadingMode},
@@ -12,6 +12,7 @@ use shared::{
 use crate::{
     grid::traced::TracedMesh,
     intersect::{RayCost, ray::Hit, triangle},
+    model::normal::Normal,
     render::{gloss::GlossySurface, secondary::LightVisibility},
     texture::materials::PointMaterial,
 };
@@ -48,7 +49,7 @@ const GROUND_LIGHT: Vec3 = Vec3::new(0.055, 0.045, 0.04);
 impl<'a> Shader<'a> {
     /// Prepares for one frame of a scene that a plane may cut open.
     pub fn new(mesh: &'a TracedMesh, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
-        let up = normalize_or_zero(spec.camera.v().normalize().as_vec3());
+        let up = normalize_or_zero(spec.camera.v());
         let background = [spec.appearance.background.bottom, spec.appearance.background.top].map(linear);
         let cap_normal = clip.map_or(Vec3::ZERO, |plane| plane.normal.as_vec3());
         let eye = spec.camera.eye().as_vec3();
@@ -70,7 +71,7 @@ impl<'a> Shader<'a> {
             let height = row / self.n_rows;
             return self.background[0] * (1.0 - height) + self.background[1] * height;
         }
-        let to_eye = -normalize_or_zero(direction);
+        let to_eye = -normalize_or_zero(direction.as_dvec3());
         let Normals { geometric, shading: normal } = self.normals(direction, to_eye, hit);
         match self.shading {
             // The cost of a ray does not depend on its hit: see [`cost_color`].
@@ -114,18 +115,21 @@ impl<'a> Shader<'a> {
     /// The normals at a hit, on the side of the eye: scans are seen from both sides.
     #[inline]
     fn normals(&self, direction: Vec3, to_eye: Vec3, hit: Hit) -> Normals {
-        let (geometric, corners) = if hit.is_cap() {
-            (self.cap_normal, None)
-        } else {
-            let [a, b, c] = self.mesh.corners(hit.triangle).map(Vec3::from_array);
-            (normalize_or_zero((b - a).cross(c - a)), self.mesh.corner_normals(hit.triangle))
+        let is_cap = hit.is_cap();
+        let normal = if is_cap { self.cap_normal } else { normalize_or_zero(self.mesh.normal(hit.triangle)) };
+        let geometric = if normal.dot(to_eye) < 0.0 { -normal } else { normal };
+        let corners = if is_cap { None } else { self.mesh.corner_normals(hit.triangle) };
+        let shading = match corners {
+            None | Some([Normal::OF_TRIANGLE, Normal::OF_TRIANGLE, Normal::OF_TRIANGLE]) => geometric,
+            Some(corners) => {
+                let mut directions = corners.map(Normal::direction);
+                // Rare: it costs less to look for than to choose a normal for each corner.
+                if corners.contains(&Normal::OF_TRIANGLE) {
+                    directions = corners.map(|corner| corner.vector().unwrap_or(normal));
+                }
+                visible_normal(interpolate(directions, self.corner_weights(direction, hit)), geometric, to_eye)
+            }
         };
-        let interpolated = corners.map(|corners| {
-            let normals = corners.map(|normal| normal.vector().unwrap_or(geometric));
-            interpolate(normals, self.corner_weights(direction, hit))
-        });
-        let geometric = if geometric.dot(to_eye) < 0.0 { -geometric } else { geometric };
-        let shading = interpolated.map_or(geometric, |normal| visible_normal(normal, geometric, to_eye));
         Normals { geometric, shading }
     }
 
@@ -158,7 +162,8 @@ struct Normals {
 /// if it points away from it.
 fn visible_normal(normal: Vec3, geometric: Vec3, to_eye: Vec3) -> Vec3 {
     let normal = if normal.dot(geometric) < 0.0 { -normal } else { normal };
-    let normal = normal - to_eye * normal.dot(to_eye).min(0.0);
+    let depth = normal.dot(to_eye);
+    let normal = if depth < 0.0 { normal - to_eye * depth } else { normal };
     let length = normal.length();
     // Too short is the mean of opposite normals.
     if length > 1e-3 { normal * (1.0 / length) } else { geometric }
@@ -195,19 +200,14 @@ fn linear(color: [u8; 3]) -> Vec3 {
     Vec3::from_array(color.map(srgb::decode))
 }
 
-/// The normalized vector, or zero. Scales first, so that squares neither overflow nor underflow.
-fn normalize_or_zero(v: Vec3) -> Vec3 {
-    let largest = v.abs().max_element();
-    if largest == 0.0 || !largest.is_finite() {
-        return Vec3::ZERO;
-    }
-    let v = v / largest;
-    v * (1.0 / v.length())
+/// The normalized vector, or zero. No square of single precision overflows or underflows in `f64`.
+fn normalize_or_zero(v: DVec3) -> Vec3 {
+    let inverse = 1.0 / v.length();
+    if inverse.is_finite() { (v * inverse).as_vec3() } else { Vec3::ZERO }
 }
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
     use shared::{
         appearance::{Appearance, Background},
         camera::Camera,
@@ -218,7 +218,7 @@ mod tests {
     use strum::VariantArray;
 
     use super::*;
-    use crate::model::{mesh::Mesh, normal::Normal};
+    use crate::model::mesh::Mesh;
 
     fn traced(mesh: Mesh) -> TracedMesh {
         let mut order: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
@@ -335,8 +335,9 @@ mod tests {
             let axis = |n: u32| [-1.0f32, 0.0, 1e-30, 1.0][n as usize % 4];
             (0..64).map(move |n| Vec3::new(axis(n), axis(n / 4), axis(n / 16)))
         };
-        for to_eye in directions().map(normalize_or_zero).filter(|direction| *direction != Vec3::ZERO) {
-            for geometric in directions().map(normalize_or_zero).filter(|geometric| geometric.dot(to_eye) >= 0.0) {
+        let unit = |direction: Vec3| normalize_or_zero(direction.as_dvec3());
+        for to_eye in directions().map(unit).filter(|direction| *direction != Vec3::ZERO) {
+            for geometric in directions().map(unit).filter(|geometric| geometric.dot(to_eye) >= 0.0) {
                 for normal in directions() {
                     let visible = visible_normal(normal, geometric, to_eye);
                     let is_unit = (visible.length() - 1.0).abs() < 1e-6 || visible == geometric;

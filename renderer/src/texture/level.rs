@@ -87,8 +87,14 @@ fn wrapped(coordinate: f32, wrap: Wrap) -> f32 {
     match wrap {
         Wrap::Repeat => fraction(coordinate),
         Wrap::Mirror => 1.0 - (fraction(coordinate * 0.5) * 2.0 - 1.0).abs(),
-        // This order of `max` and `min` turns NaN into 0.
-        Wrap::Clamp => coordinate.max(0.0).min(1.0),
+        // NaN becomes 0.
+        Wrap::Clamp => {
+            if coordinate > 0.0 {
+                coordinate.min(1.0)
+            } else {
+                0.0
+            }
+        }
     }
 }
 

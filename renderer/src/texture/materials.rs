@@ -179,8 +179,8 @@ impl TracedMaterials {
         while textured != 0 {
             let index = indices[textured.trailing_zeros() as usize];
             let (mut samples, mut footprints, mut n) = ([0; 64], [Footprint::NONE; 64], 0);
-            for sample in 0..64 {
-                if indices[sample] == index {
+            for (sample, &other) in indices.iter().enumerate() {
+                if other == index {
                     textured &= !(1 << sample);
                     if let Some(footprint) = footprint(sample) {
                         (samples[n], footprints[n]) = (sample, footprint);
@@ -219,7 +219,8 @@ impl TracedMaterials {
                 match (kind, &mut point.gloss) {
                     (0, _) => point.base_color *= *mean,
                     (1, Some([roughness, metallic])) => {
-                        (*roughness, *metallic) = (*roughness * mean.y, *metallic * mean.z)
+                        *roughness *= mean.y;
+                        *metallic *= mean.z;
                     }
                     (1, None) => {}
                     _ => point.emissive *= *mean,

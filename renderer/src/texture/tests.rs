@@ -125,7 +125,7 @@ const N_BARS: u32 = 8;
 /// same plane.
 fn fences(has_mask: bool) -> Mesh {
     // Two texels a bar, two a gap.
-    let texel = |x: u32| [255, 255, 255, if x / 2 % 2 == 0 { 255 } else { 0 }];
+    let texel = |x: u32| [255, 255, 255, if (x / 2).is_multiple_of(2) { 255 } else { 0 }];
     let width = 4 * N_BARS;
     let image = Image { width, height: 4, texels: (0..4 * width).map(|index| texel(index % width)).collect() };
     let texture = TextureUse { image: 0, wrap: [Wrap::Clamp, Wrap::Repeat], transform: IDENTITY };
