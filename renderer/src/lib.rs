@@ -1,8 +1,8 @@
 //! The render server: loads a model, builds the paper's grid over it, and traces its share of each frame.
 //!
-//! In reading order: [`model`] reads or generates a mesh, [`grid`] sorts its triangles into cells, [`intersect`] follows
-//! rays through the cells, [`render`] turns hits into light and shares of frames into samples, [`server`] serves a wall,
-//! and [`cli`] is the command line. [`memory`] says what to do when it runs out.
+//! In reading order: [`model`] reads or generates a mesh, [`grid`] sorts its triangles into cells, [`texture`] prepares its
+//! materials, [`intersect`] follows rays through the cells, [`render`] turns hits into light and shares of frames into
+//! samples, [`server`] serves a wall, and [`cli`] is the command line. [`memory`] says what to do when it runs out.
 
 pub mod cli;
 pub mod grid;
@@ -12,3 +12,4 @@ pub mod model;
 pub mod render;
 pub mod server;
 mod simd;
+pub mod texture;

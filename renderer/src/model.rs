@@ -1,13 +1,25 @@
 //! Triangle meshes, read from files or generated.
 //!
 //! [`mesh`] is the type, with [`normal`]s and [`material`]s; [`shape`] finds its outline, and [`solid`] says whether it is
-//! closed. [`ply`] reads and writes meshes, [`statue`] generates one, [`scene`] loads and identifies them.
+//! closed; [`smooth`] gives it normals. [`file`] tells formats apart: [`ply`], [`obj`], [`stl`] and [`gltf`] read theirs, with `assembly`, `decimal` and
+//! `wedges` in common, `companions` finds the files that a model names, and [`images`] decodes its images. [`statue`] generates
+//! a mesh, [`scene`] loads and identifies meshes.
 
+mod assembly;
+pub mod companions;
+mod decimal;
+pub mod file;
+pub mod gltf;
+pub mod images;
 pub mod material;
 pub mod mesh;
 pub mod normal;
+pub mod obj;
 pub mod ply;
 pub mod scene;
 pub mod shape;
+pub mod smooth;
 pub mod solid;
 pub mod statue;
+pub mod stl;
+mod wedges;

@@ -24,7 +24,7 @@ use crate::{
 };
 
 /// The version of all messages; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 11;
+pub const PROTOCOL_VERSION: u8 = 12;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -72,7 +72,7 @@ pub enum ShadingMode {
     /// The model, lit.
     #[default]
     Shaded,
-    /// The geometric normals, as colours.
+    /// The normals that light falls on, as colours.
     Normals,
     /// The cost of each ray: cells passed in blue, triangles tested in orange.
     Cost,

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3, Vec3};
 use renderer::{
     grid::GridOptions,
     intersect::{MOST_PACKETS, Packet, PacketScratch, ray::Hit},
-    model::{mesh::Mesh, ply},
+    model::{file, mesh::Mesh},
     render::{blocks::for_each_group, scene::Scene, tracer::set_camera_rays},
 };
 use shared::{
@@ -69,7 +69,7 @@ fn reference(mesh: &Mesh, rays: &CameraRays, size: FrameSize) -> Reference {
     nearest
 }
 
-fn hits(scene: &Scene, rays: &CameraRays, size: FrameSize) -> Vec<Hit> {
+pub(crate) fn hits(scene: &Scene, rays: &CameraRays, size: FrameSize) -> Vec<Hit> {
     let task = Division::Tiled.task(0, 1);
     let share = task.share(size).unwrap();
     let mut rows = vec![Hit::MISS; size.n_samples() as usize];
@@ -113,7 +113,7 @@ fn check(name: &str, hits: &[Hit], reference: &Reference) {
 }
 
 fn check_model(models: &Path, name: &str) {
-    let mesh = ply::read(&models.join(format!("{name}.ply")), &|_| ()).unwrap();
+    let mesh = file::read(&models.join(format!("{name}.ply")), &|_| ()).unwrap().mesh;
     let scene = Scene::build(mesh.clone(), &GridOptions::default(), &|_| ());
     for view in ["full", "close"] {
         let camera = std::fs::read_to_string(models.join(format!("{name}.{view}.toml"))).unwrap();

@@ -177,9 +177,18 @@ fn other_formats_and_wrong_indices_have_their_own_cures() {
         std::fs::write(&path, content).unwrap();
         fails(renderer(&["trace", "--image", "/dev/null", "--model", path.to_str().unwrap()]))
     };
-    for name in ["a.obj", "a.stl", "a.glb"] {
-        let line = trace(name, "v 0 0 0\n");
-        assert!(line.contains("MeshLab"), "{line}");
+    for (content, told) in [
+        ("plain text\n", "is no model that is read (PLY, OBJ, STL, glTF, GLB)"),
+        ("v 0 0 0\n", "a point cloud must be meshed first"),
+        ("v 0 0 0\nf 1 2 3\n", "export the model again"),
+        ("v 0 0\n", "line 1: a number is missing"),
+        ("{}", "is no glTF 2.0: missing field `asset`"),
+        ("glTF\u{1}\0\0\0\0\0\0\0", "convert it to 2.0"),
+        ("solid a\nfacet\nvertex 0 0\n", "line 3: a vertex needs three numbers"),
+    ] {
+        // The name says nothing.
+        let line = trace("a.ply", content);
+        assert!(line.contains(told), "{line}");
     }
 }
 

@@ -3,7 +3,14 @@
 //! `make fuzz` calls these with libFuzzer's inputs, `make test` with the kept corpus and mutations of it.
 
 use channel::{key::Key, secure};
-use renderer::model::{mesh::Mesh, ply};
+use renderer::model::{
+    companions::Companions,
+    file::{Draft, Reading},
+    gltf, images,
+    material::Materials,
+    mesh::Mesh,
+    obj, ply, stl,
+};
 use serde::{Serialize, de::DeserializeOwned};
 use shared::{
     camera::{Camera, CameraPath, Views},
@@ -19,12 +26,15 @@ use crate::{frame_buffer::BufferPool, wall::Wall};
 pub type Decoder = fn(&[u8]);
 
 /// All decoders, with the names of their folders in `tests/corpus` and of their targets in `tests/fuzz`.
-pub const ALL: [(&str, Decoder); 6] = [
+pub const ALL: [(&str, Decoder); 9] = [
     ("camera", camera),
+    ("gltf", gltf),
+    ("obj", obj),
     ("placement", placement),
     ("ply", ply),
     ("protocol", protocol),
     ("records", records),
+    ("stl", stl),
     ("wall", wall),
 ];
 
@@ -151,13 +161,50 @@ pub fn wall(data: &[u8]) {
 
 /// A PLY file.
 pub fn ply(data: &[u8]) {
-    let Ok(mesh) = ply::read_from(data, data.len() as u64) else { return };
+    ply::read_from(data, data.len() as u64).into_iter().for_each(check_model);
+}
+
+/// An OBJ file, and the same as a file of materials.
+pub fn obj(data: &[u8]) {
+    obj::read_from(data, data.len() as u64, &Companions::default()).into_iter().for_each(check_model);
+    let mut library = obj::Library::default();
+    library.read(data);
+    let textures = library.materials.iter().flat_map(|it| [it.base_color_texture, it.emissive_texture]).flatten();
+    textures.for_each(|texture| assert!((texture.image as usize) < library.images.len()));
+}
+
+/// An STL file, as text and as binary.
+pub fn stl(data: &[u8]) {
+    stl::read_text(data).into_iter().for_each(check_model);
+    stl::read_binary(data, data.len() as u64).into_iter().for_each(check_model);
+}
+
+/// A glTF or a GLB, with the images in it.
+pub fn gltf(data: &[u8]) {
+    let n_bytes = data.len() as u64;
+    gltf::read_text(data, n_bytes, &Companions::default()).into_iter().for_each(check_model);
+    gltf::read_binary(data, n_bytes, &Companions::default()).into_iter().for_each(check_model);
+}
+
+/// What a reader accepts is a sound mesh, also with its images.
+fn check_model(draft: Draft) {
+    let Reading { mesh, remarks } = images::decode(draft, &Companions::default());
     let is_sound = |triangle: &[u32; 3]| triangle.iter().all(|&index| (index as usize) < mesh.vertices.len());
     let n_rejected = mesh.triangles.iter().filter(|&&triangle| triangle == Mesh::REJECTED).count();
     assert_eq!(n_rejected, mesh.n_rejected);
     assert!(mesh.triangles.iter().all(|triangle| *triangle == Mesh::REJECTED || is_sound(triangle)));
     assert!(mesh.origin.is_finite());
-    assert!(mesh.colors.is_empty() || mesh.colors.len() == mesh.vertices.len());
+    let is_whole = |n_items: usize| n_items == 0 || n_items == mesh.vertices.len();
+    assert!([mesh.colors.len(), mesh.normals.len(), mesh.texture_coordinates.len()].into_iter().all(is_whole));
+    let Materials { materials, images, of_triangles } = &mesh.materials;
+    assert!(of_triangles.is_empty() || of_triangles.len() == mesh.triangles.len());
+    assert!(of_triangles.iter().all(|&material| usize::from(material) < materials.len()));
+    for material in materials {
+        let textures = [material.base_color_texture, material.metallic_roughness_texture, material.emissive_texture];
+        assert!(textures.into_iter().flatten().all(|texture| (texture.image as usize) < images.len()));
+    }
+    assert!(images.iter().all(|image| image.texels.len() as u64 == u64::from(image.width) * u64::from(image.height)));
+    assert!(remarks.iter().all(|remark| remark.len() < 1 << 20));
 }
 
 /// The encrypted channel: a stranger's handshake, or a friend's records that are changed on the way.

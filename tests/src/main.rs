@@ -20,6 +20,8 @@ mod farm;
 #[cfg(test)]
 mod film;
 #[cfg(test)]
+mod formats;
+#[cfg(test)]
 #[path = "../../compositor/src/farm/frame_buffer.rs"]
 #[allow(unreachable_pub, reason = "the compositor does not export it")]
 mod frame_buffer;

@@ -336,7 +336,7 @@ pub(crate) fn statue_frame_of(n_triangles: u32, wall: &Wall, up: UpAxis) -> Fram
 }
 
 fn statue_of(n_triangles: u32) -> (Shape, Scene) {
-    let mesh = statue::generate(n_triangles, &|_| {});
+    let mesh = statue::generate(n_triangles, &|_| {}).smooth(Default::default());
     (mesh.shape(), Scene::build(mesh, &GridOptions::default(), &|_| {}))
 }
 
@@ -344,7 +344,7 @@ fn frame_of((shape, scene): &(Shape, Scene), wall: &Wall, up: UpAxis) -> Frame {
     let camera = Camera::view_all(shape, up, wall.aspect(), CanvasPart::WHOLE);
     let size = wall.frame_size();
     let (view, rays, samples) = (ShadingMode::Shaded, LightingMode::default(), SampleRange::CENTRE);
-    let scene_id = SceneId::Statue { triangles: 0 };
+    let scene_id = SceneId::Statue { triangles: 0, crease: Default::default() };
     let spec = FrameSpec { scene: scene_id, camera, size, view, rays, samples, appearance: Appearance::default() };
     let task = Division::Interleaved.task(0, 1);
     let share = task.share(size).unwrap();

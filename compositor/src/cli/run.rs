@@ -4,15 +4,12 @@ use std::{cell::RefCell, net::SocketAddr, ops::ControlFlow, rc::Rc, sync::mpsc, 
 
 use anyhow::{Context, bail};
 use channel::key::{Key, make_key_command};
-use renderer::{
-    cli::{
-        check_writable,
-        picture_args::guessed_up,
-        progress::Progress,
-        say,
-        stop::{self, Signal, Stopped},
-    },
-    model::scene::SceneSource,
+use renderer::cli::{
+    check_writable,
+    picture_args::{ModelArgs, guessed_up},
+    progress::Progress,
+    say,
+    stop::{self, Signal, Stopped},
 };
 use shared::{
     camera::{Camera, CanvasPart},
@@ -90,7 +87,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         // A full channel already holds a wake-up call.
         let _ = wake_farm.try_send(Wakeup::Farm);
     })?;
-    let model = load_model(args.show.model.source())?;
+    let model = load_model(&args.show.model)?;
     let film = path.map(|path| Film { path, fps: args.fps, most: args.frames.unwrap_or(u32::MAX) });
     let camera = camera.or_else(|| film.as_ref().map(|film| film.path.at(0.0))).unwrap_or_else(|| {
         let kept_up = || SidecarFiles::read(&model.source).views().and_then(|views| views.up);
@@ -280,8 +277,9 @@ fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
     Ok(listener)
 }
 
-fn load_model(source: SceneSource) -> anyhow::Result<Model> {
+fn load_model(model: &ModelArgs) -> anyhow::Result<Model> {
+    let source = model.source();
     tracing::info!("loading {source}");
     let bar = Progress::new(format!("loading {source}"));
-    Ok(Model::load(source, &|fraction| bar.set(fraction))?)
+    Ok(Model::load(source, model.crease, &|fraction| bar.set(fraction))?)
 }

@@ -246,7 +246,7 @@ pub const MOUSE: &[(&str, &str)] = &[
     ("Click", "show triangle, point and distance there"),
     ("Double click", "go there, and orbit around it"),
     ("Shift while flying", "fly four times as fast"),
-    ("Drop a PLY file", "open it"),
+    ("Drop a model's file", "open it"),
 ];
 
 pub(crate) fn action(key: Key) -> Option<KeyAction> {

@@ -3,7 +3,10 @@
 use std::path::PathBuf;
 
 use renderer::model::scene::{self, LoadError, LoadedMesh, SceneSource};
-use shared::{camera::Shape, scene::SceneId};
+use shared::{
+    camera::Shape,
+    scene::{Crease, SceneId},
+};
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Model {
@@ -23,8 +26,12 @@ pub(crate) struct Model {
 
 impl Model {
     /// Reads or generates the model. May take minutes: not for the window's thread.
-    pub(crate) fn load(source: SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Self, LoadError> {
-        let LoadedMesh { id, mesh } = scene::load(&source, progress)?;
+    pub(crate) fn load(
+        source: SceneSource,
+        crease: Crease,
+        progress: &(dyn Fn(f32) + Sync),
+    ) -> Result<Self, LoadError> {
+        let LoadedMesh { id, mesh } = scene::load(&source, crease, progress)?;
         Ok(Self {
             source,
             scene: id,
@@ -38,7 +45,7 @@ impl Model {
     /// The model's file, where all programs on this machine find it; `None` for the built-in model.
     pub(crate) fn path(&self) -> Option<PathBuf> {
         match &self.source {
-            SceneSource::Ply(path) => Some(std::path::absolute(path).unwrap_or_else(|_| path.clone())),
+            SceneSource::File(path) => Some(std::path::absolute(path).unwrap_or_else(|_| path.clone())),
             SceneSource::Statue { .. } => None,
         }
     }

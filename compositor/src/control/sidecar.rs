@@ -29,7 +29,7 @@ impl SidecarFiles {
     /// Reads a model's sidecar files; those of the built-in model lie in the working folder.
     pub(crate) fn read(source: &SceneSource) -> Self {
         let model_path = match source {
-            SceneSource::Ply(path) => path.clone(),
+            SceneSource::File(path) => path.clone(),
             SceneSource::Statue { .. } => PathBuf::from("statue"),
         };
         let views_file = with_suffix(&model_path, "views.toml");
@@ -139,7 +139,7 @@ mod tests {
         }
 
         fn model(&self) -> SceneSource {
-            SceneSource::Ply(self.0.join("a model.ply"))
+            SceneSource::File(self.0.join("a model.ply"))
         }
 
         fn files(&self) -> Vec<String> {

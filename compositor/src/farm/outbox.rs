@@ -134,7 +134,11 @@ mod tests {
     }
 
     fn load_scene(triangles: u32) -> ToServer {
-        ToServer::LoadScene { scene: SceneId::Statue { triangles }, path: Some(vec![b'x'; 200_000]), structure: None }
+        ToServer::LoadScene {
+            scene: SceneId::Statue { triangles, crease: Default::default() },
+            path: Some(vec![b'x'; 200_000]),
+            structure: None,
+        }
     }
 
     fn encoded(messages: &[ToServer]) -> Vec<u8> {

@@ -1,4 +1,4 @@
-//! The panel that opens a model: the folders and PLY files of one folder, chosen by mouse or keys.
+//! The panel that opens a model: the folders and models of one folder, chosen by mouse or keys.
 
 use egui::{RichText, Ui};
 
@@ -43,7 +43,7 @@ pub(super) fn show(ui: &mut Ui, files: &FileList, commands: &mut Vec<Command>) {
     } else if files.entries.is_empty() && !files.filter.is_empty() {
         ui.label("No name has these letters: Backspace takes the last one away.");
     } else if files.entries.is_empty() {
-        ui.label("No PLY file is in this folder.");
+        ui.label("No model is in this folder.");
     }
     for (index, entry) in files.entries.iter().enumerate() {
         let name = if entry.bytes.is_some() { entry.name.clone() } else { format!("{}/", entry.name) };

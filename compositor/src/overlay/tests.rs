@@ -347,7 +347,7 @@ fn files_are_listed_and_can_be_opened() {
     for (files, label) in [
         (FileList { problem, ..FileList::default() }, "This folder cannot be read"),
         (loading, "Looking …"),
-        (FileList::default(), "No PLY file is in this folder."),
+        (FileList::default(), "No model is in this folder."),
     ] {
         commands_of(&OverlayModel { files: Some(files), ..OverlayModel::default() }, |harness| {
             harness.get_by_label(label);

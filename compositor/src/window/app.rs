@@ -89,7 +89,7 @@ impl<'a> App<'a> {
             join: join_hint(farm.address(), args.key.as_deref(), None),
             ..Default::default()
         };
-        let mut loader = ModelLoader::new(waker.clone());
+        let mut loader = ModelLoader::new(waker.clone(), args.show.model.crease);
         let source = args.show.model.source();
         loader.load(source.clone());
         let kiosk = args.kiosk.map(|seconds| Duration::from_secs(seconds.into()));
@@ -304,7 +304,7 @@ impl ApplicationHandler<Call> for App<'_> {
             WindowEvent::MouseInput { state, button, .. } => self.mouse_button(index, &event, *state, *button),
             WindowEvent::MouseWheel { delta, .. } => self.wheel(index, &event, *delta),
             WindowEvent::DroppedFile(path) if !self.kiosk.is_locked => {
-                self.loader.load(SceneSource::Ply(path.clone()));
+                self.loader.load(SceneSource::File(path.clone()));
                 self.redraw();
             }
             _ => {}

@@ -10,7 +10,7 @@ use std::{
 };
 
 use renderer::{cli::stop::Task, model::scene::SceneSource};
-use shared::printable::printable_line;
+use shared::{printable::printable_line, scene::Crease};
 
 use super::waker::{Call, Waker};
 use crate::control::{model::Model, sidecar::SidecarFiles};
@@ -21,6 +21,7 @@ pub(super) type Loaded = Result<Box<(Model, SidecarFiles)>, String>;
 /// Loads the model that was asked for last.
 pub(super) struct ModelLoader {
     waker: Waker,
+    crease: Crease,
     /// The name of the model that is being loaded, and the progress: the bits of an `f32`, 0 to 1.
     running: Option<(String, Arc<AtomicU32>)>,
     /// The next model; a later request replaces it.
@@ -29,9 +30,9 @@ pub(super) struct ModelLoader {
 }
 
 impl ModelLoader {
-    /// Wakes the window on progress, and calls it with each [`Loaded`].
-    pub(super) fn new(waker: Waker) -> Self {
-        Self { waker, running: None, next: None, has_begun: false }
+    /// For models that are as smooth as `crease` says. Wakes the window on progress, and calls it with each [`Loaded`].
+    pub(super) fn new(waker: Waker, crease: Crease) -> Self {
+        Self { waker, crease, running: None, next: None, has_begun: false }
     }
 
     pub(super) fn load(&mut self, source: SceneSource) {
@@ -53,7 +54,7 @@ impl ModelLoader {
         let Some(source) = self.next.take() else { return };
         let progress = Arc::new(AtomicU32::new(0));
         self.running = Some((name_of(&source), Arc::clone(&progress)));
-        let waker = self.waker.clone();
+        let (waker, crease) = (self.waker.clone(), self.crease);
         tracing::info!("loading {source}");
         // Without its first model the wall shows nothing; later, it goes on showing the old one.
         let task = (!std::mem::replace(&mut self.has_begun, true)).then(|| Task::named(format!("loading {source}")));
@@ -67,7 +68,7 @@ impl ModelLoader {
             };
             let load = || {
                 let sidecars = SidecarFiles::read(&source);
-                let model = Model::load(source, &report).map_err(|error| error.to_string())?;
+                let model = Model::load(source, crease, &report).map_err(|error| error.to_string())?;
                 Ok(Box::new((model, sidecars)))
             };
             // Nothing that a panic leaves half done is used again.
@@ -85,7 +86,7 @@ impl ModelLoader {
 
 pub(super) fn name_of(source: &SceneSource) -> String {
     match source {
-        SceneSource::Ply(path) => printable_line(&path.file_name().unwrap_or(path.as_os_str()).to_string_lossy()),
+        SceneSource::File(path) => printable_line(&path.file_name().unwrap_or(path.as_os_str()).to_string_lossy()),
         SceneSource::Statue { .. } => "built-in statue".to_owned(),
     }
 }

@@ -9,7 +9,7 @@ use shared::{
     camera::{Camera, CanvasPart, Shape, UpAxis},
     division::FrameSize,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
-    scene::SceneId,
+    scene::{Crease, SceneId},
 };
 
 use crate::{
@@ -26,7 +26,7 @@ use crate::{
 /// The model.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ModelArgs {
-    /// The PLY file of the model [default: the built-in statue]
+    /// The model's file: PLY, OBJ, STL, glTF or GLB [default: the built-in statue]
     #[arg(value_name = "MODEL")]
     file: Option<PathBuf>,
 
@@ -38,6 +38,10 @@ pub struct ModelArgs {
     #[arg(long, value_name = "N", default_value_t = statue::DEFAULT_TRIANGLES, conflicts_with_all = ["model", "file"],
         value_parser = between(100..=SceneId::LARGEST_STATUE))]
     pub triangles: u32,
+
+    /// Angle between triangles, in degrees, up to which a model without normals is smooth; 0 shows each triangle flat
+    #[arg(long, value_name = "DEGREES", default_value_t = Crease::default(), allow_hyphen_values = true)]
+    pub crease: Crease,
 }
 
 /// The axis that points up where nobody chose one, told in the log unless it is the usual.
@@ -57,14 +61,14 @@ impl ModelArgs {
     /// The file, or the statue.
     pub fn source(&self) -> SceneSource {
         let statue = SceneSource::Statue { triangles: self.triangles };
-        self.path().map_or(statue, |path| SceneSource::Ply(path.to_owned()))
+        self.path().map_or(statue, |path| SceneSource::File(path.to_owned()))
     }
 
-    /// Loads the model, with a progress bar.
+    /// Loads the model and smooths it, with a progress bar.
     pub fn load(&self) -> Result<LoadedMesh, LoadError> {
         let source = self.source();
         let progress = Progress::new(format!("loading {source}"));
-        scene::load(&source, &|done| progress.set(done))
+        Ok(scene::load(&source, self.crease, &|done| progress.set(done))?.smooth())
     }
 }
 
@@ -187,7 +191,7 @@ mod tests {
     fn a_model_is_given_with_or_without_its_option_but_once() {
         for arguments in [&["a.ply"][..], &["--model", "a.ply"], &["--size", "8x8", "a.ply", "--view", "cost"]] {
             let Program { picture } = cli::try_parse(["program"].iter().chain(arguments)).unwrap();
-            assert_eq!(picture.model.source(), SceneSource::Ply("a.ply".into()), "{arguments:?}");
+            assert_eq!(picture.model.source(), SceneSource::File("a.ply".into()), "{arguments:?}");
         }
         for refused in [&["a.ply", "--model", "a.ply"][..], &["a.ply", "b.ply"], &["a.ply", "--triangles", "1000"]] {
             assert!(cli::try_parse::<Program>(["program"].iter().chain(refused)).is_err(), "{refused:?}");

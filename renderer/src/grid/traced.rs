@@ -1,14 +1,20 @@
 //! The mesh that rays hit: ordered so that triangles close in space are close in memory.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
 
 use crate::{
+    intersect::ray::{Hit, Ray},
     model::{
         mesh::{Aabb, Mesh},
+        normal::Normal,
         solid::Facing,
     },
-    simd::Simd,
+    simd::{InstructionSet, Simd},
+    texture::{
+        footprint::{SampleRay, texture_point},
+        materials::{PointMaterial, TracedMaterials},
+    },
 };
 
 /// A mesh in the order of a grid's cells, without triangles that cannot be hit.
@@ -23,6 +29,11 @@ pub struct TracedMesh {
     file_indices: Vec<u32>,
     /// sRGB, one for each vertex; empty in a mesh without colours.
     colors: Vec<[u8; 3]>,
+    /// One for each vertex; empty in a mesh without textures.
+    texture_coordinates: Vec<[f32; 2]>,
+    materials: TracedMaterials,
+    /// One for each vertex; empty in a mesh of flat triangles.
+    normals: Vec<Normal>,
     bounds: Aabb,
     facing: Option<Facing>,
     origin: DVec3,
@@ -33,20 +44,31 @@ impl TracedMesh {
     pub(crate) fn peak_bytes(mesh: &Mesh) -> u64 {
         // With the renumbering of triangles and vertices in both directions.
         let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
-        mesh.n_bytes() as u64 + Self::bytes_in_order(mesh) + 4 * n_triangles + 8 * n_vertices
+        let geometry_bytes = mesh.n_bytes() - mesh.materials.n_bytes();
+        geometry_bytes as u64
+            + Self::geometry_bytes_in_order(mesh)
+            + 4 * n_triangles
+            + 8 * n_vertices
+            + TracedMaterials::peak_bytes(&mesh.materials)
     }
 
     /// Most bytes that an ordered mesh takes, without the references.
     pub(crate) fn bytes_in_order(mesh: &Mesh) -> u64 {
+        Self::geometry_bytes_in_order(mesh) + TracedMaterials::n_bytes_of(&mesh.materials)
+    }
+
+    fn geometry_bytes_in_order(mesh: &Mesh) -> u64 {
         let (n_triangles, n_vertices) = (mesh.triangles.len() as u64, mesh.vertices.len() as u64);
         // With file indices.
-        16 * n_triangles + 12 * n_vertices + size_of_val(&*mesh.colors) as u64
+        let of_vertices =
+            size_of_val(&*mesh.colors) + size_of_val(&*mesh.normals) + size_of_val(&*mesh.texture_coordinates);
+        16 * n_triangles + 12 * n_vertices + of_vertices as u64
     }
 
     /// Orders a mesh by the first mention of each triangle in `references`, which become triangle indices.
     pub fn new(mesh: Mesh, references: &mut [u32]) -> Self {
         let (bounds, facing) = (mesh.bounds(), mesh.facing());
-        let Mesh { vertices, triangles, colors, origin, .. } = mesh;
+        let Mesh { vertices, triangles, colors, normals, texture_coordinates, materials, origin, .. } = mesh;
 
         // Number the triangles in the order of their first mention.
         let mut file_indices = Vec::new();
@@ -73,12 +95,19 @@ impl TracedMesh {
         let triangles_in_order =
             in_order.map(|corners| corners.map(|vertex| vertex_renumbering.new_indices[vertex as usize])).collect();
         drop((triangles, vertex_renumbering));
-        let is_colored = !colors.is_empty();
+        let materials = TracedMaterials::new(materials, &file_indices);
+        let (is_colored, has_normals) = (!colors.is_empty(), !normals.is_empty());
+        let kept_normals = kept_vertices.iter().filter(|_| has_normals);
+        let is_textured = materials.has_textures() && !texture_coordinates.is_empty();
+        let kept_coordinates = kept_vertices.iter().filter(|_| is_textured);
         Self {
             vertices: padded(kept_vertices.par_iter().map(|&vertex| vertices[vertex as usize])),
             triangles: triangles_in_order,
             file_indices,
             colors: kept_vertices.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
+            normals: kept_normals.map(|&vertex| normals[vertex as usize]).collect(),
+            texture_coordinates: kept_coordinates.map(|&vertex| texture_coordinates[vertex as usize]).collect(),
+            materials,
             bounds,
             facing,
             origin,
@@ -103,6 +132,7 @@ impl TracedMesh {
     }
 
     /// A vector of any length across a triangle, on the side where its corners run counter-clockwise.
+    #[inline]
     pub(crate) fn normal(&self, triangle_idx: u32) -> DVec3 {
         let [a, b, c] = self.corners(triangle_idx).map(|corner| Vec3::from_array(corner).as_dvec3());
         (b - a).cross(c - a)
@@ -118,6 +148,53 @@ impl TracedMesh {
     pub fn corner_colors(&self, triangle_idx: u32) -> Option<[[u8; 3]; 3]> {
         let color = |vertex: u32| self.colors[vertex as usize];
         (!self.colors.is_empty()).then(|| self.triangles[triangle_idx as usize].map(color))
+    }
+
+    /// The normals of a triangle's corners, if the mesh has normals.
+    #[inline]
+    pub fn corner_normals(&self, triangle_idx: u32) -> Option<[Normal; 3]> {
+        let normal = |vertex: u32| self.normals[vertex as usize];
+        (!self.normals.is_empty()).then(|| self.triangles[triangle_idx as usize].map(normal))
+    }
+
+    /// Whether surfaces have materials.
+    pub(crate) fn has_materials(&self) -> bool {
+        self.materials.has_materials()
+    }
+
+    /// The materials where up to 64 rays of a camera hit triangles; `None` for misses, caps, and in meshes without materials.
+    pub(crate) fn materials(
+        &self,
+        instructions: InstructionSet,
+        hits: &[Hit],
+        ray: impl Fn(usize) -> SampleRay,
+    ) -> [Option<PointMaterial>; 64] {
+        let triangles = hits.iter().map(|hit| (!hit.is_miss() && !hit.is_cap()).then_some(hit.triangle));
+        let footprint = |sample: usize| {
+            let triangle_idx = hits[sample].triangle;
+            Some(ray(sample).footprint(self.corners(triangle_idx), self.corner_coordinates(triangle_idx)?))
+        };
+        self.materials.at(instructions, triangles, footprint)
+    }
+
+    /// Whether a ray passes a triangle that it hits, where the triangle's material has a gap.
+    #[inline]
+    pub(crate) fn is_passed(&self, triangle_idx: u32, ray: &Ray) -> bool {
+        let point = || Some(texture_point(ray, &self.corners(triangle_idx), self.corner_coordinates(triangle_idx)?));
+        self.materials.is_cut(triangle_idx, point)
+    }
+
+    /// Whether rays pass some triangles that they hit.
+    #[inline]
+    pub(crate) fn has_masks(&self) -> bool {
+        self.materials.has_masks()
+    }
+
+    /// The texture coordinates of a triangle's corners, if the mesh has textures.
+    #[inline]
+    fn corner_coordinates(&self, triangle_idx: u32) -> Option<[Vec2; 3]> {
+        let coordinates = |vertex: u32| Vec2::from_array(self.texture_coordinates[vertex as usize]);
+        (!self.texture_coordinates.is_empty()).then(|| self.triangles[triangle_idx as usize].map(coordinates))
     }
 
     /// Bounds of all triangles, in model space.
@@ -136,6 +213,9 @@ impl TracedMesh {
             + size_of_val(&*self.triangles)
             + size_of_val(&*self.file_indices)
             + size_of_val(&*self.colors)
+            + size_of_val(&*self.texture_coordinates)
+            + self.materials.n_bytes()
+            + size_of_val(&*self.normals)
     }
 
     #[inline(always)]

@@ -29,7 +29,7 @@ use crate::{
         Grid, Structure,
         tree::{BRICK_SIZE, LEVELS, Tree, boxes::LeafBoxes},
     },
-    intersect::ray::{Hit, major_axis},
+    intersect::ray::{Hit, Ray, major_axis},
     simd::{InstructionSet, Portable},
 };
 use cull::{CullScratch, Culler};
@@ -129,12 +129,34 @@ impl Grid {
         if self.space.length_to_world(1.0) < SMALLEST_CELL_SIZE {
             return false;
         }
-        match self.instructions {
+        let is_traced = match self.instructions {
             InstructionSet::Portable => Portable::march(self, tree, packets, active, scratch, hits),
             #[cfg(target_arch = "x86_64")]
             InstructionSet::Avx2 => Avx2::march(self, tree, packets, active, scratch, hits),
             #[cfg(target_arch = "x86_64")]
             InstructionSet::Avx512 => Avx512::march(self, tree, packets, active, scratch, hits),
+        };
+        if is_traced && self.mesh.has_masks() {
+            for (packet, hits) in packets.into_iter().zip(hits) {
+                self.pass_gaps(packet, hits);
+            }
+        }
+        is_traced
+    }
+
+    /// Traces rays again, alone, that hit a triangle where its material is missing.
+    fn pass_gaps(&self, packet: &Packet, hits: &mut [Hit; 64]) {
+        for (lane, hit) in hits.iter_mut().enumerate().filter(|(lane, _)| packet.active >> lane & 1 == 1) {
+            let ray = packet.ray(lane);
+            if hit.is_miss() || !self.mesh.is_passed(hit.triangle, &ray) {
+                continue;
+            }
+            *hit = match packet.any_hit {
+                true if self.occluded(&ray) => Hit { t: 0.0, ..*hit },
+                true => Hit::MISS,
+                // All other hits are as far or farther, in `f64`.
+                false => self.intersect(&Ray { t_min: ray.t_min.max(hit.t.next_down()), ..ray }),
+            };
         }
     }
 

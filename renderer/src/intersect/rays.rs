@@ -43,10 +43,12 @@ impl Nearest {
         self.triangle != u32::MAX
     }
 
-    /// Takes a hit if it is nearer; of several at the same t that of the first triangle in the file.
+    /// Takes a hit if it is nearer, and the ray does not pass it; of several at the same t that of the first triangle in the
+    /// file.
     #[inline(always)]
-    pub(super) fn offer(&mut self, mesh: &TracedMesh, triangle: u32, t: f64) {
-        if t < self.t || (t == self.t && mesh.file_index(triangle) < mesh.file_index(self.triangle)) {
+    pub(super) fn offer(&mut self, mesh: &TracedMesh, ray: &Ray, triangle: u32, t: f64) {
+        let is_nearer = t < self.t || (t == self.t && mesh.file_index(triangle) < mesh.file_index(self.triangle));
+        if is_nearer && !(mesh.has_masks() && mesh.is_passed(triangle, ray)) {
             (self.triangle, self.t) = (triangle, t);
         }
     }

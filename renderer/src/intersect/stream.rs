@@ -311,7 +311,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
                 let slot = &mut self.slots[slots[first_lane + lane] as usize];
                 let certain_t = (decision.uncertain >> lane & 1 == 0).then_some(ts[lane]);
                 if let Some(t) = triangle::finish(&slot.ray, certain_t, || mesh.corners(triangle)) {
-                    slot.nearest.offer(mesh, triangle, t);
+                    slot.nearest.offer(mesh, &slot.ray, triangle, t);
                 }
             }
         }

@@ -5,6 +5,8 @@
 //! closed mesh has no leak at any size and distance, and every kernel gives the same hits: a side that a kernel proves
 //! by its own margins is the side found here.
 
+use glam::Vec3;
+
 use crate::{
     intersect::{exact::ExactSum, ray::Ray},
     simd::Real,
@@ -191,6 +193,24 @@ pub(super) fn intersect_exactly(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f6
     })
 }
 
+/// The parts of a triangle's corners in the point where a ray from `origin` hits it: each from 0 to 1, with the sum 1.
+///
+/// They are the determinants of [`EdgePlanes::decide`], whose signs decide the hit: the farther a ray passes from an edge,
+/// the more the opposite corner counts. Where none has a size, as in slivers seen along the ray, the parts are equal.
+#[inline(always)]
+pub fn corner_weights(origin: Vec3, direction: Vec3, [a, b, c]: &[[f32; 3]; 3]) -> [f64; 3] {
+    let to_f64 = |vector: [f32; 3]| vector.map(f64::from);
+    let (origin, direction) = (to_f64(origin.to_array()), to_f64(direction.to_array()));
+    let [a, b, c] = [a, b, c].map(|corner| sub(to_f64(*corner), origin));
+    let area = |p, q| dot(direction, cross(p, sub(q, p)));
+    let areas = [area(b, c), area(c, a), area(a, b)];
+    // Rounding may have moved the ray beyond an edge.
+    let sign = 1.0f64.copysign(areas[0] + areas[1] + areas[2]);
+    let areas = areas.map(|area| (area * sign).max(0.0));
+    let inverse = 1.0 / (areas[0] + areas[1] + areas[2]);
+    if inverse.is_normal() { areas.map(|area| area * inverse) } else { [1.0 / 3.0; 3] }
+}
+
 /// Whether the sides of the three edges agree, in exact arithmetic.
 fn hits_exactly(ray: &Ray, &[a, b, c]: &[[f32; 3]; 3]) -> bool {
     let sides = [(a, b), (b, c), (c, a)].map(|(p, q)| side_exactly(ray, p, q));
@@ -284,6 +304,60 @@ mod tests {
                     intersect(&ray, &corners).is_some()
                 });
                 assert!(hit, "leak beside {target}");
+            }
+        }
+    }
+
+    #[test]
+    fn weights_of_corners_are_areas() {
+        // Deterministic points, triangles and directions of many sizes.
+        let mut bits = 1u32;
+        let mut random = || {
+            bits = bits.wrapping_mul(0x915f_77f5).wrapping_add(0x9e37_79b9);
+            (bits >> 8) as f32 / 8_388_608.0 - 1.0
+        };
+        for scale in [1e-15, 1e-3, 1.0, 1e6, 1e15] {
+            for _ in 0..200 {
+                let mut point = || Vec3::new(random(), random(), random()) * scale;
+                let (origin, corners) = (point() + Vec3::Z * (9.0 * scale), [point(), point(), point()]);
+                let parts = point().abs() / scale;
+                let target = corners[0] * parts.x + corners[1] * parts.y + corners[2] * parts.z;
+                let target = target / parts.element_sum();
+                let direction = target - origin;
+                let [a, b, c] = corners.map(Vec3::as_dvec3);
+                // The point of the plane, and the areas of the triangles that it makes with the edges.
+                let (origin_f64, along) = (origin.as_dvec3(), direction.as_dvec3());
+                let normal = (b - a).cross(c - a);
+                if normal.length() < 1e-2 * f64::from(scale).powi(2)
+                    || normal.normalize().dot(along.normalize()).abs() < 0.1
+                {
+                    continue;
+                }
+                let point = origin_f64 + along * (normal.dot(a - origin_f64) / normal.dot(along));
+                let area = |p: glam::DVec3, q: glam::DVec3| (p - point).cross(q - point).length();
+                let areas = [area(b, c), area(c, a), area(a, b)];
+                let weights = corner_weights(origin, direction, &corners.map(|corner| corner.to_array()));
+                for (weight, area) in weights.into_iter().zip(areas) {
+                    let expected = area / areas.iter().sum::<f64>();
+                    assert!((weight - expected).abs() < 1e-5, "{scale}: {weights:?} {areas:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn weights_of_any_triangle_are_fractions_that_add_up_to_one() {
+        let (p, q, r) = ([0.0, 0.0, 5.0], [4.0, 0.0, 5.0], [2.0, 1e-30, 5.0]);
+        for corners in
+            [[p; 3], [p, q, r], [p, q, q], [[f32::NAN; 3]; 3], [[1e18, 0.0, 0.0], p, [0.0, 1e18, 1.0]], TRIANGLE]
+        {
+            for target in [[1.0, 0.0, 5.0], [-9.0, 3.0, 5.0], [1e-38; 3], [0.0; 3], [1e18, 1.0, 1.0], [f32::NAN; 3]] {
+                let weights = corner_weights(Vec3::ZERO, Vec3::from_array(target), &corners);
+                assert!(
+                    weights.iter().all(|weight| (0.0..=1.0).contains(weight)),
+                    "{corners:?} {target:?}: {weights:?}"
+                );
+                assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-15, "{corners:?} {target:?}: {weights:?}");
             }
         }
     }

@@ -38,7 +38,7 @@ pub(super) fn trace<const ANY: bool>(grid: &Grid, cells: &impl CellStructure, ra
                 left &= left - 1;
                 n_tests += 1;
                 if let Some(t) = triangle::intersect(ray, &grid.mesh.corners(triangle)) {
-                    nearest.offer(&grid.mesh, triangle, t);
+                    nearest.offer(&grid.mesh, ray, triangle, t);
                 }
             }
         }

@@ -17,6 +17,19 @@ impl Materials {
         let images: usize = self.images.iter().map(|image| size_of_val(&*image.texels)).sum();
         images + size_of_val(&*self.materials) + size_of_val(&*self.of_triangles)
     }
+
+    /// The numbers of materials and images, for the log; `None` without any.
+    pub(crate) fn summary(&self) -> Option<String> {
+        let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+        let materials = count(self.materials.len(), "material");
+        let largest = self.images.iter().max_by_key(|image| u64::from(image.width) * u64::from(image.height));
+        (!self.materials.is_empty()).then(|| match largest {
+            Some(Image { width, height, .. }) => {
+                format!("{materials}, {} of up to {width}x{height} texels", count(self.images.len(), "image"))
+            }
+            None => materials,
+        })
+    }
 }
 
 /// A surface of glTF's metallic-roughness model. Factors multiply textures and vertex colours.

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use shared::camera::UpAxis;
 
 use crate::model::{material::Materials, normal::Normal};
 
@@ -23,13 +24,15 @@ pub struct Mesh {
     pub triangles: Vec<[u32; 3]>,
     /// sRGB colours of the vertices.
     pub colors: Vec<[u8; 3]>,
-    /// Normals of the vertices.
+    /// Normals of the vertices; see [`Mesh::smooth`].
     pub normals: Vec<Normal>,
     /// Coordinates u and v of the vertices on textures, as glTF has them: (0, 0) is the upper left corner of the image, (1, 1)
     /// the lower right. They may hold any value, even NaN.
     pub texture_coordinates: Vec<[f32; 2]>,
     /// The materials of the triangles.
     pub materials: Materials,
+    /// The axis that points up, if the file's format says so.
+    pub up: Option<UpAxis>,
     /// Number of triangles that are [`Mesh::REJECTED`].
     pub n_rejected: usize,
 }

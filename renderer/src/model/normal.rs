@@ -34,17 +34,35 @@ impl Normal {
     }
 
     /// The unit vector; `None` for [`Normal::OF_TRIANGLE`].
-    #[inline]
     #[must_use]
     pub fn vector(self) -> Option<Vec3> {
-        let [x, y] = self.0.map(|x| f32::from(x) * (1.0 / EDGE));
-        let point = Vec3::new(x, y, 1.0 - x.abs() - y.abs());
-        let point = if point.z < 0.0 { fold(point) } else { point };
+        let point = self.on_octahedron();
         (self != Self::OF_TRIANGLE).then(|| point * (1.0 / point.length()))
+    }
+
+    /// The same direction, up to 1.2 % longer or shorter, at a fraction of the cost: for interpolation, whose result is not
+    /// of unit length in any case. Undefined, but finite, for [`Normal::OF_TRIANGLE`].
+    #[inline]
+    #[must_use]
+    pub fn direction(self) -> Vec3 {
+        let point = self.on_octahedron();
+        // The inverse square root, for the squares of lengths on an octahedron: from 1/3 to 1.
+        let square = point.length_squared();
+        let scale = 2.479_146_2 - square * (2.724_498_4 - square * 1.257_667_6);
+        point * scale
+    }
+
+    #[inline]
+    fn on_octahedron(self) -> Vec3 {
+        let [x, y] = self.0.map(|x| f32::from(x) * (1.0 / EDGE));
+        let z = 1.0 - x.abs() - y.abs();
+        // The lower half is mirrored back across the square's inner edges.
+        let beyond = (-z).max(0.0);
+        Vec3::new(x - beyond.copysign(x), y - beyond.copysign(y), z)
     }
 }
 
-/// Mirrors the lower half of the octahedron across the square's inner edges, and back; keeps z.
+/// Mirrors the lower half of the octahedron across the square's inner edges; keeps z.
 fn fold(point: Vec3) -> Vec3 {
     let sign = |x: f32| 1.0f32.copysign(x);
     Vec3::new((1.0 - point.y.abs()) * sign(point.x), (1.0 - point.x.abs()) * sign(point.y), point.z)
@@ -66,6 +84,8 @@ mod tests {
             let back = Normal::new(direction * 2f32.powi(exponent)).vector().unwrap();
             let sine = back.as_dvec3().cross(direction.as_dvec3().normalize()).length();
             prop_assert!((back.length() - 1.0).abs() < 1e-6 && back.dot(direction) > 0.0 && sine < 0.004f64.to_radians());
+            let rough = Normal::new(direction).direction();
+            prop_assert!((rough.length() - 1.0).abs() < 0.0124 && (rough.normalize() - back).length() < 1e-6);
         }
     }
 
@@ -78,5 +98,6 @@ mod tests {
             assert_eq!(Normal::new(none), Normal::OF_TRIANGLE);
         }
         assert_eq!(Normal::OF_TRIANGLE.vector(), None);
+        assert!(Normal::OF_TRIANGLE.direction().is_finite());
     }
 }

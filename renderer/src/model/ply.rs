@@ -5,19 +5,15 @@
 //! grammar lacks `nan`, `inf`, `1.` and `.5`.
 
 mod ascii;
-mod assembly;
 mod element;
 mod header;
+mod look;
 #[cfg(test)]
 mod tests;
 mod write;
 
-use std::{
-    io::{self, BufRead, BufReader, Read},
-    path::{Path, PathBuf},
-};
+use std::io::{self, BufRead};
 
-use channel::files::{self, ReadError};
 use ply_rs::{
     parser::Parser,
     ply::{Encoding, PropertyAccess},
@@ -25,21 +21,15 @@ use ply_rs::{
 
 pub use self::write::{write, write_to};
 use self::{
-    assembly::MeshBuilder,
     element::{Corners, Skipped, Vertex},
     header::{Element, ElementKind, Header},
+    look::FaceLooks,
 };
-use crate::model::mesh::Mesh;
-
-/// Why a file cannot be read as a mesh.
-#[derive(Debug, thiserror::Error)]
-#[error("{}: {problem}", path.display())]
-pub struct PlyError {
-    /// The file.
-    pub path: PathBuf,
-    /// The fault. Not the error's source, because the message contains it already.
-    pub problem: Problem,
-}
+use crate::model::{
+    assembly::{AssemblyError, MeshBuilder, reserve},
+    file::Draft,
+    normal::Normal,
+};
 
 /// A fault of a PLY file, and its place: lines count from 1, rows from 0.
 #[derive(Debug, thiserror::Error)]
@@ -47,13 +37,7 @@ pub struct PlyError {
 pub enum Problem {
     #[error("cannot be read: {0}")]
     Io(#[from] io::Error),
-    // It has no size to compare the header's counts with, or cannot be opened.
-    #[error(transparent)]
-    Unreadable(#[from] ReadError),
-    #[error(
-        "is not a PLY file, which begins with a line `ply`: convert other formats (OBJ, STL, GLB) to PLY, for example with \
-         MeshLab, or meshio"
-    )]
+    #[error("is not a PLY file, which begins with a line `ply`")]
     NotPly,
     #[error("ends inside its header: no line `end_header`")]
     HeaderEnds,
@@ -73,58 +57,67 @@ pub enum Problem {
         "is cut short, or its header is wrong: {count} rows of `{element}` need at least {needed} bytes, {left} are left"
     )]
     TooShort { element: String, count: usize, needed: u128, left: u64 },
-    #[error("holds more than 4294967294 {0}, which is more than this program can number")]
-    TooMany(&'static str),
-    #[error("needs {n_bytes} bytes of memory for its {what}, more than the system gives")]
-    OutOfMemory { what: &'static str, n_bytes: usize },
+    #[error(transparent)]
+    Assembly(#[from] AssemblyError),
     #[error("row {row} of element `{element}`: {what}")]
     Row { element: String, row: usize, what: String },
 }
 
-/// Reads a PLY file: ASCII or binary, polygons fanned as (0, k, k+1), triangle strips unrolled.
+/// Reads a PLY of `n_bytes` bytes from its beginning: ASCII or binary, polygons fanned as (0, k, k+1), strips unrolled.
 ///
 /// A file without faces or without vertices is a mesh without triangles.
-/// `progress` receives the fraction of the file read so far, 0 to 1.
-pub fn read(path: &Path, progress: &(dyn Fn(f32) + Sync)) -> Result<Mesh, PlyError> {
-    let open = || -> Result<Mesh, Problem> {
-        let file = files::open(path)?;
-        let metadata = file.metadata()?;
-        let metered = ProgressReader { inner: file, n_read: 0, n_bytes: metadata.len(), progress };
-        read_from(BufReader::with_capacity(BUFFER_BYTES, metered), metadata.len())
-    };
-    open().map_err(|problem| PlyError { path: path.to_owned(), problem })
-}
-
-/// Reads a PLY of `n_bytes` bytes from its beginning.
-///
 /// Takes at most a small multiple of `n_bytes` of memory, even if the header lies.
-pub fn read_from(mut reader: impl BufRead, n_bytes: u64) -> Result<Mesh, Problem> {
+pub fn read_from(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Problem> {
     let header = Header::read(&mut reader)?;
     let mut n_left = n_bytes.saturating_sub(header.n_bytes);
     header.check_size(n_left)?;
     let mut assembly = MeshBuilder::default();
+    let mut faces = FaceLooks::default();
     for element in &header.elements {
         match element.kind {
-            ElementKind::Vertices { colored } => {
-                assembly.reserve_vertices(element.def.count, colored)?;
-                read_rows(&mut reader, &header, element, |vertex: &Vertex| assembly.push_vertex(vertex))?;
+            ElementKind::Vertices { colored, with_normals, textured } => {
+                assembly.reserve_vertices(element.def.count)?;
+                if colored {
+                    reserve(&mut assembly.mesh.colors, element.def.count, "colours")?;
+                }
+                if with_normals {
+                    reserve(&mut assembly.mesh.normals, element.def.count, "normals")?;
+                }
+                if textured {
+                    reserve(&mut assembly.mesh.texture_coordinates, element.def.count, "texture coordinates")?;
+                }
+                read_rows(&mut reader, &header, element, |vertex: &Vertex| {
+                    assembly.push_vertex(vertex.position);
+                    let mesh = &mut assembly.mesh;
+                    mesh.colors.extend(colored.then_some(vertex.color));
+                    mesh.normals.extend(with_normals.then(|| Normal::new(vertex.normal.into())));
+                    mesh.texture_coordinates.extend(textured.then(|| look::flipped(vertex.texture_coordinates)));
+                    Ok(())
+                })?;
             }
-            ElementKind::Faces => {
+            ElementKind::Faces { colored, textured, numbered } => {
                 assembly.reserve_triangles(element.most_triangle_rows(header.encoding, n_left))?;
-                read_rows(&mut reader, &header, element, |face: &Corners| assembly.push_polygon(&face.indices))?;
+                read_rows(&mut reader, &header, element, |face: &Corners| {
+                    let first = assembly.n_triangles();
+                    assembly.push_polygon(&face.indices)?;
+                    let n = assembly.n_triangles() - first;
+                    faces.colors.extend(std::iter::repeat_n(face.color, if colored { n } else { 0 }));
+                    faces.textures.extend(std::iter::repeat_n(face.texture, if numbered { n } else { 0 }));
+                    if textured {
+                        faces.push_corners(face);
+                    }
+                    Ok(())
+                })?;
             }
             ElementKind::Strips => {
-                read_rows(&mut reader, &header, element, |strip: &Corners| assembly.push_strips(&strip.indices))?;
+                read_rows(&mut reader, &header, element, |strip: &Corners| Ok(assembly.push_strips(&strip.indices)?))?;
             }
             ElementKind::Other => read_rows(&mut reader, &header, element, |_: &Skipped| Ok(()))?,
         }
         n_left = n_left.saturating_sub(element.fewest_bytes(header.encoding) as u64);
     }
-    Ok(assembly.finish())
+    Ok(faces.finish(assembly.finish(), header.textures)?)
 }
-
-/// Large enough that system calls cost nothing, small beside any mesh.
-const BUFFER_BYTES: usize = 256 * 1024;
 
 fn read_rows<E: PropertyAccess>(
     reader: &mut impl BufRead,
@@ -158,19 +151,3 @@ fn read_rows<E: PropertyAccess>(
 }
 
 const ENDS_HERE: &str = "the file ends here";
-
-struct ProgressReader<'a, R> {
-    inner: R,
-    n_read: u64,
-    n_bytes: u64,
-    progress: &'a (dyn Fn(f32) + Sync),
-}
-
-impl<R: Read> Read for ProgressReader<'_, R> {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let n = self.inner.read(buffer)?;
-        self.n_read += n as u64;
-        (self.progress)((self.n_read as f64 / self.n_bytes.max(1) as f64).min(1.0) as f32);
-        Ok(n)
-    }
-}

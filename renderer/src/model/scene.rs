@@ -1,13 +1,21 @@
 //! Loads meshes and identifies them.
 
-use std::{fmt, path::PathBuf};
+use std::{
+    fmt,
+    path::{Path, PathBuf},
+};
 
+use bytemuck::NoUninit;
 use glam::DVec3;
-use shared::scene::SceneId;
+use shared::{
+    printable::printable_line,
+    scene::{Crease, SceneId},
+};
 
 use crate::model::{
+    file::{self, FileError, Reading},
+    material::{Material, Materials, TextureUse},
     mesh::Mesh,
-    ply::{self, PlyError},
     statue,
 };
 
@@ -22,15 +30,15 @@ pub enum SceneSource {
         /// Approximate number of triangles.
         triangles: u32,
     },
-    /// A PLY file.
-    Ply(PathBuf),
+    /// A file of any format that is read.
+    File(PathBuf),
 }
 
 impl fmt::Display for SceneSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Statue { .. } => f.write_str("the built-in statue"),
-            Self::Ply(path) => write!(f, "{}", path.display()),
+            Self::File(path) => write!(f, "{}", path.display()),
         }
     }
 }
@@ -49,7 +57,7 @@ pub struct LoadedMesh {
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum LoadError {
     #[error(transparent)]
-    Ply(#[from] PlyError),
+    File(#[from] FileError),
     #[error("{}: has {n_vertices} vertices and no triangles: a point cloud must be meshed first", path.display())]
     NoTriangles { path: PathBuf, n_vertices: usize },
     #[error("{}: has {n_vertices} vertices, and each of its {n_rejected} triangles has a corner that is none of them, or \
@@ -57,14 +65,24 @@ pub enum LoadError {
     NoneUsable { path: PathBuf, n_vertices: usize, n_rejected: usize },
 }
 
-/// Loads a mesh; `progress` receives the fraction done, 0 to 1.
-pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<LoadedMesh, LoadError> {
+impl LoadedMesh {
+    /// The same scene with the normals that its id asks for.
+    #[must_use]
+    pub fn smooth(self) -> Self {
+        Self { mesh: self.mesh.smooth(self.id.crease()), ..self }
+    }
+}
+
+/// Loads a mesh, for a scene that is as smooth as `crease` says; `progress` receives the fraction done, 0 to 1.
+///
+/// The mesh is that of the source: who renders it must [smooth](LoadedMesh::smooth) it.
+pub fn load(source: &SceneSource, crease: Crease, progress: &(dyn Fn(f32) + Sync)) -> Result<LoadedMesh, LoadError> {
     match source {
         &SceneSource::Statue { triangles } => {
-            Ok(LoadedMesh { id: SceneId::Statue { triangles }, mesh: statue::generate(triangles, progress) })
+            Ok(LoadedMesh { id: SceneId::Statue { triangles, crease }, mesh: statue::generate(triangles, progress) })
         }
-        SceneSource::Ply(path) => {
-            let mesh = ply::read(path, progress)?;
+        SceneSource::File(path) => {
+            let Reading { mesh, remarks } = file::read(path, progress)?;
             let (n_vertices, n_rejected) = (mesh.vertices.len(), mesh.n_rejected);
             let path = path.clone();
             if mesh.triangles.is_empty() {
@@ -73,41 +91,101 @@ pub fn load(source: &SceneSource, progress: &(dyn Fn(f32) + Sync)) -> Result<Loa
             if n_rejected == mesh.triangles.len() {
                 return Err(LoadError::NoneUsable { path, n_vertices, n_rejected });
             }
-            if n_rejected > 0 {
-                let (path, n) = (path.display(), mesh.triangles.len());
-                tracing::warn!("{path}: {n_rejected} of {n} triangles are left out: a corner is missing or not finite");
-            }
-            if mesh.origin != DVec3::ZERO {
-                let DVec3 { x, y, z } = mesh.origin;
-                let rounding = mesh.largest_rounding();
-                let path = path.display();
-                tracing::info!("{path}: traced relative to ({x}, {y}, {z}), rounded by at most {rounding:.1e}");
-            }
-            Ok(LoadedMesh { id: mesh_id(&mesh), mesh })
+            log(&path, &mesh, &remarks);
+            Ok(LoadedMesh { id: mesh_id(&mesh, crease), mesh })
         }
     }
 }
 
+/// Lines of remarks that are logged; a model that has moved may lack a thousand images.
+const MOST_REMARKS: usize = 10;
+
+/// Tells what a file holds, and what was left out.
+fn log(path: &Path, mesh: &Mesh, remarks: &[String]) {
+    let (path, n_triangles, n_rejected) = (path.display(), mesh.triangles.len(), mesh.n_rejected);
+    if let Some(look) = mesh.materials.summary() {
+        tracing::info!("{path}: {look}");
+    }
+    for remark in remarks.iter().take(MOST_REMARKS) {
+        tracing::warn!("{path}: {}", printable_line(remark));
+    }
+    if remarks.len() > MOST_REMARKS {
+        tracing::warn!("{path}: {} more lines like these", remarks.len() - MOST_REMARKS);
+    }
+    if n_rejected > 0 {
+        tracing::warn!(
+            "{path}: {n_rejected} of {n_triangles} triangles are left out: a corner is missing or not finite"
+        );
+    }
+    if mesh.origin != DVec3::ZERO {
+        let DVec3 { x, y, z } = mesh.origin;
+        let rounding = mesh.largest_rounding();
+        tracing::info!("{path}: traced relative to ({x}, {y}, {z}), rounded by at most {rounding:.1e}");
+    }
+}
+
 /// BLAKE3 over vertices, triangles and colours: for each its length as `u64`, then its numbers, all little endian; then
-/// over the origin's numbers if it is not zero.
-pub fn mesh_id(mesh: &Mesh) -> SceneId {
+/// over the origin's numbers if it is not zero; then over normals, texture coordinates and materials if there are any, each
+/// after its name.
+pub fn mesh_id(mesh: &Mesh, crease: Crease) -> SceneId {
     let mut hasher = blake3::Hasher::new();
-    let mut part = |n_items: usize, bytes: &[u8]| {
-        hasher.update(&(n_items as u64).to_le_bytes());
-        hasher.update(bytes);
-    };
-    part(mesh.vertices.len(), bytemuck::cast_slice(&mesh.vertices));
-    part(mesh.triangles.len(), bytemuck::cast_slice(&mesh.triangles));
-    part(mesh.colors.len(), bytemuck::cast_slice(&mesh.colors));
+    hash(&mut hasher, "", &mesh.vertices);
+    hash(&mut hasher, "", &mesh.triangles);
+    hash(&mut hasher, "", &mesh.colors);
     if mesh.origin != DVec3::ZERO {
         hasher.update(bytemuck::cast_slice(&mesh.origin.to_array()));
     }
-    SceneId::Mesh { blake3: *hasher.finalize().as_bytes() }
+    if !mesh.normals.is_empty() {
+        hash(&mut hasher, "normals", &mesh.normals);
+    }
+    if !mesh.texture_coordinates.is_empty() {
+        hash(&mut hasher, "texture coordinates", &mesh.texture_coordinates);
+    }
+    if mesh.materials != Materials::default() {
+        hash_materials(&mut hasher, &mesh.materials);
+    }
+    SceneId::Mesh { blake3: *hasher.finalize().as_bytes(), crease }
+}
+
+fn hash<T: NoUninit>(hasher: &mut blake3::Hasher, name: &str, items: &[T]) {
+    hasher.update(name.as_bytes());
+    hasher.update(&(items.len() as u64).to_le_bytes());
+    hasher.update(bytemuck::cast_slice(items));
+}
+
+/// Hashes all but names: materials that look the same are the same.
+fn hash_materials(hasher: &mut blake3::Hasher, materials: &Materials) {
+    hash(hasher, "materials", &[materials.materials.len() as u64]);
+    for material in &materials.materials {
+        let Material { name: _, base_color, metallic, roughness, emissive, alpha_cutoff, .. } = material;
+        hash(hasher, "", base_color);
+        hash(hasher, "", &[*metallic, *roughness]);
+        hash(hasher, "", emissive);
+        hash(hasher, "", alpha_cutoff.as_slice());
+        let Material { base_color_texture, metallic_roughness_texture, emissive_texture, .. } = material;
+        for texture in [base_color_texture, metallic_roughness_texture, emissive_texture] {
+            hash(hasher, "", texture.map(|texture| texture.image).as_slice());
+            if let Some(TextureUse { wrap, transform, .. }) = texture {
+                hash(hasher, "", &wrap.map(|wrap| wrap as u8));
+                hash(hasher, "", transform);
+            }
+        }
+    }
+    hash(hasher, "images", &[materials.images.len() as u64]);
+    for image in &materials.images {
+        hash(hasher, "", &[image.width, image.height]);
+        hash(hasher, "", &image.texels);
+    }
+    hash(hasher, "of triangles", &materials.of_triangles);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::{
+        material::{Image, Wrap},
+        normal::Normal,
+    };
 
     #[test]
     fn the_id_hashes_little_endian_numbers() {
@@ -119,15 +197,49 @@ mod tests {
         };
         let bytes = [&[1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x80, 0x3f][..], &[0; 8], &[1, 0, 0, 0, 0, 0, 0, 0], &[0; 12]];
         let bytes = [bytes.concat(), vec![1, 0, 0, 0, 0, 0, 0, 0, 1, 2, 3]].concat();
-        assert_eq!(mesh_id(&mesh), SceneId::Mesh { blake3: *blake3::hash(&bytes).as_bytes() });
+        let id = SceneId::Mesh { blake3: *blake3::hash(&bytes).as_bytes(), crease: Crease::FLAT };
+        assert_eq!(mesh_id(&mesh, Crease::FLAT), id);
     }
 
     #[test]
     fn equal_numbers_in_other_roles_give_another_id() {
         let vertices = Mesh { vertices: vec![[0.0; 3]; 2], ..Mesh::default() };
         let both = Mesh { vertices: vec![[0.0; 3]], triangles: vec![[0; 3]], ..Mesh::default() };
+        let mesh_id = |mesh| mesh_id(mesh, Crease::FLAT);
         assert_ne!(mesh_id(&vertices), mesh_id(&both));
         assert_ne!(mesh_id(&both), mesh_id(&Mesh { origin: DVec3::X, ..both.clone() }));
+    }
+
+    #[test]
+    fn every_part_of_a_look_gives_another_id() {
+        let texture = TextureUse { image: 0, wrap: Default::default(), transform: [[1.0; 3]; 2] };
+        let material = Material { base_color_texture: Some(texture), ..Material::default() };
+        let image = Image { width: 1, height: 1, texels: vec![[0; 4]] };
+        let materials = Materials { materials: vec![material], images: vec![image], of_triangles: Vec::new() };
+        let plain = Mesh { vertices: vec![[0.0; 3]], triangles: vec![[0; 3]], ..Mesh::default() };
+        let look = Mesh { materials, ..plain.clone() };
+        let changes: [fn(&mut Mesh); 9] = [
+            |mesh| mesh.normals = vec![Normal::OF_TRIANGLE],
+            |mesh| mesh.texture_coordinates = vec![[0.0; 2]],
+            |mesh| mesh.materials.of_triangles = vec![0],
+            |mesh| mesh.materials.images[0].texels[0][3] = 1,
+            |mesh| mesh.materials.materials[0].roughness = 0.5,
+            |mesh| mesh.materials.materials[0].alpha_cutoff = Some(0.0),
+            |mesh| mesh.materials.materials[0].base_color_texture = None,
+            |mesh| mesh.materials.materials[0].emissive_texture = mesh.materials.materials[0].base_color_texture,
+            |mesh| mesh.materials.materials[0].base_color_texture.as_mut().unwrap().wrap[1] = Wrap::Clamp,
+        ];
+        let changed = changes.iter().map(|change| {
+            let mut mesh = look.clone();
+            change(&mut mesh);
+            mesh
+        });
+        let ids: Vec<_> =
+            [plain, look.clone()].into_iter().chain(changed).map(|mesh| mesh_id(&mesh, Crease::FLAT)).collect();
+        assert!(ids.iter().enumerate().all(|(i, id)| !ids[..i].contains(id)), "{ids:?}");
+        let mut renamed = look;
+        renamed.materials.materials[0].name = "other".to_owned();
+        assert_eq!(mesh_id(&renamed, Crease::FLAT), ids[1]);
     }
 
     #[test]
@@ -138,7 +250,7 @@ mod tests {
             let header =
                 "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n";
             std::fs::write(&path, format!("{header}{faces}")).unwrap();
-            load(&SceneSource::Ply(path.clone()), &|_| ()).unwrap_err().to_string()
+            load(&SceneSource::File(path.clone()), Crease::FLAT, &|_| ()).unwrap_err().to_string()
         };
         assert!(error("end_header\n0 0 0\n").ends_with("a point cloud must be meshed first"));
         let face = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 1 2\n";
@@ -147,7 +259,7 @@ mod tests {
 
     #[test]
     fn a_missing_model_is_named() {
-        let error = load(&SceneSource::Ply("no/such.ply".into()), &|_| ()).unwrap_err();
+        let error = load(&SceneSource::File("no/such.ply".into()), Crease::FLAT, &|_| ()).unwrap_err();
         assert!(error.to_string().starts_with("no/such.ply: cannot be read: "), "{error}");
     }
 }

@@ -16,7 +16,7 @@ const CLEARLY: f64 = 2.0;
 impl Mesh {
     /// Bounds, outline and likely up axis of the triangles that can be traced, in world space.
     ///
-    /// The model is taken to stand on its largest supporting face: the hull of the points within [`SOLE`] of the lowest.
+    /// If the file does not say what points up, the model is taken to stand on its largest supporting face: the hull of the points within [`SOLE`] of the lowest.
     pub fn shape(&self) -> Shape {
         let [min, max] = self.bounds().corners();
         let directions = directions();
@@ -45,7 +45,8 @@ impl Mesh {
         let mut outline: Vec<_> = found[0].points().map(|point| point + self.origin).collect();
         outline.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z)));
         outline.dedup();
-        Shape { bounds: (min + self.origin, max + self.origin), outline, up: larger.unwrap_or(y).0 }
+        let up = self.up.unwrap_or(larger.unwrap_or(y).0);
+        Shape { bounds: (min + self.origin, max + self.origin), outline, up }
     }
 }
 

@@ -18,6 +18,7 @@ use crate::{
         secondary::SecondaryRays,
         shade::{self, Shader},
     },
+    texture::{footprint::SampleRay, materials::PointMaterial},
 };
 
 /// Lights the hits of one frame.
@@ -25,13 +26,31 @@ pub struct Lighting<'a> {
     shading: ShadingMode,
     shader: Shader<'a>,
     secondary: SecondaryRays<'a>,
+    eye: Vec3,
+    /// Change of a ray's direction across the width and the height of its part of a pixel, in model space.
+    sample_sides: [Vec3; 2],
 }
 
 impl<'a> Lighting<'a> {
     /// Prepares for one frame of a scene that a plane may cut open.
     pub fn new(grid: &'a Grid, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
         let secondary = SecondaryRays::new(grid, spec, clip);
-        Self { shading: spec.view, shader: Shader::new(grid.mesh(), spec, clip), secondary }
+        let rays = spec.camera.rays(spec.size);
+        // All samples of a pixel share it.
+        let side = 1.0 / (spec.samples.count as f32).sqrt();
+        let sample_sides = [rays.du * side, rays.dv * side];
+        let shader = Shader::new(grid.mesh(), spec, clip);
+        Self { shading: spec.view, shader, secondary, eye: rays.eye, sample_sides }
+    }
+
+    /// The materials at up to 64 hits; `None` for misses, caps, and in meshes without materials.
+    fn materials(&self, directions: &[Vec3], hits: &[Hit]) -> [Option<PointMaterial>; 64] {
+        let grid = self.secondary.grid;
+        if self.shading != ShadingMode::Shaded || !grid.mesh().has_materials() {
+            return [None; 64];
+        }
+        let ray = |sample| SampleRay { eye: self.eye, direction: directions[sample], sides: self.sample_sides };
+        grid.mesh().materials(grid.instructions, hits, ray)
     }
 
     /// The linear light of neighbouring blocks: of sample number `sample` of their pixels (i, j), whose rays follow
@@ -57,11 +76,14 @@ impl<'a> Lighting<'a> {
         }
         let visibility = self.secondary.visibility(blocks, sample, directions, hits, scratch);
         for (index, block) in blocks.iter().enumerate() {
+            let n_samples = block.n_samples();
+            let materials = self.materials(&directions[index][..n_samples], &hits[index][..n_samples]);
             for (sample_idx, (i, j)) in block.samples().enumerate() {
                 let (_, y) = sample_point(i, j, sample);
                 lights[index][sample_idx] = self.shader.light(
                     directions[index][sample_idx],
                     hits[index][sample_idx],
+                    materials[sample_idx].as_ref(),
                     y,
                     &visibility[index][sample_idx],
                 );

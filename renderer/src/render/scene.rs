@@ -111,7 +111,7 @@ mod tests {
             file.push(3);
             file.extend(triangle.map(u32::to_le_bytes).as_flattened());
         }
-        let mesh = ply::read_from(&*file, file.len() as u64).unwrap();
+        let mesh = ply::read_from(&*file, file.len() as u64).unwrap().mesh;
         Scene::build(mesh, &GridOptions::default(), &|_| ())
     }
 
@@ -123,7 +123,7 @@ mod tests {
             let camera = Camera::look_at(DVec3::new(0.6, 1.5, 4.5), DVec3::Y * 1.6, DVec3::Y, 0.7, 2.0).unwrap();
             let [eye, ll] = [camera.eye(), camera.ll()].map(|point| exact(point) + offset);
             let spec = FrameSpec {
-                scene: SceneId::Statue { triangles: 0 },
+                scene: SceneId::Statue { triangles: 0, crease: Default::default() },
                 camera: Camera::new(eye, ll, camera.u(), camera.v()).unwrap(),
                 size: FrameSize::new(96, 48).unwrap(),
                 view: ShadingMode::Shaded,

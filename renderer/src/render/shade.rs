@@ -2,28 +2,34 @@
 //!
 //! Only + − × ÷ √ are used, in a fixed order, so that every machine computes the same bits.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use shared::{
     appearance::ClipPlane,
-    protocol::{FrameSpec, ShadingMode},
+    protocol::{FrameSpec, LightingMode, ShadingMode},
     srgb,
 };
 
 use crate::{
     grid::traced::TracedMesh,
-    intersect::{RayCost, ray::Hit},
-    render::secondary::LightVisibility,
+    intersect::{RayCost, ray::Hit, triangle},
+    model::normal::Normal,
+    render::{gloss::GlossySurface, secondary::LightVisibility},
+    texture::materials::PointMaterial,
 };
 
 /// Shades a mesh seen by one camera: a light at the eye shows form, a key light relief, and a sky which way is up.
 pub struct Shader<'a> {
     mesh: &'a TracedMesh,
     shading: ShadingMode,
+    /// The origin of all rays, model space.
+    eye: Vec3,
     /// The camera's up direction, unit length, world space.
     up: Vec3,
     n_rows: f32,
     /// Linear light of the background at the bottom and at the top.
     background: [Vec3; 2],
+    /// Whether shadow rays are traced.
+    has_shadows: bool,
     /// Points away from the kept half; unit length, world space.
     cap_normal: Vec3,
 }
@@ -43,49 +49,136 @@ const GROUND_LIGHT: Vec3 = Vec3::new(0.055, 0.045, 0.04);
 impl<'a> Shader<'a> {
     /// Prepares for one frame of a scene that a plane may cut open.
     pub fn new(mesh: &'a TracedMesh, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
-        let up = normalize_or_zero(spec.camera.v().normalize().as_vec3());
+        let up = normalize_or_zero(spec.camera.v());
         let background = [spec.appearance.background.bottom, spec.appearance.background.top].map(linear);
         let cap_normal = clip.map_or(Vec3::ZERO, |plane| plane.normal.as_vec3());
-        Self { mesh, shading: spec.view, up, n_rows: spec.size.yres() as f32, background, cap_normal }
+        let eye = spec.camera.eye().as_vec3();
+        let has_shadows = spec.rays != LightingMode::Primary;
+        Self { mesh, shading: spec.view, eye, up, n_rows: spec.size.yres() as f32, background, has_shadows, cap_normal }
     }
 
-    /// The linear light along one ray, given the lights that reach its hit. `row` counts samples from the bottom.
+    /// The linear light along one ray, given its hit's material and the lights that reach it. `row` counts samples from the bottom.
     #[inline]
-    pub fn light(&self, direction: Vec3, hit: Hit, row: f32, visibility: &LightVisibility) -> Vec3 {
+    pub fn light(
+        &self,
+        direction: Vec3,
+        hit: Hit,
+        material: Option<&PointMaterial>,
+        row: f32,
+        visibility: &LightVisibility,
+    ) -> Vec3 {
         if hit.is_miss() {
             let height = row / self.n_rows;
             return self.background[0] * (1.0 - height) + self.background[1] * height;
         }
-        let normal = if hit.is_cap() {
-            self.cap_normal
-        } else {
-            let [a, b, c] = self.mesh.corners(hit.triangle).map(Vec3::from_array);
-            normalize_or_zero((b - a).cross(c - a))
-        };
-        // Scans are seen from both sides: turn the normal towards the ray's origin.
-        let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
+        let to_eye = -normalize_or_zero(direction.as_dvec3());
+        let Normals { geometric, shading: normal } = self.normals(direction, to_eye, hit);
         match self.shading {
             // The cost of a ray does not depend on its hit: see [`cost_color`].
             ShadingMode::Normals | ShadingMode::Cost => (normal + 1.0) * 0.5,
             ShadingMode::Shaded => {
-                let eye = normal.dot(-normalize_or_zero(direction)).max(0.0);
-                let key = normal.dot(visibility.key_direction).max(0.0) * visibility.key;
+                let eye = normal.dot(to_eye).max(0.0);
+                let mut key_visibility = visibility.key;
+                if self.has_shadows {
+                    key_visibility *= soft_terminator(geometric, normal, visibility.key_direction);
+                }
+                let key = normal.dot(visibility.key_direction).max(0.0) * key_visibility;
                 let sky = 0.5 + 0.5 * normal.dot(self.up);
                 let ambient = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
-                self.albedo(hit) * (KEY_LIGHT * key + ambient * visibility.ambient_visibility)
+                let scattered = KEY_LIGHT * key + ambient * visibility.ambient_visibility;
+                let Some(material) = material else { return self.albedo(direction, hit) * scattered };
+                let color = self.vertex_color(direction, hit).unwrap_or(Vec3::ONE) * Vec3::from(material.base_color);
+                let emissive = Vec3::from(material.emissive);
+                match material.gloss {
+                    None => color * scattered + emissive,
+                    Some([roughness, metallic]) => {
+                        let surface = GlossySurface { color, roughness, metallic, normal, to_eye };
+                        color * (1.0 - metallic) * scattered
+                            + self.reflected(&surface, key_visibility, visibility)
+                            + emissive
+                    }
+                }
             }
         }
     }
 
-    /// The mean of the corners' colours.
-    fn albedo(&self, hit: Hit) -> Vec3 {
-        if hit.is_cap() {
-            return CAP;
-        }
-        let Some(colors) = self.mesh.corner_colors(hit.triangle) else { return CLAY };
-        let [a, b, c] = colors.map(linear);
-        (a + b + c) / 3.0
+    /// The light that a glossy surface reflects rather than scatters.
+    fn reflected(&self, surface: &GlossySurface, key_visibility: f32, visibility: &LightVisibility) -> Vec3 {
+        let mirrored = surface.mirrored();
+        let sky = 0.5 + 0.5 * mirrored.dot(self.up);
+        let ambient = EYE_LIGHT * surface.highlight(surface.to_eye)
+            + surface.sheen() * (SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky));
+        KEY_LIGHT * surface.highlight(visibility.key_direction) * key_visibility
+            + ambient * visibility.ambient_visibility
     }
+
+    /// The normals at a hit, on the side of the eye: scans are seen from both sides.
+    #[inline]
+    fn normals(&self, direction: Vec3, to_eye: Vec3, hit: Hit) -> Normals {
+        let is_cap = hit.is_cap();
+        let normal = if is_cap { self.cap_normal } else { normalize_or_zero(self.mesh.normal(hit.triangle)) };
+        let geometric = if normal.dot(to_eye) < 0.0 { -normal } else { normal };
+        let corners = if is_cap { None } else { self.mesh.corner_normals(hit.triangle) };
+        let shading = match corners {
+            None | Some([Normal::OF_TRIANGLE, Normal::OF_TRIANGLE, Normal::OF_TRIANGLE]) => geometric,
+            Some(corners) => {
+                let mut directions = corners.map(Normal::direction);
+                // Rare: it costs less to look for than to choose a normal for each corner.
+                if corners.contains(&Normal::OF_TRIANGLE) {
+                    directions = corners.map(|corner| corner.vector().unwrap_or(normal));
+                }
+                visible_normal(interpolate(directions, self.corner_weights(direction, hit)), geometric, to_eye)
+            }
+        };
+        Normals { geometric, shading }
+    }
+
+    fn albedo(&self, direction: Vec3, hit: Hit) -> Vec3 {
+        if hit.is_cap() { CAP } else { self.vertex_color(direction, hit).unwrap_or(CLAY) }
+    }
+
+    /// The corners' colours, interpolated in linear light.
+    fn vertex_color(&self, direction: Vec3, hit: Hit) -> Option<Vec3> {
+        let colors = self.mesh.corner_colors(hit.triangle)?;
+        Some(interpolate(colors.map(linear), self.corner_weights(direction, hit)))
+    }
+
+    /// The parts of the hit triangle's corners in the hit point; undefined for misses and caps.
+    #[inline]
+    fn corner_weights(&self, direction: Vec3, hit: Hit) -> [f32; 3] {
+        triangle::corner_weights(self.eye, direction, &self.mesh.corners(hit.triangle)).map(|weight| weight as f32)
+    }
+}
+
+/// Normals of unit length on the eye's side.
+struct Normals {
+    /// The triangle's, or the cap's; zero for slivers too thin to have one.
+    geometric: Vec3,
+    /// The one that light falls on.
+    shading: Vec3,
+}
+
+/// An interpolated normal of any length, turned to the side of the geometric normal; bent to the rim of what the eye sees
+/// if it points away from it.
+fn visible_normal(normal: Vec3, geometric: Vec3, to_eye: Vec3) -> Vec3 {
+    let normal = if normal.dot(geometric) < 0.0 { -normal } else { normal };
+    let depth = normal.dot(to_eye);
+    let normal = if depth < 0.0 { normal - to_eye * depth } else { normal };
+    let length = normal.length();
+    // Too short is the mean of opposite normals.
+    if length > 1e-3 { normal * (1.0 / length) } else { geometric }
+}
+
+/// The part of a light that a smooth surface keeps where its triangles turn away from the light, so that light ends
+/// smoothly where their shadows begin: Chiang, Li and Burley, "Taming the Shadow Terminator" (2019).
+fn soft_terminator(geometric: Vec3, shading: Vec3, to_light: Vec3) -> f32 {
+    let product = shading.dot(to_light) * geometric.dot(shading);
+    let cosine = geometric.dot(to_light).max(0.0);
+    if cosine >= product {
+        return 1.0;
+    }
+    let part = cosine / product;
+    part + part * part - part * part * part
 }
 
 /// The colours of many cells and of many tests in the cost view, encoded: Okabe and Ito's sky blue and orange, which
@@ -106,29 +199,28 @@ pub fn cost_color(cost: RayCost) -> Vec3 {
 const HALF_CELLS: f32 = 64.0;
 const HALF_TESTS: f32 = 256.0;
 
+fn interpolate([a, b, c]: [Vec3; 3], weights: [f32; 3]) -> Vec3 {
+    a * weights[0] + b * weights[1] + c * weights[2]
+}
+
 /// Linear light of an encoded colour.
 fn linear(color: [u8; 3]) -> Vec3 {
     Vec3::from_array(color.map(srgb::decode))
 }
 
-/// The normalized vector, or zero. Scales first, so that squares neither overflow nor underflow.
-fn normalize_or_zero(v: Vec3) -> Vec3 {
-    let largest = v.abs().max_element();
-    if largest == 0.0 || !largest.is_finite() {
-        return Vec3::ZERO;
-    }
-    let v = v / largest;
-    v * (1.0 / v.length())
+/// The normalized vector, or zero. No square of single precision overflows or underflows in `f64`.
+fn normalize_or_zero(v: DVec3) -> Vec3 {
+    let inverse = 1.0 / v.length();
+    if inverse.is_finite() { (v * inverse).as_vec3() } else { Vec3::ZERO }
 }
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
     use shared::{
         appearance::{Appearance, Background},
         camera::Camera,
         division::FrameSize,
-        protocol::{LightingMode, SampleRange},
+        protocol::SampleRange,
         scene::SceneId,
     };
     use strum::VariantArray;
@@ -147,7 +239,7 @@ mod tests {
 
     fn spec(shading: ShadingMode, appearance: Appearance) -> FrameSpec {
         FrameSpec {
-            scene: SceneId::Statue { triangles: 0 },
+            scene: SceneId::Statue { triangles: 0, crease: Default::default() },
             camera: Camera::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap(),
             size: FrameSize::PAPER,
             view: shading,
@@ -175,11 +267,11 @@ mod tests {
         for &shading in ShadingMode::VARIANTS {
             let shader = shader(&mesh, shading);
             let [front, back] =
-                [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, 0.0, &UNOCCLUDED));
+                [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, None, 0.0, &UNOCCLUDED));
             assert_eq!(front, back);
         }
         let normals =
-            shader(&mesh, ShadingMode::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &UNOCCLUDED);
+            shader(&mesh, ShadingMode::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, None, 0.0, &UNOCCLUDED);
         assert_eq!(normals, Vec3::new(0.5, 0.5, 1.0));
     }
 
@@ -189,7 +281,7 @@ mod tests {
         let background = Background { bottom: [255, 0, 10], top: [0, 255, 10] };
         let shader =
             Shader::new(&mesh, &spec(ShadingMode::Shaded, Appearance { background, ..Appearance::default() }), None);
-        let encoded = |row: f32| shader.light(-Vec3::Z, Hit::MISS, row, &UNOCCLUDED).to_array().map(srgb::encode);
+        let encoded = |row: f32| shader.light(-Vec3::Z, Hit::MISS, None, row, &UNOCCLUDED).to_array().map(srgb::encode);
         assert_eq!((encoded(0.0), encoded(512.0)), (background.bottom, background.top));
         // Half of the light is value 188.
         assert_eq!(encoded(256.0), [188, 188, 10]);
@@ -216,8 +308,85 @@ mod tests {
     #[test]
     fn vertex_colours_tint_the_light() {
         let red = traced(Mesh { colors: vec![[255, 0, 0]; 3], ..facing_mesh() });
-        let light = shader(&red, ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, 0.0, &UNOCCLUDED);
+        let light =
+            shader(&red, ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, None, 0.0, &UNOCCLUDED);
         assert!(light.x > 0.5 && light.y == 0.0 && light.z == 0.0, "{light}");
+    }
+
+    #[test]
+    fn normals_are_interpolated_on_the_side_of_the_eye() {
+        let corners = [Vec3::new(-0.5, 0.0, 1.0), Vec3::new(0.5, 0.0, 1.0), Vec3::new(0.0, 0.4, 1.0)];
+        for sign in [1.0, -1.0] {
+            let normals = corners.map(|normal| Normal::new(normal * sign)).to_vec();
+            let mesh = traced(Mesh { normals, ..facing_mesh() });
+            let shader = shader(&mesh, ShadingMode::Normals);
+            for triangle in [0, 1] {
+                for (target, expected) in [
+                    (Vec3::new(-1.0, -1.0, 0.0), corners[0]),
+                    (Vec3::new(0.0, -1.0, 0.0), Vec3::Z),
+                    (Vec3::new(0.0, 1.0, 0.0), corners[2]),
+                ] {
+                    let light = shader.light(target - shader.eye, Hit { triangle, t: 1.0 }, None, 0.0, &UNOCCLUDED);
+                    assert!((light * 2.0 - 1.0).dot(expected.normalize()) > 0.9999, "{light} at {target}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_corner_without_a_normal_has_the_triangle_s() {
+        let normals = vec![Normal::new(Vec3::new(1.0, 0.0, 1.0)), Normal::OF_TRIANGLE, Normal::new(Vec3::NAN)];
+        let mesh = traced(Mesh { normals, ..facing_mesh() });
+        let shader = shader(&mesh, ShadingMode::Normals);
+        for triangle in [0, 1] {
+            let at = |target: Vec3| shader.light(target - shader.eye, Hit { triangle, t: 1.0 }, None, 0.0, &UNOCCLUDED);
+            assert_eq!(at(Vec3::new(1.0, -1.0, 0.0)), Vec3::new(0.5, 0.5, 1.0));
+            assert!(at(Vec3::new(-1.0, -1.0, 0.0)).x > 0.8);
+        }
+    }
+
+    #[test]
+    fn normals_of_any_direction_are_visible_unit_vectors() {
+        let directions = || {
+            let axis = |n: u32| [-1.0f32, 0.0, 1e-30, 1.0][n as usize % 4];
+            (0..64).map(move |n| Vec3::new(axis(n), axis(n / 4), axis(n / 16)))
+        };
+        let unit = |direction: Vec3| normalize_or_zero(direction.as_dvec3());
+        for to_eye in directions().map(unit).filter(|direction| *direction != Vec3::ZERO) {
+            for geometric in directions().map(unit).filter(|geometric| geometric.dot(to_eye) >= 0.0) {
+                for normal in directions() {
+                    let visible = visible_normal(normal, geometric, to_eye);
+                    let is_unit = (visible.length() - 1.0).abs() < 1e-6 || visible == geometric;
+                    assert!(is_unit && visible.dot(to_eye) > -1e-6, "{normal} {geometric} {to_eye}: {visible}");
+                    let part = soft_terminator(geometric, visible, to_eye);
+                    assert!((0.0..=1.0).contains(&part), "{normal} {geometric} {to_eye}: {part}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn light_ends_smoothly_where_triangles_turn_away_from_it() {
+        let shading = Vec3::Y;
+        let tilted = |degrees: f32| Vec3::new(degrees.to_radians().sin(), degrees.to_radians().cos(), 0.0);
+        let parts = [0.0, 40.0, 60.0, 79.9, 80.1].map(|tilt| soft_terminator(tilted(tilt), shading, tilted(-10.0)));
+        assert_eq!((parts[0], parts[4]), (1.0, 0.0));
+        assert!(parts.is_sorted_by(|a, b| a > b) && parts[3] < 0.02, "{parts:?}");
+    }
+
+    #[test]
+    fn colours_are_interpolated_in_linear_light() {
+        let mesh = traced(Mesh { colors: vec![[255, 0, 0], [0, 255, 0], [0, 0, 255]], ..facing_mesh() });
+        let shader = shader(&mesh, ShadingMode::Shaded);
+        let albedo = |triangle, target: Vec3| shader.albedo(target - shader.eye, Hit { triangle, t: 1.0 });
+        for triangle in [0, 1] {
+            for (weights, target) in [[1.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.25, 0.25, 0.5], [0.1, 0.2, 0.7]]
+                .map(|[a, b, c]: [f32; 3]| (Vec3::new(a, b, c), Vec3::new(-a + b, -a - b + c, 0.0)))
+            {
+                let albedo = albedo(triangle, target);
+                assert!((albedo - weights).length() < 1e-6, "{albedo} at {target}");
+            }
+        }
     }
 
     #[test]
@@ -228,6 +397,7 @@ mod tests {
             let light = shader(&traced(mesh), ShadingMode::Shaded).light(
                 -Vec3::Z,
                 Hit { triangle: 0, t: 5.0 },
+                None,
                 0.0,
                 &UNOCCLUDED,
             );

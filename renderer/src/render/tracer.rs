@@ -147,7 +147,7 @@ mod tests {
         camera::Camera,
         division::{Division, FrameSize},
         protocol::{LightingMode, SampleRange, ShadingMode},
-        scene::SceneId,
+        scene::{Crease, SceneId},
     };
     use strum::VariantArray;
 
@@ -169,7 +169,7 @@ mod tests {
 
     fn spec(first: u32, count: u32) -> FrameSpec {
         FrameSpec {
-            scene: SceneId::Statue { triangles: 0 },
+            scene: SceneId::Statue { triangles: 0, crease: Default::default() },
             camera: Camera::look_at(DVec3::new(1.0, 2.0, 5.0), DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap(),
             size: FrameSize::new(37, 21).unwrap(),
             view: ShadingMode::Shaded,
@@ -217,7 +217,9 @@ mod tests {
 
     #[test]
     fn neither_division_nor_instructions_change_a_frame() {
-        let mesh = statue::generate(3000, &|_| ());
+        let mut mesh = statue::generate(3000, &|_| ()).smooth(Crease::default());
+        mesh.colors = mesh.vertices.iter().map(|vertex| vertex.map(|x| (x.abs() * 999.0) as u8 | 128)).collect();
+        assert!(mesh.normals.iter().any(|normal| normal.vector().is_some()));
         let camera = Camera::look_at(DVec3::new(0.6, 1.5, 2.5), DVec3::Y, DVec3::Y, 0.5, 2.0).unwrap();
         let cut = Appearance { light: Light::PRESETS[5].1, clip: "eye:40".parse().ok(), ..Appearance::default() };
         for (rays, appearance) in LightingMode::VARIANTS

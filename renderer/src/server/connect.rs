@@ -52,7 +52,7 @@ pub struct ConnectArgs {
     /// The wall, as HOST or HOST:PORT
     #[arg(value_name = "HOST:PORT")]
     pub wall: String,
-    /// The PLY file that the wall shows [default: the wall's own file, if the wall runs on this machine]
+    /// The model's file that the wall shows: PLY, OBJ, STL, glTF or GLB [default: the wall's own file, if the wall runs on this machine]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Number of tracing threads [default: one for each core]

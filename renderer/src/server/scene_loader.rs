@@ -8,7 +8,11 @@ use std::{
 
 use anyhow::Context;
 use rayon::ThreadPool;
-use shared::{protocol::SceneState, scene::SceneId, structure::Structure};
+use shared::{
+    protocol::SceneState,
+    scene::{Crease, SceneId},
+    structure::Structure,
+};
 use tokio::sync::watch;
 
 use crate::{
@@ -167,7 +171,7 @@ impl LoaderThread {
     fn run(mut self, requests: &LatestRequest) {
         let mut last_reason = String::new();
         if let Some(model) = self.model.clone()
-            && let Err(reason) = self.load(None, &SceneSource::Ply(model))
+            && let Err(reason) = self.load(None, Crease::default(), &SceneSource::File(model))
         {
             // Carry on: the wall may ask for a scene that needs no file.
             tracing::error!("{reason}");
@@ -221,13 +225,13 @@ impl LoaderThread {
         }
         self.structure = order.structure;
         let source = match ordered {
-            SceneId::Statue { triangles } => Some(SceneSource::Statue { triangles }),
-            SceneId::Mesh { .. } => self.path(order).cloned().map(SceneSource::Ply),
+            SceneId::Statue { triangles, .. } => Some(SceneSource::Statue { triangles }),
+            SceneId::Mesh { .. } => self.path(order).cloned().map(SceneSource::File),
         };
         let Some(source) = source else {
             return Err(format!("it has no {ordered}: start it with --model FILE, the file that the wall shows"));
         };
-        match self.load(Some(ordered), &source) {
+        match self.load(Some(ordered), ordered.crease(), &source) {
             Ok((id, scene)) if id == ordered => Ok(scene),
             Ok((id, _)) => Err(format!("{source} is {id}, the wall shows {ordered}: give it the wall's own file")),
             Err(error) if self.model.is_none() => {
@@ -238,7 +242,12 @@ impl LoaderThread {
     }
 
     /// Loads and builds a scene; drops the previous one first, so that memory never holds two.
-    fn load(&self, ordered: Option<SceneId>, source: &SceneSource) -> Result<(SceneId, Arc<Scene>), String> {
+    fn load(
+        &self,
+        ordered: Option<SceneId>,
+        crease: Crease,
+        source: &SceneSource,
+    ) -> Result<(SceneId, Arc<Scene>), String> {
         let report_progress = |progress: f32| {
             if let Some(scene) = ordered {
                 self.report_progress(scene, progress);
@@ -248,11 +257,12 @@ impl LoaderThread {
         tracing::info!("loading {source}");
         let bar = Progress::new(format!("loading {source}"));
         let (id, scene) = self.pool.install(|| -> Result<_, String> {
-            let loaded = scene::load(source, &|fraction| {
+            let loaded = scene::load(source, crease, &|fraction| {
                 bar.set(fraction * 0.5);
                 report_progress(fraction * 0.5);
             })
-            .map_err(|error| error.to_string())?;
+            .map_err(|error| error.to_string())?
+            .smooth();
             let scene = Scene::build(loaded.mesh, &self.effective_options(), &|fraction| {
                 bar.set(0.5 + fraction * 0.5);
                 report_progress(0.5 + fraction * 0.5);

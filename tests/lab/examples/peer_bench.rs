@@ -42,7 +42,12 @@ use renderer::{
     render::{scene::Scene, threads},
 };
 use serde_json::json;
-use shared::{camera::Camera, division::FrameSize, protocol::FrameSpec, scene::SceneId};
+use shared::{
+    camera::Camera,
+    division::FrameSize,
+    protocol::FrameSpec,
+    scene::{Crease, SceneId},
+};
 
 /// Traces frames on demand, for comparisons with other ray tracers
 #[derive(Parser)]
@@ -66,7 +71,7 @@ fn main() -> ExitCode {
 fn serve() -> Result<()> {
     let args: Args = cli::parse();
     let started = Instant::now();
-    let mesh = scene::load(&SceneSource::Ply(args.model.clone()), &|_| ())?.mesh;
+    let mesh = scene::load(&SceneSource::File(args.model.clone()), Crease::FLAT, &|_| ())?.mesh;
     let load_s = started.elapsed().as_secs_f64();
     let (n_triangles, n_vertices) = (mesh.triangles.len(), mesh.vertices.len());
     let options = args.scene.options();
@@ -263,6 +268,9 @@ impl PeerCamera {
         let &[xres, yres] = &named["res"][..] else { bail!("res needs two numbers") };
         let size = FrameSize::new(xres as u32, yres as u32)?;
         let camera = Camera::new(point("eye")?, point("ll")?, point("u")?, point("v")?)?;
-        Ok(Self { spec: frame_spec(SceneId::Statue { triangles: 0 }, camera, size), light: point("light")? })
+        Ok(Self {
+            spec: frame_spec(SceneId::Statue { triangles: 0, crease: Default::default() }, camera, size),
+            light: point("light")?,
+        })
     }
 }

@@ -253,9 +253,11 @@ mod tests {
             first_camera: None,
             first_path: None,
         };
-        let source = SceneSource::Ply("/no/such/folder/cube.ply".into());
+        let source = SceneSource::File("/no/such/folder/cube.ply".into());
         let sidecars = SidecarFiles::read(&source);
-        let scene = renderer::model::scene::load(&SceneSource::Statue { triangles: 8 }, &|_| {}).unwrap().id;
+        let scene = renderer::model::scene::load(&SceneSource::Statue { triangles: 8 }, Default::default(), &|_| {})
+            .unwrap()
+            .id;
         let shape = Shape::of_box(DVec3::ZERO, DVec3::ONE);
         let model = Model { source, scene, shape, n_triangles: 12, n_rejected: 0, is_solid: true };
         assert!(control.set_model(&model, sidecars, now).wants_picture);

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use renderer::model::scene::SceneSource;
+use renderer::model::{file::ENDINGS, scene::SceneSource};
 use winit::keyboard::NamedKey;
 
 use crate::{
@@ -30,7 +30,7 @@ pub(super) struct Browser {
 impl Browser {
     pub(super) fn new(source: &SceneSource) -> Self {
         let folder = match source {
-            SceneSource::Ply(path) => path.parent().map(Path::to_owned).filter(|path| !path.as_os_str().is_empty()),
+            SceneSource::File(path) => path.parent().map(Path::to_owned).filter(|path| !path.as_os_str().is_empty()),
             SceneSource::Statue { .. } => None,
         };
         let folder = folder.unwrap_or_else(|| PathBuf::from("."));
@@ -137,7 +137,7 @@ impl Browser {
     }
 }
 
-/// Folders and PLY files of a folder, without hidden ones.
+/// Folders and models of a folder, without hidden ones.
 fn list(folder: &Path) -> FileList {
     let mut list = FileList { folder: folder.display().to_string(), ..FileList::default() };
     let entries = match std::fs::read_dir(folder) {
@@ -152,8 +152,9 @@ fn list(folder: &Path) -> FileList {
         let Ok(name) = entry.file_name().into_string() else { continue };
         // Metadata of a link's target.
         let Ok(metadata) = std::fs::metadata(entry.path()) else { continue };
-        let is_ply = Path::new(&name).extension().is_some_and(|ending| ending.eq_ignore_ascii_case("ply"));
-        if name.starts_with('.') || !(metadata.is_dir() || metadata.is_file() && is_ply) {
+        let ending = Path::new(&name).extension().unwrap_or_default();
+        let is_model = ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known));
+        if name.starts_with('.') || !(metadata.is_dir() || metadata.is_file() && is_model) {
             continue;
         }
         list.entries.push(FileEntry { name, bytes: metadata.is_file().then_some(metadata.len()) });
@@ -176,14 +177,17 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("raywall-browser-{}", std::process::id()));
         std::fs::create_dir_all(folder.join("scans")).unwrap();
         std::fs::create_dir_all(folder.join(".hidden")).unwrap();
-        for (name, text) in [("b.PLY", "ply"), ("A.ply", "ply\n"), ("notes.txt", ""), (".c.ply", "")] {
+        for (name, text) in [("b.PLY", "ply"), ("A.ply", "ply\n"), ("notes.txt", ""), (".c.ply", ""), ("d.glb", "")] {
             std::fs::write(folder.join(name), text).unwrap();
         }
         let listed = list(&folder);
         let entry = |name: &str, bytes| FileEntry { name: name.to_owned(), bytes };
-        assert_eq!(listed.entries, [entry("scans", None), entry("A.ply", Some(4)), entry("b.PLY", Some(3))]);
+        assert_eq!(
+            listed.entries,
+            [entry("scans", None), entry("A.ply", Some(4)), entry("b.PLY", Some(3)), entry("d.glb", Some(0))]
+        );
         assert_eq!(listed.problem, None);
-        let mut browser = Browser::new(&SceneSource::Ply(folder.join("b.PLY")));
+        let mut browser = Browser::new(&SceneSource::File(folder.join("b.PLY")));
         let job = browser.toggle().job.expect("the folder is to be read");
         let is_loading = |browser: &Browser| browser.files.as_ref().map(|files| files.is_loading);
         assert_eq!(is_loading(&browser), Some(true));
@@ -192,7 +196,7 @@ mod tests {
         assert_eq!(browser.files.as_ref().map(|files| files.chosen), Some(1), "not the first file");
         assert_eq!(browser.command(Key::Named(NamedKey::ArrowDown)), Some(Command::Choose(2)));
         browser.choose(9);
-        assert_eq!(browser.files.as_ref().map(|files| files.chosen), Some(2));
+        assert_eq!(browser.files.as_ref().map(|files| files.chosen), Some(3));
         assert_eq!(browser.open(2).0, Some(folder.join("b.PLY")));
         assert!(browser.files.as_ref().is_none());
         std::fs::remove_dir_all(&folder).unwrap();
@@ -201,7 +205,7 @@ mod tests {
 
     #[test]
     fn typed_letters_choose_among_the_names_and_backspace_takes_them_away() {
-        let mut browser = Browser::new(&SceneSource::Ply("/scans/a.ply".into()));
+        let mut browser = Browser::new(&SceneSource::File("/scans/a.ply".into()));
         let _job = browser.toggle();
         browser.type_text("S");
         let entry = |name: &str, bytes| FileEntry { name: name.to_owned(), bytes };

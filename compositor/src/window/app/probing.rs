@@ -87,7 +87,7 @@ mod tests {
         let text = "ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n\
             element face 1\nproperty list uchar int vertex_indices\nend_header\n512345.123 5412345.678 71.25\n\
             512355.123 5412345.678 71.25\n512345.123 5412355.678 71.25\n3 0 1 2\n";
-        let mesh = ply::read_from(text.as_bytes(), text.len() as u64).unwrap();
+        let mesh = ply::read_from(text.as_bytes(), text.len() as u64).unwrap().mesh;
         let scene = Scene::build(mesh, &GridOptions::default(), &|_| ());
         let target = DVec3::new(512_347.501, 5_412_348.252, 71.25);
         let camera = Camera::look_at(target + DVec3::Z * 98.0, target, DVec3::Y, 0.7, 2.0).unwrap();

@@ -129,7 +129,7 @@ impl App<'_> {
             }
             Command::OpenEntry(index) => {
                 let (file, effect) = self.browser.open(index);
-                file.into_iter().for_each(|file| self.loader.load(SceneSource::Ply(file)));
+                file.into_iter().for_each(|file| self.loader.load(SceneSource::File(file)));
                 effect
             }
             Command::OpenParent => self.browser.open_parent(),

@@ -2,11 +2,14 @@
 //!
 //! As in other readers, rows may go on in the next line, and blank lines and the rest of a row's last line are skipped.
 
-use std::{io::BufRead, str::FromStr};
+use std::io::BufRead;
 
 use ply_rs::ply::{ElementDef, Property, PropertyAccess, PropertyType, ScalarType};
 
-use crate::model::ply::{ENDS_HERE, element::index_from_f64};
+use crate::model::{
+    decimal::Decimal,
+    ply::{ENDS_HERE, element::index_from_f64},
+};
 
 pub(super) struct Rows<'a, R> {
     reader: &'a mut R,
@@ -32,11 +35,10 @@ impl<'a, R: BufRead> Rows<'a, R> {
                 PropertyType::Scalar(_) if role.starts_with('_') => drop(self.token()?),
                 PropertyType::Scalar(ScalarType::Float) if let Some(axis) = axis(role) => {
                     let token = self.token()?;
-                    let (single, double) = (parse_real(token)?, parse_real(token)?);
-                    let is_kept = keeps_digits(token, single, double);
-                    row.set_property(role, Property::Float(single));
-                    doubles[axis] = Some((role, double));
-                    self.is_precise |= !is_kept;
+                    let Decimal { value, fits_single } = decimal(token)?;
+                    row.set_property(role, Property::Float(value as f32));
+                    doubles[axis] = Some((role, value));
+                    self.is_precise |= !fits_single;
                 }
                 PropertyType::Scalar(scalar) => {
                     row.set_property(role, scalar_from_token(self.token()?, scalar)?);
@@ -45,14 +47,20 @@ impl<'a, R: BufRead> Rows<'a, R> {
                     let length = self.token()?;
                     let length: u32 =
                         index(length)?.ok_or_else(|| format!("`{length}` is not the length of a list"))?;
-                    let mut indices = Vec::new();
+                    let (mut indices, mut numbers) = (Vec::new(), Vec::new());
                     for _ in 0..length {
                         let token = self.token()?;
-                        if role == "i" {
-                            indices.push(index(token)?.unwrap_or(u32::MAX));
+                        match role.as_str() {
+                            "i" => indices.push(index(token)?.unwrap_or(u32::MAX)),
+                            "c" => numbers.push(real(token)? as f32),
+                            _ => {}
                         }
                     }
-                    row.set_list_uint(role, indices);
+                    if role == "c" {
+                        row.set_property(role, Property::ListFloat(numbers));
+                    } else {
+                        row.set_list_uint(role, indices);
+                    }
                 }
             }
         }
@@ -85,12 +93,12 @@ impl<'a, R: BufRead> Rows<'a, R> {
 
 fn scalar_from_token(token: &str, scalar: &ScalarType) -> Result<Property, String> {
     Ok(match scalar {
-        ScalarType::Float => Property::Float(parse_real(token)?),
-        ScalarType::Double => Property::Double(parse_real(token)?),
-        ScalarType::UInt => Property::UInt(parse_real::<f64>(token)? as u32),
+        ScalarType::Float => Property::Float(real(token)? as f32),
+        ScalarType::Double => Property::Double(real(token)?),
+        ScalarType::UInt => Property::UInt(real(token)? as u32),
         // Wide integers keep their values: only `ushort` colours are scaled.
-        ScalarType::UShort => Property::UShort(parse_real::<f64>(token)? as u16),
-        _ => Property::Int(parse_real::<f64>(token)? as i32),
+        ScalarType::UShort => Property::UShort(real(token)? as u16),
+        _ => Property::Int(real(token)? as i32),
     })
 }
 
@@ -98,33 +106,20 @@ fn axis(role: &str) -> Option<usize> {
     ["x", "y", "z"].iter().position(|axis| *axis == role)
 }
 
-/// Whether `single` is the number of a token to the last digit that is written.
-///
-/// Scans on map grids are written with more digits than the `float` of their header holds; other programs write `f32` with
-/// fewer digits or more, and their numbers are those of the same model in a binary file.
-fn keeps_digits(token: &str, single: f32, double: f64) -> bool {
-    let (mantissa, exponent) = token.split_once(['e', 'E']).unwrap_or((token, "0"));
-    let n_decimals = mantissa.split_once('.').map_or(0, |(_, decimals)| decimals.len());
-    let last_digit = 10f64.powi(exponent.parse::<i32>().unwrap_or(0).saturating_sub(n_decimals as i32));
-    let is_off = (f64::from(single) - double).abs() > 0.500_001 * last_digit;
-    !(is_off && single.is_finite())
-}
-
 /// Parses a vertex index or a length; `None` if it is not a `u32`.
 fn index(token: &str) -> Result<Option<u32>, String> {
     match token.parse::<u32>() {
         Ok(value) => Ok(Some(value)),
-        Err(_) => Ok(index_from_f64(parse_real(token)?)),
+        Err(_) => Ok(index_from_f64(real(token)?)),
     }
 }
 
-fn parse_real<F: FromStr + From<f32>>(token: &str) -> Result<F, String> {
-    match token.parse() {
-        Ok(value) => Ok(value),
-        // NaN and infinities by C's printf on some systems: `nan(ind)`, `-nan(0x7)`, `1.#QNAN`, `-1.#INF`.
-        Err(_) if token.contains("nan(") || token.contains(".#") => Ok(F::from(f32::NAN)),
-        Err(_) => Err(not_a_number(token)),
-    }
+fn decimal(token: &str) -> Result<Decimal, String> {
+    Decimal::parse(token.as_bytes()).ok_or_else(|| not_a_number(token))
+}
+
+fn real(token: &str) -> Result<f64, String> {
+    decimal(token).map(|decimal| decimal.value)
 }
 
 fn not_a_number(token: &str) -> String {

@@ -14,11 +14,14 @@ impl PropertyAccess for Skipped {
 pub(super) struct Vertex {
     pub(super) position: DVec3,
     pub(super) color: [u8; 3],
+    pub(super) normal: [f32; 3],
+    /// With v from the lower edge.
+    pub(super) texture_coordinates: [f32; 2],
 }
 
 impl PropertyAccess for Vertex {
     fn new() -> Self {
-        Self { position: DVec3::ZERO, color: [0; 3] }
+        Self { position: DVec3::ZERO, color: [0; 3], normal: [0.0; 3], texture_coordinates: [0.0; 2] }
     }
 
     fn set_float(&mut self, role: &str, value: f32) -> PropertyAccessResult {
@@ -32,44 +35,58 @@ impl PropertyAccess for Vertex {
     }
 
     fn set_property(&mut self, role: &str, value: Property) -> PropertyAccessResult {
-        let number = match value {
-            Property::Int(v) => v.into(),
-            Property::UInt(v) => v.into(),
-            Property::Double(v) => v,
-            // The others fit `f32`.
-            _ => match value.to_f32_lossy() {
-                Some(v) => v.into(),
-                None => return PropertyAccessResult::Ignored,
-            },
-        };
-        // `as` saturates, and takes NaN to 0.
-        let color = match value {
-            Property::UShort(v) => ((u32::from(v) * 255 + 32767) / 65535) as u8,
-            Property::Float(v) => (v * 255.0).round() as u8,
-            Property::Double(v) => (v * 255.0).round() as u8,
-            _ => number as u8,
-        };
+        let Some(number) = number(&value) else { return PropertyAccessResult::Ignored };
         match role {
             "x" => self.position.x = number,
             "y" => self.position.y = number,
             "z" => self.position.z = number,
-            "r" => self.color[0] = color,
-            "g" => self.color[1] = color,
-            "b" => self.color[2] = color,
+            "r" => self.color[0] = color(&value),
+            "g" => self.color[1] = color(&value),
+            "b" => self.color[2] = color(&value),
+            "nx" => self.normal[0] = number as f32,
+            "ny" => self.normal[1] = number as f32,
+            "nz" => self.normal[2] = number as f32,
+            "s" => self.texture_coordinates[0] = number as f32,
+            "t" => self.texture_coordinates[1] = number as f32,
             _ => return PropertyAccessResult::Ignored,
         }
         PropertyAccessResult::Set
     }
 }
 
+fn number(value: &Property) -> Option<f64> {
+    match *value {
+        Property::Int(v) => Some(v.into()),
+        Property::UInt(v) => Some(v.into()),
+        Property::Double(v) => Some(v),
+        // The others fit `f32`.
+        _ => value.to_f32_lossy().map(f64::from),
+    }
+}
+
+fn color(value: &Property) -> u8 {
+    // `as` saturates, and takes NaN to 0.
+    match *value {
+        Property::UShort(v) => ((u32::from(v) * 255 + 32767) / 65535) as u8,
+        Property::Float(v) => (v * 255.0).round() as u8,
+        Property::Double(v) => (v * 255.0).round() as u8,
+        _ => number(value).unwrap_or(0.0) as u8,
+    }
+}
+
 pub(super) struct Corners {
     /// [`u32::MAX`], which no vertex has, replaces an index that is no `u32`.
     pub(super) indices: Vec<u32>,
+    /// Two numbers for each corner, with v from the lower edge.
+    pub(super) texture_coordinates: Vec<f32>,
+    /// The number of the texture.
+    pub(super) texture: u16,
+    pub(super) color: [u8; 3],
 }
 
 impl PropertyAccess for Corners {
     fn new() -> Self {
-        Self { indices: Vec::new() }
+        Self { indices: Vec::new(), texture_coordinates: Vec::new(), texture: 0, color: [0; 3] }
     }
 
     fn begin_list_uint(&mut self, role: &str, _len: usize) -> BeginList<'_, u32> {
@@ -77,9 +94,27 @@ impl PropertyAccess for Corners {
     }
 
     fn set_property(&mut self, role: &str, value: Property) -> PropertyAccessResult {
-        if role != "i" {
-            return PropertyAccessResult::Ignored;
+        match role {
+            "i" => return self.set_indices(value),
+            "c" => {
+                self.texture_coordinates = match value {
+                    Property::ListFloat(list) => list,
+                    Property::ListDouble(list) => list.into_iter().map(|number| number as f32).collect(),
+                    _ => return PropertyAccessResult::Ignored,
+                }
+            }
+            "n" => self.texture = number(&value).map_or(u16::MAX, |number| number as u16),
+            "r" => self.color[0] = color(&value),
+            "g" => self.color[1] = color(&value),
+            "b" => self.color[2] = color(&value),
+            _ => return PropertyAccessResult::Ignored,
         }
+        PropertyAccessResult::Set
+    }
+}
+
+impl Corners {
+    fn set_indices(&mut self, value: Property) -> PropertyAccessResult {
         self.indices = match value {
             Property::ListChar(list) => indices(list, |v| v.try_into().ok()),
             Property::ListUChar(list) => indices(list, |v| Some(v.into())),

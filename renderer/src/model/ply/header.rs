@@ -25,6 +25,8 @@ pub(super) struct Header {
     pub(super) line_end: u8,
     pub(super) n_bytes: u64,
     pub(super) elements: Vec<Element>,
+    /// Files of textures, as MeshLab names them in comments.
+    pub(super) textures: Vec<String>,
 }
 
 #[derive(Debug)]
@@ -32,14 +34,25 @@ pub(super) struct Element {
     pub(super) kind: ElementKind,
     /// As in the file.
     pub(super) name: String,
-    /// For ply-rs, each property named by its role: `x y z`, `r g b`, `i` for indices, `_0 _1 …` to be skipped.
+    /// For ply-rs, each property named by its role: `x y z`, `nx ny nz`, `r g b`, `s t`, `i` for indices, `c` for
+    /// corners' texture coordinates, `n` for the texture's number, `_0 _1 …` to be skipped.
     pub(super) def: ElementDef,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum ElementKind {
-    Vertices { colored: bool },
-    Faces,
+    /// Which numbers of the look all vertices have.
+    Vertices {
+        colored: bool,
+        with_normals: bool,
+        textured: bool,
+    },
+    /// Which numbers of the look all faces have: texture coordinates are those of their corners.
+    Faces {
+        colored: bool,
+        textured: bool,
+        numbered: bool,
+    },
     Strips,
     Other,
 }
@@ -53,9 +66,13 @@ impl Header {
         let mut texts = vec![String::from("ply")];
         let mut declared = Vec::<DeclaredElement>::new();
         let mut n_properties = 0;
+        let mut textures = Vec::new();
         loop {
             let text = lines.next()?;
             let words: Vec<&str> = text.split_whitespace().collect();
+            if let Some(name) = text.strip_prefix("comment TextureFile ") {
+                textures.push(name.trim().to_owned());
+            }
             let line = match *words.as_slice() {
                 [] | ["comment" | "obj_info", ..] => String::from("comment"),
                 ["end_header"] => break,
@@ -96,7 +113,7 @@ impl Header {
         let elements = (parsed.elements.into_values().zip(declared))
             .map(|(def, declared)| Element::new(declared.name, def))
             .collect::<Result<Vec<_>, _>>()?;
-        Ok(Self { encoding: parsed.encoding, line_end, n_bytes, elements })
+        Ok(Self { encoding: parsed.encoding, line_end, n_bytes, elements, textures })
     }
 
     /// Checks that `n_left` bytes after the header suffice for its counts.
@@ -118,15 +135,20 @@ impl Header {
 impl Element {
     fn new(name: String, def: ElementDef) -> Result<Self, Problem> {
         let has = |role: &str| def.properties.contains_key(role);
+        let has_all = |roles: &[&str]| roles.iter().all(|role| has(role));
         let kind = match name.as_str() {
-            "vertex" => ElementKind::Vertices { colored: ["r", "g", "b"].into_iter().all(has) },
-            "face" => ElementKind::Faces,
+            "vertex" => ElementKind::Vertices {
+                colored: has_all(&["r", "g", "b"]),
+                with_normals: has_all(&["nx", "ny", "nz"]),
+                textured: has_all(&["s", "t"]),
+            },
+            "face" => ElementKind::Faces { colored: has_all(&["r", "g", "b"]), textured: has("c"), numbered: has("n") },
             "tristrips" | "tristrip" => ElementKind::Strips,
             _ => ElementKind::Other,
         };
         let needed: &[(&str, &str)] = match kind {
             ElementKind::Vertices { .. } => &[("x", "coordinate x"), ("y", "coordinate y"), ("z", "coordinate z")],
-            ElementKind::Faces | ElementKind::Strips => &[("i", "list vertex_indices")],
+            ElementKind::Faces { .. } | ElementKind::Strips => &[("i", "list vertex_indices")],
             ElementKind::Other => &[],
         };
         match needed.iter().find(|(role, _)| def.count > 0 && !has(role)) {
@@ -163,9 +185,16 @@ impl DeclaredElement {
             ("vertex", "x", false) => "x",
             ("vertex", "y", false) => "y",
             ("vertex", "z", false) => "z",
-            ("vertex", "red" | "diffuse_red", false) => "r",
-            ("vertex", "green" | "diffuse_green", false) => "g",
-            ("vertex", "blue" | "diffuse_blue", false) => "b",
+            ("vertex", "nx" | "normal_x", false) => "nx",
+            ("vertex", "ny" | "normal_y", false) => "ny",
+            ("vertex", "nz" | "normal_z", false) => "nz",
+            ("vertex", "s" | "u" | "texture_u", false) => "s",
+            ("vertex", "t" | "v" | "texture_v", false) => "t",
+            ("vertex" | "face", "red" | "diffuse_red", false) => "r",
+            ("vertex" | "face", "green" | "diffuse_green", false) => "g",
+            ("vertex" | "face", "blue" | "diffuse_blue", false) => "b",
+            ("face", "texcoord", true) => "c",
+            ("face", "texnumber", false) => "n",
             ("face" | "tristrips" | "tristrip", "vertex_indices" | "vertex_index", true) => "i",
             _ => "",
         };

@@ -4,9 +4,10 @@ use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 
 use super::*;
+use crate::model::mesh::Mesh;
 
 fn parse(bytes: &[u8]) -> Result<Mesh, Problem> {
-    read_from(bytes, bytes.len() as u64)
+    read_from(bytes, bytes.len() as u64).map(|draft| draft.mesh)
 }
 
 /// Parses a valid file; panics with the reader's error.
@@ -265,8 +266,7 @@ fn files_without_faces_or_vertices_have_no_triangles() {
 #[test]
 fn errors_say_what_and_where() {
     let with = |from: &str, to: &str| error_text(TRIANGLE.replace(from, to));
-    let not_ply = "is not a PLY file, which begins with a line `ply`: convert other formats (OBJ, STL, GLB) to PLY, for \
-                   example with MeshLab, or meshio";
+    let not_ply = "is not a PLY file, which begins with a line `ply`";
     for (text, expected) in [
         (error_text(""), not_ply),
         (error_text("plywood\n"), not_ply),
@@ -358,5 +358,46 @@ proptest! {
         let _ = parse(&bytes);
         bytes.truncate(cut);
         let _ = parse(&bytes);
+    }
+}
+
+/// Two triangles with all that a look can have.
+const TEXTURED: &str = "ply\nformat ascii 1.0\ncomment TextureFile a b.png\ncomment TextureFile c.jpg\nelement vertex 4\n\
+    property float x\nproperty float y\nproperty float z\nproperty float nx\nproperty double ny\nproperty float nz\n\
+    element face 2\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\nproperty int texnumber\n\
+    property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n\
+    0 0 0 0 0 2\n1 0 0 0 1 0\n0 1 0 0 0 0\n1 1 0 nan 0 1\n\
+    4 0 1 3 2 8 0 0 1 0 1 1 0 1 0 9 9 9\n3 1 0 2 6 1 0 0.5 0 0 1 1 9 9 9\n";
+
+#[test]
+fn looks_of_vertices_faces_and_corners_are_read() {
+    let draft = read_from(TEXTURED.as_bytes(), TEXTURED.len() as u64).unwrap();
+    let mesh = &draft.mesh;
+    // One corner has other texture coordinates than the rest of its vertex.
+    assert_eq!(mesh.triangles, [[0, 1, 3], [0, 3, 2], [1, 4, 2]]);
+    assert_eq!(mesh.texture_coordinates, [[0.0, 1.0], [1.0, 1.0], [0.0, 0.0], [1.0, 0.0], [0.5, 1.0]]);
+    let normals: Vec<_> = mesh.normals.iter().map(|normal| normal.vector()).collect();
+    assert_eq!(normals, [Some(Vec3::Z), Some(Vec3::Y), None, None, Some(Vec3::Z)]);
+    assert_eq!(mesh.colors, [[9; 3]; 5]);
+    assert_eq!((mesh.materials.of_triangles.as_slice(), mesh.materials.materials.len()), (&[0, 0, 1][..], 3));
+    let names: Vec<_> = draft.images.iter().map(|image| image.name.as_str()).collect();
+    assert_eq!(names, ["a b.png", "c.jpg"]);
+}
+
+#[test]
+fn faces_of_other_colors_split_vertices() {
+    let mesh = mesh(TEXTURED.replace("0 1 1 9 9 9", "0 1 1 8 9 9").replace("0.5 0", "0 0"));
+    assert_eq!(mesh.triangles, [[0, 1, 3], [0, 3, 2], [4, 5, 6]]);
+    assert_eq!((mesh.colors[3], mesh.colors[4]), ([9; 3], [8, 9, 9]));
+}
+
+#[test]
+fn texture_coordinates_of_vertices_have_many_names() {
+    for [s, t] in [["s", "t"], ["u", "v"], ["texture_u", "texture_v"]] {
+        let text = TRIANGLE.replace("float z\n", &format!("float z\nproperty float {s}\nproperty float {t}\n"));
+        let text = text.replace("0 0 0\n", "0 0 0 .5 .25\n").replace("1 0 0\n", "1 0 0 2 3\n");
+        let draft = read_from(text.replace("0 1 0\n", "0 1 0 nan 7\n").as_bytes(), 1000).unwrap();
+        assert_eq!(draft.mesh.texture_coordinates[..2], [[0.5, 0.75], [2.0, -2.0]]);
+        assert!(draft.mesh.materials.materials.is_empty());
     }
 }

@@ -102,7 +102,10 @@ pub(super) fn measure(
 
 /// A frame row by row from the bottom, and the CPU milliseconds of all threads.
 fn render(scene: &Scene, camera: &Camera, size: FrameSize, samples: SampleRange) -> (Vec<u8>, f64) {
-    let spec = FrameSpec { samples, ..frame_spec(SceneId::Statue { triangles: 0 }, *camera, size) };
+    let spec = FrameSpec {
+        samples,
+        ..frame_spec(SceneId::Statue { triangles: 0, crease: Default::default() }, *camera, size)
+    };
     let (rgb, cpu) = scene.render_frame(&spec);
     (rgb, milliseconds(cpu))
 }

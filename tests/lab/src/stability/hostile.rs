@@ -32,7 +32,7 @@ pub(super) fn bad_vertices(n_rays: u64) -> Tally {
         }
         let mut file = Vec::new();
         let written = ply::write_to(&mut file, &mesh);
-        let read = written.ok().and_then(|()| ply::read_from(&*file, file.len() as u64).ok()).unwrap_or_default();
+        let read = written.ok().and_then(|()| ply::read_from(&*file, file.len() as u64).ok()).unwrap_or_default().mesh;
         let all_rejected = read.n_rejected + n_triangles == mesh.triangles.len();
         let mut tally = lattice::one(&scene, read, 1.0, Aim::All, n_rays / 8, seed);
         tally.count(Contender::Single, all_rejected, || "an invalid vertex was accepted".to_owned());

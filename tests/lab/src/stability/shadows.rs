@@ -90,7 +90,10 @@ fn light_of(
     let grid = Grid::build(mesh, &GridOptions::default(), &|_| ());
     let side = 8 * ((n_rays / 2).isqrt() as u32 / 8).clamp(4, 256);
     let Ok(size) = FrameSize::new(2 * side, side) else { return Tally::default() };
-    let spec = FrameSpec { rays: LightingMode::Shadows, ..frame_spec(SceneId::Statue { triangles: 0 }, *camera, size) };
+    let spec = FrameSpec {
+        rays: LightingMode::Shadows,
+        ..frame_spec(SceneId::Statue { triangles: 0, crease: Default::default() }, *camera, size)
+    };
     let light = light.as_vec3();
     let mut secondary = SecondaryRays::new(&grid, &spec, None);
     secondary.key_light = light;

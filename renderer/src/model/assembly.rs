@@ -1,0 +1,129 @@
+//! Assembles a mesh from rows in any order, and finally rejects triangles that cannot be traced.
+
+use glam::{DVec3, Vec3};
+
+use crate::{memory, model::mesh::Mesh};
+
+/// Why a mesh cannot be held.
+#[derive(Debug, thiserror::Error)]
+pub enum AssemblyError {
+    /// Of something there is more than indices can name.
+    #[error("holds more than 4294967294 {0}, which is more than this program can number")]
+    TooMany(&'static str),
+    /// The system refuses an allocation.
+    #[error("needs {n_bytes} bytes of memory for its {what}, more than the system gives")]
+    OutOfMemory {
+        /// The kind of items.
+        what: &'static str,
+        /// What they need.
+        n_bytes: usize,
+    },
+}
+
+/// A mesh whose indices are not checked yet.
+#[derive(Default)]
+pub(super) struct MeshBuilder {
+    /// All but `vertices`, `origin` and `triangles` may be filled from outside.
+    pub(super) mesh: Mesh,
+}
+
+impl MeshBuilder {
+    /// Reserves memory; `n_vertices` must have been checked against the file's size.
+    pub(super) fn reserve_vertices(&mut self, n_vertices: usize) -> Result<(), AssemblyError> {
+        self.check_vertices(n_vertices)?;
+        reserve(&mut self.mesh.vertices, n_vertices, "vertices")
+    }
+
+    /// Checks that this program can number more vertices.
+    pub(super) fn check_vertices(&self, n_more: usize) -> Result<(), AssemblyError> {
+        check_count(self.mesh.vertices.len().saturating_add(n_more), "vertices")
+    }
+
+    pub(super) fn reserve_triangles(&mut self, n_triangles: usize) -> Result<(), AssemblyError> {
+        reserve(&mut self.mesh.triangles, n_triangles, "triangles")
+    }
+
+    pub(super) fn n_vertices(&self) -> usize {
+        self.mesh.vertices.len()
+    }
+
+    pub(super) fn n_triangles(&self) -> usize {
+        self.mesh.triangles.len()
+    }
+
+    /// Adds a vertex; the number of vertices must have been [checked](Self::check_vertices).
+    pub(super) fn push_vertex(&mut self, position: DVec3) {
+        self.place_origin(position);
+        self.mesh.vertices.push((position - self.mesh.origin).as_vec3().to_array());
+    }
+
+    /// Moves the origin to the first vertex that `f32` cannot hold. All before it are exact, so each coordinate is rounded
+    /// once, and every machine finds the same origin as it reads.
+    fn place_origin(&mut self, position: DVec3) {
+        let rounded = position.as_vec3();
+        let is_exact = rounded.as_dvec3() == position;
+        if self.mesh.origin != DVec3::ZERO || is_exact || !Mesh::is_usable(rounded.to_array()) {
+            return;
+        }
+        self.mesh.origin = position;
+        for vertex in &mut self.mesh.vertices {
+            *vertex = (Vec3::from_array(*vertex).as_dvec3() - position).as_vec3().to_array();
+        }
+    }
+
+    pub(super) fn push_triangle(&mut self, corners: [u32; 3]) -> Result<(), AssemblyError> {
+        check_count(self.mesh.triangles.len() + 1, "triangles")?;
+        self.mesh.triangles.push(corners);
+        Ok(())
+    }
+
+    /// Fans a polygon: (0, 1, 2), (0, 2, 3), …
+    pub(super) fn push_polygon(&mut self, corners: &[u32]) -> Result<(), AssemblyError> {
+        let Some((&first, rest)) = corners.split_first() else { return Ok(()) };
+        check_count(self.mesh.triangles.len() + rest.len().saturating_sub(1), "triangles")?;
+        self.mesh.triangles.extend(rest.windows(2).map(|edge| [first, edge[0], edge[1]]));
+        Ok(())
+    }
+
+    /// Unrolls strips, separated by negative indices; flips every other triangle, so that all face the same way.
+    pub(super) fn push_strips(&mut self, corners: &[u32]) -> Result<(), AssemblyError> {
+        check_count(self.mesh.triangles.len() + corners.len(), "triangles")?;
+        for strip in corners.split(|&index| index == u32::MAX) {
+            self.mesh.triangles.extend(strip.windows(3).enumerate().map(|(i, corners)| match *corners {
+                [a, b, c] if i % 2 == 0 => [a, b, c],
+                [a, b, c] => [b, a, c],
+                _ => Mesh::REJECTED,
+            }));
+        }
+        Ok(())
+    }
+
+    /// Rejects triangles whose indices or vertices cannot be used.
+    pub(super) fn finish(self) -> Mesh {
+        let mut mesh = self.mesh;
+        let vertices = &mesh.vertices;
+        let all_usable = vertices.iter().all(|&position| Mesh::is_usable(position));
+        let usable = |&index: &u32| {
+            (index as usize) < vertices.len() && (all_usable || Mesh::is_usable(vertices[index as usize]))
+        };
+        for triangle in &mut mesh.triangles {
+            if !triangle.iter().all(usable) {
+                *triangle = Mesh::REJECTED;
+                mesh.n_rejected += 1;
+            }
+        }
+        mesh
+    }
+}
+
+/// Checks a number of vertices or triangles: the triangle index `u32::MAX` means a miss, and the one before it a cap.
+fn check_count(n_items: usize, what: &'static str) -> Result<(), AssemblyError> {
+    if n_items < u32::MAX as usize { Ok(()) } else { Err(AssemblyError::TooMany(what)) }
+}
+
+/// Reserves memory for a number of items that has been checked against the file's size.
+pub(super) fn reserve<T>(items: &mut Vec<T>, n_items: usize, what: &'static str) -> Result<(), AssemblyError> {
+    let n_bytes = n_items.saturating_mul(size_of::<T>());
+    memory::handling_failure(|| items.try_reserve_exact(n_items))
+        .map_err(|_| AssemblyError::OutOfMemory { what, n_bytes })
+}

@@ -1,0 +1,226 @@
+//! Reads a model's file, whatever its format: the content tells it, not the name.
+
+use std::{
+    fmt,
+    io::{self, BufRead, BufReader, Read},
+    path::{Path, PathBuf},
+};
+
+use channel::files::{self, ReadError};
+
+use crate::model::{
+    companions::Companions,
+    gltf,
+    images::{self, ImageSource},
+    mesh::Mesh,
+    obj, ply, stl,
+};
+
+/// The endings of files that are read, in small letters.
+pub const ENDINGS: [&str; 5] = ["ply", "obj", "stl", "gltf", "glb"];
+
+/// A model's mesh with its images, and what is to be said of it.
+#[derive(Debug)]
+pub struct Reading {
+    /// The mesh.
+    pub mesh: Mesh,
+    /// Lines for the log: what was left out, and why.
+    pub remarks: Vec<String>,
+}
+
+/// A mesh as its file describes it. Its materials name images by their index in `images`, which are still to be decoded.
+#[derive(Debug, Default)]
+pub struct Draft {
+    /// The mesh, without images.
+    pub mesh: Mesh,
+    /// Where the images are.
+    pub images: Vec<ImageSource>,
+    /// What was left out, and why.
+    pub remarks: Vec<String>,
+}
+
+/// Why a file cannot be read as a mesh.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {problem}", path.display())]
+pub struct FileError {
+    /// The file.
+    pub path: PathBuf,
+    /// The fault. Not the error's source, because the message contains it already.
+    pub problem: Problem,
+}
+
+/// A fault of a model's file.
+#[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
+pub enum Problem {
+    #[error("cannot be read: {0}")]
+    Io(#[from] io::Error),
+    // It has no size to compare its counts with, or cannot be opened.
+    #[error(transparent)]
+    Unreadable(#[from] ReadError),
+    #[error(
+        "is no model that is read (PLY, OBJ, STL, glTF, GLB), or is damaged: export it again in one of these formats"
+    )]
+    Unknown,
+    #[error(transparent)]
+    Ply(#[from] ply::Problem),
+    #[error(transparent)]
+    Stl(#[from] stl::Problem),
+    #[error(transparent)]
+    Obj(#[from] obj::Problem),
+    #[error(transparent)]
+    Gltf(#[from] gltf::Problem),
+}
+
+/// A format of models.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum Format {
+    Ply,
+    Obj,
+    StlText,
+    StlBinary,
+    GltfText,
+    GltfBinary,
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Ply => "PLY",
+            Self::Obj => "OBJ",
+            Self::StlText => "text STL",
+            Self::StlBinary => "binary STL",
+            Self::GltfText => "glTF",
+            Self::GltfBinary => "GLB",
+        })
+    }
+}
+
+/// Reads a file of any format, and the files that it names: materials, buffers and images.
+///
+/// A file without triangles is a mesh without triangles.
+/// `progress` receives the fraction of the file read so far, 0 to 1.
+///
+/// # Errors
+/// The file cannot be read, is of no known format, or is damaged. What its files lack is no error, but a remark.
+pub fn read(path: &Path, progress: &(dyn Fn(f32) + Sync)) -> Result<Reading, FileError> {
+    let companions = Companions::beside(path);
+    let open = || -> Result<Draft, Problem> {
+        let file = files::open(path)?;
+        let n_bytes = file.metadata()?.len();
+        let metered = ProgressReader { inner: file, n_read: 0, n_bytes, progress };
+        read_from(BufReader::with_capacity(BUFFER_BYTES, metered), n_bytes, &companions)
+    };
+    let draft = open().map_err(|problem| FileError { path: path.to_owned(), problem })?;
+    Ok(images::decode(draft, &companions))
+}
+
+/// Reads a model of `n_bytes` bytes from its beginning, without its images.
+pub fn read_from(mut reader: impl BufRead, n_bytes: u64, companions: &Companions) -> Result<Draft, Problem> {
+    // A buffer may be filled only in part.
+    let mut start = Vec::new();
+    reader.by_ref().take(START_BYTES).read_to_end(&mut start)?;
+    let format = Format::of(&start, n_bytes).ok_or(Problem::Unknown)?;
+    let reader = start.chain(reader);
+    Ok(match format {
+        Format::Ply => ply::read_from(reader, n_bytes)?,
+        Format::Obj => obj::read_from(reader, n_bytes, companions)?,
+        Format::StlText => stl::read_text(reader)?,
+        Format::StlBinary => stl::read_binary(reader, n_bytes)?,
+        Format::GltfText => gltf::read_text(reader, n_bytes, companions)?,
+        Format::GltfBinary => gltf::read_binary(reader, n_bytes, companions)?,
+    })
+}
+
+/// Large enough that system calls cost nothing, small beside any mesh.
+const BUFFER_BYTES: usize = 256 * 1024;
+
+/// Bytes that tell the format; comments may precede what is telling.
+const START_BYTES: u64 = 4096;
+
+impl Format {
+    /// The format of a file of `n_bytes` bytes that starts like this.
+    pub fn of(start: &[u8], n_bytes: u64) -> Option<Self> {
+        let text = start.strip_prefix(b"\xef\xbb\xbf").unwrap_or(start).trim_ascii_start();
+        let is_solid = text.get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
+        Some(match start {
+            [b'p', b'l', b'y', ..] => Self::Ply,
+            [b'g', b'l', b'T', b'F', ..] => Self::GltfBinary,
+            // Many a binary file begins with `solid`.
+            _ if stl::binary_bytes(start) == Some(n_bytes) => Self::StlBinary,
+            _ if is_solid && (has_word(text, b"facet") || has_word(text, b"endsolid")) => Self::StlText,
+            _ if text.starts_with(b"{") => Self::GltfText,
+            _ if text.split(|&byte| matches!(byte, b'\n' | b'\r')).any(obj::is_telling) => Self::Obj,
+            // Some programs append their own data.
+            _ if stl::binary_bytes(start).is_some_and(|needed| (85..=n_bytes).contains(&needed)) => Self::StlBinary,
+            _ => return None,
+        })
+    }
+}
+
+fn has_word(text: &[u8], word: &[u8]) -> bool {
+    text.split(u8::is_ascii_whitespace).any(|token| token.eq_ignore_ascii_case(word))
+}
+
+struct ProgressReader<'a, R> {
+    inner: R,
+    n_read: u64,
+    n_bytes: u64,
+    progress: &'a (dyn Fn(f32) + Sync),
+}
+
+impl<R: Read> Read for ProgressReader<'_, R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let n = self.inner.read(buffer)?;
+        self.n_read += n as u64;
+        (self.progress)((self.n_read as f64 / self.n_bytes.max(1) as f64).min(1.0) as f32);
+        Ok(n)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_content_tells_the_format() {
+        let binary_stl = |title: &str, n_bytes: usize| {
+            let mut bytes = title.as_bytes().to_vec();
+            bytes.resize(80, b' ');
+            bytes.extend([2, 0, 0, 0]);
+            bytes.resize(n_bytes, 0);
+            bytes
+        };
+        let stl = Some(Format::StlBinary);
+        for (bytes, format) in [
+            (b"ply\nformat ascii 1.0\n".to_vec(), Some(Format::Ply)),
+            (b"glTF\x02\0\0\0".to_vec(), Some(Format::GltfBinary)),
+            (b"\xef\xbb\xbf\n {\"asset\":{}}".to_vec(), Some(Format::GltfText)),
+            (b"solid x\n facet normal 0 0 1\n".to_vec(), Some(Format::StlText)),
+            (b"SOLID\nENDSOLID\n".to_vec(), Some(Format::StlText)),
+            (binary_stl("solid facet ", 184), stl),
+            (binary_stl("v 1 2 3", 184), stl),
+            (binary_stl("solid ", 200), stl),
+            (binary_stl("solid ", 183), None),
+            (b"# Blender\n# www\nmtllib a.mtl\n".to_vec(), Some(Format::Obj)),
+            (b"\xef\xbb\xbfv 1 2 3".to_vec(), Some(Format::Obj)),
+            (b"solid v\nv 1 2 3\n".to_vec(), Some(Format::Obj)),
+            (b"plain text\n".to_vec(), None),
+            (b"v\nf\n\n".to_vec(), None),
+            (Vec::new(), None),
+        ] {
+            let said = String::from_utf8_lossy(&bytes);
+            assert_eq!(Format::of(&bytes, bytes.len() as u64), format, "{said}");
+        }
+    }
+
+    #[test]
+    fn a_file_of_another_kind_is_told_what_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.obj");
+        std::fs::write(&path, "<html>").unwrap();
+        let error = read(&path, &|_| ()).unwrap_err().to_string();
+        assert!(error.contains("a.obj: is no model that is read (PLY, OBJ, STL, glTF, GLB)"), "{error}");
+    }
+}

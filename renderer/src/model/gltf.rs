@@ -1,0 +1,152 @@
+//! Reads glTF 2.0, as text or binary (GLB), with the extensions of scans: quantized, meshopt- and Draco-compressed geometry,
+//! and transformed textures.
+//!
+//! [`document`] is the JSON, [`buffers`] and [`accessor`] are its numbers, [`nodes`] places meshes, [`geometry`] puts their
+//! triangles together, [`look`] reads materials. Nothing in a file is trusted: what is missing or damaged is left out with a
+//! remark, unless nothing remains.
+
+mod accessor;
+mod buffers;
+mod document;
+mod draco;
+mod geometry;
+mod look;
+mod meshopt;
+mod nodes;
+#[cfg(test)]
+mod tests;
+
+use std::io::{self, BufRead, Read};
+
+use serde::Deserialize;
+use shared::camera::UpAxis;
+
+use self::{
+    buffers::Buffers,
+    document::{Document, Header},
+    geometry::Geometry,
+};
+use crate::model::{assembly::AssemblyError, companions::Companions, file::Draft};
+
+/// A fault of a glTF.
+#[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
+pub enum Problem {
+    #[error("cannot be read: {0}")]
+    Io(#[from] io::Error),
+    #[error("is no glTF 2.0: {0}")]
+    Document(String),
+    #[error("has version {0} of glTF: convert it to 2.0, for example with Blender")]
+    Version(String),
+    #[error("is cut short: {needed} bytes are needed, it has {n_bytes}")]
+    TooShort { needed: u64, n_bytes: u64 },
+    #[error("holds nothing that can be shown: {0}")]
+    Nothing(String),
+    #[error("repeats its meshes to more than {0} triangles: export fewer copies")]
+    TooManyCopies(u64),
+    #[error(transparent)]
+    Assembly(#[from] AssemblyError),
+}
+
+/// Extensions that may be required: those that are read, and those without effect on shape and base colour.
+const KNOWN: [&str; 18] = [
+    "KHR_mesh_quantization",
+    "EXT_meshopt_compression",
+    "KHR_meshopt_compression",
+    "KHR_draco_mesh_compression",
+    "KHR_texture_transform",
+    "EXT_texture_webp",
+    "KHR_materials_pbrSpecularGlossiness",
+    "KHR_materials_unlit",
+    "KHR_materials_emissive_strength",
+    "KHR_materials_clearcoat",
+    "KHR_materials_ior",
+    "KHR_materials_sheen",
+    "KHR_materials_specular",
+    "KHR_materials_transmission",
+    "KHR_materials_volume",
+    "KHR_materials_variants",
+    "KHR_lights_punctual",
+    "KHR_xmp_json_ld",
+];
+
+/// The type of a GLB's chunk.
+const JSON: [u8; 4] = *b"JSON";
+const BINARY: [u8; 4] = *b"BIN\0";
+
+/// Reads a GLB of `n_bytes` bytes.
+///
+/// # Errors
+/// It is cut short or no glTF 2.0, or nothing in it can be shown.
+pub fn read_binary(mut reader: impl BufRead, n_bytes: u64, companions: &Companions) -> Result<Draft, Problem> {
+    let mut header = [0; 12];
+    reader.read_exact(&mut header).map_err(|_| Problem::TooShort { needed: 12, n_bytes })?;
+    let [_, version, _] = header.as_chunks::<4>().0 else { return Err(Problem::TooShort { needed: 12, n_bytes }) };
+    let version = u32::from_le_bytes(*version);
+    if version != 2 {
+        return Err(Problem::Version(version.to_string()));
+    }
+    let (mut json, mut binary) = (None, Vec::new());
+    let mut n_read = 12;
+    let mut chunk_header = [0; 8];
+    while binary.is_empty() && reader.read_exact(&mut chunk_header).is_ok() {
+        let [length, kind] = chunk_header.as_chunks::<4>().0 else { break };
+        let length = u64::from(u32::from_le_bytes(*length));
+        n_read += 8 + length;
+        if n_read > n_bytes {
+            return Err(Problem::TooShort { needed: n_read, n_bytes });
+        }
+        let mut chunk = Vec::with_capacity(length as usize);
+        reader.by_ref().take(length).read_to_end(&mut chunk)?;
+        match *kind {
+            JSON if json.is_none() => json = Some(chunk),
+            BINARY => binary = chunk,
+            _ => {}
+        }
+    }
+    let json = json.ok_or_else(|| Problem::Document("it has no JSON".to_owned()))?;
+    read_parts(&json, &binary, companions)
+}
+
+/// Reads a glTF in JSON of `n_bytes` bytes.
+///
+/// # Errors
+/// It is no glTF 2.0, or nothing in it can be shown.
+pub fn read_text(mut reader: impl BufRead, n_bytes: u64, companions: &Companions) -> Result<Draft, Problem> {
+    let mut json = Vec::new();
+    reader.by_ref().take(n_bytes).read_to_end(&mut json)?;
+    read_parts(json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&json), &[], companions)
+}
+
+fn read_parts(json: &[u8], binary: &[u8], companions: &Companions) -> Result<Draft, Problem> {
+    // Before the rest: version 1 has other types.
+    let Header { asset } = parse(json)?;
+    if !asset.version.starts_with("2.") {
+        return Err(Problem::Version(asset.version));
+    }
+    let document: Document<'_> = parse(json)?;
+    let mut remarks = Vec::new();
+    let unknown: Vec<_> = document.extensions_required.iter().filter(|it| !KNOWN.contains(&it.as_str())).collect();
+    for extension in unknown {
+        remarks.push(format!("needs {extension}, which is not read: parts may be missing; export without it"));
+    }
+    if !document.animations.is_empty() {
+        remarks.push("its animations are left out: it is shown at rest".to_owned());
+    }
+    let buffers = Buffers::read(&document, binary, companions);
+    let mut geometry = Geometry::new(&document, &buffers, json.len());
+    for instance in nodes::instances(&document, &buffers, &mut remarks) {
+        geometry.add(&instance)?;
+    }
+    let mut draft = geometry.finish(remarks);
+    if draft.mesh.triangles.is_empty() {
+        draft.remarks.extend(draft.remarks.is_empty().then(|| "its scene has no meshes".to_owned()));
+        return Err(Problem::Nothing(draft.remarks.join("; ")));
+    }
+    draft.mesh.up = Some(UpAxis::Y);
+    Ok(draft)
+}
+
+fn parse<'a, T: Deserialize<'a>>(json: &'a [u8]) -> Result<T, Problem> {
+    serde_json::from_slice(json).map_err(|error| Problem::Document(error.to_string()))
+}

@@ -1,0 +1,319 @@
+//! Puts the triangles of all meshes together, in world space.
+
+use std::collections::{BTreeMap, HashMap};
+
+use glam::{DMat3, DMat4, DVec3, DVec4};
+use shared::srgb;
+
+use crate::model::{
+    assembly::MeshBuilder,
+    file::Draft,
+    gltf::{
+        Problem,
+        accessor::Elements,
+        buffers::Buffers,
+        document::{Document, Kind, Primitive},
+        draco,
+        look::Look,
+        nodes::Instance,
+    },
+    normal::Normal,
+};
+
+/// Beyond this many metres from zero, `f32` steps by more than a tenth of a millimetre: positions keep an origin there.
+const FAR: f64 = 1024.0;
+/// Triangles that copies of meshes may add up to, if the file has fewer bytes.
+const MOST_COPIES: u64 = 1 << 25;
+
+/// The mesh so far.
+pub(super) struct Geometry<'a> {
+    document: &'a Document<'a>,
+    buffers: &'a Buffers<'a>,
+    builder: MeshBuilder,
+    look: Look<'a>,
+    /// For each triangle 0, or the number of its material plus 1.
+    of_triangles: Vec<u16>,
+    /// Decompressed primitives of meshes, which may come again.
+    decompressed: HashMap<(usize, usize), Result<draco::Geometry, String>>,
+    /// Why something was left out, and how often.
+    faults: BTreeMap<String, usize>,
+    /// Elements that were gone through, and their limit: nodes can repeat a mesh without end.
+    n_elements: u64,
+    most_elements: u64,
+}
+
+/// The numbers of a primitive.
+struct Attributes<'a> {
+    positions: Elements<'a>,
+    normals: Option<Elements<'a>>,
+    texture_coordinates: Option<Elements<'a>>,
+    colors: Option<Elements<'a>>,
+    joints: Option<(Elements<'a>, Elements<'a>)>,
+    indices: Option<Elements<'a>>,
+}
+
+impl<'a> Geometry<'a> {
+    pub(super) fn new(document: &'a Document<'a>, buffers: &'a Buffers<'a>, n_json_bytes: usize) -> Self {
+        let n_bytes = (buffers.n_bytes + n_json_bytes) as u64;
+        Self {
+            document,
+            buffers,
+            builder: MeshBuilder::default(),
+            look: Look::new(document, buffers),
+            of_triangles: Vec::new(),
+            decompressed: HashMap::new(),
+            faults: BTreeMap::new(),
+            n_elements: 0,
+            most_elements: MOST_COPIES.saturating_add(n_bytes),
+        }
+    }
+
+    /// Adds a mesh of the scene.
+    pub(super) fn add(&mut self, instance: &Instance) -> Result<(), Problem> {
+        let document = self.document;
+        let Some(mesh) = document.meshes.get(instance.mesh) else {
+            self.note(format!("there is no mesh {}", instance.mesh));
+            return Ok(());
+        };
+        if mesh.weights.iter().any(|&weight| weight != 0.0) {
+            self.note("a shape that is blended with others is shown without them".to_owned());
+        }
+        for (index, primitive) in mesh.primitives.iter().enumerate() {
+            self.n_elements += 1;
+            if !(4..=6).contains(&primitive.mode) {
+                self.note("points and lines are left out: a point cloud must be meshed first".to_owned());
+                continue;
+            }
+            if let Err(fault) = self.decompress((instance.mesh, index), primitive) {
+                self.note(format!("a mesh is left out: {fault}"));
+                continue;
+            }
+            let draco = self.decompressed.remove(&(instance.mesh, index));
+            let added = match &draco {
+                Some(Ok(draco)) => self.add_primitive(primitive, Some(draco), instance),
+                _ => self.add_primitive(primitive, None, instance),
+            };
+            if let Some(draco) = draco {
+                self.decompressed.insert((instance.mesh, index), draco);
+            }
+            if let Err(fault) = added? {
+                self.note(format!("a mesh is left out: {fault}"));
+            }
+        }
+        Ok(())
+    }
+
+    fn note(&mut self, fault: String) {
+        *self.faults.entry(fault).or_default() += 1;
+    }
+
+    /// Decompresses a primitive, unless it is not compressed, or was decompressed before.
+    fn decompress(&mut self, place: (usize, usize), primitive: &Primitive) -> Result<(), String> {
+        let Some(compressed) = primitive.extensions.draco.as_deref() else { return Ok(()) };
+        let (document, buffers) = (self.document, self.buffers);
+        let decode = || {
+            let (bytes, _) = buffers.view(document, compressed.buffer_view)?;
+            draco::Geometry::decode(bytes, self.most_elements.saturating_sub(self.n_elements))
+        };
+        let decoded = self.decompressed.entry(place).or_insert_with(decode);
+        decoded.as_ref().map(drop).map_err(Clone::clone)
+    }
+
+    /// Adds a primitive. The inner error is a fault of it alone.
+    fn add_primitive(
+        &mut self,
+        primitive: &Primitive,
+        draco: Option<&draco::Geometry>,
+        instance: &Instance,
+    ) -> Result<Result<(), String>, Problem> {
+        let set = self.look.texture_set(primitive.material);
+        let attributes = match self.attributes(primitive, draco, set) {
+            Ok(attributes) => attributes,
+            Err(fault) => return Ok(Err(fault)),
+        };
+        let n_positions = attributes.positions.count;
+        let n_corners = attributes.indices.as_ref().map_or(n_positions, |indices| indices.count);
+        self.n_elements += (n_positions + n_corners) as u64;
+        if self.n_elements > self.most_elements.saturating_mul(4) {
+            return Err(Problem::TooManyCopies(self.most_elements));
+        }
+        let (numbers, used) = used_vertices(attributes.indices.as_ref(), n_positions);
+        self.add_vertices(&attributes, &used, instance)?;
+        self.add_triangles(primitive, &attributes, &numbers, used.len(), instance)?;
+        let material = primitive.material.and_then(|material| self.look.number(material));
+        self.of_triangles.resize(self.builder.n_triangles(), material.map_or(0, |number| number + 1));
+        Ok(Ok(()))
+    }
+
+    fn attributes<'b>(
+        &self,
+        primitive: &Primitive,
+        draco: Option<&draco::Geometry>,
+        set: u32,
+    ) -> Result<Attributes<'b>, String>
+    where
+        'a: 'b,
+    {
+        let read = |name: &str, kinds: &[Kind]| -> Result<Option<Elements<'b>>, String> {
+            let compressed = primitive.extensions.draco.as_deref().zip(draco);
+            let number = compressed.and_then(|(names, draco)| Some((draco, names.attributes.get(name)?)));
+            if let Some((draco, &number)) = number {
+                let index = primitive.attributes.get(name);
+                let accessor = index.and_then(|&index| self.document.accessors.get(index));
+                return draco.attribute(number, accessor).map(Some);
+            }
+            let index = primitive.attributes.get(name);
+            index.map(|&index| Elements::new(self.document, self.buffers, index, kinds)).transpose()
+        };
+        let positions = read("POSITION", &[Kind::Vec3])?.ok_or("it has no positions")?;
+        let n_positions = positions.count;
+        let enough = |elements: &Elements<'_>| elements.count >= n_positions;
+        let optional = |name: &str, kinds: &[Kind]| read(name, kinds).ok().flatten().filter(enough);
+        let indices = match draco {
+            Some(draco) => Some(draco.indices()),
+            None => primitive
+                .indices
+                .map(|index| Elements::new(self.document, self.buffers, index, &[Kind::Scalar]))
+                .transpose()?,
+        };
+        Ok(Attributes {
+            normals: optional("NORMAL", &[Kind::Vec3]),
+            texture_coordinates: optional(&format!("TEXCOORD_{set}"), &[Kind::Vec2]),
+            colors: optional("COLOR_0", &[Kind::Vec3, Kind::Vec4]),
+            joints: optional("JOINTS_0", &[Kind::Vec4]).zip(optional("WEIGHTS_0", &[Kind::Vec4])),
+            positions,
+            indices,
+        })
+    }
+
+    fn add_vertices(&mut self, attributes: &Attributes<'_>, used: &[u32], instance: &Instance) -> Result<(), Problem> {
+        let before = self.builder.n_vertices();
+        let after = before + used.len();
+        self.builder.check_vertices(used.len())?;
+        let linear = DMat3::from_mat4(instance.transform);
+        let cofactors = cofactors(linear);
+        let is_far = instance.transform.w_axis.truncate().abs().max_element() > FAR;
+        for &vertex in used {
+            let vertex = vertex as usize;
+            let position = DVec3::from(attributes.positions.get::<3>(vertex).map(f64::from));
+            let transform = match &attributes.joints {
+                Some((joints, weights)) => blend(&instance.joints, joints, weights, vertex),
+                None => None,
+            };
+            let world = transform.unwrap_or(instance.transform).transform_point3(position);
+            self.builder.push_vertex(if is_far { world } else { world.as_vec3().as_dvec3() });
+            if let Some(normals) = &attributes.normals {
+                self.builder.mesh.normals.resize(self.builder.n_vertices() - 1, Normal::OF_TRIANGLE);
+                let normal = DVec3::from(normals.get::<3>(vertex).map(f64::from));
+                let turned = transform.map_or(cofactors, |transform| self::cofactors(DMat3::from_mat4(transform)));
+                self.builder.mesh.normals.push(Normal::new((turned * normal).as_vec3()));
+            }
+        }
+        let mesh = &mut self.builder.mesh;
+        if !mesh.normals.is_empty() {
+            mesh.normals.resize(after, Normal::OF_TRIANGLE);
+        }
+        if let Some(coordinates) = &attributes.texture_coordinates {
+            mesh.texture_coordinates.resize(before, [0.0; 2]);
+            mesh.texture_coordinates.extend(used.iter().map(|&vertex| coordinates.get::<2>(vertex as usize)));
+        } else if !mesh.texture_coordinates.is_empty() {
+            mesh.texture_coordinates.resize(after, [0.0; 2]);
+        }
+        if let Some(colors) = &attributes.colors {
+            mesh.colors.resize(before, [u8::MAX; 3]);
+            mesh.colors.extend(used.iter().map(|&vertex| colors.get::<3>(vertex as usize).map(srgb::encode)));
+        } else if !mesh.colors.is_empty() {
+            mesh.colors.resize(after, [u8::MAX; 3]);
+        }
+        Ok(())
+    }
+
+    /// Adds the triangles of a list, strip or fan. A mirror turns them over, so that they face the same way.
+    fn add_triangles(
+        &mut self,
+        primitive: &Primitive,
+        attributes: &Attributes<'_>,
+        numbers: &[u32],
+        n_used: usize,
+        instance: &Instance,
+    ) -> Result<(), Problem> {
+        let first = (self.builder.n_vertices() - n_used) as u32;
+        let corner = |k: usize| match &attributes.indices {
+            Some(indices) => numbers.get(indices.index(k) as usize).map_or(u32::MAX, |number| first + number),
+            None => first + k as u32,
+        };
+        let n_corners = attributes.indices.as_ref().map_or(attributes.positions.count, |indices| indices.count);
+        let is_mirrored = DMat3::from_mat4(instance.transform).determinant() < 0.0;
+        let n_triangles = if primitive.mode == 4 { n_corners / 3 } else { n_corners.saturating_sub(2) };
+        for k in 0..n_triangles {
+            let [a, b, c] = match primitive.mode {
+                4 => [3 * k, 3 * k + 1, 3 * k + 2],
+                5 if k % 2 == 1 => [k, k + 2, k + 1],
+                5 => [k, k + 1, k + 2],
+                _ => [0, k + 1, k + 2],
+            }
+            .map(corner);
+            self.builder.push_triangle(if is_mirrored { [a, c, b] } else { [a, b, c] })?;
+        }
+        Ok(())
+    }
+
+    /// The draft of all that was added.
+    pub(super) fn finish(self, mut remarks: Vec<String>) -> Draft {
+        let Self { builder, look, of_triangles, faults, .. } = self;
+        remarks
+            .extend(faults.into_iter().map(|(fault, n)| if n == 1 { fault } else { format!("{fault} ({n} times)") }));
+        let mut draft = Draft { mesh: builder.finish(), remarks, ..Draft::default() };
+        look.finish(&mut draft, of_triangles);
+        draft
+    }
+}
+
+/// The number that each vertex gets, and the vertices that corners use, in order: many primitives may share one accessor.
+fn used_vertices(indices: Option<&Elements<'_>>, n_positions: usize) -> (Vec<u32>, Vec<u32>) {
+    let Some(indices) = indices else { return (Vec::new(), (0..n_positions as u32).collect()) };
+    let mut numbers = vec![u32::MAX; n_positions];
+    for k in 0..indices.count {
+        if let Some(number) = numbers.get_mut(indices.index(k) as usize) {
+            *number = 0;
+        }
+    }
+    let mut used = Vec::new();
+    for (vertex, number) in numbers.iter_mut().enumerate().filter(|(_, number)| **number == 0) {
+        *number = used.len() as u32;
+        used.push(vertex as u32);
+    }
+    (numbers, used)
+}
+
+/// The matrix that turns normals: the inverse transpose, times a factor of the determinant's sign, even if there is none.
+fn cofactors(matrix: DMat3) -> DMat3 {
+    let DMat3 { x_axis: x, y_axis: y, z_axis: z } = matrix;
+    let cofactors = DMat3::from_cols(y.cross(z), z.cross(x), x.cross(y));
+    if matrix.determinant() < 0.0 { -cofactors } else { cofactors }
+}
+
+/// The weighted transform of a vertex's joints; `None` if it has none.
+fn blend(transforms: &[DMat4], joints: &Elements<'_>, weights: &Elements<'_>, vertex: usize) -> Option<DMat4> {
+    let weights = weights.get::<4>(vertex).map(f64::from);
+    let sum = DVec4::from(weights).element_sum();
+    let mut blended = DMat4::ZERO;
+    for (component, weight) in weights.into_iter().enumerate().filter(|(_, weight)| *weight != 0.0) {
+        blended += *transforms.get(joints.integer(vertex, component) as usize)? * (weight / sum);
+    }
+    (sum > 0.0).then_some(blended)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn normals_stand_on_their_surface_after_any_transform() {
+        let matrix =
+            DMat3::from_cols(DVec3::new(2.0, 0.5, 0.0), DVec3::new(0.0, -1.0, 0.25), DVec3::new(1.0, 0.0, 3.0));
+        let (a, b) = (DVec3::new(1.0, 2.0, 0.0), DVec3::new(0.0, 1.0, 1.0));
+        let normal = cofactors(matrix) * a.cross(b);
+        assert!(normal.dot(matrix * a).abs() < 1e-12 && normal.dot(matrix * b).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,109 @@
+//! Nodes and their transforms.
+
+use glam::{DMat4, DQuat, DVec3, DVec4};
+
+use crate::model::gltf::{
+    accessor::Elements,
+    buffers::Buffers,
+    document::{Document, Kind, Node},
+};
+
+/// A mesh in the scene.
+pub(super) struct Instance {
+    /// Index of the mesh.
+    pub(super) mesh: usize,
+    /// From the mesh's space to the world's.
+    pub(super) transform: DMat4,
+    /// For a mesh that bends with a skeleton, the transform of each joint: vertices weigh these instead.
+    pub(super) joints: Vec<DMat4>,
+}
+
+/// The meshes of the scene in the order of its nodes, each node once.
+pub(super) fn instances(document: &Document<'_>, buffers: &Buffers<'_>, remarks: &mut Vec<String>) -> Vec<Instance> {
+    let (order, transforms, is_tree) = place(document);
+    if !is_tree {
+        remarks.push("its nodes are no tree: those that come again, or do not exist, are left out".to_owned());
+    }
+    let mut instances = Vec::new();
+    let mut has_skins = false;
+    for node in order {
+        let Node { mesh: Some(mesh), skin, .. } = document.nodes[node] else { continue };
+        let joints = skin.map(|skin| joints(document, buffers, &transforms, skin)).unwrap_or_default();
+        has_skins |= skin.is_some();
+        instances.push(Instance { mesh, transform: transforms[node], joints });
+    }
+    if has_skins {
+        remarks.push("its skeletons are shown at rest".to_owned());
+    }
+    instances
+}
+
+/// Nodes of the scene from the root on, the transform of every node, and whether the nodes form a tree.
+fn place(document: &Document<'_>) -> (Vec<usize>, Vec<DMat4>, bool) {
+    let nodes = &document.nodes;
+    let mut transforms = vec![DMat4::IDENTITY; nodes.len()];
+    let mut is_seen = vec![false; nodes.len()];
+    let mut order = Vec::new();
+    let mut is_tree = true;
+    let scene = document.scenes.get(document.scene.unwrap_or(0));
+    let roots = scene.map_or_else(|| roots(document), |scene| scene.nodes.clone());
+    let mut waiting: Vec<_> = roots.into_iter().rev().map(|node| (node, DMat4::IDENTITY)).collect();
+    while let Some((index, parent)) = waiting.pop() {
+        if is_seen.get(index) != Some(&false) {
+            is_tree = false;
+            continue;
+        }
+        is_seen[index] = true;
+        transforms[index] = parent * local(&nodes[index]);
+        order.push(index);
+        waiting.extend(nodes[index].children.iter().rev().map(|&child| (child, transforms[index])));
+    }
+    (order, transforms, is_tree)
+}
+
+/// Nodes that are no other's child.
+fn roots(document: &Document<'_>) -> Vec<usize> {
+    let mut is_child = vec![false; document.nodes.len()];
+    for &child in document.nodes.iter().flat_map(|node| &node.children) {
+        if let Some(is_child) = is_child.get_mut(child) {
+            *is_child = true;
+        }
+    }
+    (0..is_child.len()).filter(|&node| !is_child[node]).collect()
+}
+
+fn local(node: &Node) -> DMat4 {
+    if let Some(matrix) = &node.matrix {
+        return DMat4::from_cols_array(matrix);
+    }
+    let vector = |values: &Option<Box<[f64; 3]>>, default| values.as_deref().copied().map_or(default, DVec3::from);
+    let rotation = node.rotation.as_deref().map_or(DQuat::IDENTITY, |&[x, y, z, w]| {
+        let length = DVec4::new(x, y, z, w).length();
+        if length > 0.0 { DQuat::from_xyzw(x / length, y / length, z / length, w / length) } else { DQuat::IDENTITY }
+    });
+    let (scale, translation) = (vector(&node.scale, DVec3::ONE), vector(&node.translation, DVec3::ZERO));
+    let [x, y, z] = [rotation * DVec3::X, rotation * DVec3::Y, rotation * DVec3::Z];
+    DMat4::from_cols(
+        (x * scale.x).extend(0.0),
+        (y * scale.y).extend(0.0),
+        (z * scale.z).extend(0.0),
+        translation.extend(1.0),
+    )
+}
+
+/// The transforms of a skeleton's joints; empty if it is damaged.
+fn joints(document: &Document<'_>, buffers: &Buffers<'_>, transforms: &[DMat4], skin: usize) -> Vec<DMat4> {
+    let Some(skin) = document.skins.get(skin) else { return Vec::new() };
+    let inverse = skin.inverse_bind_matrices.map(|index| Elements::new(document, buffers, index, &[Kind::Mat4]));
+    let joint = |(index, &node): (usize, &usize)| {
+        let inverse = match &inverse {
+            None => DMat4::IDENTITY,
+            Some(Ok(matrices)) if index < matrices.count => {
+                DMat4::from_cols_array(&matrices.get::<16>(index).map(f64::from))
+            }
+            Some(_) => return None,
+        };
+        Some(*transforms.get(node)? * inverse)
+    };
+    skin.joints.iter().enumerate().map(joint).collect::<Option<_>>().unwrap_or_default()
+}

@@ -1,0 +1,194 @@
+//! Decodes the images of a model.
+
+use std::io::Cursor;
+
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use rayon::prelude::*;
+
+use crate::model::{
+    companions::Companions,
+    file::{Draft, Reading},
+    material::{Image, Material, TextureUse},
+};
+
+/// The longest side of an image.
+const LARGEST_SIDE: u32 = 32_768;
+/// The most texels of an image, which take 2 GB.
+const MOST_TEXELS: u64 = 1 << 29;
+/// An image may take this many times its file in memory, and [`SMALL_IMAGE`] in any case: no more than PNG and JPEG do for
+/// a plain colour, so a small file cannot fill the memory.
+const LARGEST_RATIO: u64 = 4096;
+const SMALL_IMAGE: u64 = 1 << 20;
+/// The longest file of an image.
+const LONGEST_FILE: u64 = 1 << 31;
+
+/// An encoded image, and the channel that other images give it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImageSource {
+    /// The name of its file; of an image within the model's file, what errors call it.
+    pub name: String,
+    /// Its bytes, if they are in the model's file.
+    pub bytes: Option<Vec<u8>>,
+    /// The name of a grey image of its coverage.
+    pub coverage: Option<String>,
+}
+
+impl ImageSource {
+    /// An image in a file of its own.
+    pub(super) fn file(name: impl Into<String>) -> Self {
+        Self { name: name.into(), bytes: None, coverage: None }
+    }
+}
+
+/// Decodes all images of a draft. One that cannot be used is left out, and a remark says why.
+pub fn decode(draft: Draft, companions: &Companions) -> Reading {
+    let Draft { mut mesh, images, mut remarks } = draft;
+    let decoded: Vec<_> = images.par_iter().map(|source| decode_source(source, companions)).collect();
+    let mut places = Vec::new();
+    for image in decoded {
+        places.push(image.as_ref().ok().map(|_| mesh.materials.images.len() as u32));
+        match image {
+            Ok(image) => mesh.materials.images.push(image),
+            Err(fault) => remarks.push(format!("an image is left out: {fault}")),
+        }
+    }
+    for texture in mesh.materials.materials.iter_mut().flat_map(texture_uses) {
+        *texture = texture.and_then(|texture| {
+            let image = places.get(texture.image as usize).copied().flatten()?;
+            Some(TextureUse { image, ..texture })
+        });
+    }
+    Reading { mesh, remarks }
+}
+
+fn texture_uses(material: &mut Material) -> [&mut Option<TextureUse>; 3] {
+    let Material { base_color_texture, metallic_roughness_texture, emissive_texture, .. } = material;
+    [base_color_texture, metallic_roughness_texture, emissive_texture]
+}
+
+fn decode_source(source: &ImageSource, companions: &Companions) -> Result<Image, String> {
+    let image = |name: &str, bytes: &[u8]| decode_bytes(name, bytes).map_err(|fault| format!("{name} {fault}"));
+    let mut decoded = match &source.bytes {
+        Some(bytes) => image(&source.name, bytes)?,
+        None => image(&source.name, &companions.read(&source.name, LONGEST_FILE)?)?,
+    };
+    if let Some(name) = &source.coverage {
+        cover(&mut decoded, &image(name, &companions.read(name, LONGEST_FILE)?)?);
+    }
+    Ok(decoded)
+}
+
+/// Sets the coverage of each texel from the nearest texel of a grey image, or from its coverage if it has any.
+fn cover(image: &mut Image, coverage: &Image) {
+    let has_own = coverage.texels.iter().any(|texel| texel[3] < u8::MAX);
+    let nearest = |at: usize, size: u32, of: u32| (at as u64 * u64::from(of) / u64::from(size)) as usize;
+    let width = image.width as usize;
+    image.texels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
+        let row_of = nearest(y, image.height, coverage.height) * coverage.width as usize;
+        for (x, texel) in row.iter_mut().enumerate() {
+            let of = coverage.texels[row_of + nearest(x, image.width, coverage.width)];
+            texel[3] = if has_own { of[3] } else { of[0] };
+        }
+    });
+}
+
+fn decode_bytes(name: &str, bytes: &[u8]) -> Result<Image, String> {
+    let mut reader = ImageReader::new(Cursor::new(bytes));
+    // TGA has no magic number, so its name must tell.
+    if let Ok(format) = ImageFormat::from_path(name) {
+        reader.set_format(format);
+    }
+    let mut reader = reader.with_guessed_format().map_err(|error| format!("cannot be read: {error}"))?;
+    let mut limits = Limits::no_limits();
+    limits.max_image_width = Some(LARGEST_SIDE);
+    limits.max_image_height = Some(LARGEST_SIDE);
+    limits.max_alloc = Some(16 * MOST_TEXELS);
+    reader.limits(limits);
+    let fault = |error| match error {
+        image::ImageError::Limits(_) => format!("is too large: scale it to at most {LARGEST_SIDE} texels a side"),
+        image::ImageError::Unsupported(_) => {
+            "is no image that is read (PNG, JPEG, WebP, TIFF, BMP, TGA): convert it to PNG".to_owned()
+        }
+        error => format!("is damaged: {error}").replace('\n', " "),
+    };
+    let decoder = reader.into_decoder().map_err(fault)?;
+    let (width, height) = decoder.dimensions();
+    let n_texels = u64::from(width) * u64::from(height);
+    let n_bytes = decoder.total_bytes().max(4 * n_texels);
+    if width.max(height) > LARGEST_SIDE || n_texels > MOST_TEXELS {
+        return Err(format!("is too large ({width}x{height}): scale it to at most {MOST_TEXELS} texels"));
+    }
+    if n_texels == 0 || n_bytes > SMALL_IMAGE.saturating_add(LARGEST_RATIO * bytes.len() as u64) {
+        return Err(format!("is damaged: {} bytes cannot hold {width}x{height} texels", bytes.len()));
+    }
+    let image = DynamicImage::from_decoder(decoder).map_err(fault)?;
+    let texels = bytemuck::allocation::cast_vec(image.into_rgba8().into_raw());
+    Ok(Image { width, height, texels })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn png(width: u32, height: u32) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let image = image::GrayImage::from_fn(width, height, |x, y| image::Luma([(x * 100 + y) as u8]));
+        image.write_to(&mut Cursor::new(&mut bytes), ImageFormat::Png).unwrap();
+        bytes
+    }
+
+    fn embedded(bytes: Vec<u8>) -> ImageSource {
+        ImageSource { bytes: Some(bytes), ..ImageSource::file("1") }
+    }
+
+    #[test]
+    fn images_that_cannot_be_used_are_left_out_with_a_line() {
+        let use_of = |image| Some(TextureUse { image, wrap: Default::default(), transform: [[0.0; 3]; 2] });
+        let images = vec![ImageSource::file("no.png"), embedded(png(2, 1)), embedded(b"what".to_vec())];
+        let mut draft = Draft { images, ..Draft::default() };
+        draft.mesh.materials.materials = vec![Material {
+            base_color_texture: use_of(1),
+            emissive_texture: use_of(0),
+            metallic_roughness_texture: use_of(9),
+            ..Material::default()
+        }];
+        let Reading { mesh, remarks } = decode(draft, &Companions::default());
+        let material = &mesh.materials.materials[0];
+        assert_eq!(material.base_color_texture.map(|texture| texture.image), Some(0));
+        assert!(material.emissive_texture.is_none() && material.metallic_roughness_texture.is_none());
+        assert_eq!(mesh.materials.images[0].texels, [[0, 0, 0, 255], [100, 100, 100, 255]]);
+        assert_eq!(
+            remarks,
+            [
+                "an image is left out: no.png is missing: put it beside the model",
+                "an image is left out: 1 is no image that is read (PNG, JPEG, WebP, TIFF, BMP, TGA): convert it to PNG"
+            ]
+        );
+    }
+
+    #[test]
+    fn sizes_that_lie_are_refused_before_memory_is_taken() {
+        let mut claimed = png(2, 1);
+        for (side, told) in [(65_536_u32, "is too large"), (30_000, "is too large"), (16_384, "is damaged")] {
+            claimed[16..20].copy_from_slice(&side.to_be_bytes());
+            claimed[20..24].copy_from_slice(&side.to_be_bytes());
+            let crc = crc32(&claimed[12..29]);
+            claimed[29..33].copy_from_slice(&crc.to_be_bytes());
+            let fault = decode_bytes("1.png", &claimed).unwrap_err();
+            assert!(fault.starts_with(told), "{side}: {fault}");
+        }
+    }
+
+    fn crc32(bytes: &[u8]) -> u32 {
+        let step = |crc: u32, _| if crc & 1 == 1 { crc >> 1 ^ 0xedb8_8320 } else { crc >> 1 };
+        !bytes.iter().fold(u32::MAX, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), step))
+    }
+
+    #[test]
+    fn coverage_comes_from_an_image_of_another_size() {
+        let mut image = decode_bytes("", &png(4, 2)).unwrap();
+        cover(&mut image, &decode_bytes("", &png(2, 1)).unwrap());
+        let coverage: Vec<u8> = image.texels.iter().map(|texel| texel[3]).collect();
+        assert_eq!(coverage, [0, 0, 100, 100, 0, 0, 100, 100]);
+    }
+}

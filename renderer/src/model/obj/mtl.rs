@@ -1,0 +1,160 @@
+//! Files of materials (MTL).
+
+use crate::model::{
+    images::ImageSource,
+    material::{Material, TextureUse, Wrap},
+    obj::piece::text,
+};
+
+/// The materials of one or more files.
+#[derive(Debug, Default)]
+pub struct Library {
+    /// In the order of the files; the first of equal names counts.
+    pub materials: Vec<Material>,
+    /// The images that they use.
+    pub images: Vec<ImageSource>,
+    /// What was left out.
+    pub remarks: Vec<String>,
+}
+
+/// Programs write it for a texture that decides where a surface is.
+const CUTOFF: f32 = 0.5;
+
+/// The maps of a material that are read.
+#[derive(Default)]
+struct Maps {
+    color: Option<Map>,
+    emissive: Option<Map>,
+    coverage: Option<String>,
+}
+
+/// A texture: its file, and how coordinates lead to it.
+#[derive(Clone)]
+struct Map {
+    name: String,
+    wrap: Wrap,
+    scale: [f32; 2],
+    offset: [f32; 2],
+}
+
+impl Library {
+    /// Adds the materials of a file. What is not understood is left out.
+    pub fn read(&mut self, bytes: &[u8]) {
+        let mut maps = Maps::default();
+        let mut is_see_through = false;
+        let n_before = self.materials.len();
+        for line in bytes.split(|&byte| matches!(byte, b'\n' | b'\r')) {
+            let line = text(line);
+            let (word, rest) = line.split_once(char::is_whitespace).unwrap_or((&line, ""));
+            let rest = rest.trim();
+            if word == "newmtl" {
+                self.finish(std::mem::take(&mut maps), n_before);
+                self.materials.push(Material { name: rest.to_owned(), ..Material::default() });
+                continue;
+            }
+            let Some(material) = self.materials[n_before..].last_mut() else { continue };
+            let number = || rest.split_whitespace().next()?.parse::<f32>().ok().map(|number| number.clamp(0.0, 1.0));
+            match word.to_ascii_lowercase().as_str() {
+                "kd" => color(rest).into_iter().for_each(|[r, g, b]| material.base_color = [r, g, b, 1.0]),
+                "ke" => color(rest).into_iter().for_each(|color| material.emissive = color),
+                "pm" => number().into_iter().for_each(|number| material.metallic = number),
+                "pr" => number().into_iter().for_each(|number| material.roughness = number),
+                "d" => is_see_through |= number().is_some_and(|number| number < 1.0),
+                "map_kd" => maps.color = Map::parse(rest),
+                "map_ke" => maps.emissive = Map::parse(rest),
+                "map_d" => maps.coverage = Map::parse(rest).map(|map| map.name),
+                _ => {}
+            }
+        }
+        self.finish(maps, n_before);
+        if is_see_through {
+            self.remarks.push("see-through materials are shown opaque".to_owned());
+        }
+    }
+
+    /// Gives the last material, if any since `n_before`, its textures.
+    fn finish(&mut self, maps: Maps, n_before: usize) {
+        if self.materials.len() == n_before {
+            return;
+        }
+        let Maps { color, emissive, coverage } = maps;
+        if color.is_none() && coverage.is_some() {
+            self.remarks.push("a texture of coverage (map_d) without one of colour (map_Kd) is left out".to_owned());
+        }
+        // The same file has the coverage in its own fourth channel.
+        let other_file = |map: &Map| coverage.clone().filter(|name| *name != map.name);
+        let color_texture = color.and_then(|map| self.texture(&map, other_file(&map)));
+        let emissive_texture = emissive.and_then(|map| self.texture(&map, None));
+        let Some(material) = self.materials.last_mut() else { return };
+        // Many programs write a black `Kd` or `Ke` beside a texture, which is not meant to darken it.
+        if color_texture.is_some() && material.base_color[..3] == [0.0; 3] {
+            material.base_color = [1.0; 4];
+        }
+        if emissive_texture.is_some() && material.emissive == [0.0; 3] {
+            material.emissive = [1.0; 3];
+        }
+        material.alpha_cutoff = coverage.is_some_and(|_| color_texture.is_some()).then_some(CUTOFF);
+        (material.base_color_texture, material.emissive_texture) = (color_texture, emissive_texture);
+    }
+
+    fn texture(&mut self, map: &Map, coverage: Option<String>) -> Option<TextureUse> {
+        if map.name.contains("<UDIM>") {
+            self.remarks.push(format!("{} is left out: tiles of textures are not read", map.name));
+            return None;
+        }
+        let source = ImageSource { coverage, ..ImageSource::file(&map.name) };
+        let image = self.images.iter().position(|known| *known == source).unwrap_or_else(|| {
+            self.images.push(source);
+            self.images.len() - 1
+        });
+        // MTL counts v from the lower edge: 1 − v′ = scale (1 − v) + offset.
+        let ([su, sv], [ou, ov]) = (map.scale, map.offset);
+        let transform = [[su, 0.0, ou], [0.0, sv, 1.0 - sv - ov]];
+        Some(TextureUse { image: image as u32, wrap: [map.wrap; 2], transform })
+    }
+}
+
+impl Map {
+    /// Parses options, each with its arguments, and a name that may contain spaces.
+    fn parse(text: &str) -> Option<Self> {
+        let mut map = Self { name: String::new(), wrap: Wrap::Repeat, scale: [1.0; 2], offset: [0.0; 2] };
+        let mut rest = text.trim();
+        while let Some((option, after)) = rest.split_once(char::is_whitespace).filter(|_| rest.starts_with('-')) {
+            rest = after.trim_start();
+            // The most arguments, and whether they are numbers, of which there may be fewer.
+            let (most, are_numbers) = match option.to_ascii_lowercase().as_str() {
+                "-s" | "-o" | "-t" => (3, true),
+                "-mm" => (2, true),
+                "-bm" | "-boost" | "-texres" => (1, true),
+                "-clamp" | "-blendu" | "-blendv" | "-cc" | "-imfchan" | "-type" => (1, false),
+                _ => (0, false),
+            };
+            let mut arguments = Vec::new();
+            while arguments.len() < most {
+                let (word, after) = rest.split_once(char::is_whitespace).unwrap_or((rest, ""));
+                if are_numbers && word.parse::<f32>().is_err() {
+                    break;
+                }
+                arguments.push(word);
+                rest = after.trim_start();
+            }
+            let numbers: Vec<f32> = arguments.iter().filter_map(|word| word.parse().ok()).collect();
+            match (option, numbers.as_slice()) {
+                ("-s", [u, rest @ ..]) => map.scale = [*u, rest.first().copied().unwrap_or(1.0)],
+                ("-o", [u, rest @ ..]) => map.offset = [*u, rest.first().copied().unwrap_or(0.0)],
+                ("-clamp", _) if arguments == ["on"] => map.wrap = Wrap::Clamp,
+                _ => {}
+            }
+        }
+        map.name = rest.trim_matches('"').to_owned();
+        (!map.name.is_empty()).then_some(map)
+    }
+}
+
+/// Red, green and blue, taken as linear: MTL names no colour space.
+fn color(text: &str) -> Option<[f32; 3]> {
+    let mut numbers = text.split_whitespace().map_while(|word| word.parse::<f32>().ok());
+    let red = numbers.next()?;
+    let others = [numbers.next().unwrap_or(red), numbers.next().unwrap_or(red)];
+    Some([red, others[0], others[1]].map(|number| if number.is_nan() { 0.0 } else { number.clamp(0.0, 1.0) }))
+}

@@ -1,0 +1,224 @@
+//! Parses a piece of an OBJ file, from the beginning of a line to the end of one.
+
+use std::borrow::Cow;
+
+use glam::{DVec3, Vec3};
+
+use crate::model::{decimal::Decimal, normal::Normal, stl::printable};
+
+/// Stands for a number of a corner that is not written.
+pub(super) const NONE: i64 = i64::MAX;
+/// Added to indices that count from the piece's first row: they are negative, all others are not.
+const OF_PIECE: i64 = -1 << 40;
+
+/// The rows of a piece in order.
+#[derive(Default)]
+pub(super) struct Piece {
+    pub(super) positions: Vec<DVec3>,
+    /// The first position with a coordinate that `f32` cannot hold to its last digit.
+    pub(super) precise_from: Option<usize>,
+    /// sRGB colours of the positions; empty, or as many.
+    pub(super) colors: Vec<[u8; 3]>,
+    pub(super) texture_coordinates: Vec<[f32; 2]>,
+    pub(super) normals: Vec<Normal>,
+    /// Indices of position, texture coordinates and normal; [`absolute`] resolves them.
+    pub(super) corners: Vec<[i64; 3]>,
+    /// The end of each polygon in `corners`.
+    pub(super) polygons: Vec<usize>,
+    /// Names of materials, each with the first polygon that has it.
+    pub(super) materials: Vec<(usize, String)>,
+    /// Files of materials.
+    pub(super) libraries: Vec<String>,
+    /// Points, lines, and curved surfaces.
+    pub(super) n_left_out: usize,
+}
+
+/// The fault of a row; `line` counts from 0.
+pub(super) struct Fault {
+    pub(super) line: usize,
+    pub(super) what: String,
+}
+
+/// The index in the file, given the number of rows before the piece; `None` if the row does not exist.
+pub(super) fn absolute(index: i64, n_before: usize) -> Option<u32> {
+    let index = if index < 0 { index - OF_PIECE + n_before as i64 } else { index };
+    u32::try_from(index).ok()
+}
+
+impl Piece {
+    pub(super) fn parse(text: &[u8]) -> Result<Self, Fault> {
+        let mut piece = Self::default();
+        let mut rest = text;
+        let mut n_lines = 0;
+        while !rest.is_empty() {
+            let (line, n_bytes, n_rows) = logical_line(rest);
+            rest = &rest[n_bytes..];
+            piece.parse_line(Words(line)).map_err(|what| Fault { line: n_lines, what })?;
+            n_lines += n_rows;
+        }
+        Ok(piece)
+    }
+
+    fn parse_line(&mut self, mut words: Words<'_>) -> Result<(), String> {
+        match words.next().unwrap_or_default() {
+            b"v" => self.parse_position(words),
+            b"vt" => {
+                let u = words.number()?;
+                let v = words.next().map(decimal).transpose()?.map_or(0.0, |decimal| decimal.value);
+                // OBJ counts v from the lower edge.
+                self.texture_coordinates.push([u as f32, (1.0 - v) as f32]);
+                Ok(())
+            }
+            b"vn" => {
+                let normal = [words.number()?, words.number()?, words.number()?];
+                self.normals.push(Normal::new(Vec3::from(normal.map(|x| x as f32))));
+                Ok(())
+            }
+            // `fo` is of older files.
+            b"f" | b"fo" => {
+                for word in words {
+                    let corner = self.corner(word)?;
+                    self.corners.push(corner);
+                }
+                self.polygons.push(self.corners.len());
+                Ok(())
+            }
+            b"usemtl" => {
+                self.materials.push((self.polygons.len(), words.rest()));
+                Ok(())
+            }
+            b"mtllib" => {
+                self.libraries.push(words.rest());
+                Ok(())
+            }
+            b"p" | b"l" | b"curv" | b"curv2" | b"surf" => {
+                self.n_left_out += 1;
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn parse_position(&mut self, mut words: Words<'_>) -> Result<(), String> {
+        let decimals = [words.decimal()?, words.decimal()?, words.decimal()?];
+        if !decimals.iter().all(|decimal| decimal.fits_single) && self.precise_from.is_none() {
+            self.precise_from = Some(self.positions.len());
+        }
+        self.positions.push(DVec3::from(decimals.map(|decimal| decimal.value)));
+        // A fourth number is a weight; only six are a colour, or seven.
+        let mut more = [0.0; 4];
+        let mut n_more = 0;
+        for (number, word) in more.iter_mut().zip(words) {
+            // What follows may be a remark.
+            let Some(decimal) = Decimal::parse(word) else { break };
+            *number = decimal.value;
+            n_more += 1;
+        }
+        if n_more >= 3 {
+            let color = if n_more == 3 { [more[0], more[1], more[2]] } else { [more[1], more[2], more[3]] };
+            self.colors.resize(self.positions.len() - 1, [u8::MAX; 3]);
+            // `as` saturates, and takes NaN to 0.
+            self.colors.push(color.map(|part| (part * 255.0).round() as u8));
+        } else if !self.colors.is_empty() {
+            self.colors.push([u8::MAX; 3]);
+        }
+        Ok(())
+    }
+
+    /// Parses `1`, `1/2`, `1//3` or `1/2/3`; negative numbers count back from the last row.
+    fn corner(&self, word: &[u8]) -> Result<[i64; 3], String> {
+        let counts = [self.positions.len(), self.texture_coordinates.len(), self.normals.len()];
+        let mut corner = [NONE; 3];
+        for ((index, count), number) in corner.iter_mut().zip(counts).zip(word.split(|&byte| byte == b'/')) {
+            if number.is_empty() {
+                continue;
+            }
+            let is_counted_back = number[0] == b'-';
+            let digits = if is_counted_back { &number[1..] } else { number };
+            if digits.is_empty() || !digits.iter().all(u8::is_ascii_digit) {
+                return Err(format!("`{}` is not a corner", printable(word)));
+            }
+            let value = digits.iter().fold(0_i64, |value, digit| {
+                // Larger than any index, and small enough for sums.
+                (value * 10 + i64::from(digit - b'0')).min(1 << 36)
+            });
+            *index = match value {
+                // There is no row 0.
+                0 => 1 << 36,
+                _ if is_counted_back => OF_PIECE + count as i64 - value,
+                _ => value - 1,
+            };
+        }
+        Ok(corner)
+    }
+}
+
+/// The first line, the bytes that it takes, and the rows; a line goes on behind a backslash.
+fn logical_line(text: &[u8]) -> (&[u8], usize, usize) {
+    let mut end = 0;
+    let mut n_rows = 0;
+    loop {
+        let length = text[end..].iter().position(|&byte| byte == b'\n').unwrap_or(text.len() - end);
+        end += length;
+        n_rows += 1;
+        if end == text.len() {
+            return (&text[..end], end, n_rows);
+        }
+        if !goes_on(&text[..end]) {
+            return (&text[..end], end + 1, n_rows);
+        }
+        end += 1;
+    }
+}
+
+/// Whether a line that ends here goes on in the next.
+pub(super) fn goes_on(line: &[u8]) -> bool {
+    line.strip_suffix(b"\r").unwrap_or(line).ends_with(b"\\")
+}
+
+/// The words of a line up to a remark.
+struct Words<'a>(&'a [u8]);
+
+impl<'a> Iterator for Words<'a> {
+    type Item = &'a [u8];
+
+    #[inline]
+    fn next(&mut self) -> Option<&'a [u8]> {
+        let is_space = |byte: u8| byte.is_ascii_whitespace() || byte == b'\\';
+        let start = self.0.iter().position(|&byte| !is_space(byte))?;
+        let rest = &self.0[start..];
+        if rest[0] == b'#' {
+            return None;
+        }
+        let end = rest.iter().position(|&byte| is_space(byte)).unwrap_or(rest.len());
+        self.0 = &rest[end..];
+        Some(&rest[..end])
+    }
+}
+
+impl Words<'_> {
+    fn decimal(&mut self) -> Result<Decimal, String> {
+        self.next().ok_or_else(|| "a number is missing".to_owned()).and_then(decimal)
+    }
+
+    fn number(&mut self) -> Result<f64, String> {
+        self.decimal().map(|decimal| decimal.value)
+    }
+
+    /// All that is left, which may contain spaces.
+    fn rest(self) -> String {
+        text(self.0).trim().to_owned()
+    }
+}
+
+/// The text of bytes in UTF-8, or as old programs write it, where each byte is a letter.
+pub(super) fn text(bytes: &[u8]) -> Cow<'_, str> {
+    match str::from_utf8(bytes) {
+        Ok(text) => text.into(),
+        Err(_) => bytes.iter().copied().map(char::from).collect::<String>().into(),
+    }
+}
+
+fn decimal(word: &[u8]) -> Result<Decimal, String> {
+    Decimal::parse(word).ok_or_else(|| format!("`{}` is not a number", printable(word)))
+}

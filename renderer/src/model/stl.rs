@@ -1,0 +1,266 @@
+//! Reads STL files, text or binary. Their triangles share no corners: equal positions become one vertex.
+
+use std::io::{self, BufRead, Read};
+
+use glam::DVec3;
+
+use crate::model::{
+    assembly::{AssemblyError, MeshBuilder},
+    decimal::Decimal,
+    file::Draft,
+};
+
+/// A fault of an STL file, and its place: lines count from 1.
+#[derive(Debug, thiserror::Error)]
+#[expect(missing_docs, reason = "the messages say it")]
+pub enum Problem {
+    #[error("cannot be read: {0}")]
+    Io(#[from] io::Error),
+    #[error("line {line}: {what}")]
+    Line { line: usize, what: String },
+    #[error(transparent)]
+    Assembly(#[from] AssemblyError),
+}
+
+/// Bytes before the triangles of a binary file: a title and their number.
+const HEADER_BYTES: usize = 84;
+/// A normal, three corners, and two bytes in which programs keep things of their own.
+const TRIANGLE_BYTES: usize = 50;
+/// Triangles that are read at once.
+const BATCH: usize = 8192;
+/// The longest line of a text; real ones have a hundred bytes.
+const LONGEST_LINE: u64 = 1 << 16;
+
+/// The length of the binary file that starts like this.
+pub(super) fn binary_bytes(start: &[u8]) -> Option<u64> {
+    let count = start.get(HEADER_BYTES - 4..HEADER_BYTES)?.first_chunk()?;
+    Some(HEADER_BYTES as u64 + TRIANGLE_BYTES as u64 * u64::from(u32::from_le_bytes(*count)))
+}
+
+/// Reads a binary STL of `n_bytes` bytes, at least as many as its header counts.
+///
+/// # Errors
+/// It cannot be read, or has too many triangles.
+pub fn read_binary(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Problem> {
+    let mut header = [0; HEADER_BYTES];
+    reader.read_exact(&mut header)?;
+    let declared = binary_bytes(&header).unwrap_or(0).min(n_bytes);
+    let n_triangles = declared.saturating_sub(HEADER_BYTES as u64) as usize / TRIANGLE_BYTES;
+    let mut corners = Welder::default();
+    corners.builder.reserve_triangles(n_triangles)?;
+    let mut batch = vec![0; BATCH.min(n_triangles) * TRIANGLE_BYTES];
+    let mut n_left = n_triangles;
+    while n_left > 0 {
+        let n = n_left.min(BATCH);
+        let bytes = &mut batch[..n * TRIANGLE_BYTES];
+        reader.read_exact(bytes)?;
+        for triangle in bytes.as_chunks::<TRIANGLE_BYTES>().0 {
+            let numbers: [f32; 9] =
+                std::array::from_fn(|i| f32::from_le_bytes(std::array::from_fn(|k| triangle[12 + 4 * i + k])));
+            for corner in numbers.as_chunks().0 {
+                corners.push(*corner)?;
+            }
+            corners.end_polygon();
+        }
+        n_left -= n;
+    }
+    Ok(corners.finish())
+}
+
+/// Reads a text STL. A facet of more than three corners is fanned; several solids become one mesh.
+///
+/// # Errors
+/// A corner is not three numbers, or there are too many triangles.
+pub fn read_text(mut reader: impl BufRead) -> Result<Draft, Problem> {
+    let mut corners = Welder::default();
+    let (mut line, mut number) = (Vec::new(), 0);
+    loop {
+        line.clear();
+        if reader.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line)? == 0 {
+            return Ok(corners.finish());
+        }
+        number += 1;
+        let problem = |what: String| Problem::Line { line: number, what };
+        let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).peekable();
+        while let Some(word) = words.next() {
+            if word.eq_ignore_ascii_case(b"vertex") {
+                let mut position = [0.0; 3];
+                for coordinate in &mut position {
+                    let word = words.next().ok_or_else(|| problem("a vertex needs three numbers".to_owned()))?;
+                    let decimal = Decimal::parse(word);
+                    let name = || problem(format!("`{}` is not a number", printable(word)));
+                    *coordinate = decimal.ok_or_else(name)?.value as f32;
+                }
+                corners.push(position)?;
+            } else if word.eq_ignore_ascii_case(b"endloop") || word.eq_ignore_ascii_case(b"endfacet") {
+                corners.end_polygon();
+            } else if word.eq_ignore_ascii_case(b"solid") || word.eq_ignore_ascii_case(b"endsolid") {
+                break; // a name follows
+            }
+        }
+    }
+}
+
+/// The beginning of a token, for an error.
+pub(super) fn printable(token: &[u8]) -> String {
+    String::from_utf8_lossy(token).chars().take(40).collect()
+}
+
+/// Gives corners of equal position, bit for bit, one vertex: then solids are closed, and memory is a third.
+#[derive(Default)]
+struct Welder {
+    builder: MeshBuilder,
+    /// A hash table with open addressing: the vertices, each near the slot of its hash. Its length is a power of two.
+    slots: Vec<u32>,
+    /// The first and last corner of the polygon that is being read, and how many were read.
+    pending: [u32; 2],
+    n_pending: usize,
+}
+
+impl Welder {
+    const EMPTY: u32 = u32::MAX;
+
+    /// Adds a corner of a polygon, which [`Welder::end_polygon`] ends.
+    fn push(&mut self, position: [f32; 3]) -> Result<(), AssemblyError> {
+        let vertex = self.vertex(position)?;
+        match self.n_pending {
+            0 => self.pending[0] = vertex,
+            1 => {}
+            _ => self.builder.push_triangle([self.pending[0], self.pending[1], vertex])?,
+        }
+        self.pending[1] = vertex;
+        self.n_pending += 1;
+        Ok(())
+    }
+
+    fn end_polygon(&mut self) {
+        self.n_pending = 0;
+    }
+
+    fn vertex(&mut self, position: [f32; 3]) -> Result<u32, AssemblyError> {
+        if self.slots.len() <= 2 * self.builder.n_vertices() {
+            self.grow();
+        }
+        let slot = self.slot(position);
+        if self.slots[slot] == Self::EMPTY {
+            self.builder.check_vertices(1)?;
+            self.slots[slot] = self.builder.n_vertices() as u32;
+            self.builder.push_vertex(DVec3::from(position.map(f64::from)));
+        }
+        Ok(self.slots[slot])
+    }
+
+    /// The slot of the vertex at this position, or the empty one where it belongs.
+    fn slot(&self, position: [f32; 3]) -> usize {
+        let bits = position.map(f32::to_bits);
+        let [x, y, z] = bits.map(u64::from);
+        let hash = (x | y << 32).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ z.wrapping_mul(0xd6e8_feb8_6659_fd93);
+        let mask = self.slots.len() - 1;
+        let mut slot = (hash ^ hash >> 32).wrapping_mul(0x94d0_49bb_1331_11eb) as usize >> 16 & mask;
+        loop {
+            let vertex = self.slots[slot];
+            let is_here = || self.builder.mesh.vertices[vertex as usize].map(f32::to_bits) == bits;
+            if vertex == Self::EMPTY || is_here() {
+                return slot;
+            }
+            slot = (slot + 1) & mask;
+        }
+    }
+
+    fn grow(&mut self) {
+        self.slots = vec![Self::EMPTY; (2 * self.slots.len()).max(64)];
+        for vertex in 0..self.builder.n_vertices() {
+            let slot = self.slot(self.builder.mesh.vertices[vertex]);
+            self.slots[slot] = vertex as u32;
+        }
+    }
+
+    fn finish(self) -> Draft {
+        Draft { mesh: self.builder.finish(), ..Draft::default() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::mesh::Mesh;
+
+    const TEXT: &str = "solid two facets\nfacet normal 0 0 1\n outer loop\n  vertex 0 0 0\n  vertex 1 0 0\n  vertex 0 1 0\n \
+        endloop\nendfacet\nfacet normal 0 0 1\nouter loop\nvertex 0 1 0\nvertex 1 0 0\nvertex 1.0 1.0e0 0\nendloop\nendfacet\n\
+        endsolid two facets\n";
+
+    fn binary(triangles: &[[[f32; 3]; 3]]) -> Vec<u8> {
+        let mut bytes = [0; HEADER_BYTES - 4].to_vec();
+        bytes.extend((triangles.len() as u32).to_le_bytes());
+        for corners in triangles {
+            bytes.extend([0; 12]);
+            bytes.extend(corners.as_flattened().iter().flat_map(|x| x.to_le_bytes()));
+            bytes.extend([0; 2]);
+        }
+        bytes
+    }
+
+    fn text_mesh(text: &str) -> Mesh {
+        read_text(text.as_bytes()).unwrap_or_else(|problem| panic!("{problem}")).mesh
+    }
+
+    fn binary_mesh(bytes: &[u8]) -> Mesh {
+        read_binary(bytes, bytes.len() as u64).unwrap().mesh
+    }
+
+    #[test]
+    fn equal_corners_become_one_vertex() {
+        let [a, b, c, d] = [[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]];
+        let mesh = text_mesh(TEXT);
+        assert_eq!((&mesh.vertices, &mesh.triangles), (&vec![a, b, c, d], &vec![[0, 1, 2], [2, 1, 3]]));
+        assert_eq!(binary_mesh(&binary(&[[a, b, c], [c, b, d]])), mesh);
+        // Two zeros are two vertices, as in a PLY.
+        let zeros = binary_mesh(&binary(&[[a, b, c], [[-0.0, 0.0, 0.0], b, d]]));
+        assert_eq!(zeros.triangles, [[0, 1, 2], [3, 1, 4]]);
+    }
+
+    #[test]
+    fn a_statue_stays_closed() {
+        let statue = crate::model::statue::generate(20_000, &|_| ());
+        let corners: Vec<_> = (0..statue.triangles.len()).filter_map(|triangle| statue.corners(triangle)).collect();
+        let mesh = binary_mesh(&binary(&corners));
+        assert_eq!((mesh.vertices.len(), mesh.facing()), (statue.vertices.len(), statue.facing()));
+        assert!((0..corners.len()).all(|triangle| mesh.corners(triangle) == Some(corners[triangle])));
+    }
+
+    #[test]
+    fn texts_vary() {
+        let expected = text_mesh(TEXT);
+        for text in [
+            TEXT.to_uppercase(),
+            TEXT.replace('\n', "\r\n"),
+            TEXT.replace("endsolid two facets\n", ""),
+            TEXT.replace("endfacet\nfacet", "endfacet\nendsolid a vertex\nsolid b vertex\nfacet"),
+            TEXT.replace("two facets\n", "\u{e9} vertex\n"),
+        ] {
+            assert_eq!(text_mesh(&text), expected, "{text}");
+        }
+        let quad = TEXT.replace("endloop\nendfacet\nfacet normal 0 0 1\nouter loop\nvertex 0 1 0\nvertex 1 0 0\n", "");
+        assert_eq!(text_mesh(&quad).triangles, [[0, 1, 2], [0, 2, 3]]);
+    }
+
+    #[test]
+    fn faults_have_a_line() {
+        for (from, to, expected) in [
+            ("1.0e0", "1.0f", "line 11: `1.0f` is not a number"),
+            ("vertex 1 0 0", "vertex 1 0", "line 5: a vertex needs three numbers"),
+        ] {
+            let error = read_text(TEXT.replacen(from, to, 1).as_bytes()).unwrap_err().to_string();
+            assert_eq!(error, if from == "1.0e0" { expected.replace("11", "13") } else { expected.to_owned() });
+        }
+        let nan = binary_mesh(&binary(&[[[f32::NAN; 3]; 3], [[0.0; 3], [1.0; 3], [2.0; 3]]]));
+        assert_eq!((nan.n_rejected, nan.triangles[0]), (1, Mesh::REJECTED));
+    }
+
+    #[test]
+    fn counts_that_lie_take_no_memory() {
+        let mut bytes = binary(&[[[0.0; 3]; 3]]);
+        bytes[80..84].copy_from_slice(&u32::MAX.to_le_bytes());
+        assert!(binary_mesh(&bytes).triangles.len() == 1);
+    }
+}

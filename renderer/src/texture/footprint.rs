@@ -1,0 +1,211 @@
+//! The part of a texture that one sample of the picture shows, and the lookups that cover it.
+//!
+//! Ray differentials after Igehy, "Tracing Ray Differentials" (1999), for rays of a camera, where they are exact; several
+//! lookups along the longer axis after McCormack et al., "Feline: Fast Elliptical Lines for Anisotropic Texture Mapping"
+//! (1999).
+
+use glam::{DVec3, Vec2, Vec3};
+
+use crate::intersect::{ray::Ray, triangle};
+
+/// A parallelogram on a texture.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Footprint {
+    /// Its centre, in texture coordinates.
+    pub(crate) centre: Vec2,
+    /// Its sides.
+    pub(crate) sides: [Vec2; 2],
+}
+
+/// Squares along a footprint's longer axis that cover it.
+#[derive(Clone, Copy)]
+pub(super) struct Squares {
+    pub(super) first: Vec2,
+    pub(super) step: Vec2,
+    /// At least 1.
+    pub(super) n: u32,
+    /// In texels of the image.
+    pub(super) width: f32,
+}
+
+/// The distance of squares in units of their width: a lookup blends the texels around its point, so it reaches that far.
+const REACH: f32 = 1.5;
+
+/// Limit of [`Squares::n`]: longer footprints are blurred across.
+const MOST_SQUARES: f32 = 5.0;
+
+/// A ray of a camera, and the change of its direction across the width and the height of its sample.
+pub(crate) struct SampleRay {
+    pub(crate) eye: Vec3,
+    pub(crate) direction: Vec3,
+    pub(crate) sides: [Vec3; 2],
+}
+
+/// The point `a + β(b − a) + γ(c − a)` where rays from one origin meet the plane of a triangle.
+///
+/// By Cramer's rule β and γ are linear functions of the direction over another. In `f64`, products of coordinates of any size
+/// are finite.
+struct PlanePoint {
+    of_beta: DVec3,
+    of_gamma: DVec3,
+    of_both: DVec3,
+}
+
+impl PlanePoint {
+    #[inline(always)]
+    fn new(origin: Vec3, [a, b, c]: [[f32; 3]; 3]) -> Self {
+        let (a, b, c) = (Vec3::from(a).as_dvec3(), Vec3::from(b).as_dvec3(), Vec3::from(c).as_dvec3());
+        let (ab, ac, from_a) = (b - a, c - a, origin.as_dvec3() - a);
+        Self { of_beta: from_a.cross(ac), of_gamma: ab.cross(from_a), of_both: ab.cross(ac) }
+    }
+}
+
+/// Where a ray hits a triangle, in texture coordinates; `coordinates` are those of its corners.
+#[inline]
+pub(crate) fn texture_point(ray: &Ray, corners: &[[f32; 3]; 3], [a, b, c]: [Vec2; 3]) -> Vec2 {
+    let weights = triangle::corner_weights(ray.origin, ray.direction, corners);
+    a * weights[0] as f32 + b * weights[1] as f32 + c * weights[2] as f32
+}
+
+impl SampleRay {
+    /// The footprint on a triangle; `coordinates` are those of its corners.
+    #[inline]
+    pub(crate) fn footprint(&self, corners: [[f32; 3]; 3], [a, b, c]: [Vec2; 3]) -> Footprint {
+        let PlanePoint { of_beta, of_gamma, of_both } = PlanePoint::new(self.eye, corners);
+        let direction = self.direction.as_dvec3();
+        let scale = 1.0 / of_both.dot(direction);
+        let (beta, gamma) = (of_beta.dot(direction) * scale, of_gamma.dot(direction) * scale);
+        let on_texture = |beta: f64, gamma: f64| (b - a) * beta as f32 + (c - a) * gamma as f32;
+        // The quotient rule.
+        let change = |side: Vec3| {
+            let side = side.as_dvec3();
+            let change = of_both.dot(side);
+            on_texture((of_beta.dot(side) - beta * change) * scale, (of_gamma.dot(side) - gamma * change) * scale)
+        };
+        Footprint { centre: a + on_texture(beta, gamma), sides: [change(self.sides[0]), change(self.sides[1])] }
+    }
+}
+
+impl Footprint {
+    pub(super) const NONE: Self = Self { centre: Vec2::ZERO, sides: [Vec2::ZERO; 2] };
+
+    /// The footprint on a texture whose coordinates are this matrix times (u, v, 1).
+    #[inline(always)]
+    pub(crate) fn transformed(&self, rows: &[[f32; 3]; 2]) -> Self {
+        let [[a, b, _], [c, d, _]] = *rows;
+        let [right, up] = self.sides;
+        let [right, up] = [
+            Vec2::new(a * right.x + b * right.y, c * right.x + d * right.y),
+            Vec2::new(a * up.x + b * up.y, c * up.x + d * up.y),
+        ];
+        Self { centre: transformed(self.centre, rows), sides: [right, up] }
+    }
+
+    /// The squares for an image of `size` texels. Nothing branches, so that a loop becomes vector instructions.
+    #[inline(always)]
+    pub(super) fn squares(&self, size: Vec2) -> Squares {
+        // The axes are those of the ellipse that the sides span: the singular values and vectors of a matrix.
+        let (a, b) = (self.sides[0] * size, self.sides[1] * size);
+        let (sum, area) = (a.length_squared() + b.length_squared(), a.perp_dot(b).abs());
+        let difference = ((sum - 2.0 * area).max(0.0) * (sum + 2.0 * area)).sqrt();
+        let major_squared = (sum + difference) * 0.5;
+        let major = major_squared.sqrt();
+        // Texels are never narrower than one.
+        let minor = (area / major).max(1.0);
+        let n = ((major / (minor * REACH)).min(MOST_SQUARES) + 0.5) as i32;
+        let (n, is_one) = (n.max(1), n <= 1);
+        let part = 1.0 / n as f32;
+
+        // A single square needs no axis, and a circle has none.
+        let (xx, yy, xy) = (a.x * a.x + b.x * b.x, a.y * a.y + b.y * b.y, a.x * a.y + b.x * b.y);
+        let along = if xx > yy { Vec2::new(major_squared - yy, xy) } else { Vec2::new(xy, major_squared - xx) };
+        let scale = if is_one { 0.0 } else { major / along.length() };
+        let axis = along * scale / size;
+        let step = axis * part;
+        Squares {
+            first: self.centre - (axis - step) * 0.5,
+            step,
+            n: n as u32,
+            width: (major * part / REACH).max(minor),
+        }
+    }
+}
+
+/// The matrix of these rows times (u, v, 1).
+#[inline]
+pub(crate) fn transformed(at: Vec2, [u, v]: &[[f32; 3]; 2]) -> Vec2 {
+    Vec2::new(u[0] * at.x + u[1] * at.y + u[2], v[0] * at.x + v[1] * at.y + v[2])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Where a ray meets a triangle's plane, in texture coordinates, by distances from its edges in `f64`.
+    fn point(origin: Vec3, direction: DVec3, corners: [[f32; 3]; 3], coordinates: [Vec2; 3]) -> [f64; 2] {
+        let [a, b, c] = corners.map(|corner| Vec3::from_array(corner).as_dvec3());
+        let (origin, normal) = (origin.as_dvec3(), (b - a).cross(c - a));
+        let at = origin + direction * (normal.dot(a - origin) / normal.dot(direction));
+        let weights = [(b, c, a), (c, a, b), (a, b, c)].map(|(p, q, opposite)| {
+            let across = normal.cross(q - p);
+            across.dot(at - p) / across.dot(opposite - p)
+        });
+        let sum = |axis: usize| (0..3).map(|corner| weights[corner] * f64::from(coordinates[corner][axis])).sum();
+        [sum(0), sum(1)]
+    }
+
+    #[test]
+    fn footprints_are_the_differences_of_neighbouring_rays() {
+        let triangle = [[0.1, 0.0, -0.3], [1.0, 0.2, 0.4], [-0.2, 0.9, 0.1]];
+        let coordinates = [Vec2::new(0.2, 0.1), Vec2::new(3.0, 0.5), Vec2::new(-0.4, 2.5)];
+        for scale in [1e-15f32, 1e-3, 1.0, 1e3, 1e15] {
+            let corners = triangle.map(|corner| corner.map(|x| x * scale));
+            for (x, y) in (-4..5).flat_map(|x| (-4..5).map(move |y| (x as f32 / 5.0, y as f32 / 5.0))) {
+                let eye = Vec3::new(0.5 * x, 0.3, 4.0) * scale;
+                let ray = SampleRay {
+                    eye,
+                    direction: Vec3::new(x, y, -4.0) * scale,
+                    sides: [Vec3::new(0.1, 0.0, 0.01) * scale, Vec3::new(0.0, 0.08, -0.02) * scale],
+                };
+                let footprint = ray.footprint(corners, coordinates);
+                let at = |side: f64, of: usize| {
+                    let direction = ray.direction.as_dvec3() + ray.sides[of].as_dvec3() * side;
+                    point(eye, direction, corners, coordinates)
+                };
+                for axis in 0..2 {
+                    let (found, expected) = (f64::from(footprint.centre[axis]), at(0.0, 0)[axis]);
+                    assert!((found - expected).abs() < 1e-5, "{scale} {x} {y}: {found}, not {expected}");
+                    for side in 0..2 {
+                        let expected = (at(1e-4, side)[axis] - at(-1e-4, side)[axis]) / 2e-4;
+                        let found = f64::from(footprint.sides[side][axis]);
+                        assert!((found - expected).abs() < 1e-5, "{scale} {x} {y}: {found}, not {expected}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn squares_cover_a_footprint() {
+        let size = Vec2::new(100.0, 50.0);
+        let squares = |right: [f32; 2], up: [f32; 2]| {
+            let sides = [right, up].map(|side| Vec2::from_array(side) / size);
+            let squares = Footprint { centre: Vec2::splat(0.5), sides }.squares(size);
+            let step = (squares.step * size).length();
+            // The middle of the row is the footprint's.
+            let middle = squares.first + squares.step * (squares.n as f32 - 1.0) * 0.5;
+            assert!((middle - 0.5).length() < 1e-6, "{right:?} {up:?}");
+            (squares.n, step, squares.width)
+        };
+        assert_eq!(squares([0.1, 0.0], [0.0, 0.2]), (1, 0.0, 1.0), "magnified");
+        assert_eq!(squares([3.0, 0.0], [0.0, 3.0]), (1, 0.0, 3.0), "as wide as high");
+        let (n, step, width) = squares([6.0, 6.0], [1.0, -1.0]);
+        assert!(n == 4 && (step * 4.0 - 72.0f32.sqrt()).abs() < 1e-4 && (width - 2.0f32.sqrt()).abs() < 0.01);
+        let (n, _, width) = squares([1000.0, 0.0], [0.0, 1.0]);
+        assert!(n == 5 && (width * 5.0 * REACH - 1000.0).abs() < 0.1, "blurred across");
+        for odd in [f32::NAN, f32::INFINITY, f32::MAX, 1e-38] {
+            let squares = Footprint { centre: Vec2::splat(odd), sides: [Vec2::splat(odd); 2] }.squares(size);
+            assert!((1..=5).contains(&squares.n), "{odd}");
+        }
+    }
+}

@@ -1,0 +1,293 @@
+//! The materials of a traced mesh.
+
+use glam::{Vec2, Vec3A};
+
+use crate::{
+    model::material::{Material, Materials, TextureUse, Wrap},
+    simd::InstructionSet,
+    texture::{
+        footprint::{self, Footprint},
+        level,
+        lookup::Means,
+        mask::Mask,
+        mip_map::{Encoding, MipMap},
+    },
+};
+
+/// The materials of a mesh's triangles, with their textures.
+#[derive(Debug, Default)]
+pub(crate) struct TracedMaterials {
+    materials: Vec<TracedMaterial>,
+    /// The material of each triangle; empty if all have the first.
+    of_triangles: Vec<u16>,
+    maps: Vec<MipMap>,
+    /// Coverage, for materials that are not everywhere.
+    masks: Vec<Mask>,
+    /// Whether some surfaces are not everywhere.
+    has_masks: bool,
+}
+
+#[derive(Debug)]
+struct TracedMaterial {
+    base_color: Vec3A,
+    base_color_texture: Option<Texture>,
+    /// Of roughness and metallic.
+    gloss: [f32; 2],
+    gloss_texture: Option<Texture>,
+    emissive: Vec3A,
+    emissive_texture: Option<Texture>,
+    gaps: Option<Gaps>,
+}
+
+/// A use of one of [`TracedMaterials::maps`] or [`TracedMaterials::masks`].
+#[derive(Debug)]
+struct Texture {
+    index: usize,
+    wrap: [Wrap; 2],
+    transform: [[f32; 3]; 2],
+}
+
+#[derive(Debug)]
+struct Gaps {
+    /// Without one, coverage is 1 everywhere.
+    texture: Option<Texture>,
+    /// Where the texture is below this, the surface is not there.
+    cutoff: f32,
+}
+
+/// A material at one point of a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PointMaterial {
+    /// Linear, without the vertices' colours.
+    pub base_color: Vec3A,
+    /// Roughness and metallic, each from 0 to 1; `None` for a surface that only scatters light.
+    pub gloss: Option<[f32; 2]>,
+    /// Linear light that the surface gives off.
+    pub emissive: Vec3A,
+}
+
+/// The part of an image that a material needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Part {
+    Colors,
+    Numbers,
+    Coverage,
+}
+
+impl TracedMaterials {
+    /// Bytes of the materials of a mesh in memory.
+    pub(crate) fn n_bytes_of(materials: &Materials) -> u64 {
+        let parts: u64 = parts(materials).into_iter().map(|part| n_bytes_of_part(materials, part)).sum();
+        parts + (size_of_val(&*materials.of_triangles) + materials.materials.len() * size_of::<TracedMaterial>()) as u64
+    }
+
+    /// Most bytes of the images of a mesh and their parts while [`TracedMaterials::new`] drops the ones and makes the others.
+    pub(crate) fn peak_bytes(materials: &Materials) -> u64 {
+        let parts = parts(materials);
+        let of_image = |image| {
+            let of_image = parts.iter().filter(|part| part.0 == image);
+            of_image.map(|&part| n_bytes_of_part(materials, part)).sum::<u64>()
+        };
+        let largest = (0..materials.images.len() as u32).map(of_image).max().unwrap_or(0);
+        (materials.n_bytes() as u64).max(Self::n_bytes_of(materials)) + largest
+    }
+
+    /// Prepares materials for triangles that have these numbers in the file, on the current rayon pool.
+    pub(crate) fn new(materials: Materials, file_indices: &[u32]) -> Self {
+        let parts = parts(&materials);
+        let Materials { materials, images, of_triangles } = materials;
+        let (mut maps, mut masks) = (Vec::new(), Vec::new());
+        for (image, number) in images.into_iter().zip(0..) {
+            for &(_, part) in parts.iter().filter(|part| part.0 == number) {
+                match part {
+                    Part::Colors => maps.push(MipMap::new(&image, Encoding::Srgb)),
+                    Part::Numbers => maps.push(MipMap::new(&image, Encoding::Linear)),
+                    Part::Coverage => masks.push(Mask::new(&image)),
+                }
+            }
+        }
+        let texture = |texture: Option<TextureUse>, part: Part| {
+            let TextureUse { image, wrap, transform } = texture?;
+            let mut same_kind =
+                parts.iter().filter(|(_, other)| (*other == Part::Coverage) == (part == Part::Coverage));
+            Some(Texture { index: same_kind.position(|other| *other == (image, part))?, wrap, transform })
+        };
+        let traced = |material: &Material| {
+            let [red, green, blue, coverage] = material.base_color;
+            TracedMaterial {
+                base_color: Vec3A::new(red, green, blue),
+                base_color_texture: texture(material.base_color_texture, Part::Colors),
+                gloss: [material.roughness, material.metallic],
+                gloss_texture: texture(material.metallic_roughness_texture, Part::Numbers),
+                emissive: Vec3A::from_array(material.emissive),
+                emissive_texture: texture(material.emissive_texture, Part::Colors),
+                gaps: material.alpha_cutoff.map(|cutoff| Gaps {
+                    texture: texture(material.base_color_texture, Part::Coverage),
+                    cutoff: cutoff / coverage,
+                }),
+            }
+        };
+        let in_order = file_indices.iter().filter_map(|&file_index| of_triangles.get(file_index as usize).copied());
+        let of_triangles = in_order.collect();
+        let has_masks = materials.iter().any(|material| material.alpha_cutoff.is_some());
+        Self { materials: materials.iter().map(traced).collect(), of_triangles, maps, masks, has_masks }
+    }
+
+    /// Bytes in memory.
+    pub(crate) fn n_bytes(&self) -> usize {
+        self.maps.iter().map(MipMap::n_bytes).sum::<usize>()
+            + self.masks.iter().map(Mask::n_bytes).sum::<usize>()
+            + size_of_val(&*self.materials)
+            + size_of_val(&*self.of_triangles)
+    }
+
+    /// Whether surfaces have materials.
+    pub(crate) fn has_materials(&self) -> bool {
+        !self.materials.is_empty()
+    }
+
+    /// Whether there are textures, so that triangles need texture coordinates.
+    pub(crate) fn has_textures(&self) -> bool {
+        !self.maps.is_empty()
+    }
+
+    /// Whether some surfaces are not everywhere.
+    pub(crate) fn has_masks(&self) -> bool {
+        self.has_masks
+    }
+
+    /// The materials of triangles where up to 64 samples show them; `None` for samples without a triangle, and in meshes without
+    /// materials. `footprint` gives that of a sample, if its triangle has texture coordinates.
+    pub(crate) fn at(
+        &self,
+        instructions: InstructionSet,
+        triangles: impl Iterator<Item = Option<u32>>,
+        footprint: impl Fn(usize) -> Option<Footprint>,
+    ) -> [Option<PointMaterial>; 64] {
+        let mut points = [None; 64];
+        let mut indices = [usize::MAX; 64];
+        let mut textured = 0u64;
+        for (sample, triangle_idx) in triangles.enumerate().take(64) {
+            let index = triangle_idx.map_or(usize::MAX, |triangle_idx| self.index_of_triangle(triangle_idx));
+            let Some(material) = self.materials.get(index) else { continue };
+            points[sample] = Some(material.without_textures());
+            indices[sample] = index;
+            textured |= u64::from(material.has_textures()) << sample;
+        }
+
+        // Look up the textures of one material after the other.
+        while textured != 0 {
+            let index = indices[textured.trailing_zeros() as usize];
+            let (mut samples, mut footprints, mut n) = ([0; 64], [Footprint::NONE; 64], 0);
+            for (sample, &other) in indices.iter().enumerate() {
+                if other == index {
+                    textured &= !(1 << sample);
+                    if let Some(footprint) = footprint(sample) {
+                        (samples[n], footprints[n]) = (sample, footprint);
+                        n += 1;
+                    }
+                }
+            }
+            self.multiply(instructions, &self.materials[index], &footprints[..n], &samples, &mut points);
+        }
+        points
+    }
+
+    /// Multiplies materials by their textures.
+    fn multiply(
+        &self,
+        instructions: InstructionSet,
+        material: &TracedMaterial,
+        footprints: &[Footprint],
+        samples: &[usize; 64],
+        points: &mut [Option<PointMaterial>; 64],
+    ) {
+        let mut means = [Vec3A::ZERO; 64];
+        let mut transformed = [Footprint::NONE; 64];
+        let n = footprints.len();
+        for (kind, texture) in material.textures().into_iter().enumerate() {
+            let Some(Texture { index, wrap, transform }) = texture else { continue };
+            for (transformed, footprint) in transformed.iter_mut().zip(footprints) {
+                *transformed = footprint.transformed(transform);
+            }
+            let map = &self.maps[*index];
+            let lookups = Means { map, wrap: *wrap, footprints: &transformed[..n], means: &mut means[..n] };
+            // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
+            unsafe { instructions.call(lookups) };
+            for (mean, &sample) in means[..n].iter().zip(samples) {
+                let Some(point) = &mut points[sample] else { continue };
+                match (kind, &mut point.gloss) {
+                    (0, _) => point.base_color *= *mean,
+                    (1, Some([roughness, metallic])) => {
+                        *roughness *= mean.y;
+                        *metallic *= mean.z;
+                    }
+                    (1, None) => {}
+                    _ => point.emissive *= *mean,
+                }
+            }
+        }
+    }
+
+    /// Whether a triangle's surface is missing at a point; `coordinates` is called if its material has a mask with a texture.
+    #[inline]
+    pub(crate) fn is_cut(&self, triangle_idx: u32, coordinates: impl FnOnce() -> Option<Vec2>) -> bool {
+        let Some(Gaps { texture, cutoff }) =
+            self.materials.get(self.index_of_triangle(triangle_idx)).and_then(|material| material.gaps.as_ref())
+        else {
+            return false;
+        };
+        let coverage = texture.as_ref().and_then(|texture| {
+            let at = footprint::transformed(coordinates()?, &texture.transform).to_array();
+            Some(self.masks[texture.index].at(at, texture.wrap))
+        });
+        coverage.unwrap_or(1.0) < *cutoff
+    }
+
+    #[inline]
+    fn index_of_triangle(&self, triangle_idx: u32) -> usize {
+        self.of_triangles.get(triangle_idx as usize).map_or(0, |&index| usize::from(index))
+    }
+}
+
+impl TracedMaterial {
+    fn textures(&self) -> [Option<&Texture>; 3] {
+        [self.base_color_texture.as_ref(), self.gloss_texture.as_ref(), self.emissive_texture.as_ref()]
+    }
+
+    fn has_textures(&self) -> bool {
+        self.textures().iter().any(Option::is_some)
+    }
+
+    fn without_textures(&self) -> PointMaterial {
+        let [roughness, metallic] = self.gloss;
+        let is_glossy = roughness < 1.0 || metallic > 0.0 || self.gloss_texture.is_some();
+        PointMaterial { base_color: self.base_color, gloss: is_glossy.then_some(self.gloss), emissive: self.emissive }
+    }
+}
+
+/// The parts of the images that materials use, in the order of images.
+fn parts(Materials { materials, images, .. }: &Materials) -> Vec<(u32, Part)> {
+    let of_material = |material: &Material| {
+        [
+            (material.base_color_texture, Part::Colors),
+            (material.emissive_texture, Part::Colors),
+            (material.metallic_roughness_texture, Part::Numbers),
+            (material.base_color_texture.filter(|_| material.alpha_cutoff.is_some()), Part::Coverage),
+        ]
+    };
+    let used = materials.iter().flat_map(of_material).filter_map(|(texture, part)| Some((texture?.image, part)));
+    let exists = |(image, _): &(u32, Part)| images.get(*image as usize).is_some_and(level::is_indexable);
+    let mut parts: Vec<_> = used.filter(exists).collect();
+    parts.sort_unstable();
+    parts.dedup();
+    parts
+}
+
+fn n_bytes_of_part(materials: &Materials, (image, part): (u32, Part)) -> u64 {
+    let image = &materials.images[image as usize];
+    match part {
+        Part::Colors | Part::Numbers => MipMap::n_bytes_of(image),
+        Part::Coverage => Mask::n_bytes_of(image),
+    }
+}

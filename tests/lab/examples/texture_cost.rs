@@ -1,0 +1,96 @@
+//! Measures the cost of textures: CPU time of a frame of a model with an image wrapped around it, and of the same model
+//! without, in turns.
+//!
+//!     cargo run --release -p lab --example texture_cost -- --model bunny.ply --frames 200
+
+use std::{f32::consts::PI, path::PathBuf};
+
+use clap::Parser;
+use glam::Vec3;
+use lab::statistics::{median, milliseconds};
+use renderer::{
+    cli::picture_args::PictureArgs,
+    model::{
+        material::{Image, Material, Materials, TextureUse, Wrap},
+        mesh::Mesh,
+        scene::LoadedMesh,
+    },
+    render::{image, scene::Scene},
+};
+
+/// The frame, the measurement, and the picture to write.
+#[derive(Parser)]
+struct Args {
+    #[command(flatten)]
+    picture: PictureArgs,
+
+    /// Frames of each kind; their median counts
+    #[arg(long, default_value_t = 100)]
+    frames: u32,
+
+    /// Texels in a row of the image; a column has half of them
+    #[arg(long, default_value_t = 4096)]
+    width: u32,
+
+    /// Write the picture with the texture as PNG
+    #[arg(long)]
+    image: Option<PathBuf>,
+}
+
+fn main() -> anyhow::Result<()> {
+    let args = Args::parse();
+    args.picture.pool()?.install(|| run(&args))
+}
+
+fn run(args: &Args) -> anyhow::Result<()> {
+    let camera = args.picture.read_camera()?;
+    let LoadedMesh { id, mesh } = args.picture.model.load()?;
+    let spec = args.picture.spec(id, camera.unwrap_or_else(|| args.picture.view_all(&mesh)));
+    let scenes = [args.picture.build(mesh.clone()), args.picture.build(textured(mesh, args.width))];
+    let mut times = [const { Vec::new() }; 2];
+    for frame in 0..2 * args.frames {
+        let kind = frame as usize % 2;
+        times[kind].push(milliseconds(scenes[kind].render_frame(&spec).1));
+    }
+    if let Some(path) = &args.image {
+        image::write_png(path, spec.size, &scenes[1].render_frame(&spec).0)?;
+    }
+    let [flat, textured] = times.map(median);
+    let [flat_bytes, textured_bytes] = scenes.each_ref().map(Scene::n_bytes);
+    println!("CPU time of a frame: {flat:.2} ms flat, {textured:.2} ms textured, {:.3} times", textured / flat);
+    println!("memory: {:.1} MB flat, {:.1} MB textured", flat_bytes as f64 / 1e6, textured_bytes as f64 / 1e6);
+    Ok(())
+}
+
+/// A mesh with an image around its centre, as a globe has its map.
+fn textured(mesh: Mesh, width: u32) -> Mesh {
+    let [min, max] = mesh.bounds().corners().map(|corner| corner.as_vec3());
+    let coordinates = |&vertex: &[f32; 3]| {
+        let Vec3 { x, y, z } = (Vec3::from_array(vertex) - (min + max) * 0.5).normalize_or_zero();
+        [0.5 + x.atan2(z) / (2.0 * PI), y.acos() / PI]
+    };
+    let texture =
+        TextureUse { image: 0, wrap: [Wrap::Repeat, Wrap::Clamp], transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]] };
+    Mesh {
+        texture_coordinates: mesh.vertices.iter().map(coordinates).collect(),
+        materials: Materials {
+            materials: vec![Material { base_color_texture: Some(texture), ..Material::default() }],
+            images: vec![map(width)],
+            ..Materials::default()
+        },
+        ..mesh
+    }
+}
+
+/// A globe's map of squares with noise.
+fn map(width: u32) -> Image {
+    let height = width / 2;
+    let texel = |x: u32, y: u32| {
+        let noise = x.wrapping_mul(0x9e37_79b9) ^ y.wrapping_mul(0x85eb_ca6b);
+        let noise = (noise ^ noise >> 15).wrapping_mul(0x2c1b_3c6d).to_be_bytes()[0] / 4;
+        let is_dark = (x * 64 / width + y * 32 / height) % 2 == 0;
+        let [red, green, blue] = if is_dark { [40, 60, 120] } else { [180, 150, 110] };
+        [red + noise, green + noise, blue + noise, 255]
+    };
+    Image { width, height, texels: (0..height).flat_map(|y| (0..width).map(move |x| texel(x, y))).collect() }
+}
