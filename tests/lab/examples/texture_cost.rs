@@ -6,7 +6,7 @@
 use std::{f32::consts::PI, path::PathBuf};
 
 use clap::Parser;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use lab::statistics::{median, milliseconds};
 use renderer::{
     cli::picture_args::PictureArgs,
@@ -64,7 +64,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
 
 /// A mesh with an image around its centre, as a globe has its map.
 fn textured(mesh: Mesh, width: u32) -> Mesh {
-    let [min, max] = mesh.bounds().corners().map(|corner| corner.as_vec3());
+    let [min, max] = mesh.bounds().corners().map(DVec3::as_vec3);
     let coordinates = |&vertex: &[f32; 3]| {
         let Vec3 { x, y, z } = (Vec3::from_array(vertex) - (min + max) * 0.5).normalize_or_zero();
         [0.5 + x.atan2(z) / (2.0 * PI), y.acos() / PI]
@@ -88,7 +88,7 @@ fn map(width: u32) -> Image {
     let texel = |x: u32, y: u32| {
         let noise = x.wrapping_mul(0x9e37_79b9) ^ y.wrapping_mul(0x85eb_ca6b);
         let noise = (noise ^ noise >> 15).wrapping_mul(0x2c1b_3c6d).to_be_bytes()[0] / 4;
-        let is_dark = (x * 64 / width + y * 32 / height) % 2 == 0;
+        let is_dark = (x * 64 / width + y * 32 / height).is_multiple_of(2);
         let [red, green, blue] = if is_dark { [40, 60, 120] } else { [180, 150, 110] };
         [red + noise, green + noise, blue + noise, 255]
     };
