@@ -23,7 +23,7 @@ const SMALL_IMAGE: u64 = 1 << 20;
 const LONGEST_FILE: u64 = 1 << 31;
 
 /// An encoded image, and the channel that other images give it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct ImageSource {
     /// The name of its file; of an image within the model's file, what errors call it.
     pub name: String,

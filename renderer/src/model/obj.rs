@@ -8,7 +8,10 @@ mod piece;
 #[cfg(test)]
 mod tests;
 
-use std::io::{self, BufRead, Read};
+use std::{
+    collections::{HashMap, HashSet},
+    io::{self, BufRead, Read},
+};
 
 use rayon::prelude::*;
 
@@ -40,6 +43,8 @@ pub enum Problem {
 const PIECE_BYTES: usize = 1 << 19;
 /// The longest file of materials; real ones have some KB.
 const LONGEST_LIBRARY: u64 = 1 << 26;
+/// The most rows that name such files; real models have one.
+const MOST_LIBRARIES: usize = 100;
 /// Words that begin a line of an OBJ and of hardly any other file.
 const WORDS: [&[u8]; 15] =
     [b"v", b"vt", b"vn", b"vp", b"f", b"l", b"p", b"o", b"g", b"s", b"mtllib", b"usemtl", b"cstype", b"deg", b"fo"];
@@ -63,9 +68,10 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64, companions: &Companions
     let batch_bytes = (PIECE_BYTES * 4 * rayon::current_num_threads()).min(n_bytes as usize + 1);
     let (mut text, mut n_lines, mut at_end) = (Vec::new(), 0, false);
     while !at_end {
+        let n_before = text.len();
         let n_read = reader.by_ref().take(batch_bytes as u64).read_to_end(&mut text)?;
         at_end = n_read < batch_bytes;
-        let end = if at_end { Some(text.len()) } else { end_of_lines(&text, 0, text.len()) };
+        let end = if at_end { Some(text.len()) } else { end_of_lines(&text, n_before, text.len()) };
         // One line may be longer than a batch.
         let Some(end) = end else { continue };
         let texts = cut(&text[..end]);
@@ -81,7 +87,7 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64, companions: &Companions
 
 /// The last place after `from` and at most at `to` where a line ends that does not go on.
 fn end_of_lines(text: &[u8], from: usize, to: usize) -> Option<usize> {
-    let is_end = |&at: &usize| text[at] == b'\n' && !piece::goes_on(&text[from..at]);
+    let is_end = |&at: &usize| text[at] == b'\n' && !piece::goes_on(&text[..at]);
     (from..to).rev().find(is_end).map(|at| at + 1)
 }
 
@@ -119,8 +125,9 @@ struct Model {
     /// Rows of the corners of each triangle, [`u32::MAX`] for none; shorter if the last triangles have none.
     texture_corners: Vec<[u32; 3]>,
     normal_corners: Vec<[u32; 3]>,
-    /// Names of materials in the order of their first use.
+    /// Names of materials in the order of their first use, and their places in it.
     names: Vec<String>,
+    places: HashMap<String, usize>,
     /// For each triangle 0, or the index of its name plus 1; shorter if the current one goes on.
     of_triangles: Vec<u16>,
     current: u16,
@@ -181,8 +188,8 @@ impl Model {
 
     fn use_material(&mut self, name: String) {
         self.of_triangles.resize(self.builder.n_triangles(), self.current);
-        let place = self.names.iter().position(|known| *known == name).unwrap_or_else(|| {
-            self.names.push(name);
+        let place = *self.places.entry(name).or_insert_with_key(|name| {
+            self.names.push(name.clone());
             self.names.len() - 1
         });
         // More materials than can be numbered share the look of none.
@@ -221,19 +228,18 @@ impl Model {
 /// Reads files of materials. A row names one file, or several; their names may have spaces.
 fn read_libraries(rows: &[String], companions: &Companions, remarks: &mut Vec<String>) -> Library {
     let mut library = Library::default();
-    let mut seen = Vec::new();
-    for row in rows {
+    let mut seen = HashSet::new();
+    for row in rows.iter().take(MOST_LIBRARIES) {
         let words = || row.split_whitespace().map(str::to_owned).collect();
         let names: Vec<String> = if companions.find(row).is_some() { vec![row.clone()] } else { words() };
         for name in names {
-            if seen.contains(&name) {
+            if !seen.insert(name.clone()) {
                 continue;
             }
             match companions.read(&name, LONGEST_LIBRARY) {
                 Ok(bytes) => library.read(&bytes),
                 Err(fault) => remarks.push(format!("its materials are left out: {fault}")),
             }
-            seen.push(name);
         }
     }
     library
@@ -241,7 +247,7 @@ fn read_libraries(rows: &[String], companions: &Companions, remarks: &mut Vec<St
 
 /// Gives triangles the materials of a library. `of_triangles` holds 0 for no material, or an index into `names` plus 1.
 fn assign_materials(draft: &mut Draft, library: Library, names: &[String], of_triangles: Vec<u16>) {
-    let Library { materials, images, remarks } = library;
+    let Library { materials, images, remarks, .. } = library;
     draft.remarks.extend(remarks);
     if materials.is_empty() {
         return;
@@ -254,8 +260,10 @@ fn assign_materials(draft: &mut Draft, library: Library, names: &[String], of_tr
         return;
     }
     let mut n_missing = 0;
+    // The first of equal names counts.
+    let known: HashMap<_, _> = materials.iter().rev().map(|material| (material.name.as_str(), material)).collect();
     let mut of_name = |name: &String| {
-        let found = materials.iter().find(|material| material.name == *name);
+        let found = known.get(name.as_str()).copied();
         n_missing += usize::from(found.is_none());
         found.cloned().unwrap_or_else(|| Material { name: name.clone(), ..Material::default() })
     };

@@ -1,6 +1,6 @@
 //! The bytes of a glTF: buffers and views of them.
 
-use std::borrow::Cow;
+use std::{borrow::Cow, collections::HashSet};
 
 use rayon::prelude::*;
 
@@ -24,16 +24,12 @@ impl<'a> Buffers<'a> {
     /// Reads buffers. `binary` is the one in a GLB.
     pub(super) fn read(document: &Document<'_>, binary: &'a [u8], companions: &Companions) -> Self {
         let mut read = Vec::<Result<Cow<'a, [u8]>, String>>::new();
+        let mut seen = HashSet::new();
         for (index, buffer) in document.buffers.iter().enumerate() {
             let bytes = match buffer.uri.as_deref() {
-                // The same file may be named again and again.
-                Some(uri) => {
-                    let before = document.buffers[..index].iter().position(|other| other.uri.as_deref() == Some(uri));
-                    match before {
-                        Some(_) => Err("names the same buffer twice: export it again".to_owned()),
-                        None => bytes_of(uri, companions).map(Cow::Owned),
-                    }
-                }
+                // A few bytes of JSON must not read a file again and again.
+                Some(uri) if !seen.insert(uri) => Err("the same buffer comes twice: export the model again".to_owned()),
+                Some(uri) => bytes_of(uri, companions).map(Cow::Owned),
                 None if index == 0 && !binary.is_empty() => Ok(Cow::Borrowed(binary)),
                 // A buffer of compressed views may exist on paper only.
                 None => Err(format!("buffer {index} ({} bytes) is nowhere", buffer.byte_length)),

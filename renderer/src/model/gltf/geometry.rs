@@ -33,7 +33,9 @@ pub(super) struct Geometry<'a> {
     look: Look<'a>,
     /// For each triangle 0, or the number of its material plus 1.
     of_triangles: Vec<u16>,
-    /// Decompressed primitives of meshes, which may come again.
+    /// How many nodes have each mesh.
+    n_uses: HashMap<usize, usize>,
+    /// Decompressed primitives of meshes that come again.
     decompressed: HashMap<(usize, usize), Result<draco::Geometry, String>>,
     /// Why something was left out, and how often.
     faults: BTreeMap<String, usize>,
@@ -55,12 +57,17 @@ struct Attributes<'a> {
 impl<'a> Geometry<'a> {
     pub(super) fn new(document: &'a Document<'a>, buffers: &'a Buffers<'a>, n_json_bytes: usize) -> Self {
         let n_bytes = (buffers.n_bytes + n_json_bytes) as u64;
+        let mut n_uses = HashMap::new();
+        for mesh in document.nodes.iter().filter_map(|node| node.mesh) {
+            *n_uses.entry(mesh).or_default() += 1;
+        }
         Self {
             document,
             buffers,
             builder: MeshBuilder::default(),
             look: Look::new(document, buffers),
             of_triangles: Vec::new(),
+            n_uses,
             decompressed: HashMap::new(),
             faults: BTreeMap::new(),
             n_elements: 0,
@@ -93,7 +100,7 @@ impl<'a> Geometry<'a> {
                 Some(Ok(draco)) => self.add_primitive(primitive, Some(draco), instance),
                 _ => self.add_primitive(primitive, None, instance),
             };
-            if let Some(draco) = draco {
+            if let Some(draco) = draco.filter(|_| self.n_uses.get(&instance.mesh).is_some_and(|&n| n > 1)) {
                 self.decompressed.insert((instance.mesh, index), draco);
             }
             if let Err(fault) = added? {

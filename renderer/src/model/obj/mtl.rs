@@ -1,5 +1,7 @@
 //! Files of materials (MTL).
 
+use std::collections::HashMap;
+
 use crate::model::{
     images::ImageSource,
     material::{Material, TextureUse, Wrap},
@@ -15,6 +17,8 @@ pub struct Library {
     pub images: Vec<ImageSource>,
     /// What was left out.
     pub remarks: Vec<String>,
+    /// The place of each image.
+    places: HashMap<ImageSource, u32>,
 }
 
 /// Programs write it for a texture that decides where a surface is.
@@ -103,14 +107,14 @@ impl Library {
             return None;
         }
         let source = ImageSource { coverage, ..ImageSource::file(&map.name) };
-        let image = self.images.iter().position(|known| *known == source).unwrap_or_else(|| {
-            self.images.push(source);
-            self.images.len() - 1
+        let image = *self.places.entry(source).or_insert_with_key(|source| {
+            self.images.push(source.clone());
+            self.images.len() as u32 - 1
         });
         // MTL counts v from the lower edge: 1 − v′ = scale (1 − v) + offset.
         let ([su, sv], [ou, ov]) = (map.scale, map.offset);
         let transform = [[su, 0.0, ou], [0.0, sv, 1.0 - sv - ov]];
-        Some(TextureUse { image: image as u32, wrap: [map.wrap; 2], transform })
+        Some(TextureUse { image, wrap: [map.wrap; 2], transform })
     }
 }
 
