@@ -1,9 +1,11 @@
 //! Triangle meshes, read from files or generated.
 //!
-//! [`mesh`] is the type, with [`normal`]s and [`material`]s; [`shape`] finds its outline, and [`solid`] says whether it is
-//! closed; [`smooth`] gives it normals. [`file`] tells formats apart: [`ply`], [`obj`], [`stl`] and [`gltf`] read theirs, with `assembly`, `decimal` and
-//! `wedges` in common, `companions` finds the files that a model names, and [`images`] decodes its images. [`statue`] generates
-//! a mesh, [`scene`] loads and identifies meshes.
+//! [`mesh`] is the type, with [`normal`]s and [`material`]s; [`shape`] finds its outline, [`solid`] says whether it is
+//! closed, and [`smooth`] gives it normals.
+//!
+//! [`mod@file`] tells formats apart: [`ply`], [`obj`], [`stl`] and [`gltf`] read theirs, with `assembly`, `decimal` and
+//! `wedges` in common; `companions` finds the files that a model names, and [`images`] decodes its images.
+//! [`statue`] generates a mesh; [`scene`] loads and identifies meshes.
 
 mod assembly;
 pub mod companions;
