@@ -186,7 +186,7 @@ pub fn gltf(data: &[u8]) {
     gltf::read_binary(data, n_bytes, &Companions::default()).into_iter().for_each(check_model);
 }
 
-/// What a reader accepts is a sound mesh, also with its images.
+/// A reader accepts only sound meshes, also with their images.
 fn check_model(draft: Draft) {
     let Reading { mesh, remarks } = images::decode(draft, &Companions::default());
     let is_sound = |triangle: &[u32; 3]| triangle.iter().all(|&index| (index as usize) < mesh.vertices.len());

@@ -1,5 +1,7 @@
 //! Assembles a mesh from rows in any order, and finally rejects triangles that cannot be traced.
 
+use std::io;
+
 use glam::{DVec3, Vec3};
 
 use crate::{memory, model::mesh::Mesh};
@@ -15,9 +17,20 @@ pub enum AssemblyError {
     OutOfMemory {
         /// The kind of items.
         what: &'static str,
-        /// What they need.
+        /// The memory that they need.
         n_bytes: usize,
     },
+}
+
+/// A fault of an OBJ or STL file, and its place: lines count from 1.
+#[derive(Debug, thiserror::Error)]
+pub enum TextProblem {
+    #[error("cannot be read: {0}")]
+    Io(#[from] io::Error),
+    #[error("line {line}: {what}")]
+    Line { line: usize, what: String },
+    #[error(transparent)]
+    Assembly(#[from] AssemblyError),
 }
 
 /// A mesh whose indices are not checked yet.

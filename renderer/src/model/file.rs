@@ -9,6 +9,7 @@ use std::{
 use channel::files::{self, ReadError};
 
 use crate::model::{
+    assembly::TextProblem,
     companions::Companions,
     gltf,
     images::{self, ImageSource},
@@ -35,7 +36,7 @@ pub struct Draft {
     pub mesh: Mesh,
     /// Where the images are.
     pub images: Vec<ImageSource>,
-    /// What was left out, and why.
+    /// Remarks on parts that were left out, and why.
     pub remarks: Vec<String>,
 }
 
@@ -65,9 +66,7 @@ pub enum Problem {
     #[error(transparent)]
     Ply(#[from] ply::Problem),
     #[error(transparent)]
-    Stl(#[from] stl::Problem),
-    #[error(transparent)]
-    Obj(#[from] obj::Problem),
+    Text(#[from] TextProblem),
     #[error(transparent)]
     Gltf(#[from] gltf::Problem),
 }

@@ -10,14 +10,14 @@ mod tests;
 
 use std::{
     collections::{HashMap, HashSet},
-    io::{self, BufRead, Read},
+    io::{BufRead, Read},
 };
 
 use rayon::prelude::*;
 
 use self::piece::{Fault, Piece};
 use crate::model::{
-    assembly::{AssemblyError, MeshBuilder},
+    assembly::{AssemblyError, MeshBuilder, TextProblem},
     companions::Companions,
     file::Draft,
     material::Material,
@@ -26,18 +26,6 @@ use crate::model::{
 };
 
 pub use self::mtl::Library;
-
-/// A fault of an OBJ file, and its place: lines count from 1.
-#[derive(Debug, thiserror::Error)]
-#[expect(missing_docs, reason = "the messages say it")]
-pub enum Problem {
-    #[error("cannot be read: {0}")]
-    Io(#[from] io::Error),
-    #[error("line {line}: {what}")]
-    Line { line: usize, what: String },
-    #[error(transparent)]
-    Assembly(#[from] AssemblyError),
-}
 
 /// Bytes of a piece: large beside a line, small beside a core's cache.
 const PIECE_BYTES: usize = 1 << 19;
@@ -63,7 +51,7 @@ pub(super) fn is_telling(line: &[u8]) -> bool {
 ///
 /// # Errors
 /// It cannot be read, a row of it is no numbers, or it has too many vertices or triangles.
-pub fn read_from(mut reader: impl BufRead, n_bytes: u64, companions: &Companions) -> Result<Draft, Problem> {
+pub fn read_from(mut reader: impl BufRead, n_bytes: u64, companions: &Companions) -> Result<Draft, TextProblem> {
     let mut model = Model::default();
     let batch_bytes = (PIECE_BYTES * 4 * rayon::current_num_threads()).min(n_bytes as usize + 1);
     let (mut text, mut n_lines, mut at_end) = (Vec::new(), 0, false);
@@ -77,7 +65,7 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64, companions: &Companions
         let texts = cut(&text[..end]);
         let parsed: Vec<_> = texts.par_iter().map(|text| (Piece::parse(text), count_lines(text))).collect();
         for (piece, n_more) in parsed {
-            model.add(piece.map_err(|Fault { line, what }| Problem::Line { line: n_lines + line + 1, what })?)?;
+            model.add(piece.map_err(|Fault { line, what }| TextProblem::Line { line: n_lines + line + 1, what })?)?;
             n_lines += n_more;
         }
         text.drain(..end);
@@ -196,7 +184,7 @@ impl Model {
         self.current = u16::try_from(place + 1).unwrap_or(0);
     }
 
-    fn finish(mut self, companions: &Companions) -> Result<Draft, Problem> {
+    fn finish(mut self, companions: &Companions) -> Result<Draft, TextProblem> {
         self.of_triangles.resize(self.builder.n_triangles(), self.current);
         let mut mesh = self.builder.finish();
         if !(self.texture_corners.is_empty() && self.normal_corners.is_empty()) {

@@ -1,26 +1,14 @@
 //! Reads STL files, text or binary. Their triangles share no corners: equal positions become one vertex.
 
-use std::io::{self, BufRead, Read};
+use std::io::{BufRead, Read};
 
 use glam::DVec3;
 
 use crate::model::{
-    assembly::{AssemblyError, MeshBuilder},
+    assembly::{AssemblyError, MeshBuilder, TextProblem},
     decimal::Decimal,
     file::Draft,
 };
-
-/// A fault of an STL file, and its place: lines count from 1.
-#[derive(Debug, thiserror::Error)]
-#[expect(missing_docs, reason = "the messages say it")]
-pub enum Problem {
-    #[error("cannot be read: {0}")]
-    Io(#[from] io::Error),
-    #[error("line {line}: {what}")]
-    Line { line: usize, what: String },
-    #[error(transparent)]
-    Assembly(#[from] AssemblyError),
-}
 
 /// Bytes before the triangles of a binary file: a title and their number.
 const HEADER_BYTES: usize = 84;
@@ -41,7 +29,7 @@ pub(super) fn binary_bytes(start: &[u8]) -> Option<u64> {
 ///
 /// # Errors
 /// It cannot be read, or has too many triangles.
-pub fn read_binary(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Problem> {
+pub fn read_binary(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, TextProblem> {
     let mut header = [0; HEADER_BYTES];
     reader.read_exact(&mut header)?;
     let declared = binary_bytes(&header).unwrap_or(0).min(n_bytes);
@@ -71,7 +59,7 @@ pub fn read_binary(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Prob
 ///
 /// # Errors
 /// A corner is not three numbers, or there are too many triangles.
-pub fn read_text(mut reader: impl BufRead) -> Result<Draft, Problem> {
+pub fn read_text(mut reader: impl BufRead) -> Result<Draft, TextProblem> {
     let mut corners = Welder::default();
     let (mut line, mut number) = (Vec::new(), 0);
     loop {
@@ -80,7 +68,7 @@ pub fn read_text(mut reader: impl BufRead) -> Result<Draft, Problem> {
             return Ok(corners.finish());
         }
         number += 1;
-        let problem = |what: String| Problem::Line { line: number, what };
+        let problem = |what: String| TextProblem::Line { line: number, what };
         let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty()).peekable();
         while let Some(word) = words.next() {
             if word.eq_ignore_ascii_case(b"vertex") {

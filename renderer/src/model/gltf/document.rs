@@ -12,7 +12,7 @@ use crate::model::gltf::meshopt;
 /// The most nodes, accessors, materials and so on, of each kind: a few bytes of JSON must not take a hundred of memory.
 const MOST_ITEMS: usize = 1 << 20;
 
-/// What every version has.
+/// The part that every version has.
 #[derive(Deserialize)]
 pub(super) struct Header {
     pub(super) asset: Asset,

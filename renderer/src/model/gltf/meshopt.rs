@@ -13,7 +13,7 @@ const GROUP: usize = 16;
 /// A block of zeros takes no less than this part of its bytes.
 const LARGEST_RATIO: usize = 1024;
 
-/// What a view holds.
+/// The kind of data in a view.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub(super) enum Mode {
@@ -22,7 +22,7 @@ pub(super) enum Mode {
     Indices,
 }
 
-/// What is done with decoded rows.
+/// The filter over decoded rows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 pub(super) enum Filter {

@@ -15,7 +15,7 @@ pub struct Library {
     pub materials: Vec<Material>,
     /// The images that they use.
     pub images: Vec<ImageSource>,
-    /// What was left out.
+    /// Remarks on parts that were left out.
     pub remarks: Vec<String>,
     /// The place of each image.
     places: HashMap<ImageSource, u32>,

@@ -109,7 +109,7 @@ impl Piece {
         let mut more = [0.0; 4];
         let mut n_more = 0;
         for (number, word) in more.iter_mut().zip(words) {
-            // What follows may be a remark.
+            // A remark may follow.
             let Some(decimal) = Decimal::parse(word) else { break };
             *number = decimal.value;
             n_more += 1;

@@ -11,7 +11,7 @@ use crate::model::{
     mesh::Mesh,
 };
 
-fn parse(text: impl AsRef<[u8]>) -> Result<Draft, Problem> {
+fn parse(text: impl AsRef<[u8]>) -> Result<Draft, TextProblem> {
     let text = text.as_ref();
     read_from(text, text.len() as u64, &Companions::default())
 }
