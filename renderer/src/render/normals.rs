@@ -98,8 +98,8 @@ impl Lanes {
     /// The vectors of [`Normals`].
     #[inline(always)]
     fn normals(&self, eye: Vec3) -> [Vectors; 3] {
-        let [mut to_eyes, mut of_triangles, mut geometrics, mut shadings] = [[[0.0; N]; 3]; 4];
-        let mut weights = [[0.0; N]; 3];
+        let [mut to_eyes, mut of_triangles, mut geometrics, mut shadings, mut weights] = [[[0.0; N]; 3]; 5];
+        // In double precision, for triangles of any size.
         for lane in 0..N {
             let direction = get(&self.directions, lane);
             let [a, b, c] = [get(&self.corners[0], lane), get(&self.corners[1], lane), get(&self.corners[2], lane)];
@@ -112,11 +112,12 @@ impl Lanes {
             set(&mut of_triangles, lane, of_triangle);
             set(&mut geometrics, lane, if normal.dot(direction) > 0.0 { -of_triangle } else { of_triangle });
         }
+        // Interpolate in single precision.
         for lane in 0..N {
-            let of_triangle = get(&of_triangles, lane);
-            let normal = corner_direction(self.normals[0][lane], of_triangle) * weights[0][lane]
-                + corner_direction(self.normals[1][lane], of_triangle) * weights[1][lane]
-                + corner_direction(self.normals[2][lane], of_triangle) * weights[2][lane];
+            let (of_triangle, weight) = (get(&of_triangles, lane), get(&weights, lane));
+            let normal = corner_direction(self.normals[0][lane], of_triangle) * weight.x
+                + corner_direction(self.normals[1][lane], of_triangle) * weight.y
+                + corner_direction(self.normals[2][lane], of_triangle) * weight.z;
             set(&mut shadings, lane, visible_normal(normal, get(&geometrics, lane), get(&to_eyes, lane)));
         }
         [to_eyes, geometrics, shadings]
