@@ -150,11 +150,9 @@ impl TracedMesh {
         (!self.colors.is_empty()).then(|| self.triangles[triangle_idx as usize].map(color))
     }
 
-    /// The normals of a triangle's corners, if the mesh has normals.
-    #[inline]
-    pub fn corner_normals(&self, triangle_idx: u32) -> Option<[Normal; 3]> {
-        let normal = |vertex: u32| self.normals[vertex as usize];
-        (!self.normals.is_empty()).then(|| self.triangles[triangle_idx as usize].map(normal))
+    /// Whether corners have normals.
+    pub(crate) fn has_normals(&self) -> bool {
+        !self.normals.is_empty()
     }
 
     /// Whether surfaces have materials.
@@ -245,6 +243,19 @@ impl TracedMesh {
         let [a, b, c] = &vertices;
         // SAFETY: all vertices of triangles exist, and another follows the last.
         unsafe { [S::gather_xyz(coordinates, a), S::gather_xyz(coordinates, b), S::gather_xyz(coordinates, c)] }
+    }
+
+    /// Gathers the normals of triangles' corners, by corner; the mesh must have normals.
+    #[inline(always)]
+    pub(crate) fn gather_corner_normals(&self, triangle_indices: &[u32; 16]) -> [[Normal; 16]; 3] {
+        let mut normals = [[Normal::OF_TRIANGLE; 16]; 3];
+        for (lane, &triangle_idx) in triangle_indices.iter().enumerate() {
+            let [a, b, c] = self.triangles[triangle_idx as usize];
+            normals[0][lane] = self.normals[a as usize];
+            normals[1][lane] = self.normals[b as usize];
+            normals[2][lane] = self.normals[c as usize];
+        }
+        normals
     }
 
     /// Coordinates of all vertices, vertex after vertex, and three more numbers.

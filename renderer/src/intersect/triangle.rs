@@ -195,20 +195,23 @@ pub(super) fn intersect_exactly(ray: &Ray, corners: &[[f32; 3]; 3]) -> Option<f6
 
 /// The parts of a triangle's corners in the point where a ray from `origin` hits it: each from 0 to 1, with the sum 1.
 ///
-/// They are the determinants of [`EdgePlanes::decide`], whose signs decide the hit: the farther a ray passes from an edge,
-/// the more the opposite corner counts. Where none has a size, as in slivers seen along the ray, the parts are equal.
+/// They are the areas of the triangles that the point makes with the opposite edges, by Cramer's rule. Where none has a
+/// size, as in slivers seen along the ray, the parts are equal. Nothing branches, so that a loop becomes vector instructions.
 #[inline(always)]
 pub fn corner_weights(origin: Vec3, direction: Vec3, [a, b, c]: &[[f32; 3]; 3]) -> [f64; 3] {
-    let to_f64 = |vector: [f32; 3]| vector.map(f64::from);
-    let (origin, direction) = (to_f64(origin.to_array()), to_f64(direction.to_array()));
-    let [a, b, c] = [a, b, c].map(|corner| sub(to_f64(*corner), origin));
-    let area = |p, q| dot(direction, cross(p, sub(q, p)));
-    let areas = [area(b, c), area(c, a), area(a, b)];
+    let (origin, direction) = (origin.as_dvec3(), direction.as_dvec3());
+    let (a, b, c) = (Vec3::from(*a).as_dvec3(), Vec3::from(*b).as_dvec3(), Vec3::from(*c).as_dvec3());
+    let (ab, ac) = (b - a, c - a);
+    let area = ab.cross(ac).dot(direction);
+    let moment = (a - origin).cross(direction);
+    let sign = 1.0f64.copysign(area);
+    let (area_b, area_c) = (ac.dot(moment) * sign, -ab.dot(moment) * sign);
     // Rounding may have moved the ray beyond an edge.
-    let sign = 1.0f64.copysign(areas[0] + areas[1] + areas[2]);
-    let areas = areas.map(|area| (area * sign).max(0.0));
-    let inverse = 1.0 / (areas[0] + areas[1] + areas[2]);
-    if inverse.is_normal() { areas.map(|area| area * inverse) } else { [1.0 / 3.0; 3] }
+    let (area_a, area_b, area_c) = ((area.abs() - area_b - area_c).max(0.0), area_b.max(0.0), area_c.max(0.0));
+    let inverse = 1.0 / (area_a + area_b + area_c);
+    let has_size = inverse.is_finite();
+    let part = |area: f64| if has_size { area * inverse } else { 1.0 / 3.0 };
+    [part(area_a), part(area_b), part(area_c)]
 }
 
 /// Whether the sides of the three edges agree, in exact arithmetic.

@@ -77,12 +77,15 @@ impl<'a> Lighting<'a> {
         let visibility = self.secondary.visibility(blocks, sample, directions, hits, scratch);
         for (index, block) in blocks.iter().enumerate() {
             let n_samples = block.n_samples();
-            let materials = self.materials(&directions[index][..n_samples], &hits[index][..n_samples]);
+            let (directions, hits) = (&directions[index][..n_samples], &hits[index][..n_samples]);
+            let normals = self.shader.smooth_normals(self.secondary.grid.instructions, directions, hits);
+            let materials = self.materials(directions, hits);
             for (sample_idx, (i, j)) in block.samples().enumerate() {
                 let (_, y) = sample_point(i, j, sample);
                 lights[index][sample_idx] = self.shader.light(
-                    directions[index][sample_idx],
-                    hits[index][sample_idx],
+                    directions[sample_idx],
+                    hits[sample_idx],
+                    normals[sample_idx].as_ref(),
                     materials[sample_idx].as_ref(),
                     y,
                     &visibility[index][sample_idx],

@@ -2,7 +2,7 @@
 //!
 //! Only + − × ÷ √ are used, in a fixed order, so that every machine computes the same bits.
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use shared::{
     appearance::ClipPlane,
     protocol::{FrameSpec, LightingMode, ShadingMode},
@@ -11,9 +11,12 @@ use shared::{
 
 use crate::{
     grid::traced::TracedMesh,
-    intersect::{RayCost, ray::Hit, triangle},
-    model::normal::Normal,
-    render::{gloss::GlossySurface, secondary::LightVisibility},
+    intersect::{InstructionSet, RayCost, ray::Hit, triangle},
+    render::{
+        gloss::GlossySurface,
+        normals::{Normals, SmoothNormals, normalize_or_zero},
+        secondary::LightVisibility,
+    },
     texture::materials::PointMaterial,
 };
 
@@ -57,12 +60,14 @@ impl<'a> Shader<'a> {
         Self { mesh, shading: spec.view, eye, up, n_rows: spec.size.yres() as f32, background, has_shadows, cap_normal }
     }
 
-    /// The linear light along one ray, given its hit's material and the lights that reach it. `row` counts samples from the bottom.
+    /// The linear light along one ray, given its hit's smooth normals and material, if it has them, and the lights that reach
+    /// it. `row` counts samples from the bottom.
     #[inline]
     pub fn light(
         &self,
         direction: Vec3,
         hit: Hit,
+        normals: Option<&Normals>,
         material: Option<&PointMaterial>,
         row: f32,
         visibility: &LightVisibility,
@@ -71,8 +76,8 @@ impl<'a> Shader<'a> {
             let height = row / self.n_rows;
             return self.background[0] * (1.0 - height) + self.background[1] * height;
         }
-        let to_eye = -normalize_or_zero(direction.as_dvec3());
-        let Normals { geometric, shading: normal } = self.normals(direction, to_eye, hit);
+        let Normals { to_eye, geometric, shading: normal } =
+            normals.copied().unwrap_or_else(|| self.flat_normals(direction, hit));
         match self.shading {
             // The cost of a ray does not depend on its hit: see [`cost_color`].
             ShadingMode::Normals | ShadingMode::Cost => (normal + 1.0) * 0.5,
@@ -112,25 +117,27 @@ impl<'a> Shader<'a> {
             + ambient * visibility.ambient_visibility
     }
 
-    /// The normals at a hit, on the side of the eye: scans are seen from both sides.
+    /// The normals of a smooth mesh at up to 64 hits; `None` for misses, caps, and in meshes of flat triangles.
+    pub(super) fn smooth_normals(
+        &self,
+        instructions: InstructionSet,
+        directions: &[Vec3],
+        hits: &[Hit],
+    ) -> [Option<Normals>; 64] {
+        if !self.mesh.has_normals() {
+            return [None; 64];
+        }
+        // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
+        unsafe { instructions.call(SmoothNormals { mesh: self.mesh, eye: self.eye, directions, hits }) }
+    }
+
+    /// The normals of a cap or of a flat triangle, on the side of the eye: scans are seen from both sides.
     #[inline]
-    fn normals(&self, direction: Vec3, to_eye: Vec3, hit: Hit) -> Normals {
-        let is_cap = hit.is_cap();
-        let normal = if is_cap { self.cap_normal } else { normalize_or_zero(self.mesh.normal(hit.triangle)) };
+    fn flat_normals(&self, direction: Vec3, hit: Hit) -> Normals {
+        let to_eye = -normalize_or_zero(direction.as_dvec3());
+        let normal = if hit.is_cap() { self.cap_normal } else { normalize_or_zero(self.mesh.normal(hit.triangle)) };
         let geometric = if normal.dot(to_eye) < 0.0 { -normal } else { normal };
-        let corners = if is_cap { None } else { self.mesh.corner_normals(hit.triangle) };
-        let shading = match corners {
-            None | Some([Normal::OF_TRIANGLE, Normal::OF_TRIANGLE, Normal::OF_TRIANGLE]) => geometric,
-            Some(corners) => {
-                let mut directions = corners.map(Normal::direction);
-                // Rare: it costs less to look for than to choose a normal for each corner.
-                if corners.contains(&Normal::OF_TRIANGLE) {
-                    directions = corners.map(|corner| corner.vector().unwrap_or(normal));
-                }
-                visible_normal(interpolate(directions, self.corner_weights(direction, hit)), geometric, to_eye)
-            }
-        };
-        Normals { geometric, shading }
+        Normals { to_eye, geometric, shading: geometric }
     }
 
     fn albedo(&self, direction: Vec3, hit: Hit) -> Vec3 {
@@ -148,25 +155,6 @@ impl<'a> Shader<'a> {
     fn corner_weights(&self, direction: Vec3, hit: Hit) -> [f32; 3] {
         triangle::corner_weights(self.eye, direction, &self.mesh.corners(hit.triangle)).map(|weight| weight as f32)
     }
-}
-
-/// Normals of unit length on the eye's side.
-struct Normals {
-    /// The triangle's, or the cap's; zero for slivers too thin to have one.
-    geometric: Vec3,
-    /// The one that light falls on.
-    shading: Vec3,
-}
-
-/// An interpolated normal of any length, turned to the side of the geometric normal; bent to the rim of what the eye sees
-/// if it points away from it.
-fn visible_normal(normal: Vec3, geometric: Vec3, to_eye: Vec3) -> Vec3 {
-    let normal = if normal.dot(geometric) < 0.0 { -normal } else { normal };
-    let depth = normal.dot(to_eye);
-    let normal = if depth < 0.0 { normal - to_eye * depth } else { normal };
-    let length = normal.length();
-    // Too short is the mean of opposite normals.
-    if length > 1e-3 { normal * (1.0 / length) } else { geometric }
 }
 
 /// The part of a light that a smooth surface keeps where its triangles turn away from the light, so that light ends
@@ -208,14 +196,9 @@ fn linear(color: [u8; 3]) -> Vec3 {
     Vec3::from_array(color.map(srgb::decode))
 }
 
-/// The normalized vector, or zero. No square of single precision overflows or underflows in `f64`.
-fn normalize_or_zero(v: DVec3) -> Vec3 {
-    let inverse = 1.0 / v.length();
-    if inverse.is_finite() { (v * inverse).as_vec3() } else { Vec3::ZERO }
-}
-
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
     use shared::{
         appearance::{Appearance, Background},
         camera::Camera,
@@ -226,7 +209,10 @@ mod tests {
     use strum::VariantArray;
 
     use super::*;
-    use crate::model::mesh::Mesh;
+    use crate::{
+        model::{mesh::Mesh, normal::Normal},
+        render::normals::visible_normal,
+    };
 
     fn traced(mesh: Mesh) -> TracedMesh {
         let mut order: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
@@ -253,6 +239,17 @@ mod tests {
     const UNOCCLUDED: LightVisibility =
         LightVisibility { key_direction: Vec3::new(-0.48, 0.6, 0.64), key: 1.0, ambient_visibility: 1.0 };
 
+    /// The light at a hit, with all instructions.
+    fn light(shader: &Shader<'_>, direction: Vec3, hit: Hit) -> Vec3 {
+        let lights = InstructionSet::available().into_iter().map(|instructions| {
+            let normals = shader.smooth_normals(instructions, &[direction], &[hit])[0];
+            shader.light(direction, hit, normals.as_ref(), None, 0.0, &UNOCCLUDED)
+        });
+        let lights: Vec<_> = lights.collect();
+        assert!(lights.iter().all(|light| *light == lights[0]), "{lights:?}");
+        lights[0]
+    }
+
     fn facing_mesh() -> Mesh {
         Mesh {
             vertices: vec![[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [0.0, 1.0, 0.0]],
@@ -266,12 +263,10 @@ mod tests {
         let mesh = traced(facing_mesh());
         for &shading in ShadingMode::VARIANTS {
             let shader = shader(&mesh, shading);
-            let [front, back] =
-                [0, 1].map(|triangle| shader.light(-Vec3::Z, Hit { triangle, t: 5.0 }, None, 0.0, &UNOCCLUDED));
+            let [front, back] = [0, 1].map(|triangle| light(&shader, -Vec3::Z, Hit { triangle, t: 5.0 }));
             assert_eq!(front, back);
         }
-        let normals =
-            shader(&mesh, ShadingMode::Normals).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, None, 0.0, &UNOCCLUDED);
+        let normals = light(&shader(&mesh, ShadingMode::Normals), -Vec3::Z, Hit { triangle: 0, t: 5.0 });
         assert_eq!(normals, Vec3::new(0.5, 0.5, 1.0));
     }
 
@@ -281,7 +276,8 @@ mod tests {
         let background = Background { bottom: [255, 0, 10], top: [0, 255, 10] };
         let shader =
             Shader::new(&mesh, &spec(ShadingMode::Shaded, Appearance { background, ..Appearance::default() }), None);
-        let encoded = |row: f32| shader.light(-Vec3::Z, Hit::MISS, None, row, &UNOCCLUDED).to_array().map(srgb::encode);
+        let encoded =
+            |row: f32| shader.light(-Vec3::Z, Hit::MISS, None, None, row, &UNOCCLUDED).to_array().map(srgb::encode);
         assert_eq!((encoded(0.0), encoded(512.0)), (background.bottom, background.top));
         // Half of the light is value 188.
         assert_eq!(encoded(256.0), [188, 188, 10]);
@@ -308,8 +304,7 @@ mod tests {
     #[test]
     fn vertex_colours_tint_the_light() {
         let red = traced(Mesh { colors: vec![[255, 0, 0]; 3], ..facing_mesh() });
-        let light =
-            shader(&red, ShadingMode::Shaded).light(-Vec3::Z, Hit { triangle: 0, t: 5.0 }, None, 0.0, &UNOCCLUDED);
+        let light = light(&shader(&red, ShadingMode::Shaded), -Vec3::Z, Hit { triangle: 0, t: 5.0 });
         assert!(light.x > 0.5 && light.y == 0.0 && light.z == 0.0, "{light}");
     }
 
@@ -326,8 +321,31 @@ mod tests {
                     (Vec3::new(0.0, -1.0, 0.0), Vec3::Z),
                     (Vec3::new(0.0, 1.0, 0.0), corners[2]),
                 ] {
-                    let light = shader.light(target - shader.eye, Hit { triangle, t: 1.0 }, None, 0.0, &UNOCCLUDED);
+                    let light = light(&shader, target - shader.eye, Hit { triangle, t: 1.0 });
                     assert!((light * 2.0 - 1.0).dot(expected.normalize()) > 0.9999, "{light} at {target}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn hits_among_misses_and_caps_have_the_normals_that_they_have_alone() {
+        let normals = [Vec3::new(-0.5, 0.1, 1.0), Vec3::new(0.5, 0.0, 1.0), Vec3::NAN].map(Normal::new).to_vec();
+        let mesh = traced(Mesh { normals, ..facing_mesh() });
+        let shader = shader(&mesh, ShadingMode::Normals);
+        let triangle = |sample: u32| [0, Hit::MISS.triangle, 1, 1, Hit::CAP][sample as usize % 5];
+        let hits: [Hit; 64] = std::array::from_fn(|sample| Hit { triangle: triangle(sample as u32), t: 1.0 });
+        let directions: [Vec3; 64] =
+            std::array::from_fn(|sample| Vec3::new(sample as f32 * 0.01 - 0.3, -0.4, 0.0) - shader.eye);
+        for n in [0, 1, 27, 64] {
+            for instructions in InstructionSet::available() {
+                let together = shader.smooth_normals(instructions, &directions[..n], &hits[..n]);
+                for (sample, normals) in together.iter().enumerate() {
+                    let is_hit = sample < n && hits[sample].triangle < 2;
+                    let alone =
+                        shader.smooth_normals(instructions, &directions[sample..=sample], &hits[sample..=sample]);
+                    assert_eq!(*normals, alone[0].filter(|_| is_hit), "{sample} of {n}, {instructions:?}");
+                    assert_eq!(normals.is_some(), is_hit);
                 }
             }
         }
@@ -339,7 +357,7 @@ mod tests {
         let mesh = traced(Mesh { normals, ..facing_mesh() });
         let shader = shader(&mesh, ShadingMode::Normals);
         for triangle in [0, 1] {
-            let at = |target: Vec3| shader.light(target - shader.eye, Hit { triangle, t: 1.0 }, None, 0.0, &UNOCCLUDED);
+            let at = |target: Vec3| light(&shader, target - shader.eye, Hit { triangle, t: 1.0 });
             assert_eq!(at(Vec3::new(1.0, -1.0, 0.0)), Vec3::new(0.5, 0.5, 1.0));
             assert!(at(Vec3::new(-1.0, -1.0, 0.0)).x > 0.8);
         }
@@ -394,13 +412,7 @@ mod tests {
         for scale in [1e-18f32, 1e-6, 1.0, 1e6, 1e18] {
             let mut mesh = facing_mesh();
             mesh.vertices.iter_mut().flatten().for_each(|x| *x *= scale);
-            let light = shader(&traced(mesh), ShadingMode::Shaded).light(
-                -Vec3::Z,
-                Hit { triangle: 0, t: 5.0 },
-                None,
-                0.0,
-                &UNOCCLUDED,
-            );
+            let light = light(&shader(&traced(mesh), ShadingMode::Shaded), -Vec3::Z, Hit { triangle: 0, t: 5.0 });
             assert!(light.is_finite() && light.min_element() > 0.1, "{scale}: {light}");
         }
     }

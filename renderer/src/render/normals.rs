@@ -1,0 +1,161 @@
+//! Normals of smooth surfaces at many hits at once: loops over arrays, which the compiler turns into vector instructions.
+
+use glam::{DVec3, Vec3};
+
+use crate::{
+    grid::traced::TracedMesh,
+    intersect::{ray::Hit, triangle},
+    model::normal::Normal,
+    simd::{Kernel, Simd},
+};
+
+/// Hits that are done at once.
+const N: usize = 16;
+
+/// A vector for each of [`N`] hits, by axis.
+type Vectors = [[f32; N]; 3];
+
+/// Vectors of unit length at a hit, all on the eye's side.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Normals {
+    /// The direction to the eye.
+    pub to_eye: Vec3,
+    /// The triangle's normal, or the cap's; zero for slivers too thin to have one.
+    pub geometric: Vec3,
+    /// The normal that light falls on.
+    pub shading: Vec3,
+}
+
+/// Interpolates the normals of a mesh where up to 64 rays from an eye hit its triangles; `None` for misses and caps.
+pub(super) struct SmoothNormals<'a> {
+    pub(super) mesh: &'a TracedMesh,
+    pub(super) eye: Vec3,
+    pub(super) directions: &'a [Vec3],
+    pub(super) hits: &'a [Hit],
+}
+
+impl Kernel for SmoothNormals<'_> {
+    type Output = [Option<Normals>; 64];
+
+    #[inline(always)]
+    fn run<S: Simd>(self) -> Self::Output {
+        // Choose the samples that hit triangles.
+        let (mut samples, mut n_samples) = ([0; 64], 0);
+        for (sample, hit) in (0..64).zip(self.hits) {
+            samples[n_samples] = sample;
+            n_samples += usize::from(!hit.is_miss() && !hit.is_cap());
+        }
+
+        let mut normals = [None; 64];
+        for samples in samples[..n_samples].chunks(N) {
+            let [to_eye, geometric, shading] = self.gather::<S>(samples).normals(self.eye);
+            for (lane, &sample) in samples.iter().enumerate().take(N) {
+                normals[sample] = Some(Normals {
+                    to_eye: get(&to_eye, lane),
+                    geometric: get(&geometric, lane),
+                    shading: get(&shading, lane),
+                });
+            }
+        }
+        normals
+    }
+}
+
+impl SmoothNormals<'_> {
+    /// The rays and triangles of up to [`N`] samples; lanes beyond them repeat the last.
+    #[inline(always)]
+    fn gather<S: Simd>(&self, samples: &[usize]) -> Lanes {
+        let mut triangles = [0; N];
+        let mut directions = [[0.0; N]; 3];
+        for lane in 0..N {
+            let sample = samples[lane.min(samples.len() - 1)];
+            triangles[lane] = self.hits[sample].triangle;
+            set(&mut directions, lane, self.directions[sample]);
+        }
+        let mut corners = [[[0.0; N]; 3]; 3];
+        for first in (0..N).step_by(S::LANES) {
+            let mut next = [0; 16];
+            next[..S::LANES].copy_from_slice(&triangles[first..first + S::LANES]);
+            let gathered = self.mesh.gather_corners::<S>(&next);
+            for corner in 0..3 {
+                for axis in 0..3 {
+                    gathered[corner][axis].store(&mut corners[corner][axis][first..]);
+                }
+            }
+        }
+        Lanes { directions, corners, normals: self.mesh.gather_corner_normals(&triangles) }
+    }
+}
+
+/// Rays, the triangles that they hit, and the normals of their corners.
+struct Lanes {
+    directions: Vectors,
+    corners: [Vectors; 3],
+    normals: [[Normal; N]; 3],
+}
+
+impl Lanes {
+    /// The vectors of [`Normals`].
+    #[inline(always)]
+    fn normals(&self, eye: Vec3) -> [Vectors; 3] {
+        let [mut to_eyes, mut of_triangles, mut geometrics, mut shadings, mut weights] = [[[0.0; N]; 3]; 5];
+        // In double precision, for triangles of any size.
+        for lane in 0..N {
+            let direction = get(&self.directions, lane);
+            let [a, b, c] = [get(&self.corners[0], lane), get(&self.corners[1], lane), get(&self.corners[2], lane)];
+            let parts = triangle::corner_weights(eye, direction, &[a.to_array(), b.to_array(), c.to_array()]);
+            set(&mut weights, lane, Vec3::new(parts[0] as f32, parts[1] as f32, parts[2] as f32));
+            let direction = direction.as_dvec3();
+            let normal = (b.as_dvec3() - a.as_dvec3()).cross(c.as_dvec3() - a.as_dvec3());
+            let of_triangle = normalize_or_zero(normal);
+            set(&mut to_eyes, lane, -normalize_or_zero(direction));
+            set(&mut of_triangles, lane, of_triangle);
+            set(&mut geometrics, lane, if normal.dot(direction) > 0.0 { -of_triangle } else { of_triangle });
+        }
+        // Interpolate in single precision.
+        for lane in 0..N {
+            let (of_triangle, weight) = (get(&of_triangles, lane), get(&weights, lane));
+            let normal = corner_direction(self.normals[0][lane], of_triangle) * weight.x
+                + corner_direction(self.normals[1][lane], of_triangle) * weight.y
+                + corner_direction(self.normals[2][lane], of_triangle) * weight.z;
+            set(&mut shadings, lane, visible_normal(normal, get(&geometrics, lane), get(&to_eyes, lane)));
+        }
+        [to_eyes, geometrics, shadings]
+    }
+}
+
+#[inline(always)]
+fn get([x, y, z]: &Vectors, lane: usize) -> Vec3 {
+    Vec3::new(x[lane], y[lane], z[lane])
+}
+
+#[inline(always)]
+fn set([x, y, z]: &mut Vectors, lane: usize, vector: Vec3) {
+    (x[lane], y[lane], z[lane]) = (vector.x, vector.y, vector.z);
+}
+
+/// The direction of a corner's normal, or the triangle's where the corner has none.
+#[inline(always)]
+fn corner_direction(normal: Normal, of_triangle: Vec3) -> Vec3 {
+    let direction = normal.direction();
+    if normal == Normal::OF_TRIANGLE { of_triangle } else { direction }
+}
+
+/// An interpolated normal of any length, turned to the side of the geometric normal; bent to the rim of what the eye sees
+/// if it points away from it.
+#[inline(always)]
+pub(super) fn visible_normal(normal: Vec3, geometric: Vec3, to_eye: Vec3) -> Vec3 {
+    let normal = if normal.dot(geometric) < 0.0 { -normal } else { normal };
+    let depth = normal.dot(to_eye);
+    let normal = if depth < 0.0 { normal - to_eye * depth } else { normal };
+    let length = normal.length();
+    // Too short is the mean of opposite normals.
+    if length > 1e-3 { normal * (1.0 / length) } else { geometric }
+}
+
+/// The normalized vector, or zero. No square of single precision overflows or underflows in `f64`.
+#[inline(always)]
+pub(super) fn normalize_or_zero(v: DVec3) -> Vec3 {
+    let inverse = 1.0 / v.length();
+    if inverse.is_finite() { (v * inverse).as_vec3() } else { Vec3::ZERO }
+}
