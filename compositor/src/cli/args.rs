@@ -107,7 +107,7 @@ pub struct WallArgs {
     pub pictures: Option<PathBuf>,
     /// Go on after the last picture of the film that was begun in --pictures, with the same options; in an empty folder,
     /// begin it
-    #[arg(long, help_heading = "Film", requires = "pictures")]
+    #[arg(long, help_heading = "Film", requires = "pictures", conflicts_with = "film")]
     pub resume: bool,
     /// Write the film to this file, through ffmpeg; with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "FILE.mp4", requires = "path", requires = "headless",
@@ -308,6 +308,7 @@ mod tests {
             assert!(!is_refused(window) && is_refused(&[&["--headless"], window].concat()), "{window:?}");
         }
         assert!(is_refused(&["--path", "p", "--fps", "10"]) && is_refused(&["--resume"]));
+        assert!(is_refused(&["--headless", "--path", "p", "--film", "f.mp4", "--resume"]));
         let film = ["--headless", "--path", "p", "--pictures", "film"];
         assert!(!is_refused(&film) && is_refused(&[&film[..], &["--target-rate", "30"]].concat()));
     }

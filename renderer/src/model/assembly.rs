@@ -125,7 +125,31 @@ impl MeshBuilder {
                 mesh.n_rejected += 1;
             }
         }
+        come_near(&mut mesh);
         mesh
+    }
+}
+
+/// Distance from zero, relative to the size, from which a model has an origin of its own.
+const FAR: f64 = 64.0;
+
+/// Moves the origin of a model far from zero to its lowest corner, though `f32` holds its vertices: cameras and rays beside
+/// them need finer steps. An axis along which any vertex would be rounded stays as it is.
+fn come_near(mesh: &mut Mesh) {
+    let [low, high] = mesh.bounds().corners();
+    let is_far = low.abs().max(high.abs()).max_element() > FAR * (high - low).max_element();
+    if mesh.origin != DVec3::ZERO || !is_far || !low.is_finite() {
+        return;
+    }
+    for axis in 0..3 {
+        let moved = |x: f32| f64::from(x) - low[axis];
+        let is_exact = |vertex: &[f32; 3]| {
+            !Mesh::is_usable(*vertex) || f64::from(moved(vertex[axis]) as f32) == moved(vertex[axis])
+        };
+        if mesh.vertices.iter().all(is_exact) {
+            mesh.origin[axis] = low[axis];
+            mesh.vertices.iter_mut().for_each(|vertex| vertex[axis] = moved(vertex[axis]) as f32);
+        }
     }
 }
 
@@ -139,4 +163,27 @@ pub(super) fn reserve<T>(items: &mut Vec<T>, n_items: usize, what: &'static str)
     let n_bytes = n_items.saturating_mul(size_of::<T>());
     memory::handling_failure(|| items.try_reserve_exact(n_items))
         .map_err(|_| AssemblyError::OutOfMemory { what, n_bytes })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn triangle(corners: [[f64; 3]; 3]) -> Mesh {
+        let mut builder = MeshBuilder::default();
+        corners.into_iter().for_each(|corner| builder.push_vertex(DVec3::from_array(corner)));
+        builder.push_triangle([0, 1, 2]).unwrap();
+        builder.finish()
+    }
+
+    #[test]
+    fn a_model_far_from_zero_has_an_origin_though_its_numbers_are_round() {
+        let tiny = 2f64.powi(-40);
+        let far =
+            triangle([[500_000.0, 5_400_000.0, 0.125], [500_002.0, 5_400_000.5, 2.0], [500_001.0, 5_400_002.0, tiny]]);
+        assert_eq!(far.origin, DVec3::new(500_000.0, 5_400_000.0, 0.0));
+        assert_eq!(far.vertices[1], [2.0, 0.5, 2.0]);
+        let near = triangle([[5.0, 1.0, 0.0], [6.0, 1.5, 2.0], [5.0, 2.0, 0.0]]);
+        assert_eq!((near.origin, near.vertices[1]), (DVec3::ZERO, [6.0, 1.5, 2.0]));
+    }
 }

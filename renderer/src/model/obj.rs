@@ -29,6 +29,8 @@ pub use self::mtl::Library;
 
 /// Bytes of a piece: large beside a line, small beside a core's cache.
 const PIECE_BYTES: usize = 1 << 19;
+/// Some editors on Windows begin UTF-8 with it.
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 /// The longest file of materials; real ones have some KB.
 const LONGEST_LIBRARY: u64 = 1 << 26;
 /// The most rows that name such files; real models have one.
@@ -59,6 +61,9 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64, companions: &Companions
         let n_before = text.len();
         let n_read = reader.by_ref().take(batch_bytes as u64).read_to_end(&mut text)?;
         at_end = n_read < batch_bytes;
+        if n_lines == 0 && text.starts_with(BYTE_ORDER_MARK) {
+            text.drain(..BYTE_ORDER_MARK.len());
+        }
         let end = if at_end { Some(text.len()) } else { end_of_lines(&text, n_before, text.len()) };
         // One line may be longer than a batch.
         let Some(end) = end else { continue };

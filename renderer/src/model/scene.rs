@@ -58,6 +58,8 @@ pub struct LoadedMesh {
 pub enum LoadError {
     #[error(transparent)]
     File(#[from] FileError),
+    #[error("{}: is empty: it has neither vertices nor triangles; export the model again", path.display())]
+    Empty { path: PathBuf },
     #[error("{}: has {n_vertices} vertices and no triangles: a point cloud must be meshed first", path.display())]
     NoTriangles { path: PathBuf, n_vertices: usize },
     #[error("{}: has {n_vertices} vertices, and each of its {n_rejected} triangles has a corner that is none of them, or \
@@ -86,7 +88,10 @@ pub fn load(source: &SceneSource, crease: Crease, progress: &(dyn Fn(f32) + Sync
             let (n_vertices, n_rejected) = (mesh.vertices.len(), mesh.n_rejected);
             let path = path.clone();
             if mesh.triangles.is_empty() {
-                return Err(LoadError::NoTriangles { path, n_vertices });
+                return Err(match n_vertices {
+                    0 => LoadError::Empty { path },
+                    _ => LoadError::NoTriangles { path, n_vertices },
+                });
             }
             if n_rejected == mesh.triangles.len() {
                 return Err(LoadError::NoneUsable { path, n_vertices, n_rejected });
@@ -253,6 +258,9 @@ mod tests {
             load(&SceneSource::File(path.clone()), Crease::FLAT, &|_| ()).unwrap_err().to_string()
         };
         assert!(error("end_header\n0 0 0\n").ends_with("a point cloud must be meshed first"));
+        std::fs::write(&path, "solid nothing\nendsolid\n").unwrap();
+        let empty = load(&SceneSource::File(path.clone()), Crease::default(), &|_| ()).unwrap_err().to_string();
+        assert!(empty.contains("is empty"), "{empty}");
         let face = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 1 2\n";
         assert!(error(face).ends_with("export the model again"), "{}", error(face));
     }

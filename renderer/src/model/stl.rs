@@ -61,11 +61,15 @@ pub fn read_binary(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Text
 /// A corner is not three numbers, or there are too many triangles.
 pub fn read_text(mut reader: impl BufRead) -> Result<Draft, TextProblem> {
     let mut corners = Welder::default();
-    let (mut line, mut number) = (Vec::new(), 0);
+    let (mut line, mut number, mut is_open) = (Vec::new(), 0, false);
     loop {
         line.clear();
         if reader.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line)? == 0 {
-            return Ok(corners.finish());
+            let mut draft = corners.finish();
+            if is_open {
+                draft.remarks.push("ends without `endsolid`: it may have been cut short".to_owned());
+            }
+            return Ok(draft);
         }
         number += 1;
         let problem = |what: String| TextProblem::Line { line: number, what };
@@ -83,6 +87,7 @@ pub fn read_text(mut reader: impl BufRead) -> Result<Draft, TextProblem> {
             } else if word.eq_ignore_ascii_case(b"endloop") || word.eq_ignore_ascii_case(b"endfacet") {
                 corners.end_polygon();
             } else if word.eq_ignore_ascii_case(b"solid") || word.eq_ignore_ascii_case(b"endsolid") {
+                is_open = word.eq_ignore_ascii_case(b"solid");
                 break; // a name follows
             }
         }
@@ -228,6 +233,8 @@ mod tests {
         ] {
             assert_eq!(text_mesh(&text), expected, "{text}");
         }
+        let cut = read_text(TEXT.replace("endsolid two facets\n", "").as_bytes()).unwrap();
+        assert!(cut.remarks[0].contains("cut short") && read_text(TEXT.as_bytes()).unwrap().remarks.is_empty());
         let quad = TEXT.replace("endloop\nendfacet\nfacet normal 0 0 1\nouter loop\nvertex 0 1 0\nvertex 1 0 0\n", "");
         assert_eq!(text_mesh(&quad).triangles, [[0, 1, 2], [0, 2, 3]]);
     }

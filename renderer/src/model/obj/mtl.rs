@@ -47,6 +47,7 @@ impl Library {
         let mut maps = Maps::default();
         let mut is_see_through = false;
         let n_before = self.materials.len();
+        let bytes = bytes.strip_prefix(super::BYTE_ORDER_MARK).unwrap_or(bytes);
         for line in bytes.split(|&byte| matches!(byte, b'\n' | b'\r')) {
             let line = text(line);
             let (word, rest) = line.split_once(char::is_whitespace).unwrap_or((&line, ""));

@@ -128,6 +128,15 @@ fn the_mesh_does_not_depend_on_where_the_text_is_cut() {
 }
 
 #[test]
+fn a_byte_order_mark_is_no_part_of_the_first_line() {
+    let draft = with_library(
+        &format!("\u{feff}mtllib a b.mtl\n{CORNERS}usemtl a\nf 1 2 3\n"),
+        b"\xef\xbb\xbfnewmtl a\nKd 1 0 0\n",
+    );
+    assert_eq!(draft.mesh.materials.materials[0].base_color, [1.0, 0.0, 0.0, 1.0]);
+}
+
+#[test]
 fn materials_follow_faces() {
     let obj = format!(
         "mtllib a b.mtl\n{CORNERS}f 1 2 3\nusemtl red\nf 1 2 4\nusemtl picture one\nf 1 2 3 4\nusemtl lost\nf 1 2 3\nl 1 2\n"
