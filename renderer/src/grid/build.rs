@@ -2,6 +2,8 @@
 
 use std::sync::atomic::AtomicBool;
 
+use rayon::prelude::*;
+
 use crate::{
     grid::{
         Grid, GridOptions, MemoryShortage, Storage, Structure,
@@ -10,8 +12,9 @@ use crate::{
         traced::TracedMesh,
         tree::{
             BRICK_SIZE, CELLS_PER_BRICK, Tree,
-            boxes::QuantizedBoxes,
+            boxes::{QuantizedBoxes, leaf_cubes},
             divide::{Builder, TreePart},
+            hierarchy::Hierarchy,
             scatter::Scatter,
         },
         uniform::{DenseIndex, UniformGrid, resolution::resolution, row_displacement::RowDisplacement},
@@ -23,8 +26,8 @@ use crate::{
 /// Bytes of a reference, with its part of leaves and nodes.
 const TREE_BYTES_PER_REFERENCE: u64 = 5;
 
-/// Bytes of its box, which is measured after the loaded mesh is dropped.
-const BOX_BYTES_PER_REFERENCE: u64 = 6;
+/// Bytes of its box, with its part of the hierarchy's; they are made after the loaded mesh is dropped.
+const BOX_BYTES_PER_REFERENCE: u64 = 7;
 
 /// Bytes of the program before it has a scene.
 pub(crate) const PROGRAM_BYTES: u64 = 40_000_000;
@@ -124,10 +127,14 @@ impl Grid {
         let TreePart { nodes, leaf_ends: mut leaf_starts, mut references } = part;
         leaf_starts.insert(0, 0);
         let mesh = TracedMesh::new(mesh, &mut references);
-        let boxes = QuantizedBoxes::new(&space, dims, &bricks, &nodes, &leaf_starts, &references, &mesh);
+        let leaf_cubes = leaf_cubes(dims, &bricks, &nodes, leaf_starts.len() - 1);
+        let boxes = QuantizedBoxes::new(&space, &leaf_cubes, &leaf_starts, &references, &mesh);
         let extent = space.point_to_cells(max).to_array();
         let extent = [0, 1, 2].map(|axis| (extent[axis] as u32 + 1).min(dims[axis] * BRICK_SIZE));
-        let tree = Tree { dims, extent, bricks, nodes, leaf_starts, references, boxes };
+        let hierarchy = Hierarchy::default();
+        let mut tree = Tree { dims, extent, bricks, nodes, leaf_starts, references, boxes, leaf_cubes, hierarchy };
+        tree.hierarchy =
+            Hierarchy::new((0..tree.leaf_cubes.len()).into_par_iter().map(|leaf| tree.leaf_bounds(leaf as u32)));
         (Self { space, structure: Structure::Tree(tree), density, ..Self::empty(mesh) }, is_coarser)
     }
 

@@ -5,13 +5,15 @@
 #[expect(clippy::needless_range_loop, reason = "an axis indexes several arrays at once")]
 pub(crate) mod boxes;
 pub(crate) mod divide;
+pub(crate) mod hierarchy;
 pub(crate) mod overlap;
 pub(crate) mod scatter;
 
 use std::ops::Range;
 
 use crate::grid::figures::GridStats;
-use boxes::QuantizedBoxes;
+use boxes::{LeafCube, QuantizedBoxes};
+use hierarchy::{Bounds, Hierarchy};
 
 /// Cells of the paper's resolution along a brick.
 pub(crate) const CELLS_PER_BRICK: u32 = 32;
@@ -38,6 +40,10 @@ pub(crate) struct Tree {
     /// Triangle indices, leaf after leaf.
     pub(crate) references: Vec<u32>,
     pub(crate) boxes: QuantizedBoxes,
+    /// The cube of each leaf.
+    pub(crate) leaf_cubes: Vec<LeafCube>,
+    /// Boxes over the leaves.
+    pub(crate) hierarchy: Hierarchy,
 }
 
 /// A cube of 4×4×4 children, child (x, y, z) at bit 16·z + 4·y + x.
@@ -66,6 +72,8 @@ impl Tree {
             leaf_starts: vec![0],
             references: Vec::new(),
             boxes: QuantizedBoxes::default(),
+            leaf_cubes: Vec::new(),
+            hierarchy: Hierarchy::default(),
         }
     }
 
@@ -75,6 +83,11 @@ impl Tree {
         self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize
     }
 
+    /// Bounds of a leaf's triangles within its cube, in finest cells.
+    pub(crate) fn leaf_bounds(&self, leaf: u32) -> Bounds {
+        self.boxes.leaf_bounds(leaf, self.leaf_cubes[leaf as usize], self.references_of(leaf))
+    }
+
     /// Sizes and counts, without storage and density.
     pub(crate) fn figures(&self) -> GridStats {
         GridStats {
@@ -82,9 +95,9 @@ impl Tree {
             lists: self.leaf_starts.len() - 1,
             references: self.references.len(),
             macrocell_bytes: size_of_val(&*self.bricks) + size_of_val(&*self.nodes),
-            list_bytes: size_of_val(&*self.leaf_starts),
+            list_bytes: size_of_val(&*self.leaf_starts) + size_of_val(&*self.leaf_cubes),
             reference_bytes: size_of_val(&*self.references),
-            box_bytes: Some(self.boxes.n_bytes()),
+            box_bytes: Some(self.boxes.n_bytes() + self.hierarchy.n_bytes()),
             ..GridStats::default()
         }
     }

@@ -15,8 +15,8 @@ use crate::{
 /// The cost of a ray in its two parts, which the paper's figure 3 shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RayCost {
-    /// Cells that the ray passes: in a tree bricks and occupied cells in them, in a uniform grid all cells; an empty cube
-    /// that it skips whole counts once.
+    /// Steps of the ray: in a tree nodes of the hierarchy and leaves, in a uniform grid all cells that it passes; an empty
+    /// cube that it skips whole counts once.
     pub n_cells: u32,
     /// Triangles that it is tested against.
     pub n_tests: u32,
@@ -108,17 +108,13 @@ impl Grid {
                 let Self(grid, tree, ray, mut visit) = self;
                 let mut descent = Descent::default();
                 let mut step = descent.begin(&grid.space, tree, ray);
-                loop {
-                    step = match step {
-                        Step::Brick => descent.enter_brick(tree, f64::INFINITY),
-                        Step::Node => descent.enter_node::<S>(tree),
-                        Step::Child => descent.next_child(tree, f64::INFINITY),
-                        Step::Leaf => {
-                            tree.references[tree.references_of(descent.leaf)].iter().copied().for_each(&mut visit);
-                            descent.leave_leaf(f64::INFINITY)
-                        }
-                        Step::End => return,
+                while step != Step::End {
+                    if step == Step::Node {
+                        descent.enter_node::<S>(&tree.hierarchy);
+                    } else {
+                        tree.references[tree.references_of(descent.leaf())].iter().copied().for_each(&mut visit);
                     }
+                    step = descent.next();
                 }
             }
         }

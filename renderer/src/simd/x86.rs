@@ -70,6 +70,11 @@ impl Simd for Avx2 {
     type Double = Avx2Double;
     call_with_features!(Avx2, "avx2,fma,bmi1,bmi2,popcnt,lzcnt");
     #[inline(always)]
+    unsafe fn load_bytes_at(from: *const u8) -> Self {
+        // SAFETY: as above, and the caller's.
+        unsafe { Self(_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64(from.cast())))) }
+    }
+    #[inline(always)]
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all vertices are there.
         unsafe {
@@ -88,11 +93,30 @@ impl Simd for Avx2 {
             ]
         }
     }
+    #[inline(always)]
+    fn compress(from: &[u32], mask: u32, to: &mut [u32]) -> usize {
+        let mask = mask & (0xff >> (8 - from.len()));
+        // SAFETY: as above; only numbers are read that are there.
+        let numbers = unsafe { _mm256_castsi256_ps(_mm256_maskload_epi32(from.as_ptr().cast(), lane_masks(mask))) };
+        Self(numbers).compress_bits_to(mask, to)
+    }
     intrinsics! {
         fn splat(x: f32) -> Self = Self(_mm256_set1_ps(x));
         fn load(from: &[f32]) -> Self = Self(_mm256_loadu_ps(first::<8, _>(from).as_ptr()));
         fn load_bytes(from: &[u8]) -> Self =
-            Self(_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64(first::<16, _>(from).as_ptr().cast()))));
+            Self(_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64(first::<8, _>(from).as_ptr().cast()))));
+        fn load_bits(from: &[u32]) -> Self = Self(_mm256_loadu_ps(first::<8, _>(from).as_ptr().cast()));
+        fn reflect(self, flip: u32) -> Self = {
+            let lanes = _mm256_xor_si256(_mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), _mm256_set1_epi32(flip as i32));
+            Self(_mm256_permutevar8x32_ps(self.0, lanes))
+        };
+        fn compress_to(self, mask: u32, to: &mut [f32]) -> usize = {
+            // A byte for each lane: all ones if it stays, then the numbers of those that stay.
+            let stays = _pdep_u64(u64::from(mask), 0x0101_0101_0101_0101).wrapping_mul(0xff);
+            let lanes = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(_pext_u64(0x0706_0504_0302_0100, stays) as i64));
+            _mm256_storeu_ps(first_mut::<8, _>(to).as_mut_ptr(), _mm256_permutevar8x32_ps(self.0, lanes));
+            (mask & 0xff).count_ones() as usize
+        };
         fn store(self, to: &mut [f32]) -> () = _mm256_storeu_ps(first_mut::<8, _>(to).as_mut_ptr(), self.0);
         fn masked_fill(number: u32, mask: u32, to: &mut [u32]) -> () = {
             let to = first_mut::<8, _>(to);
@@ -154,6 +178,11 @@ impl Simd for Avx512 {
     type Double = Avx512Double;
     call_with_features!(Avx512, "avx512f,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt");
     #[inline(always)]
+    unsafe fn load_bytes_at(from: *const u8) -> Self {
+        // SAFETY: as above, and the caller's.
+        unsafe { Self(_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128(from.cast())))) }
+    }
+    #[inline(always)]
     unsafe fn gather_xyz(coordinates: &[f32], vertices: &[u32; 16]) -> [Self; 3] {
         // SAFETY: as above, and the caller's: all vertices are there.
         unsafe {
@@ -190,6 +219,15 @@ impl Simd for Avx512 {
         fn load(from: &[f32]) -> Self = Self(_mm512_loadu_ps(first::<16, _>(from).as_ptr()));
         fn load_bytes(from: &[u8]) -> Self =
             Self(_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128(first::<16, _>(from).as_ptr().cast()))));
+        fn load_bits(from: &[u32]) -> Self = Self(_mm512_loadu_ps(first::<16, _>(from).as_ptr().cast()));
+        fn reflect(self, flip: u32) -> Self = {
+            let lanes = _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+            Self(_mm512_permutexvar_ps(_mm512_xor_si512(lanes, _mm512_set1_epi32(flip as i32)), self.0))
+        };
+        fn compress_to(self, mask: u32, to: &mut [f32]) -> usize = {
+            _mm512_storeu_ps(first_mut::<16, _>(to).as_mut_ptr(), _mm512_maskz_compress_ps(mask as u16, self.0));
+            (mask & 0xffff).count_ones() as usize
+        };
         fn store(self, to: &mut [f32]) -> () = _mm512_storeu_ps(first_mut::<16, _>(to).as_mut_ptr(), self.0);
         fn masked_fill(number: u32, mask: u32, to: &mut [u32]) -> () = {
             let to = first_mut::<16, _>(to);

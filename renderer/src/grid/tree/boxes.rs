@@ -6,14 +6,14 @@
 
 use std::ops::Range;
 
-use glam::Vec3;
+use glam::{DVec3, UVec3, Vec3};
 use rayon::prelude::*;
 
 use crate::{
     grid::{
         cells::CellSpace,
         traced::TracedMesh,
-        tree::{BRICK_SIZE, Tree, TreeNode, overlap::child_position},
+        tree::{BRICK_SIZE, Tree, TreeNode, hierarchy::Bounds, overlap::child_position},
     },
     simd::Simd,
 };
@@ -88,39 +88,63 @@ impl GroupBytes<'_> {
         u32::MAX >> (32 - self.n)
     }
 
-    /// One side of the boxes from number `first` on, as in [`BoxBytes::side`].
+    /// Sides of the boxes from number `first` on, a multiple of [`Simd::LANES`] below [`GROUP`]. A side is below six and
+    /// numbered as in [`BoxBytes::side`]. Lanes beyond the last box are undefined.
     #[inline(always)]
-    pub(crate) fn side<S: Simd>(&self, side: usize, first: usize) -> S {
-        S::load_bytes(&self.bytes[side * self.n + first..])
+    pub(crate) fn sides<S: Simd>(&self, sides: [usize; 6], first: usize) -> [S; 6] {
+        let mut rows = [S::splat(0.0); 6];
+        for row in 0..6 {
+            let at = sides[row] * self.n + first;
+            debug_assert!(sides[row] < 6 && at + S::LANES <= self.bytes.len(), "side {} from {first} on", sides[row]);
+            // SAFETY: row 5 begins n bytes before the padding of 16, so at most 16 bytes from there are in the slice.
+            rows[row] = unsafe { S::load_bytes_at(self.bytes.as_ptr().add(at)) };
+        }
+        rows
     }
 }
 
-/// The cube of a leaf, in finest cells.
-#[derive(Clone, Copy, Default)]
-struct LeafCell {
-    corner: [u32; 3],
-    size: u32,
+/// The cube of a leaf: twice its lowest corner, in finest cells, with its side added to x.
+///
+/// The side is a power of two, and corners are multiples of it, so it is the lowest bit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct LeafCube([u32; 3]);
+
+impl LeafCube {
+    fn new(corner: [u32; 3], size: u32) -> Self {
+        let [x, y, z] = corner.map(|along| 2 * along);
+        Self([x | size, y, z])
+    }
+
+    /// Lowest corner, in finest cells. The fourth number fills a vector.
+    #[inline(always)]
+    pub(crate) fn corner(self) -> [u32; 4] {
+        let Self([x, y, z]) = self;
+        [(x ^ self.size()) >> 1, y >> 1, z >> 1, 0]
+    }
+
+    /// Side, in finest cells.
+    #[inline(always)]
+    pub(crate) fn size(self) -> u32 {
+        self.0[0] & self.0[0].wrapping_neg()
+    }
 }
 
 impl QuantizedBoxes {
     /// Measures the triangles of a finished tree, in parallel.
     pub(crate) fn new(
         space: &CellSpace,
-        dims: [u32; 3],
-        bricks: &[u32],
-        nodes: &[TreeNode],
+        leaf_cubes: &[LeafCube],
         leaf_starts: &[u32],
         references: &[u32],
         mesh: &TracedMesh,
     ) -> Self {
         const LEAVES_PER_JOB: usize = 1024;
         // Divide the leaves, and the bytes of their boxes, into jobs.
-        let leaf_cells = leaf_cells(dims, bricks, nodes, leaf_starts.len() - 1);
         let mut bytes = vec![0; 6 * references.len() + PADDING];
         let mut jobs = Vec::new();
         let mut rest = &mut *bytes;
-        for first in (0..leaf_cells.len()).step_by(LEAVES_PER_JOB) {
-            let end = (first + LEAVES_PER_JOB).min(leaf_cells.len());
+        for first in (0..leaf_cubes.len()).step_by(LEAVES_PER_JOB) {
+            let end = (first + LEAVES_PER_JOB).min(leaf_cubes.len());
             let (chunk, others) = rest.split_at_mut(6 * (leaf_starts[end] - leaf_starts[first]) as usize);
             jobs.push((first..end, chunk));
             rest = others;
@@ -132,7 +156,7 @@ impl QuantizedBoxes {
                 let triangles = &references[leaf_starts[leaf] as usize..leaf_starts[leaf + 1] as usize];
                 let (chunk, others) = bytes.split_at_mut(6 * triangles.len());
                 bytes = others;
-                measure(space, &leaf_cells[leaf], mesh, triangles, chunk);
+                measure(space, leaf_cubes[leaf], mesh, triangles, chunk);
             }
         });
         let group_bytes = group_bounds(&bytes, leaf_starts);
@@ -141,6 +165,23 @@ impl QuantizedBoxes {
 
     pub(crate) fn n_bytes(&self) -> usize {
         self.bytes.len() + self.group_bytes.len()
+    }
+
+    /// Bounds of a leaf's triangles within its cube, in finest cells.
+    pub(crate) fn leaf_bounds(&self, leaf: u32, cube: LeafCube, references: Range<usize>) -> Bounds {
+        let (first, n) = (6 * first_group(leaf, references.start), references.len().div_ceil(GROUP));
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for group in 0..n {
+            let (row_group, n_in_row) = (group / GROUP * GROUP, (n - group / GROUP * GROUP).min(GROUP));
+            let side =
+                |side: usize| f64::from(self.group_bytes[first + 6 * row_group + side * n_in_row + group - row_group]);
+            low = low.min(DVec3::new(side(0), side(2), side(4)));
+            high = high.max(DVec3::new(side(1), side(3), side(5)));
+        }
+        let [x, y, z, _] = cube.corner();
+        let corner = UVec3::new(x, y, z).as_dvec3();
+        let position = |sides: DVec3| corner + (sides - FIRST_STEP) * (f64::from(cube.size()) / N_STEPS);
+        Bounds { low: position(low), high: position(high) }
     }
 
     #[inline(always)]
@@ -256,50 +297,51 @@ impl<S: Simd> BoxLanes<S> {
     }
 }
 
-fn leaf_cells(dims: [u32; 3], bricks: &[u32], nodes: &[TreeNode], n_leaves: usize) -> Vec<LeafCell> {
-    let mut leaf_cells = vec![LeafCell::default(); n_leaves];
+/// The cubes of all leaves.
+pub(crate) fn leaf_cubes(dims: [u32; 3], bricks: &[u32], nodes: &[TreeNode], n_leaves: usize) -> Vec<LeafCube> {
+    let mut leaf_cubes = vec![LeafCube::default(); n_leaves];
     let mut stack = Vec::new();
     for (index, &brick) in bricks.iter().enumerate() {
         let index = index as u32;
         let position = [index % dims[0], index / dims[0] % dims[1], index / dims[0] / dims[1]];
-        let cell = LeafCell { corner: position.map(|along| along * BRICK_SIZE), size: BRICK_SIZE };
+        let cube = LeafCube::new(position.map(|along| along * BRICK_SIZE), BRICK_SIZE);
         if brick == Tree::EMPTY {
             continue;
         }
         if brick & Tree::LEAF != 0 {
-            leaf_cells[(brick & !Tree::LEAF) as usize] = cell;
+            leaf_cubes[(brick & !Tree::LEAF) as usize] = cube;
         } else {
-            stack.push((brick, cell));
+            stack.push((brick, cube));
         }
         // Visit the brick's nodes; children follow in the order of their bits.
-        while let Some((number, cell)) = stack.pop() {
+        while let Some((number, cube)) = stack.pop() {
             let node = &nodes[number as usize];
             let (mut leaf, mut divided) = (node.first_leaf, node.first_node);
             for child in (0..64).filter(|child| node.occupied >> child & 1 == 1) {
-                let size = cell.size / 4;
-                let position = child_position(child);
-                let child_cell =
-                    LeafCell { corner: [0, 1, 2].map(|axis| cell.corner[axis] + position[axis] * size), size };
+                let size = cube.size() / 4;
+                let (corner, position) = (cube.corner(), child_position(child));
+                let child_cube = LeafCube::new([0, 1, 2].map(|axis| corner[axis] + position[axis] * size), size);
                 if node.divided >> child & 1 == 1 {
-                    stack.push((divided, child_cell));
+                    stack.push((divided, child_cube));
                     divided += 1;
                 } else {
-                    leaf_cells[leaf as usize] = child_cell;
+                    leaf_cubes[leaf as usize] = child_cube;
                     leaf += 1;
                 }
             }
         }
     }
-    leaf_cells
+    leaf_cubes
 }
 
 /// Writes the quantised boxes of a leaf's triangles, rounded outward.
-fn measure(space: &CellSpace, cell: &LeafCell, mesh: &TracedMesh, triangles: &[u32], bytes: &mut [u8]) {
+fn measure(space: &CellSpace, cube: LeafCube, mesh: &TracedMesh, triangles: &[u32], bytes: &mut [u8]) {
     const ROUNDING: f64 = 1e-3;
-    let steps_per_cell = N_STEPS / f64::from(cell.size);
+    let steps_per_cell = N_STEPS / f64::from(cube.size());
+    let [x, y, z, _] = cube.corner();
+    let corner = UVec3::new(x, y, z).as_dvec3();
     for (index, &triangle) in triangles.iter().enumerate() {
         let [a, b, c] = mesh.corners(triangle).map(|corner| space.point_to_cells(Vec3::from_array(corner).as_dvec3()));
-        let corner = glam::UVec3::from_array(cell.corner).as_dvec3();
         let low = ((a.min(b).min(c) - corner) * steps_per_cell + (FIRST_STEP - ROUNDING)).floor();
         let high = ((a.max(b).max(c) - corner) * steps_per_cell + (FIRST_STEP + ROUNDING)).ceil();
         // Conversions saturate: sides outside the cube get the ends of a byte's range.
