@@ -25,6 +25,14 @@ pub(super) fn binary_bytes(start: &[u8]) -> Option<u64> {
     Some(HEADER_BYTES as u64 + TRIANGLE_BYTES as u64 * u64::from(u32::from_le_bytes(*count)))
 }
 
+/// Whether a first triangle follows the header of a binary file: a normal no longer than 1, and corners that are near.
+pub(super) fn begins_with_triangle(start: &[u8]) -> bool {
+    let Some(numbers) = start.get(HEADER_BYTES..HEADER_BYTES + 48) else { return false };
+    let mut numbers = numbers.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes));
+    let is_unit = numbers.by_ref().take(3).map(|x| x * x).sum::<f32>() < 1.01;
+    is_unit && numbers.all(|x| x == 0.0 || (1e-9..1e9).contains(&x.abs()))
+}
+
 /// Reads a binary STL of `n_bytes` bytes, at least as many as its header counts.
 ///
 /// # Errors
