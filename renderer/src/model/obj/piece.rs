@@ -31,6 +31,10 @@ pub(super) struct Piece {
     pub(super) libraries: Vec<String>,
     /// Points, lines, and curved surfaces.
     pub(super) n_left_out: usize,
+    /// Faces that are no triangle.
+    pub(super) n_short: usize,
+    /// Whether it ends in the middle of a face.
+    pub(super) is_cut: bool,
 }
 
 /// The fault of a row; `line` counts from 0.
@@ -50,13 +54,29 @@ impl Piece {
         let mut piece = Self::default();
         let mut rest = text;
         let mut n_lines = 0;
+        let mut n_before_last = 0;
         while !rest.is_empty() {
             let (line, n_bytes, n_rows) = logical_line(rest);
             rest = &rest[n_bytes..];
+            n_before_last = piece.polygons.len();
             piece.parse_line(Words(line)).map_err(|what| Fault { line: n_lines, what })?;
             n_lines += n_rows;
         }
+        // Many a whole file has no end of its last line.
+        piece.is_cut = !text.ends_with(b"\n") && piece.polygons.len() > n_before_last && piece.ends_in_a_face();
         Ok(piece)
+    }
+
+    /// Whether the last face lacks corners, or its last corner has fewer numbers than its first.
+    fn ends_in_a_face(&self) -> bool {
+        let (start, end) = match *self.polygons {
+            [.., start, end] => (start, end),
+            [end] => (0, end),
+            [] => return false,
+        };
+        let corners = &self.corners[start..end];
+        let has = |corner: &[i64; 3]| corner.map(|index| index != NONE);
+        corners.len() < 3 || corners.first().map(has) != corners.last().map(has)
     }
 
     fn parse_line(&mut self, mut words: Words<'_>) -> Result<(), String> {
@@ -76,10 +96,12 @@ impl Piece {
             }
             // `fo` is of older files.
             b"f" | b"fo" => {
+                let n_before = self.corners.len();
                 for word in words {
                     let corner = self.corner(word)?;
                     self.corners.push(corner);
                 }
+                self.n_short += usize::from(self.corners.len() < n_before + 3);
                 self.polygons.push(self.corners.len());
                 Ok(())
             }
