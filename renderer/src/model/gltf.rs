@@ -49,8 +49,9 @@ pub enum Problem {
 }
 
 /// Extensions that may be required: those that are read, and those without effect on shape and base colour.
-const KNOWN: [&str; 18] = [
+const KNOWN: [&str; 19] = [
     "KHR_mesh_quantization",
+    "EXT_mesh_gpu_instancing",
     "EXT_meshopt_compression",
     "KHR_meshopt_compression",
     "KHR_draco_mesh_compression",

@@ -69,10 +69,13 @@ pub fn read_binary(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Text
 /// A corner is not three numbers, or there are too many triangles.
 pub fn read_text(mut reader: impl BufRead) -> Result<Draft, TextProblem> {
     let mut corners = Welder::default();
+    // Old Macs end lines with a carriage return alone.
+    let start = reader.fill_buf()?;
+    let line_end = if !start.contains(&b'\n') && start.contains(&b'\r') { b'\r' } else { b'\n' };
     let (mut line, mut number, mut is_open) = (Vec::new(), 0, false);
     loop {
         line.clear();
-        if reader.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line)? == 0 {
+        if reader.by_ref().take(LONGEST_LINE).read_until(line_end, &mut line)? == 0 {
             let mut draft = corners.finish();
             if is_open {
                 draft.remarks.push("ends without `endsolid`: it may have been cut short".to_owned());
@@ -235,6 +238,7 @@ mod tests {
         for text in [
             TEXT.to_uppercase(),
             TEXT.replace('\n', "\r\n"),
+            TEXT.replace('\n', "\r"),
             TEXT.replace("endsolid two facets\n", ""),
             TEXT.replace("endfacet\nfacet", "endfacet\nendsolid a vertex\nsolid b vertex\nfacet"),
             TEXT.replace("two facets\n", "\u{e9} vertex\n"),

@@ -41,8 +41,17 @@ impl<'a> Buffers<'a> {
         }
         let n_bytes = read.iter().flatten().map(|bytes| bytes.len()).sum();
         let mut buffers = Self { buffers: read, firsts, decoded: Vec::new(), n_bytes };
+        // Views do not share bytes, so all of them together decode to no more than the file could hold.
+        let mut n_left = n_bytes;
+        let fits: Vec<bool> = (document.buffer_views.iter())
+            .map(|view| view.extensions.meshopt.as_deref().map_or(0, |view| view.byte_length))
+            .map(|n_bytes| n_left.checked_sub(n_bytes).inspect(|left| n_left = *left).is_some())
+            .collect();
         let decode = |index: usize| {
             let view = document.buffer_views[index].extensions.meshopt.as_deref()?;
+            if !fits[index] {
+                return Some(Err("compressed views share their bytes: export the model again".to_owned()));
+            }
             let decoded = buffers.part(view.buffer, view.byte_offset, view.byte_length).and_then(|data| {
                 meshopt::decode(data, view.mode, view.filter, view.count, view.byte_stride)
                     .ok_or_else(|| format!("compressed view {index} is damaged"))

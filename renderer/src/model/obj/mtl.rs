@@ -21,11 +21,12 @@ pub struct Library {
     places: HashMap<ImageSource, u32>,
     /// The folder of the file that is being read, relative to the model's.
     folder: String,
+    /// Words in it that name images which are not read.
+    others: BTreeSet<&'static str>,
 }
 
 /// Words that name images which are not read.
-const OTHER_MAPS: [&str; 10] =
-    ["map_Ka", "map_Ks", "map_Ns", "map_Ps", "map_Bump", "bump", "norm", "disp", "decal", "refl"];
+const OTHER_MAPS: [&str; 9] = ["map_Ks", "map_Ns", "map_Ps", "map_Bump", "bump", "norm", "disp", "decal", "refl"];
 
 /// Programs write it for a texture that decides where a surface is.
 const CUTOFF: f32 = 0.5;
@@ -38,6 +39,7 @@ struct Maps {
     roughness: Option<Map>,
     metallic: Option<Map>,
     coverage: Option<String>,
+    ambient: Option<String>,
 }
 
 /// A texture: its file, and how coordinates lead to it.
@@ -56,7 +58,6 @@ impl Library {
         folder.clone_into(&mut self.folder);
         let mut maps = Maps::default();
         let mut is_see_through = false;
-        let mut others = BTreeSet::<&str>::new();
         let n_before = self.materials.len();
         let bytes = bytes.strip_prefix(super::BYTE_ORDER_MARK).unwrap_or(bytes);
         for line in bytes.split(|&byte| matches!(byte, b'\n' | b'\r')) {
@@ -81,12 +82,13 @@ impl Library {
                 "map_pr" => maps.roughness = Map::parse(rest),
                 "map_pm" => maps.metallic = Map::parse(rest),
                 "map_d" => maps.coverage = Map::parse(rest).map(|map| map.name),
-                other => others.extend(OTHER_MAPS.iter().find(|it| it.eq_ignore_ascii_case(other))),
+                "map_ka" => maps.ambient = Map::parse(rest).map(|map| map.name),
+                other => self.others.extend(OTHER_MAPS.iter().find(|it| it.eq_ignore_ascii_case(other))),
             }
         }
         self.finish(maps, n_before);
+        let others = Vec::from_iter(std::mem::take(&mut self.others)).join(", ");
         if !others.is_empty() {
-            let others = others.into_iter().collect::<Vec<_>>().join(", ");
             self.remarks.push(format!(
                 "textures of {others} are left out: of a material, map_Kd, map_Ke, map_Pr, map_Pm and map_d are read"
             ));
@@ -101,7 +103,11 @@ impl Library {
         if self.materials.len() == n_before {
             return;
         }
-        let Maps { color, emissive, roughness, metallic, coverage } = maps;
+        let Maps { color, emissive, roughness, metallic, coverage, ambient } = maps;
+        // Most programs repeat the colour there.
+        if ambient.is_some_and(|name| color.as_ref().is_none_or(|map| map.name != name)) {
+            self.others.insert("map_Ka");
+        }
         if color.is_none() && coverage.is_some() {
             self.remarks.push("a texture of coverage (map_d) without one of colour (map_Kd) is left out".to_owned());
         }
