@@ -381,6 +381,10 @@ fn faults_are_told_in_one_line() {
         (error(&whole[..whole.len() - 1]), "is cut short: "),
         (text(r#"{"asset":{"version":"1.0"},"nodes":{}}"#), "has version 1.0 of glTF"),
         (text(r#"{"asset":{"version":"2.0"}}"#), "holds nothing that can be shown: its scene has no meshes"),
+        (
+            text(r#"{"asset":{"version":"2.0"},"nodes":[{}],"animations":[{}]}"#),
+            "holds nothing that can be shown: its scene has no meshes",
+        ),
         (text(r#"{"scenes":[]}"#), "is no glTF 2.0: missing field `asset`"),
         (text(r#"{"asset":{"version":"2.0"},"nodes":3}"#), "is no glTF 2.0: invalid type"),
         (
