@@ -36,7 +36,7 @@ impl Companions {
         if start.limit() == 0 { Err(format!("{name} is longer than {longest} bytes")) } else { Ok(bytes) }
     }
 
-    /// The file itself, if its path leads from `folder`, or from the model's folder, to one that is [allowed](Self::within);
+    /// The file itself, if its path leads from `folder`, or from the model's folder, to one that is [allowed](within);
     /// otherwise one of its name beside the model or in a folder of images, however its letters are written: models move
     /// between machines, their paths do not. `folder` is relative to the model's.
     ///
