@@ -59,7 +59,9 @@ impl Piece {
             let (line, n_bytes, n_rows) = logical_line(rest);
             rest = &rest[n_bytes..];
             n_before_last = piece.polygons.len();
-            piece.parse_line(Words(line)).map_err(|what| Fault { line: n_lines, what })?;
+            let is_cut = rest.is_empty() && !text.ends_with(b"\n");
+            let place = if is_cut { ", where the file ends: it may have been cut short" } else { "" };
+            piece.parse_line(Words(line)).map_err(|what| Fault { line: n_lines, what: what + place })?;
             n_lines += n_rows;
         }
         // Many a whole file has no end of its last line.

@@ -228,6 +228,8 @@ fn a_face_that_is_cut_is_told() {
     ] {
         assert_eq!(remarks(face), expected, "{face}");
     }
+    let told = parse(format!("{CORNERS}v 1 2")).unwrap_err().to_string();
+    assert_eq!(told, "line 5: a number is missing, where the file ends: it may have been cut short");
 }
 
 #[test]
