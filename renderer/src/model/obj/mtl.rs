@@ -61,7 +61,8 @@ impl Library {
         let n_before = self.materials.len();
         let bytes = bytes.strip_prefix(super::BYTE_ORDER_MARK).unwrap_or(bytes);
         for line in bytes.split(|&byte| matches!(byte, b'\n' | b'\r')) {
-            let line = text(line);
+            // Some programs indent lines.
+            let line = text(line.trim_ascii_start());
             let (word, rest) = line.split_once(char::is_whitespace).unwrap_or((&line, ""));
             let rest = rest.trim();
             if word == "newmtl" {

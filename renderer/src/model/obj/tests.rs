@@ -133,7 +133,7 @@ fn the_mesh_does_not_depend_on_where_the_text_is_cut() {
 fn a_byte_order_mark_is_no_part_of_the_first_line() {
     let draft = with_library(
         &format!("\u{feff}mtllib a b.mtl\n{CORNERS}usemtl a\nf 1 2 3\n"),
-        b"\xef\xbb\xbfnewmtl a\nKd 1 0 0\n",
+        b"\xef\xbb\xbf newmtl a\n\tKd 1 0 0\n",
     );
     assert_eq!(draft.mesh.materials.materials[0].base_color, [1.0, 0.0, 0.0, 1.0]);
 }
