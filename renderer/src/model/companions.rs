@@ -70,7 +70,8 @@ impl Companions {
 /// machine's owner makes them.
 fn within(folder: &Path, path: &Path) -> Option<PathBuf> {
     if path.is_absolute() {
-        let folder = std::path::absolute(folder).ok()?;
+        // The empty path is the current folder to all but this function.
+        let folder = std::path::absolute(Path::new(".").join(folder)).ok()?;
         let above = folder.parent().unwrap_or(&folder);
         return tidy(path.strip_prefix(above).ok()?).filter(|way| !way.starts_with("..")).map(|way| above.join(way));
     }
@@ -161,6 +162,8 @@ mod tests {
             let told = companions.find("", name).unwrap_err();
             assert!(told.starts_with(&format!("{name} is neither below the model's folder")), "{told}");
         }
+        let here = std::env::current_dir().unwrap().join("a.png");
+        assert!(within(Path::new(""), &here).is_some() && within(Path::new("deep/er"), &here).is_none());
         assert!(companions.find("..", "../passwd").is_err() && companions.find("../..", "passwd").is_err());
     }
 }
