@@ -3,14 +3,16 @@
 //! [`mesh`] is the type, with [`normal`]s and [`material`]s; [`shape`] finds its outline, [`solid`] says whether it is
 //! closed, and [`smooth`] gives it normals.
 //!
-//! [`mod@file`] tells formats apart: [`ply`], [`obj`], [`stl`] and [`gltf`] read theirs, with `assembly`, `decimal` and
-//! `wedges` in common; `companions` finds the files that a model names, and [`images`] decodes its images.
+//! [`mod@file`] tells formats apart, and `foreign` files of other kinds: [`ply`], [`obj`], [`stl`] and [`gltf`] read theirs,
+//! with `assembly`, `decimal` and `wedges` in common; `companions` finds the files that a model names, and [`images`]
+//! decodes its images.
 //! [`statue`] generates a mesh; [`scene`] loads and identifies meshes.
 
 mod assembly;
 pub mod companions;
 mod decimal;
 pub mod file;
+mod foreign;
 pub mod gltf;
 pub mod images;
 pub mod material;

@@ -168,8 +168,12 @@ pub fn ply(data: &[u8]) {
 pub fn obj(data: &[u8]) {
     obj::read_from(data, data.len() as u64, &Companions::default()).into_iter().for_each(check_model);
     let mut library = obj::Library::default();
-    library.read(data);
-    let textures = library.materials.iter().flat_map(|it| [it.base_color_texture, it.emissive_texture]).flatten();
+    library.read(data, "");
+    let textures = library
+        .materials
+        .iter()
+        .flat_map(|it| [it.base_color_texture, it.metallic_roughness_texture, it.emissive_texture])
+        .flatten();
     textures.for_each(|texture| assert!((texture.image as usize) < library.images.len()));
 }
 

@@ -2,7 +2,7 @@
 
 use std::{
     io::Read,
-    path::{Path, PathBuf},
+    path::{Component, Path, PathBuf},
 };
 
 use channel::files;
@@ -23,12 +23,12 @@ impl Companions {
         Self { folder: Some(model.parent().unwrap_or(Path::new("")).to_owned()) }
     }
 
-    /// The whole content of a file of at most `longest` bytes.
+    /// The whole content of a file of at most `longest` bytes, which a file in `folder` names.
     ///
     /// # Errors
     /// A text that names the file and the fault.
-    pub(super) fn read(&self, name: &str, longest: u64) -> Result<Vec<u8>, String> {
-        let path = self.find(name).ok_or_else(|| format!("{name} is missing: put it beside the model"))?;
+    pub(super) fn read(&self, folder: &str, name: &str, longest: u64) -> Result<Vec<u8>, String> {
+        let path = self.find(folder, name)?;
         let file = files::open(&path).map_err(|error| format!("{name} {error}"))?;
         let mut bytes = Vec::new();
         let mut start = file.take(longest + 1);
@@ -36,20 +36,63 @@ impl Companions {
         if start.limit() == 0 { Err(format!("{name} is longer than {longest} bytes")) } else { Ok(bytes) }
     }
 
-    /// The file itself, if its path leads from the model's folder to it; otherwise one of its name beside the model or in a
-    /// folder of images, however its letters are written: models move between machines, their paths do not.
-    pub(super) fn find(&self, name: &str) -> Option<PathBuf> {
-        let folder = self.folder.as_deref()?;
-        let name = name.replace('\\', "/");
-        let base = name.rsplit('/').next().filter(|base| !base.is_empty())?;
-        let as_named = folder.join(&name);
-        if as_named.is_file() {
-            return Some(as_named);
+    /// The file itself, if its path leads from `folder`, or from the model's folder, to one that is [allowed](within);
+    /// otherwise one of its name beside the model or in a folder of images, however its letters are written: models move
+    /// between machines, their paths do not. `folder` is relative to the model's.
+    ///
+    /// # Errors
+    /// A text that names the file and the fault.
+    pub(super) fn find(&self, folder: &str, name: &str) -> Result<PathBuf, String> {
+        let missing = || format!("{name} is missing: put it beside the model");
+        let here = self.folder.as_deref().ok_or_else(missing)?;
+        let [folder, named] = [folder, name].map(|path| path.replace('\\', "/"));
+        let base = named.rsplit('/').next().filter(|base| !base.is_empty()).ok_or_else(missing)?;
+        let places = [Path::new(&folder).join(&named), PathBuf::from(&named)];
+        let allowed = || places.iter().filter_map(|place| within(here, place)).map(|place| here.join(place));
+        if let Some(path) = allowed().find(|path| path.is_file()) {
+            return Ok(path);
         }
-        let folders = || FOLDERS.iter().map(|place| folder.join(place));
+        let beside = within(here, Path::new(&folder));
+        let folders = || beside.iter().cloned().chain(FOLDERS.map(PathBuf::from)).map(|place| here.join(place));
         let same = folders().map(|place| place.join(base)).find(|path| path.is_file());
-        same.or_else(|| folders().find_map(|place| find_in_any_case(&place, base)))
+        let found = same.or_else(|| folders().find_map(|place| find_in_any_case(&place, base)));
+        found.ok_or_else(|| match allowed().next() {
+            Some(_) => missing(),
+            None => format!(
+                "{name} is neither below the model's folder nor below the one above it: put it beside the model"
+            ),
+        })
     }
+}
+
+/// The way from the model's folder to a path that is in it or below it, or below the folder above it, where models share
+/// textures: a model from a stranger must not show other files of this machine. Links are followed, because only the
+/// machine's owner makes them.
+fn within(folder: &Path, path: &Path) -> Option<PathBuf> {
+    if path.is_absolute() {
+        // The empty path is the current folder to all but this function.
+        let folder = std::path::absolute(Path::new(".").join(folder)).ok()?;
+        let above = folder.parent().unwrap_or(&folder);
+        return tidy(path.strip_prefix(above).ok()?).filter(|way| !way.starts_with("..")).map(|way| above.join(way));
+    }
+    tidy(path).filter(|way| !way.starts_with("../.."))
+}
+
+/// A relative path without `.`, and with `..` only at its beginning; `None` if it is none.
+fn tidy(path: &Path) -> Option<PathBuf> {
+    let mut way = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::CurDir => {}
+            Component::ParentDir if way.file_name().is_some() => {
+                way.pop();
+            }
+            Component::ParentDir => way.push(".."),
+            Component::Normal(name) => way.push(name),
+            Component::RootDir | Component::Prefix(_) => return None,
+        }
+    }
+    Some(way)
 }
 
 fn find_in_any_case(folder: &Path, name: &str) -> Option<PathBuf> {
@@ -77,7 +120,7 @@ mod tests {
             fs::write(path, name).unwrap();
         }
         let companions = Companions::beside(&model);
-        let found = |name: &str| companions.read(name, 100).map(|bytes| String::from_utf8(bytes).unwrap());
+        let found = |name: &str| companions.read("", name, 100).map(|bytes| String::from_utf8(bytes).unwrap());
         for (name, expected) in [
             ("a b.png", "scan/a b.png"),
             ("C:\\scans\\A B.png", "scan/a b.png"),
@@ -88,7 +131,39 @@ mod tests {
             assert_eq!(found(name), Ok(expected.to_owned()), "{name}");
         }
         assert_eq!(found("f.png"), Err("f.png is missing: put it beside the model".to_owned()));
-        assert_eq!(companions.read("a b.png", 3), Err("a b.png is longer than 3 bytes".to_owned()));
-        assert!(found("").is_err() && found("textures").is_err() && Companions::default().find("a b.png").is_none());
+        assert_eq!(companions.read("", "a b.png", 3), Err("a b.png is longer than 3 bytes".to_owned()));
+        assert!(found("").is_err() && found("textures").is_err());
+        assert!(Companions::default().find("", "a b.png").is_err());
+    }
+
+    #[test]
+    fn files_farther_away_than_the_folder_above_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["passwd", "scans/shared/a.jpg", "scans/b.jpg", "scans/one/sub/c.jpg", "scans/one/sub/maps/d.jpg"] {
+            let path = folder.path().join(name);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, name).unwrap();
+        }
+        let companions = Companions::beside(&folder.path().join("scans/one/model.obj"));
+        let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+        for (from, name) in [
+            ("", "../shared/a.jpg"),
+            ("", "sub/../../b.jpg"),
+            ("", &path("scans/b.jpg")),
+            ("sub", "c.jpg"),
+            ("sub", "./maps/d.jpg"),
+            ("sub", "../../shared/a.jpg"),
+            ("sub", "x/y/c.jpg"),
+        ] {
+            assert!(companions.read(from, name, 100).is_ok(), "{from} {name}");
+        }
+        for name in ["../../passwd", "sub/../../../passwd", "../shared/../../passwd", "..\\..\\passwd", &path("passwd")]
+        {
+            let told = companions.find("", name).unwrap_err();
+            assert!(told.starts_with(&format!("{name} is neither below the model's folder")), "{told}");
+        }
+        let here = std::env::current_dir().unwrap().join("a.png");
+        assert!(within(Path::new(""), &here).is_some() && within(Path::new("deep/er"), &here).is_none());
+        assert!(companions.find("..", "../passwd").is_err() && companions.find("../..", "passwd").is_err());
     }
 }

@@ -11,7 +11,7 @@ use channel::files::{self, ReadError};
 use crate::model::{
     assembly::TextProblem,
     companions::Companions,
-    gltf,
+    foreign, gltf,
     images::{self, ImageSource},
     mesh::Mesh,
     obj, ply, stl,
@@ -59,10 +59,9 @@ pub enum Problem {
     // It has no size to compare its counts with, or cannot be opened.
     #[error(transparent)]
     Unreadable(#[from] ReadError),
-    #[error(
-        "is no model that is read (PLY, OBJ, STL, glTF, GLB), or is damaged: export it again in one of these formats"
-    )]
-    Unknown,
+    // A file of another kind, or a damaged one.
+    #[error("{0}")]
+    Foreign(String),
     #[error(transparent)]
     Ply(#[from] ply::Problem),
     #[error(transparent)]
@@ -120,7 +119,7 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64, companions: &Companions
     // A buffer may be filled only in part.
     let mut start = Vec::new();
     reader.by_ref().take(START_BYTES).read_to_end(&mut start)?;
-    let format = Format::of(&start, n_bytes).ok_or(Problem::Unknown)?;
+    let format = Format::of(&start, n_bytes).ok_or_else(|| Problem::Foreign(foreign::fault(&start, n_bytes)))?;
     let reader = start.chain(reader);
     Ok(match format {
         Format::Ply => ply::read_from(reader, n_bytes)?,
@@ -218,8 +217,10 @@ mod tests {
     fn a_file_of_another_kind_is_told_what_is_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.obj");
-        std::fs::write(&path, "<html>").unwrap();
-        let error = read(&path, &|_| ()).unwrap_err().to_string();
-        assert!(error.contains("a.obj: is no model that is read (PLY, OBJ, STL, glTF, GLB)"), "{error}");
+        for (text, told) in [("", "is empty"), ("Hello", "is no model that is read (PLY, OBJ, STL, glTF, GLB)")] {
+            std::fs::write(&path, text).unwrap();
+            let error = read(&path, &|_| ()).unwrap_err().to_string();
+            assert!(error.contains(&format!("a.obj: {told}")), "{error}");
+        }
     }
 }

@@ -49,8 +49,9 @@ pub enum Problem {
 }
 
 /// Extensions that may be required: those that are read, and those without effect on shape and base colour.
-const KNOWN: [&str; 18] = [
+const KNOWN: [&str; 19] = [
     "KHR_mesh_quantization",
+    "EXT_mesh_gpu_instancing",
     "EXT_meshopt_compression",
     "KHR_meshopt_compression",
     "KHR_draco_mesh_compression",
@@ -135,12 +136,17 @@ fn read_parts(json: &[u8], binary: &[u8], companions: &Companions) -> Result<Dra
     }
     let buffers = Buffers::read(&document, binary, companions);
     let mut geometry = Geometry::new(&document, &buffers, json.len());
-    for instance in nodes::instances(&document, &buffers, &mut remarks) {
+    let n_before = remarks.len();
+    let instances = nodes::instances(&document, &buffers, &mut remarks);
+    if instances.is_empty() && remarks.len() == n_before {
+        return Err(Problem::Nothing("its scene has no meshes".to_owned()));
+    }
+    for instance in instances {
         geometry.add(&instance)?;
     }
     let mut draft = geometry.finish(remarks);
     if draft.mesh.triangles.is_empty() {
-        draft.remarks.extend(draft.remarks.is_empty().then(|| "its scene has no meshes".to_owned()));
+        draft.remarks.extend(draft.remarks.is_empty().then(|| "its meshes have no triangles".to_owned()));
         return Err(Problem::Nothing(draft.remarks.join("; ")));
     }
     draft.mesh.up = Some(UpAxis::Y);

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::model::{
     companions::Companions,
     file::{Draft, Reading},
-    material::{Image, Material, TextureUse},
+    material::{Image, TextureUse},
 };
 
 /// The longest side of an image.
@@ -22,21 +22,39 @@ const SMALL_IMAGE: u64 = 1 << 20;
 /// The longest file of an image.
 const LONGEST_FILE: u64 = 1 << 31;
 
-/// An encoded image, and the channel that other images give it.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+/// An encoded image, and the channels that other images give it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ImageSource {
-    /// The name of its file; of an image within the model's file, what errors call it.
+    /// The name of its file; of an image within the model's file, its name in errors.
     pub name: String,
+    /// The folder of the file that names it, relative to the model's.
+    pub folder: String,
     /// Its bytes, if they are in the model's file.
     pub bytes: Option<Vec<u8>>,
-    /// The name of a grey image of its coverage.
-    pub coverage: Option<String>,
+    /// How its channels are put together.
+    pub channels: Channels,
+}
+
+/// How the channels of an image are put together from grey images, each of which is named by its file.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Channels {
+    /// All are in the image.
+    #[default]
+    Whole,
+    /// Another image is its coverage.
+    Coverage(String),
+    /// It is grey, and becomes roughness; metallic is full.
+    Roughness,
+    /// It is grey, and becomes metallic; roughness is full.
+    Metallic,
+    /// It is grey, and becomes roughness; another image becomes metallic.
+    RoughnessAndMetallic(String),
 }
 
 impl ImageSource {
     /// An image in a file of its own.
     pub(super) fn file(name: impl Into<String>) -> Self {
-        Self { name: name.into(), bytes: None, coverage: None }
+        Self { name: name.into(), ..Self::default() }
     }
 }
 
@@ -52,42 +70,52 @@ pub fn decode(draft: Draft, companions: &Companions) -> Reading {
             Err(fault) => remarks.push(format!("an image is left out: {fault}")),
         }
     }
-    for texture in mesh.materials.materials.iter_mut().flat_map(texture_uses) {
-        *texture = texture.and_then(|texture| {
-            let image = places.get(texture.image as usize).copied().flatten()?;
-            Some(TextureUse { image, ..texture })
-        });
+    let kept = |texture: TextureUse| {
+        let image = places.get(texture.image as usize).copied().flatten()?;
+        Some(TextureUse { image, ..texture })
+    };
+    for material in &mut mesh.materials.materials {
+        material.keep_textures(kept);
     }
     Reading { mesh, remarks }
 }
 
-fn texture_uses(material: &mut Material) -> [&mut Option<TextureUse>; 3] {
-    let Material { base_color_texture, metallic_roughness_texture, emissive_texture, .. } = material;
-    [base_color_texture, metallic_roughness_texture, emissive_texture]
-}
-
 fn decode_source(source: &ImageSource, companions: &Companions) -> Result<Image, String> {
     let image = |name: &str, bytes: &[u8]| decode_bytes(name, bytes).map_err(|fault| format!("{name} {fault}"));
+    let file = |name: &str| image(name, &companions.read(&source.folder, name, LONGEST_FILE)?);
     let mut decoded = match &source.bytes {
         Some(bytes) => image(&source.name, bytes)?,
-        None => image(&source.name, &companions.read(&source.name, LONGEST_FILE)?)?,
+        None => file(&source.name)?,
     };
-    if let Some(name) = &source.coverage {
-        cover(&mut decoded, &image(name, &companions.read(name, LONGEST_FILE)?)?);
+    match &source.channels {
+        Channels::Whole => {}
+        Channels::Coverage(name) => {
+            let coverage = file(name)?;
+            let has_own = coverage.texels.iter().any(|texel| texel[3] < u8::MAX);
+            merge(&mut decoded, &coverage, |texel, of| texel[3] = if has_own { of[3] } else { of[0] });
+        }
+        Channels::Roughness => each(&mut decoded, |[grey, ..]| [0, grey, u8::MAX, u8::MAX]),
+        Channels::Metallic => each(&mut decoded, |[grey, ..]| [0, u8::MAX, grey, u8::MAX]),
+        Channels::RoughnessAndMetallic(name) => {
+            let metallic = file(name)?;
+            merge(&mut decoded, &metallic, |texel, of| *texel = [0, texel[0], of[0], u8::MAX]);
+        }
     }
     Ok(decoded)
 }
 
-/// Sets the coverage of each texel from the nearest texel of a grey image, or from its coverage if it has any.
-fn cover(image: &mut Image, coverage: &Image) {
-    let has_own = coverage.texels.iter().any(|texel| texel[3] < u8::MAX);
+fn each(image: &mut Image, change: impl Fn([u8; 4]) -> [u8; 4] + Sync) {
+    image.texels.par_iter_mut().for_each(|texel| *texel = change(*texel));
+}
+
+/// Changes each texel by the nearest one of another image.
+fn merge(image: &mut Image, other: &Image, change: impl Fn(&mut [u8; 4], [u8; 4]) + Sync) {
     let nearest = |at: usize, size: u32, of: u32| (at as u64 * u64::from(of) / u64::from(size)) as usize;
     let width = image.width as usize;
     image.texels.par_chunks_mut(width).enumerate().for_each(|(y, row)| {
-        let row_of = nearest(y, image.height, coverage.height) * coverage.width as usize;
+        let row_of = nearest(y, image.height, other.height) * other.width as usize;
         for (x, texel) in row.iter_mut().enumerate() {
-            let of = coverage.texels[row_of + nearest(x, image.width, coverage.width)];
-            texel[3] = if has_own { of[3] } else { of[0] };
+            change(texel, other.texels[row_of + nearest(x, image.width, other.width)]);
         }
     });
 }
@@ -129,6 +157,7 @@ fn decode_bytes(name: &str, bytes: &[u8]) -> Result<Image, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::material::Material;
 
     fn png(width: u32, height: u32) -> Vec<u8> {
         let mut bytes = Vec::new();
@@ -149,13 +178,17 @@ mod tests {
         draft.mesh.materials.materials = vec![Material {
             base_color_texture: use_of(1),
             emissive_texture: use_of(0),
+            emissive: [1.0; 3],
             metallic_roughness_texture: use_of(9),
+            metallic: 1.0,
             ..Material::default()
         }];
         let Reading { mesh, remarks } = decode(draft, &Companions::default());
         let material = &mesh.materials.materials[0];
         assert_eq!(material.base_color_texture.map(|texture| texture.image), Some(0));
         assert!(material.emissive_texture.is_none() && material.metallic_roughness_texture.is_none());
+        // Factors say little without their textures.
+        assert_eq!((material.emissive, material.metallic), ([0.0; 3], 0.0));
         assert_eq!(mesh.materials.images[0].texels, [[0, 0, 0, 255], [100, 100, 100, 255]]);
         assert_eq!(
             remarks,
@@ -185,10 +218,23 @@ mod tests {
     }
 
     #[test]
-    fn coverage_comes_from_an_image_of_another_size() {
-        let mut image = decode_bytes("", &png(4, 2)).unwrap();
-        cover(&mut image, &decode_bytes("", &png(2, 1)).unwrap());
-        let coverage: Vec<u8> = image.texels.iter().map(|texel| texel[3]).collect();
-        assert_eq!(coverage, [0, 0, 100, 100, 0, 0, 100, 100]);
+    fn channels_come_from_images_of_other_sizes() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("other.png"), png(2, 1)).unwrap();
+        let companions = Companions::beside(&folder.path().join("model.obj"));
+        let other = || "other.png".to_owned();
+        for (channels, channel, expected) in [
+            (Channels::Coverage(other()), 3, [0, 0, 100, 100, 0, 0, 100, 100]),
+            (Channels::Roughness, 1, [0, 100, 200, 44, 1, 101, 201, 45]),
+            (Channels::Roughness, 2, [255; 8]),
+            (Channels::Metallic, 1, [255; 8]),
+            (Channels::Metallic, 2, [0, 100, 200, 44, 1, 101, 201, 45]),
+            (Channels::RoughnessAndMetallic(other()), 1, [0, 100, 200, 44, 1, 101, 201, 45]),
+            (Channels::RoughnessAndMetallic(other()), 2, [0, 0, 100, 100, 0, 0, 100, 100]),
+        ] {
+            let image = decode_source(&ImageSource { channels, ..embedded(png(4, 2)) }, &companions).unwrap();
+            let found: Vec<u8> = image.texels.iter().map(|texel| texel[channel]).collect();
+            assert_eq!(found, expected, "{channel}");
+        }
     }
 }

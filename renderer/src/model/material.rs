@@ -72,6 +72,25 @@ impl Default for Material {
     }
 }
 
+impl Material {
+    /// Keeps the textures that `kept` returns. A surface whose texture is lost gives off no light and is no metal, because
+    /// factors beside a texture are mostly 1.
+    pub(super) fn keep_textures(&mut self, kept: impl Fn(TextureUse) -> Option<TextureUse>) {
+        let Self { base_color_texture, metallic_roughness_texture, emissive_texture, .. } = self;
+        for (texture, lost) in [
+            (base_color_texture, None),
+            (metallic_roughness_texture, Some(std::slice::from_mut(&mut self.metallic))),
+            (emissive_texture, Some(&mut self.emissive[..])),
+        ] {
+            let had_one = texture.is_some();
+            *texture = texture.and_then(&kept);
+            if let Some(factors) = lost.filter(|_| had_one && texture.is_none()) {
+                factors.fill(0.0);
+            }
+        }
+    }
+}
+
 /// How a material uses an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TextureUse {

@@ -57,12 +57,18 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64, companions: &Companions
     let mut model = Model::default();
     let batch_bytes = (PIECE_BYTES * 4 * rayon::current_num_threads()).min(n_bytes as usize + 1);
     let (mut text, mut n_lines, mut at_end) = (Vec::new(), 0, false);
+    let mut has_old_ends = None;
     while !at_end {
         let n_before = text.len();
         let n_read = reader.by_ref().take(batch_bytes as u64).read_to_end(&mut text)?;
         at_end = n_read < batch_bytes;
         if n_lines == 0 && text.starts_with(BYTE_ORDER_MARK) {
             text.drain(..BYTE_ORDER_MARK.len());
+        }
+        // Old Macs end lines with it alone.
+        if *has_old_ends.get_or_insert_with(|| !text.contains(&b'\n') && text.contains(&b'\r')) {
+            let n_old = n_before.min(text.len());
+            text[n_old..].iter_mut().filter(|byte| **byte == b'\r').for_each(|byte| *byte = b'\n');
         }
         let end = if at_end { Some(text.len()) } else { end_of_lines(&text, n_before, text.len()) };
         // One line may be longer than a batch.
@@ -126,6 +132,8 @@ struct Model {
     current: u16,
     libraries: Vec<String>,
     n_left_out: usize,
+    n_short: usize,
+    is_cut: bool,
 }
 
 /// A corner without texture coordinates, or without normal.
@@ -150,6 +158,8 @@ impl Model {
         self.normals.extend(piece.normals);
         self.libraries.extend(piece.libraries);
         self.n_left_out += piece.n_left_out;
+        self.n_short += piece.n_short;
+        self.is_cut |= piece.is_cut;
 
         let mut materials = piece.materials.into_iter().peekable();
         let mut start = 0;
@@ -212,30 +222,54 @@ impl Model {
         if self.n_left_out > 0 {
             draft.remarks.push(format!("{} points, lines or curved surfaces are left out", self.n_left_out));
         }
+        if self.n_short > 0 {
+            draft.remarks.push(format!("{} faces with fewer than three corners are left out", self.n_short));
+        }
+        if self.is_cut {
+            draft.remarks.push("ends in the middle of a face: it may have been cut short".to_owned());
+        }
         let library = read_libraries(&self.libraries, companions, &mut draft.remarks);
         assign_materials(&mut draft, library, &self.names, self.of_triangles);
         Ok(draft)
     }
 }
 
-/// Reads files of materials. A row names one file, or several; their names may have spaces.
+/// Reads files of materials. A row names one file, or several.
 fn read_libraries(rows: &[String], companions: &Companions, remarks: &mut Vec<String>) -> Library {
     let mut library = Library::default();
     let mut seen = HashSet::new();
     for row in rows.iter().take(MOST_LIBRARIES) {
-        let words = || row.split_whitespace().map(str::to_owned).collect();
-        let names: Vec<String> = if companions.find(row).is_some() { vec![row.clone()] } else { words() };
-        for name in names {
+        for name in library_names(row, |name| companions.find("", name).is_ok()) {
             if !seen.insert(name.clone()) {
                 continue;
             }
-            match companions.read(&name, LONGEST_LIBRARY) {
-                Ok(bytes) => library.read(&bytes),
+            let path = name.replace('\\', "/");
+            match companions.read("", &name, LONGEST_LIBRARY) {
+                Ok(bytes) => library.read(&bytes, path.rsplit_once('/').map_or("", |(folder, _)| folder)),
                 Err(fault) => remarks.push(format!("its materials are left out: {fault}")),
             }
         }
     }
     library
+}
+
+/// The files of materials that a row names. Their names may have spaces: in quotes, behind backslashes, or as they are.
+fn library_names(row: &str, is_there: impl Fn(&str) -> bool) -> Vec<String> {
+    if row.contains('"') {
+        return row.split('"').map(str::trim).filter(|name| !name.is_empty()).map(str::to_owned).collect();
+    }
+    if is_there(row) {
+        return vec![row.to_owned()];
+    }
+    let joined = row.replace("\\ ", "\0");
+    let words: Vec<_> = joined.split_whitespace().map(|word| word.replace('\0', " ")).collect();
+    let is_end = |word: &String| word.to_ascii_lowercase().ends_with(".mtl");
+    let mut names = Vec::new();
+    for name in words.split_inclusive(is_end) {
+        let whole = name.join(" ");
+        names.extend(if is_there(&whole) { vec![whole] } else { name.to_vec() });
+    }
+    names
 }
 
 /// Gives triangles the materials of a library. `of_triangles` holds 0 for no material, or an index into `names` plus 1.

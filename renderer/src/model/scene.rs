@@ -65,6 +65,8 @@ pub enum LoadError {
     #[error("{}: has {n_vertices} vertices, and each of its {n_rejected} triangles has a corner that is none of them, or \
         that has no usable position: export the model again", path.display())]
     NoneUsable { path: PathBuf, n_vertices: usize, n_rejected: usize },
+    #[error("{}: none of its {n_triangles} triangles has an area, so there is nothing to see: export the model again", path.display())]
+    NoArea { path: PathBuf, n_triangles: usize },
 }
 
 impl LoadedMesh {
@@ -96,10 +98,21 @@ pub fn load(source: &SceneSource, crease: Crease, progress: &(dyn Fn(f32) + Sync
             if n_rejected == mesh.triangles.len() {
                 return Err(LoadError::NoneUsable { path, n_vertices, n_rejected });
             }
+            if !has_area(&mesh) {
+                return Err(LoadError::NoArea { path, n_triangles: mesh.triangles.len() });
+            }
             log(&path, &mesh, &remarks);
             Ok(LoadedMesh { id: mesh_id(&mesh, crease), mesh })
         }
     }
+}
+
+/// Whether any triangle has corners that are not in line.
+fn has_area(mesh: &Mesh) -> bool {
+    let corners = (0..mesh.triangles.len()).filter_map(|triangle| mesh.corners(triangle));
+    corners
+        .map(|corners| corners.map(|corner| DVec3::from(corner.map(f64::from))))
+        .any(|[a, b, c]| (b - a).cross(c - a) != DVec3::ZERO)
 }
 
 /// Lines of remarks that are logged; a model that has moved may lack a thousand images.
@@ -261,6 +274,9 @@ mod tests {
         std::fs::write(&path, "solid nothing\nendsolid\n").unwrap();
         let empty = load(&SceneSource::File(path.clone()), Crease::default(), &|_| ()).unwrap_err().to_string();
         assert!(empty.contains("is empty"), "{empty}");
+        std::fs::write(&path, "v 0 0 0\nv 1 0 0\nv 3 0 0\nf 1 1 2\nf 1 2 3\n").unwrap();
+        let flat = load(&SceneSource::File(path.clone()), Crease::default(), &|_| ()).unwrap_err().to_string();
+        assert!(flat.contains("none of its 2 triangles has an area"), "{flat}");
         let face = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 1 2\n";
         assert!(error(face).ends_with("export the model again"), "{}", error(face));
     }

@@ -25,6 +25,14 @@ pub(super) fn binary_bytes(start: &[u8]) -> Option<u64> {
     Some(HEADER_BYTES as u64 + TRIANGLE_BYTES as u64 * u64::from(u32::from_le_bytes(*count)))
 }
 
+/// Whether a first triangle follows the header of a binary file: a normal no longer than 1, and corners that are near.
+pub(super) fn begins_with_triangle(start: &[u8]) -> bool {
+    let Some(numbers) = start.get(HEADER_BYTES..HEADER_BYTES + 48) else { return false };
+    let mut numbers = numbers.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes));
+    let is_unit = numbers.by_ref().take(3).map(|x| x * x).sum::<f32>() < 1.01;
+    is_unit && numbers.all(|x| x == 0.0 || (1e-9..1e9).contains(&x.abs()))
+}
+
 /// Reads a binary STL of `n_bytes` bytes, at least as many as its header counts.
 ///
 /// # Errors
@@ -61,10 +69,13 @@ pub fn read_binary(mut reader: impl BufRead, n_bytes: u64) -> Result<Draft, Text
 /// A corner is not three numbers, or there are too many triangles.
 pub fn read_text(mut reader: impl BufRead) -> Result<Draft, TextProblem> {
     let mut corners = Welder::default();
+    // Old Macs end lines with a carriage return alone.
+    let start = reader.fill_buf()?;
+    let line_end = if !start.contains(&b'\n') && start.contains(&b'\r') { b'\r' } else { b'\n' };
     let (mut line, mut number, mut is_open) = (Vec::new(), 0, false);
     loop {
         line.clear();
-        if reader.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line)? == 0 {
+        if reader.by_ref().take(LONGEST_LINE).read_until(line_end, &mut line)? == 0 {
             let mut draft = corners.finish();
             if is_open {
                 draft.remarks.push("ends without `endsolid`: it may have been cut short".to_owned());
@@ -227,6 +238,7 @@ mod tests {
         for text in [
             TEXT.to_uppercase(),
             TEXT.replace('\n', "\r\n"),
+            TEXT.replace('\n', "\r"),
             TEXT.replace("endsolid two facets\n", ""),
             TEXT.replace("endfacet\nfacet", "endfacet\nendsolid a vertex\nsolid b vertex\nfacet"),
             TEXT.replace("two facets\n", "\u{e9} vertex\n"),

@@ -1,6 +1,6 @@
 //! The bytes of a glTF: buffers and views of them.
 
-use std::{borrow::Cow, collections::HashSet};
+use std::{borrow::Cow, collections::HashMap};
 
 use rayon::prelude::*;
 
@@ -15,6 +15,8 @@ const LONGEST_BUFFER: u64 = 1 << 40;
 /// Buffers, and the views that are compressed. What cannot be had is a text that says why.
 pub(super) struct Buffers<'a> {
     buffers: Vec<Result<Cow<'a, [u8]>, String>>,
+    /// For each buffer the first one of the same URI: a few bytes of JSON must not read a file again and again.
+    firsts: Vec<usize>,
     decoded: Vec<Option<Result<Vec<u8>, String>>>,
     /// Bytes of all buffers.
     pub(super) n_bytes: usize,
@@ -24,11 +26,12 @@ impl<'a> Buffers<'a> {
     /// Reads buffers. `binary` is the one in a GLB.
     pub(super) fn read(document: &Document<'_>, binary: &'a [u8], companions: &Companions) -> Self {
         let mut read = Vec::<Result<Cow<'a, [u8]>, String>>::new();
-        let mut seen = HashSet::new();
+        let (mut firsts, mut seen) = (Vec::new(), HashMap::new());
         for (index, buffer) in document.buffers.iter().enumerate() {
+            let first = buffer.uri.as_deref().map_or(index, |uri| *seen.entry(uri).or_insert(index));
+            firsts.push(first);
             let bytes = match buffer.uri.as_deref() {
-                // A few bytes of JSON must not read a file again and again.
-                Some(uri) if !seen.insert(uri) => Err("the same buffer comes twice: export the model again".to_owned()),
+                Some(_) if first < index => Ok(Cow::Borrowed(&[][..])),
                 Some(uri) => bytes_of(uri, companions).map(Cow::Owned),
                 None if index == 0 && !binary.is_empty() => Ok(Cow::Borrowed(binary)),
                 // A buffer of compressed views may exist on paper only.
@@ -37,9 +40,18 @@ impl<'a> Buffers<'a> {
             read.push(bytes);
         }
         let n_bytes = read.iter().flatten().map(|bytes| bytes.len()).sum();
-        let mut buffers = Self { buffers: read, decoded: Vec::new(), n_bytes };
+        let mut buffers = Self { buffers: read, firsts, decoded: Vec::new(), n_bytes };
+        // Views do not share bytes, so all of them together decode to no more than the file could hold.
+        let mut n_left = n_bytes;
+        let fits: Vec<bool> = (document.buffer_views.iter())
+            .map(|view| view.extensions.meshopt.as_deref().map_or(0, |view| view.byte_length))
+            .map(|n_bytes| n_left.checked_sub(n_bytes).inspect(|left| n_left = *left).is_some())
+            .collect();
         let decode = |index: usize| {
             let view = document.buffer_views[index].extensions.meshopt.as_deref()?;
+            if !fits[index] {
+                return Some(Err("compressed views share their bytes: export the model again".to_owned()));
+            }
             let decoded = buffers.part(view.buffer, view.byte_offset, view.byte_length).and_then(|data| {
                 meshopt::decode(data, view.mode, view.filter, view.count, view.byte_stride)
                     .ok_or_else(|| format!("compressed view {index} is damaged"))
@@ -60,7 +72,8 @@ impl<'a> Buffers<'a> {
     }
 
     fn part(&self, buffer: usize, start: usize, n_bytes: usize) -> Result<&[u8], String> {
-        let bytes = self.buffers.get(buffer).ok_or_else(|| format!("there is no buffer {buffer}"))?.as_ref()?;
+        let first = *self.firsts.get(buffer).ok_or_else(|| format!("there is no buffer {buffer}"))?;
+        let bytes = self.buffers[first].as_ref()?;
         let end = start.saturating_add(n_bytes);
         bytes
             .get(start..end)
@@ -72,7 +85,7 @@ impl<'a> Buffers<'a> {
 pub(super) fn bytes_of(uri: &str, companions: &Companions) -> Result<Vec<u8>, String> {
     match uri.strip_prefix("data:") {
         Some(data) => data_of(data),
-        None => companions.read(&file_name(uri), LONGEST_BUFFER),
+        None => companions.read("", &file_name(uri), LONGEST_BUFFER),
     }
 }
 

@@ -71,6 +71,20 @@ pub(super) struct Node {
     pub(super) translation: Option<Box<[f64; 3]>>,
     pub(super) rotation: Option<Box<[f64; 4]>>,
     pub(super) scale: Option<Box<[f64; 3]>>,
+    #[serde(default)]
+    pub(super) extensions: NodeExtensions,
+}
+
+#[derive(Default, Deserialize)]
+pub(super) struct NodeExtensions {
+    #[serde(rename = "EXT_mesh_gpu_instancing")]
+    pub(super) copies: Option<Box<Copies>>,
+}
+
+#[derive(Deserialize)]
+pub(super) struct Copies {
+    #[serde(default)]
+    pub(super) attributes: BTreeMap<String, usize>,
 }
 
 #[derive(Deserialize)]
@@ -231,7 +245,7 @@ pub(super) struct TextureExtensions {
 
 #[derive(Deserialize)]
 pub(super) struct Source {
-    pub(super) source: usize,
+    pub(super) source: Option<usize>,
 }
 
 #[derive(Deserialize)]
@@ -248,6 +262,7 @@ pub(super) struct Material {
     pub(super) name: String,
     #[serde(default)]
     pub(super) pbr_metallic_roughness: Box<MetallicRoughness>,
+    pub(super) normal_texture: Option<IgnoredAny>,
     pub(super) emissive_texture: Option<Box<TextureInfo>>,
     pub(super) emissive_factor: Option<[f32; 3]>,
     #[serde(default)]

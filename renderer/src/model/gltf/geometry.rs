@@ -58,8 +58,10 @@ impl<'a> Geometry<'a> {
     pub(super) fn new(document: &'a Document<'a>, buffers: &'a Buffers<'a>, n_json_bytes: usize) -> Self {
         let n_bytes = (buffers.n_bytes + n_json_bytes) as u64;
         let mut n_uses = HashMap::new();
-        for mesh in document.nodes.iter().filter_map(|node| node.mesh) {
-            *n_uses.entry(mesh).or_default() += 1;
+        for node in &document.nodes {
+            if let Some(mesh) = node.mesh {
+                *n_uses.entry(mesh).or_default() += if node.extensions.copies.is_some() { 2 } else { 1 };
+            }
         }
         Self {
             document,
@@ -148,6 +150,12 @@ impl<'a> Geometry<'a> {
         self.add_vertices(&attributes, &used, instance)?;
         self.add_triangles(primitive, &attributes, &numbers, used.len(), instance)?;
         let material = primitive.material.and_then(|material| self.look.number(material));
+        if let Some(index) = primitive.material.filter(|_| material.is_none()) {
+            self.note(match self.document.materials.get(index) {
+                Some(_) => "more than 65535 materials are left out".to_owned(),
+                None => format!("there is no material {index}: a mesh is shown without one"),
+            });
+        }
         self.of_triangles.resize(self.builder.n_triangles(), material.map_or(0, |number| number + 1));
         Ok(Ok(()))
     }

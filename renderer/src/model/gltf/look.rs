@@ -1,6 +1,6 @@
 //! Materials and their textures.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use crate::model::{
     file::Draft,
@@ -25,6 +25,7 @@ pub(super) struct Look<'a> {
     images: Vec<ImageSource>,
     image_numbers: HashMap<usize, u32>,
     remarks: Vec<String>,
+    said: HashSet<String>,
 }
 
 impl<'a> Look<'a> {
@@ -37,6 +38,14 @@ impl<'a> Look<'a> {
             images: Vec::new(),
             image_numbers: HashMap::new(),
             remarks: Vec::new(),
+            said: HashSet::new(),
+        }
+    }
+
+    /// Says something once.
+    fn say(&mut self, remark: String) {
+        if self.said.insert(remark.clone()) {
+            self.remarks.push(remark);
         }
     }
 
@@ -66,7 +75,7 @@ impl<'a> Look<'a> {
         let unit = |value: Option<f32>| value.unwrap_or(1.0).clamp(0.0, 1.0);
         let rough = &*described.pbr_metallic_roughness;
         let extensions = &described.extensions;
-        let (base_color, base_color_texture, metallic, roughness, metallic_roughness_texture);
+        let (base_color, base_color_texture, mut metallic, roughness, metallic_roughness_texture);
         if let Some(glossy) = extensions.specular_glossiness.as_deref() {
             base_color = glossy.diffuse_factor;
             base_color_texture = texture(glossy.diffuse_texture.as_ref());
@@ -81,14 +90,23 @@ impl<'a> Look<'a> {
             metallic_roughness_texture = texture(rough.metallic_roughness_texture.as_ref().filter(|_| !is_unlit));
         }
         let strength = extensions.emissive_strength.as_ref().and_then(|it| it.emissive_strength).unwrap_or(1.0);
-        let emissive = described.emissive_factor.unwrap_or([0.0; 3]).map(|part| part.max(0.0) * strength.max(0.0));
+        let mut emissive = described.emissive_factor.unwrap_or([0.0; 3]).map(|part| part.max(0.0) * strength.max(0.0));
         let emissive_texture = texture(described.emissive_texture.as_deref().filter(|_| emissive != [0.0; 3]));
+        // Factors beside a texture are mostly 1: alone they say little.
+        if described.emissive_texture.is_some() && emissive_texture.is_none() {
+            emissive = [0.0; 3];
+        }
+        if rough.metallic_roughness_texture.is_some() && metallic_roughness_texture.is_none() {
+            metallic = 0.0;
+        }
+        if described.normal_texture.is_some() {
+            self.say("textures of normals are left out: light falls by the normals of vertices".to_owned());
+        }
         let alpha_cutoff = match described.alpha_mode {
             AlphaMode::Opaque => None,
             AlphaMode::Mask => Some(described.alpha_cutoff.unwrap_or(0.5)),
             AlphaMode::Blend => {
-                self.remarks
-                    .push(format!("material `{name}` is see-through: it is shown where it is half there or more"));
+                self.say(format!("material `{name}` is see-through: it is shown where it is half there or more"));
                 Some(BLEND_CUTOFF)
             }
         };
@@ -108,16 +126,16 @@ impl<'a> Look<'a> {
     /// A use of a texture; `None` if it has no image that is read, or other coordinates than `set`.
     fn texture(&mut self, info: &TextureInfo, set: u32) -> Option<TextureUse> {
         if info.set() != set {
-            self.remarks.push("a texture with coordinates of its own is left out".to_owned());
+            self.say("a texture with coordinates of its own is left out".to_owned());
             return None;
         }
         let Some(texture) = self.document.textures.get(info.index) else {
-            self.remarks.push(format!("there is no texture {}", info.index));
+            self.say(format!("there is no texture {}", info.index));
             return None;
         };
-        let source = texture.extensions.webp.as_ref().map(|webp| webp.source).or(texture.source);
+        let source = texture.extensions.webp.as_ref().and_then(|webp| webp.source).or(texture.source);
         let Some(image) = source.and_then(|source| self.image(source)) else {
-            self.remarks.push(format!("texture {} has no image that is read (PNG, JPEG, WebP)", info.index));
+            self.say(format!("texture {} has no image that is read (PNG, JPEG, WebP)", info.index));
             return None;
         };
         let sampler = texture.sampler.and_then(|sampler| self.document.samplers.get(sampler));
@@ -151,8 +169,7 @@ impl<'a> Look<'a> {
 
     /// Gives a draft the materials, and says what was left out. `of_triangles` holds 0 for no material, or its number plus 1.
     pub(super) fn finish(self, draft: &mut Draft, of_triangles: Vec<u16>) {
-        let Self { mut materials, images, mut remarks, .. } = self;
-        remarks.dedup();
+        let Self { mut materials, images, remarks, .. } = self;
         draft.remarks.extend(remarks);
         draft.images = images;
         if materials.is_empty() {

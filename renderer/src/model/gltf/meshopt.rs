@@ -324,11 +324,59 @@ fn apply(filter: Filter, rows: &mut [u8], stride: usize) -> Option<()> {
                 row[..6].copy_from_slice(unit.map(|part| (part as i16).to_le_bytes()).as_flattened());
             }
         }
-        // Neither turns nor colours of this encoding are read.
-        (Filter::Quaternion, 8) | (Filter::Color, 4 | 8) => {}
+        (Filter::Quaternion, 8) => {
+            for row in rows.as_chunks_mut::<8>().0 {
+                *row = *quaternion(halves(row).map(|half| half as i16))
+                    .map(i16::to_le_bytes)
+                    .as_flattened()
+                    .first_chunk()?;
+            }
+        }
+        (Filter::Color, 4) => {
+            for row in rows.as_chunks_mut::<4>().0 {
+                let [luma, orange, green, coverage] = *row;
+                let parts = [luma.into(), (orange as i8).into(), (green as i8).into(), coverage.into()];
+                *row = color(parts, 255.0).map(|part| part as u8);
+            }
+        }
+        (Filter::Color, 8) => {
+            for row in rows.as_chunks_mut::<8>().0 {
+                let [luma, orange, green, coverage] = halves(row);
+                let parts = [luma.into(), (orange as i16).into(), (green as i16).into(), coverage.into()];
+                let parts = color(parts, 65535.0).map(|part| (part as u16).to_le_bytes());
+                *row = *parts.as_flattened().first_chunk()?;
+            }
+        }
         _ => return None,
     }
     Some(())
+}
+
+fn halves(row: &[u8; 8]) -> [u16; 4] {
+    array::from_fn(|k| u16::from_le_bytes([row[2 * k], row[2 * k + 1]]))
+}
+
+/// A turn as x, y, z and w times 32767, from the three of them that are not the largest. The last number holds their scale,
+/// and in two bits the place of the largest.
+fn quaternion(row: [i16; 4]) -> [i16; 4] {
+    let scale = f32::from(row[3] | 3);
+    let [x, y, z] = [row[0], row[1], row[2]].map(f32::from);
+    let largest = (2.0 * scale * scale - x * x - y * y - z * z).max(0.0).sqrt();
+    let parts = [largest, x, y, z].map(|part| {
+        let part = part * (32767.0 / std::f32::consts::SQRT_2 / scale);
+        (part + if part >= 0.0 { 0.5 } else { -0.5 }) as i16
+    });
+    let place = row[3] as usize & 3;
+    array::from_fn(|k| parts[k.wrapping_sub(place) & 3])
+}
+
+/// Red, green, blue and coverage up to `largest`, from luma, two differences, and coverage, whose highest bit tells how many
+/// bits all of them have.
+fn color([luma, orange, green, coverage]: [i32; 4], largest: f32) -> [f32; 4] {
+    let ones = ((1_u32 << (32 - coverage.leading_zeros())) - 1).max(1) as i32;
+    let whole = (coverage << 1) & ones | coverage & 1;
+    let parts = [luma + orange - green, luma + green, luma - orange - green, whole];
+    parts.map(|part| (part as f32 * (largest / ones as f32) + 0.5).trunc())
 }
 
 /// A number with a mantissa of 24 bits and an exponent of 8.

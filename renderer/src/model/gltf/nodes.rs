@@ -1,5 +1,7 @@
 //! Nodes and their transforms.
 
+use std::collections::BTreeMap;
+
 use glam::{DMat4, DQuat, DVec3, DVec4};
 
 use crate::model::gltf::{
@@ -7,6 +9,9 @@ use crate::model::gltf::{
     buffers::Buffers,
     document::{Document, Kind, Node},
 };
+
+/// The most copies of meshes that nodes place.
+const MOST_COPIES: usize = 1 << 20;
 
 /// A mesh in the scene.
 pub(super) struct Instance {
@@ -26,8 +31,19 @@ pub(super) fn instances(document: &Document<'_>, buffers: &Buffers<'_>, remarks:
     }
     let mut instances = Vec::new();
     let mut has_skins = false;
+    let mut n_left = MOST_COPIES;
     for node in order {
-        let Node { mesh: Some(mesh), skin, .. } = document.nodes[node] else { continue };
+        let Node { mesh: Some(mesh), skin, ref extensions, .. } = document.nodes[node] else { continue };
+        if let Some(described) = &extensions.copies {
+            match copies(document, buffers, &described.attributes, &mut n_left) {
+                Ok(copies) => instances.extend(copies.into_iter().map(|copy| {
+                    let transform = transforms[node] * copy;
+                    Instance { mesh, transform, joints: Vec::new() }
+                })),
+                Err(fault) => remarks.push(format!("copies of a mesh are left out: {fault}")),
+            }
+            continue;
+        }
         let joints = skin.map(|skin| joints(document, buffers, &transforms, skin)).unwrap_or_default();
         has_skins |= skin.is_some();
         instances.push(Instance { mesh, transform: transforms[node], joints });
@@ -76,12 +92,20 @@ fn local(node: &Node) -> DMat4 {
     if let Some(matrix) = &node.matrix {
         return DMat4::from_cols_array(matrix);
     }
-    let vector = |values: &Option<Box<[f64; 3]>>, default| values.as_deref().copied().map_or(default, DVec3::from);
-    let rotation = node.rotation.as_deref().map_or(DQuat::IDENTITY, |&[x, y, z, w]| {
-        let length = DVec4::new(x, y, z, w).length();
-        if length > 0.0 { DQuat::from_xyzw(x / length, y / length, z / length, w / length) } else { DQuat::IDENTITY }
-    });
-    let (scale, translation) = (vector(&node.scale, DVec3::ONE), vector(&node.translation, DVec3::ZERO));
+    let vector = |values: &Option<Box<[f64; 3]>>, default| values.as_deref().copied().unwrap_or(default);
+    let rotation = node.rotation.as_deref().copied().unwrap_or(NO_TURN);
+    placed(vector(&node.translation, [0.0; 3]), rotation, vector(&node.scale, [1.0; 3]))
+}
+
+/// The quaternion of no rotation.
+const NO_TURN: [f64; 4] = [0.0, 0.0, 0.0, 1.0];
+
+/// Scaled, then turned by a quaternion, then moved.
+fn placed(translation: [f64; 3], rotation: [f64; 4], scale: [f64; 3]) -> DMat4 {
+    let length = DVec4::from(rotation).length();
+    let rotation = rotation.map(|part| part / length);
+    let rotation = if length > 0.0 { DQuat::from_array(rotation) } else { DQuat::IDENTITY };
+    let (scale, translation) = (DVec3::from(scale), DVec3::from(translation));
     let [x, y, z] = [rotation * DVec3::X, rotation * DVec3::Y, rotation * DVec3::Z];
     DMat4::from_cols(
         (x * scale.x).extend(0.0),
@@ -89,6 +113,31 @@ fn local(node: &Node) -> DMat4 {
         (z * scale.z).extend(0.0),
         translation.extend(1.0),
     )
+}
+
+/// The transforms of a node's copies of its mesh, as `EXT_mesh_gpu_instancing` lists them; at most `n_left`.
+fn copies(
+    document: &Document<'_>,
+    buffers: &Buffers<'_>,
+    attributes: &BTreeMap<String, usize>,
+    n_left: &mut usize,
+) -> Result<Vec<DMat4>, String> {
+    let read = |name: &str, kind| {
+        attributes.get(name).map(|&index| Elements::new(document, buffers, index, &[kind])).transpose()
+    };
+    let (translations, rotations) = (read("TRANSLATION", Kind::Vec3)?, read("ROTATION", Kind::Vec4)?);
+    let scales = read("SCALE", Kind::Vec3)?;
+    let all = [&translations, &rotations, &scales];
+    let count = all.into_iter().flatten().map(|elements| elements.count).min().unwrap_or(0);
+    *n_left = n_left.checked_sub(count).ok_or_else(|| format!("there are more than {MOST_COPIES}"))?;
+    let vector = |elements: &Option<Elements<'_>>, k, default| {
+        elements.as_ref().map_or(default, |elements| elements.get::<3>(k).map(f64::from))
+    };
+    let copy = |k: usize| {
+        let rotation = rotations.as_ref().map_or(NO_TURN, |elements| elements.get::<4>(k).map(f64::from));
+        placed(vector(&translations, k, [0.0; 3]), rotation, vector(&scales, k, [1.0; 3]))
+    };
+    Ok((0..count).map(copy).collect())
 }
 
 /// The transforms of a skeleton's joints; empty if it is damaged.

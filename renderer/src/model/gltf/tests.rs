@@ -121,14 +121,15 @@ fn materials_textures_and_their_transforms_are_read() {
         "pbrMetallicRoughness":{"baseColorFactor":[1,0.5,0,2],"metallicFactor":0,"baseColorTexture":{"index":0,
         "extensions":{"KHR_texture_transform":{"offset":[0.25,0.5],"rotation":1.5707963,"scale":[2,3]}}},
         "metallicRoughnessTexture":{"index":0,"texCoord":1}},"emissiveFactor":[0,0,1],"emissiveTexture":{"index":1},
-        "alphaMode":"BLEND"}],"textures":[{"source":0,"sampler":0},{"source":7}],"samplers":[{"wrapS":33071,"wrapT":33648}],
+        "alphaMode":"BLEND","normalTexture":{"index":0}}],"textures":[{"source":0,"sampler":0},{"source":7}],"samplers":[{"wrapS":33071,"wrapT":33648}],
         "images":[{"uri":"a%20b.png"}]"#,
     );
     let materials = &draft.mesh.materials;
     assert_eq!((materials.of_triangles.as_slice(), materials.materials.len()), (&[1, 1, 0, 0][..], 2));
     let stone = &materials.materials[1];
     assert_eq!((stone.base_color, stone.metallic, stone.roughness), ([1.0, 0.5, 0.0, 1.0], 0.0, 1.0));
-    assert_eq!((stone.emissive, stone.alpha_cutoff, stone.emissive_texture), ([0.0, 0.0, 1.0], Some(0.5), None));
+    // Without its texture a factor says little.
+    assert_eq!((stone.emissive, stone.alpha_cutoff, stone.emissive_texture), ([0.0; 3], Some(0.5), None));
     let TextureUse { image, wrap, transform } = stone.base_color_texture.unwrap();
     assert_eq!((image, wrap, draft.images[0].name.as_str()), (0, [Wrap::Clamp, Wrap::Mirror], "a b.png"));
     let expected = [[0.0, 3.0, 0.25], [-2.0, 0.0, 0.5]];
@@ -141,8 +142,47 @@ fn materials_textures_and_their_transforms_are_read() {
             "needs X_unknown, which is not read: parts may be missing; export without it",
             "a texture with coordinates of its own is left out",
             "texture 1 has no image that is read (PNG, JPEG, WebP)",
+            "textures of normals are left out: light falls by the normals of vertices",
             "material `stone` is see-through: it is shown where it is half there or more"
         ]
+    );
+}
+
+#[test]
+fn a_material_that_does_not_exist_is_told() {
+    let draft = with_primitive(r#"{"attributes":{"POSITION":0},"indices":1,"material":3}"#);
+    assert_eq!(draft.remarks, ["there is no material 3: a mesh is shown without one"]);
+}
+
+#[test]
+fn buffers_of_the_same_address_are_one() {
+    let more =
+        r#""nodes":[{"mesh":0}],"meshes":[{"primitives":[{"attributes":{"POSITION":0},"indices":1}]}],"accessors":[
+        {"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"},
+        {"bufferView":1,"componentType":5121,"count":3,"type":"SCALAR"}],
+        "bufferViews":[{"buffer":0,"byteLength":36},{"buffer":1,"byteOffset":2,"byteLength":3}],
+        "buffers":[{"uri":"URI","byteLength":36},{"uri":"URI","byteLength":36}]"#
+            .replace("URI", &format!("data:;base64,{}", "AAEC".repeat(12)));
+    let draft = parse(&glb(&more, &[])).unwrap();
+    assert_eq!((draft.mesh.triangles, draft.remarks.len()), (vec![[2, 0, 1]], 0));
+}
+
+#[test]
+fn a_node_may_list_copies_of_its_mesh() {
+    // Copies at the corners of the square, three times as large, below a node that is moved.
+    let more = format!(
+        r#""nodes":[{{"translation":[0,0,7],"mesh":0,"extensions":{{"EXT_mesh_gpu_instancing":{{"attributes":{{"TRANSLATION":0,"SCALE":3}}}}}}}}],
+        "meshes":[{{"primitives":[{PRIMITIVE}]}}],{ACCESSORS}"#
+    )
+    .replace(r#""type":"VEC2"}]"#, r#""type":"VEC2"},{"bufferView":1,"componentType":5126,"count":3,"type":"VEC3"}]"#)
+    .replace(r#""byteLength":72}],"#, r#""byteLength":72},{"buffer":0,"byteOffset":72,"byteLength":36}],"#);
+    let scales = [3.0_f32; 9].map(f32::to_le_bytes).as_flattened().to_vec();
+    let draft = parse(&glb(&more, &[square(), scales].concat())).unwrap();
+    assert_eq!((draft.mesh.triangles.len(), draft.remarks.len()), (6, 0), "{:?}", draft.remarks);
+    assert_eq!(draft.mesh.corners(5), Some([[0.0, 4.0, 7.0], [3.0, 1.0, 7.0], [3.0, 4.0, 7.0]]));
+    let wrong = more.replace(r#""SCALE":3"#, r#""SCALE":1"#);
+    assert!(
+        parse(&glb(&wrong, &square())).unwrap_err().to_string().contains("copies of a mesh are left out: accessor 1")
     );
 }
 
@@ -215,6 +255,71 @@ fn compressed_views_are_those_of_meshoptimizer() {
     assert_eq!(sequence, bytes([0, 1, 2, 2, 1, 3, 4, 5, 6, 9, 2, 1, 7, 3, 1]));
 }
 
+/// Rows that are stored as they are, in version 1 of the format: the control bytes say so.
+fn stored(rows: &[u8], stride: usize) -> Vec<u8> {
+    let words = stride / 4;
+    let mut bytes = vec![0xa1];
+    bytes.extend(vec![0xff; words]);
+    for byte in 0..stride {
+        let mut last = 0_u8;
+        for row in rows.chunks(stride) {
+            let delta = row[byte].wrapping_sub(last) as i8;
+            bytes.push((delta << 1 ^ delta >> 7) as u8);
+            last = row[byte];
+        }
+    }
+    let tail = stride + words;
+    bytes.extend(vec![0; tail.max(24)]);
+    bytes
+}
+
+#[test]
+fn filters_of_compressed_views_are_undone() {
+    use meshopt::{Filter, Mode, decode};
+    let halves = |row: [i32; 4]| row.map(|half| (half as u16).to_le_bytes()).as_flattened().to_vec();
+    // All bits, then four bits, which leave three to the coverage.
+    let colors = [[113, 75, 244, 255], [3, 1, 255, 10]].concat();
+    assert_eq!(
+        decode(&stored(&colors, 4), Mode::Attributes, Filter::Color, 2, 4).unwrap(),
+        [200, 101, 50, 255, 85, 34, 51, 68]
+    );
+    let color = halves([30_000, 10_000, -5_000, 65_535]);
+    assert_eq!(
+        decode(&stored(&color, 8), Mode::Attributes, Filter::Color, 1, 8).unwrap(),
+        halves([45_000, 25_000, 25_000, 65_535])
+    );
+    // No turn; a third of one about (1, 1, 1), whose x was taken for the largest; and one whose z is the largest.
+    for (row, expected) in [
+        ([0, 0, 0, 32_767], [0, 0, 0, 32_767]),
+        ([23_170, 23_170, 23_170, 32_764], [16_384, 16_384, 16_384, 16_384]),
+        ([0, 0, -16_384, 16_382], [0, -23_170, 23_170, 0]),
+    ] {
+        let turn = decode(&stored(&halves(row), 8), Mode::Attributes, Filter::Quaternion, 1, 8).unwrap();
+        let found: Vec<i32> = turn.as_chunks().0.iter().map(|half| i16::from_le_bytes(*half).into()).collect();
+        assert!(found.iter().zip(expected).all(|(a, b): (&i32, i32)| (a - b).abs() <= 2), "{found:?}");
+    }
+}
+
+#[test]
+fn compressed_views_that_share_bytes_are_left_out() {
+    let rows = bytes_of(ATTRIBUTES[0]);
+    let view = format!(
+        r#"{{"buffer":0,"byteLength":240,"extensions":{{"EXT_meshopt_compression":
+        {{"buffer":0,"byteLength":{},"byteStride":12,"count":20,"mode":"ATTRIBUTES"}}}}}}"#,
+        rows.len()
+    );
+    let more = format!(
+        r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}}}},{{"attributes":{{"POSITION":1}}}}]}}],
+        "accessors":[{{"bufferView":0,"componentType":5123,"count":20,"type":"VEC3"}},
+        {{"bufferView":1,"componentType":5123,"count":20,"type":"VEC3"}}],
+        "buffers":[{{"byteLength":{}}}],"bufferViews":[{view},{view}]"#,
+        rows.len()
+    );
+    let draft = parse(&glb(&more, &rows)).unwrap();
+    assert_eq!(draft.mesh.triangles.len(), 6);
+    assert!(draft.remarks[0].contains("compressed views share their bytes"), "{:?}", draft.remarks);
+}
+
 #[test]
 fn compressed_geometry_is_read() {
     let (rows, triangles) = (bytes_of(ATTRIBUTES[0]), bytes_of(TRIANGLES[0]));
@@ -276,6 +381,10 @@ fn faults_are_told_in_one_line() {
         (error(&whole[..whole.len() - 1]), "is cut short: "),
         (text(r#"{"asset":{"version":"1.0"},"nodes":{}}"#), "has version 1.0 of glTF"),
         (text(r#"{"asset":{"version":"2.0"}}"#), "holds nothing that can be shown: its scene has no meshes"),
+        (
+            text(r#"{"asset":{"version":"2.0"},"nodes":[{}],"animations":[{}]}"#),
+            "holds nothing that can be shown: its scene has no meshes",
+        ),
         (text(r#"{"scenes":[]}"#), "is no glTF 2.0: missing field `asset`"),
         (text(r#"{"asset":{"version":"2.0"},"nodes":3}"#), "is no glTF 2.0: invalid type"),
         (

@@ -1,9 +1,9 @@
 //! Files of materials (MTL).
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
 use crate::model::{
-    images::ImageSource,
+    images::{Channels, ImageSource},
     material::{Material, TextureUse, Wrap},
     obj::piece::text,
 };
@@ -19,7 +19,14 @@ pub struct Library {
     pub remarks: Vec<String>,
     /// The place of each image.
     places: HashMap<ImageSource, u32>,
+    /// The folder of the file that is being read, relative to the model's.
+    folder: String,
+    /// Words in it that name images which are not read.
+    others: BTreeSet<&'static str>,
 }
+
+/// Words that name images which are not read.
+const OTHER_MAPS: [&str; 9] = ["map_Ks", "map_Ns", "map_Ps", "map_Bump", "bump", "norm", "disp", "decal", "refl"];
 
 /// Programs write it for a texture that decides where a surface is.
 const CUTOFF: f32 = 0.5;
@@ -29,7 +36,10 @@ const CUTOFF: f32 = 0.5;
 struct Maps {
     color: Option<Map>,
     emissive: Option<Map>,
+    roughness: Option<Map>,
+    metallic: Option<Map>,
     coverage: Option<String>,
+    ambient: Option<String>,
 }
 
 /// A texture: its file, and how coordinates lead to it.
@@ -42,14 +52,17 @@ struct Map {
 }
 
 impl Library {
-    /// Adds the materials of a file. What is not understood is left out.
-    pub fn read(&mut self, bytes: &[u8]) {
+    /// Adds the materials of a file, whose images are looked for in `folder`, relative to the model's, and then in the
+    /// model's. What is not understood is left out.
+    pub fn read(&mut self, bytes: &[u8], folder: &str) {
+        folder.clone_into(&mut self.folder);
         let mut maps = Maps::default();
         let mut is_see_through = false;
         let n_before = self.materials.len();
         let bytes = bytes.strip_prefix(super::BYTE_ORDER_MARK).unwrap_or(bytes);
         for line in bytes.split(|&byte| matches!(byte, b'\n' | b'\r')) {
-            let line = text(line);
+            // Some programs indent lines.
+            let line = text(line.trim_ascii_start());
             let (word, rest) = line.split_once(char::is_whitespace).unwrap_or((&line, ""));
             let rest = rest.trim();
             if word == "newmtl" {
@@ -67,11 +80,20 @@ impl Library {
                 "d" => is_see_through |= number().is_some_and(|number| number < 1.0),
                 "map_kd" => maps.color = Map::parse(rest),
                 "map_ke" => maps.emissive = Map::parse(rest),
+                "map_pr" => maps.roughness = Map::parse(rest),
+                "map_pm" => maps.metallic = Map::parse(rest),
                 "map_d" => maps.coverage = Map::parse(rest).map(|map| map.name),
-                _ => {}
+                "map_ka" => maps.ambient = Map::parse(rest).map(|map| map.name),
+                other => self.others.extend(OTHER_MAPS.iter().find(|it| it.eq_ignore_ascii_case(other))),
             }
         }
         self.finish(maps, n_before);
+        let others = Vec::from_iter(std::mem::take(&mut self.others)).join(", ");
+        if !others.is_empty() {
+            self.remarks.push(format!(
+                "textures of {others} are left out: of a material, map_Kd, map_Ke, map_Pr, map_Pm and map_d are read"
+            ));
+        }
         if is_see_through {
             self.remarks.push("see-through materials are shown opaque".to_owned());
         }
@@ -82,14 +104,32 @@ impl Library {
         if self.materials.len() == n_before {
             return;
         }
-        let Maps { color, emissive, coverage } = maps;
+        let Maps { color, emissive, roughness, metallic, coverage, ambient } = maps;
+        // Most programs repeat the colour there.
+        if ambient.is_some_and(|name| color.as_ref().is_none_or(|map| map.name != name)) {
+            self.others.insert("map_Ka");
+        }
         if color.is_none() && coverage.is_some() {
             self.remarks.push("a texture of coverage (map_d) without one of colour (map_Kd) is left out".to_owned());
         }
         // The same file has the coverage in its own fourth channel.
         let other_file = |map: &Map| coverage.clone().filter(|name| *name != map.name);
-        let color_texture = color.and_then(|map| self.texture(&map, other_file(&map)));
-        let emissive_texture = emissive.and_then(|map| self.texture(&map, None));
+        let color_texture =
+            color.and_then(|map| self.texture(&map, other_file(&map).map_or(Channels::Whole, Channels::Coverage)));
+        let emissive_texture = emissive.and_then(|map| self.texture(&map, Channels::Whole));
+        let [has_roughness, has_metallic] = [&roughness, &metallic].map(Option::is_some);
+        let glossy_texture = match (roughness, metallic) {
+            // The same file has them where glTF has.
+            (Some(roughness), Some(metallic)) if roughness.name == metallic.name => {
+                self.texture(&roughness, Channels::Whole)
+            }
+            (Some(roughness), Some(metallic)) => {
+                self.texture(&roughness, Channels::RoughnessAndMetallic(metallic.name))
+            }
+            (Some(roughness), None) => self.texture(&roughness, Channels::Roughness),
+            (None, Some(metallic)) => self.texture(&metallic, Channels::Metallic),
+            (None, None) => None,
+        };
         let Some(material) = self.materials.last_mut() else { return };
         // Many programs write a black `Kd` or `Ke` beside a texture, which is not meant to darken it.
         if color_texture.is_some() && material.base_color[..3] == [0.0; 3] {
@@ -98,16 +138,22 @@ impl Library {
         if emissive_texture.is_some() && material.emissive == [0.0; 3] {
             material.emissive = [1.0; 3];
         }
+        if glossy_texture.is_some() {
+            let full = |factor: f32, has_texture: bool| if has_texture && factor == 0.0 { 1.0 } else { factor };
+            material.roughness = full(material.roughness, has_roughness);
+            material.metallic = full(material.metallic, has_metallic);
+        }
+        material.metallic_roughness_texture = glossy_texture;
         material.alpha_cutoff = coverage.is_some_and(|_| color_texture.is_some()).then_some(CUTOFF);
         (material.base_color_texture, material.emissive_texture) = (color_texture, emissive_texture);
     }
 
-    fn texture(&mut self, map: &Map, coverage: Option<String>) -> Option<TextureUse> {
-        if map.name.contains("<UDIM>") {
+    fn texture(&mut self, map: &Map, channels: Channels) -> Option<TextureUse> {
+        if map.name.to_ascii_lowercase().contains("<udim>") {
             self.remarks.push(format!("{} is left out: tiles of textures are not read", map.name));
             return None;
         }
-        let source = ImageSource { coverage, ..ImageSource::file(&map.name) };
+        let source = ImageSource { channels, folder: self.folder.clone(), ..ImageSource::file(&map.name) };
         let image = *self.places.entry(source).or_insert_with_key(|source| {
             self.images.push(source.clone());
             self.images.len() as u32 - 1
@@ -131,7 +177,7 @@ impl Map {
                 "-s" | "-o" | "-t" => (3, true),
                 "-mm" => (2, true),
                 "-bm" | "-boost" | "-texres" => (1, true),
-                "-clamp" | "-blendu" | "-blendv" | "-cc" | "-imfchan" | "-type" => (1, false),
+                "-clamp" | "-blendu" | "-blendv" | "-cc" | "-imfchan" | "-type" | "-colorspace" => (1, false),
                 _ => (0, false),
             };
             let mut arguments = Vec::new();

@@ -1,6 +1,6 @@
 //! Parses a piece of an OBJ file, from the beginning of a line to the end of one.
 
-use std::borrow::Cow;
+use std::{borrow::Cow, io::BufRead};
 
 use glam::{DVec3, Vec3};
 
@@ -31,6 +31,10 @@ pub(super) struct Piece {
     pub(super) libraries: Vec<String>,
     /// Points, lines, and curved surfaces.
     pub(super) n_left_out: usize,
+    /// Faces that are no triangle.
+    pub(super) n_short: usize,
+    /// Whether it ends in the middle of a face.
+    pub(super) is_cut: bool,
 }
 
 /// The fault of a row; `line` counts from 0.
@@ -50,13 +54,31 @@ impl Piece {
         let mut piece = Self::default();
         let mut rest = text;
         let mut n_lines = 0;
+        let mut n_before_last = 0;
         while !rest.is_empty() {
             let (line, n_bytes, n_rows) = logical_line(rest);
             rest = &rest[n_bytes..];
-            piece.parse_line(Words(line)).map_err(|what| Fault { line: n_lines, what })?;
+            n_before_last = piece.polygons.len();
+            let is_cut = rest.is_empty() && !text.ends_with(b"\n");
+            let place = if is_cut { ", where the file ends: it may have been cut short" } else { "" };
+            piece.parse_line(Words(line)).map_err(|what| Fault { line: n_lines, what: what + place })?;
             n_lines += n_rows;
         }
+        // Many a whole file has no end of its last line.
+        piece.is_cut = !text.ends_with(b"\n") && piece.polygons.len() > n_before_last && piece.ends_in_a_face();
         Ok(piece)
+    }
+
+    /// Whether the last face lacks corners, or its last corner has fewer numbers than its first.
+    fn ends_in_a_face(&self) -> bool {
+        let (start, end) = match *self.polygons {
+            [.., start, end] => (start, end),
+            [end] => (0, end),
+            [] => return false,
+        };
+        let corners = &self.corners[start..end];
+        let has = |corner: &[i64; 3]| corner.map(|index| index != NONE);
+        corners.len() < 3 || corners.first().map(has) != corners.last().map(has)
     }
 
     fn parse_line(&mut self, mut words: Words<'_>) -> Result<(), String> {
@@ -76,10 +98,12 @@ impl Piece {
             }
             // `fo` is of older files.
             b"f" | b"fo" => {
+                let n_before = self.corners.len();
                 for word in words {
                     let corner = self.corner(word)?;
                     self.corners.push(corner);
                 }
+                self.n_short += usize::from(self.corners.len() < n_before + 3);
                 self.polygons.push(self.corners.len());
                 Ok(())
             }
@@ -129,25 +153,28 @@ impl Piece {
     fn corner(&self, word: &[u8]) -> Result<[i64; 3], String> {
         let counts = [self.positions.len(), self.texture_coordinates.len(), self.normals.len()];
         let mut corner = [NONE; 3];
-        for ((index, count), number) in corner.iter_mut().zip(counts).zip(word.split(|&byte| byte == b'/')) {
-            if number.is_empty() {
-                continue;
+        let mut rest = word;
+        for (index, count) in corner.iter_mut().zip(counts) {
+            let is_counted_back = rest.first() == Some(&b'-');
+            rest = &rest[usize::from(is_counted_back)..];
+            let (mut value, mut n_digits) = (0_i64, 0);
+            while let Some(digit) = rest.get(n_digits).filter(|byte| byte.is_ascii_digit()) {
+                // Larger than any index, and small enough for sums.
+                value = (value * 10 + i64::from(digit - b'0')).min(1 << 36);
+                n_digits += 1;
             }
-            let is_counted_back = number[0] == b'-';
-            let digits = if is_counted_back { &number[1..] } else { number };
-            if digits.is_empty() || !digits.iter().all(u8::is_ascii_digit) {
+            let is_whole = matches!(rest.get(n_digits), None | Some(b'/'));
+            if !is_whole || n_digits == 0 && is_counted_back {
                 return Err(format!("`{}` is not a corner", printable(word)));
             }
-            let value = digits.iter().fold(0_i64, |value, digit| {
-                // Larger than any index, and small enough for sums.
-                (value * 10 + i64::from(digit - b'0')).min(1 << 36)
-            });
             *index = match value {
+                _ if n_digits == 0 => NONE,
                 // There is no row 0.
                 0 => 1 << 36,
                 _ if is_counted_back => OF_PIECE + count as i64 - value,
                 _ => value - 1,
             };
+            rest = rest.get(n_digits + 1..).unwrap_or_default();
         }
         Ok(corner)
     }
@@ -158,16 +185,14 @@ fn logical_line(text: &[u8]) -> (&[u8], usize, usize) {
     let mut end = 0;
     let mut n_rows = 0;
     loop {
-        let length = text[end..].iter().position(|&byte| byte == b'\n').unwrap_or(text.len() - end);
-        end += length;
+        let mut rest = &text[end..];
+        // A slice never fails to be read; its search is the standard library's fastest.
+        end += rest.skip_until(b'\n').unwrap_or(rest.len());
         n_rows += 1;
-        if end == text.len() {
-            return (&text[..end], end, n_rows);
+        let line = text[..end].strip_suffix(b"\n").unwrap_or(&text[..end]);
+        if end == text.len() || !goes_on(line) {
+            return (line, end, n_rows);
         }
-        if !goes_on(&text[..end]) {
-            return (&text[..end], end + 1, n_rows);
-        }
-        end += 1;
     }
 }
 

@@ -7,6 +7,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::model::{
+    images::Channels,
     material::{TextureUse, Wrap},
     mesh::Mesh,
 };
@@ -45,6 +46,7 @@ fn lines_may_go_on_and_end_anyhow() {
         format!("\n{CORNERS}f 1 2 3 # last\n").replace('\n', "\r\n"),
         format!("o thing\n  {CORNERS}\tf  1\t2 3"),
         format!("f 1 2 3\nusemtl none\n{CORNERS}"),
+        format!("# an old Mac's\n{CORNERS}f 1 2 \\\n3\n").replace('\n', "\r"),
     ] {
         assert_eq!(mesh(&text), expected, "{text}");
     }
@@ -131,7 +133,7 @@ fn the_mesh_does_not_depend_on_where_the_text_is_cut() {
 fn a_byte_order_mark_is_no_part_of_the_first_line() {
     let draft = with_library(
         &format!("\u{feff}mtllib a b.mtl\n{CORNERS}usemtl a\nf 1 2 3\n"),
-        b"\xef\xbb\xbfnewmtl a\nKd 1 0 0\n",
+        b"\xef\xbb\xbf newmtl a\n\tKd 1 0 0\n",
     );
     assert_eq!(draft.mesh.materials.materials[0].base_color, [1.0, 0.0, 0.0, 1.0]);
 }
@@ -156,7 +158,7 @@ fn materials_follow_faces() {
     let transform = [[2.0, 0.0, 0.5], [0.0, 4.0, -3.0]];
     assert_eq!(picture.base_color_texture, Some(TextureUse { image: 1, wrap: [Wrap::Clamp; 2], transform }));
     assert_eq!(draft.images[1].name, "C:\\scans\\W\u{e4}nde 1.png");
-    assert_eq!(draft.images[1].coverage.as_deref(), Some("mask.png"));
+    assert_eq!(draft.images[1].channels, Channels::Coverage("mask.png".to_owned()));
     assert_eq!(
         draft.remarks,
         [
@@ -183,9 +185,76 @@ fn missing_materials_are_a_remark() {
     assert_eq!(draft.remarks, ["its materials are left out: c.mtl is missing: put it beside the model"]);
     assert!(draft.mesh.materials.materials.is_empty() && draft.mesh.materials.of_triangles.is_empty());
     let mut library = Library::default();
-    library.read(b"newmtl a\nmap_Kd tile.<UDIM>.png\nnewmtl b\nmap_d -bm\nnewmtl c\nmap_d x.png\nmtllib a b.mtl\n");
+    library.read(b"newmtl a\nmap_Kd tile.<UDIM>.png\nnewmtl b\nmap_d -bm\nnewmtl c\nmap_d x.png\nmtllib a b.mtl\n", "");
     assert_eq!(library.materials.len(), 3);
     assert!(library.images.is_empty() && library.remarks.len() == 3, "{library:?}");
+}
+
+#[test]
+fn files_of_materials_are_found_by_any_name() {
+    let obj = |row: &str| format!("mtllib {row}\n{CORNERS}usemtl m\nf 1 2 3\n");
+    for row in
+        ["a b.mtl", "\"a b.mtl\"", "a\\ b.mtl", "none.mtl a b.mtl", "a b.mtl none.mtl", "\"none.mtl\" \"a b.mtl\""]
+    {
+        let draft = with_library(&obj(row), b"newmtl m\nKd 1 0 0\n");
+        assert_eq!(draft.mesh.materials.materials[0].base_color[0], 1.0, "{row}");
+        assert_eq!(draft.remarks.len(), usize::from(row.contains("none")), "{row}: {:?}", draft.remarks);
+    }
+}
+
+#[test]
+fn images_are_beside_their_file_of_materials() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("looks")).unwrap();
+    fs::write(folder.path().join("looks/a.mtl"), "newmtl m\nmap_Kd -colorspace sRGB deep/x.png\n").unwrap();
+    let obj = format!("mtllib looks\\a.mtl\n{CORNERS}f 1 2 3\n");
+    let companions = Companions::beside(&folder.path().join("model.obj"));
+    let draft = read_from(obj.as_bytes(), obj.len() as u64, &companions).unwrap();
+    assert_eq!((&*draft.images[0].folder, &*draft.images[0].name), ("looks", "deep/x.png"));
+}
+
+#[test]
+fn a_face_that_is_cut_is_told() {
+    let remarks = |face: &str| parse(format!("{CORNERS}vn 0 0 1\nf 1//1 2//1 3//1\n{face}")).unwrap().remarks;
+    let short = "1 faces with fewer than three corners are left out";
+    let cut = "ends in the middle of a face: it may have been cut short";
+    for (face, expected) in [
+        ("f 1//1 2//1 4//1", vec![]),
+        ("f 1//1 2//1", vec![short, cut]),
+        ("f", vec![short, cut]),
+        ("f 1//1 2//1 3//", vec![cut]),
+        ("f 1//1 2//1 3\n", vec![]),
+        ("f 1//1 2//1\n", vec![short]),
+    ] {
+        assert_eq!(remarks(face), expected, "{face}");
+    }
+    let told = parse(format!("{CORNERS}v 1 2")).unwrap_err().to_string();
+    assert_eq!(told, "line 5: a number is missing, where the file ends: it may have been cut short");
+}
+
+#[test]
+fn images_of_roughness_and_metal_become_one() {
+    let mut library = Library::default();
+    library.read(
+        b"newmtl a\nmap_Pr r.png\nmap_Pm m.png\nnewmtl b\nPr 0.5\nPm 0\nmap_Pm m.png\nnewmtl c\nPm 0.25\nmap_Pr r.png\n\
+        newmtl d\nmap_Pr x.png\nmap_Pm x.png\nmap_Ka x.png\nmap_bump x.png\nnewmtl e\nPm 1\n\
+        map_Kd y.png\nmap_Ka y.png\n",
+        "",
+    );
+    let looks: Vec<_> = (library.materials.iter())
+        .map(|it| (it.roughness, it.metallic, it.metallic_roughness_texture.map(|texture| texture.image)))
+        .collect();
+    assert_eq!(
+        looks,
+        [(1.0, 1.0, Some(0)), (0.5, 1.0, Some(1)), (1.0, 0.25, Some(2)), (1.0, 1.0, Some(3)), (1.0, 1.0, None)]
+    );
+    let channels: Vec<_> = library.images.into_iter().take(4).map(|image| image.channels).collect();
+    let both = Channels::RoughnessAndMetallic("m.png".to_owned());
+    assert_eq!(channels, [both, Channels::Metallic, Channels::Roughness, Channels::Whole]);
+    assert_eq!(
+        library.remarks,
+        ["textures of map_Bump, map_Ka are left out: of a material, map_Kd, map_Ke, map_Pr, map_Pm and map_d are read"]
+    );
 }
 
 proptest! {

@@ -25,7 +25,7 @@ pub(super) struct Header {
     pub(super) line_end: u8,
     pub(super) n_bytes: u64,
     pub(super) elements: Vec<Element>,
-    /// Files of textures, as MeshLab names them in comments.
+    /// Files of textures, as MeshLab names them in comments, and other programs in `obj_info`.
     pub(super) textures: Vec<String>,
 }
 
@@ -70,8 +70,11 @@ impl Header {
         loop {
             let text = lines.next()?;
             let words: Vec<&str> = text.split_whitespace().collect();
-            if let Some(name) = text.strip_prefix("comment TextureFile ") {
-                textures.push(name.trim().to_owned());
+            if let ["comment" | "obj_info", word, _, ..] = *words.as_slice()
+                && (word.eq_ignore_ascii_case("TextureFile") || words[0] == "obj_info" && word == "texture")
+            {
+                let name = text.split_once(word).map_or("", |(_, name)| name.trim());
+                textures.push(name.to_owned());
             }
             let line = match *words.as_slice() {
                 [] | ["comment" | "obj_info", ..] => String::from("comment"),

@@ -59,6 +59,8 @@ impl FaceLooks {
         let mut draft = Draft { mesh, ..Draft::default() };
         if !draft.mesh.texture_coordinates.is_empty() {
             add_textures(&mut draft, textures, self.textures);
+        } else if !textures.is_empty() {
+            draft.remarks.push("its textures are left out: it has no texture coordinates".to_owned());
         }
         Ok(draft)
     }

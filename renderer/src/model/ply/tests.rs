@@ -392,6 +392,21 @@ fn faces_of_other_colors_split_vertices() {
 }
 
 #[test]
+fn textures_are_named_in_comments_and_elsewhere() {
+    for line in ["comment TextureFile\ta b.png", "obj_info TextureFile a b.png ", "obj_info texture a b.png"] {
+        let draft = read(&TEXTURED.replace("comment TextureFile a b.png", line));
+        assert_eq!((draft.images.len(), &*draft.images[0].name), (2, "a b.png"), "{line}");
+    }
+    let bare = "ply\nformat ascii 1.0\ncomment TextureFile a.png\nelement vertex 0\nproperty float x\nproperty float y\n\
+        property float z\nend_header\n";
+    assert_eq!(read(bare).remarks, ["its textures are left out: it has no texture coordinates"]);
+}
+
+fn read(text: &str) -> Draft {
+    read_from(text.as_bytes(), text.len() as u64).unwrap_or_else(|problem| panic!("{problem}"))
+}
+
+#[test]
 fn texture_coordinates_of_vertices_have_many_names() {
     for [s, t] in [["s", "t"], ["u", "v"], ["texture_u", "texture_v"]] {
         let text = TRIANGLE.replace("float z\n", &format!("float z\nproperty float {s}\nproperty float {t}\n"));
