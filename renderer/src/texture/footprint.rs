@@ -237,6 +237,7 @@ impl Footprint {
 
     /// The squares for an image of `size` texels. Nothing branches, so that a loop becomes vector instructions.
     #[inline(always)]
+    #[expect(clippy::manual_clamp, reason = "clamp would leave NaN, of which no number of squares can be made")]
     pub(super) fn squares(&self, size: Vec2) -> Squares {
         // The axes are those of the ellipse that the sides span: the singular values and vectors of a matrix.
         let (a, b) = (self.sides[0] * size, self.sides[1] * size);
