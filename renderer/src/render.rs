@@ -1,7 +1,7 @@
 //! From rays to samples: packets of camera rays, the light at their hits, and whole frames on all threads.
 //!
 //! [`scene`] is a mesh with its grid. [`blocks`] cuts a share of a frame into packets, [`sampling`] places samples in
-//! pixels. [`secondary`] finds the lights that reach a hit, [`shade`] its colour, with [`normals`] and [`gloss`]; [`lighting`] joins
+//! pixels. [`secondary`] finds the lights that reach a hit, [`shade`] its colour, with [`surface`] and [`gloss`]; [`lighting`] joins
 //! the two, and [`tracer`] renders shares and whole frames with it. [`parallel`] divides them among [`threads`], and
 //! [`image`] writes them.
 
@@ -9,11 +9,11 @@ pub mod blocks;
 mod gloss;
 pub mod image;
 pub mod lighting;
-mod normals;
 pub mod parallel;
 pub mod sampling;
 pub mod scene;
 pub mod secondary;
 pub mod shade;
+mod surface;
 pub mod threads;
 pub mod tracer;

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
+use shared::srgb;
 
 use crate::{
     intersect::ray::{Hit, Ray},
@@ -12,7 +13,7 @@ use crate::{
     },
     simd::{InstructionSet, Simd},
     texture::{
-        footprint::{SampleRay, texture_point},
+        footprint::{Footprints, Projection, SampleRays, texture_point},
         materials::{PointMaterial, TracedMaterials},
     },
 };
@@ -143,11 +144,9 @@ impl TracedMesh {
         self.facing
     }
 
-    /// The sRGB colours of a triangle's corners, if the mesh has colours.
-    #[inline]
-    pub fn corner_colors(&self, triangle_idx: u32) -> Option<[[u8; 3]; 3]> {
-        let color = |vertex: u32| self.colors[vertex as usize];
-        (!self.colors.is_empty()).then(|| self.triangles[triangle_idx as usize].map(color))
+    /// Whether corners have colours.
+    pub(crate) fn has_colors(&self) -> bool {
+        !self.colors.is_empty()
     }
 
     /// Whether corners have normals.
@@ -160,19 +159,25 @@ impl TracedMesh {
         self.materials.has_materials()
     }
 
-    /// The materials where up to 64 rays of a camera hit triangles; `None` for misses, caps, and in meshes without materials.
-    pub(crate) fn materials(
+    /// Finds the materials where up to 64 rays of a camera hit triangles; `None` for misses, caps, and in meshes without
+    /// materials.
+    pub(crate) fn find_materials(
         &self,
         instructions: InstructionSet,
+        rays: SampleRays<'_>,
         hits: &[Hit],
-        ray: impl Fn(usize) -> SampleRay,
-    ) -> [Option<PointMaterial>; 64] {
+        materials: &mut [Option<PointMaterial>; 64],
+    ) {
         let triangles = hits.iter().map(|hit| (!hit.is_miss() && !hit.is_cap()).then_some(hit.triangle));
-        let footprint = |sample: usize| {
-            let triangle_idx = hits[sample].triangle;
-            Some(ray(sample).footprint(self.corners(triangle_idx), self.corner_coordinates(triangle_idx)?))
+        let project = |samples: &[usize], footprints: &mut Footprints| {
+            let has_coordinates = !self.texture_coordinates.is_empty();
+            if has_coordinates {
+                // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
+                unsafe { instructions.call(Projection { mesh: self, rays, hits, samples, footprints }) };
+            }
+            has_coordinates
         };
-        self.materials.at(instructions, triangles, footprint)
+        self.materials.find(instructions, triangles, project, materials);
     }
 
     /// Whether a ray passes a triangle that it hits, where the triangle's material has a gap.
@@ -256,6 +261,35 @@ impl TracedMesh {
             normals[2][lane] = self.normals[c as usize];
         }
         normals
+    }
+
+    /// Gathers the colours of triangles' corners, in linear light, by corner and channel; the mesh must have colours.
+    #[inline(always)]
+    pub(crate) fn gather_corner_colors(&self, triangle_indices: &[u32; 16]) -> [[[f32; 16]; 3]; 3] {
+        let mut colors = [[[0.0; 16]; 3]; 3];
+        for (lane, &triangle_idx) in triangle_indices.iter().enumerate() {
+            let corners = self.triangles[triangle_idx as usize];
+            for (corner, &vertex) in corners.iter().enumerate() {
+                let [red, green, blue] = self.colors[vertex as usize].map(srgb::decode);
+                let of_corner = &mut colors[corner];
+                (of_corner[0][lane], of_corner[1][lane], of_corner[2][lane]) = (red, green, blue);
+            }
+        }
+        colors
+    }
+
+    /// Gathers the texture coordinates of triangles' corners, by corner; the mesh must have textures.
+    #[inline(always)]
+    pub(crate) fn gather_corner_coordinates(&self, triangle_indices: &[u32; 16]) -> [[[f32; 16]; 2]; 3] {
+        let mut coordinates = [[[0.0; 16]; 2]; 3];
+        for (lane, &triangle_idx) in triangle_indices.iter().enumerate() {
+            let corners = self.triangles[triangle_idx as usize];
+            for (corner, &vertex) in corners.iter().enumerate() {
+                let [u, v] = self.texture_coordinates[vertex as usize];
+                (coordinates[corner][0][lane], coordinates[corner][1][lane]) = (u, v);
+            }
+        }
+        coordinates
     }
 
     /// Coordinates of all vertices, vertex after vertex, and three more numbers.

@@ -18,7 +18,7 @@ use crate::{
         secondary::SecondaryRays,
         shade::{self, Shader},
     },
-    texture::{footprint::SampleRay, materials::PointMaterial},
+    texture::{footprint::SampleRays, materials::PointMaterial},
 };
 
 /// Lights the hits of one frame.
@@ -43,14 +43,14 @@ impl<'a> Lighting<'a> {
         Self { shading: spec.view, shader, secondary, eye: rays.eye, sample_sides }
     }
 
-    /// The materials at up to 64 hits; `None` for misses, caps, and in meshes without materials.
-    fn materials(&self, directions: &[Vec3], hits: &[Hit]) -> [Option<PointMaterial>; 64] {
+    /// Finds the materials at up to 64 hits; `None` for misses and caps. All are `None`, and left so, in meshes without
+    /// materials.
+    fn find_materials(&self, directions: &[Vec3], hits: &[Hit], materials: &mut [Option<PointMaterial>; 64]) {
         let grid = self.secondary.grid;
-        if self.shading != ShadingMode::Shaded || !grid.mesh().has_materials() {
-            return [None; 64];
+        if self.shading == ShadingMode::Shaded && grid.mesh().has_materials() {
+            let rays = SampleRays { eye: self.eye, directions, sides: self.sample_sides };
+            grid.mesh().find_materials(grid.instructions, rays, hits, materials);
         }
-        let ray = |sample| SampleRay { eye: self.eye, direction: directions[sample], sides: self.sample_sides };
-        grid.mesh().materials(grid.instructions, hits, ray)
     }
 
     /// The linear light of neighbouring blocks: of sample number `sample` of their pixels (i, j), whose rays follow
@@ -75,17 +75,21 @@ impl<'a> Lighting<'a> {
             return lights;
         }
         let visibility = self.secondary.visibility(blocks, sample, directions, hits, scratch);
+        // Written again for each block: copies of either took up to 5 % of a frame's time.
+        let (mut surfaces, mut materials) = ([None; 64], [None; 64]);
         for (index, block) in blocks.iter().enumerate() {
             let n_samples = block.n_samples();
             let (directions, hits) = (&directions[index][..n_samples], &hits[index][..n_samples]);
-            let normals = self.shader.smooth_normals(self.secondary.grid.instructions, directions, hits);
-            let materials = self.materials(directions, hits);
+            if !hits.iter().all(|hit| hit.is_miss()) {
+                self.shader.find_surfaces(self.secondary.grid.instructions, directions, hits, &mut surfaces);
+                self.find_materials(directions, hits, &mut materials);
+            }
             for (sample_idx, (i, j)) in block.samples().enumerate() {
                 let (_, y) = sample_point(i, j, sample);
                 lights[index][sample_idx] = self.shader.light(
                     directions[sample_idx],
                     hits[sample_idx],
-                    normals[sample_idx].as_ref(),
+                    surfaces[sample_idx].as_ref(),
                     materials[sample_idx].as_ref(),
                     y,
                     &visibility[index][sample_idx],

@@ -11,11 +11,11 @@ use shared::{
 
 use crate::{
     grid::traced::TracedMesh,
-    intersect::{InstructionSet, RayCost, ray::Hit, triangle},
+    intersect::{InstructionSet, RayCost, ray::Hit},
     render::{
         gloss::GlossySurface,
-        normals::{Normals, SmoothNormals, normalize_or_zero},
         secondary::LightVisibility,
+        surface::{Surface, Surfaces, normalize_or_zero},
     },
     texture::materials::PointMaterial,
 };
@@ -60,14 +60,14 @@ impl<'a> Shader<'a> {
         Self { mesh, shading: spec.view, eye, up, n_rows: spec.size.yres() as f32, background, has_shadows, cap_normal }
     }
 
-    /// The linear light along one ray, given its hit's smooth normals and material, if it has them, and the lights that reach
-    /// it. `row` counts samples from the bottom.
+    /// The linear light along one ray, given its hit's interpolated surface and material, if it has them, and the lights that
+    /// reach it. `row` counts samples from the bottom.
     #[inline]
     pub fn light(
         &self,
         direction: Vec3,
         hit: Hit,
-        normals: Option<&Normals>,
+        surface: Option<&Surface>,
         material: Option<&PointMaterial>,
         row: f32,
         visibility: &LightVisibility,
@@ -76,8 +76,8 @@ impl<'a> Shader<'a> {
             let height = row / self.n_rows;
             return self.background[0] * (1.0 - height) + self.background[1] * height;
         }
-        let Normals { to_eye, geometric, shading: normal } =
-            normals.copied().unwrap_or_else(|| self.flat_normals(direction, hit));
+        let Surface { to_eye, geometric, shading: normal, color } =
+            surface.copied().unwrap_or_else(|| self.flat_surface(direction, hit));
         match self.shading {
             // The cost of a ray does not depend on its hit: see [`cost_color`].
             ShadingMode::Normals | ShadingMode::Cost => (normal + 1.0) * 0.5,
@@ -91,8 +91,8 @@ impl<'a> Shader<'a> {
                 let sky = 0.5 + 0.5 * normal.dot(self.up);
                 let ambient = EYE_LIGHT * eye + SKY_LIGHT * sky + GROUND_LIGHT * (1.0 - sky);
                 let scattered = KEY_LIGHT * key + ambient * visibility.ambient_visibility;
-                let Some(material) = material else { return self.albedo(direction, hit) * scattered };
-                let color = self.vertex_color(direction, hit).unwrap_or(Vec3::ONE) * Vec3::from(material.base_color);
+                let Some(material) = material else { return self.albedo(hit, color) * scattered };
+                let color = if self.mesh.has_colors() { color } else { Vec3::ONE } * Vec3::from(material.base_color);
                 let emissive = Vec3::from(material.emissive);
                 match material.gloss {
                     None => color * scattered + emissive,
@@ -117,43 +117,41 @@ impl<'a> Shader<'a> {
             + ambient * visibility.ambient_visibility
     }
 
-    /// The normals of a smooth mesh at up to 64 hits; `None` for misses, caps, and in meshes of flat triangles.
-    pub(super) fn smooth_normals(
+    /// Finds the interpolated surface of a mesh at up to 64 hits; `None` for misses and caps. All are `None`, and left so, in
+    /// meshes of flat triangles without colours.
+    pub(super) fn find_surfaces(
         &self,
         instructions: InstructionSet,
         directions: &[Vec3],
         hits: &[Hit],
-    ) -> [Option<Normals>; 64] {
-        if !self.mesh.has_normals() {
-            return [None; 64];
+        surfaces: &mut [Option<Surface>; 64],
+    ) {
+        if self.mesh.has_normals() || self.mesh.has_colors() {
+            let (mesh, eye) = (self.mesh, self.eye);
+            // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
+            unsafe { instructions.call(Surfaces { mesh, eye, directions, hits, surfaces }) }
         }
-        // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-        unsafe { instructions.call(SmoothNormals { mesh: self.mesh, eye: self.eye, directions, hits }) }
     }
 
-    /// The normals of a cap or of a flat triangle, on the side of the eye: scans are seen from both sides.
+    /// A cap or a flat triangle without a colour, on the side of the eye: scans are seen from both sides.
     #[inline]
-    fn flat_normals(&self, direction: Vec3, hit: Hit) -> Normals {
+    fn flat_surface(&self, direction: Vec3, hit: Hit) -> Surface {
         let to_eye = -normalize_or_zero(direction.as_dvec3());
         let normal = if hit.is_cap() { self.cap_normal } else { normalize_or_zero(self.mesh.normal(hit.triangle)) };
         let geometric = if normal.dot(to_eye) < 0.0 { -normal } else { normal };
-        Normals { to_eye, geometric, shading: geometric }
+        Surface { to_eye, geometric, shading: geometric, color: Vec3::ZERO }
     }
 
-    fn albedo(&self, direction: Vec3, hit: Hit) -> Vec3 {
-        if hit.is_cap() { CAP } else { self.vertex_color(direction, hit).unwrap_or(CLAY) }
-    }
-
-    /// The corners' colours, interpolated in linear light.
-    fn vertex_color(&self, direction: Vec3, hit: Hit) -> Option<Vec3> {
-        let colors = self.mesh.corner_colors(hit.triangle)?;
-        Some(interpolate(colors.map(linear), self.corner_weights(direction, hit)))
-    }
-
-    /// The parts of the hit triangle's corners in the hit point; undefined for misses and caps.
+    /// The albedo of a surface without a material; `color` is that of its mesh.
     #[inline]
-    fn corner_weights(&self, direction: Vec3, hit: Hit) -> [f32; 3] {
-        triangle::corner_weights(self.eye, direction, &self.mesh.corners(hit.triangle)).map(|weight| weight as f32)
+    fn albedo(&self, hit: Hit, color: Vec3) -> Vec3 {
+        if hit.is_cap() {
+            CAP
+        } else if self.mesh.has_colors() {
+            color
+        } else {
+            CLAY
+        }
     }
 }
 
@@ -187,10 +185,6 @@ pub fn cost_color(cost: RayCost) -> Vec3 {
 const HALF_CELLS: f32 = 64.0;
 const HALF_TESTS: f32 = 256.0;
 
-fn interpolate([a, b, c]: [Vec3; 3], weights: [f32; 3]) -> Vec3 {
-    a * weights[0] + b * weights[1] + c * weights[2]
-}
-
 /// Linear light of an encoded colour.
 fn linear(color: [u8; 3]) -> Vec3 {
     Vec3::from_array(color.map(srgb::decode))
@@ -211,7 +205,7 @@ mod tests {
     use super::*;
     use crate::{
         model::{mesh::Mesh, normal::Normal},
-        render::normals::visible_normal,
+        render::surface::visible_normal,
     };
 
     fn traced(mesh: Mesh) -> TracedMesh {
@@ -239,11 +233,23 @@ mod tests {
     const UNOCCLUDED: LightVisibility =
         LightVisibility { key_direction: Vec3::new(-0.48, 0.6, 0.64), key: 1.0, ambient_visibility: 1.0 };
 
+    /// The interpolated surfaces at hits.
+    fn surfaces(
+        shader: &Shader<'_>,
+        instructions: InstructionSet,
+        directions: &[Vec3],
+        hits: &[Hit],
+    ) -> [Option<Surface>; 64] {
+        let mut surfaces = [None; 64];
+        shader.find_surfaces(instructions, directions, hits, &mut surfaces);
+        surfaces
+    }
+
     /// The light at a hit, with all instructions.
     fn light(shader: &Shader<'_>, direction: Vec3, hit: Hit) -> Vec3 {
         let lights = InstructionSet::available().into_iter().map(|instructions| {
-            let normals = shader.smooth_normals(instructions, &[direction], &[hit])[0];
-            shader.light(direction, hit, normals.as_ref(), None, 0.0, &UNOCCLUDED)
+            let surface = surfaces(shader, instructions, &[direction], &[hit])[0];
+            shader.light(direction, hit, surface.as_ref(), None, 0.0, &UNOCCLUDED)
         });
         let lights: Vec<_> = lights.collect();
         assert!(lights.iter().all(|light| *light == lights[0]), "{lights:?}");
@@ -329,9 +335,10 @@ mod tests {
     }
 
     #[test]
-    fn hits_among_misses_and_caps_have_the_normals_that_they_have_alone() {
+    fn hits_among_misses_and_caps_have_the_normals_and_colours_that_they_have_alone() {
         let normals = [Vec3::new(-0.5, 0.1, 1.0), Vec3::new(0.5, 0.0, 1.0), Vec3::NAN].map(Normal::new).to_vec();
-        let mesh = traced(Mesh { normals, ..facing_mesh() });
+        let colors = vec![[255, 0, 9], [0, 255, 90], [0, 0, 255]];
+        let mesh = traced(Mesh { normals, colors, ..facing_mesh() });
         let shader = shader(&mesh, ShadingMode::Normals);
         let triangle = |sample: u32| [0, Hit::MISS.triangle, 1, 1, Hit::CAP][sample as usize % 5];
         let hits: [Hit; 64] = std::array::from_fn(|sample| Hit { triangle: triangle(sample as u32), t: 1.0 });
@@ -339,13 +346,12 @@ mod tests {
             std::array::from_fn(|sample| Vec3::new(sample as f32 * 0.01 - 0.3, -0.4, 0.0) - shader.eye);
         for n in [0, 1, 27, 64] {
             for instructions in InstructionSet::available() {
-                let together = shader.smooth_normals(instructions, &directions[..n], &hits[..n]);
-                for (sample, normals) in together.iter().enumerate() {
+                let together = surfaces(&shader, instructions, &directions[..n], &hits[..n]);
+                for (sample, surface) in together.iter().enumerate() {
                     let is_hit = sample < n && hits[sample].triangle < 2;
-                    let alone =
-                        shader.smooth_normals(instructions, &directions[sample..=sample], &hits[sample..=sample]);
-                    assert_eq!(*normals, alone[0].filter(|_| is_hit), "{sample} of {n}, {instructions:?}");
-                    assert_eq!(normals.is_some(), is_hit);
+                    let alone = surfaces(&shader, instructions, &directions[sample..=sample], &hits[sample..=sample]);
+                    assert_eq!(*surface, alone[0].filter(|_| is_hit), "{sample} of {n}, {instructions:?}");
+                    assert_eq!(surface.is_some(), is_hit);
                 }
             }
         }
@@ -396,7 +402,11 @@ mod tests {
     fn colours_are_interpolated_in_linear_light() {
         let mesh = traced(Mesh { colors: vec![[255, 0, 0], [0, 255, 0], [0, 0, 255]], ..facing_mesh() });
         let shader = shader(&mesh, ShadingMode::Shaded);
-        let albedo = |triangle, target: Vec3| shader.albedo(target - shader.eye, Hit { triangle, t: 1.0 });
+        let albedo = |triangle, target: Vec3| {
+            let (direction, hit) = (target - shader.eye, Hit { triangle, t: 1.0 });
+            let surface = surfaces(&shader, InstructionSet::best(), &[direction], &[hit])[0];
+            shader.albedo(hit, surface.expect("a hit on a triangle").color)
+        };
         for triangle in [0, 1] {
             for (weights, target) in [[1.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.25, 0.25, 0.5], [0.1, 0.2, 0.7]]
                 .map(|[a, b, c]: [f32; 3]| (Vec3::new(a, b, c), Vec3::new(-a + b, -a - b + c, 0.0)))

@@ -6,7 +6,15 @@
 
 use glam::{DVec3, Vec2, Vec3};
 
-use crate::intersect::{ray::Ray, triangle};
+use crate::{
+    grid::traced::TracedMesh,
+    intersect::{
+        ray::{Hit, Ray},
+        triangle,
+    },
+    simd::{Kernel, Simd},
+    texture::level::round,
+};
 
 /// A parallelogram on a texture.
 #[derive(Clone, Copy, Debug)]
@@ -15,6 +23,26 @@ pub(crate) struct Footprint {
     pub(crate) centre: Vec2,
     /// Its sides.
     pub(crate) sides: [Vec2; 2],
+}
+
+/// Footprints that are computed at once: loops over arrays, which the compiler turns into vector instructions.
+pub(super) const N: usize = 16;
+
+/// Two coordinates on a texture for each of [`N`] samples.
+pub(super) type Points = [[f32; N]; 2];
+
+/// [`N`] footprints.
+#[derive(Clone, Copy)]
+pub(super) struct FootprintLanes {
+    pub(super) centres: Points,
+    pub(super) sides: [Points; 2],
+}
+
+/// Up to 64 footprints.
+pub(crate) struct Footprints {
+    /// Those beyond it are undefined.
+    pub(super) n: usize,
+    pub(super) lanes: [FootprintLanes; 64 / N],
 }
 
 /// Squares along a footprint's longer axis that cover it.
@@ -34,11 +62,83 @@ const REACH: f32 = 1.5;
 /// Limit of [`Squares::n`]: longer footprints are blurred across.
 const MOST_SQUARES: f32 = 5.0;
 
-/// A ray of a camera, and the change of its direction across the width and the height of its sample.
-pub(crate) struct SampleRay {
+/// Rays of a camera, and the change of their directions across the width and the height of a sample.
+#[derive(Clone, Copy)]
+pub(crate) struct SampleRays<'a> {
     pub(crate) eye: Vec3,
-    pub(crate) direction: Vec3,
+    pub(crate) directions: &'a [Vec3],
     pub(crate) sides: [Vec3; 2],
+}
+
+/// Finds the footprints of up to 64 samples on the triangles that their rays hit, of a mesh with texture coordinates.
+pub(crate) struct Projection<'a> {
+    pub(crate) mesh: &'a TracedMesh,
+    pub(crate) rays: SampleRays<'a>,
+    pub(crate) hits: &'a [Hit],
+    /// Indices of hits on triangles.
+    pub(crate) samples: &'a [usize],
+    /// Those of the samples, in their order.
+    pub(crate) footprints: &'a mut Footprints,
+}
+
+impl Kernel for Projection<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self) {
+        let Self { mesh, rays, hits, samples, footprints } = self;
+        footprints.n = samples.len();
+        for (samples, lanes) in samples.chunks(N).zip(&mut footprints.lanes) {
+            project::<S>(mesh, rays, hits, samples, lanes);
+        }
+    }
+}
+
+/// The footprints of up to [`N`] samples; lanes beyond them repeat the last.
+#[inline(always)]
+fn project<S: Simd>(
+    mesh: &TracedMesh,
+    rays: SampleRays<'_>,
+    hits: &[Hit],
+    samples: &[usize],
+    footprints: &mut FootprintLanes,
+) {
+    let mut triangles = [0; N];
+    let mut directions = [[0.0; N]; 3];
+    for lane in 0..N {
+        let sample = samples[lane.min(samples.len() - 1)];
+        triangles[lane] = hits[sample].triangle;
+        (0..3).for_each(|axis| directions[axis][lane] = rays.directions[sample][axis]);
+    }
+    let mut corners = [[[0.0; N]; 3]; 3];
+    for first in (0..N).step_by(S::LANES) {
+        let mut next = [0; N];
+        next[..S::LANES].copy_from_slice(&triangles[first..first + S::LANES]);
+        let gathered = mesh.gather_corners::<S>(&next);
+        for corner in 0..3 {
+            for axis in 0..3 {
+                gathered[corner][axis].store(&mut corners[corner][axis][first..]);
+            }
+        }
+    }
+    let coordinates = mesh.gather_corner_coordinates(&triangles);
+    for lane in 0..N {
+        let vector = |[x, y, z]: &[[f32; N]; 3]| [x[lane], y[lane], z[lane]];
+        let point = |[u, v]: &Points| Vec2::new(u[lane], v[lane]);
+        let [a, b, c] = &corners;
+        let direction = Vec3::from_array(vector(&directions));
+        let ray = SampleRay { eye: rays.eye, direction, sides: rays.sides };
+        let [at_a, at_b, at_c] = &coordinates;
+        let footprint = ray.footprint([vector(a), vector(b), vector(c)], [point(at_a), point(at_b), point(at_c)]);
+        footprints.set(lane, &footprint);
+    }
+}
+
+/// One of [`SampleRays`].
+struct SampleRay {
+    eye: Vec3,
+    direction: Vec3,
+    sides: [Vec3; 2],
 }
 
 /// The point `a + β(b − a) + γ(c − a)` where rays from one origin meet the plane of a triangle.
@@ -69,29 +169,63 @@ pub(crate) fn texture_point(ray: &Ray, corners: &[[f32; 3]; 3], [a, b, c]: [Vec2
 
 impl SampleRay {
     /// The footprint on a triangle; `coordinates` are those of its corners.
-    #[inline]
-    pub(crate) fn footprint(&self, corners: [[f32; 3]; 3], [a, b, c]: [Vec2; 3]) -> Footprint {
+    #[inline(always)]
+    fn footprint(&self, corners: [[f32; 3]; 3], [a, b, c]: [Vec2; 3]) -> Footprint {
         let PlanePoint { of_beta, of_gamma, of_both } = PlanePoint::new(self.eye, corners);
         let direction = self.direction.as_dvec3();
         let scale = 1.0 / of_both.dot(direction);
-        let (beta, gamma) = (of_beta.dot(direction) * scale, of_gamma.dot(direction) * scale);
-        let on_texture = |beta: f64, gamma: f64| (b - a) * beta as f32 + (c - a) * gamma as f32;
-        // The quotient rule.
+        let (beta, gamma) = ((of_beta.dot(direction) * scale) as f32, (of_gamma.dot(direction) * scale) as f32);
+        let on_texture = |beta: f32, gamma: f32| (b - a) * beta + (c - a) * gamma;
+        // The quotient rule. In units of the denominator, `f32` holds the vectors of triangles of any size, and twice as many
+        // fit in a vector register.
+        let [of_beta, of_gamma, of_both] = [of_beta, of_gamma, of_both].map(|vector| (vector * scale).as_vec3());
         let change = |side: Vec3| {
-            let side = side.as_dvec3();
             let change = of_both.dot(side);
-            on_texture((of_beta.dot(side) - beta * change) * scale, (of_gamma.dot(side) - gamma * change) * scale)
+            on_texture(of_beta.dot(side) - beta * change, of_gamma.dot(side) - gamma * change)
         };
         Footprint { centre: a + on_texture(beta, gamma), sides: [change(self.sides[0]), change(self.sides[1])] }
     }
 }
 
-impl Footprint {
-    pub(super) const NONE: Self = Self { centre: Vec2::ZERO, sides: [Vec2::ZERO; 2] };
+impl Footprints {
+    pub(super) const NONE: Self = Self { n: 0, lanes: [FootprintLanes::NONE; 64 / N] };
+}
 
+impl FootprintLanes {
+    const NONE: Self = Self { centres: [[0.0; N]; 2], sides: [[[0.0; N]; 2]; 2] };
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, footprint: &Footprint) {
+        for axis in 0..2 {
+            self.centres[axis][lane] = footprint.centre[axis];
+            self.sides[0][axis][lane] = footprint.sides[0][axis];
+            self.sides[1][axis][lane] = footprint.sides[1][axis];
+        }
+    }
+
+    #[inline(always)]
+    pub(super) fn get(&self, lane: usize) -> Footprint {
+        let point = |[u, v]: &Points| Vec2::new(u[lane], v[lane]);
+        Footprint { centre: point(&self.centres), sides: [point(&self.sides[0]), point(&self.sides[1])] }
+    }
+}
+
+#[cfg(test)]
+impl FromIterator<Footprint> for Footprints {
+    fn from_iter<T: IntoIterator<Item = Footprint>>(all: T) -> Self {
+        let mut footprints = Self::NONE;
+        for footprint in all {
+            footprints.lanes[footprints.n / N].set(footprints.n % N, &footprint);
+            footprints.n += 1;
+        }
+        footprints
+    }
+}
+
+impl Footprint {
     /// The footprint on a texture whose coordinates are this matrix times (u, v, 1).
     #[inline(always)]
-    pub(crate) fn transformed(&self, rows: &[[f32; 3]; 2]) -> Self {
+    pub(super) fn transformed(&self, rows: &[[f32; 3]; 2]) -> Self {
         let [[a, b, _], [c, d, _]] = *rows;
         let [right, up] = self.sides;
         let [right, up] = [
@@ -103,6 +237,7 @@ impl Footprint {
 
     /// The squares for an image of `size` texels. Nothing branches, so that a loop becomes vector instructions.
     #[inline(always)]
+    #[expect(clippy::manual_clamp, reason = "clamp would leave NaN, of which no number of squares can be made")]
     pub(super) fn squares(&self, size: Vec2) -> Squares {
         // The axes are those of the ellipse that the sides span: the singular values and vectors of a matrix.
         let (a, b) = (self.sides[0] * size, self.sides[1] * size);
@@ -112,9 +247,8 @@ impl Footprint {
         let major = major_squared.sqrt();
         // Texels are never narrower than one.
         let minor = (area / major).max(1.0);
-        let n = ((major / (minor * REACH)).min(MOST_SQUARES) + 0.5) as i32;
-        let (n, is_one) = (n.max(1), n <= 1);
-        let part = 1.0 / n as f32;
+        let (n, integer) = round((major / (minor * REACH)).min(MOST_SQUARES).max(1.0));
+        let (part, is_one) = (1.0 / n, integer == 1);
 
         // A single square needs no axis, and a circle has none.
         let (xx, yy, xy) = (a.x * a.x + b.x * b.x, a.y * a.y + b.y * b.y, a.x * a.y + b.x * b.y);
@@ -125,8 +259,8 @@ impl Footprint {
         Squares {
             first: self.centre - (axis - step) * 0.5,
             step,
-            n: n as u32,
-            width: (major * part / REACH).max(minor),
+            n: integer as u32,
+            width: (major * part * (1.0 / REACH)).max(minor),
         }
     }
 }

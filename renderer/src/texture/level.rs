@@ -19,15 +19,19 @@ const BLOCK_SIZE: u32 = 4;
 
 const TEXELS_PER_BLOCK: u32 = BLOCK_SIZE * BLOCK_SIZE;
 
+/// Most texels along a side of an image: beyond them, `f32` does not tell neighbours apart.
+const LONGEST_SIDE: u32 = 1 << 22;
+
 /// Whether the texels of all levels of an image have indices: up to 32768×32768 they do.
 pub(super) fn is_indexable(image: &Image) -> bool {
-    u64::from(image.width.div_ceil(BLOCK_SIZE)) * u64::from(image.height.div_ceil(BLOCK_SIZE)) <= 1 << 26
+    image.width.max(image.height) <= LONGEST_SIDE
+        && u64::from(image.width.div_ceil(BLOCK_SIZE)) * u64::from(image.height.div_ceil(BLOCK_SIZE)) <= 1 << 26
 }
 
 impl Level {
     /// A level of this size, whose texels follow `first` others.
     pub(super) fn new(size: [u32; 2], first: u32) -> Self {
-        Self { size, blocks_per_row: size[0].div_ceil(BLOCK_SIZE), first }
+        Self { size, blocks_per_row: blocks_per_row(size[0]), first }
     }
 
     /// The number of texels, with those that fill up blocks.
@@ -55,6 +59,18 @@ impl Level {
     }
 }
 
+/// The columns or rows of a level, of those of the image: each level has half as many as the finer one, and at least one.
+#[inline(always)]
+pub(super) fn halved(n: u32, level: u32) -> u32 {
+    n.wrapping_shr(level).max(1)
+}
+
+/// The number of blocks in a row of `width` texels.
+#[inline(always)]
+pub(super) fn blocks_per_row(width: u32) -> u32 {
+    width.div_ceil(BLOCK_SIZE)
+}
+
 /// A column's part of the index of a texel.
 #[inline(always)]
 pub(super) fn column_offset(x: u32) -> u32 {
@@ -74,11 +90,10 @@ pub(super) fn row_offset(y: u32, blocks_per_row: u32) -> u32 {
 pub(super) fn neighbours(coordinate: f32, n: u32, wrap: Wrap) -> ([u32; 2], f32) {
     let n = n as i32;
     let x = wrapped(coordinate, wrap) * n as f32 - 0.5;
-    let truncated = x as i32;
-    let left = truncated - i32::from(truncated as f32 > x);
+    let (left, fraction) = floor(x);
     let (before_first, after_last) = if wrap == Wrap::Repeat { (n - 1, 0) } else { (0, n - 1) };
     let right = if left + 1 < n { left + 1 } else { after_last };
-    ([if left < 0 { before_first } else { left } as u32, right as u32], x - left as f32)
+    ([if left < 0 { before_first } else { left } as u32, right as u32], fraction)
 }
 
 /// The coordinate from 0 to 1 where a texture shows the same.
@@ -98,13 +113,29 @@ fn wrapped(coordinate: f32, wrap: Wrap) -> f32 {
     }
 }
 
-/// The distance from the next lower integer, from 0 to 1; 0 for numbers so large that all are integers, and for NaN.
+/// The distance from the next lower integer, from 0 to 1; 0 for numbers so large that `f32` halves them at best, and for NaN.
 #[inline(always)]
 fn fraction(x: f32) -> f32 {
-    const ALL_ARE_INTEGERS: f32 = 8_388_608.0;
-    let x = if x.abs() < ALL_ARE_INTEGERS { x } else { 0.0 };
-    let beyond = x - x as i32 as f32;
-    if beyond < 0.0 { beyond + 1.0 } else { beyond }
+    floor(if x.abs() < LONGEST_SIDE as f32 { x } else { 0.0 }).1
+}
+
+/// The next lower integer, and the distance from it; `x` is at most [`LONGEST_SIDE`] from 0.
+#[inline(always)]
+fn floor(x: f32) -> (i32, f32) {
+    let (rounded, integer) = round(x);
+    let down = i32::from(rounded > x);
+    (integer - down, x - (rounded - down as f32))
+}
+
+/// The nearest integer, as both kinds of number; `x` is at most [`LONGEST_SIDE`] from 0.
+///
+/// A sum with a large number is an integer, whose bits can be read. A cast saturates, for which the compiler has no vector
+/// instructions.
+#[inline(always)]
+pub(super) fn round(x: f32) -> (f32, i32) {
+    const LARGE: f32 = 12_582_912.0;
+    let sum = x + LARGE;
+    (sum - LARGE, sum.to_bits() as i32 - LARGE.to_bits() as i32)
 }
 
 #[cfg(test)]

@@ -1,118 +1,295 @@
 //! Many lookups in a texture at once: loops over arrays, which the compiler turns into vector instructions.
 
+use std::array::from_fn;
+
 use glam::{Vec2, Vec3A};
 
 use crate::{
     model::material::Wrap,
     simd::{Kernel, Simd},
     texture::{
-        footprint::Footprint,
-        level::{column_offset, neighbours, row_offset},
-        mip_map::MipMap,
+        footprint::{self, FootprintLanes, Footprints},
+        level::{blocks_per_row, column_offset, halved, neighbours, row_offset},
+        mip_map::{MOST_LEVELS, MipMap},
         texel::{Texel, UNITS},
     },
 };
 
-/// A point of a level of a texture, and its part of a sample's light.
-#[derive(Clone, Copy)]
-struct Lookup {
-    sample: u32,
-    level: u32,
-    at: Vec2,
-    weight: f32,
-}
-
-/// Lookups that are done at once.
+/// Samples whose lookups are done at once: two vectors of the widest kind, so that one is computed while the other waits for
+/// memory.
 const N: usize = 32;
 
 /// Computes the means of a texture over footprints of samples.
 pub(super) struct Means<'a> {
     pub(super) map: &'a MipMap,
     pub(super) wrap: [Wrap; 2],
-    pub(super) footprints: &'a [Footprint],
-    /// One for each footprint.
-    pub(super) means: &'a mut [Vec3A],
+    /// From texture coordinates of the mesh to those of the texture.
+    pub(super) transform: &'a [[f32; 3]; 2],
+    pub(super) footprints: &'a Footprints,
+    /// Those beyond the footprints are left as they are.
+    pub(super) means: &'a mut [Vec3A; 64],
 }
+
+/// The lookups of up to 64 samples: squares on a level, then the same on the next, if that has a part of the light.
+struct Plans {
+    first: [[f32; 64]; 2],
+    step: [[f32; 64]; 2],
+    n_squares: [u32; 64],
+    level: [u32; 64],
+    part_of_next: [f32; 64],
+    /// 0 beyond the samples.
+    n_lookups: [u32; 64],
+}
+
+/// Most lookups of a sample: five squares, on two levels.
+const MOST_LOOKUPS: u32 = 10;
 
 impl Kernel for Means<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let Self { map, wrap, footprints, means } = self;
-        let [width, height] = map.levels[0].size;
-        let size = Vec2::new(width as i32 as f32, height as i32 as f32);
-        let last = map.levels.len() as u32 - 1;
-
-        // Cover each footprint by squares, and blend two levels for each.
-        let mut lookups = Vec::with_capacity(4 * footprints.len());
-        for (sample, footprint) in (0..).zip(footprints) {
-            let squares = footprint.squares(size);
-            let (level, part_of_next) = level_of(squares.width);
-            let (level, part_of_next) = if level < last { (level, part_of_next) } else { (last, 0.0) };
-            let weight = 1.0 / squares.n as i32 as f32;
-            for index in 0..squares.n {
-                let at = squares.first + squares.step * index as i32 as f32;
-                if part_of_next < 1.0 {
-                    lookups.push(Lookup { sample, level, at, weight: weight * (1.0 - part_of_next) });
-                }
-                if part_of_next > 0.0 {
-                    lookups.push(Lookup { sample, level: level + 1, at, weight: weight * part_of_next });
-                }
+        let plans = self.plans();
+        let order = plans.order::<S>();
+        let firsts = from_fn(|level| self.map.levels.get(level).map_or(0, |level| level.first));
+        for samples in order[..self.footprints.n].chunks(N) {
+            let [red, green, blue] =
+                plans.lanes(samples, self.map.levels[0].size, &firsts).lights::<S>(self.map, self.wrap);
+            for (lane, &sample) in samples.iter().enumerate() {
+                self.means[sample as usize % 64] = Vec3A::new(red[lane], green[lane], blue[lane]);
             }
-        }
-
-        means.fill(Vec3A::ZERO);
-        for lookups in lookups.chunks(N) {
-            add(map, wrap, lookups, means);
         }
     }
 }
 
-/// Adds up to [`N`] lookups to the lights of their samples.
-#[inline(always)]
-fn add(map: &MipMap, wrap: [Wrap; 2], lookups: &[Lookup], means: &mut [Vec3A]) {
-    let (mut u, mut v, mut weights) = ([0.0; N], [0.0; N], [0.0; N]);
-    let (mut widths, mut heights, mut blocks_per_row, mut firsts) = ([1; N], [1; N], [1; N], [0; N]);
-    for (n, lookup) in lookups.iter().enumerate().take(N) {
-        let level = &map.levels[lookup.level as usize];
-        (u[n], v[n], weights[n]) = (lookup.at.x, lookup.at.y, lookup.weight);
-        (widths[n], heights[n]) = (level.size[0], level.size[1]);
-        (blocks_per_row[n], firsts[n]) = (level.blocks_per_row, level.first);
+impl Means<'_> {
+    /// Covers each footprint by squares, and blends two levels for each.
+    #[inline(always)]
+    fn plans(&self) -> Plans {
+        let Self { map, transform, footprints, .. } = self;
+        let [width, height] = map.levels[0].size;
+        let size = Vec2::new(width as i32 as f32, height as i32 as f32);
+        let last = map.levels.len() as u32 - 1;
+        let mut plans = Plans {
+            first: [[0.0; 64]; 2],
+            step: [[0.0; 64]; 2],
+            n_squares: [0; 64],
+            level: [0; 64],
+            part_of_next: [0.0; 64],
+            n_lookups: [0; 64],
+        };
+        let chunks = footprints.lanes.iter().take(footprints.n.div_ceil(footprint::N));
+        for (chunk, footprints) in chunks.enumerate() {
+            plans.set(chunk, footprints, transform, size, last);
+        }
+        plans.n_lookups[footprints.n..].fill(0);
+        plans
     }
-    let (lefts, rights, x) = neighbours_of_all(&u, &widths, wrap[0]);
-    let (uppers, lowers, y) = neighbours_of_all(&v, &heights, wrap[1]);
+}
 
-    // Read the four texels around each point.
-    let mut indices = [[0; N]; 4];
-    for n in 0..N {
-        let upper = firsts[n] + row_offset(uppers[n], blocks_per_row[n]);
-        let lower = firsts[n] + row_offset(lowers[n], blocks_per_row[n]);
-        let (left, right) = (column_offset(lefts[n]), column_offset(rights[n]));
-        (indices[0][n], indices[1][n]) = (upper + left, upper + right);
-        (indices[2][n], indices[3][n]) = (lower + left, lower + right);
-    }
-    let mut texels = [[Texel::default(); N]; 4];
-    for n in 0..lookups.len().min(N) {
-        texels[0][n] = map.texels[indices[0][n] as usize];
-        texels[1][n] = map.texels[indices[1][n] as usize];
-        texels[2][n] = map.texels[indices[2][n] as usize];
-        texels[3][n] = map.texels[indices[3][n] as usize];
-    }
-
-    // Blend them.
-    let mut lights = [[0.0; N]; 3];
-    for (channel, lights) in lights.iter_mut().enumerate() {
-        for n in 0..N {
-            let (a, b) = (texels[0][n].scaled(channel), texels[1][n].scaled(channel));
-            let (c, d) = (texels[2][n].scaled(channel), texels[3][n].scaled(channel));
-            let (above, below) = (a + (b - a) * x[n], c + (d - c) * x[n]);
-            lights[n] = (above + (below - above) * y[n]) * (weights[n] * UNITS[channel]);
+impl Plans {
+    /// Plans the lookups of a chunk of footprints for an image of `size` texels with a `last` level.
+    #[inline(always)]
+    fn set(&mut self, chunk: usize, footprints: &FootprintLanes, transform: &[[f32; 3]; 2], size: Vec2, last: u32) {
+        let all = chunk * footprint::N..(chunk + 1) * footprint::N;
+        let [first_u, first_v] = self.first.each_mut().map(|lanes| &mut lanes[all.clone()]);
+        let [step_u, step_v] = self.step.each_mut().map(|lanes| &mut lanes[all.clone()]);
+        let (n_squares, n_lookups) = (&mut self.n_squares[all.clone()], &mut self.n_lookups[all.clone()]);
+        let (levels, parts_of_next) = (&mut self.level[all.clone()], &mut self.part_of_next[all]);
+        for lane in 0..footprint::N {
+            let squares = footprints.get(lane).transformed(transform).squares(size);
+            let (level, part_of_next) = level_of(squares.width);
+            let (level, part_of_next) = if level < last { (level, part_of_next) } else { (last, 0.0) };
+            // A width just below the next level's needs that level alone.
+            let (level, part_of_next) = if part_of_next < 1.0 { (level, part_of_next) } else { (level + 1, 0.0) };
+            (first_u[lane], first_v[lane]) = (squares.first.x, squares.first.y);
+            (step_u[lane], step_v[lane]) = (squares.step.x, squares.step.y);
+            (levels[lane], parts_of_next[lane], n_squares[lane]) = (level, part_of_next, squares.n);
+            n_lookups[lane] = if part_of_next > 0.0 { 2 * squares.n } else { squares.n };
         }
     }
-    for (n, lookup) in lookups.iter().enumerate().take(N) {
-        means[lookup.sample as usize] += Vec3A::new(lights[0][n], lights[1][n], lights[2][n]);
+
+    /// The samples by their number of lookups, the most first: lanes that are done together have about as many.
+    #[inline(always)]
+    fn order<S: Simd>(&self) -> [u32; 64 + 16] {
+        const SAMPLES: [u32; 64] = {
+            let mut samples = [0; 64];
+            let mut sample = 0;
+            while sample < 64 {
+                samples[sample] = sample as u32;
+                sample += 1;
+            }
+            samples
+        };
+        // With room for a vector after the last.
+        let (mut order, mut n) = ([0; 64 + 16], 0);
+        for n_lookups in (1..=MOST_LOOKUPS).rev() {
+            for first in (0..64).step_by(S::LANES) {
+                let mask = S::eq_mask(&self.n_lookups[first..], n_lookups);
+                n += S::compress(&SAMPLES[first..first + S::LANES], mask, &mut order[n..]);
+            }
+        }
+        order
     }
+
+    /// The plans of up to [`N`] samples; lanes beyond them repeat the last.
+    #[inline(always)]
+    fn lanes(&self, samples: &[u32], size: [u32; 2], firsts: &[u32; MOST_LEVELS + 1]) -> PlanLanes {
+        let mut lanes = PlanLanes {
+            first: [[0.0; N]; 2],
+            step: [[0.0; N]; 2],
+            n_squares: [0; N],
+            weights: [[0.0; N]; 2],
+            sizes: [[[0; N]; 2]; 2],
+            firsts: [[0; N]; 2],
+            n_lookups: [0; N],
+        };
+        let mut levels = [0; N];
+        let mut parts = [0.0; N];
+        for lane in 0..N {
+            let sample = samples[lane.min(samples.len() - 1)] as usize % 64;
+            for axis in 0..2 {
+                lanes.first[axis][lane] = self.first[axis][sample];
+                lanes.step[axis][lane] = self.step[axis][sample];
+            }
+            lanes.n_squares[lane] = self.n_squares[sample];
+            lanes.n_lookups[lane] = self.n_lookups[sample];
+            levels[lane] = self.level[sample];
+            parts[lane] = self.part_of_next[sample];
+            let level = self.level[sample] as usize % MOST_LEVELS;
+            (lanes.firsts[0][lane], lanes.firsts[1][lane]) = (firsts[level], firsts[level + 1]);
+        }
+        for (lane, part) in parts.into_iter().enumerate() {
+            let weight = 1.0 / lanes.n_squares[lane] as i32 as f32;
+            (lanes.weights[0][lane], lanes.weights[1][lane]) = (weight * (1.0 - part), weight * part);
+        }
+        for (next, sizes) in lanes.sizes.iter_mut().enumerate() {
+            for lane in 0..N {
+                let level = levels[lane] + next as u32;
+                (sizes[0][lane], sizes[1][lane]) = (halved(size[0], level), halved(size[1], level));
+            }
+        }
+        lanes
+    }
+}
+
+/// Some of [`Plans`], in lanes. Pairs are those of a level and of the next.
+struct PlanLanes {
+    first: [[f32; N]; 2],
+    step: [[f32; N]; 2],
+    n_squares: [u32; N],
+    /// The part that a lookup has of the light.
+    weights: [[f32; N]; 2],
+    /// Columns and rows of texels.
+    sizes: [[[u32; N]; 2]; 2],
+    /// Indices of first texels.
+    firsts: [[u32; N]; 2],
+    /// The first lane has the most.
+    n_lookups: [u32; N],
+}
+
+impl PlanLanes {
+    /// The mean light of each lane.
+    #[inline(always)]
+    fn lights<S: Simd>(&self, map: &MipMap, wrap: [Wrap; 2]) -> [[f32; N]; 3] {
+        let mut lights = [[0.0; N]; 3];
+        // Find the next texels before the last are read: memory delivers them meanwhile.
+        let mut points = [Points::NONE; 2];
+        points[0].find::<S>(self, 0, map, wrap);
+        for number in 0..self.n_lookups[0] {
+            let [even, odd] = &mut points;
+            let (points, next) = if number % 2 == 0 { (even, odd) } else { (odd, even) };
+            if number + 1 < self.n_lookups[0] {
+                next.find::<S>(self, number + 1, map, wrap);
+            }
+            points.blend(map, &mut lights);
+        }
+        for (lights, unit) in lights.iter_mut().zip(UNITS) {
+            lights.iter_mut().for_each(|light| *light *= unit);
+        }
+        lights
+    }
+}
+
+/// The texels around a point in each lane.
+#[derive(Clone, Copy)]
+struct Points {
+    /// Those above and to the left, above and to the right, and the two below.
+    indices: [[u32; N]; 4],
+    /// The fractions of the way to the right and down.
+    x: [f32; N],
+    y: [f32; N],
+    weights: [f32; N],
+}
+
+impl Points {
+    const NONE: Self = Self { indices: [[0; N]; 4], x: [0.0; N], y: [0.0; N], weights: [0.0; N] };
+
+    /// Finds the texels of the lookup of a number; lanes without one have the weight 0.
+    #[inline(always)]
+    fn find<S: Simd>(&mut self, plans: &PlanLanes, number: u32, map: &MipMap, wrap: [Wrap; 2]) {
+        let (mut u, mut v) = ([0.0; N], [0.0; N]);
+        let (mut widths, mut heights, mut firsts) = ([1; N], [1; N], [0; N]);
+        for n in 0..N {
+            let is_next = number >= plans.n_squares[n];
+            let square = (if is_next { number - plans.n_squares[n] } else { number }) as i32 as f32;
+            u[n] = plans.first[0][n] + plans.step[0][n] * square;
+            v[n] = plans.first[1][n] + plans.step[1][n] * square;
+            let weight = select(is_next, plans.weights[0][n].to_bits(), plans.weights[1][n].to_bits());
+            self.weights[n] = if number < plans.n_lookups[n] { f32::from_bits(weight) } else { 0.0 };
+            widths[n] = select(is_next, plans.sizes[0][0][n], plans.sizes[1][0][n]);
+            heights[n] = select(is_next, plans.sizes[0][1][n], plans.sizes[1][1][n]);
+            firsts[n] = select(is_next, plans.firsts[0][n], plans.firsts[1][n]);
+        }
+        let (lefts, rights, x) = neighbours_of_all(&u, &widths, wrap[0]);
+        let (uppers, lowers, y) = neighbours_of_all(&v, &heights, wrap[1]);
+        (self.x, self.y) = (x, y);
+        for n in 0..N {
+            let upper = firsts[n] + row_offset(uppers[n], blocks_per_row(widths[n]));
+            let lower = firsts[n] + row_offset(lowers[n], blocks_per_row(widths[n]));
+            let (left, right) = (column_offset(lefts[n]), column_offset(rights[n]));
+            (self.indices[0][n], self.indices[1][n]) = (upper + left, upper + right);
+            (self.indices[2][n], self.indices[3][n]) = (lower + left, lower + right);
+        }
+        // The two to the right mostly lie in the same cache lines.
+        for n in 0..N {
+            S::prefetch(&map.texels, self.indices[0][n] as usize);
+            S::prefetch(&map.texels, self.indices[2][n] as usize);
+        }
+    }
+
+    /// Adds the light of the points, in units of [`UNITS`].
+    #[inline(always)]
+    #[expect(clippy::needless_range_loop, reason = "`map` and `zip` of these arrays made a textured frame 4 % slower")]
+    fn blend(&self, map: &MipMap, lights: &mut [[f32; N]; 3]) {
+        let mut texels = [[Texel::default(); N]; 4];
+        for n in 0..N {
+            texels[0][n] = map.texels[self.indices[0][n] as usize];
+            texels[1][n] = map.texels[self.indices[1][n] as usize];
+            texels[2][n] = map.texels[self.indices[2][n] as usize];
+            texels[3][n] = map.texels[self.indices[3][n] as usize];
+        }
+        let mut parts = [[0.0; N]; 4];
+        for n in 0..N {
+            let (x, y) = (self.x[n], self.y[n]);
+            let (above, below) = (self.weights[n] * (1.0 - y), self.weights[n] * y);
+            (parts[0][n], parts[1][n]) = (above * (1.0 - x), above * x);
+            (parts[2][n], parts[3][n]) = (below * (1.0 - x), below * x);
+        }
+        for (channel, lights) in lights.iter_mut().enumerate() {
+            for n in 0..N {
+                let above = texels[0][n].scaled(channel) * parts[0][n] + texels[1][n].scaled(channel) * parts[1][n];
+                let below = texels[2][n].scaled(channel) * parts[2][n] + texels[3][n].scaled(channel) * parts[3][n];
+                lights[n] += above + below;
+            }
+        }
+    }
+}
+
+/// One of two numbers, by their bits: of an `if` the compiler makes an address for each lane, and gathers from there.
+#[inline(always)]
+fn select(is_next: bool, of_level: u32, of_next: u32) -> u32 {
+    of_level ^ (of_level ^ of_next) & u32::from(is_next).wrapping_neg()
 }
 
 /// [`neighbours`] in as many rows.
@@ -142,15 +319,14 @@ fn neighbours_in_rows(
 
 /// The level whose texels are the next smaller than `width`, in texels of the image, and the part of the next level.
 ///
-/// A number's exponent and mantissa are its logarithm, linear between powers of two. The part changes in the middle half alone:
-/// other widths need one lookup.
+/// A number's exponent and mantissa are its logarithm, linear between powers of two. The part changes in the middle half
+/// alone: other widths need one lookup. Nothing branches, so that a loop becomes vector instructions.
 #[inline(always)]
 fn level_of(width: f32) -> (u32, f32) {
     const MANTISSA: u32 = 0x007f_ffff;
-    if width <= 1.0 {
-        return (0, 0.0);
-    }
-    let bits = width.to_bits();
-    let part = f32::from_bits(bits & MANTISSA | 1.0f32.to_bits()) - 1.0;
-    ((bits >> 23 & 0xff) - 127, (2.0 * part - 0.5).clamp(0.0, 1.0))
+    // Not less than a texel; NaN is one.
+    let bits = (if width > 1.0 { width } else { 1.0 }).to_bits();
+    let part = 2.0 * (f32::from_bits(bits & MANTISSA | 1.0f32.to_bits()) - 1.0) - 0.5;
+    let part = if part > 0.0 { part } else { 0.0 };
+    ((bits >> 23) - 127, if part < 1.0 { part } else { 1.0 })
 }

@@ -6,7 +6,7 @@ use crate::{
     model::material::{Material, Materials, TextureUse, Wrap},
     simd::InstructionSet,
     texture::{
-        footprint::{self, Footprint},
+        footprint::{self, Footprints},
         level,
         lookup::Means,
         mask::Mask,
@@ -29,12 +29,11 @@ pub(crate) struct TracedMaterials {
 
 #[derive(Debug)]
 struct TracedMaterial {
-    base_color: Vec3A,
+    /// Without textures.
+    plain: PointMaterial,
     base_color_texture: Option<Texture>,
     /// Of roughness and metallic.
-    gloss: [f32; 2],
     gloss_texture: Option<Texture>,
-    emissive: Vec3A,
     emissive_texture: Option<Texture>,
     gaps: Option<Gaps>,
 }
@@ -114,12 +113,16 @@ impl TracedMaterials {
         };
         let traced = |material: &Material| {
             let [red, green, blue, coverage] = material.base_color;
+            let gloss_texture = texture(material.metallic_roughness_texture, Part::Numbers);
+            let is_glossy = material.roughness < 1.0 || material.metallic > 0.0 || gloss_texture.is_some();
             TracedMaterial {
-                base_color: Vec3A::new(red, green, blue),
+                plain: PointMaterial {
+                    base_color: Vec3A::new(red, green, blue),
+                    gloss: is_glossy.then_some([material.roughness, material.metallic]),
+                    emissive: Vec3A::from_array(material.emissive),
+                },
                 base_color_texture: texture(material.base_color_texture, Part::Colors),
-                gloss: [material.roughness, material.metallic],
-                gloss_texture: texture(material.metallic_roughness_texture, Part::Numbers),
-                emissive: Vec3A::from_array(material.emissive),
+                gloss_texture,
                 emissive_texture: texture(material.emissive_texture, Part::Colors),
                 gaps: material.alpha_cutoff.map(|cutoff| Gaps {
                     texture: texture(material.base_color_texture, Part::Coverage),
@@ -156,65 +159,60 @@ impl TracedMaterials {
         self.has_masks
     }
 
-    /// The materials of triangles where up to 64 samples show them; `None` for samples without a triangle, and in meshes without
-    /// materials. `footprint` gives that of a sample, if its triangle has texture coordinates.
-    pub(crate) fn at(
+    /// Finds the materials of triangles where up to 64 samples show them; `None` for samples without a triangle, and in meshes
+    /// without materials. `project` finds the footprints of samples, and says whether their triangles have texture coordinates.
+    pub(crate) fn find(
         &self,
         instructions: InstructionSet,
         triangles: impl Iterator<Item = Option<u32>>,
-        footprint: impl Fn(usize) -> Option<Footprint>,
-    ) -> [Option<PointMaterial>; 64] {
-        let mut points = [None; 64];
+        project: impl Fn(&[usize], &mut Footprints) -> bool,
+        points: &mut [Option<PointMaterial>; 64],
+    ) {
         let mut indices = [usize::MAX; 64];
         let mut textured = 0u64;
         for (sample, triangle_idx) in triangles.enumerate().take(64) {
             let index = triangle_idx.map_or(usize::MAX, |triangle_idx| self.index_of_triangle(triangle_idx));
-            let Some(material) = self.materials.get(index) else { continue };
-            points[sample] = Some(material.without_textures());
+            let material = self.materials.get(index);
+            points[sample] = material.map(|material| material.plain);
             indices[sample] = index;
-            textured |= u64::from(material.has_textures()) << sample;
+            textured |= u64::from(material.is_some_and(TracedMaterial::has_textures)) << sample;
+        }
+        if textured == 0 {
+            return;
         }
 
         // Look up the textures of one material after the other.
+        let mut footprints = Footprints::NONE;
         while textured != 0 {
             let index = indices[textured.trailing_zeros() as usize];
-            let (mut samples, mut footprints, mut n) = ([0; 64], [Footprint::NONE; 64], 0);
+            let (mut samples, mut n) = ([0; 64], 0);
             for (sample, &other) in indices.iter().enumerate() {
-                if other == index {
-                    textured &= !(1 << sample);
-                    if let Some(footprint) = footprint(sample) {
-                        (samples[n], footprints[n]) = (sample, footprint);
-                        n += 1;
-                    }
-                }
+                samples[n] = sample;
+                n += usize::from(other == index);
+                textured &= !(u64::from(other == index) << sample);
             }
-            self.multiply(instructions, &self.materials[index], &footprints[..n], &samples, &mut points);
+            if project(&samples[..n], &mut footprints) {
+                self.multiply(instructions, &self.materials[index], &footprints, &samples, points);
+            }
         }
-        points
     }
 
-    /// Multiplies materials by their textures.
+    /// Multiplies materials by their textures; `samples` are those of the footprints.
     fn multiply(
         &self,
         instructions: InstructionSet,
         material: &TracedMaterial,
-        footprints: &[Footprint],
+        footprints: &Footprints,
         samples: &[usize; 64],
         points: &mut [Option<PointMaterial>; 64],
     ) {
         let mut means = [Vec3A::ZERO; 64];
-        let mut transformed = [Footprint::NONE; 64];
-        let n = footprints.len();
         for (kind, texture) in material.textures().into_iter().enumerate() {
             let Some(Texture { index, wrap, transform }) = texture else { continue };
-            for (transformed, footprint) in transformed.iter_mut().zip(footprints) {
-                *transformed = footprint.transformed(transform);
-            }
             let map = &self.maps[*index];
-            let lookups = Means { map, wrap: *wrap, footprints: &transformed[..n], means: &mut means[..n] };
             // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-            unsafe { instructions.call(lookups) };
-            for (mean, &sample) in means[..n].iter().zip(samples) {
+            unsafe { instructions.call(Means { map, wrap: *wrap, transform, footprints, means: &mut means }) };
+            for (mean, &sample) in means[..footprints.n].iter().zip(samples) {
                 let Some(point) = &mut points[sample] else { continue };
                 match (kind, &mut point.gloss) {
                     (0, _) => point.base_color *= *mean,
@@ -257,12 +255,6 @@ impl TracedMaterial {
 
     fn has_textures(&self) -> bool {
         self.textures().iter().any(Option::is_some)
-    }
-
-    fn without_textures(&self) -> PointMaterial {
-        let [roughness, metallic] = self.gloss;
-        let is_glossy = roughness < 1.0 || metallic > 0.0 || self.gloss_texture.is_some();
-        PointMaterial { base_color: self.base_color, gloss: is_glossy.then_some(self.gloss), emissive: self.emissive }
     }
 }
 

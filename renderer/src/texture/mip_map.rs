@@ -5,7 +5,7 @@ use shared::srgb;
 use crate::{
     model::material::Image,
     texture::{
-        level::Level,
+        level::{Level, halved},
         texel::{Texel, UNITS},
     },
 };
@@ -67,14 +67,17 @@ impl MipMap {
     }
 }
 
+/// Most levels of an image: sides have less than 2³¹ texels.
+pub(super) const MOST_LEVELS: usize = 32;
+
 /// The levels of an image.
 fn levels(image: &Image) -> impl Iterator<Item = Level> {
-    let whole = Level::new([image.width, image.height], 0);
-    let next = |level: &Level| {
-        let size = level.size.map(|n| (n / 2).max(1));
-        (level.size != [1, 1]).then(|| Level::new(size, level.first + level.n_texels()))
+    let size = |level| [image.width, image.height].map(|n| halved(n, level));
+    let next = move |&(number, finer): &(u32, Level)| {
+        let next = number + 1;
+        (finer.size != [1, 1]).then(|| (next, Level::new(size(next), finer.first + finer.n_texels())))
     };
-    std::iter::successors(Some(whole), next)
+    std::iter::successors(Some((0, Level::new(size(0), 0))), next).map(|(_, level)| level)
 }
 
 /// A texel of the next level: the mean of the area that it covers in the finer one.
@@ -167,10 +170,15 @@ mod tests {
     }
 
     fn means(map: &MipMap, wrap: [Wrap; 2], footprints: &[Footprint], instructions: InstructionSet) -> Vec<Vec3A> {
-        let mut means = vec![Vec3A::ZERO; footprints.len()];
-        // SAFETY: the callers ask for available instructions alone.
-        unsafe { instructions.call(Means { map, wrap, footprints, means: &mut means }) };
-        means
+        const IDENTITY: [[f32; 3]; 2] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        let of_block = |block: &[Footprint]| {
+            let footprints = &block.iter().copied().collect();
+            let mut means = [Vec3A::ZERO; 64];
+            // SAFETY: the callers ask for available instructions alone.
+            unsafe { instructions.call(Means { map, wrap, transform: &IDENTITY, footprints, means: &mut means }) };
+            means[..block.len()].to_vec()
+        };
+        footprints.chunks(64).flat_map(of_block).collect()
     }
 
     #[test]

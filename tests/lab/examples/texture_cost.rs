@@ -1,5 +1,5 @@
-//! Measures the cost of textures: CPU time of a frame of a model with an image wrapped around it, and of the same model
-//! without, in turns.
+//! Measures the cost of looks: CPU time of frames of flat triangles, and of the same model with smooth normals, with colours
+//! too, and with an image wrapped around it, in turns.
 //!
 //!     cargo run --release -p lab --example texture_cost -- --model bunny.ply --frames 200
 
@@ -15,7 +15,7 @@ use renderer::{
         mesh::Mesh,
         scene::LoadedMesh,
     },
-    render::{image, scene::Scene},
+    render::image,
 };
 
 /// The frame, the measurement, and the picture to write.
@@ -46,20 +46,34 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let camera = args.picture.read_camera()?;
     let LoadedMesh { id, mesh } = args.picture.model.load()?;
     let spec = args.picture.spec(id, camera.unwrap_or_else(|| args.picture.view_all(&mesh)));
-    let scenes = [args.picture.build(mesh.clone()), args.picture.build(textured(mesh, args.width))];
-    let mut times = [const { Vec::new() }; 2];
-    for frame in 0..2 * args.frames {
-        let kind = frame as usize % 2;
-        times[kind].push(milliseconds(scenes[kind].render_frame(&spec).1));
+    let flat = Mesh { normals: Vec::new(), ..mesh.clone() };
+    let scenes = [
+        ("flat", args.picture.build(flat)),
+        ("smooth", args.picture.build(mesh.clone())),
+        ("coloured", args.picture.build(colored(mesh.clone()))),
+        ("textured", args.picture.build(textured(mesh, args.width))),
+    ];
+    let mut times = scenes.each_ref().map(|_| Vec::new());
+    for _ in 0..args.frames {
+        for ((_, scene), times) in scenes.iter().zip(&mut times) {
+            times.push(milliseconds(scene.render_frame(&spec).1));
+        }
     }
     if let Some(path) = &args.image {
-        image::write_png(path, spec.size, &scenes[1].render_frame(&spec).0)?;
+        image::write_png(path, spec.size, &scenes[3].1.render_frame(&spec).0)?;
     }
-    let [flat, textured] = times.map(median);
-    let [flat_bytes, textured_bytes] = scenes.each_ref().map(Scene::n_bytes);
-    println!("CPU time of a frame: {flat:.2} ms flat, {textured:.2} ms textured, {:.3} times", textured / flat);
-    println!("memory: {:.1} MB flat, {:.1} MB textured", flat_bytes as f64 / 1e6, textured_bytes as f64 / 1e6);
+    let times = times.map(median);
+    for ((name, scene), time) in scenes.iter().zip(times) {
+        let (of_flat, of_smooth) = (time / times[0], time / times[1]);
+        let megabytes = scene.n_bytes() as f64 / 1e6;
+        println!("{name}: {time:.2} ms, {of_flat:.3} times flat, {of_smooth:.3} times smooth, {megabytes:.1} MB");
+    }
     Ok(())
+}
+
+/// A mesh with colours that differ from vertex to vertex.
+fn colored(mesh: Mesh) -> Mesh {
+    Mesh { colors: mesh.vertices.iter().map(|vertex| vertex.map(|x| x.to_bits().to_be_bytes()[2])).collect(), ..mesh }
 }
 
 /// A mesh with an image around its centre, as a globe has its map.

@@ -1,4 +1,4 @@
-//! Normals of smooth surfaces at many hits at once: loops over arrays, which the compiler turns into vector instructions.
+//! Normals and colours that are interpolated at many hits at once: loops over arrays, which the compiler turns into vector instructions.
 
 use glam::{DVec3, Vec3};
 
@@ -15,90 +15,99 @@ const N: usize = 16;
 /// A vector for each of [`N`] hits, by axis.
 type Vectors = [[f32; N]; 3];
 
-/// Vectors of unit length at a hit, all on the eye's side.
+/// The surface at a hit: vectors of unit length, all on the eye's side, and its colour.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Normals {
+pub struct Surface {
     /// The direction to the eye.
     pub to_eye: Vec3,
     /// The triangle's normal, or the cap's; zero for slivers too thin to have one.
     pub geometric: Vec3,
     /// The normal that light falls on.
     pub shading: Vec3,
+    /// The colours of the triangle's corners, interpolated in linear light; zero in a mesh without colours.
+    pub color: Vec3,
 }
 
-/// Interpolates the normals of a mesh where up to 64 rays from an eye hit its triangles; `None` for misses and caps.
-pub(super) struct SmoothNormals<'a> {
+/// Interpolates normals and colours of a mesh where up to 64 rays from an eye hit its triangles; `None` for misses and caps.
+pub(super) struct Surfaces<'a> {
     pub(super) mesh: &'a TracedMesh,
     pub(super) eye: Vec3,
     pub(super) directions: &'a [Vec3],
     pub(super) hits: &'a [Hit],
+    /// Entries beyond the hits are left as they are.
+    pub(super) surfaces: &'a mut [Option<Surface>; 64],
 }
 
-impl Kernel for SmoothNormals<'_> {
-    type Output = [Option<Normals>; 64];
+impl Kernel for Surfaces<'_> {
+    type Output = ();
 
     #[inline(always)]
-    fn run<S: Simd>(self) -> Self::Output {
+    fn run<S: Simd>(self) {
+        let Self { mesh, eye, directions, hits, surfaces } = self;
         // Choose the samples that hit triangles.
         let (mut samples, mut n_samples) = ([0; 64], 0);
-        for (sample, hit) in (0..64).zip(self.hits) {
+        for (sample, hit) in (0..64).zip(hits) {
+            surfaces[sample] = None;
             samples[n_samples] = sample;
             n_samples += usize::from(!hit.is_miss() && !hit.is_cap());
         }
 
-        let mut normals = [None; 64];
         for samples in samples[..n_samples].chunks(N) {
-            let [to_eye, geometric, shading] = self.gather::<S>(samples).normals(self.eye);
+            let [to_eye, geometric, shading, color] = gather::<S>(mesh, directions, hits, samples).interpolate(eye);
             for (lane, &sample) in samples.iter().enumerate().take(N) {
-                normals[sample] = Some(Normals {
+                surfaces[sample] = Some(Surface {
                     to_eye: get(&to_eye, lane),
                     geometric: get(&geometric, lane),
                     shading: get(&shading, lane),
+                    color: get(&color, lane),
                 });
             }
         }
-        normals
     }
 }
 
-impl SmoothNormals<'_> {
-    /// The rays and triangles of up to [`N`] samples; lanes beyond them repeat the last.
-    #[inline(always)]
-    fn gather<S: Simd>(&self, samples: &[usize]) -> Lanes {
-        let mut triangles = [0; N];
-        let mut directions = [[0.0; N]; 3];
-        for lane in 0..N {
-            let sample = samples[lane.min(samples.len() - 1)];
-            triangles[lane] = self.hits[sample].triangle;
-            set(&mut directions, lane, self.directions[sample]);
-        }
-        let mut corners = [[[0.0; N]; 3]; 3];
-        for first in (0..N).step_by(S::LANES) {
-            let mut next = [0; 16];
-            next[..S::LANES].copy_from_slice(&triangles[first..first + S::LANES]);
-            let gathered = self.mesh.gather_corners::<S>(&next);
-            for corner in 0..3 {
-                for axis in 0..3 {
-                    gathered[corner][axis].store(&mut corners[corner][axis][first..]);
-                }
+/// The rays and triangles of up to [`N`] samples; lanes beyond them repeat the last.
+#[inline(always)]
+fn gather<S: Simd>(mesh: &TracedMesh, directions: &[Vec3], hits: &[Hit], samples: &[usize]) -> Lanes {
+    let mut triangles = [0; N];
+    let mut of_lanes = [[0.0; N]; 3];
+    for lane in 0..N {
+        let sample = samples[lane.min(samples.len() - 1)];
+        triangles[lane] = hits[sample].triangle;
+        set(&mut of_lanes, lane, directions[sample]);
+    }
+    let mut corners = [[[0.0; N]; 3]; 3];
+    for first in (0..N).step_by(S::LANES) {
+        let mut next = [0; 16];
+        next[..S::LANES].copy_from_slice(&triangles[first..first + S::LANES]);
+        let gathered = mesh.gather_corners::<S>(&next);
+        for corner in 0..3 {
+            for axis in 0..3 {
+                gathered[corner][axis].store(&mut corners[corner][axis][first..]);
             }
         }
-        Lanes { directions, corners, normals: self.mesh.gather_corner_normals(&triangles) }
+    }
+    Lanes {
+        directions: of_lanes,
+        corners,
+        normals: mesh.has_normals().then(|| mesh.gather_corner_normals(&triangles)),
+        colors: mesh.has_colors().then(|| mesh.gather_corner_colors(&triangles)),
     }
 }
 
-/// Rays, the triangles that they hit, and the normals of their corners.
+/// Rays, the triangles that they hit, and the normals and linear colours of their corners, if the mesh has them.
 struct Lanes {
     directions: Vectors,
     corners: [Vectors; 3],
-    normals: [[Normal; N]; 3],
+    normals: Option<[[Normal; N]; 3]>,
+    colors: Option<[Vectors; 3]>,
 }
 
 impl Lanes {
-    /// The vectors of [`Normals`].
+    /// The vectors of [`Surface`].
     #[inline(always)]
-    fn normals(&self, eye: Vec3) -> [Vectors; 3] {
-        let [mut to_eyes, mut of_triangles, mut geometrics, mut shadings, mut weights] = [[[0.0; N]; 3]; 5];
+    fn interpolate(&self, eye: Vec3) -> [Vectors; 4] {
+        let [mut to_eyes, mut of_triangles, mut geometrics, mut weights] = [[[0.0; N]; 3]; 4];
         // In double precision, for triangles of any size.
         for lane in 0..N {
             let direction = get(&self.directions, lane);
@@ -113,14 +122,25 @@ impl Lanes {
             set(&mut geometrics, lane, if normal.dot(direction) > 0.0 { -of_triangle } else { of_triangle });
         }
         // Interpolate in single precision.
-        for lane in 0..N {
-            let (of_triangle, weight) = (get(&of_triangles, lane), get(&weights, lane));
-            let normal = corner_direction(self.normals[0][lane], of_triangle) * weight.x
-                + corner_direction(self.normals[1][lane], of_triangle) * weight.y
-                + corner_direction(self.normals[2][lane], of_triangle) * weight.z;
-            set(&mut shadings, lane, visible_normal(normal, get(&geometrics, lane), get(&to_eyes, lane)));
+        let mut shadings = geometrics;
+        if let Some([a, b, c]) = &self.normals {
+            for lane in 0..N {
+                let (of_triangle, weight) = (get(&of_triangles, lane), get(&weights, lane));
+                let normal = corner_direction(a[lane], of_triangle) * weight.x
+                    + corner_direction(b[lane], of_triangle) * weight.y
+                    + corner_direction(c[lane], of_triangle) * weight.z;
+                set(&mut shadings, lane, visible_normal(normal, get(&geometrics, lane), get(&to_eyes, lane)));
+            }
         }
-        [to_eyes, geometrics, shadings]
+        let mut colors = [[0.0; N]; 3];
+        if let Some([a, b, c]) = &self.colors {
+            for lane in 0..N {
+                let weight = get(&weights, lane);
+                let color = get(a, lane) * weight.x + get(b, lane) * weight.y + get(c, lane) * weight.z;
+                set(&mut colors, lane, color);
+            }
+        }
+        [to_eyes, geometrics, shadings, colors]
     }
 }
 
