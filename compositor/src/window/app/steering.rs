@@ -175,7 +175,7 @@ impl App<'_> {
             Command::Redo => Effect::note(self.wall.redo()),
             Command::ToggleLock => self.toggle_lock(),
             Command::DismissMessage => {
-                self.messages.dismiss(self.farm.status(), self.outputs.missing());
+                self.messages.dismiss(&self.farm.status(), self.outputs.missing());
                 Effect::default()
             }
             Command::Quit => {
