@@ -119,7 +119,12 @@ impl OverlayModel {
             .flatten()
             .chain(files)
             .chain(model.frame.iter_mut().flat_map(|frame| frame.nodes.iter_mut().map(|node| &mut node.name)))
-            .chain(model.model.iter_mut().map(|model| &mut model.name))
+            .chain(
+                model
+                    .model
+                    .iter_mut()
+                    .flat_map(|model| [&mut model.name].into_iter().chain(&mut model.found).chain(&mut model.left_out)),
+            )
             .chain(model.loading.iter_mut().map(|(name, _)| name))
             .chain(model.outputs.iter_mut().filter_map(|output| output.monitor.as_mut()))
             .chain([&mut model.join.command, &mut model.join.note])

@@ -105,15 +105,16 @@ pub(super) fn running() -> OverlayModel {
             ],
             n_healed: 3,
             n_lost: 0,
-            message: None,
+            notices: Default::default(),
             probed: None,
         },
         model: Some(ModelSummary {
             name: "statue".to_owned(),
             n_triangles: 1_000_000,
-            n_rejected: 0,
             is_solid: true,
             extent: DVec3::new(1.0, 1.9, 1.0),
+            found: Vec::new(),
+            left_out: Vec::new(),
         }),
         min_renderers: 1,
         ..Default::default()

@@ -68,7 +68,9 @@ impl ModelArgs {
     pub fn load(&self) -> Result<LoadedMesh, LoadError> {
         let source = self.source();
         let progress = Progress::new(format!("loading {source}"));
-        Ok(scene::load(&source, self.crease, &|done| progress.set(done))?.smooth())
+        let loaded = scene::load(&source, self.crease, &|done| progress.set(done))?;
+        loaded.log(&source);
+        Ok(loaded.smooth())
     }
 }
 

@@ -34,7 +34,7 @@ pub fn run(TraceArgs { picture, image }: &TraceArgs) -> Result<()> {
     picture.pool()?.install(|| {
         // The camera is checked before a large model is read.
         let camera = picture.read_camera()?;
-        let LoadedMesh { id, mesh } = picture.model.load()?;
+        let LoadedMesh { id, mesh, .. } = picture.model.load()?;
         let spec = picture.spec(id, camera.unwrap_or_else(|| picture.view_all(&mesh)));
         let scene = picture.build(mesh);
         let _task = Task::named("rendering the picture");

@@ -44,7 +44,7 @@ fn main() -> anyhow::Result<()> {
 
 fn run(args: &Args) -> anyhow::Result<()> {
     let camera = args.picture.read_camera()?;
-    let LoadedMesh { id, mesh } = args.picture.model.load()?;
+    let LoadedMesh { id, mesh, .. } = args.picture.model.load()?;
     let spec = args.picture.spec(id, camera.unwrap_or_else(|| args.picture.view_all(&mesh)));
     let scenes = [args.picture.build(mesh.clone()), args.picture.build(textured(mesh, args.width))];
     let mut times = [const { Vec::new() }; 2];
