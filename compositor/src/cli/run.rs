@@ -147,7 +147,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
 /// Begins what the film goes to; pictures have `size`: columns, rows.
 fn film_output(args: &WallArgs, size: [u32; 2]) -> anyhow::Result<Output> {
     Ok(match (&args.pictures, &args.film) {
-        (Some(folder), _) => Output::Pictures(Pictures::begin(folder, args.fps, args.resume)?),
+        (Some(folder), _) => Output::Pictures(Pictures::begin(folder, args.fps, size, args.resume)?),
         (_, Some(path)) => Output::Video(Box::new(Video::begin(path, args.fps, size)?)),
         _ => Output::Nowhere,
     })
