@@ -15,6 +15,7 @@ use shared::{
 use crate::{
     cli::{appearance_args::AppearanceArgs, between, progress::Progress, scene_args::SceneArgs},
     model::{
+        file::is_named_as_model,
         mesh::Mesh,
         scene::{self, LoadError, LoadedMesh, SceneSource},
         solid::UNFILLED,
@@ -172,8 +173,14 @@ pub fn with_ending(path: PathBuf, ending: &str) -> Result<PathBuf, String> {
 
 /// Reads and checks a camera file.
 pub fn read_camera(path: &Path) -> Result<Camera> {
-    let text = files::read_text(path, 1 << 20).with_context(|| path.display().to_string())?;
-    Camera::from_toml(&text).with_context(|| format!("{} is not a camera file", path.display()))
+    let name = path.display();
+    let model = || match is_named_as_model(path) && path.is_file() {
+        true => format!("{name} is a model by its name, and a camera file is TOML: --model {name} shows it"),
+        false => name.to_string(),
+    };
+    let text = files::read_text(path, 1 << 20).with_context(model)?;
+    let camera = Camera::from_toml(&text).with_context(|| format!("{name} is not a camera file"));
+    if is_named_as_model(path) { camera.with_context(model) } else { camera }
 }
 
 #[cfg(test)]
