@@ -10,7 +10,7 @@ use std::{
 
 use channel::{key::Key, wire::is_same_machine};
 use shared::{
-    printable::printable,
+    printable::{counted, printable},
     protocol::{FrameId, HEARTBEAT_TIMEOUT, SceneState, ToServer},
     structure::Structure,
 };
@@ -262,7 +262,8 @@ impl Service {
                     return;
                 }
                 if let Some(more) = self.admit_line("joined", &name) {
-                    tracing::info!("render server {name} joined from {address} with {threads} threads{more}");
+                    let threads = counted(threads, "thread");
+                    tracing::info!("render server {name} joined from {address} with {threads}{more}");
                 }
                 self.nodes.insert(id, NodeConnection { is_local, outbox, pending });
                 let n_failures = self.losses.n_lost(&name, address.ip());

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::builder::{PathBufValueParser, TypedValueParser};
+use shared::printable::counted;
 
 use crate::{
     cli::{
@@ -40,6 +41,6 @@ pub fn run(TraceArgs { picture, image }: &TraceArgs) -> Result<()> {
         let _task = Task::named("rendering the picture");
         let (rgb, _) = scene.render_frame(&spec);
         image::write_png(image, spec.size, &rgb).with_context(|| format!("cannot write {}", image.display()))?;
-        say(format_args!("{}: {} samples, {} triangles", image.display(), spec.size, scene.n_triangles()))
+        say(format_args!("{}: {} samples, {}", image.display(), spec.size, counted(scene.n_triangles(), "triangle")))
     })
 }

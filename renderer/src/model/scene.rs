@@ -59,10 +59,10 @@ pub enum LoadError {
     File(#[from] FileError),
     #[error("{}: is empty: it has neither vertices nor triangles; export the model again", path.display())]
     Empty { path: PathBuf },
-    #[error("{}: has {n_vertices} vertices and no triangles: a point cloud must be meshed first", path.display())]
+    #[error("{}: has {} and no triangles: a point cloud must be meshed first", path.display(), counted(n_vertices, "vertex"))]
     NoTriangles { path: PathBuf, n_vertices: usize },
-    #[error("{}: has {n_vertices} vertices, and each of its {n_rejected} triangles has a corner that is none of them, or \
-        that has no usable position: export the model again", path.display())]
+    #[error("{}: has {}, and each triangle, of {n_rejected}, has a corner that is none of them, or that has no usable \
+        position: export the model again", path.display(), counted(n_vertices, "vertex"))]
     NoneUsable { path: PathBuf, n_vertices: usize, n_rejected: usize },
 }
 
