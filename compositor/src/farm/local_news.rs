@@ -17,13 +17,13 @@ pub struct LocalReporter(pub(super) mpsc::UnboundedSender<LocalNews>);
 
 impl LocalReporter {
     /// A render server of this name was started.
-    pub(crate) fn started(&self, name: &str) {
+    pub fn started(&self, name: &str) {
         // A farm that has ended needs no news.
         let _ = self.0.send(LocalNews::Started { name: name.to_owned() });
     }
 
     /// A render server of this name has ended. `text`: why, and what becomes of it.
-    pub(crate) fn ended(&self, name: &str, text: String) {
+    pub fn ended(&self, name: &str, text: String) {
         let _ = self.0.send(LocalNews::Ended { name: name.to_owned(), text });
     }
 }

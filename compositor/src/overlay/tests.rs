@@ -146,6 +146,21 @@ fn every_figure_has_its_name() {
 }
 
 #[test]
+fn the_panel_of_the_model_says_what_is_left_out() {
+    let mut model = running();
+    let summary = model.model.as_mut().expect("a model");
+    (summary.n_triangles, summary.found) = (1, vec!["2 materials, 1 image of up to 8x8 texels".to_owned()]);
+    summary.left_out = (1..=6).map(|number| format!("image {number} is left out")).collect();
+    commands_of(&model, |harness| {
+        for label in ["1 triangle, y up", "2 materials, 1 image of up to 8x8 texels", "image 4 is left out"] {
+            harness.get_by_label(label);
+        }
+        assert!(harness.query_by_label("image 5 is left out").is_none());
+        harness.get_by_label("2 more lines in the log");
+    });
+}
+
+#[test]
 fn foreign_texts_forge_no_lines() {
     let mut model = running();
     let foreign = |text: &str| format!("{text}\n\u{202e}\u{1b}[31mx");

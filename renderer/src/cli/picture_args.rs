@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use channel::files;
 use rayon::ThreadPool;
 use shared::{
@@ -174,13 +174,14 @@ pub fn with_ending(path: PathBuf, ending: &str) -> Result<PathBuf, String> {
 /// Reads and checks a camera file.
 pub fn read_camera(path: &Path) -> Result<Camera> {
     let name = path.display();
-    let model = || match is_named_as_model(path) && path.is_file() {
-        true => format!("{name} is a model by its name, and a camera file is TOML: --model {name} shows it"),
-        false => name.to_string(),
+    let read = || {
+        let text = files::read_text(path, 1 << 20).with_context(|| name.to_string())?;
+        Camera::from_toml(&text).with_context(|| format!("{name} is not a camera file"))
     };
-    let text = files::read_text(path, 1 << 20).with_context(model)?;
-    let camera = Camera::from_toml(&text).with_context(|| format!("{name} is not a camera file"));
-    if is_named_as_model(path) { camera.with_context(model) } else { camera }
+    read().map_err(|error| match is_named_as_model(path) && path.is_file() {
+        true => anyhow!("{name} is a model by its name, and a camera file is TOML: --model {name} shows it"),
+        false => error,
+    })
 }
 
 #[cfg(test)]

@@ -127,7 +127,7 @@ fn left_out(mesh: &Mesh, remarks: &[String]) -> Vec<String> {
     let n_more = remarks.len().saturating_sub(MOST_REMARKS);
     let more = (n_more > 0).then(|| format!("{} like these", counted(n_more, "more line")));
     let rejected = (n_rejected > 0).then(|| {
-        format!("left out: {n_rejected} of {}, for a corner is missing or not finite", counted(n_triangles, "triangle"))
+        format!("triangles with a corner that is missing or not finite are left out: {n_rejected} of {n_triangles}")
     });
     remarks.iter().take(MOST_REMARKS).map(|remark| printable_line(remark)).chain(more).chain(rejected).collect()
 }

@@ -101,6 +101,8 @@ impl CameraControl {
             return Effect::picture();
         }
         let navigator = self.navigator.insert(Navigator::new(model.shape.clone(), up, self.aspect));
+        // A panel may be there before the model, and stay as it is.
+        navigator.make_room(parts);
         self.first_camera.into_iter().for_each(|camera| navigator.set_camera(camera));
         let Some(path) = self.first_path.take().map(Arc::new) else { return Effect::picture() };
         sidecars.keep_path(Arc::clone(&path));
@@ -294,11 +296,14 @@ mod tests {
         let left = CanvasPart { max: DVec2::new(0.5, 1.0), ..CanvasPart::WHOLE };
         show(&mut control, &cube(), &[left], now);
         assert_eq!((control.up().0, control.navigator.as_ref().unwrap().camera()), (UpAxis::Z, camera));
+        let whole = |model: &Model| Camera::view_all(&model.shape, model.shape.up, 1.5, left);
+        let mut alone = unused(now);
+        show(&mut alone, &cube(), &[left], now);
+        assert_eq!(alone.navigator.as_ref().unwrap().camera(), whole(&cube()));
         let other = Model { shape: Shape::of_box(DVec3::splat(5.0), DVec3::splat(9.0)), ..cube() };
         show(&mut control, &other, &[left], now);
-        let up = other.shape.up;
-        let whole = Camera::view_all(&other.shape, up, 1.5, left);
-        assert_eq!((control.up(), control.navigator.as_ref().unwrap().camera()), ((up, true), whole));
+        assert_eq!(control.up(), (other.shape.up, true));
+        assert_eq!(control.navigator.as_ref().unwrap().camera(), whole(&other));
     }
 
     #[test]
