@@ -20,8 +20,11 @@ pub struct Notices {
 }
 
 impl Notices {
-    /// Gives a render server a notice, in place of an older one.
+    /// Gives a render server a notice, in place of an older one. The same words again are no news.
     pub(crate) fn put(&mut self, node: NodeKey, text: String) {
+        if self.all.iter().any(|(of, old)| (of, old) == (&node, &text)) {
+            return;
+        }
         self.n_put += 1;
         self.clear(&node);
         if self.all.len() == MOST_NOTICES {
@@ -90,6 +93,9 @@ mod tests {
         assert_eq!(notices.message().as_deref(), Some("right lost. Also missing: left."), "another of that name");
         notices.clear(&node("right"));
         assert_eq!(notices.message().as_deref(), Some("left lost."));
+        let n_put = notices.n_put();
+        notices.put(node("left"), "left lost.".to_owned());
+        assert_eq!(notices.n_put(), n_put, "the same again is no news");
         notices.clear(&node("left"));
         assert_eq!(notices.message(), None);
     }

@@ -97,7 +97,10 @@ mod tests {
     fn dismissed_messages_return_only_with_news() {
         let lost = |n_lost| {
             let mut status = FarmStatus::default();
-            (0..n_lost).for_each(|_| status.notices.put(("node".to_owned(), None), "node lost".to_owned()));
+            for _ in 0..n_lost {
+                status.notices.clear(&("node".to_owned(), None));
+                status.notices.put(("node".to_owned(), None), "node lost".to_owned());
+            }
             status
         };
         let (left, both) = (["DP-1".to_owned()], ["DP-1".to_owned(), "DP-2".to_owned()]);
