@@ -4,15 +4,13 @@ CARGO ?= cargo
 
 .PHONY: run test soak stability setup setup-test format clippy docs bench fuzz test-slurm
 
-# NODEVICE_SELECT silences a Mesa layer that complains about the missing session on a headless machine.
-
 # The wall, with the built-in model and two local render servers; without a display it goes to wall.png.
 run: setup
 	$(CARGO) build --release
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
 		$(CARGO) run --release; \
 	else \
-		NODEVICE_SELECT=1 $(CARGO) run --release -- --headless --frames 20 --target-rate 30 --samples 4 --screenshot wall.png; \
+		$(CARGO) run --release -- --headless --frames 20 --target-rate 30 --samples 4 --screenshot wall.png; \
 	fi
 
 # Everything that CI checks. The tests start the programs, so they are built first.

@@ -53,7 +53,7 @@ wait_for 30 srun --immediate=2 -n2 true || fail "Slurm does not start"
 
 frames() {
     # frames NUMBER: runs a wall with at least two render servers until it has NUMBER whole frames.
-    NODEVICE_SELECT=1 target/release/compositor --headless --listen 127.0.0.1:0 --local 0 --min-renderers 2 \
+    target/release/compositor --headless --listen 127.0.0.1:0 --local 0 --min-renderers 2 \
         --triangles 20000 --size 256x128 --frames "$1" --stats "$dir/stats.json" >"$dir/wall.log" 2>&1
 }
 frames 20 & wall=$!

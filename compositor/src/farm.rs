@@ -5,8 +5,10 @@
 
 mod connection;
 mod frame_buffer;
+mod local_news;
 mod log_limit;
 mod losses;
+pub mod notices;
 mod open_frame;
 mod outbox;
 mod rate_limit;
@@ -35,12 +37,15 @@ use shared::{
 };
 use tokio::{
     net::TcpListener,
-    sync::{Notify, watch},
+    sync::{Notify, mpsc, watch},
 };
 
 pub(crate) use self::frame_buffer::MOST_FRAMES;
-pub use self::frame_buffer::{BufferPool, FrameBuffer, FrameSamples, PlaceError};
 use self::stats::{FarmStatus, FrameStats};
+pub use self::{
+    frame_buffer::{BufferPool, FrameBuffer, FrameSamples, PlaceError},
+    local_news::LocalReporter,
+};
 
 /// The frame that the wall wants rendered now, and how. The latest goal replaces all earlier ones.
 #[derive(Clone, Debug)]
@@ -100,6 +105,7 @@ pub struct Farm {
     structure: watch::Sender<Option<Structure>>,
     status: watch::Receiver<FarmStatus>,
     finished: Arc<FinishedFrame>,
+    local: LocalReporter,
     service: tokio::task::JoinHandle<()>,
 }
 
@@ -120,14 +126,20 @@ impl Farm {
         let (probe, probes) = watch::channel(Probe::default());
         let (structure, structures) = watch::channel(None);
         let (status_sender, status) = watch::channel(FarmStatus::default());
+        let (local, local_news) = mpsc::unbounded_channel();
         let service = service::Service::new(key, goals, status_sender, Arc::clone(&finished), Box::new(wake));
-        let service = tokio::spawn(service.run(listener, probes, structures));
-        Ok(Self { address, goal, probe, structure, status, finished, service })
+        let service = tokio::spawn(service.run(listener, probes, structures, local_news));
+        Ok(Self { address, goal, probe, structure, status, finished, local: LocalReporter(local), service })
     }
 
     /// The address that the farm listens on, with the actual port.
     pub fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// For who starts render servers of the wall's own: their names, and their ends.
+    pub fn local_reporter(&self) -> LocalReporter {
+        self.local.clone()
     }
 
     /// Changes the goal.

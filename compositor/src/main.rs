@@ -1,6 +1,6 @@
 //! The wall's program.
 
-use std::process::ExitCode;
+use std::{path::Path, process::ExitCode};
 
 use compositor::cli::args::{Args, Command};
 use renderer::memory::EndingAllocator;
@@ -10,6 +10,7 @@ use renderer::memory::EndingAllocator;
 static ALLOCATOR: EndingAllocator = EndingAllocator;
 
 fn main() -> ExitCode {
+    quieten_device_select();
     let args: Args = renderer::cli::parse();
     let result = renderer::cli::start().and_then(|()| match args.command {
         Some(Command::Renderer(command)) => renderer::cli::run(command),
@@ -17,4 +18,13 @@ fn main() -> ExitCode {
         None => compositor::cli::run::run(&args.wall),
     });
     renderer::cli::exit_code(result)
+}
+
+/// Without a folder for the session's sockets, Mesa's layer that sorts graphics cards complains twice, in words of a
+/// library of Wayland, and then sorts nothing: it is left out.
+fn quieten_device_select() {
+    if std::env::var_os("XDG_RUNTIME_DIR").is_none_or(|folder| !Path::new(&folder).is_dir()) {
+        // SAFETY: the program has no other thread yet.
+        unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
+    }
 }

@@ -119,7 +119,12 @@ impl OverlayModel {
             .flatten()
             .chain(files)
             .chain(model.frame.iter_mut().flat_map(|frame| frame.nodes.iter_mut().map(|node| &mut node.name)))
-            .chain(model.model.iter_mut().map(|model| &mut model.name))
+            .chain(
+                model
+                    .model
+                    .iter_mut()
+                    .flat_map(|model| [&mut model.name].into_iter().chain(&mut model.found).chain(&mut model.left_out)),
+            )
             .chain(model.loading.iter_mut().map(|(name, _)| name))
             .chain(model.outputs.iter_mut().filter_map(|output| output.monitor.as_mut()))
             .chain([&mut model.join.command, &mut model.join.note])
@@ -163,7 +168,9 @@ pub(crate) fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
         tint::show(ui, model);
         tint::mark_pick(ui, model);
     }
-    let layout = layout_of(ui.ctx().content_rect(), model);
+    let texts_id = egui::Id::unique("height of texts");
+    let legend = legend::is_needed(model).then(|| ui.data(|data| data.get_temp(texts_id)).unwrap_or_default());
+    let layout = layout_of(ui.ctx().content_rect(), model, legend);
     for panel in &layout.panels {
         let area = show_panel(ui, &layout, panel, model, &mut output.commands);
         output.areas.push(area);
@@ -171,6 +178,7 @@ pub(crate) fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
     output.panels.clone_from(&output.areas);
     output.has_dialog = model.help || model.files.is_some();
     let texts = show_texts(ui, layout.free, model, &mut output.commands);
+    ui.data_mut(|data| data.insert_temp(texts_id, texts.map_or(0.0, |texts: Rect| texts.height())));
     settle(ui, output.areas.iter().copied().chain(texts).collect());
     // Notes and the legend take no clicks.
     output.areas.extend(texts.filter(|_| !model.messages.is_empty()));
@@ -186,7 +194,8 @@ fn settle(ui: &Ui, areas: Vec<Rect>) {
     }
 }
 
-fn layout_of(window: Rect, model: &OverlayModel) -> Layout {
+/// `legend`: the height of the texts, as they were shown last, if a legend is among them.
+fn layout_of(window: Rect, model: &OverlayModel, legend: Option<f32>) -> Layout {
     let dialog = match model {
         OverlayModel { files: Some(_), .. } => Some(Part::Files),
         OverlayModel { help: true, .. } => Some(Part::Help),
@@ -197,7 +206,7 @@ fn layout_of(window: Rect, model: &OverlayModel) -> Layout {
         OverlayModel { model: None, .. } => &[Part::Figures],
         _ => &[Part::Figures, Part::Model],
     };
-    Layout::new(window, dialog, sides)
+    Layout::new(window, dialog, sides, legend)
 }
 
 /// Shows a panel, and returns its area.

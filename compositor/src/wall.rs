@@ -13,8 +13,9 @@ use std::path::Path;
 
 use channel::files::{self, ReadError};
 use glam::DVec2;
+use renderer::model::file::is_named_as_model;
 use serde::{Deserialize, Serialize};
-use shared::division::FrameSize;
+use shared::{division::FrameSize, toml_text::plain_problem};
 
 use blend::Neighbour;
 pub use projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
@@ -52,6 +53,10 @@ pub enum WallError {
     Unreadable { path: String, cause: ReadError },
     #[error("{path}:{line}: {problem}")]
     Invalid { path: String, line: usize, problem: String },
+    #[error(
+        "{path} is a model by its name, and a wall file is TOML, like those in wall-config/: --model {path} shows it"
+    )]
+    Model { path: String },
 }
 
 /// Why projectors do not make a wall: the projector at fault, or all of them, the key of the wall file to change, and the
@@ -143,17 +148,20 @@ impl Wall {
     /// Reads a wall file; see `wall-config/`.
     pub fn load(path: &Path) -> Result<Self, WallError> {
         let name = path.display().to_string();
-        match read_text(path) {
+        let wall = match read_text(path) {
             Ok(text) => Self::from_toml(&name, &text),
-            Err(cause) => Err(WallError::Unreadable { path: name, cause }),
-        }
+            Err(cause) => Err(WallError::Unreadable { path: name.clone(), cause }),
+        };
+        wall.map_err(
+            |error| if is_named_as_model(path) && path.is_file() { WallError::Model { path: name } } else { error },
+        )
     }
 
     /// Reads the text of a wall file; messages name it `path`.
     pub fn from_toml(path: &str, text: &str) -> Result<Self, WallError> {
         file::parse(text).map_err(|(offset, problem)| {
             let before = text.get(..offset).unwrap_or(text);
-            let problem = problem.trim().replace('\n', ", ");
+            let problem = plain_problem(text, offset, &problem);
             WallError::Invalid { path: path.to_owned(), line: 1 + before.matches('\n').count(), problem }
         })
     }

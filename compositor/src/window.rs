@@ -21,7 +21,7 @@ use std::ops::ControlFlow;
 use anyhow::Context;
 use winit::event_loop::EventLoop;
 
-pub(crate) use self::waker::Waker;
+pub(crate) use self::{join::join_hint, waker::Waker};
 use self::{session::display_environment, waker::Call};
 use crate::{
     cli::args::{Inputs, WallArgs},

@@ -15,7 +15,7 @@ pub use views::{Look, View, Views};
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use crate::division::FrameSize;
+use crate::{division::FrameSize, toml_text::plain_problem};
 
 /// The paper's camera: an eye and a view plane, in world space: the coordinates of the model's file.
 ///
@@ -70,7 +70,7 @@ impl CameraFileError {
     /// A problem at a byte offset of a text; `format` describes a correct file.
     fn at(text: &str, offset: usize, problem: &str, format: &'static str) -> Self {
         let line = 1 + text.get(..offset).unwrap_or("").matches('\n').count();
-        Self { line, problem: problem.trim().replace('\n', ", "), format }
+        Self { line, problem: plain_problem(text, offset, problem), format }
     }
 }
 

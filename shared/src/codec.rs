@@ -12,7 +12,10 @@
 
 use serde::{Serialize, de::DeserializeOwned};
 
-use crate::protocol::{CHUNK_BYTES, Chunk, Encoding, FrameId, TaskId};
+use crate::{
+    printable::counted,
+    protocol::{CHUNK_BYTES, Chunk, Encoding, FrameId, TaskId},
+};
 
 /// Bytes of a [`Header`].
 pub const HEADER_BYTES: usize = 5;
@@ -40,7 +43,7 @@ pub enum CodecError {
     UnknownKind(u8),
     #[error("a malformed message: {0}")]
     Malformed(#[from] bincode::error::DecodeError),
-    #[error("a message with {0} bytes too many")]
+    #[error("a message with {} too many", counted(.0, "byte"))]
     Trailing(usize),
     #[error("a chunk of {0} bytes: too short for its header")]
     ShortChunk(usize),

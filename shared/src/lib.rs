@@ -3,7 +3,8 @@
 //! Everything here is a pure function or plain data: no socket, no clock, no thread.
 //! In reading order: [`camera`] makes rays, [`division`] says which node renders which samples, [`curve`] in which order,
 //! [`scene`] names the scene and [`structure`] its grid, [`appearance`] is light, background and clip plane, [`srgb`]
-//! encodes light, [`protocol`] defines the messages and [`codec`] their bytes; [`names`] and [`printable`] help with text.
+//! encodes light, [`protocol`] defines the messages and [`codec`] their bytes; [`names`], [`printable`]
+//! and [`toml_text`] help with text.
 
 pub mod appearance;
 pub mod camera;
@@ -16,3 +17,4 @@ pub mod protocol;
 pub mod scene;
 pub mod srgb;
 pub mod structure;
+pub mod toml_text;

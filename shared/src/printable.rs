@@ -3,6 +3,8 @@
 //! The last step before a text is shown makes it printable: the error of a program, a line of a log, standard output,
 //! progress bars and the overlay. Messages before that quote names as they are.
 
+use std::fmt::Display;
+
 /// The most characters of a peer's text that are kept.
 const MAX_CHARS: usize = 300;
 
@@ -32,6 +34,22 @@ pub fn printable_lines(text: &str) -> String {
     text.chars().filter(|&letter| letter == '\n' || !letter.is_control()).collect()
 }
 
+/// A number with its noun, which is in the singular for one: "1 triangle", "2 triangles", "0 triangles".
+pub fn counted(count: impl Display, noun: &str) -> String {
+    let count = count.to_string();
+    let is_one = count == "1";
+    format!("{count} {}", plural(is_one, noun))
+}
+
+/// The noun alone: in the singular if `is_one`.
+pub fn plural(is_one: bool, noun: &str) -> String {
+    match noun.strip_suffix("ex") {
+        _ if is_one => noun.to_owned(),
+        Some(stem) => format!("{stem}ices"),
+        None => format!("{noun}s"),
+    }
+}
+
 fn is_printable(letter: char) -> bool {
     !letter.is_control() && !is_invisible(letter)
 }
@@ -51,6 +69,13 @@ mod tests {
         assert_eq!(printable("a\nERROR fake\u{1b}[31m\u{202e}b"), "aERROR fake[31mb");
         assert_eq!(printable("Zürich – 研究室 1"), "Zürich – 研究室 1");
         assert_eq!(printable(&"x".repeat(5000)).len(), 300);
+    }
+
+    #[test]
+    fn one_of_a_kind_is_in_the_singular() {
+        assert_eq!([0_u32, 1, 2].map(|n| counted(n, "triangle")), ["0 triangles", "1 triangle", "2 triangles"]);
+        assert_eq!([1, 2].map(|n| counted(n, "vertex")), ["1 vertex", "2 vertices"]);
+        assert_eq!(counted("1 000", "triangle"), "1 000 triangles");
     }
 
     #[test]

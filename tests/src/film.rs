@@ -74,17 +74,35 @@ fn a_film_goes_on_where_it_ended_and_never_holds_another() {
     let folder = files.path("film");
     let bytes =
         |folder: &Path| names(folder).iter().map(|name| fs::read(folder.join(name)).unwrap()).collect::<Vec<_>>();
-    assert!(film(&files, &folder, &["--frames", "4"]).0);
+    let (is_done, said) = film(&files, &folder, &["--frames", "4"]);
+    assert!(is_done && said.contains("the first 4 of 6 pictures are in"), "{said}");
     let (is_done, said) = film(&files, &folder, &[]);
     assert!(!is_done && said.lines().last().unwrap().contains("--resume goes on"), "{said}");
     let (is_done, said) = film(&files, &folder, &["--resume", "--background", "102030"]);
     assert!(!is_done && said.lines().last().unwrap().contains("picture-000004.png is of another film"), "{said}");
     assert_eq!(names(&folder).len(), 4);
     let (is_done, said) = film(&files, &folder, &["--resume"]);
-    assert!(is_done && said.contains("going on after"), "{said}");
+    assert!(is_done && said.contains("going on after") && said.contains("the film's 6 pictures are in"), "{said}");
     assert_eq!(files.frames().len(), 3, "one to compare, and two that were missing");
     assert!(film(&files, &files.path("whole"), &["--resume"]).0, "an empty folder begins the film");
-    assert!(bytes(&folder) == bytes(&files.path("whole")), "a film that goes on differs from one made at once");
+    let whole = bytes(&folder);
+    assert!(whole == bytes(&files.path("whole")), "a film that goes on differs from one made at once");
+
+    // An empty one, one without its end, and the last with another byte in its middle.
+    let picture = |number: u32| folder.join(format!("picture-{number:06}.png"));
+    fs::write(picture(2), "").unwrap();
+    fs::write(picture(4), &whole[3][..whole[3].len() - 1]).unwrap();
+    let mut last = whole[5].clone();
+    let middle = last.len() / 2;
+    last[middle] ^= 0xff;
+    fs::write(picture(6), last).unwrap();
+    let (is_done, said) = film(&files, &folder, &["--resume"]);
+    assert!(is_done && !said.contains("another film"), "{said}");
+    for number in [2, 4, 6] {
+        assert!(said.contains(&format!("picture-00000{number}.png is damaged, and is made again")), "{said}");
+    }
+    assert_eq!(files.frames().len(), 4, "one to compare, and three that were damaged");
+    assert!(bytes(&folder) == whole, "a film that was mended differs from one made at once");
 }
 
 #[test]

@@ -38,6 +38,8 @@ mod map_grid;
 #[cfg(test)]
 mod measuring;
 #[cfg(test)]
+mod operator;
+#[cfg(test)]
 mod optics;
 #[cfg(all(test, target_os = "linux"))]
 mod outputs;

@@ -35,7 +35,10 @@ impl Wall {
     /// Like `start_in`, on a screen of `screen` pixels.
     fn start_on(screen: [usize; 2], folder: &Path, arguments: &[&str]) -> Self {
         let session = XSession::start(screen);
-        let mut command = session.wall(&["--local", "2", "--triangles", "5000", "--size", "256x128"]);
+        let mut command = session.wall(&["--local", "2", "--size", "256x128"]);
+        if !arguments.iter().any(|argument| argument.ends_with(".ply")) {
+            command.args(["--triangles", "5000"]);
+        }
         command.current_dir(folder).args(arguments);
         let mut program = Program::start(command);
         program.wait_for(SHOWN);
@@ -398,6 +401,23 @@ fn a_dropped_model_is_shown_and_a_broken_one_changes_nothing() {
     wait_until("the model is still there", || dropped == wall.session.screenshot());
     wall.session.key("o");
     wait_until("the overlay is back", || dropped.difference(&wall.session.screenshot(), 16) > 0.05);
+    wall.quit();
+}
+
+#[test]
+fn another_model_opens_whole_and_uncut() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = folder.path().join("another.ply");
+    generate_statue(300, &model);
+    let fresh = Wall::start(&[model.to_str().unwrap()]);
+    let whole = fresh.hide_overlay();
+    fresh.quit();
+    let wall = Wall::start(&["--clip", "y:60", "--up", "x"]);
+    let cut = wall.hide_overlay();
+    drop_file(wall.session.display(), &wall.window, &model);
+    wall.session.wait_for_window("another.ply");
+    wait_until("the other model is seen", || cut.difference(&wall.session.screenshot(), 16) > 0.005);
+    wait_until("it is seen as a wall of its own shows it", || wall.session.screenshot() == whole);
     wall.quit();
 }
 

@@ -49,12 +49,16 @@ fn summary(wall: &Wall) -> Vec<String> {
     let [width, height] = wall.output_size();
     let [width_m, height_m] = wall.canvas_m();
     let n_projectors = wall.projectors().len();
+    let projectors = match n_projectors {
+        1 => "1 projector or screen".to_owned(),
+        n => format!("{n} projectors or screens"),
+    };
     let (lit, shared) = lit_parts(wall);
     let frame = wall.frame_size();
     let [sample_width_mm, sample_height_mm] =
         [1e3 * width_m / f64::from(frame.xres()), 1e3 * height_m / f64::from(frame.yres())];
     let mut lines = vec![
-        format!("{n_projectors} projectors or screens on {width_m} m × {height_m} m, {width}×{height} pixels in all"),
+        format!("{projectors} on {width_m} m × {height_m} m, {width}×{height} pixels in all"),
         format!("{:.1} % of the canvas is lit, {:.1} % by several of them", 100.0 * lit, 100.0 * shared),
         format!("a sample of a {frame} frame is {sample_width_mm:.2} mm × {sample_height_mm:.2} mm"),
         frame_memory(wall),

@@ -8,7 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use shared::division::FrameSize;
+use shared::{division::FrameSize, printable::counted};
 
 use super::report::Report;
 use crate::{
@@ -153,16 +153,17 @@ pub fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Wakeup> {
 /// The line about a frame that is not there yet: what is missing, and the cure if there is one.
 fn waiting_for(status: &FarmStatus, n_needed: usize, address: SocketAddr) -> String {
     let (n_joined, n_ready) = (status.nodes.len(), status.nodes.iter().filter(|node| node.is_ready()).count());
-    let last = status.message.as_ref().map(|message| format!("; last: {message}")).unwrap_or_default();
+    let last = status.notices.message().map(|message| format!("; last: {message}")).unwrap_or_default();
     if n_joined < n_needed {
+        let needed = counted(n_needed, "render server");
         format!(
-            "{n_joined} of {n_needed} render servers have joined; start one with: renderer connect {address}, and the \
-             wall's --key if it has one{last}"
+            "{n_joined} of {needed} joined; start one with: renderer connect {address}, and the wall's --key if it has \
+             one{last}"
         )
     } else if n_ready < n_needed {
-        format!("{n_ready} of {n_joined} render servers have the model{last}")
+        format!("{n_ready} of {} ready{last}", counted(n_joined, "render server"))
     } else {
-        format!("{n_ready} render servers are rendering a frame")
+        format!("a frame is being rendered by {}", counted(n_ready, "render server"))
     }
 }
 
@@ -192,8 +193,8 @@ mod tests {
         };
         let line = |nodes| waiting_for(&FarmStatus { nodes, ..FarmStatus::default() }, 1, address);
         assert!(line(vec![]).contains("start one with: renderer connect 127.0.0.1:7117, "));
-        assert_eq!(line(vec![node(SceneState::Loading { progress: 0.5 })]), "0 of 1 render servers have the model");
+        assert_eq!(line(vec![node(SceneState::Loading { progress: 0.5 })]), "0 of 1 render server ready");
         let ready = SceneState::Ready { triangles: 1, bytes: 1, grid: None };
-        assert_eq!(line(vec![node(ready)]), "1 render servers are rendering a frame");
+        assert_eq!(line(vec![node(ready)]), "a frame is being rendered by 1 render server");
     }
 }

@@ -17,6 +17,7 @@ use anyhow::Context;
 use renderer::cli::scene_args::SceneArgs;
 
 use super::restart::next_delay;
+use crate::farm::LocalReporter;
 
 /// A process closes its pipes a moment before its status can be read: how often that is tried, and how long apart.
 const STATUS_TRIES: u32 = 100;
@@ -30,21 +31,21 @@ pub struct LocalServers {
     key: Option<PathBuf>,
     scene: SceneArgs,
     children: Vec<Arc<Mutex<Child>>>,
+    /// Tells the farm what becomes of them.
+    reporter: Option<LocalReporter>,
     /// Whether the wall ends them.
     are_ending: Arc<AtomicBool>,
 }
 
 impl LocalServers {
-    /// Starts `n_servers` that share this machine's cores and connect to the wall at `address`, with its key file if it has
-    /// one.
-    pub fn start(n_servers: u32, address: SocketAddr, key: Option<&Path>, scene: &SceneArgs) -> anyhow::Result<Self> {
-        let mut servers = Self::empty(address, key, scene)?;
+    /// Starts `n_servers` that share this machine's cores, and tells the farm about them.
+    pub fn start(&mut self, n_servers: u32, reporter: LocalReporter) -> anyhow::Result<()> {
+        self.reporter = Some(reporter);
         let n_cores = thread::available_parallelism().map_or(1, usize::from) as u32;
-        (0..n_servers).try_for_each(|_| servers.add((n_cores / n_servers).max(1)))?;
-        Ok(servers)
+        (0..n_servers).try_for_each(|_| self.add((n_cores / n_servers).max(1)))
     }
 
-    /// None yet.
+    /// None yet; they will connect to the wall at `address`, with its key file if it has one.
     pub fn empty(address: SocketAddr, key: Option<&Path>, scene: &SceneArgs) -> anyhow::Result<Self> {
         let program = std::env::current_exe().context("the path of this program is unknown")?;
         // A wall that listens on every address is reached on loopback.
@@ -56,6 +57,7 @@ impl LocalServers {
             key: key.map(Path::to_owned),
             scene: *scene,
             children: Vec::new(),
+            reporter: None,
             are_ending: Arc::default(),
         })
     }
@@ -83,8 +85,10 @@ impl LocalServers {
             .with_context(|| format!("cannot start a local render server ({})", self.program.display()))?;
         let child = Arc::new(Mutex::new(child));
         self.children.push(Arc::clone(&child));
-        let are_ending = Arc::clone(&self.are_ending);
-        let watch = move || keep_running(&name, &child, command, &are_ending);
+        let watched =
+            Watched { name, child, are_ending: Arc::clone(&self.are_ending), reporter: self.reporter.clone() };
+        watched.report_start();
+        let watch = move || watched.keep_running(command);
         thread::Builder::new().name("local".to_owned()).spawn(watch).context("cannot watch a local render server")?;
         Ok(())
     }
@@ -106,34 +110,79 @@ fn loopback_like(address: SocketAddr) -> std::net::IpAddr {
     if address.is_ipv4() { std::net::Ipv4Addr::LOCALHOST.into() } else { std::net::Ipv6Addr::LOCALHOST.into() }
 }
 
-/// Starts a render server again whenever it was killed, until it ends in another way, which its own lines explain, or
-/// the wall ends.
-fn keep_running(name: &str, child: &Mutex<Child>, mut command: Command, are_ending: &AtomicBool) {
-    let mut last_delay = None;
-    loop {
-        let started_at = Instant::now();
-        let status = wait_for_end(child);
-        if are_ending.load(Relaxed) || !status.is_some_and(was_killed) {
-            return;
-        }
-        let delay = next_delay(last_delay, started_at.elapsed());
-        last_delay = Some(delay);
-        tracing::warn!(
-            "render server {name} was killed, most likely by the system because memory ran out, and restarts in {} s: \
-             lower --memory-budget or --local, show a model of fewer triangles, or use a machine with more memory",
-            delay.as_secs()
-        );
-        thread::sleep(delay);
-        let mut child = locked(child);
-        // Read under the lock: the wall's end kills the child that is there then.
-        if are_ending.load(Relaxed) {
-            return;
-        }
-        match command.spawn() {
-            Ok(started) => *child = started,
-            Err(error) => return tracing::error!("render server {name} cannot be started again: {error}"),
+/// A render server under the eye of its thread.
+struct Watched {
+    name: String,
+    child: Arc<Mutex<Child>>,
+    are_ending: Arc<AtomicBool>,
+    reporter: Option<LocalReporter>,
+}
+
+impl Watched {
+    /// Starts it again whenever it was killed, until it ends in another way, which its own lines explain, or the wall ends.
+    fn keep_running(&self, mut command: Command) {
+        let name = &self.name;
+        let mut last_delay = None;
+        loop {
+            let (started_at, oom_kills) = (Instant::now(), oom_kills());
+            let status = wait_for_end(&self.child);
+            if self.are_ending.load(Relaxed) {
+                return;
+            }
+            if !status.is_some_and(was_killed) {
+                let status = status.map_or_else(String::new, |status| format!(" ({status})"));
+                return self.report_end(format!(
+                    "{name} ended{status} and stays away: the log says why; start the wall again to have it back."
+                ));
+            }
+            let delay = next_delay(last_delay, started_at.elapsed());
+            last_delay = Some(delay);
+            let (cause, seconds) = (cause_of_kill(oom_kills, self::oom_kills()), delay.as_secs());
+            tracing::warn!("render server {name} was killed{cause}; it starts again in {seconds} s");
+            self.report_end(format!("{name} was killed{cause}. It starts again in {seconds} s."));
+            thread::sleep(delay);
+            let mut child = locked(&self.child);
+            // Read under the lock: the wall's end kills the child that is there then.
+            if self.are_ending.load(Relaxed) {
+                return;
+            }
+            match command.spawn() {
+                Ok(started) => *child = started,
+                Err(error) => {
+                    tracing::error!("render server {name} cannot be started again: {error}");
+                    return self.report_end(format!("{name} cannot be started again: {error}."));
+                }
+            }
+            self.report_start();
         }
     }
+
+    fn report_start(&self) {
+        self.reporter.iter().for_each(|reporter| reporter.started(&self.name));
+    }
+
+    fn report_end(&self, text: String) {
+        if let Some(reporter) = &self.reporter {
+            reporter.ended(&self.name, text);
+        }
+    }
+}
+
+/// The likely cause of a kill, and its cure, given how often the system had killed for lack of memory before and after.
+fn cause_of_kill(before: Option<u64>, after: Option<u64>) -> String {
+    let is_known = before.zip(after).is_some_and(|(before, after)| after > before);
+    let (cause, if_so) =
+        if is_known { (" because memory ran out", "") } else { (", perhaps because memory ran out", "if so, ") };
+    format!(
+        "{cause}: {if_so}lower --memory-budget or --local, show a model of fewer triangles, or use a machine with more memory"
+    )
+}
+
+/// How often the system has killed a process for lack of memory since it started, on Linux. Other programs kill too:
+/// without a count that has grown, memory is only a guess.
+fn oom_kills() -> Option<u64> {
+    let counts = std::fs::read_to_string("/proc/vmstat").ok()?;
+    counts.lines().find_map(|line| line.strip_prefix("oom_kill "))?.trim().parse().ok()
 }
 
 fn locked(child: &Mutex<Child>) -> MutexGuard<'_, Child> {
@@ -160,4 +209,19 @@ fn was_killed(status: ExitStatus) -> bool {
     return std::os::unix::process::ExitStatusExt::signal(&status) == Some(9);
     #[cfg(not(unix))]
     return false;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_is_the_cause_only_if_the_system_says_so() {
+        let known = cause_of_kill(Some(3), Some(4));
+        assert!(known.starts_with(" because memory ran out: lower --memory-budget"), "{known}");
+        for (before, after) in [(Some(4), Some(4)), (None, Some(4)), (None, None)] {
+            let guessed = cause_of_kill(before, after);
+            assert!(guessed.starts_with(", perhaps because memory ran out: if so, lower"), "{guessed}");
+        }
+    }
 }

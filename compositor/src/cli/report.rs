@@ -5,6 +5,7 @@ use std::{collections::BTreeSet, path::Path};
 use anyhow::Context;
 use channel::files;
 use serde::Serialize;
+use shared::printable::counted;
 
 use crate::farm::{
     Frame,
@@ -59,7 +60,7 @@ impl Report {
 
     /// Medians and 95th percentiles as text.
     pub fn table(&self) -> String {
-        let mut table = format!("{} frames{:>30}{:>10}\n", self.frames.len(), "median ms", "p95 ms");
+        let mut table = format!("{:<28}{:>10}{:>10}\n", counted(self.frames.len(), "frame"), "median ms", "p95 ms");
         let Some(last) = self.frames.last() else { return table };
         let mut row = |name: &str, values: Vec<f64>| {
             let (median, p95) = (quantile(&values, 0.5), quantile(&values, 0.95));
@@ -103,9 +104,12 @@ impl Report {
         let last = self.frames_of(id).filter_map(|node| Some((node, node.address?))).last();
         let known = last.map_or_else(String::new, |(node, address)| {
             let ping = node.round_trip_ms.map(|ms| format!(", ping {ms:.2} ms")).unwrap_or_default();
-            format!(" at {address}: {}{ping}, lost {} times before", node.encoding, node.n_failures)
+            format!(" at {address}: {}{ping}, lost {} before", node.encoding, counted(node.n_failures, "time"))
         });
-        format!("{name}{known}; share {share:.0} %, {mbit_per_s:.0} Mbit/s, {n_taken_over} tasks of others\n")
+        format!(
+            "{name}{known}; share {share:.0} %, {mbit_per_s:.0} Mbit/s, {} of others\n",
+            counted(n_taken_over, "task")
+        )
     }
 
     /// A render server's measurements in the frames that it took part in.

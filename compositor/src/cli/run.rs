@@ -13,6 +13,7 @@ use renderer::cli::{
 };
 use shared::{
     camera::{Camera, CanvasPart},
+    printable::counted,
     protocol::FrameSpec,
 };
 use tokio::{
@@ -34,7 +35,7 @@ use crate::{
     },
     farm::{Farm, RenderGoal},
     supervisor::{self, SupervisorLink},
-    window::{OnShown, WindowLoop},
+    window::{OnShown, WindowLoop, join_hint},
 };
 
 /// Runs a wall to its end.
@@ -79,15 +80,24 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
     let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
     let mut headless = Headless::new(wall)?;
-    // Started before the farm, so that they end after it: otherwise the farm would report them as lost.
-    let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
+    // Made before the farm, so that they end after it: otherwise the farm would report them as lost.
+    let mut servers = LocalServers::empty(listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let (wake, wakeups) = wakeups();
     let wake_farm = wake.clone();
     let farm = start_farm(&runtime, listener, key, args, args.min_renderers(), move || {
         // A full channel already holds a wake-up call.
         let _ = wake_farm.try_send(Wakeup::Farm);
     })?;
+    servers.start(args.n_local(), farm.local_reporter())?;
     let model = load_model(&args.show.model)?;
+    if args.n_local() < args.min_renderers() {
+        let join = join_hint(farm.address(), args.key.as_deref(), model.path().as_deref());
+        tracing::info!(
+            "waiting for {}; start one with: {}",
+            counted(args.min_renderers(), "render server"),
+            join.command
+        );
+    }
     let film = path.map(|path| Film { path, fps: args.fps, most: args.frames.unwrap_or(u32::MAX) });
     let camera = camera.or_else(|| film.as_ref().map(|film| film.path.at(0.0))).unwrap_or_else(|| {
         let kept_up = || SidecarFiles::read(&model.source).views().and_then(|views| views.up);
@@ -137,7 +147,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
 /// Begins what the film goes to; pictures have `size`: columns, rows.
 fn film_output(args: &WallArgs, size: [u32; 2]) -> anyhow::Result<Output> {
     Ok(match (&args.pictures, &args.film) {
-        (Some(folder), _) => Output::Pictures(Pictures::begin(folder, args.fps, args.resume)?),
+        (Some(folder), _) => Output::Pictures(Pictures::begin(folder, args.fps, size, args.resume)?),
         (_, Some(path)) => Output::Video(Box::new(Video::begin(path, args.fps, size)?)),
         _ => Output::Nowhere,
     })
@@ -161,9 +171,10 @@ fn run_window(args: &WallArgs, inputs: Inputs, supervisor: Option<SupervisorLink
     // A wall for people runs with one render server; frames that are counted wait for all of them.
     let n_needed = if args.frames.is_some() { args.min_renderers() } else { args.min_renderers.unwrap_or(1) };
     let waker = window.waker();
-    // Started before the farm, so that they end after it: otherwise the farm would report them as lost.
-    let _servers = LocalServers::start(args.n_local(), listener.local_addr()?, args.key.as_deref(), &args.scene)?;
+    // Made before the farm, so that they end after it: otherwise the farm would report them as lost.
+    let mut servers = LocalServers::empty(listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;
+    servers.start(args.n_local(), farm.local_reporter())?;
     let report = Rc::new(RefCell::new(Report::default()));
     let on_shown = watch_frames(args, Rc::clone(&report));
     let outcome = window.run(args, inputs, &farm, on_shown, supervisor);

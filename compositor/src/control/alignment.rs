@@ -49,6 +49,9 @@ const GRAB_RADIUS_PX: f64 = 60.0;
 /// The distance that an arrow key moves a corner, in pixels: alone, and with Shift.
 const NUDGE_PX: [f64; 2] = [1.0, 0.1];
 
+/// Why corners cannot be saved, with the cure.
+const NO_FILE: &str = "the wall was started without a file; copy a wall file, for example wall-config/blended-4x3.toml, and start with --wall FILE";
+
 impl Alignment {
     /// No pattern, on a wall from this file.
     pub(crate) fn new(file: Option<PathBuf>, wall: Wall) -> Self {
@@ -220,15 +223,20 @@ impl Alignment {
         self.is_stale = true;
     }
 
+    /// A line on the use of a pattern on this wall.
+    pub(crate) fn help(&self, pattern: Pattern) -> String {
+        let lacks_file = pattern == Pattern::Align && self.file.is_none();
+        // Told before the work, not after it.
+        let file = if lacks_file { format!("; here nothing can be saved: {NO_FILE}") } else { String::new() };
+        format!("{pattern}: {}{file}", pattern.help())
+    }
+
     /// Writes all corners to the wall's file, if any has moved. Returns a note for the operator.
     pub(crate) fn save(&mut self) -> anyhow::Result<String> {
         if self.saved == self.wall.projectors() {
             return Ok("No corner has moved: there is nothing to save".to_owned());
         }
-        let file = self.file.as_deref().context(
-            "the corners cannot be saved: the wall was started without a file; copy a wall file, for example \
-             wall-config/blended-4x3.toml, and start with --wall FILE",
-        )?;
+        let file = self.file.as_deref().with_context(|| format!("the corners cannot be saved: {NO_FILE}"))?;
         save::save_warps(file, &self.wall)?;
         self.saved = self.wall.projectors().to_vec();
         Ok(format!("saved the corners in {}", file.display()))

@@ -206,7 +206,7 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('c')], Trigger(ToggleRecording), "record the camera, or end the recording"),
         row(&[Named(NamedKey::Space)], Trigger(TogglePlaying), "play the recorded camera path, or stop"),
         row(&[Letter('u')], Trigger(NextUpAxis), "next up axis: y, z, x, -y, -z, -x"),
-        row(&[Letter('h')], Trigger(NextDivision), "next heuristic: interleaved, tiled, dynamic"),
+        row(&[Letter('h')], Trigger(NextDivision), "next division: interleaved, tiled, dynamic"),
         row(&[Letter('v')], Trigger(NextShading), "next view: shaded, normals, cost"),
         row(&[Letter('r')], Trigger(NextLighting), "next rays: auto, primary, shadows, ambient"),
         row(

@@ -18,27 +18,33 @@ pub(crate) struct Model {
     pub shape: Shape,
     /// Triangles, without rejected ones.
     pub n_triangles: usize,
-    /// Triangles that cannot be traced.
-    pub n_rejected: usize,
     /// Whether the triangles bound a solid, which cuts fill.
     pub is_solid: bool,
+    /// What its file holds beside triangles; a line each.
+    pub found: Vec<String>,
+    /// Parts of its file that are left out, or shown otherwise than it says; a line each.
+    pub left_out: Vec<String>,
 }
 
 impl Model {
-    /// Reads or generates the model. May take minutes: not for the window's thread.
+    /// Reads or generates the model, and logs what its file holds and lacks. May take minutes: not for the window's thread.
     pub(crate) fn load(
         source: SceneSource,
         crease: Crease,
         progress: &(dyn Fn(f32) + Sync),
     ) -> Result<Self, LoadError> {
-        let LoadedMesh { id, mesh } = scene::load(&source, crease, progress)?;
+        let loaded = scene::load(&source, crease, progress)?;
+        loaded.log(&source);
+        let found = loaded.found();
+        let LoadedMesh { id, mesh, left_out } = loaded;
         Ok(Self {
             source,
             scene: id,
             shape: mesh.shape(),
             n_triangles: mesh.triangles.len() - mesh.n_rejected,
-            n_rejected: mesh.n_rejected,
             is_solid: mesh.facing().is_some(),
+            found,
+            left_out,
         })
     }
 

@@ -106,13 +106,14 @@ impl Navigator {
         }
     }
 
-    /// Shows another model at once, as a whole; drags and held keys continue.
-    pub(crate) fn set_model(&mut self, shape: Shape, up: UpAxis) {
+    /// Shows another model at once, as a whole in the part of the canvas in which it is largest; drags and held keys
+    /// continue.
+    pub(crate) fn set_model(&mut self, shape: Shape, up: UpAxis, parts: &[CanvasPart]) {
         self.shape = shape;
         self.up = up;
         self.focus = None;
         self.motion = None;
-        self.whole = self.view_all_camera(&[CanvasPart::WHOLE]);
+        self.whole = self.view_all_camera(parts);
         self.set_camera(self.whole);
     }
 

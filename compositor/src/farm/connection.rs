@@ -24,6 +24,7 @@ use shared::{
 };
 use tokio::{
     io::{AsyncRead, AsyncWrite},
+    net::TcpStream,
     sync::mpsc,
     time::{MissedTickBehavior, interval, sleep, timeout, timeout_at},
 };
@@ -179,7 +180,20 @@ impl EventSender {
 }
 
 /// Runs a connection from its first byte to its end, encrypted if there is a key.
-pub(super) async fn serve(
+pub(super) async fn run(
+    mut stream: TcpStream,
+    key: Option<Key>,
+    events: EventSender,
+    losses: Arc<Losses>,
+    started_at: Instant,
+) {
+    // Requests are small and must not wait for more.
+    let _ = stream.set_nodelay(true);
+    let (input, output) = stream.split();
+    serve(input, output, key.as_ref(), events, &losses, started_at).await;
+}
+
+async fn serve(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
     key: Option<&Key>,

@@ -1,7 +1,7 @@
 //! The farm's edge: accepts connections, passes events to the scheduler, and executes its actions.
 
 use std::{
-    collections::{BTreeMap, HashMap, VecDeque},
+    collections::{BTreeMap, BTreeSet, HashMap, VecDeque},
     io,
     net::SocketAddr,
     sync::Arc,
@@ -10,7 +10,7 @@ use std::{
 
 use channel::{key::Key, wire::is_same_machine};
 use shared::{
-    printable::printable,
+    printable::{counted, printable},
     protocol::{FrameId, HEARTBEAT_TIMEOUT, SceneState, ToServer},
     structure::Structure,
 };
@@ -25,8 +25,10 @@ use super::{
     FinishedFrame, Probe, RenderGoal,
     connection::{self, ConnectionError, ConnectionEvent, EventSender, PendingTask, PendingTasks},
     frame_buffer::BufferPool,
+    local_news::LocalNews,
     log_limit::LogLimit,
     losses::Losses,
+    notices::NodeKey,
     open_frame::OpenFrame,
     outbox::Outbox,
     rate_limit::RateLimit,
@@ -90,6 +92,8 @@ pub(super) struct Service {
     /// Connections whose handshake is not over, the oldest first.
     strangers: VecDeque<(NodeId, AbortHandle)>,
     nodes: BTreeMap<NodeId, NodeConnection>,
+    /// The names of the wall's own render servers.
+    local: BTreeSet<String>,
     losses: Arc<Losses>,
     /// Lines about strangers, by reason.
     stranger_lines: LogLimit<String>,
@@ -129,6 +133,7 @@ impl Service {
             scheduler,
             strangers: VecDeque::new(),
             nodes: BTreeMap::new(),
+            local: BTreeSet::new(),
             losses: Arc::default(),
             stranger_lines: LogLimit::new(RateLimit::new(MOST_STRANGER_LINES_AT_ONCE, LINE_INTERVAL)),
             node_lines: LogLimit::new(RateLimit::new(MOST_NODE_LINES_AT_ONCE, LINE_INTERVAL)),
@@ -149,6 +154,7 @@ impl Service {
         listener: TcpListener,
         mut probes: watch::Receiver<Probe>,
         mut structures: watch::Receiver<Option<Structure>>,
+        mut local_news: mpsc::UnboundedReceiver<LocalNews>,
     ) {
         let (event_sender, mut events) = mpsc::channel(LONGEST_EVENT_QUEUE);
         let mut connections = JoinSet::new();
@@ -163,7 +169,7 @@ impl Service {
                     last_node.0 += 1;
                     let is_local = stream.local_addr().is_ok_and(|here| is_same_machine(here, address));
                     let sender = EventSender { node: last_node, address, is_local, farm: event_sender.clone() };
-                    let connection = run_connection(stream, self.key.clone(), sender, Arc::clone(&self.losses), self.started_at);
+                    let connection = connection::run(stream, self.key.clone(), sender, Arc::clone(&self.losses), self.started_at);
                     self.strangers.push_back((last_node, connections.spawn(connection)));
                     if self.strangers.len() > MOST_STRANGERS && let Some((_, oldest)) = self.strangers.pop_front() {
                         oldest.abort();
@@ -182,6 +188,7 @@ impl Service {
                     let structure = *structures.borrow_and_update();
                     self.on_structure(structure);
                 }
+                Some(news) = local_news.recv() => self.on_local_news(news),
                 Ok(()) = probes.changed() => {
                     let probe = *probes.borrow_and_update();
                     self.on_probe(probe);
@@ -255,7 +262,8 @@ impl Service {
                     return;
                 }
                 if let Some(more) = self.admit_line("joined", &name) {
-                    tracing::info!("render server {name} joined from {address} with {threads} threads{more}");
+                    let threads = counted(threads, "thread");
+                    tracing::info!("render server {name} joined from {address} with {threads}{more}");
                 }
                 self.nodes.insert(id, NodeConnection { is_local, outbox, pending });
                 let n_failures = self.losses.n_lost(&name, address.ip());
@@ -325,6 +333,14 @@ impl Service {
         status.nodes.iter().find(|node| node.id == id).map_or_else(String::new, |node| node.name.clone())
     }
 
+    /// The render server across its connections.
+    fn key(&self, id: NodeId) -> NodeKey {
+        let status = self.status.borrow();
+        let Some(node) = status.nodes.iter().find(|node| node.id == id) else { return NodeKey::default() };
+        let is_ours = self.local.contains(&node.name) && self.nodes.get(&id).is_some_and(|node| node.is_local);
+        (node.name.clone(), (!is_ours).then(|| node.address.ip()))
+    }
+
     fn on_scene_state(&mut self, id: NodeId, mut state: SceneState) {
         if let SceneState::Missing { reason } = &mut state {
             *reason = printable(reason);
@@ -336,12 +352,15 @@ impl Service {
                 if let Some(more) = self.admit_line("missing", &name) {
                     tracing::warn!("render server {name} does not have the model: {reason}{more}");
                 }
-                self.status.send_modify(|status| status.message = Some(format!("{name}: {reason}")));
+                let (key, text) = (self.key(id), format!("{name}: {reason}."));
+                self.status.send_modify(|status| status.notices.put(key, text));
             }
             SceneState::Ready { .. } if !was_ready => {
                 if let Some(more) = self.admit_line("ready", &name) {
                     tracing::info!("render server {name} is ready{more}");
                 }
+                let key = self.key(id);
+                self.status.send_modify(|status| status.notices.clear(&key));
             }
             _ => {}
         }
@@ -362,6 +381,7 @@ impl Service {
 
     fn on_ended(&mut self, id: NodeId, address: SocketAddr, reason: Result<(), ConnectionError>) {
         self.remove_stranger(id);
+        let key = self.key(id);
         if self.nodes.remove(&id).is_none() {
             if let Err(reason) = reason {
                 // Without the numbers in it, which a stranger chooses.
@@ -381,10 +401,20 @@ impl Service {
         self.status.send_modify(|status| {
             status.nodes.retain(|node| node.id != id);
             status.n_lost += 1;
-            let rest = if status.nodes.is_empty() { "No other is left" } else { "The others render its share" };
-            status.message = Some(format!("{name} lost: {reason}. {rest}; start it again to have it back."));
+            status.notices.put_lost(key, &reason, status.nodes.is_empty());
         });
         self.dispatch(Event::Lost { node: id });
+        self.wake_for_news();
+    }
+
+    fn on_local_news(&mut self, news: LocalNews) {
+        match news {
+            LocalNews::Started { name } => {
+                self.local.insert(name.clone());
+                self.status.send_modify(|status| status.notices.reword_started(&(name, None)));
+            }
+            LocalNews::Ended { name, text } => self.status.send_modify(|status| status.notices.put((name, None), text)),
+        }
         self.wake_for_news();
     }
 
@@ -465,17 +495,4 @@ impl Service {
 async fn accept_after(when: tokio::time::Instant, listener: &TcpListener) -> io::Result<(TcpStream, SocketAddr)> {
     sleep_until(when).await;
     listener.accept().await
-}
-
-async fn run_connection(
-    mut stream: TcpStream,
-    key: Option<Key>,
-    events: EventSender,
-    losses: Arc<Losses>,
-    started_at: Instant,
-) {
-    // Requests are small and must not wait for more.
-    let _ = stream.set_nodelay(true);
-    let (input, output) = stream.split();
-    connection::serve(input, output, key.as_ref(), events, &losses, started_at).await;
 }

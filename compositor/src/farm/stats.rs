@@ -8,6 +8,8 @@ use shared::{
     protocol::{Encoding, ProbeHit, RunCosts, SceneState},
 };
 
+use super::notices::Notices;
+
 /// The number of a render server: from 1, in the order of connecting; a wall uses none twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 pub struct NodeId(pub u32);
@@ -49,8 +51,8 @@ pub struct FarmStatus {
     pub n_lost: u32,
     /// Frames completed although a render server was lost or late.
     pub n_healed: u32,
-    /// The last event that an operator should know about, with its cure.
-    pub message: Option<String>,
+    /// Render servers that do not render, each with the cure.
+    pub notices: Notices,
     /// The last answer to a probe.
     pub probed: Option<Probed>,
 }

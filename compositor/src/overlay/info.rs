@@ -5,7 +5,7 @@ use std::fmt;
 use egui::{RichText, Ui};
 use glam::DVec3;
 use renderer::model::solid::UNFILLED;
-use shared::{protocol::SceneState, structure::Structure};
+use shared::{printable::counted, protocol::SceneState, structure::Structure};
 
 use super::{OverlayModel, appearance, style};
 use crate::control::input::Command;
@@ -16,13 +16,18 @@ pub(crate) struct ModelSummary {
     pub name: String,
     /// Triangles that are traced.
     pub n_triangles: usize,
-    /// Degenerate triangles, which cannot be traced.
-    pub n_rejected: usize,
     /// Whether the triangles bound a solid, which cuts fill.
     pub is_solid: bool,
     /// Width, height and depth of the box around it, in its own unit.
     pub extent: DVec3,
+    /// What its file holds beside triangles; a line each.
+    pub found: Vec<String>,
+    /// Parts of its file that are left out, or shown otherwise than it says; a line each.
+    pub left_out: Vec<String>,
 }
+
+/// Lines on parts that are left out; the log has the rest.
+const MOST_LEFT_OUT: usize = 4;
 
 /// A point of the model that somebody clicked on.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,11 +57,8 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
         ui.label(RichText::new(&summary.name).strong());
     });
     let guessed = if model.up_is_guessed { ", as guessed (U)" } else { "" };
-    let mut text = format!("{} triangles, {} up{guessed}", style::grouped(summary.n_triangles), model.up);
-    if summary.n_rejected > 0 {
-        text += &format!(", {} more cannot be traced", style::grouped(summary.n_rejected));
-    }
-    ui.label(text);
+    let n_triangles = counted(style::grouped(summary.n_triangles), "triangle");
+    ui.label(format!("{n_triangles}, {} up{guessed}", model.up));
     let DVec3 { x, y, z } = summary.extent;
     if summary.extent.is_finite() && summary.extent.min_element() >= 0.0 {
         ui.label(format!("{} × {} × {} in its own unit", length(x), length(y), length(z)));
@@ -69,6 +71,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
     if let Some(Structure { storage, density }) = ready_scenes(model).find_map(|(_, _, grid)| grid) {
         ui.label(format!("Grid: {storage}, {density} cells a triangle"));
     }
+    found(ui, summary);
     if let Some(pick) = &model.pick {
         ui.label(RichText::new(pick.to_string()).color(style::ACCENT));
     } else {
@@ -95,6 +98,21 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
     appearance::show(ui, &model.appearance, commands);
     if model.appearance.clip.is_some() && !summary.is_solid {
         ui.label(RichText::new(UNFILLED).small().weak());
+    }
+}
+
+/// What the model's file holds, and what of it is not on the wall.
+fn found(ui: &mut Ui, summary: &ModelSummary) {
+    for line in &summary.found {
+        ui.label(RichText::new(line).small().weak());
+    }
+    for line in summary.left_out.iter().take(MOST_LEFT_OUT) {
+        ui.label(RichText::new(line).small().color(style::BUSY));
+    }
+    let n_more = summary.left_out.len().saturating_sub(MOST_LEFT_OUT);
+    if n_more > 0 {
+        let text = format!("{} in the log", counted(n_more, "more line"));
+        ui.label(RichText::new(text).small().color(style::BUSY));
     }
 }
 

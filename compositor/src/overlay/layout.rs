@@ -28,7 +28,7 @@ pub(super) struct Panel {
 /// The panels in a window, in points.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Layout {
-    /// The window without its margins.
+    /// The window without its margins, and without a legend that has no place beside panels.
     pub room: Rect,
     pub panels: Vec<Panel>,
     /// The room that panels leave, for messages; all of it if they leave too little.
@@ -54,15 +54,16 @@ impl Part {
 
 impl Layout {
     /// Arranges parts in a window: a `dialog` stands alone in the middle; figures and model stand on both sides, or in a
-    /// narrow window below each other.
-    pub(super) fn new(window: Rect, dialog: Option<Part>, sides: &[Part]) -> Self {
-        let room = window.shrink(MARGIN.min(window.width().min(window.height()) / 4.0));
+    /// narrow window below each other. `legend`: the height in points of a legend, which has its place below panels where
+    /// there is none beside them.
+    pub(super) fn new(window: Rect, dialog: Option<Part>, sides: &[Part], legend: Option<f32>) -> Self {
+        let mut room = window.shrink(MARGIN.min(window.width().min(window.height()) / 4.0));
         let outer = |part: &Part| (part.width() + 2.0 * PANEL_PADDING).min(room.width());
         let panel = |parts: &[Part], align| {
             let width = parts.iter().map(outer).fold(0.0, f32::max) - 2.0 * PANEL_PADDING;
             Panel { parts: parts.to_vec(), align, width: width.max(1.0) }
         };
-        let is_wide = sides.iter().map(outer).sum::<f32>() + MARGIN <= room.width();
+        let is_wide = sides.iter().map(|part| outer(part) + MARGIN).sum::<f32>() + LEAST_FREE <= room.width();
         let panels = match (dialog, sides) {
             (Some(dialog), _) => vec![panel(&[dialog], Align2::CENTER_TOP)],
             (None, [left, right]) if is_wide => {
@@ -80,7 +81,14 @@ impl Layout {
                 _ => {}
             }
         }
-        Self { room, panels, free: if free.width() < LEAST_FREE { room } else { free } }
+        if free.width() < LEAST_FREE {
+            free = room;
+            if let Some(height) = legend {
+                let edge = room.max.y - height.min(room.height() / 2.0);
+                (free.min.y, room.max.y) = (edge, (edge - MARGIN).max(room.min.y));
+            }
+        }
+        Self { room, panels, free }
     }
 }
 
@@ -93,15 +101,15 @@ mod tests {
     const SIDES: [Part; 2] = [Part::Figures, Part::Model];
 
     fn layout(width: f32, dialog: Option<Part>) -> Layout {
-        Layout::new(Rect::from_min_size(pos2(0.0, 0.0), vec2(width, 600.0)), dialog, &SIDES)
+        Layout::new(Rect::from_min_size(pos2(0.0, 0.0), vec2(width, 600.0)), dialog, &SIDES, None)
     }
 
     #[test]
     fn figures_and_model_share_a_panel_where_there_is_no_room_for_two() {
-        let wide = layout(1000.0, None);
+        let wide = layout(1100.0, None);
         assert_eq!(wide.panels.len(), 2);
         assert_eq!(wide.panels.iter().map(|panel| &*panel.parts).collect::<Vec<_>>(), [&SIDES[..1], &SIDES[1..]]);
-        for width in [700.0, 330.0, 60.0] {
+        for width in [900.0, 700.0, 330.0, 60.0] {
             let narrow = layout(width, None);
             let [panel] = &*narrow.panels else { panic!("{narrow:?}") };
             assert_eq!(panel.parts, SIDES);

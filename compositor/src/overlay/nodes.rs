@@ -1,7 +1,7 @@
 //! One row for each render server: its name, its state, and its times in the newest frame.
 
 use egui::{Color32, RichText, Ui};
-use shared::protocol::SceneState;
+use shared::{printable::counted, protocol::SceneState};
 
 use super::{OverlayModel, Tint, style, tint::node_color};
 use crate::farm::stats::{FarmStatus, NodeFrameStats, NodeStatus};
@@ -15,7 +15,8 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel) {
     if nodes.is_empty() {
         return;
     }
-    let lost = if *n_lost > 0 { format!(", {n_lost} lost, {n_healed} frames healed") } else { String::new() };
+    let lost =
+        if *n_lost > 0 { format!(", {n_lost} lost, {} healed", counted(n_healed, "frame")) } else { String::new() };
     style::section(ui, &format!("Render servers: {} of {} ready{lost}", n_ready(&model.status), nodes.len()), "");
     let frame_of =
         |node: &NodeStatus| model.frame.as_ref().and_then(|frame| frame.nodes.iter().find(|stats| stats.id == node.id));
@@ -104,13 +105,13 @@ fn details(ui: &mut Ui, node: &NodeStatus, frame: Option<&NodeFrameStats>) {
 }
 
 fn address_and_threads(node: &NodeStatus, frame: Option<&NodeFrameStats>) -> String {
-    let threads = if node.threads == 1 { "thread" } else { "threads" };
+    let threads = counted(node.threads, "thread");
     let failures = match node.n_failures {
         0 => String::new(),
-        n_failures => format!(", lost {n_failures} times"),
+        n_failures => format!(", lost {}", counted(n_failures, "time")),
     };
     let encoding = frame.map(|frame| format!(", {}", frame.encoding)).unwrap_or_default();
-    format!("{}, {} {threads}{encoding}{failures}", node.address, node.threads)
+    format!("{}, {threads}{encoding}{failures}", node.address)
 }
 
 /// The state in a word, its colour, and the cure.

@@ -105,15 +105,16 @@ pub(super) fn running() -> OverlayModel {
             ],
             n_healed: 3,
             n_lost: 0,
-            message: None,
+            notices: Default::default(),
             probed: None,
         },
         model: Some(ModelSummary {
             name: "statue".to_owned(),
             n_triangles: 1_000_000,
-            n_rejected: 0,
             is_solid: true,
             extent: DVec3::new(1.0, 1.9, 1.0),
+            found: Vec::new(),
+            left_out: Vec::new(),
         }),
         min_renderers: 1,
         ..Default::default()
@@ -141,6 +142,21 @@ fn every_figure_has_its_name() {
         ] {
             harness.get_by_label(label);
         }
+    });
+}
+
+#[test]
+fn the_panel_of_the_model_says_what_is_left_out() {
+    let mut model = running();
+    let summary = model.model.as_mut().expect("a model");
+    (summary.n_triangles, summary.found) = (1, vec!["2 materials, 1 image of up to 8x8 texels".to_owned()]);
+    summary.left_out = (1..=6).map(|number| format!("image {number} is left out")).collect();
+    commands_of(&model, |harness| {
+        for label in ["1 triangle, y up", "2 materials, 1 image of up to 8x8 texels", "image 4 is left out"] {
+            harness.get_by_label(label);
+        }
+        assert!(harness.query_by_label("image 5 is left out").is_none());
+        harness.get_by_label("2 more lines in the log");
     });
 }
 

@@ -12,6 +12,7 @@ mod steering;
 use std::time::{Duration, Instant};
 
 use renderer::model::scene::SceneSource;
+use shared::printable::counted;
 use winit::{
     application::ApplicationHandler,
     event::WindowEvent,
@@ -205,7 +206,7 @@ impl<'a> App<'a> {
 
     fn show_model(&mut self, model: Model, sidecars: SidecarFiles) {
         let name = name_of(&model.source);
-        tracing::info!("showing {name}: {} triangles", model.n_triangles);
+        tracing::info!("showing {name}: {}", counted(model.n_triangles, "triangle"));
         self.messages.problem = None;
         if let Some(problem) = sidecars.problem() {
             self.apply(Effect::problem(problem));
@@ -214,13 +215,17 @@ impl<'a> App<'a> {
         self.overlay.model = Some(ModelSummary {
             name: name.clone(),
             n_triangles: model.n_triangles,
-            n_rejected: model.n_rejected,
             is_solid: model.is_solid,
             extent: model.shape.bounds.1 - model.shape.bounds.0,
+            found: model.found.clone(),
+            left_out: model.left_out.clone(),
         });
         self.overlay.join = join_hint(self.farm.address(), self.args.key.as_deref(), model.path().as_deref());
         self.outputs.set_title(format!("{name} – Raywall"));
-        let effect = self.camera.set_model(&model, sidecars, Instant::now());
+        if self.model.is_some() {
+            self.picture.begin_model();
+        }
+        let effect = self.camera.set_model(&model, sidecars, &self.free_parts(), Instant::now());
         if let (up, true) = self.camera.up() {
             tracing::info!("{up} is guessed to point up in {name}: U on the wall, or --up, chooses another axis");
         }

@@ -9,7 +9,7 @@ use crate::overlay::JoinHint;
 /// The command by which a render server joins the wall that listens on `address`, and a note on where it works.
 ///
 /// `key` is the wall's key file; `model` is the file that the wall shows, if it is one.
-pub(super) fn join_hint(address: SocketAddr, key: Option<&Path>, model: Option<&Path>) -> JoinHint {
+pub(crate) fn join_hint(address: SocketAddr, key: Option<&Path>, model: Option<&Path>) -> JoinHint {
     let port = address.port();
     let is_local = address.ip().is_loopback();
     let host = if address.ip().is_unspecified() { host_name() } else { address.ip().to_string() };

@@ -7,6 +7,7 @@ use clap::{
     Args, Subcommand,
     builder::{PathBufValueParser, TypedValueParser},
 };
+use shared::printable::counted;
 
 use crate::{
     cli::{between, check_writable, picture_args::with_ending, progress::Progress, say, stop::Task},
@@ -45,5 +46,10 @@ pub fn run(args: &GenerateArgs) -> anyhow::Result<()> {
     };
     let _task = Task::named(format!("writing {}", out.display()));
     ply::write(out, &mesh).with_context(|| format!("cannot write {}", out.display()))?;
-    say(format_args!("{}: {} vertices, {} triangles", out.display(), mesh.vertices.len(), mesh.triangles.len()))
+    say(format_args!(
+        "{}: {}, {}",
+        out.display(),
+        counted(mesh.vertices.len(), "vertex"),
+        counted(mesh.triangles.len(), "triangle")
+    ))
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use channel::files;
 use rayon::ThreadPool;
 use shared::{
@@ -15,6 +15,7 @@ use shared::{
 use crate::{
     cli::{appearance_args::AppearanceArgs, between, progress::Progress, scene_args::SceneArgs},
     model::{
+        file::is_named_as_model,
         mesh::Mesh,
         scene::{self, LoadError, LoadedMesh, SceneSource},
         solid::UNFILLED,
@@ -68,7 +69,9 @@ impl ModelArgs {
     pub fn load(&self) -> Result<LoadedMesh, LoadError> {
         let source = self.source();
         let progress = Progress::new(format!("loading {source}"));
-        Ok(scene::load(&source, self.crease, &|done| progress.set(done))?.smooth())
+        let loaded = scene::load(&source, self.crease, &|done| progress.set(done))?;
+        loaded.log(&source);
+        Ok(loaded.smooth())
     }
 }
 
@@ -170,8 +173,15 @@ pub fn with_ending(path: PathBuf, ending: &str) -> Result<PathBuf, String> {
 
 /// Reads and checks a camera file.
 pub fn read_camera(path: &Path) -> Result<Camera> {
-    let text = files::read_text(path, 1 << 20).with_context(|| path.display().to_string())?;
-    Camera::from_toml(&text).with_context(|| format!("{} is not a camera file", path.display()))
+    let name = path.display();
+    let read = || {
+        let text = files::read_text(path, 1 << 20).with_context(|| name.to_string())?;
+        Camera::from_toml(&text).with_context(|| format!("{name} is not a camera file"))
+    };
+    read().map_err(|error| match is_named_as_model(path) && path.is_file() {
+        true => anyhow!("{name} is a model by its name, and a camera file is TOML: --model {name} shows it"),
+        false => error,
+    })
 }
 
 #[cfg(test)]

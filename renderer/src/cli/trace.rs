@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::builder::{PathBufValueParser, TypedValueParser};
+use shared::printable::counted;
 
 use crate::{
     cli::{
@@ -34,12 +35,12 @@ pub fn run(TraceArgs { picture, image }: &TraceArgs) -> Result<()> {
     picture.pool()?.install(|| {
         // The camera is checked before a large model is read.
         let camera = picture.read_camera()?;
-        let LoadedMesh { id, mesh } = picture.model.load()?;
+        let LoadedMesh { id, mesh, .. } = picture.model.load()?;
         let spec = picture.spec(id, camera.unwrap_or_else(|| picture.view_all(&mesh)));
         let scene = picture.build(mesh);
         let _task = Task::named("rendering the picture");
         let (rgb, _) = scene.render_frame(&spec);
         image::write_png(image, spec.size, &rgb).with_context(|| format!("cannot write {}", image.display()))?;
-        say(format_args!("{}: {} samples, {} triangles", image.display(), spec.size, scene.n_triangles()))
+        say(format_args!("{}: {} samples, {}", image.display(), spec.size, counted(scene.n_triangles(), "triangle")))
     })
 }

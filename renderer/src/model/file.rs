@@ -18,7 +18,13 @@ use crate::model::{
 };
 
 /// The endings of files that are read, in small letters.
-pub const ENDINGS: [&str; 5] = ["ply", "obj", "stl", "gltf", "glb"];
+const ENDINGS: [&str; 5] = ["ply", "obj", "stl", "gltf", "glb"];
+
+/// Whether a file is a model by the ending of its name.
+pub fn is_named_as_model(path: &Path) -> bool {
+    let ending = path.extension().unwrap_or_default();
+    ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known))
+}
 
 /// A model's mesh with its images, and what is to be said of it.
 #[derive(Debug)]

@@ -1,5 +1,7 @@
 //! How surfaces look: materials and their textures, as glTF 2.0 defines them.
 
+use shared::printable::counted;
+
 /// The look of a mesh: its materials, and the images that they use.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Materials {
@@ -20,12 +22,11 @@ impl Materials {
 
     /// The numbers of materials and images, for the log; `None` without any.
     pub(crate) fn summary(&self) -> Option<String> {
-        let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
-        let materials = count(self.materials.len(), "material");
+        let materials = counted(self.materials.len(), "material");
         let largest = self.images.iter().max_by_key(|image| u64::from(image.width) * u64::from(image.height));
         (!self.materials.is_empty()).then(|| match largest {
             Some(Image { width, height, .. }) => {
-                format!("{materials}, {} of up to {width}x{height} texels", count(self.images.len(), "image"))
+                format!("{materials}, {} of up to {width}x{height} texels", counted(self.images.len(), "image"))
             }
             None => materials,
         })

@@ -220,7 +220,7 @@ impl Model {
         }
         let mut draft = Draft { mesh, ..Draft::default() };
         if self.n_left_out > 0 {
-            draft.remarks.push(format!("{} points, lines or curved surfaces are left out", self.n_left_out));
+            draft.remarks.push(format!("points, lines and curved surfaces are left out: {}", self.n_left_out));
         }
         if self.n_short > 0 {
             draft.remarks.push(format!("{} faces with fewer than three corners are left out", self.n_short));
@@ -300,7 +300,9 @@ fn assign_materials(draft: &mut Draft, library: Library, names: &[String], of_tr
         draft.remarks.push("more than 65535 materials are left out".to_owned());
     }
     if n_missing > 0 {
-        draft.remarks.push(format!("{n_missing} of {} materials are in none of its files of materials", names.len()));
+        draft
+            .remarks
+            .push(format!("materials that none of its files of materials has: {n_missing} of {}", names.len()));
     }
     look.of_triangles = of_triangles;
     if let Some(&only) = look.of_triangles.first().filter(|&only| look.of_triangles.iter().all(|it| it == only)) {

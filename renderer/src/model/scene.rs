@@ -1,14 +1,11 @@
 //! Loads meshes and identifies them.
 
-use std::{
-    fmt,
-    path::{Path, PathBuf},
-};
+use std::{fmt, path::PathBuf};
 
 use bytemuck::NoUninit;
 use glam::DVec3;
 use shared::{
-    printable::printable_line,
+    printable::{counted, printable_line},
     scene::{Crease, SceneId},
 };
 
@@ -50,6 +47,8 @@ pub struct LoadedMesh {
     pub id: SceneId,
     /// Has at least one triangle that can be traced.
     pub mesh: Mesh,
+    /// Parts of the file that are left out, or shown otherwise than it says: a line each, without the file's name.
+    pub left_out: Vec<String>,
 }
 
 /// Why a scene cannot be loaded.
@@ -60,12 +59,12 @@ pub enum LoadError {
     File(#[from] FileError),
     #[error("{}: is empty: it has neither vertices nor triangles; export the model again", path.display())]
     Empty { path: PathBuf },
-    #[error("{}: has {n_vertices} vertices and no triangles: a point cloud must be meshed first", path.display())]
+    #[error("{}: has {} and no triangles: a point cloud must be meshed first", path.display(), counted(n_vertices, "vertex"))]
     NoTriangles { path: PathBuf, n_vertices: usize },
-    #[error("{}: has {n_vertices} vertices, and each of its {n_rejected} triangles has a corner that is none of them, or \
-        that has no usable position: export the model again", path.display())]
+    #[error("{}: has {}, and each triangle, of {n_rejected}, has a corner that is none of them, or that has no usable \
+        position: export the model again", path.display(), counted(n_vertices, "vertex"))]
     NoneUsable { path: PathBuf, n_vertices: usize, n_rejected: usize },
-    #[error("{}: none of its {n_triangles} triangles has an area, so there is nothing to see: export the model again", path.display())]
+    #[error("{}: no triangle, of {n_triangles}, has an area, so there is nothing to see: export the model again", path.display())]
     NoArea { path: PathBuf, n_triangles: usize },
 }
 
@@ -75,6 +74,23 @@ impl LoadedMesh {
     pub fn smooth(self) -> Self {
         Self { mesh: self.mesh.smooth(self.id.crease()), ..self }
     }
+
+    /// What the file holds beside triangles: a line each, without the file's name.
+    pub fn found(&self) -> Vec<String> {
+        let mesh = &self.mesh;
+        let relative = (mesh.origin != DVec3::ZERO).then(|| {
+            let DVec3 { x, y, z } = mesh.origin;
+            let rounding = mesh.largest_rounding();
+            format!("traced relative to ({x}, {y}, {z}), rounded by at most {rounding:.1e}")
+        });
+        mesh.materials.summary().into_iter().chain(relative).collect()
+    }
+
+    /// Logs what the file holds, and what was left out.
+    pub fn log(&self, source: &SceneSource) {
+        self.found().iter().for_each(|line| tracing::info!("{source}: {line}"));
+        self.left_out.iter().for_each(|line| tracing::warn!("{source}: {line}"));
+    }
 }
 
 /// Loads a mesh, for a scene that is as smooth as `crease` says; `progress` receives the fraction done, 0 to 1.
@@ -83,7 +99,8 @@ impl LoadedMesh {
 pub fn load(source: &SceneSource, crease: Crease, progress: &(dyn Fn(f32) + Sync)) -> Result<LoadedMesh, LoadError> {
     match source {
         &SceneSource::Statue { triangles } => {
-            Ok(LoadedMesh { id: SceneId::Statue { triangles, crease }, mesh: statue::generate(triangles, progress) })
+            let mesh = statue::generate(triangles, progress);
+            Ok(LoadedMesh { id: SceneId::Statue { triangles, crease }, mesh, left_out: Vec::new() })
         }
         SceneSource::File(path) => {
             let Reading { mesh, remarks } = file::read(path, progress)?;
@@ -101,8 +118,7 @@ pub fn load(source: &SceneSource, crease: Crease, progress: &(dyn Fn(f32) + Sync
             if !has_area(&mesh) {
                 return Err(LoadError::NoArea { path, n_triangles: mesh.triangles.len() });
             }
-            log(&path, &mesh, &remarks);
-            Ok(LoadedMesh { id: mesh_id(&mesh, crease), mesh })
+            Ok(LoadedMesh { id: mesh_id(&mesh, crease), left_out: left_out(&mesh, &remarks), mesh })
         }
     }
 }
@@ -115,31 +131,18 @@ fn has_area(mesh: &Mesh) -> bool {
         .any(|[a, b, c]| (b - a).cross(c - a) != DVec3::ZERO)
 }
 
-/// Lines of remarks that are logged; a model that has moved may lack a thousand images.
+/// Remarks that are told; a model that has moved may lack a thousand images.
 const MOST_REMARKS: usize = 10;
 
-/// Tells what a file holds, and what was left out.
-fn log(path: &Path, mesh: &Mesh, remarks: &[String]) {
-    let (path, n_triangles, n_rejected) = (path.display(), mesh.triangles.len(), mesh.n_rejected);
-    if let Some(look) = mesh.materials.summary() {
-        tracing::info!("{path}: {look}");
-    }
-    for remark in remarks.iter().take(MOST_REMARKS) {
-        tracing::warn!("{path}: {}", printable_line(remark));
-    }
-    if remarks.len() > MOST_REMARKS {
-        tracing::warn!("{path}: {} more lines like these", remarks.len() - MOST_REMARKS);
-    }
-    if n_rejected > 0 {
-        tracing::warn!(
-            "{path}: {n_rejected} of {n_triangles} triangles are left out: a corner is missing or not finite"
-        );
-    }
-    if mesh.origin != DVec3::ZERO {
-        let DVec3 { x, y, z } = mesh.origin;
-        let rounding = mesh.largest_rounding();
-        tracing::info!("{path}: traced relative to ({x}, {y}, {z}), rounded by at most {rounding:.1e}");
-    }
+/// The parts that were left out, in lines fit for a log.
+fn left_out(mesh: &Mesh, remarks: &[String]) -> Vec<String> {
+    let (n_triangles, n_rejected) = (mesh.triangles.len(), mesh.n_rejected);
+    let n_more = remarks.len().saturating_sub(MOST_REMARKS);
+    let more = (n_more > 0).then(|| format!("{} like these", counted(n_more, "more line")));
+    let rejected = (n_rejected > 0).then(|| {
+        format!("triangles with a corner that is missing or not finite are left out: {n_rejected} of {n_triangles}")
+    });
+    remarks.iter().take(MOST_REMARKS).map(|remark| printable_line(remark)).chain(more).chain(rejected).collect()
 }
 
 /// BLAKE3 over vertices, triangles and colours: for each its length as `u64`, then its numbers, all little endian; then

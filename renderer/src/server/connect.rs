@@ -97,7 +97,10 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
     let loader = match &args.replay {
         Some(picture) => SceneLoader::synthetic(pool, SyntheticPicture::read(picture)?),
         None if args.blank => SceneLoader::synthetic(pool, SyntheticPicture::noise()),
-        None => SceneLoader::start(pool, args.model, args.scene.options())?,
+        None => {
+            // The wall has read the same file, and tells of it.
+            SceneLoader::start(pool, args.model, args.scene.options(), !args.local)?
+        }
     };
     if with_port(&args.wall).starts_with(':') {
         bail!("the wall has no name: write it as HOST or HOST:PORT, for example wall.example:{DEFAULT_PORT}");

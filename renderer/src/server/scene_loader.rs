@@ -9,6 +9,7 @@ use std::{
 use anyhow::Context;
 use rayon::ThreadPool;
 use shared::{
+    printable::counted,
     protocol::SceneState,
     scene::{Crease, SceneId},
     structure::Structure,
@@ -97,8 +98,14 @@ pub(crate) struct SceneLoader {
 }
 
 impl SceneLoader {
-    /// Starts the loading thread, which first loads `model`, if given, before any wall asks.
-    pub(crate) fn start(pool: Arc<ThreadPool>, model: Option<PathBuf>, options: GridOptions) -> anyhow::Result<Self> {
+    /// Starts the loading thread, which first loads `model`, if given, before any wall asks. `tells`: whether it logs what
+    /// files hold and lack.
+    pub(crate) fn start(
+        pool: Arc<ThreadPool>,
+        model: Option<PathBuf>,
+        options: GridOptions,
+        tells: bool,
+    ) -> anyhow::Result<Self> {
         let requests = Arc::new(LatestRequest::default());
         let (progress, _) = watch::channel(None);
         let current = CurrentScene::default();
@@ -108,6 +115,8 @@ impl SceneLoader {
             model,
             options,
             structure: None,
+            tells,
+            told: None,
             progress: progress.clone(),
         };
         std::thread::Builder::new()
@@ -164,6 +173,9 @@ struct LoaderThread {
     options: GridOptions,
     /// The structure that the wall chose for the loaded scene, if it did.
     structure: Option<Structure>,
+    tells: bool,
+    /// The scene of which the log tells already; a new structure has it read again.
+    told: Option<SceneId>,
     progress: watch::Sender<LoadProgress>,
 }
 
@@ -243,7 +255,7 @@ impl LoaderThread {
 
     /// Loads and builds a scene; drops the previous one first, so that memory never holds two.
     fn load(
-        &self,
+        &mut self,
         ordered: Option<SceneId>,
         crease: Crease,
         source: &SceneSource,
@@ -261,15 +273,23 @@ impl LoaderThread {
                 bar.set(fraction * 0.5);
                 report_progress(fraction * 0.5);
             })
-            .map_err(|error| error.to_string())?
-            .smooth();
-            let scene = Scene::build(loaded.mesh, &self.effective_options(), &|fraction| {
+            .map_err(|error| error.to_string())?;
+            let id = loaded.id;
+            if self.tells && self.told != Some(loaded.id) {
+                loaded.log(source);
+            }
+            let scene = Scene::build(loaded.smooth().mesh, &self.effective_options(), &|fraction| {
                 bar.set(0.5 + fraction * 0.5);
                 report_progress(0.5 + fraction * 0.5);
             });
-            Ok((loaded.id, Arc::new(scene)))
+            Ok((id, Arc::new(scene)))
         })?;
-        tracing::info!("{source} is ready: {} triangles in {} MB", scene.n_triangles(), scene.n_bytes() / 1_000_000);
+        self.told = Some(id);
+        tracing::info!(
+            "{source} is ready: {} in {} MB",
+            counted(scene.n_triangles(), "triangle"),
+            scene.n_bytes() / 1_000_000
+        );
         if let Some(shortage) = scene.grid.shortage() {
             tracing::warn!("{source}: {shortage}");
         }

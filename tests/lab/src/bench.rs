@@ -144,7 +144,7 @@ pub(crate) fn run(args: &BenchArgs) -> anyhow::Result<()> {
     let (wake, wakeups) = wakeups();
     let aspect = wall.aspect();
     let headless = if args.nodes.0.is_empty() { None } else { Some(Headless::new(wall)?) };
-    let LoadedMesh { id, mesh } = show.model.load()?;
+    let LoadedMesh { id, mesh, .. } = show.model.load()?;
     // From here on, an experiment that is stopped has results.
     wake_to_stop(wake.clone());
     let [min, max] = mesh.extent();

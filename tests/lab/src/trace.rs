@@ -116,7 +116,7 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
     // The camera is checked before a large model is read.
     let camera = args.picture.read_camera()?;
     let (loaded, load_seconds) = timed(|| args.picture.model.load());
-    let LoadedMesh { id, mesh } = loaded?;
+    let LoadedMesh { id, mesh, .. } = loaded?;
     let (triangles, vertices, rejected) = (mesh.triangles.len(), mesh.vertices.len(), mesh.n_rejected);
     let spec = args.picture.spec(id, camera.unwrap_or_else(|| args.picture.view_all(&mesh)));
     let (scene, build_seconds) = timed(|| args.picture.build(mesh));

@@ -1,6 +1,7 @@
 //! A camera path as a film: one frame for each picture, without dropped frames.
 
 mod output;
+mod picture_file;
 
 use std::{
     sync::{
@@ -15,7 +16,10 @@ use renderer::cli::{
     say,
     stop::Task,
 };
-use shared::camera::{Camera, CameraPath};
+use shared::{
+    camera::{Camera, CameraPath},
+    printable::counted,
+};
 
 pub use self::output::{Output, Pictures, Video};
 use super::{Headless, Wakeups, milliseconds, next_frame};
@@ -36,11 +40,16 @@ pub struct Film {
 }
 
 impl Film {
-    /// The number of pictures: the last is at the path's end, or just before.
+    /// The number of pictures that are made.
     pub fn n_pictures(&self) -> u32 {
+        self.n_on_path().min(self.most)
+    }
+
+    /// The number of pictures of the whole path: the last is at its end, or just before.
+    fn n_on_path(&self) -> u32 {
         // Tolerates rounding errors of half a millionth of a picture.
         let n = (self.path.duration_seconds() * self.fps + 5e-7).floor() + 1.0;
-        (n as u32).min(self.most)
+        n as u32
     }
 
     fn camera(&self, index: u32) -> Camera {
@@ -49,7 +58,8 @@ impl Film {
 }
 
 impl Headless {
-    /// Shows each picture of a film once, in order, and hands it on. A film that resumes goes on after its last picture.
+    /// Shows each picture of a film once, in order, and hands it on. A film that resumes has the pictures made that are
+    /// missing or damaged.
     ///
     /// The next picture is rendered while one is drawn, read back and compressed. A camera at rest is rendered once.
     pub fn show_film(
@@ -60,9 +70,9 @@ impl Headless {
         mut output: Output,
     ) -> anyhow::Result<Report> {
         let (n_pictures, mut report) = (film.n_pictures(), Report::default());
-        let first = output.first(n_pictures);
-        let bar = Progress::new(format!("filming {n_pictures} pictures"));
-        let n_begun = Arc::new(AtomicU32::new(first));
+        let pictures = output.pictures_to_render(n_pictures)?;
+        let bar = Progress::new(format!("filming {}", counted(pictures.len(), "picture")));
+        let n_begun = Arc::new(AtomicU32::new(0));
         let line = output.line_if_cut_off(n_pictures);
         let _task = Task::with_line({
             let n_begun = Arc::clone(&n_begun);
@@ -70,8 +80,8 @@ impl Headless {
         });
         let mut last: Option<Frame> = None;
         let mut begun_at = None;
-        request_frame(farm, film.camera(first));
-        for index in first..n_pictures {
+        pictures.first().into_iter().for_each(|&index| request_frame(farm, film.camera(index)));
+        for (n_done, &index) in pictures.iter().enumerate() {
             let started_at = Instant::now();
             let camera = film.camera(index);
             let frame = match last.take().filter(|frame| frame.spec.camera == camera) {
@@ -81,21 +91,21 @@ impl Headless {
                     None => return Ok(report),
                 },
             };
-            if index + 1 < n_pictures {
-                request_frame(farm, film.camera(index + 1));
+            if let Some(&next) = pictures.get(n_done + 1) {
+                request_frame(farm, film.camera(next));
             }
             let display = self.show(&frame)?;
-            n_begun.store(index + 1, Relaxed);
+            n_begun.store(n_done as u32 + 1, Relaxed);
             output.put(index, || Ok(self.offscreen.read(&self.gpu)?))?;
             report.add(&frame, display, milliseconds(started_at.elapsed()));
             last = Some(frame);
-            bar.set((index + 1) as f32 / n_pictures as f32);
+            bar.set((n_done + 1) as f32 / pictures.len() as f32);
             // Time counts from the first picture, which waits for render servers.
             let elapsed = begun_at.get_or_insert_with(Instant::now).elapsed();
-            let left = time_left(elapsed, index - first, n_pictures - index - 1);
+            let left = time_left(elapsed, n_done as u32, (pictures.len() - n_done - 1) as u32);
             bar.tell(&format!("picture {} of {n_pictures}{left}", index + 1));
         }
-        if let Some(line) = output.finish()? {
+        if let Some(line) = output.finish(n_pictures, film.n_on_path())? {
             say(line)?;
         }
         Ok(report)

@@ -26,8 +26,10 @@ fn a_key_steps_through_all_patterns_and_back_to_frames() {
     let mut alignment = Alignment::new(None, Wall::paper());
     for &pattern in Pattern::VARIANTS {
         assert_eq!(alignment.next_pattern(), Some(pattern));
-        assert!(!pattern.help().is_empty());
+        assert!(alignment.help(pattern).starts_with(&format!("{pattern}: {}", pattern.help())));
+        assert_eq!(alignment.help(pattern).contains("nothing can be saved"), pattern == Pattern::Align);
     }
+    assert!(!aligning(Some("a.toml".into()), Wall::paper()).help(Pattern::Align).contains("nothing can be saved"));
     assert_eq!(alignment.next_pattern(), None);
     assert!(alignment.take_shown().is_some_and(|shown| shown.is_ok_and(|shown| shown.is_empty())));
     assert!(alignment.take_shown().is_none(), "nothing has changed since");

@@ -257,7 +257,7 @@ proptest! {
                     navigator.play(Arc::new(CameraPath::new(keys, UpAxis::Y).unwrap()), b > 0.0);
                 }
                 10 => _ = navigator.change_speed(a as i32),
-                11 => navigator.set_model(Shape::of_box(DVec3::splat(b), DVec3::splat(a)), UpAxis::X),
+                11 => navigator.set_model(Shape::of_box(DVec3::splat(b), DVec3::splat(a)), UpAxis::X, &[CanvasPart::WHOLE]),
                 _ => navigator.release(),
             }
             navigator.move_to(DVec2::new(a, b));

@@ -84,9 +84,8 @@ fn messages_are_seen_without_the_panel_and_above_dialogs() {
     }
 }
 
-#[test]
-fn colours_on_the_picture_have_a_legend() {
-    let mut model = OverlayModel { panel: false, tint: Tint::Nodes, ..running() };
+/// A model with a tint, which needs a legend.
+fn tinted(tint: Tint, mut model: OverlayModel) -> OverlayModel {
     let task = crate::farm::stats::FrameTask {
         node: NodeId(1),
         task: Division::Tiled.task(0, 1),
@@ -94,6 +93,32 @@ fn colours_on_the_picture_have_a_legend() {
         costs: Default::default(),
     };
     model.frame.as_mut().expect("a frame").tasks = [task].into_iter().collect();
+    OverlayModel { tint, ..model }
+}
+
+#[test]
+fn a_legend_lies_over_no_panel_in_any_window() {
+    for size in [[355.0, 400.0], [600.0, 500.0], [889.0, 667.0], [1422.0, 800.0]] {
+        let model = tinted(Tint::Cost, long());
+        let output = RefCell::new(OverlayOutput::default());
+        let mut harness = Harness::builder().with_size(size).with_context_setup(apply_style).build_ui(|ui| {
+            *output.borrow_mut() = show(ui, &model);
+        });
+        harness.run();
+        let legend = harness.get_by_label("CPU time: 0").rect();
+        let window = Rect::from_min_size(egui::Pos2::ZERO, size.into());
+        assert!(window.contains_rect(legend), "{size:?}: {legend:?}");
+        let panels = &output.borrow().panels;
+        assert!(!panels.is_empty());
+        for panel in panels {
+            assert!(!panel.intersects(legend), "{size:?}: {legend:?} lies over {panel:?}");
+        }
+    }
+}
+
+#[test]
+fn colours_on_the_picture_have_a_legend() {
+    let model = tinted(Tint::Nodes, OverlayModel { panel: false, ..running() });
     commands_of(&model, |harness| {
         harness.get_by_label("north");
     });

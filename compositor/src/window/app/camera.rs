@@ -32,7 +32,7 @@ pub(super) struct CameraControl {
     /// When time last moved the camera.
     stepped_at: Instant,
     aspect: f64,
-    /// The axis of the options.
+    /// The axis of the options, until the first model is shown.
     up: Option<UpAxis>,
     /// The axis that points up by the model's shape alone.
     guessed_up: Option<UpAxis>,
@@ -82,18 +82,27 @@ impl CameraControl {
         views.map(|views| views.numbers().collect()).unwrap_or_default()
     }
 
-    /// Shows a model: the first from the camera or along the path of the options, others as a whole.
-    pub(super) fn set_model(&mut self, model: &Model, sidecars: SidecarFiles, now: Instant) -> Effect {
-        let known_up = self.up.or_else(|| sidecars.views().and_then(|views| views.up));
+    /// Shows a model: the first by the axis, and from the camera or along the path, of the options; others as a whole, in
+    /// the free `parts` of the canvas.
+    pub(super) fn set_model(
+        &mut self,
+        model: &Model,
+        sidecars: SidecarFiles,
+        parts: &[CanvasPart],
+        now: Instant,
+    ) -> Effect {
+        let known_up = self.up.take().or_else(|| sidecars.views().and_then(|views| views.up));
         let up = known_up.unwrap_or(model.shape.up);
         self.guessed_up = known_up.is_none().then_some(up);
         self.recording = None;
         let sidecars = self.sidecars.insert(sidecars);
         if let Some(navigator) = &mut self.navigator {
-            navigator.set_model(model.shape.clone(), up);
+            navigator.set_model(model.shape.clone(), up, parts);
             return Effect::picture();
         }
         let navigator = self.navigator.insert(Navigator::new(model.shape.clone(), up, self.aspect));
+        // A panel may be there before the model, and stay as it is.
+        navigator.make_room(parts);
         self.first_camera.into_iter().for_each(|camera| navigator.set_camera(camera));
         let Some(path) = self.first_path.take().map(Arc::new) else { return Effect::picture() };
         sidecars.keep_path(Arc::clone(&path));
@@ -241,8 +250,26 @@ mod tests {
     use super::*;
     use crate::control::navigator::Drag;
 
-    fn camera_on_a_cube(now: Instant) -> CameraControl {
-        let mut control = CameraControl {
+    fn cube() -> Model {
+        let statue = SceneSource::Statue { triangles: 8 };
+        Model {
+            source: SceneSource::File("/no/such/folder/cube.ply".into()),
+            scene: renderer::model::scene::load(&statue, Default::default(), &|_| {}).unwrap().id,
+            shape: Shape::of_box(DVec3::ZERO, DVec3::ONE),
+            n_triangles: 12,
+            is_solid: true,
+            found: Vec::new(),
+            left_out: Vec::new(),
+        }
+    }
+
+    fn show(control: &mut CameraControl, model: &Model, parts: &[CanvasPart], now: Instant) {
+        assert!(control.set_model(model, SidecarFiles::read(&model.source), parts, now).wants_picture);
+    }
+
+    /// A camera without a model.
+    fn unused(now: Instant) -> CameraControl {
+        CameraControl {
             navigator: None,
             sidecars: None,
             recording: None,
@@ -252,16 +279,31 @@ mod tests {
             guessed_up: None,
             first_camera: None,
             first_path: None,
-        };
-        let source = SceneSource::File("/no/such/folder/cube.ply".into());
-        let sidecars = SidecarFiles::read(&source);
-        let scene = renderer::model::scene::load(&SceneSource::Statue { triangles: 8 }, Default::default(), &|_| {})
-            .unwrap()
-            .id;
-        let shape = Shape::of_box(DVec3::ZERO, DVec3::ONE);
-        let model = Model { source, scene, shape, n_triangles: 12, n_rejected: 0, is_solid: true };
-        assert!(control.set_model(&model, sidecars, now).wants_picture);
+        }
+    }
+
+    fn camera_on_a_cube(now: Instant) -> CameraControl {
+        let mut control = unused(now);
+        show(&mut control, &cube(), &[], now);
         control
+    }
+
+    #[test]
+    fn another_model_opens_as_a_whole_beside_panels_whatever_the_first_was_told() {
+        let now = Instant::now();
+        let camera = Camera::look_at(DVec3::splat(9.0), DVec3::ONE, DVec3::Z, 0.7, 1.5).unwrap();
+        let mut control = CameraControl { up: Some(UpAxis::Z), first_camera: Some(camera), ..unused(now) };
+        let left = CanvasPart { max: DVec2::new(0.5, 1.0), ..CanvasPart::WHOLE };
+        show(&mut control, &cube(), &[left], now);
+        assert_eq!((control.up().0, control.navigator.as_ref().unwrap().camera()), (UpAxis::Z, camera));
+        let whole = |model: &Model| Camera::view_all(&model.shape, model.shape.up, 1.5, left);
+        let mut alone = unused(now);
+        show(&mut alone, &cube(), &[left], now);
+        assert_eq!(alone.navigator.as_ref().unwrap().camera(), whole(&cube()));
+        let other = Model { shape: Shape::of_box(DVec3::splat(5.0), DVec3::splat(9.0)), ..cube() };
+        show(&mut control, &other, &[left], now);
+        assert_eq!(control.up(), (other.shape.up, true));
+        assert_eq!(control.navigator.as_ref().unwrap().camera(), whole(&other));
     }
 
     #[test]

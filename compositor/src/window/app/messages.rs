@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::farm::stats::FarmStatus;
+use crate::farm::{notices::Notices, stats::FarmStatus};
 
 /// Notes are shown for this time, and so are messages without the panel.
 const NOTE_LIFE: Duration = Duration::from_secs(8);
@@ -12,8 +12,8 @@ pub(super) struct Messages {
     note: Option<(String, Instant)>,
     /// Shown until it is dismissed.
     pub(super) problem: Option<String>,
-    /// The farm's message when it was dismissed, and the number of lost render servers then.
-    dismissed: (Option<String>, u32),
+    /// The farm's notices until they were dismissed.
+    n_dismissed: u64,
     /// The missing monitors when the message about them was dismissed.
     dismissed_monitors: Vec<String>,
     /// The messages that were listed last, and when there was a new one.
@@ -31,9 +31,8 @@ impl Messages {
     }
 
     /// Clears all messages; those of farm and monitors return when they change.
-    pub(super) fn dismiss(&mut self, status: FarmStatus, missing_monitors: Vec<String>) {
-        let dismissed = (status.message, status.n_lost);
-        *self = Self { dismissed, dismissed_monitors: missing_monitors, ..Self::default() };
+    pub(super) fn dismiss(&mut self, status: &FarmStatus, missing_monitors: Vec<String>) {
+        *self = Self { n_dismissed: status.notices.n_put(), dismissed_monitors: missing_monitors, ..Self::default() };
     }
 
     pub(super) fn note(&mut self, now: Instant) -> Option<String> {
@@ -67,8 +66,8 @@ impl Messages {
     }
 
     fn all(&self, status: &FarmStatus, missing_monitors: &[String]) -> Vec<String> {
-        let is_news = (&status.message, status.n_lost) != (&self.dismissed.0, self.dismissed.1);
-        let farm_message = status.message.clone().filter(|_| is_news);
+        let notices = Some(&status.notices).filter(|notices| notices.n_put() != self.n_dismissed);
+        let farm_message = notices.and_then(Notices::message);
         let is_missing = !missing_monitors.is_empty() && missing_monitors != self.dismissed_monitors;
         let missing = is_missing.then(|| {
             format!(
@@ -96,11 +95,18 @@ mod tests {
 
     #[test]
     fn dismissed_messages_return_only_with_news() {
-        let lost = |n_lost| FarmStatus { message: Some("node lost".to_owned()), n_lost, ..FarmStatus::default() };
+        let lost = |n_lost| {
+            let mut status = FarmStatus::default();
+            for _ in 0..n_lost {
+                status.notices.clear(&("node".to_owned(), None));
+                status.notices.put(("node".to_owned(), None), "node lost".to_owned());
+            }
+            status
+        };
         let (left, both) = (["DP-1".to_owned()], ["DP-1".to_owned(), "DP-2".to_owned()]);
         let mut messages = Messages { problem: Some("disk full".to_owned()), ..Messages::default() };
         assert_eq!(messages.all(&lost(1), &left).len(), 3);
-        messages.dismiss(lost(1), left.to_vec());
+        messages.dismiss(&lost(1), left.to_vec());
         assert_eq!(messages.all(&lost(1), &left), Vec::<String>::new());
         assert_eq!(messages.all(&lost(2), &left), ["node lost"]);
         assert!(messages.all(&lost(1), &both)[0].contains("DP-1, DP-2"));
@@ -120,7 +126,7 @@ mod tests {
         assert_eq!(n_shown(&mut messages, &status, true, start + NOTE_LIFE), 1);
         messages.show_problem("disk full".to_owned(), start + NOTE_LIFE);
         assert_eq!(n_shown(&mut messages, &status, false, start + NOTE_LIFE), 1, "the same mistake again");
-        status.message = Some("node lost".to_owned());
+        status.notices.put(("node".to_owned(), None), "node lost".to_owned());
         assert_eq!(n_shown(&mut messages, &status, false, start + 3 * NOTE_LIFE), 2);
         assert_eq!(n_shown(&mut messages, &status, false, start + 4 * NOTE_LIFE), 0);
     }

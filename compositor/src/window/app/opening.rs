@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use renderer::model::{file::ENDINGS, scene::SceneSource};
+use renderer::model::{file::is_named_as_model, scene::SceneSource};
 use winit::keyboard::NamedKey;
 
 use crate::{
@@ -152,8 +152,7 @@ fn list(folder: &Path) -> FileList {
         let Ok(name) = entry.file_name().into_string() else { continue };
         // Metadata of a link's target.
         let Ok(metadata) = std::fs::metadata(entry.path()) else { continue };
-        let ending = Path::new(&name).extension().unwrap_or_default();
-        let is_model = ENDINGS.iter().any(|known| ending.eq_ignore_ascii_case(known));
+        let is_model = is_named_as_model(Path::new(&name));
         if name.starts_with('.') || !(metadata.is_dir() || metadata.is_file() && is_model) {
             continue;
         }

@@ -67,6 +67,12 @@ impl PictureControl {
         Look { light: self.appearance.light, clip: self.appearance.clip, rays: self.rays }
     }
 
+    /// Shows another model uncut: the old one's clip plane would cut it anywhere. Light, background and rays stay as the
+    /// operator chose them.
+    pub(super) fn begin_model(&mut self) {
+        self.appearance.clip = None;
+    }
+
     /// Looks as a kept view did; its camera asks for the picture.
     pub(super) fn set_look(&mut self, Look { light, clip, rays }: Look) {
         self.appearance = Appearance { light, clip, ..self.appearance };

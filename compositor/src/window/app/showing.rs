@@ -31,6 +31,30 @@ pub(super) struct Presentation {
     pub(super) retry_at: Option<Instant>,
 }
 
+/// The outcome of drawing all windows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Attempt {
+    /// Every window that has pixels shows the picture.
+    Complete,
+    /// The display of at least one is late.
+    Incomplete,
+    /// No window has pixels: all are closed, or minimised to nothing.
+    Nowhere,
+}
+
+impl Presentation {
+    /// Draws again a little later what is not on every window yet.
+    fn attempted(&mut self, attempt: Attempt, now: Instant) {
+        self.retry_at = (attempt == Attempt::Incomplete).then(|| now + RETRY_INTERVAL);
+    }
+}
+
+/// Whether one of these moments has come, and the first of the others.
+fn due(moments: &[Option<Instant>], now: Instant) -> (bool, Option<Instant>) {
+    let (past, next): (Vec<_>, Vec<_>) = moments.iter().flatten().partition(|&&moment| moment <= now);
+    (!past.is_empty(), next.into_iter().copied().min())
+}
+
 impl App<'_> {
     /// Draws all windows once the pending events are handled.
     pub(super) fn redraw(&mut self) {
@@ -87,13 +111,14 @@ impl App<'_> {
             Ok(Some(drawn)) => drawn,
             // The frame, or the change of the overlay, is still to be shown.
             Ok(None) => {
-                self.presentation.retry_at = self.outputs.is_open().then(|| Instant::now() + RETRY_INTERVAL);
-                return;
+                let attempt = if self.outputs.is_open() { Attempt::Incomplete } else { Attempt::Nowhere };
+                return self.presentation.attempted(attempt, Instant::now());
             }
             Err(error) => return self.fail(event_loop, error),
         };
         let now = Instant::now();
-        self.presentation.retry_at = drawn.is_incomplete.then(|| now + RETRY_INTERVAL);
+        let attempt = if drawn.is_incomplete { Attempt::Incomplete } else { Attempt::Complete };
+        self.presentation.attempted(attempt, now);
         self.presentation.repaint_at = now.checked_add(drawn.repaint_after);
         self.overlay_areas = drawn.overlay.areas;
         if !drawn.overlay.has_dialog && self.panels != drawn.overlay.panels {
@@ -188,10 +213,11 @@ impl App<'_> {
             let news_end_at = self.messages.news_end_at().filter(|_| has_messages);
             redraws.extend([rests_at, note_ends_at, news_end_at, self.presentation.repaint_at]);
         }
-        if redraws.iter().flatten().any(|&redraw_at| now >= redraw_at) {
+        let (is_due, next_redraw_at) = due(&redraws, now);
+        if is_due {
             self.redraw();
         }
-        next.extend(redraws.into_iter().filter(|redraw_at| redraw_at.is_some_and(|redraw_at| now < redraw_at)));
+        next.push(next_redraw_at);
         next.into_iter().flatten().min()
     }
 }
@@ -214,6 +240,23 @@ mod tests {
         farm::stats::{FarmStatus, NodeId, NodeStatus},
         overlay::{FileEntry, FileList},
     };
+
+    #[test]
+    fn a_window_whose_display_is_late_is_drawn_again_and_a_minimised_wall_is_not() {
+        let start = Instant::now();
+        let mut presentation = Presentation::default();
+        let retries_after =
+            |presentation: &Presentation, passed: Duration| due(&[presentation.retry_at], start + passed);
+        presentation.attempted(Attempt::Incomplete, start);
+        let too_early = RETRY_INTERVAL - Duration::from_millis(1);
+        assert_eq!(retries_after(&presentation, too_early), (false, Some(start + RETRY_INTERVAL)));
+        assert_eq!(retries_after(&presentation, RETRY_INTERVAL), (true, None));
+        for ended in [Attempt::Complete, Attempt::Nowhere] {
+            presentation.attempted(Attempt::Incomplete, start);
+            presentation.attempted(ended, start);
+            assert_eq!(retries_after(&presentation, RETRY_INTERVAL), (false, None), "{ended:?}");
+        }
+    }
 
     #[test]
     fn the_end_of_a_listing_is_drawn_and_a_round_trip_time_is_not() {

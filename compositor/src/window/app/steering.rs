@@ -165,7 +165,7 @@ impl App<'_> {
             Command::LeaveFullscreen => self.fill(event_loop, false, now),
             Command::Screenshot => self.take_screenshot(),
             Command::NextPattern => Effect::note(match self.wall.next_pattern() {
-                Some(pattern) => format!("{pattern}: {}", pattern.help()),
+                Some(pattern) => self.wall.help(pattern),
                 None => "No test pattern".to_owned(),
             }),
             Command::SaveCorners => {
@@ -175,7 +175,7 @@ impl App<'_> {
             Command::Redo => Effect::note(self.wall.redo()),
             Command::ToggleLock => self.toggle_lock(),
             Command::DismissMessage => {
-                self.messages.dismiss(self.farm.status(), self.outputs.missing());
+                self.messages.dismiss(&self.farm.status(), self.outputs.missing());
                 Effect::default()
             }
             Command::Quit => {

@@ -162,9 +162,9 @@ fn materials_follow_faces() {
     assert_eq!(
         draft.remarks,
         [
-            "1 points, lines or curved surfaces are left out",
+            "points, lines and curved surfaces are left out: 1",
             "see-through materials are shown opaque",
-            "1 of 3 materials are in none of its files of materials"
+            "materials that none of its files of materials has: 1 of 3"
         ]
     );
 }

@@ -22,6 +22,7 @@ use renderer::cli::say;
 use serde::Serialize;
 use shared::{
     division::{Division, FrameSize},
+    printable::counted,
     protocol::CHUNK_BYTES,
 };
 
@@ -39,6 +40,10 @@ const N_FIRST: usize = 2;
 #[derive(Debug, Serialize)]
 struct DisplayTimings {
     adapter: String,
+    /// Whether the adapter is software, whose work is CPU time of this process.
+    is_software: bool,
+    /// The driver's own threads that draw, if it is software; `None` where the system does not tell.
+    n_driver_threads: Option<usize>,
     n_cores: usize,
     /// Processes that ran or wanted to in the last minute, this one included; `None` where the system does not tell.
     load: Option<f64>,
@@ -152,6 +157,8 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
     });
     Ok(DisplayTimings {
         adapter: headless.gpu().name(),
+        is_software: headless.gpu().adapter.get_info().device_type == wgpu::DeviceType::Cpu,
+        n_driver_threads: n_driver_threads(),
         n_cores: std::thread::available_parallelism().map_or(1, usize::from),
         load: load(),
         steps,
@@ -207,6 +214,13 @@ impl NoiseFrame {
     }
 }
 
+/// The threads of this process that Mesa's software rasteriser has started, on Linux.
+fn n_driver_threads() -> Option<usize> {
+    let threads = std::fs::read_dir("/proc/self/task").ok()?.flatten();
+    let names = threads.filter_map(|thread| std::fs::read_to_string(thread.path().join("comm")).ok());
+    Some(names.filter(|name| name.starts_with("llvmpipe")).count()).filter(|n_threads| *n_threads > 0)
+}
+
 /// The load of the last minute, on Linux.
 fn load() -> Option<f64> {
     std::fs::read_to_string("/proc/loadavg").ok()?.split_whitespace().next()?.parse().ok()
@@ -214,9 +228,14 @@ fn load() -> Option<f64> {
 
 impl DisplayTimings {
     fn table(&self) -> String {
-        let Self { adapter, wall, rows, n_cores, .. } = self;
+        let Self { adapter, wall, rows, .. } = self;
+        let cores = counted(self.n_cores, "core");
+        let threads = match self.n_driver_threads {
+            Some(n_threads) => format!(" with {}", counted(n_threads, "thread")),
+            None => String::new(),
+        };
         let load = self.load.map_or(String::new(), |load| format!(", load {load}"));
-        let mut table = format!("a wall of {wall} pixels, drawn by {adapter}; {n_cores} cores{load}; medians in ms\n");
+        let mut table = format!("a wall of {wall} pixels, drawn by {adapter}{threads}; {cores}{load}; medians in ms\n");
         // Writing to a string cannot fail.
         let _ = writeln!(table, "{:<36}{:>9}{:>9}", "", "whole", "CPU");
         for DisplayRow { what, whole_ms, cpu_ms } in rows {
@@ -235,7 +254,13 @@ impl DisplayTimings {
                 "  of that CPU time: placing {place_ms:.2}, uploading {upload_ms:.2}, drawing {draw_ms:.2}"
             );
         }
-        table += "placing and uploading run on one thread, and drawing on all of the driver's: these raise the first ratio\n";
+        table += match self.is_software {
+            true => {
+                "trust the ratio in CPU time: placing and uploading run on one thread, and drawing on all of the driver's, \
+                 so the more threads it has, the larger is the first ratio\n"
+            }
+            false => "trust the first ratio: the work of a GPU is no CPU time\n",
+        };
         table + "presenting needs a screen: a wall in a window prints its time after --frames 100"
     }
 }
@@ -258,6 +283,10 @@ mod tests {
         assert!(timings.rows.iter().all(|row| row.whole_ms > 0.0), "{timings:?}");
         assert!(timings.table().contains("of that CPU time: placing"), "{}", timings.table());
         assert!(timings.table().contains("fast_image_resize, 32x16"));
+        let trusted = if timings.is_software { "trust the ratio in CPU time" } else { "trust the first ratio" };
+        assert!(timings.table().contains(trusted), "{}", timings.table());
+        let is_mesa = timings.adapter.contains("llvmpipe") && cfg!(target_os = "linux");
+        assert_eq!(timings.n_driver_threads.is_some(), is_mesa, "{}", timings.table());
 
         // Bare draw and wall draw the same picture.
         let mut headless = Headless::new(wall).unwrap();

@@ -9,10 +9,12 @@ use std::{
     thread::JoinHandle,
 };
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use channel::files::NewFile;
 use renderer::cli::check_writable;
+use shared::printable::counted;
 
+use super::picture_file::{self, State};
 use crate::gpu::RgbImage;
 
 /// Pictures that are compressed at once: a wall's picture takes about as long to compress as to render.
@@ -30,27 +32,32 @@ pub enum Output {
 }
 
 impl Output {
-    /// The first picture of `n_pictures` that it takes: 0, or the last one of a begun film, to be compared.
-    pub(super) fn first(&self, n_pictures: u32) -> u32 {
-        let Self::Pictures(Pictures { folder, .. }) = self else { return 0 };
-        let n_there = (0..n_pictures).find(|&index| !picture_file(folder, index).exists()).unwrap_or(n_pictures);
-        n_there.saturating_sub(1)
+    /// The pictures of `n_pictures` that it takes, by index. Of a film that goes on: the last one that is there, to be
+    /// compared; then those that are missing or damaged.
+    pub(super) fn pictures_to_render(&mut self, n_pictures: u32) -> anyhow::Result<Vec<u32>> {
+        match self {
+            Self::Pictures(pictures) => pictures.plan(n_pictures),
+            Self::Nowhere | Self::Video(_) => Ok((0..n_pictures).collect()),
+        }
     }
 
     /// Says what is left of the film when it is cut off, after `n_begun` pictures were handed over.
     pub(super) fn line_if_cut_off(&self, n_pictures: u32) -> Box<dyn Fn(u32) -> String + Send> {
         match self {
-            Self::Nowhere => Box::new(move |n_begun| format!("stopped after {n_begun} of {n_pictures} pictures")),
-            Self::Pictures(Pictures { folder, .. }) => {
-                let folder = folder.clone();
-                Box::new(move |n_begun| written_so_far(&folder, n_begun, n_pictures))
+            Self::Nowhere => {
+                Box::new(move |n_begun| format!("stopped after {n_begun} of {}", counted(n_pictures, "picture")))
+            }
+            Self::Pictures(Pictures { folder, size, .. }) => {
+                let (folder, size) = (folder.clone(), *size);
+                Box::new(move |_| written_so_far(&folder, size, n_pictures))
             }
             Self::Video(video) => {
                 let path = video.path.clone();
                 Box::new(move |n_begun| {
                     format!(
-                        "stopped after {n_begun} of {n_pictures} pictures; {} is not written: a film with --pictures \
-                         FOLDER can go on later, with --resume",
+                        "stopped after {n_begun} of {}; {} is not written: a film with --pictures FOLDER can go on \
+                         later, with --resume",
+                        counted(n_pictures, "picture"),
                         path.display()
                     )
                 })
@@ -67,11 +74,12 @@ impl Output {
         }
     }
 
-    /// Waits until everything is written; returns a line about it.
-    pub(super) fn finish(self) -> anyhow::Result<Option<String>> {
+    /// Waits until everything is written; returns a line about it, for a film of `n_pictures` of the `n_on_path` that the
+    /// path has.
+    pub(super) fn finish(self, n_pictures: u32, n_on_path: u32) -> anyhow::Result<Option<String>> {
         match self {
             Self::Nowhere => Ok(None),
-            Self::Pictures(pictures) => pictures.finish().map(Some),
+            Self::Pictures(pictures) => pictures.finish(n_pictures, n_on_path).map(Some),
             Self::Video(video) => video.finish().map(Some),
         }
     }
@@ -82,12 +90,17 @@ impl Output {
 pub struct Pictures {
     folder: PathBuf,
     fps: f64,
+    /// Columns and rows of a picture.
+    size: [u32; 2],
+    /// The index of the picture that is compared with the one that is there.
+    compared: Option<u32>,
     writers: VecDeque<JoinHandle<io::Result<()>>>,
 }
 
 impl Pictures {
-    /// Creates the folder, if there is none. One that holds a film's pictures is taken only if the film resumes.
-    pub fn begin(folder: &Path, fps: f64, resumes: bool) -> anyhow::Result<Self> {
+    /// Creates the folder, if there is none, for pictures of `size`: columns, rows. One that holds a film's pictures is
+    /// taken only if the film resumes.
+    pub fn begin(folder: &Path, fps: f64, size: [u32; 2], resumes: bool) -> anyhow::Result<Self> {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
         if !resumes && holds_pictures(folder).with_context(|| format!("cannot read {}", folder.display()))? {
             bail!(
@@ -97,13 +110,38 @@ impl Pictures {
         }
         let file = picture_file(folder, 0);
         check_writable(&file)?;
-        Ok(Self { folder: folder.to_owned(), fps, writers: VecDeque::with_capacity(N_WRITERS) })
+        let writers = VecDeque::with_capacity(N_WRITERS);
+        Ok(Self { folder: folder.to_owned(), fps, size, compared: None, writers })
+    }
+
+    /// See [`Output::pictures_to_render`].
+    fn plan(&mut self, n_pictures: u32) -> anyhow::Result<Vec<u32>> {
+        let file = |index: u32| picture_file(&self.folder, index);
+        let states = (0..n_pictures).map(|index| picture_file::state(&file(index), self.size));
+        let mut states = states.collect::<io::Result<Vec<_>>>().with_context(|| self.folder.display().to_string())?;
+        // The whole picture is read only where it is to be compared.
+        while let Some(last) = states.iter().rposition(|state| *state == State::Whole) {
+            if picture_file::is_readable(&file(last as u32)) {
+                self.compared = Some(last as u32);
+                break;
+            }
+            states[last] = State::Damaged;
+        }
+        for (index, state) in (0..).zip(&states) {
+            match state {
+                State::Damaged => tracing::warn!("{} is damaged, and is made again", file(index).display()),
+                State::OtherSize => return Err(of_another_film(&file(index))),
+                State::Whole | State::Missing => {}
+            }
+        }
+        let missing = (0..).zip(&states).filter(|(_, state)| **state != State::Whole).map(|(index, _)| index);
+        Ok(self.compared.into_iter().chain(missing).collect())
     }
 
     /// Writes a picture, or compares it with the one that is there: a film never holds pictures of two.
     fn put(&mut self, index: u32, image: RgbImage) -> anyhow::Result<()> {
         let file = picture_file(&self.folder, index);
-        if self.writers.is_empty() && file.exists() {
+        if self.compared == Some(index) {
             return check_same(&file, &image);
         }
         if self.writers.len() == N_WRITERS {
@@ -115,10 +153,15 @@ impl Pictures {
         Ok(())
     }
 
-    fn finish(self) -> anyhow::Result<String> {
+    fn finish(self, n_pictures: u32, n_on_path: u32) -> anyhow::Result<String> {
         self.writers.into_iter().try_for_each(finish)?;
         let (folder, fps) = (self.folder.display(), self.fps);
-        Ok(format!("all pictures are in {folder}: ffmpeg -framerate {fps} -i {folder}/picture-%06d.png film.mp4"))
+        let pictures = match n_on_path {
+            _ if n_pictures < n_on_path => format!("the first {n_pictures} of {}", counted(n_on_path, "picture")),
+            _ => format!("the film's {}", counted(n_pictures, "picture")),
+        };
+        let verb = if n_pictures == 1 { "is" } else { "are" };
+        Ok(format!("{pictures} {verb} in {folder}: ffmpeg -framerate {fps} -i {folder}/picture-%06d.png film.mp4"))
     }
 }
 
@@ -142,23 +185,26 @@ fn check_same(file: &Path, image: &RgbImage) -> anyhow::Result<()> {
     let mut expected = Vec::new();
     image.encode(&mut expected)?;
     if std::fs::read(file).with_context(|| file.display().to_string())? != expected {
-        bail!(
-            "{} is of another film: give the begun film's options to go on with it, or --pictures another folder",
-            file.display()
-        );
+        return Err(of_another_film(file));
     }
     tracing::info!("going on after {}", file.display());
     Ok(())
 }
 
+fn of_another_film(file: &Path) -> anyhow::Error {
+    anyhow!(
+        "{} is of another film: give the begun film's options to go on with it, or --pictures another folder",
+        file.display()
+    )
+}
+
 /// The line about a film that is cut off.
-fn written_so_far(folder: &Path, n_begun: u32, n_pictures: u32) -> String {
-    // Only the pictures of the writers may be missing.
-    let first_open = n_begun.saturating_sub(N_WRITERS as u32);
-    let n_open = (first_open..n_begun).filter(|&index| picture_file(folder, index).exists()).count();
-    let n_written = first_open as usize + n_open;
+fn written_so_far(folder: &Path, size: [u32; 2], n_pictures: u32) -> String {
+    let is_written =
+        |index: &u32| picture_file::state(&picture_file(folder, *index), size).is_ok_and(|state| state == State::Whole);
+    let (n_written, pictures) = ((0..n_pictures).filter(is_written).count(), counted(n_pictures, "picture"));
     format!(
-        "stopped after {n_written} of {n_pictures} pictures; those in {} are complete: the same command with --resume goes on",
+        "stopped after {n_written} of {pictures}; those in {} are complete: the same command with --resume goes on",
         folder.display()
     )
 }
