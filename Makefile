@@ -39,10 +39,11 @@ clippy:
 docs:
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --release --workspace --no-deps --document-private-items
 
-# Times building the grid of the built-in statue, then packets, single rays and shadow rays on one thread.
+# Times on one thread: building the grid of the built-in statue, packets, single rays, shadow rays, and rays that share no
+# origin.
 BENCH_TRIANGLES ?= 1000000
 bench:
-	@for options in "--kernel packet" "--kernel single" "--shadow-rays"; do \
+	@for options in "--kernel packet" "--kernel single" "--shadow-rays" "--secondary-rays"; do \
 		echo "== $$options" && \
 		$(CARGO) run --release --quiet -p lab -- trace --triangles $(BENCH_TRIANGLES) --threads 1 --frames 20 $$options || exit 1; \
 	done

@@ -147,16 +147,55 @@ fn ray_files_are_answered_with_the_hits_of_their_rays() {
     ];
     let bytes: Vec<u8> = rays.iter().flatten().flat_map(|number| number.to_le_bytes()).collect();
     std::fs::write(folder.join("down.rays"), bytes).unwrap();
-    let mut peer = Program::command("examples/peer_bench");
-    peer.args(["--model", "statue.ply"]).current_dir(folder);
-    let output = run(peer, "rays single 1 2 0 down.rays\nrays single 2 1 1 down.rays\n");
-    let answers: Vec<Value> =
-        str::from_utf8(&output.stdout).unwrap().lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let answers_with = |args: &[&str]| {
+        let mut peer = Program::command("examples/peer_bench");
+        peer.args(["--model", "statue.ply"]).args(args).current_dir(folder);
+        answers(&run(peer, "rays single 1 2 0 down.rays\nrays single 2 1 1 down.rays\n"))
+    };
+    let answers = answers_with(&[]);
+    let portable = answers_with(&["--instructions", "portable"]);
+    assert!(portable[0]["engine"].as_str().unwrap().ends_with("Portable"), "{}", portable[0]);
+    assert_eq!((&portable[1]["sum"], &portable[2]["hits"]), (&answers[1]["sum"], &answers[2]["hits"]));
     for answer in &answers[1..] {
         assert_eq!((answer["rays"].as_u64(), answer["hits"].as_u64()), (Some(3), Some(1)), "{answer}");
     }
     assert!(answers[1]["sum"].as_u64() > Some(0) && answers[1]["cpu_ms"].as_array().unwrap().len() == 2);
     assert_eq!(answers.len(), 3);
+}
+
+#[test]
+fn unknown_instructions_end_with_those_that_there_are() {
+    let mut peer = Program::command("examples/peer_bench");
+    peer.args(["--model", "statue.ply", "--instructions", "mmx"]).stderr(Stdio::piped());
+    let output = run(peer, "");
+    let said = str::from_utf8(&output.stderr).unwrap();
+    assert!(!output.status.success() && said.contains("this machine has portable"), "{said}");
+}
+
+#[test]
+fn trace_counts_rays_that_share_no_origin_by_kind() {
+    let folder = tempfile::tempdir().unwrap();
+    prepare(folder.path());
+    let traced = |args: &[&str]| {
+        let mut trace = Program::command("lab");
+        trace.args(["trace", "--model", "statue.ply", "--camera", "view.toml", "--size", "203x101"]).args(args);
+        trace.current_dir(folder.path());
+        run(trace, "")
+    };
+    let report = answers(&traced(&["--secondary-rays", "--json"])).remove(0);
+    let kinds = report["secondary_rays"].as_array().unwrap();
+    let names: Vec<_> = kinds.iter().map(|kind| kind["kind"].as_str().unwrap()).collect();
+    assert_eq!(names, ["ao", "bounce", "bounce2", "sun"]);
+    let [ao, bounce, bounce2, sun] = &kinds[..] else { panic!("{report}") };
+    assert_eq!([&ao["rays"], &bounce["rays"]], [&report["hits"]; 2], "one ray for each hit");
+    assert_eq!(bounce2["rays"], bounce["hits"], "the second bounce starts where the first hits");
+    assert!(sun["rays"].as_u64() < ao["rays"].as_u64() && ao["hits"].as_u64() < bounce["hits"].as_u64(), "{report}");
+    assert!(kinds.iter().all(|kind| kind["cpu_ns_per_ray"].as_f64() > Some(0.0)), "{report}");
+
+    let table = traced(&["--secondary-rays"]);
+    assert!(str::from_utf8(&table.stdout).unwrap().contains("\nbounce2     "), "{table:?}");
+    let report = answers(&traced(&["--json"])).remove(0);
+    assert_eq!(report["secondary_rays"], Value::Array(Vec::new()));
 }
 
 #[test]

@@ -5,7 +5,8 @@
 //!
 //! - `frame KERNEL THREADS N SHADOW CAMERA`: traces N frames, after its threads were kept busy; KERNEL is `packet` or
 //!   `single`, SHADOW is 1 for a shadow ray from each hit, else 0
-//! - `rays single THREADS N ANY FILE`: traces the rays of a file N times, each alone; ANY is 1 for any hit, 0 for the nearest
+//! - `rays single THREADS N ANY FILE`: traces the rays of a file N times, each on its own way, 256 in a call; ANY is 1 for any
+//!   hit, 0 for the nearest
 //! - `dump KERNEL FILE CAMERA`: writes the hits of a frame, as `lab trace --hits` does
 //! - `quit`
 //!
@@ -32,12 +33,13 @@ use lab::{
     trace::{
         cameras::read_line,
         frame::{Frame, FrameOptions, Kernel},
+        secondary::{Found, trace_rays},
     },
 };
-use rayon::{ThreadPool, prelude::*};
+use rayon::ThreadPool;
 use renderer::{
     cli::{self, say, scene_args::SceneArgs},
-    intersect::ray::{Hit, Ray},
+    intersect::{InstructionSet, ray::Ray},
     model::scene::{self, SceneSource},
     render::{scene::Scene, threads},
 };
@@ -62,6 +64,18 @@ struct Args {
     /// Threads that build the scene [default: one a core]
     #[arg(long, value_name = "N")]
     build_threads: Option<NonZero<usize>>,
+
+    /// Vector instructions to trace with: portable, avx2 or avx512 [default: the fastest of this machine]
+    #[arg(long, value_name = "SET", value_parser = instructions)]
+    instructions: Option<InstructionSet>,
+}
+
+fn instructions(name: &str) -> Result<InstructionSet, String> {
+    let available = InstructionSet::available();
+    let name_of = |set: &InstructionSet| format!("{set:?}").to_lowercase();
+    let named = available.iter().find(|set| name_of(set) == name);
+    let names: Vec<_> = available.iter().map(name_of).collect();
+    named.copied().ok_or_else(|| format!("this machine has {}", names.join(", ")))
 }
 
 fn main() -> ExitCode {
@@ -77,12 +91,16 @@ fn serve() -> Result<()> {
     let options = args.scene.options();
     let pool = threads::pool(args.build_threads.map(NonZero::get))?;
     let (started, started_cpu) = (Instant::now(), ProcessTime::now());
-    let scene = pool.install(|| Scene::build(mesh, &options, &|_| ()));
-    let engine = format!("raywall, {}, density {}", options.storage, scene.grid.figures().density);
+    let mut scene = pool.install(|| Scene::build(mesh, &options, &|_| ()));
+    let build_s = started.elapsed().as_secs_f64();
+    let build_cpu_s = started_cpu.elapsed().as_secs_f64();
+    let set = args.instructions.unwrap_or_else(InstructionSet::best);
+    scene.grid = scene.grid.with_instructions(set);
+    let engine = format!("raywall, {}, density {}, {set:?}", options.storage, scene.grid.figures().density);
     say(json!({
         "event": "ready", "engine": engine, "ply": args.model, "tris": n_triangles, "verts": n_vertices,
-        "load_s": load_s, "build_threads": pool.current_num_threads(), "build_s": started.elapsed().as_secs_f64(),
-        "build_cpu_s": started_cpu.elapsed().as_secs_f64(), "mem_bytes": scene.grid.n_bytes(),
+        "load_s": load_s, "build_threads": pool.current_num_threads(), "build_s": build_s, "build_cpu_s": build_cpu_s,
+        "mem_bytes": scene.grid.n_bytes(),
         "mesh_bytes": scene.mesh().n_bytes(),
     }))?;
 
@@ -151,11 +169,11 @@ impl Server {
         let (mut walls, mut cpus) = (Vec::new(), Vec::new());
         pool.install(|| {
             for _ in 0..n_repeats {
-                let (wall, cpu) = (Instant::now(), ProcessTime::now());
-                let chunks = rays.par_chunks(RAYS_PER_CHUNK).map(|rays| Found::trace(scene, rays, any));
-                found = chunks.reduce(Found::default, Found::plus);
-                walls.push(milliseconds(wall.elapsed()));
-                cpus.push(milliseconds(cpu.elapsed()));
+                let start = Instant::now();
+                let (of_all, cpu) = trace_rays(scene, &rays, any);
+                found = of_all;
+                walls.push(milliseconds(start.elapsed()));
+                cpus.push(milliseconds(cpu));
             }
         });
         say(json!({
@@ -184,9 +202,6 @@ fn pool(pools: &mut HashMap<usize, ThreadPool>, n_threads: usize) -> Result<&Thr
     })
 }
 
-/// Rays that a thread takes at a time.
-const RAYS_PER_CHUNK: usize = 256;
-
 /// Reads a ray file: eight little-endian `f32` a ray, origin and start of its interval, direction and end.
 fn read_rays(file: &Path) -> Result<Vec<Ray>> {
     let bytes = fs::read(file).with_context(|| file.display().to_string())?;
@@ -197,36 +212,6 @@ fn read_rays(file: &Path) -> Result<Vec<Ray>> {
         Ray { origin: Vec3::new(n[0], n[1], n[2]), t_min: n[3], direction: Vec3::new(n[4], n[5], n[6]), t_max: n[7] }
     });
     Ok(rays.collect())
-}
-
-/// The answers to rays, summed up.
-#[derive(Clone, Copy, Default)]
-struct Found {
-    n_hits: usize,
-    /// Of the numbers in the file, modulo 2³².
-    sum_of_triangles: u32,
-}
-
-impl Found {
-    /// Traces up to [`RAYS_PER_CHUNK`] rays to any hit or to the nearest.
-    fn trace(scene: &Scene, rays: &[Ray], any: bool) -> Self {
-        if any {
-            let mut occluded = [false; RAYS_PER_CHUNK];
-            scene.grid.occluded_rays(rays, &mut occluded);
-            return Self { n_hits: occluded.iter().filter(|&&occluded| occluded).count(), sum_of_triangles: 0 };
-        }
-        let mut hits = [Hit::MISS; RAYS_PER_CHUNK];
-        scene.grid.intersect_rays(rays, &mut hits);
-        let numbers = hits.iter().filter(|hit| !hit.is_miss()).map(|hit| scene.mesh().file_index(hit.triangle));
-        Self { n_hits: numbers.clone().count(), sum_of_triangles: numbers.fold(0, u32::wrapping_add) }
-    }
-
-    fn plus(self, other: Self) -> Self {
-        Self {
-            n_hits: self.n_hits + other.n_hits,
-            sum_of_triangles: self.sum_of_triangles.wrapping_add(other.sum_of_triangles),
-        }
-    }
 }
 
 /// How long threads are kept busy before frames are timed.

@@ -4,6 +4,7 @@
 //! ([`closed`], [`shadows`]), in `f64` triangle by triangle ([`cameras`]), or by transformations that must change nothing
 //! ([`invariance`]).
 
+mod batches;
 mod cameras;
 mod closed;
 mod contenders;
@@ -15,6 +16,8 @@ mod replay;
 mod shadows;
 mod solids;
 mod stadium;
+#[cfg(test)]
+mod strategies;
 
 use std::path::PathBuf;
 
@@ -71,6 +74,8 @@ const CASES: &[Case] = &[
     ("a teapot in a stadium", stadium::teapot),
     ("shadow rays: acne", |n, _| shadows::acne(n)),
     ("shadow rays: lost contact", |n, _| shadows::contact(n)),
+    ("between spheres, a billion to one", |n, _| batches::scales(n)),
+    ("good rays among bad ones, in any order", |n, _| batches::mixed(n)),
     ("NaN, infinite and huge rays", |n, _| hostile::odd_rays(n)),
     ("instructions, threads, divisions, storage", |n, _| invariance::one_hash(n)),
     ("camera rays against f64", |n, _| cameras::against_f64(n)),

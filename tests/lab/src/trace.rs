@@ -3,6 +3,7 @@
 pub mod cameras;
 mod counts;
 pub mod frame;
+pub mod secondary;
 mod shadows;
 
 use std::{path::PathBuf, time::Instant};
@@ -20,7 +21,10 @@ use renderer::{
 use serde::Serialize;
 use shared::division::FrameSize;
 
-use self::frame::{Cost, Frame, FrameOptions, Kernel};
+use self::{
+    frame::{Cost, Frame, FrameOptions, Kernel},
+    secondary::KindReport,
+};
 use crate::statistics::{median, milliseconds};
 
 /// The frame to trace, the measurements, and the files to write.
@@ -58,6 +62,10 @@ pub struct TraceArgs {
     /// Also trace a shadow ray for each hit
     #[arg(long, conflicts_with = "clip")]
     shadow_rays: bool,
+
+    /// Also trace rays that share no origin, from the hits: ambient occlusion, two bounces, and shadows of a sun
+    #[arg(long, conflicts_with_all = ["clip", "cameras"])]
+    secondary_rays: bool,
 
     /// Position of the light of the shadow rays, in world space
     #[arg(long, value_name = "X,Y,Z", default_value = "3,5,4", value_parser = point)]
@@ -101,6 +109,8 @@ struct Report {
     triangle_tests: u64,
     cell_traversals_per_ray: f64,
     triangle_tests_per_ray: f64,
+    /// By kind; empty unless asked for.
+    secondary_rays: Vec<KindReport>,
 }
 
 /// Loads, builds and traces, and writes files and results.
@@ -140,6 +150,7 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         files::write(path, |out| frame.write_hits(&scene, out))
             .with_context(|| format!("cannot write {}", path.display()))?;
     }
+    let secondary_rays = if args.secondary_rays { secondary::measure(&scene, &spec, args.frames) } else { Vec::new() };
     // Counting traces rays one by one, so the table does without it.
     let [cell_traversals, triangle_tests] = if args.json { counts::cost_sum(&scene, &spec) } else { [0, 0] };
     let n_samples = f64::from(spec.size.n_samples());
@@ -164,6 +175,7 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
         triangle_tests,
         cell_traversals_per_ray: cell_traversals as f64 / n_samples,
         triangle_tests_per_ray: triangle_tests as f64 / n_samples,
+        secondary_rays,
     };
     if args.json { say(serde_json::to_string(&report)?) } else { say(report.table(spec.size)) }
 }
@@ -186,7 +198,7 @@ impl Report {
     fn table(&self, size: FrameSize) -> String {
         let megabytes = |bytes: usize| bytes as f64 / 1e6;
         let median = |values: &[f64]| median(values.iter().copied());
-        format!(
+        let table = format!(
             "triangles   {} ({} rejected), {} vertices\n\
              load        {:.2} s\n\
              build       {:.2} s\n\
@@ -206,6 +218,7 @@ impl Report {
             median(&self.frame_cpu_ms),
             median(&self.shade_cpu_ms),
             self.mrays_per_second,
-        )
+        );
+        [table].into_iter().chain(self.secondary_rays.iter().map(KindReport::line)).collect::<Vec<_>>().join("\n")
     }
 }

@@ -51,7 +51,7 @@ fn picture(mesh: &Mesh, grid: &Grid, camera: &Camera, size: FrameSize) -> Tally 
     let tallies = chunks.into_par_iter().map_init(PacketScratch::default, |scratch, chunk| {
         let mut tally = Tally::default();
         let directions = chunk.iter().map(|&(_, _, ray, _)| ray.direction).collect();
-        let Some(&(_, _, Ray { origin, .. }, _)) = chunk.first() else { return (tally, [0; 6]) };
+        let Some(&(_, _, Ray { origin, .. }, _)) = chunk.first() else { return (tally, Default::default()) };
         let truths: Vec<_> = chunk
             .iter()
             .map(|&(i, j, _, triangles)| {
@@ -75,7 +75,8 @@ fn picture(mesh: &Mesh, grid: &Grid, camera: &Camera, size: FrameSize) -> Tally 
         }
         (tally, n_far_off)
     });
-    let add = |(mut sum, mut n_far_off): (Tally, [u64; 6]), (tally, others): (Tally, [u64; 6])| {
+    let add = |(mut sum, mut n_far_off): (Tally, [u64; Contender::ALL.len()]),
+               (tally, others): (Tally, [u64; Contender::ALL.len()])| {
         sum += tally;
         n_far_off.iter_mut().zip(others).for_each(|(sum, other)| *sum += other);
         (sum, n_far_off)

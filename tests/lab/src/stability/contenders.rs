@@ -24,16 +24,19 @@ pub(super) enum Contender {
     Rival(Method),
     /// Raywall's single rays: nearest hit and any hit.
     Single,
+    /// Raywall's rays that share nothing, hundreds in a call: nearest hit and any hit.
+    Batches,
     Packets,
 }
 
 impl Contender {
-    pub(super) const ALL: [Self; 6] = [
+    pub(super) const ALL: [Self; 7] = [
         Self::Rival(Method::MollerTrumboreF32),
         Self::Rival(Method::PluckerF32),
         Self::Rival(Method::OriginEdgesF32),
         Self::Rival(Method::MollerTrumboreF64),
         Self::Single,
+        Self::Batches,
         Self::Packets,
     ];
 
@@ -41,6 +44,7 @@ impl Contender {
         match self {
             Self::Rival(method) => method.label(),
             Self::Single => "Raywall, single rays",
+            Self::Batches => "Raywall, rays in batches",
             Self::Packets => "Raywall, packets",
         }
     }
@@ -56,6 +60,7 @@ impl Contender {
                 bundle.rays().map(|ray| nearest_candidate(grid, method, &ray).map(file_index)).collect()
             }
             Self::Single => bundle.rays().map(|ray| answer(grid, grid.intersect(&ray))).collect(),
+            Self::Batches => batch(grid, &bundle.rays().collect::<Vec<_>>()),
             Self::Packets => packets(grid, bundle, bundle.directions.len().div_ceil(MOST_PACKETS), scratch),
         }
     }
@@ -68,6 +73,20 @@ fn packets(grid: &Grid, bundle: &RayBundle, n_rays: usize, scratch: &mut PacketS
     grid.intersect_packets(&packets, scratch, &mut hits);
     let of_rays = hits.iter().flat_map(|hits| &hits[..n_rays]).take(bundle.directions.len());
     of_rays.map(|&hit| answer(grid, hit)).collect()
+}
+
+/// The nearest triangle along each of many rays, in one call.
+pub(super) fn batch(grid: &Grid, rays: &[Ray]) -> Vec<Answer> {
+    let mut hits = vec![Hit::MISS; rays.len()];
+    grid.intersect_rays(rays, &mut hits);
+    hits.into_iter().map(|hit| answer(grid, hit)).collect()
+}
+
+/// Whether each of many rays hits anything, in one call.
+pub(super) fn occluded(grid: &Grid, rays: &[Ray]) -> Vec<bool> {
+    let mut occluded = vec![false; rays.len()];
+    grid.occluded_rays(rays, &mut occluded);
+    occluded
 }
 
 fn packet(origin: Vec3, rays: &[Vec3]) -> Packet {
@@ -156,6 +175,9 @@ impl Sum for Tally {
     }
 }
 
+/// Bundles whose rays form one batch.
+const BUNDLES_PER_BATCH: u64 = 64;
+
 /// Lets all contenders trace bundles 0 to `n_bundles`, on all threads. `truth` computes the right answer for a ray, and
 /// `is_right` compares an answer with it.
 pub(super) fn tally<T>(
@@ -165,26 +187,59 @@ pub(super) fn tally<T>(
     truth: impl Fn(&Ray) -> T + Sync,
     is_right: impl Fn(&Ray, &T, Answer) -> bool + Sync,
 ) -> Tally {
-    let one = |scratch: &mut PacketScratch, index: u64| {
-        let bundle = bundle(index);
-        let rays: Vec<_> = bundle.rays().map(|ray| (ray, truth(&ray))).collect();
+    let one = |scratch: &mut PacketScratch, first: u64| {
+        let bundles: Vec<_> = (first..n_bundles.min(first + BUNDLES_PER_BATCH)).map(&bundle).collect();
+        let rays: Vec<_> = bundles.iter().flat_map(RayBundle::rays).collect();
+        let truths: Vec<_> = rays.iter().map(&truth).collect();
         let mut tally = Tally { n_rays: rays.len() as u64, ..Tally::default() };
-        let of_one_packet = packets(grid, &bundle, rays.len(), scratch);
+        let trace = |contender: Contender, scratch: &mut PacketScratch| {
+            bundles.iter().flat_map(|bundle| contender.trace(grid, bundle, scratch)).collect::<Vec<_>>()
+        };
+        let single = trace(Contender::Single, scratch);
         for contender in Contender::ALL {
-            let answers = contender.trace(grid, &bundle, scratch);
-            for (((ray, truth), answer), of_one_packet) in rays.iter().zip(answers).zip(&of_one_packet) {
-                let agrees = match contender {
-                    // Any hit must agree with the nearest hit,
-                    Contender::Single => grid.occluded(ray) == answer.is_some(),
-                    // and one packet with packets that are traced together.
-                    Contender::Packets => answer == *of_one_packet,
-                    Contender::Rival(_) => true,
-                };
+            let (answers, agrees) = match contender {
+                Contender::Rival(_) => (trace(contender, scratch), vec![true; rays.len()]),
+                // Any hit must agree with the nearest hit,
+                Contender::Single => {
+                    let agrees = rays.iter().zip(&single).map(|(ray, answer)| grid.occluded(ray) == answer.is_some());
+                    (single.clone(), agrees.collect())
+                }
+                // a ray in a batch with the ray alone, in any order,
+                Contender::Batches => {
+                    let answers = strangers_first(&bundles, &rays, |rays| batch(grid, rays));
+                    let occluded = occluded(grid, &rays);
+                    let agrees = answers.iter().zip(&single).zip(occluded);
+                    let agrees =
+                        agrees.map(|((answer, alone), occluded)| answer == alone && occluded == answer.is_some());
+                    (answers.clone(), agrees.collect())
+                }
+                // and one packet with packets that are traced together.
+                Contender::Packets => {
+                    let answers = trace(contender, scratch);
+                    let of_one = |bundle: &RayBundle| packets(grid, bundle, bundle.directions.len(), scratch);
+                    let of_one: Vec<_> = bundles.iter().flat_map(of_one).collect();
+                    let agrees = answers.iter().zip(&of_one).map(|(answer, of_one)| answer == of_one).collect();
+                    (answers, agrees)
+                }
+            };
+            for (((ray, truth), answer), agrees) in rays.iter().zip(&truths).zip(answers).zip(agrees) {
                 let is_right = agrees && is_right(ray, truth, answer);
                 tally.count(contender, is_right, || format!("{ray:?} is answered {answer:?}"));
             }
         }
         tally
     };
-    (0..n_bundles).into_par_iter().map_init(PacketScratch::default, one).sum()
+    let firsts = (0..n_bundles.div_ceil(BUNDLES_PER_BATCH)).into_par_iter().map(|index| index * BUNDLES_PER_BATCH);
+    firsts.map_init(PacketScratch::default, one).sum()
+}
+
+/// Traces the rays of bundles so that neighbours come from different bundles, and returns the answers in the rays' order.
+fn strangers_first(bundles: &[RayBundle], rays: &[Ray], trace: impl FnOnce(&[Ray]) -> Vec<Answer>) -> Vec<Answer> {
+    let lanes = bundles.iter().flat_map(|bundle| 0..bundle.directions.len());
+    let mut order: Vec<(usize, usize)> = lanes.zip(0..).collect();
+    order.sort_unstable();
+    let traced = trace(&order.iter().map(|&(_, index)| rays[index]).collect::<Vec<_>>());
+    let mut answers = vec![None; rays.len()];
+    order.into_iter().zip(traced).for_each(|((_, index), answer)| answers[index] = answer);
+    answers
 }

@@ -34,11 +34,21 @@ pub(super) fn truth(lattice: &Lattice, origin: [i32; 3], direction: [i32; 3]) ->
             hits.push((number as u32, t));
         }
     }
-    let nearest = hits.iter().fold(f64::INFINITY, |nearest, &(_, t)| nearest.min(t));
-    ExactTruth { hits, nearest }
+    ExactTruth { nearest: nearest(&hits), hits }
+}
+
+fn nearest(hits: &[(u32, f64)]) -> f64 {
+    hits.iter().fold(f64::INFINITY, |nearest, &(_, t)| nearest.min(t))
 }
 
 impl ExactTruth {
+    /// The truth for the part of the ray from `t_min` to `t_max`.
+    pub(super) fn within(mut self, t_min: f32, t_max: f32) -> Self {
+        self.hits.retain(|&(_, t)| f64::from(t_min) <= t && t <= f64::from(t_max));
+        self.nearest = nearest(&self.hits);
+        self
+    }
+
     /// Whether an answer names a nearest triangle and its t.
     pub(super) fn allows(&self, answer: Answer) -> bool {
         let Some((number, t)) = answer else { return self.hits.is_empty() };
@@ -65,6 +75,9 @@ mod tests {
         for wrong in [Some((0, 1.001)), Some((1, 1.8)), Some((2, 1.0)), None] {
             assert!(!truth(&lattice, [0; 3], [1, 1, 5]).allows(wrong), "{wrong:?}");
         }
+        let both = || truth(&lattice, [0; 3], [1, 1, 5]);
+        assert!(both().within(1.5, 2.0).allows(Some((1, 1.8))) && both().within(0.0, 0.5).allows(None));
+        assert!(!both().within(1.5, 2.0).allows(Some((0, 1.0))) && !both().within(2.0, 1.0).allows(Some((0, 1.0))));
         let in_plane = truth(&lattice, [-1, 1, 5], [1, 0, 0]);
         assert!(in_plane.allows(None) && !in_plane.allows(Some((0, 1.0))));
         let from_it = truth(&lattice, [1, 1, 5], [0, 0, 1]);

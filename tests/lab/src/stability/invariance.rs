@@ -4,7 +4,10 @@ use glam::Vec3;
 use rayon::prelude::*;
 use renderer::{
     grid::{Grid, GridOptions, Storage},
-    intersect::{InstructionSet, PacketScratch, ray::Hit},
+    intersect::{
+        InstructionSet, PacketScratch,
+        ray::{Hit, Ray},
+    },
     model::{mesh::Mesh, statue},
     render::scene::Scene,
 };
@@ -83,7 +86,8 @@ fn compare(
     (0..n_rays.div_ceil(32)).into_par_iter().map_init(PacketScratch::default, one).sum()
 }
 
-/// Every instruction set, storage, density, number of threads and division gives one hash of all hits.
+/// Every instruction set, storage, density, number of threads and division gives one hash of all hits, in packets, in batches
+/// and alone.
 pub(super) fn one_hash(n_rays: u64) -> Tally {
     let mesh = statue::generate(20_000, &|_| ());
     let camera = view_all(&mesh, 16.0 / 9.0);
@@ -108,13 +112,18 @@ pub(super) fn one_hash(n_rays: u64) -> Tally {
         let mut scene = pool.install(|| Scene::build(mesh.clone(), &options, &|_| ()));
         for &set in &sets {
             scene.grid = scene.grid.with_instructions(set);
+            for (contender, n_rays) in [(Contender::Single, 1), (Contender::Batches, 1000)] {
+                let hits = pool.install(|| hits_in_batches(&scene, &camera, size, n_rays));
+                let is_same = *expected.get_or_insert(hits) == hits;
+                sum.count(contender, is_same, || format!("{options:?}, {set:?}, {n_threads} threads give other hits"));
+            }
             for (division, n_machines) in divisions {
                 let hits = pool.install(|| hits(&scene, &camera, size, division, n_machines));
                 let is_same = *expected.get_or_insert(hits) == hits;
                 let mut tally = Tally { n_rays: u64::from(size.n_samples()), ..Tally::default() };
-                for contender in [Contender::Single, Contender::Packets] {
-                    tally.count(contender, is_same, || format!("{options:?}, {set:?}, {division:?} give other hits"));
-                }
+                tally.count(Contender::Packets, is_same, || {
+                    format!("{options:?}, {set:?}, {division:?} give other hits")
+                });
                 sum += tally;
             }
         }
@@ -135,8 +144,26 @@ fn hits(scene: &Scene, camera: &Camera, size: FrameSize, division: Division, n_m
             }
         });
     }
+    hash(&rows)
+}
+
+/// The hash of a frame's hits, row by row, traced on all threads with `n_rays` rays in a call.
+fn hits_in_batches(scene: &Scene, camera: &Camera, size: FrameSize, n_rays: usize) -> blake3::Hash {
+    let rays = camera.rays(size);
+    let samples = (0..size.n_samples()).map(|sample| rays.direction(sample % size.xres(), sample / size.xres()));
+    let rays: Vec<_> = samples.map(|direction| Ray::new(rays.eye, direction)).collect();
+    let mut hits = vec![Hit::MISS; rays.len()];
+    let batches = rays.par_chunks(n_rays).zip(hits.par_chunks_mut(n_rays));
+    batches.for_each(|(rays, hits)| {
+        scene.grid.intersect_rays(rays, hits);
+        hits.iter_mut().for_each(|hit| *hit = scene.with_file_index(*hit));
+    });
+    hash(&hits)
+}
+
+fn hash(hits: &[Hit]) -> blake3::Hash {
     let mut hasher = blake3::Hasher::new();
-    for hit in rows {
+    for hit in hits {
         hasher.update(&hit.triangle.to_le_bytes());
         hasher.update(&hit.t.to_bits().to_le_bytes());
     }

@@ -63,7 +63,8 @@ pub(super) fn one(scene: &Lattice, mesh: Mesh, unit: f32, aim: Aim, n_rays: u64,
 /// Rays of a bundle: few, because many cases depend on the origin.
 const N_DIRECTIONS: usize = 8;
 
-fn bundle(scene: &Lattice, unit: f32, aim: Aim, random: &mut Random) -> RayBundle {
+/// Rays at a scene whose integer step is `unit`.
+pub(super) fn bundle(scene: &Lattice, unit: f32, aim: Aim, random: &mut Random) -> RayBundle {
     let aim = match aim {
         Aim::All => *random.choose(&[Aim::Axes, Aim::Edges, Aim::Corners, Aim::FromSurfaces]),
         aim => aim,

@@ -51,38 +51,14 @@ mod tests {
     use glam::DVec3;
     use proptest::prelude::*;
 
-    use super::{super::contenders::Contender, *};
+    use super::{
+        super::{
+            contenders::Contender,
+            strategies::{mesh, point},
+        },
+        *,
+    };
     use renderer::model::ply;
-
-    /// Numbers that often coincide, and some that do not.
-    fn coordinate() -> impl Strategy<Value = f32> {
-        prop_oneof![
-            (-8i32..=8).prop_map(|n| n as f32),
-            (-32i32..=32).prop_map(|n| n as f32 / 4.0),
-            -8.0f32..8.0,
-            Just(-0.0),
-            Just(1e-6),
-            Just(1e4),
-        ]
-    }
-
-    fn point() -> impl Strategy<Value = [f32; 3]> {
-        [coordinate(), coordinate(), coordinate()]
-    }
-
-    prop_compose! {
-        /// Triangles over common vertices, moved and scaled.
-        fn mesh()(
-            vertices in proptest::collection::vec(point(), 3..40),
-            corners in proptest::collection::vec([(); 3].map(|()| any::<prop::sample::Index>()), 1..60),
-            scale in prop_oneof![Just(1.0f32), Just(1e-8), Just(1e8), Just(0.37)],
-            offset in prop_oneof![Just(0.0f32), Just(1e3), Just(1e5)],
-        ) -> Mesh {
-            let triangles = corners.iter().map(|three| three.map(|index| index.index(vertices.len()) as u32)).collect();
-            let moved = |vertex: &[f32; 3]| vertex.map(|x| (x + offset) * scale);
-            Mesh { vertices: vertices.iter().map(moved).collect(), triangles, ..Mesh::default() }
-        }
-    }
 
     prop_compose! {
         /// A camera near or far that looks at a vertex.
