@@ -279,7 +279,7 @@ mod tests {
         assert!(empty.contains("is empty"), "{empty}");
         std::fs::write(&path, "v 0 0 0\nv 1 0 0\nv 3 0 0\nf 1 1 2\nf 1 2 3\n").unwrap();
         let flat = load(&SceneSource::File(path.clone()), Crease::default(), &|_| ()).unwrap_err().to_string();
-        assert!(flat.contains("none of its 2 triangles has an area"), "{flat}");
+        assert!(flat.contains("no triangle, of 2, has an area"), "{flat}");
         let face = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 1 2\n";
         assert!(error(face).ends_with("export the model again"), "{}", error(face));
     }
