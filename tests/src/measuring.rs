@@ -256,7 +256,7 @@ fn the_cost_view_shows_what_the_counters_count() {
 }
 
 #[test]
-fn a_model_that_no_ray_hits_is_not_charted() {
+fn a_model_without_area_is_not_charted() {
     let folder = tempfile::tempdir().unwrap();
     let model = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
         element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 2 3\n3 0 1 1\n";
@@ -266,7 +266,7 @@ fn a_model_that_no_ray_hits_is_not_charted() {
     chart.current_dir(&folder).stderr(Stdio::piped());
     let output = run(chart, "");
     let said = str::from_utf8(&output.stderr).unwrap();
-    assert!(!output.status.success() && said.contains("no triangle of the model can be hit"), "{said}");
+    assert!(!output.status.success() && said.contains("has an area"), "{said}");
 }
 
 #[test]
