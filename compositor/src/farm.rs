@@ -73,7 +73,7 @@ pub struct RenderGoal {
 /// A complete frame.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// What it shows.
+    /// Its contents.
     pub spec: FrameSpec,
     /// Its samples.
     pub rgba: FrameSamples,

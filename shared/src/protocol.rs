@@ -62,7 +62,7 @@ pub struct FrameId(pub u64);
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct TaskId(pub u32);
 
-/// What the samples of a frame show; a key steps through the variants in this order.
+/// The subject of a frame's samples; a key steps through the variants in this order.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Display, EnumString, VariantArray,
 )]

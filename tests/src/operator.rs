@@ -1,4 +1,4 @@
-//! What an operator reads: notices of the farm, warnings of a model, lines that name the cure.
+//! Texts for an operator: notices of the farm, warnings of a model, lines that name the cure.
 
 use std::{fs, time::Instant};
 

@@ -20,7 +20,7 @@ pub(crate) struct Model {
     pub n_triangles: usize,
     /// Whether the triangles bound a solid, which cuts fill.
     pub is_solid: bool,
-    /// What its file holds beside triangles; a line each.
+    /// Other contents of its file, beside triangles; a line each.
     pub found: Vec<String>,
     /// Parts of its file that are left out, or shown otherwise than it says; a line each.
     pub left_out: Vec<String>,

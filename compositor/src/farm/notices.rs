@@ -1,4 +1,4 @@
-//! What an operator should know about render servers that do not render, until they do.
+//! Notices for the operator: render servers that do not render, until they do.
 
 use std::net::IpAddr;
 
@@ -38,7 +38,7 @@ impl Notices {
         let name = &node.0;
         let rest = if was_last { "No other is left" } else { "The others render its share" };
         let text = match node.1 {
-            // Who watches its process knows more.
+            // The reporter of its process knows more.
             None if self.all.iter().any(|(of, _)| *of == node) => return,
             None => format!("{name} lost: {reason}. {rest} until it is back."),
             Some(_) => format!("{name} lost: {reason}. {rest}; if it does not come back by itself, start it again."),

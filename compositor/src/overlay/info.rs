@@ -20,7 +20,7 @@ pub(crate) struct ModelSummary {
     pub is_solid: bool,
     /// Width, height and depth of the box around it, in its own unit.
     pub extent: DVec3,
-    /// What its file holds beside triangles; a line each.
+    /// Other contents of its file, beside triangles; a line each.
     pub found: Vec<String>,
     /// Parts of its file that are left out, or shown otherwise than it says; a line each.
     pub left_out: Vec<String>,
@@ -101,7 +101,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
     }
 }
 
-/// What the model's file holds, and what of it is not on the wall.
+/// Lists the contents of the model's file, and the parts that are not on the wall.
 fn found(ui: &mut Ui, summary: &ModelSummary) {
     for line in &summary.found {
         ui.label(RichText::new(line).small().weak());

@@ -30,7 +30,7 @@ const KINDS: [(&[u8], &str); 21] = [
     (b"\xff\xd8\xff", "is an image: choose the model that it belongs to"),
 ];
 
-/// What a file is that begins with no format that is read, and the cure.
+/// Names the kind of a file that begins with no format that is read, and the cure.
 pub(super) fn fault(start: &[u8], n_bytes: u64) -> String {
     let text = start.strip_prefix(b"\xef\xbb\xbf").unwrap_or(start).trim_ascii_start();
     let begins = |with: &&(&[u8], &str)| {

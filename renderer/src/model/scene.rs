@@ -75,7 +75,7 @@ impl LoadedMesh {
         Self { mesh: self.mesh.smooth(self.id.crease()), ..self }
     }
 
-    /// What the file holds beside triangles: a line each, without the file's name.
+    /// Other contents of the file, beside triangles: a line each, without the file's name.
     pub fn found(&self) -> Vec<String> {
         let mesh = &self.mesh;
         let relative = (mesh.origin != DVec3::ZERO).then(|| {

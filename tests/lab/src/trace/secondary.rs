@@ -24,7 +24,7 @@ use strum::VariantArray;
 
 use crate::statistics::median;
 
-/// What rays are for; all directions have unit length.
+/// The purpose of rays; all directions have unit length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, VariantArray, strum::Display)]
 #[serde(rename_all = "lowercase")]
 #[strum(serialize_all = "lowercase")]
