@@ -225,7 +225,8 @@ impl Grid {
             // entered.
             let (near, far) = frustum.depths(low, BRICK_SIZE as i32);
             let Some(bounds) = frustum.cells(near, far) else {
-                if near > entry_depth {
+                // A narrowed frustum may still be before the grid.
+                if near > frustum.entry_depth() {
                     break;
                 }
                 continue;

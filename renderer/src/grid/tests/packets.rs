@@ -3,7 +3,7 @@
 use glam::Vec3;
 use proptest::prelude::*;
 
-use super::{build, build_modes, point, soup, with_file_index};
+use super::{GridOptions, build, build_modes, point, soup, with_file_index};
 use crate::{
     grid::Grid,
     intersect::{InstructionSet, MOST_PACKETS, Packet, PacketScratch, ray::Hit, triangle},
@@ -224,5 +224,40 @@ fn packets_hit_a_soup_of_subnormal_size() {
                 }),
             );
         }
+    }
+}
+
+/// A part of a packet may have its hits before the rest enters the grid.
+#[test]
+fn rays_that_enter_the_grid_late_are_not_lost_when_others_have_their_hits() {
+    // A plate with two walls near its edge, and small triangles elsewhere, which make its bricks small.
+    let mut mesh = Mesh::default();
+    let mut add = |corners: [[f32; 3]; 3]| {
+        let first = mesh.vertices.len() as u32;
+        mesh.vertices.extend(corners);
+        mesh.triangles.push([first, first + 1, first + 2]);
+    };
+    for [low, high] in [[40.0, 55.0], [75.0, 90.0]] {
+        add([[5.0, low, -1.0], [5.0, high, -1.0], [5.0, high, 2.0]]);
+        add([[5.0, low, -1.0], [5.0, high, 2.0], [5.0, low, 2.0]]);
+    }
+    for number in 0..2000u16 {
+        let [x, y] = [30.0 + f32::from(number % 40) * 1.75, f32::from(number / 40) * 2.0];
+        add([[x, y, 0.0], [x + 1.0, y, 0.0], [x, y + 1.0, 1.0]]);
+    }
+    add([[0.0; 3], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]]);
+    let options = GridOptions { density: Some(256.0), ..GridOptions::default() };
+
+    // From outside: half of the rays pass the plate's edge at y = 43, the others at y = 73.
+    let slope = |lane: usize| if lane < 32 { 0.94 } else { 0.6 } + (lane % 32) as f32 * 1e-3;
+    let ones = [1.0; 64];
+    let directions = [std::array::from_fn(slope), ones, [0.0; 64]];
+    let packet = Packet { origin: Vec3::new(-50.0, -10.0, 0.5), directions, active: u64::MAX, ..Packet::NONE };
+    for set in InstructionSet::available() {
+        let grid = Grid::build(mesh.clone(), &options, &|_| ()).with_instructions(set);
+        let expected: [Hit; 64] = std::array::from_fn(|lane| grid.intersect(&packet.ray(lane)));
+        assert!(expected.iter().all(|hit| !hit.is_miss()), "all rays hit a wall");
+        let hits = grid.intersect_packet(&packet, &mut PacketScratch::default());
+        check_hits(&grid, &packet, &hits, &expected);
     }
 }
