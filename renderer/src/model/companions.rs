@@ -15,12 +15,23 @@ const FOLDERS: [&str; 6] = ["", "textures", "texture", "../textures", "images", 
 pub struct Companions {
     /// The model's folder; without one, no file is found.
     folder: Option<PathBuf>,
+    /// The model's name without its extension.
+    stem: Option<String>,
 }
 
 impl Companions {
     /// Those of a model.
     pub fn beside(model: &Path) -> Self {
-        Self { folder: Some(model.parent().unwrap_or(Path::new("")).to_owned()) }
+        Self {
+            folder: Some(model.parent().unwrap_or(Path::new("")).to_owned()),
+            stem: model.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned),
+        }
+    }
+
+    /// The model's name with another extension, if that file is there.
+    pub(super) fn of_same_name(&self, extension: &str) -> Option<String> {
+        let name = format!("{}.{extension}", self.stem.as_ref()?);
+        self.find("", &name).is_ok().then_some(name)
     }
 
     /// The whole content of a file of at most `longest` bytes, which a file in `folder` names.

@@ -228,6 +228,13 @@ impl Model {
         if self.is_cut {
             draft.remarks.push("ends in the middle of a face: it may have been cut short".to_owned());
         }
+        if self.libraries.is_empty() && !self.names.is_empty() {
+            // As many viewers do.
+            self.libraries.extend(companions.of_same_name("mtl"));
+            if self.libraries.is_empty() {
+                draft.remarks.push("its materials are left out: no line `mtllib` names their file".to_owned());
+            }
+        }
         let library = read_libraries(&self.libraries, companions, &mut draft.remarks);
         assign_materials(&mut draft, library, &self.names, self.of_triangles);
         Ok(draft)
