@@ -257,15 +257,41 @@ fn pipes_folders_and_devices_in_place_of_files_are_refused_alike() {
     }
 }
 
+/// A program that may take so much memory.
+#[cfg(target_os = "linux")]
+fn limited(limit_kb: u32, program: &str, args: &[&str]) -> Command {
+    let mut command = Command::new("sh");
+    command.args(["-c", &format!("ulimit -v {limit_kb}; exec \"$@\""), "sh"]);
+    command.arg(Program::command(program).get_program()).args(args);
+    command
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_texture_takes_its_own_memory_and_a_third_while_it_is_loaded() {
+    const SIDE: u32 = 4096;
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let file = std::io::BufWriter::new(std::fs::File::create(path("stone.png")).unwrap());
+    let mut encoder = png::Encoder::new(file, SIDE, SIDE);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_compression(png::Compression::Fastest);
+    encoder.write_header().unwrap().write_image_data(&vec![99; 3 * (SIDE * SIDE) as usize]).unwrap();
+    std::fs::write(path("stone.mtl"), "newmtl stone\nmap_Kd stone.png\n").unwrap();
+    let square = "v 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nusemtl stone\nf 1/1 2/2 3/3\n";
+    std::fs::write(path("stone.obj"), format!("mtllib stone.mtl\n{square}")).unwrap();
+    let (model, picture) = (path("stone.obj"), path("stone.png.png"));
+    let args =
+        ["trace", "--size", "8x8", "--threads", "1", model.to_str().unwrap(), "--image", picture.to_str().unwrap()];
+    // The image and its mip map beside each other would take ten bytes a texel.
+    let texels_kb = SIDE * SIDE / 1024;
+    let (status, said) = Program::start(limited(texels_kb * 16 / 3 + 40_000, "renderer", &args)).wait();
+    assert!(status.success() && !said.contains("left out"), "{said}");
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn a_model_that_does_not_fit_in_memory_ends_with_the_cure() {
-    let limited = |limit_kb: u32, program: &str, args: &[&str]| {
-        let mut command = Command::new("sh");
-        command.args(["-c", &format!("ulimit -v {limit_kb}; exec \"$@\""), "sh"]);
-        command.arg(Program::command(program).get_program()).args(args);
-        command
-    };
     for command in [
         limited(200_000, "renderer", &["trace", "--triangles", "5000000", "--size", "8x8", "--image", "none.png"]),
         limited(200_000, "lab", &["trace", "--triangles", "5000000", "--frames", "1"]),

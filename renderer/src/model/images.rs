@@ -2,7 +2,7 @@
 
 use std::io::Cursor;
 
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, ImageResult, Limits};
 use rayon::prelude::*;
 
 use crate::model::{
@@ -149,9 +149,32 @@ fn decode_bytes(name: &str, bytes: &[u8]) -> Result<Image, String> {
     if n_texels == 0 || n_bytes > SMALL_IMAGE.saturating_add(LARGEST_RATIO * bytes.len() as u64) {
         return Err(format!("is damaged: {} bytes cannot hold {width}x{height} texels", bytes.len()));
     }
-    let image = DynamicImage::from_decoder(decoder).map_err(fault)?;
-    let texels = bytemuck::allocation::cast_vec(image.into_rgba8().into_raw());
-    Ok(Image { width, height, texels })
+    let texels = match decoder.color_type() {
+        ColorType::L8 => decode_in_place(decoder, |[grey]| [grey, grey, grey, u8::MAX]),
+        ColorType::La8 => decode_in_place(decoder, |[grey, coverage]| [grey, grey, grey, coverage]),
+        ColorType::Rgb8 => decode_in_place(decoder, |[red, green, blue]| [red, green, blue, u8::MAX]),
+        ColorType::Rgba8 => decode_in_place(decoder, |texel| texel),
+        _ => DynamicImage::from_decoder(decoder).map(|image| image.into_rgba8().into_raw()),
+    };
+    Ok(Image { width, height, texels: bytemuck::allocation::cast_vec(texels.map_err(fault)?) })
+}
+
+/// Decodes an image of `N` bytes a texel, and widens each to four where it lies: a copy would nearly double the memory.
+fn decode_in_place<const N: usize>(
+    decoder: impl ImageDecoder,
+    widen: impl Fn([u8; N]) -> [u8; 4],
+) -> ImageResult<Vec<u8>> {
+    let n_bytes = decoder.total_bytes() as usize;
+    let n_texels = n_bytes / N;
+    let mut bytes = vec![0; 4 * n_texels];
+    let first = bytes.len() - n_bytes;
+    decoder.read_image(&mut bytes[first..])?;
+    // Texels are read from the end of the memory and written from its beginning, never beyond the next to be read.
+    for texel in 0..n_texels {
+        let narrow = std::array::from_fn(|channel| bytes[first + N * texel + channel]);
+        bytes[4 * texel..4 * texel + 4].copy_from_slice(&widen(narrow));
+    }
+    Ok(bytes)
 }
 
 #[cfg(test)]

@@ -44,6 +44,32 @@ impl Level {
         (self.first + column_offset(x) + row_offset(y, self.blocks_per_row)) as usize
     }
 
+    /// Arranges the texels of an image, which lie row by row at the beginning of `texels`, in blocks, and changes each. In
+    /// parallel.
+    pub(super) fn arrange<T: Copy + Default + Send>(&self, texels: &mut [T], change: impl Fn(T) -> T + Sync) {
+        let [width, height] = self.size.map(|side| side as usize);
+        let block_row = (self.blocks_per_row * TEXELS_PER_BLOCK) as usize;
+        // The last first, so that none covers one that is still to be moved.
+        for row in (0..height).rev() {
+            let (block_rows, rows) = (row / BLOCK_SIZE as usize, row % BLOCK_SIZE as usize);
+            let (from, to) = (row * width, block_rows * block_row + rows * width);
+            if from != to {
+                texels.copy_within(from..from + width, to);
+            }
+        }
+        texels.par_chunks_mut(block_row).enumerate().for_each_init(Vec::new, |rows, (block_row, blocks)| {
+            let n_rows = (height - block_row * BLOCK_SIZE as usize).min(BLOCK_SIZE as usize);
+            rows.clear();
+            rows.extend_from_slice(&blocks[..n_rows * width]);
+            blocks.fill(T::default());
+            for (y, row) in (0..).zip(rows.chunks_exact(width)) {
+                for (x, &texel) in (0..).zip(row) {
+                    blocks[(column_offset(x) + row_offset(y, 0)) as usize] = change(texel);
+                }
+            }
+        });
+    }
+
     /// Fills a level's texels, in parallel; `texel` gives that of a column and row.
     pub(super) fn fill<T: Send>(&self, texels: &mut [T], texel: impl Fn(u32, u32) -> T + Sync) {
         let [width, height] = self.size;
@@ -146,8 +172,13 @@ mod tests {
 
     #[test]
     fn texels_are_found_where_they_were_put() {
-        for size in [[1, 1], [7, 9], [8, 8], [17, 3], [1, 40]] {
+        for size in [[1, 1], [7, 9], [8, 8], [17, 3], [1, 40], [16, 12], [16, 13], [13, 16]] {
             let level = Level::new(size, 0);
+            let mut arranged: Vec<_> = (0..size[1]).flat_map(|y| (0..size[0]).map(move |x| [x, y])).collect();
+            arranged.resize(level.n_texels() as usize, [0; 2]);
+            level.arrange(&mut arranged, |[x, y]| [x + 1, y + 2]);
+            let is_there = |x, y| arranged[level.index(x, y)] == [x + 1, y + 2];
+            assert!((0..size[0]).all(|x| (0..size[1]).all(|y| is_there(x, y))), "{size:?}");
             let mut texels = vec![[u32::MAX; 2]; level.n_texels() as usize];
             level.fill(&mut texels, |x, y| [x, y]);
             assert!((0..size[0]).all(|x| (0..size[1]).all(|y| texels[level.index(x, y)] == [x, y])), "{size:?}");

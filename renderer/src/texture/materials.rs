@@ -3,7 +3,7 @@
 use glam::{Vec2, Vec3A};
 
 use crate::{
-    model::material::{Material, Materials, TextureUse, Wrap},
+    model::material::{Image, Material, Materials, TextureUse, Wrap},
     simd::InstructionSet,
     texture::{
         footprint::{self, Footprints},
@@ -83,11 +83,14 @@ impl TracedMaterials {
     /// Most bytes of the images of a mesh and their parts while [`TracedMaterials::new`] drops the ones and makes the others.
     pub(crate) fn peak_bytes(materials: &Materials) -> u64 {
         let parts = parts(materials);
-        let of_image = |image| {
-            let of_image = parts.iter().filter(|part| part.0 == image);
-            of_image.map(|&part| n_bytes_of_part(materials, part)).sum::<u64>()
+        // Beyond the image, whose place the last of its mip maps takes.
+        let of_image = |(image, number): (&Image, u32)| {
+            let of_image = parts.iter().filter(|part| part.0 == number);
+            let has_map = of_image.clone().any(|(_, part)| *part != Part::Coverage);
+            let replaced = if has_map { size_of_val(&*image.texels) as u64 } else { 0 };
+            of_image.map(|&part| n_bytes_of_part(materials, part)).sum::<u64>() - replaced
         };
-        let largest = (0..materials.images.len() as u32).map(of_image).max().unwrap_or(0);
+        let largest = materials.images.iter().zip(0..).map(of_image).max().unwrap_or(0);
         (materials.n_bytes() as u64).max(Self::n_bytes_of(materials)) + largest
     }
 
@@ -97,11 +100,14 @@ impl TracedMaterials {
         let Materials { materials, images, of_triangles } = materials;
         let (mut maps, mut masks) = (Vec::new(), Vec::new());
         for (image, number) in images.into_iter().zip(0..) {
-            for &(_, part) in parts.iter().filter(|part| part.0 == number) {
-                match part {
-                    Part::Colors => maps.push(MipMap::new(&image, Encoding::Srgb)),
-                    Part::Numbers => maps.push(MipMap::new(&image, Encoding::Linear)),
-                    Part::Coverage => masks.push(Mask::new(&image)),
+            let has = |part| parts.binary_search(&(number, part)).is_ok();
+            if has(Part::Coverage) {
+                masks.push(Mask::new(&image));
+            }
+            match (has(Part::Colors), has(Part::Numbers)) {
+                (true, true) => {
+                    maps.push(MipMap::new(image.clone(), Encoding::Srgb));
+                    maps.push(MipMap::new(image, Encoding::Linear));
                 }
             }
         }
@@ -119,6 +125,9 @@ impl TracedMaterials {
                 plain: PointMaterial {
                     base_color: Vec3A::new(red, green, blue),
                     gloss: is_glossy.then_some([material.roughness, material.metallic]),
+                (true, false) => maps.push(MipMap::new(image, Encoding::Srgb)),
+                (false, true) => maps.push(MipMap::new(image, Encoding::Linear)),
+                (false, false) => {}
                     emissive: Vec3A::from_array(material.emissive),
                 },
                 base_color_texture: texture(material.base_color_texture, Part::Colors),

@@ -35,28 +35,26 @@ impl MipMap {
         n_texels * size_of::<Texel>() as u64
     }
 
-    /// Makes all levels, on the current rayon pool.
-    pub(super) fn new(image: &Image, encoding: Encoding) -> Self {
+    /// Makes all levels, on the current rayon pool. The first takes the place of the image, which may be most of the memory.
+    pub(super) fn new(image: Image, encoding: Encoding) -> Self {
         let decode = |value: u8| match encoding {
             Encoding::Srgb => srgb::decode(value),
             Encoding::Linear => f32::from(value) / 255.0,
         };
-        let of_image = |x: u32, y: u32| {
-            let [red, green, blue, _] = image.texels[y as usize * image.width as usize + x as usize];
+        let levels: Vec<Level> = levels(&image).collect();
+        let n_texels: usize = levels.iter().map(|level| level.n_texels() as usize).sum();
+        let mut texels: Vec<Texel> = bytemuck::allocation::cast_vec(image.texels);
+        texels.reserve_exact(n_texels - texels.len());
+        texels.resize(n_texels, Texel::default());
+        let (of_image, _) = texels.split_at_mut(levels[0].n_texels() as usize);
+        levels[0].arrange(of_image, |texel| {
+            let [red, green, blue, _] = bytemuck::cast(texel);
             Texel::new([red, green, blue].map(decode))
-        };
-        let levels: Vec<Level> = levels(image).collect();
-        let n_texels = levels.iter().map(|level| level.n_texels() as usize).sum();
-        let mut texels = vec![Texel::default(); n_texels];
-        let mut finer = None;
-        for level in &levels {
+        });
+        for pair in levels.windows(2) {
+            let [finer, level] = pair else { continue };
             let (before, rest) = texels.split_at_mut(level.first as usize);
-            let of_level = &mut rest[..level.n_texels() as usize];
-            match finer {
-                None => level.fill(of_level, of_image),
-                Some(finer) => level.fill(of_level, |x, y| mean(before, finer, x, y)),
-            }
-            finer = Some(level);
+            level.fill(&mut rest[..level.n_texels() as usize], |x, y| mean(before, finer, x, y));
         }
         Self { levels, texels }
     }
@@ -145,7 +143,7 @@ mod tests {
     fn texels_of_all_levels_are_means_of_the_image() {
         for (width, height) in [(64, 64), (37, 21), (1, 9), (5, 1), (1, 1)] {
             let image = noise(width, height);
-            let map = MipMap::new(&image, Encoding::Srgb);
+            let map = MipMap::new(image.clone(), Encoding::Srgb);
             assert_eq!(map.levels.last().map(|level| level.size), Some([1, 1]));
             assert_eq!(map.n_bytes() as u64, MipMap::n_bytes_of(&image));
             for level in &map.levels {
@@ -184,7 +182,7 @@ mod tests {
     #[test]
     fn lookups_are_means_of_their_footprint() {
         let image = noise(128, 64);
-        let map = MipMap::new(&image, Encoding::Srgb);
+        let map = MipMap::new(image.clone(), Encoding::Srgb);
         let (mut errors, mut n) = (0.0, 0.0);
         for index in 0..60u8 {
             let width = 5.0 + 0.2 * f64::from(index);
@@ -213,7 +211,7 @@ mod tests {
             footprints.push(Footprint { centre: Vec2::new(0.1, y), sides: [Vec2::new(0.0, x), Vec2::new(x, y)] });
         }
         for (width, height) in [(1, 1), (64, 16), (3, 300)] {
-            let map = MipMap::new(&noise(width, height), Encoding::Linear);
+            let map = MipMap::new(noise(width, height), Encoding::Linear);
             for wrap in [Wrap::Repeat, Wrap::Mirror, Wrap::Clamp] {
                 let all: Vec<_> = InstructionSet::available()
                     .into_iter()
