@@ -52,6 +52,8 @@ pub(super) struct Document<'a> {
 
 #[derive(Deserialize)]
 pub(super) struct Asset {
+    /// A number in some files of version 1.
+    #[serde(deserialize_with = "text_or_number")]
     pub(super) version: String,
 }
 
@@ -373,4 +375,31 @@ fn list<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Resu
     }
 
     deserializer.deserialize_seq(Items(PhantomData))
+}
+
+/// A text, or a number as text.
+fn text_or_number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    struct TextOrNumber;
+
+    impl Visitor<'_> for TextOrNumber {
+        type Value = String;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a text or a number")
+        }
+
+        fn visit_str<E: Error>(self, text: &str) -> Result<String, E> {
+            Ok(text.to_owned())
+        }
+
+        fn visit_u64<E: Error>(self, number: u64) -> Result<String, E> {
+            Ok(number.to_string())
+        }
+
+        fn visit_f64<E: Error>(self, number: f64) -> Result<String, E> {
+            Ok(number.to_string())
+        }
+    }
+
+    deserializer.deserialize_any(TextOrNumber)
 }

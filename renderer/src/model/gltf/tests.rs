@@ -400,6 +400,7 @@ fn faults_are_told_in_one_line() {
     let missing = format!(r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{PRIMITIVE}]}}],{ACCESSORS}"#)
         .replace(r#""buffers":[{"#, r#""buffers":[{"uri":"data.bin","#);
     let told = error(&glb(&missing, &[]));
+        (text(r#"{"asset":{"version":1},"nodes":{}}"#), "has version 1 of glTF"),
     assert!(told.contains("data.bin is missing: put it beside the model"), "{told}");
 }
 
