@@ -54,6 +54,8 @@ pub struct Material {
     pub emissive_texture: Option<TextureUse>,
     /// Where coverage is below this, the surface is not there; `None` if it is everywhere.
     pub alpha_cutoff: Option<f32>,
+    /// Whether the base colour is the light that is seen, whatever falls on the surface: scans whose photographs hold the light.
+    pub is_unlit: bool,
 }
 
 impl Default for Material {
@@ -69,6 +71,7 @@ impl Default for Material {
             emissive: [0.0; 3],
             emissive_texture: None,
             alpha_cutoff: None,
+            is_unlit: false,
         }
     }
 }

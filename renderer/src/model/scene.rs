@@ -178,11 +178,12 @@ fn hash<T: NoUninit>(hasher: &mut blake3::Hasher, name: &str, items: &[T]) {
 fn hash_materials(hasher: &mut blake3::Hasher, materials: &Materials) {
     hash(hasher, "materials", &[materials.materials.len() as u64]);
     for material in &materials.materials {
-        let Material { name: _, base_color, metallic, roughness, emissive, alpha_cutoff, .. } = material;
+        let Material { name: _, base_color, metallic, roughness, emissive, alpha_cutoff, is_unlit, .. } = material;
         hash(hasher, "", base_color);
         hash(hasher, "", &[*metallic, *roughness]);
         hash(hasher, "", emissive);
         hash(hasher, "", alpha_cutoff.as_slice());
+        hash(hasher, "", &[u8::from(*is_unlit)]);
         let Material { base_color_texture, metallic_roughness_texture, emissive_texture, .. } = material;
         for texture in [base_color_texture, metallic_roughness_texture, emissive_texture] {
             hash(hasher, "", texture.map(|texture| texture.image).as_slice());
@@ -239,13 +240,14 @@ mod tests {
         let materials = Materials { materials: vec![material], images: vec![image], of_triangles: Vec::new() };
         let plain = Mesh { vertices: vec![[0.0; 3]], triangles: vec![[0; 3]], ..Mesh::default() };
         let look = Mesh { materials, ..plain.clone() };
-        let changes: [fn(&mut Mesh); 9] = [
+        let changes: [fn(&mut Mesh); 10] = [
             |mesh| mesh.normals = vec![Normal::OF_TRIANGLE],
             |mesh| mesh.texture_coordinates = vec![[0.0; 2]],
             |mesh| mesh.materials.of_triangles = vec![0],
             |mesh| mesh.materials.images[0].texels[0][3] = 1,
             |mesh| mesh.materials.materials[0].roughness = 0.5,
             |mesh| mesh.materials.materials[0].alpha_cutoff = Some(0.0),
+            |mesh| mesh.materials.materials[0].is_unlit = true,
             |mesh| mesh.materials.materials[0].base_color_texture = None,
             |mesh| mesh.materials.materials[0].emissive_texture = mesh.materials.materials[0].base_color_texture,
             |mesh| mesh.materials.materials[0].base_color_texture.as_mut().unwrap().wrap[1] = Wrap::Clamp,

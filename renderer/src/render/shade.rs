@@ -17,7 +17,7 @@ use crate::{
         secondary::LightVisibility,
         surface::{Surface, Surfaces, normalize_or_zero},
     },
-    texture::materials::PointMaterial,
+    texture::materials::{Finish, PointMaterial},
 };
 
 /// Shades a mesh seen by one camera: a light at the eye shows form, a key light relief, and a sky which way is up.
@@ -94,9 +94,10 @@ impl<'a> Shader<'a> {
                 let Some(material) = material else { return self.albedo(hit, color) * scattered };
                 let color = if self.mesh.has_colors() { color } else { Vec3::ONE } * Vec3::from(material.base_color);
                 let emissive = Vec3::from(material.emissive);
-                match material.gloss {
-                    None => color * scattered + emissive,
-                    Some([roughness, metallic]) => {
+                match material.finish {
+                    Finish::Unlit => color,
+                    Finish::Matte => color * scattered + emissive,
+                    Finish::Glossy { roughness, metallic } => {
                         let surface = GlossySurface { color, roughness, metallic, normal, to_eye };
                         color * (1.0 - metallic) * scattered
                             + self.reflected(&surface, key_visibility, visibility)

@@ -59,10 +59,26 @@ struct Gaps {
 pub struct PointMaterial {
     /// Linear, without the vertices' colours.
     pub base_color: Vec3A,
-    /// Roughness and metallic, each from 0 to 1; `None` for a surface that only scatters light.
-    pub gloss: Option<[f32; 2]>,
+    /// What becomes of the light that falls there.
+    pub finish: Finish,
     /// Linear light that the surface gives off.
     pub emissive: Vec3A,
+}
+
+/// What a surface makes of light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Finish {
+    /// Scatters it.
+    Matte,
+    /// Scatters and reflects it; both numbers are from 0 to 1.
+    Glossy {
+        /// 0 for a mirror.
+        roughness: f32,
+        /// 1 for a metal.
+        metallic: f32,
+    },
+    /// Ignores it, and shows its base colour.
+    Unlit,
 }
 
 /// The part of an image that a material needs.
@@ -109,6 +125,9 @@ impl TracedMaterials {
                     maps.push(MipMap::new(image.clone(), Encoding::Srgb));
                     maps.push(MipMap::new(image, Encoding::Linear));
                 }
+                (true, false) => maps.push(MipMap::new(image, Encoding::Srgb)),
+                (false, true) => maps.push(MipMap::new(image, Encoding::Linear)),
+                (false, false) => {}
             }
         }
         let texture = |texture: Option<TextureUse>, part: Part| {
@@ -120,14 +139,18 @@ impl TracedMaterials {
         let traced = |material: &Material| {
             let [red, green, blue, coverage] = material.base_color;
             let gloss_texture = texture(material.metallic_roughness_texture, Part::Numbers);
-            let is_glossy = material.roughness < 1.0 || material.metallic > 0.0 || gloss_texture.is_some();
+            let &Material { roughness, metallic, is_unlit, .. } = material;
+            let finish = if is_unlit {
+                Finish::Unlit
+            } else if roughness < 1.0 || metallic > 0.0 || gloss_texture.is_some() {
+                Finish::Glossy { roughness, metallic }
+            } else {
+                Finish::Matte
+            };
             TracedMaterial {
                 plain: PointMaterial {
                     base_color: Vec3A::new(red, green, blue),
-                    gloss: is_glossy.then_some([material.roughness, material.metallic]),
-                (true, false) => maps.push(MipMap::new(image, Encoding::Srgb)),
-                (false, true) => maps.push(MipMap::new(image, Encoding::Linear)),
-                (false, false) => {}
+                    finish,
                     emissive: Vec3A::from_array(material.emissive),
                 },
                 base_color_texture: texture(material.base_color_texture, Part::Colors),
@@ -223,13 +246,13 @@ impl TracedMaterials {
             unsafe { instructions.call(Means { map, wrap: *wrap, transform, footprints, means: &mut means }) };
             for (mean, &sample) in means[..footprints.n].iter().zip(samples) {
                 let Some(point) = &mut points[sample] else { continue };
-                match (kind, &mut point.gloss) {
+                match (kind, &mut point.finish) {
                     (0, _) => point.base_color *= *mean,
-                    (1, Some([roughness, metallic])) => {
+                    (1, Finish::Glossy { roughness, metallic }) => {
                         *roughness *= mean.y;
                         *metallic *= mean.z;
                     }
-                    (1, None) => {}
+                    (1, Finish::Matte | Finish::Unlit) => {}
                     _ => point.emissive *= *mean,
                 }
             }

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use shared::{
-    appearance::Appearance,
+    appearance::{Appearance, Light},
     camera::Camera,
     division::{Division, FrameSize},
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
@@ -227,6 +227,27 @@ fn neither_structure_nor_instructions_nor_division_change_masked_and_textured_pi
         frames.push(frame);
         assert!(frames.iter().all(|frame| frame == &frames[0]), "{rays} {clip:?}");
     }
+}
+
+#[test]
+fn unlit_surfaces_show_their_texture_in_any_light() {
+    const COLOR: [u8; 3] = [200, 90, 7];
+    let image = Image { width: 1, height: 1, texels: vec![[COLOR[0], COLOR[1], COLOR[2], 255]] };
+    let size = FrameSize::new(16, 8).unwrap();
+    let shown = |is_unlit: bool, rays: LightingMode, light: Light| {
+        let mut mesh = plane(9.0, 1.0, image.clone());
+        mesh.materials.materials[0].is_unlit = is_unlit;
+        let appearance = Appearance { light, ..Appearance::default() };
+        let spec = FrameSpec { rays, appearance, ..spec(DVec3::new(0.0, -1.0, 2.0), DVec3::ZERO, size) };
+        scene(mesh).render_frame(&spec).0
+    };
+    for &rays in LightingMode::VARIANTS {
+        for (_, light) in Light::PRESETS {
+            assert!(shown(true, rays, light).chunks_exact(3).all(|color| color == COLOR), "{rays} {light:?}");
+        }
+    }
+    let light = Light::PRESETS[0].1;
+    assert!(shown(false, LightingMode::Primary, light).chunks_exact(3).all(|color| color != COLOR));
 }
 
 #[test]

@@ -75,6 +75,7 @@ impl<'a> Look<'a> {
         let unit = |value: Option<f32>| value.unwrap_or(1.0).clamp(0.0, 1.0);
         let rough = &*described.pbr_metallic_roughness;
         let extensions = &described.extensions;
+        let is_unlit = extensions.unlit.is_some();
         let (base_color, base_color_texture, mut metallic, roughness, metallic_roughness_texture);
         if let Some(glossy) = extensions.specular_glossiness.as_deref() {
             base_color = glossy.diffuse_factor;
@@ -84,13 +85,13 @@ impl<'a> Look<'a> {
         } else {
             base_color = rough.base_color_factor;
             base_color_texture = texture(rough.base_color_texture.as_ref());
-            let is_unlit = extensions.unlit.is_some();
             (metallic, roughness) =
                 if is_unlit { (0.0, 1.0) } else { (unit(rough.metallic_factor), unit(rough.roughness_factor)) };
             metallic_roughness_texture = texture(rough.metallic_roughness_texture.as_ref().filter(|_| !is_unlit));
         }
         let strength = extensions.emissive_strength.as_ref().and_then(|it| it.emissive_strength).unwrap_or(1.0);
-        let mut emissive = described.emissive_factor.unwrap_or([0.0; 3]).map(|part| part.max(0.0) * strength.max(0.0));
+        let emissive = described.emissive_factor.filter(|_| !is_unlit).unwrap_or([0.0; 3]);
+        let mut emissive = emissive.map(|part| part.max(0.0) * strength.max(0.0));
         let emissive_texture = texture(described.emissive_texture.as_deref().filter(|_| emissive != [0.0; 3]));
         // Factors beside a texture are mostly 1: alone they say little.
         if described.emissive_texture.is_some() && emissive_texture.is_none() {
@@ -99,7 +100,9 @@ impl<'a> Look<'a> {
         if rough.metallic_roughness_texture.is_some() && metallic_roughness_texture.is_none() {
             metallic = 0.0;
         }
-        if described.normal_texture.is_some() {
+        if is_unlit {
+            self.say("its unlit materials keep their colours in any light".to_owned());
+        } else if described.normal_texture.is_some() {
             self.say("textures of normals are left out: light falls by the normals of vertices".to_owned());
         }
         let alpha_cutoff = match described.alpha_mode {
@@ -120,6 +123,7 @@ impl<'a> Look<'a> {
             emissive,
             emissive_texture,
             alpha_cutoff,
+            is_unlit,
         }
     }
 

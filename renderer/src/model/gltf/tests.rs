@@ -149,6 +149,26 @@ fn materials_textures_and_their_transforms_are_read() {
 }
 
 #[test]
+fn unlit_materials_keep_their_colours() {
+    let draft = with_material(
+        r#"{"extensions":{"KHR_materials_unlit":{}},"emissiveFactor":[1,1,1],
+        "pbrMetallicRoughness":{"baseColorFactor":[0.5,0.25,0,1]}}"#,
+    );
+    let material = &draft.mesh.materials.materials[0];
+    assert_eq!((material.is_unlit, material.base_color, material.emissive), (true, [0.5, 0.25, 0.0, 1.0], [0.0; 3]));
+    assert_eq!(draft.remarks, ["its unlit materials keep their colours in any light"]);
+    assert!(!with_material("{}").mesh.materials.materials[0].is_unlit);
+}
+
+/// A square of one material.
+fn with_material(material: &str) -> Draft {
+    draft(&format!(
+        r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1,"material":0}}]}}],
+        "materials":[{material}]"#
+    ))
+}
+
+#[test]
 fn a_material_that_does_not_exist_is_told() {
     let draft = with_primitive(r#"{"attributes":{"POSITION":0},"indices":1,"material":3}"#);
     assert_eq!(draft.remarks, ["there is no material 3: a mesh is shown without one"]);
@@ -380,6 +400,7 @@ fn faults_are_told_in_one_line() {
         (error(b"glTF\x01\0\0\0\0\0\0\0"), "has version 1 of glTF: convert it to 2.0, for example with Blender"),
         (error(&whole[..whole.len() - 1]), "is cut short: "),
         (text(r#"{"asset":{"version":"1.0"},"nodes":{}}"#), "has version 1.0 of glTF"),
+        (text(r#"{"asset":{"version":1},"nodes":{}}"#), "has version 1 of glTF"),
         (text(r#"{"asset":{"version":"2.0"}}"#), "holds nothing that can be shown: its scene has no meshes"),
         (
             text(r#"{"asset":{"version":"2.0"},"nodes":[{}],"animations":[{}]}"#),
@@ -400,7 +421,6 @@ fn faults_are_told_in_one_line() {
     let missing = format!(r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{PRIMITIVE}]}}],{ACCESSORS}"#)
         .replace(r#""buffers":[{"#, r#""buffers":[{"uri":"data.bin","#);
     let told = error(&glb(&missing, &[]));
-        (text(r#"{"asset":{"version":1},"nodes":{}}"#), "has version 1 of glTF"),
     assert!(told.contains("data.bin is missing: put it beside the model"), "{told}");
 }
 
