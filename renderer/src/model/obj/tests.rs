@@ -209,7 +209,7 @@ fn materials_without_a_line_are_those_of_the_model_s_name() {
     let companions = Companions::beside(&folder.path().join("scan.obj"));
     let draft = || read_from(obj.as_bytes(), obj.len() as u64, &companions).unwrap();
     assert_eq!(draft().remarks, ["its materials are left out: no line `mtllib` names their file"]);
-    std::fs::write(folder.path().join("scan.mtl"), "newmtl red\nKd 1 0 0\n").unwrap();
+    fs::write(folder.path().join("scan.mtl"), "newmtl red\nKd 1 0 0\n").unwrap();
     let Draft { mesh, remarks, .. } = draft();
     assert_eq!((mesh.materials.materials[0].base_color, remarks.len()), ([1.0, 0.0, 0.0, 1.0], 0));
 }
