@@ -24,6 +24,7 @@ pub mod scene;
 pub mod shape;
 pub mod smooth;
 pub mod solid;
+mod specular;
 pub mod statue;
 pub mod stl;
 mod wedges;

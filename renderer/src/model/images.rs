@@ -9,6 +9,7 @@ use crate::model::{
     companions::Companions,
     file::{Draft, Reading},
     material::{Image, TextureUse},
+    specular,
 };
 
 /// The longest side of an image.
@@ -49,6 +50,10 @@ pub enum Channels {
     Metallic,
     /// It is grey, and becomes roughness; another image becomes metallic.
     RoughnessAndMetallic(String),
+    /// It is diffuse, another image specular, and both make the base colour.
+    BaseColorWithSpecular(Box<ImageSource>),
+    /// It is diffuse, another image specular and glossy, and both make roughness and metallic.
+    MetalWithSpecular(Box<ImageSource>),
 }
 
 impl ImageSource {
@@ -99,6 +104,16 @@ fn decode_source(source: &ImageSource, companions: &Companions) -> Result<Image,
         Channels::RoughnessAndMetallic(name) => {
             let metallic = file(name)?;
             merge(&mut decoded, &metallic, |texel, of| *texel = [0, texel[0], of[0], u8::MAX]);
+        }
+        Channels::BaseColorWithSpecular(specular) => {
+            // The image of metal says what is missing.
+            if let Ok(specular) = decode_source(specular, companions) {
+                merge(&mut decoded, &specular, |texel, of| *texel = specular::texels(*texel, of)[0]);
+            }
+        }
+        Channels::MetalWithSpecular(specular) => {
+            let specular = decode_source(specular, companions)?;
+            merge(&mut decoded, &specular, |texel, of| *texel = specular::texels(*texel, of)[1]);
         }
     }
     Ok(decoded)
@@ -246,6 +261,8 @@ mod tests {
         std::fs::write(folder.path().join("other.png"), png(2, 1)).unwrap();
         let companions = Companions::beside(&folder.path().join("model.obj"));
         let other = || "other.png".to_owned();
+        let specular = || Box::new(ImageSource::file("other.png"));
+        let missing = || Box::new(ImageSource::file("no.png"));
         for (channels, channel, expected) in [
             (Channels::Coverage(other()), 3, [0, 0, 100, 100, 0, 0, 100, 100]),
             (Channels::Roughness, 1, [0, 100, 200, 44, 1, 101, 201, 45]),
@@ -254,6 +271,10 @@ mod tests {
             (Channels::Metallic, 2, [0, 100, 200, 44, 1, 101, 201, 45]),
             (Channels::RoughnessAndMetallic(other()), 1, [0, 100, 200, 44, 1, 101, 201, 45]),
             (Channels::RoughnessAndMetallic(other()), 2, [0, 0, 100, 100, 0, 0, 100, 100]),
+            (Channels::MetalWithSpecular(specular()), 2, [0, 0, 39, 214, 0, 0, 38, 213]),
+            (Channels::MetalWithSpecular(specular()), 1, [0; 8]),
+            (Channels::BaseColorWithSpecular(specular()), 0, [0, 102, 206, 106, 1, 103, 207, 106]),
+            (Channels::BaseColorWithSpecular(missing()), 0, [0, 100, 200, 44, 1, 101, 201, 45]),
         ] {
             let image = decode_source(&ImageSource { channels, ..embedded(png(4, 2)) }, &companions).unwrap();
             let found: Vec<u8> = image.texels.iter().map(|texel| texel[channel]).collect();

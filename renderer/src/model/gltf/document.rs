@@ -309,6 +309,7 @@ pub(super) struct SpecularGlossiness {
     pub(super) diffuse_factor: Option<[f32; 4]>,
     pub(super) diffuse_texture: Option<TextureInfo>,
     pub(super) glossiness_factor: Option<f32>,
+    pub(super) specular_glossiness_texture: Option<TextureInfo>,
 }
 
 #[derive(Deserialize)]

@@ -8,7 +8,7 @@ use crate::model::{
         buffers::{Buffers, data_of, file_name},
         document::{AlphaMode, Document, Material as Described, TextureInfo},
     },
-    images::ImageSource,
+    images::{Channels, ImageSource},
     material::{Material, TextureUse, Wrap},
 };
 
@@ -24,6 +24,8 @@ pub(super) struct Look<'a> {
     numbers: HashMap<usize, u16>,
     images: Vec<ImageSource>,
     image_numbers: HashMap<usize, u32>,
+    /// For a diffuse and a specular image: both, and the first of the two images that they become.
+    metals: HashMap<u32, ([u32; 2], u32)>,
     remarks: Vec<String>,
     said: HashSet<String>,
 }
@@ -37,6 +39,7 @@ impl<'a> Look<'a> {
             numbers: HashMap::new(),
             images: Vec::new(),
             image_numbers: HashMap::new(),
+            metals: HashMap::new(),
             remarks: Vec::new(),
             said: HashSet::new(),
         }
@@ -71,28 +74,32 @@ impl<'a> Look<'a> {
     fn material(&mut self, described: &Described) -> Material {
         let name = described.name.clone();
         let set = first_texture(described).map_or(0, TextureInfo::set);
-        let mut texture = |info: Option<&TextureInfo>| info.and_then(|info| self.texture(info, set));
+        let texture = |look: &mut Self, info: Option<&TextureInfo>| info.and_then(|info| look.texture(info, set));
         let unit = |value: Option<f32>| value.unwrap_or(1.0).clamp(0.0, 1.0);
         let rough = &*described.pbr_metallic_roughness;
         let extensions = &described.extensions;
         let is_unlit = extensions.unlit.is_some();
-        let (base_color, base_color_texture, mut metallic, roughness, metallic_roughness_texture);
+        let (base_color, mut base_color_texture, mut metallic, roughness, metallic_roughness_texture);
         if let Some(glossy) = extensions.specular_glossiness.as_deref() {
             base_color = glossy.diffuse_factor;
-            base_color_texture = texture(glossy.diffuse_texture.as_ref());
-            (metallic, roughness) = (0.0, 1.0 - unit(glossy.glossiness_factor));
-            metallic_roughness_texture = None;
+            base_color_texture = texture(self, glossy.diffuse_texture.as_ref());
+            let specular = texture(self, glossy.specular_glossiness_texture.as_ref());
+            metallic_roughness_texture = base_color_texture.as_mut().zip(specular).and_then(|both| self.metal(both));
+            (metallic, roughness) = match metallic_roughness_texture {
+                Some(_) => (1.0, 1.0),
+                None => (0.0, 1.0 - unit(glossy.glossiness_factor)),
+            };
         } else {
             base_color = rough.base_color_factor;
-            base_color_texture = texture(rough.base_color_texture.as_ref());
+            base_color_texture = texture(self, rough.base_color_texture.as_ref());
             (metallic, roughness) =
                 if is_unlit { (0.0, 1.0) } else { (unit(rough.metallic_factor), unit(rough.roughness_factor)) };
-            metallic_roughness_texture = texture(rough.metallic_roughness_texture.as_ref().filter(|_| !is_unlit));
+            metallic_roughness_texture = texture(self, rough.metallic_roughness_texture.as_ref().filter(|_| !is_unlit));
         }
         let strength = extensions.emissive_strength.as_ref().and_then(|it| it.emissive_strength).unwrap_or(1.0);
         let emissive = described.emissive_factor.filter(|_| !is_unlit).unwrap_or([0.0; 3]);
         let mut emissive = emissive.map(|part| part.max(0.0) * strength.max(0.0));
-        let emissive_texture = texture(described.emissive_texture.as_deref().filter(|_| emissive != [0.0; 3]));
+        let emissive_texture = texture(self, described.emissive_texture.as_deref().filter(|_| emissive != [0.0; 3]));
         // Factors beside a texture are mostly 1: alone they say little.
         if described.emissive_texture.is_some() && emissive_texture.is_none() {
             emissive = [0.0; 3];
@@ -152,6 +159,31 @@ impl<'a> Look<'a> {
         Some(TextureUse { image, wrap, transform: transform(info) })
     }
 
+    /// Gives the base colour of a diffuse and a specular texture to the diffuse one; returns that of roughness and metallic.
+    ///
+    /// An image has a part in one pair alone: a few images must not become thousands.
+    fn metal(&mut self, (diffuse, specular): (&mut TextureUse, TextureUse)) -> Option<TextureUse> {
+        let pair = [diffuse.image, specular.image];
+        let first = match pair.iter().find_map(|image| self.metals.get(image)) {
+            Some(&(other, first)) if other == pair => first,
+            Some(_) => {
+                self.say("a texture of reflections that belongs to several others is left out".to_owned());
+                return None;
+            }
+            None => {
+                let [source, other] = pair.map(|image| self.images[image as usize].clone());
+                let first = self.images.len() as u32;
+                for channels in [Channels::BaseColorWithSpecular, Channels::MetalWithSpecular] {
+                    self.images.push(ImageSource { channels: channels(Box::new(other.clone())), ..source.clone() });
+                }
+                self.metals.extend(pair.map(|image| (image, (pair, first))));
+                first
+            }
+        };
+        diffuse.image = first;
+        Some(TextureUse { image: first + 1, ..*diffuse })
+    }
+
     fn image(&mut self, index: usize) -> Option<u32> {
         if let Some(&number) = self.image_numbers.get(&index) {
             return Some(number);
@@ -179,6 +211,7 @@ impl<'a> Look<'a> {
         if materials.is_empty() {
             return;
         }
+        drop_unused(&mut materials, &mut draft.images);
         let look = &mut draft.mesh.materials;
         let has_bare = of_triangles.contains(&0);
         if has_bare {
@@ -191,6 +224,29 @@ impl<'a> Look<'a> {
             }
         }
         look.materials = materials;
+    }
+}
+
+/// Drops images that became parts of others.
+fn drop_unused(materials: &mut [Material], images: &mut Vec<ImageSource>) {
+    let textures = |material: &Material| {
+        [material.base_color_texture, material.metallic_roughness_texture, material.emissive_texture]
+    };
+    let used: HashSet<u32> = materials.iter().flat_map(textures).flatten().map(|texture| texture.image).collect();
+    let places: Vec<_> = (0..images.len() as u32)
+        .scan(0, |n, image| {
+            let place = *n;
+            *n += u32::from(used.contains(&image));
+            Some(place)
+        })
+        .collect();
+    let mut number = 0..;
+    images.retain(|_| number.next().is_some_and(|number| used.contains(&number)));
+    for material in materials {
+        let Material { base_color_texture, metallic_roughness_texture, emissive_texture, .. } = material;
+        for texture in [base_color_texture, metallic_roughness_texture, emissive_texture].into_iter().flatten() {
+            texture.image = places[texture.image as usize];
+        }
     }
 }
 

@@ -4,7 +4,10 @@ use glam::Vec3;
 use proptest::prelude::*;
 
 use super::*;
-use crate::model::material::{TextureUse, Wrap};
+use crate::model::{
+    images::{Channels, ImageSource},
+    material::{TextureUse, Wrap},
+};
 
 /// A square of 0, 1, 2 and 3 in positions, then indices 0 1 2 2 1 3 as bytes, then texture coordinates in sixteen bits.
 fn square() -> Vec<u8> {
@@ -160,11 +163,57 @@ fn unlit_materials_keep_their_colours() {
     assert!(!with_material("{}").mesh.materials.materials[0].is_unlit);
 }
 
+#[test]
+fn diffuse_and_specular_images_become_base_colour_and_metal() {
+    let texture = |index: u32| format!(r#"{{"index":{index}}}"#);
+    let glossy = |more: &str| {
+        format!(
+            r#"{{"extensions":{{"KHR_materials_pbrSpecularGlossiness":{{"glossinessFactor":0.25,"diffuseTexture":{}{more}}}}}}}"#,
+            texture(1)
+        )
+    };
+    let images = r#","textures":[{"source":0},{"source":1}],"images":[{"uri":"s.png"},{"uri":"d.png"}]"#;
+    let draft = |more: &str| with_material_and(&glossy(more), images);
+    let both = draft(&format!(r#","specularGlossinessTexture":{}"#, texture(0)));
+    let material = &both.mesh.materials.materials[0];
+    let image = |texture: Option<TextureUse>| both.images[texture.unwrap().image as usize].clone();
+    let diffuse = ImageSource::file("d.png");
+    let specular = || Box::new(ImageSource::file("s.png"));
+    let channels = Channels::BaseColorWithSpecular(specular());
+    assert_eq!(image(material.base_color_texture), ImageSource { channels, ..diffuse.clone() });
+    let channels = Channels::MetalWithSpecular(specular());
+    assert_eq!(image(material.metallic_roughness_texture), ImageSource { channels, ..diffuse.clone() });
+    assert_eq!((material.metallic, material.roughness, both.images.len()), (1.0, 1.0, 2));
+    // Each image has a part in one pair alone.
+    let three = [1, 1, 2].map(|diffuse| {
+        let glossy = glossy(&format!(r#","specularGlossinessTexture":{}"#, texture(0)));
+        glossy.replace(r#"diffuseTexture":{"index":1}"#, &format!(r#"diffuseTexture":{}"#, texture(diffuse)))
+    });
+    let images = images.replace(r#""textures":["#, r#""textures":[{"source":0},{"source":1},{"source":2}],"unused":["#);
+    let images = images.replace(r#"{"uri":"d.png"}"#, r#"{"uri":"d.png"},{"uri":"e.png"}"#);
+    let primitives = [0, 1, 2].map(|material| PRIMITIVE.replacen('{', &format!(r#"{{"material":{material},"#), 1));
+    let three = self::draft(&format!(
+        r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{}]}}],"materials":[{}]{images}"#,
+        primitives.join(","),
+        three.join(",")
+    ));
+    let metallic: Vec<_> = three.mesh.materials.materials.iter().map(|material| material.metallic).collect();
+    assert_eq!((metallic.as_slice(), three.images.len()), (&[1.0, 1.0, 0.0][..], 3));
+    assert_eq!(three.remarks, ["a texture of reflections that belongs to several others is left out"]);
+    let alone = draft("");
+    let material = &alone.mesh.materials.materials[0];
+    assert_eq!((material.metallic, material.roughness, alone.images), (0.0, 0.75, vec![diffuse]));
+}
+
 /// A square of one material.
 fn with_material(material: &str) -> Draft {
+    with_material_and(material, "")
+}
+
+fn with_material_and(material: &str, more: &str) -> Draft {
     draft(&format!(
-        r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0}},"indices":1,"material":0}}]}}],
-        "materials":[{material}]"#
+        r#""nodes":[{{"mesh":0}}],"meshes":[{{"primitives":[{{"attributes":{{"POSITION":0,"TEXCOORD_0":2}},"indices":1,
+        "material":0}}]}}],"materials":[{material}]{more}"#
     ))
 }
 
