@@ -5,7 +5,7 @@
 //!
 //! [`mod@file`] tells formats apart, and `foreign` files of other kinds: [`ply`], [`obj`], [`stl`] and [`gltf`] read theirs,
 //! with `assembly`, `decimal` and `wedges` in common; `companions` finds the files that a model names, and [`images`]
-//! decodes its images.
+//! decodes its images, with `specular` for metals.
 //! [`statue`] generates a mesh; [`scene`] loads and identifies meshes.
 
 mod assembly;
