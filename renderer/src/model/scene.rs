@@ -47,7 +47,8 @@ pub struct LoadedMesh {
     pub id: SceneId,
     /// Has at least one triangle that can be traced.
     pub mesh: Mesh,
-    /// Parts of the file that are left out, or shown otherwise than it says: a line each, without the file's name.
+    /// Parts of the file that are left out, by the view of the whole too, or shown otherwise than it says: a line each,
+    /// without the file's name.
     pub left_out: Vec<String>,
 }
 
@@ -134,7 +135,7 @@ fn has_area(mesh: &Mesh) -> bool {
 /// Remarks that are told; a model that has moved may lack a thousand images.
 const MOST_REMARKS: usize = 10;
 
-/// The parts that were left out, in lines fit for a log.
+/// The parts that were left out, or that the view of the whole leaves out, in lines fit for a log.
 fn left_out(mesh: &Mesh, remarks: &[String]) -> Vec<String> {
     let (n_triangles, n_rejected) = (mesh.triangles.len(), mesh.n_rejected);
     let n_more = remarks.len().saturating_sub(MOST_REMARKS);
@@ -142,7 +143,9 @@ fn left_out(mesh: &Mesh, remarks: &[String]) -> Vec<String> {
     let rejected = (n_rejected > 0).then(|| {
         format!("triangles with a corner that is missing or not finite are left out: {n_rejected} of {n_triangles}")
     });
-    remarks.iter().take(MOST_REMARKS).map(|remark| printable_line(remark)).chain(more).chain(rejected).collect()
+    let strays = mesh.bulk().remark(n_triangles - n_rejected);
+    let remarks = remarks.iter().take(MOST_REMARKS).map(|remark| printable_line(remark)).chain(more);
+    remarks.chain(rejected).chain(strays).collect()
 }
 
 /// BLAKE3 over vertices, triangles and colours: for each its length as `u64`, then its numbers, all little endian; then
