@@ -8,7 +8,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use strum::{Display, EnumString, IntoStaticStr, VariantArray};
 
-use crate::{camera::Camera, names::unknown_name};
+use crate::{camera::Camera, division::FrameSize, names::unknown_name, srgb};
 
 /// The appearance of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -147,6 +147,20 @@ impl Background {
     /// One colour everywhere.
     pub const fn plain(color: [u8; 3]) -> Self {
         Self { bottom: color, top: color }
+    }
+
+    /// Whether a shaded picture shows nothing else. `samples` come row by row, the bottom row first.
+    pub fn fills(self, size: FrameSize, samples: impl IntoIterator<Item = [u8; 3]>) -> bool {
+        let n_rows = size.yres() as f32;
+        let rows = (0..size.yres()).map(|row| {
+            let height = (row as f32 + 0.5) / n_rows;
+            let light = |channel: usize| [self.bottom, self.top].map(|color| srgb::decode(color[channel]));
+            [0, 1, 2].map(light).map(|[bottom, top]| srgb::encode(bottom * (1.0 - height) + top * height))
+        });
+        let expected = rows.flat_map(|row| std::iter::repeat_n(row, size.xres() as usize));
+        // Points of a sample lie above and below its centre.
+        let is_near = |(sample, row): ([u8; 3], [u8; 3])| sample.iter().zip(row).all(|(a, b)| a.abs_diff(b) <= 1);
+        samples.into_iter().zip(expected).all(is_near)
     }
 }
 

@@ -45,6 +45,10 @@ pub struct ModelArgs {
     pub crease: Crease,
 }
 
+/// The warning about a picture without anything but its background.
+pub const SHOWS_NOTHING: &str =
+    "the picture shows nothing of the model: leave --camera, --path and --clip out to see all of it";
+
 /// The axis that points up where nobody chose one, told in the log unless it is the usual.
 pub fn guessed_up(shape: &Shape) -> UpAxis {
     if shape.up != UpAxis::Y {

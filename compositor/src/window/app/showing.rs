@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use shared::scene::SceneId;
 use winit::event_loop::ActiveEventLoop;
 
 use super::App;
@@ -24,6 +25,8 @@ pub(super) struct Presentation {
     pub(super) frame: Option<Frame>,
     /// The frame has yet to be shown.
     pub(super) is_new: bool,
+    /// The scene of the last frame on screen.
+    pub(super) scene: Option<SceneId>,
     pub(super) is_stale: bool,
     pub(super) rate: FrameRate,
     pub(super) repaint_at: Option<Instant>,
@@ -164,10 +167,15 @@ impl App<'_> {
         let on_monitors = if monitors.is_empty() { String::new() } else { format!(", on {}", monitors.join(" and ")) };
         tracing::debug!("frame {} is on screen, {latency_ms:.1} ms after the camera{on_monitors}", frame.stats.frame);
         self.overlay.display = Some(stats);
+        let is_first = self.presentation.scene.replace(frame.spec.scene) != Some(frame.spec.scene);
+        let is_blank = is_first && frame.is_blank();
         // The times of this frame are known only now.
         self.presentation.repaint_at = self.presentation.repaint_at.into_iter().chain([now + SETTLE_TIME]).min();
         if (self.on_shown)(frame, &stats).is_break() {
             event_loop.exit();
+        }
+        if is_blank {
+            self.apply(Effect::note("The picture shows nothing of the model: F views all of it"));
         }
     }
 
