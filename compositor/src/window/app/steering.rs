@@ -102,7 +102,7 @@ impl App<'_> {
             Command::GoToView(number) => {
                 let look = self.camera.view(number).and_then(|view| view.look);
                 look.into_iter().for_each(|look| self.picture.set_look(look));
-                self.camera.go_to_view(number, now)
+                self.camera.go_to_view(number, &self.free_parts(), now)
             }
             Command::KeepView(number) => self.camera.keep_view(number, self.picture.look()),
             Command::ToggleRecording => self.camera.toggle_recording(now),
