@@ -1,8 +1,16 @@
 //! Runs a wall from its command line: model, farm, local render servers, with or without a window.
 
-use std::{cell::RefCell, net::SocketAddr, ops::ControlFlow, rc::Rc, sync::mpsc, time::Instant};
+use std::{
+    cell::RefCell,
+    io,
+    net::{Ipv4Addr, SocketAddr},
+    ops::ControlFlow,
+    rc::Rc,
+    sync::mpsc,
+    time::Instant,
+};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use channel::key::{Key, make_key_command};
 use renderer::cli::{
     check_writable,
@@ -79,7 +87,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
-    let mut headless = Headless::new(wall)?;
+    let mut headless = Headless::new(wall)?.with_key_file(args.key.clone());
     // Made before the farm, so that they end after it: otherwise the farm would report them as lost.
     let mut servers = LocalServers::empty(listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let (wake, wakeups) = wakeups();
@@ -279,13 +287,37 @@ fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
             make_key_command("wall.key".as_ref())
         );
     }
-    let listener = runtime.block_on(TcpListener::bind(&*addresses)).with_context(|| {
-        let host = address.rsplit_once(':').map_or(&*address, |(host, _)| host);
-        format!("cannot listen on {address}: is another wall running? --listen {host}:0 --local 2 takes a free port")
-    })?;
+    let bind = |addresses: &[SocketAddr]| runtime.block_on(TcpListener::bind(addresses));
+    let listener = match bind(&addresses) {
+        // Nobody else was told the port: the wall's own render servers learn it from the wall.
+        Err(error) if error.kind() == io::ErrorKind::AddrInUse && args.listen.is_none() && args.n_local() > 0 => {
+            tracing::info!("{address} is taken, as by another wall: this one takes a free port");
+            bind(&[(Ipv4Addr::LOCALHOST, 0).into()])
+        }
+        bound => bound,
+    };
+    let listener =
+        listener.map_err(|error| anyhow!("cannot listen on {address}: {}", listen_fault(&address, &error)))?;
     // Scripts and people read the address to connect to.
     say(format_args!("listening on {}", listener.local_addr()?))?;
     Ok(listener)
+}
+
+/// The cause that the wall cannot listen on HOST:PORT, and its cure.
+fn listen_fault(address: &str, error: &io::Error) -> String {
+    let (host, port) = address.rsplit_once(':').unwrap_or((address, ""));
+    match error.kind() {
+        io::ErrorKind::AddrInUse => {
+            format!("the port is taken; is another wall running? --listen {host}:0 --local 2 takes a free port")
+        }
+        io::ErrorKind::AddrNotAvailable => {
+            format!("this machine does not have that address; --listen 0.0.0.0:{port} listens on all that it has")
+        }
+        io::ErrorKind::PermissionDenied => {
+            format!("the system reserves that port; --listen {host}:7117 takes one that it does not")
+        }
+        _ => error.to_string(),
+    }
 }
 
 fn load_model(model: &ModelArgs) -> anyhow::Result<Model> {
