@@ -151,16 +151,21 @@ impl Background {
 
     /// Whether a shaded picture shows nothing else. `samples` come row by row, the bottom row first.
     pub fn fills(self, size: FrameSize, samples: impl IntoIterator<Item = [u8; 3]>) -> bool {
-        let n_rows = size.yres() as f32;
-        let rows = (0..size.yres()).map(|row| {
-            let height = (row as f32 + 0.5) / n_rows;
+        let color = |height: f32| {
             let light = |channel: usize| [self.bottom, self.top].map(|color| srgb::decode(color[channel]));
             [0, 1, 2].map(light).map(|[bottom, top]| srgb::encode(bottom * (1.0 - height) + top * height))
-        });
+        };
+        let n_rows = size.yres();
+        // The rays of a sample are anywhere between its lower and its upper edge.
+        let rows = (0..n_rows).map(|row| [row, row + 1].map(|edge| color(edge as f32 / n_rows as f32)));
         let expected = rows.flat_map(|row| std::iter::repeat_n(row, size.xres() as usize));
-        // Points of a sample lie above and below its centre.
-        let is_near = |(sample, row): ([u8; 3], [u8; 3])| sample.iter().zip(row).all(|(a, b)| a.abs_diff(b) <= 1);
-        samples.into_iter().zip(expected).all(is_near)
+        samples.into_iter().zip(expected).all(|(sample, [lower, upper])| {
+            let is_between = |channel: usize| {
+                let (value, edges) = (sample[channel], [lower[channel], upper[channel]]);
+                (edges[0].min(edges[1])..=edges[0].max(edges[1])).contains(&value)
+            };
+            (0..3).all(is_between)
+        })
     }
 }
 

@@ -292,7 +292,7 @@ mod tests {
     #[test]
     fn a_picture_of_the_background_alone_is_known() {
         let scene = crate::render::scene::Scene::build(facing_mesh(), &crate::grid::GridOptions::default(), &|_| ());
-        let is_blank = |samples: u16, background: &str, towards: f64| {
+        let is_blank = |samples: u32, background: &str, towards: f64| {
             let background: Background = background.parse().unwrap();
             let eye = DVec3::new(0.0, 0.0, 5.0);
             let camera = Camera::look_at(eye, eye + DVec3::Z * towards, DVec3::Y, 0.7, 2.0).unwrap();
