@@ -140,16 +140,13 @@ async fn keep_connected(
     let host = with_port(wall);
     let mut pause = SHORTEST_PAUSE;
     let mut last_failure = String::new();
-    let (mut has_ended, mut was_refused) = (false, false);
+    let mut has_ended = false;
     loop {
         let mut longest_pause = LONGEST_PAUSE;
         let ended = match connect(&host, only_this_machine).await? {
             Ok(mut stream) => {
                 let security = if key.is_some() { "with a key" } else { "unencrypted" };
-                // A refusal repeats: its reason is to stay the last line.
-                if !was_refused {
-                    tracing::info!("connected to the wall at {host}, {security}");
-                }
+                let on_welcome = || tracing::info!("connected to the wall at {host}, {security}");
                 has_ended = false;
                 let is_local = match (stream.local_addr(), stream.peer_addr()) {
                     (Ok(here), Ok(wall)) => is_same_machine(here, wall),
@@ -157,8 +154,7 @@ async fn keep_connected(
                 };
                 let (input, output) = stream.split();
                 let SessionEnd { was_accepted, reason } =
-                    session::run(input, output, key, name, loader, is_local).await;
-                was_refused = !was_accepted && reason.is_err();
+                    session::run(input, output, key, name, loader, is_local, on_welcome).await;
                 if matches!(reason, Err(SessionError::Refused(_))) {
                     longest_pause = LONGEST_PAUSE_IF_REFUSED;
                 } else if was_accepted {
