@@ -50,9 +50,16 @@ fn a_corner_dragged_on_the_wall_is_saved_in_its_file() {
     }
     session.key("Escape");
     wait_until("the statue is back", || statue.difference(&session.screenshot(), 30) < 0.05);
+    for key in ["n", "Tab", "Right", "Escape"] {
+        session.key(key);
+    }
+    program.wait_for("INFO The corners have moved and are not saved: Ctrl+S saves them in");
     session.key("ctrl+q");
     let (status, said) = program.wait();
     assert_eq!(status.code(), Some(0), "{said}");
+    assert!(said.contains("ours.corners-1.toml shows them"), "{said}");
+    assert!(fs::read_to_string(folder.path().join("ours.corners-1.toml")).unwrap().contains("[[21.0, 15.1]"));
+    assert_eq!(fs::read_to_string(&file).unwrap(), saved);
 }
 
 #[test]
