@@ -211,7 +211,9 @@ impl<'a> App<'a> {
         if let Some(problem) = sidecars.problem() {
             self.apply(Effect::problem(problem));
         }
+        // Points of the model before are none of this one.
         self.overlay.pick = None;
+        self.probing.forget();
         self.overlay.model = Some(ModelSummary {
             name: name.clone(),
             n_triangles: model.n_triangles,
@@ -317,6 +319,11 @@ impl ApplicationHandler<Call> for App<'_> {
     }
 
     fn exiting(&mut self, event_loop: &ActiveEventLoop) {
+        match self.wall.save_aside() {
+            Ok(kept) => kept.iter().for_each(|line| tracing::warn!("{line}")),
+            Err(error) if self.outcome.is_ok() => self.outcome = Err(error),
+            Err(error) => tracing::error!("{error}"),
+        }
         if self.outcome.is_ok()
             && let Some(path) = &self.args.screenshot
         {

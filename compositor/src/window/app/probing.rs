@@ -49,6 +49,11 @@ impl Probing {
         Some(self.last_number)
     }
 
+    /// Drops the probe that is not answered yet, as when another model opens.
+    pub(super) fn forget(&mut self) {
+        self.pending = None;
+    }
+
     /// The purpose of the last probe and what it hit, once, if this is its answer.
     pub(super) fn finish(&mut self, probed: Probed) -> Option<(Purpose, Option<Pick>)> {
         let PendingProbe { purpose, camera, at, .. } = self.pending.take_if(|_| probed.number == self.last_number)?;
@@ -105,6 +110,9 @@ mod tests {
         assert!(probing.finish(miss(first)).is_none());
         assert_eq!(probing.finish(miss(second)).unwrap().0, Purpose::GoTo);
         assert!(probing.finish(miss(second)).is_none());
+        let last = probing.start(Purpose::Inspect, camera(), [0.5; 2], now).unwrap();
+        probing.forget();
+        assert!(probing.finish(miss(last)).is_none(), "another model is on the wall");
         assert!(probing.start(Purpose::Approach, camera(), [0.5; 2], now).is_some());
     }
 }

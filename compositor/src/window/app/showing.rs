@@ -8,7 +8,10 @@ use winit::event_loop::ActiveEventLoop;
 use super::App;
 use crate::{
     control::refinement::ShowTimes,
-    farm::{Frame, stats::DisplayStats},
+    farm::{
+        Frame,
+        stats::{DisplayStats, FarmStatus},
+    },
     overlay::{FrameTimes, OverlayModel},
     supervisor::SupervisorLink,
     window::{effect::Effect, frame_rate::FrameRate},
@@ -84,6 +87,9 @@ impl App<'_> {
         let frame = self.presentation.frame.as_ref();
         overlay.n_samples = [frame.map_or(0, |frame| frame.spec.samples.count), self.picture.refinement.n_samples()];
         overlay.frame = frame.map(|frame| frame.stats.clone());
+        if let Some((pick, frame)) = overlay.pick.as_mut().zip(frame) {
+            pick.distance = (pick.point - frame.spec.camera.eye()).length();
+        }
         overlay.pick_on_canvas = overlay.pick.zip(frame).and_then(|(pick, frame)| {
             let [x, y] = frame.spec.camera.project(pick.point)?;
             Some(egui::pos2(x as f32, (1.0 - y) as f32))
@@ -98,7 +104,11 @@ impl App<'_> {
         overlay.frames_per_second = self.presentation.rate.per_second(now);
         overlay.note = self.messages.note(now);
         let has_panel = overlay.panel && !overlay.is_aligning;
-        let messages = self.messages.list(&overlay.status, &self.outputs.missing(), has_panel, now);
+        let missing = self.outputs.missing();
+        // A pattern is covered only by the answer to the hand that aligns; other news come back with the picture.
+        let (status, missing) =
+            if overlay.is_aligning { (&FarmStatus::default(), &[][..]) } else { (&overlay.status, &*missing) };
+        let messages = self.messages.list(status, missing, has_panel, now);
         // Messages are for operators.
         overlay.messages = if self.kiosk.is_locked { Vec::new() } else { messages };
     }

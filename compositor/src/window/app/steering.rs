@@ -54,11 +54,14 @@ impl App<'_> {
             return self.key_to_browser(event_loop, cap, key, has_ctrl);
         }
         // Alignment takes only presses: a key that was pressed before the pattern came must still be released.
+        let took_corners = self.wall.takes_corners();
         if let keyboard::Key::Named(named) = key.logical_key
             && is_pressed
             && !self.kiosk.is_locked
             && self.wall.press_key(named, has_shift)
         {
+            let unsaved = self.wall.unsaved_note().filter(|_| took_corners);
+            self.apply(unsaved.map_or_else(Effect::default, Effect::note));
             return self.redraw();
         }
         match cap.and_then(input::action) {
@@ -164,10 +167,15 @@ impl App<'_> {
             Command::ToggleFullscreen => self.fill(event_loop, !self.outputs.is_filling, now),
             Command::LeaveFullscreen => self.fill(event_loop, false, now),
             Command::Screenshot => self.take_screenshot(),
-            Command::NextPattern => Effect::note(match self.wall.next_pattern() {
-                Some(pattern) => self.wall.help(pattern),
-                None => "No test pattern".to_owned(),
-            }),
+            Command::NextPattern => {
+                let took_corners = self.wall.takes_corners();
+                let pattern = self.wall.next_pattern();
+                // A pattern has the wall for itself, until somebody asks for help.
+                self.overlay.help = false;
+                let help = pattern.map_or_else(|| "No test pattern".to_owned(), |pattern| self.wall.help(pattern));
+                let unsaved = self.wall.unsaved_note().filter(|_| took_corners);
+                Effect::note(unsaved.map_or(help.clone(), |unsaved| format!("{unsaved}. {help}")))
+            }
             Command::SaveCorners => {
                 self.wall.save().map_or_else(|problem| Effect::problem(problem.to_string()), Effect::note)
             }
@@ -189,10 +197,10 @@ impl App<'_> {
 
     /// Locks the wall and hides everything that is not for visitors, or unlocks it.
     fn toggle_lock(&mut self) -> Effect {
-        if !self.kiosk.toggle_lock() {
+        if !self.kiosk.toggle_lock(&mut self.overlay.panel) {
             return Effect::note("Unlocked");
         }
-        (self.overlay.panel, self.overlay.help) = (false, false);
+        self.overlay.help = false;
         (self.overlay.tint, self.overlay.pick) = (Tint::None, None);
         self.browser.files = None;
         Effect::note("Locked: visitors can only steer; Ctrl+L unlocks")
