@@ -11,10 +11,11 @@ use std::{
 };
 
 use anyhow::{Context, anyhow, bail};
-use channel::key::{Key, make_key_command};
+use channel::key::{Key, have_key_advice};
 use renderer::cli::{
     check_writable,
-    picture_args::{ModelArgs, guessed_up},
+    large_file::warn_of_large_file,
+    picture_args::guessed_up,
     progress::Progress,
     say,
     stop::{self, Signal, Stopped},
@@ -97,7 +98,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         let _ = wake_farm.try_send(Wakeup::Farm);
     })?;
     servers.start(args.n_local(), farm.local_reporter())?;
-    let model = load_model(&args.show.model)?;
+    let model = load_model(args)?;
     if args.n_local() < args.min_renderers() {
         let join = join_hint(farm.address(), args.key.as_deref(), model.path().as_deref());
         tracing::info!(
@@ -135,7 +136,9 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         None if refinement.is_on() => headless.show_refined(&farm, &wakeups, n_frames, spec, &mut refinement)?,
         None => headless.show_frames(&farm, &wakeups, n_frames)?,
     };
-    say(report.table())?;
+    if report.n_frames() > 0 {
+        say(report.table())?;
+    }
     // Measurements first: a screenshot that cannot be written must not lose them.
     if let Some(path) = &args.stats {
         report.write(path)?;
@@ -282,9 +285,9 @@ fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
     let is_loopback = addresses.iter().all(|address| address.ip().to_canonical().is_loopback());
     if !is_loopback && args.key.is_none() && !args.insecure {
         bail!(
-            "--listen {address} is open to the network: make a key with `{}`, copy it to the render servers and \
-             give it to both sides with --key wall.key, or add --insecure if you trust everybody on the network",
-            make_key_command("wall.key".as_ref())
+            "--listen {address} is open to the network: {}, copy it to the render servers and give it to both sides \
+             with --key wall.key, or add --insecure if you trust everybody on the network",
+            have_key_advice("wall.key".as_ref())
         );
     }
     let bind = |addresses: &[SocketAddr]| runtime.block_on(TcpListener::bind(addresses));
@@ -320,9 +323,11 @@ fn listen_fault(address: &str, error: &io::Error) -> String {
     }
 }
 
-fn load_model(model: &ModelArgs) -> anyhow::Result<Model> {
+fn load_model(args: &WallArgs) -> anyhow::Result<Model> {
+    let model = &args.show.model;
     let source = model.source();
     tracing::info!("loading {source}");
+    warn_of_large_file(&source, 1 + args.n_local(), args.scene.options().memory_budget);
     let bar = Progress::new(format!("loading {source}"));
     Ok(Model::load(source, model.crease, &|fraction| bar.set(fraction))?)
 }

@@ -11,7 +11,7 @@ mod steering;
 
 use std::time::{Duration, Instant};
 
-use renderer::model::scene::SceneSource;
+use renderer::{cli::large_file::warn_of_large_file, model::scene::SceneSource};
 use shared::printable::counted;
 use winit::{
     application::ApplicationHandler,
@@ -92,6 +92,7 @@ impl<'a> App<'a> {
         };
         let mut loader = ModelLoader::new(waker.clone(), args.show.model.crease);
         let source = args.show.model.source();
+        warn_of_large_file(&source, 1 + args.n_local(), args.scene.options().memory_budget);
         loader.load(source.clone());
         let kiosk = args.kiosk.map(|seconds| Duration::from_secs(seconds.into()));
         Self {

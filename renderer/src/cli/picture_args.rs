@@ -13,7 +13,7 @@ use shared::{
 };
 
 use crate::{
-    cli::{appearance_args::AppearanceArgs, between, progress::Progress, scene_args::SceneArgs},
+    cli::{appearance_args::AppearanceArgs, between, large_file, progress::Progress, scene_args::SceneArgs},
     model::{
         file::is_named_as_model,
         mesh::Mesh,
@@ -126,6 +126,11 @@ impl PictureArgs {
     /// The camera of the file, if there is one.
     pub fn read_camera(&self) -> Result<Option<Camera>> {
         self.camera.as_deref().map(read_camera).transpose()
+    }
+
+    /// Warns of a file that may not fit into memory, before it is read.
+    pub fn warn_of_large_file(&self) {
+        large_file::warn_of_large_file(&self.model.source(), 1, self.scene.options().memory_budget);
     }
 
     /// A camera that sees all of a mesh, with samples as wide as high.

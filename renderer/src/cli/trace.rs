@@ -35,6 +35,7 @@ pub fn run(TraceArgs { picture, image }: &TraceArgs) -> Result<()> {
     picture.pool()?.install(|| {
         // The camera is checked before a large model is read.
         let camera = picture.read_camera()?;
+        picture.warn_of_large_file();
         let LoadedMesh { id, mesh, .. } = picture.model.load()?;
         let spec = picture.spec(id, camera.unwrap_or_else(|| picture.view_all(&mesh)));
         let scene = picture.build(mesh);
