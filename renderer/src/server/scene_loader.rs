@@ -9,7 +9,7 @@ use std::{
 use anyhow::Context;
 use rayon::ThreadPool;
 use shared::{
-    printable::counted,
+    printable::{bytes, counted},
     protocol::SceneState,
     scene::{Crease, SceneId},
     structure::Structure,
@@ -298,9 +298,9 @@ impl LoaderThread {
         })?;
         self.told_of = Some(id);
         tracing::info!(
-            "{source} is ready: {} in {} MB",
+            "{source} is ready: {} in {}",
             counted(scene.n_triangles(), "triangle"),
-            scene.n_bytes() / 1_000_000
+            bytes(scene.n_bytes() as u64)
         );
         if let Some(shortage) = scene.grid.shortage().filter(|_| self.told != Told::Nothing) {
             tracing::warn!("{source}: {shortage}");
