@@ -37,6 +37,8 @@ pub(crate) struct Navigator {
     focus: Option<DVec3>,
     /// The surface point under the cursor, in world space, once it is known.
     under_cursor: Option<DVec3>,
+    /// The surface point that the eye saw or went to last, in world space.
+    surface: Option<DVec3>,
     motion: Option<Motion>,
     /// Steps of flying speed above the usual one.
     speed: i32,
@@ -76,6 +78,8 @@ const DOLLY_FACTOR_PER_HEIGHT: f64 = 8.0;
 const DOLLY_FACTOR_PER_NOTCH: f64 = 1.15;
 /// Seconds to fly across the model.
 const SECONDS_TO_CROSS: f64 = 2.5;
+/// Flying near a surface covers this part of the distance to it in a second.
+const NEAR_PART_PER_SECOND: f64 = 1.2;
 /// Each step multiplies the flying speed by this.
 const SPEED_FACTOR: f64 = 1.5;
 /// The most steps up or down: 1.5¹⁰ is about 58 times the usual speed.
@@ -107,6 +111,7 @@ impl Navigator {
             held: Vec::new(),
             focus: None,
             under_cursor: None,
+            surface: None,
             motion: None,
             speed: 0,
         }
@@ -145,6 +150,7 @@ impl Navigator {
         self.shape = shape;
         self.up = up;
         self.focus = None;
+        self.surface = None;
         self.motion = None;
         self.placed = self.place(None, parts);
         self.show(self.placed.camera, self.placed.shift);
@@ -207,7 +213,7 @@ impl Navigator {
         // Solve for both edges, which need not be perpendicular.
         let (a, b, c) = (right.dot(up), aside.dot(right), aside.dot(up));
         let by_up = (c - a * b) / (1.0 - a * a);
-        self.focus = Some(point);
+        (self.focus, self.surface) = (Some(point), Some(point));
         if distance > 0.0 && depth > 0.0 && by_up.is_finite() {
             self.go_to(nearer.fly(b - a * by_up, by_up, 0.0), DVec2::ZERO);
         }
@@ -216,6 +222,16 @@ impl Navigator {
     /// Sets the surface point under the cursor, in world space; `None` if there is none.
     pub(crate) fn set_under_cursor(&mut self, point: Option<DVec3>) {
         self.under_cursor = point.filter(|point| point.is_finite());
+        self.surface = self.under_cursor.or(self.surface);
+    }
+
+    /// Sets the surface point in the middle of the view, in world space, which slows flying; `None` if there is none.
+    pub(crate) fn set_ahead(&mut self, point: Option<DVec3>) {
+        self.surface = point.filter(|point| point.is_finite());
+    }
+
+    pub(crate) fn is_flying(&self) -> bool {
+        !self.held.is_empty()
     }
 
     pub(crate) fn needs_surface(&self) -> bool {
@@ -360,7 +376,10 @@ impl Navigator {
     fn fly(&mut self, seconds: f64, speed: f64) {
         // From afar, reaching the model takes the same time.
         let (size, distance) = (self.size(), (self.camera.eye() - self.pivot()).length());
-        let per_second = size.max(distance - size) / SECONDS_TO_CROSS;
+        let usual = size.max(distance - size) / SECONDS_TO_CROSS;
+        let to_surface = self.surface.map_or(f64::INFINITY, |point| (point - self.camera.eye()).length());
+        // A surface is passed in the end, so the speed falls no further just before it.
+        let per_second = usual.min((to_surface * NEAR_PART_PER_SECOND).max(size * PASS_THROUGH_PART));
         let step = per_second * seconds.min(LONGEST_STEP_SECONDS) * speed * SPEED_FACTOR.powi(self.speed);
         let held = |direction| if self.held.contains(&direction) { step } else { 0.0 };
         let camera = self.camera.fly(

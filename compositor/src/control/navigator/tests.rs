@@ -122,6 +122,41 @@ fn speed_fits_the_model_and_the_person() {
     assert!(distance(&far) < 0.97 * before);
 }
 
+#[test]
+fn flying_slows_down_before_a_surface_and_passes_it_in_the_end() {
+    let mut navigator = navigator();
+    let eye = |navigator: &Navigator| navigator.camera().eye();
+    let forward = view_plane(&navigator.camera()).0;
+    let step = |navigator: &mut Navigator, surface: Option<DVec3>| {
+        let before = eye(navigator);
+        navigator.set_ahead(surface);
+        navigator.advance(0.016, 1.0);
+        (eye(navigator) - before).length()
+    };
+    navigator.hold(Direction::Forward);
+    let usual = step(&mut navigator, None);
+    let size = navigator.size();
+    let ahead = |navigator: &Navigator, part: f64| Some(eye(navigator) + forward * (size * part));
+    let (far, near) = (ahead(&navigator, 1.0), ahead(&navigator, 0.01));
+    assert!((step(&mut navigator, far) / usual - 1.0).abs() < 0.01, "no slower where there is room");
+    let near_step = step(&mut navigator, near);
+    assert!(near_step < 0.1 * usual && near_step < 0.01 * size, "{near_step} of {usual}");
+    let surface = eye(&navigator) + forward * (size * 0.01);
+    let depth = |navigator: &Navigator| (surface - eye(navigator)).dot(forward);
+    let n_steps =
+        (0..2000).take_while(|_| step(&mut navigator, Some(surface)) > 0.0 && depth(&navigator) > 0.0).count();
+    assert!((60..500).contains(&n_steps), "{n_steps}");
+    // A point that somebody went to counts before the eye has seen another.
+    navigator.release_all();
+    navigator.go_to_point(DVec3::new(1.0, 1.0, 1.0));
+    navigator.advance(TRANSITION_SECONDS, 1.0);
+    navigator.hold(Direction::Left);
+    let before = eye(&navigator);
+    let distance = (DVec3::ONE - before).length();
+    navigator.advance(0.016, 1.0);
+    assert!((eye(&navigator) - before).length() < 0.02 * distance.max(1e-3 * size));
+}
+
 /// Advances until all transitions have ended.
 fn arrive(navigator: &mut Navigator) {
     navigator.advance(TRANSITION_SECONDS, 1.0);
@@ -293,7 +328,10 @@ proptest! {
                 5 => navigator.next_up_axis(&[CanvasPart::WHOLE]),
                 6 => navigator.go_to(first.orbit(DVec3::ZERO, UpAxis::X, a, b), DVec2::ZERO),
                 7 => navigator.go_to_point(DVec3::new(a, b, corner)),
-                8 => navigator.set_under_cursor(Some(DVec3::new(b, a, corner))),
+                8 => {
+                    navigator.set_under_cursor(Some(DVec3::new(b, a, corner)));
+                    navigator.set_ahead(Some(DVec3::new(a, b, corner)));
+                }
                 9 => {
                     let keys = vec![(0.0, navigator.camera()), (0.5, first), (1.0, navigator.destination_without_panels())];
                     navigator.play(Arc::new(CameraPath::new(keys, UpAxis::Y).unwrap()), b > 0.0);

@@ -208,6 +208,7 @@ impl App<'_> {
         let (has_moved, next_step_at) = self.camera.advance(self.modifiers.shift_key(), now);
         if has_moved {
             self.want_picture();
+            self.probe_ahead();
         }
         next.push(next_step_at);
         if let Some(step) = self.picture.refinement.refine(now) {

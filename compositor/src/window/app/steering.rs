@@ -269,20 +269,36 @@ impl App<'_> {
 
     /// Asks a render server for the triangle under the cursor; [`App::take_probed`] takes the answer.
     fn probe(&mut self, purpose: Purpose) -> Effect {
-        let point = self.point_on_canvas();
-        let (Some(model), Some(navigator)) = (&self.model, &self.camera.navigator) else { return Effect::default() };
+        self.probe_at(purpose, self.point_on_canvas());
+        Effect::default()
+    }
+
+    /// Asks a render server what is ahead, while keys fly the camera.
+    pub(super) fn probe_ahead(&mut self) {
+        if self.camera.navigator.as_ref().is_some_and(Navigator::is_flying) {
+            self.probe_at(Purpose::Ahead, DVec2::splat(0.5));
+        }
+    }
+
+    /// `point` is a fraction of the canvas, (0, 0) lower left.
+    fn probe_at(&mut self, purpose: Purpose, point: DVec2) {
+        let (Some(model), Some(navigator)) = (&self.model, &self.camera.navigator) else { return };
         let (camera, at) = (navigator.camera(), [point.x as f32, point.y as f32]);
         if let Some(number) = self.probing.start(purpose, camera, at, Instant::now()) {
             let (view, clip) = (Some((model.scene, camera)), self.picture.appearance.clip);
             self.farm.probe(Probe { number, view, at, clip });
         }
-        Effect::default()
     }
 
     /// Takes the answer to the last probe, once it has come.
     pub(super) fn take_probed(&mut self) {
         let probed = self.farm.status().probed;
         let Some((purpose, pick)) = probed.and_then(|probed| self.probing.finish(probed)) else { return };
+        if purpose == Purpose::Ahead {
+            let navigator = self.camera.navigator.as_mut();
+            // Nothing to draw: the next step of the flight shows it.
+            return navigator.into_iter().for_each(|navigator| navigator.set_ahead(pick.map(|pick| pick.point)));
+        }
         let effect = match (purpose, pick) {
             (Purpose::Inspect, pick) => {
                 self.overlay.pick = pick;
@@ -293,7 +309,7 @@ impl App<'_> {
                 self.overlay.pick = Some(pick);
                 self.camera.steer(Instant::now(), |navigator| navigator.go_to_point(pick.point))
             }
-            (Purpose::Approach, pick) => {
+            (Purpose::Approach | Purpose::Ahead, pick) => {
                 let navigator = self.camera.navigator.as_mut();
                 navigator.into_iter().for_each(|navigator| navigator.set_under_cursor(pick.map(|pick| pick.point)));
                 Effect::default()
