@@ -304,6 +304,8 @@ fn a_model_that_does_not_fit_in_memory_ends_with_the_cure() {
         assert!(limit_kb < 16_000_000, "no wall starts with {limit_kb} KB");
         limit_kb += limit_kb / 4;
     }
+    // The driver does not take the same on every start.
+    limit_kb += limit_kb / 4;
     let line = fails(wall(limit_kb, "100000000"));
     assert!(line.contains("memory ran out") && line.contains("Lower --memory-budget"), "at {limit_kb} KB: {line}");
 }
