@@ -208,10 +208,10 @@ mod tests {
         let ply = "ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nproperty float y\nproperty float z\n\
             element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n";
         for (text, cure) in [
-            (ply.to_owned(), COPY_AGAIN),
-            (ply.replace("float y", "bool y"), EXPORT_AGAIN),
-            ("v 0 0 0\nv 1 0 x\nf 1 2 1\n".to_owned(), COPY_AGAIN),
-            ("glTF\u{2}\0\0\0@\0\0\0\u{20}\0\0\0JSON{}".to_owned(), COPY_AGAIN),
+            (ply.to_owned(), "; copy the file again, or export the model again"),
+            (ply.replace("float y", "bool y"), "; export the model again, for example with Blender or MeshLab"),
+            ("v 0 0 0\nv 1 0 x\nf 1 2 1\n".to_owned(), "; copy the file again, or export the model again"),
+            ("glTF\u{2}\0\0\0@\0\0\0\u{20}\0\0\0JSON{}".to_owned(), "; copy the file again, or export the model again"),
         ] {
             std::fs::write(&path, text).unwrap();
             let told = read(&path, &|_| ()).unwrap_err().to_string();
