@@ -83,6 +83,17 @@ pub struct Frame {
     pub moved_at: Instant,
 }
 
+impl Frame {
+    /// Whether it shows the background alone.
+    pub fn is_blank(&self) -> bool {
+        let rgb = |&sample: &u32| {
+            let [r, g, b, _] = sample.to_ne_bytes();
+            [r, g, b]
+        };
+        self.spec.appearance.background.fills(self.spec.size, self.rgba.iter().map(rgb))
+    }
+}
+
 /// A question about the model: which triangle is visible at one point of the canvas.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Probe {

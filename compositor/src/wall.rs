@@ -161,7 +161,10 @@ impl Wall {
     pub fn from_toml(path: &str, text: &str) -> Result<Self, WallError> {
         file::parse(text).map_err(|(offset, problem)| {
             let before = text.get(..offset).unwrap_or(text);
-            let problem = plain_problem(text, offset, &problem);
+            let mut problem = plain_problem(text, offset, &problem);
+            if problem.starts_with("missing field") {
+                problem += ": the files in wall-config/ show every key; copy the one that is most like yours";
+            }
             WallError::Invalid { path: path.to_owned(), line: 1 + before.matches('\n').count(), problem }
         })
     }

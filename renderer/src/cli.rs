@@ -3,6 +3,7 @@
 pub mod appearance_args;
 pub mod generate;
 pub mod key;
+pub mod large_file;
 pub mod picture_args;
 pub mod progress;
 pub mod scene_args;

@@ -1,7 +1,7 @@
 //! Triangle meshes, read from files or generated.
 //!
-//! [`mesh`] is the type, with [`normal`]s and [`material`]s; [`shape`] finds its outline, [`solid`] says whether it is
-//! closed, and [`smooth`] gives it normals.
+//! [`mesh`] is the type, with [`normal`]s and [`material`]s; [`shape`] finds its outline and [`stray`] the
+//! triangles that are far from it, [`solid`] says whether it is closed, and [`smooth`] gives it normals.
 //!
 //! [`mod@file`] tells formats apart, and `foreign` files of other kinds: [`ply`], [`obj`], [`stl`] and [`gltf`] read theirs,
 //! with `assembly`, `decimal` and `wedges` in common; `companions` finds the files that a model names, and [`images`]
@@ -27,4 +27,5 @@ pub mod solid;
 mod specular;
 pub mod statue;
 pub mod stl;
+pub mod stray;
 mod wedges;

@@ -8,7 +8,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use strum::{Display, EnumString, IntoStaticStr, VariantArray};
 
-use crate::{camera::Camera, names::unknown_name};
+use crate::{camera::Camera, division::FrameSize, names::unknown_name, srgb};
 
 /// The appearance of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -147,6 +147,25 @@ impl Background {
     /// One colour everywhere.
     pub const fn plain(color: [u8; 3]) -> Self {
         Self { bottom: color, top: color }
+    }
+
+    /// Whether a shaded picture shows nothing else. `samples` come row by row, the bottom row first.
+    pub fn fills(self, size: FrameSize, samples: impl IntoIterator<Item = [u8; 3]>) -> bool {
+        let color = |height: f32| {
+            let light = |channel: usize| [self.bottom, self.top].map(|color| srgb::decode(color[channel]));
+            [0, 1, 2].map(light).map(|[bottom, top]| srgb::encode(bottom * (1.0 - height) + top * height))
+        };
+        let n_rows = size.yres();
+        // The rays of a sample are anywhere between its lower and its upper edge.
+        let rows = (0..n_rows).map(|row| [row, row + 1].map(|edge| color(edge as f32 / n_rows as f32)));
+        let expected = rows.flat_map(|row| std::iter::repeat_n(row, size.xres() as usize));
+        samples.into_iter().zip(expected).all(|(sample, [lower, upper])| {
+            let is_between = |channel: usize| {
+                let (value, edges) = (sample[channel], [lower[channel], upper[channel]]);
+                (edges[0].min(edges[1])..=edges[0].max(edges[1])).contains(&value)
+            };
+            (0..3).all(is_between)
+        })
     }
 }
 

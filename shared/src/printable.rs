@@ -41,6 +41,18 @@ pub fn counted(count: impl Display, noun: &str) -> String {
     format!("{count} {}", plural(is_one, noun))
 }
 
+/// Bytes with up to three digits and a unit.
+pub fn bytes(bytes: u64) -> String {
+    let bytes = bytes as f64;
+    match bytes {
+        ..1e3 => format!("{bytes} B"),
+        ..1e4 => format!("{:.1} KB", bytes / 1e3),
+        ..1e6 => format!("{:.0} KB", bytes / 1e3),
+        ..1e7 => format!("{:.1} MB", bytes / 1e6),
+        _ => format!("{:.0} MB", bytes / 1e6),
+    }
+}
+
 /// The noun alone: in the singular if `is_one`.
 pub fn plural(is_one: bool, noun: &str) -> String {
     match noun.strip_suffix("ex") {
@@ -63,6 +75,12 @@ fn is_invisible(letter: char) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sizes_have_up_to_three_digits() {
+        let shown = [0, 999, 1500, 25_400, 6_940_000, 1_234_000_000].map(bytes);
+        assert_eq!(shown, ["0 B", "999 B", "1.5 KB", "25 KB", "6.9 MB", "1234 MB"]);
+    }
 
     #[test]
     fn what_forges_or_hides_is_left_out() {

@@ -297,12 +297,13 @@ pub struct TaskTimings {
     pub send_us: u32,
 }
 
-/// Costs of a task's tiles, measured in runs of tiles.
+/// Costs of a task's units, measured in runs of units.
 ///
-/// Empty if the task's units are not tiles along the curve: only the dynamic division uses costs.
+/// The dynamic division uses those of tiles along the curve; where units are others, a run is a chunk, and its cost is only
+/// shown. Empty if there would be more than [`RunCosts::MOST_RUNS`].
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RunCosts {
-    /// Tiles in each run but the last, which has the rest.
+    /// Units in each run but the last, which has the rest.
     pub run_units: u32,
     /// CPU time of each run's rays, in nanoseconds.
     pub cpu_ns: Vec<u32>,

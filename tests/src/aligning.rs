@@ -50,15 +50,25 @@ fn a_corner_dragged_on_the_wall_is_saved_in_its_file() {
     }
     session.key("Escape");
     wait_until("the statue is back", || statue.difference(&session.screenshot(), 30) < 0.05);
+    for key in ["n", "Tab", "Right", "Escape"] {
+        session.key(key);
+    }
+    program.wait_for("INFO The corners have moved and are not saved: Ctrl+S saves them in");
     session.key("ctrl+q");
     let (status, said) = program.wait();
     assert_eq!(status.code(), Some(0), "{said}");
+    assert!(said.contains("ours.corners-1.toml shows them"), "{said}");
+    assert!(fs::read_to_string(folder.path().join("ours.corners-1.toml")).unwrap().contains("[[21.0, 15.1]"));
+    assert_eq!(fs::read_to_string(&file).unwrap(), saved);
 }
 
 #[test]
 fn without_a_wall_file_the_note_says_how_to_save_corners() {
     let session = XSession::start([640, 480]);
-    let mut program = Program::start(session.wall(&["--local", "1", "--triangles", "1000", "--size", "64x32"]));
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = session.wall(&["--local", "1", "--triangles", "1000", "--size", "64x32"]);
+    command.current_dir(folder.path());
+    let mut program = Program::start(command);
     program.wait_for(SHOWN);
     session.wait_for_window("Raywall");
     session.key("o");
@@ -74,5 +84,7 @@ fn without_a_wall_file_the_note_says_how_to_save_corners() {
     program.wait_for("start with --wall FILE");
     wait_until("the message is seen without the overlay", || pattern != session.screenshot());
     session.key("ctrl+q");
-    program.wait();
+    let (_, said) = program.wait();
+    assert!(said.contains("they are in wall.corners-1.toml: --wall wall.corners-1.toml shows them"), "{said}");
+    assert!(folder.path().join("wall.corners-1.toml").is_file());
 }

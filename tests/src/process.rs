@@ -5,7 +5,7 @@ use std::{
     path::{Path, PathBuf},
     process::{Child, Command, ExitStatus, Stdio},
     sync::{Arc, Mutex},
-    thread,
+    thread::{self, JoinHandle},
     time::{Duration, Instant},
 };
 
@@ -16,6 +16,8 @@ pub(crate) const GENEROUS: Duration = Duration::from_secs(60);
 pub(crate) struct Program {
     child: Child,
     said: Arc<Mutex<String>>,
+    /// They end with its output.
+    readers: Vec<JoinHandle<()>>,
 }
 
 impl Program {
@@ -43,7 +45,7 @@ impl Program {
         let said = Arc::new(Mutex::new(String::new()));
         let streams: [Box<dyn Read + Send>; 2] =
             [Box::new(child.stdout.take().expect("piped")), Box::new(child.stderr.take().expect("piped"))];
-        for stream in streams {
+        let read = |stream| {
             let said = Arc::clone(&said);
             thread::spawn(move || {
                 for line in BufReader::new(stream).lines().map_while(Result::ok) {
@@ -51,9 +53,10 @@ impl Program {
                     said.push_str(&line);
                     said.push('\n');
                 }
-            });
-        }
-        Self { child, said }
+            })
+        };
+        let readers = streams.map(read).into();
+        Self { child, said, readers }
     }
 
     /// Runs a program that must succeed; returns its output.
@@ -128,8 +131,10 @@ impl Program {
         let start = Instant::now();
         loop {
             if let Some(status) = self.child.try_wait().expect("a child can be asked") {
-                // The reading threads need a moment for its last lines.
-                thread::sleep(Duration::from_millis(100));
+                // A process that it has started may have its output open.
+                while start.elapsed() < GENEROUS && !self.readers.iter().all(JoinHandle::is_finished) {
+                    thread::sleep(Duration::from_millis(1));
+                }
                 return (status, self.said());
             }
             assert!(start.elapsed() < GENEROUS, "it does not end\n{}", self.said());

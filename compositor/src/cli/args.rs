@@ -121,7 +121,8 @@ pub struct WallArgs {
     /// native resolution. 0 keeps the resolution [default: 30 in a window, 0 with --headless, --size or --frames]
     #[arg(long, value_name = "F", conflicts_with_all = ["pictures", "film"], value_parser = target_rate)]
     pub target_rate: Option<f64>,
-    /// The address or name on which to wait for render servers; port 0 takes a free port [default: 127.0.0.1:7117]
+    /// The address or name on which to wait for render servers; port 0 takes a free port [default: 127.0.0.1:7117, or a free
+    /// port if that is taken and --local servers are enough]
     #[arg(long, help_heading = "Render servers", value_name = "HOST:PORT")]
     pub listen: Option<String>,
     /// The key file: only render servers with a copy of it can join, and everything is encrypted

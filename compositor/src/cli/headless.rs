@@ -4,10 +4,11 @@ mod film;
 mod refined;
 
 use std::{
-    net::SocketAddr,
+    path::{Path, PathBuf},
     time::{Duration, Instant},
 };
 
+use renderer::cli::picture_args::SHOWS_NOTHING;
 use shared::{division::FrameSize, printable::counted};
 
 use super::report::Report;
@@ -18,6 +19,7 @@ use crate::{
     },
     gpu::{Gpu, GpuError, OffscreenWall, Present, RgbImage},
     wall::Wall,
+    window::join_hint,
 };
 
 pub use film::{Film, Output, Pictures, Video};
@@ -43,6 +45,8 @@ pub struct Headless {
     present: Present,
     offscreen: OffscreenWall,
     wall: Wall,
+    /// The wall's key file, which render servers need to join.
+    key_file: Option<PathBuf>,
 }
 
 impl Headless {
@@ -52,7 +56,13 @@ impl Headless {
         tracing::info!("drawing on {}", gpu.name());
         let offscreen = OffscreenWall::new(&gpu, &wall)?;
         let present = Present::new(&gpu);
-        Ok(Self { gpu, present, offscreen, wall })
+        Ok(Self { gpu, present, offscreen, wall, key_file: None })
+    }
+
+    /// The same wall with a key file, named where render servers are missing.
+    #[must_use]
+    pub fn with_key_file(self, key_file: Option<PathBuf>) -> Self {
+        Self { key_file, ..self }
     }
 
     /// Shows `n_frames` of the farm's frames, each once.
@@ -60,13 +70,32 @@ impl Headless {
         let mut report = Report::default();
         let mut ended_at = Instant::now();
         while report.n_frames() < n_frames as usize {
-            let Some(frame) = next_frame(farm, wakeups)? else { break };
+            let Some(frame) = self.next_frame(farm, wakeups)? else { break };
+            if report.n_frames() == 0 {
+                warn_if_blank(&frame);
+            }
             let display = self.show(&frame)?;
             report.add(&frame, display, milliseconds(ended_at.elapsed()));
             ended_at = Instant::now();
             tracing::debug!("frame shown: {}", frame.stats.frame);
         }
         Ok(report)
+    }
+
+    /// The farm's next frame; `None` once the operator stops the wall.
+    fn next_frame(&self, farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Option<Frame>> {
+        loop {
+            // Check for a stop before each frame: with a farm faster than the display, the wall never waits.
+            if wakeups.try_recv() == Ok(Wakeup::Stop) {
+                return Ok(None);
+            }
+            if let Some(frame) = farm.take_frame() {
+                return Ok(Some(frame));
+            }
+            if wait(farm, wakeups, self.key_file.as_deref())? == Wakeup::Stop {
+                return Ok(None);
+            }
+        }
     }
 
     /// Shows one frame.
@@ -118,48 +147,35 @@ impl Headless {
     }
 }
 
-/// The farm's next frame; `None` once the operator stops the wall.
-fn next_frame(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Option<Frame>> {
-    loop {
-        // Check for a stop before each frame: with a farm faster than the display, the wall never waits.
-        if wakeups.try_recv() == Ok(Wakeup::Stop) {
-            return Ok(None);
-        }
-        if let Some(frame) = farm.take_frame() {
-            return Ok(Some(frame));
-        }
-        if wait(farm, wakeups)? == Wakeup::Stop {
-            return Ok(None);
-        }
+/// Warns of a first frame that shows nothing.
+fn warn_if_blank(frame: &Frame) {
+    if frame.is_blank() {
+        tracing::warn!("{SHOWS_NOTHING}");
     }
 }
 
-/// Waits for news, and after a while logs what is missing.
-pub fn wait(farm: &Farm, wakeups: &Wakeups) -> anyhow::Result<Wakeup> {
+/// Waits for news, and after a while logs what is missing; render servers need the key file to join, if there is one.
+pub fn wait(farm: &Farm, wakeups: &Wakeups, key_file: Option<&Path>) -> anyhow::Result<Wakeup> {
     use std::sync::mpsc::RecvTimeoutError::{Disconnected, Timeout};
     match wakeups.recv_timeout(REPORT_WAIT_AFTER) {
         Ok(wakeup) => Ok(wakeup),
         Err(Disconnected) => anyhow::bail!("the farm has ended"),
         Err(Timeout) => {
-            tracing::info!(
-                "{}",
-                waiting_for(&farm.status(), farm.goal().min_renderers.max(1) as usize, farm.address())
-            );
+            let goal = farm.goal();
+            let join = join_hint(farm.address(), key_file, goal.scene_path.as_deref());
+            tracing::info!("{}", waiting_for(&farm.status(), goal.min_renderers.max(1) as usize, &join.command));
             Ok(Wakeup::Farm)
         }
     }
 }
 
 /// The line about a frame that is not there yet: what is missing, and the cure if there is one.
-fn waiting_for(status: &FarmStatus, n_needed: usize, address: SocketAddr) -> String {
+fn waiting_for(status: &FarmStatus, n_needed: usize, join_command: &str) -> String {
     let (n_joined, n_ready) = (status.nodes.len(), status.nodes.iter().filter(|node| node.is_ready()).count());
     let last = status.notices.message().map(|message| format!("; last: {message}")).unwrap_or_default();
     if n_joined < n_needed {
         let needed = counted(n_needed, "render server");
-        format!(
-            "{n_joined} of {needed} joined; start one with: renderer connect {address}, and the wall's --key if it has \
-             one{last}"
-        )
+        format!("{n_joined} of {needed} joined; start one with: {join_command}{last}")
     } else if n_ready < n_needed {
         format!("{n_ready} of {} ready{last}", counted(n_joined, "render server"))
     } else {
@@ -181,6 +197,7 @@ mod tests {
     #[test]
     fn render_servers_are_asked_for_only_where_some_are_missing() {
         let address = "127.0.0.1:7117".parse().unwrap();
+        let command = "renderer connect wall:7117 --model a.ply";
         let node = |scene| NodeStatus {
             id: NodeId(1),
             name: "left".to_owned(),
@@ -191,8 +208,8 @@ mod tests {
             n_failures: 0,
             round_trip_ms: None,
         };
-        let line = |nodes| waiting_for(&FarmStatus { nodes, ..FarmStatus::default() }, 1, address);
-        assert!(line(vec![]).contains("start one with: renderer connect 127.0.0.1:7117, "));
+        let line = |nodes| waiting_for(&FarmStatus { nodes, ..FarmStatus::default() }, 1, command);
+        assert_eq!(line(vec![]), format!("0 of 1 render server joined; start one with: {command}"));
         assert_eq!(line(vec![node(SceneState::Loading { progress: 0.5 })]), "0 of 1 render server ready");
         let ready = SceneState::Ready { triangles: 1, bytes: 1, grid: None };
         assert_eq!(line(vec![node(ready)]), "a frame is being rendered by 1 render server");

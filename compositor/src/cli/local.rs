@@ -14,7 +14,7 @@ use std::{
 };
 
 use anyhow::Context;
-use renderer::cli::scene_args::SceneArgs;
+use renderer::{cli::scene_args::SceneArgs, server::connect::local_name};
 
 use super::restart::next_delay;
 use crate::farm::LocalReporter;
@@ -71,7 +71,7 @@ impl LocalServers {
             // The wall may listen on an address of this machine that is not loopback.
             None => command.arg("--insecure"),
         };
-        let name = format!("local-{}", self.children.len() + 1);
+        let name = local_name(self.children.len() + 1);
         command
             .args(["--name", &name])
             .args(self.scene.to_arguments())

@@ -1,12 +1,21 @@
 //! Runs a wall from its command line: model, farm, local render servers, with or without a window.
 
-use std::{cell::RefCell, net::SocketAddr, ops::ControlFlow, rc::Rc, sync::mpsc, time::Instant};
+use std::{
+    cell::RefCell,
+    io,
+    net::{Ipv4Addr, SocketAddr},
+    ops::ControlFlow,
+    rc::Rc,
+    sync::mpsc,
+    time::Instant,
+};
 
-use anyhow::{Context, bail};
-use channel::key::{Key, make_key_command};
+use anyhow::{Context, anyhow, bail};
+use channel::key::{Key, have_key_advice};
 use renderer::cli::{
     check_writable,
-    picture_args::{ModelArgs, guessed_up},
+    large_file::warn_of_large_file,
+    picture_args::guessed_up,
     progress::Progress,
     say,
     stop::{self, Signal, Stopped},
@@ -79,7 +88,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
-    let mut headless = Headless::new(wall)?;
+    let mut headless = Headless::new(wall)?.with_key_file(args.key.clone());
     // Made before the farm, so that they end after it: otherwise the farm would report them as lost.
     let mut servers = LocalServers::empty(listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let (wake, wakeups) = wakeups();
@@ -89,7 +98,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         let _ = wake_farm.try_send(Wakeup::Farm);
     })?;
     servers.start(args.n_local(), farm.local_reporter())?;
-    let model = load_model(&args.show.model)?;
+    let model = load_model(args)?;
     if args.n_local() < args.min_renderers() {
         let join = join_hint(farm.address(), args.key.as_deref(), model.path().as_deref());
         tracing::info!(
@@ -127,7 +136,9 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         None if refinement.is_on() => headless.show_refined(&farm, &wakeups, n_frames, spec, &mut refinement)?,
         None => headless.show_frames(&farm, &wakeups, n_frames)?,
     };
-    say(report.table())?;
+    if report.n_frames() > 0 {
+        say(report.table())?;
+    }
     // Measurements first: a screenshot that cannot be written must not lose them.
     if let Some(path) = &args.stats {
         report.write(path)?;
@@ -274,23 +285,49 @@ fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
     let is_loopback = addresses.iter().all(|address| address.ip().to_canonical().is_loopback());
     if !is_loopback && args.key.is_none() && !args.insecure {
         bail!(
-            "--listen {address} is open to the network: make a key with `{}`, copy it to the render servers and \
-             give it to both sides with --key wall.key, or add --insecure if you trust everybody on the network",
-            make_key_command("wall.key".as_ref())
+            "--listen {address} is open to the network: {}, copy it to the render servers and give it to both sides \
+             with --key wall.key, or add --insecure if you trust everybody on the network",
+            have_key_advice("wall.key".as_ref())
         );
     }
-    let listener = runtime.block_on(TcpListener::bind(&*addresses)).with_context(|| {
-        let host = address.rsplit_once(':').map_or(&*address, |(host, _)| host);
-        format!("cannot listen on {address}: is another wall running? --listen {host}:0 --local 2 takes a free port")
-    })?;
+    let bind = |addresses: &[SocketAddr]| runtime.block_on(TcpListener::bind(addresses));
+    let listener = match bind(&addresses) {
+        // Nobody else was told the port: the wall's own render servers learn it from the wall.
+        Err(error) if error.kind() == io::ErrorKind::AddrInUse && args.listen.is_none() && args.n_local() > 0 => {
+            tracing::info!("{address} is taken, as by another wall: this one takes a free port");
+            bind(&[(Ipv4Addr::LOCALHOST, 0).into()])
+        }
+        bound => bound,
+    };
+    let listener =
+        listener.map_err(|error| anyhow!("cannot listen on {address}: {}", listen_fault(&address, &error)))?;
     // Scripts and people read the address to connect to.
     say(format_args!("listening on {}", listener.local_addr()?))?;
     Ok(listener)
 }
 
-fn load_model(model: &ModelArgs) -> anyhow::Result<Model> {
+/// The cause that the wall cannot listen on HOST:PORT, and its cure.
+fn listen_fault(address: &str, error: &io::Error) -> String {
+    let (host, port) = address.rsplit_once(':').unwrap_or((address, ""));
+    match error.kind() {
+        io::ErrorKind::AddrInUse => {
+            format!("the port is taken; is another wall running? --listen {host}:0 --local 2 takes a free port")
+        }
+        io::ErrorKind::AddrNotAvailable => {
+            format!("this machine does not have that address; --listen 0.0.0.0:{port} listens on all that it has")
+        }
+        io::ErrorKind::PermissionDenied => {
+            format!("the system reserves that port; --listen {host}:7117 takes one that it does not")
+        }
+        _ => error.to_string(),
+    }
+}
+
+fn load_model(args: &WallArgs) -> anyhow::Result<Model> {
+    let model = &args.show.model;
     let source = model.source();
     tracing::info!("loading {source}");
+    warn_of_large_file(&source, 1 + args.n_local(), args.scene.options().memory_budget);
     let bar = Progress::new(format!("loading {source}"));
     Ok(Model::load(source, model.crease, &|fraction| bar.set(fraction))?)
 }

@@ -73,6 +73,34 @@ impl Alignment {
         self.pattern
     }
 
+    /// A note on moved corners, for an operator who leaves the align pattern; `None` if they are saved, or still in hand.
+    pub(crate) fn unsaved_note(&self) -> Option<String> {
+        let cure = match &self.file {
+            Some(file) => format!("Ctrl+S saves them in {}", file.display()),
+            None => "they will be in a file of their own when the wall ends".to_owned(),
+        };
+        let is_left = !self.takes_corners() && self.has_unsaved();
+        is_left.then(|| format!("The corners have moved and are not saved: {cure}"))
+    }
+
+    /// Whether corners differ from those of the file.
+    pub(crate) fn has_unsaved(&self) -> bool {
+        self.saved != self.wall.projectors()
+    }
+
+    /// Writes corners that are not saved to a new file, when the wall ends. Returns a line for the log; `None` if all are
+    /// saved.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub(crate) fn save_aside(&self) -> anyhow::Result<Option<String>> {
+        if !self.has_unsaved() {
+            return Ok(None);
+        }
+        let kept = save::save_aside(self.file.as_deref(), &self.wall)?.display().to_string();
+        Ok(Some(format!("the corners have moved and were not saved; they are in {kept}: --wall {kept} shows them")))
+    }
+
     /// Shows a pattern, or frames again.
     pub(crate) fn show(&mut self, pattern: Option<Pattern>) {
         self.pattern = pattern;
@@ -233,7 +261,7 @@ impl Alignment {
 
     /// Writes all corners to the wall's file, if any has moved. Returns a note for the operator.
     pub(crate) fn save(&mut self) -> anyhow::Result<String> {
-        if self.saved == self.wall.projectors() {
+        if !self.has_unsaved() {
             return Ok("No corner has moved: there is nothing to save".to_owned());
         }
         let file = self.file.as_deref().with_context(|| format!("the corners cannot be saved: {NO_FILE}"))?;

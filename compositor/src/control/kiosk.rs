@@ -11,6 +11,8 @@ pub(crate) struct Kiosk {
     pub is_locked: bool,
     /// `None` for a wall that is no kiosk, and never returns.
     idle_timeout: Option<Duration>,
+    /// Whether locking has hidden the overlay's panels.
+    hides_panel: bool,
     /// The last input; `None` once the kiosk has returned, until the next input.
     touched_at: Option<Instant>,
 }
@@ -18,12 +20,18 @@ pub(crate) struct Kiosk {
 impl Kiosk {
     /// A kiosk is locked, and returns after this time without input.
     pub(crate) fn new(idle_timeout: Option<Duration>, now: Instant) -> Self {
-        Self { is_locked: idle_timeout.is_some(), idle_timeout, touched_at: Some(now) }
+        Self { is_locked: idle_timeout.is_some(), idle_timeout, hides_panel: false, touched_at: Some(now) }
     }
 
-    /// Locks the wall, or unlocks it; returns whether it is locked now.
-    pub(crate) fn toggle_lock(&mut self) -> bool {
+    /// Locks the wall and hides the overlay's `panel`, or unlocks it and shows the panel that it hid. Returns whether the wall
+    /// is locked now.
+    pub(crate) fn toggle_lock(&mut self, panel: &mut bool) -> bool {
         self.is_locked = !self.is_locked;
+        if self.is_locked {
+            self.hides_panel = std::mem::take(panel);
+        } else {
+            *panel = std::mem::take(&mut self.hides_panel);
+        }
         self.is_locked
     }
 
@@ -75,11 +83,22 @@ mod tests {
     #[test]
     fn a_locked_wall_takes_only_commands_of_visitors() {
         let now = Instant::now();
-        let mut wall = Kiosk::new(None, now);
+        let (mut wall, mut panel) = (Kiosk::new(None, now), true);
         assert!(wall.allows(Command::Quit) && !wall.repeats_paths() && wall.returns_at().is_none());
-        assert!(wall.toggle_lock() && !wall.allows(Command::Quit) && wall.allows(Command::ViewAll));
+        assert!(wall.toggle_lock(&mut panel) && !wall.allows(Command::Quit) && wall.allows(Command::ViewAll));
         assert_eq!(wall.returns_at(), None, "only kiosks return");
         let mut kiosk = Kiosk::new(Some(Duration::ZERO), now);
-        assert!(kiosk.is_locked && !kiosk.toggle_lock() && kiosk.returns_at().is_none());
+        assert!(kiosk.is_locked && !kiosk.toggle_lock(&mut panel) && kiosk.returns_at().is_none());
+    }
+
+    #[test]
+    fn unlocking_shows_the_panel_that_locking_hid() {
+        for had_panel in [true, false] {
+            let (mut wall, mut panel) = (Kiosk::new(None, Instant::now()), had_panel);
+            for _ in 0..2 {
+                assert!(wall.toggle_lock(&mut panel) && !panel);
+                assert!(!wall.toggle_lock(&mut panel) && panel == had_panel);
+            }
+        }
     }
 }

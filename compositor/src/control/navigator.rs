@@ -23,8 +23,10 @@ pub(crate) enum Drag {
 #[derive(Clone, Debug)]
 pub(crate) struct Navigator {
     camera: Camera,
-    /// The last view of the whole model; the camera differs once it was steered.
-    whole: Camera,
+    /// The last view that made room for panels; the camera differs once it was steered.
+    placed: Placed,
+    /// How far panels have moved the middle of the present view aside, as fractions of the canvas.
+    shift: DVec2,
     shape: Shape,
     up: UpAxis,
     aspect: f64,
@@ -35,16 +37,37 @@ pub(crate) struct Navigator {
     focus: Option<DVec3>,
     /// The surface point under the cursor, in world space, once it is known.
     under_cursor: Option<DVec3>,
+    /// The surface point that the eye saw or went to last, in world space.
+    surface: Option<DVec3>,
     motion: Option<Motion>,
     /// Steps of flying speed above the usual one.
     speed: i32,
 }
 
+/// A view in a free part of the canvas.
+#[derive(Clone, Copy, Debug)]
+struct Placed {
+    /// As panels leave room for it.
+    camera: Camera,
+    shift: DVec2,
+    /// As it was kept; `None`: the whole model.
+    kept: Option<Camera>,
+}
+
 /// A motion without mouse or keys.
 #[derive(Clone, Debug)]
 enum Motion {
-    Transition { transition: Box<Transition>, seconds: f64 },
-    Play { path: Arc<CameraPath>, seconds: f64, repeats: bool },
+    /// `shifts` are those of its start and end.
+    Transition {
+        transition: Box<Transition>,
+        seconds: f64,
+        shifts: [DVec2; 2],
+    },
+    Play {
+        path: Arc<CameraPath>,
+        seconds: f64,
+        repeats: bool,
+    },
 }
 
 /// A drag over the height of the canvas turns the model by half a turn.
@@ -55,6 +78,8 @@ const DOLLY_FACTOR_PER_HEIGHT: f64 = 8.0;
 const DOLLY_FACTOR_PER_NOTCH: f64 = 1.15;
 /// Seconds to fly across the model.
 const SECONDS_TO_CROSS: f64 = 2.5;
+/// Flying near a surface covers this part of the distance to it in a second.
+const NEAR_PART_PER_SECOND: f64 = 1.2;
 /// Each step multiplies the flying speed by this.
 const SPEED_FACTOR: f64 = 1.5;
 /// The most steps up or down: 1.5¹⁰ is about 58 times the usual speed.
@@ -76,7 +101,8 @@ impl Navigator {
         let camera = Camera::view_all(&shape, up, aspect, CanvasPart::WHOLE);
         Self {
             camera,
-            whole: camera,
+            placed: Placed { camera, shift: DVec2::ZERO, kept: None },
+            shift: DVec2::ZERO,
             shape,
             up,
             aspect,
@@ -85,6 +111,7 @@ impl Navigator {
             held: Vec::new(),
             focus: None,
             under_cursor: None,
+            surface: None,
             motion: None,
             speed: 0,
         }
@@ -99,11 +126,22 @@ impl Navigator {
     }
 
     /// The end of a transition to another view; otherwise the present camera.
-    pub(crate) fn destination(&self) -> Camera {
+    fn destination(&self) -> (Camera, DVec2) {
         match &self.motion {
-            Some(Motion::Transition { transition, .. }) => transition.end(),
-            Some(Motion::Play { .. }) | None => self.camera,
+            Some(Motion::Transition { transition, shifts, .. }) => (transition.end(), shifts[1]),
+            Some(Motion::Play { .. }) | None => (self.camera, self.shift),
         }
+    }
+
+    /// The present view as it is without panels: its middle in the middle of the canvas.
+    pub(crate) fn camera_without_panels(&self) -> Camera {
+        self.moved_aside(self.camera, -self.shift)
+    }
+
+    /// The view at the end of a transition, or the present one, as it is without panels.
+    pub(crate) fn destination_without_panels(&self) -> Camera {
+        let (camera, shift) = self.destination();
+        self.moved_aside(camera, -shift)
     }
 
     /// Shows another model at once, as a whole in the part of the canvas in which it is largest; drags and held keys
@@ -112,23 +150,25 @@ impl Navigator {
         self.shape = shape;
         self.up = up;
         self.focus = None;
+        self.surface = None;
         self.motion = None;
-        self.whole = self.view_all_camera(parts);
-        self.set_camera(self.whole);
+        self.placed = self.place(None, parts);
+        self.show(self.placed.camera, self.placed.shift);
     }
 
     /// Shows the whole model in the part of the canvas in which it is largest.
     pub(crate) fn view_all(&mut self, parts: &[CanvasPart]) {
         self.focus = None;
-        self.whole = self.view_all_camera(parts);
-        self.go_to(self.whole);
+        self.placed = self.place(None, parts);
+        self.go_to(self.placed.camera, self.placed.shift);
     }
 
-    /// Keeps a whole model in the parts of the canvas that are free now, unless the camera was steered since.
+    /// Keeps a whole model, or a kept view, in the parts of the canvas that are free now, unless the camera was steered since.
     pub(crate) fn make_room(&mut self, parts: &[CanvasPart]) {
-        if self.destination() == self.whole && self.held.is_empty() && !self.is_dragging() {
-            self.whole = self.view_all_camera(parts);
-            if self.is_moving() { self.go_to(self.whole) } else { self.set_camera(self.whole) }
+        if self.destination().0 == self.placed.camera && self.held.is_empty() && !self.is_dragging() {
+            self.placed = self.place(self.placed.kept, parts);
+            let Placed { camera, shift, .. } = self.placed;
+            if self.is_moving() { self.go_to(camera, shift) } else { self.show(camera, shift) }
         }
     }
 
@@ -138,17 +178,22 @@ impl Navigator {
         self.view_all(parts);
     }
 
-    /// Starts a transition to a kept view, and has its axis point up from then on.
-    pub(crate) fn go_to_view(&mut self, camera: Camera, up: Option<UpAxis>) {
+    /// Starts a transition to a kept view beside panels, and has its axis point up from then on.
+    pub(crate) fn go_to_view(&mut self, camera: Camera, up: Option<UpAxis>, parts: &[CanvasPart]) {
         self.up = up.unwrap_or(self.up);
-        self.go_to(camera);
+        self.placed = self.place(Some(camera), parts);
+        self.go_to(self.placed.camera, self.placed.shift);
     }
 
-    /// Starts a transition to another view.
-    pub(crate) fn go_to(&mut self, camera: Camera) {
+    /// Starts a transition to another view, whose middle panels have moved by `shift`.
+    fn go_to(&mut self, camera: Camera, shift: DVec2) {
         let (start, end) = ((self.camera, self.depth_of(&self.camera)), (camera, self.depth_of(&camera)));
         let transition = Box::new(Transition::new(start, end, self.up));
-        self.motion = (camera != self.camera).then_some(Motion::Transition { transition, seconds: 0.0 });
+        let shifts = [self.shift, shift];
+        self.motion = (camera != self.camera).then_some(Motion::Transition { transition, seconds: 0.0, shifts });
+        if self.motion.is_none() {
+            self.shift = shift;
+        }
     }
 
     /// Moves nearer to a point in world space until it is in the middle, and orbits around it from then on.
@@ -168,15 +213,25 @@ impl Navigator {
         // Solve for both edges, which need not be perpendicular.
         let (a, b, c) = (right.dot(up), aside.dot(right), aside.dot(up));
         let by_up = (c - a * b) / (1.0 - a * a);
-        self.focus = Some(point);
+        (self.focus, self.surface) = (Some(point), Some(point));
         if distance > 0.0 && depth > 0.0 && by_up.is_finite() {
-            self.go_to(nearer.fly(b - a * by_up, by_up, 0.0));
+            self.go_to(nearer.fly(b - a * by_up, by_up, 0.0), DVec2::ZERO);
         }
     }
 
     /// Sets the surface point under the cursor, in world space; `None` if there is none.
     pub(crate) fn set_under_cursor(&mut self, point: Option<DVec3>) {
         self.under_cursor = point.filter(|point| point.is_finite());
+        self.surface = self.under_cursor.or(self.surface);
+    }
+
+    /// Sets the surface point in the middle of the view, in world space, which slows flying; `None` if there is none.
+    pub(crate) fn set_ahead(&mut self, point: Option<DVec3>) {
+        self.surface = point.filter(|point| point.is_finite());
+    }
+
+    pub(crate) fn is_flying(&self) -> bool {
+        !self.held.is_empty()
     }
 
     pub(crate) fn needs_surface(&self) -> bool {
@@ -291,14 +346,14 @@ impl Navigator {
         let before = self.camera;
         let seconds = if seconds > 0.0 { seconds } else { 0.0 };
         match &mut self.motion {
-            Some(Motion::Transition { transition, seconds: passed }) => {
+            Some(Motion::Transition { transition, seconds: passed, shifts }) => {
                 *passed += seconds;
                 let fraction = *passed / TRANSITION_SECONDS;
-                let camera = transition.at(fraction);
+                let (camera, shift) = (transition.at(fraction), shifts[0].lerp(shifts[1], fraction.min(1.0)));
                 if fraction >= 1.0 {
                     self.motion = None;
                 }
-                self.set_camera(camera);
+                self.show(camera, shift);
             }
             Some(Motion::Play { path, seconds: passed, repeats }) => {
                 *passed += seconds;
@@ -321,7 +376,10 @@ impl Navigator {
     fn fly(&mut self, seconds: f64, speed: f64) {
         // From afar, reaching the model takes the same time.
         let (size, distance) = (self.size(), (self.camera.eye() - self.pivot()).length());
-        let per_second = size.max(distance - size) / SECONDS_TO_CROSS;
+        let usual = size.max(distance - size) / SECONDS_TO_CROSS;
+        let to_surface = self.surface.map_or(f64::INFINITY, |point| (point - self.camera.eye()).length());
+        // A surface is passed in the end, so the speed falls no further just before it.
+        let per_second = usual.min((to_surface * NEAR_PART_PER_SECOND).max(size * PASS_THROUGH_PART));
         let step = per_second * seconds.min(LONGEST_STEP_SECONDS) * speed * SPEED_FACTOR.powi(self.speed);
         let held = |direction| if self.held.contains(&direction) { step } else { 0.0 };
         let camera = self.camera.fly(
@@ -329,21 +387,42 @@ impl Navigator {
             held(Direction::Up) - held(Direction::Down),
             held(Direction::Forward) - held(Direction::Backward),
         );
-        self.set_camera(camera);
+        self.show(camera, self.shift);
     }
 
+    /// Shows exactly this view at once, panels or not.
     pub(crate) fn set_camera(&mut self, camera: Camera) {
+        self.show(camera, DVec2::ZERO);
+    }
+
+    fn show(&mut self, camera: Camera, shift: DVec2) {
+        self.shift = shift;
         if camera != self.camera {
             self.camera = camera;
             self.under_cursor = None;
         }
     }
 
-    fn view_all_camera(&self, parts: &[CanvasPart]) -> Camera {
-        let cameras = parts.iter().map(|&part| Camera::view_all(&self.shape, self.up, self.aspect, part));
+    /// A kept view, or the whole model, in the free part of the canvas in which the model is largest.
+    fn place(&self, kept: Option<Camera>, parts: &[CanvasPart]) -> Placed {
+        let whole = |part| Camera::view_all(&self.shape, self.up, self.aspect, part);
+        let views = parts.iter().map(|&part| (part, whole(part)));
         let distance = |camera: &Camera| camera.eye().distance_squared(camera.target());
-        let nearest = cameras.min_by(|a, b| distance(a).total_cmp(&distance(b)));
-        nearest.unwrap_or(self.camera)
+        let nearest = views.min_by(|(_, a), (_, b)| distance(a).total_cmp(&distance(b)));
+        let (part, whole) = nearest.unwrap_or_else(|| (CanvasPart::WHOLE, whole(CanvasPart::WHOLE)));
+        let shift = (part.min + part.max) * 0.5 - 0.5;
+        let camera = kept.map_or(whole, |camera| self.moved_aside(camera, shift));
+        Placed { camera, shift, kept }
+    }
+
+    /// The same view turned until its middle is aside by a part of the canvas. The eye stays: it might move into a surface.
+    fn moved_aside(&self, camera: Camera, shift: DVec2) -> Camera {
+        if shift == DVec2::ZERO {
+            return camera;
+        }
+        let (_, distance) = view_plane(&camera);
+        let angles = shift * DVec2::new(camera.u().length(), camera.v().length()) / distance;
+        camera.orbit(camera.eye(), self.up, angles.x.atan(), angles.y.atan())
     }
 
     /// The point to orbit around: the chosen one, the middle of the model, or the origin if the model is empty.

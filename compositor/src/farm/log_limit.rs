@@ -2,13 +2,25 @@
 
 use std::{collections::HashMap, hash::Hash, time::Duration};
 
-use super::rate_limit::RateLimit;
+use super::{rate_limit::RateLimit, service::MOST_NODES};
 
-/// One line of a kind in this time…
+/// One line of a kind on a node in this time…
 const INTERVAL: Duration = Duration::from_secs(1);
 
 /// …and as many at once after a rest: a node that is lost and back within a second is told of.
 const BURST: u32 = 3;
+
+/// One line of a kind on strangers in this time: a render server with a wrong key tries again each second, for days.
+const STRANGER_INTERVAL: Duration = Duration::from_secs(600);
+
+/// Log lines about render servers that are written at once: all of a farm join, are ready, fall silent and are lost.
+const MOST_NODE_LINES_AT_ONCE: u32 = 4 * MOST_NODES as u32;
+
+/// Log lines about strangers that are written at once: more than there are reasons to drop one.
+const MOST_STRANGER_LINES_AT_ONCE: u32 = 32;
+
+/// The pause between further log lines, of render servers and of strangers each.
+const LINE_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Most kinds that are told apart; more share one.
 const MOST_KINDS: usize = 4096;
@@ -18,6 +30,8 @@ const MOST_KINDS: usize = 4096;
 pub(super) struct LogLimit<K> {
     /// The limit of each kind, and how many lines were left out since the last. `None`: kinds beyond [`MOST_KINDS`].
     kinds: HashMap<Option<K>, (RateLimit, u32)>,
+    /// The burst and the interval of each kind.
+    of_kind: (u32, Duration),
     /// All kinds together.
     total: RateLimit,
     /// Lines that `total` left out since the last one that was written.
@@ -25,9 +39,18 @@ pub(super) struct LogLimit<K> {
 }
 
 impl<K: Eq + Hash> LogLimit<K> {
-    /// Lets a few lines of a kind pass at once and one each second, and of all kinds as many as `total` does.
-    pub(super) fn new(total: RateLimit) -> Self {
-        Self { kinds: HashMap::new(), total, n_others_left_out: 0 }
+    /// Lets a few lines of a kind pass at once and one each second, and of all kinds as many as a farm needs.
+    pub(super) fn of_nodes() -> Self {
+        Self::new((BURST, INTERVAL), RateLimit::new(MOST_NODE_LINES_AT_ONCE, LINE_INTERVAL))
+    }
+
+    /// Lets one line of a kind pass each ten minutes.
+    pub(super) fn of_strangers() -> Self {
+        Self::new((1, STRANGER_INTERVAL), RateLimit::new(MOST_STRANGER_LINES_AT_ONCE, LINE_INTERVAL))
+    }
+
+    fn new(of_kind: (u32, Duration), total: RateLimit) -> Self {
+        Self { kinds: HashMap::new(), of_kind, total, n_others_left_out: 0 }
     }
 
     /// Whether a line may be written at `now`; if so, what to add to it about those that were left out before.
@@ -37,7 +60,8 @@ impl<K: Eq + Hash> LogLimit<K> {
         }
         let kind = Some(kind);
         let kind = if self.kinds.len() < MOST_KINDS || self.kinds.contains_key(&kind) { kind } else { None };
-        let (limit, n_left_out) = self.kinds.entry(kind).or_insert_with(|| (RateLimit::new(BURST, INTERVAL), 0));
+        let (burst, interval) = self.of_kind;
+        let (limit, n_left_out) = self.kinds.entry(kind).or_insert_with(|| (RateLimit::new(burst, interval), 0));
         if !limit.wait(now).is_zero() {
             *n_left_out += 1;
             return None;
@@ -66,7 +90,7 @@ mod tests {
 
     #[test]
     fn one_line_of_a_kind_is_written_each_second_with_a_count() {
-        let mut limit = LogLimit::new(RateLimit::new(100, Duration::ZERO));
+        let mut limit = LogLimit::new((BURST, INTERVAL), RateLimit::new(100, Duration::ZERO));
         let mut admit = |milliseconds, kind| limit.admit(Duration::from_millis(milliseconds), kind);
         assert_eq!([0, 0, 5].map(|at| admit(at, "lost")), [(); 3].map(|()| Some(String::new())));
         assert_eq!(admit(5, "joined"), Some(String::new()), "another kind");
@@ -78,8 +102,16 @@ mod tests {
     }
 
     #[test]
+    fn a_stranger_that_tries_again_each_second_is_told_of_each_ten_minutes() {
+        let mut limit = LogLimit::of_strangers();
+        let lines = (0..1800).filter_map(|second| limit.admit(Duration::from_secs(second), "wrong key"));
+        assert_eq!(lines.collect::<Vec<_>>(), ["", " (599 more like this before)", " (599 more like this before)"]);
+        assert_eq!(limit.admit(Duration::from_secs(1799), "no key"), Some(String::new()), "something else");
+    }
+
+    #[test]
     fn kinds_without_end_share_a_line() {
-        let mut limit = LogLimit::new(RateLimit::new(100_000, Duration::ZERO));
+        let mut limit = LogLimit::new((BURST, INTERVAL), RateLimit::new(100_000, Duration::ZERO));
         let n_lines = (0..10_000).filter(|kind| limit.admit(Duration::ZERO, *kind).is_some()).count();
         assert_eq!(n_lines, MOST_KINDS + BURST as usize);
         assert!(limit.kinds.len() <= MOST_KINDS + 1);
@@ -89,13 +121,13 @@ mod tests {
 
     #[test]
     fn kinds_without_end_write_few_lines_in_all() {
-        let mut limit = LogLimit::new(RateLimit::new(10, Duration::from_millis(250)));
+        let mut limit = LogLimit::new((BURST, INTERVAL), RateLimit::new(10, Duration::from_millis(250)));
         // 10,000 kinds in ten seconds.
         let mut lines = (0..10_000).filter_map(|kind| limit.admit(Duration::from_millis(kind), kind));
         let last = lines.by_ref().skip(20).last().unwrap();
         assert!(last.contains("other lines were left out"), "{last}");
         drop(lines);
-        let mut limit = LogLimit::new(RateLimit::new(10, Duration::from_millis(250)));
+        let mut limit = LogLimit::new((BURST, INTERVAL), RateLimit::new(10, Duration::from_millis(250)));
         let n_lines = (0..10_000).filter(|&kind| limit.admit(Duration::from_millis(kind), kind).is_some()).count();
         assert!((40..=50).contains(&n_lines), "{n_lines}");
     }

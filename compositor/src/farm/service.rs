@@ -3,7 +3,7 @@
 use std::{
     collections::{BTreeMap, BTreeSet, HashMap, VecDeque},
     io,
-    net::SocketAddr,
+    net::{IpAddr, SocketAddr},
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -37,7 +37,7 @@ use super::{
 };
 
 /// Most render servers at a time: more than a wall has, and fewer than the files that a process may open.
-const MOST_NODES: usize = 512;
+pub(super) const MOST_NODES: usize = 512;
 
 /// Most connections before their handshake is over; the next one displaces the oldest. A render server needs only a few
 /// round trips, so a flood of connections cannot keep it out.
@@ -55,15 +55,6 @@ const MOST_ACCEPTED_AT_ONCE: u32 = 4 * MOST_NODES as u32;
 /// The pause between further ones: each costs the wall about 0.1 ms. A render server waits for the few that the system
 /// queues, which takes less than a handshake may take.
 const ACCEPT_INTERVAL: Duration = Duration::from_micros(500);
-
-/// Log lines about render servers that are written at once: all of a farm join, are ready, fall silent and are lost.
-const MOST_NODE_LINES_AT_ONCE: u32 = 4 * MOST_NODES as u32;
-
-/// Log lines about strangers that are written at once: more than there are reasons to drop one.
-const MOST_STRANGER_LINES_AT_ONCE: u32 = 32;
-
-/// The pause between further log lines, of render servers and of strangers each.
-const LINE_INTERVAL: Duration = Duration::from_millis(250);
 
 /// News of render servers wake the wall at most this often: each may redraw its windows.
 const NEWS_INTERVAL: Duration = Duration::from_millis(50);
@@ -96,7 +87,7 @@ pub(super) struct Service {
     local: BTreeSet<String>,
     losses: Arc<Losses>,
     /// Lines about strangers, by reason.
-    stranger_lines: LogLimit<String>,
+    stranger_lines: LogLimit<(Option<IpAddr>, String)>,
     /// Lines about render servers, by event and name.
     node_lines: LogLimit<(&'static str, String)>,
     accepts: RateLimit,
@@ -135,8 +126,8 @@ impl Service {
             nodes: BTreeMap::new(),
             local: BTreeSet::new(),
             losses: Arc::default(),
-            stranger_lines: LogLimit::new(RateLimit::new(MOST_STRANGER_LINES_AT_ONCE, LINE_INTERVAL)),
-            node_lines: LogLimit::new(RateLimit::new(MOST_NODE_LINES_AT_ONCE, LINE_INTERVAL)),
+            stranger_lines: LogLimit::of_strangers(),
+            node_lines: LogLimit::of_nodes(),
             accepts: RateLimit::new(MOST_ACCEPTED_AT_ONCE, ACCEPT_INTERVAL),
             next_accept_at: tokio::time::Instant::now(),
             news_at: None,
@@ -211,7 +202,7 @@ impl Service {
             }
             Err(error) => {
                 // Out of file descriptors, or the peer is gone already: the wall goes on.
-                if let Some(more) = self.stranger_lines.admit(now, "cannot accept".to_owned()) {
+                if let Some(more) = self.stranger_lines.admit(now, (None, "cannot accept".to_owned())) {
                     tracing::warn!("cannot accept a connection: {error}{more}");
                 }
                 self.next_accept_at = tokio::time::Instant::now() + ACCEPT_PAUSE;
@@ -385,7 +376,7 @@ impl Service {
         if self.nodes.remove(&id).is_none() {
             if let Err(reason) = reason {
                 // Without the numbers in it, which a stranger chooses.
-                let kind = reason.to_string().replace(char::is_numeric, "");
+                let kind = (Some(address.ip()), reason.to_string().replace(char::is_numeric, ""));
                 if let Some(more) = self.stranger_lines.admit(self.started_at.elapsed(), kind) {
                     tracing::warn!("connection from {address} dropped: {reason}{more}");
                 }
@@ -464,7 +455,7 @@ impl Service {
             }
             Action::Show { frame, stats } => {
                 self.forget(frame);
-                if stats.attempts > 1 {
+                if stats.is_healed {
                     self.status.send_modify(|status| status.n_healed += 1);
                 }
                 if let Some(open) = self.frames.remove(&frame) {

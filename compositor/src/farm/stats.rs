@@ -49,7 +49,7 @@ pub struct FarmStatus {
     pub nodes: Vec<NodeStatus>,
     /// Render servers lost since the wall started.
     pub n_lost: u32,
-    /// Frames completed although a render server was lost or late.
+    /// Frames completed although a render server was lost, or has not answered: others did its work.
     pub n_healed: u32,
     /// Render servers that do not render, each with the cure.
     pub notices: Notices,
@@ -140,9 +140,11 @@ pub struct FrameStats {
     pub imbalance: f64,
     /// 1, and one more each time a task was given out again.
     pub attempts: u32,
+    /// Whether render servers did the work of one that was lost, or that has not answered until then.
+    pub is_healed: bool,
     /// Render servers lost until then.
     pub n_lost: u32,
-    /// Frames completed until then although a render server was lost or late, this one included.
+    /// Frames completed until then for which others did the work of a render server, this one included.
     pub n_healed: u32,
     /// Bytes received.
     pub bytes_in: u64,

@@ -3,6 +3,7 @@
 use egui::{Align, Color32, FontFamily, FontId, Frame, Layout, RichText, TextStyle, Ui};
 
 use crate::control::input::Command;
+pub(super) use shared::printable::bytes;
 
 /// Emphasis without alarm.
 pub(super) const ACCENT: Color32 = Color32::from_rgb(122, 200, 255);
@@ -177,18 +178,6 @@ pub(super) fn ms(ms: f64) -> String {
     if ms < 99.95 { format!("{ms:.1}") } else { format!("{ms:.0}") }
 }
 
-/// Bytes with up to three digits and a unit.
-pub(super) fn bytes(bytes: u64) -> String {
-    let bytes = bytes as f64;
-    match bytes {
-        ..1e3 => format!("{bytes} B"),
-        ..1e4 => format!("{:.1} KB", bytes / 1e3),
-        ..1e6 => format!("{:.0} KB", bytes / 1e3),
-        ..1e7 => format!("{:.1} MB", bytes / 1e6),
-        _ => format!("{:.0} MB", bytes / 1e6),
-    }
-}
-
 /// A number with spaces between thousands.
 pub(super) fn grouped(number: usize) -> String {
     let digits = number.to_string();
@@ -209,10 +198,6 @@ mod tests {
     #[test]
     fn figures_keep_about_three_digits() {
         assert_eq!([ms(0.04), ms(9.96), ms(99.96)], ["0.0", "10.0", "100"]);
-        assert_eq!(
-            [999, 1000, 10_400, 786_432, 1_572_864, 99_000_000].map(bytes),
-            ["999 B", "1.0 KB", "10 KB", "786 KB", "1.6 MB", "99 MB"]
-        );
         assert_eq!([0, 999, 1000, 10_000_000].map(grouped), ["0", "999", "1 000", "10 000 000"]);
     }
 

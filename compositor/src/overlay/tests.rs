@@ -58,6 +58,7 @@ pub(super) fn running() -> OverlayModel {
         place_ms: 1.5,
         imbalance: 1.6,
         attempts: 1,
+        is_healed: false,
         n_lost: 0,
         n_healed: 0,
         bytes_in: 1_573_000,

@@ -185,7 +185,11 @@ fn what_cannot_be_a_wall_is_refused_with_line_and_cure() {
         ("canvas_m = [4.0, 2.25]\nframe = [0, 9]".into(), 2, "frame = [0, 9]"),
         ("canvas_m = [4.0, 2.25]\n\n[grid\n".into(), 3, ""),
         ("ply\nformat ascii 1.0\n".into(), 1, ""),
-        (String::new(), 1, "missing field `canvas_m`"),
+        (
+            String::new(),
+            1,
+            "missing field `canvas_m`: the files in wall-config/ show every key; copy the one that is most like yours",
+        ),
     ];
     for (text, line, expected) in cases {
         let problem = problem(&text);

@@ -11,7 +11,7 @@ mod steering;
 
 use std::time::{Duration, Instant};
 
-use renderer::model::scene::SceneSource;
+use renderer::{cli::large_file::warn_of_large_file, model::scene::SceneSource};
 use shared::printable::counted;
 use winit::{
     application::ApplicationHandler,
@@ -92,6 +92,7 @@ impl<'a> App<'a> {
         };
         let mut loader = ModelLoader::new(waker.clone(), args.show.model.crease);
         let source = args.show.model.source();
+        warn_of_large_file(&source, 1 + args.n_local(), args.scene.options().memory_budget);
         loader.load(source.clone());
         let kiosk = args.kiosk.map(|seconds| Duration::from_secs(seconds.into()));
         Self {
@@ -211,7 +212,9 @@ impl<'a> App<'a> {
         if let Some(problem) = sidecars.problem() {
             self.apply(Effect::problem(problem));
         }
+        // Points of the model before are none of this one.
         self.overlay.pick = None;
+        self.probing.forget();
         self.overlay.model = Some(ModelSummary {
             name: name.clone(),
             n_triangles: model.n_triangles,
@@ -317,6 +320,11 @@ impl ApplicationHandler<Call> for App<'_> {
     }
 
     fn exiting(&mut self, event_loop: &ActiveEventLoop) {
+        match self.wall.save_aside() {
+            Ok(kept) => kept.iter().for_each(|line| tracing::warn!("{line}")),
+            Err(error) if self.outcome.is_ok() => self.outcome = Err(error),
+            Err(error) => tracing::error!("{error}"),
+        }
         if self.outcome.is_ok()
             && let Some(path) = &self.args.screenshot
         {

@@ -1,6 +1,9 @@
 //! The line by which a render server joins the wall.
 
-use std::{net::SocketAddr, path::Path};
+use std::{
+    net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket},
+    path::Path,
+};
 
 use channel::key::make_key_command;
 
@@ -12,7 +15,8 @@ use crate::overlay::JoinHint;
 pub(crate) fn join_hint(address: SocketAddr, key: Option<&Path>, model: Option<&Path>) -> JoinHint {
     let port = address.port();
     let is_local = address.ip().is_loopback();
-    let host = if address.ip().is_unspecified() { host_name() } else { address.ip().to_string() };
+    let own_address = || own_address().map_or_else(host_name, |ip| ip.to_string());
+    let host = if address.ip().is_unspecified() { own_address() } else { address.ip().to_string() };
     let host = if host.contains(':') { format!("[{host}]") } else { host };
     let mut command = format!("renderer connect {host}:{port}");
     let mut note = match (is_local, key) {
@@ -47,6 +51,15 @@ fn shell_word(path: &Path) -> String {
     let text = path.to_string_lossy();
     // Only a NUL cannot be quoted, and no path holds one.
     shlex::try_quote(&text).map_or_else(|_| text.to_string(), Into::into)
+}
+
+/// The address by which this machine reaches others, if it has a network.
+fn own_address() -> Option<IpAddr> {
+    let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).ok()?;
+    // Sends nothing: connecting only chooses a route. The target is an address for documents (RFC 5737).
+    socket.connect((Ipv4Addr::new(192, 0, 2, 1), 9)).ok()?;
+    let ip = socket.local_addr().ok()?.ip();
+    (!ip.is_loopback() && !ip.is_unspecified()).then_some(ip)
 }
 
 /// This machine's name in the network, as far as the system knows it.

@@ -13,7 +13,7 @@ use shared::{
 };
 
 use crate::{
-    cli::{appearance_args::AppearanceArgs, between, progress::Progress, scene_args::SceneArgs},
+    cli::{appearance_args::AppearanceArgs, between, large_file, progress::Progress, scene_args::SceneArgs},
     model::{
         file::is_named_as_model,
         mesh::Mesh,
@@ -44,6 +44,10 @@ pub struct ModelArgs {
     #[arg(long, value_name = "DEGREES", default_value_t = Crease::default(), allow_hyphen_values = true)]
     pub crease: Crease,
 }
+
+/// The warning about a picture without anything but its background.
+pub const SHOWS_NOTHING: &str =
+    "the picture shows nothing of the model: leave --camera, --path and --clip out to see all of it";
 
 /// The axis that points up where nobody chose one, told in the log unless it is the usual.
 pub fn guessed_up(shape: &Shape) -> UpAxis {
@@ -122,6 +126,11 @@ impl PictureArgs {
     /// The camera of the file, if there is one.
     pub fn read_camera(&self) -> Result<Option<Camera>> {
         self.camera.as_deref().map(read_camera).transpose()
+    }
+
+    /// Warns of a file that may not fit into memory, before it is read.
+    pub fn warn_of_large_file(&self) {
+        large_file::warn_of_large_file(&self.model.source(), 1, self.scene.options().memory_budget);
     }
 
     /// A camera that sees all of a mesh, with samples as wide as high.

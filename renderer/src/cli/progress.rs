@@ -13,7 +13,9 @@ use crate::cli::stop::Task;
 /// A progress bar on standard error, erased on drop; invisible if standard error is not a terminal.
 pub struct Progress {
     bar: ProgressBar,
-    /// When the label last changed, if standard error is not a terminal.
+    label: String,
+    started_at: Instant,
+    /// When the log had the label or the fraction last; only if standard error is not a terminal.
     logged_at: Mutex<Option<Instant>>,
     _task: Task,
 }
@@ -27,14 +29,16 @@ impl Progress {
         if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {percent:>3} %") {
             bar.set_style(style);
         }
-        bar.set_message(printable_line(&task));
+        let label = printable_line(&task);
+        bar.set_message(label.clone());
         bar.enable_steady_tick(Duration::from_millis(100));
         let cleared = bar.clone();
         let line = move || {
             cleared.finish_and_clear();
             format!("stopped while {task}")
         };
-        Self { bar, logged_at: Mutex::default(), _task: Task::with_line(line) }
+        let (started_at, logged_at) = (Instant::now(), Mutex::default());
+        Self { bar, label, started_at, logged_at, _task: Task::with_line(line) }
     }
 
     /// Changes the label. Where there is no terminal, the log has it, from time to time.
@@ -47,9 +51,25 @@ impl Progress {
         }
     }
 
-    /// Shows the fraction done, 0 to 1. May be called from any thread, at any rate.
+    /// Shows the fraction done, 0 to 1. May be called from any thread, at any rate. Where there is no terminal, the log has
+    /// it from time to time, if the task takes long.
     pub fn set(&self, fraction: f32) {
         self.bar.set_position((fraction * STEPS as f32) as u64);
+        if let Some(line) = self.due_line(fraction, Instant::now()).filter(|_| self.bar.is_hidden()) {
+            tracing::info!("{line}");
+        }
+    }
+
+    /// The line for the log, if one is due.
+    fn due_line(&self, fraction: f32, now: Instant) -> Option<String> {
+        // Another thread has the lock to log the same.
+        let mut logged_at = self.logged_at.try_lock().ok()?;
+        let last = logged_at.unwrap_or(self.started_at);
+        let is_due = now.saturating_duration_since(last) >= LOG_INTERVAL;
+        is_due.then(|| {
+            *logged_at = Some(now);
+            format!("{}: {:.0} %", self.label, fraction * 100.0)
+        })
     }
 }
 
@@ -81,6 +101,15 @@ mod tests {
         assert_eq!(time_left(Duration::from_secs(9), 0, 10), "");
         assert_eq!(time_left(Duration::from_secs(30), 10, 60), ", 3 minutes left");
         assert_eq!(time_left(Duration::from_secs(30), 10, 0), ", 0 seconds left");
+    }
+
+    #[test]
+    fn a_long_task_is_logged_from_time_to_time() {
+        let progress = Progress::new("loading a.ply");
+        let line = |fraction, seconds| progress.due_line(fraction, progress.started_at + Duration::from_secs(seconds));
+        assert_eq!(line(0.1, 9), None);
+        assert_eq!(line(0.256, 10).as_deref(), Some("loading a.ply: 26 %"));
+        assert_eq!((line(0.3, 19), line(0.4, 21).is_some()), (None, true));
     }
 
     #[test]

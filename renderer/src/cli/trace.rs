@@ -9,7 +9,7 @@ use shared::printable::counted;
 use crate::{
     cli::{
         check_writable,
-        picture_args::{PictureArgs, with_ending},
+        picture_args::{PictureArgs, SHOWS_NOTHING, with_ending},
         say,
         stop::Task,
     },
@@ -35,11 +35,15 @@ pub fn run(TraceArgs { picture, image }: &TraceArgs) -> Result<()> {
     picture.pool()?.install(|| {
         // The camera is checked before a large model is read.
         let camera = picture.read_camera()?;
+        picture.warn_of_large_file();
         let LoadedMesh { id, mesh, .. } = picture.model.load()?;
         let spec = picture.spec(id, camera.unwrap_or_else(|| picture.view_all(&mesh)));
         let scene = picture.build(mesh);
         let _task = Task::named("rendering the picture");
         let (rgb, _) = scene.render_frame(&spec);
+        if spec.appearance.background.fills(spec.size, rgb.as_chunks().0.iter().copied()) {
+            tracing::warn!("{}: {SHOWS_NOTHING}", image.display());
+        }
         image::write_png(image, spec.size, &rgb).with_context(|| format!("cannot write {}", image.display()))?;
         say(format_args!("{}: {} samples, {}", image.display(), spec.size, counted(scene.n_triangles(), "triangle")))
     })

@@ -63,6 +63,11 @@ impl Companions {
         if let Some(path) = allowed().find(|path| path.is_file()) {
             return Ok(path);
         }
+        // Programs on systems that ignore the case of letters write folders as they please too.
+        let in_any_case = places.iter().filter_map(|place| within(here, place));
+        if let Some(path) = in_any_case.filter_map(|way| follow_in_any_case(here, &way)).find(|path| path.is_file()) {
+            return Ok(path);
+        }
         let beside = within(here, Path::new(&folder));
         let folders = || beside.iter().cloned().chain(FOLDERS.map(PathBuf::from)).map(|place| here.join(place));
         let same = folders().map(|place| place.join(base)).find(|path| path.is_file());
@@ -106,13 +111,28 @@ fn tidy(path: &Path) -> Option<PathBuf> {
     Some(way)
 }
 
+/// The end of a way from a folder, if each of its names is there in some case of letters.
+fn follow_in_any_case(folder: &Path, way: &Path) -> Option<PathBuf> {
+    way.components().try_fold(folder.to_owned(), |at, part| {
+        let next = at.join(part);
+        match part {
+            Component::Normal(name) if !next.exists() => entries_in_any_case(&at, &name.to_string_lossy()).min(),
+            _ => Some(next),
+        }
+    })
+}
+
 fn find_in_any_case(folder: &Path, name: &str) -> Option<PathBuf> {
+    // The least name, whatever the order of the folder's entries.
+    entries_in_any_case(folder, name).filter(|path| path.is_file()).min()
+}
+
+fn entries_in_any_case(folder: &Path, name: &str) -> impl Iterator<Item = PathBuf> {
     let name = name.to_lowercase();
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
-    let entries = std::fs::read_dir(folder).ok()?.flatten();
-    let matching = entries.filter(|entry| entry.file_name().to_string_lossy().to_lowercase() == name);
-    // The least name, whatever the order of the folder's entries.
-    matching.map(|entry| entry.path()).filter(|path| path.is_file()).min()
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let matching = entries.filter(move |entry| entry.file_name().to_string_lossy().to_lowercase() == name);
+    matching.map(|entry| entry.path())
 }
 
 #[cfg(test)]
@@ -125,7 +145,8 @@ mod tests {
     fn files_are_found_as_other_machines_name_them() {
         let folder = tempfile::tempdir().unwrap();
         let model = folder.path().join("scan/model.obj");
-        for name in ["scan/a b.png", "scan/textures/C.JPG", "textures/d.png", "scan/sub/e.png"] {
+        for name in ["scan/a b.png", "scan/textures/C.JPG", "textures/d.png", "scan/sub/e.png", "scan/sub/Deep/er.PNG"]
+        {
             let path = folder.path().join(name);
             fs::create_dir_all(path.parent().unwrap()).unwrap();
             fs::write(path, name).unwrap();
@@ -138,6 +159,9 @@ mod tests {
             ("/home/x/c.jpg", "scan/textures/C.JPG"),
             ("d.png", "textures/d.png"),
             ("sub\\e.png", "scan/sub/e.png"),
+            ("SUB/E.PNG", "scan/sub/e.png"),
+            (".\\Sub\\deep\\Er.png", "scan/sub/Deep/er.PNG"),
+            ("../Scan/Sub/e.png", "scan/sub/e.png"),
         ] {
             assert_eq!(found(name), Ok(expected.to_owned()), "{name}");
         }

@@ -68,12 +68,26 @@ pub enum Problem {
     // A file of another kind, or a damaged one.
     #[error("{0}")]
     Foreign(String),
-    #[error(transparent)]
+    #[error("{0}{cure}", cure = cure_of_ply(.0))]
     Ply(#[from] ply::Problem),
-    #[error(transparent)]
+    #[error("{0}{cure}", cure = if let TextProblem::Line { .. } = .0 { COPY_AGAIN } else { "" })]
     Text(#[from] TextProblem),
-    #[error(transparent)]
+    #[error("{0}{cure}", cure = if let gltf::Problem::TooShort { .. } = .0 { COPY_AGAIN } else { "" })]
     Gltf(#[from] gltf::Problem),
+}
+
+/// The cure of a file that may be damaged.
+const COPY_AGAIN: &str = "; copy the file again, or export the model again";
+/// The cure of a file that another program wrote in its own way.
+const EXPORT_AGAIN: &str = "; export the model again, for example with Blender or MeshLab";
+
+fn cure_of_ply(problem: &ply::Problem) -> &'static str {
+    use ply::Problem::{Header, HeaderEnds, HeaderLine, Missing, Row, TooShort};
+    match problem {
+        HeaderEnds | TooShort { .. } | Row { .. } => COPY_AGAIN,
+        HeaderLine { .. } | Header(_) | Missing { .. } => EXPORT_AGAIN,
+        _ => "",
+    }
 }
 
 /// A format of models.
@@ -186,6 +200,24 @@ impl<R: Read> Read for ProgressReader<'_, R> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn faults_have_a_cure() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("model");
+        let ply = "ply\nformat ascii 1.0\nelement vertex 9\nproperty float x\nproperty float y\nproperty float z\n\
+            element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n";
+        for (text, cure) in [
+            (ply.to_owned(), "; copy the file again, or export the model again"),
+            (ply.replace("float y", "bool y"), "; export the model again, for example with Blender or MeshLab"),
+            ("v 0 0 0\nv 1 0 x\nf 1 2 1\n".to_owned(), "; copy the file again, or export the model again"),
+            ("glTF\u{2}\0\0\0@\0\0\0\u{20}\0\0\0JSON{}".to_owned(), "; copy the file again, or export the model again"),
+        ] {
+            std::fs::write(&path, text).unwrap();
+            let told = read(&path, &|_| ()).unwrap_err().to_string();
+            assert!(told.ends_with(cure), "{told}");
+        }
+    }
 
     #[test]
     fn the_content_tells_the_format() {

@@ -274,7 +274,9 @@ fn library_names(row: &str, is_there: impl Fn(&str) -> bool) -> Vec<String> {
     let mut names = Vec::new();
     for name in words.split_inclusive(is_end) {
         let whole = name.join(" ");
-        names.extend(if is_there(&whole) { vec![whole] } else { name.to_vec() });
+        // Where none of the words is a file, one name with spaces is likelier than names that do not end in `.mtl`.
+        let is_one = is_there(&whole) || !name.iter().any(|word| is_there(word));
+        names.extend(if is_one { vec![whole] } else { name.to_vec() });
     }
     names
 }

@@ -47,7 +47,8 @@ pub struct LoadedMesh {
     pub id: SceneId,
     /// Has at least one triangle that can be traced.
     pub mesh: Mesh,
-    /// Parts of the file that are left out, or shown otherwise than it says: a line each, without the file's name.
+    /// Parts of the file that are left out, by the view of the whole too, or shown otherwise than it says: a line each,
+    /// without the file's name.
     pub left_out: Vec<String>,
 }
 
@@ -61,6 +62,8 @@ pub enum LoadError {
     Empty { path: PathBuf },
     #[error("{}: has {} and no triangles: a point cloud must be meshed first", path.display(), counted(n_vertices, "vertex"))]
     NoTriangles { path: PathBuf, n_vertices: usize },
+    #[error("{}: has {} and no triangles; {remark}: export it as a mesh of triangles", path.display(), counted(n_vertices, "vertex"))]
+    OnlyOthers { path: PathBuf, n_vertices: usize, remark: String },
     #[error("{}: has {}, and each triangle, of {n_rejected}, has a corner that is none of them, or that has no usable \
         position: export the model again", path.display(), counted(n_vertices, "vertex"))]
     NoneUsable { path: PathBuf, n_vertices: usize, n_rejected: usize },
@@ -107,9 +110,10 @@ pub fn load(source: &SceneSource, crease: Crease, progress: &(dyn Fn(f32) + Sync
             let (n_vertices, n_rejected) = (mesh.vertices.len(), mesh.n_rejected);
             let path = path.clone();
             if mesh.triangles.is_empty() {
-                return Err(match n_vertices {
-                    0 => LoadError::Empty { path },
-                    _ => LoadError::NoTriangles { path, n_vertices },
+                return Err(match (n_vertices, remarks.first()) {
+                    (0, _) => LoadError::Empty { path },
+                    (_, None) => LoadError::NoTriangles { path, n_vertices },
+                    (_, Some(remark)) => LoadError::OnlyOthers { path, n_vertices, remark: printable_line(remark) },
                 });
             }
             if n_rejected == mesh.triangles.len() {
@@ -134,7 +138,7 @@ fn has_area(mesh: &Mesh) -> bool {
 /// Remarks that are told; a model that has moved may lack a thousand images.
 const MOST_REMARKS: usize = 10;
 
-/// The parts that were left out, in lines fit for a log.
+/// The parts that were left out, or that the view of the whole leaves out, in lines fit for a log.
 fn left_out(mesh: &Mesh, remarks: &[String]) -> Vec<String> {
     let (n_triangles, n_rejected) = (mesh.triangles.len(), mesh.n_rejected);
     let n_more = remarks.len().saturating_sub(MOST_REMARKS);
@@ -142,7 +146,9 @@ fn left_out(mesh: &Mesh, remarks: &[String]) -> Vec<String> {
     let rejected = (n_rejected > 0).then(|| {
         format!("triangles with a corner that is missing or not finite are left out: {n_rejected} of {n_triangles}")
     });
-    remarks.iter().take(MOST_REMARKS).map(|remark| printable_line(remark)).chain(more).chain(rejected).collect()
+    let strays = mesh.bulk().remark(n_triangles - n_rejected);
+    let remarks = remarks.iter().take(MOST_REMARKS).map(|remark| printable_line(remark)).chain(more);
+    remarks.chain(rejected).chain(strays).collect()
 }
 
 /// BLAKE3 over vertices, triangles and colours: for each its length as `u64`, then its numbers, all little endian; then
@@ -282,6 +288,9 @@ mod tests {
         std::fs::write(&path, "v 0 0 0\nv 1 0 0\nv 3 0 0\nf 1 1 2\nf 1 2 3\n").unwrap();
         let flat = load(&SceneSource::File(path.clone()), Crease::default(), &|_| ()).unwrap_err().to_string();
         assert!(flat.contains("no triangle, of 2, has an area"), "{flat}");
+        std::fs::write(&path, "v 0 0 0\nv 1 0 0\nl 1 2\n").unwrap();
+        let lines = load(&SceneSource::File(path.clone()), Crease::default(), &|_| ()).unwrap_err().to_string();
+        assert!(lines.contains("points, lines and curved surfaces are left out: 1: export it"), "{lines}");
         let face = "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 1 2\n";
         assert!(error(face).ends_with("export the model again"), "{}", error(face));
     }

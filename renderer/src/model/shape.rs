@@ -14,11 +14,13 @@ const SOLE: f64 = 0.03;
 const CLEARLY: f64 = 2.0;
 
 impl Mesh {
-    /// Bounds, outline and likely up axis of the triangles that can be traced, in world space.
+    /// Bounds, outline and likely up axis of the triangles that can be traced, in world space, without
+    /// [strays](Mesh::bulk).
     ///
     /// If the file does not say what points up, the model is taken to stand on its largest supporting face: the hull of the points within [`SOLE`] of the lowest.
     pub fn shape(&self) -> Shape {
-        let [min, max] = self.bounds().corners();
+        let bulk = self.bulk();
+        let [min, max] = bulk.bounds.corners();
         let directions = directions();
         let height = (max - min).max_element() * SOLE;
         let sole = |&up: &UpAxis| {
@@ -29,8 +31,10 @@ impl Mesh {
         let mut all = vec![Extremes::new(directions.clone(), DVec3::ZERO, 0.0)];
         all.extend(UpAxis::POSITIVE.iter().map(sole));
         let add_block = |mut all: Vec<Extremes>, block: &[[u32; 3]]| {
-            let used = block.iter().filter(|&&triangle| triangle != Self::REJECTED).flatten();
-            let points: Vec<_> = used.map(|&index| DVec3::from(self.vertices[index as usize].map(f64::from))).collect();
+            let used = block.iter().filter(|&&triangle| triangle != Self::REJECTED);
+            let corners = used.map(|triangle| triangle.map(|index| self.vertices[index as usize]));
+            let points = corners.filter(|&corners| bulk.holds(corners)).flatten();
+            let points: Vec<_> = points.map(|point| DVec3::from(point.map(f64::from))).collect();
             all.iter_mut().for_each(|extremes| extremes.add(&points));
             all
         };
@@ -158,6 +162,16 @@ mod tests {
             let outer = farthest(&mut mesh.vertices.iter().map(|vertex| DVec3::from(vertex.map(f64::from))));
             assert!((0.0..0.03).contains(&(outer - inner)), "{outer} {inner}");
         }
+    }
+
+    #[test]
+    fn strays_change_neither_bounds_nor_outline_nor_axis() {
+        let mut mesh = turned([2, 0, 1]);
+        let shape = mesh.shape();
+        let first = mesh.vertices.len() as u32;
+        mesh.vertices.extend([[1e6, -1e6, 1e6], [1e6, 0.0, 1e6], [-1e6, -1e6, 0.0]]);
+        mesh.triangles.insert(0, [first, first + 1, first + 2]);
+        assert_eq!(mesh.shape(), shape);
     }
 
     #[test]

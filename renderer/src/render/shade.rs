@@ -291,6 +291,28 @@ mod tests {
     }
 
     #[test]
+    fn a_picture_of_the_background_alone_is_known() {
+        let scene = crate::render::scene::Scene::build(facing_mesh(), &crate::grid::GridOptions::default(), &|_| ());
+        let is_blank = |samples: u32, background: &str, towards: f64| {
+            let background: Background = background.parse().unwrap();
+            let eye = DVec3::new(0.0, 0.0, 5.0);
+            let camera = Camera::look_at(eye, eye + DVec3::Z * towards, DVec3::Y, 0.7, 2.0).unwrap();
+            let samples = SampleRange { count: samples, ..SampleRange::CENTRE };
+            let size = FrameSize::new(64, 48).unwrap();
+            let appearance = Appearance { background, ..Appearance::default() };
+            let spec = FrameSpec { camera, size, samples, ..spec(ShadingMode::Shaded, appearance) };
+            let rgb = scene.render_frame(&spec).0;
+            background.fills(size, rgb.as_chunks().0.iter().copied())
+        };
+        for background in ["424449,1b1f28", "000000", "ffffff,000000"] {
+            for samples in [1, 16] {
+                assert!(is_blank(samples, background, 1.0), "{background}");
+                assert!(!is_blank(samples, background, -1.0), "{background}");
+            }
+        }
+    }
+
+    #[test]
     fn higher_costs_are_brighter() {
         let light = |n_cells, n_tests| cost_color(RayCost { n_cells, n_tests });
         assert_eq!(light(0, 0), Vec3::ZERO);

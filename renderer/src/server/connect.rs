@@ -3,7 +3,7 @@
 use std::{
     io,
     net::{IpAddr, SocketAddr},
-    path::PathBuf,
+    path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
 };
@@ -28,7 +28,7 @@ use crate::{
     },
     render::threads,
     server::{
-        scene_loader::SceneLoader,
+        scene_loader::{SceneLoader, Told},
         session::{self, SessionEnd, SessionError},
         synthetic::SyntheticPicture,
     },
@@ -81,6 +81,11 @@ pub struct ConnectArgs {
     pub local: bool,
 }
 
+/// The name of one of the render servers that a wall starts; they are numbered from 1.
+pub fn local_name(number: usize) -> String {
+    format!("local-{number}")
+}
+
 /// Serves the wall until the process is told to stop, or, with `--local`, until the wall ends.
 pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
     let name = name(args.name)?;
@@ -99,7 +104,13 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         None if args.blank => SceneLoader::synthetic(pool, SyntheticPicture::noise()),
         None => {
             // The wall has read the same file, and tells of it.
-            SceneLoader::start(pool, args.model, args.scene.options(), !args.local)?
+            let told = match args.local {
+                false => Told::Everything,
+                // All local servers have the same budget.
+                true if name == local_name(1) => Told::Shortage,
+                true => Told::Nothing,
+            };
+            SceneLoader::start(pool, args.model, args.scene.options(), told)?
         }
     };
     if with_port(&args.wall).starts_with(':') {
@@ -140,16 +151,13 @@ async fn keep_connected(
     let host = with_port(wall);
     let mut pause = SHORTEST_PAUSE;
     let mut last_failure = String::new();
-    let (mut has_ended, mut was_refused) = (false, false);
+    let mut has_ended = false;
     loop {
         let mut longest_pause = LONGEST_PAUSE;
         let ended = match connect(&host, only_this_machine).await? {
             Ok(mut stream) => {
                 let security = if key.is_some() { "with a key" } else { "unencrypted" };
-                // A refusal repeats: its reason is to stay the last line.
-                if !was_refused {
-                    tracing::info!("connected to the wall at {host}, {security}");
-                }
+                let on_welcome = || tracing::info!("connected to the wall at {host}, {security}");
                 has_ended = false;
                 let is_local = match (stream.local_addr(), stream.peer_addr()) {
                     (Ok(here), Ok(wall)) => is_same_machine(here, wall),
@@ -157,8 +165,7 @@ async fn keep_connected(
                 };
                 let (input, output) = stream.split();
                 let SessionEnd { was_accepted, reason } =
-                    session::run(input, output, key, name, loader, is_local).await;
-                was_refused = !was_accepted && reason.is_err();
+                    session::run(input, output, key, name, loader, is_local, on_welcome).await;
                 if matches!(reason, Err(SessionError::Refused(_))) {
                     longest_pause = LONGEST_PAUSE_IF_REFUSED;
                 } else if was_accepted {
@@ -219,9 +226,12 @@ async fn connect(host: &str, only_this_machine: bool) -> anyhow::Result<io::Resu
         && let Some(address) = addresses.iter().find(|address| !address.ip().to_canonical().is_loopback())
     {
         bail!(
-            "{address} is another machine: give --key a copy of the wall's key file, which `{}` makes, \
-             or add --insecure if you trust everybody on the network between",
-            make_key_command("wall.key".as_ref())
+            "{address} is another machine: give --key a copy of the wall's key file{}, or add --insecure if you trust \
+             everybody on the network between",
+            match Path::new("wall.key").exists() {
+                true => ", perhaps the wall.key that is here".to_owned(),
+                false => format!(", which `{}` makes", make_key_command("wall.key".as_ref())),
+            }
         );
     }
     let connecting = timeout(CONNECT_TIMEOUT, TcpStream::connect(&*addresses)).await;

@@ -9,7 +9,7 @@ use std::{
 use anyhow::Context;
 use rayon::ThreadPool;
 use shared::{
-    printable::counted,
+    printable::{bytes, counted},
     protocol::SceneState,
     scene::{Crease, SceneId},
     structure::Structure,
@@ -17,7 +17,7 @@ use shared::{
 use tokio::sync::watch;
 
 use crate::{
-    cli::progress::Progress,
+    cli::{large_file::warn_of_large_file, progress::Progress},
     grid::GridOptions,
     model::scene::{self, SceneSource},
     render::scene::Scene,
@@ -62,6 +62,16 @@ impl LatestRequest {
 #[derive(Clone, Default)]
 struct CurrentScene(Arc<Mutex<Option<IdentifiedScene>>>);
 
+/// The part of a scene's news that a render server logs: several beside a wall would tell the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Told {
+    Nothing,
+    /// A grid that is coarser for lack of memory: only render servers build grids.
+    Shortage,
+    /// Also what files hold and lack.
+    Everything,
+}
+
 /// A scene with its id.
 type IdentifiedScene = (SceneId, Arc<Scene>);
 
@@ -98,13 +108,12 @@ pub(crate) struct SceneLoader {
 }
 
 impl SceneLoader {
-    /// Starts the loading thread, which first loads `model`, if given, before any wall asks. `tells`: whether it logs what
-    /// files hold and lack.
+    /// Starts the loading thread, which first loads `model`, if given, before any wall asks, and logs what `told` says.
     pub(crate) fn start(
         pool: Arc<ThreadPool>,
         model: Option<PathBuf>,
         options: GridOptions,
-        tells: bool,
+        told: Told,
     ) -> anyhow::Result<Self> {
         let requests = Arc::new(LatestRequest::default());
         let (progress, _) = watch::channel(None);
@@ -115,8 +124,8 @@ impl SceneLoader {
             model,
             options,
             structure: None,
-            tells,
-            told: None,
+            told,
+            told_of: None,
             progress: progress.clone(),
         };
         std::thread::Builder::new()
@@ -173,9 +182,9 @@ struct LoaderThread {
     options: GridOptions,
     /// The structure that the wall chose for the loaded scene, if it did.
     structure: Option<Structure>,
-    tells: bool,
+    told: Told,
     /// The scene of which the log tells already; a new structure has it read again.
-    told: Option<SceneId>,
+    told_of: Option<SceneId>,
     progress: watch::Sender<LoadProgress>,
 }
 
@@ -267,6 +276,9 @@ impl LoaderThread {
         };
         self.current.set(None);
         tracing::info!("loading {source}");
+        if self.told == Told::Everything {
+            warn_of_large_file(source, 1, self.options.memory_budget);
+        }
         let bar = Progress::new(format!("loading {source}"));
         let (id, scene) = self.pool.install(|| -> Result<_, String> {
             let loaded = scene::load(source, crease, &|fraction| {
@@ -275,7 +287,7 @@ impl LoaderThread {
             })
             .map_err(|error| error.to_string())?;
             let id = loaded.id;
-            if self.tells && self.told != Some(loaded.id) {
+            if self.told == Told::Everything && self.told_of != Some(loaded.id) {
                 loaded.log(source);
             }
             let scene = Scene::build(loaded.smooth().mesh, &self.effective_options(), &|fraction| {
@@ -284,13 +296,13 @@ impl LoaderThread {
             });
             Ok((id, Arc::new(scene)))
         })?;
-        self.told = Some(id);
+        self.told_of = Some(id);
         tracing::info!(
-            "{source} is ready: {} in {} MB",
+            "{source} is ready: {} in {}",
             counted(scene.n_triangles(), "triangle"),
-            scene.n_bytes() / 1_000_000
+            bytes(scene.n_bytes() as u64)
         );
-        if let Some(shortage) = scene.grid.shortage() {
+        if let Some(shortage) = scene.grid.shortage().filter(|_| self.told != Told::Nothing) {
             tracing::warn!("{source}: {shortage}");
         }
         self.current.set(Some((id, Arc::clone(&scene))));

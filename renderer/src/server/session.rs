@@ -71,7 +71,7 @@ impl SessionError {
 }
 
 /// Runs a conversation over any stream; encrypted if a key is given. Files that the wall names are read only if it
-/// `is_local`: runs on this machine.
+/// `is_local`: runs on this machine. Calls `on_welcome` once the wall has accepted this server.
 pub(crate) async fn run(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
@@ -79,12 +79,13 @@ pub(crate) async fn run(
     name: &str,
     loader: &SceneLoader,
     is_local: bool,
+    on_welcome: impl FnOnce(),
 ) -> SessionEnd {
     // One time limit for both handshakes: a wall that sends slowly gets no more.
     let deadline = Instant::now() + HANDSHAKE_TIMEOUT;
-    let Some(key) = key else { return run_session(input, output, name, loader, deadline, is_local).await };
+    let Some(key) = key else { return run_session(input, output, name, loader, deadline, is_local, on_welcome).await };
     match timeout_at(deadline, secure::connect(input, output, key)).await {
-        Ok(Ok((input, output))) => run_session(input, output, name, loader, deadline, is_local).await,
+        Ok(Ok((input, output))) => run_session(input, output, name, loader, deadline, is_local, on_welcome).await,
         Ok(Err(error)) => SessionEnd { was_accepted: false, reason: Err(error.into()) },
         Err(_) => SessionEnd { was_accepted: false, reason: Err(SessionError::NoHandshake) },
     }
@@ -97,6 +98,7 @@ async fn run_session(
     loader: &SceneLoader,
     deadline: Instant,
     is_local: bool,
+    on_welcome: impl FnOnce(),
 ) -> SessionEnd {
     // The deadline bounds the handshake: silence within it needs no limit of its own.
     let mut reader = MessageReader::new(input, 2 * HANDSHAKE_TIMEOUT);
@@ -105,6 +107,7 @@ async fn run_session(
     if let Err(error) = timeout_at(deadline, shaking_hands).await.unwrap_or(Err(SessionError::NoHandshake)) {
         return SessionEnd { was_accepted: false, reason: Err(error) };
     }
+    on_welcome();
     reader.raise_limits(SILENCE_LIMIT);
     let (outbox, outgoing) = mpsc::channel(LONGEST_QUEUE);
     let (replies, reply_queue) = mpsc::channel(MOST_REPLIES);

@@ -144,7 +144,7 @@ impl Job {
         let (units_per_chunk, units_per_run) =
             chunk_units(share, rayon::current_num_threads() as u32, self.spec.samples.count);
         let n_chunks = share.count().div_ceil(units_per_chunk);
-        // Renders and sends one chunk; on the curve, measures each run of its units.
+        // Renders and sends one chunk, and measures each run of its units; off the curve, the chunk is one.
         let render = |chunk_idx: u32| {
             let mut costs = Vec::new();
             if self.cancelled.load(Relaxed) {
@@ -158,12 +158,10 @@ impl Job {
             for first in units.clone().step_by(units_per_run as usize) {
                 let measured = first..(first + units_per_run).min(units.end);
                 scene.render(&self.spec, share, measured, &mut rgb);
-                if share.is_on_curve() {
-                    let now = ThreadTime::now();
-                    let cpu = now.duration_since(last_measured_at);
-                    costs.push(u32::try_from(cpu.as_nanos()).unwrap_or(u32::MAX));
-                    last_measured_at = now;
-                }
+                let now = ThreadTime::now();
+                let cpu = now.duration_since(last_measured_at);
+                costs.push(u32::try_from(cpu.as_nanos()).unwrap_or(u32::MAX));
+                last_measured_at = now;
             }
             let message = self.chunk(units, &rgb);
             cpu_us.fetch_add(cpu_started.elapsed().as_micros() as u64, Relaxed);
@@ -184,7 +182,10 @@ impl Job {
             trace_cpu_us: u32::try_from(cpu_us.into_inner()).unwrap_or(u32::MAX),
             send_us: u32::try_from(send_us.into_inner()).unwrap_or(u32::MAX),
         };
-        (timings, RunCosts { run_units: units_per_run, cpu_ns })
+        let n_runs = share.count().div_ceil(units_per_run);
+        // Only samples of thousands of rays have chunks so small.
+        let fit = n_runs <= RunCosts::MOST_RUNS;
+        (timings, if fit { RunCosts { run_units: units_per_run, cpu_ns } } else { RunCosts::default() })
     }
 
     /// Sends a picture's samples. Leaves the last chunk in `last_message`: sending it with `TaskDone` saves a wake-up.
@@ -247,13 +248,52 @@ fn microseconds(duration: Duration) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
     use shared::{
+        appearance::Appearance,
+        camera::Camera,
         division::{Division, FrameSize},
-        protocol::SampleRange,
+        protocol::{LightingMode, SampleRange, ShadingMode},
+        scene::{Crease, SceneId},
     };
     use strum::VariantArray;
 
     use super::*;
+    use crate::{grid::GridOptions, model::statue};
+
+    #[test]
+    fn costs_are_measured_in_every_division() {
+        let scene = Arc::new(Scene::build(statue::generate(2000, &|_| ()), &GridOptions::default(), &|_| ()));
+        let size = FrameSize::new(256, 128).unwrap();
+        let camera = Camera::look_at(DVec3::splat(3.0), DVec3::ZERO, DVec3::Y, 0.7, 2.0).unwrap();
+        for &division in Division::VARIANTS {
+            let task = division.task(1, 2);
+            let share = task.share(size).unwrap();
+            let job = Job {
+                frame: FrameId(1),
+                task_id: TaskId(1),
+                spec: FrameSpec {
+                    scene: SceneId::Statue { triangles: 2000, crease: Crease::FLAT },
+                    camera,
+                    size,
+                    view: ShadingMode::Shaded,
+                    rays: LightingMode::Primary,
+                    samples: SampleRange::CENTRE,
+                    appearance: Appearance::default(),
+                },
+                task,
+                encoding: Encoding::Raw,
+                source: RenderSource::Scene(Arc::clone(&scene)),
+                cancelled: Arc::default(),
+                received_at: Instant::now(),
+            };
+            let (outbox, _inbox) = mpsc::channel(1000);
+            let (timings, costs) = job.render(&scene, &share, &outbox);
+            assert!(costs.fits(share.count()) && costs.cpu_ns.len() > 4, "{division}: {costs:?}");
+            let sum_us = costs.cpu_ns.iter().map(|&ns| u64::from(ns)).sum::<u64>() / 1000;
+            assert!(sum_us > 0 && sum_us <= u64::from(timings.trace_cpu_us) + costs.cpu_ns.len() as u64, "{division}");
+        }
+    }
 
     #[test]
     fn chunks_fit_messages_and_hold_whole_runs() {

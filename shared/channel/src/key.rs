@@ -115,6 +115,14 @@ pub fn make_key_command(file: &Path) -> String {
     format!("{program}{} key {}", if is_wall { " renderer" } else { "" }, file.display())
 }
 
+/// The first step towards a key: to use the file if it is there, or else the command that makes it.
+pub fn have_key_advice(file: &Path) -> String {
+    match file.exists() {
+        true => format!("take the key {}, which is here already", file.display()),
+        false => format!("make a key with `{}`", make_key_command(file)),
+    }
+}
+
 /// A name for a new key beside an unusable file, which must not be overwritten.
 fn unused_name(path: &Path) -> PathBuf {
     let mut name = path.to_owned().into_os_string();

@@ -134,7 +134,7 @@ impl Share {
         }
     }
 
-    /// Whether the units are tiles numbered along the curve: render servers report their costs.
+    /// Whether the units are tiles numbered along the curve: their costs divide the next frame.
     pub fn is_on_curve(&self) -> bool {
         self.units.kind == UnitKind::CurveTile
     }

@@ -22,7 +22,7 @@ use shared::{
 };
 
 pub use self::output::{Output, Pictures, Video};
-use super::{Headless, Wakeups, milliseconds, next_frame};
+use super::{Headless, Wakeups, milliseconds};
 use crate::{
     cli::report::Report,
     farm::{Farm, Frame},
@@ -86,7 +86,7 @@ impl Headless {
             let camera = film.camera(index);
             let frame = match last.take().filter(|frame| frame.spec.camera == camera) {
                 Some(frame) => frame,
-                None => match frame_of(farm, wakeups, camera)? {
+                None => match self.frame_of(farm, wakeups, camera)? {
                     Some(frame) => frame,
                     None => return Ok(report),
                 },
@@ -110,6 +110,16 @@ impl Headless {
         }
         Ok(report)
     }
+
+    /// The next frame of a camera, without those of earlier cameras; `None` once the operator stops the wall.
+    fn frame_of(&self, farm: &Farm, wakeups: &Wakeups, camera: Camera) -> anyhow::Result<Option<Frame>> {
+        loop {
+            match self.next_frame(farm, wakeups)? {
+                Some(frame) if frame.spec.camera != camera => {}
+                frame => return Ok(frame),
+            }
+        }
+    }
 }
 
 fn request_frame(farm: &Farm, camera: Camera) {
@@ -120,16 +130,6 @@ fn request_frame(farm: &Farm, camera: Camera) {
             spec.camera = camera;
         }
     });
-}
-
-/// The next frame of a camera, without those of earlier cameras; `None` once the operator stops the wall.
-fn frame_of(farm: &Farm, wakeups: &Wakeups, camera: Camera) -> anyhow::Result<Option<Frame>> {
-    loop {
-        match next_frame(farm, wakeups)? {
-            Some(frame) if frame.spec.camera != camera => {}
-            frame => return Ok(frame),
-        }
-    }
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use renderer::cli::progress::Progress;
 use shared::protocol::FrameSpec;
 
-use super::{Headless, Wakeups, milliseconds, next_frame};
+use super::{Headless, Wakeups, milliseconds, warn_if_blank};
 use crate::{
     cli::report::Report,
     control::refinement::{Refinement, ShowTimes},
@@ -39,8 +39,11 @@ impl Headless {
                     request_frame(farm, step.spec, false);
                 }
             }
-            let Some(frame) = next_frame(farm, wakeups)? else { break };
+            let Some(frame) = self.next_frame(farm, wakeups)? else { break };
             refinement.on_frame(&frame.spec, Duration::from_secs_f64(frame.stats.interval_ms / 1e3));
+            if report.n_frames() == 0 {
+                warn_if_blank(&frame);
+            }
             let display = self.show(&frame)?;
             let [took_ms, upload_ms] = [display.upload_ms + display.draw_ms, display.upload_ms];
             let [took, upload] = [took_ms, upload_ms].map(|ms| Duration::from_secs_f64(ms / 1e3));

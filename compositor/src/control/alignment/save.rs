@@ -1,7 +1,8 @@
 //! Edits one value of a handwritten wall file, and keeps its order, comments and spaces.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use anyhow::Context;
 use channel::files;
 use serde::Deserialize;
 use toml::Spanned;
@@ -24,6 +25,30 @@ struct Named {
 /// Writes the corners of all projectors of `wall` to its file. On an error, for example in a file that has changed to
 /// another wall or has no place for the corners, the file stays as it was.
 pub(crate) fn save_warps(path: &Path, wall: &Wall) -> anyhow::Result<()> {
+    let text = text_with_warps(path, wall)?;
+    files::write(path, |out| out.write_all(text.as_bytes()))
+        .map_err(|error| anyhow::anyhow!("{}: the corners cannot be saved: {error}", path.display()))
+}
+
+/// Writes `wall` to a new file beside its file, or into the current folder, and returns the new file.
+pub(crate) fn save_aside(path: Option<&Path>, wall: &Wall) -> anyhow::Result<PathBuf> {
+    // A file that has no place for the corners any more is written anew.
+    let text = path.and_then(|path| text_with_warps(path, wall).ok()).unwrap_or_else(|| wall.to_toml());
+    let path = path.unwrap_or(Path::new("wall.toml"));
+    let names = (1..=MOST_ASIDE).map(|number| path.with_extension(format!("corners-{number}.toml")));
+    let unused = names.into_iter().find(|name| !name.exists());
+    let file =
+        unused.with_context(|| format!("{}: too many files of corners beside it: remove some", path.display()))?;
+    files::write(&file, |out| out.write_all(text.as_bytes()))
+        .map_err(|error| anyhow::anyhow!("{}: the corners cannot be saved: {error}", file.display()))?;
+    Ok(file)
+}
+
+/// The most files of corners beside a wall file.
+const MOST_ASIDE: u32 = 1000;
+
+/// The text of the wall's file with the corners of all projectors of `wall`.
+fn text_with_warps(path: &Path, wall: &Wall) -> anyhow::Result<String> {
     let unreadable = |cause| WallError::Unreadable { path: path.display().to_string(), cause };
     let old_text = read_text(path).map_err(unreadable)?;
     let old = Wall::from_toml(&path.display().to_string(), &old_text)?;
@@ -41,8 +66,7 @@ pub(crate) fn save_warps(path: &Path, wall: &Wall) -> anyhow::Result<()> {
          line of its own, and do not change the file while the wall runs",
         path.display()
     );
-    files::write(path, |out| out.write_all(text.as_bytes()))
-        .map_err(|error| anyhow::anyhow!("{}: the corners cannot be saved: {error}", path.display()))
+    Ok(text)
 }
 
 /// The text of a wall file with new corners of one projector.

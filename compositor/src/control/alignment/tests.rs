@@ -196,6 +196,37 @@ fn saved_corners_can_be_read_and_the_rest_of_the_file_stays() {
 }
 
 #[test]
+fn corners_that_are_not_saved_are_told_of_and_kept_aside() {
+    let folder = std::env::temp_dir().join(format!("corners-aside-{}", std::process::id()));
+    fs::create_dir_all(&folder).unwrap();
+    let file = folder.join("ours.toml");
+    fs::copy(shipped_path("blended-4x3.toml"), &file).unwrap();
+    let mut alignment = aligning(Some(file.clone()), Wall::load(&file).unwrap());
+    assert_eq!((alignment.unsaved_note(), alignment.save_aside().unwrap()), (None, None));
+    for number in [1, 2] {
+        alignment.show(Some(Pattern::Align));
+        alignment.next_corner();
+        assert!(alignment.move_by(DVec2::new(2.0, 2.0)));
+        assert_eq!(alignment.unsaved_note(), None, "still in hand");
+        alignment.press_key(NamedKey::Escape, false);
+        assert!(alignment.unsaved_note().unwrap().contains("Ctrl+S saves them in "));
+        let kept = folder.join(format!("ours.corners-{number}.toml"));
+        assert!(alignment.save_aside().unwrap().unwrap().contains(&format!("--wall {}", kept.display())));
+        assert_eq!(Wall::load(&kept).unwrap(), alignment.wall);
+    }
+    assert_eq!(fs::read(&file).unwrap(), fs::read(shipped_path("blended-4x3.toml")).unwrap());
+    // Even where the file is no wall any more.
+    fs::write(&file, "").unwrap();
+    alignment.save_aside().unwrap();
+    let corners = |wall: &Wall| wall.projectors().iter().map(|projector| projector.warp_px).collect::<Vec<_>>();
+    assert_eq!(corners(&Wall::load(&folder.join("ours.corners-3.toml")).unwrap()), corners(&alignment.wall));
+    fs::copy(shipped_path("blended-4x3.toml"), &file).unwrap();
+    alignment.save().unwrap();
+    assert_eq!((alignment.unsaved_note(), alignment.save_aside().unwrap()), (None, None));
+    fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
 fn corners_without_a_place_leave_the_file_unchanged() {
     let folder = std::env::temp_dir().join(format!("no-corners-{}", std::process::id()));
     fs::create_dir_all(&folder).expect("a folder");

@@ -122,6 +122,41 @@ fn speed_fits_the_model_and_the_person() {
     assert!(distance(&far) < 0.97 * before);
 }
 
+#[test]
+fn flying_slows_down_before_a_surface_and_passes_it_in_the_end() {
+    let mut navigator = navigator();
+    let eye = |navigator: &Navigator| navigator.camera().eye();
+    let forward = view_plane(&navigator.camera()).0;
+    let step = |navigator: &mut Navigator, surface: Option<DVec3>| {
+        let before = eye(navigator);
+        navigator.set_ahead(surface);
+        navigator.advance(0.016, 1.0);
+        (eye(navigator) - before).length()
+    };
+    navigator.hold(Direction::Forward);
+    let usual = step(&mut navigator, None);
+    let size = navigator.size();
+    let ahead = |navigator: &Navigator, part: f64| Some(eye(navigator) + forward * (size * part));
+    let (far, near) = (ahead(&navigator, 1.0), ahead(&navigator, 0.01));
+    assert!((step(&mut navigator, far) / usual - 1.0).abs() < 0.01, "no slower where there is room");
+    let near_step = step(&mut navigator, near);
+    assert!(near_step < 0.1 * usual && near_step < 0.01 * size, "{near_step} of {usual}");
+    let surface = eye(&navigator) + forward * (size * 0.01);
+    let depth = |navigator: &Navigator| (surface - eye(navigator)).dot(forward);
+    let n_steps =
+        (0..2000).take_while(|_| step(&mut navigator, Some(surface)) > 0.0 && depth(&navigator) > 0.0).count();
+    assert!((60..500).contains(&n_steps), "{n_steps}");
+    // A point that somebody went to counts before the eye has seen another.
+    navigator.release_all();
+    navigator.go_to_point(DVec3::new(1.0, 1.0, 1.0));
+    navigator.advance(TRANSITION_SECONDS, 1.0);
+    navigator.hold(Direction::Left);
+    let before = eye(&navigator);
+    let distance = (DVec3::ONE - before).length();
+    navigator.advance(0.016, 1.0);
+    assert!((eye(&navigator) - before).length() < 0.02 * distance.max(1e-3 * size));
+}
+
 /// Advances until all transitions have ended.
 fn arrive(navigator: &mut Navigator) {
     navigator.advance(TRANSITION_SECONDS, 1.0);
@@ -136,7 +171,7 @@ fn view_all_and_up_axis_start_afresh() {
     navigator.move_to(DVec2::new(0.9, 0.1));
     let turned = navigator.camera();
     navigator.view_all(&[CanvasPart::WHOLE]);
-    assert_eq!((navigator.camera(), navigator.destination()), (turned, camera));
+    assert_eq!((navigator.camera(), navigator.destination().0), (turned, camera));
     arrive(&mut navigator);
     assert_eq!(navigator.camera(), camera);
     for _ in UpAxis::VARIANTS {
@@ -152,7 +187,7 @@ fn view_all_and_up_axis_start_afresh() {
 fn a_transition_is_smooth_and_a_hand_stops_it() {
     let mut navigator = navigator();
     let (start, end) = (navigator.camera(), navigator.camera().orbit(DVec3::Y, UpAxis::Y, 2.0, 0.5));
-    navigator.go_to(end);
+    navigator.go_to(end, DVec2::ZERO);
     let mut longest: f64 = 0.0;
     let mut before = start.eye();
     for _ in 0..60 {
@@ -163,11 +198,53 @@ fn a_transition_is_smooth_and_a_hand_stops_it() {
     assert_eq!(navigator.camera(), end);
     let way = (end.eye() - start.eye()).length();
     assert!(longest < 0.06 * way, "a step of {longest} on a way of {way}");
-    navigator.go_to(start);
+    navigator.go_to(start, DVec2::ZERO);
     navigator.advance(TRANSITION_SECONDS / 2.0, 1.0);
     navigator.press(Drag::Orbit);
     let camera = navigator.camera();
     assert!(!navigator.advance(1.0, 1.0) && navigator.camera() == camera);
+}
+
+/// The left half of the canvas, as a panel on the right leaves it.
+const LEFT: [CanvasPart; 1] = [CanvasPart { max: DVec2::new(0.5, 1.0), ..CanvasPart::WHOLE }];
+
+#[test]
+fn views_are_kept_without_the_room_for_panels() {
+    let mut navigator = navigator();
+    navigator.make_room(&LEFT);
+    navigator.press(Drag::Orbit);
+    navigator.move_to(DVec2::new(0.6, 0.55));
+    navigator.release();
+    let shown = navigator.camera();
+    let middle = navigator.pivot();
+    assert!((project(&shown, middle).x - 0.25).abs() < 0.08, "{}", project(&shown, middle));
+    let kept = navigator.destination_without_panels();
+    assert!((project(&kept, middle).x - 0.5).abs() < 0.08, "{}", project(&kept, middle));
+    assert_eq!((kept.eye(), navigator.camera_without_panels()), (shown.eye(), kept));
+    // With the panel it is the view that was kept, and without the panel the middle of the canvas is its middle.
+    let error = |a: &Camera, b: &Camera| (project(a, middle) - project(b, middle)).length();
+    navigator.view_all(&LEFT);
+    arrive(&mut navigator);
+    navigator.go_to_view(kept, None, &LEFT);
+    arrive(&mut navigator);
+    assert!(error(&navigator.camera(), &shown) < 1e-9);
+    navigator.make_room(&[CanvasPart::WHOLE]);
+    assert_eq!(navigator.camera(), kept);
+    navigator.make_room(&LEFT);
+    assert!(error(&navigator.camera(), &shown) < 1e-9);
+}
+
+#[test]
+fn a_view_that_panels_have_not_moved_is_kept_as_it_is() {
+    let mut navigator = navigator();
+    navigator.make_room(&LEFT);
+    let camera = navigator.camera().orbit(DVec3::Y, UpAxis::Y, 1.0, 0.2);
+    navigator.set_camera(camera);
+    assert_eq!(navigator.destination_without_panels(), camera);
+    navigator.make_room(&LEFT);
+    navigator.go_to_point(DVec3::new(0.9, 1.5, 0.8));
+    arrive(&mut navigator);
+    assert_eq!(navigator.destination_without_panels(), navigator.camera());
 }
 
 #[test]
@@ -249,11 +326,14 @@ proptest! {
                 3 => _ = navigator.wheel(a * 20.0),
                 4 => { navigator.hold(Direction::Forward); navigator.advance(a, 4.0); }
                 5 => navigator.next_up_axis(&[CanvasPart::WHOLE]),
-                6 => navigator.go_to(first.orbit(DVec3::ZERO, UpAxis::X, a, b)),
+                6 => navigator.go_to(first.orbit(DVec3::ZERO, UpAxis::X, a, b), DVec2::ZERO),
                 7 => navigator.go_to_point(DVec3::new(a, b, corner)),
-                8 => navigator.set_under_cursor(Some(DVec3::new(b, a, corner))),
+                8 => {
+                    navigator.set_under_cursor(Some(DVec3::new(b, a, corner)));
+                    navigator.set_ahead(Some(DVec3::new(a, b, corner)));
+                }
                 9 => {
-                    let keys = vec![(0.0, navigator.camera()), (0.5, first), (1.0, navigator.destination())];
+                    let keys = vec![(0.0, navigator.camera()), (0.5, first), (1.0, navigator.destination_without_panels())];
                     navigator.play(Arc::new(CameraPath::new(keys, UpAxis::Y).unwrap()), b > 0.0);
                 }
                 10 => _ = navigator.change_speed(a as i32),

@@ -379,6 +379,9 @@ impl FrameInFlight {
                 None => nodes.push(node_stats),
             }
         }
+        let is_done = |assigned: &AssignedTask| matches!(assigned.state, TaskState::Done { .. });
+        // A copy of a late task that was answered after all has healed nothing.
+        let is_healed = self.attempts > 1 && !self.tasks.iter().take(self.coverage.n_initial_tasks()).all(is_done);
         FrameStats {
             frame: self.id.0,
             size: self.spec.size,
@@ -388,6 +391,7 @@ impl FrameInFlight {
             place_ms: milliseconds(self.tasks.iter().map(|assigned| assigned.place_time).sum()),
             imbalance: max_over_mean(nodes.iter().map(|node| node.busy_ms)),
             attempts: self.attempts,
+            is_healed,
             n_lost: 0,
             n_healed: 0,
             bytes_in: nodes.iter().map(|node| node.bytes_in).sum(),

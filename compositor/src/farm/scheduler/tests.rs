@@ -237,7 +237,7 @@ fn the_share_of_a_lost_node_goes_to_the_others() {
         farm.answer(A);
         assert!(farm.shown.is_empty());
         farm.answer(C);
-        assert_eq!(farm.shown[0].attempts, 2);
+        assert_eq!((farm.shown[0].attempts, farm.shown[0].is_healed), (2, true));
     }
 }
 
@@ -287,6 +287,19 @@ fn a_late_task_is_given_to_an_idle_node_too() {
     farm.answer(A);
     assert_eq!(farm.shown.len(), 1, "the first answer wins");
     assert_eq!(farm.cancelled, [B]);
+    assert!(farm.shown[0].is_healed);
+}
+
+#[test]
+fn a_late_node_that_answers_first_has_done_its_own_work() {
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A, B]);
+    farm.pass(20);
+    farm.answer(A);
+    farm.pass(41);
+    assert_eq!(farm.at_work.len(), 2);
+    farm.answer(B);
+    farm.answer(A);
+    assert_eq!((farm.shown.len(), farm.shown[0].attempts, farm.shown[0].is_healed), (1, 2, false));
 }
 
 #[test]

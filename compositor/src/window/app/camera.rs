@@ -156,16 +156,16 @@ impl CameraControl {
         self.sidecars.as_ref().and_then(SidecarFiles::views).and_then(|views| views.get(number))
     }
 
-    pub(super) fn go_to_view(&mut self, number: u8, now: Instant) -> Effect {
+    pub(super) fn go_to_view(&mut self, number: u8, parts: &[CanvasPart], now: Instant) -> Effect {
         match self.view(number) {
-            Some(View { camera, up, .. }) => self.steer(now, |navigator| navigator.go_to_view(camera, up)),
+            Some(View { camera, up, .. }) => self.steer(now, |navigator| navigator.go_to_view(camera, up, parts)),
             None => Effect::note(format!("There is no view {number}: Ctrl+{number} keeps the current view")),
         }
     }
 
     pub(super) fn keep_view(&mut self, number: u8, look: Look) -> Effect {
         let (Some(sidecars), Some(navigator)) = (&mut self.sidecars, &self.navigator) else { return Effect::default() };
-        let view = View { camera: navigator.destination(), up: Some(navigator.up()), look: Some(look) };
+        let view = View { camera: navigator.destination_without_panels(), up: Some(navigator.up()), look: Some(look) };
         match sidecars.keep_view(number, view) {
             Ok((file, text)) => Effect::job(move || sidecar::write_views(&file, &text).map(|()| Effect::default()))
                 .with_note(format!("View {number} is kept: key {number} goes there")),
@@ -178,7 +178,8 @@ impl CameraControl {
             return self.end_recording(recorder);
         }
         let Some(navigator) = &self.navigator else { return Effect::default() };
-        self.recording = Some(Recording { since: now, recorder: CameraRecorder::new(navigator.camera()) });
+        self.recording =
+            Some(Recording { since: now, recorder: CameraRecorder::new(navigator.camera_without_panels()) });
         Effect::note("Recording the camera: C ends it")
     }
 
@@ -186,7 +187,9 @@ impl CameraControl {
     pub(super) fn record(&mut self, now: Instant) -> Effect {
         let Some(navigator) = &self.navigator else { return Effect::default() };
         let is_full = |recording: &mut Recording| {
-            !recording.recorder.record(now.duration_since(recording.since).as_secs_f64(), navigator.camera())
+            !recording
+                .recorder
+                .record(now.duration_since(recording.since).as_secs_f64(), navigator.camera_without_panels())
         };
         match self.recording.take_if(is_full) {
             Some(Recording { recorder, .. }) => self.end_recording(recorder),
@@ -221,7 +224,7 @@ impl CameraControl {
         (up, self.guessed_up == Some(up))
     }
 
-    /// Keeps a whole model, that nobody has moved since, out of the way of panels.
+    /// Keeps a whole model, or a kept view, that nobody has moved since, out of the way of panels.
     pub(super) fn make_room(&mut self, parts: &[CanvasPart], now: Instant) -> Effect {
         let before = self.navigator.as_ref().map(Navigator::camera);
         let effect = self.steer(now, |navigator| navigator.make_room(parts));
@@ -344,16 +347,16 @@ mod tests {
     fn views_are_kept_and_found_again() {
         let start = Instant::now();
         let mut control = camera_on_a_cube(start);
-        assert!(control.go_to_view(3, start).note.unwrap().contains("Ctrl+3"));
+        assert!(control.go_to_view(3, &[], start).note.unwrap().contains("Ctrl+3"));
         assert!(control.keep_view(3, Look::default()).job.is_some());
         assert_eq!(control.view_numbers(), [3]);
-        assert!(control.go_to_view(3, start).wants_picture);
+        assert!(control.go_to_view(3, &[], start).wants_picture);
         let effect = control.steer(start, |navigator| navigator.next_up_axis(&[CanvasPart::WHOLE]));
         assert_eq!((effect.note, control.up()), (Some("Up: z".to_owned()), (UpAxis::Z, false)));
-        let effect = control.go_to_view(3, start);
+        let effect = control.go_to_view(3, &[], start);
         assert_eq!(control.up(), (UpAxis::Y, true), "a view has its own axis");
         assert_eq!(effect.note.as_deref(), Some("Up: y"), "the note on screen is still of the old axis");
-        assert_eq!(control.go_to_view(3, start).note, None);
+        assert_eq!(control.go_to_view(3, &[], start).note, None);
         assert_eq!(control.view(3).unwrap().look, Some(Look::default()));
     }
 

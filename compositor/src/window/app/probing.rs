@@ -14,6 +14,8 @@ pub(super) enum Purpose {
     GoTo,
     /// To move nearer to it with the wheel.
     Approach,
+    /// To fly slower before it.
+    Ahead,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -24,19 +26,25 @@ struct PendingProbe {
     since: Instant,
 }
 
+/// The pause between probes ahead.
+const AHEAD_INTERVAL: Duration = Duration::from_millis(60);
+
 /// A probe without an answer by then is dropped.
 const PROBE_TIMEOUT: Duration = Duration::from_secs(2);
 
 #[derive(Debug, Default)]
 pub(super) struct Probing {
     last_number: u32,
+    /// When the last probe ahead was started.
+    ahead_at: Option<Instant>,
     pending: Option<PendingProbe>,
 }
 
 impl Probing {
     /// Starts a probe at a point of the view plane, in fractions of its edges, and returns its number.
     ///
-    /// `None` while a probe to go somewhere is pending, which another purpose must not replace.
+    /// `None` while a probe to go somewhere is pending, which another purpose must not replace; a probe ahead replaces none, and
+    /// is rare.
     pub(super) fn start(&mut self, purpose: Purpose, camera: Camera, at: [f32; 2], now: Instant) -> Option<u32> {
         let is_going = |pending: &PendingProbe| {
             pending.purpose == Purpose::GoTo && now.duration_since(pending.since) < PROBE_TIMEOUT
@@ -44,9 +52,22 @@ impl Probing {
         if purpose != Purpose::GoTo && self.pending.as_ref().is_some_and(is_going) {
             return None;
         }
+        if purpose == Purpose::Ahead {
+            let is_pending = |pending: &PendingProbe| now.duration_since(pending.since) < PROBE_TIMEOUT;
+            let is_recent = self.ahead_at.is_some_and(|at| now.duration_since(at) < AHEAD_INTERVAL);
+            if is_recent || self.pending.as_ref().is_some_and(is_pending) {
+                return None;
+            }
+            self.ahead_at = Some(now);
+        }
         self.last_number = self.last_number.wrapping_add(1);
         self.pending = Some(PendingProbe { purpose, camera, at, since: now });
         Some(self.last_number)
+    }
+
+    /// Drops the probe that is not answered yet, as when another model opens.
+    pub(super) fn forget(&mut self) {
+        self.pending = None;
     }
 
     /// The purpose of the last probe and what it hit, once, if this is its answer.
@@ -105,6 +126,14 @@ mod tests {
         assert!(probing.finish(miss(first)).is_none());
         assert_eq!(probing.finish(miss(second)).unwrap().0, Purpose::GoTo);
         assert!(probing.finish(miss(second)).is_none());
+        let last = probing.start(Purpose::Inspect, camera(), [0.5; 2], now).unwrap();
+        assert_eq!(probing.start(Purpose::Ahead, camera(), [0.5; 2], now), None, "a hand waits for the last");
+        probing.forget();
+        assert!(probing.finish(miss(last)).is_none(), "another model is on the wall");
+        let ahead = probing.start(Purpose::Ahead, camera(), [0.5; 2], now).unwrap();
+        assert!(probing.finish(miss(ahead)).is_some());
+        assert_eq!(probing.start(Purpose::Ahead, camera(), [0.5; 2], now), None, "not so often");
+        assert!(probing.start(Purpose::Ahead, camera(), [0.5; 2], now + AHEAD_INTERVAL).is_some());
         assert!(probing.start(Purpose::Approach, camera(), [0.5; 2], now).is_some());
     }
 }

@@ -2,12 +2,16 @@
 
 use std::time::{Duration, Instant};
 
+use shared::scene::SceneId;
 use winit::event_loop::ActiveEventLoop;
 
 use super::App;
 use crate::{
     control::refinement::ShowTimes,
-    farm::{Frame, stats::DisplayStats},
+    farm::{
+        Frame,
+        stats::{DisplayStats, FarmStatus},
+    },
     overlay::{FrameTimes, OverlayModel},
     supervisor::SupervisorLink,
     window::{effect::Effect, frame_rate::FrameRate},
@@ -24,6 +28,8 @@ pub(super) struct Presentation {
     pub(super) frame: Option<Frame>,
     /// The frame has yet to be shown.
     pub(super) is_new: bool,
+    /// The scene of the last frame on screen.
+    pub(super) scene: Option<SceneId>,
     pub(super) is_stale: bool,
     pub(super) rate: FrameRate,
     pub(super) repaint_at: Option<Instant>,
@@ -81,6 +87,9 @@ impl App<'_> {
         let frame = self.presentation.frame.as_ref();
         overlay.n_samples = [frame.map_or(0, |frame| frame.spec.samples.count), self.picture.refinement.n_samples()];
         overlay.frame = frame.map(|frame| frame.stats.clone());
+        if let Some((pick, frame)) = overlay.pick.as_mut().zip(frame) {
+            pick.distance = (pick.point - frame.spec.camera.eye()).length();
+        }
         overlay.pick_on_canvas = overlay.pick.zip(frame).and_then(|(pick, frame)| {
             let [x, y] = frame.spec.camera.project(pick.point)?;
             Some(egui::pos2(x as f32, (1.0 - y) as f32))
@@ -95,7 +104,11 @@ impl App<'_> {
         overlay.frames_per_second = self.presentation.rate.per_second(now);
         overlay.note = self.messages.note(now);
         let has_panel = overlay.panel && !overlay.is_aligning;
-        let messages = self.messages.list(&overlay.status, &self.outputs.missing(), has_panel, now);
+        let missing = self.outputs.missing();
+        // A pattern is covered only by the answer to the hand that aligns; other news come back with the picture.
+        let (status, missing) =
+            if overlay.is_aligning { (&FarmStatus::default(), &[][..]) } else { (&overlay.status, &*missing) };
+        let messages = self.messages.list(status, missing, has_panel, now);
         // Messages are for operators.
         overlay.messages = if self.kiosk.is_locked { Vec::new() } else { messages };
     }
@@ -164,10 +177,15 @@ impl App<'_> {
         let on_monitors = if monitors.is_empty() { String::new() } else { format!(", on {}", monitors.join(" and ")) };
         tracing::debug!("frame {} is on screen, {latency_ms:.1} ms after the camera{on_monitors}", frame.stats.frame);
         self.overlay.display = Some(stats);
+        let is_first = self.presentation.scene.replace(frame.spec.scene) != Some(frame.spec.scene);
+        let is_blank = is_first && frame.is_blank();
         // The times of this frame are known only now.
         self.presentation.repaint_at = self.presentation.repaint_at.into_iter().chain([now + SETTLE_TIME]).min();
         if (self.on_shown)(frame, &stats).is_break() {
             event_loop.exit();
+        }
+        if is_blank {
+            self.apply(Effect::note("The picture shows nothing of the model: F views all of it"));
         }
     }
 
@@ -190,6 +208,7 @@ impl App<'_> {
         let (has_moved, next_step_at) = self.camera.advance(self.modifiers.shift_key(), now);
         if has_moved {
             self.want_picture();
+            self.probe_ahead();
         }
         next.push(next_step_at);
         if let Some(step) = self.picture.refinement.refine(now) {

@@ -54,11 +54,14 @@ impl App<'_> {
             return self.key_to_browser(event_loop, cap, key, has_ctrl);
         }
         // Alignment takes only presses: a key that was pressed before the pattern came must still be released.
+        let took_corners = self.wall.takes_corners();
         if let keyboard::Key::Named(named) = key.logical_key
             && is_pressed
             && !self.kiosk.is_locked
             && self.wall.press_key(named, has_shift)
         {
+            let unsaved = self.wall.unsaved_note().filter(|_| took_corners);
+            self.apply(unsaved.map_or_else(Effect::default, Effect::note));
             return self.redraw();
         }
         match cap.and_then(input::action) {
@@ -102,7 +105,7 @@ impl App<'_> {
             Command::GoToView(number) => {
                 let look = self.camera.view(number).and_then(|view| view.look);
                 look.into_iter().for_each(|look| self.picture.set_look(look));
-                self.camera.go_to_view(number, now)
+                self.camera.go_to_view(number, &self.free_parts(), now)
             }
             Command::KeepView(number) => self.camera.keep_view(number, self.picture.look()),
             Command::ToggleRecording => self.camera.toggle_recording(now),
@@ -164,10 +167,15 @@ impl App<'_> {
             Command::ToggleFullscreen => self.fill(event_loop, !self.outputs.is_filling, now),
             Command::LeaveFullscreen => self.fill(event_loop, false, now),
             Command::Screenshot => self.take_screenshot(),
-            Command::NextPattern => Effect::note(match self.wall.next_pattern() {
-                Some(pattern) => self.wall.help(pattern),
-                None => "No test pattern".to_owned(),
-            }),
+            Command::NextPattern => {
+                let took_corners = self.wall.takes_corners();
+                let pattern = self.wall.next_pattern();
+                // A pattern has the wall for itself, until somebody asks for help.
+                self.overlay.help = false;
+                let help = pattern.map_or_else(|| "No test pattern".to_owned(), |pattern| self.wall.help(pattern));
+                let unsaved = self.wall.unsaved_note().filter(|_| took_corners);
+                Effect::note(unsaved.map_or(help.clone(), |unsaved| format!("{unsaved}. {help}")))
+            }
             Command::SaveCorners => {
                 self.wall.save().map_or_else(|problem| Effect::problem(problem.to_string()), Effect::note)
             }
@@ -189,10 +197,10 @@ impl App<'_> {
 
     /// Locks the wall and hides everything that is not for visitors, or unlocks it.
     fn toggle_lock(&mut self) -> Effect {
-        if !self.kiosk.toggle_lock() {
+        if !self.kiosk.toggle_lock(&mut self.overlay.panel) {
             return Effect::note("Unlocked");
         }
-        (self.overlay.panel, self.overlay.help) = (false, false);
+        self.overlay.help = false;
         (self.overlay.tint, self.overlay.pick) = (Tint::None, None);
         self.browser.files = None;
         Effect::note("Locked: visitors can only steer; Ctrl+L unlocks")
@@ -261,20 +269,36 @@ impl App<'_> {
 
     /// Asks a render server for the triangle under the cursor; [`App::take_probed`] takes the answer.
     fn probe(&mut self, purpose: Purpose) -> Effect {
-        let point = self.point_on_canvas();
-        let (Some(model), Some(navigator)) = (&self.model, &self.camera.navigator) else { return Effect::default() };
+        self.probe_at(purpose, self.point_on_canvas());
+        Effect::default()
+    }
+
+    /// Asks a render server what is ahead, while keys fly the camera.
+    pub(super) fn probe_ahead(&mut self) {
+        if self.camera.navigator.as_ref().is_some_and(Navigator::is_flying) {
+            self.probe_at(Purpose::Ahead, DVec2::splat(0.5));
+        }
+    }
+
+    /// `point` is a fraction of the canvas, (0, 0) lower left.
+    fn probe_at(&mut self, purpose: Purpose, point: DVec2) {
+        let (Some(model), Some(navigator)) = (&self.model, &self.camera.navigator) else { return };
         let (camera, at) = (navigator.camera(), [point.x as f32, point.y as f32]);
         if let Some(number) = self.probing.start(purpose, camera, at, Instant::now()) {
             let (view, clip) = (Some((model.scene, camera)), self.picture.appearance.clip);
             self.farm.probe(Probe { number, view, at, clip });
         }
-        Effect::default()
     }
 
     /// Takes the answer to the last probe, once it has come.
     pub(super) fn take_probed(&mut self) {
         let probed = self.farm.status().probed;
         let Some((purpose, pick)) = probed.and_then(|probed| self.probing.finish(probed)) else { return };
+        if purpose == Purpose::Ahead {
+            let navigator = self.camera.navigator.as_mut();
+            // Nothing to draw: the next step of the flight shows it.
+            return navigator.into_iter().for_each(|navigator| navigator.set_ahead(pick.map(|pick| pick.point)));
+        }
         let effect = match (purpose, pick) {
             (Purpose::Inspect, pick) => {
                 self.overlay.pick = pick;
@@ -285,7 +309,7 @@ impl App<'_> {
                 self.overlay.pick = Some(pick);
                 self.camera.steer(Instant::now(), |navigator| navigator.go_to_point(pick.point))
             }
-            (Purpose::Approach, pick) => {
+            (Purpose::Approach | Purpose::Ahead, pick) => {
                 let navigator = self.camera.navigator.as_mut();
                 navigator.into_iter().for_each(|navigator| navigator.set_under_cursor(pick.map(|pick| pick.point)));
                 Effect::default()

@@ -73,6 +73,9 @@ impl Library {
             let Some(material) = self.materials[n_before..].last_mut() else { continue };
             let number = || rest.split_whitespace().next()?.parse::<f32>().ok().map(|number| number.clamp(0.0, 1.0));
             match word.to_ascii_lowercase().as_str() {
+                "kd" | "ke" if color(rest).is_none() => {
+                    self.remarks.push(format!("{word} {rest} of a material is left out: its three values are numbers"));
+                }
                 "kd" => color(rest).into_iter().for_each(|[r, g, b]| material.base_color = [r, g, b, 1.0]),
                 "ke" => color(rest).into_iter().for_each(|color| material.emissive = color),
                 "pm" => number().into_iter().for_each(|number| material.metallic = number),

@@ -188,6 +188,9 @@ fn missing_materials_are_a_remark() {
     library.read(b"newmtl a\nmap_Kd tile.<UDIM>.png\nnewmtl b\nmap_d -bm\nnewmtl c\nmap_d x.png\nmtllib a b.mtl\n", "");
     assert_eq!(library.materials.len(), 3);
     assert!(library.images.is_empty() && library.remarks.len() == 3, "{library:?}");
+    let mut library = Library::default();
+    library.read(b"newmtl a\nKd red\nKe 1 0 0\n", "");
+    assert_eq!(library.remarks, ["Kd red of a material is left out: its three values are numbers"]);
 }
 
 #[test]
@@ -200,6 +203,8 @@ fn files_of_materials_are_found_by_any_name() {
         assert_eq!(draft.mesh.materials.materials[0].base_color[0], 1.0, "{row}");
         assert_eq!(draft.remarks.len(), usize::from(row.contains("none")), "{row}: {:?}", draft.remarks);
     }
+    let draft = with_library(&obj("my own looks.mtl"), b"");
+    assert_eq!(draft.remarks, ["its materials are left out: my own looks.mtl is missing: put it beside the model"]);
 }
 
 #[test]

@@ -116,7 +116,7 @@ impl<'a> RealWall<'a> {
             if let Some(frame) = self.farm.take_frame() {
                 return Ok(frame);
             }
-            ensure!(headless::wait(&self.farm, self.wakeups)? != Wakeup::Stop, Stopped);
+            ensure!(headless::wait(&self.farm, self.wakeups, None)? != Wakeup::Stop, Stopped);
         }
     }
 }

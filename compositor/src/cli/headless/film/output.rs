@@ -127,6 +127,9 @@ impl Pictures {
             }
             states[last] = State::Damaged;
         }
+        if let Some(compared) = self.compared {
+            tracing::info!("{} is rendered once more, to compare it", file(compared).display());
+        }
         for (index, state) in (0..).zip(&states) {
             match state {
                 State::Damaged => tracing::warn!("{} is damaged, and is made again", file(index).display()),
