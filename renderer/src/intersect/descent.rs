@@ -80,37 +80,34 @@ impl Descent {
         self.n_stack = 1;
     }
 
-    /// Puts those children of a node on the stack that the ray passes.
+    /// Puts those children of a node on the stack that the ray passes. With `ANY`, rays are not shortened.
     #[inline(always)]
-    pub(super) fn enter_node<S: Simd>(&mut self, node: &HierarchyNode) {
+    pub(super) fn enter_node<S: Simd, const ANY: bool>(&mut self, node: &HierarchyNode) {
         // The child that is farthest along the ray comes first: it is in slot `flip`.
         let flip = self.ahead % CHILDREN as u32;
         let within = S::LANES as u32 - 1;
-        let sides = self.sides();
         let mut n_stack = self.n_stack as usize % N_STACK;
         let mut first = 0;
         while first < CHILDREN {
             let slots = first ^ (flip & !within) as usize;
-            let mut rows = [S::splat(0.0); 6];
-            for row in 0..6 {
-                rows[row] = S::load(&node.sides[sides[row]][slots..]);
-            }
-            let (s_near, s_far) = self.slabs.range::<S>(rows, self.s_range);
+            let (s_near, s_far) = self.slabs.range::<S>(self.rows(node, slots), self.s_range);
             let (s_near, s_far) = (s_near.reflect(flip & within), s_far.reflect(flip & within));
             let passed = s_near.le(s_far);
             let children = S::load_bits(&node.children[slots..]).reflect(flip & within);
-            s_near.compress_to(passed, &mut self.stack_s[n_stack..]);
+            if !ANY {
+                s_near.compress_to(passed, &mut self.stack_s[n_stack..]);
+            }
             n_stack += children.compress_bits_to(passed, &mut self.stack[n_stack..]);
             first += S::LANES;
         }
         self.n_stack = n_stack as u32;
     }
 
-    /// Takes the next entry from the stack.
+    /// Takes the next entry from the stack. With `ANY`, all entries are within reach.
     #[inline(always)]
-    pub(super) fn next(&mut self) -> Entry {
+    pub(super) fn next<const ANY: bool>(&mut self) -> Entry {
         let mut last = self.n_stack as usize - 1;
-        while self.stack_s[last % N_STACK] > self.s_range[1] {
+        while !ANY && self.stack_s[last % N_STACK] > self.s_range[1] {
             last -= 1;
         }
         self.n_stack = last as u32;
@@ -150,13 +147,20 @@ impl Descent {
     /// A bit for each child of a node, from a slot on, that the ray passes.
     #[inline(always)]
     pub(super) fn passed_children<S: Simd>(&self, node: &HierarchyNode, first: usize) -> u32 {
-        let sides = self.sides();
-        let mut rows = [S::splat(0.0); 6];
-        for row in 0..6 {
-            rows[row] = S::load(&node.sides[sides[row]][first..]);
-        }
-        let (s_near, s_far) = self.slabs.range::<S>(rows, self.s_range);
+        let (s_near, s_far) = self.slabs.range::<S>(self.rows(node, first), self.s_range);
         s_near.le(s_far)
+    }
+
+    /// The near and far sides of a node's children from a slot on.
+    #[inline(always)]
+    fn rows<S: Simd>(&self, node: &HierarchyNode, slots: usize) -> [S; 6] {
+        let mut rows = [S::splat(0.0); 6];
+        for axis in 0..3 {
+            let [low, high] = [&node.sides[2 * axis], &node.sides[2 * axis + 1]];
+            let (near, far) = if self.ahead & SLOT_BITS[axis] != 0 { (low, high) } else { (high, low) };
+            (rows[2 * axis], rows[2 * axis + 1]) = (S::load(&near[slots..]), S::load(&far[slots..]));
+        }
+        rows
     }
 
     /// The near and far side along each axis: twice the axis, and one more for the greatest side.

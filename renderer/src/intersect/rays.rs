@@ -122,14 +122,14 @@ impl Grid {
                 while entry != NONE {
                     let index = (entry & !LEAF) as usize;
                     if entry & LEAF == 0 {
-                        descent.enter_node::<S>(&hierarchy.nodes[index]);
+                        descent.enter_node::<S, true>(&hierarchy.nodes[index]);
                     } else if let Some(node) = hierarchy.triangle_nodes.get(index) {
                         let triangles = node.children.into_iter().filter(|&triangle| triangle != NONE);
                         triangles.for_each(&mut visit);
                     } else {
                         tree.references[tree.references_of(index as u32)].iter().copied().for_each(&mut visit);
                     }
-                    entry = descent.next();
+                    entry = descent.next::<true>();
                 }
             }
         }

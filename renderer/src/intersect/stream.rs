@@ -148,7 +148,7 @@ impl Pairs {
 
 /// The state of a stream. Making it takes longer than tracing a ray, so each thread keeps one.
 struct State {
-    slots: Vec<Slot>,
+    slots: [Slot; N_SLOTS],
     /// The node or leaf that each slot's ray enters next; [`NONE`] at its end.
     entries: [Entry; N_SLOTS],
     /// Of the slots' rays, three numbers each.
@@ -166,7 +166,7 @@ impl State {
     fn new() -> Box<Self> {
         let coordinates = [0.0; 3 * N_SLOTS + 3];
         Box::new(Self {
-            slots: std::iter::repeat_with(Slot::new).take(N_SLOTS).collect(),
+            slots: std::array::from_fn(|_| Slot::new()),
             entries: [NONE; N_SLOTS],
             origins: coordinates,
             directions: coordinates,
@@ -236,8 +236,8 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> Kernel for RayStream<'_, F, ANY>
                 let slot_idx = slot as usize % N_SLOTS;
                 let node = &self.tree.hierarchy.nodes[self.state.entries[slot_idx] as usize];
                 let descent = &mut self.state.slots[slot_idx].descent;
-                descent.enter_node::<S>(node);
-                self.state.entries[slot_idx] = descent.next();
+                descent.enter_node::<S, ANY>(node);
+                self.state.entries[slot_idx] = descent.next::<ANY>();
             }
             self.visit_leaves::<S>(at_leaves.as_slice());
         }
@@ -299,7 +299,7 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
                 NONE
             } else {
                 descent.shorten(nearest.t);
-                descent.next()
+                descent.next::<ANY>()
             };
         }
     }
