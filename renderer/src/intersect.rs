@@ -17,6 +17,7 @@ mod margins;
 mod packet;
 pub mod ray;
 mod rays;
+mod starts;
 mod stream;
 pub mod triangle;
 pub(crate) mod walk;

@@ -23,10 +23,15 @@ pub(crate) trait Real: Copy {
     fn sub(self, other: Self) -> Self;
     fn mul(self, other: Self) -> Self;
     fn div(self, other: Self) -> Self;
+    /// self where it is less, else other: other if either is NaN.
+    fn min(self, other: Self) -> Self;
+    /// self where it is greater, else other: other if either is NaN.
     fn max(self, other: Self) -> Self;
     fn abs(self) -> Self;
     /// A bit for each lane where self < other; 0 for NaN.
     fn lt(self, other: Self) -> u32;
+    /// A bit for each lane where self ≤ other; 0 for NaN.
+    fn le(self, other: Self) -> u32;
 }
 
 macro_rules! methods {
@@ -48,9 +53,11 @@ impl Real for f64 {
         fn sub(self, other: Self) -> Self = self - other;
         fn mul(self, other: Self) -> Self = self * other;
         fn div(self, other: Self) -> Self = self / other;
+        fn min(self, other: Self) -> Self = if self < other { self } else { other };
         fn max(self, other: Self) -> Self = if self > other { self } else { other };
         fn abs(self) -> Self = f64::abs(self);
         fn lt(self, other: Self) -> u32 = u32::from(self < other);
+        fn le(self, other: Self) -> u32 = u32::from(self <= other);
     }
 }
 

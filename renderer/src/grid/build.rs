@@ -2,8 +2,6 @@
 
 use std::sync::atomic::AtomicBool;
 
-use rayon::prelude::*;
-
 use crate::{
     grid::{
         Grid, GridOptions, MemoryShortage, Storage, Structure,
@@ -133,8 +131,12 @@ impl Grid {
         let extent = [0, 1, 2].map(|axis| (extent[axis] as u32 + 1).min(dims[axis] * BRICK_SIZE));
         let hierarchy = Hierarchy::default();
         let mut tree = Tree { dims, extent, bricks, nodes, leaf_starts, references, boxes, leaf_cubes, hierarchy };
-        tree.hierarchy =
-            Hierarchy::new((0..tree.leaf_cubes.len()).into_par_iter().map(|leaf| tree.leaf_bounds(leaf as u32)));
+        let n_bytes_left = most_bytes_in_order.saturating_sub(tree.figures().n_bytes() as u64);
+        tree.hierarchy = if Hierarchy::is_over_triangles(mesh.n_triangles(), tree.references.len(), n_bytes_left) {
+            Tree::hierarchy_over_triangles(&space, &mesh)
+        } else {
+            tree.hierarchy_over_leaves()
+        };
         (Self { space, structure: Structure::Tree(tree), density, ..Self::empty(mesh) }, is_coarser)
     }
 

@@ -11,7 +11,10 @@ pub(crate) mod scatter;
 
 use std::ops::Range;
 
-use crate::grid::figures::GridStats;
+use glam::Vec3;
+use rayon::prelude::*;
+
+use crate::grid::{cells::CellSpace, figures::GridStats, traced::TracedMesh};
 use boxes::{LeafCube, QuantizedBoxes};
 use hierarchy::{Bounds, Hierarchy};
 
@@ -83,9 +86,20 @@ impl Tree {
         self.leaf_starts[leaf] as usize..self.leaf_starts[leaf + 1] as usize
     }
 
-    /// Bounds of a leaf's triangles within its cube, in finest cells.
-    pub(crate) fn leaf_bounds(&self, leaf: u32) -> Bounds {
-        self.boxes.leaf_bounds(leaf, self.leaf_cubes[leaf as usize], self.references_of(leaf))
+    /// The hierarchy over this tree's leaves.
+    pub(crate) fn hierarchy_over_leaves(&self) -> Hierarchy {
+        let bounds = |leaf: u32| self.boxes.leaf_bounds(leaf, self.leaf_cubes[leaf as usize], self.references_of(leaf));
+        Hierarchy::over_leaves((0..self.leaf_cubes.len()).into_par_iter().map(|leaf| bounds(leaf as u32)))
+    }
+
+    /// The hierarchy over the mesh's triangles.
+    pub(crate) fn hierarchy_over_triangles(space: &CellSpace, mesh: &TracedMesh) -> Hierarchy {
+        let bounds = |triangle_idx: u32| {
+            let to_cells = |corner: [f32; 3]| space.point_to_cells(Vec3::from_array(corner).as_dvec3());
+            let [a, b, c] = mesh.corners(triangle_idx).map(to_cells);
+            Bounds::new(a.min(b).min(c), a.max(b).max(c))
+        };
+        Hierarchy::over_triangles((0..mesh.n_triangles()).into_par_iter().map(|triangle| bounds(triangle as u32)))
     }
 
     /// Sizes and counts, without storage and density.

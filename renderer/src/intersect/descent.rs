@@ -1,52 +1,27 @@
-//! The way of one ray down the hierarchy of boxes over a tree's leaves: a ray is compared with all boxes of a node at once, then
-//! with those of a leaf.
+//! The way of one ray down a hierarchy of boxes: a ray is compared with all boxes of a node at once.
 //!
 //! Positions are single-precision, in finest cells of the grid. All comparisons have a margin for rounding;
 //! [`super::triangle`] decides in `f64`.
 
 use crate::{
-    grid::{
-        cells::CellSpace,
-        tree::{
-            Tree,
-            boxes::{self, GroupBytes},
-            hierarchy::{self, CHILDREN, Entry, Hierarchy, LEAF, SLOT_BITS},
-        },
+    grid::tree::{
+        boxes::{self, GroupBytes, LeafCube},
+        hierarchy::{self, CHILDREN, Entry, HierarchyNode, SLOT_BITS},
     },
-    intersect::{grid_ray::GridRay, ray::Ray},
+    intersect::starts::RayStarts,
     simd::Simd,
 };
 
-/// Rounding errors of positions and distances in a grid, relative to its extent: eight roundings of `f32`.
-const RELATIVE_MARGIN: f64 = 8.0 / (1 << 24) as f64;
+/// Most entries of a stack: all but one child of each node on the way, one at the end, and the other child of the last node.
+/// Indices are taken modulo this power of two, which spares checks.
+const N_STACK: usize = ((CHILDREN - 1) * hierarchy::LEVELS + 2).next_power_of_two();
 
-/// Rounding errors that do not depend on the extent, in finest cells.
-const MARGIN: f64 = 1.0 / 1024.0;
-
-/// The largest inverse component of a direction whose largest component is 1: over a grid, smaller components move a ray by
-/// less than [`MARGIN`].
-const STEEPEST: f64 = 1e12;
-
-/// Entries of a stack: all but one child of each node on the way, and room for a vector of one more.
+/// Room to write a whole vector behind any entry.
 const STACK: usize = N_STACK + CHILDREN;
-
-/// Most entries below those of the last node. A power of two.
-const N_STACK: usize = ((CHILDREN - 1) * hierarchy::LEVELS + 1).next_power_of_two();
-
-/// The next step of a descent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Step {
-    /// [`Descent::enter_node`].
-    Node,
-    /// The triangles of [`Descent::leaf`], then [`Descent::next`].
-    Leaf,
-    /// None: the ray ends.
-    End,
-}
 
 /// A ray on its way down a hierarchy, step by step, to its leaves, roughly from the nearest to the farthest.
 ///
-/// Its parameter s counts finest cells along the major axis, from the point where it enters the grid.
+/// [`RayStarts`] says what its parameter s is.
 pub(super) struct Descent {
     slabs: Slabs,
     /// The ray's interval.
@@ -55,8 +30,6 @@ pub(super) struct Descent {
     ahead: u32,
     /// Nodes and leaves on the way so far.
     pub(super) n_cells: u32,
-    /// The present node or leaf.
-    entry: Entry,
     n_stack: u32,
     /// Where the ray enters each entry of the stack, and the entry: the next is the last.
     stack_s: [f32; STACK],
@@ -74,7 +47,6 @@ impl Default for Descent {
             s_range: [0.0; 2],
             ahead: 0,
             n_cells: 0,
-            entry: hierarchy::NONE,
             n_stack: 0,
             stack_s: [0.0; STACK],
             stack: [hierarchy::NONE; STACK],
@@ -86,92 +58,61 @@ impl Default for Descent {
 }
 
 impl Descent {
-    /// Begins with a ray, in place of any other.
+    /// Begins with the ray of a lane, in place of any other.
     #[inline(always)]
-    pub(super) fn begin(&mut self, space: &CellSpace, tree: &Tree, ray: &Ray) -> Step {
+    pub(super) fn begin(&mut self, starts: &RayStarts, lane: usize) {
         self.n_cells = 0;
-        let extent = tree.extent.map(|n| n as i32);
-        let Some(grid_ray) = GridRay::new(space, ray, extent) else { return Step::End };
-        let inverse = grid_ray.direction.map(|d| 1.0 / d);
-        let Some([t_enter, t_end]) = grid_ray.clip(ray, &inverse, extent) else { return Step::End };
-
-        // Let s count from the point where the ray enters the grid.
-        let GridRay { origin, direction, t_base, t_slack } = grid_ray;
-        let [dx, dy, dz] = direction;
-        self.s_per_t = dx.abs().max(dy.abs()).max(dz.abs());
-        self.t_base = t_base + t_enter;
-        self.s_slack = t_slack * self.s_per_t;
-        let s_start = ((f64::from(ray.t_min) - self.t_base) * self.s_per_t - self.s_slack) as f32;
-        self.s_range = [down(s_start), up(((t_end - t_enter) * self.s_per_t) as f32)];
-
-        // Prepare the slabs of positions in the grid.
         self.ahead = 0;
         for axis in 0..3 {
-            let inverse = inverse[axis] * self.s_per_t;
-            let inverse = if inverse.abs() <= STEEPEST { inverse } else { STEEPEST };
-            self.ahead |= if inverse < 0.0 { 0 } else { SLOT_BITS[axis] };
-            let s_zero = -(origin[axis] + t_enter * direction[axis]) * inverse;
-            let s_margin = (f64::from(extent[axis]) * RELATIVE_MARGIN + MARGIN) * inverse.abs();
-            self.slabs.step[axis] = inverse as f32;
-            self.slabs.near[axis] = (s_zero - s_margin) as f32;
-            self.slabs.far[axis] = (s_zero + s_margin) as f32;
+            let step = starts.s_step[axis][lane];
+            self.ahead |= if step < 0.0 { 0 } else { SLOT_BITS[axis] };
+            self.slabs.step[axis] = step as f32;
+            self.slabs.near[axis] = starts.s_near[axis][lane] as f32;
+            self.slabs.far[axis] = starts.s_far[axis][lane] as f32;
         }
+        self.s_range = [down(starts.s_start[lane] as f32), up(starts.s_end[lane] as f32)];
+        (self.t_base, self.s_per_t) = (starts.t_base[lane], starts.s_per_t[lane]);
+        self.s_slack = starts.s_slack[lane];
 
         // The stack's last entry ends the ray, however far it goes.
         self.stack[0] = hierarchy::NONE;
         self.stack_s[0] = f32::NEG_INFINITY;
         self.n_stack = 1;
-        self.enter(tree.hierarchy.root)
     }
 
+    /// Puts those children of a node on the stack that the ray passes. With `ANY`, rays are not shortened.
     #[inline(always)]
-    fn enter(&mut self, entry: Entry) -> Step {
-        self.entry = entry;
-        self.n_cells += 1;
-        // Computed without a branch: nobody can tell what comes next.
-        match (entry & LEAF != 0, entry == hierarchy::NONE) {
-            (false, _) => Step::Node,
-            (true, false) => Step::Leaf,
-            (true, true) => Step::End,
-        }
-    }
-
-    /// Puts those children of the present node on the stack that the ray passes.
-    #[inline(always)]
-    pub(super) fn enter_node<S: Simd>(&mut self, hierarchy: &Hierarchy) {
-        let node = &hierarchy.nodes[self.entry as usize];
+    pub(super) fn enter_node<S: Simd, const ANY: bool>(&mut self, node: &HierarchyNode) {
         // The child that is farthest along the ray comes first: it is in slot `flip`.
-        let flip = self.ahead;
+        let flip = self.ahead % CHILDREN as u32;
         let within = S::LANES as u32 - 1;
-        let sides = self.sides();
         let mut n_stack = self.n_stack as usize % N_STACK;
         let mut first = 0;
         while first < CHILDREN {
             let slots = first ^ (flip & !within) as usize;
-            let mut rows = [S::splat(0.0); 6];
-            for row in 0..6 {
-                rows[row] = S::load(&node.sides[sides[row]][slots..]);
-            }
-            let (s_near, s_far) = self.slabs.range::<S>(rows, self.s_range);
+            let (s_near, s_far) = self.slabs.range::<S>(self.rows(node, slots), self.s_range);
             let (s_near, s_far) = (s_near.reflect(flip & within), s_far.reflect(flip & within));
             let passed = s_near.le(s_far);
             let children = S::load_bits(&node.children[slots..]).reflect(flip & within);
-            s_near.compress_to(passed, &mut self.stack_s[n_stack..]);
+            if !ANY {
+                s_near.compress_to(passed, &mut self.stack_s[n_stack..]);
+            }
             n_stack += children.compress_bits_to(passed, &mut self.stack[n_stack..]);
             first += S::LANES;
         }
         self.n_stack = n_stack as u32;
     }
 
-    /// Takes the next entry from the stack; nothing beyond `t_end` matters any more.
+    /// Takes the next entry from the stack. With `ANY`, all entries are within reach.
     #[inline(always)]
-    pub(super) fn next(&mut self) -> Step {
+    pub(super) fn next<const ANY: bool>(&mut self) -> Entry {
         let mut last = self.n_stack as usize - 1;
-        while self.stack_s[last % STACK] > self.s_range[1] {
+        while !ANY && self.stack_s[last % N_STACK] > self.s_range[1] {
             last -= 1;
         }
         self.n_stack = last as u32;
-        self.enter(self.stack[last % STACK])
+        self.n_cells += 1;
+        self.stack[last % N_STACK]
     }
 
     /// Shortens the ray to `t_end`.
@@ -181,16 +122,9 @@ impl Descent {
         self.s_range[1] = if s_end < self.s_range[1] { s_end } else { self.s_range[1] };
     }
 
-    /// The leaf at [`Step::Leaf`].
+    /// The map from the sides of boxes in a leaf's cube to s.
     #[inline(always)]
-    pub(super) fn leaf(&self) -> u32 {
-        self.entry & !LEAF
-    }
-
-    /// The map from the sides of the present leaf's boxes to s.
-    #[inline(always)]
-    pub(super) fn leaf_slabs(&self, tree: &Tree) -> Slabs {
-        let cube = tree.leaf_cubes[self.leaf() as usize];
+    pub(super) fn leaf_slabs(&self, cube: LeafCube) -> Slabs {
         let (corner, size) = (cube.corner(), cube.size() as f32);
         let step = size * (1.0 / boxes::N_STEPS as f32);
         let mut slabs = Slabs::default();
@@ -203,11 +137,30 @@ impl Descent {
         slabs
     }
 
-    /// A bit for each box of a group in the present leaf that the ray passes.
+    /// A bit for each box of a group that the ray passes.
     #[inline(always)]
     pub(super) fn passed_boxes<S: Simd>(&self, slabs: &Slabs, boxes: GroupBytes<'_>, first: usize) -> u32 {
         let (s_near, s_far) = slabs.range::<S>(boxes.sides(self.sides(), first), self.s_range);
         s_near.le(s_far) & boxes.mask() >> first
+    }
+
+    /// A bit for each child of a node, from a slot on, that the ray passes.
+    #[inline(always)]
+    pub(super) fn passed_children<S: Simd>(&self, node: &HierarchyNode, first: usize) -> u32 {
+        let (s_near, s_far) = self.slabs.range::<S>(self.rows(node, first), self.s_range);
+        s_near.le(s_far)
+    }
+
+    /// The near and far sides of a node's children from a slot on.
+    #[inline(always)]
+    fn rows<S: Simd>(&self, node: &HierarchyNode, slots: usize) -> [S; 6] {
+        let mut rows = [S::splat(0.0); 6];
+        for axis in 0..3 {
+            let [low, high] = [&node.sides[2 * axis], &node.sides[2 * axis + 1]];
+            let (near, far) = if self.ahead & SLOT_BITS[axis] != 0 { (low, high) } else { (high, low) };
+            (rows[2 * axis], rows[2 * axis + 1]) = (S::load(&near[slots..]), S::load(&far[slots..]));
+        }
+        rows
     }
 
     /// The near and far side along each axis: twice the axis, and one more for the greatest side.

@@ -101,7 +101,7 @@ impl GridRay {
 }
 
 /// Farthest origin that is not moved, in finest cells: 2⁻⁵³ of this is well below the margin around cells.
-const FARTHEST_ORIGIN: f64 = (1u64 << 34) as f64;
+pub(super) const FARTHEST_ORIGIN: f64 = (1u64 << 34) as f64;
 
 /// Each step reduces the distance by 23 bits, and the range of `f32` has 277.
 const MOST_REBASES: usize = 16;

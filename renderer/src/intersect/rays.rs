@@ -2,10 +2,18 @@
 //! [`super::walk`].
 
 use crate::{
-    grid::{Grid, Structure, traced::TracedMesh, tree::Tree},
+    grid::{
+        Grid, Structure,
+        traced::TracedMesh,
+        tree::{
+            Tree,
+            hierarchy::{LEAF, NONE},
+        },
+    },
     intersect::{
-        descent::{Descent, Step},
+        descent::Descent,
         ray::{Hit, Ray},
+        starts::RayStarts,
         stream::RayStream,
         walk,
     },
@@ -106,15 +114,22 @@ impl Grid {
             #[inline(always)]
             fn run<S: Simd>(self) {
                 let Self(grid, tree, ray, mut visit) = self;
+                let Tree { hierarchy, extent, .. } = tree;
+                let starts = RayStarts::of_far_ray(&grid.space, *extent, ray);
                 let mut descent = Descent::default();
-                let mut step = descent.begin(&grid.space, tree, ray);
-                while step != Step::End {
-                    if step == Step::Node {
-                        descent.enter_node::<S>(&tree.hierarchy);
+                descent.begin(&starts, 0);
+                let mut entry = if starts.meeting == 1 { hierarchy.root } else { NONE };
+                while entry != NONE {
+                    let index = (entry & !LEAF) as usize;
+                    if entry & LEAF == 0 {
+                        descent.enter_node::<S, true>(&hierarchy.nodes[index]);
+                    } else if let Some(node) = hierarchy.triangle_nodes.get(index) {
+                        let triangles = node.children.into_iter().filter(|&triangle| triangle != NONE);
+                        triangles.for_each(&mut visit);
                     } else {
-                        tree.references[tree.references_of(descent.leaf())].iter().copied().for_each(&mut visit);
+                        tree.references[tree.references_of(index as u32)].iter().copied().for_each(&mut visit);
                     }
-                    step = descent.next();
+                    entry = descent.next::<true>();
                 }
             }
         }

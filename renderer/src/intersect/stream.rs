@@ -6,25 +6,29 @@
 
 use std::cell::Cell;
 
+use glam::Vec3;
+
 use crate::{
     grid::{
         Grid,
         tree::{
             Tree,
             boxes::{GROUP, GroupBytes},
+            hierarchy::{CHILDREN, Entry, HierarchyNode, LEAF, NONE},
         },
     },
     intersect::{
-        descent::{Descent, Slabs, Step},
+        descent::{Descent, Slabs},
         ray::Ray,
         rays::Nearest,
+        starts::RayStarts,
         triangle,
     },
     simd::{Kernel, Real, Simd},
 };
 
 /// Rays on their way at a time: enough to fill lanes, and few enough to stay in the nearest cache.
-const N_SLOTS: usize = 32;
+const N_SLOTS: usize = 64;
 
 /// Groups of boxes, and pairs of a ray and a triangle, that are collected before they are tested.
 const N_COLLECTED: usize = 128;
@@ -49,53 +53,41 @@ struct Slot {
 }
 
 impl Slot {
-    fn new(ray: Ray) -> Self {
+    fn new() -> Self {
+        let ray = Ray { origin: Vec3::ZERO, direction: Vec3::ZERO, t_min: 0.0, t_max: 0.0 };
         let (descent, nearest, slabs) = Default::default();
         Self { ray_idx: 0, ray, descent, nearest, slabs, references: [0; 2] }
     }
 }
 
-/// Slots that need a step.
-struct Queue {
-    slots: [u8; N_SLOTS],
+/// Some of the slots.
+struct SlotList {
+    /// With room for a vector after the last.
+    slots: [u32; N_SLOTS + 16],
     n: usize,
 }
 
-impl Queue {
-    const EMPTY: Self = Self { slots: [0; N_SLOTS], n: 0 };
+impl SlotList {
+    const EMPTY: Self = Self { slots: [0; N_SLOTS + 16], n: 0 };
 
+    /// Appends the slots from `first` on with a bit in `mask`.
     #[inline(always)]
-    fn push(&mut self, slot: u8) {
-        self.slots[self.n % N_SLOTS] = slot;
-        self.n += 1;
+    fn push_lanes<S: Simd>(&mut self, first: usize, mask: u32) {
+        const ALL: [u32; N_SLOTS] = {
+            let mut all = [0; N_SLOTS];
+            let mut slot = 0;
+            while slot < N_SLOTS {
+                all[slot] = slot as u32;
+                slot += 1;
+            }
+            all
+        };
+        self.n += S::load_bits(&ALL[first..]).compress_bits_to(mask, &mut self.slots[self.n.min(N_SLOTS)..]);
     }
 
     #[inline(always)]
-    fn pop(&mut self) -> Option<u8> {
-        self.n = self.n.checked_sub(1)?;
-        Some(self.slots[self.n % N_SLOTS])
-    }
-
-    /// Empties the queue.
-    #[inline(always)]
-    fn take(&mut self) -> ([u8; N_SLOTS], usize) {
-        (self.slots, std::mem::take(&mut self.n))
-    }
-}
-
-/// The slots that need each [`Step`].
-struct Queues([Queue; 3]);
-
-impl Queues {
-    /// The queue is an index, not a branch.
-    #[inline(always)]
-    fn push(&mut self, step: Step, slot: u8) {
-        self.0[step as usize].push(slot);
-    }
-
-    #[inline(always)]
-    fn of(&mut self, step: Step) -> &mut Queue {
-        &mut self.0[step as usize]
+    fn as_slice(&self) -> &[u32] {
+        &self.slots[..self.n.min(N_SLOTS)]
     }
 }
 
@@ -113,7 +105,7 @@ impl Pairs {
     #[inline(always)]
     fn push_passed<S: Simd>(
         &mut self,
-        slot: u8,
+        slot: u32,
         descent: &Descent,
         slabs: &Slabs,
         boxes: GroupBytes<'_>,
@@ -124,9 +116,24 @@ impl Pairs {
         for first in (0..GROUP).step_by(S::LANES) {
             let passed = descent.passed_boxes::<S>(slabs, boxes, first);
             let slots = &mut self.slots[n % (2 * N_COLLECTED)..][..S::LANES];
-            slots.fill(u32::from(slot));
+            slots.fill(slot);
             let of_lanes = &indices[first.min(indices.len())..(first + S::LANES).min(indices.len())];
             n += S::compress(of_lanes, passed, &mut self.indices[n % (2 * N_COLLECTED)..]);
+        }
+        self.n = n;
+        n - n_before
+    }
+
+    /// Appends the pairs of a slot with those children of a node that its ray passes. Returns how many there are.
+    #[inline(always)]
+    fn push_children<S: Simd>(&mut self, slot: u32, descent: &Descent, node: &HierarchyNode) -> usize {
+        let n_before = self.n % (2 * N_COLLECTED);
+        let mut n = n_before;
+        for first in (0..CHILDREN).step_by(S::LANES) {
+            let passed = descent.passed_children::<S>(node, first);
+            let at = n % (2 * N_COLLECTED);
+            self.slots[at..][..S::LANES].fill(slot);
+            n += S::load_bits(&node.children[first..]).compress_bits_to(passed, &mut self.indices[at..]);
         }
         self.n = n;
         n - n_before
@@ -141,10 +148,14 @@ impl Pairs {
 
 /// The state of a stream. Making it takes longer than tracing a ray, so each thread keeps one.
 struct State {
-    slots: Vec<Slot>,
+    slots: [Slot; N_SLOTS],
+    /// The node or leaf that each slot's ray enters next; [`NONE`] at its end.
+    entries: [Entry; N_SLOTS],
     /// Of the slots' rays, three numbers each.
     origins: [f32; 3 * N_SLOTS + 3],
     directions: [f32; 3 * N_SLOTS + 3],
+    /// The rays that begin next.
+    starts: RayStarts,
     /// Groups of boxes that rays may pass, by their first reference in the slot's leaf.
     groups: Pairs,
     /// Triangles that rays may hit.
@@ -152,11 +163,18 @@ struct State {
 }
 
 impl State {
-    const NEW: Self = {
+    fn new() -> Box<Self> {
         let coordinates = [0.0; 3 * N_SLOTS + 3];
-        let (origins, directions) = (coordinates, coordinates);
-        Self { slots: Vec::new(), origins, directions, groups: Pairs::EMPTY, triangles: Pairs::EMPTY }
-    };
+        Box::new(Self {
+            slots: std::array::from_fn(|_| Slot::new()),
+            entries: [NONE; N_SLOTS],
+            origins: coordinates,
+            directions: coordinates,
+            starts: RayStarts::default(),
+            groups: Pairs::EMPTY,
+            triangles: Pairs::EMPTY,
+        })
+    }
 }
 
 thread_local! {
@@ -169,16 +187,14 @@ pub(super) struct RayStream<'a, F, const ANY: bool> {
     tree: &'a Tree,
     rays: &'a [Ray],
     answer: F,
-    /// The next ray to begin, and the slots that rays have begun in so far.
+    /// The next ray to begin.
     next_ray: usize,
-    n_begun: usize,
     state: Box<State>,
 }
 
 impl<'a, F: FnMut(usize, Nearest), const ANY: bool> RayStream<'a, F, ANY> {
     pub(super) fn new(grid: &'a Grid, tree: &'a Tree, rays: &'a [Ray], answer: F) -> Self {
-        let state = STATE.take().unwrap_or_else(|| Box::new(State::NEW));
-        Self { grid, tree, rays, answer, next_ray: 0, n_begun: 0, state }
+        Self { grid, tree, rays, answer, next_ray: 0, state: STATE.take().unwrap_or_else(State::new) }
     }
 }
 
@@ -187,90 +203,138 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> Kernel for RayStream<'_, F, ANY>
 
     #[inline(always)]
     fn run<S: Simd>(mut self) {
-        let mut queues = Queues([Queue::EMPTY; 3]);
-        let hierarchy = &self.tree.hierarchy;
+        let mut n_begun = 0;
+        while n_begun < N_SLOTS && self.next_ray < self.rays.len() {
+            self.begin_ray::<S>(n_begun as u32);
+            n_begun += 1;
+        }
         loop {
-            self.begin_rays(&mut queues);
-            let (waiting, n) = queues.of(Step::Node).take();
-            for &slot in &waiting[..n] {
-                let descent = &mut self.state.slots[slot as usize].descent;
-                descent.enter_node::<S>(hierarchy);
-                queues.push(descent.next(), slot);
+            // Sort the slots by the step that each needs. No branch does: nobody can tell what comes next.
+            let (mut at_ends, mut at_nodes, mut at_leaves) = (SlotList::EMPTY, SlotList::EMPTY, SlotList::EMPTY);
+            for first in (0..n_begun).step_by(S::LANES) {
+                let begun = u32::MAX >> (32 - S::LANES.min(n_begun - first));
+                let entries = &self.state.entries[first..];
+                let (leaf, end) = (S::load_bits(entries).sign_mask(), S::eq_mask(entries, NONE));
+                at_ends.push_lanes::<S>(first, end & begun);
+                at_leaves.push_lanes::<S>(first, leaf & !end & begun);
+                at_nodes.push_lanes::<S>(first, !leaf & begun);
             }
-            let (waiting, n) = queues.of(Step::Leaf).take();
-            self.visit_leaves::<S>(&waiting[..n]);
-            for &slot in &waiting[..n] {
-                let Slot { descent, nearest, .. } = &mut self.state.slots[slot as usize];
-                if !(ANY && nearest.is_hit()) {
-                    descent.shorten(nearest.t);
-                    queues.push(descent.next(), slot);
-                } else {
-                    queues.push(Step::End, slot);
-                }
-            }
-            if queues.0[0].n + queues.0[1].n == 0 && self.next_ray == self.rays.len() {
+
+            // Let other rays begin where some end.
+            if at_ends.n == n_begun && self.next_ray == self.rays.len() {
                 break;
             }
+            for &slot in at_ends.as_slice() {
+                if self.next_ray == self.rays.len() {
+                    break;
+                }
+                self.end_ray(slot);
+                self.begin_ray::<S>(slot);
+            }
+
+            for &slot in at_nodes.as_slice() {
+                let slot_idx = slot as usize % N_SLOTS;
+                let node = &self.tree.hierarchy.nodes[self.state.entries[slot_idx] as usize];
+                let descent = &mut self.state.slots[slot_idx].descent;
+                descent.enter_node::<S, ANY>(node);
+                self.state.entries[slot_idx] = descent.next::<ANY>();
+            }
+            self.visit_leaves::<S>(at_leaves.as_slice());
         }
-        while let Some(slot) = queues.of(Step::End).pop() {
-            self.end_ray(slot);
+        for slot in 0..n_begun {
+            self.end_ray(slot as u32);
         }
         STATE.set(Some(self.state));
     }
 }
 
 impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
-    /// Answers the rays that have ended and lets others begin in their slots.
+    /// Lets the next ray begin in a slot.
     #[inline(always)]
-    fn begin_rays(&mut self, queues: &mut Queues) {
-        while self.next_ray < self.rays.len() {
-            let (ray_idx, ray) = (self.next_ray, self.rays[self.next_ray]);
-            let slot = if let Some(slot) = queues.of(Step::End).pop() {
-                self.end_ray(slot);
-                slot
-            } else if self.n_begun < N_SLOTS {
-                if self.n_begun == self.state.slots.len() {
-                    self.state.slots.push(Slot::new(ray));
-                }
-                self.n_begun += 1;
-                (self.n_begun - 1) as u8
-            } else {
-                return;
-            };
-            self.next_ray += 1;
-            let begun = &mut self.state.slots[slot as usize];
-            (begun.ray_idx, begun.ray, begun.nearest) = (ray_idx, ray, Nearest::default());
-            let at = 3 * slot as usize;
-            self.state.origins[at..at + 3].copy_from_slice(&ray.origin.to_array());
-            self.state.directions[at..at + 3].copy_from_slice(&ray.direction.to_array());
-            queues.push(begun.descent.begin(&self.grid.space, self.tree, &ray), slot);
+    fn begin_ray<S: Simd>(&mut self, slot: u32) {
+        let slot_idx = slot as usize % N_SLOTS;
+        let lane = self.next_ray % S::Double::LANES;
+        let (space, extent) = (&self.grid.space, self.tree.extent);
+        if lane == 0 {
+            self.state.starts = RayStarts::new::<S::Double>(space, extent, &self.rays[self.next_ray..]);
         }
-    }
+        let ray = &self.rays[self.next_ray];
+        let begun = &mut self.state.slots[slot_idx];
+        (begun.ray_idx, begun.ray, begun.nearest) = (self.next_ray, *ray, Nearest::default());
+        let at = 3 * slot_idx;
+        self.state.origins[at..at + 3].copy_from_slice(&ray.origin.to_array());
+        self.state.directions[at..at + 3].copy_from_slice(&ray.direction.to_array());
 
+        let mut meeting = self.state.starts.meeting >> lane & 1;
+        if self.state.starts.far >> lane & 1 == 0 {
+            begun.descent.begin(&self.state.starts, lane);
+        } else {
+            let start = RayStarts::of_far_ray(space, extent, ray);
+            meeting = start.meeting;
+            begun.descent.begin(&start, 0);
+        }
+        self.state.entries[slot_idx] = if meeting == 1 { self.tree.hierarchy.root } else { NONE };
+        self.next_ray += 1;
+    }
     #[inline(always)]
-    fn end_ray(&mut self, slot: u8) {
-        let Slot { ray_idx, descent, nearest, .. } = &mut self.state.slots[slot as usize];
+    fn end_ray(&mut self, slot: u32) {
+        let Slot { ray_idx, descent, nearest, .. } = &mut self.state.slots[slot as usize % N_SLOTS];
         nearest.cost.n_cells = descent.n_cells;
         (self.answer)(*ray_idx, *nearest);
     }
 
-    /// Tests the triangles in the present leaves of these slots.
+    /// Tests the triangles in the leaves that these slots' rays enter, and takes the rays on.
     #[inline(always)]
-    fn visit_leaves<S: Simd>(&mut self, slots: &[u8]) {
+    fn visit_leaves<S: Simd>(&mut self, slots: &[u32]) {
+        if self.tree.hierarchy.triangle_nodes.is_empty() {
+            self.collect_groups::<S>(slots);
+        } else {
+            self.collect_triangles::<S>(slots);
+        }
+        self.decide_triangles::<S>();
+        for &slot in slots {
+            let slot_idx = slot as usize % N_SLOTS;
+            let Slot { descent, nearest, .. } = &mut self.state.slots[slot_idx];
+            self.state.entries[slot_idx] = if ANY && nearest.is_hit() {
+                NONE
+            } else {
+                descent.shorten(nearest.t);
+                descent.next::<ANY>()
+            };
+        }
+    }
+
+    /// Collects the triangles of triangle nodes whose boxes the rays pass.
+    #[inline(always)]
+    fn collect_triangles<S: Simd>(&mut self, slots: &[u32]) {
+        for &slot in slots {
+            let slot_idx = slot as usize % N_SLOTS;
+            let node = &self.tree.hierarchy.triangle_nodes[(self.state.entries[slot_idx] & !LEAF) as usize];
+            let Slot { descent, nearest, .. } = &mut self.state.slots[slot_idx];
+            nearest.cost.n_tests += self.state.triangles.push_children::<S>(slot, descent, node) as u32;
+            if self.state.triangles.is_full() {
+                self.decide_triangles::<S>();
+            }
+        }
+    }
+
+    /// Collects the triangles of a tree's leaves whose boxes the rays pass.
+    #[inline(always)]
+    fn collect_groups<S: Simd>(&mut self, slots: &[u32]) {
         // A leaf's groups are collected sixteen at a time, and tested when many are.
         let (mut next, mut first) = (0, 0);
         while next < slots.len() {
             while next < slots.len() && !self.state.groups.is_full() {
-                let slot_idx = slots[next];
-                let Slot { descent, slabs, references, .. } = &mut self.state.slots[slot_idx as usize];
-                let leaf = descent.leaf();
+                let slot_idx = slots[next] as usize % N_SLOTS;
+                let leaf = self.state.entries[slot_idx] & !LEAF;
+                let Slot { descent, slabs, references, .. } = &mut self.state.slots[slot_idx];
                 let of_leaf = self.tree.references_of(leaf);
                 let n_groups = of_leaf.len().div_ceil(GROUP);
-                *slabs = descent.leaf_slabs(self.tree);
+                *slabs = descent.leaf_slabs(self.tree.leaf_cubes[leaf as usize]);
                 *references = [(of_leaf.start + first * GROUP) as u32, of_leaf.end as u32];
                 let groups = self.tree.boxes.of_groups(leaf, of_leaf).group(first);
                 let indices = &FIRST_OF_GROUPS[..(n_groups - first).min(GROUP)];
-                self.state.groups.push_passed::<S>(slot_idx, descent, slabs, groups, indices);
+                self.state.groups.push_passed::<S>(slots[next], descent, slabs, groups, indices);
                 let is_last = first + GROUP >= n_groups;
                 first = if is_last { 0 } else { first + GROUP };
                 next += usize::from(is_last);
@@ -280,14 +344,13 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
             }
             self.test_groups::<S>();
         }
-        self.decide_triangles::<S>();
     }
 
     /// Tests the boxes of all groups.
     #[inline(always)]
     fn test_groups<S: Simd>(&mut self) {
         for index in 0..std::mem::take(&mut self.state.groups.n) {
-            let slot_idx = self.state.groups.slots[index] as u8;
+            let slot_idx = self.state.groups.slots[index];
             let slot = &mut self.state.slots[slot_idx as usize];
             let first = (slot.references[0] + self.state.groups.indices[index]) as usize;
             let triangles = &self.tree.references[first..(first + GROUP).min(slot.references[1] as usize)];

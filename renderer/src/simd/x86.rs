@@ -167,9 +167,11 @@ impl Real for Avx2Double {
         fn sub(self, other: Self) -> Self = Self(_mm256_sub_pd(self.0, other.0));
         fn mul(self, other: Self) -> Self = Self(_mm256_mul_pd(self.0, other.0));
         fn div(self, other: Self) -> Self = Self(_mm256_div_pd(self.0, other.0));
+        fn min(self, other: Self) -> Self = Self(_mm256_min_pd(self.0, other.0));
         fn max(self, other: Self) -> Self = Self(_mm256_max_pd(self.0, other.0));
         fn abs(self) -> Self = Self(_mm256_andnot_pd(_mm256_set1_pd(-0.0), self.0));
         fn lt(self, other: Self) -> u32 = _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LT_OQ>(self.0, other.0)) as u32;
+        fn le(self, other: Self) -> u32 = _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LE_OQ>(self.0, other.0)) as u32;
     }
 }
 
@@ -269,8 +271,10 @@ impl Real for Avx512Double {
         fn sub(self, other: Self) -> Self = Self(_mm512_sub_pd(self.0, other.0));
         fn mul(self, other: Self) -> Self = Self(_mm512_mul_pd(self.0, other.0));
         fn div(self, other: Self) -> Self = Self(_mm512_div_pd(self.0, other.0));
+        fn min(self, other: Self) -> Self = Self(_mm512_min_pd(self.0, other.0));
         fn max(self, other: Self) -> Self = Self(_mm512_max_pd(self.0, other.0));
         fn abs(self) -> Self = Self(_mm512_abs_pd(self.0));
         fn lt(self, other: Self) -> u32 = u32::from(_mm512_cmp_pd_mask::<_CMP_LT_OQ>(self.0, other.0));
+        fn le(self, other: Self) -> u32 = u32::from(_mm512_cmp_pd_mask::<_CMP_LE_OQ>(self.0, other.0));
     }
 }

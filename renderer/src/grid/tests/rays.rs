@@ -31,6 +31,13 @@ fn ray(mesh: &Mesh) -> impl Strategy<Value = Ray> + use<> {
         .prop_map(|(origin, direction, t_max)| Ray { t_max, ..Ray::new(origin, direction) })
 }
 
+/// The same grid as larger scans have it: the hierarchy lies over the tree's leaves.
+fn over_leaves(mut grid: Grid) -> Grid {
+    let Structure::Tree(tree) = &mut grid.structure else { panic!("no tree") };
+    tree.hierarchy = tree.hierarchy_over_leaves();
+    grid
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(8))]
 
@@ -54,17 +61,18 @@ proptest! {
             prop_assert!(hits[index] == unlimited || (hits[index].is_miss() && is_beyond), "{:?}", ray);
         }
         for instructions in InstructionSet::available() {
-            let grid = build(&mesh).with_instructions(instructions);
-            let mut same = vec![Hit::MISS; rays.len()];
-            grid.intersect_rays(&rays, &mut same);
-            prop_assert_eq!(&same, &hits, "{:?}", instructions);
+            for grid in [build(&mesh), over_leaves(build(&mesh))] {
+                let mut same = vec![Hit::MISS; rays.len()];
+                grid.with_instructions(instructions).intersect_rays(&rays, &mut same);
+                prop_assert_eq!(&same, &hits, "{:?}", instructions);
+            }
         }
     }
 }
 
 #[test]
 fn rays_that_lead_nowhere_miss_in_bounded_time() {
-    let grid = build(&statue::generate(6000, &|_| ()));
+    let mesh = statue::generate(6000, &|_| ());
     let numbers = [0.0, -0.0, 1.0, f32::MIN_POSITIVE, f32::MAX, f32::INFINITY, f32::NEG_INFINITY, f32::NAN];
     let mut rays = Vec::new();
     for a in numbers {
@@ -75,12 +83,14 @@ fn rays_that_lead_nowhere_miss_in_bounded_time() {
             }
         }
     }
-    let mut hits = vec![Hit::MISS; rays.len()];
-    grid.intersect_rays(&rays, &mut hits);
-    for (ray, hit) in rays.iter().zip(&hits) {
-        let is_sound = ray.origin.is_finite() && ray.direction.is_finite() && ray.t_min <= ray.t_max;
-        assert!(is_sound || hit.is_miss(), "{ray:?} hits {hit:?}");
-        let RayCost { n_cells, n_tests } = grid.cost(ray);
-        assert!(n_cells < 1000 && n_tests < 6000, "{ray:?}");
+    for grid in [build(&mesh), over_leaves(build(&mesh))] {
+        let mut hits = vec![Hit::MISS; rays.len()];
+        grid.intersect_rays(&rays, &mut hits);
+        for (ray, hit) in rays.iter().zip(&hits) {
+            let is_sound = ray.origin.is_finite() && ray.direction.is_finite() && ray.t_min <= ray.t_max;
+            assert!(is_sound || hit.is_miss(), "{ray:?} hits {hit:?}");
+            let RayCost { n_cells, n_tests } = grid.cost(ray);
+            assert!(n_cells < 1000 && n_tests < 6000, "{ray:?}");
+        }
     }
 }

@@ -181,7 +181,7 @@ impl QuantizedBoxes {
         let [x, y, z, _] = cube.corner();
         let corner = UVec3::new(x, y, z).as_dvec3();
         let position = |sides: DVec3| corner + (sides - FIRST_STEP) * (f64::from(cube.size()) / N_STEPS);
-        Bounds { low: position(low), high: position(high) }
+        Bounds::new(position(low), position(high))
     }
 
     #[inline(always)]

@@ -1,10 +1,14 @@
-//! A hierarchy of boxes over the leaves of a tree, for rays that go alone.
+//! A hierarchy of boxes over a scene, for rays that go alone.
 //!
-//! A node has up to 16 children, whose boxes a ray is compared with all at once. Nodes are few beside triangles: a leaf of
-//! the tree holds dozens of them. They are made from the top by the surface area heuristic (MacDonald and Booth, "Heuristics
-//! for Ray Tracing Using Space Subdivision", 1990), so where little is there, ways are short.
+//! A node has up to 16 children, whose boxes a ray is compared with all at once. They are made from the top by the surface
+//! area heuristic (MacDonald and Booth, "Heuristics for Ray Tracing Using Space Subdivision", 1990), so where little is
+//! there, ways are short.
+//!
+//! Below lie the leaves of a tree: nodes are few beside triangles, as a leaf holds dozens of them. Where triangles are
+//! large beside leaves, each lies in several, and a ray is tested against it in each. Then the triangles themselves lie
+//! below, which takes more memory and up to half of the time.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
 /// Most children of a node.
@@ -13,7 +17,7 @@ pub(crate) const CHILDREN: usize = 16;
 /// Most nodes on the way from the root to a leaf: enough for 2³² leaves, with four to spare for ways of other lengths.
 pub(crate) const LEVELS: usize = 12;
 
-/// A root, a node or a leaf: an index, with [`LEAF`] set for leaves.
+/// A root, a node or a leaf: an index, with [`LEAF`] set for leaves of a tree and for triangle nodes.
 pub(crate) type Entry = u32;
 
 /// Marks leaves among entries.
@@ -21,6 +25,15 @@ pub(crate) const LEAF: Entry = 1 << 31;
 
 /// The root of no leaves.
 pub(crate) const NONE: Entry = u32::MAX;
+
+/// Most triangles of a scene that affords a hierarchy over them in any case: it takes 150 MB.
+const FEW_TRIANGLES: usize = 1 << 22;
+
+/// References for each triangle from which larger scenes afford it too: rays take two thirds of the time there.
+const MANY_REFERENCES: f64 = 1.75;
+
+/// Bytes for each triangle while a hierarchy over triangles is built: an item, and its part of nodes that are nearly full.
+const BYTES_PER_TRIANGLE: u64 = 48 + 36;
 
 /// Up to [`CHILDREN`] boxes.
 ///
@@ -42,80 +55,113 @@ pub(crate) const SLOT_BITS: [u32; 3] = [2, 4, 8];
 pub(crate) struct Hierarchy {
     pub(crate) root: Entry,
     pub(crate) nodes: Vec<HierarchyNode>,
+    /// Nodes whose children are triangles, by index. None over the leaves of a tree.
+    pub(crate) triangle_nodes: Vec<HierarchyNode>,
 }
 
 impl Default for Hierarchy {
     fn default() -> Self {
-        Self { root: NONE, nodes: Vec::new() }
+        Self { root: NONE, nodes: Vec::new(), triangle_nodes: Vec::new() }
     }
 }
 
-/// A leaf and its bounds.
+/// A leaf of a tree, or a triangle, and its bounds.
 #[derive(Clone, Copy)]
-struct BoundedLeaf {
+struct BoundedItem {
     bounds: Bounds,
-    leaf: u32,
+    item: u32,
 }
 
 impl Hierarchy {
-    /// Builds the hierarchy of leaves with these bounds in finest cells, in parallel.
-    pub(crate) fn new(bounds: impl IndexedParallelIterator<Item = Bounds>) -> Self {
-        let leaf = |(leaf, bounds): (usize, Bounds)| BoundedLeaf { bounds, leaf: leaf as u32 };
-        let mut leaves: Vec<_> = bounds.enumerate().map(leaf).collect();
-        let mut nodes = Vec::new();
-        let root = build(&mut leaves, LEVELS, &mut nodes);
-        nodes.shrink_to_fit();
-        Self { root, nodes }
+    /// Builds the hierarchy over a tree's leaves with these bounds in finest cells, in parallel.
+    pub(crate) fn over_leaves(bounds: impl IndexedParallelIterator<Item = Bounds>) -> Self {
+        Self::new::<false>(bounds)
+    }
+
+    /// Builds the hierarchy over triangles with these bounds in finest cells, in parallel.
+    pub(crate) fn over_triangles(bounds: impl IndexedParallelIterator<Item = Bounds>) -> Self {
+        Self::new::<true>(bounds)
+    }
+
+    fn new<const OF_TRIANGLES: bool>(bounds: impl IndexedParallelIterator<Item = Bounds>) -> Self {
+        let item = |(item, bounds): (usize, Bounds)| BoundedItem { bounds, item: item as u32 };
+        let mut items: Vec<_> = bounds.enumerate().map(item).collect();
+        let mut hierarchy = Self::default();
+        hierarchy.root = hierarchy.append::<OF_TRIANGLES>(&mut items, LEVELS);
+        hierarchy.nodes.shrink_to_fit();
+        hierarchy.triangle_nodes.shrink_to_fit();
+        hierarchy
+    }
+
+    /// Whether a hierarchy over triangles is worth its memory, of which so many bytes are left, in a tree with so many
+    /// references to them.
+    pub(crate) fn is_over_triangles(n_triangles: usize, n_references: usize, n_bytes_left: u64) -> bool {
+        let is_faster = n_triangles <= FEW_TRIANGLES || n_references as f64 >= MANY_REFERENCES * n_triangles as f64;
+        is_faster && n_triangles as u64 * BYTES_PER_TRIANGLE <= n_bytes_left
     }
 
     pub(crate) fn n_bytes(&self) -> usize {
-        size_of_val(&*self.nodes)
-    }
-}
-
-/// Appends the nodes of some leaves, at most [`CHILDREN`] to the power of `n_levels`; returns their root.
-fn build(leaves: &mut [BoundedLeaf], n_levels: usize, nodes: &mut Vec<HierarchyNode>) -> Entry {
-    match leaves {
-        [] => return NONE,
-        [only] => return LEAF | only.leaf,
-        _ => (),
-    }
-    let parts = divide(leaves, n_levels);
-    let mut node = HierarchyNode::EMPTY;
-    let slots = slots(&parts);
-    let mut jobs = Vec::with_capacity(parts.len());
-    let mut rest = leaves;
-    for (part, &slot) in parts.iter().zip(&slots) {
-        let (of_part, others) = rest.split_at_mut(part.n);
-        rest = others;
-        node.set_sides(slot, &part.bounds);
-        jobs.push((slot, of_part));
+        size_of_val(&*self.nodes) + size_of_val(&*self.triangle_nodes)
     }
 
-    // Few leaves are not worth a job each.
-    const FEW: usize = 4096;
-    let node_idx = nodes.len();
-    nodes.push(node);
-    if jobs.iter().map(|(_, part)| part.len()).sum::<usize>() <= FEW {
-        for (slot, part) in jobs {
-            nodes[node_idx].children[slot] = build(part, n_levels - 1, nodes);
+    /// Appends the nodes of some items, at most [`CHILDREN`] to the power of `n_levels`; returns their root.
+    fn append<const OF_TRIANGLES: bool>(&mut self, items: &mut [BoundedItem], n_levels: usize) -> Entry {
+        match items {
+            [] => return NONE,
+            [only] if !OF_TRIANGLES => return LEAF | only.item,
+            _ if OF_TRIANGLES && items.len() <= CHILDREN => {
+                let mut node = HierarchyNode::EMPTY;
+                for (slot, item) in items.iter().enumerate() {
+                    node.set_child(slot, item.item, &item.bounds);
+                }
+                self.triangle_nodes.push(node);
+                return LEAF | (self.triangle_nodes.len() - 1) as Entry;
+            }
+            _ => (),
         }
-        return node_idx as Entry;
+        let parts = divide(items, n_levels);
+        let slots = slots(&parts);
+        let node_idx = self.nodes.len();
+        self.nodes.push(HierarchyNode::EMPTY);
+        let n_items = items.len();
+        let mut jobs = Vec::with_capacity(parts.len());
+        let mut rest = items;
+        for (part, &slot) in parts.iter().zip(&slots) {
+            let (of_part, others) = rest.split_at_mut(part.n);
+            rest = others;
+            jobs.push((slot, part.bounds, of_part));
+        }
+
+        // Few items are not worth a job each.
+        const FEW: usize = 4096;
+        if n_items <= FEW {
+            for (slot, bounds, part) in jobs {
+                let child = self.append::<OF_TRIANGLES>(part, n_levels - 1);
+                self.nodes[node_idx].set_child(slot, child, &bounds);
+            }
+            return node_idx as Entry;
+        }
+        let subtree = |(slot, bounds, part): (usize, Bounds, &mut [BoundedItem])| {
+            let mut subtree = Self::default();
+            subtree.root = subtree.append::<OF_TRIANGLES>(part, n_levels - 1);
+            (slot, bounds, subtree)
+        };
+        let subtrees: Vec<_> = jobs.into_par_iter().map(subtree).collect();
+        for (slot, bounds, subtree) in subtrees {
+            // Nodes of a subtree count from its first one. A tree's leaves stay where they are: no triangle nodes are before.
+            let (first, first_triangles) = (self.nodes.len() as Entry, self.triangle_nodes.len() as Entry);
+            let moved = |entry: Entry| match entry {
+                NONE => NONE,
+                _ if entry & LEAF == 0 => entry + first,
+                _ => entry + first_triangles,
+            };
+            let moved_node = |node: HierarchyNode| HierarchyNode { children: node.children.map(moved), ..node };
+            self.nodes.extend(subtree.nodes.into_iter().map(moved_node));
+            self.triangle_nodes.extend(subtree.triangle_nodes);
+            self.nodes[node_idx].set_child(slot, moved(subtree.root), &bounds);
+        }
+        node_idx as Entry
     }
-    let subtree = |(slot, part)| {
-        let mut nodes = Vec::new();
-        (slot, build(part, n_levels - 1, &mut nodes), nodes)
-    };
-    let subtrees: Vec<_> = jobs.into_par_iter().map(subtree).collect();
-    for (slot, root, of_subtree) in subtrees {
-        // Nodes of a subtree count from its first one.
-        let first = nodes.len() as Entry;
-        let moved = |entry: Entry| if entry & LEAF == 0 { entry + first } else { entry };
-        let moved_node = |node: HierarchyNode| HierarchyNode { children: node.children.map(moved), ..node };
-        nodes.extend(of_subtree.into_iter().map(moved_node));
-        nodes[node_idx].children[slot] = moved(root);
-    }
-    node_idx as Entry
 }
 
 impl HierarchyNode {
@@ -125,11 +171,12 @@ impl HierarchyNode {
         Self { sides: [low, high, low, high, low, high], children: [NONE; CHILDREN] }
     };
 
-    /// Gives a slot the bounds of a child, rounded outward.
-    fn set_sides(&mut self, slot: usize, bounds: &Bounds) {
+    /// Puts a child with its bounds into a slot.
+    fn set_child(&mut self, slot: usize, child: Entry, bounds: &Bounds) {
+        self.children[slot] = child;
         for axis in 0..3 {
-            self.sides[2 * axis][slot] = (bounds.low[axis] as f32).next_down();
-            self.sides[2 * axis + 1][slot] = (bounds.high[axis] as f32).next_up();
+            self.sides[2 * axis][slot] = bounds.low[axis];
+            self.sides[2 * axis + 1][slot] = bounds.high[axis];
         }
     }
 }
@@ -137,14 +184,22 @@ impl HierarchyNode {
 /// A box in finest cells.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Bounds {
-    pub(crate) low: DVec3,
-    pub(crate) high: DVec3,
+    low: Vec3A,
+    high: Vec3A,
 }
 
 impl Bounds {
-    const EMPTY: Self = Self { low: DVec3::INFINITY, high: DVec3::NEG_INFINITY };
+    const EMPTY: Self = Self { low: Vec3A::INFINITY, high: Vec3A::NEG_INFINITY };
 
-    fn of(leaves: &[BoundedLeaf]) -> Self {
+    /// The box from `low` to `high`, rounded outward.
+    pub(crate) fn new(low: DVec3, high: DVec3) -> Self {
+        let down = |x: f64| (x as f32).next_down();
+        let up = |x: f64| (x as f32).next_up();
+        let low = Vec3A::new(down(low.x), down(low.y), down(low.z));
+        Self { low, high: Vec3A::new(up(high.x), up(high.y), up(high.z)) }
+    }
+
+    fn of(leaves: &[BoundedItem]) -> Self {
         leaves.iter().fold(Self::EMPTY, |bounds, leaf| bounds.with(&leaf.bounds))
     }
 
@@ -153,13 +208,13 @@ impl Bounds {
     }
 
     /// Half the surface; 0 if the box is empty.
-    fn half_area(&self) -> f64 {
-        let size = (self.high - self.low).max(DVec3::ZERO);
+    fn half_area(&self) -> f32 {
+        let size = (self.high - self.low).max(Vec3A::ZERO);
         size.x * size.y + size.y * size.z + size.z * size.x
     }
 
     /// Twice the centre.
-    fn centre(&self) -> DVec3 {
+    fn centre(&self) -> Vec3A {
         self.low + self.high
     }
 }
@@ -172,7 +227,7 @@ struct Part {
 }
 
 impl Part {
-    fn new(leaves: &[BoundedLeaf], first: usize, n: usize) -> Self {
+    fn new(leaves: &[BoundedItem], first: usize, n: usize) -> Self {
         Self { first, n, bounds: Bounds::of(&leaves[first..first + n]) }
     }
 }
@@ -180,19 +235,19 @@ impl Part {
 /// Orders leaves into the parts of a node's children: the part with the largest surface is split until there are enough.
 ///
 /// Where so many leaves are left that only full nodes can hold them, the parts have equal numbers.
-fn divide(leaves: &mut [BoundedLeaf], n_levels: usize) -> Vec<Part> {
+fn divide(leaves: &mut [BoundedItem], n_levels: usize) -> Vec<Part> {
     let is_tight = CHILDREN.checked_pow(n_levels as u32 - 1).is_some_and(|most| leaves.len() > most);
     // The children of a node with more than 16 leaves are nodes too: full ones are worth more than a shorter way.
     let smallest = if leaves.len() > CHILDREN { CHILDREN } else { 1 };
     let mut parts = vec![Part::new(leaves, 0, leaves.len())];
     while parts.len() < CHILDREN {
-        let size = |part: &Part| if is_tight { part.n as f64 } else { part.bounds.half_area() };
+        let size = |part: &Part| if is_tight { part.n as f32 } else { part.bounds.half_area() };
         let divisible = (0..parts.len()).filter(|&index| parts[index].n > smallest);
         let Some(largest) = divisible.max_by(|&a, &b| size(&parts[a]).total_cmp(&size(&parts[b]))) else { break };
         let Part { first, n, bounds } = parts[largest];
         let of_part = &mut leaves[first..first + n];
         let Split { axis, n_low, .. } = if is_tight { Split::half(n, &bounds) } else { Split::best(of_part) };
-        let along = |leaf: &BoundedLeaf| leaf.bounds.centre()[axis];
+        let along = |leaf: &BoundedItem| leaf.bounds.centre()[axis];
         of_part.select_nth_unstable_by(n_low, |a, b| along(a).total_cmp(&along(b)));
         parts[largest] = Part::new(leaves, first, n_low);
         parts.insert(largest + 1, Part::new(leaves, first + n_low, n - n_low));
@@ -206,20 +261,20 @@ struct Split {
     /// Leaves on the low side.
     n_low: usize,
     /// Sum over both sides of area times leaves.
-    cost: f64,
+    cost: f32,
 }
 
 impl Split {
     /// Halves along the longest axis.
     fn half(n: usize, bounds: &Bounds) -> Self {
         let axis = (bounds.high - bounds.low).max_position();
-        Self { axis, n_low: n / 2, cost: f64::INFINITY }
+        Self { axis, n_low: n / 2, cost: f32::INFINITY }
     }
 
     /// The best of the splits between 16 bins along each axis.
-    fn best(leaves: &[BoundedLeaf]) -> Self {
+    fn best(leaves: &[BoundedItem]) -> Self {
         const N_BINS: usize = 16;
-        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        let (mut low, mut high) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
         for leaf in leaves {
             (low, high) = (low.min(leaf.bounds.centre()), high.max(leaf.bounds.centre()));
         }
@@ -230,7 +285,7 @@ impl Split {
         best.n_low = best.n_low.next_multiple_of(granule);
         for axis in 0..3 {
             // Sort into bins of equal width.
-            let bins_per_unit = N_BINS as f64 / (high[axis] - low[axis]).max(f64::MIN_POSITIVE);
+            let bins_per_unit = N_BINS as f32 / (high[axis] - low[axis]).max(f32::MIN_POSITIVE);
             let mut bins = [(0, Bounds::EMPTY); N_BINS];
             for leaf in leaves {
                 let bin = ((leaf.bounds.centre()[axis] - low[axis]) * bins_per_unit) as usize;
@@ -249,7 +304,7 @@ impl Split {
             for bin in 1..N_BINS {
                 (n_below, below) = (n_below + bins[bin - 1].0, below.with(&bins[bin - 1].1));
                 let n_low = ((n_below + granule / 2) / granule).clamp(1, (n - 1) / granule) * granule;
-                let cost = below.half_area() * n_low as f64 + areas_above[bin] * (n - n_low) as f64;
+                let cost = below.half_area() * n_low as f32 + areas_above[bin] * (n - n_low) as f32;
                 if cost < best.cost {
                     best = Self { axis, n_low, cost };
                 }
@@ -261,16 +316,16 @@ impl Split {
 
 /// The slots of parts: one after the other, the part and the slot that lies farthest on the part's side of the centre.
 fn slots(parts: &[Part]) -> Vec<usize> {
-    let centre = parts.iter().map(|part| part.bounds.centre()).sum::<DVec3>() / parts.len() as f64;
+    let centre = parts.iter().map(|part| part.bounds.centre()).sum::<Vec3A>() / parts.len() as f32;
     let mut slots = vec![CHILDREN; parts.len()];
     let mut is_free = [true; CHILDREN];
     for _ in parts {
-        let (mut best, mut farthest) = ((0, 0), f64::NEG_INFINITY);
+        let (mut best, mut farthest) = ((0, 0), f32::NEG_INFINITY);
         for part in (0..parts.len()).filter(|&part| slots[part] == CHILDREN) {
             let from_centre = parts[part].bounds.centre() - centre;
             for slot in (0..CHILDREN).filter(|&slot| is_free[slot]) {
                 let side = |axis: usize| if slot as u32 & SLOT_BITS[axis] != 0 { 1.0 } else { -1.0 };
-                let distance = from_centre.dot(DVec3::new(side(0), side(1), side(2)));
+                let distance = from_centre.dot(Vec3A::new(side(0), side(1), side(2)));
                 if distance > farthest {
                     (best, farthest) = ((part, slot), distance);
                 }
@@ -290,51 +345,74 @@ mod tests {
     fn boxes(n: usize) -> Vec<Bounds> {
         let along = |k: usize| DVec3::new((k * 7 % 1013) as f64, (k * k % 797) as f64, (k / 3) as f64);
         let size = |k: usize| DVec3::new(1.0, (k % 5) as f64, if k.is_multiple_of(97) { 500.0 } else { 0.3 });
-        (0..n).map(|k| Bounds { low: along(k), high: along(k) + size(k) }).collect()
+        (0..n).map(|k| Bounds::new(along(k), along(k) + size(k))).collect()
     }
 
-    /// Calls `visit` with each leaf, the boxes on the way to it, and their number.
-    fn walk(
-        hierarchy: &Hierarchy,
-        entry: Entry,
-        way: &mut Vec<[[f32; 2]; 3]>,
-        visit: &mut impl FnMut(u32, &[[[f32; 2]; 3]]),
-    ) {
-        if entry & LEAF != 0 {
-            return visit(entry & !LEAF, way);
+    /// Calls `visit` with each leaf or triangle, and the boxes on the way to it.
+    fn walk(hierarchy: &Hierarchy, entry: Entry, way: &mut Vec<Bounds>, visit: &mut impl FnMut(u32, &[Bounds])) {
+        let is_leaf = entry & LEAF != 0;
+        let index = (entry & !LEAF) as usize;
+        if is_leaf && hierarchy.triangle_nodes.is_empty() {
+            return visit(index as u32, way);
         }
-        let node = &hierarchy.nodes[entry as usize];
+        let node = if is_leaf { &hierarchy.triangle_nodes[index] } else { &hierarchy.nodes[index] };
         for slot in (0..CHILDREN).filter(|&slot| node.children[slot] != NONE) {
-            way.push([0, 1, 2].map(|axis| [node.sides[2 * axis][slot], node.sides[2 * axis + 1][slot]]));
-            walk(hierarchy, node.children[slot], way, visit);
+            let side = |offset: usize| Vec3A::from([0, 2, 4].map(|row| node.sides[row + offset][slot]));
+            way.push(Bounds { low: side(0), high: side(1) });
+            if is_leaf {
+                visit(node.children[slot], way);
+            } else {
+                walk(hierarchy, node.children[slot], way, visit);
+            }
             way.pop();
         }
     }
 
     #[test]
-    fn each_leaf_lies_in_all_boxes_on_the_only_way_to_it() {
-        for n in [1, 2, 16, 17, 255, 257, 5000, 70_000] {
+    fn each_item_lies_in_all_boxes_on_the_only_way_to_it() {
+        for n in [0, 1, 2, 16, 17, 255, 257, 5000, 70_000] {
             let boxes = boxes(n);
-            let hierarchy = Hierarchy::new(boxes.par_iter().copied());
-            let mut found = vec![0; n];
-            walk(&hierarchy, hierarchy.root, &mut Vec::new(), &mut |leaf, way| {
-                found[leaf as usize] += 1;
-                assert!(way.len() <= LEVELS, "{n}: {} nodes", way.len());
-                let Bounds { low, high } = boxes[leaf as usize];
-                let holds =
-                    |axis: usize, [from, to]: [f32; 2]| f64::from(from) <= low[axis] && high[axis] <= f64::from(to);
-                assert!(way.iter().all(|sides| (0..3).all(|axis| holds(axis, sides[axis]))), "{n}: leaf {leaf}");
-            });
-            assert!(found.iter().all(|&times| times == 1), "{n}");
+            let bounds = || boxes.par_iter().copied();
+            for hierarchy in [Hierarchy::over_leaves(bounds()), Hierarchy::over_triangles(bounds())] {
+                let mut found = vec![0; n];
+                if hierarchy.root != NONE {
+                    walk(&hierarchy, hierarchy.root, &mut Vec::new(), &mut |item, way| {
+                        found[item as usize] += 1;
+                        assert!(way.len() <= LEVELS, "{n}: {} nodes", way.len());
+                        let Bounds { low, high } = boxes[item as usize];
+                        let holds = |bounds: &Bounds| bounds.low.cmple(low).all() && high.cmple(bounds.high).all();
+                        assert!(way.iter().all(holds), "{n}: item {item}");
+                    });
+                }
+                assert!(found.iter().all(|&times| times == 1), "{n}");
+            }
         }
-        assert_eq!(Hierarchy::new(boxes(0).par_iter().copied()).root, NONE);
     }
 
     #[test]
-    fn few_levels_hold_as_many_leaves_as_they_can() {
-        let mut leaves: Vec<_> = (0..).zip(boxes(256)).map(|(leaf, bounds)| BoundedLeaf { bounds, leaf }).collect();
-        let mut nodes = Vec::new();
-        build(&mut leaves, 2, &mut nodes);
-        assert_eq!(nodes.len(), 17);
+    fn bounds_are_rounded_outward() {
+        let (low, high) = (DVec3::new(0.1, -0.1, 1e-60), DVec3::new(0.2, 16_777_217.0, 0.0));
+        let bounds = Bounds::new(low, high);
+        assert!(bounds.low.as_dvec3().cmplt(low).all() && bounds.high.as_dvec3().cmpgt(high).all());
+    }
+
+    #[test]
+    fn few_levels_hold_as_many_items_as_they_can() {
+        let mut items: Vec<_> = (0..).zip(boxes(256)).map(|(item, bounds)| BoundedItem { bounds, item }).collect();
+        let mut over_leaves = Hierarchy::default();
+        over_leaves.append::<false>(&mut items, 2);
+        assert_eq!(over_leaves.nodes.len(), 17);
+        let mut over_triangles = Hierarchy::default();
+        over_triangles.append::<true>(&mut items, 2);
+        assert_eq!((over_triangles.nodes.len(), over_triangles.triangle_nodes.len()), (1, 16));
+    }
+
+    #[test]
+    fn only_scenes_with_memory_to_spare_have_a_hierarchy_over_triangles() {
+        let (scan, courtyard) = ((10_000_000, 14_000_000), (8_000_000, 16_000_000));
+        let is_over_triangles = |(n, n_references), bytes| Hierarchy::is_over_triangles(n, n_references, bytes);
+        assert!(is_over_triangles((1_000_000, 1_000_000), 100_000_000));
+        assert!(!is_over_triangles((1_000_000, 1_000_000), 50_000_000));
+        assert!(is_over_triangles(courtyard, u64::MAX) && !is_over_triangles(scan, u64::MAX));
     }
 }
