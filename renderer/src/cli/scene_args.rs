@@ -109,8 +109,8 @@ mod tests {
             (["--density", "-1"], "from 0.015625 to 4096 cells per triangle"),
             (["--density", "much"], "from 0.015625 to 4096 cells per triangle"),
             (["--macrocell-levels", "-1"], "from 0 to 3 levels"),
-            (["--memory-budget", "-1"], "from 16M to 1000G"),
-            (["--memory-budget", "1K"], "from 16M to 1000G"),
+            (["--memory-budget", "-1"], "from 16M to 1T"),
+            (["--memory-budget", "1K"], "from 16M to 1T"),
             (["--storage", "hash"], "is not one of: plain, row-displacement, masks"),
         ] {
             let error = parse(&arguments).unwrap_err().to_string();

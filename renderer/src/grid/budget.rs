@@ -28,7 +28,7 @@ impl Default for MemoryBudget {
 }
 
 /// Unit letters, the largest first.
-const UNITS: [(char, u64); 3] = [('G', 1_000_000_000), ('M', 1_000_000), ('K', 1_000)];
+const UNITS: [(char, u64); 4] = [('T', 1_000_000_000_000), ('G', 1_000_000_000), ('M', 1_000_000), ('K', 1_000)];
 
 impl fmt::Display for MemoryBudget {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -93,6 +93,7 @@ mod tests {
             ("1.5g", 1_500_000_000, "1500M"),
             ("123456789", 123_456_789, "123456789"),
             ("16000k", 16_000_000, "16M"),
+            ("1T", 1_000_000_000_000, "1T"),
         ] {
             let budget: MemoryBudget = text.parse().unwrap();
             assert_eq!((budget.0, budget.to_string().as_str()), (bytes, written));
@@ -102,11 +103,11 @@ mod tests {
 
     #[test]
     fn errors_name_the_valid_sizes() {
-        for text in ["1K", "0", "-5G", "NaN", "NaNG", "2000G", "infG"] {
+        for text in ["1K", "0", "-5G", "NaN", "NaNG", "2000G", "2T", "infG"] {
             let error = text.parse::<MemoryBudget>().unwrap_err();
-            assert_eq!(error, "the memory budget must be from 16M to 1000G", "{text}");
+            assert_eq!(error, "the memory budget must be from 16M to 1T", "{text}");
         }
-        for text in ["", "G", "1T", "1 GB", "1GB", "ä"] {
+        for text in ["", "G", "1P", "1 GB", "1GB", "ä"] {
             assert!(text.parse::<MemoryBudget>().unwrap_err().contains("no size: write it as 512M"), "{text}");
         }
     }

@@ -36,6 +36,7 @@ pub struct TracedMesh {
     /// One for each vertex; empty in a mesh of flat triangles.
     normals: Vec<Normal>,
     bounds: Aabb,
+    bulk_bounds: Aabb,
     facing: Option<Facing>,
     origin: DVec3,
 }
@@ -68,7 +69,7 @@ impl TracedMesh {
 
     /// Orders a mesh by the first mention of each triangle in `references`, which become triangle indices.
     pub fn new(mesh: Mesh, references: &mut [u32]) -> Self {
-        let (bounds, facing) = (mesh.bounds(), mesh.facing());
+        let (bounds, bulk_bounds, facing) = (mesh.bounds(), mesh.bulk().bounds, mesh.facing());
         let Mesh { vertices, triangles, colors, normals, texture_coordinates, materials, origin, .. } = mesh;
 
         // Number the triangles in the order of their first mention.
@@ -110,6 +111,7 @@ impl TracedMesh {
             texture_coordinates: kept_coordinates.map(|&vertex| texture_coordinates[vertex as usize]).collect(),
             materials,
             bounds,
+            bulk_bounds,
             facing,
             origin,
         }
@@ -203,6 +205,11 @@ impl TracedMesh {
     /// Bounds of all triangles, in model space.
     pub fn bounds(&self) -> Aabb {
         self.bounds
+    }
+
+    /// Bounds of all triangles but [strays](Mesh::bulk), in model space.
+    pub fn bulk_bounds(&self) -> Aabb {
+        self.bulk_bounds
     }
 
     /// The zero of model space, in world space.

@@ -50,7 +50,7 @@ pub struct SecondaryRays<'a> {
 /// Ambient occlusion rays of each sample.
 const N_AO_RAYS: usize = 4;
 
-/// Length of the longest ambient occlusion ray, relative to the radius of the scene.
+/// Length of the longest ambient occlusion ray, relative to the radius of the scene without strays.
 const AO_RADIUS_RELATIVE: f64 = 0.1;
 
 /// Surface at a hit.
@@ -66,8 +66,9 @@ impl<'a> SecondaryRays<'a> {
     pub fn new(grid: &'a Grid, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
         // Other shading modes ignore the lights.
         let lighting_mode = if spec.view == ShadingMode::Shaded { spec.rays } else { LightingMode::Primary };
-        let [min, max] = grid.mesh().bounds().corners();
-        let (centre, radius) = ((min + max) * 0.5, (max - min).length() * 0.5);
+        // Strays must not change the light on all others.
+        let [low, high] = grid.mesh().bulk_bounds().corners();
+        let (centre, radius) = ((low + high) * 0.5, (high - low).length() * 0.5);
         // The light's direction is relative to the camera.
         let (right, up) = (spec.camera.u().normalize(), spec.camera.v().normalize());
         let back = right.cross(up).normalize();
@@ -79,6 +80,7 @@ impl<'a> SecondaryRays<'a> {
                 key_light_position(grid, spec, clip.as_ref(), [back, to_light], (centre, radius))
             }
         };
+        let [min, max] = grid.mesh().bounds().corners();
         // No coordinate exceeds this, and no difference its double. Rounding a point or a direction to single precision
         // moves it by at most √3·2⁻²⁴ of that.
         let max_coordinate = min.abs().max(max.abs()).max(key_light.as_dvec3().abs()).max_element();

@@ -272,3 +272,19 @@ fn bases_and_circles_have_unit_length() {
     let [a, b] = tangent_basis(Vec3::NEG_Z);
     assert!(a.is_finite() && b.is_finite());
 }
+
+#[test]
+fn a_stray_triangle_does_not_change_the_reach_of_light() {
+    let mesh = statue::generate(6000, &|_| ());
+    let build = |mesh: Mesh| Scene::build(mesh, &GridOptions::default(), &|_| ());
+    let spec = spec(DVec3::new(0.0, 1.0, 4.0), DVec3::new(0.0, 1.0, 0.0), LightingMode::AmbientOcclusion);
+    let reach = |scene: &Scene| {
+        let secondary = SecondaryRays::new(&scene.grid, &spec, None);
+        (secondary.ao_radius, secondary.key_light)
+    };
+    let mut with_stray = mesh.clone();
+    let first = mesh.vertices.len() as u32;
+    with_stray.vertices.extend([[1000.0, 0.0, 0.0], [1000.0, 1.0, 0.0], [1000.0, 0.0, 1.0]]);
+    with_stray.triangles.push([first, first + 1, first + 2]);
+    assert_eq!(reach(&build(with_stray)), reach(&build(mesh)));
+}
