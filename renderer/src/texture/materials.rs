@@ -59,13 +59,13 @@ struct Gaps {
 pub struct PointMaterial {
     /// Linear, without the vertices' colours.
     pub base_color: Vec3A,
-    /// What becomes of the light that falls there.
+    /// The surface's answer to light.
     pub finish: Finish,
     /// Linear light that the surface gives off.
     pub emissive: Vec3A,
 }
 
-/// What a surface makes of light.
+/// The answer of a surface to light.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Finish {
     /// Scatters it.
