@@ -45,7 +45,7 @@ pub(crate) struct Tree {
     pub(crate) boxes: QuantizedBoxes,
     /// The cube of each leaf.
     pub(crate) leaf_cubes: Vec<LeafCube>,
-    /// Boxes over the leaves.
+    /// Boxes over the leaves, or over all triangles.
     pub(crate) hierarchy: Hierarchy,
 }
 

@@ -276,6 +276,8 @@ impl<F: FnMut(usize, Nearest), const ANY: bool> RayStream<'_, F, ANY> {
         self.state.entries[slot_idx] = if meeting == 1 { self.tree.hierarchy.root } else { NONE };
         self.next_ray += 1;
     }
+
+    /// Answers the ray of a slot.
     #[inline(always)]
     fn end_ray(&mut self, slot: u32) {
         let Slot { ray_idx, descent, nearest, .. } = &mut self.state.slots[slot as usize % N_SLOTS];

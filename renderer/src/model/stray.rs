@@ -21,9 +21,11 @@ pub struct Bulk {
 
 /// Triangles by which quartiles are estimated.
 const SAMPLED: usize = 1 << 16;
+
 /// A stray reaches this many times the largest distance of two quartiles from the middle: five times the size of an even mesh.
 const REACH: f64 = 10.0;
-/// So many strays, and one more for each thousand triangles, are a few: more are a part of the model.
+
+/// Strays are at most this many, and one more for each thousand triangles; if there are more, they belong to the model.
 const FEW: usize = 8;
 
 impl Mesh {
