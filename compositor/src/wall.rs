@@ -13,7 +13,7 @@ use std::path::Path;
 
 use channel::files::{self, ReadError};
 use glam::DVec2;
-use renderer::model::file::is_named_as_model;
+use renderer::formats::file::is_named_as_model;
 use serde::{Deserialize, Serialize};
 use shared::{division::FrameSize, toml_text::plain_problem};
 

@@ -5,9 +5,10 @@ use std::path::Path;
 
 use glam::{DMat3, DVec3, Vec3};
 use renderer::{
+    formats::file,
     grid::GridOptions,
     intersect::{MOST_PACKETS, Packet, PacketScratch, ray::Hit},
-    model::{file, mesh::Mesh},
+    model::mesh::Mesh,
     render::{blocks::for_each_group, scene::Scene, tracer::set_camera_rays},
 };
 use shared::{

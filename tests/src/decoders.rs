@@ -3,14 +3,12 @@
 //! `make fuzz` calls these with libFuzzer's inputs, `make test` with the kept corpus and mutations of it.
 
 use channel::{key::Key, secure};
-use renderer::model::{
+use renderer::formats::{
     companions::Companions,
     file::{Draft, Reading},
-    gltf, images,
-    material::Materials,
-    mesh::Mesh,
-    obj, ply, stl,
+    gltf, images, obj, ply, stl,
 };
+use renderer::model::{material::Materials, mesh::Mesh};
 use serde::{Serialize, de::DeserializeOwned};
 use shared::{
     camera::{Camera, CameraPath, Views},

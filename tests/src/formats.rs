@@ -4,9 +4,10 @@ use std::{fmt::Write, fs, path::Path};
 
 use glam::DVec3;
 use renderer::{
+    formats::{file, ply},
     grid::GridOptions,
     intersect::ray::Hit,
-    model::{file, mesh::Mesh, ply, statue},
+    model::{mesh::Mesh, statue},
     render::scene::Scene,
 };
 use shared::{camera::Camera, division::FrameSize};

@@ -6,7 +6,8 @@ use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use renderer::model::{mesh::Mesh, ply};
+use renderer::formats::ply;
+use renderer::model::mesh::Mesh;
 
 use crate::{process::shared_folder, random::Random};
 

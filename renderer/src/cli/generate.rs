@@ -11,7 +11,8 @@ use shared::printable::counted;
 
 use crate::{
     cli::{between, check_writable, picture_args::with_ending, progress::Progress, say, stop::Task},
-    model::{ply, statue},
+    formats::ply,
+    model::statue,
 };
 
 /// The model to generate.

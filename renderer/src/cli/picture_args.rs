@@ -14,8 +14,8 @@ use shared::{
 
 use crate::{
     cli::{appearance_args::AppearanceArgs, between, large_file, progress::Progress, scene_args::SceneArgs},
+    formats::file::is_named_as_model,
     model::{
-        file::is_named_as_model,
         mesh::Mesh,
         scene::{self, LoadError, LoadedMesh, SceneSource},
         solid::UNFILLED,

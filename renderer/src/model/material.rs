@@ -79,7 +79,7 @@ impl Default for Material {
 impl Material {
     /// Keeps the textures that `kept` returns. A surface whose texture is lost gives off no light and is no metal, because
     /// factors beside a texture are mostly 1.
-    pub(super) fn keep_textures(&mut self, kept: impl Fn(TextureUse) -> Option<TextureUse>) {
+    pub(crate) fn keep_textures(&mut self, kept: impl Fn(TextureUse) -> Option<TextureUse>) {
         let Self { base_color_texture, metallic_roughness_texture, emissive_texture, .. } = self;
         for (texture, lost) in [
             (base_color_texture, None),

@@ -9,8 +9,8 @@ use shared::{
     scene::{Crease, SceneId},
 };
 
+use crate::formats::file::{self, FileError, Reading};
 use crate::model::{
-    file::{self, FileError, Reading},
     material::{Material, Materials, TextureUse},
     mesh::Mesh,
     statue,

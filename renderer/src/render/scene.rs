@@ -86,7 +86,8 @@ mod tests {
     };
 
     use super::*;
-    use crate::model::{ply, statue};
+    use crate::formats::ply;
+    use crate::model::statue;
 
     /// Rounds to steps that `f64` holds exactly on a map grid, and that `f32` does not hold beside its zero.
     fn exact(point: DVec3) -> DVec3 {

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use renderer::model::{file::is_named_as_model, scene::SceneSource};
+use renderer::formats::file::is_named_as_model;
+use renderer::model::scene::SceneSource;
 use winit::keyboard::NamedKey;
 
 use crate::{

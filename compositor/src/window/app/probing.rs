@@ -86,7 +86,7 @@ fn pick(ProbeHit { triangle, t }: ProbeHit, camera: &Camera, at: [f32; 2]) -> Pi
 
 #[cfg(test)]
 mod tests {
-    use renderer::{grid::GridOptions, model::ply, render::scene::Scene};
+    use renderer::{formats::ply, grid::GridOptions, render::scene::Scene};
 
     use super::*;
 

@@ -2,9 +2,9 @@
 
 use glam::Vec3;
 use renderer::{
+    formats::ply,
     grid::{Grid, GridOptions},
     intersect::{PacketScratch, ray::Ray},
-    model::ply,
 };
 
 use super::{

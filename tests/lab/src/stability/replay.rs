@@ -58,7 +58,7 @@ mod tests {
         },
         *,
     };
-    use renderer::model::ply;
+    use renderer::formats::ply;
 
     prop_compose! {
         /// A camera near or far that looks at a vertex.

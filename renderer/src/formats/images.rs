@@ -5,12 +5,12 @@ use std::io::Cursor;
 use image::{ColorType, DynamicImage, ImageDecoder, ImageFormat, ImageReader, ImageResult, Limits};
 use rayon::prelude::*;
 
-use crate::model::{
+use crate::formats::{
     companions::Companions,
     file::{Draft, Reading},
-    material::{Image, TextureUse},
     specular,
 };
+use crate::model::material::{Image, TextureUse};
 
 /// The longest side of an image.
 const LARGEST_SIDE: u32 = 32_768;

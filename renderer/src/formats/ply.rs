@@ -25,11 +25,11 @@ use self::{
     header::{Element, ElementKind, Header},
     look::FaceLooks,
 };
-use crate::model::{
+use crate::formats::{
     assembly::{AssemblyError, MeshBuilder, reserve},
     file::Draft,
-    normal::Normal,
 };
+use crate::model::normal::Normal;
 
 /// A fault of a PLY file, and its place: lines count from 1, rows from 0.
 #[derive(Debug, thiserror::Error)]

@@ -4,10 +4,8 @@ use glam::Vec3;
 use proptest::prelude::*;
 
 use super::*;
-use crate::model::{
-    images::{Channels, ImageSource},
-    material::{TextureUse, Wrap},
-};
+use crate::formats::images::{Channels, ImageSource};
+use crate::model::material::{TextureUse, Wrap};
 
 /// A square of 0, 1, 2 and 3 in positions, then indices 0 1 2 2 1 3 as bytes, then texture coordinates in sixteen bits.
 fn square() -> Vec<u8> {

@@ -4,7 +4,7 @@ use std::io::{BufRead, Read};
 
 use glam::DVec3;
 
-use crate::model::{
+use crate::formats::{
     assembly::{AssemblyError, MeshBuilder, TextProblem},
     decimal::Decimal,
     file::Draft,

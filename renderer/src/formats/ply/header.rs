@@ -7,7 +7,7 @@ use ply_rs::{
     ply::{ElementDef, Encoding, PropertyType, ScalarType},
 };
 
-use crate::model::ply::{Problem, element::Skipped};
+use crate::formats::ply::{Problem, element::Skipped};
 
 /// Limit of a header's length: real headers have a few KB, and an endless one must not fill the memory.
 pub(super) const MAX_HEADER_BYTES: u64 = 1 << 20;

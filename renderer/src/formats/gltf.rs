@@ -26,7 +26,7 @@ use self::{
     document::{Document, Header},
     geometry::Geometry,
 };
-use crate::model::{assembly::AssemblyError, companions::Companions, file::Draft};
+use crate::formats::{assembly::AssemblyError, companions::Companions, file::Draft};
 
 /// A fault of a glTF.
 #[derive(Debug, thiserror::Error)]

@@ -6,8 +6,8 @@ use glam::{DVec3, Vec3};
 use proptest::prelude::*;
 
 use super::*;
+use crate::formats::images::Channels;
 use crate::model::{
-    images::Channels,
     material::{TextureUse, Wrap},
     mesh::Mesh,
 };
@@ -104,7 +104,7 @@ fn coordinates_beyond_single_precision_are_kept_as_in_ply() {
         rows.join("\n")
     );
     assert_eq!(obj.origin, DVec3::new(512_345.12, 5_412_345.1, 70.25));
-    assert_eq!(obj, crate::model::ply::read_from(ply.as_bytes(), ply.len() as u64).unwrap().mesh);
+    assert_eq!(obj, crate::formats::ply::read_from(ply.as_bytes(), ply.len() as u64).unwrap().mesh);
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::io::BufRead;
 
 use ply_rs::ply::{ElementDef, Property, PropertyAccess, PropertyType, ScalarType};
 
-use crate::model::{
+use crate::formats::{
     decimal::Decimal,
     ply::{ENDS_HERE, element::index_from_f64},
 };

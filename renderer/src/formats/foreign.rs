@@ -1,6 +1,6 @@
 //! Says of a file that is no model what it is, and what to do about it.
 
-use crate::model::stl;
+use crate::formats::stl;
 
 /// Beginnings of files of other kinds, and what each is, with the cure.
 const KINDS: [(&[u8], &str); 21] = [

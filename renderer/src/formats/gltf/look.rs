@@ -2,15 +2,15 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::model::{
+use crate::formats::{
     file::Draft,
     gltf::{
         buffers::{Buffers, data_of, file_name},
         document::{AlphaMode, Document, Material as Described, TextureInfo},
     },
     images::{Channels, ImageSource},
-    material::{Material, TextureUse, Wrap},
 };
+use crate::model::material::{Material, TextureUse, Wrap};
 
 /// Where a blended surface is half there, it is there.
 const BLEND_CUTOFF: f32 = 0.5;

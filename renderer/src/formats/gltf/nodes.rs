@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use glam::{DMat4, DQuat, DVec3, DVec4};
 
-use crate::model::gltf::{
+use crate::formats::gltf::{
     accessor::Elements,
     buffers::Buffers,
     document::{Document, Kind, Node},

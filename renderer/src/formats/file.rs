@@ -8,14 +8,14 @@ use std::{
 
 use channel::files::{self, ReadError};
 
-use crate::model::{
+use crate::formats::{
     assembly::TextProblem,
     companions::Companions,
     foreign, gltf,
     images::{self, ImageSource},
-    mesh::Mesh,
     obj, ply, stl,
 };
+use crate::model::mesh::Mesh;
 
 /// The endings of files that are read, in small letters.
 const ENDINGS: [&str; 5] = ["ply", "obj", "stl", "gltf", "glb"];

@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeSet, HashMap};
 
-use crate::model::{
+use crate::formats::{
     images::{Channels, ImageSource},
-    material::{Material, TextureUse, Wrap},
     obj::piece::text,
 };
+use crate::model::material::{Material, TextureUse, Wrap};
 
 /// The materials of one or more files.
 #[derive(Debug, Default)]

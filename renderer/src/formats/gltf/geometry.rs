@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use glam::{DMat3, DMat4, DVec3, DVec4};
 use shared::srgb;
 
-use crate::model::{
+use crate::formats::{
     assembly::MeshBuilder,
     file::Draft,
     gltf::{
@@ -17,8 +17,8 @@ use crate::model::{
         look::Look,
         nodes::Instance,
     },
-    normal::Normal,
 };
+use crate::model::normal::Normal;
 
 /// Beyond this many metres from zero, `f32` steps by more than a tenth of a millimetre: positions keep an origin there.
 const FAR: f64 = 1024.0;

@@ -2,7 +2,7 @@
 
 use draco_core::{DecodeLimits, DecoderBuffer, Mesh, MeshDecoder};
 
-use crate::model::gltf::{accessor::Elements, document::Accessor};
+use crate::formats::gltf::{accessor::Elements, document::Accessor};
 
 /// The triangles of a compressed primitive.
 pub(super) struct Geometry(Mesh);

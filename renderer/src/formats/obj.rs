@@ -16,14 +16,13 @@ use std::{
 use rayon::prelude::*;
 
 use self::piece::{Fault, Piece};
-use crate::model::{
+use crate::formats::{
     assembly::{AssemblyError, MeshBuilder, TextProblem},
     companions::Companions,
     file::Draft,
-    material::Material,
-    normal::Normal,
     wedges::{self, Look},
 };
+use crate::model::{material::Material, normal::Normal};
 
 pub use self::mtl::Library;
 

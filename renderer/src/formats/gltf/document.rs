@@ -7,7 +7,7 @@ use serde::{
     de::{Error, IgnoredAny, SeqAccess, Visitor},
 };
 
-use crate::model::gltf::meshopt;
+use crate::formats::gltf::meshopt;
 
 /// The most nodes, accessors, materials and so on, of each kind: a few bytes of JSON must not take a hundred of memory.
 const MOST_ITEMS: usize = 1 << 20;

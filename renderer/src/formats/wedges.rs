@@ -1,6 +1,7 @@
 //! Corners that meet in one position with different looks: each look gets a vertex of its own.
 
-use crate::model::{assembly::AssemblyError, mesh::Mesh, normal::Normal};
+use crate::formats::assembly::AssemblyError;
+use crate::model::{mesh::Mesh, normal::Normal};
 
 /// The look of a corner.
 #[derive(Clone, Copy)]

@@ -4,7 +4,7 @@ use std::{borrow::Cow, collections::HashMap};
 
 use rayon::prelude::*;
 
-use crate::model::{
+use crate::formats::{
     companions::Companions,
     gltf::{document::Document, meshopt},
 };

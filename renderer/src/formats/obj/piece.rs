@@ -4,7 +4,8 @@ use std::{borrow::Cow, io::BufRead};
 
 use glam::{DVec3, Vec3};
 
-use crate::model::{decimal::Decimal, normal::Normal, stl::printable};
+use crate::formats::{decimal::Decimal, stl::printable};
+use crate::model::normal::Normal;
 
 /// Stands for a number of a corner that is not written.
 pub(super) const NONE: i64 = i64::MAX;

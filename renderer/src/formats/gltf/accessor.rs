@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use crate::model::gltf::{
+use crate::formats::gltf::{
     buffers::Buffers,
     document::{Accessor, Document, Kind, Sparse},
 };

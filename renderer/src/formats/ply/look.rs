@@ -1,14 +1,16 @@
 //! Textures, and what faces and their corners look like.
 
-use crate::model::{
+use crate::formats::{
     assembly::AssemblyError,
     file::Draft,
     images::ImageSource,
+    ply::element::Corners,
+    wedges::{self, Look},
+};
+use crate::model::{
     material::{Material, TextureUse, Wrap},
     mesh::Mesh,
     normal::Normal,
-    ply::element::Corners,
-    wedges::{self, Look},
 };
 
 /// The looks of triangles, in file order; each list is empty, or as long as the triangles of faces.

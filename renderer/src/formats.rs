@@ -1,0 +1,18 @@
+//! Reads meshes from files.
+//!
+//! [`mod@file`] tells formats apart, and `foreign` files of other kinds: [`ply`], [`obj`], [`stl`] and [`gltf`] read theirs,
+//! with `assembly`, `decimal` and `wedges` in common; [`companions`] finds the files that a model names, and [`images`]
+//! decodes its images, with `specular` for metals.
+
+mod assembly;
+pub mod companions;
+mod decimal;
+pub mod file;
+mod foreign;
+pub mod gltf;
+pub mod images;
+pub mod obj;
+pub mod ply;
+mod specular;
+pub mod stl;
+mod wedges;
