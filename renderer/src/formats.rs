@@ -1,8 +1,8 @@
 //! Reads meshes from files.
 //!
 //! [`mod@file`] tells formats apart, and `foreign` files of other kinds: [`ply`], [`obj`], [`stl`] and [`gltf`] read theirs,
-//! with `assembly`, `decimal` and `wedges` in common; [`companions`] finds the files that a model names, and [`images`]
-//! decodes its images, with `specular` for metals.
+//! with `assembly`, `decimal` and `wedges` in common; [`companions`] finds the files that a model names, `tiles` those of tiled
+//! textures, and [`images`] decodes its images, with `specular` for metals.
 
 mod assembly;
 pub mod companions;
@@ -15,4 +15,5 @@ pub mod obj;
 pub mod ply;
 mod specular;
 pub mod stl;
+mod tiles;
 mod wedges;

@@ -80,7 +80,7 @@ pub(crate) fn hash_of_png(path: &Path) -> String {
 }
 
 /// A picture's samples in a frame's order: bottom row first.
-fn samples_of_png(path: &Path) -> Vec<u8> {
+pub(crate) fn samples_of_png(path: &Path) -> Vec<u8> {
     let mut reader =
         png::Decoder::new(std::io::BufReader::new(std::fs::File::open(path).unwrap())).read_info().unwrap();
     let mut rgb = vec![0; reader.output_buffer_size().unwrap()];

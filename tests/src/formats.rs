@@ -8,11 +8,15 @@ use renderer::{
     grid::GridOptions,
     intersect::ray::Hit,
     model::{mesh::Mesh, statue},
-    render::scene::Scene,
+    render::{image::write_png, scene::Scene},
 };
 use shared::{camera::Camera, division::FrameSize};
 
-use crate::accuracy::hits;
+use crate::{
+    accuracy::hits,
+    farm::{Files, RunningWall, nodes_of, samples_of_png},
+    process::Program,
+};
 
 /// Each triangle with corners of its own.
 fn corners(mesh: &Mesh) -> Vec<[[f32; 3]; 3]> {
@@ -148,4 +152,80 @@ fn every_format_gives_the_same_hits() {
 
 fn hits_of(bytes: &[u8]) -> usize {
     bytes.chunks_exact(8).filter(|hit| hit[..4] != [0xff; 4]).count()
+}
+
+/// Writes a model of four squares beside each other, in front of the default camera, with a picture on each of three.
+/// `corner` gives the texture coordinates of a square's lower left corner, and its material.
+fn write_squares(path: &Path, corner: impl Fn(usize) -> ([u32; 2], &'static str)) {
+    let mut text = String::from("mtllib squares.mtl\n");
+    for square in 0..4 {
+        let ([u, v], material) = corner(square);
+        writeln!(text, "usemtl {material}").unwrap();
+        for [x, y] in [[0, 0], [1, 0], [1, 1], [0, 1]] {
+            writeln!(text, "v {} {y} 0\nvt {} {}", square + x, u as usize + x, v as usize + y).unwrap();
+        }
+        text += "f -4/-4 -3/-3 -2/-2 -1/-1\n";
+    }
+    fs::write(path, text).unwrap();
+}
+
+#[test]
+fn tiles_of_a_texture_look_like_a_material_for_each_and_are_part_of_the_scene() {
+    const TILES: [(&str, [u32; 2], u8); 3] = [("1001", [0, 0], 40), ("1002", [1, 0], 120), ("1011", [0, 1], 200)];
+    let files = Files::new();
+    for folder in ["tiled", "plain", "other"] {
+        fs::create_dir(files.path(folder)).unwrap();
+        for (tile, _, red) in TILES {
+            let rgb: Vec<u8> = (0..64).flat_map(|texel| [red, texel % 8 * 30, texel / 8 * 30]).collect();
+            let size = FrameSize::new(8, 8).unwrap();
+            write_png(&files.path(&format!("{folder}/t.{tile}.png")), size, &rgb).unwrap();
+        }
+        write_squares(&files.path(&format!("{folder}/squares.obj")), |square| match (folder, TILES.get(square)) {
+            ("plain", Some((tile, ..))) => ([0, 0], tile),
+            ("plain", None) => ([0, 0], "none"),
+            (_, Some(&(_, tile, _))) => (tile, "all"),
+            // Of a tile that no file has.
+            (_, None) => ([5, 0], "all"),
+        });
+    }
+    let look = "Kd 0.5 0.25 0.125\n";
+    for folder in ["tiled", "other"] {
+        let library = format!("newmtl all\n{look}map_Kd t.<UDIM>.png\n");
+        fs::write(files.path(&format!("{folder}/squares.mtl")), library).unwrap();
+    }
+    let material = |tile| format!("newmtl {tile}\n{look}map_Kd -clamp on t.{tile}.png\n");
+    let plain = TILES.map(|(tile, ..)| material(tile)).concat() + &format!("newmtl none\n{look}");
+    fs::write(files.path("plain/squares.mtl"), plain).unwrap();
+    fs::remove_file(files.path("other/t.1011.png")).unwrap();
+
+    let traced = |folder: &str| {
+        let picture = files.path(&format!("{folder}.png"));
+        let mut command = Program::command("renderer");
+        command.args(["trace", "--size", "96x54", "--model"]).arg(files.path(&format!("{folder}/squares.obj")));
+        command.arg("--image").arg(&picture);
+        (Program::succeed(command), samples_of_png(&picture))
+    };
+    let ((told, tiled), (_, plain)) = (traced("tiled"), traced("plain"));
+    assert!(told.contains("t.1006.png is missing: put it beside the model"), "{told}");
+    // Coordinates farther from zero are rounded otherwise.
+    assert!(tiled.iter().zip(&plain).all(|(tiled, plain)| tiled.abs_diff(*plain) <= 1), "looks otherwise");
+    assert!(plain.iter().any(|&part| part != plain[0]), "the squares are seen");
+
+    let mut command = Program::command("compositor");
+    command.args(["--headless", "--listen", "127.0.0.1:0", "--local", "0", "--frames", "1", "--size", "96x54"]);
+    command.arg("--model").arg(files.path("tiled/squares.obj")).arg("--stats").arg(files.path("stats.json"));
+    command.arg("--wall").arg(files.path("wall.toml"));
+    let mut wall = Program::start(command);
+    let address = wall.wait_for_address();
+    let join = |folder: &str| {
+        let model = files.path(&format!("{folder}/squares.obj"));
+        RunningWall::join_at(&address, folder, &["--model", model.to_str().unwrap()])
+    };
+    let _other = join("other");
+    wall.wait_for("give it the wall's own file, and all that it names: an image is left out: ");
+    wall.wait_for("t.1011.png is missing: put it beside the model");
+    let _right = join("tiled");
+    let (status, said) = wall.wait();
+    assert!(status.success(), "{said}");
+    assert_eq!(nodes_of(&files.frames()[0]), ["tiled"]);
 }

@@ -13,7 +13,7 @@ use crate::formats::{
     companions::Companions,
     foreign, gltf,
     images::{self, ImageSource},
-    obj, ply, stl,
+    obj, ply, stl, tiles,
 };
 use crate::model::mesh::Mesh;
 
@@ -142,8 +142,8 @@ pub fn read_from(mut reader: impl BufRead, n_bytes: u64, companions: &Companions
     let format = Format::of(&start, n_bytes).ok_or_else(|| Problem::Foreign(foreign::fault(&start, n_bytes)))?;
     let reader = start.chain(reader);
     Ok(match format {
-        Format::Ply => ply::read_from(reader, n_bytes)?,
-        Format::Obj => obj::read_from(reader, n_bytes, companions)?,
+        Format::Ply => tiles::divide(ply::read_from(reader, n_bytes)?, companions),
+        Format::Obj => tiles::divide(obj::read_from(reader, n_bytes, companions)?, companions),
         Format::StlText => stl::read_text(reader)?,
         Format::StlBinary => stl::read_binary(reader, n_bytes)?,
         Format::GltfText => gltf::read_text(reader, n_bytes, companions)?,

@@ -79,7 +79,7 @@ impl Default for Material {
 impl Material {
     /// Keeps the textures that `kept` returns. A surface whose texture is lost gives off no light and is no metal, because
     /// factors beside a texture are mostly 1.
-    pub(crate) fn keep_textures(&mut self, kept: impl Fn(TextureUse) -> Option<TextureUse>) {
+    pub(crate) fn keep_textures(&mut self, mut kept: impl FnMut(TextureUse) -> Option<TextureUse>) {
         let Self { base_color_texture, metallic_roughness_texture, emissive_texture, .. } = self;
         for (texture, lost) in [
             (base_color_texture, None),
@@ -87,7 +87,7 @@ impl Material {
             (emissive_texture, Some(&mut self.emissive[..])),
         ] {
             let had_one = texture.is_some();
-            *texture = texture.and_then(&kept);
+            *texture = texture.and_then(&mut kept);
             if let Some(factors) = lost.filter(|_| had_one && texture.is_none()) {
                 factors.fill(0.0);
             }

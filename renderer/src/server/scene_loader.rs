@@ -253,8 +253,13 @@ impl LoaderThread {
             return Err(format!("it has no {ordered}: start it with --model FILE, the file that the wall shows"));
         };
         match self.load(Some(ordered), ordered.crease(), &source) {
-            Ok((id, scene)) if id == ordered => Ok(scene),
-            Ok((id, _)) => Err(format!("{source} is {id}, the wall shows {ordered}: give it the wall's own file")),
+            Ok((id, scene, _)) if id == ordered => Ok(scene),
+            Ok((id, _, left_out)) => {
+                let cure = format!("{source} is {id}, the wall shows {ordered}: give it the wall's own file");
+                // A file that it names may be missing here, and there at the wall.
+                let lines = left_out.join("; ");
+                Err(if lines.is_empty() { cure } else { format!("{cure}, and all that it names: {lines}") })
+            }
             Err(error) if self.model.is_none() => {
                 Err(format!("{error}; --model FILE names the file that the wall shows"))
             }
@@ -262,13 +267,14 @@ impl LoaderThread {
         }
     }
 
-    /// Loads and builds a scene; drops the previous one first, so that memory never holds two.
+    /// Loads and builds a scene, and tells the parts of its file that were left out. Drops the previous one first, so that
+    /// memory never holds two.
     fn load(
         &mut self,
         ordered: Option<SceneId>,
         crease: Crease,
         source: &SceneSource,
-    ) -> Result<(SceneId, Arc<Scene>), String> {
+    ) -> Result<(SceneId, Arc<Scene>, Vec<String>), String> {
         let report_progress = |progress: f32| {
             if let Some(scene) = ordered {
                 self.report_progress(scene, progress);
@@ -280,13 +286,13 @@ impl LoaderThread {
             warn_of_large_file(source, 1, self.options.memory_budget);
         }
         let bar = Progress::new(format!("loading {source}"));
-        let (id, scene) = self.pool.install(|| -> Result<_, String> {
+        let (id, scene, left_out) = self.pool.install(|| -> Result<_, String> {
             let loaded = scene::load(source, crease, &|fraction| {
                 bar.set(fraction * 0.5);
                 report_progress(fraction * 0.5);
             })
             .map_err(|error| error.to_string())?;
-            let id = loaded.id;
+            let (id, left_out) = (loaded.id, loaded.left_out.clone());
             if self.told == Told::Everything && self.told_of != Some(loaded.id) {
                 loaded.log(source);
             }
@@ -294,7 +300,7 @@ impl LoaderThread {
                 bar.set(0.5 + fraction * 0.5);
                 report_progress(0.5 + fraction * 0.5);
             });
-            Ok((id, Arc::new(scene)))
+            Ok((id, Arc::new(scene), left_out))
         })?;
         self.told_of = Some(id);
         tracing::info!(
@@ -306,7 +312,7 @@ impl LoaderThread {
             tracing::warn!("{source}: {shortage}");
         }
         self.current.set(Some((id, Arc::clone(&scene))));
-        Ok((id, scene))
+        Ok((id, scene, left_out))
     }
 
     /// The command line's grid options, overridden by the wall's choice.

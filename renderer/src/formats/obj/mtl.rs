@@ -118,21 +118,17 @@ impl Library {
         // The same file has the coverage in its own fourth channel.
         let other_file = |map: &Map| coverage.clone().filter(|name| *name != map.name);
         let color_texture =
-            color.and_then(|map| self.texture(&map, other_file(&map).map_or(Channels::Whole, Channels::Coverage)));
-        let emissive_texture = emissive.and_then(|map| self.texture(&map, Channels::Whole));
+            color.map(|map| self.texture(&map, other_file(&map).map_or(Channels::Whole, Channels::Coverage)));
+        let emissive_texture = emissive.map(|map| self.texture(&map, Channels::Whole));
         let [has_roughness, has_metallic] = [&roughness, &metallic].map(Option::is_some);
-        let glossy_texture = match (roughness, metallic) {
+        let glossy = match (roughness, metallic) {
             // The same file has them where glTF has.
-            (Some(roughness), Some(metallic)) if roughness.name == metallic.name => {
-                self.texture(&roughness, Channels::Whole)
-            }
-            (Some(roughness), Some(metallic)) => {
-                self.texture(&roughness, Channels::RoughnessAndMetallic(metallic.name))
-            }
-            (Some(roughness), None) => self.texture(&roughness, Channels::Roughness),
-            (None, Some(metallic)) => self.texture(&metallic, Channels::Metallic),
-            (None, None) => None,
+            (Some(roughness), Some(metallic)) if roughness.name == metallic.name => Some((roughness, Channels::Whole)),
+            (Some(roughness), Some(metallic)) => Some((roughness, Channels::RoughnessAndMetallic(metallic.name))),
+            (Some(roughness), None) => Some((roughness, Channels::Roughness)),
+            (None, metallic) => metallic.map(|metallic| (metallic, Channels::Metallic)),
         };
+        let glossy_texture = glossy.map(|(map, channels)| self.texture(&map, channels));
         let Some(material) = self.materials.last_mut() else { return };
         // Many programs write a black `Kd` or `Ke` beside a texture, which is not meant to darken it.
         if color_texture.is_some() && material.base_color[..3] == [0.0; 3] {
@@ -151,11 +147,7 @@ impl Library {
         (material.base_color_texture, material.emissive_texture) = (color_texture, emissive_texture);
     }
 
-    fn texture(&mut self, map: &Map, channels: Channels) -> Option<TextureUse> {
-        if map.name.to_ascii_lowercase().contains("<udim>") {
-            self.remarks.push(format!("{} is left out: tiles of textures are not read", map.name));
-            return None;
-        }
+    fn texture(&mut self, map: &Map, channels: Channels) -> TextureUse {
         let source = ImageSource { channels, folder: self.folder.clone(), ..ImageSource::file(&map.name) };
         let image = *self.places.entry(source).or_insert_with_key(|source| {
             self.images.push(source.clone());
@@ -164,7 +156,7 @@ impl Library {
         // MTL counts v from the lower edge: 1 − v′ = scale (1 − v) + offset.
         let ([su, sv], [ou, ov]) = (map.scale, map.offset);
         let transform = [[su, 0.0, ou], [0.0, sv, 1.0 - sv - ov]];
-        Some(TextureUse { image, wrap: [map.wrap; 2], transform })
+        TextureUse { image, wrap: [map.wrap; 2], transform }
     }
 }
 
