@@ -6,6 +6,7 @@ use std::{
 };
 
 use channel::files;
+use unicode_normalization::UnicodeNormalization;
 
 /// Folders in which programs put images, beside the folder of the model itself.
 const FOLDERS: [&str; 6] = ["", "textures", "texture", "../textures", "images", "maps"];
@@ -128,10 +129,12 @@ fn find_in_any_case(folder: &Path, name: &str) -> Option<PathBuf> {
 }
 
 fn entries_in_any_case(folder: &Path, name: &str) -> impl Iterator<Item = PathBuf> {
-    let name = name.to_lowercase();
+    // Systems also differ in how they write letters with accents.
+    let folded = |name: &str| name.nfc().collect::<String>().to_lowercase();
+    let name = folded(name);
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let matching = entries.filter(move |entry| entry.file_name().to_string_lossy().to_lowercase() == name);
+    let matching = entries.filter(move |entry| folded(&entry.file_name().to_string_lossy()) == name);
     matching.map(|entry| entry.path())
 }
 
@@ -145,8 +148,14 @@ mod tests {
     fn files_are_found_as_other_machines_name_them() {
         let folder = tempfile::tempdir().unwrap();
         let model = folder.path().join("scan/model.obj");
-        for name in ["scan/a b.png", "scan/textures/C.JPG", "textures/d.png", "scan/sub/e.png", "scan/sub/Deep/er.PNG"]
-        {
+        for name in [
+            "scan/a b.png",
+            "scan/textures/C.JPG",
+            "textures/d.png",
+            "scan/sub/e.png",
+            "scan/sub/Deep/er.PNG",
+            "scan/Bu\u{308}ste.png",
+        ] {
             let path = folder.path().join(name);
             fs::create_dir_all(path.parent().unwrap()).unwrap();
             fs::write(path, name).unwrap();
@@ -162,6 +171,7 @@ mod tests {
             ("SUB/E.PNG", "scan/sub/e.png"),
             (".\\Sub\\deep\\Er.png", "scan/sub/Deep/er.PNG"),
             ("../Scan/Sub/e.png", "scan/sub/e.png"),
+            ("B\u{fc}ste.png", "scan/Bu\u{308}ste.png"),
         ] {
             assert_eq!(found(name), Ok(expected.to_owned()), "{name}");
         }

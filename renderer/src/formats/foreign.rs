@@ -1,4 +1,4 @@
-//! Says of a file that is no model what it is, and what to do about it.
+//! Says of a file that is no model, or no image, what it is, and what to do about it.
 
 use crate::formats::stl;
 
@@ -16,9 +16,9 @@ const KINDS: [(&[u8], &str); 21] = [
     (b"Rar!", "is a RAR archive: unpack it"),
     (b"\xff\xfe", "is text in UTF-16: save it as UTF-8"),
     (b"\xfe\xff", "is text in UTF-16: save it as UTF-8"),
-    (b"<!doctype html", "is a web page: download the model itself"),
-    (b"<html", "is a web page: download the model itself"),
-    (b"version https://git-lfs", "is a pointer of Git LFS: run `git lfs pull` to get the model itself"),
+    (b"<!doctype html", "is a web page: download the file itself"),
+    (b"<html", "is a web page: download the file itself"),
+    (b"version https://git-lfs", "is a pointer of Git LFS: run `git lfs pull` to get the file itself"),
     (b"kaydara fbx", "is FBX: convert it to GLB, for example with Blender"),
     (b"blender", "is a file of Blender: export PLY, OBJ, STL or GLB from it"),
     (b"iso-10303-21", "is STEP: export STL or GLB from CAD"),
@@ -32,17 +32,12 @@ const KINDS: [(&[u8], &str); 21] = [
 
 /// Names the kind of a file that begins with no format that is read, and the cure.
 pub(super) fn fault(start: &[u8], n_bytes: u64) -> String {
-    let text = start.strip_prefix(b"\xef\xbb\xbf").unwrap_or(start).trim_ascii_start();
-    let begins = |with: &&(&[u8], &str)| {
-        let same = |bytes: &[u8]| bytes.get(..with.0.len()).is_some_and(|it| it.eq_ignore_ascii_case(with.0));
-        same(start) || same(text)
-    };
     if n_bytes == 0 {
         "is empty: copy or export the model again".to_owned()
     } else if start.iter().all(|&byte| byte == 0 || byte.is_ascii_whitespace()) {
         "begins with nothing but zeros or spaces, as an interrupted copy does: copy the model again".to_owned()
-    } else if let Some((_, kind)) = KINDS.iter().find(begins) {
-        (*kind).to_owned()
+    } else if let Some(kind) = kind(start) {
+        kind.to_owned()
     } else if is_utf_16(start) {
         "is text in UTF-16: save it as UTF-8".to_owned()
     } else if let Some(needed) = stl::binary_bytes(start).filter(|_| stl::begins_with_triangle(start)) {
@@ -52,6 +47,16 @@ pub(super) fn fault(start: &[u8], n_bytes: u64) -> String {
             these formats"
             .to_owned()
     }
+}
+
+/// The kind of a file by its beginning, and the cure.
+pub(super) fn kind(start: &[u8]) -> Option<&'static str> {
+    let text = start.strip_prefix(b"\xef\xbb\xbf").unwrap_or(start).trim_ascii_start();
+    let begins = |with: &&(&[u8], &str)| {
+        let same = |bytes: &[u8]| bytes.get(..with.0.len()).is_some_and(|it| it.eq_ignore_ascii_case(with.0));
+        same(start) || same(text)
+    };
+    KINDS.iter().find(begins).map(|(_, kind)| *kind)
 }
 
 /// Whether every other byte of a text is zero, as in UTF-16 without a mark.

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::formats::{
     companions::Companions,
     file::{Draft, Reading},
-    specular,
+    foreign, specular,
 };
 use crate::model::material::{Image, TextureUse};
 
@@ -136,10 +136,13 @@ fn merge(image: &mut Image, other: &Image, change: impl Fn(&mut [u8; 4], [u8; 4]
 }
 
 fn decode_bytes(name: &str, bytes: &[u8]) -> Result<Image, String> {
+    if bytes.is_empty() {
+        return Err("is empty: copy it again".to_owned());
+    }
     let mut reader = ImageReader::new(Cursor::new(bytes));
     // TGA has no magic number, so its name must tell.
-    if let Ok(format) = ImageFormat::from_path(name) {
-        reader.set_format(format);
+    if ImageFormat::from_path(name).is_ok_and(|format| format == ImageFormat::Tga) {
+        reader.set_format(ImageFormat::Tga);
     }
     let mut reader = reader.with_guessed_format().map_err(|error| format!("cannot be read: {error}"))?;
     let mut limits = Limits::no_limits();
@@ -149,10 +152,11 @@ fn decode_bytes(name: &str, bytes: &[u8]) -> Result<Image, String> {
     reader.limits(limits);
     let fault = |error| match error {
         image::ImageError::Limits(_) => format!("is too large: scale it to at most {LARGEST_SIDE} texels a side"),
-        image::ImageError::Unsupported(_) => {
-            "is no image that is read (PNG, JPEG, WebP, TIFF, BMP, TGA): convert it to PNG".to_owned()
-        }
-        error => format!("is damaged: {error}").replace('\n', " "),
+        image::ImageError::Unsupported(_) => foreign::kind(bytes).map_or_else(
+            || "is no image that is read (PNG, JPEG, WebP, TIFF, BMP, TGA): convert it to PNG".to_owned(),
+            str::to_owned,
+        ),
+        error => format!("is damaged: {}; copy it again", error.to_string().trim().replace('\n', " ")),
     };
     let decoder = reader.into_decoder().map_err(fault)?;
     let (width, height) = decoder.dimensions();
@@ -162,7 +166,7 @@ fn decode_bytes(name: &str, bytes: &[u8]) -> Result<Image, String> {
         return Err(format!("is too large ({width}x{height}): scale it to at most {MOST_TEXELS} texels"));
     }
     if n_texels == 0 || n_bytes > SMALL_IMAGE.saturating_add(LARGEST_RATIO * bytes.len() as u64) {
-        return Err(format!("is damaged: {} bytes cannot hold {width}x{height} texels", bytes.len()));
+        return Err(format!("is damaged: {} bytes cannot hold {width}x{height} texels; copy it again", bytes.len()));
     }
     let texels = match decoder.color_type() {
         ColorType::L8 => decode_in_place(decoder, |[grey]| [grey, grey, grey, u8::MAX]),
@@ -235,6 +239,23 @@ mod tests {
                 "an image is left out: 1 is no image that is read (PNG, JPEG, WebP, TIFF, BMP, TGA): convert it to PNG"
             ]
         );
+    }
+
+    #[test]
+    fn files_that_are_no_images_are_told_apart() {
+        let cut = b"\xff\xd8\xff\xe0";
+        for (name, bytes, told) in [
+            ("1.jpg", &b""[..], "is empty: copy it again"),
+            ("1.jpg", b"<!DOCTYPE html>", "is a web page: download the file itself"),
+            ("1.png", b"version https://git-lfs.github.com/spec/v1", "is a pointer of Git LFS"),
+            ("1.png", b"GIF89a", "is no image that is read (PNG, JPEG, WebP, TIFF, BMP, TGA): convert it to PNG"),
+            ("1.png", cut, "is damaged: "),
+        ] {
+            let fault = decode_bytes(name, bytes).unwrap_err();
+            assert!(fault.starts_with(told) && !fault.contains('\n'), "{fault}");
+        }
+        assert!(decode_bytes("1.jpg", cut).unwrap_err().ends_with("; copy it again"));
+        assert!(decode_bytes("1.jpg", &png(2, 1)).is_ok(), "the content tells the format");
     }
 
     #[test]

@@ -222,7 +222,7 @@ impl Model {
             draft.remarks.push(format!("points, lines and curved surfaces are left out: {}", self.n_left_out));
         }
         if self.n_short > 0 {
-            draft.remarks.push(format!("{} faces with fewer than three corners are left out", self.n_short));
+            draft.remarks.push(format!("faces with fewer than three corners are left out: {}", self.n_short));
         }
         if self.is_cut {
             draft.remarks.push("ends in the middle of a face: it may have been cut short".to_owned());
@@ -250,7 +250,13 @@ fn read_libraries(rows: &[String], companions: &Companions, remarks: &mut Vec<St
                 continue;
             }
             let path = name.replace('\\', "/");
-            match companions.read("", &name, LONGEST_LIBRARY) {
+            let mut found = companions.read("", &name, LONGEST_LIBRARY);
+            // A model and its materials are often renamed together.
+            let same = found.is_err().then(|| companions.of_same_name("mtl")).flatten();
+            if let Some(same) = same.filter(|same| seen.insert(same.clone())) {
+                found = companions.read("", &same, LONGEST_LIBRARY);
+            }
+            match found {
                 Ok(bytes) => library.read(&bytes, path.rsplit_once('/').map_or("", |(folder, _)| folder)),
                 Err(fault) => remarks.push(format!("its materials are left out: {fault}")),
             }

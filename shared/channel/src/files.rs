@@ -13,7 +13,7 @@ use tempfile::{Builder, NamedTempFile};
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
     /// It does not exist, or the system refuses it. Not the error's source, because the message contains it already.
-    #[error("cannot be read: {0}")]
+    #[error("cannot be read: {0}{cure}", cure = cure_of(.0))]
     Io(io::Error),
     /// A folder, a pipe or a device: it may have no end, and opening it may wait for a writer.
     #[error("is a folder or a pipe: name an ordinary file")]
@@ -21,6 +21,14 @@ pub enum ReadError {
     /// It has more bytes than any file of its kind.
     #[error("is longer than {0} bytes")]
     TooLong(u64),
+}
+
+fn cure_of(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::NotFound => "; check its name and its folder",
+        io::ErrorKind::PermissionDenied => "; give this user the permission to read it",
+        _ => "",
+    }
 }
 
 /// Opens an ordinary file to read it.
@@ -400,7 +408,8 @@ mod tests {
         assert!(matches!(read_text(&path, 1), Err(ReadError::TooLong(1))), "the limit cuts a letter");
         fs::write(&path, [0xff]).unwrap();
         assert!(matches!(read_text(&path, 4), Err(ReadError::Io(_))));
-        assert!(read_text(&folder.path().join("no"), 4).unwrap_err().to_string().starts_with("cannot be read: "));
+        let missing = read_text(&folder.path().join("no"), 4).unwrap_err().to_string();
+        assert!(missing.starts_with("cannot be read: ") && missing.ends_with("; check its name and its folder"));
     }
 
     #[cfg(unix)]

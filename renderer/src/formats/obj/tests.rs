@@ -215,8 +215,12 @@ fn materials_without_a_line_are_those_of_the_model_s_name() {
     let draft = || read_from(obj.as_bytes(), obj.len() as u64, &companions).unwrap();
     assert_eq!(draft().remarks, ["its materials are left out: no line `mtllib` names their file"]);
     fs::write(folder.path().join("scan.mtl"), "newmtl red\nKd 1 0 0\n").unwrap();
-    let Draft { mesh, remarks, .. } = draft();
-    assert_eq!((mesh.materials.materials[0].base_color, remarks.len()), ([1.0, 0.0, 0.0, 1.0], 0));
+    let renamed = format!("mtllib old name.mtl\n{obj}");
+    for Draft { mesh, remarks, .. } in
+        [draft(), read_from(renamed.as_bytes(), renamed.len() as u64, &companions).unwrap()]
+    {
+        assert_eq!((mesh.materials.materials[0].base_color, remarks.len()), ([1.0, 0.0, 0.0, 1.0], 0));
+    }
 }
 
 #[test]
@@ -233,7 +237,7 @@ fn images_are_beside_their_file_of_materials() {
 #[test]
 fn a_face_that_is_cut_is_told() {
     let remarks = |face: &str| parse(format!("{CORNERS}vn 0 0 1\nf 1//1 2//1 3//1\n{face}")).unwrap().remarks;
-    let short = "1 faces with fewer than three corners are left out";
+    let short = "faces with fewer than three corners are left out: 1";
     let cut = "ends in the middle of a face: it may have been cut short";
     for (face, expected) in [
         ("f 1//1 2//1 4//1", vec![]),
