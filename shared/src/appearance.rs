@@ -1,4 +1,4 @@
-//! The appearance of a frame: key light, background and clip plane.
+//! The appearance of a frame: key light, background, clip plane, and the light of path-traced pictures.
 //!
 //! All values are bounded integers: no NaN can occur, and every machine computes the same bits from them.
 
@@ -8,7 +8,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use strum::{Display, EnumString, IntoStaticStr, VariantArray};
 
-use crate::{camera::Camera, division::FrameSize, names::unknown_name, srgb};
+use crate::{camera::Camera, division::FrameSize, names::unknown_name, path_light::PathLight, srgb};
 
 /// The appearance of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -19,6 +19,8 @@ pub struct Appearance {
     pub background: Background,
     /// The clip plane, if any.
     pub clip: Option<Clip>,
+    /// More of the light, if it is path traced.
+    pub path: PathLight,
 }
 
 /// The direction of the key light, seen from the target, with the eye straight in front.

@@ -24,7 +24,7 @@ use crate::{
 };
 
 /// The version of all messages; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 12;
+pub const PROTOCOL_VERSION: u8 = 13;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -78,7 +78,8 @@ pub enum ShadingMode {
     Cost,
 }
 
-/// The rays that light a sample: each mode includes those before it; a key steps through them in this order.
+/// The rays that light a sample: each of the first three modes includes those before it; a key steps through them in this
+/// order.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Display, EnumString, VariantArray,
 )]
@@ -94,6 +95,8 @@ pub enum LightingMode {
     #[serde(rename = "ambient")]
     #[strum(serialize = "ambient")]
     AmbientOcclusion,
+    /// Paths of light from a sun and a sky, which bounces between surfaces.
+    Path,
 }
 
 /// The samples of each pixel that are averaged in linear light: numbers `first` to `first + count − 1`.

@@ -1,6 +1,9 @@
 //! Command-line options of a picture's appearance, shared by all programs that render.
 
-use shared::appearance::{Appearance, Background, Clip, Light};
+use shared::{
+    appearance::{Appearance, Background, Clip, Light},
+    path_light::PathLight,
+};
 
 /// Each option names it: a heading of the struct would also head the options after it.
 const HEADING: &str = "Appearance";
@@ -20,12 +23,28 @@ pub struct AppearanceArgs {
     /// Cut the model open: remove this part of its extent from the side x, y, z, -x, -y, -z or eye, for example y:30
     #[arg(long, help_heading = HEADING, value_name = "SIDE:PERCENT", allow_hyphen_values = true)]
     clip: Option<Clip>,
+
+    /// With --rays path: diameter of the sun, which stands in the direction of the key light; shadows of a large one are soft
+    #[arg(long, help_heading = HEADING, value_name = "DEGREES", default_value = "4",
+        value_parser = PathLight::parse_sun, allow_hyphen_values = true)]
+    sun: u16,
+
+    /// With --rays path: how often light bounces between surfaces, from 0 (light of sun and sky only) to 64
+    #[arg(long, help_heading = HEADING, value_name = "N", default_value = "4",
+        value_parser = PathLight::parse_bounces, allow_hyphen_values = true)]
+    bounces: u8,
+
+    /// With --rays path: exposure in stops; 1 doubles the light, -1 halves it
+    #[arg(long, help_heading = HEADING, value_name = "STOPS", default_value = "0",
+        value_parser = PathLight::parse_exposure, allow_hyphen_values = true)]
+    exposure: i16,
 }
 
 impl AppearanceArgs {
     /// The appearance that the options describe.
     pub fn appearance(&self) -> Appearance {
-        let Self { key_light: light, background, clip } = *self;
-        Appearance { light, background, clip }
+        let Self { key_light: light, background, clip, sun, bounces, exposure } = *self;
+        let path = PathLight::new(sun, bounces, exposure).expect("each number was checked as it was read");
+        Appearance { light, background, clip, path }
     }
 }

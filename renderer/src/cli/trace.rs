@@ -4,11 +4,14 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use clap::builder::{PathBufValueParser, TypedValueParser};
-use shared::printable::counted;
+use shared::{
+    printable::counted,
+    protocol::{FrameSpec, LightingMode, SampleRange},
+};
 
 use crate::{
     cli::{
-        check_writable,
+        between, check_writable,
         picture_args::{PictureArgs, SHOWS_NOTHING, with_ending},
         say,
         stop::Task,
@@ -27,10 +30,17 @@ pub struct TraceArgs {
     #[arg(long, value_name = "FILE.png",
         value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "png")))]
     image: PathBuf,
+
+    /// Rays averaged for each sample [default: 1; with --rays path 64]
+    #[arg(long, value_name = "N", value_parser = between(1..=SampleRange::LARGEST_COUNT))]
+    samples: Option<u32>,
 }
 
+/// Paths of each sample: fewer are noisy.
+const PATHS: u32 = 64;
+
 /// Loads, builds and renders, and writes the picture.
-pub fn run(TraceArgs { picture, image }: &TraceArgs) -> Result<()> {
+pub fn run(TraceArgs { picture, image, samples }: &TraceArgs) -> Result<()> {
     check_writable(image)?;
     picture.pool()?.install(|| {
         // The camera is checked before a large model is read.
@@ -38,6 +48,8 @@ pub fn run(TraceArgs { picture, image }: &TraceArgs) -> Result<()> {
         picture.warn_of_large_file();
         let LoadedMesh { id, mesh, .. } = picture.model.load()?;
         let spec = picture.spec(id, camera.unwrap_or_else(|| picture.view_all(&mesh)));
+        let count = samples.unwrap_or(if spec.rays == LightingMode::Path { PATHS } else { 1 });
+        let spec = FrameSpec { samples: SampleRange { count, ..spec.samples }, ..spec };
         let scene = picture.build(mesh);
         let _task = Task::named("rendering the picture");
         let (rgb, _) = scene.render_frame(&spec);

@@ -13,7 +13,7 @@ use crate::{
     },
     simd::{InstructionSet, Simd},
     texture::{
-        footprint::{Footprints, Projection, SampleRays, texture_point},
+        footprint::{Footprints, Projection, WideRays, texture_point},
         materials::{PointMaterial, TracedMaterials},
     },
 };
@@ -161,12 +161,12 @@ impl TracedMesh {
         self.materials.has_materials()
     }
 
-    /// Finds the materials where up to 64 rays of a camera hit triangles; `None` for misses, caps, and in meshes without
+    /// Finds the materials where up to 64 rays hit triangles; `None` for misses, caps, and in meshes without
     /// materials.
     pub(crate) fn find_materials(
         &self,
         instructions: InstructionSet,
-        rays: SampleRays<'_>,
+        rays: impl WideRays,
         hits: &[Hit],
         materials: &mut [Option<PointMaterial>; 64],
     ) {

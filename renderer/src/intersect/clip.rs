@@ -6,6 +6,7 @@
 //! A ray that enters the kept half and then leaves a solid entered it within the solid: its hit is the cap, in the plane.
 //! Rays that only ask for any hit need no cap, because the side on which they leave the solid hides as much.
 
+use glam::Vec3;
 use shared::appearance::ClipPlane;
 
 use crate::{
@@ -51,11 +52,26 @@ fn or_cap(grid: &Grid, ray: &Ray, kept: &Ray, hit: Hit) -> Hit {
     if leaves_solid { Hit { triangle: Hit::CAP, t: kept.t_min } } else { hit }
 }
 
+/// [`Grid::intersect_rays`] on the parts of rays that a plane keeps.
+pub fn intersect_rays(grid: &Grid, clip: Option<&ClipPlane>, rays: &[Ray], hits: &mut [Hit]) {
+    if clip.is_none() {
+        return grid.intersect_rays(rays, hits);
+    }
+    let kept = |ray: &Ray| clip_ray(clip, *ray).unwrap_or(NOTHING);
+    let kept: Vec<_> = rays.iter().map(kept).collect();
+    grid.intersect_rays(&kept, hits);
+    for ((hit, ray), kept) in hits.iter_mut().zip(rays).zip(&kept) {
+        *hit = or_cap(grid, ray, kept, *hit);
+    }
+}
+
+/// A ray of which nothing is left.
+const NOTHING: Ray = Ray { origin: Vec3::ZERO, direction: Vec3::X, t_min: 0.0, t_max: f32::NEG_INFINITY };
+
 /// [`Grid::occluded_rays`] on the parts of rays that a plane keeps; the rays are cut.
 pub fn occluded_rays(grid: &Grid, clip: Option<&ClipPlane>, rays: &mut [Ray], occluded: &mut [bool]) {
     for ray in &mut *rays {
-        // An empty interval where nothing is left.
-        *ray = clip_ray(clip, *ray).unwrap_or(Ray { t_max: f32::NEG_INFINITY, ..*ray });
+        *ray = clip_ray(clip, *ray).unwrap_or(NOTHING);
     }
     grid.occluded_rays(rays, occluded);
 }
@@ -118,7 +134,7 @@ fn intersect_packet(grid: &Grid, clip: Option<&ClipPlane>, packet: &Packet, scra
 mod tests {
     use std::f64::consts::{PI, TAU};
 
-    use glam::{DVec3, Vec3};
+    use glam::DVec3;
     use shared::{
         appearance::{Clip, ClipSide},
         camera::Camera,

@@ -54,12 +54,21 @@ impl GlossySurface {
         mirrored + (self.normal - mirrored) * (self.roughness * self.roughness)
     }
 
-    /// Schlick's approximation of the part of light that is reflected at an angle with this cosine; it rises to at least
-    /// `grazing`.
+    /// The part of light that is reflected at an angle with this cosine; it rises to at least `grazing`.
     fn fresnel(&self, cosine: f32, grazing: f32) -> Vec3 {
-        let facing = Vec3::splat(DIELECTRIC) + (self.color - DIELECTRIC) * self.metallic;
-        let x = (1.0 - cosine).clamp(0.0, 1.0);
-        let x2 = x * x;
-        facing + (facing.max(Vec3::splat(grazing)) - facing) * (x2 * x2 * x)
+        fresnel(facing(self.color, self.metallic), grazing, cosine)
     }
+}
+
+/// The part of light that a surface reflects when seen from the front.
+pub(super) fn facing(color: Vec3, metallic: f32) -> Vec3 {
+    Vec3::splat(DIELECTRIC) + (color - DIELECTRIC) * metallic
+}
+
+/// Schlick's approximation of the part of light that is reflected at an angle with this cosine; it rises from that of
+/// `facing` to at least `grazing`.
+pub(super) fn fresnel(facing: Vec3, grazing: f32, cosine: f32) -> Vec3 {
+    let x = (1.0 - cosine).clamp(0.0, 1.0);
+    let x2 = x * x;
+    facing + (facing.max(Vec3::splat(grazing)) - facing) * (x2 * x2 * x)
 }

@@ -3,7 +3,8 @@
 use glam::Vec3;
 use shared::{
     appearance::ClipPlane,
-    protocol::{FrameSpec, ShadingMode},
+    protocol::{FrameSpec, LightingMode, ShadingMode},
+    srgb,
 };
 
 use crate::{
@@ -14,6 +15,7 @@ use crate::{
     },
     render::{
         blocks::SampleBlock,
+        path::{PathTracer, tone::ToneMapping},
         sampling::sample_point,
         secondary::SecondaryRays,
         shade::{self, Shader},
@@ -26,6 +28,8 @@ pub struct Lighting<'a> {
     shading: ShadingMode,
     shader: Shader<'a>,
     secondary: SecondaryRays<'a>,
+    /// Only in path-traced frames.
+    paths: Option<(PathTracer<'a>, ToneMapping)>,
     eye: Vec3,
     /// Change of a ray's direction across the width and the height of its part of a pixel, in model space.
     sample_sides: [Vec3; 2],
@@ -40,15 +44,16 @@ impl<'a> Lighting<'a> {
         let side = 1.0 / (spec.samples.count as f32).sqrt();
         let sample_sides = [rays.du * side, rays.dv * side];
         let shader = Shader::new(grid.mesh(), spec, clip);
-        Self { shading: spec.view, shader, secondary, eye: rays.eye, sample_sides }
+        let is_path_traced = spec.view == ShadingMode::Shaded && spec.rays == LightingMode::Path;
+        let paths = is_path_traced.then(|| (PathTracer::new(grid, spec, clip), ToneMapping::new(spec.appearance.path)));
+        Self { shading: spec.view, shader, secondary, paths, eye: rays.eye, sample_sides }
     }
 
     /// Finds the materials at up to 64 hits; `None` for misses and caps. All are `None`, and left so, in meshes without
     /// materials.
-    fn find_materials(&self, directions: &[Vec3], hits: &[Hit], materials: &mut [Option<PointMaterial>; 64]) {
+    fn find_materials(&self, rays: SampleRays<'_>, hits: &[Hit], materials: &mut [Option<PointMaterial>; 64]) {
         let grid = self.secondary.grid;
         if self.shading == ShadingMode::Shaded && grid.mesh().has_materials() {
-            let rays = SampleRays { eye: self.eye, directions, sides: self.sample_sides };
             grid.mesh().find_materials(grid.instructions, rays, hits, materials);
         }
     }
@@ -74,6 +79,15 @@ impl<'a> Lighting<'a> {
             }
             return lights;
         }
+        if let Some((tracer, _)) = &self.paths {
+            tracer.add_lights(&self.shader, blocks, sample, (directions, self.sample_sides), hits, &mut lights);
+            for (index, block) in blocks.iter().enumerate() {
+                for (sample_idx, (i, j)) in block.samples().enumerate().filter(|&(at, _)| hits[index][at].is_miss()) {
+                    lights[index][sample_idx] = self.shader.backdrop(sample_point(i, j, sample).1);
+                }
+            }
+            return lights;
+        }
         let visibility = self.secondary.visibility(blocks, sample, directions, hits, scratch);
         // Written again for each block: copies of either took up to 5 % of a frame's time.
         let (mut surfaces, mut materials) = ([None; 64], [None; 64]);
@@ -81,8 +95,9 @@ impl<'a> Lighting<'a> {
             let n_samples = block.n_samples();
             let (directions, hits) = (&directions[index][..n_samples], &hits[index][..n_samples]);
             if !hits.iter().all(|hit| hit.is_miss()) {
-                self.shader.find_surfaces(self.secondary.grid.instructions, directions, hits, &mut surfaces);
-                self.find_materials(directions, hits, &mut materials);
+                let rays = SampleRays { eye: self.eye, directions, sides: self.sample_sides };
+                self.shader.find_surfaces(self.secondary.grid.instructions, rays, hits, &mut surfaces);
+                self.find_materials(rays, hits, &mut materials);
             }
             for (sample_idx, (i, j)) in block.samples().enumerate() {
                 let (_, y) = sample_point(i, j, sample);
@@ -97,5 +112,56 @@ impl<'a> Lighting<'a> {
             }
         }
         lights
+    }
+
+    /// Sums of the light of no samples yet.
+    pub fn no_light(&self) -> LightSums {
+        let n_missed = if self.paths.is_some() { 64 * MOST_PACKETS } else { 0 };
+        LightSums { lights: [[Vec3::ZERO; 64]; MOST_PACKETS], missed: vec![(Vec3::ZERO, 0); n_missed] }
+    }
+
+    /// The mean light of `n_samples` samples of pixel `index` of a block, encoded.
+    ///
+    /// Exposure and tone mapping change the light of the model alone: a background is shown as it was asked for.
+    pub fn encode(&self, sums: &LightSums, (block, index): (usize, usize), n_samples: u32) -> [u8; 3] {
+        let light = sums.lights[block][index];
+        let mean = match (&self.paths, sums.missed.get(64 * block + index)) {
+            (Some(_), Some(&(backdrop, n_misses))) if n_misses == n_samples => backdrop / n_samples as f32,
+            (Some((_, tone)), Some(&(backdrop, n_misses))) => {
+                let n_hits = (n_samples - n_misses) as f32;
+                (tone.shown(light / n_hits) * n_hits + backdrop) / n_samples as f32
+            }
+            _ => light / n_samples as f32,
+        };
+        mean.to_array().map(srgb::encode)
+    }
+}
+
+/// The light of the samples of neighbouring blocks' pixels, linear.
+pub struct LightSums {
+    /// Of all samples; in path-traced frames of those that hit something.
+    pub lights: [[Vec3; 64]; MOST_PACKETS],
+    /// Of the others in path-traced frames, and their number; empty in other frames.
+    missed: Vec<(Vec3, u32)>,
+}
+
+impl LightSums {
+    /// Adds the light of a sample of each pixel of `n_blocks` blocks.
+    pub fn add(&mut self, n_blocks: usize, lights: &[[Vec3; 64]], hits: &[[Hit; 64]]) {
+        let lights = lights.as_flattened().iter().take(64 * n_blocks);
+        let sums = self.lights.as_flattened_mut();
+        if self.missed.is_empty() {
+            sums.iter_mut().zip(lights).for_each(|(sum, light)| *sum += *light);
+            return;
+        }
+        for (index, (light, hit)) in lights.zip(hits.as_flattened()).enumerate() {
+            if hit.is_miss() {
+                let (backdrop, n_misses) = &mut self.missed[index];
+                *backdrop += *light;
+                *n_misses += 1;
+            } else {
+                sums[index] += *light;
+            }
+        }
     }
 }

@@ -15,7 +15,11 @@ use crate::{
         MOST_PACKETS, Packet, PacketScratch, clip,
         ray::{Hit, Ray},
     },
-    render::{blocks::SampleBlock, sampling::hash_u32},
+    render::{
+        blocks::SampleBlock,
+        lift::{Lift, LiftedPoint},
+        sampling::hash_u32,
+    },
 };
 
 /// The light that reaches one hit.
@@ -41,8 +45,7 @@ pub struct SecondaryRays<'a> {
     pub key_light: Vec3,
     /// Direction to the key light from hits without a surface point, world space.
     key_direction: Vec3,
-    /// How far points are lifted off their surfaces, in world units.
-    ray_offset: f64,
+    lift: Lift<'a>,
     /// Length of the longest ambient occlusion ray, in world units.
     ao_radius: f32,
 }
@@ -53,37 +56,24 @@ const N_AO_RAYS: usize = 4;
 /// Length of the longest ambient occlusion ray, relative to the radius of the scene without strays.
 const AO_RADIUS_RELATIVE: f64 = 0.1;
 
-/// Surface at a hit.
-struct Surface {
-    /// The hit point, lifted off the surface; model space.
-    point: DVec3,
-    /// Unit length, on the side of the ray's origin.
-    normal: DVec3,
-}
-
 impl<'a> SecondaryRays<'a> {
     /// Prepares for one frame of a scene that a plane may cut open.
     pub fn new(grid: &'a Grid, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
-        // Other shading modes ignore the lights.
-        let lighting_mode = if spec.view == ShadingMode::Shaded { spec.rays } else { LightingMode::Primary };
+        // Other shading modes ignore the lights, and paths have their own.
+        let lighting_mode = match (spec.view, spec.rays) {
+            (ShadingMode::Shaded, LightingMode::Shadows | LightingMode::AmbientOcclusion) => spec.rays,
+            _ => LightingMode::Primary,
+        };
         // Strays must not change the light on all others.
         let [low, high] = grid.mesh().bulk_bounds().corners();
         let (centre, radius) = ((low + high) * 0.5, (high - low).length() * 0.5);
-        // The light's direction is relative to the camera.
-        let (right, up) = (spec.camera.u().normalize(), spec.camera.v().normalize());
-        let back = right.cross(up).normalize();
-        let to_light = spec.appearance.light.direction();
-        let to_light = (right * to_light.x + up * to_light.y + back * to_light.z).normalize();
+        let [back, to_light] = back_and_light(spec);
         let key_light = match lighting_mode {
-            LightingMode::Primary => Vec3::ZERO,
+            LightingMode::Primary | LightingMode::Path => Vec3::ZERO,
             LightingMode::Shadows | LightingMode::AmbientOcclusion => {
                 key_light_position(grid, spec, clip.as_ref(), [back, to_light], (centre, radius))
             }
         };
-        let [min, max] = grid.mesh().bounds().corners();
-        // No coordinate exceeds this, and no difference its double. Rounding a point or a direction to single precision
-        // moves it by at most √3·2⁻²⁴ of that.
-        let max_coordinate = min.abs().max(max.abs()).max(key_light.as_dvec3().abs()).max_element();
         Self {
             grid,
             clip,
@@ -91,7 +81,7 @@ impl<'a> SecondaryRays<'a> {
             eye: spec.camera.eye().as_vec3().as_dvec3(),
             key_light,
             key_direction: to_light.as_vec3(),
-            ray_offset: max_coordinate * (8.0 * f64::from(f32::EPSILON)),
+            lift: Lift::new(grid.mesh(), clip, key_light),
             ao_radius: (radius * AO_RADIUS_RELATIVE) as f32,
         }
     }
@@ -110,11 +100,11 @@ impl<'a> SecondaryRays<'a> {
         if self.lighting_mode == LightingMode::Primary {
             return visibility;
         }
-        let surfaces: [[Option<Surface>; 64]; MOST_PACKETS] = std::array::from_fn(|index| {
+        let surfaces: [[Option<LiftedPoint>; 64]; MOST_PACKETS] = std::array::from_fn(|index| {
             let n_samples = blocks.get(index).map_or(0, SampleBlock::n_samples);
             std::array::from_fn(|sample_idx| {
                 if sample_idx < n_samples {
-                    self.surface(directions[index][sample_idx], hits[index][sample_idx])
+                    self.lift.point(self.eye, directions[index][sample_idx], hits[index][sample_idx])
                 } else {
                     None
                 }
@@ -129,30 +119,11 @@ impl<'a> SecondaryRays<'a> {
         visibility
     }
 
-    /// The surface at a hit; `None` for a miss, and for slivers too thin to have a normal.
-    fn surface(&self, direction: Vec3, hit: Hit) -> Option<Surface> {
-        if hit.is_miss() {
-            return None;
-        }
-        let mesh = self.grid.mesh();
-        let (a, normal) = match self.clip {
-            Some(ClipPlane { normal, offset }) if hit.is_cap() => (normal * offset, normal),
-            _ => (Vec3::from_array(mesh.corners(hit.triangle)[0]).as_dvec3(), mesh.normal(hit.triangle)),
-        };
-        let direction = direction.as_dvec3();
-        let length = normal.length();
-        let normal = if normal.dot(direction) > 0.0 { -normal } else { normal } * (1.0 / length);
-        // Recompute t from the triangle's plane: single precision is too coarse for an eye far away.
-        let t = normal.dot(a - self.eye) / normal.dot(direction);
-        let point = self.eye + direction * t + normal * self.ray_offset;
-        (length > 0.0 && point.is_finite() && normal.is_finite()).then_some(Surface { point, normal })
-    }
-
     /// Casts shadow rays from the key light to all surfaces that face it.
     fn cast_shadows(
         &self,
         blocks: &[SampleBlock<'_>],
-        surfaces: &[[Option<Surface>; 64]],
+        surfaces: &[[Option<LiftedPoint>; 64]],
         visibility: &mut [[LightVisibility; 64]],
         scratch: &mut PacketScratch,
     ) {
@@ -161,11 +132,11 @@ impl<'a> SecondaryRays<'a> {
         let mut directions = [[None; 64]; MOST_PACKETS];
         for (index, block) in blocks.iter().enumerate() {
             for (direction, &sample_idx) in directions[index].iter_mut().zip(&block.sample_of_lane()) {
-                let Some(Surface { point, normal }) = &surfaces[index][sample_idx] else { continue };
+                let Some(LiftedPoint { point, normal }) = &surfaces[index][sample_idx] else { continue };
                 let to_point = *point - light;
                 visibility[index][sample_idx].key_direction = (-to_point * (1.0 / to_point.length())).as_vec3();
                 visibility[index][sample_idx].key = 0.0;
-                if normal.dot(to_point) < -self.ray_offset {
+                if normal.dot(to_point) < -self.lift.ray_offset {
                     *direction = Some(to_point.as_vec3());
                 }
             }
@@ -187,7 +158,7 @@ impl<'a> SecondaryRays<'a> {
         &self,
         block: &SampleBlock<'_>,
         sample: u32,
-        surfaces: &[Option<Surface>; 64],
+        surfaces: &[Option<LiftedPoint>; 64],
         visibility: &mut [LightVisibility; 64],
     ) {
         let (mut rays, mut sample_of_rays) = (Vec::with_capacity(64 * N_AO_RAYS), Vec::with_capacity(64));
@@ -209,7 +180,7 @@ impl<'a> SecondaryRays<'a> {
     ///
     /// Directions follow a cosine distribution, so that all rays weigh the same. Lengths differ, so that near blockers
     /// occlude more than far ones.
-    fn ambient_rays(&self, surface: &Surface, (i, j): (u32, u32), sample: u32) -> [Ray; N_AO_RAYS] {
+    fn ambient_rays(&self, surface: &LiftedPoint, (i, j): (u32, u32), sample: u32) -> [Ray; N_AO_RAYS] {
         let normal = surface.normal.as_vec3();
         let [tangent, bitangent] = tangent_basis(normal);
         // One random offset for the strata of heights and of lengths, and one for the azimuths, per sample.
@@ -231,6 +202,14 @@ impl<'a> SecondaryRays<'a> {
             Ray { origin: surface.point.as_vec3(), direction, t_min: 0.0, t_max }
         })
     }
+}
+
+/// The unit vectors opposite to the camera's direction and to the key light, whose direction is relative to the camera.
+pub(super) fn back_and_light(spec: &FrameSpec) -> [DVec3; 2] {
+    let (right, up) = (spec.camera.u().normalize(), spec.camera.v().normalize());
+    let back = right.cross(up).normalize();
+    let to_light = spec.appearance.light.direction();
+    [back, (right * to_light.x + up * to_light.y + back * to_light.z).normalize()]
 }
 
 /// Cosine and sine of the golden angle: repeated rotation by it spreads directions evenly.
@@ -307,7 +286,7 @@ pub fn occluded_lanes(
 }
 
 /// Completes a unit normal to an orthonormal basis: Duff et al., "Building an Orthonormal Basis, Revisited" (2017).
-fn tangent_basis(n: Vec3) -> [Vec3; 2] {
+pub(super) fn tangent_basis(n: Vec3) -> [Vec3; 2] {
     let sign = 1.0f32.copysign(n.z);
     let a = -1.0 / (sign + n.z);
     let b = n.x * n.y * a;

@@ -17,15 +17,16 @@ use crate::{
         secondary::LightVisibility,
         surface::{Surface, Surfaces, normalize_or_zero},
     },
-    texture::materials::{Finish, PointMaterial},
+    texture::{
+        footprint::WideRays,
+        materials::{Finish, PointMaterial},
+    },
 };
 
 /// Shades a mesh seen by one camera: a light at the eye shows form, a key light relief, and a sky which way is up.
 pub struct Shader<'a> {
     mesh: &'a TracedMesh,
     shading: ShadingMode,
-    /// The origin of all rays, model space.
-    eye: Vec3,
     /// The camera's up direction, unit length, world space.
     up: Vec3,
     n_rows: f32,
@@ -38,7 +39,7 @@ pub struct Shader<'a> {
 }
 
 /// Albedo of meshes without colours: unglazed clay, linear.
-const CLAY: Vec3 = Vec3::new(0.60, 0.55, 0.49);
+pub const CLAY: Vec3 = Vec3::new(0.60, 0.55, 0.49);
 
 /// Albedo of the cap of a cut: the red of sections in drawings, linear; few scans have it.
 const CAP: Vec3 = Vec3::new(0.50, 0.12, 0.07);
@@ -55,9 +56,8 @@ impl<'a> Shader<'a> {
         let up = normalize_or_zero(spec.camera.v());
         let background = [spec.appearance.background.bottom, spec.appearance.background.top].map(linear);
         let cap_normal = clip.map_or(Vec3::ZERO, |plane| plane.normal.as_vec3());
-        let eye = spec.camera.eye().as_vec3();
         let has_shadows = spec.rays != LightingMode::Primary;
-        Self { mesh, shading: spec.view, eye, up, n_rows: spec.size.yres() as f32, background, has_shadows, cap_normal }
+        Self { mesh, shading: spec.view, up, n_rows: spec.size.yres() as f32, background, has_shadows, cap_normal }
     }
 
     /// The linear light along one ray, given its hit's interpolated surface and material, if it has them, and the lights that
@@ -73,8 +73,7 @@ impl<'a> Shader<'a> {
         visibility: &LightVisibility,
     ) -> Vec3 {
         if hit.is_miss() {
-            let height = row / self.n_rows;
-            return self.background[0] * (1.0 - height) + self.background[1] * height;
+            return self.backdrop(row);
         }
         let Surface { to_eye, geometric, shading: normal, color } =
             surface.copied().unwrap_or_else(|| self.flat_surface(direction, hit));
@@ -108,6 +107,13 @@ impl<'a> Shader<'a> {
         }
     }
 
+    /// The background's light; `row` counts samples from the bottom.
+    #[inline]
+    pub(super) fn backdrop(&self, row: f32) -> Vec3 {
+        let height = row / self.n_rows;
+        self.background[0] * (1.0 - height) + self.background[1] * height
+    }
+
     /// The light that a glossy surface reflects rather than scatters.
     fn reflected(&self, surface: &GlossySurface, key_visibility: f32, visibility: &LightVisibility) -> Vec3 {
         let mirrored = surface.mirrored();
@@ -123,20 +129,19 @@ impl<'a> Shader<'a> {
     pub(super) fn find_surfaces(
         &self,
         instructions: InstructionSet,
-        directions: &[Vec3],
+        rays: impl WideRays,
         hits: &[Hit],
         surfaces: &mut [Option<Surface>; 64],
     ) {
         if self.mesh.has_normals() || self.mesh.has_colors() {
-            let (mesh, eye) = (self.mesh, self.eye);
             // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-            unsafe { instructions.call(Surfaces { mesh, eye, directions, hits, surfaces }) }
+            unsafe { instructions.call(Surfaces { mesh: self.mesh, rays, hits, surfaces }) }
         }
     }
 
     /// A cap or a flat triangle without a colour, on the side of the eye: scans are seen from both sides.
     #[inline]
-    fn flat_surface(&self, direction: Vec3, hit: Hit) -> Surface {
+    pub(super) fn flat_surface(&self, direction: Vec3, hit: Hit) -> Surface {
         let to_eye = -normalize_or_zero(direction.as_dvec3());
         let normal = if hit.is_cap() { self.cap_normal } else { normalize_or_zero(self.mesh.normal(hit.triangle)) };
         let geometric = if normal.dot(to_eye) < 0.0 { -normal } else { normal };
@@ -145,7 +150,7 @@ impl<'a> Shader<'a> {
 
     /// The albedo of a surface without a material; `color` is that of its mesh.
     #[inline]
-    fn albedo(&self, hit: Hit, color: Vec3) -> Vec3 {
+    pub(super) fn albedo(&self, hit: Hit, color: Vec3) -> Vec3 {
         if hit.is_cap() {
             CAP
         } else if self.mesh.has_colors() {
@@ -158,7 +163,7 @@ impl<'a> Shader<'a> {
 
 /// The part of a light that a smooth surface keeps where its triangles turn away from the light, so that light ends
 /// smoothly where their shadows begin: Chiang, Li and Burley, "Taming the Shadow Terminator" (2019).
-fn soft_terminator(geometric: Vec3, shading: Vec3, to_light: Vec3) -> f32 {
+pub(super) fn soft_terminator(geometric: Vec3, shading: Vec3, to_light: Vec3) -> f32 {
     let product = shading.dot(to_light) * geometric.dot(shading);
     let cosine = geometric.dot(to_light).max(0.0);
     if cosine >= product {
@@ -207,7 +212,10 @@ mod tests {
     use crate::{
         model::{mesh::Mesh, normal::Normal},
         render::surface::visible_normal,
+        texture::footprint::SampleRays,
     };
+
+    const EYE: Vec3 = Vec3::new(0.0, 0.0, 5.0);
 
     fn traced(mesh: Mesh) -> TracedMesh {
         let mut order: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
@@ -221,7 +229,7 @@ mod tests {
     fn spec(shading: ShadingMode, appearance: Appearance) -> FrameSpec {
         FrameSpec {
             scene: SceneId::Statue { triangles: 0, crease: Default::default() },
-            camera: Camera::look_at(DVec3::Z * 5.0, DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap(),
+            camera: Camera::look_at(EYE.as_dvec3(), DVec3::ZERO, DVec3::Y, 0.7, 16.0 / 9.0).unwrap(),
             size: FrameSize::PAPER,
             view: shading,
             rays: LightingMode::Primary,
@@ -242,7 +250,8 @@ mod tests {
         hits: &[Hit],
     ) -> [Option<Surface>; 64] {
         let mut surfaces = [None; 64];
-        shader.find_surfaces(instructions, directions, hits, &mut surfaces);
+        let rays = SampleRays { eye: EYE, directions, sides: [Vec3::ZERO; 2] };
+        shader.find_surfaces(instructions, rays, hits, &mut surfaces);
         surfaces
     }
 
@@ -350,7 +359,7 @@ mod tests {
                     (Vec3::new(0.0, -1.0, 0.0), Vec3::Z),
                     (Vec3::new(0.0, 1.0, 0.0), corners[2]),
                 ] {
-                    let light = light(&shader, target - shader.eye, Hit { triangle, t: 1.0 });
+                    let light = light(&shader, target - EYE, Hit { triangle, t: 1.0 });
                     assert!((light * 2.0 - 1.0).dot(expected.normalize()) > 0.9999, "{light} at {target}");
                 }
             }
@@ -366,7 +375,7 @@ mod tests {
         let triangle = |sample: u32| [0, Hit::MISS.triangle, 1, 1, Hit::CAP][sample as usize % 5];
         let hits: [Hit; 64] = std::array::from_fn(|sample| Hit { triangle: triangle(sample as u32), t: 1.0 });
         let directions: [Vec3; 64] =
-            std::array::from_fn(|sample| Vec3::new(sample as f32 * 0.01 - 0.3, -0.4, 0.0) - shader.eye);
+            std::array::from_fn(|sample| Vec3::new(sample as f32 * 0.01 - 0.3, -0.4, 0.0) - EYE);
         for n in [0, 1, 27, 64] {
             for instructions in InstructionSet::available() {
                 let together = surfaces(&shader, instructions, &directions[..n], &hits[..n]);
@@ -386,7 +395,7 @@ mod tests {
         let mesh = traced(Mesh { normals, ..facing_mesh() });
         let shader = shader(&mesh, ShadingMode::Normals);
         for triangle in [0, 1] {
-            let at = |target: Vec3| light(&shader, target - shader.eye, Hit { triangle, t: 1.0 });
+            let at = |target: Vec3| light(&shader, target - EYE, Hit { triangle, t: 1.0 });
             assert_eq!(at(Vec3::new(1.0, -1.0, 0.0)), Vec3::new(0.5, 0.5, 1.0));
             assert!(at(Vec3::new(-1.0, -1.0, 0.0)).x > 0.8);
         }
@@ -426,7 +435,7 @@ mod tests {
         let mesh = traced(Mesh { colors: vec![[255, 0, 0], [0, 255, 0], [0, 0, 255]], ..facing_mesh() });
         let shader = shader(&mesh, ShadingMode::Shaded);
         let albedo = |triangle, target: Vec3| {
-            let (direction, hit) = (target - shader.eye, Hit { triangle, t: 1.0 });
+            let (direction, hit) = (target - EYE, Hit { triangle, t: 1.0 });
             let surface = surfaces(&shader, InstructionSet::best(), &[direction], &[hit])[0];
             shader.albedo(hit, surface.expect("a hit on a triangle").color)
         };

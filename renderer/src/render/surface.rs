@@ -7,6 +7,7 @@ use crate::{
     intersect::{ray::Hit, triangle},
     model::normal::Normal,
     simd::{Kernel, Simd},
+    texture::footprint::WideRays,
 };
 
 /// Hits that are done at once.
@@ -15,10 +16,10 @@ const N: usize = 16;
 /// A vector for each of [`N`] hits, by axis.
 type Vectors = [[f32; N]; 3];
 
-/// The surface at a hit: vectors of unit length, all on the eye's side, and its colour.
+/// The surface at a hit: vectors of unit length, all on the side of the ray's origin, and its colour.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surface {
-    /// The direction to the eye.
+    /// The direction to the ray's origin, which is the eye's for rays of a camera.
     pub to_eye: Vec3,
     /// The triangle's normal, or the cap's; zero for slivers too thin to have one.
     pub geometric: Vec3,
@@ -28,22 +29,21 @@ pub struct Surface {
     pub color: Vec3,
 }
 
-/// Interpolates normals and colours of a mesh where up to 64 rays from an eye hit its triangles; `None` for misses and caps.
-pub(super) struct Surfaces<'a> {
+/// Interpolates normals and colours of a mesh where up to 64 rays hit its triangles; `None` for misses and caps.
+pub(super) struct Surfaces<'a, R> {
     pub(super) mesh: &'a TracedMesh,
-    pub(super) eye: Vec3,
-    pub(super) directions: &'a [Vec3],
+    pub(super) rays: R,
     pub(super) hits: &'a [Hit],
     /// Entries beyond the hits are left as they are.
     pub(super) surfaces: &'a mut [Option<Surface>; 64],
 }
 
-impl Kernel for Surfaces<'_> {
+impl<R: WideRays> Kernel for Surfaces<'_, R> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let Self { mesh, eye, directions, hits, surfaces } = self;
+        let Self { mesh, rays, hits, surfaces } = self;
         // Choose the samples that hit triangles.
         let (mut samples, mut n_samples) = ([0; 64], 0);
         for (sample, hit) in (0..64).zip(hits) {
@@ -53,7 +53,8 @@ impl Kernel for Surfaces<'_> {
         }
 
         for samples in samples[..n_samples].chunks(N) {
-            let [to_eye, geometric, shading, color] = gather::<S>(mesh, directions, hits, samples).interpolate(eye);
+            let [to_eye, geometric, shading, color] = gather::<S>(mesh, rays, hits, samples)
+                .interpolate(|lane| rays.origin(samples[lane.min(samples.len() - 1)]));
             for (lane, &sample) in samples.iter().enumerate().take(N) {
                 surfaces[sample] = Some(Surface {
                     to_eye: get(&to_eye, lane),
@@ -68,13 +69,13 @@ impl Kernel for Surfaces<'_> {
 
 /// The rays and triangles of up to [`N`] samples; lanes beyond them repeat the last.
 #[inline(always)]
-fn gather<S: Simd>(mesh: &TracedMesh, directions: &[Vec3], hits: &[Hit], samples: &[usize]) -> Lanes {
+fn gather<S: Simd>(mesh: &TracedMesh, rays: impl WideRays, hits: &[Hit], samples: &[usize]) -> Lanes {
     let mut triangles = [0; N];
     let mut of_lanes = [[0.0; N]; 3];
     for lane in 0..N {
         let sample = samples[lane.min(samples.len() - 1)];
         triangles[lane] = hits[sample].triangle;
-        set(&mut of_lanes, lane, directions[sample]);
+        set(&mut of_lanes, lane, rays.direction(sample));
     }
     let mut corners = [[[0.0; N]; 3]; 3];
     for first in (0..N).step_by(S::LANES) {
@@ -106,13 +107,13 @@ struct Lanes {
 impl Lanes {
     /// The vectors of [`Surface`].
     #[inline(always)]
-    fn interpolate(&self, eye: Vec3) -> [Vectors; 4] {
+    fn interpolate(&self, origin: impl Fn(usize) -> Vec3) -> [Vectors; 4] {
         let [mut to_eyes, mut of_triangles, mut geometrics, mut weights] = [[[0.0; N]; 3]; 4];
         // In double precision, for triangles of any size.
         for lane in 0..N {
             let direction = get(&self.directions, lane);
             let [a, b, c] = [get(&self.corners[0], lane), get(&self.corners[1], lane), get(&self.corners[2], lane)];
-            let parts = triangle::corner_weights(eye, direction, &[a.to_array(), b.to_array(), c.to_array()]);
+            let parts = triangle::corner_weights(origin(lane), direction, &[a.to_array(), b.to_array(), c.to_array()]);
             set(&mut weights, lane, Vec3::new(parts[0] as f32, parts[1] as f32, parts[2] as f32));
             let direction = direction.as_dvec3();
             let normal = (b.as_dvec3() - a.as_dvec3()).cross(c.as_dvec3() - a.as_dvec3());

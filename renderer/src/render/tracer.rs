@@ -8,14 +8,13 @@ use shared::{
     camera::CameraRays,
     division::{Division, Share},
     protocol::FrameSpec,
-    srgb,
 };
 
 use crate::{
     intersect::{MOST_PACKETS, Packet, PacketScratch, clip, ray::Hit},
     render::{
         blocks::{SampleBlock, for_each_group, lanes_to_rows, sum_terms_by_lane},
-        lighting::Lighting,
+        lighting::{LightSums, Lighting},
         parallel::work_off,
         sampling::sample_point,
         scene::Scene,
@@ -31,20 +30,35 @@ impl Scene {
     /// Appends their samples to `rgb`, sRGB-encoded, in the order of [`Share::samples`]. The bits depend only on scene,
     /// spec and sample, so several threads may render parts of one share.
     pub fn render(&self, spec: &FrameSpec, share: &Share, units: Range<u32>, rgb: &mut Vec<u8>) {
+        let n_samples: u32 = units.clone().map(|unit| share.samples(unit).count()).sum();
+        let first = rgb.len();
+        rgb.resize(first + 3 * n_samples as usize, 0);
+        let (pixels, _) = rgb[first..].as_chunks_mut::<3>();
+        let n_samples = spec.samples.count;
+        self.sum_lights(spec, share, units, |lighting, sums, at, index| {
+            pixels[index] = lighting.encode(sums, at, n_samples);
+        });
+    }
+
+    /// Sums the light of all samples of the pixels of `units` of a share, on the calling thread; calls `visit` with the sums,
+    /// block and index of each pixel, and its index in the order of [`Share::samples`].
+    pub fn sum_lights(
+        &self,
+        spec: &FrameSpec,
+        share: &Share,
+        units: Range<u32>,
+        mut visit: impl FnMut(&Lighting<'_>, &LightSums, (usize, usize), usize),
+    ) {
         let spec = &FrameSpec { camera: self.local(&spec.camera), ..*spec };
         let rays = spec.camera.rays(spec.size);
         let clip = self.clip_plane(&spec.camera, spec.appearance.clip);
         let lighting = Lighting::new(&self.grid, spec, clip);
         let mut scratch = PacketScratch::default();
-        let n_samples: u32 = units.clone().map(|unit| share.samples(unit).count()).sum();
-        let first = rgb.len();
-        rgb.resize(first + 3 * n_samples as usize, 0);
-        let (pixels, _) = rgb[first..].as_chunks_mut::<3>();
         let mut packets = [Packet::NONE; MOST_PACKETS];
         let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
         let mut directions = [[Vec3::ZERO; 64]; MOST_PACKETS];
         for_each_group(share, units, |blocks| {
-            let mut sums = [[Vec3::ZERO; 64]; MOST_PACKETS];
+            let mut sums = lighting.no_light();
             // Sum the light of all samples of the blocks' pixels.
             for index in 0..spec.samples.count {
                 let sample = spec.samples.first.wrapping_add(index);
@@ -61,13 +75,11 @@ impl Scene {
                     }
                 }
                 let lights = lighting.light_group(blocks, sample, &directions, &hits, &mut scratch);
-                let all = sums.as_flattened_mut().iter_mut().zip(lights.as_flattened());
-                all.take(64 * blocks.len()).for_each(|(sum, light)| *sum += light);
+                sums.add(blocks.len(), &lights, &hits);
             }
-            // Encode the means.
-            for (block, sums) in blocks.iter().zip(&sums) {
-                for (index, sum) in sums.iter().take(block.n_samples()).enumerate() {
-                    pixels[block.output_index(index)] = (*sum / spec.samples.count as f32).to_array().map(srgb::encode);
+            for (number, block) in blocks.iter().enumerate() {
+                for index in 0..block.n_samples() {
+                    visit(&lighting, &sums, (number, index), block.output_index(index));
                 }
             }
         });

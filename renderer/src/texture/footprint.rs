@@ -62,6 +62,13 @@ const REACH: f32 = 1.5;
 /// Limit of [`Squares::n`]: longer footprints are blurred across.
 const MOST_SQUARES: f32 = 5.0;
 
+/// Rays by number, and the change of their directions across the width and the height of what each stands for.
+pub(crate) trait WideRays: Copy {
+    fn origin(&self, index: usize) -> Vec3;
+    fn direction(&self, index: usize) -> Vec3;
+    fn sides(&self, index: usize) -> [Vec3; 2];
+}
+
 /// Rays of a camera, and the change of their directions across the width and the height of a sample.
 #[derive(Clone, Copy)]
 pub(crate) struct SampleRays<'a> {
@@ -70,10 +77,27 @@ pub(crate) struct SampleRays<'a> {
     pub(crate) sides: [Vec3; 2],
 }
 
+impl WideRays for SampleRays<'_> {
+    #[inline(always)]
+    fn origin(&self, _: usize) -> Vec3 {
+        self.eye
+    }
+
+    #[inline(always)]
+    fn direction(&self, index: usize) -> Vec3 {
+        self.directions[index]
+    }
+
+    #[inline(always)]
+    fn sides(&self, _: usize) -> [Vec3; 2] {
+        self.sides
+    }
+}
+
 /// Finds the footprints of up to 64 samples on the triangles that their rays hit, of a mesh with texture coordinates.
-pub(crate) struct Projection<'a> {
+pub(crate) struct Projection<'a, R> {
     pub(crate) mesh: &'a TracedMesh,
-    pub(crate) rays: SampleRays<'a>,
+    pub(crate) rays: R,
     pub(crate) hits: &'a [Hit],
     /// Indices of hits on triangles.
     pub(crate) samples: &'a [usize],
@@ -81,7 +105,7 @@ pub(crate) struct Projection<'a> {
     pub(crate) footprints: &'a mut Footprints,
 }
 
-impl Kernel for Projection<'_> {
+impl<R: WideRays> Kernel for Projection<'_, R> {
     type Output = ();
 
     #[inline(always)]
@@ -98,7 +122,7 @@ impl Kernel for Projection<'_> {
 #[inline(always)]
 fn project<S: Simd>(
     mesh: &TracedMesh,
-    rays: SampleRays<'_>,
+    rays: impl WideRays,
     hits: &[Hit],
     samples: &[usize],
     footprints: &mut FootprintLanes,
@@ -108,7 +132,7 @@ fn project<S: Simd>(
     for lane in 0..N {
         let sample = samples[lane.min(samples.len() - 1)];
         triangles[lane] = hits[sample].triangle;
-        (0..3).for_each(|axis| directions[axis][lane] = rays.directions[sample][axis]);
+        (0..3).for_each(|axis| directions[axis][lane] = rays.direction(sample)[axis]);
     }
     let mut corners = [[[0.0; N]; 3]; 3];
     for first in (0..N).step_by(S::LANES) {
@@ -127,14 +151,15 @@ fn project<S: Simd>(
         let point = |[u, v]: &Points| Vec2::new(u[lane], v[lane]);
         let [a, b, c] = &corners;
         let direction = Vec3::from_array(vector(&directions));
-        let ray = SampleRay { eye: rays.eye, direction, sides: rays.sides };
+        let sample = samples[lane.min(samples.len() - 1)];
+        let ray = SampleRay { eye: rays.origin(sample), direction, sides: rays.sides(sample) };
         let [at_a, at_b, at_c] = &coordinates;
         let footprint = ray.footprint([vector(a), vector(b), vector(c)], [point(at_a), point(at_b), point(at_c)]);
         footprints.set(lane, &footprint);
     }
 }
 
-/// One of [`SampleRays`].
+/// One of [`WideRays`].
 struct SampleRay {
     eye: Vec3,
     direction: Vec3,

@@ -26,7 +26,7 @@ fn spec(eye: DVec3, target: DVec3, rays: LightingMode) -> FrameSpec {
 }
 
 /// The fraction of a surface's ambient occlusion rays that hit nothing.
-fn ambient_visibility(secondary: &SecondaryRays<'_>, surface: &Surface, pixel: (u32, u32), sample: u32) -> f32 {
+fn ambient_visibility(secondary: &SecondaryRays<'_>, surface: &LiftedPoint, pixel: (u32, u32), sample: u32) -> f32 {
     let mut rays = secondary.ambient_rays(surface, pixel, sample);
     let mut occluded = [false; N_AO_RAYS];
     clip::occluded_rays(secondary.grid, secondary.clip.as_ref(), &mut rays, &mut occluded);
@@ -93,8 +93,8 @@ fn a_ball_does_not_shadow_itself() {
             let all = visibility(&scene, &spec);
             assert!(all.len() > 1000, "the ball is seen");
             for (direction, hit, visibility) in all {
-                let Surface { point, normal } = secondary.surface(direction, hit).unwrap();
-                let facing = normal.dot(secondary.key_light.as_dvec3() - point) > secondary.ray_offset;
+                let LiftedPoint { point, normal } = secondary.lift.point(secondary.eye, direction, hit).unwrap();
+                let facing = normal.dot(secondary.key_light.as_dvec3() - point) > secondary.lift.ray_offset;
                 let expected = f32::from(u8::from(facing));
                 assert_eq!(
                     (visibility.key, visibility.ambient_visibility),
@@ -119,7 +119,7 @@ fn the_light_has_the_direction_that_is_asked_for() {
         assert!((secondary.key_light.normalize() - expected).length() < 1e-6, "{name}: {}", secondary.key_light);
         // Exactly the points that face away from the light are dark: a ball casts no shadow on itself.
         for (direction, hit, visibility) in visibility(&scene, &spec) {
-            let Surface { point, normal } = secondary.surface(direction, hit).unwrap();
+            let LiftedPoint { point, normal } = secondary.lift.point(secondary.eye, direction, hit).unwrap();
             let cosine = normal.dot((secondary.key_light.as_dvec3() - point).normalize());
             assert!(cosine.abs() < 0.05 || (cosine > 0.0) == (visibility.key > 0.0), "{name}: {cosine} {visibility:?}");
         }
@@ -146,9 +146,9 @@ fn objects_touch_their_shadows() {
         // Contact begins within a few units in the last place of the largest coordinate.
         let nearest = 100.0 * f64::from(f32::EPSILON) * (f64::from(offset) + 2.0);
         for (z, expected) in [(-nearest, 0.0), (-1e-2, 0.0), (-0.5, 0.0), (nearest, 1.0), (0.5, 1.0)] {
-            let point = at([0.1, 0.0, z]) + DVec3::Y * secondary.ray_offset;
-            let surfaces: [Option<Surface>; 64] =
-                std::array::from_fn(|lane| (lane == 7).then_some(Surface { point, normal: DVec3::Y }));
+            let point = at([0.1, 0.0, z]) + DVec3::Y * secondary.lift.ray_offset;
+            let surfaces: [Option<LiftedPoint>; 64] =
+                std::array::from_fn(|lane| (lane == 7).then_some(LiftedPoint { point, normal: DVec3::Y }));
             let mut visibility = [[LightVisibility { key_direction: Vec3::Y, key: 0.5, ambient_visibility: 1.0 }; 64]];
             let blocks = [ROW];
             secondary.cast_shadows(&blocks, &[surfaces], &mut visibility, &mut PacketScratch::default());
@@ -174,8 +174,8 @@ fn removed_parts_cast_no_shadow() {
         let plane = scene.clip_plane(&spec.camera, clip);
         let mut secondary = SecondaryRays::new(&scene.grid, &spec, plane);
         secondary.key_light = Vec3::new(0.2, 3.0, 0.1);
-        let surface = Surface { point: DVec3::new(0.3, secondary.ray_offset, 0.2), normal: DVec3::Y };
-        let surfaces = std::array::from_fn(|_| Some(Surface { ..surface }));
+        let surface = LiftedPoint { point: DVec3::new(0.3, secondary.lift.ray_offset, 0.2), normal: DVec3::Y };
+        let surfaces = std::array::from_fn(|_| Some(LiftedPoint { ..surface }));
         let mut visibility = [[LightVisibility { key_direction: Vec3::Y, key: 0.5, ambient_visibility: 1.0 }; 64]];
         let blocks = [ROW];
         secondary.cast_shadows(&blocks, &[surfaces], &mut visibility, &mut PacketScratch::default());
@@ -223,8 +223,8 @@ fn shadows_match_a_search_of_all_triangles() {
     let light = secondary.key_light.as_dvec3();
     let (mut n_dark, mut n_lit, mut n_wrong) = (0, 0, 0);
     for (direction, hit, visibility) in visibility(&scene, &spec) {
-        let Surface { point, normal } = secondary.surface(direction, hit).unwrap();
-        if normal.dot(light - point) < 2.0 * secondary.ray_offset {
+        let LiftedPoint { point, normal } = secondary.lift.point(secondary.eye, direction, hit).unwrap();
+        if normal.dot(light - point) < 2.0 * secondary.lift.ray_offset {
             continue;
         }
         let blocked = is_blocked(&mesh, point, light);
@@ -248,7 +248,7 @@ fn a_corner_is_more_occluded_than_a_plain() {
     let spec = spec(DVec3::new(0.0, 3.0, 6.0), DVec3::Y, LightingMode::AmbientOcclusion);
     let secondary = SecondaryRays::new(&scene.grid, &spec, None);
     let mean_visibility = |height: f64| {
-        let surface = Surface { point: DVec3::new(0.0, height, secondary.ray_offset), normal: DVec3::Z };
+        let surface = LiftedPoint { point: DVec3::new(0.0, height, secondary.lift.ray_offset), normal: DVec3::Z };
         let samples = (0..256).map(|sample| ambient_visibility(&secondary, &surface, (3, 4), sample));
         samples.sum::<f32>() / 256.0
     };

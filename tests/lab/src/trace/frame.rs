@@ -25,7 +25,6 @@ use shared::{
     camera::CameraRays,
     division::{Division, FrameSize, Share, TILE_SIZE},
     protocol::FrameSpec,
-    srgb,
 };
 
 use super::shadows::ShadowCaster;
@@ -149,9 +148,13 @@ impl Frame {
                         }
                     }
                     let lights = lighting.light_group(blocks, 0, &directions, &hits, &mut scratch);
-                    for (block, lights) in blocks.iter().zip(lights) {
+                    let mut sums = lighting.no_light();
+                    sums.add(blocks.len(), &lights, &hits);
+                    for (number, block) in blocks.iter().enumerate() {
                         let colors = part.values_of(block).iter_mut().take(block.n_samples());
-                        colors.zip(lights).for_each(|(color, light)| *color = light.to_array().map(srgb::encode));
+                        colors
+                            .enumerate()
+                            .for_each(|(index, color)| *color = lighting.encode(&sums, (number, index), 1));
                     }
                 });
             }

@@ -1,0 +1,363 @@
+//! Path tracing: light from a sun and a sky that bounces between surfaces.
+//!
+//! Kajiya, "The Rendering Equation" (1986), as in Pharr, Jakob and Humphreys, *Physically Based Rendering* (4th edition, 2023,
+//! chapter 13): each path goes on where its surface scatters most; at each surface a ray to the sun is weighed against the
+//! path's own chance to hit it (Veach and Guibas, "Optimally Combining Sampling Techniques for Monte Carlo Rendering",
+//! 1995). The sky changes so slowly that paths find it best by leaving the scene.
+//!
+//! The paths of neighbouring samples go from bounce to bounce together, so hundreds of rays are traced in one call. Only
+//! + − × ÷ √ are used, in a fixed order for each path: every machine computes the same bits.
+//!
+//! `sobol` makes random numbers, `lights` are sun and sky, `scattering` is what surfaces do to light, and `tone` makes it fit
+//! a display.
+
+mod lights;
+mod scattering;
+mod sobol;
+#[cfg(test)]
+mod tests;
+pub(super) mod tone;
+
+use std::f32::consts::PI;
+
+use glam::{DVec3, Vec3};
+use shared::{appearance::ClipPlane, protocol::FrameSpec};
+
+use self::{
+    lights::{Sky, Sun},
+    scattering::{ScatterSample, Scattering},
+    sobol::PixelSample,
+};
+use crate::{
+    grid::Grid,
+    intersect::{
+        MOST_PACKETS, clip,
+        ray::{Hit, Ray},
+    },
+    render::{
+        blocks::SampleBlock,
+        lift::Lift,
+        sampling::circle_point,
+        secondary::{back_and_light, tangent_basis},
+        shade::Shader,
+        surface::{Surface, normalize_or_zero},
+    },
+    texture::{
+        footprint::WideRays,
+        materials::{Finish, PointMaterial},
+    },
+};
+
+/// Light that a white surface scatters when the sun is in front of it.
+pub const SUN_LIGHT: Vec3 = Vec3::new(0.82, 0.77, 0.69);
+
+/// Linear light of the sky straight above; from there to straight below it changes evenly with height.
+pub const ZENITH_LIGHT: Vec3 = Vec3::new(0.40, 0.46, 0.57);
+/// Linear light of the sky straight below.
+pub const GROUND_LIGHT: Vec3 = Vec3::new(0.13, 0.115, 0.105);
+
+/// Directions in which an eye looks for the sky, and the least part of them that must find it.
+const N_LOOKS: u32 = 64;
+const LEAST_OPEN: f32 = 0.125;
+
+/// Change of a scattered ray's direction across what it stands for, in radians: the detail of textures that it sees, which
+/// many paths blur anyway.
+const SCATTERED_WIDTH: f32 = 0.1;
+
+/// Reflections that scattered light sees have at least this roughness: smoother ones would be rare and bright, as caustics.
+const LEAST_SCATTERED_ROUGHNESS: f32 = 0.5;
+
+/// Dimensions of the samples that each bounce takes.
+const DIMENSIONS: u32 = 3;
+
+/// Follows the paths of one frame's samples.
+pub(super) struct PathTracer<'a> {
+    grid: &'a Grid,
+    clip: Option<ClipPlane>,
+    lift: Lift<'a>,
+    eye: DVec3,
+    key: KeyLight,
+    sky: Sky,
+    bounces: u8,
+}
+
+/// The light that casts shadows.
+enum KeyLight {
+    Sun(Sun),
+    /// A lamp at a point, which gives surfaces at any distance the sun's light: where the eye sees hardly any sky, in a room
+    /// or within a model, there would be no light without it.
+    Lamp(DVec3),
+}
+
+/// A path that has hit a surface.
+struct Path {
+    /// Index of the pixel among those of the group of blocks.
+    pixel: usize,
+    sample: PixelSample,
+    origin: DVec3,
+    direction: Vec3,
+    /// Change of the direction across the width and the height of what the ray stands for.
+    sides: [Vec3; 2],
+    hit: Hit,
+    /// The part of the light from the direction that reaches the eye.
+    weight: Vec3,
+    /// Whether scattered light follows the path, which blurs what it sees.
+    is_scattered: bool,
+}
+
+/// A ray of a path, and the light that reaches the eye if it hits nothing.
+struct Pending {
+    path: Path,
+    light: Vec3,
+}
+
+/// Paths by number.
+#[derive(Clone, Copy)]
+struct PathRays<'a>(&'a [Path]);
+
+impl WideRays for PathRays<'_> {
+    #[inline(always)]
+    fn origin(&self, index: usize) -> Vec3 {
+        self.0[index].origin.as_vec3()
+    }
+
+    #[inline(always)]
+    fn direction(&self, index: usize) -> Vec3 {
+        self.0[index].direction
+    }
+
+    #[inline(always)]
+    fn sides(&self, index: usize) -> [Vec3; 2] {
+        self.0[index].sides
+    }
+}
+
+/// Rays that bring light unless they hit something.
+#[derive(Default)]
+struct ShadowRays {
+    rays: Vec<Ray>,
+    /// For each ray the pixel, and the light.
+    lights: Vec<(usize, Vec3)>,
+}
+
+impl ShadowRays {
+    /// Adds a ray of this length.
+    fn push(&mut self, (origin, direction, length): (DVec3, Vec3, f32), pixel: usize, light: Vec3) {
+        if light.cmpgt(Vec3::ZERO).any() {
+            self.rays.push(Ray { t_max: length, ..Ray::new(origin.as_vec3(), direction) });
+            self.lights.push((pixel, light));
+        }
+    }
+}
+
+impl<'a> PathTracer<'a> {
+    /// Prepares for one frame of a scene that a plane may cut open.
+    pub(super) fn new(grid: &'a Grid, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
+        let [_, to_light] = back_and_light(spec);
+        let light = spec.appearance.path;
+        let up = spec.camera.v().normalize().as_vec3();
+        let eye = spec.camera.eye().as_vec3().as_dvec3();
+        let key = match open_part(grid, clip.as_ref(), eye.as_vec3()) < LEAST_OPEN {
+            true => KeyLight::Lamp(eye),
+            false => KeyLight::Sun(Sun::new(to_light, light.sun_degrees(), SUN_LIGHT)),
+        };
+        Self {
+            grid,
+            clip,
+            lift: Lift::new(grid.mesh(), clip, Vec3::ZERO),
+            eye,
+            key,
+            sky: Sky { up, zenith: ZENITH_LIGHT, ground: GROUND_LIGHT },
+            bounces: light.bounces(),
+        }
+    }
+
+    /// Adds the light of sample number `sample` of neighbouring blocks' pixels to `lights`; misses add none.
+    ///
+    /// The samples' rays follow `directions` from the eye to `hits`; `sides` are the changes of direction across a sample.
+    pub(super) fn add_lights(
+        &self,
+        shader: &Shader<'_>,
+        blocks: &[SampleBlock<'_>],
+        sample: u32,
+        (directions, sides): (&[[Vec3; 64]], [Vec3; 2]),
+        hits: &[[Hit; 64]],
+        lights: &mut [[Vec3; 64]],
+    ) {
+        let mut paths = Vec::with_capacity(64 * MOST_PACKETS);
+        for (index, block) in blocks.iter().enumerate() {
+            for (sample_idx, pixel) in block.samples().enumerate().filter(|&(at, _)| !hits[index][at].is_miss()) {
+                paths.push(Path {
+                    pixel: 64 * index + sample_idx,
+                    sample: PixelSample::new(pixel, sample),
+                    origin: self.eye,
+                    direction: directions[index][sample_idx],
+                    sides,
+                    hit: hits[index][sample_idx],
+                    weight: Vec3::ONE,
+                    is_scattered: false,
+                });
+            }
+        }
+        let lights = lights.as_flattened_mut();
+        for bounce in 0..=self.bounces {
+            paths = self.bounce(shader, bounce, &paths, lights);
+            if paths.is_empty() {
+                break;
+            }
+        }
+    }
+
+    /// Lights the surfaces that paths have hit, and follows the paths to their next surfaces; the last bounce only to the sky.
+    fn bounce(&self, shader: &Shader<'_>, bounce: u8, paths: &[Path], lights: &mut [Vec3]) -> Vec<Path> {
+        let is_last = bounce == self.bounces;
+        let (mut shadow_rays, mut pending) = (ShadowRays::default(), Vec::with_capacity(paths.len()));
+        let (mut surfaces, mut materials, mut hits) = ([None; 64], [None; 64], [Hit::MISS; 64]);
+        for paths in paths.chunks(64) {
+            // Interpolate the surfaces, and look up their materials.
+            let rays = PathRays(paths);
+            hits.iter_mut().zip(paths).for_each(|(hit, path)| *hit = path.hit);
+            let hits = &hits[..paths.len()];
+            shader.find_surfaces(self.grid.instructions, rays, hits, &mut surfaces);
+            if self.grid.mesh().has_materials() {
+                self.grid.mesh().find_materials(self.grid.instructions, rays, hits, &mut materials);
+            }
+            for (index, path) in paths.iter().enumerate() {
+                let surface = surfaces[index].unwrap_or_else(|| shader.flat_surface(path.direction, path.hit));
+                let Some(lifted) = self.lift.point(path.origin, path.direction, path.hit) else { continue };
+                let light = &mut lights[path.pixel];
+                let material = materials[index].as_ref();
+                let Some(scattering) = self.scattering(shader, path, &surface, material, light) else { continue };
+
+                let random = |number: u32| path.sample.pair(DIMENSIONS * u32::from(bounce) + number);
+                let (direction, length, key) = self.key_light(&scattering, lifted.point, random(0));
+                shadow_rays.push((lifted.point, direction, length), path.pixel, path.weight * key);
+
+                // The path's next ray; the less light it brings, the more often it ends (Russian roulette).
+                let [choice, roulette] = random(1);
+                let Some(next) = scattering.sample(choice, random(2)) else { continue };
+                let ScatterSample { direction, is_diffuse, density, .. } = next;
+                let weight = path.weight * next.weight;
+                let survival = if bounce == 0 || is_last { 1.0 } else { weight.max_element().min(1.0) };
+                if roulette >= survival {
+                    continue;
+                }
+                let weight = weight * (1.0 / survival);
+                let escaped = weight * self.escaped(direction, density);
+                if is_last {
+                    shadow_rays.push((lifted.point, direction, f32::MAX), path.pixel, escaped);
+                    continue;
+                }
+                let width = if is_diffuse { SCATTERED_WIDTH } else { path.sides[0].length() / path.direction.length() };
+                pending.push(Pending {
+                    path: Path {
+                        origin: lifted.point.as_vec3().as_dvec3(),
+                        direction,
+                        sides: tangent_basis(direction).map(|side| side * width),
+                        weight,
+                        is_scattered: path.is_scattered || is_diffuse,
+                        ..*path
+                    },
+                    light: escaped,
+                });
+            }
+        }
+        self.add_unoccluded(shadow_rays, lights);
+        self.follow(pending, lights)
+    }
+
+    /// The scattering of the surface that a path has hit; adds the light that the surface gives off. `None` if it only gives
+    /// off light.
+    fn scattering(
+        &self,
+        shader: &Shader<'_>,
+        path: &Path,
+        surface: &Surface,
+        material: Option<&PointMaterial>,
+        light: &mut Vec3,
+    ) -> Option<Scattering> {
+        let Some(material) = material.filter(|_| !path.hit.is_cap()) else {
+            return Some(Scattering::matte(surface, shader.albedo(path.hit, surface.color)));
+        };
+        let of_mesh = if self.grid.mesh().has_colors() { surface.color } else { Vec3::ONE };
+        let color = of_mesh * Vec3::from(material.base_color);
+        *light += path.weight * Vec3::from(material.emissive);
+        match material.finish {
+            Finish::Unlit => {
+                *light += path.weight * color;
+                None
+            }
+            Finish::Matte => Some(Scattering::matte(surface, color)),
+            Finish::Glossy { roughness, metallic } => {
+                let least_roughness = if path.is_scattered { LEAST_SCATTERED_ROUGHNESS } else { 0.0 };
+                Some(Scattering::glossy(surface, color, roughness, metallic, least_roughness))
+            }
+        }
+    }
+
+    /// A direction to the key light, the distance, and the light from there that a surface scatters to the eye if nothing is
+    /// between. The sun's is weighed against the path's own chance to go there.
+    fn key_light(&self, scattering: &Scattering, point: DVec3, random: [f32; 2]) -> (Vec3, f32, Vec3) {
+        match &self.key {
+            KeyLight::Sun(sun) => {
+                let sun = sun.sample(random);
+                let (part, density) = scattering.toward(sun.direction);
+                (sun.direction, f32::MAX, part * sun.radiance * (1.0 / (sun.density + density)))
+            }
+            KeyLight::Lamp(lamp) => {
+                let to_lamp = *lamp - point;
+                let direction = normalize_or_zero(to_lamp);
+                let (part, _) = scattering.toward(direction);
+                (direction, to_lamp.length() as f32, part * SUN_LIGHT * PI)
+            }
+        }
+    }
+
+    /// The light of sun and sky from a direction that was chosen with this density, in which nothing is hit. The sun's is
+    /// weighed against the shadow rays' chance to go there.
+    fn escaped(&self, direction: Vec3, density: f32) -> Vec3 {
+        let sky = self.sky.radiance(direction);
+        let KeyLight::Sun(sun) = &self.key else { return sky };
+        let sun = sun.toward(direction);
+        sky + sun.radiance * (density / (density + sun.density))
+    }
+
+    /// Traces shadow rays, and adds the light of those that hit nothing.
+    fn add_unoccluded(&self, ShadowRays { mut rays, lights: of_rays }: ShadowRays, lights: &mut [Vec3]) {
+        let mut occluded = vec![false; rays.len()];
+        clip::occluded_rays(self.grid, self.clip.as_ref(), &mut rays, &mut occluded);
+        for ((pixel, light), _) in of_rays.into_iter().zip(occluded).filter(|(_, occluded)| !occluded) {
+            lights[pixel] += light;
+        }
+    }
+
+    /// Traces paths to their next surfaces; adds the light of those that leave the scene.
+    fn follow(&self, pending: Vec<Pending>, lights: &mut [Vec3]) -> Vec<Path> {
+        let ray = |Pending { path, .. }: &Pending| Ray::new(path.origin.as_vec3(), path.direction);
+        let rays: Vec<_> = pending.iter().map(ray).collect();
+        let mut hits = vec![Hit::MISS; rays.len()];
+        clip::intersect_rays(self.grid, self.clip.as_ref(), &rays, &mut hits);
+        let followed = pending.into_iter().zip(hits).filter_map(|(Pending { path, light }, hit)| {
+            if hit.is_miss() {
+                lights[path.pixel] += light;
+            }
+            (!hit.is_miss()).then_some(Path { hit, ..path })
+        });
+        followed.collect()
+    }
+}
+
+/// The part of all directions in which an eye sees no surface.
+fn open_part(grid: &Grid, clip: Option<&ClipPlane>, eye: Vec3) -> f32 {
+    let ray = |look: u32| {
+        // Equal steps of height are equal areas of a sphere.
+        let [height, around] = PixelSample::new((0, 0), look).pair(0);
+        let (z, [x, y]) = (1.0 - 2.0 * height, circle_point(around));
+        let radius = (1.0 - z * z).sqrt();
+        Ray::new(eye, Vec3::new(x * radius, y * radius, z))
+    };
+    let mut rays: [_; N_LOOKS as usize] = std::array::from_fn(|look| ray(look as u32));
+    let mut occluded = [false; N_LOOKS as usize];
+    clip::occluded_rays(grid, clip, &mut rays, &mut occluded);
+    occluded.iter().filter(|&&occluded| !occluded).count() as f32 / N_LOOKS as f32
+}

@@ -1,0 +1,120 @@
+//! Low-discrepancy samples: pure functions of pixel and sample number.
+//!
+//! Pairs of dimensions of Sobol's sequence, each with an order and an Owen scrambling of its own: Burley, "Practical
+//! Hash-based Owen Scrambling" (2020), padded as in Pharr, Jakob and Humphreys, *Physically Based Rendering* (4th edition,
+//! 2023, section 8.7.3), with the hash of Vegdahl, "Building a Better LK Hash" (2021).
+
+use crate::render::sampling::hash_u32;
+
+/// The random numbers of one sample of a pixel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct PixelSample {
+    seed: u32,
+    /// The sample's number, with its bits reversed.
+    reversed: u32,
+}
+
+impl PixelSample {
+    /// Sample number `sample` of pixel (i, j).
+    pub(super) fn new((i, j): (u32, u32), sample: u32) -> Self {
+        Self { seed: hash_u32(i ^ hash_u32(j ^ hash_u32(SEED))), reversed: sample.reverse_bits() }
+    }
+
+    /// A point of the unit square, 1 excluded. Points of equal `dimension` fill it evenly over the samples of a pixel, and
+    /// those of others are independent.
+    pub(super) fn pair(self, dimension: u32) -> [f32; 2] {
+        let seed = hash_u32(self.seed ^ hash_u32(dimension));
+        // The bits of the shuffled index, reversed, are its first coordinate already.
+        let first = scramble_reversed(self.reversed, seed);
+        let coordinates = [first, pascal(first)];
+        std::array::from_fn(|axis| {
+            let seed = hash_u32(seed ^ SEED_OF_AXES[axis]);
+            let bits = scramble_reversed(coordinates[axis].reverse_bits(), seed).reverse_bits();
+            // 24 bits, so that no number is rounded up to 1.
+            (bits >> 8) as f32 * (1.0 / 16_777_216.0)
+        })
+    }
+}
+
+/// Any numbers.
+const SEED: u32 = 0x5eed_0001;
+const SEED_OF_AXES: [u32; 2] = [0x9e37_79b9, 0x7f4a_7c15];
+
+/// Owen's scrambling of a number with reversed bits: each bit may flip by those below it.
+fn scramble_reversed(mut x: u32, seed: u32) -> u32 {
+    x ^= x.wrapping_mul(0x3d20_adea);
+    x = x.wrapping_add(seed);
+    x = x.wrapping_mul(seed >> 16 | 1);
+    x ^= x.wrapping_mul(0x0552_6c56);
+    x ^ x.wrapping_mul(0x53a2_2864)
+}
+
+/// The second coordinate of Sobol's sequence from the first: Pascal's matrix modulo 2, after Ahmed, "An Implementation
+/// Algorithm of 2D Sobol Sequence Fast, Elegant, and Compact" (2024).
+fn pascal(mut x: u32) -> u32 {
+    x ^= x << 16;
+    x ^= (x & 0x00ff_00ff) << 8;
+    x ^= (x & 0x0f0f_0f0f) << 4;
+    x ^= (x & 0x3333_3333) << 2;
+    x ^ (x & 0x5555_5555) << 1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_second_coordinate_is_that_of_the_direction_numbers() {
+        for index in (0..4096u32).chain([u32::MAX, 0xdead_beef]) {
+            // Sobol's second dimension has the polynomial x + 1: each direction number is the last one xor its half.
+            let (mut expected, mut direction) = (0, 1 << 31);
+            for bit in 0..32 {
+                expected ^= if index >> bit & 1 == 1 { direction } else { 0 };
+                direction ^= direction >> 1;
+            }
+            assert_eq!(pascal(index.reverse_bits()), expected, "{index}");
+        }
+    }
+
+    #[test]
+    fn every_power_of_two_of_samples_is_a_net() {
+        for (pixel, dimension) in [((0, 0), 0), ((3, 5), 1), ((1023, 7), 12), ((40000, 40001), 300)] {
+            for (log, offset) in [(4, 0), (4, 16), (8, 0), (8, 512)] {
+                let points: Vec<_> =
+                    (0..1 << log).map(|index| PixelSample::new(pixel, offset + index).pair(dimension)).collect();
+                // Each elementary interval of area 1/n holds one of n points.
+                for columns_log in 0..=log {
+                    let mut seen = vec![0; 1 << log];
+                    for [x, y] in &points {
+                        let (column, row) = (
+                            (x * (1 << columns_log) as f32) as usize,
+                            (y * (1 << (log - columns_log)) as f32) as usize,
+                        );
+                        seen[row << columns_log | column] += 1;
+                    }
+                    assert!(seen.iter().all(|&n| n == 1), "{pixel:?} {dimension} {log} {columns_log}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn pixels_and_dimensions_are_independent() {
+        let correlation = |other: &dyn Fn(u32) -> f32| {
+            let products =
+                (0..4096).map(|index| (PixelSample::new((index, 7), 1).pair(0)[0] - 0.5) * (other(index) - 0.5));
+            products.sum::<f32>() / 4096.0 * 12.0
+        };
+        let same = correlation(&|index| PixelSample::new((index, 7), 1).pair(0)[0]);
+        assert!((same - 1.0).abs() < 0.1, "{same}");
+        for other in [
+            correlation(&|index| PixelSample::new((index, 7), 1).pair(0)[1]),
+            correlation(&|index| PixelSample::new((index, 7), 1).pair(1)[0]),
+            correlation(&|index| PixelSample::new((index, 8), 1).pair(0)[0]),
+            correlation(&|index| PixelSample::new((index + 1, 7), 1).pair(0)[0]),
+        ] {
+            // Four standard errors of the mean of 4096 products.
+            assert!(other.abs() < 4.0 / 64.0, "{other}");
+        }
+    }
+}

@@ -1,0 +1,269 @@
+//! Path-traced light beside closed forms.
+
+use std::f64::consts::PI;
+
+use shared::{
+    appearance::Appearance,
+    camera::Camera,
+    division::{FrameSize, SampleRect},
+    path_light::PathLight,
+    protocol::{LightingMode, SampleRange, ShadingMode},
+    scene::SceneId,
+};
+
+use super::*;
+use crate::{
+    grid::GridOptions,
+    model::{
+        material::{Material, Materials},
+        mesh::Mesh,
+        statue,
+    },
+    render::scene::Scene,
+};
+
+fn spec(eye: DVec3, target: DVec3, bounces: u8) -> FrameSpec {
+    let path = PathLight::new(40, bounces, 0).unwrap();
+    FrameSpec {
+        scene: SceneId::Statue { triangles: 0, crease: Default::default() },
+        camera: Camera::look_at(eye, target, DVec3::Y, 0.7, 2.0).unwrap(),
+        size: FrameSize::new(64, 32).unwrap(),
+        view: ShadingMode::Shaded,
+        rays: LightingMode::Path,
+        samples: SampleRange::CENTRE,
+        appearance: Appearance { path, ..Appearance::default() },
+    }
+}
+
+fn build(mesh: Mesh) -> Scene {
+    Scene::build(mesh, &GridOptions::default(), &|_| ())
+}
+
+/// A ball of flat triangles around zero, with the radius 1.
+fn ball() -> Mesh {
+    let mut mesh = Mesh::default();
+    let (rows, columns) = (24u32, 48u32);
+    for (row, column) in (0..=rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
+        let (sin, cos) = (PI * f64::from(row) / f64::from(rows)).sin_cos();
+        let (sin_around, cos_around) = (2.0 * PI * f64::from(column) / f64::from(columns)).sin_cos();
+        mesh.vertices.push(DVec3::new(sin * cos_around, cos, sin * sin_around).as_vec3().to_array());
+        if row < rows {
+            let [a, b] = [column, (column + 1) % columns].map(|column| row * columns + column);
+            mesh.triangles.extend([[a, a + columns, b], [b, a + columns, b + columns]]);
+        }
+    }
+    mesh
+}
+
+fn colored(mesh: Mesh, color: [u8; 3]) -> Mesh {
+    Mesh { colors: vec![color; mesh.vertices.len()], ..mesh }
+}
+
+/// Nothing but a sky.
+fn set_sky(tracer: &mut PathTracer<'_>, zenith: Vec3, ground: Vec3) {
+    tracer.key = KeyLight::Sun(Sun::new(DVec3::Y, 4.0, Vec3::ZERO));
+    tracer.sky = Sky { up: Vec3::Y, zenith, ground };
+}
+
+/// The mean light of `n_samples` samples at each hit of a frame, with the hit and the point.
+fn lights(
+    scene: &Scene,
+    spec: &FrameSpec,
+    n_samples: u32,
+    set: impl Fn(&mut PathTracer<'_>),
+) -> Vec<(Hit, DVec3, DVec3)> {
+    let mut tracer = PathTracer::new(&scene.grid, spec, None);
+    set(&mut tracer);
+    let shader = Shader::new(scene.mesh(), spec, None);
+    let rays = spec.camera.rays(spec.size);
+    let mut all = Vec::new();
+    for (first_i, first_j) in (0..4).flat_map(|row| (0..8).map(move |column| (8 * column, 8 * row))) {
+        let samples = SampleRect { columns: first_i..first_i + 8, rows: first_j..first_j + 8 };
+        let mut directions = [Vec3::ZERO; 64];
+        directions.iter_mut().zip(samples.iter()).for_each(|(to, (i, j))| *to = rays.direction(i, j));
+        let hits = directions.map(|direction| scene.grid.intersect(&Ray::new(rays.eye, direction)));
+        let blocks = [SampleBlock::Unit { samples, first_index: 0 }];
+        let mut sums = [[Vec3::ZERO; 64]];
+        for sample in 0..n_samples {
+            tracer.add_lights(&shader, &blocks, sample, (&[directions], [Vec3::ZERO; 2]), &[hits], &mut sums);
+        }
+        all.extend((0..64).filter(|&at| !hits[at].is_miss()).map(|at| {
+            let point = rays.eye.as_dvec3() + directions[at].as_dvec3() * f64::from(hits[at].t);
+            (hits[at], point, sums[0][at].as_dvec3() / f64::from(n_samples))
+        }));
+    }
+    assert!(all.len() > 200, "{} hits", all.len());
+    all
+}
+
+/// Asserts that pixels differ from the truth by no more than `noise` of it (root of the mean square), and on average by no
+/// more than four standard errors.
+fn check(pixels: impl Iterator<Item = (DVec3, DVec3)>, noise: f64) {
+    let errors: Vec<_> = pixels.map(|(light, truth)| (light - truth) / truth).collect();
+    for axis in 0..3 {
+        let n = errors.len() as f64;
+        let mean = errors.iter().map(|error| error[axis]).sum::<f64>() / n;
+        let square = errors.iter().map(|error| error[axis] * error[axis]).sum::<f64>() / n;
+        let standard_error = (square / n).sqrt();
+        assert!(square.sqrt() < noise, "noise of {}", square.sqrt());
+        assert!(mean.abs() < 4.0 * standard_error + 1e-6, "{mean} ± {standard_error}");
+    }
+}
+
+#[test]
+fn in_a_white_furnace_nothing_is_seen() {
+    // A surface that scatters everything has the sky's light, however often light bounces.
+    let eye = DVec3::new(1.0, 2.5, 4.0);
+    let sky = Vec3::new(0.7, 0.5, 0.3);
+    let white_ball = build(colored(ball(), [255; 3]));
+    for (_, _, light) in lights(&white_ball, &spec(eye, DVec3::ZERO, 4), 16, |tracer| set_sky(tracer, sky, sky)) {
+        assert!((light - sky.as_dvec3()).abs().max_element() < 1e-5, "{light}");
+    }
+    let statue = build(colored(statue::generate(3000, &|_| ()), [255; 3]));
+    let statue_spec = spec(DVec3::new(0.6, 1.7, 3.0), DVec3::Y * 1.5, 64);
+    let all = lights(&statue, &statue_spec, 16, |tracer| set_sky(tracer, sky, sky));
+    let n_darker = all.iter().filter(|(_, _, light)| (*light - sky.as_dvec3()).abs().max_element() > 1e-4).count();
+    // In its deepest folds a few paths have not left after 64 bounces.
+    assert!(n_darker * 50 < all.len(), "{n_darker} of {}", all.len());
+    assert!(all.iter().all(|(_, _, light)| light.cmple(sky.as_dvec3() + 1e-4).all()));
+}
+
+#[test]
+fn a_convex_surface_has_its_albedo_in_an_even_sky() {
+    let scene = build(colored(ball(), [188, 99, 255]));
+    let albedo = Vec3::from_array([188, 99, 255].map(shared::srgb::decode)).as_dvec3();
+    for bounces in [0, 1, 4] {
+        let spec = spec(DVec3::new(1.0, 2.5, 4.0), DVec3::ZERO, bounces);
+        for (_, _, light) in lights(&scene, &spec, 4, |tracer| set_sky(tracer, Vec3::ONE, Vec3::ONE)) {
+            assert!((light - albedo).abs().max_element() < 1e-5, "{light}");
+        }
+    }
+}
+
+#[test]
+fn a_closed_sphere_gathers_the_light_that_it_gives_off() {
+    // The mean of r + r² + … of the light that its surface gives off.
+    let (albedo, given_off) = (0.5, 0.25);
+    let material =
+        Material { base_color: [albedo, albedo, albedo, 1.0], emissive: [given_off; 3], ..Material::default() };
+    let mesh = Mesh { materials: Materials { materials: vec![material], ..Materials::default() }, ..ball() };
+    let scene = build(mesh);
+    for (bounces, noise) in [(0, 1e-5), (1, 1e-5), (3, 0.02), (64, 0.1)] {
+        let spec = spec(DVec3::new(0.1, 0.2, 0.3), DVec3::Z * -0.5, bounces);
+        let truth = f64::from(given_off) * (1.0 - 0.5f64.powi(i32::from(bounces) + 1)) / 0.5;
+        let all = lights(&scene, &spec, 64, |tracer| set_sky(tracer, Vec3::ONE, Vec3::ONE));
+        check(all.into_iter().map(|(_, _, light)| (light, DVec3::splat(truth))), noise);
+    }
+}
+
+#[test]
+fn a_ball_under_a_sky_of_two_colours_is_lit_by_its_normals() {
+    let (zenith, ground) = (Vec3::new(0.2, 0.5, 1.0), Vec3::new(0.6, 0.3, 0.1));
+    let scene = build(colored(ball(), [255; 3]));
+    let spec = spec(DVec3::new(1.0, 0.5, 4.0), DVec3::ZERO, 2);
+    let all = lights(&scene, &spec, 64, |tracer| set_sky(tracer, zenith, ground));
+    let truth = |hit: Hit| {
+        // The mean direction of a hemisphere, by the cosine, is two thirds of its normal.
+        let [a, ..] = scene.mesh().corners(hit.triangle);
+        let normal = scene.mesh().normal(hit.triangle).normalize();
+        let normal = normal * normal.dot(Vec3::from_array(a).as_dvec3()).signum();
+        let part = 0.5 + 0.5 * (2.0 / 3.0) * normal.y;
+        ground.as_dvec3().lerp(zenith.as_dvec3(), part)
+    };
+    check(all.into_iter().map(|(hit, _, light)| (light, truth(hit))), 0.02);
+}
+
+#[test]
+fn the_sun_s_shadow_has_the_penumbra_of_a_disc() {
+    // A floor, and above it half a ceiling: its edge hides a segment of the sun's disc.
+    let (height, half_size) = (1.0f32, 40.0);
+    let quad = |low: f32, high: f32, y: f32| {
+        [[low, y, -half_size], [high, y, -half_size], [high, y, half_size], [low, y, half_size]]
+    };
+    let mesh = Mesh {
+        vertices: [quad(-half_size, half_size, 0.0), quad(0.0, half_size, height)].concat(),
+        triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]],
+        ..Mesh::default()
+    };
+    let scene = build(colored(mesh, [255; 3]));
+    let spec = spec(DVec3::new(-0.3, 0.5, 0.0), DVec3::new(0.02, 0.0, 0.0), 0);
+    let degrees = 30.0f64;
+    let all = lights(&scene, &spec, 256, |tracer| {
+        tracer.key = KeyLight::Sun(Sun::new(DVec3::Y, degrees, Vec3::ONE));
+        tracer.sky = Sky { up: Vec3::Y, zenith: Vec3::ZERO, ground: Vec3::ZERO };
+    });
+    let (mut n_partly, mut errors) = (0, Vec::new());
+    for (_, point, light) in all.into_iter().filter(|(hit, ..)| scene.mesh().file_index(hit.triangle) < 2) {
+        // Directions (x, y, z) of the disc are visible where x < −point.x · y / height: in the plane across the sun a half of
+        // an ellipse, by numbers.
+        let sine = (degrees / 2.0).to_radians().sin();
+        let n = 200;
+        let visible = (0..n * n).filter_map(|cell| {
+            let [x, z] = [cell % n, cell / n].map(|k| (f64::from(k) + 0.5) / f64::from(n) * 2.0 - 1.0);
+            let (x, z) = (x * sine, z * sine);
+            let y = (1.0 - x * x - z * z).sqrt();
+            (x.hypot(z) < sine).then_some(point.x + x / y * f64::from(height) < 0.0)
+        });
+        let (n_visible, n_all) = visible.fold((0, 0), |(n, all), visible| (n + u32::from(visible), all + 1));
+        let truth = f64::from(n_visible) / f64::from(n_all);
+        n_partly += u32::from(truth > 0.02 && truth < 0.98);
+        errors.push(light.x - truth);
+    }
+    let n = errors.len() as f64;
+    let square = errors.iter().map(|error| error * error).sum::<f64>() / n;
+    let mean = errors.iter().sum::<f64>() / n;
+    assert!(n_partly > 100 && square.sqrt() < 0.01, "{n_partly} in the penumbra, noise of {}", square.sqrt());
+    assert!(mean.abs() < 4.0 * (square / n).sqrt() + 1e-3, "{mean}");
+}
+
+#[test]
+fn gloss_reflects_no_more_than_all_light() {
+    let surface = |cosine: f32| {
+        let to_eye = Vec3::new((1.0 - cosine * cosine).sqrt(), 0.0, cosine);
+        Surface { to_eye, geometric: Vec3::Z, shading: Vec3::Z, color: Vec3::ZERO }
+    };
+    for (roughness, metallic) in [(0.0, 0.0), (0.3, 1.0), (0.6, 0.5), (1.0, 0.0), (1.0, 1.0)] {
+        for cosine in [0.05, 0.4, 0.9, 1.0] {
+            let scattering = Scattering::glossy(&surface(cosine), Vec3::ONE, roughness, metallic, 0.0);
+            let random = |index: u32, dimension: u32| PixelSample::new((7, 9), index).pair(dimension);
+            // By directions that follow the surface, and by all directions of the hemisphere.
+            let n = 1 << 14;
+            let (mut followed, mut squares, mut everywhere, mut density) = (0.0, 0.0, 0.0, 0.0);
+            for index in 0..n {
+                let weight = scattering.sample(random(index, 0)[0], random(index, 1)).map_or(0.0, |next| next.weight.x);
+                followed += f64::from(weight) / f64::from(n);
+                squares += f64::from(weight * weight) / f64::from(n);
+                let [u, v] = random(index, 2);
+                let ([x, y], z) = (circle_point(v), u);
+                let radius = (1.0 - z * z).sqrt();
+                let (part, of_direction) = scattering.toward(Vec3::new(x * radius, y * radius, z));
+                everywhere += f64::from(part.x) * 2.0 * PI / f64::from(n);
+                density += f64::from(of_direction) * 2.0 * PI / f64::from(n);
+            }
+            assert!(followed <= 1.001 && followed > 0.15, "{roughness} {metallic} {cosine}: {followed}");
+            let standard_error = ((squares - followed * followed).max(0.0) / f64::from(n)).sqrt();
+            // Narrow highlights fall between directions that do not follow them.
+            if roughness >= 0.3 {
+                let difference = (followed - everywhere).abs();
+                assert!(
+                    difference < 0.03 + 4.0 * standard_error,
+                    "{roughness} {metallic} {cosine}: {followed} {everywhere}"
+                );
+                assert!(density < 1.02, "{roughness} {metallic} {cosine}: {density}");
+            }
+        }
+    }
+}
+
+#[test]
+fn within_a_model_there_is_light() {
+    let statue = statue::generate(3000, &|_| ());
+    let scene = build(statue);
+    for bounces in [0, 4] {
+        let spec = spec(DVec3::new(0.0, 0.5, 0.0), DVec3::new(0.1, 0.6, -1.0), bounces);
+        let all = lights(&scene, &spec, 16, |_| ());
+        assert!(all.iter().all(|(_, _, light)| light.is_finite() && light.max_element() < 4.0));
+        let n_lit = all.iter().filter(|(_, _, light)| light.min_element() > 0.02).count();
+        assert!(n_lit * 20 > all.len() * 19, "{n_lit} of {}", all.len());
+    }
+}

@@ -1,0 +1,144 @@
+//! The light of path-traced pictures: the sun's size, how often light bounces, and the exposure; other pictures ignore it.
+//!
+//! All values are bounded integers: no NaN can occur, and every machine computes the same bits from them.
+
+use std::ops::RangeInclusive;
+
+use serde::{Deserialize, Serialize};
+
+/// The light of path-traced pictures.
+///
+/// Invariant, on the wire too: each number lies in the range of its limit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "(u16, u8, i16)")]
+pub struct PathLight {
+    sun_decidegrees: u16,
+    bounces: u8,
+    exposure_deci_ev: i16,
+}
+
+/// A number is out of range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PathLightError {
+    /// Of the sun's diameter.
+    #[error("the sun's diameter is from 0 to 90 degrees, with at most one decimal: it is 0.5 in nature")]
+    Sun,
+    /// Of bounces.
+    #[error("light bounces from 0 to {most} times: 4 is enough for most models", most = PathLight::MOST_BOUNCES)]
+    Bounces,
+    /// Of the exposure.
+    #[error("an exposure is from -10 to 10 stops, with at most one decimal: each stop doubles the light")]
+    Exposure,
+}
+
+impl PathLight {
+    /// The most bounces between surfaces.
+    pub const MOST_BOUNCES: u8 = 64;
+    const SUN_DECIDEGREES: RangeInclusive<u16> = 0..=900;
+    const EXPOSURE_DECI_EV: RangeInclusive<i16> = -100..=100;
+
+    /// The sun's diameter in tenths of a degree, bounces of light between surfaces, and exposure in tenths of a stop.
+    pub fn new(sun_decidegrees: u16, bounces: u8, exposure_deci_ev: i16) -> Result<Self, PathLightError> {
+        if !Self::SUN_DECIDEGREES.contains(&sun_decidegrees) {
+            Err(PathLightError::Sun)
+        } else if bounces > Self::MOST_BOUNCES {
+            Err(PathLightError::Bounces)
+        } else if !Self::EXPOSURE_DECI_EV.contains(&exposure_deci_ev) {
+            Err(PathLightError::Exposure)
+        } else {
+            Ok(Self { sun_decidegrees, bounces, exposure_deci_ev })
+        }
+    }
+
+    /// Diameter of the sun seen from the model, in degrees, from 0 to 90.
+    pub fn sun_degrees(self) -> f64 {
+        f64::from(self.sun_decidegrees) / 10.0
+    }
+
+    /// Bounces of light between surfaces, 0 to [`PathLight::MOST_BOUNCES`]; without any, surfaces are lit by sun and sky alone.
+    pub fn bounces(self) -> u8 {
+        self.bounces
+    }
+
+    /// Stops by which pictures are brighter, from −10 to 10.
+    pub fn exposure_ev(self) -> f64 {
+        f64::from(self.exposure_deci_ev) / 10.0
+    }
+
+    /// The factor of the exposure: 2 to the power of its stops, by repeated multiplication, because `powf` differs between
+    /// platforms.
+    pub fn exposure(self) -> f64 {
+        const TENTH_OF_A_STOP: f64 = 1.071_773_462_536_293_1;
+        let factor = (0..self.exposure_deci_ev.unsigned_abs()).fold(1.0, |factor, _| factor * TENTH_OF_A_STOP);
+        if self.exposure_deci_ev < 0 { 1.0 / factor } else { factor }
+    }
+
+    /// Parses the sun's diameter in degrees, in tenths.
+    pub fn parse_sun(text: &str) -> Result<u16, PathLightError> {
+        tenths(text).filter(|tenths| Self::SUN_DECIDEGREES.contains(tenths)).ok_or(PathLightError::Sun)
+    }
+
+    /// Parses bounces.
+    pub fn parse_bounces(text: &str) -> Result<u8, PathLightError> {
+        text.trim().parse().ok().filter(|&bounces| bounces <= Self::MOST_BOUNCES).ok_or(PathLightError::Bounces)
+    }
+
+    /// Parses an exposure in stops, in tenths.
+    pub fn parse_exposure(text: &str) -> Result<i16, PathLightError> {
+        tenths(text).filter(|tenths| Self::EXPOSURE_DECI_EV.contains(tenths)).ok_or(PathLightError::Exposure)
+    }
+}
+
+/// A number with at most one decimal, in tenths.
+fn tenths<T: TryFrom<i32>>(text: &str) -> Option<T> {
+    let tenths = text.trim().parse::<f64>().ok()? * 10.0;
+    let is_exact = (tenths - tenths.round()).abs() < 1e-6 && tenths.abs() < 1e6;
+    is_exact.then(|| T::try_from(tenths.round() as i32).ok()).flatten()
+}
+
+impl Default for PathLight {
+    /// A sun that is larger than in nature, so that edges of shadows are soft; four bounces; no correction of the exposure.
+    fn default() -> Self {
+        Self { sun_decidegrees: 40, bounces: 4, exposure_deci_ev: 0 }
+    }
+}
+
+impl TryFrom<(u16, u8, i16)> for PathLight {
+    type Error = PathLightError;
+
+    fn try_from((sun_decidegrees, bounces, exposure_deci_ev): (u16, u8, i16)) -> Result<Self, PathLightError> {
+        Self::new(sun_decidegrees, bounces, exposure_deci_ev)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_out_of_range_are_refused() {
+        for text in ["", "-1", "90.1", "0.55", "NaN", "inf", "1e300", "x"] {
+            assert_eq!(PathLight::parse_sun(text), Err(PathLightError::Sun), "{text}");
+        }
+        for text in ["", "-1", "65", "1000", "1.5"] {
+            assert_eq!(PathLight::parse_bounces(text), Err(PathLightError::Bounces), "{text}");
+        }
+        for text in ["", "-10.1", "11", "0.01", "NaN", "-inf"] {
+            assert_eq!(PathLight::parse_exposure(text), Err(PathLightError::Exposure), "{text}");
+        }
+        for numbers in [(901, 0, 0), (0, 65, 0), (0, 0, -101), (u16::MAX, u8::MAX, i16::MIN)] {
+            assert!(PathLight::try_from(numbers).is_err(), "{numbers:?}");
+        }
+        assert_eq!(PathLight::parse_sun("0.5"), Ok(5));
+        assert_eq!(PathLight::parse_exposure("-1.5"), Ok(-15));
+    }
+
+    #[test]
+    fn a_stop_doubles_the_light() {
+        for deci_ev in PathLight::EXPOSURE_DECI_EV {
+            let light = PathLight::new(0, 0, deci_ev).unwrap();
+            let expected = (f64::from(deci_ev) / 10.0).exp2();
+            assert!((light.exposure() / expected - 1.0).abs() < 1e-13, "{deci_ev}");
+        }
+    }
+}
