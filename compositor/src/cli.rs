@@ -4,6 +4,7 @@ pub mod args;
 pub mod check;
 pub mod headless;
 pub mod local;
+pub mod remote_args;
 pub mod report;
 pub(crate) mod restart;
 pub mod run;

@@ -40,8 +40,8 @@ use tokio::{
     sync::{Notify, mpsc, watch},
 };
 
-pub(crate) use self::frame_buffer::MOST_FRAMES;
 use self::stats::{FarmStatus, FrameStats};
+pub(crate) use self::{frame_buffer::MOST_FRAMES, rate_limit::RateLimit};
 pub use self::{
     frame_buffer::{BufferPool, FrameBuffer, FrameSamples, PlaceError},
     local_news::LocalReporter,

@@ -2,14 +2,15 @@
 //!
 //! In reading order: [`cli`] is the command line, which starts a wall and checks wall files; [`control`] turns keys, mouse
 //! and time into the render goal; [`wall`] is the geometry of the projectors; [`farm`] has frames rendered by render
-//! servers, [`gpu`] draws them, and [`window`] shows them; [`overlay`] is the operator's panels, and [`supervisor`] restarts
-//! a wall that crashed.
+//! servers, [`gpu`] draws them, and [`window`] shows them; [`overlay`] is the operator's panels, [`remote`] the page in a
+//! visitor's hand, and [`supervisor`] restarts a wall that crashed.
 
 pub mod cli;
 pub mod control;
 pub mod farm;
 pub mod gpu;
 mod overlay;
+pub mod remote;
 #[cfg(all(unix, not(target_os = "macos")))]
 mod supervisor;
 #[cfg(not(all(unix, not(target_os = "macos"))))]

@@ -1,6 +1,7 @@
 //! The operator's panels over the wall: a pure function of an [`OverlayModel`] that returns [`Command`]s.
 
 mod appearance;
+mod code;
 mod figures;
 mod files;
 mod help;
@@ -74,6 +75,8 @@ pub(crate) struct OverlayModel {
     pub pick_on_canvas: Option<egui::Pos2>,
     /// The panel of files that can be opened, while it is shown.
     pub files: Option<FileList>,
+    /// The link in the code that opens the remote, while it is shown.
+    pub remote_link: Option<String>,
     /// The grid's structure, if it differs from the one with which render servers were started.
     pub structure: Option<Structure>,
     pub tint: Tint,
@@ -98,7 +101,7 @@ impl OverlayModel {
     pub(crate) fn is_visible(&self) -> bool {
         let has_tint = self.tint != Tint::None || self.pick_on_canvas.is_some();
         let has_text = self.note.is_some() || !self.messages.is_empty() || legend::is_needed(self);
-        self.panel || self.help || self.files.is_some() || has_text || has_tint
+        self.panel || self.help || self.files.is_some() || self.remote_link.is_some() || has_text || has_tint
     }
 
     /// The model with all texts fit for the screen: peers, files and the wall's file name much of what it shows.
@@ -138,7 +141,15 @@ impl OverlayModel {
 
     /// The model without panels, which only one window shows; every window shows the rest.
     pub(crate) fn without_panels(&self) -> Self {
-        Self { panel: false, help: false, files: None, note: None, messages: Vec::new(), ..self.clone() }
+        Self {
+            panel: false,
+            help: false,
+            files: None,
+            remote_link: None,
+            note: None,
+            messages: Vec::new(),
+            ..self.clone()
+        }
     }
 }
 
@@ -179,6 +190,8 @@ pub(crate) fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
     output.has_dialog = model.help || model.files.is_some();
     let texts = show_texts(ui, layout.free, model, &mut output.commands);
     ui.data_mut(|data| data.insert_temp(texts_id, texts.map_or(0.0, |texts: Rect| texts.height())));
+    let code = model.remote_link.as_ref().filter(|_| !model.is_aligning).and_then(|link| code::show(ui, link));
+    output.areas.extend(code);
     settle(ui, output.areas.iter().copied().chain(texts).collect());
     // Notes and the legend take no clicks.
     output.areas.extend(texts.filter(|_| !model.messages.is_empty()));

@@ -21,11 +21,15 @@ use std::ops::ControlFlow;
 use anyhow::Context;
 use winit::event_loop::EventLoop;
 
-pub(crate) use self::{join::join_hint, waker::Waker};
+pub(crate) use self::{
+    join::{host_name, join_hint, own_address},
+    waker::Waker,
+};
 use self::{session::display_environment, waker::Call};
 use crate::{
     cli::args::{Inputs, WallArgs},
     farm::{Farm, Frame, stats::DisplayStats},
+    remote::Remote,
     supervisor::SupervisorLink,
 };
 
@@ -58,7 +62,7 @@ impl WindowLoop {
     }
 
     /// Opens the windows and shows the frames of `farm` until one is closed, the GPU fails, or the first model cannot be
-    /// read. Reports windows and the first frame to the `supervisor`.
+    /// read. Reports windows and the first frame to the `supervisor`, and obeys the `remote`.
     pub(crate) fn run(
         self,
         args: &WallArgs,
@@ -66,9 +70,10 @@ impl WindowLoop {
         farm: &Farm,
         on_shown: OnShown,
         supervisor: Option<SupervisorLink>,
+        remote: Option<Remote>,
     ) -> anyhow::Result<()> {
         let waker = self.waker();
-        let mut app = app::App::new(args, inputs, farm, on_shown, waker, supervisor);
+        let mut app = app::App::new(args, inputs, farm, on_shown, waker, supervisor, remote);
         self.0.run_app(&mut app).context("the display connection failed")?;
         app.into_outcome()
     }

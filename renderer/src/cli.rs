@@ -6,6 +6,7 @@ pub mod key;
 pub mod large_file;
 pub mod picture_args;
 pub mod progress;
+pub mod recent_log;
 pub mod scene_args;
 pub mod stop;
 pub mod trace;
@@ -29,10 +30,11 @@ use tracing_subscriber::{
     EnvFilter,
     field::MakeExt,
     fmt::{MakeWriter, format},
+    layer::SubscriberExt,
 };
 
 use crate::{
-    cli::{generate::GenerateArgs, key::KeyArgs, stop::Stopped, trace::TraceArgs},
+    cli::{generate::GenerateArgs, key::KeyArgs, recent_log::RecentLog, stop::Stopped, trace::TraceArgs},
     server::connect::{self, ConnectArgs},
 };
 
@@ -149,7 +151,8 @@ fn start_logging() {
     let filter = EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| EnvFilter::new("warn,winit=error,renderer=info,compositor=info"));
     // Fails only if a subscriber is set already.
-    let _ = tracing::subscriber::set_global_default(log(filter, std::io::stderr, std::io::stderr().is_terminal()));
+    let log = log(filter, std::io::stderr, std::io::stderr().is_terminal());
+    let _ = tracing::subscriber::set_global_default(log.with(RecentLog));
 }
 
 /// A log with one line for each event, whatever peers and files put into its message.

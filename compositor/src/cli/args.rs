@@ -18,9 +18,10 @@ use shared::{
     protocol::{Encoding, LightingMode, SampleRange, ShadingMode},
 };
 
-use super::check::CheckArgs;
+use super::{check::CheckArgs, remote_args::RemoteArgs};
 use crate::{
     control::refinement::{self, DEFAULT_TARGET_RATE, RefinementOptions},
+    remote::tokens::TokenArgs,
     wall::{OnLoss, Wall, WallError},
 };
 
@@ -43,6 +44,8 @@ pub struct Args {
 pub enum Command {
     /// Checks a wall file, prints it with every default filled in, and draws the wall with --svg
     Check(CheckArgs),
+    /// Makes a token that lets a remote in, lists all, or revokes one
+    RemoteToken(TokenArgs),
     /// The render server: the same as the program `renderer`
     #[command(subcommand)]
     Renderer(renderer::cli::Command),
@@ -174,6 +177,9 @@ pub struct WallArgs {
     #[arg(long, help_heading = "Window", value_name = "SECONDS", conflicts_with = "headless", num_args = 0..=1,
         require_equals = true, default_missing_value = "60", value_parser = between(1_u32..=86400))]
     pub kiosk: Option<u32>,
+    /// Where the remote is served, and to whom.
+    #[command(flatten)]
+    pub remote: RemoteArgs,
     /// Open no window: render frames, print a table of timings, and end
     #[arg(long)]
     pub headless: bool,

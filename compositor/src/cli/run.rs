@@ -43,6 +43,7 @@ use crate::{
         sidecar::{self, SidecarFiles},
     },
     farm::{Farm, RenderGoal},
+    remote::Remote,
     supervisor::{self, SupervisorLink},
     window::{OnShown, WindowLoop, join_hint},
 };
@@ -181,6 +182,11 @@ fn run_window(args: &WallArgs, inputs: Inputs, supervisor: Option<SupervisorLink
     let listener = listen(&runtime, args)?;
     // A wall for people runs with one render server; frames that are counted wait for all of them.
     let n_needed = if args.frames.is_some() { args.min_renderers() } else { args.min_renderers.unwrap_or(1) };
+    let remote = args.remote.options().map(|options| {
+        let waker = window.waker();
+        Remote::start(&options, move || waker.wake())
+    });
+    let remote = remote.transpose()?;
     let waker = window.waker();
     // Made before the farm, so that they end after it: otherwise the farm would report them as lost.
     let mut servers = LocalServers::empty(listener.local_addr()?, args.key.as_deref(), &args.scene)?;
@@ -188,7 +194,7 @@ fn run_window(args: &WallArgs, inputs: Inputs, supervisor: Option<SupervisorLink
     servers.start(args.n_local(), farm.local_reporter())?;
     let report = Rc::new(RefCell::new(Report::default()));
     let on_shown = watch_frames(args, Rc::clone(&report));
-    let outcome = window.run(args, inputs, &farm, on_shown, supervisor);
+    let outcome = window.run(args, inputs, &farm, on_shown, supervisor, remote);
     // Ends before its local render servers, so that their end is not reported as a loss.
     drop(farm);
     if let Some(stopped) = stop::unfinished() {

@@ -76,6 +76,8 @@ pub(crate) enum Command {
     Undo,
     Redo,
     ToggleLock,
+    /// Show or hide the code that opens the remote.
+    ToggleRemote,
     DismissMessage,
     Quit,
 }
@@ -88,7 +90,7 @@ impl Command {
     /// Whether visitors of a locked wall may give it.
     pub(crate) fn is_for_visitors(self) -> bool {
         use Command::*;
-        matches!(self, ViewAll | GoToView(_) | TogglePlaying | ChangeSpeed(_) | GoToCursor | ToggleLock)
+        matches!(self, ViewAll | GoToView(_) | TogglePlaying | ChangeSpeed(_) | GoToCursor | ToggleLock | ToggleRemote)
     }
 }
 
@@ -233,6 +235,7 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Ctrl('z')], Trigger(Undo), "take the last move of corners back"),
         row(&[CtrlShift('z')], Trigger(Redo), "move the corners again"),
         row(&[Ctrl('l')], Trigger(ToggleLock), "lock for visitors, who can only steer, or unlock"),
+        row(&[Ctrl('r')], Trigger(ToggleRemote), "the code that opens the remote on a phone, or hide it"),
         row(&[Ctrl('q')], Trigger(Quit), "quit"),
     ]
 };
@@ -306,7 +309,16 @@ mod tests {
         use Command::*;
         assert_eq!(
             allowed,
-            [ChangeSpeed(1), ChangeSpeed(-1), ViewAll, GoToCursor, GoToView(0), TogglePlaying, ToggleLock]
+            [
+                ChangeSpeed(1),
+                ChangeSpeed(-1),
+                ViewAll,
+                GoToCursor,
+                GoToView(0),
+                TogglePlaying,
+                ToggleLock,
+                ToggleRemote
+            ]
         );
     }
 

@@ -17,6 +17,17 @@ pub(crate) enum Drag {
     Dolly,
 }
 
+/// A motion by a hand, wherever it is: at the mouse, or on a remote.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Nudge {
+    /// A drag by fractions of the canvas's width and height, up and to the right.
+    Drag(Drag, DVec2),
+    /// Moves to `factor` times the distance from what is at a point of the canvas.
+    Dolly { factor: f64, at: DVec2 },
+    /// Turns the picture to the left, in radians.
+    Roll(f64),
+}
+
 /// The camera, moved by mouse and keys.
 ///
 /// Points on the canvas are fractions of its width and height, (0, 0) lower left.
@@ -280,21 +291,32 @@ impl Navigator {
         if by != DVec2::ZERO {
             self.under_cursor = None;
         }
+        self.drag.is_some_and(|drag| self.nudged(Nudge::Drag(drag, by)))
+    }
+
+    /// Moves the camera as a hand elsewhere says, in place of a motion of its own. Returns whether it moved.
+    pub(crate) fn nudge(&mut self, nudge: Nudge) -> bool {
+        self.motion = None;
+        self.under_cursor = None;
+        self.nudged(nudge)
+    }
+
+    fn nudged(&mut self, nudge: Nudge) -> bool {
         let before = self.camera;
-        match self.drag {
-            None => {}
-            Some(Drag::Orbit) => {
+        self.camera = match nudge {
+            Nudge::Drag(Drag::Orbit, by) => {
                 // The model follows the cursor, so the eye moves the other way.
                 let yaw = -by.x * self.aspect * ORBIT_RADIANS_PER_HEIGHT;
                 let pitch = -by.y * ORBIT_RADIANS_PER_HEIGHT;
-                self.camera = self.camera.orbit(self.pivot(), self.up, yaw, pitch);
+                self.camera.orbit(self.pivot(), self.up, yaw, pitch)
             }
-            Some(Drag::Pan) => self.camera = self.camera.pan(self.depth(), by.x, by.y),
-            Some(Drag::Dolly) => {
-                self.camera =
-                    self.camera.dolly(self.point_under(DVec2::splat(0.5)), DOLLY_FACTOR_PER_HEIGHT.powf(-by.y));
+            Nudge::Drag(Drag::Pan, by) => self.camera.pan(self.depth(), by.x, by.y),
+            Nudge::Drag(Drag::Dolly, by) => {
+                self.camera.dolly(self.point_under(DVec2::splat(0.5)), DOLLY_FACTOR_PER_HEIGHT.powf(-by.y))
             }
-        }
+            Nudge::Dolly { factor, at } => self.camera.dolly(self.point_under(at), factor),
+            Nudge::Roll(radians) => self.camera.roll(radians),
+        };
         self.camera != before
     }
 

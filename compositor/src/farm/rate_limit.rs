@@ -4,7 +4,7 @@ use std::time::Duration;
 
 /// Lets `burst` events pass at once, and one each `interval` in the long run (the generic cell rate algorithm).
 #[derive(Debug)]
-pub(super) struct RateLimit {
+pub(crate) struct RateLimit {
     burst: u32,
     interval: Duration,
     /// When the whole burst may pass again.
@@ -12,22 +12,22 @@ pub(super) struct RateLimit {
 }
 
 impl RateLimit {
-    pub(super) fn new(burst: u32, interval: Duration) -> Self {
+    pub(crate) fn new(burst: u32, interval: Duration) -> Self {
         Self { burst, interval, full_at: Duration::ZERO }
     }
 
     /// How long the next event must wait from `now` on.
-    pub(super) fn wait(&self, now: Duration) -> Duration {
+    pub(crate) fn wait(&self, now: Duration) -> Duration {
         (self.full_at + self.interval).saturating_sub(now + self.interval * self.burst)
     }
 
     /// Whether the whole burst may pass at `now`: nothing is lost if the limit is forgotten.
-    pub(super) fn is_full(&self, now: Duration) -> bool {
+    pub(crate) fn is_full(&self, now: Duration) -> bool {
         self.full_at <= now
     }
 
     /// Counts an event that passes at `now`.
-    pub(super) fn count(&mut self, now: Duration) {
+    pub(crate) fn count(&mut self, now: Duration) {
         self.full_at = self.full_at.max(now) + self.interval;
     }
 }

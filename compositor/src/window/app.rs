@@ -6,6 +6,7 @@ mod opening;
 mod picture;
 mod pointer;
 mod probing;
+mod remote;
 mod showing;
 mod steering;
 
@@ -23,7 +24,7 @@ use winit::{
 
 use self::{
     camera::CameraControl, messages::Messages, opening::Browser, picture::PictureControl, pointer::Pointer,
-    probing::Probing, showing::Presentation,
+    probing::Probing, remote::RemoteControl, showing::Presentation,
 };
 use super::{
     OnShown,
@@ -40,6 +41,7 @@ use crate::{
     control::{alignment::Alignment, kiosk::Kiosk, model::Model, sidecar::SidecarFiles},
     farm::Farm,
     overlay::{ModelSummary, OverlayModel, WallDrawing},
+    remote::Remote,
     supervisor::SupervisorLink,
     wall::OnLoss,
 };
@@ -60,6 +62,7 @@ pub(super) struct App<'a> {
     probing: Probing,
     wall: Alignment,
     kiosk: Kiosk,
+    remote: RemoteControl,
     pointer: Pointer,
     modifiers: ModifiersState,
     messages: Messages,
@@ -82,6 +85,7 @@ impl<'a> App<'a> {
         on_shown: OnShown,
         waker: Waker,
         supervisor: Option<SupervisorLink>,
+        remote: Option<Remote>,
     ) -> Self {
         let now = Instant::now();
         let overlay = OverlayModel {
@@ -108,6 +112,7 @@ impl<'a> App<'a> {
             picture: PictureControl::new(args, &inputs.wall),
             probing: Probing::default(),
             kiosk: Kiosk::new(kiosk, now),
+            remote: RemoteControl::new(remote),
             pointer: Pointer::new(now),
             modifiers: ModifiersState::empty(),
             messages: Messages::default(),
@@ -150,7 +155,7 @@ impl<'a> App<'a> {
 
     /// Carries out the requests of a part of the window.
     fn apply(&mut self, effect: Effect) {
-        let Effect { wants_picture, note, problem, job, files } = effect;
+        let Effect { wants_picture, note, problem, job, files, models } = effect;
         if let Some(note) = note {
             tracing::info!("{note}");
             self.messages.show_note(note, Instant::now());
@@ -164,6 +169,9 @@ impl<'a> App<'a> {
         }
         if let Some(files) = files {
             self.browser.show(files);
+        }
+        if let Some(models) = models {
+            self.remote.models = models;
         }
         if wants_picture {
             self.want_picture();
@@ -281,6 +289,7 @@ impl ApplicationHandler<Call> for App<'_> {
             Call::Show(loaded) => self.take_model(event_loop, loaded),
             Call::Close => event_loop.exit(),
         }
+        self.take_orders(event_loop);
         self.take_results();
     }
 

@@ -16,6 +16,8 @@ pub(super) struct Effect {
     pub(super) problem: Option<String>,
     pub(super) job: Option<Job>,
     pub(super) files: Option<FileList>,
+    /// The models of a folder, for remotes.
+    pub(super) models: Option<Vec<String>>,
 }
 
 impl Effect {

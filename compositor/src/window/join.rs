@@ -54,7 +54,7 @@ fn shell_word(path: &Path) -> String {
 }
 
 /// The address by which this machine reaches others, if it has a network.
-fn own_address() -> Option<IpAddr> {
+pub(crate) fn own_address() -> Option<IpAddr> {
     let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0)).ok()?;
     // Sends nothing: connecting only chooses a route. The target is an address for documents (RFC 5737).
     socket.connect((Ipv4Addr::new(192, 0, 2, 1), 9)).ok()?;
@@ -63,7 +63,7 @@ fn own_address() -> Option<IpAddr> {
 }
 
 /// This machine's name in the network, as far as the system knows it.
-fn host_name() -> String {
+pub(crate) fn host_name() -> String {
     std::fs::read_to_string("/proc/sys/kernel/hostname")
         .ok()
         .map(|name| name.trim().to_owned())

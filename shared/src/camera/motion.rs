@@ -97,6 +97,13 @@ impl Camera {
         self.translated(self.u.normalize() * right + self.v.normalize() * up - self.backward() * forward)
     }
 
+    /// Turns around the line of sight, in radians: positive angles turn the picture to the left.
+    #[must_use]
+    pub fn roll(&self, radians: f64) -> Self {
+        let turn = DQuat::from_axis_angle(self.backward(), -radians);
+        self.rotated(self.eye, turn)
+    }
+
     /// The unit vector from the view plane to the eye, perpendicular to the plane.
     pub(super) fn backward(&self) -> DVec3 {
         let normal = self.u.cross(self.v).normalize();
@@ -136,6 +143,16 @@ mod tests {
     fn orbiting_right_shows_the_right_side() {
         let camera = front().orbit(DVec3::ZERO, UpAxis::Y, 0.3, 0.0);
         assert!(camera.eye().dot(front().u()) > front().eye().dot(front().u()));
+    }
+
+    #[test]
+    fn rolling_turns_the_picture_to_the_left_about_its_middle() {
+        let (before, after) = (front(), front().roll(0.2));
+        let middle = before.target();
+        let right = middle + before.u().normalize() * 0.1;
+        let [x, y] = [right, middle].map(|point| project(&after, point)).map(|(x, y)| (x * 16.0 / 9.0, y)).into();
+        assert!((project(&after, middle).0 - 0.5).abs() < 1e-12 && (project(&after, middle).1 - 0.5).abs() < 1e-12);
+        assert!(((x.1 - y.1).atan2(x.0 - y.0) - 0.2).abs() < 1e-9, "{x:?} {y:?}");
     }
 
     #[test]

@@ -347,3 +347,25 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_hand_on_a_remote_moves_the_camera_as_the_mouse_does_and_leaves_the_mouse_its_drag() {
+    for drag in [Drag::Orbit, Drag::Pan, Drag::Dolly] {
+        let (mut by_mouse, mut by_remote) = (navigator(), navigator());
+        by_mouse.press(drag);
+        let by = DVec2::new(0.06, -0.04);
+        assert!(by_mouse.move_to(DVec2::splat(0.5) + by) && by_remote.nudge(Nudge::Drag(drag, by)));
+        let moved = by_mouse.camera().eye() - by_remote.camera().eye();
+        assert!(moved.length() < 1e-12, "{drag:?}: {moved}");
+        by_mouse.nudge(Nudge::Roll(0.1));
+        assert!(by_mouse.is_dragging());
+    }
+    let mut navigator = navigator();
+    navigator.view_all(&[]);
+    let before = navigator.camera();
+    assert!(!navigator.nudge(Nudge::Drag(Drag::Pan, DVec2::ZERO)) && navigator.camera() == before);
+    let at = DVec2::new(0.3, 0.6);
+    let point = navigator.point_under(at);
+    assert!(navigator.nudge(Nudge::Dolly { factor: 0.5, at }));
+    assert!((project(&navigator.camera(), point) - at).length() < 1e-9, "the point stays under the fingers");
+}

@@ -73,6 +73,10 @@ impl CameraControl {
         self.navigator.as_ref().is_some_and(Navigator::is_playing)
     }
 
+    pub(super) fn has_path(&self) -> bool {
+        self.sidecars.as_ref().is_some_and(|sidecars| sidecars.path().is_some())
+    }
+
     pub(super) fn is_dragging(&self) -> bool {
         self.navigator.as_ref().is_some_and(Navigator::is_dragging)
     }

@@ -65,7 +65,8 @@ impl Messages {
         if has_panel || is_news { messages } else { Vec::new() }
     }
 
-    fn all(&self, status: &FarmStatus, missing_monitors: &[String]) -> Vec<String> {
+    /// All messages that were not dismissed.
+    pub(super) fn all(&self, status: &FarmStatus, missing_monitors: &[String]) -> Vec<String> {
         let notices = Some(&status.notices).filter(|notices| notices.n_put() != self.n_dismissed);
         let farm_message = notices.and_then(Notices::message);
         let is_missing = !missing_monitors.is_empty() && missing_monitors != self.dismissed_monitors;

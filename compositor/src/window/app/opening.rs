@@ -30,12 +30,7 @@ pub(super) struct Browser {
 
 impl Browser {
     pub(super) fn new(source: &SceneSource) -> Self {
-        let folder = match source {
-            SceneSource::File(path) => path.parent().map(Path::to_owned).filter(|path| !path.as_os_str().is_empty()),
-            SceneSource::Statue { .. } => None,
-        };
-        let folder = folder.unwrap_or_else(|| PathBuf::from("."));
-        Self { files: None, entries: Vec::new(), folder: std::path::absolute(&folder).unwrap_or(folder) }
+        Self { files: None, entries: Vec::new(), folder: folder_of(source) }
     }
 
     pub(super) fn toggle(&mut self) -> Effect {
@@ -138,8 +133,18 @@ impl Browser {
     }
 }
 
+/// The folder of a model; of the built-in one, that in which the wall was started.
+pub(super) fn folder_of(source: &SceneSource) -> PathBuf {
+    let folder = match source {
+        SceneSource::File(path) => path.parent().map(Path::to_owned).filter(|path| !path.as_os_str().is_empty()),
+        SceneSource::Statue { .. } => None,
+    };
+    let folder = folder.unwrap_or_else(|| PathBuf::from("."));
+    std::path::absolute(&folder).unwrap_or(folder)
+}
+
 /// Folders and models of a folder, without hidden ones.
-fn list(folder: &Path) -> FileList {
+pub(super) fn list(folder: &Path) -> FileList {
     let mut list = FileList { folder: folder.display().to_string(), ..FileList::default() };
     let entries = match std::fs::read_dir(folder) {
         Ok(entries) => entries,

@@ -56,7 +56,7 @@ impl Presentation {
 }
 
 /// Whether one of these moments has come, and the first of the others.
-fn due(moments: &[Option<Instant>], now: Instant) -> (bool, Option<Instant>) {
+pub(super) fn due(moments: &[Option<Instant>], now: Instant) -> (bool, Option<Instant>) {
     let (past, next): (Vec<_>, Vec<_>) = moments.iter().flatten().partition(|&&moment| moment <= now);
     (!past.is_empty(), next.into_iter().copied().min())
 }
@@ -69,6 +69,7 @@ impl App<'_> {
 
     /// Updates the overlay's model, and returns whether it must be drawn.
     pub(super) fn overlay_changed(&mut self) -> bool {
+        self.remote.has_news = true;
         let before = self.overlay.clone();
         self.update_overlay(Instant::now());
         is_seen_change(before, self.overlay.clone())
@@ -177,6 +178,7 @@ impl App<'_> {
         let on_monitors = if monitors.is_empty() { String::new() } else { format!(", on {}", monitors.join(" and ")) };
         tracing::debug!("frame {} is on screen, {latency_ms:.1} ms after the camera{on_monitors}", frame.stats.frame);
         self.overlay.display = Some(stats);
+        self.remote.on_shown(frame.moved_at);
         let is_first = self.presentation.scene.replace(frame.spec.scene) != Some(frame.spec.scene);
         let is_blank = is_first && frame.is_blank();
         // The times of this frame are known only now.
@@ -237,6 +239,7 @@ impl App<'_> {
             self.redraw();
         }
         next.push(next_redraw_at);
+        next.push(self.tell_remotes(now));
         next.into_iter().flatten().min()
     }
 }

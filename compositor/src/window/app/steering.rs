@@ -88,11 +88,15 @@ impl App<'_> {
     }
 
     pub(super) fn execute(&mut self, event_loop: &ActiveEventLoop, command: Command) {
-        let now = Instant::now();
-        self.kiosk.touch(now);
-        if !self.kiosk.allows(command) {
-            return;
+        self.kiosk.touch(Instant::now());
+        if self.kiosk.allows(command) {
+            self.perform(event_loop, command);
         }
+    }
+
+    /// Carries out a command of somebody who may give it.
+    pub(super) fn perform(&mut self, event_loop: &ActiveEventLoop, command: Command) {
+        let now = Instant::now();
         let effect = match command {
             Command::ViewAll => {
                 let parts = self.free_parts();
@@ -182,6 +186,7 @@ impl App<'_> {
             Command::Undo => Effect::note(self.wall.undo()),
             Command::Redo => Effect::note(self.wall.redo()),
             Command::ToggleLock => self.toggle_lock(),
+            Command::ToggleRemote => self.toggle_remote(),
             Command::DismissMessage => {
                 self.messages.dismiss(&self.farm.status(), self.outputs.missing());
                 Effect::default()
@@ -281,7 +286,7 @@ impl App<'_> {
     }
 
     /// `point` is a fraction of the canvas, (0, 0) lower left.
-    fn probe_at(&mut self, purpose: Purpose, point: DVec2) {
+    pub(super) fn probe_at(&mut self, purpose: Purpose, point: DVec2) {
         let (Some(model), Some(navigator)) = (&self.model, &self.camera.navigator) else { return };
         let (camera, at) = (navigator.camera(), [point.x as f32, point.y as f32]);
         if let Some(number) = self.probing.start(purpose, camera, at, Instant::now()) {

@@ -1,0 +1,36 @@
+//! The options of the remote.
+
+use std::path::PathBuf;
+
+use crate::{
+    remote::RemoteOptions,
+    window::{host_name, own_address},
+};
+
+/// Where the remote is served, and to whom.
+#[derive(Clone, Debug, Default, clap::Args)]
+#[command(next_help_heading = "Remote")]
+pub struct RemoteArgs {
+    /// Serve a page that steers the wall, and the same as an API, on this address: 0.0.0.0:7180 for phones in the network.
+    /// Without --remote-tokens, only 127.0.0.1 is possible
+    #[arg(long, value_name = "HOST:PORT", conflicts_with = "headless")]
+    pub remote: Option<String>,
+    /// The file of tokens that let people in; `compositor remote-token` makes it
+    #[arg(long, value_name = "FILE", requires = "remote")]
+    pub remote_tokens: Option<PathBuf>,
+    /// Another name under which the remote is reached, as through a proxy that encrypts
+    #[arg(long, value_name = "NAME", requires = "remote")]
+    pub remote_name: Option<String>,
+}
+
+impl RemoteArgs {
+    pub(crate) fn options(&self) -> Option<RemoteOptions> {
+        Some(RemoteOptions {
+            address: self.remote.clone()?,
+            tokens: self.remote_tokens.clone(),
+            name: self.remote_name.clone(),
+            host_name: host_name(),
+            own_address: own_address(),
+        })
+    }
+}

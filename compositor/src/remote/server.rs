@@ -1,0 +1,66 @@
+//! Accepts connections, and bounds them: in number, in size and in time.
+
+use std::{collections::VecDeque, net::SocketAddr, sync::Arc, time::Duration};
+
+use axum::Router;
+use hyper::server::conn::http1;
+use hyper_util::{rt::TokioIo, service::TowerToHyperService};
+use socket2::{SockRef, TcpKeepalive};
+use tokio::{
+    net::{TcpListener, TcpStream},
+    task::AbortHandle,
+};
+
+use super::{hub::Hub, routes};
+
+/// Connections that have not become conversations; a new one displaces the oldest, so a flood keeps nobody out.
+const MOST_STRANGERS: usize = 128;
+/// A connection ends after this, unless it has become a conversation.
+const LONGEST_REQUEST: Duration = Duration::from_secs(10);
+/// The most bytes of a request's head.
+const LONGEST_HEAD: usize = 16 << 10;
+/// The system asks a silent peer after this whether it is still there; the wall itself does nothing meanwhile.
+const KEEP_ALIVE: Duration = Duration::from_secs(30);
+
+/// Serves remotes until it is dropped.
+pub(super) async fn serve(listener: TcpListener, hub: Arc<Hub>) {
+    let router = routes::router(Arc::clone(&hub));
+    tokio::join!(accept(listener, router), hub.tell_states(), hub.encode_pictures(), hub.end_turns());
+}
+
+async fn accept(listener: TcpListener, router: Router) {
+    let mut strangers: VecDeque<AbortHandle> = VecDeque::new();
+    loop {
+        let (stream, peer) = match listener.accept().await {
+            Ok(accepted) => accepted,
+            Err(error) => {
+                // As when all file descriptors are taken: they become free again.
+                tracing::warn!("a remote cannot connect: {error}");
+                tokio::time::sleep(Duration::from_secs(1)).await;
+                continue;
+            }
+        };
+        strangers.retain(|stranger| !stranger.is_finished());
+        if strangers.len() >= MOST_STRANGERS
+            && let Some(oldest) = strangers.pop_front()
+        {
+            oldest.abort();
+        }
+        strangers.push_back(tokio::spawn(converse(stream, peer, router.clone())).abort_handle());
+    }
+}
+
+async fn converse(stream: TcpStream, peer: SocketAddr, router: Router) {
+    let socket = SockRef::from(&stream);
+    // Without these the conversation works too.
+    let _ = socket.set_tcp_nodelay(true);
+    let _ = socket.set_tcp_keepalive(&TcpKeepalive::new().with_time(KEEP_ALIVE));
+    let service = TowerToHyperService::new(router.layer(axum::Extension(routes::Peer(peer))));
+    let connection = http1::Builder::new()
+        .header_read_timeout(None)
+        .max_buf_size(LONGEST_HEAD)
+        .serve_connection(TokioIo::new(stream), service)
+        .with_upgrades();
+    // Malformed requests, and peers that go away, are everyday events.
+    let _ = tokio::time::timeout(LONGEST_REQUEST, connection).await;
+}

@@ -1,0 +1,154 @@
+//! Turns of visitors: one steers, for a minute while others wait. Pure: time is an argument.
+
+use std::{
+    collections::VecDeque,
+    time::{Duration, Instant},
+};
+
+/// A visitor steers for this long while others wait.
+const TURN: Duration = Duration::from_secs(60);
+/// A turn goes on for at least this long after the first other visitor has come.
+const NOTICE: Duration = Duration::from_secs(10);
+/// A visitor who has not moved for this long while others wait has left the wall to them.
+const IDLE: Duration = Duration::from_secs(15);
+
+/// The number of a connection; none is used twice.
+pub(super) type ClientId = u64;
+
+#[derive(Debug, Default)]
+pub(super) struct Turns {
+    present: Option<Present>,
+    waiting: VecDeque<ClientId>,
+}
+
+/// The visitor who steers.
+#[derive(Debug)]
+struct Present {
+    client: ClientId,
+    since: Instant,
+    moved_at: Instant,
+    /// When another began to wait; `None` while nobody does.
+    awaited_since: Option<Instant>,
+}
+
+/// A visitor's place.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub(super) struct Place {
+    /// Whether the visitor steers, or may begin to: nobody else does.
+    may_steer: bool,
+    /// Visitors who steer earlier, the present one included; 0 for others than those who wait.
+    before: usize,
+    /// Visitors who wait, whoever asks.
+    waiting: usize,
+    /// The longest time until the next turn begins, in seconds from the last change; `None` while nobody waits.
+    seconds: Option<u64>,
+}
+
+impl Turns {
+    /// A visitor wants to steer: whether that is its turn. If not, it waits from now on.
+    pub(super) fn steers(&mut self, client: ClientId, now: Instant) -> bool {
+        self.advance(now);
+        match &mut self.present {
+            None => self.present = Some(Present { client, since: now, moved_at: now, awaited_since: None }),
+            Some(present) if present.client == client => present.moved_at = now,
+            Some(present) => {
+                if !self.waiting.contains(&client) {
+                    self.waiting.push_back(client);
+                    present.awaited_since.get_or_insert(now);
+                }
+                return false;
+            }
+        }
+        true
+    }
+
+    /// A visitor goes away, or gives up its turn.
+    pub(super) fn leaves(&mut self, client: ClientId, now: Instant) {
+        self.waiting.retain(|&waiting| waiting != client);
+        if self.waiting.is_empty() {
+            self.present.iter_mut().for_each(|present| present.awaited_since = None);
+        }
+        if self.present.take_if(|present| present.client == client).is_some() {
+            self.begin_next(now);
+        }
+    }
+
+    /// Ends the present turn if its time is over.
+    pub(super) fn advance(&mut self, now: Instant) {
+        if self.ends_at().is_some_and(|ends_at| now >= ends_at) {
+            self.begin_next(now);
+        }
+    }
+
+    /// When the present turn ends; `None` while nobody waits.
+    pub(super) fn ends_at(&self) -> Option<Instant> {
+        let present = self.present.as_ref()?;
+        let awaited_since = present.awaited_since?;
+        let at_least = awaited_since + NOTICE;
+        Some((present.since + TURN).min(present.moved_at + IDLE).max(at_least))
+    }
+
+    pub(super) fn place(&self, client: ClientId, now: Instant) -> Place {
+        let position = self.waiting.iter().position(|&waiting| waiting == client);
+        let is_present = self.present.as_ref().is_none_or(|present| present.client == client);
+        let seconds = self.ends_at().map(|ends_at| ends_at.saturating_duration_since(now).as_secs_f64().ceil() as u64);
+        let before = position.map_or(0, |position| position + 1);
+        Place { may_steer: is_present, before, waiting: self.waiting.len(), seconds }
+    }
+
+    /// The present visitor, whether its turn will end, and those who wait: all that others can see.
+    pub(super) fn order(&self) -> (Option<(ClientId, bool)>, VecDeque<ClientId>) {
+        let present = self.present.as_ref().map(|present| (present.client, present.awaited_since.is_some()));
+        (present, self.waiting.clone())
+    }
+
+    fn begin_next(&mut self, now: Instant) {
+        self.present = self.waiting.pop_front().map(|client| {
+            let awaited_since = (!self.waiting.is_empty()).then_some(now);
+            Present { client, since: now, moved_at: now, awaited_since }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_visitor_alone_steers_as_long_as_it_likes() {
+        let (mut turns, start) = (Turns::default(), Instant::now());
+        assert!(turns.steers(1, start) && turns.steers(1, start + 100 * TURN));
+        assert_eq!(turns.ends_at(), None);
+        assert!(turns.place(1, start).may_steer && !turns.place(2, start).may_steer);
+    }
+
+    #[test]
+    fn while_others_wait_each_has_a_minute() {
+        let (mut turns, start) = (Turns::default(), Instant::now());
+        let at = |seconds| start + Duration::from_secs(seconds);
+        assert!(turns.steers(1, start) && !turns.steers(2, at(1)) && !turns.steers(3, at(2)));
+        assert_eq!([2, 3].map(|client| turns.place(client, at(2)).before), [1, 2]);
+        // It must move to keep its turn.
+        (1..60).for_each(|second| assert!(turns.steers(1, at(second)), "{second}"));
+        assert!(!turns.steers(1, at(60)) && turns.steers(2, at(60)), "the turn is over");
+        assert_eq!(turns.place(1, at(60)), Place { may_steer: false, before: 2, waiting: 2, seconds: Some(15) });
+        turns.leaves(2, at(70));
+        assert!(turns.steers(3, at(70)));
+        turns.leaves(1, at(71));
+        assert_eq!(turns.ends_at(), None, "nobody waits any more");
+        turns.leaves(3, at(72));
+        assert!(turns.place(1, at(72)).may_steer && turns.steers(1, at(72)));
+    }
+
+    #[test]
+    fn nobody_loses_the_wall_without_notice_and_an_idle_hand_loses_it_early() {
+        let (mut turns, start) = (Turns::default(), Instant::now());
+        let at = |seconds| start + Duration::from_secs(seconds);
+        assert!(turns.steers(1, start) && turns.steers(1, at(500)) && !turns.steers(2, at(500)));
+        assert!(turns.steers(1, at(509)) && !turns.steers(2, at(509)) && turns.steers(2, at(510)));
+        assert!(!turns.steers(1, at(511)));
+        assert!(!turns.steers(1, at(524)) && turns.steers(1, at(525)), "2 has not moved for 15 s");
+        // A clock that goes back ends nothing.
+        assert!(turns.steers(1, at(3)));
+    }
+}
