@@ -15,6 +15,7 @@ fn main() -> ExitCode {
     let result = renderer::cli::start().and_then(|()| match args.command {
         Some(Command::Renderer(command)) => renderer::cli::run(command),
         Some(Command::Check(args)) => compositor::cli::check::run(&args),
+        Some(Command::Calibrate(args)) => compositor::cli::calibrate::run(&args),
         None => compositor::cli::run::run(&args.wall),
     });
     renderer::cli::exit_code(result)

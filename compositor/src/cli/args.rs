@@ -18,7 +18,7 @@ use shared::{
     protocol::{Encoding, LightingMode, SampleRange, ShadingMode},
 };
 
-use super::check::CheckArgs;
+use super::{calibrate::CalibrateArgs, check::CheckArgs};
 use crate::{
     control::refinement::{self, DEFAULT_TARGET_RATE, RefinementOptions},
     wall::{OnLoss, Wall, WallError},
@@ -43,6 +43,8 @@ pub struct Args {
 pub enum Command {
     /// Checks a wall file, prints it with every default filled in, and draws the wall with --svg
     Check(CheckArgs),
+    /// Aligns a flat wall with a camera: shows patterns, reads photographs of them, and writes the corners
+    Calibrate(CalibrateArgs),
     /// The render server: the same as the program `renderer`
     #[command(subcommand)]
     Renderer(renderer::cli::Command),
