@@ -1,6 +1,7 @@
-//! The command line: starts a wall with or without a window, checks wall files, and reports measurements.
+//! The command line: starts a wall with or without a window, checks and calibrates walls, and reports measurements.
 
 pub mod args;
+pub mod calibrate;
 pub mod check;
 pub mod headless;
 pub mod local;

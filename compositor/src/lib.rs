@@ -1,10 +1,11 @@
 //! The wall: divides frames among render servers, composes their samples and shows them.
 //!
 //! In reading order: [`cli`] is the command line, which starts a wall and checks wall files; [`control`] turns keys, mouse
-//! and time into the render goal; [`wall`] is the geometry of the projectors; [`farm`] has frames rendered by render
-//! servers, [`gpu`] draws them, and [`window`] shows them; [`overlay`] is the operator's panels, [`remote`] the page in a
-//! visitor's hand, and [`supervisor`] restarts a wall that crashed.
+//! and time into the render goal; [`wall`] is the geometry of the projectors, which [`calibration`] finds in photographs;
+//! [`farm`] has frames rendered by render servers, [`gpu`] draws them, and [`window`] shows them; [`overlay`] is the
+//! operator's panels, [`remote`] the page in a visitor's hand, and [`supervisor`] restarts a wall that crashed.
 
+pub mod calibration;
 pub mod cli;
 pub mod control;
 pub mod farm;

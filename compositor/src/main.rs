@@ -16,6 +16,7 @@ fn main() -> ExitCode {
         Some(Command::Renderer(command)) => renderer::cli::run(command),
         Some(Command::Check(args)) => compositor::cli::check::run(&args),
         Some(Command::RemoteToken(args)) => compositor::remote::tokens::run(&args),
+        Some(Command::Calibrate(args)) => compositor::cli::calibrate::run(&args),
         None => compositor::cli::run::run(&args.wall),
     });
     renderer::cli::exit_code(result)

@@ -4,6 +4,7 @@
 //! a [`Waker`]. A wall at rest uses no CPU time.
 
 mod app;
+mod calibrating;
 mod effect;
 mod frame_rate;
 mod jobs;
@@ -22,15 +23,18 @@ use anyhow::Context;
 use winit::event_loop::EventLoop;
 
 pub(crate) use self::{
+    calibrating::OnNews,
     join::{host_name, join_hint, own_address},
     waker::Waker,
 };
 use self::{session::display_environment, waker::Call};
 use crate::{
+    calibration::Plan,
     cli::args::{Inputs, WallArgs},
     farm::{Farm, Frame, stats::DisplayStats},
     remote::Remote,
     supervisor::SupervisorLink,
+    wall::Wall,
 };
 
 /// Called for every new frame once it is on screen; breaks to close the window.
@@ -59,6 +63,14 @@ impl WindowLoop {
     /// Wakes this window: for [`Farm::start`].
     pub(crate) fn waker(&self) -> Waker {
         Waker(self.0.create_proxy())
+    }
+
+    /// Opens the windows and shows calibration patterns until `on_news` breaks, or a person ends them. See
+    /// [`calibrating::Patterns`].
+    pub(crate) fn show_patterns(self, wall: &Wall, plan: &Plan, on_news: OnNews<'_>) -> anyhow::Result<()> {
+        let mut patterns = calibrating::Patterns::new(wall, plan, on_news);
+        self.0.run_app(&mut patterns).context("the display connection failed")?;
+        patterns.into_outcome()
     }
 
     /// Opens the windows and shows the frames of `farm` until one is closed, the GPU fails, or the first model cannot be

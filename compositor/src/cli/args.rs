@@ -18,7 +18,7 @@ use shared::{
     protocol::{Encoding, LightingMode, SampleRange, ShadingMode},
 };
 
-use super::{check::CheckArgs, remote_args::RemoteArgs};
+use super::{calibrate::CalibrateArgs, check::CheckArgs, remote_args::RemoteArgs};
 use crate::{
     control::refinement::{self, DEFAULT_TARGET_RATE, RefinementOptions},
     remote::tokens::TokenArgs,
@@ -46,6 +46,8 @@ pub enum Command {
     Check(CheckArgs),
     /// Makes a token that lets a remote in, lists all, or revokes one
     RemoteToken(TokenArgs),
+    /// Aligns a flat wall with a camera: shows patterns, reads photographs of them, and writes the corners
+    Calibrate(CalibrateArgs),
     /// The render server: the same as the program `renderer`
     #[command(subcommand)]
     Renderer(renderer::cli::Command),

@@ -129,7 +129,7 @@ impl Projector {
     }
 
     /// From pixels as seen on the wall to pixels as stored, both from (0, 0) to (1, 1).
-    fn raster_from_upright(&self) -> DMat3 {
+    pub(crate) fn raster_from_upright(&self) -> DMat3 {
         let affine = |x: [f64; 2], y: [f64; 2], origin: [f64; 2]| {
             DMat3::from_cols(DVec2::from(x).extend(0.0), DVec2::from(y).extend(0.0), DVec2::from(origin).extend(1.0))
         };

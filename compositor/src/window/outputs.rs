@@ -25,6 +25,8 @@ use crate::{
 };
 
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
+/// A picture that found no window to be drawn on is drawn again after this.
+pub(super) const RETRY_INTERVAL: Duration = Duration::from_millis(100);
 
 /// All windows of a wall, with the painter that draws on them.
 ///

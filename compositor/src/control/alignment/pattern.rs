@@ -106,9 +106,16 @@ impl Pattern {
                 Self::Overlap => {}
             }
         }
-        let wall = Wall::of_one_output([width, height]);
+        Ok(PatternImage::of_output(output, size, sheet.pixels.into_flattened()))
+    }
+}
+
+impl PatternImage {
+    /// An image of `output`'s pixels, bottom row first.
+    pub(crate) fn of_output(output: PixelRect, size: FrameSize, rgba: Vec<u8>) -> Self {
+        let wall = Wall::of_one_output([output.width, output.height]);
         let part = wall.whole_output();
-        Ok(PatternImage { output, size, rgba: sheet.pixels.into_flattened(), wall: (wall, part) })
+        Self { output, size, rgba, wall: (wall, part) }
     }
 }
 

@@ -34,17 +34,29 @@ pub(crate) fn save_warps(path: &Path, wall: &Wall) -> anyhow::Result<()> {
 pub(crate) fn save_aside(path: Option<&Path>, wall: &Wall) -> anyhow::Result<PathBuf> {
     // A file that has no place for the corners any more is written anew.
     let text = path.and_then(|path| text_with_warps(path, wall).ok()).unwrap_or_else(|| wall.to_toml());
-    let path = path.unwrap_or(Path::new("wall.toml"));
-    let names = (1..=MOST_ASIDE).map(|number| path.with_extension(format!("corners-{number}.toml")));
-    let unused = names.into_iter().find(|name| !name.exists());
-    let file =
-        unused.with_context(|| format!("{}: too many files of corners beside it: remove some", path.display()))?;
+    let file = unused_beside(path.unwrap_or(Path::new("wall.toml")), "corners")?;
     files::write(&file, |out| out.write_all(text.as_bytes()))
         .map_err(|error| anyhow::anyhow!("{}: the corners cannot be saved: {error}", file.display()))?;
     Ok(file)
 }
 
-/// The most files of corners beside a wall file.
+/// Copies a wall file to a new file beside it, and returns that file.
+pub(crate) fn keep_old(path: &Path) -> anyhow::Result<PathBuf> {
+    let text = read_text(path).map_err(|cause| WallError::Unreadable { path: path.display().to_string(), cause })?;
+    let file = unused_beside(path, "old")?;
+    files::write(&file, |out| out.write_all(text.as_bytes()))
+        .map_err(|error| anyhow::anyhow!("{}: the old file cannot be kept: {error}", file.display()))?;
+    Ok(file)
+}
+
+/// A new name beside a wall file, for example `my-wall.corners-1.toml`.
+fn unused_beside(path: &Path, kind: &str) -> anyhow::Result<PathBuf> {
+    let names = (1..=MOST_ASIDE).map(|number| path.with_extension(format!("{kind}-{number}.toml")));
+    let unused = names.into_iter().find(|name| !name.exists());
+    unused.with_context(|| format!("{}: too many files of kind {kind} beside it: remove some", path.display()))
+}
+
+/// The most files of a kind beside a wall file.
 const MOST_ASIDE: u32 = 1000;
 
 /// The text of the wall's file with the corners of all projectors of `wall`.

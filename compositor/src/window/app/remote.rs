@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use glam::DVec2;
-use renderer::model::{file::is_named_as_model, scene::SceneSource};
+use renderer::{formats::file::is_named_as_model, model::scene::SceneSource};
 use shared::{
     appearance::Light,
     printable::{printable, printable_line},

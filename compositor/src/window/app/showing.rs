@@ -14,11 +14,9 @@ use crate::{
     },
     overlay::{FrameTimes, OverlayModel},
     supervisor::SupervisorLink,
-    window::{effect::Effect, frame_rate::FrameRate},
+    window::{effect::Effect, frame_rate::FrameRate, outputs::RETRY_INTERVAL},
 };
 
-/// A picture that found no window to be drawn on is drawn again after this.
-const RETRY_INTERVAL: Duration = Duration::from_millis(100);
 /// The overlay shows the times of the last frame after this, unless another frame comes first.
 const SETTLE_TIME: Duration = Duration::from_millis(100);
 

@@ -1,0 +1,26 @@
+//! Aligns a flat wall from photographs of patterns. Pure: no clock, file, socket, window or GPU.
+//!
+//! In reading order: [`pattern`] is what projectors show, [`photograph`] what a camera sees of it; `crossing` finds the
+//! crossings of checkerboards, `lattice` puts them together, and [`identify`] says which projector shows them; [`solve`]
+//! works out where projectors' pixels lie, with the camera's [`lens`], and `adjust` refines it; [`place`] lays the canvas there; [`verdict`] says
+//! what was found, what was not, and whether to believe it. `fitting` has what several of these compute.
+
+mod adjust;
+mod crossing;
+mod fitting;
+pub mod identify;
+mod lattice;
+pub mod lens;
+pub mod pattern;
+pub mod photograph;
+pub mod place;
+pub mod solve;
+pub mod verdict;
+
+pub use self::{
+    identify::Codebook,
+    pattern::Plan,
+    photograph::Photograph,
+    place::Placement,
+    verdict::{Reading, Verdict, judge},
+};

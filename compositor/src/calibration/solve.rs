@@ -1,0 +1,167 @@
+//! Works out where all projectors' pixels lie on the wall, from what several photographs show of them.
+//!
+//! A flat wall, a pinhole camera and a projector are related by homographies, as in Chen, Sukthankar, Wallace and Li,
+//! "Scalable Alignment of Large-Format Multi-Projector Displays Using Camera Homography Trees" (2002). A tree joins
+//! photographs through projectors that both show; then all homographies and the lenses are adjusted together, which
+//! needs no calibrated camera: a wrong lens bends what projectors show straight.
+
+use std::collections::HashSet;
+
+use glam::{DMat3, DVec2};
+
+use super::{
+    adjust::{Estimate, Layout, adjusted},
+    fitting::{fitted, median, quantile, with_unit_depth},
+    identify::Sighting,
+    lens::Lens,
+};
+use crate::wall::homography::apply;
+
+/// What one photograph shows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct View {
+    /// Columns and rows of the photograph.
+    pub size: [usize; 2],
+    /// The parts of patterns in it.
+    pub sightings: Vec<Sighting>,
+}
+
+/// Where projectors' pixels lie, on a plane that is the wall's up to a homography.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Solution {
+    /// For each projector: from the plane to its pixels; `None` if it could not be joined with the others.
+    pub px_from_plane: Vec<Option<DMat3>>,
+    /// For each view: from its pinhole picture to the plane; `None` if it could not be joined with the others.
+    pub plane_from_view: Vec<Option<DMat3>>,
+    /// For each view: its lens.
+    pub lenses: Vec<Lens>,
+    /// For each projector: how well it fits.
+    pub fits: Vec<Fit>,
+    /// For each view: half of its points are nearer than this to their places, in projector pixels.
+    pub view_medians_px: Vec<f64>,
+}
+
+/// How well a projector's points fit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Fit {
+    /// Crossings seen, all views together.
+    pub n_points: usize,
+    /// Views that show the projector.
+    pub n_views: usize,
+    /// Crossings that were seen at least once.
+    pub n_crossings: usize,
+    /// Half of the points are nearer than this to their places, in the projector's pixels.
+    pub median_px: f64,
+    /// Nineteen of twenty points are.
+    pub p95_px: f64,
+}
+
+/// One crossing in one view.
+pub(super) struct Observation {
+    pub view: usize,
+    pub projector: usize,
+    /// Normalised, in the photograph.
+    pub seen: DVec2,
+    /// In the projector's pixels.
+    pub px: DVec2,
+}
+
+/// Solves for all projectors that views join.
+pub fn solve(n_projectors: usize, views: &[View]) -> Solution {
+    let observations = observations(views);
+    let (view_maps, projector_maps) = joined(n_projectors, views, &observations);
+    let is_joined = |it: &&Observation| view_maps[it.view].is_some() && projector_maps[it.projector].is_some();
+    let used: Vec<&Observation> = observations.iter().filter(is_joined).collect();
+    let layout = Layout::new(views, &view_maps, &projector_maps);
+    let estimate = adjusted(&layout, &used, Estimate { lenses: layout.lenses(), view_maps, projector_maps });
+    let away = layout.distances(&estimate, &used);
+    let distances: Vec<(&Observation, f64)> = std::iter::zip(used, away).collect();
+    let of_view = |view: usize| distances.iter().filter(move |(it, _)| it.view == view).map(|(_, away)| *away);
+    Solution {
+        lenses: (0..views.len()).map(|view| estimate.lenses[layout.lens_of_view[view]]).collect(),
+        view_medians_px: (0..views.len()).map(|view| median(of_view(view).collect())).collect(),
+        fits: (0..n_projectors).map(|projector| fit_of(projector, &distances)).collect(),
+        px_from_plane: estimate.projector_maps,
+        plane_from_view: estimate.view_maps,
+    }
+}
+
+fn observations(views: &[View]) -> Vec<Observation> {
+    let of_view = |(view, it): (usize, &View)| {
+        let size = it.size;
+        let of_sighting = move |sighting: &Sighting| {
+            let projector = sighting.projector_idx;
+            let of_point =
+                |[px, at]: &[DVec2; 2]| Observation { view, projector, seen: Lens::normalised(size, *at), px: *px };
+            sighting.points.iter().map(of_point).collect::<Vec<_>>()
+        };
+        it.sightings.iter().flat_map(of_sighting).collect::<Vec<_>>()
+    };
+    views.iter().enumerate().flat_map(of_view).collect()
+}
+
+/// Joins views and projectors one by one, without regard to lenses: maps from views to the plane, and from the plane to
+/// projectors. The plane is the picture of the view that shows most.
+fn joined(
+    n_projectors: usize,
+    views: &[View],
+    observations: &[Observation],
+) -> (Vec<Option<DMat3>>, Vec<Option<DMat3>>) {
+    let mut view_maps: Vec<Option<DMat3>> = vec![None; views.len()];
+    let mut projector_maps: Vec<Option<DMat3>> = vec![None; n_projectors];
+    let of = |view: usize| observations.iter().filter(move |it| it.view == view);
+    let n_shown = |view: usize| {
+        let mut projectors: Vec<usize> = of(view).map(|it| it.projector).collect();
+        let n_points = projectors.len();
+        projectors.dedup();
+        projectors.sort_unstable();
+        projectors.dedup();
+        (projectors.len(), n_points)
+    };
+    let Some(first) = (0..views.len()).max_by_key(|&view| (n_shown(view), std::cmp::Reverse(view))) else {
+        return (view_maps, projector_maps);
+    };
+    let mut next = Some((first, DMat3::IDENTITY));
+    while let Some((view, map)) = next {
+        view_maps[view] = Some(map);
+        for (projector, projector_map) in projector_maps.iter_mut().enumerate().filter(|(_, map)| map.is_none()) {
+            let own = of(view).filter(|it| it.projector == projector);
+            let pairs: Vec<[DVec2; 2]> = own.filter_map(|it| Some([apply(map, it.seen)?, it.px])).collect();
+            if pairs.len() >= 12 {
+                *projector_map = fitted(&pairs).map(with_unit_depth);
+            }
+        }
+        // The view that shares most points with those that are joined.
+        let plane_from_px: Vec<Option<DMat3>> = projector_maps.iter().map(|map| map.map(|map| map.inverse())).collect();
+        let pairs_of = |view: usize| -> Vec<[DVec2; 2]> {
+            let pair = |it: &Observation| Some([it.seen, apply(plane_from_px[it.projector]?, it.px)?]);
+            of(view).filter_map(pair).collect()
+        };
+        let open = (0..views.len()).filter(|&view| view_maps[view].is_none());
+        let most = open.map(|view| (view, pairs_of(view))).max_by_key(|(view, pairs)| (pairs.len(), usize::MAX - view));
+        next = most.filter(|(_, pairs)| pairs.len() >= 24).and_then(|(view, pairs)| {
+            let map = fitted(&pairs)?;
+            Some((view, with_unit_depth(map)))
+        });
+    }
+    (view_maps, projector_maps)
+}
+
+fn fit_of(projector: usize, distances: &[(&Observation, f64)]) -> Fit {
+    let own: Vec<_> = distances.iter().filter(|(it, _)| it.projector == projector).collect();
+    if own.is_empty() {
+        return Fit::default();
+    }
+    let mut views: Vec<usize> = own.iter().map(|(it, _)| it.view).collect();
+    views.sort_unstable();
+    views.dedup();
+    let crossings: HashSet<[u64; 2]> = own.iter().map(|(it, _)| it.px.to_array().map(f64::to_bits)).collect();
+    let mut values: Vec<f64> = own.iter().map(|(_, away)| *away).collect();
+    Fit {
+        n_points: own.len(),
+        n_views: views.len(),
+        n_crossings: crossings.len(),
+        median_px: quantile(&mut values, 0.5),
+        p95_px: quantile(&mut values, 0.95),
+    }
+}

@@ -1,0 +1,264 @@
+//! From photographs to corners: what was found, what was not, and the cure.
+
+use shared::printable::counted;
+
+use super::{
+    crossing,
+    fitting::median,
+    identify::Codebook,
+    lattice,
+    pattern::Plan,
+    photograph::Photograph,
+    place::{Placement, warp_px},
+    solve::{Fit, Solution, View, solve},
+};
+use crate::wall::{Flip, Wall};
+
+/// What a photograph shows of a wall.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reading {
+    /// The photograph's name, for messages.
+    pub name: String,
+    /// The parts of patterns in it.
+    pub view: View,
+    /// The cause that it shows none, with the cure.
+    fault: Option<String>,
+}
+
+/// Corners for a wall, and how sure they are.
+#[derive(Clone, Debug)]
+pub struct Verdict {
+    /// The wall with new corners; `None` if nothing could be solved. Projectors without a solution keep theirs.
+    pub wall: Option<Wall>,
+    /// What was found: a line for each photograph and each projector.
+    pub found: Vec<String>,
+    /// Everything that speaks against using the corners, each with the cure.
+    pub faults: Vec<String>,
+}
+
+/// Half of a projector's points are nearer than this to where they should be, in its pixels, or it does not fit.
+const LARGEST_MEDIAN_PX: f64 = 0.3;
+/// Nineteen of twenty are nearer than this.
+const LARGEST_P95_PX: f64 = 1.0;
+/// The part of a projector's crossings that must be seen.
+const LEAST_COVERED: f64 = 0.6;
+/// A photograph whose points lie this many times as far off as those of the others was not taken as they were.
+const FARTHEST_VIEW: f64 = 5.0;
+
+impl Reading {
+    /// Reads a photograph.
+    pub fn new(name: String, photograph: &Photograph, codebook: &Codebook<'_>) -> Self {
+        let crossings = crossing::find(photograph);
+        let lattices = lattice::find(photograph, &crossings);
+        let sightings: Vec<_> = lattices.iter().flat_map(|lattice| codebook.identify(lattice)).collect();
+        let fault = sightings.is_empty().then(|| {
+            let n_values = photograph.values.len().max(1) as f64;
+            let part = |is_such: fn(&f32) -> bool| {
+                photograph.values.iter().filter(|value| is_such(value)).count() as f64 / n_values
+            };
+            let n_squares = lattices.iter().map(|lattice| lattice.squares.len()).sum::<usize>();
+            if part(|value| *value > 0.15) < 0.005 {
+                "is too dark: expose longer"
+            } else if part(|value| *value > 0.98) > 0.2 {
+                "is over-exposed: expose shorter"
+            } else if n_squares >= 200 {
+                "shows patterns, but not those of this wall file"
+            } else {
+                "shows no pattern: is it sharp, does it show the wall, and was the pattern on it?"
+            }
+            .to_owned()
+        });
+        Self { name, view: View { size: photograph.size, sightings }, fault }
+    }
+
+    /// The patterns in the photograph, from 0, each once.
+    pub fn patterns(&self) -> Vec<u32> {
+        let mut patterns: Vec<u32> = self.view.sightings.iter().map(|sighting| sighting.pattern).collect();
+        patterns.sort_unstable();
+        patterns.dedup();
+        patterns
+    }
+
+    /// A line on what it shows.
+    pub fn line(&self, wall: &Wall) -> String {
+        let Self { name, view, fault } = self;
+        if let Some(fault) = fault {
+            return format!("{name} {fault}");
+        }
+        let n_all = wall.projectors().len();
+        let missing: Vec<&str> = (0..n_all)
+            .filter(|index| !view.sightings.iter().any(|sighting| sighting.projector_idx == *index))
+            .map(|index| wall.projectors()[index].name.as_str())
+            .collect();
+        let patterns =
+            self.patterns().iter().map(|pattern| (pattern + 1).to_string()).collect::<Vec<_>>().join(" and ");
+        let without = match missing.len() {
+            0 => String::new(),
+            1..=4 => format!(", not \"{}\"", missing.join("\", \"")),
+            _ => String::new(),
+        };
+        format!("{name} shows pattern {patterns} on {} of {n_all} projectors{without}", n_all - missing.len())
+    }
+}
+
+/// Solves a wall from all photographs of it. Without a placement, [`Placement::of_wall`] chooses it.
+pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&Placement>) -> Verdict {
+    let mut found: Vec<String> = readings.iter().map(|reading| reading.line(wall)).collect();
+    let mut faults = Vec::new();
+    let n_projectors = wall.projectors().len();
+    let mut views: Vec<View> = readings.iter().map(|reading| reading.view.clone()).collect();
+    for (view, reading) in views.iter_mut().zip(readings) {
+        let n_before = view.sightings.len();
+        drop_reflections(view, wall);
+        if view.sightings.len() < n_before {
+            found.push(format!("{} also shows reflections of the patterns, which do not count", reading.name));
+        }
+    }
+    let mut solution = solve(n_projectors, &views);
+    while let Some(worst) = misfit(&views, &solution) {
+        found.push(format!(
+            "{} does not fit the others, by {:.1} pixels, and does not count: the camera moved while it was taken, or it \
+             has another lens or another wall",
+            readings[worst].name, solution.view_medians_px[worst]
+        ));
+        views[worst].sightings.clear();
+        solution = solve(n_projectors, &views);
+    }
+    for (index, reading) in readings.iter().enumerate() {
+        if !views[index].sightings.is_empty() && solution.plane_from_view[index].is_none() {
+            found.push(format!(
+                "{} shows no projector together with others that join it to the wall, and does not count",
+                reading.name
+            ));
+        }
+    }
+    let placement = placement.cloned().unwrap_or_else(|| Placement::of_wall(wall));
+    let plane_from_canvas = placement.plane_from_canvas(wall, &views, &solution);
+    if plane_from_canvas.is_none() && solution.px_from_plane.iter().any(Option::is_some) {
+        faults.push(
+            "the canvas cannot be laid onto the wall: too few projectors were solved, or marks and corners make no \
+             rectangle: try --place keep"
+                .to_owned(),
+        );
+    }
+    let mut warps = Vec::new();
+    for (index, projector) in wall.projectors().iter().enumerate() {
+        let name = &projector.name;
+        let map = solution.px_from_plane[index];
+        let Some(map) = map else {
+            faults.push(missing_fault(name, index, &views));
+            continue;
+        };
+        let Fit { n_points, n_views, n_crossings, median_px, p95_px } = solution.fits[index];
+        let covered = n_crossings as f64 / plan.boards[index].n_crossings().max(1) as f64;
+        let warp = plane_from_canvas.and_then(|plane_from_canvas| warp_px(projector, map, plane_from_canvas));
+        let moved = warp.map(|warp| {
+            let away = |(new, old): ([f64; 2], [f64; 2])| (new[0] - old[0]).hypot(new[1] - old[1]);
+            warp.into_iter().zip(projector.warp_px).map(away).fold(0.0, f64::max)
+        });
+        let corners = moved.map_or(String::new(), |moved| format!("; its corners move by up to {moved:.1}"));
+        found.push(format!(
+            "\"{name}\": {} in {}, {:.0} % of its picture; half within {median_px:.2} pixels, 95 % within \
+             {p95_px:.2}{corners}",
+            counted(n_points, "point"),
+            counted(n_views, "photograph"),
+            100.0 * covered
+        ));
+        if covered < LEAST_COVERED {
+            faults.push(format!(
+                "only {:.0} % of \"{name}\" was seen, and {:.0} % is needed: take a photograph of every pattern that shows \
+                 all of it, and clear the way to the camera",
+                100.0 * covered,
+                100.0 * LEAST_COVERED
+            ));
+        }
+        if !(median_px <= LARGEST_MEDIAN_PX && p95_px <= LARGEST_P95_PX) {
+            faults.push(format!(
+                "\"{name}\" does not fit: half of its points lie within {median_px:.2} pixels and 95 % within {p95_px:.2}, \
+                 where {LARGEST_MEDIAN_PX} and {LARGEST_P95_PX} are allowed: did it move between photographs, is the wall \
+                 flat there, is its own keystone correction off, and does the camera come near enough?"
+            ));
+        }
+        match warp {
+            Some(warp) => warps.push((index, warp)),
+            None if plane_from_canvas.is_some() => {
+                faults.push(format!("\"{name}\" cannot show its part of the canvas from where it stands"));
+            }
+            None => {}
+        }
+    }
+    let new_wall = match wall.with_warps(&warps) {
+        Ok(new_wall) => Some(new_wall).filter(|_| !warps.is_empty()),
+        Err(error) => {
+            faults.push(format!("{error}: does the file's layout agree with the wall?"));
+            None
+        }
+    };
+    found.extend(new_wall.iter().flat_map(short_projectors));
+    Verdict { wall: new_wall, found, faults }
+}
+
+/// The cause that a projector was not solved, with the cure.
+fn missing_fault(name: &str, index: usize, views: &[View]) -> String {
+    let is_seen = views.iter().flat_map(|view| &view.sightings).any(|sighting| sighting.projector_idx == index);
+    if is_seen {
+        format!(
+            "\"{name}\" is seen, but in no photograph together with projectors that join it to the others: take one \
+             that shows it with its neighbours"
+        )
+    } else {
+        format!(
+            "\"{name}\" is in no photograph: is it on, does its output show the pattern, is it sharp, and is it in the \
+             picture?"
+        )
+    }
+}
+
+/// Projectors of which a part of the rectangle lies beyond their pixels.
+fn short_projectors(wall: &Wall) -> Vec<String> {
+    let short = |index: &usize| {
+        let projector = &wall.projectors()[*index];
+        let [width, height] = projector.upright_size().map(f64::from);
+        let [upper_left, upper_right, lower_right, lower_left] = projector.warp_px;
+        let beyond = [
+            -upper_left[0],
+            -upper_left[1],
+            upper_right[0],
+            -upper_right[1],
+            lower_right[0],
+            lower_right[1],
+            -lower_left[0],
+            lower_left[1],
+        ];
+        let most = beyond.into_iter().fold(0.0, f64::max);
+        (most > 0.5 && most < width.max(height)).then(|| {
+            format!(
+                "\"{}\" does not reach a part of its rectangle, by up to {most:.0} pixels: --place largest makes the \
+                 picture fit, or move the projector",
+                projector.name
+            )
+        })
+    };
+    (0..wall.projectors().len()).filter_map(|index| short(&index)).collect()
+}
+
+/// Drops what a photograph shows the wrong way round: a mirror or a shining floor.
+fn drop_reflections(view: &mut View, wall: &Wall) {
+    let is_flipped = |projector_idx: usize| wall.projectors()[projector_idx].flip != Flip::None;
+    let n_points = |is_mirrored: bool| -> usize {
+        let such = view.sightings.iter().filter(|it| (it.is_mirrored != is_flipped(it.projector_idx)) == is_mirrored);
+        such.map(|sighting| sighting.points.len()).sum()
+    };
+    let is_mirrored = n_points(true) > n_points(false);
+    view.sightings.retain(|it| (it.is_mirrored != is_flipped(it.projector_idx)) == is_mirrored);
+}
+
+/// The view that fits worst, if it fits much worse than the others.
+fn misfit(views: &[View], solution: &Solution) -> Option<usize> {
+    let used: Vec<usize> = (0..views.len()).filter(|&view| solution.view_medians_px[view].is_finite()).collect();
+    let usual = median(used.iter().map(|&view| solution.view_medians_px[view]).collect());
+    let worst =
+        used.iter().copied().max_by(|&a, &b| solution.view_medians_px[a].total_cmp(&solution.view_medians_px[b]))?;
+    let is_alone = used.len() < 3;
+    (!is_alone && solution.view_medians_px[worst] > (FARTHEST_VIEW * usual).max(LARGEST_MEDIAN_PX)).then_some(worst)
+}

@@ -1,0 +1,156 @@
+//! Photographs from a folder, complete or while a camera fills it.
+
+use std::{
+    collections::HashMap,
+    fs,
+    io::BufReader,
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    thread::{self, JoinHandle},
+    time::Duration,
+};
+
+use anyhow::{Context, bail};
+use channel::files;
+use image::{DynamicImage, ImageDecoder, ImageReader, metadata::Orientation};
+
+use crate::calibration::{Codebook, Photograph, Plan, Reading};
+
+/// A photograph that was read.
+#[derive(Clone, Debug)]
+pub(super) struct Photo {
+    pub reading: Reading,
+    /// How viewers turn it.
+    pub orientation: Orientation,
+}
+
+/// Endings of files that are read, and of photographs that are not.
+const ENDINGS: [&str; 5] = ["jpg", "jpeg", "png", "tif", "tiff"];
+const OTHER_ENDINGS: [&str; 9] = ["heic", "heif", "avif", "dng", "cr2", "cr3", "nef", "arw", "raf"];
+/// The most photographs of a wall: thirty from each of thirty places.
+const MOST_PHOTOS: usize = 900;
+/// The most pixels of a photograph, which take a gigabyte while it is read.
+const MOST_PIXELS: u64 = 64_000_000;
+/// How often a folder is looked at; a file is complete if it has not grown since the last time.
+const WATCH_INTERVAL: Duration = Duration::from_millis(300);
+
+/// The photographs in a folder, by name.
+pub(super) fn in_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let entries = fs::read_dir(folder).with_context(|| format!("the folder {} cannot be read", folder.display()))?;
+    let mut paths = Vec::new();
+    let mut n_others = 0;
+    for entry in entries {
+        let path = entry.with_context(|| format!("the folder {} cannot be read", folder.display()))?.path();
+        let ending = path.extension().map(|it| it.to_string_lossy().to_lowercase()).unwrap_or_default();
+        n_others += usize::from(OTHER_ENDINGS.contains(&&*ending));
+        if ENDINGS.contains(&&*ending) && !path.is_dir() {
+            paths.push(path);
+        }
+    }
+    if paths.len() > MOST_PHOTOS {
+        bail!(
+            "{} has {} photographs, and at most {MOST_PHOTOS} are read: remove others",
+            folder.display(),
+            paths.len()
+        );
+    }
+    if paths.is_empty() && n_others > 0 {
+        bail!(
+            "{} has only photographs in formats that are not read: export them as JPEG, PNG or TIFF",
+            folder.display()
+        );
+    }
+    paths.sort();
+    Ok(paths)
+}
+
+impl Photo {
+    /// Reads a photograph; an error is one line with the cure.
+    pub(super) fn read(path: &Path, codebook: &Codebook<'_>) -> Result<Self, String> {
+        let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
+        let fault = |problem: &dyn std::fmt::Display| {
+            format!("{name} cannot be read: {problem}: it does not count; export it as JPEG again")
+        };
+        let file = files::open(path).map_err(|error| format!("{name} {error}"))?;
+        let reader = ImageReader::new(BufReader::new(file)).with_guessed_format().map_err(|error| fault(&error))?;
+        let mut decoder = reader.into_decoder().map_err(|error| fault(&error))?;
+        let (width, height) = decoder.dimensions();
+        if u64::from(width) * u64::from(height) > MOST_PIXELS {
+            return Err(format!(
+                "{name} has {width}×{height} pixels, and at most {} million are read: scale it down",
+                MOST_PIXELS / 1_000_000
+            ));
+        }
+        let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+        let image = DynamicImage::from_decoder(decoder).map_err(|error| fault(&error))?;
+        let grey = image.into_luma16();
+        let values = grey.as_raw().iter().map(|value| f32::from(*value) / 65535.0).collect();
+        let photograph = Photograph { size: [width as usize, height as usize], values };
+        drop(grey);
+        Ok(Self { reading: Reading::new(name, &photograph, codebook), orientation })
+    }
+}
+
+/// Reads photographs as they come into a folder, on a thread of its own, until it is dropped.
+pub(super) struct Watch {
+    is_ended: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Watch {
+    /// Reports each photograph that comes from now on; those that are there already are of another time.
+    pub(super) fn start(
+        folder: &Path,
+        plan: Plan,
+        report: impl Fn(Result<Photo, String>) + Send + 'static,
+    ) -> anyhow::Result<Self> {
+        let mut done: HashMap<PathBuf, u64> = in_folder(folder)?.into_iter().map(|path| (path, u64::MAX)).collect();
+        if !done.is_empty() {
+            tracing::info!("{} photographs that are in {} already do not count", done.len(), folder.display());
+        }
+        let is_ended = Arc::new(AtomicBool::new(false));
+        let (ends, folder) = (Arc::clone(&is_ended), folder.to_owned());
+        let run = move || {
+            let codebook = Codebook::new(&plan);
+            let mut problem = None;
+            while !ends.load(Ordering::Relaxed) {
+                let paths = in_folder(&folder).unwrap_or_else(|error| {
+                    // Once, not three times a second.
+                    let error = format!("{error:#}");
+                    if problem.as_ref() != Some(&error) {
+                        report(Err(error.clone()));
+                        problem = Some(error);
+                    }
+                    Vec::new()
+                });
+                for path in paths {
+                    let n_bytes = fs::metadata(&path).map_or(0, |metadata| metadata.len());
+                    let is_complete = n_bytes > 0 && done.get(&path) == Some(&n_bytes);
+                    if done.get(&path) == Some(&u64::MAX) || ends.load(Ordering::Relaxed) {
+                        continue;
+                    }
+                    if is_complete {
+                        report(Photo::read(&path, &codebook));
+                    }
+                    done.insert(path, if is_complete { u64::MAX } else { n_bytes });
+                }
+                thread::sleep(WATCH_INTERVAL);
+            }
+        };
+        let thread = thread::Builder::new().name("photographs".to_owned()).spawn(run)?;
+        Ok(Self { is_ended, thread: Some(thread) })
+    }
+}
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        self.is_ended.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // A photograph that is being read is finished first.
+            let _ = thread.join();
+        }
+    }
+}
