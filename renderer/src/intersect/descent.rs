@@ -19,7 +19,8 @@ const N_STACK: usize = ((CHILDREN - 1) * hierarchy::LEVELS + 2).next_power_of_tw
 /// Room to write a whole vector behind any entry.
 const STACK: usize = N_STACK + CHILDREN;
 
-/// A ray on its way down a hierarchy, step by step, to its leaves, roughly from the nearest to the farthest.
+/// A ray on its way down a hierarchy, step by step, to its leaves, roughly from the nearest to the farthest, or back if any
+/// hit counts.
 ///
 /// [`RayStarts`] says what its parameter s is.
 pub(super) struct Descent {
@@ -83,8 +84,9 @@ impl Descent {
     /// Puts those children of a node on the stack that the ray passes. With `ANY`, rays are not shortened.
     #[inline(always)]
     pub(super) fn enter_node<S: Simd, const ANY: bool>(&mut self, node: &HierarchyNode) {
-        // The child that is farthest along the ray comes first: it is in slot `flip`.
-        let flip = self.ahead % CHILDREN as u32;
+        // The child that is to be entered last comes first: it is in slot `flip`. The nearest child is entered first, but with
+        // `ANY` the farthest, because what lies near a surface seldom hides it.
+        let flip = if ANY { !self.ahead } else { self.ahead } % CHILDREN as u32;
         let within = S::LANES as u32 - 1;
         let mut n_stack = self.n_stack as usize % N_STACK;
         let mut first = 0;
