@@ -1,5 +1,5 @@
-//! Traces rays that share nothing: through a tree with [`super::stream`], through the paper's uniform grid with
-//! [`super::walk`].
+//! Traces rays of any origins: through a tree with [`super::stream`], or with [`super::bundle`] where they go together;
+//! through the paper's uniform grid with [`super::walk`].
 
 use crate::{
     grid::{
@@ -11,6 +11,7 @@ use crate::{
         },
     },
     intersect::{
+        bundle::{self, Bundle},
         descent::Descent,
         ray::{Hit, Ray},
         starts::RayStarts,
@@ -59,6 +60,12 @@ impl Nearest {
         if is_nearer && !(mesh.has_masks() && mesh.is_passed(triangle, ray)) {
             (self.triangle, self.t) = (triangle, t);
         }
+    }
+
+    /// Some hit or none, where it does not matter which.
+    #[inline(always)]
+    fn any(is_hit: bool) -> Self {
+        Self { triangle: if is_hit { 0 } else { u32::MAX }, ..Self::default() }
     }
 
     fn hit(&self) -> Hit {
@@ -151,12 +158,45 @@ impl Grid {
         match &self.structure {
             // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
             Structure::Tree(tree) => unsafe {
-                self.instructions.call(RayStream::<_, ANY>::new(self, tree, rays, answer));
+                if ANY && rays.len() > 1 && !tree.hierarchy.triangle_nodes.is_empty() {
+                    self.instructions.call(BundlesAndStream { grid: self, tree, rays, answer });
+                } else {
+                    self.instructions.call(RayStream::<_, ANY>::new(self, tree, rays, answer));
+                }
             },
             Structure::Plain(grid) => each.for_each(|(index, ray)| answer(index, walk::trace::<ANY>(self, grid, ray))),
             Structure::RowDisplacement(grid) => {
                 each.for_each(|(index, ray)| answer(index, walk::trace::<ANY>(self, grid, ray)));
             }
         }
+    }
+}
+
+/// Rays of which any hit counts: bundles of those that go together, and a stream of all others.
+struct BundlesAndStream<'a, F> {
+    grid: &'a Grid,
+    tree: &'a Tree,
+    rays: &'a [Ray],
+    answer: F,
+}
+
+impl<F: FnMut(usize, Nearest)> Kernel for BundlesAndStream<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self) {
+        let Self { grid, tree, rays, mut answer } = self;
+        let (mut alone, mut indices) = (Vec::new(), Vec::new());
+        for (number, of_bundle) in rays.chunks(bundle::MOST_RAYS).enumerate() {
+            let first = number * bundle::MOST_RAYS;
+            if let Some(occluded) = Bundle::occluded::<S>(grid, tree, of_bundle) {
+                (0..of_bundle.len()).for_each(|index| answer(first + index, Nearest::any(occluded >> index & 1 == 1)));
+            } else {
+                alone.extend_from_slice(of_bundle);
+                indices.extend(first..first + of_bundle.len());
+            }
+        }
+        RayStream::<_, true>::new(grid, tree, &alone, |index: usize, nearest| answer(indices[index], nearest))
+            .run::<S>();
     }
 }

@@ -38,6 +38,51 @@ fn over_leaves(mut grid: Grid) -> Grid {
     grid
 }
 
+/// The same grid, in which all rays that lead the same way go together, however fine its triangles are.
+fn in_bundles(mut grid: Grid) -> Grid {
+    let Structure::Tree(tree) = &mut grid.structure else { panic!("no tree") };
+    tree.hierarchy.typical_area = f32::INFINITY;
+    grid
+}
+
+/// Rays that begin close together and lead the same way, or almost.
+fn rays_together(mesh: &Mesh) -> impl Strategy<Value = Vec<Ray>> + use<> {
+    let size = prop_oneof![Just(0.0f32), Just(1e-5), Just(1e-2), Just(0.5)];
+    let difference = || (prop::array::uniform3(-1.0..1.0f32), prop::array::uniform3(-1.0..1.0f32), 0.0..2.0f32);
+    (ray(mesh), size.clone(), size, prop::collection::vec(difference(), 16..40)).prop_map(
+        |(first, spread, widening, differences)| {
+            let together = |(origin, direction, length): ([f32; 3], [f32; 3], f32)| Ray {
+                origin: first.origin + Vec3::from(origin) * spread,
+                direction: first.direction + Vec3::from(direction) * (widening * 0.05 * first.direction.length()),
+                t_min: 0.0,
+                t_max: if length < 1.0 { length } else { first.t_max },
+            };
+            differences.into_iter().map(together).collect()
+        },
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn rays_that_go_together_are_occluded_as_alone(
+        (mesh, rays) in prop_oneof![Just(cube(4)), Just(statue::generate(1000, &|_| ()))].prop_flat_map(|mesh| {
+            let rays = rays_together(&mesh);
+            (Just(mesh), rays)
+        }),
+    ) {
+        for instructions in InstructionSet::available() {
+            let grid = in_bundles(build(&mesh)).with_instructions(instructions);
+            let mut occluded = vec![false; rays.len()];
+            grid.occluded_rays(&rays, &mut occluded);
+            for (ray, occluded) in rays.iter().zip(occluded) {
+                prop_assert_eq!(occluded, !grid.intersect(ray).is_miss(), "{:?}: {:?}", instructions, ray);
+            }
+        }
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(8))]
 

@@ -11,6 +11,8 @@
 use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
 
+use crate::simd::Simd;
+
 /// Most children of a node.
 pub(crate) const CHILDREN: usize = 16;
 
@@ -57,11 +59,13 @@ pub(crate) struct Hierarchy {
     pub(crate) nodes: Vec<HierarchyNode>,
     /// Nodes whose children are triangles, by index. None over the leaves of a tree.
     pub(crate) triangle_nodes: Vec<HierarchyNode>,
+    /// Half the surface of the box that a ray is likely to pass: the mean of all items, weighted by itself.
+    pub(crate) typical_area: f32,
 }
 
 impl Default for Hierarchy {
     fn default() -> Self {
-        Self { root: NONE, nodes: Vec::new(), triangle_nodes: Vec::new() }
+        Self { root: NONE, nodes: Vec::new(), triangle_nodes: Vec::new(), typical_area: 0.0 }
     }
 }
 
@@ -87,6 +91,10 @@ impl Hierarchy {
         let item = |(item, bounds): (usize, Bounds)| BoundedItem { bounds, item: item as u32 };
         let mut items: Vec<_> = bounds.enumerate().map(item).collect();
         let mut hierarchy = Self::default();
+        let areas = || items.iter().map(|item| f64::from(item.bounds.half_area()));
+        let typical_area = areas().map(|area| area * area).sum::<f64>() / areas().sum::<f64>();
+        // None without surfaces.
+        hierarchy.typical_area = (typical_area as f32).max(0.0);
         hierarchy.root = hierarchy.append::<OF_TRIANGLES>(&mut items, LEVELS);
         hierarchy.nodes.shrink_to_fit();
         hierarchy.triangle_nodes.shrink_to_fit();
@@ -170,6 +178,13 @@ impl HierarchyNode {
         let (low, high) = ([f32::INFINITY; CHILDREN], [f32::NEG_INFINITY; CHILDREN]);
         Self { sides: [low, high, low, high, low, high], children: [NONE; CHILDREN] }
     };
+
+    /// Hints that this node will be read soon.
+    #[inline(always)]
+    pub(crate) fn prefetch<S: Simd>(&self) {
+        self.sides.iter().for_each(|row| S::prefetch(row, 0));
+        S::prefetch(&self.children, 0);
+    }
 
     /// Puts a child with its bounds into a slot.
     fn set_child(&mut self, slot: usize, child: Entry, bounds: &Bounds) {

@@ -1,0 +1,505 @@
+//! Rays that lie close together and lead the same way, as to a sun: one walk down the hierarchy over triangles for all.
+//!
+//! A shaft around the rays is compared with the 16 boxes of a node at once, and each box that it passes with all rays, one
+//! a lane. Triangles are tested in single precision, after Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection"
+//! (2013): corners are sheared so that the ray becomes an axis. [`super::triangle`] decides where rounding could change
+//! the answer, so the answers are those of rays that go alone.
+//!
+//! Axes are the major axis k, along which all rays advance, and u and v across it, mirrored so that rays go up along each.
+//! Depths count along k.
+
+use crate::{
+    grid::{
+        Grid,
+        tree::{
+            Tree,
+            hierarchy::{self, CHILDREN, Hierarchy, HierarchyNode, LEAF, NONE, SLOT_BITS},
+        },
+    },
+    intersect::{
+        margins::UNDERFLOW_MARGIN,
+        ray::{Ray, major_axis},
+        triangle,
+    },
+    simd::Simd,
+};
+
+/// Most rays of a bundle.
+pub(super) const MOST_RAYS: usize = 16;
+
+/// Fewest rays that go together.
+const FEWEST_RAYS: usize = 8;
+
+/// Most difference between slopes of rays that go together.
+const WIDEST: f32 = 1.0 / 16.0;
+
+/// The greatest slope: along the major axis of one ray of a bundle, others may be a little steeper than 1.
+const STEEPEST: f32 = 2.0;
+
+/// The greatest inverse of a slope: over a grid, smaller slopes move a ray by less than the margin.
+const GREATEST_INVERSE: f32 = 1e12;
+
+/// Farthest distances within a bundle, in extents of the grid: single precision bounds them well.
+const FARTHEST: f64 = 64.0;
+
+/// Rounding error of a shaft, relative to the farthest distance within it: a dozen roundings, and twenty to spare.
+const SHAFT_MARGIN: f64 = 32.0 / (1u32 << 24) as f64;
+
+/// Rounding error of an edge's side, relative to the product of the farthest distance and the sheared corners' largest
+/// coordinate: 46 roundings, for slopes up to 2, and 18 to spare.
+const SIDE_MARGIN: f32 = 64.0 / (1u32 << 24) as f32;
+
+/// Rounding error of a depth, relative to distances along the normal: 18 roundings, and 14 to spare.
+const DEPTH_MARGIN: f32 = 32.0 / (1u32 << 24) as f32;
+
+/// Least cosine, as it were, between ray and normal for which [`DEPTH_MARGIN`] holds.
+const LEAST_COSINE: f32 = 1.0 / 4096.0;
+
+/// The rays of a bundle, one a lane.
+#[derive(Default)]
+#[repr(C, align(64))]
+struct RayLanes {
+    /// In world units, by axis.
+    origins: [[f32; MOST_RAYS]; 3],
+    /// u and v over a unit of depth.
+    slopes: [[f32; MOST_RAYS]; 2],
+    /// The interval in depths from the ray's origin, in world units.
+    intervals: [[f32; MOST_RAYS]; 2],
+    /// The interval in the shaft's depths.
+    ends: [[f32; MOST_RAYS]; 2],
+    /// Depth in the shaft over a unit of u and v, and depth where u and v are 0.
+    inverses: [[f32; MOST_RAYS]; 2],
+    bases: [[f32; MOST_RAYS]; 2],
+}
+
+/// Bounds of a bundle's rays, in finest cells from the first ray's origin; depths count from where the first ray begins.
+#[derive(Default)]
+struct Shaft {
+    /// The near and far side along each axis: twice the axis, and one more for the greatest side.
+    sides: [usize; 6],
+    /// 1 or −1 along each axis, and where sides with coordinate 0 lie, moved out by the rounding error.
+    signs: [f32; 3],
+    bases: [f32; 6],
+    /// The greatest depth.
+    end: f32,
+    /// Least and greatest position at depth 0, of u and v, and slope.
+    starts: [[f32; 2]; 2],
+    slopes: [[f32; 2]; 2],
+    /// The bits of a slot's number for axes along which rays go down: the slot whose child is nearest.
+    nearest: usize,
+}
+
+/// The sides of a node's boxes in a shaft: near and far depth, then u and v.
+#[repr(align(64))]
+struct BoxRows([[f32; CHILDREN]; 6]);
+
+/// Rays that go together, of which any hit counts.
+pub(super) struct Bundle<'a> {
+    grid: &'a Grid,
+    tree: &'a Tree,
+    rays: &'a [Ray],
+    axes: [usize; 3],
+    lanes: RayLanes,
+    shaft: Shaft,
+    /// No coordinate of a corner is farther from a ray's origin, in world units.
+    reach: f32,
+    /// A bit for each ray that may still hit something.
+    left: u32,
+    /// A bit for each ray that hits something.
+    occluded: u32,
+}
+
+impl<'a> Bundle<'a> {
+    /// A bit for each of up to [`MOST_RAYS`] rays that hits something; `None` if they do not go together.
+    #[inline(always)]
+    pub(super) fn occluded<S: Simd>(grid: &'a Grid, tree: &'a Tree, rays: &'a [Ray]) -> Option<u32> {
+        // Most rays have nothing to do with each other, which the last one tells.
+        let (first, last) = (rays.first()?, rays.last()?);
+        let axis = major_axis(first.direction.to_array());
+        let axes = [axis, (axis + 1) % 3, (axis + 2) % 3];
+        let [along_first, along_last] = [first, last].map(|ray| ray.direction[axis]);
+        let is_near = axes[1..].iter().all(|&across| {
+            (first.direction[across] / along_first - last.direction[across] / along_last).abs() <= WIDEST
+        });
+        if rays.len() < FEWEST_RAYS || !is_near {
+            return None;
+        }
+        let left = u32::MAX >> (32 - rays.len());
+        let (lanes, shaft) = Default::default();
+        let mut bundle = Self { grid, tree, rays, axes, lanes, shaft, reach: 0.0, left, occluded: 0 };
+        if !bundle.bound::<S>() {
+            return None;
+        }
+        bundle.trace::<S>();
+        Some(bundle.occluded)
+    }
+
+    /// Prepares all rays and the shaft. Returns false if the rays do not go together.
+    #[inline(always)]
+    fn bound<S: Simd>(&mut self) -> bool {
+        // Put the rays into lanes; those behind the last repeat it.
+        let RayLanes { origins, slopes, intervals, .. } = &mut self.lanes;
+        let [k, u, v] = self.axes;
+        let sign = 1f32.copysign(self.rays[0].direction[k]);
+        let mut along = [0.0; MOST_RAYS];
+        for lane in 0..MOST_RAYS {
+            let Ray { origin, direction, t_min, t_max } = self.rays[lane.min(self.rays.len() - 1)];
+            (origins[0][lane], origins[1][lane], origins[2][lane]) = (origin[k], origin[u], origin[v]);
+            (along[lane], slopes[0][lane], slopes[1][lane]) = (direction[k] * sign, direction[u], direction[v]);
+            (intervals[0][lane], intervals[1][lane]) = (t_min, t_max);
+        }
+
+        // Compute slopes. Rays with an empty interval miss; those that are not finite go alone.
+        let (lowest, highest) = (S::splat(f32::INFINITY), S::splat(f32::NEG_INFINITY));
+        let mut slope_bounds = [[lowest, highest]; 2];
+        let all = ((1u64 << S::LANES) - 1) as u32;
+        let mut sound = all;
+        for lane in (0..MOST_RAYS).step_by(S::LANES) {
+            let along = S::load(&along[lane..]);
+            sound &= S::splat(f32::MIN_POSITIVE).le(along) & along.le(S::splat(f32::MAX));
+            for across in 0..2 {
+                let slope = S::load(&slopes[across][lane..]).div(along);
+                sound &= slope.abs().le(S::splat(STEEPEST));
+                slope_bounds[across] = [slope.min(slope_bounds[across][0]), slope.max(slope_bounds[across][1])];
+                slope.store(&mut slopes[across][lane..]);
+            }
+            let (t_min, t_max) = (S::load(&intervals[0][lane..]), S::load(&intervals[1][lane..]));
+            self.left &= !((!t_min.le(t_max) & all) << lane);
+            t_min.mul(along).store(&mut intervals[0][lane..]);
+            t_max.mul(along).store(&mut intervals[1][lane..]);
+        }
+
+        // Mirror the axes along which the rays go down; all must go the same way.
+        let mut signs = [sign, 1.0, 1.0];
+        for (across, [low, high]) in reduce(slope_bounds).into_iter().enumerate() {
+            if high <= 0.0 {
+                signs[1 + across] = -1.0;
+            }
+            if sound != all || high - low > WIDEST || (low < 0.0 && high > 0.0) {
+                return false;
+            }
+            self.shaft.slopes[across] = if high <= 0.0 { [-high, -low] } else { [low, high] };
+        }
+
+        // Find where the first ray begins, and the last ends.
+        let first = [origins[0][0], origins[1][0], origins[2][0]];
+        let (mut start, mut end) = (lowest, highest);
+        let mut origin_bounds = [[lowest, highest]; 3];
+        for lane in (0..MOST_RAYS).step_by(S::LANES) {
+            for axis in 0..3 {
+                let origin = S::load(&origins[axis][lane..]);
+                sound &= origin.abs().le(S::splat(f32::MAX));
+                origin_bounds[axis] = [origin.min(origin_bounds[axis][0]), origin.max(origin_bounds[axis][1])];
+            }
+            let from_first = S::load(&origins[0][lane..]).sub(S::splat(first[0])).mul(S::splat(sign));
+            start = from_first.add(S::load(&intervals[0][lane..])).min(start);
+            end = from_first.add(S::load(&intervals[1][lane..])).max(end);
+        }
+        let (start, end) = (start.reduce_min(), end.reduce_max());
+        if sound != all || !self.set_margins(first, signs, reduce(origin_bounds), start, end) {
+            return false;
+        }
+
+        // Move the rays to the shaft's depth 0, and convert them to finest cells.
+        let RayLanes { origins, slopes, intervals, ends, inverses, bases } = &mut self.lanes;
+        let cells_per_unit = S::splat(self.grid.space.cells_per_unit as f32);
+        let mut starts = [[lowest, highest]; 2];
+        for lane in (0..MOST_RAYS).step_by(S::LANES) {
+            let to_start =
+                S::load(&origins[0][lane..]).sub(S::splat(first[0])).mul(S::splat(-sign)).add(S::splat(start));
+            for end in 0..2 {
+                let from_start = S::load(&intervals[end][lane..]).sub(to_start);
+                from_start.mul(cells_per_unit).store(&mut ends[end][lane..]);
+            }
+            for across in 0..2 {
+                let slope = S::load(&slopes[across][lane..]).abs();
+                let from_first = S::load(&origins[1 + across][lane..]).sub(S::splat(first[1 + across]));
+                let at_start = slope.mul_add(to_start, from_first.mul(S::splat(signs[1 + across]))).mul(cells_per_unit);
+                starts[across] = [at_start.min(starts[across][0]), at_start.max(starts[across][1])];
+                let inverse = S::splat(1.0).div(slope).min(S::splat(GREATEST_INVERSE));
+                inverse.store(&mut inverses[across][lane..]);
+                S::splat(0.0).sub(at_start.mul(inverse)).store(&mut bases[across][lane..]);
+                slope.store(&mut slopes[across][lane..]);
+            }
+            for axis in 0..3 {
+                let origin = S::load(&origins[axis][lane..]).mul(S::splat(signs[axis]));
+                origin.store(&mut origins[axis][lane..]);
+            }
+        }
+        self.shaft.starts = reduce(starts);
+        // Where triangles are finer than the shaft, its rays meet different ones, and are faster alone.
+        self.shaft.section(self.tree.extent) <= self.tree.hierarchy.typical_area
+    }
+
+    /// Sets the shaft's sides and margins, for rays within bounds in world units. Returns false where they are too large.
+    #[inline(always)]
+    fn set_margins(&mut self, first: [f32; 3], signs: [f32; 3], origins: [[f32; 2]; 3], start: f32, end: f32) -> bool {
+        let (space, bounds) = (&self.grid.space, self.grid.mesh().bounds());
+        let extent = f64::from(self.tree.extent.into_iter().max().unwrap_or(1));
+        let in_cells = |length: f32| f64::from(length) * space.cells_per_unit;
+        let mut farthest = extent + in_cells(start).abs();
+        let mut first_in_cells = [0.0; 3];
+        for local_axis in 0..3 {
+            let (axis, [low, high]) = (self.axes[local_axis], origins[local_axis]);
+            let from_low = f64::from(first[local_axis]) - f64::from(space.origin[axis]);
+            first_in_cells[local_axis] = from_low * space.cells_per_unit * f64::from(signs[local_axis]);
+            farthest += first_in_cells[local_axis].abs() + in_cells(high - low);
+            self.reach = self.reach.max(bounds.max[axis] - low).max(high - bounds.min[axis]);
+        }
+        let margin = farthest * SHAFT_MARGIN + 1.0 / 1024.0;
+        let shaft = &mut self.shaft;
+        first_in_cells[0] += in_cells(start);
+        for local_axis in 0..3 {
+            let axis = self.axes[local_axis];
+            let is_up = signs[local_axis] > 0.0;
+            let near = 2 * axis + usize::from(!is_up);
+            (shaft.sides[2 * local_axis], shaft.sides[2 * local_axis + 1]) = (near, near ^ 1);
+            shaft.bases[2 * local_axis] = (-first_in_cells[local_axis] - margin) as f32;
+            shaft.bases[2 * local_axis + 1] = (-first_in_cells[local_axis] + margin) as f32;
+            shaft.nearest |= if is_up { 0 } else { SLOT_BITS[axis] as usize };
+        }
+        shaft.signs = signs;
+        shaft.end = (in_cells(end) - in_cells(start)) as f32;
+        farthest <= FARTHEST * extent
+    }
+
+    /// Finds the rays that hit something, from the farthest boxes to the nearest: what lies near a surface seldom hides it.
+    #[inline(always)]
+    fn trace<S: Simd>(&mut self) {
+        const N_STACK: usize = ((CHILDREN - 1) * hierarchy::LEVELS + 2).next_power_of_two();
+        let Hierarchy { root, nodes, triangle_nodes, .. } = &self.tree.hierarchy;
+        let (mut stack, mut n_stack) = ([NONE; N_STACK], 1);
+        let mut rows = BoxRows([[0.0; CHILDREN]; 6]);
+        let mut entry = *root;
+        while entry != NONE && self.left != 0 {
+            let (index, is_leaf) = ((entry & !LEAF) as usize, entry & LEAF != 0);
+            let node = if is_leaf { &triangle_nodes[index] } else { &nodes[index] };
+            let mut passed = self.shaft.passed::<S>(node, &mut rows);
+            let (mut triangles, mut n_triangles) = ([(0, 0); CHILDREN], 0);
+            while passed != 0 {
+                let slot = (passed.trailing_zeros() as usize ^ self.shaft.nearest) % CHILDREN;
+                passed &= passed - 1;
+                let (child, rays) = (node.children[slot], self.passing::<S>(&rows, slot));
+                if rays == 0 {
+                    continue;
+                }
+                if is_leaf {
+                    self.grid.mesh().prefetch_corners::<S>(child);
+                    triangles[n_triangles % CHILDREN] = (child, rays);
+                    n_triangles += 1;
+                } else {
+                    let nodes = if child & LEAF != 0 { triangle_nodes } else { nodes };
+                    nodes[(child & !LEAF) as usize].prefetch::<S>();
+                    stack[n_stack % N_STACK] = child;
+                    n_stack += 1;
+                }
+            }
+            for &(triangle, rays) in &triangles[..n_triangles] {
+                self.test_triangle::<S>(triangle, rays & self.left);
+            }
+            n_stack -= 1;
+            entry = stack[n_stack % N_STACK];
+        }
+    }
+
+    /// A bit for each ray left that passes the box in a slot.
+    #[inline(always)]
+    fn passing<S: Simd>(&self, BoxRows(rows): &BoxRows, slot: usize) -> u32 {
+        let RayLanes { ends, inverses, bases, .. } = &self.lanes;
+        let mut passing = 0;
+        for lane in (0..MOST_RAYS).step_by(S::LANES) {
+            let mut near = S::splat(rows[0][slot]).max(S::load(&ends[0][lane..]));
+            let mut far = S::splat(rows[1][slot]).min(S::load(&ends[1][lane..]));
+            for across in 0..2 {
+                let (inverse, base) = (S::load(&inverses[across][lane..]), S::load(&bases[across][lane..]));
+                near = near.max(S::splat(rows[2 + 2 * across][slot]).mul_add(inverse, base));
+                far = far.min(S::splat(rows[3 + 2 * across][slot]).mul_add(inverse, base));
+            }
+            passing |= near.le(far) << lane;
+        }
+        passing & self.left
+    }
+
+    /// Tests a triangle against some rays.
+    #[inline(always)]
+    fn test_triangle<S: Simd>(&mut self, triangle: u32, rays: u32) {
+        let mesh = self.grid.mesh();
+        let corners = mesh.corners(triangle);
+        let mut points = [[0.0; 3]; 3];
+        for corner in 0..3 {
+            for axis in 0..3 {
+                points[corner][axis] = corners[corner][self.axes[axis]] * self.shaft.signs[axis];
+            }
+        }
+        let side_margin = self.reach * SIDE_MARGIN;
+        let least_margin = S::splat(side_margin * side_margin + UNDERFLOW_MARGIN);
+        let (zero, one, side_margin) = (S::splat(0.0), S::splat(1.0), S::splat(side_margin));
+        for lane in (0..MOST_RAYS).step_by(S::LANES) {
+            // Move the ray's origin to zero, and shear corners so that the ray becomes the axis k.
+            let RayLanes { origins, slopes, intervals, .. } = &self.lanes;
+            let origin = [S::load(&origins[0][lane..]), S::load(&origins[1][lane..]), S::load(&origins[2][lane..])];
+            let slope = [S::load(&slopes[0][lane..]), S::load(&slopes[1][lane..])];
+            let mut from_origin = [[zero; 3]; 3];
+            let mut sheared = [[zero; 2]; 3];
+            for corner in 0..3 {
+                for axis in 0..3 {
+                    from_origin[corner][axis] = S::splat(points[corner][axis]).sub(origin[axis]);
+                }
+                let [depth, u, v] = from_origin[corner];
+                sheared[corner] = [slope[0].neg_mul_add(depth, u), slope[1].neg_mul_add(depth, v)];
+            }
+
+            // Find the side on which the ray passes each edge.
+            let [a, b, c] = sheared;
+            let sides = [
+                c[0].mul_sub(b[1], c[1].mul(b[0])),
+                a[0].mul_sub(c[1], a[1].mul(c[0])),
+                b[0].mul_sub(a[1], b[1].mul(a[0])),
+            ];
+            let largest = a[0].abs().max(a[1].abs()).max(b[0].abs().max(b[1].abs())).max(c[0].abs().max(c[1].abs()));
+            let margin = largest.mul_add(side_margin, least_margin);
+            let low = sides[0].min(sides[1]).min(sides[2]);
+            let high = sides[0].max(sides[1]).max(sides[2]);
+            let inside = low.max(zero.sub(high));
+            let all = ((1u64 << S::LANES) - 1) as u32;
+            let possible = rays >> lane & all & !inside.lt(zero.sub(margin));
+            if possible == 0 {
+                continue;
+            }
+
+            // Bound the depth at which the ray meets the triangle's plane.
+            let normal = normal(&points);
+            let size = normal[0].abs() + normal[1].abs() + normal[2].abs();
+            let [along_k, along_u, along_v] = [S::splat(normal[0]), S::splat(normal[1]), S::splat(normal[2])];
+            let [depth, u, v] = from_origin[0];
+            let offset = along_k.mul_add(depth, along_u.mul_add(u, along_v.mul(v)));
+            let cosine = along_u.mul_add(slope[0], along_v.mul_add(slope[1], along_k));
+            let inverse = one.div(cosine);
+            let distance = depth.abs().max(u.abs()).max(v.abs());
+            let depth = offset.mul(inverse);
+            let error = distance.add(depth.abs()).mul(inverse.abs()).mul(S::splat(size * DEPTH_MARGIN));
+            let (least, greatest) = (depth.sub(error), depth.add(error));
+
+            // Keep certain hits, and decide those that rounding could change.
+            let (start, end) = (S::load(&intervals[0][lane..]), S::load(&intervals[1][lane..]));
+            let bounded = possible & S::splat(size * LEAST_COSINE).lt(cosine.abs());
+            let outside = bounded & (greatest.lt(start) | end.lt(least));
+            let hit =
+                if mesh.has_masks() { 0 } else { bounded & margin.lt(inside) & start.lt(least) & greatest.lt(end) };
+            self.occlude(hit << lane);
+            let mut undecided = possible & !outside & !hit;
+            while undecided != 0 {
+                let ray_idx = lane + undecided.trailing_zeros() as usize;
+                undecided &= undecided - 1;
+                let ray = &self.rays[ray_idx];
+                if triangle::intersect(ray, &corners).is_some() && !(mesh.has_masks() && mesh.is_passed(triangle, ray))
+                {
+                    self.occlude(1 << ray_idx);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn occlude(&mut self, rays: u32) {
+        self.occluded |= rays;
+        self.left &= !rays;
+    }
+}
+
+impl Shaft {
+    /// The area across the shaft where it ends or leaves the grid.
+    #[inline(always)]
+    fn section(&self, extent: [u32; 3]) -> f32 {
+        let depth = self.end.min(extent[self.sides[0] / 2] as f32);
+        let mut section = 1.0;
+        for across in 0..2 {
+            let ([least, greatest], [from, to]) = (self.slopes[across], self.starts[across]);
+            section *= (to - from) + (greatest - least) * depth;
+        }
+        section
+    }
+
+    /// Computes the sides of a node's boxes in the shaft. Returns a bit for each that it passes, at the slot's number with
+    /// the bits of `nearest` inverted.
+    #[inline(always)]
+    fn passed<S: Simd>(&self, node: &HierarchyNode, BoxRows(rows): &mut BoxRows) -> u32 {
+        let mut passed = 0;
+        let within = S::LANES - 1;
+        for first in (0..CHILDREN).step_by(S::LANES) {
+            let mut sides = [S::splat(0.0); 6];
+            for side in 0..6 {
+                let row = S::load(&node.sides[self.sides[side] % 6][first..]);
+                sides[side] = row.mul_add(S::splat(self.signs[side / 2]), S::splat(self.bases[side]));
+                sides[side].store(&mut rows[side][first..]);
+            }
+            let near = sides[0].max(S::splat(0.0));
+            let far = sides[1].min(S::splat(self.end));
+            let mut missed = far.sub(near);
+            for across in 0..2 {
+                let ([least, greatest], [from, to]) = (self.slopes[across], self.starts[across]);
+                let least = near.mul_add(S::splat(least), S::splat(from));
+                let greatest = far.mul_add(S::splat(greatest), S::splat(to));
+                missed = missed.or(sides[3 + 2 * across].sub(least)).or(greatest.sub(sides[2 + 2 * across]));
+            }
+            let missed = missed.reflect((self.nearest & within) as u32).sign_mask();
+            passed |= (!missed & ((1u64 << S::LANES) - 1) as u32) << (first ^ (self.nearest & !within));
+        }
+        passed
+    }
+}
+
+/// A vector of any length across a triangle, rounded once.
+#[inline(always)]
+fn normal(points: &[[f32; 3]; 3]) -> [f32; 3] {
+    let [a, b, c] = points.map(|point| point.map(f64::from));
+    let ([x, y, z], [p, q, r]) = ([b[0] - a[0], b[1] - a[1], b[2] - a[2]], [c[0] - a[0], c[1] - a[1], c[2] - a[2]]);
+    [(y * r - z * q) as f32, (z * p - x * r) as f32, (x * q - y * p) as f32]
+}
+
+/// The least and greatest numbers of all lanes.
+#[inline(always)]
+fn reduce<S: Simd, const N: usize>(bounds: [[S; 2]; N]) -> [[f32; 2]; N] {
+    let mut reduced = [[0.0; 2]; N];
+    for axis in 0..N {
+        reduced[axis] = [bounds[axis][0].reduce_min(), bounds[axis][1].reduce_max()];
+    }
+    reduced
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Vec3;
+
+    use super::*;
+    use crate::{
+        grid::{GridOptions, Structure},
+        model::mesh::Mesh,
+        simd::Portable,
+    };
+
+    #[test]
+    fn parallel_rays_go_together_where_triangles_are_large() {
+        let vertices = vec![[0.0, 0.0, 5.0], [10.0, 0.0, 5.0], [0.0, 10.0, 5.0], [10.0, 10.0, 6.0]];
+        let mesh = Mesh { vertices, triangles: vec![[0, 1, 2], [1, 3, 2]], ..Mesh::default() };
+        let grid = Grid::build(mesh, &GridOptions::default(), &|_| ());
+        let Structure::Tree(tree) = &grid.structure else { panic!("no tree") };
+        let rays = |spacing: f32| {
+            let ray = |lane: u8| {
+                let [x, y] = [f32::from(lane % 4), f32::from(lane / 4)].map(|step| 9.5 + step * spacing);
+                Ray::new(Vec3::new(x, y, 0.0), Vec3::new(0.1, 0.0, 1.0))
+            };
+            [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15].map(ray)
+        };
+        // They leave the square at its side.
+        assert_eq!(Bundle::occluded::<Portable>(&grid, tree, &rays(0.01)), Some(0));
+        let left = rays(-0.2);
+        let expected = left.iter().map(|ray| u32::from(grid.occluded(ray))).rev().fold(0, |mask, hit| mask << 1 | hit);
+        assert_eq!(Bundle::occluded::<Portable>(&grid, tree, &left), Some(expected));
+        assert!(expected != 0 && expected != 0xffff);
+        assert_eq!(Bundle::occluded::<Portable>(&grid, tree, &rays(40.0)), None, "far apart");
+        let mut apart = rays(0.01);
+        apart[15].direction.x = 0.5;
+        assert_eq!(Bundle::occluded::<Portable>(&grid, tree, &apart), None, "not parallel");
+    }
+}
