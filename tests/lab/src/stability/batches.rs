@@ -142,6 +142,44 @@ fn mixed_batch(scene: &Lattice, grids: &[Grid], seed: u64) -> Tally {
     tally
 }
 
+/// Integer rays that lie close together and lead the same way, or almost, with limits of their own: they are hidden as each
+/// is alone.
+pub(super) fn together(n_rays: u64) -> Tally {
+    const N_RAYS: usize = 32;
+    let scenes: Vec<_> = (0..6).map(|seed| lattice::soup(900 + seed, 4 + 6 * seed as usize)).collect();
+    let n_batches = n_rays.div_ceil((N_RAYS * scenes.len()) as u64);
+    let of_scene = |(scene, seed): (&Lattice, u64)| {
+        let grid = || Grid::build(solids::mesh_of(scene, 1.0), &GridOptions::default(), &|_| ());
+        let grids: Vec<_> = InstructionSet::available().into_iter().map(|set| grid().with_instructions(set)).collect();
+        let of_batch = |index: u64| {
+            let mut random = Random::new(index << 8 | seed);
+            let first = lattice::bundle(scene, 1.0, Aim::All, &mut random);
+            let (spread, widening) = (random.whole(0, 2), random.whole(0, 1));
+            let mut near = |most: i32| Vec3::from([(); 3].map(|()| random.whole(-most, most) as f32));
+            let rays = [(); N_RAYS].map(|()| Ray {
+                origin: first.origin + near(spread),
+                ..Ray::new(Vec3::ZERO, first.directions[0] * 32.0 + near(widening))
+            });
+            let rays = rays.map(|ray| limited(scene, ray, &mut random));
+            let batch: Vec<_> = rays.iter().map(|(ray, _)| *ray).collect();
+            let mut tally = Tally { n_rays: N_RAYS as u64, ..Tally::default() };
+            for grid in &grids {
+                let answers = self::batch(grid, &batch);
+                let occluded = contenders::occluded(grid, &batch);
+                for (((ray, truth), answer), occluded) in rays.iter().zip(answers).zip(occluded) {
+                    let is_right = truth.as_ref().is_some_and(|truth| truth.allows(answer));
+                    tally.count(Contender::Batches, is_right && occluded == answer.is_some(), || {
+                        format!("{ray:?} is answered {answer:?}, hidden: {occluded}")
+                    });
+                }
+            }
+            tally
+        };
+        (0..n_batches).into_par_iter().map(of_batch).sum::<Tally>()
+    };
+    scenes.iter().zip(0..).map(of_scene).sum()
+}
+
 /// A good ray, in half of the cases with limits, and its truth.
 fn limited(scene: &Lattice, ray: Ray, random: &mut Random) -> (Ray, Option<ExactTruth>) {
     let whole = |vector: Vec3| vector.to_array().map(|x| x as i32);

@@ -60,6 +60,34 @@ pub(super) fn one(scene: &Lattice, mesh: Mesh, unit: f32, aim: Aim, n_rays: u64,
     )
 }
 
+/// Packets from outside whose rays reach all over the scene. Neighbouring groups of rays settle far from each other.
+pub(super) fn wide_packets(n_rays: u64) -> Tally {
+    const N_RAYS: usize = 64;
+    let scenes: Vec<_> = (0..6).map(|seed| soup(800 + seed, 8 + 8 * seed as usize)).collect();
+    let n_bundles = n_rays.div_ceil((N_RAYS * scenes.len()) as u64);
+    let whole = |vector: Vec3| vector.to_array().map(|x| x as i32);
+    let of_scene = |(scene, seed): (&Lattice, u64)| {
+        let from_outside = |index: u64| {
+            let mut random = Random::new(index << 8 | seed);
+            let mut anywhere = || [(); 3].map(|()| random.whole(-2, SIZE + 2));
+            let (mut origin, mut targets) = (anywhere(), [(); N_RAYS].map(|()| anywhere()));
+            targets.sort_unstable();
+            let distance = random.whole(3, 3 * SIZE);
+            origin[random.whole(0, 2) as usize] = *random.choose(&[-2 - distance, SIZE + 2 + distance]);
+            let direction = |target: [i32; 3]| Vec3::from([0, 1, 2].map(|axis| (target[axis] - origin[axis]) as f32));
+            RayBundle { origin: Vec3::from(origin.map(|x| x as f32)), directions: targets.map(direction).to_vec() }
+        };
+        tally(
+            &Grid::build(solids::mesh_of(scene, 1.0), &GridOptions::default(), &|_| ()),
+            n_bundles,
+            from_outside,
+            |ray: &Ray| exact::truth(scene, whole(ray.origin), whole(ray.direction)),
+            |_, truth, answer| truth.allows(answer),
+        )
+    };
+    scenes.iter().zip(0..).map(of_scene).sum()
+}
+
 /// Rays of a bundle: few, because many cases depend on the origin.
 const N_DIRECTIONS: usize = 8;
 
