@@ -2,7 +2,7 @@
 
 CARGO ?= cargo
 
-.PHONY: run test soak stability setup setup-test format clippy docs bench fuzz test-slurm
+.PHONY: run test soak stability setup setup-test format clippy docs bench mitsuba fuzz test-slurm
 
 # The wall, with the built-in model and two local render servers; without a display it goes to wall.png.
 run: setup
@@ -47,6 +47,15 @@ bench:
 		echo "== $$options" && \
 		$(CARGO) run --release --quiet -p lab -- trace --triangles $(BENCH_TRIANGLES) --threads 1 --frames 20 $$options || exit 1; \
 	done
+
+# Path-traced light beside that of Mitsuba 3, which it installs from PyPI into target/mitsuba.
+MODEL ?= target/statue.ply
+MITSUBA_OPTIONS ?=
+mitsuba:
+	$(CARGO) build --release -p renderer -p lab --bins --examples
+	@[ -e $(MODEL) ] || target/release/renderer generate statue --triangles 100000 $(MODEL)
+	@[ -e target/mitsuba/bin/mitsuba ] || { python3 -m venv target/mitsuba && target/mitsuba/bin/pip install --quiet mitsuba numpy; }
+	target/mitsuba/bin/python tests/lab/beside_mitsuba.py $(MODEL) $(MITSUBA_OPTIONS)
 
 # Fuzzes every decoder with FUZZ_RUNS inputs each (a fiftieth for the slow one, records). Findings go to target/fuzz-found,
 # new inputs worth keeping to target/fuzz-corpus. RUSTC_BOOTSTRAP allows sanitizers on a stable compiler.

@@ -119,7 +119,7 @@ pub struct WallArgs {
         conflicts_with = "pictures", value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "mp4")))]
     pub film: Option<PathBuf>,
     /// Rays averaged for each sample, in linear light: 1 to 256 [default: 16 in a film, and at rest if the resolution
-    /// follows the motion; else 1]
+    /// follows the motion; 64 of --rays path in a film, at rest and with --headless; else 1]
     #[arg(long, value_name = "N", value_parser = between(1..=SampleRange::LARGEST_COUNT))]
     pub samples: Option<u32>,
     /// Frames a second while the camera moves: the resolution drops until this rate is reached; at rest the wall returns to
@@ -155,7 +155,8 @@ pub struct WallArgs {
     #[arg(long, value_name = "V", default_value_t = ShadingMode::default())]
     pub view: ShadingMode,
     /// The rays that light a sample: primary; shadows, which adds a ray to the key light; or ambient, which adds ambient
-    /// occlusion [default: primary; at rest ambient if the resolution follows the motion]
+    /// occlusion; or path, light of sun and sky that bounces, at rest if the resolution follows the motion [default: primary;
+    /// at rest ambient if the resolution follows the motion]
     #[arg(long, value_name = "RAYS")]
     pub rays: Option<LightingMode>,
     /// Key light, background and clip plane.
@@ -213,7 +214,11 @@ fn target_rate(text: &str) -> Result<f64, String> {
 impl WallArgs {
     /// The rays averaged for each sample of frames whose resolution does not follow the motion.
     pub fn sample_range(&self) -> SampleRange {
-        let default = if self.writes_film() { refinement::DEFAULT_SAMPLES } else { 1 };
+        let default = match self.rays {
+            Some(LightingMode::Path) if self.headless => refinement::DEFAULT_PATHS,
+            _ if self.writes_film() => refinement::DEFAULT_SAMPLES,
+            _ => 1,
+        };
         SampleRange { first: 0, count: self.samples.unwrap_or(default) }
     }
 
@@ -231,6 +236,7 @@ impl WallArgs {
             target_rate: if target_rate > 0.0 { target_rate } else { DEFAULT_TARGET_RATE },
             native: wall.native_size(),
             n_samples: self.samples.unwrap_or(refinement::DEFAULT_SAMPLES),
+            n_paths: self.samples.unwrap_or(refinement::DEFAULT_PATHS),
             fixed_size: wall.frame_size(),
             fixed_samples: self.sample_range(),
             lights_at_rest: self.rays.is_none(),

@@ -210,7 +210,7 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Letter('u')], Trigger(NextUpAxis), "next up axis: y, z, x, -y, -z, -x"),
         row(&[Letter('h')], Trigger(NextDivision), "next division: interleaved, tiled, dynamic"),
         row(&[Letter('v')], Trigger(NextShading), "next view: shaded, normals, cost"),
-        row(&[Letter('r')], Trigger(NextLighting), "next rays: auto, primary, shadows, ambient"),
+        row(&[Letter('r')], Trigger(NextLighting), "next rays: auto, primary, shadows, ambient, path"),
         row(
             &[Letter('l')],
             Trigger(NextLight),

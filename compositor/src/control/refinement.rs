@@ -2,7 +2,8 @@
 //!
 //! While the camera moves, [`control`] chooses each frame's resolution from a [`ladder`], by the times that frames take the
 //! farm and the [`display`]. At rest, frames in the wall's native resolution follow with 1, 4, 16 … samples a pixel; once
-//! edges are smooth, all rays light them, unless the operator chose the rays.
+//! edges are smooth, all rays light them, unless the operator chose the rays. Paths, if chosen, light only pictures at rest:
+//! few of them are noise.
 
 mod control;
 mod display;
@@ -24,6 +25,12 @@ pub(crate) const DEFAULT_TARGET_RATE: f64 = 30.0;
 /// Default samples a pixel at rest.
 pub(crate) const DEFAULT_SAMPLES: u32 = 16;
 
+/// Default paths a pixel at rest: after these, noise is seen only in deep folds.
+pub(crate) const DEFAULT_PATHS: u32 = 64;
+
+/// Paths a pixel of the first frame that has any: fewer have more noise than the frame before them.
+const FEWEST_PATHS: u32 = 16;
+
 /// The camera is at rest after this time. A shorter time would start a refinement between two motions of a hand.
 const REST: Duration = Duration::from_millis(200);
 
@@ -40,6 +47,8 @@ pub(crate) struct RefinementOptions {
     pub native: FrameSize,
     /// Samples a pixel at rest; from 1 to [`SampleRange::LARGEST_COUNT`].
     pub n_samples: u32,
+    /// Paths a pixel at rest; from 1 to [`SampleRange::LARGEST_COUNT`].
+    pub n_paths: u32,
     /// The resolution of all frames while refinement is off, and about that of the first frames while it is on.
     pub fixed_size: FrameSize,
     /// The samples of each pixel that frames average while refinement is off.
@@ -69,6 +78,8 @@ pub(crate) struct Refinement {
 #[derive(Clone, Copy, Debug)]
 struct LastStep {
     step: RenderStep,
+    /// The rays that were asked for, which paths replace only at rest.
+    asked_rays: LightingMode,
     is_shown: bool,
     /// When camera, scene or appearance changed last.
     changed_at: Instant,
@@ -105,7 +116,13 @@ impl Refinement {
 
     /// Samples a pixel of a fully refined picture.
     pub(crate) fn n_samples(&self) -> u32 {
-        if self.is_on() { self.options.n_samples } else { self.options.fixed_samples.count }
+        let RefinementOptions { is_on, n_samples, n_paths, fixed_samples, .. } = self.options;
+        let has_paths = self.last.is_some_and(|last| last.paths_follow() || last.step.spec.rays == LightingMode::Path);
+        match (is_on, has_paths) {
+            (true, true) => n_paths,
+            (true, false) => n_samples,
+            (false, _) => fixed_samples.count,
+        }
     }
 
     /// The frame to ask for after a change of camera, scene or appearance. Ignores the size and samples of `spec`.
@@ -114,21 +131,25 @@ impl Refinement {
             true => (self.ladder.size(self.control.rung), SampleRange::CENTRE),
             false => (self.options.fixed_size, self.options.fixed_samples),
         };
+        let asked_rays = spec.rays;
+        let rays = if self.is_on() && asked_rays == LightingMode::Path { LightingMode::Primary } else { asked_rays };
         let is_same = |last: &LastStep| {
             let FrameSpec { size, samples, rays, .. } = last.step.spec;
-            let rays = if self.options.lights_at_rest { rays } else { spec.rays };
-            last.step.spec == FrameSpec { size, samples, rays, ..spec }
+            let are_refined = self.options.lights_at_rest || asked_rays == LightingMode::Path;
+            let rays = if are_refined { rays } else { asked_rays };
+            last.asked_rays == asked_rays && last.step.spec == FrameSpec { size, samples, rays, ..spec }
         };
-        let step = RenderStep { spec: FrameSpec { size, samples, ..spec }, is_refinement: false };
+        let step = RenderStep { spec: FrameSpec { size, samples, rays, ..spec }, is_refinement: false };
         // A picture that did not change need not become coarse again.
         self.last.take_if(|last| !is_same(last));
-        self.last.get_or_insert(LastStep { step, is_shown: false, changed_at: now }).step
+        self.last.get_or_insert(LastStep { step, asked_rays, is_shown: false, changed_at: now }).step
     }
 
     /// Accounts for a frame that the farm has completed in this time.
     pub(crate) fn on_frame(&mut self, spec: &FrameSpec, took: Duration) {
         let is_moving_size = spec.size == self.ladder.size(self.control.rung);
-        let is_lit = self.options.lights_at_rest && spec.rays != LightingMode::Primary;
+        let is_lit =
+            spec.rays == LightingMode::Path || self.options.lights_at_rest && spec.rays != LightingMode::Primary;
         if self.is_on() && is_moving_size && spec.samples == SampleRange::CENTRE && !is_lit {
             self.control.learn(&self.ladder, took);
         }
@@ -144,7 +165,7 @@ impl Refinement {
     /// When the next refinement is due; `None` if there is none, or the last frame has yet to come.
     pub(crate) fn refines_at(&self) -> Option<Instant> {
         let last = self.last.filter(|last| last.is_shown)?;
-        self.finer(&last.step.spec).map(|_| last.changed_at + REST)
+        self.finer(&last).map(|_| last.changed_at + REST)
     }
 
     /// The next refinement, once it is due.
@@ -153,7 +174,7 @@ impl Refinement {
             return None;
         }
         let last = self.last?;
-        let step = RenderStep { spec: self.finer(&last.step.spec)?, is_refinement: true };
+        let step = RenderStep { spec: self.finer(&last)?, is_refinement: true };
         self.control.rest();
         self.last = Some(LastStep { step, is_shown: false, ..last });
         Some(step)
@@ -161,24 +182,36 @@ impl Refinement {
 
     /// Whether the last frame has come and is fully refined.
     pub(crate) fn is_done(&self) -> bool {
-        self.last.is_some_and(|last| last.is_shown && self.finer(&last.step.spec).is_none())
+        self.last.is_some_and(|last| last.is_shown && self.finer(&last).is_none())
     }
 
-    /// The frame after this one in the refinement.
-    fn finer(&self, spec: &FrameSpec) -> Option<FrameSpec> {
-        let RefinementOptions { is_on, native, n_samples, lights_at_rest, .. } = self.options;
+    /// The frame after the last one in the refinement.
+    fn finer(&self, last: &LastStep) -> Option<FrameSpec> {
+        let RefinementOptions { is_on, native, n_samples, n_paths, lights_at_rest, .. } = self.options;
+        let spec = &last.step.spec;
         let is_native = spec.size == native;
         let is_smooth = is_native && spec.samples.count >= SAMPLES_FACTOR.min(n_samples);
         let is_plain = spec.rays == LightingMode::Primary && spec.view == ShadingMode::Shaded;
-        let (count, rays) = if lights_at_rest && is_smooth && is_plain {
+        let (count, rays) = if is_smooth && last.paths_follow() {
+            (FEWEST_PATHS.min(n_paths), LightingMode::Path)
+        } else if lights_at_rest && is_smooth && is_plain {
             (spec.samples.count, LightingMode::AmbientOcclusion)
         } else if is_native {
-            (spec.samples.count.saturating_mul(SAMPLES_FACTOR).min(n_samples), spec.rays)
+            let most = if spec.rays == LightingMode::Path { n_paths } else { n_samples };
+            (spec.samples.count.saturating_mul(SAMPLES_FACTOR).min(most), spec.rays)
         } else {
             (1, spec.rays)
         };
         let finer = FrameSpec { size: native, samples: SampleRange { first: 0, count }, rays, ..*spec };
         (is_on && finer != *spec).then_some(finer)
+    }
+}
+
+impl LastStep {
+    /// Whether frames with paths follow.
+    fn paths_follow(&self) -> bool {
+        let FrameSpec { rays, view, .. } = self.step.spec;
+        self.asked_rays == LightingMode::Path && rays != LightingMode::Path && view == ShadingMode::Shaded
     }
 }
 

@@ -18,8 +18,13 @@ use crate::{control::input::Command, farm::stats::NodeStatus};
 pub(crate) const STORAGES: [Option<Storage>; 4] =
     [None, Some(Storage::Tree), Some(Storage::RowDisplacement), Some(Storage::Plain)];
 /// Rays that light the picture, in the order of the key; `None` leaves the choice to the wall.
-pub(crate) const RAYS: [Option<LightingMode>; 4] =
-    [None, Some(LightingMode::Primary), Some(LightingMode::Shadows), Some(LightingMode::AmbientOcclusion)];
+pub(crate) const RAYS: [Option<LightingMode>; 5] = [
+    None,
+    Some(LightingMode::Primary),
+    Some(LightingMode::Shadows),
+    Some(LightingMode::AmbientOcclusion),
+    Some(LightingMode::Path),
+];
 /// Densities of the grid in cells per triangle, in the order of the key.
 pub(crate) const DENSITIES: [u32; 6] = [4, 8, 16, 32, 64, 128];
 
@@ -105,7 +110,11 @@ fn timings(ui: &mut Ui, model: &OverlayModel) {
 /// Whether the resolution follows the motion, and the samples a pixel so far.
 fn refinement(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     let [so_far, in_all] = model.n_samples;
-    let so_far = if so_far < in_all { format!("{so_far} of {in_all}") } else { so_far.to_string() };
+    let so_far = match so_far < in_all {
+        true => format!("{so_far} of {in_all}"),
+        false if model.is_refining => format!("{so_far}, finished"),
+        false => so_far.to_string(),
+    };
     let samples = |ui: &mut Ui| {
         if model.frame.is_some() {
             ui.label(format!("samples: {so_far}"));

@@ -20,6 +20,7 @@ fn options() -> RefinementOptions {
         target_rate: DEFAULT_TARGET_RATE,
         native: FrameSize::new(4096, 2304).unwrap(),
         n_samples: DEFAULT_SAMPLES,
+        n_paths: DEFAULT_PATHS,
         fixed_size: FrameSize::PAPER,
         fixed_samples: SampleRange::CENTRE,
         lights_at_rest: false,
@@ -281,6 +282,44 @@ fn all_rays_light_a_picture_at_rest_unless_they_were_chosen() {
     wall.refinement.set_lights_at_rest(false);
     let chosen = wall.refinement.change(wall.now, spec_at(f64::from(wall.n_moves))).spec;
     assert_eq!((chosen.samples.count, chosen.rays), (1, Primary));
+}
+
+#[test]
+fn paths_light_a_picture_at_rest_only() {
+    use LightingMode::{Path, Primary};
+    let mut refinement = Refinement::new(options());
+    let (start, asked) = (Instant::now(), FrameSpec { rays: Path, ..spec_at(1.0) });
+    let moving = refinement.change(start, asked).spec;
+    assert_eq!((moving.samples.count, moving.rays), (1, Primary), "in motion they would be noise");
+    assert_eq!(refinement.n_samples(), DEFAULT_PATHS);
+    refinement.on_frame(&moving, Duration::from_millis(20));
+    let mut steps = Vec::new();
+    while let Some(step) = refinement.refine(start + REST) {
+        steps.push((step.spec.samples.count, step.spec.rays));
+        refinement.on_frame(&step.spec, Duration::from_secs(9));
+    }
+    assert_eq!(steps, [(1, Primary), (4, Primary), (16, Path), (64, Path)]);
+    assert!(refinement.is_done() && refinement.refines_at().is_none(), "then nothing is rendered");
+    let same = refinement.change(start, asked).spec;
+    assert_eq!((same.samples.count, same.rays), (64, Path), "it need not become coarse again");
+    assert_eq!(refinement.change(start, spec_at(1.0)).spec.rays, Primary, "other rays are another picture");
+    refinement.set_on(false);
+    assert_eq!(refinement.change(start, asked).spec.rays, Path, "without refinement, frames are as asked");
+}
+
+#[test]
+fn normals_need_no_paths() {
+    let mut refinement = Refinement::new(options());
+    let (start, view) = (Instant::now(), ShadingMode::Normals);
+    let moving = refinement.change(start, FrameSpec { rays: LightingMode::Path, view, ..spec_at(1.0) }).spec;
+    refinement.on_frame(&moving, Duration::from_millis(20));
+    let mut last = moving;
+    while let Some(step) = refinement.refine(start + REST) {
+        last = step.spec;
+        refinement.on_frame(&last, Duration::from_millis(20));
+    }
+    assert_eq!((last.samples.count, last.rays), (DEFAULT_SAMPLES, LightingMode::Primary));
+    assert!(refinement.is_done());
 }
 
 proptest! {

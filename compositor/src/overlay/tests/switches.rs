@@ -104,10 +104,12 @@ fn the_resolution_and_the_samples_so_far_are_shown_and_can_be_switched() {
         });
         assert_eq!(commands, [Command::ToggleRefinement]);
     }
-    let model = OverlayModel { n_samples: [16, 16], ..running() };
-    commands_of(&model, |harness| {
-        harness.get_by_label("samples: 16");
-    });
+    for (is_refining, label) in [(true, "samples: 16, finished"), (false, "samples: 16")] {
+        let model = OverlayModel { is_refining, n_samples: [16, 16], ..running() };
+        commands_of(&model, |harness| {
+            harness.get_by_label(label);
+        });
+    }
 }
 
 #[test]
