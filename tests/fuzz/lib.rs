@@ -7,6 +7,8 @@ pub mod decoders;
 #[path = "../../compositor/src/farm/frame_buffer.rs"]
 #[allow(dead_code)]
 mod frame_buffer;
+#[path = "../../compositor/src/remote/message.rs"]
+mod message;
 #[path = "../../compositor/src/farm/tile_row.rs"]
 mod tile_row;
 #[path = "../../compositor/src"]
