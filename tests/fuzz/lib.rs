@@ -8,6 +8,7 @@ pub mod decoders;
 #[allow(dead_code)]
 mod frame_buffer;
 #[path = "../../compositor/src/remote/message.rs"]
+#[allow(dead_code)]
 mod message;
 #[path = "../../compositor/src/farm/tile_row.rs"]
 mod tile_row;
