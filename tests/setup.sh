@@ -49,6 +49,8 @@ if [ "$purpose" = test ]; then
     # An X server with dummy monitors that tests plug and unplug.
     { has_command Xorg && [ -n "$(find /usr/lib/xorg /usr/lib64/xorg -name dummy_drv.so 2>/dev/null)" ]; } \
         || need "xserver-xorg-core xserver-xorg-video-dummy" "xorg-x11-server-Xorg xorg-x11-drv-dummy" "xorg-server xf86-video-dummy"
+    # Without a browser, tests of the remote's page are skipped.
+    has_command chromedriver || need "chromium chromium-driver" "chromium chromedriver" chromium
     has_command import || need imagemagick ImageMagick imagemagick
 fi
 has_command cargo || {

@@ -7,6 +7,9 @@ pub mod decoders;
 #[path = "../../compositor/src/farm/frame_buffer.rs"]
 #[allow(dead_code)]
 mod frame_buffer;
+#[path = "../../compositor/src/remote/message.rs"]
+#[allow(dead_code)]
+mod message;
 #[path = "../../compositor/src/farm/tile_row.rs"]
 mod tile_row;
 #[path = "../../compositor/src"]

@@ -18,13 +18,13 @@ use shared::{
 };
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex, split};
 
-use crate::{frame_buffer::BufferPool, wall::Wall};
+use crate::{frame_buffer::BufferPool, message, wall::Wall};
 
 /// A decoder under test.
 pub type Decoder = fn(&[u8]);
 
 /// All decoders, with the names of their folders in `tests/corpus` and of their targets in `tests/fuzz`.
-pub const ALL: [(&str, Decoder); 9] = [
+pub const ALL: [(&str, Decoder); 10] = [
     ("camera", camera),
     ("gltf", gltf),
     ("obj", obj),
@@ -32,6 +32,7 @@ pub const ALL: [(&str, Decoder); 9] = [
     ("ply", ply),
     ("protocol", protocol),
     ("records", records),
+    ("remote", remote),
     ("stl", stl),
     ("wall", wall),
 ];
@@ -154,6 +155,26 @@ pub fn wall(data: &[u8]) {
             assert_eq!(again.to_toml(), printed);
         }
         Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
+    }
+}
+
+/// A remote's message.
+pub fn remote(data: &[u8]) {
+    match message::decode(data) {
+        Ok(message::Message { action, .. }) => {
+            use message::Action::*;
+            let numbers = match action {
+                Orbit { x, y } | Pan { x, y } | GoTo { x, y } => [x, y, 0.0],
+                Dolly { factor, x, y } => [x, y, factor],
+                Roll { degrees } => [degrees, 0.0, 0.0],
+                _ => [0.0; 3],
+            };
+            assert!(numbers.iter().all(|number| number.abs() <= 360.0), "{numbers:?}");
+            if let Open { model } = action {
+                assert_eq!(std::path::Path::new(&model).components().count(), 1, "{model} is in another folder");
+            }
+        }
+        Err(problem) => assert!(!problem.contains('\n'), "{problem}"),
     }
 }
 

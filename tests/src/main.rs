@@ -8,6 +8,8 @@ mod aligning;
 mod bad_input;
 #[cfg(test)]
 mod bench;
+#[cfg(all(test, target_os = "linux"))]
+mod browser;
 #[cfg(test)]
 mod churn;
 #[cfg(test)]
@@ -29,6 +31,8 @@ mod frame_buffer;
 mod fuzzing;
 #[cfg(all(test, target_os = "linux"))]
 mod guard;
+#[cfg(all(test, target_os = "linux"))]
+mod http;
 #[cfg(test)]
 mod liars;
 #[cfg(test)]
@@ -61,6 +65,10 @@ mod readme;
 mod references;
 #[cfg(all(test, target_os = "linux"))]
 mod refinement;
+#[cfg(all(test, target_os = "linux"))]
+mod remote;
+#[cfg(all(test, target_os = "linux"))]
+mod remote_page;
 #[cfg(test)]
 mod room;
 #[cfg(all(test, unix))]
@@ -80,4 +88,4 @@ mod x_monitors;
 mod x_session;
 
 #[cfg(test)]
-use compositor::wall;
+use compositor::{remote::message, wall};

@@ -9,17 +9,16 @@ use crate::{
 
 /// Where the remote is served, and to whom.
 #[derive(Clone, Debug, Default, clap::Args)]
-#[command(next_help_heading = "Remote")]
 pub struct RemoteArgs {
     /// Serve a page that steers the wall, and the same as an API, on this address: 0.0.0.0:7180 for phones in the network.
     /// Without --remote-tokens, only 127.0.0.1 is possible
-    #[arg(long, value_name = "HOST:PORT", conflicts_with = "headless")]
+    #[arg(long, help_heading = "Remote", value_name = "HOST:PORT", conflicts_with = "headless")]
     pub remote: Option<String>,
     /// The file of tokens that let people in; `compositor remote-token` makes it
-    #[arg(long, value_name = "FILE", requires = "remote")]
+    #[arg(long, help_heading = "Remote", value_name = "FILE", requires = "remote")]
     pub remote_tokens: Option<PathBuf>,
     /// Another name under which the remote is reached, as through a proxy that encrypts
-    #[arg(long, value_name = "NAME", requires = "remote")]
+    #[arg(long, help_heading = "Remote", value_name = "NAME", requires = "remote")]
     pub remote_name: Option<String>,
 }
 

@@ -207,7 +207,11 @@ async fn health() -> Response {
 #[cfg(test)]
 mod tests {
     use serde_json::Value;
-    use strum::VariantNames;
+    use shared::{
+        division::Division,
+        protocol::{LightingMode, ShadingMode},
+    };
+    use strum::{VariantArray, VariantNames};
 
     use super::*;
     use crate::remote::{message::Action, state::WallState};
@@ -248,6 +252,28 @@ mod tests {
             assert_eq!(<&str>::from(&decoded.action), name(&action));
             assert!(keys(example).iter().all(|key| keys(&action["properties"]).contains(key)), "{example}");
         }
+    }
+
+    #[test]
+    fn page_and_description_have_every_choice() {
+        let described = openapi();
+        let actions = described["components"]["schemas"]["Action"]["oneOf"].as_array().unwrap();
+        let check = |name: &str, choices: Vec<String>| {
+            let action = actions.iter().find(|action| action["properties"]["do"]["const"] == name).unwrap();
+            let listed = action["properties"][name]["enum"].as_array().unwrap();
+            let listed: Vec<_> = listed.iter().filter_map(Value::as_str).collect();
+            assert_eq!(listed, choices, "{name}");
+            let select =
+                PAGE[0].2.split(&format!("<select id=\"{name}\">")).nth(1).unwrap().split("</select>").next().unwrap();
+            let is_offered = |choice: &&String| {
+                select.contains(&format!("<option>{choice}</option>"))
+                    || select.contains(&format!("value=\"{choice}\""))
+            };
+            assert_eq!(choices.iter().filter(is_offered).count(), choices.len(), "{name}: {select}");
+        };
+        check("rays", LightingMode::VARIANTS.iter().map(ToString::to_string).collect());
+        check("division", Division::VARIANTS.iter().map(ToString::to_string).collect());
+        check("shading", ShadingMode::VARIANTS.iter().map(ToString::to_string).collect());
     }
 
     #[test]

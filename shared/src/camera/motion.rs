@@ -150,9 +150,10 @@ mod tests {
         let (before, after) = (front(), front().roll(0.2));
         let middle = before.target();
         let right = middle + before.u().normalize() * 0.1;
-        let [x, y] = [right, middle].map(|point| project(&after, point)).map(|(x, y)| (x * 16.0 / 9.0, y)).into();
-        assert!((project(&after, middle).0 - 0.5).abs() < 1e-12 && (project(&after, middle).1 - 0.5).abs() < 1e-12);
-        assert!(((x.1 - y.1).atan2(x.0 - y.0) - 0.2).abs() < 1e-9, "{x:?} {y:?}");
+        let [aside, centre] = [right, middle].map(|point| project(&after, point));
+        assert!((centre.0 - 0.5).abs() < 1e-12 && (centre.1 - 0.5).abs() < 1e-12, "{centre:?}");
+        let angle = (aside.1 - centre.1).atan2((aside.0 - centre.0) * 16.0 / 9.0);
+        assert!((angle - 0.2).abs() < 1e-9, "{angle}");
     }
 
     #[test]

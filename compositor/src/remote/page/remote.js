@@ -21,13 +21,17 @@ function connect() {
     delay = 500;
     tell("found", "Connected");
     delete surface.dataset.lost;
+    tellTurn();
     watch();
   };
   mine.onmessage = ({ data }) => typeof data === "string" ? hear(JSON.parse(data)) : show(data);
   mine.onclose = async () => {
     if (mine !== socket) return;
     const isKnown = wasOpen || await isLetIn();
-    tell("lost", isKnown ? "Lost the wall, looking for it" : "This link has ended: scan the code on the wall again");
+    tell("lost", "Lost the wall");
+    $("turn").textContent = isKnown ? "Looking for the wall" : "This link has ended: scan the code on the wall again";
+    $("leave").textContent = turn.before > 0 ? "Stop waiting" : "Let the next one steer";
+  $("leave").hidden = true;
     surface.dataset.lost = "";
     hands.clear();
     retry = setTimeout(connect, delay);
@@ -101,7 +105,7 @@ function tellTurn() {
   $("leave").hidden = !(wall?.role === "visitor" && (turn.before > 0 || turn.waiting > 0 && turn.may_steer));
 }
 // A screen reader hears each change: it hears every ten seconds of a countdown.
-setInterval(() => { if (turn.seconds !== null && (Date.now() - turnHeardAt) % 10000 < 1000) tellTurn(); }, 1000);
+setInterval(() => { if (turn.seconds !== null && socket?.readyState === WebSocket.OPEN && (Date.now() - turnHeardAt) % 10000 < 1000) tellTurn(); }, 1000);
 
 function show(blob) {
   const url = URL.createObjectURL(blob);
