@@ -9,6 +9,8 @@ mod bad_input;
 #[cfg(test)]
 mod bench;
 #[cfg(test)]
+mod calibrating;
+#[cfg(test)]
 mod churn;
 #[cfg(test)]
 mod cluster;
