@@ -3,10 +3,16 @@
 //!
 //! It shares only the wall file's numbers with the code under test: it solves the geometry as linear equations, and adds
 //! up light. A projector's pixel gives light like a tent two pixels wide, as through a lens, and its black's light always.
+//!
+//! [`camera`] photographs projectors that truly stand in the room, and [`rig`] aligns a wall with it.
+
+pub(crate) mod camera;
+mod geometry;
+pub(crate) mod rig;
 
 use compositor::{
     gpu::{Gpu, Offscreen, Present, RgbImage},
-    wall::{Flip, Gamma, Projector, Wall},
+    wall::{Gamma, Projector, Wall},
 };
 use glam::DVec2;
 use proptest::prelude::*;
@@ -104,26 +110,7 @@ impl<'a> SimulatedProjector<'a> {
         let canvas = projector.canvas;
         let [left, bottom] = [canvas.left * width_m, canvas.bottom * height_m];
         let [right, top] = [left + canvas.width * width_m, bottom + canvas.height * height_m];
-        let size = [projector.output.width, projector.output.height].map(f64::from);
-        let [columns, rows] = if projector.rotation.degrees().is_multiple_of(180) { size } else { [size[1], size[0]] };
-        // Upper left, upper right, lower right, lower left: on the canvas, and in the projector's pixels.
-        let corners_m = [[left, top], [right, top], [right, bottom], [left, bottom]];
-        let corners = [[0.0, 0.0], [columns, 0.0], [columns, rows], [0.0, rows]];
-        let corners_px = std::array::from_fn(|index| {
-            let [x, y] = [0, 1].map(|axis| corners[index][axis] + projector.warp_px[index][axis]);
-            // Undo the rotation, then the flip.
-            let [x, y] = match projector.rotation.degrees() {
-                0 => [x, y],
-                90 => [y, size[1] - x],
-                180 => [size[0] - x, size[1] - y],
-                _ => [size[0] - y, x],
-            };
-            match projector.flip {
-                Flip::None => [x, y],
-                Flip::Horizontal => [size[0] - x, y],
-                Flip::Vertical => [x, size[1] - y],
-            }
-        });
+        let [columns, rows] = projector.upright_size().map(f64::from);
         let light = projector.gain.map(|gain| {
             std::array::from_fn(|value| {
                 let value = value as f64 / 255.0;
@@ -137,12 +124,17 @@ impl<'a> SimulatedProjector<'a> {
             })
         });
         let px_m = ((right - left) / columns).max((top - bottom) / rows);
-        Self { projector, px_from_m: solve(corners_m, corners_px), place_m: [left, bottom, right, top], px_m, light }
+        Self {
+            projector,
+            px_from_m: geometry::px_from_m(projector, [width_m, height_m]),
+            place_m: [left, bottom, right, top],
+            px_m,
+            light,
+        }
     }
 
-    fn px(&self, [x, y]: [f64; 2]) -> Option<[f64; 2]> {
-        let [column, row, depth] = self.px_from_m.map(|[a, b, c]| a * x + b * y + c);
-        (depth > 0.0).then(|| [column / depth, row / depth])
+    fn px(&self, point: [f64; 2]) -> Option<[f64; 2]> {
+        geometry::image(&self.px_from_m, point)
     }
 
     /// Whether its pixels, including black ones, light a point.
@@ -182,28 +174,6 @@ impl<'a> SimulatedProjector<'a> {
             }
         }
     }
-}
-
-/// The projective map that takes four points to four others, by Gaussian elimination of its eight equations.
-fn solve(from: [[f64; 2]; 4], to: [[f64; 2]; 4]) -> [[f64; 3]; 3] {
-    let mut rows: Vec<[f64; 9]> = Vec::new();
-    for ([x, y], [u, v]) in std::iter::zip(from, to) {
-        rows.push([x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y, u]);
-        rows.push([0.0, 0.0, 0.0, x, y, 1.0, -v * x, -v * y, v]);
-    }
-    for column in 0..8 {
-        let pivot = (column..8).max_by(|&a, &b| rows[a][column].abs().total_cmp(&rows[b][column].abs())).unwrap();
-        rows.swap(column, pivot);
-        for row in 0..8 {
-            if row != column {
-                let factor = rows[row][column] / rows[column][column];
-                let pivot_row = rows[column];
-                rows[row].iter_mut().zip(pivot_row).for_each(|(it, above)| *it -= factor * above);
-            }
-        }
-    }
-    let h: Vec<f64> = (0..8).map(|index| rows[index][8] / rows[index][index]).collect();
-    [[h[0], h[1], h[2]], [h[3], h[4], h[5]], [h[6], h[7], 1.0]]
 }
 
 /// Draws a frame on all of the wall's pixels by the GPU.

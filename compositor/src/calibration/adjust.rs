@@ -5,7 +5,7 @@ use glam::{DMat2, DMat3, DVec2};
 use super::{
     fitting::{median, solve_symmetric},
     lens::Lens,
-    solve::{Observation, View},
+    solve::{Observation, Shot},
 };
 use crate::wall::homography::apply;
 
@@ -13,19 +13,19 @@ use crate::wall::homography::apply;
 #[derive(Clone, Debug)]
 pub(super) struct Estimate {
     pub lenses: Vec<Lens>,
-    /// From each view's pinhole picture to the plane.
-    pub view_maps: Vec<Option<DMat3>>,
+    /// From each shot's pinhole picture to the plane.
+    pub shot_maps: Vec<Option<DMat3>>,
     /// From the plane to each projector's pixels.
     pub projector_maps: Vec<Option<DMat3>>,
 }
 
 /// Where parameters begin, and what they are.
 pub(super) struct Layout {
-    /// Views of the same size share a lens.
-    pub lens_of_view: Vec<usize>,
+    /// Shots of the same size share a lens.
+    pub lens_of_shot: Vec<usize>,
     n_lenses: usize,
-    /// The first of eight parameters of each map; `None` for the view whose picture is the plane, and for what is not joined.
-    view_at: Vec<Option<usize>>,
+    /// The first of eight parameters of each map; `None` for the shot whose picture is the plane, and for what is not joined.
+    shot_at: Vec<Option<usize>>,
     projector_at: Vec<Option<usize>>,
     n: usize,
 }
@@ -76,13 +76,13 @@ fn step(matrix: &[f64], right: &[f64], damping: f64) -> Option<Vec<f64>> {
 }
 
 impl Layout {
-    pub(super) fn new(views: &[View], view_maps: &[Option<DMat3>], projector_maps: &[Option<DMat3>]) -> Self {
+    pub(super) fn new(shots: &[Shot], shot_maps: &[Option<DMat3>], projector_maps: &[Option<DMat3>]) -> Self {
         let mut sizes: Vec<[usize; 2]> = Vec::new();
-        let lens_of_view = views
+        let lens_of_shot = shots
             .iter()
-            .map(|view| {
-                sizes.iter().position(|size| *size == view.size).unwrap_or_else(|| {
-                    sizes.push(view.size);
+            .map(|shot| {
+                sizes.iter().position(|size| *size == shot.size).unwrap_or_else(|| {
+                    sizes.push(shot.size);
                     sizes.len() - 1
                 })
             })
@@ -94,11 +94,11 @@ impl Layout {
                 n - 8
             })
         };
-        // The plane is that of the first view whose map is the identity.
-        let fixed = view_maps.iter().position(|map| *map == Some(DMat3::IDENTITY));
-        let view_at = (0..views.len()).map(|view| place(view_maps[view].is_some() && Some(view) != fixed)).collect();
+        // The plane is that of the first shot whose map is the identity.
+        let fixed = shot_maps.iter().position(|map| *map == Some(DMat3::IDENTITY));
+        let shot_at = (0..shots.len()).map(|shot| place(shot_maps[shot].is_some() && Some(shot) != fixed)).collect();
         let projector_at = projector_maps.iter().map(|map| place(map.is_some())).collect();
-        Self { lens_of_view, n_lenses: sizes.len(), view_at, projector_at, n }
+        Self { lens_of_shot, n_lenses: sizes.len(), shot_at, projector_at, n }
     }
 
     /// Lenses without distortion.
@@ -109,8 +109,8 @@ impl Layout {
     /// How far each observation is from where it should be, in the projector's pixels.
     pub(super) fn distances(&self, estimate: &Estimate, observations: &[&Observation]) -> Vec<f64> {
         let distance = |it: &&Observation| {
-            let lens = &estimate.lenses[self.lens_of_view[it.view]];
-            let plane = apply(estimate.view_maps[it.view]?, lens.undistorted(it.seen).at)?;
+            let lens = &estimate.lenses[self.lens_of_shot[it.shot]];
+            let plane = apply(estimate.shot_maps[it.shot]?, lens.undistorted(it.seen).at)?;
             Some(apply(estimate.projector_maps[it.projector]?, plane)?.distance(it.px))
         };
         // A point beyond a horizon is far.
@@ -123,9 +123,9 @@ impl Layout {
         for (index, lens) in moved.lenses.iter_mut().enumerate() {
             lens.coefficients.iter_mut().zip(&step[index * Lens::N..]).for_each(|(entry, by)| *entry += by);
         }
-        let views = moved.view_maps.iter_mut().zip(&self.view_at);
+        let shots = moved.shot_maps.iter_mut().zip(&self.shot_at);
         let projectors = moved.projector_maps.iter_mut().zip(&self.projector_at);
-        for (map, at) in views.chain(projectors) {
+        for (map, at) in shots.chain(projectors) {
             if let (Some(map), Some(at)) = (map, at) {
                 let by = &step[*at..*at + 8];
                 *map += DMat3::from_cols_array(&[by[0], by[3], by[6], by[1], by[4], by[7], by[2], by[5], 0.0]);
@@ -158,7 +158,7 @@ fn cost(layout: &Layout, observations: &[&Observation], estimate: &Estimate, sca
 fn normal_equations(
     layout: &Layout,
     observations: &[&Observation],
-    Estimate { lenses, view_maps, projector_maps }: &Estimate,
+    Estimate { lenses, shot_maps, projector_maps }: &Estimate,
     scale: f64,
 ) -> (Vec<f64>, Vec<f64>) {
     let n = layout.n;
@@ -173,10 +173,10 @@ fn normal_equations(
     let mut places: Vec<usize> = Vec::new();
     let mut slopes: Vec<DVec2> = Vec::new();
     for it in observations {
-        let lens_idx = layout.lens_of_view[it.view];
+        let lens_idx = layout.lens_of_shot[it.shot];
         let undistorted = lenses[lens_idx].undistorted(it.seen);
-        let (Some(view), Some(projector)) = (view_maps[it.view], projector_maps[it.projector]) else { continue };
-        let Some((plane, by_pinhole, by_view)) = image(view, undistorted.at) else { continue };
+        let (Some(shot), Some(projector)) = (shot_maps[it.shot], projector_maps[it.projector]) else { continue };
+        let Some((plane, by_pinhole, by_shot)) = image(shot, undistorted.at) else { continue };
         let Some((px, by_plane, by_projector)) = image(projector, plane) else { continue };
         let away = it.px - px;
         let weight = 1.0 / (1.0 + away.length_squared() / (scale * scale));
@@ -188,7 +188,7 @@ fn normal_equations(
             slopes.push(by_lens * *slope);
         }
         for (at, by_entry, outer) in [
-            (layout.view_at[it.view], by_view, by_plane),
+            (layout.shot_at[it.shot], by_shot, by_plane),
             (layout.projector_at[it.projector], by_projector, DMat2::IDENTITY),
         ] {
             let Some(at) = at else { continue };
@@ -205,4 +205,29 @@ fn normal_equations(
         }
     }
     (matrix, right)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn derivatives_of_images_are_those_of_small_steps() {
+        let map = DMat3::from_cols_array(&[1.2, 0.1, 0.02, -0.2, 0.9, -0.03, 5.0, 7.0, 1.0]);
+        let point = DVec2::new(1.5, -2.0);
+        let (_, by_point, by_entry) = image(map, point).expect("before the horizon");
+        for (axis, step) in [DVec2::X, DVec2::Y].into_iter().enumerate() {
+            let at = |by: f64| apply(map, point + by * step).expect("there");
+            assert!(((at(1e-6) - at(-1e-6)) / 2e-6).distance(by_point.col(axis)) < 1e-6);
+        }
+        for (entry, slope) in by_entry.into_iter().enumerate() {
+            let at = |by: f64| {
+                let mut map = map.to_cols_array();
+                // Entries are row by row, and glam's matrices column by column.
+                map[entry % 3 * 3 + entry / 3] += by;
+                apply(DMat3::from_cols_array(&map), point).expect("there")
+            };
+            assert!(((at(1e-6) - at(-1e-6)) / 2e-6).distance(slope) < 1e-6, "{entry}");
+        }
+    }
 }

@@ -26,8 +26,8 @@ const SIGMA: f64 = 1.5;
 const LEAST_CONTRAST: f64 = 0.04;
 /// No two crossings are nearer to each other than this, in pixels.
 const RADIUS: usize = 2;
-/// The most crossings of a photograph: a wall of 64 projectors has as many.
-const MOST_CROSSINGS: usize = 200_000;
+/// The most crossings of a photograph: 64 projectors have fewer.
+const MOST_CROSSINGS: usize = 100_000;
 
 /// All crossings, the strongest first.
 pub(super) fn find(photograph: &Photograph) -> Vec<Crossing> {

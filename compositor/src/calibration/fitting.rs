@@ -118,3 +118,36 @@ pub(super) fn solve_symmetric(matrix: &mut [f64], right: &mut [f64]) -> bool {
     }
     true
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_homography_is_found_among_points_that_are_far_off() {
+        let map = DMat3::from_cols_array(&[1.1, -0.04, 2e-4, 0.07, 0.93, -1e-4, 30.0, -12.0, 1.0]);
+        let point = |n: u32| DVec2::new(f64::from(n % 10) * 70.0, f64::from(n / 10) * 50.0);
+        let pair = |n: u32| {
+            let stray = if n % 7 == 3 { DVec2::new(40.0, -25.0) } else { DVec2::ZERO };
+            [point(n), apply(map, point(n)).expect("before the horizon") + stray]
+        };
+        let found = fitted(&(0..100).map(pair).collect::<Vec<_>>()).expect("enough points");
+        let away = |n: u32| apply(found, point(n)).expect("there").distance(apply(map, point(n)).expect("there"));
+        assert!((0..100).map(away).fold(0.0, f64::max) < 0.3);
+    }
+
+    #[test]
+    fn too_few_points_and_points_on_a_line_have_no_homography() {
+        let pairs = |points: &[[f64; 2]]| points.iter().map(|it| [DVec2::from(*it); 2]).collect::<Vec<_>>();
+        assert_eq!(fitted(&pairs(&[[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])), None);
+        assert_eq!(fitted(&pairs(&[[0.0, 0.0]; 9])), None);
+        let line: Vec<[f64; 2]> = (0..9).map(|n| [f64::from(n), 2.0 * f64::from(n)]).collect();
+        assert!(fitted(&pairs(&line)).is_none_or(|map| map.is_finite()));
+    }
+
+    #[test]
+    fn quantiles_of_nothing_are_infinite() {
+        assert_eq!(median(Vec::new()), f64::INFINITY);
+        assert_eq!(quantile(&mut [3.0, 1.0, 2.0], 1.0), 3.0);
+    }
+}

@@ -198,3 +198,62 @@ fn key_of(at: IVec2, read: impl Fn(IVec2) -> Option<(bool, bool)>) -> Option<u32
     }
     Some(key << 1 | u32::from(read(at)?.0))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{calibration::lattice::Square, wall::Wall};
+
+    fn plan() -> Plan {
+        let text = "canvas_m = [2, 1]\n[grid]\ncolumns = 2\nrows = 1\npixels = [640, 480]\noverlap = [0.1, 0.0]";
+        Plan::of_wall(&Wall::from_toml("two", text).expect("a wall")).expect("patterns")
+    }
+
+    /// A part of a board, from a square on, turned.
+    fn part(plan: &Plan, from: [i32; 2], size: [i32; 2], turn: usize) -> Lattice {
+        let mut lattice = Lattice::default();
+        for (x, y) in (0..size[0]).flat_map(|x| (0..size[1]).map(move |y| (x, y))) {
+            let square = (IVec2::from(from) + IVec2::new(x, y)).as_uvec2().to_array();
+            let read = Square { is_white: is_white(square), has_dot: plan.bit(1, 1, square) };
+            lattice.squares.insert(turned_square(turn, IVec2::new(x, y)), read);
+        }
+        for (x, y) in (0..=size[0]).flat_map(|x| (0..=size[1]).map(move |y| (x, y))) {
+            let place = IVec2::new(x, y);
+            lattice.crossings.insert(turned(turn, place), (IVec2::from(from) + place).as_dvec2());
+        }
+        lattice
+    }
+
+    #[test]
+    fn parts_of_a_board_are_placed_however_they_are_turned_and_with_squares_misread() {
+        let plan = plan();
+        let codebook = Codebook::new(&plan);
+        for turn in 0..TURNS.len() {
+            let mut lattice = part(&plan, [5, 9], [12, 9], turn);
+            for misread in [[2, 3], [7, 7], [10, 1]] {
+                let square = lattice.squares.get_mut(&turned_square(turn, misread.into())).expect("in the part");
+                square.has_dot = !square.has_dot;
+            }
+            let sightings = codebook.identify(&lattice);
+            let [sighting] = &sightings[..] else { panic!("{turn}: {sightings:?}") };
+            assert_eq!((sighting.projector_idx, sighting.pattern), (1, 1));
+            assert_eq!(sighting.is_mirrored, turn >= FIRST_MIRRORED);
+            assert!(sighting.points.len() > 80);
+            for [px, at] in &sighting.points {
+                assert_eq!(*px, plan.boards[1].corner_px(at.to_array()), "{turn}");
+            }
+        }
+    }
+
+    #[test]
+    fn noise_and_small_parts_are_nobodys() {
+        let plan = plan();
+        let codebook = Codebook::new(&plan);
+        assert_eq!(codebook.identify(&part(&plan, [5, 9], [5, 5], 0)), []);
+        let mut lattice = part(&plan, [5, 9], [25, 20], 0);
+        for (square, read) in &mut lattice.squares {
+            read.has_dot = square.x.wrapping_mul(48_271).wrapping_add(square.y * 69_621) / 7 % 2 == 0;
+        }
+        assert_eq!(codebook.identify(&lattice), []);
+    }
+}

@@ -30,6 +30,11 @@ pub(super) struct Square {
 const FEWEST_CROSSINGS: usize = 16;
 /// Squares are at most this long, in pixels.
 const LONGEST_SIDE: f64 = 400.0;
+/// After as many searches without a lattice, a photograph most likely shows none: only squares of a usual length are
+/// searched, so that one of leaves takes no minutes.
+const MOST_WIDE_SEARCHES: usize = 500;
+/// Squares of a wall that fills a photograph are at most this long, in pixels.
+const USUAL_SIDE: f64 = 100.0;
 /// A crossing lies within this distance of where its neighbours let expect it, as a part of a square's side.
 const TOLERANCE: f64 = 0.22;
 /// Neighbours' lines agree within an angle of this sine.
@@ -45,18 +50,22 @@ pub(super) fn find(photograph: &Photograph, crossings: &[Crossing]) -> Vec<Latti
     let mut is_used = vec![false; crossings.len()];
     let mut lattices = Vec::new();
     // The strongest crossings tell how long squares are; the others are mostly noise, and need no wide search.
-    let mut reach: f64 = 0.0;
+    let mut reach = LONGEST_SIDE;
+    let mut n_searched = 0;
     for seed in 0..crossings.len() {
         if is_used[seed] {
             continue;
         }
-        let Some(steps) = steps_from(crossings, &index, seed, if reach > 0.0 { reach } else { LONGEST_SIDE }) else {
-            continue;
-        };
+        n_searched += 1;
+        if lattices.is_empty() && n_searched > MOST_WIDE_SEARCHES {
+            reach = USUAL_SIDE;
+        }
+        let Some(steps) = steps_from(crossings, &index, seed, reach) else { continue };
         let nodes = grow(crossings, &index, &mut is_used, seed, steps);
         if nodes.len() >= FEWEST_CROSSINGS {
             let side = steps[0].length().min(steps[1].length());
-            reach = reach.max(2.5 * side);
+            let longest = if lattices.is_empty() { 0.0 } else { reach };
+            reach = longest.max(2.5 * side);
             lattices.push(Lattice::new(photograph, crossings, &nodes, side));
         }
     }

@@ -62,3 +62,23 @@ impl Lens {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn derivatives_are_those_of_small_steps() {
+        let lens = Lens { coefficients: [0.01, -0.02, -0.1, 0.05, 0.02, 0.003, -0.002] };
+        let at = DVec2::new(0.6, -0.4);
+        for (coefficient, slope) in lens.undistorted(at).by_coefficient.into_iter().enumerate() {
+            let step = |by: f64| {
+                let mut lens = lens;
+                lens.coefficients[coefficient] += by;
+                lens.undistorted(at).at
+            };
+            let measured = (step(1e-6) - step(-1e-6)) / 2e-6;
+            assert!(measured.distance(slope) < 1e-8, "{coefficient}: {measured} {slope}");
+        }
+    }
+}

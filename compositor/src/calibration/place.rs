@@ -5,7 +5,7 @@ use glam::{DMat3, DVec2};
 use super::{
     fitting::fitted,
     lens::Lens,
-    solve::{Solution, View},
+    solve::{Shot, Solution},
 };
 use crate::wall::{
     Projector, Wall,
@@ -18,15 +18,15 @@ pub enum Placement {
     /// Where the wall file has it: all corners together move as little as possible, and projectors that were bumped count
     /// little. With screens, whose places are known, this is the frame of their bezels.
     Keep,
-    /// As [`Placement::Keep`], then as large as possible while all of the canvas is lit by the projectors that the file
-    /// gives each part to.
+    /// As [`Placement::Keep`], then as large as possible while each projector lights all of the part that the file gives
+    /// it; if they overlap too little for that, as [`Placement::Keep`].
     Largest,
     /// Its four corners are where the wall file's corners have them; the others follow.
     Corners,
-    /// Its four corners, upper left, upper right, lower right and lower left, are at these pixels of a view.
+    /// Its four corners, upper left, upper right, lower right and lower left, are at these pixels of a shot.
     Marks {
-        /// The view, by index.
-        view: usize,
+        /// The shot, by index.
+        shot: usize,
         /// Pixels of its photograph.
         at: [DVec2; 4],
     },
@@ -46,20 +46,23 @@ impl Placement {
     /// From the canvas, whose corners are (0, 0) lower left and (1, 1) upper right, to the plane of the solution.
     ///
     /// `None` if too little was solved for it.
-    pub fn plane_from_canvas(&self, wall: &Wall, views: &[View], solution: &Solution) -> Option<DMat3> {
+    pub fn plane_from_canvas(&self, wall: &Wall, shots: &[Shot], solution: &Solution) -> Option<DMat3> {
         match self {
             Self::Keep => kept(wall, solution),
-            Self::Largest => largest(wall, solution, kept(wall, solution)?),
+            Self::Largest => {
+                let kept = kept(wall, solution)?;
+                Some(largest(wall, solution, kept).unwrap_or(kept))
+            }
             Self::Corners => {
                 let corner = |corner: DVec2| Some([corner, outer_corner(wall, solution, corner)?]);
                 let pairs: Option<Vec<_>> = CANVAS_CORNERS.into_iter().map(corner).collect();
                 fitted(&pairs?)
             }
-            Self::Marks { view, at } => {
-                let map = (*solution.plane_from_view.get(*view)?)?;
+            Self::Marks { shot, at } => {
+                let map = (*solution.plane_from_shot.get(*shot)?)?;
                 let plane = |at: DVec2| {
-                    let seen = Lens::normalised(views[*view].size, at);
-                    apply(map, solution.lenses[*view].undistorted(seen).at)
+                    let seen = Lens::normalised(shots[*shot].size, at);
+                    apply(map, solution.lenses[*shot].undistorted(seen).at)
                 };
                 let pairs: Option<Vec<_>> =
                     CANVAS_CORNERS.into_iter().zip(at).map(|(corner, at)| Some([corner, plane(*at)?])).collect();
@@ -154,17 +157,17 @@ fn largest(wall: &Wall, solution: &Solution, plane_from_canvas: DMat3) -> Option
         }
         polygon
     };
-    let (mut fits, mut exceeds) = (0.0, 4.0);
-    for _ in 0..40 {
+    // Scales that are possible are near 1: a smaller canvas would leave projectors outside, too.
+    let scales = (0..=1000).map(|step| 1.5 - f64::from(step) / 1000.0);
+    let mut fits = scales.into_iter().find(|scale| !moves(*scale).is_empty())?;
+    let mut exceeds = fits + 1e-3;
+    for _ in 0..20 {
         let scale = f64::midpoint(fits, exceeds);
         if moves(scale).is_empty() { exceeds = scale } else { fits = scale }
     }
     // A little smaller, so that rounded corners stay within.
-    let fits = fits * (1.0 - 1e-4);
+    let fits = fits - 1e-4;
     let polygon = moves(fits);
-    if fits < 0.1 || polygon.is_empty() {
-        return None;
-    }
     let by = polygon.iter().sum::<DVec2>() / polygon.len() as f64;
     let placed =
         DMat3::from_translation(centre + by) * DMat3::from_scale(DVec2::splat(fits)) * DMat3::from_translation(-centre);
@@ -185,4 +188,44 @@ fn cut(polygon: &[DVec2], normal: DVec2, limit: f64) -> Vec<DVec2> {
         }
     }
     kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wall::{CanvasRect, Flip, PixelRect, Rotation};
+
+    #[test]
+    fn corners_that_a_projector_has_are_found_again_however_it_hangs() {
+        for degrees in [0, 90, 180, 270] {
+            for flip in [Flip::None, Flip::Horizontal, Flip::Vertical] {
+                let canvas = CanvasRect { left: 0.2, bottom: 0.1, width: 0.5, height: 0.7 };
+                let plain = Projector::plain("a".into(), canvas, PixelRect { x: 7, y: 3, width: 400, height: 300 });
+                let warp = [[3.0, 5.25], [-4.5, 2.0], [-7.0, -3.5], [6.0, -1.0]];
+                let rotation = Rotation::from_degrees(degrees).expect("a quarter turn");
+                let projector = Projector { rotation, flip, warp_px: warp, ..plain };
+                // The plane is the canvas.
+                let pairs: Vec<[DVec2; 2]> = UNIT_SQUARE
+                    .into_iter()
+                    .map(|corner| {
+                        let raster = apply(projector.raster_from_rect().expect("convex"), corner).expect("there");
+                        [canvas.canvas_from_rect(corner), raster * projector.output.size()]
+                    })
+                    .collect();
+                let px_from_plane = fitted(&pairs).expect("four corners");
+                let found = warp_px(&projector, px_from_plane, DMat3::IDENTITY).expect("before the horizon");
+                assert_eq!(found, warp, "{degrees} {flip:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_polygon_is_cut_by_a_line() {
+        let square: Vec<DVec2> = UNIT_SQUARE.to_vec();
+        assert_eq!(cut(&square, DVec2::X, 2.0), square);
+        assert_eq!(cut(&square, DVec2::X, -1.0), []);
+        let half = cut(&square, DVec2::X, 0.5);
+        assert_eq!(half.len(), 4);
+        assert!(half.iter().all(|point| point.x <= 0.5));
+    }
 }

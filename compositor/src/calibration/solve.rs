@@ -19,7 +19,7 @@ use crate::wall::homography::apply;
 
 /// What one photograph shows.
 #[derive(Clone, Debug, PartialEq)]
-pub struct View {
+pub struct Shot {
     /// Columns and rows of the photograph.
     pub size: [usize; 2],
     /// The parts of patterns in it.
@@ -31,23 +31,23 @@ pub struct View {
 pub struct Solution {
     /// For each projector: from the plane to its pixels; `None` if it could not be joined with the others.
     pub px_from_plane: Vec<Option<DMat3>>,
-    /// For each view: from its pinhole picture to the plane; `None` if it could not be joined with the others.
-    pub plane_from_view: Vec<Option<DMat3>>,
-    /// For each view: its lens.
+    /// For each shot: from its pinhole picture to the plane; `None` if it could not be joined with the others.
+    pub plane_from_shot: Vec<Option<DMat3>>,
+    /// For each shot: its lens.
     pub lenses: Vec<Lens>,
     /// For each projector: how well it fits.
     pub fits: Vec<Fit>,
-    /// For each view: half of its points are nearer than this to their places, in projector pixels.
-    pub view_medians_px: Vec<f64>,
+    /// For each shot: half of its points are nearer than this to their places, in projector pixels.
+    pub shot_medians_px: Vec<f64>,
 }
 
 /// How well a projector's points fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Fit {
-    /// Crossings seen, all views together.
+    /// Crossings seen, all shots together.
     pub n_points: usize,
-    /// Views that show the projector.
-    pub n_views: usize,
+    /// Shots that show the projector.
+    pub n_shots: usize,
     /// Crossings that were seen at least once.
     pub n_crossings: usize,
     /// Half of the points are nearer than this to their places, in the projector's pixels.
@@ -56,9 +56,9 @@ pub struct Fit {
     pub p95_px: f64,
 }
 
-/// One crossing in one view.
+/// One crossing in one shot.
 pub(super) struct Observation {
-    pub view: usize,
+    pub shot: usize,
     pub projector: usize,
     /// Normalised, in the photograph.
     pub seen: DVec2,
@@ -66,85 +66,85 @@ pub(super) struct Observation {
     pub px: DVec2,
 }
 
-/// Solves for all projectors that views join.
-pub fn solve(n_projectors: usize, views: &[View]) -> Solution {
-    let observations = observations(views);
-    let (view_maps, projector_maps) = joined(n_projectors, views, &observations);
-    let is_joined = |it: &&Observation| view_maps[it.view].is_some() && projector_maps[it.projector].is_some();
+/// Solves for all projectors that shots join.
+pub fn solve(n_projectors: usize, shots: &[Shot]) -> Solution {
+    let observations = observations(shots);
+    let (shot_maps, projector_maps) = joined(n_projectors, shots, &observations);
+    let is_joined = |it: &&Observation| shot_maps[it.shot].is_some() && projector_maps[it.projector].is_some();
     let used: Vec<&Observation> = observations.iter().filter(is_joined).collect();
-    let layout = Layout::new(views, &view_maps, &projector_maps);
-    let estimate = adjusted(&layout, &used, Estimate { lenses: layout.lenses(), view_maps, projector_maps });
+    let layout = Layout::new(shots, &shot_maps, &projector_maps);
+    let estimate = adjusted(&layout, &used, Estimate { lenses: layout.lenses(), shot_maps, projector_maps });
     let away = layout.distances(&estimate, &used);
     let distances: Vec<(&Observation, f64)> = std::iter::zip(used, away).collect();
-    let of_view = |view: usize| distances.iter().filter(move |(it, _)| it.view == view).map(|(_, away)| *away);
+    let of_shot = |shot: usize| distances.iter().filter(move |(it, _)| it.shot == shot).map(|(_, away)| *away);
     Solution {
-        lenses: (0..views.len()).map(|view| estimate.lenses[layout.lens_of_view[view]]).collect(),
-        view_medians_px: (0..views.len()).map(|view| median(of_view(view).collect())).collect(),
+        lenses: (0..shots.len()).map(|shot| estimate.lenses[layout.lens_of_shot[shot]]).collect(),
+        shot_medians_px: (0..shots.len()).map(|shot| median(of_shot(shot).collect())).collect(),
         fits: (0..n_projectors).map(|projector| fit_of(projector, &distances)).collect(),
         px_from_plane: estimate.projector_maps,
-        plane_from_view: estimate.view_maps,
+        plane_from_shot: estimate.shot_maps,
     }
 }
 
-fn observations(views: &[View]) -> Vec<Observation> {
-    let of_view = |(view, it): (usize, &View)| {
+fn observations(shots: &[Shot]) -> Vec<Observation> {
+    let of_shot = |(shot, it): (usize, &Shot)| {
         let size = it.size;
         let of_sighting = move |sighting: &Sighting| {
             let projector = sighting.projector_idx;
             let of_point =
-                |[px, at]: &[DVec2; 2]| Observation { view, projector, seen: Lens::normalised(size, *at), px: *px };
+                |[px, at]: &[DVec2; 2]| Observation { shot, projector, seen: Lens::normalised(size, *at), px: *px };
             sighting.points.iter().map(of_point).collect::<Vec<_>>()
         };
         it.sightings.iter().flat_map(of_sighting).collect::<Vec<_>>()
     };
-    views.iter().enumerate().flat_map(of_view).collect()
+    shots.iter().enumerate().flat_map(of_shot).collect()
 }
 
-/// Joins views and projectors one by one, without regard to lenses: maps from views to the plane, and from the plane to
-/// projectors. The plane is the picture of the view that shows most.
+/// Joins shots and projectors one by one, without regard to lenses: maps from shots to the plane, and from the plane to
+/// projectors. The plane is the picture of the shot that shows most.
 fn joined(
     n_projectors: usize,
-    views: &[View],
+    shots: &[Shot],
     observations: &[Observation],
 ) -> (Vec<Option<DMat3>>, Vec<Option<DMat3>>) {
-    let mut view_maps: Vec<Option<DMat3>> = vec![None; views.len()];
+    let mut shot_maps: Vec<Option<DMat3>> = vec![None; shots.len()];
     let mut projector_maps: Vec<Option<DMat3>> = vec![None; n_projectors];
-    let of = |view: usize| observations.iter().filter(move |it| it.view == view);
-    let n_shown = |view: usize| {
-        let mut projectors: Vec<usize> = of(view).map(|it| it.projector).collect();
+    let of = |shot: usize| observations.iter().filter(move |it| it.shot == shot);
+    let n_shown = |shot: usize| {
+        let mut projectors: Vec<usize> = of(shot).map(|it| it.projector).collect();
         let n_points = projectors.len();
         projectors.dedup();
         projectors.sort_unstable();
         projectors.dedup();
         (projectors.len(), n_points)
     };
-    let Some(first) = (0..views.len()).max_by_key(|&view| (n_shown(view), std::cmp::Reverse(view))) else {
-        return (view_maps, projector_maps);
+    let Some(first) = (0..shots.len()).max_by_key(|&shot| (n_shown(shot), std::cmp::Reverse(shot))) else {
+        return (shot_maps, projector_maps);
     };
     let mut next = Some((first, DMat3::IDENTITY));
-    while let Some((view, map)) = next {
-        view_maps[view] = Some(map);
+    while let Some((shot, map)) = next {
+        shot_maps[shot] = Some(map);
         for (projector, projector_map) in projector_maps.iter_mut().enumerate().filter(|(_, map)| map.is_none()) {
-            let own = of(view).filter(|it| it.projector == projector);
+            let own = of(shot).filter(|it| it.projector == projector);
             let pairs: Vec<[DVec2; 2]> = own.filter_map(|it| Some([apply(map, it.seen)?, it.px])).collect();
             if pairs.len() >= 12 {
                 *projector_map = fitted(&pairs).map(with_unit_depth);
             }
         }
-        // The view that shares most points with those that are joined.
+        // The shot that shares most points with those that are joined.
         let plane_from_px: Vec<Option<DMat3>> = projector_maps.iter().map(|map| map.map(|map| map.inverse())).collect();
-        let pairs_of = |view: usize| -> Vec<[DVec2; 2]> {
+        let pairs_of = |shot: usize| -> Vec<[DVec2; 2]> {
             let pair = |it: &Observation| Some([it.seen, apply(plane_from_px[it.projector]?, it.px)?]);
-            of(view).filter_map(pair).collect()
+            of(shot).filter_map(pair).collect()
         };
-        let open = (0..views.len()).filter(|&view| view_maps[view].is_none());
-        let most = open.map(|view| (view, pairs_of(view))).max_by_key(|(view, pairs)| (pairs.len(), usize::MAX - view));
-        next = most.filter(|(_, pairs)| pairs.len() >= 24).and_then(|(view, pairs)| {
+        let open = (0..shots.len()).filter(|&shot| shot_maps[shot].is_none());
+        let most = open.map(|shot| (shot, pairs_of(shot))).max_by_key(|(shot, pairs)| (pairs.len(), usize::MAX - shot));
+        next = most.filter(|(_, pairs)| pairs.len() >= 24).and_then(|(shot, pairs)| {
             let map = fitted(&pairs)?;
-            Some((view, with_unit_depth(map)))
+            Some((shot, with_unit_depth(map)))
         });
     }
-    (view_maps, projector_maps)
+    (shot_maps, projector_maps)
 }
 
 fn fit_of(projector: usize, distances: &[(&Observation, f64)]) -> Fit {
@@ -152,14 +152,14 @@ fn fit_of(projector: usize, distances: &[(&Observation, f64)]) -> Fit {
     if own.is_empty() {
         return Fit::default();
     }
-    let mut views: Vec<usize> = own.iter().map(|(it, _)| it.view).collect();
-    views.sort_unstable();
-    views.dedup();
+    let mut shots: Vec<usize> = own.iter().map(|(it, _)| it.shot).collect();
+    shots.sort_unstable();
+    shots.dedup();
     let crossings: HashSet<[u64; 2]> = own.iter().map(|(it, _)| it.px.to_array().map(f64::to_bits)).collect();
     let mut values: Vec<f64> = own.iter().map(|(_, away)| *away).collect();
     Fit {
         n_points: own.len(),
-        n_views: views.len(),
+        n_shots: shots.len(),
         n_crossings: crossings.len(),
         median_px: quantile(&mut values, 0.5),
         p95_px: quantile(&mut values, 0.95),

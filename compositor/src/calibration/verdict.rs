@@ -10,7 +10,7 @@ use super::{
     pattern::Plan,
     photograph::Photograph,
     place::{Placement, warp_px},
-    solve::{Fit, Solution, View, solve},
+    solve::{Fit, Shot, Solution, solve},
 };
 use crate::wall::{Flip, Wall};
 
@@ -20,7 +20,7 @@ pub struct Reading {
     /// The photograph's name, for messages.
     pub name: String,
     /// The parts of patterns in it.
-    pub view: View,
+    pub shot: Shot,
     /// The cause that it shows none, with the cure.
     fault: Option<String>,
 }
@@ -30,7 +30,7 @@ pub struct Reading {
 pub struct Verdict {
     /// The wall with new corners; `None` if nothing could be solved. Projectors without a solution keep theirs.
     pub wall: Option<Wall>,
-    /// What was found: a line for each photograph and each projector.
+    /// What was found: a line for each projector, and for each photograph that does not count although it shows a pattern.
     pub found: Vec<String>,
     /// Everything that speaks against using the corners, each with the cure.
     pub faults: Vec<String>,
@@ -68,12 +68,12 @@ impl Reading {
             }
             .to_owned()
         });
-        Self { name, view: View { size: photograph.size, sightings }, fault }
+        Self { name, shot: Shot { size: photograph.size, sightings }, fault }
     }
 
     /// The patterns in the photograph, from 0, each once.
     pub fn patterns(&self) -> Vec<u32> {
-        let mut patterns: Vec<u32> = self.view.sightings.iter().map(|sighting| sighting.pattern).collect();
+        let mut patterns: Vec<u32> = self.shot.sightings.iter().map(|sighting| sighting.pattern).collect();
         patterns.sort_unstable();
         patterns.dedup();
         patterns
@@ -81,13 +81,13 @@ impl Reading {
 
     /// A line on what it shows.
     pub fn line(&self, wall: &Wall) -> String {
-        let Self { name, view, fault } = self;
+        let Self { name, shot, fault } = self;
         if let Some(fault) = fault {
             return format!("{name} {fault}");
         }
         let n_all = wall.projectors().len();
         let missing: Vec<&str> = (0..n_all)
-            .filter(|index| !view.sightings.iter().any(|sighting| sighting.projector_idx == *index))
+            .filter(|index| !shot.sightings.iter().any(|sighting| sighting.projector_idx == *index))
             .map(|index| wall.projectors()[index].name.as_str())
             .collect();
         let patterns =
@@ -103,29 +103,29 @@ impl Reading {
 
 /// Solves a wall from all photographs of it. Without a placement, [`Placement::of_wall`] chooses it.
 pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&Placement>) -> Verdict {
-    let mut found: Vec<String> = readings.iter().map(|reading| reading.line(wall)).collect();
+    let mut found = Vec::new();
     let mut faults = Vec::new();
     let n_projectors = wall.projectors().len();
-    let mut views: Vec<View> = readings.iter().map(|reading| reading.view.clone()).collect();
-    for (view, reading) in views.iter_mut().zip(readings) {
-        let n_before = view.sightings.len();
-        drop_reflections(view, wall);
-        if view.sightings.len() < n_before {
+    let mut shots: Vec<Shot> = readings.iter().map(|reading| reading.shot.clone()).collect();
+    for (shot, reading) in shots.iter_mut().zip(readings) {
+        let n_before = shot.sightings.len();
+        drop_reflections(shot, wall);
+        if shot.sightings.len() < n_before {
             found.push(format!("{} also shows reflections of the patterns, which do not count", reading.name));
         }
     }
-    let mut solution = solve(n_projectors, &views);
-    while let Some(worst) = misfit(&views, &solution) {
+    let mut solution = solve(n_projectors, &shots);
+    while let Some(worst) = misfit(&shots, &solution) {
         found.push(format!(
             "{} does not fit the others, by {:.1} pixels, and does not count: the camera moved while it was taken, or it \
              has another lens or another wall",
-            readings[worst].name, solution.view_medians_px[worst]
+            readings[worst].name, solution.shot_medians_px[worst]
         ));
-        views[worst].sightings.clear();
-        solution = solve(n_projectors, &views);
+        shots[worst].sightings.clear();
+        solution = solve(n_projectors, &shots);
     }
     for (index, reading) in readings.iter().enumerate() {
-        if !views[index].sightings.is_empty() && solution.plane_from_view[index].is_none() {
+        if !shots[index].sightings.is_empty() && solution.plane_from_shot[index].is_none() {
             found.push(format!(
                 "{} shows no projector together with others that join it to the wall, and does not count",
                 reading.name
@@ -133,11 +133,11 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
         }
     }
     let placement = placement.cloned().unwrap_or_else(|| Placement::of_wall(wall));
-    let plane_from_canvas = placement.plane_from_canvas(wall, &views, &solution);
+    let plane_from_canvas = placement.plane_from_canvas(wall, &shots, &solution);
     if plane_from_canvas.is_none() && solution.px_from_plane.iter().any(Option::is_some) {
         faults.push(
-            "the canvas cannot be laid onto the wall: too few projectors were solved, or marks and corners make no \
-             rectangle: try --place keep"
+            "the canvas cannot be laid onto the wall: marks or corners make no rectangle, or too few projectors were \
+             found: try --place keep"
                 .to_owned(),
         );
     }
@@ -146,10 +146,10 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
         let name = &projector.name;
         let map = solution.px_from_plane[index];
         let Some(map) = map else {
-            faults.push(missing_fault(name, index, &views));
+            faults.push(missing_fault(name, index, &shots));
             continue;
         };
-        let Fit { n_points, n_views, n_crossings, median_px, p95_px } = solution.fits[index];
+        let Fit { n_points, n_shots, n_crossings, median_px, p95_px } = solution.fits[index];
         let covered = n_crossings as f64 / plan.boards[index].n_crossings().max(1) as f64;
         let warp = plane_from_canvas.and_then(|plane_from_canvas| warp_px(projector, map, plane_from_canvas));
         let moved = warp.map(|warp| {
@@ -161,7 +161,7 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
             "\"{name}\": {} in {}, {:.0} % of its picture; half within {median_px:.2} pixels, 95 % within \
              {p95_px:.2}{corners}",
             counted(n_points, "point"),
-            counted(n_views, "photograph"),
+            counted(n_shots, "photograph"),
             100.0 * covered
         ));
         if covered < LEAST_COVERED {
@@ -199,8 +199,8 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
 }
 
 /// The cause that a projector was not solved, with the cure.
-fn missing_fault(name: &str, index: usize, views: &[View]) -> String {
-    let is_seen = views.iter().flat_map(|view| &view.sightings).any(|sighting| sighting.projector_idx == index);
+fn missing_fault(name: &str, index: usize, shots: &[Shot]) -> String {
+    let is_seen = shots.iter().flat_map(|shot| &shot.sightings).any(|sighting| sighting.projector_idx == index);
     if is_seen {
         format!(
             "\"{name}\" is seen, but in no photograph together with projectors that join it to the others: take one \
@@ -218,7 +218,6 @@ fn missing_fault(name: &str, index: usize, views: &[View]) -> String {
 fn short_projectors(wall: &Wall) -> Vec<String> {
     let short = |index: &usize| {
         let projector = &wall.projectors()[*index];
-        let [width, height] = projector.upright_size().map(f64::from);
         let [upper_left, upper_right, lower_right, lower_left] = projector.warp_px;
         let beyond = [
             -upper_left[0],
@@ -231,10 +230,10 @@ fn short_projectors(wall: &Wall) -> Vec<String> {
             lower_left[1],
         ];
         let most = beyond.into_iter().fold(0.0, f64::max);
-        (most > 0.5 && most < width.max(height)).then(|| {
+        (most > 0.5).then(|| {
             format!(
-                "\"{}\" does not reach a part of its rectangle, by up to {most:.0} pixels: --place largest makes the \
-                 picture fit, or move the projector",
+                "\"{}\" does not reach a part of its rectangle, by up to {most:.0} pixels: --place largest may make \
+                 the picture fit; otherwise move the projector, or let the file's overlap be smaller",
                 projector.name
             )
         })
@@ -243,22 +242,22 @@ fn short_projectors(wall: &Wall) -> Vec<String> {
 }
 
 /// Drops what a photograph shows the wrong way round: a mirror or a shining floor.
-fn drop_reflections(view: &mut View, wall: &Wall) {
+fn drop_reflections(shot: &mut Shot, wall: &Wall) {
     let is_flipped = |projector_idx: usize| wall.projectors()[projector_idx].flip != Flip::None;
     let n_points = |is_mirrored: bool| -> usize {
-        let such = view.sightings.iter().filter(|it| (it.is_mirrored != is_flipped(it.projector_idx)) == is_mirrored);
+        let such = shot.sightings.iter().filter(|it| (it.is_mirrored != is_flipped(it.projector_idx)) == is_mirrored);
         such.map(|sighting| sighting.points.len()).sum()
     };
     let is_mirrored = n_points(true) > n_points(false);
-    view.sightings.retain(|it| (it.is_mirrored != is_flipped(it.projector_idx)) == is_mirrored);
+    shot.sightings.retain(|it| (it.is_mirrored != is_flipped(it.projector_idx)) == is_mirrored);
 }
 
-/// The view that fits worst, if it fits much worse than the others.
-fn misfit(views: &[View], solution: &Solution) -> Option<usize> {
-    let used: Vec<usize> = (0..views.len()).filter(|&view| solution.view_medians_px[view].is_finite()).collect();
-    let usual = median(used.iter().map(|&view| solution.view_medians_px[view]).collect());
+/// The shot that fits worst, if it fits much worse than the others.
+fn misfit(shots: &[Shot], solution: &Solution) -> Option<usize> {
+    let used: Vec<usize> = (0..shots.len()).filter(|&shot| solution.shot_medians_px[shot].is_finite()).collect();
+    let usual = median(used.iter().map(|&shot| solution.shot_medians_px[shot]).collect());
     let worst =
-        used.iter().copied().max_by(|&a, &b| solution.view_medians_px[a].total_cmp(&solution.view_medians_px[b]))?;
+        used.iter().copied().max_by(|&a, &b| solution.shot_medians_px[a].total_cmp(&solution.shot_medians_px[b]))?;
     let is_alone = used.len() < 3;
-    (!is_alone && solution.view_medians_px[worst] > (FARTHEST_VIEW * usual).max(LARGEST_MEDIAN_PX)).then_some(worst)
+    (!is_alone && solution.shot_medians_px[worst] > (FARTHEST_VIEW * usual).max(LARGEST_MEDIAN_PX)).then_some(worst)
 }

@@ -173,10 +173,13 @@ fn watch(args: &CalibrateArgs, wall: &Wall, plan: &Plan, folder: &Path) -> anyho
                         continue;
                     }
                     next = (next + 1) % plan.n_patterns();
+                    if !is_last {
+                        continue;
+                    }
                     match verdict(args, wall, plan, &photos) {
-                        Ok(verdict) if is_last && verdict.faults.is_empty() => return ControlFlow::Break(()),
-                        Ok(verdict) if is_last => verdict.faults.iter().for_each(|fault| tracing::warn!("{fault}")),
-                        _ => {}
+                        Ok(verdict) if verdict.faults.is_empty() => return ControlFlow::Break(()),
+                        Ok(verdict) => verdict.faults.iter().for_each(|fault| tracing::warn!("{fault}")),
+                        Err(error) => tracing::warn!("{error:#}"),
                     }
                 }
                 Err(fault) => tracing::warn!("{fault}"),
@@ -203,10 +206,10 @@ fn stop_with(window: &WindowLoop) {
 fn verdict(args: &CalibrateArgs, wall: &Wall, plan: &Plan, photos: &[Photo]) -> anyhow::Result<Verdict> {
     let placement = match (&args.marks, args.place) {
         (Some(Marks { photo, at }), _) => {
-            let view = photos.iter().position(|it| it.reading.name == *photo);
-            let view = view.with_context(|| format!("--marks {photo}: no photograph of this name was read"))?;
-            let Photo { reading, orientation } = &photos[view];
-            Some(Placement::Marks { view, at: at.map(|at| stored(at, reading.view.size, *orientation)) })
+            let shot = photos.iter().position(|it| it.reading.name == *photo);
+            let shot = shot.with_context(|| format!("--marks {photo}: no photograph of this name was read"))?;
+            let Photo { reading, orientation } = &photos[shot];
+            Some(Placement::Marks { shot, at: at.map(|at| stored(at, reading.shot.size, *orientation)) })
         }
         (None, Some(Place::Keep)) => Some(Placement::Keep),
         (None, Some(Place::Largest)) => Some(Placement::Largest),

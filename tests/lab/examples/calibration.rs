@@ -1,0 +1,119 @@
+//! Measures the alignment of a wall of 4×3 projectors with a camera, in the virtual projection room: accuracy, photographs,
+//! time and memory of the real program.
+//!
+//!     cargo build --release && cargo run --release -p lab --example calibration
+//!
+//! `-- FOLDER` keeps the photographs. Drawing them takes a few minutes.
+
+#[path = "../../src/room/camera.rs"]
+#[allow(dead_code, reason = "shared with the tests")]
+mod camera;
+#[path = "../../src/room/geometry.rs"]
+mod geometry;
+#[path = "../../src/room/rig.rs"]
+#[allow(dead_code, reason = "shared with the tests")]
+mod rig;
+
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    thread,
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context, ensure};
+use camera::{Camera, Random};
+use compositor::{calibration::Plan, wall::Wall};
+use glam::{DVec2, DVec3};
+use rig::{Agreement, Rig};
+
+fn main() -> anyhow::Result<()> {
+    let kept = std::env::args().nth(1).map(PathBuf::from);
+    let temporary = std::env::temp_dir().join(format!("calibration-{}", std::process::id()));
+    let folder = kept.as_deref().unwrap_or(&temporary);
+    let mut rig = Rig::new([4, 3], [1024, 768], 0.02, "");
+    let plan = Plan::of_wall(&rig.wall).map_err(anyhow::Error::msg)?;
+    let before = rig.agreement(&rig.wall);
+    println!(
+        "{:<34}{:>8}{:>8}{:>8}{:>8}{:>8}{:>8}",
+        "pixels of a projector; s; MB", "photos", "median", "p99", "bent", "time", "memory"
+    );
+    print(&"as the file has it", 0, before, "", "");
+    let tripod = rig.camera([6000, 4000], DVec3::new(2.2, 1.3, 4.6), DVec2::new(2.0, 1.125), 1.0);
+    measure(&mut rig, &plan, &folder.join("tripod"), "24 megapixels on a tripod", &mut |_| tripod.clone(), 1)?;
+    let mut random = Random::new(5);
+    let places = [DVec3::new(0.8, 1.4, 3.6), DVec3::new(2.1, 1.7, 3.8), DVec3::new(3.3, 1.3, 3.5)];
+    let view = rig.clone();
+    let mut phone = |place: usize| {
+        let mut shake = |most: f64| DVec3::new(random.around(most), random.around(most), random.around(most));
+        let (at, target) = (places[place] + shake(0.02), DVec2::new(2.0, 1.125) + shake(0.03).truncate());
+        let camera = view.camera([4000, 3000], at, target, 0.78);
+        Camera { jpeg: Some(85), noise: 0.05, blur_px: 0.9, ..camera }
+    };
+    measure(&mut rig, &plan, &folder.join("phone"), "12 megapixels, JPEG, by hand ×3", &mut phone, places.len())?;
+    if kept.is_none() {
+        fs::remove_dir_all(&temporary)?;
+    }
+    Ok(())
+}
+
+/// Photographs all patterns from all places, has the program align the wall, and prints what it reached.
+fn measure(
+    rig: &mut Rig,
+    plan: &Plan,
+    folder: &Path,
+    title: &str,
+    camera_at: &mut dyn FnMut(usize) -> Camera,
+    n_places: usize,
+) -> anyhow::Result<()> {
+    let photos = folder.join("photos");
+    fs::create_dir_all(&photos)?;
+    let file = folder.join("wall.toml");
+    fs::write(&file, rig.wall.to_toml())?;
+    let mut n_photos = 0;
+    for (place, pattern) in (0..n_places).flat_map(|place| (0..plan.n_patterns()).map(move |pattern| (place, pattern)))
+    {
+        rig.show(plan, pattern, &[]);
+        let camera = camera_at(place);
+        let ending = if camera.jpeg.is_some() { "jpg" } else { "png" };
+        n_photos += 1;
+        let photograph = camera.photograph(&rig.projectors, None, n_photos);
+        fs::write(photos.join(format!("{place}-{pattern}.{ending}")), photograph)?;
+    }
+    let started_at = Instant::now();
+    let most_kb = align(&file, &photos)?;
+    let time = started_at.elapsed().as_secs_f64();
+    let after = rig.agreement(&Wall::load(&file)?);
+    print(&title, n_photos, after, &format!("{time:.1}"), &format!("{:.0}", most_kb / 1e3));
+    Ok(())
+}
+
+fn print(title: &dyn std::fmt::Display, n_photos: u64, agreement: Agreement, time: &str, memory: &str) {
+    let Agreement { apart_px: [median, p99], bent_px } = agreement;
+    println!("{title:<34}{n_photos:>8}{median:>8.3}{p99:>8.3}{bent_px:>8.3}{time:>8}{memory:>8}");
+}
+
+/// Runs the program, and returns the most memory that it took, in thousands of bytes.
+fn align(file: &Path, photos: &Path) -> anyhow::Result<f64> {
+    let own = std::env::current_exe()?;
+    let program = own.ancestors().nth(2).context("target/release/examples")?.join("compositor");
+    let mut command = Command::new(&program);
+    command.arg("calibrate").arg(file).arg("--photos").arg(photos).stdout(Stdio::null());
+    let mut child =
+        command.spawn().with_context(|| format!("{} does not start: cargo build --release", program.display()))?;
+    let mut most_kb: f64 = 0.0;
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break status;
+        }
+        // The peak so far, while the program runs.
+        let report = fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
+        let peak =
+            report.lines().find_map(|line| line.strip_prefix("VmHWM:")?.trim().strip_suffix("kB")?.trim().parse().ok());
+        most_kb = most_kb.max(peak.unwrap_or(0.0));
+        thread::sleep(Duration::from_millis(20));
+    };
+    ensure!(status.success(), "the program did not align the wall");
+    Ok(most_kb)
+}

@@ -1,0 +1,255 @@
+//! Aligning a wall with a camera, in the virtual room and by the program.
+
+use std::{fs, sync::OnceLock};
+
+use compositor::{
+    calibration::{Codebook, Placement, Plan, Reading, Verdict, judge},
+    wall::Wall,
+};
+use glam::{DVec2, DVec3};
+
+use crate::room::{camera::Camera, rig::Rig};
+
+/// Six projectors; one hangs upside down, and one projects from behind.
+const TURNED: &str = "[[projector]]\nname = \"row 1 column 2\"\nrotation = 180\n[[projector]]\nname = \"row 2 column 1\"\n\
+                      flip = \"horizontal\"\n";
+
+fn six() -> Rig {
+    Rig::new([3, 2], [256, 192], 0.02, TURNED)
+}
+
+/// A camera that sees all of the six.
+fn tripod(rig: &Rig) -> Camera {
+    rig.camera([900, 640], DVec3::new(1.7, 0.9, 3.3), DVec2::new(1.5, 0.75), 0.95)
+}
+
+/// The six, their patterns, a camera that sees them all, and a photograph of every pattern.
+fn photographed() -> (Rig, Plan, Camera, Vec<Reading>) {
+    static PHOTOGRAPHED: OnceLock<(Rig, Plan, Camera, Vec<Reading>)> = OnceLock::new();
+    let take = || {
+        let mut rig = six();
+        let plan = Plan::of_wall(&rig.wall).unwrap();
+        let camera = tripod(&rig);
+        let readings = readings(&mut rig, &plan, &camera, &[]);
+        (rig, plan, camera, readings)
+    };
+    PHOTOGRAPHED.get_or_init(take).clone()
+}
+
+/// A photograph of every pattern.
+fn readings(rig: &mut Rig, plan: &Plan, camera: &Camera, off: &[usize]) -> Vec<Reading> {
+    let codebook = Codebook::new(plan);
+    let read = |pattern: u32| {
+        rig.show(plan, pattern, off);
+        rig.read(camera, &codebook, &format!("{pattern}.png"), None, pattern.into())
+    };
+    (0..plan.n_patterns()).map(read).collect()
+}
+
+#[test]
+fn a_camera_on_a_tripod_aligns_projectors_however_they_hang() {
+    let (rig, plan, _, readings) = photographed();
+    let before = rig.agreement(&rig.wall);
+    let Verdict { wall, found, faults } = judge(&rig.wall, &plan, &readings, None);
+    assert!(faults.is_empty(), "{faults:?}\n{found:#?}");
+    let after = rig.agreement(&wall.unwrap());
+    assert!(before.apart_px[0] > 2.0, "{before:?}");
+    assert!(after.apart_px[0] < 0.1 && after.apart_px[1] < 0.3 && after.bent_px < 0.3, "{after:?}");
+    assert!(plan.n_patterns() <= 4);
+}
+
+#[test]
+fn a_phone_in_two_hands_joins_what_each_photograph_sees_in_any_order() {
+    let mut rig = six();
+    let plan = Plan::of_wall(&rig.wall).unwrap();
+    let codebook = Codebook::new(&plan);
+    let mut readings = Vec::new();
+    let mut random = crate::room::camera::Random::new(3);
+    for (place, target) in [1.05, 1.95].into_iter().enumerate() {
+        for pattern in 0..plan.n_patterns() {
+            rig.show(&plan, pattern, &[]);
+            let mut shake = || random.around(0.02);
+            let at = DVec3::new(target + shake(), 0.8 + shake(), 2.4 + shake());
+            let camera = rig.camera([800, 600], at, DVec2::new(target + shake(), 0.75 + shake()), 1.0);
+            let camera = Camera { jpeg: Some(88), noise: 0.05, blur_px: 0.9, ..camera };
+            readings.push(rig.read(&camera, &codebook, &format!("{place}-{pattern}.jpg"), None, pattern.into()));
+        }
+    }
+    readings.reverse();
+    // Nobody sees all of the wall.
+    assert!(readings.iter().all(|reading| !reading.line(&rig.wall).contains("6 of 6")));
+    let Verdict { wall, found, faults } = judge(&rig.wall, &plan, &readings, None);
+    assert!(faults.is_empty(), "{faults:?}\n{found:#?}");
+    let after = rig.agreement(&wall.unwrap());
+    assert!(after.apart_px[0] < 0.15 && after.apart_px[1] < 0.5 && after.bent_px < 0.5, "{after:?}");
+}
+
+#[test]
+fn bad_photographs_are_named_and_count_for_nothing() {
+    let (mut rig, plan, camera, mut all) = photographed();
+    let codebook = Codebook::new(&plan);
+    let good = judge(&rig.wall, &plan, &all, None).wall.unwrap();
+    rig.show(&plan, 0, &[]);
+    let mut add = |rig: &Rig, camera: Camera, obstacle, name: &str| {
+        all.push(rig.read(&camera, &codebook, name, obstacle, 9));
+        all.last().unwrap().line(&rig.wall)
+    };
+    let dark = Camera { exposure: 0.004, ..camera.clone() };
+    assert!(add(&rig, dark, None, "dark").contains("too dark"));
+    let bright = Camera { exposure: 60.0, ..camera.clone() };
+    assert!(add(&rig, bright, None, "bright").contains("over-exposed"));
+    let blurred = Camera { blur_px: 14.0, ..camera.clone() };
+    assert!(add(&rig, blurred, None, "blurred").contains("sharp"));
+    // A person in front of two projectors.
+    let person = Some([DVec2::new(0.3, 0.2), DVec2::new(0.5, 1.0)]);
+    let line = add(&rig, camera.clone(), person, "person");
+    assert!(line.contains("shows pattern 1 on"), "{line}");
+    // The same projectors under another name.
+    let mut other = Rig { wall: renamed(&rig.wall), ..rig.clone() };
+    let plan_of_other = Plan::of_wall(&other.wall).unwrap();
+    other.show(&plan_of_other, 0, &[]);
+    let line = add(&other, camera.clone(), None, "other");
+    assert!(line.contains("not those of this wall file"), "{line}");
+    let Verdict { wall, faults, .. } = judge(&rig.wall, &plan, &all, None);
+    assert!(faults.is_empty(), "{faults:?}");
+    for (a, b) in wall.unwrap().projectors().iter().zip(good.projectors()) {
+        let apart = a.warp_px.as_flattened().iter().zip(b.warp_px.as_flattened()).map(|(a, b)| (a - b).abs());
+        assert!(apart.fold(0.0, f64::max) < 0.3, "{:?} {:?}", a.warp_px, b.warp_px);
+    }
+}
+
+fn renamed(wall: &Wall) -> Wall {
+    Wall::from_toml("other", &wall.to_toml().replace("row 1", "line 1")).unwrap()
+}
+
+#[test]
+fn a_projector_that_is_off_or_stands_alone_is_named_with_the_cure() {
+    let mut rig = six();
+    let plan = Plan::of_wall(&rig.wall).unwrap();
+    let camera = tripod(&rig);
+    let all = readings(&mut rig, &plan, &camera, &[4]);
+    let Verdict { wall, faults, .. } = judge(&rig.wall, &plan, &all, None);
+    assert_eq!(faults.len(), 1, "{faults:?}");
+    assert!(faults[0].contains("\"row 2 column 2\" is in no photograph: is it on"), "{faults:?}");
+    assert_eq!(wall.unwrap().projectors()[4].warp_px, [[0.0; 2]; 4]);
+    // Close-ups that share no projector.
+    let codebook = Codebook::new(&plan);
+    rig.show(&plan, 0, &[]);
+    let close_up = |x: f64| rig.camera([700, 500], DVec3::new(x, 1.1, 1.3), DVec2::new(x, 1.12), 1.1);
+    let apart: Vec<Reading> =
+        [0.45, 2.55].map(|x| rig.read(&close_up(x), &codebook, "close", None, 1)).into_iter().collect();
+    let Verdict { faults, .. } = judge(&rig.wall, &plan, &apart, Some(&Placement::Keep));
+    assert!(faults.iter().any(|fault| fault.contains("take one that shows it with its neighbours")), "{faults:?}");
+}
+
+#[test]
+fn a_bumped_projector_moves_back_and_the_others_stay() {
+    let (mut rig, plan, camera, all) = photographed();
+    let aligned = judge(&rig.wall, &plan, &all, None).wall.unwrap();
+    rig.wall = aligned.clone();
+    rig.projectors[1].pinhole = rig.projectors[1].pinhole.bumped([0.012, -0.008]);
+    assert!(rig.agreement(&aligned).apart_px[1] > 2.0);
+    let plan = Plan::of_wall(&rig.wall).unwrap();
+    let all = readings(&mut rig, &plan, &camera, &[]);
+    let Verdict { wall, faults, .. } = judge(&rig.wall, &plan, &all, None);
+    assert!(faults.is_empty(), "{faults:?}");
+    let wall = wall.unwrap();
+    let after = rig.agreement(&wall);
+    assert!(after.apart_px[0] < 0.1 && after.apart_px[1] < 0.3, "{after:?}");
+    let moved = |index: usize| {
+        let (new, old) = (wall.projectors()[index].warp_px, aligned.projectors()[index].warp_px);
+        new.as_flattened().iter().zip(old.as_flattened()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    };
+    assert!(moved(1) > 2.0, "{}", moved(1));
+    assert!([0, 2, 3, 4, 5].into_iter().all(|index| moved(index) < 0.3), "{:?}", [0, 1, 2, 3, 4, 5].map(moved));
+}
+
+#[test]
+fn marks_in_a_photograph_set_the_frame() {
+    let (rig, plan, camera, all) = photographed();
+    // Crosses on the wall: upper left, upper right, lower right, lower left.
+    let marks_m = [[0.12, 1.41], [2.86, 1.38], [2.88, 0.14], [0.1, 0.11]].map(DVec2::from);
+    let placement = Placement::Marks { shot: 1, at: marks_m.map(|point| camera.px(point)) };
+    let Verdict { wall, faults, .. } = judge(&rig.wall, &plan, &all, Some(&placement));
+    assert!(faults.is_empty(), "{faults:?}");
+    let corners = rig.canvas_corners(&wall.unwrap());
+    for (corner, mark) in corners.into_iter().zip(marks_m) {
+        // A millimetre is a quarter of a pixel here.
+        assert!(corner.distance(mark) < 0.001, "{corner} {mark}");
+    }
+}
+
+#[test]
+fn the_program_reads_a_folder_and_keeps_the_old_file() {
+    let mut rig = Rig::new([2, 1], [256, 192], 0.02, "# A comment stays.\n");
+    let folder = tempfile::tempdir().unwrap();
+    let (file, photos) = (folder.path().join("ours.toml"), folder.path().join("photos"));
+    fs::create_dir(&photos).unwrap();
+    let text = "# Ours.\ncanvas_m = [2.0, 0.75] # wide\n[grid]\ncolumns = 2\nrows = 1\npixels = [256, 192]\noverlap = [0.1, 0.1]\n";
+    fs::write(&file, text).unwrap();
+    let plan = Plan::of_wall(&rig.wall).unwrap();
+    let camera = rig.camera([640, 320], DVec3::new(1.1, 0.4, 2.6), DVec2::new(1.0, 0.375), 1.05);
+    let take = |rig: &mut Rig, off: &[usize]| {
+        for pattern in 0..plan.n_patterns() {
+            rig.show(&plan, pattern, off);
+            let photograph = camera.photograph(&rig.projectors, None, pattern.into());
+            fs::write(photos.join(format!("{pattern}.png")), photograph).unwrap();
+        }
+        fs::write(photos.join("broken.jpg"), b"no photograph").unwrap();
+        fs::write(photos.join("notes.txt"), b"no photograph").unwrap();
+    };
+    let run = |arguments: &[&str]| {
+        let mut command = crate::process::Program::command("compositor");
+        command.arg("calibrate").arg(&file).arg("--photos").arg(&photos).args(arguments);
+        let (status, said) = crate::process::Program::start(command).wait();
+        (status.code(), said)
+    };
+    take(&mut rig, &[1]);
+    let (code, said) = run(&[]);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(said.contains("broken.jpg cannot be read") && said.contains("--force"), "{said}");
+    assert!(said.contains("fault: \"row 1 column 2\" is in no photograph"), "{said}");
+    assert_eq!(fs::read_to_string(&file).unwrap(), text);
+    take(&mut rig, &[]);
+    let (code, said) = run(&[]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(fs::read_to_string(&file).unwrap().starts_with(text.trim_end()), "comments stay");
+    assert_eq!(fs::read_to_string(folder.path().join("ours.old-1.toml")).unwrap(), text);
+    let after = rig.agreement(&Wall::load(&file).unwrap());
+    assert!(after.apart_px[0] < 0.1 && after.apart_px[1] < 0.3, "{after:?}");
+}
+
+/// A camera that photographs the X server's screen: pixels are seen as they are.
+#[test]
+#[cfg(target_os = "linux")]
+fn patterns_on_the_wall_follow_the_photographs_until_it_is_aligned() {
+    use crate::{
+        process::{Program, wait_until},
+        x_session::XSession,
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let (file, photos) = (folder.path().join("ours.toml"), folder.path().join("photos"));
+    fs::create_dir(&photos).unwrap();
+    fs::write(&file, "canvas_m = [2.0, 0.75]\n[grid]\ncolumns = 2\nrows = 1\npixels = [400, 300]\n").unwrap();
+    let session = XSession::start([800, 300]);
+    let mut command = Program::command("compositor");
+    command.env("DISPLAY", session.display()).env_remove("WAYLAND_DISPLAY");
+    command.arg("calibrate").arg(&file).arg("--watch").arg(&photos);
+    let mut program = Program::start(command);
+    session.wait_for_window("Patterns");
+    for pattern in 1..=2 {
+        wait_until("a pattern is seen", || session.screenshot().brighter_than(200) > 0.1);
+        let shown = session.steady_screenshot();
+        let image = image::RgbImage::from_raw(800, 300, shown.rgb.clone()).unwrap();
+        image.save(photos.join(format!("{pattern}.png"))).unwrap();
+        program.wait_for(&format!("{pattern}.png shows pattern {pattern} on 2 of 2 projectors"));
+        if pattern == 1 {
+            wait_until("the next pattern is seen", || session.screenshot().difference(&shown, 30) > 0.05);
+        }
+    }
+    let (status, said) = program.wait();
+    assert_eq!(status.code(), Some(0), "{said}");
+    let wall = Wall::load(&file).unwrap();
+    let farthest = wall.projectors().iter().flat_map(|it| it.warp_px.as_flattened().to_vec()).map(f64::abs);
+    assert!(farthest.fold(0.0, f64::max) <= 0.05, "{said}");
+}
