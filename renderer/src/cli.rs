@@ -1,6 +1,7 @@
 //! The command line of the `renderer` program, which the wall also uses to start local render servers.
 
 pub mod appearance_args;
+pub mod free_memory;
 pub mod generate;
 pub mod key;
 pub mod large_file;
@@ -34,7 +35,10 @@ use tracing_subscriber::{
 };
 
 use crate::{
-    cli::{generate::GenerateArgs, key::KeyArgs, recent_log::RecentLog, stop::Stopped, trace::TraceArgs},
+    cli::{
+        free_memory::FreeMemory, generate::GenerateArgs, key::KeyArgs, recent_log::RecentLog, stop::Stopped,
+        trace::TraceArgs,
+    },
     server::connect::{self, ConnectArgs},
 };
 
@@ -62,6 +66,7 @@ pub enum Command {
 
 /// Parses the program's command line; on an error, prints it and exits.
 pub fn parse<P: Parser>() -> P {
+    FreeMemory::at_start();
     try_parse(std::env::args_os()).unwrap_or_else(|error| {
         let is_help = error.kind() == ParseErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
         if is_help || !error.use_stderr() {

@@ -9,6 +9,11 @@ use std::{
 };
 
 use glam::DVec3;
+use renderer::{
+    grid::GridOptions,
+    model::{mesh::Mesh, statue},
+    render::scene::Scene,
+};
 use serde_json::Value;
 use shared::{camera::Camera, protocol::PREAMBLE};
 use tempfile::TempDir;
@@ -189,6 +194,45 @@ fn any_number_of_renderers_gives_the_samples_that_one_gives_alone() {
             assert_eq!(nodes_of(&files.frames()[0]).len(), n_renderers, "the first frame waits for all");
         }
     }
+}
+
+/// The line about a mesh's memory that a budget causes.
+fn shortage(mesh: &Mesh, budget: &str) -> Option<String> {
+    let options = GridOptions { memory_budget: budget.parse().unwrap(), ..GridOptions::default() };
+    Scene::build(mesh.clone(), &options, &|_| ()).grid.shortage().map(|shortage| shortage.to_string())
+}
+
+/// The least budget in which a mesh can be loaded, and its line: the grid is as coarse as can be.
+fn least_budget(mesh: &Mesh) -> (String, String) {
+    let mut budgets = (400..900).map(|n| format!("{}K", 100 * n)).map(|budget| (shortage(mesh, &budget), budget));
+    let (line, budget) = budgets.find(|(line, _)| line.as_ref().is_none_or(|line| !line.contains("loading"))).unwrap();
+    (budget, line.unwrap())
+}
+
+#[test]
+fn a_line_about_a_coarser_grid_names_a_budget_that_is_enough() {
+    let mesh = statue::generate(60_000, &|_| ());
+    let (_, line) = least_budget(&mesh);
+    let enough = line
+        .split("--memory-budget ")
+        .nth(2)
+        .and_then(|rest| rest.strip_suffix(" is enough, on a machine that has as much free"));
+    assert_eq!(shortage(&mesh, enough.unwrap()), None, "{line}");
+}
+
+#[test]
+fn render_servers_with_different_memory_give_the_same_samples() {
+    let (budget, _) = least_budget(&statue::generate(TRIANGLES.parse().unwrap(), &|_| ()));
+    let mut wall = RunningWall::start_with(&["--division", "interleaved"]);
+    let join = |name: &str, args: &[&str]| RunningWall::join_at(&wall.address, name, args);
+    let (mut little, mut much) = (join("little", &["--memory-budget", &budget]), join("much", &[]));
+    much.wait_for("sets another limit");
+    little.wait_for("the grid is made coarser");
+    wall.wait_for_ready(2);
+    wall.wait_for_frames(5);
+    assert!(!much.said().contains("coarser") && !little.said().contains("sets another limit"), "{}", much.said());
+    let (frames, _) = wall.end();
+    assert!(frames.iter().any(|frame| nodes_of(frame).len() == 2), "both render");
 }
 
 #[test]

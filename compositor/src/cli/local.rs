@@ -38,9 +38,13 @@ pub struct LocalServers {
 }
 
 impl LocalServers {
-    /// Starts `n_servers` that share this machine's cores, and tells the farm about them.
+    /// Starts `n_servers` that share this machine's cores and memory, and tells the farm about them.
     pub fn start(&mut self, n_servers: u32, reporter: LocalReporter) -> anyhow::Result<()> {
         self.reporter = Some(reporter);
+        if n_servers > 0 {
+            self.scene.log_budget(n_servers);
+            self.scene = self.scene.shared_by(n_servers);
+        }
         let n_cores = thread::available_parallelism().map_or(1, usize::from) as u32;
         (0..n_servers).try_for_each(|_| self.add((n_cores / n_servers).max(1)))
     }

@@ -96,7 +96,7 @@ impl<'a> App<'a> {
         };
         let mut loader = ModelLoader::new(waker.clone(), args.show.model.crease);
         let source = args.show.model.source();
-        warn_of_large_file(&source, 1 + args.n_local(), args.scene.options().memory_budget);
+        warn_of_large_file(&source, 1 + args.n_local(), args.scene.shared_by(args.n_local()).options().memory_budget);
         loader.load(source.clone());
         let kiosk = args.kiosk.map(|seconds| Duration::from_secs(seconds.into()));
         Self {

@@ -2,7 +2,7 @@
 
 use shared::printable::counted;
 
-use crate::{grid::MemoryBudget, model::scene::SceneSource};
+use crate::{cli::free_memory::available_bytes, grid::MemoryBudget, model::scene::SceneSource};
 
 /// Warns of a model's file that may not fit, before it is read: `n_copies` programs on this machine read it, each with this
 /// budget.
@@ -11,13 +11,6 @@ pub fn warn_of_large_file(source: &SceneSource, n_copies: u32, budget: MemoryBud
     let Ok(file) = std::fs::metadata(path) else { return };
     let line = file_warning(file.len(), n_copies, budget, available_bytes());
     line.iter().for_each(|line| tracing::warn!("{source}: {line}"));
-}
-
-/// Bytes that programs can have without swapping, as far as the system tells.
-fn available_bytes() -> Option<u64> {
-    let counts = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let kilobytes = counts.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?.trim().strip_suffix(" kB")?;
-    kilobytes.parse::<u64>().ok()?.checked_mul(1024)
 }
 
 /// A mesh takes about as many bytes as a binary file of it.
@@ -53,11 +46,5 @@ mod tests {
         assert!(warning(1_000_000_000, 5).starts_with("the file has 1.0 GB, 5 programs on this machine will hold it"));
         assert!(warning(2_500_000_000, 1).contains("more than --memory-budget 1G: loading may take as much"));
         assert!(file_warning(u64::MAX, 9, MemoryBudget::default(), None).is_some(), "free memory is unknown");
-    }
-
-    #[cfg(target_os = "linux")]
-    #[test]
-    fn the_system_tells_the_free_memory() {
-        assert!(available_bytes().unwrap() > 1_000_000);
     }
 }

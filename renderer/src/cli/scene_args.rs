@@ -1,6 +1,9 @@
 //! Command-line options of the grid, shared by all programs that build one.
 
-use crate::grid::{GridOptions, MemoryBudget, Storage};
+use crate::{
+    cli::free_memory::FreeMemory,
+    grid::{GridOptions, MemoryBudget, Storage},
+};
 
 /// Each option names it: a heading of the struct would also head the options after it.
 const HEADING: &str = "The grid: changes time and memory, but no picture";
@@ -22,28 +25,48 @@ pub struct SceneArgs {
         value_parser = macrocell_levels)]
     macrocell_levels: u8,
 
-    /// Limit of the memory to load and build a scene, for example 512M or 1.5G; a smaller limit makes the grid coarser
-    #[arg(long, help_heading = HEADING, value_name = "SIZE", default_value_t = MemoryBudget::default())]
-    memory_budget: MemoryBudget,
+    /// Limit of the memory to load and build a scene, for example 512M or 1.5G; a limit that is too small makes the grid
+    /// coarser [default: three quarters of what is free, divided among local render servers]
+    #[arg(long, help_heading = HEADING, value_name = "SIZE")]
+    memory_budget: Option<MemoryBudget>,
 }
 
 impl SceneArgs {
     /// The grid options that the arguments describe.
     pub fn options(&self) -> GridOptions {
         let Self { density, storage, macrocell_levels, memory_budget } = *self;
+        let memory_budget = memory_budget.unwrap_or_else(|| budget_of_machine(1));
         GridOptions { density, macrocell_levels, storage, memory_budget }
+    }
+
+    /// The same for `n_programs` that divide the free memory of this machine, if no limit was asked for.
+    #[must_use]
+    pub fn shared_by(self, n_programs: u32) -> Self {
+        let memory_budget = self.memory_budget.unwrap_or_else(|| budget_of_machine(n_programs));
+        Self { memory_budget: Some(memory_budget), ..self }
+    }
+
+    /// Logs the limit that `n_programs` choose for themselves, if none was asked for.
+    pub fn log_budget(&self, n_programs: u32) {
+        if self.memory_budget.is_none() {
+            let budget = budget_of_machine(n_programs);
+            let each = if n_programs > 1 { "each local render server" } else { "the render server" };
+            tracing::info!("{each} may take {budget} of memory: --memory-budget sets another limit");
+        }
     }
 
     /// The arguments that give another program the same options.
     pub fn to_arguments(&self) -> Vec<String> {
         let density = self.density.map(|density| format!("--density={density}"));
-        let others = [
-            format!("--storage={}", self.storage),
-            format!("--macrocell-levels={}", self.macrocell_levels),
-            format!("--memory-budget={}", self.memory_budget),
-        ];
-        density.into_iter().chain(others).collect()
+        let budget = self.memory_budget.map(|budget| format!("--memory-budget={budget}"));
+        let others = [format!("--storage={}", self.storage), format!("--macrocell-levels={}", self.macrocell_levels)];
+        density.into_iter().chain(budget).chain(others).collect()
     }
+}
+
+fn budget_of_machine(n_programs: u32) -> MemoryBudget {
+    let FreeMemory { shared, own } = FreeMemory::at_start();
+    MemoryBudget::of_machine(shared, own, n_programs)
 }
 
 fn density(text: &str) -> Result<f64, String> {
@@ -76,8 +99,15 @@ mod tests {
     }
 
     #[test]
-    fn nothing_asked_for_is_the_default() {
-        assert_eq!(parse(&[]).unwrap().options(), GridOptions::default());
+    fn nothing_asked_for_is_the_default_and_the_memory_of_the_machine() {
+        let asked = parse(&[]).unwrap();
+        let memory_budget = budget_of_machine(1);
+        assert_eq!(asked.options(), GridOptions { memory_budget, ..GridOptions::default() });
+        // Each of many has less, and is told so.
+        let shared = parse(&[]).unwrap().shared_by(4);
+        assert_eq!(shared.options().memory_budget, budget_of_machine(4));
+        assert!(shared.to_arguments().contains(&format!("--memory-budget={}", budget_of_machine(4))));
+        assert_eq!(parse(&["--memory-budget", "2G"]).unwrap().shared_by(4).options().memory_budget.to_string(), "2G");
     }
 
     #[test]

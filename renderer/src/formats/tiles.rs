@@ -67,12 +67,12 @@ pub(super) fn divide(mut draft: Draft, companions: &Companions) -> Draft {
     }
     let has_tiles: Vec<_> =
         draft.images.iter().zip(&of_images).map(|(source, used)| has_tiles(source, used, companions)).collect();
+    if !has_tiles.contains(&true) {
+        return draft;
+    }
     let is_divided = |material: &Material| textures(material).any(|texture| has_tiles[texture.image as usize]);
     let is_divided: Vec<_> = look.materials.iter().map(is_divided).collect();
     used.retain(|&(material, _)| is_divided.get(usize::from(material)).is_some_and(|&it| it));
-    if used.is_empty() && !is_divided.contains(&true) {
-        return draft;
-    }
 
     // The first tile of a material takes its place, others follow.
     let fits = used.len() + look.materials.len() <= MOST_MATERIALS;
@@ -278,7 +278,7 @@ mod tests {
     fn a_number_in_a_name_is_a_tile_s_if_others_are_there() {
         let folder = tempfile::tempdir().unwrap();
         write(folder.path(), "a_1001.png", 1);
-        let library = "newmtl a\nmap_Kd C:\\scans\\a_1001.png\n";
+        let library = "newmtl unused\nmap_Kd b.<UDIM>.png\nnewmtl a\nmap_Kd C:\\scans\\a_1001.png\n";
         let points = [[0.5, 0.5], [1.5, 0.5]];
         let repeated = Some((1, [0.5, 0.5], Wrap::Repeat));
         let reading = read(folder.path(), library, &points);

@@ -10,6 +10,20 @@ impl MemoryBudget {
     /// Valid budgets.
     pub const RANGE: RangeInclusive<Self> = Self(16_000_000)..=Self(1_000_000_000_000);
 
+    /// What fits a machine: three quarters of what is free, in `shared` bytes for `n_programs` and in `own` bytes for one
+    /// alone. The rest is for pictures, messages and other programs. Without either, the default.
+    pub fn of_machine(shared: Option<u64>, own: Option<u64>, n_programs: u32) -> Self {
+        let of_one = shared.map(|bytes| bytes / u64::from(n_programs.max(1)));
+        let Some(free) = of_one.into_iter().chain(own).min() else { return Self::default() };
+        let range = Self::RANGE;
+        Self(rounded_down(free / 4 * 3)).clamp(*range.start(), *range.end())
+    }
+
+    /// The least budget, in two digits, in which so many bytes are.
+    pub(crate) fn of_at_least(n_bytes: u64) -> Self {
+        Self(n_bytes.next_multiple_of(step(n_bytes)))
+    }
+
     /// Bytes left for a grid beside a mesh: at least a quarter of the mesh, as less would save little and be slow.
     pub(crate) fn remaining_beside(self, mesh_bytes: u64) -> u64 {
         if mesh_bytes < self.0 { self.0 - mesh_bytes } else { mesh_bytes / 4 }
@@ -25,6 +39,15 @@ impl Default for MemoryBudget {
     fn default() -> Self {
         Self(1_000_000_000)
     }
+}
+
+/// The unit of a number's second digit.
+fn step(number: u64) -> u64 {
+    10u64.pow(number.max(10).ilog10() - 1)
+}
+
+fn rounded_down(number: u64) -> u64 {
+    number / step(number) * step(number)
 }
 
 /// Unit letters, the largest first.
@@ -63,6 +86,8 @@ impl FromStr for MemoryBudget {
 pub struct MemoryShortage {
     pub(crate) budget: MemoryBudget,
     pub(crate) is_coarser: bool,
+    /// A budget in which the grid would be whole, if it is known.
+    pub(crate) enough: Option<MemoryBudget>,
     /// Bytes that loading the scene may take, if they exceed the budget nevertheless.
     pub(crate) needed_bytes: Option<u64>,
 }
@@ -72,11 +97,15 @@ impl fmt::Display for MemoryShortage {
         let budget = self.budget;
         let coarser = if self.is_coarser { "the grid is made coarser, and " } else { "" };
         match self.needed_bytes {
-            None => write!(f, "the grid is made coarser, to stay within --memory-budget {budget}"),
+            None => write!(f, "the grid is made coarser, to stay within --memory-budget {budget}")?,
             Some(bytes) => {
                 let megabytes = bytes.div_ceil(1_000_000);
-                write!(f, "{coarser}loading the scene may take {megabytes}M, more than --memory-budget {budget}")
+                write!(f, "{coarser}loading the scene may take {megabytes}M, more than --memory-budget {budget}")?;
             }
+        }
+        match self.enough {
+            Some(enough) => write!(f, ": --memory-budget {enough} is enough, on a machine that has as much free"),
+            None => write!(f, ": raise it, on a machine that has more free"),
         }
     }
 }
@@ -99,6 +128,28 @@ mod tests {
             assert_eq!((budget.0, budget.to_string().as_str()), (bytes, written));
             assert_eq!(written.parse(), Ok(budget));
         }
+    }
+
+    #[test]
+    fn a_machine_gives_three_quarters_of_what_is_free() {
+        let of = |shared, own, n_programs| MemoryBudget::of_machine(shared, own, n_programs).to_string();
+        const G: u64 = 1_000_000_000;
+        assert_eq!(of(Some(21 * G), None, 1), "15G");
+        assert_eq!(of(Some(21 * G), None, 4), "3900M");
+        assert_eq!(of(Some(21 * G), Some(2 * G), 4), "1500M", "of its own, each has less");
+        assert_eq!(of(Some(4 * G), Some(2 * G), 4), "750M");
+        assert_eq!(of(None, Some(4 * G), 4), "3G");
+        assert_eq!(of(Some(5000 * G), None, 1), "1T");
+        assert_eq!((of(Some(0), None, 1), of(Some(21 * G), None, 0)), ("16M".to_owned(), "15G".to_owned()));
+        assert_eq!(of(None, None, 3), "1G", "the paper's, where nothing is known");
+    }
+
+    #[test]
+    fn a_budget_that_is_enough_has_two_digits() {
+        for (n_bytes, budget) in [(1_234_567_890, "1300M"), (5_000_000_000, "5G"), (5_000_000_001, "5100M")] {
+            assert_eq!(MemoryBudget::of_at_least(n_bytes).to_string(), budget);
+        }
+        assert_eq!(MemoryBudget::of_at_least(3), MemoryBudget(3));
     }
 
     #[test]

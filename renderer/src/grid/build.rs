@@ -4,7 +4,7 @@ use std::sync::atomic::AtomicBool;
 
 use crate::{
     grid::{
-        Grid, GridOptions, MemoryShortage, Storage, Structure,
+        Grid, GridOptions, MemoryBudget, MemoryShortage, Storage, Structure,
         cells::CellSpace,
         choice,
         traced::TracedMesh,
@@ -46,6 +46,12 @@ impl Grid {
         let mesh_bytes = PROGRAM_BYTES + TracedMesh::peak_bytes(&mesh);
         let mesh_bytes_in_order = PROGRAM_BYTES + TracedMesh::bytes_in_order(&mesh);
         let most_bytes = options.memory_budget.remaining_beside(mesh_bytes);
+        // Each cell has a part of the references that the budget allows, so their sum must have room.
+        let references = (options.storage == Storage::Tree).then(|| choice::references(&mesh, density)).flatten();
+        let enough_bytes = references.map(|n| 2 * n).map(|n| {
+            let in_order = mesh_bytes_in_order + n * (TREE_BYTES_PER_REFERENCE + BOX_BYTES_PER_REFERENCE);
+            in_order.max(mesh_bytes + n * TREE_BYTES_PER_REFERENCE)
+        });
         let (grid, is_coarser) = match options.storage {
             Storage::Tree => Self::tree(mesh, &bounds, density, options, most_bytes, progress),
             Storage::Plain | Storage::RowDisplacement => Self::uniform(mesh, &bounds, density, options, most_bytes),
@@ -57,7 +63,8 @@ impl Grid {
         let budget = options.memory_budget;
         let needed_bytes = budget.is_exceeded_by(all_bytes).then_some(all_bytes);
         let is_short = is_coarser || needed_bytes.is_some();
-        let shortage = is_short.then_some(MemoryShortage { budget, is_coarser, needed_bytes });
+        let enough = if is_coarser { enough_bytes } else { needed_bytes }.map(MemoryBudget::of_at_least);
+        let shortage = is_short.then_some(MemoryShortage { budget, is_coarser, enough, needed_bytes });
         Self { shortage, ..grid }
     }
 

@@ -57,6 +57,12 @@ pub(crate) fn density(mesh: &Mesh, options: &GridOptions) -> f64 {
     }
 }
 
+/// Predicts the references of a mesh's tree; `None` where the model does not hold.
+pub(crate) fn references(mesh: &Mesh, density: f64) -> Option<u64> {
+    let survey = Survey::new(mesh);
+    survey.is_even().then(|| (survey.references_per_triangle(density) * survey.n_triangles as f64) as u64)
+}
+
 struct Run {
     area: f64,
     box_sides: f64,

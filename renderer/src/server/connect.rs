@@ -110,6 +110,7 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
                 true if name == local_name(1) => Told::Shortage,
                 true => Told::Nothing,
             };
+            args.scene.log_budget(1);
             SceneLoader::start(pool, args.model, args.scene.options(), told)?
         }
     };
