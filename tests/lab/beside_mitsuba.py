@@ -51,12 +51,7 @@ def mitsuba_scene(mi, args, scene):
     to_sun, up = np.array(scene["to_sun"]), np.array(scene["up"])
     shape = mi.load_dict({"type": "ply", "filename": args.model, "face_normals": True})
     low, high = np.array(shape.bbox().min).ravel(), np.array(shape.bbox().max).ravel()
-    # Mitsuba's rays start beside their surface by a ten-thousandth of a unit and of the coordinates, which on a small model
-    # is through the walls of its folds. So the model is made large.
-    size = 1e4 / np.linalg.norm(high - low)
-    scaled = mi.ScalarTransform4f().scale(float(size))
-    eye, middle, distance = size * eye, size * middle, size * distance
-    centre, far = size * (low + high) / 2, 3e7
+    centre, far = (low + high) / 2, 3e3 * np.linalg.norm(high - low)
     sine = np.sin(np.radians(scene["sun_degrees"] / 2))
     # A white surface that faces the sun scatters as much as its light.
     radiance = np.array(scene["sun"]) / sine**2
@@ -85,7 +80,7 @@ def mitsuba_scene(mi, args, scene):
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": list(map(float, radiance))}},
         },
         "model": {
-            "type": "ply", "filename": args.model, "face_normals": True, "to_world": scaled,
+            "type": "ply", "filename": args.model, "face_normals": True,
             "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": albedo}},
         },
     })
