@@ -86,7 +86,8 @@ pub fn warp_px(projector: &Projector, px_from_plane: DMat3, plane_from_canvas: D
         let plane = apply(plane_from_canvas, projector.canvas.canvas_from_rect(corner))?;
         let raster = apply(px_from_plane, plane)? / projector.output.size();
         let moved = (upright_from_raster.transform_point2(raster) - corner) * upright_px;
-        *warp = (moved * STEPS_PER_PX).round().to_array().map(|steps| steps / STEPS_PER_PX);
+        // Zero is added to -0, which would look odd in a file.
+        *warp = (moved * STEPS_PER_PX).round().to_array().map(|steps| steps / STEPS_PER_PX + 0.0);
     }
     Some(warp_px)
 }

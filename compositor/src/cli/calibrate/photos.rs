@@ -39,11 +39,12 @@ const WATCH_INTERVAL: Duration = Duration::from_millis(300);
 
 /// The photographs in a folder, by name.
 pub(super) fn in_folder(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    let entries = fs::read_dir(folder).with_context(|| format!("the folder {} cannot be read", folder.display()))?;
+    let unreadable = || format!("{} cannot be read: name the folder of the photographs", folder.display());
+    let entries = fs::read_dir(folder).with_context(unreadable)?;
     let mut paths = Vec::new();
     let mut n_others = 0;
     for entry in entries {
-        let path = entry.with_context(|| format!("the folder {} cannot be read", folder.display()))?.path();
+        let path = entry.with_context(unreadable)?.path();
         let ending = path.extension().map(|it| it.to_string_lossy().to_lowercase()).unwrap_or_default();
         n_others += usize::from(OTHER_ENDINGS.contains(&&*ending));
         if ENDINGS.contains(&&*ending) && !path.is_dir() {
