@@ -1,6 +1,8 @@
 //! The command line of the `renderer` program, which the wall also uses to start local render servers.
 
 pub mod appearance_args;
+pub mod build;
+pub mod cache;
 pub mod generate;
 pub mod key;
 pub mod large_file;
@@ -34,7 +36,10 @@ use tracing_subscriber::{
 };
 
 use crate::{
-    cli::{generate::GenerateArgs, key::KeyArgs, recent_log::RecentLog, stop::Stopped, trace::TraceArgs},
+    cli::{
+        build::BuildArgs, cache::CacheArgs, generate::GenerateArgs, key::KeyArgs, recent_log::RecentLog, stop::Stopped,
+        trace::TraceArgs,
+    },
     server::connect::{self, ConnectArgs},
 };
 
@@ -50,6 +55,10 @@ pub struct Cli {
 /// Subcommands of `renderer`.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Build a model's scene ahead, and write it to a file that walls and render servers use in its place
+    Build(BuildArgs),
+    /// List or clear the scenes of models that were shown on this machine
+    Cache(CacheArgs),
     /// Render for a wall until told to stop
     Connect(ConnectArgs),
     /// Write a built-in model to a file
@@ -119,6 +128,8 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
 /// Runs a subcommand.
 pub fn run(command: Command) -> Result<()> {
     match command {
+        Command::Build(args) => build::run(&args),
+        Command::Cache(args) => cache::run(&args),
         Command::Connect(args) => connect::run(args),
         Command::Generate(args) => generate::run(&args),
         Command::Key(args) => key::run(&args),

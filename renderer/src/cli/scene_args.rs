@@ -1,6 +1,9 @@
 //! Command-line options of the grid, shared by all programs that build one.
 
-use crate::grid::{GridOptions, MemoryBudget, Storage};
+use crate::{
+    grid::{GridOptions, MemoryBudget, Storage},
+    scene_file::SceneStore,
+};
 
 /// Each option names it: a heading of the struct would also head the options after it.
 const HEADING: &str = "The grid: changes time and memory, but no picture";
@@ -25,13 +28,22 @@ pub struct SceneArgs {
     /// Limit of the memory to load and build a scene, for example 512M or 1.5G; a smaller limit makes the grid coarser
     #[arg(long, help_heading = HEADING, value_name = "SIZE", default_value_t = MemoryBudget::default())]
     memory_budget: MemoryBudget,
+
+    /// Build the model's scene at each start, and keep no file of it
+    #[arg(long, help_heading = HEADING)]
+    no_cache: bool,
 }
 
 impl SceneArgs {
     /// The grid options that the arguments describe.
     pub fn options(&self) -> GridOptions {
-        let Self { density, storage, macrocell_levels, memory_budget } = *self;
+        let Self { density, storage, macrocell_levels, memory_budget, no_cache: _ } = *self;
         GridOptions { density, macrocell_levels, storage, memory_budget }
+    }
+
+    /// Where scenes come from, and where they are kept.
+    pub fn store(&self) -> SceneStore {
+        if self.no_cache { SceneStore::default() } else { SceneStore::of_user() }
     }
 
     /// The arguments that give another program the same options.
@@ -42,7 +54,8 @@ impl SceneArgs {
             format!("--macrocell-levels={}", self.macrocell_levels),
             format!("--memory-budget={}", self.memory_budget),
         ];
-        density.into_iter().chain(others).collect()
+        let no_cache = self.no_cache.then(|| "--no-cache".to_owned());
+        density.into_iter().chain(others).chain(no_cache).collect()
     }
 }
 
