@@ -1,6 +1,8 @@
 //! The command line of the `renderer` program, which the wall also uses to start local render servers.
 
 pub mod appearance_args;
+pub mod build;
+pub mod cache;
 pub mod free_memory;
 pub mod generate;
 pub mod key;
@@ -36,8 +38,8 @@ use tracing_subscriber::{
 
 use crate::{
     cli::{
-        free_memory::FreeMemory, generate::GenerateArgs, key::KeyArgs, recent_log::RecentLog, stop::Stopped,
-        trace::TraceArgs,
+        build::BuildArgs, cache::CacheArgs, free_memory::FreeMemory, generate::GenerateArgs, key::KeyArgs,
+        recent_log::RecentLog, stop::Stopped, trace::TraceArgs,
     },
     server::connect::{self, ConnectArgs},
 };
@@ -54,6 +56,10 @@ pub struct Cli {
 /// Subcommands of `renderer`.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Build a model's scene ahead, and write it to a file that walls and render servers use in its place
+    Build(BuildArgs),
+    /// List or clear the scenes of models that were shown on this machine
+    Cache(CacheArgs),
     /// Render for a wall until told to stop
     Connect(ConnectArgs),
     /// Write a built-in model to a file
@@ -124,6 +130,8 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
 /// Runs a subcommand.
 pub fn run(command: Command) -> Result<()> {
     match command {
+        Command::Build(args) => build::run(&args),
+        Command::Cache(args) => cache::run(&args),
         Command::Connect(args) => connect::run(args),
         Command::Generate(args) => generate::run(&args),
         Command::Key(args) => key::run(&args),

@@ -13,11 +13,14 @@ pub(crate) mod cells;
 pub(crate) mod choice;
 pub(crate) mod figures;
 pub(crate) mod options;
+mod stored;
 #[cfg(test)]
 mod tests;
 pub mod traced;
 pub(crate) mod tree;
 pub(crate) mod uniform;
+
+use serde::{Deserialize, Serialize};
 
 use crate::simd::InstructionSet;
 use cells::CellSpace;
@@ -33,28 +36,34 @@ pub use options::{GridOptions, Storage};
 ///
 /// Invariant: every cell lists all triangles within a margin of [`tree::overlap::DILATION`] around it, so that rays may
 /// pass exactly between cells.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 pub struct Grid {
     pub(crate) space: CellSpace,
     pub(crate) structure: Structure,
     /// Cells per triangle.
     density: f64,
     shortage: Option<MemoryShortage>,
+    /// Whether more memory would have given another grid.
+    is_limited: bool,
     pub(crate) mesh: TracedMesh,
+    #[serde(skip, default = "InstructionSet::best")]
     pub(crate) instructions: InstructionSet,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 pub(crate) enum Structure {
     Tree(Tree),
+    #[serde(skip)]
     Plain(UniformGrid<DenseIndex>),
+    #[serde(skip)]
     RowDisplacement(UniformGrid<RowDisplacement>),
 }
 
 impl Structure {
+    /// References that the order of the mesh still changes: a tree is made after it.
     fn references_mut(&mut self) -> &mut [u32] {
         match self {
-            Self::Tree(tree) => &mut tree.references,
+            Self::Tree(_) => &mut [],
             Self::Plain(grid) => &mut grid.references,
             Self::RowDisplacement(grid) => &mut grid.references,
         }

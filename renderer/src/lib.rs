@@ -11,6 +11,7 @@ pub mod intersect;
 pub mod memory;
 pub mod model;
 pub mod render;
+pub mod scene_file;
 pub mod server;
 mod simd;
 pub mod texture;

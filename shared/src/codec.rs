@@ -100,8 +100,22 @@ impl Header {
     }
 }
 
-fn config() -> impl bincode::config::Config {
-    bincode::config::standard().with_limit::<CONTROL_LIMIT>()
+/// The bytes of anything that [`from_bytes`] reads.
+pub fn to_bytes(record: &impl Serialize) -> Vec<u8> {
+    bincode::serde::encode_to_vec(record, bincode::config::standard()).expect("bincode can write every message")
+}
+
+/// Reads what [`to_bytes`] has written, with at most `LIMIT` bytes of memory for each list in it.
+///
+/// # Errors
+/// The bytes are no such record, or more follow.
+pub fn from_bytes<M: DeserializeOwned, const LIMIT: usize>(bytes: &[u8]) -> Result<M, CodecError> {
+    let config = bincode::config::standard().with_limit::<LIMIT>();
+    let (record, n_read) = bincode::serde::decode_from_slice(bytes, config)?;
+    match bytes.len() - n_read {
+        0 => Ok(record),
+        n_trailing => Err(CodecError::Trailing(n_trailing)),
+    }
 }
 
 /// Appends a control message with its header.
@@ -109,7 +123,7 @@ fn config() -> impl bincode::config::Config {
 /// # Errors
 /// The message is longer than [`CONTROL_LIMIT`]; `out` is unchanged.
 pub fn encode(message: &impl Serialize, out: &mut Vec<u8>) -> Result<(), CodecError> {
-    let body = bincode::serde::encode_to_vec(message, config()).expect("bincode can write every message");
+    let body = to_bytes(message);
     if body.len() > CONTROL_LIMIT {
         return Err(CodecError::TooLong { n_bytes: body.len(), limit: CONTROL_LIMIT });
     }
@@ -120,11 +134,7 @@ pub fn encode(message: &impl Serialize, out: &mut Vec<u8>) -> Result<(), CodecEr
 
 /// Reads the body of a control message.
 pub fn decode<M: DeserializeOwned>(body: &[u8]) -> Result<M, CodecError> {
-    let (message, n_read) = bincode::serde::decode_from_slice(body, config())?;
-    match body.len() - n_read {
-        0 => Ok(message),
-        n_trailing => Err(CodecError::Trailing(n_trailing)),
-    }
+    from_bytes::<M, CONTROL_LIMIT>(body)
 }
 
 impl<'a> Chunk<'a> {

@@ -2,19 +2,33 @@
 //!
 //! `make fuzz` calls these with libFuzzer's inputs, `make test` with the kept corpus and mutations of it.
 
+use std::sync::LazyLock;
+
 use channel::{key::Key, secure};
-use renderer::formats::{
-    companions::Companions,
-    file::{Draft, Reading},
-    gltf, images, obj, ply, stl,
+use renderer::{
+    formats::{
+        companions::Companions,
+        file::{Draft, Reading},
+        gltf, images, obj, ply, stl,
+    },
+    grid::GridOptions,
+    model::{
+        material::{Image, Material, Materials, TextureUse},
+        mesh::Mesh,
+        scene::LoadedMesh,
+        statue,
+    },
+    render::scene::Scene,
+    scene_file::file as scene_file,
 };
-use renderer::model::{material::Materials, mesh::Mesh};
 use serde::{Serialize, de::DeserializeOwned};
 use shared::{
-    camera::{Camera, CameraPath, Views},
+    appearance::Appearance,
+    camera::{Camera, CameraPath, CanvasPart, Views},
     codec::{self, BodyKind, CONTROL_LIMIT, HANDSHAKE_LIMIT, HEADER_BYTES, Header},
     division::{Division, FrameSize, Part, Selection, Task, TileRun},
-    protocol::{CHUNK_BYTES, Chunk, Encoding, ToServer, ToWall},
+    protocol::{CHUNK_BYTES, Chunk, Encoding, FrameSpec, LightingMode, SampleRange, ShadingMode, ToServer, ToWall},
+    scene::{Crease, SceneId},
 };
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex, split};
 
@@ -24,7 +38,7 @@ use crate::{frame_buffer::BufferPool, message, wall::Wall};
 pub type Decoder = fn(&[u8]);
 
 /// All decoders, with the names of their folders in `tests/corpus` and of their targets in `tests/fuzz`.
-pub const ALL: [(&str, Decoder); 10] = [
+pub const ALL: [(&str, Decoder); 11] = [
     ("camera", camera),
     ("gltf", gltf),
     ("obj", obj),
@@ -33,6 +47,7 @@ pub const ALL: [(&str, Decoder); 10] = [
     ("protocol", protocol),
     ("records", records),
     ("remote", remote),
+    ("scene", scene),
     ("stl", stl),
     ("wall", wall),
 ];
@@ -207,6 +222,60 @@ pub fn gltf(data: &[u8]) {
     let n_bytes = data.len() as u64;
     gltf::read_text(data, n_bytes, &Companions::default()).into_iter().for_each(check_model);
     gltf::read_binary(data, n_bytes, &Companions::default()).into_iter().for_each(check_model);
+}
+
+/// A scene file: these bytes themselves, or a small scene's file after changes, with hashes that fit. What is accepted is
+/// traced.
+pub fn scene(data: &[u8]) {
+    static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(small_scene);
+    let Some((&kind, changes)) = data.split_first() else { return };
+    let file = if kind % 4 == 0 {
+        changes.to_vec()
+    } else {
+        let mut file = WHOLE.clone();
+        for &[what, high, middle, low] in changes.as_chunks::<4>().0.iter().take(16) {
+            let at = u32::from_be_bytes([0, high, middle, low]) as usize % file.len();
+            let last = (at + 1 + usize::from(what >> 6)).min(file.len());
+            match what % 5 {
+                0 => file[at] ^= 1 << (what >> 5),
+                1 => file[at..last].fill(0),
+                2 => file[at..last].fill(0xff),
+                3 => file[at] = file[at].wrapping_add(1),
+                _ => file.copy_within(last.., at),
+            }
+        }
+        file
+    };
+    let repaired = scene_file::with_hashes(file.clone());
+    for file in repaired.into_iter().chain([file]) {
+        let Ok((info, scene)) = scene_file::from_bytes(&file) else { continue };
+        let spec = FrameSpec {
+            scene: info.id,
+            camera: Camera::view_all(&info.shape, info.shape.up, 2.0, CanvasPart::WHOLE),
+            size: FrameSize::new(16, 8).expect("a small frame"),
+            view: ShadingMode::Shaded,
+            rays: LightingMode::AmbientOcclusion,
+            samples: SampleRange::CENTRE,
+            appearance: Appearance::default(),
+        };
+        assert_eq!(scene.render_frame(&spec).0.len(), 16 * 8 * 3);
+    }
+}
+
+/// The file of a statue of several leaves, with normals and a texture.
+fn small_scene() -> Vec<u8> {
+    let mesh = statue::generate(1200, &|_| ());
+    let texture = TextureUse { image: 0, wrap: Default::default(), transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]] };
+    let material = Material { base_color_texture: Some(texture), alpha_cutoff: Some(0.5), ..Material::default() };
+    let image = Image { width: 4, height: 2, texels: (0..8).map(|texel| [texel * 30; 4]).collect() };
+    let materials = Materials { materials: vec![material], images: vec![image], of_triangles: Vec::new() };
+    let texture_coordinates = mesh.vertices.iter().map(|&[x, y, _]| [x, y]).collect();
+    let mesh = Mesh { texture_coordinates, materials, ..mesh };
+    let id = SceneId::Statue { triangles: 1200, crease: Crease::default() };
+    let loaded = LoadedMesh { id, mesh, left_out: Vec::new(), sources: None }.smooth();
+    let info = loaded.info(true);
+    let mut scene = Scene::build(loaded.mesh, &GridOptions::default(), &|_| ());
+    scene_file::to_bytes(&mut scene, &info).expect("it has the default storage")
 }
 
 /// A reader accepts only sound meshes, also with their images.

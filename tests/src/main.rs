@@ -73,6 +73,8 @@ mod remote;
 mod remote_page;
 #[cfg(test)]
 mod room;
+#[cfg(test)]
+mod scene_files;
 #[cfg(all(test, unix))]
 mod stopping;
 #[cfg(test)]

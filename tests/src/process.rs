@@ -31,7 +31,10 @@ impl Program {
             "{} is not built: `make test` builds every program; so does cargo build --release --workspace --bins",
             path.display()
         );
-        Command::new(path)
+        let mut command = Command::new(path);
+        // No cache: a scene that one test leaves must not serve another.
+        command.env("XDG_CACHE_HOME", "/dev/null");
+        command
     }
 
     /// Starts it and collects its output.

@@ -333,7 +333,10 @@ fn load_model(args: &WallArgs) -> anyhow::Result<Model> {
     let model = &args.show.model;
     let source = model.source();
     tracing::info!("loading {source}");
-    warn_of_large_file(&source, 1 + args.n_local(), args.scene.shared_by(args.n_local()).options().memory_budget);
+    let store = args.scene.store();
+    if !store.has(&source, model.crease) {
+        warn_of_large_file(&source, 1 + args.n_local(), args.scene.shared_by(args.n_local()).options().memory_budget);
+    }
     let bar = Progress::new(format!("loading {source}"));
-    Ok(Model::load(source, model.crease, &|fraction| bar.set(fraction))?)
+    Ok(Model::load(source, model.crease, &store, &|fraction| bar.set(fraction))?)
 }

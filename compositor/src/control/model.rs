@@ -2,7 +2,10 @@
 
 use std::path::PathBuf;
 
-use renderer::model::scene::{self, LoadError, LoadedMesh, SceneSource};
+use renderer::{
+    model::scene::{LoadError, ModelInfo, SceneSource},
+    scene_file::SceneStore,
+};
 use shared::{
     camera::Shape,
     scene::{Crease, SceneId},
@@ -27,25 +30,18 @@ pub(crate) struct Model {
 }
 
 impl Model {
-    /// Reads or generates the model, and logs what its file holds and lacks. May take minutes: not for the window's thread.
+    /// Reads or generates the model, or takes its scene file, and logs what its file holds and lacks. May take minutes: not for
+    /// the window's thread.
     pub(crate) fn load(
         source: SceneSource,
         crease: Crease,
+        store: &SceneStore,
         progress: &(dyn Fn(f32) + Sync),
     ) -> Result<Self, LoadError> {
-        let loaded = scene::load(&source, crease, progress)?;
-        loaded.log(&source);
-        let found = loaded.found();
-        let LoadedMesh { id, mesh, left_out } = loaded;
-        Ok(Self {
-            source,
-            scene: id,
-            shape: mesh.shape(),
-            n_triangles: mesh.triangles.len() - mesh.n_rejected,
-            is_solid: mesh.facing().is_some(),
-            found,
-            left_out,
-        })
+        let info = store.describe(&source, crease, progress)?;
+        info.log(&source);
+        let ModelInfo { id, shape, n_triangles, is_solid, found, left_out } = info;
+        Ok(Self { source, scene: id, shape, n_triangles, is_solid, found, left_out })
     }
 
     /// The model's file, where all programs on this machine find it; `None` for the built-in model.

@@ -94,9 +94,13 @@ impl<'a> App<'a> {
             join: join_hint(farm.address(), args.key.as_deref(), None),
             ..Default::default()
         };
-        let mut loader = ModelLoader::new(waker.clone(), args.show.model.crease);
+        let store = args.scene.store();
+        let mut loader = ModelLoader::new(waker.clone(), args.show.model.crease, store.clone());
         let source = args.show.model.source();
-        warn_of_large_file(&source, 1 + args.n_local(), args.scene.shared_by(args.n_local()).options().memory_budget);
+        if !store.has(&source, args.show.model.crease) {
+            let budget = args.scene.shared_by(args.n_local()).options().memory_budget;
+            warn_of_large_file(&source, 1 + args.n_local(), budget);
+        }
         loader.load(source.clone());
         let kiosk = args.kiosk.map(|seconds| Duration::from_secs(seconds.into()));
         Self {

@@ -9,7 +9,7 @@ use std::{
     thread,
 };
 
-use renderer::{cli::stop::Task, model::scene::SceneSource};
+use renderer::{cli::stop::Task, model::scene::SceneSource, scene_file::SceneStore};
 use shared::{printable::printable_line, scene::Crease};
 
 use super::waker::{Call, Waker};
@@ -22,6 +22,7 @@ pub(super) type Loaded = Result<Box<(Model, SidecarFiles)>, String>;
 pub(super) struct ModelLoader {
     waker: Waker,
     crease: Crease,
+    store: SceneStore,
     /// The name of the model that is being loaded, and the progress: the bits of an `f32`, 0 to 1.
     running: Option<(String, Arc<AtomicU32>)>,
     /// The next model; a later request replaces it.
@@ -30,9 +31,10 @@ pub(super) struct ModelLoader {
 }
 
 impl ModelLoader {
-    /// For models that are as smooth as `crease` says. Wakes the window on progress, and calls it with each [`Loaded`].
-    pub(super) fn new(waker: Waker, crease: Crease) -> Self {
-        Self { waker, crease, running: None, next: None, has_begun: false }
+    /// For models that are as smooth as `crease` says, with their scene files. Wakes the window on progress, and calls it with
+    /// each [`Loaded`].
+    pub(super) fn new(waker: Waker, crease: Crease, store: SceneStore) -> Self {
+        Self { waker, crease, store, running: None, next: None, has_begun: false }
     }
 
     pub(super) fn load(&mut self, source: SceneSource) {
@@ -54,7 +56,7 @@ impl ModelLoader {
         let Some(source) = self.next.take() else { return };
         let progress = Arc::new(AtomicU32::new(0));
         self.running = Some((name_of(&source), Arc::clone(&progress)));
-        let (waker, crease) = (self.waker.clone(), self.crease);
+        let (waker, crease, store) = (self.waker.clone(), self.crease, self.store.clone());
         tracing::info!("loading {source}");
         // Without its first model the wall shows nothing; later, it goes on showing the old one.
         let task = (!std::mem::replace(&mut self.has_begun, true)).then(|| Task::named(format!("loading {source}")));
@@ -68,7 +70,7 @@ impl ModelLoader {
             };
             let load = || {
                 let sidecars = SidecarFiles::read(&source);
-                let model = Model::load(source, crease, &report).map_err(|error| error.to_string())?;
+                let model = Model::load(source, crease, &store, &report).map_err(|error| error.to_string())?;
                 Ok(Box::new((model, sidecars)))
             };
             // Nothing that a panic leaves half done is used again.

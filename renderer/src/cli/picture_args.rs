@@ -15,6 +15,7 @@ use shared::{
 use crate::{
     cli::{appearance_args::AppearanceArgs, between, large_file, progress::Progress, scene_args::SceneArgs},
     formats::file::is_named_as_model,
+    grid::GridOptions,
     model::{
         mesh::Mesh,
         scene::{self, LoadError, LoadedMesh, SceneSource},
@@ -22,12 +23,13 @@ use crate::{
         statue,
     },
     render::{scene::Scene, threads},
+    scene_file::store::StoredScene,
 };
 
 /// The model.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ModelArgs {
-    /// The model's file: PLY, OBJ, STL, glTF or GLB [default: the built-in statue]
+    /// The model's file: PLY, OBJ, STL, glTF or GLB, or a scene file that `renderer build` has made of one [default: the built-in statue]
     #[arg(value_name = "MODEL")]
     file: Option<PathBuf>,
 
@@ -123,34 +125,52 @@ impl PictureArgs {
         threads::pool(self.threads.map(usize::from))
     }
 
+    /// The options of the grid.
+    pub fn options(&self) -> GridOptions {
+        self.scene.options()
+    }
+
     /// The camera of the file, if there is one.
     pub fn read_camera(&self) -> Result<Option<Camera>> {
         self.camera.as_deref().map(read_camera).transpose()
     }
 
-    /// Warns of a file that may not fit into memory, before it is read.
-    pub fn warn_of_large_file(&self) {
-        large_file::warn_of_large_file(&self.model.source(), 1, self.scene.options().memory_budget);
+    /// A camera that sees all of a model, with samples as wide as high.
+    pub fn view_all(&self, shape: &Shape) -> Camera {
+        let aspect = f64::from(self.size.xres()) / f64::from(self.size.yres());
+        Camera::view_all(shape, self.up.unwrap_or_else(|| guessed_up(shape)), aspect, CanvasPart::WHOLE)
     }
 
-    /// A camera that sees all of a mesh, with samples as wide as high.
-    pub fn view_all(&self, mesh: &Mesh) -> Camera {
-        let aspect = f64::from(self.size.xres()) / f64::from(self.size.yres());
-        let shape = mesh.shape();
-        Camera::view_all(&shape, self.up.unwrap_or_else(|| guessed_up(&shape)), aspect, CanvasPart::WHOLE)
+    /// Loads the scene, from its file if there is one, with a progress bar. The log tells what its model holds and lacks.
+    pub fn load_scene(&self) -> Result<StoredScene, LoadError> {
+        let (source, store, options) = (self.model.source(), self.scene.store(), self.scene.options());
+        if !store.has(&source, self.model.crease) {
+            large_file::warn_of_large_file(&source, 1, options.memory_budget);
+        }
+        let progress = Progress::new(format!("loading {source}"));
+        let stored = store.load(&source, self.model.crease, &options, &|stage, done| {
+            progress.report(stage, &source, done);
+        })?;
+        stored.info.log(&source);
+        self.warn_of(&stored.scene);
+        Ok(stored)
     }
 
     /// Builds the grid on the current rayon pool, with a progress bar.
     pub fn build(&self, mesh: Mesh) -> Scene {
         let progress = Progress::new("building the grid");
         let scene = Scene::build(mesh, &self.scene.options(), &|done| progress.set(done));
+        self.warn_of(&scene);
+        scene
+    }
+
+    fn warn_of(&self, scene: &Scene) {
         if let Some(shortage) = scene.grid.shortage() {
             tracing::warn!("{}: {shortage}", self.model.source());
         }
         if self.appearance.appearance().clip.is_some() && scene.mesh().facing().is_none() {
             tracing::warn!("{}: {UNFILLED}", self.model.source());
         }
-        scene
     }
 
     /// The frame that shows the scene named `id`, through the centres of its samples.
@@ -220,7 +240,7 @@ mod tests {
     #[test]
     fn the_opposite_of_an_axis_may_point_up() {
         let Program { picture } = cli::try_parse(["program", "--up", "-z"]).unwrap();
-        let camera = picture.view_all(&statue::generate(1000, &|_| ()));
+        let camera = picture.view_all(&statue::generate(1000, &|_| ()).shape());
         assert!(camera.v().z < 0.0 && camera.v().z.abs() > camera.v().y.abs(), "{}", camera.v());
     }
 
@@ -228,7 +248,7 @@ mod tests {
     fn without_a_camera_samples_are_as_wide_as_high() {
         for (size, aspect) in [("480x360", 4.0 / 3.0), ("1024x512", 2.0)] {
             let Program { picture } = cli::try_parse(["program", "--size", size]).unwrap();
-            let camera = picture.view_all(&statue::generate(1000, &|_| ()));
+            let camera = picture.view_all(&statue::generate(1000, &|_| ()).shape());
             assert!((camera.u().length() / camera.v().length() - aspect).abs() < 1e-9, "{size}");
         }
     }

@@ -8,12 +8,12 @@ use std::{
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 use shared::printable::printable_line;
 
-use crate::cli::stop::Task;
+use crate::{cli::stop::Task, model::scene::SceneSource, scene_file::store::Stage};
 
 /// A progress bar on standard error, erased on drop; invisible if standard error is not a terminal.
 pub struct Progress {
     bar: ProgressBar,
-    label: String,
+    label: Mutex<String>,
     started_at: Instant,
     /// When the log had the label or the fraction last; only if standard error is not a terminal.
     logged_at: Mutex<Option<Instant>>,
@@ -38,7 +38,7 @@ impl Progress {
             format!("stopped while {task}")
         };
         let (started_at, logged_at) = (Instant::now(), Mutex::default());
-        Self { bar, label, started_at, logged_at, _task: Task::with_line(line) }
+        Self { bar, label: label.into(), started_at, logged_at, _task: Task::with_line(line) }
     }
 
     /// Changes the label. Where there is no terminal, the log has it, from time to time.
@@ -48,6 +48,21 @@ impl Progress {
         if self.bar.is_hidden() && logged_at.is_none_or(|at| at.elapsed() >= LOG_INTERVAL) {
             tracing::info!("{label}");
             *logged_at = Some(Instant::now());
+        }
+    }
+
+    /// Shows what is done with a model now, and the fraction of the whole task that is done, 0 to 1. May be called from any
+    /// thread, at any rate.
+    pub fn report(&self, stage: Stage, source: &SceneSource, fraction: f32) {
+        self.rename(&format!("{stage} {source}"));
+        self.set(fraction);
+    }
+
+    fn rename(&self, label: &str) {
+        let mut old = self.label.lock().unwrap_or_else(PoisonError::into_inner);
+        if *old != label {
+            *old = printable_line(label);
+            self.bar.set_message(old.clone());
         }
     }
 
@@ -68,7 +83,8 @@ impl Progress {
         let is_due = now.saturating_duration_since(last) >= LOG_INTERVAL;
         is_due.then(|| {
             *logged_at = Some(now);
-            format!("{}: {:.0} %", self.label, fraction * 100.0)
+            let label = self.label.lock().unwrap_or_else(PoisonError::into_inner);
+            format!("{label}: {:.0} %", fraction * 100.0)
         })
     }
 }

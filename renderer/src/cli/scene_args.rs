@@ -3,6 +3,7 @@
 use crate::{
     cli::free_memory::FreeMemory,
     grid::{GridOptions, MemoryBudget, Storage},
+    scene_file::SceneStore,
 };
 
 /// Each option names it: a heading of the struct would also head the options after it.
@@ -29,12 +30,16 @@ pub struct SceneArgs {
     /// coarser [default: three quarters of what is free, divided among local render servers]
     #[arg(long, help_heading = HEADING, value_name = "SIZE")]
     memory_budget: Option<MemoryBudget>,
+
+    /// Build the model's scene at each start, and keep no file of it
+    #[arg(long, help_heading = HEADING)]
+    no_cache: bool,
 }
 
 impl SceneArgs {
     /// The grid options that the arguments describe.
     pub fn options(&self) -> GridOptions {
-        let Self { density, storage, macrocell_levels, memory_budget } = *self;
+        let Self { density, storage, macrocell_levels, memory_budget, no_cache: _ } = *self;
         let memory_budget = memory_budget.unwrap_or_else(|| budget_of_machine(1));
         GridOptions { density, macrocell_levels, storage, memory_budget }
     }
@@ -55,12 +60,18 @@ impl SceneArgs {
         }
     }
 
+    /// Where scenes come from, and where they are kept.
+    pub fn store(&self) -> SceneStore {
+        if self.no_cache { SceneStore::default() } else { SceneStore::of_user() }
+    }
+
     /// The arguments that give another program the same options.
     pub fn to_arguments(&self) -> Vec<String> {
         let density = self.density.map(|density| format!("--density={density}"));
         let budget = self.memory_budget.map(|budget| format!("--memory-budget={budget}"));
         let others = [format!("--storage={}", self.storage), format!("--macrocell-levels={}", self.macrocell_levels)];
-        density.into_iter().chain(budget).chain(others).collect()
+        let no_cache = self.no_cache.then(|| "--no-cache".to_owned());
+        density.into_iter().chain(budget).chain(others).chain(no_cache).collect()
     }
 }
 

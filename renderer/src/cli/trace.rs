@@ -16,7 +16,6 @@ use crate::{
         say,
         stop::Task,
     },
-    model::scene::LoadedMesh,
     render::image,
 };
 
@@ -45,18 +44,19 @@ pub fn run(TraceArgs { picture, image, samples }: &TraceArgs) -> Result<()> {
     picture.pool()?.install(|| {
         // The camera is checked before a large model is read.
         let camera = picture.read_camera()?;
-        picture.warn_of_large_file();
-        let LoadedMesh { id, mesh, .. } = picture.model.load()?;
-        let spec = picture.spec(id, camera.unwrap_or_else(|| picture.view_all(&mesh)));
+        let stored = picture.load_scene()?;
+        let (info, scene) = (&stored.info, &stored.scene);
+        let spec = picture.spec(info.id, camera.unwrap_or_else(|| picture.view_all(&info.shape)));
         let count = samples.unwrap_or(if spec.rays == LightingMode::Path { PATHS } else { 1 });
         let spec = FrameSpec { samples: SampleRange { count, ..spec.samples }, ..spec };
-        let scene = picture.build(mesh);
         let _task = Task::named("rendering the picture");
         let (rgb, _) = scene.render_frame(&spec);
         if spec.appearance.background.fills(spec.size, rgb.as_chunks().0.iter().copied()) {
             tracing::warn!("{}: {SHOWS_NOTHING}", image.display());
         }
         image::write_png(image, spec.size, &rgb).with_context(|| format!("cannot write {}", image.display()))?;
-        say(format_args!("{}: {} samples, {}", image.display(), spec.size, counted(scene.n_triangles(), "triangle")))
+        say(format_args!("{}: {} samples, {}", image.display(), spec.size, counted(scene.n_triangles(), "triangle")))?;
+        stored.finish();
+        Ok(())
     })
 }

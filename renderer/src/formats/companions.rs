@@ -1,12 +1,16 @@
 //! The files that a model's file names: materials, buffers and images.
 
 use std::{
+    collections::BTreeMap,
     io::Read,
     path::{Component, Path, PathBuf},
+    sync::{Mutex, PoisonError},
 };
 
 use channel::files;
 use unicode_normalization::UnicodeNormalization;
+
+use crate::formats::sources::Companion;
 
 /// Folders in which programs put images, beside the folder of the model itself.
 const FOLDERS: [&str; 6] = ["", "textures", "texture", "../textures", "images", "maps"];
@@ -18,7 +22,12 @@ pub struct Companions {
     folder: Option<PathBuf>,
     /// The model's name without its extension.
     stem: Option<String>,
+    /// What was looked for, by folder and name, and what was found first.
+    found: Mutex<BTreeMap<(String, String), Companion>>,
 }
+
+/// Most files that a model may name for its sources to be kept.
+const MOST_FOUND: usize = 10_000;
 
 impl Companions {
     /// Those of a model.
@@ -26,7 +35,14 @@ impl Companions {
         Self {
             folder: Some(model.parent().unwrap_or(Path::new("")).to_owned()),
             stem: model.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned),
+            found: Mutex::default(),
         }
+    }
+
+    /// All that was looked for so far; `None` if there is too much of it.
+    pub(super) fn found(&self) -> Option<Vec<Companion>> {
+        let found = self.found.lock().unwrap_or_else(PoisonError::into_inner);
+        (found.len() < MOST_FOUND).then(|| found.values().cloned().collect())
     }
 
     /// The model's name with another extension, if that file is there.
@@ -55,6 +71,16 @@ impl Companions {
     /// # Errors
     /// A text that names the file and the fault.
     pub(super) fn find(&self, folder: &str, name: &str) -> Result<PathBuf, String> {
+        let found = self.look_for(folder, name);
+        let mut all = self.found.lock().unwrap_or_else(PoisonError::into_inner);
+        if all.len() < MOST_FOUND {
+            let first = || Companion::new(folder, name, found.as_deref().ok());
+            all.entry((folder.to_owned(), name.to_owned())).or_insert_with(first);
+        }
+        found
+    }
+
+    fn look_for(&self, folder: &str, name: &str) -> Result<PathBuf, String> {
         let missing = || format!("{name} is missing: put it beside the model");
         let here = self.folder.as_deref().ok_or_else(missing)?;
         let [folder, named] = [folder, name].map(|path| path.replace('\\', "/"));

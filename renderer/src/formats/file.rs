@@ -4,21 +4,27 @@ use std::{
     fmt,
     io::{self, BufRead, BufReader, Read},
     path::{Path, PathBuf},
+    time::SystemTime,
 };
 
 use channel::files::{self, ReadError};
 
-use crate::formats::{
-    assembly::TextProblem,
-    companions::Companions,
-    foreign, gltf,
-    images::{self, ImageSource},
-    obj, ply, stl, tiles,
+use crate::{
+    formats::{
+        assembly::TextProblem,
+        companions::Companions,
+        foreign, gltf,
+        images::{self, ImageSource},
+        obj, ply,
+        sources::{Sources, Stamp},
+        stl, tiles,
+    },
+    model::mesh::Mesh,
+    scene_file,
 };
-use crate::model::mesh::Mesh;
 
-/// The endings of files that are read, in small letters.
-const ENDINGS: [&str; 5] = ["ply", "obj", "stl", "gltf", "glb"];
+/// The endings of files that are shown, in small letters.
+const ENDINGS: [&str; 6] = ["ply", "obj", "stl", "gltf", "glb", scene_file::cache::ENDING];
 
 /// Whether a file is a model by the ending of its name.
 pub fn is_named_as_model(path: &Path) -> bool {
@@ -123,15 +129,29 @@ impl fmt::Display for Format {
 /// # Errors
 /// The file cannot be read, is of no known format, or is damaged. What its files lack is no error, but a remark.
 pub fn read(path: &Path, progress: &(dyn Fn(f32) + Sync)) -> Result<Reading, FileError> {
-    let companions = Companions::beside(path);
-    let open = || -> Result<Draft, Problem> {
+    read_with_sources(path, progress).map(|(reading, _)| reading)
+}
+
+/// [`read`], with the files that were read; `None` if there is no telling whether they have changed since.
+///
+/// # Errors
+/// As for [`read`].
+pub fn read_with_sources(
+    path: &Path,
+    progress: &(dyn Fn(f32) + Sync),
+) -> Result<(Reading, Option<Sources>), FileError> {
+    let (companions, began_at) = (Companions::beside(path), SystemTime::now());
+    let open = || -> Result<(Draft, Stamp), Problem> {
         let file = files::open(path)?;
-        let n_bytes = file.metadata()?.len();
+        let metadata = file.metadata()?;
+        let n_bytes = metadata.len();
         let metered = ProgressReader { inner: file, n_read: 0, n_bytes, progress };
-        read_from(BufReader::with_capacity(BUFFER_BYTES, metered), n_bytes, &companions)
+        let draft = read_from(BufReader::with_capacity(BUFFER_BYTES, metered), n_bytes, &companions)?;
+        Ok((draft, Stamp::of(&metadata)))
     };
-    let draft = open().map_err(|problem| FileError { path: path.to_owned(), problem })?;
-    Ok(images::decode(draft, &companions))
+    let (draft, stamp) = open().map_err(|problem| FileError { path: path.to_owned(), problem })?;
+    let reading = images::decode(draft, &companions);
+    Ok((reading, Sources::new(path, stamp, &companions, began_at)))
 }
 
 /// Reads a model of `n_bytes` bytes from its beginning, without its images.

@@ -3,7 +3,8 @@
 use crate::formats::stl;
 
 /// Beginnings of files of other kinds, and what each is, with the cure.
-const KINDS: [(&[u8], &str); 21] = [
+const KINDS: [(&[u8], &str); 22] = [
+    (b"raywall\0", "is a scene file, which walls and render servers show: name the model that it was built from"),
     (b"\x1f\x8b", "is compressed with gzip: unpack it"),
     (
         b"PK\x03\x04",

@@ -2,8 +2,10 @@
 
 use std::{fmt, ops::RangeInclusive, str::FromStr};
 
+use serde::{Deserialize, Serialize};
+
 /// Bytes that a process may take while it loads a scene: the mesh as loaded, the mesh as traced, and the grid.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct MemoryBudget(u64);
 
 impl MemoryBudget {
@@ -27,6 +29,11 @@ impl MemoryBudget {
     /// Bytes left for a grid beside a mesh: at least a quarter of the mesh, as less would save little and be slow.
     pub(crate) fn remaining_beside(self, mesh_bytes: u64) -> u64 {
         if mesh_bytes < self.0 { self.0 - mesh_bytes } else { mesh_bytes / 4 }
+    }
+
+    /// Whether it is more than another by a quarter.
+    pub(crate) fn clearly_exceeds(self, other: Self) -> bool {
+        self.0 > other.0.saturating_add(other.0 / 4)
     }
 
     pub(crate) fn is_exceeded_by(self, n_bytes: u64) -> bool {
@@ -82,7 +89,7 @@ impl FromStr for MemoryBudget {
 }
 
 /// The effect of a memory budget on a grid.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MemoryShortage {
     pub(crate) budget: MemoryBudget,
     pub(crate) is_coarser: bool,
@@ -90,6 +97,13 @@ pub struct MemoryShortage {
     pub(crate) enough: Option<MemoryBudget>,
     /// Bytes that loading the scene may take, if they exceed the budget nevertheless.
     pub(crate) needed_bytes: Option<u64>,
+}
+
+impl MemoryShortage {
+    /// The part that still matters where the scene is not loaded, but mapped.
+    pub(crate) fn of_mapped(self) -> Option<Self> {
+        self.is_coarser.then_some(Self { needed_bytes: None, ..self })
+    }
 }
 
 impl fmt::Display for MemoryShortage {

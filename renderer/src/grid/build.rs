@@ -65,7 +65,7 @@ impl Grid {
         let is_short = is_coarser || needed_bytes.is_some();
         let enough = if is_coarser { enough_bytes } else { needed_bytes }.map(MemoryBudget::of_at_least);
         let shortage = is_short.then_some(MemoryShortage { budget, is_coarser, enough, needed_bytes });
-        Self { shortage, ..grid }
+        Self { shortage, is_limited: is_coarser || grid.is_limited, ..grid }
     }
 
     /// Builds a tree. Returns true, second, if cells stay undivided to save memory.
@@ -137,14 +137,27 @@ impl Grid {
         let extent = space.point_to_cells(max).to_array();
         let extent = [0, 1, 2].map(|axis| (extent[axis] as u32 + 1).min(dims[axis] * BRICK_SIZE));
         let hierarchy = Hierarchy::default();
-        let mut tree = Tree { dims, extent, bricks, nodes, leaf_starts, references, boxes, leaf_cubes, hierarchy };
+        let mut tree = Tree {
+            dims,
+            extent,
+            bricks: bricks.into(),
+            nodes: nodes.into(),
+            leaf_starts: leaf_starts.into(),
+            references: references.into(),
+            boxes,
+            leaf_cubes: leaf_cubes.into(),
+            hierarchy,
+        };
         let n_bytes_left = most_bytes_in_order.saturating_sub(tree.figures().n_bytes() as u64);
-        tree.hierarchy = if Hierarchy::is_over_triangles(mesh.n_triangles(), tree.references.len(), n_bytes_left) {
+        let is_over_triangles =
+            |n_bytes_left| Hierarchy::is_over_triangles(mesh.n_triangles(), tree.references.len(), n_bytes_left);
+        let is_limited = is_over_triangles(u64::MAX) && !is_over_triangles(n_bytes_left);
+        tree.hierarchy = if is_over_triangles(n_bytes_left) {
             Tree::hierarchy_over_triangles(&space, &mesh)
         } else {
             tree.hierarchy_over_leaves()
         };
-        (Self { space, structure: Structure::Tree(tree), density, ..Self::empty(mesh) }, is_coarser)
+        (Self { space, structure: Structure::Tree(tree), density, is_limited, ..Self::empty(mesh) }, is_coarser)
     }
 
     /// Builds the paper's uniform grid. Returns true, second, if it is coarser to save memory.
@@ -185,6 +198,7 @@ impl Grid {
             structure: Structure::Tree(Tree::empty()),
             density: 0.0,
             shortage: None,
+            is_limited: false,
             mesh,
             instructions: InstructionSet::best(),
         }

@@ -1,11 +1,12 @@
 //! Cells of any grid: the space that they fill, and how single rays look them up.
 
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 
 use crate::model::mesh::Aabb;
 
 /// The map from model space to a grid's finest cells: each is a unit cube with corners at integers.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct CellSpace {
     /// The grid's lowest corner, in model space.
     pub(crate) origin: [f32; 3],

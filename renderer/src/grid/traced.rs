@@ -1,7 +1,10 @@
 //! The mesh that rays hit: ordered so that triangles close in space are close in memory.
 
+mod stored;
+
 use glam::{DVec3, Vec2, Vec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use shared::srgb;
 
 use crate::{
@@ -11,6 +14,7 @@ use crate::{
         normal::Normal,
         solid::Facing,
     },
+    scene_file::section::Section,
     simd::{InstructionSet, Simd},
     texture::{
         footprint::{Footprints, Projection, WideRays, texture_point},
@@ -21,20 +25,26 @@ use crate::{
 /// A mesh in the order of a grid's cells, without triangles that cannot be hit.
 ///
 /// A triangle index is a position here; [`TracedMesh::file_index`] gives the triangle's number in the file.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 pub struct TracedMesh {
     /// Positions, and one more at the end, see [`TracedMesh::coordinates`].
-    vertices: Vec<[f32; 3]>,
+    #[serde(skip)]
+    vertices: Section<[f32; 3]>,
     /// The vertices of each triangle, all within [`TracedMesh::coordinates`].
-    triangles: Vec<[u32; 3]>,
-    file_indices: Vec<u32>,
+    #[serde(skip)]
+    triangles: Section<[u32; 3]>,
+    #[serde(skip)]
+    file_indices: Section<u32>,
     /// sRGB, one for each vertex; empty in a mesh without colours.
-    colors: Vec<[u8; 3]>,
+    #[serde(skip)]
+    colors: Section<[u8; 3]>,
     /// One for each vertex; empty in a mesh without textures.
-    texture_coordinates: Vec<[f32; 2]>,
+    #[serde(skip)]
+    texture_coordinates: Section<[f32; 2]>,
     materials: TracedMaterials,
     /// One for each vertex; empty in a mesh of flat triangles.
-    normals: Vec<Normal>,
+    #[serde(skip)]
+    normals: Section<Normal>,
     bounds: Aabb,
     bulk_bounds: Aabb,
     facing: Option<Facing>,
@@ -94,7 +104,7 @@ impl TracedMesh {
 
         // Copy in the new order, in parallel: the first write to fresh memory waits for page faults.
         let in_order = file_indices.par_iter().map(|&file_index| triangles[file_index as usize]);
-        let triangles_in_order =
+        let triangles_in_order: Vec<_> =
             in_order.map(|corners| corners.map(|vertex| vertex_renumbering.new_indices[vertex as usize])).collect();
         drop((triangles, vertex_renumbering));
         let materials = TracedMaterials::new(materials, &file_indices);
@@ -103,9 +113,9 @@ impl TracedMesh {
         let is_textured = materials.has_textures() && !texture_coordinates.is_empty();
         let kept_coordinates = kept_vertices.iter().filter(|_| is_textured);
         Self {
-            vertices: padded(kept_vertices.par_iter().map(|&vertex| vertices[vertex as usize])),
-            triangles: triangles_in_order,
-            file_indices,
+            vertices: padded(kept_vertices.par_iter().map(|&vertex| vertices[vertex as usize])).into(),
+            triangles: triangles_in_order.into(),
+            file_indices: file_indices.into(),
             colors: kept_vertices.iter().filter(|_| is_colored).map(|&vertex| colors[vertex as usize]).collect(),
             normals: kept_normals.map(|&vertex| normals[vertex as usize]).collect(),
             texture_coordinates: kept_coordinates.map(|&vertex| texture_coordinates[vertex as usize]).collect(),

@@ -8,13 +8,19 @@ pub(crate) mod divide;
 pub(crate) mod hierarchy;
 pub(crate) mod overlap;
 pub(crate) mod scatter;
+mod stored;
 
 use std::ops::Range;
 
+use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-use crate::grid::{cells::CellSpace, figures::GridStats, traced::TracedMesh};
+use crate::{
+    grid::{cells::CellSpace, figures::GridStats, traced::TracedMesh},
+    scene_file::section::Section,
+};
 use boxes::{LeafCube, QuantizedBoxes};
 use hierarchy::{Bounds, Hierarchy};
 
@@ -28,7 +34,7 @@ pub(crate) const LEVELS: u32 = 5;
 pub(crate) const BRICK_SIZE: u32 = 1 << (2 * LEVELS);
 
 /// Bricks, nodes and leaves, and the triangles of each leaf.
-#[derive(Debug, PartialEq)]
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Tree {
     /// Bricks per axis.
     pub(crate) dims: [u32; 3],
@@ -36,21 +42,27 @@ pub(crate) struct Tree {
     /// pass only that empty part would take a tenth of the time of a model of gears.
     pub(crate) extent: [u32; 3],
     /// For each brick, x fastest: [`Tree::EMPTY`], a leaf's index with [`Tree::LEAF`] set, or a node's index.
-    pub(crate) bricks: Vec<u32>,
-    pub(crate) nodes: Vec<TreeNode>,
+    #[serde(skip)]
+    pub(crate) bricks: Section<u32>,
+    #[serde(skip)]
+    pub(crate) nodes: Section<TreeNode>,
     /// Index of each leaf's first reference, and the number of references at the end.
-    pub(crate) leaf_starts: Vec<u32>,
+    #[serde(skip)]
+    pub(crate) leaf_starts: Section<u32>,
     /// Triangle indices, leaf after leaf.
-    pub(crate) references: Vec<u32>,
+    #[serde(skip)]
+    pub(crate) references: Section<u32>,
     pub(crate) boxes: QuantizedBoxes,
     /// The cube of each leaf.
-    pub(crate) leaf_cubes: Vec<LeafCube>,
+    #[serde(skip)]
+    pub(crate) leaf_cubes: Section<LeafCube>,
     /// Boxes over the leaves, or over all triangles.
     pub(crate) hierarchy: Hierarchy,
 }
 
 /// A cube of 4×4×4 children, child (x, y, z) at bit 16·z + 4·y + x.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(C)]
 pub(crate) struct TreeNode {
     /// Children with triangles in them.
     pub(crate) occupied: u64,
@@ -70,12 +82,12 @@ impl Tree {
         Self {
             dims: [1; 3],
             extent: [BRICK_SIZE; 3],
-            bricks: vec![Self::EMPTY],
-            nodes: Vec::new(),
-            leaf_starts: vec![0],
-            references: Vec::new(),
+            bricks: vec![Self::EMPTY].into(),
+            nodes: Section::default(),
+            leaf_starts: vec![0].into(),
+            references: Section::default(),
             boxes: QuantizedBoxes::default(),
-            leaf_cubes: Vec::new(),
+            leaf_cubes: Section::default(),
             hierarchy: Hierarchy::default(),
         }
     }

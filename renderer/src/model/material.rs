@@ -1,5 +1,6 @@
 //! How surfaces look: materials and their textures, as glTF 2.0 defines them.
 
+use serde::{Deserialize, Serialize};
 use shared::printable::counted;
 
 /// The look of a mesh: its materials, and the images that they use.
@@ -107,7 +108,7 @@ pub struct TextureUse {
 }
 
 /// How a texture continues beyond its edges.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Wrap {
     /// Over and over.
     #[default]

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use shared::camera::UpAxis;
 
 use crate::model::{material::Materials, normal::Normal};
@@ -38,7 +39,7 @@ pub struct Mesh {
 }
 
 /// An axis-aligned bounding box, in model space. Empty boxes have `min > max`.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Aabb {
     /// Lowest coordinates.
     pub min: [f32; 3],

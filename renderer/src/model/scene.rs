@@ -4,16 +4,24 @@ use std::{fmt, path::PathBuf};
 
 use bytemuck::NoUninit;
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 use shared::{
+    camera::Shape,
     printable::{counted, printable_line},
     scene::{Crease, SceneId},
 };
 
-use crate::formats::file::{self, FileError, Reading};
-use crate::model::{
-    material::{Material, Materials, TextureUse},
-    mesh::Mesh,
-    statue,
+use crate::{
+    formats::{
+        file::{self, FileError, Reading},
+        sources::Sources,
+    },
+    model::{
+        material::{Material, Materials, TextureUse},
+        mesh::Mesh,
+        statue,
+    },
+    scene_file::SceneFileError,
 };
 
 #[cfg(target_endian = "big")]
@@ -50,6 +58,37 @@ pub struct LoadedMesh {
     /// Parts of the file that are left out, by the view of the whole too, or shown otherwise than it says: a line each,
     /// without the file's name.
     pub left_out: Vec<String>,
+    /// The files that it was read from, if there are any and nothing of them changed meanwhile.
+    pub sources: Option<Sources>,
+}
+
+/// All that is told of a model, without its triangles: enough for the wall.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ModelInfo {
+    /// Identifies the mesh on all machines.
+    pub id: SceneId,
+    /// Its bounds, outline and likely up axis.
+    pub shape: Shape,
+    /// Triangles, without rejected ones.
+    pub n_triangles: usize,
+    /// Whether the triangles bound a solid, which cuts fill.
+    pub is_solid: bool,
+    /// Other contents of its file, beside triangles; a line each.
+    pub found: Vec<String>,
+    /// As in [`LoadedMesh::left_out`].
+    pub left_out: Vec<String>,
+}
+
+impl ModelInfo {
+    /// Logs what the file holds, and what was left out.
+    pub fn log(&self, source: &SceneSource) {
+        log(source, &self.found, &self.left_out);
+    }
+}
+
+fn log(source: &SceneSource, found: &[String], left_out: &[String]) {
+    found.iter().for_each(|line| tracing::info!("{source}: {line}"));
+    left_out.iter().for_each(|line| tracing::warn!("{source}: {line}"));
 }
 
 /// Why a scene cannot be loaded.
@@ -58,6 +97,8 @@ pub struct LoadedMesh {
 pub enum LoadError {
     #[error(transparent)]
     File(#[from] FileError),
+    #[error(transparent)]
+    SceneFile(#[from] SceneFileError),
     #[error("{}: is empty: it has neither vertices nor triangles; export the model again", path.display())]
     Empty { path: PathBuf },
     #[error("{}: has {} and no triangles: a point cloud must be meshed first", path.display(), counted(n_vertices, "vertex"))]
@@ -78,8 +119,26 @@ impl LoadedMesh {
         Self { mesh: self.mesh.smooth(self.id.crease()), ..self }
     }
 
+    /// What is told of the model, which bounds a solid or not.
+    pub fn info(&self, is_solid: bool) -> ModelInfo {
+        let Self { id, mesh, left_out, .. } = self;
+        ModelInfo {
+            id: *id,
+            shape: mesh.shape(),
+            n_triangles: mesh.triangles.len() - mesh.n_rejected,
+            is_solid,
+            found: self.found(),
+            left_out: left_out.clone(),
+        }
+    }
+
+    /// Logs what the file holds, and what was left out.
+    pub fn log(&self, source: &SceneSource) {
+        log(source, &self.found(), &self.left_out);
+    }
+
     /// Other contents of the file, beside triangles: a line each, without the file's name.
-    pub fn found(&self) -> Vec<String> {
+    fn found(&self) -> Vec<String> {
         let mesh = &self.mesh;
         let relative = (mesh.origin != DVec3::ZERO).then(|| {
             let DVec3 { x, y, z } = mesh.origin;
@@ -87,12 +146,6 @@ impl LoadedMesh {
             format!("traced relative to ({x}, {y}, {z}), rounded by at most {rounding:.1e}")
         });
         mesh.materials.summary().into_iter().chain(relative).collect()
-    }
-
-    /// Logs what the file holds, and what was left out.
-    pub fn log(&self, source: &SceneSource) {
-        self.found().iter().for_each(|line| tracing::info!("{source}: {line}"));
-        self.left_out.iter().for_each(|line| tracing::warn!("{source}: {line}"));
     }
 }
 
@@ -103,10 +156,11 @@ pub fn load(source: &SceneSource, crease: Crease, progress: &(dyn Fn(f32) + Sync
     match source {
         &SceneSource::Statue { triangles } => {
             let mesh = statue::generate(triangles, progress);
-            Ok(LoadedMesh { id: SceneId::Statue { triangles, crease }, mesh, left_out: Vec::new() })
+            let id = SceneId::Statue { triangles, crease };
+            Ok(LoadedMesh { id, mesh, left_out: Vec::new(), sources: None })
         }
         SceneSource::File(path) => {
-            let Reading { mesh, remarks } = file::read(path, progress)?;
+            let (Reading { mesh, remarks }, sources) = file::read_with_sources(path, progress)?;
             let (n_vertices, n_rejected) = (mesh.vertices.len(), mesh.n_rejected);
             let path = path.clone();
             if mesh.triangles.is_empty() {
@@ -122,7 +176,7 @@ pub fn load(source: &SceneSource, crease: Crease, progress: &(dyn Fn(f32) + Sync
             if !has_area(&mesh) {
                 return Err(LoadError::NoArea { path, n_triangles: mesh.triangles.len() });
             }
-            Ok(LoadedMesh { id: mesh_id(&mesh, crease), left_out: left_out(&mesh, &remarks), mesh })
+            Ok(LoadedMesh { id: mesh_id(&mesh, crease), left_out: left_out(&mesh, &remarks), mesh, sources })
         }
     }
 }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::model::mesh::Mesh;
 
 /// The side of its triangles on which a solid has no matter: where their corners run counter-clockwise, or the other.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[expect(missing_docs, reason = "the names say it")]
 pub enum Facing {
     Outward,

@@ -52,7 +52,7 @@ pub struct ConnectArgs {
     /// The wall, as HOST or HOST:PORT
     #[arg(value_name = "HOST:PORT")]
     pub wall: String,
-    /// The model's file that the wall shows: PLY, OBJ, STL, glTF or GLB [default: the wall's own file, if the wall runs on this machine]
+    /// The model's file that the wall shows: PLY, OBJ, STL, glTF or GLB, or a scene file of it [default: the wall's own file, if the wall runs on this machine]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Number of tracing threads [default: one for each core]
@@ -111,7 +111,7 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
                 true => Told::Nothing,
             };
             args.scene.log_budget(1);
-            SceneLoader::start(pool, args.model, args.scene.options(), told)?
+            SceneLoader::start(pool, args.model, args.scene.options(), args.scene.store(), told)?
         }
     };
     if with_port(&args.wall).starts_with(':') {

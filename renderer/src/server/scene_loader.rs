@@ -19,8 +19,12 @@ use tokio::sync::watch;
 use crate::{
     cli::{large_file::warn_of_large_file, progress::Progress},
     grid::GridOptions,
-    model::scene::{self, SceneSource},
+    model::scene::SceneSource,
     render::scene::Scene,
+    scene_file::{
+        SceneStore,
+        store::{Stage, StoredScene},
+    },
     server::synthetic::SyntheticPicture,
 };
 
@@ -113,6 +117,7 @@ impl SceneLoader {
         pool: Arc<ThreadPool>,
         model: Option<PathBuf>,
         options: GridOptions,
+        store: SceneStore,
         told: Told,
     ) -> anyhow::Result<Self> {
         let requests = Arc::new(LatestRequest::default());
@@ -123,6 +128,7 @@ impl SceneLoader {
             current: current.clone(),
             model,
             options,
+            store,
             structure: None,
             told,
             told_of: None,
@@ -180,6 +186,7 @@ struct LoaderThread {
     model: Option<PathBuf>,
     /// From the server's command line.
     options: GridOptions,
+    store: SceneStore,
     /// The structure that the wall chose for the loaded scene, if it did.
     structure: Option<Structure>,
     told: Told,
@@ -282,37 +289,32 @@ impl LoaderThread {
         };
         self.current.set(None);
         tracing::info!("loading {source}");
-        if self.told == Told::Everything {
+        if self.told == Told::Everything && !self.store.has(source, crease) {
             warn_of_large_file(source, 1, self.options.memory_budget);
         }
         let bar = Progress::new(format!("loading {source}"));
-        let (id, scene, left_out) = self.pool.install(|| -> Result<_, String> {
-            let loaded = scene::load(source, crease, &|fraction| {
-                bar.set(fraction * 0.5);
-                report_progress(fraction * 0.5);
-            })
-            .map_err(|error| error.to_string())?;
-            let (id, left_out) = (loaded.id, loaded.left_out.clone());
-            if self.told == Told::Everything && self.told_of != Some(loaded.id) {
-                loaded.log(source);
-            }
-            let scene = Scene::build(loaded.smooth().mesh, &self.effective_options(), &|fraction| {
-                bar.set(0.5 + fraction * 0.5);
-                report_progress(0.5 + fraction * 0.5);
-            });
-            Ok((id, Arc::new(scene), left_out))
-        })?;
+        let report = |stage: Stage, fraction: f32| {
+            bar.report(stage, source, fraction);
+            report_progress(fraction);
+        };
+        let loaded = self.pool.install(|| self.store.load(source, crease, &self.effective_options(), &report));
+        let StoredScene { info, scene, is_mapped, .. } = loaded.map_err(|error| error.to_string())?;
+        let (id, scene) = (info.id, Arc::new(scene));
+        if self.told == Told::Everything && self.told_of != Some(id) {
+            info.log(source);
+        }
         self.told_of = Some(id);
         tracing::info!(
-            "{source} is ready: {} in {}",
+            "{source} is ready: {} in {}{}",
             counted(scene.n_triangles(), "triangle"),
-            bytes(scene.n_bytes() as u64)
+            bytes(scene.n_bytes() as u64),
+            if is_mapped { ", mapped" } else { "" }
         );
         if let Some(shortage) = scene.grid.shortage().filter(|_| self.told != Told::Nothing) {
             tracing::warn!("{source}: {shortage}");
         }
         self.current.set(Some((id, Arc::clone(&scene))));
-        Ok((id, scene, left_out))
+        Ok((id, scene, info.left_out))
     }
 
     /// The command line's grid options, overridden by the wall's choice.

@@ -1,11 +1,12 @@
 //! One level of a texture: texels in blocks, so that those of a small area lie in few cache lines.
 
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-use crate::model::material::{Image, Wrap};
+use crate::model::material::Wrap;
 
 /// The place of a level among the texels of all levels: blocks row by row, and in each its texels row by row.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Level {
     /// Texels in a row and in a column.
     pub(super) size: [u32; 2],
@@ -23,9 +24,9 @@ const TEXELS_PER_BLOCK: u32 = BLOCK_SIZE * BLOCK_SIZE;
 const LONGEST_SIDE: u32 = 1 << 22;
 
 /// Whether the texels of all levels of an image have indices: up to 32768×32768 they do.
-pub(super) fn is_indexable(image: &Image) -> bool {
-    image.width.max(image.height) <= LONGEST_SIDE
-        && u64::from(image.width.div_ceil(BLOCK_SIZE)) * u64::from(image.height.div_ceil(BLOCK_SIZE)) <= 1 << 26
+pub(super) fn is_indexable([width, height]: [u32; 2]) -> bool {
+    width.max(height) <= LONGEST_SIDE
+        && u64::from(width.div_ceil(BLOCK_SIZE)) * u64::from(height.div_ceil(BLOCK_SIZE)) <= 1 << 26
 }
 
 impl Level {

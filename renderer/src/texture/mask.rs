@@ -1,15 +1,19 @@
 //! The coverage of a surface: where it is less than a cutoff, rays pass.
 
+use serde::{Deserialize, Serialize};
+
 use crate::{
     model::material::{Image, Wrap},
-    texture::level::{Level, column_offset, neighbours, row_offset},
+    scene_file::section::Section,
+    texture::level::{Level, column_offset, is_indexable, neighbours, row_offset},
 };
 
 /// The coverage channel of an image, of its full size: a mask is the same for all rays, however wide they are.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Mask {
     level: Level,
-    coverage: Vec<u8>,
+    #[serde(skip)]
+    pub(super) coverage: Section<u8>,
 }
 
 impl Mask {
@@ -22,11 +26,20 @@ impl Mask {
         let level = Level::new([image.width, image.height], 0);
         let mut coverage = vec![0; level.n_texels() as usize];
         level.fill(&mut coverage, |x, y| image.texels[y as usize * image.width as usize + x as usize][3]);
-        Self { level, coverage }
+        Self { level, coverage: coverage.into() }
     }
 
     pub(super) fn n_bytes(&self) -> usize {
         size_of_val(&*self.coverage)
+    }
+
+    /// Whether lookups find all texels that they look for.
+    pub(super) fn is_whole(&self) -> bool {
+        let size = self.level.size;
+        size.iter().all(|&side| side > 0)
+            && is_indexable(size)
+            && self.level == Level::new(size, 0)
+            && self.coverage.len() == self.level.n_texels() as usize
     }
 
     /// Coverage at a point, 0 to 1, blended from the four texels around it.

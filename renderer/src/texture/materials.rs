@@ -1,9 +1,13 @@
 //! The materials of a traced mesh.
 
+mod stored;
+
 use glam::{Vec2, Vec3A};
+use serde::{Deserialize, Serialize};
 
 use crate::{
     model::material::{Image, Material, Materials, TextureUse, Wrap},
+    scene_file::section::Section,
     simd::InstructionSet,
     texture::{
         footprint::{self, Footprints},
@@ -15,11 +19,12 @@ use crate::{
 };
 
 /// The materials of a mesh's triangles, with their textures.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub(crate) struct TracedMaterials {
     materials: Vec<TracedMaterial>,
     /// The material of each triangle; empty if all have the first.
-    of_triangles: Vec<u16>,
+    #[serde(skip)]
+    of_triangles: Section<u16>,
     maps: Vec<MipMap>,
     /// Coverage, for materials that are not everywhere.
     masks: Vec<Mask>,
@@ -27,7 +32,7 @@ pub(crate) struct TracedMaterials {
     has_masks: bool,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 struct TracedMaterial {
     /// Without textures.
     plain: PointMaterial,
@@ -39,14 +44,14 @@ struct TracedMaterial {
 }
 
 /// A use of one of [`TracedMaterials::maps`] or [`TracedMaterials::masks`].
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 struct Texture {
     index: usize,
     wrap: [Wrap; 2],
     transform: [[f32; 3]; 2],
 }
 
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 struct Gaps {
     /// Without one, coverage is 1 everywhere.
     texture: Option<Texture>,
@@ -55,7 +60,7 @@ struct Gaps {
 }
 
 /// A material at one point of a surface.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PointMaterial {
     /// Linear, without the vertices' colours.
     pub base_color: Vec3A,
@@ -66,7 +71,7 @@ pub struct PointMaterial {
 }
 
 /// The answer of a surface to light.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Finish {
     /// Scatters it.
     Matte,
@@ -301,7 +306,9 @@ fn parts(Materials { materials, images, .. }: &Materials) -> Vec<(u32, Part)> {
         ]
     };
     let used = materials.iter().flat_map(of_material).filter_map(|(texture, part)| Some((texture?.image, part)));
-    let exists = |(image, _): &(u32, Part)| images.get(*image as usize).is_some_and(level::is_indexable);
+    let exists = |(image, _): &(u32, Part)| {
+        images.get(*image as usize).is_some_and(|image| level::is_indexable([image.width, image.height]))
+    };
     let mut parts: Vec<_> = used.filter(exists).collect();
     parts.sort_unstable();
     parts.dedup();

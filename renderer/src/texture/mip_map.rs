@@ -1,11 +1,13 @@
 //! An image at halving sizes, each texel the mean light of those below it: Williams, "Pyramidal Parametrics" (1983).
 
+use serde::{Deserialize, Serialize};
 use shared::srgb;
 
 use crate::{
     model::material::Image,
+    scene_file::section::Section,
     texture::{
-        level::{Level, halved},
+        level::{Level, halved, is_indexable},
         texel::{Texel, UNITS},
     },
 };
@@ -20,18 +22,19 @@ pub(super) enum Encoding {
 }
 
 /// A texture that can be looked up at any size.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 pub(super) struct MipMap {
     /// From the image itself to a single texel.
     pub(super) levels: Vec<Level>,
     /// Those of all levels.
-    pub(super) texels: Vec<Texel>,
+    #[serde(skip)]
+    pub(super) texels: Section<Texel>,
 }
 
 impl MipMap {
     /// Bytes of the mip map of an image.
     pub(super) fn n_bytes_of(image: &Image) -> u64 {
-        let n_texels: u64 = levels(image).map(|level| u64::from(level.n_texels())).sum();
+        let n_texels: u64 = levels([image.width, image.height]).map(|level| u64::from(level.n_texels())).sum();
         n_texels * size_of::<Texel>() as u64
     }
 
@@ -41,7 +44,7 @@ impl MipMap {
             Encoding::Srgb => srgb::decode(value),
             Encoding::Linear => f32::from(value) / 255.0,
         };
-        let levels: Vec<Level> = levels(&image).collect();
+        let levels: Vec<Level> = levels([image.width, image.height]).collect();
         let n_texels: usize = levels.iter().map(|level| level.n_texels() as usize).sum();
         let mut texels: Vec<Texel> = bytemuck::allocation::cast_vec(image.texels);
         texels.reserve_exact(n_texels - texels.len());
@@ -56,12 +59,22 @@ impl MipMap {
             let (before, rest) = texels.split_at_mut(level.first as usize);
             level.fill(&mut rest[..level.n_texels() as usize], |x, y| mean(before, finer, x, y));
         }
-        Self { levels, texels }
+        Self { levels, texels: texels.into() }
     }
 
     /// Bytes in memory.
     pub(super) fn n_bytes(&self) -> usize {
         size_of_val(&*self.texels)
+    }
+
+    /// Whether lookups find all texels that they look for.
+    pub(super) fn is_whole(&self) -> bool {
+        let size = self.levels.first().map_or([0; 2], |level| level.size);
+        let n_texels = || self.levels.iter().map(|level| level.n_texels() as usize).sum::<usize>();
+        size.iter().all(|&side| side > 0)
+            && is_indexable(size)
+            && self.levels.iter().copied().eq(levels(size))
+            && self.texels.len() == n_texels()
     }
 }
 
@@ -69,8 +82,8 @@ impl MipMap {
 pub(super) const MOST_LEVELS: usize = 32;
 
 /// The levels of an image.
-fn levels(image: &Image) -> impl Iterator<Item = Level> {
-    let size = |level| [image.width, image.height].map(|n| halved(n, level));
+fn levels(of_image: [u32; 2]) -> impl Iterator<Item = Level> {
+    let size = move |level| of_image.map(|n| halved(n, level));
     let next = move |&(number, finer): &(u32, Level)| {
         let next = number + 1;
         (finer.size != [1, 1]).then(|| (next, Level::new(size(next), finer.first + finer.n_texels())))

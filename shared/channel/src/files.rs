@@ -122,6 +122,15 @@ impl NewFile {
     pub fn finish(self) -> io::Result<()> {
         // A disk over the network reports here that it is full; and a power cut must not leave an empty file.
         self.file().sync_all()?;
+        self.appear().map(drop)
+    }
+
+    /// Replaces the old file without waiting for the disk: for a file whose reader notices if a power cut has emptied it.
+    /// Returns the file.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub fn appear(self) -> io::Result<File> {
         if let Some(old) = &self.old {
             keep_access(self.file(), old)?;
         }
@@ -164,6 +173,18 @@ pub fn write_new_private(path: &Path, content: &[u8]) -> io::Result<()> {
     let _parts = parts();
     file.persist_noclobber(path)?;
     Ok(())
+}
+
+/// Opens a small file that processes share to read and write it in place, and makes it if it is not there.
+///
+/// # Errors
+/// It cannot be opened or made.
+pub fn open_shared(path: &Path) -> io::Result<File> {
+    let mut options = File::options();
+    options.read(true).write(true).create(true).truncate(false);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, PRIVATE);
+    options.open(path)
 }
 
 /// Writes the first file of `name(1)`, `name(2)` … that does not exist, all in one folder; returns its path.
@@ -267,11 +288,10 @@ impl Part {
         out.flush()
     }
 
-    fn persist(self, path: &Path) -> io::Result<()> {
+    fn persist(self, path: &Path) -> io::Result<File> {
         let Self { file, _entry } = self;
         let _parts = parts();
-        file.persist(path)?;
-        Ok(())
+        Ok(file.persist(path)?)
     }
 }
 

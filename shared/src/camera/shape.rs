@@ -2,11 +2,12 @@
 //! laboratory.
 
 use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
 
 use super::{Camera, UpAxis};
 
 /// All that a view of a whole model depends on.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Shape {
     /// The bounding box (min, max) in world space; `min > max` if the model is empty.
     pub bounds: (DVec3, DVec3),

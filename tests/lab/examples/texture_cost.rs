@@ -45,7 +45,7 @@ fn main() -> anyhow::Result<()> {
 fn run(args: &Args) -> anyhow::Result<()> {
     let camera = args.picture.read_camera()?;
     let LoadedMesh { id, mesh, .. } = args.picture.model.load()?;
-    let spec = args.picture.spec(id, camera.unwrap_or_else(|| args.picture.view_all(&mesh)));
+    let spec = args.picture.spec(id, camera.unwrap_or_else(|| args.picture.view_all(&mesh.shape())));
     let flat = Mesh { normals: Vec::new(), ..mesh.clone() };
     let scenes = [
         ("flat", args.picture.build(flat)),

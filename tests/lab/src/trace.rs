@@ -128,7 +128,7 @@ fn run_in_pool(args: &TraceArgs) -> Result<()> {
     let (loaded, load_seconds) = timed(|| args.picture.model.load());
     let LoadedMesh { id, mesh, .. } = loaded?;
     let (triangles, vertices, rejected) = (mesh.triangles.len(), mesh.vertices.len(), mesh.n_rejected);
-    let spec = args.picture.spec(id, camera.unwrap_or_else(|| args.picture.view_all(&mesh)));
+    let spec = args.picture.spec(id, camera.unwrap_or_else(|| args.picture.view_all(&mesh.shape())));
     let (scene, build_seconds) = timed(|| args.picture.build(mesh));
     if args.cameras.is_some() {
         return cameras::run(&scene, &spec, &options, std::io::stdin().lock(), std::io::stdout().lock());

@@ -6,8 +6,10 @@
 
 use std::ops::Range;
 
+use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, UVec3, Vec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::{
     grid::{
@@ -15,6 +17,7 @@ use crate::{
         traced::TracedMesh,
         tree::{BRICK_SIZE, Tree, TreeNode, hierarchy::Bounds, overlap::child_position},
     },
+    scene_file::{fault::Fault, section::Section, sections::SectionVisitor},
     simd::Simd,
 };
 
@@ -34,13 +37,15 @@ const PADDING: usize = 16;
 pub(crate) const GROUP: usize = 16;
 
 /// The boxes of all references, in their order, and of groups of them.
-#[derive(Debug, Default, PartialEq)]
+#[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct QuantizedBoxes {
     /// A leaf's groups follow each other. A group of n references from index r on has 6·n bytes from index 6·r on: n least
     /// x, n greatest x, then y and z.
-    bytes: Vec<u8>,
+    #[serde(skip)]
+    bytes: Section<u8>,
     /// Bounds of each group, in the same form: a leaf with n groups has 6·n bytes from index 6·[`first_group`] on.
-    group_bytes: Vec<u8>,
+    #[serde(skip)]
+    group_bytes: Section<u8>,
 }
 
 /// Index of a leaf's first group, if its references begin at `start`. No leaf has more groups than lie before the next's.
@@ -106,7 +111,8 @@ impl GroupBytes<'_> {
 /// The cube of a leaf: twice its lowest corner, in finest cells, with its side added to x.
 ///
 /// The side is a power of two, and corners are multiples of it, so it is the lowest bit.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+#[repr(transparent)]
 pub(crate) struct LeafCube([u32; 3]);
 
 impl LeafCube {
@@ -160,11 +166,22 @@ impl QuantizedBoxes {
             }
         });
         let group_bytes = group_bounds(&bytes, leaf_starts);
-        Self { bytes, group_bytes }
+        Self { bytes: bytes.into(), group_bytes: group_bytes.into() }
     }
 
     pub(crate) fn n_bytes(&self) -> usize {
         self.bytes.len() + self.group_bytes.len()
+    }
+
+    pub(super) fn visit_sections<'a>(&'a mut self, visitor: &mut impl SectionVisitor<'a>) -> Result<(), Fault> {
+        visitor.visit("boxes", &mut self.bytes)?;
+        visitor.visit("group boxes", &mut self.group_bytes)
+    }
+
+    /// Whether these are the boxes of so many leaves and references.
+    pub(super) fn are_as_many_as(&self, n_leaves: usize, n_references: usize) -> bool {
+        self.bytes.len() == 6 * n_references + PADDING
+            && self.group_bytes.len() == 6 * first_group(n_leaves as u32, n_references) + PADDING
     }
 
     /// Bounds of a leaf's triangles within its cube, in finest cells.

@@ -8,10 +8,12 @@
 //! large beside leaves, each lies in several, and a ray is tested against it in each. There, and in scenes that are small
 //! enough, the triangles themselves lie below, which takes more memory and 0.6 to 0.95 of the time.
 
+use bytemuck::{Pod, Zeroable};
 use glam::{DVec3, Vec3A};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-use crate::simd::Simd;
+use crate::{scene_file::section::Section, simd::Simd};
 
 /// Most children of a node.
 pub(crate) const CHILDREN: usize = 16;
@@ -41,7 +43,7 @@ const BYTES_PER_TRIANGLE: u64 = 48 + 36;
 ///
 /// Children are in slots: a slot's number has a bit for each axis, [`SLOT_BITS`], set for children that lie rather on the
 /// upper side, so a ray meets the slots roughly in the order of their numbers with some bits inverted.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C, align(64))]
 pub(crate) struct HierarchyNode {
     /// Least x of each child, greatest x, then y and z, in finest cells. An empty slot has an inverted box.
@@ -53,19 +55,28 @@ pub(crate) struct HierarchyNode {
 pub(crate) const SLOT_BITS: [u32; 3] = [2, 4, 8];
 
 /// The hierarchy.
-#[derive(Debug, PartialEq)]
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Hierarchy {
     pub(crate) root: Entry,
-    pub(crate) nodes: Vec<HierarchyNode>,
+    #[serde(skip)]
+    pub(crate) nodes: Section<HierarchyNode>,
     /// Nodes whose children are triangles, by index. None over the leaves of a tree.
-    pub(crate) triangle_nodes: Vec<HierarchyNode>,
+    #[serde(skip)]
+    pub(crate) triangle_nodes: Section<HierarchyNode>,
     /// Half the surface of the box that a ray is likely to pass: the mean of all items, weighted by itself.
     pub(crate) typical_area: f32,
 }
 
+/// The nodes of a hierarchy that is being built.
+#[derive(Default)]
+struct Nodes {
+    nodes: Vec<HierarchyNode>,
+    triangle_nodes: Vec<HierarchyNode>,
+}
+
 impl Default for Hierarchy {
     fn default() -> Self {
-        Self { root: NONE, nodes: Vec::new(), triangle_nodes: Vec::new(), typical_area: 0.0 }
+        Self { root: NONE, nodes: Section::default(), triangle_nodes: Section::default(), typical_area: 0.0 }
     }
 }
 
@@ -90,15 +101,16 @@ impl Hierarchy {
     fn new<const OF_TRIANGLES: bool>(bounds: impl IndexedParallelIterator<Item = Bounds>) -> Self {
         let item = |(item, bounds): (usize, Bounds)| BoundedItem { bounds, item: item as u32 };
         let mut items: Vec<_> = bounds.enumerate().map(item).collect();
-        let mut hierarchy = Self::default();
         let areas = || items.iter().map(|item| f64::from(item.bounds.half_area()));
         let typical_area = areas().map(|area| area * area).sum::<f64>() / areas().sum::<f64>();
         // None without surfaces.
-        hierarchy.typical_area = (typical_area as f32).max(0.0);
-        hierarchy.root = hierarchy.append::<OF_TRIANGLES>(&mut items, LEVELS);
-        hierarchy.nodes.shrink_to_fit();
-        hierarchy.triangle_nodes.shrink_to_fit();
-        hierarchy
+        let typical_area = (typical_area as f32).max(0.0);
+        let mut nodes = Nodes::default();
+        let root = nodes.append::<OF_TRIANGLES>(&mut items, LEVELS);
+        let Nodes { mut nodes, mut triangle_nodes } = nodes;
+        nodes.shrink_to_fit();
+        triangle_nodes.shrink_to_fit();
+        Self { root, nodes: nodes.into(), triangle_nodes: triangle_nodes.into(), typical_area }
     }
 
     /// Whether a hierarchy over triangles is worth its memory, of which so many bytes are left, in a tree with so many
@@ -111,7 +123,9 @@ impl Hierarchy {
     pub(crate) fn n_bytes(&self) -> usize {
         size_of_val(&*self.nodes) + size_of_val(&*self.triangle_nodes)
     }
+}
 
+impl Nodes {
     /// Appends the nodes of some items, at most [`CHILDREN`] to the power of `n_levels`; returns their root.
     fn append<const OF_TRIANGLES: bool>(&mut self, items: &mut [BoundedItem], n_levels: usize) -> Entry {
         match items {
@@ -151,11 +165,11 @@ impl Hierarchy {
         }
         let subtree = |(slot, bounds, part): (usize, Bounds, &mut [BoundedItem])| {
             let mut subtree = Self::default();
-            subtree.root = subtree.append::<OF_TRIANGLES>(part, n_levels - 1);
-            (slot, bounds, subtree)
+            let root = subtree.append::<OF_TRIANGLES>(part, n_levels - 1);
+            (slot, bounds, root, subtree)
         };
         let subtrees: Vec<_> = jobs.into_par_iter().map(subtree).collect();
-        for (slot, bounds, subtree) in subtrees {
+        for (slot, bounds, root, subtree) in subtrees {
             // Nodes of a subtree count from its first one. A tree's leaves stay where they are: no triangle nodes are before.
             let (first, first_triangles) = (self.nodes.len() as Entry, self.triangle_nodes.len() as Entry);
             let moved = |entry: Entry| match entry {
@@ -166,7 +180,7 @@ impl Hierarchy {
             let moved_node = |node: HierarchyNode| HierarchyNode { children: node.children.map(moved), ..node };
             self.nodes.extend(subtree.nodes.into_iter().map(moved_node));
             self.triangle_nodes.extend(subtree.triangle_nodes);
-            self.nodes[node_idx].set_child(slot, moved(subtree.root), &bounds);
+            self.nodes[node_idx].set_child(slot, moved(root), &bounds);
         }
         node_idx as Entry
     }
@@ -184,6 +198,11 @@ impl HierarchyNode {
     pub(crate) fn prefetch<S: Simd>(&self) {
         self.sides.iter().for_each(|row| S::prefetch(row, 0));
         S::prefetch(&self.children, 0);
+    }
+
+    /// Whether no ray passes the box of a slot.
+    pub(super) fn is_empty_at(&self, slot: usize) -> bool {
+        (0..6).all(|side| self.sides[side][slot] == Self::EMPTY.sides[side][slot])
     }
 
     /// Puts a child with its bounds into a slot.
@@ -414,10 +433,10 @@ mod tests {
     #[test]
     fn few_levels_hold_as_many_items_as_they_can() {
         let mut items: Vec<_> = (0..).zip(boxes(256)).map(|(item, bounds)| BoundedItem { bounds, item }).collect();
-        let mut over_leaves = Hierarchy::default();
+        let mut over_leaves = Nodes::default();
         over_leaves.append::<false>(&mut items, 2);
         assert_eq!(over_leaves.nodes.len(), 17);
-        let mut over_triangles = Hierarchy::default();
+        let mut over_triangles = Nodes::default();
         over_triangles.append::<true>(&mut items, 2);
         assert_eq!((over_triangles.nodes.len(), over_triangles.triangle_nodes.len()), (1, 16));
     }

@@ -1,0 +1,57 @@
+//! `renderer build`: writes a model's scene to a file.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, Result};
+use clap::builder::{PathBufValueParser, TypedValueParser};
+use shared::printable::{bytes, counted};
+
+use crate::{
+    cli::{
+        between, check_writable,
+        large_file::warn_of_large_file,
+        picture_args::{ModelArgs, with_ending},
+        progress::Progress,
+        say,
+        scene_args::SceneArgs,
+    },
+    render::threads,
+    scene_file::{cache::ENDING, store},
+};
+
+/// The model, and the file to write.
+#[derive(Debug, clap::Args)]
+pub struct BuildArgs {
+    #[command(flatten)]
+    model: ModelArgs,
+
+    /// The scene file to write, .raywall; an old one is replaced only when the new one is complete
+    #[arg(value_name = "FILE.raywall",
+        value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, ENDING)))]
+    out: PathBuf,
+
+    /// Number of threads that build [default: one for each core]
+    #[arg(long, value_name = "N", value_parser = between(1_u16..=1024))]
+    threads: Option<u16>,
+
+    #[command(flatten)]
+    scene: SceneArgs,
+}
+
+/// Builds the scene, writes it, and prints what it holds.
+pub fn run(BuildArgs { model, out, threads, scene }: &BuildArgs) -> Result<()> {
+    check_writable(out)?;
+    let source = model.source();
+    threads::pool(threads.map(usize::from))?.install(|| {
+        let options = scene.options();
+        warn_of_large_file(&source, 1, options.memory_budget);
+        let progress = Progress::new(format!("loading {source}"));
+        let built = store::build_file(&source, model.crease, &options, out, &|stage, done| {
+            progress.report(stage, &source, done);
+        });
+        let (info, n_bytes) = built.with_context(|| format!("cannot build {}", out.display()))?;
+        drop(progress);
+        info.log(&source);
+        say(format_args!("{}: {}, {}", out.display(), counted(info.n_triangles, "triangle"), bytes(n_bytes)))
+    })
+}

@@ -1,0 +1,202 @@
+//! The cache: scene files of models that this user has shown on this machine.
+//!
+//! A scene's name is a hash of its model's path and of the options that it was built with, so a model that changes replaces
+//! its own old scene. Beside each lies its lock, whose time says when it was last used.
+
+use std::{
+    env, fmt,
+    fs::{self, DirBuilder, File},
+    io,
+    path::{Path, PathBuf},
+    time::SystemTime,
+};
+
+use shared::{codec, scene::Crease};
+
+use crate::{
+    grid::GridOptions,
+    scene_file::{file::SceneFile, seals::Seals},
+};
+
+/// The most that the scenes take on the disk, unless a cache is told otherwise.
+pub const MOST_BYTES: u64 = 20_000_000_000;
+
+/// The ending of scene files.
+pub const ENDING: &str = "raywall";
+
+/// The ending of locks.
+const LOCK_ENDING: &str = "lock";
+
+/// Scene files in a folder of this user.
+#[derive(Clone, Debug)]
+pub struct Cache {
+    folder: PathBuf,
+    most_bytes: u64,
+    pub(crate) seals: Seals,
+}
+
+/// A scene in the cache.
+#[derive(Clone, Debug)]
+pub struct CachedScene {
+    path: PathBuf,
+    /// The path of its model; `None` if the file cannot be used.
+    pub model: Option<String>,
+    /// Triangles of the model.
+    pub n_triangles: usize,
+    /// Bytes on the disk.
+    pub n_bytes: u64,
+    /// When a program used it last.
+    pub used_at: SystemTime,
+}
+
+impl Cache {
+    /// The user's cache, whose folder is made if it is not there; `None` where the system has none. See [`Cache::at`].
+    ///
+    /// # Errors
+    /// A text that says why the cache is not used.
+    pub fn of_user() -> Result<Option<Self>, String> {
+        folder_of_user().map(|folder| Self::at(folder, MOST_BYTES)).transpose()
+    }
+
+    /// The cache in a folder that only this user may write: whoever writes there decides what is traced without checks.
+    ///
+    /// # Errors
+    /// A text that says why the cache is not used.
+    pub fn at(folder: PathBuf, most_bytes: u64) -> Result<Self, String> {
+        let told = |error: &dyn fmt::Display| format!("{}: {error}; models are built at each start", folder.display());
+        let seals = folder.join("seals");
+        let mut builder = DirBuilder::new();
+        builder.recursive(true);
+        #[cfg(unix)]
+        std::os::unix::fs::DirBuilderExt::mode(&mut builder, 0o700);
+        builder.create(&seals).map_err(|error| told(&format_args!("the cache cannot be made: {error}")))?;
+        for folder in [&folder, &seals] {
+            if !is_private(folder).map_err(|error| told(&error))? {
+                return Err(told(&"others may write in the cache (chmod 700)"));
+            }
+        }
+        Ok(Self { seals: Seals::new(seals), folder, most_bytes })
+    }
+
+    /// The folder.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// The path of the scene of a model with these options.
+    pub(crate) fn path(&self, model: &Path, crease: Crease, options: &GridOptions) -> PathBuf {
+        // The budget is part of the scene; levels of macrocells lie over other storages alone.
+        let options = hash(&codec::to_bytes(&options.density));
+        self.folder.join(format!("{}-{options}.{ENDING}", name(model, crease)))
+    }
+
+    /// The paths of all scenes of a model, whatever their other options.
+    pub(crate) fn paths(&self, model: &Path, crease: Crease) -> impl Iterator<Item = PathBuf> {
+        let name = name(model, crease);
+        scenes(&self.folder).filter(move |path| path.to_string_lossy().contains(&name))
+    }
+
+    /// The lock of the scene of a path.
+    pub(crate) fn lock_of(path: &Path) -> PathBuf {
+        path.with_extension(LOCK_ENDING)
+    }
+
+    /// Notes that a scene is used.
+    pub(crate) fn touch(path: &Path) {
+        // Fails if nothing was built here yet.
+        let lock = File::options().write(true).open(Self::lock_of(path));
+        let _ = lock.and_then(|lock| lock.set_modified(SystemTime::now()));
+    }
+
+    /// Removes scenes, those that were not used for the longest time first, until another has room in the place of the one
+    /// that has its path. False if it is larger than the cache.
+    pub(crate) fn make_room(&self, n_bytes: u64, path: &Path) -> bool {
+        let Some(left) = self.most_bytes.checked_sub(n_bytes) else { return false };
+        let mut others: Vec<_> = scenes(&self.folder).filter(|other| other != path).filter_map(aged).collect();
+        others.sort_by_key(|(_, _, used_at)| *used_at);
+        let mut taken: u64 = others.iter().map(|(_, n_bytes, _)| n_bytes).sum();
+        for (path, n_bytes, _) in others {
+            if taken <= left {
+                break;
+            }
+            // Processes that have it mapped keep it.
+            remove(&path);
+            taken -= n_bytes;
+        }
+        true
+    }
+
+    /// All scenes, the last used first.
+    pub fn scenes(&self) -> Vec<CachedScene> {
+        let cached = |(path, n_bytes, used_at): (PathBuf, u64, SystemTime)| {
+            let record = SceneFile::open(&path).ok().map(|file| file.record);
+            let n_triangles = record.as_ref().map_or(0, |record| record.info.n_triangles);
+            let model = record.and_then(|record| Some(record.sources?.path()));
+            CachedScene { path, model, n_triangles, n_bytes, used_at }
+        };
+        let mut scenes: Vec<_> = scenes(&self.folder).filter_map(aged).map(cached).collect();
+        scenes.sort_by_key(|scene| std::cmp::Reverse(scene.used_at));
+        scenes
+    }
+
+    /// Removes all scenes and seals; returns the bytes that are free again once no process uses them.
+    pub fn clear(&self) -> u64 {
+        let scenes = self.scenes();
+        scenes.iter().for_each(|scene| remove(&scene.path));
+        self.seals.clear();
+        scenes.iter().map(|scene| scene.n_bytes).sum()
+    }
+}
+
+fn folder_of_user() -> Option<PathBuf> {
+    let absolute = |name: &str| env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+    let folder = if cfg!(windows) {
+        absolute("LOCALAPPDATA")
+    } else {
+        absolute("XDG_CACHE_HOME").or_else(|| Some(absolute("HOME")?.join(".cache")))
+    };
+    Some(folder?.join("raywall"))
+}
+
+/// Whether nobody but this user may write in a folder.
+fn is_private(folder: &Path) -> io::Result<bool> {
+    let metadata = fs::metadata(folder)?;
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        // SAFETY: `geteuid` always succeeds, and touches nothing.
+        Ok(metadata.uid() == unsafe { libc::geteuid() } && metadata.mode() & 0o022 == 0)
+    }
+    #[cfg(not(unix))]
+    Ok(metadata.is_dir())
+}
+
+/// The scenes in a folder.
+fn scenes(folder: &Path) -> impl Iterator<Item = PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path()).filter(|path| path.extension().is_some_and(|ending| ending == ENDING))
+}
+
+/// A scene's path, its bytes, and when it was used last.
+fn aged(path: PathBuf) -> Option<(PathBuf, u64, SystemTime)> {
+    let file = fs::metadata(&path).ok()?;
+    let used_at = fs::metadata(Cache::lock_of(&path)).and_then(|lock| lock.modified()).or_else(|_| file.modified());
+    Some((path, file.len(), used_at.ok()?))
+}
+
+/// The lock stays: another process may be waiting for it.
+fn remove(path: &Path) {
+    if let Err(error) = fs::remove_file(path) {
+        tracing::warn!("{}: cannot be removed: {error}", path.display());
+    }
+}
+
+/// The part of a name that a model gives.
+fn name(model: &Path, crease: Crease) -> String {
+    let model = std::path::absolute(model).unwrap_or_else(|_| model.to_owned());
+    hash(&codec::to_bytes(&(model.as_os_str().as_encoded_bytes(), crease)))
+}
+
+fn hash(bytes: &[u8]) -> String {
+    blake3::hash(bytes).to_hex()[..24].to_owned()
+}

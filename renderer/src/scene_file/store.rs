@@ -1,0 +1,342 @@
+//! Loads scenes: from a scene file that is named, from the cache, or by building them.
+
+use std::{
+    io,
+    path::Path,
+    thread::{self, JoinHandle},
+};
+
+use shared::{printable::bytes, scene::Crease};
+
+use crate::{
+    formats::sources::{Sources, Stamp},
+    grid::{GridOptions, MemoryBudget, Storage},
+    model::scene::{self, LoadError, ModelInfo, SceneSource},
+    render::scene::Scene,
+    scene_file::{
+        cache::Cache,
+        fault::{Fault, SceneFileError},
+        file::{self, SceneFile, is_scene_file},
+        head::Hash,
+        lock::Lock,
+        seals::Seals,
+    },
+};
+
+/// Scenes of fewer bytes are built about as fast as files of them are found.
+const WORTHWHILE_BYTES: usize = 8_000_000;
+
+/// What a process does until a scene is ready.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, strum::Display)]
+#[strum(serialize_all = "lowercase")]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum Stage {
+    #[strum(serialize = "waiting for another process that loads")]
+    Waiting,
+    #[strum(serialize = "loading")]
+    Loading,
+    #[strum(serialize = "building the grid of")]
+    Building,
+    #[strum(serialize = "writing the scene file of")]
+    Writing,
+    #[strum(serialize = "checking the scene file of")]
+    Checking,
+}
+
+/// Receives the stage and the fraction of all that is done, 0 to 1, from any thread.
+pub type Report<'a> = &'a (dyn Fn(Stage, f32) + Sync);
+
+/// A scene, and what is told of its model.
+pub struct StoredScene {
+    /// What is told of the model.
+    pub info: ModelInfo,
+    /// The scene itself.
+    pub scene: Scene,
+    /// Whether its arrays lie in a file that other processes share.
+    pub is_mapped: bool,
+    /// Seals the scene's file meanwhile.
+    sealing: Option<JoinHandle<()>>,
+}
+
+impl StoredScene {
+    /// Waits until the scene's file is on the disk, for a program that ends at once: the next one need not check it then.
+    pub fn finish(self) {
+        // A panic has been told of.
+        let _ = self.sealing.map(JoinHandle::join);
+    }
+}
+
+/// Loads scenes.
+#[derive(Clone, Debug, Default)]
+pub struct SceneStore {
+    /// Without one, models are built at each start.
+    cache: Option<Cache>,
+    /// Why there is none, if that is not as it should be.
+    fault: Option<String>,
+}
+
+impl SceneStore {
+    /// A store with this cache.
+    pub fn new(cache: Option<Cache>) -> Self {
+        Self { cache, fault: None }
+    }
+
+    /// A store with the user's cache.
+    pub fn of_user() -> Self {
+        match Cache::of_user() {
+            Ok(cache) => Self::new(cache),
+            Err(fault) => Self { cache: None, fault: Some(fault) },
+        }
+    }
+
+    /// Whether a model need not be read, as a scene file of it is there.
+    pub fn has(&self, source: &SceneSource, crease: Crease) -> bool {
+        let SceneSource::File(path) = source else { return false };
+        is_scene_file(path) || self.cached(path, crease).is_some()
+    }
+
+    /// The scene file of a model in the cache.
+    fn cached(&self, model: &Path, crease: Crease) -> Option<SceneFile> {
+        self.cache.as_ref()?.paths(model, crease).find_map(|path| open_cached(&path, model))
+    }
+
+    /// What is told of a model: from a scene file if there is one, which takes no time, or by reading the model.
+    ///
+    /// # Errors
+    /// The model, or the scene file in its place, cannot be read.
+    pub fn describe(
+        &self,
+        source: &SceneSource,
+        crease: Crease,
+        progress: &(dyn Fn(f32) + Sync),
+    ) -> Result<ModelInfo, LoadError> {
+        if let SceneSource::File(path) = source {
+            if is_scene_file(path) {
+                let file = open_named(path, crease)?;
+                return Ok(file.record.info);
+            }
+            if let Some(file) = self.cached(path, crease) {
+                return Ok(file.record.info);
+            }
+        }
+        scene::load(source, crease, progress).map(|loaded| loaded.info(loaded.mesh.facing().is_some()))
+    }
+
+    /// Loads a scene on the current rayon pool.
+    ///
+    /// # Errors
+    /// The model, or the scene file in its place, cannot be read. A scene file that is only in the cache is built anew.
+    pub fn load(
+        &self,
+        source: &SceneSource,
+        crease: Crease,
+        options: &GridOptions,
+        report: Report<'_>,
+    ) -> Result<StoredScene, LoadError> {
+        if let SceneSource::File(path) = source {
+            if is_scene_file(path) {
+                let progress = |done| report(Stage::Checking, done);
+                let scene = self.take(open_named(path, crease)?, path, None, &progress);
+                return Ok(scene.map_err(|fault| error_of(path, fault))?);
+            }
+            if let Some(cache) = self.cache.as_ref().filter(|_| options.storage == Storage::Tree) {
+                return self.load_cached(cache, path, crease, options, report);
+            }
+        }
+        let built = build(source, crease, options, report)?;
+        if let (Some(fault), SceneSource::File(_)) = (&self.fault, source)
+            && is_worthwhile(&built.scene)
+        {
+            tracing::warn!("{fault}");
+        }
+        Ok(built.into())
+    }
+
+    fn load_cached(
+        &self,
+        cache: &Cache,
+        model: &Path,
+        crease: Crease,
+        options: &GridOptions,
+        report: Report<'_>,
+    ) -> Result<StoredScene, LoadError> {
+        let path = cache.path(model, crease, options);
+        let before = Stamp::at(&path);
+        let find = || {
+            let file = open_cached(&path, model).filter(|file| file.suits(options.memory_budget))?;
+            let scene = self.take(file, &path, None, &|done| report(Stage::Checking, done));
+            let scene = scene.inspect_err(|fault| tell_of_rebuild(&path, model, fault)).ok()?;
+            Cache::touch(&path);
+            Some(scene)
+        };
+        if let Some(scene) = find() {
+            return Ok(scene);
+        }
+
+        // One process builds; others use its file.
+        let lock = Lock::take(&Cache::lock_of(&path), &|done| report(Stage::Waiting, done));
+        let lock = lock.unwrap_or_else(|error| {
+            tracing::warn!("{}: the scene is not kept in the cache: {error}", model.display());
+            None
+        });
+        if Stamp::at(&path) != before
+            && let Some(scene) = find()
+        {
+            return Ok(scene);
+        }
+        let report = |stage: Stage, done: f32| {
+            lock.iter().for_each(|lock| lock.tell(done));
+            report(stage, done);
+        };
+        let built = build(&SceneSource::File(model.to_owned()), crease, options, &report)?;
+        if lock.is_none() || !is_worthwhile(&built.scene) {
+            return Ok(built.into());
+        }
+        self.keep(cache, &path, model, built, options.memory_budget, &report)
+    }
+
+    /// Writes a scene into the cache, drops it, and takes it from there: other processes then share its memory. If that fails,
+    /// the scene stays as it was built.
+    fn keep(
+        &self,
+        cache: &Cache,
+        path: &Path,
+        model: &Path,
+        mut built: Built,
+        budget: MemoryBudget,
+        report: Report<'_>,
+    ) -> Result<StoredScene, LoadError> {
+        let progress = |done: f32| report(Stage::Writing, 0.9 + 0.1 * done);
+        let mut write = || -> Result<(SceneFile, Hash), Fault> {
+            let Some(sources) = &built.sources else {
+                return Err(io::Error::other("the model changed while it was read, or just before").into());
+            };
+            if !cache.make_room(built.scene.n_bytes() as u64, path) {
+                let n_bytes = bytes(built.scene.n_bytes() as u64);
+                return Err(io::Error::other(format!("it has {n_bytes}, more than the cache may have")).into());
+            }
+            let new = file::begin(path)?;
+            let hash = file::write(new.file(), &mut built.scene, &built.info, (Some(sources), budget), &progress)?;
+            new.appear()?;
+            Ok((SceneFile::open(path)?, hash))
+        };
+        match write() {
+            Ok((file, hash)) => {
+                drop(built);
+                Cache::touch(path);
+                Ok(self.take(file, path, Some(hash), &progress).map_err(|fault| error_of(path, fault))?)
+            }
+            Err(fault) => {
+                tracing::warn!("{}: the scene is not kept in the cache: {fault}", model.display());
+                Ok(built.into())
+            }
+        }
+    }
+
+    /// The scene of a file. All of it is checked, unless it is sealed, or is the one that this process has just `written`.
+    fn take(
+        &self,
+        file: SceneFile,
+        path: &Path,
+        written: Option<Hash>,
+        progress: &(dyn Fn(f32) + Sync),
+    ) -> Result<StoredScene, Fault> {
+        let (stamp, hash, is_mapped) = (file.stamp(), file.head.hash, file.is_private());
+        let seals = self.cache.as_ref().filter(|_| is_mapped).map(|cache| cache.seals.clone());
+        let is_sealed = seals.as_ref().is_some_and(|seals| seals.has(&stamp, &hash));
+        let (info, own) = (file.record.info.clone(), file.file().try_clone()?);
+        let scene = file.into_scene(is_sealed || written == Some(hash), progress)?;
+        if !is_mapped {
+            tracing::info!("{}: others may write it, so it is read, not mapped (chmod go-w)", path.display());
+        }
+        let seal = |seals: Seals| {
+            // Without a seal, the next start checks the file again.
+            thread::Builder::new().name("seal".to_owned()).spawn(move || drop(seals.seal(&own, &stamp, &hash))).ok()
+        };
+        let sealing = seals.filter(|_| !is_sealed).and_then(seal);
+        Ok(StoredScene { info, scene, is_mapped, sealing })
+    }
+}
+
+/// Builds a model's scene on the current rayon pool and writes it to a file, which may travel to other machines. Returns what
+/// is told of the model, and the bytes of the file.
+///
+/// # Errors
+/// The model cannot be read, or the file cannot be written.
+pub fn build_file(
+    source: &SceneSource,
+    crease: Crease,
+    options: &GridOptions,
+    out: &Path,
+    report: Report<'_>,
+) -> anyhow::Result<(ModelInfo, u64)> {
+    let Built { info, mut scene, .. } = build(source, crease, options, report)?;
+    let new = file::begin(out)?;
+    let progress = |done: f32| report(Stage::Writing, 0.9 + 0.1 * done);
+    file::write(new.file(), &mut scene, &info, (None, options.memory_budget), &progress)?;
+    let n_bytes = new.file().metadata()?.len();
+    new.finish()?;
+    Ok((info, n_bytes))
+}
+
+/// A scene that was built.
+struct Built {
+    info: ModelInfo,
+    sources: Option<Sources>,
+    scene: Scene,
+}
+
+impl From<Built> for StoredScene {
+    fn from(Built { info, scene, .. }: Built) -> Self {
+        Self { info, scene, is_mapped: false, sealing: None }
+    }
+}
+
+fn build(source: &SceneSource, crease: Crease, options: &GridOptions, report: Report<'_>) -> Result<Built, LoadError> {
+    let loaded = scene::load(source, crease, &|done| report(Stage::Loading, 0.5 * done))?;
+    let (mut info, sources) = (loaded.info(false), loaded.sources.clone());
+    let scene = Scene::build(loaded.smooth().mesh, options, &|done| report(Stage::Building, 0.5 + 0.4 * done));
+    info.is_solid = scene.mesh().facing().is_some();
+    Ok(Built { info, sources, scene })
+}
+
+fn is_worthwhile(scene: &Scene) -> bool {
+    scene.n_bytes() >= WORTHWHILE_BYTES && scene.grid.is_storable()
+}
+
+/// A scene file that an operator has named. It keeps its own crease and grid.
+fn open_named(path: &Path, crease: Crease) -> Result<SceneFile, SceneFileError> {
+    let file = SceneFile::open(path).map_err(|fault| error_of(path, fault))?;
+    let of_file = file.record.info.id.crease();
+    if crease != of_file && crease != Crease::default() {
+        return Err(error_of(path, Fault::OtherCrease { of_file, asked: crease }));
+    }
+    Ok(file)
+}
+
+/// The file of a model's scene in the cache, if it is there, and neither the model nor the program has changed since.
+fn open_cached(path: &Path, model: &Path) -> Option<SceneFile> {
+    match SceneFile::open(path) {
+        Ok(file) => {
+            let is_current = file.record.sources.as_ref().is_some_and(|sources| sources.are_of(model));
+            Some(file).filter(|file| is_current && file.is_by_this_builder())
+        }
+        Err(Fault::Io(error)) if error.kind() == io::ErrorKind::NotFound => None,
+        Err(fault) => {
+            tell_of_rebuild(path, model, &fault);
+            None
+        }
+    }
+}
+
+fn tell_of_rebuild(path: &Path, model: &Path, fault: &Fault) {
+    tracing::warn!(
+        "{}: the scene in the cache cannot be used, and is built again: {}: {fault}",
+        model.display(),
+        path.display()
+    );
+}
+
+fn error_of(path: &Path, fault: Fault) -> SceneFileError {
+    SceneFileError { path: path.to_owned(), fault }
+}
