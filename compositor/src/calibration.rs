@@ -2,8 +2,9 @@
 //!
 //! In reading order: [`pattern`] is what projectors show, [`photograph`] what a camera sees of it; `crossing` finds the
 //! crossings of checkerboards, `lattice` puts them together, and [`identify`] says which projector shows them; [`solve`]
-//! works out where projectors' pixels lie, with the camera's [`lens`], and `adjust` refines it; [`place`] lays the canvas there; [`verdict`] says
-//! what was found, what was not, and whether to believe it. `fitting` has what several of these compute.
+//! works out where projectors' pixels lie, with the camera's [`lens`], and `adjust` refines it; [`place`] lays the canvas
+//! there; [`verdict`] says which projectors were found, and whether to believe it. `fitting` has what several of these
+//! compute.
 
 mod adjust;
 mod crossing;

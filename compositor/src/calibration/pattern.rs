@@ -48,7 +48,8 @@ pub struct Plan {
 /// The most projectors that are calibrated together: their codes take 60 MB.
 pub const MOST_PROJECTORS: usize = 256;
 
-/// The squares across a projector, unless they would be smaller than [`SMALLEST_SIDE`]: a photograph of a wall with four columns then has twenty pixels or more for each.
+/// The squares across a projector, unless they would be smaller than [`SMALLEST_SIDE`]: a photograph of a wall with four
+/// columns then has twenty pixels or more for each.
 const SQUARES_ACROSS: u32 = 40;
 /// The least side of a square, in pixels: a dot has eight then.
 const SMALLEST_SIDE: u32 = 16;

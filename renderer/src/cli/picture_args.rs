@@ -108,7 +108,8 @@ pub struct PictureArgs {
     #[arg(long, value_name = "VIEW", default_value = "shaded")]
     view: ShadingMode,
 
-    /// The rays that light the picture: primary, shadows, ambient (shadows and ambient occlusion), or path (light of sun and sky that bounces)
+    /// The rays that light the picture: primary, shadows, ambient (shadows and ambient occlusion), or path (light of sun and
+    /// sky that bounces)
     #[arg(long, value_name = "RAYS", default_value_t = LightingMode::default())]
     rays: LightingMode,
 

@@ -52,7 +52,8 @@ pub struct ConnectArgs {
     /// The wall, as HOST or HOST:PORT
     #[arg(value_name = "HOST:PORT")]
     pub wall: String,
-    /// The model's file that the wall shows: PLY, OBJ, STL, glTF or GLB, or a scene file of it [default: the wall's own file, if the wall runs on this machine]
+    /// The model's file that the wall shows: PLY, OBJ, STL, glTF or GLB, or a scene file of it [default: the wall's own
+    /// file, if the wall runs on this machine]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Number of tracing threads [default: one for each core]
