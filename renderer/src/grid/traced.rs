@@ -166,6 +166,11 @@ impl TracedMesh {
         !self.normals.is_empty()
     }
 
+    /// Whether a triangle's surface ignores light, and shows its colour.
+    pub(crate) fn is_unlit(&self, triangle_idx: u32) -> bool {
+        self.materials.is_unlit(triangle_idx)
+    }
+
     /// Whether surfaces have materials.
     pub(crate) fn has_materials(&self) -> bool {
         self.materials.has_materials()

@@ -116,20 +116,41 @@ impl<'a> Lighting<'a> {
 
     /// Sums of the light of no samples yet.
     pub fn no_light(&self) -> LightSums {
-        let n_missed = if self.paths.is_some() { 64 * MOST_PACKETS } else { 0 };
-        LightSums { lights: [[Vec3::ZERO; 64]; MOST_PACKETS], missed: vec![(Vec3::ZERO, 0); n_missed] }
+        let n_pixels = if self.paths.is_some() { 64 * MOST_PACKETS } else { 0 };
+        LightSums { lights: [[Vec3::ZERO; 64]; MOST_PACKETS], as_it_is: vec![(Vec3::ZERO, 0); n_pixels] }
+    }
+
+    /// Adds the light of a sample of each pixel of `n_blocks` blocks to their sums.
+    pub fn add(&self, n_blocks: usize, lights: &[[Vec3; 64]], hits: &[[Hit; 64]], sums: &mut LightSums) {
+        let lights = lights.as_flattened().iter().take(64 * n_blocks);
+        let lit = sums.lights.as_flattened_mut();
+        if sums.as_it_is.is_empty() {
+            lit.iter_mut().zip(lights).for_each(|(sum, light)| *sum += *light);
+            return;
+        }
+        let mesh = self.secondary.grid.mesh();
+        for (index, (light, hit)) in lights.zip(hits.as_flattened()).enumerate() {
+            if hit.is_miss() || (!hit.is_cap() && mesh.is_unlit(hit.triangle)) {
+                let (sum, n) = &mut sums.as_it_is[index];
+                *sum += *light;
+                *n += 1;
+            } else {
+                lit[index] += *light;
+            }
+        }
     }
 
     /// The mean light of `n_samples` samples of pixel `index` of a block, encoded.
     ///
-    /// Exposure and tone mapping change the light of the model alone: a background is shown as it was asked for.
+    /// Exposure and tone mapping change the light of lit surfaces alone: a background is shown as it was asked for, and unlit
+    /// surfaces as their colours say.
     pub fn encode(&self, sums: &LightSums, (block, index): (usize, usize), n_samples: u32) -> [u8; 3] {
         let light = sums.lights[block][index];
-        let mean = match (&self.paths, sums.missed.get(64 * block + index)) {
-            (Some(_), Some(&(backdrop, n_misses))) if n_misses == n_samples => backdrop / n_samples as f32,
-            (Some((_, tone)), Some(&(backdrop, n_misses))) => {
-                let n_hits = (n_samples - n_misses) as f32;
-                (tone.shown(light / n_hits) * n_hits + backdrop) / n_samples as f32
+        let mean = match (&self.paths, sums.as_it_is.get(64 * block + index)) {
+            (Some(_), Some(&(as_it_is, n))) if n == n_samples => as_it_is / n_samples as f32,
+            (Some((_, tone)), Some(&(as_it_is, n))) => {
+                let n_lit = (n_samples - n) as f32;
+                (tone.shown(light / n_lit) * n_lit + as_it_is) / n_samples as f32
             }
             _ => light / n_samples as f32,
         };
@@ -139,29 +160,8 @@ impl<'a> Lighting<'a> {
 
 /// The light of the samples of neighbouring blocks' pixels, linear.
 pub struct LightSums {
-    /// Of all samples; in path-traced frames of those that hit something.
+    /// Of all samples; in path-traced frames of those that hit a lit surface.
     pub lights: [[Vec3; 64]; MOST_PACKETS],
     /// Of the others in path-traced frames, and their number; empty in other frames.
-    missed: Vec<(Vec3, u32)>,
-}
-
-impl LightSums {
-    /// Adds the light of a sample of each pixel of `n_blocks` blocks.
-    pub fn add(&mut self, n_blocks: usize, lights: &[[Vec3; 64]], hits: &[[Hit; 64]]) {
-        let lights = lights.as_flattened().iter().take(64 * n_blocks);
-        let sums = self.lights.as_flattened_mut();
-        if self.missed.is_empty() {
-            sums.iter_mut().zip(lights).for_each(|(sum, light)| *sum += *light);
-            return;
-        }
-        for (index, (light, hit)) in lights.zip(hits.as_flattened()).enumerate() {
-            if hit.is_miss() {
-                let (backdrop, n_misses) = &mut self.missed[index];
-                *backdrop += *light;
-                *n_misses += 1;
-            } else {
-                sums[index] += *light;
-            }
-        }
-    }
+    as_it_is: Vec<(Vec3, u32)>,
 }

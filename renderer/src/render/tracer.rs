@@ -75,7 +75,7 @@ impl Scene {
                     }
                 }
                 let lights = lighting.light_group(blocks, sample, &directions, &hits, &mut scratch);
-                sums.add(blocks.len(), &lights, &hits);
+                lighting.add(blocks.len(), &lights, &hits, &mut sums);
             }
             for (number, block) in blocks.iter().enumerate() {
                 for index in 0..block.n_samples() {

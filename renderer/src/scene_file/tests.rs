@@ -275,7 +275,9 @@ fn a_scene_with_too_little_memory_is_built_again_where_there_is_more() {
     let with = |text: &str| GridOptions { memory_budget: text.parse().unwrap(), ..GridOptions::default() };
     let (coarse, _) = load(&store, &path, &with("16M"));
     let shortage = coarse.scene.grid.shortage().map(|it| it.to_string());
-    assert!(shortage.is_some_and(|told| told.starts_with("the grid is made coarser, to stay within --memory-budget 16M")));
+    assert!(
+        shortage.is_some_and(|told| told.starts_with("the grid is made coarser, to stay within --memory-budget 16M"))
+    );
     for (budget, is_built) in [("16M", false), ("17M", false), ("1G", true), ("16M", false), ("2G", false)] {
         let (scene, stages) = load(&store, &path, &with(budget));
         assert_eq!(stages.contains(&Stage::Building), is_built, "{budget}");

@@ -181,6 +181,12 @@ impl TracedMaterials {
             + size_of_val(&*self.of_triangles)
     }
 
+    /// Whether a triangle's surface ignores light, and shows its colour.
+    pub(crate) fn is_unlit(&self, triangle_idx: u32) -> bool {
+        let material = self.materials.get(self.index_of_triangle(triangle_idx));
+        material.is_some_and(|material| matches!(material.plain.finish, Finish::Unlit))
+    }
+
     /// Whether surfaces have materials.
     pub(crate) fn has_materials(&self) -> bool {
         !self.materials.is_empty()

@@ -149,7 +149,7 @@ impl Frame {
                     }
                     let lights = lighting.light_group(blocks, 0, &directions, &hits, &mut scratch);
                     let mut sums = lighting.no_light();
-                    sums.add(blocks.len(), &lights, &hits);
+                    lighting.add(blocks.len(), &lights, &hits, &mut sums);
                     for (number, block) in blocks.iter().enumerate() {
                         let colors = part.values_of(block).iter_mut().take(block.n_samples());
                         colors
