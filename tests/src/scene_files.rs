@@ -78,7 +78,8 @@ fn a_scene_file_that_is_cut_ends_its_render_servers_but_not_the_wall() {
     let folder = tempfile::tempdir().unwrap();
     let (folder, model) = (folder.path(), model(folder.path()));
     let mut wall = Program::start(wall(folder, &model, 1_000_000));
-    wall.wait_for("frame shown");
+    wall.wait_for("render server local-1 is ready");
+    wall.wait_for("render server local-2 is ready");
     fs::File::options().write(true).open(cached(folder)).unwrap().set_len(4096).unwrap();
     wall.wait_for("error: a scene file was cut while it was in use");
     wall.wait_for("ended (signal: 7 (SIGBUS)) and stays away");

@@ -104,7 +104,7 @@ impl Cache {
     /// Notes that a scene is used.
     pub(crate) fn touch(path: &Path) {
         // Fails if nothing was built here yet.
-        let lock = File::options().write(true).open(Self::lock_of(path));
+        let lock = File::open(Self::lock_of(path));
         let _ = lock.and_then(|lock| lock.set_modified(SystemTime::now()));
     }
 
