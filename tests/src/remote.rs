@@ -164,6 +164,8 @@ fn strangers_get_401_and_nothing_else() {
         for token in [None, Some("0"), Some(&operator[1..]), Some("bearer")] {
             let answer = wall.get(path, token);
             assert_eq!(answer.status, 401, "{path} with {token:?}");
+            let reason = if token.is_some() { "not known or was revoked" } else { "a token is needed" };
+            assert!(answer.text().contains(reason), "{path} with {token:?}: {}", answer.text());
             assert!(!answer.text().contains("statue") && answer.body.len() < 200, "{path}: {}", answer.text());
         }
     }
@@ -172,7 +174,14 @@ fn strangers_get_401_and_nothing_else() {
     }
     let page = wall.get("/", None);
     assert_eq!(page.status, 200);
-    for header in ["default-src 'none'", "nosniff", "no-referrer", "no-store", "connection: close"] {
+    for header in [
+        "default-src 'none'",
+        "nosniff",
+        "no-referrer",
+        "no-store",
+        "connection: close",
+        "cross-origin-resource-policy: same-origin",
+    ] {
         assert!(page.headers.contains(header), "{header} is missing in\n{}", page.headers);
     }
     assert!(!page.headers.contains("set-cookie") && !page.text().contains("a statue"));
@@ -358,6 +367,13 @@ fn malformed_huge_and_slow_remotes_leave_the_wall_as_it_is() {
     // Remotes that ask for pictures and never read.
     let mut slow: Vec<_> = (0..20).map(|_| wall.connect(None)).collect();
     slow.iter_mut().for_each(|remote| remote.send(&json!({ "do": "watch", "pictures": true })));
+    // One that sends pings and never reads.
+    let mut pinging = wall.connect(None);
+    let ping: Vec<_> = [0x89, 0x80 | 125, 0, 0, 0, 0].into_iter().chain([7; 125]).collect();
+    let (stream, pings) = (pinging.0.get_mut(), ping.repeat(1000));
+    stream.set_write_timeout(Some(Duration::from_millis(500))).unwrap();
+    let n_taken = (0..1000).take_while(|_| stream.write_all(&pings).is_ok()).count();
+    assert!(n_taken < 500, "{n_taken} thousand pings are taken at once");
     // Requests that never end, or are none.
     let mut random = Random::new(5);
     let mut open = Vec::new();
@@ -384,7 +400,7 @@ fn malformed_huge_and_slow_remotes_leave_the_wall_as_it_is() {
     assert!(wall.get("/metrics", None).text().contains("raywall_remotes 1"), "the remotes are not counted");
     let grown = memory().saturating_sub(before);
     assert!(grown < 40_000, "{grown} KB more");
-    drop((remotes, slow, open));
+    drop((remotes, slow, pinging, open));
     wait_until("they are gone", || wall.get("/metrics", None).text().contains("\nraywall_remotes 0\n"));
     assert!(!wall.program.said().contains("panicked"), "{}", wall.program.said());
 }

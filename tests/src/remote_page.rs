@@ -67,11 +67,18 @@ fn fingers_on_a_phone_move_the_wall_and_a_second_phone_sees_it() {
     let [x, y] = middle(&other);
     other.perform(&json!([finger("one", [x - 40, y], [80, 0])]));
     other.wait_for("it waits", "document.getElementById('turn').textContent.startsWith('You are next')");
+    assert_eq!(other.run("return document.getElementById('leave').textContent"), "Stop waiting");
     phone.wait_for("the first knows", "document.getElementById('turn').textContent.includes('One other waits')");
     phone.run("document.getElementById('leave').click()");
     other.wait_for("its turn has come", "!document.getElementById('surface').hasAttribute('data-waits')");
     // A visitor has no operator's controls.
     assert_eq!(phone.run("return document.getElementById('operator').hidden"), true);
+    // Somebody without a link learns where to find one.
+    drop(other);
+    let Some(stranger) = Browser::start(&PHONE) else { return };
+    stranger.open(&format!("http://{}/", wall.address));
+    stranger
+        .wait_for("a hint", "document.getElementById('turn').textContent === 'Scan the code on the wall to steer it'");
 }
 
 #[test]

@@ -7,6 +7,8 @@ use std::{
     time::SystemTime,
 };
 
+use renderer::formats::sources::Stamp;
+
 use super::tokens::{Role, Token, Tokens};
 
 /// The rules for everybody who asks.
@@ -22,11 +24,9 @@ pub(super) struct Access {
 struct TokenFile {
     path: PathBuf,
     own: Token,
+    /// The tokens as they were read, while the file's stamp would tell of any change since.
     read: Mutex<Option<(Stamp, Tokens)>>,
 }
-
-/// Time and length of a file: another stamp means that it has changed.
-type Stamp = (SystemTime, u64);
 
 impl Access {
     pub(super) fn new(names: Vec<String>, tokens: Option<(PathBuf, Token)>) -> Self {
@@ -54,16 +54,19 @@ impl Access {
 impl TokenFile {
     fn role(&self, token: &str) -> Option<Role> {
         let mut read = self.read.lock().unwrap_or_else(PoisonError::into_inner);
-        let stamp =
-            std::fs::metadata(&self.path).and_then(|metadata| Ok((metadata.modified()?, metadata.len()))).ok()?;
-        if read.as_ref().is_none_or(|(read_at, _)| *read_at != stamp) {
-            let tokens = Tokens::read(&self.path).unwrap_or_else(|error| {
-                tracing::error!("nobody gets in by a token: {error:#}");
-                Tokens::default()
-            });
-            *read = Some((stamp, tokens));
+        let (stamp, now) = (Stamp::at(&self.path)?, SystemTime::now());
+        if let Some((of, tokens)) = &*read
+            && *of == stamp
+        {
+            return tokens.role(token);
         }
-        read.as_ref().and_then(|(_, tokens)| tokens.role(token))
+        let tokens = Tokens::read(&self.path).unwrap_or_else(|error| {
+            tracing::error!("nobody gets in by a token: {error:#}");
+            Tokens::default()
+        });
+        let role = tokens.role(token);
+        *read = stamp.is_settled(now).then_some((stamp, tokens));
+        role
     }
 }
 
@@ -83,6 +86,8 @@ fn without_port(host: &str) -> &str {
 
 #[cfg(test)]
 mod tests {
+    use std::{fs, thread, time::Duration};
+
     use super::*;
 
     #[test]
@@ -123,5 +128,33 @@ mod tests {
         tokens.write(&path).unwrap();
         assert_eq!(access.role(Some(desk.text())), None);
         assert_eq!(Access::new(Vec::new(), None).role(None), Some(Role::Operator));
+    }
+
+    #[test]
+    fn another_token_in_a_file_of_the_same_length_and_time_is_seen() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("remote.toml");
+        let [own, old, new] = [(); 3].map(|()| Token::random().unwrap());
+        let access = Access::new(Vec::new(), Some((path.clone(), own)));
+        let roles = || [&old, &new].map(|token| access.role(Some(token.text())));
+        let text_of = |token: &Token| {
+            let other = folder.path().join("other.toml");
+            let mut tokens = Tokens::default();
+            tokens.add("desk", Role::Operator, token).unwrap();
+            tokens.write(&other).unwrap();
+            fs::read(other).unwrap()
+        };
+        let texts = [&old, &new].map(text_of);
+        assert_eq!(texts[0].len(), texts[1].len());
+        // Within one step of the file's clock, and later.
+        for pause in [Duration::ZERO, Duration::from_millis(50)] {
+            fs::write(&path, &texts[0]).unwrap();
+            let modified = fs::metadata(&path).unwrap().modified().unwrap();
+            thread::sleep(pause);
+            assert_eq!(roles(), [Some(Role::Operator), None]);
+            fs::write(&path, &texts[1]).unwrap();
+            fs::File::options().write(true).open(&path).unwrap().set_modified(modified).unwrap();
+            assert_eq!(roles(), [None, Some(Role::Operator)], "after {pause:?}");
+        }
     }
 }

@@ -26,6 +26,9 @@ const PROTOCOL: &str = "raywall";
 /// A picture that was asked for comes within this time, or there is none.
 const LONGEST_WAIT_FOR_PICTURE: Duration = Duration::from_secs(3);
 
+/// The most bytes that wait for a remote to take them: the longest state fits, and pictures are shorter.
+const MOST_UNSENT: usize = 1 << 20;
+
 /// The peer of a connection.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Peer(pub(super) SocketAddr);
@@ -80,6 +83,7 @@ async fn of_this_wall(State(hub): State<Arc<Hub>>, request: Request, next: Next)
     set(header::CONTENT_SECURITY_POLICY, POLICY);
     set(header::X_CONTENT_TYPE_OPTIONS, "nosniff");
     set(header::REFERRER_POLICY, "no-referrer");
+    set(HeaderName::from_static("cross-origin-resource-policy"), "same-origin");
     set(header::CACHE_CONTROL, "no-store");
     if !is_conversation {
         set(header::CONNECTION, "close");
@@ -112,8 +116,12 @@ async fn authorize(
             next.run(request).await
         }
         None => {
-            tracing::debug!("a remote without a token asks from {peer}");
-            fault(StatusCode::UNAUTHORIZED, "a token is needed: scan the code on the wall, or ask an operator")
+            tracing::debug!("a stranger asks from {peer}");
+            let text = match token {
+                Some(_) => "this token is not known or was revoked: scan the code on the wall, or ask an operator",
+                None => "a token is needed: scan the code on the wall, or ask an operator",
+            };
+            fault(StatusCode::UNAUTHORIZED, text)
         }
     }
 }
@@ -181,7 +189,7 @@ async fn open_socket(
     Extension(guest): Extension<Guest>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    let Some(remote) = socket::admit(&hub) else {
+    let Some(remote) = socket::admit(&hub, guest.role) else {
         return fault(StatusCode::SERVICE_UNAVAILABLE, "too many remotes are connected");
     };
     upgrade
@@ -190,6 +198,7 @@ async fn open_socket(
         .max_frame_size(LONGEST_MESSAGE)
         .read_buffer_size(LONGEST_MESSAGE)
         .write_buffer_size(0)
+        .max_write_buffer_size(MOST_UNSENT)
         .on_upgrade(move |socket| socket::converse(socket, hub, guest, remote))
 }
 

@@ -13,7 +13,8 @@ use tokio::{
 
 use super::{hub::Hub, routes};
 
-/// Connections that have not become conversations; a new one displaces the oldest, so a flood keeps nobody out.
+/// Connections that have not become conversations; a new one displaces the oldest, so silent ones keep nobody out. Thousands
+/// a second do: that is a firewall's task.
 const MOST_STRANGERS: usize = 128;
 /// A connection ends after this, unless it has become a conversation.
 const LONGEST_REQUEST: Duration = Duration::from_secs(10);

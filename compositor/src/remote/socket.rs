@@ -16,13 +16,16 @@ use super::{
     hub::{Counted, Hub, Order, Told},
     message::{self, Action},
     routes::Guest,
+    tokens::Role,
     turns::{ClientId, Place},
 };
 use crate::farm::RateLimit;
 
 /// Conversations at a time.
 const MOST_REMOTES: usize = 512;
-/// Messages that a remote may send at once, and the pause between further ones: two hands at 120 Hz.
+/// Places among them that visitors leave free, so that operators always get in.
+const FOR_OPERATORS: usize = 64;
+/// Messages, pings too, that a remote may send at once, and the pause between further ones: two hands at 120 Hz.
 const MESSAGES: (u32, Duration) = (240, Duration::from_millis(4));
 /// A remote that takes longer than this for one message has gone.
 const LONGEST_SEND: Duration = Duration::from_secs(5);
@@ -32,9 +35,13 @@ const PICTURE_INTERVAL: Duration = Duration::from_millis(250);
 const MOST_ANSWERS: usize = 32;
 
 /// A place for one more remote, unless there are too many.
-pub(super) fn admit(hub: &Arc<Hub>) -> Option<Counted> {
+pub(super) fn admit(hub: &Arc<Hub>, role: Role) -> Option<Counted> {
     let remote = hub.remote();
-    (hub.n_remotes() <= MOST_REMOTES).then_some(remote)
+    let most = match role {
+        Role::Visitor => MOST_REMOTES - FOR_OPERATORS,
+        Role::Operator => MOST_REMOTES,
+    };
+    (hub.n_remotes() <= most).then_some(remote)
 }
 
 /// Talks until the remote goes away, is too slow, or its token is revoked.
@@ -128,18 +135,19 @@ impl Conversation {
     }
 
     async fn hear(&mut self, frame: Frame) -> Result<(), Gone> {
-        let text = match frame {
-            Frame::Text(text) => text,
-            Frame::Close(_) => return Err(Gone),
-            // Answered by the library.
-            Frame::Ping(_) | Frame::Pong(_) => return Ok(()),
-            Frame::Binary(_) => return self.refuse("messages are JSON in text").await,
-        };
         let now = self.started_at.elapsed();
         // The remote's messages wait in its own socket.
         tokio::time::sleep(self.limit.wait(now)).await;
         self.limit.count(self.started_at.elapsed());
         self.check_token()?;
+        let text = match frame {
+            Frame::Text(text) => text,
+            Frame::Close(_) => return Err(Gone),
+            // Takes the place of the library's answer, which would wait for the remote without end.
+            Frame::Ping(payload) => return self.send(Frame::Pong(payload)).await,
+            Frame::Pong(_) => return Ok(()),
+            Frame::Binary(_) => return self.refuse("messages are JSON in text").await,
+        };
         let message = match message::decode(text.as_bytes()) {
             Ok(message) => message,
             Err(problem) => return self.refuse(&problem).await,
@@ -190,5 +198,22 @@ impl Conversation {
             Ok(Ok(())) => Ok(()),
             _ => Err(Gone),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::remote::access::Access;
+
+    #[test]
+    fn visitors_leave_places_to_operators() {
+        let hub = Arc::new(Hub::new(Access::new(Vec::new(), None), mpsc::channel(1).0, Box::new(|| {})));
+        let fill = |role| std::iter::from_fn(|| admit(&hub, role)).collect::<Vec<_>>();
+        let mut visitors = fill(Role::Visitor);
+        let operators = fill(Role::Operator);
+        assert_eq!([visitors.len(), operators.len()], [448, 64]);
+        visitors.pop();
+        assert!(admit(&hub, Role::Visitor).is_none() && admit(&hub, Role::Operator).is_some());
     }
 }

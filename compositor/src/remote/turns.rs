@@ -40,7 +40,8 @@ pub(super) struct Place {
     before: usize,
     /// Visitors who wait, whoever asks.
     waiting: usize,
-    /// The longest time until the next turn begins, in seconds from the last change; `None` while nobody waits.
+    /// The longest time until the next turn begins, in seconds: each touch of the present visitor delays an early end, but
+    /// none this one; `None` while nobody waits.
     seconds: Option<u64>,
 }
 
@@ -83,15 +84,22 @@ impl Turns {
     /// When the present turn ends; `None` while nobody waits.
     pub(super) fn ends_at(&self) -> Option<Instant> {
         let present = self.present.as_ref()?;
-        let awaited_since = present.awaited_since?;
-        let at_least = awaited_since + NOTICE;
+        let at_least = present.awaited_since? + NOTICE;
         Some((present.since + TURN).min(present.moved_at + IDLE).max(at_least))
+    }
+
+    /// When the present turn ends if its visitor goes on to move; `None` while nobody waits.
+    fn ends_at_the_latest(&self) -> Option<Instant> {
+        let present = self.present.as_ref()?;
+        let at_least = present.awaited_since? + NOTICE;
+        Some((present.since + TURN).max(at_least))
     }
 
     pub(super) fn place(&self, client: ClientId, now: Instant) -> Place {
         let position = self.waiting.iter().position(|&waiting| waiting == client);
         let is_present = self.present.as_ref().is_none_or(|present| present.client == client);
-        let seconds = self.ends_at().map(|ends_at| ends_at.saturating_duration_since(now).as_secs_f64().ceil() as u64);
+        let left = self.ends_at_the_latest().map(|ends_at| ends_at.saturating_duration_since(now));
+        let seconds = left.map(|left| left.as_secs_f64().ceil() as u64);
         let before = position.map_or(0, |position| position + 1);
         Place { may_steer: is_present, before, waiting: self.waiting.len(), seconds }
     }
@@ -128,10 +136,13 @@ mod tests {
         let at = |seconds| start + Duration::from_secs(seconds);
         assert!(turns.steers(1, start) && !turns.steers(2, at(1)) && !turns.steers(3, at(2)));
         assert_eq!([2, 3].map(|client| turns.place(client, at(2)).before), [1, 2]);
-        // It must move to keep its turn.
-        (1..60).for_each(|second| assert!(turns.steers(1, at(second)), "{second}"));
+        // It must move to keep its turn, and those who wait know the end from the first moment on.
+        for second in 3..60 {
+            assert!(turns.steers(1, at(second)), "{second}");
+            assert_eq!(turns.place(2, at(second)).seconds, Some(60 - second));
+        }
         assert!(!turns.steers(1, at(60)) && turns.steers(2, at(60)), "the turn is over");
-        assert_eq!(turns.place(1, at(60)), Place { may_steer: false, before: 2, waiting: 2, seconds: Some(15) });
+        assert_eq!(turns.place(1, at(60)), Place { may_steer: false, before: 2, waiting: 2, seconds: Some(60) });
         turns.leaves(2, at(70));
         assert!(turns.steers(3, at(70)));
         turns.leaves(1, at(71));

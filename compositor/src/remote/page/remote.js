@@ -28,10 +28,12 @@ function connect() {
   mine.onclose = async () => {
     if (mine !== socket) return;
     const isKnown = wasOpen || await isLetIn();
-    tell("lost", "Lost the wall");
-    $("turn").textContent = isKnown ? "Looking for the wall" : "This link has ended: scan the code on the wall again";
-    $("leave").textContent = turn.before > 0 ? "Stop waiting" : "Let the next one steer";
-  $("leave").hidden = true;
+    const stranger = token ? ["Lost the wall", "This link has ended: scan the code on the wall again"]
+      : ["Not connected", "Scan the code on the wall to steer it"];
+    const [link, hint] = isKnown ? ["Lost the wall", "Looking for the wall"] : stranger;
+    tell("lost", link);
+    $("turn").textContent = hint;
+    $("leave").hidden = true;
     surface.dataset.lost = "";
     hands.clear();
     retry = setTimeout(connect, delay);
@@ -98,10 +100,11 @@ function tellTurn() {
   if (turn.before === 1) text = `You are next, in ${left} s at the latest`;
   else if (turn.before > 1) text = `${turn.before} visitors steer before you`;
   else if (!turn.may_steer) text = "Somebody steers: touch the picture to wait for your turn";
-  else if (turn.waiting > 0) text = `You steer. ${others}: ${left} s left`;
+  else if (turn.waiting > 0) text = `You steer. ${others}: ${left} s left at most`;
   if (wall?.role !== "visitor") text = "";
   if ($("turn").textContent !== text) $("turn").textContent = text;
   surface.toggleAttribute("data-waits", wall?.role === "visitor" && !turn.may_steer);
+  $("leave").textContent = turn.before > 0 ? "Stop waiting" : "Let the next one steer";
   $("leave").hidden = !(wall?.role === "visitor" && (turn.before > 0 || turn.waiting > 0 && turn.may_steer));
 }
 // A screen reader hears each change: it hears every ten seconds of a countdown.
