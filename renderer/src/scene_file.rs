@@ -10,7 +10,8 @@
 //! Rays read mapped arrays without checks, so the contents of a file are checked before the first ray: the hashes of all
 //! chunks, then all indices and ways (`grid/stored.rs`). That takes longer than a start may, so it is done once: a seal in
 //! this user's cache then says that this very file, by its number, length, times and hash, was written or checked on this
-//! machine. Any change of the file breaks the seal. Files that others may write are read into memory instead of mapped.
+//! machine. Any change of the file on this machine breaks the seal. Files that others may write, and files on other disks than
+//! the cache, which other machines may write, are checked at each start, and read into memory instead of mapped.
 
 pub(crate) mod bytes;
 pub mod cache;

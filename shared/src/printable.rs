@@ -49,7 +49,9 @@ pub fn bytes(bytes: u64) -> String {
         ..1e4 => format!("{:.1} KB", bytes / 1e3),
         ..1e6 => format!("{:.0} KB", bytes / 1e3),
         ..1e7 => format!("{:.1} MB", bytes / 1e6),
-        _ => format!("{:.0} MB", bytes / 1e6),
+        ..1e9 => format!("{:.0} MB", bytes / 1e6),
+        ..1e10 => format!("{:.1} GB", bytes / 1e9),
+        _ => format!("{:.0} GB", bytes / 1e9),
     }
 }
 
@@ -78,8 +80,8 @@ mod tests {
 
     #[test]
     fn sizes_have_up_to_three_digits() {
-        let shown = [0, 999, 1500, 25_400, 6_940_000, 1_234_000_000].map(bytes);
-        assert_eq!(shown, ["0 B", "999 B", "1.5 KB", "25 KB", "6.9 MB", "1234 MB"]);
+        let shown = [0, 999, 1500, 25_400, 6_940_000, 123_400_000, 1_234_000_000, 20_000_000_000].map(bytes);
+        assert_eq!(shown, ["0 B", "999 B", "1.5 KB", "25 KB", "6.9 MB", "123 MB", "1.2 GB", "20 GB"]);
     }
 
     #[test]

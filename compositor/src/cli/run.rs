@@ -333,6 +333,7 @@ fn load_model(args: &WallArgs) -> anyhow::Result<Model> {
     let model = &args.show.model;
     let source = model.source();
     tracing::info!("loading {source}");
+    args.scene.warn_of_scene_file(&source);
     let store = args.scene.store();
     if !store.has(&source, model.crease) {
         warn_of_large_file(&source, 1 + args.n_local(), args.scene.shared_by(args.n_local()).options().memory_budget);

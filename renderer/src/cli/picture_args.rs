@@ -145,6 +145,7 @@ impl PictureArgs {
     /// Loads the scene, from its file if there is one, with a progress bar. The log tells what its model holds and lacks.
     pub fn load_scene(&self) -> Result<StoredScene, LoadError> {
         let (source, store, options) = (self.model.source(), self.scene.store(), self.scene.options());
+        self.scene.warn_of_scene_file(&source);
         if !store.has(&source, self.model.crease) {
             large_file::warn_of_large_file(&source, 1, options.memory_budget);
         }

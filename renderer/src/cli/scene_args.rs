@@ -3,7 +3,8 @@
 use crate::{
     cli::free_memory::FreeMemory,
     grid::{GridOptions, MemoryBudget, Storage},
-    scene_file::SceneStore,
+    model::scene::SceneSource,
+    scene_file::{SceneStore, file::is_scene_file},
 };
 
 /// Each option names it: a heading of the struct would also head the options after it.
@@ -57,6 +58,22 @@ impl SceneArgs {
             let budget = budget_of_machine(n_programs);
             let each = if n_programs > 1 { "each local render server" } else { "the render server" };
             tracing::info!("{each} may take {budget} of memory: --memory-budget sets another limit");
+        }
+    }
+
+    /// Warns of options that were given with a scene file, which keeps its own grid.
+    pub fn warn_of_scene_file(&self, source: &SceneSource) {
+        let given = [
+            self.density.map(|_| "--density"),
+            (self.storage != Storage::default()).then_some("--storage"),
+            self.memory_budget.map(|_| "--memory-budget"),
+        ];
+        let given: Vec<_> = given.into_iter().flatten().collect();
+        if let SceneSource::File(path) = source
+            && !given.is_empty()
+            && is_scene_file(path)
+        {
+            tracing::warn!("{source}: a scene file keeps its grid, without effect: {}", given.join(", "));
         }
     }
 

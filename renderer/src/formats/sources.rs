@@ -12,7 +12,8 @@ use crate::formats::companions::Companions;
 
 /// The state of a file, as far as the system tells it without reading: another content has another stamp.
 ///
-/// Programs can set a file's length and time, but not the time of its last change, nor the number that a new file gets.
+/// Programs can set a file's length and time, but not the time of its last change, nor the number that a new file gets; only
+/// another machine that writes the same disk can.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stamp {
     n_bytes: u64,

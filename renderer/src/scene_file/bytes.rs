@@ -28,7 +28,7 @@ fn tell_of_lost_pages() {
     {
         extern "C" fn tell(_signal: libc::c_int) {
             const LINE: &[u8] = b"error: a scene file was cut while it was in use, or its disk fails: \
-                replace scene files by renaming, and check the disk\n";
+                start the program again, which checks the file\n";
             // SAFETY: a signal handler may call `write`, which reads no more than the line.
             unsafe { libc::write(libc::STDERR_FILENO, LINE.as_ptr().cast(), LINE.len()) };
         }
@@ -59,7 +59,7 @@ impl FileBytes {
     pub(crate) fn map(file: &File) -> io::Result<Self> {
         tell_of_lost_pages();
         // SAFETY: scene files are written beside their names and renamed when they are whole; nobody but this user may
-        // write those that are mapped. If one is cut nevertheless, the system ends the process by a signal.
+        // write those that are mapped, which lie on the disk of this user's cache. If one is cut nevertheless, the system ends the process by a signal.
         Ok(Self::Mapped(unsafe { Mmap::map(file)? }))
     }
 

@@ -15,7 +15,7 @@ use shared::{codec, scene::Crease};
 
 use crate::{
     grid::GridOptions,
-    scene_file::{file::SceneFile, seals::Seals},
+    scene_file::{file::SceneFile, lock::Lock, seals::Seals},
 };
 
 /// The most that the scenes take on the disk, unless a cache is told otherwise.
@@ -26,6 +26,9 @@ pub const ENDING: &str = "raywall";
 
 /// The ending of locks.
 const LOCK_ENDING: &str = "lock";
+
+/// The ending of files that are being written.
+const PART_ENDING: &str = "part";
 
 /// Scene files in a folder of this user.
 #[derive(Clone, Debug)]
@@ -112,6 +115,7 @@ impl Cache {
     /// that has its path. False if it is larger than the cache.
     pub(crate) fn make_room(&self, n_bytes: u64, path: &Path) -> bool {
         let Some(left) = self.most_bytes.checked_sub(n_bytes) else { return false };
+        self.drop_parts(Some(&Self::lock_of(path)));
         let mut others: Vec<_> = scenes(&self.folder).filter(|other| other != path).filter_map(aged).collect();
         others.sort_by_key(|(_, _, used_at)| *used_at);
         let mut taken: u64 = others.iter().map(|(_, n_bytes, _)| n_bytes).sum();
@@ -139,12 +143,27 @@ impl Cache {
         scenes
     }
 
-    /// Removes all scenes and seals; returns the bytes that are free again once no process uses them.
+    /// Removes the files that builders were writing when they were killed, and returns their bytes. Removes none while a
+    /// process builds, other than the caller, whose own lock this is.
+    fn drop_parts(&self, own: Option<&Path>) -> u64 {
+        // Listed before the locks are looked at: whoever writes one of them has its lock since before.
+        let parts: Vec<_> = files(&self.folder, PART_ENDING).filter_map(aged).collect();
+        let is_building = |lock: PathBuf| Some(&*lock) != own && Lock::is_held(&lock);
+        if parts.is_empty() || files(&self.folder, LOCK_ENDING).any(is_building) {
+            return 0;
+        }
+        parts.iter().for_each(|(path, ..)| remove(path));
+        parts.iter().map(|(_, n_bytes, _)| n_bytes).sum()
+    }
+
+    /// Removes all scenes and seals, and what killed builders left; returns the bytes that are free again once no process
+    /// uses them.
     pub fn clear(&self) -> u64 {
+        let n_part_bytes = self.drop_parts(None);
         let scenes = self.scenes();
         scenes.iter().for_each(|scene| remove(&scene.path));
         self.seals.clear();
-        scenes.iter().map(|scene| scene.n_bytes).sum()
+        scenes.iter().map(|scene| scene.n_bytes).sum::<u64>() + n_part_bytes
     }
 }
 
@@ -172,9 +191,14 @@ fn is_private(folder: &Path) -> io::Result<bool> {
 }
 
 /// The scenes in a folder.
-fn scenes(folder: &Path) -> impl Iterator<Item = PathBuf> {
+fn scenes(folder: &Path) -> impl Iterator<Item = PathBuf> + use<> {
+    files(folder, ENDING)
+}
+
+/// The files in a folder that have an ending.
+fn files(folder: &Path, ending: &'static str) -> impl Iterator<Item = PathBuf> + use<> {
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    entries.map(|entry| entry.path()).filter(|path| path.extension().is_some_and(|ending| ending == ENDING))
+    entries.map(|entry| entry.path()).filter(move |path| path.extension().is_some_and(|of_path| of_path == ending))
 }
 
 /// A scene's path, its bytes, and when it was used last.

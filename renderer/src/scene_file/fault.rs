@@ -8,34 +8,45 @@ use crate::scene_file::head::VERSION;
 
 /// A scene file cannot be used.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: {fault}", path.display())]
+#[error("{}: {fault}{}", path.display(), fault.cure())]
 pub struct SceneFileError {
     /// The file.
     pub path: PathBuf,
-    /// The cause, with its cure. Not the error's source, because the message contains it already.
+    /// The cause. Not the error's source, because the message contains it already.
     pub fault: Fault,
 }
 
-/// Why a scene file cannot be used. The text follows the file's name and a colon.
+/// Why a scene file cannot be used. The text follows the file's name and a colon; the cure is left out, as files in the
+/// cache need none.
 #[derive(Debug, thiserror::Error)]
 #[expect(missing_docs, reason = "the messages say it")]
 pub enum Fault {
-    #[error("is no scene file: name a model, or build one with `renderer build`")]
+    #[error("is no scene file")]
     NotASceneFile,
-    #[error("is a scene file of a machine with another byte order: build it on this one with `renderer build`")]
+    #[error("is a scene file of a machine with another byte order")]
     ByteOrder,
-    #[error(
-        "is a scene file of version {0}, this program reads version {VERSION}: build it again with `renderer build`"
-    )]
+    #[error("is a scene file of version {0}, this program reads version {VERSION}")]
     Version(u32),
-    #[error("{0}: copy the scene file again, or build it again with `renderer build`")]
+    #[error("{0}")]
     Damaged(#[from] Damage),
-    #[error(
-        "was built with --crease {of_file}, not {asked}: leave --crease out, or build it again with `renderer build`"
-    )]
+    #[error("was built with --crease {of_file}, not {asked}")]
     OtherCrease { of_file: Crease, asked: Crease },
     #[error("cannot be read: {0}")]
     Io(#[from] io::Error),
+}
+
+impl Fault {
+    /// The cure for a scene file that an operator has named: the end of the line.
+    fn cure(&self) -> &'static str {
+        match self {
+            Self::NotASceneFile => ": name a model, or build a scene file with `renderer build`",
+            Self::ByteOrder => ": build it on this one with `renderer build`",
+            Self::Version(_) => ": build it again with `renderer build`",
+            Self::Damaged(_) => ": copy the scene file again, or build it again with `renderer build`",
+            Self::OtherCrease { .. } => ": leave --crease out, or build it again with `renderer build`",
+            Self::Io(_) => "",
+        }
+    }
 }
 
 /// The damage to a scene file.

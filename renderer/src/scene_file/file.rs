@@ -144,7 +144,7 @@ impl SceneFile {
         &self.file
     }
 
-    /// Whether the file may be mapped: nobody else may change it.
+    /// Whether nobody else may change the file, as far as this machine tells.
     pub(crate) fn is_private(&self) -> bool {
         #[cfg(unix)]
         {
@@ -158,18 +158,36 @@ impl SceneFile {
         false
     }
 
-    /// The scene. Unless the file `is_trusted`, which only one that [is private](Self::is_private) can be, all of it is
-    /// checked first; `progress` receives the fraction that is done, 0 to 1, from any thread.
-    pub(crate) fn into_scene(self, is_trusted: bool, progress: &(dyn Fn(f32) + Sync)) -> Result<Scene, Fault> {
-        let is_private = self.is_private();
+    /// Whether the file lies on the disk of a folder.
+    pub(crate) fn is_on_disk_of(&self, folder: &Path) -> bool {
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::MetadataExt;
+            std::fs::metadata(folder).is_ok_and(|folder| folder.dev() == self.metadata.dev())
+        }
+        #[cfg(not(unix))]
+        {
+            let _ = folder;
+            false
+        }
+    }
+
+    /// The scene, mapped if nobody can change the file, and read into memory otherwise. Unless a file that is mapped
+    /// `is_trusted`, all of it is checked first; `progress` receives the fraction that is done, 0 to 1, from any thread.
+    pub(crate) fn into_scene(
+        self,
+        is_mapped: bool,
+        is_trusted: bool,
+        progress: &(dyn Fn(f32) + Sync),
+    ) -> Result<Scene, Fault> {
         let Self { mut file, head, record, .. } = self;
-        let bytes = if is_private {
+        let bytes = if is_mapped {
             FileBytes::map(&file)?
         } else {
             file.seek(SeekFrom::Start(0))?;
             FileBytes::read(file, head.n_bytes())?
         };
-        let progress = if is_trusted && is_private { None } else { Some(progress) };
+        let progress = if is_trusted && is_mapped { None } else { Some(progress) };
         scene_of(Arc::new(bytes), &head, record, progress)
     }
 }

@@ -29,6 +29,12 @@ pub(crate) const CHUNK: usize = 1 << 20;
 /// The longest record; a scene of 65,536 materials has a tenth of it.
 pub(crate) const LONGEST_RECORD: usize = 1 << 26;
 
+/// Most sections: each of 65,536 materials may have four textures and a mask of its own.
+const MOST_SECTIONS: u64 = 1 << 19;
+
+/// The longest body: no memory budget is larger. Its hashes take 32 MB.
+const LONGEST_BODY: u64 = 1 << 40;
+
 /// A BLAKE3 hash.
 pub(crate) type Hash = [u8; blake3::OUT_LEN];
 
@@ -96,16 +102,20 @@ impl Extent {
 }
 
 impl Prefix {
-    /// `None` if no file is so large.
+    /// `None` if no scene is so large.
     fn extent(&self) -> Option<Extent> {
         let [n_sections, n_body_bytes, n_record_bytes] =
             [self.n_sections, self.n_body_bytes, self.n_record_bytes].map(usize::try_from);
         let (n_sections, n_body_bytes, n_record_bytes) = (n_sections.ok()?, n_body_bytes.ok()?, n_record_bytes.ok()?);
+        // Bounds what is allocated for a head: a file that is long may be empty.
+        if self.n_sections > MOST_SECTIONS || self.n_body_bytes > LONGEST_BODY || n_record_bytes > LONGEST_RECORD {
+            return None;
+        }
         let n_chunks = n_body_bytes.div_ceil(CHUNK);
         let n_table_bytes = n_sections.checked_mul(size_of::<Entry>())?.checked_add(n_chunks * size_of::<Hash>())?;
         let n_head_bytes = PREFIX_BYTES.checked_add(n_table_bytes)?.checked_add(n_record_bytes)?;
         let n_bytes = n_head_bytes.checked_next_multiple_of(PAGE)?.checked_add(n_body_bytes)?;
-        (n_record_bytes <= LONGEST_RECORD).then_some(Extent { n_sections, n_chunks, n_head_bytes, n_bytes })
+        Some(Extent { n_sections, n_chunks, n_head_bytes, n_bytes })
     }
 }
 

@@ -59,6 +59,11 @@ impl Lock {
         }
     }
 
+    /// Whether a process has the lock of a path, or may have it: the system does not tell.
+    pub(crate) fn is_held(path: &Path) -> bool {
+        File::options().write(true).open(path).and_then(|file| Ok(file.try_lock()?)).is_err()
+    }
+
     /// Tells those that wait of the fraction done, 0 to 1. A failure costs them only patience.
     pub(crate) fn tell(&self, done: f32) {
         // Another thread tells about the same.
@@ -82,6 +87,7 @@ mod tests {
         let path = folder.path().join("lock");
         let first = Lock::take(&path, &|_| ()).unwrap().expect("free");
         first.tell(0.5);
+        assert!(Lock::is_held(&path));
         let told = Mutex::new(Vec::new());
         let tell = |done| told.lock().unwrap().push(done);
         let stuck = Lock::take_within(Duration::from_millis(100), &path, &tell).unwrap();
@@ -93,6 +99,7 @@ mod tests {
             drop(first);
             assert!(second.join().unwrap().is_some());
         });
+        assert!(!Lock::is_held(&path));
         assert!(Lock::take(&folder.path().join("no/lock"), &|_| ()).is_err());
     }
 }

@@ -233,6 +233,22 @@ impl SceneStore {
         }
     }
 
+    /// The seals of a file that is mapped: nobody else may write it, and it lies on the cache's disk. Another machine may
+    /// change files on other disks and leave all that this one is told of them; if it can do so on the cache's, it can make
+    /// seals as well.
+    fn seals_for(&self, file: &SceneFile, path: &Path) -> Option<Seals> {
+        let reason = match &self.cache {
+            None => "there is no cache",
+            Some(_) if !file.is_private() => "others may write it (copy it with `install -m 644`)",
+            Some(cache) if !file.is_on_disk_of(cache.folder()) => {
+                "it is on another disk than the cache (copy it there)"
+            }
+            Some(cache) => return Some(cache.seals.clone()),
+        };
+        tracing::info!("{}: is checked at each start, and read in place of mapped: {reason}", path.display());
+        None
+    }
+
     /// The scene of a file. All of it is checked, unless it is sealed, or is the one that this process has just `written`.
     fn take(
         &self,
@@ -241,14 +257,12 @@ impl SceneStore {
         written: Option<Hash>,
         progress: &(dyn Fn(f32) + Sync),
     ) -> Result<StoredScene, Fault> {
-        let (stamp, hash, is_mapped) = (file.stamp(), file.head.hash, file.is_private());
-        let seals = self.cache.as_ref().filter(|_| is_mapped).map(|cache| cache.seals.clone());
+        let (stamp, hash) = (file.stamp(), file.head.hash);
+        let seals = self.seals_for(&file, path);
+        let is_mapped = seals.is_some();
         let is_sealed = seals.as_ref().is_some_and(|seals| seals.has(&stamp, &hash));
         let (info, own) = (file.record.info.clone(), file.file().try_clone()?);
-        let scene = file.into_scene(is_sealed || written == Some(hash), progress)?;
-        if !is_mapped {
-            tracing::info!("{}: others may write it, so it is read, not mapped (chmod go-w)", path.display());
-        }
+        let scene = file.into_scene(is_mapped, is_sealed || written == Some(hash), progress)?;
         let seal = |seals: Seals| {
             // Without a seal, the next start checks the file again.
             thread::Builder::new().name("seal".to_owned()).spawn(move || drop(seals.seal(&own, &stamp, &hash))).ok()

@@ -351,11 +351,11 @@ fn a_scene_file_takes_the_place_of_its_model() {
     assert_eq!(fs::metadata(&file).unwrap().len(), n_bytes);
     assert!(SceneFile::open(&file).unwrap().record.sources.is_none(), "it says where it was built");
     fs::remove_file(&path).unwrap();
-    for store in [&store, &SceneStore::default()] {
+    for (store, is_mapped) in [(&store, true), (&SceneStore::default(), false)] {
         assert!(store.has(&source, crease));
         assert_eq!(store.describe(&source, Crease::default(), &|_| ()).unwrap(), info);
         let (scene, stages) = load(store, &file, &options);
-        assert!(scene.is_mapped && scene.info == info && stages == [Stage::Checking]);
+        assert!(scene.is_mapped == is_mapped && scene.info == info && stages == [Stage::Checking]);
         scene.finish();
     }
     assert!(load(&store, &file, &options).1.is_empty(), "its seal is in the cache");
@@ -374,6 +374,67 @@ fn a_scene_file_takes_the_place_of_its_model() {
     let cut = folder.path().join("cut.raywall");
     fs::write(&cut, &fs::read(&file).unwrap()[..9000]).unwrap();
     assert!(told(&cut, crease).contains("cut.raywall: it has 9000 bytes in place of"), "{}", told(&cut, crease));
+    assert!(told(&cut, crease).ends_with(": copy the scene file again, or build it again with `renderer build`"));
+    // In the cache, that is not the user's to do.
+    assert!(!SceneFile::open(&cut).err().unwrap().to_string().contains("again"));
+}
+
+#[test]
+fn a_long_file_without_contents_is_refused_before_anything_is_allocated() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("sparse.raywall");
+    // Numbers of bytes in the record and in the body, and of sections, and the length that they give.
+    for sizes in [[0, 0, 1 << 36], [0, 1 << 56, 0], [1 << 40, 0, 0]] {
+        let [n_record_bytes, n_body_bytes, n_sections] = sizes;
+        let n_chunks = n_body_bytes / head::CHUNK as u64;
+        let n_head_bytes = head::PREFIX_BYTES as u64 + 40 * n_sections + 32 * n_chunks + n_record_bytes;
+        let start = [&head::MAGIC[..], &0x0403_0201_u32.to_le_bytes(), &head::VERSION.to_le_bytes()].concat();
+        let sizes = sizes.map(u64::to_le_bytes);
+        fs::write(&path, [&start, sizes.as_flattened(), &[0; 32]].concat()).unwrap();
+        let n_bytes = n_head_bytes.next_multiple_of(bytes::PAGE as u64) + n_body_bytes;
+        // Not all file systems have files so long; the sizes are looked at before the length.
+        let _ = fs::File::options().write(true).open(&path).unwrap().set_len(n_bytes);
+        let fault = SceneFile::open(&path).err().unwrap();
+        assert!(matches!(fault, Fault::Damaged(fault::Damage::Head)), "{fault}");
+    }
+}
+
+#[test]
+fn what_a_killed_builder_leaves_is_removed_once_nobody_builds() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = Cache::at(folder.path().to_owned(), 1000).unwrap();
+    let [part, scene] = [".raywall-x.part", "b.raywall"].map(|name| folder.path().join(name));
+    let begin = || fs::write(&part, [0; 100]).unwrap();
+    begin();
+    let lock = lock::Lock::take(&Cache::lock_of(&scene), &|_| ()).unwrap();
+    assert!(cache.clear() == 0 && part.exists(), "it is being written");
+    assert!(cache.make_room(1, &folder.path().join("c.raywall")) && part.exists());
+    assert!(cache.make_room(1, &scene) && !part.exists(), "the one that builds has begun none yet");
+    begin();
+    drop(lock);
+    assert!(cache.clear() == 100 && !part.exists());
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_scene_file_on_another_disk_than_the_cache_is_read_and_never_sealed() {
+    use std::os::unix::fs::MetadataExt;
+    let (folder, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir_in("/dev/shm").unwrap());
+    let disk = |folder: &tempfile::TempDir| fs::metadata(folder.path()).unwrap().dev();
+    assert_ne!(disk(&folder), disk(&other), "the test needs two disks");
+    let (path, store) = model(folder.path(), 20_000);
+    let file = other.path().join("scene.raywall");
+    let options = GridOptions::default();
+    build_file(&SceneSource::File(path), Crease::default(), &options, &file, &|_, _| ()).unwrap();
+    for _ in 0..2 {
+        let (scene, stages) = load(&store, &file, &options);
+        assert!(!scene.is_mapped && stages == [Stage::Checking], "it is checked at each start");
+        scene.finish();
+    }
+    assert_eq!(fs::read_dir(folder.path().join("cache/seals")).unwrap().count(), 0);
+    let copy = folder.path().join("scene.raywall");
+    fs::copy(&file, &copy).unwrap();
+    assert!(load(&store, &copy, &options).0.is_mapped);
 }
 
 #[cfg(unix)]

@@ -26,6 +26,7 @@ use crate::{
         scene_args::SceneArgs,
         stop::{self, Signal},
     },
+    model::scene::SceneSource,
     render::threads,
     server::{
         scene_loader::{SceneLoader, Told},
@@ -111,6 +112,9 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
                 true if name == local_name(1) => Told::Shortage,
                 true => Told::Nothing,
             };
+            if let (false, Some(path)) = (args.local, &args.model) {
+                args.scene.warn_of_scene_file(&SceneSource::File(path.clone()));
+            }
             args.scene.log_budget(1);
             SceneLoader::start(pool, args.model, args.scene.options(), args.scene.store(), told)?
         }

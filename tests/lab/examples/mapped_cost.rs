@@ -3,13 +3,14 @@
 //!
 //!     cargo run --release -p lab --example mapped_cost -- --model dragon.ply --frames 100 --threads 1
 
-use anyhow::ensure;
+use anyhow::{anyhow, ensure};
 use clap::Parser;
 use lab::statistics::{median, milliseconds};
 use renderer::{
     cli::picture_args::PictureArgs,
     scene_file::{
         SceneStore,
+        cache::Cache,
         store::{StoredScene, build_file},
     },
 };
@@ -36,8 +37,11 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("scene.raywall");
     build_file(&source, crease, &options, &path, &|_, _| ())?;
-    let load = |source| SceneStore::default().load(source, crease, &options, &|_, _| ());
-    let scenes = [load(&source)?, load(&renderer::model::scene::SceneSource::File(path))?];
+    // Only beside a cache are files mapped.
+    let cache = Cache::at(folder.path().join("cache"), 0).map_err(|fault| anyhow!(fault))?;
+    let load = |store: SceneStore, source| store.load(source, crease, &options, &|_, _| ());
+    let file = renderer::model::scene::SceneSource::File(path);
+    let scenes = [load(SceneStore::default(), &source)?, load(SceneStore::new(Some(cache)), &file)?];
     let [StoredScene { is_mapped: false, info, .. }, StoredScene { is_mapped: true, .. }] = &scenes else {
         anyhow::bail!("the file is not mapped: others may write in its folder")
     };
