@@ -144,6 +144,7 @@ impl<'a> Lighting<'a> {
     ///
     /// Exposure and tone mapping change the light of lit surfaces alone: a background is shown as it was asked for, and unlit
     /// surfaces as their colours say.
+    #[inline]
     pub fn encode(&self, sums: &LightSums, (block, index): (usize, usize), n_samples: u32) -> [u8; 3] {
         let light = sums.lights[block][index];
         let mean = match (&self.paths, sums.as_it_is.get(64 * block + index)) {

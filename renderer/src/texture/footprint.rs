@@ -129,8 +129,8 @@ fn project<S: Simd>(
 ) {
     let mut triangles = [0; N];
     let mut directions = [[0.0; N]; 3];
-    for lane in 0..N {
-        let sample = samples[lane.min(samples.len() - 1)];
+    let of_lanes: [usize; N] = std::array::from_fn(|lane| samples[lane.min(samples.len() - 1)]);
+    for (lane, &sample) in of_lanes.iter().enumerate() {
         triangles[lane] = hits[sample].triangle;
         (0..3).for_each(|axis| directions[axis][lane] = rays.direction(sample)[axis]);
     }
@@ -151,7 +151,7 @@ fn project<S: Simd>(
         let point = |[u, v]: &Points| Vec2::new(u[lane], v[lane]);
         let [a, b, c] = &corners;
         let direction = Vec3::from_array(vector(&directions));
-        let sample = samples[lane.min(samples.len() - 1)];
+        let sample = of_lanes[lane];
         let ray = SampleRay { eye: rays.origin(sample), direction, sides: rays.sides(sample) };
         let [at_a, at_b, at_c] = &coordinates;
         let footprint = ray.footprint([vector(a), vector(b), vector(c)], [point(at_a), point(at_b), point(at_c)]);
