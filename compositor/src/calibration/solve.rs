@@ -17,7 +17,7 @@ use super::{
 };
 use crate::wall::homography::apply;
 
-/// What one photograph shows.
+/// The sightings of one photograph.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shot {
     /// Columns and rows of the photograph.

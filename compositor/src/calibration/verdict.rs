@@ -14,7 +14,7 @@ use super::{
 };
 use crate::wall::{Flip, Wall};
 
-/// What a photograph shows of a wall.
+/// The part of a wall that a photograph shows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Reading {
     /// The photograph's name, for messages.
@@ -30,7 +30,7 @@ pub struct Reading {
 pub struct Verdict {
     /// The wall with new corners; `None` if nothing could be solved. Projectors without a solution keep theirs.
     pub wall: Option<Wall>,
-    /// What was found: a line for each projector, and for each photograph that does not count although it shows a pattern.
+    /// The findings: a line for each projector, and for each photograph that does not count although it shows a pattern.
     pub found: Vec<String>,
     /// Everything that speaks against using the corners, each with the cure.
     pub faults: Vec<String>,

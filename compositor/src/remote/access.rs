@@ -1,4 +1,4 @@
-//! Who may come in: the names under which the wall is reached, pages of other origins, and tokens.
+//! Admission: the names under which the wall is reached, pages of other origins, and tokens.
 
 use std::{
     net::IpAddr,

@@ -5,11 +5,11 @@ use serde::Serialize;
 /// The state of a wall.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct WallState {
-    /// What visitors see.
+    /// Shown to visitors.
     pub show: Show,
-    /// What operators can change.
+    /// Controls for operators.
     pub controls: Controls,
-    /// What operators watch.
+    /// Figures for operators.
     pub farm: FarmState,
 }
 
@@ -49,7 +49,7 @@ pub struct Controls {
     pub division: String,
     /// The rays that light the picture; none if the wall chooses.
     pub rays: Option<String>,
-    /// What samples show.
+    /// The shading of the samples.
     pub shading: String,
     /// Whether visitors at the wall can only steer.
     pub is_locked: bool,

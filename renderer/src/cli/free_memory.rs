@@ -16,13 +16,13 @@ pub struct FreeMemory {
 }
 
 impl FreeMemory {
-    /// What was free when this was first asked: before a program loads its first scene, which would count as taken.
+    /// The memory that was free when this was first asked: before a program loads its first scene, which would count as taken.
     pub fn at_start() -> Self {
         static AT_START: OnceLock<FreeMemory> = OnceLock::new();
         *AT_START.get_or_init(Self::now)
     }
 
-    /// What is free now: of the machine, of the control groups that this process is in, and of its own addresses.
+    /// The memory that is free now: of the machine, of the control groups that this process is in, and of its own addresses.
     pub fn now() -> Self {
         let groups = fs::read_to_string("/proc/self/cgroup").unwrap_or_default();
         let of_groups = group_folders(&groups).into_iter().filter_map(|(folder, files)| {

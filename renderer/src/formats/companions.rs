@@ -22,7 +22,7 @@ pub struct Companions {
     folder: Option<PathBuf>,
     /// The model's name without its extension.
     stem: Option<String>,
-    /// What was looked for, by folder and name, and what was found first.
+    /// The files that were looked for, by folder and name, and the first that was found.
     found: Mutex<BTreeMap<(String, String), Companion>>,
 }
 

@@ -12,7 +12,7 @@ impl MemoryBudget {
     /// Valid budgets.
     pub const RANGE: RangeInclusive<Self> = Self(16_000_000)..=Self(1_000_000_000_000);
 
-    /// What fits a machine: three quarters of what is free, in `shared` bytes for `n_programs` and in `own` bytes for one
+    /// A budget that fits a machine: three quarters of what is free, in `shared` bytes for `n_programs` and in `own` bytes for one
     /// alone. The rest is for pictures, messages and other programs. Without either, the default.
     pub fn of_machine(shared: Option<u64>, own: Option<u64>, n_programs: u32) -> Self {
         let of_one = shared.map(|bytes| bytes / u64::from(n_programs.max(1)));

@@ -119,7 +119,7 @@ impl LoadedMesh {
         Self { mesh: self.mesh.smooth(self.id.crease()), ..self }
     }
 
-    /// What is told of the model, which bounds a solid or not.
+    /// The facts of the model, which bounds a solid or not.
     pub fn info(&self, is_solid: bool) -> ModelInfo {
         let Self { id, mesh, left_out, .. } = self;
         ModelInfo {

@@ -26,7 +26,7 @@ use crate::{
 /// Scenes of fewer bytes are built about as fast as files of them are found.
 const WORTHWHILE_BYTES: usize = 8_000_000;
 
-/// What a process does until a scene is ready.
+/// The steps of a process until a scene is ready.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, strum::Display)]
 #[strum(serialize_all = "lowercase")]
 #[expect(missing_docs, reason = "the names say it")]
@@ -48,7 +48,7 @@ pub type Report<'a> = &'a (dyn Fn(Stage, f32) + Sync);
 
 /// A scene, and what is told of its model.
 pub struct StoredScene {
-    /// What is told of the model.
+    /// The facts of the model.
     pub info: ModelInfo,
     /// The scene itself.
     pub scene: Scene,
@@ -100,7 +100,7 @@ impl SceneStore {
         self.cache.as_ref()?.paths(model, crease).find_map(|path| open_cached(&path, model))
     }
 
-    /// What is told of a model: from a scene file if there is one, which takes no time, or by reading the model.
+    /// The facts of a model: from a scene file if there is one, which takes no time, or by reading the model.
     ///
     /// # Errors
     /// The model, or the scene file in its place, cannot be read.

@@ -36,7 +36,7 @@ struct Gloss {
 pub(super) struct ScatterSample {
     /// Unit length, world space.
     pub(super) direction: Vec3,
-    /// What of the light from there goes to the eye, times the cosine, over the density.
+    /// The part of the light from there that goes to the eye, times the cosine, over the density.
     pub(super) weight: Vec3,
     /// For each steradian.
     pub(super) density: f32,
@@ -68,7 +68,7 @@ impl Scattering {
         Self { gloss: Some(Gloss { facing, passed, alpha: roughness * roughness, part_of_samples: part }), ..matte }
     }
 
-    /// What of the light from a direction (unit length) goes to the eye, times the cosine; and the density of samples there.
+    /// The part of the light from a direction (unit length) that goes to the eye, times the cosine; and the density of samples there.
     pub(super) fn toward(&self, direction: Vec3) -> (Vec3, f32) {
         let cosine = self.normal.dot(direction);
         if cosine <= 0.0 || self.geometric.dot(direction) <= 0.0 {
