@@ -61,7 +61,7 @@ impl Lock {
 
     /// Whether a process has the lock of a path, or may have it: the system does not tell.
     pub(crate) fn is_held(path: &Path) -> bool {
-        File::options().write(true).open(path).and_then(|file| Ok(file.try_lock()?)).is_err()
+        File::open(path).and_then(|file| Ok(file.try_lock()?)).is_err()
     }
 
     /// Tells those that wait of the fraction done, 0 to 1. A failure costs them only patience.
