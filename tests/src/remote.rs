@@ -74,7 +74,7 @@ impl RemoteWall {
         http::request(&self.address, "POST", "/api/action", "", action.to_string().as_bytes())
     }
 
-    /// What operators see of a wall without tokens.
+    /// The state that operators see of a wall without tokens.
     fn state(&self) -> Value {
         self.get("/api/state", None).json()["state"].take()
     }
