@@ -158,7 +158,11 @@ fn decode_bytes(name: &str, bytes: &[u8]) -> Result<Image, String> {
         ),
         error => format!("is damaged: {}; copy it again", error.to_string().trim().replace('\n', " ")),
     };
+    let is_jpeg = reader.format() == Some(ImageFormat::Jpeg);
     let decoder = reader.into_decoder().map_err(fault)?;
+    if is_jpeg && !is_whole_jpeg(bytes) {
+        return Err("is cut off: copy it again".to_owned());
+    }
     let (width, height) = decoder.dimensions();
     let n_texels = u64::from(width) * u64::from(height);
     let n_bytes = decoder.total_bytes().max(4 * n_texels);
@@ -176,6 +180,28 @@ fn decode_bytes(name: &str, bytes: &[u8]) -> Result<Image, String> {
         _ => DynamicImage::from_decoder(decoder).map(|image| image.into_rgba8().into_raw()),
     };
     Ok(Image { width, height, texels: bytemuck::allocation::cast_vec(texels.map_err(fault)?) })
+}
+
+/// Whether a JPEG reaches the marker of its end: the decoder fills in grey for what is cut off, without a word.
+///
+/// ITU-T T.81, Annex B: segments of a marker and a length; after a scan's segment its data, in which a zero or a restart
+/// marker (D0 to D7) follows each FF.
+fn is_whole_jpeg(bytes: &[u8]) -> bool {
+    const END: u8 = 0xd9;
+    let mut at = 2;
+    // Look for the next marker; data of scans is passed over byte by byte.
+    while let Some(&[first, marker]) = bytes.get(at..at + 2) {
+        at += match (first, marker) {
+            (0xff, END) => return true,
+            (0xff, 0x01 | 0xd0..=0xd7 | 0x00) => 2,
+            (0xff, 0xc0..=0xfe) => match bytes.get(at + 2..at + 4) {
+                Some(&[high, low]) => 2 + usize::from(u16::from_be_bytes([high, low])),
+                _ => return false,
+            },
+            _ => 1,
+        };
+    }
+    false
 }
 
 /// Decodes an image of `N` bytes a texel, and widens each to four where it lies: a copy would nearly double the memory.
@@ -256,6 +282,21 @@ mod tests {
         }
         assert!(decode_bytes("1.jpg", cut).unwrap_err().ends_with("; copy it again"));
         assert!(decode_bytes("1.jpg", &png(2, 1)).is_ok(), "the content tells the format");
+    }
+
+    #[test]
+    fn a_jpeg_that_is_cut_has_a_line() {
+        let mut bytes = Vec::new();
+        let image = image::RgbImage::from_fn(64, 64, |x, y| image::Rgb([(x * 37 ^ y * 91) as u8; 3]));
+        image.write_to(&mut Cursor::new(&mut bytes), ImageFormat::Jpeg).unwrap();
+        assert!(decode_bytes("1.jpg", &bytes).is_ok());
+        assert!(decode_bytes("1.jpg", &[&bytes[..], b"a film that a phone appends"].concat()).is_ok());
+        // A preview in a segment has an end of its own.
+        let preview = [&[0xff, 0xd8, 0xff, 0xe1, 0x00, 0x06, 0xff, 0xd8, 0xff, 0xd9], &bytes[2..]].concat();
+        assert!(decode_bytes("1.jpg", &preview).is_ok());
+        for kept in [preview.len() / 2, preview.len() - 2] {
+            assert_eq!(decode_bytes("1.jpg", &preview[..kept]).unwrap_err(), "is cut off: copy it again", "{kept}");
+        }
     }
 
     #[test]
