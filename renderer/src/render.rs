@@ -11,6 +11,7 @@ mod gloss;
 pub mod image;
 mod lift;
 pub mod lighting;
+mod noise;
 pub mod parallel;
 pub mod path;
 pub mod sampling;

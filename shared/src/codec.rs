@@ -329,7 +329,7 @@ mod tests {
         for (count, is_message) in [(0, false), (1, true), (256, true), (257, false), (u32::MAX, false)] {
             let mut bytes = vec![];
             let ToServer::RenderFrame { frame, task_id, spec, task, encoding } = render_frame() else { unreachable!() };
-            let spec = FrameSpec { samples: SampleRange { first: 0, count }, ..spec };
+            let spec = FrameSpec { samples: SampleRange::all(0, count), ..spec };
             encode(&ToServer::RenderFrame { frame, task_id, spec, task, encoding }, &mut bytes).unwrap();
             assert_eq!(decode::<ToServer>(&bytes[HEADER_BYTES..]).is_ok(), is_message, "{count}");
         }

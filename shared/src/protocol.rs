@@ -19,12 +19,13 @@ use crate::{
     curve::TILES_PER_SQUARE,
     division::{FrameSize, Share, Task},
     names::unknown_name,
+    noise::NoiseLimit,
     scene::SceneId,
     structure::Structure,
 };
 
 /// The version of all messages; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 13;
+pub const PROTOCOL_VERSION: u8 = 14;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -105,17 +106,32 @@ pub enum LightingMode {
 ///
 /// Invariant on the wire: at least one and at most [`SampleRange::LARGEST_COUNT`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(try_from = "(u32, u32)")]
+#[serde(try_from = "(u32, u32, NoiseLimit)")]
 pub struct SampleRange {
     /// The first sample's number.
     pub first: u32,
     /// Number of samples, from 1 to [`SampleRange::LARGEST_COUNT`].
     pub count: u32,
+    /// Path-traced tiles with no more noise than this get fewer samples.
+    pub noise: NoiseLimit,
 }
 
 impl SampleRange {
     /// One sample through the centre of each pixel.
-    pub const CENTRE: Self = Self { first: 0, count: 1 };
+    pub const CENTRE: Self = Self::all(0, 1);
+
+    /// All of these samples, whatever the noise.
+    pub const fn all(first: u32, count: u32) -> Self {
+        Self { first, count, noise: NoiseLimit::NONE }
+    }
+
+    /// The samples that options ask for, or the default of these rays: one, or as many paths as their noise needs. Whoever
+    /// asks for a number of samples, and not for a noise, gets all of them.
+    pub fn asked(rays: LightingMode, count: Option<u32>, noise: Option<NoiseLimit>) -> Self {
+        let default = if rays == LightingMode::Path { Self::LARGEST_COUNT } else { 1 };
+        let of_count = if count.is_some() { NoiseLimit::NONE } else { NoiseLimit::default() };
+        Self { first: 0, count: count.unwrap_or(default), noise: noise.unwrap_or(of_count) }
+    }
 
     /// The most samples of one frame; more are split over several frames.
     pub const LARGEST_COUNT: u32 = 256;
@@ -126,12 +142,12 @@ impl SampleRange {
 #[error("{0} samples a pixel: from 1 to {max} are possible", max = SampleRange::LARGEST_COUNT)]
 pub struct SampleRangeError(u32);
 
-impl TryFrom<(u32, u32)> for SampleRange {
+impl TryFrom<(u32, u32, NoiseLimit)> for SampleRange {
     type Error = SampleRangeError;
 
-    fn try_from((first, count): (u32, u32)) -> Result<Self, SampleRangeError> {
+    fn try_from((first, count, noise): (u32, u32, NoiseLimit)) -> Result<Self, SampleRangeError> {
         let is_valid = (1..=Self::LARGEST_COUNT).contains(&count);
-        if is_valid { Ok(Self { first, count }) } else { Err(SampleRangeError(count)) }
+        if is_valid { Ok(Self { first, count, noise }) } else { Err(SampleRangeError(count)) }
     }
 }
 

@@ -15,6 +15,7 @@ use renderer::{
 use shared::{
     camera::{Camera, CameraPath, UpAxis},
     division::{Division, FrameSize},
+    noise::NoiseLimit,
     protocol::{Encoding, LightingMode, SampleRange, ShadingMode},
 };
 
@@ -119,9 +120,13 @@ pub struct WallArgs {
         conflicts_with = "pictures", value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "mp4")))]
     pub film: Option<PathBuf>,
     /// Rays averaged for each sample, in linear light: 1 to 256 [default: 16 in a film, and at rest if the resolution
-    /// follows the motion; 64 of --rays path in a film, at rest and with --headless; else 1]
+    /// follows the motion; with --rays path in a film, at rest and with --headless as many as --noise needs, up to 256; else 1]
     #[arg(long, value_name = "N", value_parser = between(1..=SampleRange::LARGEST_COUNT))]
     pub samples: Option<u32>,
+    /// With --rays path: the noise at which a tile gets no more rays, in levels of the 255 of a channel; 0 gives all tiles all
+    /// --samples [default: 3; 0 with --samples]
+    #[arg(long, value_name = "LEVELS", allow_hyphen_values = true)]
+    pub noise: Option<NoiseLimit>,
     /// Frames a second while the camera moves: the resolution drops until this rate is reached; at rest the wall returns to
     /// native resolution. 0 keeps the resolution [default: 30 in a window, 0 with --headless, --size or --frames]
     #[arg(long, value_name = "F", conflicts_with_all = ["pictures", "film"], value_parser = target_rate)]
@@ -136,7 +141,7 @@ pub struct WallArgs {
     /// Listen on the network without encryption and authentication
     #[arg(long, help_heading = "Render servers")]
     pub insecure: bool,
-    /// Render servers to start on this machine [default: 2; 0 with --listen]
+    /// Render servers to start on this machine [default: 3; 0 with --listen]
     #[arg(long, help_heading = "Render servers", value_name = "N", value_parser = between(0_u32..=256))]
     pub local: Option<u32>,
     /// Wait for this many render servers before the first frame [default: as many as --local, at least 1]
@@ -214,12 +219,16 @@ fn target_rate(text: &str) -> Result<f64, String> {
 impl WallArgs {
     /// The rays averaged for each sample of frames whose resolution does not follow the motion.
     pub fn sample_range(&self) -> SampleRange {
-        let default = match self.rays {
-            Some(LightingMode::Path) if self.headless => refinement::DEFAULT_PATHS,
-            _ if self.writes_film() => refinement::DEFAULT_SAMPLES,
-            _ => 1,
-        };
-        SampleRange { first: 0, count: self.samples.unwrap_or(default) }
+        if self.rays == Some(LightingMode::Path) && self.headless {
+            return self.paths();
+        }
+        let default = if self.writes_film() { refinement::DEFAULT_SAMPLES } else { 1 };
+        SampleRange::all(0, self.samples.unwrap_or(default))
+    }
+
+    /// The paths of each sample of a picture at rest.
+    fn paths(&self) -> SampleRange {
+        SampleRange::asked(LightingMode::Path, self.samples, self.noise)
     }
 
     /// Whether pictures of a film are kept; otherwise a path is only measured.
@@ -236,7 +245,7 @@ impl WallArgs {
             target_rate: if target_rate > 0.0 { target_rate } else { DEFAULT_TARGET_RATE },
             native: wall.native_size(),
             n_samples: self.samples.unwrap_or(refinement::DEFAULT_SAMPLES),
-            n_paths: self.samples.unwrap_or(refinement::DEFAULT_PATHS),
+            paths: self.paths(),
             fixed_size: wall.frame_size(),
             fixed_samples: self.sample_range(),
             lights_at_rest: self.rays.is_none(),

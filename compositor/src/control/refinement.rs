@@ -25,10 +25,8 @@ pub(crate) const DEFAULT_TARGET_RATE: f64 = 30.0;
 /// Default samples a pixel at rest.
 pub(crate) const DEFAULT_SAMPLES: u32 = 16;
 
-/// Default paths a pixel at rest: after these, noise is seen only in deep folds.
-pub(crate) const DEFAULT_PATHS: u32 = 64;
-
-/// Paths a pixel of the first frame that has any: fewer have more noise than the frame before them.
+/// Paths a pixel of the first frame that has any: fewer have more noise than the frame before them. All others follow in one
+/// frame, in which each tile gets as many as its noise needs.
 const FEWEST_PATHS: u32 = 16;
 
 /// The camera is at rest after this time. A shorter time would start a refinement between two motions of a hand.
@@ -47,8 +45,8 @@ pub(crate) struct RefinementOptions {
     pub native: FrameSize,
     /// Samples a pixel at rest; from 1 to [`SampleRange::LARGEST_COUNT`].
     pub n_samples: u32,
-    /// Paths a pixel at rest; from 1 to [`SampleRange::LARGEST_COUNT`].
-    pub n_paths: u32,
+    /// Paths a pixel at rest, from sample 0 on.
+    pub paths: SampleRange,
     /// The resolution of all frames while refinement is off, and about that of the first frames while it is on.
     pub fixed_size: FrameSize,
     /// The samples of each pixel that frames average while refinement is off.
@@ -116,10 +114,10 @@ impl Refinement {
 
     /// Samples a pixel of a fully refined picture.
     pub(crate) fn n_samples(&self) -> u32 {
-        let RefinementOptions { is_on, n_samples, n_paths, fixed_samples, .. } = self.options;
+        let RefinementOptions { is_on, n_samples, paths, fixed_samples, .. } = self.options;
         let has_paths = self.last.is_some_and(|last| last.paths_follow() || last.step.spec.rays == LightingMode::Path);
         match (is_on, has_paths) {
-            (true, true) => n_paths,
+            (true, true) => paths.count,
             (true, false) => n_samples,
             (false, _) => fixed_samples.count,
         }
@@ -187,22 +185,23 @@ impl Refinement {
 
     /// The frame after the last one in the refinement.
     fn finer(&self, last: &LastStep) -> Option<FrameSpec> {
-        let RefinementOptions { is_on, native, n_samples, n_paths, lights_at_rest, .. } = self.options;
+        let RefinementOptions { is_on, native, n_samples, paths, lights_at_rest, .. } = self.options;
         let spec = &last.step.spec;
         let is_native = spec.size == native;
         let is_smooth = is_native && spec.samples.count >= SAMPLES_FACTOR.min(n_samples);
         let is_plain = spec.rays == LightingMode::Primary && spec.view == ShadingMode::Shaded;
-        let (count, rays) = if is_smooth && last.paths_follow() {
-            (FEWEST_PATHS.min(n_paths), LightingMode::Path)
+        let (samples, rays) = if is_smooth && last.paths_follow() {
+            (SampleRange { count: FEWEST_PATHS.min(paths.count), ..paths }, LightingMode::Path)
+        } else if is_native && spec.rays == LightingMode::Path {
+            (paths, spec.rays)
         } else if lights_at_rest && is_smooth && is_plain {
-            (spec.samples.count, LightingMode::AmbientOcclusion)
+            (spec.samples, LightingMode::AmbientOcclusion)
         } else if is_native {
-            let most = if spec.rays == LightingMode::Path { n_paths } else { n_samples };
-            (spec.samples.count.saturating_mul(SAMPLES_FACTOR).min(most), spec.rays)
+            (SampleRange::all(0, spec.samples.count.saturating_mul(SAMPLES_FACTOR).min(n_samples)), spec.rays)
         } else {
-            (1, spec.rays)
+            (SampleRange::CENTRE, spec.rays)
         };
-        let finer = FrameSpec { size: native, samples: SampleRange { first: 0, count }, rays, ..*spec };
+        let finer = FrameSpec { size: native, samples, rays, ..*spec };
         (is_on && finer != *spec).then_some(finer)
     }
 }

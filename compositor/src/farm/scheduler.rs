@@ -16,6 +16,7 @@ use std::{
 
 use shared::{
     division::{Division, Task},
+    noise::NoiseLimit,
     protocol::{Encoding, FrameId, FrameSpec, RunCosts, TaskId, TaskTimings},
     scene::SceneId,
 };
@@ -297,8 +298,12 @@ impl Scheduler {
         if !is_due || self.frames.len() >= self.goal.in_flight.max(1) as usize {
             return false;
         }
+        // Where pixels are divided one by one, each node would trace whole tiles to learn which need more samples.
+        let division = match self.goal.division {
+            Division::Interleaved if spec.samples.noise != NoiseLimit::NONE => Division::Tiled,
+            division => division,
+        };
         // The dynamic division of a moving camera's frame waits for the costs of the last: measured, this wins.
-        let division = self.goal.division;
         if division == Division::Dynamic && self.frames.back().is_some_and(|last| last.spec != spec) {
             return false;
         }

@@ -112,6 +112,7 @@ fn refinement(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
     let [so_far, in_all] = model.n_samples;
     let so_far = match so_far < in_all {
         true => format!("{so_far} of {in_all}"),
+        false if model.is_refining && model.has_noise_limit => format!("up to {so_far}, finished"),
         false if model.is_refining => format!("{so_far}, finished"),
         false => so_far.to_string(),
     };

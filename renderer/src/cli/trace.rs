@@ -5,8 +5,9 @@ use std::path::PathBuf;
 use anyhow::{Context, Result};
 use clap::builder::{PathBufValueParser, TypedValueParser};
 use shared::{
+    noise::NoiseLimit,
     printable::counted,
-    protocol::{FrameSpec, LightingMode, SampleRange},
+    protocol::{FrameSpec, SampleRange},
 };
 
 use crate::{
@@ -30,16 +31,18 @@ pub struct TraceArgs {
         value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "png")))]
     image: PathBuf,
 
-    /// Rays averaged for each sample [default: 1; with --rays path 64]
+    /// Rays averaged for each sample; with --noise at most [default: 1; with --rays path 256]
     #[arg(long, value_name = "N", value_parser = between(1..=SampleRange::LARGEST_COUNT))]
     samples: Option<u32>,
+
+    /// With --rays path: the noise at which a tile gets no more rays, in levels of the 255 of a channel; 0 gives all tiles
+    /// all --samples [default: 3; 0 with --samples]
+    #[arg(long, value_name = "LEVELS", allow_hyphen_values = true)]
+    noise: Option<NoiseLimit>,
 }
 
-/// Paths of each sample: fewer are noisy.
-const PATHS: u32 = 64;
-
 /// Loads, builds and renders, and writes the picture.
-pub fn run(TraceArgs { picture, image, samples }: &TraceArgs) -> Result<()> {
+pub fn run(&TraceArgs { ref picture, ref image, samples, noise }: &TraceArgs) -> Result<()> {
     check_writable(image)?;
     picture.pool()?.install(|| {
         // The camera is checked before a large model is read.
@@ -47,8 +50,7 @@ pub fn run(TraceArgs { picture, image, samples }: &TraceArgs) -> Result<()> {
         let stored = picture.load_scene()?;
         let (info, scene) = (&stored.info, &stored.scene);
         let spec = picture.spec(info.id, camera.unwrap_or_else(|| picture.view_all(&info.shape)));
-        let count = samples.unwrap_or(if spec.rays == LightingMode::Path { PATHS } else { 1 });
-        let spec = FrameSpec { samples: SampleRange { count, ..spec.samples }, ..spec };
+        let spec = FrameSpec { samples: SampleRange::asked(spec.rays, samples, noise), ..spec };
         let _task = Task::named("rendering the picture");
         let (rgb, _) = scene.render_frame(&spec);
         if spec.appearance.background.fills(spec.size, rgb.as_chunks().0.iter().copied()) {

@@ -117,11 +117,12 @@ impl<'a> Lighting<'a> {
     /// Sums of the light of no samples yet.
     pub fn no_light(&self) -> LightSums {
         let n_pixels = if self.paths.is_some() { 64 * MOST_PACKETS } else { 0 };
-        LightSums { lights: [[Vec3::ZERO; 64]; MOST_PACKETS], as_it_is: vec![(Vec3::ZERO, 0); n_pixels] }
+        LightSums { n_samples: 0, lights: [[Vec3::ZERO; 64]; MOST_PACKETS], as_it_is: vec![(Vec3::ZERO, 0); n_pixels] }
     }
 
     /// Adds the light of a sample of each pixel of `n_blocks` blocks to their sums.
     pub fn add(&self, n_blocks: usize, lights: &[[Vec3; 64]], hits: &[[Hit; 64]], sums: &mut LightSums) {
+        sums.n_samples += 1;
         let lights = lights.as_flattened().iter().take(64 * n_blocks);
         let lit = sums.lights.as_flattened_mut();
         if sums.as_it_is.is_empty() {
@@ -140,12 +141,13 @@ impl<'a> Lighting<'a> {
         }
     }
 
-    /// The mean light of `n_samples` samples of pixel `index` of a block, encoded.
+    /// The mean light of the samples of pixel `index` of a block, encoded.
     ///
     /// Exposure and tone mapping change the light of lit surfaces alone: a background is shown as it was asked for, and unlit
     /// surfaces as their colours say.
     #[inline]
-    pub fn encode(&self, sums: &LightSums, (block, index): (usize, usize), n_samples: u32) -> [u8; 3] {
+    pub fn encode(&self, sums: &LightSums, (block, index): (usize, usize)) -> [u8; 3] {
+        let n_samples = sums.n_samples;
         let light = sums.lights[block][index];
         let mean = match (&self.paths, sums.as_it_is.get(64 * block + index)) {
             (Some(_), Some(&(as_it_is, n))) if n == n_samples => as_it_is / n_samples as f32,
@@ -160,9 +162,35 @@ impl<'a> Lighting<'a> {
 }
 
 /// The light of the samples of neighbouring blocks' pixels, linear.
+#[derive(Clone)]
 pub struct LightSums {
+    /// Samples of each pixel.
+    pub n_samples: u32,
     /// Of all samples; in path-traced frames of those that hit a lit surface.
     pub lights: [[Vec3; 64]; MOST_PACKETS],
     /// Of the others in path-traced frames, and their number; empty in other frames.
     as_it_is: Vec<(Vec3, u32)>,
+}
+
+impl LightSums {
+    /// The light of the samples that are not in `others`, which are the first of them.
+    pub(super) fn without(&self, others: &Self) -> Self {
+        let mut rest = self.clone();
+        rest.n_samples -= others.n_samples;
+        let lights = rest.lights.as_flattened_mut().iter_mut().zip(others.lights.as_flattened());
+        lights.for_each(|(light, other)| *light -= *other);
+        for ((light, n), (other, n_other)) in rest.as_it_is.iter_mut().zip(&others.as_it_is) {
+            *light -= *other;
+            *n -= n_other;
+        }
+        rest
+    }
+
+    /// Puts the light of block `from` in the place of block `to`.
+    pub(super) fn replace(&mut self, to: usize, from: usize) {
+        self.lights[to] = self.lights[from];
+        if !self.as_it_is.is_empty() {
+            self.as_it_is.copy_within(64 * from..64 * (from + 1), 64 * to);
+        }
+    }
 }

@@ -8,9 +8,10 @@
 //! The paths of neighbouring samples go from bounce to bounce together, so hundreds of rays are traced in one call. Only
 //! + − × ÷ √ are used, in a fixed order for each path: every machine computes the same bits.
 //!
-//! `sobol` makes random numbers, `lights` are sun and sky, `scattering` is what surfaces do to light, and `tone` makes it fit
+//! `sobol` makes random numbers, `lights` are sun and sky, `lamp` lights rooms, `scattering` is what surfaces do to light, and `tone` makes it fit
 //! a display.
 
+mod lamp;
 mod lights;
 mod scattering;
 mod sobol;
@@ -18,12 +19,11 @@ mod sobol;
 mod tests;
 pub(super) mod tone;
 
-use std::f32::consts::PI;
-
 use glam::{DVec3, Vec3};
 use shared::{appearance::ClipPlane, protocol::FrameSpec};
 
 use self::{
+    lamp::Lamp,
     lights::{Sky, Sun},
     scattering::{ScatterSample, Scattering},
     sobol::PixelSample,
@@ -37,7 +37,6 @@ use crate::{
     render::{
         blocks::SampleBlock,
         lift::Lift,
-        sampling::circle_point,
         secondary::{back_and_light, tangent_basis},
         shade::Shader,
         surface::{Surface, normalize_or_zero},
@@ -56,10 +55,6 @@ pub const ZENITH_LIGHT: Vec3 = Vec3::new(0.40, 0.46, 0.57);
 /// Linear light of the sky straight below.
 pub const GROUND_LIGHT: Vec3 = Vec3::new(0.13, 0.115, 0.105);
 
-/// Directions in which an eye looks for the sky, and the least part of them that must find it.
-const N_LOOKS: u32 = 64;
-const LEAST_OPEN: f32 = 0.125;
-
 /// Change of a scattered ray's direction across what it stands for, in radians: the detail of textures that it sees, which
 /// many paths blur anyway.
 const SCATTERED_WIDTH: f32 = 0.1;
@@ -76,17 +71,11 @@ pub(super) struct PathTracer<'a> {
     clip: Option<ClipPlane>,
     lift: Lift<'a>,
     eye: DVec3,
-    key: KeyLight,
+    sun: Sun,
+    /// Only where surfaces hide most of the sky from the eye.
+    lamp: Option<Lamp>,
     sky: Sky,
     bounces: u8,
-}
-
-/// The light that casts shadows.
-enum KeyLight {
-    Sun(Sun),
-    /// A lamp at a point, which gives surfaces at any distance the sun's light: where the eye sees hardly any sky, in a room
-    /// or within a model, there would be no light without it.
-    Lamp(DVec3),
 }
 
 /// A path that has hit a surface.
@@ -157,16 +146,13 @@ impl<'a> PathTracer<'a> {
         let light = spec.appearance.path;
         let up = spec.camera.v().normalize().as_vec3();
         let eye = spec.camera.eye().as_vec3().as_dvec3();
-        let key = match open_part(grid, clip.as_ref(), eye.as_vec3()) < LEAST_OPEN {
-            true => KeyLight::Lamp(eye),
-            false => KeyLight::Sun(Sun::new(to_light, light.sun_degrees(), SUN_LIGHT)),
-        };
         Self {
             grid,
             clip,
             lift: Lift::new(grid.mesh(), clip, Vec3::ZERO),
             eye,
-            key,
+            sun: Sun::new(to_light, light.sun_degrees(), SUN_LIGHT),
+            lamp: Lamp::at(grid, clip.as_ref(), eye, SUN_LIGHT),
             sky: Sky { up, zenith: ZENITH_LIGHT, ground: GROUND_LIGHT },
             bounces: light.bounces(),
         }
@@ -230,8 +216,14 @@ impl<'a> PathTracer<'a> {
                 let Some(scattering) = self.scattering(shader, path, &surface, material, light) else { continue };
 
                 let random = |number: u32| path.sample.pair(DIMENSIONS * u32::from(bounce) + number);
-                let (direction, length, key) = self.key_light(&scattering, lifted.point, random(0));
-                shadow_rays.push((lifted.point, direction, length), path.pixel, path.weight * key);
+                let (direction, of_sun) = self.sun_light(&scattering, random(0));
+                shadow_rays.push((lifted.point, direction, f32::MAX), path.pixel, path.weight * of_sun);
+                if let Some(lamp) = &self.lamp {
+                    let (to_lamp, light) = lamp.toward(lifted.point);
+                    let (part, _) = scattering.toward(normalize_or_zero(to_lamp));
+                    let ray = (lifted.point, normalize_or_zero(to_lamp), to_lamp.length() as f32);
+                    shadow_rays.push(ray, path.pixel, path.weight * part * light);
+                }
 
                 // The path's next ray; the less light it brings, the more often it ends (Russian roulette).
                 let [choice, roulette] = random(1);
@@ -295,30 +287,19 @@ impl<'a> PathTracer<'a> {
         }
     }
 
-    /// A direction to the key light, the distance, and the light from there that a surface scatters to the eye if nothing is
-    /// between. The sun's is weighed against the path's own chance to go there.
-    fn key_light(&self, scattering: &Scattering, point: DVec3, random: [f32; 2]) -> (Vec3, f32, Vec3) {
-        match &self.key {
-            KeyLight::Sun(sun) => {
-                let sun = sun.sample(random);
-                let (part, density) = scattering.toward(sun.direction);
-                (sun.direction, f32::MAX, part * sun.radiance * (1.0 / (sun.density + density)))
-            }
-            KeyLight::Lamp(lamp) => {
-                let to_lamp = *lamp - point;
-                let direction = normalize_or_zero(to_lamp);
-                let (part, _) = scattering.toward(direction);
-                (direction, to_lamp.length() as f32, part * SUN_LIGHT * PI)
-            }
-        }
+    /// A direction to the sun, and the light from there that a surface scatters to the eye if nothing is between, weighed
+    /// against the path's own chance to go there.
+    fn sun_light(&self, scattering: &Scattering, random: [f32; 2]) -> (Vec3, Vec3) {
+        let sun = self.sun.sample(random);
+        let (part, density) = scattering.toward(sun.direction);
+        (sun.direction, part * sun.radiance * (1.0 / (sun.density + density)))
     }
 
     /// The light of sun and sky from a direction that was chosen with this density, in which nothing is hit. The sun's is
     /// weighed against the shadow rays' chance to go there.
     fn escaped(&self, direction: Vec3, density: f32) -> Vec3 {
         let sky = self.sky.radiance(direction);
-        let KeyLight::Sun(sun) = &self.key else { return sky };
-        let sun = sun.toward(direction);
+        let sun = self.sun.toward(direction);
         sky + sun.radiance * (density / (density + sun.density))
     }
 
@@ -345,19 +326,4 @@ impl<'a> PathTracer<'a> {
         });
         followed.collect()
     }
-}
-
-/// The part of all directions in which an eye sees no surface.
-fn open_part(grid: &Grid, clip: Option<&ClipPlane>, eye: Vec3) -> f32 {
-    let ray = |look: u32| {
-        // Equal steps of height are equal areas of a sphere.
-        let [height, around] = PixelSample::new((0, 0), look).pair(0);
-        let (z, [x, y]) = (1.0 - 2.0 * height, circle_point(around));
-        let radius = (1.0 - z * z).sqrt();
-        Ray::new(eye, Vec3::new(x * radius, y * radius, z))
-    };
-    let mut rays: [_; N_LOOKS as usize] = std::array::from_fn(|look| ray(look as u32));
-    let mut occluded = [false; N_LOOKS as usize];
-    clip::occluded_rays(grid, clip, &mut rays, &mut occluded);
-    occluded.iter().filter(|&&occluded| !occluded).count() as f32 / N_LOOKS as f32
 }

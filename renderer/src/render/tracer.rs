@@ -1,6 +1,10 @@
 //! Traces and shades a share of a frame.
 
-use std::{ops::Range, time::Duration};
+use std::{
+    ops::Range,
+    sync::atomic::{AtomicBool, Ordering::Relaxed},
+    time::Duration,
+};
 
 use glam::Vec3;
 use shared::{
@@ -15,6 +19,7 @@ use crate::{
     render::{
         blocks::{SampleBlock, for_each_group, lanes_to_rows, sum_terms_by_lane},
         lighting::{LightSums, Lighting},
+        noise,
         parallel::work_off,
         sampling::sample_point,
         scene::Scene,
@@ -30,59 +35,61 @@ impl Scene {
     /// Appends their samples to `rgb`, sRGB-encoded, in the order of [`Share::samples`]. The bits depend only on scene,
     /// spec and sample, so several threads may render parts of one share.
     pub fn render(&self, spec: &FrameSpec, share: &Share, units: Range<u32>, rgb: &mut Vec<u8>) {
+        self.render_unless(&AtomicBool::new(false), spec, share, units, rgb);
+    }
+
+    /// As [`Scene::render`]; once nobody wants the samples, it soon returns with others.
+    pub(crate) fn render_unless(
+        &self,
+        unwanted: &AtomicBool,
+        spec: &FrameSpec,
+        share: &Share,
+        units: Range<u32>,
+        rgb: &mut Vec<u8>,
+    ) {
         let n_samples: u32 = units.clone().map(|unit| share.samples(unit).count()).sum();
         let first = rgb.len();
         rgb.resize(first + 3 * n_samples as usize, 0);
         let (pixels, _) = rgb[first..].as_chunks_mut::<3>();
-        let n_samples = spec.samples.count;
-        self.sum_lights(spec, share, units, |lighting, sums, at, index| {
-            pixels[index] = lighting.encode(sums, at, n_samples);
+        self.sum_lights_unless(unwanted, spec, share, units, |lighting, sums, at, index| {
+            pixels[index] = lighting.encode(sums, at);
         });
     }
 
-    /// Sums the light of all samples of the pixels of `units` of a share, on the calling thread; calls `visit` with the sums,
+    /// Sums the light of the samples of the pixels of `units` of a share, on the calling thread; calls `visit` with the sums,
     /// block and index of each pixel, and its index in the order of [`Share::samples`].
     pub fn sum_lights(
         &self,
         spec: &FrameSpec,
         share: &Share,
         units: Range<u32>,
+        visit: impl FnMut(&Lighting<'_>, &LightSums, (usize, usize), usize),
+    ) {
+        self.sum_lights_unless(&AtomicBool::new(false), spec, share, units, visit);
+    }
+
+    fn sum_lights_unless(
+        &self,
+        unwanted: &AtomicBool,
+        spec: &FrameSpec,
+        share: &Share,
+        units: Range<u32>,
         mut visit: impl FnMut(&Lighting<'_>, &LightSums, (usize, usize), usize),
     ) {
         let spec = &FrameSpec { camera: self.local(&spec.camera), ..*spec };
-        let rays = spec.camera.rays(spec.size);
-        let clip = self.clip_plane(&spec.camera, spec.appearance.clip);
-        let lighting = Lighting::new(&self.grid, spec, clip);
-        let mut scratch = PacketScratch::default();
-        let mut packets = [Packet::NONE; MOST_PACKETS];
-        let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
-        let mut directions = [[Vec3::ZERO; 64]; MOST_PACKETS];
-        for_each_group(share, units, |blocks| {
-            let mut sums = lighting.no_light();
-            // Sum the light of all samples of the blocks' pixels.
-            for index in 0..spec.samples.count {
-                let sample = spec.samples.first.wrapping_add(index);
-                let packets = &mut packets[..blocks.len()];
-                packets
-                    .iter_mut()
-                    .zip(blocks)
-                    .for_each(|(packet, block)| set_camera_rays(packet, &rays, block, sample));
-                self.trace_group(blocks, packets, clip.as_ref(), &mut scratch, &mut hits[..blocks.len()]);
-                for (index, (block, packet)) in blocks.iter().zip(packets).enumerate() {
-                    let [x, y, z] = &packet.directions;
-                    for (lane, &sample_idx) in block.sample_of_lane().iter().enumerate() {
-                        directions[index][sample_idx] = Vec3::new(x[lane], y[lane], z[lane]);
+        let mut sampler = Sampler::new(self, spec, unwanted);
+        match noise::of_frame(spec) {
+            Some(limit) => noise::sum_lights(&mut sampler, (share, units), (spec.samples.count, limit), visit),
+            None => for_each_group(share, units, |blocks| {
+                let mut sums = sampler.lighting.no_light();
+                sampler.add(blocks, 0..spec.samples.count, &mut sums);
+                for (number, block) in blocks.iter().enumerate() {
+                    for index in 0..block.n_samples() {
+                        visit(&sampler.lighting, &sums, (number, index), block.output_index(index));
                     }
                 }
-                let lights = lighting.light_group(blocks, sample, &directions, &hits, &mut scratch);
-                lighting.add(blocks.len(), &lights, &hits, &mut sums);
-            }
-            for (number, block) in blocks.iter().enumerate() {
-                for index in 0..block.n_samples() {
-                    visit(&lighting, &sums, (number, index), block.output_index(index));
-                }
-            }
-        });
+            }),
+        }
     }
 
     /// Renders a whole frame on the current rayon pool.
@@ -124,6 +131,65 @@ impl Scene {
             if block.tile().is_some() {
                 lanes_to_rows(hits);
             }
+        }
+    }
+}
+
+/// Traces and lights the samples of one frame's pixels.
+pub(super) struct Sampler<'a> {
+    scene: &'a Scene,
+    /// Whether nobody wants the samples any more.
+    unwanted: &'a AtomicBool,
+    rays: CameraRays,
+    clip: Option<ClipPlane>,
+    first_sample: u32,
+    pub(super) lighting: Lighting<'a>,
+    scratch: PacketScratch,
+    packets: [Packet; MOST_PACKETS],
+    hits: [[Hit; 64]; MOST_PACKETS],
+    directions: [[Vec3; 64]; MOST_PACKETS],
+}
+
+impl<'a> Sampler<'a> {
+    /// Prepares for one frame; the camera is in model space.
+    fn new(scene: &'a Scene, spec: &FrameSpec, unwanted: &'a AtomicBool) -> Self {
+        let clip = scene.clip_plane(&spec.camera, spec.appearance.clip);
+        Self {
+            scene,
+            unwanted,
+            rays: spec.camera.rays(spec.size),
+            clip,
+            first_sample: spec.samples.first,
+            lighting: Lighting::new(&scene.grid, spec, clip),
+            scratch: PacketScratch::default(),
+            packets: [Packet::NONE; MOST_PACKETS],
+            hits: [[Hit::MISS; 64]; MOST_PACKETS],
+            directions: [[Vec3::ZERO; 64]; MOST_PACKETS],
+        }
+    }
+
+    /// Whether nobody wants the samples any more.
+    pub(super) fn is_unwanted(&self) -> bool {
+        self.unwanted.load(Relaxed)
+    }
+
+    /// Adds the light of samples of the pixels of neighbouring blocks, unless nobody wants it; the frame's first sample has
+    /// index 0.
+    pub(super) fn add(&mut self, blocks: &[SampleBlock<'_>], samples: Range<u32>, sums: &mut LightSums) {
+        let Self { scene, unwanted, rays, clip, lighting, scratch, hits, directions, .. } = self;
+        let packets = &mut self.packets[..blocks.len()];
+        for index in samples.take_while(|_| !unwanted.load(Relaxed)) {
+            let sample = self.first_sample.wrapping_add(index);
+            packets.iter_mut().zip(blocks).for_each(|(packet, block)| set_camera_rays(packet, rays, block, sample));
+            scene.trace_group(blocks, packets, clip.as_ref(), scratch, &mut hits[..blocks.len()]);
+            for (index, (block, packet)) in blocks.iter().zip(&*packets).enumerate() {
+                let [x, y, z] = &packet.directions;
+                for (lane, &sample_idx) in block.sample_of_lane().iter().enumerate() {
+                    directions[index][sample_idx] = Vec3::new(x[lane], y[lane], z[lane]);
+                }
+            }
+            let lights = lighting.light_group(blocks, sample, directions, hits, scratch);
+            lighting.add(blocks.len(), &lights, hits, sums);
         }
     }
 }
@@ -186,7 +252,7 @@ mod tests {
             size: FrameSize::new(37, 21).unwrap(),
             view: ShadingMode::Shaded,
             rays: LightingMode::Primary,
-            samples: SampleRange { first, count },
+            samples: SampleRange::all(first, count),
             appearance: Appearance::default(),
         }
     }
@@ -194,6 +260,32 @@ mod tests {
     #[test]
     fn the_samples_do_not_depend_on_the_division() {
         check_divisions(&tetrahedron(), &spec(0, 3));
+    }
+
+    #[test]
+    fn tiles_stop_at_the_same_sample_in_every_division() {
+        let scene = Scene::build(statue::generate(3000, &|_| ()), &GridOptions::default(), &|_| ());
+        let camera = Camera::look_at(DVec3::new(0.6, 1.5, 2.5), DVec3::Y, DVec3::Y, 0.5, 2.0).unwrap();
+        let with = |noise: &str| {
+            let samples = SampleRange { noise: noise.parse().unwrap(), ..SampleRange::all(0, 100) };
+            FrameSpec { camera, rays: LightingMode::Path, samples, ..spec(0, 1) }
+        };
+        let [all, some] = ["0", "4"].map(|noise| check_divisions(&scene, &with(noise)));
+        assert_ne!(all, some, "no tile stops early");
+        assert_eq!(all, check_divisions(&scene, &with("0.01")), "tiles stop for no reason");
+    }
+
+    #[test]
+    fn samples_that_nobody_wants_end_soon() {
+        let scene = tetrahedron();
+        let samples = SampleRange { noise: "1".parse().unwrap(), ..SampleRange::all(0, 256) };
+        let spec = FrameSpec { rays: LightingMode::Path, samples, ..spec(0, 1) };
+        for division in [Division::Tiled, Division::Interleaved] {
+            let share = division.task(0, 1).share(spec.size).unwrap();
+            let mut rgb = Vec::new();
+            scene.render_unless(&AtomicBool::new(true), &spec, &share, 0..share.count(), &mut rgb);
+            assert_eq!(rgb.len(), 3 * 37 * 21);
+        }
     }
 
     #[test]

@@ -157,11 +157,14 @@ impl Job {
             let mut last_measured_at = cpu_started;
             for first in units.clone().step_by(units_per_run as usize) {
                 let measured = first..(first + units_per_run).min(units.end);
-                scene.render(&self.spec, share, measured, &mut rgb);
+                scene.render_unless(&self.cancelled, &self.spec, share, measured, &mut rgb);
                 let now = ThreadTime::now();
                 let cpu = now.duration_since(last_measured_at);
                 costs.push(u32::try_from(cpu.as_nanos()).unwrap_or(u32::MAX));
                 last_measured_at = now;
+            }
+            if self.cancelled.load(Relaxed) {
+                return costs;
             }
             let message = self.chunk(units, &rgb);
             cpu_us.fetch_add(cpu_started.elapsed().as_micros() as u64, Relaxed);

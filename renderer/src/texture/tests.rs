@@ -203,7 +203,7 @@ fn neither_structure_nor_instructions_nor_division_change_masked_and_textured_pi
     {
         let size = FrameSize::new(61, 37).unwrap();
         let appearance = Appearance { clip, ..Appearance::default() };
-        let samples = SampleRange { first: 1, count: 2 };
+        let samples = SampleRange::all(1, 2);
         let spec = FrameSpec { rays, appearance, samples, ..spec(DVec3::new(0.7, -3.0, 4.0), DVec3::ZERO, size) };
         let mut frames = Vec::new();
         for instructions in InstructionSet::available() {

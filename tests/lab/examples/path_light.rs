@@ -62,7 +62,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let mut cpu_s = 0.0;
     let end = args.first + args.samples;
     for first in (args.first..end).step_by(SampleRange::LARGEST_COUNT as usize) {
-        let samples = SampleRange { first, count: (end - first).min(SampleRange::LARGEST_COUNT) };
+        let samples = SampleRange::all(first, (end - first).min(SampleRange::LARGEST_COUNT));
         cpu_s += add_lights(&scene, &FrameSpec { samples, ..spec }, &mut sums);
     }
     let mean = |sum: &DVec3| (*sum / f64::from(args.samples)).as_vec3().to_array().map(f32::to_le_bytes);

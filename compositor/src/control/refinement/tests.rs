@@ -5,6 +5,7 @@ use proptest::prelude::*;
 use shared::{
     appearance::Appearance,
     camera::Camera,
+    noise::NoiseLimit,
     protocol::{LightingMode, ShadingMode},
     scene::SceneId,
 };
@@ -20,7 +21,7 @@ fn options() -> RefinementOptions {
         target_rate: DEFAULT_TARGET_RATE,
         native: FrameSize::new(4096, 2304).unwrap(),
         n_samples: DEFAULT_SAMPLES,
-        n_paths: DEFAULT_PATHS,
+        paths: SampleRange::asked(LightingMode::Path, None, None),
         fixed_size: FrameSize::PAPER,
         fixed_samples: SampleRange::CENTRE,
         lights_at_rest: false,
@@ -291,17 +292,19 @@ fn paths_light_a_picture_at_rest_only() {
     let (start, asked) = (Instant::now(), FrameSpec { rays: Path, ..spec_at(1.0) });
     let moving = refinement.change(start, asked).spec;
     assert_eq!((moving.samples.count, moving.rays), (1, Primary), "in motion they would be noise");
-    assert_eq!(refinement.n_samples(), DEFAULT_PATHS);
+    assert_eq!(refinement.n_samples(), SampleRange::LARGEST_COUNT);
     refinement.on_frame(&moving, Duration::from_millis(20));
     let mut steps = Vec::new();
     while let Some(step) = refinement.refine(start + REST) {
-        steps.push((step.spec.samples.count, step.spec.rays));
+        let SampleRange { count, noise, .. } = step.spec.samples;
+        steps.push((count, noise, step.spec.rays));
         refinement.on_frame(&step.spec, Duration::from_secs(9));
     }
-    assert_eq!(steps, [(1, Primary), (4, Primary), (16, Path), (64, Path)]);
+    let (all, limit) = (NoiseLimit::NONE, NoiseLimit::default());
+    assert_eq!(steps, [(1, all, Primary), (4, all, Primary), (16, limit, Path), (256, limit, Path)]);
     assert!(refinement.is_done() && refinement.refines_at().is_none(), "then nothing is rendered");
     let same = refinement.change(start, asked).spec;
-    assert_eq!((same.samples.count, same.rays), (64, Path), "it need not become coarse again");
+    assert_eq!((same.samples.count, same.rays), (256, Path), "it need not become coarse again");
     assert_eq!(refinement.change(start, spec_at(1.0)).spec.rays, Primary, "other rays are another picture");
     refinement.set_on(false);
     assert_eq!(refinement.change(start, asked).spec.rays, Path, "without refinement, frames are as asked");

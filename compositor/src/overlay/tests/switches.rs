@@ -104,8 +104,12 @@ fn the_resolution_and_the_samples_so_far_are_shown_and_can_be_switched() {
         });
         assert_eq!(commands, [Command::ToggleRefinement]);
     }
-    for (is_refining, label) in [(true, "samples: 16, finished"), (false, "samples: 16")] {
-        let model = OverlayModel { is_refining, n_samples: [16, 16], ..running() };
+    for (is_refining, has_noise_limit, label) in [
+        (true, false, "samples: 16, finished"),
+        (true, true, "samples: up to 16, finished"),
+        (false, false, "samples: 16"),
+    ] {
+        let model = OverlayModel { is_refining, has_noise_limit, n_samples: [16, 16], ..running() };
         commands_of(&model, |harness| {
             harness.get_by_label(label);
         });

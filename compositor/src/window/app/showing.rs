@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use shared::scene::SceneId;
+use shared::{noise::NoiseLimit, scene::SceneId};
 use winit::event_loop::ActiveEventLoop;
 
 use super::App;
@@ -85,6 +85,7 @@ impl App<'_> {
         overlay.is_refining = self.picture.refinement.is_on();
         let frame = self.presentation.frame.as_ref();
         overlay.n_samples = [frame.map_or(0, |frame| frame.spec.samples.count), self.picture.refinement.n_samples()];
+        overlay.has_noise_limit = frame.is_some_and(|frame| frame.spec.samples.noise != NoiseLimit::NONE);
         overlay.frame = frame.map(|frame| frame.stats.clone());
         if let Some((pick, frame)) = overlay.pick.as_mut().zip(frame) {
             pick.distance = (pick.point - frame.spec.camera.eye()).length();

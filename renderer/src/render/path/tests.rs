@@ -19,7 +19,7 @@ use crate::{
         mesh::Mesh,
         statue,
     },
-    render::scene::Scene,
+    render::{sampling::circle_point, scene::Scene},
 };
 
 fn spec(eye: DVec3, target: DVec3, bounces: u8) -> FrameSpec {
@@ -61,7 +61,8 @@ fn colored(mesh: Mesh, color: [u8; 3]) -> Mesh {
 
 /// Nothing but a sky.
 fn set_sky(tracer: &mut PathTracer<'_>, zenith: Vec3, ground: Vec3) {
-    tracer.key = KeyLight::Sun(Sun::new(DVec3::Y, 4.0, Vec3::ZERO));
+    tracer.sun = Sun::new(DVec3::Y, 4.0, Vec3::ZERO);
+    tracer.lamp = None;
     tracer.sky = Sky { up: Vec3::Y, zenith, ground };
 }
 
@@ -189,7 +190,8 @@ fn the_sun_s_shadow_has_the_penumbra_of_a_disc() {
     let spec = spec(DVec3::new(-0.3, 0.5, 0.0), DVec3::new(0.02, 0.0, 0.0), 0);
     let degrees = 30.0f64;
     let all = lights(&scene, &spec, 256, |tracer| {
-        tracer.key = KeyLight::Sun(Sun::new(DVec3::Y, degrees, Vec3::ONE));
+        tracer.sun = Sun::new(DVec3::Y, degrees, Vec3::ONE);
+        tracer.lamp = None;
         tracer.sky = Sky { up: Vec3::Y, zenith: Vec3::ZERO, ground: Vec3::ZERO };
     });
     let (mut n_partly, mut errors) = (0, Vec::new());
@@ -253,6 +255,40 @@ fn gloss_reflects_no_more_than_all_light() {
             }
         }
     }
+}
+
+#[test]
+fn a_room_is_about_as_bright_as_its_outside() {
+    let scene = build(colored(ball(), [203; 3]));
+    let mean = |eye: DVec3| {
+        let all = lights(&scene, &spec(eye, DVec3::new(0.0, 0.1, -0.2), 4), 16, |_| ());
+        all.iter().map(|(_, _, light)| light.y).sum::<f64>() / all.len() as f64
+    };
+    let outside = mean(DVec3::new(1.0, 2.0, 4.0));
+    for eye in [DVec3::new(0.1, 0.2, 0.3), DVec3::new(0.5, 0.0, 0.6)] {
+        let part = mean(eye) / outside;
+        assert!((0.45..1.5).contains(&part), "{eye}: {part}");
+    }
+}
+
+#[test]
+fn as_the_eye_comes_in_the_lamp_fades_in() {
+    // A ball without its upper third.
+    let mut mesh = ball();
+    mesh.triangles.retain(|corners| corners.iter().all(|&corner| mesh.vertices[corner as usize][1] < 0.4));
+    let scene = build(mesh);
+    let on_the_ground = |height: f64| {
+        let lamp = Lamp::at(&scene.grid, None, DVec3::Y * height, Vec3::ONE);
+        lamp.map_or(0.0, |lamp| lamp.toward(DVec3::NEG_Y).1.x / PI as f32)
+    };
+    let mut last = on_the_ground(1.5);
+    assert_eq!(last, 0.0);
+    for step in 1..=230 {
+        let next = on_the_ground(1.5 - 0.01 * f64::from(step));
+        assert!((next - last).abs() < 0.04, "{step}: {next} after {last}");
+        last = next;
+    }
+    assert!(last > 0.2 && last < 0.8, "{last}");
 }
 
 #[test]

@@ -63,7 +63,7 @@ pub(super) fn measure(
     mut done: impl FnMut(Option<PictureRow>, f32) -> Result<()>,
 ) -> Result<()> {
     let native = settings.native;
-    let range = SampleRange { first: FIRST_REFERENCE_SAMPLE, count: settings.n_reference_samples };
+    let range = SampleRange::all(FIRST_REFERENCE_SAMPLE, settings.n_reference_samples);
     // Progress counts rays; a comparison costs about as much as some rays a pixel.
     let rays = |size: FrameSize, n_samples: u32| f64::from(size.n_samples()) * f64::from(n_samples);
     let comparison = rays(native, 8);
@@ -77,7 +77,7 @@ pub(super) fn measure(
     let mut n_done = of_reference;
     done(None, (n_done / total) as f32)?;
     for (size, n_samples) in settings() {
-        let samples = SampleRange { first: 0, count: n_samples };
+        let samples = SampleRange::all(0, n_samples);
         // One time of a small frame is too noisy.
         let n_repeats = if rays(size, n_samples) < 4e6 { 3 } else { 1 };
         let (mut rgb, mut times) = (Vec::new(), Vec::new());

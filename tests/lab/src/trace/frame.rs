@@ -152,9 +152,7 @@ impl Frame {
                     lighting.add(blocks.len(), &lights, &hits, &mut sums);
                     for (number, block) in blocks.iter().enumerate() {
                         let colors = part.values_of(block).iter_mut().take(block.n_samples());
-                        colors
-                            .enumerate()
-                            .for_each(|(index, color)| *color = lighting.encode(&sums, (number, index), 1));
+                        colors.enumerate().for_each(|(index, color)| *color = lighting.encode(&sums, (number, index)));
                     }
                 });
             }

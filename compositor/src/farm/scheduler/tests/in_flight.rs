@@ -87,7 +87,7 @@ fn a_refinement_is_cancelled_for_any_other_frame_even_if_samples_have_arrived() 
         let mut farm = Farm::with_nodes(goal(division), &[A, B]);
         farm.answer(A);
         farm.answer(B);
-        let finer = FrameSpec { samples: SampleRange { first: 0, count: 4 }, ..spec(0.0, 1000) };
+        let finer = FrameSpec { samples: SampleRange::all(0, 4), ..spec(0.0, 1000) };
         let refinement = RenderGoal { spec: Some(finer), is_refinement: true, ..goal(division) };
         farm.on(Event::GoalChanged(refinement.clone()));
         farm.answer(A);
