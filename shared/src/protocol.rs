@@ -21,6 +21,7 @@ use crate::{
     names::unknown_name,
     noise::NoiseLimit,
     scene::SceneId,
+    sky::SkyId,
     structure::Structure,
 };
 
@@ -189,6 +190,15 @@ pub struct FrameSpec {
     pub appearance: Appearance,
 }
 
+/// A sky image to load.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SkyFile {
+    /// The image.
+    pub id: SkyId,
+    /// Its path, as that of the model.
+    pub path: Option<Vec<u8>>,
+}
+
 /// A message from the wall to a render server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "the types of most fields say it")]
@@ -208,6 +218,8 @@ pub enum ToServer {
         path: Option<Vec<u8>>,
         /// The grid that was chosen at the wall, if any; else the server uses its own options.
         structure: Option<Structure>,
+        /// The sky image that lights the scene, if there is one.
+        sky: Option<SkyFile>,
     },
     /// Render a share of a frame.
     RenderFrame {

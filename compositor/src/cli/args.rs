@@ -17,6 +17,7 @@ use shared::{
     division::{Division, FrameSize},
     noise::NoiseLimit,
     protocol::{Encoding, LightingMode, SampleRange, ShadingMode},
+    sky::SkyId,
 };
 
 use super::{calibrate::CalibrateArgs, check::CheckArgs, remote_args::RemoteArgs};
@@ -85,6 +86,8 @@ impl ShowArgs {
 pub struct Inputs {
     /// The wall.
     pub wall: Wall,
+    /// The image that lights path-traced pictures.
+    pub sky: Option<SkyId>,
     /// The first camera; `None` shows the whole model.
     pub camera: Option<Camera>,
     /// The path that the camera takes from the start.

@@ -45,11 +45,13 @@ pub struct TraceArgs {
 pub fn run(&TraceArgs { ref picture, ref image, samples, noise }: &TraceArgs) -> Result<()> {
     check_writable(image)?;
     picture.pool()?.install(|| {
-        // The camera is checked before a large model is read.
+        // Camera and sky are checked before a large model is read.
         let camera = picture.read_camera()?;
-        let stored = picture.load_scene()?;
-        let (info, scene) = (&stored.info, &stored.scene);
-        let spec = picture.spec(info.id, camera.unwrap_or_else(|| picture.view_all(&info.shape)));
+        let sky = picture.read_sky()?;
+        let mut stored = picture.load_scene()?;
+        let (info, scene) = (&stored.info, &mut stored.scene);
+        let mut spec = picture.spec(info.id, camera.unwrap_or_else(|| picture.view_all(&info.shape)));
+        picture.light(&mut spec, scene, &info.shape, sky);
         let spec = FrameSpec { samples: SampleRange::asked(spec.rays, samples, noise), ..spec };
         let _task = Task::named("rendering the picture");
         let (rgb, _) = scene.render_frame(&spec);

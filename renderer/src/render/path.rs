@@ -8,12 +8,14 @@
 //! The paths of neighbouring samples go from bounce to bounce together, so hundreds of rays are traced in one call. Only
 //! + − × ÷ √ are used, in a fixed order for each path: every machine computes the same bits.
 //!
-//! `sobol` makes random numbers, `lights` are sun and sky, `lamp` lights rooms, `scattering` is what surfaces do to light, and `tone` makes it fit
-//! a display.
+//! `sobol` makes random numbers, `lights` are sun and sky, `lamp` lights rooms, `scattering` is what surfaces do to light, and
+//! `tone` makes it fit a display.
 
 mod lamp;
-mod lights;
+pub(super) mod lights;
 mod scattering;
+#[cfg(test)]
+mod sky_tests;
 mod sobol;
 #[cfg(test)]
 mod tests;
@@ -37,8 +39,10 @@ use crate::{
     render::{
         blocks::SampleBlock,
         lift::Lift,
+        scene::Scene,
         secondary::{back_and_light, tangent_basis},
         shade::Shader,
+        sky::PlacedSky,
         surface::{Surface, normalize_or_zero},
     },
     texture::{
@@ -75,6 +79,8 @@ pub(super) struct PathTracer<'a> {
     /// Only where surfaces hide most of the sky from the eye.
     lamp: Option<Lamp>,
     sky: Sky,
+    /// In place of sun and sky.
+    sky_map: Option<PlacedSky<'a>>,
     bounces: u8,
 }
 
@@ -141,7 +147,8 @@ impl ShadowRays {
 
 impl<'a> PathTracer<'a> {
     /// Prepares for one frame of a scene that a plane may cut open.
-    pub(super) fn new(grid: &'a Grid, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
+    pub(super) fn new(scene: &'a Scene, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
+        let grid = &scene.grid;
         let [_, to_light] = back_and_light(spec);
         let light = spec.appearance.path;
         let up = spec.camera.v().normalize().as_vec3();
@@ -154,6 +161,7 @@ impl<'a> PathTracer<'a> {
             sun: Sun::new(to_light, light.sun_degrees(), SUN_LIGHT),
             lamp: Lamp::at(grid, clip.as_ref(), eye, SUN_LIGHT),
             sky: Sky { up, zenith: ZENITH_LIGHT, ground: GROUND_LIGHT },
+            sky_map: scene.sky.as_deref().and_then(|map| map.placed(&spec.appearance)),
             bounces: light.bounces(),
         }
     }
@@ -288,16 +296,20 @@ impl<'a> PathTracer<'a> {
     }
 
     /// A direction to the sun, and the light from there that a surface scatters to the eye if nothing is between, weighed
-    /// against the path's own chance to go there.
+    /// against the path's own chance to go there; the same of an image of the sky, if there is one.
     fn sun_light(&self, scattering: &Scattering, random: [f32; 2]) -> (Vec3, Vec3) {
-        let sun = self.sun.sample(random);
-        let (part, density) = scattering.toward(sun.direction);
-        (sun.direction, part * sun.radiance * (1.0 / (sun.density + density)))
+        let light = self.sky_map.as_ref().map_or_else(|| self.sun.sample(random), |sky| sky.sample(random));
+        let (part, density) = scattering.toward(light.direction);
+        (light.direction, part * light.radiance * (1.0 / (light.density + density)))
     }
 
     /// The light of sun and sky from a direction that was chosen with this density, in which nothing is hit. The sun's is
     /// weighed against the shadow rays' chance to go there.
     fn escaped(&self, direction: Vec3, density: f32) -> Vec3 {
+        if let Some(sky) = &self.sky_map {
+            let sky = sky.toward(direction);
+            return sky.radiance * (density / (density + sky.density));
+        }
         let sky = self.sky.radiance(direction);
         let sun = self.sun.toward(direction);
         sky + sun.radiance * (density / (density + sun.density))

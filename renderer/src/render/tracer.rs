@@ -160,7 +160,7 @@ impl<'a> Sampler<'a> {
             rays: spec.camera.rays(spec.size),
             clip,
             first_sample: spec.samples.first,
-            lighting: Lighting::new(&scene.grid, spec, clip),
+            lighting: Lighting::new(scene, spec, clip),
             scratch: PacketScratch::default(),
             packets: [Packet::NONE; MOST_PACKETS],
             hits: [[Hit::MISS; 64]; MOST_PACKETS],
@@ -334,7 +334,7 @@ mod tests {
             let spec = FrameSpec { camera, rays, appearance, ..spec(1, 2) };
             let frames = InstructionSet::available().into_iter().map(|instructions| {
                 let grid = Grid::build(mesh.clone(), &GridOptions::default(), &|_| ()).with_instructions(instructions);
-                check_divisions(&Scene { grid }, &spec)
+                check_divisions(&Scene::from(grid), &spec)
             });
             let frames: Vec<_> = frames.collect();
             assert!(frames.iter().all(|frame| frame == &frames[0]), "{rays:?} {appearance:?}");
