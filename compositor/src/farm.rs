@@ -16,7 +16,9 @@ pub mod scheduler;
 mod service;
 mod silence;
 pub mod stats;
+mod supply;
 mod tile_row;
+mod transfer;
 
 use std::{
     io,
@@ -27,6 +29,7 @@ use std::{
 };
 
 use channel::key::Key;
+use renderer::{grid::GridOptions, scene_file::SceneStore};
 use shared::{
     appearance::Clip,
     camera::Camera,
@@ -40,11 +43,14 @@ use tokio::{
     sync::{Notify, mpsc, watch},
 };
 
-use self::stats::{FarmStatus, FrameStats};
 pub(crate) use self::{frame_buffer::MOST_FRAMES, rate_limit::RateLimit};
 pub use self::{
     frame_buffer::{BufferPool, FrameBuffer, FrameSamples, PlaceError},
     local_news::LocalReporter,
+};
+use self::{
+    stats::{FarmStatus, FrameStats},
+    supply::SceneSupply,
 };
 
 /// The frame that the wall wants rendered now, and how. The latest goal replaces all earlier ones.
@@ -119,6 +125,7 @@ pub struct Farm {
     status: watch::Receiver<FarmStatus>,
     finished: Arc<FinishedFrame>,
     local: LocalReporter,
+    supply: Arc<SceneSupply>,
     service: tokio::task::JoinHandle<()>,
 }
 
@@ -140,9 +147,17 @@ impl Farm {
         let (structure, structures) = watch::channel(None);
         let (status_sender, status) = watch::channel(FarmStatus::default());
         let (local, local_news) = mpsc::unbounded_channel();
-        let service = service::Service::new(key, goals, status_sender, Arc::clone(&finished), Box::new(wake));
+        let supply = Arc::new(SceneSupply::default());
+        let service = service::Service::new(
+            key,
+            goals,
+            status_sender,
+            Arc::clone(&finished),
+            Arc::clone(&supply),
+            Box::new(wake),
+        );
         let service = tokio::spawn(service.run(listener, probes, structures, local_news));
-        Ok(Self { address, goal, probe, structure, status, finished, local: LocalReporter(local), service })
+        Ok(Self { address, goal, probe, structure, status, finished, local: LocalReporter(local), supply, service })
     }
 
     /// The address that the farm listens on, with the actual port.
@@ -153,6 +168,12 @@ impl Farm {
     /// For who starts render servers of the wall's own: their names, and their ends.
     pub fn local_reporter(&self) -> LocalReporter {
         self.local.clone()
+    }
+
+    /// Lets render servers that lack the model fetch its scene file, which is made with these options when the first of them
+    /// asks, and kept in the store's cache.
+    pub fn give_scene_files(&self, store: SceneStore, options: GridOptions) {
+        self.supply.make_with(store, options);
     }
 
     /// Changes the goal.

@@ -2,7 +2,8 @@
 //!
 //! In reading order: [`bytes`] are a file's, mapped or read; [`section`] is an array of a scene, in memory or in a file, and
 //! [`sections`] lists them; [`head`] says where they lie and has their checksums; [`mod@file`] writes and opens scene files;
-//! [`fault`] says what is wrong with one. [`cache`] keeps those of models, with [`lock`]s for processes that build, and
+//! [`fault`] says what is wrong with one, [`part`] is one that arrives
+//! from elsewhere, and [`travelling`] one that is given. [`cache`] keeps those of models, with [`lock`]s for processes that build, and
 //! [`seals`] of files that were checked; [`store`] loads a scene from wherever it is.
 //!
 //! # Safety
@@ -19,12 +20,14 @@ pub mod fault;
 pub mod file;
 pub(crate) mod head;
 pub(crate) mod lock;
+pub(crate) mod part;
 pub(crate) mod seals;
 pub(crate) mod section;
 pub(crate) mod sections;
 pub mod store;
 #[cfg(test)]
 mod tests;
+pub mod travelling;
 
 pub use fault::{Fault, SceneFileError};
 pub use store::SceneStore;

@@ -59,6 +59,8 @@ pub enum BodyKind {
     Control,
     /// A [`Chunk`], its samples encoded.
     Samples(Encoding),
+    /// Bytes of a scene file.
+    FilePart,
 }
 
 /// The bytes before each body.
@@ -73,7 +75,7 @@ pub struct Header {
 impl Header {
     /// Reads a header and checks its length: against `control_limit`, or [`CHUNK_LIMIT`] for samples.
     ///
-    /// Samples are refused while `control_limit` is [`HANDSHAKE_LIMIT`]: no task has been given out yet.
+    /// Samples and parts of files are refused while `control_limit` is [`HANDSHAKE_LIMIT`]: nobody has asked for any yet.
     pub fn parse(bytes: [u8; HEADER_BYTES], control_limit: usize) -> Result<Self, CodecError> {
         let [length @ .., kind] = bytes;
         let n_bytes = u32::from_le_bytes(length) as usize;
@@ -81,6 +83,7 @@ impl Header {
             0 => (BodyKind::Control, control_limit),
             1 if control_limit > HANDSHAKE_LIMIT => (BodyKind::Samples(Encoding::Raw), CHUNK_LIMIT),
             2 if control_limit > HANDSHAKE_LIMIT => (BodyKind::Samples(Encoding::Lz4), CHUNK_LIMIT),
+            3 if control_limit > HANDSHAKE_LIMIT => (BodyKind::FilePart, CHUNK_BYTES),
             unknown => return Err(CodecError::UnknownKind(unknown)),
         };
         if n_bytes > limit {
@@ -96,6 +99,7 @@ impl Header {
             BodyKind::Control => 0,
             BodyKind::Samples(Encoding::Raw) => 1,
             BodyKind::Samples(Encoding::Lz4) => 2,
+            BodyKind::FilePart => 3,
         });
     }
 }
@@ -130,6 +134,12 @@ pub fn encode(message: &impl Serialize, out: &mut Vec<u8>) -> Result<(), CodecEr
     Header::write(BodyKind::Control, body.len(), out);
     out.extend(body);
     Ok(())
+}
+
+/// Appends bytes of a scene file, at most [`CHUNK_BYTES`], with their header.
+pub fn encode_file_part(bytes: &[u8], out: &mut Vec<u8>) {
+    Header::write(BodyKind::FilePart, bytes.len(), out);
+    out.extend(bytes);
 }
 
 /// Reads the body of a control message.
@@ -284,7 +294,7 @@ mod tests {
         assert!(matches!(Header::parse(header(1025, 0), HANDSHAKE_LIMIT), Err(CodecError::TooLong { .. })));
         assert!(matches!(Header::parse(header(10, 1), HANDSHAKE_LIMIT), Err(CodecError::UnknownKind(1))));
         assert!(matches!(Header::parse(header(u32::MAX, 1), CONTROL_LIMIT), Err(CodecError::TooLong { .. })));
-        assert!(matches!(Header::parse(header(0, 3), CONTROL_LIMIT), Err(CodecError::UnknownKind(3))));
+        assert!(matches!(Header::parse(header(0, 4), CONTROL_LIMIT), Err(CodecError::UnknownKind(4))));
     }
 
     #[test]

@@ -7,8 +7,13 @@
 //! ([`ToServer::LoadScene`]), and the server reports its progress ([`ToWall::SceneState`]). The wall then gives out tasks
 //! ([`ToServer::RenderFrame`]), and the server answers each with [`Chunk`]s and a [`ToWall::TaskDone`]. Heartbeats flow all
 //! the time; a [`ToServer::Probe`] may come at any time.
+//!
+//! A server that lacks the scene may fetch its scene file, on a connection of its own that opens with
+//! [`ToWall::FetchScene`] in place of a hello. The wall answers with [`ToServer::SceneFileAwaited`] while it makes the file,
+//! then with [`ToServer::SceneFile`]. The server asks for the file's bytes with [`ToWall::FetchPart`]; they come in order, as
+//! bare bytes of at most [`CHUNK_BYTES`] a message.
 
-use std::{ops::Range, time::Duration};
+use std::{fmt, ops::Range, time::Duration};
 
 use serde::{Deserialize, Serialize};
 use strum::{Display, EnumString, VariantArray};
@@ -20,6 +25,7 @@ use crate::{
     division::{FrameSize, Share, Task},
     names::unknown_name,
     noise::NoiseLimit,
+    printable::bytes,
     scene::SceneId,
     sky::SkyId,
     structure::Structure,
@@ -49,6 +55,12 @@ pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// The most RGB bytes in one chunk: a larger one would delay heartbeats.
 pub const CHUNK_BYTES: usize = 64 * 1024;
+
+/// The most bytes of a scene file that one [`ToWall::FetchPart`] asks for: those of a chunk that has a hash of its own.
+pub const FETCH_BYTES: usize = 1 << 20;
+
+/// A peer that was silent for this long while a scene file travels is lost: frames go first, and disks are slow.
+pub const FETCH_SILENCE_LIMIT: Duration = Duration::from_secs(30);
 
 /// The longest name a render server can have, in bytes.
 pub const LONGEST_NAME: usize = 64;
@@ -249,6 +261,18 @@ pub enum ToServer {
         at: [f32; 2],
         clip: Option<Clip>,
     },
+    /// The scene file that [`ToWall::FetchScene`] asks for is being made.
+    SceneFileAwaited {
+        /// 0 to 1.
+        progress: f32,
+    },
+    /// The scene file that [`ToWall::FetchScene`] asks for.
+    SceneFile {
+        /// Its length.
+        n_bytes: u64,
+        /// The hash in its head, which stands for all of it.
+        hash: [u8; 32],
+    },
 }
 
 /// A message from a render server to the wall.
@@ -279,6 +303,15 @@ pub enum ToWall {
         number: u32,
         /// The nearest triangle or cap, if any.
         hit: Option<ProbeHit>,
+    },
+    /// The first message of a connection that fetches the wall's scene, and no other.
+    FetchScene { scene: SceneId },
+    /// Send bytes of the scene file.
+    FetchPart {
+        /// The first byte.
+        first: u64,
+        /// Number of bytes, from 1 to [`FETCH_BYTES`].
+        n_bytes: u32,
     },
 }
 
@@ -313,6 +346,42 @@ pub enum SceneState {
         /// The reason and the cure.
         reason: String,
     },
+    /// The scene's file is on its way from the wall.
+    Fetching(Transfer),
+}
+
+/// The progress of a scene file's transfer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Transfer {
+    /// Bytes that have arrived and are right.
+    pub n_done: u64,
+    /// Bytes of the file.
+    pub n_bytes: u64,
+    /// The rate of the last seconds; 0 at first.
+    pub bytes_per_second: u64,
+}
+
+impl Transfer {
+    /// The fraction that has arrived, 0 to 1.
+    pub fn fraction(&self) -> f32 {
+        if self.n_bytes == 0 { 0.0 } else { (self.n_done as f64 / self.n_bytes as f64).min(1.0) as f32 }
+    }
+
+    /// Seconds until the file is there, if its rate lasts; `None` without a rate.
+    pub fn seconds_left(&self) -> Option<u64> {
+        let n_left = self.n_bytes.saturating_sub(self.n_done);
+        (self.bytes_per_second > 0).then(|| n_left.div_ceil(self.bytes_per_second))
+    }
+}
+
+impl fmt::Display for Transfer {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.0} % of {}", self.fraction() * 100.0, bytes(self.n_bytes))?;
+        match self.seconds_left() {
+            Some(seconds) => write!(f, ", {}/s, {seconds} s left", bytes(self.bytes_per_second)),
+            None => Ok(()),
+        }
+    }
 }
 
 /// The time that one task took on the server.

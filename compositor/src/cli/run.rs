@@ -259,7 +259,10 @@ fn start_farm(
         moved_at: Instant::now(),
     };
     let _guard = runtime.enter();
-    Ok(Farm::start(listener, key, goal, wake)?)
+    let farm = Farm::start(listener, key, goal, wake)?;
+    // The wall builds as one more program beside its local render servers.
+    farm.give_scene_files(args.scene.store(), args.scene.shared_by(1 + args.n_local()).options());
+    Ok(farm)
 }
 
 /// Wake-up calls for a wall without a window.

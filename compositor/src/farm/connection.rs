@@ -17,8 +17,8 @@ use shared::{
     division::{Share, Task},
     printable::printable,
     protocol::{
-        Chunk, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME, ProbeHit, RunCosts,
-        SILENCE_LIMIT, SceneState, TaskId, TaskTimings, ToServer, ToWall,
+        Chunk, FETCH_SILENCE_LIMIT, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME,
+        ProbeHit, RunCosts, SILENCE_LIMIT, SceneState, TaskId, TaskTimings, ToServer, ToWall,
     },
     scene::SceneId,
 };
@@ -36,6 +36,8 @@ use super::{
     scheduler::PlacedUnits,
     silence::{self, LastHeard},
     stats::NodeId,
+    supply::SceneSupply,
+    transfer,
 };
 
 /// A report of a connection to the farm.
@@ -43,6 +45,8 @@ use super::{
 pub(super) enum ConnectionEvent {
     /// The handshake is over.
     Joined { name: String, threads: u32, is_local: bool, outbox: Arc<Outbox>, pending: Arc<PendingTasks> },
+    /// It will not render, but fetch the scene.
+    Fetching,
     /// The render server's progress with a scene.
     Scene { scene: SceneId, state: SceneState },
     /// Samples are in the frame buffer.
@@ -185,12 +189,13 @@ pub(super) async fn run(
     key: Option<Key>,
     events: EventSender,
     losses: Arc<Losses>,
+    supply: Arc<SceneSupply>,
     started_at: Instant,
 ) {
     // Requests are small and must not wait for more.
     let _ = stream.set_nodelay(true);
     let (input, output) = stream.split();
-    serve(input, output, key.as_ref(), events, &losses, started_at).await;
+    serve(input, output, key.as_ref(), events, (&losses, &supply), started_at).await;
 }
 
 async fn serve(
@@ -198,7 +203,7 @@ async fn serve(
     output: impl AsyncWrite + Unpin,
     key: Option<&Key>,
     events: EventSender,
-    losses: &Losses,
+    shared: (&Losses, &Arc<SceneSupply>),
     started_at: Instant,
 ) {
     let heard = LastHeard::now();
@@ -206,11 +211,11 @@ async fn serve(
     // One time limit for both handshakes: a peer that sends slowly gets no more.
     let deadline = tokio::time::Instant::now() + HANDSHAKE_TIMEOUT;
     let ended = match key {
-        None => converse(input, output, &events, losses, &heard, started_at, deadline).await,
+        None => converse(input, output, &events, shared, &heard, started_at, deadline).await,
         Some(key) => match timeout_at(deadline, secure::accept(input, output, key)).await {
             Err(_) => Err(ConnectionError::NoHandshake),
             Ok(Err(error)) => Err(error.into()),
-            Ok(Ok((input, output))) => converse(input, output, &events, losses, &heard, started_at, deadline).await,
+            Ok(Ok((input, output))) => converse(input, output, &events, shared, &heard, started_at, deadline).await,
         },
     };
     events.send(ConnectionEvent::Ended(ended)).await;
@@ -220,7 +225,7 @@ async fn converse(
     input: impl AsyncRead + Unpin,
     output: impl AsyncWrite + Unpin,
     events: &EventSender,
-    losses: &Losses,
+    (losses, supply): (&Losses, &Arc<SceneSupply>),
     heard: &LastHeard,
     started_at: Instant,
     deadline: tokio::time::Instant,
@@ -230,7 +235,15 @@ async fn converse(
     let mut writer = MessageWriter::new(output);
     let admission_wait = |name: &str| losses.wait(Instant::now(), name, events.address.ip());
     let shaking_hands = shake_hands(&mut reader, &mut writer, admission_wait);
-    let (name, threads) = timeout_at(deadline, shaking_hands).await.map_err(|_| ConnectionError::NoHandshake)??;
+    let opening = timeout_at(deadline, shaking_hands).await.map_err(|_| ConnectionError::NoHandshake)??;
+    let (name, threads) = match opening {
+        Opening::Render { name, threads } => (name, threads),
+        Opening::Fetch(scene) => {
+            events.send(ConnectionEvent::Fetching).await;
+            reader.raise_limits(FETCH_SILENCE_LIMIT);
+            return transfer::serve(&mut reader, &mut writer, supply, scene).await;
+        }
+    };
     let outbox = Arc::new(Outbox::default());
     let pending = Arc::new(PendingTasks::default());
     reader.raise_limits(SILENCE_LIMIT);
@@ -244,16 +257,26 @@ async fn converse(
     }
 }
 
+/// The purpose of a connection.
+enum Opening {
+    /// To render, under this name and with so many threads.
+    Render { name: String, threads: u32 },
+    /// To fetch this scene.
+    Fetch(SceneId),
+}
+
 async fn shake_hands(
     reader: &mut MessageReader<impl AsyncRead + Unpin, ToWall>,
     writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
     admission_wait: impl Fn(&str) -> Duration,
-) -> Result<(String, u32), ConnectionError> {
+) -> Result<Opening, ConnectionError> {
     // The wall's preamble always goes out: a render server of another version then reports the mismatch.
     writer.flush().await.map_err(WireError::from)?;
     reader.read_preamble().await?;
-    let Some(Incoming::Control(ToWall::Hello { name, threads })) = reader.read().await? else {
-        return Err(ConnectionError::OutOfTurn);
+    let (name, threads) = match reader.read().await? {
+        Some(Incoming::Control(ToWall::Hello { name, threads })) => (name, threads),
+        Some(Incoming::Control(ToWall::FetchScene { scene })) => return Ok(Opening::Fetch(scene)),
+        _ => return Err(ConnectionError::OutOfTurn),
     };
     if name.len() > LONGEST_NAME {
         return Err(ConnectionError::LongName);
@@ -263,7 +286,7 @@ async fn shake_hands(
     let name = if name.is_empty() { "nameless".to_owned() } else { name };
     sleep(admission_wait(&name)).await;
     writer.send(&ToServer::Welcome).await?;
-    Ok((name, threads))
+    Ok(Opening::Render { name, threads })
 }
 
 async fn receive(
@@ -343,7 +366,10 @@ async fn receive_until_end(
                 events.send(ConnectionEvent::Probed { number, hit }).await;
             }
             Incoming::Control(ToWall::Heartbeat) => {}
-            Incoming::Control(ToWall::Hello { .. }) => return Err(ConnectionError::OutOfTurn),
+            Incoming::FilePart(_)
+            | Incoming::Control(ToWall::Hello { .. } | ToWall::FetchScene { .. } | ToWall::FetchPart { .. }) => {
+                return Err(ConnectionError::OutOfTurn);
+            }
         }
     }
 }

@@ -66,7 +66,11 @@ impl Outbox {
                 }
                 Kind::Other
             }
-            ToServer::Refused { .. } | ToServer::Ping { .. } | ToServer::Welcome => Kind::Other,
+            ToServer::Refused { .. }
+            | ToServer::Ping { .. }
+            | ToServer::Welcome
+            | ToServer::SceneFileAwaited { .. }
+            | ToServer::SceneFile { .. } => Kind::Other,
         };
         if matches!(kind, Kind::LoadScene | Kind::Probe) {
             queue.messages.retain(|queued| queued.kind != kind);

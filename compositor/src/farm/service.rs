@@ -35,6 +35,7 @@ use super::{
     rate_limit::RateLimit,
     scheduler::{Action, Event, Scheduler},
     stats::{FarmStatus, NodeId, NodeStatus, Probed},
+    supply::SceneSupply,
 };
 
 /// Most render servers at a time: more than a wall has, and fewer than the files that a process may open.
@@ -80,6 +81,7 @@ pub(super) struct Service {
     status: watch::Sender<FarmStatus>,
     finished: Arc<FinishedFrame>,
     wake: Box<dyn Fn() + Send + Sync>,
+    supply: Arc<SceneSupply>,
     scheduler: Scheduler,
     /// Connections whose handshake is not over, the oldest first.
     strangers: VecDeque<(NodeId, AbortHandle)>,
@@ -111,9 +113,11 @@ impl Service {
         mut goal: watch::Receiver<RenderGoal>,
         status: watch::Sender<FarmStatus>,
         finished: Arc<FinishedFrame>,
+        supply: Arc<SceneSupply>,
         wake: Box<dyn Fn() + Send + Sync>,
     ) -> Self {
         let scheduler = Scheduler::new(goal.borrow_and_update().clone());
+        supply_goal(&supply, &goal.borrow());
         let started_at = Instant::now();
         Self {
             started_at,
@@ -122,6 +126,7 @@ impl Service {
             status,
             finished,
             wake,
+            supply,
             scheduler,
             strangers: VecDeque::new(),
             nodes: BTreeMap::new(),
@@ -161,7 +166,7 @@ impl Service {
                     last_node.0 += 1;
                     let is_local = stream.local_addr().is_ok_and(|here| is_same_machine(here, address));
                     let sender = EventSender { node: last_node, address, is_local, farm: event_sender.clone() };
-                    let connection = connection::run(stream, self.key.clone(), sender, Arc::clone(&self.losses), self.started_at);
+                    let connection = connection::run(stream, self.key.clone(), sender, Arc::clone(&self.losses), Arc::clone(&self.supply), self.started_at);
                     self.strangers.push_back((last_node, connections.spawn(connection)));
                     if self.strangers.len() > MOST_STRANGERS && let Some((_, oldest)) = self.strangers.pop_front() {
                         oldest.abort();
@@ -172,6 +177,7 @@ impl Service {
                 changed = self.goal.changed() => match changed {
                     Ok(()) => {
                         let goal = self.goal.borrow_and_update().clone();
+                        supply_goal(&self.supply, &goal);
                         self.dispatch(Event::GoalChanged(goal));
                     }
                     Err(_) => return,
@@ -273,6 +279,7 @@ impl Service {
                 self.dispatch(Event::Joined { node: id, name, threads });
                 self.wake_for_news();
             }
+            ConnectionEvent::Fetching => drop(self.remove_stranger(id)),
             ConnectionEvent::Scene { scene, state } => {
                 if self.scheduler.scene() != Some(scene) {
                     return;
@@ -346,6 +353,11 @@ impl Service {
                 }
                 let (key, text) = (self.key(id), format!("{name}: {reason}."));
                 self.status.send_modify(|status| status.notices.put(key, text));
+            }
+            SceneState::Fetching(transfer) => {
+                if let Some(more) = self.admit_line("fetching", &name) {
+                    tracing::info!("render server {name} fetches the model: {transfer}{more}");
+                }
             }
             SceneState::Ready { .. } if !was_ready => {
                 if let Some(more) = self.admit_line("ready", &name) {
@@ -443,6 +455,7 @@ impl Service {
                 self.frames.insert(frame, OpenFrame { spec, buffer, moved_at, bytes_out: HashMap::new() });
             }
             Action::Render { node, frame, task_id, spec, task, encoding } => {
+                self.supply.note_frame();
                 if let (Some(connection), Some(open)) = (self.nodes.get(&node), self.frames.get(&frame)) {
                     let pending_task = PendingTask::new(frame, task, Arc::clone(&open.buffer));
                     connection.pending.put(task_id, pending_task);
@@ -486,6 +499,10 @@ impl Service {
             node.outbox.forget(frame);
         }
     }
+}
+
+fn supply_goal(supply: &SceneSupply, goal: &RenderGoal) {
+    supply.set_scene(goal.spec.map(|spec| spec.scene), goal.scene_path.as_deref());
 }
 
 async fn accept_after(when: tokio::time::Instant, listener: &TcpListener) -> io::Result<(TcpStream, SocketAddr)> {

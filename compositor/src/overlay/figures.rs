@@ -52,7 +52,8 @@ fn headline(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
 
 /// Whether the wall, or the first of its render servers, is not ready yet.
 fn is_loading(model: &OverlayModel) -> bool {
-    let is_loading = |node: &NodeStatus| matches!(node.scene, Some(SceneState::Loading { .. }));
+    let is_loading =
+        |node: &NodeStatus| matches!(node.scene, Some(SceneState::Loading { .. } | SceneState::Fetching(_)));
     model.loading.is_some() || nodes::n_ready(&model.status) == 0 && model.status.nodes.iter().any(is_loading)
 }
 

@@ -120,6 +120,9 @@ fn state(node: &NodeStatus) -> (String, Color32, Option<&str>) {
         _ if node.is_silent => ("silent".to_owned(), style::BUSY, None),
         None => ("connected".to_owned(), style::BUSY, None),
         Some(SceneState::Loading { progress }) => (format!("loading {:.0} %", progress * 100.0), style::BUSY, None),
+        Some(SceneState::Fetching(transfer)) => {
+            (format!("fetching {:.0} %", transfer.fraction() * 100.0), style::BUSY, None)
+        }
         Some(SceneState::Ready { .. }) => ("ready".to_owned(), style::GOOD, None),
         Some(SceneState::Missing { reason }) => ("no model".to_owned(), style::BAD, Some(reason)),
     }

@@ -83,7 +83,7 @@ impl FromStr for MemoryBudget {
         if range.contains(&budget) {
             Ok(budget)
         } else {
-            Err(format!("the memory budget must be from {} to {}", range.start(), range.end()))
+            Err(format!("a size must be from {} to {}", range.start(), range.end()))
         }
     }
 }
@@ -170,7 +170,7 @@ mod tests {
     fn errors_name_the_valid_sizes() {
         for text in ["1K", "0", "-5G", "NaN", "NaNG", "2000G", "2T", "infG"] {
             let error = text.parse::<MemoryBudget>().unwrap_err();
-            assert_eq!(error, "the memory budget must be from 16M to 1T", "{text}");
+            assert_eq!(error, "a size must be from 16M to 1T", "{text}");
         }
         for text in ["", "G", "1P", "1 GB", "1GB", "ä"] {
             assert!(text.parse::<MemoryBudget>().unwrap_err().contains("no size: write it as 512M"), "{text}");

@@ -11,7 +11,10 @@ use std::{
     time::SystemTime,
 };
 
-use shared::{codec, scene::Crease};
+use shared::{
+    codec,
+    scene::{Crease, SceneId},
+};
 
 use crate::{
     grid::GridOptions,
@@ -30,6 +33,12 @@ const LOCK_ENDING: &str = "lock";
 /// The ending of files that are being written.
 const PART_ENDING: &str = "part";
 
+/// The ending of scene files that are being fetched.
+const FETCH_ENDING: &str = "fetch";
+
+/// The beginning of the names of scene files that were fetched.
+const FETCHED: &str = "fetched-";
+
 /// Scene files in a folder of this user.
 #[derive(Clone, Debug)]
 pub struct Cache {
@@ -42,7 +51,7 @@ pub struct Cache {
 #[derive(Clone, Debug)]
 pub struct CachedScene {
     path: PathBuf,
-    /// The path of its model; `None` if the file cannot be used.
+    /// The path of its model, or where it comes from; `None` if the file cannot be used.
     pub model: Option<String>,
     /// Triangles of the model.
     pub n_triangles: usize,
@@ -99,6 +108,17 @@ impl Cache {
         scenes(&self.folder).filter(move |path| path.to_string_lossy().contains(&name))
     }
 
+    /// The path of a scene that is fetched from a wall.
+    pub(crate) fn fetched_path(&self, scene: SceneId) -> PathBuf {
+        self.folder.join(format!("{FETCHED}{}.{ENDING}", hash(&codec::to_bytes(&scene))))
+    }
+
+    /// The part of the scene of a path that has been fetched. Its name stays the same, so that a later process goes on with it;
+    /// nobody else may write in the cache.
+    pub(crate) fn part_of(path: &Path) -> PathBuf {
+        path.with_extension(FETCH_ENDING)
+    }
+
     /// The lock of the scene of a path.
     pub(crate) fn lock_of(path: &Path) -> PathBuf {
         path.with_extension(LOCK_ENDING)
@@ -116,7 +136,10 @@ impl Cache {
     pub(crate) fn make_room(&self, n_bytes: u64, path: &Path) -> bool {
         let Some(left) = self.most_bytes.checked_sub(n_bytes) else { return false };
         self.drop_parts(Some(&Self::lock_of(path)));
-        let mut others: Vec<_> = scenes(&self.folder).filter(|other| other != path).filter_map(aged).collect();
+        let own = [path, &Self::part_of(path)];
+        let parts = files(&self.folder, FETCH_ENDING);
+        let others = scenes(&self.folder).chain(parts).filter(|other| !own.contains(&other.as_path()));
+        let mut others: Vec<_> = others.filter_map(aged).collect();
         others.sort_by_key(|(_, _, used_at)| *used_at);
         let mut taken: u64 = others.iter().map(|(_, n_bytes, _)| n_bytes).sum();
         for (path, n_bytes, _) in others {
@@ -135,7 +158,11 @@ impl Cache {
         let cached = |(path, n_bytes, used_at): (PathBuf, u64, SystemTime)| {
             let record = SceneFile::open(&path).ok().map(|file| file.record);
             let n_triangles = record.as_ref().map_or(0, |record| record.info.n_triangles);
-            let model = record.and_then(|record| Some(record.sources?.path()));
+            let is_fetched = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(FETCHED));
+            let model = record.and_then(|record| match is_fetched {
+                true => Some("fetched from a wall".to_owned()),
+                false => Some(record.sources?.path()),
+            });
             CachedScene { path, model, n_triangles, n_bytes, used_at }
         };
         let mut scenes: Vec<_> = scenes(&self.folder).filter_map(aged).map(cached).collect();
@@ -162,8 +189,12 @@ impl Cache {
         let n_part_bytes = self.drop_parts(None);
         let scenes = self.scenes();
         scenes.iter().for_each(|scene| remove(&scene.path));
+        // One that is being fetched is begun again.
+        let parts: Vec<_> = files(&self.folder, FETCH_ENDING).filter_map(aged).collect();
+        parts.iter().for_each(|(path, ..)| remove(path));
         self.seals.clear();
-        scenes.iter().map(|scene| scene.n_bytes).sum::<u64>() + n_part_bytes
+        let of_scenes: u64 = scenes.iter().map(|scene| scene.n_bytes).sum();
+        of_scenes + parts.iter().map(|(_, n_bytes, _)| n_bytes).sum::<u64>() + n_part_bytes
     }
 }
 

@@ -221,6 +221,18 @@ impl Head {
         self.entries.len()
     }
 
+    /// The bytes of a file that a chunk takes; none behind the last.
+    pub(crate) fn chunk(&self, number: usize) -> Range<usize> {
+        let Range { start, end } = self.body();
+        (start + number * CHUNK).min(end)..(start + (number + 1) * CHUNK).min(end)
+    }
+
+    /// Whether these are the bytes of a chunk.
+    pub(crate) fn is_chunk(&self, number: usize, bytes: &[u8]) -> bool {
+        bytes.len() == self.chunk(number).len()
+            && self.hashes.get(number).is_some_and(|hash| blake3::hash(bytes).as_bytes() == hash)
+    }
+
     /// Compares the chunks of a file with their hashes, in parallel; `progress` receives the fraction done, from any thread.
     pub(crate) fn check_chunks(&self, file: &[u8], progress: &(dyn Fn(f32) + Sync)) -> Result<(), Fault> {
         let done = std::sync::atomic::AtomicUsize::new(0);

@@ -20,6 +20,7 @@ use crate::{
         head::Hash,
         lock::Lock,
         seals::Seals,
+        travelling::TravellingFile,
     },
 };
 
@@ -45,6 +46,15 @@ pub enum Stage {
 
 /// Receives the stage and the fraction of all that is done, 0 to 1, from any thread.
 pub type Report<'a> = &'a (dyn Fn(Stage, f32) + Sync);
+
+/// Which scenes the cache keeps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Keep {
+    /// Those that take longer to build than to open.
+    IfWorthwhile,
+    /// All.
+    Always,
+}
 
 /// A scene, and what is told of its model.
 pub struct StoredScene {
@@ -100,6 +110,40 @@ impl SceneStore {
         self.cache.as_ref()?.paths(model, crease).find_map(|path| open_cached(&path, model))
     }
 
+    /// The cache, if there is one; else why not, and the cure.
+    pub(crate) fn cache(&self) -> Result<&Cache, String> {
+        self.cache.as_ref().ok_or_else(|| {
+            self.fault.clone().unwrap_or_else(|| "it keeps no scene files: start it without --no-cache".to_owned())
+        })
+    }
+
+    /// The scene file of a model, to give it to other machines: the one that is there, or one that is made in the cache, on the
+    /// current rayon pool.
+    ///
+    /// # Errors
+    /// The cause and the cure.
+    pub fn travelling(
+        &self,
+        model: &Path,
+        crease: Crease,
+        options: &GridOptions,
+        report: Report<'_>,
+    ) -> Result<TravellingFile, String> {
+        let open = |file: SceneFile| TravellingFile::of(&file).map_err(|error| error.to_string());
+        if is_scene_file(model) {
+            return open(open_named(model, crease).map_err(|error| error.to_string())?);
+        }
+        if let Some(file) = self.cached(model, crease) {
+            return open(file);
+        }
+        let cache = self.cache()?;
+        let options = GridOptions { storage: Storage::Tree, ..*options };
+        let made = self.load_cached(cache, model, crease, &options, Keep::Always, report);
+        made.map_err(|error| error.to_string())?.finish();
+        let file = self.cached(model, crease);
+        open(file.ok_or_else(|| format!("no scene file of {} can be made here: see the log", model.display()))?)
+    }
+
     /// The facts of a model: from a scene file if there is one, which takes no time, or by reading the model.
     ///
     /// # Errors
@@ -140,7 +184,7 @@ impl SceneStore {
                 return Ok(scene.map_err(|fault| error_of(path, fault))?);
             }
             if let Some(cache) = self.cache.as_ref().filter(|_| options.storage == Storage::Tree) {
-                return self.load_cached(cache, path, crease, options, report);
+                return self.load_cached(cache, path, crease, options, Keep::IfWorthwhile, report);
             }
         }
         let built = build(source, crease, options, report)?;
@@ -158,6 +202,7 @@ impl SceneStore {
         model: &Path,
         crease: Crease,
         options: &GridOptions,
+        keep: Keep,
         report: Report<'_>,
     ) -> Result<StoredScene, LoadError> {
         let path = cache.path(model, crease, options);
@@ -189,7 +234,7 @@ impl SceneStore {
             report(stage, done);
         };
         let built = build(&SceneSource::File(model.to_owned()), crease, options, &report)?;
-        if lock.is_none() || !is_worthwhile(&built.scene) {
+        if lock.is_none() || keep == Keep::IfWorthwhile && !is_worthwhile(&built.scene) {
             return Ok(built.into());
         }
         self.keep(cache, &path, model, built, options.memory_budget, &report)

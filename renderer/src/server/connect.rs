@@ -26,9 +26,11 @@ use crate::{
         scene_args::SceneArgs,
         stop::{self, Signal},
     },
+    grid::MemoryBudget,
     model::scene::SceneSource,
     render::threads,
     server::{
+        fetch::Fetcher,
         scene_loader::{SceneLoader, Told},
         session::{self, SessionEnd, SessionError},
         synthetic::SyntheticPicture,
@@ -54,7 +56,7 @@ pub struct ConnectArgs {
     #[arg(value_name = "HOST:PORT")]
     pub wall: String,
     /// The model's file that the wall shows: PLY, OBJ, STL, glTF or GLB, or a scene file of it [default: the wall's own
-    /// file, if the wall runs on this machine]
+    /// file, if the wall runs on this machine; else its scene file is fetched from the wall]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// The sky image that lights the wall [default: the wall's own file, if the wall runs on this machine]
@@ -72,6 +74,13 @@ pub struct ConnectArgs {
     /// Talk to a wall on another machine without encryption or authentication
     #[arg(long)]
     pub insecure: bool,
+    /// Never fetch the model from the wall
+    #[arg(long, conflicts_with = "fetch_limit")]
+    pub no_fetch: bool,
+    /// The largest scene file to fetch from the wall, for example 512M or 1.5G [default: half of the free disk, and no more
+    /// than the cache may have]
+    #[arg(long, value_name = "SIZE")]
+    pub fetch_limit: Option<MemoryBudget>,
     /// Options of the grid
     #[command(flatten)]
     pub scene: SceneArgs,
@@ -119,7 +128,15 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
                 args.scene.warn_of_scene_file(&SceneSource::File(path.clone()));
             }
             args.scene.log_budget(1);
-            SceneLoader::start(pool, (args.model, args.sky), args.scene.options(), args.scene.store(), told)?
+            // One that the wall has started has the wall's own file.
+            let fetcher = (!args.no_fetch && !args.local).then(|| Fetcher {
+                host: with_port(&args.wall),
+                key: key.clone(),
+                only_this_machine,
+                limit: args.fetch_limit,
+            });
+            let files = (args.model, args.sky);
+            SceneLoader::start(pool, files, args.scene.options(), args.scene.store(), told, fetcher)?
         }
     };
     if with_port(&args.wall).starts_with(':') {
@@ -219,7 +236,7 @@ pub fn with_port(wall: &str) -> String {
 }
 
 /// Connects once, to this machine or to any. The outer error is permanent; the inner one may go away on another attempt.
-async fn connect(host: &str, only_this_machine: bool) -> anyhow::Result<io::Result<TcpStream>> {
+pub(super) async fn connect(host: &str, only_this_machine: bool) -> anyhow::Result<io::Result<TcpStream>> {
     let addresses: Vec<SocketAddr> = match lookup_host(host).await {
         Ok(addresses) => addresses.collect(),
         Err(error) if error.kind() == io::ErrorKind::InvalidInput => {

@@ -3,7 +3,7 @@
 use std::{
     path::PathBuf,
     sync::{Arc, Condvar, Mutex, PoisonError},
-    time::{Duration, SystemTime},
+    time::{Duration, Instant, SystemTime},
 };
 
 use anyhow::Context;
@@ -24,13 +24,21 @@ use crate::{
     render::{scene::Scene, sky::SkyMap},
     scene_file::{
         SceneStore,
+        cache::Cache,
+        lock::Lock,
         store::{Stage, StoredScene},
     },
-    server::synthetic::SyntheticPicture,
+    server::{
+        fetch::{self, Fetcher, Watch},
+        synthetic::SyntheticPicture,
+    },
 };
 
 /// How often a scene that is missing is looked for.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
+
+/// How often a scene that could not be fetched is asked for again.
+const FETCH_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Length and time of a file, if it is there.
 type FileState = Option<(u64, Option<SystemTime>)>;
@@ -54,6 +62,11 @@ impl LatestRequest {
     fn put(&self, request: LoadRequest) {
         *self.request.lock().unwrap_or_else(PoisonError::into_inner) = Some(request);
         self.changed.notify_one();
+    }
+
+    /// Whether one waits.
+    fn has_one(&self) -> bool {
+        self.request.lock().unwrap_or_else(PoisonError::into_inner).is_some()
     }
 
     /// Waits for a request, at most for `limit`.
@@ -125,13 +138,14 @@ pub(crate) struct SceneLoader {
 
 impl SceneLoader {
     /// Starts the loading thread, which first loads `model`, if given, before any wall asks, and logs what `told` says. `sky`
-    /// is the file of the wall's sky image.
+    /// is the file of the wall's sky image. Models that are not here come from the `fetcher`, if there is one.
     pub(crate) fn start(
         pool: Arc<ThreadPool>,
         (model, sky): (Option<PathBuf>, Option<PathBuf>),
         options: GridOptions,
         store: SceneStore,
         told: Told,
+        fetcher: Option<Fetcher>,
     ) -> anyhow::Result<Self> {
         let requests = Arc::new(LatestRequest::default());
         let (progress, _) = watch::channel(None);
@@ -146,6 +160,8 @@ impl SceneLoader {
             structure: None,
             told,
             told_of: None,
+            fetcher,
+            fetch_at: None,
             progress: progress.clone(),
         };
         std::thread::Builder::new()
@@ -213,6 +229,9 @@ struct LoaderThread {
     told: Told,
     /// The scene of which the log tells already; a new structure has it read again.
     told_of: Option<SceneId>,
+    fetcher: Option<Fetcher>,
+    /// When a scene that could not be fetched is asked for again.
+    fetch_at: Option<Instant>,
     progress: watch::Sender<LoadProgress>,
 }
 
@@ -231,12 +250,15 @@ impl LoaderThread {
         loop {
             let order = requests.take(if unmet.is_some() { RETRY_INTERVAL } else { Duration::MAX });
             // A file that has come back, or was replaced, is read without being asked for again.
-            let order =
-                order.or_else(|| unmet.take_if(|(order, files)| self.files(order) != *files).map(|(order, _)| order));
+            let is_due = self.fetch_at.is_some_and(|at| at <= Instant::now());
+            let order = order.or_else(|| {
+                unmet.take_if(|(order, files)| is_due || self.files(order) != *files).map(|(order, _)| order)
+            });
             let Some(order) = order else { continue };
+            self.fetch_at = None;
             let files = self.files(&order);
             let scene = order.scene;
-            let state = match self.prepare_scene(&order) {
+            let state = match self.prepare_scene(&order, requests) {
                 Ok(scene) => SceneState::Ready {
                     triangles: scene.n_triangles() as u64,
                     bytes: scene.n_bytes() as u64,
@@ -295,16 +317,86 @@ impl LoaderThread {
         Ok(Arc::new(sky))
     }
 
-    /// Returns the ordered scene. The error names the cause and the cure.
-    fn prepare_scene(&mut self, order: &LoadRequest) -> Result<Arc<Scene>, String> {
-        let ordered = order.scene;
+    /// Returns the ordered scene, fetched if it is not here. The error names the cause and the cure.
+    fn prepare_scene(&mut self, order: &LoadRequest, requests: &LatestRequest) -> Result<Arc<Scene>, String> {
         let sky_id = order.sky.as_ref().map(|sky| sky.id);
-        if let Some(scene) = self.current.get(ordered).filter(|_| self.structure == order.structure)
+        if let Some(scene) = self.current.get(order.scene).filter(|_| self.structure == order.structure)
             && scene.sky.as_ref().map(|sky| sky.id()) == sky_id
         {
             return Ok(scene);
         }
         let sky = order.sky.as_ref().map(|sky| self.read_sky(sky)).transpose()?;
+        let missing = match self.find_scene(order, sky.clone()) {
+            Err(reason) if matches!(order.scene, SceneId::Mesh { .. }) => reason,
+            found => return found,
+        };
+        let Some(fetcher) = self.fetcher.clone() else { return Err(missing) };
+        if self.path(order).is_some() {
+            tracing::warn!("{missing}; it is fetched from the wall");
+        }
+        self.fetch(&fetcher, order.scene, sky, requests)
+            .map_err(|error| format!("{missing}; it cannot be fetched: {error}"))
+    }
+
+    /// The scene in its file in the cache, or from the wall.
+    fn fetch(
+        &mut self,
+        fetcher: &Fetcher,
+        scene: SceneId,
+        sky: Option<Arc<SkyMap>>,
+        requests: &LatestRequest,
+    ) -> Result<Arc<Scene>, String> {
+        let cache = self.store.cache()?.clone();
+        let place = cache.fetched_path(scene);
+        let source = SceneSource::File(place.clone());
+        // Of several render servers on a machine, one fetches.
+        let lock = Lock::take(&Cache::lock_of(&place), &|done| self.report_progress(scene, done));
+        let lock = lock.map_err(|error| format!("{}: {error}", cache.folder().display()))?;
+        for is_first in [true, false] {
+            if place.exists() {
+                match self.load(Some(scene), scene.crease(), &source, sky.clone()) {
+                    Ok((id, scene_of_file, _)) if id == scene => {
+                        Cache::touch(&place);
+                        return Ok(scene_of_file);
+                    }
+                    Ok((id, ..)) => tracing::warn!("{source} is {id}: it is fetched again"),
+                    Err(error) => tracing::warn!("{error}: it is fetched again"),
+                }
+                // It was damaged here, or the wall's is wrong.
+                let _ = std::fs::remove_file(&place);
+            }
+            if !is_first {
+                break;
+            }
+            let bar = Progress::new(format!("fetching {scene} from the wall"));
+            let report = |progress: fetch::Progress| match progress {
+                fetch::Progress::Awaited(done) => {
+                    bar.tell(&format!("the wall makes the scene file of {scene}"));
+                    bar.set(done);
+                    self.report_progress(scene, done);
+                }
+                fetch::Progress::Arriving(transfer) => {
+                    bar.tell(&format!("fetching {scene}: {transfer}"));
+                    bar.set(transfer.fraction());
+                    lock.iter().for_each(|lock| lock.tell(transfer.fraction()));
+                    self.progress.send_replace(Some((scene, SceneState::Fetching(transfer))));
+                }
+            };
+            self.current.set(None);
+            let watch = Watch { is_wanted: &|| !requests.has_one(), report: &report };
+            let fetched = self.pool.install(|| fetcher.fetch(scene, &cache, &place, &watch));
+            if let Err(error) = fetched {
+                self.fetch_at = Some(Instant::now() + FETCH_INTERVAL);
+                return Err(error.to_string());
+            }
+        }
+        self.fetch_at = Some(Instant::now() + FETCH_INTERVAL);
+        Err("the wall's scene file cannot be used: see the log".to_owned())
+    }
+
+    /// Returns the ordered scene if it is here. The error names the cause and the cure.
+    fn find_scene(&mut self, order: &LoadRequest, sky: Option<Arc<SkyMap>>) -> Result<Arc<Scene>, String> {
+        let ordered = order.scene;
         self.structure = order.structure;
         let source = match ordered {
             SceneId::Statue { triangles, .. } => Some(SceneSource::Statue { triangles }),

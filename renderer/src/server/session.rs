@@ -205,7 +205,9 @@ impl Session<'_> {
                     }
                 }
                 ToServer::Refused { reason } => return Err(SessionError::Refused(printable(&reason))),
-                ToServer::Welcome => return Err(SessionError::OutOfTurn),
+                ToServer::Welcome | ToServer::SceneFileAwaited { .. } | ToServer::SceneFile { .. } => {
+                    return Err(SessionError::OutOfTurn);
+                }
             }
         }
         Ok(())

@@ -48,6 +48,8 @@ pub enum Incoming<'a, M> {
         /// Bytes of the message on the wire.
         n_bytes: usize,
     },
+    /// Bytes of a scene file, in the reader's buffer.
+    FilePart(&'a [u8]),
 }
 
 /// Reads messages of type `M`.
@@ -128,6 +130,7 @@ impl<S: AsyncRead + Unpin, M: DeserializeOwned> MessageReader<S, M> {
                 let chunk = Chunk::decode(body)?.unpack(encoding, &mut self.unpacked)?;
                 Incoming::Samples { chunk, n_bytes: HEADER_BYTES + n_bytes }
             }
+            BodyKind::FilePart => Incoming::FilePart(body),
         }))
     }
 

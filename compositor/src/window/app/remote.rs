@@ -260,6 +260,7 @@ impl App<'_> {
             _ if node.is_silent => ("silent", String::new()),
             None => ("joining", String::new()),
             Some(SceneState::Loading { progress }) => ("loading", format!("{:.0} %", progress * 100.0)),
+            Some(SceneState::Fetching(transfer)) => ("fetching", transfer.to_string()),
             Some(SceneState::Missing { reason }) => ("missing", printable_line(reason)),
             Some(SceneState::Ready { .. }) => ("ready", String::new()),
         };
