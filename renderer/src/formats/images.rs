@@ -291,7 +291,7 @@ mod tests {
     #[test]
     fn a_jpeg_that_is_cut_has_a_line() {
         let mut bytes = Vec::new();
-        let image = image::RgbImage::from_fn(64, 64, |x, y| image::Rgb([(x * 37 ^ y * 91) as u8; 3]));
+        let image = image::RgbImage::from_fn(64, 64, |x, y| image::Rgb([((x * 37) ^ (y * 91)) as u8; 3]));
         image.write_to(&mut Cursor::new(&mut bytes), ImageFormat::Jpeg).unwrap();
         assert!(decode_bytes("1.jpg", &bytes).is_ok());
         assert!(decode_bytes("1.jpg", &[&bytes[..], b"a film that a phone appends"].concat()).is_ok());

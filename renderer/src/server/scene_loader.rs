@@ -334,7 +334,7 @@ impl LoaderThread {
         if self.path(order).is_some() {
             tracing::warn!("{missing}; it is fetched from the wall");
         }
-        self.fetch(&fetcher, order.scene, sky, requests)
+        self.fetch(&fetcher, order.scene, sky.as_ref(), requests)
             .map_err(|error| format!("{missing}; it cannot be fetched: {error}"))
     }
 
@@ -343,7 +343,7 @@ impl LoaderThread {
         &mut self,
         fetcher: &Fetcher,
         scene: SceneId,
-        sky: Option<Arc<SkyMap>>,
+        sky: Option<&Arc<SkyMap>>,
         requests: &LatestRequest,
     ) -> Result<Arc<Scene>, String> {
         let cache = self.store.cache()?.clone();
@@ -354,7 +354,7 @@ impl LoaderThread {
         let lock = lock.map_err(|error| format!("{}: {error}", cache.folder().display()))?;
         for is_first in [true, false] {
             if place.exists() {
-                match self.load(Some(scene), scene.crease(), &source, sky.clone()) {
+                match self.load(Some(scene), scene.crease(), &source, sky.cloned()) {
                     Ok((id, scene_of_file, _)) if id == scene => {
                         Cache::touch(&place);
                         return Ok(scene_of_file);
