@@ -94,7 +94,10 @@ fn a_wall_without_a_window_writes_the_refined_picture() {
     let fixed = |size: &str, samples: &str, args: &[&str]| {
         let picture = files.path(&format!("{size}-{samples}.png"));
         let mut command = files.wall(size);
-        command.args(["--local", "1", "--frames", "2", "--samples", samples, "--screenshot"]).arg(&picture).args(args);
+        command.args(["--frames", "2", "--samples", samples, "--screenshot"]).arg(&picture).args(args);
+        if !args.contains(&"--local") {
+            command.args(["--local", "1"]);
+        }
         let said = Program::succeed(command);
         (crate::references::read_png(&picture).unwrap(), said)
     };
@@ -102,7 +105,15 @@ fn a_wall_without_a_window_writes_the_refined_picture() {
     let (refined, said) = fixed("64x36", "9", &["--target-rate", "30"]);
     assert_eq!(files.frames().len(), 2, "the refinement is not among the measured frames");
     assert!(said.contains("refining to 128x72, samples a pixel: 9"), "{said}");
-    assert!(refined == fixed("128x72", "9", &["--rays", "ambient"]).0, "it differs from a frame of that many samples");
+    assert!(refined == fixed("128x72", "9", &["--rays", "path"]).0, "it differs from a frame of that many samples");
     let (plain, _) = fixed("64x36", "9", &["--target-rate", "30", "--rays", "primary"]);
     assert!(plain == fixed("128x72", "9", &[]).0, "chosen rays are kept");
+    // Tiles stop at a noise, in one division of several render servers as in another of one.
+    let noisy = ["--noise", "4", "--rays", "path"];
+    let (refined, said) = fixed("64x36", "99", &[&noisy[..], &["--target-rate", "30", "--local", "2"]].concat());
+    assert!(said.contains("samples a pixel: 16") && said.contains("samples a pixel: 99"), "{said}");
+    for division in ["interleaved", "dynamic"] {
+        let (fixed, _) = fixed("128x72", "99", &[&noisy[..], &["--division", division]].concat());
+        assert!(refined == fixed, "{division}");
+    }
 }

@@ -164,7 +164,7 @@ pub struct WallArgs {
     pub view: ShadingMode,
     /// The rays that light a sample: primary; shadows, which adds a ray to the key light; or ambient, which adds ambient
     /// occlusion; or path, light of sun and sky that bounces, at rest if the resolution follows the motion [default: primary;
-    /// at rest ambient if the resolution follows the motion]
+    /// at rest path if the resolution follows the motion]
     #[arg(long, value_name = "RAYS")]
     pub rays: Option<LightingMode>,
     /// Key light, background and clip plane.

@@ -2,8 +2,8 @@
 //!
 //! While the camera moves, [`control`] chooses each frame's resolution from a [`ladder`], by the times that frames take the
 //! farm and the [`display`]. At rest, frames in the wall's native resolution follow with 1, 4, 16 … samples a pixel; once
-//! edges are smooth, all rays light them, unless the operator chose the rays. Paths, if chosen, light only pictures at rest:
-//! few of them are noise.
+//! edges are smooth, ambient occlusion and then paths light them, unless the operator chose the rays. Paths light only pictures
+//! at rest: few of them are noise.
 
 mod control;
 mod display;
@@ -51,7 +51,7 @@ pub(crate) struct RefinementOptions {
     pub fixed_size: FrameSize,
     /// The samples of each pixel that frames average while refinement is off.
     pub fixed_samples: SampleRange,
-    /// Whether all rays light a picture at rest, though only primary ones light it in motion.
+    /// Whether ambient occlusion and then paths light a picture at rest, though only primary rays light it in motion.
     pub lights_at_rest: bool,
 }
 
@@ -102,7 +102,7 @@ impl Refinement {
         self.start_again();
     }
 
-    /// Lights pictures at rest by all rays, or not, from the next change on.
+    /// Lights pictures at rest by ambient occlusion and paths, or not, from the next change on.
     pub(crate) fn set_lights_at_rest(&mut self, lights_at_rest: bool) {
         self.options.lights_at_rest = lights_at_rest;
     }
@@ -115,7 +115,7 @@ impl Refinement {
     /// Samples a pixel of a fully refined picture.
     pub(crate) fn n_samples(&self) -> u32 {
         let RefinementOptions { is_on, n_samples, paths, fixed_samples, .. } = self.options;
-        let has_paths = self.last.is_some_and(|last| last.paths_follow() || last.step.spec.rays == LightingMode::Path);
+        let has_paths = self.last.is_some_and(|last| self.ends_with_paths(&last));
         match (is_on, has_paths) {
             (true, true) => paths.count,
             (true, false) => n_samples,
@@ -183,6 +183,12 @@ impl Refinement {
         self.last.is_some_and(|last| last.is_shown && self.finer(&last).is_none())
     }
 
+    /// Whether paths light the last frame of the refinement.
+    fn ends_with_paths(&self, last: &LastStep) -> bool {
+        let is_asked = last.asked_rays == LightingMode::Path || self.options.lights_at_rest;
+        is_asked && last.step.spec.view == ShadingMode::Shaded
+    }
+
     /// The frame after the last one in the refinement.
     fn finer(&self, last: &LastStep) -> Option<FrameSpec> {
         let RefinementOptions { is_on, native, n_samples, paths, lights_at_rest, .. } = self.options;
@@ -190,12 +196,12 @@ impl Refinement {
         let is_native = spec.size == native;
         let is_smooth = is_native && spec.samples.count >= SAMPLES_FACTOR.min(n_samples);
         let is_plain = spec.rays == LightingMode::Primary && spec.view == ShadingMode::Shaded;
-        let (samples, rays) = if is_smooth && last.paths_follow() {
-            (SampleRange { count: FEWEST_PATHS.min(paths.count), ..paths }, LightingMode::Path)
-        } else if is_native && spec.rays == LightingMode::Path {
+        let (samples, rays) = if is_native && spec.rays == LightingMode::Path {
             (paths, spec.rays)
         } else if lights_at_rest && is_smooth && is_plain {
             (spec.samples, LightingMode::AmbientOcclusion)
+        } else if is_smooth && self.ends_with_paths(last) {
+            (SampleRange { count: FEWEST_PATHS.min(paths.count), ..paths }, LightingMode::Path)
         } else if is_native {
             (SampleRange::all(0, spec.samples.count.saturating_mul(SAMPLES_FACTOR).min(n_samples)), spec.rays)
         } else {
@@ -203,14 +209,6 @@ impl Refinement {
         };
         let finer = FrameSpec { size: native, samples, rays, ..*spec };
         (is_on && finer != *spec).then_some(finer)
-    }
-}
-
-impl LastStep {
-    /// Whether frames with paths follow.
-    fn paths_follow(&self) -> bool {
-        let FrameSpec { rays, view, .. } = self.step.spec;
-        self.asked_rays == LightingMode::Path && rays != LightingMode::Path && view == ShadingMode::Shaded
     }
 }
 

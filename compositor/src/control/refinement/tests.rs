@@ -268,8 +268,8 @@ fn without_refinement_every_frame_has_the_fixed_resolution() {
 }
 
 #[test]
-fn all_rays_light_a_picture_at_rest_unless_they_were_chosen() {
-    use LightingMode::{AmbientOcclusion, Primary};
+fn paths_light_a_picture_at_rest_unless_other_rays_were_chosen() {
+    use LightingMode::{AmbientOcclusion, Path, Primary};
     let mut wall = Wall::with_paper_frame_of(0.02);
     let rest = |wall: &mut Wall| {
         wall.move_on();
@@ -277,9 +277,10 @@ fn all_rays_light_a_picture_at_rest_unless_they_were_chosen() {
     };
     assert_eq!(rest(&mut wall), [(1, Primary), (4, Primary), (16, Primary)]);
     wall.refinement.set_lights_at_rest(true);
-    assert_eq!(rest(&mut wall), [(1, Primary), (4, Primary), (4, AmbientOcclusion), (16, AmbientOcclusion)]);
+    let lit = [(1, Primary), (4, Primary), (4, AmbientOcclusion), (16, Path), (256, Path)];
+    assert_eq!(rest(&mut wall), lit);
     let same = wall.refinement.change(wall.now, spec_at(f64::from(wall.n_moves))).spec;
-    assert_eq!((same.samples.count, same.rays), (16, AmbientOcclusion), "it need not become coarse again");
+    assert_eq!((same.samples.count, same.rays), (256, Path), "it need not become coarse again");
     wall.refinement.set_lights_at_rest(false);
     let chosen = wall.refinement.change(wall.now, spec_at(f64::from(wall.n_moves))).spec;
     assert_eq!((chosen.samples.count, chosen.rays), (1, Primary));
