@@ -54,6 +54,8 @@ pub struct RenderGoal {
     pub spec: Option<FrameSpec>,
     /// Where render servers on this machine find the scene.
     pub scene_path: Option<PathBuf>,
+    /// Where they find the sky image that the spec names, if it does.
+    pub sky_path: Option<PathBuf>,
     /// Whether the frame only refines one that was shown: it is cancelled as soon as another is wanted.
     pub is_refinement: bool,
     /// How frames are divided.

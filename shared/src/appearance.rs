@@ -8,7 +8,7 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use strum::{Display, EnumString, IntoStaticStr, VariantArray};
 
-use crate::{camera::Camera, division::FrameSize, names::unknown_name, path_light::PathLight, srgb};
+use crate::{camera::Camera, division::FrameSize, names::unknown_name, path_light::PathLight, sky::Sky, srgb};
 
 /// The appearance of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -21,6 +21,8 @@ pub struct Appearance {
     pub clip: Option<Clip>,
     /// More of the light, if it is path traced.
     pub path: PathLight,
+    /// The image that lights it in place of sun and sky, if there is one.
+    pub sky: Option<Sky>,
 }
 
 /// The direction of the key light, seen from the target, with the eye straight in front.

@@ -306,12 +306,16 @@ mod tests {
         };
         for (triangles, fits) in [(SceneId::LARGEST_STATUE, true), (SceneId::LARGEST_STATUE + 1, false)] {
             let scene = SceneId::Statue { triangles, crease: Default::default() };
-            assert_eq!(is_message(&ToServer::LoadScene { scene, path: None, structure: None }), fits, "{triangles}");
+            assert_eq!(
+                is_message(&ToServer::LoadScene { scene, path: None, structure: None, sky: None }),
+                fits,
+                "{triangles}"
+            );
         }
         // The crease is the byte after the last of the hash.
         let mut bytes = vec![];
         let scene = SceneId::Mesh { blake3: [7; 32], crease: Default::default() };
-        encode(&ToServer::LoadScene { scene, path: None, structure: None }, &mut bytes).unwrap();
+        encode(&ToServer::LoadScene { scene, path: None, structure: None, sky: None }, &mut bytes).unwrap();
         let body = &mut bytes[HEADER_BYTES..];
         let crease = body.iter().rposition(|&byte| byte == 7).unwrap() + 1;
         for (degrees, fits) in [(0, true), (180, true), (181, false)] {

@@ -3,7 +3,7 @@
 //! Everything here is a pure function or plain data: no socket, no clock, no thread.
 //! In reading order: [`camera`] makes rays, [`division`] says which node renders which samples, [`curve`] in which order,
 //! [`scene`] names the scene and [`structure`] its grid, [`appearance`] is light, background and clip plane,
-//! [`path_light`] sun, bounces and exposure of path-traced pictures, [`srgb`] encodes light, [`protocol`] defines the messages
+//! [`path_light`] sun, bounces and exposure of path-traced pictures, [`sky`] names the image that lights them, [`srgb`] encodes light, [`protocol`] defines the messages
 //! and [`codec`] their bytes; [`names`], [`printable`] and [`toml_text`] help with text.
 
 pub mod appearance;
@@ -16,6 +16,7 @@ pub mod path_light;
 pub mod printable;
 pub mod protocol;
 pub mod scene;
+pub mod sky;
 pub mod srgb;
 pub mod structure;
 pub mod toml_text;

@@ -20,11 +20,12 @@ use crate::{
     division::{FrameSize, Share, Task},
     names::unknown_name,
     scene::SceneId,
+    sky::SkyId,
     structure::Structure,
 };
 
 /// The version of all messages; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 13;
+pub const PROTOCOL_VERSION: u8 = 14;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -173,6 +174,15 @@ pub struct FrameSpec {
     pub appearance: Appearance,
 }
 
+/// A sky image to load.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SkyFile {
+    /// The image.
+    pub id: SkyId,
+    /// Its path, as that of the model.
+    pub path: Option<Vec<u8>>,
+}
+
 /// A message from the wall to a render server.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "the types of most fields say it")]
@@ -192,6 +202,8 @@ pub enum ToServer {
         path: Option<Vec<u8>>,
         /// The grid that was chosen at the wall, if any; else the server uses its own options.
         structure: Option<Structure>,
+        /// The sky image that lights the scene, if there is one.
+        sky: Option<SkyFile>,
     },
     /// Render a share of a frame.
     RenderFrame {

@@ -435,6 +435,40 @@ fn a_renderer_without_the_model_is_told_the_cure() {
     assert!(status.success(), "{said}");
 }
 
+/// A sky image of one colour.
+fn write_sky(path: &Path, light: u8) {
+    let header = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 8\n".to_vec();
+    std::fs::write(path, [header, [light, light, light, 128].repeat(32)].concat()).unwrap();
+}
+
+#[test]
+fn a_sky_image_reaches_local_servers_and_others_are_told_the_cure() {
+    let files = Files::new();
+    let [sky, other, picture] = ["sky.hdr", "other.hdr", "wall.png"].map(|name| files.path(name));
+    write_sky(&sky, 200);
+    write_sky(&other, 100);
+    let mut pictures = Vec::new();
+    for n_local in [1, 0] {
+        let mut command = Program::command("compositor");
+        command.args(["--headless", "--listen", "127.0.0.1:0", "--frames", "2", "--size", "64x32", "--rays", "path"]);
+        command.args(["--triangles", "1000", "--samples", "4", "--local", &n_local.to_string(), "--sky"]).arg(&sky);
+        command.arg("--wall").arg(files.path("wall.toml")).arg("--screenshot").arg(&picture);
+        let mut wall = Program::start(command);
+        let address = wall.wait_for_address();
+        let mut servers = Vec::new();
+        if n_local == 0 {
+            let join = |name: &str, sky: &Path| RunningWall::join_at(&address, name, &["--sky", sky.to_str().unwrap()]);
+            let mut wrong = join("wrong", &other);
+            wrong.wait_for("give it the wall's own file");
+            servers.extend([wrong, join("right", &sky)]);
+        }
+        let (status, said) = wall.wait();
+        assert!(status.success(), "{said}");
+        pictures.push(std::fs::read(&picture).unwrap());
+    }
+    assert_eq!(pictures[0], pictures[1]);
+}
+
 /// The running local render servers: the process identifiers of their wall and of themselves.
 pub(crate) fn local_renderers() -> Vec<(u32, u32)> {
     let output = Command::new("ps").args(["-e", "-o", "ppid=,pid=,args="]).output().unwrap();

@@ -368,6 +368,7 @@ fn orders_do_not_pile_up_while_a_scene_is_loaded() {
         scene: SceneId::Statue { triangles, crease: Default::default() },
         path: Some(vec![b'x'; n_bytes]),
         structure: None,
+        sky: None,
     };
     send(&ToServer::Welcome);
     send(&load_scene(3_000_000, 1));

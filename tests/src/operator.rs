@@ -32,6 +32,7 @@ fn small_statue() -> RenderGoal {
     RenderGoal {
         spec: Some(spec),
         scene_path: None,
+        sky_path: None,
         is_refinement: false,
         division: Division::Tiled,
         min_renderers: 1,

@@ -16,6 +16,7 @@ use shared::{
     camera::{Camera, CameraPath, UpAxis},
     division::{Division, FrameSize},
     protocol::{Encoding, LightingMode, SampleRange, ShadingMode},
+    sky::SkyId,
 };
 
 use super::{calibrate::CalibrateArgs, check::CheckArgs, remote_args::RemoteArgs};
@@ -84,6 +85,8 @@ impl ShowArgs {
 pub struct Inputs {
     /// The wall.
     pub wall: Wall,
+    /// The image that lights path-traced pictures.
+    pub sky: Option<SkyId>,
     /// The first camera; `None` shows the whole model.
     pub camera: Option<Camera>,
     /// The path that the camera takes from the start.

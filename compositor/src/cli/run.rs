@@ -21,9 +21,11 @@ use renderer::cli::{
     stop::{self, Signal, Stopped},
 };
 use shared::{
+    appearance::Appearance,
     camera::{Camera, CanvasPart},
     printable::counted,
     protocol::FrameSpec,
+    sky::Sky,
 };
 use tokio::{
     net::{TcpListener, lookup_host},
@@ -50,7 +52,9 @@ use crate::{
 
 /// Runs a wall to its end.
 pub fn run(args: &WallArgs) -> anyhow::Result<()> {
+    let sky = args.appearance.read_sky()?.map(|sky| sky.id());
     let mut inputs = Inputs {
+        sky,
         wall: args.show.load_wall()?,
         camera: args.show.read_camera()?,
         path: args.path.as_deref().map(sidecar::read_path).transpose().map_err(anyhow::Error::msg)?,
@@ -77,7 +81,7 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
     run_window(args, inputs, supervisor)
 }
 
-fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyhow::Result<()> {
+fn run_headless(args: &WallArgs, Inputs { wall, sky, camera, path }: Inputs) -> anyhow::Result<()> {
     if args.up.is_some() && (camera.is_some() || path.is_some()) {
         bail!("--up has no effect on a --camera or --path without a window: leave out one of them");
     }
@@ -109,11 +113,12 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         );
     }
     let film = path.map(|path| Film { path, fps: args.fps, most: args.frames.unwrap_or(u32::MAX) });
+    let up = args.up.or_else(|| SidecarFiles::read(&model.source).views().and_then(|views| views.up));
     let camera = camera.or_else(|| film.as_ref().map(|film| film.path.at(0.0))).unwrap_or_else(|| {
-        let kept_up = || SidecarFiles::read(&model.source).views().and_then(|views| views.up);
-        let up = args.up.or_else(kept_up).unwrap_or_else(|| guessed_up(&model.shape));
+        let up = up.unwrap_or_else(|| guessed_up(&model.shape));
         Camera::view_all(&model.shape, up, aspect, CanvasPart::WHOLE)
     });
+    let sky = sky.map(|id| Sky { id, up: up.unwrap_or(model.shape.up) });
     let spec = FrameSpec {
         scene: model.scene,
         camera,
@@ -121,7 +126,7 @@ fn run_headless(args: &WallArgs, Inputs { wall, camera, path }: Inputs) -> anyho
         view: args.view,
         rays: args.rays.unwrap_or_default(),
         samples: args.sample_range(),
-        appearance: args.appearance.appearance(),
+        appearance: Appearance { sky, ..args.appearance.appearance() },
     };
     farm.update_goal(|goal| {
         goal.spec = Some(spec);
@@ -243,6 +248,7 @@ fn start_farm(
     let goal = RenderGoal {
         spec: None,
         scene_path: None,
+        sky_path: args.appearance.sky.as_ref().map(|path| std::path::absolute(path).unwrap_or_else(|_| path.clone())),
         is_refinement: false,
         division: args.division,
         min_renderers,

@@ -138,6 +138,7 @@ mod tests {
             scene: SceneId::Statue { triangles, crease: Default::default() },
             path: Some(vec![b'x'; 200_000]),
             structure: None,
+            sky: None,
         }
     }
 

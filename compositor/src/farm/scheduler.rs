@@ -18,6 +18,7 @@ use shared::{
     division::{Division, Task},
     protocol::{Encoding, FrameId, FrameSpec, RunCosts, TaskId, TaskTimings},
     scene::SceneId,
+    sky::SkyId,
 };
 
 use self::{
@@ -38,6 +39,7 @@ pub type Time = Duration;
 /// An event in the farm.
 #[derive(Clone, Debug)]
 #[expect(missing_docs, reason = "fields are named after their types")]
+#[expect(clippy::large_enum_variant, reason = "each is handled as it comes: none is stored")]
 pub enum Event {
     /// A render server has joined.
     Joined { node: NodeId, name: String, threads: u32 },
@@ -79,7 +81,7 @@ pub struct PlacedUnits {
 #[expect(missing_docs, reason = "fields are named after their types")]
 pub enum Action {
     /// Forget what a render server reported about its scene, and have it load the wall's, if there is one.
-    LoadScene { node: NodeId, scene: Option<SceneId>, path: Option<PathBuf> },
+    LoadScene { node: NodeId, scene: Option<SceneId>, path: Option<PathBuf>, sky: Option<(SkyId, Option<PathBuf>)> },
     /// Open a buffer for this frame. `moved_at`: when its camera was set, if no earlier frame shows that motion.
     Open { frame: FrameId, spec: FrameSpec, moved_at: Option<Instant> },
     /// Send a task.
@@ -226,7 +228,7 @@ impl Scheduler {
     }
 
     fn set_goal(&mut self, now: Time, goal: RenderGoal, actions: &mut Vec<Action>) {
-        let is_other_scene = goal.spec.map(|spec| spec.scene) != self.scene();
+        let is_other_scene = goal.spec.map(|spec| spec.scene) != self.scene() || sky_of(&goal) != sky_of(&self.goal);
         let is_other = (goal.spec, goal.division) != (self.goal.spec, self.goal.division);
         self.waits_for_renderers |= goal.min_renderers != self.goal.min_renderers;
         self.goal = goal;
@@ -269,7 +271,8 @@ impl Scheduler {
     }
 
     fn load_scene(&self, node: NodeId) -> Action {
-        Action::LoadScene { node, scene: self.scene(), path: self.goal.scene_path.clone() }
+        let sky = sky_of(&self.goal).map(|id| (id, self.goal.sky_path.clone()));
+        Action::LoadScene { node, scene: self.scene(), path: self.goal.scene_path.clone(), sky }
     }
 
     fn cancel(&mut self, now: Time, index: usize, actions: &mut Vec<Action>) {
@@ -437,6 +440,11 @@ impl Scheduler {
         self.untaken_spec = Some(frame.spec);
         true
     }
+}
+
+/// The sky image that lights the wall's scene.
+fn sky_of(goal: &RenderGoal) -> Option<SkyId> {
+    Some(goal.spec?.appearance.sky?.id)
 }
 
 #[cfg(test)]

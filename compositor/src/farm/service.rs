@@ -4,6 +4,7 @@ use std::{
     collections::{BTreeMap, BTreeSet, HashMap, VecDeque},
     io,
     net::{IpAddr, SocketAddr},
+    path::PathBuf,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -11,7 +12,7 @@ use std::{
 use channel::{key::Key, wire::is_same_machine};
 use shared::{
     printable::{counted, printable},
-    protocol::{FrameId, HEARTBEAT_TIMEOUT, SceneState, ToServer},
+    protocol::{FrameId, HEARTBEAT_TIMEOUT, SceneState, SkyFile, ToServer},
     structure::Structure,
 };
 use tokio::{
@@ -424,12 +425,16 @@ impl Service {
 
     fn execute(&mut self, action: Action) {
         match action {
-            Action::LoadScene { node, scene, path } => {
+            Action::LoadScene { node, scene, path, sky } => {
                 self.change_node(node, |node| node.scene = None);
                 let is_local = self.nodes.get(&node).is_some_and(|node| node.is_local);
                 if let Some(scene) = scene {
-                    let path = path.filter(|_| is_local).map(|path| path.into_os_string().into_encoded_bytes());
-                    self.send(node, &ToServer::LoadScene { scene, path, structure: self.structure });
+                    let path_here = |path: Option<PathBuf>| {
+                        path.filter(|_| is_local).map(|path| path.into_os_string().into_encoded_bytes())
+                    };
+                    let sky = sky.map(|(id, path)| SkyFile { id, path: path_here(path) });
+                    let (path, structure) = (path_here(path), self.structure);
+                    self.send(node, &ToServer::LoadScene { scene, path, structure, sky });
                 }
             }
             Action::Open { frame, spec, moved_at } => {

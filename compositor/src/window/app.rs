@@ -113,7 +113,7 @@ impl<'a> App<'a> {
             model: None,
             browser: Browser::new(&source),
             camera: CameraControl::new(args.up, &inputs, now),
-            picture: PictureControl::new(args, &inputs.wall),
+            picture: PictureControl::new(args, &inputs.wall, inputs.sky),
             probing: Probing::default(),
             kiosk: Kiosk::new(kiosk, now),
             remote: RemoteControl::new(remote),
@@ -188,7 +188,7 @@ impl<'a> App<'a> {
         let recorded = self.camera.record(now);
         self.apply(recorded);
         let (Some(model), Some(navigator)) = (&self.model, &self.camera.navigator) else { return };
-        let spec = self.picture.spec(model.scene, navigator.camera());
+        let spec = self.picture.spec(model.scene, navigator.camera(), navigator.up());
         let step = self.picture.refinement.change(now, spec);
         self.farm.update_goal(|goal| {
             goal.spec = Some(step.spec);

@@ -1,15 +1,19 @@
 //! Command-line options of a picture's appearance, shared by all programs that render.
 
+use std::path::PathBuf;
+
 use shared::{
     appearance::{Appearance, Background, Clip, Light},
     path_light::PathLight,
 };
 
+use crate::{formats::sky::SkyError, render::sky::SkyMap};
+
 /// Each option names it: a heading of the struct would also head the options after it.
 const HEADING: &str = "Appearance";
 
 /// Appearance of a picture: light, background and clip plane.
-#[derive(Clone, Copy, Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct AppearanceArgs {
     /// Direction of the key light, in degrees to the right of the eye and above it
     #[arg(long, help_heading = HEADING, value_name = "AZIMUTH,ELEVATION",
@@ -38,13 +42,26 @@ pub struct AppearanceArgs {
     #[arg(long, help_heading = HEADING, value_name = "STOPS", default_value = "0",
         value_parser = PathLight::parse_exposure, allow_hyphen_values = true)]
     exposure: i16,
+
+    /// With --rays path: an image of the sky (equirectangular, in Radiance HDR or OpenEXR) that lights the model in place of
+    /// sun and sky; the azimuth of --key-light turns it
+    #[arg(long, help_heading = HEADING, value_name = "FILE")]
+    pub sky: Option<PathBuf>,
 }
 
 impl AppearanceArgs {
-    /// The appearance that the options describe.
+    /// The appearance that the options describe, without the sky image: who reads it knows its name.
     pub fn appearance(&self) -> Appearance {
-        let Self { key_light: light, background, clip, sun, bounces, exposure } = *self;
+        let Self { key_light: light, background, clip, sun, bounces, exposure, sky: _ } = *self;
         let path = PathLight::new(sun, bounces, exposure).expect("each number was checked as it was read");
-        Appearance { light, background, clip, path }
+        Appearance { light, background, clip, path, sky: None }
+    }
+
+    /// Reads the sky image, if one is given.
+    ///
+    /// # Errors
+    /// As for [`SkyImage::read`](crate::formats::sky::SkyImage::read).
+    pub fn read_sky(&self) -> Result<Option<SkyMap>, SkyError> {
+        self.sky.as_deref().map(SkyMap::read).transpose()
     }
 }

@@ -1,6 +1,9 @@
 //! Command-line options of a model and of a picture of it, shared by all programs that render.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use anyhow::{Context, Result, anyhow};
 use channel::files;
@@ -10,11 +13,12 @@ use shared::{
     division::FrameSize,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::{Crease, SceneId},
+    sky::Sky,
 };
 
 use crate::{
     cli::{appearance_args::AppearanceArgs, between, large_file, progress::Progress, scene_args::SceneArgs},
-    formats::file::is_named_as_model,
+    formats::{file::is_named_as_model, sky::SkyError},
     grid::GridOptions,
     model::{
         mesh::Mesh,
@@ -22,7 +26,7 @@ use crate::{
         solid::UNFILLED,
         statue,
     },
-    render::{scene::Scene, threads},
+    render::{scene::Scene, sky::SkyMap, threads},
     scene_file::store::StoredScene,
 };
 
@@ -140,6 +144,17 @@ impl PictureArgs {
     pub fn view_all(&self, shape: &Shape) -> Camera {
         let aspect = f64::from(self.size.xres()) / f64::from(self.size.yres());
         Camera::view_all(shape, self.up.unwrap_or_else(|| guessed_up(shape)), aspect, CanvasPart::WHOLE)
+    }
+
+    /// Reads the sky image, if one is given.
+    pub fn read_sky(&self) -> Result<Option<Arc<SkyMap>>, SkyError> {
+        Ok(self.appearance.read_sky()?.map(Arc::new))
+    }
+
+    /// Lights a scene's frame by a sky image, which stands upright around its model.
+    pub fn light(&self, spec: &mut FrameSpec, scene: &mut Scene, shape: &Shape, sky: Option<Arc<SkyMap>>) {
+        spec.appearance.sky = sky.as_ref().map(|sky| Sky { id: sky.id(), up: self.up.unwrap_or(shape.up) });
+        scene.sky = sky;
     }
 
     /// Loads the scene, from its file if there is one, with a progress bar. The log tells what its model holds and lacks.

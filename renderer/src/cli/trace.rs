@@ -42,11 +42,13 @@ const PATHS: u32 = 64;
 pub fn run(TraceArgs { picture, image, samples }: &TraceArgs) -> Result<()> {
     check_writable(image)?;
     picture.pool()?.install(|| {
-        // The camera is checked before a large model is read.
+        // Camera and sky are checked before a large model is read.
         let camera = picture.read_camera()?;
-        let stored = picture.load_scene()?;
-        let (info, scene) = (&stored.info, &stored.scene);
-        let spec = picture.spec(info.id, camera.unwrap_or_else(|| picture.view_all(&info.shape)));
+        let sky = picture.read_sky()?;
+        let mut stored = picture.load_scene()?;
+        let (info, scene) = (&stored.info, &mut stored.scene);
+        let mut spec = picture.spec(info.id, camera.unwrap_or_else(|| picture.view_all(&info.shape)));
+        picture.light(&mut spec, scene, &info.shape, sky);
         let count = samples.unwrap_or(if spec.rays == LightingMode::Path { PATHS } else { 1 });
         let spec = FrameSpec { samples: SampleRange { count, ..spec.samples }, ..spec };
         let _task = Task::named("rendering the picture");

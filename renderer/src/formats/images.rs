@@ -145,6 +145,10 @@ fn decode_bytes(name: &str, bytes: &[u8]) -> Result<Image, String> {
         reader.set_format(ImageFormat::Tga);
     }
     let mut reader = reader.with_guessed_format().map_err(|error| format!("cannot be read: {error}"))?;
+    // They hold the light of skies, and no colours.
+    if matches!(reader.format(), Some(ImageFormat::Hdr | ImageFormat::OpenExr)) {
+        reader.clear_format();
+    }
     let mut limits = Limits::no_limits();
     limits.max_image_width = Some(LARGEST_SIDE);
     limits.max_image_height = Some(LARGEST_SIDE);

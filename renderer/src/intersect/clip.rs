@@ -153,7 +153,7 @@ mod tests {
     fn scene(mesh: &Mesh, storage: Storage, instructions: InstructionSet) -> Scene {
         let options = GridOptions { storage, ..GridOptions::default() };
         let grid = Scene::build(mesh.clone(), &options, &|_| ()).grid;
-        Scene { grid: grid.with_instructions(instructions) }
+        grid.with_instructions(instructions).into()
     }
 
     /// The packets of a frame.

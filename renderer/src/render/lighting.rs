@@ -8,7 +8,6 @@ use shared::{
 };
 
 use crate::{
-    grid::Grid,
     intersect::{
         MOST_PACKETS, PacketScratch, RayCost, clip,
         ray::{Hit, Ray},
@@ -17,6 +16,7 @@ use crate::{
         blocks::SampleBlock,
         path::{PathTracer, tone::ToneMapping},
         sampling::sample_point,
+        scene::Scene,
         secondary::SecondaryRays,
         shade::{self, Shader},
     },
@@ -37,7 +37,8 @@ pub struct Lighting<'a> {
 
 impl<'a> Lighting<'a> {
     /// Prepares for one frame of a scene that a plane may cut open.
-    pub fn new(grid: &'a Grid, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
+    pub fn new(scene: &'a Scene, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
+        let grid = &scene.grid;
         let secondary = SecondaryRays::new(grid, spec, clip);
         let rays = spec.camera.rays(spec.size);
         // All samples of a pixel share it.
@@ -45,7 +46,8 @@ impl<'a> Lighting<'a> {
         let sample_sides = [rays.du * side, rays.dv * side];
         let shader = Shader::new(grid.mesh(), spec, clip);
         let is_path_traced = spec.view == ShadingMode::Shaded && spec.rays == LightingMode::Path;
-        let paths = is_path_traced.then(|| (PathTracer::new(grid, spec, clip), ToneMapping::new(spec.appearance.path)));
+        let paths =
+            is_path_traced.then(|| (PathTracer::new(scene, spec, clip), ToneMapping::new(spec.appearance.path)));
         Self { shading: spec.view, shader, secondary, paths, eye: rays.eye, sample_sides }
     }
 

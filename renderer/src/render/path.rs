@@ -11,8 +11,10 @@
 //! `sobol` makes random numbers, `lights` are sun and sky, `scattering` is what surfaces do to light, and `tone` makes it fit
 //! a display.
 
-mod lights;
+pub(super) mod lights;
 mod scattering;
+#[cfg(test)]
+mod sky_tests;
 mod sobol;
 #[cfg(test)]
 mod tests;
@@ -38,8 +40,10 @@ use crate::{
         blocks::SampleBlock,
         lift::Lift,
         sampling::circle_point,
+        scene::Scene,
         secondary::{back_and_light, tangent_basis},
         shade::Shader,
+        sky::PlacedSky,
         surface::{Surface, normalize_or_zero},
     },
     texture::{
@@ -78,6 +82,8 @@ pub(super) struct PathTracer<'a> {
     eye: DVec3,
     key: KeyLight,
     sky: Sky,
+    /// In place of sun and sky.
+    sky_map: Option<PlacedSky<'a>>,
     bounces: u8,
 }
 
@@ -152,7 +158,8 @@ impl ShadowRays {
 
 impl<'a> PathTracer<'a> {
     /// Prepares for one frame of a scene that a plane may cut open.
-    pub(super) fn new(grid: &'a Grid, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
+    pub(super) fn new(scene: &'a Scene, spec: &FrameSpec, clip: Option<ClipPlane>) -> Self {
+        let grid = &scene.grid;
         let [_, to_light] = back_and_light(spec);
         let light = spec.appearance.path;
         let up = spec.camera.v().normalize().as_vec3();
@@ -168,6 +175,7 @@ impl<'a> PathTracer<'a> {
             eye,
             key,
             sky: Sky { up, zenith: ZENITH_LIGHT, ground: GROUND_LIGHT },
+            sky_map: scene.sky.as_deref().and_then(|map| map.placed(&spec.appearance)),
             bounces: light.bounces(),
         }
     }
@@ -298,6 +306,11 @@ impl<'a> PathTracer<'a> {
     /// A direction to the key light, the distance, and the light from there that a surface scatters to the eye if nothing is
     /// between. The sun's is weighed against the path's own chance to go there.
     fn key_light(&self, scattering: &Scattering, point: DVec3, random: [f32; 2]) -> (Vec3, f32, Vec3) {
+        if let Some(sky) = &self.sky_map {
+            let sky = sky.sample(random);
+            let (part, density) = scattering.toward(sky.direction);
+            return (sky.direction, f32::MAX, part * sky.radiance * (1.0 / (sky.density + density)));
+        }
         match &self.key {
             KeyLight::Sun(sun) => {
                 let sun = sun.sample(random);
@@ -316,6 +329,10 @@ impl<'a> PathTracer<'a> {
     /// The light of sun and sky from a direction that was chosen with this density, in which nothing is hit. The sun's is
     /// weighed against the shadow rays' chance to go there.
     fn escaped(&self, direction: Vec3, density: f32) -> Vec3 {
+        if let Some(sky) = &self.sky_map {
+            let sky = sky.toward(direction);
+            return sky.radiance * (density / (density + sky.density));
+        }
         let sky = self.sky.radiance(direction);
         let KeyLight::Sun(sun) = &self.key else { return sky };
         let sun = sun.toward(direction);

@@ -35,6 +35,23 @@ pub(crate) fn circle_point(turns: f32) -> [f32; 2] {
     }
 }
 
+/// The angle of a direction in turns, from 0 to 1, to six digits: the inverse of [`circle_point`]; of no direction 0.
+pub(crate) fn circle_turns([x, y]: [f32; 2]) -> f32 {
+    let (long, short) = if x.abs() < y.abs() { (y.abs(), x.abs()) } else { (x.abs(), y.abs()) };
+    if long == 0.0 {
+        return 0.0;
+    }
+    // Halve the angle twice, so that Taylor's series of the arc tangent is short.
+    let halved = |tangent: f32| tangent / (1.0 + (1.0 + tangent * tangent).sqrt());
+    let tangent = halved(halved(short / long));
+    let square = tangent * tangent;
+    let series = 1.0 - square * (1.0 / 3.0 - square * (1.0 / 5.0 - square * (1.0 / 7.0 - square * (1.0 / 9.0))));
+    let octant = tangent * series * (2.0 * std::f32::consts::FRAC_1_PI);
+    let quadrant = if x.abs() < y.abs() { 0.25 - octant } else { octant };
+    let half = if x < 0.0 { 0.5 - quadrant } else { quadrant };
+    if y < 0.0 { 1.0 - half } else { half }
+}
+
 /// Mixes bits: "lowbias32" of Wellons, "Prospecting for Hash Functions" (2018).
 pub(crate) fn hash_u32(mut x: u32) -> u32 {
     x = (x ^ x >> 16).wrapping_mul(0x7feb_352d);
@@ -53,6 +70,8 @@ mod tests {
             let (sin, cos) = (f64::from(turns) * std::f64::consts::TAU).sin_cos();
             let [x, y] = circle_point(turns);
             assert!((f64::from(x) - cos).abs() < 1e-6 && (f64::from(y) - sin).abs() < 1e-6, "{turns}: {x} {y}");
+            let back = circle_turns([cos as f32 * 3.0, sin as f32 * 3.0]);
+            assert!((back - turns).abs() < 1e-6 || (back - turns).abs() > 1.0 - 1e-6, "{turns}: {back}");
         }
     }
 

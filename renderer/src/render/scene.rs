@@ -1,4 +1,6 @@
-//! A mesh with its grid, and the questions that one ray answers.
+//! A mesh with its grid and sky, and the questions that one ray answers.
+
+use std::sync::Arc;
 
 use shared::{
     appearance::{Clip, ClipPlane},
@@ -14,18 +16,27 @@ use crate::{
         ray::{Hit, Ray},
     },
     model::mesh::Mesh,
+    render::sky::SkyMap,
 };
 
 /// A mesh with its grid: all that rays need.
 pub struct Scene {
     /// The grid, which holds the mesh.
     pub grid: Grid,
+    /// The image that lights path-traced frames which name it.
+    pub sky: Option<Arc<SkyMap>>,
 }
 
 impl Scene {
     /// Builds the grid on the current rayon pool; `progress` receives the fraction done, 0 to 1, from any thread.
     pub fn build(mesh: Mesh, options: &GridOptions, progress: &(dyn Fn(f32) + Sync)) -> Self {
-        Self { grid: Grid::build(mesh, options, progress) }
+        Grid::build(mesh, options, progress).into()
+    }
+
+    /// The same scene under a sky image.
+    #[must_use]
+    pub fn with_sky(self, sky: Option<Arc<SkyMap>>) -> Self {
+        Self { sky, ..self }
     }
 
     /// The mesh, in the grid's order.
@@ -38,9 +49,10 @@ impl Scene {
         self.mesh().n_triangles()
     }
 
-    /// Bytes of mesh and grid in memory.
+    /// Bytes of mesh, grid and sky in memory.
     pub fn n_bytes(&self) -> usize {
-        self.mesh().n_bytes() + self.grid.n_bytes()
+        let sky = self.sky.as_ref().map_or(0, |sky| sky.n_bytes());
+        self.mesh().n_bytes() + self.grid.n_bytes() + sky
     }
 
     /// A camera of world space in model space, in which everything is traced.
@@ -73,6 +85,13 @@ impl Scene {
     pub fn clip_plane(&self, camera: &Camera, clip: Option<Clip>) -> Option<ClipPlane> {
         let [min, max] = self.mesh().bounds().corners();
         clip?.plane((min, max), camera)
+    }
+}
+
+impl From<Grid> for Scene {
+    /// A scene without a sky image.
+    fn from(grid: Grid) -> Self {
+        Self { grid, sky: None }
     }
 }
 

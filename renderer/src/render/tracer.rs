@@ -52,7 +52,7 @@ impl Scene {
         let spec = &FrameSpec { camera: self.local(&spec.camera), ..*spec };
         let rays = spec.camera.rays(spec.size);
         let clip = self.clip_plane(&spec.camera, spec.appearance.clip);
-        let lighting = Lighting::new(&self.grid, spec, clip);
+        let lighting = Lighting::new(self, spec, clip);
         let mut scratch = PacketScratch::default();
         let mut packets = [Packet::NONE; MOST_PACKETS];
         let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
@@ -242,7 +242,7 @@ mod tests {
             let spec = FrameSpec { camera, rays, appearance, ..spec(1, 2) };
             let frames = InstructionSet::available().into_iter().map(|instructions| {
                 let grid = Grid::build(mesh.clone(), &GridOptions::default(), &|_| ()).with_instructions(instructions);
-                check_divisions(&Scene { grid }, &spec)
+                check_divisions(&Scene::from(grid), &spec)
             });
             let frames: Vec<_> = frames.collect();
             assert!(frames.iter().all(|frame| frame == &frames[0]), "{rays:?} {appearance:?}");

@@ -270,5 +270,5 @@ fn scene_of(
     if progress.is_some() {
         grid.check_contents()?;
     }
-    Ok(Scene { grid })
+    Ok(grid.into())
 }

@@ -57,6 +57,9 @@ pub struct ConnectArgs {
     /// file, if the wall runs on this machine]
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
+    /// The sky image that lights the wall [default: the wall's own file, if the wall runs on this machine]
+    #[arg(long, value_name = "FILE")]
+    pub sky: Option<PathBuf>,
     /// Number of tracing threads [default: one for each core]
     #[arg(long, value_name = "N", value_parser = between(1_u32..=1024))]
     pub threads: Option<u32>,
@@ -73,10 +76,10 @@ pub struct ConnectArgs {
     #[command(flatten)]
     pub scene: SceneArgs,
     /// Measure the wall alone: answer at once with noise, for any scene
-    #[arg(long, conflicts_with_all = ["model", "replay"])]
+    #[arg(long, conflicts_with_all = ["model", "sky", "replay"])]
     pub blank: bool,
     /// Measure the wall alone: answer at once with this picture, for any scene
-    #[arg(long, value_name = "FILE.png", conflicts_with = "model")]
+    #[arg(long, value_name = "FILE.png", conflicts_with_all = ["model", "sky"])]
     pub replay: Option<PathBuf>,
     /// Set by a wall that starts a server on its own machine: end with it
     #[arg(long, hide = true)]
@@ -116,7 +119,7 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
                 args.scene.warn_of_scene_file(&SceneSource::File(path.clone()));
             }
             args.scene.log_budget(1);
-            SceneLoader::start(pool, args.model, args.scene.options(), args.scene.store(), told)?
+            SceneLoader::start(pool, (args.model, args.sky), args.scene.options(), args.scene.store(), told)?
         }
     };
     if with_port(&args.wall).starts_with(':') {

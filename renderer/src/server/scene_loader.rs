@@ -10,8 +10,9 @@ use anyhow::Context;
 use rayon::ThreadPool;
 use shared::{
     printable::{bytes, counted},
-    protocol::SceneState,
+    protocol::{SceneState, SkyFile},
     scene::{Crease, SceneId},
+    sky::SkyId,
     structure::Structure,
 };
 use tokio::sync::watch;
@@ -20,7 +21,7 @@ use crate::{
     cli::{large_file::warn_of_large_file, progress::Progress},
     grid::GridOptions,
     model::scene::SceneSource,
-    render::scene::Scene,
+    render::{scene::Scene, sky::SkyMap},
     scene_file::{
         SceneStore,
         store::{Stage, StoredScene},
@@ -34,11 +35,12 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 /// Length and time of a file, if it is there.
 type FileState = Option<(u64, Option<SystemTime>)>;
 
-/// The scene that the wall shows, and where its file may be.
+/// The scene that the wall shows, its sky, and where their files may be.
 struct LoadRequest {
     scene: SceneId,
     path: Option<PathBuf>,
     structure: Option<Structure>,
+    sky: Option<SkyFile>,
 }
 
 /// The scene that was last ordered, until the loading thread takes the order: a wall that orders many has one loaded.
@@ -102,6 +104,16 @@ pub(crate) enum RenderSource {
     SyntheticPicture(Arc<SyntheticPicture>),
 }
 
+impl RenderSource {
+    /// Whether it can render pictures that name this sky image, or none.
+    pub(crate) fn has_sky(&self, sky: Option<SkyId>) -> bool {
+        match self {
+            Self::Scene(scene) => sky.is_none() || scene.sky.as_ref().map(|sky| sky.id()) == sky,
+            Self::SyntheticPicture(_) => true,
+        }
+    }
+}
+
 /// Handle of the loading thread and its scene; or a synthetic picture in place of all scenes.
 pub(crate) struct SceneLoader {
     pool: Arc<ThreadPool>,
@@ -112,10 +124,11 @@ pub(crate) struct SceneLoader {
 }
 
 impl SceneLoader {
-    /// Starts the loading thread, which first loads `model`, if given, before any wall asks, and logs what `told` says.
+    /// Starts the loading thread, which first loads `model`, if given, before any wall asks, and logs what `told` says. `sky`
+    /// is the file of the wall's sky image.
     pub(crate) fn start(
         pool: Arc<ThreadPool>,
-        model: Option<PathBuf>,
+        (model, sky): (Option<PathBuf>, Option<PathBuf>),
         options: GridOptions,
         store: SceneStore,
         told: Told,
@@ -127,6 +140,7 @@ impl SceneLoader {
             pool: Arc::clone(&pool),
             current: current.clone(),
             model,
+            sky,
             options,
             store,
             structure: None,
@@ -165,13 +179,19 @@ impl SceneLoader {
     }
 
     /// Orders another scene, or the same in another structure. `path`: a file on this machine that may hold it.
-    pub(crate) fn order(&self, scene: SceneId, path: Option<Vec<u8>>, structure: Option<Structure>) {
+    pub(crate) fn order(
+        &self,
+        scene: SceneId,
+        path: Option<Vec<u8>>,
+        structure: Option<Structure>,
+        sky: Option<SkyFile>,
+    ) {
         if let Some(synthetic) = &self.synthetic {
             let state = SceneState::Ready { triangles: 0, bytes: synthetic.n_bytes() as u64, grid: None };
             self.progress.send_replace(Some((scene, state)));
             return;
         }
-        self.requests.put(LoadRequest { scene, path: path.map(path_from_bytes), structure });
+        self.requests.put(LoadRequest { scene, path: path.map(path_from_bytes), structure, sky });
     }
 
     /// Subscribes to the loading state.
@@ -184,6 +204,7 @@ struct LoaderThread {
     pool: Arc<ThreadPool>,
     current: CurrentScene,
     model: Option<PathBuf>,
+    sky: Option<PathBuf>,
     /// From the server's command line.
     options: GridOptions,
     store: SceneStore,
@@ -199,21 +220,21 @@ impl LoaderThread {
     fn run(mut self, requests: &LatestRequest) {
         let mut last_reason = String::new();
         if let Some(model) = self.model.clone()
-            && let Err(reason) = self.load(None, Crease::default(), &SceneSource::File(model))
+            && let Err(reason) = self.load(None, Crease::default(), &SceneSource::File(model), None)
         {
             // Carry on: the wall may ask for a scene that needs no file.
             tracing::error!("{reason}");
             last_reason = reason;
         }
-        // An order that could not be met, and the file that it needs as it was then.
-        let mut unmet: Option<(LoadRequest, FileState)> = None;
+        // An order that could not be met, and the files that it needs as they were then.
+        let mut unmet: Option<(LoadRequest, [FileState; 2])> = None;
         loop {
             let order = requests.take(if unmet.is_some() { RETRY_INTERVAL } else { Duration::MAX });
             // A file that has come back, or was replaced, is read without being asked for again.
             let order =
-                order.or_else(|| unmet.take_if(|(order, file)| self.file(order) != *file).map(|(order, _)| order));
+                order.or_else(|| unmet.take_if(|(order, files)| self.files(order) != *files).map(|(order, _)| order));
             let Some(order) = order else { continue };
-            let file = self.file(&order);
+            let files = self.files(&order);
             let scene = order.scene;
             let state = match self.prepare_scene(&order) {
                 Ok(scene) => SceneState::Ready {
@@ -230,7 +251,7 @@ impl LoaderThread {
                     SceneState::Missing { reason }
                 }
             };
-            unmet = matches!(state, SceneState::Missing { .. }).then_some((order, file));
+            unmet = matches!(state, SceneState::Missing { .. }).then_some((order, files));
             self.progress.send_replace(Some((scene, state)));
         }
     }
@@ -240,17 +261,50 @@ impl LoaderThread {
         self.model.as_ref().or(order.path.as_ref())
     }
 
-    fn file(&self, order: &LoadRequest) -> FileState {
-        let file = self.path(order)?.metadata().ok()?;
-        Some((file.len(), file.modified().ok()))
+    /// The state of both files that an order needs.
+    fn files(&self, order: &LoadRequest) -> [FileState; 2] {
+        let state = |path: &PathBuf| {
+            let file = path.metadata().ok()?;
+            Some((file.len(), file.modified().ok()))
+        };
+        let sky = order.sky.as_ref().and_then(|sky| self.sky_path(sky));
+        [self.path(order).and_then(state), sky.as_ref().and_then(state)]
+    }
+
+    /// The file that should hold the ordered sky: the one of the command line, or the wall's own.
+    fn sky_path(&self, order: &SkyFile) -> Option<PathBuf> {
+        self.sky.clone().or_else(|| order.path.clone().map(path_from_bytes))
+    }
+
+    /// Reads the ordered sky. The error names the cause and the cure.
+    fn read_sky(&self, order: &SkyFile) -> Result<Arc<SkyMap>, String> {
+        let cure = "start it with --sky FILE, the image that lights the wall";
+        let path = self.sky_path(order).ok_or_else(|| format!("it has no {}: {cure}", order.id))?;
+        let sky = SkyMap::read(&path).map_err(|error| match &self.sky {
+            Some(_) => error.to_string(),
+            None => format!("{error}; {cure}"),
+        })?;
+        if sky.id() != order.id {
+            return Err(format!(
+                "{} is {}, the wall has {}: give it the wall's own file",
+                path.display(),
+                sky.id(),
+                order.id
+            ));
+        }
+        Ok(Arc::new(sky))
     }
 
     /// Returns the ordered scene. The error names the cause and the cure.
     fn prepare_scene(&mut self, order: &LoadRequest) -> Result<Arc<Scene>, String> {
         let ordered = order.scene;
-        if let Some(scene) = self.current.get(ordered).filter(|_| self.structure == order.structure) {
+        let sky_id = order.sky.as_ref().map(|sky| sky.id);
+        if let Some(scene) = self.current.get(ordered).filter(|_| self.structure == order.structure)
+            && scene.sky.as_ref().map(|sky| sky.id()) == sky_id
+        {
             return Ok(scene);
         }
+        let sky = order.sky.as_ref().map(|sky| self.read_sky(sky)).transpose()?;
         self.structure = order.structure;
         let source = match ordered {
             SceneId::Statue { triangles, .. } => Some(SceneSource::Statue { triangles }),
@@ -259,7 +313,7 @@ impl LoaderThread {
         let Some(source) = source else {
             return Err(format!("it has no {ordered}: start it with --model FILE, the file that the wall shows"));
         };
-        match self.load(Some(ordered), ordered.crease(), &source) {
+        match self.load(Some(ordered), ordered.crease(), &source, sky) {
             Ok((id, scene, _)) if id == ordered => Ok(scene),
             Ok((id, _, left_out)) => {
                 let cure = format!("{source} is {id}, the wall shows {ordered}: give it the wall's own file");
@@ -281,6 +335,7 @@ impl LoaderThread {
         ordered: Option<SceneId>,
         crease: Crease,
         source: &SceneSource,
+        sky: Option<Arc<SkyMap>>,
     ) -> Result<(SceneId, Arc<Scene>, Vec<String>), String> {
         let report_progress = |progress: f32| {
             if let Some(scene) = ordered {
@@ -299,7 +354,7 @@ impl LoaderThread {
         };
         let loaded = self.pool.install(|| self.store.load(source, crease, &self.effective_options(), &report));
         let StoredScene { info, scene, is_mapped, .. } = loaded.map_err(|error| error.to_string())?;
-        let (id, scene) = (info.id, Arc::new(scene));
+        let (id, scene) = (info.id, Arc::new(scene.with_sky(sky)));
         if self.told == Told::Everything && self.told_of != Some(id) {
             info.log(source);
         }

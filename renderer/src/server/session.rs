@@ -13,7 +13,7 @@ use channel::{
 use shared::{
     codec,
     printable::printable,
-    protocol::{FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, SILENCE_LIMIT, SceneState, ToServer, ToWall},
+    protocol::{FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, SILENCE_LIMIT, SceneState, SkyFile, ToServer, ToWall},
 };
 use tokio::{
     io::{AsyncRead, AsyncWrite},
@@ -170,11 +170,15 @@ impl Session<'_> {
         while let Some(incoming) = reader.read().await? {
             let Incoming::Control(message) = incoming else { return Err(SessionError::OutOfTurn) };
             match message {
-                ToServer::LoadScene { scene, path, structure } => {
-                    self.loader.order(scene, path.filter(|_| self.is_local), structure);
+                ToServer::LoadScene { scene, path, structure, sky } => {
+                    let path_here = |path: Option<Vec<u8>>| path.filter(|_| self.is_local);
+                    let sky = sky.map(|SkyFile { id, path }| SkyFile { id, path: path_here(path) });
+                    self.loader.order(scene, path_here(path), structure, sky);
                 }
                 ToServer::RenderFrame { frame, task_id, spec, task, encoding } => {
-                    let Some(source) = self.loader.source_for(spec.scene) else {
+                    let sky = spec.appearance.sky.map(|sky| sky.id);
+                    let source = self.loader.source_for(spec.scene).filter(|source| source.has_sky(sky));
+                    let Some(source) = source else {
                         // The wall went to another scene and back; `SceneState::Ready` follows when this one is loaded.
                         let reason = format!("it does not have {} any more", spec.scene);
                         let state = SceneState::Missing { reason };

@@ -208,7 +208,7 @@ fn neither_structure_nor_instructions_nor_division_change_masked_and_textured_pi
         let mut frames = Vec::new();
         for instructions in InstructionSet::available() {
             let grid = scene(mesh.clone()).grid.with_instructions(instructions);
-            frames.push(Scene { grid }.render_frame(&spec).0);
+            frames.push(Scene::from(grid).render_frame(&spec).0);
         }
         let options = GridOptions { storage: Storage::Plain, ..GridOptions::default() };
         let scene = Scene::build(mesh.clone(), &options, &|_| ());

@@ -11,7 +11,9 @@ use crate::names::unknown_name;
 const POLE_MARGIN: f64 = 0.02;
 
 /// The axis of the model that points up; a key steps through the variants in this order.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Display, EnumString, VariantArray)]
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, Display, EnumString, VariantArray,
+)]
 #[serde(rename_all = "lowercase")]
 #[strum(serialize_all = "lowercase", parse_err_ty = String, parse_err_fn = unknown_name::<Self>)]
 pub enum UpAxis {
@@ -49,6 +51,15 @@ impl UpAxis {
             Self::MinusX => DVec3::NEG_X,
             Self::MinusY => DVec3::NEG_Y,
             Self::MinusZ => DVec3::NEG_Z,
+        }
+    }
+
+    /// The horizontal direction from which a model is seen first: +z for y up, as in most scans; −y for z up, as in most CAD
+    /// models.
+    pub fn front(self) -> DVec3 {
+        match self {
+            Self::X | Self::Y | Self::MinusX | Self::MinusY => DVec3::Z,
+            Self::Z | Self::MinusZ => DVec3::NEG_Y,
         }
     }
 

@@ -49,11 +49,7 @@ impl Shape {
     /// and the flatter the model lies, the more from above.
     fn axes(&self, up: UpAxis) -> [DVec3; 3] {
         let up_direction = up.direction();
-        // For y up the front is +z, as in most scans; for z up it is −y, as in most CAD models.
-        let front = match up {
-            UpAxis::X | UpAxis::Y | UpAxis::MinusX | UpAxis::MinusY => DVec3::Z,
-            UpAxis::Z | UpAxis::MinusZ => -DVec3::Y,
-        };
+        let front = up.front();
         let side = up_direction.cross(front);
         let extent = self.bounds.1 - self.bounds.0;
         let axis = up_direction.abs();

@@ -53,9 +53,12 @@ fn main() -> anyhow::Result<()> {
 
 fn run(args: &Args) -> anyhow::Result<()> {
     let camera = args.picture.read_camera()?;
+    let sky = args.picture.read_sky()?;
     let LoadedMesh { id, mesh, .. } = args.picture.model.load()?;
-    let spec = args.picture.spec(id, camera.unwrap_or_else(|| args.picture.view_all(&mesh.shape())));
-    let scene = args.picture.build(mesh);
+    let shape = mesh.shape();
+    let mut spec = args.picture.spec(id, camera.unwrap_or_else(|| args.picture.view_all(&shape)));
+    let mut scene = args.picture.build(mesh);
+    args.picture.light(&mut spec, &mut scene, &shape, sky);
 
     // Frames have a limited number of samples.
     let mut sums = vec![DVec3::ZERO; spec.size.n_samples() as usize];

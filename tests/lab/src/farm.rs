@@ -37,6 +37,7 @@ pub fn goal(division: Division, min_renderers: u32) -> RenderGoal {
     RenderGoal {
         spec: None,
         scene_path: None,
+        sky_path: None,
         is_refinement: false,
         division,
         min_renderers,

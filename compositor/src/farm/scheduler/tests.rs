@@ -41,6 +41,7 @@ fn goal(division: Division) -> RenderGoal {
     RenderGoal {
         spec: Some(spec(0.0, 1000)),
         scene_path: None,
+        sky_path: None,
         is_refinement: false,
         division,
         min_renderers: 1,

@@ -2,9 +2,10 @@
 
 use shared::{
     appearance::{Appearance, Background, Clip, ClipSide, Light},
-    camera::{Camera, Look},
+    camera::{Camera, Look, UpAxis},
     protocol::{FrameSpec, LightingMode, ShadingMode},
     scene::SceneId,
+    sky::{Sky, SkyId},
 };
 use strum::VariantArray;
 
@@ -23,23 +24,27 @@ pub(super) struct PictureControl {
     pub(super) rays: Option<LightingMode>,
     pub(super) appearance: Appearance,
     pub(super) refinement: Refinement,
+    /// The image that lights path-traced pictures, if there is one.
+    sky: Option<SkyId>,
     options: RefinementOptions,
 }
 
 impl PictureControl {
-    pub(super) fn new(args: &WallArgs, wall: &Wall) -> Self {
+    pub(super) fn new(args: &WallArgs, wall: &Wall, sky: Option<SkyId>) -> Self {
         let options = args.refinement(wall);
         Self {
             shading: args.view,
             rays: args.rays,
             appearance: args.appearance.appearance(),
             refinement: Refinement::new(options),
+            sky,
             options,
         }
     }
 
-    /// The frame to ask for; [`Refinement::change`] sets its size and samples.
-    pub(super) fn spec(&self, scene: SceneId, camera: Camera) -> FrameSpec {
+    /// The frame to ask for, of a scene whose axis `up` points up; [`Refinement::change`] sets its size and samples.
+    pub(super) fn spec(&self, scene: SceneId, camera: Camera, up: UpAxis) -> FrameSpec {
+        let sky = self.sky.map(|id| Sky { id, up });
         FrameSpec {
             scene,
             camera,
@@ -47,7 +52,7 @@ impl PictureControl {
             view: self.shading,
             rays: self.rays.unwrap_or_default(),
             samples: self.options.fixed_samples,
-            appearance: self.appearance,
+            appearance: Appearance { sky, ..self.appearance },
         }
     }
 

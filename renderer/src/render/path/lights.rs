@@ -8,13 +8,13 @@ use crate::render::{sampling::circle_point, secondary::tangent_basis};
 
 /// A direction to a light, and what comes from there.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct LightSample {
+pub(in crate::render) struct LightSample {
     /// Unit length, world space.
-    pub(super) direction: Vec3,
+    pub(in crate::render) direction: Vec3,
     /// Linear light for each steradian.
-    pub(super) radiance: Vec3,
+    pub(in crate::render) radiance: Vec3,
     /// Density of the samples in this direction, for each steradian.
-    pub(super) density: f32,
+    pub(in crate::render) density: f32,
 }
 
 /// A disc of equal light at infinity.

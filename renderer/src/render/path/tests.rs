@@ -22,7 +22,7 @@ use crate::{
     render::scene::Scene,
 };
 
-fn spec(eye: DVec3, target: DVec3, bounces: u8) -> FrameSpec {
+pub(super) fn spec(eye: DVec3, target: DVec3, bounces: u8) -> FrameSpec {
     let path = PathLight::new(40, bounces, 0).unwrap();
     FrameSpec {
         scene: SceneId::Statue { triangles: 0, crease: Default::default() },
@@ -35,12 +35,12 @@ fn spec(eye: DVec3, target: DVec3, bounces: u8) -> FrameSpec {
     }
 }
 
-fn build(mesh: Mesh) -> Scene {
+pub(super) fn build(mesh: Mesh) -> Scene {
     Scene::build(mesh, &GridOptions::default(), &|_| ())
 }
 
 /// A ball of flat triangles around zero, with the radius 1.
-fn ball() -> Mesh {
+pub(super) fn ball() -> Mesh {
     let mut mesh = Mesh::default();
     let (rows, columns) = (24u32, 48u32);
     for (row, column) in (0..=rows).flat_map(|row| (0..columns).map(move |column| (row, column))) {
@@ -55,7 +55,7 @@ fn ball() -> Mesh {
     mesh
 }
 
-fn colored(mesh: Mesh, color: [u8; 3]) -> Mesh {
+pub(super) fn colored(mesh: Mesh, color: [u8; 3]) -> Mesh {
     Mesh { colors: vec![color; mesh.vertices.len()], ..mesh }
 }
 
@@ -66,13 +66,13 @@ fn set_sky(tracer: &mut PathTracer<'_>, zenith: Vec3, ground: Vec3) {
 }
 
 /// The mean light of `n_samples` samples at each hit of a frame, with the hit and the point.
-fn lights(
+pub(super) fn lights(
     scene: &Scene,
     spec: &FrameSpec,
     n_samples: u32,
     set: impl Fn(&mut PathTracer<'_>),
 ) -> Vec<(Hit, DVec3, DVec3)> {
-    let mut tracer = PathTracer::new(&scene.grid, spec, None);
+    let mut tracer = PathTracer::new(scene, spec, None);
     set(&mut tracer);
     let shader = Shader::new(scene.mesh(), spec, None);
     let rays = spec.camera.rays(spec.size);
@@ -98,7 +98,7 @@ fn lights(
 
 /// Asserts that pixels differ from the truth by no more than `noise` of it (root of the mean square), and on average by no
 /// more than four standard errors.
-fn check(pixels: impl Iterator<Item = (DVec3, DVec3)>, noise: f64) {
+pub(super) fn check(pixels: impl Iterator<Item = (DVec3, DVec3)>, noise: f64) {
     let errors: Vec<_> = pixels.map(|(light, truth)| (light - truth) / truth).collect();
     for axis in 0..3 {
         let n = errors.len() as f64;

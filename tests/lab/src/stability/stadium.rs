@@ -66,7 +66,7 @@ impl Cost {
         };
         let steps = samples.map(|(i, j)| cost(rays.direction(i, j))).sum();
         let is_in_budget = grid.shortage().is_none();
-        let scene = Scene { grid };
+        let scene = Scene::from(grid);
         let task = Division::Tiled.task(0, 1);
         let mut cpu = f64::INFINITY;
         if let (true, Ok(share)) = (times, task.share(size)) {

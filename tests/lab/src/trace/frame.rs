@@ -132,7 +132,7 @@ impl Frame {
     pub fn shade(&mut self, scene: &Scene, spec: &FrameSpec) -> Duration {
         let spec = &FrameSpec { camera: scene.local(&spec.camera), ..*spec };
         let rays = spec.camera.rays(self.size);
-        let lighting = Lighting::new(&scene.grid, spec, scene.clip_plane(&spec.camera, spec.appearance.clip));
+        let lighting = Lighting::new(scene, spec, scene.clip_plane(&spec.camera, spec.appearance.clip));
         let (share, all_hits, x_tiles) = (&self.share, &self.hits, self.size.x_tiles());
         let of_threads = work_off(parts(&mut self.colors, self.size), |next| {
             let mut scratch = PacketScratch::default();

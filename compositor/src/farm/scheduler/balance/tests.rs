@@ -41,6 +41,7 @@ fn goal(min_renderers: usize) -> RenderGoal {
     RenderGoal {
         spec: Some(spec()),
         scene_path: None,
+        sky_path: None,
         is_refinement: false,
         division: Division::Dynamic,
         min_renderers,
