@@ -2,7 +2,7 @@
 //!
 //! All values are bounded integers: no NaN can occur, and every machine computes the same bits from them.
 
-use std::ops::RangeInclusive;
+use std::{fmt, ops::RangeInclusive, str::FromStr};
 
 use serde::{Deserialize, Serialize};
 
@@ -73,6 +73,19 @@ impl PathLight {
         if self.exposure_deci_ev < 0 { 1.0 / factor } else { factor }
     }
 
+    /// The same with another diameter of the sun, in tenths of a degree; the nearest that is possible.
+    #[must_use]
+    pub fn with_sun(self, decidegrees: u16) -> Self {
+        Self { sun_decidegrees: decidegrees.min(*Self::SUN_DECIDEGREES.end()), ..self }
+    }
+
+    /// The same with another exposure, in tenths of a stop; the nearest that is possible.
+    #[must_use]
+    pub fn with_exposure(self, deci_ev: i16) -> Self {
+        let (least, most) = Self::EXPOSURE_DECI_EV.into_inner();
+        Self { exposure_deci_ev: deci_ev.clamp(least, most), ..self }
+    }
+
     /// Parses the sun's diameter in degrees, in tenths.
     pub fn parse_sun(text: &str) -> Result<u16, PathLightError> {
         tenths(text).filter(|tenths| Self::SUN_DECIDEGREES.contains(tenths)).ok_or(PathLightError::Sun)
@@ -100,6 +113,35 @@ impl Default for PathLight {
     /// A sun that is larger than in nature, so that edges of shadows are soft; four bounces; no correction of the exposure.
     fn default() -> Self {
         Self { sun_decidegrees: 40, bounces: 4, exposure_deci_ev: 0 }
+    }
+}
+
+impl fmt::Display for PathLight {
+    /// Sun, bounces and exposure, in the words of the options.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{},{},{}", self.sun_degrees(), self.bounces, self.exposure_ev())
+    }
+}
+
+/// Text that is no light of paths.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PathLightTextError {
+    /// It has not three parts.
+    #[error("the light of paths is SUN,BOUNCES,EXPOSURE as in 4,4,0")]
+    Parts,
+    /// One is out of range.
+    #[error(transparent)]
+    Number(#[from] PathLightError),
+}
+
+impl FromStr for PathLight {
+    type Err = PathLightTextError;
+
+    fn from_str(text: &str) -> Result<Self, PathLightTextError> {
+        let parts: Vec<_> = text.split(',').collect();
+        let &[sun, bounces, exposure] = parts.as_slice() else { return Err(PathLightTextError::Parts) };
+        let numbers = (Self::parse_sun(sun)?, Self::parse_bounces(bounces)?, Self::parse_exposure(exposure)?);
+        Ok(numbers.try_into()?)
     }
 }
 
@@ -131,6 +173,19 @@ mod tests {
         }
         assert_eq!(PathLight::parse_sun("0.5"), Ok(5));
         assert_eq!(PathLight::parse_exposure("-1.5"), Ok(-15));
+    }
+
+    #[test]
+    fn written_lights_are_read_back() {
+        for numbers in [(0, 0, 0), (5, 4, -15), (900, 64, 100), (123, 7, -100)] {
+            let light = PathLight::try_from(numbers).unwrap();
+            assert_eq!(light.to_string().parse(), Ok(light));
+        }
+        for text in ["", "4,4", "4,4,0,0", "91,4,0", "4,65,0", "4,4,11", "4;4;0"] {
+            assert!(text.parse::<PathLight>().is_err(), "{text}");
+        }
+        let changed = PathLight::default().with_sun(u16::MAX).with_exposure(i16::MIN);
+        assert_eq!((changed.sun_degrees(), changed.exposure_ev()), (90.0, -10.0));
     }
 
     #[test]

@@ -57,6 +57,10 @@ pub(crate) enum Command {
     SetLighting(Option<LightingMode>),
     NextLight,
     SetLight(Light),
+    /// The sun's diameter, in tenths of a degree.
+    SetSun(u16),
+    /// Of paths of light, in tenths of a stop.
+    SetExposure(i16),
     NextBackground,
     SetBackground(Background),
     NextClip,

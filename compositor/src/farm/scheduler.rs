@@ -40,6 +40,7 @@ pub type Time = Duration;
 /// An event in the farm.
 #[derive(Clone, Debug)]
 #[expect(missing_docs, reason = "fields are named after their types")]
+#[expect(clippy::large_enum_variant, reason = "each is handled as it comes: none is stored")]
 pub enum Event {
     /// A render server has joined.
     Joined { node: NodeId, name: String, threads: u32 },

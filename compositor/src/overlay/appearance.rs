@@ -1,12 +1,16 @@
 //! Controls of the [`Appearance`]: key light, background and clip plane.
 
 use egui::{Role, Slider, Ui, WidgetInfo};
-use shared::appearance::{Appearance, Background, Clip, ClipSide, Light};
+use shared::{
+    appearance::{Appearance, Background, Clip, ClipSide, Light},
+    protocol::LightingMode,
+};
 use strum::VariantArray;
 
 use crate::control::input::Command;
 
-pub(super) fn show(ui: &mut Ui, appearance: &Appearance, commands: &mut Vec<Command>) {
+/// `rays`: those that were chosen, if any were.
+pub(super) fn show(ui: &mut Ui, appearance: &Appearance, rays: Option<LightingMode>, commands: &mut Vec<Command>) {
     let (mut azimuth, mut elevation) = (appearance.light.azimuth_deg(), appearance.light.elevation_deg());
     let name =
         Light::PRESETS.iter().find(|(_, light)| *light == appearance.light).map_or("set by hand", |(name, _)| name);
@@ -21,6 +25,9 @@ pub(super) fn show(ui: &mut Ui, appearance: &Appearance, commands: &mut Vec<Comm
     {
         commands.push(Command::SetLight(light));
     }
+    if rays == Some(LightingMode::Path) {
+        light_of_paths(ui, appearance, commands);
+    }
     ui.label("Background (B)");
     ui.horizontal_wrapped(|ui| {
         for (name, background) in Background::PRESETS {
@@ -29,6 +36,19 @@ pub(super) fn show(ui: &mut Ui, appearance: &Appearance, commands: &mut Vec<Comm
         }
     });
     cut(ui, appearance.clip, commands);
+}
+
+fn light_of_paths(ui: &mut Ui, appearance: &Appearance, commands: &mut Vec<Command>) {
+    let (mut degrees, mut stops) = (appearance.path.sun_degrees(), appearance.path.exposure_ev());
+    // A sky image has a sun of its own.
+    let sun = Slider::new(&mut degrees, 0.0..=90.0).text("sun").suffix("°").fixed_decimals(1);
+    if appearance.sky.is_none() && ui.add(sun).changed() {
+        commands.push(Command::SetSun((degrees * 10.0).round() as u16));
+    }
+    let exposure = Slider::new(&mut stops, -10.0..=10.0).text("exposure").suffix(" stops").fixed_decimals(1);
+    if ui.add(exposure).changed() {
+        commands.push(Command::SetExposure((stops * 10.0).round() as i16));
+    }
 }
 
 fn cut(ui: &mut Ui, clip: Option<Clip>, commands: &mut Vec<Command>) {

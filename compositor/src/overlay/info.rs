@@ -95,7 +95,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
         let label = ui.selectable_label(model.is_playing, playing);
         commands.extend(label.clicked().then_some(Command::TogglePlaying));
     });
-    appearance::show(ui, &model.appearance, commands);
+    appearance::show(ui, &model.appearance, model.rays, commands);
     if model.appearance.clip.is_some() && !summary.is_solid {
         ui.label(RichText::new(UNFILLED).small().weak());
     }

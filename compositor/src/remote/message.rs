@@ -95,6 +95,11 @@ pub enum Action {
         /// −90 to 90.
         elevation_deg: i16,
     },
+    /// Sets the exposure of path-traced pictures.
+    Exposure {
+        /// −10 to 10, rounded to tenths: each doubles the light.
+        stops: f64,
+    },
     /// Sets the background.
     Background {
         /// One colour RRGGBB, or two, bottom and top, with a comma.
@@ -177,6 +182,7 @@ impl Action {
             {
                 Some("azimuth_deg is from -180 to 180, elevation_deg from -90 to 90")
             }
+            Exposure { stops } if !(-10.0..=10.0).contains(&stops) => Some("stops are from -10 to 10"),
             Cut { permille, .. } if permille > 1000 => Some("permille is from 0 to 1000"),
             _ => None,
         }
@@ -254,6 +260,7 @@ mod tests {
             r#"{"do":"open","model":"../secret.ply"}"#,
             r#"{"do":"open","model":".hidden.ply"}"#,
             r#"{"do":"light","azimuth_deg":181,"elevation_deg":0}"#,
+            r#"{"do":"exposure","stops":10.1}"#,
             r#"{"do":"cut","side":"w"}"#,
             r#"{"do":"cut","side":"x","permille":1001}"#,
             &format!(r#"{{"do":"open","model":"{}"}}"#, "x".repeat(LONGEST_MESSAGE)),

@@ -74,8 +74,9 @@ impl SkyImage {
     /// Another shape, or no light at all.
     pub fn new(width: u32, height: u32, mut texels: Vec<[f32; 3]>) -> Result<Self, String> {
         check_size(width, height)?;
-        // `max` takes the number that is one.
-        texels.as_flattened_mut().iter_mut().for_each(|light| *light = light.max(0.0).min(MOST_LIGHT));
+        for light in texels.as_flattened_mut() {
+            *light = if light.is_nan() { 0.0 } else { light.clamp(0.0, MOST_LIGHT) };
+        }
         let mut image = Self { width, height, texels };
         while image.width > MOST_KEPT_COLUMNS {
             image = image.halved();

@@ -5,7 +5,7 @@
 
 use std::{f32::consts::PI, path::Path};
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use shared::{
     appearance::{Appearance, Light},
     sky::SkyId,
@@ -58,7 +58,7 @@ impl SkyMap {
         let mut of_rows = 0.0f64;
         for row in 0..image.height {
             let weights = (0..image.width).map(|column| f64::from(weight(&image, row, column)));
-            let (first, mut of_row) = (columns.len(), 0.0f64);
+            let mut of_row = 0.0f64;
             let sums: Vec<_> = weights
                 .map(|weight| {
                     of_row += weight;
@@ -66,7 +66,6 @@ impl SkyMap {
                 })
                 .collect();
             columns.extend(sums.iter().map(|sum| if of_row > 0.0 { (sum / of_row) as f32 } else { 0.0 }));
-            debug_assert_eq!(columns.len() - first, image.width as usize);
             of_rows += of_row;
             rows.push(of_rows);
         }
@@ -93,7 +92,7 @@ impl SkyMap {
     /// `None` for pictures without it.
     pub(super) fn placed(&self, appearance: &Appearance) -> Option<PlacedSky<'_>> {
         let up = appearance.sky.filter(|sky| sky.id == self.id)?.up;
-        let [up, front] = [up.direction(), up.front()].map(|axis| axis.as_vec3());
+        let [up, front] = [up.direction(), up.front()].map(DVec3::as_vec3);
         let turned = Light::new(appearance.light.azimuth_deg(), 0).unwrap_or_default().direction().as_vec3();
         let middle = front * turned.z + up.cross(front) * turned.x;
         Some(PlacedSky { map: self, axes: [middle, middle.cross(up), up] })

@@ -14,6 +14,7 @@ use toml::Spanned;
 use super::{Camera, CameraFileError, UpAxis};
 use crate::{
     appearance::{Clip, Light},
+    path_light::PathLight,
     protocol::LightingMode,
 };
 
@@ -45,6 +46,8 @@ pub struct Look {
     pub clip: Option<Clip>,
     /// The rays that light the picture, if they were chosen.
     pub rays: Option<LightingMode>,
+    /// More of the light of paths; `None` in files of earlier walls.
+    pub path: Option<PathLight>,
 }
 
 impl Views {
@@ -72,7 +75,7 @@ impl Views {
     pub fn from_toml(text: &str) -> Result<Self, CameraFileError> {
         let at = |offset, problem: &str| {
             let format = "a file of views has up = \"y\" or another axis, and tables [view.1] to [view.9], each with \
-                          eye, ll, u and v, each = [x, y, z], and perhaps up, light, clip and rays";
+                          eye, ll, u and v, each = [x, y, z], and perhaps up, light, clip, rays and path";
             CameraFileError::at(text, offset, problem, format)
         };
         let file: ViewsFile =
@@ -82,17 +85,18 @@ impl Views {
             let start = view.span().start;
             let number = name.parse().ok().filter(|number| Self::NUMBERS.contains(number));
             let number = number.ok_or_else(|| at(start, &format!("\"{name}\" is no number from 1 to 9")))?;
-            let ViewTable { eye, ll, u, v, up, light, clip, rays } = view.into_inner();
+            let ViewTable { eye, ll, u, v, up, light, clip, rays, path } = view.into_inner();
             let camera = Camera::new(eye, ll, u, v).map_err(|error| at(start, &error.to_string()))?;
-            let has_look = light.is_some() || clip.is_some() || rays.is_some();
-            let look = has_look.then(|| Look { light: light.unwrap_or_default(), clip, rays });
+            let has_look = light.is_some() || clip.is_some() || rays.is_some() || path.is_some();
+            let look = has_look.then(|| Look { light: light.unwrap_or_default(), clip, rays, path });
             views.keep(number, View { camera, up, look });
         }
         Ok(views)
     }
 
     /// Writes a file of views: `up`, and for each a table `view.N` with the camera's `eye`, `ll`, `u` and `v`, exact to
-    /// the last bit, and with its own `up`, `light`, `clip` and `rays`, in the words of the options.
+    /// the last bit, and with its own `up`, `light`, `clip` and `rays`, in the words of the options, and `path`: sun, bounces and
+    /// exposure.
     pub fn to_toml(&self) -> String {
         let mut text = "# Views of a model: on the wall, keys 1 to 9 go to them.\n".to_owned();
         // Writing to a string cannot fail.
@@ -105,10 +109,11 @@ impl Views {
                 value.into_iter().for_each(|value| _ = writeln!(text, "{name} = \"{value}\""));
             };
             add("up", up.as_ref().map(|up| up as _));
-            if let Some(Look { light, clip, rays }) = look {
+            if let Some(Look { light, clip, rays, path }) = look {
                 add("light", Some(light));
                 add("clip", clip.as_ref().map(|clip| clip as _));
                 add("rays", rays.as_ref().map(|rays| rays as _));
+                add("path", path.as_ref().map(|path| path as _));
             }
         }
         text
@@ -136,6 +141,8 @@ struct ViewTable {
     #[serde(default, deserialize_with = "from_text")]
     clip: Option<Clip>,
     rays: Option<LightingMode>,
+    #[serde(default, deserialize_with = "from_text")]
+    path: Option<PathLight>,
 }
 
 fn from_text<'de, T: FromStr<Err: Display>, D: Deserializer<'de>>(input: D) -> Result<Option<T>, D::Error> {
@@ -177,14 +184,15 @@ mod tests {
         #[test]
         fn a_file_keeps_every_bit(
             cameras in proptest::collection::btree_map(0..12u8, any_camera(), 0..9),
-            look in proptest::option::of((-180..=180i16, -90..=90i16, proptest::option::of(0..=1000u16), 0..4usize)),
+            look in proptest::option::of((-180..=180i16, -90..=90i16, proptest::option::of(0..=1000u16), 0..4usize, -100..=101i16)),
             up in proptest::option::of(0..UpAxis::VARIANTS.len()),
         ) {
             let mut views = Views { up: up.map(|up| UpAxis::VARIANTS[up]), ..Views::default() };
-            let look = look.map(|(azimuth, elevation, cut, rays)| Look {
+            let look = look.map(|(azimuth, elevation, cut, rays, exposure)| Look {
                 light: Light::new(azimuth, elevation).unwrap(),
                 clip: cut.map(|cut| Clip::new(ClipSide::VARIANTS[usize::from(cut) % ClipSide::VARIANTS.len()], cut).unwrap()),
                 rays: LightingMode::VARIANTS.get(rays).copied(),
+                path: PathLight::new(5, 3, exposure).ok(),
             });
             cameras.iter().for_each(|(&number, &camera)| views.keep(number, View { camera, up: views.up, look }));
             prop_assert!(views.numbers().all(|number| Views::NUMBERS.contains(&number)));

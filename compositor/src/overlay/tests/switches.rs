@@ -47,6 +47,21 @@ fn light_and_background_can_be_set() {
 }
 
 #[test]
+fn the_light_of_paths_can_be_set_while_paths_are_chosen() {
+    commands_of(&running(), |harness| assert!(harness.query_by_label("exposure").is_none()));
+    let slide = |appearance: Appearance, name: &str| {
+        let model = OverlayModel { appearance, rays: Some(LightingMode::Path), ..running() };
+        commands_of(&model, |harness| {
+            harness.get_by_role_and_label(egui::accesskit::Role::Slider, name).focus();
+            harness.run();
+            harness.key_press(egui::Key::ArrowRight);
+        })
+    };
+    assert!(matches!(slide(Appearance::default(), "exposure")[..], [Command::SetExposure(1..)]));
+    assert!(matches!(slide(Appearance::default(), "sun")[..], [Command::SetSun(41..)]));
+}
+
+#[test]
 fn the_model_can_be_cut_open() {
     let commands = commands_of(&running(), |harness| {
         assert_eq!(harness.get_by_label("cut from none").accesskit_node().toggled(), Some(Toggled::True));

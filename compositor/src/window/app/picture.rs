@@ -44,7 +44,6 @@ impl PictureControl {
 
     /// The frame to ask for, of a scene whose axis `up` points up; [`Refinement::change`] sets its size and samples.
     pub(super) fn spec(&self, scene: SceneId, camera: Camera, up: UpAxis) -> FrameSpec {
-        let sky = self.sky.map(|id| Sky { id, up });
         FrameSpec {
             scene,
             camera,
@@ -52,8 +51,13 @@ impl PictureControl {
             view: self.shading,
             rays: self.rays.unwrap_or_default(),
             samples: self.options.fixed_samples,
-            appearance: Appearance { sky, ..self.appearance },
+            appearance: self.appearance_with_sky(up),
         }
+    }
+
+    /// The appearance with the sky image, if there is one, around a model whose axis `up` points up.
+    pub(super) fn appearance_with_sky(&self, up: UpAxis) -> Appearance {
+        Appearance { sky: self.sky.map(|id| Sky { id, up }), ..self.appearance }
     }
 
     pub(super) fn change(&mut self, change: impl FnOnce(&mut Self)) -> Effect {
@@ -69,7 +73,8 @@ impl PictureControl {
 
     /// The parts that a kept view includes.
     pub(super) fn look(&self) -> Look {
-        Look { light: self.appearance.light, clip: self.appearance.clip, rays: self.rays }
+        let Appearance { light, clip, path, .. } = self.appearance;
+        Look { light, clip, rays: self.rays, path: Some(path) }
     }
 
     /// Shows another model uncut: the old one's clip plane would cut it anywhere. Light, background and rays stay as the
@@ -79,8 +84,9 @@ impl PictureControl {
     }
 
     /// Looks as a kept view did; its camera asks for the picture.
-    pub(super) fn set_look(&mut self, Look { light, clip, rays }: Look) {
-        self.appearance = Appearance { light, clip, ..self.appearance };
+    pub(super) fn set_look(&mut self, Look { light, clip, rays, path }: Look) {
+        let path = path.unwrap_or(self.appearance.path);
+        self.appearance = Appearance { light, clip, path, ..self.appearance };
         let _ = self.choose_rays(rays);
     }
 

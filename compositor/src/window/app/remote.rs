@@ -125,6 +125,7 @@ impl App<'_> {
             Action::Light { azimuth_deg, elevation_deg } => {
                 Command::SetLight(Light::new(azimuth_deg, elevation_deg).unwrap_or_default())
             }
+            Action::Exposure { stops } => Command::SetExposure((stops * 10.0).round() as i16),
             Action::Background { colors } => Command::SetBackground(colors),
             Action::Cut { side, permille } => Command::SetClip(Action::clip(side, permille)),
             Action::Division { division } => Command::SetDivision(division),

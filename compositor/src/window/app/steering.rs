@@ -152,6 +152,12 @@ impl App<'_> {
             Command::SetLighting(rays) => self.picture.choose_rays(rays),
             Command::NextLight => self.picture.next_light(),
             Command::SetLight(light) => self.picture.change(|it| it.appearance.light = light),
+            Command::SetSun(decidegrees) => self.picture.change(|it| {
+                it.appearance.path = it.appearance.path.with_sun(decidegrees);
+            }),
+            Command::SetExposure(deci_ev) => self.picture.change(|it| {
+                it.appearance.path = it.appearance.path.with_exposure(deci_ev);
+            }),
             Command::NextBackground => self.picture.next_background(),
             Command::SetBackground(background) => self.picture.change(|it| it.appearance.background = background),
             Command::NextClip => self.picture.next_clip(),
