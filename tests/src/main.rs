@@ -22,6 +22,9 @@ mod decoders;
 #[cfg(test)]
 mod farm;
 #[cfg(test)]
+#[cfg(target_os = "linux")]
+mod fetching;
+#[cfg(test)]
 mod film;
 #[cfg(test)]
 mod formats;

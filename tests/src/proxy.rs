@@ -22,6 +22,18 @@ pub(crate) fn start(
     buffer_bytes: usize,
     on_bytes: impl Fn(usize, Direction, &mut [u8]) + Send + Sync + 'static,
 ) -> String {
+    start_cutting(wall, buffer_bytes, move |number, direction, bytes| {
+        on_bytes(number, direction, bytes);
+        true
+    })
+}
+
+/// Like [`start`]; bytes for which `on_bytes` returns false are the last of their connection.
+pub(crate) fn start_cutting(
+    wall: &str,
+    buffer_bytes: usize,
+    on_bytes: impl Fn(usize, Direction, &mut [u8]) -> bool + Send + Sync + 'static,
+) -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap().to_string();
     let (wall, on_bytes) = (wall.to_owned(), Arc::new(on_bytes));
@@ -41,11 +53,11 @@ pub(crate) fn start(
     address
 }
 
-fn pass_on(mut from: TcpStream, mut to: TcpStream, buffer_bytes: usize, on_bytes: impl Fn(&mut [u8])) {
+fn pass_on(mut from: TcpStream, mut to: TcpStream, buffer_bytes: usize, on_bytes: impl Fn(&mut [u8]) -> bool) {
     let mut bytes = vec![0; buffer_bytes];
     while let Ok(n_bytes @ 1..) = from.read(&mut bytes) {
-        on_bytes(&mut bytes[..n_bytes]);
-        if to.write_all(&bytes[..n_bytes]).is_err() {
+        let goes_on = on_bytes(&mut bytes[..n_bytes]);
+        if to.write_all(&bytes[..n_bytes]).is_err() || !goes_on {
             break;
         }
     }

@@ -15,7 +15,7 @@ use super::report::Report;
 use crate::{
     farm::{
         Farm, Frame,
-        stats::{DisplayStats, FarmStatus},
+        stats::{DisplayStats, FarmStatus, NodeStatus},
     },
     gpu::{Gpu, GpuError, OffscreenWall, Present, RgbImage},
     wall::Wall,
@@ -177,7 +177,10 @@ fn waiting_for(status: &FarmStatus, n_needed: usize, join_command: &str) -> Stri
         let needed = counted(n_needed, "render server");
         format!("{n_joined} of {needed} joined; start one with: {join_command}{last}")
     } else if n_ready < n_needed {
-        format!("{n_ready} of {} ready{last}", counted(n_joined, "render server"))
+        let fetching = status.nodes.iter().filter_map(NodeStatus::transfer);
+        let fetching: String =
+            fetching.map(|node| format!("; {} fetches the model: {}", node.name, node.transfer)).collect();
+        format!("{n_ready} of {} ready{fetching}{last}", counted(n_joined, "render server"))
     } else {
         format!("a frame is being rendered by {}", counted(n_ready, "render server"))
     }
@@ -189,10 +192,10 @@ fn milliseconds(duration: Duration) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use shared::protocol::SceneState;
+    use shared::protocol::{SceneState, Transfer};
 
     use super::*;
-    use crate::farm::stats::{NodeId, NodeStatus};
+    use crate::farm::stats::NodeId;
 
     #[test]
     fn render_servers_are_asked_for_only_where_some_are_missing() {
@@ -211,6 +214,10 @@ mod tests {
         let line = |nodes| waiting_for(&FarmStatus { nodes, ..FarmStatus::default() }, 1, command);
         assert_eq!(line(vec![]), format!("0 of 1 render server joined; start one with: {command}"));
         assert_eq!(line(vec![node(SceneState::Loading { progress: 0.5 })]), "0 of 1 render server ready");
+        let transfer = Transfer { n_done: 30_000_000, n_bytes: 120_000_000, bytes_per_second: 10_000_000 };
+        let fetching = line(vec![node(SceneState::Fetching(transfer))]);
+        let told = "0 of 1 render server ready; left fetches the model: 25 % of 120 MB, 10 MB/s, 9 s left";
+        assert_eq!(fetching, told);
         let ready = SceneState::Ready { triangles: 1, bytes: 1, grid: None };
         assert_eq!(line(vec![node(ready)]), "a frame is being rendered by 1 render server");
     }

@@ -7,7 +7,7 @@ use shared::protocol::FrameSpec;
 use super::{
     Frame,
     frame_buffer::{BufferPool, FrameBuffer},
-    stats::{FarmStatus, FrameStats, NodeId},
+    stats::{FarmStatus, FrameStats, NodeId, NodeStatus},
 };
 
 /// A frame's buffer, and the bytes that were sent for it.
@@ -31,6 +31,7 @@ impl OpenFrame {
                 (node.n_failures, node.round_trip_ms) = (known.n_failures, known.round_trip_ms);
             }
         }
+        stats.fetching = farm.nodes.iter().filter_map(NodeStatus::transfer).collect();
         stats.bytes_out = self.bytes_out.values().sum();
         Frame { spec: self.spec, rgba: self.buffer.into_samples(spare), stats, moved_at: self.moved_at }
     }

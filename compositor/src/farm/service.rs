@@ -346,6 +346,7 @@ impl Service {
         }
         let name = self.name(id);
         let was_ready = self.status.borrow().nodes.iter().any(|node| node.id == id && node.is_ready());
+        let was_fetching = self.status.borrow().nodes.iter().any(|node| node.id == id && node.transfer().is_some());
         match &state {
             SceneState::Missing { reason } => {
                 if let Some(more) = self.admit_line("missing", &name) {
@@ -354,7 +355,7 @@ impl Service {
                 let (key, text) = (self.key(id), format!("{name}: {reason}."));
                 self.status.send_modify(|status| status.notices.put(key, text));
             }
-            SceneState::Fetching(transfer) => {
+            SceneState::Fetching(transfer) if !was_fetching => {
                 if let Some(more) = self.admit_line("fetching", &name) {
                     tracing::info!("render server {name} fetches the model: {transfer}{more}");
                 }

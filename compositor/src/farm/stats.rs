@@ -5,7 +5,7 @@ use std::{net::SocketAddr, sync::Arc};
 use serde::Serialize;
 use shared::{
     division::{Division, FrameSize, Task},
-    protocol::{Encoding, ProbeHit, RunCosts, SceneState},
+    protocol::{Encoding, ProbeHit, RunCosts, SceneState, Transfer},
 };
 
 use super::notices::Notices;
@@ -36,6 +36,12 @@ pub struct NodeStatus {
 }
 
 impl NodeStatus {
+    /// The progress of its transfer, if it fetches the scene file.
+    pub fn transfer(&self) -> Option<NodeTransfer> {
+        let Some(SceneState::Fetching(transfer)) = self.scene else { return None };
+        Some(NodeTransfer { name: self.name.clone(), transfer, seconds_left: transfer.seconds_left() })
+    }
+
     /// Whether it is given tasks.
     pub fn is_ready(&self) -> bool {
         !self.is_silent && matches!(self.scene, Some(SceneState::Ready { .. }))
@@ -119,6 +125,18 @@ impl NodeFrameStats {
     }
 }
 
+/// A render server that fetches the scene file.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct NodeTransfer {
+    /// Its name.
+    pub name: String,
+    /// How much it has, at which rate.
+    #[serde(flatten)]
+    pub transfer: Transfer,
+    /// Until it has all; `None` if the rate is not known yet.
+    pub seconds_left: Option<u64>,
+}
+
 /// How a frame was rendered.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FrameStats {
@@ -152,6 +170,9 @@ pub struct FrameStats {
     pub bytes_out: u64,
     /// Each render server that took part.
     pub nodes: Vec<NodeFrameStats>,
+    /// Render servers that were fetching the scene file then.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub fetching: Vec<NodeTransfer>,
     /// The finished tasks.
     #[serde(skip)]
     pub tasks: Arc<[FrameTask]>,

@@ -23,8 +23,8 @@ use super::rate_limit::RateLimit;
 /// A scene file that could not be made is tried again after this time.
 const RETRY_AFTER: Duration = Duration::from_secs(10);
 
-/// Frames go first: for so long after one, scene files travel slowly.
-const BUSY_FOR: Duration = Duration::from_millis(250);
+/// Frames go first: for so long after a request for one, scene files travel slowly. Most frames take less.
+const BUSY_FOR: Duration = Duration::from_secs(1);
 
 /// The pause between messages of 64 KB to all render servers together while frames are rendered: 13 MB a second, a tenth of
 /// the common link. A message delays a frame's request by half a millisecond there.

@@ -1,5 +1,7 @@
 //! One row for each render server: its name, its state, and its times in the newest frame.
 
+use std::borrow::Cow;
+
 use egui::{Color32, RichText, Ui};
 use shared::{printable::counted, protocol::SceneState};
 
@@ -114,16 +116,16 @@ fn address_and_threads(node: &NodeStatus, frame: Option<&NodeFrameStats>) -> Str
     format!("{}, {threads}{encoding}{failures}", node.address)
 }
 
-/// The state in a word, its colour, and the cure.
-fn state(node: &NodeStatus) -> (String, Color32, Option<&str>) {
+/// The state in a word, its colour, and the cure, or how long it lasts.
+fn state(node: &NodeStatus) -> (String, Color32, Option<Cow<'_, str>>) {
     match &node.scene {
         _ if node.is_silent => ("silent".to_owned(), style::BUSY, None),
         None => ("connected".to_owned(), style::BUSY, None),
         Some(SceneState::Loading { progress }) => (format!("loading {:.0} %", progress * 100.0), style::BUSY, None),
         Some(SceneState::Fetching(transfer)) => {
-            (format!("fetching {:.0} %", transfer.fraction() * 100.0), style::BUSY, None)
+            ("fetching the model".to_owned(), style::BUSY, Some(transfer.to_string().into()))
         }
         Some(SceneState::Ready { .. }) => ("ready".to_owned(), style::GOOD, None),
-        Some(SceneState::Missing { reason }) => ("no model".to_owned(), style::BAD, Some(reason)),
+        Some(SceneState::Missing { reason }) => ("no model".to_owned(), style::BAD, Some(reason.into())),
     }
 }

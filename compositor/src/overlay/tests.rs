@@ -61,6 +61,7 @@ pub(super) fn running() -> OverlayModel {
         is_healed: false,
         n_lost: 0,
         n_healed: 0,
+        fetching: Vec::new(),
         bytes_in: 1_573_000,
         bytes_out: 420,
         nodes: nodes

@@ -45,6 +45,7 @@ impl Part {
         if !part.take_back()? {
             (part.head, part.n_chunks) = (None, 0);
             part.file.set_len(0)?;
+            part.file.seek(SeekFrom::Start(0))?;
         }
         Ok(part)
     }
@@ -217,6 +218,11 @@ mod tests {
         std::fs::copy(&place, &path).unwrap();
         assert_eq!(resume().n_done(), file.len() as u64);
         assert_eq!(Part::resume(&path, file.len() as u64, [1; 32]).unwrap().n_done(), 0);
+        std::fs::write(&path, [7; 10_000]).unwrap();
+        let mut anew = resume();
+        put(&mut anew, &file, 100);
+        anew.finish(&place).unwrap();
+        assert!(std::fs::read(&place).unwrap() == file, "bytes of the other file are left");
         std::fs::copy(&place, &path).unwrap();
         let changed = File::options().write(true).open(&path).unwrap();
         std::os::unix::fs::FileExt::write_at(&changed, b"x", file.len() as u64 - 3 * CHUNK as u64).unwrap();

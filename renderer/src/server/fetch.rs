@@ -69,7 +69,9 @@ pub(crate) enum FetchError {
     Refused(String),
     #[error("its scene file has {n_bytes}, more than {limit}", n_bytes = bytes(*.n_bytes))]
     TooLarge { n_bytes: u64, limit: String },
-    #[error("what the wall sends is no scene file of its model: it {0}; build both programs from one commit")]
+    #[error(
+        "the wall's scene file: {0}; run `renderer cache --clear` on the wall's machine, and build both programs from one commit"
+    )]
     Damaged(Fault),
     #[error(
         "its scene file cannot be written to {folder}: {error}; free some of the disk, or name a folder on another with XDG_CACHE_HOME"

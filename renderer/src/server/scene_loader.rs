@@ -1,6 +1,7 @@
 //! Loads and caches the one scene that a render server traces, on a thread of its own.
 
 use std::{
+    ops::Range,
     path::PathBuf,
     sync::{Arc, Condvar, Mutex, PoisonError},
     time::{Duration, Instant, SystemTime},
@@ -37,8 +38,8 @@ use crate::{
 /// How often a scene that is missing is looked for.
 const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 
-/// How often a scene that could not be fetched is asked for again.
-const FETCH_INTERVAL: Duration = Duration::from_secs(5);
+/// The first and the longest pause before a scene that could not be fetched is asked for again; it doubles each time.
+const FETCH_PAUSES: Range<Duration> = Duration::from_secs(2)..Duration::from_secs(60);
 
 /// Length and time of a file, if it is there.
 type FileState = Option<(u64, Option<SystemTime>)>;
@@ -161,7 +162,8 @@ impl SceneLoader {
             told,
             told_of: None,
             fetcher,
-            fetch_at: None,
+            missing: None,
+            fetch_pause: FETCH_PAUSES.start,
             progress: progress.clone(),
         };
         std::thread::Builder::new()
@@ -230,8 +232,10 @@ struct LoaderThread {
     /// The scene of which the log tells already; a new structure has it read again.
     told_of: Option<SceneId>,
     fetcher: Option<Fetcher>,
-    /// When a scene that could not be fetched is asked for again.
-    fetch_at: Option<Instant>,
+    /// Why the scene of an unmet order is not here, if it could not be fetched either, and when it is asked for again.
+    missing: Option<(String, Instant)>,
+    /// The pause after the next failure.
+    fetch_pause: Duration,
     progress: watch::Sender<LoadProgress>,
 }
 
@@ -249,13 +253,13 @@ impl LoaderThread {
         let mut unmet: Option<(LoadRequest, [FileState; 2])> = None;
         loop {
             let order = requests.take(if unmet.is_some() { RETRY_INTERVAL } else { Duration::MAX });
-            // A file that has come back, or was replaced, is read without being asked for again.
-            let is_due = self.fetch_at.is_some_and(|at| at <= Instant::now());
-            let order = order.or_else(|| {
-                unmet.take_if(|(order, files)| is_due || self.files(order) != *files).map(|(order, _)| order)
-            });
-            let Some(order) = order else { continue };
-            self.fetch_at = None;
+            // Files that have come back, or were replaced, are read without being asked for again.
+            let have_changed = unmet.as_ref().is_some_and(|(order, files)| self.files(order) != *files);
+            if order.is_some() || have_changed {
+                self.missing = None;
+            }
+            let is_due = have_changed || self.missing.as_ref().is_some_and(|(_, fetch_at)| *fetch_at <= Instant::now());
+            let Some(order) = order.or_else(|| Some(unmet.take_if(|_| is_due)?.0)) else { continue };
             let files = self.files(&order);
             let scene = order.scene;
             let state = match self.prepare_scene(&order, requests) {
@@ -264,6 +268,8 @@ impl LoaderThread {
                     bytes: scene.n_bytes() as u64,
                     grid: scene.grid.structure(),
                 },
+                // The next order makes this one needless.
+                Err(_) if requests.has_one() => continue,
                 Err(reason) => {
                     // A wall may order the same scene over and over.
                     if reason != last_reason {
@@ -326,27 +332,41 @@ impl LoaderThread {
             return Ok(scene);
         }
         let sky = order.sky.as_ref().map(|sky| self.read_sky(sky)).transpose()?;
-        let missing = match self.find_scene(order, sky.clone()) {
-            Err(reason) if matches!(order.scene, SceneId::Mesh { .. }) => reason,
-            found => return found,
+        let missing = match self.missing.take() {
+            Some((missing, _)) => missing,
+            None => match self.find_scene(order, sky.clone()) {
+                Err(missing) if matches!(order.scene, SceneId::Mesh { .. }) && self.fetcher.is_some() => {
+                    tracing::info!("{missing}; it is fetched from the wall");
+                    missing
+                }
+                found => return found,
+            },
         };
         let Some(fetcher) = self.fetcher.clone() else { return Err(missing) };
-        if self.path(order).is_some() {
-            tracing::warn!("{missing}; it is fetched from the wall");
+        let cache = match self.store.cache() {
+            Ok(cache) => cache.clone(),
+            Err(fault) => return Err(format!("{missing}; it cannot be fetched: {fault}")),
+        };
+        let fetched = self.fetch(&fetcher, &cache, (order.scene, sky.as_ref()), requests);
+        match &fetched {
+            Ok(_) => self.fetch_pause = FETCH_PAUSES.start,
+            Err(_) => {
+                // The log has the rest.
+                self.missing = Some((missing, Instant::now() + self.fetch_pause));
+                self.fetch_pause = (2 * self.fetch_pause).min(FETCH_PAUSES.end);
+            }
         }
-        self.fetch(&fetcher, order.scene, sky.as_ref(), requests)
-            .map_err(|error| format!("{missing}; it cannot be fetched: {error}"))
+        fetched.map_err(|error| format!("it cannot fetch the model: {error}"))
     }
 
     /// The scene in its file in the cache, or from the wall.
     fn fetch(
         &mut self,
         fetcher: &Fetcher,
-        scene: SceneId,
-        sky: Option<&Arc<SkyMap>>,
+        cache: &Cache,
+        (scene, sky): (SceneId, Option<&Arc<SkyMap>>),
         requests: &LatestRequest,
     ) -> Result<Arc<Scene>, String> {
-        let cache = self.store.cache()?.clone();
         let place = cache.fetched_path(scene);
         let source = SceneSource::File(place.clone());
         // Of several render servers on a machine, one fetches.
@@ -383,14 +403,12 @@ impl LoaderThread {
                 }
             };
             self.current.set(None);
+            let begun_at = Instant::now();
             let watch = Watch { is_wanted: &|| !requests.has_one(), report: &report };
-            let fetched = self.pool.install(|| fetcher.fetch(scene, &cache, &place, &watch));
-            if let Err(error) = fetched {
-                self.fetch_at = Some(Instant::now() + FETCH_INTERVAL);
-                return Err(error.to_string());
-            }
+            let fetched = self.pool.install(|| fetcher.fetch(scene, cache, &place, &watch));
+            fetched.map_err(|error| error.to_string())?;
+            tracing::info!("{scene} has arrived in {:.1} s", begun_at.elapsed().as_secs_f64());
         }
-        self.fetch_at = Some(Instant::now() + FETCH_INTERVAL);
         Err("the wall's scene file cannot be used: see the log".to_owned())
     }
 
@@ -403,7 +421,10 @@ impl LoaderThread {
             SceneId::Mesh { .. } => self.path(order).cloned().map(SceneSource::File),
         };
         let Some(source) = source else {
-            return Err(format!("it has no {ordered}: start it with --model FILE, the file that the wall shows"));
+            return Err(match self.fetcher {
+                Some(_) => format!("it has no {ordered}"),
+                None => format!("it has no {ordered}: start it with --model FILE, the file that the wall shows"),
+            });
         };
         match self.load(Some(ordered), ordered.crease(), &source, sky) {
             Ok((id, scene, _)) if id == ordered => Ok(scene),

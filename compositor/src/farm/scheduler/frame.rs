@@ -394,6 +394,7 @@ impl FrameInFlight {
             is_healed,
             n_lost: 0,
             n_healed: 0,
+            fetching: Vec::new(),
             bytes_in: nodes.iter().map(|node| node.bytes_in).sum(),
             bytes_out: 0,
             nodes,
