@@ -25,7 +25,8 @@ pub(super) fn show(ui: &mut Ui, appearance: &Appearance, rays: Option<LightingMo
     {
         commands.push(Command::SetLight(light));
     }
-    if rays == Some(LightingMode::Path) {
+    // Without a choice, paths light pictures at rest.
+    if rays.is_none_or(|rays| rays == LightingMode::Path) {
         light_of_paths(ui, appearance, commands);
     }
     ui.label("Background (B)");
