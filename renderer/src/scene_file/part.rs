@@ -151,7 +151,7 @@ impl Part {
         if self.head.is_none() || self.needed(0).is_some() {
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
-        std::fs::rename(&self.path, place)
+        files::give_place(&self.path, place)
     }
 }
 

@@ -187,6 +187,15 @@ pub fn open_shared(path: &Path) -> io::Result<File> {
     options.open(path)
 }
 
+/// Gives a file that [`open_shared`] opened another name in its folder, once it is complete; an older file of that name is
+/// replaced.
+///
+/// # Errors
+/// The folder cannot be written.
+pub fn give_place(file: &Path, place: &Path) -> io::Result<()> {
+    fs::rename(file, place)
+}
+
 /// Writes the first file of `name(1)`, `name(2)` … that does not exist, all in one folder; returns its path.
 ///
 /// # Errors

@@ -47,8 +47,14 @@ fn light_and_background_can_be_set() {
 }
 
 #[test]
-fn the_light_of_paths_can_be_set_while_paths_are_chosen() {
-    commands_of(&running(), |harness| assert!(harness.query_by_label("exposure").is_none()));
+fn the_light_of_paths_can_be_set_where_paths_light_pictures() {
+    for (rays, is_there) in [(None, true), (Some(LightingMode::Primary), false), (Some(LightingMode::Path), true)] {
+        let model = OverlayModel { rays, ..running() };
+        commands_of(&model, |harness| {
+            let slider = harness.query_by_role_and_label(egui::accesskit::Role::Slider, "exposure");
+            assert_eq!(slider.is_some(), is_there, "{rays:?}");
+        });
+    }
     let slide = |appearance: Appearance, name: &str| {
         let model = OverlayModel { appearance, rays: Some(LightingMode::Path), ..running() };
         commands_of(&model, |harness| {
