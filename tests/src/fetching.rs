@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    io::{Read, Write},
+    io::{Read, Seek, SeekFrom, Write},
     net::TcpStream,
     path::{Path, PathBuf},
     process::Command,
@@ -154,6 +154,36 @@ fn a_transfer_that_is_cut_goes_on_where_it_was_and_a_wrong_chunk_is_refused() {
     wall.signal("TERM");
     let (_, said) = wall.wait();
     assert!(!said.contains("panicked"), "{said}");
+}
+
+#[test]
+fn a_file_that_is_damaged_at_the_wall_is_made_again() {
+    let machines = Machines::new();
+    assert!(machines.wall(&["--local", "1", "--frames", "1"]).0.wait().0.success());
+    let (mut wall, address) = machines.wall(&["--local", "0", "--frames", "1000000"]);
+    let kept = scene_file(&machines.path("wall/cache/raywall"));
+    let mut file = fs::File::options().read(true).write(true).open(&kept).unwrap();
+    file.seek(SeekFrom::Start(9_500_000)).unwrap();
+    file.write_all(b"changed").unwrap();
+    let mut node = machines.node(&address, &[]);
+    wall.wait_for("render server far is ready");
+    node.wait_for("is ready: ");
+    wall.signal("TERM");
+    let (_, said) = wall.wait();
+    assert!(!said.contains("panicked"), "{said}");
+}
+
+#[test]
+fn walls_without_a_key_have_fetched_files_of_their_own() {
+    let machines = Machines::new();
+    for n_files in [1, 2] {
+        let (mut wall, address) = machines.wall(&["--local", "0", "--frames", "1000000"]);
+        let mut node = machines.node(&address, &[]);
+        node.wait_for("is ready: ");
+        assert_eq!(machines.in_cache("raywall").len(), n_files);
+        wall.signal("TERM");
+        wall.wait();
+    }
 }
 
 #[test]

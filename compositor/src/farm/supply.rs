@@ -37,6 +37,8 @@ pub(super) struct SceneSupply {
     /// How scene files are made; without it, none are given.
     maker: OnceLock<(SceneStore, GridOptions)>,
     current: watch::Sender<Current>,
+    /// Held while a file is made.
+    making: Mutex<()>,
     /// Microseconds since the start until which frames go first.
     busy_until_us: AtomicU64,
     /// Of messages while frames go first.
@@ -70,6 +72,7 @@ impl Default for SceneSupply {
             started_at: Instant::now(),
             maker: OnceLock::new(),
             current: watch::Sender::default(),
+            making: Mutex::default(),
             busy_until_us: AtomicU64::new(0),
             pace: Mutex::new(RateLimit::new(1, BUSY_INTERVAL)),
         }
@@ -92,6 +95,11 @@ impl SceneSupply {
             }
             is_new
         });
+    }
+
+    /// Forgets a file that is damaged: the next to ask has it made or opened again.
+    pub(super) fn forget(&self, scene: SceneId) {
+        self.put(scene, Supply::Unasked);
     }
 
     /// Whether this is the scene on show.
@@ -134,6 +142,11 @@ impl SceneSupply {
     }
 
     fn make(&self, scene: SceneId, path: &Path, store: &SceneStore, options: &GridOptions) {
+        // One after the other: an operator may open models faster than their files are made.
+        let _turn = self.making.lock().unwrap_or_else(PoisonError::into_inner);
+        if !self.shows(scene) {
+            return;
+        }
         // The rest of the cores place samples and draw.
         let n_threads = thread::available_parallelism().map_or(1, |n| (usize::from(n) / 2).max(1));
         let report = |done: f32| self.put(scene, Supply::Making(done));

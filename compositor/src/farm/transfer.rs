@@ -71,7 +71,10 @@ pub(super) async fn serve(
         });
         let bytes = match reading.await {
             Ok(Ok(bytes)) => bytes,
-            Ok(Err(error)) => return refuse(writer, format!("its scene file cannot be read: {error}")).await,
+            Ok(Err(fault)) => {
+                supply.forget(scene);
+                return refuse(writer, format!("its scene file is made or read again, because {fault}")).await;
+            }
             // The wall ends.
             Err(_) => return Ok(()),
         };

@@ -108,9 +108,10 @@ impl Cache {
         scenes(&self.folder).filter(move |path| path.to_string_lossy().contains(&name))
     }
 
-    /// The path of a scene that is fetched from a wall.
-    pub(crate) fn fetched_path(&self, scene: SceneId) -> PathBuf {
-        self.folder.join(format!("{FETCHED}{}.{ENDING}", hash(&codec::to_bytes(&scene))))
+    /// The path of a scene that is fetched from a wall of this origin. A file's own word is all that says which scene it
+    /// holds, so no other wall's file takes its place.
+    pub(crate) fn fetched_path(&self, scene: SceneId, origin: &[u8; 32]) -> PathBuf {
+        self.folder.join(format!("{FETCHED}{}.{ENDING}", hash(&codec::to_bytes(&(scene, origin)))))
     }
 
     /// The part of the scene of a path that has been fetched. Its name stays the same, so that a later process goes on with it;
@@ -137,7 +138,7 @@ impl Cache {
         let Some(left) = self.most_bytes.checked_sub(n_bytes) else { return false };
         self.drop_parts(Some(&Self::lock_of(path)));
         let own = [path, &Self::part_of(path)];
-        let parts = files(&self.folder, FETCH_ENDING);
+        let parts = files(&self.folder, FETCH_ENDING).filter(|part| !Lock::is_held(&Self::lock_of(part)));
         let others = scenes(&self.folder).chain(parts).filter(|other| !own.contains(&other.as_path()));
         let mut others: Vec<_> = others.filter_map(aged).collect();
         others.sort_by_key(|(_, _, used_at)| *used_at);
@@ -189,8 +190,9 @@ impl Cache {
         let n_part_bytes = self.drop_parts(None);
         let scenes = self.scenes();
         scenes.iter().for_each(|scene| remove(&scene.path));
-        // One that is being fetched is begun again.
-        let parts: Vec<_> = files(&self.folder, FETCH_ENDING).filter_map(aged).collect();
+        // One that is being fetched stays.
+        let parts = files(&self.folder, FETCH_ENDING).filter(|part| !Lock::is_held(&Self::lock_of(part)));
+        let parts: Vec<_> = parts.filter_map(aged).collect();
         parts.iter().for_each(|(path, ..)| remove(path));
         self.seals.clear();
         let of_scenes: u64 = scenes.iter().map(|scene| scene.n_bytes).sum();

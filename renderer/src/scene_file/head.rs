@@ -227,6 +227,12 @@ impl Head {
         (start + number * CHUNK).min(end)..(start + (number + 1) * CHUNK).min(end)
     }
 
+    /// The chunk that begins at a byte of the file, if one does.
+    pub(crate) fn chunk_at(&self, first: u64) -> Option<usize> {
+        let of_body = usize::try_from(first).ok()?.checked_sub(self.body().start)?;
+        (of_body.is_multiple_of(CHUNK) && of_body / CHUNK < self.hashes.len()).then_some(of_body / CHUNK)
+    }
+
     /// Whether these are the bytes of a chunk.
     pub(crate) fn is_chunk(&self, number: usize, bytes: &[u8]) -> bool {
         bytes.len() == self.chunk(number).len()

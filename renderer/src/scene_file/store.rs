@@ -2,7 +2,7 @@
 
 use std::{
     io,
-    path::Path,
+    path::{Path, PathBuf},
     thread::{self, JoinHandle},
 };
 
@@ -106,8 +106,8 @@ impl SceneStore {
     }
 
     /// The scene file of a model in the cache.
-    fn cached(&self, model: &Path, crease: Crease) -> Option<SceneFile> {
-        self.cache.as_ref()?.paths(model, crease).find_map(|path| open_cached(&path, model))
+    fn cached(&self, model: &Path, crease: Crease) -> Option<(PathBuf, SceneFile)> {
+        self.cache.as_ref()?.paths(model, crease).find_map(|path| open_cached(&path, model).map(|file| (path, file)))
     }
 
     /// The cache, if there is one; else why not, and the cure.
@@ -129,19 +129,23 @@ impl SceneStore {
         options: &GridOptions,
         report: Report<'_>,
     ) -> Result<TravellingFile, String> {
-        let open = |file: SceneFile| TravellingFile::of(&file).map_err(|error| error.to_string());
+        let open = |(path, file): (Option<PathBuf>, SceneFile)| {
+            TravellingFile::new(file, path).map_err(|error| error.to_string())
+        };
         if is_scene_file(model) {
-            return open(open_named(model, crease).map_err(|error| error.to_string())?);
+            return open((None, open_named(model, crease).map_err(|error| error.to_string())?));
         }
-        if let Some(file) = self.cached(model, crease) {
-            return open(file);
+        if let Some((path, file)) = self.cached(model, crease) {
+            return open((Some(path), file));
         }
         let cache = self.cache()?;
         let options = GridOptions { storage: Storage::Tree, ..*options };
         let made = self.load_cached(cache, model, crease, &options, Keep::Always, report);
         made.map_err(|error| error.to_string())?.finish();
         let file = self.cached(model, crease);
-        open(file.ok_or_else(|| format!("no scene file of {} can be made here: see the log", model.display()))?)
+        let no_file = || format!("no scene file of {} can be made here: see the wall's log", model.display());
+        let (path, file) = file.ok_or_else(no_file)?;
+        open((Some(path), file))
     }
 
     /// The facts of a model: from a scene file if there is one, which takes no time, or by reading the model.
@@ -159,7 +163,7 @@ impl SceneStore {
                 let file = open_named(path, crease)?;
                 return Ok(file.record.info);
             }
-            if let Some(file) = self.cached(path, crease) {
+            if let Some((_, file)) = self.cached(path, crease) {
                 return Ok(file.record.info);
             }
         }

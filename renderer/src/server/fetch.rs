@@ -20,7 +20,7 @@ use shared::{
 };
 use tokio::{
     io::{AsyncRead, AsyncWrite},
-    time::timeout,
+    time::{sleep, timeout},
 };
 
 use crate::{
@@ -41,6 +41,9 @@ const PAUSE: Duration = Duration::from_millis(300);
 
 /// The part of the free disk that a wall may fill unless a limit is set: one in…
 const PART_OF_FREE_DISK: u64 = 2;
+
+/// How often it is asked whether the scene is still wanted.
+const WANTED_INTERVAL: Duration = Duration::from_millis(100);
 
 /// How often the progress is told, and over which time the rate is measured.
 const REPORT_INTERVAL: Duration = Duration::from_millis(250);
@@ -69,15 +72,13 @@ pub(crate) enum FetchError {
     Refused(String),
     #[error("its scene file has {n_bytes}, more than {limit}", n_bytes = bytes(*.n_bytes))]
     TooLarge { n_bytes: u64, limit: String },
-    #[error(
-        "the wall's scene file: {0}; run `renderer cache --clear` on the wall's machine, and build both programs from one commit"
-    )]
+    #[error("the wall's scene file: {0}; open the model there again, and build both programs from one commit")]
     Damaged(Fault),
     #[error(
         "its scene file cannot be written to {folder}: {error}; free some of the disk, or name a folder on another with XDG_CACHE_HOME"
     )]
     Disk { folder: String, error: io::Error },
-    #[error("the wall spoke out of turn")]
+    #[error("the wall spoke out of turn: build both programs from one commit")]
     OutOfTurn,
     #[error("no answer")]
     NoAnswer,
@@ -111,6 +112,11 @@ pub(crate) struct Watch<'a> {
 }
 
 impl Fetcher {
+    /// Tells walls apart whose files may stand for each other's: by their key, or their address if they have none.
+    pub(crate) fn origin(&self) -> [u8; 32] {
+        self.key.as_ref().map_or_else(|| *blake3::hash(self.host.as_bytes()).as_bytes(), Key::fingerprint)
+    }
+
     /// Fetches the scene file of a scene to `place` in the cache, and goes on where an earlier attempt was cut off. Waits for
     /// its end: for a thread that has nothing else to do, on a rayon pool that hashes.
     pub(crate) fn fetch(
@@ -126,7 +132,13 @@ impl Fetcher {
         loop {
             let mut has_moved = false;
             let mut transfer = Arrival { scene, cache, place, watch, limit: self.limit, has_moved: &mut has_moved };
-            match runtime.block_on(self.attempt(&mut transfer)) {
+            let attempt = async {
+                tokio::select! {
+                    ended = self.attempt(&mut transfer) => ended,
+                    () = unwanted(watch) => Err(FetchError::Unwanted),
+                }
+            };
+            match runtime.block_on(attempt) {
                 Err(error) if error.is_transient() => {
                     n_failures = if has_moved { 1 } else { n_failures + 1 };
                     if n_failures >= MOST_FAILURES {
@@ -185,7 +197,6 @@ impl Arrival<'_> {
         let (n_bytes, hash) = loop {
             match reader.read().await?.ok_or_else(closed)? {
                 Incoming::Control(ToServer::SceneFileAwaited { progress }) => {
-                    self.check_wanted()?;
                     (self.watch.report)(Progress::Awaited(progress));
                 }
                 Incoming::Control(ToServer::SceneFile { n_bytes, hash }) => break (n_bytes, hash),
@@ -212,7 +223,7 @@ impl Arrival<'_> {
             while piece.len() < n_needed {
                 match reader.read().await?.ok_or_else(closed)? {
                     // A message is short, so no wall makes a piece much longer than it should be.
-                    Incoming::FilePart(bytes) => piece.extend_from_slice(bytes),
+                    Incoming::FilePart(bytes) if !bytes.is_empty() => piece.extend_from_slice(bytes),
                     Incoming::Control(ToServer::Refused { reason }) => {
                         return Err(FetchError::Refused(printable(&reason)));
                     }
@@ -229,7 +240,6 @@ impl Arrival<'_> {
             })?;
             n_asked -= 1;
             *self.has_moved = true;
-            self.check_wanted()?;
             if let Some(bytes_per_second) = meter.rate(part.n_done(), Instant::now()) {
                 let transfer = Transfer { n_done: part.n_done(), n_bytes, bytes_per_second };
                 (self.watch.report)(Progress::Arriving(transfer));
@@ -244,26 +254,33 @@ impl Arrival<'_> {
         if let Some(limit) = self.limit.filter(|limit| limit.is_exceeded_by(n_bytes)) {
             return too_large(format!("--fetch-limit {limit}: raise it, or give this server --model FILE"));
         }
+        let n_there = part.metadata().map_or(0, |part| part.len());
+        let (portion, part_of_free, cure) = match self.limit {
+            Some(_) => ("what", 1, ""),
+            None => ("half of what", PART_OF_FREE_DISK, ", or set --fetch-limit"),
+        };
+        if free_disk(self.cache.folder()).is_some_and(|free| n_bytes > free.saturating_add(n_there) / part_of_free) {
+            return too_large(format!(
+                "{portion} is free on the disk of {}: free some, name a folder on another with XDG_CACHE_HOME{cure}",
+                self.cache.folder().display()
+            ));
+        }
+        // Only now: a file that does not come should displace none.
         if !self.cache.make_room(n_bytes, self.place) {
             return too_large("the cache may have: give this server --model FILE".to_owned());
         }
-        let n_there = part.metadata().map_or(0, |part| part.len());
-        let free = free_disk(self.cache.folder()).filter(|_| self.limit.is_none());
-        match free.map(|free| (free + n_there) / PART_OF_FREE_DISK) {
-            Some(most) if n_bytes > most => too_large(format!(
-                "half of what is free on the disk of {}: free some, name a folder on another with XDG_CACHE_HOME, or set --fetch-limit",
-                self.cache.folder().display()
-            )),
-            _ => Ok(()),
-        }
+        Ok(())
     }
 
     fn disk_error(&self, error: io::Error) -> FetchError {
         FetchError::Disk { folder: self.cache.folder().display().to_string(), error }
     }
+}
 
-    fn check_wanted(&self) -> Result<(), FetchError> {
-        if (self.watch.is_wanted)() { Ok(()) } else { Err(FetchError::Unwanted) }
+/// Waits until nobody wants the scene any more.
+async fn unwanted(watch: &Watch<'_>) {
+    while (watch.is_wanted)() {
+        sleep(WANTED_INTERVAL).await;
     }
 }
 

@@ -367,7 +367,7 @@ impl LoaderThread {
         (scene, sky): (SceneId, Option<&Arc<SkyMap>>),
         requests: &LatestRequest,
     ) -> Result<Arc<Scene>, String> {
-        let place = cache.fetched_path(scene);
+        let place = cache.fetched_path(scene, &fetcher.origin());
         let source = SceneSource::File(place.clone());
         // Of several render servers on a machine, one fetches.
         let lock = Lock::take(&Cache::lock_of(&place), &|done| self.report_progress(scene, done));
@@ -387,6 +387,9 @@ impl LoaderThread {
             }
             if !is_first {
                 break;
+            }
+            if lock.is_none() {
+                return Err("another render server of this machine fetches it, and waits for the wall".to_owned());
             }
             let bar = Progress::new(format!("fetching {scene} from the wall"));
             let report = |progress: fetch::Progress| match progress {
@@ -409,7 +412,7 @@ impl LoaderThread {
             fetched.map_err(|error| error.to_string())?;
             tracing::info!("{scene} has arrived in {:.1} s", begun_at.elapsed().as_secs_f64());
         }
-        Err("the wall's scene file cannot be used: see the log".to_owned())
+        Err("the wall's scene file cannot be used: the log of this render server says why".to_owned())
     }
 
     /// Returns the ordered scene if it is here. The error names the cause and the cure.

@@ -113,19 +113,26 @@ async fn run_session(
     let (replies, reply_queue) = mpsc::channel(MOST_REPLIES);
     let jobs = Arc::new(JobQueue::new());
     let mut session = Session { loader, is_local, replies, jobs: Arc::clone(&jobs), unfinished: Vec::new() };
-    let worker = tokio::task::spawn_blocking({
+    let mut worker = tokio::task::spawn_blocking({
         let (pool, jobs) = (Arc::clone(loader.pool()), Arc::clone(&jobs));
         move || task::run(&jobs, &pool, &outbox)
     });
     let reason = tokio::select! {
         reason = session.listen(&mut reader) => reason,
         reason = write_messages(&mut writer, outgoing, reply_queue, loader) => reason,
+        ended = &mut worker => {
+            ended.expect(NO_PANIC);
+            return SessionEnd { was_accepted: true, reason: Ok(()) };
+        }
     };
     drop(session);
-    // The worker ends with its queue and outbox; a panic in it is a bug, and ends the program.
-    worker.await.expect("tracing does not panic");
+    // The worker ends with its queue and outbox.
+    worker.await.expect(NO_PANIC);
     SessionEnd { was_accepted: true, reason }
 }
+
+/// A panic of the worker is a bug, and ends the program: a node that renders nothing would only delay the others.
+const NO_PANIC: &str = "tracing does not panic";
 
 async fn shake_hands(
     reader: &mut MessageReader<impl AsyncRead + Unpin, ToServer>,

@@ -51,6 +51,11 @@ impl Key {
         Ok(Self(bytes))
     }
 
+    /// Tells keys apart, and reveals nothing of them.
+    pub fn fingerprint(&self) -> [u8; 32] {
+        blake3::derive_key("Raywall: fingerprint of a wall's key", &self.0)
+    }
+
     /// Reads a key file; on Unix, only its owner may have access to it.
     pub fn read(path: &Path) -> Result<Self, KeyError> {
         let unreadable = |cause| KeyError::Unreadable { path: path.to_owned(), cause };
