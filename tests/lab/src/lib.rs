@@ -33,7 +33,7 @@ pub struct Cli {
 /// The measurements.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Chart the speed of intersection methods against accuracy, memory and sharpness
+    /// Chart the speed of intersection methods against accuracy, memory and sharpness, and of light against its error
     Chart(ChartArgs),
     /// Try intersection methods in difficult cases, and count wrong hits
     Stability(StabilityArgs),
