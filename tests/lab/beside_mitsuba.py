@@ -4,10 +4,12 @@
 
 Mitsuba is by other people and shares no code with Raywall. For blocks of 64x64 pixels it prints the difference of the means
 in standard errors, which come from independent pictures of each renderer; and the CPU time that each needs, on one thread, to
-the same error. It ends with status 1 if more blocks differ than chance allows.
+the same error. It ends with status 1 if more blocks differ than chance allows. --points writes Mitsuba's CPU time and error with
+1, 4, 16 ... samples as CSV, which `lab chart --charts light --points FILE` draws beside Raywall's.
 """
 
 import argparse
+import csv
 import json
 import subprocess
 import sys
@@ -97,8 +99,8 @@ def perpendicular(vector):
     return across / np.linalg.norm(across)
 
 
-def mitsuba(args, variant, scene):
-    """Independent pictures of a variant of Mitsuba, and the mean CPU time of one."""
+def mitsuba(args, variant, scene, counts):
+    """For each number of samples, independent pictures of a variant of Mitsuba, and the mean CPU time of one."""
     import mitsuba as mi
 
     mi.set_variant(variant)
@@ -106,11 +108,12 @@ def mitsuba(args, variant, scene):
 
     dr.set_thread_count(1)
     loaded = mitsuba_scene(mi, args, scene)
-    # The first picture compiles kernels.
-    np.array(mi.render(loaded, seed=99, spp=16))
-    start = time.process_time()
-    pictures = [np.array(mi.render(loaded, seed=seed, spp=args.samples)).astype(float)[:, :, :3] for seed in range(args.pictures)]
-    return pictures, (time.process_time() - start) / args.pictures
+    for count in counts:
+        # The first picture compiles kernels.
+        np.array(mi.render(loaded, seed=99, spp=count))
+        start = time.process_time()
+        pictures = [np.array(mi.render(loaded, seed=seed, spp=count)).astype(float)[:, :, :3] for seed in range(args.pictures)]
+        yield pictures, (time.process_time() - start) / args.pictures
 
 
 def blocks(picture):
@@ -137,6 +140,7 @@ def main():
     parser.add_argument("--variants", default="scalar_rgb,llvm_ad_rgb")
     parser.add_argument("--raywall", default="target/release/examples/path_light")
     parser.add_argument("--folder", default="target")
+    parser.add_argument("--points", help="a CSV file to write")
     args = parser.parse_args()
 
     ours, times = [], []
@@ -147,14 +151,24 @@ def main():
     of_ours, cpu_s = variance(ours), np.mean(times)
     mean = np.mean(ours, axis=0)
     lit = mean.max(axis=2) > 0
-    rmse = np.sqrt(args.pictures * of_ours[lit].mean())
+
+    def error_of(variances):
+        """The error of one picture over the pixels that show the model."""
+        return np.sqrt(args.pictures * variances[lit].mean())
+
+    rmse = error_of(of_ours)
     print(f"raywall: {args.samples} samples a pixel, {cpu_s:.2f} s of CPU time, error {rmse:.5f}")
 
+    # Powers of four make as many strata across as down. The last number is compared.
+    counts = [4**n for n in range(16) if 4**n < args.samples] if args.points else []
+    counts.append(args.samples)
+    points = []
     fails = False
     for variant in args.variants.split(","):
-        theirs, their_cpu_s = mitsuba(args, variant, scene)
-        of_theirs = variance(theirs)
-        their_rmse = np.sqrt(args.pictures * of_theirs[lit].mean())
+        for count, (theirs, their_cpu_s) in zip(counts, mitsuba(args, variant, scene, counts)):
+            of_theirs = variance(theirs)
+            their_rmse = error_of(of_theirs)
+            points.append((f"Mitsuba {variant}", count, 1e3 * their_cpu_s, their_rmse))
         difference = blocks(mean) - blocks(np.mean(theirs, axis=0))
         error = np.sqrt(blocks(of_ours + of_theirs)) / BLOCK
         seen = error > 1e-7
@@ -167,6 +181,9 @@ def main():
               f"largest {deviation.max():.2f}; largest difference {100 * relative.max():.3f} % of the block's light")
         # By chance 0.27 % lie beyond three.
         fails |= bool((deviation > 3).sum() > max(1, 0.01 * seen.sum()))
+    if args.points:
+        with open(args.points, "w", newline="") as file:
+            csv.writer(file).writerows([("name", "samples", "cpu_ms", "light_rmse"), *points])
     sys.exit(1 if fails else 0)
 
 

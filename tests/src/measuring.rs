@@ -324,6 +324,38 @@ fn charts_show_where_methods_fail_and_what_settings_cost() {
     check_svg(folder, "memory", &["masks", "row-displacement, fewer levels", "somebody else"]);
 }
 
+#[test]
+fn the_chart_of_light_shows_that_paths_come_closer_and_other_rays_do_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    prepare(folder);
+    std::fs::write(folder.join("points.csv"), "name,cpu_ms,light_rmse\nsomebody else,100,0.02\n").unwrap();
+    let mut chart = Program::command("lab");
+    chart.args(["chart", "--quick", "--charts", "light", "--model", "statue.ply", "--camera", "view.toml"]);
+    chart.args(["--size", "96x48", "--points", "points.csv", "--out", "figures"]).current_dir(folder);
+    let output = run(chart, "");
+    assert!(output.status.success(), "{output:?}");
+    let json = std::fs::read(folder.join("figures/chart.json")).unwrap();
+    let json: Value = serde_json::from_slice(&json).unwrap();
+    let rows = json["light"].as_array().unwrap();
+    let errors = |rays: &str, name: &str| {
+        let of_rays = rows.iter().filter(|row| row["rays"] == rays);
+        of_rays.map(|row| row[name].as_f64().unwrap()).collect::<Vec<_>>()
+    };
+    for name in ["light_rmse", "flip"] {
+        let paths = errors("path", name);
+        assert!(paths.len() == 5 && paths.is_sorted_by(|more, less| more > less), "{name}: {paths:?}");
+        for rays in ["primary", "shadows", "ambient"] {
+            let others = errors(rays, name);
+            let [first, last] = [others[0], others[others.len() - 1]];
+            assert!(last > 0.8 * first && last > 2.0 * paths[4], "{name} of {rays}: {others:?}, paths {paths:?}");
+        }
+    }
+    let adaptive = errors("path, until a noise", "light_rmse");
+    assert!(adaptive.len() == 3 && adaptive.is_sorted_by(|more, less| more > less), "{adaptive:?}");
+    check_svg(folder, "light", &["primary", "ambient", "until a noise", "somebody else", "RMSE of linear light"]);
+}
+
 fn check_svg(folder: &Path, name: &str, labels: &[&str]) {
     let svg = std::fs::read_to_string(folder.join(format!("figures/{name}.svg"))).unwrap();
     for label in labels {

@@ -12,20 +12,16 @@ use anyhow::Context;
 use channel::files;
 use clap::Parser;
 use glam::DVec3;
+use lab::light::render_lights;
 use renderer::{
     cli::picture_args::PictureArgs,
     model::scene::LoadedMesh,
     render::{
-        parallel::work_off,
         path::{GROUND_LIGHT, SUN_LIGHT, ZENITH_LIGHT},
-        scene::Scene,
         shade::CLAY,
     },
 };
-use shared::{
-    division::Division,
-    protocol::{FrameSpec, SampleRange},
-};
+use shared::protocol::{FrameSpec, SampleRange};
 
 /// The picture, its samples, and the file to write.
 #[derive(Parser)]
@@ -66,7 +62,10 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let end = args.first + args.samples;
     for first in (args.first..end).step_by(SampleRange::LARGEST_COUNT as usize) {
         let samples = SampleRange::all(first, (end - first).min(SampleRange::LARGEST_COUNT));
-        cpu_s += add_lights(&scene, &FrameSpec { samples, ..spec }, &mut sums);
+        let spec = FrameSpec { samples, ..spec };
+        let (lights, cpu) = render_lights(&scene, &spec, |_, sums, (block, index)| sums.lights[block][index]);
+        sums.iter_mut().zip(lights).for_each(|(sum, light)| *sum += light.as_dvec3());
+        cpu_s += cpu.as_secs_f64();
     }
     let mean = |sum: &DVec3| (*sum / f64::from(args.samples)).as_vec3().to_array().map(f32::to_le_bytes);
     let pixels: Vec<u8> = sums.iter().map(mean).collect::<Vec<_>>().as_flattened().as_flattened().to_vec();
@@ -87,26 +86,4 @@ fn run(args: &Args) -> anyhow::Result<()> {
     files::write(&args.out, |out| writeln!(out, "{report}")).context("cannot write the report")?;
     println!("{}: {} samples a pixel, {cpu_s:.2} s of CPU time", args.out.display(), args.samples);
     Ok(())
-}
-
-/// Adds the light of a frame's samples to `sums`, on the current rayon pool; returns the CPU time of all threads.
-fn add_lights(scene: &Scene, spec: &FrameSpec, sums: &mut [DVec3]) -> f64 {
-    let share = Division::Tiled.task(0, 1).share(spec.size).expect("one machine renders any frame");
-    let of_threads = work_off(0..share.count(), |next| {
-        let mut lights = Vec::new();
-        for tile in std::iter::from_fn(next) {
-            let pixels: Vec<_> = share.samples(tile).iter().collect();
-            scene.sum_lights(spec, &share, tile..tile + 1, |_, sums, (block, index), at| {
-                lights.push((pixels[at], sums.lights[block][index].as_dvec3()));
-            });
-        }
-        lights
-    });
-    of_threads
-        .into_iter()
-        .map(|(lights, cpu)| {
-            lights.into_iter().for_each(|((i, j), light)| sums[(j * spec.size.xres() + i) as usize] += light);
-            cpu.as_secs_f64()
-        })
-        .sum()
 }

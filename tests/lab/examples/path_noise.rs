@@ -8,13 +8,16 @@
 
 use clap::Parser;
 use glam::Vec3;
+use lab::light::render_lights;
 use renderer::{
     cli::picture_args::PictureArgs,
     model::scene::LoadedMesh,
-    render::{parallel::work_off, scene::Scene},
+    render::{
+        lighting::{LightSums, Lighting},
+        scene::Scene,
+    },
 };
 use shared::{
-    division::Division,
     noise::NoiseLimit,
     protocol::{FrameSpec, SampleRange},
 };
@@ -114,28 +117,9 @@ fn uniform_of(measured: &[(f64, f64)], error: f64) -> f64 {
     n0 * (n1 / n0).powf((error / e0).ln() / (e1 / e0).ln())
 }
 
-/// Renders a frame on the current rayon pool.
 fn render(scene: &Scene, spec: &FrameSpec) -> Picture {
-    let share = Division::Tiled.task(0, 1).share(spec.size).expect("one machine renders any frame");
-    let of_threads = work_off((0..share.count()).step_by(4), |next| {
-        let mut pixels = Vec::new();
-        for first in std::iter::from_fn(next) {
-            let tiles = first..(first + 4).min(share.count());
-            let at: Vec<_> = tiles.clone().flat_map(|tile| share.samples(tile).iter()).collect();
-            scene.sum_lights(spec, &share, tiles, |lighting, sums, pixel, index| {
-                pixels.push((at[index], lighting.encode(sums, pixel), sums.n_samples));
-            });
-        }
-        pixels
-    });
-    let n_pixels = spec.size.n_samples() as usize;
-    let mut picture = Picture { colors: vec![[0; 3]; n_pixels], n_samples: vec![0; n_pixels], cpu_s: 0.0 };
-    for (pixels, cpu) in of_threads {
-        picture.cpu_s += cpu.as_secs_f64();
-        for ((i, j), color, n) in pixels {
-            let pixel = (j * spec.size.xres() + i) as usize;
-            (picture.colors[pixel], picture.n_samples[pixel]) = (color, n);
-        }
-    }
-    picture
+    let of_pixel = |lighting: &Lighting<'_>, sums: &LightSums, pixel| (lighting.encode(sums, pixel), sums.n_samples);
+    let (pixels, cpu) = render_lights(scene, spec, of_pixel);
+    let (colors, n_samples) = pixels.into_iter().unzip();
+    Picture { colors, n_samples, cpu_s: cpu.as_secs_f64() }
 }

@@ -1,7 +1,8 @@
-//! `lab chart`: charts of speed against accuracy, memory and sharpness, measured on any model.
+//! `lab chart`: charts of speed against accuracy, memory, sharpness and light, measured on any model.
 
 pub(crate) mod candidates;
 mod kernel;
+mod light;
 mod measure;
 mod memory;
 pub(crate) mod methods;
@@ -49,11 +50,11 @@ pub struct ChartArgs {
     out: PathBuf,
 
     /// Charts, separated by commas: kernel (speed against depth errors and wrong pixels), memory (speed against bytes and
-    /// build time), image (time against sharpness)
-    #[arg(long, value_name = "CHARTS", value_enum, value_delimiter = ',', default_value = "kernel,memory,image")]
+    /// build time), image (time against sharpness), light (time against the error of light)
+    #[arg(long, value_name = "CHARTS", value_enum, value_delimiter = ',', default_value = "kernel,memory,image,light")]
     charts: Vec<Chart>,
 
-    /// Samples across and down of the kernel and memory charts [default: 1024x512; with --quick 256x128]
+    /// Samples across and down of the charts but image [default: 1024x512, of light 256x144; with --quick 256x128]
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     size: Option<FrameSize>,
 
@@ -62,7 +63,7 @@ pub struct ChartArgs {
     memory_budget: MemoryBudget,
 
     /// A CSV file of other ray tracers to add to the charts; columns: name, cpu_ns_per_ray, depth_error_p999,
-    /// wrong_per_million, bytes_per_triangle, build_seconds, cpu_ms, flip, psnr; all but name may be missing
+    /// wrong_per_million, bytes_per_triangle, build_seconds, cpu_ms, flip, psnr, light_rmse, samples; all but name may be missing
     #[arg(long, value_name = "FILE")]
     points: Option<PathBuf>,
 
@@ -77,6 +78,7 @@ enum Chart {
     Kernel,
     Memory,
     Image,
+    Light,
 }
 
 /// Measures, and writes the results so far after each step.
@@ -103,6 +105,7 @@ pub(crate) fn run(args: &ChartArgs) -> Result<()> {
         peers,
         kernel: kernel::Results::default(),
         image: Vec::new(),
+        light: Vec::new(),
         memory: Vec::new(),
         left_out: Vec::new(),
     };
@@ -111,6 +114,7 @@ pub(crate) fn run(args: &ChartArgs) -> Result<()> {
             Chart::Kernel => session.chart_kernel()?,
             Chart::Memory => session.chart_memory()?,
             Chart::Image => session.chart_image()?,
+            Chart::Light => session.chart_light()?,
         }
         if session.is_charted(chart) {
             say(format_args!("wrote {}", args.out.join(format!("{chart}.svg")).display()))?;
@@ -139,6 +143,7 @@ struct Session<'a> {
     peers: Vec<Peer>,
     kernel: kernel::Results,
     image: Vec<picture::PictureRow>,
+    light: Vec<light::LightRow>,
     memory: Vec<memory::MemoryRow>,
     /// Measurements that are impossible, with reasons.
     left_out: Vec<String>,
@@ -226,11 +231,7 @@ impl Session<'_> {
         let n_reference_samples = if quick { 16 } else { 64 };
         let samples = if quick { vec![1, 4, 16] } else { vec![1, 2, 4, 8, 16] };
         let settings = picture::Settings { native, n_reference_samples, sizes, samples };
-        let scene = {
-            let progress = Progress::new("building the grid");
-            let options = renderer::grid::GridOptions { memory_budget: self.args.memory_budget, ..Default::default() };
-            Scene::build(self.mesh.clone(), &options, &|done| progress.set(done))
-        };
+        let scene = self.build_scene();
         let reading = format!(
             "Left is faster, down is closer to a picture of {native} pixels with {n_reference_samples} samples each; \
              the dashed line is the Pareto front."
@@ -249,11 +250,39 @@ impl Session<'_> {
         say(files::table(&self.image)?)
     }
 
+    fn chart_light(&mut self) -> Result<()> {
+        let settings = light::Settings::new(self.args.size, self.args.quick)?;
+        let reading = format!(
+            "Left is faster, down is closer to a picture of {} paths a pixel; the dashed line is the Pareto front.",
+            settings.n_reference_paths
+        );
+        let scene = self.build_scene();
+        for (name, camera) in self.cameras.clone() {
+            let progress = Progress::new(format!("lighting {name}"));
+            light::measure(&scene, (&name, &camera), &settings, |row, done| {
+                progress.set(done);
+                let Some(row) = row else { return Ok(()) };
+                self.light.push(row);
+                let title = format!("Light: time and error on {}", self.name);
+                let figure = light::figure(title, self.notes(settings.size, &reading), &self.light, &self.peers);
+                self.write(Chart::Light, &self.light, &figure)
+            })?;
+        }
+        say(files::table(&self.light)?)
+    }
+
+    fn build_scene(&self) -> Scene {
+        let progress = Progress::new("building the grid");
+        let options = renderer::grid::GridOptions { memory_budget: self.args.memory_budget, ..Default::default() };
+        Scene::build(self.mesh.clone(), &options, &|done| progress.set(done))
+    }
+
     fn is_charted(&self, chart: Chart) -> bool {
         match chart {
             Chart::Kernel => !self.kernel.rows.is_empty(),
             Chart::Memory => !self.memory.is_empty(),
             Chart::Image => !self.image.is_empty(),
+            Chart::Light => !self.light.is_empty(),
         }
     }
 
@@ -278,7 +307,7 @@ impl Session<'_> {
         let folder = &self.args.out;
         let json = json!({
             "model": self.name, "instructions": format!("{:?}", InstructionSet::best()), "kernel": self.kernel.rows,
-            "memory": self.memory, "image": self.image, "points": self.peers, "left_out": self.left_out,
+            "memory": self.memory, "image": self.image, "light": self.light, "points": self.peers, "left_out": self.left_out,
         });
         files::write(folder, &format!("{chart}.csv"), files::csv(rows)?.as_bytes())?;
         files::write(folder, "chart.json", serde_json::to_string_pretty(&json)?.as_bytes())?;

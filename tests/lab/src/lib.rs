@@ -1,13 +1,14 @@
 //! The laboratory: everything that measures and compares, and nothing that a wall needs. It measures the programs' own
 //! code.
 //!
-//! [`mod@bench`], [`chart`], [`stability`] and [`trace`] are its commands; [`farm`] serves the examples. [`files`], [`plot`],
+//! [`mod@bench`], [`chart`], [`stability`] and [`trace`] are its commands; [`farm`] and [`light`] serve the examples. [`files`], [`plot`],
 //! [`random`], [`statistics`] and [`vector`] serve all of them.
 
 mod bench;
 mod chart;
 pub mod farm;
 mod files;
+pub mod light;
 mod plot;
 mod random;
 mod stability;
@@ -32,7 +33,7 @@ pub struct Cli {
 /// The measurements.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Chart the speed of intersection methods against accuracy, memory and sharpness
+    /// Chart the speed of intersection methods against accuracy, memory and sharpness, and of light against its error
     Chart(ChartArgs),
     /// Try intersection methods in difficult cases, and count wrong hits
     Stability(StabilityArgs),

@@ -20,6 +20,9 @@ pub(super) struct Peer {
     pub(super) cpu_ms: Option<f64>,
     pub(super) flip: Option<f64>,
     pub(super) psnr: Option<f64>,
+    pub(super) light_rmse: Option<f64>,
+    /// Samples a pixel, with which `light_rmse` was measured; may be empty.
+    pub(super) samples: Option<u32>,
 }
 
 /// The points of all ray tracers that have both numbers; `point` takes x and y from one of them, in decades.
@@ -44,7 +47,8 @@ pub(super) fn read(path: &Path) -> Result<Vec<Peer>> {
     for row in reader.deserialize() {
         let peer: Peer = row.with_context(wrong_file)?;
         // Axes are logarithmic.
-        let positive = [peer.cpu_ns_per_ray, peer.bytes_per_triangle, peer.build_seconds, peer.cpu_ms, peer.flip];
+        let positive =
+            [peer.cpu_ns_per_ray, peer.bytes_per_triangle, peer.build_seconds, peer.cpu_ms, peer.flip, peer.light_rmse];
         let all_positive = positive.into_iter().flatten().all(|x| x.is_finite() && x > 0.0);
         let others = [peer.depth_error_p999, peer.wrong_per_million, peer.psnr];
         let all_usable = others.into_iter().flatten().all(|x| x.is_finite() && x >= 0.0);

@@ -145,7 +145,7 @@ fn scale(rgb: &[u8], from: FrameSize, to: FrameSize, scaling: Scaling) -> Vec<u8
 }
 
 /// The mean FLIP difference: Andersson et al., "FLIP: A Difference Evaluator for Alternating Images" (2020).
-fn flip(reference: &[u8], picture: &[u8], size: FrameSize) -> f64 {
+pub(super) fn flip(reference: &[u8], picture: &[u8], size: FrameSize) -> f64 {
     let image = |rgb: &[u8]| FlipImageRgb8::with_data(size.xres(), size.yres(), rgb);
     let errors = nv_flip::flip(image(reference), image(picture), DEFAULT_PIXELS_PER_DEGREE);
     f64::from(FlipPool::from_image(&errors).mean())
@@ -168,6 +168,17 @@ pub(super) fn figure(title: String, notes: Vec<String>, rows: &[PictureRow], pee
     Figure { title, notes, rows: vec![(560, vec![flip]), (560, vec![psnr])] }
 }
 
+/// The different ones, in the order of their first.
+pub(super) fn distinct<'a>(values: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
+    let mut distinct = Vec::new();
+    for value in values {
+        if !distinct.contains(&value) {
+            distinct.push(value);
+        }
+    }
+    distinct
+}
+
 fn plot(
     rows: &[PictureRow],
     title: &'static str,
@@ -175,12 +186,7 @@ fn plot(
     value: impl Fn(&PictureRow) -> f64,
     of_peers: impl Iterator<Item = Series>,
 ) -> Plot {
-    let mut sizes: Vec<&str> = Vec::new();
-    for row in rows {
-        if !sizes.contains(&&*row.size) {
-            sizes.push(&row.size);
-        }
-    }
+    let sizes = distinct(rows.iter().map(|row| &*row.size));
     let names = sizes.iter().flat_map(|size| [(size, Scaling::Nearest), (size, Scaling::Bilinear)]);
     let series = names.filter_map(|(&size, scaling)| {
         let of_series = || rows.iter().filter(|row| row.size == size && row.scaling == scaling);
