@@ -177,7 +177,7 @@ fn a_file_that_is_damaged_at_the_wall_is_made_again() {
 fn walls_without_a_key_have_fetched_files_of_their_own() {
     let machines = Machines::new();
     for n_files in [1, 2] {
-        let (mut wall, address) = machines.wall(&["--local", "0", "--frames", "1000000"]);
+        let (wall, address) = machines.wall(&["--local", "0", "--frames", "1000000"]);
         let mut node = machines.node(&address, &[]);
         node.wait_for("is ready: ");
         assert_eq!(machines.in_cache("raywall").len(), n_files);
