@@ -9,7 +9,9 @@ use renderer::{
     formats::{
         companions::Companions,
         file::{Draft, Reading},
-        gltf, images, obj, ply, stl,
+        gltf, images, obj, ply,
+        sky::SkyImage,
+        stl,
     },
     grid::GridOptions,
     model::{
@@ -38,7 +40,7 @@ use crate::{frame_buffer::BufferPool, message, wall::Wall};
 pub type Decoder = fn(&[u8]);
 
 /// All decoders, with the names of their folders in `tests/corpus` and of their targets in `tests/fuzz`.
-pub const ALL: [(&str, Decoder); 11] = [
+pub const ALL: [(&str, Decoder); 12] = [
     ("camera", camera),
     ("gltf", gltf),
     ("obj", obj),
@@ -48,6 +50,7 @@ pub const ALL: [(&str, Decoder); 11] = [
     ("records", records),
     ("remote", remote),
     ("scene", scene),
+    ("sky", sky),
     ("stl", stl),
     ("wall", wall),
 ];
@@ -105,6 +108,13 @@ fn round_trip<M: Serialize + DeserializeOwned>(body: &[u8]) -> Option<M> {
     // Compare bytes, because a number may be NaN.
     assert_eq!(bytes, bytes_again);
     Some(message)
+}
+
+/// Images of the sky.
+pub fn sky(data: &[u8]) {
+    let Ok(image) = SkyImage::read_from(std::io::Cursor::new(data)) else { return };
+    assert!(image.width == 2 * image.height && image.texels.len() == (image.width * image.height) as usize);
+    assert!(image.texels.as_flattened().iter().all(|light| light.is_finite() && *light >= 0.0));
 }
 
 /// Placement of chunks' samples in a frame buffer.

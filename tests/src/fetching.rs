@@ -143,7 +143,7 @@ fn a_transfer_that_is_cut_goes_on_where_it_was_and_a_wrong_chunk_is_refused() {
     let mut node = machines.node(&far, &[]);
     // Five megabytes came before the cut, and four before the wrong one: none of them again.
     node.wait_for("it cannot fetch the model: the wall's scene file: its 10th megabyte is damaged");
-    wall.wait_for("render server far does not have the model: it cannot fetch ");
+    wall.wait_for("render server far cannot render yet: it cannot fetch ");
     node.wait_for("is ready: ");
     wall.wait_for("render server far is ready");
     let n_bytes = fs::metadata(&machines.in_cache("raywall")[0]).unwrap().len() as usize;

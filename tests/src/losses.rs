@@ -391,7 +391,7 @@ fn a_model_that_is_back_is_found_again() {
     command.args(["--frames", "3", "--size", "64x32", "--model", &path("wall.ply")]);
     let mut wall = Program::start(command);
     let _renderer = RunningWall::join_at(&wall.wait_for_address(), "late", &["--model", &path("own.ply")]);
-    wall.wait_for("render server late does not have the model");
+    wall.wait_for("render server late cannot render yet: ");
     std::fs::copy(path("wall.ply"), path("own.ply")).unwrap();
     let copied_at = Instant::now();
     wall.wait_for("render server late is ready");

@@ -162,7 +162,8 @@ pub fn wait(farm: &Farm, wakeups: &Wakeups, key_file: Option<&Path>) -> anyhow::
         Err(Disconnected) => anyhow::bail!("the farm has ended"),
         Err(Timeout) => {
             let goal = farm.goal();
-            let join = join_hint(farm.address(), key_file, goal.scene_path.as_deref());
+            let files = [goal.scene_path.as_deref(), goal.sky_path.as_deref()];
+            let join = join_hint(farm.address(), key_file, files);
             tracing::info!("{}", waiting_for(&farm.status(), goal.min_renderers.max(1) as usize, &join.command));
             Ok(Wakeup::Farm)
         }

@@ -105,7 +105,8 @@ fn run_headless(args: &WallArgs, Inputs { wall, sky, camera, path }: Inputs) -> 
     servers.start(args.n_local(), farm.local_reporter())?;
     let model = load_model(args)?;
     if args.n_local() < args.min_renderers() {
-        let join = join_hint(farm.address(), args.key.as_deref(), model.path().as_deref());
+        let files = [model.path(), args.appearance.sky.clone()];
+        let join = join_hint(farm.address(), args.key.as_deref(), files.each_ref().map(Option::as_deref));
         tracing::info!(
             "waiting for {}; start one with: {}",
             counted(args.min_renderers(), "render server"),

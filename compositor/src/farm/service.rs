@@ -350,7 +350,7 @@ impl Service {
         match &state {
             SceneState::Missing { reason } => {
                 if let Some(more) = self.admit_line("missing", &name) {
-                    tracing::warn!("render server {name} does not have the model: {reason}{more}");
+                    tracing::warn!("render server {name} cannot render yet: {reason}{more}");
                 }
                 let (key, text) = (self.key(id), format!("{name}: {reason}."));
                 self.status.send_modify(|status| status.notices.put(key, text));

@@ -41,6 +41,10 @@ pub struct Controls {
     pub models: Vec<String>,
     /// The key light: degrees to the right of the eye, and above it.
     pub light_deg: [i16; 2],
+    /// The diameter of the sun that lights paths.
+    pub sun_deg: f64,
+    /// Stops by which path-traced pictures are brighter.
+    pub exposure_stops: f64,
     /// The background, bottom and top: RRGGBB, or two with a comma.
     pub background: String,
     /// The side from which the model is cut, and the thousandths that are cut away.

@@ -91,7 +91,7 @@ impl<'a> App<'a> {
         let overlay = OverlayModel {
             panel: args.kiosk.is_none(),
             wall: WallDrawing::new(&inputs.wall),
-            join: join_hint(farm.address(), args.key.as_deref(), None),
+            join: join_hint(farm.address(), args.key.as_deref(), [None; 2]),
             ..Default::default()
         };
         let store = args.scene.store();
@@ -235,7 +235,9 @@ impl<'a> App<'a> {
             found: model.found.clone(),
             left_out: model.left_out.clone(),
         });
-        self.overlay.join = join_hint(self.farm.address(), self.args.key.as_deref(), model.path().as_deref());
+        let files = [model.path(), self.args.appearance.sky.clone()];
+        self.overlay.join =
+            join_hint(self.farm.address(), self.args.key.as_deref(), files.each_ref().map(Option::as_deref));
         self.outputs.set_title(format!("{name} – Raywall"));
         if self.model.is_some() {
             self.picture.begin_model();

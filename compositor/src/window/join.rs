@@ -11,8 +11,8 @@ use crate::overlay::JoinHint;
 
 /// The command by which a render server joins the wall that listens on `address`, and a note on where it works.
 ///
-/// `key` is the wall's key file; `model` is the file that the wall shows, if it is one.
-pub(crate) fn join_hint(address: SocketAddr, key: Option<&Path>, model: Option<&Path>) -> JoinHint {
+/// `key` is the wall's key file; `model` and `sky` are the files that the wall shows and is lit by, if there are any.
+pub(crate) fn join_hint(address: SocketAddr, key: Option<&Path>, [model, sky]: [Option<&Path>; 2]) -> JoinHint {
     let port = address.port();
     let is_local = address.ip().is_loopback();
     let own_address = || own_address().map_or_else(host_name, |ip| ip.to_string());
@@ -41,6 +41,9 @@ pub(crate) fn join_hint(address: SocketAddr, key: Option<&Path>, model: Option<&
     if let Some(model) = model {
         command += &format!(" --model {}", shell_word(model));
         note += " The model is read from the render server's own disk.";
+    }
+    if let Some(sky) = sky {
+        command += &format!(" --sky {}", shell_word(sky));
     }
     JoinHint { command, note }
 }
@@ -77,7 +80,7 @@ mod tests {
 
     #[test]
     fn the_command_to_join_can_be_typed_as_it_stands() {
-        let hint = |address: &str| join_hint(address.parse().expect(address), None, None);
+        let hint = |address: &str| join_hint(address.parse().expect(address), None, [None; 2]);
         assert_eq!(hint("127.0.0.1:7117").command, "renderer connect 127.0.0.1:7117");
         let note = hint("127.0.0.1:7117").note;
         assert!(note.contains("--listen 0.0.0.0:7117 --key wall.key") && !note.contains("--insecure"), "{note}");
@@ -85,14 +88,16 @@ mod tests {
         assert_eq!(hint("[fe80::1]:80").command, "renderer connect [fe80::1]:80 --insecure");
         let any = hint("0.0.0.0:7117").command;
         assert!(any.ends_with(":7117 --insecure") && !any.contains("0.0.0.0"), "{any}");
-        let with_model = join_hint(([127, 0, 0, 1], 80).into(), None, Some(Path::new("/models/it's a dragon.ply")));
-        let words = shlex::split(&with_model.command).expect("a shell can read it");
-        assert_eq!(words, ["renderer", "connect", "127.0.0.1:80", "--model", "/models/it's a dragon.ply"]);
+        let files = ["/models/it's a dragon.ply", "/day.hdr"].map(|path| Some(Path::new(path)));
+        let with_files = join_hint(([127, 0, 0, 1], 80).into(), None, files);
+        let words = shlex::split(&with_files.command).expect("a shell can read it");
+        assert_eq!(words[..3], ["renderer", "connect", "127.0.0.1:80"]);
+        assert_eq!(words[3..], ["--model", "/models/it's a dragon.ply", "--sky", "/day.hdr"]);
     }
 
     #[test]
     fn a_wall_with_a_key_is_joined_with_the_key() {
-        let hint = |ip| join_hint((ip, 80).into(), Some(Path::new("/keys/wall.key")), None);
+        let hint = |ip| join_hint((ip, 80).into(), Some(Path::new("/keys/wall.key")), [None; 2]);
         assert_eq!(hint([10, 1, 2, 3]).command, "renderer connect 10.1.2.3:80 --key /keys/wall.key");
         assert_eq!(hint([127, 0, 0, 1]).command, "renderer connect 127.0.0.1:80 --key /keys/wall.key");
         for ip in [[10, 1, 2, 3], [127, 0, 0, 1]] {

@@ -1,7 +1,7 @@
 //! Reads sky images: all directions in one picture (equirectangular), in Radiance HDR or OpenEXR.
 
 use std::{
-    io::{BufRead, BufReader},
+    io::{BufRead, BufReader, Seek},
     path::{Path, PathBuf},
 };
 
@@ -49,11 +49,16 @@ impl SkyImage {
     /// # Errors
     /// One line with cause and cure. Nothing larger than its dimensions allow is decoded.
     pub fn read(path: &Path) -> Result<Self, SkyError> {
-        Self::read_file(path).map_err(|reason| SkyError { path: path.to_owned(), reason })
+        let file = files::open(path).map_err(|error| error.to_string());
+        let image = file.and_then(|file| Self::read_from(BufReader::new(file)));
+        image.map_err(|reason| SkyError { path: path.to_owned(), reason })
     }
 
-    fn read_file(path: &Path) -> Result<Self, String> {
-        let mut file = BufReader::new(files::open(path).map_err(|error| error.to_string())?);
+    /// Reads the bytes of an image.
+    ///
+    /// # Errors
+    /// As for [`SkyImage::read`], without the file's name.
+    pub fn read_from(mut file: impl BufRead + Seek) -> Result<Self, String> {
         let start = file.fill_buf().map_err(|error| format!("cannot be read: {error}"))?;
         if start.starts_with(b"#?") {
             decode(HdrDecoder::new(file))

@@ -227,6 +227,8 @@ impl App<'_> {
         let controls = Controls {
             models: self.remote.models.clone(),
             light_deg: [appearance.light.azimuth_deg(), appearance.light.elevation_deg()],
+            sun_deg: appearance.path.sun_degrees(),
+            exposure_stops: appearance.path.exposure_ev(),
             background: appearance.background.to_string(),
             cut: appearance.clip.map(|clip| (clip.side().to_string(), clip.cut_permille())),
             division: overlay.division.to_string(),
