@@ -1,7 +1,7 @@
 //! A real browser: Chromium without a screen, driven over WebDriver.
 
 use std::{
-    io::{BufRead, BufReader},
+    io::{self, BufRead, BufReader},
     process::{Child, Command, Stdio},
 };
 
@@ -23,29 +23,36 @@ pub(crate) struct Screen {
     pub(crate) is_dark: bool,
 }
 
+/// Starts a driver; returns the port that it says, if it says one.
+fn start_driver() -> io::Result<(Child, Option<u16>)> {
+    let mut command = Command::new("chromedriver");
+    let mut driver = command.arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
+    let mut said = BufReader::new(driver.stdout.take().expect("piped"));
+    let (mut port, mut line) = (None, String::new());
+    while port.is_none() && said.read_line(&mut line).is_ok_and(|n_bytes| n_bytes > 0) {
+        let number = line.trim().trim_end_matches('.').rsplit_once("on port ");
+        port = number.and_then(|(_, number)| number.parse::<u16>().ok()).filter(|&port| port > 0);
+        line.clear();
+    }
+    // The driver must not wait for a reader.
+    std::thread::spawn(move || io::copy(&mut said, &mut io::sink()));
+    Ok((driver, port))
+}
+
 impl Browser {
     /// Starts a browser; `None`, and a line, where there is none.
     pub(crate) fn start(screen: &Screen) -> Option<Self> {
-        let started = Command::new("chromedriver").arg("--port=0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn();
-        let mut driver = match started {
-            Ok(driver) => driver,
-            Err(error) => {
+        // It ends if another program takes the port that it has just chosen.
+        let mut started = (0..5).map(|_| start_driver());
+        let (driver, port) = match started.find(|started| !matches!(started, Ok((_, None)))) {
+            Some(Ok((driver, port))) => (driver, port.expect("found")),
+            Some(Err(error)) => {
                 println!("skipped: no chromedriver: {error}");
                 return None;
             }
+            None => panic!("chromedriver says no port"),
         };
-        let mut said = BufReader::new(driver.stdout.take().expect("piped"));
-        let mut port = None;
-        let mut line = String::new();
-        // It first says the port that it was given.
-        while port.is_none() && said.read_line(&mut line).is_ok_and(|n_bytes| n_bytes > 0) {
-            let number = line.trim().trim_end_matches('.').rsplit_once("on port ");
-            port = number.and_then(|(_, number)| number.parse::<u16>().ok()).filter(|&port| port > 0);
-            line.clear();
-        }
-        // The driver must not wait for a reader.
-        std::thread::spawn(move || std::io::copy(&mut said, &mut std::io::sink()));
-        let address = format!("127.0.0.1:{}", port.expect("chromedriver says its port"));
+        let address = format!("127.0.0.1:{port}");
         let [width, height] = screen.size;
         let mut options = json!({ "args": ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
             format!("--window-size={width},{height}")] });
