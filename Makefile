@@ -10,7 +10,7 @@ run: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
 		$(CARGO) run --release; \
 	else \
-		$(CARGO) run --release -- --headless --frames 20 --target-rate 30 --samples 4 --screenshot wall.png; \
+		$(CARGO) run --release -- --headless --frames 20 --target-rate 30 --samples 16 --screenshot wall.png; \
 	fi
 
 # Everything that CI checks. The tests start the programs, so they are built first.
