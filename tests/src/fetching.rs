@@ -252,7 +252,7 @@ fn a_wall_gives_nothing_but_its_scene() {
     let refused = ToServer::Refused { reason: "it shows another model".to_owned() };
     assert_eq!(liars::receive(&mut ask(&address, other)).unwrap(), refused);
 
-    // What a render server is told to load is what it may fetch.
+    // A render server may fetch the scene that it is told to load.
     let mut server = TcpStream::connect(&address).unwrap();
     liars::shake_hands(&mut server, "asks").unwrap();
     let scene = loop {
