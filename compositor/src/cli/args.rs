@@ -144,7 +144,7 @@ pub struct WallArgs {
     /// Listen on the network without encryption and authentication
     #[arg(long, help_heading = "Render servers")]
     pub insecure: bool,
-    /// Render servers to start on this machine [default: 3; 0 with --listen]
+    /// Render servers to start on this machine [default: 2; 0 with --listen]
     #[arg(long, help_heading = "Render servers", value_name = "N", value_parser = between(0_u32..=256))]
     pub local: Option<u32>,
     /// Wait for this many render servers before the first frame [default: as many as --local, at least 1]
