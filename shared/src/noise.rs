@@ -5,7 +5,8 @@ use std::{fmt, str::FromStr};
 use serde::{Deserialize, Serialize};
 
 /// A tile of a path-traced picture whose noise is estimated to be this or less gets no more samples: root of the mean
-/// square, over the tile's pixels and channels, of the error of encoded values.
+/// square, over the tile's channels and squares of 2×2 pixels, of the error of the mean of encoded values. Tiles of many
+/// samples may keep somewhat more, and those of few less.
 ///
 /// Invariant, on the wire too: at most 100 levels of the 255 that a channel has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -32,7 +33,7 @@ impl NoiseLimit {
 impl Default for NoiseLimit {
     /// Noise that is hardly seen.
     fn default() -> Self {
-        Self { centilevels: 300 }
+        Self { centilevels: 150 }
     }
 }
 

@@ -36,7 +36,7 @@ pub struct TraceArgs {
     samples: Option<u32>,
 
     /// With --rays path: the noise at which a tile gets no more rays, in levels of the 255 of a channel; 0 gives all tiles
-    /// all --samples [default: 3; 0 with --samples]
+    /// all --samples [default: 1.5; 0 with --samples]
     #[arg(long, value_name = "LEVELS", allow_hyphen_values = true)]
     noise: Option<NoiseLimit>,
 }

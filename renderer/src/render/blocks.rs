@@ -40,6 +40,15 @@ impl SampleBlock<'_> {
         }
     }
 
+    /// Number of samples in each row; without rows, of all.
+    #[inline]
+    pub(super) fn row_length(&self) -> usize {
+        match self {
+            Self::Unit { samples, .. } => samples.columns.len(),
+            Self::Selection { indices, .. } => indices.len(),
+        }
+    }
+
     /// Sample `index` of the block, as (i, j).
     #[inline]
     pub fn sample(&self, index: usize) -> (u32, u32) {

@@ -2,8 +2,13 @@
 //!
 //! The estimate is a pure function of a tile's samples, so every render server stops at the same one. It compares the mean of
 //! the first half of the samples with that of the second, as a display would show them: both are low-discrepancy samples
-//! where their number is a power of two, and the 192 values of a tile make the estimate a good one. Tiles rather than pixels
-//! decide, because a pixel whose few samples happen to agree would stop too early.
+//! where their number is a power of two, and the many values of a tile make the estimate a good one. Tiles rather than pixels
+//! decide, because a pixel whose few samples happen to agree would stop too early. Means of squares of 2×2 pixels are
+//! compared: the samples of neighbours complement each other, so single pixels keep a grain that is finer than what is seen.
+//!
+//! Samples that are proportional to the standard deviation of a tile's light give a picture the least error; tiles of equal
+//! noise, as many as their variance asks for, are no better in that than equal numbers everywhere. Between the two, a tile
+//! that needs many samples may keep somewhat more noise: see [`allowed`].
 
 use std::{collections::BTreeMap, ops::Range};
 
@@ -19,9 +24,12 @@ use crate::render::{
     tracer::Sampler,
 };
 
-/// Samples of each pixel before the first estimate: a power of two, so that its halves are low-discrepancy samples. Eight
-/// and eight of 64 pixels also find small bright features.
-const FEWEST_SAMPLES: u32 = 16;
+/// Samples of each pixel before the first estimate: a power of two, so that its halves are low-discrepancy samples. Those of
+/// 64 pixels complement each other, and also find small bright features.
+const FEWEST_SAMPLES: u32 = 8;
+
+/// A tile that needs this many samples may keep just the noise of the limit.
+const USUAL_SAMPLES: u32 = 64;
 
 /// Between one estimate and the next, a tile may stop after each of so many parts of the samples.
 const N_STEPS: u32 = 4;
@@ -82,9 +90,8 @@ fn sum_group(
         let n_samples = sums.n_samples;
         let halves = [&half, &sums.without(&half)];
         let estimate = |(index, block): (usize, &SampleBlock<'_>)| {
-            let squares = squared_difference(&sampler.lighting, halves, index, block.n_samples());
-            let steps = n_steps(squares, block.n_samples(), limit);
-            steps.map_or(most, |steps| most.min(n_samples + steps * (n_samples / N_STEPS)))
+            let noise = squared_noise(&sampler.lighting, halves, index, block);
+            n_steps(noise, n_samples, limit).map_or(most, |steps| most.min(n_samples + steps * (n_samples / N_STEPS)))
         };
         let mut ends: Vec<_> = blocks.iter().enumerate().map(estimate).collect();
         half = sums.clone();
@@ -111,24 +118,54 @@ fn sum_group(
     }
 }
 
-/// Sum of the squared differences of a tile's encoded values between two halves of its samples.
-fn squared_difference(lighting: &Lighting<'_>, halves: [&LightSums; 2], block: usize, n_pixels: usize) -> u64 {
-    let of_pixel = |pixel: usize| {
+/// The estimated square of a tile's noise in levels, from two halves of its samples: the mean square, over all squares of 2×2
+/// pixels and channels, of the error of the mean of encoded values, which is half of the halves' difference.
+fn squared_noise(lighting: &Lighting<'_>, halves: [&LightSums; 2], block: usize, of: &SampleBlock<'_>) -> f64 {
+    let mut differences = [[0; 3]; 64];
+    for (pixel, difference) in differences.iter_mut().enumerate().take(of.n_samples()) {
         let [a, b] = halves.map(|sums| lighting.encode(sums, (block, pixel)));
-        a.into_iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(b)).pow(2)).sum::<u64>()
-    };
-    (0..n_pixels).map(of_pixel).sum()
+        *difference = std::array::from_fn(|channel| i32::from(a[channel]) - i32::from(b[channel]));
+    }
+    of_differences(&differences[..of.n_samples()], of.row_length())
 }
 
-/// After how many steps of a quarter of its samples a tile has enough: 0 if it has already; `None` if another estimate comes
-/// first.
-fn n_steps(squared_difference: u64, n_pixels: usize, limit: NoiseLimit) -> Option<u32> {
-    // The error of the mean of two halves is half of their difference.
-    let hundredths = 10_000 * squared_difference;
-    let allowed = 4 * 3 * n_pixels as u64 * u64::from(limit.centilevels()).pow(2);
-    // The square of the error falls at least as fast as the number of samples rises.
-    let steps = (u64::from(N_STEPS) * hundredths.saturating_sub(allowed)).div_ceil(allowed);
-    (steps < u64::from(N_STEPS)).then_some(steps as u32)
+/// The same from the differences between halves of a tile's pixels, row by row.
+fn of_differences(differences: &[[i32; 3]], row_length: usize) -> f64 {
+    let n_rows = differences.len() / row_length;
+    // Parts of tiles at a frame's edge may be narrower than a square.
+    let [width, height] = [row_length, n_rows].map(|along| along.min(2));
+    let (mut sum, mut n) = (0, 0);
+    for (row, column) in (0..=n_rows - height).flat_map(|row| (0..=row_length - width).map(move |at| (row, at))) {
+        let mut of_square = [0; 3];
+        for k in 0..width * height {
+            let difference = differences[(row + k / width) * row_length + column + k % width];
+            of_square.iter_mut().zip(difference).for_each(|(sum, difference)| *sum += difference);
+        }
+        sum += of_square.map(|of_channel| i64::from(of_channel * of_channel)).iter().sum::<i64>();
+        n += 3;
+    }
+    let n_pixels = (width * height) as f64;
+    sum as f64 / (4.0 * n_pixels * n_pixels * f64::from(n))
+}
+
+/// After how many steps of a quarter of its `n_samples` samples a tile has enough: 0 if it has already; `None` if another
+/// estimate comes first.
+fn n_steps(squared_noise: f64, n_samples: u32, limit: NoiseLimit) -> Option<u32> {
+    (0..N_STEPS).find(|steps| {
+        // The square of the error falls at least as fast as the number of samples rises.
+        let growth = 1.0 + f64::from(*steps) / f64::from(N_STEPS);
+        squared_noise <= growth * allowed(f64::from(n_samples) * growth, limit)
+    })
+}
+
+/// The square of the noise that a tile of so many samples may keep.
+///
+/// It grows with the root of their number. With variances v and squares of the noise v/n, the numbers are then proportional to
+/// v^⅔, between those of the least error, v^½, and those of equal noise, v. Where the logarithms of variances are normal, nine
+/// tenths of what the former saves are saved.
+fn allowed(n_samples: f64, limit: NoiseLimit) -> f64 {
+    let levels = f64::from(limit.centilevels()) / 100.0;
+    levels * levels * (n_samples / f64::from(USUAL_SAMPLES)).sqrt()
 }
 
 #[cfg(test)]
@@ -138,12 +175,28 @@ mod tests {
     #[test]
     fn a_tile_stops_where_its_error_is_expected_to_reach_the_limit() {
         let limit = "2".parse().unwrap();
+        let steps = |noise: f64, n_samples| n_steps(noise * noise, n_samples, limit);
+        let expected = [Some(0), Some(0), Some(1), Some(2), Some(3), None];
+        assert_eq!([0.0, 2.0, 2.1, 2.7, 3.0, 3.1].map(|noise| steps(noise, 64)), expected);
+        // A quarter of the samples: the square of the limit is half as large.
+        assert_eq!([1.41, 1.42].map(|noise| steps(noise, 16)), [Some(0), Some(1)]);
+        assert_eq!(n_steps(0.03, 64, "0.1".parse().unwrap()), None);
+    }
+
+    #[test]
+    fn the_noise_is_that_of_means_of_squares() {
         // Halves that differ by d levels everywhere: the error is d / 2.
-        let steps =
-            |difference: u64, n_pixels: usize| n_steps(3 * n_pixels as u64 * difference * difference, n_pixels, limit);
-        assert_eq!([0, 4, 5, 6].map(|difference| steps(difference, 64)), [Some(0), Some(0), Some(3), None]);
-        assert_eq!([4, 5].map(|difference| steps(difference, 1)), [Some(0), Some(3)]);
-        let none_is_enough = n_steps(u64::from(u16::MAX) * 64 * 3, 64, "0.01".parse().unwrap());
-        assert_eq!(none_is_enough, None);
+        for (row_length, n_rows) in [(8, 8), (8, 1), (1, 8), (3, 5), (1, 1)] {
+            let squared = of_differences(&vec![[6; 3]; row_length * n_rows], row_length);
+            assert_eq!(squared, 9.0, "{row_length} {n_rows}");
+        }
+        // A grain of single pixels is not seen, one of larger squares is.
+        let pattern = |side: usize| -> Vec<_> {
+            let sign = |at: usize| if (at % 8 / side + at / 8 / side).is_multiple_of(2) { 6 } else { -6 };
+            (0..64).map(|at| [sign(at); 3]).collect()
+        };
+        assert_eq!(of_differences(&pattern(1), 8), 0.0);
+        let coarse = of_differences(&pattern(4), 8);
+        assert!((6.0..9.0).contains(&coarse), "{coarse}");
     }
 }
