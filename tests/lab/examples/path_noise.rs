@@ -2,9 +2,10 @@
 //!
 //!     cargo run --release -p lab --example path_noise -- --model dragon.ply --rays path
 //!
-//! Both are compared with a picture of other samples; the errors are roots of mean squares of encoded values, over the pixels
-//! that show the model. The last column is the part of the samples that the adaptive picture takes for its error, beside a
-//! uniform one of the same error, which is interpolated.
+//! Both are compared with a picture of other samples. Errors are roots of mean squares over the pixels that show the model: of
+//! the light that a display shows, in levels of 255, and of linear light before exposure and tone mapping, in thousandths.
+//! Parts are those of the samples that a uniform picture of the same error takes, which is interpolated: for the whole
+//! picture, and for the pixels that show the model alone.
 
 use clap::Parser;
 use glam::Vec3;
@@ -29,19 +30,28 @@ struct Args {
     picture: PictureArgs,
 
     /// Noise limits of the adaptive pictures, in levels
-    #[arg(long, value_delimiter = ',', default_value = "4,2,1,0.5")]
+    #[arg(long, value_delimiter = ',', default_value = "2,1.5,1,0.5,0.25")]
     noise: Vec<NoiseLimit>,
+
+    /// Samples of each pixel of the uniform pictures
+    #[arg(long, value_delimiter = ',', default_value = "8,16,32,64,128,256")]
+    uniform: Vec<u32>,
 
     /// Samples of each pixel of the reference
     #[arg(long, default_value_t = 1024)]
     reference: u32,
 }
 
-/// A picture's encoded colours, and the samples of each pixel.
+/// A picture's pixels: light as a display shows it in levels, linear light in thousandths, and the number of samples.
 struct Picture {
-    colors: Vec<[u8; 3]>,
-    n_samples: Vec<u32>,
+    pixels: Vec<([Vec3; 2], u32)>,
     cpu_s: f64,
+}
+
+/// Of a picture: samples of a pixel and of one that shows the model, and the errors.
+struct Outcome {
+    n_samples: [f64; 2],
+    errors: [f64; 2],
 }
 
 fn main() -> anyhow::Result<()> {
@@ -56,70 +66,74 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let scene = args.picture.build(mesh);
     let render = |samples: SampleRange| render(&scene, &FrameSpec { samples, ..spec });
 
-    // The reference is the mean of several frames, as these have a limited number of samples.
-    let count = args.reference.min(SampleRange::LARGEST_COUNT);
-    let frames = args.reference.div_ceil(count);
-    let mut sums = vec![Vec3::ZERO; spec.size.n_samples() as usize];
-    for frame in 1..=frames {
-        let colors = render(SampleRange::all(frame << 16, count)).colors;
-        sums.iter_mut().zip(colors).for_each(|(sum, color)| *sum += Vec3::from_array(color.map(f32::from)));
-    }
-    let reference: Vec<Vec3> = sums.into_iter().map(|sum| sum / frames as f32).collect();
+    let reference = mean_of(args.reference, render);
     // Pixels without noise are background.
-    let first = render(SampleRange::CENTRE).colors;
-    let is_seen: Vec<bool> = first.iter().zip(&reference).map(|(a, b)| a.map(f32::from) != b.to_array()).collect();
+    let first = render(SampleRange::CENTRE).pixels;
+    let is_seen: Vec<bool> = first.iter().zip(&reference).map(|((light, _), mean)| light != mean).collect();
     let n_seen = is_seen.iter().filter(|&&is_seen| is_seen).count() as f64;
-    let error = |picture: &Picture| {
-        let of_seen = picture.colors.iter().zip(&reference).zip(&is_seen).filter(|(_, is_seen)| **is_seen);
-        let squares =
-            of_seen.map(|((color, truth), _)| (Vec3::from_array(color.map(f32::from)) - truth).length_squared());
-        (squares.map(f64::from).sum::<f64>() / (3.0 * n_seen)).sqrt()
-    };
-    let mean = |picture: &Picture| {
-        picture.n_samples.iter().map(|&n| f64::from(n)).sum::<f64>() / picture.n_samples.len() as f64
-    };
-    let of_seen = |picture: &Picture| {
-        let seen = picture.n_samples.iter().zip(&is_seen).filter(|(_, is_seen)| **is_seen);
-        seen.map(|(&n, _)| f64::from(n)).sum::<f64>() / n_seen
+    let outcome = |Picture { pixels, .. }: &Picture| {
+        let seen =
+            || pixels.iter().zip(&reference).zip(&is_seen).filter(|(_, is_seen)| **is_seen).map(|(pixel, _)| pixel);
+        let error = |kind: usize| {
+            let squares = seen().map(|((light, _), mean)| f64::from((light[kind] - mean[kind]).length_squared()));
+            (squares.sum::<f64>() / (3.0 * n_seen)).sqrt()
+        };
+        let of_seen = seen().map(|((_, n), _)| f64::from(*n)).sum::<f64>() / n_seen;
+        let of_all = pixels.iter().map(|&(_, n)| f64::from(n)).sum::<f64>() / pixels.len() as f64;
+        Outcome { n_samples: [of_all, of_seen], errors: [error(0), error(1)] }
     };
 
     println!("{:.1} % of the pixels show the model", 100.0 * n_seen / reference.len() as f64);
-    println!("uniform: samples, error, s of CPU time");
+    println!("uniform: samples, error shown, error of linear light, s of CPU time");
     let mut uniform = Vec::new();
-    for count in (3..=8).map(|log| 1 << log) {
+    for &count in &args.uniform {
         let picture = render(SampleRange::all(0, count));
-        uniform.push((f64::from(count), error(&picture)));
-        println!("  {count:8} {:8.3} {:8.2}", error(&picture), picture.cpu_s);
+        let outcome = outcome(&picture);
+        let [shown, linear] = outcome.errors;
+        println!("  {count:8} {shown:8.3} {linear:8.3} {:8.2}", picture.cpu_s);
+        uniform.push(outcome);
     }
     println!(
-        "adaptive: limit, samples of a pixel, of one that shows the model, error, s of CPU time, part of the samples"
+        "adaptive: limit, samples of a pixel, of one that shows the model, error shown, error of linear light, s of CPU time, \
+         parts of the whole picture at equal error shown and of linear light, parts of the model"
     );
     for &noise in &args.noise {
         let picture = render(SampleRange { noise, ..SampleRange::all(0, SampleRange::LARGEST_COUNT) });
-        let equal = uniform_of(&uniform, error(&picture));
+        let Outcome { n_samples, errors } = outcome(&picture);
+        let [all, seen] = n_samples.map(|n| [0, 1].map(|kind| n / uniform_of(&uniform, kind, errors[kind])));
         println!(
-            "  {noise:8} {:8.1} {:8.1} {:8.3} {:8.2} {:8.2} {:8.2}",
-            mean(&picture),
-            of_seen(&picture),
-            error(&picture),
-            picture.cpu_s,
-            mean(&picture) / equal,
-            of_seen(&picture) / equal
+            "  {noise:8} {:8.1} {:8.1} {:8.3} {:8.3} {:8.2} {:8.2} {:8.2} {:8.2} {:8.2}",
+            n_samples[0], n_samples[1], errors[0], errors[1], picture.cpu_s, all[0], all[1], seen[0], seen[1]
         );
     }
     Ok(())
 }
 
+/// The mean light of pictures of other samples, of several frames, as these have a limited number.
+fn mean_of(n_samples: u32, render: impl Fn(SampleRange) -> Picture) -> Vec<[Vec3; 2]> {
+    let count = n_samples.min(SampleRange::LARGEST_COUNT);
+    let n_frames = n_samples.div_ceil(count);
+    let pictures = (1..=n_frames).map(|frame| render(SampleRange::all(frame << 16, count)).pixels);
+    let add = |mut sums: Vec<([Vec3; 2], u32)>, pixels: Vec<([Vec3; 2], u32)>| {
+        sums.iter_mut().zip(pixels).for_each(|((sum, _), (light, _))| (0..2).for_each(|kind| sum[kind] += light[kind]));
+        sums
+    };
+    let sums = pictures.reduce(add).unwrap_or_default();
+    sums.into_iter().map(|(sum, _)| sum.map(|sum| sum / n_frames as f32)).collect()
+}
+
 /// Samples of each pixel of a uniform picture with this error, between those that were measured or beyond the last.
-fn uniform_of(measured: &[(f64, f64)], error: f64) -> f64 {
-    let at = measured.iter().position(|&(_, other)| other < error).unwrap_or(measured.len() - 1).max(1);
-    let [(n0, e0), (n1, e1)] = [measured[at - 1], measured[at]];
+fn uniform_of(measured: &[Outcome], kind: usize, error: f64) -> f64 {
+    let at = measured.iter().position(|other| other.errors[kind] < error).unwrap_or(measured.len() - 1).max(1);
+    let [(n0, e0), (n1, e1)] = [at - 1, at].map(|at| (measured[at].n_samples[0], measured[at].errors[kind]));
     n0 * (n1 / n0).powf((error / e0).ln() / (e1 / e0).ln())
 }
 
 fn render(scene: &Scene, spec: &FrameSpec) -> Picture {
-    let of_pixel = |lighting: &Lighting<'_>, sums: &LightSums, pixel| (lighting.encode(sums, pixel), sums.n_samples);
+    let of_pixel = |lighting: &Lighting<'_>, sums: &LightSums, (block, index): (usize, usize)| {
+        let shown = Vec3::from_array(lighting.encode(sums, (block, index)).map(f32::from));
+        ([shown, sums.lights[block][index] * (1000.0 / sums.n_samples as f32)], sums.n_samples)
+    };
     let (pixels, cpu) = render_lights(scene, spec, of_pixel);
-    let (colors, n_samples) = pixels.into_iter().unzip();
-    Picture { colors, n_samples, cpu_s: cpu.as_secs_f64() }
+    Picture { pixels, cpu_s: cpu.as_secs_f64() }
 }
