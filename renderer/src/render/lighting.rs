@@ -23,6 +23,13 @@ use crate::{
     texture::{footprint::SampleRays, materials::PointMaterial},
 };
 
+/// A value for each sample of neighbouring blocks.
+pub type GroupOf<T> = [[T; 64]; MOST_PACKETS];
+
+/// Paths that are followed together, four samples of a full group: enough to trace many rays in a call, few enough for the
+/// cache.
+const PATHS_AT_ONCE: usize = 4 * 64 * MOST_PACKETS;
+
 /// Lights the hits of one frame.
 pub struct Lighting<'a> {
     shading: ShadingMode,
@@ -60,17 +67,54 @@ impl<'a> Lighting<'a> {
         }
     }
 
-    /// The linear light of neighbouring blocks: of sample number `sample` of their pixels (i, j), whose rays follow
-    /// `directions` to `hits`. Entries beyond a block's samples are undefined.
+    /// Number of samples of each pixel of `n_blocks` blocks that are lit at once, at least 1; the fewer blocks, the more.
+    pub(super) fn samples_at_once(&self, n_blocks: usize) -> u32 {
+        if self.paths.is_some() { (PATHS_AT_ONCE / (64 * n_blocks)) as u32 } else { 1 }
+    }
+
+    /// The linear light of neighbouring blocks, for each of several samples: of the first number and those after it, of the
+    /// blocks' pixels (i, j), whose rays follow `directions` to `hits`. Entries beyond a block's samples are undefined.
     pub fn light_group(
         &self,
         blocks: &[SampleBlock<'_>],
-        sample: u32,
-        directions: &[[Vec3; 64]],
-        hits: &[[Hit; 64]],
+        first_sample: u32,
+        directions: &[GroupOf<Vec3>],
+        hits: &[GroupOf<Hit>],
         scratch: &mut PacketScratch,
-    ) -> [[Vec3; 64]; MOST_PACKETS] {
-        let mut lights = [[Vec3::ZERO; 64]; MOST_PACKETS];
+        lights: &mut Vec<GroupOf<Vec3>>,
+    ) {
+        lights.clear();
+        lights.resize(hits.len(), [[Vec3::ZERO; 64]; MOST_PACKETS]);
+        let rays = directions.iter().zip(hits).zip(&mut *lights);
+        let samples = (0..).map(|index| first_sample.wrapping_add(index)).zip(rays);
+        let Some((tracer, _)) = &self.paths else {
+            return samples.for_each(|(sample, ((directions, hits), lights))| {
+                self.light_sample(blocks, sample, directions, hits, scratch, lights);
+            });
+        };
+        let mut paths = Vec::with_capacity(64 * blocks.len() * hits.len());
+        for (index, (sample, ((directions, hits), lights))) in samples.enumerate() {
+            let first = 64 * MOST_PACKETS * index;
+            tracer.begin(blocks, sample, (directions, self.sample_sides), hits, first, &mut paths);
+            for (index, block) in blocks.iter().enumerate() {
+                for (sample_idx, (i, j)) in block.samples().enumerate().filter(|&(at, _)| hits[index][at].is_miss()) {
+                    lights[index][sample_idx] = self.shader.backdrop(sample_point(i, j, sample).1);
+                }
+            }
+        }
+        tracer.add_lights(&self.shader, paths, lights.as_flattened_mut().as_flattened_mut());
+    }
+
+    /// The light of one sample of each pixel, without paths.
+    fn light_sample(
+        &self,
+        blocks: &[SampleBlock<'_>],
+        sample: u32,
+        directions: &GroupOf<Vec3>,
+        hits: &GroupOf<Hit>,
+        scratch: &mut PacketScratch,
+        lights: &mut GroupOf<Vec3>,
+    ) {
         if self.shading == ShadingMode::Cost {
             let SecondaryRays { grid, clip, eye, .. } = &self.secondary;
             for (index, block) in blocks.iter().enumerate() {
@@ -79,16 +123,7 @@ impl<'a> Lighting<'a> {
                     *light = shade::cost_color(ray.map_or(RayCost::default(), |ray| grid.cost(&ray)));
                 }
             }
-            return lights;
-        }
-        if let Some((tracer, _)) = &self.paths {
-            tracer.add_lights(&self.shader, blocks, sample, (directions, self.sample_sides), hits, &mut lights);
-            for (index, block) in blocks.iter().enumerate() {
-                for (sample_idx, (i, j)) in block.samples().enumerate().filter(|&(at, _)| hits[index][at].is_miss()) {
-                    lights[index][sample_idx] = self.shader.backdrop(sample_point(i, j, sample).1);
-                }
-            }
-            return lights;
+            return;
         }
         let visibility = self.secondary.visibility(blocks, sample, directions, hits, scratch);
         // Written again for each block: copies of either took up to 5 % of a frame's time.
@@ -113,7 +148,6 @@ impl<'a> Lighting<'a> {
                 );
             }
         }
-        lights
     }
 
     /// Sums of the light of no samples yet.

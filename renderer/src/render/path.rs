@@ -5,8 +5,8 @@
 //! path's own chance to hit it (Veach and Guibas, "Optimally Combining Sampling Techniques for Monte Carlo Rendering",
 //! 1995). The sky changes so slowly that paths find it best by leaving the scene.
 //!
-//! The paths of neighbouring samples go from bounce to bounce together, so hundreds of rays are traced in one call. Only
-//! + − × ÷ √ are used, in a fixed order for each path: every machine computes the same bits.
+//! The paths of neighbouring pixels, and several of each, go from bounce to bounce together, so that hundreds of rays are traced
+//! in one call. Only + − × ÷ √ are used, in a fixed order for each path: every machine computes the same bits.
 //!
 //! `sobol` makes random numbers, `lights` are sun and sky, `lamp` lights rooms, `scattering` is what surfaces do to light, and
 //! `tone` makes it fit a display.
@@ -33,7 +33,7 @@ use self::{
 use crate::{
     grid::Grid,
     intersect::{
-        MOST_PACKETS, clip,
+        clip,
         ray::{Hit, Ray},
     },
     render::{
@@ -85,8 +85,8 @@ pub(super) struct PathTracer<'a> {
 }
 
 /// A path that has hit a surface.
-struct Path {
-    /// Index of the pixel among those of the group of blocks.
+pub(super) struct Path {
+    /// Index of its sum of light: the samples follow each other, each with all pixels of the group of blocks.
     pixel: usize,
     sample: PixelSample,
     origin: DVec3,
@@ -166,23 +166,22 @@ impl<'a> PathTracer<'a> {
         }
     }
 
-    /// Adds the light of sample number `sample` of neighbouring blocks' pixels to `lights`; misses add none.
-    ///
-    /// The samples' rays follow `directions` from the eye to `hits`; `sides` are the changes of direction across a sample.
-    pub(super) fn add_lights(
+    /// Begins the paths of sample number `sample` of neighbouring blocks' pixels, whose rays follow `directions` from the eye
+    /// to `hits`; `sides` are the changes of direction across a sample. Misses begin none. `first` is the index of the first
+    /// pixel's sum of light.
+    pub(super) fn begin(
         &self,
-        shader: &Shader<'_>,
         blocks: &[SampleBlock<'_>],
         sample: u32,
         (directions, sides): (&[[Vec3; 64]], [Vec3; 2]),
         hits: &[[Hit; 64]],
-        lights: &mut [[Vec3; 64]],
+        first: usize,
+        paths: &mut Vec<Path>,
     ) {
-        let mut paths = Vec::with_capacity(64 * MOST_PACKETS);
         for (index, block) in blocks.iter().enumerate() {
             for (sample_idx, pixel) in block.samples().enumerate().filter(|&(at, _)| !hits[index][at].is_miss()) {
                 paths.push(Path {
-                    pixel: 64 * index + sample_idx,
+                    pixel: first + 64 * index + sample_idx,
                     sample: PixelSample::new(pixel, sample),
                     origin: self.eye,
                     direction: directions[index][sample_idx],
@@ -193,7 +192,10 @@ impl<'a> PathTracer<'a> {
                 });
             }
         }
-        let lights = lights.as_flattened_mut();
+    }
+
+    /// Follows paths to their ends, and adds their light to `lights`.
+    pub(super) fn add_lights(&self, shader: &Shader<'_>, mut paths: Vec<Path>, lights: &mut [Vec3]) {
         for bounce in 0..=self.bounces {
             paths = self.bounce(shader, bounce, &paths, lights);
             if paths.is_empty() {

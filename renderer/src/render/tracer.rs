@@ -18,7 +18,7 @@ use crate::{
     intersect::{MOST_PACKETS, Packet, PacketScratch, clip, ray::Hit},
     render::{
         blocks::{SampleBlock, for_each_group, lanes_to_rows, sum_terms_by_lane},
-        lighting::{LightSums, Lighting},
+        lighting::{GroupOf, LightSums, Lighting},
         noise,
         parallel::work_off,
         sampling::sample_point,
@@ -146,8 +146,10 @@ pub(super) struct Sampler<'a> {
     pub(super) lighting: Lighting<'a>,
     scratch: PacketScratch,
     packets: [Packet; MOST_PACKETS],
-    hits: [[Hit; 64]; MOST_PACKETS],
-    directions: [[Vec3; 64]; MOST_PACKETS],
+    /// Of each of the samples that are lit at once.
+    hits: Vec<GroupOf<Hit>>,
+    directions: Vec<GroupOf<Vec3>>,
+    lights: Vec<GroupOf<Vec3>>,
 }
 
 impl<'a> Sampler<'a> {
@@ -163,8 +165,9 @@ impl<'a> Sampler<'a> {
             lighting: Lighting::new(scene, spec, clip),
             scratch: PacketScratch::default(),
             packets: [Packet::NONE; MOST_PACKETS],
-            hits: [[Hit::MISS; 64]; MOST_PACKETS],
-            directions: [[Vec3::ZERO; 64]; MOST_PACKETS],
+            hits: Vec::new(),
+            directions: Vec::new(),
+            lights: Vec::new(),
         }
     }
 
@@ -176,10 +179,28 @@ impl<'a> Sampler<'a> {
     /// Adds the light of samples of the pixels of neighbouring blocks, unless nobody wants it; the frame's first sample has
     /// index 0.
     pub(super) fn add(&mut self, blocks: &[SampleBlock<'_>], samples: Range<u32>, sums: &mut LightSums) {
-        let Self { scene, unwanted, rays, clip, lighting, scratch, hits, directions, .. } = self;
+        let mut samples = samples;
+        while !samples.is_empty() && !self.is_unwanted() {
+            let n = samples.len().min(self.lighting.samples_at_once(blocks.len()) as usize);
+            let first = self.first_sample.wrapping_add(samples.start);
+            self.trace(blocks, first, n);
+            let Self { lighting, scratch, hits, directions, lights, .. } = self;
+            lighting.light_group(blocks, first, &directions[..n], &hits[..n], scratch, lights);
+            lights.iter().zip(hits).for_each(|(lights, hits)| lighting.add(blocks.len(), lights, hits, sums));
+            samples.start += n as u32;
+        }
+    }
+
+    /// Traces the camera's rays of `n` samples of the pixels of neighbouring blocks.
+    fn trace(&mut self, blocks: &[SampleBlock<'_>], first: u32, n: usize) {
+        let Self { scene, rays, clip, scratch, hits, directions, .. } = self;
+        if hits.len() < n {
+            hits.resize(n, [[Hit::MISS; 64]; MOST_PACKETS]);
+            directions.resize(n, [[Vec3::ZERO; 64]; MOST_PACKETS]);
+        }
         let packets = &mut self.packets[..blocks.len()];
-        for index in samples.take_while(|_| !unwanted.load(Relaxed)) {
-            let sample = self.first_sample.wrapping_add(index);
+        for (index, (hits, directions)) in (0..n as u32).zip(hits.iter_mut().zip(directions)) {
+            let sample = first.wrapping_add(index);
             packets.iter_mut().zip(blocks).for_each(|(packet, block)| set_camera_rays(packet, rays, block, sample));
             scene.trace_group(blocks, packets, clip.as_ref(), scratch, &mut hits[..blocks.len()]);
             for (index, (block, packet)) in blocks.iter().zip(&*packets).enumerate() {
@@ -188,8 +209,6 @@ impl<'a> Sampler<'a> {
                     directions[index][sample_idx] = Vec3::new(x[lane], y[lane], z[lane]);
                 }
             }
-            let lights = lighting.light_group(blocks, sample, directions, hits, scratch);
-            lighting.add(blocks.len(), &lights, hits, sums);
         }
     }
 }

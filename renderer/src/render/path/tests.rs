@@ -86,7 +86,9 @@ pub(super) fn lights(
         let blocks = [SampleBlock::Unit { samples, first_index: 0 }];
         let mut sums = [[Vec3::ZERO; 64]];
         for sample in 0..n_samples {
-            tracer.add_lights(&shader, &blocks, sample, (&[directions], [Vec3::ZERO; 2]), &[hits], &mut sums);
+            let mut paths = Vec::new();
+            tracer.begin(&blocks, sample, (&[directions], [Vec3::ZERO; 2]), &[hits], 0, &mut paths);
+            tracer.add_lights(&shader, paths, &mut sums[0]);
         }
         all.extend((0..64).filter(|&at| !hits[at].is_miss()).map(|at| {
             let point = rays.eye.as_dvec3() + directions[at].as_dvec3() * f64::from(hits[at].t);

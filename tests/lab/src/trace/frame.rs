@@ -136,20 +136,21 @@ impl Frame {
         let (share, all_hits, x_tiles) = (&self.share, &self.hits, self.size.x_tiles());
         let of_threads = work_off(parts(&mut self.colors, self.size), |next| {
             let mut scratch = PacketScratch::default();
-            let mut directions = [[Vec3::ZERO; 64]; MOST_PACKETS];
-            let mut hits = [[Hit::MISS; 64]; MOST_PACKETS];
+            let mut directions = [[[Vec3::ZERO; 64]; MOST_PACKETS]];
+            let mut hits = [[[Hit::MISS; 64]; MOST_PACKETS]];
+            let mut lights = Vec::new();
             while let Some(mut part) = next() {
                 for_each_group(share, part.tiles(), |blocks| {
                     for (index, block) in blocks.iter().enumerate() {
                         let (column, row) = tile_of(block);
-                        hits[index] = all_hits[(row * x_tiles + column) as usize];
-                        for (direction, (i, j)) in directions[index].iter_mut().zip(block.samples()) {
+                        hits[0][index] = all_hits[(row * x_tiles + column) as usize];
+                        for (direction, (i, j)) in directions[0][index].iter_mut().zip(block.samples()) {
                             *direction = rays.direction(i, j);
                         }
                     }
-                    let lights = lighting.light_group(blocks, 0, &directions, &hits, &mut scratch);
+                    lighting.light_group(blocks, 0, &directions, &hits, &mut scratch, &mut lights);
                     let mut sums = lighting.no_light();
-                    lighting.add(blocks.len(), &lights, &hits, &mut sums);
+                    lighting.add(blocks.len(), &lights[0], &hits[0], &mut sums);
                     for (number, block) in blocks.iter().enumerate() {
                         let colors = part.values_of(block).iter_mut().take(block.n_samples());
                         colors.enumerate().for_each(|(index, color)| *color = lighting.encode(&sums, (number, index)));
