@@ -63,8 +63,16 @@ pub const GROUND_LIGHT: Vec3 = Vec3::new(0.13, 0.115, 0.105);
 /// many paths blur anyway.
 const SCATTERED_WIDTH: f32 = 0.1;
 
-/// Reflections that scattered light sees have at least this roughness: smoother ones would be rare and bright, as caustics.
+/// Reflections that diffusely scattered light sees have at least this roughness: smoother ones would be rare and bright, as
+/// caustics.
 const LEAST_SCATTERED_ROUGHNESS: f32 = 0.5;
+
+/// Density, for each steradian, below which a path blurs as if it were scattered diffusely.
+const SCATTERED_DENSITY: f32 = 4.0 * std::f32::consts::FRAC_1_PI;
+
+/// Paths that bring less than this part of the light end by chance. Most paths leave the scene soon by themselves: to end brighter
+/// ones saves few rays, and makes most of a picture's noise.
+const ROULETTE_WEIGHT: f32 = 0.25;
 
 /// Dimensions of the samples that each bounce takes.
 const DIMENSIONS: u32 = 3;
@@ -96,8 +104,16 @@ pub(super) struct Path {
     hit: Hit,
     /// The part of the light from the direction that reaches the eye.
     weight: Vec3,
-    /// Whether scattered light follows the path, which blurs what it sees.
-    is_scattered: bool,
+    /// The least density with which a direction of the path was chosen, for each steradian.
+    density: f32,
+}
+
+/// The least roughness of reflections that a path sees whose directions were chosen with this density, for each steradian:
+/// rare paths to narrow highlights would be fireflies. A lobe's solid angle is about the fourth power of its roughness, and
+/// a path stands for that of one over its density. Kaplanyan and Dachsbacher, "Path Space Regularization for Holistic and
+/// Robust Light Transport" (2013).
+fn least_roughness(density: f32) -> f32 {
+    LEAST_SCATTERED_ROUGHNESS * (SCATTERED_DENSITY / density).min(1.0).sqrt().sqrt()
 }
 
 /// A ray of a path, and the light that reaches the eye if it hits nothing.
@@ -188,7 +204,7 @@ impl<'a> PathTracer<'a> {
                     sides,
                     hit: hits[index][sample_idx],
                     weight: Vec3::ONE,
-                    is_scattered: false,
+                    density: f32::INFINITY,
                 });
             }
         }
@@ -240,7 +256,8 @@ impl<'a> PathTracer<'a> {
                 let Some(next) = scattering.sample(choice, random(2)) else { continue };
                 let ScatterSample { direction, is_diffuse, density, .. } = next;
                 let weight = path.weight * next.weight;
-                let survival = if bounce == 0 || is_last { 1.0 } else { weight.max_element().min(1.0) };
+                let bright = weight.max_element() * (1.0 / ROULETTE_WEIGHT);
+                let survival = if bounce == 0 || is_last { 1.0 } else { bright.min(1.0) };
                 if roulette >= survival {
                     continue;
                 }
@@ -257,7 +274,7 @@ impl<'a> PathTracer<'a> {
                         direction,
                         sides: tangent_basis(direction).map(|side| side * width),
                         weight,
-                        is_scattered: path.is_scattered || is_diffuse,
+                        density: path.density.min(density),
                         ..*path
                     },
                     light: escaped,
@@ -291,8 +308,7 @@ impl<'a> PathTracer<'a> {
             }
             Finish::Matte => Some(Scattering::matte(surface, color)),
             Finish::Glossy { roughness, metallic } => {
-                let least_roughness = if path.is_scattered { LEAST_SCATTERED_ROUGHNESS } else { 0.0 };
-                Some(Scattering::glossy(surface, color, roughness, metallic, least_roughness))
+                Some(Scattering::glossy(surface, color, roughness, metallic, least_roughness(path.density)))
             }
         }
     }

@@ -260,6 +260,25 @@ fn gloss_reflects_no_more_than_all_light() {
 }
 
 #[test]
+fn rare_paths_see_blurred_reflections_and_those_of_mirrors_sharp_ones() {
+    assert_eq!(least_roughness(f32::INFINITY), 0.0, "the eye's own rays");
+    assert_eq!([0.01, std::f32::consts::FRAC_1_PI].map(least_roughness), [0.5; 2], "diffuse light");
+    let surface = |to_eye: Vec3| Surface { to_eye, geometric: Vec3::Z, shading: Vec3::Z, color: Vec3::ONE };
+    let to_eye = Vec3::new(0.6, 0.0, 0.8);
+    let mirror = Scattering::glossy(&surface(to_eye), Vec3::ONE, 0.0, 1.0, 0.0);
+    let least = |direction: Vec3| least_roughness(mirror.toward(direction).1);
+    assert!(least(Vec3::new(-0.6, 0.0, 0.8)) < 0.11, "a smooth surface is shown as it is");
+    assert_eq!(least(Vec3::new(0.6, 0.0, 0.8)), 0.5, "chance leads there");
+    // The sun's highlight on a smooth surface is never brighter than the path's density allows.
+    for log in -2..12 {
+        let density = 1.7f32.powi(log);
+        let seen = Scattering::glossy(&surface(Vec3::Z), Vec3::ONE, 0.0, 1.0, least_roughness(density));
+        let brightest = seen.toward(Vec3::Z).0.x * PI as f32;
+        assert!(brightest < 3.2 * density.max(SCATTERED_DENSITY), "{density}: {brightest}");
+    }
+}
+
+#[test]
 fn a_room_is_about_as_bright_as_its_outside() {
     let scene = build(colored(ball(), [203; 3]));
     let mean = |eye: DVec3| {
