@@ -2,8 +2,9 @@
 //!
 //! While the camera moves, [`control`] chooses each frame's resolution from a [`ladder`], by the times that frames take the
 //! farm and the [`display`]. At rest, frames in the wall's native resolution follow with 1, 4, 16 … samples a pixel; once
-//! edges are smooth, ambient occlusion and then paths light them, unless the operator chose the rays. Paths light only pictures
-//! at rest: few of them are noise.
+//! edges are smooth, ambient occlusion and then paths light them, unless the operator chose the rays. Few paths are noise, so
+//! while the camera moves there are none. While sun or exposure change there are a few, in a resolution of their own that holds
+//! the rate: other rays would not show the change.
 
 mod control;
 mod display;
@@ -12,6 +13,7 @@ mod ladder;
 use std::time::{Duration, Instant};
 
 use shared::{
+    appearance::Appearance,
     division::FrameSize,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
 };
@@ -28,6 +30,12 @@ pub(crate) const DEFAULT_SAMPLES: u32 = 16;
 /// Paths a pixel of the first frame that has any: fewer have more noise than the frame before them. All others follow in one
 /// frame, in which each tile gets as many as its noise needs.
 const FEWEST_PATHS: u32 = 16;
+
+/// Paths a pixel while sun or exposure change.
+const CHANGING_PATHS: u32 = 4;
+
+/// About how many times as long a pixel takes with these paths as with its primary ray; measured times replace it.
+const CHANGING_COST: u32 = 32;
 
 /// The camera is at rest after this time. A shorter time would start a refinement between two motions of a hand.
 const REST: Duration = Duration::from_millis(200);
@@ -69,6 +77,8 @@ pub(crate) struct Refinement {
     options: RefinementOptions,
     ladder: Ladder,
     control: ResolutionControl,
+    /// Of paths while sun or exposure change.
+    path_control: ResolutionControl,
     last: Option<LastStep>,
 }
 
@@ -88,8 +98,10 @@ impl Refinement {
     pub(crate) fn new(options: RefinementOptions) -> Self {
         let ladder = Ladder::down_from(options.native);
         let rung = ladder.rung_of(options.fixed_size.n_samples());
+        let path_rung = ladder.rung_of(options.fixed_size.n_samples() / CHANGING_COST);
         let interval = Duration::from_secs_f64(1.0 / options.target_rate);
-        Self { control: ResolutionControl::new(interval, &ladder, rung), ladder, options, last: None }
+        let [control, path_control] = [rung, path_rung].map(|rung| ResolutionControl::new(interval, &ladder, rung));
+        Self { control, path_control, ladder, options, last: None }
     }
 
     pub(crate) fn is_on(&self) -> bool {
@@ -125,12 +137,13 @@ impl Refinement {
 
     /// The frame to ask for after a change of camera, scene or appearance. Ignores the size and samples of `spec`.
     pub(crate) fn change(&mut self, now: Instant, spec: FrameSpec) -> RenderStep {
-        let (size, samples) = match self.is_on() {
-            true => (self.ladder.size(self.control.rung), SampleRange::CENTRE),
-            false => (self.options.fixed_size, self.options.fixed_samples),
-        };
         let asked_rays = spec.rays;
-        let rays = if self.is_on() && asked_rays == LightingMode::Path { LightingMode::Primary } else { asked_rays };
+        let (size, samples, rays) = match asked_rays {
+            _ if !self.is_on() => (self.options.fixed_size, self.options.fixed_samples, asked_rays),
+            _ if self.changes_paths_alone(&spec) => self.changing_paths(),
+            LightingMode::Path => (self.ladder.size(self.control.rung), SampleRange::CENTRE, LightingMode::Primary),
+            _ => (self.ladder.size(self.control.rung), SampleRange::CENTRE, asked_rays),
+        };
         let is_same = |last: &LastStep| {
             let FrameSpec { size, samples, rays, .. } = last.step.spec;
             let are_refined = self.options.lights_at_rest || asked_rays == LightingMode::Path;
@@ -143,6 +156,22 @@ impl Refinement {
         self.last.get_or_insert(LastStep { step, asked_rays, is_shown: false, changed_at: now }).step
     }
 
+    /// Whether a frame differs from the last one only in the light of paths, which light the picture at rest.
+    fn changes_paths_alone(&self, spec: &FrameSpec) -> bool {
+        self.last.filter(|last| last.asked_rays == spec.rays && self.ends_with_paths(last)).is_some_and(|last| {
+            let FrameSpec { size, samples, rays, appearance, .. } = last.step.spec;
+            let appearance = Appearance { path: appearance.path, ..spec.appearance };
+            appearance != spec.appearance && last.step.spec == FrameSpec { size, samples, rays, appearance, ..*spec }
+        })
+    }
+
+    /// Size, samples and rays of a frame while the light of paths changes.
+    fn changing_paths(&self) -> (FrameSize, SampleRange, LightingMode) {
+        let SampleRange { first, count, .. } = self.options.paths;
+        let samples = SampleRange::all(first, CHANGING_PATHS.min(count));
+        (self.ladder.size(self.path_control.rung), samples, LightingMode::Path)
+    }
+
     /// Accounts for a frame that the farm has completed in this time.
     pub(crate) fn on_frame(&mut self, spec: &FrameSpec, took: Duration) {
         let is_moving_size = spec.size == self.ladder.size(self.control.rung);
@@ -151,6 +180,9 @@ impl Refinement {
         if self.is_on() && is_moving_size && spec.samples == SampleRange::CENTRE && !is_lit {
             self.control.learn(&self.ladder, took);
         }
+        if self.is_on() && (spec.size, spec.samples, spec.rays) == self.changing_paths() {
+            self.path_control.learn(&self.ladder, took);
+        }
         if let Some(last) = self.last.as_mut().filter(|last| last.step.spec == *spec) {
             last.is_shown = true;
         }
@@ -158,6 +190,7 @@ impl Refinement {
 
     pub(crate) fn on_shown(&mut self, spec: &FrameSpec, times: &ShowTimes) {
         self.control.display.learn(spec.size, times);
+        self.path_control.display.learn(spec.size, times);
     }
 
     /// When the next refinement is due; `None` if there is none, or the last frame has yet to come.
@@ -174,6 +207,7 @@ impl Refinement {
         let last = self.last?;
         let step = RenderStep { spec: self.finer(&last)?, is_refinement: true };
         self.control.rest();
+        self.path_control.rest();
         self.last = Some(LastStep { step, is_shown: false, ..last });
         Some(step)
     }
@@ -196,12 +230,13 @@ impl Refinement {
         let is_native = spec.size == native;
         let is_smooth = is_native && spec.samples.count >= SAMPLES_FACTOR.min(n_samples);
         let is_plain = spec.rays == LightingMode::Primary && spec.view == ShadingMode::Shaded;
-        let (samples, rays) = if is_native && spec.rays == LightingMode::Path {
-            (paths, spec.rays)
+        let first_paths = SampleRange { count: FEWEST_PATHS.min(paths.count), ..paths };
+        let (samples, rays) = if spec.rays == LightingMode::Path {
+            (if is_native { paths } else { first_paths }, spec.rays)
         } else if lights_at_rest && is_smooth && is_plain {
             (spec.samples, LightingMode::AmbientOcclusion)
         } else if is_smooth && self.ends_with_paths(last) {
-            (SampleRange { count: FEWEST_PATHS.min(paths.count), ..paths }, LightingMode::Path)
+            (first_paths, LightingMode::Path)
         } else if is_native {
             (SampleRange::all(0, spec.samples.count.saturating_mul(SAMPLES_FACTOR).min(n_samples)), spec.rays)
         } else {

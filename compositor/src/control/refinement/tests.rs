@@ -312,6 +312,37 @@ fn paths_light_a_picture_at_rest_only() {
 }
 
 #[test]
+fn a_change_of_the_sun_is_shown_by_paths_that_hold_the_rate() {
+    use LightingMode::{Path, Primary};
+    let with_sun = |decidegrees: u16, rays| {
+        let spec = FrameSpec { rays, ..spec_at(1.0) };
+        let path = spec.appearance.path.with_sun(decidegrees);
+        FrameSpec { appearance: Appearance { path, ..spec.appearance }, ..spec }
+    };
+    for (asked, lights_at_rest) in [(Path, false), (Primary, true)] {
+        let mut wall = Wall::with_paper_frame_of(2.0 * INTERVAL_S);
+        wall.refinement.set_lights_at_rest(lights_at_rest);
+        let first = wall.refinement.change(wall.now, with_sun(40, asked)).spec;
+        assert_eq!(first.rays, Primary, "the camera moves");
+        wall.render(&first);
+        wall.rest();
+        let steps: Vec<_> = (0..100u16)
+            .map(|step| {
+                let spec = wall.refinement.change(wall.now, with_sun(41 + step, asked)).spec;
+                assert_eq!((spec.rays, spec.samples), (Path, SampleRange::all(0, CHANGING_PATHS)));
+                (spec.size, wall.render(&spec))
+            })
+            .collect();
+        assert!(mean_s(&steps[50..]) < 1.02 * INTERVAL_S && n_changes(&steps[50..]) <= 1, "{steps:?}");
+        let refinements = wall.rest();
+        let counts: Vec<_> = refinements.iter().map(|spec| (spec.size, spec.samples.count, spec.rays)).collect();
+        assert_eq!(counts, [16, 256].map(|count| (options().native, count, Path)), "no other rays come between");
+        let moved = wall.refinement.change(wall.now, FrameSpec { rays: asked, ..spec_at(2.0) }).spec;
+        assert_eq!((moved.rays, moved.samples), (Primary, SampleRange::CENTRE));
+    }
+}
+
+#[test]
 fn normals_need_no_paths() {
     let mut refinement = Refinement::new(options());
     let (start, view) = (Instant::now(), ShadingMode::Normals);
