@@ -211,6 +211,11 @@ impl Scheduler {
         !self.frames.is_empty()
     }
 
+    /// How much of the first frame in flight has arrived, in percent, if it takes long.
+    pub fn percent(&self, now: Time) -> Option<u8> {
+        self.frames.front()?.percent(now)
+    }
+
     /// The wall's scene.
     pub fn scene(&self) -> Option<SceneId> {
         self.goal.spec.map(|spec| spec.scene)

@@ -432,8 +432,14 @@ impl Service {
     }
 
     fn dispatch(&mut self, event: Event) {
-        let actions = self.scheduler.on_event(self.started_at.elapsed(), event);
+        let now = self.started_at.elapsed();
+        let actions = self.scheduler.on_event(now, event);
         actions.into_iter().for_each(|action| self.execute(action));
+        let percent = self.scheduler.percent(now);
+        if self.status.borrow().percent != percent {
+            self.status.send_modify(|status| status.percent = percent);
+            self.wake_for_news();
+        }
     }
 
     fn execute(&mut self, action: Action) {

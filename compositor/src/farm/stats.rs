@@ -61,6 +61,8 @@ pub struct FarmStatus {
     pub notices: Notices,
     /// The last answer to a probe.
     pub probed: Option<Probed>,
+    /// How much of the frame in flight has arrived, in percent, if it takes long.
+    pub percent: Option<u8>,
 }
 
 /// A render server's answer to a probe.

@@ -42,12 +42,23 @@ fn headline(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command>) {
         Some(rate) => format!("{rate:.1} frames/s"),
         None if is_loading(model) => "loading".to_owned(),
         None if model.frame.is_none() => "waiting".to_owned(),
-        None => "at rest".to_owned(),
+        None => at_rest(model),
     };
     style::heading(ui, &rate, "Keys (F1)", Command::ToggleHelp, commands);
     let latency = model.display.map(|display| display.latency_ms);
     let latency = latency.map_or_else(|| "no frame yet".to_owned(), |ms| format!("{ms:.0} ms from camera to picture"));
     ui.label(latency);
+}
+
+/// What a wall does whose camera rests.
+fn at_rest(model: &OverlayModel) -> String {
+    let [so_far, in_all] = model.n_samples;
+    match model.status.percent {
+        Some(percent) => format!("refining: {percent} %"),
+        None if model.is_refining && so_far < in_all => "refining".to_owned(),
+        None if model.is_refining => "finished".to_owned(),
+        None => "at rest".to_owned(),
+    }
 }
 
 /// Whether the wall, or the first of its render servers, is not ready yet.

@@ -109,6 +109,7 @@ pub(super) fn running() -> OverlayModel {
             n_lost: 0,
             notices: Default::default(),
             probed: None,
+            percent: None,
         },
         model: Some(ModelSummary {
             name: "statue".to_owned(),
@@ -258,6 +259,20 @@ fn reading_a_model_shows_how_far_it_is() {
         harness.get_by_label("loading");
         assert!(harness.query_by_label("at rest").is_none());
     });
+}
+
+#[test]
+fn a_resting_wall_says_what_it_does() {
+    for (percent, is_refining, n_samples, label) in [
+        (Some(43), true, [16, 256], "refining: 43 %"),
+        (None, true, [16, 256], "refining"),
+        (None, true, [256, 256], "finished"),
+        (None, false, [1, 1], "at rest"),
+    ] {
+        let status = FarmStatus { percent, ..running().status };
+        let model = OverlayModel { frames_per_second: None, is_refining, n_samples, status, ..running() };
+        commands_of(&model, |harness| _ = harness.get_by_label(label));
+    }
 }
 
 #[test]

@@ -54,6 +54,12 @@ impl Coverage {
         }
     }
 
+    /// The part of the frame's units that have arrived, in percent.
+    pub(super) fn percent(&self) -> u8 {
+        let n_units: usize = self.received_by_task.iter().map(FixedBitSet::len).sum();
+        (100 * (n_units - self.n_missing) / n_units.max(1)) as u8
+    }
+
     /// Whether every unit of a part has arrived.
     pub(super) fn has_received_all(&self, task_part: &TaskPart) -> bool {
         let received = &self.received_by_task[task_part.initial_task];

@@ -34,6 +34,9 @@ const LATE_TASK_PARTS: u32 = 4;
 /// Parts have at least this many samples, even if many render servers die in one frame.
 const SMALLEST_PART: u32 = 256;
 
+/// A frame takes long if it is in flight for this time.
+const LONG: Duration = Duration::from_millis(500);
+
 /// A frame in flight.
 #[derive(Debug)]
 pub(super) struct FrameInFlight {
@@ -161,6 +164,11 @@ impl FrameInFlight {
             n_bytes: 0,
             place_time: Duration::ZERO,
         });
+    }
+
+    /// How much of the frame has arrived, in percent, if it takes long.
+    pub(super) fn percent(&self, now: Time) -> Option<u8> {
+        (now.saturating_sub(self.started_at) >= LONG).then(|| self.coverage.percent())
     }
 
     pub(super) fn place(&mut self, node: NodeId, task_id: TaskId, units: PlacedUnits) {

@@ -51,6 +51,20 @@ fn a_frame_that_is_complete_early_waits_for_its_turn() {
 }
 
 #[test]
+fn a_frame_that_takes_long_tells_how_much_of_it_has_arrived() {
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A, B]);
+    let percent = |farm: &Farm| farm.scheduler.percent(farm.now);
+    farm.answer(A);
+    assert_eq!(percent(&farm), None, "it may be complete at any moment");
+    farm.pass(600);
+    assert!(matches!(percent(&farm), Some(45..=55)), "{:?}", percent(&farm));
+    // A renders B's half too by now.
+    farm.answer(B);
+    farm.answer(A);
+    assert_eq!(percent(&farm), None, "nothing is in flight");
+}
+
+#[test]
 fn the_death_of_a_node_is_healed_in_every_frame() {
     let mut farm = Farm::with_nodes(repeating(3), &[A, B, C]);
     farm.lose(B);
