@@ -57,6 +57,19 @@ impl AppearanceArgs {
         Appearance { light, background, clip, path, sky: None }
     }
 
+    /// The options that were given and light only pictures of paths.
+    pub fn of_paths(&self) -> Vec<&'static str> {
+        let default = PathLight::default();
+        let path = self.appearance().path;
+        let given = [
+            ("--sun", path.sun_degrees() != default.sun_degrees()),
+            ("--bounces", path.bounces() != default.bounces()),
+            ("--exposure", path.exposure_ev() != default.exposure_ev()),
+            ("--sky", self.sky.is_some()),
+        ];
+        given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()
+    }
+
     /// Reads the sky image, if one is given.
     ///
     /// # Errors

@@ -190,6 +190,20 @@ impl PictureArgs {
         }
     }
 
+    /// The line about options that have no effect, because no paths light the picture; `has_noise` if a noise was asked for.
+    pub fn unused(&self, has_noise: bool) -> Option<String> {
+        if self.rays == LightingMode::Path {
+            return None;
+        }
+        let mut options = self.appearance.of_paths();
+        options.extend(has_noise.then_some("--noise"));
+        let is_one = options.len() == 1;
+        let last = options.pop()?;
+        let names = if options.is_empty() { last.to_owned() } else { format!("{} and {last}", options.join(", ")) };
+        let verb = if is_one { "has" } else { "have" };
+        Some(format!("{names} {verb} no effect with --rays {}: add --rays path", self.rays))
+    }
+
     /// The frame that shows the scene named `id`, through the centres of its samples.
     pub fn spec(&self, id: SceneId, camera: Camera) -> FrameSpec {
         FrameSpec {
@@ -252,6 +266,23 @@ mod tests {
         for refused in [&["a.ply", "--model", "a.ply"][..], &["a.ply", "b.ply"], &["a.ply", "--triangles", "1000"]] {
             assert!(cli::try_parse::<Program>(["program"].iter().chain(refused)).is_err(), "{refused:?}");
         }
+    }
+
+    #[test]
+    fn options_without_effect_are_named_with_the_cure() {
+        let unused = |arguments: &[&str], has_noise| {
+            let Program { picture } = cli::try_parse(["program"].iter().chain(arguments)).unwrap();
+            picture.unused(has_noise)
+        };
+        assert_eq!(unused(&[], false), None);
+        assert_eq!(unused(&["--rays", "path", "--sun", "1", "--sky", "a.hdr"], true), None);
+        let line = unused(&["--rays", "shadows", "--sun", "1"], false);
+        assert_eq!(line.as_deref(), Some("--sun has no effect with --rays shadows: add --rays path"));
+        let line = unused(&["--bounces", "0", "--exposure", "1", "--sky", "a.hdr"], true).unwrap();
+        assert!(
+            line.starts_with("--bounces, --exposure, --sky and --noise have no effect with --rays primary"),
+            "{line}"
+        );
     }
 
     #[test]

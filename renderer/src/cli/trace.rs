@@ -44,6 +44,9 @@ pub struct TraceArgs {
 /// Loads, builds and renders, and writes the picture.
 pub fn run(&TraceArgs { ref picture, ref image, samples, noise }: &TraceArgs) -> Result<()> {
     check_writable(image)?;
+    if let Some(unused) = picture.unused(noise.is_some()) {
+        tracing::warn!("{unused}");
+    }
     picture.pool()?.install(|| {
         // Camera and sky are checked before a large model is read.
         let camera = picture.read_camera()?;
