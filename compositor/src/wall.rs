@@ -1,11 +1,13 @@
 //! The wall's geometry: the projectors, their parts of the canvas, their pixels and their light.
 //!
-//! In reading order: [`projector`] is one projector, [`homography`] the warp of one that stands askew, [`blend`] the light
-//! of several where they overlap; [`outline`] is the layout of drawings, and `file` reads and writes wall files.
+//! In reading order: [`projector`] is one projector, [`homography`] the warp of one that stands askew, [`mesh`] that of one
+//! on a wall that is not flat, [`blend`] the light of several where they overlap; [`outline`] is the layout of drawings, and
+//! `file` reads and writes wall files.
 
 pub mod blend;
 mod file;
 pub mod homography;
+pub mod mesh;
 pub mod outline;
 pub mod projector;
 
@@ -107,7 +109,7 @@ impl Wall {
                 );
                 return wrong(Some(index), "at_m", problem);
             }
-            let corners = projector.raster_corners_in_rect();
+            let corners = projector.raster_corners_in_image();
             if !corners
                 .is_some_and(|corners| corners.iter().all(|corner| corner.abs().max_element() <= FARTHEST_CORNER))
             {
@@ -157,9 +159,9 @@ impl Wall {
         )
     }
 
-    /// Reads the text of a wall file; messages name it `path`.
+    /// Reads the text of a wall file; messages name it `path`, and the meshes that it names lie beside `path`.
     pub fn from_toml(path: &str, text: &str) -> Result<Self, WallError> {
-        file::parse(text).map_err(|(offset, problem)| {
+        file::parse(Path::new(path), text).map_err(|(offset, problem)| {
             let before = text.get(..offset).unwrap_or(text);
             let mut problem = plain_problem(text, offset, &problem);
             if problem.starts_with("missing field") {
@@ -220,8 +222,8 @@ impl Wall {
     /// exceeds the limits of frames.
     pub fn native_size(&self) -> FrameSize {
         let densest = self.projectors.iter().fold([1.0f64; 2], |[across, up], projector| {
-            let [columns, rows] = projector.upright_size().map(f64::from);
-            [across.max(columns / projector.canvas.width), up.max(rows / projector.canvas.height)]
+            let density = projector.density();
+            [across.max(density[0]), up.max(density[1])]
         });
         let largest = f64::from(FrameSize::LARGEST) / densest[0].max(densest[1]);
         let most = (f64::from(FrameSize::MOST_SAMPLES) / (densest[0] * densest[1])).sqrt();
@@ -285,8 +287,8 @@ impl Wall {
         let nearest = self.projectors.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
         let lit = |projector: &Projector, output_px: DVec2| {
             let raster = (output_px - projector.output.origin()) / projector.output.size();
-            let rect_point = homography::apply(projector.raster_from_rect()?.inverse(), raster)?;
-            Some(projector.canvas.canvas_from_rect(rect_point))
+            let image = homography::apply(projector.raster_from_image()?.inverse(), raster)?;
+            Some(projector.canvas.canvas_from_rect(projector.rect_at(image)))
         };
         // Beyond a warped projector's horizon, take the nearest of its own pixels.
         nearest
