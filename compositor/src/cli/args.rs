@@ -20,7 +20,9 @@ use shared::{
     sky::SkyId,
 };
 
-use super::{calibrate::CalibrateArgs, check::CheckArgs, remote_args::RemoteArgs};
+use super::{
+    calibrate::CalibrateArgs, check::CheckArgs, export::ExportArgs, import::ImportArgs, remote_args::RemoteArgs,
+};
 use crate::{
     control::refinement::{self, DEFAULT_TARGET_RATE, RefinementOptions},
     remote::tokens::TokenArgs,
@@ -50,6 +52,10 @@ pub enum Command {
     RemoteToken(TokenArgs),
     /// Aligns a flat wall with a camera: shows patterns, reads photographs of them, and writes the corners
     Calibrate(CalibrateArgs),
+    /// Makes a wall file, and a mesh file for each projector, of an MPCDI file
+    Import(ImportArgs),
+    /// Writes a wall as an MPCDI file: warps, and maps of light
+    Export(ExportArgs),
     /// The render server: the same as the program `renderer`
     #[command(subcommand)]
     Renderer(renderer::cli::Command),

@@ -282,7 +282,7 @@ fn a_mesh_beside_the_wall_file_bends_its_projector() {
     assert!(moved.canvas_at(DVec2::new(42.0, 1.0)).distance(DVec2::new(0.45, 1.0)) < 1e-6);
 
     let problem = |mesh: &str| Wall::from_toml(&file, &text(mesh)).expect_err(mesh).to_string();
-    assert!(problem("none.pfm").contains("ours.toml:7: mesh = \"none.pfm\": "), "{}", problem("none.pfm"));
+    assert!(problem("none.pfm").contains("ours.toml:8: mesh = \"none.pfm\": "), "{}", problem("none.pfm"));
     for outside in ["../right.pfm", "/etc/passwd", "", ".."] {
         assert!(problem(outside).contains("name it without a folder"), "{}", problem(outside));
     }
