@@ -150,7 +150,9 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
                     copy.copy_from_slice(black_box(&pixels));
                     black_box(&copy);
                 }
-                CORNERS | MESHES => through[index - CORNERS].draw()?,
+                CORNERS | MESHES => {
+                    through[index - CORNERS].draw()?;
+                }
                 _ => resizer.resize(&from, &mut to, &options)?,
             }
             if n_rounds >= N_FIRST {
