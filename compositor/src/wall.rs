@@ -1,8 +1,8 @@
 //! The wall's geometry: the projectors, their parts of the canvas, their pixels and their light.
 //!
 //! In reading order: [`projector`] is one projector, [`homography`] the warp of one that stands askew, [`mesh`] that of one
-//! on a wall that is not flat, [`blend`] the light of several where they overlap; [`outline`] is the layout of drawings, and
-//! `file` reads and writes wall files.
+//! on a wall that is not flat, [`surface`] the shape of such a wall, [`blend`] the light of several where they overlap;
+//! [`outline`] is the layout of drawings, and `file` reads and writes wall files.
 
 pub mod blend;
 mod file;
@@ -10,6 +10,7 @@ pub mod homography;
 pub mod mesh;
 pub mod outline;
 pub mod projector;
+pub mod surface;
 
 use std::path::Path;
 
@@ -21,6 +22,7 @@ use shared::{division::FrameSize, toml_text::plain_problem};
 
 use blend::Neighbour;
 pub use projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
+pub use surface::Surface;
 
 /// A canvas and the projectors that light it; each shows its own part of one frame, which covers the whole canvas.
 ///
@@ -34,6 +36,7 @@ pub struct Wall {
     neighbours: Vec<Vec<Neighbour>>,
     black: f64,
     on_loss: OnLoss,
+    surface: Option<Surface>,
 }
 
 /// The wall's content while no render server is left, and between a crash and the restart.
@@ -137,7 +140,8 @@ impl Wall {
             );
             return wrong(None, "black_level", problem);
         }
-        Ok(Self { canvas_m, frame_size, projectors, neighbours, black, on_loss: OnLoss::default() })
+        let on_loss = OnLoss::default();
+        Ok(Self { canvas_m, frame_size, projectors, neighbours, black, on_loss, surface: None })
     }
 
     /// One uncorrected projector.
@@ -184,7 +188,23 @@ impl Wall {
                 projector.warp_px = warp_px;
             }
         }
-        Ok(Self::new(self.canvas_m, self.frame_size, projectors)?.with_on_loss(self.on_loss))
+        self.with_projectors(projectors)
+    }
+
+    /// The same wall with other projectors.
+    pub fn with_projectors(&self, projectors: Vec<Projector>) -> Result<Self, InvalidWall> {
+        let wall = Self::new(self.canvas_m, self.frame_size, projectors)?;
+        Ok(Self { surface: self.surface, ..wall.with_on_loss(self.on_loss) })
+    }
+
+    /// The same wall of another shape; `None` is flat, or unknown.
+    pub fn with_surface(self, surface: Option<Surface>) -> Self {
+        Self { surface, ..self }
+    }
+
+    /// Its shape, as the wall file says; `None` is flat, or unknown. Only its calibration asks for it.
+    pub fn surface(&self) -> Option<Surface> {
+        self.surface
     }
 
     /// The same wall with frames of another resolution.

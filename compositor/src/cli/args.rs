@@ -50,7 +50,7 @@ pub enum Command {
     Check(CheckArgs),
     /// Makes a token that lets a remote in, lists all, or revokes one
     RemoteToken(TokenArgs),
-    /// Aligns a flat wall with a camera: shows patterns, reads photographs of them, and writes the corners
+    /// Aligns a wall with a camera: shows patterns, reads photographs of them, and writes corners or meshes
     Calibrate(CalibrateArgs),
     /// Makes a wall file, and a mesh file for each projector, of an MPCDI file
     Import(ImportArgs),

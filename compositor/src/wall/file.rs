@@ -10,7 +10,7 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use super::{CanvasRect, Flip, Gamma, InvalidWall, OnLoss, PixelRect, Projector, Rotation, Wall, mesh::Mesh};
+use super::{CanvasRect, Flip, Gamma, InvalidWall, OnLoss, PixelRect, Projector, Rotation, Surface, Wall, mesh::Mesh};
 
 /// The path of the key at fault, for example `grid.pixels` or `projector.0.gamma`, and the problem.
 type Problem = (String, String);
@@ -22,6 +22,7 @@ struct WallFile {
     frame: Option<[u32; 2]>,
     #[serde(default)]
     on_loss: OnLoss,
+    surface: Option<Surface>,
     #[serde(default, skip_serializing)]
     optics: OpticsSection,
     #[serde(skip_serializing)]
@@ -113,7 +114,7 @@ fn offset_of(text: &str, path: &str) -> usize {
 
 impl WallFile {
     fn wall(self, file: &Path) -> Result<Wall, Problem> {
-        let Self { canvas_m, frame, on_loss, optics, grid, projector: sections } = self;
+        let Self { canvas_m, frame, on_loss, surface, optics, grid, projector: sections } = self;
         if !canvas_m.iter().all(|side_m| CANVAS_SIDES_M.contains(side_m)) {
             let (least, most) = (CANVAS_SIDES_M.start(), CANVAS_SIDES_M.end());
             let problem = format!("canvas_m = {canvas_m:?}: width and height in metres must be from {least} to {most}");
@@ -162,7 +163,8 @@ impl WallFile {
                 let own = projector_idx.and_then(|index| paths[index].as_ref());
                 (own.map_or(whole.into(), |path| format!("{path}.{key}")), problem)
             })?;
-        Ok(wall.with_on_loss(on_loss))
+        surface.map_or(Ok(()), |surface| surface.check(canvas_m)).map_err(|problem| ("surface".into(), problem))?;
+        Ok(wall.with_on_loss(on_loss).with_surface(surface))
     }
 }
 
@@ -364,6 +366,7 @@ pub(super) fn write(wall: &Wall) -> String {
         canvas_m: wall.canvas_m(),
         frame: Some([frame.xres(), frame.yres()]),
         on_loss: wall.on_loss(),
+        surface: wall.surface(),
         optics: OpticsSection::default(),
         grid: None,
         projector: wall.projectors().iter().map(|it| ProjectorSection::of(it, wall.canvas_m())).collect(),

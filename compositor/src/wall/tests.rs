@@ -291,3 +291,18 @@ fn a_mesh_beside_the_wall_file_bends_its_projector() {
     std::fs::write(folder.path().join("mirrored.pfm"), mesh.to_pfm([-2.0, 1.0])).unwrap();
     assert!(problem("mirrored.pfm").contains("beyond the canvas"), "{}", problem("mirrored.pfm"));
 }
+
+#[test]
+fn the_shape_of_a_wall_is_read_checked_and_kept() {
+    let text =
+        |surface: &str| format!("canvas_m = [3.0, 1.0]\n{surface}\n[grid]\ncolumns = 3\nrows = 1\npixels = [4, 4]");
+    let fold = Wall::from_toml("a.toml", &text("[surface.fold]\nat_m = 1.5\nangle = 120")).unwrap();
+    assert_eq!(fold.surface(), Some(Surface::Fold { at_m: 1.5, angle: 120.0 }));
+    assert_eq!(Wall::from_toml("a.toml", &fold.to_toml()).unwrap().surface(), fold.surface());
+    assert_eq!(fold.with_warps(&[]).unwrap().surface(), fold.surface());
+    let wrong = problem(&text("[surface.cylinder]\nradius_m = 0.4\nat_m = 1.5"));
+    assert!(wrong.starts_with("a.toml:2: radius_m = 0.4") && wrong.contains("at most a turn"), "{wrong}");
+    let wrong = problem(&text("[surface.fold]\nat_m = 1.5\nangle = 180"));
+    assert!(wrong.contains("leave [surface] out for a flat wall"), "{wrong}");
+    assert!(problem(&text("[surface.sphere]\nradius_m = 2")).contains("a.toml:2: "));
+}

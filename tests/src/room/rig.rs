@@ -193,6 +193,46 @@ impl Rig {
         Agreement { apart_px: [quantile(0.5), quantile(0.99)], bent_px: self.bent_px(&places) }
     }
 
+    /// The same for a wall with meshes: distances between places where two projectors show the same point, and the
+    /// least and the greatest ratio of distances along the canvas to those on the wall.
+    pub(crate) fn agreement_of_meshes(&self, wall: &Wall) -> ([f64; 2], [f64; 2]) {
+        let mut apart = Vec::new();
+        let mut lands: Vec<[DVec2; 2]> = Vec::new();
+        for (index, projector) in wall.projectors().iter().enumerate() {
+            let size = projector.output.size();
+            for n in 0..96 * 72 {
+                let px = (DVec2::new(f64::from(n % 96), f64::from(n / 96)) + 0.5) / DVec2::new(96.0, 72.0) * size;
+                let canvas = wall.canvas_at(projector.output.origin() + px);
+                if canvas.cmplt(DVec2::ZERO).any() || canvas.cmpgt(DVec2::ONE).any() {
+                    continue;
+                }
+                let place = self.projectors[index].point(px);
+                lands.push([canvas * DVec2::from(wall.canvas_m()), place]);
+                for (other, stands) in wall.projectors().iter().zip(&self.projectors).take(index) {
+                    // Where the other projector shows the same point of the canvas.
+                    let image = other.image_at(other.canvas.rect_from_canvas(canvas));
+                    let is_shown = image.cmpge(DVec2::ZERO).all() && image.cmple(DVec2::ONE).all();
+                    let [columns, rows] = other.upright_size().map(f64::from);
+                    let other_px = geometry::stored_px(other, [image.x * columns, image.y * rows]);
+                    if is_shown {
+                        apart.push(self.projectors[index].px(stands.point(other_px.into())).distance(px));
+                    }
+                }
+            }
+        }
+        apart.sort_by(f64::total_cmp);
+        let quantile = |part: f64| apart[((apart.len() - 1) as f64 * part) as usize];
+        // Some of a projector's points, and those in the middle of the next one's.
+        let mut stretched = [f64::INFINITY, 0.0];
+        for (a, b) in lands.iter().step_by(97).zip(lands.iter().skip(lands.len() / 5).step_by(97)) {
+            let [on_canvas, on_wall] = [0, 1].map(|side| a[side].distance(b[side]));
+            if on_wall > 0.2 {
+                stretched = [f64::min(stretched[0], on_canvas / on_wall), f64::max(stretched[1], on_canvas / on_wall)];
+            }
+        }
+        ([quantile(0.5), quantile(0.99)], stretched)
+    }
+
     /// Where the corners of the canvas lie on the wall: upper left, upper right, lower right, lower left.
     pub(crate) fn canvas_corners(&self, wall: &Wall) -> [DVec2; 4] {
         [[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]].map(|corner| {
