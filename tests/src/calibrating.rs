@@ -287,6 +287,41 @@ fn the_program_reads_a_folder_and_keeps_the_old_file() {
     assert!(after.apart_px[0] < 0.1 && after.apart_px[1] < 0.3, "{after:?}");
 }
 
+#[test]
+fn the_program_writes_meshes_beside_the_file() {
+    let mut rig = bent::cylinder([256, 192], [CYLINDER, ""]);
+    let folder = tempfile::tempdir().unwrap();
+    let (file, photos) = (folder.path().join("ours.toml"), folder.path().join("photos"));
+    fs::create_dir(&photos).unwrap();
+    let text = format!(
+        "# Ours.\ncanvas_m = {:?} # unrolled\n{CYLINDER}[grid]\ncolumns = 3\nrows = 1\npixels = [256, 192]\n\
+         overlap = [0.1, 0.0]\n",
+        rig.wall.canvas_m()
+    );
+    fs::write(&file, &text).unwrap();
+    let plan = Plan::of_wall(&rig.wall).unwrap();
+    let middle = rig.wall.canvas_m()[0] / 2.0;
+    let camera = rig.camera([1400, 900], DVec3::new(middle + 0.3, 0.5, 2.6), DVec2::new(middle, 0.375), 0.72);
+    for pattern in 0..plan.n_patterns() {
+        rig.show(&plan, pattern, &[]);
+        let photograph = camera.photograph(&rig.projectors, None, pattern.into());
+        fs::write(photos.join(format!("{pattern}.png")), photograph).unwrap();
+    }
+    for run in 1..=2 {
+        let mut command = crate::process::Program::command("compositor");
+        command.arg("calibrate").arg(&file).arg("--photos").arg(&photos);
+        let (status, said) = crate::process::Program::start(command).wait();
+        assert!(status.code() == Some(0) && said.contains("wrote the meshes into"), "{said}");
+        // Comments stay, and each run has its own files: the old wall file goes on working.
+        let written = fs::read_to_string(&file).unwrap();
+        assert!(written.starts_with(text.trim_end()), "{written}");
+        assert!(written.contains(&format!("mesh = \"ours.mesh-{run}-3.pfm\"")), "{written}");
+        Wall::load(&folder.path().join(format!("ours.old-{run}.toml"))).unwrap();
+        let ([median, p99], _) = rig.agreement_of_meshes(&Wall::load(&file).unwrap());
+        assert!(median < 0.5 && p99 < 1.2, "{median} {p99}");
+    }
+}
+
 /// A camera that photographs the X server's screen: pixels are seen as they are.
 #[test]
 #[cfg(target_os = "linux")]
