@@ -47,6 +47,8 @@ mod map_grid;
 #[cfg(test)]
 mod measuring;
 #[cfg(test)]
+mod mpcdi;
+#[cfg(test)]
 mod operator;
 #[cfg(test)]
 mod optics;

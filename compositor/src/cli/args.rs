@@ -20,7 +20,9 @@ use shared::{
     sky::SkyId,
 };
 
-use super::{calibrate::CalibrateArgs, check::CheckArgs, remote_args::RemoteArgs};
+use super::{
+    calibrate::CalibrateArgs, check::CheckArgs, export::ExportArgs, import::ImportArgs, remote_args::RemoteArgs,
+};
 use crate::{
     control::refinement::{self, DEFAULT_TARGET_RATE, RefinementOptions},
     remote::tokens::TokenArgs,
@@ -48,8 +50,12 @@ pub enum Command {
     Check(CheckArgs),
     /// Makes a token that lets a remote in, lists all, or revokes one
     RemoteToken(TokenArgs),
-    /// Aligns a flat wall with a camera: shows patterns, reads photographs of them, and writes the corners
+    /// Aligns a wall with a camera: shows patterns, reads photographs of them, and writes corners or meshes
     Calibrate(CalibrateArgs),
+    /// Makes a wall file, and a mesh file for each projector, of an MPCDI file
+    Import(ImportArgs),
+    /// Writes a wall as an MPCDI file: warps, and maps of light
+    Export(ExportArgs),
     /// The render server: the same as the program `renderer`
     #[command(subcommand)]
     Renderer(renderer::cli::Command),

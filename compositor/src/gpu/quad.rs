@@ -29,8 +29,8 @@ pub(super) struct TargetProjector {
     pub(super) quad: Quad,
     /// A pixel in the quad's middle: f32 holds the small offsets from it well.
     pub(super) origin_px: DVec2,
-    /// From pixels right and down of `origin_px` to the projector's rectangle of the canvas.
-    pub(super) rect_from_px: DMat3,
+    /// From pixels right and down of `origin_px` to the projector's image.
+    pub(super) image_from_px: DMat3,
 }
 
 impl Quad {
@@ -49,6 +49,12 @@ impl Quad {
         })
     }
 
+    /// The columns and rows of the first and the last pixel whose centres it covers.
+    pub(super) fn pixels(&self) -> [i32; 4] {
+        let [left, top, right, bottom] = self.edges.map(|edge| (edge - 0.5).ceil() as i32);
+        [left, top, right - 1, bottom - 1]
+    }
+
     /// Left, bottom, right and top in clip coordinates.
     pub(super) fn clip(&self, target_size: [u32; 2]) -> [f32; 4] {
         let [left, top, right, bottom] = self.edges;
@@ -65,8 +71,8 @@ impl TargetProjector {
         let origin_px = DVec2::new((left + right) / 2.0, (top + bottom) / 2.0).floor();
         let raster_from_px = DMat3::from_scale(DVec2::new(1.0 / (right - left), 1.0 / (bottom - top)))
             * DMat3::from_translation(origin_px - DVec2::new(left, top));
-        let rect_from_raster = wall.projectors()[quad.projector_idx].raster_from_rect()?.inverse();
-        Some(Self { quad, origin_px, rect_from_px: rect_from_raster * raster_from_px })
+        let image_from_raster = wall.projectors()[quad.projector_idx].raster_from_image()?.inverse();
+        Some(Self { quad, origin_px, image_from_px: image_from_raster * raster_from_px })
     }
 }
 
@@ -164,6 +170,11 @@ pub(super) fn quad_pipeline(
         multiview_mask: None,
         cache: None,
     })
+}
+
+/// A matrix as WGSL lays it out: columns of three, each padded to four.
+pub(super) fn columns(matrix: DMat3) -> [[f32; 4]; 3] {
+    matrix.to_cols_array_2d().map(|[x, y, z]| [x as f32, y as f32, z as f32, 0.0])
 }
 
 /// A buffer that holds `records`.
