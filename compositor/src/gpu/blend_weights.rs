@@ -5,7 +5,7 @@ use glam::{DMat3, DVec2};
 
 use super::{
     context::Gpu,
-    quad::{TargetProjector, begin_pass, buffer, pipeline_layout, quad_pipeline},
+    quad::{Layer, TargetProjector, begin_pass, buffer, pipeline_layout, quad_pipeline},
 };
 use crate::wall::{PixelRect, Wall, blend::Neighbour};
 
@@ -87,7 +87,7 @@ impl BlendStage {
             entries: &[entry(0, wgpu::ShaderStages::FRAGMENT, texture)],
         });
         let layout = pipeline_layout(gpu, "blend weights", &[Some(&records_layout)]);
-        let pipeline = quad_pipeline(gpu, "blend weights", &layout, &shader, &[], "fragment", FORMAT);
+        let pipeline = quad_pipeline(gpu, "blend weights", &layout, &shader, &[], "fragment", FORMAT.into());
         Self { pipeline, records_layout, weights_layout, cached: Vec::new() }
     }
 
@@ -143,7 +143,7 @@ impl BlendStage {
                 wgpu::BindGroupEntry { binding: 1, resource: neighbour_buffer.as_entire_binding() },
             ],
         });
-        let mut pass = begin_pass(encoder, "blend weights", &view, None);
+        let mut pass = begin_pass(encoder, "blend weights", &view, Layer::Alone, None);
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &records, &[]);
         pass.draw(0..4, 0..projectors.len() as u32);
