@@ -179,7 +179,8 @@ mod tests {
             };
             let scene = statue_at(offset);
             assert_ne!(scene.mesh().origin(), DVec3::ZERO);
-            (scene.probe(&spec.camera, [0.5; 2], None), scene.render_frame(&spec).0)
+            let hit = scene.probe(&spec.camera, [0.5; 2], None).map(|hit| (hit.triangle, hit.t));
+            (hit, scene.render_frame(&spec).0)
         };
         for rays in [LightingMode::Primary, LightingMode::AmbientOcclusion] {
             let (hit, frame) = picture(DVec3::ZERO, rays);
@@ -217,7 +218,7 @@ mod tests {
                 assert!((from_middle - 0.5).abs() <= 1e-15 * (1.0 + at.abs().max_element()), "{from_middle}");
                 n_hits += 1;
             }
-            assert!(n_hits > 100);
+            assert!(n_hits > 20, "{n_hits}");
         }
     }
 }
