@@ -80,6 +80,8 @@ mod remote_page;
 mod room;
 #[cfg(test)]
 mod scene_files;
+#[cfg(all(test, target_os = "linux"))]
+mod show;
 #[cfg(all(test, unix))]
 mod stopping;
 #[cfg(test)]

@@ -7,7 +7,7 @@ use glam::DVec2;
 
 use super::{
     context::Gpu,
-    quad::{TargetProjector, begin_pass, buffer, columns, pipeline_layout, quad_pipeline},
+    quad::{Layer, TargetProjector, begin_pass, buffer, columns, pipeline_layout, quad_pipeline},
 };
 use crate::wall::{PixelRect, Wall, blend::Neighbour, mesh::Mesh};
 
@@ -110,7 +110,7 @@ impl BlendStage {
             ],
         });
         let layout = pipeline_layout(gpu, "blend weights", &[Some(&records_layout)]);
-        let pipeline = quad_pipeline(gpu, "blend weights", &layout, &shader, &[], "fragment", FORMAT);
+        let pipeline = quad_pipeline(gpu, "blend weights", &layout, &shader, &[], "fragment", FORMAT.into());
         Self { pipeline, records_layout, weights_layout, cached: Vec::new() }
     }
 
@@ -170,7 +170,7 @@ impl BlendStage {
                 entry(3, wgpu::BindingResource::TextureView(places)),
             ],
         });
-        let mut pass = begin_pass(encoder, "blend weights", &view, None);
+        let mut pass = begin_pass(encoder, "blend weights", &view, Layer::Alone, None);
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &group, &[]);
         pass.draw(0..4, 0..records.projectors.len() as u32);

@@ -5,7 +5,7 @@ use super::{
     context::Gpu,
     frame::FrameLayouts,
     places::PlaceStage,
-    quad::{Quad, QuadPipelines, Target, TargetProjector, buffer},
+    quad::{Layer, Quad, QuadPipelines, Target, TargetProjector, buffer},
 };
 use crate::wall::{Gamma, PixelRect, Wall};
 
@@ -62,7 +62,7 @@ impl OpticsStage {
     }
 
     /// Prepares a pass that draws `quads`, the corrected projectors of a part of the wall, from a frame that [is
-    /// cut](super::frame::FrameTexture::is_cut) or not; `None` if there are no projectors.
+    /// cut](super::frame::FrameTexture::is_cut) or not, alone or over another; `None` if there are no projectors.
     pub(super) fn prepare(
         &mut self,
         gpu: &Gpu,
@@ -70,7 +70,7 @@ impl OpticsStage {
         wall: &Wall,
         &(target, part): &(Target<'_>, PixelRect),
         quads: &[Quad],
-        is_cut: bool,
+        (is_cut, layer): (bool, Layer),
     ) -> Option<OpticsDraw> {
         let on_target: Vec<_> = quads.iter().filter_map(|&quad| TargetProjector::new(wall, quad)).collect();
         if on_target.is_empty() {
@@ -80,7 +80,7 @@ impl OpticsStage {
             on_target.iter().map(|on_target| ProjectorInstance::new(wall, on_target, target.size)).collect();
         let places = self.places.prepare(gpu, encoder, target.size, wall, part, &on_target);
         Some(OpticsDraw {
-            pipeline: self.pipelines.get(gpu, target.format, is_cut),
+            pipeline: self.pipelines.get(gpu, target.format, is_cut, layer),
             blend_weights: self.blend_weights.prepare(gpu, encoder, &places, target.size, wall, part, &on_target),
             instances: buffer(gpu, wgpu::BufferUsages::VERTEX, &instances),
             n_projectors: instances.len() as u32,

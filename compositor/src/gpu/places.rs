@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::{
     context::Gpu,
-    quad::{TargetProjector, begin_pass, buffer, columns, pipeline_layout, quad_pipeline},
+    quad::{Layer, TargetProjector, begin_pass, buffer, columns, pipeline_layout, quad_pipeline},
 };
 use crate::wall::{PixelRect, Wall, mesh::Mesh};
 
@@ -64,7 +64,7 @@ impl PlaceStage {
             entries: &[entry(0, wgpu::ShaderStages::VERTEX_FRAGMENT), entry(1, wgpu::ShaderStages::FRAGMENT)],
         });
         let layout = pipeline_layout(gpu, "places", &[Some(&records_layout)]);
-        let pipeline = quad_pipeline(gpu, "places", &layout, &shader, &[], "fragment", FORMAT);
+        let pipeline = quad_pipeline(gpu, "places", &layout, &shader, &[], "fragment", FORMAT.into());
         let (_, nowhere) = gpu.texture("nowhere", [1, 1], FORMAT, wgpu::TextureUsages::TEXTURE_BINDING);
         Self { pipeline, records_layout, nowhere, cached: Vec::new() }
     }
@@ -133,7 +133,7 @@ impl PlaceStage {
                 wgpu::BindGroupEntry { binding: 1, resource: point_buffer.as_entire_binding() },
             ],
         });
-        let mut pass = begin_pass(encoder, "places", &view, None);
+        let mut pass = begin_pass(encoder, "places", &view, Layer::Alone, None);
         pass.set_pipeline(&self.pipeline);
         pass.set_bind_group(0, &records, &[]);
         pass.draw(0..4, 0..projectors.len() as u32);

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use egui::{Color32, Mesh, Pos2, Rect, Shape, epaint::Vertex, pos2, vec2};
+use egui::{Color32, Mesh, Pos2, Rect, Shape, Vec2, epaint::Vertex, pos2, vec2};
 use glam::{DMat3, DVec2};
 
 use crate::wall::{CanvasRect, Projector, homography::apply, mesh};
@@ -36,6 +36,18 @@ impl ProjectorRegion {
         (self.canvas.contains(point) && self.window.contains(at)).then_some(at)
     }
 
+    /// The window position, perhaps beyond the projector's pixels, of a point of the canvas.
+    pub(super) fn place(&self, point: Pos2) -> Option<Pos2> {
+        self.in_window((point - self.canvas.min) / self.canvas.size())
+    }
+
+    /// The width and height of the whole canvas in the window's resolution, in points.
+    pub(super) fn points_per_canvas(&self) -> Option<Vec2> {
+        let [corner, right, below] = [vec2(0.0, 0.0), vec2(1.0, 0.0), vec2(0.0, 1.0)].map(|part| self.in_window(part));
+        let corner = corner?;
+        Some(vec2((right? - corner).length(), (below? - corner).length()) / self.canvas.size())
+    }
+
     /// A texture that lies on the canvas, as the window shows it; `uv` maps a point of the canvas to the texture.
     pub(super) fn textured(&self, texture: egui::TextureId, color: Color32, uv: impl Fn(Pos2) -> Pos2) -> Shape {
         let mut mesh = Mesh::with_texture(texture);
@@ -53,7 +65,7 @@ impl ProjectorRegion {
     }
 
     /// The window position, or one beyond its edges, of a point of the part, from (0, 0) to (1, 1).
-    fn in_window(&self, part: egui::Vec2) -> Option<Pos2> {
+    fn in_window(&self, part: Vec2) -> Option<Pos2> {
         let part = DVec2::new(part.x.into(), part.y.into());
         let image = self.mesh.as_ref().map_or(part, |mesh| mesh.image_near(mesh.bounds().canvas_from_rect(part)));
         let raster = apply(self.raster_from_image, image)?;
