@@ -82,6 +82,10 @@ mod room;
 mod scene_files;
 #[cfg(all(test, target_os = "linux"))]
 mod show;
+#[cfg(test)]
+#[path = "../../compositor/src/control/show/file.rs"]
+#[allow(dead_code, unreachable_pub, reason = "the compositor does not export it, and its tests are there")]
+mod show_file;
 #[cfg(all(test, unix))]
 mod stopping;
 #[cfg(test)]
@@ -99,4 +103,4 @@ mod x_monitors;
 mod x_session;
 
 #[cfg(test)]
-use compositor::{remote::message, wall};
+use compositor::{mpcdi as mpcdi_file, remote::message, wall};

@@ -138,7 +138,7 @@ const FORMAT: &str = "a show has fade_seconds and repeat, and tables [[scene]] w
 
 impl ShowScene {
     /// The table of a scene, for the file of a show.
-    fn to_toml(&self, show: &Path) -> String {
+    pub(crate) fn to_toml(&self, show: &Path) -> String {
         let mut text = "[[scene]]\n".to_owned();
         let quoted = |text: &str| toml::Value::String(text.to_owned()).to_string();
         let mut add = |name: &str, value: Option<String>| {
