@@ -289,10 +289,9 @@ impl Points {
             (self.indices[0][n], self.indices[1][n]) = (upper + left, upper + right);
             (self.indices[2][n], self.indices[3][n]) = (lower + left, lower + right);
         }
-        // The two to the right mostly lie in the same cache lines.
+        // The other three mostly lie in the same cache line.
         for n in 0..N {
             S::prefetch(&map.texels, self.indices[0][n] as usize);
-            S::prefetch(&map.texels, self.indices[2][n] as usize);
         }
     }
 
