@@ -111,7 +111,7 @@ impl WideRay {
     /// changes follow from the quotient rule. In `f64`, products of coordinates of any size are finite.
     #[inline(always)]
     pub(crate) fn footprint(&self, corners: [Vec3; 3], coordinates: [Vec2; 3], weights: Vec3) -> Footprint {
-        let [a, b, c] = corners.map(|corner| corner.as_dvec3());
+        let [a, b, c] = corners.map(Vec3::as_dvec3);
         let (ab, ac, from_a) = (b - a, c - a, self.origin.as_dvec3() - a);
         let (of_b, of_c, of_all) = (from_a.cross(ac), ab.cross(from_a), ab.cross(ac));
         // In units of the denominator, `f32` holds the vectors of triangles of any size, and twice as many fit in a vector

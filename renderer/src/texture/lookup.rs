@@ -180,8 +180,8 @@ impl Plans {
             firsts: [[0; N]; 2],
             n_lookups: lanes(&self.n_lookups, first),
         };
-        for lane in 0..N {
-            let level = levels[lane] as usize % MOST_LEVELS;
+        for (lane, level) in levels.into_iter().enumerate() {
+            let level = level as usize % MOST_LEVELS;
             (plans.firsts[0][lane], plans.firsts[1][lane]) = (firsts[level], firsts[level + 1]);
         }
         for (lane, part) in parts.into_iter().enumerate() {
