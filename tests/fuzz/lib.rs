@@ -23,4 +23,11 @@ mod compositor {
     pub(crate) mod wall;
 }
 
+/// Where `message.rs` looks for it.
+mod control {
+    pub(crate) mod show {
+        pub(crate) use crate::show_file::MOST_CAPTION;
+    }
+}
+
 use compositor::{mpcdi as mpcdi_file, wall};

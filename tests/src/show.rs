@@ -19,7 +19,8 @@ const MODELS: [u32; 3] = [300, 2000, 20_000];
 
 /// The camera of a scene: another for each turn of the models.
 fn camera(files: &Files, index: usize) -> Camera {
-    let first = Camera::from_toml(&fs::read_to_string(files.path("camera.toml")).unwrap()).unwrap();
+    let text = fs::read_to_string(files.path("camera.toml")).expect("the wall's camera");
+    let first = Camera::from_toml(&text).expect("a camera");
     first.orbit(DVec3::new(0.0, 0.9, 0.0), UpAxis::Y, (index / MODELS.len() % 2) as f64, 0.0)
 }
 
@@ -32,7 +33,7 @@ fn wall(files: &Files) -> Command {
 
 /// The picture of a scene, by a wall that plays no show.
 fn expected(files: &Files, index: usize) -> Vec<u8> {
-    fs::write(files.path("alone.toml"), camera(files, index).to_toml()).unwrap();
+    fs::write(files.path("alone.toml"), camera(files, index).to_toml()).expect("a folder of ours");
     let mut command = wall(files);
     command.arg(format!("{}.ply", index % MODELS.len())).args(["--local", "1", "--frames", "1"]);
     command.args(["--camera", "alone.toml", "--screenshot", "alone.png"]);

@@ -1,6 +1,6 @@
 //! Shows: scenes one after the other, each a model, a view of it and a caption, shown for a time.
 //!
-//! In reading order: [`file`] reads and writes a show's file, [`player`] decides which scene is due, and a [`cue`] is a scene
+//! In reading order: [`mod@file`] reads and writes a show's file, [`player`] decides which scene is due, and a [`cue`] is a scene
 //! whose model was read. The window and the wall without one carry shows out.
 
 mod cue;
