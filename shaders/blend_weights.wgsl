@@ -5,12 +5,17 @@
 
 @group(0) @binding(0) var<storage, read> projectors: array<Projector>;
 @group(0) @binding(1) var<storage, read> neighbours: array<Neighbour>;
+// Points of images on lattices over their projectors' rectangles, row by row from the upper left: the way back through
+// meshes.
+@group(0) @binding(2) var<storage, read> image_points: array<vec2f>;
+// Each pixel's place in its projector's rectangle, if that projector has a mesh, drawn by places.wgsl.
+@group(0) @binding(3) var places: texture_2d<f32>;
 
 // One projector on the target. Matches `ProjectorRecord` in blend_weights.rs.
 struct Projector {
-    // Homography from pixels right and down of `origin_px` to its rectangle of the canvas: (0, 0) is the rectangle's
-    // upper-left corner as seen on the wall, (1, 1) its lower-right corner.
-    rect_from_px: mat3x3f,
+    // Homography from pixels right and down of `origin_px` to its image: (0, 0) is the image's upper-left corner as seen on
+    // the wall, (1, 1) its lower-right corner.
+    image_from_px: mat3x3f,
     // The quad's left, bottom, right and top in clip coordinates.
     clip: vec4f,
     // The pixel in the quad's middle, in the target's pixels.
@@ -18,24 +23,32 @@ struct Projector {
     // Its neighbours in `neighbours`, itself first.
     first_neighbour: u32,
     n_neighbours: u32,
+    // The columns and rows of its first and its last pixel.
+    pixels: vec4i,
+    // 1 if it has a mesh; if not, its image is its rectangle.
+    has_mesh: u32,
 }
 
 // A projector that lights a part of the same rectangle. Matches `NeighbourRecord` in blend_weights.rs.
 struct Neighbour {
-    // Homography from the projector's rectangle to the neighbour's pixels, which run from (0, 0) to (1, 1).
-    raster_from_rect: mat3x3f,
+    // Homography from the neighbour's image to its pixels, which run from (0, 0) to (1, 1).
+    raster_from_image: mat3x3f,
     // From the projector's rectangle to the neighbour's: origin, scale.
     neighbour_rect_from_rect: vec4f,
     // The part of the projector's rectangle that the neighbour can change: left, upper, right, lower.
     reach: vec4f,
-    // The edges of its rectangle, and of its pixels, towards which its light fades, 1 or 0: left, upper, right, lower.
-    rect_edges: vec4f,
+    // The edges of its image, and of its pixels, towards which its light fades, 1 or 0: left, upper, right, lower.
+    image_edges: vec4f,
     raster_edges: vec4f,
     // The columns and rows of those pixels.
     raster_size: vec2f,
     black_level: f32,
     // 1 if it has a blend weight here, 0 if only its black counts.
     blends: f32,
+    // The first of its mesh's points in `image_points`, and their columns and rows; 0 without a mesh.
+    first_point: u32,
+    mesh_columns: u32,
+    mesh_rows: u32,
 }
 
 struct Quad {
@@ -52,32 +65,73 @@ fn vertex(@builtin(vertex_index) corner: u32, @builtin(instance_index) projector
     return Quad(vec4f(x, y, 0.0, 1.0), projector_idx);
 }
 
-// `LEAST_DISTANCE` in compositor/src/wall/blend.rs.
+// `LEAST_DISTANCE` and `MESH_TOLERANCE` in compositor/src/wall/blend.rs.
 const LEAST_DISTANCE: f32 = 1e-5;
+const MESH_TOLERANCE: f32 = 1e-3;
 
-// The product of a point's distances from the chosen edges of the unit square; 0 outside of the square.
-fn distances(point: vec2f, edges: vec4f) -> f32 {
+// The product of a point's distances from the chosen edges of the unit square; 0 outside of the square by more than a
+// tolerance.
+fn distances(point: vec2f, edges: vec4f, tolerance: f32) -> f32 {
     let d = vec4f(point, 1.0 - point);
     let counted = 1.0 + edges * (max(d, vec4f(LEAST_DISTANCE)) - 1.0);
-    return select(0.0, counted.x * counted.y * counted.z * counted.w, all(d >= vec4f(-LEAST_DISTANCE)));
+    return select(0.0, counted.x * counted.y * counted.z * counted.w, all(d >= vec4f(-tolerance)));
+}
+
+// The part of a pixel that lies inside the unit square, for each axis, by the size of the pixel there.
+fn inside(point: vec2f, pixel: vec2f) -> vec2f {
+    return clamp(min(point, 1.0 - point) / pixel + 0.5, vec2f(0.0), vec2f(1.0));
+}
+
+// The size of a pixel in units of the projector's rectangle, from the places of the pixels around it.
+fn pixel_in_rect(px: vec2i, pixels: vec4i) -> vec2f {
+    let first = max(px - 1, pixels.xy);
+    let last = min(px + 1, pixels.zw);
+    let across = textureLoad(places, vec2i(last.x, px.y), 0).rg - textureLoad(places, vec2i(first.x, px.y), 0).rg;
+    let down = textureLoad(places, vec2i(px.x, last.y), 0).rg - textureLoad(places, vec2i(px.x, first.y), 0).rg;
+    let steps = max(vec2f(last - first), vec2f(1.0));
+    let per_column = across / steps.x;
+    let per_row = down / steps.y;
+    return max(sqrt(per_column * per_column + per_row * per_row), vec2f(1e-9));
+}
+
+// The point of a neighbour's image at a point of its rectangle, between the four nearest points of its lattice.
+fn image_at(first_point: u32, mesh_columns: u32, mesh_rows: u32, rect_point: vec2f) -> vec2f {
+    let n_cells = vec2f(vec2u(mesh_columns, mesh_rows)) - 1.0;
+    let at = rect_point * n_cells;
+    let cell = clamp(floor(at), vec2f(0.0), n_cells - 1.0);
+    let part = at - cell;
+    let upper = first_point + u32(cell.y) * mesh_columns + u32(cell.x);
+    let lower = upper + mesh_columns;
+    return mix(
+        mix(image_points[upper], image_points[upper + 1u], part.x),
+        mix(image_points[lower], image_points[lower + 1u], part.x),
+        part.y,
+    );
 }
 
 // Red is the pixel's blend weight, green the light of all projectors' black there.
 @fragment
 fn fragment(quad: Quad) -> @location(0) vec4f {
     let index = quad.projector_idx;
-    let map = projectors[index].rect_from_px;
+    let map = projectors[index].image_from_px;
     let image = map * vec3f(quad.position.xy - projectors[index].origin_px, 1.0);
-    // Where the pixel's centre is in the projector's rectangle; at and behind the horizon there is no wall.
+    // Where the pixel's centre is in the projector's image; at and behind the horizon there is no wall.
     let depth = max(image.z, 1e-9);
-    let rect_point = image.xy / depth;
-    let within = clamp(rect_point, vec2f(0.0), vec2f(1.0));
+    let image_point = image.xy / depth;
 
-    // Antialias the rectangle's edges: the part of the pixel inside, by the pixel's own size there.
-    let per_column = (map[0].xy - rect_point * map[0].z) / depth;
-    let per_row = (map[1].xy - rect_point * map[1].z) / depth;
-    let pixel = sqrt(per_column * per_column + per_row * per_row);
-    let covered = clamp(min(rect_point, 1.0 - rect_point) / pixel + 0.5, vec2f(0.0), vec2f(1.0));
+    // Antialias the image's edges: the part of the pixel inside, by the pixel's own size there.
+    let per_column = (map[0].xy - image_point * map[0].z) / depth;
+    let per_row = (map[1].xy - image_point * map[1].z) / depth;
+    var covered = inside(image_point, sqrt(per_column * per_column + per_row * per_row));
+
+    // The same place in the projector's rectangle. The edges of the canvas cut a mesh.
+    var rect_point = image_point;
+    if (projectors[index].has_mesh != 0u) {
+        let px = vec2i(quad.position.xy);
+        rect_point = textureLoad(places, px, 0).rg;
+        covered *= inside(rect_point, pixel_in_rect(px, projectors[index].pixels));
+    }
+    let within = clamp(rect_point, vec2f(0.0), vec2f(1.0));
 
     // Add up the weights and the black of all projectors that light this point.
     var own = 0.0;
@@ -91,16 +145,26 @@ fn fragment(quad: Quad) -> @location(0) vec4f {
         if (n > 0u && (any(within < reach.xy) || any(within > reach.zw))) {
             continue;
         }
-        let raster_within = (*neighbour).raster_from_rect * vec3f(within, 1.0);
         let shift = (*neighbour).neighbour_rect_from_rect;
+        var image_within = shift.xy + shift.zw * within;
+        var image_beyond = shift.xy + shift.zw * rect_point;
+        var tolerance = LEAST_DISTANCE;
+        let mesh_columns = (*neighbour).mesh_columns;
+        if (mesh_columns > 0u) {
+            let first_point = (*neighbour).first_point;
+            image_within = image_at(first_point, mesh_columns, (*neighbour).mesh_rows, image_within);
+            image_beyond = image_at(first_point, mesh_columns, (*neighbour).mesh_rows, image_beyond);
+            tolerance = MESH_TOLERANCE;
+        }
+        let raster_within = (*neighbour).raster_from_image * vec3f(image_within, 1.0);
         var weight = 0.0;
         if (raster_within.z > 1e-9) {
-            weight = (*neighbour).blends * distances(shift.xy + shift.zw * within, (*neighbour).rect_edges)
-                * distances(raster_within.xy / raster_within.z, (*neighbour).raster_edges);
+            weight = (*neighbour).blends * distances(image_within, (*neighbour).image_edges, tolerance)
+                * distances(raster_within.xy / raster_within.z, (*neighbour).raster_edges, tolerance);
         }
         own = select(own, weight, n == 0u);
         all_weights += weight;
-        let raster = (*neighbour).raster_from_rect * vec3f(rect_point, 1.0);
+        let raster = (*neighbour).raster_from_image * vec3f(image_beyond, 1.0);
         // A pixel at the edge gives its light on both sides of it.
         let edge = min(raster.xy, raster.zz - raster.xy) / max(raster.z, 1e-9);
         let lit = clamp(edge * (*neighbour).raster_size + 0.5, vec2f(0.0), vec2f(1.0));

@@ -6,14 +6,16 @@
 
 // Each pixel's blend weight, and the light of all projectors' black there, drawn by blend_weights.wgsl.
 @group(1) @binding(0) var blend_weights: texture_2d<f32>;
+// Each pixel's place in its projector's rectangle, if that projector has a mesh, drawn by places.wgsl.
+@group(1) @binding(1) var places: texture_2d<f32>;
 
 // One projector on the target. Matches `ProjectorInstance` in optics.rs.
 struct Projector {
-    // Columns of the homography from pixels right and down of `origin_px` to its rectangle of the canvas: (0, 0) is the
-    // rectangle's upper-left corner as seen on the wall, (1, 1) its lower-right corner.
-    @location(0) rect_per_column: vec3f,
-    @location(1) rect_per_row: vec3f,
-    @location(2) rect_at_origin: vec3f,
+    // Columns of the homography from pixels right and down of `origin_px` to its image: (0, 0) is the image's upper-left
+    // corner as seen on the wall, (1, 1) its lower-right corner.
+    @location(0) image_per_column: vec3f,
+    @location(1) image_per_row: vec3f,
+    @location(2) image_at_origin: vec3f,
     // The quad's left, bottom, right and top in clip coordinates.
     @location(3) clip: vec4f,
     // The rectangle's upper-left corner in the frame, and its extent to the right and down.
@@ -26,19 +28,22 @@ struct Projector {
     @location(7) origin_px: vec2f,
     // The light of black everywhere on the wall: the most that projectors' black levels add up to.
     @location(8) wall_black: f32,
+    // 1 if it has a mesh; if not, its image is its rectangle.
+    @location(9) has_mesh: u32,
 }
 
 // Flat values cost less than a buffer that each pixel reads.
 struct Quad {
     @builtin(position) position: vec4f,
-    @location(0) @interpolate(flat) rect_per_column: vec3f,
-    @location(1) @interpolate(flat) rect_per_row: vec3f,
-    @location(2) @interpolate(flat) rect_at_origin: vec3f,
+    @location(0) @interpolate(flat) image_per_column: vec3f,
+    @location(1) @interpolate(flat) image_per_row: vec3f,
+    @location(2) @interpolate(flat) image_at_origin: vec3f,
     @location(3) @interpolate(flat) frame_from_rect: vec4f,
     @location(4) @interpolate(flat) drive_per_light: vec3f,
     @location(5) @interpolate(flat) gamma: f32,
     @location(6) @interpolate(flat) origin_px: vec2f,
     @location(7) @interpolate(flat) wall_black: f32,
+    @location(8) @interpolate(flat) has_mesh: u32,
 }
 
 @vertex
@@ -48,14 +53,15 @@ fn vertex(@builtin(vertex_index) corner: u32, projector: Projector) -> Quad {
     let y = select(projector.clip.y, projector.clip.w, corner >= 2u);
     return Quad(
         vec4f(x, y, 0.0, 1.0),
-        projector.rect_per_column,
-        projector.rect_per_row,
-        projector.rect_at_origin,
+        projector.image_per_column,
+        projector.image_per_row,
+        projector.image_at_origin,
         projector.frame_from_rect,
         projector.drive_per_light,
         projector.gamma,
         projector.origin_px,
         projector.wall_black,
+        projector.has_mesh,
     );
 }
 
@@ -64,9 +70,12 @@ fn drive_at(quad: Quad) -> vec3f {
     // Red is the blend weight, green the black that leaks in.
     let blended = textureLoad(blend_weights, vec2i(quad.position.xy), 0);
     let px = quad.position.xy - quad.origin_px;
-    let image = quad.rect_per_column * px.x + quad.rect_per_row * px.y + quad.rect_at_origin;
+    let image = quad.image_per_column * px.x + quad.image_per_row * px.y + quad.image_at_origin;
     // At and behind the horizon there is no wall, and the weight is 0.
-    let within = clamp(image.xy / max(image.z, 1e-9), vec2f(0.0), vec2f(1.0));
+    var within = clamp(image.xy / max(image.z, 1e-9), vec2f(0.0), vec2f(1.0));
+    if (quad.has_mesh != 0u) {
+        within = clamp(textureLoad(places, vec2i(quad.position.xy), 0).rg, vec2f(0.0), vec2f(1.0));
+    }
     let at = quad.frame_from_rect.xy + within * quad.frame_from_rect.zw;
     let linear = frame_at(at);
     let light = blended.r * max(quad.wall_black + (1.0 - quad.wall_black) * linear - blended.g, vec3f(0.0));

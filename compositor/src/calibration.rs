@@ -1,12 +1,16 @@
-//! Aligns a flat wall from photographs of patterns. Pure: no clock, file, socket, window or GPU.
+//! Aligns a wall from photographs of patterns. Pure: no clock, file, socket, window or GPU.
 //!
 //! In reading order: [`pattern`] is what projectors show, [`photograph`] what a camera sees of it; `crossing` finds the
 //! crossings of checkerboards, `lattice` puts them together, and [`identify`] says which projector shows them; [`solve`]
 //! works out where projectors' pixels lie, with the camera's [`lens`], and `adjust` refines it; [`place`] lays the canvas
-//! there; [`verdict`] says which projectors were found, and whether to believe it. `fitting` has what several of these
+//! there. On a wall that is not flat `bent` solves, `bundle` refines, and `unroll` lays the canvas there and makes meshes.
+//! [`verdict`] says which projectors were found, and whether to believe it. `fitting` has what several of these
 //! compute.
 
 mod adjust;
+mod bent;
+mod bent_verdict;
+mod bundle;
 mod crossing;
 mod fitting;
 pub mod identify;
@@ -16,6 +20,7 @@ pub mod pattern;
 pub mod photograph;
 pub mod place;
 pub mod solve;
+mod unroll;
 pub mod verdict;
 
 pub use self::{

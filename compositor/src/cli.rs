@@ -1,9 +1,11 @@
-//! The command line: starts a wall with or without a window, checks and calibrates walls, and reports measurements.
+//! The command line: starts a wall with or without a window, checks, calibrates, imports and exports walls, and reports measurements.
 
 pub mod args;
 pub mod calibrate;
 pub mod check;
+pub mod export;
 pub mod headless;
+pub mod import;
 pub mod local;
 pub mod remote_args;
 pub mod report;

@@ -7,4 +7,5 @@ pub(crate) mod kiosk;
 pub(crate) mod model;
 pub(crate) mod navigator;
 pub(crate) mod refinement;
+pub(crate) mod show;
 pub(crate) mod sidecar;

@@ -60,6 +60,10 @@ pub struct RenderGoal {
     pub spec: Option<FrameSpec>,
     /// Where render servers on this machine find the scene.
     pub scene_path: Option<PathBuf>,
+    /// The scene that may come next, and where they find it: they load it beside the present one.
+    pub next_scene: Option<(SceneId, Option<PathBuf>)>,
+    /// The number of the change that the wall fades into: frames that were asked for since tell it.
+    pub change: u32,
     /// Where they find the sky image that the spec names, if it does.
     pub sky_path: Option<PathBuf>,
     /// Whether the frame only refines one that was shown: it is cancelled as soon as another is wanted.
@@ -89,6 +93,8 @@ pub struct Frame {
     pub stats: FrameStats,
     /// When its camera was set, or when it was started if an earlier frame shows that motion.
     pub moved_at: Instant,
+    /// The change of its goal.
+    pub change: u32,
 }
 
 impl Frame {
@@ -157,7 +163,8 @@ impl Farm {
             Box::new(wake),
         );
         let service = tokio::spawn(service.run(listener, probes, structures, local_news));
-        Ok(Self { address, goal, probe, structure, status, finished, local: LocalReporter(local), supply, service })
+        let local = LocalReporter(local);
+        Ok(Self { address, goal, probe, structure, status, finished, local, supply, service })
     }
 
     /// The address that the farm listens on, with the actual port.

@@ -1,8 +1,8 @@
 //! The GPU's part: one texture holds the frame's samples, and every projector of the wall shows its part of it.
 //!
 //! In reading order: [`context`] finds the GPU, `frame` is that texture, `quad` has the stages' shared types, [`present`]
-//! draws the frame on a target; `optics` corrects warped and blended projectors, by `blend_weights` that are drawn once. [`offscreen`] and
-//! [`surface`] are targets, and [`timer`] measures.
+//! draws the frame on a target; `optics` corrects warped and blended projectors, by `blend_weights`, and `places` of meshes,
+//! that are drawn once. [`offscreen`] and [`surface`] are targets, and [`timer`] measures.
 
 mod blend_weights;
 mod context;
@@ -10,6 +10,7 @@ mod frame;
 mod offscreen;
 mod optics;
 mod picture;
+mod places;
 mod present;
 mod quad;
 mod surface;

@@ -17,6 +17,8 @@ fn main() -> ExitCode {
         Some(Command::Check(args)) => compositor::cli::check::run(&args),
         Some(Command::RemoteToken(args)) => compositor::remote::tokens::run(&args),
         Some(Command::Calibrate(args)) => compositor::cli::calibrate::run(&args),
+        Some(Command::Import(args)) => compositor::cli::import::run(&args),
+        Some(Command::Export(args)) => compositor::cli::export::run(&args),
         None => compositor::cli::run::run(&args.wall),
     });
     renderer::cli::exit_code(result)

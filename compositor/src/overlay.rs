@@ -1,6 +1,8 @@
 //! The operator's panels over the wall: a pure function of an [`OverlayModel`] that returns [`Command`]s.
 
 mod appearance;
+mod canvas_text;
+mod caption;
 mod code;
 mod figures;
 mod files;
@@ -15,6 +17,7 @@ mod style;
 mod tint;
 mod wall;
 
+pub(crate) use caption::Caption;
 pub(crate) use figures::{DENSITIES, RAYS, STORAGES};
 pub(crate) use files::{FileEntry, FileList};
 pub(crate) use history::{FrameTimes, History};
@@ -89,6 +92,8 @@ pub(crate) struct OverlayModel {
     pub wall: WallDrawing,
     pub outputs: Vec<OutputState>,
     pub history: History,
+    /// The caption of the scene of a show.
+    pub caption: Option<Caption>,
     /// The effect of the last command, shown for a moment.
     pub note: Option<String>,
     /// Warnings, each with its cure.
@@ -101,7 +106,7 @@ pub(crate) struct OverlayModel {
 
 impl OverlayModel {
     pub(crate) fn is_visible(&self) -> bool {
-        let has_tint = self.tint != Tint::None || self.pick_on_canvas.is_some();
+        let has_tint = self.tint != Tint::None || self.pick_on_canvas.is_some() || self.caption.is_some();
         let has_text = self.note.is_some() || !self.messages.is_empty() || legend::is_needed(self);
         self.panel || self.help || self.files.is_some() || self.remote_link.is_some() || has_text || has_tint
     }
@@ -133,6 +138,7 @@ impl OverlayModel {
             .chain(model.loading.iter_mut().map(|(name, _)| name))
             .chain(model.outputs.iter_mut().filter_map(|output| output.monitor.as_mut()))
             .chain([&mut model.join.command, &mut model.join.note])
+            .chain(model.caption.iter_mut().map(|caption| &mut caption.text))
             .chain(&mut model.note)
             .chain(&mut model.messages);
         for text in texts {
@@ -195,6 +201,9 @@ pub(crate) fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
     let code = model.remote_link.as_ref().filter(|_| !model.is_aligning).and_then(|link| code::show(ui, link));
     output.areas.extend(code);
     settle(ui, output.areas.iter().copied().chain(texts).collect());
+    // The last to be laid out: letters that are new change the texture of all.
+    let caption = caption::layout(ui, model);
+    caption::draw(ui, model, caption.as_ref());
     // Notes and the legend take no clicks.
     output.areas.extend(texts.filter(|_| !model.messages.is_empty()));
     output

@@ -1,13 +1,16 @@
 //! The wall's geometry: the projectors, their parts of the canvas, their pixels and their light.
 //!
-//! In reading order: [`projector`] is one projector, [`homography`] the warp of one that stands askew, [`blend`] the light
-//! of several where they overlap; [`outline`] is the layout of drawings, and `file` reads and writes wall files.
+//! In reading order: [`projector`] is one projector, [`homography`] the warp of one that stands askew, [`mesh`] that of one
+//! on a wall that is not flat, [`surface`] the shape of such a wall, [`blend`] the light of several where they overlap;
+//! [`outline`] is the layout of drawings, and `file` reads and writes wall files.
 
 pub mod blend;
 mod file;
 pub mod homography;
+pub mod mesh;
 pub mod outline;
 pub mod projector;
+pub mod surface;
 
 use std::path::Path;
 
@@ -19,6 +22,7 @@ use shared::{division::FrameSize, toml_text::plain_problem};
 
 use blend::Neighbour;
 pub use projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
+pub use surface::Surface;
 
 /// A canvas and the projectors that light it; each shows its own part of one frame, which covers the whole canvas.
 ///
@@ -32,6 +36,7 @@ pub struct Wall {
     neighbours: Vec<Vec<Neighbour>>,
     black: f64,
     on_loss: OnLoss,
+    surface: Option<Surface>,
 }
 
 /// The wall's content while no render server is left, and between a crash and the restart.
@@ -107,7 +112,7 @@ impl Wall {
                 );
                 return wrong(Some(index), "at_m", problem);
             }
-            let corners = projector.raster_corners_in_rect();
+            let corners = projector.raster_corners_in_image();
             if !corners
                 .is_some_and(|corners| corners.iter().all(|corner| corner.abs().max_element() <= FARTHEST_CORNER))
             {
@@ -135,7 +140,8 @@ impl Wall {
             );
             return wrong(None, "black_level", problem);
         }
-        Ok(Self { canvas_m, frame_size, projectors, neighbours, black, on_loss: OnLoss::default() })
+        let on_loss = OnLoss::default();
+        Ok(Self { canvas_m, frame_size, projectors, neighbours, black, on_loss, surface: None })
     }
 
     /// One uncorrected projector.
@@ -157,9 +163,9 @@ impl Wall {
         )
     }
 
-    /// Reads the text of a wall file; messages name it `path`.
+    /// Reads the text of a wall file; messages name it `path`, and the meshes that it names lie beside `path`.
     pub fn from_toml(path: &str, text: &str) -> Result<Self, WallError> {
-        file::parse(text).map_err(|(offset, problem)| {
+        file::parse(Path::new(path), text).map_err(|(offset, problem)| {
             let before = text.get(..offset).unwrap_or(text);
             let mut problem = plain_problem(text, offset, &problem);
             if problem.starts_with("missing field") {
@@ -182,7 +188,23 @@ impl Wall {
                 projector.warp_px = warp_px;
             }
         }
-        Ok(Self::new(self.canvas_m, self.frame_size, projectors)?.with_on_loss(self.on_loss))
+        self.with_projectors(projectors)
+    }
+
+    /// The same wall with other projectors.
+    pub fn with_projectors(&self, projectors: Vec<Projector>) -> Result<Self, InvalidWall> {
+        let wall = Self::new(self.canvas_m, self.frame_size, projectors)?;
+        Ok(Self { surface: self.surface, ..wall.with_on_loss(self.on_loss) })
+    }
+
+    /// The same wall of another shape; `None` is flat, or unknown.
+    pub fn with_surface(self, surface: Option<Surface>) -> Self {
+        Self { surface, ..self }
+    }
+
+    /// Its shape, as the wall file says; `None` is flat, or unknown. Only its calibration asks for it.
+    pub fn surface(&self) -> Option<Surface> {
+        self.surface
     }
 
     /// The same wall with frames of another resolution.
@@ -220,8 +242,8 @@ impl Wall {
     /// exceeds the limits of frames.
     pub fn native_size(&self) -> FrameSize {
         let densest = self.projectors.iter().fold([1.0f64; 2], |[across, up], projector| {
-            let [columns, rows] = projector.upright_size().map(f64::from);
-            [across.max(columns / projector.canvas.width), up.max(rows / projector.canvas.height)]
+            let density = projector.density();
+            [across.max(density[0]), up.max(density[1])]
         });
         let largest = f64::from(FrameSize::LARGEST) / densest[0].max(densest[1]);
         let most = (f64::from(FrameSize::MOST_SAMPLES) / (densest[0] * densest[1])).sqrt();
@@ -285,8 +307,8 @@ impl Wall {
         let nearest = self.projectors.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
         let lit = |projector: &Projector, output_px: DVec2| {
             let raster = (output_px - projector.output.origin()) / projector.output.size();
-            let rect_point = homography::apply(projector.raster_from_rect()?.inverse(), raster)?;
-            Some(projector.canvas.canvas_from_rect(rect_point))
+            let image = homography::apply(projector.raster_from_image()?.inverse(), raster)?;
+            Some(projector.canvas.canvas_from_rect(projector.rect_at(image)))
         };
         // Beyond a warped projector's horizon, take the nearest of its own pixels.
         nearest

@@ -4,7 +4,8 @@
 //! samples are a fixed header followed by RGB bytes, which no serializer touches. [`crate::codec`] encodes both.
 //!
 //! A conversation: the server sends [`ToWall::Hello`], the wall answers [`ToServer::Welcome`]. The wall names a scene
-//! ([`ToServer::LoadScene`]), and the server reports its progress ([`ToWall::SceneState`]). The wall then gives out tasks
+//! ([`ToServer::LoadScene`]), and the server reports its progress ([`ToWall::SceneState`]); it may name the next one ahead
+//! ([`ToServer::PrepareScene`]). The wall then gives out tasks
 //! ([`ToServer::RenderFrame`]), and the server answers each with [`Chunk`]s and a [`ToWall::TaskDone`]. Heartbeats flow all
 //! the time; a [`ToServer::Probe`] may come at any time.
 //!
@@ -15,6 +16,7 @@
 
 use std::{fmt, ops::Range, time::Duration};
 
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use strum::{Display, EnumString, VariantArray};
 
@@ -32,7 +34,7 @@ use crate::{
 };
 
 /// The version of all messages; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 14;
+pub const PROTOCOL_VERSION: u8 = 15;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -233,6 +235,15 @@ pub enum ToServer {
         /// The sky image that lights the scene, if there is one.
         sky: Option<SkyFile>,
     },
+    /// Load this scene beside the present one, if there is memory for both: [`ToServer::LoadScene`] may follow. The server
+    /// answers nothing.
+    PrepareScene {
+        scene: SceneId,
+        /// As in [`ToServer::LoadScene`], as are the other fields.
+        path: Option<Vec<u8>>,
+        structure: Option<Structure>,
+        sky: Option<SkyFile>,
+    },
     /// Render a share of a frame.
     RenderFrame {
         frame: FrameId,
@@ -322,6 +333,8 @@ pub struct ProbeHit {
     pub triangle: Option<u32>,
     /// Distance of the hit, in units of the vector from the eye to the point of the view plane.
     pub t: f32,
+    /// The hit in world space, in `f64` on the plane of its triangle.
+    pub point: DVec3,
 }
 
 /// State of a scene on a render server.

@@ -10,12 +10,24 @@ mod frame_buffer;
 #[path = "../../compositor/src/remote/message.rs"]
 #[allow(dead_code)]
 mod message;
+#[path = "../../compositor/src/control/show/file.rs"]
+#[allow(dead_code)]
+mod show_file;
 #[path = "../../compositor/src/farm/tile_row.rs"]
 mod tile_row;
 #[path = "../../compositor/src"]
 mod compositor {
+    #[allow(dead_code)]
+    pub(crate) mod mpcdi;
     #[allow(dead_code, unused_imports)]
     pub(crate) mod wall;
 }
 
-use compositor::wall;
+/// Where `message.rs` looks for it.
+mod control {
+    pub(crate) mod show {
+        pub(crate) use crate::show_file::MOST_CAPTION;
+    }
+}
+
+use compositor::{mpcdi as mpcdi_file, wall};

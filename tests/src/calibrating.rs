@@ -8,7 +8,11 @@ use compositor::{
 };
 use glam::{DVec2, DVec3};
 
-use crate::room::{camera::Camera, rig::Rig};
+use crate::room::{
+    bent,
+    camera::{Camera, Random},
+    rig::Rig,
+};
 
 /// Six projectors; one hangs upside down, and one projects from behind.
 const TURNED: &str = "[[projector]]\nname = \"row 1 column 2\"\nrotation = 180\n[[projector]]\nname = \"row 2 column 1\"\n\
@@ -64,7 +68,7 @@ fn a_phone_in_two_hands_joins_what_each_photograph_sees_in_any_order() {
     let plan = Plan::of_wall(&rig.wall).unwrap();
     let codebook = Codebook::new(&plan);
     let mut readings = Vec::new();
-    let mut random = crate::room::camera::Random::new(3);
+    let mut random = Random::new(3);
     for (place, target) in [1.05, 1.95].into_iter().enumerate() {
         for pattern in 0..plan.n_patterns() {
             rig.show(&plan, pattern, &[]);
@@ -179,6 +183,70 @@ fn marks_in_a_photograph_set_the_frame() {
     }
 }
 
+/// Photographs of a wall that is not flat by a phone, held in three places.
+fn by_phone(rig: &mut Rig, plan: &Plan) -> Vec<Reading> {
+    let codebook = Codebook::new(plan);
+    let mut random = Random::new(5);
+    let middle = rig.wall.canvas_m()[0] / 2.0;
+    let mut readings = Vec::new();
+    for (place, aside) in [-0.6, 0.0, 0.7].into_iter().enumerate() {
+        for pattern in 0..plan.n_patterns() {
+            rig.show(plan, pattern, &[]);
+            let mut shake = || random.around(0.02);
+            let at = DVec3::new(middle + aside + shake(), 0.5 + shake(), 2.6 + shake());
+            let camera = rig.camera([1600, 1200], at, DVec2::new(middle + shake(), 0.375 + shake()), 0.72);
+            let camera = Camera { jpeg: Some(85), noise: 0.05, blur_px: 0.9, ..camera };
+            readings.push(rig.read(&camera, &codebook, &format!("{place}-{pattern}.jpg"), None, pattern.into()));
+        }
+    }
+    readings
+}
+
+const CYLINDER: &str = "[surface.cylinder]\nradius_m = 2.0\nat_m = 1.5707963\n";
+const FOLD: &str = "[surface.fold]\nat_m = 1.5\nangle = 120.0\n";
+/// One hangs upside down, and one projects from behind.
+const HUNG: &str = "[[projector]]\nname = \"row 1 column 2\"\nrotation = 180\n\
+                    [[projector]]\nname = \"row 1 column 3\"\nflip = \"horizontal\"\n";
+
+#[test]
+fn a_cylinder_and_a_fold_are_aligned_from_a_phone_s_photographs() {
+    for (name, mut rig) in
+        [("cylinder", bent::cylinder([512, 384], [CYLINDER, HUNG])), ("fold", bent::fold([512, 384], [FOLD, HUNG]))]
+    {
+        let plan = Plan::of_wall(&rig.wall).unwrap();
+        let readings = by_phone(&mut rig, &plan);
+        let Verdict { wall, found, faults } = judge(&rig.wall, &plan, &readings, None);
+        assert!(faults.is_empty(), "{name}: {faults:?}\n{found:#?}");
+        let wall = wall.unwrap();
+        let ([median, p99], stretched) = rig.agreement_of_meshes(&wall);
+        println!("{name}: {median:.3} pixels apart, p99 {p99:.3}; distances change from {stretched:.4?}");
+        // Everywhere by the same factor: what is even on the canvas is even on the wall.
+        assert!(stretched[1] - stretched[0] < 0.01, "{name}: {stretched:?}");
+        assert!(median < 0.1 && p99 < 0.2, "{name}: {median} {p99}");
+        // All of the canvas is lit.
+        assert!(!found.iter().any(|line| line.contains("of the canvas is lit")), "{found:#?}");
+        // A second run keeps the canvas where it is.
+        let again = judge(&wall, &plan, &readings, None).wall.unwrap();
+        for (a, b) in wall.projectors().iter().zip(again.projectors()) {
+            let (a, b) = (a.mesh.as_ref().unwrap(), b.mesh.as_ref().unwrap());
+            let moved = a.points().zip(b.points()).map(|(a, b)| a.distance(b)).fold(0.0, f64::max);
+            assert!(moved < 1e-3, "{name}: {moved}");
+        }
+    }
+}
+
+#[test]
+fn a_wall_of_another_shape_than_its_file_says_is_not_believed() {
+    let cylinder = "[surface.cylinder]\nradius_m = 2.0\nat_m = 1.5\n";
+    let mut rig = bent::fold([512, 384], [cylinder, ""]);
+    let plan = Plan::of_wall(&rig.wall).unwrap();
+    let readings = by_phone(&mut rig, &plan);
+    let Verdict { faults, .. } = judge(&rig.wall, &plan, &readings, None);
+    assert!(faults.iter().any(|fault| fault.contains("the shape that [surface] says")), "{faults:?}");
+    let Verdict { wall, faults, .. } = judge(&rig.wall, &plan, &[], None);
+    assert!(wall.is_none() && faults[0].contains("no photograph shows enough"), "{faults:?}");
+}
+
 #[test]
 fn the_program_reads_a_folder_and_keeps_the_old_file() {
     let mut rig = Rig::new([2, 1], [256, 192], 0.02, "# A comment stays.\n");
@@ -217,6 +285,41 @@ fn the_program_reads_a_folder_and_keeps_the_old_file() {
     assert_eq!(fs::read_to_string(folder.path().join("ours.old-1.toml")).unwrap(), text);
     let after = rig.agreement(&Wall::load(&file).unwrap());
     assert!(after.apart_px[0] < 0.1 && after.apart_px[1] < 0.3, "{after:?}");
+}
+
+#[test]
+fn the_program_writes_meshes_beside_the_file() {
+    let mut rig = bent::cylinder([256, 192], [CYLINDER, ""]);
+    let folder = tempfile::tempdir().unwrap();
+    let (file, photos) = (folder.path().join("ours.toml"), folder.path().join("photos"));
+    fs::create_dir(&photos).unwrap();
+    let text = format!(
+        "# Ours.\ncanvas_m = {:?} # unrolled\n{CYLINDER}[grid]\ncolumns = 3\nrows = 1\npixels = [256, 192]\n\
+         overlap = [0.1, 0.0]\n",
+        rig.wall.canvas_m()
+    );
+    fs::write(&file, &text).unwrap();
+    let plan = Plan::of_wall(&rig.wall).unwrap();
+    let middle = rig.wall.canvas_m()[0] / 2.0;
+    let camera = rig.camera([1400, 900], DVec3::new(middle + 0.3, 0.5, 2.6), DVec2::new(middle, 0.375), 0.72);
+    for pattern in 0..plan.n_patterns() {
+        rig.show(&plan, pattern, &[]);
+        let photograph = camera.photograph(&rig.projectors, None, pattern.into());
+        fs::write(photos.join(format!("{pattern}.png")), photograph).unwrap();
+    }
+    for run in 1..=2 {
+        let mut command = crate::process::Program::command("compositor");
+        command.arg("calibrate").arg(&file).arg("--photos").arg(&photos);
+        let (status, said) = crate::process::Program::start(command).wait();
+        assert!(status.code() == Some(0) && said.contains("wrote the meshes into"), "{said}");
+        // Comments stay, and each run has its own files: the old wall file goes on working.
+        let written = fs::read_to_string(&file).unwrap();
+        assert!(written.starts_with(text.trim_end()), "{written}");
+        assert!(written.contains(&format!("mesh = \"ours.mesh-{run}-3.pfm\"")), "{written}");
+        Wall::load(&folder.path().join(format!("ours.old-{run}.toml"))).unwrap();
+        let ([median, p99], _) = rig.agreement_of_meshes(&Wall::load(&file).unwrap());
+        assert!(median < 0.5 && p99 < 1.2, "{median} {p99}");
+    }
 }
 
 /// A camera that photographs the X server's screen: pixels are seen as they are.

@@ -29,20 +29,28 @@ use shared::{
     camera::{Camera, CameraPath, CanvasPart, Views},
     codec::{self, BodyKind, CONTROL_LIMIT, HANDSHAKE_LIMIT, HEADER_BYTES, Header},
     division::{Division, FrameSize, Part, Selection, Task, TileRun},
+    printable::printable_line,
     protocol::{CHUNK_BYTES, Chunk, Encoding, FrameSpec, LightingMode, SampleRange, ShadingMode, ToServer, ToWall},
     scene::{Crease, SceneId},
 };
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex, split};
 
-use crate::{frame_buffer::BufferPool, message, wall::Wall};
+use crate::{
+    frame_buffer::BufferPool,
+    message,
+    mpcdi_file::{archive::Archive, convert, document::Mpcdi},
+    show_file::Show,
+    wall::{Wall, mesh::pfm::Pfm},
+};
 
 /// A decoder under test.
 pub type Decoder = fn(&[u8]);
 
 /// All decoders, with the names of their folders in `tests/corpus` and of their targets in `tests/fuzz`.
-pub const ALL: [(&str, Decoder); 12] = [
+pub const ALL: [(&str, Decoder); 14] = [
     ("camera", camera),
     ("gltf", gltf),
+    ("mpcdi", mpcdi),
     ("obj", obj),
     ("placement", placement),
     ("ply", ply),
@@ -50,6 +58,7 @@ pub const ALL: [(&str, Decoder); 12] = [
     ("records", records),
     ("remote", remote),
     ("scene", scene),
+    ("show", show),
     ("sky", sky),
     ("stl", stl),
     ("wall", wall),
@@ -180,6 +189,37 @@ pub fn wall(data: &[u8]) {
             assert_eq!(again.to_toml(), printed);
         }
         Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
+    }
+}
+
+/// An MPCDI file, and the same as its document alone and as a warp.
+pub fn mpcdi(data: &[u8]) {
+    if let Ok(warp) = Pfm::read(data) {
+        assert_eq!(warp.values.len(), warp.size[0] * warp.size[1]);
+    }
+    let is_line = |problem: &str| assert!(!printable_line(problem).contains('\n'));
+    Mpcdi::read(&String::from_utf8_lossy(data)).err().iter().for_each(|problem| is_line(problem));
+    let Ok(mut archive) = Archive::open(std::io::Cursor::new(data)) else { return };
+    let Ok(document) = archive.document() else { return };
+    for region in document.regions.iter().take(4) {
+        let projector = archive.warp(&region.warp).and_then(|warp| convert::projector(region, &warp, [0, 0], "a.pfm"));
+        match projector {
+            Ok(projector) => drop(Wall::new([4.0, 2.0], FrameSize::PAPER, vec![projector])),
+            Err(problem) => is_line(&problem),
+        }
+    }
+}
+
+/// A show.
+pub fn show(data: &[u8]) {
+    let path = std::path::Path::new("show.toml");
+    match Show::from_toml(&String::from_utf8_lossy(data), path) {
+        Ok(show) => {
+            let printed: String = show.scenes.iter().map(|scene| scene.to_toml(path)).collect();
+            let again = Show::from_toml(&printed, path).expect("a printed scene is one of a show");
+            assert_eq!(again.scenes, show.scenes);
+        }
+        Err(problem) => assert!(!problem.contains('\n'), "{problem}"),
     }
 }
 

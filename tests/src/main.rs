@@ -47,6 +47,8 @@ mod map_grid;
 #[cfg(test)]
 mod measuring;
 #[cfg(test)]
+mod mpcdi;
+#[cfg(test)]
 mod operator;
 #[cfg(test)]
 mod optics;
@@ -78,6 +80,12 @@ mod remote_page;
 mod room;
 #[cfg(test)]
 mod scene_files;
+#[cfg(all(test, target_os = "linux"))]
+mod show;
+#[cfg(test)]
+#[path = "../../compositor/src/control/show/file.rs"]
+#[allow(dead_code, unreachable_pub, reason = "the compositor does not export it, and its tests are there")]
+mod show_file;
 #[cfg(all(test, unix))]
 mod stopping;
 #[cfg(test)]
@@ -95,4 +103,4 @@ mod x_monitors;
 mod x_session;
 
 #[cfg(test)]
-use compositor::{remote::message, wall};
+use compositor::{mpcdi as mpcdi_file, remote::message, wall};

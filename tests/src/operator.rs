@@ -32,6 +32,8 @@ fn small_statue() -> RenderGoal {
     RenderGoal {
         spec: Some(spec),
         scene_path: None,
+        next_scene: None,
+        change: 0,
         sky_path: None,
         is_refinement: false,
         division: Division::Tiled,

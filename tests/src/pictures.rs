@@ -186,6 +186,48 @@ fn surfaces_without_an_srgb_view_show_the_same() {
 }
 
 #[test]
+fn a_fade_mixes_the_light_of_both_frames_and_is_never_darker_than_either() {
+    let gpu = gpu();
+    let blended = "canvas_m = [4.0, 2.25]\n[grid]\ncolumns = 2\nrows = 1\npixels = [90, 70]\noverlap = [0.5, 0.0]\n";
+    let walls = [wall(2, 2, [64, 36]), Wall::from_toml("blended", blended).unwrap()];
+    // Of different sizes, as a coarse frame after a fine one.
+    let (old, new) = (Frame::noise([128, 72]), Frame::gradient([40, 22]));
+    for wall in &walls {
+        let mut present = Present::new(&gpu);
+        let offscreen = Offscreen::new(&gpu, wall.output_size()).unwrap();
+        present.upload(&gpu, old.size, &old.rgba).unwrap();
+        let first = draw(&gpu, &mut present, wall, &offscreen);
+        present.fade_into(&gpu, new.size, &new.rgba).unwrap();
+        assert_eq!(draw(&gpu, &mut present, wall, &offscreen).rgb, first.rgb, "a fade begins with the old frame");
+        let [from, to] = [&old, &new].map(|frame| {
+            present_cpu::present(frame.size, &frame.rgba, wall, wall.whole_output(), offscreen.target().size)
+        });
+        for part in [0.25, 0.5, 0.9] {
+            present.set_fade(part);
+            let shown = draw(&gpu, &mut present, wall, &offscreen);
+            for (shown, (from, to)) in shown.rgb.iter().zip(from.rgb.iter().zip(&to.rgb)) {
+                let light = f64::from(srgb::decode(*from)) * (1.0 - part) + f64::from(srgb::decode(*to)) * part;
+                // Each frame is rounded to 8 bits before the next lies on it.
+                let expected = srgb::encode(light as f32);
+                assert!(shown.abs_diff(expected) <= 3, "{shown} instead of {expected}");
+                assert!(shown.saturating_add(2) >= *from.min(to), "{shown} is darker than {from} and {to}");
+            }
+        }
+        present.set_fade(1.0);
+        check_twin(&gpu, &draw(&gpu, &mut present, wall, &offscreen), "the end of a fade", &new, wall);
+        // Surfaces without an sRGB view mix what they show.
+        let encoded = Offscreen::with_srgb_view(&gpu, wall.output_size(), false).unwrap();
+        present.fade_into(&gpu, old.size, &old.rgba).unwrap();
+        present.set_fade(0.5);
+        let shown = draw(&gpu, &mut present, wall, &encoded);
+        let is_between = |(shown, (a, b)): (&u8, (&u8, &u8))| {
+            (*a.min(b)..=*a.max(b).max(&3)).contains(&shown.saturating_add(2).min(*a.max(b)))
+        };
+        assert!(shown.rgb.iter().zip(from.rgb.iter().zip(&to.rgb)).all(is_between));
+    }
+}
+
+#[test]
 fn several_targets_in_one_submission_each_show_their_wall() {
     let gpu = gpu();
     let mut present = Present::new(&gpu);

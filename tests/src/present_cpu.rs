@@ -4,8 +4,9 @@ use compositor::{
     gpu::RgbImage,
     wall::{
         Gamma, PixelRect, Projector, Wall,
-        blend::{LEAST_DISTANCE, Neighbour, distances_from_edges},
+        blend::{LEAST_DISTANCE, MESH_TOLERANCE, Neighbour, distances_from_edges},
         homography::apply,
+        mesh::Mesh,
     },
 };
 use glam::{DVec2, DVec4};
@@ -45,24 +46,74 @@ fn plain(size: FrameSize, rgba: &[u8], projector: &Projector, output: DVec2) -> 
 /// pixels of the output.
 fn corrected(size: FrameSize, rgba: &[u8], wall: &Wall, projector_idx: usize, output: DVec2, pixel: DVec2) -> [u8; 3] {
     let projector = &wall.projectors()[projector_idx];
-    let Some(rect_from_raster) = projector.raster_from_rect().map(|map| map.inverse()) else { return [0; 3] };
-    let rect_point_of = |output: DVec2| apply(rect_from_raster, raster_of(projector, output));
-    let Some(rect_point) = rect_point_of(output) else { return [0; 3] };
+    let Some(image_from_raster) = projector.raster_from_image().map(|map| map.inverse()) else { return [0; 3] };
+    let image_of = |output: DVec2| apply(image_from_raster, raster_of(projector, output));
+    let Some(image) = image_of(output) else { return [0; 3] };
 
-    // The size of the pixel in the projector's rectangle, by finite differences of a hundredth of a pixel.
-    let step = |direction: DVec2| rect_point_of(output + direction * pixel / 100.0).map(|it| (it - rect_point) * 100.0);
-    let (Some(per_column), Some(per_row)) = (step(DVec2::X), step(DVec2::Y)) else { return [0; 3] };
-    let extent = DVec2::new(per_column.x.hypot(per_row.x), per_column.y.hypot(per_row.y));
-    let covered = (rect_point.min(1.0 - rect_point) / extent + 0.5).clamp(DVec2::ZERO, DVec2::ONE);
+    // The size of the pixel in the projector's image, by finite differences of a hundredth of a pixel.
+    let extent = |of: &dyn Fn(DVec2) -> Option<DVec2>| {
+        let here = of(output)?;
+        let step = |direction: DVec2| of(output + direction * pixel / 100.0).map(|it| (it - here) * 100.0);
+        let (per_column, per_row) = (step(DVec2::X)?, step(DVec2::Y)?);
+        Some(DVec2::new(per_column.x.hypot(per_row.x), per_column.y.hypot(per_row.y)))
+    };
+    let inside = |point: DVec2, extent: DVec2| {
+        (point.min(1.0 - point) / extent + 0.5).clamp(DVec2::ZERO, DVec2::ONE).element_product()
+    };
+    let Some(image_extent) = extent(&image_of) else { return [0; 3] };
+    let mut covered = inside(image, image_extent);
+
+    // The edges of the canvas cut a mesh, too.
+    let mut rect_point = image;
+    if let Some(mesh) = &projector.mesh {
+        let rect_of = |output: DVec2| {
+            let image = image_of(output)?.clamp(DVec2::ZERO, DVec2::ONE);
+            Some(projector.canvas.rect_from_canvas(interpolated(mesh, image)))
+        };
+        let (Some(place), Some(extent)) = (rect_of(output), extent(&rect_of)) else { return [0; 3] };
+        rect_point = place;
+        covered *= inside(place, extent.max(DVec2::splat(1e-9)));
+    }
 
     let BlendWeight { weight, leak } = blend_weight(wall.neighbours(projector_idx), rect_point);
-    let light_fraction = covered.x * covered.y * weight;
+    let light_fraction = covered * weight;
     let linear = frame_at(size, rgba, projector, rect_point.clamp(DVec2::ZERO, DVec2::ONE));
     std::array::from_fn(|channel| {
         let light = light_fraction * (wall.black() + (1.0 - wall.black()) * linear[channel] - leak).max(0.0);
         let drive = (light * projector.gain[channel] / (1.0 - projector.black_level)).clamp(0.0, 1.0);
         (encode(projector.gamma, drive) * 255.0).round() as u8
     })
+}
+
+/// The point of the canvas at a point of a mesh's image: Keys' kernel for a = -1/2, over control points that continue
+/// beyond the edges so that quadratic functions stay what they are.
+fn interpolated(mesh: &Mesh, image: DVec2) -> DVec2 {
+    let points: Vec<DVec2> = mesh.points().collect();
+    let size = mesh.size().map(|n| n as i64);
+    let at = |n: i64, of: i64| -> Vec<(i64, f64)> {
+        match n {
+            -1 if of > 2 => vec![(0, 3.0), (1, -3.0), (2, 1.0)],
+            -1 => vec![(0, 2.0), (1, -1.0)],
+            n if n == of && of > 2 => vec![(of - 1, 3.0), (of - 2, -3.0), (of - 3, 1.0)],
+            n if n == of => vec![(1, 2.0), (0, -1.0)],
+            n => vec![(n, 1.0)],
+        }
+    };
+    let kernel = |x: f64| match x.abs() {
+        x if x < 1.0 => 1.5 * x.powi(3) - 2.5 * x.powi(2) + 1.0,
+        x if x < 2.0 => -0.5 * x.powi(3) + 2.5 * x.powi(2) - 4.0 * x + 2.0,
+        _ => 0.0,
+    };
+    let weights = |part: f64, of: i64| -> Vec<(i64, f64)> {
+        let place = part * (of - 1) as f64;
+        let first = (place.floor() as i64).min(of - 2) - 1;
+        let one = |n: i64| at(n, of).into_iter().map(move |(index, weight)| (index, weight * kernel(place - n as f64)));
+        (first..first + 4).flat_map(one).collect()
+    };
+    let (across, down) = (weights(image.x, size[0]), weights(image.y, size[1]));
+    let point = |column: i64, row: i64| points[(row * size[0] + column) as usize];
+    let row = |row: i64| across.iter().map(|(column, weight)| point(*column, row) * *weight).sum::<DVec2>();
+    down.iter().map(|(index, weight)| row(*index) * *weight).sum()
 }
 
 /// A point of the output among a projector's pixels, which run from (0, 0) to (1, 1).
@@ -112,19 +163,22 @@ fn blend_weight(neighbours: &[Neighbour], rect_point: DVec2) -> BlendWeight {
     // Pixels that an edge of the rectangle cuts count as inside.
     let within = rect_point.clamp(DVec2::ZERO, DVec2::ONE);
     let raw_weight = |neighbour: &Neighbour| {
-        let neighbour_point = neighbour.rect_origin + neighbour.rect_scale * within;
-        match apply(neighbour.raster_from_rect, within) {
+        let image = neighbour.image_near(within);
+        let tolerance = if neighbour.mesh.is_some() { MESH_TOLERANCE } else { LEAST_DISTANCE };
+        match apply(neighbour.raster_from_image, image) {
             Some(raster) if neighbour.blends => {
-                distances(neighbour_point, neighbour.rect_edges) * distances(raster, neighbour.raster_edges)
+                distances(image, neighbour.image_edges, tolerance)
+                    * distances(raster, neighbour.raster_edges, tolerance)
             }
             _ => 0.0,
         }
     };
     // A pixel at the edge gives its light on both sides of it.
     let leak = |neighbour: &Neighbour| {
-        let covered = apply(neighbour.raster_from_rect, rect_point).map_or(DVec2::ZERO, |raster| {
-            (raster.min(1.0 - raster) * neighbour.raster_size + 0.5).clamp(DVec2::ZERO, DVec2::ONE)
-        });
+        let covered = apply(neighbour.raster_from_image, neighbour.image_near(rect_point))
+            .map_or(DVec2::ZERO, |raster| {
+                (raster.min(1.0 - raster) * neighbour.raster_size + 0.5).clamp(DVec2::ZERO, DVec2::ONE)
+            });
         neighbour.black_level * covered.x * covered.y
     };
     let own = neighbours.first().map_or(0.0, raw_weight);
@@ -132,10 +186,11 @@ fn blend_weight(neighbours: &[Neighbour], rect_point: DVec2) -> BlendWeight {
     BlendWeight { weight: if all > 0.0 { own / all } else { 0.0 }, leak: neighbours.iter().map(leak).sum() }
 }
 
-/// The product of a point's distances from the chosen edges of the unit square; 0 outside of the square.
-fn distances(point: DVec2, edges: DVec4) -> f64 {
+/// The product of a point's distances from the chosen edges of the unit square; 0 outside of the square by more than a
+/// tolerance.
+fn distances(point: DVec2, edges: DVec4, tolerance: f64) -> f64 {
     let all = distances_from_edges(point);
-    if all.cmplt(DVec4::splat(-LEAST_DISTANCE)).any() {
+    if all.cmplt(DVec4::splat(-tolerance)).any() {
         return 0.0;
     }
     let counted = DVec4::ONE + edges * (all.max(DVec4::splat(LEAST_DISTANCE)) - 1.0);

@@ -49,7 +49,7 @@ impl RemoteWall {
         (Self::start_in(folder, &[arguments, &remote].concat()), tokens)
     }
 
-    fn start_in(folder: TempDir, arguments: &[&str]) -> Self {
+    pub(crate) fn start_in(folder: TempDir, arguments: &[&str]) -> Self {
         generate_statue(2000, &folder.path().join("a statue.ply"));
         let session = XSession::start(SCREEN);
         let mut command = session.wall(&["a statue.ply", "--local", "2", "--size", "256x144", "--fullscreen"]);
@@ -70,12 +70,12 @@ impl RemoteWall {
         http::request(&self.address, "GET", path, &bearer(token), b"")
     }
 
-    fn act(&self, action: &Value) -> Answer {
+    pub(crate) fn act(&self, action: &Value) -> Answer {
         http::request(&self.address, "POST", "/api/action", "", action.to_string().as_bytes())
     }
 
     /// The state that operators see of a wall without tokens.
-    fn state(&self) -> Value {
+    pub(crate) fn state(&self) -> Value {
         self.get("/api/state", None).json()["state"].take()
     }
 

@@ -4,11 +4,14 @@
 //! It shares only the wall file's numbers with the code under test: it solves the geometry as linear equations, and adds
 //! up light. A projector's pixel gives light like a tent two pixels wide, as through a lens, and its black's light always.
 //!
-//! [`camera`] photographs projectors that truly stand in the room, and [`rig`] aligns a wall with it.
+//! [`surface`] has walls of any shape; [`camera`] photographs projectors that truly stand in the room, and [`rig`] aligns a
+//! wall with it. [`bent`] shows walls with meshes there.
 
+pub(crate) mod bent;
 pub(crate) mod camera;
 mod geometry;
 pub(crate) mod rig;
+pub(crate) mod surface;
 
 use compositor::{
     gpu::{Gpu, Offscreen, Present, RgbImage},
@@ -17,6 +20,7 @@ use compositor::{
 use glam::DVec2;
 use proptest::prelude::*;
 
+use self::camera::TrueProjector;
 use crate::{
     optics::{CROOKED, shipped},
     pictures::{Frame, draw, gpu, statue_frame},
@@ -39,14 +43,21 @@ struct Room<'a> {
 /// A projector with its true optics.
 struct SimulatedProjector<'a> {
     projector: &'a Projector,
-    /// From metres on the canvas to columns and rows of its pixels: a homogeneous matrix, row by row.
-    px_from_m: [[f64; 3]; 3],
+    optics: Optics<'a>,
     /// Its place: left, bottom, right, top in metres.
     place_m: [f64; 4],
     /// The larger side of one of its pixels, in metres.
     px_m: f64,
     /// The light of each value, for red, green and blue.
     light: [[f64; 256]; 3],
+}
+
+/// From metres on the canvas to columns and rows of a projector's pixels.
+enum Optics<'a> {
+    /// As the wall file's corners say: a homogeneous matrix, row by row.
+    Corners([[f64; 3]; 3]),
+    /// As it truly stands before a wall of any shape.
+    Stands(&'a TrueProjector),
 }
 
 /// Light at one point, of one colour, and the largest error by rounding to 8 bits.
@@ -58,8 +69,16 @@ struct Light {
 
 impl<'a> Room<'a> {
     fn new(wall: &'a Wall) -> Self {
-        let projectors = wall.projectors().iter().map(|projector| SimulatedProjector::new(projector, wall.canvas_m()));
-        Self { wall, projectors: projectors.collect() }
+        let corners = |projector| Optics::Corners(geometry::px_from_m(projector, wall.canvas_m()));
+        let new = |projector| SimulatedProjector::new(projector, wall.canvas_m(), corners(projector));
+        Self { wall, projectors: wall.projectors().iter().map(new).collect() }
+    }
+
+    /// A wall whose projectors truly stand so.
+    fn with(wall: &'a Wall, projectors: &'a [TrueProjector]) -> Self {
+        let both = wall.projectors().iter().zip(projectors);
+        let new = |(projector, stands)| SimulatedProjector::new(projector, wall.canvas_m(), Optics::Stands(stands));
+        Self { wall, projectors: both.map(new).collect() }
     }
 
     /// The light on the canvas at a point in metres, if the projectors show their parts of `shown`.
@@ -106,7 +125,7 @@ impl<'a> Room<'a> {
 }
 
 impl<'a> SimulatedProjector<'a> {
-    fn new(projector: &'a Projector, [width_m, height_m]: [f64; 2]) -> Self {
+    fn new(projector: &'a Projector, [width_m, height_m]: [f64; 2], optics: Optics<'a>) -> Self {
         let canvas = projector.canvas;
         let [left, bottom] = [canvas.left * width_m, canvas.bottom * height_m];
         let [right, top] = [left + canvas.width * width_m, bottom + canvas.height * height_m];
@@ -124,17 +143,14 @@ impl<'a> SimulatedProjector<'a> {
             })
         });
         let px_m = ((right - left) / columns).max((top - bottom) / rows);
-        Self {
-            projector,
-            px_from_m: geometry::px_from_m(projector, [width_m, height_m]),
-            place_m: [left, bottom, right, top],
-            px_m,
-            light,
-        }
+        Self { projector, optics, place_m: [left, bottom, right, top], px_m, light }
     }
 
     fn px(&self, point: [f64; 2]) -> Option<[f64; 2]> {
-        geometry::image(&self.px_from_m, point)
+        match &self.optics {
+            Optics::Corners(px_from_m) => geometry::image(px_from_m, point),
+            Optics::Stands(stands) => Some(stands.px(point.into()).to_array()),
+        }
     }
 
     /// Whether its pixels, including black ones, light a point.
@@ -188,8 +204,8 @@ fn linear(value: u8) -> f64 {
 }
 
 /// The largest seam on flat fields of ten levels, beyond rounding, and the largest rounding; both as parts of white.
-fn largest_seam(gpu: &Gpu, wall: &Wall, n_points: u32) -> (f64, f64) {
-    let room = Room::new(wall);
+fn largest_seam(gpu: &Gpu, room: &Room<'_>, n_points: u32) -> (f64, f64) {
+    let wall = room.wall;
     let mut present = Present::new(gpu);
     let points: Vec<_> = room.points(n_points).filter(|&point| room.is_well_within(point)).collect();
     assert!(points.len() > n_points as usize / 2, "{} points of {n_points} are lit", points.len());
@@ -208,8 +224,8 @@ fn largest_seam(gpu: &Gpu, wall: &Wall, n_points: u32) -> (f64, f64) {
 
 /// The largest displacement of light, in pixels of the projector there: shows single bright samples and finds the centre
 /// of each one's light.
-fn farthest_misplaced(gpu: &Gpu, wall: &Wall) -> f64 {
-    let room = Room::new(wall);
+fn farthest_misplaced(gpu: &Gpu, room: &Room<'_>) -> f64 {
+    let wall = room.wall;
     let mut present = Present::new(gpu);
     let [width_m, height_m] = wall.canvas_m();
     // Samples at least three pixels wide.
@@ -297,8 +313,12 @@ fn encode(light: f64) -> u8 {
 
 /// Checks seams and displacements of one wall.
 fn check(gpu: &Gpu, name: &str, wall: &Wall, n_points: u32) {
-    let (seam, rounding) = largest_seam(gpu, wall, n_points);
-    let misplaced_px = farthest_misplaced(gpu, wall);
+    check_room(gpu, name, &Room::new(wall), n_points);
+}
+
+fn check_room(gpu: &Gpu, name: &str, room: &Room<'_>, n_points: u32) {
+    let (seam, rounding) = largest_seam(gpu, room, n_points);
+    let misplaced_px = farthest_misplaced(gpu, room);
     println!(
         "{name}: seams up to {:.3} % of white beyond the {:.3} % that 8 bits force, misplaced up to {misplaced_px:.3} pixels",
         100.0 * seam.max(0.0),

@@ -94,9 +94,10 @@ impl Plan {
                 DVec3::new(0.0, -rect.height, 0.0),
                 DVec3::new(rect.left, rect.bottom + rect.height, 1.0),
             );
-            let raster_from_rect = projector.raster_from_rect().unwrap_or(DMat3::IDENTITY);
+            let raster_from_image = projector.raster_from_image().unwrap_or(DMat3::IDENTITY);
             let size = [projector.output.width, projector.output.height];
-            Shape { size, canvas_from_raster: canvas_from_rect * raster_from_rect.inverse() }
+            // A mesh is near the rectangle around it.
+            Shape { size, canvas_from_raster: canvas_from_rect * raster_from_image.inverse() }
         };
         Ok(Self::new(seed, &wall.projectors().iter().map(shape).collect::<Vec<_>>()))
     }

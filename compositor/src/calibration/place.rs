@@ -38,7 +38,7 @@ const STEPS_PER_PX: f64 = 100.0;
 impl Placement {
     /// The placement for a wall whose operator chose none: kept if corners were moved before.
     pub fn of_wall(wall: &Wall) -> Self {
-        let was_aligned = wall.projectors().iter().any(|projector| projector.warp_px != [[0.0; 2]; 4]);
+        let was_aligned = wall.projectors().iter().any(Projector::is_warped);
         let overlaps = (0..wall.projectors().len()).any(|index| wall.neighbours(index).len() > 1);
         if overlaps && !was_aligned { Self::Largest } else { Self::Keep }
     }
@@ -94,7 +94,7 @@ pub fn warp_px(projector: &Projector, px_from_plane: DMat3, plane_from_canvas: D
 
 /// The point of the plane where the wall file has a point of a projector's rectangle.
 fn plane_at(projector: &Projector, px_from_plane: DMat3, rect_point: DVec2) -> Option<DVec2> {
-    let px = apply(projector.raster_from_rect()?, rect_point)? * projector.output.size();
+    let px = apply(projector.raster_from_image()?, projector.image_at(rect_point))? * projector.output.size();
     apply(px_from_plane.inverse(), px)
 }
 
@@ -209,7 +209,7 @@ mod tests {
                 let pairs: Vec<[DVec2; 2]> = UNIT_SQUARE
                     .into_iter()
                     .map(|corner| {
-                        let raster = apply(projector.raster_from_rect().expect("convex"), corner).expect("there");
+                        let raster = apply(projector.raster_from_image().expect("convex"), corner).expect("there");
                         [canvas.canvas_from_rect(corner), raster * projector.output.size()]
                     })
                     .collect();

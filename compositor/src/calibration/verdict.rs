@@ -1,16 +1,16 @@
-//! From photographs to corners: what was found, what was not, and the cure.
+//! From photographs to corners, or meshes: what was found, what was not, and the cure.
 
 use shared::printable::counted;
 
 use super::{
-    crossing,
+    bent_verdict, crossing,
     fitting::median,
     identify::Codebook,
     lattice,
     pattern::Plan,
     photograph::Photograph,
     place::{Placement, warp_px},
-    solve::{Fit, Shot, Solution, solve},
+    solve::{Fit, Shot, solve},
 };
 use crate::wall::{Flip, Wall};
 
@@ -37,11 +37,11 @@ pub struct Verdict {
 }
 
 /// Half of a projector's points are nearer than this to where they should be, in its pixels, or it does not fit.
-const LARGEST_MEDIAN_PX: f64 = 0.3;
+pub(super) const LARGEST_MEDIAN_PX: f64 = 0.3;
 /// Nineteen of twenty are nearer than this.
-const LARGEST_P95_PX: f64 = 1.0;
+pub(super) const LARGEST_P95_PX: f64 = 1.0;
 /// The part of a projector's crossings that must be seen.
-const LEAST_COVERED: f64 = 0.6;
+pub(super) const LEAST_COVERED: f64 = 0.6;
 /// A photograph whose points lie this many times as far off as those of the others was not taken as they were.
 const FARTHEST_VIEW: f64 = 5.0;
 
@@ -114,13 +114,15 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
             found.push(format!("{} also shows reflections of the patterns, which do not count", reading.name));
         }
     }
+    if let Some(surface) = wall.surface() {
+        let names: Vec<&str> = readings.iter().map(|reading| reading.name.as_str()).collect();
+        let verdict = bent_verdict::judge(wall, surface, plan, (&names, shots), placement);
+        found.extend(verdict.found);
+        return Verdict { found, ..verdict };
+    }
     let mut solution = solve(n_projectors, &shots);
-    while let Some(worst) = misfit(&shots, &solution) {
-        found.push(format!(
-            "{} does not fit the others, by {:.1} pixels, and does not count: the camera moved while it was taken, or it \
-             has another lens or another wall",
-            readings[worst].name, solution.shot_medians_px[worst]
-        ));
+    while let Some(worst) = misfit(&solution.shot_medians_px) {
+        found.push(misfit_line(&readings[worst].name, solution.shot_medians_px[worst]));
         shots[worst].sightings.clear();
         solution = solve(n_projectors, &shots);
     }
@@ -198,8 +200,16 @@ pub fn judge(wall: &Wall, plan: &Plan, readings: &[Reading], placement: Option<&
     Verdict { wall: new_wall, found, faults }
 }
 
+/// A line on a photograph that is left out.
+pub(super) fn misfit_line(name: &str, median_px: f64) -> String {
+    format!(
+        "{name} does not fit the others, by {median_px:.1} pixels, and does not count: the camera moved while it was taken, \
+         or it has another lens or another wall"
+    )
+}
+
 /// The cause that a projector was not solved, with the cure.
-fn missing_fault(name: &str, index: usize, shots: &[Shot]) -> String {
+pub(super) fn missing_fault(name: &str, index: usize, shots: &[Shot]) -> String {
     let is_seen = shots.iter().flat_map(|shot| &shot.sightings).any(|sighting| sighting.projector_idx == index);
     if is_seen {
         format!(
@@ -252,12 +262,11 @@ fn drop_reflections(shot: &mut Shot, wall: &Wall) {
     shot.sightings.retain(|it| (it.is_mirrored != is_flipped(it.projector_idx)) == is_mirrored);
 }
 
-/// The shot that fits worst, if it fits much worse than the others.
-fn misfit(shots: &[Shot], solution: &Solution) -> Option<usize> {
-    let used: Vec<usize> = (0..shots.len()).filter(|&shot| solution.shot_medians_px[shot].is_finite()).collect();
-    let usual = median(used.iter().map(|&shot| solution.shot_medians_px[shot]).collect());
-    let worst =
-        used.iter().copied().max_by(|&a, &b| solution.shot_medians_px[a].total_cmp(&solution.shot_medians_px[b]))?;
+/// The shot that fits worst, if it fits much worse than the others, by the distances of half of each one's points.
+pub(super) fn misfit(shot_medians_px: &[f64]) -> Option<usize> {
+    let used: Vec<usize> = (0..shot_medians_px.len()).filter(|&shot| shot_medians_px[shot].is_finite()).collect();
+    let usual = median(used.iter().map(|&shot| shot_medians_px[shot]).collect());
+    let worst = used.iter().copied().max_by(|&a, &b| shot_medians_px[a].total_cmp(&shot_medians_px[b]))?;
     let is_alone = used.len() < 3;
-    (!is_alone && solution.shot_medians_px[worst] > (FARTHEST_VIEW * usual).max(LARGEST_MEDIAN_PX)).then_some(worst)
+    (!is_alone && shot_medians_px[worst] > (FARTHEST_VIEW * usual).max(LARGEST_MEDIAN_PX)).then_some(worst)
 }

@@ -20,9 +20,14 @@ use shared::{
     sky::SkyId,
 };
 
-use super::{calibrate::CalibrateArgs, check::CheckArgs, remote_args::RemoteArgs};
+use super::{
+    calibrate::CalibrateArgs, check::CheckArgs, export::ExportArgs, import::ImportArgs, remote_args::RemoteArgs,
+};
 use crate::{
-    control::refinement::{self, DEFAULT_TARGET_RATE, RefinementOptions},
+    control::{
+        refinement::{self, DEFAULT_TARGET_RATE, RefinementOptions},
+        show::Show,
+    },
     remote::tokens::TokenArgs,
     wall::{OnLoss, Wall, WallError},
 };
@@ -48,8 +53,12 @@ pub enum Command {
     Check(CheckArgs),
     /// Makes a token that lets a remote in, lists all, or revokes one
     RemoteToken(TokenArgs),
-    /// Aligns a flat wall with a camera: shows patterns, reads photographs of them, and writes the corners
+    /// Aligns a wall with a camera: shows patterns, reads photographs of them, and writes corners or meshes
     Calibrate(CalibrateArgs),
+    /// Makes a wall file, and a mesh file for each projector, of an MPCDI file
+    Import(ImportArgs),
+    /// Writes a wall as an MPCDI file: warps, and maps of light
+    Export(ExportArgs),
     /// The render server: the same as the program `renderer`
     #[command(subcommand)]
     Renderer(renderer::cli::Command),
@@ -92,6 +101,8 @@ pub struct Inputs {
     pub camera: Option<Camera>,
     /// The path that the camera takes from the start.
     pub path: Option<CameraPath>,
+    /// The show's file, and the show.
+    pub(crate) show: Option<(PathBuf, Show)>,
 }
 
 /// The wall's options.
@@ -105,18 +116,23 @@ pub struct WallArgs {
     #[arg(long, value_name = "AXIS", allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
     /// A recorded camera path, which is repeated; with --headless it is followed once, as a film
-    #[arg(long, help_heading = "Film", value_name = "FILE.toml", conflicts_with = "camera")]
+    #[arg(long, help_heading = "Film", value_name = "FILE.toml", conflicts_with = "camera", group = "programme")]
     pub path: Option<PathBuf>,
+    /// The show to play: a file of scenes, each a model, a view of it, a caption and a time. With --headless it is played once
+    #[arg(long = "show", help_heading = "Show", value_name = "FILE.toml", conflicts_with_all = ["camera", "path"],
+        group = "programme")]
+    pub show_file: Option<PathBuf>,
     /// Pictures a second of the film, with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "F", default_value_t = 30.0, requires = "path",
         requires = "headless", value_parser = pictures_per_second)]
     pub fps: f64,
-    /// Write each picture of the film, the whole wall at full resolution, to this folder; with --headless and --path
-    #[arg(long, help_heading = "Film", value_name = "FOLDER", requires = "path", requires = "headless")]
+    /// Write each picture of the film, or one of each scene of the show, the whole wall at full resolution, to this folder;
+    /// with --headless and --path or --show
+    #[arg(long, help_heading = "Film", value_name = "FOLDER", requires = "programme", requires = "headless")]
     pub pictures: Option<PathBuf>,
     /// Go on after the last picture of the film that was begun in --pictures, with the same options; in an empty folder,
     /// begin it
-    #[arg(long, help_heading = "Film", requires = "pictures", conflicts_with = "film")]
+    #[arg(long, help_heading = "Film", requires = "pictures", requires = "path", conflicts_with = "film")]
     pub resume: bool,
     /// Write the film to this file, through ffmpeg; with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "FILE.mp4", requires = "path", requires = "headless",

@@ -1,4 +1,4 @@
-//! Aligns a flat wall with a camera: patterns on the wall, photographs from a folder, corners into the wall file.
+//! Aligns a wall with a camera: patterns on the wall, photographs from a folder, corners or meshes into the wall file.
 
 mod photos;
 
@@ -27,7 +27,7 @@ use crate::{
     window::WindowLoop,
 };
 
-/// Aligns a flat wall with a camera: shows patterns, reads photographs of them, and writes the corners
+/// Aligns a wall with a camera: shows patterns, reads photographs of them, and writes corners or meshes
 ///
 /// Without --photos and --patterns, the patterns are shown on the wall's outputs: Space shows the next one, Escape ends.
 /// With --watch, each photograph of a pattern shows the next one by itself. The order of photographs does not matter.
@@ -249,9 +249,10 @@ fn finish(args: &CalibrateArgs, Verdict { wall, found, faults }: &Verdict) -> an
         );
     }
     let old = save::keep_old(&args.file)?;
-    save::save_warps(&args.file, wall)?;
+    save::save_warps(&args.file, &save::save_meshes(&args.file, wall)?)?;
+    let what = if wall.surface().is_some() { "meshes" } else { "corners" };
     say(format_args!(
-        "wrote the corners into {file}; the old file is {}; N on the wall shows the alignment grid",
+        "wrote the {what} into {file}; the old file is {}; N on the wall shows the alignment grid",
         old.display()
     ))
 }

@@ -77,9 +77,8 @@ fn summary(wall: &Wall) -> Vec<String> {
         OnLoss::LastFrame => "if no render server is left or the program crashes, the last frame stays".to_owned(),
         OnLoss::Black => "if no render server is left or the program crashes, the wall is black".to_owned(),
     });
-    let is_cut = |index: &usize| {
-        wall.projectors()[*index].warp_px != [[0.0; 2]; 4] && n_projectors > 1 && wall.neighbours(*index).len() == 1
-    };
+    let is_cut =
+        |index: &usize| wall.projectors()[*index].is_warped() && n_projectors > 1 && wall.neighbours(*index).len() == 1;
     if let Some(index) = (0..n_projectors).find(is_cut) {
         lines.push(format!(
             "\"{}\" is warped and overlaps no other: its edges end at whole pixels, which an overlap would hide",
@@ -129,7 +128,7 @@ fn lit_parts(wall: &Wall) -> (f64, f64) {
     const SIDE: u32 = 2500;
     let mut n_lit = vec![0_u8; (SIDE * SIDE) as usize];
     for projector in wall.projectors() {
-        let Some(raster_from_rect) = projector.raster_from_rect() else { continue };
+        let Some(raster_from_image) = projector.raster_from_image() else { continue };
         let canvas = projector.canvas;
         let steps = |from: f64, extent: f64| {
             let step = |edge: f64| (edge * f64::from(SIDE) - 0.5).clamp(-1.0, f64::from(SIDE));
@@ -138,8 +137,10 @@ fn lit_parts(wall: &Wall) -> (f64, f64) {
         for j in steps(canvas.bottom, canvas.height) {
             for i in steps(canvas.left, canvas.width) {
                 let point = DVec2::new(f64::from(i) + 0.5, f64::from(j) + 0.5) / f64::from(SIDE);
-                let is_lit = apply(raster_from_rect, canvas.rect_from_canvas(point))
-                    .is_some_and(|raster| raster.cmpge(DVec2::ZERO).all() && raster.cmple(DVec2::ONE).all());
+                let image =
+                    projector.mesh.as_ref().map_or(canvas.rect_from_canvas(point), |mesh| mesh.image_near(point));
+                let is_within = |at: DVec2| at.cmpge(DVec2::ZERO).all() && at.cmple(DVec2::ONE).all();
+                let is_lit = is_within(image) && apply(raster_from_image, image).is_some_and(is_within);
                 let count = &mut n_lit[(j * SIDE + i) as usize];
                 *count = count.saturating_add(u8::from(is_lit));
             }

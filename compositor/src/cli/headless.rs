@@ -2,6 +2,8 @@
 
 mod film;
 mod refined;
+mod run;
+mod show;
 
 use std::{
     path::{Path, PathBuf},
@@ -23,6 +25,7 @@ use crate::{
 };
 
 pub use film::{Film, Output, Pictures, Video};
+pub(crate) use run::run_headless;
 
 /// News for a wall without a window.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -5,6 +5,7 @@ use std::{
     io,
     net::{Ipv4Addr, SocketAddr},
     ops::ControlFlow,
+    path::{Path, PathBuf},
     rc::Rc,
     sync::mpsc,
     time::Instant,
@@ -13,19 +14,8 @@ use std::{
 use anyhow::{Context, anyhow, bail};
 use channel::key::{Key, have_key_advice};
 use renderer::cli::{
-    check_writable,
-    large_file::warn_of_large_file,
-    picture_args::guessed_up,
-    progress::Progress,
-    say,
-    stop::{self, Signal, Stopped},
-};
-use shared::{
-    appearance::Appearance,
-    camera::{Camera, CanvasPart},
-    printable::counted,
-    protocol::FrameSpec,
-    sky::Sky,
+    check_writable, say,
+    stop::{self, Signal},
 };
 use tokio::{
     net::{TcpListener, lookup_host},
@@ -34,20 +24,19 @@ use tokio::{
 
 use super::{
     args::{Inputs, WallArgs},
-    headless::{Film, Headless, Output, Pictures, Video, Wakeup, Wakeups},
+    headless::{Wakeup, Wakeups, run_headless},
     local::LocalServers,
     report::Report,
 };
 use crate::{
     control::{
-        model::Model,
-        refinement::Refinement,
-        sidecar::{self, SidecarFiles},
+        show::{self, Show},
+        sidecar,
     },
     farm::{Farm, RenderGoal},
     remote::Remote,
     supervisor::{self, SupervisorLink},
-    window::{OnShown, WindowLoop, join_hint},
+    window::{OnShown, WindowLoop},
 };
 
 /// Runs a wall to its end.
@@ -58,6 +47,7 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
         wall: args.show.load_wall()?,
         camera: args.show.read_camera()?,
         path: args.path.as_deref().map(sidecar::read_path).transpose().map_err(anyhow::Error::msg)?,
+        show: args.show_file.as_deref().map(read_show).transpose()?,
     };
     let native_of_film = args.writes_film().then(|| inputs.wall.native_size());
     if let Some(size) = args.size.or(native_of_film) {
@@ -81,94 +71,10 @@ pub fn run(args: &WallArgs) -> anyhow::Result<()> {
     run_window(args, inputs, supervisor)
 }
 
-fn run_headless(args: &WallArgs, Inputs { wall, sky, camera, path }: Inputs) -> anyhow::Result<()> {
-    if args.up.is_some() && (camera.is_some() || path.is_some()) {
-        bail!("--up has no effect on a --camera or --path without a window: leave out one of them");
-    }
-    let n_frames = args.frames.unwrap_or(10);
-    let (aspect, size) = (wall.aspect(), wall.frame_size());
-    let mut refinement = Refinement::new(args.refinement(&wall));
-    // Quick checks come first: reading a model can take minutes.
-    let output = film_output(args, wall.output_size())?;
-    let runtime = network_threads()?;
-    let key = args.key.as_deref().map(Key::read).transpose()?;
-    let listener = listen(&runtime, args)?;
-    let mut headless = Headless::new(wall)?.with_key_file(args.key.clone());
-    // Made before the farm, so that they end after it: otherwise the farm would report them as lost.
-    let mut servers = LocalServers::empty(listener.local_addr()?, args.key.as_deref(), &args.scene)?;
-    let (wake, wakeups) = wakeups();
-    let wake_farm = wake.clone();
-    let farm = start_farm(&runtime, listener, key, args, args.min_renderers(), move || {
-        // A full channel already holds a wake-up call.
-        let _ = wake_farm.try_send(Wakeup::Farm);
-    })?;
-    servers.start(args.n_local(), farm.local_reporter())?;
-    let model = load_model(args)?;
-    if args.n_local() < args.min_renderers() {
-        let files = [model.path(), args.appearance.sky.clone()];
-        let join = join_hint(farm.address(), args.key.as_deref(), files.each_ref().map(Option::as_deref));
-        tracing::info!(
-            "waiting for {}; start one with: {}",
-            counted(args.min_renderers(), "render server"),
-            join.command
-        );
-    }
-    let film = path.map(|path| Film { path, fps: args.fps, most: args.frames.unwrap_or(u32::MAX) });
-    let up = args.up.or_else(|| SidecarFiles::read(&model.source).views().and_then(|views| views.up));
-    let camera = camera.or_else(|| film.as_ref().map(|film| film.path.at(0.0))).unwrap_or_else(|| {
-        let up = up.unwrap_or_else(|| guessed_up(&model.shape));
-        Camera::view_all(&model.shape, up, aspect, CanvasPart::WHOLE)
-    });
-    let sky = sky.map(|id| Sky { id, up: up.unwrap_or(model.shape.up) });
-    let spec = FrameSpec {
-        scene: model.scene,
-        camera,
-        size,
-        view: args.view,
-        rays: args.rays.unwrap_or_default(),
-        samples: args.sample_range(),
-        appearance: Appearance { sky, ..args.appearance.appearance() },
-    };
-    farm.update_goal(|goal| {
-        goal.spec = Some(spec);
-        goal.scene_path = model.path();
-        goal.moved_at = Instant::now();
-    });
-    // A film that is stopped is cut off, as loading is. Without one, the wall serves until it is stopped.
-    if film.is_none() {
-        wake_to_stop(wake);
-    }
-    let report = match film {
-        Some(film) => headless.show_film(&farm, &wakeups, &film, output)?,
-        None if refinement.is_on() => headless.show_refined(&farm, &wakeups, n_frames, spec, &mut refinement)?,
-        None => headless.show_frames(&farm, &wakeups, n_frames)?,
-    };
-    if report.n_frames() > 0 {
-        say(report.table())?;
-    }
-    // Measurements first: a screenshot that cannot be written must not lose them.
-    if let Some(path) = &args.stats {
-        report.write(path)?;
-    }
-    if report.n_frames() == 0
-        && let Some(stopped) = Stopped::by_signal("stopped before the first frame: nothing was shown or written")
-    {
-        return Err(stopped.into());
-    }
-    if let Some(path) = &args.screenshot {
-        headless.image()?.write_png(path)?;
-        say(format_args!("wrote {}", path.display()))?;
-    }
-    Ok(())
-}
-
-/// Begins what the film goes to; pictures have `size`: columns, rows.
-fn film_output(args: &WallArgs, size: [u32; 2]) -> anyhow::Result<Output> {
-    Ok(match (&args.pictures, &args.film) {
-        (Some(folder), _) => Output::Pictures(Pictures::begin(folder, args.fps, size, args.resume)?),
-        (_, Some(path)) => Output::Video(Box::new(Video::begin(path, args.fps, size)?)),
-        _ => Output::Nowhere,
-    })
+/// The show of a file, with the file's path.
+fn read_show(file: &Path) -> anyhow::Result<(PathBuf, Show)> {
+    let show = show::read(file).map_err(anyhow::Error::msg)?;
+    Ok((std::path::absolute(file).unwrap_or_else(|_| file.to_owned()), show))
 }
 
 fn run_window(args: &WallArgs, inputs: Inputs, supervisor: Option<SupervisorLink>) -> anyhow::Result<()> {
@@ -238,7 +144,7 @@ fn watch_frames(args: &WallArgs, report: Rc<RefCell<Report>>) -> OnShown {
 }
 
 /// The farm, with nothing to render yet; it calls `wake` when it has news.
-fn start_farm(
+pub(super) fn start_farm(
     runtime: &Runtime,
     listener: TcpListener,
     key: Option<Key>,
@@ -249,6 +155,8 @@ fn start_farm(
     let goal = RenderGoal {
         spec: None,
         scene_path: None,
+        next_scene: None,
+        change: 0,
         sky_path: args.appearance.sky.as_ref().map(|path| std::path::absolute(path).unwrap_or_else(|_| path.clone())),
         is_refinement: false,
         division: args.division,
@@ -290,7 +198,7 @@ pub fn network_threads() -> anyhow::Result<Runtime> {
         .context("cannot start the network threads")
 }
 
-fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
+pub(super) fn listen(runtime: &Runtime, args: &WallArgs) -> anyhow::Result<TcpListener> {
     let address = args.listen();
     let resolved = runtime.block_on(lookup_host(&address)).with_context(|| {
         format!(
@@ -337,17 +245,4 @@ fn listen_fault(address: &str, error: &io::Error) -> String {
         }
         _ => error.to_string(),
     }
-}
-
-fn load_model(args: &WallArgs) -> anyhow::Result<Model> {
-    let model = &args.show.model;
-    let source = model.source();
-    tracing::info!("loading {source}");
-    args.scene.warn_of_scene_file(&source);
-    let store = args.scene.store();
-    if !store.has(&source, model.crease) {
-        warn_of_large_file(&source, 1 + args.n_local(), args.scene.shared_by(args.n_local()).options().memory_budget);
-    }
-    let bar = Progress::new(format!("loading {source}"));
-    Ok(Model::load(source, model.crease, &store, &|fraction| bar.set(fraction))?)
 }

@@ -281,14 +281,14 @@ fn corners(wall: &Wall) -> impl Iterator<Item = (Corner, DVec2)> {
 
 /// The place of a corner of a projector's image, in pixels of the spanning output.
 fn corner_px(projector: &Projector, corner_idx: usize) -> Option<DVec2> {
-    pattern::to_output(projector, UNIT_SQUARE[corner_idx])
+    pattern::on_output(projector, UNIT_SQUARE[corner_idx])
 }
 
 /// Converts a step in stored pixels to pixels as seen on the wall.
 fn seen_from_stored(projector: &Projector, step: DVec2) -> DVec2 {
     let upright = Projector { warp_px: [[0.0; 2]; 4], ..projector.clone() };
-    // Without a warp, the rectangle and its pixels as seen differ only by scale.
-    let Some(stored_from_seen) = upright.raster_from_rect() else { return step };
+    // Without a warp, the image and its pixels as seen differ only by scale.
+    let Some(stored_from_seen) = upright.raster_from_image() else { return step };
     let seen_size = DVec2::from(projector.upright_size().map(f64::from));
     stored_from_seen.inverse().transform_vector2(step / projector.output.size()) * seen_size
 }

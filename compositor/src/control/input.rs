@@ -82,6 +82,12 @@ pub(crate) enum Command {
     ToggleLock,
     /// Show or hide the code that opens the remote.
     ToggleRemote,
+    /// Play the show, or hold it.
+    TogglePlayingShow,
+    NextScene,
+    PreviousScene,
+    /// Keep this view as the last scene of the show.
+    KeepScene,
     DismissMessage,
     Quit,
 }
@@ -89,6 +95,11 @@ pub(crate) enum Command {
 impl Command {
     pub(crate) fn repeats(self) -> bool {
         matches!(self, Self::MoveClip(_) | Self::Undo | Self::Redo | Self::Choose(_) | Self::Untype)
+    }
+
+    /// Whether it moves the camera, as a hand does.
+    pub(crate) fn is_steering(self) -> bool {
+        matches!(self, Self::ViewAll | Self::GoToView(_) | Self::TogglePlaying | Self::GoToCursor | Self::NextUpAxis)
     }
 
     /// Whether visitors of a locked wall may give it.
@@ -166,6 +177,8 @@ impl std::fmt::Display for Key {
             Self::Named(NamedKey::ArrowLeft) => f.write_str("Left"),
             Self::Named(NamedKey::ArrowRight) => f.write_str("Right"),
             Self::Named(NamedKey::Escape) => f.write_str("Esc"),
+            Self::Named(NamedKey::PageUp) => f.write_str("Page Up"),
+            Self::Named(NamedKey::PageDown) => f.write_str("Page Down"),
             Self::Named(named) => write!(f, "{named:?}"),
         }
     }
@@ -211,6 +224,10 @@ pub const KEYS: &[KeyBinding] = {
         row(&[CtrlAnyDigit], Trigger(KeepView(0)), "keep this view beside the model"),
         row(&[Letter('c')], Trigger(ToggleRecording), "record the camera, or end the recording"),
         row(&[Named(NamedKey::Space)], Trigger(TogglePlaying), "play the recorded camera path, or stop"),
+        row(&[Named(NamedKey::F5)], Trigger(TogglePlayingShow), "play the show, or hold it"),
+        row(&[Named(NamedKey::PageDown)], Trigger(NextScene), "next scene of the show"),
+        row(&[Named(NamedKey::PageUp)], Trigger(PreviousScene), "previous scene of the show"),
+        row(&[Ctrl('k')], Trigger(KeepScene), "keep this view as a scene of the show"),
         row(&[Letter('u')], Trigger(NextUpAxis), "next up axis: y, z, x, -y, -z, -x"),
         row(&[Letter('h')], Trigger(NextDivision), "next division: interleaved, tiled, dynamic"),
         row(&[Letter('v')], Trigger(NextShading), "next view: shaded, normals, cost"),

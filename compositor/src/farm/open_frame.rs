@@ -16,6 +16,7 @@ pub(super) struct OpenFrame {
     pub(super) spec: FrameSpec,
     pub(super) buffer: Arc<FrameBuffer>,
     pub(super) moved_at: Instant,
+    pub(super) change: u32,
     pub(super) bytes_out: HashMap<NodeId, u64>,
 }
 
@@ -33,6 +34,7 @@ impl OpenFrame {
         }
         stats.fetching = farm.nodes.iter().filter_map(NodeStatus::transfer).collect();
         stats.bytes_out = self.bytes_out.values().sum();
-        Frame { spec: self.spec, rgba: self.buffer.into_samples(spare), stats, moved_at: self.moved_at }
+        let Self { spec, buffer, moved_at, change, .. } = self;
+        Frame { spec, rgba: buffer.into_samples(spare), stats, moved_at, change }
     }
 }

@@ -39,6 +39,7 @@ struct Encoded {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Kind {
     LoadScene,
+    PrepareScene,
     Probe,
     Render(FrameId),
     Other,
@@ -57,6 +58,7 @@ impl Outbox {
         let mut queue = self.lock();
         let kind = match message {
             ToServer::LoadScene { .. } => Kind::LoadScene,
+            ToServer::PrepareScene { .. } => Kind::PrepareScene,
             ToServer::Probe { .. } => Kind::Probe,
             ToServer::RenderFrame { frame, .. } => Kind::Render(*frame),
             ToServer::Cancel { frame } => {
@@ -72,7 +74,7 @@ impl Outbox {
             | ToServer::SceneFileAwaited { .. }
             | ToServer::SceneFile { .. } => Kind::Other,
         };
-        if matches!(kind, Kind::LoadScene | Kind::Probe) {
+        if matches!(kind, Kind::LoadScene | Kind::PrepareScene | Kind::Probe) {
             queue.messages.retain(|queued| queued.kind != kind);
         }
         queue.messages.push_back(Encoded { kind, bytes });

@@ -83,8 +83,10 @@ pub struct PlacedUnits {
 pub enum Action {
     /// Forget what a render server reported about its scene, and have it load the wall's, if there is one.
     LoadScene { node: NodeId, scene: Option<SceneId>, path: Option<PathBuf>, sky: Option<(SkyId, Option<PathBuf>)> },
+    /// Have a render server load the scene that may come next beside the present one.
+    PrepareScene { node: NodeId, scene: SceneId, path: Option<PathBuf>, sky: Option<(SkyId, Option<PathBuf>)> },
     /// Open a buffer for this frame. `moved_at`: when its camera was set, if no earlier frame shows that motion.
-    Open { frame: FrameId, spec: FrameSpec, moved_at: Option<Instant> },
+    Open { frame: FrameId, spec: FrameSpec, moved_at: Option<Instant>, change: u32 },
     /// Send a task.
     Render { node: NodeId, frame: FrameId, task_id: TaskId, spec: FrameSpec, task: Task, encoding: Encoding },
     /// Tell a render server to stop rendering a frame.
@@ -165,6 +167,7 @@ impl Scheduler {
                     },
                 );
                 actions.push(self.load_scene(node));
+                actions.extend(self.prepare_scene(node));
             }
             Event::SceneReady { node, ready } => self.set_ready(node, ready, &mut actions),
             Event::Silent { node, is_silent } => {
@@ -236,9 +239,11 @@ impl Scheduler {
     fn set_goal(&mut self, now: Time, goal: RenderGoal, actions: &mut Vec<Action>) {
         let is_other_scene = goal.spec.map(|spec| spec.scene) != self.scene() || sky_of(&goal) != sky_of(&self.goal);
         let is_other = (goal.spec, goal.division) != (self.goal.spec, self.goal.division);
+        let is_other_change = goal.change != self.goal.change;
+        let is_other_next = goal.next_scene != self.goal.next_scene;
         self.waits_for_renderers |= goal.min_renderers != self.goal.min_renderers;
         self.goal = goal;
-        self.is_stale |= is_other;
+        self.is_stale |= is_other || is_other_change;
         // Finish the first frame in flight, or nothing would be shown while the camera keeps moving, and finish frames
         // with samples. Refinements show nothing new: cancel them.
         let is_superseded = |frame: &FrameInFlight, is_first: bool| {
@@ -254,6 +259,8 @@ impl Scheduler {
         }
         if is_other_scene {
             self.load_scenes(actions);
+        } else if is_other_next {
+            actions.extend(self.nodes.keys().filter_map(|&node| self.prepare_scene(node)));
         }
     }
 
@@ -273,12 +280,21 @@ impl Scheduler {
         for node in self.nodes.keys().copied().collect::<Vec<_>>() {
             self.set_ready(node, false, actions);
             actions.push(self.load_scene(node));
+            actions.extend(self.prepare_scene(node));
         }
     }
 
     fn load_scene(&self, node: NodeId) -> Action {
-        let sky = sky_of(&self.goal).map(|id| (id, self.goal.sky_path.clone()));
-        Action::LoadScene { node, scene: self.scene(), path: self.goal.scene_path.clone(), sky }
+        Action::LoadScene { node, scene: self.scene(), path: self.goal.scene_path.clone(), sky: self.sky_file() }
+    }
+
+    fn prepare_scene(&self, node: NodeId) -> Option<Action> {
+        let (scene, path) = self.goal.next_scene.clone().filter(|(next, _)| self.scene() != Some(*next))?;
+        Some(Action::PrepareScene { node, scene, path, sky: self.sky_file() })
+    }
+
+    fn sky_file(&self) -> Option<(SkyId, Option<PathBuf>)> {
+        sky_of(&self.goal).map(|id| (id, self.goal.sky_path.clone()))
     }
 
     fn cancel(&mut self, now: Time, index: usize, actions: &mut Vec<Action>) {
@@ -326,7 +342,12 @@ impl Scheduler {
         // Only the first frame that shows a motion measures its latency. The very first frame waited for the model.
         let moved_at = self.goal.moved_at;
         let is_first = self.last_moved_at.replace(moved_at).is_some_and(|last| last != moved_at);
-        actions.push(Action::Open { frame: frame.id, spec, moved_at: is_first.then_some(moved_at) });
+        actions.push(Action::Open {
+            frame: frame.id,
+            spec,
+            moved_at: is_first.then_some(moved_at),
+            change: self.goal.change,
+        });
         let machines = nodes.len() as u32;
         let balanced = match division {
             Division::Dynamic => {

@@ -13,6 +13,7 @@ use channel::{key::Key, wire::is_same_machine};
 use shared::{
     printable::{counted, printable},
     protocol::{FrameId, HEARTBEAT_TIMEOUT, SceneState, SkyFile, ToServer},
+    sky::SkyId,
     structure::Structure,
 };
 use tokio::{
@@ -446,20 +447,19 @@ impl Service {
         match action {
             Action::LoadScene { node, scene, path, sky } => {
                 self.change_node(node, |node| node.scene = None);
-                let is_local = self.nodes.get(&node).is_some_and(|node| node.is_local);
                 if let Some(scene) = scene {
-                    let path_here = |path: Option<PathBuf>| {
-                        path.filter(|_| is_local).map(|path| path.into_os_string().into_encoded_bytes())
-                    };
-                    let sky = sky.map(|(id, path)| SkyFile { id, path: path_here(path) });
-                    let (path, structure) = (path_here(path), self.structure);
+                    let (path, sky, structure) = (self.path_on(node, path), self.sky_on(node, sky), self.structure);
                     self.send(node, &ToServer::LoadScene { scene, path, structure, sky });
                 }
             }
-            Action::Open { frame, spec, moved_at } => {
+            Action::PrepareScene { node, scene, path, sky } => {
+                let (path, sky, structure) = (self.path_on(node, path), self.sky_on(node, sky), self.structure);
+                self.send(node, &ToServer::PrepareScene { scene, path, structure, sky });
+            }
+            Action::Open { frame, spec, moved_at, change } => {
                 let buffer = Arc::new(self.buffers.take(spec.size));
                 let moved_at = moved_at.unwrap_or_else(Instant::now);
-                self.frames.insert(frame, OpenFrame { spec, buffer, moved_at, bytes_out: HashMap::new() });
+                self.frames.insert(frame, OpenFrame { spec, buffer, moved_at, change, bytes_out: HashMap::new() });
             }
             Action::Render { node, frame, task_id, spec, task, encoding } => {
                 self.supply.note_frame();
@@ -496,6 +496,16 @@ impl Service {
         }
     }
 
+    /// The path of a file as a render server needs it, which can read it on this machine only.
+    fn path_on(&self, node: NodeId, path: Option<PathBuf>) -> Option<Vec<u8>> {
+        let is_local = self.nodes.get(&node).is_some_and(|node| node.is_local);
+        path.filter(|_| is_local).map(|path| path.into_os_string().into_encoded_bytes())
+    }
+
+    fn sky_on(&self, node: NodeId, sky: Option<(SkyId, Option<PathBuf>)>) -> Option<SkyFile> {
+        sky.map(|(id, path)| SkyFile { id, path: self.path_on(node, path) })
+    }
+
     /// Queues a message and returns its size in bytes.
     fn send(&self, id: NodeId, message: &ToServer) -> u64 {
         self.nodes.get(&id).map_or(0, |node| node.outbox.push(message))
@@ -509,7 +519,8 @@ impl Service {
 }
 
 fn supply_goal(supply: &SceneSupply, goal: &RenderGoal) {
-    supply.set_scene(goal.spec.map(|spec| spec.scene), goal.scene_path.as_deref());
+    let on_show = goal.spec.map(|spec| (spec.scene, goal.scene_path.clone()));
+    supply.set_scenes(on_show.into_iter().chain(goal.next_scene.clone()));
 }
 
 async fn accept_after(when: tokio::time::Instant, listener: &TcpListener) -> io::Result<(TcpStream, SocketAddr)> {

@@ -1,4 +1,4 @@
-//! The wall's scene file, for render servers that lack the model: made when the first of them asks for it.
+//! The wall's scene files, for render servers that lack the models: made when the first of them asks.
 
 use std::{
     path::{Path, PathBuf},
@@ -30,13 +30,13 @@ const BUSY_FOR: Duration = Duration::from_secs(1);
 /// the common link. A message delays a frame's request by half a millisecond there.
 const BUSY_INTERVAL: Duration = Duration::from_millis(5);
 
-/// Makes and keeps the scene file of the model on show.
+/// Makes and keeps the scene files of the model on show and of the one that may come next.
 #[derive(Debug)]
 pub(super) struct SceneSupply {
     started_at: Instant,
     /// How scene files are made; without it, none are given.
     maker: OnceLock<(SceneStore, GridOptions)>,
-    current: watch::Sender<Current>,
+    offers: watch::Sender<Vec<Offer>>,
     /// Held while a file is made.
     making: Mutex<()>,
     /// Microseconds since the start until which frames go first.
@@ -45,12 +45,19 @@ pub(super) struct SceneSupply {
     pace: Mutex<RateLimit>,
 }
 
-/// The scene on show, and its file.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Current {
-    pub(super) scene: Option<SceneId>,
+/// A scene that render servers may fetch, and its file.
+#[derive(Clone, Debug)]
+pub(super) struct Offer {
+    pub(super) scene: SceneId,
     path: Option<PathBuf>,
     pub(super) supply: Supply,
+}
+
+impl Offer {
+    /// The offer of a scene, if there is one.
+    pub(super) fn find(offers: &[Self], scene: SceneId) -> Option<&Self> {
+        offers.iter().find(|offer| offer.scene == scene)
+    }
 }
 
 /// The state of a scene file.
@@ -71,7 +78,7 @@ impl Default for SceneSupply {
         Self {
             started_at: Instant::now(),
             maker: OnceLock::new(),
-            current: watch::Sender::default(),
+            offers: watch::Sender::default(),
             making: Mutex::default(),
             busy_until_us: AtomicU64::new(0),
             pace: Mutex::new(RateLimit::new(1, BUSY_INTERVAL)),
@@ -86,14 +93,23 @@ impl SceneSupply {
         let _ = self.maker.set((store, options));
     }
 
-    /// Notes the scene on show; all transfers of another end.
-    pub(super) fn set_scene(&self, scene: Option<SceneId>, path: Option<&Path>) {
-        self.current.send_if_modified(|current| {
-            let is_new = current.scene != scene || current.path.as_deref() != path;
-            if is_new {
-                *current = Current { scene, path: path.map(Path::to_owned), supply: Supply::Unasked };
+    /// Notes the scenes on show and to come, with their models; all transfers of others end.
+    pub(super) fn set_scenes(&self, scenes: impl Iterator<Item = (SceneId, Option<PathBuf>)>) {
+        let scenes: Vec<_> = scenes.collect();
+        self.offers.send_if_modified(|offers| {
+            if offers
+                .iter()
+                .map(|offer| (offer.scene, &offer.path))
+                .eq(scenes.iter().map(|(scene, path)| (*scene, path)))
+            {
+                return false;
             }
-            is_new
+            let old = std::mem::take(offers);
+            offers.extend(scenes.into_iter().map(|(scene, path)| {
+                let known = Offer::find(&old, scene).filter(|offer| offer.path == path);
+                known.cloned().unwrap_or(Offer { scene, path, supply: Supply::Unasked })
+            }));
+            true
         });
     }
 
@@ -102,24 +118,25 @@ impl SceneSupply {
         self.put(scene, Supply::Unasked);
     }
 
-    /// Whether this is the scene on show.
-    pub(super) fn shows(&self, scene: SceneId) -> bool {
-        self.current.borrow().scene == Some(scene)
+    /// Whether this scene is on show, or to come.
+    pub(super) fn offers(&self, scene: SceneId) -> bool {
+        Offer::find(&self.offers.borrow(), scene).is_some()
     }
 
     /// Has the scene file made if it is not there.
-    pub(super) fn ask(self: &Arc<Self>, scene: SceneId) -> watch::Receiver<Current> {
+    pub(super) fn ask(self: &Arc<Self>, scene: SceneId) -> watch::Receiver<Vec<Offer>> {
         let mut job = None;
-        self.current.send_if_modified(|current| {
-            let is_due = match &current.supply {
+        self.offers.send_if_modified(|offers| {
+            let Some(offer) = offers.iter_mut().find(|offer| offer.scene == scene) else { return false };
+            let is_due = match &offer.supply {
                 Supply::Unasked => true,
                 Supply::Failed(_, at) => at.elapsed() > RETRY_AFTER,
                 Supply::Making(_) | Supply::Ready(_) => false,
             };
-            if current.scene != Some(scene) || !is_due {
+            if !is_due {
                 return false;
             }
-            current.supply = match (&current.path, self.maker.get()) {
+            offer.supply = match (&offer.path, self.maker.get()) {
                 (Some(path), Some((store, options))) => {
                     job = Some((path.clone(), store.clone(), *options));
                     Supply::Making(0.0)
@@ -138,13 +155,13 @@ impl SceneSupply {
                 self.put(scene, Supply::Failed(format!("it cannot start a thread: {error}"), Instant::now()));
             }
         }
-        self.current.subscribe()
+        self.offers.subscribe()
     }
 
     fn make(&self, scene: SceneId, path: &Path, store: &SceneStore, options: &GridOptions) {
         // One after the other: an operator may open models faster than their files are made.
         let _turn = self.making.lock().unwrap_or_else(PoisonError::into_inner);
-        if !self.shows(scene) {
+        if !self.offers(scene) {
             return;
         }
         // The rest of the cores place samples and draw.
@@ -165,16 +182,16 @@ impl SceneSupply {
         self.put(scene, supply);
     }
 
-    /// Changes the state of a scene's file, unless another scene is on show by now.
+    /// Changes the state of a scene's file, unless other scenes are on show by now.
     fn put(&self, scene: SceneId, supply: Supply) {
-        self.current.send_if_modified(|current| {
-            let is_step = !matches!((&current.supply, &supply), (Supply::Making(old), Supply::Making(new))
+        self.offers.send_if_modified(|offers| {
+            let Some(offer) = offers.iter_mut().find(|offer| offer.scene == scene) else { return false };
+            let is_step = !matches!((&offer.supply, &supply), (Supply::Making(old), Supply::Making(new))
                 if (new - old).abs() < 0.01);
-            let is_current = current.scene == Some(scene) && is_step;
-            if is_current {
-                current.supply = supply;
+            if is_step {
+                offer.supply = supply;
             }
-            is_current
+            is_step
         });
     }
 

@@ -16,7 +16,7 @@ use tokio::{
 
 use super::{
     connection::ConnectionError,
-    supply::{Current, SceneSupply, Supply},
+    supply::{Offer, SceneSupply, Supply},
 };
 
 /// Most transfers at a time. Each takes two megabytes of the wall's memory at most; others ask again.
@@ -27,7 +27,7 @@ const AWAIT_INTERVAL: Duration = Duration::from_secs(1);
 
 static TRANSFERS: Semaphore = Semaphore::const_new(MOST_TRANSFERS);
 
-/// Gives the file of `scene` if that is on show, until the render server has what it wants.
+/// Gives the file of `scene` if that is on show or comes next, until the render server has what it wants.
 pub(super) async fn serve(
     reader: &mut MessageReader<impl AsyncRead + Unpin, ToWall>,
     writer: &mut MessageWriter<impl AsyncWrite + Unpin>,
@@ -40,13 +40,13 @@ pub(super) async fn serve(
     };
     let mut states = supply.ask(scene);
     let file = loop {
-        let Current { scene: on_show, supply, .. } = states.borrow_and_update().clone();
-        match supply {
-            _ if on_show != Some(scene) => return refuse(writer, OTHER_SCENE.to_owned()).await,
-            Supply::Ready(file) => break file,
-            Supply::Failed(reason, _) => return refuse(writer, reason).await,
-            Supply::Making(progress) => send(writer, &ToServer::SceneFileAwaited { progress }).await?,
-            Supply::Unasked => send(writer, &ToServer::SceneFileAwaited { progress: 0.0 }).await?,
+        let state = Offer::find(&states.borrow_and_update(), scene).map(|offer| offer.supply.clone());
+        match state {
+            None => return refuse(writer, OTHER_SCENE.to_owned()).await,
+            Some(Supply::Ready(file)) => break file,
+            Some(Supply::Failed(reason, _)) => return refuse(writer, reason).await,
+            Some(Supply::Making(progress)) => send(writer, &ToServer::SceneFileAwaited { progress }).await?,
+            Some(Supply::Unasked) => send(writer, &ToServer::SceneFileAwaited { progress: 0.0 }).await?,
         }
         wait_for_change(&mut states).await;
     };
@@ -60,7 +60,7 @@ pub(super) async fn serve(
         if end.is_none() || !(1..=FETCH_BYTES as u32).contains(&n_bytes) {
             return Err(ConnectionError::OutOfTurn);
         }
-        if !supply.shows(scene) {
+        if !supply.offers(scene) {
             return refuse(writer, OTHER_SCENE.to_owned()).await;
         }
         // A disk may be slow: the network's threads must not wait for it.
@@ -94,7 +94,7 @@ pub(super) async fn serve(
 
 const OTHER_SCENE: &str = "it shows another model";
 
-async fn wait_for_change(states: &mut watch::Receiver<Current>) {
+async fn wait_for_change(states: &mut watch::Receiver<Vec<Offer>>) {
     // An interval without a change is told as life, and a wall that ends closes the connection.
     let _ = timeout(AWAIT_INTERVAL, states.changed()).await;
 }

@@ -1,13 +1,15 @@
 //! Blend weights and black of projectors that stand askew or overlap: drawn once, as they do not change from frame to
 //! frame; paired with `shaders/blend_weights.wgsl`.
 
-use glam::{DMat3, DVec2};
+use std::sync::Arc;
+
+use glam::DVec2;
 
 use super::{
     context::Gpu,
-    quad::{TargetProjector, begin_pass, buffer, pipeline_layout, quad_pipeline},
+    quad::{Layer, TargetProjector, begin_pass, buffer, columns, pipeline_layout, quad_pipeline},
 };
-use crate::wall::{PixelRect, Wall, blend::Neighbour};
+use crate::wall::{PixelRect, Wall, blend::Neighbour, mesh::Mesh};
 
 /// Draws blend weights, and caches them until a part of the wall is drawn differently.
 pub(super) struct BlendStage {
@@ -23,39 +25,55 @@ pub(super) struct BlendStage {
 struct BlendWeights {
     part: PixelRect,
     target_size: [u32; 2],
+    records: Records,
+    /// The texture of [`super::places`]; another one has other places.
+    places: wgpu::TextureView,
+    group: wgpu::BindGroup,
+}
+
+/// All projectors on a target, and all their neighbours.
+#[derive(PartialEq)]
+struct Records {
     projectors: Vec<ProjectorRecord>,
     neighbours: Vec<NeighbourRecord>,
-    group: wgpu::BindGroup,
+    /// The meshes of neighbours, each once.
+    meshes: Vec<Arc<Mesh>>,
 }
 
 /// One projector on one target. Matches `Projector` in `shaders/blend_weights.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 struct ProjectorRecord {
-    rect_from_px: [[f32; 4]; 3],
+    image_from_px: [[f32; 4]; 3],
     clip: [f32; 4],
     origin_px: [f32; 2],
     first_neighbour: u32,
     n_neighbours: u32,
+    pixels: [i32; 4],
+    has_mesh: u32,
+    padding: [u32; 3],
 }
 
-const _: () = assert!(size_of::<ProjectorRecord>() == 80);
+const _: () = assert!(size_of::<ProjectorRecord>() == 112);
 
 /// A projector's neighbour. Matches `Neighbour` in `shaders/blend_weights.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 struct NeighbourRecord {
-    raster_from_rect: [[f32; 4]; 3],
+    raster_from_image: [[f32; 4]; 3],
     neighbour_rect_from_rect: [f32; 4],
     reach: [f32; 4],
-    rect_edges: [f32; 4],
+    image_edges: [f32; 4],
     raster_edges: [f32; 4],
     raster_size: [f32; 2],
     black_level: f32,
     blends: f32,
+    first_point: u32,
+    mesh_size: [u32; 2],
+    padding: u32,
 }
 
-const _: () = assert!(size_of::<NeighbourRecord>() == 128);
+const _: () = assert!(size_of::<NeighbourRecord>() == 144);
 
 /// The 11 bits of a half float hold a weight to 1/4096 of itself: less than a sixth of a step of 8 bits.
 const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg16Float;
@@ -70,55 +88,57 @@ impl BlendStage {
             has_dynamic_offset: false,
             min_binding_size: None,
         };
-        let records_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
-            label: Some("projectors and neighbours"),
-            entries: &[
-                entry(0, wgpu::ShaderStages::VERTEX_FRAGMENT, records),
-                entry(1, wgpu::ShaderStages::FRAGMENT, records),
-            ],
-        });
         let texture = wgpu::BindingType::Texture {
             sample_type: wgpu::TextureSampleType::Float { filterable: false },
             view_dimension: wgpu::TextureViewDimension::D2,
             multisampled: false,
         };
+        let records_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+            label: Some("projectors and neighbours"),
+            entries: &[
+                entry(0, wgpu::ShaderStages::VERTEX_FRAGMENT, records),
+                entry(1, wgpu::ShaderStages::FRAGMENT, records),
+                entry(2, wgpu::ShaderStages::FRAGMENT, records),
+                entry(3, wgpu::ShaderStages::FRAGMENT, texture),
+            ],
+        });
         let weights_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some("blend weights"),
-            entries: &[entry(0, wgpu::ShaderStages::FRAGMENT, texture)],
+            entries: &[
+                entry(0, wgpu::ShaderStages::FRAGMENT, texture),
+                entry(1, wgpu::ShaderStages::FRAGMENT, texture),
+            ],
         });
         let layout = pipeline_layout(gpu, "blend weights", &[Some(&records_layout)]);
-        let pipeline = quad_pipeline(gpu, "blend weights", &layout, &shader, &[], "fragment", FORMAT);
+        let pipeline = quad_pipeline(gpu, "blend weights", &layout, &shader, &[], "fragment", FORMAT.into());
         Self { pipeline, records_layout, weights_layout, cached: Vec::new() }
     }
 
-    /// The blend weights of a part of the wall on a target, drawn by `encoder` unless they are cached.
+    /// The blend weights and `places` of a part of the wall on a target, drawn by `encoder` unless they are cached.
+    #[expect(clippy::too_many_arguments, reason = "all that weights depend on")]
     pub(super) fn prepare(
         &mut self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
+        places: &wgpu::TextureView,
         target_size: [u32; 2],
         wall: &Wall,
         part: PixelRect,
         on_target: &[TargetProjector],
     ) -> wgpu::BindGroup {
-        let mut neighbours = Vec::new();
-        let mut projectors = Vec::with_capacity(on_target.len());
-        for on_target in on_target {
-            projectors.push(ProjectorRecord::new(wall, on_target, target_size, neighbours.len() as u32));
-            neighbours.extend(wall.neighbours(on_target.quad.projector_idx).iter().map(NeighbourRecord::new));
-        }
+        let records = Records::new(wall, on_target, target_size);
         // Equal records give equal weights.
         let cached = self.cached.iter().position(|cached| cached.part == part);
         if let Some(cached) = cached.map(|index| &self.cached[index])
-            && (cached.target_size, &cached.projectors, &cached.neighbours) == (target_size, &projectors, &neighbours)
+            && (cached.target_size, &cached.places, &cached.records) == (target_size, places, &records)
         {
             return cached.group.clone();
         }
-        let group = self.draw(gpu, encoder, target_size, &projectors, &neighbours);
+        let group = self.draw(gpu, encoder, places, target_size, &records);
         if let Some(index) = cached {
             self.cached.swap_remove(index);
         }
-        self.cached.push(BlendWeights { part, target_size, projectors, neighbours, group: group.clone() });
+        self.cached.push(BlendWeights { part, target_size, records, places: places.clone(), group: group.clone() });
         group
     }
 
@@ -126,66 +146,108 @@ impl BlendStage {
         &self,
         gpu: &Gpu,
         encoder: &mut wgpu::CommandEncoder,
+        places: &wgpu::TextureView,
         target_size: [u32; 2],
-        projectors: &[ProjectorRecord],
-        neighbours: &[NeighbourRecord],
+        records: &Records,
     ) -> wgpu::BindGroup {
         let device = &gpu.device;
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
         let (_, view) = gpu.texture("blend weights", target_size, FORMAT, usage);
         let storage = wgpu::BufferUsages::STORAGE;
-        let [projector_buffer, neighbour_buffer] = [buffer(gpu, storage, projectors), buffer(gpu, storage, neighbours)];
-        let records = device.create_bind_group(&wgpu::BindGroupDescriptor {
+        let buffers = [
+            buffer(gpu, storage, &records.projectors),
+            buffer(gpu, storage, &records.neighbours),
+            buffer(gpu, storage, &records.image_points()),
+        ];
+        let entry = |binding, resource| wgpu::BindGroupEntry { binding, resource };
+        let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("projectors and neighbours"),
             layout: &self.records_layout,
             entries: &[
-                wgpu::BindGroupEntry { binding: 0, resource: projector_buffer.as_entire_binding() },
-                wgpu::BindGroupEntry { binding: 1, resource: neighbour_buffer.as_entire_binding() },
+                entry(0, buffers[0].as_entire_binding()),
+                entry(1, buffers[1].as_entire_binding()),
+                entry(2, buffers[2].as_entire_binding()),
+                entry(3, wgpu::BindingResource::TextureView(places)),
             ],
         });
-        let mut pass = begin_pass(encoder, "blend weights", &view, None);
+        let mut pass = begin_pass(encoder, "blend weights", &view, Layer::Alone, None);
         pass.set_pipeline(&self.pipeline);
-        pass.set_bind_group(0, &records, &[]);
-        pass.draw(0..4, 0..projectors.len() as u32);
+        pass.set_bind_group(0, &group, &[]);
+        pass.draw(0..4, 0..records.projectors.len() as u32);
         drop(pass);
         device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("blend weights"),
             layout: &self.weights_layout,
-            entries: &[wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&view) }],
+            entries: &[
+                entry(0, wgpu::BindingResource::TextureView(&view)),
+                entry(1, wgpu::BindingResource::TextureView(places)),
+            ],
         })
+    }
+}
+
+impl Records {
+    fn new(wall: &Wall, on_target: &[TargetProjector], target_size: [u32; 2]) -> Self {
+        let mut records = Self { projectors: Vec::new(), neighbours: Vec::new(), meshes: Vec::new() };
+        for on_target in on_target {
+            let first_neighbour = records.neighbours.len() as u32;
+            records.projectors.push(ProjectorRecord::new(wall, on_target, target_size, first_neighbour));
+            for neighbour in wall.neighbours(on_target.quad.projector_idx) {
+                let first_point = neighbour.mesh.as_ref().map_or(0, |mesh| records.first_point(mesh));
+                records.neighbours.push(NeighbourRecord::new(neighbour, first_point));
+            }
+        }
+        records
+    }
+
+    /// The place of a mesh's first point among those of all meshes.
+    fn first_point(&mut self, mesh: &Arc<Mesh>) -> u32 {
+        let position = self.meshes.iter().position(|it| Arc::ptr_eq(it, mesh)).unwrap_or_else(|| {
+            self.meshes.push(Arc::clone(mesh));
+            self.meshes.len() - 1
+        });
+        self.meshes[..position].iter().map(|mesh| mesh.inverse_points().1.len() as u32).sum()
+    }
+
+    /// Points of images of all meshes; one if there are none, as no buffer is empty.
+    fn image_points(&self) -> Vec<[f32; 2]> {
+        let points = self.meshes.iter().flat_map(|mesh| mesh.inverse_points().1);
+        let points: Vec<_> = points.map(|at| at.as_vec2().to_array()).collect();
+        if points.is_empty() { vec![[0.0; 2]] } else { points }
     }
 }
 
 impl ProjectorRecord {
     fn new(wall: &Wall, on_target: &TargetProjector, target_size: [u32; 2], first_neighbour: u32) -> Self {
         Self {
-            rect_from_px: columns(on_target.rect_from_px),
+            image_from_px: columns(on_target.image_from_px),
             clip: on_target.quad.clip(target_size),
             origin_px: on_target.origin_px.as_vec2().to_array(),
             first_neighbour,
             n_neighbours: wall.neighbours(on_target.quad.projector_idx).len() as u32,
+            pixels: on_target.quad.pixels(),
+            has_mesh: u32::from(wall.projectors()[on_target.quad.projector_idx].mesh.is_some()),
+            padding: [0; 3],
         }
     }
 }
 
 impl NeighbourRecord {
-    fn new(neighbour: &Neighbour) -> Self {
+    fn new(neighbour: &Neighbour, first_point: u32) -> Self {
         let [origin, scale] = [neighbour.rect_origin, neighbour.rect_scale].map(DVec2::as_vec2);
         let [least, greatest] = neighbour.reach.map(DVec2::as_vec2);
         Self {
-            raster_from_rect: columns(neighbour.raster_from_rect),
+            raster_from_image: columns(neighbour.raster_from_image),
             neighbour_rect_from_rect: [origin.x, origin.y, scale.x, scale.y],
             reach: [least.x, least.y, greatest.x, greatest.y],
-            rect_edges: neighbour.rect_edges.as_vec4().to_array(),
+            image_edges: neighbour.image_edges.as_vec4().to_array(),
             raster_edges: neighbour.raster_edges.as_vec4().to_array(),
             raster_size: neighbour.raster_size.as_vec2().to_array(),
             black_level: neighbour.black_level as f32,
             blends: f32::from(u8::from(neighbour.blends)),
+            first_point,
+            mesh_size: neighbour.mesh.as_ref().map_or([0; 2], |mesh| mesh.inverse_points().0.map(|n| n as u32)),
+            padding: 0,
         }
     }
-}
-
-/// A matrix as WGSL lays it out: columns of three, each padded to four.
-fn columns(matrix: DMat3) -> [[f32; 4]; 3] {
-    matrix.to_cols_array_2d().map(|[x, y, z]| [x as f32, y as f32, z as f32, 0.0])
 }

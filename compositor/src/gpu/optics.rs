@@ -4,12 +4,14 @@ use super::{
     blend_weights::BlendStage,
     context::Gpu,
     frame::FrameLayouts,
-    quad::{Quad, QuadPipelines, Target, TargetProjector, buffer},
+    places::PlaceStage,
+    quad::{Layer, Quad, QuadPipelines, Target, TargetProjector, buffer},
 };
 use crate::wall::{Gamma, PixelRect, Wall};
 
 /// The pipelines of this stage, for any wall.
 pub(super) struct OpticsStage {
+    places: PlaceStage,
     blend_weights: BlendStage,
     pipelines: QuadPipelines,
 }
@@ -26,20 +28,21 @@ pub(super) struct OpticsDraw {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 struct ProjectorInstance {
-    rect_from_px: [[f32; 3]; 3],
+    image_from_px: [[f32; 3]; 3],
     clip: [f32; 4],
     frame_from_rect: [f32; 4],
     drive_per_light: [f32; 3],
     gamma: f32,
     origin_px: [f32; 2],
     wall_black: f32,
+    has_mesh: u32,
 }
 
-const _: () = assert!(size_of::<ProjectorInstance>() == 96);
+const _: () = assert!(size_of::<ProjectorInstance>() == 100);
 
-const INSTANCE_ATTRIBUTES: [wgpu::VertexAttribute; 9] = wgpu::vertex_attr_array![
+const INSTANCE_ATTRIBUTES: [wgpu::VertexAttribute; 10] = wgpu::vertex_attr_array![
     0 => Float32x3, 1 => Float32x3, 2 => Float32x3, 3 => Float32x4, 4 => Float32x4, 5 => Float32x3, 6 => Float32,
-    7 => Float32x2, 8 => Float32
+    7 => Float32x2, 8 => Float32, 9 => Uint32
 ];
 
 impl OpticsStage {
@@ -55,11 +58,11 @@ impl OpticsStage {
             weights_layout,
             &INSTANCE_ATTRIBUTES,
         );
-        Self { blend_weights, pipelines }
+        Self { places: PlaceStage::new(gpu), blend_weights, pipelines }
     }
 
     /// Prepares a pass that draws `quads`, the corrected projectors of a part of the wall, from a frame that [is
-    /// cut](super::frame::FrameTexture::is_cut) or not; `None` if there are no projectors.
+    /// cut](super::frame::FrameTexture::is_cut) or not, alone or over another; `None` if there are no projectors.
     pub(super) fn prepare(
         &mut self,
         gpu: &Gpu,
@@ -67,7 +70,7 @@ impl OpticsStage {
         wall: &Wall,
         &(target, part): &(Target<'_>, PixelRect),
         quads: &[Quad],
-        is_cut: bool,
+        (is_cut, layer): (bool, Layer),
     ) -> Option<OpticsDraw> {
         let on_target: Vec<_> = quads.iter().filter_map(|&quad| TargetProjector::new(wall, quad)).collect();
         if on_target.is_empty() {
@@ -75,9 +78,10 @@ impl OpticsStage {
         }
         let instances: Vec<_> =
             on_target.iter().map(|on_target| ProjectorInstance::new(wall, on_target, target.size)).collect();
+        let places = self.places.prepare(gpu, encoder, target.size, wall, part, &on_target);
         Some(OpticsDraw {
-            pipeline: self.pipelines.get(gpu, target.format, is_cut),
-            blend_weights: self.blend_weights.prepare(gpu, encoder, target.size, wall, part, &on_target),
+            pipeline: self.pipelines.get(gpu, target.format, is_cut, layer),
+            blend_weights: self.blend_weights.prepare(gpu, encoder, &places, target.size, wall, part, &on_target),
             instances: buffer(gpu, wgpu::BufferUsages::VERTEX, &instances),
             n_projectors: instances.len() as u32,
         })
@@ -99,7 +103,7 @@ impl ProjectorInstance {
         let projector = &wall.projectors()[on_target.quad.projector_idx];
         let canvas = projector.canvas;
         Self {
-            rect_from_px: on_target.rect_from_px.to_cols_array_2d().map(|column| column.map(|it| it as f32)),
+            image_from_px: on_target.image_from_px.to_cols_array_2d().map(|column| column.map(|it| it as f32)),
             clip: on_target.quad.clip(target_size),
             // The frame covers the canvas: a point of the canvas is the same point of the frame.
             frame_from_rect: [canvas.left, canvas.bottom + canvas.height, canvas.width, -canvas.height]
@@ -111,6 +115,7 @@ impl ProjectorInstance {
             },
             origin_px: on_target.origin_px.as_vec2().to_array(),
             wall_black: wall.black() as f32,
+            has_mesh: u32::from(projector.mesh.is_some()),
         }
     }
 }

@@ -8,6 +8,8 @@ use std::{
 use channel::files;
 use renderer::render::image::encode_png;
 
+use crate::wall::PixelRect;
+
 /// An image in sRGB-encoded R, G, B bytes, row by row from the top left.
 #[derive(Clone, PartialEq, Eq)]
 pub struct RgbImage {
@@ -27,6 +29,16 @@ impl RgbImage {
     pub fn pixel(&self, x: u32, y: u32) -> [u8; 3] {
         let first = 3 * (y as usize * self.size[0] as usize + x as usize);
         [self.rgb[first], self.rgb[first + 1], self.rgb[first + 2]]
+    }
+
+    /// A part of the image, which lies in it.
+    pub(crate) fn part(&self, part: PixelRect) -> Self {
+        let row = |y: u32| {
+            let first = 3 * (y as usize * self.size[0] as usize + part.x as usize);
+            &self.rgb[first..][..3 * part.width as usize]
+        };
+        let rgb = (part.y..part.y + part.height).flat_map(row).copied().collect();
+        Self { size: [part.width, part.height], rgb }
     }
 
     /// Writes a PNG; on an error, the file at `path` stays as it was.

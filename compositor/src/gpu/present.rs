@@ -6,7 +6,7 @@ use super::{
     context::{Gpu, GpuError},
     frame::{FrameLayouts, FrameTexture},
     optics::OpticsStage,
-    quad::{Quad, QuadPipelines, Target, begin_pass, buffer},
+    quad::{Layer, Quad, QuadPipelines, Target, begin_pass, buffer},
     timer::DrawTimer,
 };
 use crate::wall::{CanvasRect, PixelRect, Wall};
@@ -21,6 +21,8 @@ pub struct Present {
     optics: OpticsStage,
     layouts: FrameLayouts,
     frame: Option<FrameTexture>,
+    /// The frame that the wall fades from, and the new one's part of the light, 0 to 1.
+    fade: Option<(FrameTexture, f64)>,
     timer: Option<DrawTimer>,
 }
 
@@ -46,7 +48,8 @@ impl Present {
         let source = include_str!("../../../shaders/present.wgsl");
         let pipelines =
             QuadPipelines::new::<ProjectorInstance>(gpu, "present", source, &layouts, None, &INSTANCE_ATTRIBUTES);
-        Self { pipelines, optics: OpticsStage::new(gpu, &layouts), layouts, frame: None, timer: DrawTimer::new(gpu) }
+        let (optics, timer) = (OpticsStage::new(gpu, &layouts), DrawTimer::new(gpu));
+        Self { pipelines, optics, layouts, frame: None, fade: None, timer }
     }
 
     /// Takes a complete frame, whose resolution may differ from the last one's: sRGB-encoded R, G, B and one byte unused,
@@ -55,6 +58,20 @@ impl Present {
         let old = self.frame.take();
         self.frame = Some(self.texture(gpu, size, rgba, old)?);
         Ok(())
+    }
+
+    /// The same, but the wall keeps showing the old frame, and fades into the new one as [`Present::set_fade`] says.
+    pub fn fade_into(&mut self, gpu: &Gpu, size: FrameSize, rgba: &[u8]) -> Result<(), GpuError> {
+        let spare = self.fade.take().map(|(old, _)| old);
+        let new = self.texture(gpu, size, rgba, spare)?;
+        self.fade = self.frame.replace(new).map(|old| (old, 0.0));
+        Ok(())
+    }
+
+    /// Sets the new frame's part of the light, 0 to 1: at 1, the fade is over.
+    pub fn set_fade(&mut self, part: f64) {
+        self.fade.take_if(|_| part >= 1.0);
+        self.fade.iter_mut().for_each(|(_, of_new)| *of_new = part);
     }
 
     /// A texture with a frame's samples, for [`Present::draw_frame`]; the old one, if it has the size.
@@ -87,9 +104,14 @@ impl Present {
         wall: &Wall,
         outputs: &[(Target<'_>, PixelRect)],
     ) {
-        let frame = self.frame.take();
-        self.draw_frame(gpu, encoder, frame.as_ref(), wall, outputs);
-        self.frame = frame;
+        let (frame, fade) = (self.frame.take(), self.fade.take());
+        match (&frame, &fade) {
+            (Some(new), Some((old, part))) => {
+                self.draw_layers(gpu, encoder, &[(Some(old), 1.0), (Some(new), *part)], wall, outputs);
+            }
+            (frame, _) => self.draw_layers(gpu, encoder, &[(frame.as_ref(), 1.0)], wall, outputs),
+        }
+        (self.frame, self.fade) = (frame, fade);
     }
 
     /// The same with another frame, or black without one.
@@ -101,41 +123,69 @@ impl Present {
         wall: &Wall,
         outputs: &[(Target<'_>, PixelRect)],
     ) {
-        let is_cut = frame.is_some_and(FrameTexture::is_cut);
-        for (index, output) in outputs.iter().enumerate() {
-            let &(target, part) = output;
-            let pipeline = self.pipelines.get(gpu, target.format, is_cut);
-            let (plain, corrected): (Vec<_>, Vec<_>) =
-                Quad::of_part(wall, part, target.size).partition(|quad| wall.is_plain(quad.projector_idx));
-            let frame_from_px: Vec<_> = plain.iter().map(|quad| FrameFromPx::new(wall, quad)).collect();
-            let instances: Vec<_> = (frame_from_px.iter().zip(&plain))
-                .map(|(frame_from_px, quad)| ProjectorInstance::new(frame_from_px, quad, target.size))
-                .collect();
-            // A new buffer for each draw costs half a kilobyte, and several targets in one submission share nothing.
-            let instance_buffer = (!instances.is_empty()).then(|| buffer(gpu, wgpu::BufferUsages::VERTEX, &instances));
-            let corrected = self.optics.prepare(gpu, encoder, wall, output, &corrected, is_cut);
+        self.draw_layers(gpu, encoder, &[(frame, 1.0)], wall, outputs);
+    }
 
-            let is_end = [index == 0, index + 1 == outputs.len()];
-            let timestamps = self.timer.as_ref().and_then(|timer| timer.pass_timestamps(is_end));
-            let mut pass = begin_pass(encoder, "present", target.view, timestamps);
-            if let Some(frame) = frame {
-                if let Some(instance_buffer) = &instance_buffer {
-                    let is_sample_per_px = frame_from_px.iter().all(|it| it.is_sample_per_px(frame.size, target.size));
-                    pass.set_bind_group(0, if is_sample_per_px { &frame.nearest } else { &frame.bilinear }, &[]);
-                    pass.set_pipeline(&pipeline);
-                    pass.set_vertex_buffer(0, instance_buffer.slice(..));
-                    pass.draw(0..4, 0..instances.len() as u32);
-                }
-                if let Some(corrected) = &corrected {
-                    pass.set_bind_group(0, &frame.bilinear, &[]);
-                    corrected.draw(&mut pass);
-                }
-            }
+    /// The same with frames over each other, the lowest first, each with its part of the light.
+    fn draw_layers(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        frames: &[(Option<&FrameTexture>, f64)],
+        wall: &Wall,
+        outputs: &[(Target<'_>, PixelRect)],
+    ) {
+        let passes: Vec<_> =
+            outputs.iter().flat_map(|output| (0..frames.len()).map(move |index| (output, index))).collect();
+        for (index, &(output, frame_idx)) in passes.iter().enumerate() {
+            let is_end = [index == 0, index + 1 == passes.len()];
+            let layer = if frame_idx == 0 { Layer::Alone } else { Layer::Over };
+            self.draw_layer(gpu, encoder, frames[frame_idx], layer, wall, output, is_end);
         }
         if let Some(timer) = &mut self.timer
             && !outputs.is_empty()
         {
             timer.read_after(encoder);
+        }
+    }
+
+    #[expect(clippy::too_many_arguments, reason = "a pass needs all of them")]
+    fn draw_layer(
+        &mut self,
+        gpu: &Gpu,
+        encoder: &mut wgpu::CommandEncoder,
+        (frame, light): (Option<&FrameTexture>, f64),
+        layer: Layer,
+        wall: &Wall,
+        output: &(Target<'_>, PixelRect),
+        is_end: [bool; 2],
+    ) {
+        let is_cut = frame.is_some_and(FrameTexture::is_cut);
+        let &(target, part) = output;
+        let pipeline = self.pipelines.get(gpu, target.format, is_cut, layer);
+        let (plain, corrected): (Vec<_>, Vec<_>) =
+            Quad::of_part(wall, part, target.size).partition(|quad| wall.is_plain(quad.projector_idx));
+        let frame_from_px: Vec<_> = plain.iter().map(|quad| FrameFromPx::new(wall, quad)).collect();
+        let instances: Vec<_> = (frame_from_px.iter().zip(&plain))
+            .map(|(frame_from_px, quad)| ProjectorInstance::new(frame_from_px, quad, target.size))
+            .collect();
+        // A new buffer for each draw costs half a kilobyte, and several targets in one submission share nothing.
+        let instance_buffer = (!instances.is_empty()).then(|| buffer(gpu, wgpu::BufferUsages::VERTEX, &instances));
+        let corrected = self.optics.prepare(gpu, encoder, wall, output, &corrected, (is_cut, layer));
+        let timestamps = self.timer.as_ref().and_then(|timer| timer.pass_timestamps(is_end));
+        let mut pass = begin_pass(encoder, "present", target.view, layer, timestamps);
+        let Some(frame) = frame else { return };
+        pass.set_blend_constant(wgpu::Color { r: light, g: light, b: light, a: light });
+        if let Some(instance_buffer) = &instance_buffer {
+            let is_sample_per_px = frame_from_px.iter().all(|it| it.is_sample_per_px(frame.size, target.size));
+            pass.set_bind_group(0, if is_sample_per_px { &frame.nearest } else { &frame.bilinear }, &[]);
+            pass.set_pipeline(&pipeline);
+            pass.set_vertex_buffer(0, instance_buffer.slice(..));
+            pass.draw(0..4, 0..instances.len() as u32);
+        }
+        if let Some(corrected) = &corrected {
+            pass.set_bind_group(0, &frame.bilinear, &[]);
+            corrected.draw(&mut pass);
         }
     }
 

@@ -29,8 +29,8 @@ pub(super) struct TargetProjector {
     pub(super) quad: Quad,
     /// A pixel in the quad's middle: f32 holds the small offsets from it well.
     pub(super) origin_px: DVec2,
-    /// From pixels right and down of `origin_px` to the projector's rectangle of the canvas.
-    pub(super) rect_from_px: DMat3,
+    /// From pixels right and down of `origin_px` to the projector's image.
+    pub(super) image_from_px: DMat3,
 }
 
 impl Quad {
@@ -49,6 +49,12 @@ impl Quad {
         })
     }
 
+    /// The columns and rows of the first and the last pixel whose centres it covers.
+    pub(super) fn pixels(&self) -> [i32; 4] {
+        let [left, top, right, bottom] = self.edges.map(|edge| (edge - 0.5).ceil() as i32);
+        [left, top, right - 1, bottom - 1]
+    }
+
     /// Left, bottom, right and top in clip coordinates.
     pub(super) fn clip(&self, target_size: [u32; 2]) -> [f32; 4] {
         let [left, top, right, bottom] = self.edges;
@@ -65,9 +71,21 @@ impl TargetProjector {
         let origin_px = DVec2::new((left + right) / 2.0, (top + bottom) / 2.0).floor();
         let raster_from_px = DMat3::from_scale(DVec2::new(1.0 / (right - left), 1.0 / (bottom - top)))
             * DMat3::from_translation(origin_px - DVec2::new(left, top));
-        let rect_from_raster = wall.projectors()[quad.projector_idx].raster_from_rect()?.inverse();
-        Some(Self { quad, origin_px, rect_from_px: rect_from_raster * raster_from_px })
+        let image_from_raster = wall.projectors()[quad.projector_idx].raster_from_image()?.inverse();
+        Some(Self { quad, origin_px, image_from_px: image_from_raster * raster_from_px })
     }
+}
+
+/// The variant of a pipeline: for targets of a format, a frame that is cut or not, alone or over another.
+type Variant = (wgpu::TextureFormat, bool, Layer);
+
+/// How a frame lies on the target.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Layer {
+    /// Alone.
+    Alone,
+    /// Over another, mixed by the pass's blend constant.
+    Over,
 }
 
 /// Pipelines that draw quads, one for each format of the targets so far, because a window and a screenshot may differ, and
@@ -77,7 +95,7 @@ pub(super) struct QuadPipelines {
     /// For frames that are whole, and for frames in pieces.
     variants: [(wgpu::ShaderModule, wgpu::PipelineLayout); 2],
     instances: wgpu::VertexBufferLayout<'static>,
-    used: Vec<((wgpu::TextureFormat, bool), wgpu::RenderPipeline)>,
+    used: Vec<(Variant, wgpu::RenderPipeline)>,
 }
 
 impl QuadPipelines {
@@ -107,19 +125,38 @@ impl QuadPipelines {
     }
 
     /// The pipeline for targets of a format, which encode sRGB themselves or leave it to the shader, and a frame that is cut
-    /// or not.
-    pub(super) fn get(&mut self, gpu: &Gpu, format: wgpu::TextureFormat, is_cut: bool) -> wgpu::RenderPipeline {
-        if let Some((_, pipeline)) = self.used.iter().find(|(made_for, _)| *made_for == (format, is_cut)) {
+    /// or not, alone or over another.
+    pub(super) fn get(
+        &mut self,
+        gpu: &Gpu,
+        format: wgpu::TextureFormat,
+        is_cut: bool,
+        layer: Layer,
+    ) -> wgpu::RenderPipeline {
+        let variant = (format, is_cut, layer);
+        if let Some((_, pipeline)) = self.used.iter().find(|(made_for, _)| *made_for == variant) {
             return pipeline.clone();
         }
         let fragment = if format.is_srgb() { "fragment_linear" } else { "fragment_encoded" };
         let buffers = [Some(self.instances.clone())];
         let (shader, layout) = &self.variants[usize::from(is_cut)];
-        let pipeline = quad_pipeline(gpu, self.label, layout, shader, &buffers, fragment, format);
-        self.used.push(((format, is_cut), pipeline.clone()));
+        let blend = (layer == Layer::Over).then_some(MIX);
+        let target = wgpu::ColorTargetState { blend, ..format.into() };
+        let pipeline = quad_pipeline(gpu, self.label, layout, shader, &buffers, fragment, target);
+        self.used.push((variant, pipeline.clone()));
         pipeline
     }
 }
+
+/// Mixes by the blend constant: in linear light where the target encodes sRGB.
+const MIX: wgpu::BlendState = {
+    let mix = wgpu::BlendComponent {
+        src_factor: wgpu::BlendFactor::Constant,
+        dst_factor: wgpu::BlendFactor::OneMinusConstant,
+        operation: wgpu::BlendOperation::Add,
+    };
+    wgpu::BlendState { color: mix, alpha: mix }
+};
 
 pub(super) fn pipeline_layout(
     gpu: &Gpu,
@@ -141,7 +178,7 @@ pub(super) fn quad_pipeline(
     shader: &wgpu::ShaderModule,
     buffers: &[Option<wgpu::VertexBufferLayout<'_>>],
     fragment: &'static str,
-    format: wgpu::TextureFormat,
+    target: wgpu::ColorTargetState,
 ) -> wgpu::RenderPipeline {
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(label),
@@ -159,11 +196,16 @@ pub(super) fn quad_pipeline(
             module: shader,
             entry_point: Some(fragment),
             compilation_options: Default::default(),
-            targets: &[Some(format.into())],
+            targets: &[Some(target)],
         }),
         multiview_mask: None,
         cache: None,
     })
+}
+
+/// A matrix as WGSL lays it out: columns of three, each padded to four.
+pub(super) fn columns(matrix: DMat3) -> [[f32; 4]; 3] {
+    matrix.to_cols_array_2d().map(|[x, y, z]| [x as f32, y as f32, z as f32, 0.0])
 }
 
 /// A buffer that holds `records`.
@@ -178,20 +220,25 @@ pub(super) fn buffer<T: bytemuck::NoUninit>(gpu: &Gpu, usage: wgpu::BufferUsages
     buffer
 }
 
-/// A pass that clears `view` to black and draws on it.
+/// A pass that draws on `view`: over what is there, or on black.
 pub(super) fn begin_pass<'a>(
     encoder: &'a mut wgpu::CommandEncoder,
     label: &str,
     view: &wgpu::TextureView,
+    layer: Layer,
     timestamp_writes: Option<wgpu::RenderPassTimestampWrites<'_>>,
 ) -> wgpu::RenderPass<'a> {
+    let load = match layer {
+        Layer::Alone => wgpu::LoadOp::Clear(wgpu::Color::BLACK),
+        Layer::Over => wgpu::LoadOp::Load,
+    };
     encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
         label: Some(label),
         color_attachments: &[Some(wgpu::RenderPassColorAttachment {
             view,
             depth_slice: None,
             resolve_target: None,
-            ops: wgpu::Operations { load: wgpu::LoadOp::Clear(wgpu::Color::BLACK), store: wgpu::StoreOp::Store },
+            ops: wgpu::Operations { load, store: wgpu::StoreOp::Store },
         })],
         timestamp_writes,
         ..Default::default()

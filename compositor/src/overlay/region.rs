@@ -2,20 +2,22 @@
 
 use std::sync::Arc;
 
-use egui::{Color32, Mesh, Pos2, Rect, Shape, epaint::Vertex, pos2, vec2};
+use egui::{Color32, Mesh, Pos2, Rect, Shape, Vec2, epaint::Vertex, pos2, vec2};
 use glam::{DMat3, DVec2};
 
-use crate::wall::{CanvasRect, Projector, homography::apply};
+use crate::wall::{CanvasRect, Projector, homography::apply, mesh};
 
 /// A projector's part of the canvas, and where the window shows it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ProjectorRegion {
     /// The part of the canvas, whose upper-left corner is (0, 0) and whose lower-right corner is (1, 1).
     pub canvas: Rect,
     /// Where the projector's pixels are in the window, in points.
     pub window: Rect,
-    /// From that part to those pixels, both from (0, 0) upper left to (1, 1): [`Projector::raster_from_rect`].
-    pub raster_from_rect: DMat3,
+    /// The mesh by which its image bends, if it has one.
+    mesh: Option<Arc<mesh::Mesh>>,
+    /// From its image to those pixels, both from (0, 0) upper left to (1, 1): [`Projector::raster_from_image`].
+    raster_from_image: DMat3,
 }
 
 /// Cells a side of the mesh that bends with a warped projector.
@@ -24,13 +26,26 @@ const N_CELLS: u16 = 12;
 impl ProjectorRegion {
     /// A projector's region; `window` is where its pixels are.
     pub(crate) fn new(projector: &Projector, window: Rect) -> Option<Self> {
-        Some(Self { canvas: to_rect(&projector.canvas), window, raster_from_rect: projector.raster_from_rect()? })
+        let (mesh, raster_from_image) = (projector.mesh.clone(), projector.raster_from_image()?);
+        Some(Self { canvas: to_rect(&projector.canvas), window, mesh, raster_from_image })
     }
 
     /// The window position of a point of the canvas, (0, 0) upper left; `None` if the projector does not show it.
     pub(super) fn window_position(&self, point: Pos2) -> Option<Pos2> {
         let at = self.in_window((point - self.canvas.min) / self.canvas.size())?;
         (self.canvas.contains(point) && self.window.contains(at)).then_some(at)
+    }
+
+    /// The window position, perhaps beyond the projector's pixels, of a point of the canvas.
+    pub(super) fn place(&self, point: Pos2) -> Option<Pos2> {
+        self.in_window((point - self.canvas.min) / self.canvas.size())
+    }
+
+    /// The width and height of the whole canvas in the window's resolution, in points.
+    pub(super) fn points_per_canvas(&self) -> Option<Vec2> {
+        let [corner, right, below] = [vec2(0.0, 0.0), vec2(1.0, 0.0), vec2(0.0, 1.0)].map(|part| self.in_window(part));
+        let corner = corner?;
+        Some(vec2((right? - corner).length(), (below? - corner).length()) / self.canvas.size())
     }
 
     /// A texture that lies on the canvas, as the window shows it; `uv` maps a point of the canvas to the texture.
@@ -50,8 +65,10 @@ impl ProjectorRegion {
     }
 
     /// The window position, or one beyond its edges, of a point of the part, from (0, 0) to (1, 1).
-    fn in_window(&self, part: egui::Vec2) -> Option<Pos2> {
-        let raster = apply(self.raster_from_rect, DVec2::new(part.x.into(), part.y.into()))?;
+    fn in_window(&self, part: Vec2) -> Option<Pos2> {
+        let part = DVec2::new(part.x.into(), part.y.into());
+        let image = self.mesh.as_ref().map_or(part, |mesh| mesh.image_near(mesh.bounds().canvas_from_rect(part)));
+        let raster = apply(self.raster_from_image, image)?;
         Some(self.window.min + vec2(raster.x as f32, raster.y as f32) * self.window.size())
     }
 }

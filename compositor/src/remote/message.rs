@@ -7,6 +7,8 @@ use shared::{
     protocol::{LightingMode, ShadingMode},
 };
 
+use crate::control::show::MOST_CAPTION;
+
 /// Longest message in bytes.
 pub const LONGEST_MESSAGE: usize = 4096;
 /// Longest name of a model's file in bytes.
@@ -80,6 +82,22 @@ pub enum Action {
     KeepView {
         /// From 1 to 9.
         number: u8,
+    },
+    /// Goes on with the show.
+    PlayShow,
+    /// Holds the show.
+    PauseShow,
+    /// Goes on to the next scene of the show.
+    NextScene,
+    /// Goes back to the scene before.
+    PreviousScene,
+    /// Keeps this view as the last scene of the show.
+    KeepScene {
+        /// Its caption.
+        #[serde(default)]
+        caption: String,
+        /// Its time; 15 s unless given.
+        seconds: Option<f64>,
     },
     /// Lists the models in the folder of the present one.
     ListModels,
@@ -176,6 +194,12 @@ impl Action {
             Dolly { factor, .. } if !is_factor(factor) => Some("factor is from 0.05 to 20"),
             Roll { degrees } if !(-360.0..=360.0).contains(&degrees) => Some("degrees are from -360 to 360"),
             GoToView { number } | KeepView { number } if !(1..=9).contains(&number) => Some("number is from 1 to 9"),
+            KeepScene { ref caption, .. } if caption.chars().count() > MOST_CAPTION => {
+                Some("caption has at most 200 characters")
+            }
+            KeepScene { seconds: Some(seconds), .. } if !(1.0..=86_400.0).contains(&seconds) => {
+                Some("seconds are from 1 to 86400")
+            }
             Open { ref model } if !is_file_name(model) => Some("model is the name of a file, without folders"),
             Light { azimuth_deg, elevation_deg }
                 if shared::appearance::Light::new(azimuth_deg, elevation_deg).is_err() =>
@@ -257,6 +281,8 @@ mod tests {
             r#"{"do":"go-to","x":-0.1,"y":0}"#,
             r#"{"do":"roll","degrees":1e9}"#,
             r#"{"do":"go-to-view","number":0}"#,
+            r#"{"do":"keep-scene","seconds":0}"#,
+            &format!(r#"{{"do":"keep-scene","caption":"{}"}}"#, "é".repeat(MOST_CAPTION + 1)),
             r#"{"do":"open","model":"../secret.ply"}"#,
             r#"{"do":"open","model":".hidden.ply"}"#,
             r#"{"do":"light","azimuth_deg":181,"elevation_deg":0}"#,
@@ -275,6 +301,7 @@ mod tests {
         let allowed = |json: &str| decode(json.as_bytes()).unwrap().action.is_for_visitors();
         assert!(allowed(r#"{"do":"orbit","x":0,"y":0}"#) && allowed(r#"{"do":"leave"}"#));
         assert!(!allowed(r#"{"do":"open","model":"a.ply"}"#) && !allowed(r#"{"do":"keep-view","number":1}"#));
+        assert!(!allowed(r#"{"do":"next-scene"}"#) && !allowed(r#"{"do":"keep-scene"}"#));
         assert!(!allowed(r#"{"do":"division","division":"tiled"}"#) && !allowed(r#"{"do":"dismiss"}"#));
     }
 }

@@ -30,6 +30,14 @@ pub struct Show {
     pub has_path: bool,
     /// Whether the camera follows it.
     pub is_playing: bool,
+    /// The scenes of the wall's show; none without a show.
+    pub n_scenes: Option<usize>,
+    /// The number of the scene on the wall, from 1.
+    pub scene: Option<usize>,
+    /// Its caption.
+    pub caption: Option<String>,
+    /// Whether time goes on in the show.
+    pub is_show_playing: bool,
     /// The effect of the last command on the wall, shown for a moment.
     pub note: Option<String>,
 }

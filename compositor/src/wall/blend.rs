@@ -1,9 +1,12 @@
 //! Blend weights where projectors overlap, and the black level of the whole wall.
 
+use std::sync::Arc;
+
 use glam::{DMat3, DVec2, DVec4};
 
 use super::{
     homography::{UNIT_SQUARE, apply},
+    mesh::Mesh,
     projector::{CanvasRect, Projector},
 };
 
@@ -20,14 +23,16 @@ pub struct Neighbour {
     pub rect_scale: DVec2,
     /// See `rect_scale`.
     pub rect_origin: DVec2,
-    /// From the projector's rectangle to the neighbour's pixels, in the units of [`Projector::raster_from_rect`].
-    pub raster_from_rect: DMat3,
+    /// The neighbour's mesh, if it has one: its image at a point of its rectangle, which is the same without one.
+    pub mesh: Option<Arc<Mesh>>,
+    /// From the neighbour's image to its pixels: [`Projector::raster_from_image`].
+    pub raster_from_image: DMat3,
     /// The columns and rows of those pixels.
     pub raster_size: DVec2,
-    /// The edges of its rectangle towards which its light fades, 1 or 0: left, upper, right, lower. Edges of the canvas are
-    /// not among them: no projector takes over there.
-    pub rect_edges: DVec4,
-    /// The same for the edges of its pixels: those that cut its rectangle.
+    /// The edges of its image towards which its light fades, 1 or 0: left, upper, right, lower. Without a mesh, edges of
+    /// the canvas are not among them: no projector takes over there.
+    pub image_edges: DVec4,
+    /// The same for the edges of its pixels: those that cut its image.
     pub raster_edges: DVec4,
     /// The least and greatest corner of the part of the projector's rectangle that it can change.
     pub reach: [DVec2; 2],
@@ -36,14 +41,32 @@ pub struct Neighbour {
 /// The most neighbours that a projector may have.
 pub const MOST_NEIGHBOURS: usize = 24;
 
-/// The least distance from an edge, in units of the rectangle or the pixels: where all weights vanish, they keep their
+/// The least distance from an edge, in units of the image or the pixels: where all weights vanish, they keep their
 /// ratios. A tenth of a pixel of the largest projectors.
 pub const LEAST_DISTANCE: f64 = 1e-5;
 
+/// A point that lies outside of an image by this much counts as at its edge, if the image has a mesh: its way back is
+/// found to within a part in ten thousand.
+pub const MESH_TOLERANCE: f64 = 1e-3;
+
+impl Neighbour {
+    /// The point of the neighbour's image at a point of the projector's rectangle, as the GPU finds it.
+    pub fn image_near(&self, rect_point: DVec2) -> DVec2 {
+        let own = self.rect_origin + self.rect_scale * rect_point;
+        self.mesh.as_ref().map_or(own, |mesh| mesh.image_near(mesh.bounds().canvas_from_rect(own)))
+    }
+
+    /// Whether the neighbour's pixels light a point of the projector's rectangle.
+    fn is_lit(&self, rect_point: DVec2) -> bool {
+        let raster = apply(self.raster_from_image, self.image_near(rect_point));
+        raster.is_some_and(|raster| raster.cmpge(DVec2::ZERO).all() && raster.cmple(DVec2::ONE).all())
+    }
+}
+
 /// The neighbours of each projector, itself first; or a projector that has too many, and their number.
 pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usize, usize)> {
-    let maps: Vec<Option<DMat3>> = projectors.iter().map(Projector::raster_from_rect).collect();
-    let boxes: Vec<_> = projectors.iter().map(|projector| bounds(&lit_corners(projector))).collect();
+    let maps: Vec<Option<DMat3>> = projectors.iter().map(Projector::raster_from_image).collect();
+    let boxes: Vec<_> = projectors.iter().map(|projector| bounds(&lit_outline(projector))).collect();
     let of = |projector_idx: usize| {
         let projector = &projectors[projector_idx];
         let neighbour = |other_idx: usize| {
@@ -56,16 +79,16 @@ pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usiz
             let (rect, other_rect) = (projector.canvas, other.canvas);
             let rect_origin = other_rect.rect_from_canvas(rect.canvas_from_rect(DVec2::ZERO));
             let rect_scale = DVec2::new(rect.width / other_rect.width, rect.height / other_rect.height);
-            let other_from_rect = DMat3::from_translation(rect_origin) * DMat3::from_scale(rect_scale);
             Some(Neighbour {
                 projector_idx: other_idx,
                 blends,
                 black_level: other.black_level,
                 rect_scale,
                 rect_origin,
-                raster_from_rect: maps[other_idx]? * other_from_rect,
+                mesh: other.mesh.clone(),
+                raster_from_image: maps[other_idx]?,
                 raster_size: other.output.size(),
-                rect_edges: inner_edges(other.canvas),
+                image_edges: if other.mesh.is_some() { DVec4::ONE } else { inner_edges(other.canvas) },
                 raster_edges: cutting_edges(maps[other_idx]?),
                 reach: reach(projector, other, boxes[other_idx].filter(|_| leaks)),
             })
@@ -100,15 +123,42 @@ fn inner_edges(CanvasRect { left, bottom, width, height }: CanvasRect) -> DVec4 
     DVec4::new(left, 1.0 - bottom - height, 1.0 - left - width, bottom).map(is_inner)
 }
 
-/// The edges of a projector's pixels that cut its rectangle by more than a rounding error, 1 or 0.
-fn cutting_edges(raster_from_rect: DMat3) -> DVec4 {
-    let corners = UNIT_SQUARE.map(|corner| apply(raster_from_rect, corner).map_or(DVec4::ZERO, distances_from_edges));
+/// The edges of a projector's pixels that cut its image by more than a rounding error, 1 or 0.
+fn cutting_edges(raster_from_image: DMat3) -> DVec4 {
+    let corners = UNIT_SQUARE.map(|corner| apply(raster_from_image, corner).map_or(DVec4::ZERO, distances_from_edges));
     let nearest = corners.into_iter().fold(DVec4::INFINITY, DVec4::min);
     nearest.map(|distance| f64::from(u8::from(distance < -LEAST_DISTANCE)))
 }
 
 /// The greatest sum of black levels on the canvas, to which the black of the whole wall is lifted.
 pub fn wall_black(projectors: &[Projector], neighbours: &[Vec<Neighbour>]) -> f64 {
+    let is_bent = projectors.iter().any(|projector| projector.mesh.is_some());
+    if is_bent { sampled_black(projectors, neighbours) } else { exact_black(projectors, neighbours) }
+}
+
+/// The greatest sum at points spread over each projector's pixels, whose overlaps may have any shape.
+fn sampled_black(projectors: &[Projector], neighbours: &[Vec<Neighbour>]) -> f64 {
+    /// Points a side: an overlap that all of them miss is no wider than a sixty-fourth of a projector.
+    const SIDE: u32 = 64;
+    let mut most: f64 = 0.0;
+    for (projector, all) in projectors.iter().zip(neighbours).filter(|(projector, _)| projector.black_level > 0.0) {
+        let Some(image_from_raster) = projector.raster_from_image().map(|map| map.inverse()) else { continue };
+        let steps = || (0..SIDE).map(|step| (f64::from(step) + 0.5) / f64::from(SIDE));
+        for raster in steps().flat_map(|y| steps().map(move |x| DVec2::new(x, y))) {
+            let Some(rect_point) = apply(image_from_raster, raster).map(|image| projector.rect_at(image)) else {
+                continue;
+            };
+            let canvas = projector.canvas.canvas_from_rect(rect_point);
+            if canvas.cmpge(DVec2::ZERO).all() && canvas.cmple(DVec2::ONE).all() {
+                let others = all.iter().skip(1).filter(|it| it.black_level > 0.0 && it.is_lit(rect_point));
+                most = most.max(projector.black_level + others.map(|it| it.black_level).sum::<f64>());
+            }
+        }
+    }
+    most
+}
+
+fn exact_black(projectors: &[Projector], neighbours: &[Vec<Neighbour>]) -> f64 {
     let corners: Vec<Option<[DVec2; 4]>> = projectors.iter().map(shrunk_corners).collect();
     let canvas = UNIT_SQUARE;
     let mut most: f64 = 0.0;
@@ -156,21 +206,22 @@ fn boxes_meet([a_min, a_max]: [DVec2; 2], [b_min, b_max]: [DVec2; 2]) -> bool {
     a_min.cmple(b_max).all() && b_min.cmple(a_max).all()
 }
 
-/// The corners on the canvas of a projector's light, in order.
-fn lit_corners(projector: &Projector) -> Option<[DVec2; 4]> {
-    Some(projector.raster_corners_in_rect()?.map(|corner| projector.canvas.canvas_from_rect(corner)))
+/// The outline of a projector's light on the canvas.
+fn lit_outline(projector: &Projector) -> Option<Vec<DVec2>> {
+    let outline = projector.outline_in_rect()?;
+    Some(outline.into_iter().map(|corner| projector.canvas.canvas_from_rect(corner)).collect())
 }
 
-/// The same, half a pixel smaller on all sides: projectors that touch do not overlap.
+/// The same without a mesh, half a pixel smaller on all sides: projectors that touch do not overlap.
 fn shrunk_corners(projector: &Projector) -> Option<[DVec2; 4]> {
-    let corners = lit_corners(projector)?;
+    let corners: [DVec2; 4] = lit_outline(projector)?.try_into().ok()?;
     let centre = (corners[0] + corners[1] + corners[2] + corners[3]) / 4.0;
     let [columns, rows] = projector.upright_size().map(f64::from);
     Some(corners.map(|corner| corner.lerp(centre, 1.0 / columns.min(rows).max(2.0))))
 }
 
-fn bounds(corners: &Option<[DVec2; 4]>) -> Option<[DVec2; 2]> {
-    let corners = corners.as_ref()?;
+fn bounds(outline: &Option<Vec<DVec2>>) -> Option<[DVec2; 2]> {
+    let corners = outline.as_ref()?;
     let fold = |pick: fn(DVec2, DVec2) -> DVec2| corners.iter().copied().reduce(pick);
     Some([fold(DVec2::min)?, fold(DVec2::max)?])
 }

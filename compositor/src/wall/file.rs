@@ -1,7 +1,8 @@
 //! Wall files: reads TOML, and writes it with every default filled in.
 
-use std::ops::RangeInclusive;
+use std::{io::Read, ops::RangeInclusive, path::Path, sync::Arc};
 
+use channel::files;
 use serde::{Deserialize, Serialize};
 use shared::division::FrameSize;
 use toml::{
@@ -9,7 +10,7 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use super::{CanvasRect, Flip, Gamma, InvalidWall, OnLoss, PixelRect, Projector, Rotation, Wall};
+use super::{CanvasRect, Flip, Gamma, InvalidWall, OnLoss, PixelRect, Projector, Rotation, Surface, Wall, mesh::Mesh};
 
 /// The path of the key at fault, for example `grid.pixels` or `projector.0.gamma`, and the problem.
 type Problem = (String, String);
@@ -21,6 +22,7 @@ struct WallFile {
     frame: Option<[u32; 2]>,
     #[serde(default)]
     on_loss: OnLoss,
+    surface: Option<Surface>,
     #[serde(default, skip_serializing)]
     optics: OpticsSection,
     #[serde(skip_serializing)]
@@ -64,6 +66,7 @@ struct ProjectorSection {
     rotation: Option<u32>,
     flip: Option<Flip>,
     warp_px: Option<[[f64; 2]; 4]>,
+    mesh: Option<String>,
     gamma: Option<Gamma>,
     black_level: Option<f64>,
     gain: Option<[f64; 3]>,
@@ -84,11 +87,16 @@ const BLACK_LEVELS: RangeInclusive<f64> = 0.0..=0.25;
 /// Factors by which a channel is dimmed.
 const GAINS: RangeInclusive<f64> = 0.05..=1.0;
 
-/// The wall that a file describes; or the byte of the file at fault, and the problem.
-pub(super) fn parse(text: &str) -> Result<Wall, (usize, String)> {
+/// The most control points of all meshes of a wall: they take 64 MB on the GPU.
+const MOST_POINTS: usize = 8 << 20;
+/// The longest mesh file in bytes: the largest mesh, and its header.
+const LONGEST_MESH: u64 = 12 * (Mesh::MOST_POINTS_A_SIDE * Mesh::MOST_POINTS_A_SIDE) as u64 + 256;
+
+/// The wall that the text of a file describes, with its meshes; or the byte of the file at fault, and the problem.
+pub(super) fn parse(path: &Path, text: &str) -> Result<Wall, (usize, String)> {
     let file: WallFile = toml::from_str(text)
         .map_err(|error| (error.span().map_or(0, |span| span.start), error.message().to_owned()))?;
-    file.wall().map_err(|(path, problem)| (offset_of(text, &path), problem))
+    file.wall(path).map_err(|(path, problem)| (offset_of(text, &path), problem))
 }
 
 /// The byte of a file at which a value begins, or the innermost table of its path that is there.
@@ -105,8 +113,8 @@ fn offset_of(text: &str, path: &str) -> usize {
 }
 
 impl WallFile {
-    fn wall(self) -> Result<Wall, Problem> {
-        let Self { canvas_m, frame, on_loss, optics, grid, projector: sections } = self;
+    fn wall(self, file: &Path) -> Result<Wall, Problem> {
+        let Self { canvas_m, frame, on_loss, surface, optics, grid, projector: sections } = self;
         if !canvas_m.iter().all(|side_m| CANVAS_SIDES_M.contains(side_m)) {
             let (least, most) = (CANVAS_SIDES_M.start(), CANVAS_SIDES_M.end());
             let problem = format!("canvas_m = {canvas_m:?}: width and height in metres must be from {least} to {most}");
@@ -119,6 +127,7 @@ impl WallFile {
         for projector in &mut projectors {
             optics.apply_to(projector, "optics")?;
         }
+        let mut n_points = 0;
         // The path of each projector's own table.
         let mut paths: Vec<Option<String>> = vec![None; projectors.len()];
         for (section_idx, section) in sections.iter().enumerate() {
@@ -139,6 +148,14 @@ impl WallFile {
                 return Err((format!("{path}.name"), problem));
             }
             section.apply_to(&mut projectors[index], &path)?;
+            if let Some(mesh) = section.mesh(file, canvas_m, &path)? {
+                n_points += mesh.size().into_iter().product::<usize>();
+                if n_points > MOST_POINTS {
+                    let problem = format!("all meshes have more than {MOST_POINTS} control points: leave out some");
+                    return Err((format!("{path}.mesh"), problem));
+                }
+                projectors[index] = projectors[index].clone().with_mesh(mesh);
+            }
         }
         let whole = if grid.is_some() { "grid" } else { "canvas_m" };
         let wall =
@@ -146,7 +163,8 @@ impl WallFile {
                 let own = projector_idx.and_then(|index| paths[index].as_ref());
                 (own.map_or(whole.into(), |path| format!("{path}.{key}")), problem)
             })?;
-        Ok(wall.with_on_loss(on_loss))
+        surface.map_or(Ok(()), |surface| surface.check(canvas_m)).map_err(|problem| ("surface".into(), problem))?;
+        Ok(wall.with_on_loss(on_loss).with_surface(surface))
     }
 }
 
@@ -282,9 +300,25 @@ impl ProjectorSection {
         OpticsSection { rotation, flip, gamma, black_level, gain }.apply_to(projector, path)
     }
 
+    /// The mesh that a file beside the wall file holds.
+    fn mesh(&self, file: &Path, canvas_m: [f64; 2], path: &str) -> Result<Option<Arc<Mesh>>, Problem> {
+        let Some(name) = &self.mesh else { return Ok(None) };
+        let fault = |problem: String| (format!("{path}.mesh"), format!("mesh = {name:?}: {problem}"));
+        if Path::new(name).file_name().is_none_or(|plain| plain != name.as_str()) {
+            return Err(fault("a mesh file lies beside the wall file: name it without a folder".to_owned()));
+        }
+        let mut bytes = Vec::new();
+        let mesh_file = files::open(&file.with_file_name(name)).map_err(|it| fault(it.to_string()))?;
+        // A longer file is cut, and then its length is wrong.
+        mesh_file.take(LONGEST_MESH).read_to_end(&mut bytes).map_err(|it| fault(it.to_string()))?;
+        let mesh = Mesh::from_pfm(name.clone(), &bytes, canvas_m).map_err(|it| fault(it.to_string()))?;
+        Ok(Some(Arc::new(mesh)))
+    }
+
     /// The table of a projector, complete.
     fn of(projector: &Projector, [width_m, height_m]: [f64; 2]) -> Self {
-        let Projector { name, monitor, canvas, output, rotation, flip, warp_px, gamma, black_level, gain } = projector;
+        let Projector { name, monitor, canvas, output, rotation, flip, warp_px, mesh, gamma, black_level, gain } =
+            projector;
         // To the nanometre: hides the rounding error of thirds.
         let metres = |fraction: f64, side_m: f64| (fraction * side_m * 1e9).round() / 1e9;
         Self {
@@ -297,6 +331,7 @@ impl ProjectorSection {
             rotation: Some(rotation.degrees()),
             flip: Some(*flip),
             warp_px: Some(*warp_px),
+            mesh: mesh.as_ref().map(|mesh| mesh.file().to_owned()),
             gamma: Some(*gamma),
             black_level: Some(*black_level),
             gain: Some(*gain),
@@ -331,6 +366,7 @@ pub(super) fn write(wall: &Wall) -> String {
         canvas_m: wall.canvas_m(),
         frame: Some([frame.xres(), frame.yres()]),
         on_loss: wall.on_loss(),
+        surface: wall.surface(),
         optics: OpticsSection::default(),
         grid: None,
         projector: wall.projectors().iter().map(|it| ProjectorSection::of(it, wall.canvas_m())).collect(),

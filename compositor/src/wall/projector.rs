@@ -1,9 +1,14 @@
 //! One projector: its part of the canvas, its pixels, and its light.
 
+use std::sync::Arc;
+
 use glam::{DMat3, DVec2};
 use serde::{Deserialize, Serialize};
 
-use super::homography::{UNIT_SQUARE, apply, square_to_quad};
+use super::{
+    homography::{UNIT_SQUARE, apply, square_to_quad},
+    mesh::Mesh,
+};
 
 /// One projector of the wall, or one screen.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +28,9 @@ pub struct Projector {
     /// The offset of its image's corners from those of its pixels: upper left, upper right, lower right, lower left, each to
     /// the right and down in pixels, as seen on the wall.
     pub warp_px: [[f64; 2]; 4],
+    /// Where its image lies on a canvas that is not flat; `None` if it fills the part of the canvas evenly. `warp_px` then
+    /// moves the image's corners on top.
+    pub mesh: Option<Arc<Mesh>>,
     /// Its light curve.
     pub gamma: Gamma,
     /// The light that it gives for black, as a part of white.
@@ -100,15 +108,26 @@ impl Projector {
             rotation: Rotation::None,
             flip: Flip::None,
             warp_px: [[0.0; 2]; 4],
+            mesh: None,
             gamma: Gamma::Srgb,
             black_level: 0.0,
             gain: [1.0; 3],
         }
     }
 
+    /// The same projector with a mesh; its part of the canvas is then the mesh's.
+    pub fn with_mesh(self, mesh: Arc<Mesh>) -> Self {
+        Self { canvas: mesh.bounds(), mesh: Some(mesh), ..self }
+    }
+
     /// Whether its pixels are the canvas's rows and columns.
     pub fn is_upright(&self) -> bool {
-        self.rotation == Rotation::None && self.flip == Flip::None && self.warp_px == [[0.0; 2]; 4]
+        self.rotation == Rotation::None && self.flip == Flip::None && !self.is_warped()
+    }
+
+    /// Whether corners or a mesh move its image.
+    pub fn is_warped(&self) -> bool {
+        self.warp_px != [[0.0; 2]; 4] || self.mesh.is_some()
     }
 
     /// Columns and rows as seen on the wall.
@@ -117,15 +136,26 @@ impl Projector {
         if matches!(self.rotation, Rotation::Right | Rotation::Left) { [height, width] } else { [width, height] }
     }
 
-    /// From its rectangle of the canvas to its pixels. The rectangle runs from (0, 0) upper left to (1, 1) lower right as
-    /// seen on the wall, the pixels from (0, 0) upper left to (1, 1) lower right as stored.
+    /// From its image to its pixels. The image runs from (0, 0) upper left to (1, 1) lower right as seen on the wall, the
+    /// pixels from (0, 0) upper left to (1, 1) lower right as stored. Without a mesh, the image is its rectangle of the
+    /// canvas.
     ///
     /// `None` if the warped corners are crossed, folded, or mirrored.
-    pub fn raster_from_rect(&self) -> Option<DMat3> {
+    pub fn raster_from_image(&self) -> Option<DMat3> {
         let upright_px = DVec2::from(self.upright_size().map(f64::from));
         let corner = |index: usize| UNIT_SQUARE[index] + DVec2::from(self.warp_px[index]) / upright_px;
-        let upright_from_rect = square_to_quad([corner(0), corner(1), corner(2), corner(3)])?;
-        Some(self.raster_from_upright() * upright_from_rect)
+        let upright_from_image = square_to_quad([corner(0), corner(1), corner(2), corner(3)])?;
+        Some(self.raster_from_upright() * upright_from_image)
+    }
+
+    /// The point of its image at a point of its rectangle.
+    pub fn image_at(&self, rect_point: DVec2) -> DVec2 {
+        self.mesh.as_ref().map_or(rect_point, |mesh| mesh.image_at(self.canvas.canvas_from_rect(rect_point)))
+    }
+
+    /// The point of its rectangle at a point of its image.
+    pub fn rect_at(&self, image: DVec2) -> DVec2 {
+        self.mesh.as_ref().map_or(image, |mesh| self.canvas.rect_from_canvas(mesh.canvas_at(image)))
     }
 
     /// From pixels as seen on the wall to pixels as stored, both from (0, 0) to (1, 1).
@@ -147,13 +177,33 @@ impl Projector {
         unflipped * unturned
     }
 
-    /// The corners of its pixels, in units of its rectangle as for [`Projector::raster_from_rect`]; `None` if one is at or
-    /// behind the horizon.
-    pub fn raster_corners_in_rect(&self) -> Option<[DVec2; 4]> {
-        let rect_from_raster = self.raster_from_rect()?.inverse();
-        let corners = UNIT_SQUARE.map(|corner| apply(rect_from_raster, corner));
+    /// The corners of its pixels, in units of its image; `None` if one is at or behind the horizon.
+    pub fn raster_corners_in_image(&self) -> Option<[DVec2; 4]> {
+        let image_from_raster = self.raster_from_image()?.inverse();
+        let corners = UNIT_SQUARE.map(|corner| apply(image_from_raster, corner));
         let [Some(a), Some(b), Some(c), Some(d)] = corners else { return None };
         Some([a, b, c, d])
+    }
+
+    /// The outline of its pixels, from the first one's corner, in units of its rectangle; four corners, or more if a mesh
+    /// bends the edges. `None` as for [`Projector::raster_corners_in_image`].
+    pub fn outline_in_rect(&self) -> Option<Vec<DVec2>> {
+        let corners = self.raster_corners_in_image()?;
+        let n_steps = if self.mesh.is_some() { 16 } else { 1 };
+        let on_edge = |n: usize| {
+            let (from, to) = (corners[n / n_steps], corners[(n / n_steps + 1) % 4]);
+            self.rect_at(from.lerp(to, (n % n_steps) as f64 / n_steps as f64))
+        };
+        Some((0..4 * n_steps).map(on_edge).collect())
+    }
+
+    /// Columns and rows of its pixels to a width and a height of the canvas, where they are densest.
+    pub(super) fn density(&self) -> [f64; 2] {
+        let [columns, rows] = self.upright_size();
+        match &self.mesh {
+            Some(mesh) => mesh.density([columns, rows]),
+            None => [f64::from(columns) / self.canvas.width, f64::from(rows) / self.canvas.height],
+        }
     }
 }
 
@@ -265,7 +315,7 @@ mod tests {
             assert_eq!(rotation.degrees(), degrees);
             let projector = Projector { rotation, flip, ..Projector::plain("a".into(), rect, output) };
             // The pixels' upper-left, upper-right, lower-right and lower-left corners as seen on the wall.
-            let seen = projector.raster_corners_in_rect().expect("no warp");
+            let seen = projector.raster_corners_in_image().expect("no warp");
             assert_eq!(seen.map(|corner| corner.to_array()), expected, "{degrees} {flip:?}");
         };
         check(0, Flip::None, [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]);

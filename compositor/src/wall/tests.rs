@@ -252,3 +252,57 @@ fn native_frames_have_a_sample_for_each_pixel_and_no_more_than_frames_can_have()
     let wall = Wall::new([1.0, 1.0], FrameSize::PAPER, vec![sliver]).unwrap();
     assert_eq!(size(&wall), (65_536, 4));
 }
+
+#[test]
+fn a_mesh_beside_the_wall_file_bends_its_projector() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("ours.toml").display().to_string();
+    let text = |mesh: &str| {
+        format!(
+            "canvas_m = [2.0, 1.0]\n[grid]\ncolumns = 2\nrows = 1\npixels = [40, 30]\n\
+             [[projector]]\nname = \"row 1 column 2\"\nmesh = \"{mesh}\""
+        )
+    };
+    // Metres: the lower edge of the right half is bowed.
+    let points = [[0.9, 1.0], [1.5, 1.0], [2.0, 1.0], [0.9, 0.1], [1.5, 0.0], [2.0, 0.1]].map(DVec2::from);
+    let points = points.map(|at| at / DVec2::new(2.0, 1.0));
+    let mesh = mesh::Mesh::new("right.pfm".to_owned(), [3, 2], &points).unwrap();
+    std::fs::write(folder.path().join("right.pfm"), mesh.to_pfm([2.0, 1.0])).unwrap();
+    let wall = Wall::from_toml(&file, &text("right.pfm")).unwrap();
+    let projector = &wall.projectors()[1];
+    let CanvasRect { left, bottom, width, height } = projector.canvas;
+    let sides = [left, bottom, width, height].map(|side| (side * 1e4).round() / 1e4);
+    assert_eq!(sides, [0.45, 0.0, 0.55, 1.0], "the part of the canvas that the mesh lights");
+    assert!(!wall.is_plain(1) && wall.is_plain(0) == (wall.neighbours(0).len() == 1));
+    assert!(wall.canvas_at(DVec2::new(60.0, 30.0)).distance(DVec2::new(0.75, 0.0)) < 1e-6);
+    // What is printed names the same mesh, and corners can be moved on top of it.
+    assert!(wall.to_toml().contains("mesh = \"right.pfm\""));
+    assert_eq!(Wall::from_toml(&file, &wall.to_toml()).unwrap().projectors()[1].mesh, projector.mesh);
+    let moved = wall.with_warps(&[(1, [[2.0, 1.0], [0.0; 2], [0.0; 2], [0.0; 2]])]).unwrap();
+    assert!(moved.canvas_at(DVec2::new(42.0, 1.0)).distance(DVec2::new(0.45, 1.0)) < 1e-6);
+
+    let problem = |mesh: &str| Wall::from_toml(&file, &text(mesh)).expect_err(mesh).to_string();
+    assert!(problem("none.pfm").contains("ours.toml:8: mesh = \"none.pfm\": "), "{}", problem("none.pfm"));
+    for outside in ["../right.pfm", "/etc/passwd", "", ".."] {
+        assert!(problem(outside).contains("name it without a folder"), "{}", problem(outside));
+    }
+    std::fs::write(folder.path().join("cut.pfm"), &mesh.to_pfm([2.0, 1.0])[..40]).unwrap();
+    assert!(problem("cut.pfm").contains("no PFM file"), "{}", problem("cut.pfm"));
+    std::fs::write(folder.path().join("mirrored.pfm"), mesh.to_pfm([-2.0, 1.0])).unwrap();
+    assert!(problem("mirrored.pfm").contains("beyond the canvas"), "{}", problem("mirrored.pfm"));
+}
+
+#[test]
+fn the_shape_of_a_wall_is_read_checked_and_kept() {
+    let text =
+        |surface: &str| format!("canvas_m = [3.0, 1.0]\n{surface}\n[grid]\ncolumns = 3\nrows = 1\npixels = [4, 4]");
+    let fold = Wall::from_toml("a.toml", &text("[surface.fold]\nat_m = 1.5\nangle = 120")).unwrap();
+    assert_eq!(fold.surface(), Some(Surface::Fold { at_m: 1.5, angle: 120.0 }));
+    assert_eq!(Wall::from_toml("a.toml", &fold.to_toml()).unwrap().surface(), fold.surface());
+    assert_eq!(fold.with_warps(&[]).unwrap().surface(), fold.surface());
+    let wrong = problem(&text("[surface.cylinder]\nradius_m = 0.4\nat_m = 1.5"));
+    assert!(wrong.starts_with("a.toml:2: radius_m = 0.4") && wrong.contains("at most a turn"), "{wrong}");
+    let wrong = problem(&text("[surface.fold]\nat_m = 1.5\nangle = 180"));
+    assert!(wrong.contains("leave [surface] out for a flat wall"), "{wrong}");
+    assert!(problem(&text("[surface.sphere]\nradius_m = 2")).contains("a.toml:2: "));
+}

@@ -7,6 +7,7 @@ mod picture;
 mod pointer;
 mod probing;
 mod remote;
+mod show;
 mod showing;
 mod steering;
 
@@ -24,7 +25,7 @@ use winit::{
 
 use self::{
     camera::CameraControl, messages::Messages, opening::Browser, picture::PictureControl, pointer::Pointer,
-    probing::Probing, remote::RemoteControl, showing::Presentation,
+    probing::Probing, remote::RemoteControl, show::ShowControl, showing::Presentation,
 };
 use super::{
     OnShown,
@@ -62,6 +63,8 @@ pub(super) struct App<'a> {
     probing: Probing,
     wall: Alignment,
     kiosk: Kiosk,
+    /// The show that the wall plays, if it plays one.
+    show: Option<ShowControl>,
     remote: RemoteControl,
     pointer: Pointer,
     modifiers: ModifiersState,
@@ -97,11 +100,16 @@ impl<'a> App<'a> {
         let store = args.scene.store();
         let mut loader = ModelLoader::new(waker.clone(), args.show.model.crease, store.clone());
         let source = args.show.model.source();
-        if !store.has(&source, args.show.model.crease) {
-            let budget = args.scene.shared_by(args.n_local()).options().memory_budget;
-            warn_of_large_file(&source, 1 + args.n_local(), budget);
+        let picture = PictureControl::new(args, &inputs.wall, inputs.sky);
+        let show = inputs.show.map(|show| ShowControl::new(show, source.clone(), picture.look(), now));
+        // The first scene of a show takes the place of the model.
+        if show.as_ref().is_none_or(ShowControl::is_empty) {
+            if !store.has(&source, args.show.model.crease) {
+                let budget = args.scene.shared_by(args.n_local()).options().memory_budget;
+                warn_of_large_file(&source, 1 + args.n_local(), budget);
+            }
+            loader.load(source.clone());
         }
-        loader.load(source.clone());
         let kiosk = args.kiosk.map(|seconds| Duration::from_secs(seconds.into()));
         Self {
             farm,
@@ -112,10 +120,11 @@ impl<'a> App<'a> {
             loader,
             model: None,
             browser: Browser::new(&source),
-            camera: CameraControl::new(args.up, &inputs, now),
-            picture: PictureControl::new(args, &inputs.wall, inputs.sky),
+            camera: CameraControl::new(args.up, &inputs.wall, (inputs.camera, inputs.path), now),
+            picture,
             probing: Probing::default(),
             kiosk: Kiosk::new(kiosk, now),
+            show,
             remote: RemoteControl::new(remote),
             pointer: Pointer::new(now),
             modifiers: ModifiersState::empty(),
@@ -159,7 +168,7 @@ impl<'a> App<'a> {
 
     /// Carries out the requests of a part of the window.
     fn apply(&mut self, effect: Effect) {
-        let Effect { wants_picture, note, problem, job, files, models } = effect;
+        let Effect { wants_picture, note, problem, job, files, models, show } = effect;
         if let Some(note) = note {
             tracing::info!("{note}");
             self.messages.show_note(note, Instant::now());
@@ -176,6 +185,9 @@ impl<'a> App<'a> {
         }
         if let Some(models) = models {
             self.remote.models = models;
+        }
+        if let (Some(show), Some(control)) = (show, &mut self.show) {
+            control.player.set_show(*show);
         }
         if wants_picture {
             self.want_picture();
@@ -194,6 +206,7 @@ impl<'a> App<'a> {
             goal.spec = Some(step.spec);
             goal.is_refinement = step.is_refinement;
             goal.scene_path = model.path();
+            goal.change = self.show.as_ref().map_or(0, |show| show.change);
             goal.moved_at = now;
         });
     }
@@ -218,12 +231,28 @@ impl<'a> App<'a> {
     }
 
     fn show_model(&mut self, model: Model, sidecars: SidecarFiles) {
-        let name = name_of(&model.source);
-        tracing::info!("showing {name}: {}", counted(model.n_triangles, "triangle"));
         self.messages.problem = None;
         if let Some(problem) = sidecars.problem() {
             self.apply(Effect::problem(problem));
         }
+        self.leave_show();
+        self.announce(&model);
+        if self.model.is_some() {
+            self.picture.begin_model();
+        }
+        let effect = self.camera.set_model(&model, sidecars, &self.free_parts(), Instant::now());
+        if let (up, true) = self.camera.up() {
+            let name = name_of(&model.source);
+            tracing::info!("{up} is guessed to point up in {name}: U on the wall, or --up, chooses another axis");
+        }
+        self.model = Some(model);
+        self.apply(effect);
+    }
+
+    /// Tells which model is on the wall from now on.
+    fn announce(&mut self, model: &Model) {
+        let name = name_of(&model.source);
+        tracing::info!("showing {name}: {}", counted(model.n_triangles, "triangle"));
         // Points of the model before are none of this one.
         self.overlay.pick = None;
         self.probing.forget();
@@ -239,15 +268,6 @@ impl<'a> App<'a> {
         self.overlay.join =
             join_hint(self.farm.address(), self.args.key.as_deref(), files.each_ref().map(Option::as_deref));
         self.outputs.set_title(format!("{name} – Raywall"));
-        if self.model.is_some() {
-            self.picture.begin_model();
-        }
-        let effect = self.camera.set_model(&model, sidecars, &self.free_parts(), Instant::now());
-        if let (up, true) = self.camera.up() {
-            tracing::info!("{up} is guessed to point up in {name}: U on the wall, or --up, chooses another axis");
-        }
-        self.model = Some(model);
-        self.apply(effect);
     }
 
     fn take_frame(&mut self) {
@@ -293,6 +313,7 @@ impl ApplicationHandler<Call> for App<'_> {
             Call::Check => {}
             Call::Apply(effect) => self.apply(effect),
             Call::Show(loaded) => self.take_model(event_loop, loaded),
+            Call::Prepared(index, prepared) => self.take_prepared(index, prepared),
             Call::Close => event_loop.exit(),
         }
         self.take_orders(event_loop);

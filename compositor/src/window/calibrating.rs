@@ -115,7 +115,7 @@ impl ApplicationHandler<Call> for Patterns<'_> {
     fn user_event(&mut self, event_loop: &ActiveEventLoop, call: Call) {
         match call {
             Call::Close => event_loop.exit(),
-            Call::Check | Call::Apply(_) | Call::Show(_) => match (self.on_news)(self.pattern) {
+            Call::Check | Call::Apply(_) | Call::Show(_) | Call::Prepared(..) => match (self.on_news)(self.pattern) {
                 ControlFlow::Continue(pattern) if pattern != self.pattern => self.show(pattern),
                 ControlFlow::Continue(_) => {}
                 ControlFlow::Break(()) => event_loop.exit(),

@@ -308,13 +308,13 @@ impl Outputs {
         }
     }
 
-    /// Shows `new_frame`, or the previous one, in all windows, under the overlay.
+    /// Shows `new_frame`, into which the wall may fade, or the previous one, in all windows, under the overlay.
     ///
     /// `None` if no window can be drawn on now: `new_frame` has yet to be shown.
     pub(super) fn draw(
         &mut self,
         wall: &Wall,
-        new_frame: Option<&Frame>,
+        new_frame: Option<(&Frame, bool)>,
         model: &OverlayModel,
     ) -> Result<Option<DrawResult>, GpuError> {
         let lead = self.lead().map(|(lead, _)| lead);
@@ -332,8 +332,8 @@ impl Outputs {
             return Ok(None);
         }
         let mut stats = DisplayStats::default();
-        if let Some(frame) = new_frame {
-            stats.upload_ms = painter.upload(frame)?;
+        if let Some((frame, fades)) = new_frame {
+            stats.upload_ms = painter.upload(frame, fades)?;
         }
         let content = if painter.is_dark {
             OutputContent::Black

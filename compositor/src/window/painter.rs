@@ -37,10 +37,15 @@ impl Painter {
         Self { present: Present::new(&gpu), gpu, frame: None, is_dark: false, pattern: Vec::new() }
     }
 
-    /// Uploads a frame. Returns the time in milliseconds.
-    pub(super) fn upload(&mut self, frame: &Frame) -> Result<f64, GpuError> {
+    /// Uploads a frame, which the wall may fade into. Returns the time in milliseconds.
+    pub(super) fn upload(&mut self, frame: &Frame, fades: bool) -> Result<f64, GpuError> {
         let start = Instant::now();
-        self.present.upload(&self.gpu, frame.spec.size, bytemuck::cast_slice(&frame.rgba))?;
+        let (size, rgba) = (frame.spec.size, bytemuck::cast_slice(&frame.rgba));
+        if fades {
+            self.present.fade_into(&self.gpu, size, rgba)?;
+        } else {
+            self.present.upload(&self.gpu, size, rgba)?;
+        }
         self.frame = Some(frame.stats.frame);
         Ok(ms_since(start))
     }

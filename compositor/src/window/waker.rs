@@ -2,7 +2,10 @@
 
 use winit::event_loop::EventLoopProxy;
 
-use super::{effect::Effect, model_loader::Loaded};
+use super::{
+    effect::Effect,
+    model_loader::{Loaded, Prepared},
+};
 
 pub(super) enum Call {
     /// Check for frames and other news.
@@ -10,6 +13,8 @@ pub(super) enum Call {
     Apply(Effect),
     /// Show a model, or the reason why it cannot be loaded.
     Show(Loaded),
+    /// A scene of a show by its number.
+    Prepared(usize, Prepared),
     Close,
 }
 

@@ -36,6 +36,11 @@ impl MemoryBudget {
         self.0 > other.0.saturating_add(other.0 / 4)
     }
 
+    /// The budget of another scene beside one of `n_bytes`; `None` if little is left.
+    pub(crate) fn beside(self, n_bytes: u64) -> Option<Self> {
+        Some(Self(self.0.saturating_sub(n_bytes))).filter(|left| Self::RANGE.contains(left))
+    }
+
     pub(crate) fn is_exceeded_by(self, n_bytes: u64) -> bool {
         self.0 < n_bytes
     }

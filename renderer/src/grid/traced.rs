@@ -17,7 +17,7 @@ use crate::{
     scene_file::section::Section,
     simd::{InstructionSet, Simd},
     texture::{
-        footprint::{Footprints, Projection, WideRays, texture_point},
+        footprint::{Footprints, texture_point},
         materials::{PointMaterial, TracedMaterials},
     },
 };
@@ -166,6 +166,11 @@ impl TracedMesh {
         !self.normals.is_empty()
     }
 
+    /// Whether corners have texture coordinates.
+    pub(crate) fn has_texture_coordinates(&self) -> bool {
+        !self.texture_coordinates.is_empty()
+    }
+
     /// Whether a triangle's surface ignores light, and shows its colour.
     pub(crate) fn is_unlit(&self, triangle_idx: u32) -> bool {
         self.materials.is_unlit(triangle_idx)
@@ -181,20 +186,12 @@ impl TracedMesh {
     pub(crate) fn find_materials(
         &self,
         instructions: InstructionSet,
-        rays: impl WideRays,
         hits: &[Hit],
+        footprints: &Footprints,
         materials: &mut [Option<PointMaterial>; 64],
     ) {
         let triangles = hits.iter().map(|hit| (!hit.is_miss() && !hit.is_cap()).then_some(hit.triangle));
-        let project = |samples: &[usize], footprints: &mut Footprints| {
-            let has_coordinates = !self.texture_coordinates.is_empty();
-            if has_coordinates {
-                // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-                unsafe { instructions.call(Projection { mesh: self, rays, hits, samples, footprints }) };
-            }
-            has_coordinates
-        };
-        self.materials.find(instructions, triangles, project, materials);
+        self.materials.find(instructions, triangles, footprints, materials);
     }
 
     /// Whether a ray passes a triangle that it hits, where the triangle's material has a gap.

@@ -20,7 +20,7 @@ use crate::{
         secondary::SecondaryRays,
         shade::{self, Shader},
     },
-    texture::{footprint::SampleRays, materials::PointMaterial},
+    texture::footprint::{Footprints, SampleRays},
 };
 
 /// A value for each sample of neighbouring blocks.
@@ -56,15 +56,6 @@ impl<'a> Lighting<'a> {
         let paths =
             is_path_traced.then(|| (PathTracer::new(scene, spec, clip), ToneMapping::new(spec.appearance.path)));
         Self { shading: spec.view, shader, secondary, paths, eye: rays.eye, sample_sides }
-    }
-
-    /// Finds the materials at up to 64 hits; `None` for misses and caps. All are `None`, and left so, in meshes without
-    /// materials.
-    fn find_materials(&self, rays: SampleRays<'_>, hits: &[Hit], materials: &mut [Option<PointMaterial>; 64]) {
-        let grid = self.secondary.grid;
-        if self.shading == ShadingMode::Shaded && grid.mesh().has_materials() {
-            grid.mesh().find_materials(grid.instructions, rays, hits, materials);
-        }
     }
 
     /// Number of samples of each pixel of `n_blocks` blocks that are lit at once, at least 1; the fewer blocks, the more.
@@ -127,14 +118,17 @@ impl<'a> Lighting<'a> {
         }
         let visibility = self.secondary.visibility(blocks, sample, directions, hits, scratch);
         // Written again for each block: copies of either took up to 5 % of a frame's time.
-        let (mut surfaces, mut materials) = ([None; 64], [None; 64]);
+        let (mut surfaces, mut footprints, mut materials) = ([None; 64], Footprints::NONE, [None; 64]);
+        let (grid, is_shaded) = (self.secondary.grid, self.shading == ShadingMode::Shaded);
         for (index, block) in blocks.iter().enumerate() {
             let n_samples = block.n_samples();
             let (directions, hits) = (&directions[index][..n_samples], &hits[index][..n_samples]);
             if !hits.iter().all(|hit| hit.is_miss()) {
                 let rays = SampleRays { eye: self.eye, directions, sides: self.sample_sides };
-                self.shader.find_surfaces(self.secondary.grid.instructions, rays, hits, &mut surfaces);
-                self.find_materials(rays, hits, &mut materials);
+                self.shader.find_surfaces(grid.instructions, rays, hits, &mut surfaces, &mut footprints);
+                if is_shaded && grid.mesh().has_materials() {
+                    grid.mesh().find_materials(grid.instructions, hits, &footprints, &mut materials);
+                }
             }
             for (sample_idx, (i, j)) in block.samples().enumerate() {
                 let (_, y) = sample_point(i, j, sample);

@@ -46,7 +46,7 @@ use crate::{
         surface::{Surface, normalize_or_zero},
     },
     texture::{
-        footprint::WideRays,
+        footprint::{Footprints, WideRays},
         materials::{Finish, PointMaterial},
     },
 };
@@ -224,15 +224,16 @@ impl<'a> PathTracer<'a> {
     fn bounce(&self, shader: &Shader<'_>, bounce: u8, paths: &[Path], lights: &mut [Vec3]) -> Vec<Path> {
         let is_last = bounce == self.bounces;
         let (mut shadow_rays, mut pending) = (ShadowRays::default(), Vec::with_capacity(paths.len()));
-        let (mut surfaces, mut materials, mut hits) = ([None; 64], [None; 64], [Hit::MISS; 64]);
+        let (mut surfaces, mut footprints, mut materials) = ([None; 64], Footprints::NONE, [None; 64]);
+        let mut hits = [Hit::MISS; 64];
         for paths in paths.chunks(64) {
             // Interpolate the surfaces, and look up their materials.
             let rays = PathRays(paths);
             hits.iter_mut().zip(paths).for_each(|(hit, path)| *hit = path.hit);
             let hits = &hits[..paths.len()];
-            shader.find_surfaces(self.grid.instructions, rays, hits, &mut surfaces);
+            shader.find_surfaces(self.grid.instructions, rays, hits, &mut surfaces, &mut footprints);
             if self.grid.mesh().has_materials() {
-                self.grid.mesh().find_materials(self.grid.instructions, rays, hits, &mut materials);
+                self.grid.mesh().find_materials(self.grid.instructions, hits, &footprints, &mut materials);
             }
             for (index, path) in paths.iter().enumerate() {
                 let surface = surfaces[index].unwrap_or_else(|| shader.flat_surface(path.direction, path.hit));

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use glam::{DVec3, Vec3};
 use shared::{
     appearance::{Clip, ClipPlane},
     camera::Camera,
@@ -18,6 +19,9 @@ use crate::{
     model::mesh::Mesh,
     render::sky::SkyMap,
 };
+
+/// The largest relative difference of a hit's t in `f32` and `f64`.
+const SAME_T: f64 = 1e-3;
 
 /// A mesh with its grid: all that rays need.
 pub struct Scene {
@@ -68,7 +72,8 @@ impl Scene {
 
     /// The nearest triangle at a point of the view plane of a camera in world space, in fractions of its edges u and v.
     ///
-    /// Uses the arithmetic of frames, so that it finds the triangle that the frame shows.
+    /// Uses the arithmetic of frames, so that it finds the triangle that the frame shows; the point is where the ray meets the
+    /// triangle's plane, in `f64`.
     pub fn probe(&self, camera: &Camera, at: [f32; 2], clip: Option<Clip>) -> Option<ProbeHit> {
         let camera = &self.local(camera);
         let direction = camera.rays(FrameSize::ONE).direction_through(at[0], at[1]);
@@ -77,8 +82,29 @@ impl Scene {
         }
         let plane = self.clip_plane(camera, clip);
         let ray = Ray::new(camera.eye().as_vec3(), direction);
-        let hit = self.with_file_index(clip::intersect(&self.grid, plane.as_ref(), ray));
-        (!hit.is_miss()).then_some(ProbeHit { triangle: (!hit.is_cap()).then_some(hit.triangle), t: hit.t })
+        let hit = clip::intersect(&self.grid, plane.as_ref(), ray);
+        if hit.is_miss() {
+            return None;
+        }
+        let point = self.mesh().origin() + self.exact_point(ray, hit, plane);
+        let triangle = (!hit.is_cap()).then(|| self.mesh().file_index(hit.triangle));
+        Some(ProbeHit { triangle, t: hit.t, point })
+    }
+
+    /// Where a ray meets the plane of the triangle, or the clip plane, that it hits; in model space.
+    fn exact_point(&self, ray: Ray, hit: Hit, clip: Option<ClipPlane>) -> DVec3 {
+        let [origin, direction] = [ray.origin, ray.direction].map(Vec3::as_dvec3);
+        let (normal, offset) = match clip {
+            Some(ClipPlane { normal, offset }) if hit.is_cap() => (normal, offset),
+            _ => {
+                let normal = self.mesh().normal(hit.triangle);
+                (normal, normal.dot(Vec3::from_array(self.mesh().corners(hit.triangle)[0]).as_dvec3()))
+            }
+        };
+        let t = (offset - normal.dot(origin)) / normal.dot(direction);
+        // A ray along the plane meets all of it.
+        let t = if (t - f64::from(hit.t)).abs() <= SAME_T * f64::from(hit.t).abs() { t } else { f64::from(hit.t) };
+        origin + direction * t
     }
 
     /// The plane that cuts this scene open for a camera in model space.
@@ -153,12 +179,46 @@ mod tests {
             };
             let scene = statue_at(offset);
             assert_ne!(scene.mesh().origin(), DVec3::ZERO);
-            (scene.probe(&spec.camera, [0.5; 2], None), scene.render_frame(&spec).0)
+            let hit = scene.probe(&spec.camera, [0.5; 2], None).map(|hit| (hit.triangle, hit.t));
+            (hit, scene.render_frame(&spec).0)
         };
         for rays in [LightingMode::Primary, LightingMode::AmbientOcclusion] {
             let (hit, frame) = picture(DVec3::ZERO, rays);
             assert!(hit.is_some() && frame.chunks_exact(3).any(|color| color[0] > 100), "the statue is seen");
             assert!((hit, frame) == picture(offset, rays), "{rays}");
+        }
+    }
+
+    /// A unit cube around (0, 0, 0), moved; its faces are exact in `f32`.
+    fn cube(at: DVec3) -> Scene {
+        let mut text =
+            "ply\nformat ascii 1.0\nelement vertex 8\nproperty double x\nproperty double y\nproperty double z\n\
+            element face 6\nproperty list uchar int vertex_indices\nend_header\n"
+                .to_owned();
+        for corner in 0..8 {
+            let p = at + DVec3::from_array([0, 1, 2].map(|axis| f64::from(corner >> axis & 1) - 0.5));
+            text += &format!("{:?} {:?} {:?}\n", p.x, p.y, p.z);
+        }
+        text += "4 0 2 3 1\n4 4 5 7 6\n4 0 1 5 4\n4 2 6 7 3\n4 0 4 6 2\n4 1 3 7 5\n";
+        let mesh = ply::read_from(text.as_bytes(), text.len() as u64).unwrap().mesh;
+        Scene::build(mesh, &GridOptions::default(), &|_| ())
+    }
+
+    #[test]
+    fn picked_points_lie_on_the_surface_to_the_last_digits() {
+        for at in [DVec3::ZERO, DVec3::new(512_345.0, 5_412_345.0, 64.0)] {
+            let scene = cube(at);
+            let camera = Camera::look_at(at + DVec3::new(2.7, 1.9, 3.1), at, DVec3::Y, 0.5, 1.3).unwrap();
+            let mut n_hits = 0;
+            for step in 0..400 {
+                let (x, y) = ((step % 20) as f32 / 19.0, (step / 20) as f32 / 19.0);
+                let Some(hit) = scene.probe(&camera, [x, y], None) else { continue };
+                let from_middle = (hit.point - at).abs().max_element();
+                // The digits of a map grid end at a billionth of a metre.
+                assert!((from_middle - 0.5).abs() <= 1e-15 * (1.0 + at.abs().max_element()), "{from_middle}");
+                n_hits += 1;
+            }
+            assert!(n_hits > 20, "{n_hits}");
         }
     }
 }

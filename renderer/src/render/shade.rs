@@ -18,7 +18,7 @@ use crate::{
         surface::{Surface, Surfaces, normalize_or_zero},
     },
     texture::{
-        footprint::WideRays,
+        footprint::{Footprints, WideRays},
         materials::{Finish, PointMaterial},
     },
 };
@@ -124,18 +124,20 @@ impl<'a> Shader<'a> {
             + ambient * visibility.ambient_visibility
     }
 
-    /// Finds the interpolated surface of a mesh at up to 64 hits; `None` for misses and caps. All are `None`, and left so, in
-    /// meshes of flat triangles without colours.
+    /// Finds the interpolated surface of a mesh at up to 64 hits, and the footprints on its textures; `None` for misses and
+    /// caps. All are `None`, and left so, in meshes of flat triangles without colours and textures.
     pub(super) fn find_surfaces(
         &self,
         instructions: InstructionSet,
         rays: impl WideRays,
         hits: &[Hit],
         surfaces: &mut [Option<Surface>; 64],
+        footprints: &mut Footprints,
     ) {
-        if self.mesh.has_normals() || self.mesh.has_colors() {
+        let mesh = self.mesh;
+        if mesh.has_normals() || mesh.has_colors() || mesh.has_texture_coordinates() {
             // SAFETY: a grid holds only an instruction set that `InstructionSet::available` has found.
-            unsafe { instructions.call(Surfaces { mesh: self.mesh, rays, hits, surfaces }) }
+            unsafe { instructions.call(Surfaces { mesh, rays, hits, surfaces, footprints }) }
         }
     }
 
@@ -251,7 +253,8 @@ mod tests {
     ) -> [Option<Surface>; 64] {
         let mut surfaces = [None; 64];
         let rays = SampleRays { eye: EYE, directions, sides: [Vec3::ZERO; 2] };
-        shader.find_surfaces(instructions, rays, hits, &mut surfaces);
+        let mut footprints = Footprints::NONE;
+        shader.find_surfaces(instructions, rays, hits, &mut surfaces, &mut footprints);
         surfaces
     }
 

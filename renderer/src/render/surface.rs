@@ -1,17 +1,18 @@
-//! Normals and colours that are interpolated at many hits at once: loops over arrays, which the compiler turns into vector instructions.
+//! Normals, colours and footprints on textures, of many hits at once: loops over arrays, which the compiler turns into vector
+//! instructions.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 
 use crate::{
     grid::traced::TracedMesh,
     intersect::{ray::Hit, triangle},
     model::normal::Normal,
     simd::{Kernel, Simd},
-    texture::footprint::WideRays,
+    texture::footprint::{self, FootprintLanes, Footprints, WideRay, WideRays},
 };
 
 /// Hits that are done at once.
-const N: usize = 16;
+const N: usize = footprint::N;
 
 /// A vector for each of [`N`] hits, by axis.
 type Vectors = [[f32; N]; 3];
@@ -36,6 +37,8 @@ pub(super) struct Surfaces<'a, R> {
     pub(super) hits: &'a [Hit],
     /// Entries beyond the hits are left as they are.
     pub(super) surfaces: &'a mut [Option<Surface>; 64],
+    /// Those on textures, if the mesh has texture coordinates.
+    pub(super) footprints: &'a mut Footprints,
 }
 
 impl<R: WideRays> Kernel for Surfaces<'_, R> {
@@ -43,7 +46,8 @@ impl<R: WideRays> Kernel for Surfaces<'_, R> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let Self { mesh, rays, hits, surfaces } = self;
+        let Self { mesh, rays, hits, surfaces, footprints } = self;
+        footprints.clear();
         // Choose the samples that hit triangles.
         let (mut samples, mut n_samples) = ([0; 64], 0);
         for (sample, hit) in (0..64).zip(hits) {
@@ -56,8 +60,12 @@ impl<R: WideRays> Kernel for Surfaces<'_, R> {
             // Lanes beyond the samples repeat the last. They are chosen here: loops with a check do not become vector
             // instructions, and a frame's shading took 1.5 times as long.
             let of_lanes = std::array::from_fn(|lane| samples[lane.min(samples.len() - 1)]);
-            let [to_eye, geometric, shading, color] =
-                gather::<S>(mesh, rays, hits, &of_lanes).interpolate(|lane| rays.origin(of_lanes[lane]));
+            let gathered = gather::<S>(mesh, rays, hits, &of_lanes);
+            let (weights, [to_eye, geometric, shading, color]) =
+                gathered.interpolate(|lane| rays.origin(of_lanes[lane]));
+            if let Some(coordinates) = &gathered.coordinates {
+                footprints.push(&gathered.footprints(rays, &of_lanes, coordinates, &weights), samples.len());
+            }
             for (lane, &sample) in samples.iter().enumerate().take(N) {
                 surfaces[sample] = Some(Surface {
                     to_eye: get(&to_eye, lane),
@@ -95,21 +103,24 @@ fn gather<S: Simd>(mesh: &TracedMesh, rays: impl WideRays, hits: &[Hit], samples
         corners,
         normals: mesh.has_normals().then(|| mesh.gather_corner_normals(&triangles)),
         colors: mesh.has_colors().then(|| mesh.gather_corner_colors(&triangles)),
+        coordinates: mesh.has_texture_coordinates().then(|| mesh.gather_corner_coordinates(&triangles)),
     }
 }
 
-/// Rays, the triangles that they hit, and the normals and linear colours of their corners, if the mesh has them.
+/// Rays, the triangles that they hit, and the normals, linear colours and texture coordinates of their corners, if the mesh
+/// has them.
 struct Lanes {
     directions: Vectors,
     corners: [Vectors; 3],
     normals: Option<[[Normal; N]; 3]>,
     colors: Option<[Vectors; 3]>,
+    coordinates: Option<[footprint::Points; 3]>,
 }
 
 impl Lanes {
-    /// The vectors of [`Surface`].
+    /// The parts of the corners in the hit points, and the vectors of [`Surface`].
     #[inline(always)]
-    fn interpolate(&self, origin: impl Fn(usize) -> Vec3) -> [Vectors; 4] {
+    fn interpolate(&self, origin: impl Fn(usize) -> Vec3) -> (Vectors, [Vectors; 4]) {
         let [mut to_eyes, mut of_triangles, mut geometrics, mut weights] = [[[0.0; N]; 3]; 4];
         // In double precision, for triangles of any size.
         for lane in 0..N {
@@ -143,7 +154,28 @@ impl Lanes {
                 set(&mut colors, lane, color);
             }
         }
-        [to_eyes, geometrics, shadings, colors]
+        (weights, [to_eyes, geometrics, shadings, colors])
+    }
+
+    /// The footprints of rays with the numbers `of_lanes`.
+    #[inline(always)]
+    fn footprints(
+        &self,
+        rays: impl WideRays,
+        of_lanes: &[usize; N],
+        coordinates: &[footprint::Points; 3],
+        weights: &Vectors,
+    ) -> FootprintLanes {
+        let mut footprints = FootprintLanes::NONE;
+        for lane in 0..N {
+            let (origin, sides) = (rays.origin(of_lanes[lane]), rays.sides(of_lanes[lane]));
+            let ray = WideRay { origin, direction: get(&self.directions, lane), sides };
+            let corners = [get(&self.corners[0], lane), get(&self.corners[1], lane), get(&self.corners[2], lane)];
+            let point = |[u, v]: &footprint::Points| Vec2::new(u[lane], v[lane]);
+            let coordinates = [point(&coordinates[0]), point(&coordinates[1]), point(&coordinates[2])];
+            footprints.set(lane, &ray.footprint(corners, coordinates, get(weights, lane)));
+        }
+        footprints
     }
 }
 

@@ -3,7 +3,7 @@
 use std::{
     ops::Range,
     path::PathBuf,
-    sync::{Arc, Condvar, Mutex, PoisonError},
+    sync::{Arc, Mutex, PoisonError},
     time::{Duration, Instant, SystemTime},
 };
 
@@ -31,6 +31,7 @@ use crate::{
     },
     server::{
         fetch::{self, Fetcher, Watch},
+        load_request::{LatestRequests, LoadRequest, Request, path_from_bytes},
         synthetic::SyntheticPicture,
     },
 };
@@ -41,46 +42,31 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(500);
 /// The first and the longest pause before a scene that could not be fetched is asked for again; it doubles each time.
 const FETCH_PAUSES: Range<Duration> = Duration::from_secs(2)..Duration::from_secs(60);
 
+/// About the memory of mesh and grid of a scan, to estimate that of the built-in model.
+const BYTES_PER_TRIANGLE: u64 = 74;
+
 /// Length and time of a file, if it is there.
 type FileState = Option<(u64, Option<SystemTime>)>;
-
-/// The scene that the wall shows, its sky, and where their files may be.
-struct LoadRequest {
-    scene: SceneId,
-    path: Option<PathBuf>,
-    structure: Option<Structure>,
-    sky: Option<SkyFile>,
-}
-
-/// The scene that was last ordered, until the loading thread takes the order: a wall that orders many has one loaded.
-#[derive(Default)]
-struct LatestRequest {
-    request: Mutex<Option<LoadRequest>>,
-    changed: Condvar,
-}
-
-impl LatestRequest {
-    fn put(&self, request: LoadRequest) {
-        *self.request.lock().unwrap_or_else(PoisonError::into_inner) = Some(request);
-        self.changed.notify_one();
-    }
-
-    /// Whether one waits.
-    fn has_one(&self) -> bool {
-        self.request.lock().unwrap_or_else(PoisonError::into_inner).is_some()
-    }
-
-    /// Waits for a request, at most for `limit`.
-    fn take(&self, limit: Duration) -> Option<LoadRequest> {
-        let request = self.request.lock().unwrap_or_else(PoisonError::into_inner);
-        let waited = self.changed.wait_timeout_while(request, limit, |request| request.is_none());
-        waited.unwrap_or_else(PoisonError::into_inner).0.take()
-    }
-}
 
 /// The loaded scene, if any; shared by the loading and the tracing threads.
 #[derive(Clone, Default)]
 struct CurrentScene(Arc<Mutex<Option<IdentifiedScene>>>);
+
+/// A scene that was loaded before the wall shows it.
+#[derive(Clone)]
+struct Prepared {
+    id: SceneId,
+    /// The structure that the wall chose, if it did.
+    structure: Option<Structure>,
+    scene: Arc<Scene>,
+}
+
+impl Prepared {
+    fn meets(&self, order: &LoadRequest) -> bool {
+        let sky = self.scene.sky.as_ref().map(|sky| sky.id());
+        (self.id, self.structure, sky) == (order.scene, order.structure, order.sky.as_ref().map(|sky| sky.id))
+    }
+}
 
 /// The part of a scene's news that a render server logs: several beside a wall would tell the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -99,6 +85,12 @@ impl CurrentScene {
     fn get(&self, id: SceneId) -> Option<Arc<Scene>> {
         let current = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         current.as_ref().filter(|(current, _)| *current == id).map(|(_, scene)| Arc::clone(scene))
+    }
+
+    /// Bytes of mesh and grid.
+    fn n_bytes(&self) -> u64 {
+        let current = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        current.as_ref().map_or(0, |(_, scene)| scene.n_bytes() as u64)
     }
 
     fn set(&self, scene: Option<IdentifiedScene>) {
@@ -133,7 +125,7 @@ pub(crate) struct SceneLoader {
     pool: Arc<ThreadPool>,
     synthetic: Option<Arc<SyntheticPicture>>,
     current: CurrentScene,
-    requests: Arc<LatestRequest>,
+    requests: Arc<LatestRequests>,
     progress: watch::Sender<LoadProgress>,
 }
 
@@ -148,12 +140,13 @@ impl SceneLoader {
         told: Told,
         fetcher: Option<Fetcher>,
     ) -> anyhow::Result<Self> {
-        let requests = Arc::new(LatestRequest::default());
+        let requests = Arc::new(LatestRequests::default());
         let (progress, _) = watch::channel(None);
         let current = CurrentScene::default();
         let loader = LoaderThread {
             pool: Arc::clone(&pool),
             current: current.clone(),
+            prepared: None,
             model,
             sky,
             options,
@@ -196,20 +189,21 @@ impl SceneLoader {
         }
     }
 
-    /// Orders another scene, or the same in another structure. `path`: a file on this machine that may hold it.
-    pub(crate) fn order(
-        &self,
-        scene: SceneId,
-        path: Option<Vec<u8>>,
-        structure: Option<Structure>,
-        sky: Option<SkyFile>,
-    ) {
+    /// Orders another scene, or the same in another structure.
+    pub(crate) fn order(&self, request: LoadRequest) {
         if let Some(synthetic) = &self.synthetic {
             let state = SceneState::Ready { triangles: 0, bytes: synthetic.n_bytes() as u64, grid: None };
-            self.progress.send_replace(Some((scene, state)));
+            self.progress.send_replace(Some((request.scene, state)));
             return;
         }
-        self.requests.put(LoadRequest { scene, path: path.map(path_from_bytes), structure, sky });
+        self.requests.put(Request::Load(request));
+    }
+
+    /// Has a scene loaded beside the present one, if there is memory for both: an order for it is met at once then.
+    pub(crate) fn prepare(&self, request: LoadRequest) {
+        if self.synthetic.is_none() {
+            self.requests.put(Request::Prepare(request));
+        }
     }
 
     /// Subscribes to the loading state.
@@ -218,9 +212,12 @@ impl SceneLoader {
     }
 }
 
+#[derive(Clone)]
 struct LoaderThread {
     pool: Arc<ThreadPool>,
     current: CurrentScene,
+    /// The scene that may come next.
+    prepared: Option<Prepared>,
     model: Option<PathBuf>,
     sky: Option<PathBuf>,
     /// From the server's command line.
@@ -240,7 +237,7 @@ struct LoaderThread {
 }
 
 impl LoaderThread {
-    fn run(mut self, requests: &LatestRequest) {
+    fn run(mut self, requests: &LatestRequests) {
         let mut last_reason = String::new();
         if let Some(model) = self.model.clone()
             && let Err(reason) = self.load(None, Crease::default(), &SceneSource::File(model), None)
@@ -252,7 +249,14 @@ impl LoaderThread {
         // An order that could not be met, and the files that it needs as they were then.
         let mut unmet: Option<(LoadRequest, [FileState; 2])> = None;
         loop {
-            let order = requests.take(if unmet.is_some() { RETRY_INTERVAL } else { Duration::MAX });
+            let order = match requests.take(if unmet.is_some() { RETRY_INTERVAL } else { Duration::MAX }) {
+                Some(Request::Prepare(next)) => {
+                    self.prepare(&next, requests);
+                    continue;
+                }
+                Some(Request::Load(order)) => Some(order),
+                None => None,
+            };
             // Files that have come back, or were replaced, are read without being asked for again.
             let have_changed = unmet.as_ref().is_some_and(|(order, files)| self.files(order) != *files);
             if order.is_some() || have_changed {
@@ -269,7 +273,7 @@ impl LoaderThread {
                     grid: scene.grid.structure(),
                 },
                 // The next order makes this one needless.
-                Err(_) if requests.has_one() => continue,
+                Err(_) if requests.has_load() => continue,
                 Err(reason) => {
                     // A wall may order the same scene over and over.
                     if reason != last_reason {
@@ -324,11 +328,17 @@ impl LoaderThread {
     }
 
     /// Returns the ordered scene, fetched if it is not here. The error names the cause and the cure.
-    fn prepare_scene(&mut self, order: &LoadRequest, requests: &LatestRequest) -> Result<Arc<Scene>, String> {
+    fn prepare_scene(&mut self, order: &LoadRequest, requests: &LatestRequests) -> Result<Arc<Scene>, String> {
         let sky_id = order.sky.as_ref().map(|sky| sky.id);
         if let Some(scene) = self.current.get(order.scene).filter(|_| self.structure == order.structure)
             && scene.sky.as_ref().map(|sky| sky.id()) == sky_id
         {
+            return Ok(scene);
+        }
+        if let Some(scene) = self.prepared.take_if(|prepared| prepared.meets(order)).map(|prepared| prepared.scene) {
+            self.structure = order.structure;
+            self.current.set(Some((order.scene, Arc::clone(&scene))));
+            tracing::info!("{} was loaded ahead", order.scene);
             return Ok(scene);
         }
         let sky = order.sky.as_ref().map(|sky| self.read_sky(sky)).transpose()?;
@@ -359,13 +369,52 @@ impl LoaderThread {
         fetched.map_err(|error| format!("it cannot fetch the model: {error}"))
     }
 
+    /// Loads a scene beside the present one. If that fails, it is loaded when it is ordered.
+    fn prepare(&mut self, next: &LoadRequest, requests: &LatestRequests) {
+        if self.prepared.as_ref().is_some_and(|prepared| prepared.meets(next)) {
+            return;
+        }
+        self.prepared = None;
+        match self.load_beside(next, requests) {
+            Ok(scene) => self.prepared = Some(Prepared { id: next.scene, structure: next.structure, scene }),
+            Err(reason) => tracing::info!("{} is not loaded ahead: {reason}", next.scene),
+        }
+    }
+
+    fn load_beside(&self, next: &LoadRequest, requests: &LatestRequests) -> Result<Arc<Scene>, String> {
+        let too_large = || format!("both do not fit into --memory-budget {}", self.options.memory_budget);
+        let file_bytes = self.path(next).and_then(|path| path.metadata().ok()).map(|file| file.len());
+        let next_bytes = match next.scene {
+            SceneId::Statue { triangles, .. } => u64::from(triangles) * BYTES_PER_TRIANGLE,
+            // A mesh takes about as many bytes as its file, and a grid as many again.
+            SceneId::Mesh { .. } => 2 * file_bytes.unwrap_or(0),
+        };
+        let memory_budget = self.options.memory_budget.beside(self.current.n_bytes()).ok_or_else(too_large)?;
+        if memory_budget.is_exceeded_by(next_bytes) {
+            return Err(too_large());
+        }
+        // A loader of its own, which tells the wall nothing.
+        let mut beside = Self {
+            current: CurrentScene::default(),
+            prepared: None,
+            structure: None,
+            options: GridOptions { memory_budget, ..self.options },
+            told: Told::Nothing,
+            missing: None,
+            progress: watch::Sender::new(None),
+            ..self.clone()
+        };
+        let scene = beside.prepare_scene(next, requests)?;
+        if scene.grid.shortage().is_some() { Err(too_large()) } else { Ok(scene) }
+    }
+
     /// The scene in its file in the cache, or from the wall.
     fn fetch(
         &mut self,
         fetcher: &Fetcher,
         cache: &Cache,
         (scene, sky): (SceneId, Option<&Arc<SkyMap>>),
-        requests: &LatestRequest,
+        requests: &LatestRequests,
     ) -> Result<Arc<Scene>, String> {
         let place = cache.fetched_path(scene, &fetcher.origin());
         let source = SceneSource::File(place.clone());
@@ -407,7 +456,7 @@ impl LoaderThread {
             };
             self.current.set(None);
             let begun_at = Instant::now();
-            let watch = Watch { is_wanted: &|| !requests.has_one(), report: &report };
+            let watch = Watch { is_wanted: &|| !requests.has_load(), report: &report };
             let fetched = self.pool.install(|| fetcher.fetch(scene, cache, &place, &watch));
             fetched.map_err(|error| error.to_string())?;
             tracing::info!("{scene} has arrived in {:.1} s", begun_at.elapsed().as_secs_f64());
@@ -444,8 +493,8 @@ impl LoaderThread {
         }
     }
 
-    /// Loads and builds a scene, and tells the parts of its file that were left out. Drops the previous one first, so that
-    /// memory never holds two.
+    /// Loads and builds a scene, and tells the parts of its file that were left out. Drops the others first, so that memory
+    /// holds one.
     fn load(
         &mut self,
         ordered: Option<SceneId>,
@@ -453,6 +502,7 @@ impl LoaderThread {
         source: &SceneSource,
         sky: Option<Arc<SkyMap>>,
     ) -> Result<(SceneId, Arc<Scene>, Vec<String>), String> {
+        self.prepared = None;
         let report_progress = |progress: f32| {
             if let Some(scene) = ordered {
                 self.report_progress(scene, progress);
@@ -507,27 +557,5 @@ impl LoaderThread {
             }
             is_step
         });
-    }
-}
-
-/// The path in [`std::ffi::OsStr::as_encoded_bytes`] of this machine; it need not be text. Other bytes name no file.
-fn path_from_bytes(bytes: Vec<u8>) -> PathBuf {
-    #[cfg(unix)]
-    let path = <std::ffi::OsString as std::os::unix::ffi::OsStringExt>::from_vec(bytes);
-    #[cfg(not(unix))]
-    let path = String::from_utf8_lossy(&bytes).into_owned();
-    path.into()
-}
-
-#[cfg(all(test, unix))]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_path_that_is_no_text_comes_out_as_it_went_in() {
-        let bytes = b"/models/b\xfcste.ply".to_vec();
-        let path = path_from_bytes(bytes.clone());
-        assert!(path.to_str().is_none());
-        assert_eq!(path.as_os_str().as_encoded_bytes(), bytes);
     }
 }

@@ -14,6 +14,8 @@ use shared::{
     codec,
     printable::printable,
     protocol::{FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, SILENCE_LIMIT, SceneState, SkyFile, ToServer, ToWall},
+    scene::SceneId,
+    structure::Structure,
 };
 use tokio::{
     io::{AsyncRead, AsyncWrite},
@@ -22,6 +24,7 @@ use tokio::{
 };
 
 use crate::server::{
+    load_request::{LoadRequest, path_from_bytes},
     scene_loader::{RenderSource, SceneLoader},
     task::{self, Job, JobQueue, Outgoing, TooManyTasks},
 };
@@ -178,9 +181,10 @@ impl Session<'_> {
             let Incoming::Control(message) = incoming else { return Err(SessionError::OutOfTurn) };
             match message {
                 ToServer::LoadScene { scene, path, structure, sky } => {
-                    let path_here = |path: Option<Vec<u8>>| path.filter(|_| self.is_local);
-                    let sky = sky.map(|SkyFile { id, path }| SkyFile { id, path: path_here(path) });
-                    self.loader.order(scene, path_here(path), structure, sky);
+                    self.loader.order(self.load_request(scene, path, structure, sky));
+                }
+                ToServer::PrepareScene { scene, path, structure, sky } => {
+                    self.loader.prepare(self.load_request(scene, path, structure, sky));
                 }
                 ToServer::RenderFrame { frame, task_id, spec, task, encoding } => {
                     let sky = spec.appearance.sky.map(|sky| sky.id);
@@ -218,6 +222,19 @@ impl Session<'_> {
             }
         }
         Ok(())
+    }
+
+    /// A request for a scene, with the paths of files that are on this machine.
+    fn load_request(
+        &self,
+        scene: SceneId,
+        path: Option<Vec<u8>>,
+        structure: Option<Structure>,
+        sky: Option<SkyFile>,
+    ) -> LoadRequest {
+        let path_here = |path: Option<Vec<u8>>| path.filter(|_| self.is_local);
+        let sky = sky.map(|SkyFile { id, path }| SkyFile { id, path: path_here(path) });
+        LoadRequest { scene, path: path_here(path).map(path_from_bytes), structure, sky }
     }
 
     async fn reply(&self, message: &ToWall) {

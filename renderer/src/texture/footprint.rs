@@ -4,15 +4,10 @@
 //! lookups along the longer axis after McCormack et al., "Feline: Fast Elliptical Lines for Anisotropic Texture Mapping"
 //! (1999).
 
-use glam::{DVec3, Vec2, Vec3};
+use glam::{Vec2, Vec3};
 
 use crate::{
-    grid::traced::TracedMesh,
-    intersect::{
-        ray::{Hit, Ray},
-        triangle,
-    },
-    simd::{Kernel, Simd},
+    intersect::{ray::Ray, triangle},
     texture::level::round,
 };
 
@@ -26,19 +21,19 @@ pub(crate) struct Footprint {
 }
 
 /// Footprints that are computed at once: loops over arrays, which the compiler turns into vector instructions.
-pub(super) const N: usize = 16;
+pub(crate) const N: usize = 16;
 
 /// Two coordinates on a texture for each of [`N`] samples.
-pub(super) type Points = [[f32; N]; 2];
+pub(crate) type Points = [[f32; N]; 2];
 
 /// [`N`] footprints.
 #[derive(Clone, Copy)]
-pub(super) struct FootprintLanes {
+pub(crate) struct FootprintLanes {
     pub(super) centres: Points,
     pub(super) sides: [Points; 2],
 }
 
-/// Up to 64 footprints.
+/// Up to 64 footprints, of the hits on triangles in their order.
 pub(crate) struct Footprints {
     /// Those beyond it are undefined.
     pub(super) n: usize,
@@ -94,97 +89,6 @@ impl WideRays for SampleRays<'_> {
     }
 }
 
-/// Finds the footprints of up to 64 samples on the triangles that their rays hit, of a mesh with texture coordinates.
-pub(crate) struct Projection<'a, R> {
-    pub(crate) mesh: &'a TracedMesh,
-    pub(crate) rays: R,
-    pub(crate) hits: &'a [Hit],
-    /// Indices of hits on triangles.
-    pub(crate) samples: &'a [usize],
-    /// Those of the samples, in their order.
-    pub(crate) footprints: &'a mut Footprints,
-}
-
-impl<R: WideRays> Kernel for Projection<'_, R> {
-    type Output = ();
-
-    #[inline(always)]
-    fn run<S: Simd>(self) {
-        let Self { mesh, rays, hits, samples, footprints } = self;
-        footprints.n = samples.len();
-        for (samples, lanes) in samples.chunks(N).zip(&mut footprints.lanes) {
-            project::<S>(mesh, rays, hits, samples, lanes);
-        }
-    }
-}
-
-/// The footprints of up to [`N`] samples; lanes beyond them repeat the last.
-#[inline(always)]
-fn project<S: Simd>(
-    mesh: &TracedMesh,
-    rays: impl WideRays,
-    hits: &[Hit],
-    samples: &[usize],
-    footprints: &mut FootprintLanes,
-) {
-    let mut triangles = [0; N];
-    let mut directions = [[0.0; N]; 3];
-    let of_lanes: [usize; N] = std::array::from_fn(|lane| samples[lane.min(samples.len() - 1)]);
-    for (lane, &sample) in of_lanes.iter().enumerate() {
-        triangles[lane] = hits[sample].triangle;
-        (0..3).for_each(|axis| directions[axis][lane] = rays.direction(sample)[axis]);
-    }
-    let mut corners = [[[0.0; N]; 3]; 3];
-    for first in (0..N).step_by(S::LANES) {
-        let mut next = [0; N];
-        next[..S::LANES].copy_from_slice(&triangles[first..first + S::LANES]);
-        let gathered = mesh.gather_corners::<S>(&next);
-        for corner in 0..3 {
-            for axis in 0..3 {
-                gathered[corner][axis].store(&mut corners[corner][axis][first..]);
-            }
-        }
-    }
-    let coordinates = mesh.gather_corner_coordinates(&triangles);
-    for lane in 0..N {
-        let vector = |[x, y, z]: &[[f32; N]; 3]| [x[lane], y[lane], z[lane]];
-        let point = |[u, v]: &Points| Vec2::new(u[lane], v[lane]);
-        let [a, b, c] = &corners;
-        let direction = Vec3::from_array(vector(&directions));
-        let sample = of_lanes[lane];
-        let ray = SampleRay { eye: rays.origin(sample), direction, sides: rays.sides(sample) };
-        let [at_a, at_b, at_c] = &coordinates;
-        let footprint = ray.footprint([vector(a), vector(b), vector(c)], [point(at_a), point(at_b), point(at_c)]);
-        footprints.set(lane, &footprint);
-    }
-}
-
-/// One of [`WideRays`].
-struct SampleRay {
-    eye: Vec3,
-    direction: Vec3,
-    sides: [Vec3; 2],
-}
-
-/// The point `a + β(b − a) + γ(c − a)` where rays from one origin meet the plane of a triangle.
-///
-/// By Cramer's rule β and γ are linear functions of the direction over another. In `f64`, products of coordinates of any size
-/// are finite.
-struct PlanePoint {
-    of_beta: DVec3,
-    of_gamma: DVec3,
-    of_both: DVec3,
-}
-
-impl PlanePoint {
-    #[inline(always)]
-    fn new(origin: Vec3, [a, b, c]: [[f32; 3]; 3]) -> Self {
-        let (a, b, c) = (Vec3::from(a).as_dvec3(), Vec3::from(b).as_dvec3(), Vec3::from(c).as_dvec3());
-        let (ab, ac, from_a) = (b - a, c - a, origin.as_dvec3() - a);
-        Self { of_beta: from_a.cross(ac), of_gamma: ab.cross(from_a), of_both: ab.cross(ac) }
-    }
-}
-
 /// Where a ray hits a triangle, in texture coordinates; `coordinates` are those of its corners.
 #[inline]
 pub(crate) fn texture_point(ray: &Ray, corners: &[[f32; 3]; 3], [a, b, c]: [Vec2; 3]) -> Vec2 {
@@ -192,35 +96,75 @@ pub(crate) fn texture_point(ray: &Ray, corners: &[[f32; 3]; 3], [a, b, c]: [Vec2
     a * weights[0] as f32 + b * weights[1] as f32 + c * weights[2] as f32
 }
 
-impl SampleRay {
-    /// The footprint on a triangle; `coordinates` are those of its corners.
+/// A ray, and the change of its direction across the width and the height of its sample.
+pub(crate) struct WideRay {
+    pub(crate) origin: Vec3,
+    pub(crate) direction: Vec3,
+    pub(crate) sides: [Vec3; 2],
+}
+
+impl WideRay {
+    /// The footprint on a triangle with these texture coordinates of its corners; `weights` are the corners' parts of the point
+    /// that the ray hits.
+    ///
+    /// By Cramer's rule the parts of the second and third corner are linear functions of the direction over another; their
+    /// changes follow from the quotient rule. In `f64`, products of coordinates of any size are finite.
     #[inline(always)]
-    fn footprint(&self, corners: [[f32; 3]; 3], [a, b, c]: [Vec2; 3]) -> Footprint {
-        let PlanePoint { of_beta, of_gamma, of_both } = PlanePoint::new(self.eye, corners);
-        let direction = self.direction.as_dvec3();
-        let scale = 1.0 / of_both.dot(direction);
-        let (beta, gamma) = ((of_beta.dot(direction) * scale) as f32, (of_gamma.dot(direction) * scale) as f32);
-        let on_texture = |beta: f32, gamma: f32| (b - a) * beta + (c - a) * gamma;
-        // The quotient rule. In units of the denominator, `f32` holds the vectors of triangles of any size, and twice as many
-        // fit in a vector register.
-        let [of_beta, of_gamma, of_both] = [of_beta, of_gamma, of_both].map(|vector| (vector * scale).as_vec3());
+    pub(crate) fn footprint(&self, corners: [Vec3; 3], coordinates: [Vec2; 3], weights: Vec3) -> Footprint {
+        let [a, b, c] = corners.map(Vec3::as_dvec3);
+        let (ab, ac, from_a) = (b - a, c - a, self.origin.as_dvec3() - a);
+        let (of_b, of_c, of_all) = (from_a.cross(ac), ab.cross(from_a), ab.cross(ac));
+        // In units of the denominator, `f32` holds the vectors of triangles of any size, and twice as many fit in a vector
+        // register.
+        let scale = 1.0 / of_all.dot(self.direction.as_dvec3());
+        let [of_b, of_c, of_all] = [of_b, of_c, of_all].map(|vector| (vector * scale).as_vec3());
+        let [at_a, at_b, at_c] = coordinates;
+        let (to_b, to_c) = (at_b - at_a, at_c - at_a);
         let change = |side: Vec3| {
-            let change = of_both.dot(side);
-            on_texture(of_beta.dot(side) - beta * change, of_gamma.dot(side) - gamma * change)
+            let change = of_all.dot(side);
+            to_b * (of_b.dot(side) - weights.y * change) + to_c * (of_c.dot(side) - weights.z * change)
         };
-        Footprint { centre: a + on_texture(beta, gamma), sides: [change(self.sides[0]), change(self.sides[1])] }
+        Footprint {
+            centre: at_a + to_b * weights.y + to_c * weights.z,
+            sides: [change(self.sides[0]), change(self.sides[1])],
+        }
     }
 }
 
 impl Footprints {
-    pub(super) const NONE: Self = Self { n: 0, lanes: [FootprintLanes::NONE; 64 / N] };
+    pub(crate) const NONE: Self = Self { n: 0, lanes: [FootprintLanes::NONE; 64 / N] };
+
+    pub(crate) fn clear(&mut self) {
+        self.n = 0;
+    }
+
+    /// Adds footprints behind the others, whose number must be a multiple of [`N`]; of the last ones there may be fewer.
+    #[inline(always)]
+    pub(crate) fn push(&mut self, lanes: &FootprintLanes, n: usize) {
+        self.lanes[self.n / N % (64 / N)] = *lanes;
+        self.n += n;
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.n == 0
+    }
+
+    /// Some of the footprints.
+    pub(super) fn pick(&self, indices: &[usize]) -> Self {
+        let mut picked = Self::NONE;
+        for (to, &from) in indices.iter().enumerate() {
+            picked.lanes[to / N].set(to % N, &self.lanes[from / N].get(from % N));
+        }
+        picked.n = indices.len();
+        picked
+    }
 }
 
 impl FootprintLanes {
-    const NONE: Self = Self { centres: [[0.0; N]; 2], sides: [[[0.0; N]; 2]; 2] };
+    pub(crate) const NONE: Self = Self { centres: [[0.0; N]; 2], sides: [[[0.0; N]; 2]; 2] };
 
     #[inline(always)]
-    fn set(&mut self, lane: usize, footprint: &Footprint) {
+    pub(crate) fn set(&mut self, lane: usize, footprint: &Footprint) {
         for axis in 0..2 {
             self.centres[axis][lane] = footprint.centre[axis];
             self.sides[0][axis][lane] = footprint.sides[0][axis];
@@ -298,19 +242,19 @@ pub(crate) fn transformed(at: Vec2, [u, v]: &[[f32; 3]; 2]) -> Vec2 {
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
+
     use super::*;
 
-    /// Where a ray meets a triangle's plane, in texture coordinates, by distances from its edges in `f64`.
-    fn point(origin: Vec3, direction: DVec3, corners: [[f32; 3]; 3], coordinates: [Vec2; 3]) -> [f64; 2] {
+    /// The corners' parts of the point where a ray meets a triangle's plane, by distances from its edges in `f64`.
+    fn weights(origin: Vec3, direction: DVec3, corners: [[f32; 3]; 3]) -> [f64; 3] {
         let [a, b, c] = corners.map(|corner| Vec3::from_array(corner).as_dvec3());
         let (origin, normal) = (origin.as_dvec3(), (b - a).cross(c - a));
         let at = origin + direction * (normal.dot(a - origin) / normal.dot(direction));
-        let weights = [(b, c, a), (c, a, b), (a, b, c)].map(|(p, q, opposite)| {
+        [(b, c, a), (c, a, b), (a, b, c)].map(|(p, q, opposite)| {
             let across = normal.cross(q - p);
             across.dot(at - p) / across.dot(opposite - p)
-        });
-        let sum = |axis: usize| (0..3).map(|corner| weights[corner] * f64::from(coordinates[corner][axis])).sum();
-        [sum(0), sum(1)]
+        })
     }
 
     #[test]
@@ -321,15 +265,20 @@ mod tests {
             let corners = triangle.map(|corner| corner.map(|x| x * scale));
             for (x, y) in (-4..5).flat_map(|x| (-4..5).map(move |y| (x as f32 / 5.0, y as f32 / 5.0))) {
                 let eye = Vec3::new(0.5 * x, 0.3, 4.0) * scale;
-                let ray = SampleRay {
-                    eye,
+                let ray = WideRay {
+                    origin: eye,
                     direction: Vec3::new(x, y, -4.0) * scale,
                     sides: [Vec3::new(0.1, 0.0, 0.01) * scale, Vec3::new(0.0, 0.08, -0.02) * scale],
                 };
-                let footprint = ray.footprint(corners, coordinates);
+                let of_hit = weights(eye, ray.direction.as_dvec3(), corners).map(|weight| weight as f32);
+                let footprint = ray.footprint(corners.map(Vec3::from), coordinates, Vec3::from(of_hit));
                 let at = |side: f64, of: usize| {
                     let direction = ray.direction.as_dvec3() + ray.sides[of].as_dvec3() * side;
-                    point(eye, direction, corners, coordinates)
+                    let weights = weights(eye, direction, corners);
+                    let sum = |axis: usize| {
+                        (0..3).map(|corner| weights[corner] * f64::from(coordinates[corner][axis])).sum::<f64>()
+                    };
+                    [sum(0), sum(1)]
                 };
                 for axis in 0..2 {
                     let (found, expected) = (f64::from(footprint.centre[axis]), at(0.0, 0)[axis]);

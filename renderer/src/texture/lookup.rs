@@ -41,6 +41,17 @@ struct Plans {
     n_lookups: [u32; 64],
 }
 
+/// The numbers of samples, in their order.
+const SAMPLES: [u32; 64] = {
+    let mut samples = [0; 64];
+    let mut sample = 0;
+    while sample < 64 {
+        samples[sample] = sample as u32;
+        sample += 1;
+    }
+    samples
+};
+
 /// Most lookups of a sample: five squares, on two levels.
 const MOST_LOOKUPS: u32 = 10;
 
@@ -49,12 +60,19 @@ impl Kernel for Means<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self) {
-        let plans = self.plans();
+        let mut plans = self.plans();
+        let n = self.footprints.n;
         let order = plans.order::<S>();
+        // Where a surface is flat, all samples of a tile need about as many lookups, and moving them would save nothing.
+        let is_sorted = plans.n_steps_sorted(&order[..n]) < plans.n_steps();
+        let order = if is_sorted { &order[..n] } else { &SAMPLES[..n] };
+        if is_sorted {
+            plans.sort(order);
+        }
         let firsts = from_fn(|level| self.map.levels.get(level).map_or(0, |level| level.first));
-        for samples in order[..self.footprints.n].chunks(N) {
+        for (first, samples) in (0..).step_by(N).zip(order.chunks(N)) {
             let [red, green, blue] =
-                plans.lanes(samples, self.map.levels[0].size, &firsts).lights::<S>(self.map, self.wrap);
+                plans.lanes(first, self.map.levels[0].size, &firsts).lights::<S>(self.map, self.wrap);
             for (lane, &sample) in samples.iter().enumerate() {
                 self.means[sample as usize % 64] = Vec3A::new(red[lane], green[lane], blue[lane]);
             }
@@ -112,15 +130,6 @@ impl Plans {
     /// The samples by their number of lookups, the most first: lanes that are done together have about as many.
     #[inline(always)]
     fn order<S: Simd>(&self) -> [u32; 64 + 16] {
-        const SAMPLES: [u32; 64] = {
-            let mut samples = [0; 64];
-            let mut sample = 0;
-            while sample < 64 {
-                samples[sample] = sample as u32;
-                sample += 1;
-            }
-            samples
-        };
         // With room for a vector after the last.
         let (mut order, mut n) = ([0; 64 + 16], 0);
         for n_lookups in (1..=MOST_LOOKUPS).rev() {
@@ -132,45 +141,74 @@ impl Plans {
         order
     }
 
-    /// The plans of up to [`N`] samples; lanes beyond them repeat the last.
+    /// Lookups that are done one after the other, of [`N`] samples at once.
     #[inline(always)]
-    fn lanes(&self, samples: &[u32], size: [u32; 2], firsts: &[u32; MOST_LEVELS + 1]) -> PlanLanes {
-        let mut lanes = PlanLanes {
-            first: [[0.0; N]; 2],
-            step: [[0.0; N]; 2],
-            n_squares: [0; N],
+    fn n_steps(&self) -> u32 {
+        self.n_lookups.chunks(N).map(|n_lookups| n_lookups.iter().copied().max().unwrap_or(0)).sum()
+    }
+
+    /// [`Plans::n_steps`] of samples that are sorted, the most lookups first.
+    #[inline(always)]
+    fn n_steps_sorted(&self, order: &[u32]) -> u32 {
+        order.iter().step_by(N).map(|&sample| self.n_lookups[sample as usize % 64]).sum()
+    }
+
+    #[inline(always)]
+    fn sort(&mut self, order: &[u32]) {
+        let Self { first: [first_u, first_v], step: [step_u, step_v], n_squares, level, part_of_next, n_lookups } =
+            self;
+        sort(first_u, order);
+        sort(first_v, order);
+        sort(step_u, order);
+        sort(step_v, order);
+        sort(n_squares, order);
+        sort(level, order);
+        sort(part_of_next, order);
+        sort(n_lookups, order);
+    }
+
+    /// The plans of [`N`] samples.
+    #[inline(always)]
+    fn lanes(&self, first: usize, size: [u32; 2], firsts: &[u32; MOST_LEVELS + 1]) -> PlanLanes {
+        let (levels, parts): ([u32; N], [f32; N]) = (lanes(&self.level, first), lanes(&self.part_of_next, first));
+        let mut plans = PlanLanes {
+            first: [lanes(&self.first[0], first), lanes(&self.first[1], first)],
+            step: [lanes(&self.step[0], first), lanes(&self.step[1], first)],
+            n_squares: lanes(&self.n_squares, first),
             weights: [[0.0; N]; 2],
             sizes: [[[0; N]; 2]; 2],
             firsts: [[0; N]; 2],
-            n_lookups: [0; N],
+            n_lookups: lanes(&self.n_lookups, first),
         };
-        let mut levels = [0; N];
-        let mut parts = [0.0; N];
-        for lane in 0..N {
-            let sample = samples[lane.min(samples.len() - 1)] as usize % 64;
-            for axis in 0..2 {
-                lanes.first[axis][lane] = self.first[axis][sample];
-                lanes.step[axis][lane] = self.step[axis][sample];
-            }
-            lanes.n_squares[lane] = self.n_squares[sample];
-            lanes.n_lookups[lane] = self.n_lookups[sample];
-            levels[lane] = self.level[sample];
-            parts[lane] = self.part_of_next[sample];
-            let level = self.level[sample] as usize % MOST_LEVELS;
-            (lanes.firsts[0][lane], lanes.firsts[1][lane]) = (firsts[level], firsts[level + 1]);
+        for (lane, level) in levels.into_iter().enumerate() {
+            let level = level as usize % MOST_LEVELS;
+            (plans.firsts[0][lane], plans.firsts[1][lane]) = (firsts[level], firsts[level + 1]);
         }
         for (lane, part) in parts.into_iter().enumerate() {
-            let weight = 1.0 / lanes.n_squares[lane] as i32 as f32;
-            (lanes.weights[0][lane], lanes.weights[1][lane]) = (weight * (1.0 - part), weight * part);
+            let weight = 1.0 / plans.n_squares[lane] as i32 as f32;
+            (plans.weights[0][lane], plans.weights[1][lane]) = (weight * (1.0 - part), weight * part);
         }
-        for (next, sizes) in lanes.sizes.iter_mut().enumerate() {
+        for (next, sizes) in plans.sizes.iter_mut().enumerate() {
             for lane in 0..N {
                 let level = levels[lane] + next as u32;
                 (sizes[0][lane], sizes[1][lane]) = (halved(size[0], level), halved(size[1], level));
             }
         }
-        lanes
+        plans
     }
+}
+
+/// Sorts the numbers of samples; those beyond them are undefined.
+#[inline(always)]
+fn sort<T: Copy>(numbers: &mut [T; 64], order: &[u32]) {
+    let unsorted = *numbers;
+    numbers.iter_mut().zip(order).for_each(|(number, &sample)| *number = unsorted[sample as usize % 64]);
+}
+
+/// Some of the numbers of samples.
+#[inline(always)]
+fn lanes<T: Copy>(numbers: &[T; 64], first: usize) -> [T; N] {
+    from_fn(|lane| numbers[(first + lane) % 64])
 }
 
 /// Some of [`Plans`], in lanes. Pairs are those of a level and of the next.
@@ -184,7 +222,6 @@ struct PlanLanes {
     sizes: [[[u32; N]; 2]; 2],
     /// Indices of first texels.
     firsts: [[u32; N]; 2],
-    /// The first lane has the most.
     n_lookups: [u32; N],
 }
 
@@ -193,13 +230,14 @@ impl PlanLanes {
     #[inline(always)]
     fn lights<S: Simd>(&self, map: &MipMap, wrap: [Wrap; 2]) -> [[f32; N]; 3] {
         let mut lights = [[0.0; N]; 3];
+        let n_lookups = self.n_lookups.into_iter().max().unwrap_or(0);
         // Find the next texels before the last are read: memory delivers them meanwhile.
         let mut points = [Points::NONE; 2];
         points[0].find::<S>(self, 0, map, wrap);
-        for number in 0..self.n_lookups[0] {
+        for number in 0..n_lookups {
             let [even, odd] = &mut points;
             let (points, next) = if number % 2 == 0 { (even, odd) } else { (odd, even) };
-            if number + 1 < self.n_lookups[0] {
+            if number + 1 < n_lookups {
                 next.find::<S>(self, number + 1, map, wrap);
             }
             points.blend(map, &mut lights);
@@ -251,10 +289,9 @@ impl Points {
             (self.indices[0][n], self.indices[1][n]) = (upper + left, upper + right);
             (self.indices[2][n], self.indices[3][n]) = (lower + left, lower + right);
         }
-        // The two to the right mostly lie in the same cache lines.
+        // The other three mostly lie in the same cache line.
         for n in 0..N {
             S::prefetch(&map.texels, self.indices[0][n] as usize);
-            S::prefetch(&map.texels, self.indices[2][n] as usize);
         }
     }
 

@@ -203,40 +203,58 @@ impl TracedMaterials {
     }
 
     /// Finds the materials of triangles where up to 64 samples show them; `None` for samples without a triangle, and in meshes
-    /// without materials. `project` finds the footprints of samples, and says whether their triangles have texture coordinates.
+    /// without materials. There are footprints if triangles have texture coordinates.
     pub(crate) fn find(
         &self,
         instructions: InstructionSet,
         triangles: impl Iterator<Item = Option<u32>>,
-        project: impl Fn(&[usize], &mut Footprints) -> bool,
+        footprints: &Footprints,
         points: &mut [Option<PointMaterial>; 64],
     ) {
-        let mut indices = [usize::MAX; 64];
-        let mut textured = 0u64;
+        // Find the samples on triangles, and their materials.
+        let (mut samples, mut indices, mut n) = ([0; 64], [0; 64], 0);
         for (sample, triangle_idx) in triangles.enumerate().take(64) {
-            let index = triangle_idx.map_or(usize::MAX, |triangle_idx| self.index_of_triangle(triangle_idx));
-            let material = self.materials.get(index);
-            points[sample] = material.map(|material| material.plain);
-            indices[sample] = index;
-            textured |= u64::from(material.is_some_and(TracedMaterial::has_textures)) << sample;
+            points[sample] = None;
+            if let Some(triangle_idx) = triangle_idx {
+                (samples[n], indices[n]) = (sample, self.index_of_triangle(triangle_idx));
+                n += 1;
+            }
         }
-        if textured == 0 {
+        let (samples, indices) = (&samples[..n], &indices[..n]);
+        if let Some(&first) = indices.first()
+            && indices.iter().all(|&index| index == first)
+        {
+            self.set(instructions, first, (samples, footprints), points);
             return;
         }
 
         // Look up the textures of one material after the other.
-        let mut footprints = Footprints::NONE;
-        while textured != 0 {
-            let index = indices[textured.trailing_zeros() as usize];
-            let (mut samples, mut n) = ([0; 64], 0);
-            for (sample, &other) in indices.iter().enumerate() {
-                samples[n] = sample;
+        let mut rest = u64::MAX.checked_shr(64 - n as u32).unwrap_or(0);
+        while rest != 0 {
+            let index = indices[rest.trailing_zeros() as usize];
+            let (mut of_material, mut picked, mut n) = ([0; 64], [0; 64], 0);
+            for (number, (&sample, &other)) in samples.iter().zip(indices).enumerate() {
+                (of_material[n], picked[n]) = (sample, number);
                 n += usize::from(other == index);
-                textured &= !(u64::from(other == index) << sample);
+                rest &= !(u64::from(other == index) << number);
             }
-            if project(&samples[..n], &mut footprints) {
-                self.multiply(instructions, &self.materials[index], &footprints, &samples, points);
-            }
+            let footprints = if footprints.is_empty() { Footprints::NONE } else { footprints.pick(&picked[..n]) };
+            self.set(instructions, index, (&of_material[..n], &footprints), points);
+        }
+    }
+
+    /// Sets the material of samples, multiplied by its textures if there are footprints.
+    fn set(
+        &self,
+        instructions: InstructionSet,
+        index: usize,
+        (samples, footprints): (&[usize], &Footprints),
+        points: &mut [Option<PointMaterial>; 64],
+    ) {
+        let Some(material) = self.materials.get(index) else { return };
+        samples.iter().for_each(|&sample| points[sample] = Some(material.plain));
+        if !footprints.is_empty() && material.has_textures() {
+            self.multiply(instructions, material, footprints, samples, points);
         }
     }
 
@@ -246,7 +264,7 @@ impl TracedMaterials {
         instructions: InstructionSet,
         material: &TracedMaterial,
         footprints: &Footprints,
-        samples: &[usize; 64],
+        samples: &[usize],
         points: &mut [Option<PointMaterial>; 64],
     ) {
         let mut means = [Vec3A::ZERO; 64];

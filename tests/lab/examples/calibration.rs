@@ -13,6 +13,9 @@ mod geometry;
 #[path = "../../src/room/rig.rs"]
 #[allow(dead_code, reason = "shared with the tests")]
 mod rig;
+#[path = "../../src/room/surface.rs"]
+#[allow(dead_code, reason = "shared with the tests")]
+mod surface;
 
 use std::{
     fs,

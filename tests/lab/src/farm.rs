@@ -37,6 +37,8 @@ pub fn goal(division: Division, min_renderers: u32) -> RenderGoal {
     RenderGoal {
         spec: None,
         scene_path: None,
+        next_scene: None,
+        change: 0,
         sky_path: None,
         is_refinement: false,
         division,

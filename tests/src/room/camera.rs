@@ -1,10 +1,13 @@
 //! A camera in the virtual room, and the projectors that it sees: pinholes in space, with true lenses and sensors.
 //!
-//! Lengths are metres: x is right, y up, z towards the audience; the wall is z = 0. It shares no code with the wall's.
+//! Lengths are metres: x is right, y up, z towards the audience. Points of the wall are places on it unrolled, as in
+//! [`super::surface`]. It shares no code with the wall's.
 
 use glam::{DVec2, DVec3};
 use image::{ExtendedColorType, GrayImage, ImageFormat, codecs::jpeg::JpegEncoder};
 use rayon::prelude::*;
+
+use super::surface::Surface;
 
 /// The geometry of projectors and cameras.
 #[derive(Clone, Copy, Debug)]
@@ -15,16 +18,26 @@ pub(crate) struct Pinhole {
     forward: DVec3,
     focal_px: f64,
     centre_px: DVec2,
+    /// The wall that it looks at.
+    surface: Surface,
 }
 
 impl Pinhole {
     /// Looks from a place to a point of the wall, rolled clockwise by an angle.
-    pub(crate) fn new(position: DVec3, target: DVec2, roll: f64, focal_px: f64, centre_px: DVec2) -> Self {
-        let forward = (target.extend(0.0) - position).normalize();
+    pub(crate) fn new(
+        surface: Surface,
+        position: DVec3,
+        target: DVec2,
+        roll: f64,
+        focal_px: f64,
+        centre_px: DVec2,
+    ) -> Self {
+        let forward = (surface.in_space(target) - position).normalize();
         let right = forward.cross(DVec3::Y).normalize();
         let down = forward.cross(right);
         let (sin, cos) = roll.sin_cos();
-        Self { position, right: right * cos + down * sin, down: down * cos - right * sin, forward, focal_px, centre_px }
+        let (right, down) = (right * cos + down * sin, down * cos - right * sin);
+        Self { position, right, down, forward, focal_px, centre_px, surface }
     }
 
     /// Turned to the side and up by angles, as after a bump.
@@ -36,7 +49,7 @@ impl Pinhole {
 
     /// The pixel that sees, or lights, a point of the wall.
     pub(crate) fn px(&self, point: DVec2) -> DVec2 {
-        let away = point.extend(0.0) - self.position;
+        let away = self.surface.in_space(point) - self.position;
         let depth = away.dot(self.forward);
         DVec2::new(away.dot(self.right), away.dot(self.down)) / depth * self.focal_px + self.centre_px
     }
@@ -45,7 +58,7 @@ impl Pinhole {
     pub(crate) fn point(&self, px: DVec2) -> DVec2 {
         let slope = (px - self.centre_px) / self.focal_px;
         let ray = self.forward + slope.x * self.right + slope.y * self.down;
-        (self.position - self.position.z / ray.z * ray).truncate()
+        self.surface.met(self.position, ray)
     }
 }
 

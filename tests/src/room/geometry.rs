@@ -13,21 +13,26 @@ pub(crate) fn px_from_m(projector: &Projector, [width_m, height_m]: [f64; 2]) ->
     let corners_m = [[left, top], [right, top], [right, bottom], [left, bottom]];
     let corners = [[0.0, 0.0], [columns, 0.0], [columns, rows], [0.0, rows]];
     let corners_px = std::array::from_fn(|index| {
-        let [x, y] = [0, 1].map(|axis| corners[index][axis] + projector.warp_px[index][axis]);
-        // Undo the rotation, then the flip.
-        let [x, y] = match projector.rotation.degrees() {
-            0 => [x, y],
-            90 => [y, size[1] - x],
-            180 => [size[0] - x, size[1] - y],
-            _ => [size[0] - y, x],
-        };
-        match projector.flip {
-            Flip::None => [x, y],
-            Flip::Horizontal => [size[0] - x, y],
-            Flip::Vertical => [x, size[1] - y],
-        }
+        stored_px(projector, [0, 1].map(|axis| corners[index][axis] + projector.warp_px[index][axis]))
     });
     solve(corners_m, corners_px)
+}
+
+/// Columns and rows as stored, of a place in columns and rows as seen on the wall.
+pub(crate) fn stored_px(projector: &Projector, [x, y]: [f64; 2]) -> [f64; 2] {
+    let size = [projector.output.width, projector.output.height].map(f64::from);
+    // Undo the rotation, then the flip.
+    let [x, y] = match projector.rotation.degrees() {
+        0 => [x, y],
+        90 => [y, size[1] - x],
+        180 => [size[0] - x, size[1] - y],
+        _ => [size[0] - y, x],
+    };
+    match projector.flip {
+        Flip::None => [x, y],
+        Flip::Horizontal => [size[0] - x, y],
+        Flip::Vertical => [x, size[1] - y],
+    }
 }
 
 /// The image of a point under a homogeneous matrix; `None` behind the horizon.

@@ -1,19 +1,23 @@
 //! A wall in the virtual room: its file, where its projectors truly stand, and how well both agree.
 
+use std::sync::Arc;
+
 use compositor::{
     calibration::{Codebook, Photograph, Plan, Reading},
-    wall::{PixelRect, Wall},
+    wall::{PixelRect, Wall, mesh::Mesh},
 };
 use glam::{DVec2, DVec3};
 
 use super::{
     camera::{Camera, Obstacle, Pinhole, Random, TrueProjector, decoded},
     geometry,
+    surface::Surface,
 };
 
 /// A wall file, and the projectors that it is to describe.
 #[derive(Clone, Debug)]
 pub(crate) struct Rig {
+    pub(crate) surface: Surface,
     pub(crate) wall: Wall,
     pub(crate) projectors: Vec<TrueProjector>,
 }
@@ -51,14 +55,71 @@ impl Rig {
             let focal_px = size_px.x * position.z / size_m.x * 0.96;
             let roll = f64::from(projector.rotation.degrees()).to_radians() + astray().x;
             TrueProjector {
-                pinhole: Pinhole::new(position, aims, roll, focal_px, size_px / 2.0),
+                pinhole: Pinhole::new(Surface::Flat, position, aims, roll, focal_px, size_px / 2.0),
                 size: [width as usize, height as usize],
                 is_mirrored: projector.flip != compositor::wall::Flip::None,
                 shown: Vec::new(),
             }
         };
         let projectors = wall.projectors().iter().map(stand).collect();
-        Self { wall, projectors }
+        Self { surface: Surface::Flat, wall, projectors }
+    }
+
+    /// Projectors side by side on a wall of any shape, which overlap by more than a tenth; each stands straight before its
+    /// part of the wall, up to `askew` of its width beside. `keys` and `turned` are added to the wall file.
+    pub(crate) fn on(
+        surface: Surface,
+        canvas_m: [f64; 2],
+        n_projectors: u32,
+        pixels: [u32; 2],
+        askew: f64,
+        [keys, turned]: [&str; 2],
+    ) -> Self {
+        let text = format!(
+            "# Ours.\ncanvas_m = {canvas_m:?}\n{keys}[grid]\ncolumns = {n_projectors}\nrows = 1\npixels = {pixels:?}\n\
+             overlap = [0.1, 0.0]\n{turned}"
+        );
+        let wall = Wall::from_toml("rig.toml", &text).expect("a wall");
+        let mut random = Random::new(11);
+        let stand = |projector: &compositor::wall::Projector| {
+            let rect = projector.canvas;
+            let size_m = DVec2::new(rect.width, rect.height) * DVec2::from(canvas_m);
+            let centre = DVec2::new(rect.left, rect.bottom) * DVec2::from(canvas_m) + size_m / 2.0;
+            let mut astray = || DVec2::new(random.around(1.0), random.around(1.0)) * askew * size_m.x;
+            let away_m = 1.2 * size_m.x;
+            let position =
+                surface.in_space(centre) + away_m * surface.normal(centre) + (3.0 * astray()).extend(astray().x);
+            let size_px = projector.output.size();
+            // Its light is wide enough where the wall comes towards it.
+            let focal_px = size_px.x * away_m / size_m.x * 0.72;
+            let roll = f64::from(projector.rotation.degrees()).to_radians() + astray().x;
+            TrueProjector {
+                pinhole: Pinhole::new(surface, position, centre + astray(), roll, focal_px, size_px / 2.0),
+                size: pixels.map(|side| side as usize),
+                is_mirrored: projector.flip != compositor::wall::Flip::None,
+                shown: Vec::new(),
+            }
+        };
+        let projectors = wall.projectors().iter().map(stand).collect();
+        Self { surface, wall, projectors }
+    }
+
+    /// The wall with the meshes that are true in the room, of so many control points.
+    pub(crate) fn true_wall(&self, n_points: [usize; 2]) -> Wall {
+        let with_mesh = |(projector, stands): (&compositor::wall::Projector, &TrueProjector)| {
+            let place = |n: usize| {
+                let [x, y] = [(n % n_points[0], n_points[0]), (n / n_points[0], n_points[1])]
+                    .map(|(index, n)| index as f64 / (n - 1) as f64);
+                let [columns, rows] = projector.upright_size().map(f64::from);
+                let px = geometry::stored_px(projector, [x * columns, y * rows]);
+                stands.point(px.into()) / DVec2::from(self.wall.canvas_m())
+            };
+            let points: Vec<DVec2> = (0..n_points[0] * n_points[1]).map(place).collect();
+            let mesh = Mesh::new(format!("{}.pfm", projector.name), n_points, &points).expect("a mesh");
+            projector.clone().with_mesh(Arc::new(mesh))
+        };
+        let projectors = self.wall.projectors().iter().zip(&self.projectors).map(with_mesh).collect();
+        Wall::new(self.wall.canvas_m(), self.wall.frame_size(), projectors).expect("a wall")
     }
 
     /// A camera on a tripod or in a hand, `away` metres from the wall, that looks at a part of the canvas.
@@ -66,7 +127,7 @@ impl Rig {
         let size_px = DVec2::new(size[0] as f64, size[1] as f64);
         let centre_px = size_px / 2.0 + DVec2::new(0.004, -0.003) * size_px.x;
         Camera {
-            pinhole: Pinhole::new(at, target, 0.015, focal * size_px.x, centre_px),
+            pinhole: Pinhole::new(self.surface, at, target, 0.015, focal * size_px.x, centre_px),
             size,
             radial: [-0.09, 0.03, -0.004],
             tangential: [0.0005, -0.0003],
@@ -130,6 +191,46 @@ impl Rig {
         apart.sort_by(f64::total_cmp);
         let quantile = |part: f64| apart[((apart.len() - 1) as f64 * part) as usize];
         Agreement { apart_px: [quantile(0.5), quantile(0.99)], bent_px: self.bent_px(&places) }
+    }
+
+    /// The same for a wall with meshes: distances between places where two projectors show the same point, and the
+    /// least and the greatest ratio of distances along the canvas to those on the wall.
+    pub(crate) fn agreement_of_meshes(&self, wall: &Wall) -> ([f64; 2], [f64; 2]) {
+        let mut apart = Vec::new();
+        let mut lands: Vec<[DVec2; 2]> = Vec::new();
+        for (index, projector) in wall.projectors().iter().enumerate() {
+            let size = projector.output.size();
+            for n in 0..96 * 72 {
+                let px = (DVec2::new(f64::from(n % 96), f64::from(n / 96)) + 0.5) / DVec2::new(96.0, 72.0) * size;
+                let canvas = wall.canvas_at(projector.output.origin() + px);
+                if canvas.cmplt(DVec2::ZERO).any() || canvas.cmpgt(DVec2::ONE).any() {
+                    continue;
+                }
+                let place = self.projectors[index].point(px);
+                lands.push([canvas * DVec2::from(wall.canvas_m()), place]);
+                for (other, stands) in wall.projectors().iter().zip(&self.projectors).take(index) {
+                    // Where the other projector shows the same point of the canvas.
+                    let image = other.image_at(other.canvas.rect_from_canvas(canvas));
+                    let is_shown = image.cmpge(DVec2::ZERO).all() && image.cmple(DVec2::ONE).all();
+                    let [columns, rows] = other.upright_size().map(f64::from);
+                    let other_px = geometry::stored_px(other, [image.x * columns, image.y * rows]);
+                    if is_shown {
+                        apart.push(self.projectors[index].px(stands.point(other_px.into())).distance(px));
+                    }
+                }
+            }
+        }
+        apart.sort_by(f64::total_cmp);
+        let quantile = |part: f64| apart[((apart.len() - 1) as f64 * part) as usize];
+        // Some of a projector's points, and those in the middle of the next one's.
+        let mut stretched = [f64::INFINITY, 0.0];
+        for (a, b) in lands.iter().step_by(97).zip(lands.iter().skip(lands.len() / 5).step_by(97)) {
+            let [on_canvas, on_wall] = [0, 1].map(|side| a[side].distance(b[side]));
+            if on_wall > 0.2 {
+                stretched = [f64::min(stretched[0], on_canvas / on_wall), f64::max(stretched[1], on_canvas / on_wall)];
+            }
+        }
+        ([quantile(0.5), quantile(0.99)], stretched)
     }
 
     /// Where the corners of the canvas lie on the wall: upper left, upper right, lower right, lower left.

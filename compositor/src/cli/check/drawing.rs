@@ -77,14 +77,15 @@ pub(super) fn draw(wall: &Wall, title: &str) -> String {
 fn label(svg: &mut String, index: usize, projector: &Projector, in_drawing: &dyn Fn(DVec2) -> DVec2) {
     let (upper_left, lower_right) = (in_drawing(DVec2::ZERO), in_drawing(DVec2::ONE));
     let size = lower_right - upper_left;
-    if let Some(corners) = projector.raster_corners_in_rect() {
-        let corners = corners.map(in_drawing);
-        if projector.warp_px != [[0.0; 2]; 4] {
+    if let Some(outline) = projector.outline_in_rect() {
+        let outline: Vec<DVec2> = outline.into_iter().map(in_drawing).collect();
+        if projector.is_warped() {
             let dashes = "fill=\"none\" stroke=\"#c22f2f\" stroke-width=\"1\" stroke-dasharray=\"3 3\"";
-            polygon(svg, &corners, dashes);
+            polygon(svg, &outline, dashes);
         }
         // A small triangle in the corner of the first pixel, its long leg along the first row.
-        let [first, right, _, down] = corners;
+        let corner = |index: usize| outline[index * outline.len() / 4];
+        let (first, right, down) = (corner(0), corner(1), corner(3));
         let leg = 0.07 * size.min_element();
         let mark = [
             first,
@@ -103,7 +104,7 @@ fn label(svg: &mut String, index: usize, projector: &Projector, in_drawing: &dyn
 }
 
 fn details(index: usize, projector: &Projector) -> Vec<String> {
-    let Projector { output, rotation, flip, warp_px, gamma, black_level, gain, monitor, .. } = projector;
+    let Projector { output, rotation, flip, warp_px, mesh, gamma, black_level, gain, monitor, .. } = projector;
     let mut lines = vec![format!("{}: {} × {} pixels", index + 1, output.width, output.height)];
     let mut special = Vec::new(); // settings that are not the default
     special.extend(monitor.clone());
@@ -117,6 +118,9 @@ fn details(index: usize, projector: &Projector) -> Vec<String> {
     }
     if *warp_px != [[0.0; 2]; 4] {
         special.push("warped".to_owned());
+    }
+    if let Some(mesh) = mesh {
+        special.push(format!("mesh {}", mesh.file()));
     }
     if let Gamma::Power(exponent) = gamma {
         special.push(format!("gamma {exponent}"));

@@ -121,16 +121,29 @@ impl PatternImage {
 
 /// A point of a projector's rectangle (0 to 1) in pixels of the spanning output.
 pub(super) fn to_output(projector: &Projector, rect_point: DVec2) -> Option<DVec2> {
-    let raster = apply(projector.raster_from_rect()?, rect_point)?;
+    let image = projector.image_at(rect_point);
+    // Far beyond a mesh there is no way back.
+    let is_near = (image - 0.5).abs().max_element() < 1.0;
+    on_output(projector, image).filter(|_| projector.mesh.is_none() || is_near)
+}
+
+/// A point of a projector's image (0 to 1) in pixels of the spanning output.
+pub(super) fn on_output(projector: &Projector, image: DVec2) -> Option<DVec2> {
+    let raster = apply(projector.raster_from_image()?, image)?;
     Some(projector.output.origin() + raster * projector.output.size())
 }
 
 fn align(sheet: &mut Sheet, wall: &Wall, index: usize, selected: Option<Corner>) {
     let projector = &wall.projectors()[index];
     let at = |rect_point: DVec2| to_output(projector, rect_point);
+    // Lines bend with a mesh.
+    let n_pieces = if projector.mesh.is_some() { 48 } else { 1 };
     let mut line = |from: DVec2, to: DVec2, thickness: f64, color: [u8; 3]| {
-        if let (Some(from), Some(to)) = (at(from), at(to)) {
-            sheet.line(from, to, thickness, color);
+        let piece = |n: u32| from.lerp(to, f64::from(n) / f64::from(n_pieces));
+        for n in 0..n_pieces {
+            if let (Some(from), Some(to)) = (at(piece(n)), at(piece(n + 1))) {
+                sheet.line(from, to, thickness, color);
+            }
         }
     };
     // Lines of the canvas, the same for all projectors: spaced by an eighth of its shorter side, from the middle.
@@ -153,15 +166,18 @@ fn align(sheet: &mut Sheet, wall: &Wall, index: usize, selected: Option<Corner>)
         }
     }
     for corner in 0..4 {
-        line(UNIT_SQUARE[corner], UNIT_SQUARE[(corner + 1) % 4], 3.0, WHITE);
+        let ends = [corner, (corner + 1) % 4].map(|corner| on_output(projector, UNIT_SQUARE[corner]));
+        if let [Some(from), Some(to)] = ends {
+            sheet.line(from, to, 3.0, WHITE);
+        }
     }
     for (corner_idx, corner) in UNIT_SQUARE.into_iter().enumerate() {
-        let Some(position_px) = at(corner) else { continue };
+        let Some(position_px) = on_output(projector, corner) else { continue };
         let is_selected = selected.is_some_and(|selected| selected.corner_idx == corner_idx);
         let color = if is_selected { ORANGE } else { WHITE };
         sheet.square(position_px, if is_selected { 34.0 } else { 22.0 }, color);
     }
-    let Some(centre) = at(DVec2::splat(0.5)) else { return };
+    let Some(centre) = on_output(projector, DVec2::splat(0.5)) else { return };
     let size = text_size(projector);
     sheet.text(centre, size, WHITE, &format!("{} {}", index + 1, projector.name));
     if let Some(Corner { corner_idx, .. }) = selected {

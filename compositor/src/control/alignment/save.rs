@@ -1,13 +1,16 @@
 //! Edits one value of a handwritten wall file, and keeps its order, comments and spaces.
 
-use std::path::{Path, PathBuf};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use anyhow::Context;
 use channel::files;
 use serde::Deserialize;
 use toml::Spanned;
 
-use crate::wall::{Wall, WallError, read_text};
+use crate::wall::{Wall, WallError, mesh::Mesh, read_text};
 
 /// The parts of the file that are edited.
 #[derive(Deserialize)]
@@ -20,9 +23,28 @@ struct Names {
 struct Named {
     name: Spanned<String>,
     warp_px: Option<Spanned<toml::Value>>,
+    mesh: Option<Spanned<toml::Value>>,
 }
 
-/// Writes the corners of all projectors of `wall` to its file. On an error, for example in a file that has changed to
+/// Writes meshes that have no file yet into new files beside the wall's, and returns the wall with what these hold.
+pub(crate) fn save_meshes(path: &Path, wall: &Wall) -> anyhow::Result<Wall> {
+    let mut projectors = wall.projectors().to_vec();
+    let name = |run: u32, index: usize| path.with_extension(format!("mesh-{run}-{}.pfm", index + 1));
+    let is_unused = |run: &u32| !(0..projectors.len()).any(|index| name(*run, index).exists());
+    let run = (1..=MOST_ASIDE).find(is_unused);
+    let run = run.with_context(|| format!("{}: too many mesh files beside it: remove some", path.display()))?;
+    for (index, projector) in projectors.iter_mut().enumerate() {
+        let Some(mesh) = projector.mesh.clone().filter(|mesh| mesh.file().is_empty()) else { continue };
+        let (file, bytes) = (name(run, index), mesh.to_pfm(wall.canvas_m()));
+        files::write(&file, |out| out.write_all(&bytes))
+            .map_err(|error| anyhow::anyhow!("{}: the mesh cannot be saved: {error}", file.display()))?;
+        let file = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        *projector = projector.clone().with_mesh(Arc::new(Mesh::from_pfm(file, &bytes, wall.canvas_m())?));
+    }
+    Ok(wall.with_projectors(projectors)?)
+}
+
+/// Writes the corners and the names of meshes of all projectors of `wall` to its file. On an error, for example in a file that has changed to
 /// another wall or has no place for the corners, the file stays as it was.
 pub(crate) fn save_warps(path: &Path, wall: &Wall) -> anyhow::Result<()> {
     let text = text_with_warps(path, wall)?;
@@ -67,7 +89,12 @@ fn text_with_warps(path: &Path, wall: &Wall) -> anyhow::Result<String> {
     let mut text = old_text;
     for (projector, old_projector) in wall.projectors().iter().zip(old.projectors()) {
         if projector.warp_px != old_projector.warp_px {
-            text = with_warp(&text, &projector.name, projector.warp_px);
+            text = with_key(&text, &projector.name, "warp_px", &format!("{:?}", projector.warp_px));
+        }
+        let mesh = projector.mesh.as_ref().filter(|_| projector.mesh != old_projector.mesh);
+        if let Some(mesh) = mesh {
+            let file = toml::Value::String(mesh.file().to_owned()).to_string();
+            text = with_key(&text, &projector.name, "mesh", &file);
         }
     }
     // Write only a text that parses to exactly these projectors.
@@ -81,22 +108,21 @@ fn text_with_warps(path: &Path, wall: &Wall) -> anyhow::Result<String> {
     Ok(text)
 }
 
-/// The text of a wall file with new corners of one projector.
-fn with_warp(text: &str, name: &str, warp_px: [[f64; 2]; 4]) -> String {
+/// The text of a wall file with a new value of one projector's `warp_px` or `mesh`.
+fn with_key(text: &str, name: &str, key: &str, value: &str) -> String {
     let names = toml::from_str::<Names>(text).map(|names| names.projector).unwrap_or_default();
-    match names.iter().find(|named| named.name.get_ref() == name) {
-        Some(Named { warp_px: Some(old), .. }) => {
-            let (before, after) = (&text[..old.span().start], &text[old.span().end..]);
-            format!("{before}{warp_px:?}{after}")
-        }
-        Some(Named { name, .. }) => {
+    let named = names.iter().find(|named| named.name.get_ref() == name);
+    let old = named.and_then(|named| if key == "mesh" { named.mesh.as_ref() } else { named.warp_px.as_ref() });
+    match (named, old) {
+        (_, Some(old)) => format!("{}{value}{}", &text[..old.span().start], &text[old.span().end..]),
+        (Some(Named { name, .. }), None) => {
             let line_end = text[name.span().end..].find('\n').map_or(text.len(), |length| name.span().end + length);
             let (before, after) = text.split_at(line_end);
-            format!("{before}\nwarp_px = {warp_px:?}{after}")
+            format!("{before}\n{key} = {value}{after}")
         }
-        None => {
+        (None, _) => {
             let name = toml::Value::String(name.to_owned());
-            format!("{}\n\n[[projector]]\nname = {name}\nwarp_px = {warp_px:?}\n", text.trim_end())
+            format!("{}\n\n[[projector]]\nname = {name}\n{key} = {value}\n", text.trim_end())
         }
     }
 }

@@ -41,6 +41,8 @@ fn goal(division: Division) -> RenderGoal {
     RenderGoal {
         spec: Some(spec(0.0, 1000)),
         scene_path: None,
+        next_scene: None,
+        change: 0,
         sky_path: None,
         is_refinement: false,
         division,
@@ -73,8 +75,12 @@ struct Farm {
     cancelled: Vec<NodeId>,
     /// The nodes that were told to load a scene, and which.
     loading: Vec<(NodeId, Option<SceneId>)>,
+    /// Those that were told to load the next beside it, and which.
+    preparing: Vec<(NodeId, SceneId)>,
     /// The motion that each frame is the first to show.
     motions: Vec<Option<Instant>>,
+    /// The change of each frame.
+    changes: Vec<u32>,
     /// How often each sample of each open frame was placed.
     placed: BTreeMap<FrameId, Vec<u32>>,
 }
@@ -90,7 +96,9 @@ impl Farm {
             shown: vec![],
             cancelled: vec![],
             loading: vec![],
+            preparing: vec![],
             motions: vec![],
+            changes: vec![],
             placed: BTreeMap::new(),
         }
     }
@@ -107,7 +115,9 @@ impl Farm {
         for action in self.scheduler.on_event(self.now, event) {
             match action {
                 Action::LoadScene { node, scene, .. } => self.loading.push((node, scene)),
-                Action::Open { frame, spec, moved_at } => {
+                Action::PrepareScene { node, scene, .. } => self.preparing.push((node, scene)),
+                Action::Open { frame, spec, moved_at, change } => {
+                    self.changes.push(change);
                     self.motions.push(moved_at);
                     self.placed.insert(frame, vec![0; spec.size.n_samples() as usize]);
                     let in_flight = self.scheduler.goal.in_flight as usize;
@@ -390,6 +400,29 @@ fn another_scene_cancels_the_frame_and_every_node_loads_it() {
     farm.on(Event::SceneReady { node: B, ready: true });
     farm.answer(B);
     assert_eq!(farm.shown.len(), 1);
+}
+
+#[test]
+fn the_next_scene_is_loaded_ahead_and_frames_tell_their_change() {
+    let statue = |triangles| SceneId::Statue { triangles, crease: Default::default() };
+    let next =
+        |triangles, spec| RenderGoal { next_scene: Some((statue(triangles), None)), spec, ..goal(Division::Tiled) };
+    let mut farm = Farm::with_nodes(goal(Division::Tiled), &[A]);
+    let first = goal(Division::Tiled).spec;
+    farm.on(Event::GoalChanged(next(2000, first)));
+    farm.on(Event::GoalChanged(next(2000, first)));
+    assert_eq!(farm.preparing, [(A, statue(2000))], "told once");
+    farm.join(B);
+    assert_eq!(farm.preparing[1..], [(B, statue(2000))]);
+    farm.on(Event::GoalChanged(RenderGoal { change: 1, ..next(2000, Some(spec(0.0, 2000))) }));
+    assert_eq!(farm.preparing.len(), 2, "the scene on show is not the next");
+    farm.on(Event::SceneReady { node: A, ready: true });
+    farm.answer(A);
+    farm.on(Event::FrameTaken);
+    assert_eq!((farm.shown.len(), farm.changes.last()), (1, Some(&1)));
+    // The same picture again is a frame of the new change.
+    farm.on(Event::GoalChanged(RenderGoal { change: 2, ..next(1000, Some(spec(0.0, 2000))) }));
+    assert_eq!((farm.changes.last(), farm.preparing.len()), (Some(&2), 4));
 }
 
 #[test]

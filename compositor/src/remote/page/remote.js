@@ -145,7 +145,13 @@ function update(state) {
     document.querySelectorAll("#views [data-view]").forEach((it) => it.remove());
     show.views.forEach((number) => $("views").append(element("button", `View ${number}`, { type: "button", "data-view": number })));
   }
-  for (const id of ["operator", "programs"]) $(id).hidden = state.role !== "operator";
+  $("show").hidden = show.n_scenes === null;
+  const scene = show.scene === null ? "" : `Scene ${show.scene} of ${show.n_scenes}${show.caption ? `: ${show.caption}` : ""}`;
+  if ($("scene").textContent !== scene) $("scene").textContent = scene;
+  $("playing").textContent = show.is_show_playing ? "Hold show" : "Play show";
+  $("playing").setAttribute("aria-pressed", show.is_show_playing);
+  $("playing").dataset.order = show.is_show_playing ? "pause-show" : "play-show";
+  for (const id of ["operator", "programs", "orders", "keeping"]) $(id).hidden = state.role !== "operator";
   surface.parentElement.style.setProperty("--aspect", show.aspect || 1.78);
   if (state.role === "operator") {
     if (!isListed) isListed = send({ do: "list-models" });
@@ -354,8 +360,9 @@ surface.addEventListener("keydown", (event) => {
 document.addEventListener("click", ({ target }) => {
   const button = target.closest("button");
   if (!button) return;
-  const { action, step: what, view } = button.dataset;
+  const { action, step: what, view, order } = button.dataset;
   if (action === "leave") send({ do: "leave" });
+  else if (order) send({ do: order });
   else if (action) steer({ do: action });
   else if (view) steer({ do: "go-to-view", number: +view });
   else if (what) step(what, $("moves").getAttribute("aria-pressed") === "true");
@@ -389,6 +396,7 @@ control(["background"], "change", () => ({ do: "background", colors: value("back
 control(["shading"], "change", () => ({ do: "shading", shading: value("shading") }));
 control(["division"], "change", () => ({ do: "division", division: value("division") }));
 $("keep").addEventListener("click", () => send({ do: "keep-view", number: +value("number") }));
+$("keep-scene").addEventListener("click", () => send({ do: "keep-scene", caption: value("caption"), seconds: +value("seconds") || null }));
 $("models").addEventListener("focus", () => send({ do: "list-models" }));
 $("models").addEventListener("pointerdown", () => send({ do: "list-models" }));
 

@@ -8,13 +8,14 @@ use std::{
 use shared::camera::{Camera, CameraPath, CameraRecorder, CanvasPart, Look, UpAxis, View};
 
 use crate::{
-    cli::args::Inputs,
     control::{
         input::Direction,
         model::Model,
         navigator::Navigator,
+        show::Cue,
         sidecar::{self, SidecarFiles},
     },
+    wall::Wall,
     window::effect::Effect,
 };
 
@@ -46,17 +47,23 @@ struct Recording {
 }
 
 impl CameraControl {
-    pub(super) fn new(up: Option<UpAxis>, inputs: &Inputs, now: Instant) -> Self {
+    /// A camera for this wall, whose first model is seen by the axis, and from the camera or along the path, of the options.
+    pub(super) fn new(
+        up: Option<UpAxis>,
+        wall: &Wall,
+        (first_camera, first_path): (Option<Camera>, Option<CameraPath>),
+        now: Instant,
+    ) -> Self {
         Self {
             navigator: None,
             sidecars: None,
             recording: None,
             stepped_at: now,
-            aspect: inputs.wall.aspect(),
+            aspect: wall.aspect(),
             up,
             guessed_up: None,
-            first_camera: inputs.camera,
-            first_path: inputs.path.clone(),
+            first_camera,
+            first_path,
         }
     }
 
@@ -111,6 +118,29 @@ impl CameraControl {
         let Some(path) = self.first_path.take().map(Arc::new) else { return Effect::picture() };
         sidecars.keep_path(Arc::clone(&path));
         self.play(path, true, now)
+    }
+
+    /// Shows the model of a scene of a show at once, from its camera; its path waits for [`CameraControl::begin_path`].
+    pub(super) fn enter(&mut self, cue: &Cue, is_same_model: bool, parts: &[CanvasPart]) {
+        (self.recording, self.guessed_up, self.up) = (None, None, None);
+        // Views may have been kept since those of the scene were read.
+        if !is_same_model || self.sidecars.is_none() {
+            self.sidecars = Some(cue.sidecars.clone());
+        }
+        let new = || Navigator::new(cue.model.shape.clone(), cue.up, self.aspect);
+        let navigator = self.navigator.get_or_insert_with(new);
+        navigator.set_model(cue.model.shape.clone(), cue.up, parts);
+        cue.camera.into_iter().for_each(|camera| navigator.set_camera(camera));
+    }
+
+    /// Begins the camera path of a scene.
+    pub(super) fn begin_path(&mut self, path: Arc<CameraPath>, repeats: bool, now: Instant) {
+        let _ = self.play(path, repeats, now);
+    }
+
+    /// The model's present view, for a scene of a show.
+    pub(super) fn present_view(&self) -> Option<(Camera, UpAxis)> {
+        self.navigator.as_ref().map(|navigator| (navigator.destination_without_panels(), navigator.up()))
     }
 
     /// Moves the camera, or sets it in motion; a note tells another up axis.

@@ -2,8 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use glam::DVec3;
-use shared::{camera::Camera, division::FrameSize, protocol::ProbeHit};
+use shared::{camera::Camera, protocol::ProbeHit};
 
 use crate::{farm::stats::Probed, overlay::Pick};
 
@@ -22,7 +21,6 @@ pub(super) enum Purpose {
 struct PendingProbe {
     purpose: Purpose,
     camera: Camera,
-    at: [f32; 2],
     since: Instant,
 }
 
@@ -41,11 +39,11 @@ pub(super) struct Probing {
 }
 
 impl Probing {
-    /// Starts a probe at a point of the view plane, in fractions of its edges, and returns its number.
+    /// Starts a probe from a camera, and returns its number.
     ///
     /// `None` while a probe to go somewhere is pending, which another purpose must not replace; a probe ahead replaces none, and
     /// is rare.
-    pub(super) fn start(&mut self, purpose: Purpose, camera: Camera, at: [f32; 2], now: Instant) -> Option<u32> {
+    pub(super) fn start(&mut self, purpose: Purpose, camera: Camera, now: Instant) -> Option<u32> {
         let is_going = |pending: &PendingProbe| {
             pending.purpose == Purpose::GoTo && now.duration_since(pending.since) < PROBE_TIMEOUT
         };
@@ -61,7 +59,7 @@ impl Probing {
             self.ahead_at = Some(now);
         }
         self.last_number = self.last_number.wrapping_add(1);
-        self.pending = Some(PendingProbe { purpose, camera, at, since: now });
+        self.pending = Some(PendingProbe { purpose, camera, since: now });
         Some(self.last_number)
     }
 
@@ -72,35 +70,24 @@ impl Probing {
 
     /// The purpose of the last probe and what it hit, once, if this is its answer.
     pub(super) fn finish(&mut self, probed: Probed) -> Option<(Purpose, Option<Pick>)> {
-        let PendingProbe { purpose, camera, at, .. } = self.pending.take_if(|_| probed.number == self.last_number)?;
-        Some((purpose, probed.hit.map(|hit| pick(hit, &camera, at))))
+        let PendingProbe { purpose, camera, .. } = self.pending.take_if(|_| probed.number == self.last_number)?;
+        Some((purpose, probed.hit.map(|hit| pick(hit, &camera))))
     }
 }
 
-/// The point that was hit, computed as the render server traced the ray.
-fn pick(ProbeHit { triangle, t }: ProbeHit, camera: &Camera, at: [f32; 2]) -> Pick {
-    let direction: DVec3 = camera.rays(FrameSize::ONE).direction_through(at[0], at[1]).as_dvec3();
-    let to_hit = direction * f64::from(t);
-    Pick { triangle, point: camera.eye() + to_hit, distance: to_hit.length() }
+fn pick(ProbeHit { triangle, point, .. }: ProbeHit, camera: &Camera) -> Pick {
+    Pick { triangle, point, distance: (point - camera.eye()).length() }
 }
 
 #[cfg(test)]
 mod tests {
+    use glam::DVec3;
     use renderer::{formats::ply, grid::GridOptions, render::scene::Scene};
 
     use super::*;
 
     fn camera() -> Camera {
         Camera::look_at(DVec3::new(5.0, -9.0, 4.0), DVec3::ONE, DVec3::Z, 0.7, 2.0).unwrap()
-    }
-
-    #[test]
-    fn a_hit_on_the_view_plane_is_the_point_of_the_view_plane() {
-        let camera = camera();
-        let pick = pick(ProbeHit { triangle: Some(7), t: 1.0 }, &camera, [0.25, 0.5]);
-        let expected = camera.ll() + camera.u() * 0.25 + camera.v() * 0.5;
-        assert!((pick.point - expected).length() < 1e-5, "{pick:?}");
-        assert!((pick.distance - (expected - camera.eye()).length()).abs() < 1e-5);
     }
 
     #[test]
@@ -112,28 +99,28 @@ mod tests {
         let scene = Scene::build(mesh, &GridOptions::default(), &|_| ());
         let target = DVec3::new(512_347.501, 5_412_348.252, 71.25);
         let camera = Camera::look_at(target + DVec3::Z * 98.0, target, DVec3::Y, 0.7, 2.0).unwrap();
-        let pick = pick(scene.probe(&camera, [0.5; 2], None).unwrap(), &camera, [0.5; 2]);
+        let pick = pick(scene.probe(&camera, [0.5; 2], None).unwrap(), &camera);
         assert_eq!(pick.to_string(), "Triangle 0 at (512347.501, 5412348.252, 71.250), 98.000 from the eye");
     }
 
     #[test]
     fn only_the_last_probe_is_answered_and_going_somewhere_comes_first() {
         let (mut probing, now) = (Probing::default(), Instant::now());
-        let first = probing.start(Purpose::Inspect, camera(), [0.5; 2], now).unwrap();
-        let second = probing.start(Purpose::GoTo, camera(), [0.5; 2], now).unwrap();
-        assert_eq!(probing.start(Purpose::Approach, camera(), [0.5; 2], now), None);
+        let first = probing.start(Purpose::Inspect, camera(), now).unwrap();
+        let second = probing.start(Purpose::GoTo, camera(), now).unwrap();
+        assert_eq!(probing.start(Purpose::Approach, camera(), now), None);
         let miss = |number| Probed { number, hit: None };
         assert!(probing.finish(miss(first)).is_none());
         assert_eq!(probing.finish(miss(second)).unwrap().0, Purpose::GoTo);
         assert!(probing.finish(miss(second)).is_none());
-        let last = probing.start(Purpose::Inspect, camera(), [0.5; 2], now).unwrap();
-        assert_eq!(probing.start(Purpose::Ahead, camera(), [0.5; 2], now), None, "a hand waits for the last");
+        let last = probing.start(Purpose::Inspect, camera(), now).unwrap();
+        assert_eq!(probing.start(Purpose::Ahead, camera(), now), None, "a hand waits for the last");
         probing.forget();
         assert!(probing.finish(miss(last)).is_none(), "another model is on the wall");
-        let ahead = probing.start(Purpose::Ahead, camera(), [0.5; 2], now).unwrap();
+        let ahead = probing.start(Purpose::Ahead, camera(), now).unwrap();
         assert!(probing.finish(miss(ahead)).is_some());
-        assert_eq!(probing.start(Purpose::Ahead, camera(), [0.5; 2], now), None, "not so often");
-        assert!(probing.start(Purpose::Ahead, camera(), [0.5; 2], now + AHEAD_INTERVAL).is_some());
-        assert!(probing.start(Purpose::Approach, camera(), [0.5; 2], now).is_some());
+        assert_eq!(probing.start(Purpose::Ahead, camera(), now), None, "not so often");
+        assert!(probing.start(Purpose::Ahead, camera(), now + AHEAD_INTERVAL).is_some());
+        assert!(probing.start(Purpose::Approach, camera(), now).is_some());
     }
 }

@@ -16,6 +16,7 @@ use crate::{
     control::{
         input::Command,
         navigator::{Drag, Nudge},
+        show::Player,
     },
     farm::stats::{FrameStats, NodeStatus},
     remote::{
@@ -99,6 +100,10 @@ impl App<'_> {
 
     /// Carries out one action. Returns whether it moved the camera, which a picture must show.
     fn act(&mut self, event_loop: &ActiveEventLoop, action: Action) -> bool {
+        if action.is_steering() && self.touch_show() {
+            self.redraw();
+            return false;
+        }
         let command = match action {
             Action::Orbit { x, y } => return self.nudge(Nudge::Drag(Drag::Orbit, DVec2::new(x, y))),
             Action::Pan { x, y } => return self.nudge(Nudge::Drag(Drag::Pan, DVec2::new(x, y))),
@@ -112,6 +117,20 @@ impl App<'_> {
                 self.open_beside(&model);
                 return false;
             }
+            Action::KeepScene { caption, seconds } => {
+                let effect = self.keep_scene(printable_line(&caption), seconds.map(Duration::from_secs_f64));
+                self.apply(effect);
+                return false;
+            }
+            Action::PlayShow | Action::PauseShow => {
+                let (plays, now) = (action == Action::PlayShow, Instant::now());
+                let effect = self.order_show(|show| if plays { show.play(now) } else { show.pause(now) });
+                self.apply(effect);
+                self.redraw();
+                return false;
+            }
+            Action::NextScene => Command::NextScene,
+            Action::PreviousScene => Command::PreviousScene,
             Action::ListModels => {
                 self.list_models();
                 return false;
@@ -214,6 +233,8 @@ impl App<'_> {
     fn remote_state(&self) -> WallState {
         let overlay = &self.overlay;
         let appearance = overlay.appearance;
+        let player = self.show.as_ref().map(|show| &show.player);
+        let scene = player.and_then(Player::shown);
         let show = Show {
             model: overlay.model.as_ref().map(|model| model.name.clone()).unwrap_or_default(),
             n_triangles: overlay.model.as_ref().map_or(0, |model| model.n_triangles),
@@ -222,6 +243,10 @@ impl App<'_> {
             views: overlay.views.clone(),
             has_path: self.camera.has_path(),
             is_playing: overlay.is_playing,
+            n_scenes: player.map(|player| player.show().scenes.len()),
+            scene: scene.map(|(index, _)| index + 1),
+            caption: scene.map(|(_, scene)| scene.caption.clone()).filter(|caption| !caption.is_empty()),
+            is_show_playing: player.is_some_and(Player::is_playing),
             note: overlay.note.clone(),
         };
         let controls = Controls {
@@ -253,9 +278,16 @@ impl App<'_> {
             nodes_lost: overlay.status.n_lost,
             frames_healed: overlay.status.n_healed,
             nodes: overlay.status.nodes.iter().map(|node| self.remote_node(node)).collect(),
-            alerts: self.messages.all(&overlay.status, &self.outputs.missing()),
+            alerts: self.alerts(),
         };
         WallState { show, controls, farm }
+    }
+
+    /// The wall's messages, and scenes of the show that were left out.
+    fn alerts(&self) -> Vec<String> {
+        let messages = self.messages.all(&self.overlay.status, &self.outputs.missing());
+        let of_show = self.show.iter().flat_map(|show| show.player.problems());
+        messages.into_iter().chain(of_show).map(|line| printable_line(&line)).collect()
     }
 
     fn remote_node(&self, node: &NodeStatus) -> Node {

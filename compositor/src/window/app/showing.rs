@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use shared::{noise::NoiseLimit, scene::SceneId};
 use winit::event_loop::ActiveEventLoop;
 
-use super::App;
+use super::{App, show::ShowControl};
 use crate::{
     control::refinement::ShowTimes,
     farm::{
@@ -31,6 +31,10 @@ pub(super) struct Presentation {
     pub(super) is_stale: bool,
     pub(super) rate: FrameRate,
     pub(super) repaint_at: Option<Instant>,
+    /// The change that the last frame on screen belongs to.
+    pub(super) change: u32,
+    /// When the next picture of a fade is due.
+    pub(super) fades_at: Option<Instant>,
     /// When to draw again after a window could not be drawn on.
     pub(super) retry_at: Option<Instant>,
 }
@@ -75,6 +79,7 @@ impl App<'_> {
 
     fn update_overlay(&mut self, now: Instant) {
         let goal = self.farm.goal();
+        let caption = self.show.as_ref().and_then(|show| show.caption(self.free_canvas(), now));
         let overlay = &mut self.overlay;
         overlay.status = self.farm.status();
         overlay.division = goal.division;
@@ -100,7 +105,9 @@ impl App<'_> {
         overlay.views = self.camera.view_numbers();
         overlay.files = self.browser.files.clone();
         overlay.is_aligning = self.wall.has_pattern();
-        overlay.loading = self.loader.progress();
+        // A scene to come is read while the present one is shown: that is no news for visitors.
+        overlay.loading = self.loader.progress().filter(|_| self.model.is_none() || !self.loader.is_preparing());
+        overlay.caption = caption;
         overlay.frames_per_second = self.presentation.rate.per_second(now);
         overlay.note = self.messages.note(now);
         let has_panel = overlay.panel && !overlay.is_aligning;
@@ -118,8 +125,15 @@ impl App<'_> {
         self.take_frame();
         self.show_pattern();
         self.update_overlay(Instant::now());
-        let new_frame = self.presentation.frame.as_ref().filter(|_| self.presentation.is_new);
         let started_at = Instant::now();
+        if let (Some(painter), Some(show)) = (&mut self.outputs.painter, &self.show) {
+            painter.present.set_fade(show.fade_part(started_at));
+        }
+        self.follow_fade(started_at);
+        let fades = self.show.as_ref().is_some_and(ShowControl::fades);
+        let change = self.presentation.change;
+        let new_frame = self.presentation.frame.as_ref().filter(|_| self.presentation.is_new);
+        let new_frame = new_frame.map(|frame| (frame, fades && frame.change != change));
         let drawn = match self.outputs.draw(&self.wall.wall, new_frame, &self.overlay) {
             Ok(Some(drawn)) => drawn,
             // The frame, or the change of the overlay, is still to be shown.
@@ -140,10 +154,28 @@ impl App<'_> {
             self.apply(effect);
         }
         if std::mem::take(&mut self.presentation.is_new) {
+            self.on_new_change(now);
             self.on_new_frame(event_loop, drawn.stats, now - started_at, &drawn.monitors);
         }
         for command in drawn.overlay.commands {
             self.execute(event_loop, command);
+        }
+    }
+
+    /// A frame has reached the screen: it may be the first of a change.
+    fn on_new_change(&mut self, now: Instant) {
+        let change = self.presentation.frame.as_ref().map_or(0, |frame| frame.change);
+        if std::mem::replace(&mut self.presentation.change, change) != change {
+            self.on_change_shown(change, now);
+            self.follow_fade(now);
+        }
+    }
+
+    /// Ends a fade that is over, or has its next picture drawn in time.
+    fn follow_fade(&mut self, now: Instant) {
+        if let Some(show) = &mut self.show {
+            show.end_fade(now);
+            self.presentation.fades_at = show.fades_at(now);
         }
     }
 
@@ -196,7 +228,13 @@ impl App<'_> {
         let mut next: Vec<Option<Instant>> = Vec::new();
         if !self.camera.is_moving() {
             if self.kiosk.returns(now) {
-                let effect = self.camera.start_again(&self.free_parts(), now);
+                let effect = match &mut self.show {
+                    Some(show) => {
+                        show.player.play(now);
+                        Effect::default()
+                    }
+                    None => self.camera.start_again(&self.free_parts(), now),
+                };
                 self.apply(effect);
             } else {
                 next.push(self.kiosk.returns_at());
@@ -225,7 +263,8 @@ impl App<'_> {
                 next.push(Some(hides_at));
             }
         }
-        let mut redraws = vec![self.presentation.retry_at];
+        next.push(self.advance_show(now));
+        let mut redraws = vec![self.presentation.retry_at, self.presentation.fades_at];
         if self.overlay.is_visible() {
             let rests_at = self.overlay.frames_per_second.and_then(|_| self.presentation.rate.rests_at());
             let note_ends_at = self.overlay.note.as_ref().and_then(|_| self.messages.note_ends_at());

@@ -24,6 +24,7 @@ use crate::{
         free_parts::free_parts,
         input::{self, Command, Key, KeyAction, Tint},
         navigator::{Drag, Navigator},
+        show::Player,
     },
     farm::Probe,
     overlay::{DENSITIES, RAYS, STORAGES},
@@ -65,6 +66,7 @@ impl App<'_> {
             return self.redraw();
         }
         match cap.and_then(input::action) {
+            Some(KeyAction::Fly(_)) if is_pressed && !key.repeat && self.touch_show() => self.redraw(),
             Some(KeyAction::Fly(direction)) if !(is_pressed && key.repeat) => {
                 self.camera.fly(direction, is_pressed, now);
             }
@@ -89,7 +91,7 @@ impl App<'_> {
 
     pub(super) fn execute(&mut self, event_loop: &ActiveEventLoop, command: Command) {
         self.kiosk.touch(Instant::now());
-        if self.kiosk.allows(command) {
+        if self.kiosk.allows(command) && !(command.is_steering() && self.touch_show()) {
             self.perform(event_loop, command);
         }
     }
@@ -193,6 +195,12 @@ impl App<'_> {
             Command::Redo => Effect::note(self.wall.redo()),
             Command::ToggleLock => self.toggle_lock(),
             Command::ToggleRemote => self.toggle_remote(),
+            Command::TogglePlayingShow => {
+                self.order_show(|player| if player.is_playing() { player.pause(now) } else { player.play(now) })
+            }
+            Command::NextScene => self.order_show(Player::go_on),
+            Command::PreviousScene => self.order_show(Player::go_back),
+            Command::KeepScene => self.keep_scene(String::new(), None),
             Command::DismissMessage => {
                 self.messages.dismiss(&self.farm.status(), self.outputs.missing());
                 Effect::default()
@@ -295,7 +303,7 @@ impl App<'_> {
     pub(super) fn probe_at(&mut self, purpose: Purpose, point: DVec2) {
         let (Some(model), Some(navigator)) = (&self.model, &self.camera.navigator) else { return };
         let (camera, at) = (navigator.camera(), [point.x as f32, point.y as f32]);
-        if let Some(number) = self.probing.start(purpose, camera, at, Instant::now()) {
+        if let Some(number) = self.probing.start(purpose, camera, Instant::now()) {
             let (view, clip) = (Some((model.scene, camera)), self.picture.appearance.clip);
             self.farm.probe(Probe { number, view, at, clip });
         }
@@ -371,6 +379,9 @@ impl App<'_> {
             }
             return self.redraw();
         }
+        if is_pressed && self.touch_show() {
+            return self.redraw();
+        }
         let is_click = !is_pressed && self.pointer.release();
         self.pointer.press(is_pressed && button == MouseButton::Left);
         let Some(navigator) = &mut self.camera.navigator else { return };
@@ -396,6 +407,9 @@ impl App<'_> {
             MouseScrollDelta::PixelDelta(pixels) => pixels.y / PIXELS_PER_NOTCH,
         };
         self.kiosk.touch(Instant::now());
+        if self.touch_show() {
+            return self.redraw();
+        }
         // The first notch moves toward the middle of the model; the answer comes before the next notch.
         if self.camera.navigator.as_ref().is_some_and(Navigator::needs_surface) {
             self.probe(Purpose::Approach);
@@ -424,6 +438,15 @@ impl App<'_> {
             CanvasPart { min: min.unwrap_or_default(), max: max.unwrap_or_default() }
         };
         free_parts(&self.panels.iter().map(panel).collect::<Vec<_>>())
+    }
+
+    /// The largest part of the canvas that panels leave free, its upper-left corner (0, 0).
+    pub(super) fn free_canvas(&self) -> egui::Rect {
+        let size = |part: &CanvasPart| (part.max - part.min).element_product();
+        let largest = self.free_parts().into_iter().max_by(|a, b| size(a).total_cmp(&size(b)));
+        let CanvasPart { min, max } = largest.unwrap_or(CanvasPart::WHOLE);
+        let point = |x: f64, y: f64| egui::pos2(x as f32, (1.0 - y) as f32);
+        egui::Rect::from_min_max(point(min.x, max.y), point(max.x, min.y))
     }
 
     fn cursor_is_over_overlay(&self) -> bool {

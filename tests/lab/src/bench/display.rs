@@ -14,10 +14,11 @@ use anyhow::Context;
 use compositor::{
     cli::headless::Headless,
     farm::{BufferPool, FrameSamples},
-    wall::Wall,
+    wall::{Wall, mesh::Mesh},
 };
 use cpu_time::ProcessTime;
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer, images::Image};
+use glam::DVec2;
 use renderer::cli::say;
 use serde::Serialize;
 use shared::{
@@ -56,6 +57,9 @@ struct DisplayTimings {
     /// The same of a frame with one sample for each pixel of the wall.
     native_over_bare: f64,
     native_over_bare_cpu: f64,
+    /// Drawing alone, of a frame of the usual size, through meshes relative to corners: elapsed time, and CPU time.
+    meshes_over_corners: f64,
+    meshes_over_corners_cpu: f64,
     /// CPU time of the steps of both full frames.
     steps: [Steps; 2],
 }
@@ -81,6 +85,8 @@ const FULL_NATIVE: usize = 1;
 const BARE: usize = 2;
 const BARE_NATIVE: usize = 3;
 const COPY: usize = 4;
+const CORNERS: usize = 6;
+const MESHES: usize = 7;
 
 pub(super) fn run(wall: Wall, size: FrameSize, duration: Duration, is_json: bool) -> anyhow::Result<()> {
     let timings = measure(wall, size, duration)?;
@@ -93,6 +99,7 @@ pub(super) fn run(wall: Wall, size: FrameSize, duration: Duration, is_json: bool
 
 fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<DisplayTimings> {
     let wall_size @ [width, height] = wall.output_size();
+    let mut through = [Headless::new(with_corners(&wall)?)?, Headless::new(with_meshes(&wall)?)?];
     let mut headless = Headless::new(wall)?;
     let native = FrameSize::new(width, height)?;
     let full = [NoiseFrame::new(size), NoiseFrame::new(native)];
@@ -116,9 +123,14 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
         format!("bare bilinear draw, {native}"),
         "memcpy of the wall's pixels".to_owned(),
         format!("fast_image_resize, {size}"),
+        format!("draw through corners, {size}"),
+        format!("draw through meshes, {size}"),
     ];
     let mut timings = names.each_ref().map(|_| (Vec::new(), Vec::new()));
     let mut steps: [Vec<Steps>; 2] = Default::default();
+    for through in &mut through {
+        full[FULL].show(through)?;
+    }
     let first_at = Instant::now();
     let mut n_rounds = 0;
     while n_rounds < N_FIRST + FEWEST_ROUNDS || first_at.elapsed() < duration {
@@ -137,6 +149,9 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
                 COPY => {
                     copy.copy_from_slice(black_box(&pixels));
                     black_box(&copy);
+                }
+                CORNERS | MESHES => {
+                    through[index - CORNERS].draw()?;
                 }
                 _ => resizer.resize(&from, &mut to, &options)?,
             }
@@ -167,8 +182,35 @@ fn measure(wall: Wall, size: FrameSize, duration: Duration) -> anyhow::Result<Di
         whole_over_bare_cpu: rows[FULL].cpu_ms / rows[BARE].cpu_ms,
         native_over_bare: rows[FULL_NATIVE].whole_ms / rows[BARE_NATIVE].whole_ms,
         native_over_bare_cpu: rows[FULL_NATIVE].cpu_ms / rows[BARE_NATIVE].cpu_ms,
+        meshes_over_corners: rows[MESHES].whole_ms / rows[CORNERS].whole_ms,
+        meshes_over_corners_cpu: rows[MESHES].cpu_ms / rows[CORNERS].cpu_ms,
         rows,
     })
+}
+
+/// The wall with the corners of all projectors a pixel inwards.
+fn with_corners(wall: &Wall) -> anyhow::Result<Wall> {
+    let inwards = [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]];
+    let warps: Vec<_> = (0..wall.projectors().len()).map(|index| (index, inwards)).collect();
+    Ok(wall.with_warps(&warps)?)
+}
+
+/// The wall with a mesh for each projector, of 33 control points a side on lines that bulge by a hundredth.
+fn with_meshes(wall: &Wall) -> anyhow::Result<Wall> {
+    const SIDE: usize = 33;
+    let mut projectors = wall.projectors().to_vec();
+    for projector in &mut projectors {
+        let at = |n: usize| {
+            let part = DVec2::new((n % SIDE) as f64, (n / SIDE) as f64) / (SIDE - 1) as f64;
+            let across = part * (1.0 - part);
+            let bulge = 0.04 * DVec2::new(across.y, across.x) * (0.5 - part);
+            projector.canvas.canvas_from_rect(part + bulge)
+        };
+        let points: Vec<DVec2> = (0..SIDE * SIDE).map(at).collect();
+        let mesh = Mesh::new("bench.pfm".to_owned(), [SIDE; 2], &points)?;
+        *projector = projector.clone().with_mesh(Arc::new(mesh));
+    }
+    Ok(Wall::new(wall.canvas_m(), wall.frame_size(), projectors)?)
 }
 
 /// A frame of noise, in the encoding of render servers.
@@ -254,6 +296,9 @@ impl DisplayTimings {
                 "  of that CPU time: placing {place_ms:.2}, uploading {upload_ms:.2}, drawing {draw_ms:.2}"
             );
         }
+        let (meshes, meshes_cpu) = (self.meshes_over_corners, self.meshes_over_corners_cpu);
+        let _ =
+            writeln!(table, "drawing through meshes, relative to corners: {meshes:.2}; in CPU time: {meshes_cpu:.2}");
         table += match self.is_software {
             true => {
                 "trust the ratio in CPU time: placing and uploading run on one thread, and drawing on all of the driver's, \
@@ -279,7 +324,7 @@ mod tests {
             Err(error) if error.to_string().contains("no graphics driver") => return println!("skipped: {error}"),
             Err(error) => panic!("{error}"),
         };
-        assert_eq!(timings.rows.len(), 6);
+        assert_eq!(timings.rows.len(), 8);
         assert!(timings.rows.iter().all(|row| row.whole_ms > 0.0), "{timings:?}");
         assert!(timings.table().contains("of that CPU time: placing"), "{}", timings.table());
         assert!(timings.table().contains("fast_image_resize, 32x16"));

@@ -292,7 +292,10 @@ where
                         events.push_back(Event::GoalChanged(goal(self.cluster, spec)));
                         events.push_back(Event::FrameTaken);
                     }
-                    Action::LoadScene { .. } | Action::Open { .. } | Action::Discard { .. } => {}
+                    Action::LoadScene { .. }
+                    | Action::PrepareScene { .. }
+                    | Action::Open { .. }
+                    | Action::Discard { .. } => {}
                 }
             }
         }

@@ -41,6 +41,8 @@ fn goal(min_renderers: usize) -> RenderGoal {
     RenderGoal {
         spec: Some(spec()),
         scene_path: None,
+        next_scene: None,
+        change: 0,
         sky_path: None,
         is_refinement: false,
         division: Division::Dynamic,
@@ -121,7 +123,7 @@ impl Cluster {
     fn on(&mut self, event: Event) {
         for action in self.scheduler.on_event(self.now, event) {
             match action {
-                Action::LoadScene { .. } | Action::Open { .. } => {}
+                Action::LoadScene { .. } | Action::PrepareScene { .. } | Action::Open { .. } => {}
                 Action::Render { node, frame, task_id, spec, task, .. } => {
                     self.pend(node, frame, task_id, &task, spec.size);
                 }

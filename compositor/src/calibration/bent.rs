@@ -1,0 +1,288 @@
+//! Solves a wall of a known shape that is not flat: finds cameras and projectors, and from these where pixels lie.
+
+use std::collections::HashSet;
+
+use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, DVec4};
+
+use super::{
+    bundle::{Bundle, Pose, Projection, Seen, projected},
+    fitting::{quantile, solve_symmetric},
+    lens::Lens,
+    solve::Shot,
+};
+use crate::wall::Surface;
+
+/// The layout of a projector as the wall file has it: where it may light the wall.
+pub(super) struct Layout<'a> {
+    /// Columns and rows.
+    pub size: DVec2,
+    /// The place on the unrolled wall, in metres, at a pixel.
+    pub place_at: Box<dyn Fn(DVec2) -> DVec2 + 'a>,
+}
+
+/// Where projectors' pixels lie.
+pub(super) struct BentSolution {
+    bundle: Bundle,
+    surface: Surface,
+    sizes: Vec<DVec2>,
+    /// For each projector: crossings as in [`Seen::px`], with their places.
+    crossings: Vec<Vec<[DVec2; 2]>>,
+    /// For each projector: half, and nineteen of twenty, of its points are nearer than this to where they should be.
+    pub fits_px: Vec<[f64; 2]>,
+    /// For each shot: half of its points are.
+    pub shot_medians_px: Vec<f64>,
+}
+
+/// A shot or a projector needs so many crossings.
+const LEAST_CROSSINGS: usize = 24;
+/// Crossings by which a camera's first place is found.
+const FEW: usize = 150;
+
+/// Solves for all projectors and shots; what has too few crossings is left out. `None` if nothing fits at all.
+pub(super) fn solve(surface: Surface, layouts: &[Layout<'_>], shots: &[Shot]) -> Option<BentSolution> {
+    let seen = seen(layouts, shots);
+    let n_of = |is_of: &dyn Fn(&Seen) -> bool| seen.iter().filter(|it| is_of(it)).count();
+    let place = |it: &Seen| {
+        let layout = &layouts[it.projector];
+        (layout.place_at)(it.px * it.px_per_unit + layout.size / 2.0)
+    };
+    let rough = |shot: usize| -> Vec<(DVec2, DVec2)> {
+        let own: Vec<&Seen> = seen.iter().filter(|it| it.shot == shot).collect();
+        own.iter().step_by(own.len().div_ceil(FEW).max(1)).map(|it| (it.at, place(it))).collect()
+    };
+    let used: Vec<bool> = (0..shots.len()).map(|shot| n_of(&|it| it.shot == shot) >= LEAST_CROSSINGS).collect();
+    // The shot that shows most tells the focal length; the others share it.
+    let most = (0..shots.len()).filter(|shot| used[*shot]).max_by_key(|shot| n_of(&|it| it.shot == *shot))?;
+    let focal = start(&surface, &rough(most), None)?.0;
+    let poses: Vec<Option<Pose>> =
+        (0..shots.len()).map(|shot| used[shot].then(|| Some(start(&surface, &rough(shot), Some(focal))?.1))?).collect();
+    let mut bundle = Bundle { lens: Lens::default(), focal, poses, projections: vec![None; layouts.len()] };
+    let seen: Vec<Seen> = seen.into_iter().filter(|it| bundle.poses[it.shot].is_some()).collect();
+    for projector in 0..layouts.len() {
+        let pairs: Vec<(DVec3, DVec2)> = seen
+            .iter()
+            .filter(|it| it.projector == projector)
+            .filter_map(|it| Some((surface.in_space(bundle.place(&surface, &bundle.poses[it.shot]?, it.at)?), it.px)))
+            .collect();
+        bundle.projections[projector] = (pairs.len() >= LEAST_CROSSINGS).then(|| fitted(&pairs)).flatten();
+    }
+    let seen: Vec<Seen> = seen.into_iter().filter(|it| bundle.projections[it.projector].is_some()).collect();
+    let bundle = bundle.adjusted(&surface, &seen);
+    Some(BentSolution::new(bundle, surface, layouts, shots.len(), &seen))
+}
+
+fn seen(layouts: &[Layout<'_>], shots: &[Shot]) -> Vec<Seen> {
+    let mut all = Vec::new();
+    for (shot, it) in shots.iter().enumerate() {
+        for sighting in &it.sightings {
+            let size = layouts[sighting.projector_idx].size;
+            let px_per_unit = size.max_element() / 2.0;
+            all.extend(sighting.points.iter().map(|[px, at]| Seen {
+                shot,
+                projector: sighting.projector_idx,
+                at: Lens::normalised(it.size, *at),
+                px: (*px - size / 2.0) / px_per_unit,
+                px_per_unit,
+            }));
+        }
+    }
+    all
+}
+
+/// A camera's focal length, unless it is given, and its place, from what it sees of places that are known roughly.
+fn start(surface: &Surface, rough: &[(DVec2, DVec2)], focal: Option<f64>) -> Option<(f64, Pose)> {
+    let n = rough.len() as f64;
+    let points: Vec<(DVec2, DVec3)> = rough.iter().map(|(at, place)| (*at, surface.in_space(*place))).collect();
+    let centre = points.iter().map(|(_, point)| *point).sum::<DVec3>() / n;
+    let seen_centre = points.iter().map(|(at, _)| *at).sum::<DVec2>() / n;
+    let spread = points.iter().map(|(_, point)| point.distance(centre)).sum::<f64>() / n;
+    let seen_spread = points.iter().map(|(at, _)| at.distance(seen_centre)).sum::<f64>() / n;
+    let focals: Vec<f64> = focal.map_or(vec![1.0, 1.6, 2.4], |focal| vec![focal]);
+    let mut best: Option<(f64, f64, Pose)> = None;
+    for &focal_guess in &focals {
+        for (aside, quarter) in
+            [-0.5, 0.0, 0.5].into_iter().flat_map(|aside| (0..4).map(move |quarter| (aside, quarter)))
+        {
+            let away_m = focal_guess * spread / seen_spread.max(1e-6);
+            let position = centre + DVec3::new(aside, 0.0, 1.0).normalize() * away_m;
+            let ahead = (centre - position).normalize();
+            let right = ahead.cross(DVec3::Y).normalize();
+            let rotation = DQuat::from_mat3(&DMat3::from_cols(right, ahead.cross(right), ahead))
+                * DQuat::from_rotation_z(f64::from(quarter) * std::f64::consts::FRAC_PI_2);
+            let first = (focal_guess, Pose { position, rotation });
+            let (cost, focal_found, pose) = resected(&points, first, focal.is_none());
+            if best.as_ref().is_none_or(|(least, ..)| cost < *least) {
+                best = Some((cost, focal_found, pose));
+            }
+        }
+    }
+    best.map(|(_, focal, pose)| (focal, pose))
+}
+
+/// The camera that sees points where it does, by Levenberg and Marquardt's method with slopes of small steps; its cost,
+/// focal length and pose.
+fn resected(points: &[(DVec2, DVec3)], (mut focal, mut pose): (f64, Pose), moves_focal: bool) -> (f64, f64, Pose) {
+    let n = if moves_focal { 7 } else { 6 };
+    let moved = |focal: f64, pose: &Pose, by: &[f64]| {
+        let pose = Pose {
+            position: pose.position + DVec3::new(by[0], by[1], by[2]),
+            rotation: (pose.rotation * DQuat::from_scaled_axis(DVec3::new(by[3], by[4], by[5]))).normalize(),
+        };
+        (focal * by.get(6).map_or(1.0, |by| by.clamp(-0.5, 0.5).exp()), pose)
+    };
+    let away = |(focal, pose): &(f64, Pose), (at, point): &(DVec2, DVec3)| {
+        let local = pose.rotation.inverse() * (*point - pose.position);
+        // Points behind the camera are far off.
+        if local.z > 1e-6 { *at - *focal * local.truncate() / local.z } else { DVec2::splat(3.0) }
+    };
+    let cost = |camera: &(f64, Pose)| points.iter().map(|it| away(camera, it).length_squared().min(1.0)).sum::<f64>();
+    let (mut now, mut damping) = (cost(&(focal, pose)), 1e-2);
+    for _ in 0..40 {
+        let (mut matrix, mut right) = (vec![0.0; n * n], vec![0.0; n]);
+        for it in points {
+            let here = away(&(focal, pose), it);
+            let slopes: Vec<DVec2> = (0..n)
+                .map(|axis| {
+                    let mut by = vec![0.0; n];
+                    by[axis] = 1e-6;
+                    (here - away(&moved(focal, &pose, &by), it)) / 1e-6
+                })
+                .collect();
+            for a in 0..n {
+                for b in 0..n {
+                    matrix[a * n + b] += slopes[a].dot(slopes[b]);
+                }
+                right[a] += slopes[a].dot(here);
+            }
+        }
+        let before = now;
+        while damping < 1e8 {
+            let (mut matrix, mut step) = (matrix.clone(), right.clone());
+            (0..n).for_each(|axis| matrix[axis * n + axis] = matrix[axis * n + axis] * (1.0 + damping) + 1e-12);
+            let next = solve_symmetric(&mut matrix, &mut step).then(|| moved(focal, &pose, &step));
+            if let Some(next) = next.filter(|next| cost(next) < now) {
+                now = cost(&next);
+                (focal, pose) = next;
+                damping *= 0.2;
+                break;
+            }
+            damping *= 10.0;
+        }
+        if before - now < 1e-9 * before {
+            break;
+        }
+    }
+    (now, focal, pose)
+}
+
+/// The projection that takes points in space to pixels, by linear equations (Abdel-Aziz and Karara 1971). Points of a
+/// plane leave a part of it free, which becomes small.
+fn fitted(pairs: &[(DVec3, DVec2)]) -> Option<Projection> {
+    let centre = pairs.iter().map(|(point, _)| *point).sum::<DVec3>() / pairs.len() as f64;
+    let mut normal = vec![0.0; 121];
+    let mut right = [0.0; 11];
+    for (point, px) in pairs {
+        let p = *point - centre;
+        let rows = [
+            ([p.x, p.y, p.z, 1.0, 0.0, 0.0, 0.0, 0.0, -px.x * p.x, -px.x * p.y, -px.x * p.z], px.x),
+            ([0.0, 0.0, 0.0, 0.0, p.x, p.y, p.z, 1.0, -px.y * p.x, -px.y * p.y, -px.y * p.z], px.y),
+        ];
+        for (row, value) in rows {
+            for (a, by) in row.iter().enumerate() {
+                for (b, other) in row.iter().enumerate() {
+                    normal[11 * a + b] += by * other;
+                }
+                right[a] += by * value;
+            }
+        }
+    }
+    (0..11).for_each(|n| normal[12 * n] += 1e-7 * pairs.len() as f64);
+    if !solve_symmetric(&mut normal, &mut right) {
+        return None;
+    }
+    let row = |a: f64, b: f64, c: f64, d: f64| DVec4::new(a, b, c, d - DVec3::new(a, b, c).dot(centre));
+    let [a, b, c, d, e, f, g, h, i, j, k] = right;
+    Some([row(a, b, c, d), row(e, f, g, h), row(i, j, k, 1.0)])
+}
+
+impl BentSolution {
+    fn new(bundle: Bundle, surface: Surface, layouts: &[Layout<'_>], n_shots: usize, seen: &[Seen]) -> Self {
+        let away: Vec<(Seen, f64)> = seen.iter().map(|it| (*it, bundle.away_px(&surface, it))).collect();
+        let crossings_of = |projector: usize| {
+            let own = seen.iter().filter(|it| it.projector == projector);
+            own.filter_map(|it| {
+                let place = bundle.place(&surface, bundle.poses[it.shot].as_ref()?, it.at)?;
+                Some([it.px, place])
+            })
+            .collect()
+        };
+        let quantiles = |is_of: &dyn Fn(&Seen) -> bool| {
+            let mut own: Vec<f64> = away.iter().filter(|(it, _)| is_of(it)).map(|(_, away)| *away).collect();
+            [quantile(&mut own, 0.5), quantile(&mut own, 0.95)]
+        };
+        Self {
+            crossings: (0..layouts.len()).map(crossings_of).collect(),
+            fits_px: (0..layouts.len()).map(|projector| quantiles(&|it| it.projector == projector)).collect(),
+            shot_medians_px: (0..n_shots).map(|shot| quantiles(&|it| it.shot == shot)[0]).collect(),
+            sizes: layouts.iter().map(|layout| layout.size).collect(),
+            bundle,
+            surface,
+        }
+    }
+
+    /// Whether a projector was solved.
+    pub(super) fn is_solved(&self, projector: usize) -> bool {
+        self.bundle.projections[projector].is_some()
+    }
+
+    /// The number of a projector's crossings, each counted once.
+    pub(super) fn n_crossings(&self, projector: usize) -> usize {
+        let bits = |[px, _]: &[DVec2; 2]| px.to_array().map(f64::to_bits);
+        self.crossings[projector].iter().map(bits).collect::<HashSet<_>>().len()
+    }
+
+    /// The number of a projector's crossings, all shots together.
+    pub(super) fn n_points(&self, projector: usize) -> usize {
+        self.crossings[projector].len()
+    }
+
+    /// Whether a projector's pixels light a place on the unrolled wall.
+    pub(super) fn lights(&self, projector: usize, place: DVec2) -> bool {
+        let size = self.sizes[projector];
+        let image = self.bundle.projections[projector].as_ref();
+        let image = image.and_then(|rows| projected(rows, self.surface.in_space(place)));
+        image.is_some_and(|image| image.abs().cmple(size / size.max_element()).all())
+    }
+
+    /// A projector's crossings, in its pixels, with their places on the unrolled wall in metres.
+    pub(super) fn crossings(&self, projector: usize) -> impl Iterator<Item = [DVec2; 2]> + '_ {
+        let size = self.sizes[projector];
+        self.crossings[projector].iter().map(move |[px, place]| [*px * size.max_element() / 2.0 + size / 2.0, *place])
+    }
+
+    /// The place on the unrolled wall, in metres, that a projector's pixel lights; `None` if it was not solved.
+    ///
+    /// Newton's method from the nearest crossing.
+    pub(super) fn place_at(&self, projector: usize, px: DVec2) -> Option<DVec2> {
+        let rows = self.bundle.projections[projector].as_ref()?;
+        let size = self.sizes[projector];
+        let wanted = (px - size / 2.0) / (size.max_element() / 2.0);
+        let near = self.crossings[projector]
+            .iter()
+            .min_by(|a, b| a[0].distance_squared(wanted).total_cmp(&b[0].distance_squared(wanted)))?;
+        let image = |place: DVec2| projected(rows, self.surface.in_space(place));
+        let mut place = near[1];
+        for _ in 0..20 {
+            let here = image(place)?;
+            let away = wanted - here;
+            if away.length() < 1e-10 {
+                break;
+            }
+            const STEP: f64 = 1e-6;
+            let slope = |axis: DVec2| Some((image(place + axis * STEP)? - image(place - axis * STEP)?) / (2.0 * STEP));
+            let slopes = DMat2::from_cols(slope(DVec2::X)?, slope(DVec2::Y)?);
+            place += slopes.inverse() * away;
+        }
+        place.is_finite().then_some(place)
+    }
+}

@@ -1,0 +1,123 @@
+//! From photographs to meshes, on a wall that is not flat: what was found, what was not, and the cure.
+
+use shared::printable::counted;
+
+use super::{
+    bent::{self, BentSolution, Layout},
+    pattern::Plan,
+    place::Placement,
+    solve::Shot,
+    unroll::{Unrolled, place_in_file},
+    verdict::{LARGEST_MEDIAN_PX, LARGEST_P95_PX, LEAST_COVERED, Verdict, misfit, misfit_line, missing_fault},
+};
+use crate::wall::{Surface, Wall};
+
+/// So much of the canvas must be lit, or a line says that it is not.
+const LEAST_LIT: f64 = 0.995;
+
+/// Solves a wall of this shape from shots with these names. Without a placement, the canvas stays where meshes have it, or
+/// becomes as large as all projectors light.
+pub(super) fn judge(
+    wall: &Wall,
+    surface: Surface,
+    plan: &Plan,
+    (names, mut shots): (&[&str], Vec<Shot>),
+    placement: Option<&Placement>,
+) -> Verdict {
+    let (mut found, mut faults) = (Vec::new(), Vec::new());
+    let nothing = |found, faults| Verdict { wall: None, found, faults };
+    let has_meshes = wall.projectors().iter().any(|projector| projector.mesh.is_some());
+    let is_kept = match placement {
+        None => has_meshes,
+        Some(Placement::Keep) => true,
+        Some(Placement::Largest) => false,
+        Some(Placement::Corners | Placement::Marks { .. }) => {
+            faults.push(
+                "the canvas of a wall that is not flat has no corners to go by: use --place keep or largest".into(),
+            );
+            return nothing(found, faults);
+        }
+    };
+    let Some(mut solution) = solved(wall, surface, &shots) else {
+        faults.push("no photograph shows enough of the patterns: are the projectors on, and is it sharp?".into());
+        return nothing(found, faults);
+    };
+    while let Some(worst) = misfit(&solution.shot_medians_px) {
+        found.push(misfit_line(names[worst], solution.shot_medians_px[worst]));
+        shots[worst].sightings.clear();
+        let Some(next) = solved(wall, surface, &shots) else { break };
+        solution = next;
+    }
+    let kept = Unrolled::kept(wall, surface, &solution);
+    let unrolled = if is_kept { kept } else { kept.largest(wall, surface, &solution) };
+    let mut projectors = wall.projectors().to_vec();
+    for (index, projector) in projectors.iter_mut().enumerate() {
+        if !solution.is_solved(index) {
+            faults.push(missing_fault(&projector.name, index, &shots));
+            continue;
+        }
+        report(&projector.name, index, &solution, plan, &mut found, &mut faults);
+        match unrolled.projector(wall, surface, &solution, index) {
+            Some(new) => *projector = new,
+            None => faults.push(format!(
+                "the pixels of \"{}\" make no mesh: does it light the wall that [surface] describes?",
+                projector.name
+            )),
+        }
+    }
+    let lit = unrolled.lit(wall, &solution);
+    if lit < LEAST_LIT {
+        found.push(format!(
+            "{:.0} % of the canvas is lit: --place largest may make the picture fit; otherwise move projectors, or change \
+             canvas_m",
+            100.0 * lit
+        ));
+    }
+    let is_changed = projectors != wall.projectors();
+    let new_wall = wall.with_projectors(projectors).map_err(|error| {
+        faults.push(format!("{error}: does the file's layout agree with the wall?"));
+    });
+    Verdict { wall: new_wall.ok().filter(|_| is_changed), found, faults }
+}
+
+fn solved(wall: &Wall, surface: Surface, shots: &[Shot]) -> Option<BentSolution> {
+    let mut layouts = Vec::new();
+    for projector in wall.projectors() {
+        let place_at = Box::new(move |px| place_in_file(wall, projector, px));
+        layouts.push(Layout { size: projector.output.size(), place_at });
+    }
+    bent::solve(surface, &layouts, shots)
+}
+
+/// A line on a projector, and what speaks against it.
+fn report(
+    name: &str,
+    index: usize,
+    solution: &BentSolution,
+    plan: &Plan,
+    found: &mut Vec<String>,
+    faults: &mut Vec<String>,
+) {
+    let [median_px, p95_px] = solution.fits_px[index];
+    let covered = solution.n_crossings(index) as f64 / plan.boards[index].n_crossings().max(1) as f64;
+    found.push(format!(
+        "\"{name}\": {}, {:.0} % of its picture; half within {median_px:.2} pixels, 95 % within {p95_px:.2}",
+        counted(solution.n_points(index), "point"),
+        100.0 * covered
+    ));
+    if covered < LEAST_COVERED {
+        faults.push(format!(
+            "only {:.0} % of \"{name}\" was seen, and {:.0} % is needed: take a photograph of every pattern that shows all \
+             of it, and clear the way to the camera",
+            100.0 * covered,
+            100.0 * LEAST_COVERED
+        ));
+    }
+    if !(median_px <= LARGEST_MEDIAN_PX && p95_px <= LARGEST_P95_PX) {
+        faults.push(format!(
+            "\"{name}\" does not fit: half of its points lie within {median_px:.2} pixels and 95 % within {p95_px:.2}, \
+             where {LARGEST_MEDIAN_PX} and {LARGEST_P95_PX} are allowed: has the wall the shape that [surface] says, did \
+             it move between photographs, and does the camera come near enough?"
+        ));
+    }
+}

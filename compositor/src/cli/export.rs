@@ -1,0 +1,114 @@
+//! Writes a wall as an MPCDI file, which other tools for projectors read.
+
+use std::{io::BufWriter, path::PathBuf, time::SystemTime};
+
+use anyhow::Context;
+use channel::files::NewFile;
+use renderer::cli::say;
+use shared::{division::FrameSize, printable::counted};
+
+use super::headless::Headless;
+use crate::{
+    gpu::RgbImage,
+    mpcdi::{
+        archive, convert,
+        document::{Mpcdi, Region},
+    },
+    wall::{CanvasRect, Gamma, Projector, Wall},
+};
+
+/// Writes a wall as an MPCDI file: warps, and maps of light
+#[derive(Clone, Debug, clap::Args)]
+pub struct ExportArgs {
+    /// The wall file
+    pub wall: PathBuf,
+    /// The MPCDI file to write, of profile 2d
+    pub file: PathBuf,
+}
+
+/// Draws the maps of light, and writes the file.
+pub fn run(args: &ExportArgs) -> anyhow::Result<()> {
+    let wall = Wall::load(&args.wall)?;
+    let [white, black] = maps(&wall)?;
+    let native = wall.native_size();
+    let regions = wall.projectors().iter().enumerate().map(|(index, projector)| region(index, projector)).collect();
+    let document = Mpcdi { buffer_size: Some([native.xres(), native.yres()]), regions };
+    let files = document.regions.iter().zip(wall.projectors()).flat_map(|(region, projector)| {
+        let map = |whole: &RgbImage| {
+            let mut bytes = Vec::new();
+            // Memory takes every map.
+            let _ = whole.part(projector.output).encode(&mut bytes);
+            bytes
+        };
+        let alpha = region.alpha.iter().map(|(path, _)| (path.clone(), map(&white)));
+        let beta = region.beta.iter().map(|path| (path.clone(), map(&black)));
+        let warp = convert::warp(projector).map(|warp| (region.warp.clone(), warp.write()));
+        warp.into_iter().chain(alpha).chain(beta).collect::<Vec<_>>()
+    });
+    let cannot = || format!("cannot write {}", args.file.display());
+    let out = NewFile::begin(&args.file).with_context(cannot)?;
+    archive::write(BufWriter::new(out.file()), &document.write(&date(SystemTime::now())), files)
+        .with_context(cannot)?;
+    out.finish().with_context(cannot)?;
+    say(format_args!("wrote {} with {}", args.file.display(), counted(wall.projectors().len(), "region")))
+}
+
+/// What all projectors show for white, and for black: their parts of the light, and what lifts their black.
+fn maps(wall: &Wall) -> anyhow::Result<[RgbImage; 2]> {
+    let mut headless = Headless::new(wall.clone())?;
+    let size = FrameSize::new(8, 8)?;
+    let mut shown = |sample: u32| -> anyhow::Result<RgbImage> {
+        headless.upload_and_draw(size, &vec![sample; size.n_samples() as usize])?;
+        Ok(headless.image()?)
+    };
+    Ok([shown(0xffff_ffff)?, shown(0xff00_0000)?])
+}
+
+fn region(index: usize, projector: &Projector) -> Region {
+    let CanvasRect { left, bottom, width, height } = projector.canvas;
+    let gamma = match projector.gamma {
+        Gamma::Power(exponent) => exponent,
+        // The curve of sRGB is close to this power.
+        Gamma::Srgb => 2.2,
+    };
+    Region {
+        id: projector.name.clone(),
+        size: [projector.output.width, projector.output.height],
+        at: [left, 1.0 - bottom - height],
+        extent: [width, height],
+        warp: format!("{}_warp.pfm", index + 1),
+        alpha: Some((format!("{}_alpha.png", index + 1), gamma)),
+        beta: Some(format!("{}_beta.png", index + 1)),
+    }
+}
+
+/// A time as MPCDI writes it, in UTC; the calendar is Howard Hinnant's `civil_from_days` (2013).
+fn date(time: SystemTime) -> String {
+    let seconds = time.duration_since(SystemTime::UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    // Days since 1 March of the year 0, in eras of 400 years.
+    let days = seconds / 86_400 + 719_468;
+    let (era, day_of_era) = (days / 146_097, days % 146_097);
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let from_march = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * from_march + 2) / 5 + 1;
+    let month = if from_march < 10 { from_march + 3 } else { from_march - 9 };
+    let year = era * 400 + year_of_era + u64::from(month <= 2);
+    let [hour, minute, second] = [seconds / 3600 % 24, seconds / 60 % 60, seconds % 60];
+    format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn times_are_dates() {
+        let at = |seconds| date(SystemTime::UNIX_EPOCH + Duration::from_secs(seconds));
+        assert_eq!(at(0), "1970-01-01 00:00:00");
+        assert_eq!(at(951_827_696), "2000-02-29 12:34:56");
+        assert_eq!(at(4_102_444_799), "2099-12-31 23:59:59");
+    }
+}

@@ -1,0 +1,84 @@
+//! Makes a wall file of an MPCDI file, which other tools for projectors write.
+
+use std::{
+    fs::File,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context, bail, ensure};
+use channel::files;
+use renderer::cli::say;
+use shared::printable::{counted, printable_line};
+
+use crate::{
+    mpcdi::{archive::Archive, convert, document::Mpcdi},
+    wall::{Gamma, Projector, Wall},
+};
+
+/// Makes a wall file, and a mesh file for each projector, of an MPCDI file
+#[derive(Clone, Debug, clap::Args)]
+pub struct ImportArgs {
+    /// The MPCDI file, of profile 2d
+    pub file: PathBuf,
+    /// The wall file to write; mesh files are written beside it
+    pub wall: PathBuf,
+    /// Width of the canvas in metres, which MPCDI does not say
+    #[arg(long, value_name = "M", default_value_t = 4.0)]
+    pub width: f64,
+    /// Its height in metres [default: by the shape of the picture in the file]
+    #[arg(long, value_name = "M")]
+    pub height: Option<f64>,
+}
+
+/// Reads all of the file, then writes; on an error nothing is written.
+pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
+    let ImportArgs { file, wall: wall_file, .. } = args;
+    let fault = |problem: String| anyhow::anyhow!("{}: {}", file.display(), printable_line(&problem));
+    ensure!(!wall_file.exists(), "{} is there already: name another wall file", wall_file.display());
+    let open = || files::open(file).with_context(|| file.display().to_string());
+    let mut archive = Archive::open(open()?).map_err(fault)?;
+    let document = archive.document().map_err(fault)?;
+    let canvas_m = canvas_m(args, &document)?;
+    let projectors = projectors(&mut archive, &document, wall_file).map_err(fault)?;
+    let wall = Wall::new(canvas_m, Wall::paper().frame_size(), projectors).map_err(|it| fault(it.to_string()))?;
+    // Checked as a file: numbers have limits there.
+    for mesh in wall.projectors().iter().filter_map(|projector| projector.mesh.as_ref()) {
+        let path = wall_file.with_file_name(mesh.file());
+        let bytes = mesh.to_pfm(canvas_m);
+        files::write(&path, |out| out.write_all(&bytes)).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    let text = wall.to_toml();
+    Wall::from_toml(&wall_file.display().to_string(), &text)?;
+    files::write(wall_file, |out| out.write_all(text.as_bytes()))
+        .with_context(|| format!("cannot write {}", wall_file.display()))?;
+    say(format_args!(
+        "wrote {} with {}; their places are the file's, and shares of light follow from overlaps; black_level and gain \
+         are to be set",
+        wall_file.display(),
+        counted(wall.projectors().len(), "projector")
+    ))
+}
+
+fn canvas_m(args: &ImportArgs, document: &Mpcdi) -> anyhow::Result<[f64; 2]> {
+    let by_shape = document.buffer_size.map(|[columns, rows]| args.width * f64::from(rows) / f64::from(columns));
+    let Some(height) = args.height.or(by_shape) else {
+        bail!("{} does not say the shape of its picture: give --height", args.file.display());
+    };
+    Ok([args.width, height])
+}
+
+/// The projectors of all regions, their pixels side by side.
+fn projectors(archive: &mut Archive<File>, document: &Mpcdi, wall_file: &Path) -> Result<Vec<Projector>, String> {
+    let stem = wall_file.file_stem().unwrap_or_default().to_string_lossy();
+    let mut x = 0;
+    let mut projectors = Vec::new();
+    for (index, region) in document.regions.iter().enumerate() {
+        let warp = archive.warp(&region.warp)?;
+        let projector = convert::projector(region, &warp, [x, 0], &format!("{stem}.{}.pfm", index + 1))?;
+        x += region.size[0];
+        // The map's gamma is the projector's, if the map is not linear.
+        let gamma = region.alpha.as_ref().map(|(_, gamma)| *gamma).filter(|gamma| (1.2..=4.0).contains(gamma));
+        projectors.push(Projector { gamma: gamma.map_or(projector.gamma, Gamma::Power), ..projector });
+    }
+    Ok(projectors)
+}

@@ -1,0 +1,10 @@
+//! MPCDI, the format by which tools for projectors exchange calibrations: a zip with `mpcdi.xml`, warps as PFM, and maps of
+//! light as PNG (VESA, "Multiple Projection Common Data Interchange Standard", version 2, 2015).
+//!
+//! Profile 2d: a picture, the buffer, has a region for each projector, and a warp has a point of the region for each of the
+//! projector's pixels. In reading order: [`document`] is `mpcdi.xml`, [`archive`] the zip around it, and [`convert`] goes
+//! from regions to meshes, and back.
+
+pub mod archive;
+pub mod convert;
+pub mod document;

@@ -1,0 +1,115 @@
+//! The zip around an MPCDI.
+
+use std::io::{Read, Seek, Write};
+
+use zip::{CompressionMethod, ZipArchive, ZipWriter, write::SimpleFileOptions};
+
+use super::document::Mpcdi;
+use crate::wall::mesh::pfm::Pfm;
+
+/// An archive that is read; nothing is unpacked beyond its limit.
+pub struct Archive<R: Read + Seek> {
+    zip: ZipArchive<R>,
+}
+
+/// The standard's name, and one that some programs write.
+const DOCUMENT_NAMES: [&str; 2] = ["mpcdi.xml", "mpacs.xml"];
+/// The longest `mpcdi.xml`, in bytes.
+const LONGEST_DOCUMENT: u64 = 1 << 20;
+/// The longest warp, in bytes: one of 16,384×16,384 pixels would take 3 GB, and no projector has a quarter of them.
+const LONGEST_WARP: u64 = 12 * (1 << 26) + 256;
+
+impl<R: Read + Seek> Archive<R> {
+    /// Opens an archive.
+    ///
+    /// # Errors
+    /// It is no zip.
+    pub fn open(file: R) -> Result<Self, String> {
+        let zip = ZipArchive::new(file).map_err(|error| format!("it is no MPCDI file, which is a zip: {error}"))?;
+        Ok(Self { zip })
+    }
+
+    /// The document in it.
+    ///
+    /// # Errors
+    /// There is none, or it is no MPCDI.
+    pub fn document(&mut self) -> Result<Mpcdi, String> {
+        let name = DOCUMENT_NAMES.into_iter().find(|name| self.name_of(name).is_some()).unwrap_or(DOCUMENT_NAMES[0]);
+        let bytes = self.unpacked(name, LONGEST_DOCUMENT)?;
+        let text = String::from_utf8(bytes).map_err(|_| format!("{name} is not UTF-8"))?;
+        Mpcdi::read(text.trim_start_matches('\u{feff}'))
+    }
+
+    /// The warp in a file of the archive.
+    ///
+    /// # Errors
+    /// There is no such file, or it is no PFM of three channels.
+    pub fn warp(&mut self, name: &str) -> Result<Pfm, String> {
+        Pfm::read(&self.unpacked(name, LONGEST_WARP)?).map_err(|fault| format!("{name}: {fault}"))
+    }
+
+    /// The archive's name for a file, whatever its case.
+    fn name_of(&self, name: &str) -> Option<String> {
+        let name = name.trim_start_matches("./");
+        self.zip.file_names().find(|it| it.eq_ignore_ascii_case(name)).map(str::to_owned)
+    }
+
+    fn unpacked(&mut self, name: &str, longest: u64) -> Result<Vec<u8>, String> {
+        let found = self.name_of(name).ok_or_else(|| format!("it has no file {name}"))?;
+        let entry = self.zip.by_name(&found).map_err(|error| format!("{name} cannot be unpacked: {error}"))?;
+        // What an entry says of its size may be wrong, so reading has the same limit.
+        let mut bytes = Vec::new();
+        let mut start = entry.take(longest + 1);
+        start.read_to_end(&mut bytes).map_err(|error| format!("{name} cannot be unpacked: {error}"))?;
+        if start.limit() == 0 {
+            return Err(format!("{name} has more than {longest} bytes"));
+        }
+        Ok(bytes)
+    }
+}
+
+/// Writes an archive of files by name, the document first.
+///
+/// # Errors
+/// Of the file that it is written to.
+pub fn write<W: Write + Seek>(
+    out: W,
+    document: &str,
+    files: impl Iterator<Item = (String, Vec<u8>)>,
+) -> zip::result::ZipResult<()> {
+    let mut zip = ZipWriter::new(out);
+    let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
+    for (name, bytes) in std::iter::once((DOCUMENT_NAMES[0].to_owned(), document.as_bytes().to_vec())).chain(files) {
+        zip.start_file(name, options)?;
+        zip.write_all(&bytes)?;
+    }
+    Ok(zip.finish()?.flush()?)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use super::*;
+
+    #[test]
+    fn what_is_packed_is_unpacked_and_nothing_beyond_its_limit() {
+        let pfm = Pfm { size: [2, 1], values: vec![[0.0, 0.25, 0.0], [1.0, 0.75, 0.0]] };
+        let mut file = Cursor::new(Vec::new());
+        // A bomb: a gigabyte of zeros would be a thousandth of that.
+        let files = [("Warps/a.pfm".to_owned(), pfm.write()), ("b.pfm".to_owned(), vec![0; 4 << 20])];
+        write(&mut file, "<MPCDI/>", files.into_iter()).expect("memory");
+        let mut archive = Archive::open(file).expect("a zip");
+        assert_eq!(archive.warp("./warps/a.pfm"), Ok(pfm));
+        assert_eq!(archive.unpacked("b.pfm", 1 << 20), Err("b.pfm has more than 1048576 bytes".to_owned()));
+        assert_eq!(archive.warp("c.pfm"), Err("it has no file c.pfm".to_owned()));
+        assert!(archive.document().expect_err("no profile").contains("its profile is none"));
+    }
+
+    #[test]
+    fn other_files_are_refused() {
+        for bytes in [&b""[..], b"PK", b"canvas_m = [1, 1]"] {
+            assert!(Archive::open(Cursor::new(bytes.to_vec())).err().expect("refused").contains("no MPCDI file"));
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! The shape of a wall that is not flat, as its owner says, and its canvas unrolled on it.
+
+use glam::{DVec2, DVec3};
+use serde::{Deserialize, Serialize};
+
+/// A wall's shape. In space, x is right, y up and z towards the audience, in metres; places are metres on the unrolled
+/// canvas, from its lower-left corner.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Surface {
+    /// An upright cylinder with the audience inside.
+    Cylinder {
+        /// Its radius.
+        radius_m: f64,
+        /// The distance of its middle, which faces the audience, from the canvas's left edge.
+        at_m: f64,
+    },
+    /// Two planes that meet at an upright edge.
+    Fold {
+        /// The edge's distance from the canvas's left edge.
+        at_m: f64,
+        /// The angle between the planes that the audience sees, in degrees; 180 is flat.
+        angle: f64,
+    },
+}
+
+impl Surface {
+    /// Refuses shapes that hold no canvas of this width and height in metres; the text names the cure.
+    pub(super) fn check(&self, [width_m, _]: [f64; 2]) -> Result<(), String> {
+        match *self {
+            Self::Cylinder { radius_m, at_m } => {
+                let farthest = at_m.max(width_m - at_m) / radius_m;
+                // A little more than half a turn to either side would meet itself.
+                if radius_m > 0.0 && farthest <= 3.0 && (0.0..=width_m).contains(&at_m) {
+                    return Ok(());
+                }
+                Err(format!(
+                    "radius_m = {radius_m} and at_m = {at_m}: a canvas {width_m} m wide lies on at most a turn, and at_m \
+                     is between its edges"
+                ))
+            }
+            Self::Fold { at_m, angle } => {
+                if (30.0..180.0).contains(&angle) && at_m > 0.0 && at_m < width_m {
+                    return Ok(());
+                }
+                Err(format!(
+                    "at_m = {at_m} and angle = {angle}: the edge is between the canvas's edges, and the angle that the \
+                     audience sees from 30 to less than 180 degrees; leave [surface] out for a flat wall"
+                ))
+            }
+        }
+    }
+
+    /// The point in space at a place.
+    pub fn in_space(&self, place: DVec2) -> DVec3 {
+        match self {
+            Self::Cylinder { radius_m, at_m } => {
+                let angle = (place.x - at_m) / radius_m;
+                DVec3::new(radius_m * angle.sin(), place.y, radius_m * (1.0 - angle.cos()))
+            }
+            Self::Fold { at_m, .. } => {
+                let along = place.x - at_m;
+                let away = self.away(along >= 0.0);
+                DVec3::new(along.abs() * away.x, place.y, along.abs() * away.y)
+            }
+        }
+    }
+
+    /// The place where a ray meets the wall from the audience's side; `None` if it does not.
+    pub fn met(&self, from: DVec3, ray: DVec3) -> Option<DVec2> {
+        let (origin, along) = (DVec2::new(from.x, from.z), DVec2::new(ray.x, ray.z));
+        match self {
+            Self::Cylinder { radius_m, at_m } => {
+                let origin = origin - DVec2::new(0.0, *radius_m);
+                let (a, half_b) = (along.length_squared(), origin.dot(along));
+                let root = half_b * half_b - a * (origin.length_squared() - radius_m * radius_m);
+                let t = (root.sqrt() - half_b) / a;
+                let at = origin + t * along;
+                // NaN where the ray passes the cylinder.
+                (t > 0.0).then(|| DVec2::new(at_m + radius_m * at.x.atan2(-at.y), from.y + t * ray.y))
+            }
+            Self::Fold { at_m, .. } => {
+                let on_plane = |is_right: bool| {
+                    let away = self.away(is_right);
+                    let t = away.perp_dot(origin) / along.perp_dot(away);
+                    let distance = away.dot(origin + t * along);
+                    let place = DVec2::new(at_m + if is_right { distance } else { -distance }, from.y + t * ray.y);
+                    (t > 0.0 && distance >= 0.0).then_some((t, place))
+                };
+                let met = [on_plane(false), on_plane(true)].into_iter().flatten();
+                met.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, place)| place)
+            }
+        }
+    }
+
+    /// The direction away from the fold, on one of its planes: x and z.
+    fn away(&self, is_right: bool) -> DVec2 {
+        let Self::Fold { angle, .. } = self else { return DVec2::X };
+        let turned = (180.0 - angle).to_radians() / 2.0;
+        DVec2::new(if is_right { turned.cos() } else { -turned.cos() }, turned.sin())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ray_to_a_point_meets_the_wall_there_and_distances_along_it_are_kept() {
+        let walls = [
+            Surface::Cylinder { radius_m: 2.0, at_m: 1.5 },
+            Surface::Fold { at_m: 1.2, angle: 120.0 },
+            Surface::Fold { at_m: 1.2, angle: 90.0 },
+        ];
+        for surface in walls {
+            for n in 0..50 {
+                let place = DVec2::new(0.06 * f64::from(n) + 0.01, 0.1 * f64::from(n % 8));
+                let from = DVec3::new(0.2, 0.5, 1.9);
+                let met = surface.met(from, surface.in_space(place) - from).expect("ahead");
+                assert!(met.distance(place) < 1e-9, "{surface:?}: {place} {met}");
+                let beside = place + DVec2::new(1e-5, 2e-5);
+                let apart = surface.in_space(place).distance(surface.in_space(beside));
+                assert!((apart / place.distance(beside) - 1.0).abs() < 1e-6, "{surface:?}: {place}");
+            }
+            assert_eq!(surface.met(DVec3::new(0.2, 0.5, 1.9), DVec3::Y), None);
+        }
+        // The fold's planes meet at the angle that the audience sees.
+        let fold = Surface::Fold { at_m: 1.0, angle: 120.0 };
+        let [left, edge, right] = [0.0, 1.0, 2.0].map(|x| fold.in_space(DVec2::new(x, 0.0)));
+        assert!(((left - edge).angle_between(right - edge).to_degrees() - 120.0).abs() < 1e-9);
+    }
+}
