@@ -324,7 +324,7 @@ mod tests {
             Err(error) if error.to_string().contains("no graphics driver") => return println!("skipped: {error}"),
             Err(error) => panic!("{error}"),
         };
-        assert_eq!(timings.rows.len(), 6);
+        assert_eq!(timings.rows.len(), 8);
         assert!(timings.rows.iter().all(|row| row.whole_ms > 0.0), "{timings:?}");
         assert!(timings.table().contains("of that CPU time: placing"), "{}", timings.table());
         assert!(timings.table().contains("fast_image_resize, 32x16"));
