@@ -4,6 +4,7 @@ pub(crate) mod alignment;
 pub(crate) mod free_parts;
 pub mod input;
 pub(crate) mod kiosk;
+pub(crate) mod marks;
 pub(crate) mod model;
 pub(crate) mod navigator;
 pub(crate) mod refinement;

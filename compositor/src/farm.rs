@@ -7,6 +7,7 @@ mod connection;
 mod frame_buffer;
 mod local_news;
 mod log_limit;
+mod looks;
 mod losses;
 pub mod notices;
 mod open_frame;
@@ -29,6 +30,7 @@ use std::{
 };
 
 use channel::key::Key;
+use glam::DVec3;
 use renderer::{grid::GridOptions, scene_file::SceneStore};
 use shared::{
     appearance::Clip,
@@ -121,12 +123,26 @@ pub struct Probe {
     pub clip: Option<Clip>,
 }
 
+/// A question about the model: which points of it a camera sees.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Look {
+    /// The question's number, from 1.
+    pub number: u32,
+    /// The scene and the camera; `None` asks nothing.
+    pub view: Option<(SceneId, Camera)>,
+    /// The clip plane, if there is one.
+    pub clip: Option<Clip>,
+    /// The points, in world space.
+    pub points: Arc<[DVec3]>,
+}
+
 /// A running farm. Dropping it closes every connection.
 #[derive(Debug)]
 pub struct Farm {
     address: SocketAddr,
     goal: watch::Sender<RenderGoal>,
     probe: watch::Sender<Probe>,
+    look: watch::Sender<Look>,
     structure: watch::Sender<Option<Structure>>,
     status: watch::Receiver<FarmStatus>,
     finished: Arc<FinishedFrame>,
@@ -150,6 +166,7 @@ impl Farm {
         let finished = Arc::new(FinishedFrame::default());
         let (goal, goals) = watch::channel(goal);
         let (probe, probes) = watch::channel(Probe::default());
+        let (look, looks) = watch::channel(Look::default());
         let (structure, structures) = watch::channel(None);
         let (status_sender, status) = watch::channel(FarmStatus::default());
         let (local, local_news) = mpsc::unbounded_channel();
@@ -162,9 +179,9 @@ impl Farm {
             Arc::clone(&supply),
             Box::new(wake),
         );
-        let service = tokio::spawn(service.run(listener, probes, structures, local_news));
+        let service = tokio::spawn(service.run(listener, probes, looks, structures, local_news));
         let local = LocalReporter(local);
-        Ok(Self { address, goal, probe, structure, status, finished, local, supply, service })
+        Ok(Self { address, goal, probe, look, structure, status, finished, local, supply, service })
     }
 
     /// The address that the farm listens on, with the actual port.
@@ -197,6 +214,12 @@ impl Farm {
     /// [`FarmStatus::probed`], and none while no render server has the scene.
     pub fn probe(&self, probe: Probe) {
         self.probe.send_replace(probe);
+    }
+
+    /// Asks a render server which points a camera sees. The last question is answered, in [`FarmStatus::seen`], as soon as a
+    /// render server has the scene; those before it may be.
+    pub fn look(&self, look: Look) {
+        self.look.send_replace(look);
     }
 
     /// Has every render server keep the scene in another structure, those that join later too. The last frame stays

@@ -19,5 +19,6 @@ mod supervisor;
 #[cfg(not(all(unix, not(target_os = "macos"))))]
 #[path = "supervisor/none.rs"]
 mod supervisor;
+mod svx;
 pub mod wall;
 mod window;

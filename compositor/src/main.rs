@@ -19,6 +19,7 @@ fn main() -> ExitCode {
         Some(Command::Calibrate(args)) => compositor::cli::calibrate::run(&args),
         Some(Command::Import(args)) => compositor::cli::import::run(&args),
         Some(Command::Export(args)) => compositor::cli::export::run(&args),
+        Some(Command::Annotations(args)) => compositor::cli::annotations::run(&args),
         None => compositor::cli::run::run(&args.wall),
     });
     renderer::cli::exit_code(result)

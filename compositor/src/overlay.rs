@@ -11,6 +11,7 @@ mod history;
 mod info;
 mod layout;
 mod legend;
+mod marks;
 mod nodes;
 mod region;
 mod style;
@@ -22,7 +23,8 @@ pub(crate) use figures::{DENSITIES, RAYS, STORAGES};
 pub(crate) use files::{FileEntry, FileList};
 pub(crate) use history::{FrameTimes, History};
 pub(crate) use info::{ModelSummary, Pick};
-pub(crate) use region::ProjectorRegion;
+pub(crate) use marks::{DraftText, MarkLabel, MarkList, PlacedLabel, ShownMarks};
+pub(crate) use region::{ProjectorRegion, to_rect};
 pub(crate) use style::{apply_style, zoom};
 pub(crate) use wall::{OutputContent, OutputState, WallDrawing};
 
@@ -94,6 +96,14 @@ pub(crate) struct OverlayModel {
     pub history: History,
     /// The caption of the scene of a show.
     pub caption: Option<Caption>,
+    /// The marks of the model, for the panel.
+    pub mark_list: MarkList,
+    /// Those on the picture.
+    pub marks: ShownMarks,
+    /// Whether this is the window with the panels, which places labels for all windows.
+    pub is_lead: bool,
+    /// The annotation that is being written.
+    pub draft: Option<DraftText>,
     /// The effect of the last command, shown for a moment.
     pub note: Option<String>,
     /// Warnings, each with its cure.
@@ -107,8 +117,10 @@ pub(crate) struct OverlayModel {
 impl OverlayModel {
     pub(crate) fn is_visible(&self) -> bool {
         let has_tint = self.tint != Tint::None || self.pick_on_canvas.is_some() || self.caption.is_some();
+        let has_tint = has_tint || !self.marks.is_empty();
         let has_text = self.note.is_some() || !self.messages.is_empty() || legend::is_needed(self);
-        self.panel || self.help || self.files.is_some() || self.remote_link.is_some() || has_text || has_tint
+        let has_dialog = self.help || self.files.is_some() || self.draft.is_some();
+        self.panel || has_dialog || self.remote_link.is_some() || has_text || has_tint
     }
 
     /// The model with all texts fit for the screen: peers, files and the wall's file name much of what it shows.
@@ -154,6 +166,8 @@ impl OverlayModel {
             help: false,
             files: None,
             remote_link: None,
+            draft: None,
+            is_lead: false,
             note: None,
             messages: Vec::new(),
             ..self.clone()
@@ -177,6 +191,12 @@ pub(crate) struct OverlayOutput {
     pub panels: Vec<Rect>,
     /// Whether the panels are a dialog, which covers the model for a moment.
     pub has_dialog: bool,
+    /// All that labels on the picture must leave free, in points.
+    pub covered: Vec<Rect>,
+    /// Where labels are.
+    pub places: Vec<PlacedLabel>,
+    /// The texts of the annotation that is being written, if somebody has changed them.
+    pub draft: Option<(String, String)>,
 }
 
 /// Shows the overlay; `ui` is the whole window.
@@ -191,18 +211,22 @@ pub(crate) fn show(ui: &Ui, model: &OverlayModel) -> OverlayOutput {
     let legend = legend::is_needed(model).then(|| ui.data(|data| data.get_temp(texts_id)).unwrap_or_default());
     let layout = layout_of(ui.ctx().content_rect(), model, legend);
     for panel in &layout.panels {
-        let area = show_panel(ui, &layout, panel, model, &mut output.commands);
+        let area = show_panel(ui, &layout, panel, model, &mut output);
         output.areas.push(area);
     }
     output.panels.clone_from(&output.areas);
-    output.has_dialog = model.help || model.files.is_some();
+    output.has_dialog = model.help || model.files.is_some() || model.draft.is_some();
     let texts = show_texts(ui, layout.free, model, &mut output.commands);
     ui.data_mut(|data| data.insert_temp(texts_id, texts.map_or(0.0, |texts: Rect| texts.height())));
     let code = model.remote_link.as_ref().filter(|_| !model.is_aligning).and_then(|link| code::show(ui, link));
     output.areas.extend(code);
-    settle(ui, output.areas.iter().copied().chain(texts).collect());
+    output.covered = output.areas.iter().copied().chain(texts).collect();
+    settle(ui, output.covered.clone());
     // The last to be laid out: letters that are new change the texture of all.
     let caption = caption::layout(ui, model);
+    let marks = marks::layout(ui, model, caption.as_ref().map(|(_, area)| *area));
+    output.places = marks.places();
+    marks.draw(ui, model);
     caption::draw(ui, model, caption.as_ref());
     // Notes and the legend take no clicks.
     output.areas.extend(texts.filter(|_| !model.messages.is_empty()));
@@ -221,6 +245,7 @@ fn settle(ui: &Ui, areas: Vec<Rect>) {
 /// `legend`: the height of the texts, as they were shown last, if a legend is among them.
 fn layout_of(window: Rect, model: &OverlayModel, legend: Option<f32>) -> Layout {
     let dialog = match model {
+        OverlayModel { draft: Some(_), .. } => Some(Part::Draft),
         OverlayModel { files: Some(_), .. } => Some(Part::Files),
         OverlayModel { help: true, .. } => Some(Part::Help),
         _ => None,
@@ -234,7 +259,7 @@ fn layout_of(window: Rect, model: &OverlayModel, legend: Option<f32>) -> Layout 
 }
 
 /// Shows a panel, and returns its area.
-fn show_panel(ui: &Ui, layout: &Layout, panel: &Panel, model: &OverlayModel, commands: &mut Vec<Command>) -> Rect {
+fn show_panel(ui: &Ui, layout: &Layout, panel: &Panel, model: &OverlayModel, output: &mut OverlayOutput) -> Rect {
     let height = (layout.room.height() - 2.0 * style::PANEL_PADDING).max(1.0);
     let area = egui::Area::new(egui::Id::unique(("panel", panel.parts[0] as u8))).anchor(panel.align, [0.0, 0.0]);
     let shown = area.constrain_to(layout.room).show(ui.ctx(), |ui| {
@@ -250,7 +275,7 @@ fn show_panel(ui: &Ui, layout: &Layout, panel: &Panel, model: &OverlayModel, com
                     if index > 0 {
                         ui.separator();
                     }
-                    show_part(ui, *part, model, commands);
+                    show_part(ui, *part, model, output);
                 }
             });
         });
@@ -258,7 +283,8 @@ fn show_panel(ui: &Ui, layout: &Layout, panel: &Panel, model: &OverlayModel, com
     shown.response.rect
 }
 
-fn show_part(ui: &mut Ui, part: Part, model: &OverlayModel, commands: &mut Vec<Command>) {
+fn show_part(ui: &mut Ui, part: Part, model: &OverlayModel, output: &mut OverlayOutput) {
+    let commands = &mut output.commands;
     match part {
         Part::Figures => figures::show(ui, model, commands),
         Part::Model => {
@@ -271,6 +297,9 @@ fn show_part(ui: &mut Ui, part: Part, model: &OverlayModel, commands: &mut Vec<C
         Part::Help => help::show(ui, commands),
         Part::Files => {
             model.files.iter().for_each(|files| files::show(ui, files, commands));
+        }
+        Part::Draft => {
+            output.draft = model.draft.as_ref().and_then(|draft| marks::show_draft(ui, draft, commands));
         }
     }
 }

@@ -10,6 +10,7 @@ pub use motion::UpAxis;
 pub use path::{CameraPath, CameraPathError, CameraRecorder};
 pub use pose::Transition;
 pub use shape::{CanvasPart, Shape};
+pub(crate) use views::ViewTable;
 pub use views::{Look, View, Views};
 
 use glam::{DVec3, Vec3};
@@ -56,7 +57,7 @@ pub enum CameraError {
     EyeInPlane,
 }
 
-/// A file of a camera, a path or views is malformed.
+/// A file of a camera, a path, views or marks is malformed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {problem}; {format}")]
 pub struct CameraFileError {
@@ -68,14 +69,14 @@ pub struct CameraFileError {
 
 impl CameraFileError {
     /// A problem at a byte offset of a text; `format` describes a correct file.
-    fn at(text: &str, offset: usize, problem: &str, format: &'static str) -> Self {
+    pub(crate) fn at(text: &str, offset: usize, problem: &str, format: &'static str) -> Self {
         let line = 1 + text.get(..offset).unwrap_or("").matches('\n').count();
         Self { line, problem: plain_problem(text, offset, problem), format }
     }
 }
 
 /// Beyond this, the squares of `f32` rays overflow.
-const LARGEST_COMPONENT: f64 = 1e18;
+pub(crate) const LARGEST_COMPONENT: f64 = 1e18;
 
 impl TryFrom<CameraVectors> for Camera {
     type Error = CameraError;

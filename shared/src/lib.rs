@@ -4,14 +4,15 @@
 //! In reading order: [`camera`] makes rays, [`division`] says which node renders which samples, [`curve`] in which order,
 //! [`scene`] names the scene and [`structure`] its grid, [`appearance`] is light, background and clip plane,
 //! [`path_light`] sun, bounces and exposure of path-traced pictures, [`sky`] names the image that lights them, [`noise`] is
-//! the noise that they may keep, [`srgb`] encodes light, [`protocol`] defines the messages
-//! and [`codec`] their bytes; [`names`], [`printable`] and [`toml_text`] help with text.
+//! the noise that they may keep, [`srgb`] encodes light, [`marks`] are annotations and measurements, [`protocol`] defines
+//! the messages and [`codec`] their bytes; [`names`], [`printable`] and [`toml_text`] help with text.
 
 pub mod appearance;
 pub mod camera;
 pub mod codec;
 pub mod curve;
 pub mod division;
+pub mod marks;
 pub mod names;
 pub mod noise;
 pub mod path_light;

@@ -41,6 +41,22 @@ pub fn counted(count: impl Display, noun: &str) -> String {
     format!("{count} {}", plural(is_one, noun))
 }
 
+/// A number with `n_digits` digits; with an exponent where it is very small, or has more digits than that before its point
+/// and is a million or more.
+pub fn significant(value: f64, n_digits: usize) -> String {
+    let magnitude = value.abs();
+    let is_long = magnitude >= 1e6 && n_digits < n_whole(value);
+    if magnitude != 0.0 && (magnitude < 1e-3 || is_long) {
+        return format!("{value:.*e}", n_digits - 1);
+    }
+    format!("{value:.*}", n_digits.saturating_sub(n_whole(value)))
+}
+
+/// Digits before the decimal point.
+pub fn n_whole(value: f64) -> usize {
+    if value.abs() >= 1.0 { (value.abs().log10().floor() as usize).saturating_add(1) } else { 1 }
+}
+
 /// Bytes with up to three digits and a unit.
 pub fn bytes(bytes: u64) -> String {
     let bytes = bytes as f64;
@@ -82,6 +98,13 @@ mod tests {
     fn sizes_have_up_to_three_digits() {
         let shown = [0, 999, 1500, 25_400, 6_940_000, 123_400_000, 1_234_000_000, 20_000_000_000].map(bytes);
         assert_eq!(shown, ["0 B", "999 B", "1.5 KB", "25 KB", "6.9 MB", "123 MB", "1.2 GB", "20 GB"]);
+    }
+
+    #[test]
+    fn lengths_have_five_digits_in_any_unit() {
+        let lengths = [0.0, 1.0, -0.123_456, 12.345_67, 99_999.4, 123_456.0, 1.5e-7, 2e9];
+        let expected = ["0.0000", "1.0000", "-0.1235", "12.346", "99999", "123456", "1.5000e-7", "2.0000e9"];
+        assert_eq!(lengths.map(|length| significant(length, 5)), expected);
     }
 
     #[test]

@@ -7,7 +7,7 @@
 //! ([`ToServer::LoadScene`]), and the server reports its progress ([`ToWall::SceneState`]); it may name the next one ahead
 //! ([`ToServer::PrepareScene`]). The wall then gives out tasks
 //! ([`ToServer::RenderFrame`]), and the server answers each with [`Chunk`]s and a [`ToWall::TaskDone`]. Heartbeats flow all
-//! the time; a [`ToServer::Probe`] may come at any time.
+//! the time; a [`ToServer::Probe`] or a [`ToServer::Look`] may come at any time.
 //!
 //! A server that lacks the scene may fetch its scene file, on a connection of its own that opens with
 //! [`ToWall::FetchScene`] in place of a hello. The wall answers with [`ToServer::SceneFileAwaited`] while it makes the file,
@@ -34,7 +34,7 @@ use crate::{
 };
 
 /// The version of all messages; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 15;
+pub const PROTOCOL_VERSION: u8 = 16;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -272,6 +272,16 @@ pub enum ToServer {
         at: [f32; 2],
         clip: Option<Clip>,
     },
+    /// Find out which points the eye sees: one ray to each, outside of any frame.
+    Look {
+        /// The question's number, repeated in the answer.
+        number: u32,
+        scene: SceneId,
+        camera: Camera,
+        clip: Option<Clip>,
+        /// In world space.
+        points: Vec<DVec3>,
+    },
     /// The scene file that [`ToWall::FetchScene`] asks for is being made.
     SceneFileAwaited {
         /// 0 to 1.
@@ -315,6 +325,13 @@ pub enum ToWall {
         /// The nearest triangle or cap, if any.
         hit: Option<ProbeHit>,
     },
+    /// The answer to a look; a server without the scene sends none.
+    Seen {
+        /// As in the look.
+        number: u32,
+        /// Whether the eye sees each of the points.
+        seen: Vec<bool>,
+    },
     /// The first message of a connection that fetches the wall's scene, and no other.
     FetchScene { scene: SceneId },
     /// Send bytes of the scene file.
@@ -335,6 +352,8 @@ pub struct ProbeHit {
     pub t: f32,
     /// The hit in world space, in `f64` on the plane of its triangle.
     pub point: DVec3,
+    /// The unit normal of that plane, on the side of the eye.
+    pub normal: DVec3,
 }
 
 /// State of a scene on a render server.

@@ -29,6 +29,7 @@ use shared::{
     camera::{Camera, CameraPath, CanvasPart, Views},
     codec::{self, BodyKind, CONTROL_LIMIT, HANDSHAKE_LIMIT, HEADER_BYTES, Header},
     division::{Division, FrameSize, Part, Selection, Task, TileRun},
+    marks::Marks,
     printable::printable_line,
     protocol::{CHUNK_BYTES, Chunk, Encoding, FrameSpec, LightingMode, SampleRange, ShadingMode, ToServer, ToWall},
     scene::{Crease, SceneId},
@@ -47,9 +48,10 @@ use crate::{
 pub type Decoder = fn(&[u8]);
 
 /// All decoders, with the names of their folders in `tests/corpus` and of their targets in `tests/fuzz`.
-pub const ALL: [(&str, Decoder); 14] = [
+pub const ALL: [(&str, Decoder); 15] = [
     ("camera", camera),
     ("gltf", gltf),
+    ("marks", marks),
     ("mpcdi", mpcdi),
     ("obj", obj),
     ("placement", placement),
@@ -174,6 +176,20 @@ pub fn camera(data: &[u8]) {
     }
     match Views::from_toml(&text) {
         Ok(views) => assert_eq!(Views::from_toml(&views.to_toml()), Ok(views)),
+        Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
+    }
+}
+
+/// A file of marks, and the table of its measurements.
+pub fn marks(data: &[u8]) {
+    match Marks::from_toml(&String::from_utf8_lossy(data)) {
+        Ok(marks) => {
+            let printed = marks.to_toml();
+            assert_eq!(Marks::from_toml(&printed).as_ref(), Ok(&marks), "{printed}");
+            let texts = marks.annotations.iter().flat_map(|annotation| [annotation.label(), annotation.text()]);
+            assert!(texts.into_iter().all(|text| !text.contains(char::is_control)));
+            assert_eq!(marks.to_csv(None).lines().count(), 1 + marks.measurements.len());
+        }
         Err(error) => assert!(!error.to_string().contains('\n'), "{error}"),
     }
 }

@@ -44,6 +44,8 @@ mod liars;
 mod losses;
 #[cfg(test)]
 mod map_grid;
+#[cfg(all(test, target_os = "linux"))]
+mod marks;
 #[cfg(test)]
 mod measuring;
 #[cfg(test)]

@@ -21,7 +21,8 @@ use shared::{
 };
 
 use super::{
-    calibrate::CalibrateArgs, check::CheckArgs, export::ExportArgs, import::ImportArgs, remote_args::RemoteArgs,
+    annotations::AnnotationArgs, calibrate::CalibrateArgs, check::CheckArgs, export::ExportArgs, import::ImportArgs,
+    remote_args::RemoteArgs,
 };
 use crate::{
     control::{
@@ -59,6 +60,8 @@ pub enum Command {
     Import(ImportArgs),
     /// Writes a wall as an MPCDI file: warps, and maps of light
     Export(ExportArgs),
+    /// Lists a model's annotations and measurements, and exchanges them with other programs
+    Annotations(AnnotationArgs),
     /// The render server: the same as the program `renderer`
     #[command(subcommand)]
     Renderer(renderer::cli::Command),

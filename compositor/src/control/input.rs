@@ -8,6 +8,8 @@ use shared::{
 };
 use winit::keyboard::NamedKey;
 
+use super::marks::MarkCommand;
+
 /// The quantity that colours over the picture show, in the order in which a key steps through them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, strum::IntoStaticStr, strum::VariantArray)]
 pub(crate) enum Tint {
@@ -88,6 +90,7 @@ pub(crate) enum Command {
     PreviousScene,
     /// Keep this view as the last scene of the show.
     KeepScene,
+    Mark(MarkCommand),
     DismissMessage,
     Quit,
 }
@@ -99,13 +102,24 @@ impl Command {
 
     /// Whether it moves the camera, as a hand does.
     pub(crate) fn is_steering(self) -> bool {
-        matches!(self, Self::ViewAll | Self::GoToView(_) | Self::TogglePlaying | Self::GoToCursor | Self::NextUpAxis)
+        use Command::*;
+        matches!(self, ViewAll | GoToView(_) | TogglePlaying | GoToCursor | NextUpAxis | Mark(MarkCommand::GoTo(_)))
     }
 
     /// Whether visitors of a locked wall may give it.
     pub(crate) fn is_for_visitors(self) -> bool {
         use Command::*;
-        matches!(self, ViewAll | GoToView(_) | TogglePlaying | ChangeSpeed(_) | GoToCursor | ToggleLock | ToggleRemote)
+        matches!(
+            self,
+            ViewAll
+                | GoToView(_)
+                | TogglePlaying
+                | ChangeSpeed(_)
+                | GoToCursor
+                | ToggleLock
+                | ToggleRemote
+                | Mark(MarkCommand::GoTo(_))
+        )
     }
 }
 
@@ -228,6 +242,9 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Named(NamedKey::PageDown)], Trigger(NextScene), "next scene of the show"),
         row(&[Named(NamedKey::PageUp)], Trigger(PreviousScene), "previous scene of the show"),
         row(&[Ctrl('k')], Trigger(KeepScene), "keep this view as a scene of the show"),
+        row(&[Ctrl('a')], Trigger(Mark(MarkCommand::Annotate)), "annotate the point under the cursor"),
+        row(&[Letter('y')], Trigger(Mark(MarkCommand::NextRuler)), "next ruler: distance, angle, area, none"),
+        row(&[Ctrl('h')], Trigger(Mark(MarkCommand::Toggle)), "annotations and measurements on or off"),
         row(&[Letter('u')], Trigger(NextUpAxis), "next up axis: y, z, x, -y, -z, -x"),
         row(&[Letter('h')], Trigger(NextDivision), "next division: interleaved, tiled, dynamic"),
         row(&[Letter('v')], Trigger(NextShading), "next view: shaded, normals, cost"),
@@ -267,7 +284,8 @@ pub const MOUSE: &[(&str, &str)] = &[
     ("Middle or Shift + left drag", "pan"),
     ("Right drag", "dolly: nearer or farther"),
     ("Wheel", "nearer to the point under the cursor, or farther"),
-    ("Click", "show triangle, point and distance there"),
+    ("Click", "show triangle, point and distance there, or pick it for the ruler"),
+    ("Click on a label", "go to its annotation, and show its text"),
     ("Double click", "go there, and orbit around it"),
     ("Shift while flying", "fly four times as fast"),
     ("Drop a model's file", "open it"),
@@ -305,7 +323,7 @@ mod tests {
         let pressed = |key, ctrl| Key::from_winit(&key, ctrl, false).and_then(action);
         assert_eq!(pressed(letter("h"), false), Some(KeyAction::Trigger(Command::NextDivision)));
         assert_eq!(pressed(letter("H"), false), Some(KeyAction::Trigger(Command::NextDivision)));
-        assert_eq!(pressed(letter("h"), true), None);
+        assert_eq!(pressed(letter("j"), true), None);
         assert_eq!(pressed(letter("q"), false), Some(KeyAction::Fly(Direction::Down)));
         assert_eq!(pressed(letter("q"), true), Some(KeyAction::Trigger(Command::Quit)));
         let f11 = winit::keyboard::Key::Named(NamedKey::F11);

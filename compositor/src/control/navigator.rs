@@ -99,6 +99,8 @@ const MOST_SPEED_STEPS: i32 = 10;
 const TRANSITION_SECONDS: f64 = 0.6;
 /// Going to a point leaves this part of the distance to it.
 const GO_TO_PART: f64 = 0.4;
+/// Going before a point leaves this part of the model's size.
+const BEFORE_PART: f64 = 0.4;
 /// Nearer to a surface than this part of the model's size, the wheel goes through it.
 const PASS_THROUGH_PART: f64 = 1e-3;
 /// The longest time step: one slow frame must not move the eye through the model.
@@ -227,6 +229,30 @@ impl Navigator {
         (self.focus, self.surface) = (Some(point), Some(point));
         if distance > 0.0 && depth > 0.0 && by_up.is_finite() {
             self.go_to(nearer.fly(b - a * by_up, by_up, 0.0), DVec2::ZERO);
+        }
+    }
+
+    /// Goes to a kept view of a point as [`Navigator::go_to_view`] does, and orbits around the point from then on.
+    pub(crate) fn go_to_view_of(&mut self, point: DVec3, camera: Camera, up: Option<UpAxis>, parts: &[CanvasPart]) {
+        (self.focus, self.surface) = (Some(point), Some(point));
+        self.go_to_view(camera, up, parts);
+    }
+
+    /// Goes before a point, on the side to which its surface faces, or as near as [`Navigator::go_to_point`] goes, and orbits
+    /// around it from then on.
+    pub(crate) fn go_before(&mut self, point: DVec3, direction: Option<DVec3>) {
+        let (_, plane_distance) = view_plane(&self.camera);
+        let fov_y = 2.0 * (self.camera.v().length() * 0.5 / plane_distance).atan();
+        let before = |direction: DVec3| {
+            let eye = point + direction * (self.size() * BEFORE_PART);
+            Camera::look_at(eye, point, self.up.direction(), fov_y, self.aspect).ok()
+        };
+        match direction.and_then(before) {
+            Some(camera) => {
+                (self.focus, self.surface) = (Some(point), Some(point));
+                self.go_to(camera, DVec2::ZERO);
+            }
+            None => self.go_to_point(point),
         }
     }
 

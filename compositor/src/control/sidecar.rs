@@ -1,4 +1,4 @@
-//! Sidecar files: a model's views and its camera path, in files beside it.
+//! Sidecar files: a model's views, its camera path and its marks, in files beside it.
 
 use std::{
     io,
@@ -8,7 +8,12 @@ use std::{
 
 use channel::files::{self, ReadError};
 use renderer::model::scene::SceneSource;
-use shared::camera::{CameraPath, View, Views};
+use shared::{
+    camera::{CameraPath, View, Views},
+    marks::Marks,
+};
+
+use super::marks::KeptMarks;
 
 /// The contents of a model's sidecar files, with the changes since they were read.
 #[derive(Clone, Debug)]
@@ -18,12 +23,15 @@ pub(crate) struct SidecarFiles {
     /// An error if the file exists but cannot be used: it is not overwritten then.
     views: Result<Views, String>,
     path: Result<Option<Arc<CameraPath>>, String>,
+    marks: Result<KeptMarks, String>,
 }
 
 /// Larger files are not views; bytes.
 const LONGEST_VIEWS: u64 = 1 << 20;
 /// Enough for the longest camera path; bytes.
 const LONGEST_PATH: u64 = 1 << 25;
+/// Enough for the most marks; bytes.
+const LONGEST_MARKS: u64 = 1 << 22;
 
 impl SidecarFiles {
     /// Reads a model's sidecar files; those of the built-in model lie in the working folder.
@@ -32,6 +40,8 @@ impl SidecarFiles {
             SceneSource::File(path) => path.clone(),
             SceneSource::Statue { .. } => PathBuf::from("statue"),
         };
+        let marks_file = marks_file(&model_path);
+        let marks = read_marks(&marks_file).map(|(text, marks)| KeptMarks::new(marks_file, text, marks));
         let views_file = with_suffix(&model_path, "views.toml");
         let views = read_optional(&views_file, LONGEST_VIEWS).and_then(|text| {
             text.map_or(Ok(Views::default()), |text| {
@@ -41,7 +51,7 @@ impl SidecarFiles {
         let path_file = with_suffix(&model_path, "path.toml");
         let path = read_optional(&path_file, LONGEST_PATH)
             .and_then(|text| text.map(|text| parse_path(&path_file, &text)).transpose());
-        Self { model_path, views, path: path.map(|path| path.map(Arc::new)) }
+        Self { model_path, views, path: path.map(|path| path.map(Arc::new)), marks }
     }
 
     pub(crate) fn views(&self) -> Option<&Views> {
@@ -55,7 +65,21 @@ impl SidecarFiles {
 
     /// Why a file could not be read.
     pub(crate) fn problem(&self) -> Option<&str> {
-        self.views.as_ref().err().or(self.path.as_ref().err()).map(String::as_str)
+        let problems = [self.views.as_ref().err(), self.path.as_ref().err(), self.marks.as_ref().err()];
+        problems.into_iter().flatten().next().map(String::as_str)
+    }
+
+    /// The marks, unless their file could not be read.
+    pub(crate) fn marks(&self) -> Option<&KeptMarks> {
+        self.marks.as_ref().ok()
+    }
+
+    /// The marks, to change them.
+    ///
+    /// # Errors
+    /// Their file could not be read: it must not be overwritten.
+    pub(crate) fn marks_mut(&mut self) -> Result<&mut KeptMarks, String> {
+        self.marks.as_mut().map_err(|problem| format!("marks are not kept: {problem}"))
     }
 
     /// Keeps a view under a number. Returns the file and its new text for [`write_views`], which the caller runs on a
@@ -86,6 +110,38 @@ pub(crate) fn read_path(file: &Path) -> Result<CameraPath, String> {
     parse_path(file, &text)
 }
 
+/// The file of a model's marks.
+pub(crate) fn marks_file(model: &Path) -> PathBuf {
+    with_suffix(model, "marks.toml")
+}
+
+/// Reads a file of marks; also returns its text, `None` if there is no file yet.
+pub(crate) fn read_marks(file: &Path) -> Result<(Option<String>, Marks), String> {
+    let text = read_optional(file, LONGEST_MARKS)?;
+    let marks = text.as_deref().map(Marks::from_toml).transpose();
+    marks.map(|marks| (text, marks.unwrap_or_default())).map_err(|error| format!("{}: {error}", file.display()))
+}
+
+/// Writes a file of a model's marks, whose text was `before` when it was read or written last. Another text, which somebody
+/// else has written, is copied to a numbered file. Returns that file.
+pub(crate) fn write_beside(file: &Path, before: Option<&str>, text: &str) -> Result<Option<PathBuf>, String> {
+    let fault = |error: &dyn std::fmt::Display| format!("{} cannot be written: {error}", file.display());
+    let is_known = read_optional(file, LONGEST_MARKS).is_ok_and(|found| found.as_deref() == before);
+    let numbered = |number| {
+        let ending = file.extension().unwrap_or_default().to_string_lossy();
+        file.with_extension(format!("{number:04}.{ending}"))
+    };
+    let copy = if is_known { None } else { files::copy_numbered(file, numbered).map_err(|error| fault(&error))? };
+    files::write(file, |out| out.write_all(text.as_bytes())).map_err(|error| fault(&error))?;
+    Ok(copy)
+}
+
+/// Writes measurements as a table.
+pub(crate) fn write_table(file: &Path, text: &str) -> Result<(), String> {
+    files::write(file, |out| out.write_all(text.as_bytes()))
+        .map_err(|error| format!("{} cannot be written: {error}", file.display()))
+}
+
 pub(crate) fn write_views(file: &Path, text: &str) -> Result<(), String> {
     files::write(file, |out| out.write_all(text.as_bytes())).map_err(|error| {
         format!("the view is kept until the wall ends, but {} cannot be written: {error}", file.display())
@@ -106,7 +162,7 @@ fn parse_path(file: &Path, text: &str) -> Result<CameraPath, String> {
 }
 
 /// `dragon.ply` becomes `dragon.ply.views.toml`, so that models of the same stem have separate files.
-fn with_suffix(path: &Path, ending: &str) -> PathBuf {
+pub(crate) fn with_suffix(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".");
     name.push(ending);
@@ -125,9 +181,13 @@ fn read_optional(path: &Path, longest: u64) -> Result<Option<String>, String> {
 #[cfg(test)]
 mod tests {
     use glam::DVec3;
-    use shared::camera::{Camera, Look, UpAxis};
+    use shared::{
+        camera::{Camera, Look, UpAxis},
+        marks::Annotation,
+    };
 
     use super::*;
+    use crate::control::marks::FileToWrite;
 
     struct Folder(PathBuf);
 
@@ -191,9 +251,39 @@ mod tests {
         std::fs::write(folder.0.join("a model.ply.views.toml"), vec![b' '; 2 << 20]).unwrap();
         assert!(SidecarFiles::read(&folder.model()).problem().unwrap().contains("longer than"));
         std::fs::remove_file(folder.0.join("a model.ply.views.toml")).unwrap();
+        std::fs::write(folder.0.join("a model.ply.marks.toml"), "[[annotation]]").unwrap();
+        let mut sidecars = SidecarFiles::read(&folder.model());
+        assert!(sidecars.problem().unwrap().contains("a model.ply.marks.toml: line 1:") && sidecars.marks().is_none());
+        assert!(sidecars.marks_mut().unwrap_err().starts_with("marks are not kept: "));
+        std::fs::remove_file(folder.0.join("a model.ply.marks.toml")).unwrap();
         std::fs::create_dir(folder.0.join("a model.ply.path.toml")).unwrap();
         let problem = SidecarFiles::read(&folder.model()).problem().unwrap().to_owned();
         assert!(problem.ends_with("path.toml: is a folder or a pipe: name an ordinary file"), "{problem}");
+    }
+
+    fn annotation(label: &str) -> Annotation {
+        Annotation::new(label, "long", DVec3::ONE, Some(DVec3::Y), Some(view(0.5))).unwrap()
+    }
+
+    #[test]
+    fn marks_come_back_with_their_model_and_what_others_have_written_is_kept() {
+        let folder = Folder::new("marks");
+        let mut sidecars = SidecarFiles::read(&folder.model());
+        let keep = |sidecars: &mut SidecarFiles, label| {
+            let marks = sidecars.marks_mut().unwrap();
+            let FileToWrite { file, before, text } = marks.keep_annotation(None, annotation(label)).unwrap().1;
+            write_beside(&file, before.as_deref(), &text).unwrap()
+        };
+        assert_eq!([keep(&mut sidecars, "a"), keep(&mut sidecars, "b")], [None, None]);
+        assert_eq!(folder.files(), ["a model.ply.marks.toml"]);
+        let mut again = SidecarFiles::read(&folder.model());
+        assert_eq!(again.marks().unwrap().annotation(2), Some(&annotation("b")));
+        let foreign = "# by another program\n";
+        std::fs::write(folder.0.join("a model.ply.marks.toml"), foreign).unwrap();
+        let copy = keep(&mut again, "c").unwrap();
+        assert_eq!(copy, folder.0.join("a model.ply.marks.0001.toml"));
+        assert_eq!(std::fs::read_to_string(copy).unwrap(), foreign);
+        assert_eq!(SidecarFiles::read(&folder.model()).marks().unwrap().annotations().count(), 3);
     }
 
     #[test]

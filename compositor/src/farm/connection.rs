@@ -59,6 +59,8 @@ pub(super) enum ConnectionEvent {
     RoundTrip(Duration),
     /// The answer to a probe.
     Probed { number: u32, hit: Option<ProbeHit> },
+    /// The answer to a look.
+    Seen { number: u32, seen: Vec<bool> },
     /// The connection has ended: the peer closed it, or an error did.
     Ended(Result<(), ConnectionError>),
 }
@@ -364,6 +366,9 @@ async fn receive_until_end(
             }
             Incoming::Control(ToWall::Probed { number, hit }) => {
                 events.send(ConnectionEvent::Probed { number, hit }).await;
+            }
+            Incoming::Control(ToWall::Seen { number, seen }) => {
+                events.send(ConnectionEvent::Seen { number, seen }).await;
             }
             Incoming::Control(ToWall::Heartbeat) => {}
             Incoming::FilePart(_)

@@ -41,6 +41,7 @@ enum Kind {
     LoadScene,
     PrepareScene,
     Probe,
+    Look,
     Render(FrameId),
     Other,
 }
@@ -60,6 +61,7 @@ impl Outbox {
             ToServer::LoadScene { .. } => Kind::LoadScene,
             ToServer::PrepareScene { .. } => Kind::PrepareScene,
             ToServer::Probe { .. } => Kind::Probe,
+            ToServer::Look { .. } => Kind::Look,
             ToServer::RenderFrame { frame, .. } => Kind::Render(*frame),
             ToServer::Cancel { frame } => {
                 queue.messages.retain(|queued| queued.kind != Kind::Render(*frame));
@@ -74,7 +76,7 @@ impl Outbox {
             | ToServer::SceneFileAwaited { .. }
             | ToServer::SceneFile { .. } => Kind::Other,
         };
-        if matches!(kind, Kind::LoadScene | Kind::PrepareScene | Kind::Probe) {
+        if matches!(kind, Kind::LoadScene | Kind::PrepareScene | Kind::Probe | Kind::Look) {
             queue.messages.retain(|queued| queued.kind != kind);
         }
         queue.messages.push_back(Encoded { kind, bytes });

@@ -24,18 +24,19 @@ use tokio::{
 };
 
 use super::{
-    FinishedFrame, Probe, RenderGoal,
+    FinishedFrame, Look, Probe, RenderGoal,
     connection::{self, ConnectionError, ConnectionEvent, EventSender, PendingTask, PendingTasks},
     frame_buffer::BufferPool,
     local_news::LocalNews,
     log_limit::LogLimit,
+    looks::Looks,
     losses::Losses,
     notices::NodeKey,
     open_frame::OpenFrame,
     outbox::Outbox,
     rate_limit::RateLimit,
     scheduler::{Action, Event, Scheduler},
-    stats::{FarmStatus, NodeId, NodeStatus, Probed},
+    stats::{FarmStatus, NodeId, NodeStatus, Probed, Seen},
     supply::SceneSupply,
 };
 
@@ -104,6 +105,7 @@ pub(super) struct Service {
     buffers: BufferPool,
     /// The render server that the last probe was sent to, and the probe's number.
     pending_probe: Option<(NodeId, u32)>,
+    looks: Looks,
     /// The structure that render servers must keep the scene in; `None`: the one that each was started with.
     structure: Option<Structure>,
 }
@@ -142,6 +144,7 @@ impl Service {
             frames: HashMap::new(),
             buffers: BufferPool::default(),
             pending_probe: None,
+            looks: Looks::default(),
             structure: None,
         }
     }
@@ -151,6 +154,7 @@ impl Service {
         mut self,
         listener: TcpListener,
         mut probes: watch::Receiver<Probe>,
+        mut looks: watch::Receiver<Look>,
         mut structures: watch::Receiver<Option<Structure>>,
         mut local_news: mpsc::UnboundedReceiver<LocalNews>,
     ) {
@@ -191,6 +195,10 @@ impl Service {
                 Ok(()) = probes.changed() => {
                     let probe = *probes.borrow_and_update();
                     self.on_probe(probe);
+                }
+                Ok(()) = looks.changed() => {
+                    self.looks.ask(looks.borrow_and_update().clone());
+                    self.send_look();
                 }
                 () = finished.taken.notified() => self.dispatch(Event::FrameTaken),
                 () = sleep_until(self.news_at.unwrap_or(self.next_news_at)), if self.news_at.is_some() => self.on_news(),
@@ -247,6 +255,18 @@ impl Service {
         }
     }
 
+    /// Sends the look that waits to the first render server that is ready, unless another is being answered.
+    fn send_look(&mut self) {
+        let ready = self.status.borrow().nodes.iter().find(|node| node.is_ready()).map(|node| node.id);
+        let scene = self.scheduler.scene();
+        let Some((id, Look { number, view: Some((scene, camera)), clip, points })) =
+            ready.and_then(|id| Some((id, self.looks.begin(id, scene?)?)))
+        else {
+            return;
+        };
+        self.send(id, &ToServer::Look { number, scene, camera, clip, points: points.to_vec() });
+    }
+
     fn on_connection_event(&mut self, id: NodeId, address: SocketAddr, event: ConnectionEvent) {
         match event {
             ConnectionEvent::Joined { name, threads, is_local, outbox, pending } => {
@@ -288,6 +308,10 @@ impl Service {
                 let ready = matches!(state, SceneState::Ready { .. });
                 self.on_scene_state(id, state);
                 self.dispatch(Event::SceneReady { node: id, ready });
+                if !ready {
+                    self.looks.lose(id);
+                }
+                self.send_look();
                 self.wake_for_news();
             }
             ConnectionEvent::UnitsPlaced { frame, task_id, units } => {
@@ -299,6 +323,7 @@ impl Service {
             ConnectionEvent::Silent(is_silent) => {
                 self.on_silent(id, is_silent);
                 self.dispatch(Event::Silent { node: id, is_silent });
+                self.send_look();
                 self.wake_for_news();
             }
             ConnectionEvent::RoundTrip(round_trip) => {
@@ -313,6 +338,13 @@ impl Service {
                 (self.wake)();
             }
             ConnectionEvent::Probed { .. } => {}
+            ConnectionEvent::Seen { number, seen } => {
+                if self.looks.answer(id, number) {
+                    self.status.send_modify(|status| status.seen = Some(Seen { number, seen: seen.into() }));
+                    (self.wake)();
+                    self.send_look();
+                }
+            }
             ConnectionEvent::Ended(reason) => self.on_ended(id, address, reason),
         }
     }
@@ -410,6 +442,8 @@ impl Service {
             status.notices.put_lost(key, &reason, status.nodes.is_empty());
         });
         self.dispatch(Event::Lost { node: id });
+        self.looks.lose(id);
+        self.send_look();
         self.wake_for_news();
     }
 

@@ -61,6 +61,8 @@ pub struct FarmStatus {
     pub notices: Notices,
     /// The last answer to a probe.
     pub probed: Option<Probed>,
+    /// The last answer to a look.
+    pub seen: Option<Seen>,
     /// How much of the frame in flight has arrived, in percent, if it takes long.
     pub percent: Option<u8>,
 }
@@ -72,6 +74,15 @@ pub struct Probed {
     pub number: u32,
     /// The visible triangle, if there is one.
     pub hit: Option<ProbeHit>,
+}
+
+/// A render server's answer to a look.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Seen {
+    /// The look's number.
+    pub number: u32,
+    /// Whether each point is seen; a render server that lies may say it of fewer or more points.
+    pub seen: Arc<[bool]>,
 }
 
 /// How one render server spent its time in one frame.

@@ -6,14 +6,11 @@ use egui::{
     Align, Color32, FontId, Galley, LayerId, Mesh, Pos2, Rect, Shape, Ui, Vec2,
     epaint::{Vertex, WHITE_UV},
     pos2,
-    text::LayoutJob,
+    text::{LayoutJob, TextFormat},
     vec2,
 };
 
 use super::region::ProjectorRegion;
-
-/// Smaller letters are hard to read; points.
-const SMALLEST: f32 = 12.0;
 
 /// A text with a box around it, laid out in the resolution of the first projector of a window.
 ///
@@ -26,16 +23,36 @@ pub(super) struct CanvasText {
     padding: Vec2,
 }
 
+/// How a text is laid out.
+pub(super) struct TextStyle {
+    /// The height of letters, as a fraction of the canvas's height.
+    pub size: f32,
+    /// The widest box, as a fraction of the canvas's width.
+    pub most_width: f32,
+    pub align: Align,
+}
+
 impl CanvasText {
-    /// Lays a text out in letters of `size`, a fraction of the canvas's height, in lines of `most_width` at most; `None` if the
-    /// window shows no part of the canvas.
-    pub(super) fn new(ui: &Ui, regions: &[ProjectorRegion], text: &str, size: f32, most_width: f32) -> Option<Self> {
+    /// Smaller letters are hard to read; points.
+    pub(super) const SMALLEST: f32 = 12.0;
+
+    /// Lays out paragraphs, each with its colour; `None` if the window shows no part of the canvas.
+    pub(super) fn new(
+        ui: &Ui,
+        regions: &[ProjectorRegion],
+        paragraphs: &[(&str, Color32)],
+        style: &TextStyle,
+    ) -> Option<Self> {
         let points_per_canvas = regions.first()?.points_per_canvas()?;
-        let font_size = (size * points_per_canvas.y).max(SMALLEST);
+        let font_size = (style.size * points_per_canvas.y).max(Self::SMALLEST);
         let padding = vec2(0.6, 0.3) * font_size;
-        let most_width = (most_width * points_per_canvas.x - 2.0 * padding.x).max(font_size);
-        let mut job = LayoutJob::simple(text.to_owned(), FontId::proportional(font_size), Color32::WHITE, most_width);
-        job.halign = Align::Center;
+        let mut job = LayoutJob { halign: style.align, ..LayoutJob::default() };
+        job.wrap.max_width = (style.most_width * points_per_canvas.x - 2.0 * padding.x).max(font_size);
+        for (index, &(text, color)) in paragraphs.iter().enumerate() {
+            let format = TextFormat::simple(FontId::proportional(font_size), color);
+            let line_end = if index > 0 { "\n" } else { "" };
+            job.append(&format!("{line_end}{text}"), 0.0, format);
+        }
         let galley = ui.fonts_mut(|fonts| fonts.layout_job(job));
         Some(Self { galley, points_per_canvas, padding })
     }

@@ -1,8 +1,11 @@
 //! The caption of a show's scene, at the lower edge of the canvas.
 
-use egui::{Rect, Ui, Vec2, pos2};
+use egui::{Align, Color32, Rect, Ui, Vec2, pos2};
 
-use super::{OverlayModel, canvas_text::CanvasText};
+use super::{
+    OverlayModel,
+    canvas_text::{CanvasText, TextStyle},
+};
 
 /// A text under the picture.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,7 +27,8 @@ const MARGIN: f32 = 0.035;
 /// Lays the caption out; `None` if there is none.
 pub(super) fn layout(ui: &Ui, model: &OverlayModel) -> Option<(CanvasText, Rect)> {
     let caption = model.caption.as_ref().filter(|_| !model.is_aligning)?;
-    let text = CanvasText::new(ui, &model.regions, &caption.text, SIZE, MOST_WIDTH * caption.free.width())?;
+    let style = TextStyle { size: SIZE, most_width: MOST_WIDTH * caption.free.width(), align: Align::Center };
+    let text = CanvasText::new(ui, &model.regions, &[(&caption.text, Color32::WHITE)], &style)?;
     let area = place(text.size(), caption.free);
     Some((text, area))
 }

@@ -5,9 +5,13 @@ use std::fmt;
 use egui::{RichText, Ui};
 use glam::DVec3;
 use renderer::model::solid::UNFILLED;
-use shared::{printable::counted, protocol::SceneState, structure::Structure};
+use shared::{
+    printable::{counted, n_whole, significant},
+    protocol::SceneState,
+    structure::Structure,
+};
 
-use super::{OverlayModel, appearance, style};
+use super::{OverlayModel, appearance, marks, style};
 use crate::control::input::Command;
 
 /// The model on the wall.
@@ -36,13 +40,15 @@ pub(crate) struct Pick {
     pub triangle: Option<u32>,
     /// The point, in the coordinates of the model's file.
     pub point: DVec3,
+    /// The side to which the surface faces there, of length 1.
+    pub normal: DVec3,
     /// From the eye to the point, in the model's own unit.
     pub distance: f64,
 }
 
 impl fmt::Display for Pick {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { triangle, point, distance } = self;
+        let Self { triangle, point, distance, .. } = self;
         let name = triangle.map_or("Cut".to_owned(), |number| format!("Triangle {}", style::grouped(number as usize)));
         write!(f, "{name} at {}, {} from the eye", coordinates(*point, *distance), length(*distance))
     }
@@ -99,6 +105,7 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
     if model.appearance.clip.is_some() && !summary.is_solid {
         ui.label(RichText::new(UNFILLED).small().weak());
     }
+    marks::show_panel(ui, &model.mark_list, commands);
 }
 
 /// Lists the contents of the model's file, and the parts that are not on the wall.
@@ -129,7 +136,7 @@ fn coordinates(point: DVec3, distance: f64) -> String {
     let coordinate = |value: f64| {
         // More digits than `f64` has say nothing.
         let n_more = (n_whole(value).saturating_sub(n_whole(distance))).min(15 - N_DIGITS);
-        number(value, N_DIGITS + n_more)
+        significant(value, N_DIGITS + n_more)
     };
     format!("({}, {}, {})", coordinate(point.x), coordinate(point.y), coordinate(point.z))
 }
@@ -139,33 +146,12 @@ const N_DIGITS: usize = 5;
 
 /// A length in an unknown unit.
 fn length(value: f64) -> String {
-    number(value, N_DIGITS)
-}
-
-fn number(value: f64, n_digits: usize) -> String {
-    let magnitude = value.abs();
-    let is_long = magnitude >= 1e6 && n_digits < n_whole(value);
-    if magnitude != 0.0 && (magnitude < 1e-3 || is_long) {
-        return format!("{value:.*e}", n_digits - 1);
-    }
-    format!("{value:.*}", n_digits.saturating_sub(n_whole(value)))
-}
-
-/// Digits before the decimal point.
-fn n_whole(value: f64) -> usize {
-    if value.abs() >= 1.0 { (value.abs().log10().floor() as usize).saturating_add(1) } else { 1 }
+    significant(value, N_DIGITS)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn lengths_have_five_digits_in_any_unit() {
-        let lengths = [0.0, 1.0, -0.123_456, 12.345_67, 99_999.4, 123_456.0, 1.5e-7, 2e9];
-        let expected = ["0.0000", "1.0000", "-0.1235", "12.346", "99999", "123456", "1.5000e-7", "2.0000e9"];
-        assert_eq!(lengths.map(length), expected);
-    }
 
     #[test]
     fn coordinates_are_as_precise_as_the_distance_from_the_eye() {

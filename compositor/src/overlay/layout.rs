@@ -12,6 +12,8 @@ pub(super) enum Part {
     Model,
     Help,
     Files,
+    /// An annotation that is being written.
+    Draft,
 }
 
 /// A panel: as high as its parts, unless the window is lower and they scroll.
@@ -47,7 +49,7 @@ impl Part {
             Self::Figures => 394.0,
             Self::Model => 310.0,
             Self::Help => 880.0,
-            Self::Files => 420.0,
+            Self::Files | Self::Draft => 420.0,
         }
     }
 }

@@ -74,7 +74,7 @@ impl ProjectorRegion {
 }
 
 /// A part of the canvas, whose upper-left corner is (0, 0) and whose lower-right corner is (1, 1).
-pub(super) fn to_rect(canvas: &CanvasRect) -> Rect {
+pub(crate) fn to_rect(canvas: &CanvasRect) -> Rect {
     let min = canvas.drawing_from_rect(DVec2::ZERO).as_vec2();
     Rect::from_min_size(pos2(min.x, min.y), vec2(canvas.width as f32, canvas.height as f32))
 }

@@ -12,6 +12,8 @@ pub(super) const GOOD: Color32 = Color32::from_rgb(126, 211, 136);
 pub(super) const BUSY: Color32 = Color32::from_rgb(240, 196, 92);
 /// Needs an operator.
 pub(super) const BAD: Color32 = Color32::from_rgb(255, 128, 112);
+/// Around marks on the picture.
+pub(super) const MARK_EDGE: Color32 = Color32::from_rgb(14, 17, 22);
 const TEXT: Color32 = Color32::from_gray(225);
 const WEAK: Color32 = Color32::from_gray(160);
 
@@ -39,6 +41,8 @@ pub(crate) fn apply_style(context: &egui::Context) {
         style.spacing.scroll.dormant_handle_opacity = 0.6;
         style.spacing.scroll.floating_width = 5.0;
         let visuals = &mut style.visuals;
+        // A resting wall is not drawn.
+        visuals.text_cursor.blink = false;
         visuals.override_text_color = None;
         visuals.widgets.noninteractive.fg_stroke.color = TEXT;
         visuals.widgets.inactive.fg_stroke.color = TEXT;

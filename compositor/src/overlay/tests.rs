@@ -109,6 +109,7 @@ pub(super) fn running() -> OverlayModel {
             n_lost: 0,
             notices: Default::default(),
             probed: None,
+            seen: None,
             percent: None,
         },
         model: Some(ModelSummary {
@@ -343,7 +344,7 @@ fn a_dozen_render_servers_fit_without_scrolling() {
 
 #[test]
 fn the_model_its_views_and_the_clicked_point_are_shown() {
-    let pick = Pick { triangle: Some(123_456), point: DVec3::new(0.25, -1.5, 30.0), distance: 2.5 };
+    let pick = Pick { triangle: Some(123_456), point: DVec3::new(0.25, -1.5, 30.0), normal: DVec3::Y, distance: 2.5 };
     let model = OverlayModel { views: vec![1, 4], pick: Some(pick), is_playing: true, ..running() };
     let commands = commands_of(&model, |harness| {
         harness.get_by_label("Triangle 123 456 at (0.2500, -1.5000, 30.0000), 2.5000 from the eye");

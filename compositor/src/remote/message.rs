@@ -4,6 +4,7 @@ use serde::{Deserialize, Deserializer, de::Error};
 use shared::{
     appearance::{Background, Clip, ClipSide},
     division::Division,
+    marks::Annotation,
     protocol::{LightingMode, ShadingMode},
 };
 
@@ -69,6 +70,11 @@ pub enum Action {
         /// From 1 to 9.
         number: u8,
     },
+    /// Goes to an annotation, and shows its text on the wall.
+    GoToAnnotation {
+        /// From the state.
+        number: u32,
+    },
     /// Plays the recorded camera path, or stops.
     Play,
     /// Gives up one's turn, or one's place among those who wait.
@@ -98,6 +104,25 @@ pub enum Action {
         caption: String,
         /// Its time; 15 s unless given.
         seconds: Option<f64>,
+    },
+    /// Annotates what is at a point of the canvas, (0, 0) lower left.
+    Annotate {
+        /// The point's fraction of the width.
+        #[serde(default = "middle")]
+        x: f64,
+        /// The point's fraction of the height.
+        #[serde(default = "middle")]
+        y: f64,
+        /// The text beside the point.
+        label: String,
+        /// The text that is shown to those who go there.
+        #[serde(default)]
+        text: String,
+    },
+    /// Deletes an annotation.
+    DeleteAnnotation {
+        /// From the state.
+        number: u32,
     },
     /// Lists the models in the folder of the present one.
     ListModels,
@@ -173,7 +198,15 @@ impl Action {
         use Action::*;
         matches!(
             self,
-            Orbit { .. } | Pan { .. } | Dolly { .. } | Roll { .. } | GoTo { .. } | ViewAll | GoToView { .. } | Play
+            Orbit { .. }
+                | Pan { .. }
+                | Dolly { .. }
+                | Roll { .. }
+                | GoTo { .. }
+                | ViewAll
+                | GoToView { .. }
+                | GoToAnnotation { .. }
+                | Play
         )
     }
 
@@ -190,7 +223,9 @@ impl Action {
         let is_factor = |factor: f64| (1.0 / LARGEST_FACTOR..=LARGEST_FACTOR).contains(&factor);
         match *self {
             Orbit { x, y } | Pan { x, y } if !is_drag(x, y) => Some("x and y are at most 10, either way"),
-            GoTo { x, y } | Dolly { x, y, .. } if !is_point(x, y) => Some("x and y are from 0 to 1"),
+            GoTo { x, y } | Dolly { x, y, .. } | Annotate { x, y, .. } if !is_point(x, y) => {
+                Some("x and y are from 0 to 1")
+            }
             Dolly { factor, .. } if !is_factor(factor) => Some("factor is from 0.05 to 20"),
             Roll { degrees } if !(-360.0..=360.0).contains(&degrees) => Some("degrees are from -360 to 360"),
             GoToView { number } | KeepView { number } if !(1..=9).contains(&number) => Some("number is from 1 to 9"),
@@ -199,6 +234,12 @@ impl Action {
             }
             KeepScene { seconds: Some(seconds), .. } if !(1.0..=86_400.0).contains(&seconds) => {
                 Some("seconds are from 1 to 86400")
+            }
+            Annotate { ref label, ref text, .. }
+                if !(1..=Annotation::LONGEST_LABEL).contains(&label.trim().chars().count())
+                    || text.chars().count() > Annotation::LONGEST_TEXT =>
+            {
+                Some("label has 1 to 60 characters, and text at most 600")
             }
             Open { ref model } if !is_file_name(model) => Some("model is the name of a file, without folders"),
             Light { azimuth_deg, elevation_deg }
@@ -283,6 +324,10 @@ mod tests {
             r#"{"do":"go-to-view","number":0}"#,
             r#"{"do":"keep-scene","seconds":0}"#,
             &format!(r#"{{"do":"keep-scene","caption":"{}"}}"#, "é".repeat(MOST_CAPTION + 1)),
+            r#"{"do":"annotate","label":" "}"#,
+            r#"{"do":"annotate","label":"a","x":2}"#,
+            &format!(r#"{{"do":"annotate","label":"{}"}}"#, "é".repeat(Annotation::LONGEST_LABEL + 1)),
+            &format!(r#"{{"do":"annotate","label":"a","text":"{}"}}"#, "é".repeat(Annotation::LONGEST_TEXT + 1)),
             r#"{"do":"open","model":"../secret.ply"}"#,
             r#"{"do":"open","model":".hidden.ply"}"#,
             r#"{"do":"light","azimuth_deg":181,"elevation_deg":0}"#,
@@ -301,6 +346,8 @@ mod tests {
         let allowed = |json: &str| decode(json.as_bytes()).unwrap().action.is_for_visitors();
         assert!(allowed(r#"{"do":"orbit","x":0,"y":0}"#) && allowed(r#"{"do":"leave"}"#));
         assert!(!allowed(r#"{"do":"open","model":"a.ply"}"#) && !allowed(r#"{"do":"keep-view","number":1}"#));
+        assert!(allowed(r#"{"do":"go-to-annotation","number":1}"#));
+        assert!(!allowed(r#"{"do":"annotate","label":"a"}"#) && !allowed(r#"{"do":"delete-annotation","number":1}"#));
         assert!(!allowed(r#"{"do":"next-scene"}"#) && !allowed(r#"{"do":"keep-scene"}"#));
         assert!(!allowed(r#"{"do":"division","division":"tiled"}"#) && !allowed(r#"{"do":"dismiss"}"#));
     }

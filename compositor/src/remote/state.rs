@@ -26,6 +26,10 @@ pub struct Show {
     pub aspect: f64,
     /// The numbers of the model's views.
     pub views: Vec<u8>,
+    /// The model's annotations, in the order of their file.
+    pub annotations: Vec<AnnotationLabel>,
+    /// The annotation whose text the wall shows.
+    pub annotation: Option<ShownAnnotation>,
     /// Whether the model has a camera path.
     pub has_path: bool,
     /// Whether the camera follows it.
@@ -40,6 +44,26 @@ pub struct Show {
     pub is_show_playing: bool,
     /// The effect of the last command on the wall, shown for a moment.
     pub note: Option<String>,
+}
+
+/// An annotation in a list.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct AnnotationLabel {
+    /// Its number while the model is on the wall.
+    pub number: u32,
+    /// The text beside its point.
+    pub label: String,
+}
+
+/// An annotation that the wall shows.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct ShownAnnotation {
+    /// Its number.
+    pub number: u32,
+    /// The text beside its point.
+    pub label: String,
+    /// Its long text; may be empty.
+    pub text: String,
 }
 
 /// The choices of an operator.

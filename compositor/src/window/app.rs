@@ -1,6 +1,7 @@
 //! The window's events: dispatches them to the parts of the window, asks the farm for frames and shows them.
 
 mod camera;
+mod marks;
 mod messages;
 mod opening;
 mod picture;
@@ -24,8 +25,8 @@ use winit::{
 };
 
 use self::{
-    camera::CameraControl, messages::Messages, opening::Browser, picture::PictureControl, pointer::Pointer,
-    probing::Probing, remote::RemoteControl, show::ShowControl, showing::Presentation,
+    camera::CameraControl, marks::MarkControl, messages::Messages, opening::Browser, picture::PictureControl,
+    pointer::Pointer, probing::Probing, remote::RemoteControl, show::ShowControl, showing::Presentation,
 };
 use super::{
     OnShown,
@@ -61,6 +62,7 @@ pub(super) struct App<'a> {
     camera: CameraControl,
     picture: PictureControl,
     probing: Probing,
+    marks: MarkControl,
     wall: Alignment,
     kiosk: Kiosk,
     /// The show that the wall plays, if it plays one.
@@ -77,6 +79,8 @@ pub(super) struct App<'a> {
     overlay_areas: Vec<egui::Rect>,
     /// The panels beside which the model makes room, in points.
     panels: Vec<egui::Rect>,
+    /// All that labels on the picture leave free, in points.
+    covered: Vec<egui::Rect>,
     outputs: Outputs,
 }
 
@@ -123,6 +127,7 @@ impl<'a> App<'a> {
             camera: CameraControl::new(args.up, &inputs.wall, (inputs.camera, inputs.path), now),
             picture,
             probing: Probing::default(),
+            marks: MarkControl::default(),
             kiosk: Kiosk::new(kiosk, now),
             show,
             remote: RemoteControl::new(remote),
@@ -134,6 +139,7 @@ impl<'a> App<'a> {
             overlay,
             overlay_areas: Vec::new(),
             panels: Vec::new(),
+            covered: Vec::new(),
             outputs: Outputs::new(&inputs.wall, args.fullscreen || args.kiosk.is_some()),
             wall: Alignment::new(args.show.wall.clone(), inputs.wall),
         }
@@ -256,6 +262,7 @@ impl<'a> App<'a> {
         // Points of the model before are none of this one.
         self.overlay.pick = None;
         self.probing.forget();
+        self.forget_marks();
         self.overlay.model = Some(ModelSummary {
             name: name.clone(),
             n_triangles: model.n_triangles,

@@ -348,7 +348,7 @@ impl Outputs {
         let wall_targets: Vec<_> =
             targets.iter().map(|(index, target)| (target.target(), self.all[*index].part)).collect();
         painter.draw(&mut encoder, wall, &wall_targets);
-        let mut overlay = OverlayOutput::default();
+        let mut overlay = OverlayOutput { places: model.marks.places.clone(), ..OverlayOutput::default() };
         let mut repaint_after = Duration::MAX;
         for (index, target) in &targets {
             let Output { part, screen: Some(screen), .. } = &mut self.all[*index] else { continue };
@@ -356,9 +356,11 @@ impl Outputs {
             if !model.is_visible() {
                 continue;
             }
+            // The first window has placed the labels.
+            model.marks.places.clone_from(&overlay.places);
             model.outputs = states.clone();
             model.regions = regions(wall, *part, target.size, screen.pixels_per_point());
-            let (output, wanted_after) = screen.draw_overlay(painter, &mut encoder, target, &model);
+            let (output, wanted_after) = screen.draw_overlay(painter, &mut encoder, target, model);
             repaint_after = repaint_after.min(wanted_after);
             if Some(*index) == lead {
                 overlay = output;

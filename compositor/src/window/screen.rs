@@ -37,7 +37,10 @@ impl Screen {
         let context = egui::Context::default();
         overlay::apply_style(&context);
         let largest_texture = device.limits().max_texture_dimension_2d as usize;
-        let egui = egui_winit::State::new(context, egui::ViewportId::ROOT, &window, None, None, Some(largest_texture));
+        let mut egui =
+            egui_winit::State::new(context, egui::ViewportId::ROOT, &window, None, None, Some(largest_texture));
+        // Keys come only while one of the windows has the focus, whichever it is.
+        egui.egui_input_mut().focused = true;
         let egui_renderer = egui_wgpu::Renderer::new(device, surface.overlay_format, Default::default());
         Ok(Self { window, surface, egui, egui_renderer, textures: egui::TexturesDelta::default() })
     }
@@ -58,16 +61,20 @@ impl Screen {
         painter: &Painter,
         encoder: &mut wgpu::CommandEncoder,
         target: &SurfaceFrame,
-        model: &OverlayModel,
+        mut model: OverlayModel,
     ) -> (OverlayOutput, Duration) {
         let context = self.egui.egui_ctx().clone();
         context.set_zoom_factor(self.zoom());
         let input = self.egui.take_egui_input(&self.window);
         let mut output = OverlayOutput::default();
-        // egui may run twice; only the first time sees clicks.
+        // egui may run twice; only the first time sees clicks and keys.
         let full = context.run_ui(input, |ui| {
-            let mut shown = overlay::show(ui, model);
+            let mut shown = overlay::show(ui, &model);
             shown.commands.splice(..0, std::mem::take(&mut output.commands));
+            if let (Some(draft), Some((label, text))) = (&mut model.draft, &shown.draft) {
+                (draft.label, draft.text) = (label.clone(), text.clone());
+            }
+            shown.draft = shown.draft.or(output.draft.take());
             output = shown;
         });
         let repaint_after =

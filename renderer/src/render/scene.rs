@@ -20,6 +20,10 @@ use crate::{
     render::sky::SkyMap,
 };
 
+/// A point that lies this far behind a surface is still seen, as a part of the scene's diagonal: points of other programs are
+/// rounded.
+const SEEN_DEPTH: f64 = 5e-4;
+
 /// The largest relative difference of a hit's t in `f32` and `f64`.
 const SAME_T: f64 = 1e-3;
 
@@ -86,25 +90,46 @@ impl Scene {
         if hit.is_miss() {
             return None;
         }
-        let point = self.mesh().origin() + self.exact_point(ray, hit, plane);
+        let (normal, offset) = self.plane_of(hit, plane);
+        let point = self.mesh().origin() + exact_point(ray, hit, (normal, offset));
         let triangle = (!hit.is_cap()).then(|| self.mesh().file_index(hit.triangle));
-        Some(ProbeHit { triangle, t: hit.t, point })
+        let toward_eye = -normal.dot(ray.direction.as_dvec3()).signum();
+        let normal = normal.normalize_or_zero() * toward_eye;
+        Some(ProbeHit { triangle, t: hit.t, point, normal })
     }
 
-    /// Where a ray meets the plane of the triangle, or the clip plane, that it hits; in model space.
-    fn exact_point(&self, ray: Ray, hit: Hit, clip: Option<ClipPlane>) -> DVec3 {
-        let [origin, direction] = [ray.origin, ray.direction].map(Vec3::as_dvec3);
-        let (normal, offset) = match clip {
+    /// Whether the eye of a camera in world space sees each of these points: whether nothing lies before it, and no cut has
+    /// taken it away. A point that lies in front of all surfaces is seen.
+    pub fn sees(&self, camera: &Camera, points: &[DVec3], clip: Option<Clip>) -> Vec<bool> {
+        let (camera, origin) = (&self.local(camera), self.mesh().origin());
+        let plane = self.clip_plane(camera, clip);
+        let [min, max] = self.mesh().bulk_bounds().corners();
+        let depth = SEEN_DEPTH * (max - min).length();
+        let is_cut_away = |point: DVec3| {
+            plane.is_some_and(|ClipPlane { normal, offset }| normal.dot(point) - offset > depth * normal.length())
+        };
+        let is_seen = |point: &DVec3| {
+            let point = *point - origin;
+            let way = point - camera.eye();
+            let direction = way.as_vec3();
+            if is_cut_away(point) || !direction.is_finite() || direction == Vec3::ZERO {
+                return false;
+            }
+            let hit = clip::intersect(&self.grid, plane.as_ref(), Ray::new(camera.eye().as_vec3(), direction));
+            hit.is_miss() || f64::from(hit.t) >= 1.0 - depth / way.length()
+        };
+        points.iter().map(is_seen).collect()
+    }
+
+    /// The plane of the triangle, or the clip plane, that a ray hits, in model space: its normal, of any length, and its offset.
+    fn plane_of(&self, hit: Hit, clip: Option<ClipPlane>) -> (DVec3, f64) {
+        match clip {
             Some(ClipPlane { normal, offset }) if hit.is_cap() => (normal, offset),
             _ => {
                 let normal = self.mesh().normal(hit.triangle);
                 (normal, normal.dot(Vec3::from_array(self.mesh().corners(hit.triangle)[0]).as_dvec3()))
             }
-        };
-        let t = (offset - normal.dot(origin)) / normal.dot(direction);
-        // A ray along the plane meets all of it.
-        let t = if (t - f64::from(hit.t)).abs() <= SAME_T * f64::from(hit.t).abs() { t } else { f64::from(hit.t) };
-        origin + direction * t
+        }
     }
 
     /// The plane that cuts this scene open for a camera in model space.
@@ -112,6 +137,15 @@ impl Scene {
         let [min, max] = self.mesh().bounds().corners();
         clip?.plane((min, max), camera)
     }
+}
+
+/// Where a ray meets the plane of its hit, in model space.
+fn exact_point(ray: Ray, hit: Hit, (normal, offset): (DVec3, f64)) -> DVec3 {
+    let [origin, direction] = [ray.origin, ray.direction].map(Vec3::as_dvec3);
+    let t = (offset - normal.dot(origin)) / normal.dot(direction);
+    // A ray along the plane meets all of it.
+    let t = if (t - f64::from(hit.t)).abs() <= SAME_T * f64::from(hit.t).abs() { t } else { f64::from(hit.t) };
+    origin + direction * t
 }
 
 impl From<Grid> for Scene {
@@ -214,11 +248,37 @@ mod tests {
                 let (x, y) = ((step % 20) as f32 / 19.0, (step / 20) as f32 / 19.0);
                 let Some(hit) = scene.probe(&camera, [x, y], None) else { continue };
                 let from_middle = (hit.point - at).abs().max_element();
+                let faces = hit.normal.dot(hit.point - at);
+                assert!((faces - 0.5).abs() < 1e-9 && hit.normal.dot(camera.eye() - hit.point) > 0.0, "{hit:?}");
                 // The digits of a map grid end at a billionth of a metre.
                 assert!((from_middle - 0.5).abs() <= 1e-15 * (1.0 + at.abs().max_element()), "{from_middle}");
                 n_hits += 1;
             }
             assert!(n_hits > 20, "{n_hits}");
+        }
+    }
+
+    #[test]
+    fn a_point_is_seen_unless_something_lies_before_it_or_it_is_cut_away() {
+        for at in [DVec3::ZERO, DVec3::new(512_345.0, 5_412_345.0, 64.0)] {
+            let scene = cube(at);
+            let camera = Camera::look_at(at + DVec3::new(2.7, 1.9, 3.1), at, DVec3::Y, 0.5, 1.3).unwrap();
+            let seen = |clip: Option<&str>, points: &[[f64; 3]]| {
+                let points: Vec<_> = points.iter().map(|&point| at + DVec3::from_array(point)).collect();
+                scene.sees(&camera, &points, clip.map(|text| text.parse().unwrap()))
+            };
+            let front = [[0.5, 0.1, 0.2], [0.3, 0.5, -0.1], [0.0, 0.0, 0.5]];
+            assert_eq!(seen(None, &front), [true; 3]);
+            assert_eq!(seen(None, &front.map(|point| point.map(|it| -it))), [false; 3]);
+            assert_eq!(seen(None, &[[0.7, 0.7, 0.7], [0.0; 3], [-9.0, 0.0, 9.0]]), [true, false, true], "in the air");
+            // The first is rounded, the second lies in matter.
+            assert_eq!(seen(None, &[[0.4998, 0.1, 0.2], [0.49, 0.1, 0.2]]), [true, false]);
+            // The cap hides the sides behind it; what was before it is gone.
+            let cut = [[0.5, 0.1, 0.2], [0.0, 0.1, 0.2], [-0.5, 0.1, 0.2], [-0.3, 0.5, 0.1], [0.3, 0.5, 0.1]];
+            assert_eq!(seen(Some("x:50"), &cut), [false, true, false, true, false]);
+            let [eye, nowhere] = [camera.eye() - at, DVec3::NAN].map(|point| point.to_array());
+            assert_eq!(seen(None, &[eye, nowhere]), [false; 2]);
+            assert_eq!(scene.sees(&camera, &[], None), [false; 0]);
         }
     }
 }

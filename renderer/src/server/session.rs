@@ -215,6 +215,12 @@ impl Session<'_> {
                         self.reply(&ToWall::Probed { number, hit: scene.probe(&camera, at, clip) }).await;
                     }
                 }
+                ToServer::Look { number, scene, camera, clip, points } => {
+                    // A few hundred rays take less than a millisecond.
+                    if let Some(RenderSource::Scene(scene)) = self.loader.source_for(scene) {
+                        self.reply(&ToWall::Seen { number, seen: scene.sees(&camera, &points, clip) }).await;
+                    }
+                }
                 ToServer::Refused { reason } => return Err(SessionError::Refused(printable(&reason))),
                 ToServer::Welcome | ToServer::SceneFileAwaited { .. } | ToServer::SceneFile { .. } => {
                     return Err(SessionError::OutOfTurn);

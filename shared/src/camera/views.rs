@@ -11,7 +11,7 @@ use glam::DVec3;
 use serde::{Deserialize, Deserializer, de::Error};
 use toml::Spanned;
 
-use super::{Camera, CameraFileError, UpAxis};
+use super::{Camera, CameraError, CameraFileError, UpAxis};
 use crate::{
     appearance::{Clip, Light},
     path_light::PathLight,
@@ -85,11 +85,7 @@ impl Views {
             let start = view.span().start;
             let number = name.parse().ok().filter(|number| Self::NUMBERS.contains(number));
             let number = number.ok_or_else(|| at(start, &format!("\"{name}\" is no number from 1 to 9")))?;
-            let ViewTable { eye, ll, u, v, up, light, clip, rays, path } = view.into_inner();
-            let camera = Camera::new(eye, ll, u, v).map_err(|error| at(start, &error.to_string()))?;
-            let has_look = light.is_some() || clip.is_some() || rays.is_some() || path.is_some();
-            let look = has_look.then(|| Look { light: light.unwrap_or_default(), clip, rays, path });
-            views.keep(number, View { camera, up, look });
+            views.keep(number, view.into_inner().view().map_err(|error| at(start, &error.to_string()))?);
         }
         Ok(views)
     }
@@ -103,18 +99,28 @@ impl Views {
         if let Some(up) = self.up {
             let _ = writeln!(text, "up = \"{up}\"");
         }
-        for (number, View { camera, up, look }) in &self.views {
-            let _ = write!(text, "\n[view.{number}]\n{}", camera.to_toml());
-            let mut add = |name: &str, value: Option<&dyn Display>| {
-                value.into_iter().for_each(|value| _ = writeln!(text, "{name} = \"{value}\""));
-            };
-            add("up", up.as_ref().map(|up| up as _));
-            if let Some(Look { light, clip, rays, path }) = look {
-                add("light", Some(light));
-                add("clip", clip.as_ref().map(|clip| clip as _));
-                add("rays", rays.as_ref().map(|rays| rays as _));
-                add("path", path.as_ref().map(|path| path as _));
-            }
+        for (number, view) in &self.views {
+            let _ = write!(text, "\n[view.{number}]\n{}", view.to_toml());
+        }
+        text
+    }
+}
+
+impl View {
+    /// The lines of a view in a file, which [`ViewTable`] reads.
+    pub(crate) fn to_toml(&self) -> String {
+        let Self { camera, up, look } = self;
+        let mut text = camera.to_toml();
+        // Writing to a string cannot fail.
+        let mut add = |name: &str, value: Option<&dyn Display>| {
+            value.into_iter().for_each(|value| _ = writeln!(text, "{name} = \"{value}\""));
+        };
+        add("up", up.as_ref().map(|up| up as _));
+        if let Some(Look { light, clip, rays, path }) = look {
+            add("light", Some(light));
+            add("clip", clip.as_ref().map(|clip| clip as _));
+            add("rays", rays.as_ref().map(|rays| rays as _));
+            add("path", path.as_ref().map(|path| path as _));
         }
         text
     }
@@ -128,9 +134,10 @@ struct ViewsFile {
     view: BTreeMap<String, Spanned<ViewTable>>,
 }
 
+/// A view in a file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct ViewTable {
+pub(crate) struct ViewTable {
     eye: DVec3,
     ll: DVec3,
     u: DVec3,
@@ -143,6 +150,15 @@ struct ViewTable {
     rays: Option<LightingMode>,
     #[serde(default, deserialize_with = "from_text")]
     path: Option<PathLight>,
+}
+
+impl ViewTable {
+    pub(crate) fn view(self) -> Result<View, CameraError> {
+        let Self { eye, ll, u, v, up, light, clip, rays, path } = self;
+        let has_look = light.is_some() || clip.is_some() || rays.is_some() || path.is_some();
+        let look = has_look.then(|| Look { light: light.unwrap_or_default(), clip, rays, path });
+        Ok(View { camera: Camera::new(eye, ll, u, v)?, up, look })
+    }
 }
 
 fn from_text<'de, T: FromStr<Err: Display>, D: Deserializer<'de>>(input: D) -> Result<Option<T>, D::Error> {

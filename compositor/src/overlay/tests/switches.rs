@@ -94,7 +94,7 @@ fn the_model_can_be_cut_open() {
 #[test]
 fn a_cut_says_what_it_shows() {
     let appearance = Appearance { clip: "eye:25".parse().ok(), ..Appearance::default() };
-    let pick = Pick { triangle: None, point: DVec3::ZERO, distance: 1.0 };
+    let pick = Pick { triangle: None, point: DVec3::ZERO, normal: DVec3::Y, distance: 1.0 };
     let mut model = OverlayModel { appearance, pick: Some(pick), ..running() };
     commands_of(&model, |harness| {
         harness.get_by_label("Cut at (0.0000, 0.0000, 0.0000), 1.0000 from the eye");

@@ -145,6 +145,7 @@ function update(state) {
     document.querySelectorAll("#views [data-view]").forEach((it) => it.remove());
     show.views.forEach((number) => $("views").append(element("button", `View ${number}`, { type: "button", "data-view": number })));
   }
+  updateAnnotations(show, state.role === "operator");
   $("show").hidden = show.n_scenes === null;
   const scene = show.scene === null ? "" : `Scene ${show.scene} of ${show.n_scenes}${show.caption ? `: ${show.caption}` : ""}`;
   if ($("scene").textContent !== scene) $("scene").textContent = scene;
@@ -158,6 +159,20 @@ function update(state) {
     updateOperator(state);
   }
   tellTurn();
+}
+
+function updateAnnotations({ annotations, annotation }, isOperator) {
+  const labels = JSON.stringify(annotations);
+  if ($("labels").dataset.shown !== labels) {
+    $("labels").dataset.shown = labels;
+    $("labels").replaceChildren(...annotations.map(({ number, label }) => element("button", label, { type: "button", "data-annotation": number })));
+  }
+  for (const it of $("labels").children) it.setAttribute("aria-pressed", +it.dataset.annotation === annotation?.number);
+  const text = annotation ? annotation.text || annotation.label : "";
+  if ($("annotation").textContent !== text) $("annotation").textContent = text;
+  $("annotations").hidden = annotations.length === 0 && !isOperator;
+  $("annotating").hidden = !isOperator;
+  $("deleting").hidden = !isOperator || !annotation;
 }
 
 function set(id, value) {
@@ -360,11 +375,12 @@ surface.addEventListener("keydown", (event) => {
 document.addEventListener("click", ({ target }) => {
   const button = target.closest("button");
   if (!button) return;
-  const { action, step: what, view, order } = button.dataset;
+  const { action, step: what, view, order, annotation } = button.dataset;
   if (action === "leave") send({ do: "leave" });
   else if (order) send({ do: order });
   else if (action) steer({ do: action });
   else if (view) steer({ do: "go-to-view", number: +view });
+  else if (annotation) steer({ do: "go-to-annotation", number: +annotation });
   else if (what) step(what, $("moves").getAttribute("aria-pressed") === "true");
 });
 $("moves").addEventListener("click", ({ target }) => {
@@ -397,6 +413,15 @@ control(["shading"], "change", () => ({ do: "shading", shading: value("shading")
 control(["division"], "change", () => ({ do: "division", division: value("division") }));
 $("keep").addEventListener("click", () => send({ do: "keep-view", number: +value("number") }));
 $("keep-scene").addEventListener("click", () => send({ do: "keep-scene", caption: value("caption"), seconds: +value("seconds") || null }));
+$("annotate").addEventListener("click", () => {
+  if (!value("label").trim()) return $("label").focus();
+  send({ do: "annotate", label: value("label"), text: value("text") });
+  $("label").value = $("text").value = "";
+});
+$("delete-annotation").addEventListener("click", () => {
+  const chosen = wall?.show.annotation;
+  if (chosen && confirm(`Delete “${chosen.label}”?`)) send({ do: "delete-annotation", number: chosen.number });
+});
 $("models").addEventListener("focus", () => send({ do: "list-models" }));
 $("models").addEventListener("pointerdown", () => send({ do: "list-models" }));
 

@@ -28,7 +28,7 @@ const FAST: f64 = 4.0;
 pub(super) struct CameraControl {
     /// `None` until the first model is loaded.
     pub(super) navigator: Option<Navigator>,
-    sidecars: Option<SidecarFiles>,
+    pub(super) sidecars: Option<SidecarFiles>,
     recording: Option<Recording>,
     /// When time last moved the camera.
     stepped_at: Instant,

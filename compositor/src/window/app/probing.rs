@@ -11,10 +11,21 @@ pub(super) enum Purpose {
     /// To read which triangle it is.
     Inspect,
     GoTo,
+    /// To annotate it.
+    Annotate,
+    /// To give it to the ruler.
+    Measure,
     /// To move nearer to it with the wheel.
     Approach,
     /// To fly slower before it.
     Ahead,
+}
+
+impl Purpose {
+    /// Whether its answer does more than to tell something.
+    fn acts(self) -> bool {
+        matches!(self, Self::GoTo | Self::Annotate | Self::Measure)
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -41,13 +52,12 @@ pub(super) struct Probing {
 impl Probing {
     /// Starts a probe from a camera, and returns its number.
     ///
-    /// `None` while a probe to go somewhere is pending, which another purpose must not replace; a probe ahead replaces none, and
+    /// `None` while a probe is pending whose answer does something, which another purpose must not replace; a probe ahead replaces none, and
     /// is rare.
     pub(super) fn start(&mut self, purpose: Purpose, camera: Camera, now: Instant) -> Option<u32> {
-        let is_going = |pending: &PendingProbe| {
-            pending.purpose == Purpose::GoTo && now.duration_since(pending.since) < PROBE_TIMEOUT
-        };
-        if purpose != Purpose::GoTo && self.pending.as_ref().is_some_and(is_going) {
+        let is_awaited =
+            |pending: &PendingProbe| pending.purpose.acts() && now.duration_since(pending.since) < PROBE_TIMEOUT;
+        if purpose != Purpose::GoTo && self.pending.as_ref().is_some_and(is_awaited) {
             return None;
         }
         if purpose == Purpose::Ahead {
@@ -75,8 +85,8 @@ impl Probing {
     }
 }
 
-fn pick(ProbeHit { triangle, point, .. }: ProbeHit, camera: &Camera) -> Pick {
-    Pick { triangle, point, distance: (point - camera.eye()).length() }
+fn pick(ProbeHit { triangle, point, normal, .. }: ProbeHit, camera: &Camera) -> Pick {
+    Pick { triangle, point, normal, distance: (point - camera.eye()).length() }
 }
 
 #[cfg(test)]

@@ -15,6 +15,7 @@ use super::{App, opening, probing::Purpose, showing::due};
 use crate::{
     control::{
         input::Command,
+        marks::MarkCommand,
         navigator::{Drag, Nudge},
         show::Player,
     },
@@ -139,6 +140,12 @@ impl App<'_> {
             Action::Leave | Action::Watch { .. } => return false,
             Action::ViewAll => Command::ViewAll,
             Action::GoToView { number } => Command::GoToView(number),
+            Action::GoToAnnotation { number } => Command::Mark(MarkCommand::GoTo(number)),
+            Action::DeleteAnnotation { number } => Command::Mark(MarkCommand::Delete(number)),
+            Action::Annotate { x, y, label, text } => {
+                self.annotate_at(DVec2::new(x, y), (label, text));
+                return false;
+            }
             Action::KeepView { number } => Command::KeepView(number),
             Action::Play => Command::TogglePlaying,
             Action::Light { azimuth_deg, elevation_deg } => {
@@ -241,6 +248,8 @@ impl App<'_> {
             loading: overlay.loading.clone(),
             aspect: self.wall.wall.aspect(),
             views: overlay.views.clone(),
+            annotations: self.annotation_labels(),
+            annotation: self.shown_annotation(),
             has_path: self.camera.has_path(),
             is_playing: overlay.is_playing,
             n_scenes: player.map(|player| player.show().scenes.len()),

@@ -118,6 +118,7 @@ impl App<'_> {
         let messages = self.messages.list(status, missing, has_panel, now);
         // Messages are for operators.
         overlay.messages = if self.kiosk.is_locked { Vec::new() } else { messages };
+        self.update_marks();
     }
 
     pub(super) fn draw(&mut self, event_loop: &ActiveEventLoop) {
@@ -148,6 +149,12 @@ impl App<'_> {
         self.presentation.attempted(attempt, now);
         self.presentation.repaint_at = now.checked_add(drawn.repaint_after);
         self.overlay_areas = drawn.overlay.areas;
+        self.overlay.marks.places = drawn.overlay.places;
+        if self.covered != drawn.overlay.covered {
+            self.covered = drawn.overlay.covered;
+            // Labels make room.
+            self.presentation.is_stale |= !self.overlay.marks.labels.is_empty();
+        }
         if !drawn.overlay.has_dialog && self.panels != drawn.overlay.panels {
             self.panels = drawn.overlay.panels;
             let effect = self.camera.make_room(&self.free_parts(), now);
@@ -157,6 +164,7 @@ impl App<'_> {
             self.on_new_change(now);
             self.on_new_frame(event_loop, drawn.stats, now - started_at, &drawn.monitors);
         }
+        drawn.overlay.draft.into_iter().for_each(|texts| self.type_draft(texts));
         for command in drawn.overlay.commands {
             self.execute(event_loop, command);
         }
@@ -228,6 +236,7 @@ impl App<'_> {
         let mut next: Vec<Option<Instant>> = Vec::new();
         if !self.camera.is_moving() {
             if self.kiosk.returns(now) {
+                self.marks.chosen = None;
                 let effect = match &mut self.show {
                     Some(show) => {
                         show.player.play(now);

@@ -23,6 +23,7 @@ use crate::{
     control::{
         free_parts::free_parts,
         input::{self, Command, Key, KeyAction, Tint},
+        marks::MarkCommand,
         navigator::{Drag, Navigator},
         show::Player,
     },
@@ -65,6 +66,9 @@ impl App<'_> {
             self.apply(unsaved.map_or_else(Effect::default, Effect::note));
             return self.redraw();
         }
+        if is_pressed && cap == Some(Key::Named(keyboard::NamedKey::Escape)) && self.cancel_marks() {
+            return self.redraw();
+        }
         match cap.and_then(input::action) {
             Some(KeyAction::Fly(_)) if is_pressed && !key.repeat && self.touch_show() => self.redraw(),
             Some(KeyAction::Fly(direction)) if !(is_pressed && key.repeat) => {
@@ -99,6 +103,9 @@ impl App<'_> {
     /// Carries out a command of somebody who may give it.
     pub(super) fn perform(&mut self, event_loop: &ActiveEventLoop, command: Command) {
         let now = Instant::now();
+        if command.is_steering() {
+            self.marks.chosen = None;
+        }
         let effect = match command {
             Command::ViewAll => {
                 let parts = self.free_parts();
@@ -201,6 +208,7 @@ impl App<'_> {
             Command::NextScene => self.order_show(Player::go_on),
             Command::PreviousScene => self.order_show(Player::go_back),
             Command::KeepScene => self.keep_scene(String::new(), None),
+            Command::Mark(command) => self.mark(command),
             Command::DismissMessage => {
                 self.messages.dismiss(&self.farm.status(), self.outputs.missing());
                 Effect::default()
@@ -222,6 +230,7 @@ impl App<'_> {
         self.overlay.help = false;
         (self.overlay.tint, self.overlay.pick) = (Tint::None, None);
         self.browser.files = None;
+        self.lay_marks_down();
         Effect::note("Locked: visitors can only steer; Ctrl+L unlocks")
     }
 
@@ -287,7 +296,7 @@ impl App<'_> {
     }
 
     /// Asks a render server for the triangle under the cursor; [`App::take_probed`] takes the answer.
-    fn probe(&mut self, purpose: Purpose) -> Effect {
+    pub(super) fn probe(&mut self, purpose: Purpose) -> Effect {
         self.probe_at(purpose, self.point_on_canvas());
         Effect::default()
     }
@@ -299,14 +308,16 @@ impl App<'_> {
         }
     }
 
-    /// `point` is a fraction of the canvas, (0, 0) lower left.
-    pub(super) fn probe_at(&mut self, purpose: Purpose, point: DVec2) {
-        let (Some(model), Some(navigator)) = (&self.model, &self.camera.navigator) else { return };
+    /// Returns whether the question was asked; `point` is a fraction of the canvas, (0, 0) lower left.
+    pub(super) fn probe_at(&mut self, purpose: Purpose, point: DVec2) -> bool {
+        let (Some(model), Some(navigator)) = (&self.model, &self.camera.navigator) else { return false };
         let (camera, at) = (navigator.camera(), [point.x as f32, point.y as f32]);
-        if let Some(number) = self.probing.start(purpose, camera, Instant::now()) {
+        let number = self.probing.start(purpose, camera, Instant::now());
+        if let Some(number) = number {
             let (view, clip) = (Some((model.scene, camera)), self.picture.appearance.clip);
             self.farm.probe(Probe { number, view, at, clip });
         }
+        number.is_some()
     }
 
     /// Takes the answer to the last probe, once it has come.
@@ -323,7 +334,11 @@ impl App<'_> {
                 self.overlay.pick = pick;
                 pick.map_or_else(Effect::default, |pick| Effect::note(pick.to_string()))
             }
-            (Purpose::GoTo, None) => Effect::note("The model is not under the cursor"),
+            (Purpose::GoTo | Purpose::Annotate | Purpose::Measure, None) => {
+                Effect::note("The model is not under the cursor")
+            }
+            (Purpose::Annotate, Some(pick)) => self.annotate(pick),
+            (Purpose::Measure, Some(pick)) => self.measure(pick),
             (Purpose::GoTo, Some(pick)) => {
                 self.overlay.pick = Some(pick);
                 self.camera.steer(Instant::now(), |navigator| navigator.go_to_point(pick.point))
@@ -392,10 +407,30 @@ impl App<'_> {
             (_, MouseButton::Right, _) => navigator.press(Drag::Dolly),
             _ => {}
         }
-        if is_click && !self.kiosk.is_locked {
-            let is_double = self.pointer.is_double_click(self.point_on_canvas(), now);
-            self.probe(if is_double { Purpose::GoTo } else { Purpose::Inspect });
+        if is_click {
+            self.click(now);
         }
+    }
+
+    /// A click on a label, or on the model.
+    fn click(&mut self, now: Instant) {
+        let at = self.point_on_canvas();
+        if let Some(annotation) = self.label_at(at) {
+            return self.perform_mark(MarkCommand::GoTo(annotation));
+        }
+        if self.marks.chosen.take().is_some() {
+            self.redraw();
+        }
+        if self.kiosk.is_locked {
+            return;
+        }
+        let is_double = self.pointer.is_double_click(at, now);
+        self.probe(match (is_double, self.has_ruler()) {
+            (true, true) => return,
+            (true, false) => Purpose::GoTo,
+            (false, true) => Purpose::Measure,
+            (false, false) => Purpose::Inspect,
+        });
     }
 
     pub(super) fn wheel(&mut self, index: usize, event: &WindowEvent, delta: MouseScrollDelta) {

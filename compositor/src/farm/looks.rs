@@ -1,0 +1,108 @@
+//! Looks on their way: one at a time, so that a camera in constant motion gets answers, however slow the link. Pure.
+
+use shared::scene::SceneId;
+
+use super::{Look, stats::NodeId};
+
+/// The look that waits, and the one that a render server answers.
+#[derive(Debug, Default)]
+pub(super) struct Looks {
+    waiting: Option<Look>,
+    asked: Option<(NodeId, Look)>,
+}
+
+impl Looks {
+    /// Puts a look in place of the one that waits.
+    pub(super) fn ask(&mut self, look: Look) {
+        self.waiting = look.view.is_some().then_some(look);
+    }
+
+    /// Takes the look that waits, to send it to a node that has this scene; `None` while another is being answered.
+    pub(super) fn begin(&mut self, node: NodeId, scene: SceneId) -> Option<Look> {
+        let is_of_scene = |look: &Look| look.view.is_some_and(|(of, _)| of == scene);
+        // Nobody answers a look at another scene.
+        self.asked.take_if(|(_, look)| !is_of_scene(look));
+        if self.asked.is_some() {
+            return None;
+        }
+        let look = self.waiting.take_if(|look| is_of_scene(look))?;
+        self.asked = Some((node, look.clone()));
+        Some(look)
+    }
+
+    /// A node answers. Returns whether it was asked that, and had not answered yet.
+    pub(super) fn answer(&mut self, node: NodeId, number: u32) -> bool {
+        self.asked.take_if(|(asked, look)| (*asked, look.number) == (node, number)).is_some()
+    }
+
+    /// A node will not answer: its look waits again, unless there is a later one.
+    pub(super) fn lose(&mut self, node: NodeId) {
+        if let Some((_, look)) = self.asked.take_if(|(asked, _)| *asked == node) {
+            self.waiting.get_or_insert(look);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+    use shared::{camera::Camera, scene::Crease};
+
+    use super::*;
+
+    const STATUE: SceneId = scene(8);
+
+    const fn scene(triangles: u32) -> SceneId {
+        SceneId::Statue { triangles, crease: Crease::FLAT }
+    }
+
+    fn look(number: u32, scene: SceneId) -> Look {
+        let camera = Camera::new(DVec3::Z, DVec3::ZERO, DVec3::X, DVec3::Y).unwrap();
+        Look { number, view: Some((scene, camera)), ..Look::default() }
+    }
+
+    fn begin(looks: &mut Looks, node: u32) -> Option<u32> {
+        looks.begin(NodeId(node), STATUE).map(|look| look.number)
+    }
+
+    #[test]
+    fn one_is_answered_while_the_last_of_the_others_waits() {
+        let mut looks = Looks::default();
+        assert_eq!(begin(&mut looks, 1), None);
+        (1..=3).for_each(|number| looks.ask(look(number, STATUE)));
+        assert_eq!(begin(&mut looks, 1), Some(3));
+        (4..=5).for_each(|number| looks.ask(look(number, STATUE)));
+        assert_eq!(begin(&mut looks, 2), None);
+        assert!(!looks.answer(NodeId(2), 3) && !looks.answer(NodeId(1), 5), "nobody asked that");
+        assert!(looks.answer(NodeId(1), 3) && !looks.answer(NodeId(1), 3));
+        assert_eq!(begin(&mut looks, 2), Some(5));
+    }
+
+    #[test]
+    fn another_node_answers_in_place_of_a_lost_one() {
+        let mut looks = Looks::default();
+        looks.ask(look(1, STATUE));
+        assert_eq!(begin(&mut looks, 1), Some(1));
+        looks.lose(NodeId(2));
+        assert_eq!(begin(&mut looks, 2), None);
+        looks.lose(NodeId(1));
+        assert_eq!(begin(&mut looks, 2), Some(1));
+        looks.ask(look(2, STATUE));
+        looks.lose(NodeId(2));
+        assert_eq!(begin(&mut looks, 3), Some(2), "the later one");
+    }
+
+    #[test]
+    fn a_look_waits_for_its_scene_and_is_dropped_with_it() {
+        let mut looks = Looks::default();
+        looks.ask(look(1, scene(9)));
+        assert_eq!(begin(&mut looks, 1), None);
+        looks.ask(look(2, STATUE));
+        assert_eq!(begin(&mut looks, 1), Some(2));
+        looks.ask(look(3, scene(9)));
+        assert!(looks.begin(NodeId(1), scene(9)).is_some());
+        looks.ask(Look::default());
+        looks.lose(NodeId(1));
+        assert!(looks.begin(NodeId(1), scene(9)).is_some());
+    }
+}
