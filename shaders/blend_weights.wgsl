@@ -31,17 +31,19 @@ struct Projector {
 
 // A projector that lights a part of the same rectangle. Matches `NeighbourRecord` in blend_weights.rs.
 struct Neighbour {
-    // Homography from the neighbour's image to its pixels, which run from (0, 0) to (1, 1).
-    raster_from_image: mat3x3f,
+    // Homography from the neighbour's image to its pixels, which run from (0, 0) upper left as seen on the wall to (1, 1).
+    upright_from_image: mat3x3f,
     // From the projector's rectangle to the neighbour's: origin, scale.
     neighbour_rect_from_rect: vec4f,
     // The part of the projector's rectangle that the neighbour can change: left, upper, right, lower.
     reach: vec4f,
-    // The edges of its image, and of its pixels, towards which its light fades, 1 or 0: left, upper, right, lower.
+    // The edges of its image towards which its light fades, 1 or 0: left, upper, right, lower.
     image_edges: vec4f,
-    raster_edges: vec4f,
+    // The edges of its pixels that cut its image: the inverse of the distance over which its light fades towards them; 0
+    // for the others.
+    raster_fades: vec4f,
     // The columns and rows of those pixels.
-    raster_size: vec2f,
+    upright_size: vec2f,
     black_level: f32,
     // 1 if it has a blend weight here, 0 if only its black counts.
     blends: f32,
@@ -69,12 +71,16 @@ fn vertex(@builtin(vertex_index) corner: u32, @builtin(instance_index) projector
 const LEAST_DISTANCE: f32 = 1e-5;
 const MESH_TOLERANCE: f32 = 1e-3;
 
-// The product of a point's distances from the chosen edges of the unit square; 0 outside of the square by more than a
-// tolerance.
-fn distances(point: vec2f, edges: vec4f, tolerance: f32) -> f32 {
-    let d = vec4f(point, 1.0 - point);
-    let counted = 1.0 + edges * (max(d, vec4f(LEAST_DISTANCE)) - 1.0);
-    return select(0.0, counted.x * counted.y * counted.z * counted.w, all(d >= vec4f(-tolerance)));
+// The product of the distances from the four edges of a neighbour's light; 0 outside of it by more than a tolerance. Of
+// the image's edge and the pixels' edge on the same side, the nearer one counts.
+fn distances(image: vec2f, upright: vec2f, image_edges: vec4f, raster_fades: vec4f, tolerance: f32) -> f32 {
+    let from_image = vec4f(image, 1.0 - image);
+    let from_pixels = vec4f(upright, 1.0 - upright);
+    let by_image = select(vec4f(1.0), from_image, image_edges > vec4f(0.0));
+    let by_pixels = select(vec4f(1.0), from_pixels * raster_fades, raster_fades > vec4f(0.0));
+    let nearest = max(min(by_image, by_pixels), vec4f(LEAST_DISTANCE));
+    let is_lit = all(min(from_image, from_pixels) >= vec4f(-tolerance));
+    return select(0.0, nearest.x * nearest.y * nearest.z * nearest.w, is_lit);
 }
 
 // The part of a pixel that lies inside the unit square, for each axis, by the size of the pixel there.
@@ -156,19 +162,20 @@ fn fragment(quad: Quad) -> @location(0) vec4f {
             image_beyond = image_at(first_point, mesh_columns, (*neighbour).mesh_rows, image_beyond);
             tolerance = MESH_TOLERANCE;
         }
-        let raster_within = (*neighbour).raster_from_image * vec3f(image_within, 1.0);
+        let upright_within = (*neighbour).upright_from_image * vec3f(image_within, 1.0);
         var weight = 0.0;
-        if (raster_within.z > 1e-9) {
-            weight = (*neighbour).blends * distances(image_within, (*neighbour).image_edges, tolerance)
-                * distances(raster_within.xy / raster_within.z, (*neighbour).raster_edges, tolerance);
+        if (upright_within.z > 1e-9) {
+            let upright = upright_within.xy / upright_within.z;
+            weight = (*neighbour).blends
+                * distances(image_within, upright, (*neighbour).image_edges, (*neighbour).raster_fades, tolerance);
         }
         own = select(own, weight, n == 0u);
         all_weights += weight;
-        let raster = (*neighbour).raster_from_image * vec3f(image_beyond, 1.0);
+        let beyond = (*neighbour).upright_from_image * vec3f(image_beyond, 1.0);
         // A pixel at the edge gives its light on both sides of it.
-        let edge = min(raster.xy, raster.zz - raster.xy) / max(raster.z, 1e-9);
-        let lit = clamp(edge * (*neighbour).raster_size + 0.5, vec2f(0.0), vec2f(1.0));
-        leak += select(0.0, (*neighbour).black_level * lit.x * lit.y, raster.z > 1e-9);
+        let edge = min(beyond.xy, beyond.zz - beyond.xy) / max(beyond.z, 1e-9);
+        let lit = clamp(edge * (*neighbour).upright_size + 0.5, vec2f(0.0), vec2f(1.0));
+        leak += select(0.0, (*neighbour).black_level * lit.x * lit.y, beyond.z > 1e-9);
     }
     var blend_weight = covered.x * covered.y * own / max(all_weights, 1e-37);
     if (image.z <= 1e-9) {

@@ -64,6 +64,20 @@ fn crooked_walls_equal_their_cpu_twin() {
 }
 
 #[test]
+fn corners_dragged_beyond_the_picture_s_edge_equal_their_cpu_twin() {
+    let gpu = gpu();
+    let mut present = Present::new(&gpu);
+    let text = "canvas_m = [1.9, 1.0]\n[grid]\ncolumns = 2\nrows = 1\npixels = [160, 120]\noverlap = [0.2, 0.0]\n\
+                [[projector]]\nname = \"row 1 column 1\"\nrotation = 180\nblack_level = 0.01\n\
+                warp_px = [[0, 0], [5, -5], [3, 4], [-2, 0]]\n";
+    let wall = Wall::from_toml("dragged", text).unwrap();
+    let frame = Frame::gradient([64, 36]);
+    present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+    let offscreen = Offscreen::new(&gpu, wall.output_size()).unwrap();
+    check_twin(&gpu, &draw(&gpu, &mut present, &wall, &offscreen), "gradient", &frame, &wall);
+}
+
+#[test]
 fn each_output_shows_its_part_of_the_wall() {
     let gpu = gpu();
     let mut present = Present::new(&gpu);

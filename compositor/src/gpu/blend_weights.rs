@@ -60,12 +60,12 @@ const _: () = assert!(size_of::<ProjectorRecord>() == 112);
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 struct NeighbourRecord {
-    raster_from_image: [[f32; 4]; 3],
+    upright_from_image: [[f32; 4]; 3],
     neighbour_rect_from_rect: [f32; 4],
     reach: [f32; 4],
     image_edges: [f32; 4],
-    raster_edges: [f32; 4],
-    raster_size: [f32; 2],
+    raster_fades: [f32; 4],
+    upright_size: [f32; 2],
     black_level: f32,
     blends: f32,
     first_point: u32,
@@ -237,12 +237,12 @@ impl NeighbourRecord {
         let [origin, scale] = [neighbour.rect_origin, neighbour.rect_scale].map(DVec2::as_vec2);
         let [least, greatest] = neighbour.reach.map(DVec2::as_vec2);
         Self {
-            raster_from_image: columns(neighbour.raster_from_image),
+            upright_from_image: columns(neighbour.upright_from_image),
             neighbour_rect_from_rect: [origin.x, origin.y, scale.x, scale.y],
             reach: [least.x, least.y, greatest.x, greatest.y],
             image_edges: neighbour.image_edges.as_vec4().to_array(),
-            raster_edges: neighbour.raster_edges.as_vec4().to_array(),
-            raster_size: neighbour.raster_size.as_vec2().to_array(),
+            raster_fades: neighbour.raster_fades.as_vec4().to_array(),
+            upright_size: neighbour.upright_size.as_vec2().to_array(),
             black_level: neighbour.black_level as f32,
             blends: f32::from(u8::from(neighbour.blends)),
             first_point,

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use glam::{DMat3, DVec2, DVec4};
+use glam::{DMat3, DVec2, DVec4, Vec2Swizzles};
 
 use super::{
     homography::{UNIT_SQUARE, apply},
@@ -25,15 +25,16 @@ pub struct Neighbour {
     pub rect_origin: DVec2,
     /// The neighbour's mesh, if it has one: its image at a point of its rectangle, which is the same without one.
     pub mesh: Option<Arc<Mesh>>,
-    /// From the neighbour's image to its pixels: [`Projector::raster_from_image`].
-    pub raster_from_image: DMat3,
+    /// From the neighbour's image to its pixels, both as seen on the wall: [`Projector::upright_from_image`].
+    pub upright_from_image: DMat3,
     /// The columns and rows of those pixels.
-    pub raster_size: DVec2,
+    pub upright_size: DVec2,
     /// The edges of its image towards which its light fades, 1 or 0: left, upper, right, lower. Without a mesh, edges of
     /// the canvas are not among them: no projector takes over there.
     pub image_edges: DVec4,
-    /// The same for the edges of its pixels: those that cut its image.
-    pub raster_edges: DVec4,
+    /// The same for the edges of its pixels that cut its image, and how steeply it fades: the inverse of the distance, in
+    /// sides of its pixels, over which it does; 0 for the others.
+    pub raster_fades: DVec4,
     /// The least and greatest corner of the part of the projector's rectangle that it can change.
     pub reach: [DVec2; 2],
 }
@@ -49,6 +50,12 @@ pub const LEAST_DISTANCE: f64 = 1e-5;
 /// found to within a part in ten thousand.
 pub const MESH_TOLERANCE: f64 = 1e-3;
 
+/// Where pixels' edges cut an image at the edge of the canvas, its light fades over so many times the deepest cut: it is
+/// nearly all there elsewhere, as without the cut.
+const FADE_PER_CUT: f64 = 4.0;
+/// And over at least so many pixels.
+const LEAST_FADE_PX: f64 = 4.0;
+
 impl Neighbour {
     /// The point of the neighbour's image at a point of the projector's rectangle, as the GPU finds it.
     pub fn image_near(&self, rect_point: DVec2) -> DVec2 {
@@ -58,14 +65,14 @@ impl Neighbour {
 
     /// Whether the neighbour's pixels light a point of the projector's rectangle.
     fn is_lit(&self, rect_point: DVec2) -> bool {
-        let raster = apply(self.raster_from_image, self.image_near(rect_point));
-        raster.is_some_and(|raster| raster.cmpge(DVec2::ZERO).all() && raster.cmple(DVec2::ONE).all())
+        let upright = apply(self.upright_from_image, self.image_near(rect_point));
+        upright.is_some_and(|upright| upright.cmpge(DVec2::ZERO).all() && upright.cmple(DVec2::ONE).all())
     }
 }
 
 /// The neighbours of each projector, itself first; or a projector that has too many, and their number.
 pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usize, usize)> {
-    let maps: Vec<Option<DMat3>> = projectors.iter().map(Projector::raster_from_image).collect();
+    let maps: Vec<Option<DMat3>> = projectors.iter().map(Projector::upright_from_image).collect();
     let boxes: Vec<_> = projectors.iter().map(|projector| bounds(&lit_outline(projector))).collect();
     let of = |projector_idx: usize| {
         let projector = &projectors[projector_idx];
@@ -79,6 +86,9 @@ pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usiz
             let (rect, other_rect) = (projector.canvas, other.canvas);
             let rect_origin = other_rect.rect_from_canvas(rect.canvas_from_rect(DVec2::ZERO));
             let rect_scale = DVec2::new(rect.width / other_rect.width, rect.height / other_rect.height);
+            let upright_from_image = maps[other_idx]?;
+            let upright_size = DVec2::from(other.upright_size().map(f64::from));
+            let image_edges = if other.mesh.is_some() { DVec4::ONE } else { inner_edges(other.canvas) };
             Some(Neighbour {
                 projector_idx: other_idx,
                 blends,
@@ -86,10 +96,10 @@ pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usiz
                 rect_scale,
                 rect_origin,
                 mesh: other.mesh.clone(),
-                raster_from_image: maps[other_idx]?,
-                raster_size: other.output.size(),
-                image_edges: if other.mesh.is_some() { DVec4::ONE } else { inner_edges(other.canvas) },
-                raster_edges: cutting_edges(maps[other_idx]?),
+                upright_from_image,
+                upright_size,
+                image_edges,
+                raster_fades: raster_fades(upright_from_image, upright_size, image_edges),
                 reach: reach(projector, other, boxes[other_idx].filter(|_| leaks)),
             })
         };
@@ -123,11 +133,18 @@ fn inner_edges(CanvasRect { left, bottom, width, height }: CanvasRect) -> DVec4 
     DVec4::new(left, 1.0 - bottom - height, 1.0 - left - width, bottom).map(is_inner)
 }
 
-/// The edges of a projector's pixels that cut its image by more than a rounding error, 1 or 0.
-fn cutting_edges(raster_from_image: DMat3) -> DVec4 {
-    let corners = UNIT_SQUARE.map(|corner| apply(raster_from_image, corner).map_or(DVec4::ZERO, distances_from_edges));
-    let nearest = corners.into_iter().fold(DVec4::INFINITY, DVec4::min);
-    nearest.map(|distance| f64::from(u8::from(distance < -LEAST_DISTANCE)))
+/// See [`Neighbour::raster_fades`]; edges that cut by no more than a rounding error count as those that do not.
+fn raster_fades(upright_from_image: DMat3, upright_size: DVec2, image_edges: DVec4) -> DVec4 {
+    let corners = UNIT_SQUARE.map(|at| apply(upright_from_image, at).map_or(DVec4::ZERO, distances_from_edges));
+    let cuts = -corners.into_iter().fold(DVec4::INFINITY, DVec4::min);
+    let sides = upright_size.xyxy();
+    let fade = |edge: usize| match cuts[edge] > LEAST_DISTANCE {
+        // Fades from edge to edge, as towards the image's own edge.
+        true if image_edges[edge] > 0.0 => 1.0,
+        true => 1.0 / (FADE_PER_CUT * cuts[edge] + LEAST_FADE_PX / sides[edge]),
+        false => 0.0,
+    };
+    DVec4::from([0, 1, 2, 3].map(fade))
 }
 
 /// The greatest sum of black levels on the canvas, to which the black of the whole wall is lifted.

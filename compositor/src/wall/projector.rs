@@ -142,10 +142,14 @@ impl Projector {
     ///
     /// `None` if the warped corners are crossed, folded, or mirrored.
     pub fn raster_from_image(&self) -> Option<DMat3> {
+        Some(self.raster_from_upright() * self.upright_from_image()?)
+    }
+
+    /// The same to its pixels as seen on the wall.
+    pub fn upright_from_image(&self) -> Option<DMat3> {
         let upright_px = DVec2::from(self.upright_size().map(f64::from));
         let corner = |index: usize| UNIT_SQUARE[index] + DVec2::from(self.warp_px[index]) / upright_px;
-        let upright_from_image = square_to_quad([corner(0), corner(1), corner(2), corner(3)])?;
-        Some(self.raster_from_upright() * upright_from_image)
+        square_to_quad([corner(0), corner(1), corner(2), corner(3)])
     }
 
     /// The point of its image at a point of its rectangle.
