@@ -50,6 +50,12 @@ pub enum MeshError {
          from the upper left of the picture, as seen on the wall, to the right and down"
     )]
     Folded { column: usize, row: usize },
+    #[error(
+        "its control points all lie on one place or line, from ({}, {}) to ({}, {}) of the canvas, which runs from (0, 0) to \
+         (1, 1): write each point's own place",
+        least.x, least.y, greatest.x, greatest.y
+    )]
+    Flat { least: DVec2, greatest: DVec2 },
     #[error("the mesh lies beyond the canvas: its points are metres from the canvas's lower-left corner")]
     BeyondCanvas,
 }
@@ -81,7 +87,7 @@ impl Mesh {
             file,
             size,
             padded: padded(size, points),
-            bounds: bounds(points).ok_or(MeshError::BeyondCanvas)?,
+            bounds: bounds(points)?,
             inverse: Inverse::default(),
         };
         if let Some([column, row]) = mesh.fold() {
@@ -254,17 +260,20 @@ fn padded([columns, rows]: [usize; 2], points: &[DVec2]) -> Vec<DVec2> {
     padded
 }
 
-/// The part of the canvas around points; `None` if it is nearly empty.
-fn bounds(points: &[DVec2]) -> Option<CanvasRect> {
-    let least = points.iter().copied().fold(DVec2::INFINITY, DVec2::min).max(DVec2::ZERO);
-    let greatest = points.iter().copied().fold(DVec2::NEG_INFINITY, DVec2::max).min(DVec2::ONE);
+/// The part of the canvas around points.
+fn bounds(points: &[DVec2]) -> Result<CanvasRect, MeshError> {
+    let least = points.iter().copied().fold(DVec2::INFINITY, DVec2::min);
+    let greatest = points.iter().copied().fold(DVec2::NEG_INFINITY, DVec2::max);
+    let is_area = |size: DVec2| size.cmpgt(DVec2::splat(LEAST_SIDE)).all();
+    if !is_area(greatest - least) {
+        return Err(MeshError::Flat { least, greatest });
+    }
+    let (least, greatest) = (least.max(DVec2::ZERO), greatest.min(DVec2::ONE));
     let size = greatest - least;
-    size.cmpgt(DVec2::splat(LEAST_SIDE)).all().then_some(CanvasRect {
-        left: least.x,
-        bottom: least.y,
-        width: size.x,
-        height: size.y,
-    })
+    if !is_area(size) {
+        return Err(MeshError::BeyondCanvas);
+    }
+    Ok(CanvasRect { left: least.x, bottom: least.y, width: size.x, height: size.y })
 }
 
 #[cfg(test)]
