@@ -73,7 +73,7 @@ struct ProjectorSection {
 }
 
 /// Plausible sides of canvases, in metres.
-const CANVAS_SIDES_M: RangeInclusive<f64> = 0.01..=1000.0;
+pub(crate) const CANVAS_SIDES_M: RangeInclusive<f64> = 0.01..=1000.0;
 /// Plausible numbers of columns or rows.
 const GRID_SIDES: RangeInclusive<u32> = 1..=64;
 /// The most projectors of a wall; the largest grid has as many.
@@ -260,8 +260,13 @@ impl ProjectorSection {
         let missing =
             |key: &str, what: &str| (format!("{path}.name"), format!("\"{name}\" needs {key} = [..., ...]: {what}"));
         let [width, height] = self.pixels.ok_or_else(|| missing("pixels", "its columns and rows"))?;
-        let at_m = self.at_m.ok_or_else(|| missing("at_m", "its lower-left corner on the canvas, in metres"))?;
-        let size_m = self.size_m.ok_or_else(|| missing("size_m", "its width and height in metres"))?;
+        let (mut at_m, mut size_m) = (self.at_m, self.size_m);
+        if self.mesh.is_some() {
+            // Both follow from the mesh.
+            (at_m, size_m) = (Some([0.0; 2]), Some(canvas_m));
+        }
+        let at_m = at_m.ok_or_else(|| missing("at_m", "its lower-left corner on the canvas, in metres"))?;
+        let size_m = size_m.ok_or_else(|| missing("size_m", "its width and height in metres"))?;
         let right = before.iter().map(|projector| projector.output.x.saturating_add(projector.output.width)).max();
         let [x, y] = self.pixels_at.unwrap_or([right.unwrap_or(0), 0]);
         let canvas = CanvasRect {
@@ -321,13 +326,17 @@ impl ProjectorSection {
             projector;
         // To the nanometre: hides the rounding error of thirds.
         let metres = |fraction: f64, side_m: f64| (fraction * side_m * 1e9).round() / 1e9;
+        let place = mesh.is_none().then(|| {
+            let at_m = [metres(canvas.left, width_m), metres(canvas.bottom, height_m)];
+            (at_m, [metres(canvas.width, width_m), metres(canvas.height, height_m)])
+        });
         Self {
             name: name.clone(),
             output: monitor.clone(),
             pixels: Some([output.width, output.height]),
             pixels_at: Some([output.x, output.y]),
-            at_m: Some([metres(canvas.left, width_m), metres(canvas.bottom, height_m)]),
-            size_m: Some([metres(canvas.width, width_m), metres(canvas.height, height_m)]),
+            at_m: place.map(|(at_m, _)| at_m),
+            size_m: place.map(|(_, size_m)| size_m),
             rotation: Some(rotation.degrees()),
             flip: Some(*flip),
             warp_px: Some(*warp_px),
