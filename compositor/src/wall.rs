@@ -21,6 +21,7 @@ use serde::{Deserialize, Serialize};
 use shared::{division::FrameSize, toml_text::plain_problem};
 
 use blend::Neighbour;
+pub(crate) use file::CANVAS_SIDES_M;
 pub use projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
 pub use surface::Surface;
 
