@@ -2,6 +2,7 @@
 // optics.wgsl for each frame.
 //
 // Paired with compositor/src/gpu/blend_weights.rs; its twin on the CPU is `blend_weight` in tests/src/present_cpu.rs.
+// keys.wgsl comes before it.
 
 @group(0) @binding(0) var<storage, read> projectors: array<Projector>;
 @group(0) @binding(1) var<storage, read> neighbours: array<Neighbour>;
@@ -10,6 +11,9 @@
 @group(0) @binding(2) var<storage, read> image_points: array<vec2f>;
 // Each pixel's place in its projector's rectangle, if that projector has a mesh, drawn by places.wgsl.
 @group(0) @binding(3) var places: texture_2d<f32>;
+// Projectors' light over that at their darkest point, on lattices over their pixels, row by row from the upper left, in a
+// border of points that continue it.
+@group(0) @binding(4) var<storage, read> excesses: array<f32>;
 
 // One projector on the target. Matches `ProjectorRecord` in blend_weights.rs.
 struct Projector {
@@ -51,6 +55,8 @@ struct Neighbour {
     first_point: u32,
     mesh_columns: u32,
     mesh_rows: u32,
+    // The number of its lattice in `excesses`, from 1; 0 if its light does not fall off.
+    fall_off: u32,
 }
 
 struct Quad {
@@ -115,7 +121,30 @@ fn image_at(first_point: u32, mesh_columns: u32, mesh_rows: u32, rect_point: vec
     );
 }
 
-// Red is the pixel's blend weight, green the light of all projectors' black there.
+// `FallOff::SIDE` in compositor/src/wall/fall_off.rs.
+const FALL_OFF_SIDE: u32 = 5u;
+
+// A projector's light at a point of its pixels over that at its darkest point.
+fn excess_at(fall_off: u32, upright: vec2f) -> f32 {
+    if (fall_off == 0u) {
+        return 1.0;
+    }
+    let stride = FALL_OFF_SIDE + 2u;
+    let at = clamp(upright, vec2f(0.0), vec2f(1.0)) * f32(FALL_OFF_SIDE - 1u);
+    let cell = min(floor(at), vec2f(f32(FALL_OFF_SIDE - 2u)));
+    let across = keys_weights(at.x - cell.x);
+    let down = keys_weights(at.y - cell.y);
+    var excess = 0.0;
+    var first = (fall_off - 1u) * stride * stride + u32(cell.y) * stride + u32(cell.x);
+    for (var row = 0; row < 4; row++) {
+        let points = vec4f(excesses[first], excesses[first + 1u], excesses[first + 2u], excesses[first + 3u]);
+        excess += dot(points, across) * down[row];
+        first += stride;
+    }
+    return excess;
+}
+
+// Red is the pixel's blend weight, dimmed by the fall-off, green the light of all projectors' black there.
 @fragment
 fn fragment(quad: Quad) -> @location(0) vec4f {
     let index = quad.projector_idx;
@@ -141,6 +170,7 @@ fn fragment(quad: Quad) -> @location(0) vec4f {
 
     // Add up the weights and the black of all projectors that light this point.
     var own = 0.0;
+    var own_excess = 1.0;
     var all_weights = 0.0;
     var leak = 0.0;
     let first = projectors[index].first_neighbour;
@@ -169,15 +199,19 @@ fn fragment(quad: Quad) -> @location(0) vec4f {
             weight = (*neighbour).blends
                 * distances(image_within, upright, (*neighbour).image_edges, (*neighbour).raster_fades, tolerance);
         }
-        own = select(own, weight, n == 0u);
         all_weights += weight;
         let beyond = (*neighbour).upright_from_image * vec3f(image_beyond, 1.0);
         // A pixel at the edge gives its light on both sides of it.
         let edge = min(beyond.xy, beyond.zz - beyond.xy) / max(beyond.z, 1e-9);
         let lit = clamp(edge * (*neighbour).upright_size + 0.5, vec2f(0.0), vec2f(1.0));
-        leak += select(0.0, (*neighbour).black_level * lit.x * lit.y, beyond.z > 1e-9);
+        let excess = excess_at((*neighbour).fall_off, beyond.xy / max(beyond.z, 1e-9));
+        leak += select(0.0, (*neighbour).black_level * excess * lit.x * lit.y, beyond.z > 1e-9);
+        if (n == 0u) {
+            own = weight;
+            own_excess = excess;
+        }
     }
-    var blend_weight = covered.x * covered.y * own / max(all_weights, 1e-37);
+    var blend_weight = covered.x * covered.y * own / max(all_weights, 1e-37) / own_excess;
     if (image.z <= 1e-9) {
         blend_weight = 0.0;
     }

@@ -46,19 +46,37 @@ flip = "vertical"
 warp_px = [[-3.0, -2.0], [2.0, -3.0], [4.0, 1.0], [0.0, 0.0]]
 "#;
 
+/// The same with light that falls off within both, as a quadratic function.
+pub(crate) const FALL_OFF: &str = "fall_off = [ \
+    [0.8125, 0.925, 0.9625, 0.925, 0.8125], \
+    [0.85, 0.9625, 1.0, 0.9625, 0.85], \
+    [0.8125, 0.925, 0.9625, 0.925, 0.8125], \
+    [0.7, 0.8125, 0.85, 0.8125, 0.7], \
+    [0.5125, 0.625, 0.6625, 0.625, 0.5125], \
+]";
+
+pub(crate) fn uneven() -> Wall {
+    let [upright, turned] = ["gamma = 1.8\n", "gamma = 2.4\n"];
+    let text = [upright, turned].iter().fold(CROOKED.to_owned(), |text, key| {
+        text.replacen(key, &format!("{key}{FALL_OFF}\n"), 1)
+    });
+    Wall::from_toml("uneven", &text).unwrap()
+}
+
 #[test]
 fn crooked_walls_equal_their_cpu_twin() {
     let gpu = gpu();
     let mut present = Present::new(&gpu);
-    let wall = Wall::from_toml("crooked", CROOKED).unwrap();
-    for (what, frame) in Frame::all([64, 36]) {
-        present.upload(&gpu, frame.size, &frame.rgba).unwrap();
-        // Actual size, letterboxed, magnified, tiny; with and without the GPU's own sRGB.
-        for (size, has_srgb_view) in
-            [(wall.output_size(), true), ([300, 200], false), ([900, 500], true), ([1, 1], true)]
-        {
-            let offscreen = Offscreen::with_srgb_view(&gpu, size, has_srgb_view).unwrap();
-            check_twin(&gpu, &draw(&gpu, &mut present, &wall, &offscreen), what, &frame, &wall);
+    for wall in [Wall::from_toml("crooked", CROOKED).unwrap(), uneven()] {
+        for (what, frame) in Frame::all([64, 36]) {
+            present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+            // Actual size, letterboxed, magnified, tiny; with and without the GPU's own sRGB.
+            for (size, has_srgb_view) in
+                [(wall.output_size(), true), ([300, 200], false), ([900, 500], true), ([1, 1], true)]
+            {
+                let offscreen = Offscreen::with_srgb_view(&gpu, size, has_srgb_view).unwrap();
+                check_twin(&gpu, &draw(&gpu, &mut present, &wall, &offscreen), what, &frame, &wall);
+            }
         }
     }
 }

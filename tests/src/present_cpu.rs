@@ -5,7 +5,7 @@ use std::sync::Arc;
 use compositor::{
     gpu::RgbImage,
     wall::{
-        Gamma, PixelRect, Projector, Wall,
+        FallOff, Flip, Gamma, PixelRect, Projector, Wall,
         blend::{LEAST_DISTANCE, MESH_TOLERANCE, Neighbour, distances_from_edges},
         homography::apply,
         mesh::Mesh,
@@ -78,7 +78,8 @@ fn corrected(size: FrameSize, rgba: &[u8], wall: &Wall, projector_idx: usize, ou
     }
 
     let BlendWeight { weight, leak } = blend_weight(wall.neighbours(projector_idx), rect_point);
-    let light_fraction = covered * weight;
+    // Brighter places are dimmed to the darkest.
+    let light_fraction = covered * weight / excess(projector.fall_off.as_ref(), upright_of(projector, output));
     let linear = frame_at(size, rgba, projector, rect_point.clamp(DVec2::ZERO, DVec2::ONE));
     std::array::from_fn(|channel| {
         let light = light_fraction * (wall.black() + (1.0 - wall.black()) * linear[channel] - leak).max(0.0);
@@ -91,7 +92,12 @@ fn corrected(size: FrameSize, rgba: &[u8], wall: &Wall, projector_idx: usize, ou
 /// beyond the edges so that quadratic functions stay what they are.
 fn interpolated(mesh: &Mesh, image: DVec2) -> DVec2 {
     let points: Vec<DVec2> = mesh.points().collect();
-    let size = mesh.size().map(|n| n as i64);
+    keys(&points, mesh.size(), image)
+}
+
+/// Between points of a lattice over the unit square, row by row from the top.
+fn keys(points: &[DVec2], size: [usize; 2], image: DVec2) -> DVec2 {
+    let size = size.map(|n| n as i64);
     let at = |n: i64, of: i64| -> Vec<(i64, f64)> {
         match n {
             -1 if of > 2 => vec![(0, 3.0), (1, -3.0), (2, 1.0)],
@@ -116,6 +122,31 @@ fn interpolated(mesh: &Mesh, image: DVec2) -> DVec2 {
     let point = |column: i64, row: i64| points[(row * size[0] + column) as usize];
     let row = |row: i64| across.iter().map(|(column, weight)| point(*column, row) * *weight).sum::<DVec2>();
     down.iter().map(|(index, weight)| row(*index) * *weight).sum()
+}
+
+/// A projector's light at a point of its pixels as seen on the wall, over that at its darkest control point.
+fn excess(fall_off: Option<&FallOff>, upright: DVec2) -> f64 {
+    let Some(fall_off) = fall_off else { return 1.0 };
+    let rows: Vec<Vec<f64>> = fall_off.clone().into();
+    let parts: Vec<DVec2> = rows.iter().flatten().map(|part| DVec2::splat(*part)).collect();
+    let least = parts.iter().map(|part| part.x).fold(f64::INFINITY, f64::min);
+    keys(&parts, [5, 5], upright.clamp(DVec2::ZERO, DVec2::ONE)).x / least
+}
+
+/// A point of the output among a projector's pixels as seen on the wall, from (0, 0) upper left to (1, 1).
+fn upright_of(projector: &Projector, output: DVec2) -> DVec2 {
+    let mut at = raster_of(projector, output);
+    match projector.flip {
+        Flip::None => {}
+        Flip::Horizontal => at.x = 1.0 - at.x,
+        Flip::Vertical => at.y = 1.0 - at.y,
+    }
+    match projector.rotation.degrees() {
+        0 => at,
+        90 => DVec2::new(1.0 - at.y, at.x),
+        180 => 1.0 - at,
+        _ => DVec2::new(at.y, 1.0 - at.x),
+    }
 }
 
 /// A point of the output among a projector's pixels, which run from (0, 0) to (1, 1).
@@ -174,11 +205,9 @@ fn blend_weight(neighbours: &[Neighbour], rect_point: DVec2) -> BlendWeight {
     };
     // A pixel at the edge gives its light on both sides of it.
     let leak = |neighbour: &Neighbour| {
-        let covered = apply(neighbour.upright_from_image, neighbour.image_near(rect_point))
-            .map_or(DVec2::ZERO, |upright| {
-                (upright.min(1.0 - upright) * neighbour.upright_size + 0.5).clamp(DVec2::ZERO, DVec2::ONE)
-            });
-        neighbour.black_level * covered.x * covered.y
+        let Some(upright) = apply(neighbour.upright_from_image, neighbour.image_near(rect_point)) else { return 0.0 };
+        let covered = (upright.min(1.0 - upright) * neighbour.upright_size + 0.5).clamp(DVec2::ZERO, DVec2::ONE);
+        neighbour.black_level * excess(neighbour.fall_off.as_ref(), upright) * covered.x * covered.y
     };
     let own = neighbours.first().map_or(0.0, raw_weight);
     let all: f64 = neighbours.iter().map(raw_weight).sum();

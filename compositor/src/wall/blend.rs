@@ -5,6 +5,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec2, DVec4, Vec2Swizzles};
 
 use super::{
+    fall_off::FallOff,
     homography::{UNIT_SQUARE, apply},
     mesh::Mesh,
     projector::{CanvasRect, Projector},
@@ -19,6 +20,8 @@ pub struct Neighbour {
     pub blends: bool,
     /// Its black level.
     pub black_level: f64,
+    /// The fall-off of its light.
+    pub fall_off: Option<FallOff>,
     /// From units of the projector's rectangle to those of the neighbour's: `rect_origin + rect_scale * point`.
     pub rect_scale: DVec2,
     /// See `rect_scale`.
@@ -63,10 +66,16 @@ impl Neighbour {
         self.mesh.as_ref().map_or(own, |mesh| mesh.image_near(mesh.bounds().canvas_from_rect(own)))
     }
 
-    /// Whether the neighbour's pixels light a point of the projector's rectangle.
-    fn is_lit(&self, rect_point: DVec2) -> bool {
+    /// The light of its black at a point of the projector's rectangle.
+    fn leak(&self, rect_point: DVec2) -> f64 {
         let upright = apply(self.upright_from_image, self.image_near(rect_point));
-        upright.is_some_and(|upright| upright.cmpge(DVec2::ZERO).all() && upright.cmple(DVec2::ONE).all())
+        let is_lit = |upright: &DVec2| upright.cmpge(DVec2::ZERO).all() && upright.cmple(DVec2::ONE).all();
+        upright.filter(is_lit).map_or(0.0, |upright| self.black_level * self.excess(upright))
+    }
+
+    /// Its light at a point of its pixels, over that at its darkest point.
+    pub fn excess(&self, upright: DVec2) -> f64 {
+        self.fall_off.as_ref().map_or(1.0, |fall_off| fall_off.excess(upright))
     }
 }
 
@@ -93,6 +102,7 @@ pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usiz
                 projector_idx: other_idx,
                 blends,
                 black_level: other.black_level,
+                fall_off: other.fall_off.clone(),
                 rect_scale,
                 rect_origin,
                 mesh: other.mesh.clone(),
@@ -149,11 +159,11 @@ fn raster_fades(upright_from_image: DMat3, upright_size: DVec2, image_edges: DVe
 
 /// The greatest sum of black levels on the canvas, to which the black of the whole wall is lifted.
 pub fn wall_black(projectors: &[Projector], neighbours: &[Vec<Neighbour>]) -> f64 {
-    let is_bent = projectors.iter().any(|projector| projector.mesh.is_some());
-    if is_bent { sampled_black(projectors, neighbours) } else { exact_black(projectors, neighbours) }
+    let is_uneven = projectors.iter().any(|projector| projector.mesh.is_some() || projector.fall_off.is_some());
+    if is_uneven { sampled_black(projectors, neighbours) } else { exact_black(projectors, neighbours) }
 }
 
-/// The greatest sum at points spread over each projector's pixels, whose overlaps may have any shape.
+/// The greatest sum at points spread over each projector's pixels: overlaps and light may have any shape.
 fn sampled_black(projectors: &[Projector], neighbours: &[Vec<Neighbour>]) -> f64 {
     /// Points a side: an overlap that all of them miss is no wider than a sixty-fourth of a projector.
     const SIDE: u32 = 64;
@@ -167,8 +177,7 @@ fn sampled_black(projectors: &[Projector], neighbours: &[Vec<Neighbour>]) -> f64
             };
             let canvas = projector.canvas.canvas_from_rect(rect_point);
             if canvas.cmpge(DVec2::ZERO).all() && canvas.cmple(DVec2::ONE).all() {
-                let others = all.iter().skip(1).filter(|it| it.black_level > 0.0 && it.is_lit(rect_point));
-                most = most.max(projector.black_level + others.map(|it| it.black_level).sum::<f64>());
+                most = most.max(all.iter().map(|it| it.leak(rect_point)).sum());
             }
         }
     }

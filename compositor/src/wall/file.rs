@@ -10,7 +10,7 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use super::{CanvasRect, Flip, Gamma, InvalidWall, OnLoss, PixelRect, Projector, Rotation, Surface, Wall, mesh::Mesh};
+use super::{CanvasRect, FallOff, Flip, Gamma, InvalidWall, OnLoss, PixelRect, Projector, Rotation, Surface, Wall, mesh::Mesh};
 
 /// The path of the key at fault, for example `grid.pixels` or `projector.0.gamma`, and the problem.
 type Problem = (String, String);
@@ -39,6 +39,7 @@ struct OpticsSection {
     gamma: Option<Gamma>,
     black_level: Option<f64>,
     gain: Option<[f64; 3]>,
+    fall_off: Option<FallOff>,
 }
 
 /// `columns` × `rows` equal projectors.
@@ -70,6 +71,7 @@ struct ProjectorSection {
     gamma: Option<Gamma>,
     black_level: Option<f64>,
     gain: Option<[f64; 3]>,
+    fall_off: Option<FallOff>,
 }
 
 /// Plausible sides of canvases, in metres.
@@ -246,6 +248,7 @@ impl OpticsSection {
                 in_range("black_level", level, BLACK_LEVELS, "the light of black as a part of white")?;
         }
         projector.gain = self.gain.unwrap_or(projector.gain);
+        projector.fall_off = self.fall_off.clone().or(projector.fall_off.take());
         for channel in self.gain.into_iter().flatten() {
             in_range("gain", channel, GAINS, "the factors of red, green and blue")?;
         }
@@ -302,7 +305,8 @@ impl ProjectorSection {
         projector.monitor.clone_from(&self.output);
         projector.warp_px = self.warp_px.unwrap_or(projector.warp_px);
         let Self { rotation, flip, gamma, black_level, gain, .. } = *self;
-        OpticsSection { rotation, flip, gamma, black_level, gain }.apply_to(projector, path)
+        let fall_off = self.fall_off.clone();
+        OpticsSection { rotation, flip, gamma, black_level, gain, fall_off }.apply_to(projector, path)
     }
 
     /// The mesh that a file beside the wall file holds.
@@ -322,8 +326,8 @@ impl ProjectorSection {
 
     /// The table of a projector, complete.
     fn of(projector: &Projector, [width_m, height_m]: [f64; 2]) -> Self {
-        let Projector { name, monitor, canvas, output, rotation, flip, warp_px, mesh, gamma, black_level, gain } =
-            projector;
+        let Projector { name, monitor, canvas, output, rotation, flip, warp_px, mesh, .. } = projector;
+        let Projector { gamma, black_level, gain, fall_off, .. } = projector;
         // To the nanometre: hides the rounding error of thirds.
         let metres = |fraction: f64, side_m: f64| (fraction * side_m * 1e9).round() / 1e9;
         let place = mesh.is_none().then(|| {
@@ -344,6 +348,7 @@ impl ProjectorSection {
             gamma: Some(*gamma),
             black_level: Some(*black_level),
             gain: Some(*gain),
+            fall_off: fall_off.clone(),
         }
     }
 }

@@ -6,6 +6,7 @@ use glam::{DMat3, DVec2};
 use serde::{Deserialize, Serialize};
 
 use super::{
+    fall_off::FallOff,
     homography::{UNIT_SQUARE, apply, square_to_quad},
     mesh::Mesh,
 };
@@ -37,6 +38,8 @@ pub struct Projector {
     pub black_level: f64,
     /// Factors that dim its red, green and blue to match the dimmest projector.
     pub gain: [f64; 3],
+    /// The fall-off of its light; `None` if it is even. Black level and gain are those at its darkest point.
+    pub fall_off: Option<FallOff>,
 }
 
 /// Quarter turns clockwise.
@@ -112,6 +115,7 @@ impl Projector {
             gamma: Gamma::Srgb,
             black_level: 0.0,
             gain: [1.0; 3],
+            fall_off: None,
         }
     }
 
