@@ -46,7 +46,7 @@ flip = "vertical"
 warp_px = [[-3.0, -2.0], [2.0, -3.0], [4.0, 1.0], [0.0, 0.0]]
 "#;
 
-/// The same with light that falls off within both, as a quadratic function.
+/// A quadratic function of the place: whoever interpolates finds the same.
 pub(crate) const FALL_OFF: &str = "fall_off = [ \
     [0.8125, 0.925, 0.9625, 0.925, 0.8125], \
     [0.85, 0.9625, 1.0, 0.9625, 0.85], \
@@ -55,11 +55,12 @@ pub(crate) const FALL_OFF: &str = "fall_off = [ \
     [0.5125, 0.625, 0.6625, 0.625, 0.5125], \
 ]";
 
+/// [`CROOKED`] with light that falls off within two of its projectors.
 pub(crate) fn uneven() -> Wall {
     let [upright, turned] = ["gamma = 1.8\n", "gamma = 2.4\n"];
-    let text = [upright, turned].iter().fold(CROOKED.to_owned(), |text, key| {
-        text.replacen(key, &format!("{key}{FALL_OFF}\n"), 1)
-    });
+    let text = [upright, turned]
+        .iter()
+        .fold(CROOKED.to_owned(), |text, key| text.replacen(key, &format!("{key}{FALL_OFF}\n"), 1));
     Wall::from_toml("uneven", &text).unwrap()
 }
 

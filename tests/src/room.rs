@@ -15,7 +15,7 @@ pub(crate) mod surface;
 
 use compositor::{
     gpu::{Gpu, Offscreen, Present, RgbImage},
-    wall::{Gamma, Projector, Wall},
+    wall::{Flip, Gamma, Projector, Wall},
 };
 use glam::DVec2;
 use proptest::prelude::*;
@@ -173,7 +173,7 @@ impl<'a> SimulatedProjector<'a> {
     fn excess(&self, px: [f64; 2]) -> f64 {
         let Some(fall_off) = &self.projector.fall_off else { return 1.0 };
         let parts: Vec<Vec<f64>> = fall_off.clone().into();
-        let seen = geometry::seen_px(self.projector, px);
+        let seen = seen_px(self.projector, px);
         let size = self.projector.upright_size().map(f64::from);
         // Lagrange's weights of five points from 0 to 1.
         let weight = |at: f64, n: usize| -> f64 {
@@ -207,6 +207,22 @@ impl<'a> SimulatedProjector<'a> {
                 }
             }
         }
+    }
+}
+
+/// The way back from [`geometry::stored_px`].
+fn seen_px(projector: &Projector, [x, y]: [f64; 2]) -> [f64; 2] {
+    let size = [projector.output.width, projector.output.height].map(f64::from);
+    let [x, y] = match projector.flip {
+        Flip::None => [x, y],
+        Flip::Horizontal => [size[0] - x, y],
+        Flip::Vertical => [x, size[1] - y],
+    };
+    match projector.rotation.degrees() {
+        0 => [x, y],
+        90 => [size[1] - y, x],
+        180 => [size[0] - x, size[1] - y],
+        _ => [y, size[0] - x],
     }
 }
 

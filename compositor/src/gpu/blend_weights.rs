@@ -195,7 +195,8 @@ impl BlendStage {
 
 impl Records {
     fn new(wall: &Wall, on_target: &[TargetProjector], target_size: [u32; 2]) -> Self {
-        let mut records = Self { projectors: Vec::new(), neighbours: Vec::new(), meshes: Vec::new(), fall_offs: Vec::new() };
+        let mut records =
+            Self { projectors: Vec::new(), neighbours: Vec::new(), meshes: Vec::new(), fall_offs: Vec::new() };
         for on_target in on_target {
             let first_neighbour = records.neighbours.len() as u32;
             records.projectors.push(ProjectorRecord::new(wall, on_target, target_size, first_neighbour));
@@ -228,7 +229,7 @@ impl Records {
 
     /// The excess of all fall-offs; one if there are none, as no buffer is empty.
     fn excesses(&self) -> Vec<f32> {
-        let excesses: Vec<f32> = self.fall_offs.iter().flat_map(|it| it.padded()).map(|it| *it as f32).collect();
+        let excesses: Vec<f32> = self.fall_offs.iter().flat_map(FallOff::padded).map(|it| *it as f32).collect();
         if excesses.is_empty() { vec![1.0] } else { excesses }
     }
 

@@ -34,7 +34,9 @@ impl FallOff {
         let flat = || parts.iter().flatten().copied();
         if let Some(part) = flat().find(|part| !PARTS.contains(part)) {
             let (least, most) = (PARTS.start(), PARTS.end());
-            return Err(format!("fall_off has {part}: parts of the light where it is brightest are from {least} to {most}"));
+            return Err(format!(
+                "fall_off has {part}: parts of the light where it is brightest are from {least} to {most}"
+            ));
         }
         let least = flat().fold(f64::INFINITY, f64::min);
         let excesses: Vec<f64> = flat().map(|part| part / least).collect();
@@ -89,7 +91,8 @@ mod tests {
 
     #[test]
     fn quadratic_fall_off_is_met_everywhere() {
-        let parts = std::array::from_fn(|row| std::array::from_fn(|column| light(DVec2::new(column as f64, row as f64) / 4.0)));
+        let parts =
+            std::array::from_fn(|row| std::array::from_fn(|column| light(DVec2::new(column as f64, row as f64) / 4.0)));
         let fall_off = FallOff::new(parts).expect("parts");
         let darkest = light(DVec2::ONE);
         for n in 0..400 {

@@ -10,7 +10,9 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use super::{CanvasRect, FallOff, Flip, Gamma, InvalidWall, OnLoss, PixelRect, Projector, Rotation, Surface, Wall, mesh::Mesh};
+use super::{
+    CanvasRect, FallOff, Flip, Gamma, InvalidWall, OnLoss, PixelRect, Projector, Rotation, Surface, Wall, mesh::Mesh,
+};
 
 /// The path of the key at fault, for example `grid.pixels` or `projector.0.gamma`, and the problem.
 type Problem = (String, String);

@@ -87,13 +87,8 @@ impl Mesh {
         if let Some(index) = points.iter().position(is_far) {
             return Err(MeshError::NoPlace { column: index % columns, row: index / columns });
         }
-        let mut mesh = Self {
-            file,
-            size,
-            padded: padded(size, points),
-            bounds: bounds(points)?,
-            inverse: Inverse::default(),
-        };
+        let mut mesh =
+            Self { file, size, padded: padded(size, points), bounds: bounds(points)?, inverse: Inverse::default() };
         if let Some([column, row]) = mesh.fold() {
             return Err(MeshError::Folded { column, row });
         }

@@ -154,6 +154,7 @@ fn what_cannot_be_a_wall_is_refused_with_line_and_cure() {
         (refined("name = \"row 1 column 1\"\ngamma = \"linear\""), 8, "a number such as 2.2, or \"srgb\""),
         (refined("name = \"row 1 column 1\"\nblack_level = -0.1"), 8, "from 0 to 0.25"),
         (refined("name = \"row 1 column 1\"\ngain = [1, 0, 1]"), 8, "from 0.05 to 1"),
+        (refined("name = \"row 1 column 1\"\nfall_off = [[1.0, 0.9]]"), 8, "5 rows of 5 numbers each"),
         (refined("name = \"row 1 column 1\"\nwarp_px = [[0, 0], [-2000, 0], [0, 0], [0, 0]]"), 8, "keep their order"),
         (refined("name = \"row 1 column 1\"\nwarp_px = [[0, 0], [nan, 0], [0, 0], [0, 0]]"), 8, "keep their order"),
         (refined("name = \"row 1 column 1\"\noutput = \"DP-1\""), 2, "give one to all, or to none"),
@@ -295,6 +296,20 @@ fn a_mesh_beside_the_wall_file_bends_its_projector() {
     assert!(flat(&mesh.to_pfm([0.0, 1.0])).contains("all lie on one place or line"), "{}", problem("flat.pfm"));
     std::fs::write(folder.path().join("mirrored.pfm"), mesh.to_pfm([-2.0, 1.0])).unwrap();
     assert!(problem("mirrored.pfm").contains("beyond the canvas"), "{}", problem("mirrored.pfm"));
+}
+
+#[test]
+fn fall_off_is_read_and_printed_again() {
+    let row = "[0.7, 0.9, 1.0, 0.9, 0.7]";
+    let text = format!(
+        "canvas_m = [1, 1]\n[optics]\nfall_off = [{row}, {row}, {row}, {row}, {row}]\n[grid]\ncolumns = 1\nrows = 1\n\
+         pixels = [4, 4]"
+    );
+    let wall = Wall::from_toml("a.toml", &text).unwrap();
+    let fall_off = wall.projectors()[0].fall_off.as_ref().expect("of all projectors");
+    assert!((fall_off.excess(DVec2::new(0.5, 0.3)) - 1.0 / 0.7).abs() < 1e-9);
+    assert!(!wall.is_plain(0));
+    assert_eq!(Wall::from_toml("a.toml", &wall.to_toml()).unwrap(), wall);
 }
 
 #[test]

@@ -35,22 +35,6 @@ pub(crate) fn stored_px(projector: &Projector, [x, y]: [f64; 2]) -> [f64; 2] {
     }
 }
 
-/// The way back from [`stored_px`].
-pub(crate) fn seen_px(projector: &Projector, [x, y]: [f64; 2]) -> [f64; 2] {
-    let size = [projector.output.width, projector.output.height].map(f64::from);
-    let [x, y] = match projector.flip {
-        Flip::None => [x, y],
-        Flip::Horizontal => [size[0] - x, y],
-        Flip::Vertical => [x, size[1] - y],
-    };
-    match projector.rotation.degrees() {
-        0 => [x, y],
-        90 => [size[1] - y, x],
-        180 => [size[0] - x, size[1] - y],
-        _ => [y, size[0] - x],
-    }
-}
-
 /// The image of a point under a homogeneous matrix; `None` behind the horizon.
 pub(crate) fn image(matrix: &[[f64; 3]; 3], [x, y]: [f64; 2]) -> Option<[f64; 2]> {
     let [column, row, depth] = matrix.map(|[a, b, c]| a * x + b * y + c);
