@@ -2,6 +2,7 @@
 // optics.wgsl for each frame.
 //
 // Paired with compositor/src/gpu/blend_weights.rs; its twin on the CPU is `blend_weight` in tests/src/present_cpu.rs.
+// keys.wgsl comes before it.
 
 @group(0) @binding(0) var<storage, read> projectors: array<Projector>;
 @group(0) @binding(1) var<storage, read> neighbours: array<Neighbour>;
@@ -10,6 +11,9 @@
 @group(0) @binding(2) var<storage, read> image_points: array<vec2f>;
 // Each pixel's place in its projector's rectangle, if that projector has a mesh, drawn by places.wgsl.
 @group(0) @binding(3) var places: texture_2d<f32>;
+// Projectors' light over that at their darkest point, on lattices over their pixels, row by row from the upper left, in a
+// border of points that continue it.
+@group(0) @binding(4) var<storage, read> excesses: array<f32>;
 
 // One projector on the target. Matches `ProjectorRecord` in blend_weights.rs.
 struct Projector {
@@ -31,17 +35,19 @@ struct Projector {
 
 // A projector that lights a part of the same rectangle. Matches `NeighbourRecord` in blend_weights.rs.
 struct Neighbour {
-    // Homography from the neighbour's image to its pixels, which run from (0, 0) to (1, 1).
-    raster_from_image: mat3x3f,
+    // Homography from the neighbour's image to its pixels, which run from (0, 0) upper left as seen on the wall to (1, 1).
+    upright_from_image: mat3x3f,
     // From the projector's rectangle to the neighbour's: origin, scale.
     neighbour_rect_from_rect: vec4f,
     // The part of the projector's rectangle that the neighbour can change: left, upper, right, lower.
     reach: vec4f,
-    // The edges of its image, and of its pixels, towards which its light fades, 1 or 0: left, upper, right, lower.
+    // The edges of its image towards which its light fades, 1 or 0: left, upper, right, lower.
     image_edges: vec4f,
-    raster_edges: vec4f,
+    // The edges of its pixels that cut its image: the inverse of the distance over which its light fades towards them; 0
+    // for the others.
+    raster_fades: vec4f,
     // The columns and rows of those pixels.
-    raster_size: vec2f,
+    upright_size: vec2f,
     black_level: f32,
     // 1 if it has a blend weight here, 0 if only its black counts.
     blends: f32,
@@ -49,6 +55,8 @@ struct Neighbour {
     first_point: u32,
     mesh_columns: u32,
     mesh_rows: u32,
+    // The number of its lattice in `excesses`, from 1; 0 if its light does not fall off.
+    fall_off: u32,
 }
 
 struct Quad {
@@ -69,12 +77,16 @@ fn vertex(@builtin(vertex_index) corner: u32, @builtin(instance_index) projector
 const LEAST_DISTANCE: f32 = 1e-5;
 const MESH_TOLERANCE: f32 = 1e-3;
 
-// The product of a point's distances from the chosen edges of the unit square; 0 outside of the square by more than a
-// tolerance.
-fn distances(point: vec2f, edges: vec4f, tolerance: f32) -> f32 {
-    let d = vec4f(point, 1.0 - point);
-    let counted = 1.0 + edges * (max(d, vec4f(LEAST_DISTANCE)) - 1.0);
-    return select(0.0, counted.x * counted.y * counted.z * counted.w, all(d >= vec4f(-tolerance)));
+// The product of the distances from the four edges of a neighbour's light; 0 outside of it by more than a tolerance. Of
+// the image's edge and the pixels' edge on the same side, the nearer one counts.
+fn distances(image: vec2f, upright: vec2f, image_edges: vec4f, raster_fades: vec4f, tolerance: f32) -> f32 {
+    let from_image = vec4f(image, 1.0 - image);
+    let from_pixels = vec4f(upright, 1.0 - upright);
+    let by_image = select(vec4f(1.0), from_image, image_edges > vec4f(0.0));
+    let by_pixels = select(vec4f(1.0), from_pixels * raster_fades, raster_fades > vec4f(0.0));
+    let nearest = max(min(by_image, by_pixels), vec4f(LEAST_DISTANCE));
+    let is_lit = all(min(from_image, from_pixels) >= vec4f(-tolerance));
+    return select(0.0, nearest.x * nearest.y * nearest.z * nearest.w, is_lit);
 }
 
 // The part of a pixel that lies inside the unit square, for each axis, by the size of the pixel there.
@@ -109,7 +121,30 @@ fn image_at(first_point: u32, mesh_columns: u32, mesh_rows: u32, rect_point: vec
     );
 }
 
-// Red is the pixel's blend weight, green the light of all projectors' black there.
+// `FallOff::SIDE` in compositor/src/wall/fall_off.rs.
+const FALL_OFF_SIDE: u32 = 5u;
+
+// A projector's light at a point of its pixels over that at its darkest point.
+fn excess_at(fall_off: u32, upright: vec2f) -> f32 {
+    if (fall_off == 0u) {
+        return 1.0;
+    }
+    let stride = FALL_OFF_SIDE + 2u;
+    let at = clamp(upright, vec2f(0.0), vec2f(1.0)) * f32(FALL_OFF_SIDE - 1u);
+    let cell = min(floor(at), vec2f(f32(FALL_OFF_SIDE - 2u)));
+    let across = keys_weights(at.x - cell.x);
+    let down = keys_weights(at.y - cell.y);
+    var excess = 0.0;
+    var first = (fall_off - 1u) * stride * stride + u32(cell.y) * stride + u32(cell.x);
+    for (var row = 0; row < 4; row++) {
+        let points = vec4f(excesses[first], excesses[first + 1u], excesses[first + 2u], excesses[first + 3u]);
+        excess += dot(points, across) * down[row];
+        first += stride;
+    }
+    return excess;
+}
+
+// Red is the pixel's blend weight, dimmed by the fall-off, green the light of all projectors' black there.
 @fragment
 fn fragment(quad: Quad) -> @location(0) vec4f {
     let index = quad.projector_idx;
@@ -135,6 +170,7 @@ fn fragment(quad: Quad) -> @location(0) vec4f {
 
     // Add up the weights and the black of all projectors that light this point.
     var own = 0.0;
+    var own_excess = 1.0;
     var all_weights = 0.0;
     var leak = 0.0;
     let first = projectors[index].first_neighbour;
@@ -156,21 +192,26 @@ fn fragment(quad: Quad) -> @location(0) vec4f {
             image_beyond = image_at(first_point, mesh_columns, (*neighbour).mesh_rows, image_beyond);
             tolerance = MESH_TOLERANCE;
         }
-        let raster_within = (*neighbour).raster_from_image * vec3f(image_within, 1.0);
+        let upright_within = (*neighbour).upright_from_image * vec3f(image_within, 1.0);
         var weight = 0.0;
-        if (raster_within.z > 1e-9) {
-            weight = (*neighbour).blends * distances(image_within, (*neighbour).image_edges, tolerance)
-                * distances(raster_within.xy / raster_within.z, (*neighbour).raster_edges, tolerance);
+        if (upright_within.z > 1e-9) {
+            let upright = upright_within.xy / upright_within.z;
+            weight = (*neighbour).blends
+                * distances(image_within, upright, (*neighbour).image_edges, (*neighbour).raster_fades, tolerance);
         }
-        own = select(own, weight, n == 0u);
         all_weights += weight;
-        let raster = (*neighbour).raster_from_image * vec3f(image_beyond, 1.0);
+        let beyond = (*neighbour).upright_from_image * vec3f(image_beyond, 1.0);
         // A pixel at the edge gives its light on both sides of it.
-        let edge = min(raster.xy, raster.zz - raster.xy) / max(raster.z, 1e-9);
-        let lit = clamp(edge * (*neighbour).raster_size + 0.5, vec2f(0.0), vec2f(1.0));
-        leak += select(0.0, (*neighbour).black_level * lit.x * lit.y, raster.z > 1e-9);
+        let edge = min(beyond.xy, beyond.zz - beyond.xy) / max(beyond.z, 1e-9);
+        let lit = clamp(edge * (*neighbour).upright_size + 0.5, vec2f(0.0), vec2f(1.0));
+        let excess = excess_at((*neighbour).fall_off, beyond.xy / max(beyond.z, 1e-9));
+        leak += select(0.0, (*neighbour).black_level * excess * lit.x * lit.y, beyond.z > 1e-9);
+        if (n == 0u) {
+            own = weight;
+            own_excess = excess;
+        }
     }
-    var blend_weight = covered.x * covered.y * own / max(all_weights, 1e-37);
+    var blend_weight = covered.x * covered.y * own / max(all_weights, 1e-37) / own_excess;
     if (image.z <= 1e-9) {
         blend_weight = 0.0;
     }

@@ -2,7 +2,7 @@
 // read by blend_weights.wgsl, and by optics.wgsl for each frame.
 //
 // Paired with compositor/src/gpu/places.rs; its twin on the CPU is `Mesh::canvas_at` in compositor/src/wall/mesh.rs, which
-// tests compare with another program.
+// tests compare with another program. keys.wgsl comes before it.
 
 @group(0) @binding(0) var<storage, read> projectors: array<Projector>;
 // Control points in units of their projector's rectangle of the canvas, in a border of points that continue them.
@@ -37,13 +37,6 @@ fn vertex(@builtin(vertex_index) corner: u32, @builtin(instance_index) projector
     return Quad(vec4f(x, y, 0.0, 1.0), projector_idx);
 }
 
-// The weights of four points at a part of the way from the second to the third (Keys 1981).
-fn weights(t: f32) -> vec4f {
-    let t2 = t * t;
-    let t3 = t2 * t;
-    return vec4f(2.0 * t2 - t - t3, 2.0 - 5.0 * t2 + 3.0 * t3, t + 4.0 * t2 - 3.0 * t3, t3 - t2) * 0.5;
-}
-
 // The place in units of the projector's rectangle.
 @fragment
 fn fragment(quad: Quad) -> @location(0) vec4f {
@@ -53,8 +46,8 @@ fn fragment(quad: Quad) -> @location(0) vec4f {
     let within = clamp(image.xy / max(image.z, 1e-9), vec2f(0.0), vec2f(1.0));
     let at = within * (*projector).n_cells;
     let cell = min(floor(at), (*projector).n_cells - 1.0);
-    let across = weights(at.x - cell.x);
-    let down = weights(at.y - cell.y);
+    let across = keys_weights(at.x - cell.x);
+    let down = keys_weights(at.y - cell.y);
     var place = vec2f(0.0);
     var first = (*projector).first_point + u32(cell.y) * (*projector).n_columns + u32(cell.x);
     for (var row = 0; row < 4; row++) {

@@ -12,3 +12,11 @@ pub mod remote_args;
 pub mod report;
 pub(crate) mod restart;
 pub mod run;
+
+use std::path::Path;
+
+/// Refuses to write over a file that is there; the message names the cure.
+fn ensure_new(path: &Path, cure: &str) -> anyhow::Result<()> {
+    anyhow::ensure!(!path.exists(), "{} is there already: {cure}, or remove it", path.display());
+    Ok(())
+}

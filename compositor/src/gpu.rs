@@ -39,7 +39,10 @@ mod tests {
             let path = entry.expect(folder).path();
             if path.extension().is_some_and(|extension| extension == "wgsl") {
                 n_shaders += 1;
-                let source = std::fs::read_to_string(&path).expect("a shader is UTF-8");
+                let mut source = std::fs::read_to_string(&path).expect("a shader is UTF-8");
+                if source.contains("keys_weights(") && !source.contains("fn keys_weights(") {
+                    source.insert_str(0, include_str!("../../shaders/keys.wgsl"));
+                }
                 let is_stage = source.contains("frame_at(") && !source.contains("fn frame_at(");
                 let sources = if is_stage { FrameLayouts::sources(&source).to_vec() } else { vec![source] };
                 for source in sources {

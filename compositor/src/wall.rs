@@ -1,10 +1,12 @@
 //! The wall's geometry: the projectors, their parts of the canvas, their pixels and their light.
 //!
 //! In reading order: [`projector`] is one projector, [`homography`] the warp of one that stands askew, [`mesh`] that of one
-//! on a wall that is not flat, [`surface`] the shape of such a wall, [`blend`] the light of several where they overlap;
+//! on a wall that is not flat, [`surface`] the shape of such a wall, [`fall_off`] the light within a projector's field,
+//! [`blend`] that of several where they overlap;
 //! [`outline`] is the layout of drawings, and `file` reads and writes wall files.
 
 pub mod blend;
+pub mod fall_off;
 mod file;
 pub mod homography;
 pub mod mesh;
@@ -21,6 +23,8 @@ use serde::{Deserialize, Serialize};
 use shared::{division::FrameSize, toml_text::plain_problem};
 
 use blend::Neighbour;
+pub use fall_off::FallOff;
+pub(crate) use file::CANVAS_SIDES_M;
 pub use projector::{CanvasRect, Flip, Gamma, PixelRect, Projector, Rotation};
 pub use surface::Surface;
 
@@ -278,12 +282,13 @@ impl Wall {
 
     /// Whether a projector shows its part of the frame uncorrected: it is upright, alone there, and its light is sRGB's.
     pub fn is_plain(&self, projector_idx: usize) -> bool {
-        let Projector { gamma, gain, .. } = &self.projectors[projector_idx];
+        let Projector { gamma, gain, fall_off, .. } = &self.projectors[projector_idx];
         self.projectors[projector_idx].is_upright()
             && self.neighbours[projector_idx].len() == 1
             && self.black == 0.0
             && *gamma == Gamma::Srgb
             && *gain == [1.0; 3]
+            && fall_off.is_none()
     }
 
     /// Width and height of the spanning output in pixels.

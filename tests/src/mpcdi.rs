@@ -68,10 +68,12 @@ fn a_wall_that_is_exported_is_read_by_another_program_and_imported_again() {
         assert!(beta.get_pixel(100, 96)[1] > beta.get_pixel(253, 96)[1]);
     }
 
-    let (code, said) =
-        run(&["import", &path("ours.mpcdi"), &path("theirs.toml"), "--width", "3.1416", "--height", "0.75"]);
+    // The picture's shape comes back, too.
+    let (code, said) = run(&["import", &path("ours.mpcdi"), &path("theirs.toml"), "--width", "3.1416"]);
     assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("gamma is 2.2: set \"srgb\" for those") && said.contains("--height"), "{said}");
     let theirs = Wall::load(Path::new(&path("theirs.toml"))).unwrap();
+    assert!((theirs.canvas_m()[1] - 0.75).abs() < 1e-3, "{:?}", theirs.canvas_m());
     assert_eq!(
         theirs.projectors()[1].rotation,
         wall.projectors()[1].rotation,
@@ -87,6 +89,39 @@ fn a_wall_that_is_exported_is_read_by_another_program_and_imported_again() {
     }
     let (code, said) = run(&["import", &path("ours.mpcdi"), &path("theirs.toml")]);
     assert!(code == Some(1) && said.contains("is there already"), "{said}");
+}
+
+#[test]
+fn no_file_is_written_over_and_an_error_leaves_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let text = "canvas_m = [2.0, 0.75]\n[grid]\ncolumns = 2\nrows = 1\npixels = [64, 48]\noverlap = [0.1, 0.0]\n";
+    fs::write(path("ours.toml"), text).unwrap();
+    assert_eq!(run(&["export", &path("ours.toml"), &path("ours.mpcdi")]).0, Some(0));
+    let files = || {
+        let mut names: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|it| it.unwrap().file_name()).collect();
+        names.sort();
+        names
+    };
+    let before = files();
+    for size in ["--width=0", "--width=nan", "--width=-3", "--width=1e9", "--height=inf"] {
+        let (code, said) = run(&["import", &path("ours.mpcdi"), &path("new.toml"), size]);
+        assert!(code == Some(1) && said.contains("give metres from 0.01 to 1000"), "{size:?}: {said}");
+        assert_eq!(files(), before);
+    }
+    // A mesh file of another wall: the first one, which was free, is gone again.
+    fs::write(path("new.2.pfm"), "another's").unwrap();
+    let (code, said) = run(&["import", &path("ours.mpcdi"), &path("new.toml")]);
+    assert!(code == Some(1) && said.contains("new.2.pfm is there already") && said.contains("name another"), "{said}");
+    assert_eq!(fs::read_to_string(path("new.2.pfm")).unwrap(), "another's");
+    assert_eq!(files().len(), before.len() + 1, "{:?}", files());
+    // Inputs and other files are no place for an export.
+    for name in ["ours.toml", "new.2.pfm", "ours.mpcdi"] {
+        let old = fs::read(path(name)).unwrap();
+        let (code, said) = run(&["export", &path("ours.toml"), &path(name)]);
+        assert!(code == Some(1) && said.contains("is there already: name another MPCDI file"), "{said}");
+        assert_eq!(fs::read(path(name)).unwrap(), old);
+    }
 }
 
 #[test]

@@ -46,21 +46,54 @@ flip = "vertical"
 warp_px = [[-3.0, -2.0], [2.0, -3.0], [4.0, 1.0], [0.0, 0.0]]
 "#;
 
+/// A quadratic function of the place: whoever interpolates finds the same.
+pub(crate) const FALL_OFF: &str = "fall_off = [ \
+    [0.8125, 0.925, 0.9625, 0.925, 0.8125], \
+    [0.85, 0.9625, 1.0, 0.9625, 0.85], \
+    [0.8125, 0.925, 0.9625, 0.925, 0.8125], \
+    [0.7, 0.8125, 0.85, 0.8125, 0.7], \
+    [0.5125, 0.625, 0.6625, 0.625, 0.5125], \
+]";
+
+/// [`CROOKED`] with light that falls off within two of its projectors.
+pub(crate) fn uneven() -> Wall {
+    let [upright, turned] = ["gamma = 1.8\n", "gamma = 2.4\n"];
+    let text = [upright, turned]
+        .iter()
+        .fold(CROOKED.to_owned(), |text, key| text.replacen(key, &format!("{key}{FALL_OFF}\n"), 1));
+    Wall::from_toml("uneven", &text).unwrap()
+}
+
 #[test]
 fn crooked_walls_equal_their_cpu_twin() {
     let gpu = gpu();
     let mut present = Present::new(&gpu);
-    let wall = Wall::from_toml("crooked", CROOKED).unwrap();
-    for (what, frame) in Frame::all([64, 36]) {
-        present.upload(&gpu, frame.size, &frame.rgba).unwrap();
-        // Actual size, letterboxed, magnified, tiny; with and without the GPU's own sRGB.
-        for (size, has_srgb_view) in
-            [(wall.output_size(), true), ([300, 200], false), ([900, 500], true), ([1, 1], true)]
-        {
-            let offscreen = Offscreen::with_srgb_view(&gpu, size, has_srgb_view).unwrap();
-            check_twin(&gpu, &draw(&gpu, &mut present, &wall, &offscreen), what, &frame, &wall);
+    for wall in [Wall::from_toml("crooked", CROOKED).unwrap(), uneven()] {
+        for (what, frame) in Frame::all([64, 36]) {
+            present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+            // Actual size, letterboxed, magnified, tiny; with and without the GPU's own sRGB.
+            for (size, has_srgb_view) in
+                [(wall.output_size(), true), ([300, 200], false), ([900, 500], true), ([1, 1], true)]
+            {
+                let offscreen = Offscreen::with_srgb_view(&gpu, size, has_srgb_view).unwrap();
+                check_twin(&gpu, &draw(&gpu, &mut present, &wall, &offscreen), what, &frame, &wall);
+            }
         }
     }
+}
+
+#[test]
+fn corners_dragged_beyond_the_picture_s_edge_equal_their_cpu_twin() {
+    let gpu = gpu();
+    let mut present = Present::new(&gpu);
+    let text = "canvas_m = [1.9, 1.0]\n[grid]\ncolumns = 2\nrows = 1\npixels = [160, 120]\noverlap = [0.2, 0.0]\n\
+                [[projector]]\nname = \"row 1 column 1\"\nrotation = 180\nblack_level = 0.01\n\
+                warp_px = [[0, 0], [5, -5], [3, 4], [-2, 0]]\n";
+    let wall = Wall::from_toml("dragged", text).unwrap();
+    let frame = Frame::gradient([64, 36]);
+    present.upload(&gpu, frame.size, &frame.rgba).unwrap();
+    let offscreen = Offscreen::new(&gpu, wall.output_size()).unwrap();
+    check_twin(&gpu, &draw(&gpu, &mut present, &wall, &offscreen), "gradient", &frame, &wall);
 }
 
 #[test]

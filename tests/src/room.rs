@@ -15,14 +15,14 @@ pub(crate) mod surface;
 
 use compositor::{
     gpu::{Gpu, Offscreen, Present, RgbImage},
-    wall::{Gamma, Projector, Wall},
+    wall::{Flip, Gamma, Projector, Wall},
 };
 use glam::DVec2;
 use proptest::prelude::*;
 
 use self::camera::TrueProjector;
 use crate::{
-    optics::{CROOKED, shipped},
+    optics::{CROOKED, FALL_OFF, shipped, uneven},
     pictures::{Frame, draw, gpu, statue_frame},
     references,
 };
@@ -111,7 +111,8 @@ impl<'a> Room<'a> {
 
     /// The light of all projectors' black at a point.
     fn leak(&self, point: [f64; 2]) -> f64 {
-        self.projectors.iter().filter(|it| it.hits(point)).map(|it| it.projector.black_level).sum()
+        let hit = self.projectors.iter().filter(|it| it.hits(point));
+        hit.map(|it| it.projector.black_level * it.px(point).map_or(1.0, |px| it.excess(px))).sum()
     }
 
     /// Points spread evenly over the canvas, by Roberts' R2 sequence.
@@ -168,6 +169,22 @@ impl<'a> SimulatedProjector<'a> {
         is_within && self.hits(point)
     }
 
+    /// The light at a place of its pixels over that at the darkest one: the polynomial through all points of the fall-off.
+    fn excess(&self, px: [f64; 2]) -> f64 {
+        let Some(fall_off) = &self.projector.fall_off else { return 1.0 };
+        let parts: Vec<Vec<f64>> = fall_off.clone().into();
+        let seen = seen_px(self.projector, px);
+        let size = self.projector.upright_size().map(f64::from);
+        // Lagrange's weights of five points from 0 to 1.
+        let weight = |at: f64, n: usize| -> f64 {
+            let others = (0..5).filter(|other| *other != n).map(|other| other as f64);
+            others.map(|other| (4.0 * at - other) / (n as f64 - other)).product()
+        };
+        let at = |n: usize, axis: usize| weight(seen[axis] / size[axis], n);
+        let light: f64 = (0..25).map(|n| parts[n / 5][n % 5] * at(n % 5, 0) * at(n / 5, 1)).sum();
+        light / parts.iter().flatten().copied().fold(f64::INFINITY, f64::min)
+    }
+
     fn project(&self, shown: &RgbImage, point: [f64; 2], light: &mut [Light; 3]) {
         let Some([x, y]) = self.px(point) else { return };
         let output = self.projector.output;
@@ -181,14 +198,31 @@ impl<'a> SimulatedProjector<'a> {
                     continue;
                 }
                 let pixel = shown.pixel(output.x + column as u32, output.y + row as u32);
+                let weight = x_weight * y_weight * self.excess([column + 0.5, row + 0.5]);
                 for channel in 0..3 {
                     let (value, curve) = (usize::from(pixel[channel]), &self.light[channel]);
-                    light[channel].sum += x_weight * y_weight * (self.projector.black_level + curve[value]);
+                    light[channel].sum += weight * (self.projector.black_level + curve[value]);
                     let step = (curve[(value + 1).min(255)] - curve[value]).max(curve[value] - curve[value.max(1) - 1]);
-                    light[channel].rounding += x_weight * y_weight * step / 2.0;
+                    light[channel].rounding += weight * step / 2.0;
                 }
             }
         }
+    }
+}
+
+/// The way back from [`geometry::stored_px`].
+fn seen_px(projector: &Projector, [x, y]: [f64; 2]) -> [f64; 2] {
+    let size = [projector.output.width, projector.output.height].map(f64::from);
+    let [x, y] = match projector.flip {
+        Flip::None => [x, y],
+        Flip::Horizontal => [size[0] - x, y],
+        Flip::Vertical => [x, size[1] - y],
+    };
+    match projector.rotation.degrees() {
+        0 => [x, y],
+        90 => [size[1] - y, x],
+        180 => [size[0] - x, size[1] - y],
+        _ => [y, size[0] - x],
     }
 }
 
@@ -335,6 +369,7 @@ fn the_shipped_walls_show_no_seam_and_no_displacement() {
         check(&gpu, name, &shipped(&format!("{name}.toml")), 10_000);
     }
     check(&gpu, "crooked", &Wall::from_toml("crooked", CROOKED).unwrap(), 10_000);
+    check(&gpu, "uneven", &uneven(), 10_000);
 }
 
 #[test]
@@ -361,6 +396,11 @@ fn black_is_lifted_no_higher_than_necessary() {
         let darkest_possible = room.points(n_points).map(|point| room.leak(point)).fold(0.0, f64::max);
         assert!((wall.black() - darkest_possible).abs() < 1e-9, "{} instead of {darkest_possible}", wall.black());
     }
+    // Light that falls off is sampled.
+    let wall = uneven();
+    let room = Room::new(&wall);
+    let darkest_possible = room.points(4000).map(|point| room.leak(point)).fold(0.0, f64::max);
+    assert!((wall.black() / darkest_possible - 1.0).abs() < 0.01, "{} instead of {darkest_possible}", wall.black());
 }
 
 /// Proves that the room finds errors: otherwise the tests above might never fail.
@@ -384,6 +424,8 @@ fn the_room_finds_errors() {
     assert!(seam_of(&pretend("gamma = 1.8", "gamma = 1.9")) > LARGEST_SEAM);
     assert!(seam_of(&pretend("black_level = 0.02", "black_level = 0.0")) > LARGEST_SEAM);
     assert!(seam_of(&pretend("gain = [0.9, 1.0, 0.7]", "gain = [0.9, 0.95, 0.7]")) > LARGEST_SEAM);
+    let fall_off = format!("gamma = 1.8\n{}\n", FALL_OFF.replace("0.625", "0.675"));
+    assert!(seam_of(&pretend("gamma = 1.8\n", &fall_off)) > LARGEST_SEAM);
     assert!(seam_of(&pretend("size_m = [1.2, 1.0]", "size_m = [1.15, 1.0]")) > LARGEST_SEAM);
 }
 

@@ -109,6 +109,28 @@ fn a_show_that_cannot_be_read_is_told_in_one_line() {
     }
 }
 
+#[test]
+fn a_show_without_a_window_that_shows_nothing_fails() {
+    let files = Files::new();
+    fs::write(files.path("empty.toml"), "").unwrap();
+    fs::write(files.path("gone.toml"), "[[scene]]\nmodel = \"gone.ply\"\nseconds = 1\n").unwrap();
+    fs::create_dir(files.path("kept")).unwrap();
+    fs::write(files.path("kept/scene-0001.png"), "a picture").unwrap();
+    let shows: [(&[&str], &str); 4] = [
+        (&["empty.toml"], "empty.toml has no scenes yet"),
+        (&["gone.toml"], "no scene was shown: the warnings above say why"),
+        (&["gone.toml", "--pictures", "kept"], "kept holds pictures of a show"),
+        (&["gone.toml", "--film", "a.mp4"], "cannot be used with"),
+    ];
+    for (arguments, fault) in shows {
+        let mut command = wall(&files);
+        command.args(["--local", "0", "--show"]).args(arguments);
+        let (status, said) = Program::start(command).wait();
+        assert!(!status.success() && said.contains(fault), "{said}");
+    }
+    assert_eq!(fs::read(files.path("kept/scene-0001.png")).unwrap(), b"a picture");
+}
+
 fn wait_for(wall: &RemoteWall, what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
     wait_until(what, || is_so(&wall.state()));
     wall.state()
@@ -146,4 +168,17 @@ fn a_wall_plays_a_show_and_remotes_hold_it_turn_its_pages_and_add_to_it() {
     wall.act(&json!({ "do": "previous-scene" }));
     let four = wait_for(&wall, "the new scene", |state| state["show"]["scene"] == 4);
     assert_eq!(four["show"]["caption"], "From \"here\"");
+}
+
+#[test]
+fn a_wall_shows_its_own_model_until_a_scene_of_its_show_is_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let tour = "repeat = false\n[[scene]]\nmodel = \"late.ply\"\nseconds = 600\ncaption = \"Here at last\"\n";
+    fs::write(folder.path().join("tour.toml"), tour).unwrap();
+    let wall = RemoteWall::start_in(folder, &["--show", "tour.toml", "--remote", "127.0.0.1:0"]);
+    let waiting = wait_for(&wall, "the wall's own model", |state| state["show"]["model"] == "a statue.ply");
+    assert_eq!((&waiting["show"]["scene"], &waiting["show"]["is_show_playing"]), (&Value::Null, &json!(true)));
+    generate_statue(300, &wall.folder.path().join("late.ply"));
+    let shown = wait_for(&wall, "the scene", |state| state["show"]["scene"] == 1);
+    assert_eq!((&shown["show"]["model"], &shown["show"]["caption"]), (&json!("late.ply"), &json!("Here at last")));
 }

@@ -127,7 +127,7 @@ pub struct WallArgs {
     pub show_file: Option<PathBuf>,
     /// Pictures a second of the film, with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "F", default_value_t = 30.0, requires = "path",
-        requires = "headless", value_parser = pictures_per_second)]
+        requires = "headless", conflicts_with = "show_file", value_parser = pictures_per_second)]
     pub fps: f64,
     /// Write each picture of the film, or one of each scene of the show, the whole wall at full resolution, to this folder;
     /// with --headless and --path or --show
@@ -135,11 +135,12 @@ pub struct WallArgs {
     pub pictures: Option<PathBuf>,
     /// Go on after the last picture of the film that was begun in --pictures, with the same options; in an empty folder,
     /// begin it
-    #[arg(long, help_heading = "Film", requires = "pictures", requires = "path", conflicts_with = "film")]
+    #[arg(long, help_heading = "Film", requires = "pictures", requires = "path", conflicts_with_all = ["film", "show_file"])]
     pub resume: bool,
     /// Write the film to this file, through ffmpeg; with --headless and --path
     #[arg(long, help_heading = "Film", value_name = "FILE.mp4", requires = "path", requires = "headless",
-        conflicts_with = "pictures", value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "mp4")))]
+        conflicts_with_all = ["pictures", "show_file"],
+        value_parser = PathBufValueParser::new().try_map(|path| with_ending(path, "mp4")))]
     pub film: Option<PathBuf>,
     /// Rays averaged for each sample, in linear light: 1 to 256 [default: 16 in a film, and at rest if the resolution
     /// follows the motion; with --rays path in a film, at rest and with --headless as many as --noise needs, up to 256; else 1]

@@ -85,7 +85,7 @@ fn summary(wall: &Wall) -> Vec<String> {
             wall.projectors()[index].name
         ));
     }
-    let falls_short = |index: &usize| wall.neighbours(*index)[0].raster_edges != DVec4::ZERO;
+    let falls_short = |index: &usize| wall.neighbours(*index)[0].raster_fades != DVec4::ZERO;
     if let Some(index) = (0..n_projectors).find(falls_short) {
         lines.push(format!(
             "the pixels of \"{}\" do not reach all of its rectangle: move its corners inwards, or make at_m and size_m smaller",

@@ -7,7 +7,7 @@ use channel::files::NewFile;
 use renderer::cli::say;
 use shared::{division::FrameSize, printable::counted};
 
-use super::headless::Headless;
+use super::{ensure_new, headless::Headless};
 use crate::{
     gpu::RgbImage,
     mpcdi::{
@@ -28,11 +28,11 @@ pub struct ExportArgs {
 
 /// Draws the maps of light, and writes the file.
 pub fn run(args: &ExportArgs) -> anyhow::Result<()> {
+    ensure_new(&args.file, "name another MPCDI file")?;
     let wall = Wall::load(&args.wall)?;
     let [white, black] = maps(&wall)?;
-    let native = wall.native_size();
     let regions = wall.projectors().iter().enumerate().map(|(index, projector)| region(index, projector)).collect();
-    let document = Mpcdi { buffer_size: Some([native.xres(), native.yres()]), regions };
+    let document = Mpcdi { buffer_size: Some(buffer_size(&wall)), regions };
     let files = document.regions.iter().zip(wall.projectors()).flat_map(|(region, projector)| {
         let map = |whole: &RgbImage| {
             let mut bytes = Vec::new();
@@ -62,6 +62,15 @@ fn maps(wall: &Wall) -> anyhow::Result<[RgbImage; 2]> {
         Ok(headless.image()?)
     };
     Ok([shown(0xffff_ffff)?, shown(0xff00_0000)?])
+}
+
+/// Columns and rows of a picture of the canvas's proportions with at least as many samples as the wall can show, within
+/// the limits of frames. Importers take the picture's shape from them.
+fn buffer_size(wall: &Wall) -> [u32; 2] {
+    let (native, canvas_m) = (wall.native_size(), wall.canvas_m());
+    let per_m = (f64::from(native.xres()) / canvas_m[0]).max(f64::from(native.yres()) / canvas_m[1]);
+    let largest = f64::from(FrameSize::LARGEST) / canvas_m[0].max(canvas_m[1]);
+    canvas_m.map(|side_m| (side_m * per_m.min(largest)).round().max(1.0) as u32)
 }
 
 fn region(index: usize, projector: &Projector) -> Region {

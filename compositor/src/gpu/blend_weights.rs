@@ -7,9 +7,9 @@ use glam::DVec2;
 
 use super::{
     context::Gpu,
-    quad::{Layer, TargetProjector, begin_pass, buffer, columns, pipeline_layout, quad_pipeline},
+    quad::{Layer, TargetProjector, begin_pass, buffer, columns, pipeline_layout, quad_pipeline, shader},
 };
-use crate::wall::{PixelRect, Wall, blend::Neighbour, mesh::Mesh};
+use crate::wall::{FallOff, PixelRect, Wall, blend::Neighbour, mesh::Mesh};
 
 /// Draws blend weights, and caches them until a part of the wall is drawn differently.
 pub(super) struct BlendStage {
@@ -38,6 +38,8 @@ struct Records {
     neighbours: Vec<NeighbourRecord>,
     /// The meshes of neighbours, each once.
     meshes: Vec<Arc<Mesh>>,
+    /// The fall-offs of neighbours.
+    fall_offs: Vec<FallOff>,
 }
 
 /// One projector on one target. Matches `Projector` in `shaders/blend_weights.wgsl`.
@@ -60,17 +62,17 @@ const _: () = assert!(size_of::<ProjectorRecord>() == 112);
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 struct NeighbourRecord {
-    raster_from_image: [[f32; 4]; 3],
+    upright_from_image: [[f32; 4]; 3],
     neighbour_rect_from_rect: [f32; 4],
     reach: [f32; 4],
     image_edges: [f32; 4],
-    raster_edges: [f32; 4],
-    raster_size: [f32; 2],
+    raster_fades: [f32; 4],
+    upright_size: [f32; 2],
     black_level: f32,
     blends: f32,
     first_point: u32,
     mesh_size: [u32; 2],
-    padding: u32,
+    fall_off: u32,
 }
 
 const _: () = assert!(size_of::<NeighbourRecord>() == 144);
@@ -81,7 +83,9 @@ const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg16Float;
 impl BlendStage {
     pub(super) fn new(gpu: &Gpu) -> Self {
         let device = &gpu.device;
-        let shader = device.create_shader_module(wgpu::include_wgsl!("../../../shaders/blend_weights.wgsl"));
+        let source =
+            concat!(include_str!("../../../shaders/keys.wgsl"), include_str!("../../../shaders/blend_weights.wgsl"));
+        let shader = shader(gpu, "blend weights", source);
         let entry = |binding, visibility, ty| wgpu::BindGroupLayoutEntry { binding, visibility, ty, count: None };
         let records = wgpu::BindingType::Buffer {
             ty: wgpu::BufferBindingType::Storage { read_only: true },
@@ -100,6 +104,7 @@ impl BlendStage {
                 entry(1, wgpu::ShaderStages::FRAGMENT, records),
                 entry(2, wgpu::ShaderStages::FRAGMENT, records),
                 entry(3, wgpu::ShaderStages::FRAGMENT, texture),
+                entry(4, wgpu::ShaderStages::FRAGMENT, records),
             ],
         });
         let weights_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
@@ -158,6 +163,7 @@ impl BlendStage {
             buffer(gpu, storage, &records.projectors),
             buffer(gpu, storage, &records.neighbours),
             buffer(gpu, storage, &records.image_points()),
+            buffer(gpu, storage, &records.excesses()),
         ];
         let entry = |binding, resource| wgpu::BindGroupEntry { binding, resource };
         let group = device.create_bind_group(&wgpu::BindGroupDescriptor {
@@ -168,6 +174,7 @@ impl BlendStage {
                 entry(1, buffers[1].as_entire_binding()),
                 entry(2, buffers[2].as_entire_binding()),
                 entry(3, wgpu::BindingResource::TextureView(places)),
+                entry(4, buffers[3].as_entire_binding()),
             ],
         });
         let mut pass = begin_pass(encoder, "blend weights", &view, Layer::Alone, None);
@@ -188,13 +195,15 @@ impl BlendStage {
 
 impl Records {
     fn new(wall: &Wall, on_target: &[TargetProjector], target_size: [u32; 2]) -> Self {
-        let mut records = Self { projectors: Vec::new(), neighbours: Vec::new(), meshes: Vec::new() };
+        let mut records =
+            Self { projectors: Vec::new(), neighbours: Vec::new(), meshes: Vec::new(), fall_offs: Vec::new() };
         for on_target in on_target {
             let first_neighbour = records.neighbours.len() as u32;
             records.projectors.push(ProjectorRecord::new(wall, on_target, target_size, first_neighbour));
             for neighbour in wall.neighbours(on_target.quad.projector_idx) {
                 let first_point = neighbour.mesh.as_ref().map_or(0, |mesh| records.first_point(mesh));
-                records.neighbours.push(NeighbourRecord::new(neighbour, first_point));
+                let fall_off = neighbour.fall_off.as_ref().map_or(0, |fall_off| records.number(fall_off));
+                records.neighbours.push(NeighbourRecord::new(neighbour, first_point, fall_off));
             }
         }
         records
@@ -207,6 +216,21 @@ impl Records {
             self.meshes.len() - 1
         });
         self.meshes[..position].iter().map(|mesh| mesh.inverse_points().1.len() as u32).sum()
+    }
+
+    /// The number of a fall-off among all, from 1.
+    fn number(&mut self, fall_off: &FallOff) -> u32 {
+        let position = self.fall_offs.iter().position(|it| it == fall_off).unwrap_or_else(|| {
+            self.fall_offs.push(fall_off.clone());
+            self.fall_offs.len() - 1
+        });
+        position as u32 + 1
+    }
+
+    /// The excess of all fall-offs; one if there are none, as no buffer is empty.
+    fn excesses(&self) -> Vec<f32> {
+        let excesses: Vec<f32> = self.fall_offs.iter().flat_map(FallOff::padded).map(|it| *it as f32).collect();
+        if excesses.is_empty() { vec![1.0] } else { excesses }
     }
 
     /// Points of images of all meshes; one if there are none, as no buffer is empty.
@@ -233,21 +257,21 @@ impl ProjectorRecord {
 }
 
 impl NeighbourRecord {
-    fn new(neighbour: &Neighbour, first_point: u32) -> Self {
+    fn new(neighbour: &Neighbour, first_point: u32, fall_off: u32) -> Self {
         let [origin, scale] = [neighbour.rect_origin, neighbour.rect_scale].map(DVec2::as_vec2);
         let [least, greatest] = neighbour.reach.map(DVec2::as_vec2);
         Self {
-            raster_from_image: columns(neighbour.raster_from_image),
+            upright_from_image: columns(neighbour.upright_from_image),
             neighbour_rect_from_rect: [origin.x, origin.y, scale.x, scale.y],
             reach: [least.x, least.y, greatest.x, greatest.y],
             image_edges: neighbour.image_edges.as_vec4().to_array(),
-            raster_edges: neighbour.raster_edges.as_vec4().to_array(),
-            raster_size: neighbour.raster_size.as_vec2().to_array(),
+            raster_fades: neighbour.raster_fades.as_vec4().to_array(),
+            upright_size: neighbour.upright_size.as_vec2().to_array(),
             black_level: neighbour.black_level as f32,
             blends: f32::from(u8::from(neighbour.blends)),
             first_point,
             mesh_size: neighbour.mesh.as_ref().map_or([0; 2], |mesh| mesh.inverse_points().0.map(|n| n as u32)),
-            padding: 0,
+            fall_off,
         }
     }
 }

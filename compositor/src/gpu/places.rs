@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::{
     context::Gpu,
-    quad::{Layer, TargetProjector, begin_pass, buffer, columns, pipeline_layout, quad_pipeline},
+    quad::{Layer, TargetProjector, begin_pass, buffer, columns, pipeline_layout, quad_pipeline, shader},
 };
 use crate::wall::{PixelRect, Wall, mesh::Mesh};
 
@@ -48,7 +48,8 @@ const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rg32Float;
 
 impl PlaceStage {
     pub(super) fn new(gpu: &Gpu) -> Self {
-        let shader = gpu.device.create_shader_module(wgpu::include_wgsl!("../../../shaders/places.wgsl"));
+        let source = concat!(include_str!("../../../shaders/keys.wgsl"), include_str!("../../../shaders/places.wgsl"));
+        let shader = shader(gpu, "places", source);
         let entry = |binding, visibility| wgpu::BindGroupLayoutEntry {
             binding,
             visibility,

@@ -170,6 +170,12 @@ pub(super) fn pipeline_layout(
     })
 }
 
+/// A shader of this source.
+pub(super) fn shader(gpu: &Gpu, label: &str, source: &'static str) -> wgpu::ShaderModule {
+    let source = wgpu::ShaderSource::Wgsl(source.into());
+    gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor { label: Some(label), source })
+}
+
 /// Draws one quad for each projector on targets of a format.
 pub(super) fn quad_pipeline(
     gpu: &Gpu,

@@ -16,8 +16,9 @@ pub struct Archive<R: Read + Seek> {
 const DOCUMENT_NAMES: [&str; 2] = ["mpcdi.xml", "mpacs.xml"];
 /// The longest `mpcdi.xml`, in bytes.
 const LONGEST_DOCUMENT: u64 = 1 << 20;
-/// The longest warp, in bytes: one of 16,384×16,384 pixels would take 3 GB, and no projector has a quarter of them.
-const LONGEST_WARP: u64 = 12 * (1 << 26) + 256;
+/// The longest warp, in bytes, which memory holds: 12 for each pixel of a projector, of which the largest have 7680×4320.
+const LONGEST_WARP: u64 = 12 * (1 << 25) + 256;
+const _: () = assert!(LONGEST_WARP >= 12 * 7680 * 4320);
 
 impl<R: Read + Seek> Archive<R> {
     /// Opens an archive.

@@ -232,8 +232,8 @@ impl Action {
             KeepScene { ref caption, .. } if caption.chars().count() > MOST_CAPTION => {
                 Some("caption has at most 200 characters")
             }
-            KeepScene { seconds: Some(seconds), .. } if !(1.0..=86_400.0).contains(&seconds) => {
-                Some("seconds are from 1 to 86400")
+            KeepScene { seconds: Some(seconds), .. } if !(0.1..=86_400.0).contains(&seconds) => {
+                Some("seconds are from 0.1 to 86400")
             }
             Annotate { ref label, ref text, .. }
                 if !(1..=Annotation::LONGEST_LABEL).contains(&label.trim().chars().count())

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use glam::{DMat3, DVec2, DVec4};
+use glam::{DMat3, DVec2, DVec4, Vec2Swizzles};
 
 use super::{
+    fall_off::FallOff,
     homography::{UNIT_SQUARE, apply},
     mesh::Mesh,
     projector::{CanvasRect, Projector},
@@ -19,21 +20,24 @@ pub struct Neighbour {
     pub blends: bool,
     /// Its black level.
     pub black_level: f64,
+    /// The fall-off of its light.
+    pub fall_off: Option<FallOff>,
     /// From units of the projector's rectangle to those of the neighbour's: `rect_origin + rect_scale * point`.
     pub rect_scale: DVec2,
     /// See `rect_scale`.
     pub rect_origin: DVec2,
     /// The neighbour's mesh, if it has one: its image at a point of its rectangle, which is the same without one.
     pub mesh: Option<Arc<Mesh>>,
-    /// From the neighbour's image to its pixels: [`Projector::raster_from_image`].
-    pub raster_from_image: DMat3,
+    /// From the neighbour's image to its pixels, both as seen on the wall: [`Projector::upright_from_image`].
+    pub upright_from_image: DMat3,
     /// The columns and rows of those pixels.
-    pub raster_size: DVec2,
+    pub upright_size: DVec2,
     /// The edges of its image towards which its light fades, 1 or 0: left, upper, right, lower. Without a mesh, edges of
     /// the canvas are not among them: no projector takes over there.
     pub image_edges: DVec4,
-    /// The same for the edges of its pixels: those that cut its image.
-    pub raster_edges: DVec4,
+    /// The same for the edges of its pixels that cut its image, and how steeply it fades: the inverse of the distance, in
+    /// sides of its pixels, over which it does; 0 for the others.
+    pub raster_fades: DVec4,
     /// The least and greatest corner of the part of the projector's rectangle that it can change.
     pub reach: [DVec2; 2],
 }
@@ -49,6 +53,12 @@ pub const LEAST_DISTANCE: f64 = 1e-5;
 /// found to within a part in ten thousand.
 pub const MESH_TOLERANCE: f64 = 1e-3;
 
+/// Where pixels' edges cut an image at the edge of the canvas, its light fades over so many times the deepest cut: it is
+/// nearly all there elsewhere, as without the cut.
+const FADE_PER_CUT: f64 = 4.0;
+/// And over at least so many pixels.
+const LEAST_FADE_PX: f64 = 4.0;
+
 impl Neighbour {
     /// The point of the neighbour's image at a point of the projector's rectangle, as the GPU finds it.
     pub fn image_near(&self, rect_point: DVec2) -> DVec2 {
@@ -56,16 +66,22 @@ impl Neighbour {
         self.mesh.as_ref().map_or(own, |mesh| mesh.image_near(mesh.bounds().canvas_from_rect(own)))
     }
 
-    /// Whether the neighbour's pixels light a point of the projector's rectangle.
-    fn is_lit(&self, rect_point: DVec2) -> bool {
-        let raster = apply(self.raster_from_image, self.image_near(rect_point));
-        raster.is_some_and(|raster| raster.cmpge(DVec2::ZERO).all() && raster.cmple(DVec2::ONE).all())
+    /// The light of its black at a point of the projector's rectangle.
+    fn leak(&self, rect_point: DVec2) -> f64 {
+        let upright = apply(self.upright_from_image, self.image_near(rect_point));
+        let is_lit = |upright: &DVec2| upright.cmpge(DVec2::ZERO).all() && upright.cmple(DVec2::ONE).all();
+        upright.filter(is_lit).map_or(0.0, |upright| self.black_level * self.excess(upright))
+    }
+
+    /// Its light at a point of its pixels, over that at its darkest point.
+    pub fn excess(&self, upright: DVec2) -> f64 {
+        self.fall_off.as_ref().map_or(1.0, |fall_off| fall_off.excess(upright))
     }
 }
 
 /// The neighbours of each projector, itself first; or a projector that has too many, and their number.
 pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usize, usize)> {
-    let maps: Vec<Option<DMat3>> = projectors.iter().map(Projector::raster_from_image).collect();
+    let maps: Vec<Option<DMat3>> = projectors.iter().map(Projector::upright_from_image).collect();
     let boxes: Vec<_> = projectors.iter().map(|projector| bounds(&lit_outline(projector))).collect();
     let of = |projector_idx: usize| {
         let projector = &projectors[projector_idx];
@@ -79,17 +95,21 @@ pub fn neighbours(projectors: &[Projector]) -> Result<Vec<Vec<Neighbour>>, (usiz
             let (rect, other_rect) = (projector.canvas, other.canvas);
             let rect_origin = other_rect.rect_from_canvas(rect.canvas_from_rect(DVec2::ZERO));
             let rect_scale = DVec2::new(rect.width / other_rect.width, rect.height / other_rect.height);
+            let upright_from_image = maps[other_idx]?;
+            let upright_size = DVec2::from(other.upright_size().map(f64::from));
+            let image_edges = if other.mesh.is_some() { DVec4::ONE } else { inner_edges(other.canvas) };
             Some(Neighbour {
                 projector_idx: other_idx,
                 blends,
                 black_level: other.black_level,
+                fall_off: other.fall_off.clone(),
                 rect_scale,
                 rect_origin,
                 mesh: other.mesh.clone(),
-                raster_from_image: maps[other_idx]?,
-                raster_size: other.output.size(),
-                image_edges: if other.mesh.is_some() { DVec4::ONE } else { inner_edges(other.canvas) },
-                raster_edges: cutting_edges(maps[other_idx]?),
+                upright_from_image,
+                upright_size,
+                image_edges,
+                raster_fades: raster_fades(upright_from_image, upright_size, image_edges),
                 reach: reach(projector, other, boxes[other_idx].filter(|_| leaks)),
             })
         };
@@ -123,20 +143,27 @@ fn inner_edges(CanvasRect { left, bottom, width, height }: CanvasRect) -> DVec4 
     DVec4::new(left, 1.0 - bottom - height, 1.0 - left - width, bottom).map(is_inner)
 }
 
-/// The edges of a projector's pixels that cut its image by more than a rounding error, 1 or 0.
-fn cutting_edges(raster_from_image: DMat3) -> DVec4 {
-    let corners = UNIT_SQUARE.map(|corner| apply(raster_from_image, corner).map_or(DVec4::ZERO, distances_from_edges));
-    let nearest = corners.into_iter().fold(DVec4::INFINITY, DVec4::min);
-    nearest.map(|distance| f64::from(u8::from(distance < -LEAST_DISTANCE)))
+/// See [`Neighbour::raster_fades`]; edges that cut by no more than a rounding error count as those that do not.
+fn raster_fades(upright_from_image: DMat3, upright_size: DVec2, image_edges: DVec4) -> DVec4 {
+    let corners = UNIT_SQUARE.map(|at| apply(upright_from_image, at).map_or(DVec4::ZERO, distances_from_edges));
+    let cuts = -corners.into_iter().fold(DVec4::INFINITY, DVec4::min);
+    let sides = upright_size.xyxy();
+    let fade = |edge: usize| match cuts[edge] > LEAST_DISTANCE {
+        // Fades from edge to edge, as towards the image's own edge.
+        true if image_edges[edge] > 0.0 => 1.0,
+        true => 1.0 / (FADE_PER_CUT * cuts[edge] + LEAST_FADE_PX / sides[edge]),
+        false => 0.0,
+    };
+    DVec4::from([0, 1, 2, 3].map(fade))
 }
 
 /// The greatest sum of black levels on the canvas, to which the black of the whole wall is lifted.
 pub fn wall_black(projectors: &[Projector], neighbours: &[Vec<Neighbour>]) -> f64 {
-    let is_bent = projectors.iter().any(|projector| projector.mesh.is_some());
-    if is_bent { sampled_black(projectors, neighbours) } else { exact_black(projectors, neighbours) }
+    let is_uneven = projectors.iter().any(|projector| projector.mesh.is_some() || projector.fall_off.is_some());
+    if is_uneven { sampled_black(projectors, neighbours) } else { exact_black(projectors, neighbours) }
 }
 
-/// The greatest sum at points spread over each projector's pixels, whose overlaps may have any shape.
+/// The greatest sum at points spread over each projector's pixels: overlaps and light may have any shape.
 fn sampled_black(projectors: &[Projector], neighbours: &[Vec<Neighbour>]) -> f64 {
     /// Points a side: an overlap that all of them miss is no wider than a sixty-fourth of a projector.
     const SIDE: u32 = 64;
@@ -150,8 +177,7 @@ fn sampled_black(projectors: &[Projector], neighbours: &[Vec<Neighbour>]) -> f64
             };
             let canvas = projector.canvas.canvas_from_rect(rect_point);
             if canvas.cmpge(DVec2::ZERO).all() && canvas.cmple(DVec2::ONE).all() {
-                let others = all.iter().skip(1).filter(|it| it.black_level > 0.0 && it.is_lit(rect_point));
-                most = most.max(projector.black_level + others.map(|it| it.black_level).sum::<f64>());
+                most = most.max(all.iter().map(|it| it.leak(rect_point)).sum());
             }
         }
     }

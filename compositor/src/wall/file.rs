@@ -10,7 +10,9 @@ use toml::{
     de::{DeTable, DeValue},
 };
 
-use super::{CanvasRect, Flip, Gamma, InvalidWall, OnLoss, PixelRect, Projector, Rotation, Surface, Wall, mesh::Mesh};
+use super::{
+    CanvasRect, FallOff, Flip, Gamma, InvalidWall, OnLoss, PixelRect, Projector, Rotation, Surface, Wall, mesh::Mesh,
+};
 
 /// The path of the key at fault, for example `grid.pixels` or `projector.0.gamma`, and the problem.
 type Problem = (String, String);
@@ -39,6 +41,7 @@ struct OpticsSection {
     gamma: Option<Gamma>,
     black_level: Option<f64>,
     gain: Option<[f64; 3]>,
+    fall_off: Option<FallOff>,
 }
 
 /// `columns` × `rows` equal projectors.
@@ -70,10 +73,11 @@ struct ProjectorSection {
     gamma: Option<Gamma>,
     black_level: Option<f64>,
     gain: Option<[f64; 3]>,
+    fall_off: Option<FallOff>,
 }
 
 /// Plausible sides of canvases, in metres.
-const CANVAS_SIDES_M: RangeInclusive<f64> = 0.01..=1000.0;
+pub(crate) const CANVAS_SIDES_M: RangeInclusive<f64> = 0.01..=1000.0;
 /// Plausible numbers of columns or rows.
 const GRID_SIDES: RangeInclusive<u32> = 1..=64;
 /// The most projectors of a wall; the largest grid has as many.
@@ -246,6 +250,7 @@ impl OpticsSection {
                 in_range("black_level", level, BLACK_LEVELS, "the light of black as a part of white")?;
         }
         projector.gain = self.gain.unwrap_or(projector.gain);
+        projector.fall_off = self.fall_off.clone().or(projector.fall_off.take());
         for channel in self.gain.into_iter().flatten() {
             in_range("gain", channel, GAINS, "the factors of red, green and blue")?;
         }
@@ -260,8 +265,13 @@ impl ProjectorSection {
         let missing =
             |key: &str, what: &str| (format!("{path}.name"), format!("\"{name}\" needs {key} = [..., ...]: {what}"));
         let [width, height] = self.pixels.ok_or_else(|| missing("pixels", "its columns and rows"))?;
-        let at_m = self.at_m.ok_or_else(|| missing("at_m", "its lower-left corner on the canvas, in metres"))?;
-        let size_m = self.size_m.ok_or_else(|| missing("size_m", "its width and height in metres"))?;
+        let (mut at_m, mut size_m) = (self.at_m, self.size_m);
+        if self.mesh.is_some() {
+            // Both follow from the mesh.
+            (at_m, size_m) = (Some([0.0; 2]), Some(canvas_m));
+        }
+        let at_m = at_m.ok_or_else(|| missing("at_m", "its lower-left corner on the canvas, in metres"))?;
+        let size_m = size_m.ok_or_else(|| missing("size_m", "its width and height in metres"))?;
         let right = before.iter().map(|projector| projector.output.x.saturating_add(projector.output.width)).max();
         let [x, y] = self.pixels_at.unwrap_or([right.unwrap_or(0), 0]);
         let canvas = CanvasRect {
@@ -297,7 +307,8 @@ impl ProjectorSection {
         projector.monitor.clone_from(&self.output);
         projector.warp_px = self.warp_px.unwrap_or(projector.warp_px);
         let Self { rotation, flip, gamma, black_level, gain, .. } = *self;
-        OpticsSection { rotation, flip, gamma, black_level, gain }.apply_to(projector, path)
+        let fall_off = self.fall_off.clone();
+        OpticsSection { rotation, flip, gamma, black_level, gain, fall_off }.apply_to(projector, path)
     }
 
     /// The mesh that a file beside the wall file holds.
@@ -317,17 +328,21 @@ impl ProjectorSection {
 
     /// The table of a projector, complete.
     fn of(projector: &Projector, [width_m, height_m]: [f64; 2]) -> Self {
-        let Projector { name, monitor, canvas, output, rotation, flip, warp_px, mesh, gamma, black_level, gain } =
-            projector;
+        let Projector { name, monitor, canvas, output, rotation, flip, warp_px, mesh, .. } = projector;
+        let Projector { gamma, black_level, gain, fall_off, .. } = projector;
         // To the nanometre: hides the rounding error of thirds.
         let metres = |fraction: f64, side_m: f64| (fraction * side_m * 1e9).round() / 1e9;
+        let place = mesh.is_none().then(|| {
+            let at_m = [metres(canvas.left, width_m), metres(canvas.bottom, height_m)];
+            (at_m, [metres(canvas.width, width_m), metres(canvas.height, height_m)])
+        });
         Self {
             name: name.clone(),
             output: monitor.clone(),
             pixels: Some([output.width, output.height]),
             pixels_at: Some([output.x, output.y]),
-            at_m: Some([metres(canvas.left, width_m), metres(canvas.bottom, height_m)]),
-            size_m: Some([metres(canvas.width, width_m), metres(canvas.height, height_m)]),
+            at_m: place.map(|(at_m, _)| at_m),
+            size_m: place.map(|(_, size_m)| size_m),
             rotation: Some(rotation.degrees()),
             flip: Some(*flip),
             warp_px: Some(*warp_px),
@@ -335,6 +350,7 @@ impl ProjectorSection {
             gamma: Some(*gamma),
             black_level: Some(*black_level),
             gain: Some(*gain),
+            fall_off: fall_off.clone(),
         }
     }
 }

@@ -1,18 +1,22 @@
 //! A mesh of control points, for projectors on a wall that is not flat: where each point of a projector's image lies on
 //! the canvas.
 //!
-//! Control points lie on a lattice over the image, the outermost on its edges. Between them the mesh is interpolated by
-//! Keys, "Cubic Convolution Interpolation for Digital Image Processing" (1981): through all control points, without a
-//! kink, with an error of the third order. [`pfm`] is the format of mesh files, `inverse` the way back from the canvas.
+//! Control points lie on a lattice over the image, the outermost on its edges. Between them `keys` interpolates. [`pfm`] is
+//! the format of mesh files, `inverse` the way back from the canvas.
 
 mod inverse;
+pub(crate) mod keys;
 pub mod pfm;
 
 use std::fmt;
 
 use glam::{DMat2, DVec2, DVec4};
 
-use self::{inverse::Inverse, pfm::Pfm};
+use self::{
+    inverse::Inverse,
+    keys::{padded, weights},
+    pfm::Pfm,
+};
 use super::projector::CanvasRect;
 
 /// Where a projector's image lies on the canvas.
@@ -50,6 +54,12 @@ pub enum MeshError {
          from the upper left of the picture, as seen on the wall, to the right and down"
     )]
     Folded { column: usize, row: usize },
+    #[error(
+        "its control points all lie on one place or line, from ({}, {}) to ({}, {}) of the canvas, which runs from (0, 0) to \
+         (1, 1): write each point's own place",
+        least.x, least.y, greatest.x, greatest.y
+    )]
+    Flat { least: DVec2, greatest: DVec2 },
     #[error("the mesh lies beyond the canvas: its points are metres from the canvas's lower-left corner")]
     BeyondCanvas,
 }
@@ -77,13 +87,8 @@ impl Mesh {
         if let Some(index) = points.iter().position(is_far) {
             return Err(MeshError::NoPlace { column: index % columns, row: index / columns });
         }
-        let mut mesh = Self {
-            file,
-            size,
-            padded: padded(size, points),
-            bounds: bounds(points).ok_or(MeshError::BeyondCanvas)?,
-            inverse: Inverse::default(),
-        };
+        let mut mesh =
+            Self { file, size, padded: padded(size, points), bounds: bounds(points)?, inverse: Inverse::default() };
         if let Some([column, row]) = mesh.fold() {
             return Err(MeshError::Folded { column, row });
         }
@@ -223,48 +228,20 @@ impl fmt::Debug for Mesh {
     }
 }
 
-/// The weights of four points at a part of the way from the second to the third, and their slopes.
-fn weights(t: f64) -> [DVec4; 2] {
-    let (t2, t3) = (t * t, t * t * t);
-    let weights = DVec4::new(2.0 * t2 - t - t3, 2.0 - 5.0 * t2 + 3.0 * t3, t + 4.0 * t2 - 3.0 * t3, t3 - t2) / 2.0;
-    let slopes =
-        DVec4::new(4.0 * t - 1.0 - 3.0 * t2, 9.0 * t2 - 10.0 * t, 1.0 + 8.0 * t - 9.0 * t2, 3.0 * t2 - 2.0 * t) / 2.0;
-    [weights, slopes]
-}
-
-/// Points in a border that continues them as quadratic curves do (Keys, section V), or straight if there are only two.
-fn padded([columns, rows]: [usize; 2], points: &[DVec2]) -> Vec<DVec2> {
-    let before = |line: [DVec2; 3]| 3.0 * line[0] - 3.0 * line[1] + line[2];
-    let continued = |line: &[DVec2]| -> Vec<DVec2> {
-        let third = |first: DVec2, second: DVec2| 2.0 * second - first;
-        let n = line.len();
-        let start = before([line[0], line[1], line.get(2).copied().unwrap_or(third(line[0], line[1]))]);
-        let last = if n > 2 { line[n - 3] } else { third(line[n - 1], line[n - 2]) };
-        let end = before([line[n - 1], line[n - 2], last]);
-        [&[start], line, &[end]].concat()
-    };
-    let wide: Vec<DVec2> = points.chunks(columns).flat_map(continued).collect();
-    let mut padded = vec![DVec2::ZERO; (columns + 2) * (rows + 2)];
-    for column in 0..columns + 2 {
-        let line: Vec<DVec2> = wide.iter().skip(column).step_by(columns + 2).copied().collect();
-        for (row, point) in continued(&line).into_iter().enumerate() {
-            padded[row * (columns + 2) + column] = point;
-        }
+/// The part of the canvas around points.
+fn bounds(points: &[DVec2]) -> Result<CanvasRect, MeshError> {
+    let least = points.iter().copied().fold(DVec2::INFINITY, DVec2::min);
+    let greatest = points.iter().copied().fold(DVec2::NEG_INFINITY, DVec2::max);
+    let is_area = |size: DVec2| size.cmpgt(DVec2::splat(LEAST_SIDE)).all();
+    if !is_area(greatest - least) {
+        return Err(MeshError::Flat { least, greatest });
     }
-    padded
-}
-
-/// The part of the canvas around points; `None` if it is nearly empty.
-fn bounds(points: &[DVec2]) -> Option<CanvasRect> {
-    let least = points.iter().copied().fold(DVec2::INFINITY, DVec2::min).max(DVec2::ZERO);
-    let greatest = points.iter().copied().fold(DVec2::NEG_INFINITY, DVec2::max).min(DVec2::ONE);
+    let (least, greatest) = (least.max(DVec2::ZERO), greatest.min(DVec2::ONE));
     let size = greatest - least;
-    size.cmpgt(DVec2::splat(LEAST_SIDE)).all().then_some(CanvasRect {
-        left: least.x,
-        bottom: least.y,
-        width: size.x,
-        height: size.y,
-    })
+    if !is_area(size) {
+        return Err(MeshError::BeyondCanvas);
+    }
+    Ok(CanvasRect { left: least.x, bottom: least.y, width: size.x, height: size.y })
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use glam::{DMat3, DVec2};
 use serde::{Deserialize, Serialize};
 
 use super::{
+    fall_off::FallOff,
     homography::{UNIT_SQUARE, apply, square_to_quad},
     mesh::Mesh,
 };
@@ -37,6 +38,8 @@ pub struct Projector {
     pub black_level: f64,
     /// Factors that dim its red, green and blue to match the dimmest projector.
     pub gain: [f64; 3],
+    /// The fall-off of its light; `None` if it is even. Black level and gain are those at its darkest point.
+    pub fall_off: Option<FallOff>,
 }
 
 /// Quarter turns clockwise.
@@ -112,6 +115,7 @@ impl Projector {
             gamma: Gamma::Srgb,
             black_level: 0.0,
             gain: [1.0; 3],
+            fall_off: None,
         }
     }
 
@@ -142,10 +146,14 @@ impl Projector {
     ///
     /// `None` if the warped corners are crossed, folded, or mirrored.
     pub fn raster_from_image(&self) -> Option<DMat3> {
+        Some(self.raster_from_upright() * self.upright_from_image()?)
+    }
+
+    /// The same to its pixels as seen on the wall.
+    pub fn upright_from_image(&self) -> Option<DMat3> {
         let upright_px = DVec2::from(self.upright_size().map(f64::from));
         let corner = |index: usize| UNIT_SQUARE[index] + DVec2::from(self.warp_px[index]) / upright_px;
-        let upright_from_image = square_to_quad([corner(0), corner(1), corner(2), corner(3)])?;
-        Some(self.raster_from_upright() * upright_from_image)
+        square_to_quad([corner(0), corner(1), corner(2), corner(3)])
     }
 
     /// The point of its image at a point of its rectangle.

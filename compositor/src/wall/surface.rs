@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// A wall's shape. In space, x is right, y up and z towards the audience, in metres; places are metres on the unrolled
 /// canvas, from its lower-left corner.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(rename_all = "kebab-case", deny_unknown_fields)]
+#[serde(try_from = "Tables", into = "Tables")]
 pub enum Surface {
     /// An upright cylinder with the audience inside.
     Cylinder {
@@ -22,6 +22,52 @@ pub enum Surface {
         /// The angle between the planes that the audience sees, in degrees; 180 is flat.
         angle: f64,
     },
+}
+
+/// `[surface]` in a wall file: one table for the shape.
+#[derive(Clone, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct Tables {
+    cylinder: Option<Cylinder>,
+    fold: Option<Fold>,
+}
+
+#[derive(Clone, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct Cylinder {
+    radius_m: f64,
+    at_m: f64,
+}
+
+#[derive(Clone, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+struct Fold {
+    at_m: f64,
+    angle: f64,
+}
+
+impl TryFrom<Tables> for Surface {
+    type Error = &'static str;
+
+    fn try_from(tables: Tables) -> Result<Self, Self::Error> {
+        match tables {
+            Tables { cylinder: Some(Cylinder { radius_m, at_m }), fold: None } => Ok(Self::Cylinder { radius_m, at_m }),
+            Tables { cylinder: None, fold: Some(Fold { at_m, angle }) } => Ok(Self::Fold { at_m, angle }),
+            Tables { cylinder: None, fold: None } => Err(
+                "[surface] says no shape: add [surface.cylinder] or [surface.fold], or leave it out for a flat wall",
+            ),
+            Tables { .. } => Err("[surface] says two shapes, and a wall has one: leave out cylinder or fold"),
+        }
+    }
+}
+
+impl From<Surface> for Tables {
+    fn from(surface: Surface) -> Self {
+        match surface {
+            Surface::Cylinder { radius_m, at_m } => Self { cylinder: Some(Cylinder { radius_m, at_m }), fold: None },
+            Surface::Fold { at_m, angle } => Self { cylinder: None, fold: Some(Fold { at_m, angle }) },
+        }
+    }
 }
 
 impl Surface {

@@ -154,6 +154,7 @@ fn what_cannot_be_a_wall_is_refused_with_line_and_cure() {
         (refined("name = \"row 1 column 1\"\ngamma = \"linear\""), 8, "a number such as 2.2, or \"srgb\""),
         (refined("name = \"row 1 column 1\"\nblack_level = -0.1"), 8, "from 0 to 0.25"),
         (refined("name = \"row 1 column 1\"\ngain = [1, 0, 1]"), 8, "from 0.05 to 1"),
+        (refined("name = \"row 1 column 1\"\nfall_off = [[1.0, 0.9]]"), 8, "5 rows of 5 numbers each"),
         (refined("name = \"row 1 column 1\"\nwarp_px = [[0, 0], [-2000, 0], [0, 0], [0, 0]]"), 8, "keep their order"),
         (refined("name = \"row 1 column 1\"\nwarp_px = [[0, 0], [nan, 0], [0, 0], [0, 0]]"), 8, "keep their order"),
         (refined("name = \"row 1 column 1\"\noutput = \"DP-1\""), 2, "give one to all, or to none"),
@@ -288,8 +289,45 @@ fn a_mesh_beside_the_wall_file_bends_its_projector() {
     }
     std::fs::write(folder.path().join("cut.pfm"), &mesh.to_pfm([2.0, 1.0])[..40]).unwrap();
     assert!(problem("cut.pfm").contains("no PFM file"), "{}", problem("cut.pfm"));
+    let flat = |bytes: &[u8]| {
+        std::fs::write(folder.path().join("flat.pfm"), bytes).unwrap();
+        problem("flat.pfm")
+    };
+    assert!(flat(&mesh.to_pfm([0.0, 1.0])).contains("all lie on one place or line"), "{}", problem("flat.pfm"));
     std::fs::write(folder.path().join("mirrored.pfm"), mesh.to_pfm([-2.0, 1.0])).unwrap();
     assert!(problem("mirrored.pfm").contains("beyond the canvas"), "{}", problem("mirrored.pfm"));
+}
+
+#[test]
+fn fall_off_is_read_and_printed_again() {
+    let row = "[0.7, 0.9, 1.0, 0.9, 0.7]";
+    let text = format!(
+        "canvas_m = [1, 1]\n[optics]\nfall_off = [{row}, {row}, {row}, {row}, {row}]\n[grid]\ncolumns = 1\nrows = 1\n\
+         pixels = [4, 4]"
+    );
+    let wall = Wall::from_toml("a.toml", &text).unwrap();
+    let fall_off = wall.projectors()[0].fall_off.as_ref().expect("of all projectors");
+    assert!((fall_off.excess(DVec2::new(0.5, 0.3)) - 1.0 / 0.7).abs() < 1e-9);
+    assert!(!wall.is_plain(0));
+    assert_eq!(Wall::from_toml("a.toml", &wall.to_toml()).unwrap(), wall);
+}
+
+#[test]
+fn a_projector_with_a_mesh_needs_no_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("ours.toml").display().to_string();
+    let points = [[0.1, 0.9], [0.8, 1.0], [0.1, 0.1], [0.8, 0.0]].map(DVec2::from);
+    let mesh = mesh::Mesh::new("a.pfm".to_owned(), [2, 2], &points).unwrap();
+    std::fs::write(folder.path().join("a.pfm"), mesh.to_pfm([2.0, 1.0])).unwrap();
+    let head = "canvas_m = [2.0, 1.0]\n[[projector]]\nname = \"a\"\npixels = [40, 30]\n";
+    let wall = Wall::from_toml(&file, &format!("{head}mesh = \"a.pfm\"")).unwrap();
+    let canvas = wall.projectors()[0].canvas;
+    assert!((canvas.left - 0.1).abs() < 1e-6 && (canvas.width - 0.7).abs() < 1e-6, "{canvas:?}");
+    // A place that the file gives nevertheless changes nothing, and none is printed.
+    let placed = Wall::from_toml(&file, &format!("{head}at_m = [9, 9]\nsize_m = [1, 1]\nmesh = \"a.pfm\"")).unwrap();
+    assert_eq!(placed, wall);
+    assert!(!wall.to_toml().contains("at_m"), "{}", wall.to_toml());
+    assert!(Wall::from_toml(&file, head).unwrap_err().to_string().contains("\"a\" needs at_m"));
 }
 
 #[test]
@@ -304,5 +342,10 @@ fn the_shape_of_a_wall_is_read_checked_and_kept() {
     assert!(wrong.starts_with("a.toml:2: radius_m = 0.4") && wrong.contains("at most a turn"), "{wrong}");
     let wrong = problem(&text("[surface.fold]\nat_m = 1.5\nangle = 180"));
     assert!(wrong.contains("leave [surface] out for a flat wall"), "{wrong}");
-    assert!(problem(&text("[surface.sphere]\nradius_m = 2")).contains("a.toml:2: "));
+    let wrong = problem(&text("[surface.sphere]\nradius_m = 2"));
+    assert!(wrong.starts_with("a.toml:2: ") && wrong.contains("`cylinder` or `fold`"), "{wrong}");
+    let wrong = problem(&text("[surface]"));
+    assert!(wrong.starts_with("a.toml:2: ") && wrong.contains("add [surface.cylinder] or [surface.fold]"), "{wrong}");
+    let both = "[surface.cylinder]\nradius_m = 2\nat_m = 1.5\n[surface.fold]\nat_m = 1.5\nangle = 120";
+    assert!(problem(&text(both)).contains("leave out cylinder or fold"), "{}", problem(&text(both)));
 }

@@ -95,8 +95,10 @@ impl<'a> App<'a> {
         remote: Option<Remote>,
     ) -> Self {
         let now = Instant::now();
+        let plays = inputs.show.as_ref().is_some_and(|(_, show)| !show.scenes.is_empty());
         let overlay = OverlayModel {
-            panel: args.kiosk.is_none(),
+            // Captions need the room.
+            panel: args.kiosk.is_none() && !plays,
             wall: WallDrawing::new(&inputs.wall),
             join: join_hint(farm.address(), args.key.as_deref(), [None; 2]),
             ..Default::default()
@@ -107,7 +109,7 @@ impl<'a> App<'a> {
         let picture = PictureControl::new(args, &inputs.wall, inputs.sky);
         let show = inputs.show.map(|show| ShowControl::new(show, source.clone(), picture.look(), now));
         // The first scene of a show takes the place of the model.
-        if show.as_ref().is_none_or(ShowControl::is_empty) {
+        if !plays {
             if !store.has(&source, args.show.model.crease) {
                 let budget = args.scene.shared_by(args.n_local()).options().memory_budget;
                 warn_of_large_file(&source, 1 + args.n_local(), budget);
@@ -231,8 +233,14 @@ impl<'a> App<'a> {
         self.loader.load_next();
         match loaded {
             Ok(loaded) => self.show_model(loaded.0, loaded.1),
-            Err(problem) if self.model.is_none() => self.fail(event_loop, anyhow::anyhow!(problem)),
-            Err(problem) => self.apply(Effect::problem(problem)),
+            // Scenes of a show may still come.
+            Err(problem) if self.model.is_none() && self.show.as_ref().is_none_or(ShowControl::is_empty) => {
+                self.fail(event_loop, anyhow::anyhow!(problem));
+            }
+            Err(problem) => {
+                self.show.iter_mut().for_each(ShowControl::forget_stand_in);
+                self.apply(Effect::problem(problem));
+            }
         }
     }
 

@@ -21,6 +21,7 @@ use shared::{
     printable::counted,
 };
 
+pub(crate) use self::output::holds_pictures;
 pub use self::output::{Output, Pictures, Video};
 use super::{Headless, Wakeups, milliseconds};
 use crate::{

@@ -35,6 +35,9 @@ pub(crate) fn run_headless(args: &WallArgs, Inputs { wall, sky, camera, path, sh
     if args.up.is_some() && (camera.is_some() || path.is_some()) {
         bail!("--up has no effect on a --camera or --path without a window: leave out one of them");
     }
+    if let Some((file, _)) = show.as_ref().filter(|(_, show)| show.scenes.is_empty()) {
+        bail!("{} has no scenes yet: Ctrl+K on a wall that plays it keeps views as scenes", file.display());
+    }
     let mut picture = Picture {
         camera,
         path,

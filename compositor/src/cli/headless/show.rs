@@ -7,17 +7,19 @@ use std::{
     time::{Duration, Instant},
 };
 
+use anyhow::{Context, bail};
 use renderer::{cli::say, model::scene::SceneSource, scene_file::SceneStore};
 use shared::{
     appearance::Appearance,
     camera::{Camera, CameraPath, CanvasPart, Look},
     division::FrameSize,
+    printable::counted,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::Crease,
     sky::{Sky, SkyId},
 };
 
-use super::{Headless, Wakeup, Wakeups, milliseconds, warn_if_blank};
+use super::{Headless, Wakeup, Wakeups, film::holds_pictures, milliseconds, warn_if_blank};
 use crate::{
     cli::report::Report,
     control::show::{Cue, Player, Show, ShowScene, Step},
@@ -79,10 +81,14 @@ struct Playing<'a> {
     path: Option<(CameraPath, Instant)>,
     /// The frame that is asked for.
     spec: Option<FrameSpec>,
+    n_shown: usize,
 }
 
 impl Headless {
     /// Plays a show once, in its own time. Missing scenes are left out with a line in the log.
+    ///
+    /// # Errors
+    /// None of the scenes was shown, or one's picture cannot be written.
     pub(crate) fn show_show(
         &mut self,
         farm: &Farm,
@@ -103,6 +109,7 @@ impl Headless {
             entered: None,
             path: None,
             spec: None,
+            n_shown: 0,
         };
         let (mut report, mut ended_at) = (Report::default(), Instant::now());
         let mut change_on_wall = 0;
@@ -127,6 +134,13 @@ impl Headless {
             }
         }
         self.write_scene(&playing, report.n_frames() > 0)?;
+        let n_left_out = playing.player.problems().len();
+        if n_left_out > 0 && playing.n_shown == 0 {
+            bail!("no scene was shown: the warnings above say why");
+        }
+        if n_left_out > 0 {
+            say(format_args!("{} of {n_scenes} left out: the warnings say why", counted(n_left_out, "scene")))?;
+        }
         Ok(report)
     }
 
@@ -198,6 +212,7 @@ impl Playing<'_> {
     fn on_first_frame(&mut self, frame: &Frame, n_scenes: usize) -> anyhow::Result<()> {
         let Some((index, path)) = self.entered.take_if(|_| frame.change == self.change) else { return Ok(()) };
         warn_if_blank(frame);
+        self.n_shown += 1;
         let now = Instant::now();
         let path_time = path.as_ref().map(|path| Duration::from_secs_f64(path.duration_seconds()));
         self.player.on_shown(index, path_time, now);
@@ -223,8 +238,12 @@ impl Playing<'_> {
     }
 }
 
-/// Makes the folder for the pictures of scenes.
+/// Makes the folder for the pictures of scenes, unless it holds those of another show.
 pub(crate) fn make_folder(folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
-        .map_err(|error| anyhow::anyhow!("--pictures {}: {error}; name a folder that can be made", folder.display()))
+        .with_context(|| format!("--pictures {} cannot be made: name another folder", folder.display()))?;
+    if holds_pictures(folder, "scene-")? {
+        bail!("{} holds pictures of a show: give --pictures another folder", folder.display());
+    }
+    Ok(())
 }

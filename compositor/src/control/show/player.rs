@@ -8,7 +8,7 @@ use std::{
 use super::file::{Show, ShowScene};
 
 /// A show none of whose scenes can be shown is tried again after this.
-const RETRY: Duration = Duration::from_secs(10);
+const RETRY: Duration = Duration::from_secs(5);
 
 /// A step that the wall takes for a show.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -166,10 +166,13 @@ impl Player {
         let Next { is_due, is_backwards, n_skipped, .. } = *next;
         let is_news = self.skipped.insert(index, problem.clone()) != Some(problem);
         let beyond = if is_backwards { self.before(index) } else { self.after(index) };
+        // Without a picture, all scenes are tried again and again, also by a show that does not repeat.
+        let first_again = (!self.is_shown).then_some((index + 1) % self.show.scenes.len());
         let is_here = self.is_shown && beyond == Some(self.position);
-        let is_round = self.show.repeats && (is_here || n_skipped + 1 >= self.show.scenes.len());
+        let is_whole = n_skipped + 1 >= self.show.scenes.len() || beyond.is_none();
+        let is_round = is_here || is_whole && (self.show.repeats || !self.is_shown);
         let n_skipped = if is_round { 0 } else { n_skipped + 1 };
-        self.next = beyond.map(|index| Next { is_backwards, n_skipped, ..Next::new(index, is_due) });
+        self.next = beyond.or(first_again).map(|index| Next { is_backwards, n_skipped, ..Next::new(index, is_due) });
         self.retry_at = is_round.then(|| now + RETRY);
         is_news
     }

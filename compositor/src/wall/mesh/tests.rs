@@ -105,6 +105,13 @@ fn folded_mirrored_distant_and_empty_meshes_are_refused() {
     assert_eq!(new([1, 2], &[[0.0, 1.0], [0.0, 0.0]]), Some(MeshError::Size { columns: 1, rows: 2 }));
     let beside: Vec<[f64; 2]> = upright.iter().map(|[x, y]| [x + 1.5, *y]).collect();
     assert_eq!(new([2, 2], &beside), Some(MeshError::BeyondCanvas));
+    let place = |at: DVec2| Some(MeshError::Flat { least: at, greatest: at });
+    assert_eq!(new([2, 2], &[[0.5, 0.25]; 4]), place(DVec2::new(0.5, 0.25)));
+    assert_eq!(new([2, 2], &[[0.0, 0.0]; 4]), place(DVec2::ZERO));
+    assert!(
+        new([2, 2], &[[0.0, 0.5], [1.0, 0.5], [0.0, 0.5], [1.0, 0.5]])
+            .is_some_and(|it| it.to_string().contains("line"))
+    );
     for odd in [f64::NAN, f64::INFINITY, 1e9] {
         let points = [upright[0], upright[1], upright[2], [1.0, odd]];
         assert_eq!(new([2, 2], &points), Some(MeshError::NoPlace { column: 1, row: 1 }));

@@ -40,6 +40,8 @@ pub(super) struct ShowControl {
     /// Scenes whose first frame may still come.
     awaited: Vec<Awaited>,
     fade: Option<Fade>,
+    /// Whether the wall's own model is loaded because no scene can be shown.
+    stands_in: bool,
 }
 
 /// A scene that was entered.
@@ -62,11 +64,16 @@ impl ShowControl {
     /// otherwise.
     pub(super) fn new((file, show): (PathBuf, Show), default: SceneSource, usual: Look, now: Instant) -> Self {
         let player = Player::new(show, now);
-        Self { file, player, default, usual, change: 0, read: None, awaited: Vec::new(), fade: None }
+        Self { file, player, default, usual, change: 0, read: None, awaited: Vec::new(), fade: None, stands_in: false }
     }
 
     pub(super) fn is_empty(&self) -> bool {
         self.player.show().scenes.is_empty()
+    }
+
+    /// The model that was to stand in for the scenes cannot be shown either.
+    pub(super) fn forget_stand_in(&mut self) {
+        self.stands_in = false;
     }
 
     /// Whether the wall fades into a frame of this change, the first.
@@ -155,6 +162,11 @@ impl App<'_> {
         {
             tracing::warn!("scene {} is left out: {problem}", index + 1);
         }
+        if show.player.is_stuck() && self.model.is_none() && !show.stands_in {
+            tracing::warn!("no scene of {} can be shown: {} is until one can", show.file.display(), show.default);
+            show.stands_in = true;
+            self.loader.load(show.default.clone());
+        }
         self.redraw();
     }
 
@@ -198,14 +210,16 @@ impl App<'_> {
         ends
     }
 
-    /// Another model is opened by hand.
+    /// Another model is on the wall: one that was opened by hand, unless it stands in for the scenes.
     pub(super) fn leave_show(&mut self) {
-        if let Some(show) = &mut self.show {
-            show.player.leave(Instant::now());
-            show.awaited.clear();
-            show.fade = None;
-            self.farm.update_goal(|goal| goal.next_scene = None);
+        let Some(show) = &mut self.show else { return };
+        if std::mem::take(&mut show.stands_in) {
+            return;
         }
+        show.player.leave(Instant::now());
+        show.awaited.clear();
+        show.fade = None;
+        self.farm.update_goal(|goal| goal.next_scene = None);
     }
 
     /// An order to the show.

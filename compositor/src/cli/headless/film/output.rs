@@ -102,7 +102,7 @@ impl Pictures {
     /// taken only if the film resumes.
     pub fn begin(folder: &Path, fps: f64, size: [u32; 2], resumes: bool) -> anyhow::Result<Self> {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
-        if !resumes && holds_pictures(folder).with_context(|| format!("cannot read {}", folder.display()))? {
+        if !resumes && holds_pictures(folder, "picture-")? {
             bail!(
                 "{} holds pictures of a film: --resume goes on with it, or give --pictures another folder",
                 folder.display()
@@ -177,9 +177,11 @@ fn picture_file(folder: &Path, index: u32) -> PathBuf {
     folder.join(format!("picture-{:06}.png", index + 1))
 }
 
-fn holds_pictures(folder: &Path) -> io::Result<bool> {
-    let is_picture = |name: &str| name.starts_with("picture-") && name.ends_with(".png");
-    let mut names = std::fs::read_dir(folder)?.map_while(Result::ok).map(|entry| entry.file_name());
+/// Whether a folder holds pictures whose names begin so.
+pub(crate) fn holds_pictures(folder: &Path, beginning: &str) -> anyhow::Result<bool> {
+    let is_picture = |name: &str| name.starts_with(beginning) && name.ends_with(".png");
+    let entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
+    let mut names = entries.map_while(Result::ok).map(|entry| entry.file_name());
     Ok(names.any(|name| name.to_str().is_some_and(is_picture)))
 }
 

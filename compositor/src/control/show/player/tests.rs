@@ -140,13 +140,16 @@ fn a_missing_scene_is_left_out_and_comes_back_when_it_can() {
 
 #[test]
 fn a_show_without_any_scene_that_can_be_shown_waits_and_tries_again() {
-    let mut wall = Wall::new(show(3, 1.0));
-    wall.missing = vec![0, 1, 2];
-    wall.pass(Duration::from_secs(60));
-    assert_eq!((wall.order(), wall.n_lines), (vec![], 3));
-    wall.missing = vec![0, 2];
-    wall.pass(RETRY * 2);
-    assert!(wall.order().iter().all(|index| *index == 1) && !wall.order().is_empty());
+    for (n_scenes, repeats) in [(1, true), (3, true), (1, false), (3, false)] {
+        let mut wall = Wall::new(Show { repeats, ..show(n_scenes, 1.0) });
+        wall.missing = (0..n_scenes).collect();
+        wall.pass(Duration::from_secs(60));
+        assert_eq!((wall.order(), wall.n_lines, wall.player.is_stuck()), (vec![], n_scenes, true));
+        wall.missing.pop();
+        wall.pass(RETRY * 2);
+        assert_eq!(wall.order().first(), Some(&(n_scenes - 1)));
+        assert!(wall.order().iter().all(|index| *index == n_scenes - 1));
+    }
     let mut empty = Wall::new(show(0, 1.0));
     empty.player.go_on();
     empty.player.play(empty.now);
