@@ -19,7 +19,7 @@ const SCREEN: [f64; 2] = [640.0, 360.0];
 const MIDDLE: [i32; 2] = [320, 180];
 
 fn read(file: &Path) -> Marks {
-    Marks::from_toml(&fs::read_to_string(file).unwrap()).unwrap()
+    Marks::from_toml(&fs::read_to_string(file).expect("the file of marks")).expect("marks")
 }
 
 fn click(wall: &RemoteWall, [x, y]: [i32; 2]) {

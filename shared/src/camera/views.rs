@@ -108,7 +108,7 @@ impl Views {
 
 impl View {
     /// The lines of a view in a file, which [`ViewTable`] reads.
-    pub(crate) fn to_toml(&self) -> String {
+    pub(crate) fn to_toml(self) -> String {
         let Self { camera, up, look } = self;
         let mut text = camera.to_toml();
         // Writing to a string cannot fail.
@@ -117,7 +117,7 @@ impl View {
         };
         add("up", up.as_ref().map(|up| up as _));
         if let Some(Look { light, clip, rays, path }) = look {
-            add("light", Some(light));
+            add("light", Some(&light));
             add("clip", clip.as_ref().map(|clip| clip as _));
             add("rays", rays.as_ref().map(|rays| rays as _));
             add("path", path.as_ref().map(|path| path as _));

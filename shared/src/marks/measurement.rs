@@ -149,7 +149,7 @@ mod tests {
     #[test]
     fn a_measurement_is_shown_with_its_unit() {
         use MeasurementKind::*;
-        let points = vec![DVec3::X, DVec3::ZERO, DVec3::Y * 12.345_678];
+        let points = [DVec3::X, DVec3::ZERO, DVec3::Y * 12.345_678];
         let shown = |kind, n: usize, unit| Measurement::new(kind, points[..n].to_vec()).unwrap().shown(unit);
         assert_eq!(shown(Distance, 2, None), "1.0000 units");
         assert_eq!(shown(Area, 3, Some(Unit::Metre)), "6.1728 m²");

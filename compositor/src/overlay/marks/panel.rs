@@ -42,7 +42,7 @@ pub(crate) fn show(ui: &mut Ui, list: &MarkList, commands: &mut Vec<Command>) {
         let (number, label) = &list.annotations[index];
         let edit = |ui: &mut Ui| {
             let button = ui.small_button("Edit");
-            name(&button, format!("edit {label}"));
+            name(&button, &format!("edit {label}"));
             button.clicked()
         };
         let (mut edits, mut goes) = (false, false);
@@ -64,7 +64,7 @@ pub(crate) fn show(ui: &mut Ui, list: &MarkList, commands: &mut Vec<Command>) {
         for kind in kinds {
             let text = kind.map_or_else(|| "none".to_owned(), |kind| kind.to_string());
             let button = ui.selectable_label(list.ruler == kind, text.clone());
-            name(&button, format!("ruler {text}"));
+            name(&button, &format!("ruler {text}"));
             if button.clicked() {
                 give(MarkCommand::SetRuler(kind));
             }
@@ -78,7 +78,7 @@ pub(crate) fn show(ui: &mut Ui, list: &MarkList, commands: &mut Vec<Command>) {
         let mut deletes = false;
         let delete = |ui: &mut Ui| {
             let button = ui.small_button("Delete");
-            name(&button, format!("delete {value}"));
+            name(&button, &format!("delete {value}"));
             deletes = button.clicked();
         };
         style::line(ui, delete, |ui| {
@@ -94,7 +94,7 @@ pub(crate) fn show(ui: &mut Ui, list: &MarkList, commands: &mut Vec<Command>) {
         for unit in std::iter::once(None).chain(Unit::VARIANTS.iter().copied().map(Some)) {
             let text = unit.map_or_else(|| "none".to_owned(), |unit| unit.to_string());
             let button = ui.selectable_label(list.unit == unit, text.clone());
-            name(&button, format!("unit {text}"));
+            name(&button, &format!("unit {text}"));
             if button.clicked() {
                 give(MarkCommand::SetUnit(unit));
             }
@@ -113,6 +113,6 @@ fn rows(ui: &mut Ui, id: &str, n_rows: usize, mut row: impl FnMut(&mut Ui, usize
 }
 
 /// Names a button for screen readers.
-fn name(button: &egui::Response, name: String) {
-    button.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &name));
+fn name(button: &egui::Response, name: &str) {
+    button.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, name));
 }

@@ -15,6 +15,7 @@ use super::{App, picture::next, probing::Purpose};
 use crate::{
     control::{
         marks::{FileToWrite, KeptMarks, MarkCommand, Picked, Ruler},
+        navigator::Navigator,
         sidecar,
     },
     farm::{Look, stats::Seen},
@@ -372,7 +373,7 @@ impl App<'_> {
 
     /// Gives a point of the model to the ruler; `None` if the ruler is put away.
     pub(super) fn measure(&mut self, pick: Pick) -> Effect {
-        let camera = self.camera.navigator.as_ref().map(|navigator| navigator.camera());
+        let camera = self.camera.navigator.as_ref().map(Navigator::camera);
         let height = camera.map_or(0.0, |camera| {
             let distance = (camera.target() - camera.eye()).length();
             camera.v().length() * pick.distance / distance
