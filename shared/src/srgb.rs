@@ -26,12 +26,12 @@ static THRESHOLDS: [f32; 256] = {
     thresholds
 };
 
-/// The lowest encoded value in each of [`N_BUCKETS`] equal steps of linear light.
-static FIRST_VALUE: [u8; N_BUCKETS] = {
-    let mut first_value = [0; N_BUCKETS];
+/// The lowest encoded value in each of [`N_BUCKETS`] equal steps of linear light, and that of 1.
+static FIRST_VALUE: [u8; N_BUCKETS + 1] = {
+    let mut first_value = [0; N_BUCKETS + 1];
     let mut value = 0;
     let mut bucket = 0;
-    while bucket < N_BUCKETS {
+    while bucket <= N_BUCKETS {
         while THRESHOLDS[value] <= bucket as f32 / N_BUCKETS as f32 {
             value += 1;
         }
@@ -41,7 +41,8 @@ static FIRST_VALUE: [u8; N_BUCKETS] = {
     first_value
 };
 
-/// A power of two, so that a bucket's index is exact.
+/// A power of two, so that a bucket's index is exact. A bucket is narrower than 1 / (12.92 × 255), the least distance between
+/// two thresholds, so it has at most one.
 const N_BUCKETS: usize = 4096;
 
 /// Linear light, 0 to 1, of an encoded value.
@@ -53,17 +54,10 @@ pub fn decode(value: u8) -> f32 {
 /// The encoded value nearest to a linear light, which is clamped to 0..1; NaN gives 0.
 #[inline]
 pub fn encode(linear: f32) -> u8 {
-    if linear.is_nan() || linear <= 0.0 {
-        return 0;
-    }
-    if linear >= 1.0 {
-        return 255;
-    }
-    let mut value = FIRST_VALUE[(linear * N_BUCKETS as f32) as usize];
-    while THRESHOLDS[usize::from(value)] <= linear {
-        value += 1;
-    }
-    value
+    // Neighbours differ, so a branch would often be predicted wrongly. NaN is not above 0.
+    let clamped = if linear > 0.0 { linear } else { 0.0 }.min(1.0);
+    let value = FIRST_VALUE[(clamped * N_BUCKETS as f32) as usize];
+    value + u8::from(THRESHOLDS[usize::from(value)] <= clamped)
 }
 
 /// Encoded to linear after IEC 61966-2-1, both 0 to 1.
@@ -104,6 +98,13 @@ mod tests {
             let encoded = if x <= 0.003_130_8 { x * 12.92 } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 };
             let error = (f64::from(encode(linear)) - encoded * 255.0).abs();
             assert!(error <= 0.5 + 1e-3, "{linear}: {} instead of {}", encode(linear), encoded * 255.0);
+        }
+    }
+
+    #[test]
+    fn a_value_begins_at_its_threshold() {
+        for (value, &threshold) in (0..255u8).zip(&THRESHOLDS) {
+            assert_eq!([threshold.next_down(), threshold].map(encode), [value, value + 1]);
         }
     }
 
