@@ -122,10 +122,11 @@ fn place_labels<'a>(ui: &Ui, model: &'a OverlayModel, caption: Option<Rect>) -> 
     let texts: Vec<_> =
         marks.labels.iter().filter_map(|label| Some((label, text(ui, &model.regions, label, letters)?))).collect();
     let to_points = |area: Rect| scaled(area, points_per_canvas);
+    let to_point = |point: Pos2| (point.to_vec2() * points_per_canvas).to_pos2();
     let wanted: Vec<_> = texts
         .iter()
         .map(|(label, text)| Wanted {
-            anchor: (label.anchor.to_vec2() * points_per_canvas).to_pos2(),
+            anchor: to_point(label.anchor),
             size: text.size() * points_per_canvas,
             slot: marks.places.iter().find(|placed| placed.number == label.number).map(|placed| placed.slot),
         })
@@ -134,6 +135,7 @@ fn place_labels<'a>(ui: &Ui, model: &'a OverlayModel, caption: Option<Rect>) -> 
         bounds: to_points(Rect::from_min_max(Pos2::ZERO, egui::pos2(1.0, 1.0))),
         covered: marks.covered.iter().copied().chain(caption).map(to_points).collect(),
         screens: marks.screens.iter().copied().map(to_points).collect(),
+        points: marks.points.iter().copied().map(to_point).collect(),
         gap: GAP * letters * points_per_canvas.y,
     };
     let places = place(&wanted, &room);

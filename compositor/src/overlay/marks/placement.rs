@@ -27,6 +27,8 @@ pub(super) struct Room {
     pub covered: Vec<Rect>,
     /// Screens or projectors, across whose edges no label should reach.
     pub screens: Vec<Rect>,
+    /// Points of measurements, which no label hides.
+    pub points: Vec<Pos2>,
     /// Space between labels, and around points.
     pub gap: f32,
 }
@@ -122,6 +124,7 @@ fn is_free(label: &Wanted, slot: Slot, index: usize, wanted: &[Wanted], placed: 
     };
     room.bounds.contains_rect(area)
         && !room.covered.iter().any(|panel| panel.intersects(wide) || crosses(*panel, line))
+        && !room.points.iter().any(|&point| wide.contains(point))
         && !wanted.iter().enumerate().any(hides_point)
         && !placed.iter().any(is_in_the_way)
 }
@@ -168,7 +171,7 @@ mod tests {
 
     fn room() -> Room {
         let bounds = Rect::from_min_size(Pos2::ZERO, vec2(1600.0, 900.0));
-        Room { bounds, covered: Vec::new(), screens: vec![bounds], gap: GAP }
+        Room { bounds, covered: Vec::new(), screens: vec![bounds], points: Vec::new(), gap: GAP }
     }
 
     fn label(x: f32, y: f32) -> Wanted {
@@ -234,6 +237,14 @@ mod tests {
         let both = place(&wanted, &room());
         assert_eq!(both[2], alone[0]);
         check(&wanted, &room(), &both);
+    }
+
+    #[test]
+    fn a_measurement_s_value_hides_none_of_its_points() {
+        let points = vec![pos2(540.0, 470.0), pos2(460.0, 530.0)];
+        let room = Room { points: points.clone(), ..room() };
+        let (_, area) = place(&[label(500.0, 500.0)], &room)[0].unwrap();
+        assert!(!points.into_iter().any(|point| area.contains(point)), "{area}");
     }
 
     #[test]
