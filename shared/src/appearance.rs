@@ -8,7 +8,14 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 use strum::{Display, EnumString, IntoStaticStr, VariantArray};
 
-use crate::{camera::Camera, division::FrameSize, names::unknown_name, path_light::PathLight, sky::Sky, srgb};
+use crate::{
+    camera::{Camera, UpAxis},
+    division::FrameSize,
+    names::unknown_name,
+    path_light::PathLight,
+    sky::SkyId,
+    srgb,
+};
 
 /// The appearance of a frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -22,7 +29,9 @@ pub struct Appearance {
     /// More of the light, if it is path traced.
     pub path: PathLight,
     /// The image that lights it in place of sun and sky, if there is one.
-    pub sky: Option<Sky>,
+    pub sky: Option<SkyId>,
+    /// The model's axis that points to the top row of the sky image, and away from the ground.
+    pub up: UpAxis,
 }
 
 /// The direction of the key light, seen from the target, with the eye straight in front.

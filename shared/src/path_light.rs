@@ -1,6 +1,7 @@
-//! The light of path-traced pictures: the sun's size, how often light bounces, and the exposure; other pictures ignore it.
+//! The light of path-traced pictures: the sun's size, how often light bounces, the exposure, and whether a ground shows shadows;
+//! other pictures ignore it.
 //!
-//! All values are bounded integers: no NaN can occur, and every machine computes the same bits from them.
+//! All numbers are bounded integers: no NaN can occur, and every machine computes the same bits from them.
 
 use std::{fmt, ops::RangeInclusive, str::FromStr};
 
@@ -10,12 +11,16 @@ use serde::{Deserialize, Serialize};
 ///
 /// Invariant, on the wire too: each number lies in the range of its limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(try_from = "(u16, u8, i16)")]
+#[serde(try_from = "PathNumbers")]
 pub struct PathLight {
     sun_decidegrees: u16,
     bounces: u8,
     exposure_deci_ev: i16,
+    has_ground: bool,
 }
+
+/// Sun, bounces, exposure and ground as they come in.
+type PathNumbers = (u16, u8, i16, bool);
 
 /// A number is out of range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -37,7 +42,8 @@ impl PathLight {
     const SUN_DECIDEGREES: RangeInclusive<u16> = 0..=900;
     const EXPOSURE_DECI_EV: RangeInclusive<i16> = -100..=100;
 
-    /// The sun's diameter in tenths of a degree, bounces of light between surfaces, and exposure in tenths of a stop.
+    /// The sun's diameter in tenths of a degree, bounces of light between surfaces, and exposure in tenths of a stop; without a
+    /// ground.
     pub fn new(sun_decidegrees: u16, bounces: u8, exposure_deci_ev: i16) -> Result<Self, PathLightError> {
         if !Self::SUN_DECIDEGREES.contains(&sun_decidegrees) {
             Err(PathLightError::Sun)
@@ -46,7 +52,7 @@ impl PathLight {
         } else if !Self::EXPOSURE_DECI_EV.contains(&exposure_deci_ev) {
             Err(PathLightError::Exposure)
         } else {
-            Ok(Self { sun_decidegrees, bounces, exposure_deci_ev })
+            Ok(Self { sun_decidegrees, bounces, exposure_deci_ev, has_ground: false })
         }
     }
 
@@ -73,6 +79,17 @@ impl PathLight {
         if self.exposure_deci_ev < 0 { 1.0 / factor } else { factor }
     }
 
+    /// Whether the background shows the shadows that fall on a ground below the model.
+    pub fn has_ground(self) -> bool {
+        self.has_ground
+    }
+
+    /// The same with a ground, or without.
+    #[must_use]
+    pub fn with_ground(self, has_ground: bool) -> Self {
+        Self { has_ground, ..self }
+    }
+
     /// The same with another diameter of the sun, in tenths of a degree; the nearest that is possible.
     #[must_use]
     pub fn with_sun(self, decidegrees: u16) -> Self {
@@ -84,6 +101,12 @@ impl PathLight {
     pub fn with_exposure(self, deci_ev: i16) -> Self {
         let (least, most) = Self::EXPOSURE_DECI_EV.into_inner();
         Self { exposure_deci_ev: deci_ev.clamp(least, most), ..self }
+    }
+
+    /// The same, brighter by tenths of a stop, or darker if negative, as far as is possible.
+    #[must_use]
+    pub fn brightened_by(self, deci_ev: i16) -> Self {
+        self.with_exposure(self.exposure_deci_ev.saturating_add(deci_ev))
     }
 
     /// Parses the sun's diameter in degrees, in tenths.
@@ -110,24 +133,26 @@ fn tenths<T: TryFrom<i32>>(text: &str) -> Option<T> {
 }
 
 impl Default for PathLight {
-    /// A sun that is larger than in nature, so that edges of shadows are soft; four bounces; no correction of the exposure.
+    /// A sun that is larger than in nature, so that edges of shadows are soft; four bounces; no correction of the exposure; no
+    /// ground.
     fn default() -> Self {
-        Self { sun_decidegrees: 40, bounces: 4, exposure_deci_ev: 0 }
+        Self { sun_decidegrees: 40, bounces: 4, exposure_deci_ev: 0, has_ground: false }
     }
 }
 
 impl fmt::Display for PathLight {
-    /// Sun, bounces and exposure, in the words of the options.
+    /// Sun, bounces and exposure, in the words of the options, and `ground` if there is one.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{},{},{}", self.sun_degrees(), self.bounces, self.exposure_ev())
+        let ground = if self.has_ground { ",ground" } else { "" };
+        write!(f, "{},{},{}{ground}", self.sun_degrees(), self.bounces, self.exposure_ev())
     }
 }
 
 /// Text that is no light of paths.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PathLightTextError {
-    /// It has not three parts.
-    #[error("the light of paths is SUN,BOUNCES,EXPOSURE as in 4,4,0")]
+    /// It has other parts.
+    #[error("the light of paths is SUN,BOUNCES,EXPOSURE as in 4,4,0, or with a ground 4,4,0,ground")]
     Parts,
     /// One is out of range.
     #[error(transparent)]
@@ -139,17 +164,24 @@ impl FromStr for PathLight {
 
     fn from_str(text: &str) -> Result<Self, PathLightTextError> {
         let parts: Vec<_> = text.split(',').collect();
-        let &[sun, bounces, exposure] = parts.as_slice() else { return Err(PathLightTextError::Parts) };
-        let numbers = (Self::parse_sun(sun)?, Self::parse_bounces(bounces)?, Self::parse_exposure(exposure)?);
-        Ok(numbers.try_into()?)
+        let &[sun, bounces, exposure, ref ground @ ..] = parts.as_slice() else {
+            return Err(PathLightTextError::Parts);
+        };
+        let has_ground = match ground {
+            [] => false,
+            [word] if word.trim() == "ground" => true,
+            _ => return Err(PathLightTextError::Parts),
+        };
+        let (sun, bounces) = (Self::parse_sun(sun)?, Self::parse_bounces(bounces)?);
+        Ok(Self::new(sun, bounces, Self::parse_exposure(exposure)?)?.with_ground(has_ground))
     }
 }
 
-impl TryFrom<(u16, u8, i16)> for PathLight {
+impl TryFrom<PathNumbers> for PathLight {
     type Error = PathLightError;
 
-    fn try_from((sun_decidegrees, bounces, exposure_deci_ev): (u16, u8, i16)) -> Result<Self, PathLightError> {
-        Self::new(sun_decidegrees, bounces, exposure_deci_ev)
+    fn try_from((sun_decidegrees, bounces, exposure_deci_ev, has_ground): PathNumbers) -> Result<Self, PathLightError> {
+        Ok(Self::new(sun_decidegrees, bounces, exposure_deci_ev)?.with_ground(has_ground))
     }
 }
 
@@ -168,7 +200,8 @@ mod tests {
         for text in ["", "-10.1", "11", "0.01", "NaN", "-inf"] {
             assert_eq!(PathLight::parse_exposure(text), Err(PathLightError::Exposure), "{text}");
         }
-        for numbers in [(901, 0, 0), (0, 65, 0), (0, 0, -101), (u16::MAX, u8::MAX, i16::MIN)] {
+        for (sun, bounces, exposure) in [(901, 0, 0), (0, 65, 0), (0, 0, -101), (u16::MAX, u8::MAX, i16::MIN)] {
+            let numbers = (sun, bounces, exposure, true);
             assert!(PathLight::try_from(numbers).is_err(), "{numbers:?}");
         }
         assert_eq!(PathLight::parse_sun("0.5"), Ok(5));
@@ -177,11 +210,11 @@ mod tests {
 
     #[test]
     fn written_lights_are_read_back() {
-        for numbers in [(0, 0, 0), (5, 4, -15), (900, 64, 100), (123, 7, -100)] {
+        for numbers in [(0, 0, 0, false), (5, 4, -15, true), (900, 64, 100, false), (123, 7, -100, true)] {
             let light = PathLight::try_from(numbers).unwrap();
             assert_eq!(light.to_string().parse(), Ok(light));
         }
-        for text in ["", "4,4", "4,4,0,0", "91,4,0", "4,65,0", "4,4,11", "4;4;0"] {
+        for text in ["", "4,4", "4,4,0,0", "91,4,0", "4,65,0", "4,4,11", "4;4;0", "4,4,0,ground,ground", "4,4,0,"] {
             assert!(text.parse::<PathLight>().is_err(), "{text}");
         }
         let changed = PathLight::default().with_sun(u16::MAX).with_exposure(i16::MIN);

@@ -1,23 +1,12 @@
-//! A sky image's identity and place: wall and render servers must mean the same light.
+//! A sky image's identity: wall and render servers must mean the same light.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::camera::UpAxis;
-
 /// The BLAKE3 hash of a sky image: width, height and linear red, green and blue of its texels, as little-endian numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct SkyId(pub [u8; 32]);
-
-/// The sky image that lights path-traced pictures, and how it stands around the model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct Sky {
-    /// The image.
-    pub id: SkyId,
-    /// The model's axis that points to the image's top row.
-    pub up: UpAxis,
-}
 
 impl fmt::Display for SkyId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

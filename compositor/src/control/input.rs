@@ -63,6 +63,11 @@ pub(crate) enum Command {
     SetSun(u16),
     /// Of paths of light, in tenths of a stop.
     SetExposure(i16),
+    /// Brighten pictures of paths by this many tenths of a stop.
+    ChangeExposure(i16),
+    /// Whether the background shows the shadow on a ground.
+    SetGround(bool),
+    ToggleGround,
     NextBackground,
     SetBackground(Background),
     NextClip,
@@ -97,7 +102,10 @@ pub(crate) enum Command {
 
 impl Command {
     pub(crate) fn repeats(self) -> bool {
-        matches!(self, Self::MoveClip(_) | Self::Undo | Self::Redo | Self::Choose(_) | Self::Untype)
+        matches!(
+            self,
+            Self::MoveClip(_) | Self::ChangeExposure(_) | Self::Undo | Self::Redo | Self::Choose(_) | Self::Untype
+        )
     }
 
     /// Whether it moves the camera, as a hand does.
@@ -254,6 +262,9 @@ pub const KEYS: &[KeyBinding] = {
             Trigger(NextLight),
             "next light: left shoulder, eye, right shoulder, above, grazing, behind",
         ),
+        row(&[Letter(']')], Trigger(ChangeExposure(1)), "brighter light, at rest"),
+        row(&[Letter('[')], Trigger(ChangeExposure(-1)), "darker light, at rest"),
+        row(&[Letter('z')], Trigger(ToggleGround), "shadow on a ground, at rest, or none"),
         row(&[Letter('b')], Trigger(NextBackground), "next background: dusk, black, grey, white, sky"),
         row(&[Letter('x')], Trigger(NextClip), "cut open from the next side: x, y, z, -x, -y, -z, eye, none"),
         row(&[Letter('.')], Trigger(MoveClip(10)), "cut deeper"),

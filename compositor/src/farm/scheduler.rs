@@ -475,7 +475,7 @@ impl Scheduler {
 
 /// The sky image that lights the wall's scene.
 fn sky_of(goal: &RenderGoal) -> Option<SkyId> {
-    Some(goal.spec?.appearance.sky?.id)
+    goal.spec?.appearance.sky
 }
 
 #[cfg(test)]

@@ -46,9 +46,13 @@ fn light_of_paths(ui: &mut Ui, appearance: &Appearance, commands: &mut Vec<Comma
     if appearance.sky.is_none() && ui.add(sun).changed() {
         commands.push(Command::SetSun((degrees * 10.0).round() as u16));
     }
-    let exposure = Slider::new(&mut stops, -10.0..=10.0).text("exposure").suffix(" stops").fixed_decimals(1);
+    let exposure = Slider::new(&mut stops, -10.0..=10.0).text("exposure ([ and ])").suffix(" stops").fixed_decimals(1);
     if ui.add(exposure).changed() {
         commands.push(Command::SetExposure((stops * 10.0).round() as i16));
+    }
+    let mut has_ground = appearance.path.has_ground();
+    if ui.checkbox(&mut has_ground, "shadow on a ground (Z)").changed() {
+        commands.push(Command::SetGround(has_ground));
     }
 }
 

@@ -138,6 +138,16 @@ pub enum Action {
         /// −90 to 90.
         elevation_deg: i16,
     },
+    /// Sets the diameter of the sun of path-traced pictures.
+    Sun {
+        /// 0 to 90, rounded to tenths.
+        degrees: f64,
+    },
+    /// Shows the shadow on a ground in path-traced pictures, or none.
+    Ground {
+        /// Whether it is shown.
+        on: bool,
+    },
     /// Sets the exposure of path-traced pictures.
     Exposure {
         /// −10 to 10, rounded to tenths: each doubles the light.
@@ -247,6 +257,7 @@ impl Action {
             {
                 Some("azimuth_deg is from -180 to 180, elevation_deg from -90 to 90")
             }
+            Sun { degrees } if !(0.0..=90.0).contains(&degrees) => Some("degrees are from 0 to 90"),
             Exposure { stops } if !(-10.0..=10.0).contains(&stops) => Some("stops are from -10 to 10"),
             Cut { permille, .. } if permille > 1000 => Some("permille is from 0 to 1000"),
             _ => None,
@@ -332,6 +343,8 @@ mod tests {
             r#"{"do":"open","model":".hidden.ply"}"#,
             r#"{"do":"light","azimuth_deg":181,"elevation_deg":0}"#,
             r#"{"do":"exposure","stops":10.1}"#,
+            r#"{"do":"sun","degrees":-0.1}"#,
+            r#"{"do":"ground"}"#,
             r#"{"do":"cut","side":"w"}"#,
             r#"{"do":"cut","side":"x","permille":1001}"#,
             &format!(r#"{{"do":"open","model":"{}"}}"#, "x".repeat(LONGEST_MESSAGE)),

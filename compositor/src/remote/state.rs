@@ -77,6 +77,8 @@ pub struct Controls {
     pub sun_deg: f64,
     /// Stops by which path-traced pictures are brighter.
     pub exposure_stops: f64,
+    /// Whether path-traced pictures show the shadow on a ground.
+    pub has_ground: bool,
     /// The background, bottom and top: RRGGBB, or two with a comma.
     pub background: String,
     /// The side from which the model is cut, and the thousandths that are cut away.

@@ -43,6 +43,10 @@ pub struct AppearanceArgs {
         value_parser = PathLight::parse_exposure, allow_hyphen_values = true)]
     exposure: i16,
 
+    /// With --rays path: show on the background the shadow that the model casts on a ground below it
+    #[arg(long, help_heading = HEADING)]
+    ground: bool,
+
     /// With --rays path: an image of the sky (equirectangular, in Radiance HDR or OpenEXR) that lights the model in place of
     /// sun and sky; the azimuth of --key-light turns it
     #[arg(long, help_heading = HEADING, value_name = "FILE")]
@@ -50,11 +54,11 @@ pub struct AppearanceArgs {
 }
 
 impl AppearanceArgs {
-    /// The appearance that the options describe, without the sky image: who reads it knows its name.
+    /// The appearance that the options describe, without the sky image and the up axis: who reads image and model knows them.
     pub fn appearance(&self) -> Appearance {
-        let Self { key_light: light, background, clip, sun, bounces, exposure, sky: _ } = *self;
+        let Self { key_light: light, background, clip, sun, bounces, exposure, ground, sky: _ } = *self;
         let path = PathLight::new(sun, bounces, exposure).expect("each number was checked as it was read");
-        Appearance { light, background, clip, path, sky: None }
+        Appearance { light, background, clip, path: path.with_ground(ground), ..Appearance::default() }
     }
 
     /// The options that were given and light only pictures of paths.
@@ -65,6 +69,7 @@ impl AppearanceArgs {
             ("--sun", path.sun_degrees() != default.sun_degrees()),
             ("--bounces", path.bounces() != default.bounces()),
             ("--exposure", path.exposure_ev() != default.exposure_ev()),
+            ("--ground", path.has_ground()),
             ("--sky", self.sky.is_some()),
         ];
         given.into_iter().filter(|(_, is_given)| *is_given).map(|(name, _)| name).collect()

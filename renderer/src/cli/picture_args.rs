@@ -13,7 +13,6 @@ use shared::{
     division::FrameSize,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::{Crease, SceneId},
-    sky::Sky,
 };
 
 use crate::{
@@ -151,9 +150,10 @@ impl PictureArgs {
         Ok(self.appearance.read_sky()?.map(Arc::new))
     }
 
-    /// Lights a scene's frame by a sky image, which stands upright around its model.
+    /// Lights a scene's frame by a sky image; image and ground stand upright around its model.
     pub fn light(&self, spec: &mut FrameSpec, scene: &mut Scene, shape: &Shape, sky: Option<Arc<SkyMap>>) {
-        spec.appearance.sky = sky.as_ref().map(|sky| Sky { id: sky.id(), up: self.up.unwrap_or(shape.up) });
+        spec.appearance.sky = sky.as_ref().map(|sky| sky.id());
+        spec.appearance.up = self.up.unwrap_or(shape.up);
         scene.sky = sky;
     }
 

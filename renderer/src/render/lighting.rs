@@ -86,12 +86,12 @@ impl<'a> Lighting<'a> {
         let mut paths = Vec::with_capacity(64 * blocks.len() * hits.len());
         for (index, (sample, ((directions, hits), lights))) in samples.enumerate() {
             let first = 64 * MOST_PACKETS * index;
-            tracer.begin(blocks, sample, (directions, self.sample_sides), hits, first, &mut paths);
             for (index, block) in blocks.iter().enumerate() {
                 for (sample_idx, (i, j)) in block.samples().enumerate().filter(|&(at, _)| hits[index][at].is_miss()) {
                     lights[index][sample_idx] = self.shader.backdrop(sample_point(i, j, sample).1);
                 }
             }
+            tracer.begin(blocks, sample, (directions, self.sample_sides), (hits, lights), first, &mut paths);
         }
         tracer.add_lights(&self.shader, paths, lights.as_flattened_mut().as_flattened_mut());
     }

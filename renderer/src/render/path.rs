@@ -8,9 +8,10 @@
 //! The paths of neighbouring pixels, and several of each, go from bounce to bounce together, so that hundreds of rays are traced
 //! in one call. Only + − × ÷ √ are used, in a fixed order for each path: every machine computes the same bits.
 //!
-//! `sobol` makes random numbers, `lights` are sun and sky, `lamp` lights rooms, `scattering` is what surfaces do to light, and
+//! `sobol` makes random numbers, `lights` are sun and sky, `lamp` lights rooms, `ground` catches shadows, `scattering` is what surfaces do to light, and
 //! `tone` makes it fit a display.
 
+mod ground;
 mod lamp;
 pub(super) mod lights;
 mod scattering;
@@ -25,6 +26,7 @@ use glam::{DVec3, Vec3};
 use shared::{appearance::ClipPlane, protocol::FrameSpec};
 
 use self::{
+    ground::Ground,
     lamp::Lamp,
     lights::{Sky, Sun},
     scattering::{ScatterSample, Scattering},
@@ -38,7 +40,7 @@ use crate::{
     },
     render::{
         blocks::SampleBlock,
-        lift::Lift,
+        lift::{Lift, LiftedPoint},
         scene::Scene,
         secondary::{back_and_light, tangent_basis},
         shade::Shader,
@@ -89,10 +91,12 @@ pub(super) struct PathTracer<'a> {
     sky: Sky,
     /// In place of sun and sky.
     sky_map: Option<PlacedSky<'a>>,
+    /// Only where the background shows shadows.
+    ground: Option<Ground>,
     bounces: u8,
 }
 
-/// A path that has hit a surface.
+/// A path that has hit a surface, or the ground.
 pub(super) struct Path {
     /// Index of its sum of light: the samples follow each other, each with all pixels of the group of blocks.
     pixel: usize,
@@ -101,6 +105,7 @@ pub(super) struct Path {
     direction: Vec3,
     /// Change of the direction across the width and the height of what the ray stands for.
     sides: [Vec3; 2],
+    /// A miss on the ground.
     hit: Hit,
     /// The part of the light from the direction that reaches the eye.
     weight: Vec3,
@@ -116,10 +121,19 @@ fn least_roughness(density: f32) -> f32 {
     LEAST_SCATTERED_ROUGHNESS * (SCATTERED_DENSITY / density).min(1.0).sqrt().sqrt()
 }
 
-/// A ray of a path, and the light that reaches the eye if it hits nothing.
+/// The light that a ray brings to a pixel.
+#[derive(Clone, Copy)]
+struct Contribution {
+    pixel: usize,
+    light: Vec3,
+    /// Whether it comes where the ray hits something, as the light that the ground loses there, rather than where it hits nothing.
+    comes_with_hit: bool,
+}
+
+/// A ray of a path, and the light that it brings.
 struct Pending {
     path: Path,
-    light: Vec3,
+    contribution: Contribution,
 }
 
 /// Paths by number.
@@ -143,20 +157,22 @@ impl WideRays for PathRays<'_> {
     }
 }
 
-/// Rays that bring light unless they hit something.
+/// The rays that go on from the surfaces of many paths.
 #[derive(Default)]
-struct ShadowRays {
-    rays: Vec<Ray>,
-    /// For each ray the pixel, and the light.
-    lights: Vec<(usize, Vec3)>,
+struct NextRays {
+    /// Those that only ask whether they hit anything.
+    shadow_rays: Vec<Ray>,
+    /// Of each of them.
+    contributions: Vec<Contribution>,
+    pending: Vec<Pending>,
 }
 
-impl ShadowRays {
-    /// Adds a ray of this length.
-    fn push(&mut self, (origin, direction, length): (DVec3, Vec3, f32), pixel: usize, light: Vec3) {
-        if light.cmpgt(Vec3::ZERO).any() {
-            self.rays.push(Ray { t_max: length, ..Ray::new(origin.as_vec3(), direction) });
-            self.lights.push((pixel, light));
+impl NextRays {
+    /// Adds a shadow ray of this length.
+    fn push_shadow_ray(&mut self, (origin, direction, length): (DVec3, Vec3, f32), contribution: Contribution) {
+        if contribution.light != Vec3::ZERO {
+            self.shadow_rays.push(Ray { t_max: length, ..Ray::new(origin.as_vec3(), direction) });
+            self.contributions.push(contribution);
         }
     }
 }
@@ -169,6 +185,14 @@ impl<'a> PathTracer<'a> {
         let light = spec.appearance.path;
         let up = spec.camera.v().normalize().as_vec3();
         let eye = spec.camera.eye().as_vec3().as_dvec3();
+        let sky = Sky { up, zenith: ZENITH_LIGHT, ground: GROUND_LIGHT };
+        let sky_map = scene.sky.as_deref().and_then(|map| map.placed(&spec.appearance));
+        let ground = light.has_ground().then(|| {
+            let up = spec.appearance.up.direction();
+            let of_sun = SUN_LIGHT * up.dot(to_light).max(0.0) as f32;
+            let open = sky_map.as_ref().map_or_else(|| of_sun + sky.scattered(up.as_vec3()), PlacedSky::scattered_up);
+            Ground::below(grid.mesh(), spec.appearance.up, open)
+        });
         Self {
             grid,
             clip,
@@ -176,34 +200,42 @@ impl<'a> PathTracer<'a> {
             eye,
             sun: Sun::new(to_light, light.sun_degrees(), SUN_LIGHT),
             lamp: Lamp::at(grid, clip.as_ref(), eye, SUN_LIGHT),
-            sky: Sky { up, zenith: ZENITH_LIGHT, ground: GROUND_LIGHT },
-            sky_map: scene.sky.as_deref().and_then(|map| map.placed(&spec.appearance)),
+            sky,
+            sky_map,
+            ground: ground.flatten(),
             bounces: light.bounces(),
         }
     }
 
     /// Begins the paths of sample number `sample` of neighbouring blocks' pixels, whose rays follow `directions` from the eye
-    /// to `hits`; `sides` are the changes of direction across a sample. Misses begin none. `first` is the index of the first
-    /// pixel's sum of light.
+    /// to `hits`; `sides` are the changes of direction across a sample. Misses begin none, unless they meet the ground before
+    /// their `backdrops`. `first` is the index of the first pixel's sum of light.
     pub(super) fn begin(
         &self,
         blocks: &[SampleBlock<'_>],
         sample: u32,
         (directions, sides): (&[[Vec3; 64]], [Vec3; 2]),
-        hits: &[[Hit; 64]],
+        (hits, backdrops): (&[[Hit; 64]], &[[Vec3; 64]]),
         first: usize,
         paths: &mut Vec<Path>,
     ) {
         for (index, block) in blocks.iter().enumerate() {
-            for (sample_idx, pixel) in block.samples().enumerate().filter(|&(at, _)| !hits[index][at].is_miss()) {
+            for (sample_idx, pixel) in block.samples().enumerate() {
+                let (direction, hit) = (directions[index][sample_idx], hits[index][sample_idx]);
+                let ground = self.ground.as_ref().filter(|_| hit.is_miss());
+                let weight = match ground.filter(|ground| ground.point(self.eye, direction).is_some()) {
+                    Some(ground) => ground.weight(backdrops[index][sample_idx]),
+                    None if hit.is_miss() => continue,
+                    None => Vec3::ONE,
+                };
                 paths.push(Path {
                     pixel: first + 64 * index + sample_idx,
                     sample: PixelSample::new(pixel, sample),
                     origin: self.eye,
-                    direction: directions[index][sample_idx],
+                    direction,
                     sides,
-                    hit: hits[index][sample_idx],
-                    weight: Vec3::ONE,
+                    hit,
+                    weight,
                     density: f32::INFINITY,
                 });
             }
@@ -222,8 +254,7 @@ impl<'a> PathTracer<'a> {
 
     /// Lights the surfaces that paths have hit, and follows the paths to their next surfaces; the last bounce only to the sky.
     fn bounce(&self, shader: &Shader<'_>, bounce: u8, paths: &[Path], lights: &mut [Vec3]) -> Vec<Path> {
-        let is_last = bounce == self.bounces;
-        let (mut shadow_rays, mut pending) = (ShadowRays::default(), Vec::with_capacity(paths.len()));
+        let mut next = NextRays { pending: Vec::with_capacity(paths.len()), ..NextRays::default() };
         let (mut surfaces, mut footprints, mut materials) = ([None; 64], Footprints::NONE, [None; 64]);
         let mut hits = [Hit::MISS; 64];
         for paths in paths.chunks(64) {
@@ -236,54 +267,74 @@ impl<'a> PathTracer<'a> {
                 self.grid.mesh().find_materials(self.grid.instructions, hits, &footprints, &mut materials);
             }
             for (index, path) in paths.iter().enumerate() {
+                if path.hit.is_miss() {
+                    let Some(ground) = &self.ground else { continue };
+                    let Some(lifted) = ground.point(path.origin, path.direction) else { continue };
+                    let scattering = Scattering::matte(&ground.surface(path.direction), Vec3::ONE);
+                    self.scatter(path, &lifted, &scattering, bounce, &mut next);
+                    continue;
+                }
                 let surface = surfaces[index].unwrap_or_else(|| shader.flat_surface(path.direction, path.hit));
                 let Some(lifted) = self.lift.point(path.origin, path.direction, path.hit) else { continue };
                 let light = &mut lights[path.pixel];
                 let material = materials[index].as_ref();
                 let Some(scattering) = self.scattering(shader, path, &surface, material, light) else { continue };
-
-                let random = |number: u32| path.sample.pair(DIMENSIONS * u32::from(bounce) + number);
-                let (direction, of_sun) = self.sun_light(&scattering, random(0));
-                shadow_rays.push((lifted.point, direction, f32::MAX), path.pixel, path.weight * of_sun);
-                if let Some(lamp) = &self.lamp {
-                    let (to_lamp, light) = lamp.toward(lifted.point);
-                    let (part, _) = scattering.toward(normalize_or_zero(to_lamp));
-                    let ray = (lifted.point, normalize_or_zero(to_lamp), to_lamp.length() as f32);
-                    shadow_rays.push(ray, path.pixel, path.weight * part * light);
-                }
-
-                // The path's next ray; the less light it brings, the more often it ends (Russian roulette).
-                let [choice, roulette] = random(1);
-                let Some(next) = scattering.sample(choice, random(2)) else { continue };
-                let ScatterSample { direction, is_diffuse, density, .. } = next;
-                let weight = path.weight * next.weight;
-                let bright = weight.max_element() * (1.0 / ROULETTE_WEIGHT);
-                let survival = if bounce == 0 || is_last { 1.0 } else { bright.min(1.0) };
-                if roulette >= survival {
-                    continue;
-                }
-                let weight = weight * (1.0 / survival);
-                let escaped = weight * self.escaped(direction, density);
-                if is_last {
-                    shadow_rays.push((lifted.point, direction, f32::MAX), path.pixel, escaped);
-                    continue;
-                }
-                let width = if is_diffuse { SCATTERED_WIDTH } else { path.sides[0].length() / path.direction.length() };
-                pending.push(Pending {
-                    path: Path {
-                        origin: lifted.point.as_vec3().as_dvec3(),
-                        direction,
-                        sides: tangent_basis(direction).map(|side| side * width),
-                        weight,
-                        density: path.density.min(density),
-                        ..*path
-                    },
-                    light: escaped,
-                });
+                self.scatter(path, &lifted, &scattering, bounce, &mut next);
             }
         }
-        self.add_unoccluded(shadow_rays, lights);
+        let NextRays { shadow_rays, contributions, pending } = next;
+        self.cast_shadows(shadow_rays, &contributions, lights);
         self.follow(pending, lights)
+    }
+
+    /// Sends rays to the lights from a surface that a path has hit, and one to the path's next surface.
+    #[inline(always)]
+    fn scatter(&self, path: &Path, lifted: &LiftedPoint, scattering: &Scattering, bounce: u8, rays: &mut NextRays) {
+        let (is_on_ground, is_last) = (path.hit.is_miss(), bounce == self.bounces);
+        let brings = |light: Vec3| Contribution {
+            pixel: path.pixel,
+            light: if is_on_ground { -light } else { light },
+            comes_with_hit: is_on_ground,
+        };
+        let random = |number: u32| path.sample.pair(DIMENSIONS * u32::from(bounce) + number);
+        let (direction, of_sun) = self.sun_light(scattering, random(0));
+        rays.push_shadow_ray((lifted.point, direction, f32::MAX), brings(path.weight * of_sun));
+        // The lamp shows the model alone.
+        if let Some(lamp) = self.lamp.as_ref().filter(|_| !is_on_ground) {
+            let (to_lamp, light) = lamp.toward(lifted.point);
+            let (part, _) = scattering.toward(normalize_or_zero(to_lamp));
+            let ray = (lifted.point, normalize_or_zero(to_lamp), to_lamp.length() as f32);
+            rays.push_shadow_ray(ray, brings(path.weight * part * light));
+        }
+
+        // The path's next ray; the less light it brings, the more often it ends (Russian roulette).
+        let [choice, roulette] = random(1);
+        let Some(next) = scattering.sample(choice, random(2)) else { return };
+        let ScatterSample { direction, is_diffuse, density, .. } = next;
+        let weight = path.weight * next.weight;
+        let bright = weight.max_element() * (1.0 / ROULETTE_WEIGHT);
+        let survival = if bounce == 0 || is_last { 1.0 } else { bright.min(1.0) };
+        if roulette >= survival {
+            return;
+        }
+        let weight = weight * (1.0 / survival);
+        let escaped = brings(weight * self.escaped(direction, density));
+        if is_last {
+            rays.push_shadow_ray((lifted.point, direction, f32::MAX), escaped);
+            return;
+        }
+        let width = if is_diffuse { SCATTERED_WIDTH } else { path.sides[0].length() / path.direction.length() };
+        rays.pending.push(Pending {
+            path: Path {
+                origin: lifted.point.as_vec3().as_dvec3(),
+                direction,
+                sides: tangent_basis(direction).map(|side| side * width),
+                weight,
+                density: path.density.min(density),
+                ..*path
+            },
+            contribution: escaped,
+        });
     }
 
     /// The scattering of the surface that a path has hit; adds the light that the surface gives off. `None` if it only gives
@@ -334,24 +385,23 @@ impl<'a> PathTracer<'a> {
         sky + sun.radiance * (density / (density + sun.density))
     }
 
-    /// Traces shadow rays, and adds the light of those that hit nothing.
-    fn add_unoccluded(&self, ShadowRays { mut rays, lights: of_rays }: ShadowRays, lights: &mut [Vec3]) {
+    /// Traces shadow rays, and adds their light.
+    fn cast_shadows(&self, mut rays: Vec<Ray>, contributions: &[Contribution], lights: &mut [Vec3]) {
         let mut occluded = vec![false; rays.len()];
         clip::occluded_rays(self.grid, self.clip.as_ref(), &mut rays, &mut occluded);
-        for ((pixel, light), _) in of_rays.into_iter().zip(occluded).filter(|(_, occluded)| !occluded) {
-            lights[pixel] += light;
-        }
+        let come = contributions.iter().zip(occluded).filter(|(it, occluded)| it.comes_with_hit == *occluded);
+        come.for_each(|(it, _)| lights[it.pixel] += it.light);
     }
 
-    /// Traces paths to their next surfaces; adds the light of those that leave the scene.
+    /// Traces paths to their next surfaces, and adds the light of these rays.
     fn follow(&self, pending: Vec<Pending>, lights: &mut [Vec3]) -> Vec<Path> {
         let ray = |Pending { path, .. }: &Pending| Ray::new(path.origin.as_vec3(), path.direction);
         let rays: Vec<_> = pending.iter().map(ray).collect();
         let mut hits = vec![Hit::MISS; rays.len()];
         clip::intersect_rays(self.grid, self.clip.as_ref(), &rays, &mut hits);
-        let followed = pending.into_iter().zip(hits).filter_map(|(Pending { path, light }, hit)| {
-            if hit.is_miss() {
-                lights[path.pixel] += light;
+        let followed = pending.into_iter().zip(hits).filter_map(|(Pending { path, contribution }, hit)| {
+            if contribution.comes_with_hit != hit.is_miss() {
+                lights[path.pixel] += contribution.light;
             }
             (!hit.is_miss()).then_some(Path { hit, ..path })
         });

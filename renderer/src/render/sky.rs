@@ -30,6 +30,8 @@ pub struct SkyMap {
     columns: Vec<f32>,
     /// The density of samples, for each steradian, over the texel's weight and the sine of the angle from the zenith.
     density_of_weight: f32,
+    /// The light that a white surface scatters which faces the image's top.
+    scattered_up: Vec3,
 }
 
 /// A sky map around a model.
@@ -73,7 +75,8 @@ impl SkyMap {
         let n_texels = f64::from(image.width) * f64::from(image.height);
         let square = f64::from(PI) * f64::from(PI);
         let density_of_weight = (n_texels / (2.0 * square * of_rows)) as f32;
-        Self { id: image.id(), image, rows, columns, density_of_weight }
+        let scattered_up = scattered_up(&image);
+        Self { id: image.id(), image, rows, columns, density_of_weight, scattered_up }
     }
 
     /// Names its light on all machines.
@@ -91,8 +94,8 @@ impl SkyMap {
     ///
     /// `None` for pictures without it.
     pub(super) fn placed(&self, appearance: &Appearance) -> Option<PlacedSky<'_>> {
-        let up = appearance.sky.filter(|sky| sky.id == self.id)?.up;
-        let [up, front] = [up.direction(), up.front()].map(DVec3::as_vec3);
+        appearance.sky.filter(|&id| id == self.id)?;
+        let [up, front] = [appearance.up.direction(), appearance.up.front()].map(DVec3::as_vec3);
         let turned = Light::new(appearance.light.azimuth_deg(), 0).unwrap_or_default().direction().as_vec3();
         let middle = front * turned.z + up.cross(front) * turned.x;
         Some(PlacedSky { map: self, axes: [middle, middle.cross(up), up] })
@@ -106,7 +109,24 @@ fn weight(image: &SkyImage, row: u32, column: u32) -> f32 {
     (red + green + blue) * (1.0 / 3.0) * sine
 }
 
+/// The light that a white surface scatters which faces the image's top.
+fn scattered_up(image: &SkyImage) -> Vec3 {
+    let angle = f64::from(PI) / f64::from(image.height);
+    let of_row = |(row, texels): (usize, &[[f32; 3]])| {
+        let [cosine, sine] = circle_point((row as f32 + 0.5) / (2.0 * image.height as f32)).map(f64::from);
+        let light: DVec3 = texels.iter().map(|&texel| Vec3::from(texel).as_dvec3()).sum();
+        light * (cosine * sine * angle * angle / f64::from(PI))
+    };
+    let upper = image.texels.chunks(image.width as usize).take(image.height as usize / 2);
+    upper.enumerate().map(of_row).sum::<DVec3>().as_vec3()
+}
+
 impl PlacedSky<'_> {
+    /// The light that a white surface scatters which faces the image's top, where nothing is in the way.
+    pub(super) fn scattered_up(&self) -> Vec3 {
+        self.map.scattered_up
+    }
+
     /// Samples the sky in proportion to its light, from a point of the unit square.
     pub(super) fn sample(&self, [u, v]: [f32; 2]) -> LightSample {
         let SkyMap { image, rows, columns, .. } = self.map;
@@ -148,7 +168,7 @@ fn choose(sums: &[f32], number: f32) -> (usize, f32) {
 
 #[cfg(test)]
 mod tests {
-    use shared::{camera::UpAxis, sky::Sky};
+    use shared::camera::UpAxis;
 
     use super::*;
 
@@ -164,7 +184,7 @@ mod tests {
 
     fn appearance(map: &SkyMap, up: UpAxis, azimuth: i16) -> Appearance {
         let light = Light::new(azimuth, 10).unwrap();
-        Appearance { sky: Some(Sky { id: map.id(), up }), light, ..Appearance::default() }
+        Appearance { sky: Some(map.id()), up, light, ..Appearance::default() }
     }
 
     #[test]

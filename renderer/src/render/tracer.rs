@@ -243,6 +243,7 @@ mod tests {
         appearance::{Appearance, Light},
         camera::Camera,
         division::{Division, FrameSize},
+        path_light::PathLight,
         protocol::{LightingMode, SampleRange, ShadingMode},
         scene::{Crease, SceneId},
     };
@@ -345,10 +346,11 @@ mod tests {
         assert!(mesh.normals.iter().any(|normal| normal.vector().is_some()));
         let camera = Camera::look_at(DVec3::new(0.6, 1.5, 2.5), DVec3::Y, DVec3::Y, 0.5, 2.0).unwrap();
         let cut = Appearance { light: Light::PRESETS[5].1, clip: "eye:40".parse().ok(), ..Appearance::default() };
+        let on_ground = Appearance { path: PathLight::default().with_ground(true), ..Appearance::default() };
         for (rays, appearance) in LightingMode::VARIANTS
             .iter()
             .copied()
-            .flat_map(|rays| [Appearance::default(), cut].map(|appearance| (rays, appearance)))
+            .flat_map(|rays| [Appearance::default(), cut, on_ground].map(|appearance| (rays, appearance)))
         {
             let spec = FrameSpec { camera, rays, appearance, ..spec(1, 2) };
             let frames = InstructionSet::available().into_iter().map(|instructions| {

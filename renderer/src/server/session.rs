@@ -187,7 +187,7 @@ impl Session<'_> {
                     self.loader.prepare(self.load_request(scene, path, structure, sky));
                 }
                 ToServer::RenderFrame { frame, task_id, spec, task, encoding } => {
-                    let sky = spec.appearance.sky.map(|sky| sky.id);
+                    let sky = spec.appearance.sky;
                     let source = self.loader.source_for(spec.scene).filter(|source| source.has_sky(sky));
                     let Some(source) = source else {
                         // The wall went to another scene and back; `SceneState::Ready` follows when this one is loaded.

@@ -11,7 +11,7 @@ use shared::{
     division::FrameSize,
     printable::counted,
     protocol::FrameSpec,
-    sky::{Sky, SkyId},
+    sky::SkyId,
 };
 
 use super::{
@@ -142,7 +142,6 @@ fn show_model(
         let up = up.unwrap_or_else(|| guessed_up(&model.shape));
         Camera::view_all(&model.shape, up, *aspect, CanvasPart::WHOLE)
     });
-    let sky = sky.map(|id| Sky { id, up: up.unwrap_or(model.shape.up) });
     let spec = FrameSpec {
         scene: model.scene,
         camera,
@@ -150,7 +149,7 @@ fn show_model(
         view: args.view,
         rays: args.rays.unwrap_or_default(),
         samples: args.sample_range(),
-        appearance: Appearance { sky, ..args.appearance.appearance() },
+        appearance: Appearance { sky: *sky, up: up.unwrap_or(model.shape.up), ..args.appearance.appearance() },
     };
     farm.update_goal(|goal| {
         goal.spec = Some(spec);

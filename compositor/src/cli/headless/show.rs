@@ -16,7 +16,7 @@ use shared::{
     printable::counted,
     protocol::{FrameSpec, LightingMode, SampleRange, ShadingMode},
     scene::Crease,
-    sky::{Sky, SkyId},
+    sky::SkyId,
 };
 
 use super::{Headless, Wakeup, Wakeups, film::holds_pictures, milliseconds, warn_if_blank};
@@ -49,7 +49,6 @@ impl Setting {
         let Appearance { light, clip, path, .. } = self.appearance;
         let Look { light, clip, rays, path: of_scene } =
             cue.look(Look { light, clip, rays: self.rays, path: Some(path) });
-        let sky = self.sky.map(|id| Sky { id, up: cue.up });
         let whole = || Camera::view_all(&cue.model.shape, cue.up, self.aspect, CanvasPart::WHOLE);
         FrameSpec {
             scene: cue.model.scene,
@@ -58,7 +57,14 @@ impl Setting {
             view: self.view,
             rays: rays.unwrap_or_default(),
             samples: self.samples,
-            appearance: Appearance { light, clip, path: of_scene.unwrap_or(path), sky, ..self.appearance },
+            appearance: Appearance {
+                light,
+                clip,
+                path: of_scene.unwrap_or(path),
+                sky: self.sky,
+                up: cue.up,
+                ..self.appearance
+            },
         }
     }
 }

@@ -51,7 +51,7 @@ fn the_light_of_paths_can_be_set_where_paths_light_pictures() {
     for (rays, is_there) in [(None, true), (Some(LightingMode::Primary), false), (Some(LightingMode::Path), true)] {
         let model = OverlayModel { rays, ..running() };
         commands_of(&model, |harness| {
-            let slider = harness.query_by_role_and_label(egui::accesskit::Role::Slider, "exposure");
+            let slider = harness.query_by_role_and_label(egui::accesskit::Role::Slider, "exposure ([ and ])");
             assert_eq!(slider.is_some(), is_there, "{rays:?}");
         });
     }
@@ -63,7 +63,7 @@ fn the_light_of_paths_can_be_set_where_paths_light_pictures() {
             harness.key_press(egui::Key::ArrowRight);
         })
     };
-    assert!(matches!(slide(Appearance::default(), "exposure")[..], [Command::SetExposure(1..)]));
+    assert!(matches!(slide(Appearance::default(), "exposure ([ and ])")[..], [Command::SetExposure(1..)]));
     assert!(matches!(slide(Appearance::default(), "sun")[..], [Command::SetSun(41..)]));
 }
 

@@ -188,7 +188,9 @@ function set(id, value) {
 
 function tellOutput(it) {
   const output = it.parentElement.querySelector("output");
-  if (output) output.textContent = it.id === "depth" ? `${it.value / 10} %` : `${it.value}°`;
+  if (!output) return;
+  const texts = { depth: `${it.value / 10} %`, exposure: `${it.value} stops` };
+  output.textContent = texts[it.id] ?? `${it.value}°`;
 }
 
 function updateOperator({ controls, farm, log, show }) {
@@ -203,6 +205,9 @@ function updateOperator({ controls, farm, log, show }) {
   set("rays", controls.rays ?? "");
   set("azimuth", String(controls.light_deg[0]));
   set("elevation", String(controls.light_deg[1]));
+  set("sun", String(controls.sun_deg));
+  set("exposure", String(controls.exposure_stops));
+  set("ground", controls.has_ground ? "on" : "");
   set("side", controls.cut?.[0] ?? "");
   if (controls.cut) set("depth", String(controls.cut[1]));
   $("depth").disabled = !controls.cut;
@@ -407,6 +412,9 @@ const value = (id) => $(id).value;
 control(["models"], "change", () => ({ do: "open", model: value("models") }));
 control(["rays"], "change", () => ({ do: "rays", rays: value("rays") || null }));
 control(["azimuth", "elevation"], "input", () => ({ do: "light", azimuth_deg: +value("azimuth"), elevation_deg: +value("elevation") }));
+control(["sun"], "input", () => ({ do: "sun", degrees: +value("sun") }));
+control(["exposure"], "input", () => ({ do: "exposure", stops: +value("exposure") }));
+control(["ground"], "change", () => ({ do: "ground", on: value("ground") === "on" }));
 control(["side", "depth"], "input", () => value("side") ? { do: "cut", side: value("side"), permille: +value("depth") } : { do: "cut" });
 control(["background"], "change", () => ({ do: "background", colors: value("background") }));
 control(["shading"], "change", () => ({ do: "shading", shading: value("shading") }));

@@ -5,7 +5,7 @@ use shared::{
     camera::{Camera, Look, UpAxis},
     protocol::{FrameSpec, LightingMode, ShadingMode},
     scene::SceneId,
-    sky::{Sky, SkyId},
+    sky::SkyId,
 };
 use strum::VariantArray;
 
@@ -51,13 +51,13 @@ impl PictureControl {
             view: self.shading,
             rays: self.rays.unwrap_or_default(),
             samples: self.options.fixed_samples,
-            appearance: self.appearance_with_sky(up),
+            appearance: self.appearance_around(up),
         }
     }
 
-    /// The appearance with the sky image, if there is one, around a model whose axis `up` points up.
-    pub(super) fn appearance_with_sky(&self, up: UpAxis) -> Appearance {
-        Appearance { sky: self.sky.map(|id| Sky { id, up }), ..self.appearance }
+    /// The appearance around a model whose axis `up` points up.
+    pub(super) fn appearance_around(&self, up: UpAxis) -> Appearance {
+        Appearance { sky: self.sky, up, ..self.appearance }
     }
 
     pub(super) fn change(&mut self, change: impl FnOnce(&mut Self)) -> Effect {
@@ -94,6 +94,20 @@ impl PictureControl {
         let (name, light) = next_named(&Light::PRESETS, self.appearance.light);
         self.appearance.light = light;
         Effect::picture().with_note(format!("Light: {name}"))
+    }
+
+    /// Brightens pictures of paths by tenths of a stop.
+    pub(super) fn change_exposure(&mut self, deci_ev: i16) -> Effect {
+        let path = self.appearance.path.brightened_by(deci_ev);
+        self.appearance.path = path;
+        Effect::picture().with_note(format!("Exposure at rest: {:+.1} stops", path.exposure_ev()))
+    }
+
+    pub(super) fn toggle_ground(&mut self) -> Effect {
+        let has_ground = !self.appearance.path.has_ground();
+        self.appearance.path = self.appearance.path.with_ground(has_ground);
+        let note = if has_ground { "Pictures at rest show the shadow on a ground" } else { "No ground" };
+        Effect::picture().with_note(note)
     }
 
     pub(super) fn next_background(&mut self) -> Effect {

@@ -151,6 +151,8 @@ impl App<'_> {
             Action::Light { azimuth_deg, elevation_deg } => {
                 Command::SetLight(Light::new(azimuth_deg, elevation_deg).unwrap_or_default())
             }
+            Action::Sun { degrees } => Command::SetSun((degrees * 10.0).round() as u16),
+            Action::Ground { on } => Command::SetGround(on),
             Action::Exposure { stops } => Command::SetExposure((stops * 10.0).round() as i16),
             Action::Background { colors } => Command::SetBackground(colors),
             Action::Cut { side, permille } => Command::SetClip(Action::clip(side, permille)),
@@ -263,6 +265,7 @@ impl App<'_> {
             light_deg: [appearance.light.azimuth_deg(), appearance.light.elevation_deg()],
             sun_deg: appearance.path.sun_degrees(),
             exposure_stops: appearance.path.exposure_ev(),
+            has_ground: appearance.path.has_ground(),
             background: appearance.background.to_string(),
             cut: appearance.clip.map(|clip| (clip.side().to_string(), clip.cut_permille())),
             division: overlay.division.to_string(),

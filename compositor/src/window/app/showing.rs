@@ -86,7 +86,7 @@ impl App<'_> {
         overlay.min_renderers = goal.min_renderers;
         overlay.view = self.picture.shading;
         overlay.rays = self.picture.rays;
-        overlay.appearance = self.picture.appearance_with_sky(self.camera.up().0);
+        overlay.appearance = self.picture.appearance_around(self.camera.up().0);
         overlay.is_refining = self.picture.refinement.is_on();
         let frame = self.presentation.frame.as_ref();
         overlay.n_samples = [frame.map_or(0, |frame| frame.spec.samples.count), self.picture.refinement.n_samples()];

@@ -167,6 +167,11 @@ impl App<'_> {
             Command::SetExposure(deci_ev) => self.picture.change(|it| {
                 it.appearance.path = it.appearance.path.with_exposure(deci_ev);
             }),
+            Command::ChangeExposure(deci_ev) => self.picture.change_exposure(deci_ev),
+            Command::SetGround(has_ground) => self.picture.change(|it| {
+                it.appearance.path = it.appearance.path.with_ground(has_ground);
+            }),
+            Command::ToggleGround => self.picture.toggle_ground(),
             Command::NextBackground => self.picture.next_background(),
             Command::SetBackground(background) => self.picture.change(|it| it.appearance.background = background),
             Command::NextClip => self.picture.next_clip(),

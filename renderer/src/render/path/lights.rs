@@ -82,6 +82,12 @@ impl Sky {
     pub(super) fn radiance(&self, direction: Vec3) -> Vec3 {
         self.ground + (self.zenith - self.ground) * (0.5 + 0.5 * direction.dot(self.up)).clamp(0.0, 1.0)
     }
+
+    /// The light that a white surface with this normal scatters where nothing is in the way. The mean direction of the
+    /// hemisphere over it, weighed by the cosine, is two thirds of its normal.
+    pub(super) fn scattered(&self, normal: Vec3) -> Vec3 {
+        self.ground + (self.zenith - self.ground) * (0.5 + normal.dot(self.up) * (1.0 / 3.0))
+    }
 }
 
 /// The sine of an angle in radians from 0 to π/8, by Taylor's series: `sin` differs between platforms.

@@ -2,11 +2,7 @@
 
 use std::{f64::consts::PI, sync::Arc};
 
-use shared::{
-    appearance::{Appearance, Light},
-    camera::UpAxis,
-    sky::Sky as NamedSky,
-};
+use shared::appearance::{Appearance, Light};
 
 use super::{
     tests::{ball, build, check, colored, lights, spec},
@@ -17,11 +13,11 @@ use crate::{formats::sky::SkyImage, render::sky::SkyMap};
 /// A ball of this colour under a sky image, and the frame that shows it.
 fn ball_under(image: SkyImage, color: u8, bounces: u8) -> (Scene, FrameSpec) {
     let sky = SkyMap::new(image);
-    let named = NamedSky { id: sky.id(), up: UpAxis::Y };
+    let id = sky.id();
     let scene = build(colored(ball(), [color; 3])).with_sky(Some(Arc::new(sky)));
     let spec = spec(DVec3::new(1.0, 2.5, 4.0), DVec3::ZERO, bounces);
     let light = Light::new(0, 36).unwrap();
-    let appearance = Appearance { sky: Some(named), light, ..spec.appearance };
+    let appearance = Appearance { sky: Some(id), light, ..spec.appearance };
     (scene, FrameSpec { appearance, ..spec })
 }
 

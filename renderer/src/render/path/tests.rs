@@ -87,7 +87,8 @@ pub(super) fn lights(
         let mut sums = [[Vec3::ZERO; 64]];
         for sample in 0..n_samples {
             let mut paths = Vec::new();
-            tracer.begin(&blocks, sample, (&[directions], [Vec3::ZERO; 2]), &[hits], 0, &mut paths);
+            let backdrops = [[Vec3::ZERO; 64]];
+            tracer.begin(&blocks, sample, (&[directions], [Vec3::ZERO; 2]), (&[hits], &backdrops), 0, &mut paths);
             tracer.add_lights(&shader, paths, &mut sums[0]);
         }
         all.extend((0..64).filter(|&at| !hits[at].is_miss()).map(|at| {
