@@ -1,7 +1,7 @@
 //! Resolution and samples per pixel: the target rate in motion, refinement at rest. Pure: time is an argument.
 //!
 //! While the camera moves, [`control`] chooses each frame's resolution from a [`ladder`], by the times that frames take the
-//! farm and the [`display`]. At rest, frames in the wall's native resolution follow with 1, 4, 16 … samples a pixel; once
+//! farm and the [`display`]; where the native one leaves time, also shadows and ambient occlusion. At rest, frames in the wall's native resolution follow with 1, 4, 16 … samples a pixel; once
 //! edges are smooth, ambient occlusion and then paths light them, unless the operator chose the rays. Few paths are noise, so
 //! while the camera moves there are none. While sun or exposure change there are a few, in a resolution of their own that holds
 //! the rate: other rays would not show the change.
@@ -141,8 +141,7 @@ impl Refinement {
         let (size, samples, rays) = match asked_rays {
             _ if !self.is_on() => (self.options.fixed_size, self.options.fixed_samples, asked_rays),
             _ if self.changes_paths_alone(&spec) => self.changing_paths(),
-            LightingMode::Path => (self.ladder.size(self.control.rung), SampleRange::CENTRE, LightingMode::Primary),
-            _ => (self.ladder.size(self.control.rung), SampleRange::CENTRE, asked_rays),
+            _ => self.moving(asked_rays, spec.view),
         };
         let is_same = |last: &LastStep| {
             let FrameSpec { size, samples, rays, .. } = last.step.spec;
@@ -154,6 +153,26 @@ impl Refinement {
         // A picture that did not change need not become coarse again.
         self.last.take_if(|last| !is_same(last));
         self.last.get_or_insert(LastStep { step, asked_rays, is_shown: false, changed_at: now }).step
+    }
+
+    /// The best rung of the ladder: if the operator chose rays, none is lit by others.
+    fn best_rung(&self, asked_rays: LightingMode, view: ShadingMode) -> usize {
+        let is_free = match asked_rays {
+            LightingMode::Path => true,
+            LightingMode::Primary => self.options.lights_at_rest,
+            LightingMode::Shadows | LightingMode::AmbientOcclusion => false,
+        };
+        if is_free && view == ShadingMode::Shaded { 0 } else { Ladder::PLAIN }
+    }
+
+    /// Size, samples and rays of a frame while the camera moves.
+    fn moving(&self, asked_rays: LightingMode, view: ShadingMode) -> (FrameSize, SampleRange, LightingMode) {
+        let rung = self.control.rung.max(self.best_rung(asked_rays, view));
+        let rays = match asked_rays {
+            LightingMode::Path | LightingMode::Primary => self.ladder.rays(rung),
+            LightingMode::Shadows | LightingMode::AmbientOcclusion => asked_rays,
+        };
+        (self.ladder.size(rung), SampleRange::CENTRE, rays)
     }
 
     /// Whether a frame differs from the last one only in the light of paths, which light the picture at rest.
@@ -174,14 +193,14 @@ impl Refinement {
 
     /// Accounts for a frame that the farm has completed in this time.
     pub(crate) fn on_frame(&mut self, spec: &FrameSpec, took: Duration) {
-        let is_moving_size = spec.size == self.ladder.size(self.control.rung);
-        let is_lit =
-            spec.rays == LightingMode::Path || self.options.lights_at_rest && spec.rays != LightingMode::Primary;
-        if self.is_on() && is_moving_size && spec.samples == SampleRange::CENTRE && !is_lit {
-            self.control.learn(&self.ladder, took);
+        let shown = (spec.size, spec.samples, spec.rays);
+        let asked_rays = self.last.map_or(spec.rays, |last| last.asked_rays);
+        if self.is_on() && shown == self.moving(asked_rays, spec.view) {
+            let best = self.best_rung(asked_rays, spec.view);
+            self.control.learn(&self.ladder, best, took);
         }
-        if self.is_on() && (spec.size, spec.samples, spec.rays) == self.changing_paths() {
-            self.path_control.learn(&self.ladder, took);
+        if self.is_on() && shown == self.changing_paths() {
+            self.path_control.learn(&self.ladder, Ladder::PLAIN, took);
         }
         if let Some(last) = self.last.as_mut().filter(|last| last.step.spec == *spec) {
             last.is_shown = true;
@@ -229,11 +248,11 @@ impl Refinement {
         let spec = &last.step.spec;
         let is_native = spec.size == native;
         let is_smooth = is_native && spec.samples.count >= SAMPLES_FACTOR.min(n_samples);
-        let is_plain = spec.rays == LightingMode::Primary && spec.view == ShadingMode::Shaded;
+        let is_plain = last.asked_rays == LightingMode::Primary && spec.view == ShadingMode::Shaded;
         let first_paths = SampleRange { count: FEWEST_PATHS.min(paths.count), ..paths };
         let (samples, rays) = if spec.rays == LightingMode::Path {
             (if is_native { paths } else { first_paths }, spec.rays)
-        } else if lights_at_rest && is_smooth && is_plain {
+        } else if lights_at_rest && is_smooth && is_plain && spec.rays != LightingMode::AmbientOcclusion {
             (spec.samples, LightingMode::AmbientOcclusion)
         } else if is_smooth && self.ends_with_paths(last) {
             (first_paths, LightingMode::Path)

@@ -1,4 +1,4 @@
-//! Chooses the resolution that holds the target rate, from the times that frames took.
+//! Chooses the rung of the ladder, resolution and rays, that holds the target rate, from the times that frames took.
 //!
 //! ARCHITECTURE.md ("Resolution") has the model. The fewer late frames there are, the later they must be to lower the
 //! resolution. Raises wait longer each time, so that with steady nodes the picture does not flicker.
@@ -70,8 +70,12 @@ impl ResolutionControl {
         self.target_s.max(DISPLAY_ROOM * coarsest_s).max(self.display.refresh_s)
     }
 
-    /// Accounts for a frame of the present rung that the farm has completed, and changes the rung if needed.
-    pub(super) fn learn(&mut self, ladder: &Ladder, took: Duration) {
+    /// Accounts for a frame of the present rung that the farm has completed, and changes the rung if needed; none is better
+    /// than `best`.
+    pub(super) fn learn(&mut self, ladder: &Ladder, best: usize, took: Duration) {
+        if self.rung < best {
+            self.set_rung(best);
+        }
         let interval_s = self.interval_s(ladder);
         let aim_s = TARGET_PART * interval_s;
         if self.recent_s.len() == N_RECENT {
@@ -93,7 +97,7 @@ impl ResolutionControl {
                 |&rung: &usize| self.expected_s(ladder, mean_s, rung).max(self.shown_s(ladder, rung)) <= aim_s;
             let rung = (self.rung + 1..ladder.last()).find(in_time).unwrap_or(ladder.last());
             self.change_rung(ladder, mean_s, rung);
-        } else if self.rung > 0
+        } else if self.rung > best
             && self.n_frames >= FEWEST_FRAMES_BEFORE_RAISE
             && self.shown_s(ladder, self.rung - 1) <= aim_s
         {
@@ -116,7 +120,7 @@ impl ResolutionControl {
     /// The expected time of a frame of another rung, if those of this rung take `mean_s`; in seconds.
     fn expected_s(&self, ladder: &Ladder, mean_s: f64, rung: usize) -> f64 {
         let fixed_s = self.fixed_s.min(mean_s);
-        fixed_s + (mean_s - fixed_s) * n_samples(ladder, rung) / n_samples(ladder, self.rung)
+        fixed_s + (mean_s - fixed_s) * ladder.cost(rung) / ladder.cost(self.rung)
     }
 
     fn shown_s(&self, ladder: &Ladder, rung: usize) -> f64 {
@@ -125,7 +129,7 @@ impl ResolutionControl {
 
     fn learn_fixed(&mut self, ladder: &Ladder, mean_s: f64, aim_s: f64) {
         if let Some((n_before, before_s)) = self.previous.filter(|_| self.recent_s.len() == N_KNOWN) {
-            let n_now = n_samples(ladder, self.rung);
+            let n_now = ladder.cost(self.rung);
             let per_sample_s = (mean_s - before_s) / (n_now - n_before);
             let fixed_s = mean_s - per_sample_s * n_now;
             // Nodes may have changed their speed meanwhile: average with the previous value, within limits.
@@ -134,7 +138,9 @@ impl ResolutionControl {
     }
 
     fn change_rung(&mut self, ladder: &Ladder, mean_s: f64, rung: usize) {
-        self.previous = (self.recent_s.len() >= N_KNOWN).then(|| (n_samples(ladder, self.rung), mean_s));
+        // Only resolutions are known to differ in their number of samples.
+        let is_known = self.recent_s.len() >= N_KNOWN && ladder.rays(rung) == ladder.rays(self.rung);
+        self.previous = is_known.then(|| (ladder.cost(self.rung), mean_s));
         self.was_raised = rung < self.rung;
         self.set_rung(rung);
     }
@@ -144,8 +150,4 @@ impl ResolutionControl {
         self.recent_s.clear();
         self.n_frames = 0;
     }
-}
-
-fn n_samples(ladder: &Ladder, rung: usize) -> f64 {
-    f64::from(ladder.size(rung).n_samples())
 }

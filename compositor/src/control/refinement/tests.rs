@@ -80,8 +80,13 @@ impl Wall {
 
     /// Renders a frame while the display shows the previous one. Returns the time in seconds.
     fn render(&mut self, spec: &FrameSpec) -> f64 {
+        let cost = match spec.rays {
+            LightingMode::Primary | LightingMode::Path => 1.0,
+            LightingMode::Shadows => 2.0,
+            LightingMode::AmbientOcclusion => 6.0,
+        };
         let n_rays = f64::from(spec.size.n_samples()) * f64::from(spec.samples.count);
-        let took = self.wavering(self.fixed_s + self.per_sample_s * n_rays);
+        let took = self.wavering(self.fixed_s + self.per_sample_s * n_rays * cost);
         self.refinement.on_frame(spec, took);
         let upload_s = self.display_per_sample_s * f64::from(spec.size.n_samples());
         let shown_in = self.wavering(self.display_fixed_s + upload_s);
@@ -160,6 +165,38 @@ fn a_farm_that_is_fast_enough_renders_the_wall_s_own_resolution_in_motion() {
     assert_eq!(frames.last().map(|frame| frame.0), Some(options().native));
     let counts: Vec<u32> = wall.rest().iter().map(|spec| spec.samples.count).collect();
     assert_eq!(counts, [4, 16], "one sample a pixel is there already");
+}
+
+#[test]
+fn a_farm_with_time_to_spare_lights_the_wall_s_own_resolution_in_motion() {
+    use LightingMode::{AmbientOcclusion, Path, Primary, Shadows};
+    // Parts of the interval that primary rays, shadows and ambient occlusion take: rays come as soon as they can be afforded.
+    for (part, expected) in [(0.8, Primary), (0.3, Shadows), (0.08, AmbientOcclusion)] {
+        let seconds = part * INTERVAL_S * f64::from(FrameSize::PAPER.n_samples());
+        let mut wall = Wall::with_paper_frame_of(seconds / f64::from(options().native.n_samples()));
+        let rays = |wall: &Wall| wall.refinement.last.unwrap().step.spec.rays;
+        wall.move_for(200);
+        assert_eq!(rays(&wall), Primary, "as they were chosen");
+        wall.refinement.set_lights_at_rest(true);
+        let frames = wall.move_for(400);
+        assert_eq!((rays(&wall), frames[399].0), (expected, options().native), "{part}");
+        assert!(mean_s(&frames[300..]) < INTERVAL_S, "{part}");
+        wall.per_sample_s *= 0.99 / part;
+        let frames = wall.move_for(100);
+        assert_eq!(rays(&wall), Primary, "light goes before the rate does");
+        assert!(mean_s(&frames[50..]) < INTERVAL_S, "{part}");
+        wall.per_sample_s *= part / 0.99;
+        wall.move_for(400);
+        // What lit the motion changes no picture at rest.
+        let ends: Vec<_> = wall.rest().iter().map(|spec| (spec.samples.count, spec.rays)).collect();
+        assert_eq!(ends[ends.len() - 3..], [(4, AmbientOcclusion), (16, Path), (256, Path)], "{part}");
+        wall.refinement.set_lights_at_rest(false);
+        wall.move_on();
+        assert_eq!(rays(&wall), Primary, "as they were chosen");
+        let spec = FrameSpec { view: ShadingMode::Normals, ..spec_at(-1.0) };
+        wall.refinement.set_lights_at_rest(true);
+        assert_eq!(wall.refinement.change(wall.now, spec).spec.rays, Primary, "normals need no light");
+    }
 }
 
 #[test]
