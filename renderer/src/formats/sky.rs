@@ -1,15 +1,14 @@
 //! Reads sky images: all directions in one picture (equirectangular), in Radiance HDR or OpenEXR.
 
+mod radiance;
+
 use std::{
     io::{BufRead, BufReader, Seek},
     path::{Path, PathBuf},
 };
 
 use channel::files;
-use image::{
-    ColorType, ImageDecoder, ImageError, ImageResult,
-    codecs::{hdr::HdrDecoder, openexr::OpenExrDecoder},
-};
+use image::{ColorType, ImageDecoder, ImageError, codecs::openexr::OpenExrDecoder};
 use shared::sky::SkyId;
 
 /// The widest image: 0.5 GB while it is decoded. Wider ones show no more light than this.
@@ -60,17 +59,18 @@ impl SkyImage {
     /// As for [`SkyImage::read`], without the file's name.
     pub fn read_from(mut file: impl BufRead + Seek) -> Result<Self, String> {
         let start = file.fill_buf().map_err(|error| format!("cannot be read: {error}"))?;
-        if start.starts_with(b"#?") {
-            decode(HdrDecoder::new(file))
+        let (width, height, texels) = if start.starts_with(b"#?") {
+            radiance::decode(file)
         } else if start.starts_with(b"\x76\x2f\x31\x01") {
-            decode(OpenExrDecoder::new(file))
+            decode_openexr(file)
         } else if start.is_empty() {
             Err("is empty: copy it again".to_owned())
         } else {
             Err("is no sky image that is read: convert it to Radiance HDR (.hdr) or OpenEXR (.exr), which hold the light of \
                 the sun"
                 .to_owned())
-        }
+        }?;
+        Self::new(width, height, texels)
     }
 
     /// An image of these texels: those that are no number, negative or infinite become light, and very large images smaller.
@@ -122,12 +122,9 @@ fn check_size(width: u32, height: u32) -> Result<(), String> {
     }
 }
 
-fn decode(decoder: ImageResult<impl ImageDecoder>) -> Result<SkyImage, String> {
-    let damaged = |error: ImageError| {
-        let cause = error.to_string().replace('\n', " ");
-        format!("is damaged, cut short, or of a kind that is not read ({}): copy it again, or convert it", cause.trim())
-    };
-    let decoder = decoder.map_err(damaged)?;
+/// Width, height, and linear light row by row from the top.
+fn decode_openexr(file: impl BufRead + Seek) -> Result<(u32, u32, Vec<[f32; 3]>), String> {
+    let decoder = OpenExrDecoder::new(file).map_err(damaged)?;
     let (width, height) = decoder.dimensions();
     check_size(width, height)?;
     let n_channels = if decoder.color_type() == ColorType::Rgba32F { 4 } else { 3 };
@@ -137,7 +134,12 @@ fn decode(decoder: ImageResult<impl ImageDecoder>) -> Result<SkyImage, String> {
         4 => numbers.as_chunks().0.iter().map(|&[red, green, blue, _]| [red, green, blue]).collect(),
         _ => bytemuck::allocation::cast_vec(numbers),
     };
-    SkyImage::new(width, height, texels)
+    Ok((width, height, texels))
+}
+
+fn damaged(error: ImageError) -> String {
+    let cause = error.to_string().replace('\n', " ");
+    format!("is damaged, cut short, or of a kind that is not read ({}): copy it again, or convert it", cause.trim())
 }
 
 #[cfg(test)]
