@@ -51,6 +51,8 @@ if [ "$purpose" = test ]; then
         || need "xserver-xorg-core xserver-xorg-video-dummy" "xorg-x11-server-Xorg xorg-x11-drv-dummy" "xorg-server xf86-video-dummy"
     # Without a browser, tests of the remote's page are skipped.
     has_command chromedriver || need "chromium chromium-driver" "chromium chromedriver" chromium
+    # Fetches axe-core, which checks that everybody can use the page.
+    has_command npm || need npm npm npm
     has_command import || need imagemagick ImageMagick imagemagick
 fi
 has_command cargo || {

@@ -1,13 +1,15 @@
 //! The remote: a page in a visitor's hand, and the same as an API, served by the wall.
 //!
 //! In reading order: [`message`] is a remote's wish, [`state`] the wall's answer; [`access`] and [`tokens`] say who comes in,
-//! [`turns`] whose turn it is; [`hub`] lies between connections and wall; [`server`] bounds connections, [`routes`] answers
+//! [`turns`] whose turn it is; [`hub`] lies between connections and wall; [`server`] bounds connections, which a
+//! [`certificate`] encrypts, [`routes`] answers
 //! requests and [`socket`] holds conversations; [`picture`] is the live picture, [`metrics`] are figures for Prometheus.
 //!
 //! All of it runs on a thread of its own, which sleeps while nobody asks and nothing changes. A bounded queue of orders leads
 //! to the wall, and the latest state and picture lead back, so neither side ever waits for the other.
 
 mod access;
+mod certificate;
 mod hub;
 pub mod message;
 mod metrics;
@@ -32,7 +34,7 @@ use tokio::{
     sync::{mpsc, oneshot},
 };
 
-use self::{access::Access, hub::Hub, state::WallState, tokens::Token};
+use self::{access::Access, certificate::Certificate, hub::Hub, state::WallState, tokens::Token};
 pub(crate) use self::{
     hub::{Order, Shown},
     picture::Thumbnail,
@@ -48,6 +50,8 @@ pub(crate) struct RemoteOptions {
     pub(crate) address: String,
     /// The file of tokens; without one, only this machine is served.
     pub(crate) tokens: Option<PathBuf>,
+    /// The file of the certificate that encrypts the connections, if they are.
+    pub(crate) certificate: Option<PathBuf>,
     /// Another name under which the wall is reached, as through a proxy.
     pub(crate) name: Option<String>,
     /// This machine's name and its address in the network, as far as they are known.
@@ -71,7 +75,7 @@ impl Remote {
     /// # Errors
     /// The address is none, is taken, or is open to the network without tokens; or the file of tokens cannot be read.
     pub(crate) fn start(options: &RemoteOptions, wake: impl Fn() + Send + Sync + 'static) -> anyhow::Result<Self> {
-        let RemoteOptions { address, tokens, name, host_name, own_address } = options;
+        let RemoteOptions { address, tokens, certificate, name, host_name, own_address } = options;
         if let Some(path) = tokens {
             tokens::Tokens::read(path)
                 .with_context(|| format!("no tokens: `compositor remote-token {} NAME` makes one", path.display()))?;
@@ -86,26 +90,42 @@ impl Remote {
         let local = listener.local_addr()?;
         let own = Token::random()?;
         let own_token = tokens.is_some().then(|| own.clone());
-        let host = name.clone().unwrap_or_else(|| reachable(local, *own_address, host_name));
-        let link = link(&host, name.is_some(), local.port(), own_token.as_ref());
         let named = address.rsplit_once(':').map_or(address.as_str(), |(host, _)| host).to_owned();
-        let names = [host_name.clone(), format!("{host_name}.local"), named].into_iter().chain(name.clone()).collect();
+        let names: Vec<_> =
+            [host_name.clone(), format!("{host_name}.local"), named].into_iter().chain(name.clone()).collect();
+        let certificate = certificate.as_ref().map(|path| {
+            let addresses = [Some(local.ip()), *own_address].into_iter().flatten().map(|ip| ip.to_string());
+            Certificate::read_or_make(path, &names.iter().cloned().chain(addresses).collect::<Vec<_>>())
+        });
+        let certificate = certificate.transpose()?;
+        let place =
+            place(&reachable(local, *own_address, host_name), name.as_deref(), local.port(), certificate.is_some());
+        let link = own_token.map_or(place.clone(), |token| format!("{place}#{}", token.text()));
         let access = Access::new(names, tokens.clone().map(|path| (path, own)));
         let (sender, orders) = mpsc::channel(MOST_ORDERS);
         let hub = Arc::new(Hub::new(access, sender, Box::new(wake)));
         let (running, ended) = oneshot::channel();
         let served = Arc::clone(&hub);
+        let (acceptor, seal) = match certificate {
+            Some(Certificate { acceptor, fingerprint }) => (Some(acceptor), Some(fingerprint)),
+            None => (None, None),
+        };
         let serve = move || {
             runtime.block_on(async {
                 tokio::select! {
-                    () = server::serve(listener, served) => {}
+                    () = server::serve(listener, served, acceptor) => {}
                     _ = ended => {}
                 }
             });
             runtime.shutdown_background();
         };
         thread::Builder::new().name("remote".to_owned()).spawn(serve).context("cannot start the remote's thread")?;
-        renderer::cli::say(format_args!("remote at http://{local}/"))?;
+        match &seal {
+            None => renderer::cli::say(format_args!("remote at http://{local}/"))?,
+            Some(seal) => {
+                renderer::cli::say(format_args!("remote at https://{local}/, with the certificate of SHA-256 {seal}"))?
+            }
+        }
         Ok(Self { orders, hub, link, _running: running })
     }
 
@@ -146,10 +166,14 @@ fn reachable(local: SocketAddr, own_address: Option<IpAddr>, host_name: &str) ->
     }
 }
 
-/// A name of its own is that of a proxy, which encrypts and has its own port.
-fn link(host: &str, is_proxied: bool, port: u16, token: Option<&Token>) -> String {
-    let place = if is_proxied { format!("https://{host}/") } else { format!("http://{host}:{port}/") };
-    token.map_or(place.clone(), |token| format!("{place}#{}", token.text()))
+/// The page's address on a host, or on one that has another name.
+fn place(host: &str, name: Option<&str>, port: u16, is_encrypted: bool) -> String {
+    match (name, is_encrypted) {
+        (_, true) => format!("https://{}:{port}/", name.unwrap_or(host)),
+        // The name is that of a proxy, which encrypts and has its own port.
+        (Some(name), false) => format!("https://{name}/"),
+        (None, false) => format!("http://{host}:{port}/"),
+    }
 }
 
 async fn listen(address: &str, has_tokens: bool) -> anyhow::Result<TcpListener> {
@@ -178,9 +202,13 @@ mod tests {
         let host = |address: &str| reachable(address.parse().unwrap(), own, "wall");
         assert_eq!(["0.0.0.0:7180", "10.0.0.1:80", "[::1]:80"].map(host), ["192.168.1.7", "10.0.0.1", "[::1]"]);
         assert_eq!(reachable("0.0.0.0:1".parse().unwrap(), None, "wall"), "wall");
-        let token = Token::random().unwrap();
-        let links = [link("10.0.0.1", false, 7180, None), link("wall.example", true, 7180, Some(&token))];
-        assert_eq!(links, ["http://10.0.0.1:7180/".to_owned(), format!("https://wall.example/#{}", token.text())]);
+        let place = |is_encrypted, name| place("10.0.0.1", name, 7180, is_encrypted);
+        let places =
+            [place(false, None), place(false, Some("wall.example")), place(true, None), place(true, Some("wall"))];
+        assert_eq!(
+            places,
+            ["http://10.0.0.1:7180/", "https://wall.example/", "https://10.0.0.1:7180/", "https://wall:7180/"]
+        );
     }
 
     #[test]

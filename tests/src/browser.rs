@@ -61,8 +61,8 @@ impl Browser {
                 json!({ "deviceMetrics": { "width": width, "height": height, "pixelRatio": 2, "touch": true } });
         }
         let mut browser = Self { driver, address, session: String::new() };
-        let capabilities =
-            json!({ "capabilities": { "alwaysMatch": { "browserName": "chrome", "goog:chromeOptions": options } } });
+        let capabilities = json!({ "capabilities": { "alwaysMatch": { "browserName": "chrome", "acceptInsecureCerts": true,
+                "goog:chromeOptions": options } } });
         let session = browser.command("POST", "/session", &capabilities);
         browser.session = session["sessionId"].as_str().expect("a session").to_owned();
         let theme = json!({ "name": "prefers-color-scheme", "value": if screen.is_dark { "dark" } else { "light" } });
@@ -77,6 +77,11 @@ impl Browser {
     /// Runs a script in the page; returns its value.
     pub(crate) fn run(&self, script: &str) -> Value {
         self.ask("/execute/sync", &json!({ "script": script, "args": [] }))
+    }
+
+    /// Runs a script that gives its value to its last argument, a function.
+    pub(crate) fn run_later(&self, script: &str) -> Value {
+        self.ask("/execute/async", &json!({ "script": script, "args": [] }))
     }
 
     /// Waits until a script's value is true.

@@ -55,10 +55,11 @@ impl RemoteWall {
         let mut command = session.wall(&["a statue.ply", "--local", "2", "--size", "256x144", "--fullscreen"]);
         command.current_dir(folder.path()).args(arguments);
         let mut program = Program::start(command);
-        program.wait_for("remote at http://");
+        program.wait_for("remote at http");
         program.wait_for(SHOWN);
         let said = program.said();
-        let address = said.split("remote at http://").nth(1).and_then(|rest| rest.split('/').next());
+        let place = said.split("remote at http").nth(1).and_then(|rest| rest.split("://").nth(1));
+        let address = place.and_then(|rest| rest.split('/').next());
         let address = address.expect("an address").to_owned();
         let wall = Self { program, address, folder, session };
         wall.session.wait_for_window("Raywall");
@@ -425,4 +426,26 @@ fn a_resting_wall_does_nothing_for_a_remote_that_only_looks() {
     assert_eq!(wall.program.count(SHOWN), n_shown, "a resting wall renders no frame");
     let mut nothing = [0];
     assert!(remote.0.get_mut().read(&mut nothing).is_err(), "the wall talks at rest");
+}
+
+#[test]
+fn whoever_comes_without_encryption_is_sent_to_the_encrypted_page() {
+    let (wall, [operator, _]) = RemoteWall::with_tokens(&["--remote-certificate", "wall.pem"]);
+    assert!(wall.program.said().contains(", with the certificate of SHA-256 "), "{}", wall.program.said());
+    for (path, token) in [("/", None), ("/api/state?x=1", Some(&*operator)), ("/nowhere", None)] {
+        let answer = wall.get(path, token);
+        let place = format!("location: https://{}{path}\r\n", wall.address);
+        assert!(answer.status == 308 && answer.headers.contains(&place), "{}", answer.headers);
+        assert!(answer.body.is_empty());
+    }
+    let other = http::request(&wall.address, "GET", "/", "Host: evil.example\r\n", b"");
+    assert_eq!(other.status, 421);
+    // What begins as a handshake and is none ends alone.
+    let mut random = Random::new(5);
+    for length in [1, 2, 5, 6, 100, 20_000] {
+        let mut bytes: Vec<u8> = (0..length).map(|_| random.next() as u8).collect();
+        bytes[0] = 22;
+        assert!(http::raw(&wall.address, &bytes).is_none());
+    }
+    assert_eq!(wall.get("/", None).status, 308);
 }

@@ -1,5 +1,7 @@
 //! The remote's page in a real browser: touched, steered by keys, read by machines, and left alone by the wall.
 
+use std::{fs, path::Path};
+
 use serde_json::{Value, json};
 
 use crate::{
@@ -165,4 +167,56 @@ fn the_page_can_be_read_by_everybody_on_every_screen() {
             assert!(node["name"]["value"].as_str().is_some_and(|name| !name.is_empty()), "{size:?}: {node}");
         }
     }
+}
+
+/// axe-core, which finds what keeps people from using a page; `make setup-test` fetches it.
+fn axe() -> Option<String> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/axe/node_modules/axe-core/axe.min.js");
+    let text = fs::read_to_string(path);
+    text.inspect_err(|error| println!("skipped: no axe-core: {error}")).ok()
+}
+
+#[test]
+fn axe_finds_nothing_that_keeps_people_out() {
+    let Some(axe) = axe() else { return };
+    let (wall, [operator, visitor]) = RemoteWall::with_tokens(&[]);
+    for (screen, token) in [
+        (PHONE, &visitor),
+        (PHONE_ACROSS, &operator),
+        (NARROWEST, &operator),
+        (LAPTOP, &operator),
+        (LAPTOP_AT_NIGHT, &visitor),
+    ] {
+        let Some(browser) = open(&screen, &wall, token) else { return };
+        browser.run(OPEN_ALL);
+        browser.run(&axe);
+        let check = "const done = arguments[arguments.length - 1]; axe.run().then(({ violations, passes }) => done([ \
+            violations.map((it) => it.id + ': ' + it.nodes.map((node) => node.html).join(' ')), passes.length]));";
+        let found = browser.run_later(check);
+        assert_eq!(found[0], json!([]), "{:?}, dark: {}", screen.size, screen.is_dark);
+        assert!(found[1].as_u64().is_some_and(|n_rules| n_rules > 20), "{found}");
+    }
+}
+
+#[test]
+fn an_encrypted_page_steers_as_any_other() {
+    let (wall, [operator, _]) = RemoteWall::with_tokens(&["--remote-certificate", "wall.pem"]);
+    wall.session.key("o");
+    let Some(laptop) = Browser::start(&LAPTOP) else { return };
+    // The plain address leads to the encrypted one, and the token stays in the browser meanwhile.
+    laptop.open(&format!("http://{}/#{operator}", wall.address));
+    laptop.wait_for("the picture is there", "!document.getElementById('picture').hidden");
+    assert_eq!(laptop.run("return location.protocol"), "https:");
+    assert_eq!(laptop.run("return document.getElementById('plain').hidden"), true);
+    let front = wall.session.steady_screenshot();
+    let [x, y] = middle(&laptop);
+    laptop.perform(&json!([finger("one", [x - 40, y], [80, 20])]));
+    wait_until("the model has turned", || front.difference(&wall.session.screenshot(), 16) > 0.02);
+    let status =
+        |script: &str| laptop.run(&format!("const it = new XMLHttpRequest(); {script}; it.send(); return it.status"));
+    assert_eq!(status("it.open('GET', '/health', false)"), 401);
+    assert_eq!(
+        status(&format!("it.open('GET', '/health', false); it.setRequestHeader('Authorization', 'Bearer {operator}')")),
+        200
+    );
 }

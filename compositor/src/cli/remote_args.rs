@@ -17,6 +17,10 @@ pub struct RemoteArgs {
     /// The file of tokens that let people in; `compositor remote-token` makes it
     #[arg(long, help_heading = "Remote", value_name = "FILE", requires = "remote")]
     pub remote_tokens: Option<PathBuf>,
+    /// Encrypt the remote (HTTPS) by the certificate in this file, a chain and its private key as PEM; without such a file, the
+    /// wall makes one, of which browsers warn
+    #[arg(long, help_heading = "Remote", value_name = "FILE", requires = "remote")]
+    pub remote_certificate: Option<PathBuf>,
     /// Another name under which the remote is reached, as through a proxy that encrypts
     #[arg(long, help_heading = "Remote", value_name = "NAME", requires = "remote")]
     pub remote_name: Option<String>,
@@ -27,6 +31,7 @@ impl RemoteArgs {
         Some(RemoteOptions {
             address: self.remote.clone()?,
             tokens: self.remote_tokens.clone(),
+            certificate: self.remote_certificate.clone(),
             name: self.remote_name.clone(),
             host_name: host_name(),
             own_address: own_address(),

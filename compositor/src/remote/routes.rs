@@ -6,7 +6,7 @@ use axum::{
     Extension, Json, Router,
     body::{Body, Bytes},
     extract::{DefaultBodyLimit, Request, State, ws::WebSocketUpgrade},
-    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
+    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header},
     middleware::{self, Next},
     response::{IntoResponse, Response},
     routing::{MethodRouter, get, post},
@@ -68,6 +68,18 @@ pub(super) fn router(hub: Arc<Hub>) -> Router {
     }
     let known = middleware::from_fn_with_state(Arc::clone(&hub), of_this_wall);
     router.fallback(nowhere).layer(DefaultBodyLimit::max(LONGEST_MESSAGE)).layer(known).with_state(hub)
+}
+
+/// Sends all who come without encryption to the same place with it.
+pub(super) fn encrypted_only(hub: Arc<Hub>) -> Router {
+    let known = middleware::from_fn_with_state(Arc::clone(&hub), of_this_wall);
+    Router::new().fallback(encrypted_place).layer(known).with_state(hub)
+}
+
+async fn encrypted_place(headers: HeaderMap, uri: Uri) -> Response {
+    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+    let place = format!("https://{host}{}", uri.path_and_query().map_or("/", |path| path.as_str()));
+    (StatusCode::PERMANENT_REDIRECT, [(header::LOCATION, place)]).into_response()
 }
 
 /// Refuses requests under other names and from pages of other origins, and adds headers to every answer.

@@ -1,4 +1,4 @@
-//! Accepts connections, and bounds them: in number, in size and in time.
+//! Accepts connections, encrypts them if the wall has a certificate, and bounds them: in number, in size and in time.
 
 use std::{collections::VecDeque, net::SocketAddr, sync::Arc, time::Duration};
 
@@ -7,9 +7,11 @@ use hyper::server::conn::http1;
 use hyper_util::{rt::TokioIo, service::TowerToHyperService};
 use socket2::{SockRef, TcpKeepalive};
 use tokio::{
+    io::{AsyncRead, AsyncWrite},
     net::{TcpListener, TcpStream},
     task::AbortHandle,
 };
+use tokio_rustls::TlsAcceptor;
 
 use super::{hub::Hub, routes};
 
@@ -23,13 +25,26 @@ const LONGEST_HEAD: usize = 16 << 10;
 /// The system asks a silent peer after this whether it is still there; the wall itself does nothing meanwhile.
 const KEEP_ALIVE: Duration = Duration::from_secs(30);
 
-/// Serves remotes until it is dropped.
-pub(super) async fn serve(listener: TcpListener, hub: Arc<Hub>) {
-    let router = routes::router(Arc::clone(&hub));
-    tokio::join!(accept(listener, router), hub.tell_states(), hub.encode_pictures(), hub.end_turns());
+/// How an encrypted connection begins: with a TLS record of a handshake.
+const HANDSHAKE: u8 = 22;
+
+/// Serves remotes until it is dropped, and only encrypted ones if there is an acceptor.
+pub(super) async fn serve(listener: TcpListener, hub: Arc<Hub>, acceptor: Option<TlsAcceptor>) {
+    let door =
+        Door { router: routes::router(Arc::clone(&hub)), plain: routes::encrypted_only(Arc::clone(&hub)), acceptor };
+    tokio::join!(accept(listener, door), hub.tell_states(), hub.encode_pictures(), hub.end_turns());
 }
 
-async fn accept(listener: TcpListener, router: Router) {
+/// What connections come to.
+#[derive(Clone)]
+struct Door {
+    router: Router,
+    /// For those that are not encrypted but should be.
+    plain: Router,
+    acceptor: Option<TlsAcceptor>,
+}
+
+async fn accept(listener: TcpListener, door: Door) {
     let mut strangers: VecDeque<AbortHandle> = VecDeque::new();
     loop {
         let (stream, peer) = match listener.accept().await {
@@ -47,21 +62,38 @@ async fn accept(listener: TcpListener, router: Router) {
         {
             oldest.abort();
         }
-        strangers.push_back(tokio::spawn(converse(stream, peer, router.clone())).abort_handle());
+        strangers.push_back(tokio::spawn(receive(stream, peer, door.clone())).abort_handle());
     }
 }
 
-async fn converse(stream: TcpStream, peer: SocketAddr, router: Router) {
+async fn receive(stream: TcpStream, peer: SocketAddr, Door { router, plain, acceptor }: Door) {
     let socket = SockRef::from(&stream);
     // Without these the conversation works too.
     let _ = socket.set_tcp_nodelay(true);
     let _ = socket.set_tcp_keepalive(&TcpKeepalive::new().with_time(KEEP_ALIVE));
+    let conversation = async {
+        let Some(acceptor) = acceptor else { return converse(stream, peer, router).await };
+        let mut first = [0];
+        match stream.peek(&mut first).await {
+            Ok(1) if first == [HANDSHAKE] => {
+                if let Ok(stream) = acceptor.accept(stream).await {
+                    converse(stream, peer, router).await;
+                }
+            }
+            Ok(1) => converse(stream, peer, plain).await,
+            _ => {}
+        }
+    };
+    let _ = tokio::time::timeout(LONGEST_REQUEST, conversation).await;
+}
+
+/// Answers a request; malformed ones, and peers that go away, are everyday events.
+async fn converse(stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, peer: SocketAddr, router: Router) {
     let service = TowerToHyperService::new(router.layer(axum::Extension(routes::Peer(peer))));
     let connection = http1::Builder::new()
         .header_read_timeout(None)
         .max_buf_size(LONGEST_HEAD)
         .serve_connection(TokioIo::new(stream), service)
         .with_upgrades();
-    // Malformed requests, and peers that go away, are everyday events.
-    let _ = tokio::time::timeout(LONGEST_REQUEST, connection).await;
+    let _ = connection.await;
 }
