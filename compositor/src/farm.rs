@@ -7,11 +7,11 @@ mod connection;
 mod frame_buffer;
 mod local_news;
 mod log_limit;
-mod looks;
 mod losses;
 pub mod notices;
 mod open_frame;
 mod outbox;
+mod questions;
 mod rate_limit;
 pub mod scheduler;
 mod service;
@@ -136,6 +136,19 @@ pub struct Look {
     pub points: Arc<[DVec3]>,
 }
 
+/// A question about the model: how long the way along its surface is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Stretch {
+    /// The question's number, from 1.
+    pub number: u32,
+    /// The scene; `None` asks nothing.
+    pub scene: Option<SceneId>,
+    /// On the surface, in world space.
+    pub ends: [DVec3; 2],
+    /// A direction across the surface: the way lies in the plane that it spans with the ends.
+    pub across: DVec3,
+}
+
 /// A running farm. Dropping it closes every connection.
 #[derive(Debug)]
 pub struct Farm {
@@ -143,6 +156,7 @@ pub struct Farm {
     goal: watch::Sender<RenderGoal>,
     probe: watch::Sender<Probe>,
     look: watch::Sender<Look>,
+    stretch: watch::Sender<Stretch>,
     structure: watch::Sender<Option<Structure>>,
     status: watch::Receiver<FarmStatus>,
     finished: Arc<FinishedFrame>,
@@ -167,6 +181,7 @@ impl Farm {
         let (goal, goals) = watch::channel(goal);
         let (probe, probes) = watch::channel(Probe::default());
         let (look, looks) = watch::channel(Look::default());
+        let (stretch, stretches) = watch::channel(Stretch::default());
         let (structure, structures) = watch::channel(None);
         let (status_sender, status) = watch::channel(FarmStatus::default());
         let (local, local_news) = mpsc::unbounded_channel();
@@ -179,9 +194,9 @@ impl Farm {
             Arc::clone(&supply),
             Box::new(wake),
         );
-        let service = tokio::spawn(service.run(listener, probes, looks, structures, local_news));
+        let service = tokio::spawn(service.run(listener, (probes, looks, stretches), structures, local_news));
         let local = LocalReporter(local);
-        Ok(Self { address, goal, probe, look, structure, status, finished, local, supply, service })
+        Ok(Self { address, goal, probe, look, stretch, structure, status, finished, local, supply, service })
     }
 
     /// The address that the farm listens on, with the actual port.
@@ -220,6 +235,12 @@ impl Farm {
     /// render server has the scene; those before it may be.
     pub fn look(&self, look: Look) {
         self.look.send_replace(look);
+    }
+
+    /// Asks a render server how long the way along the surface is. The last question is answered, in [`FarmStatus::way`], as
+    /// soon as a render server has the scene.
+    pub fn measure(&self, stretch: Stretch) {
+        self.stretch.send_replace(stretch);
     }
 
     /// Has every render server keep the scene in another structure, those that join later too. The last frame stays

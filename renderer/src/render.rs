@@ -2,9 +2,9 @@
 //!
 //! [`scene`] is a mesh with its grid. [`blocks`] cuts a share of a frame into packets, [`sampling`] places samples in
 //! pixels. [`secondary`] finds the lights that reach a hit, [`shade`] its colour, with [`surface`] and [`gloss`]; [`path`]
-//! finds both by paths of light, [`sky`] is an image that lights them. [`lift`] says where rays between surfaces start. [`lighting`] joins all of them, and
-//! [`tracer`] renders shares and whole frames with it. [`parallel`] divides them among [`threads`], and
-//! [`image`] writes them.
+//! finds both by paths of light, [`sky`] is an image that lights them. [`lift`] says where rays between
+//! surfaces start. [`lighting`] joins all of them, and [`tracer`] renders shares and whole frames with it. [`parallel`] divides them among [`threads`], and
+//! [`image`] writes them. `section` finds ways along the surface.
 
 pub mod blocks;
 mod gloss;
@@ -17,6 +17,7 @@ pub mod path;
 pub mod sampling;
 pub mod scene;
 pub mod secondary;
+mod section;
 pub mod shade;
 pub mod sky;
 mod surface;

@@ -3,7 +3,7 @@
 mod measurement;
 mod unit;
 
-pub use measurement::{Measurement, MeasurementError, MeasurementKind};
+pub use measurement::{Measurement, MeasurementError, MeasurementKind, SurfaceWay};
 pub use unit::Unit;
 
 use std::fmt::Write;
@@ -122,7 +122,8 @@ fn is_point(point: DVec3) -> bool {
 }
 
 const FORMAT: &str = "a file of marks has perhaps unit = \"mm\" or another, tables [[annotation]] with label and at = [x, y, z], \
-    perhaps text, direction and a table view, and tables [[measurement]] with kind and points";
+    perhaps text, direction and a table view, and tables [[measurement]] with kind and points, and along the \
+    surface a length";
 
 impl Marks {
     /// The most annotations of a model, and the most measurements.
@@ -149,14 +150,19 @@ impl Marks {
         }
         for table in file.measurement {
             let start = table.span().start;
-            let MeasurementTable { kind, points } = table.into_inner();
-            marks.measurements.push(Measurement::new(kind, points).map_err(|error| at(start, &error.to_string()))?);
+            let MeasurementTable { kind, points, length } = table.into_inner();
+            let measurement = match (kind, length) {
+                (MeasurementKind::Surface, Some(length)) => Measurement::along(SurfaceWay { length, points }),
+                (_, None) => Measurement::new(kind, points),
+                (_, Some(_)) => return Err(at(start, &format!("a measurement of kind {kind} has no length"))),
+            };
+            marks.measurements.push(measurement.map_err(|error| at(start, &error.to_string()))?);
         }
         Ok(marks)
     }
 
     /// Writes a file of marks: `unit`, a table `annotation` for each with `label`, `text`, `at`, `direction` and a table `view`,
-    /// as files of views have, and a table `measurement` for each with `kind` and `points`. Numbers are exact to the last bit.
+    /// as files of views have, and a table `measurement` for each with `kind` and `points`, and along the surface its `length`. Numbers are exact to the last bit.
     pub fn to_toml(&self) -> String {
         let mut text = "# Marks of a model: annotations, and measurements of the ruler.\n".to_owned();
         let quoted = |text: &str| toml::Value::String(text.to_owned()).to_string();
@@ -182,23 +188,31 @@ impl Marks {
             let points: Vec<_> = measurement.points().iter().copied().map(vector).collect();
             let kind = measurement.kind();
             let _ = writeln!(text, "\n[[measurement]]\nkind = \"{kind}\"\npoints = [{}]", points.join(", "));
+            if let Some(length) = measurement.length() {
+                let _ = writeln!(text, "length = {length:?}");
+            }
         }
         text
     }
 
-    /// The measurements as comma-separated values: a row for each with its kind, value, unit and points. Numbers are exact to
-    /// the last bit.
+    /// The measurements as comma-separated values: a row for each with its kind, value, unit and points, along the surface the
+    /// ends alone. Numbers are exact to the last bit.
     pub fn to_csv(&self, unit: Option<Unit>) -> String {
-        let n_points = self.measurements.iter().map(|it| it.points().len()).max().unwrap_or(0);
+        let picked = |it: &Measurement| match (it.kind(), it.points()) {
+            (MeasurementKind::Surface, &[first, .., last]) => vec![first, last],
+            (_, points) => points.to_vec(),
+        };
+        let n_points = self.measurements.iter().map(|it| picked(it).len()).max().unwrap_or(0);
         let mut text = "number,kind,value,unit".to_owned();
         (1..=n_points).for_each(|number| _ = write!(text, ",x{number},y{number},z{number}"));
         for (measurement, number) in self.measurements.iter().zip(1..) {
             let (kind, value, unit) = (measurement.kind(), measurement.value(), measurement.unit_name(unit));
             let _ = write!(text, "\r\n{number},{kind},{value:?},{unit}");
-            for DVec3 { x, y, z } in measurement.points() {
+            let points = picked(measurement);
+            for DVec3 { x, y, z } in &points {
                 let _ = write!(text, ",{x:?},{y:?},{z:?}");
             }
-            text.push_str(&",,,".repeat(n_points - measurement.points().len()));
+            text.push_str(&",,,".repeat(n_points - points.len()));
         }
         text + "\r\n"
     }
@@ -230,6 +244,7 @@ struct AnnotationTable {
 struct MeasurementTable {
     kind: MeasurementKind,
     points: Vec<DVec3>,
+    length: Option<f64>,
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@
 //! ([`ToServer::LoadScene`]), and the server reports its progress ([`ToWall::SceneState`]); it may name the next one ahead
 //! ([`ToServer::PrepareScene`]). The wall then gives out tasks
 //! ([`ToServer::RenderFrame`]), and the server answers each with [`Chunk`]s and a [`ToWall::TaskDone`]. Heartbeats flow all
-//! the time; a [`ToServer::Probe`] or a [`ToServer::Look`] may come at any time.
+//! the time; a [`ToServer::Probe`], a [`ToServer::Look`] or a [`ToServer::Measure`] may come at any time.
 //!
 //! A server that lacks the scene may fetch its scene file, on a connection of its own that opens with
 //! [`ToWall::FetchScene`] in place of a hello. The wall answers with [`ToServer::SceneFileAwaited`] while it makes the file,
@@ -25,6 +25,7 @@ use crate::{
     camera::Camera,
     curve::TILES_PER_SQUARE,
     division::{FrameSize, Share, Task},
+    marks::SurfaceWay,
     names::unknown_name,
     noise::NoiseLimit,
     printable::bytes,
@@ -34,7 +35,7 @@ use crate::{
 };
 
 /// The version of all messages; a change to any message changes it.
-pub const PROTOCOL_VERSION: u8 = 16;
+pub const PROTOCOL_VERSION: u8 = 17;
 
 /// The first bytes that either side sends: "RAYWALL" and the version.
 pub const PREAMBLE: [u8; 8] = [b'R', b'A', b'Y', b'W', b'A', b'L', b'L', PROTOCOL_VERSION];
@@ -282,6 +283,16 @@ pub enum ToServer {
         /// In world space.
         points: Vec<DVec3>,
     },
+    /// Find the way from one point to another along the surface, in the plane of both points and a direction.
+    Measure {
+        /// The question's number, repeated in the answer.
+        number: u32,
+        scene: SceneId,
+        /// On the surface, in world space.
+        ends: [DVec3; 2],
+        /// Of any length, across the surface.
+        across: DVec3,
+    },
     /// The scene file that [`ToWall::FetchScene`] asks for is being made.
     SceneFileAwaited {
         /// 0 to 1.
@@ -331,6 +342,13 @@ pub enum ToWall {
         number: u32,
         /// Whether the eye sees each of the points.
         seen: Vec<bool>,
+    },
+    /// The answer to a [`ToServer::Measure`]; a server without the scene sends none.
+    Measured {
+        /// As in the question.
+        number: u32,
+        /// The shortest, if any leads along the surface.
+        way: Option<SurfaceWay>,
     },
     /// The first message of a connection that fetches the wall's scene, and no other.
     FetchScene { scene: SceneId },

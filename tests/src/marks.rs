@@ -99,6 +99,29 @@ fn on_cube(camera: &Camera, [x, y]: [i32; 2]) -> DVec3 {
     camera.eye() + way * enters.max_element()
 }
 
+/// The length of the way between two points of that cube on different faces, in the plane across both, in small steps; and where it
+/// bends.
+fn way_on_cube(from: DVec3, to: DVec3) -> (f64, DVec3) {
+    let face = |point: DVec3| {
+        let axis = (0..3).max_by(|&a, &b| point[a].abs().total_cmp(&point[b].abs())).unwrap();
+        DVec3::AXES[axis] * point[axis].signum()
+    };
+    let across = face(from) + face(to);
+    assert_ne!(face(from), face(to));
+    // From outside back to the cube, for each point between.
+    let at = |part: f64| {
+        let start = from.lerp(to, part) + across * 10.0;
+        let enters = (across.signum() - start) / -across;
+        let reached = (0..3).filter(|&axis| across[axis] != 0.0).map(|axis| enters[axis]).fold(f64::MIN, f64::max);
+        start - across * reached
+    };
+    let n = 100_000;
+    let points: Vec<_> = (0..=n).map(|step| at(f64::from(step) / f64::from(n))).collect();
+    let length = points.array_windows().map(|[a, b]| a.distance(*b)).sum();
+    let bend = points.into_iter().find(|&point| face(point) != face(from)).unwrap();
+    (length, bend)
+}
+
 #[test]
 fn the_ruler_measures_a_cube_as_geometry_does() {
     let mut wall = RemoteWall::start(&[]);
@@ -125,10 +148,12 @@ fn the_ruler_measures_a_cube_as_geometry_does() {
     let camera = annotation.view().unwrap().camera;
     let pixels = [[290, 150], [340, 200], [300, 220]];
     let expected = pixels.map(|pixel| on_cube(&camera, pixel));
+    let mut n_kept = 0;
     // A cursor's place has 24 bits, a point all of its own.
     let is_near = |a: DVec3, b: DVec3| a.distance(b) < 1e-5;
     assert!(is_near(annotation.at(), on_cube(&camera, MIDDLE)), "{annotation:?}");
-    for (kind, n_points) in [(MeasurementKind::Distance, 2), (MeasurementKind::Angle, 3)] {
+    for (kind, n_points) in [(MeasurementKind::Distance, 2), (MeasurementKind::Surface, 2), (MeasurementKind::Angle, 3)]
+    {
         wall.session.key("y");
         wall.program.wait_for("Ruler: click");
         for (index, &pixel) in pixels[..n_points].iter().enumerate() {
@@ -139,16 +164,23 @@ fn the_ruler_measures_a_cube_as_geometry_does() {
                 wall.program.wait_for(&format!("{} of {n_points} points", index + 1));
             }
         }
-        let count = n_points - 1;
-        wait_until("it is kept", || read(&file).measurements.len() == count);
-        let kept = read(&file).measurements[count - 1].clone();
+        n_kept += 1;
+        wait_until("it is kept", || read(&file).measurements.len() == n_kept);
+        let kept = read(&file).measurements[n_kept - 1].clone();
+        if kind == MeasurementKind::Surface {
+            continue;
+        }
         assert_eq!((kept.kind(), kept.points().len()), (kind, n_points));
         for (&point, &expected) in kept.points().iter().zip(&expected) {
             assert!(is_near(point, expected), "{point} is not {expected}");
             assert!((point.abs().max_element() - 1.0).abs() < 1e-12, "{point} is not on a face");
         }
     }
-    let [distance, angle] = &*read(&file).measurements else { panic!("two measurements") };
+    let [distance, surface, angle] = &*read(&file).measurements else { panic!("three measurements") };
+    let (way, middle) = way_on_cube(expected[0], expected[1]);
+    assert_eq!(surface.kind(), MeasurementKind::Surface);
+    assert!((surface.value() - way).abs() < 1e-4 && way > distance.value(), "{surface:?} is not {way}");
+    assert!(surface.points().iter().any(|&point| point.distance(middle) < 1e-3), "{surface:?} is not by {middle}");
     assert!((distance.value() - expected[0].distance(expected[1])).abs() < 1e-5, "{distance:?}");
     let [a, b] = [expected[0], expected[2]].map(|end| (end - expected[1]).normalize());
     assert!((angle.value() - a.dot(b).acos().to_degrees()).abs() < 1e-3, "{angle:?}");
@@ -161,7 +193,7 @@ fn the_ruler_measures_a_cube_as_geometry_does() {
     Program::succeed(command);
     let csv = fs::read_to_string(folder.join("cube.csv")).unwrap();
     let rows: Vec<Vec<_>> = csv.lines().map(|row| row.split(',').collect()).collect();
-    assert_eq!((rows.len(), rows[1][1], rows[2][1], rows[1][3]), (3, "distance", "angle", "units"), "{csv}");
+    assert_eq!((rows.len(), rows[1][1], rows[2][1], rows[1][3]), (4, "distance", "surface", "units"), "{csv}");
     assert_eq!(rows[1][2].parse(), Ok(distance.value()));
 }
 

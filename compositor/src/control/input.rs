@@ -251,7 +251,7 @@ pub const KEYS: &[KeyBinding] = {
         row(&[Named(NamedKey::PageUp)], Trigger(PreviousScene), "previous scene of the show"),
         row(&[Ctrl('k')], Trigger(KeepScene), "keep this view as a scene of the show"),
         row(&[Ctrl('a')], Trigger(Mark(MarkCommand::Annotate)), "annotate the point under the cursor"),
-        row(&[Letter('y')], Trigger(Mark(MarkCommand::NextRuler)), "next ruler: distance, angle, area, none"),
+        row(&[Letter('y')], Trigger(Mark(MarkCommand::NextRuler)), "next ruler: distance, surface, angle, area, none"),
         row(&[Ctrl('h')], Trigger(Mark(MarkCommand::Toggle)), "annotations and measurements on or off"),
         row(&[Letter('u')], Trigger(NextUpAxis), "next up axis: y, z, x, -y, -z, -x"),
         row(&[Letter('h')], Trigger(NextDivision), "next division: interleaved, tiled, dynamic"),

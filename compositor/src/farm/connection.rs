@@ -15,6 +15,7 @@ use channel::{
 use fixedbitset::FixedBitSet;
 use shared::{
     division::{Share, Task},
+    marks::SurfaceWay,
     printable::printable,
     protocol::{
         Chunk, FETCH_SILENCE_LIMIT, FrameId, HANDSHAKE_TIMEOUT, HEARTBEAT_INTERVAL, HEARTBEAT_TIMEOUT, LONGEST_NAME,
@@ -61,6 +62,8 @@ pub(super) enum ConnectionEvent {
     Probed { number: u32, hit: Option<ProbeHit> },
     /// The answer to a look.
     Seen { number: u32, seen: Vec<bool> },
+    /// The answer about a way along the surface.
+    Measured { number: u32, way: Option<SurfaceWay> },
     /// The connection has ended: the peer closed it, or an error did.
     Ended(Result<(), ConnectionError>),
 }
@@ -369,6 +372,9 @@ async fn receive_until_end(
             }
             Incoming::Control(ToWall::Seen { number, seen }) => {
                 events.send(ConnectionEvent::Seen { number, seen }).await;
+            }
+            Incoming::Control(ToWall::Measured { number, way }) => {
+                events.send(ConnectionEvent::Measured { number, way }).await;
             }
             Incoming::Control(ToWall::Heartbeat) => {}
             Incoming::FilePart(_)

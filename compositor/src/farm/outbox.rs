@@ -42,6 +42,7 @@ enum Kind {
     PrepareScene,
     Probe,
     Look,
+    Measure,
     Render(FrameId),
     Other,
 }
@@ -62,6 +63,7 @@ impl Outbox {
             ToServer::PrepareScene { .. } => Kind::PrepareScene,
             ToServer::Probe { .. } => Kind::Probe,
             ToServer::Look { .. } => Kind::Look,
+            ToServer::Measure { .. } => Kind::Measure,
             ToServer::RenderFrame { frame, .. } => Kind::Render(*frame),
             ToServer::Cancel { frame } => {
                 queue.messages.retain(|queued| queued.kind != Kind::Render(*frame));
@@ -76,7 +78,7 @@ impl Outbox {
             | ToServer::SceneFileAwaited { .. }
             | ToServer::SceneFile { .. } => Kind::Other,
         };
-        if matches!(kind, Kind::LoadScene | Kind::PrepareScene | Kind::Probe | Kind::Look) {
+        if matches!(kind, Kind::LoadScene | Kind::PrepareScene | Kind::Probe | Kind::Look | Kind::Measure) {
             queue.messages.retain(|queued| queued.kind != kind);
         }
         queue.messages.push_back(Encoded { kind, bytes });

@@ -24,19 +24,19 @@ use tokio::{
 };
 
 use super::{
-    FinishedFrame, Look, Probe, RenderGoal,
+    FinishedFrame, Look, Probe, RenderGoal, Stretch,
     connection::{self, ConnectionError, ConnectionEvent, EventSender, PendingTask, PendingTasks},
     frame_buffer::BufferPool,
     local_news::LocalNews,
     log_limit::LogLimit,
-    looks::Looks,
     losses::Losses,
     notices::NodeKey,
     open_frame::OpenFrame,
     outbox::Outbox,
+    questions::Questions,
     rate_limit::RateLimit,
     scheduler::{Action, Event, Scheduler},
-    stats::{FarmStatus, NodeId, NodeStatus, Probed, Seen},
+    stats::{FarmStatus, FoundWay, NodeId, NodeStatus, Probed, Seen},
     supply::SceneSupply,
 };
 
@@ -62,6 +62,9 @@ const ACCEPT_INTERVAL: Duration = Duration::from_micros(500);
 
 /// News of render servers wake the wall at most this often: each may redraw its windows.
 const NEWS_INTERVAL: Duration = Duration::from_millis(50);
+
+/// The questions that the wall asks about the model.
+type Asked = (watch::Receiver<Probe>, watch::Receiver<Look>, watch::Receiver<Stretch>);
 
 /// How often the scheduler looks for late tasks while a frame is in flight.
 const TICK: Duration = Duration::from_millis(10);
@@ -105,7 +108,8 @@ pub(super) struct Service {
     buffers: BufferPool,
     /// The render server that the last probe was sent to, and the probe's number.
     pending_probe: Option<(NodeId, u32)>,
-    looks: Looks,
+    looks: Questions<Look>,
+    stretches: Questions<Stretch>,
     /// The structure that render servers must keep the scene in; `None`: the one that each was started with.
     structure: Option<Structure>,
 }
@@ -144,7 +148,8 @@ impl Service {
             frames: HashMap::new(),
             buffers: BufferPool::default(),
             pending_probe: None,
-            looks: Looks::default(),
+            looks: Questions::default(),
+            stretches: Questions::default(),
             structure: None,
         }
     }
@@ -153,8 +158,7 @@ impl Service {
     pub(super) async fn run(
         mut self,
         listener: TcpListener,
-        mut probes: watch::Receiver<Probe>,
-        mut looks: watch::Receiver<Look>,
+        (mut probes, mut looks, mut stretches): Asked,
         mut structures: watch::Receiver<Option<Structure>>,
         mut local_news: mpsc::UnboundedReceiver<LocalNews>,
     ) {
@@ -198,7 +202,11 @@ impl Service {
                 }
                 Ok(()) = looks.changed() => {
                     self.looks.ask(looks.borrow_and_update().clone());
-                    self.send_look();
+                    self.send_questions();
+                }
+                Ok(()) = stretches.changed() => {
+                    self.stretches.ask(*stretches.borrow_and_update());
+                    self.send_questions();
                 }
                 () = finished.taken.notified() => self.dispatch(Event::FrameTaken),
                 () = sleep_until(self.news_at.unwrap_or(self.next_news_at)), if self.news_at.is_some() => self.on_news(),
@@ -255,16 +263,22 @@ impl Service {
         }
     }
 
-    /// Sends the look that waits to the first render server that is ready, unless another is being answered.
-    fn send_look(&mut self) {
+    /// Sends the questions that wait to the first render server that is ready, unless another of the kind is being answered.
+    fn send_questions(&mut self) {
         let ready = self.status.borrow().nodes.iter().find(|node| node.is_ready()).map(|node| node.id);
-        let scene = self.scheduler.scene();
-        let Some((id, Look { number, view: Some((scene, camera)), clip, points })) =
-            ready.and_then(|id| Some((id, self.looks.begin(id, scene?)?)))
-        else {
-            return;
-        };
-        self.send(id, &ToServer::Look { number, scene, camera, clip, points: points.to_vec() });
+        let (Some(id), Some(scene)) = (ready, self.scheduler.scene()) else { return };
+        if let Some(Look { number, view: Some((scene, camera)), clip, points }) = self.looks.begin(id, scene) {
+            self.send(id, &ToServer::Look { number, scene, camera, clip, points: points.to_vec() });
+        }
+        if let Some(Stretch { number, scene: Some(scene), ends, across }) = self.stretches.begin(id, scene) {
+            self.send(id, &ToServer::Measure { number, scene, ends, across });
+        }
+    }
+
+    /// A render server will not answer.
+    fn lose_questions(&mut self, id: NodeId) {
+        self.looks.lose(id);
+        self.stretches.lose(id);
     }
 
     fn on_connection_event(&mut self, id: NodeId, address: SocketAddr, event: ConnectionEvent) {
@@ -309,9 +323,9 @@ impl Service {
                 self.on_scene_state(id, state);
                 self.dispatch(Event::SceneReady { node: id, ready });
                 if !ready {
-                    self.looks.lose(id);
+                    self.lose_questions(id);
                 }
-                self.send_look();
+                self.send_questions();
                 self.wake_for_news();
             }
             ConnectionEvent::UnitsPlaced { frame, task_id, units } => {
@@ -323,7 +337,7 @@ impl Service {
             ConnectionEvent::Silent(is_silent) => {
                 self.on_silent(id, is_silent);
                 self.dispatch(Event::Silent { node: id, is_silent });
-                self.send_look();
+                self.send_questions();
                 self.wake_for_news();
             }
             ConnectionEvent::RoundTrip(round_trip) => {
@@ -342,7 +356,14 @@ impl Service {
                 if self.looks.answer(id, number) {
                     self.status.send_modify(|status| status.seen = Some(Seen { number, seen: seen.into() }));
                     (self.wake)();
-                    self.send_look();
+                    self.send_questions();
+                }
+            }
+            ConnectionEvent::Measured { number, way } => {
+                if self.stretches.answer(id, number) {
+                    self.status.send_modify(|status| status.way = Some(FoundWay { number, way }));
+                    (self.wake)();
+                    self.send_questions();
                 }
             }
             ConnectionEvent::Ended(reason) => self.on_ended(id, address, reason),
@@ -442,8 +463,8 @@ impl Service {
             status.notices.put_lost(key, &reason, status.nodes.is_empty());
         });
         self.dispatch(Event::Lost { node: id });
-        self.looks.lose(id);
-        self.send_look();
+        self.lose_questions(id);
+        self.send_questions();
         self.wake_for_news();
     }
 

@@ -5,6 +5,7 @@ use std::{net::SocketAddr, sync::Arc};
 use serde::Serialize;
 use shared::{
     division::{Division, FrameSize, Task},
+    marks::SurfaceWay,
     protocol::{Encoding, ProbeHit, RunCosts, SceneState, Transfer},
 };
 
@@ -63,6 +64,8 @@ pub struct FarmStatus {
     pub probed: Option<Probed>,
     /// The last answer to a look.
     pub seen: Option<Seen>,
+    /// The last answer about a way along the surface.
+    pub way: Option<FoundWay>,
     /// How much of the frame in flight has arrived, in percent, if it takes long.
     pub percent: Option<u8>,
 }
@@ -83,6 +86,15 @@ pub struct Seen {
     pub number: u32,
     /// Whether each point is seen; a render server that lies may say it of fewer or more points.
     pub seen: Arc<[bool]>,
+}
+
+/// A render server's answer about a way along the surface.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundWay {
+    /// The question's number.
+    pub number: u32,
+    /// The way, if one leads there; a render server that lies may say any.
+    pub way: Option<SurfaceWay>,
 }
 
 /// How one render server spent its time in one frame.

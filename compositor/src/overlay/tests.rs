@@ -110,6 +110,7 @@ pub(super) fn running() -> OverlayModel {
             notices: Default::default(),
             probed: None,
             seen: None,
+            way: None,
             percent: None,
         },
         model: Some(ModelSummary {

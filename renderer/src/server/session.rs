@@ -10,6 +10,7 @@ use channel::{
     secure::{self, SecureError},
     wire::{Incoming, MessageReader, MessageWriter, WireError},
 };
+use glam::DVec3;
 use shared::{
     codec,
     printable::printable,
@@ -19,7 +20,7 @@ use shared::{
 };
 use tokio::{
     io::{AsyncRead, AsyncWrite},
-    sync::mpsc,
+    sync::{Semaphore, mpsc},
     time::{Instant, MissedTickBehavior, interval, timeout_at},
 };
 
@@ -115,7 +116,14 @@ async fn run_session(
     let (outbox, outgoing) = mpsc::channel(LONGEST_QUEUE);
     let (replies, reply_queue) = mpsc::channel(MOST_REPLIES);
     let jobs = Arc::new(JobQueue::new());
-    let mut session = Session { loader, is_local, replies, jobs: Arc::clone(&jobs), unfinished: Vec::new() };
+    let mut session = Session {
+        loader,
+        is_local,
+        replies,
+        jobs: Arc::clone(&jobs),
+        unfinished: Vec::new(),
+        measuring: Arc::new(Semaphore::new(1)),
+    };
     let mut worker = tokio::task::spawn_blocking({
         let (pool, jobs) = (Arc::clone(loader.pool()), Arc::clone(&jobs));
         move || task::run(&jobs, &pool, &outbox)
@@ -162,6 +170,8 @@ struct Session<'a> {
     jobs: Arc<JobQueue>,
     /// Tasks whose samples may not all be sent, with their cancel flags.
     unfinished: Vec<(FrameId, Arc<AtomicBool>)>,
+    /// One way along the surface is found at a time.
+    measuring: Arc<Semaphore>,
 }
 
 impl Drop for Session<'_> {
@@ -221,6 +231,7 @@ impl Session<'_> {
                         self.reply(&ToWall::Seen { number, seen: scene.sees(&camera, &points, clip) }).await;
                     }
                 }
+                ToServer::Measure { number, scene, ends, across } => self.measure(number, scene, ends, across),
                 ToServer::Refused { reason } => return Err(SessionError::Refused(printable(&reason))),
                 ToServer::Welcome | ToServer::SceneFileAwaited { .. } | ToServer::SceneFile { .. } => {
                     return Err(SessionError::OutOfTurn);
@@ -228,6 +239,19 @@ impl Session<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Finds a way along the surface on a thread of its own, which reads every triangle, unless another is being found.
+    fn measure(&self, number: u32, scene: SceneId, ends: [DVec3; 2], across: DVec3) {
+        let turn = Arc::clone(&self.measuring).try_acquire_owned();
+        let (Some(RenderSource::Scene(scene)), Ok(turn)) = (self.loader.source_for(scene), turn) else { return };
+        let replies = self.replies.clone();
+        tokio::task::spawn_blocking(move || {
+            let way = scene.way(ends, across);
+            drop(turn);
+            // If the writer has ended, the session ends too.
+            let _ = replies.blocking_send(encoded(&ToWall::Measured { number, way }));
+        });
     }
 
     /// A request for a scene, with the paths of files that are on this machine.

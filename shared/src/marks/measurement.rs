@@ -1,7 +1,7 @@
 //! Measurements between points of a model.
 
 use glam::DVec3;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use strum::{Display, VariantArray};
 
 use super::{Unit, is_point};
@@ -14,6 +14,8 @@ use crate::printable::significant;
 pub enum MeasurementKind {
     /// Between two points, in a straight line.
     Distance,
+    /// Between two points along the surface, in a plane across it.
+    Surface,
     /// At the second of three points.
     Angle,
     /// The area of a polygon: of its projection along the direction in which that is largest.
@@ -25,19 +27,37 @@ impl MeasurementKind {
     pub fn n_points(self) -> [usize; 2] {
         match self {
             Self::Distance => [2, 2],
+            Self::Surface => [2, SurfaceWay::MOST_POINTS],
             Self::Angle => [3, 3],
             Self::Area => [3, 64],
         }
     }
 }
 
+/// A way along the surface of a model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SurfaceWay {
+    /// In the unit of the model's coordinates.
+    pub length: f64,
+    /// Points of the way, its ends among them: at most [`SurfaceWay::MOST_POINTS`]. Between them it may be longer than a line.
+    pub points: Vec<DVec3>,
+}
+
+impl SurfaceWay {
+    /// The most points of a way: enough to draw it.
+    pub const MOST_POINTS: usize = 64;
+}
+
 /// A measurement: its kind, and the points that it is of.
 ///
-/// Invariant: it has as many points as its kind needs, and they are finite; [`Measurement::new`] checks it.
+/// Invariant: it has as many points as its kind needs, and they are finite; [`Measurement::new`] and [`Measurement::along`] check
+/// it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measurement {
     kind: MeasurementKind,
     points: Vec<DVec3>,
+    /// Along the surface; 0 of other kinds.
+    length: f64,
 }
 
 /// The points are none of a measurement.
@@ -48,14 +68,32 @@ pub enum MeasurementError {
     Number(MeasurementKind),
     #[error("a component of a point is not a finite number below 1e18")]
     Point,
+    #[error("a way along the surface has a length, which is at least the distance of its ends")]
+    Length,
 }
 
 impl Measurement {
     /// A measurement of points in the coordinates of the model's file.
     ///
     /// # Errors
-    /// The kind needs another number of points, or a number is not finite.
+    /// The kind needs another number of points, or a number is not finite; a way along the surface needs its length.
     pub fn new(kind: MeasurementKind, points: Vec<DVec3>) -> Result<Self, MeasurementError> {
+        if kind == MeasurementKind::Surface { Err(MeasurementError::Length) } else { Self::checked(kind, points, 0.0) }
+    }
+
+    /// A way along the surface, in the coordinates of the model's file.
+    ///
+    /// # Errors
+    /// It has too few or too many points, a number is not finite, or the length is less than the distance of the ends.
+    pub fn along(SurfaceWay { length, points }: SurfaceWay) -> Result<Self, MeasurementError> {
+        let way = Self::checked(MeasurementKind::Surface, points, length)?;
+        let [first, .., last] = *way.points else { return Err(MeasurementError::Number(MeasurementKind::Surface)) };
+        // Sums are rounded.
+        let is_possible = length.is_finite() && length >= first.distance(last) * (1.0 - 1e-9);
+        if is_possible { Ok(way) } else { Err(MeasurementError::Length) }
+    }
+
+    fn checked(kind: MeasurementKind, points: Vec<DVec3>, length: f64) -> Result<Self, MeasurementError> {
         let [fewest, most] = kind.n_points();
         if !(fewest..=most).contains(&points.len()) {
             return Err(MeasurementError::Number(kind));
@@ -63,7 +101,7 @@ impl Measurement {
         if !points.iter().copied().all(is_point) {
             return Err(MeasurementError::Point);
         }
-        Ok(Self { kind, points })
+        Ok(Self { kind, points, length })
     }
 
     /// The quantity that is measured.
@@ -71,7 +109,12 @@ impl Measurement {
         self.kind
     }
 
-    /// The points, in the order in which they were picked.
+    /// The length along the surface, of a way there.
+    pub fn length(&self) -> Option<f64> {
+        (self.kind == MeasurementKind::Surface).then_some(self.length)
+    }
+
+    /// The points, in the order in which they were picked, or along the surface.
     pub fn points(&self) -> &[DVec3] {
         &self.points
     }
@@ -88,6 +131,7 @@ impl Measurement {
         let first = self.points[0];
         match self.kind {
             MeasurementKind::Distance => first.distance(self.points[1]),
+            MeasurementKind::Surface => self.length,
             MeasurementKind::Angle => {
                 let [a, b] = [first, self.points[2]].map(|end| end - self.points[1]);
                 // Exact also near 0° and 180°, where a cosine alone is not.
@@ -104,7 +148,7 @@ impl Measurement {
     pub fn unit_name(&self, unit: Option<Unit>) -> String {
         let length = unit.map_or_else(|| "units".to_owned(), |unit| unit.to_string());
         match self.kind {
-            MeasurementKind::Distance => length,
+            MeasurementKind::Distance | MeasurementKind::Surface => length,
             MeasurementKind::Angle => "°".to_owned(),
             MeasurementKind::Area => length + "²",
         }
@@ -115,7 +159,9 @@ impl Measurement {
         let (value, unit) = (self.value(), self.unit_name(unit));
         match self.kind {
             MeasurementKind::Angle => format!("{value:.2}{unit}"),
-            MeasurementKind::Distance | MeasurementKind::Area => format!("{} {unit}", significant(value, 5)),
+            MeasurementKind::Distance | MeasurementKind::Surface | MeasurementKind::Area => {
+                format!("{} {unit}", significant(value, 5))
+            }
         }
     }
 }

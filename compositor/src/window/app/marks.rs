@@ -18,7 +18,10 @@ use crate::{
         navigator::Navigator,
         sidecar,
     },
-    farm::{Look, stats::Seen},
+    farm::{
+        Look, Stretch,
+        stats::{FoundWay, Seen},
+    },
     overlay::{self, DraftText, MarkLabel, MarkList, Pick, ShownMarks},
     remote::state::{AnnotationLabel, ShownAnnotation},
     window::effect::Effect,
@@ -39,6 +42,10 @@ pub(super) struct MarkControl {
     texts: Option<(String, String)>,
     last_serial: u32,
     sight: Sight,
+    /// The last question about a way along the surface.
+    stretch_number: u32,
+    /// Whether it is not answered yet.
+    awaits_way: bool,
 }
 
 /// An annotation that is being written.
@@ -118,9 +125,14 @@ fn shown(marks: Option<&KeptMarks>, control: &MarkControl, camera: &Camera) -> S
             if seen.is_empty() {
                 continue;
             }
-            let lines = measurement.lines().filter_map(|[from, to]| Some([on_canvas(from)?, on_canvas(to)?]));
-            shown.lines.extend(lines);
-            shown.points.extend(seen.into_iter().filter_map(on_canvas));
+            let is_way = measurement.kind() == MeasurementKind::Surface;
+            // A way goes behind the model where the surface does.
+            let lies_in_front = |[from, to]: &[DVec3; 2]| !is_way || seen.contains(from) && seen.contains(to);
+            let lines = measurement.lines().filter(lies_in_front);
+            shown.lines.extend(lines.filter_map(|[from, to]| Some([on_canvas(from)?, on_canvas(to)?])));
+            let ends = [0, measurement.points().len() - 1].map(|index| measurement.points()[index]);
+            let marked = seen.into_iter().filter(|point| !is_way || ends.contains(point));
+            shown.points.extend(marked.filter_map(on_canvas));
             let anchor = on_canvas(middle(measurement)).filter(is_on_canvas);
             let label = measurement.shown(marks.unit());
             let label = |anchor| MarkLabel { number, anchor, label, ..MarkLabel::default() };
@@ -140,6 +152,7 @@ fn middle(measurement: &Measurement) -> DVec3 {
     let points = measurement.points();
     match measurement.kind() {
         MeasurementKind::Angle => points[1],
+        MeasurementKind::Surface => points[points.len() / 2],
         MeasurementKind::Distance | MeasurementKind::Area => points.iter().sum::<DVec3>() / points.len() as f64,
     }
 }
@@ -151,14 +164,17 @@ impl App<'_> {
 
     /// Another model is on the wall.
     pub(super) fn forget_marks(&mut self) {
-        let MarkControl { are_hidden, last_serial, .. } = self.marks;
-        self.marks = MarkControl { are_hidden, last_serial, ..MarkControl::default() };
+        let MarkControl { are_hidden, last_serial, stretch_number, .. } = self.marks;
+        self.marks = MarkControl { are_hidden, last_serial, stretch_number, ..MarkControl::default() };
     }
 
     /// Updates what the overlay shows of marks.
     pub(super) fn update_marks(&mut self) {
         if let Some(seen) = self.overlay.status.seen.take() {
             self.marks.sight.answer(&seen);
+        }
+        if let Some(found) = self.overlay.status.way.take() {
+            self.keep_way(found);
         }
         self.look_at_marks();
         let spec = self.spec_of_marks();
@@ -378,16 +394,45 @@ impl App<'_> {
             let distance = (camera.target() - camera.eye()).length();
             camera.v().length() * pick.distance / distance
         });
-        match self.marks.ruler.pick(pick.point, NEAR * height) {
+        match self.marks.ruler.pick(pick.point, pick.normal, NEAR * height) {
             None => Effect::default(),
             Some(Picked::More(more)) => Effect::note(more),
-            Some(Picked::Complete(measurement)) => {
-                let shown = measurement.shown(self.kept_marks().and_then(KeptMarks::unit));
-                let note = format!("{}: {shown}", measurement.kind());
-                let effect = self.change_marks(|marks| marks.keep_measurement(measurement).map(Some));
-                if effect.problem.is_some() { effect } else { effect.with_note(note) }
+            Some(Picked::Stretch { ends, across }) => {
+                // Where the surface's directions say nothing, the plane goes through the eye.
+                let says_nothing = across.cross(ends[1] - ends[0]).length() < 1e-3 * ends[0].distance(ends[1]);
+                let to_eye = camera.map_or(DVec3::Z, |camera| camera.eye() - ends[0]);
+                self.find_way(ends, if says_nothing { to_eye } else { across })
             }
+            Some(Picked::Complete(measurement)) => self.keep_measurement(measurement),
         }
+    }
+
+    fn keep_measurement(&mut self, measurement: Measurement) -> Effect {
+        let shown = measurement.shown(self.kept_marks().and_then(KeptMarks::unit));
+        let note = format!("{}: {shown}", measurement.kind());
+        let effect = self.change_marks(|marks| marks.keep_measurement(measurement).map(Some));
+        if effect.problem.is_some() { effect } else { effect.with_note(note) }
+    }
+
+    /// Asks a render server for the way between two points along the surface.
+    fn find_way(&mut self, ends: [DVec3; 2], across: DVec3) -> Effect {
+        self.marks.stretch_number = self.marks.stretch_number.wrapping_add(1);
+        self.marks.awaits_way = true;
+        let scene = self.model.as_ref().map(|model| model.scene);
+        self.farm.measure(Stretch { number: self.marks.stretch_number, scene, ends, across });
+        Effect::note("Laying the ruler along the surface")
+    }
+
+    /// Keeps the way that a render server has found, if somebody waits for it.
+    fn keep_way(&mut self, FoundWay { number, way }: FoundWay) {
+        if number != self.marks.stretch_number || !std::mem::take(&mut self.marks.awaits_way) {
+            return;
+        }
+        let effect = match way.map(Measurement::along) {
+            Some(Ok(measurement)) => self.keep_measurement(measurement),
+            _ => Effect::note("No way leads along the surface in the plane across it: measure in parts, or a distance"),
+        };
+        self.apply(effect);
     }
 
     /// Whether clicks on the model pick points for the ruler.

@@ -1,44 +1,80 @@
-//! Looks on their way: one at a time, so that a camera in constant motion gets answers, however slow the link. Pure.
+//! Questions on their way to render servers: one of a kind at a time, so that a camera in constant motion gets answers, however
+//! slow the link. Pure.
 
 use shared::scene::SceneId;
 
-use super::{Look, stats::NodeId};
+use super::{Look, Stretch, stats::NodeId};
 
-/// The look that waits, and the one that a render server answers.
-#[derive(Debug, Default)]
-pub(super) struct Looks {
-    waiting: Option<Look>,
-    asked: Option<(NodeId, Look)>,
+/// A question about a model.
+pub(super) trait Question: Clone {
+    /// Its number, which the answer repeats.
+    fn number(&self) -> u32;
+
+    /// The model; `None` asks nothing.
+    fn scene(&self) -> Option<SceneId>;
 }
 
-impl Looks {
-    /// Puts a look in place of the one that waits.
-    pub(super) fn ask(&mut self, look: Look) {
-        self.waiting = look.view.is_some().then_some(look);
+impl Question for Look {
+    fn number(&self) -> u32 {
+        self.number
     }
 
-    /// Takes the look that waits, to send it to a node that has this scene; `None` while another is being answered.
-    pub(super) fn begin(&mut self, node: NodeId, scene: SceneId) -> Option<Look> {
-        let is_of_scene = |look: &Look| look.view.is_some_and(|(of, _)| of == scene);
-        // Nobody answers a look at another scene.
-        self.asked.take_if(|(_, look)| !is_of_scene(look));
+    fn scene(&self) -> Option<SceneId> {
+        self.view.map(|(scene, _)| scene)
+    }
+}
+
+impl Question for Stretch {
+    fn number(&self) -> u32 {
+        self.number
+    }
+
+    fn scene(&self) -> Option<SceneId> {
+        self.scene
+    }
+}
+
+/// The question that waits, and the one that a render server answers.
+#[derive(Debug)]
+pub(super) struct Questions<Q> {
+    waiting: Option<Q>,
+    asked: Option<(NodeId, Q)>,
+}
+
+impl<Q> Default for Questions<Q> {
+    fn default() -> Self {
+        Self { waiting: None, asked: None }
+    }
+}
+
+impl<Q: Question> Questions<Q> {
+    /// Puts a question in place of the one that waits.
+    pub(super) fn ask(&mut self, question: Q) {
+        self.waiting = question.scene().is_some().then_some(question);
+    }
+
+    /// Takes the question that waits, to send it to a node that has this scene; `None` while another is being answered.
+    pub(super) fn begin(&mut self, node: NodeId, scene: SceneId) -> Option<Q> {
+        let is_of_scene = |question: &Q| question.scene() == Some(scene);
+        // Nobody answers a question about another scene.
+        self.asked.take_if(|(_, question)| !is_of_scene(question));
         if self.asked.is_some() {
             return None;
         }
-        let look = self.waiting.take_if(|look| is_of_scene(look))?;
-        self.asked = Some((node, look.clone()));
-        Some(look)
+        let question = self.waiting.take_if(|question| is_of_scene(question))?;
+        self.asked = Some((node, question.clone()));
+        Some(question)
     }
 
     /// A node answers. Returns whether it was asked that, and had not answered yet.
     pub(super) fn answer(&mut self, node: NodeId, number: u32) -> bool {
-        self.asked.take_if(|(asked, look)| (*asked, look.number) == (node, number)).is_some()
+        self.asked.take_if(|(asked, question)| (*asked, question.number()) == (node, number)).is_some()
     }
 
-    /// A node will not answer: its look waits again, unless there is a later one.
+    /// A node will not answer: its question waits again, unless there is a later one.
     pub(super) fn lose(&mut self, node: NodeId) {
-        if let Some((_, look)) = self.asked.take_if(|(asked, _)| *asked == node) {
-            self.waiting.get_or_insert(look);
+        if let Some((_, question)) = self.asked.take_if(|(asked, _)| *asked == node) {
+            self.waiting.get_or_insert(question);
         }
     }
 }
@@ -61,13 +97,13 @@ mod tests {
         Look { number, view: Some((scene, camera)), ..Look::default() }
     }
 
-    fn begin(looks: &mut Looks, node: u32) -> Option<u32> {
+    fn begin(looks: &mut Questions<Look>, node: u32) -> Option<u32> {
         looks.begin(NodeId(node), STATUE).map(|look| look.number)
     }
 
     #[test]
     fn one_is_answered_while_the_last_of_the_others_waits() {
-        let mut looks = Looks::default();
+        let mut looks = Questions::default();
         assert_eq!(begin(&mut looks, 1), None);
         (1..=3).for_each(|number| looks.ask(look(number, STATUE)));
         assert_eq!(begin(&mut looks, 1), Some(3));
@@ -80,7 +116,7 @@ mod tests {
 
     #[test]
     fn another_node_answers_in_place_of_a_lost_one() {
-        let mut looks = Looks::default();
+        let mut looks = Questions::default();
         looks.ask(look(1, STATUE));
         assert_eq!(begin(&mut looks, 1), Some(1));
         looks.lose(NodeId(2));
@@ -94,7 +130,7 @@ mod tests {
 
     #[test]
     fn a_look_waits_for_its_scene_and_is_dropped_with_it() {
-        let mut looks = Looks::default();
+        let mut looks = Questions::default();
         looks.ask(look(1, scene(9)));
         assert_eq!(begin(&mut looks, 1), None);
         looks.ask(look(2, STATUE));
