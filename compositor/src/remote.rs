@@ -120,12 +120,11 @@ impl Remote {
             runtime.shutdown_background();
         };
         thread::Builder::new().name("remote".to_owned()).spawn(serve).context("cannot start the remote's thread")?;
-        match &seal {
-            None => renderer::cli::say(format_args!("remote at http://{local}/"))?,
-            Some(seal) => {
-                renderer::cli::say(format_args!("remote at https://{local}/, with the certificate of SHA-256 {seal}"))?
-            }
-        }
+        let place = seal.map_or_else(
+            || format!("http://{local}/"),
+            |seal| format!("https://{local}/, with the certificate of SHA-256 {seal}"),
+        );
+        renderer::cli::say(format_args!("remote at {place}"))?;
         Ok(Self { orders, hub, link, _running: running })
     }
 

@@ -3,8 +3,8 @@
 //! Everything here is a pure function or plain data: no socket, no clock, no thread.
 //! In reading order: [`camera`] makes rays, [`division`] says which node renders which samples, [`curve`] in which order,
 //! [`scene`] names the scene and [`structure`] its grid, [`appearance`] is light, background and clip plane,
-//! [`path_light`] sun, bounces, exposure and ground of path-traced pictures, [`sky`] names the image that lights them, [`noise`] is
-//! the noise that they may keep, [`srgb`] encodes light, [`marks`] are annotations and measurements, [`protocol`] defines
+//! [`path_light`] sun, bounces, exposure and ground of path-traced pictures, [`sky`] names the image that lights them,
+//! [`noise`] is the noise that they may keep, [`srgb`] encodes light, [`marks`] are annotations and measurements, [`protocol`] defines
 //! the messages and [`codec`] their bytes; [`names`], [`printable`] and [`toml_text`] help with text.
 
 pub mod appearance;

@@ -443,7 +443,7 @@ fn whoever_comes_without_encryption_is_sent_to_the_encrypted_page() {
     // What begins as a handshake and is none ends alone.
     let mut random = Random::new(5);
     for length in [1, 2, 5, 6, 100, 20_000] {
-        let mut bytes: Vec<u8> = (0..length).map(|_| random.next() as u8).collect();
+        let mut bytes: Vec<u8> = (0..length).map(|_| random.bits() as u8).collect();
         bytes[0] = 22;
         assert!(http::raw(&wall.address, &bytes).is_none());
     }

@@ -11,6 +11,8 @@ const TWO_COLUMNS: f32 = 860.0;
 pub(super) fn show(ui: &mut Ui, commands: &mut Vec<Command>) {
     style::heading(ui, "Keys and mouse", "Close (F1)", Command::ToggleHelp, commands);
     ui.separator();
+    // All rows fit a window as high as most.
+    ui.spacing_mut().item_spacing.y = 1.0;
     let keys = KEYS.iter().map(|binding| (binding.names(), binding.help));
     let all: Vec<_> = keys.chain(MOUSE.iter().map(|&(gesture, effect)| (gesture.to_owned(), effect))).collect();
     if ui.available_width() < TWO_COLUMNS {

@@ -124,12 +124,12 @@ fn check_size(width: u32, height: u32) -> Result<(), String> {
 
 /// Width, height, and linear light row by row from the top.
 fn decode_openexr(file: impl BufRead + Seek) -> Result<(u32, u32, Vec<[f32; 3]>), String> {
-    let decoder = OpenExrDecoder::new(file).map_err(damaged)?;
+    let decoder = OpenExrDecoder::new(file).map_err(|error| damaged(&error))?;
     let (width, height) = decoder.dimensions();
     check_size(width, height)?;
     let n_channels = if decoder.color_type() == ColorType::Rgba32F { 4 } else { 3 };
     let mut numbers = vec![0.0f32; n_channels * width as usize * height as usize];
-    decoder.read_image(bytemuck::cast_slice_mut(&mut numbers)).map_err(damaged)?;
+    decoder.read_image(bytemuck::cast_slice_mut(&mut numbers)).map_err(|error| damaged(&error))?;
     let texels = match n_channels {
         4 => numbers.as_chunks().0.iter().map(|&[red, green, blue, _]| [red, green, blue]).collect(),
         _ => bytemuck::allocation::cast_vec(numbers),
@@ -137,7 +137,7 @@ fn decode_openexr(file: impl BufRead + Seek) -> Result<(u32, u32, Vec<[f32; 3]>)
     Ok((width, height, texels))
 }
 
-fn damaged(error: ImageError) -> String {
+fn damaged(error: &ImageError) -> String {
     let cause = error.to_string().replace('\n', " ");
     format!("is damaged, cut short, or of a kind that is not read ({}): copy it again, or convert it", cause.trim())
 }

@@ -37,9 +37,9 @@ pub(super) fn decode(mut file: impl BufRead) -> Result<(u32, u32, Vec<[f32; 3]>)
     let [width, height] = order.size();
     check_size(width, height)?;
     let head = format!("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {} +X {}\n", order.n_lines, order.n_along);
-    let decoder = HdrDecoder::new(Cursor::new(head).chain(file)).map_err(damaged)?;
+    let decoder = HdrDecoder::new(Cursor::new(head).chain(file)).map_err(|error| damaged(&error))?;
     let mut stored = vec![[0.0f32; 3]; width as usize * height as usize];
-    decoder.read_image(bytemuck::cast_slice_mut(&mut stored)).map_err(damaged)?;
+    decoder.read_image(bytemuck::cast_slice_mut(&mut stored)).map_err(|error| damaged(&error))?;
     let texel = |index: usize| {
         let [x, y] = [index as u32 % width, index as u32 / width];
         let texel = stored[order.place(x, y)];
