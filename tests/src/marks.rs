@@ -99,15 +99,16 @@ fn on_cube(camera: &Camera, [x, y]: [i32; 2]) -> DVec3 {
     camera.eye() + way * enters.max_element()
 }
 
+/// The direction of the face of that cube on which a point lies.
+fn face(point: DVec3) -> DVec3 {
+    let axis = (0..3).max_by(|&a, &b| point[a].abs().total_cmp(&point[b].abs())).unwrap();
+    DVec3::AXES[axis] * point[axis].signum()
+}
+
 /// The length of the way between two points of that cube on different faces, in the plane across both, in small steps; and where it
 /// bends.
 fn way_on_cube(from: DVec3, to: DVec3) -> (f64, DVec3) {
-    let face = |point: DVec3| {
-        let axis = (0..3).max_by(|&a, &b| point[a].abs().total_cmp(&point[b].abs())).unwrap();
-        DVec3::AXES[axis] * point[axis].signum()
-    };
     let across = face(from) + face(to);
-    assert_ne!(face(from), face(to));
     // From outside back to the cube, for each point between.
     let at = |part: f64| {
         let start = from.lerp(to, part) + across * 10.0;
@@ -146,7 +147,12 @@ fn the_ruler_measures_a_cube_as_geometry_does() {
     wait_until("the view is known", || file.is_file());
     let annotation = read(&file).annotations[0].clone();
     let camera = annotation.view().unwrap().camera;
-    let pixels = [[290, 150], [340, 200], [300, 220]];
+    // The second lies on another face, well within it.
+    let is_beside =
+        |point: DVec3| face(point) != face(on_cube(&camera, MIDDLE)) && (point - face(point)).abs().max_element() < 0.8;
+    let places = (0..64).flat_map(|x| (0..36).map(move |y| [10 * x, 10 * y]));
+    let beside = places.into_iter().find(|&place| is_beside(on_cube(&camera, place))).expect("two faces are seen");
+    let pixels = [MIDDLE, beside, [MIDDLE[0] - 20, MIDDLE[1] + 40]];
     let expected = pixels.map(|pixel| on_cube(&camera, pixel));
     let mut n_kept = 0;
     // A cursor's place has 24 bits, a point all of its own.

@@ -233,7 +233,6 @@ fn read_code(screen: &Screenshot) -> Option<String> {
 #[test]
 fn the_code_on_the_wall_lets_a_visitor_in() {
     let (wall, _) = RemoteWall::with_tokens(&["--kiosk"]);
-    wall.session.key("ctrl+r");
     let mut link = None;
     wait_until("a phone reads the code", || {
         link = read_code(&wall.session.screenshot());

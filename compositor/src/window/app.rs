@@ -96,7 +96,10 @@ impl<'a> App<'a> {
     ) -> Self {
         let now = Instant::now();
         let plays = inputs.show.as_ref().is_some_and(|(_, show)| !show.scenes.is_empty());
+        // Visitors have no key that would show it.
+        let for_visitors = args.kiosk.is_some() && args.remote.remote_tokens.is_some();
         let overlay = OverlayModel {
+            remote_link: remote.as_ref().filter(|_| for_visitors).map(|remote| remote.link().to_owned()),
             // Captions need the room.
             panel: args.kiosk.is_none() && !plays,
             wall: WallDrawing::new(&inputs.wall),

@@ -109,14 +109,13 @@ impl Section {
         // The length of the shortest way to a point that is known, and the point before it.
         let mut known = vec![(f64::INFINITY, u32::MAX); self.points.len()];
         let mut queue = BinaryHeap::new();
-        let reach =
-            |known: &mut Vec<(f64, u32)>, queue: &mut BinaryHeap<_>, number: u32, length: f64, before: u32| {
-                if length < known[number as usize].0 {
-                    known[number as usize] = (length, before);
-                    // Lengths are positive, so their bits have their order.
-                    queue.push(Reverse((length.to_bits(), number)));
-                }
-            };
+        let reach = |known: &mut Vec<(f64, u32)>, queue: &mut BinaryHeap<_>, number: u32, length: f64, before: u32| {
+            if length < known[number as usize].0 {
+                known[number as usize] = (length, before);
+                // Lengths are positive, so their bits have their order.
+                queue.push(Reverse((length.to_bits(), number)));
+            }
+        };
         for number in start {
             reach(&mut known, &mut queue, number, ends[0].distance(point(number)), u32::MAX);
         }
