@@ -101,7 +101,7 @@ fn on_cube(camera: &Camera, [x, y]: [i32; 2]) -> DVec3 {
 
 /// The direction of the face of that cube on which a point lies.
 fn face(point: DVec3) -> DVec3 {
-    let axis = (0..3).max_by(|&a, &b| point[a].abs().total_cmp(&point[b].abs())).unwrap();
+    let axis = (0..3).max_by(|&a, &b| point[a].abs().total_cmp(&point[b].abs())).expect("three axes");
     DVec3::AXES[axis] * point[axis].signum()
 }
 
@@ -119,7 +119,7 @@ fn way_on_cube(from: DVec3, to: DVec3) -> (f64, DVec3) {
     let n = 100_000;
     let points: Vec<_> = (0..=n).map(|step| at(f64::from(step) / f64::from(n))).collect();
     let length = points.array_windows().map(|[a, b]| a.distance(*b)).sum();
-    let bend = points.into_iter().find(|&point| face(point) != face(from)).unwrap();
+    let bend = points.into_iter().find(|&point| face(point) != face(from)).expect("another face");
     (length, bend)
 }
 
