@@ -194,7 +194,7 @@ mod tests {
             let ends = [from, to].map(|at| on_tube(n_sides, at, 3.3));
             let way = scene.way(ends, ends[0] + ends[1] + DVec3::X * 1e-3 - DVec3::Z * (2.0 * 3.3)).unwrap();
             // The slit lets nothing pass.
-            let expected = side * f64::from(to - from).abs();
+            let expected: f64 = side * f64::abs(to - from);
             assert!((way.length - expected).abs() < 1e-6, "{from} to {to}: {} is not {expected}", way.length);
             assert_eq!([way.points[0], way.points[way.points.len() - 1]], ends);
             assert!(way.points.len() <= SurfaceWay::MOST_POINTS);
