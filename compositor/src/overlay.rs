@@ -76,6 +76,8 @@ pub(crate) struct OverlayModel {
     pub is_playing: bool,
     /// The numbers of the model's views.
     pub views: Vec<u8>,
+    /// The number of the show's scene on the wall, from 1, and of all its scenes.
+    pub scene: Option<(usize, usize)>,
     /// The point of the model that somebody clicked on.
     pub pick: Option<Pick>,
     /// That point on the canvas in the frame on the wall, (0, 0) upper left.

@@ -168,6 +168,23 @@ fn a_wall_plays_a_show_and_remotes_hold_it_turn_its_pages_and_add_to_it() {
     wall.act(&json!({ "do": "previous-scene" }));
     let four = wait_for(&wall, "the new scene", |state| state["show"]["scene"] == 4);
     assert_eq!(four["show"]["caption"], "From \"here\"");
+    // The scene on the wall is edited, and the others keep their models and words.
+    wall.act(&json!({ "do": "edit-scene", "scene": 4, "caption": "Here", "seconds": 300 }));
+    wait_for(&wall, "the new caption", |state| {
+        state["show"]["caption"] == "Here" && state["show"]["scene_seconds"] == 300.0
+    });
+    wall.act(&json!({ "do": "move-scene", "scene": 4, "to": 1 }));
+    let moved = wait_for(&wall, "its new place", |state| state["show"]["scene"] == 1);
+    assert_eq!((&moved["show"]["caption"], &moved["show"]["n_scenes"]), (&json!("Here"), &json!(4)));
+    wall.act(&json!({ "do": "delete-scene", "scene": 1 }));
+    let next = wait_for(&wall, "the scene after it", |state| state["show"]["caption"] == "One");
+    assert_eq!((&next["show"]["scene"], &next["show"]["n_scenes"]), (&json!(1), &json!(3)));
+    let kept = fs::read_to_string(wall.folder.path().join("tour.toml")).unwrap();
+    assert!(kept.starts_with("# mine\nfade_seconds = 0.3\n") && kept.matches("[[scene]]").count() == 3, "{kept}");
+    for action in ["delete-scene", "edit-scene"] {
+        wall.act(&json!({ "do": action, "scene": 9, "caption": "Nowhere" }));
+        wait_for(&wall, "a note", |state| state["show"]["note"] == "The show has no such scene");
+    }
 }
 
 #[test]

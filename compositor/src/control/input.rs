@@ -95,6 +95,12 @@ pub(crate) enum Command {
     PreviousScene,
     /// Keep this view as the last scene of the show.
     KeepScene,
+    /// Move the scene on the wall one place in the show.
+    MoveScene {
+        is_later: bool,
+    },
+    /// Delete the scene on the wall from the show.
+    DeleteScene,
     Mark(MarkCommand),
     DismissMessage,
     Quit,

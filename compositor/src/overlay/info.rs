@@ -92,6 +92,21 @@ pub(super) fn show(ui: &mut Ui, model: &OverlayModel, commands: &mut Vec<Command
             commands.extend(button.clicked().then_some(Command::GoToView(number)));
         }
     });
+    if let Some((scene, n_scenes)) = model.scene {
+        ui.horizontal_wrapped(|ui| {
+            ui.label(format!("Scene {scene} of {n_scenes}"));
+            for (text, command) in [
+                ("Earlier", Command::MoveScene { is_later: false }),
+                ("Later", Command::MoveScene { is_later: true }),
+                ("Delete", Command::DeleteScene),
+            ] {
+                let button = ui.small_button(text);
+                let accessible_label = format!("scene: {text}");
+                button.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, &accessible_label));
+                commands.extend(button.clicked().then_some(command));
+            }
+        });
+    }
     ui.horizontal_wrapped(|ui| {
         ui.label("Camera path");
         let recording = if model.is_recording { "End recording (C)" } else { "Record (C)" };

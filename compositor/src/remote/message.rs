@@ -105,6 +105,27 @@ pub enum Action {
         /// Its time; 15 s unless given.
         seconds: Option<f64>,
     },
+    /// Gives a scene of the show another caption, another time, or both.
+    EditScene {
+        /// Its number, from 1.
+        scene: usize,
+        /// Empty for none.
+        caption: Option<String>,
+        /// Its time.
+        seconds: Option<f64>,
+    },
+    /// Puts a scene of the show in the place of another.
+    MoveScene {
+        /// Its number, from 1.
+        scene: usize,
+        /// That of the other; a number beyond the last is the last.
+        to: usize,
+    },
+    /// Deletes a scene of the show.
+    DeleteScene {
+        /// Its number, from 1.
+        scene: usize,
+    },
     /// Annotates what is at a point of the canvas, (0, 0) lower left.
     Annotate {
         /// The point's fraction of the width.
@@ -239,10 +260,19 @@ impl Action {
             Dolly { factor, .. } if !is_factor(factor) => Some("factor is from 0.05 to 20"),
             Roll { degrees } if !(-360.0..=360.0).contains(&degrees) => Some("degrees are from -360 to 360"),
             GoToView { number } | KeepView { number } if !(1..=9).contains(&number) => Some("number is from 1 to 9"),
-            KeepScene { ref caption, .. } if caption.chars().count() > MOST_CAPTION => {
+            EditScene { scene: 0, .. }
+            | DeleteScene { scene: 0 }
+            | MoveScene { scene: 0, .. }
+            | MoveScene { to: 0, .. } => Some("scenes have numbers from 1"),
+            EditScene { caption: None, seconds: None, .. } => Some("caption or seconds are needed"),
+            EditScene { caption: Some(ref caption), .. } | KeepScene { ref caption, .. }
+                if caption.chars().count() > MOST_CAPTION =>
+            {
                 Some("caption has at most 200 characters")
             }
-            KeepScene { seconds: Some(seconds), .. } if !(0.1..=86_400.0).contains(&seconds) => {
+            EditScene { seconds: Some(seconds), .. } | KeepScene { seconds: Some(seconds), .. }
+                if !(0.1..=86_400.0).contains(&seconds) =>
+            {
                 Some("seconds are from 0.1 to 86400")
             }
             Annotate { ref label, ref text, .. }
@@ -345,6 +375,10 @@ mod tests {
             r#"{"do":"exposure","stops":10.1}"#,
             r#"{"do":"sun","degrees":-0.1}"#,
             r#"{"do":"ground"}"#,
+            r#"{"do":"edit-scene","scene":1}"#,
+            r#"{"do":"edit-scene","scene":1,"seconds":0}"#,
+            r#"{"do":"move-scene","scene":1,"to":0}"#,
+            r#"{"do":"delete-scene","scene":0}"#,
             r#"{"do":"cut","side":"w"}"#,
             r#"{"do":"cut","side":"x","permille":1001}"#,
             &format!(r#"{{"do":"open","model":"{}"}}"#, "x".repeat(LONGEST_MESSAGE)),

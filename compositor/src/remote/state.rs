@@ -40,6 +40,8 @@ pub struct Show {
     pub scene: Option<usize>,
     /// Its caption.
     pub caption: Option<String>,
+    /// Its time; none if it has no end of its own.
+    pub scene_seconds: Option<f64>,
     /// Whether time goes on in the show.
     pub is_show_playing: bool,
     /// The effect of the last command on the wall, shown for a moment.

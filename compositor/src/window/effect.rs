@@ -1,6 +1,9 @@
 //! Requests of one part of the window, or of another thread, to the other parts.
 
-use crate::{control::show::Show, overlay::FileList};
+use crate::{
+    control::show::{SceneMap, Show},
+    overlay::FileList,
+};
 
 /// A file operation, on the thread of [`super::jobs::Jobs`].
 pub(super) type Job = Box<dyn FnOnce() -> Effect + Send>;
@@ -18,8 +21,8 @@ pub(super) struct Effect {
     pub(super) files: Option<FileList>,
     /// The models of a folder, for remotes.
     pub(super) models: Option<Vec<String>>,
-    /// The show with a scene more.
-    pub(super) show: Option<Box<Show>>,
+    /// The edited show, and where its scenes are now.
+    pub(super) show: Option<(Box<Show>, SceneMap)>,
 }
 
 impl Effect {

@@ -21,7 +21,7 @@ use shared::{
 use toml::Spanned;
 
 /// Longer files are no shows; bytes.
-const LONGEST_FILE: u64 = 1 << 20;
+pub(super) const LONGEST_FILE: u64 = 1 << 20;
 /// The most scenes of a show.
 const MOST_SCENES: usize = 1000;
 /// The longest caption in characters: about three lines on the wall.

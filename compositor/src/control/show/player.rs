@@ -5,7 +5,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::file::{Show, ShowScene};
+use super::{
+    edit::SceneMap,
+    file::{Show, ShowScene},
+};
 
 /// A show none of whose scenes can be shown is tried again after this.
 const RETRY: Duration = Duration::from_secs(5);
@@ -93,14 +96,36 @@ impl Player {
         &self.show
     }
 
-    /// Takes an edited show, which has the scenes of the old one and perhaps more.
-    pub(crate) fn set_show(&mut self, show: Show) {
+    /// Takes an edited show, whose scenes are where `map` says, and perhaps more behind them.
+    pub(crate) fn set_show(&mut self, show: Show, map: SceneMap) {
         let was_empty = self.show.scenes.is_empty();
         self.show = show;
-        // The scene after the last may be another now.
-        self.next.take_if(|next| !next.is_due && next.stage != Stage::Entered);
         // Whoever makes a show wants to see the next view, not the one that was just kept.
         self.is_playing &= !was_empty;
+        let skipped = std::mem::take(&mut self.skipped).into_iter();
+        self.skipped = skipped.filter_map(|(index, reason)| Some((map.now(index)?, reason))).collect();
+        // What comes next may be another now, and is read again.
+        self.next = self.next.and_then(|next| {
+            let index = map.now(next.index)?;
+            match next.stage {
+                Stage::Entered => Some(Next { index, ..next }),
+                _ => next.is_due.then(|| Next { is_backwards: next.is_backwards, ..Next::new(index, true) }),
+            }
+        });
+        match map.now(self.position) {
+            Some(position) => self.position = position,
+            // The scene after it takes its place on the wall, too.
+            None => {
+                self.is_shown = false;
+                let n_scenes = self.show.scenes.len();
+                if self.position >= n_scenes {
+                    self.position = if self.show.repeats { 0 } else { n_scenes.saturating_sub(1) };
+                }
+                if self.next.is_none() {
+                    self.go_to(self.position, false);
+                }
+            }
+        }
     }
 
     /// The number of the scene that is on the wall, from 0, and the scene.

@@ -84,7 +84,7 @@ function tell(state, text) {
   if ($("link").textContent !== text) $("link").textContent = text;
 }
 
-let latency = null, turnHeardAt = 0, noteTimer = 0, isListed = false;
+let latency = null, turnHeardAt = 0, noteTimer = 0, isListed = false, sceneShown = null;
 
 function tellFor(text) {
   if (wall?.role === "visitor" && !turn.may_steer) return;
@@ -153,6 +153,17 @@ function update(state) {
   $("playing").setAttribute("aria-pressed", show.is_show_playing);
   $("playing").dataset.order = show.is_show_playing ? "pause-show" : "play-show";
   for (const id of ["operator", "programs", "orders", "keeping"]) $(id).hidden = state.role !== "operator";
+  $("editing").hidden = state.role !== "operator" || show.scene === null;
+  // Texts that are being typed stay, until another scene is shown.
+  const written = JSON.stringify([show.scene, show.caption, show.scene_seconds]);
+  if (written !== $("editing").dataset.scene) {
+    $("editing").dataset.scene = written;
+    $("scene-caption").value = show.caption ?? "";
+    $("scene-seconds").value = show.scene_seconds ?? "";
+  }
+  $("scene-earlier").disabled = !(show.scene > 1);
+  $("scene-later").disabled = !(show.scene < show.n_scenes);
+  sceneShown = show.scene;
   surface.parentElement.style.setProperty("--aspect", show.aspect || 1.78);
   if (state.role === "operator") {
     if (!isListed) isListed = send({ do: "list-models" });
@@ -421,6 +432,10 @@ control(["shading"], "change", () => ({ do: "shading", shading: value("shading")
 control(["division"], "change", () => ({ do: "division", division: value("division") }));
 $("keep").addEventListener("click", () => send({ do: "keep-view", number: +value("number") }));
 $("keep-scene").addEventListener("click", () => send({ do: "keep-scene", caption: value("caption"), seconds: +value("seconds") || null }));
+$("edit-scene").addEventListener("click", () => send({ do: "edit-scene", scene: sceneShown, caption: value("scene-caption"), seconds: +value("scene-seconds") || null }));
+$("scene-earlier").addEventListener("click", () => send({ do: "move-scene", scene: sceneShown, to: sceneShown - 1 }));
+$("scene-later").addEventListener("click", () => send({ do: "move-scene", scene: sceneShown, to: sceneShown + 1 }));
+$("delete-scene").addEventListener("click", () => send({ do: "delete-scene", scene: sceneShown }));
 $("annotate").addEventListener("click", () => {
   if (!value("label").trim()) return $("label").focus();
   send({ do: "annotate", label: value("label"), text: value("text") });

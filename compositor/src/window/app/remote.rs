@@ -17,7 +17,7 @@ use crate::{
         input::Command,
         marks::MarkCommand,
         navigator::{Drag, Nudge},
-        show::Player,
+        show::{Player, SceneEdit},
     },
     farm::stats::{FrameStats, NodeStatus},
     remote::{
@@ -123,6 +123,12 @@ impl App<'_> {
                 self.apply(effect);
                 return false;
             }
+            Action::EditScene { scene, caption, seconds } => {
+                let caption = caption.map(|caption| printable_line(&caption));
+                return self.act_on_scene(scene, SceneEdit::Change { caption, seconds });
+            }
+            Action::MoveScene { scene, to } => return self.act_on_scene(scene, SceneEdit::Move { to: to - 1 }),
+            Action::DeleteScene { scene } => return self.act_on_scene(scene, SceneEdit::Delete),
             Action::PlayShow | Action::PauseShow => {
                 let (plays, now) = (action == Action::PlayShow, Instant::now());
                 let effect = self.order_show(|show| if plays { show.play(now) } else { show.pause(now) });
@@ -191,6 +197,13 @@ impl App<'_> {
         self.apply(Effect::job(list));
     }
 
+    /// Changes a scene of the show; the camera stays.
+    fn act_on_scene(&mut self, number: usize, edit: SceneEdit) -> bool {
+        let effect = self.edit_scene(Some(number), edit);
+        self.apply(effect);
+        false
+    }
+
     /// Shows the code that opens the remote, or hides it.
     pub(super) fn toggle_remote(&mut self) -> Effect {
         let Some(remote) = &self.remote.remote else {
@@ -257,6 +270,7 @@ impl App<'_> {
             n_scenes: player.map(|player| player.show().scenes.len()),
             scene: scene.map(|(index, _)| index + 1),
             caption: scene.map(|(_, scene)| scene.caption.clone()).filter(|caption| !caption.is_empty()),
+            scene_seconds: scene.and_then(|(_, scene)| scene.ending.after).map(|after| after.as_secs_f64()),
             is_show_playing: player.is_some_and(Player::is_playing),
             note: overlay.note.clone(),
         };

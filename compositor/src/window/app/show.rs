@@ -13,7 +13,7 @@ use super::App;
 use crate::{
     control::{
         model::Model,
-        show::{self, Cue, Ending, Place, Player, Show, ShowScene, Step},
+        show::{self, Cue, Ending, Place, Player, SceneEdit, SceneMap, Show, ShowScene, Step},
     },
     overlay::Caption,
     window::{effect::Effect, model_loader::Prepared},
@@ -69,6 +69,17 @@ impl ShowControl {
 
     pub(super) fn is_empty(&self) -> bool {
         self.player.show().scenes.is_empty()
+    }
+
+    /// Takes an edited show.
+    pub(super) fn take_edit(&mut self, (show, map): (Box<Show>, SceneMap)) {
+        self.player.set_show(*show, map);
+        self.read = None;
+        self.awaited.retain_mut(|awaited| {
+            let now = map.now(awaited.index);
+            awaited.index = now.unwrap_or(awaited.index);
+            now.is_some()
+        });
     }
 
     /// The model that was to stand in for the scenes cannot be shown either.
@@ -151,6 +162,10 @@ impl App<'_> {
         self.loader.load_next();
         let Some(show) = &mut self.show else { return };
         let now = Instant::now();
+        // One that was edited meanwhile is read again.
+        if prepared.as_ref().is_ok_and(|cue| show.player.show().scenes.get(index) != Some(&cue.scene)) {
+            return;
+        }
         let read = prepared.map(|cue| {
             let next = (cue.model.scene, cue.model.path());
             show.read = Some((index, cue));
@@ -258,8 +273,37 @@ impl App<'_> {
         Effect::job(move || {
             let show = show::add_scene(&file, &scene)?;
             let note = format!("Scene {} is kept in {}", show.scenes.len(), file.display());
-            Ok(Effect { show: Some(Box::new(show)), ..Effect::note(note) })
+            Ok(Effect { show: Some((Box::new(show), SceneMap::Same)), ..Effect::note(note) })
         })
+    }
+
+    /// Changes a scene of the show, by its number from 1; without one, the scene on the wall.
+    pub(super) fn edit_scene(&self, number: Option<usize>, edit: SceneEdit) -> Effect {
+        let Some(show) = &self.show else { return Effect::note(NO_SHOW) };
+        let shown = show.player.shown().map(|(index, _)| index);
+        let index = number.map_or(shown, |number| number.checked_sub(1));
+        let scene = index.and_then(|index| Some((index, show.player.show().scenes.get(index)?.clone())));
+        let Some((index, scene)) = scene else { return Effect::note("The show has no such scene") };
+        let file = show.file.clone();
+        Effect::job(move || {
+            let (show, map) = show::edit_scene(&file, (index, &scene), &edit)?;
+            let note = match map {
+                SceneMap::Same => format!("Scene {} is changed", index + 1),
+                SceneMap::Moved { to, .. } => format!("Scene {} is scene {} now", index + 1, to + 1),
+                SceneMap::Deleted(_) => format!("Scene {} is deleted", index + 1),
+            };
+            Ok(Effect { show: Some((Box::new(show), map)), ..Effect::note(note) })
+        })
+    }
+
+    /// Moves the scene on the wall to the place of the one before, or after.
+    pub(super) fn move_scene(&self, is_later: bool) -> Effect {
+        let shown = self.show.as_ref().and_then(|show| Some((show.player.shown()?.0, show.player.show().scenes.len())));
+        let to = shown.and_then(|(index, n_scenes)| match is_later {
+            true => Some(index + 1).filter(|&to| to < n_scenes),
+            false => index.checked_sub(1),
+        });
+        to.map_or_else(Effect::default, |to| self.edit_scene(None, SceneEdit::Move { to }))
     }
 }
 

@@ -103,6 +103,10 @@ impl App<'_> {
         overlay.is_recording = self.camera.is_recording();
         overlay.is_playing = self.camera.is_playing();
         overlay.views = self.camera.view_numbers();
+        overlay.scene = self.show.as_ref().and_then(|show| {
+            let player = &show.player;
+            Some((player.shown()?.0 + 1, player.show().scenes.len()))
+        });
         overlay.files = self.browser.files.clone();
         overlay.is_aligning = self.wall.has_pattern();
         // A scene to come is read while the present one is shown: that is no news for visitors.

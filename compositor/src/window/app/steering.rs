@@ -25,7 +25,7 @@ use crate::{
         input::{self, Command, Key, KeyAction, Tint},
         marks::MarkCommand,
         navigator::{Drag, Navigator},
-        show::Player,
+        show::{Player, SceneEdit},
     },
     farm::Probe,
     overlay::{DENSITIES, RAYS, STORAGES},
@@ -213,6 +213,8 @@ impl App<'_> {
             Command::NextScene => self.order_show(Player::go_on),
             Command::PreviousScene => self.order_show(Player::go_back),
             Command::KeepScene => self.keep_scene(String::new(), None),
+            Command::MoveScene { is_later } => self.move_scene(is_later),
+            Command::DeleteScene => self.edit_scene(None, SceneEdit::Delete),
             Command::Mark(command) => self.mark(command),
             Command::DismissMessage => {
                 self.messages.dismiss(&self.farm.status(), self.outputs.missing());

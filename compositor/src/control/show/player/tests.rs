@@ -125,6 +125,51 @@ fn a_day_of_fifty_scenes_shows_each_for_its_time() {
 }
 
 #[test]
+fn an_edited_show_goes_on_with_the_scene_on_the_wall() {
+    let now = Instant::now();
+    let mut player = Player::new(show(4, 5.0), now);
+    let enter = |player: &mut Player, index: usize| {
+        assert_eq!(player.advance(now), Some(Step::Prepare(index)));
+        player.on_read(index, Ok(()), now);
+        assert_eq!(player.advance(now), Some(Step::Enter(index)));
+        player.on_shown(index, None, now);
+    };
+    let edit = |player: &mut Player, map: SceneMap| {
+        let mut show = player.show().clone();
+        match map {
+            SceneMap::Moved { from, to } => {
+                let scene = show.scenes.remove(from);
+                show.scenes.insert(to, scene);
+            }
+            SceneMap::Deleted(index) => drop(show.scenes.remove(index)),
+            SceneMap::Same => {}
+        }
+        player.set_show(show, map);
+    };
+    let shown = |player: &Player| player.shown().map(|(index, scene)| (index, scene.caption.clone()));
+    enter(&mut player, 0);
+    edit(&mut player, SceneMap::Moved { from: 0, to: 2 });
+    assert_eq!(shown(&player), Some((2, "scene 0".to_owned())));
+    assert_eq!(player.advance(now), Some(Step::Prepare(3)), "the scene after its new place");
+    player.on_read(3, Err("scene 3 is missing".to_owned()), now);
+    edit(&mut player, SceneMap::Deleted(0));
+    assert_eq!(
+        (shown(&player), player.problems()),
+        (Some((1, "scene 0".to_owned())), vec!["Scene 3 is left out: scene 3 is missing".to_owned()])
+    );
+    // Without it, the scene behind it takes its place on the wall; behind the last, the first does.
+    edit(&mut player, SceneMap::Deleted(1));
+    assert_eq!(shown(&player), None);
+    enter(&mut player, 1);
+    assert_eq!(shown(&player), Some((1, "scene 3".to_owned())));
+    edit(&mut player, SceneMap::Deleted(1));
+    enter(&mut player, 0);
+    assert_eq!(shown(&player), Some((0, "scene 2".to_owned())));
+    edit(&mut player, SceneMap::Deleted(0));
+    assert_eq!((player.advance(now), player.is_stuck()), (None, true), "nothing is left");
+}
+
+#[test]
 fn a_missing_scene_is_left_out_and_comes_back_when_it_can() {
     let mut wall = Wall::new(show(4, 1.0));
     wall.missing = vec![1, 2];
