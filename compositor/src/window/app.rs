@@ -198,7 +198,7 @@ impl<'a> App<'a> {
             self.remote.models = models;
         }
         if let (Some(show), Some(control)) = (show, &mut self.show) {
-            control.take_edit(show);
+            control.take_edit(*show);
         }
         if wants_picture {
             self.want_picture();

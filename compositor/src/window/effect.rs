@@ -22,7 +22,7 @@ pub(super) struct Effect {
     /// The models of a folder, for remotes.
     pub(super) models: Option<Vec<String>>,
     /// The edited show, and where its scenes are now.
-    pub(super) show: Option<(Box<Show>, SceneMap)>,
+    pub(super) show: Option<Box<(Show, SceneMap)>>,
 }
 
 impl Effect {

@@ -72,8 +72,8 @@ impl ShowControl {
     }
 
     /// Takes an edited show.
-    pub(super) fn take_edit(&mut self, (show, map): (Box<Show>, SceneMap)) {
-        self.player.set_show(*show, map);
+    pub(super) fn take_edit(&mut self, (show, map): (Show, SceneMap)) {
+        self.player.set_show(show, map);
         self.read = None;
         self.awaited.retain_mut(|awaited| {
             let now = map.now(awaited.index);
@@ -273,7 +273,7 @@ impl App<'_> {
         Effect::job(move || {
             let show = show::add_scene(&file, &scene)?;
             let note = format!("Scene {} is kept in {}", show.scenes.len(), file.display());
-            Ok(Effect { show: Some((Box::new(show), SceneMap::Same)), ..Effect::note(note) })
+            Ok(Effect { show: Some(Box::new((show, SceneMap::Same))), ..Effect::note(note) })
         })
     }
 
@@ -292,7 +292,7 @@ impl App<'_> {
                 SceneMap::Moved { to, .. } => format!("Scene {} is scene {} now", index + 1, to + 1),
                 SceneMap::Deleted(_) => format!("Scene {} is deleted", index + 1),
             };
-            Ok(Effect { show: Some((Box::new(show), map)), ..Effect::note(note) })
+            Ok(Effect { show: Some(Box::new((show, map))), ..Effect::note(note) })
         })
     }
 
