@@ -4,6 +4,7 @@ pub mod annotations;
 pub mod args;
 pub mod calibrate;
 pub mod check;
+pub mod device_args;
 pub mod export;
 pub mod headless;
 pub mod import;

@@ -6,13 +6,13 @@
 mod connection;
 mod frame_buffer;
 mod local_news;
-mod log_limit;
+pub(crate) mod log_limit;
 mod looks;
 mod losses;
 pub mod notices;
 mod open_frame;
 mod outbox;
-mod rate_limit;
+pub(crate) mod rate_limit;
 pub mod scheduler;
 mod service;
 mod silence;

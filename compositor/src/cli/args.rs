@@ -21,8 +21,8 @@ use shared::{
 };
 
 use super::{
-    annotations::AnnotationArgs, calibrate::CalibrateArgs, check::CheckArgs, export::ExportArgs, import::ImportArgs,
-    remote_args::RemoteArgs,
+    annotations::AnnotationArgs, calibrate::CalibrateArgs, check::CheckArgs, device_args::DeviceArgs,
+    export::ExportArgs, import::ImportArgs, remote_args::RemoteArgs,
 };
 use crate::{
     control::{
@@ -211,6 +211,9 @@ pub struct WallArgs {
     /// Where the remote is served, and to whom.
     #[command(flatten)]
     pub remote: RemoteArgs,
+    /// Which devices steer the wall.
+    #[command(flatten)]
+    pub devices: DeviceArgs,
     /// Open no window: render frames, print a table of timings, and end
     #[arg(long)]
     pub headless: bool,

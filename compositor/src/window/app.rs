@@ -29,7 +29,7 @@ use self::{
     pointer::Pointer, probing::Probing, remote::RemoteControl, show::ShowControl, showing::Presentation,
 };
 use super::{
-    OnShown,
+    OnShown, Steering,
     effect::Effect,
     jobs::Jobs,
     join::join_hint,
@@ -41,9 +41,9 @@ use super::{
 use crate::{
     cli::args::{Inputs, WallArgs},
     control::{alignment::Alignment, kiosk::Kiosk, model::Model, sidecar::SidecarFiles},
+    devices::Devices,
     farm::Farm,
     overlay::{ModelSummary, OverlayModel, WallDrawing},
-    remote::Remote,
     supervisor::SupervisorLink,
     wall::OnLoss,
 };
@@ -68,6 +68,7 @@ pub(super) struct App<'a> {
     /// The show that the wall plays, if it plays one.
     show: Option<ShowControl>,
     remote: RemoteControl,
+    devices: Option<Devices>,
     pointer: Pointer,
     modifiers: ModifiersState,
     messages: Messages,
@@ -92,7 +93,7 @@ impl<'a> App<'a> {
         on_shown: OnShown,
         waker: Waker,
         supervisor: Option<SupervisorLink>,
-        remote: Option<Remote>,
+        steering: Steering,
     ) -> Self {
         let now = Instant::now();
         let plays = inputs.show.as_ref().is_some_and(|(_, show)| !show.scenes.is_empty());
@@ -132,7 +133,8 @@ impl<'a> App<'a> {
             marks: MarkControl::default(),
             kiosk: Kiosk::new(kiosk, now),
             show,
-            remote: RemoteControl::new(remote),
+            remote: RemoteControl::new(steering.remote),
+            devices: steering.devices,
             pointer: Pointer::new(now),
             modifiers: ModifiersState::empty(),
             messages: Messages::default(),

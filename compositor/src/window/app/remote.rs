@@ -19,6 +19,7 @@ use crate::{
         navigator::{Drag, Nudge},
         show::Player,
     },
+    devices::Devices,
     farm::stats::{FrameStats, NodeStatus},
     remote::{
         Order, Remote, Shown, Thumbnail,
@@ -76,7 +77,7 @@ impl RemoteControl {
 }
 
 impl App<'_> {
-    /// Carries out what remotes have ordered; several motions make one picture.
+    /// Carries out what remotes and devices have ordered; several motions make one picture.
     pub(super) fn take_orders(&mut self, event_loop: &ActiveEventLoop) {
         let mut has_moved = false;
         while let Some(order) = self.remote.remote.as_mut().and_then(Remote::take) {
@@ -84,7 +85,6 @@ impl App<'_> {
                 Order::Picture => self.remote.wants_picture = true,
                 Order::Act(action, shown) => {
                     let now = Instant::now();
-                    self.kiosk.touch(now);
                     has_moved |= self.act(event_loop, action);
                     let unshown = &mut self.remote.unshown;
                     if unshown.len() == MOST_UNSHOWN {
@@ -94,6 +94,9 @@ impl App<'_> {
                 }
             }
         }
+        while let Some(action) = self.devices.as_mut().and_then(Devices::take) {
+            has_moved |= self.act(event_loop, action);
+        }
         if has_moved {
             self.want_picture();
         }
@@ -101,6 +104,7 @@ impl App<'_> {
 
     /// Carries out one action. Returns whether it moved the camera, which a picture must show.
     fn act(&mut self, event_loop: &ActiveEventLoop, action: Action) -> bool {
+        self.kiosk.touch(Instant::now());
         if action.is_steering() && self.touch_show() {
             self.redraw();
             return false;
