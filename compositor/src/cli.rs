@@ -1,6 +1,7 @@
 //! The command line: starts a wall with or without a window, checks, calibrates, imports and exports walls, and reports measurements.
 
 pub mod annotations;
+mod announcing;
 pub mod args;
 pub mod calibrate;
 pub mod check;

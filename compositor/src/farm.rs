@@ -6,13 +6,13 @@
 mod connection;
 mod frame_buffer;
 mod local_news;
-pub(crate) mod log_limit;
+mod log_limit;
 mod looks;
 mod losses;
 pub mod notices;
 mod open_frame;
 mod outbox;
-pub(crate) mod rate_limit;
+mod rate_limit;
 pub mod scheduler;
 mod service;
 mod silence;
@@ -45,7 +45,7 @@ use tokio::{
     sync::{Notify, mpsc, watch},
 };
 
-pub(crate) use self::{frame_buffer::MOST_FRAMES, rate_limit::RateLimit};
+pub(crate) use self::{frame_buffer::MOST_FRAMES, log_limit::LogLimit, rate_limit::RateLimit};
 pub use self::{
     frame_buffer::{BufferPool, FrameBuffer, FrameSamples, PlaceError},
     local_news::LocalReporter,

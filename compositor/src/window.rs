@@ -42,10 +42,10 @@ use crate::{
 pub(crate) type OnShown = Box<dyn FnMut(&Frame, &DisplayStats) -> ControlFlow<()>>;
 
 /// Whom the window obeys beside keys and mouse.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct Steering {
     pub(crate) remote: Option<Remote>,
-    pub(crate) devices: Option<Devices>,
+    pub(crate) devices: Devices,
 }
 
 /// The connection to the display; [`WindowLoop::run`] opens the window.

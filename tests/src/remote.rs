@@ -50,8 +50,12 @@ impl RemoteWall {
     }
 
     pub(crate) fn start_in(folder: TempDir, arguments: &[&str]) -> Self {
+        Self::start_on(XSession::start(SCREEN), folder, arguments)
+    }
+
+    /// Starts one on a screen.
+    pub(crate) fn start_on(session: XSession, folder: TempDir, arguments: &[&str]) -> Self {
         generate_statue(2000, &folder.path().join("a statue.ply"));
-        let session = XSession::start(SCREEN);
         let mut command = session.wall(&["a statue.ply", "--local", "2", "--size", "256x144", "--fullscreen"]);
         command.current_dir(folder.path()).args(arguments);
         let mut program = Program::start(command);

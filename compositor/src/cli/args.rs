@@ -164,6 +164,9 @@ pub struct WallArgs {
     /// Listen on the network without encryption and authentication
     #[arg(long, help_heading = "Render servers")]
     pub insecure: bool,
+    /// Do not announce the wall in the network, where render servers without an address would find it
+    #[arg(long, help_heading = "Render servers")]
+    pub no_announce: bool,
     /// Render servers to start on this machine [default: 2; 0 with --listen]
     #[arg(long, help_heading = "Render servers", value_name = "N", value_parser = between(0_u32..=256))]
     pub local: Option<u32>,

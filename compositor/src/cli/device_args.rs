@@ -12,10 +12,13 @@ pub struct DeviceArgs {
     /// Let everybody in the network steer the wall by OSC
     #[arg(long, help_heading = "Devices", requires = "osc")]
     pub osc_open: bool,
+    /// Listen to no SpaceMouse and no gamepad
+    #[arg(long, help_heading = "Devices", conflicts_with = "headless")]
+    pub no_controllers: bool,
 }
 
 impl DeviceArgs {
     pub(crate) fn options(&self) -> DeviceOptions {
-        DeviceOptions { osc: self.osc.clone(), osc_is_open: self.osc_open }
+        DeviceOptions { osc: self.osc.clone(), osc_is_open: self.osc_open, has_controllers: !self.no_controllers }
     }
 }

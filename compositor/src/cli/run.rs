@@ -23,6 +23,7 @@ use tokio::{
 };
 
 use super::{
+    announcing::announce,
     args::{Inputs, WallArgs},
     headless::{Wakeup, Wakeups, run_headless},
     local::LocalServers,
@@ -103,6 +104,7 @@ fn run_window(args: &WallArgs, inputs: Inputs, supervisor: Option<SupervisorLink
     let waker = window.waker();
     let devices = Devices::start(&args.devices.options(), move || waker.wake())?;
     let waker = window.waker();
+    let _announcement = announce(args, &listener, key.as_ref())?;
     // Made before the farm, so that they end after it: otherwise the farm would report them as lost.
     let mut servers = LocalServers::empty(listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;

@@ -9,11 +9,11 @@ use anyhow::{Context, bail};
 use tokio::net::{UdpSocket, lookup_host};
 
 use super::{
-    Link,
+    Link, Order,
     osc::{self, LONGEST_PACKET},
 };
 use crate::{
-    farm::{log_limit::LogLimit, rate_limit::RateLimit},
+    farm::{LogLimit, RateLimit},
     remote::message::Action,
 };
 
@@ -54,7 +54,8 @@ pub(super) async fn hear(socket: UdpSocket, link: Link) {
     loop {
         match socket.recv_from(&mut packet).await {
             Ok((n_bytes, peer)) => {
-                let line = guard.admit(start.elapsed(), peer.ip(), &packet[..n_bytes], |action| link.order(action));
+                let line = guard
+                    .admit(start.elapsed(), peer.ip(), &packet[..n_bytes], |action| link.order(Order::Act(action)));
                 line.into_iter().for_each(|line| tracing::warn!("{line}"));
             }
             Err(error) => {

@@ -1,6 +1,7 @@
 //! The window's events: dispatches them to the parts of the window, asks the farm for frames and shows them.
 
 mod camera;
+mod driving;
 mod marks;
 mod messages;
 mod opening;
@@ -11,6 +12,7 @@ mod remote;
 mod show;
 mod showing;
 mod steering;
+mod touching;
 
 use std::time::{Duration, Instant};
 
@@ -25,8 +27,9 @@ use winit::{
 };
 
 use self::{
-    camera::CameraControl, marks::MarkControl, messages::Messages, opening::Browser, picture::PictureControl,
-    pointer::Pointer, probing::Probing, remote::RemoteControl, show::ShowControl, showing::Presentation,
+    camera::CameraControl, driving::DeviceControl, marks::MarkControl, messages::Messages, opening::Browser,
+    picture::PictureControl, pointer::Pointer, probing::Probing, remote::RemoteControl, show::ShowControl,
+    showing::Presentation, touching::TouchControl,
 };
 use super::{
     OnShown, Steering,
@@ -41,7 +44,6 @@ use super::{
 use crate::{
     cli::args::{Inputs, WallArgs},
     control::{alignment::Alignment, kiosk::Kiosk, model::Model, sidecar::SidecarFiles},
-    devices::Devices,
     farm::Farm,
     overlay::{ModelSummary, OverlayModel, WallDrawing},
     supervisor::SupervisorLink,
@@ -68,8 +70,9 @@ pub(super) struct App<'a> {
     /// The show that the wall plays, if it plays one.
     show: Option<ShowControl>,
     remote: RemoteControl,
-    devices: Option<Devices>,
+    devices: DeviceControl,
     pointer: Pointer,
+    fingers: TouchControl,
     modifiers: ModifiersState,
     messages: Messages,
     jobs: Jobs,
@@ -134,8 +137,9 @@ impl<'a> App<'a> {
             kiosk: Kiosk::new(kiosk, now),
             show,
             remote: RemoteControl::new(steering.remote),
-            devices: steering.devices,
+            devices: DeviceControl::new(steering.devices),
             pointer: Pointer::new(now),
+            fingers: TouchControl::new(inputs.wall.aspect()),
             modifiers: ModifiersState::empty(),
             messages: Messages::default(),
             jobs: Jobs::new(waker),
@@ -334,6 +338,7 @@ impl ApplicationHandler<Call> for App<'_> {
             Call::Close => event_loop.exit(),
         }
         self.take_orders(event_loop);
+        self.take_device_orders(event_loop);
         self.take_results();
     }
 
@@ -352,6 +357,7 @@ impl ApplicationHandler<Call> for App<'_> {
                 if let Some(navigator) = &mut self.camera.navigator {
                     navigator.release_all();
                 }
+                self.fingers.lift_all();
             }
             WindowEvent::ModifiersChanged(modifiers) => {
                 self.modifiers = modifiers.state();
@@ -364,6 +370,11 @@ impl ApplicationHandler<Call> for App<'_> {
             WindowEvent::CursorLeft { .. } | WindowEvent::Ime(_) => self.forward_to_overlay(index, &event),
             WindowEvent::MouseInput { state, button, .. } => self.mouse_button(index, &event, *state, *button),
             WindowEvent::MouseWheel { delta, .. } => self.wheel(index, &event, *delta),
+            WindowEvent::Touch(touch) => self.touch(index, &event, touch),
+            WindowEvent::PinchGesture { .. }
+            | WindowEvent::PanGesture { .. }
+            | WindowEvent::RotationGesture { .. }
+            | WindowEvent::DoubleTapGesture { .. } => self.gesture(index, &event),
             WindowEvent::DroppedFile(path) if !self.kiosk.is_locked => {
                 self.loader.load(SceneSource::File(path.clone()));
                 self.redraw();

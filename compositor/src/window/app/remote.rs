@@ -19,7 +19,6 @@ use crate::{
         navigator::{Drag, Nudge},
         show::Player,
     },
-    devices::Devices,
     farm::stats::{FrameStats, NodeStatus},
     remote::{
         Order, Remote, Shown, Thumbnail,
@@ -77,7 +76,7 @@ impl RemoteControl {
 }
 
 impl App<'_> {
-    /// Carries out what remotes and devices have ordered; several motions make one picture.
+    /// Carries out what remotes have ordered; several motions make one picture.
     pub(super) fn take_orders(&mut self, event_loop: &ActiveEventLoop) {
         let mut has_moved = false;
         while let Some(order) = self.remote.remote.as_mut().and_then(Remote::take) {
@@ -94,16 +93,13 @@ impl App<'_> {
                 }
             }
         }
-        while let Some(action) = self.devices.as_mut().and_then(Devices::take) {
-            has_moved |= self.act(event_loop, action);
-        }
         if has_moved {
             self.want_picture();
         }
     }
 
     /// Carries out one action. Returns whether it moved the camera, which a picture must show.
-    fn act(&mut self, event_loop: &ActiveEventLoop, action: Action) -> bool {
+    pub(super) fn act(&mut self, event_loop: &ActiveEventLoop, action: Action) -> bool {
         self.kiosk.touch(Instant::now());
         if action.is_steering() && self.touch_show() {
             self.redraw();
@@ -167,7 +163,8 @@ impl App<'_> {
         false
     }
 
-    fn nudge(&mut self, nudge: Nudge) -> bool {
+    /// Moves the camera by a hand, wherever it is. Returns whether it moved.
+    pub(super) fn nudge(&mut self, nudge: Nudge) -> bool {
         self.camera.navigator.as_mut().is_some_and(|navigator| navigator.nudge(nudge))
     }
 
