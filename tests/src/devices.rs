@@ -1,12 +1,13 @@
 //! Devices that steer a real wall: controllers of shows, and fingers.
 
-use std::{fs, net::UdpSocket, thread, time::Duration};
+use std::{fs, io::Write, net::UdpSocket, os::unix::net::UnixListener, thread, time::Duration};
 
 use serde_json::json;
 
 use crate::{
     process::{Program, generate_statue, wait_until},
     remote::RemoteWall,
+    x_session::XSession,
     x_touch::{Finger, Fingers},
 };
 
@@ -77,7 +78,7 @@ fn a_controller_of_shows_steers_the_wall() {
 fn the_network_steers_by_osc_only_with_leave() {
     let folder = tempfile::tempdir().expect("a folder");
     generate_statue(300, &folder.path().join("statue.ply"));
-    let session = crate::x_session::XSession::start([320, 180]);
+    let session = XSession::start([320, 180]);
     let mut command = session.wall(&["statue.ply", "--osc", "0.0.0.0:0"]);
     command.current_dir(folder.path());
     let (status, said) = Program::start(command).wait();
@@ -132,4 +133,56 @@ fn fingers_steer_as_the_mouse_does_and_panels_keep_theirs() {
     wall.act(&json!({ "do": "light", "azimuth_deg": before[0], "elevation_deg": before[1] }));
     wall.session.key("o");
     wait_until("nothing has moved", || is_whole(&wall));
+}
+
+/// An event of spacenavd: its kind, x, y, z, rotations about them, and a time.
+fn spacenav(numbers: [i32; 8]) -> Vec<u8> {
+    numbers.map(i32::to_ne_bytes).concat()
+}
+
+#[test]
+fn a_spacemouse_turns_the_model_until_it_is_let_go_or_pulled_out() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let socket = folder.path().join("spnav.sock");
+    let daemon = UnixListener::bind(&socket).expect("a socket");
+    let session = XSession::start([640, 360]);
+    let environment = [("SPNAV_SOCKET", socket.to_str().expect("a path"))];
+    let mut wall = RemoteWall::start_with(session, tempfile::tempdir().expect("a folder"), &environment, &[
+        "--remote",
+        "127.0.0.1:0",
+    ]);
+    wall.program.wait_for("a SpaceMouse may steer");
+    let (mut stream, _) = daemon.accept().expect("the wall has connected");
+    let mut say = |numbers| stream.write_all(&spacenav(numbers)).expect("the wall listens");
+    wall.session.key("o");
+    let front = wall.session.steady_screenshot();
+    // Turned for a while, then let go.
+    say([0, 0, 0, 0, 0, 250, 0, 16]);
+    wait_until("the model turns", || front.difference(&wall.session.screenshot(), 16) > 0.02);
+    say([0, 0, 0, 0, 0, 0, 0, 16]);
+    let turned = wall.session.steady_screenshot();
+    assert!(front.difference(&turned, 16) > 0.01);
+    // Its first button shows all.
+    say([1, 0, 0, 0, 0, 0, 0, 0]);
+    say([2, 0, 0, 0, 0, 0, 0, 0]);
+    wait_until("all is seen", || wall.session.screenshot() == front);
+    // Nonsense is nothing.
+    say([77, 1, 2, 3, 4, 5, 6, 7]);
+    say([1, -1, 0, 0, 0, 0, 0, 0]);
+    // Pulled out while it is held out: the wall comes to rest.
+    say([0, 0, 0, 0, 0, -250, 0, 16]);
+    wait_until("the model turns", || front.difference(&wall.session.screenshot(), 16) > 0.02);
+    drop(stream);
+    wall.program.wait_for("has ended");
+    wall.session.steady_screenshot();
+    // It is found again when it is back.
+    let (mut stream, _) = daemon.accept().expect("the wall has connected again");
+    wall.session.key("f");
+    wait_until("all is seen", || wall.session.screenshot() == front);
+    // One that says nothing more, as when its cable breaks, is at rest soon.
+    stream.write_all(&spacenav([0, 0, 0, 0, 0, 250, 0, 16])).expect("the wall listens");
+    wait_until("the model turns", || front.difference(&wall.session.screenshot(), 16) > 0.02);
+    thread::sleep(Duration::from_secs(3));
+    wall.session.steady_screenshot();
+    assert!(!wall.program.said().contains("panicked"));
 }

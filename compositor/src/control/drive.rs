@@ -46,7 +46,7 @@ impl Drive {
     }
 
     /// What it does in some seconds on a canvas with this aspect (width over height), beside flying.
-    pub(crate) fn nudges(&self, seconds: f64, aspect: f64) -> impl Iterator<Item = Nudge> {
+    pub(crate) fn nudges(self, seconds: f64, aspect: f64) -> impl Iterator<Item = Nudge> {
         let heights = DVec2::new(1.0 / aspect, 1.0) * (DRAG_PER_SECOND * seconds);
         let nearer = (self.nearer != 0.0)
             .then(|| Nudge::Dolly { factor: NEARER_PER_SECOND.powf(-self.nearer * seconds), at: DVec2::splat(0.5) });

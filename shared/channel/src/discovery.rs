@@ -1,6 +1,6 @@
 //! Walls that are found without an address: multicast DNS (RFC 6762) and its services (RFC 6763).
 //!
-//! A wall announces its port, its protocol and a mark of its key. The mark tells holders of the key that it is theirs, and
+//! A wall announces its port, its protocol and a badge of its key. The badge tells holders of the key that it is theirs, and
 //! others nothing; the handshake alone proves anything, so an announcement that lies costs a connection.
 
 use std::{
@@ -81,7 +81,7 @@ impl Drop for Announcement {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum AnnouncedKey {
     None,
-    Marked { nonce: u64, mark: u64 },
+    Badge { nonce: u64, badge: u64 },
 }
 
 /// A wall that was found.
@@ -118,9 +118,9 @@ impl FoundWall {
             _ if self.version != PROTOCOL_VERSION => Fit::OtherVersion,
             (AnnouncedKey::None, None) => Fit::Fits,
             (AnnouncedKey::None, Some(_)) => Fit::HasNoKey,
-            (AnnouncedKey::Marked { .. }, None) => Fit::NeedsKey,
-            (AnnouncedKey::Marked { nonce, mark }, Some(key)) if key.mark(nonce) == mark => Fit::Fits,
-            (AnnouncedKey::Marked { .. }, Some(_)) => Fit::OtherKey,
+            (AnnouncedKey::Badge { .. }, None) => Fit::NeedsKey,
+            (AnnouncedKey::Badge { nonce, badge }, Some(key)) if key.badge(nonce) == badge => Fit::Fits,
+            (AnnouncedKey::Badge { .. }, Some(_)) => Fit::OtherKey,
         }
     }
 
@@ -150,16 +150,16 @@ impl FoundWall {
 
 /// What a wall announces of its key; with another nonce it is something else.
 pub fn announced_text(key: Option<&Key>, nonce: u64) -> String {
-    key.map_or_else(|| NO_KEY.to_owned(), |key| format!("{nonce:016x}-{:016x}", key.mark(nonce)))
+    key.map_or_else(|| NO_KEY.to_owned(), |key| format!("{nonce:016x}-{:016x}", key.badge(nonce)))
 }
 
 fn announced_key(text: &str) -> Option<AnnouncedKey> {
     if text == NO_KEY {
         return Some(AnnouncedKey::None);
     }
-    let (nonce, mark) = text.split_once('-')?;
+    let (nonce, badge) = text.split_once('-')?;
     let number = |text| u64::from_str_radix(text, 16).ok();
-    Some(AnnouncedKey::Marked { nonce: number(nonce)?, mark: number(mark)? })
+    Some(AnnouncedKey::Badge { nonce: number(nonce)?, badge: number(badge)? })
 }
 
 fn socket_address(ip: &ScopedIp, port: u16) -> Option<SocketAddr> {
@@ -286,9 +286,9 @@ mod tests {
     #[test]
     fn two_announcements_of_a_key_have_nothing_in_common() {
         let key = Key::random().unwrap();
-        let [one, two] = [1, 2].map(|nonce| key.mark(nonce));
+        let [one, two] = [1, 2].map(|nonce| key.badge(nonce));
         assert_ne!(one, two);
-        assert_ne!(key.mark(1).to_le_bytes(), key.fingerprint()[..8]);
+        assert_ne!(key.badge(1).to_le_bytes(), key.fingerprint()[..8]);
     }
 
     #[test]
