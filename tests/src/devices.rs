@@ -71,7 +71,7 @@ fn a_controller_of_shows_steers_the_wall() {
         send(&osc("/raywall/exposure", &[1.5]));
         wall.state()["controls"]["exposure_stops"] == 1.5
     });
-    assert!(wall.program.count("ignored OSC of") <= 5 && !wall.program.said().contains("panicked"));
+    assert!(wall.program.count("ignored OSC of") <= 8 && !wall.program.said().contains("panicked"));
 }
 
 #[test]
@@ -147,10 +147,12 @@ fn a_spacemouse_turns_the_model_until_it_is_let_go_or_pulled_out() {
     let daemon = UnixListener::bind(&socket).expect("a socket");
     let session = XSession::start([640, 360]);
     let environment = [("SPNAV_SOCKET", socket.to_str().expect("a path"))];
-    let mut wall = RemoteWall::start_with(session, tempfile::tempdir().expect("a folder"), &environment, &[
-        "--remote",
-        "127.0.0.1:0",
-    ]);
+    let mut wall = RemoteWall::start_with(
+        session,
+        tempfile::tempdir().expect("a folder"),
+        &environment,
+        &["--remote", "127.0.0.1:0"],
+    );
     wall.program.wait_for("a SpaceMouse may steer");
     let (mut stream, _) = daemon.accept().expect("the wall has connected");
     let mut say = |numbers| stream.write_all(&spacenav(numbers)).expect("the wall listens");

@@ -2,7 +2,7 @@
 
 use std::{collections::HashMap, thread};
 
-use gilrs::{Axis, Button, Event, EventType, GamepadId, Gilrs};
+use gilrs::{Axis, Button, Event, EventType, Gilrs};
 use glam::{DVec2, DVec3};
 use shared::printable::printable_line;
 
@@ -40,34 +40,60 @@ fn follow(link: &Link) {
     for (_, gamepad) in gamepads.gamepads() {
         tracing::info!("the gamepad {} steers", printable_line(gamepad.name()));
     }
-    let mut sticks: HashMap<GamepadId, Sticks> = HashMap::new();
+    let mut pads = Pads::default();
     while let Some(Event { id, event, .. }) = gamepads.next_event_blocking(None) {
         let name = || printable_line(gamepads.gamepad(id).name());
-        let source = Source::Gamepad(id.into());
-        match event {
-            EventType::Connected => tracing::info!("the gamepad {} steers", name()),
+        let said = match event {
+            EventType::Connected => {
+                tracing::info!("the gamepad {} steers", name());
+                continue;
+            }
             EventType::Disconnected => {
                 tracing::info!("the gamepad {} is gone", name());
-                sticks.remove(&id);
-                link.drive(source, Drive::default());
+                Said::Gone
             }
-            EventType::ButtonPressed(button, _) => {
-                command(button).into_iter().for_each(|command| _ = link.order(Order::Press(command)));
-            }
-            EventType::AxisChanged(axis, value, _) => {
-                let sticks = sticks.entry(id).or_default();
-                sticks.move_axis(axis, value.into());
-                link.drive(source, sticks.drive());
-            }
-            EventType::ButtonChanged(button, value, _) => {
-                let sticks = sticks.entry(id).or_default();
-                sticks.pull(button, value.into());
-                link.drive(source, sticks.drive());
-            }
-            _ => {}
+            EventType::ButtonPressed(button, _) => Said::Pressed(button),
+            EventType::ButtonChanged(button, value, _) => Said::Pulled(button, value.into()),
+            EventType::AxisChanged(axis, value, _) => Said::Moved(axis, value.into()),
+            _ => continue,
+        };
+        let id = usize::from(id);
+        if let Some(drive) = pads.take(id, said) {
+            link.drive(Source::Gamepad(id), drive);
+        }
+        if let Said::Pressed(button) = said {
+            command(button).into_iter().for_each(|command| _ = link.order(Order::Press(command)));
         }
     }
     tracing::debug!("gamepads are no longer followed");
+}
+
+/// What a gamepad says.
+#[derive(Clone, Copy, Debug)]
+enum Said {
+    Pressed(Button),
+    /// A button that can be pulled more or less, from 0 to 1.
+    Pulled(Button, f64),
+    /// A stick's axis, from −1 to 1.
+    Moved(Axis, f64),
+    Gone,
+}
+
+/// All gamepads, by number.
+#[derive(Debug, Default)]
+struct Pads(HashMap<usize, Sticks>);
+
+impl Pads {
+    /// Takes what a gamepad says; returns how it drives from then on, if that may have changed.
+    fn take(&mut self, id: usize, said: Said) -> Option<Drive> {
+        match said {
+            Said::Pressed(_) => return None,
+            Said::Pulled(button, value) => self.0.entry(id).or_default().pull(button, value),
+            Said::Moved(axis, value) => self.0.entry(id).or_default().move_axis(axis, value),
+            Said::Gone => _ = self.0.remove(&id),
+        }
+        Some(self.0.get(&id).map(Sticks::drive).unwrap_or_default())
+    }
 }
 
 impl Sticks {
@@ -127,6 +153,20 @@ mod tests {
         sticks.pull(Button::LeftTrigger2, 1.0);
         sticks.pull(Button::South, 1.0);
         assert!(sticks.drive().is_rest(), "worn sticks come to rest, and both triggers are none");
+    }
+
+    #[test]
+    fn a_gamepad_that_is_pulled_out_stops_its_motion_and_no_other() {
+        let mut pads = Pads::default();
+        let left = Said::Moved(Axis::LeftStickX, 1.0);
+        let flying = Drive { fly: DVec3::X, ..Drive::default() };
+        assert_eq!([pads.take(0, left), pads.take(1, left)], [Some(flying); 2]);
+        assert_eq!(pads.take(0, Said::Gone), Some(Drive::default()));
+        assert_eq!(pads.take(1, Said::Pressed(Button::South)), None);
+        let both = pads.take(1, Said::Pulled(Button::RightTrigger2, 1.0)).expect("it is there");
+        assert_eq!(both.fly, DVec3::new(1.0, 1.0, 0.0));
+        // Plugged in again, it is at rest.
+        assert_eq!(pads.take(0, Said::Moved(Axis::LeftStickX, 0.0)), Some(Drive::default()));
     }
 
     #[test]

@@ -52,6 +52,8 @@ impl Announcement {
         let daemon = ServiceDaemon::new().map_err(io::Error::other)?;
         let started = (|| {
             daemon.set_ip_check_interval(ADDRESS_CHECK_SECONDS)?;
+            // Others cannot use them, and this machine hears itself on the network too.
+            daemon.disable_interface(vec![IfKind::LoopbackV4, IfKind::LoopbackV6])?;
             let ip = address.ip().to_canonical();
             let service = if ip.is_unspecified() {
                 service("")?.enable_addr_auto()
