@@ -33,6 +33,9 @@ need() {
 has_command cc || need "gcc libc6-dev" gcc gcc
 # FLIP, which compares pictures, is C++.
 has_command c++ || need g++ gcc-c++ gcc
+# Gamepads are found with libudev; its headers are needed to build.
+{ has_command pkg-config && pkg-config --exists libudev; } \
+    || need "libudev-dev pkg-config" "systemd-devel pkgconf-pkg-config" "systemd-libs pkgconf"
 # Mesa's drivers include lavapipe, Vulkan on the CPU.
 has_vulkan_driver || need "mesa-vulkan-drivers libvulkan1" "mesa-vulkan-drivers vulkan-loader" "vulkan-swrast vulkan-icd-loader"
 has_library libxkbcommon-x11.so.0 || need libxkbcommon-x11-0 libxkbcommon-x11 libxkbcommon-x11

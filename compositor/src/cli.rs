@@ -1,9 +1,11 @@
 //! The command line: starts a wall with or without a window, checks, calibrates, imports and exports walls, and reports measurements.
 
 pub mod annotations;
+mod announcing;
 pub mod args;
 pub mod calibrate;
 pub mod check;
+pub mod device_args;
 pub mod export;
 pub mod headless;
 pub mod import;

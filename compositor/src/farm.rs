@@ -45,7 +45,7 @@ use tokio::{
     sync::{Notify, mpsc, watch},
 };
 
-pub(crate) use self::{frame_buffer::MOST_FRAMES, rate_limit::RateLimit};
+pub(crate) use self::{frame_buffer::MOST_FRAMES, log_limit::LogLimit, rate_limit::RateLimit};
 pub use self::{
     frame_buffer::{BufferPool, FrameBuffer, FrameSamples, PlaceError},
     local_news::LocalReporter,

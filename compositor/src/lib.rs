@@ -4,11 +4,13 @@
 //! and time into the render goal; [`wall`] is the geometry of the projectors, which [`calibration`] finds in photographs and
 //! [`mpcdi`] exchanges with other tools;
 //! [`farm`] has frames rendered by render servers, [`gpu`] draws them, and [`window`] shows them; [`overlay`] is the
-//! operator's panels, [`remote`] the page in a visitor's hand, and [`supervisor`] restarts a wall that crashed.
+//! operator's panels, [`remote`] the page in a visitor's hand, [`devices`] are controllers beside keys and mouse, and
+//! [`supervisor`] restarts a wall that crashed.
 
 pub mod calibration;
 pub mod cli;
 pub mod control;
+pub mod devices;
 pub mod farm;
 pub mod gpu;
 pub mod mpcdi;

@@ -31,6 +31,7 @@ use self::{session::display_environment, waker::Call};
 use crate::{
     calibration::Plan,
     cli::args::{Inputs, WallArgs},
+    devices::Devices,
     farm::{Farm, Frame, stats::DisplayStats},
     remote::Remote,
     supervisor::SupervisorLink,
@@ -39,6 +40,13 @@ use crate::{
 
 /// Called for every new frame once it is on screen; breaks to close the window.
 pub(crate) type OnShown = Box<dyn FnMut(&Frame, &DisplayStats) -> ControlFlow<()>>;
+
+/// Whom the window obeys beside keys and mouse.
+#[derive(Debug)]
+pub(crate) struct Steering {
+    pub(crate) remote: Option<Remote>,
+    pub(crate) devices: Devices,
+}
 
 /// The connection to the display; [`WindowLoop::run`] opens the window.
 #[derive(Debug)]
@@ -74,7 +82,7 @@ impl WindowLoop {
     }
 
     /// Opens the windows and shows the frames of `farm` until one is closed, the GPU fails, or the first model cannot be
-    /// read. Reports windows and the first frame to the `supervisor`, and obeys the `remote`.
+    /// read. Reports windows and the first frame to the `supervisor`, and obeys those who steer.
     pub(crate) fn run(
         self,
         args: &WallArgs,
@@ -82,10 +90,10 @@ impl WindowLoop {
         farm: &Farm,
         on_shown: OnShown,
         supervisor: Option<SupervisorLink>,
-        remote: Option<Remote>,
+        steering: Steering,
     ) -> anyhow::Result<()> {
         let waker = self.waker();
-        let mut app = app::App::new(args, inputs, farm, on_shown, waker, supervisor, remote);
+        let mut app = app::App::new(args, inputs, farm, on_shown, waker, supervisor, steering);
         self.0.run_app(&mut app).context("the display connection failed")?;
         app.into_outcome()
     }

@@ -10,6 +10,9 @@ mod frame_buffer;
 #[path = "../../compositor/src/remote/message.rs"]
 #[allow(dead_code)]
 mod message;
+#[path = "../../compositor/src/devices/osc.rs"]
+#[allow(dead_code)]
+mod osc;
 #[path = "../../compositor/src/control/show/file.rs"]
 #[allow(dead_code)]
 mod show_file;
@@ -28,6 +31,11 @@ mod control {
     pub(crate) mod show {
         pub(crate) use crate::show_file::MOST_CAPTION;
     }
+}
+
+/// Where `osc.rs` looks for it.
+mod remote {
+    pub(crate) use crate::message;
 }
 
 use compositor::{mpcdi as mpcdi_file, wall};

@@ -40,6 +40,7 @@ use crate::{
     frame_buffer::BufferPool,
     message,
     mpcdi_file::{archive::Archive, convert, document::Mpcdi},
+    osc as osc_packet,
     show_file::Show,
     wall::{Wall, mesh::pfm::Pfm},
 };
@@ -48,12 +49,13 @@ use crate::{
 pub type Decoder = fn(&[u8]);
 
 /// All decoders, with the names of their folders in `tests/corpus` and of their targets in `tests/fuzz`.
-pub const ALL: [(&str, Decoder); 15] = [
+pub const ALL: [(&str, Decoder); 16] = [
     ("camera", camera),
     ("gltf", gltf),
     ("marks", marks),
     ("mpcdi", mpcdi),
     ("obj", obj),
+    ("osc", osc),
     ("placement", placement),
     ("ply", ply),
     ("protocol", protocol),
@@ -239,10 +241,25 @@ pub fn show(data: &[u8]) {
     }
 }
 
+/// A packet of a controller of shows.
+pub fn osc(data: &[u8]) {
+    let mut n_messages = 0;
+    osc_packet::decode(data, &mut |outcome| {
+        n_messages += 1;
+        check_action(outcome);
+    });
+    assert!(n_messages <= data.len() / 8 + 1, "{n_messages} messages");
+}
+
 /// A remote's message.
 pub fn remote(data: &[u8]) {
-    match message::decode(data) {
-        Ok(message::Message { action, .. }) => {
+    check_action(message::decode(data).map(|message| message.action));
+}
+
+/// An action is within its limits, and a fault is one line.
+fn check_action(outcome: Result<message::Action, String>) {
+    match outcome {
+        Ok(action) => {
             use message::Action::*;
             let numbers = match action {
                 Orbit { x, y } | Pan { x, y } | GoTo { x, y } => [x, y, 0.0],

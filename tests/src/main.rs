@@ -19,6 +19,10 @@ mod cluster;
 #[cfg(test)]
 #[allow(unreachable_pub, reason = "tests/fuzz has it in a library")]
 mod decoders;
+#[cfg(all(test, target_os = "linux"))]
+mod devices;
+#[cfg(all(test, target_os = "linux"))]
+mod discovery;
 #[cfg(test)]
 mod farm;
 #[cfg(test)]
@@ -103,6 +107,8 @@ mod x_drop;
 mod x_monitors;
 #[cfg(all(test, target_os = "linux"))]
 mod x_session;
+#[cfg(all(test, target_os = "linux"))]
+mod x_touch;
 
 #[cfg(test)]
-use compositor::{mpcdi as mpcdi_file, remote::message, wall};
+use compositor::{devices::osc, mpcdi as mpcdi_file, remote::message, wall};

@@ -50,10 +50,24 @@ impl RemoteWall {
     }
 
     pub(crate) fn start_in(folder: TempDir, arguments: &[&str]) -> Self {
+        Self::start_on(XSession::start(SCREEN), folder, arguments)
+    }
+
+    /// Starts one on a screen.
+    pub(crate) fn start_on(session: XSession, folder: TempDir, arguments: &[&str]) -> Self {
+        Self::start_with(session, folder, &[], arguments)
+    }
+
+    /// Starts one in an environment.
+    pub(crate) fn start_with(
+        session: XSession,
+        folder: TempDir,
+        environment: &[(&str, &str)],
+        arguments: &[&str],
+    ) -> Self {
         generate_statue(2000, &folder.path().join("a statue.ply"));
-        let session = XSession::start(SCREEN);
         let mut command = session.wall(&["a statue.ply", "--local", "2", "--size", "256x144", "--fullscreen"]);
-        command.current_dir(folder.path()).args(arguments);
+        command.current_dir(folder.path()).args(arguments).envs(environment.iter().copied());
         let mut program = Program::start(command);
         program.wait_for("remote at http");
         program.wait_for(SHOWN);

@@ -53,7 +53,8 @@ fn a_key_changes_no_sample_on_any_address() {
         }
         let mut command = files.wall(size);
         command.args(["--listen", listen, "--key", &keys.path("wall.key")]);
-        command.args(["--local", "3", "--frames", "2", "--division", division]);
+        // A test says nothing to the network.
+        command.args(["--local", "3", "--frames", "2", "--division", division, "--no-announce"]);
         command.env("RUST_LOG", "compositor=debug,renderer=info");
         let said = Program::succeed(command);
         assert_eq!(said.matches(", with a key").count(), 3, "{said}");

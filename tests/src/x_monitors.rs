@@ -47,11 +47,16 @@ pub(crate) struct Monitor {
 
 /// Starts a desktop with these monitors.
 pub(crate) fn start(monitors: &[Monitor]) -> XSession {
+    start_with(monitors, "")
+}
+
+/// Starts one with more in its configuration.
+pub(crate) fn start_with(monitors: &[Monitor], more: &str) -> XSession {
     let extent = |axis: usize| monitors.iter().map(|it| it.at[axis] + it.size[axis]).max().expect("monitors");
     let size = [extent(0), extent(1)];
     let folder = tempfile::tempdir().expect("a folder");
     let config = folder.path().join("xorg.conf");
-    fs::write(&config, CONFIG).expect("a file");
+    fs::write(&config, CONFIG.to_owned() + more).expect("a file");
     let mut server = Command::new("Xorg");
     server.arg("-config").arg(config).arg("-logfile").arg(folder.path().join("log")).arg("-novtswitch");
     XSession::start_on(server, size.map(usize::from), &|display| {

@@ -21,8 +21,8 @@ use shared::{
 };
 
 use super::{
-    annotations::AnnotationArgs, calibrate::CalibrateArgs, check::CheckArgs, export::ExportArgs, import::ImportArgs,
-    remote_args::RemoteArgs,
+    annotations::AnnotationArgs, calibrate::CalibrateArgs, check::CheckArgs, device_args::DeviceArgs,
+    export::ExportArgs, import::ImportArgs, remote_args::RemoteArgs,
 };
 use crate::{
     control::{
@@ -164,6 +164,9 @@ pub struct WallArgs {
     /// Listen on the network without encryption and authentication
     #[arg(long, help_heading = "Render servers")]
     pub insecure: bool,
+    /// Do not announce the wall in the network, where render servers without an address would find it
+    #[arg(long, help_heading = "Render servers")]
+    pub no_announce: bool,
     /// Render servers to start on this machine [default: 2; 0 with --listen]
     #[arg(long, help_heading = "Render servers", value_name = "N", value_parser = between(0_u32..=256))]
     pub local: Option<u32>,
@@ -211,6 +214,9 @@ pub struct WallArgs {
     /// Where the remote is served, and to whom.
     #[command(flatten)]
     pub remote: RemoteArgs,
+    /// Which devices steer the wall.
+    #[command(flatten)]
+    pub devices: DeviceArgs,
     /// Open no window: render frames, print a table of timings, and end
     #[arg(long)]
     pub headless: bool,

@@ -23,6 +23,7 @@ use tokio::{
 };
 
 use super::{
+    announcing::announce,
     args::{Inputs, WallArgs},
     headless::{Wakeup, Wakeups, run_headless},
     local::LocalServers,
@@ -33,10 +34,11 @@ use crate::{
         show::{self, Show},
         sidecar,
     },
+    devices::Devices,
     farm::{Farm, RenderGoal},
     remote::Remote,
     supervisor::{self, SupervisorLink},
-    window::{OnShown, WindowLoop},
+    window::{OnShown, Steering, WindowLoop},
 };
 
 /// Runs a wall to its end.
@@ -100,13 +102,16 @@ fn run_window(args: &WallArgs, inputs: Inputs, supervisor: Option<SupervisorLink
     });
     let remote = remote.transpose()?;
     let waker = window.waker();
+    let devices = Devices::start(&args.devices.options(), move || waker.wake())?;
+    let waker = window.waker();
+    let _announcement = announce(args, &listener, key.as_ref())?;
     // Made before the farm, so that they end after it: otherwise the farm would report them as lost.
     let mut servers = LocalServers::empty(listener.local_addr()?, args.key.as_deref(), &args.scene)?;
     let farm = start_farm(&runtime, listener, key, args, n_needed, move || waker.wake())?;
     servers.start(args.n_local(), farm.local_reporter())?;
     let report = Rc::new(RefCell::new(Report::default()));
     let on_shown = watch_frames(args, Rc::clone(&report));
-    let outcome = window.run(args, inputs, &farm, on_shown, supervisor, remote);
+    let outcome = window.run(args, inputs, &farm, on_shown, supervisor, Steering { remote, devices });
     // Ends before its local render servers, so that their end is not reported as a loss.
     drop(farm);
     if let Some(stopped) = stop::unfinished() {

@@ -50,6 +50,8 @@ pub(crate) enum Command {
     /// Take the last typed letter away.
     Untype,
     GoToCursor,
+    /// Go to what is in the middle of the picture.
+    GoToMiddle,
     NextUpAxis,
     NextDivision,
     SetDivision(Division),
@@ -117,7 +119,10 @@ impl Command {
     /// Whether it moves the camera, as a hand does.
     pub(crate) fn is_steering(self) -> bool {
         use Command::*;
-        matches!(self, ViewAll | GoToView(_) | TogglePlaying | GoToCursor | NextUpAxis | Mark(MarkCommand::GoTo(_)))
+        matches!(
+            self,
+            ViewAll | GoToView(_) | TogglePlaying | GoToCursor | GoToMiddle | NextUpAxis | Mark(MarkCommand::GoTo(_))
+        )
     }
 
     /// Whether visitors of a locked wall may give it.
@@ -130,6 +135,7 @@ impl Command {
                 | TogglePlaying
                 | ChangeSpeed(_)
                 | GoToCursor
+                | GoToMiddle
                 | ToggleLock
                 | ToggleRemote
                 | Mark(MarkCommand::GoTo(_))
@@ -295,7 +301,7 @@ pub const KEYS: &[KeyBinding] = {
     ]
 };
 
-/// Mouse gestures and their effects, for the help.
+/// Gestures of mouse and fingers, and their effects, for the help.
 pub const MOUSE: &[(&str, &str)] = &[
     ("Left drag", "orbit around the model, or the point gone to"),
     ("Middle or Shift + left drag", "pan"),
@@ -304,6 +310,8 @@ pub const MOUSE: &[(&str, &str)] = &[
     ("Click", "show triangle, point and distance there, or pick it for the ruler"),
     ("Click on a label", "go to its annotation, and show its text"),
     ("Double click", "go there, and orbit around it"),
+    ("One finger", "orbit; a tap clicks, and two taps go there"),
+    ("Two fingers", "pan, pinch nearer or farther, twist"),
     ("Shift while flying", "fly four times as fast"),
     ("Drop a model's file", "open it"),
 ];

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DVec2, DVec3};
 use shared::camera::{Camera, CameraPath, CanvasPart, Shape, Transition, UpAxis};
 
-use super::input::Direction;
+use super::{drive::Drive, input::Direction};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Drag {
@@ -44,6 +44,8 @@ pub(crate) struct Navigator {
     cursor: DVec2,
     drag: Option<Drag>,
     held: Vec<Direction>,
+    /// How devices are held out.
+    drive: Drive,
     /// The point to orbit around; `None`: the middle of the model.
     focus: Option<DVec3>,
     /// The surface point under the cursor, in world space, once it is known.
@@ -122,6 +124,7 @@ impl Navigator {
             cursor: DVec2::splat(0.5),
             drag: None,
             held: Vec::new(),
+            drive: Drive::default(),
             focus: None,
             under_cursor: None,
             surface: None,
@@ -178,7 +181,11 @@ impl Navigator {
 
     /// Keeps a whole model, or a kept view, in the parts of the canvas that are free now, unless the camera was steered since.
     pub(crate) fn make_room(&mut self, parts: &[CanvasPart]) {
-        if self.destination().0 == self.placed.camera && self.held.is_empty() && !self.is_dragging() {
+        if self.destination().0 == self.placed.camera
+            && self.held.is_empty()
+            && !self.is_dragging()
+            && !self.is_driven()
+        {
             self.placed = self.place(self.placed.kept, parts);
             let Placed { camera, shift, .. } = self.placed;
             if self.is_moving() { self.go_to(camera, shift) } else { self.show(camera, shift) }
@@ -268,7 +275,7 @@ impl Navigator {
     }
 
     pub(crate) fn is_flying(&self) -> bool {
-        !self.held.is_empty()
+        !self.held.is_empty() || self.drive.fly != DVec3::ZERO
     }
 
     pub(crate) fn needs_surface(&self) -> bool {
@@ -377,9 +384,22 @@ impl Navigator {
         self.drag = None;
     }
 
+    /// Moves as devices are held out from now on, in place of a motion of its own.
+    pub(crate) fn set_drive(&mut self, drive: Drive) {
+        if !drive.is_rest() {
+            self.motion = None;
+            self.under_cursor = None;
+        }
+        self.drive = drive;
+    }
+
+    pub(crate) fn is_driven(&self) -> bool {
+        !self.drive.is_rest()
+    }
+
     /// Whether time moves the camera.
     pub(crate) fn is_moving(&self) -> bool {
-        !self.held.is_empty() || self.motion.is_some()
+        !self.held.is_empty() || self.is_driven() || self.motion.is_some()
     }
 
     /// Changes the flying speed by some steps. Returns the new speed as a multiple of the usual one.
@@ -388,7 +408,7 @@ impl Navigator {
         SPEED_FACTOR.powi(self.speed)
     }
 
-    /// Advances a transition, a path or flying by some seconds; `speed` multiplies the flying speed. Returns whether the
+    /// Advances a transition, a path, or keys and devices by some seconds; `speed` multiplies the flying speed. Returns whether the
     /// camera moved.
     pub(crate) fn advance(&mut self, seconds: f64, speed: f64) -> bool {
         let before = self.camera;
@@ -416,7 +436,13 @@ impl Navigator {
                 }
                 self.set_camera(camera);
             }
-            None => self.fly(seconds, speed),
+            None => {
+                let seconds = seconds.min(LONGEST_STEP_SECONDS);
+                self.fly(seconds, speed);
+                for nudge in self.drive.nudges(seconds, self.aspect) {
+                    self.nudged(nudge);
+                }
+            }
         }
         self.camera != before
     }
@@ -428,12 +454,13 @@ impl Navigator {
         let to_surface = self.surface.map_or(f64::INFINITY, |point| (point - self.camera.eye()).length());
         // A surface is passed in the end, so the speed falls no further just before it.
         let per_second = usual.min((to_surface * NEAR_PART_PER_SECOND).max(size * PASS_THROUGH_PART));
-        let step = per_second * seconds.min(LONGEST_STEP_SECONDS) * speed * SPEED_FACTOR.powi(self.speed);
+        let step = per_second * seconds * speed * SPEED_FACTOR.powi(self.speed);
         let held = |direction| if self.held.contains(&direction) { step } else { 0.0 };
+        let driven = self.drive.fly * step;
         let camera = self.camera.fly(
-            held(Direction::Right) - held(Direction::Left),
-            held(Direction::Up) - held(Direction::Down),
-            held(Direction::Forward) - held(Direction::Backward),
+            held(Direction::Right) - held(Direction::Left) + driven.x,
+            held(Direction::Up) - held(Direction::Down) + driven.y,
+            held(Direction::Forward) - held(Direction::Backward) + driven.z,
         );
         self.show(camera, self.shift);
     }

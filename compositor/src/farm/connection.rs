@@ -93,6 +93,25 @@ pub(super) enum ConnectionError {
     Refused,
 }
 
+impl ConnectionError {
+    /// Why a render server is not let in, with the cure, if it is one: not for strangers that are none.
+    pub(super) fn keeps_outside(&self) -> Option<&'static str> {
+        match self {
+            Self::Secure(SecureError::NoKey) => Some("it has no key; start it with a copy of this wall's, --key FILE"),
+            Self::Secure(SecureError::OtherKey | SecureError::Refused) => {
+                Some("it has another key; start it with a copy of this wall's, --key FILE")
+            }
+            Self::Wire(WireError::Encrypted) => {
+                Some("it has a key, and this wall has none; start both with copies of one, --key FILE")
+            }
+            Self::Wire(WireError::OtherVersion(_)) | Self::Secure(SecureError::OtherVersion(_)) => {
+                Some("it is of another version; build both programs from one commit")
+            }
+            _ => None,
+        }
+    }
+}
+
 /// The tasks that a render server has been given and has not finished.
 #[derive(Debug, Default)]
 pub(super) struct PendingTasks(Mutex<HashMap<TaskId, PendingTask>>);

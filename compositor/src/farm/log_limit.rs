@@ -13,6 +13,10 @@ const BURST: u32 = 3;
 /// One line of a kind on strangers in this time: a render server with a wrong key tries again each second, for days.
 const STRANGER_INTERVAL: Duration = Duration::from_secs(600);
 
+/// Lines about controllers that are written at once for each machine, and the pause between further ones: enough for
+/// somebody who sets a controller up, few for one that is wrong for days.
+const OF_CONTROLLERS: (u32, Duration) = (5, Duration::from_secs(60));
+
 /// Log lines about render servers that are written at once: all of a farm join, are ready, fall silent and are lost.
 const MOST_NODE_LINES_AT_ONCE: u32 = 4 * MOST_NODES as u32;
 
@@ -27,7 +31,7 @@ const MOST_KINDS: usize = 4096;
 
 /// Decides which lines are written, and counts those that are not: peers can choose names, so kinds alone are no limit.
 #[derive(Debug)]
-pub(super) struct LogLimit<K> {
+pub(crate) struct LogLimit<K> {
     /// The limit of each kind, and how many lines were left out since the last. `None`: kinds beyond [`MOST_KINDS`].
     kinds: HashMap<Option<K>, (RateLimit, u32)>,
     /// The burst and the interval of each kind.
@@ -49,12 +53,17 @@ impl<K: Eq + Hash> LogLimit<K> {
         Self::new((1, STRANGER_INTERVAL), RateLimit::new(MOST_STRANGER_LINES_AT_ONCE, LINE_INTERVAL))
     }
 
+    /// Lets five lines of a kind pass at once, and one each minute.
+    pub(crate) fn of_controllers() -> Self {
+        Self::new(OF_CONTROLLERS, RateLimit::new(MOST_STRANGER_LINES_AT_ONCE, OF_CONTROLLERS.1))
+    }
+
     fn new(of_kind: (u32, Duration), total: RateLimit) -> Self {
         Self { kinds: HashMap::new(), of_kind, total, n_others_left_out: 0 }
     }
 
     /// Whether a line may be written at `now`; if so, what to add to it about those that were left out before.
-    pub(super) fn admit(&mut self, now: Duration, kind: K) -> Option<String> {
+    pub(crate) fn admit(&mut self, now: Duration, kind: K) -> Option<String> {
         if self.kinds.len() >= MOST_KINDS {
             self.kinds.retain(|_, (limit, _)| !limit.is_full(now));
         }

@@ -2,12 +2,17 @@
 
 use std::net::IpAddr;
 
+use shared::printable::counted;
+
 /// Most render servers with a notice: names are chosen by peers, and one that comes back under another name keeps its
 /// notice until somebody dismisses it.
 const MOST_NOTICES: usize = 64;
 
 /// Most other render servers that are named beside the newest notice.
 const MOST_NAMES: usize = 3;
+
+/// Most machines that wait outside.
+const MOST_OUTSIDE: usize = 16;
 
 /// A render server across its connections: its name, and its address unless the wall itself starts it.
 pub(super) type NodeKey = (String, Option<IpAddr>);
@@ -16,6 +21,8 @@ pub(super) type NodeKey = (String, Option<IpAddr>);
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Notices {
     all: Vec<(NodeKey, String)>,
+    /// Machines whose render servers the wall does not let in, the newest last.
+    outside: Vec<(IpAddr, &'static str)>,
     n_put: u64,
 }
 
@@ -46,6 +53,24 @@ impl Notices {
         self.put(node, text);
     }
 
+    /// A machine's render server waits outside, for this reason; the text holds the cure.
+    pub(super) fn put_outside(&mut self, machine: IpAddr, reason: &'static str) {
+        if self.outside.contains(&(machine, reason)) {
+            return;
+        }
+        self.n_put += 1;
+        self.clear_outside(machine);
+        if self.outside.len() == MOST_OUTSIDE {
+            self.outside.remove(0);
+        }
+        self.outside.push((machine, reason));
+    }
+
+    /// A render server of this machine has joined.
+    pub(super) fn clear_outside(&mut self, machine: IpAddr) {
+        self.outside.retain(|(of, _)| *of != machine);
+    }
+
     /// The wall has started a render server: words of a notice, if there is one, change, but this is no news.
     pub(super) fn reword_started(&mut self, node: &NodeKey) {
         let text = format!("{} was started again, and loads the model.", node.0);
@@ -62,8 +87,22 @@ impl Notices {
         self.n_put
     }
 
-    /// The newest notice, with the names of others that have one.
+    /// The newest notice, with the names of others that have one, and the machines outside.
     pub fn message(&self) -> Option<String> {
+        let messages: Vec<_> = self.newest().into_iter().chain(self.newest_outside()).collect();
+        (!messages.is_empty()).then(|| messages.join(" "))
+    }
+
+    fn newest_outside(&self) -> Option<String> {
+        let ((newest, reason), others) = self.outside.split_last()?;
+        let also = match others.len() {
+            0 => String::new(),
+            n_others => format!(" Also outside: {}.", counted(n_others, "other machine")),
+        };
+        Some(format!("A render server at {newest} waits outside: {reason}.{also}"))
+    }
+
+    fn newest(&self) -> Option<String> {
         let ((_, newest), others) = self.all.split_last()?;
         let names: Vec<_> = others.iter().rev().take(MOST_NAMES).map(|((name, _), _)| name.as_str()).collect();
         let more = match others.len() - names.len() {
@@ -131,5 +170,26 @@ mod tests {
         (0..1000).for_each(|number| notices.put(node(&number.to_string()), format!("{number} lost.")));
         assert_eq!(notices.all.len(), MOST_NOTICES);
         assert_eq!(notices.message().unwrap(), "999 lost. Also missing: 998, 997, 996 and 60 more.");
+    }
+
+    #[test]
+    fn machines_outside_are_told_until_they_have_joined() {
+        let mut notices = Notices::default();
+        let machine = |number| IpAddr::from([10, 0, 0, number]);
+        notices.put_outside(machine(1), "it has no key");
+        notices.put_outside(machine(1), "it has no key");
+        assert_eq!(notices.n_put(), 1, "the same again is no news");
+        assert_eq!(notices.message().unwrap(), "A render server at 10.0.0.1 waits outside: it has no key.");
+        notices.put_outside(machine(2), "it has another key");
+        let said = notices.message().unwrap();
+        assert!(said.contains("10.0.0.2") && said.ends_with("Also outside: 1 other machine."), "{said}");
+        for number in 0..=255 {
+            notices.put_outside(machine(number), "it has no key");
+        }
+        assert_eq!(notices.outside.len(), MOST_OUTSIDE);
+        for number in 0..=255 {
+            notices.clear_outside(machine(number));
+        }
+        assert_eq!(notices.message(), None);
     }
 }

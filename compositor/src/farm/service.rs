@@ -310,7 +310,10 @@ impl Service {
                     n_failures,
                     round_trip_ms: None,
                 };
-                self.status.send_modify(|status| status.nodes.push(joined));
+                self.status.send_modify(|status| {
+                    status.notices.clear_outside(address.ip());
+                    status.nodes.push(joined);
+                });
                 self.dispatch(Event::Joined { node: id, name, threads });
                 self.wake_for_news();
             }
@@ -447,6 +450,10 @@ impl Service {
                 let kind = (Some(address.ip()), reason.to_string().replace(char::is_numeric, ""));
                 if let Some(more) = self.stranger_lines.admit(self.started_at.elapsed(), kind) {
                     tracing::warn!("connection from {address} dropped: {reason}{more}");
+                    if let Some(reason) = reason.keeps_outside() {
+                        self.status.send_modify(|status| status.notices.put_outside(address.ip(), reason));
+                        self.wake_for_news();
+                    }
                 }
             }
             return;

@@ -312,6 +312,15 @@ pub fn decode(json: &[u8]) -> Result<Message, String> {
     message.action.fault().map_or(Ok(message), |fault| Err(fault.to_owned()))
 }
 
+/// The action of a JSON value, which others than remotes have put together.
+///
+/// # Errors
+/// One line: it is no action, or a number is beyond its limits.
+pub fn action(json: serde_json::Value) -> Result<Action, String> {
+    let action = Action::deserialize(json).map_err(|error| error.to_string())?;
+    action.fault().map_or(Ok(action), |fault| Err(fault.to_owned()))
+}
+
 fn middle() -> f64 {
     0.5
 }

@@ -1,6 +1,7 @@
 //! The window's events: dispatches them to the parts of the window, asks the farm for frames and shows them.
 
 mod camera;
+mod driving;
 mod marks;
 mod messages;
 mod opening;
@@ -11,6 +12,7 @@ mod remote;
 mod show;
 mod showing;
 mod steering;
+mod touching;
 
 use std::time::{Duration, Instant};
 
@@ -25,11 +27,12 @@ use winit::{
 };
 
 use self::{
-    camera::CameraControl, marks::MarkControl, messages::Messages, opening::Browser, picture::PictureControl,
-    pointer::Pointer, probing::Probing, remote::RemoteControl, show::ShowControl, showing::Presentation,
+    camera::CameraControl, driving::DeviceControl, marks::MarkControl, messages::Messages, opening::Browser,
+    picture::PictureControl, pointer::Pointer, probing::Probing, remote::RemoteControl, show::ShowControl,
+    showing::Presentation, touching::TouchControl,
 };
 use super::{
-    OnShown,
+    OnShown, Steering,
     effect::Effect,
     jobs::Jobs,
     join::join_hint,
@@ -43,7 +46,6 @@ use crate::{
     control::{alignment::Alignment, kiosk::Kiosk, model::Model, sidecar::SidecarFiles},
     farm::Farm,
     overlay::{ModelSummary, OverlayModel, WallDrawing},
-    remote::Remote,
     supervisor::SupervisorLink,
     wall::OnLoss,
 };
@@ -68,7 +70,9 @@ pub(super) struct App<'a> {
     /// The show that the wall plays, if it plays one.
     show: Option<ShowControl>,
     remote: RemoteControl,
+    devices: DeviceControl,
     pointer: Pointer,
+    fingers: TouchControl,
     modifiers: ModifiersState,
     messages: Messages,
     jobs: Jobs,
@@ -92,14 +96,14 @@ impl<'a> App<'a> {
         on_shown: OnShown,
         waker: Waker,
         supervisor: Option<SupervisorLink>,
-        remote: Option<Remote>,
+        steering: Steering,
     ) -> Self {
         let now = Instant::now();
         let plays = inputs.show.as_ref().is_some_and(|(_, show)| !show.scenes.is_empty());
         // Visitors have no key that would show it.
         let for_visitors = args.kiosk.is_some() && args.remote.remote_tokens.is_some();
         let overlay = OverlayModel {
-            remote_link: remote.as_ref().filter(|_| for_visitors).map(|remote| remote.link().to_owned()),
+            remote_link: steering.remote.as_ref().filter(|_| for_visitors).map(|remote| remote.link().to_owned()),
             // Captions need the room.
             panel: args.kiosk.is_none() && !plays,
             wall: WallDrawing::new(&inputs.wall),
@@ -135,8 +139,10 @@ impl<'a> App<'a> {
             marks: MarkControl::default(),
             kiosk: Kiosk::new(kiosk, now),
             show,
-            remote: RemoteControl::new(remote),
+            remote: RemoteControl::new(steering.remote),
+            devices: DeviceControl::new(steering.devices),
             pointer: Pointer::new(now),
+            fingers: TouchControl::new(inputs.wall.aspect()),
             modifiers: ModifiersState::empty(),
             messages: Messages::default(),
             jobs: Jobs::new(waker),
@@ -335,6 +341,7 @@ impl ApplicationHandler<Call> for App<'_> {
             Call::Close => event_loop.exit(),
         }
         self.take_orders(event_loop);
+        self.take_device_orders(event_loop);
         self.take_results();
     }
 
@@ -353,6 +360,7 @@ impl ApplicationHandler<Call> for App<'_> {
                 if let Some(navigator) = &mut self.camera.navigator {
                     navigator.release_all();
                 }
+                self.fingers.lift_all();
             }
             WindowEvent::ModifiersChanged(modifiers) => {
                 self.modifiers = modifiers.state();
@@ -365,6 +373,11 @@ impl ApplicationHandler<Call> for App<'_> {
             WindowEvent::CursorLeft { .. } | WindowEvent::Ime(_) => self.forward_to_overlay(index, &event),
             WindowEvent::MouseInput { state, button, .. } => self.mouse_button(index, &event, *state, *button),
             WindowEvent::MouseWheel { delta, .. } => self.wheel(index, &event, *delta),
+            WindowEvent::Touch(touch) => self.touch(index, &event, touch),
+            WindowEvent::PinchGesture { .. }
+            | WindowEvent::PanGesture { .. }
+            | WindowEvent::RotationGesture { .. }
+            | WindowEvent::DoubleTapGesture { .. } => self.gesture(index, &event),
             WindowEvent::DroppedFile(path) if !self.kiosk.is_locked => {
                 self.loader.load(SceneSource::File(path.clone()));
                 self.redraw();

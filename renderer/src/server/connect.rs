@@ -4,7 +4,7 @@ use std::{
     io,
     net::{IpAddr, SocketAddr},
     path::{Path, PathBuf},
-    sync::Arc,
+    sync::{Arc, Mutex, PoisonError},
     time::Duration,
 };
 
@@ -30,6 +30,7 @@ use crate::{
     model::scene::SceneSource,
     render::threads,
     server::{
+        discover::Search,
         fetch::Fetcher,
         scene_loader::{SceneLoader, Told},
         session::{self, SessionEnd, SessionError},
@@ -52,9 +53,9 @@ const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 /// Connects to a wall and renders what it asks for.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ConnectArgs {
-    /// The wall, as HOST or HOST:PORT
-    #[arg(value_name = "HOST:PORT")]
-    pub wall: String,
+    /// The wall, as HOST or HOST:PORT [default: one in the network with the same key, once it is there]
+    #[arg(value_name = "HOST:PORT", required_if_eq("local", "true"))]
+    pub wall: Option<String>,
     /// The model's file that the wall shows: PLY, OBJ, STL, glTF or GLB, or a scene file of it [default: the wall's own
     /// file, if the wall runs on this machine; else its scene file is fetched from the wall]
     #[arg(long, value_name = "FILE")]
@@ -112,6 +113,14 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
             stop.send_replace(());
         }
     });
+    let wall = WallAddress::default();
+    if let Some(named) = &args.wall {
+        wall.set(with_port(named));
+        if wall.get().starts_with(':') {
+            bail!("the wall has no name: write it as HOST or HOST:PORT, for example wall.example:{DEFAULT_PORT}");
+        }
+    }
+    let search = args.wall.is_none().then(|| Search::new(args.insecure));
     let pool = Arc::new(threads::pool(args.threads.map(|n| n as usize))?);
     let loader = match &args.replay {
         Some(picture) => SceneLoader::synthetic(pool, SyntheticPicture::read(picture)?),
@@ -130,7 +139,7 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
             args.scene.log_budget(1);
             // One that the wall has started has the wall's own file.
             let fetcher = (!args.no_fetch && !args.local).then(|| Fetcher {
-                host: with_port(&args.wall),
+                wall: wall.clone(),
                 key: key.clone(),
                 only_this_machine,
                 limit: args.fetch_limit,
@@ -139,9 +148,6 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
             SceneLoader::start(pool, files, args.scene.options(), args.scene.store(), told, fetcher)?
         }
     };
-    if with_port(&args.wall).starts_with(':') {
-        bail!("the wall has no name: write it as HOST or HOST:PORT, for example wall.example:{DEFAULT_PORT}");
-    }
     // A local server ends with its wall, before it complains about the connection.
     let patience = if args.local { LONGEST_PAUSE } else { SHORTEST_PAUSE };
     // This thread reads, writes and sends heartbeats; it never traces.
@@ -152,7 +158,7 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
         .context("cannot start the network")?;
     let ended = runtime.block_on(async {
         tokio::select! {
-            ended = keep_connected(&args.wall, key.as_ref(), only_this_machine, &name, &loader, patience) => ended,
+            ended = keep_connected(&wall, search, key.as_ref(), only_this_machine, &name, &loader, patience) => ended,
             _ = told_to_stop.changed() => match stop::unfinished() {
                 // The wall speaks for its own servers.
                 Some(stopped) if !args.local => Err(stopped.into()),
@@ -166,24 +172,50 @@ pub fn run(args: ConnectArgs) -> anyhow::Result<()> {
     ended
 }
 
+/// HOST:PORT of the wall; of one that is looked for, empty until it was found.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct WallAddress(Arc<Mutex<String>>);
+
+impl WallAddress {
+    pub(crate) fn get(&self) -> String {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn set(&self, address: String) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = address;
+    }
+}
+
+/// Serves the wall at an address, or one after the other that a search finds.
 async fn keep_connected(
-    wall: &str,
+    wall: &WallAddress,
+    mut search: Option<Search>,
     key: Option<&Key>,
     only_this_machine: bool,
     name: &str,
     loader: &SceneLoader,
     patience: Duration,
 ) -> anyhow::Result<()> {
-    let host = with_port(wall);
     let mut pause = SHORTEST_PAUSE;
     let mut last_failure = String::new();
     let mut has_ended = false;
     loop {
         let mut longest_pause = LONGEST_PAUSE;
+        let mut found = None;
+        if let Some(search) = &mut search {
+            let address = search.next(key).await;
+            wall.set(address.to_string());
+            found = Some(address);
+        }
+        let host = wall.get();
+        let mut is_joined = false;
         let ended = match connect(&host, only_this_machine).await? {
             Ok(mut stream) => {
                 let security = if key.is_some() { "with a key" } else { "unencrypted" };
-                let on_welcome = || tracing::info!("connected to the wall at {host}, {security}");
+                let on_welcome = || {
+                    tracing::info!("connected to the wall at {host}, {security}");
+                    search.iter_mut().zip(found).for_each(|(search, address)| search.joined(address));
+                };
                 has_ended = false;
                 let is_local = match (stream.local_addr(), stream.peer_addr()) {
                     (Ok(here), Ok(wall)) => is_same_machine(here, wall),
@@ -198,6 +230,7 @@ async fn keep_connected(
                     pause = SHORTEST_PAUSE;
                     last_failure.clear();
                 }
+                is_joined = was_accepted;
                 match reason {
                     Err(error) if !(was_accepted && error.is_end()) => Err(error.to_string()),
                     _ => Ok(()),
@@ -207,6 +240,9 @@ async fn keep_connected(
             Err(error) if has_ended && error.kind() == io::ErrorKind::ConnectionRefused => Ok(()),
             Err(error) => Err(error.to_string()),
         };
+        if let (Some(search), Some(address), false) = (&mut search, found, is_joined) {
+            search.failed(address);
+        }
         sleep(patience).await;
         match ended {
             Ok(()) if has_ended => {}

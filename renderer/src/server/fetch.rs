@@ -26,7 +26,7 @@ use tokio::{
 use crate::{
     grid::MemoryBudget,
     scene_file::{cache::Cache, fault::Fault, part::Part},
-    server::connect::connect,
+    server::connect::{WallAddress, connect},
 };
 
 /// Pieces that are asked for ahead, about a chunk each: more than a network holds, and less than delays a frame much that
@@ -51,8 +51,7 @@ const REPORT_INTERVAL: Duration = Duration::from_millis(250);
 /// Fetches scenes from one wall.
 #[derive(Clone, Debug)]
 pub(crate) struct Fetcher {
-    /// HOST:PORT.
-    pub(crate) host: String,
+    pub(crate) wall: WallAddress,
     pub(crate) key: Option<Key>,
     pub(crate) only_this_machine: bool,
     /// The most bytes that a scene file may have, if the operator has set it.
@@ -114,7 +113,7 @@ pub(crate) struct Watch<'a> {
 impl Fetcher {
     /// Tells walls apart whose files may stand for each other's: by their key, or their address if they have none.
     pub(crate) fn origin(&self) -> [u8; 32] {
-        self.key.as_ref().map_or_else(|| *blake3::hash(self.host.as_bytes()).as_bytes(), Key::fingerprint)
+        self.key.as_ref().map_or_else(|| *blake3::hash(self.wall.get().as_bytes()).as_bytes(), Key::fingerprint)
     }
 
     /// Fetches the scene file of a scene to `place` in the cache, and goes on where an earlier attempt was cut off. Waits for
@@ -157,7 +156,7 @@ impl Fetcher {
 
     /// One connection.
     async fn attempt(&self, arrival: &mut Arrival<'_>) -> Result<(), FetchError> {
-        let connected = connect(&self.host, self.only_this_machine).await;
+        let connected = connect(&self.wall.get(), self.only_this_machine).await;
         let connected = connected.map_err(|error| FetchError::Connect(error.to_string()))?;
         let mut stream = connected.map_err(WireError::from)?;
         let (input, output) = stream.split();

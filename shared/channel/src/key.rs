@@ -56,6 +56,16 @@ impl Key {
         blake3::derive_key("Raywall: fingerprint of a wall's key", &self.0)
     }
 
+    /// A badge by which holders of the key recognise it in a wall's announcement; with another nonce it is another one, so
+    /// nobody else learns anything, not even which walls have the same key.
+    pub(crate) fn badge(&self, nonce: u64) -> u64 {
+        let mut hasher = blake3::Hasher::new_derive_key("Raywall: badge of a wall's key in its announcement");
+        hasher.update(&self.0).update(&nonce.to_le_bytes());
+        let mut badge = [0; 8];
+        hasher.finalize_xof().fill(&mut badge);
+        u64::from_le_bytes(badge)
+    }
+
     /// Reads a key file; on Unix, only its owner may have access to it.
     pub fn read(path: &Path) -> Result<Self, KeyError> {
         let unreadable = |cause| KeyError::Unreadable { path: path.to_owned(), cause };

@@ -2,8 +2,9 @@
 //! and the files of all programs.
 //!
 //! In reading order: [`wire`] reads and writes messages, [`secure`] encrypts the stream beneath them, [`key`] is the shared
-//! secret. [`files`] reads and writes files.
+//! secret, and [`discovery`] finds walls in the network. [`files`] reads and writes files.
 
+pub mod discovery;
 pub mod files;
 pub mod key;
 pub mod secure;

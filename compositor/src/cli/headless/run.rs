@@ -20,6 +20,7 @@ use super::{
 };
 use crate::{
     cli::{
+        announcing::announce,
         args::{Inputs, WallArgs},
         local::LocalServers,
         report::Report,
@@ -51,6 +52,7 @@ pub(crate) fn run_headless(args: &WallArgs, Inputs { wall, sky, camera, path, sh
     let runtime = network_threads()?;
     let key = args.key.as_deref().map(Key::read).transpose()?;
     let listener = listen(&runtime, args)?;
+    let _announcement = announce(args, &listener, key.as_ref())?;
     let mut headless = Headless::new(wall)?.with_key_file(args.key.clone());
     // Made before the farm, so that they end after it: otherwise the farm would report them as lost.
     let mut servers = LocalServers::empty(listener.local_addr()?, args.key.as_deref(), &args.scene)?;

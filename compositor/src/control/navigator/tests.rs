@@ -11,6 +11,9 @@ fn navigator() -> Navigator {
     Navigator::new(Shape::of_box(DVec3::ZERO, DVec3::new(1.0, 2.0, 1.0)), UpAxis::Y, ASPECT)
 }
 
+/// The middle of that model.
+const MIDDLE: DVec3 = DVec3::new(0.5, 1.0, 0.5);
+
 /// Where a point appears on the canvas.
 fn project(camera: &Camera, point: DVec3) -> DVec2 {
     let normal = camera.u().cross(camera.v());
@@ -313,7 +316,7 @@ proptest! {
     fn no_input_breaks_the_camera(
         corner in -1e6..1e6f64, size in prop_oneof![Just(0.0), 1e-6..1e6f64, Just(f64::NEG_INFINITY)],
         steps in proptest::collection::vec(
-            (0..13u8, prop_oneof![-2.0..2.0f64, Just(f64::NAN), -1e18..1e18f64], -2.0..2.0f64), 1..60),
+            (0..14u8, prop_oneof![-2.0..2.0f64, Just(f64::NAN), -1e18..1e18f64], -2.0..2.0f64), 1..60),
     ) {
         let shape = Shape::of_box(DVec3::splat(corner), DVec3::splat(corner + size));
         let mut navigator = Navigator::new(shape, UpAxis::Z, ASPECT);
@@ -338,6 +341,10 @@ proptest! {
                 }
                 10 => _ = navigator.change_speed(a as i32),
                 11 => navigator.set_model(Shape::of_box(DVec3::splat(b), DVec3::splat(a)), UpAxis::X, &[CanvasPart::WHOLE]),
+                12 => {
+                    let wild = Drive { fly: DVec3::splat(a), pan: DVec2::new(a, b), orbit: DVec2::splat(b), nearer: a, roll: b };
+                    navigator.set_drive(wild.with(Drive::default()));
+                }
                 _ => navigator.release(),
             }
             navigator.move_to(DVec2::new(a, b));
@@ -368,4 +375,33 @@ fn a_hand_on_a_remote_moves_the_camera_as_the_mouse_does_and_leaves_the_mouse_it
     let point = navigator.point_under(at);
     assert!(navigator.nudge(Nudge::Dolly { factor: 0.5, at }));
     assert!((project(&navigator.camera(), point) - at).length() < 1e-9, "the point stays under the fingers");
+}
+
+#[test]
+fn a_device_drives_as_long_as_it_is_held_out() {
+    let mut navigator = navigator();
+    navigator.view_all(&[]);
+    navigator.set_drive(Drive { orbit: DVec2::X, ..Drive::default() });
+    assert!(navigator.is_moving() && navigator.is_driven() && !navigator.is_flying());
+    let start = navigator.camera();
+    let drive = |navigator: &mut Navigator, steps: u32| {
+        (0..steps).for_each(|_| assert!(navigator.advance(0.016, 1.0)));
+        navigator.camera()
+    };
+    let (one, two) = (drive(&mut navigator, 10), drive(&mut navigator, 10));
+    let angle = |a: Camera, b: Camera| (a.eye() - MIDDLE).angle_between(b.eye() - MIDDLE);
+    assert!((angle(start, one) - angle(one, two)).abs() < 1e-6, "as fast all the time");
+    // A tenth of a second at the most, and the same whichever steps it takes.
+    let mut late = navigator.clone();
+    late.advance(100.0, 1.0);
+    (0..2).for_each(|_| _ = navigator.advance(0.05, 1.0));
+    assert!((late.camera().eye() - navigator.camera().eye()).length() < 1e-9);
+    navigator.set_drive(Drive { nearer: 1.0, ..Drive::default() });
+    let before = navigator.camera().eye();
+    assert!(navigator.advance(0.1, 1.0));
+    let distance = |eye: DVec3| (eye - MIDDLE).length();
+    assert!(distance(navigator.camera().eye()) < distance(before), "nearer");
+    // Pulled out.
+    navigator.set_drive(Drive::default());
+    assert!(!navigator.is_moving() && !navigator.advance(0.1, 1.0));
 }

@@ -9,6 +9,7 @@ use shared::camera::{Camera, CameraPath, CameraRecorder, CanvasPart, Look, UpAxi
 
 use crate::{
     control::{
+        drive::Drive,
         input::Direction,
         model::Model,
         navigator::Navigator,
@@ -165,6 +166,20 @@ impl CameraControl {
             self.stepped_at = now;
         }
         navigator.hold(direction);
+    }
+
+    /// Moves as devices are held out from now on.
+    pub(super) fn drive(&mut self, drive: Drive, now: Instant) {
+        let Some(navigator) = &mut self.navigator else { return };
+        if !navigator.is_moving() {
+            self.stepped_at = now;
+        }
+        navigator.set_drive(drive);
+    }
+
+    /// Whether devices are held out.
+    pub(super) fn is_driven(&self) -> bool {
+        self.navigator.as_ref().is_some_and(Navigator::is_driven)
     }
 
     /// Lets time move the camera. Returns whether it moved, and when to call this again.

@@ -84,7 +84,6 @@ impl App<'_> {
                 Order::Picture => self.remote.wants_picture = true,
                 Order::Act(action, shown) => {
                     let now = Instant::now();
-                    self.kiosk.touch(now);
                     has_moved |= self.act(event_loop, action);
                     let unshown = &mut self.remote.unshown;
                     if unshown.len() == MOST_UNSHOWN {
@@ -100,7 +99,8 @@ impl App<'_> {
     }
 
     /// Carries out one action. Returns whether it moved the camera, which a picture must show.
-    fn act(&mut self, event_loop: &ActiveEventLoop, action: Action) -> bool {
+    pub(super) fn act(&mut self, event_loop: &ActiveEventLoop, action: Action) -> bool {
+        self.kiosk.touch(Instant::now());
         if action.is_steering() && self.touch_show() {
             self.redraw();
             return false;
@@ -171,7 +171,8 @@ impl App<'_> {
         false
     }
 
-    fn nudge(&mut self, nudge: Nudge) -> bool {
+    /// Moves the camera by a hand, wherever it is. Returns whether it moved.
+    pub(super) fn nudge(&mut self, nudge: Nudge) -> bool {
         self.camera.navigator.as_mut().is_some_and(|navigator| navigator.nudge(nudge))
     }
 

@@ -261,6 +261,10 @@ impl App<'_> {
         if has_moved {
             self.want_picture();
             self.probe_ahead();
+            // A device that is held out as far as it goes says nothing new.
+            if self.camera.is_driven() {
+                self.kiosk.touch(now);
+            }
         }
         next.push(next_step_at);
         if let Some(step) = self.picture.refinement.refine(now) {

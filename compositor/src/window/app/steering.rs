@@ -126,6 +126,10 @@ impl App<'_> {
             Command::ChangeSpeed(steps) => self.camera.change_speed(steps),
             Command::Inspect => self.probe(Purpose::Inspect),
             Command::GoToCursor => self.probe(Purpose::GoTo),
+            Command::GoToMiddle => {
+                self.probe_at(Purpose::GoTo, DVec2::splat(0.5));
+                Effect::default()
+            }
             Command::NextTint => self.set_tint(next(Tint::VARIANTS, self.overlay.tint)),
             Command::SetTint(tint) => self.set_tint(tint),
             Command::NextStorage => {
@@ -415,13 +419,13 @@ impl App<'_> {
             _ => {}
         }
         if is_click {
-            self.click(now);
+            let at = self.point_on_canvas();
+            self.click(at, |app| app.pointer.is_double_click(at, now));
         }
     }
 
-    /// A click on a label, or on the model.
-    fn click(&mut self, now: Instant) {
-        let at = self.point_on_canvas();
+    /// A click on a label, or on the model; it may be the second of a double click.
+    pub(super) fn click(&mut self, at: DVec2, is_double: impl FnOnce(&mut Self) -> bool) {
         if let Some(annotation) = self.label_at(at) {
             return self.perform_mark(MarkCommand::GoTo(annotation));
         }
@@ -431,13 +435,13 @@ impl App<'_> {
         if self.kiosk.is_locked {
             return;
         }
-        let is_double = self.pointer.is_double_click(at, now);
-        self.probe(match (is_double, self.has_ruler()) {
+        let purpose = match (is_double(self), self.has_ruler()) {
             (true, true) => return,
             (true, false) => Purpose::GoTo,
             (false, true) => Purpose::Measure,
             (false, false) => Purpose::Inspect,
-        });
+        };
+        self.probe_at(purpose, at);
     }
 
     pub(super) fn wheel(&mut self, index: usize, event: &WindowEvent, delta: MouseScrollDelta) {
@@ -467,7 +471,7 @@ impl App<'_> {
     }
 
     /// The cursor as a fraction of the canvas, (0, 0) lower left.
-    fn point_on_canvas(&self) -> DVec2 {
+    pub(super) fn point_on_canvas(&self) -> DVec2 {
         self.wall.wall.canvas_at(self.point_on_output())
     }
 
@@ -491,8 +495,13 @@ impl App<'_> {
         egui::Rect::from_min_max(point(min.x, max.y), point(max.x, min.y))
     }
 
-    fn cursor_is_over_overlay(&self) -> bool {
-        let point = self.outputs.on_overlay(self.pointer.output_idx, self.pointer.position);
+    pub(super) fn cursor_is_over_overlay(&self) -> bool {
+        self.is_over_overlay(self.pointer.output_idx, self.pointer.position)
+    }
+
+    /// Whether a point of a window lies on a panel.
+    pub(super) fn is_over_overlay(&self, index: usize, at: PhysicalPosition<f64>) -> bool {
+        let point = self.outputs.on_overlay(index, at);
         point.is_some_and(|point| self.overlay_areas.iter().any(|area| area.contains(point)))
     }
 
