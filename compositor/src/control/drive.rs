@@ -58,9 +58,10 @@ impl Drive {
 }
 
 /// The speed of a stick or cap that is held out by `deflection`, from −1 to 1: none within the dead zone, in which devices
-/// come to rest, then slowly at first.
+/// come to rest, then slowly at first. What is no number is rest.
 pub(crate) fn speed(deflection: f64, dead_zone: f64) -> f64 {
-    let beyond = ((deflection.abs().min(1.0) - dead_zone) / (1.0 - dead_zone)).max(0.0);
+    // Unlike `min`, `clamp` keeps what is no number.
+    let beyond = ((deflection.abs().clamp(0.0, 1.0) - dead_zone) / (1.0 - dead_zone)).max(0.0);
     (beyond * beyond).copysign(deflection)
 }
 
