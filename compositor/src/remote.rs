@@ -65,6 +65,8 @@ pub(crate) struct Remote {
     orders: mpsc::Receiver<Order>,
     hub: Arc<Hub>,
     link: String,
+    /// The fingerprint of a certificate that a wall made.
+    own_seal: Option<String>,
     /// Its end ends the thread.
     _running: oneshot::Sender<()>,
 }
@@ -106,10 +108,11 @@ impl Remote {
         let hub = Arc::new(Hub::new(access, sender, Box::new(wake)));
         let (running, ended) = oneshot::channel();
         let served = Arc::clone(&hub);
-        let (acceptor, seal) = match certificate {
-            Some(Certificate { acceptor, fingerprint }) => (Some(acceptor), Some(fingerprint)),
-            None => (None, None),
+        let (acceptor, seal, is_own) = match certificate {
+            Some(Certificate { acceptor, fingerprint, is_own }) => (Some(acceptor), Some(fingerprint), is_own),
+            None => (None, None, false),
         };
+        let own_seal = seal.clone().filter(|_| is_own);
         let serve = move || {
             runtime.block_on(async {
                 tokio::select! {
@@ -125,12 +128,17 @@ impl Remote {
             |seal| format!("https://{local}/, with the certificate of SHA-256 {seal}"),
         );
         renderer::cli::say(format_args!("remote at {place}"))?;
-        Ok(Self { orders, hub, link, _running: running })
+        Ok(Self { orders, hub, link, own_seal, _running: running })
     }
 
     /// The link that opens the remote, with the wall's own token of visitors if one is needed.
     pub(crate) fn link(&self) -> &str {
         &self.link
+    }
+
+    /// The SHA-256 of the certificate, if a wall made it.
+    pub(crate) fn own_seal(&self) -> Option<&str> {
+        self.own_seal.as_deref()
     }
 
     /// The next order, if there is one.

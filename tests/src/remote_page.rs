@@ -208,6 +208,10 @@ fn an_encrypted_page_steers_as_any_other() {
     laptop.wait_for("the picture is there", "!document.getElementById('picture').hidden");
     assert_eq!(laptop.run("return location.protocol"), "https:");
     assert_eq!(laptop.run("return document.getElementById('plain').hidden"), true);
+    let seal = laptop.run("return document.getElementById('seal').textContent");
+    let said = wall.program.said();
+    let fingerprint = said.split("SHA-256 ").nth(1).and_then(|rest| rest.split_whitespace().next()).unwrap();
+    assert!(seal.as_str().is_some_and(|seal| seal.contains(fingerprint)), "{seal}");
     let front = wall.session.steady_screenshot();
     let [x, y] = middle(&laptop);
     laptop.perform(&json!([finger("one", [x - 40, y], [80, 20])]));

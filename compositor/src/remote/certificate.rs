@@ -17,6 +17,8 @@ use tokio_rustls::{
 
 /// A chain of certificates and a key are shorter.
 const LONGEST_FILE: u64 = 1 << 20;
+/// The first line of files that the wall makes.
+const OWN: &str = "# Made by a wall: nobody else vouches for it.";
 /// Apple's devices trust no certificate for longer than 825 days.
 const DAYS: u64 = 820;
 
@@ -25,6 +27,8 @@ pub(super) struct Certificate {
     pub(super) acceptor: TlsAcceptor,
     /// SHA-256 of the wall's own certificate, as browsers show it.
     pub(super) fingerprint: String,
+    /// Whether a wall made it, so that browsers warn.
+    pub(super) is_own: bool,
 }
 
 impl Certificate {
@@ -66,7 +70,8 @@ impl Certificate {
             .with_safe_default_protocol_versions()?
             .with_no_client_auth()
             .with_single_cert(chain, key)?;
-        Ok(Self { acceptor: TlsAcceptor::from(Arc::new(config)), fingerprint })
+        let is_own = pem.starts_with(OWN.as_bytes());
+        Ok(Self { acceptor: TlsAcceptor::from(Arc::new(config)), fingerprint, is_own })
     }
 }
 
@@ -85,7 +90,7 @@ fn make(names: &[String]) -> anyhow::Result<String> {
     params.not_after = (now + std::time::Duration::from_secs(DAYS * 86_400)).into();
     let key = KeyPair::generate()?;
     let certificate = params.self_signed(&key)?;
-    Ok(certificate.pem() + &key.serialize_pem())
+    Ok(format!("{OWN}\n{}{}", certificate.pem(), key.serialize_pem()))
 }
 
 fn is_host_name(name: &str) -> bool {
@@ -115,7 +120,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("wall.pem");
         let names = ["wall", "wall.local", "192.168.1.7", "0.0.0.0", "::1", "no name!", ""].map(str::to_owned);
-        let first = Certificate::read_or_make(&path, &names).unwrap().fingerprint;
+        let Certificate { fingerprint: first, is_own, .. } = Certificate::read_or_make(&path, &names).unwrap();
+        assert!(is_own);
         assert_eq!((first.len(), first.split(':').count()), (95, 32), "{first}");
         assert_eq!(Certificate::read_or_make(&path, &[]).unwrap().fingerprint, first);
         #[cfg(unix)]
@@ -131,6 +137,9 @@ mod tests {
         let path = folder.path().join("wall.pem");
         let own = make(&[]).unwrap();
         let (certificate, key) = own.split_at(own.find("-----BEGIN PRIVATE").unwrap());
+        let given = format!("{}{key}", certificate.split_once('\n').unwrap().1);
+        fs::write(&path, given).unwrap();
+        assert!(!Certificate::read_or_make(&path, &[]).unwrap().is_own);
         let other_key = KeyPair::generate().unwrap().serialize_pem();
         let damaged = own.replace("MI", "??");
         let texts =

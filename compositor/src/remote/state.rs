@@ -44,6 +44,8 @@ pub struct Show {
     pub scene_seconds: Option<f64>,
     /// Whether time goes on in the show.
     pub is_show_playing: bool,
+    /// The SHA-256 of the certificate by which the remote is encrypted, if a wall made it: nobody else vouches for it.
+    pub own_certificate: Option<String>,
     /// The effect of the last command on the wall, shown for a moment.
     pub note: Option<String>,
 }

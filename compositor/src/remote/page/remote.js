@@ -146,6 +146,9 @@ function update(state) {
     show.views.forEach((number) => $("views").append(element("button", `View ${number}`, { type: "button", "data-view": number })));
   }
   updateAnnotations(show, state.role === "operator");
+  $("seal").hidden = location.protocol !== "https:" || !show.own_certificate;
+  const seal = `This connection is encrypted, but nobody vouches for the wall's own certificate: its SHA-256 is ${show.own_certificate}, as the wall's first lines say.`;
+  if ($("seal").textContent !== seal) $("seal").textContent = seal;
   $("show").hidden = show.n_scenes === null;
   const scene = show.scene === null ? "" : `Scene ${show.scene} of ${show.n_scenes}${show.caption ? `: ${show.caption}` : ""}`;
   if ($("scene").textContent !== scene) $("scene").textContent = scene;
