@@ -66,16 +66,23 @@ fn socket() -> PathBuf {
 
 /// Passes on what the daemon says until it ends; then the cap is at rest.
 async fn follow(mut stream: UnixStream, link: &Link) {
-    let mut bytes = [0; EVENT_BYTES];
+    let (mut bytes, mut n_read) = ([0; EVENT_BYTES], 0);
     let mut is_held = false;
     loop {
-        if is_held && timeout(SILENCE, stream.readable()).await.is_err() {
-            link.drive(Source::SpaceMouse, Drive::default());
-            is_held = false;
+        let read = stream.read(&mut bytes[n_read..]);
+        let read = if is_held { timeout(SILENCE, read).await } else { Ok(read.await) };
+        match read {
+            Ok(Ok(n_more)) if n_more > 0 => n_read += n_more,
+            Ok(_) => break,
+            Err(_) => {
+                link.drive(Source::SpaceMouse, Drive::default());
+                is_held = false;
+            }
         }
-        if stream.read_exact(&mut bytes).await.is_err() {
-            break;
+        if n_read < EVENT_BYTES {
+            continue;
         }
+        n_read = 0;
         match decode(&bytes) {
             Some(Event::Motion(drive)) => {
                 is_held = !drive.is_rest();
