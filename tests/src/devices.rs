@@ -94,13 +94,14 @@ fn fingers_steer_as_the_mouse_does_and_panels_keep_theirs() {
     let front = wall.session.steady_screenshot();
     let is_whole = |wall: &RemoteWall| wall.session.screenshot() == front;
     // One finger turns the model as the mouse does.
-    fingers.drag([[600.0, 400.0]], [[800.0, 400.0]]);
+    wall.session.drag([600, 400], [200, 0]);
     wait_until("the model has turned", || front.difference(&wall.session.screenshot(), 16) > 0.02);
-    let by_finger = wall.session.steady_screenshot();
+    let by_mouse = wall.session.steady_screenshot();
     wall.session.key("f");
     wait_until("all is seen", || is_whole(&wall));
-    wall.session.drag([600, 400], [200, 0]);
-    let difference = by_finger.difference(&wall.session.steady_screenshot(), 16);
+    fingers.drag([[600.0, 400.0]], [[800.0, 400.0]]);
+    wait_until("the model has turned", || front.difference(&wall.session.screenshot(), 16) > 0.02);
+    let difference = by_mouse.difference(&wall.session.steady_screenshot(), 16);
     assert!(difference < 0.005, "{difference}");
     wall.session.key("f");
     wait_until("all is seen", || is_whole(&wall));
