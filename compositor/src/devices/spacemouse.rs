@@ -67,15 +67,23 @@ fn socket() -> PathBuf {
 /// Passes on what the daemon says until it ends; then the cap is at rest.
 async fn follow(mut stream: UnixStream, link: &Link) {
     let mut bytes = [0; EVENT_BYTES];
-    let mut is_held = false;
+    let (mut n_bytes, mut is_held) = (0, false);
     loop {
-        if is_held && timeout(SILENCE, stream.readable()).await.is_err() {
-            link.drive(Source::SpaceMouse, Drive::default());
-            is_held = false;
+        let reading = stream.read(&mut bytes[n_bytes..]);
+        let read = if is_held { timeout(SILENCE, reading).await } else { Ok(reading.await) };
+        match read {
+            Err(_) => {
+                link.drive(Source::SpaceMouse, Drive::default());
+                is_held = false;
+                continue;
+            }
+            Ok(Ok(0) | Err(_)) => break,
+            Ok(Ok(n_more)) => n_bytes += n_more,
         }
-        if stream.read_exact(&mut bytes).await.is_err() {
-            break;
+        if n_bytes < EVENT_BYTES {
+            continue;
         }
+        n_bytes = 0;
         match decode(&bytes) {
             Some(Event::Motion(drive)) => {
                 is_held = !drive.is_rest();
