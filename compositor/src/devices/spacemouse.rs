@@ -66,23 +66,24 @@ fn socket() -> PathBuf {
 
 /// Passes on what the daemon says until it ends; then the cap is at rest.
 async fn follow(mut stream: UnixStream, link: &Link) {
-    let (mut bytes, mut n_read) = ([0; EVENT_BYTES], 0);
-    let mut is_held = false;
+    let mut bytes = [0; EVENT_BYTES];
+    let (mut n_bytes, mut is_held) = (0, false);
     loop {
-        let read = stream.read(&mut bytes[n_read..]);
-        let read = if is_held { timeout(SILENCE, read).await } else { Ok(read.await) };
+        let reading = stream.read(&mut bytes[n_bytes..]);
+        let read = if is_held { timeout(SILENCE, reading).await } else { Ok(reading.await) };
         match read {
-            Ok(Ok(n_more)) if n_more > 0 => n_read += n_more,
-            Ok(_) => break,
             Err(_) => {
                 link.drive(Source::SpaceMouse, Drive::default());
                 is_held = false;
+                continue;
             }
+            Ok(Ok(0) | Err(_)) => break,
+            Ok(Ok(n_more)) => n_bytes += n_more,
         }
-        if n_read < EVENT_BYTES {
+        if n_bytes < EVENT_BYTES {
             continue;
         }
-        n_read = 0;
+        n_bytes = 0;
         match decode(&bytes) {
             Some(Event::Motion(drive)) => {
                 is_held = !drive.is_rest();
