@@ -36,7 +36,8 @@ class Raywall:
     def render(self, first, n=1):
         """The pictures from this number on, top row first, their mean CPU time, and the description of the scene."""
         numbers = ["--first-picture", str(first), "--pictures", str(n)]
-        subprocess.run(self.command + numbers, check=True, stdout=subprocess.DEVNULL)
+        if subprocess.run(self.command + numbers, stdout=subprocess.DEVNULL).returncode:
+            sys.exit(f"{self.command[0]} made no picture of {self.command[2]}: its own line above says why")
         with open(self.out) as file:
             scene = json.load(file)
         light = self.out.replace(".json", ".f32")

@@ -29,7 +29,7 @@ def load(mi, scene, model, texture=None, roulette=1000):
     turned[:3, 0], turned[:3, 1], turned[:3, 2] = np.cross(up, side), up, side
     albedo = {"type": "rgb", "value": scene["albedo"]}
     if texture:
-        albedo = {"type": "bitmap", "filename": texture, "format": "fp32"}
+        albedo = {"type": "bitmap", "filename": texture, "format": "variant"}
     return mi.load_dict({
         "type": "scene",
         "integrator": {"type": "path", "max_depth": scene["bounces"] + 2, "rr_depth": roulette, "hide_emitters": True},
