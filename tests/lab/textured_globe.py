@@ -43,7 +43,7 @@ def texture():
     height, width = TEXTURE_HEIGHT, 2 * TEXTURE_HEIGHT
     v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
     fade = np.sin(np.pi * v) ** 2
-    waves = np.stack([np.sin(2 * np.pi * (n * u + m * v)) for n, m in ((3, 1), (2, -3), (5, 2))], axis=-1)
+    waves = np.stack([np.sin(2 * np.pi * (n * u + m * v)) for n, m in ((1, 0.5), (1, -1), (2, 0.5))], axis=-1)
     wanted = 150 + 100 * fade[..., None] * waves
     values = exact_values()
     above = np.searchsorted(values, wanted).clip(1, len(values) - 1)
