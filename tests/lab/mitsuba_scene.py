@@ -9,7 +9,7 @@ LARGEST_COORDINATE = 1e3
 def load(mi, scene, model, texture=None, roulette=1000):
     """The scene that `path_light` describes, with the triangles of a PLY file and the colours of an image."""
     transform = mi.ScalarTransform4f
-    bounds = mi.load_dict({"type": "ply", "filename": model}).bbox()
+    bounds = mi.load_dict({"type": "ply", "filename": model, "face_normals": True}).bbox()
     scale = LARGEST_COORDINATE / np.abs([bounds.min, bounds.max]).max()
     eye, ll, u, v = (scale * np.array(scene[name]) for name in ("eye", "ll", "u", "v"))
     low, high = scale * np.array(bounds.min).ravel(), scale * np.array(bounds.max).ravel()
