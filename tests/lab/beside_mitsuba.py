@@ -117,8 +117,8 @@ def compare_light(args, raywall):
     for name, (a, b) in (("linear light", means), ("sRGB", tuple(map(encoded, means)))):
         print(f"  PSNR of {name}, {args.pictures * args.samples} samples: {psnr(a - b):.1f} dB, "
               f"of the model's pixels {psnr((a - b)[lit]):.1f} dB")
-    # By chance 0.5 % lie beyond three.
-    return n - within <= max(2, 0.02 * n)
+    # By chance 0.5 % lie beyond three, mostly with all three channels of a block.
+    return n - within <= max(3, 0.03 * n)
 
 
 def compare_times(args, raywall):
