@@ -51,11 +51,13 @@ bench:
 # Path-traced light beside that of Mitsuba 3, which it installs from PyPI into target/mitsuba.
 MODEL ?= target/statue.ply
 MITSUBA_OPTIONS ?=
+# Mitsuba compiles its kernels with an LLVM, and versions 14 and 15 fail on AVX-512: Rust's own toolchain has a newer one.
+DRJIT_LIBLLVM_PATH ?= $(firstword $(wildcard $(shell rustc --print sysroot)/lib/libLLVM.so*))
 mitsuba:
 	$(CARGO) build --release -p renderer -p lab --bins --examples
 	@[ -e $(MODEL) ] || target/release/renderer generate statue --triangles 100000 $(MODEL)
 	@[ -e target/mitsuba/bin/mitsuba ] || { python3 -m venv target/mitsuba && target/mitsuba/bin/pip install --quiet mitsuba numpy; }
-	target/mitsuba/bin/python tests/lab/beside_mitsuba.py $(MODEL) $(MITSUBA_OPTIONS)
+	$(if $(DRJIT_LIBLLVM_PATH),DRJIT_LIBLLVM_PATH="$(DRJIT_LIBLLVM_PATH)") target/mitsuba/bin/python tests/lab/beside_mitsuba.py $(MODEL) $(MITSUBA_OPTIONS)
 
 # Fuzzes every decoder with FUZZ_RUNS inputs each (a fiftieth for the slow one, records). Findings go to target/fuzz-found,
 # new inputs worth keeping to target/fuzz-corpus. RUSTC_BOOTSTRAP allows sanitizers on a stable compiler.

@@ -1,41 +1,46 @@
-//! Traces the paths of one picture, and writes its linear light with everything that another renderer needs to make the same:
-//! `tests/lab/beside_mitsuba.py` does.
+//! Traces the paths of independent pictures, and writes their linear light with everything that another renderer needs to make
+//! the same: `tests/lab/beside_mitsuba.py` does.
 //!
-//!     cargo run --release -p lab --example path_light -- --model dragon.ply --rays path --samples 64 --out dragon.json
+//!     cargo run --release -p lab --example path_light -- --model dragon.ply --rays path --samples 64 --pictures 4 --out dragon.json
 //!
-//! Beside `dragon.json` lies `dragon.f32`: red, green and blue of each pixel as little-endian `f32`, row by row from the bottom,
-//! without the background.
+//! Beside `dragon.json` lies `dragon.f32`, one picture after the other: red, green and blue of each pixel as little-endian `f32`,
+//! row by row from the bottom, without the background.
 
-use std::path::PathBuf;
+use std::{io, path::PathBuf, time::Duration};
 
 use anyhow::Context;
 use channel::files;
 use clap::Parser;
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use lab::light::render_lights;
 use renderer::{
     cli::picture_args::PictureArgs,
     model::scene::LoadedMesh,
     render::{
         path::{GROUND_LIGHT, SUN_LIGHT, ZENITH_LIGHT},
+        scene::Scene,
         shade::CLAY,
     },
 };
 use shared::protocol::{FrameSpec, SampleRange};
 
-/// The picture, its samples, and the file to write.
+/// The picture, its samples, how often it is made, and the file to write.
 #[derive(Parser)]
 struct Args {
     #[command(flatten)]
     picture: PictureArgs,
 
     /// Paths of each pixel
-    #[arg(long, default_value_t = 64)]
+    #[arg(long, default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=1 << 20))]
     samples: u32,
 
-    /// Number of the first: pictures of other samples are independent, and even at multiples of a power of two
-    #[arg(long, default_value_t = 4096)]
-    first: u32,
+    /// Number of pictures
+    #[arg(long, default_value_t = 1)]
+    pictures: u32,
+
+    /// Number of the first picture: those of other numbers are independent
+    #[arg(long, default_value_t = 0)]
+    first_picture: u32,
 
     /// The JSON file to write
     #[arg(long)]
@@ -56,19 +61,24 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let mut scene = args.picture.build(mesh);
     args.picture.light(&mut spec, &mut scene, &shape, sky);
 
-    // Frames have a limited number of samples.
-    let mut sums = vec![DVec3::ZERO; spec.size.n_samples() as usize];
-    let mut cpu_s = 0.0;
-    let end = args.first + args.samples;
-    for first in (args.first..end).step_by(SampleRange::LARGEST_COUNT as usize) {
-        let samples = SampleRange::all(first, (end - first).min(SampleRange::LARGEST_COUNT));
-        let spec = FrameSpec { samples, ..spec };
-        let (lights, cpu) = render_lights(&scene, &spec, |_, sums, (block, index)| sums.lights[block][index]);
-        sums.iter_mut().zip(lights).for_each(|(sum, light)| *sum += light.as_dvec3());
-        cpu_s += cpu.as_secs_f64();
-    }
-    let mean = |sum: &DVec3| (*sum / f64::from(args.samples)).as_vec3().to_array().map(f32::to_le_bytes);
-    let pixels: Vec<u8> = sums.iter().map(mean).collect::<Vec<_>>().as_flattened().as_flattened().to_vec();
+    let mut cpu_s = Vec::new();
+    let pixels_file = args.out.with_extension("f32");
+    files::write(&pixels_file, |out| {
+        for picture in (args.first_picture..).take(args.pictures as usize) {
+            let (light, cpu) = light_of_picture(&scene, &spec, args.samples, picture);
+            cpu_s.push(cpu.as_secs_f64());
+            out.write_all(
+                light
+                    .iter()
+                    .map(|light| light.to_array().map(f32::to_le_bytes))
+                    .collect::<Vec<_>>()
+                    .as_flattened()
+                    .as_flattened(),
+            )?;
+        }
+        io::Result::Ok(())
+    })
+    .context("cannot write the pixels")?;
 
     let camera = spec.camera;
     let [right, up] = [camera.u(), camera.v()].map(DVec3::normalize);
@@ -81,9 +91,35 @@ fn run(args: &Args) -> anyhow::Result<()> {
         "up": up, "zenith": ZENITH_LIGHT, "ground": GROUND_LIGHT,
         "albedo": CLAY, "bounces": spec.appearance.path.bounces(),
     });
-    let pixels_file = args.out.with_extension("f32");
-    files::write(&pixels_file, |out| out.write_all(&pixels)).context("cannot write the pixels")?;
     files::write(&args.out, |out| writeln!(out, "{report}")).context("cannot write the report")?;
-    println!("{}: {} samples a pixel, {cpu_s:.2} s of CPU time", args.out.display(), args.samples);
+    let (file, n, samples) = (args.out.display(), args.pictures, args.samples);
+    println!("{file}: {n} pictures of {samples} samples a pixel, {:.2} s of CPU time", cpu_s.iter().sum::<f64>());
     Ok(())
+}
+
+/// The mean light of a picture's samples, row by row from the bottom, and its CPU time.
+fn light_of_picture(scene: &Scene, spec: &FrameSpec, samples: u32, picture: u32) -> (Vec<Vec3>, Duration) {
+    let mut sums = vec![DVec3::ZERO; spec.size.n_samples() as usize];
+    let mut cpu = Duration::ZERO;
+    // Frames have a limited number of samples.
+    for (frame, start) in (0..samples).step_by(SampleRange::LARGEST_COUNT as usize).enumerate() {
+        let count = (samples - start).min(SampleRange::LARGEST_COUNT);
+        let samples = SampleRange::all(first_sample(picture, frame as u32, count), count);
+        let spec = FrameSpec { samples, ..*spec };
+        let (lights, cpu_of_frame) = render_lights(scene, &spec, |_, sums, (block, index)| sums.lights[block][index]);
+        sums.iter_mut().zip(lights).for_each(|(sum, light)| *sum += light.as_dvec3());
+        cpu += cpu_of_frame;
+    }
+    (sums.iter().map(|sum| (*sum / f64::from(samples)).as_vec3()).collect(), cpu)
+}
+
+/// The number of a frame's first sample: any multiple of a power of two that is not less than `count`, because such samples
+/// are even. The multiples must be random: samples whose numbers differ by a power of two complement each other, so pictures of
+/// them are not independent, and their differences understate the error of their mean.
+fn first_sample(picture: u32, frame: u32, count: u32) -> u32 {
+    // Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators" (2014).
+    let mut x = (u64::from(picture) << 32 | u64::from(frame)).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    x = (x ^ x >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    x = (x ^ x >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    (x ^ x >> 31) as u32 & !(count.next_power_of_two() - 1)
 }
