@@ -98,29 +98,19 @@ fn fingers_steer_as_the_mouse_does_and_panels_keep_theirs() {
     wait_until("the model has turned", || front.difference(&wall.session.screenshot(), 16) > 0.02);
     let by_mouse = wall.session.steady_screenshot();
     wall.session.key("f");
-    wait_until("all is seen", || is_whole(&wall));
+    wait_until("all is seen after the mouse", || is_whole(&wall));
     fingers.drag([[600.0, 400.0]], [[800.0, 400.0]]);
     wait_until("the model has turned", || front.difference(&wall.session.screenshot(), 16) > 0.02);
     let difference = by_mouse.difference(&wall.session.steady_screenshot(), 16);
     assert!(difference < 0.005, "{difference}");
     wall.session.key("f");
-    wait_until("all is seen", || is_whole(&wall));
+    wait_until("all is seen after a finger", || is_whole(&wall));
     // Two fingers that part come nearer: the model covers more of the screen.
     let lit = front.brighter_than(60);
     fingers.drag([[600.0, 360.0], [680.0, 360.0]], [[560.0, 360.0], [720.0, 360.0]]);
     wait_until("the model is nearer", || wall.session.screenshot().brighter_than(60) > 1.5 * lit);
     wall.session.key("f");
-    wait_until("all is seen", || is_whole(&wall));
-    // A tap says what is there, two go there.
-    fingers.tap([640.0, 360.0]);
-    wall.program.wait_for("Triangle ");
-    // Later than the second tap of a double tap.
-    thread::sleep(Duration::from_millis(700));
-    fingers.tap([640.0, 360.0]);
-    fingers.tap([644.0, 362.0]);
-    wait_until("the model is nearer", || wall.session.screenshot().brighter_than(60) > 1.5 * lit);
-    wall.session.key("f");
-    wait_until("all is seen", || is_whole(&wall));
+    wait_until("all is seen after two fingers", || is_whole(&wall));
     // A finger that comes down on a panel has the panel, wherever it goes: the slider of the light.
     wall.session.key("o");
     let light = |wall: &RemoteWall| wall.state()["controls"]["light_deg"].take();
@@ -134,6 +124,14 @@ fn fingers_steer_as_the_mouse_does_and_panels_keep_theirs() {
     wall.act(&json!({ "do": "light", "azimuth_deg": before[0], "elevation_deg": before[1] }));
     wall.session.key("o");
     wait_until("nothing has moved", || is_whole(&wall));
+    // A tap says what is there, and marks it; two go there.
+    fingers.tap([640.0, 360.0]);
+    wall.program.wait_for("Triangle ");
+    // Later than the second tap of a double tap.
+    thread::sleep(Duration::from_millis(700));
+    fingers.tap([640.0, 360.0]);
+    fingers.tap([644.0, 362.0]);
+    wait_until("the model is nearer", || wall.session.screenshot().brighter_than(60) > 1.5 * lit);
 }
 
 /// An event of spacenavd: its kind, x, y, z, rotations about them, and a time.

@@ -36,8 +36,8 @@ const TOUCH: u32 = 6;
 /// Axes that an event has room for.
 const N_VALUATORS: usize = 64;
 
-/// The driver divides the desktop into so many steps, across as down.
-const N_STEPS: f64 = 65_536.0;
+/// The driver's number at the right and the lower edge of the desktop.
+const LARGEST_VALUE: f64 = 65_535.0;
 
 /// What a finger does, by X's numbers of events.
 #[derive(Clone, Copy, Debug)]
@@ -51,7 +51,7 @@ pub(crate) enum Finger {
 pub(crate) struct Fingers {
     driver: UnixStream,
     /// Of the desktop, in pixels.
-    size: [f64; 2],
+    size: [u16; 2],
     _folder: TempDir,
 }
 
@@ -74,13 +74,15 @@ impl Fingers {
         send(&mut driver, CLIENT_VERSION, &version);
         let mut answer = [0; 12];
         driver.read_exact(&mut answer).expect("the driver answers");
-        Some((session, Self { driver, size: size.map(f64::from), _folder: folder }))
+        Some((session, Self { driver, size, _folder: folder }))
     }
 
     /// Has a finger do something at a pixel of the desktop, and waits until the X server has taken it.
-    pub(crate) fn touch(&mut self, number: u32, finger: Finger, [x, y]: [f64; 2]) {
+    pub(crate) fn touch(&mut self, number: u32, finger: Finger, at: [f64; 2]) {
         let mut valuators = [0.0; 2 * N_VALUATORS];
-        valuators[..2].copy_from_slice(&[x * N_STEPS / self.size[0], y * N_STEPS / self.size[1]]);
+        for axis in 0..2 {
+            valuators[axis] = at[axis] * LARGEST_VALUE / f64::from(self.size[axis]);
+        }
         let head = [number, finger as u32, 0].map(u32::to_ne_bytes).concat();
         // The first two axes are given; then room until the next double.
         let mask = [3, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0];
