@@ -117,11 +117,16 @@ fn fingers_steer_as_the_mouse_does_and_panels_keep_theirs() {
     let (before, panel) = (light(&wall), wall.session.steady_screenshot());
     assert!(panel != front, "the panel is there");
     fingers.touch(0, Finger::Begin, [LIGHT[0] - 40.0, LIGHT[1]]);
-    fingers.touch(0, Finger::Update, [LIGHT[0] - 80.0, LIGHT[1] + 5.0]);
-    fingers.touch(0, Finger::Update, [900.0, 400.0]);
     wait_until("the light has turned", || light(&wall) != before);
+    let begun = light(&wall);
+    fingers.touch(0, Finger::Update, [LIGHT[0] - 80.0, LIGHT[1] + 5.0]);
+    wait_until("the light turns on", || light(&wall) != begun);
+    fingers.touch(0, Finger::Update, [900.0, 400.0]);
     fingers.touch(0, Finger::End, [900.0, 400.0]);
+    // The panel has its last say.
+    thread::sleep(Duration::from_millis(500));
     wall.act(&json!({ "do": "light", "azimuth_deg": before[0], "elevation_deg": before[1] }));
+    wait_until("the light is as before", || light(&wall) == before);
     wall.session.key("o");
     wait_until("nothing has moved", || is_whole(&wall));
     // A tap says what is there, and marks it; two go there.
