@@ -101,7 +101,7 @@ fn images(wall: &Wall, plan: &Plan, pattern: u32) -> anyhow::Result<Vec<PatternI
         })?;
         let values = plan.draw(pattern, wall, part);
         let rows = values.chunks(part.width as usize).rev();
-        let rgba = rows.flatten().flat_map(|&value| [value, value, value, 255]).collect();
+        let rgba = rows.flatten().flat_map(|&[red, green, blue]| [red, green, blue, 255]).collect();
         Ok(PatternImage::of_output(part, size, rgba))
     };
     wall.output_parts().into_iter().map(image).collect()
