@@ -51,6 +51,8 @@ const N_LOCAL: usize = N_POINTS + 3;
 const N_RADIAL: usize = 3;
 /// The deviation to which vignetting at the wall's edge must be told, as a part of the light, or the camera counts as even.
 const LARGEST_DEVIATION: f64 = 0.01;
+/// Half of the projectors must lie this far apart in two photographs, in halves of the diagonal, or vignetting is not told.
+const LEAST_MOVED: f64 = 0.06;
 /// Rounds of weighing anew.
 const N_ROUNDS: usize = 5;
 
@@ -58,7 +60,7 @@ impl Fields {
     /// `None` if squares do not determine them.
     pub(super) fn solve(n_projectors: usize, n_shots: usize, n_cameras: usize, bright: &[Bright]) -> Option<Self> {
         let basis = Basis::new();
-        let mut is_even = vec![false; n_cameras];
+        let mut is_even: Vec<bool> = (0..n_cameras).map(|camera| moved(camera, n_projectors, bright) < LEAST_MOVED).collect();
         loop {
             let (fields, solved, sigma) = Self::fit((n_projectors, n_shots), &is_even, bright, &basis)?;
             // Of a vignetting that is told badly where it is strongest, nothing is believed.
@@ -164,6 +166,28 @@ impl Fields {
         let local = &self.local[projector];
         (dot(&basis.row(upright), local) + local[N_POINTS + channel]).exp()
     }
+}
+
+/// The distance, in halves of the diagonal, between the places in a camera's photographs at which half of the projectors
+/// are seen: at most, of any two photographs.
+fn moved(camera: usize, n_projectors: usize, bright: &[Bright]) -> f64 {
+    let n_shots = bright.iter().map(|it| it.shot + 1).max().unwrap_or(0);
+    let mut sums = vec![(DVec2::ZERO, 0.0); n_projectors * n_shots];
+    for it in bright.iter().filter(|it| it.camera == camera) {
+        // Squares near the middle: photographs show more or fewer of those at the edges.
+        if (it.upright - 0.5).abs().max_element() < 0.3 {
+            let (sum, n) = &mut sums[it.projector * n_shots + it.shot];
+            (*sum, *n) = (*sum + it.at, *n + 1.0);
+        }
+    }
+    let extent = |of_projector: &[(DVec2, f64)]| {
+        let places: Vec<DVec2> = of_projector.iter().filter(|(_, n)| *n > 0.0).map(|(sum, n)| *sum / *n).collect();
+        let least = places.iter().copied().fold(DVec2::INFINITY, DVec2::min);
+        let most = places.iter().copied().fold(DVec2::NEG_INFINITY, DVec2::max);
+        if places.is_empty() { 0.0 } else { (most - least).length() }
+    };
+    let all: Vec<f64> = sums.chunks(n_shots.max(1)).map(extent).collect();
+    super::super::fitting::median(all)
 }
 
 fn dot(row: &[(usize, f64)], unknowns: &[f64]) -> f64 {

@@ -40,7 +40,7 @@ const N: usize = N_INTERVALS + 3;
 const N_WHITE: usize = 6;
 const N_BLACK: usize = 3;
 /// The weight that keeps the spline smooth where nothing is measured.
-const SMOOTHNESS: f64 = 1e-3;
+const SMOOTHNESS: f64 = 1e-5;
 /// Rounds of weighing anew.
 const N_ROUNDS: usize = 6;
 
@@ -59,10 +59,10 @@ impl Response {
         let mut weights = vec![1.0; known.len()];
         for _ in 0..N_ROUNDS {
             let mut arrow = Arrow::new(n_groups, N_WHITE + N_BLACK, N);
-            let slope = |it: &Known| response.slope(it.value).max(0.1);
-            for (it, weight) in known.iter().zip(&weights) {
+            let slopes: Vec<f64> = known.iter().map(|it| response.slope(it.value).max(0.1)).collect();
+            for ((it, slope), weight) in known.iter().zip(&slopes).zip(&weights) {
                 let (local, shared) = (field_row(it.place, it.part), value_row(it.value, it.variance));
-                arrow.add(it.group, &local, &shared, 0.0, weight / slope(it).powi(2));
+                arrow.add(it.group, &local, &shared, 0.0, weight / (slope * slope));
             }
             for block in 0..n_groups {
                 (0..N_WHITE + N_BLACK).for_each(|term| arrow.add(block, &[(term, 1.0)], &[], 0.0, 1e-9));
@@ -84,7 +84,7 @@ impl Response {
                 light - expected
             };
             let errors: Vec<f64> = known.iter().map(away).collect();
-            let in_values: Vec<f64> = errors.iter().zip(known).map(|(away, it)| away / slope(it)).collect();
+            let in_values: Vec<f64> = errors.iter().zip(&slopes).map(|(away, slope)| away / slope).collect();
             weights = robust_weights(&in_values).0;
             let white: Vec<f64> = known.iter().map(|it| white_at(&solved.local[it.group], it.place)).collect();
             let parts: Vec<f64> = errors.iter().zip(&white).map(|(away, white)| away / white.max(1e-6)).collect();
