@@ -127,13 +127,9 @@ impl Plan {
     }
 
     /// The bit of a square.
-    pub(super) fn bit(&self, pattern: u32, projector_idx: usize, square: [u32; 2]) -> bool {
-        self.hash(pattern, projector_idx, square) & 1 == 1
-    }
-
-    fn hash(&self, pattern: u32, projector_idx: usize, [column, row]: [u32; 2]) -> u64 {
+    pub(super) fn bit(&self, pattern: u32, projector_idx: usize, [column, row]: [u32; 2]) -> bool {
         let place = u64::from(column) | u64::from(row) << 16 | (projector_idx as u64) << 32 | u64::from(pattern) << 48;
-        mixed(self.seed ^ mixed(place))
+        mixed(self.seed ^ mixed(place)) & 1 == 1
     }
 
     /// Whether a projector shows a square in a pattern.
@@ -162,11 +158,7 @@ impl Plan {
     /// The ink of a square that has no dot and is shown in a pattern of light; `None` for all others.
     pub(super) fn ink(&self, pattern: u32, projector_idx: usize, square: [u32; 2]) -> Option<Ink> {
         let is_plain = self.shows(pattern, projector_idx, square) && !self.bit(pattern, projector_idx, square);
-        (pattern >= self.n_patterns && is_plain).then(|| self.light_ink(pattern, projector_idx, square))
-    }
-
-    fn light_ink(&self, pattern: u32, projector_idx: usize, square: [u32; 2]) -> Ink {
-        Ink::any(is_white(square), self.hash(pattern, projector_idx, square) >> 8)
+        (pattern >= self.n_patterns && is_plain).then(|| Ink::of_square(pattern, square, is_white(square)))
     }
 
     /// A pattern on the projectors of an output, which shows `part` of the spanning output: red, green and blue, row by
@@ -189,8 +181,8 @@ impl Plan {
                 continue;
             }
             let has_dot = self.bit(pattern, projector_idx, square);
+            let ink = (pattern >= self.n_patterns).then(|| Ink::of_square(pattern, square, is_white(square)));
             let is_white = is_white(square);
-            let ink = (pattern >= self.n_patterns).then(|| self.light_ink(pattern, projector_idx, square));
             for (x, y) in (0..board.side).flat_map(|y| (0..board.side).map(move |x| (x, y))) {
                 let from_centre = DVec2::new(f64::from(x), f64::from(y)) + 0.5 - f64::from(board.side) / 2.0;
                 let is_dot = has_dot && from_centre.length() < DOT_RADIUS * f64::from(board.side);

@@ -8,7 +8,7 @@ use super::rig::Rig;
 /// Departures from even light, as parts of white, beyond the rounding to 8 bits.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Evenness {
-    /// The largest departure from light that varies smoothly over the whole wall, as a quadratic function.
+    /// The largest departure from light that varies smoothly over the whole wall, as a polynomial of the fourth degree.
     pub(crate) seam: f64,
     /// The largest departure from one light.
     pub(crate) uneven: f64,
@@ -82,13 +82,14 @@ fn light(rig: &Rig, shown: Shown<'_>, level: usize, channel: usize, point: DVec2
     [sum, rounding]
 }
 
-/// The quadratic function of the canvas that is nearest to values, at each point: by Gram and Schmidt.
+/// The polynomial of the canvas that is nearest to values, at each point: by Gram and Schmidt.
 fn smooth(points: &[(DVec2, DVec2)], values: &[f64]) -> Vec<f64> {
-    let terms = |at: DVec2| [1.0, at.x, at.y, at.x * at.x, at.x * at.y, at.y * at.y];
+    let powers: Vec<[i32; 2]> = (0..=4).flat_map(|x| (0..=4 - x).map(move |y| [x, y])).collect();
+    let term = |at: DVec2, [x, y]: [i32; 2]| (2.0 * at.x - 1.0).powi(x) * (2.0 * at.y - 1.0).powi(y);
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let mut basis: Vec<Vec<f64>> = Vec::new();
-    for term in 0..6 {
-        let mut own: Vec<f64> = points.iter().map(|(_, canvas)| terms(*canvas)[term]).collect();
+    for powers in powers {
+        let mut own: Vec<f64> = points.iter().map(|(_, canvas)| term(*canvas, powers)).collect();
         for other in &basis {
             let part = dot(&own, other);
             own.iter_mut().zip(other).for_each(|(own, other)| *own -= part * other);

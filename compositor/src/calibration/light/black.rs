@@ -10,6 +10,7 @@ use super::{
     field::{Basis, Fields},
     ink::Ink,
     levels::{Lit, place},
+    response::white_terms,
 };
 use crate::wall::{Projector, Wall, homography::apply};
 
@@ -22,6 +23,8 @@ const LARGEST_DEVIATION: f64 = 0.002;
 const USUAL: [f64; 2] = [0.002, 0.02];
 /// Squares so near to another projector's edge, in its sides, count for nothing.
 const EDGE: f64 = 0.015;
+/// Terms of what varies slowly within a field.
+const N_TERMS: usize = 6;
 /// Rounds of weighing anew.
 const N_ROUNDS: usize = 5;
 
@@ -107,13 +110,17 @@ pub(super) fn solve(
     let mut sigma = 0.01;
     let mut found = None;
     for _ in 0..N_ROUNDS {
-        let mut arrow = Arrow::new(3 * groups.len(), 3, n_projectors);
-        let row = |it: &Dark| [(0, 1.0), (1, it.place.x), (2, it.place.y)];
+        let mut arrow = Arrow::new(3 * groups.len(), N_TERMS, n_projectors);
+        // Room light and the own black, behind a lens that may darken the edges of photographs.
+        let row = |it: &Dark| -> [(usize, f64); N_TERMS] {
+            let terms = white_terms(it.place);
+            std::array::from_fn(|n| (n, terms[n]))
+        };
         for (it, weight) in darks.iter().zip(&weights) {
             arrow.add(it.block, &row(it), &it.others, it.light, weight / (it.error * it.error));
         }
         for block in 0..3 * groups.len() {
-            (0..3).for_each(|term| arrow.add(block, &[(term, 1.0)], &[], 0.0, 1e-6));
+            (0..N_TERMS).for_each(|term| arrow.add(block, &[(term, 1.0)], &[], 0.0, 1e-6));
         }
         for index in 0..n_projectors {
             arrow.add_shared(&[(index, 1.0)], USUAL[0], (sigma / USUAL[1]).powi(2).max(1e-9));

@@ -51,6 +51,11 @@ const N_LOCAL: usize = N_POINTS + 3;
 const N_RADIAL: usize = 3;
 /// The deviation to which vignetting at the wall's edge must be told, as a part of the light, or the camera counts as even.
 const LARGEST_DEVIATION: f64 = 0.01;
+/// Errors of photographs' values, before they are known.
+const USUAL_SIGMA: f64 = 0.004;
+/// Deviations of third differences of the logarithm of light between control points, and of its twist.
+const USUAL_THIRD: f64 = 0.01;
+const USUAL_TWIST: f64 = 0.03;
 /// Half of the projectors must lie this far apart in two photographs, in halves of the diagonal, or vignetting is not told.
 const LEAST_MOVED: f64 = 0.06;
 /// Rounds of weighing anew.
@@ -86,6 +91,8 @@ impl Fields {
         basis: &Basis,
     ) -> Option<(Self, Solved, f64)> {
         let mut weights = vec![1.0; bright.len()];
+        let mut sigma = USUAL_SIGMA;
+        let smooth = smooth_rows();
         let mut last = None;
         for _ in 0..N_ROUNDS {
             let mut arrow = Arrow::new(n_projectors, N_LOCAL, 3 * n_shots + N_RADIAL * is_even.len());
@@ -93,15 +100,11 @@ impl Fields {
                 let (local, shared) = rows(it, n_shots, basis);
                 arrow.add(it.projector, &local, &shared, it.log_white, weight / (it.error * it.error));
             }
-            // What nothing measures continues its neighbours; colours and exposures are known up to factors.
+            // Lenses light smoothly; colours and exposures are known up to factors.
             let weak = 1e-4 * bright.len() as f64;
             for block in 0..n_projectors {
-                for (first, step) in (0..N_POINTS).flat_map(|n| [(n, 1), (n, FallOff::SIDE)]) {
-                    let is_line = step > 1 || first % FallOff::SIDE + 2 < FallOff::SIDE;
-                    if is_line && first + 2 * step < N_POINTS {
-                        let second = [(first, 1.0), (first + step, -2.0), (first + 2 * step, 1.0)];
-                        arrow.add(block, &second, &[], 0.0, 1e-2 * weak);
-                    }
+                for (row, deviation) in &smooth {
+                    arrow.add(block, row, &[], 0.0, (sigma / deviation).powi(2));
                 }
                 arrow.add(block, &[(0, 1.0)], &[], 0.0, 1e-9 * weak);
                 let colours = [0, 1, 2].map(|channel| (N_POINTS + channel, 1.0));
@@ -126,8 +129,7 @@ impl Fields {
                 })
                 .collect();
             let in_values: Vec<f64> = errors.iter().zip(bright).map(|(away, it)| away / it.error).collect();
-            let (new_weights, sigma) = robust_weights(&in_values);
-            weights = new_weights;
+            (weights, sigma) = robust_weights(&in_values);
             let typical = |is_of: &dyn Fn(&Bright) -> bool| {
                 let own: Vec<f64> =
                     errors.iter().zip(bright).filter(|(_, it)| is_of(it)).map(|(away, _)| *away).collect();
@@ -194,7 +196,30 @@ fn dot(row: &[(usize, f64)], unknowns: &[f64]) -> f64 {
     row.iter().map(|(index, factor)| factor * unknowns[*index]).sum()
 }
 
-fn rows(it: &Bright, n_shots: usize, basis: &Basis) -> ([(usize, f64); N_POINTS + 1], [(usize, f64); N_RADIAL + 1]) {
+/// Functions of control points that are nearly zero where light falls off smoothly, with their usual deviations.
+fn smooth_rows() -> Vec<(Vec<(usize, f64)>, f64)> {
+    const SIDE: usize = FallOff::SIDE;
+    let at = |column: usize, row: usize| row * SIDE + column;
+    let mut rows = Vec::new();
+    for (line, first) in (0..SIDE).flat_map(|line| (0..SIDE - 3).map(move |first| (line, first))) {
+        // Third differences: quadratic functions have none.
+        let third = |point: &dyn Fn(usize) -> usize| -> Vec<(usize, f64)> {
+            [-1.0, 3.0, -3.0, 1.0].iter().enumerate().map(|(n, factor)| (point(first + n), *factor)).collect()
+        };
+        rows.push((third(&|n| at(n, line)), USUAL_THIRD));
+        rows.push((third(&|n| at(line, n)), USUAL_THIRD));
+    }
+    for (column, row) in (0..SIDE - 1).flat_map(|row| (0..SIDE - 1).map(move |column| (column, row))) {
+        let around = [at(column, row), at(column + 1, row), at(column, row + 1), at(column + 1, row + 1)];
+        rows.push((std::iter::zip(around, [1.0, -1.0, -1.0, 1.0]).collect(), USUAL_TWIST));
+    }
+    rows
+}
+
+/// Factors of `N` unknowns.
+type Factors<const N: usize> = [(usize, f64); N];
+
+fn rows(it: &Bright, n_shots: usize, basis: &Basis) -> (Factors<{ N_POINTS + 1 }>, Factors<{ N_RADIAL + 1 }>) {
     let control = basis.row(it.upright);
     let local = std::array::from_fn(|n| control.get(n).copied().unwrap_or((N_POINTS + it.channel, 1.0)));
     let radial = radial_row(n_shots, it.camera, it.at);
@@ -202,7 +227,7 @@ fn rows(it: &Bright, n_shots: usize, basis: &Basis) -> ([(usize, f64); N_POINTS 
     (local, shared)
 }
 
-fn radial_row(n_shots: usize, camera: usize, at: DVec2) -> [(usize, f64); N_RADIAL] {
+fn radial_row(n_shots: usize, camera: usize, at: DVec2) -> Factors<N_RADIAL> {
     std::array::from_fn(|term| {
         (3 * n_shots + N_RADIAL * camera + term, at.length_squared().powi(term as i32 + 1))
     })
@@ -221,7 +246,7 @@ impl Basis {
     }
 
     /// The factors of all control points.
-    pub(super) fn row(&self, upright: DVec2) -> [(usize, f64); N_POINTS] {
+    pub(super) fn row(&self, upright: DVec2) -> Factors<N_POINTS> {
         let n_cells = (FallOff::SIDE - 1) as f64;
         let at = upright.clamp(DVec2::ZERO, DVec2::ONE) * n_cells;
         let cell = at.floor().min(DVec2::splat(n_cells - 1.0));

@@ -17,33 +17,35 @@ pub(in crate::calibration) enum Ink {
     ThreeQuarters,
 }
 
-/// Inks of squares that are dark in other patterns; black is the most frequent, because the dimmest light is the hardest to
-/// measure. All are much darker than [`BRIGHT`], so that crossings are found.
-const DARK: [Ink; 5] = [Ink::Grey(0), Ink::Grey(0), Ink::Quarter, Ink::Grey(64), Ink::Grey(96)];
-/// Inks of squares that are white in other patterns.
-const BRIGHT: [Ink; 12] = [
-    Ink::Grey(255),
-    Ink::Grey(255),
-    Ink::Grey(255),
-    Ink::ThreeQuarters,
-    Ink::Rows,
-    Ink::Columns,
-    Ink::Grey(160),
-    Ink::Grey(192),
-    Ink::Grey(224),
-    Ink::Without(0),
-    Ink::Without(1),
-    Ink::Without(2),
+/// Inks of bright and dark squares side by side. The camera sees about the same contrast between the two of each pair, so
+/// that crossings keep their places and are found; black is the most frequent, because the dimmest light is the hardest to
+/// measure.
+const PAIRS: [[Ink; 2]; 12] = [
+    [Ink::Grey(255), Ink::Quarter],
+    [Ink::Rows, Ink::Grey(0)],
+    [Ink::Without(0), Ink::Grey(64)],
+    [Ink::Grey(192), Ink::Grey(0)],
+    [Ink::Grey(255), Ink::Grey(96)],
+    [Ink::Without(1), Ink::Grey(0)],
+    [Ink::ThreeQuarters, Ink::Grey(64)],
+    [Ink::Grey(160), Ink::Grey(0)],
+    [Ink::Grey(255), Ink::Quarter],
+    [Ink::Columns, Ink::Grey(0)],
+    [Ink::Without(2), Ink::Grey(96)],
+    [Ink::Grey(224), Ink::Grey(64)],
 ];
+
+/// Squares in a row or a column with one pair of inks.
+const BLOCK: u32 = 3;
 
 /// The greys whose light the projector's gamma tells.
 pub(super) const GREYS: [u8; 5] = [64, 96, 160, 192, 224];
 
 impl Ink {
-    /// The ink of a bright or a dark square, by any number.
-    pub(in crate::calibration) fn any(is_bright: bool, number: u64) -> Self {
-        let inks: &[Self] = if is_bright { &BRIGHT } else { &DARK };
-        inks[(number % inks.len() as u64) as usize]
+    /// The ink of a square, bright or dark: every part of a board has all pairs, and each pattern has them elsewhere.
+    pub(in crate::calibration) fn of_square(pattern: u32, [column, row]: [u32; 2], is_bright: bool) -> Self {
+        let pair = (column / BLOCK + 5 * (row / BLOCK) + 3 * pattern) as usize % PAIRS.len();
+        PAIRS[pair][usize::from(!is_bright)]
     }
 
     /// Red, green and blue of a projector's pixel.
@@ -78,7 +80,7 @@ mod tests {
 
     #[test]
     fn stripes_and_dots_are_white_in_the_part_that_they_say() {
-        for ink in DARK.into_iter().chain(BRIGHT) {
+        for ink in PAIRS.into_iter().flatten() {
             let values: Vec<[u8; 3]> = (0..64).map(|n| ink.value([n % 8, n / 8])).collect();
             let mean = values.iter().flatten().map(|value| f64::from(*value)).sum::<f64>() / 192.0 / 255.0;
             match (ink, ink.part()) {
@@ -87,6 +89,15 @@ mod tests {
                 (Ink::Grey(value), _) => assert!(GREYS.contains(&value)),
                 _ => panic!("{ink:?} has no part"),
             }
+        }
+    }
+
+    #[test]
+    fn small_boards_have_all_inks() {
+        for ink in PAIRS.into_iter().flatten() {
+            let squares = (0..16 * 12).map(|n| [n % 16, n / 16]);
+            let of_ink = squares.filter(|square| Ink::of_square(7, *square, (square[0] + square[1]) % 2 == 0) == ink);
+            assert!(of_ink.count() >= 4, "{ink:?}");
         }
     }
 }

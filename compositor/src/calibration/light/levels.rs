@@ -29,8 +29,6 @@ pub(super) struct Lit {
 pub(super) struct Field {
     black: [f64; 3],
     white: [f64; 6],
-    /// The typical error of a square, as a part of white.
-    pub error: f64,
 }
 
 /// A projector's light curve.
@@ -41,6 +39,8 @@ pub(super) struct Curve {
     pub error: f64,
 }
 
+/// Squares that are typically off by more than this part of white are no field.
+const LARGEST_ERROR: f64 = 0.1;
 /// Fewer squares of either kind, dark and bright, determine no field.
 const LEAST_SQUARES: usize = 5;
 /// The weight of even light, where that of a square is 1 or more.
@@ -54,7 +54,7 @@ pub(super) fn place(raster: DVec2) -> DVec2 {
 }
 
 impl Field {
-    /// The field of squares of one photograph and projector. `None` if they are too few.
+    /// The field of squares of one photograph and projector. `None` if they are too few, or fit badly.
     pub(super) fn fit(squares: &[&Lit], channel: usize) -> Option<Self> {
         let known: Vec<(DVec2, f64, [f64; 2])> =
             squares.iter().filter_map(|it| Some((place(it.raster), it.ink.part()?, it.light[channel]?))).collect();
@@ -78,7 +78,6 @@ impl Field {
             let new = Self {
                 white: std::array::from_fn(|n| local[n]),
                 black: std::array::from_fn(|n| local[6 + n]),
-                error: 0.0,
             };
             let away = |(place, part, [light, _]): &(DVec2, f64, [f64; 2])| {
                 light - new.black(*place) - part * new.white(*place)
@@ -86,9 +85,11 @@ impl Field {
             let in_values: Vec<f64> = known.iter().map(|it| away(it) / it.2[1]).collect();
             weights = robust_weights(&in_values).0;
             let parts: Vec<f64> = known.iter().map(|it| away(it) / new.white(it.0).max(1e-9)).collect();
-            field = Some(Self { error: robust_weights(&parts).1, ..new });
+            field = Some((new, robust_weights(&parts).1));
         }
-        field.filter(|field| known.iter().all(|(place, ..)| field.white(*place) > 0.0))
+        let (field, error) = field?;
+        let is_told = error <= LARGEST_ERROR && known.iter().all(|(place, ..)| field.white(*place) > 0.0);
+        is_told.then_some(field)
     }
 
     /// The light of a projector's white at a place of its field.
@@ -203,7 +204,6 @@ mod tests {
             assert!((field.white(at) - (0.8 - 0.3 * at.length_squared() / 2.0)).abs() < 0.01, "{at}");
             assert!((field.black(at) - (0.1 + 0.02 * at.y)).abs() < 0.01, "{at}");
         }
-        assert!(field.error < 0.01, "{}", field.error);
         assert!(Field::fit(&squares.iter().collect::<Vec<_>>(), 1).is_none());
     }
 }

@@ -40,13 +40,21 @@ const N: usize = N_INTERVALS + 3;
 const N_WHITE: usize = 6;
 const N_BLACK: usize = 3;
 /// The weight that keeps the spline smooth where nothing is measured.
-const SMOOTHNESS: f64 = 1e-5;
+const SMOOTHNESS: f64 = 3e-3;
+/// The weight of no light where nothing is measured; that of a square is about 1.
+const WEAK: f64 = 1e-7;
+/// Fewer squares, dark or bright ones, tell nothing of a field.
+const LEAST_SQUARES: usize = 5;
 /// Rounds of weighing anew.
 const N_ROUNDS: usize = 6;
 
 impl Response {
     /// Finds the response from squares of several fields. `None` if they do not determine it.
     pub(super) fn solve(n_groups: usize, known: &[Known]) -> Option<Self> {
+        let mut n_of = vec![[0; 2]; n_groups];
+        known.iter().for_each(|it| n_of[it.group][usize::from(it.part >= 0.5)] += 1);
+        let is_told = |it: &&Known| n_of[it.group].iter().all(|n| *n >= LEAST_SQUARES);
+        let known: Vec<Known> = known.iter().filter(is_told).copied().collect();
         let range = known.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[least, most], it| {
             [f64::min(least, it.value), f64::max(most, it.value)]
         });
@@ -65,7 +73,7 @@ impl Response {
                 arrow.add(it.group, &local, &shared, 0.0, weight / (slope * slope));
             }
             for block in 0..n_groups {
-                (0..N_WHITE + N_BLACK).for_each(|term| arrow.add(block, &[(term, 1.0)], &[], 0.0, 1e-9));
+                (0..N_WHITE + N_BLACK).for_each(|term| arrow.add(block, &[(term, 1.0)], &[], 0.0, WEAK));
             }
             for first in 0..N - 3 {
                 let third = [(first, -1.0), (first + 1, 3.0), (first + 2, -3.0), (first + 3, 1.0)];

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use glam::{DVec2, IVec2};
+use glam::{DMat2, DVec2, IVec2};
 
 use super::{
     super::{identify::Sighting, lens::Lens, pattern::Plan},
@@ -48,6 +48,8 @@ pub type ColourAt<'a> = &'a dyn Fn(usize, usize) -> [f32; 3];
 const REACH: f64 = 0.2;
 /// Smaller squares, in pixels of the photograph, have no such place.
 const LEAST_SIDE: f64 = 8.0;
+/// Crossings around one that was not found, by which its place is told.
+const LEAST_AROUND: usize = 6;
 /// The most points a side that are measured.
 const MOST_POINTS: f64 = 16.0;
 
@@ -57,22 +59,13 @@ pub(in crate::calibration) fn samples(plan: &Plan, sighting: &Sighting, shot: &m
     let board = &plan.boards[projector_idx];
     let found: HashMap<IVec2, DVec2> =
         sighting.points.iter().map(|[px, at]| (board.corner_at(*px).round().as_ivec2(), *at)).collect();
-    // A corner that was not found, as at the board's edge, continues one of its lines.
-    let corner = |place: IVec2| {
-        let continued = |step: &IVec2| Some(2.0 * *found.get(&(place + step))? - *found.get(&(place + 2 * step))?);
-        let steps = [IVec2::X, IVec2::NEG_X, IVec2::Y, IVec2::NEG_Y];
-        found.get(&place).copied().or_else(|| steps.iter().find_map(continued))
-    };
     let size_px = board.size_px();
     let [columns, rows] = board.squares;
     for square in (0..rows).flat_map(|row| (0..columns).map(move |column| [column, row])) {
         let Some(ink) = plan.ink(pattern, projector_idx, square) else { continue };
         let first = IVec2::new(square[0] as i32, square[1] as i32);
         let around = [IVec2::ZERO, IVec2::X, IVec2::ONE, IVec2::Y];
-        if !around.iter().any(|step| found.contains_key(&(first + step))) {
-            continue;
-        }
-        let corners = around.map(|step| corner(first + step));
+        let corners = around.map(|step| corner(&found, first + step));
         let [Some(a), Some(b), Some(c), Some(d)] = corners else { continue };
         let side = [a - b, b - c, c - d, d - a].iter().map(|edge| edge.length()).fold(f64::INFINITY, f64::min);
         if side < LEAST_SIDE {
@@ -92,6 +85,32 @@ pub(in crate::calibration) fn samples(plan: &Plan, sighting: &Sighting, shot: &m
             variance,
         });
     }
+}
+
+/// The place of a crossing; that of one that was not found, as at the board's edge, follows from those around it. `None` if
+/// these are too few.
+fn corner(found: &HashMap<IVec2, DVec2>, place: IVec2) -> Option<DVec2> {
+    if let Some(at) = found.get(&place) {
+        return Some(*at);
+    }
+    let steps = (-2..=2).flat_map(|y| (-2..=2).map(move |x| IVec2::new(x, y)));
+    let near: Vec<(DVec2, DVec2)> =
+        steps.filter_map(|step| Some((step.as_dvec2(), *found.get(&(place + step))?))).collect();
+    if near.len() < LEAST_AROUND {
+        return None;
+    }
+    // An affine map by least squares, from the middle of those around.
+    let n = near.len() as f64;
+    let middle = near.iter().map(|(step, _)| *step).sum::<DVec2>() / n;
+    let middle_at = near.iter().map(|(_, at)| *at).sum::<DVec2>() / n;
+    let (mut spread, mut moved) = (DMat2::ZERO, DMat2::ZERO);
+    for (step, at) in &near {
+        let (step, at) = (*step - middle, *at - middle_at);
+        spread += DMat2::from_cols(step * step.x, step * step.y);
+        moved += DMat2::from_cols(at * step.x, at * step.y);
+    }
+    // Crossings on one line say nothing beside it.
+    (spread.determinant() > 0.5 * n).then(|| middle_at - moved * spread.inverse() * middle)
 }
 
 /// Mean and variance around the centre of a square; `None` if a part of that lies outside of the photograph.

@@ -233,8 +233,8 @@ fn brights(wall: &Wall, groups: &Groups<'_>, curves: &[Option<Curve>], camera_of
                 ink => ink.part(),
             };
             let Some(part) = part.filter(|part| *part >= LEAST_PART) else { continue };
-            for channel in 0..3 {
-                let (Some(field), Some([light, slope])) = (&fields[channel], it.light[channel]) else { continue };
+            for (channel, (field, light)) in fields.iter().zip(it.light).enumerate() {
+                let (Some(field), Some([light, slope])) = (field, light) else { continue };
                 let white = (light - field.black(place(it.raster))) / part;
                 if white > 1e-6 {
                     all.push(Bright {

@@ -30,7 +30,7 @@ const FARTHEST_SHOT: f64 = 4.0;
 /// Greys are nearer than this to a projector's light curve, as a part of white.
 const LARGEST_GAMMA_ERROR: f64 = 0.015;
 /// White has at most so much more light than red, green and blue together.
-const LARGEST_EXCESS: f64 = 0.04;
+const LARGEST_EXCESS: f64 = 0.06;
 /// The part of a projector's field in which squares must be seen.
 const LEAST_COVERED: f64 = 0.8;
 /// Blacks of this size or less cannot be told from none.
